@@ -15,7 +15,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # The slow tests that wait more than they compute: for robots, clients and browsers in real time.
 SLOW = $(sort $(shell grep -rlw --include='test_*.py' slow tests))
 WAITING = $(filter $(patsubst %,tests/%/%,bridge examples faults interoperability live soak) \
-  tests/fleet/test_record.py tests/fleet/test_robots.py $(addprefix tests/cli/test_,bridge.py doctor.py every_verb.py),$(SLOW))
+  tests/fleet/test_recorder.py tests/fleet/test_discovery.py $(addprefix tests/cli/test_,bridge.py doctor.py every_verb.py),$(SLOW))
 # Of those that compute the longest come first: at the end both workers have something to do.
 LONGEST := tests/cli/test_demo.py tests/identify/test_dynamics.py tests/style/test_wheel.py
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from armlab import fleet, robots
-from armlab.fleet.workers import workers
+from armlab.fleet.mapping import workers
 from armlab.identify.many import fit_draft, log_sums
 from armlab.log import read_arm
 

@@ -84,7 +84,7 @@ def record(name: str, seed: int, gains: float = 0.0) -> Logs:
     centre[1] = np.deg2rad(-60.0)
 
     def run(motion: identify.Trajectory, number: int, wrench: Wrench | None = None) -> log.Table:
-        arm = sim.Arm(robot, truth, seed=[seed, number], mismatch=mismatch)
+        arm = sim.SimulatedArm(robot, truth, seed=[seed, number], mismatch=mismatch)
         return sim.record(arm, motion, wrench)
 
     excitation = identify.excitation(robot, centre=centre, seed=seed)  # its defaults are those of the protocol

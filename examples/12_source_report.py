@@ -17,7 +17,7 @@ def measure(side: str) -> tuple[log.Table, log.Table]:
         corners = np.array([0.0, 0.1, 2.0, 2.1])
         return sum(np.outer(np.interp(t, s + corners, [0, f, f, 0]), np.eye(6)[axis]) for s, axis, f in presses)
 
-    arm = sim.Arm(robot, sim.synthetic_truth(robot), seed=1)
+    arm = sim.SimulatedArm(robot, sim.synthetic_truth(robot), seed=1)
     excited = sim.record(arm, identify.excitation(robot, 24.0))
     estimator = contact.Estimator(identify.fit_dynamics(excited, robot).value, robot)
     return estimator.run(excited), estimator.run(sim.record(arm, identify.dither(robot.q_home, 27.0), hand))

@@ -22,8 +22,8 @@ from armlab.bridge.zenoh.far import FarCodec, FarPort
 from armlab.bridge.zenoh.inbox import Inbox
 from armlab.bridge.zenoh.texts import read_about
 from armlab.errors import ArmlabError, LinkError
-from armlab.fleet.robot_record import RobotRecord
-from armlab.fleet.robots import _Seen
+from armlab.fleet.discovery import _Seen
+from armlab.fleet.recorder import RobotRecord
 from armlab.live import Running, SeenRobot
 from armlab.live.fleet_view import _words
 from armlab.log import Tick

@@ -11,16 +11,7 @@ _APART = 512  # below the usual limit of 1024
 
 
 class Descriptor:
-    """An open descriptor, remembered with its file: once closed, its number may belong to another file.
-
-    Parameters
-    ----------
-    number : of the descriptor.
-
-    Attributes
-    ----------
-    number : as given.
-    """
+    """An open descriptor, remembered with its file: once closed, its number may belong to another file."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -32,12 +23,7 @@ class Descriptor:
         return self._file is not None and _file(self.number) == self._file
 
     def same_file(self, number: int) -> bool:
-        """Return whether another descriptor is of the same file.
-
-        Parameters
-        ----------
-        number : of the other.
-        """
+        """Return whether another descriptor is of the same file."""
         return self._file is not None and _file(number) == self._file
 
     def close(self) -> None:
@@ -57,11 +43,9 @@ def _file(number: int) -> tuple[int, int] | None:
 
 
 def apart(number: int) -> int:
-    """Return a descriptor in place of a newly opened one, with a number that nobody still uses for a closed file.
+    """Move a newly opened descriptor to a high number, which no other code uses for a file closed before.
 
-    Parameters
-    ----------
-    number : the descriptor; it is closed, unless the system has no such number.
+    The old number is closed, unless the system has no such number.
     """
     try:
         moved = fcntl.fcntl(number, fcntl.F_DUPFD_CLOEXEC, _APART)

@@ -13,13 +13,9 @@ __all__ = ["deferred", "handling"]
 
 @contextmanager
 def handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Handle SIGINT, SIGTERM and, unless it is ignored (nohup), SIGHUP in another way for a while.
+    """Handle SIGINT, SIGTERM and, unless it is ignored (nohup), SIGHUP by `handler` for a while, in the main thread.
 
     Outside of the main thread it does nothing: there the process's owner handles signals.
-
-    Parameters
-    ----------
-    handler : called in the main thread between two instructions; what it raises is raised there.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

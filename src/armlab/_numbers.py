@@ -18,19 +18,9 @@ __all__ = [
 
 
 def numbers(value: ArrayLike, what: str, error: type[ArmlabError] = RobotError) -> np.ndarray:
-    """Return real numbers as float64, without a copy where they are.
+    """Return real numbers as float64, without a copy where possible; raise `error` for anything else.
 
-    NumPy itself would read a text of digits, and drop imaginary parts.
-
-    Parameters
-    ----------
-    value : numbers, of any shape.
-    what : their name, for the message.
-    error : what to raise.
-
-    Raises
-    ------
-    ArmlabError : when they are text, complex, None, objects or rows of different length.
+    NumPy alone would parse strings of digits and drop imaginary parts. `what` names the value in the message.
     """
     try:
         array = np.asarray(value)
@@ -42,18 +32,7 @@ def numbers(value: ArrayLike, what: str, error: type[ArmlabError] = RobotError) 
 
 
 def members(value: Any, what: str, error: type[ArmlabError] = RobotError) -> tuple[Any, ...]:
-    """Return the members of a list or tuple; a text is none, though Python would take its letters.
-
-    Parameters
-    ----------
-    value : anything.
-    what : its name, for the message.
-    error : what to raise.
-
-    Raises
-    ------
-    ArmlabError : when it has no members or is a text.
-    """
+    """Return the members of a list or tuple; a string is rejected, although Python would iterate over it."""
     if (
         isinstance(value, str | bytes)
         or not isinstance(value, Iterable)
@@ -64,17 +43,7 @@ def members(value: Any, what: str, error: type[ArmlabError] = RobotError) -> tup
 
 
 def frozen(value: ArrayLike, what: str) -> np.ndarray:
-    """Return real numbers as a read-only copy in which -0.0 is 0.0: what is equal has equal bytes.
-
-    Parameters
-    ----------
-    value : numbers, of any shape.
-    what : their name, for the message.
-
-    Raises
-    ------
-    RobotError : when they are no real numbers.
-    """
+    """Return real numbers as a read-only copy with -0.0 replaced by 0.0, so that equal values have equal bytes."""
     array = np.array(numbers(value, what))
     array += 0.0
     array.flags.writeable = False
@@ -82,34 +51,14 @@ def frozen(value: ArrayLike, what: str) -> np.ndarray:
 
 
 def still(value: ArrayLike, what: str) -> np.ndarray:
-    """Return real numbers as a read-only copy, to the bit.
-
-    Parameters
-    ----------
-    value : numbers, of any shape.
-    what : their name, for the message.
-
-    Raises
-    ------
-    ShapeError : when they are no real numbers.
-    """
+    """Return real numbers as a read-only copy, bit for bit."""
     array = np.array(numbers(value, what, ShapeError))
     array.flags.writeable = False
     return array
 
 
 def make_read_only(result: Any, *names: str) -> None:
-    """Replace arrays of a frozen dataclass by read-only views.
-
-    Parameters
-    ----------
-    result : the instance.
-    names : of its fields.
-
-    Raises
-    ------
-    ShapeError : when one is no array.
-    """
+    """Replace arrays of a frozen dataclass by read-only views."""
     for name in names:
         array = getattr(result, name)
         if not isinstance(array, np.ndarray):
@@ -120,35 +69,14 @@ def make_read_only(result: Any, *names: str) -> None:
 
 
 def flag(value: Any, what: str) -> bool:
-    """Return True or False.
-
-    Parameters
-    ----------
-    value : anything.
-    what : which option it is, for the message.
-
-    Raises
-    ------
-    ShapeError : when it is neither: a list or a text would count as True.
-    """
+    """Return True or False; raise for anything else: a list or a string would count as True."""
     if not isinstance(value, bool | np.bool_):
         raise ShapeError(f"Expected {what} as True or False, got {shortened(value)}.")
     return bool(value)
 
 
 def number(value: Any, what: str, error: type[ArmlabError] = ShapeError) -> float:
-    """Return one real number, which may be infinite or missing: comparing it tells.
-
-    Parameters
-    ----------
-    value : a number.
-    what : its name with its unit, for the message.
-    error : what to raise.
-
-    Raises
-    ------
-    ArmlabError : when it is anything else.
-    """
+    """Return one real number, infinite and NaN included; raise `error` for anything else. `what` includes the unit."""
     if type(value) is float:
         return value
     array = numbers(value, what, error)
@@ -158,19 +86,7 @@ def number(value: Any, what: str, error: type[ArmlabError] = ShapeError) -> floa
 
 
 def positive(value: Any, what: str, advice: str = "Correct it.", error: type[ArmlabError] = ShapeError) -> float:
-    """Return one finite number above zero.
-
-    Parameters
-    ----------
-    value : a number.
-    what : its name with its unit, for the message.
-    advice : what to do, or which number is usual.
-    error : what to raise.
-
-    Raises
-    ------
-    ArmlabError : when it is anything else.
-    """
+    """Return one finite number above zero; raise `error`, which ends with `advice`, for anything else."""
     found = number(value, what, error)
     if not 0.0 < found < np.inf:
         raise error(f"Expected a finite {what} above zero, got {found:g}. {advice}")
@@ -178,33 +94,13 @@ def positive(value: Any, what: str, advice: str = "Correct it.", error: type[Arm
 
 
 def check_name(value: Any, what: str, names: Collection[str]) -> None:
-    """Refuse what is none of the names; an array is none, though comparing it to one would give an array.
-
-    Parameters
-    ----------
-    value : anything.
-    what : which option it is, for the message.
-    names : those that exist.
-
-    Raises
-    ------
-    UnknownName : when it is none of them.
-    """
+    """Raise UnknownName for a value outside `names`; an array never matches, although == would return an array."""
     if not isinstance(value, str) or value not in names:
         raise UnknownName.among(what, value, names)
 
 
 def generator(seed: Any) -> np.random.Generator:
-    """Return the random numbers of a seed, or the generator that was given.
-
-    Parameters
-    ----------
-    seed : whole number from 0, or a `numpy.random.Generator`.
-
-    Raises
-    ------
-    ShapeError : when it is anything else.
-    """
+    """Return the random generator of a seed, or the generator given."""
     whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool) and seed >= 0
     if not whole and not isinstance(seed, np.random.Generator):
         raise ShapeError(f"Expected a whole number from 0 as seed, got {shortened(seed)}. Each gives other numbers.")
@@ -212,11 +108,6 @@ def generator(seed: Any) -> np.random.Generator:
 
 
 def rows_text(rows: np.ndarray) -> str:
-    """Return the numbers of rows for a message, the first twenty of many.
-
-    Parameters
-    ----------
-    rows : (n,) whole numbers.
-    """
+    """Return row numbers for a message, at most the first twenty."""
     shown = ", ".join(str(i) for i in rows[:20])
     return shown if len(rows) <= 20 else f"{shown} and {len(rows) - 20} more"

@@ -26,14 +26,10 @@ class TomlError(ValueError):
 
 
 def parsed(text: str) -> dict[str, Any]:
-    """Return the tables of a TOML text.
+    """Return the tables of a TOML text; raise TomlError for invalid text and for text beyond the bounds.
 
     Python's parser accepts integers of any length, nests as deep as Python allows, and takes quadratic time for dotted
-    keys.
-
-    Raises
-    ------
-    TomlError : not TOML, nested too deep, an integer beyond 64 bits, a text beyond 16 MiB or with too many keys.
+    keys: bounds are 64 bits, 16 names, 16 MiB, 50 000 keys and tables.
     """
     try:
         _check_size(text)

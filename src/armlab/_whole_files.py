@@ -11,15 +11,9 @@ __all__ = ["whole_file"]
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield where to write; a block that ends puts it in the place of `path`, one that fails leaves nothing behind.
+    """Yield a path to write to; success moves it to `path` in one step, failure leaves nothing behind.
 
-    Parameters
-    ----------
-    path : the file; one that exists is replaced in one step, or kept.
-
-    Raises
-    ------
-    OSError : it cannot be written; names `path`, as errors of writing alone do not.
+    An OSError names `path`, as errors of writing alone do not.
     """
     part = path.with_name(f"{path.name}.part")
     try:

@@ -25,7 +25,8 @@ class Symbol:
     ----------
     name : the symbol as used in code, columns and files.
     shape : shape in words, N samples, n joints.
-    unit : SI unit. frame : axes the numbers are in, empty when none.
+    unit : SI unit.
+    frame : axes the numbers are in, empty when none.
     kind : real, angle, pose, quaternion, count, flag or text; decides how a column is resampled.
     text : one sentence.
     column : whether a log may have it as a column, whose unit and shape it then is. Other files mean other things by

@@ -46,20 +46,26 @@ class State:
     seq, missed, session : the robot's sequence number, packets lost before this one, session number from 1.
     q, qd, tau : (n,) joint positions [rad or m], velocities, joint-side torques [N m]; `tau` is NaN when not sent.
     qdd : (n,) joint accelerations when the source has them, else None.
-    qd_source : "measured" or "difference". tau_source : "measured", "reference" or "none".
-    q_start : (n,) position when guidance began. q_planned : (n,) the controller's own reference.
+    qd_source : "measured" or "difference".
+    tau_source : "measured", "reference" or "none".
+    q_start : (n,) position when guidance began.
+    q_planned : (n,) the controller's own reference.
     q_sent, qd_sent, clamped : (n,) the previous reply and its clamps (bits: 1 position, 2 velocity,
         4 acceleration, 8 braking, 16 torque, 32 torque rate).
     T_frame_tool : (4, 4) pose reported by the controller, in the frame that RAPID activated.
     wrench_raw : (6,) measuredForce as sent [N, N m], frame and sign not documented by ABB.
     wrench : (6,) calibrated force sensor, base axes, at the tool point.
     q_ext : positions of external axes.
-    motors, rapid, mci : state numbers as received (ABB's enumerations). converged : window of EGMAct is met.
-    utilization : percent. robotware : "6.06", "6.07", "6.10" or "7".
+    motors, rapid, mci : state numbers as received (ABB's enumerations).
+    converged : window of EGMAct is met.
+    utilization : percent.
+    robotware : "6.06", "6.07", "6.10" or "7".
     rapid_data, rapid_digital : values from RAPID.
-    robot_ns : controller clock, int64 nanoseconds. t_receive : arrival, int64 nanoseconds.
+    robot_ns : controller clock, int64 nanoseconds.
+    t_receive : arrival, int64 nanoseconds.
     sources : what each source has at this tick by name (`bridge.Held`): ``state.sources["tracker"]["p"]``.
-    robot : name of the arm. age : seconds from arrival to this tick, 0 for the arm that paces.
+    robot : name of the arm.
+    age : seconds from arrival to this tick, 0 for the arm that paces.
     details : called without arguments, returns what else the packet says (`wire.egm.Details`: planned pose, collision,
         currents, ...), read then; None for a link or a log that has nothing more.
     arms : the State of each arm when several are fused; `q` and the other joint arrays are then one arm after another.
@@ -119,7 +125,8 @@ class Command:
     q, qd, tau : (n,) references [rad, rad/s, N m] or None for "not commanded".
     q_ext : (k,) references of the external axes beyond the robot's joints [rad or m], in the order of `State.q_ext`,
         or None. Needs limits of these axes, see `bridge.Limits`.
-    rapid_data : at most 40 numbers for RAPID, or None. rapid_digital : the digital value for RAPID, or None. The
+    rapid_data : at most 40 numbers for RAPID, or None.
+    rapid_digital : the digital value for RAPID, or None. The
         numbers go out with the one reply to this command (RobotWare 7).
     record : values of the controller's own, by column name, written to the log.
     ends : True for the command that ends the run.

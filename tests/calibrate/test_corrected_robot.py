@@ -130,7 +130,7 @@ class TestGeometry:
         """The simulated controller is the library's arm; the loop knows the corrected one, and drives its joints."""
         robot, _, fit = yumi
         found = fit.value.robot
-        arm = sim.Arm(found, sim.synthetic_truth(found), seed=1)
+        arm = sim.SimulatedArm(found, sim.synthetic_truth(found), seed=1)
         assert arm.robot == found
         arm.place(found.q_home)
         seen = []
@@ -174,7 +174,7 @@ class TestJointErrors:
             lambda value, q: kinematics.frame_jacobian(value, q),
             lambda value, q: robots.save(value, "arm.toml"),
             lambda value, q: sim.synthetic_truth(value),
-            lambda value, q: sim.Arm(value, sim.synthetic_truth(robots.load("irb2400"))),
+            lambda value, q: sim.SimulatedArm(value, sim.synthetic_truth(robots.load("irb2400"))),
             lambda value, q: bridge.connect("sim://irb2400", value),
             lambda value, q: identify.base_parameters(value),
             lambda value, q: identify.excitation(value),

@@ -19,7 +19,7 @@ from armlab.kinematics import forward, inverse
 from armlab.lie import se3, so3
 from armlab.models import DualArmCorrection
 from armlab.sim import cell
-from armlab.sim._cell_kinematics import DEGREE, NOISE, NOMINAL_PAIR, DualRun, dh_arm, noisy, sliding_robot, spoilt
+from armlab.sim.experiments.kinematics import DEGREE, NOISE, NOMINAL_PAIR, DualRun, dh_arm, noisy, sliding_robot, spoilt
 
 TOOL = se3.from_rp(so3.exp([0.2, -0.1, 0.3]), [0.02, -0.03, 0.01])
 

@@ -17,15 +17,7 @@ from armlab.errors import ConfigError, NotConverged, NotExcited, RobotError, Sha
 from armlab.kinematics import forward
 from armlab.lie import se3
 from armlab.sim import cell
-from armlab.sim._cell_kinematics import (
-    ANCHOR,
-    NOISE,
-    KinematicRun,
-    as_robot,
-    dh_arm,
-    sliding_robot,
-    spoilt,
-)
+from armlab.sim.experiments.kinematics import ANCHOR, NOISE, KinematicRun, as_robot, dh_arm, sliding_robot, spoilt
 
 
 @pytest.fixture(scope="module")

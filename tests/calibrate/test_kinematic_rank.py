@@ -14,14 +14,7 @@ from armlab.estimation import Fit
 from armlab.kinematics import forward
 from armlab.lie import se3
 from armlab.sim import cell
-from armlab.sim._cell_kinematics import (
-    ANCHOR,
-    NOISE,
-    KinematicRun,
-    dh_arm,
-    sliding_robot,
-    spoilt,
-)
+from armlab.sim.experiments.kinematics import ANCHOR, NOISE, KinematicRun, dh_arm, sliding_robot, spoilt
 
 
 @pytest.fixture(scope="module")

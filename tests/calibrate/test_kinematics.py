@@ -18,14 +18,7 @@ from armlab.kinematics import forward, inverse, jacobian
 from armlab.lie import se3, so3
 from armlab.models import KinematicCorrection
 from armlab.sim import cell
-from armlab.sim._cell_kinematics import (
-    ANCHOR,
-    DEGREE,
-    NOISE,
-    KinematicRun,
-    dh_arm,
-    sliding_robot,
-)
+from armlab.sim.experiments.kinematics import ANCHOR, DEGREE, NOISE, KinematicRun, dh_arm, sliding_robot
 
 
 @pytest.fixture(scope="module")
@@ -249,7 +242,7 @@ class TestValue:
         robots.save(robot, tmp_path / "arm.urdf")
         np.testing.assert_allclose(forward(robots.load(tmp_path / "arm.urdf"), q), goals, rtol=0, atol=1e-9)
         assert robot.hash != case.robot.hash
-        assert sim.Arm(robot, sim.synthetic_truth(robot), seed=1).robot == robot
+        assert sim.SimulatedArm(robot, sim.synthetic_truth(robot), seed=1).robot == robot
 
     def test_gravity_turns_with_the_foot(self, case) -> None:
         frame = se3.from_rp(so3.exp([1.0, 0.0, 0.0]), [3.0, 0.0, 0.0])

@@ -17,7 +17,7 @@ from armlab.cli.calibrate_arms import dual_arm, kinematics
 from armlab.kinematics import forward, inverse
 from armlab.lie import se3, so3
 from armlab.log import Column, Table
-from armlab.sim._cell_kinematics import DualRun, KinematicRun
+from armlab.sim.experiments.kinematics import DualRun, KinematicRun
 
 NOISE = ["1e-4", "1.75e-4"]
 

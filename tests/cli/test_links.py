@@ -13,7 +13,7 @@ from armlab.bridge.address import addresses
 from armlab.cli import main
 from armlab.cli.links import links_to, simulated
 from armlab.errors import ConfigError, UnknownName
-from armlab.sim.scara import scara
+from armlab.sim.arm.arm import scara
 
 
 @pytest.fixture

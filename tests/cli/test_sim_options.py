@@ -10,7 +10,7 @@ import pytest
 from armlab import robots
 from armlab.cli.sim_options import Around, Content, FaultOptions, pair
 from armlab.errors import ConfigError, UnknownName
-from armlab.sim.fault_rates import FaultRates
+from armlab.sim.controller.settings import FaultRates
 
 ROBOT = robots.load("yumi_right")
 

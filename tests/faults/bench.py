@@ -24,9 +24,9 @@ from armlab.bridge.port import Arrival
 from armlab.bridge.supervision import Settings
 from armlab.errors import LinkError
 from armlab.log import Table
-from armlab.sim.controller import Controller
-from armlab.sim.lagging import LaggingArm
-from armlab.sim.settings import Settings as RobotSettings
+from armlab.sim.arm.arm import LaggingArm
+from armlab.sim.controller.controller import SimulatedController
+from armlab.sim.controller.settings import ControllerSettings as RobotSettings
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec, RobotSideCodec, SensorMessage
 
@@ -99,7 +99,7 @@ class Station:
         self.sources = (source,)
         self.change: Callable[[bytes], bytes] = lambda data: data
         codec = RobotSideCodec(ROBOT, extension=True)
-        self.controller = Controller(LaggingArm(ROBOT, PERIOD, q), codec, RobotSettings(period=PERIOD))
+        self.controller = SimulatedController(LaggingArm(ROBOT, PERIOD, q), codec, RobotSettings(period=PERIOD))
         self.out, self.back = (Way(bad, begin, end, [seed, way], PERIOD) for way in (1, 2))
         self.packets: dict[int, tuple[np.ndarray, bool, float]] = {}
         self.motion: list[tuple[np.ndarray, np.ndarray]] = []

@@ -1,14 +1,18 @@
-"""Files, folders and tables become logs by name."""
+"""Logs by name, the files that they become, and export."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from armlab.errors import LogError, ShapeError
-from armlab.fleet.logs import Log, as_table, named
+from armlab import fleet, log
+from armlab.errors import ConfigError, LogError, ShapeError
+from armlab.fleet.logs import Log, as_table, named, targets
+from armlab.log import Table
 
 
 def test_a_folder_is_the_logs_in_it_and_below_in_the_order_of_their_names(tmp_path: Path) -> None:
@@ -51,3 +55,71 @@ def test_bad_input(tmp_path: Path) -> None:
     ):
         with pytest.raises(error, match=sentence):
             named(given)  # type: ignore[arg-type]
+
+
+def test_files_stand_in_folders_as_the_logs_do(tmp_path: Path) -> None:
+    jobs = {name: tmp_path / name for name in ("monday/a.mcap", "monday/b.csv", "tuesday/a.mcap")}
+    found = targets(jobs, tmp_path / "new", ".csv", "_estimate")
+    assert {str(path.relative_to(tmp_path / "new")) for path in found.values()} == {
+        "monday/a_estimate.csv",
+        "monday/b_estimate.csv",
+        "tuesday/a_estimate.csv",
+    }
+    assert list(found) == list(jobs)
+
+
+def test_one_log_stands_in_the_folder_itself(tmp_path: Path) -> None:
+    assert targets({"a": tmp_path / "deep/a.mcap"}, tmp_path, ".mat") == {"a": tmp_path / "a.mat"}
+
+
+def test_what_exists_is_kept_unless_forced(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t [s]\n")
+    jobs = {"a": tmp_path / "logs/a.mcap", "b": tmp_path / "logs/b.mcap"}
+    with pytest.raises(ConfigError, match=r"got 1 that exist, first .*a\.csv.*--force"):
+        targets(jobs, tmp_path, ".csv")
+    assert targets(jobs, tmp_path, ".csv", force=True)["a"] == tmp_path / "a.csv"
+
+
+def test_what_cannot_be_named_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ShapeError, match="which would both be"):
+        targets({"a": tmp_path / "a.mcap", "b": tmp_path / "a.csv"}, tmp_path / "new", ".mat")
+    with pytest.raises(ShapeError, match="got a table"):
+        targets({"a": Table(np.arange(3.0), {"q": np.zeros((3, 1))})}, tmp_path, ".mat")
+    with pytest.raises(ConfigError, match=r"Expected a format among \.mcap"):
+        targets({"a": tmp_path / "a.mcap"}, tmp_path, ".docx")
+
+
+def test_a_log_is_never_replaced_by_what_it_becomes(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"rows")
+    (tmp_path / "link").symlink_to(tmp_path)
+    for folder in (tmp_path, tmp_path / "link"):
+        with pytest.raises(ConfigError, match=r"got 1 that are read, first .*a\.mcap\. Name another folder or format"):
+            targets({"a": tmp_path / "a.mcap"}, folder, ".mcap", force=True)
+    assert targets({"a": tmp_path / "a.mcap"}, tmp_path, ".csv", force=True) == {"a": tmp_path / "a.csv"}
+
+
+def test_every_log_is_the_same_table_in_the_other_format(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "bad.parquet").write_bytes(b"PAR1 nonsense")
+    with ThreadPoolExecutor(2) as pool:
+        done = fleet.export([folder, tmp_path / "bad.parquet"], tmp_path / "out", ".csv", pool)
+    assert list(done.skipped) == [str(tmp_path / "bad.parquet")]
+    assert "Parquet" in done.skipped[str(tmp_path / "bad.parquet")]
+    assert len(done.results) == 6
+    for name, path in done.results.items():
+        assert path.suffix == ".csv"
+        assert log.read(path).sha256 == log.read(name).sha256
+
+
+def test_a_recording_needs_its_robot(folder: Path, tmp_path: Path, short_arm) -> None:
+    with pytest.raises(ConfigError, match="--robot"):
+        fleet.export(folder, tmp_path, ".mcap")
+    done = fleet.export(folder / "log0.parquet", tmp_path, ".mcap", robot=short_arm.robot)
+    (path,) = done.results.values()
+    np.testing.assert_array_equal(log.read(path)["q"], log.read(folder / "log0.parquet")["q"])
+
+
+def test_nothing_but_nonsense_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "bad.mcap").write_bytes(b"nonsense")
+    with pytest.raises(LogError, match="used among 1, got none"):
+        fleet.export(tmp_path, tmp_path / "out", ".csv")
+    assert not (tmp_path / "out").exists()

@@ -1,11 +1,9 @@
-"""Every job is done once, in order, whoever does it, and whoever is killed while it is done.
-
-Jobs are calls of the standard library: workers of any kind know them without this file.
-"""
+"""Work over many logs: order, failures, killed workers, progress, Dask."""
 
 from __future__ import annotations
 
 import math
+import os
 import re
 import signal
 import subprocess
@@ -19,8 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.errors import ConfigError
-from armlab.fleet.mapping import Done, Progress, each
+from armlab import fleet
+from armlab.errors import ConfigError, LinkError
+from armlab.fleet.mapping import Done, Progress, map_logs, workers
+from armlab.identify.many import fit_draft, log_sums
 
 DIES = partial(signal.raise_signal, signal.SIGKILL)
 BAD = partial(Path.read_bytes, Path("/nowhere/at/all"))
@@ -71,7 +71,7 @@ class Blaming(Executor):
 
 def test_whom_dask_blames_is_tried_alone_and_skipped_only_then() -> None:
     jobs = {f"log {k}": k for k in range(6)}
-    done = each(abs, jobs, executor=Blaming(len(jobs), {1, 4}))
+    done = map_logs(abs, jobs, executor=Blaming(len(jobs), {1, 4}))
     assert list(done.skipped) == ["log 1", "log 4"]
     assert all("killed again" in reason for reason in done.skipped.values())
     assert done.results == {name: k for name, k in jobs.items() if k not in (1, 4)}
@@ -79,7 +79,7 @@ def test_whom_dask_blames_is_tried_alone_and_skipped_only_then() -> None:
 
 def test_sentences_name_what_a_job_is_of() -> None:
     said: list[str] = []
-    done = each(
+    done = map_logs(
         abs, {"joint 1": 1, "joint 2": 2}, executor=Blaming(2, {1}), kind="joint",
         progress=lambda done, total, what: said.append(what),
     )  # fmt: skip
@@ -107,7 +107,7 @@ def once(mark: Path) -> Callable[[], Any]:
 
 def test_results_are_in_the_order_of_the_jobs(executor: Executor | None) -> None:
     told: list[tuple[int, int, str]] = []
-    done = each(call, roots(40), executor=executor, progress=lambda *step: told.append(step))
+    done = map_logs(call, roots(40), executor=executor, progress=lambda *step: told.append(step))
     assert list(done.results.items()) == [(str(k), math.sqrt(k)) for k in range(40)]
     assert isinstance(done, Done)
     assert done.skipped == {}
@@ -117,7 +117,7 @@ def test_results_are_in_the_order_of_the_jobs(executor: Executor | None) -> None
 
 def test_a_job_that_raises_what_is_foreseen_is_skipped_by_name(executor: Executor | None) -> None:
     told: list[str] = []
-    done = each(
+    done = map_logs(
         call, {**roots(3), "bad": BAD}, executor=executor,
         progress=lambda done, total, what: told.append(what),
     )  # fmt: skip
@@ -129,11 +129,11 @@ def test_a_job_that_raises_what_is_foreseen_is_skipped_by_name(executor: Executo
 
 def test_a_mistake_in_the_program_is_not_hidden(executor: Executor | None) -> None:
     with pytest.raises(ValueError, match="math domain"):
-        each(call, {**roots(3), "wrong": partial(math.sqrt, -1.0)}, executor=executor)
+        map_logs(call, {**roots(3), "wrong": partial(math.sqrt, -1.0)}, executor=executor)
 
 
 def test_shared_arguments_reach_every_job(executor: Executor | None) -> None:
-    assert each(pow, {"a": 2, "b": 3, "c": 5, "d": 7}, 3, 10, executor=executor).results == {
+    assert map_logs(pow, {"a": 2, "b": 3, "c": 5, "d": 7}, 3, 10, executor=executor).results == {
         "a": 8, "b": 7, "c": 5, "d": 3,
     }  # fmt: skip
 
@@ -141,7 +141,7 @@ def test_shared_arguments_reach_every_job(executor: Executor | None) -> None:
 def test_a_worker_killed_once_loses_nothing(tmp_path: Path) -> None:
     jobs = {**roots(9), "killed": once(tmp_path / "one"), **{f"more {k}": partial(math.sqrt, k) for k in range(9)}}
     with ProcessPoolExecutor(2) as pool:
-        done = each(call, jobs, executor=pool)
+        done = map_logs(call, jobs, executor=pool)
     assert list(done.results) == list(jobs)
     assert done.results["killed"] == b"alive\n"
     assert done.skipped == {}
@@ -150,7 +150,7 @@ def test_a_worker_killed_once_loses_nothing(tmp_path: Path) -> None:
 def test_jobs_that_always_kill_their_worker_are_skipped_and_the_rest_is_done() -> None:
     jobs = {"first": DIES, **roots(12), "middle": DIES, "beside": DIES, "more": partial(math.sqrt, 9), "last": DIES}
     with ProcessPoolExecutor(2) as pool:
-        done = each(call, jobs, executor=pool)
+        done = map_logs(call, jobs, executor=pool)
     assert list(done.skipped) == ["first", "middle", "beside", "last"]
     assert all("killed again" in reason for reason in done.skipped.values())
     assert list(done.results) == [*map(str, range(12)), "more"]
@@ -161,7 +161,7 @@ def test_a_worker_killed_from_outside_while_its_job_is_tried_alone_does_not_cost
     marks = " || ".join(f"mkdir {tmp_path / name} 2>/dev/null" for name in "ab")
     job = partial(subprocess.check_output, ["sh", "-c", f"({marks}) && kill -9 $PPID; echo alive"])
     with ProcessPoolExecutor(2) as pool:
-        done = each(call, {"twice": job, **roots(3)}, executor=pool)
+        done = map_logs(call, {"twice": job, **roots(3)}, executor=pool)
     assert done.skipped == {}
     assert done.results["twice"] == b"alive\n"
 
@@ -169,19 +169,19 @@ def test_a_worker_killed_from_outside_while_its_job_is_tried_alone_does_not_cost
 def test_a_pool_that_was_broken_before_is_made_anew() -> None:
     with ProcessPoolExecutor(1) as pool:
         assert pool.submit(DIES).exception() is not None
-        assert each(call, roots(3), executor=pool).results == {"0": 0.0, "1": 1.0, "2": math.sqrt(2)}
+        assert map_logs(call, roots(3), executor=pool).results == {"0": 0.0, "1": 1.0, "2": math.sqrt(2)}
 
 
 def test_workers_that_cannot_start_end_it() -> None:
     with ProcessPoolExecutor(1, initializer=DIES) as pool:
-        done = each(call, roots(3), executor=pool)
+        done = map_logs(call, roots(3), executor=pool)
     assert list(done.skipped) == ["0", "1", "2"]
 
 
 def test_threads_that_cannot_start_are_told() -> None:
     pool = ThreadPoolExecutor(1, initializer=partial(math.sqrt, -1.0))
     with pool, pytest.raises(ConfigError, match="but it broke"):
-        each(call, roots(3), executor=pool)
+        map_logs(call, roots(3), executor=pool)
 
 
 def test_an_interrupt_leaves_no_job_waiting() -> None:
@@ -194,16 +194,76 @@ def test_an_interrupt_leaves_no_job_waiting() -> None:
     made: list[int] = []
     tell: Progress = stop
     with ThreadPoolExecutor(1) as pool, pytest.raises(KeyboardInterrupt):
-        each(call, {str(k): partial(made.append, k) for k in range(1000)}, executor=pool, progress=tell)
+        map_logs(call, {str(k): partial(made.append, k) for k in range(1000)}, executor=pool, progress=tell)
     assert len(made) < 10
 
 
 def test_progress_tells_logs_rows_skipped_and_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("armlab.fleet.mapping._SAY", 0.0)
+    monkeypatch.setattr("armlab.fleet.mapping._SENTENCE_PERIOD", 0.0)
     told: list[tuple[int, int, str]] = []
     jobs = {"a": partial(int, 100), "bad": BAD, "b": partial(int, 200)}
-    each(call, jobs, progress=lambda *step: told.append(step), rows=lambda rows: rows)
+    map_logs(call, jobs, progress=lambda *step: told.append(step), rows=lambda rows: rows)
     assert told[0] == (0, 3, "0 of 3 logs")
     assert re.fullmatch(r"1 of 3 logs, \d+ rows/s, \d+ s left", told[1][2])
     assert re.fullmatch(r"2 of 3 logs, \d+ rows/s, 1 skipped, \d+ s left", told[2][2])
     assert re.fullmatch(r"3 of 3 logs, \d+ rows/s, 1 skipped", told[3][2])
+
+
+def test_one_process_is_this_one_and_none_is_refused() -> None:
+    with workers() as executor:
+        assert executor is None
+    with workers(2) as executor:
+        assert executor is not None
+        assert executor.submit(os.getpid).result() != os.getpid()
+    with pytest.raises(ConfigError, match="at least one worker, got 0"), workers(0):
+        pass
+
+
+def test_a_scheduler_of_which_the_address_is_none() -> None:
+    pytest.importorskip("distributed", reason="extra cluster")
+    with pytest.raises(LinkError, match="scheduler at nonsense://x"), workers(dask="nonsense://x"):
+        pass
+
+
+@pytest.mark.slow  # 15 s: Dask starts its workers as new processes
+@pytest.mark.filterwarnings("ignore")  # of Dask, of the worker that it lost
+def test_a_cluster_that_loses_a_worker_gives_the_same_bits(
+    folder: Path, short_arm, early: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distributed = pytest.importorskip("distributed", reason="extra cluster")
+    here = fleet.identify(folder, short_arm.robot).fit
+    killed: list[int] = []
+    options = {"n_workers": 2, "threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": None}
+    with distributed.LocalCluster(**options) as cluster, workers(dask=cluster.scheduler_address) as executor:
+
+        def kill(done: int, total: int, what: str) -> None:
+            if total == 6 and done >= 2 and not killed:
+                killed.append(next(iter(cluster.workers.values())).pid)
+                os.kill(killed[0], signal.SIGKILL)
+
+        found = fleet.identify(folder, short_arm.robot, executor, kill)
+    assert killed
+    assert found.skipped == {}
+    assert found.fit.parameters.tobytes() == here.parameters.tobytes()
+    assert found.fit.cov.tobytes() == here.cov.tobytes()
+
+
+@pytest.mark.slow  # 20 s: Dask starts a worker anew each time
+@pytest.mark.filterwarnings("ignore")  # of Dask, of the workers that it lost
+def test_a_log_that_kills_every_worker_of_a_cluster_is_skipped_and_the_rest_is_bit_equal(short_arm) -> None:
+    distributed = pytest.importorskip("distributed", reason="extra cluster")
+    tables = {f"log {k}": short_arm.log(k, 1000) for k in range(6)}
+    _, pattern = fit_draft(list(tables.values())[:2], short_arm.robot, 6)
+    jobs = {name: partial(log_sums, table, pattern) for name, table in tables.items()}
+    here = map_logs(call, jobs).results
+    deadly = {**dict(list(jobs.items())[:3]), "deadly": partial(signal.raise_signal, signal.SIGKILL), **jobs}
+    options = {"n_workers": 2, "threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": None}
+    with distributed.LocalCluster(**options) as cluster, workers(dask=cluster.scheduler_address) as executor:
+        cluster.scheduler.allowed_failures = 1
+        done = map_logs(call, deadly, executor=executor)
+    assert list(done.skipped) == ["deadly"]  # not one that waited at the same workers
+    assert "killed again" in done.skipped["deadly"]
+    assert set(done.results) == set(here)
+    for name, sums in here.items():
+        for one, other in zip(sums.factors.R, done.results[name].factors.R, strict=True):
+            assert one.tobytes() == other.tobytes()

@@ -104,7 +104,7 @@ def test_simulator_and_urdf_take_the_links(truth, fitted, tmp_path) -> None:
     again = robots.load(tmp_path / "arm.urdf", tip="tool")
     np.testing.assert_allclose(again.inertias, found.links, atol=1e-9)
     template = sim.synthetic_truth(robot)
-    arm = sim.Arm(robot, replace(template, pi=found.links, rotor=found.rotor))
+    arm = sim.SimulatedArm(robot, replace(template, pi=found.links, rotor=found.rotor))
     arm.step(robot.q_home, np.zeros(7), None)
     assert np.isfinite(arm.sample.tau).all()
 

@@ -156,7 +156,7 @@ def test_the_truth_is_inside_over_fifty_seeds(model) -> None:
     motion = identify.excitation(robot, seconds=12, speed=0.4, acceleration=6.0, seed=5)
     T_last_flange = robot.links[-1]
     at = T_last_flange[:3, :3] @ CENTRE + T_last_flange[:3, 3]
-    full, empty = (sim.record(sim.Arm(robot, one), motion) for one in (exact.with_payload(MASS, at), exact))
+    full, empty = (sim.record(sim.SimulatedArm(robot, one), motion) for one in (exact.with_payload(MASS, at), exact))
     simple = sim_model(model, truth)
     errors, inside = [], []
     for seed in range(50):

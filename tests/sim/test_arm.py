@@ -1,15 +1,19 @@
-"""The arm obeys the equation of motion, judged by an independent inverse dynamics; drives track, sensors report."""
+"""The simulated arms and their sensors: equation of motion, tracking, noise, recordings, and the arm without masses."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from armlab import robots
-from armlab.errors import ConfigError, ShapeError
+from armlab import identify, robots
+from armlab.errors import ConfigError
 from armlab.robots import Robot
-from armlab.sim.arm import Arm, Measurement, Sample, build_model
-from armlab.sim.truth import Truth, synthetic_truth
+from armlab.sim.arm.arm import LaggingArm, SimulatedArm, build_model, record, scara
+from armlab.sim.arm.mismatch import Mismatch
+from armlab.sim.arm.sensors import SensorReading, Sensors, TrueState
+from armlab.sim.arm.truth import Truth, synthetic_truth
+from armlab.wire.egm import EgmCodec, Packet, RobotMessage, RobotSideCodec
+from armlab.wire.egm import armlab_egm_pb2 as pb
 
 T = 0.004032
 
@@ -31,13 +35,13 @@ def sway(robot: Robot, t: float, share: float = 0.6, hertz: float = 0.35) -> tup
     return robot.q_home + width * (1 - np.cos(w * t)), width * w * np.sin(w * t)
 
 
-def equation(robot: Robot, truth: Truth, sample: Sample) -> np.ndarray:
+def equation(robot: Robot, truth: Truth, sample: TrueState) -> np.ndarray:
     """Torque that the motion needs by the kernels' inverse dynamics."""
     rigid = robot.chain.rnea(sample.q, sample.qd, sample.qdd, robot.gravity, truth.pi)
     return rigid + truth.rotor * sample.qdd + sample.tau_friction - robot.chain.jacobian(sample.q).T @ sample.wrench
 
 
-def drive_along(arm: Arm, robot: Robot, seconds: float, wrench: np.ndarray | None = None) -> list[Sample]:
+def drive_along(arm: SimulatedArm, robot: Robot, seconds: float, wrench: np.ndarray | None = None) -> list[TrueState]:
     samples = []
     for k in range(1, round(seconds / T)):
         arm.step(*sway(robot, k * T), wrench)
@@ -49,7 +53,7 @@ def drive_along(arm: Arm, robot: Robot, seconds: float, wrench: np.ndarray | Non
 def test_samples_satisfy_the_equation_of_motion(name: str) -> None:
     robot = robots.load(name)
     truth = synthetic_truth(robot)
-    arm = Arm(robot, truth)
+    arm = SimulatedArm(robot, truth)
     scale = truth.tau_max.max()
     wrench = scale / 10 * np.array([1.0, -0.6, 0.4, 0.02, 0.04, -0.02])
     for sample in drive_along(arm, robot, 1.0, wrench)[10::20]:
@@ -59,11 +63,11 @@ def test_samples_satisfy_the_equation_of_motion(name: str) -> None:
 
 def test_a_push_appears_with_the_sign_of_the_convention(robot: Robot, truth: Truth) -> None:
     """tau_e = model without contact - tau = J^T F: +5 N along base x comes back as +5 N."""
-    arm, F = Arm(robot, truth), np.array([5.0, 0, 0, 0, 0, 0])
+    arm, F = SimulatedArm(robot, truth), np.array([5.0, 0, 0, 0, 0, 0])
     for _ in range(50):
         arm.step(robot.q_home, np.zeros(7), F)
     sample = arm.sample
-    free = Sample(**{name: getattr(sample, name) for name in Sample.__slots__} | {"wrench": np.zeros(6)})
+    free = TrueState(**{name: getattr(sample, name) for name in TrueState.__slots__} | {"wrench": np.zeros(6)})
     tau_e = equation(robot, truth, free) - sample.tau
     estimate = np.linalg.lstsq(robot.chain.jacobian(sample.q).T, tau_e, rcond=None)[0]
     np.testing.assert_allclose(estimate, F, atol=1e-9)
@@ -72,7 +76,7 @@ def test_a_push_appears_with_the_sign_of_the_convention(robot: Robot, truth: Tru
 def test_a_payload_appears_as_its_weight(robot: Robot, truth: Truth) -> None:
     """1 kg at the tool point that the model does not know: f_z = -9.81 N at rest."""
     tool = robot.frames[-1][:3, 3]
-    arm = Arm(robot, truth.with_payload(1.0, tool).without("friction", "ripple"))
+    arm = SimulatedArm(robot, truth.with_payload(1.0, tool).without("friction", "ripple"))
     for _ in range(1000):
         arm.step(robot.q_home, np.zeros(7), None)
     tau_e = equation(robot, truth, arm.sample) - arm.sample.tau
@@ -83,11 +87,11 @@ def test_a_payload_appears_as_its_weight(robot: Robot, truth: Truth) -> None:
 def test_energy_is_kept_without_drives_and_friction(robot: Robot, truth: Truth) -> None:
     """A free double swing: kinetic plus potential energy, from the kernels' terms, stays."""
     free = truth.without("friction", "ripple", "offset")
-    arm = Arm(robot, free, q=robot.q_home + 0.5)
+    arm = SimulatedArm(robot, free, q=robot.q_home + 0.5)
     arm.drive.torque = lambda *args: args[-1].fill(0.0)  # type: ignore[method-assign]
     arm.place(robot.q_home + 0.5)
 
-    def energy(sample: Sample) -> tuple[float, float]:
+    def energy(sample: TrueState) -> tuple[float, float]:
         q, qd, zero = sample.q, sample.qd, np.zeros(7)
         M_qd = robot.chain.rnea(q, zero, qd, np.zeros(3), free.pi) + free.rotor * qd
         heights = sum(
@@ -106,7 +110,7 @@ def test_energy_is_kept_without_drives_and_friction(robot: Robot, truth: Truth) 
 
 
 def test_tracking_at_sixty_percent_speed(robot: Robot, truth: Truth) -> None:
-    arm = Arm(robot, truth)
+    arm = SimulatedArm(robot, truth)
     samples = drive_along(arm, robot, 6.0)
     peak = np.max([np.abs(s.qd) / robot.qd_max for s in samples], axis=0)
     assert peak[:4].min() > 0.4
@@ -118,7 +122,7 @@ def test_tracking_at_sixty_percent_speed(robot: Robot, truth: Truth) -> None:
 def test_holding_against_a_push(robot: Robot, truth: Truth) -> None:
     """5 N moves the resting arm by far less than a degree. The drive takes the push over within seconds, but not
     exactly: moving there and back within the presliding distance leaves the bristles loaded the other way."""
-    arm, F = Arm(robot, truth.without("noise")), np.array([0, 0, -5.0, 0, 0, 0])
+    arm, F = SimulatedArm(robot, truth.without("noise")), np.array([0, 0, -5.0, 0, 0, 0])
     zero = np.zeros(7)
     before = arm.sample.tau
     expected = -robot.chain.jacobian(robot.q_home).T @ F
@@ -136,7 +140,7 @@ def test_holding_against_a_push(robot: Robot, truth: Truth) -> None:
 
 
 def test_it_comes_to_rest(robot: Robot, truth: Truth) -> None:
-    arm = Arm(robot, truth)
+    arm = SimulatedArm(robot, truth)
     drive_along(arm, robot, 1.4)
     q, _ = sway(robot, 1.4)
     for _ in range(1500):
@@ -146,14 +150,14 @@ def test_it_comes_to_rest(robot: Robot, truth: Truth) -> None:
 
 
 def test_noise_is_white_with_the_stated_size(robot: Robot, truth: Truth) -> None:
-    arm = Arm(robot, truth, seed=7)
+    arm = SimulatedArm(robot, truth, seed=7)
     errors_tau, errors_qd = [], []
     for k in range(1, 3000):
         arm.step(*sway(robot, k * T, 0.3), None)
         measured = arm.measure()
         errors_tau.append(measured.tau - equation(robot, truth, arm.sample))
         errors_qd.append(measured.qd - arm.sample.qd)
-        assert isinstance(measured, Measurement)
+        assert isinstance(measured, SensorReading)
         assert np.abs(measured.q - arm.sample.q).max() <= 0.5e-5 + 1e-12
     tau, qd = np.array(errors_tau), np.array(errors_qd)
     np.testing.assert_allclose(tau.std(0), np.hypot(truth.tau_noise, truth.tau_step / np.sqrt(12)), rtol=0.06)
@@ -165,17 +169,17 @@ def test_noise_is_white_with_the_stated_size(robot: Robot, truth: Truth) -> None
 
 
 def test_measurements_are_quantised(robot: Robot, truth: Truth) -> None:
-    arm = Arm(robot, truth, q=robot.q_home + 0.123456)
+    arm = SimulatedArm(robot, truth, q=robot.q_home + 0.123456)
     measured = arm.measure()
     np.testing.assert_allclose(measured.tau / truth.tau_step, np.rint(measured.tau / truth.tau_step), atol=1e-9)
     np.testing.assert_allclose(measured.q * 1e5, np.rint(measured.q * 1e5), atol=1e-6)
-    exact = Arm(robot, truth.without("noise"), q=robot.q_home + 0.123456)
+    exact = SimulatedArm(robot, truth.without("noise"), q=robot.q_home + 0.123456)
     np.testing.assert_array_equal(exact.measure().q, exact.sample.q)
     np.testing.assert_array_equal(exact.measure().tau, exact.sample.tau)
 
 
 def test_torque_saturates(robot: Robot, truth: Truth) -> None:
-    arm = Arm(robot, truth)
+    arm = SimulatedArm(robot, truth)
     for _ in range(20):
         arm.step(robot.q_home + 1.0, np.zeros(7), None)
         assert (np.abs(arm.sample.tau) <= truth.tau_max).all()
@@ -184,7 +188,7 @@ def test_torque_saturates(robot: Robot, truth: Truth) -> None:
 
 def test_same_seed_same_numbers(robot: Robot, truth: Truth) -> None:
     def numbers(seed: int) -> bytes:
-        arm = Arm(robot, truth, seed=seed)
+        arm = SimulatedArm(robot, truth, seed=seed)
         rows = []
         for k in range(1, 100):
             arm.step(*sway(robot, k * T), None)
@@ -197,22 +201,146 @@ def test_same_seed_same_numbers(robot: Robot, truth: Truth) -> None:
 
 
 def test_steps_follow_the_period(robot: Robot, truth: Truth) -> None:
-    assert Arm(robot, truth, period=0.004032).steps == 4
-    assert Arm(robot, truth, period=0.001).steps == 1
+    assert SimulatedArm(robot, truth, period=0.004032).steps == 4
+    assert SimulatedArm(robot, truth, period=0.001).steps == 1
     with pytest.raises(ConfigError, match="period"):
-        Arm(robot, truth, period=0.0)
-
-
-def test_wrong_shapes_are_refused(robot: Robot, truth: Truth) -> None:
-    with pytest.raises(ShapeError, match="6 joints"):
-        Arm(robots.load("irb2400"), truth)
-    with pytest.raises(ShapeError, match="posture"):
-        Arm(robot, truth, q=np.full(7, np.nan))
+        SimulatedArm(robot, truth, period=0.0)
 
 
 def test_build_model_keeps_inertias(robot: Robot, truth: Truth) -> None:
     model = build_model(robot, truth)
     np.testing.assert_allclose(model.body_mass[1:], truth.pi[:, 0], rtol=1e-12)
     np.testing.assert_allclose(model.dof_armature, truth.rotor)
-    diagonal = Arm(robot, truth).inertia(robot.q_home) - truth.rotor
+    diagonal = SimulatedArm(robot, truth).inertia(robot.q_home) - truth.rotor
     np.testing.assert_allclose(diagonal, [0.1636, 0.1976, 0.1013, 0.0803, 0.0016, 0.0009, 0.0002], atol=6e-5)
+
+
+YUMI = robots.load("yumi_left")
+NOISELESS = synthetic_truth(YUMI).without("noise")
+
+
+def walk(arm: SimulatedArm, k: int) -> None:
+    arm.step(YUMI.q_home + 0.1 * (1 - np.cos(3 * k * T)), np.full(7, 0.3 * np.sin(3 * k * T)), None)
+
+
+def test_torque_comes_late_and_position_does_not() -> None:
+    arm = SimulatedArm(YUMI, NOISELESS, mismatch=Mismatch(torque_delay=3))
+    exact = [arm.sample.tau]
+    for k in range(1, 30):
+        walk(arm, k)
+        exact.append(arm.sample.tau)
+        measured = arm.measure()
+        np.testing.assert_array_equal(measured.tau, exact[max(k - 3, 0)])
+        np.testing.assert_array_equal(measured.q, arm.sample.q)
+
+
+def test_an_elastic_gear_turns_by_what_it_carries() -> None:
+    """At rest it carries gravity; a velocity is the derivative of the position that is reported."""
+    arm = SimulatedArm(YUMI, NOISELESS, mismatch=Mismatch(elasticity=1e-2))
+    carried = YUMI.chain.rnea(arm.sample.q, np.zeros(7), np.zeros(7), YUMI.gravity, NOISELESS.pi)
+    np.testing.assert_allclose(arm.measure().q - arm.sample.q, 1e-2 * carried / NOISELESS.tau_max, atol=1e-6)
+    rows = []
+    for k in range(1, 200):
+        walk(arm, k)
+        measured = arm.measure()
+        rows.append((measured.q, measured.qd))
+    q, qd = np.array(rows).transpose(1, 0, 2)
+    np.testing.assert_allclose(np.diff(q, axis=0)[20:] / T, 0.5 * (qd[1:] + qd[:-1])[20:], atol=2e-3)
+
+
+def test_nothing_seen_nothing_measured() -> None:
+    sensors = Sensors(NOISELESS, Mismatch(), T, 0)
+    with pytest.raises(ConfigError, match="instant"):
+        sensors.measure()
+    arm = SimulatedArm(YUMI, NOISELESS)
+    sensors.see(arm.sample)
+    measured = sensors.measure()
+    assert isinstance(measured, SensorReading)
+    np.testing.assert_array_equal(measured.tau, arm.sample.tau)
+    sensors.reset()
+    with pytest.raises(ConfigError, match="instant"):
+        sensors.measure()
+
+
+UR5E = robots.load("ur5e")
+
+
+def test_a_step_comes_after_two_cycles_through_a_lag_of_8_ms() -> None:
+    arm = LaggingArm(UR5E, 0.004)
+    goal, seen = UR5E.q_home + 0.1, []
+    for _ in range(12):
+        arm.step(goal, np.zeros(6), None)
+        seen.append(arm.measure().q - UR5E.q_home)
+    expected = np.where(np.arange(12) < 2, 0.0, 0.1 * (1 - np.exp(-0.004 * (np.arange(12) - 1) / 0.008)))
+    np.testing.assert_allclose(np.array(seen)[:, 0], expected, atol=1e-12)
+    measured = arm.measure()
+    assert np.isnan(measured.tau).all()
+    assert not arm.has_torque
+    np.testing.assert_allclose(arm.sample.T_base_tool, UR5E.chain.forward(measured.q))
+
+
+def test_velocity_is_that_of_the_motion() -> None:
+    arm = LaggingArm(UR5E)
+    before = arm.measure().q
+    for k in range(200):
+        arm.step(UR5E.q_home + 0.1 * 0.004032 * k, np.full(6, 0.1), None)
+        if k == 198:
+            before = arm.measure().q
+    np.testing.assert_allclose((arm.measure().q - before) / 0.004032, arm.measure().qd, atol=1e-12)
+    np.testing.assert_allclose(arm.measure().qd, 0.1, rtol=1e-6)
+    arm.place(UR5E.q_home)
+    np.testing.assert_array_equal(arm.sample.qd, 0.0)
+
+
+TRUTH = synthetic_truth(YUMI)
+SWAY = identify.dither(YUMI.q_home, 2.0)
+
+
+def mismatched(**knobs: float) -> SimulatedArm:
+    return SimulatedArm(YUMI, TRUTH, seed=1, mismatch=Mismatch(**knobs))  # type: ignore[arg-type]
+
+
+def test_a_record_follows_the_motion() -> None:
+    table = record(mismatched(), SWAY)
+    assert len(table) == int(2.0 / T)
+    np.testing.assert_allclose(np.diff(table.t), T, rtol=1e-9)
+    np.testing.assert_allclose(table["q"], SWAY.sample(table.t)[0], atol=2e-3)
+    np.testing.assert_array_equal(record(mismatched(), SWAY)["tau"], table["tau"])
+    assert "wrench_true" not in table
+
+
+def test_a_push_is_in_the_torques() -> None:
+    force = np.array([0, 0, -5.0, 0, 0, 0])
+    pushed = record(mismatched(), SWAY, lambda t: np.outer(t > 1.0, force))
+    np.testing.assert_array_equal(pushed["wrench_true"][-1], force)
+    J = YUMI.chain.jacobian(pushed["q"][-1])
+    change = (pushed["tau"] - record(mismatched(), SWAY)["tau"])[-100:].mean(axis=0)
+    np.testing.assert_allclose(change, -J.T @ force, atol=0.5)
+
+
+def test_stamps_jitter_and_samples_are_lost() -> None:
+    table = record(mismatched(jitter=1e-3), SWAY)
+    plain = record(mismatched(), SWAY)
+    np.testing.assert_array_equal(table["tau"], plain["tau"])
+    error = table.t - plain.t
+    assert 0.9e-3 < np.abs(error).max() <= 1e-3
+    lossy = record(mismatched(lost=0.1), SWAY)
+    assert 0.85 * len(plain) < len(lossy) < 0.95 * len(plain)
+    assert np.isin(lossy.t, plain.t).all()
+
+
+def test_the_slide_goes_down() -> None:
+    robot = scara()
+    T_base_tool = robot.chain.forward(robot.q_home)
+    lower = robot.chain.forward(robot.q_home + np.array([0.0, 0.0, 0.05, 0.0]))
+    np.testing.assert_allclose(lower[:3, 3] - T_base_tool[:3, 3], [0.0, 0.0, -0.05], atol=1e-12)
+
+
+def test_its_packets() -> None:
+    robot, q = scara(), np.array([0.1, 0.2, 0.09, 0.3])
+    data = RobotSideCodec(robot).encode_robot(RobotMessage(0, 1, q))
+    joints = pb.EgmRobot.FromString(data).feedBack.joints.joints[:]
+    np.testing.assert_allclose(joints, np.degrees(q))
+    packet = EgmCodec(robot).decode(data)
+    assert isinstance(packet, Packet)
+    np.testing.assert_allclose(packet.q, q)

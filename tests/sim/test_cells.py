@@ -8,7 +8,7 @@ import pytest
 from armlab import calibrate, sim
 from armlab.errors import ConfigError
 from armlab.lie import se3, so3
-from armlab.sim.cells import Cell, cell
+from armlab.sim.experiments.cell import CalibrationCell, cell
 
 
 def distance(T_a: np.ndarray, T_b: np.ndarray) -> tuple[float, float]:
@@ -16,7 +16,7 @@ def distance(T_a: np.ndarray, T_b: np.ndarray) -> tuple[float, float]:
 
 
 def test_a_cell_is_its_seed() -> None:
-    assert sim.cell(3) == Cell(3)
+    assert sim.cell(3) == CalibrationCell(3)
     one, same, other = (cell(seed).hand_eye(2) for seed in (7, 7, 8))
     np.testing.assert_array_equal(one.B, same.B)
     assert np.abs(one.B - other.B).max() > 0.1
@@ -132,10 +132,3 @@ def test_a_camera_with_a_clock_of_its_own_sees_an_arm_that_moves(tmp_path) -> No
     regular = moving.arm.between(0.1, 7.0).rows(np.arange(25, 1525, 25))["q"]
     wrong = calibrate.fit_hand_eye(forward(moving.robot, regular), seen["T_cam_marker"])
     assert np.all(wrong.sigma > 3.0 * fit.sigma)
-
-
-def test_what_the_cell_does_not_have_is_refused() -> None:
-    with pytest.raises(ConfigError, match="'lpoe' or 'dh' of an arm, got 'urdf'"):
-        cell(1).kinematics(truth="urdf")
-    with pytest.raises(ConfigError, match="one to three plates, got 4"):
-        cell(1).laser(plates=4)

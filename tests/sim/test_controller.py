@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab import robots
-from armlab.sim.arm import Arm
-from armlab.sim.controller import Controller
-from armlab.sim.inbox import QUEUE_LENGTH
-from armlab.sim.operator import Operator
-from armlab.sim.packets import EPOCH_NS
-from armlab.sim.settings import Settings
-from armlab.sim.truth import synthetic_truth
+from armlab.sim.arm.arm import SimulatedArm
+from armlab.sim.arm.truth import synthetic_truth
+from armlab.sim.controller.controller import SimulatedController
+from armlab.sim.controller.inbox import QUEUE_LENGTH
+from armlab.sim.controller.packets import EPOCH_NS
+from armlab.sim.controller.settings import ControllerSettings
+from armlab.sim.events import AppliedWrench
 from armlab.wire.egm import EgmCodec, Packet, Reference, RobotSideCodec
 
 ROBOT = robots.load("yumi_right")
@@ -25,7 +25,7 @@ STOPPED, RUNNING, ERROR = 2, 3, 1
 class Peer:
     """A bridge without a network: decodes packets, answers with a fixed reference."""
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: SimulatedController) -> None:
         self.controller, self.codec = controller, EgmCodec(ROBOT, extension=True)
         self.packets: list[Packet] = []
         self._seq = 0
@@ -50,12 +50,12 @@ class Peer:
         )
 
 
-def start(seed: int = 0, operator: Operator | None = None, extension: bool = True, **changes: object) -> Peer:
-    chosen = Settings(**changes)  # type: ignore[arg-type]
+def start(seed: int = 0, operator: AppliedWrench | None = None, extension: bool = True, **changes: object) -> Peer:
+    chosen = ControllerSettings(**changes)  # type: ignore[arg-type]
     events: list[str] = []
-    arm = Arm(ROBOT, TRUTH, period=chosen.period, seed=seed)
+    arm = SimulatedArm(ROBOT, TRUTH, period=chosen.period, seed=seed)
     codec = RobotSideCodec(ROBOT, extension=extension)
-    peer = Peer(Controller(arm, codec, chosen, operator, lambda event: events.append(str(event))))
+    peer = Peer(SimulatedController(arm, codec, chosen, operator, lambda event: events.append(str(event))))
     peer.events = events  # type: ignore[attr-defined]
     return peer
 
@@ -204,7 +204,7 @@ def test_convergence_ends_the_session() -> None:
 
 
 def test_streaming_comes_before_guidance() -> None:
-    peer = start(stream=0.1, operator=Operator(np.array([0.0, 1.0]), np.tile([5.0, 0, 0, 0, 0, 0], (2, 1))))
+    peer = start(stream=0.1, operator=AppliedWrench(np.array([0.0, 1.0]), np.tile([5.0, 0, 0, 0, 0, 0], (2, 1))))
     for _ in range(60):
         peer.cycle(ROBOT.q_home + 0.2)
     states = [p.mci for p in peer.packets]
@@ -248,7 +248,7 @@ def test_a_fast_reference_that_leaves_the_range_brakes_at_once() -> None:
 
 def test_an_arm_driven_beyond_all_numbers_is_dead() -> None:
     """An operator who means newtons and writes millions; packets of NaN would be the alternative."""
-    peer = start(operator=Operator(np.array([0.0, 9.0]), np.full((2, 6), 1e9)))
+    peer = start(operator=AppliedWrench(np.array([0.0, 9.0]), np.full((2, 6), 1e9)))
     with np.errstate(all="ignore"):
         for _ in range(300):
             peer.cycle(ROBOT.q_home)
@@ -291,7 +291,7 @@ def test_operator_acts_on_guidance_time() -> None:
     times = np.array([0.0, 0.1, 0.2])
     wrench = np.zeros((3, 6))
     wrench[1, 2] = -5.0
-    peer = start(operator=Operator(times, wrench))
+    peer = start(operator=AppliedWrench(times, wrench))
     seen = []
     for _ in range(60):
         seen.append((peer.controller.guidance_time, peer.controller.arm.sample.wrench[2]))

@@ -1,13 +1,18 @@
-"""The synthetic truth has the golden values of the specification and says no to what it does not know."""
+"""Synthetic truth, and how the arm that moves differs from it."""
 
 from __future__ import annotations
+
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.errors import ConfigError, ShapeError, UnknownName
-from armlab.sim.truth import Truth, cylinder, synthetic_truth, truth_names
+from armlab.errors import ShapeError, UnknownName
+from armlab.robots import inertia
+from armlab.sim.arm.arm import SimulatedArm
+from armlab.sim.arm.mismatch import Mismatch
+from armlab.sim.arm.truth import Truth, cylinder, synthetic_truth, truth_names
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 G_LEFT = [6.20953, 5.37511, -0.02260, 0.53069, -0.00042, -0.02481, 0.0]
@@ -89,13 +94,6 @@ def test_payload_adds_a_point_mass() -> None:
     loaded = truth.with_payload(0.5, np.array([0, 0, 0.1]))
     np.testing.assert_allclose(loaded.pi[-1] - truth.pi[-1], [0.5, 0, 0, 0.05, 0.005, 0, 0.005, 0, 0, 0], atol=1e-15)
     np.testing.assert_array_equal(loaded.pi[:-1], truth.pi[:-1])
-    with pytest.raises(ConfigError, match="-1"):
-        truth.with_payload(-1.0, np.zeros(3))
-
-
-def test_unknown_robot_lists_the_known() -> None:
-    with pytest.raises(UnknownName, match="yumi_left"):
-        synthetic_truth(robots.load("dh_test"))
 
 
 def test_shapes_are_checked() -> None:
@@ -105,3 +103,142 @@ def test_shapes_are_checked() -> None:
         Truth(**fields | {"viscous": np.ones(3)})
     with pytest.raises(ValueError, match="read-only"):
         truth.pi[0, 0] = 1.0
+
+
+ROBOT = robots.load("yumi_left")
+TRUTH = synthetic_truth(ROBOT)
+T = 0.004032
+MOVED = {
+    "base_turn": 0.02,
+    "link_length": 0.002,
+    "joint_zero": np.deg2rad(0.1),
+    "mass": 0.1,
+    "centre": 0.01,
+    "payload": 0.5,
+    "friction": 0.3,
+    "saturation": 0.9,
+    "warm_up": 0.4,
+    "load_friction": 0.5,
+    "ripple_jump": 1.0,
+}
+REPORTED = {
+    "elasticity": 1e-3,
+    "torque_delay": 2,
+    "torque_constant": 0.1,
+    "gear_ratio": 0.05,
+    "gear_sign": 2,
+    "quantisation": 9.0,
+}
+
+
+def sway(arm: SimulatedArm, seconds: float = 0.5) -> np.ndarray:
+    """Torques that a short sway needs, and what is reported of it (4, K, n): exact torque, then q, qd, tau."""
+    rows = []
+    for k in range(1, round(seconds / T)):
+        w = 2 * np.pi * 0.5
+        q = ROBOT.q_home + 0.15 * (1 - np.cos(w * k * T))
+        arm.step(q, np.full(7, 0.15 * w * np.sin(w * k * T)), None)
+        measured = arm.measure()
+        rows.append((arm.sample.tau, measured.q, measured.qd, measured.tau))
+    return np.array(rows).transpose(1, 0, 2)
+
+
+@pytest.fixture(scope="module")
+def plain() -> np.ndarray:
+    return sway(SimulatedArm(ROBOT, TRUTH, seed=3))
+
+
+def test_nothing_turned_nothing_changed(plain: np.ndarray) -> None:
+    np.testing.assert_array_equal(sway(SimulatedArm(ROBOT, TRUTH, seed=3, mismatch=Mismatch(seed=5))), plain)
+    assert Mismatch().robot(ROBOT) is ROBOT
+    assert Mismatch().truth(TRUTH, ROBOT) is TRUTH
+
+
+@pytest.mark.parametrize("knob", MOVED)
+def test_the_arm_needs_another_torque(knob: str, plain: np.ndarray) -> None:
+    found = sway(SimulatedArm(ROBOT, TRUTH, seed=3, mismatch=Mismatch(**{knob: MOVED[knob]})))
+    assert np.abs(found[0] - plain[0]).max() > 1e-5
+
+
+@pytest.mark.parametrize("knob", REPORTED)
+def test_the_arm_moves_as_before_and_reports_otherwise(knob: str, plain: np.ndarray) -> None:
+    found = sway(SimulatedArm(ROBOT, TRUTH, seed=3, mismatch=Mismatch(**{knob: REPORTED[knob]})))
+    np.testing.assert_array_equal(found[0], plain[0])
+    assert not np.array_equal(found[1:], plain[1:])
+
+
+def test_every_knob_is_tested() -> None:
+    assert {field.name for field in fields(Mismatch)} == {*MOVED, *REPORTED, "base_shift", "jitter", "lost", "seed"}
+
+
+def test_draws_are_seeded_and_independent_of_each_other() -> None:
+    one = Mismatch(torque_constant=0.05, seed=1)
+    np.testing.assert_array_equal(one.draw("torque_constant", 7), one.draw("torque_constant", 7))
+    np.testing.assert_array_equal(
+        replace(one, mass=0.1, friction=0.1).draw("torque_constant", 7), one.draw("torque_constant", 7)
+    )
+    assert not np.array_equal(replace(one, seed=2).torque_gain(7), one.torque_gain(7))
+    many = np.concatenate([Mismatch(torque_constant=0.05, seed=s).torque_gain(7) for s in range(200)])
+    assert 0.95 <= many.min() < 0.951
+    assert 1.049 < many.max() <= 1.05
+    assert many.mean() == pytest.approx(1.0, abs=0.004)
+
+
+def test_torque_constants_scale_what_is_measured(plain: np.ndarray) -> None:
+    mismatch = Mismatch(torque_constant=0.1, seed=4)
+    found = sway(SimulatedArm(ROBOT, TRUTH, seed=3, mismatch=mismatch))
+    np.testing.assert_array_equal(found[3], mismatch.torque_gain(7) * plain[3])
+    np.testing.assert_array_equal(found[1:3], plain[1:3])
+
+
+def test_gears_keep_the_power(plain: np.ndarray) -> None:
+    mismatch = Mismatch(gear_ratio=0.05, gear_sign=3, seed=4)
+    found = sway(SimulatedArm(ROBOT, TRUTH, seed=3, mismatch=mismatch))
+    assert np.count_nonzero(mismatch.position_gain(7) < 0) == 3
+    np.testing.assert_allclose(found[2] * found[3], plain[2] * plain[3], rtol=1e-12, atol=1e-15)
+    np.testing.assert_array_equal(found[1], mismatch.position_gain(7) * plain[1])
+
+
+def test_the_arm_as_built() -> None:
+    """Joint zeros: the arm at reported q is the description at q less the offsets; the rest moves the frames."""
+    robot = ROBOT
+    q = robot.q_home + 0.3
+    mismatch = Mismatch(joint_zero=0.01, seed=2)
+    offsets = mismatch.draw("joint_zero", 7)
+    np.testing.assert_allclose(mismatch.robot(robot).chain.forward(q), robot.chain.forward(q - offsets), atol=1e-14)
+    shifted = Mismatch(base_shift=0.01, seed=2)
+    moved = shifted.robot(robot).chain.forward(q)[:3, 3] - robot.chain.forward(q)[:3, 3]
+    np.testing.assert_allclose(moved, shifted.draw("base_shift", 3), atol=1e-14)
+    turned = Mismatch(base_turn=0.02).robot(robot)
+    np.testing.assert_array_equal(turned.T_base_mount[:3, 3], robot.T_base_mount[:3, 3])
+    assert not np.allclose(turned.T_base_mount, robot.T_base_mount, atol=1e-3)
+    longer = Mismatch(link_length=0.002).robot(robot)
+    assert np.abs(longer.links[1:, :3, 3] - robot.links[1:, :3, 3]).max() <= 0.002
+    np.testing.assert_array_equal(longer.links[:, :3, :3], robot.links[:, :3, :3])
+    arm = SimulatedArm(robot, TRUTH, mismatch=Mismatch(link_length=0.002))
+    np.testing.assert_allclose(arm.sample.T_base_tool, arm.built.chain.forward(arm.sample.q), atol=1e-12)
+    assert arm.robot is robot
+
+
+def test_bodies_and_parameters() -> None:
+    def truth(**knobs: float) -> Truth:
+        return Mismatch(**knobs).truth(TRUTH, ROBOT)  # type: ignore[arg-type]
+
+    mass, centre, about = inertia.to_body(truth(mass=0.1).pi)
+    old = inertia.to_body(TRUTH.pi)
+    share = mass / old.mass
+    assert np.all(np.abs(share - 1) <= 0.1)
+    np.testing.assert_allclose(centre, old.centre, atol=1e-15)
+    np.testing.assert_allclose(about, share[:, None, None] * old.inertia, atol=1e-15)
+    shifted = inertia.to_body(truth(centre=0.01).pi)
+    assert 0.005 < np.abs(shifted.centre - old.centre).max() <= 0.01
+    np.testing.assert_allclose(shifted.inertia, old.inertia, atol=1e-12)
+    loaded = truth(payload=0.5)
+    body = inertia.to_body(loaded.pi[-1] - TRUTH.pi[-1])
+    assert body.mass == pytest.approx(0.5)
+    T_last_tool = ROBOT.frames[-1]
+    np.testing.assert_allclose(body.centre, T_last_tool[:3, :3] @ [0, 0, 0.06] + T_last_tool[:3, 3], atol=1e-12)
+    rubbing = truth(friction=0.3)
+    np.testing.assert_allclose(rubbing.viscous / TRUTH.viscous, rubbing.coulomb_pos / TRUTH.coulomb_pos)
+    np.testing.assert_allclose(truth(saturation=0.25).tau_max, 0.75 * TRUTH.tau_max)
+    np.testing.assert_allclose(truth(quantisation=1.0).tau_step, 2 * TRUTH.tau_step)

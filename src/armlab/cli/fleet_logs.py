@@ -66,7 +66,7 @@ class Job:
     def work(self, title: str) -> Iterator[tuple[Executor | None, Callable[[int, int, str], None]]]:
         """Yield the executor of the block, and what shows its progress."""
         from armlab.cli.output import progress
-        from armlab.fleet.workers import workers
+        from armlab.fleet.mapping import workers
 
         with workers(self.workers, self.dask) as executor, progress(title) as tell:
             yield executor, tell
@@ -97,7 +97,7 @@ def identify(
     from armlab import fleet
     from armlab.cli import SKIPPED
     from armlab.cli.output import check_output, note, print_json, result
-    from armlab.fleet.cache import default_folder
+    from armlab.fleet.identification import default_folder
 
     check_output(output, job.force, [".toml"])
     arm = job.arm(logs)

@@ -28,7 +28,7 @@ def simulated(word: str) -> Robot:
     from armlab import robots
 
     if word == "scara":
-        from armlab.sim.scara import scara
+        from armlab.sim.arm.arm import scara
 
         return scara()
     return robots.load(word)

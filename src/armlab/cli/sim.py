@@ -17,15 +17,14 @@ from armlab._interrupts import deferred
 from armlab.cli import FAILED, INTERRUPTED
 from armlab.cli.sim_options import Around, Content, FaultOptions
 from armlab.errors import ConfigError
-from armlab.sim.mismatch import Mismatch
-from armlab.sim.settings import Settings
+from armlab.sim.arm.mismatch import Mismatch
+from armlab.sim.controller.settings import ControllerSettings
 
 if TYPE_CHECKING:
     from armlab.robots import Robot
-    from armlab.sim.arm import Arm
-    from armlab.sim.channel import Channel
-    from armlab.sim.lagging import LaggingArm
-    from armlab.sim.statistics import Event
+    from armlab.sim.arm.arm import LaggingArm, SimulatedArm
+    from armlab.sim.controller.channel import UdpClient
+    from armlab.sim.controller.statistics import ControllerEvent
 
 __all__ = ["sim"]
 
@@ -47,7 +46,7 @@ def sim(
     abb_defaults: bool = False,
     content: Annotated[Content, _flat] = Content(),  # noqa: B008 - frozen
     around: Annotated[Around, _flat] = Around(),  # noqa: B008 - frozen
-    settings: Annotated[Settings, _flat] = Settings(),  # noqa: B008 - frozen
+    settings: Annotated[ControllerSettings, _flat] = ControllerSettings(),  # noqa: B008 - frozen
     faults: Annotated[FaultOptions, _flat] = FaultOptions(),  # noqa: B008 - frozen
     outgoing: FaultOptions | None = None,
     incoming: FaultOptions | None = None,
@@ -102,11 +101,11 @@ def sim(
     """
     from armlab.cli.output import note
     from armlab.cli.sim_files import Written, truth_writer
-    from armlab.sim.loop import Pace, run
+    from armlab.sim.controller.cycles import Timing, run
 
     os.environ.setdefault("MUJOCO_GL", "disable")  # nothing is drawn: MuJoCo need not load what opens windows
     parent = os.getppid() if parent is None else parent  # now, before anything takes time in which it could end
-    pace = Pace(lockstep, seconds, patience)
+    pace = Timing(lockstep, seconds, patience)
     if not 0.0 <= phase < math.inf:
         raise ConfigError(f"Expected a phase of at least 0 s, got {phase:g}.")
     if abb_defaults:
@@ -121,7 +120,7 @@ def sim(
         raise ConfigError(f"Expected one robot together with --truth, got {len(names)}. Start one simulator per robot.")
     seeds = _seeds(seed, len(names))
     with ExitStack() as opened:
-        channels: list[Channel] = []
+        channels: list[UdpClient] = []
         for i, (name, address) in enumerate(zip(names, addresses)):
             with deferred():  # MuJoCo loads here
                 channels.append(cell.channel(name, address, i, [seeds[i], i]))
@@ -144,10 +143,10 @@ def sim(
     return code
 
 
-def _with_abb_defaults(settings: Settings) -> Settings:
+def _with_abb_defaults(settings: ControllerSettings) -> ControllerSettings:
     """Return the settings with ABB's defaults where the user gave nothing."""
-    ours, careless = Settings(), Settings.abb_defaults()
-    names = [field.name for field in fields(Settings)]
+    ours, careless = ControllerSettings(), ControllerSettings.abb_defaults()
+    names = [field.name for field in fields(ControllerSettings)]
     return replace(
         settings, **{name: getattr(careless, name) for name in names if getattr(settings, name) == getattr(ours, name)}
     )
@@ -178,20 +177,19 @@ class _Cell:
 
     content: Content
     around: Around
-    settings: Settings
+    settings: ControllerSettings
     faults: tuple[FaultOptions, FaultOptions]
     mismatch: Mismatch
     extension: bool
     phase: float
-    tell: Callable[[Event], None]
+    tell: Callable[[ControllerEvent], None]
 
-    def channel(self, name: str, address: tuple[str, int], index: int, seed: list[int]) -> Channel:
+    def channel(self, name: str, address: tuple[str, int], index: int, seed: list[int]) -> UdpClient:
         """Return one simulated robot with its socket."""
         from armlab.cli.links import simulated
-        from armlab.sim.channel import Channel
-        from armlab.sim.controller import Controller
-        from armlab.sim.faults import Faults
-        from armlab.sim.packets import Packets
+        from armlab.sim.controller.channel import Faults, UdpClient
+        from armlab.sim.controller.controller import SimulatedController
+        from armlab.sim.controller.packets import PacketBuilder
         from armlab.wire.egm import RobotSideCodec
 
         content, settings = self.content, self.settings
@@ -205,7 +203,7 @@ class _Cell:
             external=content.external,
             data=content.rapid_data,
         )
-        packets = Packets(
+        packets = PacketBuilder(
             codec,
             settings.period,
             fields=content.left_out,
@@ -215,17 +213,16 @@ class _Cell:
             data=content.rapid_data,
         )
         scene = self.around.scene(robot, index, [*seed, 3], content.external)
-        controller = Controller(self._arm(robot, seed), packets, settings, scene, self.tell)
+        controller = SimulatedController(self._arm(robot, seed), packets, settings, scene, self.tell)
         both = [options.rates() for options in self.faults]
         ways = [Faults(rates, [*seed, i], settings.period) if rates.any else None for i, rates in enumerate(both, 1)]
-        return Channel(controller, *address, *ways, phase=index * self.phase)
+        return UdpClient(controller, *address, *ways, phase=index * self.phase)
 
-    def _arm(self, robot: Robot, seed: list[int]) -> Arm | LaggingArm:
-        from armlab.sim.arm import Arm
-        from armlab.sim.lagging import LaggingArm
-        from armlab.sim.truth import synthetic_truth, truth_names
+    def _arm(self, robot: Robot, seed: list[int]) -> SimulatedArm | LaggingArm:
+        from armlab.sim.arm.arm import LaggingArm, SimulatedArm
+        from armlab.sim.arm.truth import synthetic_truth, truth_names
 
         period = self.settings.period
         if self.content.lagging or robot.name not in truth_names():
             return LaggingArm(robot, period)
-        return Arm(robot, synthetic_truth(robot), period=period, seed=seed, mismatch=self.mismatch)
+        return SimulatedArm(robot, synthetic_truth(robot), period=period, seed=seed, mismatch=self.mismatch)

@@ -12,12 +12,11 @@ import numpy as np
 
 from armlab.cli.texts import read_text
 from armlab.errors import ConfigError, LogError
-from armlab.sim.hand import HandPath
-from armlab.sim.operator import Operator
+from armlab.sim.events import AppliedWrench, HandPath
 
 if TYPE_CHECKING:
-    from armlab.sim.channel import Channel
-    from armlab.sim.controller import Controller
+    from armlab.sim.controller.channel import UdpClient
+    from armlab.sim.controller.controller import SimulatedController
 
 __all__ = ["Written", "read_hand", "read_operator", "truth_writer"]
 
@@ -25,7 +24,7 @@ _OPERATOR = ("t", "fx", "fy", "fz", "mx", "my", "mz")
 _SHOWN = 80  # characters of a wrong line that a message quotes
 
 
-def read_operator(path: Path) -> Operator:
+def read_operator(path: Path) -> AppliedWrench:
     """Return the operator described by a CSV file with the header ``t,fx,fy,fz,mx,my,mz``.
 
     Parameters
@@ -37,7 +36,7 @@ def read_operator(path: Path) -> Operator:
     ConfigError : when the file cannot be read or a row is wrong; names file and line.
     """
     table = _read(path, _OPERATOR, "an operator file")
-    return Operator(table[:, 0], table[:, 1:])
+    return AppliedWrench(table[:, 0], table[:, 1:])
 
 
 def read_hand(path: Path, n: int) -> HandPath:
@@ -130,7 +129,7 @@ class Written:
                 ) from None
 
 
-def truth_writer(file: Written, controller: Controller) -> Callable[[Channel], None]:
+def truth_writer(file: Written, controller: SimulatedController) -> Callable[[UdpClient], None]:
     """Write the header of the truth file and return what writes a row per packet.
 
     Parameters
@@ -144,7 +143,7 @@ def truth_writer(file: Written, controller: Controller) -> Callable[[Channel], N
     header += [f"{name}{i + 1} [{unit}]" for name, unit in joints.items() for i in range(n)]
     file.write(",".join(header) + "\n")
 
-    def write(_: Channel) -> None:
+    def write(_: UdpClient) -> None:
         sample = controller.arm.sample
         numbers = np.concatenate([sample.wrench, *(getattr(sample, name) for name in joints)])
         stamp = f"{controller.robot_ns},{controller.session},{controller.seq - 1},{controller.guidance_time:.6f}"

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from armlab.errors import ConfigError
-from armlab.sim.fault_rates import FaultRates
+from armlab.sim.controller.settings import FaultRates
 
 if TYPE_CHECKING:
     from armlab.robots import Robot
-    from armlab.sim import Scene
+    from armlab.sim import Surroundings
 
 __all__ = ["Around", "Content", "FaultOptions", "pair"]
 
@@ -129,7 +129,7 @@ class Around:
     motors: str = "on"
     rapid: str = "running"
 
-    def scene(self, robot: Robot, index: int, seed: list[int], external: int) -> Scene:
+    def scene(self, robot: Robot, index: int, seed: list[int], external: int) -> Surroundings:
         """Return what happens around one robot.
 
         Parameters
@@ -142,12 +142,14 @@ class Around:
         ConfigError, UnknownName : a file or a state that makes no sense.
         """
         from armlab.cli.sim_files import read_hand, read_operator
-        from armlab.sim import MOTORS, RAPID, Grip, HandPath, Operator, Scene, Script
+        from armlab.sim import MOTORS, RAPID, AppliedWrench, Grip, HandPath, StateScript, Surroundings
 
-        operator = Operator.idle() if self.operator is None or index else read_operator(self.operator)
+        operator = AppliedWrench.idle() if self.operator is None or index else read_operator(self.operator)
         hand = HandPath.random(robot, seed) if self.hand is None or index else read_hand(self.hand, robot.n)
         grip = None if self.grip is None or index else Grip(*pair("grip", self.grip))
-        return Scene(operator, hand, Script(self.motors, MOTORS), Script(self.rapid, RAPID), external, grip)
+        return Surroundings(
+            operator, hand, StateScript(self.motors, MOTORS), StateScript(self.rapid, RAPID), external, grip
+        )
 
 
 def pair(name: str, text: str) -> tuple[float, float]:

@@ -1,11 +1,10 @@
 """The same jobs over many logs and many robots."""
 
+from armlab.fleet.discovery import FleetRobot, Router, list_robots
 from armlab.fleet.estimation import Estimated, estimate
-from armlab.fleet.exporting import export
 from armlab.fleet.identification import Identified, identify
-from armlab.fleet.record import FleetRecorder
-from armlab.fleet.robots import FleetRobot, list_robots
-from armlab.fleet.router import Router
+from armlab.fleet.logs import export
+from armlab.fleet.recorder import FleetRecorder
 
 __all__ = [
     "Estimated",

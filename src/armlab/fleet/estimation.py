@@ -12,9 +12,8 @@ import numpy as np
 from armlab.contact import Estimator, contacts
 from armlab.contact.estimator import Method
 from armlab.errors import LogError
-from armlab.fleet.logs import Log, as_table, named
-from armlab.fleet.mapping import Done, Progress, each
-from armlab.fleet.targets import targets
+from armlab.fleet.logs import Log, as_table, named, targets
+from armlab.fleet.mapping import Done, Progress, map_logs
 from armlab.identify import with_velocity
 from armlab.log import write
 from armlab.models import TorqueModel
@@ -30,9 +29,12 @@ class Estimated:
     Attributes
     ----------
     path : file with the columns of the estimate, a row for each of the log.
-    rows, seconds : of the log. left_out : rows without an estimate.
-    contacts : intervals of contact. contact_seconds : their sum.
-    peak : largest estimated force while in contact [N], NaN without any. band : mean 2-sigma of the worst axis [N].
+    rows, seconds : of the log.
+    left_out : rows without an estimate.
+    contacts : intervals of contact.
+    contact_seconds : their sum.
+    peak : largest estimated force while in contact [N], NaN without any.
+    band : mean 2-sigma of the worst axis [N].
     """
 
     path: Path
@@ -61,9 +63,13 @@ def estimate(
 
     Parameters
     ----------
-    logs : files or folders. model : of the arm. robot : the arm.
+    logs : files or folders.
+    model : of the arm.
+    robot : the arm.
     folder : where the files of the estimates go, each whole or not at all.
-    executor, progress : see `identify`. method : of `contact.Estimator`. ending : format of the files.
+    executor, progress : see `identify`.
+    method : of `contact.Estimator`.
+    ending : format of the files.
     force : replace files that exist.
 
     Returns
@@ -81,7 +87,7 @@ def estimate(
     work = {name: (log, paths[name]) for name, log in jobs.items()}
     tell = progress or (lambda done, total, what: None)
     shared = model, robot, method
-    return each(_work, work, *shared, executor=executor, progress=tell, rows=lambda one: one.rows).some()
+    return map_logs(_work, work, *shared, executor=executor, progress=tell, rows=lambda one: one.rows).some()
 
 
 def _work(job: tuple[Log, Path], model: TorqueModel, robot: Robot, method: Method) -> Estimated:

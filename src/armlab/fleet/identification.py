@@ -1,27 +1,39 @@
-"""`identify`: one torque model from many logs, on any executor, with the same bits as here."""
+"""`identify`: one torque model from many logs, with the same bits on any executor; `SumCache` keeps their sums on disk.
+
+With a cache ten more logs cost ten logs, and an interrupted run goes on. A cache file is named by what its sums depend
+on: the bytes of the log, the pattern (which holds the robot), the version of armlab and that of the sums. It holds
+plain arrays in the .npz format, never objects; a file that cannot be read is written anew.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import math
+import os
+import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
-from armlab.errors import LogError, NotExcited
+import numpy as np
+
+from armlab import __version__
+from armlab.errors import LogError, NotExcited, ShapeError
 from armlab.estimation import Fit
-from armlab.fleet.cache import SumCache
+from armlab.estimation.factors import Factors
 from armlab.fleet.logs import Log, as_table, named
-from armlab.fleet.mapping import Progress, each
+from armlab.fleet.mapping import Progress, map_logs
 from armlab.identify.drafting import Draft
 from armlab.identify.many import LogSums, Pattern, fit_draft, fit_sums, log_sums, same_rate
 from armlab.identify.preparation import prepare_share
 from armlab.identify.shapes import Choice, Chooser, Shapes, choose
 from armlab.log import Table
-from armlab.models import TorqueModel
+from armlab.models import TorqueModel, Training
 from armlab.robots import Robot
-
-__all__ = ["Identified", "identify"]
 
 DRAFT_SECONDS = 200.0  # of the first logs: ten of 20 s
 AT_ONCE = 4  # logs that are tried at once, at most
@@ -34,7 +46,8 @@ class Identified:
     Attributes
     ----------
     fit : of the model; `fit.value.sources` names the logs and, with the reason, those that were skipped.
-    used : names of the logs behind it, in order. skipped : the reason by name.
+    used : names of the logs behind it, in order.
+    skipped : the reason by name.
     """
 
     fit: Fit[TorqueModel]
@@ -86,7 +99,7 @@ def identify(
     tell = progress or (lambda done, total, what: None)
     draft, pattern, first, refused = _draft(jobs, robot, executor, tell)
     rest = {name: log for name, log in jobs.items() if name not in refused}
-    done = each(_work, rest, pattern, cache, executor=executor, progress=tell, rows=lambda sums: sums.n)
+    done = map_logs(_work, rest, pattern, cache, executor=executor, progress=tell, rows=lambda sums: sums.n)
     lost = [name for name in first if name not in done.results]
     if lost:
         raise LogError(f"Expected {lost[0]} to read as before, but: {done.skipped[lost[0]]}")
@@ -160,7 +173,7 @@ class _Tried:
             if seconds >= wanted or self.all:
                 return names
             some = [self._waiting.pop() for _ in range(min(self._at_once, len(self._waiting)))]
-            done = each(
+            done = map_logs(
                 _try, {name: self._jobs[name] for name in some}, self._robot,
                 executor=self._executor, progress=lambda done, total, what: self._tell(),
             )  # fmt: skip
@@ -197,7 +210,7 @@ def _chooser(executor: Executor | None, tell: Progress) -> Chooser:
 
     def choose_all(choices: Iterable[Choice]) -> list[Shapes]:
         joints = {f"joint {number + 1}": choice for number, choice in enumerate(choices)}
-        done = each(
+        done = map_logs(
             choose, joints, executor=executor, kind="joint",
             progress=lambda done, total, what: tell(2, 5, f"choosing the shape of friction, {done} of {total} joints"),
         )  # fmt: skip
@@ -220,3 +233,68 @@ def _work(log: Log, pattern: Pattern, cache: Path | None) -> LogSums:
         sums = log_sums(as_table(log, pattern.robot), pattern)
         known.save(path, sums)
     return sums
+
+
+VERSION = 2  # of the sums: another when the same log gives others
+_PIECE = 1 << 20
+_TRAINING = ("q_min", "q_max", "qd_peak", "speed_share", "rest_share", "longest_rest")
+
+
+def default_folder() -> Path:
+    """Return where the sums of this user are kept."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "armlab" / "sums"
+
+
+class SumCache:
+    """Cached sums of logs in a folder, which is made when it is missing."""
+
+    def __init__(self, folder: Path, pattern: Pattern) -> None:
+        self._folder, self._pattern = folder, pattern.sha256
+
+    def path(self, log: Path) -> Path:
+        """Return the file that keeps the sums of a log."""
+        digest = hashlib.sha256(f"{__version__} {VERSION} {self._pattern} ".encode())
+        with log.open("rb") as file:
+            while part := file.read(_PIECE):
+                digest.update(part)
+        return self._folder / f"{digest.hexdigest()}.npz"
+
+    def load(self, path: Path) -> LogSums | None:
+        """Return the sums in a file, None when it is missing or damaged."""
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
+                return _sums(kept)
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, ShapeError):
+            return None
+
+    def save(self, path: Path, sums: LogSums) -> None:
+        """Write sums, whole or not at all; where the disk refuses they are computed again the next time."""
+        groups = {
+            f"{name}{g}": part[g]
+            for name in ("R", "columns")
+            for part in [getattr(sums.factors, name)]
+            for g in range(len(part))
+        }
+        training = {name: getattr(sums.training, name) for name in _TRAINING}
+        numbers = {
+            "counts": np.array([sums.factors.size, sums.inside, sums.n]),
+            "reals": np.array([sums.weight, sums.seconds]),
+            "source": np.array(sums.source),
+        }
+        with suppress(OSError):
+            self._folder.mkdir(parents=True, exist_ok=True)
+            with TemporaryDirectory(dir=self._folder) as own:  # others may keep the sums of an equal file just now
+                part = Path(own, path.name)
+                np.savez(part, allow_pickle=False, rows=sums.factors.rows, **groups, **training, **numbers)
+                part.replace(path)
+
+
+def _sums(kept: Any) -> LogSums:
+    size, inside, n = kept["counts"].tolist()
+    weight, seconds = kept["reals"].tolist()
+    classes = range(kept["rows"].shape[1])
+    R, columns = (tuple(kept[f"{name}{g}"] for g in classes) for name in ("R", "columns"))
+    about = {name: kept[name] for name in _TRAINING}
+    about |= {name: float(about[name]) for name in _TRAINING[-2:]}
+    factors = Factors(size, columns, R, kept["rows"])
+    return LogSums(factors, weight, inside, n, seconds, Training(**about), str(kept["source"]))

@@ -1,32 +1,34 @@
-"""`each`: one piece of work per log on any executor, with results in order, failures by name, and no log lost.
+"""`map_logs`: one piece of work per log on any executor, with results in order, failures by name, and no log lost.
 
 A killed worker of a process pool breaks the pool and every job in it. What was finished is kept, the rest starts again
 in a new pool; then the jobs that were under way are tried one by one, and one that ends its worker again is skipped.
 Dask starts its workers anew by itself, and blames every job that waited at workers that died: those are tried one by
 one in the same way.
+
+`workers`: processes of this computer or a Dask cluster to run it on.
 """
 
 from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing import get_context
 from typing import Any, Generic, TypeVar
 
-from armlab.errors import ArmlabError, ConfigError, LogError
-
-__all__ = ["Done", "Progress", "each"]
+from armlab.errors import ArmlabError, ConfigError, LinkError, LogError, MissingExtra
 
 Progress = Callable[[int, int, str], None]
 Result = TypeVar("Result")
 
 _AHEAD = 4  # jobs that wait per worker: thousands of pickled jobs are memory for nothing
 _WORKERS = 64  # assumed of executors that do not tell
-_TELL = 0.5  # s between two reports without a job that ends
-_SAY = 1.0  # s between two sentences: a line each where nobody watches
-_LIVES = 2  # of a job that ends its worker
+_REPORT_PERIOD = 0.5  # s between two reports without a job that ends
+_SENTENCE_PERIOD = 1.0  # s between two sentences: a line each where nobody watches
+MAX_CRASHES = 2  # worker crashes before a job is skipped
 _KILLED = "Expected a worker to survive this {}, but it was killed again. Look at the memory it takes, and at its logs."
 _KILLED_BY_DASK = "KilledWorker"  # its name, since Dask need not be there: it has tried several workers by then
 
@@ -37,7 +39,8 @@ class Done(Generic[Result]):
 
     Attributes
     ----------
-    results : by name, in the order of the jobs, of those that gave one. skipped : sentence by name of the others.
+    results : by name, in the order of the jobs, of those that gave one.
+    skipped : sentence by name of the others.
     """
 
     results: Mapping[str, Result]
@@ -56,7 +59,7 @@ class Done(Generic[Result]):
         return self
 
 
-def each(
+def map_logs(
     work: Callable[..., Result],
     jobs: Mapping[str, Any],
     *shared: Any,
@@ -65,20 +68,13 @@ def each(
     rows: Callable[[Result], int] | None = None,
     kind: str = "log",
 ) -> Done[Result]:
-    """Call ``work(job, *shared)`` for every job.
+    """Call ``work(job, *shared)`` for every job; skip one that raises an `ArmlabError` or ends its worker.
 
-    Parameters
-    ----------
-    work : a function of a module, so that it can travel. jobs : what it gets, by name. shared : what all get.
-    executor : where it runs; here, one after the other, when left out.
-    progress : called with (done, total, what) as jobs end; `what` tells logs done, rows per second, skipped, time left.
-    rows : how many rows a result stands for; not told when left out. kind : what a job is of, for sentences.
-
-    Returns
-    -------
-    Done; a job that raised an `ArmlabError` or ended its worker is skipped.
+    `work` is a function of a module, so that it can be pickled. Without an executor jobs run here, one after the other.
+    `progress` is called with (done, total, what) as jobs end; `rows` counts the rows of a result; `kind` names a job in
+    sentences.
     """
-    run = _Run(work, jobs, shared, progress, rows, kind)
+    run = _JobRun(work, jobs, shared, progress, rows, kind)
     run.report()
     if executor is None:
         for name in jobs:
@@ -92,7 +88,7 @@ def each(
     )
 
 
-class _Run:
+class _JobRun:
     """What is done so far."""
 
     def __init__(
@@ -107,7 +103,7 @@ class _Run:
         self._work, self._jobs, self._shared, self._tell, self._count = work, jobs, shared, tell, rows
         self._kind, self._killed = f"{kind}s", _KILLED.format(kind)
         self._began = time.monotonic()
-        self._said, self._what, self._rows = -_SAY, "", 0
+        self._said, self._what, self._rows = -_SENTENCE_PERIOD, "", 0
         self._blamed: list[str] = []
         self.results: dict[str, Any] = {}
         self.skipped: dict[str, str] = {}
@@ -148,7 +144,7 @@ class _Run:
             with _another(executor, 1) as alone:
                 killed.update(self._pass(alone, suspects, ahead=1))
             for name in suspects:
-                if killed[name] == _LIVES:
+                if killed[name] == MAX_CRASHES:
                     self.keep(name, (False, self._killed))
 
     def _left(self, names: Iterable[str]) -> list[str]:
@@ -166,7 +162,7 @@ class _Run:
                     except BrokenExecutor:
                         return [*self._saved(running), waiting[-1]]
                     running[future] = waiting.pop()
-                done, _ = wait(running, timeout=_TELL, return_when=FIRST_COMPLETED)
+                done, _ = wait(running, timeout=_REPORT_PERIOD, return_when=FIRST_COMPLETED)
                 self.report()
                 for future in done:
                     error = future.exception()
@@ -195,7 +191,7 @@ class _Run:
         """Tell how far it is; the sentence once a second."""
         done, total = len(self.results) + len(self.skipped), len(self._jobs)
         passed = time.monotonic() - self._began
-        if done == total or passed - self._said >= _SAY:
+        if done == total or passed - self._said >= _SENTENCE_PERIOD:
             self._said, parts = passed, [f"{done} of {total} {self._kind}"]
             if self._rows:
                 parts.append(f"{self._rows / max(passed, 1e-3):.0f} rows/s")
@@ -225,3 +221,40 @@ def _guarded(work: Callable[..., Result], job: Any, *shared: Any) -> tuple[bool,
         return True, work(job, *shared)
     except (ArmlabError, OSError, MemoryError) as error:
         return False, str(error) or type(error).__name__
+
+
+_PATIENCE = "10s"  # for a scheduler that is there
+
+
+@contextmanager
+def workers(count: int = 1, dask: str | None = None) -> Iterator[Executor | None]:
+    """Yield an executor for the block; None where one process is enough.
+
+    `count` are processes of this computer; `dask` is the address of a Dask scheduler, used instead.
+    """
+    if count < 1:
+        raise ConfigError(f"Expected at least one worker, got {count}.")
+    if dask is None:
+        if count == 1:
+            yield None
+            return
+        # Not forked: threads of this process, of BLAS and of others, are not in a copy, but their locks are.
+        with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
+            yield pool
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise MissingExtra(
+            "Expected Dask for workers on several computers, got no package distributed. "
+            "Run pip install 'armlab[cluster]'."
+        ) from None
+    try:
+        client = Client(dask, timeout=_PATIENCE)
+    except (OSError, ValueError) as error:
+        raise LinkError(
+            f"Expected a Dask scheduler at {dask}, got: {error}. Start it by dask scheduler "
+            "--host 127.0.0.1 --dashboard-address 127.0.0.1:8787."
+        ) from None
+    with client:
+        yield client.get_executor(pure=False)

@@ -17,17 +17,9 @@ _PAIR = struct.Struct("<qq")
 
 
 class RowColumns:
-    """Where the columns of one robot's recording are in the rows of its bridge.
+    """Positions of the columns of one robot's recording in the rows of its bridge.
 
-    What a row does not tell, such as the commands to external axes, is missing in the recording.
-
-    Parameters
-    ----------
-    schema : of the rows. robot : its name. layout : of the recording.
-
-    Raises
-    ------
-    LinkError : the rows do not tell the tick of this robot, or a column has another shape in them.
+    Columns that the rows lack, such as commands to external axes, are missing in the recording.
     """
 
     def __init__(self, schema: RowSchema, robot: str, layout: RowLayout) -> None:
@@ -45,16 +37,7 @@ class RowColumns:
             self._add(slot.nothing if field is None else _place(field, slot))
 
     def packed(self, data: bytes) -> bytes:
-        """Return a row of the recording.
-
-        Parameters
-        ----------
-        data : a row of the bridge.
-
-        Raises
-        ------
-        LinkError : it is no row of this schema.
-        """
+        """Return the recording's row for a row of the bridge; raise LinkError for another schema."""
         if len(data) != self._size or data[:4] != MAGIC or data[8:16] != self._id:
             raise LinkError(f"Expected a row of {self._size} bytes and schema {self._id.hex()}, got {len(data)} bytes.")
         return b"".join([place if isinstance(place, bytes) else data[place] for place in self._places])
@@ -74,22 +57,12 @@ class RowColumns:
 
 
 def stamp_of(packed: bytes) -> int:
-    """Return the wall clock of a row of a recording [ns].
-
-    Parameters
-    ----------
-    packed : the row.
-    """
+    """Return the wall clock of a row of a recording [ns]."""
     return _PAIR.unpack_from(packed)[0]
 
 
 def tick_of(packed: bytes) -> int:
-    """Return the tick of a row of a recording.
-
-    Parameters
-    ----------
-    packed : the row.
-    """
+    """Return the tick of a row of a recording."""
     return _PAIR.unpack_from(packed)[1]
 
 

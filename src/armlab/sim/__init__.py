@@ -10,72 +10,56 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for type checkers and editors, what `__getattr__` does when a program runs
     from armlab.sim import two_link
-    from armlab.sim.arm import Arm, Sample
-    from armlab.sim.cells import Cell, cell
-    from armlab.sim.channel import Channel
-    from armlab.sim.controller import Controller
-    from armlab.sim.fault_rates import FaultRates
-    from armlab.sim.faults import Faults
-    from armlab.sim.grip import Grip
-    from armlab.sim.guidance import Guidance
-    from armlab.sim.hand import HandPath
-    from armlab.sim.lagging import LaggingArm
-    from armlab.sim.loop import Pace, run
-    from armlab.sim.mismatch import Mismatch
-    from armlab.sim.operator import Operator
-    from armlab.sim.packets import Packets
-    from armlab.sim.recording import record
-    from armlab.sim.scene import Scene
-    from armlab.sim.script import MOTORS, RAPID, Script
-    from armlab.sim.sensors import Measurement
-    from armlab.sim.settings import Settings
-    from armlab.sim.truth import Truth, synthetic_truth, truth_names
+    from armlab.sim.arm.arm import LaggingArm, SimulatedArm, record
+    from armlab.sim.arm.mismatch import Mismatch
+    from armlab.sim.arm.sensors import SensorReading, TrueState
+    from armlab.sim.arm.truth import Truth, synthetic_truth, truth_names
+    from armlab.sim.controller.channel import Faults, UdpClient
+    from armlab.sim.controller.controller import SimulatedController
+    from armlab.sim.controller.cycles import Timing, run
+    from armlab.sim.controller.guidance import Guidance
+    from armlab.sim.controller.packets import PacketBuilder
+    from armlab.sim.controller.settings import ControllerSettings, FaultRates
+    from armlab.sim.events import MOTORS, RAPID, AppliedWrench, Grip, HandPath, StateScript, Surroundings
+    from armlab.sim.experiments.cell import CalibrationCell, cell
 
 _PLACES = {  # module: its public names
-    "arm": ("Arm", "Sample"),
-    "cells": ("Cell", "cell"),
-    "channel": ("Channel",),
-    "controller": ("Controller",),
-    "fault_rates": ("FaultRates",),
-    "faults": ("Faults",),
-    "grip": ("Grip",),
-    "guidance": ("Guidance",),
-    "hand": ("HandPath",),
-    "lagging": ("LaggingArm",),
-    "loop": ("Pace", "run"),
-    "mismatch": ("Mismatch",),
-    "operator": ("Operator",),
-    "packets": ("Packets",),
-    "recording": ("record",),
-    "scene": ("Scene",),
-    "script": ("MOTORS", "RAPID", "Script"),
-    "sensors": ("Measurement",),
-    "settings": ("Settings",),
-    "truth": ("Truth", "synthetic_truth", "truth_names"),
+    "arm.arm": ("LaggingArm", "SimulatedArm", "record"),
+    "arm.mismatch": ("Mismatch",),
+    "arm.sensors": ("SensorReading", "TrueState"),
+    "arm.truth": ("Truth", "synthetic_truth", "truth_names"),
+    "controller.channel": ("Faults", "UdpClient"),
+    "controller.controller": ("SimulatedController",),
+    "controller.cycles": ("Timing", "run"),
+    "controller.guidance": ("Guidance",),
+    "controller.packets": ("PacketBuilder",),
+    "controller.settings": ("ControllerSettings", "FaultRates"),
+    "events": ("MOTORS", "RAPID", "AppliedWrench", "Grip", "HandPath", "StateScript", "Surroundings"),
+    "experiments.cell": ("CalibrationCell", "cell"),
 }
 __all__ = [
     "MOTORS",
     "RAPID",
-    "Arm",
-    "Cell",
-    "Channel",
-    "Controller",
+    "AppliedWrench",
+    "CalibrationCell",
+    "ControllerSettings",
     "FaultRates",
     "Faults",
     "Grip",
     "Guidance",
     "HandPath",
     "LaggingArm",
-    "Measurement",
     "Mismatch",
-    "Operator",
-    "Packets",
-    "Pace",
-    "Sample",
-    "Scene",
-    "Script",
-    "Settings",
+    "PacketBuilder",
+    "SensorReading",
+    "SimulatedArm",
+    "SimulatedController",
+    "StateScript",
+    "Surroundings",
+    "Timing",
+    "TrueState",
     "Truth",
+    "UdpClient",
     "cell",
     "record",
     "run",

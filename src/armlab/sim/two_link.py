@@ -46,8 +46,11 @@ class TwoLink:
 
     Attributes
     ----------
-    m1, m2 : masses at the ends of the links [kg]. l1, l2 : lengths [m].
-    viscous : friction [N m s/rad]. coulomb : friction [N m]. gravity : downwards [m/s^2].
+    m1, m2 : masses at the ends of the links [kg].
+    l1, l2 : lengths [m].
+    viscous : friction [N m s/rad].
+    coulomb : friction [N m].
+    gravity : downwards [m/s^2].
 
     Raises
     ------
@@ -83,7 +86,8 @@ def mass_matrix(q: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
 
     Parameters
     ----------
-    q : (..., 2) [rad]. arm : its parameters.
+    q : (..., 2) [rad].
+    arm : its parameters.
 
     Raises
     ------
@@ -103,7 +107,8 @@ def inverse_dynamics(q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, arm: TwoLink =
 
     Parameters
     ----------
-    q, qd, qdd : (..., 2) [rad, rad/s, rad/s^2]. arm : its parameters.
+    q, qd, qdd : (..., 2) [rad, rad/s, rad/s^2].
+    arm : its parameters.
 
     Raises
     ------
@@ -117,7 +122,8 @@ def forward_dynamics(q: ArrayLike, qd: ArrayLike, tau: ArrayLike, arm: TwoLink =
 
     Parameters
     ----------
-    q, qd, tau : (..., 2) [rad, rad/s, N m]. arm : its parameters.
+    q, qd, tau : (..., 2) [rad, rad/s, N m].
+    arm : its parameters.
 
     Raises
     ------
@@ -136,7 +142,9 @@ def rhs(x: ArrayLike, tau: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
 
     Parameters
     ----------
-    x : (..., 4) position and velocity [rad, rad/s]. tau : (..., 2) torque [N m]. arm : its parameters.
+    x : (..., 4) position and velocity [rad, rad/s].
+    tau : (..., 2) torque [N m].
+    arm : its parameters.
 
     Raises
     ------
@@ -155,7 +163,8 @@ def energy(q: ArrayLike, qd: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
 
     Parameters
     ----------
-    q, qd : (..., 2) [rad, rad/s]. arm : its parameters.
+    q, qd : (..., 2) [rad, rad/s].
+    arm : its parameters.
 
     Raises
     ------
@@ -172,7 +181,8 @@ def forward(q: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
 
     Parameters
     ----------
-    q : (..., 2) [rad]. arm : its parameters.
+    q : (..., 2) [rad].
+    arm : its parameters.
 
     Raises
     ------
@@ -188,7 +198,8 @@ def jacobian(q: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
 
     Parameters
     ----------
-    q : (..., 2) [rad]. arm : its parameters.
+    q : (..., 2) [rad].
+    arm : its parameters.
 
     Raises
     ------

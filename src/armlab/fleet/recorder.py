@@ -1,0 +1,461 @@
+"""`FleetRecorder`: the rows of many robots over Zenoh, in files of their own: one per robot and run of its bridge."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from armlab.bridge.row import MAGIC
+from armlab.bridge.zenoh import EVERY, Asking, Place, close_session, key, robot_of, undamaged
+from armlab.bridge.zenoh.inbox import Inbox
+from armlab.bridge.zenoh.session import zenoh
+from armlab.bridge.zenoh.texts import read_about
+from armlab.errors import ArmlabError, LinkError
+from armlab.fleet.row_columns import RowColumns, stamp_of, tick_of
+from armlab.log.recorder import FLUSH_PERIOD, WRITE_PERIOD
+from armlab.log.recording_file import RecordingFile
+from armlab.log.rows import RowLayout
+from armlab.log.syncing import Syncing
+
+_INBOX = 50_000  # messages: 20 s of ten robots; what does not fit is a hole in the ticks
+_ROBOTS = 1000
+_ROOM = 2**28  # bytes of rows that wait for descriptions, of all robots: ten seconds of fifty
+_NAME = re.compile(r"[\w+-][\w.+-]{0,99}")  # what can be the name of a file
+_NAMES = 220  # bytes of lab and robot together: a letter may take four, and systems allow 255 with number and ending
+
+
+class FleetRecorder:
+    """Records every robot whose rows come, from now until it is closed; a context manager.
+
+    A robot may come, go, and come again with other rows. One MCAP file per run of its bridge: ``lab1-yumi_left.mcap``,
+    then ``-2``. Rows that did not come show as holes in the robot's ticks: an event and the summary of the file name
+    them. A file that cannot be written is given up, with a sentence, and the recording of a robot in which something
+    else goes wrong has ended; the other robots go on.
+
+    Parameters
+    ----------
+    place : of the router; its `lab` may be `EVERY`.
+    folder : for the files.
+    tell : told what a person should know, in
+        a thread of the recorder's.
+
+    Attributes
+    ----------
+    robots : by "lab/robot": rows, lost, damaged, refused, late, paths, failed.
+    strangers : messages under keys of no robot.
+
+    Raises
+    ------
+    LinkError : no router. MissingExtra : no Zenoh.
+    """
+
+    def __init__(self, place: Place, folder: str | Path, tell: Callable[[str], None] = lambda text: None) -> None:
+        self._folder, self._tell = Path(folder), tell
+        self._robots: dict[str, RobotRecord] = {}
+        self._ended: set[str] = set()  # robots of whom nothing more is recorded
+        self.strangers = 0
+        self._inbox: Inbox[tuple[Callable[[RobotRecord], None], str]] = Inbox(_INBOX)
+        self._room = _ROOM
+        self._wake, self._closed = threading.Event(), False
+        self._session = place.open_behind()
+        self._asking = Asking(self._session, self._answered)
+        declare, liveliness = self._session.declare_subscriber, self._session.liveliness()
+        self._thread = threading.Thread(target=self._run, name="fleet recorder", daemon=True)
+        self._thread.start()
+        self._rows = declare(key(place.lab, EVERY, "state"), self._take)
+        self._alive = liveliness.declare_subscriber(key(place.lab, EVERY, "alive"), self._take_life, history=True)
+
+    def __enter__(self) -> FleetRecorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def robots(self) -> Mapping[str, RobotRecord]:
+        """What is known of each robot."""
+        return dict(self._robots)
+
+    def close(self) -> None:
+        """Write what has come, and finish all files."""
+        if self._closed:
+            return
+        close_session(self._session)
+        self._closed = True
+        self._wake.set()
+        self._thread.join()
+
+    def _take(self, sample: Any) -> None:
+        data = undamaged(sample)
+        self._inbox.put((partial(self._row, data=data), str(sample.key_expr)), len(data or b""))
+
+    def _take_life(self, sample: Any) -> None:
+        has_come = sample.kind == zenoh().SampleKind.PUT
+        self._inbox.put((partial(self._live, has_come=has_come), str(sample.key_expr)))
+
+    def _row(self, robot: RobotRecord, data: bytes | None) -> None:
+        """Take a row; one that finds no room is lost, as its tick will show."""
+        size = len(data or b"")
+        if size <= self._room:
+            self._room -= size
+            robot.take(data)
+
+    def _live(self, robot: RobotRecord, has_come: bool) -> None:
+        text = "its bridge is there" if has_come else "its bridge has gone, or the way to it"
+        if not has_come:
+            robot.doubt()
+        robot.event(text)
+        self._tell(f"{robot.name}: {text}")
+
+    def _run(self) -> None:
+        due, is_last = time.monotonic() + FLUSH_PERIOD, False
+        while not is_last:
+            self._wake.wait(WRITE_PERIOD)
+            is_last = self._closed  # looked at before the inbox is emptied: what came until then is in it
+            for _ in range(len(self._inbox)):
+                message = self._inbox.get()
+                if message is None:
+                    break
+                work, where = message
+                robot = self._robot(where)
+                if robot is None:
+                    self.strangers += 1
+                else:
+                    self._do(robot, work)
+            for robot in self._robots.values():
+                self._do(robot, RobotRecord.write)
+                if robot.wants and not is_last:
+                    lab, _, name = robot.name.partition("/")
+                    self._asking.ask(lab, name)
+            self._room = _ROOM - sum(robot.waiting for robot in self._robots.values())
+            if time.monotonic() >= due:
+                for robot in self._robots.values():
+                    self._do(robot, RobotRecord.flush)
+                due = time.monotonic() + FLUSH_PERIOD
+        for robot in self._robots.values():
+            self._do(robot, RobotRecord.close)
+
+    def _do(self, robot: RobotRecord, work: Callable[[RobotRecord], None]) -> None:
+        """Do something for a robot; what goes wrong there ends its recording, and not the others'."""
+        if robot.name in self._ended:
+            return
+        try:
+            work(robot)
+        except Exception as error:
+            self._ended.add(robot.name)
+            with contextlib.suppress(OSError):  # of the file that is given up
+                robot.end(f"{type(error).__name__}: {error}")
+
+    def _robot(self, where: str) -> RobotRecord | None:
+        lab, name = robot_of(where)
+        full = f"{lab}/{name}"
+        if full not in self._robots:
+            is_name = _NAME.fullmatch(lab) and _NAME.fullmatch(name) and len(full.encode()) <= _NAMES
+            if len(self._robots) >= _ROBOTS or not is_name:
+                return None
+            self._robots[full] = RobotRecord(full, self._folder / f"{lab}-{name}.mcap", self._tell)
+        return self._robots[full]
+
+    def _answered(self, lab: str, name: str, about: bytes) -> None:
+        self._inbox.put((partial(RobotRecord.describe, about=about), key(lab, name, "about")), len(about))
+
+
+_WAITING = 2500  # rows that wait for their description: 10 s
+_STRANGE = 64  # schemas of wrong rows that are remembered
+_UNANSWERED = 5.0  # s after which rows that nobody describes are given up
+_AGAIN = 10.0  # s after a failed file until the next one
+_SILENT = 60.0  # s without a row after which a file is finished
+_MOST_HOLES = 10_000  # listed in a file; all are counted
+
+
+class RobotRecord:
+    """The recordings of one robot; all methods belong to one thread.
+
+    Parameters
+    ----------
+    name : "lab1/yumi_left".
+    path : of its first file.
+    tell : told what a person should know.
+
+    Attributes
+    ----------
+    rows, lost : rows written, and rows that never came or could not be written, by the ticks of the robot.
+    damaged : rows whose checksum was another one; they are dropped and leave holes.
+    refused : messages that were no rows of this robot.
+    late : rows that had come before.
+    last : newest tick, -1 before the first row.
+    paths : files so far.
+    failed : why the last one stopped, or None.
+    wants : rows wait for a description.
+    """
+
+    def __init__(self, name: str, path: Path, tell: Callable[[str], None]) -> None:
+        self.name, self._path, self._tell = name, path, tell
+        self.rows = self.lost = self.damaged = self.refused = self.late = 0
+        self.last = -1
+        self.paths: list[Path] = []
+        self.failed: str | None = None
+        self.wants = self._is_unsure = False
+        self._waiting: deque[bytes] = deque()
+        self._strange: deque[bytes] = deque(maxlen=_STRANGE)
+        self._since: float | None = None  # rows wait for a description
+        self._run: _BridgeRun | None = None
+        self._file: _RobotFile | None = None
+        self._heard = self._retry = 0.0
+
+    @property
+    def waiting(self) -> int:
+        """Bytes of the rows that wait to be written."""
+        return sum(map(len, self._waiting))
+
+    def take(self, data: bytes | None) -> None:
+        """Take a row; when too many wait it is lost, as its tick will show.
+
+        Parameters
+        ----------
+        data : as it came, None when it was damaged.
+        """
+        if data is None:
+            self._damage()
+        elif len(self._waiting) < _WAITING:
+            self._waiting.append(data)
+
+    def doubt(self) -> None:
+        """The bridge has gone, or the way to it: what comes next may be another run of it."""
+        self.write()
+        self._is_unsure = self._run is not None
+
+    def describe(self, about: bytes) -> None:
+        """Take what a bridge says of itself and its robots; the rows that wait for it are of a new run.
+
+        Parameters
+        ----------
+        about : the answer to the query "about".
+        """
+        if not self.wants:
+            return
+        self.wants, self._since = False, None
+        try:
+            run = _BridgeRun(self.name.rpartition("/")[2], about)
+        except (ArmlabError, KeyError) as error:
+            self._refuse(f"its bridge says what cannot be understood: {error}")
+            return
+        if self._waiting and self._waiting[0][8:16] != run.schema.id:
+            self._strange.append(self._waiting[0][8:16])
+            return
+        if self._is_unsure:
+            self._is_unsure = False
+            if self._run is not None and self._run.id == run.id:
+                return
+            self._tell(f"{self.name}: its bridge has restarted")
+        self._finish()
+        self._run = run
+
+    def write(self) -> None:
+        """Write what has come."""
+        now = time.monotonic()
+        packed: list[bytes] = []
+        self._heard = now if self._waiting else self._heard
+        for _ in range(len(self._waiting) + 1):  # a run that ends is looked at twice
+            if not self._waiting:
+                break
+            data = self._waiting[0]
+            if self._run is None or self._is_unsure or data[8:16] != self._run.schema.id:
+                if data[:4] != MAGIC or data[8:16] in self._strange:
+                    self._waiting.popleft()
+                    self._refuse("rows of a schema that its bridge does not know")
+                    continue
+                self.wants, self._since = True, self._since or now
+                break
+            try:
+                row = self._run.columns.packed(data)
+            except LinkError as error:
+                self._waiting.popleft()
+                self._refuse(str(error))
+                continue
+            if self._run.has_begun_again(row):
+                packed = self._end_run(packed)
+                continue
+            self._waiting.popleft()
+            packed = self._sorted(self._run, row, packed)
+        self._put(packed)
+        if self._since is not None and now - self._since > _UNANSWERED:
+            self._give_up()
+        if self._file is not None and now - self._heard > _SILENT:
+            self._finish()
+
+    def flush(self) -> None:
+        """Bring to the disk what was written."""
+        if self._file is not None:
+            self._guarded(self._file.flush)
+
+    def event(self, text: str) -> None:
+        """Write a sentence into the file, if one is open."""
+        if self._file is not None:
+            self._guarded(self._file.file.event, text, time.time_ns())
+
+    def close(self) -> None:
+        """Write what waits, and finish the file."""
+        self._is_unsure = False
+        self.write()
+        self._finish()
+
+    def end(self, why: str) -> None:
+        """Give the recording up; nothing more may be asked of it.
+
+        Parameters
+        ----------
+        why : a sentence.
+        """
+        file, self._file, self.wants, self.failed = self._file, None, False, why
+        self._tell(f"{self.name}: its recording has ended: {why}")
+        if file is not None:
+            file.abandon()
+
+    def _give_up(self) -> None:
+        """Nobody said what is in the rows; those whose schema is known are taken for the same run."""
+        self.wants, self._since = False, None
+        if self._is_unsure:
+            self._is_unsure = False
+            return
+        self._refuse("nobody says what is in its rows", len(self._waiting))
+        self._waiting.clear()
+
+    def _damage(self) -> None:
+        self.damaged += 1
+        if self.damaged == 1:
+            self._tell(f"{self.name}: rows come damaged; they are dropped and leave holes")
+        if self._file is not None:
+            self._file.damaged += 1
+        self.event("a row came damaged and was dropped")
+
+    def _end_run(self, packed: list[bytes]) -> list[bytes]:
+        """The ticks of the robot begin again: its bridge was started anew, and may have another description."""
+        self._put(packed)
+        self._finish()
+        self._run = None
+        self._tell(f"{self.name}: its bridge has restarted")
+        return []
+
+    def _sorted(self, run: _BridgeRun, row: bytes, packed: list[bytes]) -> list[bytes]:
+        """Return the rows to be written next: a hole comes between rows."""
+        tick = tick_of(row)
+        if run.last is not None and tick <= run.last:
+            self.late += 1
+            return packed
+        if run.last is not None and tick > run.last + 1:
+            self._put(packed)
+            packed = []
+            self._hole(run.last + 1, tick - 1, stamp_of(row))
+        self.last = run.last = tick
+        run.stamp_ns = stamp_of(row)
+        packed.append(row)
+        return packed
+
+    def _hole(self, first: int, last: int, stamp_ns: int) -> None:
+        self.lost += last - first + 1
+        text = f"{last - first + 1} rows did not come, ticks {first} to {last}"
+        self._tell(f"{self.name}: {text}")
+        if self._open():
+            file = self._file
+            if file is not None:
+                file.lost += last - first + 1
+                file.holes.append((first, last, last - first + 1))
+                self._guarded(file.file.event, text, stamp_ns)
+
+    def _put(self, packed: list[bytes]) -> None:
+        if packed and self._open() and self._file is not None and self._guarded(self._file.file.write, packed):
+            self.rows += len(packed)
+        elif packed:
+            self.lost += len(packed)
+
+    def _open(self) -> bool:
+        """Whether there is a file; after one that failed there is none for a while."""
+        run = self._run
+        if self._file is None and run is not None and time.monotonic() >= self._retry:
+            try:
+                self._file = _RobotFile(self._path, run)
+            except ArmlabError as error:
+                self._fail(str(error))
+            else:
+                self.failed = None
+                self.paths.append(self._file.file.path)
+                self._tell(f"{self.name}: recording to {self._file.file.path}")
+        return self._file is not None
+
+    def _guarded(self, work: Callable[..., Any], *values: Any) -> bool:
+        try:
+            work(*values)
+        except Exception as error:  # whatever it is: the other robots go on
+            reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+            file, self._file = self._file, None
+            if file is not None:
+                file.abandon()
+                self._fail(f"The log {file.file.path} stopped after {file.file.rows} rows: {reason}.")
+            return False
+        return True
+
+    def _fail(self, why: str) -> None:
+        if why != self.failed:
+            self._tell(f"{self.name}: {why} The next file is tried in {_AGAIN:g} s.")
+        self.failed, self._retry = why, time.monotonic() + _AGAIN
+
+    def _finish(self) -> None:
+        if self._file is not None:
+            self._guarded(self._file.finish)
+            self._file = None
+
+    def _refuse(self, why: str, count: int = 1) -> None:
+        if self.refused == 0 and count:
+            self._tell(f"{self.name}: messages are refused: {why}")
+        self.refused += count
+
+
+class _BridgeRun:
+    """What the rows of a bridge hold, from its start to its end."""
+
+    def __init__(self, robot: str, about: bytes) -> None:
+        said = read_about(about)
+        self.id, self.schema, self.robot = said.run, said.schema, said.robots[robot]
+        self.layout = RowLayout(self.robot)
+        self.columns = RowColumns(self.schema, robot, self.layout)
+        self.last: int | None = None  # tick
+        self.stamp_ns = 0
+
+    def has_begun_again(self, row: bytes) -> bool:
+        """Whether ticks went back while time went on: its bridge has another run."""
+        return self.last is not None and tick_of(row) <= self.last and stamp_of(row) > self.stamp_ns
+
+
+class _RobotFile:
+    """One file, and what is kept of it."""
+
+    def __init__(self, path: Path, run: _BridgeRun) -> None:
+        self.file = RecordingFile(path, run.robot, run.layout, {}, "")
+        self.holes: deque[tuple[int, int, int]] = deque(maxlen=_MOST_HOLES)
+        self.lost = self.damaged = 0
+        self._syncing = Syncing(self.file.to_disk, f"sync {path.name}")
+
+    def flush(self) -> None:
+        self.file.close_chunk()
+        self._syncing.ask()
+
+    def finish(self) -> None:
+        self._syncing.close()
+        counted = {"rows": self.file.rows, "dropped": self.lost, "damaged": self.damaged}
+        self.file.finish({**counted, "holes": list(self.holes)})
+
+    def abandon(self) -> None:
+        self.file.abandon()
+        with contextlib.suppress(OSError):  # it is told already
+            self._syncing.close()

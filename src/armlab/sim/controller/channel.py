@@ -1,0 +1,291 @@
+"""`UdpClient`: the UDP client of one motion task, and the seeded `Faults` of its datagrams in each direction."""
+
+from __future__ import annotations
+
+import heapq
+import math
+import select
+import socket
+import struct
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from armlab.errors import ConfigError, LinkError
+from armlab.sim.controller.controller import SimulatedController
+from armlab.sim.controller.settings import FaultRates
+from armlab.wire.egm import SensorMessage
+
+_LARGEST = 65535
+_DRAINED = 64  # datagrams read per cycle: a flood cannot hold the cycle up
+_SO_TIMESTAMPNS = 35  # Linux: the kernel stamps arrivals; the constant is not in Python's socket module
+_LOOK = 0.25  # s between two looks whether to go on waiting
+_FIRST = 0.5  # s that a peer has for its first reply to a stream; later it is taken for a listener
+_REFUSED_PAUSE = 0.05  # s before a packet is sent again to a port that nobody has bound yet
+
+
+class UdpClient:
+    """One controller and its socket.
+
+    Parameters
+    ----------
+    controller : the motion task.
+    host, port : where the bridge listens.
+    outgoing, incoming : what goes wrong on the way.
+    phase : how long after the beat that all channels share it sends in real time [s], less than a period.
+
+    Attributes
+    ----------
+    heard : monotonic time of the last message [s].
+
+    Raises
+    ------
+    LinkError : when the address does not exist. ConfigError : a phase outside [0, period).
+    """
+
+    def __init__(
+        self,
+        controller: SimulatedController,
+        host: str,
+        port: int,
+        outgoing: Faults | None = None,
+        incoming: Faults | None = None,
+        phase: float = 0.0,
+    ) -> None:
+        self.controller, self.phase = controller, phase
+        if not 0.0 <= phase < controller.arm.period:
+            raise ConfigError(f"Expected a phase from 0 s to below the period, got {phase:g} s.")
+        self._outgoing, self._incoming = outgoing, incoming
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.connect((host, port))
+        except (OSError, OverflowError) as error:
+            self._socket.close()
+            raise LinkError(f"Expected an address to send to, got {host}:{port} ({error}). Correct it.") from error
+        self._socket.setblocking(False)
+        self._stamped = self._ask_for_stamps()
+        self._poll = select.poll()
+        self._poll.register(self._socket, select.POLLIN)
+        self._packet: bytes | None = None
+        self._expected, self._newest, self._arrival = 0, -1, 0
+        self._refused = self._awaited = self._has_answered = False
+        self._is_first = True
+        self._arrived: list[tuple[int, bytes]] = []
+        self.heard = time.monotonic()
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def prepare(self) -> bool:
+        """Build the packet of the coming cycle, so that it can leave on time. Return whether there is one."""
+        self._packet = self.controller.packet()
+        return self._packet is not None
+
+    def send(self) -> None:
+        """Send what was prepared, or what the faults make of it."""
+        controller = self.controller
+        datagrams = [(controller.cycle, self._packet)] if self._packet is not None else []
+        if self._outgoing is not None:
+            datagrams = self._outgoing.through(datagrams, controller.uptime)
+        # the newest first: then a peer answers one of them, whether it looks before or after the others have come
+        datagrams = sorted(datagrams, key=lambda item: -item[0])
+        self._awaited = False
+        if self._packet is not None:
+            controller.inbox.stamp(time.time_ns(), controller.uptime)
+        for number, datagram in datagrams:
+            self._put(datagram)
+            if number > self._newest:  # a peer answers what is newer than all before
+                self._awaited, self._newest, self._expected = True, number, controller.packets.tm_ms(number)
+
+    def drain(self) -> None:
+        """Read what has arrived."""
+        for _ in range(_DRAINED):
+            data = self._get()
+            if data is None:
+                break
+            self._receive(data)
+        self._deliver()
+
+    def wait(self, patience: float, alive: Callable[[], bool]) -> bool:
+        """Wait for the reply to the packet just sent. Return False when none came.
+
+        Packets that the faults removed are not waited for. While nobody has bound the port, the packet is sent again. A
+        stream needs no replies: a peer that has never sent one is waited for once, then it hears a packet per period.
+
+        Parameters
+        ----------
+        patience : how long to wait [s].
+        alive : asked now and then whether to go on.
+        """
+        if self._packet is None and not self._awaited:
+            self.drain()  # what comes between two sessions must not wait in the socket for the next one
+            return True
+        bound = time.monotonic()
+        deadline, listens = bound + patience, self._listens()
+        while self._awaited:
+            data = self._get()
+            if data is not None and self._receive(data):
+                break
+            now = time.monotonic()
+            left = deadline - now
+            if not self._refused and now - bound >= listens:
+                break
+            if left <= 0 or not alive():  # also under a flood of what is no answer
+                return False
+            if data is not None:
+                continue
+            if self._refused and self._packet is not None:
+                time.sleep(_REFUSED_PAUSE)
+                self._put(self._packet)
+                bound = time.monotonic()
+            else:
+                self._poll.poll(1e3 * min(left, bound + listens - now, _LOOK))
+        self._deliver()
+        return True
+
+    def _listens(self) -> float:
+        """Return how long to wait for a peer that may be a listener [s]; for ever for one that answers or has to."""
+        if self._has_answered or self.controller.phase != "streaming":
+            return math.inf
+        first, self._is_first = self._is_first, False
+        return _FIRST if first else self.controller.arm.period
+
+    def _receive(self, data: bytes) -> bool:
+        """Take one datagram from the socket. Return whether it is what lockstep waits for."""
+        if self._incoming is not None:
+            self._arrived.append((self._arrival, data))
+            message = self.controller.inbox.read(data, count=False)
+        else:
+            message = self.controller.accept(data, self._arrival)
+        if not isinstance(message, SensorMessage):
+            return False
+        self.heard, self._has_answered = time.monotonic(), True
+        # a peer that does not echo tm (None, or 0 as abb_libegm sends) gets the benefit of the doubt
+        return not message.tm_ms or message.tm_ms == self._expected
+
+    def _deliver(self) -> None:
+        """Hand on what the faults let through in this cycle."""
+        if self._incoming is not None:
+            for stamp, datagram in self._incoming.through(self._arrived, self.controller.uptime):
+                self.controller.accept(datagram, max(stamp, 0))
+            self._arrived.clear()
+
+    def _put(self, datagram: bytes) -> None:
+        """Send; twice when the first attempt only reports that an earlier datagram was refused."""
+        self._refused = False
+        for _ in range(2):
+            try:
+                self._socket.send(datagram)
+                return
+            except OSError as error:
+                self._count(error)
+
+    def _get(self) -> bytes | None:
+        """Return the next datagram, or None. Socket errors, as from a port that nobody has bound, are counted."""
+        try:
+            if not self._stamped:
+                data = self._socket.recv(_LARGEST)
+                self._arrival = time.time_ns()
+                return data
+            data, extra, _, _ = self._socket.recvmsg(_LARGEST, 64)
+        except BlockingIOError:
+            return None
+        except OSError as error:
+            self._count(error)
+            return None
+        self._arrival = time.time_ns()
+        for _, kind, stamp in extra:
+            if kind == _SO_TIMESTAMPNS and len(stamp) >= 16:
+                seconds, nanoseconds = struct.unpack("qq", stamp[:16])
+                self._arrival = seconds * 10**9 + nanoseconds
+        return data
+
+    def _count(self, error: OSError) -> None:
+        refused = isinstance(error, ConnectionRefusedError)
+        self._refused = self._refused or refused
+        self.controller.statistics.counts["refused" if refused else "socket errors"] += 1
+
+    def _ask_for_stamps(self) -> bool:
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+        except OSError:
+            return False
+        return True
+
+
+CORRUPTED = -1
+"""Number of a datagram that no peer can read."""
+
+_NEVER_VALID = 0x07  # a first byte that no protobuf message has
+
+
+class Faults:
+    """One direction of one path; called once per cycle.
+
+    Parameters
+    ----------
+    rates : see `FaultRates`.
+    seed : of the faults, another one for each direction.
+    period : time between two cycles [s].
+    """
+
+    def __init__(self, rates: FaultRates, seed: int | Sequence[int], period: float = 0.004032) -> None:
+        self._rates, self._period = rates, period
+        self._random = np.random.default_rng(seed)
+        self._under_way: list[tuple[float, int, tuple[int, bytes]]] = []  # (time when due, order of arrival, item)
+        self._order = self._losing = 0
+        share, length = rates.loss, rates.burst  # a burst begins so often that the share of lost datagrams is `loss`
+        self._begins = share / (length - share * (length - 1)) if share else 0.0
+
+    def through(self, datagrams: list[tuple[int, bytes]], now: float) -> list[tuple[int, bytes]]:
+        """Return what comes out in this cycle, the newest entries of `datagrams` before delayed ones.
+
+        Parameters
+        ----------
+        datagrams : (number, bytes) that go in, in this cycle. A corrupted one comes out with the number `CORRUPTED`.
+        now : robot time of this cycle [s].
+        """
+        rates, draw = self._rates, self._random
+        out: list[tuple[int, bytes]] = []
+        start, length = rates.pause
+        resumes = start + length if start <= now < min(start + length, rates.until) else 0.0
+        if now >= rates.until:
+            out, datagrams = list(datagrams), []
+        for number, data in datagrams:
+            begins, twice, swapped, corrupt = draw.random(4) < (
+                self._begins,
+                rates.duplicate,
+                rates.reorder,
+                rates.corrupt,
+            )
+            mean, sigma = rates.delay
+            wait = max(0.0, mean + sigma * draw.standard_normal()) + self._period * swapped
+            if self._is_lost(bool(begins)):
+                continue
+            item = (CORRUPTED, self._spoil(data)) if corrupt else (number, data)
+            for _ in range(1 + int(twice)):
+                if wait >= self._period / 2 or resumes:
+                    self._order += 1
+                    heapq.heappush(self._under_way, (max(now + wait, resumes), self._order, item))
+                else:
+                    out.append(item)
+        while not resumes and self._under_way and self._under_way[0][0] <= now + self._period / 2:
+            out.append(heapq.heappop(self._under_way)[2])
+        return out
+
+    def _is_lost(self, begins: bool) -> bool:
+        if self._losing == 0 and begins:
+            self._losing = self._rates.burst
+        if self._losing == 0:
+            return False
+        self._losing -= 1
+        return True
+
+    def _spoil(self, data: bytes) -> bytes:
+        """Cut the datagram somewhere and overwrite some bytes, so that it can never be read."""
+        spoiled = bytearray(data[: max(1, int(self._random.integers(len(data) + 1)))] or b"\0")
+        spoiled[self._random.integers(len(spoiled))] = int(self._random.integers(256))
+        spoiled[0] = _NEVER_VALID
+        return bytes(spoiled)

@@ -1,0 +1,166 @@
+"""The simulated controller's reference generator: `Guidance` (joint mode) and `ExternalAxes`.
+
+Per cycle, per joint, T = period (ABB 3HAC073318-001, section 2.3; the filter is our model, ABB gives no number)::
+
+    v* = w (k g (q_ref - p) + qd_ref),   w = min(1, time / ramp_in)
+    v* is scaled for all joints by min(1, max_speed / max |v*|)
+    v += (1 - exp(-2 pi f T)) (v* - v), once for level 0, twice in series for levels 1 and 2
+    p += v T
+
+At constant speed without qd_ref the reference p lags by v / (k g): 2 degrees at 10 deg/s with k = 5. With qd_ref it
+does not lag.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from armlab.errors import ConfigError
+from armlab.robots import Robot
+from armlab.sim.controller.settings import ControllerSettings
+from armlab.wire.egm.linkage import Linkage
+
+_OVERSHOOT = 0.02  # rad: the filters may carry a reference that stops at a limit this far beyond it
+
+
+class Guidance:
+    """The reference generator between received references and the drives.
+
+    Parameters
+    ----------
+    robot : for limits.
+    settings : see `ControllerSettings`.
+    q : (n,) where it starts.
+
+    Attributes
+    ----------
+    q, qd : (n,) the reference that the drives follow; never written in place.
+    utilization : percent of the speed limits that the last reference needed.
+    """
+
+    def __init__(self, robot: Robot, settings: ControllerSettings, q: np.ndarray) -> None:
+        self._robot, self._settings, self._linkage = robot, settings, Linkage.of(robot)
+        self._pole = 1.0 - math.exp(-2.0 * math.pi * settings.filter * settings.period)
+        self._stages = 1 if settings.level == 0 else 2
+        self._brake = robot.qdd_max * settings.period
+        self._fastest = min(settings.max_speed, float(robot.qd_max.max()))
+        self.q, self.qd = np.array(q), np.zeros(robot.n)
+        self.utilization = 0.0
+        self.begin()
+
+    def begin(self) -> None:
+        """Start guidance from here: the ramp, the filters and the deviation count from now."""
+        self._start, self._time = self.q, 0.0
+        self._filters = [self.qd] * self._stages
+
+    def follow(self, q_ref: np.ndarray | None, qd_ref: np.ndarray | None) -> None:
+        """Advance by one period towards a reference.
+
+        Parameters
+        ----------
+        q_ref : (n,) or None for "stay" (nothing was received yet).
+        qd_ref : (n,) or None for zero.
+        """
+        settings = self._settings
+        self._time += settings.period
+        wanted = (
+            settings.gain * settings.position_gain * (q_ref - self.q) if q_ref is not None else np.zeros_like(self.q)
+        )
+        if qd_ref is not None:
+            wanted = wanted + qd_ref
+        if self._time < settings.ramp_in:
+            wanted = wanted * (self._time / settings.ramp_in)
+        self.utilization = 100.0 * float((np.abs(wanted) / self._robot.qd_max).max())
+        fastest = float(np.abs(wanted).max())
+        if fastest > self._fastest:
+            wanted = wanted * (self._fastest / fastest)
+        for i, state in enumerate(self._filters):
+            wanted = self._filters[i] = state + self._pole * (wanted - state)
+        self.qd = wanted
+        self.q = self.q + wanted * settings.period
+
+    def lead(self, q: np.ndarray, qd: np.ndarray) -> None:
+        """Be where a hand leads the arm.
+
+        Parameters
+        ----------
+        q, qd : (n,) position and velocity of the hand.
+        """
+        self.q, self.qd, self.utilization = q, qd, 0.0
+
+    def let_go(self, q: np.ndarray, free: np.ndarray) -> None:
+        """Follow the arm in joints whose position nobody controls, so that control can come back without a jump.
+
+        Parameters
+        ----------
+        q : (n,) where the arm is.
+        free : (n,) which joints.
+        """
+        self.q = np.where(free, q, self.q)
+
+    def brake(self) -> None:
+        """Advance by one period while the speed goes to zero at the robot's acceleration limits."""
+        self.qd = np.sign(self.qd) * np.maximum(np.abs(self.qd) - self._brake, 0.0)
+        self.q = self.q + self.qd * self._settings.period
+        self.utilization = 0.0
+
+    def violation(self) -> str:
+        """Return in words which limit the reference has left, or nothing."""
+        outside = self._outside(self.q, _OVERSHOOT)
+        far = np.abs(self.q - self._start) > self._settings.max_deviation
+        if outside.any():
+            return f"reference of {self._joint(outside)} left the range of the joint"
+        if far.any():
+            return f"reference of {self._joint(far)} went further than the position deviation allowed"
+        return ""
+
+    def refusal(self, q_ref: np.ndarray) -> str:
+        """Return in words which joint of a received reference is out of bounds, or nothing.
+
+        Parameters
+        ----------
+        q_ref : (n,).
+        """
+        outside = self._outside(q_ref, 0.0)
+        return f"reference of {self._joint(outside)} out of bounds" if outside.any() else ""
+
+    def _outside(self, q: np.ndarray, margin: float) -> np.ndarray:
+        """Return which of ABB's axes are out of their range; they are the joints, but for a robot with a rod."""
+        axes = q if self._linkage is None else self._linkage.axes(q)
+        return (axes < self._robot.q_min - margin) | (axes > self._robot.q_max + margin)
+
+    def _joint(self, which: np.ndarray) -> str:
+        i = int(np.argmax(which))
+        return f"joint {i + 1} ({self._robot.joint_names[i]})"
+
+    def near(self, q_ref: np.ndarray | None) -> bool:
+        """Return whether the reference has arrived within the convergence window of `q_ref` (n,).
+
+        Parameters
+        ----------
+        q_ref : (n,) or None.
+        """
+        window = self._settings.window
+        return window > 0 and q_ref is not None and bool((np.abs(q_ref - self.q) <= window).all())
+
+
+_MOST = 6
+_FASTEST = 1.0  # rad/s
+
+
+class ExternalAxes:
+    """At most six external axes, from 0 rad at the controller's gain, up to 1 rad/s: ``q += T k (q_ref - q)``."""
+
+    def __init__(self, count: int, settings: ControllerSettings) -> None:
+        if not 0 <= count <= _MOST:
+            raise ConfigError(f"Expected 0 to {_MOST} external axes, got {count}.")
+        self.q, self._gain, self._period = np.zeros(count), settings.gain, settings.period
+
+    def follow(self, q_ref: np.ndarray | None) -> None:
+        """Advance by one period; the axes stay for None or too few references."""
+        if q_ref is None or len(q_ref) < len(self.q):
+            return
+        qd = np.clip(self._gain * (q_ref[: len(self.q)] - self.q), -_FASTEST, _FASTEST)
+        self.q = self.q + self._period * qd

@@ -1,0 +1,145 @@
+"""`PacketBuilder`: the packet of one motion task in each cycle, with the fields that were asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from armlab.errors import UnknownName
+from armlab.sim.arm.arm import LaggingArm, SimulatedArm
+from armlab.sim.controller.guidance import Guidance
+from armlab.sim.controller.reference_decoder import ReferenceDecoder
+from armlab.wire.egm import RobotMessage, RobotSideCodec
+
+EPOCH_NS = 1_500_000_000_000_000_000
+"""Robot time starts here: the same bytes in every run."""
+
+OPTIONAL_FIELDS = {
+    "tm": "tm_ms",
+    "planned": "q_planned",
+    "cartesian": "T_frame_tool",
+    "time": "robot_ns",
+    "motorState": "motors",
+    "mciState": "mci",
+    "rapidExecState": "rapid",
+    "mciConvergenceMet": "converged",
+    "utilizationRate": "utilization",
+}
+"""Fields of EgmRobot that can be left out, by their names on the wire."""
+
+_UPTIME_MS = 10_000  # tm of the first packet; 0 would look like "no tm" when it is echoed
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """State fields of a packet; `used_seq` and `left`: the last reply taken and the queue length after it."""
+
+    seq: int
+    motors: int
+    mci: int
+    rapid: int
+    converged: bool
+    mode: int
+    used_seq: int
+    left: int
+
+
+class PacketBuilder:
+    """Builds EgmRobot messages.
+
+    Parameters
+    ----------
+    codec : of the robot's side, with flavour and extension.
+    period : time between two packets [s].
+    fields : names of `OPTIONAL_FIELDS` to leave out.
+    phase : delay of this task behind the robot's clock [s].
+    force : send the wrench at the tool as measuredForce.
+    torque_reference : send the torque of the drives as torqueRef (RobotWare 7).
+    data : how many of the numbers that RAPID hears it sends back, with the digital value (RobotWare 7).
+
+    Raises
+    ------
+    UnknownName : a field that cannot be left out, or does not exist.
+    """
+
+    def __init__(
+        self,
+        codec: RobotSideCodec,
+        period: float,
+        *,
+        fields: Iterable[str] = (),
+        phase: float = 0.0,
+        force: bool = False,
+        torque_reference: bool = False,
+        data: int = 0,
+    ) -> None:
+        self.codec, self._period, self._phase = codec, period, phase
+        self._force, self._torque_reference, self._data = force, torque_reference, data
+        self._left_out: dict[str, Any] = {}
+        for field in fields:
+            if field not in OPTIONAL_FIELDS:
+                raise UnknownName.among("field of EgmRobot that can be left out", field, OPTIONAL_FIELDS)
+            self._left_out[OPTIONAL_FIELDS[field]] = None
+
+    def time_ns(self, cycle: int) -> int:
+        """Return the robot's clock in a cycle [ns]: exact multiples of the period, behind by the phase."""
+        return EPOCH_NS + round((cycle * self._period + self._phase) * 1e9)
+
+    def tm_ms(self, cycle: int) -> int:
+        """Return the `tm` of a cycle's packet: whole milliseconds, so packets of shorter periods share it."""
+        return _UPTIME_MS + int((cycle * self._period + self._phase) * 1e3 + 1e-6)
+
+    def encode(
+        self,
+        cycle: int,
+        arm: SimulatedArm | LaggingArm,
+        guidance: Guidance,
+        condition: Condition,
+        q_ext: Sequence[float] = (),
+        target: ReferenceDecoder | None = None,
+    ) -> bytes:
+        """Return the bytes of a cycle's packet.
+
+        Parameters
+        ----------
+        cycle : number of the cycle.
+        arm, guidance : measured and planned motion.
+        condition : see there.
+        q_ext : external axes [rad].
+        target : what was asked for; RAPID sends back what it heard.
+        """
+        measured, sample, c = arm.measure(), arm.sample, condition
+        feels = arm.has_torque
+        heard = target if self._data else None
+        message = RobotMessage(
+            seqno=c.seq,
+            tm_ms=self.tm_ms(cycle),
+            q=measured.q,
+            q_planned=guidance.q,
+            robot_ns=self.time_ns(cycle),
+            q_ext=q_ext,
+            T_frame_tool=arm.robot.chain.forward(measured.q),
+            motors=c.motors,
+            mci=c.mci,
+            rapid=c.rapid,
+            converged=c.converged,
+            utilization=guidance.utilization,
+            wrench_raw=np.array(sample.wrench) if self._force else None,
+            rapid_data=heard.rapid_data[: self._data].tolist() if heard else (),
+            rapid_digital=heard.rapid_digital if heard else None,
+            tau_reference=sample.tau if self._torque_reference and feels else None,
+            qd=measured.qd,
+            tau=measured.tau if feels else None,
+            tau_total=sample.tau if feels else None,
+            tau_gravity=sample.tau_gravity if feels else None,
+            q_reference=guidance.q,
+            qd_reference=guidance.qd,
+            mono_ns=self.time_ns(cycle) - EPOCH_NS,
+            mode=c.mode,
+            used_seq=c.used_seq,
+            queue_depth=c.left,
+        )
+        return self.codec.encode_robot(message._replace(**self._left_out) if self._left_out else message)

@@ -1,0 +1,188 @@
+"""Options of ``armlab sim``, whose help loads this file without NumPy: `ControllerSettings` and `FaultRates`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from armlab.errors import ConfigError, UnknownName
+
+_RANGES: dict[str, tuple[float, float]] = {
+    "period": (1e-4, 0.1),
+    "gain": (0.0, 20.0),
+    "filter": (0.1, 100.0),
+    "level": (0, 2),
+    "position_gain": (0.0, 1.0),
+    "ramp_in": (0.005, 10.0),
+    "max_deviation": (0.0, math.inf),
+    "max_speed": (0.0, math.inf),
+    "window": (0.0, math.inf),
+    "condition_time": (0.0, math.inf),
+    "comm_timeout": (1e-3, math.inf),
+    "stream": (0.0, 1e6),
+    "restart": (0.0, math.inf),
+}
+
+_CHOICES = {
+    "program": ("loop", "once", "stream", "lead-through"),
+    "stream_queue": ("drop", "keep"),
+    "queue": ("fifo", "newest"),
+    "mode": ("joint", "pose", "path"),
+    "activated": (None, "joint", "pose", "path"),
+}
+
+
+_PERIODS = {"joint": 0.004032, "pose": 0.004032, "path": 0.024}  # s
+
+
+@dataclass(frozen=True)
+class ControllerSettings:
+    """What RAPID and the system parameters set on a real controller; the defaults follow our RAPID templates.
+
+    Attributes
+    ----------
+    period : float
+        Time between two packets, and between two messages taken [s]. 0: 4.032 ms as on a real controller, or 24 ms for
+        path corrections, the default of RAPID's \\SampleRate.
+    gain : float
+        k, the proportional position gain [1/s].
+    filter : float
+        LpFilter, bandwidth of the speed filter [Hz].
+    level : int
+        0 filters once, 1 and 2 twice.
+    position_gain : float
+        g, PosCorrGain; 0 is pure velocity control.
+    ramp_in : float
+        RampInTime [s].
+    max_deviation : float
+        MaxPosDeviation from where guidance began [rad].
+    max_speed : float
+        MaxSpeedDeviation [rad/s]; never more than the fastest joint of the robot allows.
+    window : float
+        Half width of the convergence window [rad]; 0 is never converged.
+    condition_time : float
+        CondTime, how long the window must be met to end the session [s].
+    comm_timeout : float
+        CommTimeout, silence that ends the session [s].
+    stream : float
+        Time of packets before guidance begins, MCI stopped [s].
+    restart : float
+        Time from the end of a session to the next [s].
+    program : str
+        "loop" begins another session when one ends, "once" does not. "stream" only streams, without guidance;
+        "lead-through" too, while a hand leads the arm.
+    stream_queue : str
+        What becomes of messages that arrive while the controller only streams: "drop", or "keep" for the guidance
+        after it. Which of them a real controller does is not known.
+    queue : str
+        Which of the waiting messages a cycle takes: "fifo" the oldest, as ABB's manual says; "newest" the newest, and
+        drops all others.
+    mode : str
+        What is guided, and so what messages must hold: "joint" references, a "pose", or corrections of a "path".
+    activated : str
+        The mode that RAPID prepared; another than `mode` plays event 41826. None for the same.
+
+    Raises
+    ------
+    ConfigError : for a value outside its range.
+    """
+
+    period: float = 0.0
+    gain: float = 5.0
+    filter: float = 20.0
+    level: int = 1
+    position_gain: float = 1.0
+    ramp_in: float = 0.5
+    max_deviation: float = math.radians(1000.0)
+    max_speed: float = math.inf
+    window: float = 0.0
+    condition_time: float = 1.0
+    comm_timeout: float = 1.0
+    stream: float = 0.0
+    restart: float = 0.2
+    program: Literal["loop", "once", "stream", "lead-through"] = "loop"
+    stream_queue: Literal["drop", "keep"] = "drop"
+    queue: Literal["fifo", "newest"] = "fifo"
+    mode: Literal["joint", "pose", "path"] = "joint"
+    activated: Literal["joint", "pose", "path"] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the ranges, and take the period of the mode where none was given."""
+        for name, choices in _CHOICES.items():
+            if getattr(self, name) not in choices:
+                raise UnknownName.among(
+                    f"{name} of the simulated controller", getattr(self, name), filter(None, choices)
+                )
+        object.__setattr__(self, "period", self.period or _PERIODS[self.mode])
+        for name, (low, high) in _RANGES.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise ConfigError(f"Expected {name} of the simulated controller in [{low:g}, {high:g}], got {value}.")
+
+    @property
+    def only_streams(self) -> bool:
+        """Whether guidance never begins."""
+        return self.program in ("stream", "lead-through")
+
+    @classmethod
+    def abb_defaults(cls) -> ControllerSettings:
+        """Return what ABB's own defaults give: hardly any speed, and sessions that end when the robot stands still."""
+        return cls(max_speed=math.radians(1.0), window=math.radians(0.5))
+
+
+@dataclass(frozen=True)
+class FaultRates:
+    """How often things go wrong in one direction.
+
+    Attributes
+    ----------
+    loss : float
+        Probability that a datagram is lost.
+    duplicate : float
+        Probability that it arrives twice.
+    reorder : float
+        Probability that it arrives one cycle later, behind its successor.
+    corrupt : float
+        Probability that it arrives damaged, so that nobody can read it.
+    delay : tuple
+        MEAN,SIGMA of a normal delay [s], never below 0, to the nearest cycle.
+    pause : tuple
+        START,LENGTH [s] in robot time: what is sent meanwhile arrives when the pause is over.
+    burst : int
+        Losses come this many in a row; `loss` stays the share of all datagrams.
+    until : float
+        Robot time from which on nothing goes wrong any more [s].
+
+    Raises
+    ------
+    ConfigError : for a probability outside [0, 1], a time that is negative or no number, or a burst below 1.
+    """
+
+    loss: float = 0.0
+    duplicate: float = 0.0
+    reorder: float = 0.0
+    corrupt: float = 0.0
+    delay: tuple[float, float] = (0.0, 0.0)
+    pause: tuple[float, float] = (0.0, 0.0)
+    burst: int = 1
+    until: float = math.inf
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        for name in ("loss", "duplicate", "reorder", "corrupt"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ConfigError(f"Expected {name} between 0 and 1, got {getattr(self, name)}.")
+        for name in ("delay", "pause"):
+            if not all(0.0 <= value < math.inf for value in getattr(self, name)):
+                raise ConfigError(f"Expected two times of at least 0 s for {name}, got {getattr(self, name)}.")
+        if not self.until >= 0.0:
+            raise ConfigError(f"Expected until of at least 0 s, got {self.until}.")
+        if self.burst < 1:
+            raise ConfigError(f"Expected a burst of at least 1 datagram, got {self.burst}.")
+
+    @property
+    def any(self) -> bool:
+        """Whether anything can go wrong at all."""
+        rates = self.loss, self.duplicate, self.reorder, self.corrupt, *self.delay, self.pause[1]
+        return any(rates)

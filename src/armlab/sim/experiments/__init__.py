@@ -1,0 +1,3 @@
+"""Calibration experiments of known truth."""
+
+__all__ = []

@@ -1,0 +1,417 @@
+"""Rows of many robots in files: holes, restarts, damage, full disks."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armlab import log
+from armlab.bridge.row import RowWriter
+from armlab.bridge.row_schema import LARGEST, RowSchema
+from armlab.bridge.zenoh import EVERY, Place, checksum, close_session, open_session
+from armlab.fleet import FleetRecorder, Router, recorder
+from armlab.fleet.recorder import RobotRecord
+from armlab.log import Tick
+from armlab.robots import Robot, to_toml
+from armlab.state import State
+
+from ..processes import Started, free_port, until
+
+NAMES = ("yumi_left", "yumi_right", "ur5e")
+PAST = 250  # rows that make a good start
+AGAIN_NS = 5e9  # of the specification; of ten restarts beside a load of 20 on two cores the longest took 0.4 s
+ROW = b"ALR1" + bytes(60)
+
+
+def rows_of(recorder: FleetRecorder, name: str) -> int:
+    return recorder.robots[name].rows if name in recorder.robots else 0
+
+
+def check_ticks(path: Path, holes: int = 0) -> np.ndarray:
+    """Every tick between the first and the last is in the file."""
+    table = log.read(path)
+    ticks = np.asarray(table["tick"], dtype=int)
+    assert int(np.sum(np.diff(ticks) - 1)) == holes
+    return ticks
+
+
+def test_messages_of_no_robot_are_counted_and_leave_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recorder, "_UNANSWERED", 0.3)
+    told: list[str] = []
+    with Router(port=(port := free_port())), FleetRecorder(Place(port=port, lab=EVERY), tmp_path, told.append) as fleet:
+        session = open_session("client", connect=[f"127.0.0.1:{port}"])
+
+        def sent() -> bool:
+            for name, data in (("nobody", ROW), ("other", b"hello"), (".hidden", ROW), ("\u8a9e" * 80, ROW)):
+                session.put(f"armlab/lab1/{name}/state", data, attachment=checksum(data))
+            session.put("armlab/lab1/damaged/state", ROW, attachment=checksum(ROW[:-1] + b"x"))
+            session.put("armlab/lab1/damaged/state", ROW)
+            known = fleet.robots
+            return fleet.strangers > 3 and "lab1/other" in known and known["lab1/other"].refused > 3
+
+        until(sent)
+        until(lambda: fleet.robots["lab1/nobody"].refused > 0)
+        assert set(fleet.robots) == {"lab1/nobody", "lab1/other", "lab1/damaged"}
+        damaged = fleet.robots["lab1/damaged"]
+        assert damaged.damaged > 6
+        assert (damaged.rows, damaged.refused) == (0, 0)
+        close_session(session)
+    assert list(tmp_path.iterdir()) == []
+    assert any("nobody says what is in its rows" in text for text in told)
+    assert any("lab1/other: messages are refused" in text for text in told)
+    assert sum("lab1/damaged: rows come damaged" in text for text in told) == 1
+
+
+def test_what_goes_wrong_with_one_robot_ends_its_recording_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, told = RobotRecord.write, []
+
+    def wrong(self: RobotRecord) -> None:
+        if self.name == "lab1/bad":
+            raise RuntimeError("not thought of")
+        whole(self)
+
+    monkeypatch.setattr(RobotRecord, "write", wrong)
+    with Router(port=(port := free_port())), FleetRecorder(Place(port=port, lab=EVERY), tmp_path, told.append) as fleet:
+        session = open_session("client", connect=[f"127.0.0.1:{port}"])
+
+        def sent(name: str) -> int:
+            session.put(f"armlab/lab1/{name}/state", b"hello", attachment=checksum(b"hello"))
+            return fleet.robots[f"lab1/{name}"].refused if f"lab1/{name}" in fleet.robots else 0
+
+        until(lambda: sent("bad") or any("lab1/bad" in text for text in told))
+        seen = sent("good")
+        until(lambda: sent("bad") + sent("good") > seen + 3)
+        close_session(session)
+    assert fleet.robots["lab1/bad"].failed == "RuntimeError: not thought of"
+    assert sum("its recording has ended: RuntimeError: not thought of" in text for text in told) == 1
+
+
+def test_what_waits_takes_bounded_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows of robots that nobody describes, and what is larger than rows are."""
+    monkeypatch.setattr(recorder, "_ROOM", 100)
+    large = b"ALR1" + bytes(LARGEST)
+    with Router(port=(port := free_port())), FleetRecorder(Place(port=port, lab=EVERY), tmp_path) as fleet:
+        session = open_session("client", connect=[f"127.0.0.1:{port}"])
+
+        def refused() -> int:
+            for name, data in (("first", ROW), ("second", ROW), ("second", large), ("other", b"hello")):
+                session.put(f"armlab/lab1/{name}/state", data, attachment=checksum(data))
+            return fleet.robots["lab1/other"].refused if "lab1/other" in fleet.robots else 0
+
+        until(lambda: refused() > 5)
+        assert sum(robot.waiting for robot in fleet.robots.values()) <= 100
+        assert fleet.robots["lab1/second"].damaged > 3
+        close_session(session)
+
+
+@pytest.mark.slow
+def test_every_row_is_in_the_files(processes: Callable[..., Started], tmp_path: Path) -> None:
+    port = free_port()
+    processes("router", port)
+    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path) as fleet:
+        publishers = [processes("publisher", port, name) for name in NAMES]
+        until(lambda: all(rows_of(fleet, f"lab1/{name}") > 4 * PAST for name in NAMES))
+        published = [one.end() for one in publishers]
+        until(lambda: all(rows_of(fleet, f"lab1/{name}") > 4 * PAST for name in NAMES))
+    for name, count in zip(NAMES, published, strict=True):
+        assert fleet.robots[f"lab1/{name}"].lost == 0
+        ticks = check_ticks(tmp_path / f"lab1-{name}.mcap")
+        assert ticks[-1] == count - 1  # to the very last
+        assert ticks[0] < PAST  # from about when the recorder heard of it
+        q = log.read(tmp_path / f"lab1-{name}.mcap")["q"]
+        np.testing.assert_allclose(q[-1] - q[0], 1e-6 * (ticks[-1] - ticks[0]), rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_router_that_dies_leaves_a_hole_that_is_counted(processes: Callable[..., Started], tmp_path: Path) -> None:
+    """By the stamps of the rows it ends within 5 s after the next router."""
+    port, name = free_port(), "lab1/yumi_left"
+    router = processes("router", port)
+    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path) as fleet:
+        publisher = processes("publisher", port, "yumi_left")
+        until(lambda: rows_of(fleet, name) > PAST)
+        router.kill()
+        seen = rows_of(fleet, name)
+        router = processes("router", port)
+        until(lambda: rows_of(fleet, name) > seen + PAST)
+        lost = fleet.robots[name].lost
+        publisher.end()
+    assert lost > 0
+    (path,) = tmp_path.iterdir()
+    check_ticks(path, holes=lost)
+    stamps = np.asarray(log.read(path)["receive_ns"])
+    assert stamps[np.searchsorted(stamps, router.ready_ns)] - router.ready_ns <= AGAIN_NS
+    assert any("rows were dropped while recording" in note for note in log.read(path).notes)
+
+
+@pytest.mark.slow
+def test_a_bridge_that_restarts_while_the_router_is_down_is_no_hole(
+    processes: Callable[..., Started], tmp_path: Path
+) -> None:
+    """Also when its ticks are past those of the old one."""
+    port, name, told = free_port(), "lab1/yumi_left", []
+    router = processes("router", port)
+    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path, told.append) as fleet:
+        first = processes("publisher", port, "yumi_left")
+        until(lambda: rows_of(fleet, name) > PAST)
+        router.kill()
+        first.kill()
+        seen = rows_of(fleet, name)
+        again = processes("publisher", port, "yumi_left", "yumi_left", "0.004", "1000000")
+        processes("router", port)
+        until(lambda: rows_of(fleet, name) > seen + PAST)
+        again.end()
+    assert any("its bridge has restarted" in text for text in told)
+    assert fleet.robots[name].lost == 0
+    old, new = (check_ticks(path) for path in fleet.robots[name].paths)
+    assert old[-1] < 1_000_000 <= new[0]
+
+
+@pytest.mark.slow
+def test_a_robot_that_dies_and_comes_again_with_other_rows(processes: Callable[..., Started], tmp_path: Path) -> None:
+    port, name = free_port(), "lab1/arm"
+    processes("router", port)
+    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path) as fleet:
+        other = processes("publisher", port, "yumi_left")
+        first = processes("publisher", port, "yumi_right", "arm")
+        until(lambda: rows_of(fleet, name) > PAST)
+        first.kill()
+        for again, kind in enumerate(("yumi_right", "ur5e"), 2):
+            publisher = processes("publisher", port, kind, "arm")
+            until(lambda again=again: len(fleet.robots[name].paths) == again)
+            seen = rows_of(fleet, name)
+            until(lambda seen=seen: rows_of(fleet, name) > seen + PAST)
+            publisher.kill()
+        other.end()
+    assert fleet.robots["lab1/yumi_left"].lost == 0
+    widths = [log.read(path)["q"].shape[1] for path in fleet.robots[name].paths]
+    assert widths == [7, 7, 6]
+    for path in fleet.robots[name].paths:
+        check_ticks(path)
+
+
+@pytest.mark.slow
+def test_a_file_that_cannot_be_written_costs_its_robot_alone(
+    processes: Callable[..., Started], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, robot: Robot
+) -> None:
+    from armlab.log.recording_file import RecordingFile
+
+    whole, told = RecordingFile.write, []
+
+    def full(self: RecordingFile, rows: list[bytes], first: int | None = None) -> None:
+        if "yumi_left" in self.path.name and self.rows > PAST:
+            raise OSError(28, "No space left on device")
+        whole(self, rows, first)
+
+    monkeypatch.setattr(RecordingFile, "write", full)
+    port = free_port()
+    processes("router", port)
+    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path, told.append) as fleet:
+        publishers = [processes("publisher", port, name) for name in ("yumi_left", robot.name)]
+        until(lambda: any("No space left on device" in text for text in told))
+        seen = rows_of(fleet, f"lab1/{robot.name}")
+        until(lambda: rows_of(fleet, f"lab1/{robot.name}") > seen + PAST)
+        for one in publishers:
+            one.end()
+    assert fleet.robots["lab1/yumi_left"].lost > 0
+    assert fleet.robots[f"lab1/{robot.name}"].lost == 0
+    check_ticks(tmp_path / f"lab1-{robot.name}.mcap")
+
+
+class Bridge:
+    """Makes rows and says what is in them."""
+
+    def __init__(self, robot: Robot, run: str = "first") -> None:
+        self.schema, self.robot, self.run = RowSchema.of([robot]), robot, run
+        self.writer = RowWriter(self.schema)
+
+    def row(self, tick: int, stamp: int) -> bytes:
+        q = np.array(self.robot.q_home)
+        state = State(t=0.004 * tick, dt=0.004, q=q, qd=0 * q, tau=0 * q, q_start=q, robot=self.robot.name, seq=tick)
+        now = 10**18 + 4_000_000 * stamp
+        return self.writer.row(state, None, Tick(tick, -1, now, now, -1, 0), now)
+
+    @property
+    def about(self) -> bytes:
+        said = {"run": self.run, "schema": self.schema.text.decode(), "robots": {self.robot.name: to_toml(self.robot)}}
+        return json.dumps([said]).encode()
+
+
+@pytest.fixture
+def told() -> list[str]:
+    return []
+
+
+@pytest.fixture
+def record(robot: Robot, tmp_path: Path, told: list[str]) -> RobotRecord:
+    return RobotRecord(f"lab1/{robot.name}", tmp_path / "arm.mcap", told.append)
+
+
+def fed(record: RobotRecord, bridge: Bridge, ticks: list[tuple[int, int]]) -> None:
+    """Give rows as the recorder does: written, described when that is wanted, written again."""
+    for tick, stamp in ticks:
+        record.take(bridge.row(tick, stamp))
+    for _ in range(4):
+        record.write()
+        if record.wants:
+            record.describe(bridge.about)
+
+
+def test_holes_are_named_and_counted(record: RobotRecord, robot: Robot, told: list[str]) -> None:
+    fed(record, Bridge(robot), [(k, k) for k in (5, 6, 9, 10, 10, 9, 20)])
+    record.close()
+    assert (record.rows, record.lost, record.late) == (5, 2 + 9, 2)
+    table = log.read(record.paths[0])
+    np.testing.assert_array_equal(table["tick"], [5, 6, 9, 10, 20])
+    assert "11 rows were dropped while recording: ticks 7 to 8, 11 to 19" in table.notes
+    assert [text for text in told if "did not come" in text] == [
+        f"lab1/{robot.name}: 2 rows did not come, ticks 7 to 8",
+        f"lab1/{robot.name}: 9 rows did not come, ticks 11 to 19",
+    ]
+
+
+def test_a_bridge_that_starts_again_gets_a_file_of_its_own(record: RobotRecord, robot: Robot) -> None:
+    fed(record, Bridge(robot), [(k, k) for k in range(10)])
+    fed(record, Bridge(robot), [(k, 100 + k) for k in range(3)])
+    record.close()
+    assert [path.name for path in record.paths] == ["arm.mcap", "arm-2.mcap"]
+    assert [len(log.read(path)) for path in record.paths] == [10, 3]
+    assert record.lost == 0
+
+
+def test_a_bridge_that_comes_again_in_the_same_run_has_a_hole(record: RobotRecord, robot: Robot) -> None:
+    fed(record, Bridge(robot), [(k, k) for k in range(10)])
+    record.doubt()
+    fed(record, Bridge(robot), [(k, k) for k in range(20, 25)])
+    record.close()
+    assert (record.rows, record.lost, len(record.paths)) == (15, 10, 1)
+
+
+@pytest.mark.parametrize("first", [0, 10, 20, 1_000_000])
+def test_a_bridge_that_restarted_unseen_has_no_hole(
+    record: RobotRecord, robot: Robot, told: list[str], first: int
+) -> None:
+    """Whatever its ticks are; what came before it had gone belongs to the old run."""
+    fed(record, Bridge(robot), [(k, k) for k in range(9)])
+    record.take(Bridge(robot).row(9, 9))
+    record.doubt()
+    fed(record, Bridge(robot, "second"), [(first + k, 100 + k) for k in range(3)])
+    record.close()
+    assert (record.rows, record.lost) == (13, 0)
+    assert [len(log.read(path)) for path in record.paths] == [10, 3]
+    assert sum("has restarted" in text for text in told) == 1
+
+
+def test_rows_of_a_bridge_that_does_not_answer_are_taken_for_the_same_run(
+    record: RobotRecord, robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fed(record, Bridge(robot), [(0, 0)])
+    record.doubt()
+    monkeypatch.setattr(recorder, "_UNANSWERED", -1.0)
+    record.take(Bridge(robot).row(3, 3))
+    record.write()
+    record.write()
+    assert (record.rows, record.lost, record.refused, record.wants) == (2, 2, 0, False)
+    record.doubt()
+    record.take(Bridge(robot).row(4, 4))
+    monkeypatch.undo()
+    record.close()
+    assert record.rows == 3, "also at the end"
+
+
+def test_damaged_rows_are_counted_and_named_in_the_file(record: RobotRecord, robot: Robot, told: list[str]) -> None:
+    bridge = Bridge(robot)
+    record.take(None)
+    fed(record, bridge, [(0, 0)])
+    record.take(None)
+    fed(record, bridge, [(2, 2)])
+    record.close()
+    assert (record.rows, record.lost, record.damaged, record.refused) == (2, 1, 2, 0)
+    assert sum("rows come damaged" in text for text in told) == 1
+    events = [event.text for event in log.inspect(record.paths[0]).events]
+    assert sum("a row came damaged and was dropped" in text for text in events) == 1
+
+
+def test_wrong_rows_are_refused_and_the_right_ones_written(record: RobotRecord, robot: Robot, told: list[str]) -> None:
+    bridge = Bridge(robot)
+    good = bridge.row(0, 0)
+    for wrong in (b"", b"hello", b"ALR1" + bytes(100), good[:-8], good[:4]):
+        record.take(wrong)
+    fed(record, bridge, [(k, k) for k in range(3)])
+    record.close()
+    assert (record.rows, record.refused, record.lost) == (3, 5, 0)
+    assert sum("messages are refused" in text for text in told) == 1
+
+
+@pytest.mark.parametrize(
+    "about", [b"", b"[]", b"[1]", b'[{"schema": "{}"}]', b'[{"schema": 1}]', b"\xff", b"[" * 200_000]
+)
+def test_a_description_that_is_none_leaves_no_file(record: RobotRecord, robot: Robot, about: bytes) -> None:
+    record.take(Bridge(robot).row(0, 0))
+    record.write()
+    assert record.wants
+    record.describe(about)
+    record.close()
+    assert (record.paths, record.rows, record.refused) == ([], 0, 1)
+
+
+def test_a_recording_that_is_given_up_leaves_what_was_written(
+    record: RobotRecord, robot: Robot, told: list[str]
+) -> None:
+    fed(record, Bridge(robot), [(k, k) for k in range(3)])
+    record.flush()
+    record.end("ValueError: wrong")
+    assert told[-1] == f"lab1/{robot.name}: its recording has ended: ValueError: wrong"
+    assert (record.failed, record.wants) == ("ValueError: wrong", False)
+    with pytest.warns(UserWarning, match="arm.mcap"):
+        assert len(log.read(record.paths[0])) == 3
+
+
+def test_rows_that_nobody_describes_are_given_up(
+    record: RobotRecord, robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder, "_UNANSWERED", -1.0)
+    record.take(Bridge(robot).row(0, 0))
+    record.write()
+    assert (record.refused, record.wants) == (1, False)
+
+
+def test_a_full_disk_is_told_and_a_new_file_tried(
+    record: RobotRecord,
+    robot: Robot,
+    told: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    full_disk: Callable[[], object],
+) -> None:
+    bridge = Bridge(robot)
+    fed(record, bridge, [(k, k) for k in range(3)])
+    with full_disk():  # type: ignore[attr-defined]
+        fed(record, bridge, [(k, k) for k in range(3, 6)])
+    assert record.failed is not None
+    assert "stopped after 3 rows" in record.failed
+    assert any(record.failed in text for text in told)
+    fed(record, bridge, [(6, 6)])  # not yet tried again
+    assert (record.rows, record.lost) == (3, 4)
+    monkeypatch.setattr(record, "_retry", 0.0)
+    fed(record, bridge, [(k, k) for k in range(7, 10)])
+    record.close()
+    assert (record.rows, record.lost, len(record.paths)) == (6, 4, 2)
+    np.testing.assert_array_equal(log.read(record.paths[1])["tick"], [7, 8, 9])
+
+
+def test_a_silent_robot_s_file_is_finished(record: RobotRecord, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    bridge = Bridge(robot)
+    fed(record, bridge, [(0, 0)])
+    monkeypatch.setattr(recorder, "_SILENT", -1.0)
+    record.write()
+    assert log.read(record.paths[0]).notes == ()
+    monkeypatch.undo()
+    fed(record, bridge, [(3, 3)])
+    record.close()
+    assert "2 rows were dropped while recording: ticks 1 to 2" in log.read(record.paths[1]).notes

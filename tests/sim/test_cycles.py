@@ -1,0 +1,361 @@
+"""Whole runs: in lockstep, in real time, and with faults on the way."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import bridge, robots
+from armlab.bridge.port import Arrival, Port
+from armlab.bridge.surplus import Surplus
+from armlab.bridge.waiting import Waiting
+from armlab.sim.arm.arm import LaggingArm, SimulatedArm
+from armlab.sim.arm.truth import synthetic_truth
+from armlab.sim.controller.channel import Faults, UdpClient
+from armlab.sim.controller.controller import SimulatedController
+from armlab.sim.controller.cycles import Timing, run
+from armlab.sim.controller.settings import ControllerSettings, FaultRates
+from armlab.state import Command, State
+from armlab.wire.egm import EgmCodec, Packet, RobotSideCodec
+
+RIGHT, LEFT = robots.load("yumi_right"), robots.load("yumi_left")
+MakePeer = Callable[..., Any]
+
+
+def channel(
+    port: int, seed: int = 0, robot: Any = RIGHT, rates: FaultRates | None = None, phase: float = 0.0, **changes: Any
+) -> UdpClient:
+    settings = ControllerSettings(**changes)
+    arm = SimulatedArm(robot, synthetic_truth(robot), period=settings.period, seed=seed)
+    controller = SimulatedController(arm, RobotSideCodec(robot, extension=True), settings)
+    faults = [Faults(rates, [seed, i], settings.period) if rates else None for i in (0, 1)]
+    return UdpClient(controller, "127.0.0.1", port, *faults, phase=phase)
+
+
+def lockstep(make_peer: MakePeer, seed: int, rates: FaultRates | None = None) -> tuple[str, bytes, UdpClient]:
+    """Two seconds of lockstep; return the digest of the packets, the final state of the arm, the channel."""
+    peer = make_peer(RIGHT)
+    client = channel(peer.port, seed, rates=rates)
+    assert run([client], Timing(lockstep=True, seconds=2.0)) == "the time is up"
+    assert rates is not None or client.controller.statistics.counts["missed"] == 0
+    digest = peer.digest.hexdigest()
+    return digest, client.controller.arm.sample.q.tobytes(), client
+
+
+@pytest.mark.parametrize("rates", [None, FaultRates(loss=0.05, duplicate=0.05, reorder=0.05, corrupt=0.05)])
+def test_lockstep_same_seed_same_bytes(make_peer: MakePeer, rates: FaultRates | None) -> None:
+    first, second, other = (lockstep(make_peer, seed, rates) for seed in (3, 3, 4))
+    assert first[1] == second[1]
+    assert other[1] != first[1] or rates is None, "without faults the noise is only measured: the arm moves the same"
+    if rates is None:
+        assert first[0] == second[0]
+        assert other[0] != first[0]
+
+
+def test_lockstep_counts_robot_time_exactly(make_peer: MakePeer) -> None:
+    peer = make_peer(RIGHT)
+    client = channel(peer.port)
+    run([client], Timing(lockstep=True, seconds=4.0))
+    assert len(peer.packets) == 993
+    steps = np.diff([p.robot_ns for p in peer.packets])
+    assert (steps == 4_032_000).all()
+
+
+def test_lockstep_gives_a_gone_peer_up(make_peer: MakePeer) -> None:
+    peer = make_peer(RIGHT, lambda k, packet, reply: [reply] if k < 50 else [])
+    client = channel(peer.port)
+    reason = run([client], Timing(lockstep=True, patience=0.05, gone=0.3))
+    assert "the peer is gone" in reason
+    statistics = client.controller.statistics
+    assert statistics.counts["replies"] == 50
+    assert client.controller.session > 2, "each time-out is a CommTimeout of the robot"
+    assert sum(event.number == 41822 for event in statistics.events) == 1
+
+
+def test_a_pause_of_the_peer_does_not_move_robot_time(make_peer: MakePeer) -> None:
+    """Between two runs the peer is silent: robot time stands still and the session goes on."""
+
+    def answer(k: int, packet: Any, reply: bytes) -> list[bytes]:
+        if k == 100:
+            time.sleep(0.4)
+        return [reply]
+
+    peer = make_peer(RIGHT, answer)
+    run([channel(peer.port)], Timing(lockstep=True, seconds=1.0))
+    assert [p.seqno for p in peer.packets] == list(range(len(peer.packets)))
+
+
+def test_lateness_counts_the_late_cycles_too(make_peer: MakePeer) -> None:
+    """The first second is not counted; a busy machine skips many of the 496 cycles, which are not numbered then."""
+    client, late = channel(make_peer(RIGHT).port), []
+
+    def observe(_: object) -> None:
+        if client.controller.seq >= 270 and not late:
+            late.append(client.controller.seq)
+            time.sleep(0.03)
+
+    run([client], Timing(seconds=2.0), observe=observe)
+    assert client.controller.statistics.as_dict()["wake_up_late_us"]["max"] > 20_000
+
+
+def test_it_ends_with_the_process_that_started_it(make_peer: MakePeer) -> None:
+    peer, calls = make_peer(RIGHT), []
+
+    def alive() -> bool:
+        calls.append(0)
+        return len(calls) < 20
+
+    assert "has ended" in run([channel(peer.port)], Timing(lockstep=True), alive=alive)
+    assert len(peer.packets) <= 20
+
+
+def test_a_dead_controller_ends_the_run(make_peer: MakePeer) -> None:
+    from armlab.wire.egm import EgmCodec, Reference
+
+    def answer(k: int, packet: Any, reply: bytes) -> list[bytes]:
+        if k < 10:
+            return [reply]
+        return [EgmCodec(RIGHT).encode(Reference(np.full(7, np.nan), None, None, k, packet.tm_ms))]
+
+    client = channel(make_peer(RIGHT, answer).port)
+    assert "10014" in run([client], Timing(lockstep=True, seconds=5.0))
+    assert client.controller.dead
+
+
+def test_two_arms_in_one_process(make_peer: MakePeer) -> None:
+    peers = [make_peer(RIGHT), make_peer(LEFT)]
+    clients = [channel(peers[0].port), channel(peers[1].port, 1, LEFT)]
+    seen: list[UdpClient] = []
+    run(clients, Timing(lockstep=True, seconds=0.5), observe=seen.append)
+    assert seen[:4] == clients * 2
+    times = [[p.robot_ns for p in peer.packets] for peer in peers]
+    assert times[0] == times[1]
+
+
+def test_real_time_keeps_the_period(make_peer: MakePeer) -> None:
+    """A cycle is sent or skipped, never early and never twice: whatever the machine does, the counts add up."""
+    peer = make_peer(RIGHT)
+    client = channel(peer.port)
+    begin = time.monotonic()
+    assert run([client], Timing(seconds=1.5)) == "the time is up"
+    assert time.monotonic() - begin >= 1.5, "real time does not run ahead of the clock"
+    statistics = client.controller.statistics
+    assert statistics.counts["packets"] + statistics.counts["skipped"] >= 372
+    assert max(statistics.queue) <= 1 + statistics.counts["starved"], "only late replies make the queue longer"
+
+
+def test_missed_cycles_are_skipped_not_sent_in_a_burst(make_peer: MakePeer) -> None:
+    peer = make_peer(RIGHT)
+    client = channel(peer.port)
+    stalled: list[float] = []
+
+    def observe(_: int) -> None:
+        if client.controller.seq == 50 and not stalled:
+            stalled.append(time.sleep(0.05) or 0.0)
+
+    run([client], Timing(seconds=0.5), observe=observe)
+    assert client.controller.statistics.counts["skipped"] >= 10
+    gaps = np.diff([p.robot_ns for p in peer.packets]) / 4_032_000
+    assert gaps.max() >= 10, "robot time went on while the process slept"
+    assert [p.seqno for p in peer.packets] == list(range(len(peer.packets))), "what was not sent has no number"
+
+
+def test_a_listener_hears_a_stream_in_lockstep_at_the_pace_of_the_robot(make_peer: MakePeer) -> None:
+    """It never answers, so there is nothing to wait for; a peer that answers is waited for as ever."""
+    silent = make_peer(RIGHT, lambda k, packet, reply: [])
+    begin = time.monotonic()
+    assert run([channel(silent.port, program="stream")], Timing(lockstep=True, seconds=0.4)) == "the time is up"
+    assert 0.4 <= time.monotonic() - begin < 5.0
+    assert [p.seqno for p in silent.packets] == list(range(100))
+
+    def slowly(k: int, packet: Any, reply: bytes) -> list[bytes]:
+        time.sleep(0.1 if k == 5 else 0.0)
+        return [reply]
+
+    slow = make_peer(RIGHT, slowly)
+    client = channel(slow.port, program="stream")
+    run([client], Timing(lockstep=True, seconds=0.4))
+    assert client.controller.statistics.counts["replies"] == len(slow.packets) == 100
+
+
+def test_what_the_machine_skips_is_told_from_what_the_simulator_skips(make_peer: MakePeer) -> None:
+    """A process that waits, as for a processor that others have, is not one that computes too long."""
+    counts = []
+    for stall in (time.sleep, _compute):
+        client = channel(make_peer(RIGHT).port)
+        done: list[float] = []
+
+        def observe(_: UdpClient, client: Any = client, stall: Any = stall, done: list[float] = done) -> None:
+            if client.controller.seq == 280 and not done:  # of 496, of which a busy machine skips many
+                done.append(stall(0.03) or 0.0)
+
+        run([client], Timing(seconds=2.0), observe=observe)
+        found = client.controller.statistics.as_dict()
+        counts.append((found["counts"].get("overruns", 0), found["counts"]["skipped"], found["work_us"]["max"]))
+    waited, computed = counts
+    assert waited[0] < 6  # none for the wait; a busy machine may make a cycle or two compute too long
+    assert waited[1] >= 6
+    assert computed[0] >= 6
+    assert computed[2] > 30_000 > waited[2]
+
+
+def _compute(seconds: float) -> None:
+    until = time.thread_time() + seconds
+    while time.thread_time() < until:
+        pass
+
+
+def test_two_arms_share_the_clock_and_keep_their_phase(make_peer: MakePeer) -> None:
+    peers = [make_peer(RIGHT), make_peer(LEFT)]
+    clients = [channel(peers[0].port), channel(peers[1].port, 1, LEFT, phase=0.002)]
+    stalled: list[float] = []
+
+    def observe(which: UdpClient) -> None:
+        if which is clients[0] and which.controller.seq == 40 and not stalled:
+            stalled.append(time.sleep(0.2) or 0.0)  # longer than what the arm makes up
+
+    begin = time.monotonic()
+    run(clients, Timing(seconds=0.6), observe=observe)
+    assert time.monotonic() - begin >= 0.6
+    cycles = [client.controller.cycle for client in clients]
+    assert abs(cycles[0] - cycles[1]) <= 1, "also after a stall the robot times agree"
+    assert all(client.controller.statistics.counts["skipped"] >= 45 for client in clients)
+
+
+@pytest.mark.parametrize(
+    "rates",
+    [FaultRates(delay=(0.01, 0.004)), FaultRates(pause=(0.2, 0.1)), FaultRates(loss=0.3, burst=5)],
+)
+def test_lockstep_waits_for_no_packet_that_faults_hold_back(make_peer: MakePeer, rates: FaultRates) -> None:
+    """With patience 60 s a single wrong wait would hang the test."""
+    peer = make_peer(RIGHT)
+    for outgoing, incoming in ((True, False), (False, True)):
+        client = channel(peer.port)
+        client._outgoing = Faults(rates, 5) if outgoing else None
+        client._incoming = Faults(rates, 6) if incoming else None
+        begin = time.monotonic()
+        assert run([client], Timing(lockstep=True, seconds=1.0, patience=60.0)) == "the time is up"
+        assert time.monotonic() - begin < 50.0
+        assert client.controller.statistics.counts["replies"] > 100
+
+
+ROBOT = robots.load("yumi_right")
+MIDDLE = (ROBOT.q_min + ROBOT.q_max) / 2
+PERIOD = 0.012096  # SampleRate 12: three times as fast to test as 4
+SECONDS, UNTIL = 60.0, 57.0  # the last seconds are clean
+SHARES = (0.01, 0.1, 0.5)
+FAULTS: dict[str, Any] = {
+    "loss": lambda p: FaultRates(loss=p, until=UNTIL),
+    "burst": lambda p: FaultRates(loss=p, burst=10, until=UNTIL),
+    "duplicate": lambda p: FaultRates(duplicate=p, until=UNTIL),
+    "reorder": lambda p: FaultRates(reorder=p, until=UNTIL),
+    "corrupt": lambda p: FaultRates(corrupt=p, until=UNTIL),
+    "delay": lambda p: FaultRates(delay=(p * PERIOD, 0.5 * PERIOD), until=UNTIL),
+    "pause": lambda p: FaultRates(pause=(5.0, p * SECONDS), until=UNTIL),
+}
+
+
+class Wire:
+    """The way between bridge and controller, with faults in both directions."""
+
+    def __init__(self, outgoing: FaultRates, incoming: FaultRates) -> None:
+        codec = RobotSideCodec(ROBOT, extension=True)
+        self.controller = SimulatedController(
+            LaggingArm(ROBOT, PERIOD, MIDDLE), codec, ControllerSettings(period=PERIOD)
+        )
+        self._out, self._in = Faults(outgoing, [7, 1], PERIOD), Faults(incoming, [7, 2], PERIOD)
+        self._packets, self._replies = deque[bytes](), list[tuple[int, bytes]]()
+        self._eyes, self.depth = EgmCodec(ROBOT, extension=True), -1
+
+    def receive(self) -> Arrival | None:
+        if not self._packets:
+            return None
+        data = self._packets.popleft()
+        packet = self._eyes.decode(data)
+        self.depth = packet.queue_depth if isinstance(packet, Packet) else self.depth
+        return Arrival(data, ("127.0.0.1", 1), time.monotonic_ns())
+
+    def send(self, data: bytes) -> bool:
+        self._replies.append((0, data))
+        return True
+
+    def next(self) -> tuple[int, Arrival] | None:
+        """Run cycles until a packet comes through."""
+        controller = self.controller
+        for _ in range(10_000):
+            arrival = self.receive()
+            if arrival is not None:
+                return 0, arrival
+            for _, data in self._in.through(self._replies, controller.uptime):
+                controller.accept(data)
+            self._replies.clear()
+            packet = controller.packet()
+            sent = self._out.through([(controller.cycle, packet)] if packet else [], controller.uptime)
+            self._packets.extend(data for _, data in sent)
+            controller.advance()
+        return None
+
+
+def sway(state: State) -> Command:
+    """Velocities, so that time that was lost is no jump; far from the limits, because the last speed goes on."""
+    goal = MIDDLE + 0.2 * np.sin(2.0 * state.t) ** 2
+    return Command(qd=0.4 * np.sin(4.0 * state.t) + 0.5 * (goal - state.q))
+
+
+@pytest.fixture
+def play(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Give a function that runs bridge and controller against each other."""
+
+    leaves_out = Surplus.leaves_out
+
+    def run(outgoing: FaultRates, incoming: FaultRates, seconds: float) -> tuple[Any, SimulatedController]:
+        wire = Wire(outgoing, incoming)
+        monkeypatch.setattr(Waiting, "next", lambda waiting, seconds: wire.next())
+        monkeypatch.setattr(Port, "receive", lambda port: wire.receive())
+        monkeypatch.setattr(Port, "send", lambda port, data, to: wire.send(data))
+
+        # a bridge in lockstep never leaves out a reply, because a robot would wait for it; this one does not wait
+        def with_wire(surplus: Surplus, depth: int, period: float) -> bool:
+            return leaves_out(surplus, wire.depth, period)
+
+        monkeypatch.setattr(Surplus, "leaves_out", with_wire)
+        with bridge.connect("egm://127.0.0.1:0", ROBOT, extension=True, clock="robot") as link:
+            return link.run(sway, seconds=seconds, wait="block"), wire.controller
+
+    return run
+
+
+def check(found: Any, controller: SimulatedController) -> None:
+    table, counted = found.table, found.statistics
+    assert found.reason == "the time is up"
+    assert not controller.dead
+    assert counted["replies"] + counted["overtaken"] <= counted["packets"] == len(table), "every packet has its row"
+    q, sent = table["q"], table["q_sent"][np.isfinite(table["q_sent"]).all(axis=1)]
+    assert ((q > ROBOT.q_min) & (q < ROBOT.q_max)).all()
+    assert np.abs(np.diff(sent, axis=0)).max() <= ROBOT.qd_max.max() * 1.5 * PERIOD
+    assert np.ptp(sent, axis=0).min() > 0.1, "it moved"
+
+
+@pytest.mark.parametrize("way", ["out", "in"])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_reference_is_one_cycle_old_again_after_faults(play: Any, fault: str, way: str) -> None:
+    """Overtaken packets get no reply; for what faults of the replies leave in the queue, replies are left out."""
+    rates = replace(FAULTS[fault](0.5), until=1.5, pause=(0.5, 0.5) if fault == "pause" else (0.0, 0.0))
+    found, controller = play(*((rates, FaultRates()) if way == "out" else (FaultRates(), rates)), 4.0)
+    assert found.reason == "the time is up"
+    assert controller.statistics.last_age == 1
+    assert len(controller.inbox) <= 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", FAULTS)
+def test_every_fault_for_a_minute(play: Any, fault: str) -> None:
+    """1, 10 and 50 % of the datagrams in both directions; all seven faults together take half a minute."""
+    for share in SHARES:
+        check(*play(FAULTS[fault](share), FAULTS[fault](share), SECONDS))

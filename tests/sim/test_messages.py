@@ -1,0 +1,327 @@
+"""Messages of the simulated controller: packets, replies that wait, statistics, event log."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.sim.arm.arm import SimulatedArm
+from armlab.sim.arm.truth import synthetic_truth
+from armlab.sim.controller.guidance import Guidance
+from armlab.sim.controller.inbox import QUEUE_LENGTH, ReplyQueue, Sent
+from armlab.sim.controller.packets import EPOCH_NS, OPTIONAL_FIELDS, Condition, PacketBuilder
+from armlab.sim.controller.reference_decoder import ReferenceDecoder
+from armlab.sim.controller.settings import ControllerSettings
+from armlab.sim.controller.statistics import ControllerEvent, EventLog, Statistics
+from armlab.wire.egm import Drop, EgmCodec, Packet, Reference, RobotSideCodec, SensorMessage
+from armlab.wire.egm import armlab_egm_pb2 as pb
+
+ROBOT = robots.load("yumi_left")
+ARM = SimulatedArm(ROBOT, synthetic_truth(ROBOT))
+CONDITION = Condition(seq=5, motors=1, mci=3, rapid=2, converged=False, mode=1, used_seq=4, left=0)
+
+
+def packet(robotware: str = "6.10", external: int = 0, **options: Any) -> bytes:
+    codec = RobotSideCodec(ROBOT, robotware, force=options.get("force", False), external=external)
+    guidance = Guidance(ROBOT, ControllerSettings(), ROBOT.q_home)
+    packets = PacketBuilder(codec, 0.004032, **options)
+    return packets.encode(250, ARM, guidance, CONDITION, [0.25] * external)
+
+
+def decode(data: bytes) -> Packet:
+    found = EgmCodec(ROBOT).decode(data)
+    assert isinstance(found, Packet)
+    return found
+
+
+@pytest.mark.parametrize("robotware", ["6.06", "6.07", "6.10", "7"])
+def test_flavours_are_recognised_and_mean_the_same(robotware: str) -> None:
+    found = decode(packet(robotware))
+    assert found.robotware == robotware
+    np.testing.assert_allclose(found.q, ROBOT.q_home, atol=2e-5)
+    np.testing.assert_allclose(found.q_planned, ROBOT.q_home, atol=1e-12)
+
+
+@pytest.mark.parametrize("field", OPTIONAL_FIELDS)
+def test_each_field_can_be_left_out(field: str) -> None:
+    def has(message: Any) -> bool:
+        if field == "tm":
+            return message.header.HasField("tm")
+        return (message.feedBack if field in ("cartesian", "time") else message).HasField(field)
+
+    assert has(pb.EgmRobot.FromString(packet()))
+    without = packet(fields=[field])
+    assert not has(pb.EgmRobot.FromString(without))
+    decode(without)
+
+
+@pytest.mark.parametrize("robotware", ["6.10", "7"])
+def test_force_in_the_layout_of_the_robotware(robotware: str) -> None:
+    ARM.step(ROBOT.q_home, np.zeros(7), np.arange(6.0))
+    found = decode(packet(robotware, force=True))
+    assert found.robotware == robotware
+    np.testing.assert_allclose(found.wrench_raw, np.arange(6.0))
+    assert np.isnan(decode(packet(robotware)).wrench_raw).all()
+
+
+def test_torque_reference_of_robotware_7() -> None:
+    message = pb.EgmRobot.FromString(packet("7", torque_reference=True))
+    np.testing.assert_allclose(message.torqueRef.joints[:], ARM.sample.tau[[0, 1, 3, 4, 5, 6]])
+    assert not pb.EgmRobot.FromString(packet("7")).HasField("torqueRef")
+
+
+def test_external_axes_follow_the_seventh() -> None:
+    np.testing.assert_allclose(decode(packet(external=2)).q_ext, 0.25)
+
+
+def test_rapid_sends_back_what_it_heard() -> None:
+    target = ReferenceDecoder(ROBOT, ControllerSettings())
+    target.accept(SensorMessage(0, 1, 3, rapid_data=np.arange(5.0), rapid_digital=True), ROBOT.q_home, None)
+    condition = Condition(0, 1, 3, 2, False, 1, 0, 0)
+    for data in (0, 3):
+        packets = PacketBuilder(RobotSideCodec(ROBOT, "7"), 0.004, data=data)
+        found = decode(
+            packets.encode(0, ARM, Guidance(ROBOT, ControllerSettings(), ROBOT.q_home), condition, (), target)
+        )
+        assert (found.rapid_data.tolist(), found.rapid_digital) == ([0.0, 1.0, 2.0][:data], data > 0)
+
+
+def test_time_is_exact_and_behind_by_the_phase() -> None:
+    packets = PacketBuilder(RobotSideCodec(ROBOT), 0.00025, phase=0.0001)
+    assert packets.time_ns(8) == EPOCH_NS + 2_100_000
+    assert [packets.tm_ms(cycle) for cycle in range(9)] == [10_000] * 4 + [10_001] * 4 + [10_002]
+
+
+RIGHT = robots.load("yumi_right")
+LATE = 2.0  # s, after the first second
+
+
+def inbox(**changes: Any) -> tuple[ReplyQueue, Statistics]:
+    statistics = Statistics()
+    box = ReplyQueue(RobotSideCodec(RIGHT), statistics, ControllerSettings(**changes))
+    return box, statistics
+
+
+def send(box: ReplyQueue, count: int, same_tm: int = 1) -> None:
+    for k in range(count):
+        box.note(Sent(k, 10_000 + 4 * (k // same_tm), 100 + k, True))
+        box.stamp(10**9 + 4_000_000 * k, LATE)
+
+
+def matched(box: ReplyQueue, message: SensorMessage, arrival_ns: int = 0) -> int | None:
+    sent = box.match(message, arrival_ns, LATE)
+    return sent and sent.seq
+
+
+def test_the_echo_of_the_extension_decides() -> None:
+    box, statistics = inbox()
+    send(box, 5)
+    assert matched(box, SensorMessage(7, 10_000, 3, echo_mono_ns=1, echo_seq=3), 10**9 + 12_100_000) == 3
+    assert matched(box, SensorMessage(8, 10_000, 3, echo_mono_ns=1, echo_seq=99)) is None
+    assert statistics.counts["matched by echo"] == 1
+    assert statistics.as_dict()["round_trip_us"]["p50"] == pytest.approx(100.0)
+
+
+def test_packets_of_one_millisecond_share_their_tm_and_are_told_apart() -> None:
+    """A period of 0.25 ms: each reply means the oldest packet with that tm which nobody has answered."""
+    box, _ = inbox(period=0.00025)
+    send(box, 8, same_tm=4)
+    assert [matched(box, SensorMessage(k, 10_000, 3)) for k in range(5)] == [0, 1, 2, 3, 3]
+    assert matched(box, SensorMessage(9, 10_004, 3)) == 4
+
+
+def test_a_packet_that_was_built_but_has_not_left_is_not_answered() -> None:
+    """Replies are read just before the next packet leaves; the round trip is that of the one before."""
+    box, statistics = inbox()
+    send(box, 1)
+    box.note(Sent(1, 10_004, 101, True))
+    assert matched(box, SensorMessage(1, None, 3), 10**9 + 150_000) == 0
+    assert statistics.as_dict()["round_trip_us"]["p50"] == pytest.approx(150.0)
+
+
+@pytest.mark.parametrize("tm", [None, 0])
+def test_by_order_where_nothing_is_echoed(tm: int | None) -> None:
+    box, statistics = inbox()
+    send(box, 3)  # the peer was not there for the first packets
+    assert matched(box, SensorMessage(1, tm, 3)) == 2
+    box.note(Sent(3, 10_012, 103, True))
+    assert matched(box, SensorMessage(3, tm, 3)) == 3
+    assert statistics.counts["matched by order"] == 2
+
+
+def test_duplicates_count_and_do_not_measure() -> None:
+    box, statistics = inbox()
+    send(box, 2)
+    for _ in range(3):
+        assert matched(box, SensorMessage(5, 10_004, 3), 10**9 + 4_050_000) == 1
+    assert statistics.counts["duplicates"] == 2
+    assert statistics.counts["matched by tm"] == 1
+
+
+def test_a_packet_without_a_reply_within_its_period_is_missed() -> None:
+    box, statistics = inbox()
+    for k in range(4):
+        box.note(Sent(k, 10_000 + 4 * k, k, guiding=k != 2))
+        box.stamp(10**9 + 4_000_000 * k, LATE)
+        if k == 0:
+            matched(box, SensorMessage(0, 10_000, 3), 10**9 + 200_000)
+    assert statistics.counts["missed"] == 1, "packet 0 was answered, 2 did not guide, 3 has time left"
+
+
+def test_first_in_first_out_of_64_with_ages() -> None:
+    box, statistics = inbox()
+    assert QUEUE_LENGTH == 64
+    assert all(box.put(SensorMessage(k, None, 3), k) for k in range(QUEUE_LENGTH))
+    assert not box.put(SensorMessage(99, None, 3), None)
+    assert len(box) == QUEUE_LENGTH
+    taken = [box.take(10) for _ in range(3)]
+    assert [message and message.seqno for message in taken] == [0, 1, 2]
+    assert dict(statistics.age) == {10: 1, 9: 1, 8: 1}
+    assert statistics.last_age == 8
+    assert statistics.queue[QUEUE_LENGTH] == 1
+    box.begin()
+    assert box.take(11) is None
+
+
+@pytest.mark.parametrize(("mode", "reason"), [("joint", None), ("pose", "no pose"), ("path", "no path correction")])
+def test_messages_must_hold_what_the_mode_needs(mode: str, reason: str | None) -> None:
+    box, statistics = inbox(mode=mode)
+    found = box.read(EgmCodec(RIGHT).encode(Reference(np.zeros(7), None, None, 0, 0)))
+    assert isinstance(found, Drop if reason else SensorMessage)
+    assert reason is None or (isinstance(found, Drop) and found.reason == reason)
+    assert dict(statistics.mtypes) == {3: 1}
+
+
+def test_a_queue_that_is_never_empty_is_reported_after_a_second() -> None:
+    """A client that was stalled for 44 cycles and answered all packets then lags by 44 cycles from then on."""
+    box, _ = inbox()
+    sentences = []
+    for cycle in range(600):
+        for _ in range(45 if cycle == 0 else 1):
+            box.put(SensorMessage(cycle, None, 3), None)
+        box.take(cycle)
+        sentences.append(box.standing())
+    assert [cycle for cycle, text in enumerate(sentences) if text] == [248]
+    assert "44 messages have waited" in sentences[248]
+    assert "177 ms late" in sentences[248]
+    box.begin()
+    assert not any(box.standing() for _ in range(600)), "a new session has an empty queue"
+
+
+def test_the_newest_message_replaces_all_that_wait() -> None:
+    box, statistics = inbox(queue="newest")
+    for number in range(5):
+        box.put(SensorMessage(number, None, 3), number)
+    message = box.take(5)
+    assert message is not None
+    assert message.seqno == 4
+    assert len(box) == 0
+    assert box.take(6) is None
+    assert statistics.counts["overtaken"] == 4
+    assert statistics.age == {1: 1}
+
+
+def test_round_trips_leave_out_the_first_second() -> None:
+    statistics = Statistics()
+    statistics.trip(0.024, uptime=0.5)
+    statistics.trip(0.024, uptime=0.999)
+    for microseconds in range(1, 101):
+        statistics.trip(microseconds * 1e-6, uptime=2.0)
+    trips = statistics.as_dict()["round_trip_us"]
+    assert trips["p50"] == pytest.approx(50.5)
+    assert trips["max"] == pytest.approx(100.0)
+
+
+def test_everything_is_plain_json() -> None:
+    statistics = Statistics()
+    statistics.counts["packets"] += 3
+    statistics.drops["unparsable"] += 1
+    statistics.queue[1] += 2
+    statistics.age[1] += 2
+    statistics.late(1e-4, uptime=2.0)
+    statistics.events.append(ControllerEvent(0.5, "yumi_left", 41822, "No data"))
+    data = json.loads(json.dumps(statistics.as_dict()))
+    assert data["counts"] == {"packets": 3}
+    assert data["drops"] == {"unparsable": 1}
+    assert data["queue_depth"] == {"1": 2}
+    assert data["reference_age"] == {"1": 2, "last": 0}
+    assert data["wake_up_late_us"]["p50"] == pytest.approx(100.0)
+    assert data["round_trip_us"] == {}
+    assert data["events"] == [{"t": 0.5, "task": "yumi_left", "number": 41822, "text": "No data"}]
+
+
+def test_an_event_is_one_line() -> None:
+    assert str(ControllerEvent(1.25, "yumi_left", 41822, "No data")) == "1.250 s yumi_left 41822 No data"
+    assert str(ControllerEvent(1.25, "yumi_left", 0, "dropped")) == "1.250 s yumi_left - dropped"
+
+
+def test_line_names_what_was_dropped() -> None:
+    statistics = Statistics()
+    statistics.drops["no header"] += 2
+    assert "dropped: 2 no header" in statistics.line()
+    assert "round trip" not in statistics.line()
+
+
+def test_missed_and_lateness_leave_out_the_first_second() -> None:
+    statistics = Statistics()
+    for uptime in (0.5, 1.5, 2.5):
+        statistics.miss(uptime)
+        statistics.late(1e-3 * uptime, uptime)
+    data = statistics.as_dict()
+    assert data["counts"]["missed"] == 2
+    assert data["wake_up_late_us"]["max"] == pytest.approx(2500.0)
+
+
+def test_text_has_a_line_per_kind() -> None:
+    statistics = Statistics()
+    statistics.mtypes[3] += 2
+    statistics.queue[1] += 2
+    lines = statistics.text().splitlines()
+    assert any(line.split() == ["mtypes", "3:", "2"] for line in lines)
+    assert any("round trip us" in line and "nothing" in line for line in lines)
+
+
+def test_what_was_heard_beside_the_joints() -> None:
+    statistics = Statistics()
+    statistics.heard(None, None, None)
+    statistics.heard(np.array([7.0, 8.5]), True, None)
+    statistics.heard(None, None, np.array([0.5]))
+    data = statistics.as_dict()
+    assert data["rapid"] == {"1": 7.0, "2": 8.5, "digital": 1.0}
+    assert data["external_axes"] == {"1": 0.5}
+    assert data["counts"] == {"RAPID data": 1, "RAPID digital": 1, "external axes": 1}
+
+
+def test_work_and_overruns_leave_out_the_first_second() -> None:
+    statistics = Statistics()
+    statistics.worked(0.5, 3, 0.5)
+    statistics.worked(0.001, 0, 1.5)
+    statistics.worked(0.005, 1, 2.5)
+    data = statistics.as_dict()
+    assert data["counts"] == {"overruns": 1}
+    assert data["work_us"]["max"] == pytest.approx(5000.0)
+
+
+def test_drops_are_told_once_per_kind_and_session() -> None:
+    statistics, heard = Statistics(), list[ControllerEvent]()
+    journal = EventLog("yumi_left", statistics, heard.append)
+    for session in range(2):
+        for _ in range(3):
+            journal.drop(1.0 + session, Drop("no header", "4 bytes"), b"\1\2\3\4")
+        journal.drop(1.0, Drop("old", "late"), b"")
+        journal.begin()
+    assert statistics.drops == {"no header": 6, "old": 2}
+    assert [str(event) for event in heard[:1]] == [
+        "1.000 s yumi_left - dropped a datagram, no header: 4 bytes; first bytes 01 02 03 04"
+    ]
+    assert len(heard) == len(statistics.events) == 4
+
+
+def test_events_are_kept_without_a_listener() -> None:
+    statistics = Statistics()
+    EventLog("yumi_left", statistics, None).tell(0.5, 41822, "No data")
+    assert list(statistics.events) == [ControllerEvent(0.5, "yumi_left", 41822, "No data")]
