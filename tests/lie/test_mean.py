@@ -116,6 +116,6 @@ def test_what_has_no_mean_is_refused(call, error: type[Exception], sentence: str
 
 def test_an_iteration_that_does_not_end_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """No set of rotations is known that needs more than a few steps; one step is too few for this one."""
-    monkeypatch.setattr("armlab.lie._mean.ITERATIONS", 1)
+    monkeypatch.setattr("armlab.lie.so3.ITERATIONS", 1)
     with pytest.raises(NotConverged, match="Take the chordal mean"):
         so3.mean(scattered(10, 0.6)[1], method="geodesic")

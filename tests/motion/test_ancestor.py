@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from armlab.motion import Displace, Dmp, Hold, TwoDofDmp, fit_dmp
-from armlab.motion._basis import placed
+from armlab.motion.dmp.equation import placed
 
 ROOT = Path(__file__).parents[2]
 

@@ -9,8 +9,7 @@ from armlab import Command, State, kinematics, robots
 from armlab.errors import ShapeError
 from armlab.kernels import backend
 from armlab.motion import Dmp, fit_dmp
-from armlab.motion.avoiding import AvoidingController, AvoidingStepper
-from armlab.motion.obstacles import AvoidingDmp, Capsule
+from armlab.motion.obstacles import AvoidingController, AvoidingDmp, AvoidingStepper, Capsule
 
 U = np.linspace(0.0, 1.0, 251)
 S = U**3 * (10 - 15 * U + 6 * U**2)

@@ -15,7 +15,7 @@ from armlab import State, bridge, robots
 from armlab.errors import ConfigError, ShapeError
 from armlab.log import Column
 from armlab.motion import Dmp, TwoDofDmp
-from armlab.motion.control import LONGEST_STEP, Arms, Controller, Limits, robots_of, steps_in
+from armlab.motion.control import LONGEST_STEP, Arms, Controller, JointLimits, robots_of, steps_in
 
 PERIOD = 0.004032
 ROBOT = robots.load("yumi_right")
@@ -238,7 +238,7 @@ def test_several_arms_are_one_motion(reach: Dmp) -> None:
 
 
 def test_a_robot_is_limits(reach: Dmp) -> None:
-    limits: Limits = ROBOT
+    limits: JointLimits = ROBOT
     assert isinstance(reach.controller(ROBOT, limits=limits), Controller)
 
 

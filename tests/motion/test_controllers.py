@@ -13,7 +13,9 @@ from armlab import robots
 from armlab.errors import ShapeError
 from armlab.log import Table
 from armlab.motion import Dmp, TwoDofDmp
-from armlab.motion.controllers import DmpController, TwoDofController, check_joints
+from armlab.motion.control import check_joints
+from armlab.motion.dmp.primitive import DmpController
+from armlab.motion.two_dof import TwoDofController
 
 PERIOD = 0.004032
 ROBOT = robots.load("yumi_right")

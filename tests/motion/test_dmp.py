@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from armlab.errors import ConfigError, ShapeError, UnknownName
 from armlab.motion import Dmp
-from armlab.motion._basis import placed
-from armlab.motion.dmp import SCALINGS
+from armlab.motion.dmp.equation import SCALINGS, placed
 
 Primitive = Callable[..., Dmp]
 SCHEDULES = ("canonical", "time", "position")

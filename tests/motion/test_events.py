@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import ShapeError
-from armlab.motion.events import Displace, Hold, Push
+from armlab.motion.disturbances import Displace, Hold, Push
 
 
 def test_a_hold_is_a_push_without_speed() -> None:

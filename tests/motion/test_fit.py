@@ -12,7 +12,7 @@ from armlab.errors import ConfigError, ShapeError, UnknownName
 from armlab.estimation import Fit
 from armlab.lie import so3
 from armlab.motion import Dmp, fit_dmp
-from armlab.motion.fit import METHODS
+from armlab.motion.dmp.fit import METHODS
 
 U = np.linspace(0, 1, 1001)
 S = 10 * U**3 - 15 * U**4 + 6 * U**5

@@ -7,7 +7,7 @@ import pytest
 
 from armlab.errors import ShapeError
 from armlab.motion import Dmp, fit_dmp
-from armlab.motion.limiting import duration_within, peaks
+from armlab.motion.timing import duration_within, peaks
 
 U = np.linspace(0.0, 1.0, 501)
 S = U**3 * (10 - 15 * U + 6 * U**2)

@@ -9,7 +9,7 @@ import pytest
 
 from armlab.errors import ShapeError
 from armlab.motion import MotionBand, ProMP, blend
-from armlab.motion.motion_band import SAME
+from armlab.motion.promp import SAME
 
 M, N_JOINTS = 8, 2
 T = np.linspace(0.0, 2.0, 21)

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from armlab import State, bridge, robots
 from armlab.errors import ConfigError, ShapeError
 from armlab.motion import Dmp, duration_within, fit_dmp
-from armlab.motion._parameterisation import fastest, top
-from armlab.motion.controllers import DmpController
-from armlab.motion.pacing import PacedDmp, PacedStepper, within
+from armlab.motion.dmp.primitive import DmpController
+from armlab.motion.timing import PacedDmp, PacedStepper, fastest, largest_size, within
 
 U = np.linspace(0.0, 1.0, 501)
 S = U**3 * (10 - 15 * U + 6 * U**2)
@@ -91,7 +90,7 @@ def test_least_time_of_a_straight_line() -> None:
 def test_top_sees_between_samples() -> None:
     x = np.linspace(0.0, 1.0, 41)
     pieces = np.stack([np.sin(2 * np.pi * x + 0.01), 2.0 - (x - 0.613) ** 2], axis=1)[None]
-    np.testing.assert_allclose(top(pieces), [1.0, 2.0], rtol=1e-6)
+    np.testing.assert_allclose(largest_size(pieces), [1.0, 2.0], rtol=1e-6)
 
 
 def test_wide_limits_change_nothing() -> None:

@@ -13,7 +13,7 @@ from armlab.kinematics import forward, inverse
 from armlab.lie import se3, so3
 from armlab.motion import PoseDmp, fit_pose_dmp
 from armlab.motion.control import Controller
-from armlab.motion.pose_controller import PoseDmpController
+from armlab.motion.pose_dmp import PoseDmpController
 
 PERIOD = 0.004032
 ROBOT = robots.load("yumi_right")

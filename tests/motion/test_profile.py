@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from armlab.errors import ShapeError
-from armlab.motion.profile import PERIOD, Profile
 from armlab.motion.profiles import (
+    PERIOD,
+    Profile,
     blend,
     connect,
     minimum_jerk,

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armlab.errors import MissingExtra, ShapeError
-from armlab.motion.profile import Profile
 from armlab.motion.profiles import (
+    Profile,
     blend,
     connect,
     minimum_jerk,

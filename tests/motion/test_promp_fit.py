@@ -10,7 +10,7 @@ import pytest
 from armlab.errors import ConfigError, NotExcited, ShapeError
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.motion import ProMP, fit_promp
-from armlab.motion._basis import normalised
+from armlab.motion.dmp.equation import normalised
 
 M_BASIS, NOISE, T = 4, 0.02, np.linspace(0.0, 2.0, 12)
 MEAN = np.array([0.1, 0.8, -0.3, 0.5])

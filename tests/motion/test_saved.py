@@ -18,7 +18,7 @@ from armlab import models
 from armlab.errors import ConfigError, ModelMismatchError
 from armlab.estimation import Fit
 from armlab.motion import Dmp, PeriodicDmp, PoseDmp, ProMP, TwoDofDmp
-from armlab.motion._saved import Saved
+from armlab.motion.storage import Saved
 
 KINDS = {"dmp": Dmp, "two_dof_dmp": TwoDofDmp, "pose_dmp": PoseDmp, "periodic_dmp": PeriodicDmp, "promp": ProMP}
 

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from armlab.errors import ConfigError, ShapeError
 from armlab.motion import Dmp
-from armlab.motion.events import Displace, Hold, Push
+from armlab.motion.disturbances import FULL_SPEED, Displace, Hold, Push
 from armlab.motion.two_dof import TwoDofDmp
-from armlab.motion.two_dof_run import FULL_SPEED
 
 H = 0.004
 
@@ -148,9 +147,9 @@ def test_a_run_at_other_times_is_the_same_run(smooth: Callable[..., Dmp]) -> Non
 
 
 def _setting(dmp: Any) -> Any:
-    from armlab.motion._setting import Setting
+    from armlab.motion.dmp.run import RunParameters
 
-    return Setting.of(dmp)
+    return RunParameters.of(dmp)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from armlab.motion import Dmp
-from armlab.motion.events import Displace, Hold, Push
+from armlab.motion.disturbances import Displace, Hold, Push
 from armlab.motion.two_dof import TwoDofDmp
 
 PATH = Path(__file__).parents[3] / "shared" / "data" / "dmp_reference.json"

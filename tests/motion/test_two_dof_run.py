@@ -10,9 +10,8 @@ import pytest
 
 from armlab.errors import ShapeError
 from armlab.motion import Dmp
-from armlab.motion.events import Displace, Hold, Push
+from armlab.motion.disturbances import FULL_SPEED, Displace, Hold, Plant, Push, TwoDofRun, simulated
 from armlab.motion.two_dof import TwoDofDmp
-from armlab.motion.two_dof_run import FULL_SPEED, Plant, TwoDofRun, simulated
 
 Build = Callable[..., Dmp]
 
@@ -106,10 +105,10 @@ def test_events_that_make_no_sense_get_a_sentence(primitive: Build, events: Any)
 
 
 def test_states_are_those_of_the_kernel(primitive: Build) -> None:
-    from armlab.motion._setting import Setting
+    from armlab.motion.dmp.run import RunParameters
 
     dmp = primitive()
-    law, start = TwoDofDmp(dmp).law(Setting.of(dmp)), np.concatenate([np.zeros(15), [1.0, 0.0]])
+    law, start = TwoDofDmp(dmp).law(RunParameters.of(dmp)), np.concatenate([np.zeros(15), [1.0, 0.0]])
     states, disturbed = simulated(law, start, np.array([0.0, 0.01]), [], 0.005)
     np.testing.assert_array_equal(states[1], law.advance(start, 0.01, 2, np.full(3, np.nan), FULL_SPEED))
     assert disturbed == ()

@@ -9,21 +9,19 @@ import pytest
 
 from armlab.errors import ShapeError
 from armlab.motion import Dmp
-from armlab.motion._setting import Setting
-from armlab.motion.events import Hold
-from armlab.motion.two_dof import TwoDofDmp
-from armlab.motion.two_dof_run import FULL_SPEED
-from armlab.motion.two_dof_stepper import Reference, TwoDofStepper, starting
+from armlab.motion.disturbances import FULL_SPEED, Hold
+from armlab.motion.dmp.run import RunParameters
+from armlab.motion.two_dof import Reference, TwoDofDmp, TwoDofStepper, starting
 
 H = 0.004
 
 
 def test_it_starts_with_the_arm_on_the_path(smooth: Callable[..., Dmp]) -> None:
     dmp = smooth(schedule="time")
-    run = Setting.of(dmp, y0=np.array([0.1, 0.2]), v0=np.array([0.3, 0.4]))
+    run = RunParameters.of(dmp, y0=np.array([0.1, 0.2]), v0=np.array([0.3, 0.4]))
     z = run.tau * run.v0
     np.testing.assert_array_equal(starting(run), [0.1, 0.2, *z, 0, 0, 0.1, 0.2, 0.3, 0.4, 0, 0])
-    assert starting(Setting.of(smooth()))[-2] == 1.0
+    assert starting(RunParameters.of(smooth()))[-2] == 1.0
 
 
 def test_stepper_is_the_simulation(smooth: Callable[..., Dmp]) -> None:
@@ -107,9 +105,9 @@ def test_it_has_ended_when_the_phase_has_gone_as_far_as_in_the_demonstration(
 
 
 def test_a_late_packet_is_solved_in_steps_of_4_ms(smooth: Callable[..., Dmp]) -> None:
-    law, stepper = TwoDofDmp(smooth()).law(Setting.of(smooth())), TwoDofDmp(smooth()).stepper()
+    law, stepper = TwoDofDmp(smooth()).law(RunParameters.of(smooth())), TwoDofDmp(smooth()).stepper()
     found = stepper.step(0.044, np.zeros(2), np.zeros(2)).yc
-    start = starting(Setting.of(smooth()))
+    start = starting(RunParameters.of(smooth()))
     fine, coarse = (law.follow(start, 0.044, steps, FULL_SPEED, np.zeros(2), np.zeros(2))[0][:2] for steps in (200, 1))
     np.testing.assert_allclose(found, fine, rtol=0, atol=1e-6)
     assert np.abs(coarse - fine).max() > 1e-5

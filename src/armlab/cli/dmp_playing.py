@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from armlab.bridge import Limits
     from armlab.log import Table
     from armlab.motion import Controller, Dmp, PeriodicDmp, PoseDmp, ProMP, TwoDofDmp
-    from armlab.motion.profile import Profile
+    from armlab.motion.profiles import Profile
     from armlab.robots import Robot
     from armlab.state import Command, State
 

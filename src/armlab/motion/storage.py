@@ -1,4 +1,4 @@
-"""What every movement primitive shares: frozen fields, equality to the last bit, and a file."""
+"""Frozen fields, equality to the last bit and a TOML file, for every movement primitive."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ import numpy as np
 from armlab import models
 from armlab._numbers import numbers
 from armlab.errors import ShapeError
-
-__all__ = ["Saved", "freeze_arrays"]
 
 
 @dataclass(frozen=True, eq=False)

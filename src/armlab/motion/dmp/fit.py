@@ -1,4 +1,4 @@
-"""From demonstrations to a movement primitive."""
+"""Fit a movement primitive to demonstrations."""
 
 from __future__ import annotations
 
@@ -13,17 +13,12 @@ from numpy.typing import ArrayLike
 from armlab._numbers import check_name, flag, members, number
 from armlab.errors import ConfigError, ShapeError
 from armlab.estimation import Excitation, Fit
-from armlab.motion._basis import SCHEDULES, placed, time_constants
-from armlab.motion._common_motion import Reference, aligned
-from armlab.motion._demos import Demo, read_demos
-from armlab.motion._equation import SCALINGS
-from armlab.motion._fitting import Learned, learn
-from armlab.motion._least_squares import block_covariance
-from armlab.motion._setting import coordinates
-from armlab.motion._trajectory import ENDS, Ends
-from armlab.motion.dmp import Dmp
-
-__all__ = ["METHODS", "fit_dmp"]
+from armlab.motion.arguments import coordinates
+from armlab.motion.dmp.demonstrations import Demo, ReferenceMotion, aligned, read_demos
+from armlab.motion.dmp.equation import SCALINGS, SCHEDULES, placed, time_constants
+from armlab.motion.dmp.least_squares import block_covariance
+from armlab.motion.dmp.primitive import Dmp
+from armlab.motion.dmp.weights import ENDS, Ends, Learned, learn
 
 METHODS = ("trajectory", "acceleration", "lwr")
 WIDTH, LWR_WIDTH = 0.8, 0.55  # standard deviations of kernels over their distance
@@ -103,7 +98,7 @@ def fit_dmp(
     ends = Ends(_pins(pin, known), known)
     starts = np.array([known.get("y0", demo.y[0]) for demo in demos])
     goals = np.array([known.get("g", demo.y[-1]) for demo in demos])
-    reference = Reference.of(demos, scaling, starts, goals)
+    reference = ReferenceMotion.of(demos, scaling, starts, goals)
     alpha = _above("alpha_z", alpha_z)
     alpha_x, tau_d = time_constants(convention, reference.duration, alpha)
     decay = alpha_x * reference.duration / tau_d
@@ -208,7 +203,7 @@ def _check_monotone(demos: list[Demo]) -> None:
             )
 
 
-def _with(blank: Dmp, learned: Learned, demos: list[Demo], reference: Reference, each: np.ndarray | None) -> Dmp:
+def _with(blank: Dmp, learned: Learned, demos: list[Demo], reference: ReferenceMotion, each: np.ndarray | None) -> Dmp:
     """Return the primitive with what was learned; its start velocity is the nearest to those of the demonstrations."""
     scales = reference.scales
     z = np.array([demo.duration for demo in demos])[:, None] / reference.duration * learned.ends[:, 1]

@@ -1,4 +1,4 @@
-"""A movement primitive on its own path, as fast as limits of velocity and acceleration allow at every place."""
+"""A movement primitive within limits of velocity and acceleration: slower as a whole, or only where it must be."""
 
 from __future__ import annotations
 
@@ -12,22 +12,87 @@ from numpy.typing import ArrayLike
 
 from armlab._numbers import positive
 from armlab.errors import ConfigError, ShapeError
-from armlab.motion import _arguments
-from armlab.motion._parameterisation import fastest, top
-from armlab.motion._setting import clock
-from armlab.motion.dmp import Dmp
-from armlab.motion.limiting import AFTER, duration_within
-from armlab.motion.rollout import Rollout, RunOptions
+from armlab.motion import arguments
+from armlab.motion.arguments import clock
+from armlab.motion.dmp.primitive import Dmp
+from armlab.motion.dmp.run import Rollout, RunOptions
 
 if TYPE_CHECKING:
-    from armlab.motion.control import Arms, Limits
-    from armlab.motion.controllers import DmpController
+    from armlab.motion.control import Arms, JointLimits
+    from armlab.motion.dmp.primitive import DmpController
 
-__all__ = ["PacedDmp", "PacedStepper", "within"]
+PEAK_STEPS = 4000  # over a duration, in which peaks are looked for
+FINER = 20  # parts of a step around the largest acceleration: that of many kernels is no parabola there
+AFTER = 0.5  # of the duration, in which the motion settles
 
-STEPS = 2000  # knots of the pace over a duration
+KNOTS = 2000  # knots of the pace over a duration
 MARGIN = 1e-6  # for what parabolas through samples do not see
 PARTS = 4  # of an interval between them, at which limits are checked
+
+BISECTIONS = 45  # of the largest squared rate at a knot: to 3e-14 of it
+
+
+def duration_within(
+    dmp: Dmp,
+    v_max: ArrayLike = np.inf,
+    a_max: ArrayLike = np.inf,
+    *,
+    y0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    g: ArrayLike | None = None,
+    amplitude: ArrayLike | None = None,
+) -> float:
+    """Return the shortest duration, not below that of the demonstration, for which a motion keeps to limits [s].
+
+    ``k = max(1, max |yd| / v_max, sqrt(max |ydd| / a_max))`` times the duration: the same path, k times as slow.
+
+    Parameters
+    ----------
+    dmp : that will run with this `duration`. v_max, a_max : a number or (n,), in the unit of y per s and s^2.
+    y0, v0, g, amplitude : of the run, as of `Dmp.rollout`; v0 in the duration of the demonstration. A controller begins
+        at rest: v0 = 0.
+
+    Raises
+    ------
+    ShapeError : limits of another shape or not above zero, and as of `Dmp.rollout`.
+    """
+    limits = [arguments.joint_limit(limit, what, dmp.n) for limit, what in ((v_max, "v_max"), (a_max, "a_max"))]
+    coarse = FINER * np.arange(round((1.0 + AFTER) * PEAK_STEPS) + 1)
+    step = dmp.duration / (PEAK_STEPS * FINER)
+    given: RunOptions = {"y0": y0, "v0": v0, "g": g, "amplitude": amplitude}
+    size = np.abs(dmp.rollout(step * coarse, **given).ydd)
+    near = coarse[size.argmax(axis=0).clip(1, len(coarse) - 2)] + np.arange(-FINER, FINER + 1)[:, None]
+    speed, acceleration = peaks(dmp.rollout(step * np.union1d(coarse, near), **given))
+    k = max(1.0, float(np.max(speed / limits[0])), float(np.sqrt(np.max(acceleration / limits[1]))))
+    return k * dmp.duration
+
+
+def peaks(run: Rollout) -> tuple[np.ndarray, np.ndarray]:
+    """Return the largest ``|yd|`` and ``|ydd|`` (n,) of a motion, between its samples too.
+
+    Velocity is the cubic between samples with the accelerations as slopes; the peak of the acceleration is that of the
+    parabola through the largest sample and its neighbours.
+
+    Parameters
+    ----------
+    run : with small even steps.
+    """
+    h, v, a = np.diff(run.t)[:, None], run.yd, run.ydd
+    turns = a[:-1] * a[1:] < 0.0
+    s = np.where(turns, a[:-1] / np.where(turns, a[:-1] - a[1:], 1.0), 0.0)
+    left, right = (1 + 2 * s) * (1 - s) ** 2, s * s * (3 - 2 * s)
+    between = left * v[:-1] + right * v[1:] + h * (s * (1 - s) ** 2 * a[:-1] - s * s * (1 - s) * a[1:])
+    speed = np.maximum(np.abs(v).max(axis=0), np.abs(np.where(turns, between, 0.0)).max(axis=0))
+    size = np.abs(a)
+    k = size.argmax(axis=0).clip(1, max(len(a) - 2, 1))
+    j = np.arange(a.shape[1])
+    if len(a) < 3:
+        return speed, size.max(axis=0)
+    before, at, after = size[k - 1, j], size[k, j], size[k + 1, j]
+    bend = before - 2 * at + after
+    top = at - np.where(bend < 0.0, (after - before) ** 2 / (8 * np.where(bend < 0.0, bend, 1.0)), 0.0)
+    inside = (at >= before) & (at >= after)
+    return speed, np.where(inside, np.maximum(top, at), size.max(axis=0))
 
 
 def within(
@@ -54,10 +119,10 @@ def within(
     ------
     ShapeError : as of `duration_within`.
     """
-    v, a = (_arguments.joint_limit(limit, what, dmp.n) for limit, what in ((v_max, "v_max"), (a_max, "a_max")))
+    v, a = (arguments.joint_limit(limit, what, dmp.n) for limit, what in ((v_max, "v_max"), (a_max, "a_max")))
     given: RunOptions = {"y0": y0, "v0": v0, "g": g, "amplitude": amplitude}
     uniform = dmp.duration / duration_within(dmp, v, a, y0=y0, v0=v0, g=g, amplitude=amplitude)
-    M = round((1.0 + AFTER) * STEPS)
+    M = round((1.0 + AFTER) * KNOTS)
     s = np.linspace(0.0, (1.0 + AFTER) * dmp.duration, M * PARTS + 1)
     knots, h = s[::PARTS], s[PARTS]
     path = dmp.rollout(s, **given)
@@ -66,8 +131,8 @@ def within(
     share = np.arange(PARTS + 1)[:, None] / PARTS
     squares = z[:-1, None, None] * (1.0 - share) + z[1:, None, None] * share
     slope = path.yd[place]
-    speed = top(slope * np.sqrt(squares))
-    acceleration = top(path.ydd[place] * squares + slope * (np.diff(z) / (2 * h))[:, None, None])
+    speed = largest_size(slope * np.sqrt(squares))
+    acceleration = largest_size(path.ydd[place] * squares + slope * (np.diff(z) / (2 * h))[:, None, None])
     over = max(1.0, (1.0 + MARGIN) * float(np.max(np.maximum(speed / v, np.sqrt(acceleration / a)))))
     paced = PacedDmp(dmp, knots, np.sqrt(z) / over, given)
     if paced.duration > dmp.duration / uniform:
@@ -161,7 +226,7 @@ class PacedDmp:
             raise ConfigError("Expected a run at the pace of the plan, got a duration. Give `within` a slower motion.")
         return PacedStepper(self, {**self.run, **run})
 
-    def controller(self, robot: Arms, *, limits: Limits | Sequence[Limits] | None = None) -> DmpController:
+    def controller(self, robot: Arms, *, limits: JointLimits | Sequence[JointLimits] | None = None) -> DmpController:
         """Return a controller ``State -> Command`` at this pace, which starts where the arm is, at rest.
 
         Limits hold as planned where the arm is at the start of the plan; elsewhere, and after another goal, the path is
@@ -175,7 +240,7 @@ class PacedDmp:
         ------
         ShapeError : as of `Dmp.controller`.
         """
-        from armlab.motion.controllers import DmpController
+        from armlab.motion.dmp.primitive import DmpController
 
         return DmpController(robot, self, {}, limits)
 
@@ -252,3 +317,73 @@ class PacedStepper:
         ShapeError : as of `Stepper.change_goal`.
         """
         self._inner.change_goal(g)
+
+
+def fastest(h: float, slope: np.ndarray, bend: np.ndarray, v_max: np.ndarray, a_max: np.ndarray) -> np.ndarray:
+    """Return the squared rate ``z = s'^2`` (M + 1,) at knots, at most 1, with which a path y(s) is run soonest.
+
+    Velocity is ``y_s sqrt(z)``, acceleration ``y_ss z + y_s z_s / 2``. With z linear between knots, both are linear
+    inequalities of neighbours: backwards the largest z from which the end can be reached, forwards the largest that
+    can be reached from there.
+
+    Parameters
+    ----------
+    h : between knots [s]. slope, bend : (M + 1, n) first and second derivative of the path. v_max, a_max : (n,) limits.
+
+    References
+    ----------
+    Pham and Pham, A new approach to time-optimal path parameterization based on reachability analysis, IEEE
+    Transactions on Robotics 34(3), 2018.
+    """
+    with np.errstate(divide="ignore"):
+        cap = np.minimum(1.0, np.min((v_max / np.abs(slope)) ** 2, axis=1))
+    # a z + b z_next <= 1 at both ends of every interval, in both directions: (M, 4 n)
+    turn, bent = slope / (2 * h * a_max), bend / a_max
+    before = np.concatenate([bent[:-1] - turn[:-1], -turn[1:]], axis=1)
+    after = np.concatenate([turn[:-1], bent[1:] + turn[1:]], axis=1)
+    a, b = np.concatenate([before, -before], axis=1), np.concatenate([after, -after], axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rises, falls = b > 0.0, (b < 0.0) & (a > 0.0)
+        over_b, over_a = np.where(b != 0.0, 1.0 / b, 0.0), np.where(falls, 1.0 / a, np.inf)
+        up, up_slope = np.where(rises, over_b, np.inf), np.where(rises, -a * over_b, 0.0)
+        down, down_slope = over_a, np.where(falls, -b / a, 0.0)
+    most = np.minimum(cap[:-1], _alone(a, b, cap))
+    reachable = cap.copy()
+    for i in range(len(most) - 1, -1, -1):
+        reachable[i] = min(most[i], (down[i] + down_slope[i] * reachable[i + 1]).min())
+    z = reachable
+    for i in range(len(most)):
+        z[i + 1] = min(z[i + 1], (up[i] + up_slope[i] * z[i]).min())
+    return z
+
+
+def _alone(a: np.ndarray, b: np.ndarray, cap: np.ndarray) -> np.ndarray:
+    """Return the largest z (M,) for which any next one fulfils the inequalities of one interval."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        over = np.where(b != 0.0, 1.0 / b, 0.0)
+    flat, rises, falls = b == 0.0, b > 0.0, b < 0.0
+    low, high = np.zeros(len(a)), cap[:-1].copy()
+    for _ in range(BISECTIONS):
+        z = 0.5 * (low + high)
+        left = 1.0 - a * z[:, None]
+        bound = left * over
+        least = np.max(np.where(falls, bound, 0.0), axis=1)
+        largest = np.minimum(cap[1:], np.min(np.where(rises, bound, np.inf), axis=1))
+        fits = (least <= largest) & (np.where(flat, left, 0.0).min(axis=1) >= 0.0)
+        low, high = np.where(fits, z, low), np.where(fits, high, z)
+    return np.where(high == cap[:-1], high, low)
+
+
+def largest_size(values: np.ndarray) -> np.ndarray:
+    """Return the largest size (n,) of functions of which pieces (M, P, n) have even samples, between them too.
+
+    Parameters
+    ----------
+    values : P >= 3 samples of each smooth piece; the parabola through three has the peak between them.
+    """
+    size = np.abs(values)
+    before, at, after = size[:, :-2], size[:, 1:-1], size[:, 2:]
+    bend = before - 2 * at + after
+    inside = (at >= before) & (at >= after) & (bend < 0.0)
+    rise = np.where(inside, -((after - before) ** 2) / (8 * np.where(inside, bend, 1.0)), 0.0)
+    return np.maximum(size.max(axis=(0, 1)), (at + rise).max(axis=(0, 1)))

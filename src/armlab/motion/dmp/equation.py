@@ -1,10 +1,10 @@
-"""The equation of a movement primitive: what it is made of, its phase, its kernels, its forcing."""
+"""The equation of a movement primitive: its phase, its kernels, its forcing."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,15 +12,71 @@ from numpy.typing import ArrayLike
 from armlab import kernels
 from armlab._numbers import check_name, number, numbers, positive
 from armlab.errors import ConfigError, ShapeError
-from armlab.motion._basis import CONVENTIONS, SCHEDULES
-from armlab.motion._saved import freeze_arrays
-from armlab.motion._setting import UNSCALED, vector
+from armlab.motion.arguments import vector
+from armlab.motion.storage import freeze_arrays
 
-__all__ = ["SCALINGS", "Equation"]
+if TYPE_CHECKING:
+    pass
+
+CONVENTIONS = ("lund", "ijspeert")
+SCHEDULES = ("canonical", "time", "position")
+SPACINGS = ("time", "phase")
+FEWEST, MOST = 3, 1000
 
 SCALINGS = ("goal", "none", "amplitude", "rotate")
 ROUNDING = 1e-12  # of the largest number of a demonstration: a coordinate moved by less stood still
 PER_COORDINATE = ("y0", "v0", "g", "extent", "peak_acceleration", "monotone")
+
+UNSCALED = 0.05  # of the range of the demonstration: displacement below which the goal does not scale a coordinate
+
+
+def time_constants(convention: str, duration: float, alpha_z: float) -> tuple[float, float]:
+    """Return alpha_x and tau_d [s] of a convention for a motion of `duration` [s].
+
+    Raises
+    ------
+    UnknownName : another convention.
+    """
+    check_name(convention, "convention", CONVENTIONS)
+    return (1.0, duration / 3.0) if convention == "lund" else (alpha_z / 3.0, duration)
+
+
+def placed(schedule: str, spacing: str, n_basis: int, decay: float, factor: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return centres and widths (n_basis,) of kernels in the phase.
+
+    Parameters
+    ----------
+    schedule : of the phase. spacing : "time": equally spaced in time; "phase": in the phase, as in
+        DynamicMovementPrimitives.jl. decay : ``alpha_x duration / tau_d``, so that x ends at exp(-decay).
+    factor : standard deviations over distances, of spacing "time".
+
+    Raises
+    ------
+    UnknownName : another schedule or spacing. ConfigError : a number of kernels outside 3 to 1000.
+    """
+    check_name(schedule, "schedule", SCHEDULES)
+    check_name(spacing, "spacing", SPACINGS)
+    whole = isinstance(n_basis, int | np.integer) and not isinstance(n_basis, bool)
+    if not whole or not FEWEST <= n_basis <= MOST:
+        raise ConfigError(f"Expected a whole number of kernels from {FEWEST} to {MOST}, got {n_basis!r}. 50 is usual.")
+    u = np.linspace(0.0, 1.0, n_basis)
+    if schedule != "canonical":
+        return u, np.full(n_basis, factor / (n_basis - 1))
+    last = np.exp(-decay)
+    if spacing == "phase":
+        return np.linspace(last, 1.0, n_basis), np.full(n_basis, np.sqrt(1.0 - last) * 0.5 / n_basis)
+    centres = np.exp(-decay * u)
+    gaps = np.abs(np.diff(centres))
+    return centres, factor * np.append(gaps, gaps[-1])
+
+
+def normalised(u: np.ndarray, centres: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return Gaussian kernels over their sum, as a soft-max, and their derivatives with u; u (..., 1)."""
+    exponents = -0.5 * ((u - centres) / widths) ** 2
+    psi = np.exp(exponents - exponents.max(axis=-1, keepdims=True))
+    psi /= psi.sum(axis=-1, keepdims=True)
+    slope = -(u - centres) / widths**2
+    return psi, psi * (slope - (psi * slope).sum(axis=-1, keepdims=True))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,16 +1,17 @@
-"""Points, limits and durations of profiles: from what a user gives to arrays, or one sentence."""
+"""Arguments of motions: points, limits, durations and times as arrays, or one sentence that refuses them."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from armlab._numbers import number, numbers
+from armlab._numbers import number, numbers, positive
 from armlab.errors import ShapeError
 
-__all__ = ["MOST_SAMPLES", "joint_limit", "point", "points", "positive", "second_point", "velocity"]
-
+if TYPE_CHECKING:
+    pass
 
 MOST_SAMPLES = 10_000_000
 
@@ -60,7 +61,7 @@ def joint_limit(value: Any, what: str, n: int) -> np.ndarray:
     return _per_joint(value, what, n, lambda x: x > 0.0, "above zero")
 
 
-def positive(value: Any, what: str) -> float:
+def above_zero(value: Any, what: str) -> float:
     """Return one finite number above zero."""
     found = number(value, what)
     if not 0.0 < found < np.inf:
@@ -80,3 +81,50 @@ def _per_joint(value: Any, what: str, n: int, allowed: Any, word: str) -> np.nda
 
 def _came(array: np.ndarray) -> str:
     return str(array.tolist()) if array.ndim == 1 and array.size else f"shape {array.shape}"
+
+
+def clock(t: ArrayLike, end: float) -> np.ndarray:
+    """Return times (N,) as they are given, or from 0 in steps of t to the end [s].
+
+    Raises
+    ------
+    ShapeError : no finite step above zero; one that is longer than the motion, or far too short.
+    """
+    times = numbers(t, "t", ShapeError)
+    if times.ndim:
+        return times
+    step = positive(times, "dt", "At 250 Hz it is 0.004.")
+    if not end / MOST_SAMPLES <= step <= end * (1 + 1e-12):
+        raise ShapeError(
+            f"Expected a dt [s] from {end / MOST_SAMPLES:.2g} to {end:g}, that of the motion, got {step:g}. At 250 Hz "
+            "it is 0.004."
+        )
+    return step * np.arange(int(np.floor(end / step * (1 + 1e-12))) + 1)
+
+
+def vector(value: ArrayLike, what: str, n: int) -> np.ndarray:
+    """Return finite numbers (..., n), one per coordinate.
+
+    Raises
+    ------
+    ShapeError : another shape, or not finite.
+    """
+    array = numbers(value, what, ShapeError)
+    if array.ndim < 1 or array.shape[-1] != n:
+        raise ShapeError(f"Expected {what} with {n} coordinates on its last axis, got shape {array.shape}.")
+    if not np.isfinite(array).all():
+        raise ShapeError(f"Expected a finite {what}, got {array}. Leave it out to take that of the demonstration.")
+    return array
+
+
+def coordinates(value: ArrayLike, what: str, n: int) -> np.ndarray:
+    """Return finite numbers (n,), one per coordinate.
+
+    Raises
+    ------
+    ShapeError : another shape, or not finite.
+    """
+    array = vector(value, what, n)
+    if array.ndim != 1:
+        raise ShapeError(f"Expected {what} of shape ({n},), got {array.shape}. Give one number per coordinate.")
+    return array

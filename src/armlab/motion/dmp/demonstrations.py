@@ -1,4 +1,4 @@
-"""Demonstrations: what is accepted, and what a primitive takes from each."""
+"""Demonstrations: which are accepted, and their mean size, start and goal."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import numbers
-from armlab.errors import ShapeError
-
-__all__ = ["Demo", "differences", "read_demos"]
+from armlab.errors import ConfigError, ShapeError
+from armlab.motion.dmp.equation import UNSCALED
+from armlab.motion.dmp.run import rotation
 
 FEWEST = 3  # samples
 EVEN = 1e-9  # relative deviation of a step below which it is the rounding of the clock
@@ -132,3 +132,54 @@ def _demo(t: ArrayLike, y: ArrayLike, weights: ArrayLike | None, which: str) -> 
 def _listed(rows: np.ndarray) -> str:
     text = ", ".join(map(str, rows[:LISTED]))
     return text if len(rows) <= LISTED else f"{text} and {len(rows) - LISTED} more"
+
+
+@dataclass(frozen=True)
+class ReferenceMotion:
+    """Means over the demonstrations, and the factors s (M, n) from the reference to each."""
+
+    duration: float
+    y0: np.ndarray
+    g: np.ndarray
+    extent: np.ndarray
+    scales: np.ndarray
+
+    @classmethod
+    def of(cls, demos: list[Demo], scaling: str, starts: np.ndarray, goals: np.ndarray) -> ReferenceMotion:
+        """Average demonstrations.
+
+        Parameters
+        ----------
+        demos : M of them. scaling : of the primitive. starts, goals : (M, n).
+        """
+        y0, g = starts.mean(axis=0), goals.mean(axis=0)
+        extent = np.mean([np.ptp(demo.y, axis=0) for demo in demos], axis=0)
+        scales = np.ones_like(starts)
+        if scaling == "goal" and len(demos) > 1:
+            way, told = g - y0, abs(g - y0) > UNSCALED * extent
+            scales = np.where(told, (goals - starts) / np.where(told, way, 1.0), 1.0)
+        return cls(float(np.mean([demo.duration for demo in demos])), y0, g, extent, scales)
+
+
+def aligned(demos: list[Demo], scaling: str) -> list[Demo]:
+    """Return demonstrations turned and scaled to the mean displacement, where the scaling is "rotate".
+
+    Raises
+    ------
+    ConfigError : not three coordinates. ShapeError : no displacement, or half a turn.
+    """
+    if scaling != "rotate":
+        return demos
+    if demos[0].y.shape[1] != 3:
+        raise ConfigError(f"Expected three coordinates for scaling 'rotate', got {demos[0].y.shape[1]}. Use 'goal'.")
+    ways = [demo.y[-1] - demo.y[0] for demo in demos]
+    mean, start = np.mean(ways, axis=0), np.mean([demo.y[0] for demo in demos], axis=0)
+    if not np.linalg.norm(mean) > UNSCALED * max(np.ptp(demo.y, axis=0).max() for demo in demos):
+        raise ShapeError(
+            "Expected demonstrations that end away from their start for scaling 'rotate', got hardly any displacement. "
+            "Use scaling 'none' or 'amplitude'."
+        )
+    if len(demos) == 1:
+        return demos
+    turns = [rotation(way, mean) for way in ways]
+    return [Demo(demo.t, start + (demo.y - demo.y[0]) @ turn.T, demo.weights) for demo, turn in zip(demos, turns)]

@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["Solution", "block_covariance", "rows", "solve", "solve_joined"]
-
 BLOCK = 8  # columns that are reflected together: the fastest for some fifty of them
 RCOND = 1e-11  # relative singular value below which a direction is left at zero
 
@@ -33,12 +31,12 @@ def solve(A: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None) -> Solu
     A : (N, p). b : (N, q). ridge : (p,) penalties of the unknowns.
     """
     N, p = A.shape
-    joined = np.zeros((rows(N, p, ridge), p + b.shape[1]), order="F")
+    joined = np.zeros((rows_needed(N, p, ridge), p + b.shape[1]), order="F")
     joined[:N, :p] = A
     return solve_joined(joined, b, ridge)
 
 
-def rows(N: int, p: int, ridge: np.ndarray | None) -> int:
+def rows_needed(N: int, p: int, ridge: np.ndarray | None) -> int:
     """Return how many rows `solve_joined` needs for N equations of p unknowns."""
     return max(N, p) + (0 if ridge is None else p)
 

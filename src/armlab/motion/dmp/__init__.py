@@ -1,0 +1,3 @@
+"""Dynamic movement primitives: equation, runs, and the fit to demonstrations."""
+
+__all__ = ()
