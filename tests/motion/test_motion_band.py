@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import ShapeError
-from armlab.motion import MotionBand, ProMP, blend
+from armlab.motion import ProMP, TrajectoryDistribution, blend
 from armlab.motion.promp import SAME
 
 M, N_JOINTS = 8, 2
@@ -38,7 +38,7 @@ def test_blending_goes_from_one_motion_to_the_other(promp: ProMP) -> None:
 
 def test_a_band_is_frozen_and_has_deviations() -> None:
     cov = np.array([[[4.0, 0.0], [0.0, 9.0]]])
-    band = MotionBand(np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)), cov, cov)
+    band = TrajectoryDistribution(np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)), cov, cov)
     np.testing.assert_array_equal(band.sd, [[2.0, 3.0]])
     assert SAME < 1e-6
     with pytest.raises(ValueError, match="read-only"):

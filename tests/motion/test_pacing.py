@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from armlab import State, bridge, robots
 from armlab.errors import ConfigError, ShapeError
-from armlab.motion import Dmp, duration_within, fit_dmp
+from armlab.motion import Dmp, fit_dmp, shortest_duration
 from armlab.motion.dmp.primitive import DmpController
-from armlab.motion.timing import PacedDmp, PacedStepper, fastest, largest_size, within
+from armlab.motion.timing import PacedDmp, PacedStepper, fastest, largest_size, retimed
 
 U = np.linspace(0.0, 1.0, 501)
 S = U**3 * (10 - 15 * U + 6 * U**2)
@@ -37,7 +37,7 @@ TOLERANCE = 1e-6  # of the limits
 
 def check(dmp: Dmp, v_max: np.ndarray, a_max: np.ndarray) -> PacedDmp:
     """Check the three promises, at times that are not those at which the pace was planned."""
-    paced, stretched = within(dmp, v_max, a_max), duration_within(dmp, v_max, a_max)
+    paced, stretched = retimed(dmp, v_max, a_max), shortest_duration(dmp, v_max, a_max)
     assert dmp.duration * (1 - 1e-12) <= paced.duration <= stretched * (1 + 1e-12)
     t = np.linspace(0.0, paced.t[-1], 10_007)
     run = paced.rollout(t)
@@ -63,7 +63,7 @@ def test_demonstrations(demo: str) -> None:
     dmp = fit_dmp(*DEMOS[demo]).value
     v, a = peaks(dmp)
     paced = check(dmp, 0.6 * v, 0.3 * a)
-    assert paced.duration < 0.85 * duration_within(dmp, 0.6 * v, 0.3 * a)  # and much sooner
+    assert paced.duration < 0.85 * shortest_duration(dmp, 0.6 * v, 0.3 * a)  # and much sooner
 
 
 @given(st.integers(0, 999), st.sampled_from([0.02, 0.4, 1.2]), st.sampled_from([0.01, 0.3, np.inf]))
@@ -95,7 +95,7 @@ def test_top_sees_between_samples() -> None:
 
 def test_wide_limits_change_nothing() -> None:
     dmp = fit_dmp(U, LETTER, n_basis=20).value
-    paced = within(dmp, 100.0, 1e4)
+    paced = retimed(dmp, 100.0, 1e4)
     assert paced.duration == pytest.approx(1.0, abs=1e-12)
     np.testing.assert_allclose(paced.rollout(0.004).y, dmp.rollout(0.004).y, rtol=0, atol=1e-7)  # of steps of 4 ms
     assert len(paced.rollout(0.004).t) == 251
@@ -104,7 +104,7 @@ def test_wide_limits_change_nothing() -> None:
 def test_steps_are_the_rollout_and_far_goals_take_longer() -> None:
     dmp = fit_dmp(U, LETTER, n_basis=20).value
     limits = (0.5, 10.0)
-    paced, far = (within(dmp, *limits, g=dmp.y0 + k * (dmp.g - dmp.y0)) for k in (1.0, 2.0))
+    paced, far = (retimed(dmp, *limits, g=dmp.y0 + k * (dmp.g - dmp.y0)) for k in (1.0, 2.0))
     assert far.duration > 1.2 * paced.duration
     run, stepper = paced.rollout(0.004), paced.stepper()
     assert isinstance(stepper, PacedStepper)
@@ -122,7 +122,7 @@ def test_the_controller_is_not_limited_at_250_hz() -> None:
     q = robot.q_home + S[:, None] * np.array([1.1, 0.1, 0.2, 0.2, -0.3, 0.4, 0.2])
     dmp = fit_dmp(0.5 * U, q, n_basis=20, scaling="none").value
     limits = bridge.Limits.of(robot, speed=0.4)
-    paced = within(dmp, 0.95 * limits.qd_max, 0.95 * limits.qdd_max, v0=np.zeros(7))
+    paced = retimed(dmp, 0.95 * limits.qd_max, 0.95 * limits.qdd_max, v0=np.zeros(7))
     for motion, wanted in ((paced, False), (dmp, True)):
         controller = motion.controller(robot, limits=limits)
         assert isinstance(controller, DmpController)
@@ -136,9 +136,9 @@ def test_the_controller_is_not_limited_at_250_hz() -> None:
 
 
 def test_bad_input_is_refused_by_a_sentence() -> None:
-    paced = within(fit_dmp(U, S, n_basis=8).value, 1.0)
+    paced = retimed(fit_dmp(U, S, n_basis=8).value, 1.0)
     for words, call in {
-        "v_max above zero": lambda: within(paced.dmp, 0.0),
+        "v_max above zero": lambda: retimed(paced.dmp, 0.0),
         "times .N,. that increase": lambda: paced.rollout([0.0, 0.0]),
         r"dt .* above zero": lambda: paced.stepper().step(-1.0),
         r"dt .* real numbers": lambda: paced.stepper().step("soon"),  # type: ignore[arg-type]

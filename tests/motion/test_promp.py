@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import ConfigError, ShapeError
-from armlab.motion import MotionBand, ProMP
+from armlab.motion import ProMP, TrajectoryDistribution
 
 M, N_JOINTS = 8, 2
 T = np.linspace(0.0, 2.0, 21)
@@ -26,7 +26,7 @@ def promp() -> ProMP:
 
 def test_marginals_are_those_of_many_samples(promp: ProMP) -> None:
     band, drawn = promp.marginal(T), promp.sample(T, 1, 4000)
-    assert isinstance(band, MotionBand)
+    assert isinstance(band, TrajectoryDistribution)
     assert drawn.shape == (4000, 21, 2)
     np.testing.assert_allclose(drawn.mean(axis=0), band.y, atol=0.1)
     sample_cov = np.einsum("kti,ktj->tij", drawn - band.y, drawn - band.y) / 4000

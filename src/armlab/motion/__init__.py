@@ -10,10 +10,10 @@ from armlab.motion.obstacles import AvoidingController, AvoidingDmp, AvoidingSte
 from armlab.motion.periodic import PeriodicController, PeriodicDmp, PeriodicStepper, fit_periodic_dmp
 from armlab.motion.pose_dmp import PoseDmp, PoseDmpController, PoseRollout, PoseRunOptions, PoseStepper
 from armlab.motion.pose_fit import fit_pose_dmp
-from armlab.motion.promp import MotionBand, ProMP, blend, fit_promp
-from armlab.motion.timing import PacedDmp, PacedStepper, duration_within, peaks, within
+from armlab.motion.promp import ProMP, TrajectoryDistribution, blend, fit_promp
+from armlab.motion.timing import PacedDmp, PacedStepper, peaks, retimed, shortest_duration
 from armlab.motion.two_dof import Reference, TwoDofController, TwoDofDmp, TwoDofStepper
-from armlab.motion.via_points import through
+from armlab.motion.via_points import with_via_points
 
 __all__ = [
     "AvoidingController",
@@ -25,7 +25,6 @@ __all__ = [
     "Dmp",
     "DmpController",
     "Hold",
-    "MotionBand",
     "PacedDmp",
     "PacedStepper",
     "PeriodicController",
@@ -42,18 +41,19 @@ __all__ = [
     "Rollout",
     "RunOptions",
     "Stepper",
+    "TrajectoryDistribution",
     "TwoDofController",
     "TwoDofDmp",
     "TwoDofRun",
     "TwoDofStepper",
     "blend",
-    "duration_within",
     "fit_dmp",
     "fit_periodic_dmp",
     "fit_pose_dmp",
     "fit_promp",
     "peaks",
     "profiles",
-    "through",
-    "within",
+    "retimed",
+    "shortest_duration",
+    "with_via_points",
 ]

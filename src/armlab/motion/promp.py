@@ -110,7 +110,7 @@ class ProMP(Saved, kind="promp"):
             raise ShapeError(f"Expected finite times (N,), got shape {times.shape}. Or give one step [s].")
         return times
 
-    def marginal(self, t: ArrayLike, *, duration: float | None = None) -> MotionBand:
+    def marginal(self, t: ArrayLike, *, duration: float | None = None) -> TrajectoryDistribution:
         """Return mean and covariance of position and velocity at each time: ``Psi mean``, ``Psi cov Psi^T``.
 
         Parameters
@@ -125,7 +125,7 @@ class ProMP(Saved, kind="promp"):
         psi, rate = self.kernels(times, duration)
         blocks = self.cov.reshape(self.n, len(self.centres), self.n, len(self.centres))
         spread, speed = (_spread(rows, blocks) for rows in (psi, rate))
-        return MotionBand(times, psi @ self.mean, rate @ self.mean, spread, speed)
+        return TrajectoryDistribution(times, psi @ self.mean, rate @ self.mean, spread, speed)
 
     def sample(
         self, t: ArrayLike, seed: int | np.random.Generator, count: int, *, duration: float | None = None
@@ -252,7 +252,7 @@ def _block_diagonal(parts: list[np.ndarray]) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class MotionBand:
+class TrajectoryDistribution:
     """Motion with its spread over N times.
 
     Attributes
@@ -281,7 +281,7 @@ class MotionBand:
 
 def blend(
     primitives: Sequence[ProMP], activation: ArrayLike, t: ArrayLike, *, duration: float | None = None
-) -> MotionBand:
+) -> TrajectoryDistribution:
     """Return the product of primitives, each to the power of its activation: from one motion into another, or several
     at once where all of them agree.
 
@@ -322,7 +322,7 @@ def blend(
         vector += np.einsum("tij,tj->ti", inverse, mean)
     cov = np.linalg.pinv(information, rcond=SAME, hermitian=True)
     mean = np.einsum("tij,tj->ti", cov, vector)
-    return MotionBand(times, mean[:, :n], mean[:, n:], cov[:, :n, :n], cov[:, n:, n:])
+    return TrajectoryDistribution(times, mean[:, :n], mean[:, n:], cov[:, :n, :n], cov[:, n:, n:])
 
 
 def _joint(primitive: ProMP, t: np.ndarray, duration: float | None) -> tuple[np.ndarray, np.ndarray]:

@@ -32,7 +32,7 @@ PARTS = 4  # of an interval between them, at which limits are checked
 BISECTIONS = 45  # of the largest squared rate at a knot: to 3e-14 of it
 
 
-def duration_within(
+def shortest_duration(
     dmp: Dmp,
     v_max: ArrayLike = np.inf,
     a_max: ArrayLike = np.inf,
@@ -95,7 +95,7 @@ def peaks(run: Rollout) -> tuple[np.ndarray, np.ndarray]:
     return speed, np.where(inside, np.maximum(top, at), size.max(axis=0))
 
 
-def within(
+def retimed(
     dmp: Dmp,
     v_max: ArrayLike = np.inf,
     a_max: ArrayLike = np.inf,
@@ -108,20 +108,20 @@ def within(
     """Return the motion on the same path that slows down only where a limit asks for it.
 
     It is as fast as limits allow, and nowhere faster than the demonstration: the time-optimal parameterisation of the
-    path with a rate of at most 1. It never takes longer than the whole motion stretched, `duration_within`. Its
+    path with a rate of at most 1. It never takes longer than the whole motion stretched, `shortest_duration`. Its
     acceleration jumps: jerk has no limit.
 
     Parameters
     ----------
-    dmp, v_max, a_max, y0, v0, g, amplitude : as of `duration_within`.
+    dmp, v_max, a_max, y0, v0, g, amplitude : as of `shortest_duration`.
 
     Raises
     ------
-    ShapeError : as of `duration_within`.
+    ShapeError : as of `shortest_duration`.
     """
     v, a = (arguments.joint_limit(limit, what, dmp.n) for limit, what in ((v_max, "v_max"), (a_max, "a_max")))
     given: RunOptions = {"y0": y0, "v0": v0, "g": g, "amplitude": amplitude}
-    uniform = dmp.duration / duration_within(dmp, v, a, y0=y0, v0=v0, g=g, amplitude=amplitude)
+    uniform = dmp.duration / shortest_duration(dmp, v, a, y0=y0, v0=v0, g=g, amplitude=amplitude)
     M = round((1.0 + AFTER) * KNOTS)
     s = np.linspace(0.0, (1.0 + AFTER) * dmp.duration, M * PARTS + 1)
     knots, h = s[::PARTS], s[PARTS]
@@ -142,7 +142,7 @@ def within(
 
 @dataclass(frozen=True, eq=False)
 class PacedDmp:
-    """A primitive whose clock runs at a pace of its own; made by `within`.
+    """A primitive whose clock runs at a pace of its own; made by `retimed`.
 
     Attributes
     ----------
@@ -223,7 +223,7 @@ class PacedDmp:
         ShapeError, ConfigError : as of `Dmp.stepper`.
         """
         if run.keys() & {"duration", "tau_d"}:
-            raise ConfigError("Expected a run at the pace of the plan, got a duration. Give `within` a slower motion.")
+            raise ConfigError("Expected a run at the pace of the plan, got a duration. Give `retimed` a slower motion.")
         return PacedStepper(self, {**self.run, **run})
 
     def controller(self, robot: Arms, *, limits: JointLimits | Sequence[JointLimits] | None = None) -> DmpController:

@@ -18,7 +18,7 @@ SAME = 1e-10
 ROUNDS = 3  # the last digits
 
 
-def through(dmp: Dmp, t: ArrayLike, y: ArrayLike | None = None, yd: ArrayLike | None = None) -> Dmp:
+def with_via_points(dmp: Dmp, t: ArrayLike, y: ArrayLike | None = None, yd: ArrayLike | None = None) -> Dmp:
     """Return the primitive whose own motion passes positions or velocities at given times, changed least elsewhere.
 
     The motion is linear in the weights, so points are linear conditions ``C dw = c``. Of all changes of the weights
