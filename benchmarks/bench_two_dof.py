@@ -11,7 +11,7 @@ from blocks import Block, Contender, Table, agree, alternate, figures, loop, tab
 from armlab import State, motion, robots
 from armlab.kernels import _reference
 from armlab.kinematics import forward
-from armlab.motion.dmp.run import RunParameters
+from armlab.motion.primitive.run import RunParameters
 
 DT = 0.004
 KERNEL_BAR, CALL_BAR = 3e-6, 30e-6  # s; the second for 99.9 % of the calls

@@ -16,7 +16,7 @@ from armlab.estimation import Fit
 from armlab.lie import so3
 from armlab.motion import Dmp, PoseDmp, fit_pose_dmp
 from armlab.motion.control import Controller
-from armlab.motion.dmp.equation import placed, time_constants
+from armlab.motion.primitive.equation import placed, time_constants
 
 PERIOD = 0.004032
 YUMI = robots.load("yumi_right")

@@ -3,13 +3,13 @@
 from armlab.motion import profiles
 from armlab.motion.control import Controller
 from armlab.motion.disturbances import Displace, Hold, Push, TwoDofRun
-from armlab.motion.dmp.fit import fit_dmp
-from armlab.motion.dmp.primitive import Dmp, DmpController
-from armlab.motion.dmp.run import Rollout, RunOptions, Stepper
+from armlab.motion.dmp import Dmp, DmpController
 from armlab.motion.obstacles import AvoidingController, AvoidingDmp, AvoidingStepper, Capsule
 from armlab.motion.periodic import PeriodicController, PeriodicDmp, PeriodicStepper, fit_periodic_dmp
 from armlab.motion.pose_dmp import PoseDmp, PoseDmpController, PoseRollout, PoseRunOptions, PoseStepper
 from armlab.motion.pose_fit import fit_pose_dmp
+from armlab.motion.primitive.fit import fit_dmp
+from armlab.motion.primitive.run import Rollout, RunOptions, Stepper
 from armlab.motion.promp import ProMP, TrajectoryDistribution, blend, fit_promp
 from armlab.motion.timing import PacedDmp, PacedStepper, peaks, retimed, shortest_duration
 from armlab.motion.two_dof import Reference, TwoDofController, TwoDofDmp, TwoDofStepper

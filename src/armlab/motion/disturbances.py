@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from armlab._numbers import number, numbers
 from armlab.errors import ShapeError
-from armlab.motion.dmp.run import Rollout
+from armlab.motion.primitive.run import Rollout
 
 Dofs = Sequence[int] | None
 

@@ -14,8 +14,8 @@ from armlab._numbers import check_name, members, number, numbers
 from armlab.errors import ConfigError, ShapeError
 from armlab.motion.arguments import vector
 from armlab.motion.control import JointLimits
-from armlab.motion.dmp.primitive import Dmp, DmpController
-from armlab.motion.dmp.run import Rollout, RunOptions, RunParameters, Stepper
+from armlab.motion.dmp import Dmp, DmpController
+from armlab.motion.primitive.run import Rollout, RunOptions, RunParameters, Stepper
 from armlab.robots import Robot
 
 if TYPE_CHECKING:

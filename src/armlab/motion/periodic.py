@@ -16,9 +16,9 @@ from armlab.errors import ConfigError, NotExcited, ShapeError
 from armlab.estimation import Excitation, Fit
 from armlab.motion.arguments import clock, vector
 from armlab.motion.control import Arms, Controller, JointLimits, Pace, check_joints, steps_in
-from armlab.motion.dmp.demonstrations import read_demos
-from armlab.motion.dmp.least_squares import block_covariance, solve
-from armlab.motion.dmp.run import Rollout
+from armlab.motion.primitive.demonstrations import read_demos
+from armlab.motion.primitive.least_squares import block_covariance, solve
+from armlab.motion.primitive.run import Rollout
 from armlab.motion.storage import Saved, freeze_arrays
 from armlab.state import State
 

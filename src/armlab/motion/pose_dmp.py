@@ -18,8 +18,8 @@ from armlab.kinematics import forward, inverse
 from armlab.lie import quaternion, so3
 from armlab.motion.arguments import vector
 from armlab.motion.control import NEAR, Controller, JointLimits, Pace, steps_in
-from armlab.motion.dmp.primitive import Dmp
-from armlab.motion.dmp.run import RunParameters
+from armlab.motion.dmp import Dmp
+from armlab.motion.primitive.run import RunParameters
 from armlab.motion.storage import Saved
 from armlab.robots import Robot
 from armlab.state import State

@@ -13,12 +13,12 @@ from armlab._numbers import check_name
 from armlab.errors import ConfigError, NotConverged, ShapeError
 from armlab.estimation import Fit
 from armlab.lie import quaternion, so3
-from armlab.motion.dmp.demonstrations import read_demos
-from armlab.motion.dmp.equation import SCALINGS, SCHEDULES
-from armlab.motion.dmp.fit import fit_dmp
-from armlab.motion.dmp.least_squares import solve
-from armlab.motion.dmp.primitive import Dmp
+from armlab.motion.dmp import Dmp
 from armlab.motion.pose_dmp import FRAMES, PoseDmp, exp, log, poses
+from armlab.motion.primitive.demonstrations import read_demos
+from armlab.motion.primitive.equation import SCALINGS, SCHEDULES
+from armlab.motion.primitive.fit import fit_dmp
+from armlab.motion.primitive.least_squares import solve
 
 FARTHEST = 3.0  # rad from the goal: beyond half a turn the shorter way is another one
 

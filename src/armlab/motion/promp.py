@@ -13,8 +13,8 @@ from armlab._numbers import generator, members, number, numbers, positive, still
 from armlab.errors import ConfigError, NotExcited, ShapeError
 from armlab.estimation import Excitation, Fit, check_excitation
 from armlab.motion.arguments import clock
-from armlab.motion.dmp.demonstrations import Demo, read_demos
-from armlab.motion.dmp.equation import normalised
+from armlab.motion.primitive.demonstrations import Demo, read_demos
+from armlab.motion.primitive.equation import normalised
 from armlab.motion.storage import Saved, freeze_arrays
 
 UNLIKELY = 1e-6  # of a point: distance that no motion of the distribution goes

@@ -14,12 +14,12 @@ from armlab._numbers import positive
 from armlab.errors import ConfigError, ShapeError
 from armlab.motion import arguments
 from armlab.motion.arguments import clock
-from armlab.motion.dmp.primitive import Dmp
-from armlab.motion.dmp.run import Rollout, RunOptions
+from armlab.motion.dmp import Dmp
+from armlab.motion.primitive.run import Rollout, RunOptions
 
 if TYPE_CHECKING:
     from armlab.motion.control import Arms, JointLimits
-    from armlab.motion.dmp.primitive import DmpController
+    from armlab.motion.dmp import DmpController
 
 PEAK_STEPS = 4000  # over a duration, in which peaks are looked for
 FINER = 20  # parts of a step around the largest acceleration: that of many kernels is no parabola there
@@ -240,7 +240,7 @@ class PacedDmp:
         ------
         ShapeError : as of `Dmp.controller`.
         """
-        from armlab.motion.dmp.primitive import DmpController
+        from armlab.motion.dmp import DmpController
 
         return DmpController(robot, self, {}, limits)
 

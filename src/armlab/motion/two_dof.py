@@ -15,8 +15,8 @@ from armlab.errors import ConfigError, ShapeError
 from armlab.motion.arguments import MOST_SAMPLES
 from armlab.motion.control import LONGEST_STEP, Arms, Controller, JointLimits, Pace, check_joints, steps_in
 from armlab.motion.disturbances import FULL_SPEED, Displace, Plant, Push, TwoDofRun, simulated
-from armlab.motion.dmp.primitive import Dmp
-from armlab.motion.dmp.run import Rollout, RunOptions, RunParameters, progress
+from armlab.motion.dmp import Dmp
+from armlab.motion.primitive.run import Rollout, RunOptions, RunParameters, progress
 from armlab.motion.storage import Saved
 from armlab.state import State
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from armlab._numbers import numbers
 from armlab.errors import ConfigError, NotExcited, ShapeError
-from armlab.motion.dmp.primitive import Dmp
+from armlab.motion.dmp import Dmp
 
 FINE = 4000  # steps of the response over a duration, at least
 GRID = 401  # times at which the change of the path is measured

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from armlab._numbers import numbers
 from armlab.errors import ConfigError, ShapeError
-from armlab.motion.dmp.equation import UNSCALED
-from armlab.motion.dmp.run import rotation
+from armlab.motion.primitive.equation import UNSCALED
+from armlab.motion.primitive.run import rotation
 
 FEWEST = 3  # samples
 EVEN = 1e-9  # relative deviation of a step below which it is the rounding of the clock

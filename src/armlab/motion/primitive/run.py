@@ -13,7 +13,7 @@ from armlab._numbers import check_name, make_read_only, number, positive
 from armlab.errors import ConfigError, NotConverged, ShapeError
 from armlab.lie import so3
 from armlab.motion.arguments import clock, vector
-from armlab.motion.dmp.equation import Equation
+from armlab.motion.primitive.equation import Equation
 
 HALF_TURN = 1e-6  # sine and cosine of an angle that no rotation between two directions is told from
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from armlab.motion.dmp.demonstrations import Demo
-from armlab.motion.dmp.least_squares import rows_needed, solve, solve_joined
-from armlab.motion.dmp.primitive import Dmp
-from armlab.motion.dmp.run import progress
+from armlab.motion.dmp import Dmp
+from armlab.motion.primitive.demonstrations import Demo
+from armlab.motion.primitive.least_squares import rows_needed, solve, solve_joined
+from armlab.motion.primitive.run import progress
 
 ENDS = ("y0", "v0", "g")
 FINE = 1000  # steps of the response over a duration, at least

@@ -13,8 +13,8 @@ from armlab._numbers import generator, number, numbers
 from armlab.errors import ConfigError, ShapeError
 from armlab.motion.arguments import clock
 from armlab.motion.control import Arms, Controller, JointLimits, Pace, check_joints, steps_in
-from armlab.motion.dmp.equation import Equation
-from armlab.motion.dmp.run import Rollout, RunOptions, RunParameters, Stepper, progress, solved
+from armlab.motion.primitive.equation import Equation
+from armlab.motion.primitive.run import Rollout, RunOptions, RunParameters, Stepper, progress, solved
 from armlab.motion.storage import Saved
 from armlab.state import State
 

@@ -1,3 +1,0 @@
-"""Dynamic movement primitives: equation, runs, and the fit to demonstrations."""
-
-__all__ = ()
