@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from armlab.errors import ConfigError, ShapeError
-from armlab.kernels import backend
 from armlab.motion import Dmp, Rollout, RunOptions, Stepper, fit_dmp
 from armlab.motion.primitive.equation import SCALINGS, placed
 from armlab.motion.via_points import with_via_points
@@ -298,7 +297,6 @@ MOVING = {  # largest overshoot in the conventions lund and ijspeert
     "filter": ({"goal_rate": 12.5}, 0.0235, 0.122),
 }
 CHANGES = list(product((0.2, 0.4, 0.6, 0.8), (0.3, 0.6, 0.8, 1.2, 1.5)))  # when, and to which goal
-CHANGES = CHANGES if backend == "native" else CHANGES[::9]  # NumPy takes a hundred times as long
 
 
 @pytest.mark.parametrize("kind", MOVING)

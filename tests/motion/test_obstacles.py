@@ -7,14 +7,13 @@ import pytest
 
 from armlab import Command, State, kinematics, robots
 from armlab.errors import ShapeError
-from armlab.kernels import backend
 from armlab.motion import Dmp, fit_dmp
 from armlab.motion.obstacles import FORMS, AvoidingController, AvoidingDmp, AvoidingStepper, Capsule, rows_of
 
 U = np.linspace(0.0, 1.0, 251)
 S = U**3 * (10 - 15 * U + 6 * U**2)
 T = np.linspace(0.0, 3.0, 401)
-FEW = 3 if backend == "reference" else 100  # NumPy takes a hundred times as long
+SCENES = 100
 ROBOT = robots.load("yumi_right")
 REACH = np.array([1.1, 0.1, 0.2, 0.2, -0.3, 0.4, 0.2])
 CLEARANCE = 0.02
@@ -59,7 +58,7 @@ def scenes(dmp: Dmp, count: int) -> list[list[Capsule]]:
 
 @pytest.mark.parametrize("form", FORMS)
 def test_random_scenes(space: Dmp, form: str) -> None:
-    made = scenes(space, FEW)
+    made = scenes(space, SCENES)
     hit = sum(avoiding(space, scene).distance(space.rollout(U).y).min() < CLEARANCE for scene in made)
     assert hit > 0.8 * len(made)  # the path itself does not keep the clearance
     assert sum(succeeds(avoiding(space, scene, form)) for scene in made) >= 0.99 * len(made)
@@ -112,7 +111,6 @@ def test_fast_approach_is_braked_before_the_clearance(plane: Dmp) -> None:
     assert near.distance(run.y).min() > CLEARANCE - 1e-4
 
 
-@pytest.mark.skipif(backend == "reference", reason="the reference takes minutes; the contract tests hold it to this")
 def test_an_arm_keeps_its_tool_and_its_elbow_clear(arm: Dmp) -> None:
     t = np.arange(0.0, 5.0, 0.004)
     tool = Capsule([0.0, 0.0, -0.05], [0.0, 0.0, 0.0], 0.01)
@@ -219,7 +217,6 @@ class Ideal:
         return command
 
 
-@pytest.mark.skipif(backend == "reference", reason="the reference takes minutes; the contract tests hold it to this")
 def test_a_controller_goes_around_what_is_put_in_its_way(swing: Dmp) -> None:
     path = swing.rollout(PERIOD).y
     one = AvoidingDmp(swing, [], 0.02, 0.1, robot=ROBOT)

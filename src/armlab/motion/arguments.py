@@ -84,12 +84,7 @@ def _came(array: np.ndarray) -> str:
 
 
 def clock(t: ArrayLike, end: float) -> np.ndarray:
-    """Return times (N,) as they are given, or from 0 in steps of t to the end [s].
-
-    Raises
-    ------
-    ShapeError : no finite step above zero; one that is longer than the motion, or far too short.
-    """
+    """Return times (N,) as given, or from 0 to the end in steps of t [s]."""
     times = numbers(t, "t", ShapeError)
     if times.ndim:
         return times
@@ -103,12 +98,7 @@ def clock(t: ArrayLike, end: float) -> np.ndarray:
 
 
 def vector(value: ArrayLike, what: str, n: int) -> np.ndarray:
-    """Return finite numbers (..., n), one per coordinate.
-
-    Raises
-    ------
-    ShapeError : another shape, or not finite.
-    """
+    """Return finite numbers (..., n), one per coordinate."""
     array = numbers(value, what, ShapeError)
     if array.ndim < 1 or array.shape[-1] != n:
         raise ShapeError(f"Expected {what} with {n} coordinates on its last axis, got shape {array.shape}.")
@@ -118,12 +108,7 @@ def vector(value: ArrayLike, what: str, n: int) -> np.ndarray:
 
 
 def coordinates(value: ArrayLike, what: str, n: int) -> np.ndarray:
-    """Return finite numbers (n,), one per coordinate.
-
-    Raises
-    ------
-    ShapeError : another shape, or not finite.
-    """
+    """Return finite numbers (n,), one per coordinate."""
     array = vector(value, what, n)
     if array.ndim != 1:
         raise ShapeError(f"Expected {what} of shape ({n},), got {array.shape}. Give one number per coordinate.")

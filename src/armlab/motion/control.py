@@ -244,16 +244,7 @@ class Controller(ABC):
 
 
 def robots_of(robot: Arms) -> tuple[Robot, ...]:
-    """Return the arms, also where there is one.
-
-    Parameters
-    ----------
-    robot : one or several.
-
-    Raises
-    ------
-    RobotError : something else.
-    """
+    """Return the arms as a tuple, also where there is only one."""
     arms = (robot,) if isinstance(robot, Robot) else members(robot, "robot")
     for arm in arms:
         if not isinstance(arm, Robot):
@@ -266,26 +257,12 @@ def _largest(values: np.ndarray) -> float:
 
 
 def steps_in(dt: float) -> int:
-    """Return in how many steps of at most 4 ms to integrate; a cycle of ABB's controller, 4.032 ms, is one.
-
-    Parameters
-    ----------
-    dt : seconds.
-    """
+    """Return the number of integration steps of at most 4 ms in dt [s]; ABB's cycle of 4.032 ms is one."""
     return max(1, ceil(dt / LONGEST_STEP - _SLACK)) if dt < np.inf else 1
 
 
 def check_joints(robot: Arms, n: int) -> None:
-    """Refuse a motion of another number of joints.
-
-    Parameters
-    ----------
-    robot : the arm, or several. n : coordinates of the motion.
-
-    Raises
-    ------
-    ShapeError : they do not fit.
-    """
+    """Refuse a motion whose n coordinates are not the joints of all arms together."""
     arms = robots_of(robot)
     if n != sum(arm.n for arm in arms):
         names = " and ".join(arm.name for arm in arms)

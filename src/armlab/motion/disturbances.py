@@ -18,7 +18,7 @@ from armlab.motion.primitive.run import Rollout
 Dofs = Sequence[int] | None
 
 Plant = Callable[[float, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-"""``(t, ya, ya', ya_ref'') -> ya''`` of an arm that does not simply do as it is told."""
+"""``(t, ya, ya', ya_ref'') -> ya''`` of an arm that does not follow its reference exactly."""
 FULL_SPEED = np.array([1.0, 1.0, 0.0])
 """Speed of a law that runs as its primitive says: at the beginning and the end of a step, and its change."""
 _SLACK = 1e-9  # of a step: rounding of times
@@ -155,16 +155,9 @@ class TwoDofRun:
 def simulated(
     law: Any, start: np.ndarray, t: np.ndarray, events: Sequence[Push | Displace | Plant], longest: float
 ) -> tuple[np.ndarray, tuple[tuple[float, float], ...]]:
-    """Return the states (N, 5 n + 2) of a law at times t, in steps that end at events, and the disturbed intervals.
+    """Return the states (N, 5 n + 2) of a law at times t (N,) [s], and the disturbed intervals.
 
-    Parameters
-    ----------
-    law : `armlab.kernels.TwoDof`. start : (5 n + 2,) state at the first time. t : (N,) increasing [s].
-    events : what happens; at most one plant. longest : of a step [s].
-
-    Raises
-    ------
-    ShapeError : events that contradict each other, or are none.
+    Steps are at most `longest` [s] and end at every event; at most one event is a plant.
     """
     scene = _Scene(events, law.n)
     edges = [edge for edge in scene.edges if t[0] < edge < t[-1]]

@@ -237,16 +237,7 @@ class AvoidingDmp:
 
 
 def rows_of(capsules: Iterable[Capsule], axes: int) -> np.ndarray:
-    """Return rows (K, 10) of a kernel: ends, radius and velocity.
-
-    Parameters
-    ----------
-    capsules : K of them. axes : of the space.
-
-    Raises
-    ------
-    ShapeError : capsules of another space.
-    """
+    """Return rows (K, 10) of a kernel: ends, radius and velocity of K capsules in a space of 2 or 3 axes."""
     rows = []
     for i, one in enumerate(members(capsules, "capsules")):
         if not isinstance(one, Capsule):

@@ -29,7 +29,7 @@ SHARED = ("centres", "widths", "tau_d", "duration", "alpha_z", "beta_z", "alpha_
 
 Sample = tuple[np.ndarray, np.ndarray, np.ndarray]
 
-HALF_TURN = 1e-6  # rad: nearer to half a turn no shorter way is told
+HALF_TURN = 1e-6  # rad: closer to half a turn, the shorter way is ambiguous
 LENGTH = 1e-3  # error of a quaternion's length that is normalised away
 
 
@@ -160,12 +160,14 @@ class PoseDmp(Saved, kind="pose_dmp"):
         """
         p0, q0 = pose(self.T_start if start is None else start, "start")
         p1, q1 = pose(self.T_goal if goal is None else goal, "goal")
-        A = turn(self.goal, q1) if self.frame == "goal" else np.eye(3)
+        A = rotation_between(self.goal, q1) if self.frame == "goal" else np.eye(3)
         v0 = w0 = None
         if twist0 is not None:
             v0, w0 = vector(twist0, "twist0", 6).reshape(2, 3) @ A
         position = RunParameters.of(self.position, duration=duration, tau_d=tau_d, y0=p0 @ A, v0=v0, g=p1 @ A)
-        rotation = RunParameters.of(self.rotation, tau_d=position.tau, y0=-apart(q0, q1) @ A, v0=w0, g=np.zeros(3))
+        rotation = RunParameters.of(
+            self.rotation, tau_d=position.tau, y0=-shorter_way(q0, q1) @ A, v0=w0, g=np.zeros(3)
+        )
         return PoseRun(A, position, rotation, q0, q1)
 
     def rollout(self, t: ArrayLike, **run: Unpack[PoseRunOptions]) -> PoseRollout:
@@ -298,7 +300,7 @@ class PoseStepper:
         ShapeError : no finite time above zero.
         """
         try:
-            return self._told(self._position.step(dt), self._rotation.step(dt))
+            return self._joined(self._position.step(dt), self._rotation.step(dt))
         except TypeError:
             number(dt, "dt [s]")  # says it in a sentence
             raise
@@ -306,9 +308,9 @@ class PoseStepper:
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pose (4, 4), twist (6,) and its derivative (6,) now."""
-        return self._told(self._position.outputs(), self._rotation.outputs())
+        return self._joined(self._position.outputs(), self._rotation.outputs())
 
-    def _told(self, position: Sample, rotation: Sample) -> Sample:
+    def _joined(self, position: Sample, rotation: Sample) -> Sample:
         p, v, a = position if self._dmp.frame == "base" else np.array(position) @ self._first.A.T
         q, w, wd = rotation
         return matrix(p, q), np.concatenate((v, w)), np.concatenate((a, wd))
@@ -381,12 +383,7 @@ class PoseDmpController(Controller):
 
 
 def pose(value: ArrayLike, what: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return position (3,) and quaternion (4,) of a pose (4, 4) or (7,).
-
-    Raises
-    ------
-    ShapeError : another shape, missing values, no rotation.
-    """
+    """Return position (3,) and quaternion (4,) of a pose (4, 4) or (7,)."""
     array = numbers(value, what, ShapeError)
     if array.shape not in ((4, 4), (7,)):
         raise ShapeError(
@@ -397,12 +394,7 @@ def pose(value: ArrayLike, what: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def poses(value: ArrayLike, what: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions (N, 3) and quaternions (N, 4), without jumps of sign, of poses (N, 4, 4) or (N, 7).
-
-    Raises
-    ------
-    ShapeError : another shape, missing values with their rows, no rotations.
-    """
+    """Return positions (N, 3) and quaternions (N, 4), without jumps of sign, of poses (N, 4, 4) or (N, 7)."""
     array = numbers(value, what, ShapeError)
     if array.shape[1:] not in ((4, 4), (7,)):
         raise ShapeError(
@@ -423,12 +415,7 @@ def poses(value: ArrayLike, what: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def orientation(value: ArrayLike, what: str) -> np.ndarray:
-    """Return quaternions (..., 4) of length 1, the first of them with the sign that a rotation matrix gives.
-
-    Raises
-    ------
-    ShapeError : another shape or length.
-    """
+    """Return unit quaternions (..., 4), the first of them with the sign that a rotation matrix gives."""
     q = numbers(value, what, ShapeError)
     if q.shape[-1:] != (4,):
         raise ShapeError(f"Expected {what} as quaternions wxyz (..., 4), got shape {q.shape}.")
@@ -440,13 +427,8 @@ def orientation(value: ArrayLike, what: str) -> np.ndarray:
     return q / np.where(leading.sum() < 0.0, -length, length)
 
 
-def apart(q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
-    """Return the rotation vector (3,) from one orientation to another on the shorter way, base axes.
-
-    Raises
-    ------
-    ShapeError : half a turn, where both ways are as long.
-    """
+def shorter_way(q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
+    """Return the rotation vector (3,) of the shorter way between two orientations, base axes; refuse half a turn."""
     way = log(quaternion.multiply(q1, quaternion.conjugate(q0)))
     if np.linalg.norm(way) > np.pi - HALF_TURN:
         raise ShapeError(
@@ -477,6 +459,6 @@ def matrix(p: np.ndarray, q: np.ndarray) -> np.ndarray:
     return T
 
 
-def turn(q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
+def rotation_between(q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3) from one orientation to another, base axes."""
     return so3.exp(log(quaternion.multiply(q1, quaternion.conjugate(q0))))

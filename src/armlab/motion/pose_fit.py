@@ -135,16 +135,16 @@ class Turning:
 
 
 def fit_turning(dmp: Dmp, t: np.ndarray, q: np.ndarray, hold: float) -> Turning:
-    """Correct weights and velocity at the start until the motion is nearest to the demonstration.
+    """Correct weights and start velocity of a first guess until its motion is nearest to orientations q (N, 4).
 
-    Parameters
-    ----------
-    dmp : first guess, of the rotation vector from the goal. t : (N,) from 0 [s]. q : (N, 4) orientations.
-    hold : seconds of rest at the goal after the end, over the duration.
+    Gauss-Newton on the group of rotations. A turn psi of the path, base axes, and a change of eta = tau_d w obey, in
+    units of tau_d, the linearised equation
 
-    Raises
-    ------
-    NotConverged : the search went on and on.
+        psi' = d_eta + eta x psi,    d_eta' = alpha_z beta_z (J_l^-1(e) gamma - J_r^-1(e) psi) - alpha_z d_eta + df
+
+    with the way e to the goal, its turn gamma, and the forcing's change df. One sweep over the motion gives the slopes
+    of all weights, of the velocity and turn at the start, and of the goal. `hold` is the rest at the goal after the
+    end, over the duration.
     """
     step = dmp.duration / (len(t) - 1)
     rest = dmp.duration + step * np.arange(1, round(hold * dmp.duration / step) + 1)

@@ -372,12 +372,7 @@ class Profile:
 
 
 def evaluate(breaks: np.ndarray, c: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return q, qd, qdd (..., n) of ``q = sum_k c_k (t - breaks_i)^k`` at times (...,) within the breaks.
-
-    Parameters
-    ----------
-    breaks : (M + 1,) rising [s]. c : (M, 6, n). t : (...,) [s].
-    """
+    """Return q, qd, qdd (..., n) of ``q = sum_k c_k (t - breaks_i)^k``, c (M, 6, n), at times (...,)."""
     piece = np.clip(np.searchsorted(breaks, t, side="right") - 1, 0, len(c) - 1)
     s, found = (t - breaks[piece])[..., None], c[piece]
     values = []

@@ -61,16 +61,7 @@ class Saved:
 
 
 def freeze_arrays(value: Any, *names: str) -> None:
-    """Replace fields of a frozen dataclass by read-only arrays of finite numbers.
-
-    Parameters
-    ----------
-    value : the dataclass, while it is made. names : of the fields.
-
-    Raises
-    ------
-    ShapeError : no numbers, or some that are not finite.
-    """
+    """Replace fields of a frozen dataclass by read-only arrays of finite numbers, while it is made."""
     arrays = {name: np.array(numbers(getattr(value, name), name, ShapeError)) for name in names}
     if not np.isfinite(np.concatenate([array.ravel() for array in arrays.values()])).all():
         name = next(name for name in names if not np.isfinite(arrays[name]).all())

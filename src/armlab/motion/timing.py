@@ -320,20 +320,12 @@ class PacedStepper:
 
 
 def fastest(h: float, slope: np.ndarray, bend: np.ndarray, v_max: np.ndarray, a_max: np.ndarray) -> np.ndarray:
-    """Return the squared rate ``z = s'^2`` (M + 1,) at knots, at most 1, with which a path y(s) is run soonest.
+    """Return the squared rate ``z = s'^2`` (M + 1,), at most 1, of the fastest motion along a path y(s), knots h apart.
 
-    Velocity is ``y_s sqrt(z)``, acceleration ``y_ss z + y_s z_s / 2``. With z linear between knots, both are linear
-    inequalities of neighbours: backwards the largest z from which the end can be reached, forwards the largest that
-    can be reached from there.
-
-    Parameters
-    ----------
-    h : between knots [s]. slope, bend : (M + 1, n) first and second derivative of the path. v_max, a_max : (n,) limits.
-
-    References
-    ----------
-    Pham and Pham, A new approach to time-optimal path parameterization based on reachability analysis, IEEE
-    Transactions on Robotics 34(3), 2018.
+    Velocity is ``y_s sqrt(z)``, acceleration ``y_ss z + y_s z_s / 2``, with slope y_s and bend y_ss (M + 1, n). With z
+    linear between knots, both limits are linear inequalities of neighbours: backwards the largest z from which the end
+    can be reached, forwards the largest that can be reached from there. Pham and Pham, A new approach to time-optimal
+    path parameterization based on reachability analysis, IEEE Transactions on Robotics 34(3), 2018.
     """
     with np.errstate(divide="ignore"):
         cap = np.minimum(1.0, np.min((v_max / np.abs(slope)) ** 2, axis=1))
@@ -375,12 +367,7 @@ def _alone(a: np.ndarray, b: np.ndarray, cap: np.ndarray) -> np.ndarray:
 
 
 def largest_size(values: np.ndarray) -> np.ndarray:
-    """Return the largest size (n,) of functions of which pieces (M, P, n) have even samples, between them too.
-
-    Parameters
-    ----------
-    values : P >= 3 samples of each smooth piece; the parabola through three has the peak between them.
-    """
+    """Return the largest size (n,) of smooth pieces (M, P, n) of P >= 3 even samples, with parabolas between them."""
     size = np.abs(values)
     before, at, after = size[:, :-2], size[:, 1:-1], size[:, 2:]
     bend = before - 2 * at + after

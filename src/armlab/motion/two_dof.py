@@ -341,12 +341,7 @@ class TwoDofStepper:
 
 
 def starting(run: RunParameters) -> np.ndarray:
-    """Return the state (5 n + 2,) at the start of a run, with the arm on the path.
-
-    Parameters
-    ----------
-    run : start and duration.
-    """
+    """Return the state (5 n + 2,) at the start of a run, with the arm on the path."""
     x = 0.0 if run.dmp.schedule == "time" else 1.0
     return np.concatenate([run.y0, run.tau * run.v0, np.zeros(run.dmp.n), run.y0, run.v0, [x, 0.0]])
 

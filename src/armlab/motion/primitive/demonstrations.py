@@ -70,12 +70,7 @@ class Demo:
 
 
 def differences(y: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return central differences along axis 0 on true time stamps, one-sided at the ends.
-
-    Parameters
-    ----------
-    y : (N, n). t : (N,) increasing [s].
-    """
+    """Return central differences of y (N, n) on true time stamps t (N,), one-sided at the ends."""
     steps = np.diff(t)
     mean = t[-1] / len(steps) if t[0] == 0.0 else (t[-1] - t[0]) / len(steps)
     if np.ptp(steps) >= EVEN * mean:
@@ -87,12 +82,7 @@ def differences(y: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 
 def read_demos(t: Any, y: Any, sample_weights: Any) -> list[Demo]:
-    """Return the demonstrations of one or of lists of arrays.
-
-    Raises
-    ------
-    ShapeError : lists of different length, other shapes, NaN with its rows, times that do not increase, few samples.
-    """
+    """Return the demonstrations of one pair of arrays or of lists of them."""
     many = isinstance(t, Sequence) and len(t) > 0 and np.ndim(t[0]) == 1
     if not many:
         return [_demo(t, y, sample_weights, "")]
@@ -146,28 +136,18 @@ class ReferenceMotion:
 
     @classmethod
     def of(cls, demos: list[Demo], scaling: str, starts: np.ndarray, goals: np.ndarray) -> ReferenceMotion:
-        """Average demonstrations.
-
-        Parameters
-        ----------
-        demos : M of them. scaling : of the primitive. starts, goals : (M, n).
-        """
+        """Average demonstrations with starts and goals (M, n)."""
         y0, g = starts.mean(axis=0), goals.mean(axis=0)
         extent = np.mean([np.ptp(demo.y, axis=0) for demo in demos], axis=0)
         scales = np.ones_like(starts)
         if scaling == "goal" and len(demos) > 1:
-            way, told = g - y0, abs(g - y0) > UNSCALED * extent
-            scales = np.where(told, (goals - starts) / np.where(told, way, 1.0), 1.0)
+            way, moves = g - y0, abs(g - y0) > UNSCALED * extent
+            scales = np.where(moves, (goals - starts) / np.where(moves, way, 1.0), 1.0)
         return cls(float(np.mean([demo.duration for demo in demos])), y0, g, extent, scales)
 
 
 def aligned(demos: list[Demo], scaling: str) -> list[Demo]:
-    """Return demonstrations turned and scaled to the mean displacement, where the scaling is "rotate".
-
-    Raises
-    ------
-    ConfigError : not three coordinates. ShapeError : no displacement, or half a turn.
-    """
+    """Return demonstrations rotated and scaled to the mean displacement, where the scaling is "rotate"."""
     if scaling != "rotate":
         return demos
     if demos[0].y.shape[1] != 3:

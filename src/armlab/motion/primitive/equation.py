@@ -31,12 +31,7 @@ UNSCALED = 0.05  # of the range of the demonstration: displacement below which t
 
 
 def time_constants(convention: str, duration: float, alpha_z: float) -> tuple[float, float]:
-    """Return alpha_x and tau_d [s] of a convention for a motion of `duration` [s].
-
-    Raises
-    ------
-    UnknownName : another convention.
-    """
+    """Return alpha_x and tau_d [s] of a convention for a motion of `duration` [s]."""
     check_name(convention, "convention", CONVENTIONS)
     return (1.0, duration / 3.0) if convention == "lund" else (alpha_z / 3.0, duration)
 
@@ -44,15 +39,8 @@ def time_constants(convention: str, duration: float, alpha_z: float) -> tuple[fl
 def placed(schedule: str, spacing: str, n_basis: int, decay: float, factor: float) -> tuple[np.ndarray, np.ndarray]:
     """Return centres and widths (n_basis,) of kernels in the phase.
 
-    Parameters
-    ----------
-    schedule : of the phase. spacing : "time": equally spaced in time; "phase": in the phase, as in
-        DynamicMovementPrimitives.jl. decay : ``alpha_x duration / tau_d``, so that x ends at exp(-decay).
-    factor : standard deviations over distances, of spacing "time".
-
-    Raises
-    ------
-    UnknownName : another schedule or spacing. ConfigError : a number of kernels outside 3 to 1000.
+    Spacing "time" is even in time, with widths of `factor` distances; "phase" is even in the phase, as in
+    DynamicMovementPrimitives.jl. The phase ends at exp(-decay), with decay = alpha_x duration / tau_d.
     """
     check_name(schedule, "schedule", SCHEDULES)
     check_name(spacing, "spacing", SPACINGS)

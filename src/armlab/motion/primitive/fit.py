@@ -70,8 +70,8 @@ def fit_dmp(
     convention : of alpha_x and tau_d: "lund" or "ijspeert".
     alpha_z, beta_z : constants of the spring; beta_z is a quarter of alpha_z, critically damped, when left out.
     ridge : penalty of the squared weights; `cov` is that of the noise alone, without what the penalty pulls them off.
-    pin : of "y0", "v0", "g": taken from the first and last samples instead of fitted. A free goal is hardly told from
-        the forcing.
+    pin : of "y0", "v0", "g": taken from the first and last samples instead of fitted. A free goal is hardly separable
+        from the forcing.
     hold : seconds of rest at the goal after the end, over the duration; 0 where the motion ends with velocity. Of
         "trajectory".
     y0, v0, g : (n,) when they are known otherwise.

@@ -24,12 +24,7 @@ class Solution:
 
 
 def solve(A: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None) -> Solution:
-    """Minimise ``||A x - b||^2 + sum ridge x^2``.
-
-    Parameters
-    ----------
-    A : (N, p). b : (N, q). ridge : (p,) penalties of the unknowns.
-    """
+    """Minimise ``||A x - b||^2 + sum ridge x^2`` with A (N, p), b (N, q), ridge (p,)."""
     N, p = A.shape
     joined = np.zeros((rows_needed(N, p, ridge), p + b.shape[1]), order="F")
     joined[:N, :p] = A
@@ -42,13 +37,7 @@ def rows_needed(N: int, p: int, ridge: np.ndarray | None) -> int:
 
 
 def solve_joined(joined: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None) -> Solution:
-    """Do what `solve` does, in place.
-
-    Parameters
-    ----------
-    joined : (rows, p + q) in Fortran order: A in its corner, otherwise 0; overwritten. b : (N, q).
-    ridge : (p,) penalties of the unknowns.
-    """
+    """Solve in place: `joined` (rows, p + q) in Fortran order has A in its corner, otherwise 0, and is overwritten."""
     p = joined.shape[1] - b.shape[1]
     joined[: len(b), p:] = b
     if ridge is not None:
@@ -64,8 +53,8 @@ def solve_joined(joined: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = N
         inverse, x = trtri(R)[0], trtrs(R, rotated)[0]  # the same with columns scaled, but for rounding
     else:
         U, s, V = np.linalg.svd(scaled)
-        told = s > RCOND * s[0]
-        inverse = V.T * np.where(told, 1.0 / np.where(told, s, 1.0), 0.0) / scale[:, None]
+        identified = s > RCOND * s[0]
+        inverse = V.T * np.where(identified, 1.0 / np.where(identified, s, 1.0), 0.0) / scale[:, None]
         x = inverse @ (U.T @ rotated)
         squares += ((R @ x - rotated) ** 2).sum(axis=0)
     return Solution(x, inverse @ inverse.T, R, squares)
@@ -79,12 +68,7 @@ def _lapack() -> Any:
 
 
 def block_covariance(unit: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """Return the covariance (n d, n d) of n coordinates that do not see each other, one after another.
-
-    Parameters
-    ----------
-    unit : (n, d, d) covariance for noise of unit variance. sigma : (n,) standard deviation of the noise.
-    """
+    """Return the covariance (n d, n d) of n independent coordinates from unit covariances (n, d, d) and noise (n,)."""
     n, d, _ = unit.shape
     cov = np.zeros((n * d, n * d))
     for i, own in enumerate(unit):

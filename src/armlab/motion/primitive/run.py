@@ -15,7 +15,7 @@ from armlab.lie import so3
 from armlab.motion.arguments import clock, vector
 from armlab.motion.primitive.equation import Equation
 
-HALF_TURN = 1e-6  # sine and cosine of an angle that no rotation between two directions is told from
+HALF_TURN = 1e-6  # sine below which opposite directions have no smallest rotation between them
 
 FORCINGS = ("shift", "scale")
 BRAKE = 1.05  # of the largest acceleration of the demonstration
@@ -88,18 +88,9 @@ class RunParameters:
         g: ArrayLike | None = None,
         amplitude: ArrayLike | None = None,
     ) -> RunParameters:
-        """Resolve what the caller has left out by the demonstration.
+        """Fill in from the demonstration what `RunOptions` leave out.
 
-        Parameters
-        ----------
-        dmp : the primitive.
-        runs : number of them, or 1 for as many as there are starts; None for one run of arrays (n,).
-        duration, tau_d, y0, v0, g, amplitude : `RunOptions`.
-
-        Raises
-        ------
-        ConfigError : both duration and tau_d; an amplitude that nothing scales; many runs with scaling "rotate".
-        ShapeError : arrays of another shape, not finite; no positive time; a half turn.
+        `runs` is the number of runs, 1 for as many as there are starts; None for one run of arrays (n,).
         """
         tau = _tau(dmp, duration, tau_d)
         given = {"y0": y0, "v0": v0, "g": g, "amplitude": amplitude}
@@ -113,37 +104,27 @@ class RunParameters:
         whole = _one_run(parts, shape) if runs is None else _many_runs(dmp, parts, shape)
         start, goal = (np.broadcast_to(parts.get(name, own), whole) for name, own in (("y0", dmp.y0), ("g", dmp.g)))
         check_goal(dmp, goal)
-        scale, primitive, turn = np.ones(whole), dmp.primitive, None
+        scale, primitive, R = np.ones(whole), dmp.primitive, None
         if dmp.scaling == "goal":
             scale = goal_scale(dmp, start, goal)
         elif amplitude is not None:
             scale = np.broadcast_to(parts["amplitude"], whole)
         elif dmp.scaling == "rotate":
-            turn = rotation(dmp.g - dmp.y0, goal - start)
-            primitive = dmp.primitive_of(dmp.weights @ turn.T)
+            R = rotation(dmp.g - dmp.y0, goal - start)
+            primitive = dmp.primitive_of(dmp.weights @ R.T)
         if v0 is None:
-            speed = scale * dmp.v0 if turn is None else turn @ dmp.v0
+            speed = scale * dmp.v0 if R is None else R @ dmp.v0
             speed = speed * (dmp.tau_d / tau)
         else:
             speed = np.broadcast_to(parts["v0"], whole)
         return cls(dmp, primitive, tau, start, np.ascontiguousarray(speed), goal, np.ascontiguousarray(scale))
 
     def times(self, t: ArrayLike) -> np.ndarray:
-        """Return times (N,) as they are given, or from 0 in steps of t to the end of the motion [s].
-
-        Raises
-        ------
-        ShapeError : no finite step above zero.
-        """
+        """Return times (N,) as given, or from 0 to the end of the motion in steps of t [s]."""
         return clock(t, self.tau * self.dmp.duration / self.dmp.tau_d)
 
     def towards(self, g: ArrayLike, scaled: bool) -> RunParameters:
-        """Return the run as it is with another goal (n,), its forcing scaled with the displacement or as it was.
-
-        Raises
-        ------
-        ShapeError : another shape, not finite, outside the limits of the primitive.
-        """
+        """Return this run with another goal (n,), its forcing scaled with the displacement or unchanged."""
         goal = np.array(vector(g, "g", self.dmp.n))
         _one_run({"g": goal}, (self.dmp.n,))
         check_goal(self.dmp, goal)
@@ -181,12 +162,7 @@ def _many_runs(dmp: Equation, parts: dict[str, np.ndarray], shape: tuple[int, ..
 
 
 def check_goal(dmp: Equation, g: np.ndarray) -> None:
-    """Refuse a goal outside the limits of the primitive.
-
-    Raises
-    ------
-    ShapeError : it is, with its coordinates.
-    """
+    """Refuse a goal outside the limits of the primitive."""
     if dmp.limits is None:
         return
     low, high = dmp.limits
@@ -207,12 +183,7 @@ def goal_scale(dmp: Equation, y0: np.ndarray, g: np.ndarray) -> np.ndarray:
 
 
 def rotation(old: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Return the smallest rotation, times the ratio of lengths, that maps one displacement to another (3, 3).
-
-    Raises
-    ------
-    ShapeError : no displacement, or a half turn, which no axis is nearest to.
-    """
+    """Return the smallest rotation, times the ratio of lengths, that maps one displacement to another (3, 3)."""
     a, b = np.linalg.norm(old), np.linalg.norm(new)
     if not (a > 0 and b > 0):
         raise ShapeError("Expected a goal apart from the start with scaling 'rotate', got none. Use scaling 'none'.")
@@ -350,17 +321,7 @@ class Stepper:
 
 
 def solved(run: RunParameters, t: np.ndarray, rtol: float, atol: float) -> Rollout:
-    """Solve a run by the method of Dormand and Prince of order 8.
-
-    Parameters
-    ----------
-    run : what runs. t : (N,) increasing times [s]. rtol, atol : tolerances.
-
-    Raises
-    ------
-    ConfigError : tolerances that are not positive. ShapeError : times that do not increase.
-    NotConverged : the solver gave up.
-    """
+    """Solve a run at increasing times t (N,) [s] with the Dormand-Prince method of order 8."""
     from scipy.integrate import solve_ivp
 
     if not (0 < number(rtol, "rtol", ConfigError) < 1 and 0 < number(atol, "atol", ConfigError) < np.inf):
@@ -403,11 +364,6 @@ def solved(run: RunParameters, t: np.ndarray, rtol: float, atol: float) -> Rollo
 
 
 def progress(y: np.ndarray, y0: np.ndarray, g: np.ndarray) -> np.ndarray:
-    """Return the phase of schedule "position": ``(g - y) / (g - y0)``, clipped to [0, 1]; 0 without displacement.
-
-    Parameters
-    ----------
-    y, y0, g : (..., n).
-    """
+    """Return the phase of schedule "position": ``(g - y) / (g - y0)``, clipped to [0, 1]; 0 without displacement."""
     way = g - y0
     return np.where(way == 0, 0.0, np.clip((g - y) / np.where(way == 0, 1.0, way), 0.0, 1.0))

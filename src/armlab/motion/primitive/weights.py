@@ -59,13 +59,7 @@ def learn(
     bandwidth: float | None,
     raw: bool,
 ) -> Learned:
-    """Learn weights that demonstrations share.
-
-    Parameters
-    ----------
-    method : "trajectory", "acceleration" or "lwr". blank : the primitive without weights. demos : M of them.
-    scales, starts, goals : (M, n). ends : what is known of them. hold, ridge, bandwidth, raw : as in `fit_dmp`.
-    """
+    """Learn weights that M demonstrations share, with scales, starts and goals (M, n) and the options of `fit_dmp`."""
     m = blank.n_basis
     if method == "trajectory" and blank.schedule != "position":
         taus = [blank.tau_d * demo.duration / blank.duration for demo in demos]
@@ -195,14 +189,11 @@ def fit_trajectory(
     hold: float,
     ridge: float,
 ) -> Found:
-    """Fit weights that M demonstrations share, and the ends of each.
+    """Fit weights that M demonstrations share, and the ends of each, by their own motion.
 
-    Parameters
-    ----------
-    primitive : kernel with the centres and widths. demos : M of them. taus : of each [s].
-    scales : (M, n) of the forcing.
-    ends : what is known of the ends. hold : seconds of rest at the goal after the end, over the duration.
-    ridge : penalty of the weights.
+    Linear, without derivatives of measured positions: the motion is ``y = Y [w; y0; v0; g]`` with the response Y of
+    each alone. A pinned end is a linear function of the samples too, so its noise is in the covariance. `hold` is the
+    rest at the goal after the end, over the duration.
     """
     parts = [_motion_rows(primitive, demo, tau, hold, ends) for demo, tau in zip(demos, taus)]
     free = tuple(k for k, name in enumerate(ENDS) if name not in ends.pinned and name not in ends.known)
@@ -315,13 +306,10 @@ def fit_regression(
     ridge: float,
     bells: tuple[np.ndarray, np.ndarray] | None,
 ) -> Regression:
-    """Fit weights that demonstrations share to their forcing, by least squares or kernel by kernel.
+    """Fit weights that demonstrations share to their forcing, which has the factor x where it `fades`.
 
-    Parameters
-    ----------
-    demos : the demonstrations. primitive : with m kernels. fades : whether the forcing has the factor x.
-    ridge : penalty of the weights. bells : centres and widths; when given each weight is a mean of its own, weighed by
-        its bell: ``sum bell x f / sum bell x^2`` (None: least squares; widths empty: kernels over their sum).
+    By least squares without `bells`; with them, centres and widths, each weight is a mean weighed by its own bell,
+    ``sum bell x f / sum bell x^2`` (empty widths: normalised kernels).
     """
     n = demos[0].f.shape[1]
     scales = np.array([demo.scale for demo in demos])
@@ -387,8 +375,8 @@ def _kernel_by_kernel(
         bell = rows.primitive.basis(rows.x)
     top = bell * (weights * rows.lever)[:, None]
     squares = top.T @ rows.lever
-    told = squares > 0
-    L = top / np.where(told, squares, 1.0)
+    identified = squares > 0
+    L = top / np.where(identified, squares, 1.0)
     w = L.T @ rows.f
     spread = (L / np.where(weights > 0, weights, 1.0)[:, None]).T @ L
     return w, spread, np.diag(np.sqrt(squares)), weights @ rows.residuals(w) ** 2
@@ -397,14 +385,10 @@ def _kernel_by_kernel(
 def descend(
     run: Callable[[np.ndarray], np.ndarray], y: np.ndarray, roots: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return weights (m, n), the inverses of the normal matrices (n, m, m), and residuals (N, n).
+    """Return weights (m, n), inverses of the normal matrices (n, m, m) and residuals (N, n), by Gauss-Newton.
 
-    The coordinates do not see each other, so that one weight of each is moved at once.
-
-    Parameters
-    ----------
-    run : weights (K, m, n) -> motions (N, K, n). y : (N, n) to follow. roots : (N,) of the weights of the samples.
-    weights : (m, n) where to begin.
+    `run` maps weights (K, m, n) to motions (N, K, n). Coordinates are independent, so one weight of each is moved at
+    once; `roots` (N,) are square roots of the weights of the samples.
     """
     m, n = weights.shape
     w, damping = weights, np.full(n, DAMPING)
