@@ -11,7 +11,7 @@ from blocks import Block, Contender, Table, agree, alternate, figures, loop, tab
 from armlab import State, motion, robots
 from armlab.kernels import _reference
 from armlab.kinematics import forward
-from armlab.motion._setting import Setting
+from armlab.motion.primitive.run import RunParameters
 
 DT = 0.004
 KERNEL_BAR, CALL_BAR = 3e-6, 30e-6  # s; the second for 99.9 % of the calls
@@ -27,7 +27,7 @@ def run(quick: bool) -> list[Table]:
     t = np.linspace(0.0, 2.0, 501)
     dmp = motion.fit_dmp(t, shown.at(t)[0]).value
     two_dof = motion.TwoDofDmp(dmp, e0=0.02)
-    law, plain = two_dof.law(Setting.of(dmp)), _plain(two_dof)
+    law, plain = two_dof.law(RunParameters.of(dmp)), _plain(two_dof)
     states = [_state(dmp, share) for share in np.linspace(0.0, 1.0, 200)]
     at = states[70], DT, 1, SPEED, dmp.y0 + 0.05, np.zeros(7)
     worst = agree("law", law.follow(*at)[0], plain.follow(*at)[0], 1e-12)

@@ -31,8 +31,8 @@ def main() -> None:
         q = controller(State(k * DT, DT, q, np.zeros(7), q)).q
     print(f"in the loop: done {controller.done}")
 
-    paced = motion.within(dmp, 0.5, 2.0, v0=np.zeros(7))  # rad/s, rad/s^2
-    stretched = motion.duration_within(dmp, 0.5, 2.0, v0=np.zeros(7))
+    paced = motion.retimed(dmp, 0.5, 2.0, v0=np.zeros(7))  # rad/s, rad/s^2
+    stretched = motion.shortest_duration(dmp, 0.5, 2.0, v0=np.zeros(7))
     print(f"within limits: {paced.duration:.2f} s, {stretched:.2f} s as a whole stretched")
 
 

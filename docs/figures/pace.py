@@ -5,7 +5,7 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 
-from armlab.motion import duration_within, fit_dmp, within
+from armlab.motion import fit_dmp, retimed, shortest_duration
 from armlab.plots.style import AXIS_COLORS, MODEL, look
 
 LIMITS = (1.0, 8.0)
@@ -17,7 +17,7 @@ def main() -> None:
     s = u**3 * (10 - 15 * u + 6 * u**2)
     y = np.stack([0.4 * np.sin(2.8 * np.pi * s), 0.6 * s + 0.1 * np.cos(4 * np.pi * s)], axis=1)
     dmp = fit_dmp(u, y, v0=[0.0, 0.0]).value
-    paced, whole = within(dmp, *LIMITS), duration_within(dmp, *LIMITS)
+    paced, whole = retimed(dmp, *LIMITS), shortest_duration(dmp, *LIMITS)
     runs = {
         f"as a whole, {whole:.1f} s": (dmp.rollout(0.002, duration=whole), AXIS_COLORS[2]),
         f"where it has to, {paced.duration:.1f} s": (paced.rollout(0.002), MODEL),

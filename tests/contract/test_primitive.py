@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from armlab.errors import ShapeError
 from armlab.kernels import _reference
-from armlab.motion._basis import placed
+from armlab.motion.primitive.equation import placed
 
 native = pytest.importorskip("armlab.kernels._native", reason="the extension is not built here", exc_type=ImportError)
 

@@ -15,8 +15,8 @@ from armlab import Command, State, robots
 from armlab.estimation import Fit
 from armlab.lie import so3
 from armlab.motion import Dmp, PoseDmp, fit_pose_dmp
-from armlab.motion._basis import placed, time_constants
 from armlab.motion.control import Controller
+from armlab.motion.primitive.equation import placed, time_constants
 
 PERIOD = 0.004032
 YUMI = robots.load("yumi_right")

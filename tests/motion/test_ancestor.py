@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from armlab.motion import Displace, Dmp, Hold, TwoDofDmp, fit_dmp
-from armlab.motion._basis import placed
+from armlab.motion.primitive.equation import placed
 
 ROOT = Path(__file__).parents[2]
 
@@ -139,7 +139,7 @@ def test_peers_forget_a_dependency() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     declared = {re.split(r"[<>=\[ ]", one)[0].replace("-", "_") for one in project["dependencies"]}
     imported = set()
-    for path in (ROOT / "src" / "armlab" / "motion").glob("*.py"):
+    for path in (ROOT / "src" / "armlab" / "motion").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             names = [one.name for one in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []

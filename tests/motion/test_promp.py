@@ -1,4 +1,4 @@
-"""Distributions over motions: marginals and samples, conditioning as a Kalman update, blending, files, refusals."""
+"""Distributions over motions: marginals, conditioning, blends, and fits with their statistical contract."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armlab.errors import ConfigError, ShapeError
-from armlab.motion import MotionBand, ProMP
+from armlab.estimation import Experiment, Fit, Gauge, check_estimator
+from armlab.motion import ProMP, TrajectoryDistribution, blend, fit_promp
+from armlab.motion.primitive.equation import normalised
+from armlab.motion.promp import SAME
 
 M, N_JOINTS = 8, 2
 T = np.linspace(0.0, 2.0, 21)
@@ -26,7 +28,7 @@ def promp() -> ProMP:
 
 def test_marginals_are_those_of_many_samples(promp: ProMP) -> None:
     band, drawn = promp.marginal(T), promp.sample(T, 1, 4000)
-    assert isinstance(band, MotionBand)
+    assert isinstance(band, TrajectoryDistribution)
     assert drawn.shape == (4000, 21, 2)
     np.testing.assert_allclose(drawn.mean(axis=0), band.y, atol=0.1)
     sample_cov = np.einsum("kti,ktj->tij", drawn - band.y, drawn - band.y) / 4000
@@ -75,29 +77,116 @@ def test_conditioning_twice_in_any_order_is_the_same(promp: ProMP) -> None:
     np.testing.assert_allclose(a.cov, b.cov, atol=1e-9)
 
 
-def test_bad_input_is_refused_by_a_sentence(promp: ProMP) -> None:
-    stiff = replace(promp, cov=np.zeros_like(promp.cov))
-    for words, call in {
-        "neither": lambda: promp.condition(1.0),
-        "got nan s": lambda: promp.condition(np.nan, [0.0, 0.0]),
-        "got -1 s": lambda: promp.condition(-1.0, [0.0, 0.0]),
-        "from 0 to 0.5 s": lambda: promp.condition(1.0, [0.0, 0.0], duration=0.5),
-        "y of shape": lambda: promp.condition(1.0, [0.0]),
-        "finite y": lambda: promp.condition(1.0, [0.0, np.nan]),
-        "different coordinates": lambda: promp.condition(1.0, [0.0], coordinates=[2]),
-        "covariance as a number": lambda: promp.condition(1.0, [0.0, 0.0], cov=np.eye(3)),
-        "not negative": lambda: promp.condition(1.0, [0.0, 0.0], cov=-1.0),
-        "do not differ": lambda: stiff.condition(1.0, [9.0, 9.0]),
-        "duration": lambda: promp.marginal(T, duration=0.0),
-        "times": lambda: promp.marginal([0.0, np.nan]),
-        "seed": lambda: promp.sample(T, -1, 2),
-        "mean weights": lambda: replace(promp, mean=np.zeros(3)),
-        "cov of shape": lambda: replace(promp, cov=np.eye(3)),
-        "symmetric cov": lambda: replace(promp, cov=np.triu(np.ones((16, 16)))),
-        "widths above zero": lambda: replace(promp, widths=0 * promp.widths),
-        "finite mean": lambda: replace(promp, mean=np.full((M, 2), np.nan)),
-    }.items():
-        with pytest.raises(ShapeError, match=words):
-            call()
-    with pytest.raises(ConfigError, match="count"):
-        promp.sample(T, 0, 0)
+def test_blending_goes_from_one_motion_to_the_other(promp: ProMP) -> None:
+    other = replace(promp, mean=promp.mean + 1.0)
+    share = np.linspace(0, 1, 21)[:, None]
+    band = blend([promp, other], np.hstack([1 - share, share]), T)
+    np.testing.assert_allclose(band.y[0], promp.marginal(T).y[0], atol=1e-6)
+    np.testing.assert_allclose(band.y[-1], other.marginal(T).y[-1], atol=1e-6)
+    both = blend([promp, other], [1.0, 1.0], T)
+    np.testing.assert_allclose(both.y, promp.marginal(T).y + 0.5, atol=1e-6)
+    np.testing.assert_allclose(both.cov, 0.5 * promp.marginal(T).cov, rtol=1e-3, atol=1e-6)
+
+
+def test_a_band_is_frozen_and_has_deviations() -> None:
+    cov = np.array([[[4.0, 0.0], [0.0, 9.0]]])
+    band = TrajectoryDistribution(np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)), cov, cov)
+    np.testing.assert_array_equal(band.sd, [[2.0, 3.0]])
+    assert SAME < 1e-6
+    with pytest.raises(ValueError, match="read-only"):
+        band.y[0] = 1
+
+
+M_BASIS, NOISE, TIMES = 4, 0.02, np.linspace(0.0, 2.0, 12)
+MEAN = np.array([0.1, 0.8, -0.3, 0.5])
+SPREAD = np.diag([0.02, 0.1, 0.05, 0.03]) + 0.02
+PSI = normalised(TIMES[:, None] / 2.0, np.linspace(0, 1, M_BASIS), np.full(M_BASIS, 0.8 / (M_BASIS - 1)))[0]
+
+
+def experiment(seed: int, n: int) -> Experiment:
+    """n demonstrations of one coordinate."""
+    rng = np.random.default_rng([3, seed])
+    w = rng.multivariate_normal(MEAN, SPREAD, n)
+    y = (w @ PSI.T + NOISE * rng.standard_normal((n, len(TIMES))))[..., None]
+    bound = (SPREAD + NOISE**2 * np.linalg.inv(PSI.T @ PSI)) / n
+    return Experiment({"t": TIMES, "y": y}, MEAN, bound)
+
+
+def fit(t: np.ndarray, y: np.ndarray) -> Fit[ProMP]:
+    return fit_promp(t, y, n_basis=M_BASIS)
+
+
+def test_the_statistical_contract() -> None:
+    contract = check_estimator(
+        fit,
+        experiment,
+        runs=40,
+        n=60,
+        noise_given=False,
+        refusals={"weight 3": {"t": TIMES[:3], "y": np.zeros((5, 3, 1))}},
+        gauges=[Gauge("milliradian", lambda data: {**data, "y": 1e3 * data["y"]}, lambda fit: 1e3 * fit.parameters)],
+        skip={"robust": "a demonstration that differs is what the distribution is of"},
+    )
+    assert contract.passed, contract.text()
+
+
+def test_mean_covariance_and_noise_of_a_known_truth_are_found() -> None:
+    case = experiment(0, 4000)
+    found = fit(**case.data)
+    value = found.value
+    np.testing.assert_allclose(value.mean[:, 0], MEAN, atol=0.02)
+    np.testing.assert_allclose(value.cov, SPREAD, atol=0.012)
+    np.testing.assert_allclose(value.noise, NOISE, rtol=0.03)
+    assert value.duration == 2.0
+    assert found.n == 4000
+
+
+def test_covariance_is_without_the_noise_and_demonstrations_are_weighed_by_theirs() -> None:
+    """``cov = S - mean sigma^2 G_i`` and the mean by ``(cov + sigma^2 G_i)^-1``, of 6 to 40 samples each."""
+    rng = np.random.default_rng(7)
+    ts = [np.linspace(0.0, 2.0, N) for N in (6, 8, 40, 7, 30, 6, 12, 25)]
+    designs = [normalised(t[:, None] / 2.0, np.linspace(0, 1, 4), np.full(4, 0.8 / 3))[0] for t in ts]
+    w = [rng.multivariate_normal(MEAN, SPREAD) for _ in ts]
+    ys = [A @ one + 0.05 * rng.standard_normal(len(A)) for A, one in zip(designs, w)]
+    found = fit_promp(ts, ys, n_basis=4)
+    w, squares, _, _ = zip(*(np.linalg.lstsq(A, y) for A, y in zip(designs, ys)))
+    noise = np.sqrt(np.sum(squares) / sum(len(t) - 4 for t in ts))
+    np.testing.assert_allclose(found.value.noise, noise, rtol=1e-9)
+    own = [noise**2 * np.linalg.inv(A.T @ A) for A in designs]
+    values, vectors = np.linalg.eigh(np.cov(np.transpose(w)) - np.mean(own, axis=0))
+    assert values[0] < 0.0 < values[-2]
+    cov = (vectors * values.clip(min=0.0)) @ vectors.T
+    np.testing.assert_allclose(found.value.cov, cov, rtol=0, atol=1e-12)
+    parts = [np.linalg.inv(cov + G) for G in own]
+    total = np.linalg.inv(np.sum(parts, axis=0))
+    mean = total @ sum(part @ one for part, one in zip(parts, w))
+    np.testing.assert_allclose(found.parameters, mean, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.cov, total, rtol=0, atol=1e-12)
+    assert np.abs(mean - np.mean(w, axis=0)).max() > 0.01
+
+
+def test_demonstrations_of_other_lengths_and_clocks() -> None:
+    rng = np.random.default_rng(5)
+    t, y = [], []
+    for _ in range(300):
+        own = np.sort(np.r_[0.0, rng.uniform(0, 1, rng.integers(20, 40)), 1.0])
+        psi = normalised(own[:, None], np.linspace(0, 1, M_BASIS), np.full(M_BASIS, 0.8 / (M_BASIS - 1)))[0]
+        t.append(7.0 + own * rng.uniform(1, 3))
+        w = rng.multivariate_normal(MEAN, SPREAD, 2).T
+        y.append(psi @ w + NOISE * rng.standard_normal((len(own), 2)))
+    found = fit_promp(t, y, n_basis=M_BASIS)
+    e = found.parameters - np.r_[MEAN, MEAN]
+    assert 2.0 < e @ np.linalg.solve(found.cov, e) < 25.0  # 8 degrees of freedom
+    np.testing.assert_allclose(found.value.cov[:4, :4], SPREAD, atol=0.04)
+    np.testing.assert_allclose(found.value.cov[:4, 4:], 0.0, atol=0.04)
+    order = rng.permutation(300)
+    again = fit_promp([t[k] for k in order], [y[k] for k in order], n_basis=M_BASIS)
+    np.testing.assert_allclose(again.parameters, found.parameters, rtol=0, atol=1e-12)
+
+
+def test_two_demonstrations_are_enough() -> None:
+    y = np.stack([np.sin(TIMES), 1.2 * np.sin(TIMES)])[..., None]
+    found = fit_promp(TIMES, y, n_basis=6)
+    assert found.rank == 1
+    band = found.value.marginal(TIMES)
+    np.testing.assert_allclose(band.y[:, 0], 1.1 * np.sin(TIMES), atol=2e-2)

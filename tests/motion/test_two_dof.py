@@ -1,4 +1,4 @@
-"""Two-degree-of-freedom control: shape of the path, order, freeze. Numbers are in test_two_dof_reference.py."""
+"""Two-degree-of-freedom control: shape of the path, order, freeze, disturbances and plants, sample by sample."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armlab.errors import ConfigError, ShapeError
+from armlab.errors import ShapeError
 from armlab.motion import Dmp
-from armlab.motion.events import Displace, Hold, Push
-from armlab.motion.two_dof import TwoDofDmp
-from armlab.motion.two_dof_run import FULL_SPEED
+from armlab.motion.disturbances import FULL_SPEED, Displace, Hold, Plant, Push, TwoDofRun, simulated
+from armlab.motion.primitive.run import RunParameters
+from armlab.motion.two_dof import Reference, TwoDofDmp, TwoDofStepper, starting
 
 H = 0.004
 
@@ -148,33 +148,201 @@ def test_a_run_at_other_times_is_the_same_run(smooth: Callable[..., Dmp]) -> Non
 
 
 def _setting(dmp: Any) -> Any:
-    from armlab.motion._setting import Setting
+    from armlab.motion.primitive.run import RunParameters
 
-    return Setting.of(dmp)
+    return RunParameters.of(dmp)
 
 
-@pytest.mark.parametrize(
-    ("error", "misuse"),
-    [
-        (ShapeError, lambda d: TwoDofDmp("dmp")),
-        (ShapeError, lambda d: TwoDofDmp(d, kp=-1)),
-        (ShapeError, lambda d: TwoDofDmp(d, kc=np.nan)),
-        (ShapeError, lambda d: TwoDofDmp(d, e0=-0.1)),
-        (ShapeError, lambda d: TwoDofDmp(d, e0=[0.1, 0.1, 0.1])),
-        (ShapeError, lambda d: TwoDofDmp(d, e_scale=[0.0, 1.0])),
-        (ShapeError, lambda d: TwoDofDmp(d, e_max=0)),
-        (ShapeError, lambda d: TwoDofDmp(d, e_max=np.nan)),
-        (ShapeError, lambda d: TwoDofDmp(d).simulate(dt=0)),
-        (ShapeError, lambda d: TwoDofDmp(d).simulate([0.0, 0.0])),
-        (ShapeError, lambda d: TwoDofDmp(d).simulate(g=[1.0])),
-        (ConfigError, lambda d: TwoDofDmp(d).simulate(duration=1.0, tau_d=1.0)),
-        (ShapeError, lambda d: TwoDofDmp(d).stepper(g=np.ones((3, 2)))),
-        (ShapeError, lambda d: TwoDofDmp(d).stepper().step(-0.1, np.zeros(2), np.zeros(2))),
-        (ShapeError, lambda d: TwoDofDmp(d).stepper().step(np.inf, np.zeros(2), np.zeros(2))),
-        (ShapeError, lambda d: TwoDofDmp(d).stepper().step(0.1, np.zeros(3), np.zeros(2))),
-        (ShapeError, lambda d: TwoDofDmp(d).stepper().change_goal([np.nan, 0])),
-    ],
-)
-def test_bad_input_gets_a_sentence(smooth: Callable[..., Dmp], error: type[Exception], misuse: Any) -> None:
-    with pytest.raises(error, match=r"^Expected .*\.$"):
-        misuse(smooth())
+Build = Callable[..., Dmp]
+
+
+def test_events_happen_between_the_samples(primitive: Build) -> None:
+    """A hold that begins and ends between samples stops the arm for exactly its time."""
+    two_dof = TwoDofDmp(primitive(), kc=0.0)
+    t = np.array([0.0, 0.401, 0.4017, 0.4995, 0.6, 1.0])
+    run = two_dof.simulate(t, [Hold(0.4013, 0.5005, [1]), Push(0.4013, 0.5005, 0.2, [0])])
+    np.testing.assert_allclose(run.ya[3, 0] - run.ya[2, 0], 0.2 * (0.4995 - 0.4017), atol=1e-12)
+    assert run.ya[3, 1] == run.ya[2, 1]
+    np.testing.assert_array_equal(run.yad[3, :2], [0.2, 0.0])
+    assert run.ya[3, 2] != run.ya[2, 2]
+    assert run.disturbed == ((0.4013, 0.5005), (0.4013, 0.5005))
+
+
+def test_a_run_is_that_on_a_grid_with_the_times_of_its_events(primitive: Build) -> None:
+    two_dof, t = TwoDofDmp(primitive(), kc=100.0), 0.01 * np.arange(101)
+    events = [Hold(0.3033, 0.4521, [1]), Push(0.6077, 0.7049, 0.2, [0]), Displace(0.8012, 0.1)]
+    finer = np.union1d(t, [0.3033, 0.4521, 0.6077, 0.7049, 0.8012])
+    run, wanted = two_dof.simulate(t, events, dt=0.01), two_dof.simulate(finer, events, dt=0.01)
+    rows = np.searchsorted(finer, t)
+    for name in ("yc", "ycd", "ya", "yad", "e", "x", "tau_a"):
+        np.testing.assert_allclose(getattr(run, name), getattr(wanted, name)[rows], rtol=0, atol=1e-9, err_msg=name)
+    alone = two_dof.simulate(t, [], dt=0.01)
+    assert np.abs(run.ya - alone.ya).max() > 0.01
+
+
+def test_at_the_time_of_an_event_is_what_was_before_it(primitive: Build) -> None:
+    two_dof, t = TwoDofDmp(primitive()), np.array([0.0, 0.5, 0.5 + 1e-9])
+    run = two_dof.simulate(t, [Displace(0.5, [0.1, 0.0, -0.2])])
+    np.testing.assert_allclose(run.ya[2] - run.ya[1], [0.1, 0.0, -0.2], atol=1e-7)
+    np.testing.assert_allclose(run.ya[1], run.yc[1], atol=1e-12)
+    assert run.disturbed == ((0.5, 0.5),)
+
+
+def test_a_clock_that_starts_later_changes_nothing(primitive: Build) -> None:
+    two_dof, t = TwoDofDmp(primitive()), 0.01 * np.arange(150)
+    run = two_dof.simulate(t, [Hold(0.3, 0.7), Displace(1.0, 0.1)])
+    later = two_dof.simulate(t + 5.0, [Hold(5.3, 5.7), Displace(6.0, 0.1)])
+    np.testing.assert_allclose(later.ya, run.ya, atol=1e-9)
+
+
+def test_the_perfect_plant_is_no_plant(primitive: Build) -> None:
+    def perfect(t: float, ya: np.ndarray, yad: np.ndarray, ydd_ref: np.ndarray) -> np.ndarray:
+        return ydd_ref
+
+    plant: Plant = perfect
+    two_dof, t = TwoDofDmp(primitive()), 0.02 * np.arange(60)
+    events: list[Any] = [Hold(0.3, 0.5, [0]), Displace(0.71, 0.1)]
+    run, plain = two_dof.simulate(t, [*events, plant]), two_dof.simulate(t, events)
+    for name in ("yc", "ya", "yad", "e", "x"):
+        np.testing.assert_allclose(getattr(run, name), getattr(plain, name), rtol=0, atol=1e-11, err_msg=name)
+
+
+def test_a_weak_plant_is_waited_for(primitive: Build) -> None:
+    """An arm with half the acceleration it is asked for falls behind and the path waits; both reach the goal."""
+    dmp = primitive()
+    run = TwoDofDmp(dmp).simulate(dmp.times(0.004, 12.0), [lambda t, ya, yad, ydd: 0.5 * ydd])
+    assert run.tau_a.max() > 1.5 * dmp.tau_d
+    np.testing.assert_allclose(run.ya[-1], dmp.g, atol=1e-3)
+
+
+def test_results_are_frozen_and_complete(primitive: Build) -> None:
+    run = TwoDofDmp(primitive()).simulate(0.01)
+    assert isinstance(run, TwoDofRun)
+    N = len(run.t)
+    assert {a.shape for a in (run.yc, run.ycd, run.ycdd, run.ya, run.yad, run.ydd_ref, run.e)} == {(N, 3)}
+    assert (run.x.shape, run.tau_a.shape, run.frozen.dtype) == ((N,), (N,), bool)
+    with pytest.raises(ValueError, match="read-only"):
+        run.ya[0, 0] = 1.0
+    assert TwoDofDmp(primitive("position")).simulate(0.01).x.shape == (N, 3)
+
+
+def test_states_are_those_of_the_kernel(primitive: Build) -> None:
+    from armlab.motion.primitive.run import RunParameters
+
+    dmp = primitive()
+    law, start = TwoDofDmp(dmp).law(RunParameters.of(dmp)), np.concatenate([np.zeros(15), [1.0, 0.0]])
+    states, disturbed = simulated(law, start, np.array([0.0, 0.01]), [], 0.005)
+    np.testing.assert_array_equal(states[1], law.advance(start, 0.01, 2, np.full(3, np.nan), FULL_SPEED))
+    assert disturbed == ()
+
+
+def test_it_starts_with_the_arm_on_the_path(smooth: Callable[..., Dmp]) -> None:
+    dmp = smooth(schedule="time")
+    run = RunParameters.of(dmp, y0=np.array([0.1, 0.2]), v0=np.array([0.3, 0.4]))
+    z = run.tau * run.v0
+    np.testing.assert_array_equal(starting(run), [0.1, 0.2, *z, 0, 0, 0.1, 0.2, 0.3, 0.4, 0, 0])
+    assert starting(RunParameters.of(smooth()))[-2] == 1.0
+
+
+def test_stepper_is_the_simulation(smooth: Callable[..., Dmp]) -> None:
+    """With the arm of the simulation measured at every step the path is the same to the accuracy of sampling."""
+    dmp = smooth()
+    two_dof = TwoDofDmp(dmp)
+    run = two_dof.simulate(two_dof.dmp.times(0.002, 4.0), [Hold(0.5, 0.9)], dt=0.002)
+    stepper = two_dof.stepper()
+    assert isinstance(stepper, TwoDofStepper)
+    found = [
+        stepper.step(0.002 if k else 0.0, ya, yad) for k, (ya, yad) in enumerate(zip(run.ya, run.yad, strict=True))
+    ]
+    assert isinstance(found[0], Reference)
+    assert np.abs([r.yc for r in found] - run.yc).max() < 2e-3
+    assert stepper.has_ended
+    assert (stepper.x, stepper.tau_a) == (pytest.approx(run.x[-1], abs=1e-3), pytest.approx(run.tau_a[-1], rel=1e-3))
+    stepper.reset()
+    assert (stepper.x, stepper.frozen, stepper.e.tolist()) == (1.0, False, [0.0, 0.0])
+
+
+def test_uneven_steps_and_lost_samples_do_not_matter_much(smooth: Callable[..., Dmp]) -> None:
+    two_dof = TwoDofDmp(smooth(force=4.0), e0=0.01)
+    run = two_dof.simulate(0.001, dt=0.001)
+    stepper, k, draw = two_dof.stepper(), 0, np.random.default_rng(0)
+    stepper.step(0.0, run.ya[0], run.yad[0])
+    while k < len(run.t) - 45:
+        skip = int(draw.integers(1, 45))
+        k += skip
+        lost = draw.random() < 0.1
+        found = stepper.step(1e-3 * skip, run.ya[k] * (np.nan if lost else 1), run.yad[k])
+        assert np.abs(found.yc - run.yc[k]).max() < 0.02
+        assert np.isfinite(found.ydd_ref).all()
+
+
+def test_goal_changes_on_the_way(smooth: Callable[..., Dmp]) -> None:
+    dmp = smooth()
+    stepper, ya, yad = TwoDofDmp(dmp).stepper(), np.zeros(2), np.zeros(2)
+    goal = np.array([1.3, -0.2])
+    for k in range(2500):
+        if k == 200:
+            before = stepper.step(0.0, ya, yad).yc
+            stepper.change_goal(goal)
+            np.testing.assert_array_equal(stepper.step(0.0, ya, yad).yc, before)
+        found = stepper.step(H if k else 0.0, ya, yad)
+        ya, yad = ya + H * yad + 0.5 * H**2 * found.ydd_ref, yad + H * found.ydd_ref
+    np.testing.assert_allclose(ya, goal, atol=1e-3)
+    np.testing.assert_array_equal(stepper.goal, goal)
+
+
+def test_a_goal_outside_the_limits_is_refused(smooth: Callable[..., Dmp]) -> None:
+    stepper = TwoDofDmp(smooth(limits=np.array([[-1.0, -1.0], [2.0, 2.0]]))).stepper()
+    with pytest.raises(ShapeError, match=r"coordinates \[1\]"):
+        stepper.change_goal([0.0, 3.0])
+    assert stepper.goal.tolist() == [1.0, 0.5]
+
+
+def test_acceleration_is_the_derivative_while_the_speed_changes(smooth: Callable[..., Dmp]) -> None:
+    """Of a primitive that is slowed down to a half and back, with an arm that is on the path."""
+    stepper, rows, speeds = TwoDofDmp(smooth(force=4.0)).stepper(), [], 1.0 - np.r_[0:0.5:251j, 0.5:0.0:251j]
+    ya, yad = np.zeros(2), np.zeros(2)
+    for before, now, after in zip(np.r_[1.0, speeds], speeds, np.r_[speeds[1:], 1.0]):
+        found = stepper.step(1e-3 if rows else 0.0, ya, yad, np.array([before, now, (after - now) / 1e-3]))
+        ya, yad = found.yc, found.ycd
+        rows.append((found.ycd.copy(), found.ycdd.copy()))
+    ycd, ycdd = np.array(rows).swapaxes(0, 1)
+    inner = np.r_[2:249, 254:499]
+    np.testing.assert_allclose(ycdd[inner], np.gradient(ycd, 1e-3, axis=0)[inner], rtol=0, atol=0.02)
+
+
+@pytest.mark.parametrize("schedule", ["canonical", "time"])
+def test_it_has_ended_when_the_phase_has_gone_as_far_as_in_the_demonstration(
+    smooth: Callable[..., Dmp], schedule: str
+) -> None:
+    dmp = smooth(schedule=schedule)
+    stepper, ended = TwoDofDmp(dmp, kc=0.0).stepper(), []
+    for k in range(511):
+        stepper.step(H if k else 0.0, dmp.y0, np.zeros(2))
+        ended.append(stepper.has_ended)
+    first = H * ended.index(True)
+    assert dmp.duration - 1e-9 <= first <= dmp.duration + 2 * H
+
+
+def test_a_late_packet_is_solved_in_steps_of_4_ms(smooth: Callable[..., Dmp]) -> None:
+    law, stepper = TwoDofDmp(smooth()).law(RunParameters.of(smooth())), TwoDofDmp(smooth()).stepper()
+    found = stepper.step(0.044, np.zeros(2), np.zeros(2)).yc
+    start = starting(RunParameters.of(smooth()))
+    fine, coarse = (law.follow(start, 0.044, steps, FULL_SPEED, np.zeros(2), np.zeros(2))[0][:2] for steps in (200, 1))
+    np.testing.assert_allclose(found, fine, rtol=0, atol=1e-6)
+    assert np.abs(coarse - fine).max() > 1e-5
+
+
+def test_a_hold_is_a_push_without_speed() -> None:
+    np.testing.assert_array_equal(Hold(0.0, 1.0).drive(3), 0.0)
+    np.testing.assert_array_equal(Hold(0.0, 1.0, [1]).drive(3), [np.nan, 0.0, np.nan])
+    assert isinstance(Hold(0, 1), Push)
+
+
+def test_a_push_forces_the_coordinates_that_it_names() -> None:
+    np.testing.assert_array_equal(Push(0, 1, 0.3).drive(2), 0.3)
+    np.testing.assert_array_equal(Push(0, 1, [0.3, -1.0], (2, 0)).drive(3), [-1.0, np.nan, 0.3])
+
+
+def test_a_blow_keeps_its_numbers() -> None:
+    assert Displace(1.0, [0.1, 0.2]).dy == [0.1, 0.2]

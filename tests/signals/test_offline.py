@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
-from armlab.errors import ConfigError, ShapeError
+from armlab import signals
+from armlab.errors import ArmlabError, ConfigError, ShapeError
 from armlab.signals import (
     Differentiator,
     ExpFilter,
@@ -146,3 +149,28 @@ def test_bad_input_is_refused_with_a_sentence() -> None:
         central_diff(t, np.append(t[:-1], np.inf))
     with pytest.raises(ConfigError, match="factor of at least 1"):
         decimate(np.zeros(10), 1.0, 0)
+
+
+SAMPLES = np.sin(np.arange(100) / 10.0)
+TIMES = np.arange(100) / 100.0
+CALLS: dict[str, Callable] = {
+    "samples": lambda x: signals.lowpass_offline(x, 100.0, 5.0),
+    "rate": lambda x: signals.lowpass_offline(SAMPLES, x, 5.0),
+    "cutoff": lambda x: signals.lowpass_offline(SAMPLES, 100.0, x),
+    "order": lambda x: signals.lowpass_offline(SAMPLES, 100.0, 5.0, x),
+    "factor": lambda x: signals.decimate(SAMPLES, 100.0, x),
+    "times": lambda x: signals.central_diff(SAMPLES, x),
+    "bandwidth": lambda x: signals.smooth_diff(SAMPLES, TIMES, x),
+    "operator": lambda x: signals.filtfilt(x, SAMPLES, TIMES),
+    "step": lambda x: signals.Integrator("x" if x is None else x),
+    "corner": lambda x: signals.LowPass2(x, 0.01),
+    "quality": lambda x: signals.Notch(10.0, x),
+    "time constant": lambda x: signals.ExpFilter(x, 0.01),
+}
+
+
+@pytest.mark.parametrize("other", [None, "5", -1.0, np.nan, np.inf, [[1, 2], [3]], np.zeros((0, 2)), 1j], ids=repr)
+@pytest.mark.parametrize("what", CALLS)
+def test_something_else_gets_a_sentence(what: str, other: object) -> None:
+    with pytest.raises(ArmlabError, match=r"^Expected .*\.$"):
+        CALLS[what](other)

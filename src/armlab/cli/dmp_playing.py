@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from armlab.bridge import Limits
     from armlab.log import Table
     from armlab.motion import Controller, Dmp, PeriodicDmp, PoseDmp, ProMP, TwoDofDmp
-    from armlab.motion.profile import Profile
+    from armlab.motion.profiles import Profile
     from armlab.robots import Robot
     from armlab.state import Command, State
 
@@ -90,7 +90,7 @@ def resolved(primitive: Any, given: Mapping[str, Any]) -> tuple[Any, dict[str, A
     ConfigError : no primitive, an option that its kind does not have, words that are no points or none it can pass.
     """
     from armlab.errors import ConfigError
-    from armlab.motion import TwoDofDmp, fit_dmp, through
+    from armlab.motion import TwoDofDmp, fit_dmp, with_via_points
 
     kind = getattr(primitive, "KIND", type(primitive).__name__)
     if kind not in OPTIONS:
@@ -105,8 +105,8 @@ def resolved(primitive: Any, given: Mapping[str, Any]) -> tuple[Any, dict[str, A
     if points:
         t, y = [when for when, _ in points], np.array([value for _, value in points])
         if isinstance(primitive, TwoDofDmp):
-            return replace(primitive, dmp=through(primitive.dmp, t, y)), run
-        return through(primitive, t, y), run
+            return replace(primitive, dmp=with_via_points(primitive.dmp, t, y)), run
+        return with_via_points(primitive, t, y), run
     return primitive, run
 
 
@@ -253,14 +253,14 @@ def _mean(promp: ProMP, points: Sequence[tuple[float, np.ndarray]], run: Mapping
 
 
 def _joint_motion(law: Dmp | TwoDofDmp, run: Mapping[str, Any], robot: Robot, limits: Limits, firm: bool) -> Motion:
-    from armlab.motion import Dmp, TwoDofDmp, duration_within
+    from armlab.motion import Dmp, TwoDofDmp, shortest_duration
 
     dmp = law if isinstance(law, Dmp) else law.dmp
     follows = dmp if firm else law if isinstance(law, TwoDofDmp) else TwoDofDmp(dmp)
     start, goal, wanted = run.get("start", dmp.y0), run.get("goal"), run.get("duration", dmp.duration)
     follows.controller(robot, limits=limits, g=goal, duration=wanted)  # refuses before anything is computed
     pace = wanted / dmp.duration
-    seconds = pace * duration_within(dmp, limits.qd_max * pace, y0=start, g=goal)  # as asked, or stretched
+    seconds = pace * shortest_duration(dmp, limits.qd_max * pace, y0=start, g=goal)  # as asked, or stretched
     return Motion(follows.controller(robot, limits=limits, g=goal, duration=seconds), np.array(start), seconds)
 
 

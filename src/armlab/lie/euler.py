@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from armlab import kernels
 from armlab.errors import UnknownName
-from armlab.lie import _check
+from armlab.lie import arguments
 
 __all__ = ["CONVENTIONS", "Convention", "from_rpy", "rot_x", "rot_y", "rot_z", "to_rpy"]
 
@@ -115,7 +115,7 @@ def _axes(convention: str) -> tuple[int, int, int]:
 
 
 def _turn(angle: ArrayLike, axis: int) -> np.ndarray:
-    angle = _check.array(angle, (), "angle")
+    angle = arguments.array(angle, (), "angle")
     angles = np.zeros((*angle.shape, 3))
     angles[..., 0] = angle
     return kernels.euler_from_rpy(angles, axis, (axis + 1) % 3, axis)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from armlab import kernels
 from armlab.errors import ShapeError
-from armlab.lie import _check
+from armlab.lie import arguments
 
 __all__ = ["UNIT_TOLERANCE", "conjugate", "continuous", "from_matrix", "multiply", "slerp", "to_matrix"]
 
@@ -85,7 +85,7 @@ def conjugate(quaternion: ArrayLike) -> np.ndarray:
     -------
     (..., 4).
     """
-    return _check.array(quaternion, (4,), "quaternion") * (1.0, -1.0, -1.0, -1.0)
+    return arguments.array(quaternion, (4,), "quaternion") * (1.0, -1.0, -1.0, -1.0)
 
 
 def slerp(a: ArrayLike, b: ArrayLike, s: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
@@ -127,7 +127,7 @@ def continuous(quaternion: ArrayLike) -> np.ndarray:
     ------
     ShapeError : when there is no time axis.
     """
-    q = _check.array(quaternion, (4,), "quaternion")
+    q = arguments.array(quaternion, (4,), "quaternion")
     if q.ndim < 2:
         raise ShapeError(f"Expected quaternions of shape (N, ..., 4) with time along axis 0, got {q.shape}.")
     present = ~np.isnan(q).any(axis=-1, keepdims=True)

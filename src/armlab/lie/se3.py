@@ -5,14 +5,15 @@ Every function takes any leading axes and keeps them. NaN gives NaN.
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
+from armlab._numbers import check_name
 from armlab.errors import ShapeError
-from armlab.lie import _check, so3
-from armlab.lie._angular_first import from_angular_first, to_angular_first
-from armlab.lie._between import assemble, interpolate, mean
+from armlab.lie import arguments, so3
 
 __all__ = [
     "ad",
@@ -35,6 +36,8 @@ __all__ = [
     "vee",
 ]
 
+PATHS = ("linear", "screw")
+
 
 def from_rp(R: ArrayLike, p: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
     """Return the pose ``[[R, p], [0, 1]]``.
@@ -52,8 +55,8 @@ def from_rp(R: ArrayLike, p: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
     ------
     ShapeError : when R is not a rotation within `so3.ROTATION_TOLERANCE`, or leading axes do not broadcast.
     """
-    R, p = kernels.rotations(R, "R"), _check.array(p, (3,), "p")
-    _check.broadcasts(R=(R, 2), p=(p, 1))
+    R, p = kernels.rotations(R, "R"), arguments.array(p, (3,), "p")
+    arguments.broadcasts(R=(R, 2), p=(p, 1))
     return assemble(R, p)
 
 
@@ -68,7 +71,7 @@ def hat(xi: ArrayLike) -> np.ndarray:
     -------
     (..., 4, 4).
     """
-    xi = _check.array(xi, (6,), "xi")
+    xi = arguments.array(xi, (6,), "xi")
     X = np.zeros((*xi.shape[:-1], 4, 4))
     X[..., :3, :3] = so3.hat(xi[..., 3:])
     X[..., :3, 3] = xi[..., :3]
@@ -90,7 +93,7 @@ def vee(X: ArrayLike) -> np.ndarray:
     ------
     ShapeError : when X is not a twist matrix; for a pose use `log`.
     """
-    X = _check.array(X, (4, 4), "X")
+    X = arguments.array(X, (4, 4), "X")
     if (X[..., 3, :] != 0).any():
         raise ShapeError(f"Expected a twist matrix with last row 0, got {X[..., 3, :].max():.3g}. Use log for a pose.")
     return np.concatenate([X[..., :3, 3], so3.vee(X[..., :3, :3])], axis=-1)
@@ -163,7 +166,7 @@ def ad(xi: ArrayLike) -> np.ndarray:
     -------
     (..., 6, 6) for twists [v; w].
     """
-    xi = _check.array(xi, (6,), "xi")
+    xi = arguments.array(xi, (6,), "xi")
     result = np.zeros((*xi.shape, 6))
     result[..., :3, :3] = result[..., 3:, 3:] = so3.hat(xi[..., 3:])
     result[..., :3, 3:] = so3.hat(xi[..., :3])
@@ -245,7 +248,7 @@ def is_pose(T: ArrayLike, tolerance: float = so3.ROTATION_TOLERANCE) -> np.ndarr
     ------
     ShapeError : another shape, a tolerance that is no number from 0 on.
     """
-    T = _check.array(T, (4, 4), "T")
+    T = arguments.array(T, (4, 4), "T")
     last_row = (T[..., 3, :] == (0.0, 0.0, 0.0, 1.0)).all(axis=-1)
     return so3.is_rotation(T[..., :3, :3], tolerance) & np.isfinite(T[..., :3, 3]).all(axis=-1) & last_row
 
@@ -266,8 +269,8 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     ------
     ShapeError : when the last row is not (0, 0, 0, 1) or no rotation is nearest.
     """
-    M = _check.array(M, (4, 4), "M")
-    _check.last_row(M, "M")
+    M = arguments.array(M, (4, 4), "M")
+    arguments.last_row(M, "M")
     R, distance = so3.project(M[..., :3, :3])
     return assemble(R, M[..., :3, 3]), distance
 
@@ -305,3 +308,115 @@ def left_jacobian_inv(xi: ArrayLike, out: np.ndarray | None = None) -> np.ndarra
     (..., 6, 6).
     """
     return kernels.se3_left_jacobian_inv(xi, out)
+
+
+def from_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
+    """Return [v; w] of a twist [w; v] of a library that puts the angular part first; [f; m] of a wrench [m; f].
+
+    Parameters
+    ----------
+    x : array with length 6 along the axis: twists or wrenches (..., 6); a Jacobian (..., 6, n) with axis -2; a
+        6 × 6 matrix needs it along both axes.
+    axis : the axis to turn over.
+
+    Returns
+    -------
+    the same shape.
+
+    Raises
+    ------
+    ShapeError : when the axis has another length.
+    """
+    return _swap(x, axis)
+
+
+def to_angular_first(x: ArrayLike, axis: int = -1) -> np.ndarray:
+    """Return [w; v] of a twist [v; w] for a library that puts the angular part first; [m; f] of a wrench [f; m].
+
+    Parameters
+    ----------
+    x : array with length 6 along the axis, as for `from_angular_first`, which it undoes.
+    axis : the axis to turn over.
+
+    Returns
+    -------
+    the same shape.
+
+    Raises
+    ------
+    ShapeError : when the axis has another length.
+    """
+    return _swap(x, axis)
+
+
+def _swap(x: ArrayLike, axis: int) -> np.ndarray:
+    x = arguments.array(x, (), "x")
+    if not isinstance(axis, int | np.integer) or not -x.ndim <= axis < x.ndim or x.shape[axis] != 6:
+        raise ShapeError(f"Expected an array of length 6 along axis {axis}, got shape {x.shape}. Choose the axis.")
+    return np.roll(x, 3, axis=axis)
+
+
+def assemble(R: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return the pose of a rotation and a position."""
+    T = np.zeros((*np.broadcast_shapes(R.shape[:-2], p.shape[:-1]), 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, p, 1.0
+    return T
+
+
+def interpolate(
+    T_a: ArrayLike,
+    T_b: ArrayLike,
+    s: ArrayLike,
+    path: Literal["linear", "screw"] = "linear",
+    out: np.ndarray | None = None,
+) -> np.ndarray:
+    """Move from a to b: the position along a line, the rotation about one axis, both at constant speed.
+
+    The screw path is ``T_a exp(s log(T_a⁻¹ T_b))`` instead: it does not depend on the point of the body that is
+    looked at, and that point moves along a helix. Both ends are exact.
+
+    Parameters
+    ----------
+    T_a, T_b : (..., 4, 4) poses in one frame, leading axes broadcast with those of s.
+    s : (...) 0 at a, 1 at b.
+    path : "linear" or "screw".
+    out : (..., 4, 4) array to write into.
+
+    Returns
+    -------
+    (..., 4, 4).
+
+    Raises
+    ------
+    ShapeError : when one is not a pose within `so3.ROTATION_TOLERANCE`.
+    UnknownName : when the path does not exist.
+    """
+    check_name(path, "path between poses", PATHS)
+    return kernels.se3_interpolate(T_a, T_b, s, path == "screw", out)
+
+
+def mean(
+    T: ArrayLike, weights: ArrayLike | None = None, method: Literal["chordal", "geodesic"] = "chordal"
+) -> np.ndarray:
+    """Return the mean of poses along axis 0: the mean position and `so3.mean` of the rotations.
+
+    It depends on the point whose positions are averaged, the origin of the moving frame.
+
+    Parameters
+    ----------
+    T : (N, ..., 4, 4), N ≥ 1.
+    weights : (N,) or (N, ...), not negative; equal when None. 0 leaves a pose out, also one that is missing.
+    method : "chordal" or "geodesic", of the rotations.
+
+    Returns
+    -------
+    (..., 4, 4).
+
+    Raises
+    ------
+    ShapeError, NotConverged, UnknownName : as `so3.mean`.
+    """
+    T = kernels.poses(T, "T")
+    R = so3.mean(T[..., :3, :3], weights, method)
+    share = so3.shares(weights, T.shape[:-2])[..., None]
+    return assemble(R, (share * np.where(share > 0, T[..., :3, 3], 0.0)).sum(axis=0))

@@ -5,14 +5,15 @@ Every function takes any leading axes and keeps them. NaN gives NaN.
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab.errors import ShapeError
-from armlab.lie import _check
-from armlab.lie._angles import angle, angle_about, from_axis_angle, to_axis_angle, xy_angle
-from armlab.lie._mean import mean
+from armlab._numbers import check_name
+from armlab.errors import NotConverged, ShapeError
+from armlab.lie import arguments
 
 __all__ = [
     "ROTATION_TOLERANCE",
@@ -34,11 +35,17 @@ __all__ = [
     "xy_angle",
 ]
 
-ROTATION_TOLERANCE = _check.ROTATION_TOLERANCE
+ROTATION_TOLERANCE = arguments.ROTATION_TOLERANCE
 """Largest entry of |RᵀR - I| that passes for a rotation; beyond it, `project` first."""
-
 SKEW_TOLERANCE = 1e-9
 ONE_NEAREST = 1e-9
+
+UNDEFINED = 1e-13  # below, a direction is lost in rounding
+
+METHODS = ("chordal", "geodesic")
+AGREEMENT = 0.1  # of the weights; below, rotations point everywhere
+ITERATIONS = 30
+CLOSE = 1e-9  # rad: the step is that of Newton's method, so after it the error is of the order of its square
 
 
 def hat(w: ArrayLike) -> np.ndarray:
@@ -52,7 +59,7 @@ def hat(w: ArrayLike) -> np.ndarray:
     -------
     (..., 3, 3).
     """
-    w = _check.array(w, (3,), "w")
+    w = arguments.array(w, (3,), "w")
     W = np.zeros((*w.shape, 3))
     W[..., 2, 1], W[..., 0, 2], W[..., 1, 0] = x, y, z = np.moveaxis(w, -1, 0)
     W[..., 1, 2], W[..., 2, 0], W[..., 0, 1] = -x, -y, -z
@@ -74,7 +81,7 @@ def vee(W: ArrayLike) -> np.ndarray:
     ------
     ShapeError : when W is not skew: `vee` is for so(3); for a rotation use `log`.
     """
-    W = _check.array(W, (3, 3), "W")
+    W = arguments.array(W, (3, 3), "W")
     off = np.abs(W + np.swapaxes(W, -1, -2)).max(axis=(-1, -2))
     if (off > SKEW_TOLERANCE * np.abs(W).max(axis=(-1, -2))).any():
         raise ShapeError(
@@ -95,7 +102,7 @@ def skew_part(M: ArrayLike) -> np.ndarray:
     -------
     (..., 3, 3).
     """
-    M = _check.array(M, (3, 3), "M")
+    M = arguments.array(M, (3, 3), "M")
     return (M - np.swapaxes(M, -1, -2)) / 2
 
 
@@ -152,7 +159,7 @@ def is_rotation(R: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> np.ndarr
     ------
     ShapeError : another shape, a tolerance that is no number from 0 on.
     """
-    R, tolerance = _check.array(R, (3, 3), "R"), _check.tolerance(tolerance)
+    R, tolerance = arguments.array(R, (3, 3), "R"), arguments.tolerance(tolerance)
     R = np.where(np.isfinite(R).all(axis=(-1, -2), keepdims=True), R, 0.0)
     off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
     determinant = (np.cross(R[..., 0, :], R[..., 1, :]) * R[..., 2, :]).sum(axis=-1)
@@ -175,7 +182,7 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     ------
     ShapeError : when no rotation is nearest (rank below 2, a reflection of equal axes, an infinite entry).
     """
-    M = _check.array(M, (3, 3), "M")
+    M = arguments.array(M, (3, 3), "M")
     R, sigma = kernels.so3_nearest(M)
     ambiguous = sigma[..., 1] + sigma[..., 2] <= ONE_NEAREST * sigma[..., 0]
     if ambiguous.any():
@@ -237,3 +244,210 @@ def interpolate(R_a: ArrayLike, R_b: ArrayLike, s: ArrayLike, out: np.ndarray | 
     ShapeError : when one is not a rotation within `ROTATION_TOLERANCE`.
     """
     return kernels.so3_interpolate(R_a, R_b, s, out)
+
+
+def angle(R_a: ArrayLike, R_b: ArrayLike) -> np.ndarray:
+    """Return the angle between two rotations: ``abs(log(R_aᵀ R_b))``.
+
+    Parameters
+    ----------
+    R_a, R_b : (..., 3, 3), leading axes broadcast.
+
+    Returns
+    -------
+    (...) in [0, π] [rad]; 0 for equal ones.
+
+    Raises
+    ------
+    ShapeError : when one is not a rotation within `ROTATION_TOLERANCE`.
+    """
+    return kernels.so3_angle(R_a, R_b)[()]
+
+
+def xy_angle(R_a: ArrayLike, R_b: ArrayLike) -> np.ndarray:
+    """Return the heading of b in a: the turn of b's x axis in a's xy plane, ``atan2(R_10, R_00)`` of ``R_aᵀ R_b``.
+
+    Parameters
+    ----------
+    R_a, R_b : (..., 3, 3), leading axes broadcast.
+
+    Returns
+    -------
+    (...) in (-π, π] [rad], positive about a's z axis; NaN where b's x axis is parallel to that.
+
+    Raises
+    ------
+    ShapeError : when one is not a rotation within `ROTATION_TOLERANCE`.
+    """
+    R_a, R_b = kernels.rotations(R_a, "R_a"), kernels.rotations(R_b, "R_b")
+    arguments.broadcasts(R_a=(R_a, 2), R_b=(R_b, 2))
+    x = (np.swapaxes(R_a, -1, -2) @ R_b[..., :1])[..., 0]
+    return _turn(x[..., 1], x[..., 0])
+
+
+def angle_about(R_a: ArrayLike, R_b: ArrayLike, axis: ArrayLike) -> np.ndarray:
+    """Return the turn of b against a about an axis: the twist part ``2 atan2(axis · v, w)`` of ``R_aᵀ R_b``.
+
+    What remains is a turn about an axis at right angles to it (swing-twist decomposition). For a pure turn about z
+    it equals `xy_angle`.
+
+    Parameters
+    ----------
+    R_a, R_b : (..., 3, 3), leading axes broadcast with those of the axis.
+    axis : (..., 3) in a, of any length but 0.
+
+    Returns
+    -------
+    (...) in (-π, π] [rad], positive about the axis; NaN where the rest is a half turn, which leaves it open.
+
+    Raises
+    ------
+    ShapeError : when one is not a rotation within `ROTATION_TOLERANCE`, or the axis has length 0.
+    """
+    R_a, R_b, axis = kernels.rotations(R_a, "R_a"), kernels.rotations(R_b, "R_b"), _direction(axis)
+    arguments.broadcasts(R_a=(R_a, 2), R_b=(R_b, 2), axis=(axis, 1))
+    q = kernels.quaternion_from_matrix(np.swapaxes(R_a, -1, -2) @ R_b)
+    half = _turn((q[..., 1:] * axis).sum(axis=-1), q[..., 0])
+    turn = 2 * half
+    return np.where(turn <= -np.pi, np.pi, turn)[()]
+
+
+def from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> np.ndarray:
+    """Return the rotation about an axis by an angle: ``exp(angle axis)``.
+
+    Parameters
+    ----------
+    axis : (..., 3) of any length but 0; only its direction counts.
+    angle : (...) [rad], leading axes broadcast.
+
+    Returns
+    -------
+    (..., 3, 3).
+
+    Raises
+    ------
+    ShapeError : when the axis has length 0, or leading axes do not broadcast.
+    """
+    axis, angle = _direction(axis), arguments.array(angle, (), "angle")
+    arguments.broadcasts(axis=(axis, 1), angle=(angle, 0))
+    return kernels.so3_exp(axis * angle[..., None])
+
+
+def to_axis_angle(R: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Return axis and angle of a rotation; the axis of no turn is (0, 0, 1).
+
+    At a half turn the first component of the axis that is not zero is positive.
+
+    Parameters
+    ----------
+    R : (..., 3, 3).
+
+    Returns
+    -------
+    axis : (..., 3) of length 1.
+    angle : (...) in [0, π] [rad].
+
+    Raises
+    ------
+    ShapeError : when R is not a rotation within `ROTATION_TOLERANCE`.
+    """
+    w = kernels.so3_log(R)
+    length = _length(w)
+    still = length == 0
+    axis = np.where(still[..., None], (0.0, 0.0, 1.0), w / np.where(still, 1.0, length)[..., None])
+    return axis, length
+
+
+def _direction(axis: ArrayLike) -> np.ndarray:
+    """(..., 3) the axis with length 1."""
+    axis = arguments.array(axis, (3,), "axis")
+    length = _length(axis)
+    bad = (length == 0) | (length == np.inf)
+    if bad.any():
+        raise ShapeError(f"Expected an axis with a direction, got {axis[bad][0]}. Leave such samples out.")
+    return axis / length[..., None]
+
+
+def _length(v: np.ndarray) -> np.ndarray:
+    return np.hypot(np.hypot(v[..., 0], v[..., 1]), v[..., 2])
+
+
+def _turn(sine: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    """(...) atan2, NaN where both are lost in rounding."""
+    return np.where(np.hypot(sine, cosine) < UNDEFINED, np.nan, np.arctan2(sine, cosine))[()]
+
+
+def mean(
+    R: ArrayLike, weights: ArrayLike | None = None, method: Literal["chordal", "geodesic"] = "chordal"
+) -> np.ndarray:
+    """Return the mean of rotations along axis 0.
+
+    The chordal mean minimises ``Σ weight norm(mean - R)²`` (Frobenius): the rotation nearest to the mean matrix. The
+    geodesic one minimises ``Σ weight angle(mean, R)²``, by Newton steps from there. Both are the same for rotations
+    that lie symmetrically about one, and nearly so for a narrow spread.
+
+    Parameters
+    ----------
+    R : (N, ..., 3, 3), N ≥ 1.
+    weights : (N,) or (N, ...), not negative; equal when None. 0 leaves a rotation out, also one that is missing.
+    method : "chordal" or "geodesic".
+
+    Returns
+    -------
+    (..., 3, 3); NaN where a rotation that counts is missing.
+
+    Raises
+    ------
+    ShapeError : when one is not a rotation, weights do not fit, or the rotations have no mean: with the singular
+        values ``σ`` of the mean matrix and d the sign of its determinant, ``σ₂ + d σ₃ < 0.1``.
+    NotConverged : when the geodesic mean is not found (rotations about a half turn apart).
+    UnknownName : when the method does not exist.
+
+    Reference: R. Hartley, J. Trumpf, Y. Dai, H. Li, Rotation averaging, Int. J. Computer Vision 103, 2013.
+    """
+    check_name(method, "mean of rotations", METHODS)
+    R = kernels.rotations(R, "R")
+    share = shares(weights, R.shape[:-2])
+    R = np.where(share[..., None, None] > 0, R, np.eye(3))
+    start, sigma = kernels.so3_nearest((share[..., None, None] * R).sum(axis=0))
+    agreement = sigma[..., 1] + sigma[..., 2]
+    if (agreement < AGREEMENT).any():
+        raise ShapeError(
+            f"Expected rotations that agree on a mean, got ones that point everywhere ({agreement.min():.2g} of "
+            f"the weights agree, {AGREEMENT:g} are needed). Cluster them first."
+        )
+    return start if method == "chordal" else _geodesic(R, share, start)
+
+
+def shares(weights: ArrayLike | None, batch: tuple[int, ...]) -> np.ndarray:
+    """Return weights (N, ...) that sum to 1 along axis 0, for elements with these leading axes."""
+    if not batch or batch[0] == 0:
+        raise ShapeError(f"Expected at least one element along axis 0 to take the mean of, got leading axes {batch}.")
+    if weights is None:
+        return np.full((batch[0], *[1] * (len(batch) - 1)), 1 / batch[0])
+    weights = arguments.array(weights, (), "weights")
+    if weights.shape not in (batch[:1], batch):
+        shapes = " or ".join(map(str, dict.fromkeys((batch[:1], batch))))
+        raise ShapeError(f"Expected weights of shape {shapes}, got {weights.shape}.")
+    weights = weights.reshape(weights.shape + (1,) * (len(batch) - weights.ndim))
+    total = weights.sum(axis=0)
+    if (weights < 0).any() or not ((total > 0) & (total < np.inf)).all():
+        raise ShapeError("Expected finite weights, none negative, with a sum above 0, got others. Use 0 to leave out.")
+    return weights / total
+
+
+def _geodesic(R: np.ndarray, share: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Newton's method: the Hessian of angle²/2 is the symmetric part of the inverse of the left Jacobian."""
+    for _ in range(ITERATIONS):
+        w = kernels.so3_log(np.swapaxes(mean, -1, -2) @ R)
+        gradient = (share[..., None] * w).sum(axis=0)
+        hessian = (share[..., None, None] * kernels.so3_left_jacobian_inv(w)).sum(axis=0)
+        missing = np.isnan(hessian).any(axis=(-1, -2), keepdims=True)
+        step = np.linalg.solve(np.where(missing, np.eye(3), hessian), gradient[..., None])[..., 0]
+        mean = mean @ kernels.so3_exp(step)
+        if not (np.abs(step) > CLOSE).any():
+            return mean
+    raise NotConverged(
+        f"Expected rotations that are close enough for one geodesic mean, got none after {ITERATIONS} steps. "
+        "Take the chordal mean, or cluster them first."
+    )

@@ -1,33 +1,19 @@
 """Motion: movement primitives that are taught by showing them once, and profiles from point to point."""
 
 from armlab.motion import profiles
-from armlab.motion.avoiding import AvoidingController, AvoidingStepper
 from armlab.motion.control import Controller
-from armlab.motion.controllers import DmpController, TwoDofController
-from armlab.motion.dmp import Dmp
-from armlab.motion.events import Displace, Hold, Push
-from armlab.motion.fit import fit_dmp
-from armlab.motion.limiting import duration_within, peaks
-from armlab.motion.motion_band import MotionBand, blend
-from armlab.motion.obstacles import AvoidingDmp, Capsule
-from armlab.motion.pacing import PacedDmp, PacedStepper, within
-from armlab.motion.periodic_controller import PeriodicController
-from armlab.motion.periodic_dmp import PeriodicDmp
-from armlab.motion.periodic_fit import fit_periodic_dmp
-from armlab.motion.periodic_stepper import PeriodicStepper
-from armlab.motion.pose_controller import PoseDmpController
-from armlab.motion.pose_dmp import PoseDmp
+from armlab.motion.disturbances import Displace, Hold, Push, TwoDofRun
+from armlab.motion.dmp import Dmp, DmpController
+from armlab.motion.obstacles import AvoidingController, AvoidingDmp, AvoidingStepper, Capsule
+from armlab.motion.periodic import PeriodicController, PeriodicDmp, PeriodicStepper, fit_periodic_dmp
+from armlab.motion.pose_dmp import PoseDmp, PoseDmpController, PoseRollout, PoseRunOptions, PoseStepper
 from armlab.motion.pose_fit import fit_pose_dmp
-from armlab.motion.pose_rollout import PoseRollout, PoseRunOptions
-from armlab.motion.pose_stepper import PoseStepper
-from armlab.motion.promp import ProMP
-from armlab.motion.promp_fit import fit_promp
-from armlab.motion.rollout import Rollout, RunOptions
-from armlab.motion.stepper import Stepper
-from armlab.motion.two_dof import TwoDofDmp
-from armlab.motion.two_dof_run import TwoDofRun
-from armlab.motion.two_dof_stepper import Reference, TwoDofStepper
-from armlab.motion.via_points import through
+from armlab.motion.primitive.fit import fit_dmp
+from armlab.motion.primitive.run import Rollout, RunOptions, Stepper
+from armlab.motion.promp import ProMP, TrajectoryDistribution, blend, fit_promp
+from armlab.motion.timing import PacedDmp, PacedStepper, peaks, retimed, shortest_duration
+from armlab.motion.two_dof import Reference, TwoDofController, TwoDofDmp, TwoDofStepper
+from armlab.motion.via_points import with_via_points
 
 __all__ = [
     "AvoidingController",
@@ -39,7 +25,6 @@ __all__ = [
     "Dmp",
     "DmpController",
     "Hold",
-    "MotionBand",
     "PacedDmp",
     "PacedStepper",
     "PeriodicController",
@@ -56,18 +41,19 @@ __all__ = [
     "Rollout",
     "RunOptions",
     "Stepper",
+    "TrajectoryDistribution",
     "TwoDofController",
     "TwoDofDmp",
     "TwoDofRun",
     "TwoDofStepper",
     "blend",
-    "duration_within",
     "fit_dmp",
     "fit_periodic_dmp",
     "fit_pose_dmp",
     "fit_promp",
     "peaks",
     "profiles",
-    "through",
-    "within",
+    "retimed",
+    "shortest_duration",
+    "with_via_points",
 ]

@@ -1,4 +1,4 @@
-"""What every motion does as a controller of the bridge: no jump, within limits, at the pace of the robot."""
+"""Motions as controllers of the bridge: no jump, within limits, at the pace of the robot."""
 
 from __future__ import annotations
 
@@ -13,14 +13,12 @@ from numpy.typing import ArrayLike
 from armlab import kernels
 from armlab._numbers import members, number
 from armlab.errors import ArmlabError, ConfigError, RobotError, ShapeError
-from armlab.motion._setting import vector
+from armlab.motion.arguments import vector
 from armlab.robots import Robot
 from armlab.state import Command, State
 
 if TYPE_CHECKING:
     from armlab.log import Column
-
-__all__ = ["LONGEST_STEP", "Arms", "Controller", "Limits", "robots_of", "steps_in"]
 
 LONGEST_STEP = 0.004
 """Longest step of integration [s]."""
@@ -30,15 +28,13 @@ NEAR, SLOW = 0.01, 0.02  # rad or m, and per second: arrived, when it lasts
 RESTS = 0.1  # s
 LIMITS = ("q_min", "q_max", "qd_max", "qdd_max")
 RAMP = 4.0  # 1/s, of the speed: from full speed to a stop in 0.25 s
-
-
 Arms = Robot | Sequence[Robot]
 """An arm, or several that move together."""
 Pace = tuple[float, float, float]
 """Speed at the last packet and now, as a share of the motion's own, and its change per second from now."""
 
 
-class Limits(Protocol):
+class JointLimits(Protocol):
     """What a reference may do, per joint (n,): a `Robot` is one, and so is `bridge.Limits`."""
 
     @property
@@ -87,7 +83,7 @@ class Controller(ABC):
     reason : why it ended the run, "" before.
     """
 
-    def __init__(self, robot: Arms, limits: Limits | Sequence[Limits] | None, goal: np.ndarray) -> None:
+    def __init__(self, robot: Arms, limits: JointLimits | Sequence[JointLimits] | None, goal: np.ndarray) -> None:
         arms = robots_of(robot)
         self._n, self._name = sum(arm.n for arm in arms), "+".join(arm.name for arm in arms)
         within = arms if limits is None else limits if isinstance(limits, Sequence) else (limits,)
@@ -248,16 +244,7 @@ class Controller(ABC):
 
 
 def robots_of(robot: Arms) -> tuple[Robot, ...]:
-    """Return the arms, also where there is one.
-
-    Parameters
-    ----------
-    robot : one or several.
-
-    Raises
-    ------
-    RobotError : something else.
-    """
+    """Return the arms as a tuple, also where there is only one."""
     arms = (robot,) if isinstance(robot, Robot) else members(robot, "robot")
     for arm in arms:
         if not isinstance(arm, Robot):
@@ -270,10 +257,15 @@ def _largest(values: np.ndarray) -> float:
 
 
 def steps_in(dt: float) -> int:
-    """Return in how many steps of at most 4 ms to integrate; a cycle of ABB's controller, 4.032 ms, is one.
-
-    Parameters
-    ----------
-    dt : seconds.
-    """
+    """Return the number of integration steps of at most 4 ms in dt [s]; ABB's cycle of 4.032 ms is one."""
     return max(1, ceil(dt / LONGEST_STEP - _SLACK)) if dt < np.inf else 1
+
+
+def check_joints(robot: Arms, n: int) -> None:
+    """Refuse a motion whose n coordinates are not the joints of all arms together."""
+    arms = robots_of(robot)
+    if n != sum(arm.n for arm in arms):
+        names = " and ".join(arm.name for arm in arms)
+        raise ShapeError(
+            f"Expected a motion of {sum(arm.n for arm in arms)} joints for {names}, got one of {n} coordinates."
+        )

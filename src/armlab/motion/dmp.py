@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Unpack
+from typing import Any, Protocol, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import generator, number, numbers
 from armlab.errors import ConfigError, ShapeError
-from armlab.motion._equation import SCALINGS, Equation
-from armlab.motion._saved import Saved
-from armlab.motion._setting import Setting, clock
-from armlab.motion._solving import progress, solved
-from armlab.motion.rollout import Rollout, RunOptions
-from armlab.motion.stepper import Stepper
-
-if TYPE_CHECKING:
-    from armlab.motion.control import Arms, Controller, Limits
-
-__all__ = ["SCALINGS", "Dmp"]
+from armlab.motion.arguments import clock
+from armlab.motion.control import Arms, Controller, JointLimits, Pace, check_joints, steps_in
+from armlab.motion.primitive.equation import Equation
+from armlab.motion.primitive.run import Rollout, RunOptions, RunParameters, Stepper, progress, solved
+from armlab.motion.storage import Saved
+from armlab.state import State
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +115,7 @@ class Dmp(Equation, Saved, kind="dmp"):
         ------
         ShapeError : times that do not increase, other shapes, NaN. ConfigError : both duration and tau_d.
         """
-        return self._run(Setting.of(self, **run), t)
+        return self._run(RunParameters.of(self, **run), t)
 
     def rollout_batch(self, t: ArrayLike, *, weights: ArrayLike | None = None, **run: Unpack[RunOptions]) -> Rollout:
         """Run the primitive K times over one clock; arrays (N, K, n), equal to K rollouts.
@@ -140,9 +135,9 @@ class Dmp(Equation, Saved, kind="dmp"):
             raise ShapeError(
                 f"Expected weights of shape (K, {self.n_basis}, {self.n}), got {own.shape}. Fit with as many kernels."
             )
-        return self._run(Setting.of(self, 1 if own is None else len(own), **run), t, own)
+        return self._run(RunParameters.of(self, 1 if own is None else len(own), **run), t, own)
 
-    def _run(self, run: Setting, t: ArrayLike, weights: np.ndarray | None = None) -> Rollout:
+    def _run(self, run: RunParameters, t: ArrayLike, weights: np.ndarray | None = None) -> Rollout:
         times = run.times(t)
         y, yd, ydd, x, f = run.primitive.rollout(times, run.tau, run.y0, run.v0, run.g, run.scale, weights)
         if self.schedule == "position":
@@ -160,7 +155,7 @@ class Dmp(Equation, Saved, kind="dmp"):
         ------
         ShapeError, ConfigError : as in `rollout`.
         """
-        setting = Setting.of(self, **run)
+        setting = RunParameters.of(self, **run)
         return solved(setting, setting.times(t), rtol, atol)
 
     def stepper(
@@ -186,13 +181,13 @@ class Dmp(Equation, Saved, kind="dmp"):
         ------
         ShapeError, ConfigError : as in `rollout`. UnknownName : another goal_forcing.
         """
-        return Stepper(Setting.of(self, **run), goal_forcing, goal_rate, brake)
+        return Stepper(RunParameters.of(self, **run), goal_forcing, goal_rate, brake)
 
     def controller(
         self,
         robot: Arms,
         *,
-        limits: Limits | Sequence[Limits] | None = None,
+        limits: JointLimits | Sequence[JointLimits] | None = None,
         duration: float | None = None,
         g: ArrayLike | None = None,
         amplitude: ArrayLike | None = None,
@@ -212,6 +207,62 @@ class Dmp(Equation, Saved, kind="dmp"):
         ------
         ShapeError : a primitive of another number of joints, a goal outside the limits. ConfigError : as in `rollout`.
         """
-        from armlab.motion.controllers import DmpController
-
         return DmpController(robot, self, {"duration": duration, "g": g, "amplitude": amplitude}, limits)
+
+
+class Steppable(Protocol):
+    """A motion with a stepper of `step`, `state`, `t`, `duration`, `goal` and `change_goal`: a `Dmp` and its kind."""
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        ...
+
+    @property
+    def stepper(self) -> Callable[..., Any]:
+        """The function that begins a run sample by sample."""
+        ...
+
+
+class DmpController(Controller):
+    """A plain `Dmp`: the arm is told the path and its velocity, whatever it does.
+
+    Parameters
+    ----------
+    robot, limits : as of `Controller`. dmp : the primitive. settings : duration, g, amplitude of its stepper.
+
+    Raises
+    ------
+    ShapeError : another number of joints, a goal outside the limits. ConfigError : as `Dmp.stepper`.
+    """
+
+    def __init__(
+        self,
+        robot: Arms,
+        dmp: Steppable,
+        settings: Mapping[str, Any],
+        limits: JointLimits | Sequence[JointLimits] | None = None,
+    ) -> None:
+        check_joints(robot, dmp.n)
+        self._dmp, self._settings = dmp, settings
+        self._stepper: Any = dmp.stepper(**settings)
+        super().__init__(robot, limits, self._stepper.goal)
+
+    def _begin(self, state: State) -> None:
+        given = {**self._settings, "g": self._goal, "y0": state.q, "v0": np.zeros_like(state.q)}
+        self._stepper = self._dmp.stepper(**given)
+
+    def _next(self, state: State, dt: float, pace: Pace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        before, speed, change = pace
+        parts, way = steps_in(dt), 0.5 * (before + speed) * dt
+        for _ in range(parts if way > 0.0 else 0):
+            self._stepper.step(way / parts)
+        y, yd, ydd = self._stepper.state
+        return y, speed * yd, speed**2 * ydd + change * yd, y
+
+    def _change_goal(self, g: np.ndarray) -> None:
+        self._stepper.change_goal(g)
+
+    @property
+    def _is_over(self) -> bool:
+        return self._stepper.t >= self._stepper.duration

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
@@ -12,16 +12,14 @@ from numpy.typing import ArrayLike
 from armlab import kernels
 from armlab._numbers import check_name, members, number, numbers
 from armlab.errors import ConfigError, ShapeError
-from armlab.motion._setting import Setting, vector
-from armlab.motion.dmp import Dmp
-from armlab.motion.rollout import Rollout, RunOptions
+from armlab.motion.arguments import vector
+from armlab.motion.control import JointLimits
+from armlab.motion.dmp import Dmp, DmpController
+from armlab.motion.primitive.run import Rollout, RunOptions, RunParameters, Stepper
 from armlab.robots import Robot
 
 if TYPE_CHECKING:
-    from armlab.motion.avoiding import AvoidingController, AvoidingStepper
-    from armlab.motion.control import Limits
-
-__all__ = ["FORMS", "AvoidingDmp", "Capsule", "rows_of"]
+    from armlab.log import Column
 
 FORMS = ("steering", "potential")
 
@@ -178,7 +176,7 @@ class AvoidingDmp:
         ------
         ShapeError : start or goal within the clearance, and as of `Dmp.rollout`.
         """
-        setting, around = self._setting(run)
+        setting, around = self._resolved(run)
         times = setting.times(t)
         kernel = kernels.PrimitiveStepper(setting.primitive, 0.0, around)
         kernel.start(setting.y0, setting.v0, setting.g, setting.scale, setting.tau)
@@ -196,12 +194,10 @@ class AvoidingDmp:
         ------
         ShapeError : start or goal within the clearance, and as of `Dmp.stepper`.
         """
-        from armlab.motion.avoiding import AvoidingStepper
-
-        return AvoidingStepper(self, *self._setting(run))
+        return AvoidingStepper(self, *self._resolved(run))
 
     def controller(
-        self, limits: Limits | Sequence[Limits] | None = None, *, duration: float | None = None,
+        self, limits: JointLimits | Sequence[JointLimits] | None = None, *, duration: float | None = None,
         g: ArrayLike | None = None,
     ) -> AvoidingController:  # fmt: skip
         """Return a controller of the robot, which starts where the arm is, at rest.
@@ -214,12 +210,10 @@ class AvoidingDmp:
         ------
         ConfigError : it has no robot. ShapeError : as of `stepper` and `Dmp.controller`.
         """
-        from armlab.motion.avoiding import AvoidingController
-
         return AvoidingController(self, {"duration": duration, "g": g}, limits)
 
-    def _setting(self, given: RunOptions) -> tuple[Setting, Any]:
-        run, around = Setting.of(self.dmp, **given), self.around()
+    def _resolved(self, given: RunOptions) -> tuple[RunParameters, Any]:
+        run, around = RunParameters.of(self.dmp, **given), self.around()
         self.check_clear("start", run.y0, around)
         self.check_clear("goal", run.g, around)
         return run, around
@@ -243,16 +237,7 @@ class AvoidingDmp:
 
 
 def rows_of(capsules: Iterable[Capsule], axes: int) -> np.ndarray:
-    """Return rows (K, 10) of a kernel: ends, radius and velocity.
-
-    Parameters
-    ----------
-    capsules : K of them. axes : of the space.
-
-    Raises
-    ------
-    ShapeError : capsules of another space.
-    """
+    """Return rows (K, 10) of a kernel: ends, radius and velocity of K capsules in a space of 2 or 3 axes."""
     rows = []
     for i, one in enumerate(members(capsules, "capsules")):
         if not isinstance(one, Capsule):
@@ -274,3 +259,97 @@ def _bodies(robot: Robot, tool: Capsule | None, links: Mapping[int, Capsule]) ->
     if wrong:
         raise ConfigError(f"Expected links from 1 to {robot.n}, got {wrong[0]!r}. `tool` is what the last one holds.")
     return np.array([robot.n, *links], dtype=float), np.concatenate([held, rows_of(links.values(), 3)[:, :7]])
+
+
+class AvoidingStepper(Stepper):
+    """One run of an `AvoidingDmp`, sample by sample; made by `AvoidingDmp.stepper`.
+
+    Parameters
+    ----------
+    avoiding : what runs. run : start, goal and time of it. around : `armlab.kernels.Obstacles`, its own.
+    """
+
+    def __init__(self, avoiding: AvoidingDmp, run: RunParameters, around: Any) -> None:
+        self._around, self._avoiding = around, avoiding
+        super().__init__(run, around=around)
+
+    def reset(self) -> None:
+        """Go back to the start, with the first goal, duration and obstacles."""
+        self.place(self._avoiding.obstacles)
+        super().reset()
+
+    def place(self, obstacles: Iterable[Capsule]) -> None:
+        """Put obstacles where they are now; until the next time they go on with their velocity.
+
+        Parameters
+        ----------
+        obstacles : all that there are.
+
+        Raises
+        ------
+        ShapeError : of another space.
+        """
+        self._around.place(rows_of(obstacles, self._avoiding.axes))
+
+    def change_goal(self, g: ArrayLike) -> None:
+        """Go for another goal from now on.
+
+        Parameters
+        ----------
+        g : (n,) goal, in the unit of y.
+
+        Raises
+        ------
+        ShapeError : within the clearance of an obstacle where that is now, and as of `Stepper.change_goal`.
+        """
+        self._avoiding.check_clear("goal", vector(g, "g", self._avoiding.n), self._around)
+        super().change_goal(g)
+
+    @property
+    def distance(self) -> float:
+        """Least distance from the surface of any obstacle now [m]."""
+        return float(self._around.distance(self.state[0]))
+
+
+class AvoidingController(DmpController):
+    """An `AvoidingDmp` of joints as a controller; made by `AvoidingDmp.controller`.
+
+    It ends the run where the arm starts within the clearance.
+
+    Parameters
+    ----------
+    avoiding : what runs, with its robot. settings : duration and g of its stepper. limits : as of `Controller`.
+
+    Raises
+    ------
+    ConfigError : no robot. ShapeError : as of `AvoidingDmp.stepper` and `Controller`.
+    """
+
+    _dmp: AvoidingDmp
+    _stepper: AvoidingStepper
+
+    def __init__(
+        self, avoiding: AvoidingDmp, settings: RunOptions, limits: JointLimits | Sequence[JointLimits] | None = None
+    ) -> None:
+        if avoiding.robot is None:
+            raise ConfigError("Expected an AvoidingDmp of the joints of a robot, got one in space. Give robot=.")
+        super().__init__(avoiding.robot, avoiding, settings, limits)
+
+    def place(self, obstacles: Iterable[Capsule]) -> None:
+        """Put obstacles where they are now, while it runs or before; see `AvoidingStepper.place`.
+
+        Parameters
+        ----------
+        obstacles : all that there are.
+        """
+        self._dmp = replace(self._dmp, obstacles=tuple(obstacles))
+        self._stepper.place(self._dmp.obstacles)
+
+    def columns(self) -> dict[str, Column]:
+        """Return what it records, for ``link.run(extra=...)``."""
+        from armlab.log import Column
+
+        return super().columns() | {"distance": Column((), unit="m")}
+
+    def _record(self) -> dict[str, Any]:
+        return {"distance": np.float64(self._stepper.distance)}

@@ -2,33 +2,75 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Unpack
+from math import dist
+from typing import Any, ClassVar, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import check_name
-from armlab.errors import ShapeError
-from armlab.lie import quaternion
-from armlab.motion._pose_run import PoseRun
-from armlab.motion._poses import apart, exp, matrix, orientation, pose, turn
-from armlab.motion._saved import Saved
-from armlab.motion._setting import Setting, vector
+from armlab._numbers import check_name, make_read_only, number, numbers
+from armlab.errors import ConfigError, ShapeError
+from armlab.kinematics import forward, inverse
+from armlab.lie import quaternion, so3
+from armlab.motion.arguments import vector
+from armlab.motion.control import NEAR, Controller, JointLimits, Pace, steps_in
 from armlab.motion.dmp import Dmp
-from armlab.motion.pose_rollout import PoseRollout, PoseRunOptions
-from armlab.motion.pose_stepper import PoseStepper
-
-if TYPE_CHECKING:
-    from armlab.motion.control import Controller, Limits
-    from armlab.robots import Robot
-
-__all__ = ["FRAMES", "PoseDmp"]
+from armlab.motion.primitive.run import RunParameters
+from armlab.motion.storage import Saved
+from armlab.robots import Robot
+from armlab.state import State
 
 FRAMES = ("base", "goal")
 SHARED = ("centres", "widths", "tau_d", "duration", "alpha_z", "beta_z", "alpha_x", "schedule", "convention")
+
+Sample = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+HALF_TURN = 1e-6  # rad: closer to half a turn, the shorter way is ambiguous
+LENGTH = 1e-3  # error of a quaternion's length that is normalised away
+
+
+class PoseRunOptions(TypedDict, total=False):
+    """What is free in a run of a `PoseDmp`, by name; what is left out or None is that of the demonstration.
+
+    Attributes
+    ----------
+    duration, tau_d : of the run [s], at most one of them.
+    start, goal : poses (4, 4), or (7,): position, quaternion wxyz of either sign.
+    twist0 : (6,) velocity and angular velocity at the start, base axes.
+    """
+
+    duration: float | None
+    tau_d: float | None
+    start: ArrayLike | None
+    twist0: ArrayLike | None
+    goal: ArrayLike | None
+
+
+@dataclass(frozen=True, eq=False)
+class PoseRollout:
+    """A motion of poses over N times.
+
+    Attributes
+    ----------
+    t : (N,) times [s]. T : (N, 4, 4) poses. q : (N, 4) their quaternions wxyz, without a jump of sign.
+    twist : (N, 6) velocity and angular velocity, base axes [m/s, rad/s]. twistd : (N, 6) their derivatives.
+    x : (N,) phase.
+    """
+
+    t: np.ndarray
+    T: np.ndarray
+    q: np.ndarray
+    twist: np.ndarray
+    twistd: np.ndarray
+    x: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        make_read_only(self, "t", "T", "q", "twist", "twistd", "x")
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,12 +160,14 @@ class PoseDmp(Saved, kind="pose_dmp"):
         """
         p0, q0 = pose(self.T_start if start is None else start, "start")
         p1, q1 = pose(self.T_goal if goal is None else goal, "goal")
-        A = turn(self.goal, q1) if self.frame == "goal" else np.eye(3)
+        A = rotation_between(self.goal, q1) if self.frame == "goal" else np.eye(3)
         v0 = w0 = None
         if twist0 is not None:
             v0, w0 = vector(twist0, "twist0", 6).reshape(2, 3) @ A
-        position = Setting.of(self.position, duration=duration, tau_d=tau_d, y0=p0 @ A, v0=v0, g=p1 @ A)
-        rotation = Setting.of(self.rotation, tau_d=position.tau, y0=-apart(q0, q1) @ A, v0=w0, g=np.zeros(3))
+        position = RunParameters.of(self.position, duration=duration, tau_d=tau_d, y0=p0 @ A, v0=v0, g=p1 @ A)
+        rotation = RunParameters.of(
+            self.rotation, tau_d=position.tau, y0=-shorter_way(q0, q1) @ A, v0=w0, g=np.zeros(3)
+        )
         return PoseRun(A, position, rotation, q0, q1)
 
     def rollout(self, t: ArrayLike, **run: Unpack[PoseRunOptions]) -> PoseRollout:
@@ -168,7 +212,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
         self,
         robot: Robot,
         *,
-        limits: Limits | None = None,
+        limits: JointLimits | None = None,
         duration: float | None = None,
         goal: ArrayLike | None = None,
     ) -> Controller:
@@ -184,6 +228,237 @@ class PoseDmp(Saved, kind="pose_dmp"):
         ------
         ShapeError : a goal that the arm does not reach. ConfigError : as in `rollout`.
         """
-        from armlab.motion.pose_controller import PoseDmpController
-
         return PoseDmpController(robot, self, {"duration": duration, "goal": goal}, limits)
+
+
+@dataclass(frozen=True)
+class PoseRun:
+    """One run of both parts, in the axes of the forcing; A (3, 3) turns those into base axes."""
+
+    A: np.ndarray
+    position: RunParameters
+    rotation: RunParameters
+    q0: np.ndarray
+    q1: np.ndarray
+
+    @property
+    def turning(self) -> tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """What the kernel of orientations takes: time constant, q0, angular velocity, goal, map of the forcing."""
+        return self.position.tau, self.q0, self.A @ self.rotation.v0, self.q1, self.A * self.rotation.scale
+
+
+class PoseStepper:
+    """One run of a `PoseDmp`, sample by sample; made by `PoseDmp.stepper`. The same numbers as `PoseDmp.rollout`."""
+
+    def __init__(self, dmp: PoseDmp, run: PoseRun) -> None:
+        self._dmp, self._first = dmp, run
+        self._position = kernels.PrimitiveStepper(run.position.primitive)
+        self._rotation = kernels.RotationStepper(dmp.rotation.primitive)
+        self.reset()
+
+    def reset(self) -> None:
+        """Go back to the start, with the first goal."""
+        at = self._first.position
+        self._position.start(at.y0, at.v0, at.g, at.scale, at.tau)
+        self._rotation.start(*self._first.turning[1:], at.tau)
+
+    def change_goal(self, goal: ArrayLike) -> None:
+        """Go for another pose from now on; both forcings are scaled as if it had been the goal from the start.
+
+        Parameters
+        ----------
+        goal : pose (4, 4) or (7,).
+
+        Raises
+        ------
+        ShapeError : no pose, half a turn from the start. ConfigError : a forcing in the axes of the goal.
+        """
+        if self._dmp.frame == "goal":
+            raise ConfigError(
+                "Expected a forcing in base axes for a goal that changes, got one in the axes of the goal. Start again "
+                "from the pose of now, or use frame='base'."
+            )
+        first = self._first
+        start = matrix(first.position.y0, first.q0)
+        run = self._dmp.run_of(tau_d=first.position.tau, start=start, twist0=np.zeros(6), goal=goal)
+        if run.position.primitive is not self._first.position.primitive:
+            raise ConfigError(
+                "Expected scaling 'goal' or 'none' for a goal that changes, got 'rotate'. Fit with another."
+            )
+        self._position.change_goal(run.position.g, run.position.scale)
+        self._rotation.change_goal(run.q1, run.turning[4])
+
+    def step(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Advance by one sample and return the pose (4, 4), the twist (6,) and its derivative (6,).
+
+        Parameters
+        ----------
+        dt : time since the last sample [s], above zero.
+
+        Raises
+        ------
+        ShapeError : no finite time above zero.
+        """
+        try:
+            return self._joined(self._position.step(dt), self._rotation.step(dt))
+        except TypeError:
+            number(dt, "dt [s]")  # says it in a sentence
+            raise
+
+    @property
+    def state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pose (4, 4), twist (6,) and its derivative (6,) now."""
+        return self._joined(self._position.outputs(), self._rotation.outputs())
+
+    def _joined(self, position: Sample, rotation: Sample) -> Sample:
+        p, v, a = position if self._dmp.frame == "base" else np.array(position) @ self._first.A.T
+        q, w, wd = rotation
+        return matrix(p, q), np.concatenate((v, w)), np.concatenate((a, wd))
+
+
+class PoseDmpController(Controller):
+    """A `PoseDmp`: the tool is led along the path of poses, in base axes, whatever the arm does.
+
+    The joints are those nearest to the ones before. `goal` is a pose (4, 4). A pose on the way that the arm does not
+    reach ends the run; `reason` says so.
+
+    Parameters
+    ----------
+    robot, limits : as of `Controller`. dmp : the primitive. settings : duration and goal of its stepper.
+
+    Raises
+    ------
+    ShapeError : a goal that the arm does not reach within its limits. ConfigError : as `PoseDmp.stepper`.
+    """
+
+    def __init__(
+        self, robot: Robot, dmp: PoseDmp, settings: Mapping[str, Any], limits: JointLimits | None = None
+    ) -> None:
+        self._robot, self._dmp, self._duration = robot, dmp, settings["duration"]
+        dmp.stepper(**settings)
+        super().__init__(robot, limits, dmp.T_goal if settings["goal"] is None else settings["goal"])
+
+    def _checked(self, g: ArrayLike) -> np.ndarray:
+        goal = matrix(*pose(g, "goal"))
+        if not inverse(self._robot, goal).success:
+            raise ShapeError(
+                f"Expected a goal that {self._robot.name} reaches within its limits, got one out of reach."
+            )
+        return goal
+
+    def _begin(self, state: State) -> None:
+        start = forward(self._robot, state.q)
+        self._stepper = self._dmp.stepper(duration=self._duration, start=start, twist0=np.zeros(6), goal=self._goal)
+        self._T_base_tool, self._elapsed = start, 0.0
+        self._q, self._qd = state.q, np.zeros_like(state.q)
+
+    def _next(self, state: State, dt: float, pace: Pace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        parts, way = steps_in(dt), 0.5 * (pace[0] + pace[1]) * dt
+        for _ in range(parts if way > 0.0 else 0):
+            self._T_base_tool = self._stepper.step(way / parts)[0]
+        self._elapsed += way
+        if dt == 0.0:
+            return self._q, self._qd, np.zeros_like(self._q), self._q
+        found = inverse(self._robot, self._T_base_tool, self._q, starts=1)
+        if not found.success:
+            raise ShapeError(
+                f"Expected a path that {self._robot.name} reaches, got one that it leaves: {found.reason}."
+            )
+        qd = (found.q - self._q) / dt
+        qdd = (qd - self._qd) / dt
+        self._q, self._qd = found.q, qd
+        return found.q, qd, qdd, found.q
+
+    def _change_goal(self, g: np.ndarray) -> None:
+        self._stepper.change_goal(g)
+
+    def _is_near(self, state: State) -> bool:
+        T_base_tool = forward(self._robot, state.q)
+        turned = so3.angle(T_base_tool[:3, :3], self._goal[:3, :3])
+        return bool(turned < NEAR) and dist(T_base_tool[:3, 3], self._goal[:3, 3]) < NEAR
+
+    @property
+    def _is_over(self) -> bool:
+        return self._elapsed >= (self._dmp.duration if self._duration is None else self._duration)
+
+
+def pose(value: ArrayLike, what: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return position (3,) and quaternion (4,) of a pose (4, 4) or (7,)."""
+    array = numbers(value, what, ShapeError)
+    if array.shape not in ((4, 4), (7,)):
+        raise ShapeError(
+            f"Expected {what} as a pose (4, 4), or (7,): position, quaternion wxyz, got shape {array.shape}."
+        )
+    p, q = poses(array[None], what)
+    return p[0], q[0]
+
+
+def poses(value: ArrayLike, what: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions (N, 3) and quaternions (N, 4), without jumps of sign, of poses (N, 4, 4) or (N, 7)."""
+    array = numbers(value, what, ShapeError)
+    if array.shape[1:] not in ((4, 4), (7,)):
+        raise ShapeError(
+            f"Expected {what} of shape (N, 4, 4), or (N, 7): position, quaternion wxyz, got {array.shape}. "
+            "Put time on axis 0."
+        )
+    rows = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))
+    if len(rows):
+        raise ShapeError(
+            f"Expected finite {what}, got NaN or Inf in row {rows[0]} ({len(rows)} in all). Leave those rows out."
+        )
+    if array.ndim == 2:
+        return array[:, :3], quaternion.continuous(orientation(array[:, 3:], what))
+    bottom = np.abs(array[:, 3] - [0.0, 0.0, 0.0, 1.0]).max() if len(array) else 0.0
+    if bottom > 1e-9:
+        raise ShapeError(f"Expected {what} with last rows 0, 0, 0, 1, got others. Give poses (N, 4, 4).")
+    return array[:, :3, 3], quaternion.continuous(quaternion.from_matrix(array[:, :3, :3]))
+
+
+def orientation(value: ArrayLike, what: str) -> np.ndarray:
+    """Return unit quaternions (..., 4), the first of them with the sign that a rotation matrix gives."""
+    q = numbers(value, what, ShapeError)
+    if q.shape[-1:] != (4,):
+        raise ShapeError(f"Expected {what} as quaternions wxyz (..., 4), got shape {q.shape}.")
+    length = np.linalg.norm(q, axis=-1, keepdims=True)
+    if not np.all(np.abs(length - 1.0) <= LENGTH):
+        raise ShapeError(f"Expected quaternions of length 1 in {what}, got another length. Their order is wxyz.")
+    first = q.reshape(-1, 4)[:1].ravel()
+    leading = first[np.flatnonzero(first)[:1]] if first.size and first[0] == 0.0 else first[:1]
+    return q / np.where(leading.sum() < 0.0, -length, length)
+
+
+def shorter_way(q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
+    """Return the rotation vector (3,) of the shorter way between two orientations, base axes; refuse half a turn."""
+    way = log(quaternion.multiply(q1, quaternion.conjugate(q0)))
+    if np.linalg.norm(way) > np.pi - HALF_TURN:
+        raise ShapeError(
+            "Expected start and goal less than half a turn apart, got half a turn: both ways are as long. Go by way of "
+            "another orientation."
+        )
+    return way
+
+
+def log(q: np.ndarray) -> np.ndarray:
+    """Return rotation vectors (..., 3) of least length."""
+    q = np.where(q[..., :1] < 0.0, -q, q)
+    length = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(length, q[..., :1])
+    return np.where(length > 0.0, angle / np.where(length > 0.0, length, 1.0), 2.0) * q[..., 1:]
+
+
+def exp(w: np.ndarray) -> np.ndarray:
+    """Return quaternions (..., 4) of rotation vectors."""
+    half = 0.5 * np.linalg.norm(w, axis=-1, keepdims=True)
+    return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * w], axis=-1)
+
+
+def matrix(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Return poses (..., 4, 4)."""
+    T = np.zeros((*p.shape[:-1], 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = quaternion.to_matrix(q), p, 1.0
+    return T
+
+
+def rotation_between(q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
+    """Return the rotation (3, 3) from one orientation to another, base axes."""
+    return so3.exp(log(quaternion.multiply(q1, quaternion.conjugate(q0))))

@@ -16,17 +16,22 @@ profile                    given                                         smooth 
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import number
-from armlab.errors import ShapeError
-from armlab.motion import _arguments, _piecewise, _ruckig
-from armlab.motion.profile import PERIOD, Profile
+from armlab._numbers import number, numbers
+from armlab.errors import MissingExtra, ShapeError
+from armlab.motion import arguments
 
 __all__ = ["Profile", "blend", "connect", "minimum_jerk", "quintic", "spline", "time_optimal", "trapezoidal"]
+
+PERIOD = 0.004  # s, of the control loop
+
+DEGREE = 5
+LINE = np.arange(DEGREE + 1.0)
 
 
 def minimum_jerk(q0: ArrayLike, q1: ArrayLike, duration: float, dt: float = PERIOD) -> Profile:
@@ -72,11 +77,11 @@ def quintic(
     ------
     ShapeError : points that do not fit each other, missing values, a duration that is not above zero.
     """
-    start = _arguments.point(q0, "q0")
-    end, n = _arguments.second_point(q1, "q1", start), len(start)
-    T = _arguments.positive(duration, "duration [s]")
-    v0, v1 = (T * _arguments.velocity(v, what, n) for v, what in ((qd0, "qd0"), (qd1, "qd1")))
-    a0, a1 = (T * T * _arguments.velocity(a, what, n) for a, what in ((qdd0, "qdd0"), (qdd1, "qdd1")))
+    start = arguments.point(q0, "q0")
+    end, n = arguments.second_point(q1, "q1", start), len(start)
+    T = arguments.above_zero(duration, "duration [s]")
+    v0, v1 = (T * arguments.velocity(v, what, n) for v, what in ((qd0, "qd0"), (qd1, "qd1")))
+    a0, a1 = (T * T * arguments.velocity(a, what, n) for a, what in ((qdd0, "qdd0"), (qdd1, "qdd1")))
     d = end - start
     c = np.stack(
         [
@@ -88,7 +93,7 @@ def quintic(
             6 * d - 3 * (v0 + v1) - 0.5 * (a0 - a1),
         ]
     )
-    return Profile(*_piecewise.stretched(np.array([0.0, 1.0]), c[None], T), dt)
+    return Profile(*stretched(np.array([0.0, 1.0]), c[None], T), dt)
 
 
 def trapezoidal(
@@ -110,9 +115,9 @@ def trapezoidal(
     ------
     ShapeError : the same point twice, points or limits that do not fit, a duration too short for the limits.
     """
-    start = _arguments.point(q0, "q0")
-    d = _arguments.second_point(q1, "q1", start) - start
-    limits = [_arguments.joint_limit(x, what, len(d)) for x, what in ((qd_max, "qd_max"), (qdd_max, "qdd_max"))]
+    start = arguments.point(q0, "q0")
+    d = arguments.second_point(q1, "q1", start) - start
+    limits = [arguments.joint_limit(x, what, len(d)) for x, what in ((qd_max, "qd_max"), (qdd_max, "qdd_max"))]
     far = np.abs(d) > 0.0
     if not far.any():
         raise ShapeError("Expected two points apart, got the same as q0 and q1. There is no motion to plan.")
@@ -121,15 +126,15 @@ def trapezoidal(
         raise ShapeError("Expected a finite qdd_max of a joint that moves, got none. Give what the arm can do.")
     ramp = min(v / a, float(np.sqrt(1.0 / a)))
     shortest = 2.0 * ramp if v * v >= a else 1.0 / v + ramp
-    found = Profile(*_along(start, d, *_piecewise.rising(shortest, ramp)), dt)
+    found = Profile(*_along(start, d, *rising(shortest, ramp)), dt)
     if duration is None:
         return found
-    k = _arguments.positive(duration, "duration [s]") / shortest
+    k = arguments.above_zero(duration, "duration [s]") / shortest
     if k < 1.0 - 1e-12:
         raise ShapeError(
             f"Expected a duration of {shortest:.6g} s or more within the limits, got {duration:g} s. Allow more time."
         )
-    return Profile(*_piecewise.stretched(found.breaks, found.coefficients, max(k, 1.0)), dt)
+    return Profile(*stretched(found.breaks, found.coefficients, max(k, 1.0)), dt)
 
 
 def blend(q0: ArrayLike, q1: ArrayLike, duration: float, cruise: float = 1.5, dt: float = PERIOD) -> Profile:
@@ -147,8 +152,8 @@ def blend(q0: ArrayLike, q1: ArrayLike, duration: float, cruise: float = 1.5, dt
     ------
     ShapeError : points that do not fit each other, a duration that is not above zero, another `cruise`.
     """
-    start = _arguments.point(q0, "q0")
-    return connect([start, _arguments.second_point(q1, "q1", start)], duration, cruise, dt)
+    start = arguments.point(q0, "q0")
+    return connect([start, arguments.second_point(q1, "q1", start)], duration, cruise, dt)
 
 
 def connect(points: ArrayLike, duration: ArrayLike, cruise: float = 1.5, dt: float = PERIOD) -> Profile:
@@ -163,15 +168,15 @@ def connect(points: ArrayLike, duration: ArrayLike, cruise: float = 1.5, dt: flo
     ------
     ShapeError : fewer than two points, missing values, durations that do not fit, another `cruise`.
     """
-    path = _arguments.points(points, "points")
-    seconds = _arguments.joint_limit(duration, "duration of the segments [s]", len(path) - 1)
+    path = arguments.points(points, "points")
+    seconds = arguments.joint_limit(duration, "duration of the segments [s]", len(path) - 1)
     if not np.isfinite(seconds).all():
         raise ShapeError("Expected finite durations of the segments [s], got another. Give one number or one for each.")
     if not 1.0 < number(cruise, "cruise") <= 2.0:
         raise ShapeError(f"Expected cruise above 1 and at most 2, got {cruise}. 1.5 blends in a third of the time.")
     breaks, pieces = [np.zeros(1)], []
     for start, d, T in zip(path, np.diff(path, axis=0), seconds):
-        own, c = _along(start, d, *_piecewise.rising(T, T * (1.0 - 1.0 / cruise)))
+        own, c = _along(start, d, *rising(T, T * (1.0 - 1.0 / cruise)))
         breaks.append(breaks[-1][-1] + own[1:])
         pieces.append(c)
     return Profile(np.concatenate(breaks), np.concatenate(pieces), dt)
@@ -192,14 +197,14 @@ def spline(t: ArrayLike, q: ArrayLike, qd0: ArrayLike = 0.0, qd1: ArrayLike = 0.
     """
     from scipy.interpolate import CubicSpline
 
-    path = _arguments.points(q, "q")
-    times = _arguments.point(t, "t [s]")
+    path = arguments.points(q, "q")
+    times = arguments.point(t, "t [s]")
     if times.shape != (len(path),) or not (np.diff(times) > 0.0).all():
         raise ShapeError(
             f"Expected t of shape ({len(path)},) that rises, one time per point, got "
             f"{'shape ' + str(times.shape) if times.shape != (len(path),) else 'times that do not'}. Sort the points."
         )
-    ends: Any = [(1, _arguments.velocity(v, what, path.shape[1])) for v, what in ((qd0, "qd0"), (qd1, "qd1"))]
+    ends: Any = [(1, arguments.velocity(v, what, path.shape[1])) for v, what in ((qd0, "qd0"), (qd1, "qd1"))]
     own = times - times[0]
     c = np.zeros((len(path) - 1, 6, path.shape[1]))
     bc: Any = tuple(ends)
@@ -236,13 +241,13 @@ def time_optimal(
     ----------
     Berscheid and Kroeger, Jerk-limited real-time trajectory generation with arbitrary target states, RSS 2021.
     """
-    start = _arguments.point(q0, "q0")
-    end, n = _arguments.second_point(q1, "q1", start), len(start)
+    start = arguments.point(q0, "q0")
+    end, n = arguments.second_point(q1, "q1", start), len(start)
     named = ((qd_max, "qd_max"), (qdd_max, "qdd_max"), (qddd_max, "qddd_max"))
-    limits = [_arguments.joint_limit(limit, what, n) for limit, what in named]
+    limits = [arguments.joint_limit(limit, what, n) for limit, what in named]
     if not np.isfinite(limits).all():
         raise ShapeError("Expected finite limits of velocity, acceleration and jerk, got another. Give large ones.")
-    rates = [_arguments.velocity(v, what, n) for v, what in ((qd0, "qd0"), (qd1, "qd1"))]
+    rates = [arguments.velocity(v, what, n) for v, what in ((qd0, "qd0"), (qd1, "qd1"))]
     for rate, what in zip(rates, ("qd0", "qd1")):
         fast = np.flatnonzero(np.abs(rate) > limits[0])
         if len(fast):
@@ -252,7 +257,7 @@ def time_optimal(
             )
     if np.array_equal(start, end) and not np.any(rates):
         raise ShapeError("Expected two points apart, got the same as q0 and q1. There is no motion to plan.")
-    return Profile(*_ruckig.pieces(start, end, *rates, *limits), dt)
+    return Profile(*ruckig_pieces(start, end, *rates, *limits), dt)
 
 
 def _along(start: np.ndarray, d: np.ndarray, breaks: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -260,3 +265,239 @@ def _along(start: np.ndarray, d: np.ndarray, breaks: np.ndarray, step: np.ndarra
     c = step * d
     c[:, 0] += start
     return breaks, c
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """A motion of n joints in polynomial pieces, ``q(t) = sum_k c_k (t - breaks_i)^k``, and its samples.
+
+    Attributes
+    ----------
+    breaks : (M + 1,) times between pieces, from 0 [s].
+    coefficients : (M, 6, n), [rad/s^k] or [m/s^k].
+    dt : time between samples [s]; the last sample is at the end, so the last step may be shorter.
+    t : (N,) from 0 to the end [s]. q, qd, qdd : (N, n) there.
+
+    Raises
+    ------
+    ShapeError : breaks that do not rise, coefficients of another shape, a period that is not above zero.
+    """
+
+    breaks: np.ndarray
+    coefficients: np.ndarray
+    dt: float = PERIOD
+    t: np.ndarray = field(init=False)
+    q: np.ndarray = field(init=False)
+    qd: np.ndarray = field(init=False)
+    qdd: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Check the pieces, sample them, and freeze everything."""
+        breaks, c = (
+            np.array(numbers(part, what, ShapeError))
+            for part, what in ((self.breaks, "breaks"), (self.coefficients, "coefficients"))
+        )
+        dt = arguments.above_zero(self.dt, "dt [s]")
+        steps = np.diff(np.atleast_1d(breaks))
+        if c.ndim != 3 or c.shape[1] != 6 or breaks.shape != (len(c) + 1,) or not (steps > 0.0).all() or breaks[0] != 0:
+            raise ShapeError(
+                f"Expected breaks (M + 1,) that rise from 0 and coefficients (M, 6, n), got {breaks.shape} and "
+                f"{c.shape}. The functions of armlab.motion.profiles make them."
+            )
+        if not np.isfinite(c).all():
+            raise ShapeError(
+                "Expected finite coefficients, got NaN or Inf. Give durations and rates that an arm can do."
+            )
+        if not breaks[-1] < dt * arguments.MOST_SAMPLES:
+            raise ShapeError(
+                f"Expected less than {arguments.MOST_SAMPLES} samples, got {breaks[-1]:g} s at dt = {dt:g} s. "
+                "Take a longer dt."
+            )
+        t = np.append(np.arange(0.0, breaks[-1] - 1e-9 * dt, dt), breaks[-1])
+        for name, values in zip(("breaks", "coefficients"), (breaks, c)):
+            object.__setattr__(self, name, values)
+        for name, values in zip(("t", "q", "qd", "qdd"), (t, *evaluate(breaks, c, t))):
+            object.__setattr__(self, name, values)
+        for name in ("breaks", "coefficients", "t", "q", "qd", "qdd"):
+            getattr(self, name).flags.writeable = False
+
+    @property
+    def duration(self) -> float:
+        """How long it takes [s]."""
+        return float(self.breaks[-1])
+
+    @property
+    def qd_peak(self) -> np.ndarray:
+        """Largest speed of each joint (n,), between samples too."""
+        return peaks(self.breaks, self.coefficients)[0]
+
+    @property
+    def qdd_peak(self) -> np.ndarray:
+        """Largest acceleration of each joint (n,), between samples too."""
+        return peaks(self.breaks, self.coefficients)[1]
+
+    def at(self, t: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return q, qd, qdd (..., n) at any times; before it starts and after it ends the arm rests where it is.
+
+        Parameters
+        ----------
+        t : (...,) since the start [s].
+        """
+        t = numbers(t, "t", ShapeError)
+        q, qd, qdd = evaluate(self.breaks, self.coefficients, np.clip(t, 0.0, self.duration))
+        moving = ((t >= 0.0) & (t <= self.duration))[..., None]
+        return q, np.where(moving, qd, 0.0), np.where(moving, qdd, 0.0)
+
+    def slowed(self, qd_max: ArrayLike = np.inf, qdd_max: ArrayLike = np.inf) -> Profile:
+        """Return the same path, stretched in time until the limits hold: it touches one of them, or is unchanged.
+
+        ``k = max(1, max |qd| / qd_max, sqrt(max |qdd| / qdd_max))``.
+
+        Parameters
+        ----------
+        qd_max, qdd_max : a number or (n,).
+
+        Raises
+        ------
+        ShapeError : limits of another shape, or not above zero.
+        """
+        n = self.q.shape[1]
+        speed, acceleration = peaks(self.breaks, self.coefficients)
+        k = max(
+            1.0,
+            float(np.max(speed / arguments.joint_limit(qd_max, "qd_max", n))),
+            float(np.sqrt(np.max(acceleration / arguments.joint_limit(qdd_max, "qdd_max", n)))),
+        )
+        return Profile(*stretched(self.breaks, self.coefficients, k), self.dt)
+
+
+def evaluate(breaks: np.ndarray, c: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return q, qd, qdd (..., n) of ``q = sum_k c_k (t - breaks_i)^k``, c (M, 6, n), at times (...,)."""
+    piece = np.clip(np.searchsorted(breaks, t, side="right") - 1, 0, len(c) - 1)
+    s, found = (t - breaks[piece])[..., None], c[piece]
+    values = []
+    for order in range(3):
+        value = found[..., -1, :]
+        for k in range(found.shape[-2] - 2, -1, -1):
+            value = value * s + found[..., k, :]
+        values.append(value)
+        found = LINE[1 : found.shape[-2], None] * found[..., 1:, :] if order < 2 else found
+    return values[0], values[1], values[2]
+
+
+def peaks(breaks: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the largest ``|qd|`` and ``|qdd|`` (n,), at the ends of pieces or where the next derivative is zero."""
+    first = LINE[1:, None] * c[:, 1:]
+    second = LINE[1:-1, None] * first[:, 1:]
+    third = LINE[1:-2, None] * second[:, 1:]
+    lengths = np.diff(breaks)
+    return _largest(first, second, lengths), _largest(second, third, lengths)
+
+
+def _largest(p: np.ndarray, derivative: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    found = np.maximum(np.abs(p[:, 0]), np.abs(_at(p, lengths[:, None]))).max(axis=0)
+    if np.any(derivative[:, 2:]):  # of higher than first order: few pieces
+        for piece, joint in np.ndindex(p.shape[0], p.shape[2]):
+            roots = np.roots(derivative[piece, ::-1, joint])
+            real = roots.real[(np.abs(roots.imag) <= 1e-7 * (1.0 + np.abs(roots))) & (roots.real > 0.0)]
+            inside = np.minimum(real, lengths[piece])
+            if len(inside):
+                values = np.abs(np.polyval(p[piece, ::-1, joint], inside))
+                found[joint] = max(found[joint], values.max())
+        return found
+    slope = np.where(derivative[:, 1] == 0.0, 1.0, derivative[:, 1])
+    where = np.where(derivative[:, 1] == 0.0, 0.0, -derivative[:, 0] / slope)
+    return np.maximum(found, np.abs(_at(p, np.clip(where, 0.0, lengths[:, None]))).max(axis=0))
+
+
+def _at(p: np.ndarray, s: np.ndarray) -> np.ndarray:
+    value = p[:, -1]
+    for k in range(p.shape[1] - 2, -1, -1):
+        value = value * s + p[:, k]
+    return value
+
+
+def stretched(breaks: np.ndarray, c: np.ndarray, k: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the same path, k times as slow."""
+    return breaks * k, c / k ** LINE[:, None]
+
+
+def rising(duration: float, ramp: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return breaks and coefficients (M, 6, 1) of the step 0 to 1 with quadratic blends of `ramp` seconds and a line.
+
+    ``V = 1 / (duration - ramp)``, ``a = V / ramp``; without a line where ``ramp = duration / 2``.
+    """
+    V = 1.0 / (duration - ramp)
+    half = 0.5 * V / ramp
+    at = 0.5 * V * ramp  # after the first blend
+    c = np.zeros((3, DEGREE + 1, 1))
+    c[0, 2] = half
+    c[1, :2, 0] = at, V
+    c[2, :3, 0] = 1.0 - at, V, -half
+    breaks = np.array([0.0, ramp, duration - ramp, duration])
+    line = breaks[2] > breaks[1]
+    return (breaks, c) if line else (breaks[[0, 1, 3]], c[[0, 2]])
+
+
+def ruckig_pieces(
+    q0: np.ndarray,
+    q1: np.ndarray,
+    qd0: np.ndarray,
+    qd1: np.ndarray,
+    qd_max: np.ndarray,
+    qdd_max: np.ndarray,
+    qddd_max: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return breaks (M + 1,) and coefficients (M, 6, n)."""
+    ruckig = _library()
+    n = len(q0)
+    wanted, found = ruckig.InputParameter(n), ruckig.Trajectory(n)
+    wanted.current_position, wanted.target_position = q0.tolist(), q1.tolist()
+    wanted.current_velocity, wanted.target_velocity = qd0.tolist(), qd1.tolist()
+    wanted.max_velocity, wanted.max_acceleration, wanted.max_jerk = (
+        limit.tolist() for limit in (qd_max, qdd_max, qddd_max)
+    )
+    try:
+        outcome = ruckig.Ruckig(n).calculate(wanted, found)
+    except (ruckig.RuckigError, ValueError) as error:  # ValueError: an answer that it has no name for
+        said = " ".join(str(error).split())[:300].rstrip(".")
+        raise ShapeError(f"Expected a motion that ruckig can plan, got: {said}.") from None
+    if outcome not in (ruckig.Result.Working, ruckig.Result.Finished):
+        raise ShapeError(f"Expected a motion that ruckig can plan, got its answer {outcome}. Make the limits larger.")
+    joints = [_states(joint, *state) for joint, state in zip(found.profiles[0], zip(q0, qd0))]
+    breaks = np.unique(np.concatenate([[0.0, found.duration], *(times for times, _ in joints)]))
+    breaks = breaks[breaks <= found.duration]
+    c = np.zeros((len(breaks) - 1, 6, n))
+    for i, (times, states) in enumerate(joints):
+        k = np.searchsorted(times, breaks[:-1], side="right") - 1
+        q, qd, qdd, jerk = states[k].T
+        s = breaks[:-1] - times[k]
+        c[:, 0, i] = q + s * (qd + s * (qdd / 2 + s * jerk / 6))
+        c[:, 1, i] = qd + s * (qdd + s * jerk / 2)
+        c[:, 2, i] = (qdd + s * jerk) / 2
+        c[:, 3, i] = jerk / 6
+    return breaks, c
+
+
+def _states(joint: Any, q: float, qd: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the times (m,) at which the jerk of a joint changes, and q, qd, qdd, jerk (m, 4) from then on."""
+    parts = [*zip(joint.brake.t, joint.brake.j), *zip(joint.t, joint.j)]
+    times, states, clock, qdd = [0.0], [], 0.0, 0.0
+    for h, jerk in parts:
+        if h <= 0.0:
+            continue
+        states.append((q, qd, qdd, jerk))
+        q, qd, qdd = q + h * (qd + h * (qdd / 2 + h * jerk / 6)), qd + h * (qdd + h * jerk / 2), qdd + h * jerk
+        clock += h
+        times.append(clock)
+    return np.array(times), np.array([*states, (q, qd, 0.0, 0.0)])
+
+
+def _library() -> Any:
+    try:
+        import ruckig  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise MissingExtra(
+            "Expected ruckig for time-optimal motion, got none. Install it: pip install 'armlab[motion]'."
+        ) from None
+    return ruckig

@@ -4,21 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import generator, number, numbers, positive
-from armlab.errors import ConfigError, ShapeError
-from armlab.motion._basis import normalised
-from armlab.motion._saved import Saved, freeze_arrays
-from armlab.motion._setting import clock
-from armlab.motion.motion_band import SAME, MotionBand
-
-__all__ = ["ProMP"]
+from armlab._numbers import generator, members, number, numbers, positive, still
+from armlab.errors import ConfigError, NotExcited, ShapeError
+from armlab.estimation import Excitation, Fit, check_excitation
+from armlab.motion.arguments import clock
+from armlab.motion.primitive.demonstrations import Demo, read_demos
+from armlab.motion.primitive.equation import normalised
+from armlab.motion.storage import Saved, freeze_arrays
 
 UNLIKELY = 1e-6  # of a point: distance that no motion of the distribution goes
+
+SAME = 1e-10  # of the largest eigenvalue: directions that vary less are known
+FLOOR = 1e-6  # of the mean variance, for directions in which demonstrations do not differ
+
+FEWEST = 2  # demonstrations
+WIDTH = 0.8  # standard deviation of kernels over their distance
+MAX_CONDITION = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +110,7 @@ class ProMP(Saved, kind="promp"):
             raise ShapeError(f"Expected finite times (N,), got shape {times.shape}. Or give one step [s].")
         return times
 
-    def marginal(self, t: ArrayLike, *, duration: float | None = None) -> MotionBand:
+    def marginal(self, t: ArrayLike, *, duration: float | None = None) -> TrajectoryDistribution:
         """Return mean and covariance of position and velocity at each time: ``Psi mean``, ``Psi cov Psi^T``.
 
         Parameters
@@ -119,7 +125,7 @@ class ProMP(Saved, kind="promp"):
         psi, rate = self.kernels(times, duration)
         blocks = self.cov.reshape(self.n, len(self.centres), self.n, len(self.centres))
         spread, speed = (_spread(rows, blocks) for rows in (psi, rate))
-        return MotionBand(times, psi @ self.mean, rate @ self.mean, spread, speed)
+        return TrajectoryDistribution(times, psi @ self.mean, rate @ self.mean, spread, speed)
 
     def sample(
         self, t: ArrayLike, seed: int | np.random.Generator, count: int, *, duration: float | None = None
@@ -243,3 +249,190 @@ def _block_diagonal(parts: list[np.ndarray]) -> np.ndarray:
         whole[at : at + len(part), at : at + len(part)] = part
         at += len(part)
     return whole
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryDistribution:
+    """Motion with its spread over N times.
+
+    Attributes
+    ----------
+    t : (N,) times [s]. y, yd : (N, n) mean position and velocity. cov : (N, n, n) of the position over demonstrations.
+    velocity_cov : (N, n, n) of the velocity.
+    """
+
+    t: np.ndarray
+    y: np.ndarray
+    yd: np.ndarray
+    cov: np.ndarray
+    velocity_cov: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        for name in ("t", "y", "yd", "cov", "velocity_cov"):
+            values = still(getattr(self, name), f"{name} of a band")
+            object.__setattr__(self, name, values)
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Standard deviation of the position (N, n)."""
+        return np.sqrt(np.diagonal(self.cov, axis1=1, axis2=2).clip(min=0.0))
+
+
+def blend(
+    primitives: Sequence[ProMP], activation: ArrayLike, t: ArrayLike, *, duration: float | None = None
+) -> TrajectoryDistribution:
+    """Return the product of primitives, each to the power of its activation: from one motion into another, or several
+    at once where all of them agree.
+
+    ``cov = (sum a_k cov_k^-1)^-1``, ``y = cov sum a_k cov_k^-1 y_k``, of position and velocity together.
+
+    Parameters
+    ----------
+    primitives : K of them, of n coordinates. activation : (N, K) or (K,), not negative, not all zero at any time.
+    t, duration : as of `ProMP.marginal`.
+
+    Raises
+    ------
+    ShapeError : another number of coordinates or activations, negative ones, none at some time.
+    """
+    for one in members(primitives, "primitives"):
+        if not hasattr(one, "marginal"):
+            raise ShapeError(f"Expected primitives as ProMP, got {type(one).__name__}. motion.fit_promp makes them.")
+    if len({p.n for p in primitives}) != 1:
+        raise ShapeError("Expected primitives of as many coordinates, got others, or none. Fit them to one arm.")
+    first = primitives[0]
+    times, n = first.times(t, duration), first.n
+    given = numbers(activation, "activation", ShapeError)
+    if given.shape not in ((len(primitives),), (len(times), len(primitives))):
+        raise ShapeError(
+            f"Expected activation of shape ({len(times)}, {len(primitives)}) or ({len(primitives)},), got "
+            f"{given.shape}."
+        )
+    a = np.broadcast_to(given, (len(times), len(primitives)))
+    if not (np.isfinite(a).all() and a.min() >= 0.0 and (a.sum(axis=1) > 0.0).all()):
+        raise ShapeError(
+            "Expected activations that are not negative and never all zero, got others. Let them add to 1."
+        )
+    information, vector = np.zeros((len(times), 2 * n, 2 * n)), np.zeros((len(times), 2 * n))
+    for k, primitive in enumerate(primitives):
+        mean, spread = _joint(primitive, times, duration)
+        inverse = np.linalg.pinv(spread, rcond=SAME, hermitian=True) * a[:, k, None, None]
+        information += inverse
+        vector += np.einsum("tij,tj->ti", inverse, mean)
+    cov = np.linalg.pinv(information, rcond=SAME, hermitian=True)
+    mean = np.einsum("tij,tj->ti", cov, vector)
+    return TrajectoryDistribution(times, mean[:, :n], mean[:, n:], cov[:, :n, :n], cov[:, n:, n:])
+
+
+def _joint(primitive: ProMP, t: np.ndarray, duration: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean (N, 2n) and covariance (N, 2n, 2n) of position and velocity, with a little noise everywhere."""
+    rows = np.stack(primitive.kernels(t, duration), axis=1)  # (N, 2, m)
+    n, m = primitive.n, len(primitive.centres)
+    blocks = primitive.cov.reshape(n, m, n, m)
+    spread = np.einsum("tpa,iajb,tqb->tpiqj", rows, blocks, rows, optimize=True).reshape(len(t), 2 * n, 2 * n)
+    floor = FLOOR * np.trace(spread, axis1=1, axis2=2)[:, None, None] / (2 * n)
+    return (rows @ primitive.mean).reshape(len(t), 2 * n), spread + floor * np.eye(2 * n)
+
+
+def fit_promp(
+    t: ArrayLike | Sequence[ArrayLike], y: ArrayLike | Sequence[ArrayLike], *, n_basis: int = 15
+) -> Fit[ProMP]:
+    """Fit mean and covariance of the weights of M demonstrations, apart from the noise of the samples.
+
+    Each demonstration is fitted by least squares, ``w_i`` with covariance ``sigma^2 G_i``; sigma comes from all of
+    their residuals. The covariance over demonstrations is what they differ by beyond that,
+    ``cov = S - mean sigma^2 G_i`` with the sample covariance S, without its negative part. The mean weighs each by
+    ``(cov + sigma^2 G_i)^-1``.
+
+    Parameters
+    ----------
+    t : (N,) increasing times [s] that M demonstrations share, or a list of M of them.
+    y : (M, N, n) positions, or a list of M arrays (N_i, n).
+    n_basis : kernels, equally spaced in time.
+
+    Returns
+    -------
+    Fit of a `ProMP`. The parameters are the mean weights; their covariance has at most the rank M - 1, and says little
+    of more than M / 4 weights. `residuals` (all samples, n).
+
+    Raises
+    ------
+    ShapeError : fewer than two demonstrations, shapes, NaN with the number of the demonstration.
+    NotExcited : samples that do not tell the weights. ConfigError : no whole number of kernels.
+    """
+    if not isinstance(n_basis, int | np.integer) or isinstance(n_basis, bool) or not 3 <= n_basis <= 1000:
+        raise ConfigError(f"Expected a whole number of kernels from 3 to 1000, got {n_basis!r}. 15 is usual.")
+    demos = _read(t, y)
+    centres = np.linspace(0.0, 1.0, n_basis)
+    widths = np.full(n_basis, WIDTH / (n_basis - 1))
+    names, n, of = [f"weight {j}" for j in range(n_basis)], demos[0].y.shape[1], {}
+    for demo in demos:
+        if demo.t.tobytes() not in of:  # most share their times
+            psi, _ = normalised((demo.t / demo.duration)[:, None], centres, widths)
+            of[demo.t.tobytes()] = (_check_samples(psi, names), psi, np.linalg.pinv(psi))
+    excitations, designs, inverses = zip(*(of[demo.t.tobytes()] for demo in demos))
+    products = {id(inverse): inverse @ inverse.T for inverse in inverses}
+    G = [products[id(inverse)] for inverse in inverses]
+    w = np.array([(inverse @ demo.y).T.ravel() for inverse, demo in zip(inverses, demos)])
+    residuals = [demo.y - A @ own.reshape(n, -1).T for A, demo, own in zip(designs, demos, w)]
+    dof = sum(len(demo.t) - n_basis for demo in demos)
+    noise = np.sqrt(sum((r**2).sum(axis=0) for r in residuals) / max(dof, 1))
+    spread = {id(g): np.kron(np.diag(noise**2), g) for g in G}
+    own = [spread[id(g)] for g in G]
+    S = np.cov(w.T).reshape(w.shape[1], w.shape[1])
+    cov = _positive(S - np.mean(own, axis=0))
+    mean, mean_cov = _mean(w, cov, own, S)
+    duration = float(np.mean([demo.duration for demo in demos]))
+    value = ProMP(mean.reshape(n, -1).T, cov, centres, widths, duration, noise)
+    return Fit(
+        value=value,
+        names=tuple(f"{name} of coordinate {i}" for i in range(n) for name in names),
+        units=("unit of y",) * len(mean),
+        parameters=mean,
+        cov=mean_cov,
+        sigma=noise,
+        residuals=np.concatenate(residuals),
+        n=len(demos),
+        excitation=min(excitations, key=lambda one: one.singular_values[-1] / one.singular_values[0]),
+        classes=tuple(f"position of coordinate {i} [unit of y]" for i in range(n)),
+    )
+
+
+def _read(t: Any, y: Any) -> list[Demo]:
+    if not isinstance(t, Sequence) or not len(t) or np.ndim(t[0]) == 0:
+        rows = np.asarray(y, dtype=object) if isinstance(y, Sequence) else y
+        if np.ndim(rows) < 1 or len(y) < FEWEST:
+            raise ShapeError(f"Expected y of shape (M, N, n) of {FEWEST} demonstrations or more, got others.")
+        t = [np.asarray(t)] * len(y)
+    demos = read_demos(list(t), list(y), None)
+    if len(demos) < FEWEST:
+        raise ShapeError(
+            f"Expected {FEWEST} demonstrations or more, got {len(demos)}. Their differences are what is fitted."
+        )
+    return demos
+
+
+def _check_samples(design: np.ndarray, names: list[str]) -> Excitation:
+    if len(design) < design.shape[1]:
+        raise NotExcited(
+            f"Expected at least {design.shape[1]} samples per demonstration, got {len(design)}. Take fewer kernels.",
+            names[len(design) :],
+            ["no sample"] * (design.shape[1] - len(design)),
+        )
+    return check_excitation(design, names, "distribution over motions", max_condition=MAX_CONDITION)
+
+
+def _positive(cov: np.ndarray) -> np.ndarray:
+    values, vectors = np.linalg.eigh(0.5 * (cov + cov.T))
+    found = (vectors * values.clip(min=0.0)) @ vectors.T
+    return 0.5 * (found + found.T)
+
+
+def _mean(w: np.ndarray, cov: np.ndarray, own: list[np.ndarray], S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the weighted mean and its covariance; where the demonstrations are alike, the plain one and S / M."""
+    if all(part is own[0] for part in own):
+        return w.mean(axis=0), S / len(w)
+    weights = [np.linalg.pinv(cov + part, hermitian=True) for part in own]
+    total = np.linalg.pinv(np.sum(weights, axis=0), hermitian=True)
+    return total @ sum(W @ one for W, one in zip(weights, w)), 0.5 * (total + total.T)

@@ -4,30 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, ClassVar, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
 from armlab._numbers import number, numbers, positive
-from armlab.errors import ShapeError
-from armlab.motion._arguments import MOST_SAMPLES
-from armlab.motion._saved import Saved
-from armlab.motion._setting import Setting
-from armlab.motion._solving import progress
-from armlab.motion.control import LONGEST_STEP, Arms, Controller, Limits
+from armlab.errors import ConfigError, ShapeError
+from armlab.motion.arguments import MOST_SAMPLES
+from armlab.motion.control import LONGEST_STEP, Arms, Controller, JointLimits, Pace, check_joints, steps_in
+from armlab.motion.disturbances import FULL_SPEED, Displace, Plant, Push, TwoDofRun, simulated
 from armlab.motion.dmp import Dmp
-from armlab.motion.events import Displace, Push
-from armlab.motion.rollout import Rollout, RunOptions
-from armlab.motion.two_dof_run import FULL_SPEED, Plant, TwoDofRun, simulated
-from armlab.motion.two_dof_stepper import TwoDofStepper, starting
+from armlab.motion.primitive.run import Rollout, RunOptions, RunParameters, progress
+from armlab.motion.storage import Saved
 from armlab.state import State
 
 if TYPE_CHECKING:
-    from armlab.log import Table
-
-__all__ = ["TwoDofDmp"]
+    from armlab.log import Column, Table
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +90,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
             frozen.flags.writeable = False
             object.__setattr__(self, name, frozen)
 
-    def law(self, run: Setting) -> Any:
+    def law(self, run: RunParameters) -> Any:
         """Return the `armlab.kernels.TwoDof` of a run.
 
         Parameters
@@ -133,7 +127,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         ConfigError : both duration and tau_d.
         """
         longest = positive(dt, "dt", "At 250 Hz it is 0.004.")
-        setting, free = Setting.of(self.dmp, **run), _free(self.dmp, t, longest, run)
+        setting, free = RunParameters.of(self.dmp, **run), _free(self.dmp, t, longest, run)
         law = self.law(setting)
         states, disturbed = simulated(law, starting(setting), free.t, events, longest)
         yc, _, e, ya, yad = states[:, :-2].reshape(len(states), 5, law.n).swapaxes(0, 1)
@@ -198,13 +192,13 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         ------
         ShapeError, ConfigError : as in `Dmp.rollout`.
         """
-        return TwoDofStepper(self, Setting.of(self.dmp, **run))
+        return TwoDofStepper(self, RunParameters.of(self.dmp, **run))
 
     def controller(
         self,
         robot: Arms,
         *,
-        limits: Limits | Sequence[Limits] | None = None,
+        limits: JointLimits | Sequence[JointLimits] | None = None,
         duration: float | None = None,
         g: ArrayLike | None = None,
         amplitude: ArrayLike | None = None,
@@ -225,8 +219,6 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         ------
         ShapeError : a primitive of another number of joints, a goal outside the limits. ConfigError : as `Dmp.rollout`.
         """
-        from armlab.motion.controllers import TwoDofController
-
         settings: Mapping[str, Any] = {"duration": duration, "g": g, "amplitude": amplitude}
         return TwoDofController(robot, self, settings, limits, give_way)
 
@@ -243,3 +235,175 @@ def _free(dmp: Dmp, t: ArrayLike, longest: float, given: RunOptions) -> Rollout:
     found = dmp.rollout(np.append(np.concatenate(fine), times[-1]), **given)
     kept = np.concatenate([[0], np.cumsum(parts)])
     return Rollout(times, *(getattr(found, f.name)[kept] for f in fields(Rollout)[1:]))
+
+
+class Reference(NamedTuple):
+    """What `TwoDofStepper.step` returns.
+
+    Attributes
+    ----------
+    yc, ycd, ycdd : (n,) coupled path with velocity and acceleration. ydd_ref : (n,) acceleration to give the arm.
+    """
+
+    yc: np.ndarray
+    ycd: np.ndarray
+    ycdd: np.ndarray
+    ydd_ref: np.ndarray
+
+
+class TwoDofStepper:
+    """One run of a `TwoDofDmp` with an arm that is measured; made by `TwoDofDmp.stepper`.
+
+    Between two samples ya is taken to move with the velocity measured before, and the law is solved in steps of at most
+    4 ms.
+
+    Parameters
+    ----------
+    two_dof : gains and primitive. run : start, goal and duration.
+
+    Attributes
+    ----------
+    goal : (n,) where it goes.
+    """
+
+    def __init__(self, two_dof: TwoDofDmp, run: RunParameters) -> None:
+        self._two_dof, self._run = two_dof, run
+        self.reset()
+
+    def reset(self) -> None:
+        """Go back to the start, with the first goal."""
+        run = self._run
+        self._law, self.goal = self._two_dof.law(run), run.g
+        self._state = starting(run)
+
+    def step(self, dt: float, ya: np.ndarray, yad: np.ndarray, speed: np.ndarray = FULL_SPEED) -> Reference:
+        """Take a sample of the arm and return the reference of this instant.
+
+        Parameters
+        ----------
+        dt : time since the last sample [s]; 0 at the first.
+        ya, yad : (n,) measured position and velocity; a sample that is not finite is passed over.
+        speed : (3,) speed of the primitive at the last sample and now, and its change per second from now.
+
+        Raises
+        ------
+        ShapeError : another shape, or a dt that is negative or not finite.
+        """
+        found = self._law.follow(self._state, dt, steps_in(dt), speed, ya, yad)
+        self._state, (ycd, ycdd, ydd_ref) = found
+        return Reference(self._state[: self._law.n], ycd, ycdd, ydd_ref)
+
+    def change_goal(self, g: ArrayLike) -> None:
+        """Go for another goal from now on; with scaling "goal" the forcing is scaled with it.
+
+        Parameters
+        ----------
+        g : (n,) goal, in the unit of y.
+
+        Raises
+        ------
+        ShapeError : another shape, not finite, outside the limits of the primitive.
+        ConfigError : scaling "rotate", which has no path to another goal.
+        """
+        scaling = self._two_dof.dmp.scaling
+        if scaling == "rotate":
+            raise ConfigError("Expected a goal that stays with scaling 'rotate', got another. Make another stepper.")
+        run = self._run.towards(g, scaling == "goal")
+        self._law, self.goal = self._two_dof.law(run), run.g
+
+    @property
+    def e(self) -> np.ndarray:
+        """Filtered error (n,)."""
+        return self._state[2 * self._law.n : 3 * self._law.n]
+
+    @property
+    def x(self) -> float:
+        """Phase, which all coordinates share; with schedule "position" it only counts time."""
+        return float(self._state[-2])
+
+    @property
+    def tau_a(self) -> float:
+        """Time constant now [s]: that of the run where the arm follows, longer where it does not."""
+        return self._law.time_constant(self._state)
+
+    @property
+    def frozen(self) -> bool:
+        """Whether the path stands still because the arm is too far from it."""
+        return bool(self._state[-1])
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the phase has gone as far as in the demonstration."""
+        x, dmp = self.x, self._two_dof.dmp
+        if dmp.schedule == "time":
+            return x >= 1.0
+        return x <= np.exp(-dmp.alpha_x * dmp.duration / dmp.tau_d)
+
+
+def starting(run: RunParameters) -> np.ndarray:
+    """Return the state (5 n + 2,) at the start of a run, with the arm on the path."""
+    x = 0.0 if run.dmp.schedule == "time" else 1.0
+    return np.concatenate([run.y0, run.tau * run.v0, np.zeros(run.dmp.n), run.y0, run.v0, [x, 0.0]])
+
+
+class TwoDofController(Controller):
+    """A `TwoDofDmp`: the reference is the twice integrated acceleration of its law, with the arm as measured.
+
+    Parameters
+    ----------
+    robot, limits : as of `Controller`. two_dof : the law. settings : duration, g, amplitude of its stepper.
+    give_way : acceleration (n,) that a contact adds.
+
+    Raises
+    ------
+    ShapeError : another number of joints, a goal outside the limits. ConfigError : as `Dmp.stepper`.
+    """
+
+    def __init__(
+        self,
+        robot: Arms,
+        two_dof: TwoDofDmp,
+        settings: Mapping[str, Any],
+        limits: JointLimits | Sequence[JointLimits] | None = None,
+        give_way: Callable[[State], np.ndarray] | None = None,
+    ) -> None:
+        check_joints(robot, two_dof.dmp.n)
+        self._two_dof, self._settings, self._give_way = two_dof, settings, give_way
+        self.stepper = two_dof.stepper(**settings)
+        super().__init__(robot, limits, self.stepper.goal)
+
+    def columns(self) -> dict[str, Column]:
+        """Return what it records, for ``link.run(extra=...)`` and `TwoDofDmp.recorded`."""
+        from armlab.log import Column
+
+        own = {"path_qd": Column((self._n,), unit="rad/s"), "path_qdd": Column((self._n,), unit="rad/s^2")}
+        own |= {"path_error": Column((self._n,), unit="rad"), "phase": Column((), unit="1")}
+        return super().columns() | own | {"tau_a": Column((), unit="s")}
+
+    def _begin(self, state: State) -> None:
+        given = {**self._settings, "g": self._goal, "y0": state.q, "v0": np.zeros_like(state.q)}
+        self.stepper = self._two_dof.stepper(**given)
+        self._qdd = np.zeros_like(state.q)
+
+    def _next(self, state: State, dt: float, pace: Pace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        found = self.stepper.step(dt, state.q, state.qd, np.array(pace))
+        q, _, qd = self._sent
+        if dt > 0.0:
+            gained = dt * self._qdd
+            q, qd = q + dt * qd + (0.5 * dt) * gained, qd + gained
+        self._qdd = found.ydd_ref if self._give_way is None else found.ydd_ref + self._give_way(state)
+        self.frozen = self.stepper.frozen
+        self._found = found
+        return q, qd, self._qdd, found.yc
+
+    def _record(self) -> dict[str, Any]:
+        found, stepper = self._found, self.stepper
+        of_path = {"path_qd": found.ycd, "path_qdd": found.ycdd, "path_error": stepper.e}
+        return of_path | {"phase": stepper.x, "tau_a": stepper.tau_a}
+
+    def _change_goal(self, g: np.ndarray) -> None:
+        self.stepper.change_goal(g)
+
+    @property
+    def _is_over(self) -> bool:
+        return self.stepper.has_ended

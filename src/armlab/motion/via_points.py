@@ -11,8 +11,6 @@ from armlab._numbers import numbers
 from armlab.errors import ConfigError, NotExcited, ShapeError
 from armlab.motion.dmp import Dmp
 
-__all__ = ["through"]
-
 FINE = 4000  # steps of the response over a duration, at least
 GRID = 401  # times at which the change of the path is measured
 RIDGE = 1e-7  # of the largest singular value: what the path does not tell of the weights stays as it is
@@ -20,7 +18,7 @@ SAME = 1e-10
 ROUNDS = 3  # the last digits
 
 
-def through(dmp: Dmp, t: ArrayLike, y: ArrayLike | None = None, yd: ArrayLike | None = None) -> Dmp:
+def with_via_points(dmp: Dmp, t: ArrayLike, y: ArrayLike | None = None, yd: ArrayLike | None = None) -> Dmp:
     """Return the primitive whose own motion passes positions or velocities at given times, changed least elsewhere.
 
     The motion is linear in the weights, so points are linear conditions ``C dw = c``. Of all changes of the weights

@@ -1,0 +1,115 @@
+"""Arguments of motions: points, limits, durations and times as arrays, or one sentence that refuses them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab._numbers import number, numbers, positive
+from armlab.errors import ShapeError
+
+if TYPE_CHECKING:
+    pass
+
+MOST_SAMPLES = 10_000_000
+
+
+def point(value: Any, what: str) -> np.ndarray:
+    """Return a point (n,); one number is a point of one joint."""
+    array = np.atleast_1d(numbers(value, what, ShapeError))
+    if array.ndim != 1 or not array.size or not np.isfinite(array).all():
+        raise ShapeError(f"Expected {what} as finite positions (n,), got {_came(array)}. Give one number per joint.")
+    return array
+
+
+def second_point(value: Any, what: str, first: np.ndarray) -> np.ndarray:
+    """Return a point of as many joints as the first."""
+    array = point(value, what)
+    if array.shape != first.shape:
+        raise ShapeError(
+            f"Expected {what} of {first.size} joints, as the first point has, got {array.size}. Give both for one arm."
+        )
+    return array
+
+
+def points(value: Any, what: str, least: int = 2) -> np.ndarray:
+    """Return points (m, n), one after the other; (m,) is a path of one joint."""
+    array = numbers(value, what, ShapeError)
+    array = array[:, None] if array.ndim == 1 else array
+    if array.ndim != 2 or len(array) < least or not array.shape[1]:
+        raise ShapeError(
+            f"Expected {what} of shape (m, n) with {least} points or more, got shape {array.shape}. "
+            "Give one row per point."
+        )
+    missing = np.flatnonzero(~np.isfinite(array).all(axis=1))
+    if len(missing):
+        raise ShapeError(
+            f"Expected finite {what}, got missing values in point {missing[0]} ({len(missing)} in all). Leave them out."
+        )
+    return array
+
+
+def velocity(value: Any, what: str, n: int) -> np.ndarray:
+    """Return a finite rate (n,); one number serves all joints."""
+    return _per_joint(value, what, n, np.isfinite, "finite")
+
+
+def joint_limit(value: Any, what: str, n: int) -> np.ndarray:
+    """Return a limit above zero (n,), maybe infinite; one number serves all joints."""
+    return _per_joint(value, what, n, lambda x: x > 0.0, "above zero")
+
+
+def above_zero(value: Any, what: str) -> float:
+    """Return one finite number above zero."""
+    found = number(value, what)
+    if not 0.0 < found < np.inf:
+        raise ShapeError(f"Expected {what} above zero, got {found:g}. Correct it.")
+    return found
+
+
+def _per_joint(value: Any, what: str, n: int, allowed: Any, word: str) -> np.ndarray:
+    array = numbers(value, what, ShapeError)
+    if array.shape not in ((), (n,)):
+        raise ShapeError(f"Expected {what} as one number or of shape ({n},), got shape {array.shape}.")
+    array = np.array(np.broadcast_to(array, (n,)))
+    if not np.all(allowed(array)):
+        raise ShapeError(f"Expected {what} {word}, got {array.tolist()}. Correct it.")
+    return array
+
+
+def _came(array: np.ndarray) -> str:
+    return str(array.tolist()) if array.ndim == 1 and array.size else f"shape {array.shape}"
+
+
+def clock(t: ArrayLike, end: float) -> np.ndarray:
+    """Return times (N,) as given, or from 0 to the end in steps of t [s]."""
+    times = numbers(t, "t", ShapeError)
+    if times.ndim:
+        return times
+    step = positive(times, "dt", "At 250 Hz it is 0.004.")
+    if not end / MOST_SAMPLES <= step <= end * (1 + 1e-12):
+        raise ShapeError(
+            f"Expected a dt [s] from {end / MOST_SAMPLES:.2g} to {end:g}, that of the motion, got {step:g}. At 250 Hz "
+            "it is 0.004."
+        )
+    return step * np.arange(int(np.floor(end / step * (1 + 1e-12))) + 1)
+
+
+def vector(value: ArrayLike, what: str, n: int) -> np.ndarray:
+    """Return finite numbers (..., n), one per coordinate."""
+    array = numbers(value, what, ShapeError)
+    if array.ndim < 1 or array.shape[-1] != n:
+        raise ShapeError(f"Expected {what} with {n} coordinates on its last axis, got shape {array.shape}.")
+    if not np.isfinite(array).all():
+        raise ShapeError(f"Expected a finite {what}, got {array}. Leave it out to take that of the demonstration.")
+    return array
+
+
+def coordinates(value: ArrayLike, what: str, n: int) -> np.ndarray:
+    """Return finite numbers (n,), one per coordinate."""
+    array = vector(value, what, n)
+    if array.ndim != 1:
+        raise ShapeError(f"Expected {what} of shape ({n},), got {array.shape}. Give one number per coordinate.")
+    return array

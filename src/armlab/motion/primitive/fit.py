@@ -1,0 +1,264 @@
+"""Fit a movement primitive to demonstrations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab._numbers import check_name, flag, members, number
+from armlab.errors import ConfigError, ShapeError
+from armlab.estimation import Excitation, Fit
+from armlab.motion.arguments import coordinates
+from armlab.motion.dmp import Dmp
+from armlab.motion.primitive.demonstrations import Demo, ReferenceMotion, aligned, read_demos
+from armlab.motion.primitive.equation import SCALINGS, SCHEDULES, placed, time_constants
+from armlab.motion.primitive.least_squares import block_covariance
+from armlab.motion.primitive.weights import ENDS, Ends, Learned, learn
+
+METHODS = ("trajectory", "acceleration", "lwr")
+WIDTH, LWR_WIDTH = 0.8, 0.55  # standard deviations of kernels over their distance
+MANY = 3  # demonstrations from which their weights have a covariance
+MAX_CONDITION = 1e11
+LONGEST_HOLD = 100.0
+SMALL = 0.05  # size of a demonstration over that of the reference that tells nothing of the weights
+
+
+def fit_dmp(
+    t: ArrayLike | Sequence[ArrayLike],
+    y: ArrayLike | Sequence[ArrayLike],
+    *,
+    method: str = "trajectory",
+    n_basis: int = 50,
+    schedule: str = "canonical",
+    spacing: str = "time",
+    scaling: str = "goal",
+    convention: str = "lund",
+    alpha_z: float = 25.0,
+    beta_z: float | None = None,
+    ridge: float = 0.0,
+    pin: Sequence[str] = ("y0", "g"),
+    hold: float = 0.3,
+    y0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    g: ArrayLike | None = None,
+    sample_weights: ArrayLike | Sequence[ArrayLike] | None = None,
+    bandwidth: float | None = None,
+    raw_kernels: bool = False,
+    limits: tuple[ArrayLike, ArrayLike] | None = None,
+) -> Fit[Dmp]:
+    """Fit a movement primitive to one demonstration or to several.
+
+    "trajectory" minimises ``sum |y - y_dmp|^2`` over the weights and the free ends: linear, and without derivatives of
+    what was measured; with schedule "position" by Gauss and Newton. "acceleration" minimises ``sum |f - s psi w x|^2``
+    with ``f = tau_d^2 ydd - alpha_z (beta_z (g - y) - tau_d yd)`` by central differences, "lwr" gives each kernel the
+    mean ``sum psi x f / sum psi x^2``; their covariance takes the residual of f as white, which it is not. Several
+    demonstrations share the weights; each keeps its own duration and ends.
+
+    Parameters
+    ----------
+    t, y : (N,) increasing times [s] and (N, n) positions [rad or m]; or lists of them, one per demonstration.
+    method : "trajectory", "acceleration" or "lwr".
+    n_basis : kernels, 3 to 1000.
+    schedule : of the phase: "canonical", "time", or "position" for motions that never turn or pause.
+    spacing : "time": kernels equally spaced in time; "phase": those of DynamicMovementPrimitives.jl.
+    scaling : of the forcing with the goal: "goal", "none", "amplitude" or "rotate" (n = 3).
+    convention : of alpha_x and tau_d: "lund" or "ijspeert".
+    alpha_z, beta_z : constants of the spring; beta_z is a quarter of alpha_z, critically damped, when left out.
+    ridge : penalty of the squared weights; `cov` is that of the noise alone, without what the penalty pulls them off.
+    pin : of "y0", "v0", "g": taken from the first and last samples instead of fitted. A free goal is hardly separable
+        from the forcing.
+    hold : seconds of rest at the goal after the end, over the duration; 0 where the motion ends with velocity. Of
+        "trajectory".
+    y0, v0, g : (n,) when they are known otherwise.
+    sample_weights : (N,) or a list of them, not negative.
+    bandwidth : of smoothed derivatives [Hz], of "acceleration" and "lwr" with even times.
+    raw_kernels : weigh by kernels that are not divided by their sum, of "lwr".
+    limits : the lowest (n,) and the highest (n,) goal that runs and steppers of the primitive accept, in the unit of y;
+        every goal when left out.
+
+    Returns
+    -------
+    Fit of a `Dmp`. `residuals` (N, n) are those of position for "trajectory", of f otherwise; `report` has the RMSE of
+    the motion.
+
+    Raises
+    ------
+    ShapeError : shapes, NaN and times that do not increase, with their rows; a coordinate that turns or pauses, with
+        its sample, for schedule "position". ConfigError, UnknownName : options that do not exist or fit together.
+    """
+    _check_options(method, schedule, scaling, bandwidth, raw_kernels)
+    demos = aligned(read_demos(t, y, sample_weights), scaling)
+    n, given = demos[0].y.shape[1], {"y0": y0, "v0": v0, "g": g}
+    known = {name: coordinates(a, name, n) for name, a in given.items() if a is not None}
+    ends = Ends(_pins(pin, known), known)
+    starts = np.array([known.get("y0", demo.y[0]) for demo in demos])
+    goals = np.array([known.get("g", demo.y[-1]) for demo in demos])
+    reference = ReferenceMotion.of(demos, scaling, starts, goals)
+    alpha = _above("alpha_z", alpha_z)
+    alpha_x, tau_d = time_constants(convention, reference.duration, alpha)
+    decay = alpha_x * reference.duration / tau_d
+    centres, widths = placed(schedule, spacing, n_basis, decay, LWR_WIDTH if method == "lwr" else WIDTH)
+    if schedule == "position":
+        _check_monotone(demos)
+    blank = Dmp(
+        weights=np.zeros((n_basis, n)),
+        centres=centres,
+        widths=widths,
+        tau_d=tau_d,
+        duration=reference.duration,
+        y0=reference.y0,
+        v0=np.zeros(n),
+        g=reference.g,
+        extent=reference.extent,
+        peak_acceleration=np.max([np.abs(demo.acceleration).max(axis=0) for demo in demos], axis=0),
+        monotone=~np.any([demo.behind.any(axis=0) for demo in demos], axis=0),
+        alpha_z=alpha,
+        beta_z=alpha / 4.0 if beta_z is None else _above("beta_z", beta_z),
+        alpha_x=alpha_x,
+        schedule=schedule,
+        scaling=scaling,
+        convention=convention,
+        limits=None if limits is None else _limits(limits, n),
+    )
+    options = {
+        "hold": _hold(hold),
+        "ridge": _not_below("ridge", ridge),
+        "bandwidth": bandwidth,
+        "raw": raw_kernels,
+    }
+    learned = learn(method, blank, demos, reference.scales, starts, goals, ends, **options)
+    each = None
+    if len(demos) >= MANY:
+        parts = zip(demos, reference.scales, starts, goals)
+        single = [learn(method, blank, [d], s[None], a[None], b[None], ends, **options) for d, s, a, b in parts]
+        small = abs(reference.scales)[:, None] < SMALL
+        each = np.where(small, learned.weights, [one.weights for one in single])
+    dmp = _with(blank, learned, demos, reference, each)
+    return _fit(dmp, method, learned, demos)
+
+
+def _check_options(method: str, schedule: str, scaling: str, bandwidth: float | None, raw_kernels: bool) -> None:
+    check_name(method, "method", METHODS)
+    check_name(schedule, "schedule", SCHEDULES)
+    check_name(scaling, "scaling", SCALINGS)
+    if bandwidth is not None and method == "trajectory" and schedule != "position":
+        raise ConfigError("Expected a bandwidth only with derivatives, got one with 'trajectory'. Leave it out.")
+    if flag(raw_kernels, "raw_kernels") and method != "lwr":
+        raise ConfigError(f"Expected raw_kernels only with method 'lwr', got them with {method!r}. Leave them out.")
+
+
+def _pins(pin: Sequence[str], known: dict[str, np.ndarray]) -> tuple[str, ...]:
+    if isinstance(pin, str):
+        raise ConfigError(f"Expected pin as a tuple of names, got the text {pin!r}. Write ({pin!r},).")
+    for name in members(pin, "pin"):
+        check_name(name, "end to pin", ENDS)
+    return tuple(name for name in pin if name not in known)
+
+
+def _above(name: str, value: Any) -> float:
+    if not 0.0 < number(value, name, ConfigError) < np.inf:
+        raise ConfigError(f"Expected a finite {name} above zero, got {value:g}.")
+    return float(value)
+
+
+def _not_below(name: str, value: Any) -> float:
+    if not 0.0 <= number(value, name, ConfigError) < np.inf:
+        raise ConfigError(f"Expected a finite {name} of at least zero, got {value:g}.")
+    return float(value)
+
+
+def _hold(value: Any) -> float:
+    if not _not_below("hold", value) <= LONGEST_HOLD:
+        raise ConfigError(f"Expected a hold up to {LONGEST_HOLD:g} durations, got {value:g}. 0.3 is usual.")
+    return float(value)
+
+
+def _limits(limits: Any, n: int) -> np.ndarray:
+    if not isinstance(limits, Sequence | np.ndarray) or len(limits) != 2:
+        raise ShapeError(f"Expected limits as lowest and highest (n,) goal, got {limits!r}. Give two.")
+    return np.array([coordinates(a, "limits", n) for a in limits])
+
+
+def _check_monotone(demos: list[Demo]) -> None:
+    """Refuse a coordinate whose position is no phase."""
+    for k, demo in enumerate(demos):
+        which = f" of demonstration {k}" if len(demos) > 1 else ""
+        for i in range(demo.y.shape[1]):
+            if demo.y[0, i] == demo.y[-1, i]:
+                why = "ends where it began"
+            elif (sample := demo.steps_back(i)) is not None:
+                why = f"steps back at sample {sample}"
+            elif (sample := demo.pauses(i)) is not None:
+                why = f"pauses at sample {sample}"
+            else:
+                continue
+            raise ShapeError(
+                f"Expected coordinates that go on to their goal for schedule 'position', got coordinate {i}{which}, "
+                f"which {why}. Use schedule 'canonical' or 'time'."
+            )
+
+
+def _with(blank: Dmp, learned: Learned, demos: list[Demo], reference: ReferenceMotion, each: np.ndarray | None) -> Dmp:
+    """Return the primitive with what was learned; its start velocity is the nearest to those of the demonstrations."""
+    scales = reference.scales
+    z = np.array([demo.duration for demo in demos])[:, None] / reference.duration * learned.ends[:, 1]
+    squares = (scales**2).sum(axis=0)
+    v0 = (scales * z).sum(axis=0) / np.where(squares > 0, squares, 1.0)
+    y0, _, g = learned.ends.mean(axis=0)
+    return replace(blank, weights=learned.weights, y0=y0, v0=v0, g=g, demo_weights=each)
+
+
+def _fit(dmp: Dmp, method: str, learned: Learned, demos: list[Demo]) -> Fit[Dmp]:
+    m, n = dmp.weights.shape
+    with_ends = learned.unit.shape[1] > m
+    one, names, units = _names(m, n, len(demos), with_ends)
+    parts = [learned.weights, learned.ends.reshape(-1, n)] if with_ends else [learned.weights]
+    kind = "position" if learned.of_position else "forcing"
+    return Fit(
+        value=dmp,
+        names=names,
+        units=units,
+        parameters=np.concatenate(parts).T.ravel(),
+        cov=lambda: block_covariance(learned.unit, learned.sigma),
+        sigma=learned.sigma,
+        residuals=learned.residuals,
+        n=sum(len(demo.t) for demo in demos),
+        excitation=lambda: Excitation.of(learned.triangle, [one[k] for k in learned.unknowns], MAX_CONDITION),
+        summary=lambda fit: _report(fit, method, learned, demos),
+        classes=tuple(f"{kind} of coordinate {i} [unit of y]" for i in range(n)),
+    )
+
+
+@lru_cache(16)  # as long to make as the kernels
+def _names(m: int, n: int, M: int, with_ends: bool) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Return names of the unknowns of one coordinate, and names and units of all parameters."""
+    ends = [f"{name} of demonstration {k}" if M > 1 else name for k in range(M) for name in ENDS]
+    one = (*(f"weight {j}" for j in range(m)), *(ends if with_ends else ()))
+    units = (*("unit of y",) * m, *(("unit of y", "unit of y/s", "unit of y") * M if with_ends else ()))
+    owners = [""] if n == 1 else [f" of coordinate {i}" for i in range(n)]
+    return one, tuple([name + owner for owner in owners for name in one]), units * n
+
+
+def _report(fit: Fit[Dmp], method: str, learned: Learned, demos: list[Demo]) -> str:
+    dmp = fit.value
+    scaled = ", ".join(map(str, dmp.unscaled))
+    lines = [
+        f"Movement primitive of {dmp.n} coordinates with {dmp.n_basis} kernels, schedule {dmp.schedule!r}, scaling "
+        f"{dmp.scaling!r}, convention {dmp.convention!r}, method {method!r}, {len(demos)} demonstrations.",
+        *([f"Coordinates that the goal does not scale, for they hardly moved: {scaled}."] if scaled else []),
+    ]
+    if fit.n <= len(learned.unknowns):
+        lines.append(
+            f"{fit.n} samples for {len(learned.unknowns)} unknowns: the noise is not told, sigma and deviations are "
+            "rounding. Take fewer kernels."
+        )
+    for k, demo in enumerate(demos):
+        path = learned.path(dmp, demo, k)
+        rmse = np.sqrt(((path - demo.y) ** 2).mean(axis=0))
+        lines.append(f"RMSE of the motion of demonstration {k}: {', '.join(f'{e:.3g}' for e in rmse)} [unit of y]")
+    return "\n".join([*lines, fit.table()])

@@ -1,0 +1,369 @@
+"""One run of a movement primitive: its parameters, its motion over time, and the motion sample by sample."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any, TypedDict
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab import kernels
+from armlab._numbers import check_name, make_read_only, number, positive
+from armlab.errors import ConfigError, NotConverged, ShapeError
+from armlab.lie import so3
+from armlab.motion.arguments import clock, vector
+from armlab.motion.primitive.equation import Equation
+
+HALF_TURN = 1e-6  # sine below which opposite directions have no smallest rotation between them
+
+FORCINGS = ("shift", "scale")
+BRAKE = 1.05  # of the largest acceleration of the demonstration
+
+LONGEST = 1e4  # time constants: each takes the solver a step or two
+
+
+class RunOptions(TypedDict, total=False):
+    """What is free in a run of a `Dmp`, by name; what is left out or None is that of the demonstration.
+
+    Attributes
+    ----------
+    duration, tau_d : of the run [s], at most one of them. y0, v0, g : (n,) start, velocity at it, goal.
+    amplitude : (n,) factors on the forcing, with scaling "amplitude".
+    """
+
+    duration: float | None
+    tau_d: float | None
+    y0: ArrayLike | None
+    v0: ArrayLike | None
+    g: ArrayLike | None
+    amplitude: ArrayLike | None
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """A motion over N times; of K runs at once the arrays are (N, K, n).
+
+    Attributes
+    ----------
+    t : (N,) times [s]. y, yd, ydd : (N, n) position, velocity, acceleration in the unit of the demonstration, per s and
+        s^2.
+    x : (N,) phase; (N, n) where every coordinate has its own. forcing : (N, n) the forcing term f, in the unit of y.
+    """
+
+    t: np.ndarray
+    y: np.ndarray
+    yd: np.ndarray
+    ydd: np.ndarray
+    x: np.ndarray
+    forcing: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        make_read_only(self, *(field.name for field in fields(self)))
+
+
+@dataclass(frozen=True)
+class RunParameters:
+    """One run of a primitive, or K over one clock: arrays (n,) or (K, n), tau [s], and the kernel of its forcing."""
+
+    dmp: Equation
+    primitive: Any
+    tau: float
+    y0: np.ndarray
+    v0: np.ndarray
+    g: np.ndarray
+    scale: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        dmp: Equation,
+        runs: int | None = None,
+        /,
+        duration: float | None = None,
+        tau_d: float | None = None,
+        y0: ArrayLike | None = None,
+        v0: ArrayLike | None = None,
+        g: ArrayLike | None = None,
+        amplitude: ArrayLike | None = None,
+    ) -> RunParameters:
+        """Fill in from the demonstration what `RunOptions` leave out.
+
+        `runs` is the number of runs, 1 for as many as there are starts; None for one run of arrays (n,).
+        """
+        tau = _tau(dmp, duration, tau_d)
+        given = {"y0": y0, "v0": v0, "g": g, "amplitude": amplitude}
+        parts = {name: vector(a, name, dmp.n) for name, a in given.items() if a is not None}
+        if amplitude is not None and dmp.scaling != "amplitude":
+            raise ConfigError(
+                f"Expected an amplitude only with scaling 'amplitude', got one with {dmp.scaling!r}. Leave it out, or "
+                "fit with scaling='amplitude'."
+            )
+        shape = (dmp.n,) if runs is None else (runs, dmp.n)
+        whole = _one_run(parts, shape) if runs is None else _many_runs(dmp, parts, shape)
+        start, goal = (np.broadcast_to(parts.get(name, own), whole) for name, own in (("y0", dmp.y0), ("g", dmp.g)))
+        check_goal(dmp, goal)
+        scale, primitive, R = np.ones(whole), dmp.primitive, None
+        if dmp.scaling == "goal":
+            scale = goal_scale(dmp, start, goal)
+        elif amplitude is not None:
+            scale = np.broadcast_to(parts["amplitude"], whole)
+        elif dmp.scaling == "rotate":
+            R = rotation(dmp.g - dmp.y0, goal - start)
+            primitive = dmp.primitive_of(dmp.weights @ R.T)
+        if v0 is None:
+            speed = scale * dmp.v0 if R is None else R @ dmp.v0
+            speed = speed * (dmp.tau_d / tau)
+        else:
+            speed = np.broadcast_to(parts["v0"], whole)
+        return cls(dmp, primitive, tau, start, np.ascontiguousarray(speed), goal, np.ascontiguousarray(scale))
+
+    def times(self, t: ArrayLike) -> np.ndarray:
+        """Return times (N,) as given, or from 0 to the end of the motion in steps of t [s]."""
+        return clock(t, self.tau * self.dmp.duration / self.dmp.tau_d)
+
+    def towards(self, g: ArrayLike, scaled: bool) -> RunParameters:
+        """Return this run with another goal (n,), its forcing scaled with the displacement or unchanged."""
+        goal = np.array(vector(g, "g", self.dmp.n))
+        _one_run({"g": goal}, (self.dmp.n,))
+        check_goal(self.dmp, goal)
+        return replace(self, g=goal, scale=goal_scale(self.dmp, self.y0, goal) if scaled else self.scale)
+
+
+def _tau(dmp: Equation, duration: float | None, tau_d: float | None) -> float:
+    if duration is not None and tau_d is not None:
+        raise ConfigError("Expected duration or tau_d, got both. Leave one out: their ratio belongs to the primitive.")
+    if tau_d is not None:
+        return positive(tau_d, "tau_d [s]", "A second is a usual motion.")
+    if duration is None:
+        return dmp.tau_d
+    return positive(duration, "duration [s]", "A second is a usual motion.") * dmp.tau_d / dmp.duration
+
+
+def _one_run(parts: dict[str, np.ndarray], shape: tuple[int, ...]) -> tuple[int, ...]:
+    for name, part in parts.items():
+        if part.shape != shape:
+            raise ShapeError(
+                f"Expected {name} of shape {shape} for one run, got {part.shape}. Use rollout_batch for many, or a "
+                "stepper for each run."
+            )
+    return shape
+
+
+def _many_runs(dmp: Equation, parts: dict[str, np.ndarray], shape: tuple[int, ...]) -> tuple[int, ...]:
+    if dmp.scaling == "rotate":
+        raise ConfigError("Expected another scaling than 'rotate' for many runs, got it. Use rollout one by one.")
+    try:
+        return np.broadcast_shapes(shape, *(part.shape for part in parts.values()))
+    except ValueError:
+        shapes = ", ".join(f"{name} {part.shape}" for name, part in parts.items())
+        raise ShapeError(f"Expected arrays of one number K of runs, got {shapes}. Give (K, n) or (n,).") from None
+
+
+def check_goal(dmp: Equation, g: np.ndarray) -> None:
+    """Refuse a goal outside the limits of the primitive."""
+    if dmp.limits is None:
+        return
+    low, high = dmp.limits
+    outside = np.unique(np.nonzero((g < low) | (g > high))[-1])
+    if len(outside):
+        raise ShapeError(
+            f"Expected a goal within limits, got coordinates {outside.tolist()} of {g} outside {low[outside]} to "
+            f"{high[outside]}. Choose another goal."
+        )
+
+
+def goal_scale(dmp: Equation, y0: np.ndarray, g: np.ndarray) -> np.ndarray:
+    """Return displacement over that of the demonstration (..., n), 1 where the latter is too small."""
+    way = dmp.g - dmp.y0
+    still = np.zeros(dmp.n, dtype=bool)
+    still[list(dmp.unscaled)] = True
+    return np.where(still, 1.0, (g - y0) / np.where(still, 1.0, way))
+
+
+def rotation(old: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """Return the smallest rotation, times the ratio of lengths, that maps one displacement to another (3, 3)."""
+    a, b = np.linalg.norm(old), np.linalg.norm(new)
+    if not (a > 0 and b > 0):
+        raise ShapeError("Expected a goal apart from the start with scaling 'rotate', got none. Use scaling 'none'.")
+    u, v = old / a, new / b
+    axis, cosine = np.cross(u, v), float(u @ v)
+    if cosine < 0 and np.linalg.norm(axis) < HALF_TURN:
+        raise ShapeError(
+            "Expected a displacement that is not opposite to that of the demonstration, got half a turn: every axis "
+            "across would do. Go by way of another goal."
+        )
+    skew = so3.hat(axis)
+    return b / a * (np.eye(3) + skew + skew @ skew / (1.0 + cosine))
+
+
+class Stepper:
+    """One run of a `Dmp`, sample by sample; made by `Dmp.stepper`.
+
+    The same numbers as `Dmp.rollout`, with steps that may differ and a goal and duration that may change. A filtered
+    goal follows ``g' = rate (goal - g) / tau_d``, and the forcing is scaled by it. A brake keeps
+    ``v^2 <= 2 a |goal - y|`` after a change of goal where that can still be kept, and y on its side of the goal.
+
+    Parameters
+    ----------
+    run : what runs, with start, goal and time. goal_forcing : "shift" or "scale", None for that of the scaling.
+    goal_rate : of the filter, times tau_d. brake : in monotone coordinates. around : `armlab.kernels.Obstacles`.
+
+    Raises
+    ------
+    UnknownName : another goal_forcing. ConfigError : "scale" without scaling "goal", a goal_rate below 0.
+    """
+
+    def __init__(
+        self,
+        run: RunParameters,
+        goal_forcing: str | None = None,
+        goal_rate: float = 0.0,
+        brake: bool = False,
+        around: Any = None,
+    ) -> None:
+        dmp = run.dmp
+        if goal_forcing is None:
+            goal_forcing = "scale" if dmp.scaling == "goal" else "shift"
+        check_name(goal_forcing, "goal_forcing", FORCINGS)
+        if goal_forcing == "scale" and dmp.scaling != "goal":
+            raise ConfigError(
+                f"Expected goal_forcing 'shift' with scaling {dmp.scaling!r}, got 'scale'. Fit with scaling='goal'."
+            )
+        if not 0.0 <= number(goal_rate, "goal_rate", ConfigError) < np.inf:
+            raise ConfigError(f"Expected a goal_rate of at least 0, got {goal_rate:g}. 12.5 follows the spring.")
+        self._dmp, self._run, self._scales = dmp, run, goal_forcing == "scale"
+        self._limit = np.where(dmp.monotone, BRAKE * dmp.peak_acceleration, 0.0) if brake else None
+        self._kernel = kernels.PrimitiveStepper(run.primitive, float(goal_rate), around)
+        self.reset()
+
+    def reset(self) -> None:
+        """Go back to the start, with the first goal and duration."""
+        run = self._run
+        self._t, self._goal = 0.0, run.g
+        self._kernel.start(run.y0, run.v0, run.g, run.scale, run.tau)
+
+    def step(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Advance by one sample and return y, yd, ydd, each (n,).
+
+        Parameters
+        ----------
+        dt : time since the last sample [s], above zero.
+
+        Raises
+        ------
+        ShapeError : no finite time above zero.
+        """
+        try:
+            state = self._kernel.step(dt)
+        except TypeError:
+            number(dt, "dt [s]")  # says it in a sentence
+            raise
+        self._t += dt
+        return state
+
+    @property
+    def state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Position, velocity and acceleration now, each (n,)."""
+        return self._kernel.outputs()
+
+    @property
+    def t(self) -> float:
+        """Time since the start [s]."""
+        return self._t
+
+    @property
+    def x(self) -> np.ndarray:
+        """Phase now; (n,) where every coordinate has its own."""
+        if self._dmp.schedule == "position":
+            return progress(self.state[0], self._run.y0, self._goal)
+        return self._dmp.phase(self._kernel.elapsed * self._dmp.tau_d)
+
+    @property
+    def goal(self) -> np.ndarray:
+        """Goal now (n,), before the filter."""
+        return self._goal
+
+    @property
+    def duration(self) -> float:
+        """Duration of the whole motion at the pace of now [s]."""
+        return self._kernel.tau * self._dmp.duration / self._dmp.tau_d
+
+    def change_goal(self, g: ArrayLike) -> None:
+        """Go for another goal from now on.
+
+        Parameters
+        ----------
+        g : (n,) goal, in the unit of y.
+
+        Raises
+        ------
+        ShapeError : another shape, not finite, outside the limits of the primitive.
+        """
+        run = self._run.towards(g, self._scales)
+        self._kernel.change_goal(run.g, run.scale, self._limit)
+        self._goal = run.g
+
+    def change_duration(self, duration: float) -> None:
+        """Go on faster or slower from now on; the velocity does not jump.
+
+        Parameters
+        ----------
+        duration : that the whole motion would take at this pace [s].
+
+        Raises
+        ------
+        ShapeError : no finite time above zero.
+        """
+        value = positive(duration, "duration [s]", "A second is a usual motion.")
+        self._kernel.change_tau(value * self._dmp.tau_d / self._dmp.duration)
+
+
+def solved(run: RunParameters, t: np.ndarray, rtol: float, atol: float) -> Rollout:
+    """Solve a run at increasing times t (N,) [s] with the Dormand-Prince method of order 8."""
+    from scipy.integrate import solve_ivp
+
+    if not (0 < number(rtol, "rtol", ConfigError) < 1 and 0 < number(atol, "atol", ConfigError) < np.inf):
+        raise ConfigError(f"Expected tolerances above zero, got rtol {rtol:g} and atol {atol:g}. 1e-10 is fine.")
+    if t.ndim != 1 or not len(t) or not np.isfinite(t).all() or (np.diff(t) <= 0).any():
+        raise ShapeError(f"Expected increasing times (N,), got shape {t.shape}. Drop repeated samples.")
+    dmp = run.dmp
+    if not t[-1] - t[0] <= LONGEST * run.tau:
+        raise ShapeError(f"Expected times within {LONGEST:g} time constants, got more. Ask for a shorter motion.")
+    n, s = dmp.n, (t - t[0]) / run.tau
+    alpha, stiffness, pace = dmp.alpha_z, dmp.alpha_z * dmp.beta_z, dmp.tau_d / dmp.duration
+
+    def phase(s: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return progress(y, run.y0, run.g) if dmp.schedule == "position" else dmp.phase(s * dmp.tau_d)
+
+    def slope(s: np.ndarray, state: np.ndarray) -> np.ndarray:
+        y, z = state[:n], state[n:]
+        f = run.scale * run.primitive.forcing(phase(s, y))
+        return np.concatenate([z, stiffness * (run.g - y) - alpha * z + f])
+
+    # The forcing is not smooth where the gate of time begins and ends.
+    breaks = [b / pace for b in (1.0, 1.1) if dmp.schedule == "time" and b / pace < s[-1]]
+    state, rows = np.concatenate([run.y0, run.tau * run.v0]), []
+    for begin, end in zip([0.0, *breaks], [*breaks, s[-1]]):
+        last = end == s[-1]
+        inside = s[(s >= begin) & ((s < end) | last)]
+        if begin == end:  # a single time
+            rows.append(state[None])
+            continue
+        at = inside if last else np.append(inside, end)
+        found = solve_ivp(slope, (begin, end), state, "DOP853", at, rtol=rtol, atol=atol, max_step=(end - begin) / 20)
+        if not found.success:
+            raise NotConverged(f"Expected a solution, got none: {found.message} Loosen the tolerances.")
+        rows.append(found.y.T[: len(inside)])
+        state = found.y[:, -1]
+    y, z = np.split(np.concatenate(rows), 2, axis=1)
+    x = phase(s, y)
+    f = run.scale * run.primitive.forcing(x)
+    return Rollout(t, y, z / run.tau, (stiffness * (run.g - y) - alpha * z + f) / run.tau**2, x, f)
+
+
+def progress(y: np.ndarray, y0: np.ndarray, g: np.ndarray) -> np.ndarray:
+    """Return the phase of schedule "position": ``(g - y) / (g - y0)``, clipped to [0, 1]; 0 without displacement."""
+    way = g - y0
+    return np.where(way == 0, 0.0, np.clip((g - y) / np.where(way == 0, 1.0, way), 0.0, 1.0))

@@ -1,0 +1,571 @@
+"""What makes no sense gets a sentence from every kind of motion: what was expected, what came."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import bridge, robots
+from armlab.errors import ArmlabError, ConfigError, NotExcited, ShapeError, UnknownName
+from armlab.lie import so3
+from armlab.motion import (
+    AvoidingDmp,
+    Capsule,
+    Displace,
+    Dmp,
+    Hold,
+    PeriodicDmp,
+    PoseDmp,
+    ProMP,
+    Push,
+    TwoDofDmp,
+    blend,
+    fit_dmp,
+    fit_periodic_dmp,
+    fit_pose_dmp,
+    fit_promp,
+    profiles,
+    retimed,
+    shortest_duration,
+    with_via_points,
+)
+
+U = np.linspace(0.0, 1.0, 30)
+S = U**3 * (10 - 15 * U + 6 * U**2)
+Y = np.stack([S, 0.5 * S], axis=1)
+MANY = np.stack([(1 + 0.1 * k) * Y for k in range(4)])
+POSES = np.tile(np.eye(4), (30, 1, 1))
+POSES[:, :3, 3], POSES[:, :3, :3] = np.outer(S, [0.1, 0.2, 0.3]), so3.exp(np.outer(S, [0.1, 0.3, 0.2]))
+DMP = fit_dmp(U, Y, n_basis=6, limits=([-1.0, -1.0], [2.0, 2.0])).value
+POSE = fit_pose_dmp(U, POSES, n_basis=6).value
+WAVE = fit_periodic_dmp(U, np.sin(2 * np.pi * U), period=1.0, n_basis=6).value
+PROMP: ProMP = fit_promp(U, MANY, n_basis=6).value
+
+FITS: dict[str, Callable[..., Any]] = {
+    "dmp": lambda t=U, y=Y, **more: fit_dmp(t, y, **{"n_basis": 6, **more}),
+    "acceleration": lambda t=U, y=Y, **more: fit_dmp(t, y, **{"n_basis": 6, "method": "acceleration", **more}),
+    "position": lambda t=U, y=Y, **more: fit_dmp(t, y, **{"n_basis": 6, "schedule": "position", **more}),
+    "pose": lambda t=U, y=POSES, **more: fit_pose_dmp(t, y, **{"n_basis": 6, **more}),
+    "periodic": lambda t=U, y=Y, **more: fit_periodic_dmp(t, y, **{"n_basis": 6, "period": 1.0, **more}),
+    "promp": lambda t=U, y=MANY, **more: fit_promp(t, y, **{"n_basis": 6, **more}),
+}
+TIMES: dict[str, Any] = {
+    "one sample": [0.0],
+    "repeated": np.repeat(U[::2], 2),
+    "backwards": U[::-1],
+    "a gap": np.where(np.arange(30) == 4, np.nan, U),
+    "without end": np.where(np.arange(30) == 29, np.inf, U),
+    "too few": U[:-1],
+    "none": [],
+    "text": "now",
+    "complex": U + 1j,
+    "ragged": [[0.0, 1.0], [2.0]],
+    "table": np.zeros((30, 2, 2)),
+    "nothing": None,
+}
+VALUES: dict[str, Any] = {
+    "a number": 3.0,
+    "none": [],
+    "no columns": np.zeros((30, 0)),
+    "text": "home",
+    "complex": Y + 1j,
+    "ragged": [[0.0, 1.0], [2.0]],
+    "missing": np.full((30, 2), np.nan),
+    "without end": np.full((30, 2), np.inf),
+    "four axes": np.zeros((30, 2, 2, 2)),
+    "nothing": None,
+}
+
+
+def refused(call: Callable[[], Any]) -> None:
+    with pytest.raises(ArmlabError, match=r"^Expected .*\.$") as caught:
+        call()
+    assert len(str(caught.value)) < 500
+
+
+@pytest.mark.parametrize("fit", FITS.values(), ids=FITS)
+@pytest.mark.parametrize("t", TIMES.values(), ids=TIMES)
+def test_times(fit: Callable[..., Any], t: Any) -> None:
+    refused(lambda: fit(t=t))
+
+
+@pytest.mark.parametrize("fit", FITS.values(), ids=FITS)
+@pytest.mark.parametrize("y", VALUES.values(), ids=VALUES)
+def test_values(fit: Callable[..., Any], y: Any) -> None:
+    refused(lambda: fit(y=y))
+
+
+@pytest.mark.parametrize("fit", FITS.values(), ids=FITS)
+@pytest.mark.parametrize("n_basis", [2, 1001, 6.0, True, None, "six", [6], np.nan])
+def test_numbers_of_kernels(fit: Callable[..., Any], n_basis: Any) -> None:
+    refused(lambda: fit(n_basis=n_basis))
+
+
+OPTIONS = {
+    "pin": (None, 3.0, "g", ("goal",)),
+    "hold": (-1.0, 1e9, np.inf, "long", 1j),
+    "limits": (3.0, ([1.0, 1.0], [0.0, 0.0]), ([0.0], [1.0]), (np.zeros((0, 2)), [1.0, 1.0]), "no"),
+    "g": (np.zeros((0, 2)), np.zeros((2, 2)), [1.0], [1.0, np.inf], "home", 1j),
+    "v0": (np.zeros((0, 2)), [1.0, 2.0, 3.0], [[1.0], []]),
+    "alpha_z": (0.0, -1.0, np.inf, "stiff"),
+    "ridge": (-1.0, np.inf, [1.0]),
+    "sample_weights": (1.0, -np.ones(30), np.zeros(30), np.full(30, np.nan), "even"),
+}
+
+
+@pytest.mark.parametrize(("name", "value"), [(name, value) for name, values in OPTIONS.items() for value in values])
+def test_options_of_a_fit(name: str, value: Any) -> None:
+    refused(lambda: fit_dmp(U, Y, n_basis=6, **{name: value}))
+
+
+TEXTS = {
+    **{
+        name: lambda v, name=name: fit_dmp(U, Y, n_basis=6, **{name: v})
+        for name in ("method", "schedule", "spacing", "scaling", "convention")
+    },
+    "pin": lambda v: fit_dmp(U, Y, n_basis=6, pin=(v,)),
+    "smoothed": lambda v: fit_dmp(U, Y, n_basis=6, schedule=v, bandwidth=5.0),
+    "pose frame": lambda v: fit_pose_dmp(U, POSES, n_basis=6, frame=v),
+    "goal_forcing": lambda v: DMP.stepper(goal_forcing=v),
+    "pose schedule": lambda v: fit_pose_dmp(U, POSES, n_basis=6, schedule=v),
+    "pose scaling": lambda v: fit_pose_dmp(U, POSES, n_basis=6, scaling=v),
+    "field": lambda v: replace(DMP, scaling=v),
+    "pose field": lambda v: replace(POSE, frame=v),
+}
+
+
+@pytest.mark.parametrize("call", TEXTS.values(), ids=TEXTS)
+def test_names_of_options(call: Callable[[Any], Any]) -> None:
+    for value in (np.array(["goal", "time"]), np.array([1.0, 2.0]), np.array("goal"), ["goal"], {}, 3.0, b"goal", ""):
+        refused(lambda value=value: call(value))
+
+
+def test_lists_of_demonstrations_that_do_not_fit_each_other() -> None:
+    for weights in (1.0, "even", [np.ones(30)]):
+        refused(lambda weights=weights: fit_dmp([U, U], [Y, Y], n_basis=6, sample_weights=weights))
+    for y in ([Y], [Y, Y[:5]], [Y, "home"], Y):
+        refused(lambda y=y: fit_dmp([U, U], y, n_basis=6))
+
+
+POSITIVE = (0.0, -1.0, np.nan, np.inf, "slow", 1j, [1.0, 2.0])
+RUNS: dict[str, tuple[Callable[..., Any], dict[str, tuple[Any, ...]]]] = {
+    "dmp": (
+        lambda t=0.01, **more: DMP.rollout(t, **more),
+        {
+            "t": (0.0, 1e-9, [], [0.0, 0.0], [np.nan], "now", 1j, np.zeros((2, 2))),
+            "duration": POSITIVE,
+            "tau_d": POSITIVE,
+            "y0": ([1.0], [1.0, np.nan], [1.0, np.inf], "home", np.zeros((2, 2))),
+            "g": ([3.0, 0.0], [0.0, -2.0], [1.0], [1.0, np.nan], "home"),
+            "amplitude": ([1.0, 1.0],),
+        },
+    ),
+    "batch": (
+        lambda t=0.01, **more: DMP.rollout_batch(t, **more),
+        {"weights": (np.zeros((2, 5, 2)), np.full((2, 6, 2), np.nan), "heavy"), "g": ([[3.0, 0.0]], np.zeros((2, 3)))},
+    ),
+    "solve": (
+        lambda t=0.5, **more: DMP.solve([0.0, t], **more),
+        {"t": (0.0, np.nan, 1e9), "rtol": POSITIVE, "duration": (1e-9, *POSITIVE)},
+    ),
+    "stepper": (
+        lambda dt=0.004, **more: DMP.stepper(**more).step(dt),
+        {"dt": POSITIVE, "goal_rate": (-1.0, np.nan, "slow"), "duration": POSITIVE, "g": ([3.0, 0.0],)},
+    ),
+    "pose": (
+        lambda t=0.01, **more: POSE.rollout(t, **more),
+        {
+            "t": (0.0, 1e-9, [], [0.0, 0.0], "now"),
+            "duration": POSITIVE,
+            "start": (np.eye(3), np.full((4, 4), np.nan), np.zeros(7), "home", 1j),
+            "goal": (np.zeros((4, 4)), np.full(7, np.inf), [[1.0], []]),
+            "twist0": (np.zeros(3), np.full(6, np.nan), "fast"),
+        },
+    ),
+    "pose stepper": (lambda dt=0.004: POSE.stepper().step(dt), {"dt": POSITIVE}),
+    "periodic": (
+        lambda t=0.01, **more: WAVE.rollout(t, **more),
+        {"t": (0.0, 1e-9, [], "now"), "period": POSITIVE, "r": (np.nan, np.inf, "big"), "g": ([1.0, 2.0], "low")},
+    ),
+    "periodic stepper": (lambda dt=0.004: WAVE.stepper().step(dt), {"dt": POSITIVE}),
+    "promp": (
+        lambda t=0.1, **more: PROMP.marginal(t, **more),
+        {"t": (0.0, 1e-9, [], [np.nan], "now"), "duration": POSITIVE},
+    ),
+    "condition": (
+        lambda t=0.5, y=(0.5, 0.25), **more: PROMP.condition(t, y, **more),
+        {
+            "t": ("now", [0.5, 0.6]),
+            "y": ([0.5], [np.nan, 0.0], "there"),
+            "cov": (-1.0, np.eye(3), np.nan),
+            "coordinates": ([0, 0], [2, 0], 1, "x", [[0], []]),
+        },
+    ),
+    "blend": (
+        lambda primitives=(PROMP, PROMP), a=(1.0, 1.0): blend(primitives, a, 0.1),
+        {"primitives": (None, 3.0, [], [DMP, DMP]), "a": ([1.0], [0.0, 0.0], [-1.0, 2.0], "both")},
+    ),
+    "two dof": (
+        lambda t=(0.0, 0.1), **more: TwoDofDmp(DMP).simulate(t, **more),
+        {"t": ([], [0.0, 0.0], "now"), "dt": (1e-9, *POSITIVE), "events": ([3.0], ["hold"], [Hold(0.0, 1.0, [5])])},
+    ),
+    "minimum jerk": (
+        lambda q0=(0.0, 1.0), q1=(1.0, 2.0), duration=1.0, dt=0.004: profiles.minimum_jerk(q0, q1, duration, dt),
+        {
+            "q0": ([], [np.nan, 1.0], [np.inf, 1.0], "home", [1j, 2.0], [[1.0], []], [0.0]),
+            "duration": POSITIVE,
+            "dt": (1e-9, *POSITIVE),
+        },
+    ),
+    "connect": (
+        lambda points=((0.0,), (1.0,)), duration=1.0, cruise=1.5: profiles.connect(points, duration, cruise),
+        {"points": ([], [[0.0]], [[0.0], [np.nan]], "path"), "duration": POSITIVE, "cruise": (1.0, 2.1, np.nan, "x")},
+    ),
+    "trapezoidal": (
+        lambda v=1.0, a=1.0, q1=(1.0,): profiles.trapezoidal([0.0], q1, v, a),
+        {"v": POSITIVE[:3], "a": POSITIVE, "q1": ([0.0], [1.0, 2.0], [np.inf])},
+    ),
+    "controller": (
+        lambda robot=None, **more: SEVEN.controller(robots.load("yumi_right") if robot is None else robot, **more),
+        {"robot": (3.0, "yumi", [3.0]), "limits": (3.0, "slow"), "g": (np.full(7, 9.0), [0.0], "home")},
+    ),
+}
+SEVEN: Dmp = fit_dmp(U, robots.load("yumi_right").q_home + 0.1 * S[:, None] * np.ones(7), n_basis=6).value
+CASES = [(kind, name, value) for kind, (_, table) in RUNS.items() for name, values in table.items() for value in values]
+
+
+@pytest.mark.parametrize(("kind", "name", "value"), CASES)
+def test_runs(kind: str, name: str, value: Any) -> None:
+    refused(lambda: RUNS[kind][0](**{name: value}))
+
+
+def test_an_immeasurably_short_step_changes_nothing() -> None:
+    for stepper in (DMP.stepper(), WAVE.stepper(), POSE.stepper()):
+        before = stepper.state[0]
+        np.testing.assert_allclose(stepper.step(1e-320)[0], before, rtol=0, atol=1e-90)
+
+
+ROBOT, OTHER = robots.load("yumi_right"), robots.load("ur5e")
+SPACE = fit_dmp(U, np.outer(S, [0.5, 0.1, 0.2]), n_basis=6).value
+BALL, NEAR = Capsule.sphere([0.5, 0.2], 0.05), Capsule.sphere(SPACE.g + 0.01, 0.05)
+Q0, Q1, CORNERS = np.zeros(3), np.array([1.2, 0.6, 0.0]), np.array([[0.5, -0.5], [0.5, 0.0], [1.5, 0.0], [1.5, -0.5]])
+CIRCLE = np.stack([np.sin(2 * np.pi * U), 0.3 + 0.1 * np.cos(2 * np.pi * U)], axis=1)
+PACED, TWO_DOF = retimed(DMP, 1.0), TwoDofDmp(DMP)
+HALF_TURNED = POSES.copy()
+HALF_TURNED[:, :3, :3] = so3.exp(np.outer(U, [0, 0, 3.5]))
+Wrong = tuple[type[ArmlabError], str, Callable[[], Any]]
+
+
+def fit(**options: Any) -> Any:
+    return fit_dmp(**{"t": [0.0, 1.0, 2.0, 3.0], "y": [0.0, 1.0, 2.0, 2.0], **options})
+
+
+def periodic(**options: Any) -> Any:
+    return fit_periodic_dmp(**{"t": U, "y": CIRCLE, "period": 1.0, **options})
+
+
+def promp(**options: Any) -> Any:
+    return fit_promp(**{"t": U, "y": np.zeros((3, 30, 1)), "n_basis": 4, **options})
+
+
+def pose(**options: Any) -> Any:
+    return fit_pose_dmp(**{"t": U, "T": POSES, "n_basis": 6, **options})
+
+
+def avoiding(dmp: Dmp, obstacles: Any = (), clearance: float = 0.02, reach: float = 0.1, **more: Any) -> AvoidingDmp:
+    return AvoidingDmp(dmp, obstacles, clearance, reach, **more)
+
+
+def moved(**changes: Any) -> PoseDmp:
+    return replace(POSE, rotation=replace(POSE.rotation, **changes))
+
+
+def far() -> np.ndarray:
+    return POSE.T_goal + np.array([0, 0, 0, 3.0]) * np.eye(4)[2][:, None]
+
+
+def set_to(value: Any, name: str, new: Any) -> None:
+    setattr(value, name, new)
+
+
+PRIMITIVES: list[Wrong] = [
+    (ShapeError, "above zero", lambda: DMP.rollout(U, tau_d=0.0)),
+    (ConfigError, "got both", lambda: DMP.rollout(U, duration=1.0, tau_d=1.0)),
+    (ShapeError, "g with 2 coordinates", lambda: DMP.rollout(U, g=np.zeros(3))),
+    (ShapeError, "finite y0", lambda: DMP.rollout(U, y0=[0, np.nan])),
+    (ShapeError, "real numbers", lambda: DMP.rollout(U, v0="fast")),
+    (ShapeError, "rollout_batch", lambda: DMP.rollout(U, g=np.zeros((2, 2)))),
+    (ShapeError, "increase", lambda: DMP.rollout(U[::-1])),
+    (ShapeError, "finite t", lambda: DMP.rollout(U * np.nan)),
+    (ShapeError, "dt above zero", lambda: DMP.rollout(0.0)),
+    (ShapeError, r"dt \[s\] from 1e-07 to 1,", lambda: DMP.rollout(4.0)),  # milliseconds
+    (ConfigError, "tolerances", lambda: DMP.solve(U, rtol=0.0)),
+    (ShapeError, "increasing", lambda: DMP.solve(U[::-1])),
+    (ShapeError, "K, 6, 2", lambda: DMP.rollout_batch(U, weights=np.zeros((2, 5, 2)))),
+    (ShapeError, "one number K", lambda: DMP.rollout_batch(U, y0=np.zeros((2, 2)), g=np.zeros((4, 2)))),
+    (ShapeError, "n_basis, n", lambda: replace(DMP, weights=np.zeros(3))),
+    (ShapeError, "finite weights", lambda: replace(DMP, weights=np.full((6, 2), np.nan))),
+    (ShapeError, "centres", lambda: replace(DMP, weights=np.zeros((5, 2)))),
+    (ShapeError, "g of shape", lambda: replace(DMP, g=np.zeros(3))),
+    (ShapeError, "widths above zero", lambda: replace(DMP, widths=np.zeros(6))),
+    (ShapeError, "tau_d above zero", lambda: replace(DMP, tau_d=0.0)),
+    (UnknownName, "canonical", lambda: replace(DMP, schedule="clock")),
+    (UnknownName, "amplitude", lambda: replace(DMP, scaling="size")),
+    (UnknownName, "ijspeert", lambda: replace(DMP, convention="mine")),
+    (ConfigError, "rotate", lambda: replace(SPACE, scaling="rotate", schedule="position")),
+    (ShapeError, "demo_weights", lambda: replace(DMP, demo_weights=np.zeros((3, 2, 2)))),
+    (UnknownName, "shift", lambda: DMP.stepper(goal_forcing="jump")),
+    (ConfigError, "scaling", lambda: replace(DMP, scaling="none").stepper(goal_forcing="scale")),
+    (ConfigError, "goal_rate", lambda: DMP.stepper(goal_rate=-1.0)),
+    (ShapeError, "each run", lambda: DMP.stepper(g=np.zeros((2, 2)))),
+    (ShapeError, "dt", lambda: DMP.stepper().step(-0.1)),
+    (ShapeError, "g with 2", lambda: DMP.stepper().change_goal(np.zeros(3))),
+    (ShapeError, "finite g", lambda: DMP.stepper().change_goal(np.full(2, np.nan))),
+    (ShapeError, "above zero", lambda: DMP.stepper().change_duration(0.0)),
+    (ShapeError, "neither", lambda: with_via_points(DMP, 0.5)),
+    (ShapeError, "times", lambda: with_via_points(DMP, 1.5, DMP.g)),
+    (ShapeError, "different times", lambda: with_via_points(DMP, [0.5, 0.5], np.zeros((2, 2)))),
+    (ShapeError, "finite y of shape", lambda: with_via_points(DMP, 0.5, [0.0, np.nan])),
+    (ShapeError, "yd of shape", lambda: with_via_points(DMP, 0.5, yd=[[0.0, 1.0, 2.0]])),
+    (NotExcited, "6 weights", lambda: with_via_points(DMP, np.linspace(0.1, 0.9, 9), np.zeros((9, 2)))),
+    (ConfigError, "phase of time", lambda: with_via_points(replace(DMP, schedule="position"), 0.5, DMP.g)),
+    (ShapeError, "v_max above zero", lambda: shortest_duration(DMP, 0.0)),
+    (ShapeError, "a_max as one number", lambda: shortest_duration(DMP, 1.0, [1.0, 2.0, 3.0])),
+    (ShapeError, "g with 2", lambda: shortest_duration(DMP, 1.0, g=[0.0])),
+    (ShapeError, "v_max above zero", lambda: retimed(DMP, 0.0)),
+    (ShapeError, "times .N,. that increase", lambda: PACED.rollout([0.0, 0.0])),
+    (ShapeError, r"dt .* above zero", lambda: PACED.stepper().step(-1.0)),
+    (ShapeError, r"dt .* real numbers", lambda: PACED.stepper().step("soon")),  # type: ignore[arg-type]
+    (ConfigError, "pace of the plan", lambda: PACED.stepper(duration=9.0)),
+    (ConfigError, "pace of the plan", lambda: PACED.stepper(tau_d=2.0)),
+]
+DEMONSTRATIONS: list[Wrong] = [
+    (ShapeError, "at least 3 samples", lambda: fit(t=[0.0], y=np.zeros((1, 1)))),
+    (ShapeError, "repeated .* rows 2", lambda: fit(t=[0, 1, 1, 2])),
+    (ShapeError, "rows 2", lambda: fit(y=[0, 1, np.nan, 2])),
+    (ShapeError, "rows 2", lambda: fit(t=[0, 1, np.inf, 2])),
+    (ShapeError, "N, n", lambda: fit(y=np.zeros((5, 1)))),
+    (ShapeError, "real numbers", lambda: fit(y="abcd")),
+    (UnknownName, "lwr", lambda: fit(method="magic")),
+    (UnknownName, "canonical", lambda: fit(schedule="clock")),
+    (UnknownName, "phase", lambda: fit(spacing="even")),
+    (UnknownName, "amplitude", lambda: fit(scaling="size")),
+    (UnknownName, "lund", lambda: fit(convention="mine")),
+    (UnknownName, "y0", lambda: fit(pin=("goal",))),
+    (ConfigError, "tuple", lambda: fit(pin="g")),
+    (ConfigError, "from 3 to 1000", lambda: fit(n_basis=2)),
+    (ConfigError, "whole number", lambda: fit(n_basis=10.0)),
+    (ConfigError, "ridge", lambda: fit(ridge=-1.0)),
+    (ConfigError, "hold", lambda: fit(hold=np.nan)),
+    (ConfigError, "hold up to 100", lambda: fit(hold=1e6)),
+    (ConfigError, "bandwidth only with derivatives", lambda: fit(bandwidth=10.0)),
+    (ConfigError, "only with method 'lwr'", lambda: fit(raw_kernels=True)),
+    (ShapeError, "lowest and highest", lambda: fit(limits=5)),
+    (ConfigError, "alpha_z", lambda: fit(alpha_z=0.0)),
+    (ConfigError, "beta_z", lambda: fit(beta_z=-1.0)),
+    (ShapeError, "1 coordinates", lambda: fit(g=[1.0, 2.0])),
+    (ShapeError, "sample_weights", lambda: fit(sample_weights=[1, 1, -1, 1])),
+    (ShapeError, "lowest before highest", lambda: fit(limits=([2.0], [1.0]))),
+    (ShapeError, "coordinate 0, which steps back at sample 2", lambda: fit(schedule="position", y=[0, 2, 1, 2])),
+    (ShapeError, "ends where it began", lambda: fit(schedule="position", y=[1, 2, 1, 1])),
+    (ShapeError, "as many y", lambda: fit(t=[[0, 1, 2]] * 2, y=[[0, 1, 2]])),
+    (ShapeError, "as many coordinates", lambda: fit(t=[[0, 1, 2]] * 2, y=[[0, 1, 2], np.zeros((3, 2))])),
+    (ShapeError, "demonstration 1, got .* rows 1", lambda: fit(t=[[0, 1, 2]] * 2, y=[[0, 1, 2], [0, np.nan, 2]])),
+    (ShapeError, "period above zero", lambda: periodic(period=0.0)),
+    (ShapeError, "period above zero", lambda: periodic(period=np.nan)),
+    (ConfigError, "3 to 1000", lambda: periodic(n_basis=2)),
+    (ShapeError, "h above zero", lambda: periodic(h=-1.0)),
+    (ConfigError, "ridge", lambda: periodic(ridge=-1.0)),
+    (ShapeError, "alpha_z above zero", lambda: periodic(alpha_z=0.0)),
+    (ShapeError, "g with 2", lambda: periodic(g=[0.0])),
+    (ShapeError, "times that increase", lambda: periodic(t=U[::-1])),
+    (ShapeError, "rows 20", lambda: periodic(y=np.where(np.arange(30)[:, None] > 19, np.nan, CIRCLE))),
+    (ShapeError, "shapes", lambda: periodic(y=CIRCLE[:5])),
+    (ShapeError, "one demonstration, got 2", lambda: periodic(t=[U, U], y=[CIRCLE, CIRCLE])),
+    (ShapeError, "2 demonstrations or more", lambda: promp(y=np.zeros((1, 30, 1)))),
+    (ShapeError, "2 demonstrations or more", lambda: promp(t=[U], y=[np.zeros((30, 1))])),
+    (ShapeError, "2 demonstrations or more", lambda: promp(t=[], y=[])),
+    (ShapeError, "of demonstration 0", lambda: promp(y=np.full((3, 30, 1), np.nan))),
+    (ShapeError, "shapes", lambda: promp(t=U[:5])),
+    (ShapeError, "times that increase", lambda: promp(t=np.zeros(30))),
+    (ConfigError, "3 to 1000", lambda: promp(n_basis=2)),
+    (NotExcited, "at least 31 samples", lambda: promp(n_basis=31)),
+    (ShapeError, "as many coordinates", lambda: promp(t=[U, U], y=[np.zeros((30, 1)), np.zeros((30, 2))])),
+    (ShapeError, "N, 4, 4", lambda: pose(T=np.zeros((30, 3, 3)))),
+    (ShapeError, r"NaN or Inf in row 0 \(30", lambda: pose(T=np.full((30, 7), np.nan))),
+    (ShapeError, "length 1", lambda: pose(T=np.ones((30, 7)))),
+    (ShapeError, "last rows", lambda: pose(T=np.ones((30, 4, 4)))),
+    (ShapeError, "times that increase", lambda: pose(t=np.zeros(30))),
+    (ShapeError, "t ", lambda: pose(t=np.arange(10.0))),
+    (ShapeError, "half a turn away", lambda: pose(T=HALF_TURNED)),
+    (UnknownName, "frame", lambda: pose(frame="tool")),
+    (ConfigError, "phase of time", lambda: pose(schedule="position")),
+    (UnknownName, "convention", lambda: pose(convention="lab")),
+]
+POSE_RUNS: list[Wrong] = [
+    (ShapeError, "half a turn apart", lambda: POSE.rollout(0.01, start=np.diag([-1.0, -1, 1, 1]) @ POSE.T_goal)),
+    (ShapeError, "start as a pose", lambda: POSE.rollout(0.01, start=np.eye(3))),
+    (ShapeError, "finite goal", lambda: POSE.rollout(0.01, goal=np.full((4, 4), np.nan))),
+    (ShapeError, "times that increase", lambda: POSE.rollout([0.0, 0.0])),
+    (ShapeError, "dt above zero", lambda: POSE.rollout(-0.1)),
+    (ShapeError, "twist0 with 6", lambda: POSE.rollout(0.01, twist0=np.zeros(3))),
+    (ShapeError, "one tau_d for position", lambda: moved(tau_d=1.0)),
+    (ShapeError, "rotation with goal 0", lambda: moved(g=np.ones(3))),
+    (ShapeError, "position as a Dmp", lambda: replace(POSE, position=None)),
+    (ShapeError, "length 1", lambda: replace(POSE, goal=np.ones(4))),
+    (ConfigError, "duration or tau_d", lambda: POSE.rollout(0.01, duration=1.0, tau_d=1.0)),
+    (UnknownName, "frame", lambda: replace(POSE, frame="tool")),
+    (ShapeError, "dt above zero", lambda: POSE.stepper().step(0.0)),
+    (ShapeError, "goal as a pose", lambda: POSE.stepper().change_goal(np.eye(3))),
+    (ConfigError, "base axes", lambda: replace(POSE, frame="goal").stepper().change_goal(np.eye(4))),
+    (ConfigError, "rotate", lambda: pose(scaling="rotate").value.stepper().change_goal(POSES[15])),
+    (ShapeError, "a goal that yumi_right reaches", lambda: POSE.controller(ROBOT, goal=far())),
+    (ShapeError, "goal as a pose", lambda: POSE.controller(ROBOT, goal=np.zeros(3))),
+]
+RHYTHMS_AND_DISTRIBUTIONS: list[Wrong] = [
+    (ShapeError, "period .* above zero", lambda: WAVE.rollout(U, period=-1.0)),
+    (ShapeError, "finite amplitude", lambda: WAVE.rollout(U, r=np.inf)),
+    (ShapeError, "y0 with 1", lambda: WAVE.rollout(U, y0=[0.0, 0.0])),
+    (ShapeError, "times that increase", lambda: WAVE.rollout(U[::-1])),
+    (ShapeError, "weights of shape", lambda: replace(WAVE, weights=np.zeros(3))),
+    (ShapeError, "finite weights", lambda: replace(WAVE, weights=np.full((6, 1), np.nan))),
+    (ShapeError, "g of shape", lambda: replace(WAVE, g=np.zeros(3))),
+    (ShapeError, "h above zero", lambda: replace(WAVE, h=0.0)),
+    (ShapeError, "dt above zero", lambda: WAVE.stepper().step(0.0)),
+    (ShapeError, "period above zero", lambda: WAVE.stepper().change(period=0.0)),
+    (ShapeError, "finite r", lambda: WAVE.stepper().change(r=np.nan)),
+    (ShapeError, "g with 1", lambda: WAVE.stepper().change(g=[0.0, 1.0])),
+    (ShapeError, "turns above zero", lambda: rhythm().controller(ROBOT, turns=0.0)),
+    (ShapeError, "period", lambda: rhythm().controller(ROBOT, period=-1.0)),
+    (ShapeError, "a goal within the limits", lambda: rhythm().controller(ROBOT, g=np.full(7, 9.0))),
+    (ShapeError, "6 joints for ur5e", lambda: rhythm().controller(OTHER)),
+    (ShapeError, "neither", lambda: PROMP.condition(0.5)),
+    (ShapeError, "got nan s", lambda: PROMP.condition(np.nan, [0.0, 0.0])),
+    (ShapeError, "got -1 s", lambda: PROMP.condition(-1.0, [0.0, 0.0])),
+    (ShapeError, "from 0 to 0.5 s", lambda: PROMP.condition(1.0, [0.0, 0.0], duration=0.5)),
+    (ShapeError, "y of shape", lambda: PROMP.condition(1.0, [0.0])),
+    (ShapeError, "finite y", lambda: PROMP.condition(1.0, [0.0, np.nan])),
+    (ShapeError, "different coordinates", lambda: PROMP.condition(1.0, [0.0], coordinates=[2])),
+    (ShapeError, "covariance as a number", lambda: PROMP.condition(1.0, [0.0, 0.0], cov=np.eye(3))),
+    (ShapeError, "not negative", lambda: PROMP.condition(1.0, [0.0, 0.0], cov=-1.0)),
+    (ShapeError, "do not differ", lambda: replace(PROMP, cov=0 * PROMP.cov).condition(1.0, [9.0, 9.0])),
+    (ShapeError, "duration", lambda: PROMP.marginal(U, duration=0.0)),
+    (ShapeError, "times", lambda: PROMP.marginal([0.0, np.nan])),
+    (ShapeError, "seed", lambda: PROMP.sample(U, -1, 2)),
+    (ConfigError, "count", lambda: PROMP.sample(U, 0, 0)),
+    (ShapeError, "mean weights", lambda: replace(PROMP, mean=np.zeros(3))),
+    (ShapeError, "cov of shape", lambda: replace(PROMP, cov=np.eye(3))),
+    (ShapeError, "symmetric cov", lambda: replace(PROMP, cov=np.triu(np.ones((12, 12))))),
+    (ShapeError, "widths above zero", lambda: replace(PROMP, widths=0 * PROMP.widths)),
+    (ShapeError, "finite mean", lambda: replace(PROMP, mean=np.full((6, 2), np.nan))),
+    (ShapeError, "activation of shape", lambda: blend([PROMP, PROMP], [1.0], U)),
+    (ShapeError, "never all zero", lambda: blend([PROMP, PROMP], [0.0, 0.0], U)),
+    (ShapeError, "not negative", lambda: blend([PROMP, PROMP], [2.0, -1.0], U)),
+    (ShapeError, "as many coordinates", lambda: blend([], [1.0], U)),
+]
+OBSTACLES: list[Wrong] = [
+    (ShapeError, "goal outside the clearance", lambda: avoiding(SPACE, [NEAR]).rollout(U)),
+    (ShapeError, "start outside the clearance", lambda: avoiding(SPACE, [Capsule.sphere(SPACE.y0)]).stepper()),
+    (ShapeError, "space of 2 axes, got number 0 of 3", lambda: avoiding(DMP, [NEAR])),
+    (ShapeError, "finite point", lambda: Capsule.sphere([0.0, np.nan, 0.0])),
+    (ShapeError, "radius of 0 or more", lambda: Capsule.sphere([0.0, 0.0], -1.0)),
+    (ShapeError, "y with 3 coordinates", lambda: avoiding(SPACE).distance([0.0])),
+    (ConfigError, "clearance < reach", lambda: avoiding(SPACE, [], 0.2, 0.1)),
+    (ConfigError, "2 or 3 coordinates", lambda: avoiding(SEVEN)),
+    (ConfigError, "of 7 coordinates", lambda: avoiding(SPACE, robot=ROBOT)),
+    (ConfigError, "links from 1 to 7, got 8", lambda: avoiding(SEVEN, robot=ROBOT, links={8: NEAR})),
+    (ConfigError, "joints of a robot", lambda: avoiding(SPACE).controller()),
+    (ConfigError, "only with a robot", lambda: avoiding(DMP, [BALL], tool=BALL)),
+    (ConfigError, "only with a robot", lambda: avoiding(DMP, [BALL], links={1: BALL})),
+    (UnknownName, "form", lambda: avoiding(SPACE, form="wall")),
+    *((ArmlabError, "(obstacles|capsules)", lambda x=x: avoiding(DMP, x)) for x in (BALL, ["ball"], None, [None])),
+    *((ArmlabError, "capsules", lambda x=x: avoiding(DMP).stepper().place(x)) for x in (BALL, ["ball"], None, [None])),
+]
+CONTROL: list[Wrong] = [
+    (ShapeError, "6 joints for ur5e", lambda: SEVEN.controller(OTHER)),
+    (ShapeError, "6 joints for ur5e", lambda: TwoDofDmp(SEVEN).controller(OTHER)),
+    (ShapeError, "a goal within the limits", lambda: SEVEN.controller(ROBOT, g=ROBOT.q_max + 0.1)),
+    (ShapeError, "finite g", lambda: TwoDofDmp(SEVEN).controller(ROBOT, g=np.full(7, np.nan))),
+    (ShapeError, "limits of the 7 joints", lambda: SEVEN.controller(ROBOT, limits=bridge.Limits.of(OTHER))),
+    (ShapeError, "above zero", lambda: SEVEN.controller(ROBOT, duration=0.0)),
+    (ShapeError, "within the limits", lambda: set_to(SEVEN.controller(ROBOT), "goal", ROBOT.q_min - 1)),
+    (ConfigError, "speed of at least 0", lambda: set_to(SEVEN.controller(ROBOT), "speed", -0.1)),
+    (ConfigError, "speed of at least 0", lambda: set_to(SEVEN.controller(ROBOT), "speed", np.nan)),
+    (ConfigError, "amplitude", lambda: SEVEN.controller(ROBOT, amplitude=np.ones(7))),
+    (ShapeError, "a Dmp, got str", lambda: TwoDofDmp("dmp")),  # type: ignore[arg-type]
+    (ShapeError, "kp of at least 0", lambda: TwoDofDmp(DMP, kp=-1)),
+    (ShapeError, "kc of at least 0", lambda: TwoDofDmp(DMP, kc=np.nan)),
+    (ShapeError, "e0 of at least 0", lambda: TwoDofDmp(DMP, e0=-0.1)),
+    (ShapeError, "e0 as one number or 2", lambda: TwoDofDmp(DMP, e0=[0.1, 0.1, 0.1])),
+    (ShapeError, "e_scale above 0", lambda: TwoDofDmp(DMP, e_scale=[0.0, 1.0])),
+    (ShapeError, "e_max above 0", lambda: TwoDofDmp(DMP, e_max=0)),
+    (ShapeError, "e_max above 0", lambda: TwoDofDmp(DMP, e_max=np.nan)),
+    (ShapeError, "dt above zero", lambda: TWO_DOF.simulate(dt=0)),
+    (ShapeError, "increase", lambda: TWO_DOF.simulate([0.0, 0.0])),
+    (ShapeError, "g with 2", lambda: TWO_DOF.simulate(g=[1.0])),
+    (ConfigError, "got both", lambda: TWO_DOF.simulate(duration=1.0, tau_d=1.0)),
+    (ShapeError, "one run", lambda: TWO_DOF.stepper(g=np.ones((3, 2)))),
+    (ShapeError, "", lambda: TWO_DOF.stepper().step(-0.1, np.zeros(2), np.zeros(2))),
+    (ShapeError, "", lambda: TWO_DOF.stepper().step(np.inf, np.zeros(2), np.zeros(2))),
+    (ShapeError, "", lambda: TWO_DOF.stepper().step(0.1, np.zeros(3), np.zeros(2))),
+    (ShapeError, "finite g", lambda: TWO_DOF.stepper().change_goal([np.nan, 0])),
+    (ShapeError, "from t0 to a later t1", lambda: Hold(1.0, 1.0)),
+    (ShapeError, "from t0 to a later t1", lambda: Hold(np.nan, 1.0)),
+    (ShapeError, "from t0 to a later t1", lambda: Hold(0.0, np.inf)),
+    (ShapeError, "finite velocity", lambda: Push(0.0, 1.0, np.nan)),
+    (ShapeError, "velocity", lambda: Push(0.0, 1.0, "fast")),  # type: ignore[arg-type]
+    *((ShapeError, "dofs", lambda x=x: Hold(0.0, 1.0, x).drive(3)) for x in ([3], [-1], [0, 0], [], [0.5])),
+    (ShapeError, "one velocity, or 3", lambda: Push(0.0, 1.0, [1.0, 2.0]).drive(3)),
+    (ShapeError, "finite time", lambda: Displace(np.inf, 0.1)),
+    (ShapeError, "finite time", lambda: Displace(0.0, [0.1, np.nan])),
+    (ShapeError, "one event at a time", lambda: TWO_DOF.simulate(0.01, [Hold(0.1, 0.5), Push(0.4, 0.6, 0.1, [1])])),
+    (ShapeError, "dofs", lambda: TWO_DOF.simulate(0.01, [Hold(0.1, 0.5, [7])])),
+    (ShapeError, "displacement of 2", lambda: TWO_DOF.simulate(0.01, [Displace(0.1, [0.1, 0.2, 0.3])])),
+    (ShapeError, "events as Hold", lambda: TWO_DOF.simulate(0.01, ["hold"])),  # type: ignore[list-item]
+    (ShapeError, "events in a list", lambda: TWO_DOF.simulate(0.01, Hold(0.1, 0.5))),  # type: ignore[arg-type]
+    (ShapeError, "at most one plant", lambda: TWO_DOF.simulate(0.01, [lambda *_: np.zeros(2)] * 2)),
+    (ShapeError, "finite accelerations", lambda: TWO_DOF.simulate(0.01, [lambda *_: np.zeros(3)])),
+    (ShapeError, "finite accelerations", lambda: TWO_DOF.simulate(0.01, [lambda *_: np.full(2, np.nan)])),
+]
+PROFILES: list[Wrong] = [
+    (ShapeError, "breaks", lambda: profiles.Profile(np.array([0.0, 1.0]), np.zeros((2, 6, 1)))),
+    (ShapeError, "dt .* above zero", lambda: profiles.Profile(np.array([0.0, 1.0]), np.zeros((1, 6, 1)), dt=0.0)),
+    (ShapeError, "qd_max above zero", lambda: profiles.minimum_jerk(Q0, Q1, 1.0).slowed(qd_max=0.0)),
+    (ShapeError, "q1 of 3 joints", lambda: profiles.minimum_jerk(Q0, Q1[:2], 1.0)),
+    (ShapeError, "q0 as finite", lambda: profiles.minimum_jerk([0.0, np.nan, 0.0], Q1, 1.0)),
+    (ShapeError, "q0 to be real numbers", lambda: profiles.minimum_jerk("home", Q1, 1.0)),  # type: ignore[arg-type]
+    (ShapeError, "duration .* above zero", lambda: profiles.minimum_jerk(Q0, Q1, 0.0)),
+    (ShapeError, "dt .* above zero", lambda: profiles.minimum_jerk(Q0, Q1, 1.0, dt=-0.004)),
+    (ShapeError, "samples", lambda: profiles.minimum_jerk(Q0, Q1, 1e9)),
+    (ShapeError, "qd0 as one number or of shape", lambda: profiles.quintic(Q0, Q1, 1.0, qd0=[1.0, 2.0])),
+    (ShapeError, "qdd1 finite", lambda: profiles.quintic(Q0, Q1, 1.0, qdd1=np.nan)),
+    (ShapeError, "two points apart", lambda: profiles.trapezoidal(Q0, Q0, 1.0, 1.0)),
+    (ShapeError, "qd_max above zero", lambda: profiles.trapezoidal(Q0, Q1, 0.0, 1.0)),
+    (ShapeError, "qdd_max above zero", lambda: profiles.trapezoidal(Q0, Q1, 1.0, [1.0, np.nan, 1.0])),
+    (ShapeError, "finite qdd_max", lambda: profiles.trapezoidal(Q0, Q1, 1.0, np.inf)),
+    (ShapeError, "cruise above 1", lambda: profiles.blend(Q0, Q1, 1.0, cruise=1.0)),
+    (ShapeError, "cruise above 1", lambda: profiles.blend(Q0, Q1, 1.0, cruise=2.1)),
+    (ShapeError, "2 points or more", lambda: profiles.connect(CORNERS[:1], 1.0)),
+    (ShapeError, "duration of the segments", lambda: profiles.connect(CORNERS, [1.0, 2.0])),
+    (ShapeError, "missing values in point 2", lambda: profiles.connect(np.where(CORNERS > 1, np.nan, CORNERS), 1.0)),
+    (ShapeError, "that rises", lambda: profiles.spline([0.0, 1.0, 1.0, 2.0], CORNERS)),
+    (ShapeError, "t of shape", lambda: profiles.spline([0.0, 1.0], CORNERS)),
+    (ShapeError, "finite limits", lambda: profiles.time_optimal(Q0, Q1, 1.0, np.inf, 1.0)),
+    (ShapeError, "qd0 within qd_max", lambda: profiles.time_optimal(Q0, Q1, 1.0, 1.0, 1.0, qd0=[0, 2.0, 0])),
+    (ShapeError, "two points apart", lambda: profiles.time_optimal(Q0, Q0, 1.0, 1.0, 1.0)),
+]
+WRONG = PRIMITIVES + DEMONSTRATIONS + POSE_RUNS + RHYTHMS_AND_DISTRIBUTIONS + OBSTACLES + CONTROL + PROFILES
+
+
+def rhythm() -> PeriodicDmp:
+    return fit_periodic_dmp(U, ROBOT.q_home + 0.1 * np.sin(2 * np.pi * U)[:, None] * np.ones(7), period=1.0).value
+
+
+@pytest.mark.parametrize(("error", "words", "call"), WRONG, ids=[words for _, words, _ in WRONG])
+def test_words_of_refusals(error: type[ArmlabError], words: str, call: Callable[[], Any]) -> None:
+    with pytest.raises(error, match=rf"(?s)^Expected .*{words}.*\.$|^Unknown .*{words}"):
+        call()
