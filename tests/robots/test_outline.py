@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.robots.outline import arm_length, bends
+from armlab.robots.robot import arm_length, bends
 
 
 def test_a_stretched_arm_is_as_long_as_its_links_and_strokes_together() -> None:

@@ -1,4 +1,4 @@
-"""From `Robot` to the text of a URDF that describes the same arm."""
+"""`Robot` to the text of a URDF that describes the same arm."""
 
 from __future__ import annotations
 
@@ -12,10 +12,7 @@ from armlab.errors import RobotError
 from armlab.lie import euler
 from armlab.robots import inertia
 from armlab.robots.build import RAMP_TIME
-from armlab.robots.mesh import Mesh
-from armlab.robots.robot import Robot
-
-__all__ = ["write_urdf"]
+from armlab.robots.robot import Mesh, Robot
 
 _NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
