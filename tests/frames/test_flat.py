@@ -10,7 +10,7 @@ import pytest
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.frames import Line, Plane, fit_line, fit_plane
-from armlab.frames._fitting import LIMIT, upward
+from armlab.frames.feature_fit import LIMIT, upward
 from armlab.lie import se3, so3
 
 SIGMA = 5e-5

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armlab.frames.loops import Edge, Loop, LoopCheck, check, path, spanning
+from armlab.frames.pose_graph import Edge, Loop, LoopCheck, check_loops, path, spanning
 from armlab.lie import se3, so3
 
 COV = np.diag([2e-4, 1e-4, 3e-4, 1e-3, 2e-3, 1e-3]) ** 2
@@ -41,31 +41,31 @@ def test_path_and_spanning() -> None:
 
 def test_closure_errors_are_as_large_as_the_covariances_say() -> None:
     """The mean of chi2 is 6, its 99.9 % are passed once in a thousand."""
-    found = [check(loop_of(np.random.default_rng(seed))) for seed in range(300)]
+    found = [check_loops(loop_of(np.random.default_rng(seed))) for seed in range(300)]
     assert isinstance(found[0], LoopCheck)
     assert isinstance(found[0].loops[0], Loop)
     chi2 = np.array([one.loops[0].chi2 for one in found])
     assert abs(chi2.mean() - 6.0) < 3 * np.sqrt(12 / 300)
     assert sum(not one.passed for one in found) <= 3
-    assert not check(loop_of(np.random.default_rng(1), scale=5.0)).passed
+    assert not check_loops(loop_of(np.random.default_rng(1), scale=5.0)).passed
 
 
 def test_the_number_of_independent_loops() -> None:
     edges = [*loop_of(np.random.default_rng(0)), Edge("a", "c", se3.inv(pose(0)) @ pose(2)), Edge("x", "y", pose(9))]
-    loops = check(edges).loops
+    loops = check_loops(edges).loops
     assert len(loops) == len(edges) - (6 - 2)
     assert loops[1].frames[0] == "a"
     assert np.isnan(loops[1].chi2), "a covariance is not known"
     assert not loops[1].beyond
-    assert "mm" in check(edges).text()
-    assert "nothing to check" in check(edges[:3]).text()
+    assert "mm" in check_loops(edges).text()
+    assert "nothing to check" in check_loops(edges[:3]).text()
 
 
 def test_two_poses_between_two_frames_are_a_loop() -> None:
     T = pose(3)
     moved = T.copy()
     moved[2, 3] += 0.004
-    (loop,) = check([Edge("a", "b", T), Edge("b", "a", se3.inv(moved))]).loops
+    (loop,) = check_loops([Edge("a", "b", T), Edge("b", "a", se3.inv(moved))]).loops
     assert loop.position == pytest.approx(0.004, rel=1e-9)
     assert loop.angle == pytest.approx(0.0, abs=1e-12)
 
@@ -89,5 +89,5 @@ def test_chi2_is_that_of_the_closure_for_errors_that_differ_along_every_axis() -
         C += J @ cov @ J.T
     e = closure(errors)
     edges = [Edge(one.a, one.b, noisy(one.T, x), cov) for one, x, cov in zip(exact, errors, covs)]
-    (loop,) = check(edges).loops
+    (loop,) = check_loops(edges).loops
     assert loop.chi2 == pytest.approx(e @ np.linalg.solve(C, e), rel=1e-4)

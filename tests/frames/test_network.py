@@ -9,8 +9,7 @@ from armlab import models
 from armlab.errors import FrameError, NotExcited
 from armlab.estimation import Experiment, Fit, check_estimator
 from armlab.frames import FrameSet
-from armlab.frames.loops import Edge
-from armlab.frames.network import solve
+from armlab.frames.pose_graph import Edge, solve_poses
 from armlab.lie import se3, so3
 
 NAMES = ("a", "b", "c", "d")
@@ -36,7 +35,7 @@ def error(fit: Fit, truth: np.ndarray) -> np.ndarray:
 
 
 def test_exact_poses() -> None:
-    fit = solve(measured(None), NAMES)
+    fit = solve_poses(measured(None), NAMES)
     np.testing.assert_allclose(fit.value.T, T, rtol=0, atol=1e-12)
     assert fit.names[:6] == ("b x", "b y", "b z", "b turn x", "b turn y", "b turn z")
 
@@ -46,7 +45,7 @@ def test_the_covariance_is_honest(tmp_path) -> None:
         return Experiment({"edges": measured(np.random.default_rng(seed), n), "names": NAMES}, T)
 
     contract = check_estimator(
-        solve,
+        solve_poses,
         experiment,
         60,
         n=1,
@@ -61,19 +60,19 @@ def test_the_covariance_is_honest(tmp_path) -> None:
         },
     )
     assert contract.passed, contract.text()
-    fit = solve(measured(np.random.default_rng(0)), NAMES)
+    fit = solve_poses(measured(np.random.default_rng(0)), NAMES)
     assert not fit.value.T.flags.writeable
     assert isinstance(models.load(models.save(fit.value, tmp_path / "frames.toml")), FrameSet)
 
 
 def test_unknown_noise_is_found_by_class() -> None:
     plain = [Edge(e.a, e.b, e.T) for e in measured(np.random.default_rng(3), 40)]
-    fit = solve(plain, NAMES)
+    fit = solve_poses(plain, NAMES)
     np.testing.assert_allclose(fit.sigma**2, [np.trace(COV[:3, :3]) / 3, np.trace(COV[3:, 3:]) / 3], rtol=0.2)
 
 
 def test_frame_set_names_what_it_knows() -> None:
-    fit = solve(measured(None), NAMES)
+    fit = solve_poses(measured(None), NAMES)
     np.testing.assert_allclose(fit.value.get("c", "b"), se3.inv(T[2]) @ T[1], atol=1e-12)
     with pytest.raises(FrameError, match="Known: a, b, c, d"):
         fit.value.get("a", "e")
@@ -81,10 +80,10 @@ def test_frame_set_names_what_it_knows() -> None:
 
 def test_what_cannot_be_solved_is_refused() -> None:
     with pytest.raises(FrameError, match="got none"):
-        solve([], ())
+        solve_poses([], ())
     some = measured(None)
     some[2] = Edge("d", "c", some[2].T, None, "drawing")
     with pytest.raises(FrameError, match=r"got none of d to c \(drawing\)"):
-        solve(some, NAMES)
+        solve_poses(some, NAMES)
     with pytest.raises(NotExcited, match="numbers"):
-        solve([Edge(e.a, e.b, e.T) for e in measured(None)[:3]], NAMES)
+        solve_poses([Edge(e.a, e.b, e.T) for e in measured(None)[:3]], NAMES)

@@ -10,7 +10,7 @@ import pytest
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.frames import Circle, Sphere, fit_circle, fit_sphere
-from armlab.frames.round import _circle_residuals, _circle_step
+from armlab.frames.circle_sphere import _circle_residuals, _circle_step
 from armlab.lie import se3, so3
 
 SIGMA = 5e-5

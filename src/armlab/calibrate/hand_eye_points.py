@@ -24,7 +24,7 @@ from armlab.calibrate._orientation_readings import require_order_of_robot
 from armlab.calibrate.hand_eye import LIMITS, WHAT
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Fit, check_spread, nonlinear_least_squares, unhurried
-from armlab.frames._check import marker_points, sightings
+from armlab.frames.inputs import marker_points, sightings
 from armlab.lie import se3
 from armlab.models import HandEye
 from armlab.models.hand_eye import FRAMES

@@ -15,10 +15,8 @@ from numpy.typing import ArrayLike
 from armlab import kernels
 from armlab._numbers import make_read_only, number
 from armlab.errors import NotExcited, ShapeError
-from armlab.frames._check import marker_points, sightings
+from armlab.frames.inputs import marker_points, sightings
 from armlab.lie import so3
-
-__all__ = ["MarkerPoses", "marker_pose"]
 
 LINE = 1e-6  # breadth over length below which points lie in a line
 FEWEST = 3

@@ -1,8 +1,11 @@
-"""Which points belong to a feature: the best of many features through as few points as make one.
+"""Points that belong to a feature: the best of many features through as few points as make one.
 
 Each minimal set of points makes a feature; its scale is the h-th smallest distance of all points from it,
 ``h = (N + size + 1) / 2``, so that nearly half of the points may be anywhere (Rousseeuw 1984, least median of squares).
 The h points nearest to the feature of smallest scale are refitted; flags then follow the refit.
+
+Squared distances from minimal sets are computed for many sets at once; sets that make no feature, as three points in a
+line, give NaN or infinity.
 """
 
 from __future__ import annotations
@@ -16,9 +19,6 @@ import numpy as np
 
 from armlab.errors import NotExcited
 from armlab.estimation.measurements import median_norm
-from armlab.frames._cloud import rounding
-
-__all__ = ["chosen"]
 
 ALL_SETS = comb(60, 3)  # up to here every set is tried
 SOME_SETS = 500
@@ -32,7 +32,7 @@ Squares = Callable[[np.ndarray, np.ndarray], np.ndarray]
 Refit = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
 
-def chosen(
+def inliers(
     p: np.ndarray, size: int, numbers: int, through: Squares, refit: Refit, sigma: float | None, what: str
 ) -> np.ndarray:
     """Return which points (N,) belong to the feature.
@@ -93,3 +93,62 @@ def _sets(count: int, size: int) -> np.ndarray:
         return np.array(list(combinations(range(count), size)))
     rng = np.random.default_rng([count, size])
     return np.stack([rng.choice(count, size, replace=False) for _ in range(SOME_SETS)])
+
+
+def planes(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return squared distances (S, N) from the planes through sets (S, 3, 3)."""
+    n = np.cross(sets[:, 1] - sets[:, 0], sets[:, 2] - sets[:, 0])
+    length = np.linalg.norm(n, axis=1, keepdims=True)
+    n = np.divide(n, length, out=np.full_like(n, np.nan), where=length > 0)
+    return (n @ p.T - np.sum(n * sets[:, 0], axis=1)[:, None]) ** 2
+
+
+def lines(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return squared distances (S, N) from the lines through sets (S, 2, 3)."""
+    v = sets[:, 1] - sets[:, 0]
+    length = np.linalg.norm(v, axis=1, keepdims=True)
+    v = np.divide(v, length, out=np.full_like(v, np.nan), where=length > 0)
+    away = p - sets[:, :1]
+    return np.sum(np.cross(away, v[:, None]) ** 2, axis=2)
+
+
+def circles(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return squared distances (S, N) from the circles through sets (S, 3, 3)."""
+    a, b = sets[:, 1] - sets[:, 0], sets[:, 2] - sets[:, 0]
+    n = np.cross(a, b)
+    twice = np.sum(n**2, axis=1, keepdims=True)
+    aa, bb = np.sum(a**2, axis=1, keepdims=True), np.sum(b**2, axis=1, keepdims=True)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        to_centre = (np.cross(n, a) * bb + np.cross(b, n) * aa) / (2.0 * twice)
+        unit = n / np.sqrt(twice)
+        away = p - (sets[:, 0] + to_centre)[:, None]
+        z = np.einsum("snk,sk->sn", away, unit)
+        rho = np.sqrt(np.maximum(np.sum(away**2, axis=2) - z**2, 0.0))
+        return (rho - np.linalg.norm(to_centre, axis=1)[:, None]) ** 2 + z**2
+
+
+def spheres(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return squared distances (S, N) from the spheres through sets (S, 4, 3)."""
+    edges = sets[:, 1:] - sets[:, :1]
+    volume = np.abs(np.linalg.det(edges)) > 1e-12 * np.linalg.norm(edges, axis=2).prod(axis=1)
+    squares = np.full((len(sets), len(p)), np.nan)
+    to_centre = np.linalg.solve(edges[volume], 0.5 * np.sum(edges[volume] ** 2, axis=2)[..., None])[..., 0]
+    away = p - (sets[volume, 0] + to_centre)[:, None]
+    squares[volume] = (np.linalg.norm(away, axis=2) - np.linalg.norm(to_centre, axis=1)[:, None]) ** 2
+    return squares
+
+
+def rounding(p: np.ndarray) -> float:
+    """Return the size of rounding in points (N, 3): no deviation is known to be smaller."""
+    return 1e-14 * max(float(np.abs(p).max(initial=0.0)), 1e-300)
+
+
+def principal(p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return centroid, principal directions (3, 3) as rows, strongest first, and sums of squares (3,) along them.
+
+    Their signs are chosen, not left to the decomposition: the largest component is positive.
+    """
+    c = p.mean(axis=0)
+    R = np.linalg.qr(p - c, mode="r")  # a million points have the directions of three
+    _, singular, axes = np.linalg.svd(np.vstack([R, np.zeros((3 - len(R), 3))]))
+    return c, axes * np.where(axes[np.arange(3), np.abs(axes).argmax(axis=1)] < 0, -1.0, 1.0)[:, None], singular**2

@@ -1,4 +1,4 @@
-"""What the fits of all features have in common: points and noise as given, points that belong, the side, the result."""
+"""Parts shared by the fits of all features: checked points and noise, inliers, the sign of a normal, the result."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ from numpy.typing import ArrayLike
 
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Excitation, Fit
-from armlab.frames import _check
-from armlab.frames._consensus import Refit, Squares, chosen
+from armlab.frames import inputs
 from armlab.frames.features import Circle, Line, Plane, Sphere
-
-__all__ = ["LIMIT", "SURE", "Cloud", "result", "text", "upward"]
+from armlab.frames.ransac import Refit, Squares, inliers
 
 Feature = TypeVar("Feature", Plane, Line, Circle, Sphere)
 
@@ -32,16 +30,16 @@ class Cloud:
     """
 
     def __init__(self, p: ArrayLike, noise: Any, least: int, what: str) -> None:
-        self.p = _check.points(p)
-        self.sigma, self.each = _check.noises_of(noise, len(self.p))
+        self.p = inputs.points(p)
+        self.sigma, self.each = inputs.noises_of(noise, len(self.p))
         self.kept = np.ones(len(self.p), dtype=bool)
         self._needed, self._what = least + (self.sigma is None), what
-        _check.enough(len(self.p), self._needed, what)
+        inputs.enough(len(self.p), self._needed, what)
 
     def choose(self, size: int, numbers: int, through: Squares, refit: Refit) -> None:
-        """Keep the points that belong to the feature, see `_consensus.chosen`."""
-        self.kept = chosen(self.p, size, numbers, through, refit, self.sigma, self._what)
-        _check.enough(int(self.kept.sum()), self._needed, self._what)
+        """Keep the points that belong to the feature, see `ransac.inliers`."""
+        self.kept = inliers(self.p, size, numbers, through, refit, self.sigma, self._what)
+        inputs.enough(int(self.kept.sum()), self._needed, self._what)
 
 
 def result(
@@ -89,9 +87,9 @@ def upward(
     if toward is not None and normal is not None:
         raise ShapeError("Expected toward= or normal=, got both. Either says on which side the normal is.")
     if normal is not None:
-        side, least = float(n @ _check.direction(normal, "normal")), 1e-6
+        side, least = float(n @ inputs.direction(normal, "normal")), 1e-6
     elif toward is not None:
-        side, least = float(n @ (_check.vector(toward, "toward") - c)), SURE * reach
+        side, least = float(n @ (inputs.vector(toward, "toward") - c)), SURE * reach
     else:
         side, least = float(n @ c), SURE * reach
         if not abs(side) > least:

@@ -7,26 +7,30 @@ direction k of N points and sigma the noise of a coordinate,
     plane: tilt about axis 1  sigma^2 / lambda_2,  about axis 2  sigma^2 / lambda_1,  offset at centroid  sigma^2 / N
     line:  tilt about each axis  sigma^2 / lambda_1,  offset of the centroid along each axis  sigma^2 / N
 
-and no two of them are correlated. A direction of which the points tell no more than the noise is refused.
+and no two of them are correlated. A direction whose spread is no larger than the noise is refused.
+
+Noise that differs between directions or points: with e the distances of a point from the feature, D their directions
+(k, 3) and C the covariance of the point, the cost is the sum of ``e^T S^-1 e``, ``S = D C D^T``. S depends on the
+feature; the gradient of the cost is nevertheless that of plain residuals when the lever of a tilt is taken at the most
+likely place ``p - C D^T S^-1 e``, not at p.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab.errors import NotExcited, ShapeError
-from armlab.estimation import Fit, check_spread
-from armlab.frames import _check, _minimal, _weighted
-from armlab.frames._cloud import principal, rounding
-from armlab.frames._fitting import LIMIT, SURE, Cloud, result, text, upward
+from armlab.estimation import Fit, Measurement, NonlinearSolution, Problem, check_spread, nonlinear_least_squares
+from armlab.frames import inputs, ransac
+from armlab.frames.feature_fit import LIMIT, SURE, Cloud, result, text, upward
 from armlab.frames.features import Line, Plane
-
-__all__ = ["fit_line", "fit_plane"]
+from armlab.frames.ransac import inliers, principal, rounding
+from armlab.lie import so3
 
 Flat = TypeVar("Flat", Plane, Line)
 
@@ -67,10 +71,10 @@ def fit_plane(
         the side.
     NotExcited : too few points; points along a line, with its direction; a plane through the origin without a hint.
     """
-    limit, cloud = _check.limit_of(limit), Cloud(p, noise, 3, "plane")
+    limit, cloud = inputs.limit_of(limit), Cloud(p, noise, 3, "plane")
     p, sigma = cloud.p, cloud.sigma
     if robust:
-        cloud.choose(3, 1, _minimal.planes, lambda which: _plane_distances(cloud.p, which))
+        cloud.choose(3, 1, ransac.planes, lambda which: _plane_distances(cloud.p, which))
     kept = cloud.kept
     c, axes, squares = principal(p[kept])
     freedom = int(kept.sum()) - 3
@@ -118,9 +122,9 @@ def fit_line(
     ShapeError : points are no (N, 3) or not finite, with their rows; `along` is across the line.
     NotExcited : too few points; points in one place; a first and a last point in one place without a hint.
     """
-    limit, cloud = _check.limit_of(limit), Cloud(p, noise, 2, "line")
+    limit, cloud = inputs.limit_of(limit), Cloud(p, noise, 2, "line")
     if robust:
-        cloud.choose(2, 2, _minimal.lines, lambda which: _line_distances(cloud.p, which))
+        cloud.choose(2, 2, ransac.lines, lambda which: _line_distances(cloud.p, which))
     p, sigma = cloud.p[cloud.kept], cloud.sigma
     c, axes, squares = principal(p)
     freedom = 2 * len(p) - 4
@@ -132,7 +136,7 @@ def fit_line(
     excitation = _judge((told, told), used, len(p), squares, limit, Line, names)
     v = _forward(axes[0], p[-1] - p[0], float(np.sqrt(2.0)) * used, along)
     cov = np.diag([tilt, tilt, offset, offset])
-    value = Line(v, c - v * (v @ c), c, _check.across(v), cov)
+    value = Line(v, c - v * (v @ c), c, inputs.across(v), cov)
     away = value.offset(cloud.p)
     fit = result(value, _parameters(value), cov, np.array([found]), away, cloud.kept, excitation, _report)
     return fit if cloud.each is None else _reweighted(fit, cloud.p, cloud.each, robust, limit)
@@ -141,7 +145,7 @@ def fit_line(
 def _forward(v: np.ndarray, step: np.ndarray, sigma: float, along: ArrayLike | None) -> np.ndarray:
     """Return the direction of a line with the sign of the rule."""
     if along is not None:
-        side = float(v @ _check.direction(along, "along"))
+        side = float(v @ inputs.direction(along, "along"))
         if abs(side) <= 1e-6:
             raise ShapeError("Expected along= roughly along the line, got a direction across it. Give another one.")
         return v if side > 0 else -v
@@ -211,7 +215,7 @@ def _parameters(value: Plane | Line) -> np.ndarray:
 
 def _reweighted(fit: Fit[Flat], p: np.ndarray, cov: np.ndarray, robust: bool, limit: float) -> Fit[Flat]:
     """Return the fit of points with covariances (N, 3, 3), starting at one that takes them for equal."""
-    solve: Any = _weighted.plane if isinstance(fit.value, Plane) else _weighted.line
+    solve: Any = weighted_plane if isinstance(fit.value, Plane) else weighted_line
     found = solve(p, cov, fit.value, robust)
     value = replace(found.value, cov=found.cov)
     kept = ~found.outliers
@@ -239,3 +243,119 @@ def _report(fit: Fit[Any]) -> str:
         head = f"line x = r + s v with v = {text(value.v)}, r = {text(value.r)} m"
     head += f", centroid {text(value.centroid)} m\naxis 1 {text(value.axes[0])}, axis 2 {text(value.axes[1])}"
     return f"{head}\n{fit.table()}"
+
+
+def weighted_plane(p: np.ndarray, cov: np.ndarray, start: Plane, robust: bool) -> NonlinearSolution[Plane]:
+    """Return the most likely plane of points (N, 3) with covariances (N, 3, 3), near a start."""
+
+    def evaluate(value: Plane) -> list[Measurement]:
+        e, root, away = _likely(p - value.centroid, value.n[None], cov)
+        lift = away @ np.cross(value.axes, value.n).T
+        J = np.concatenate([lift, np.full((len(p), 1), -1.0)], axis=1)[:, None]
+        return [_whitened(e, J, root)]
+
+    def step(value: Plane, x: np.ndarray) -> Plane:
+        n, axes = inputs.turned(so3.exp(x[:2] @ value.axes), value.n, value.axes)
+        c = value.centroid + x[2] * value.n
+        return Plane(n, float(n @ c), c, axes)
+
+    return nonlinear_least_squares(Problem(evaluate, step, what="plane"), start, robust=robust)
+
+
+def weighted_line(p: np.ndarray, cov: np.ndarray, start: Line, robust: bool) -> NonlinearSolution[Line]:
+    """Return the most likely line of points (N, 3) with covariances (N, 3, 3), near a start."""
+
+    def evaluate(value: Line) -> list[Measurement]:
+        e, root, away = _likely(p - value.centroid, value.axes, cov)
+        lever = away @ value.v
+        J = np.zeros((len(p), 2, 4))
+        J[:, 1, 0], J[:, 0, 1] = lever, -lever
+        J[:, 0, 2] = J[:, 1, 3] = -1.0
+        return [_whitened(e, J, root)]
+
+    def step(value: Line, x: np.ndarray) -> Line:
+        v, axes = inputs.turned(so3.exp(x[:2] @ value.axes), value.v, value.axes)
+        c = value.centroid + x[2:] @ value.axes
+        return Line(v, c - v * (v @ c), c, axes)
+
+    return nonlinear_least_squares(Problem(evaluate, step, what="line"), start, robust=robust)
+
+
+def _likely(away: np.ndarray, D: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return distances (N, k), the root of their covariance (N, k, k), and where the points (N, 3) most likely are."""
+    e, CD = away @ D.T, cov @ D.T
+    S = D @ CD
+    return e, np.linalg.cholesky(S), away - (CD @ np.linalg.solve(S, e[..., None]))[..., 0]
+
+
+def _whitened(e: np.ndarray, J: np.ndarray, root: np.ndarray) -> Measurement:
+    """Return distances (N, k) in deviations: the descent then judges its steps by the whole cost."""
+    k = e.shape[1]
+    return Measurement(
+        np.linalg.solve(root, e[..., None])[..., 0], np.linalg.solve(root, J), np.eye(k), ("distance",) * k
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class OffsetCheck:
+    """Distances of points from a known plane, up to one constant.
+
+    Attributes
+    ----------
+    offset : the constant, mean of the points that agree [m]. sd : its standard deviation [m].
+    sigma : noise of a distance [m].
+    distances : (N,) signed, from the plane [m]. outliers : (N,) points that are not at the common distance.
+    """
+
+    offset: float
+    sd: float
+    sigma: float
+    distances: np.ndarray
+    outliers: np.ndarray
+
+    def text(self) -> str:
+        """Return a line on the constant, and one per outlier."""
+        lines = [f"offset {self.offset:.6g} +- {self.sd:.2g} m, noise {self.sigma:.2g} m"]
+        lines += [f"point {i}: {self.distances[i] - self.offset:+.6g} m off" for i in np.flatnonzero(self.outliers)]
+        return "\n".join(lines)
+
+
+def check_offset(plane: Plane, p: ArrayLike, *, noise: float | None = None) -> OffsetCheck:
+    """Check that points lie at one distance from a known plane, whatever that distance is.
+
+    Half of the points but one may be anywhere. The constant is that of the probe's tip: its radius, or its length.
+
+    Parameters
+    ----------
+    plane : known, as from a file of a tracker. p : (N, 3) points, N >= 3 [m].
+    noise : standard deviation of each distance [m]; estimated when left out.
+
+    Raises
+    ------
+    ShapeError : points are no (N, 3) or not finite. NotExcited : fewer than three points.
+    """
+    if not isinstance(plane, Plane):
+        raise ShapeError(f"Expected a Plane, got {type(plane).__name__}. Plane.of makes one from a normal and a point.")
+    p, sigma = inputs.points(p), inputs.noise_of(noise)
+    heights = plane.distance(p)
+
+    def through(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
+        return (plane.distance(p) - plane.distance(sets[:, 0])[:, None]) ** 2
+
+    def refit(kept: np.ndarray) -> tuple[float, np.ndarray]:
+        away = heights - heights[kept].mean()
+        return float(np.sqrt(np.sum(away[kept] ** 2) / max(kept.sum() - 1, 1))), away**2
+
+    kept = inliers(p, 1, 1, through, refit, sigma, "distance")
+    if kept.sum() < 2:
+        raise NotExcited(
+            f"Expected at least 2 points that agree on a distance, got {int(kept.sum())}. Measure more points.",
+            ["offset"],
+            [f"{int(kept.sum())} points"],
+        )
+    found, _ = refit(kept)
+    sd = max(sigma or found, rounding(p)) / float(np.sqrt(kept.sum()))
+    outliers = ~kept
+    for array in (heights, outliers):
+        array.flags.writeable = False
+    return OffsetCheck(float(heights[kept].mean()), sd, found, heights, outliers)

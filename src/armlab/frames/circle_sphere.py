@@ -17,13 +17,11 @@ from numpy.typing import ArrayLike
 from armlab.errors import NotConverged, NotExcited
 from armlab.estimation import Excitation, Fit, Measurement, NonlinearSolution, Problem, check_spread
 from armlab.estimation import nonlinear_least_squares as solve
-from armlab.frames import _check, _minimal
-from armlab.frames._cloud import principal, rounding
-from armlab.frames._fitting import LIMIT, Cloud, result, text, upward
+from armlab.frames import inputs, ransac
+from armlab.frames.feature_fit import LIMIT, Cloud, result, text, upward
 from armlab.frames.features import Circle, Sphere
+from armlab.frames.ransac import principal, rounding
 from armlab.lie import so3
-
-__all__ = ["fit_circle", "fit_sphere"]
 
 SCALE = 0.3  # of the radius: the largest deviation of centre and radius that is accepted
 Round = TypeVar("Round", Circle, Sphere)
@@ -65,7 +63,7 @@ def fit_circle(
         return _descend(cloud, which, _circle_start(cloud.p[which]), _circle_residuals, _circle_step)
 
     if robust:
-        cloud.choose(3, 2, _minimal.circles, lambda which: _refit(cloud, 4, fit, _circle_residuals, which))
+        cloud.choose(3, 2, ransac.circles, lambda which: _refit(cloud, 4, fit, _circle_residuals, which))
     found = fit(cloud.kept)
     value = found.value
     excitation = _judge(found, value)
@@ -103,7 +101,7 @@ def fit_sphere(p: ArrayLike, *, noise: ArrayLike | None = None, robust: bool = F
         return _descend(cloud, which, start, _sphere_residuals, _sphere_step)
 
     if robust:
-        cloud.choose(4, 1, _minimal.spheres, lambda which: _refit(cloud, 5, fit, _sphere_residuals, which))
+        cloud.choose(4, 1, ransac.spheres, lambda which: _refit(cloud, 5, fit, _sphere_residuals, which))
     found = fit(cloud.kept)
     excitation = _judge(found, found.value)
     value = Sphere(found.value.centre, found.value.radius, found.cov)
@@ -165,7 +163,7 @@ def _refit(
     which: np.ndarray,
 ) -> tuple[float, np.ndarray]:
     """Return the noise of some of the points, and squared distances (N,) of all from their feature."""
-    _check.enough(int(which.sum()), least, "circle or sphere")
+    inputs.enough(int(which.sum()), least, "circle or sphere")
     found = fit(which)
     return float(found.sigma[0]), np.sum(residuals(found.value, cloud.p)[0] ** 2, axis=1)
 
@@ -186,7 +184,7 @@ def _circle_residuals(value: Circle, p: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _circle_step(value: Circle, x: np.ndarray) -> Circle:
-    n, axes = _check.turned(so3.exp(x[3:5] @ value.axes), value.n, value.axes)
+    n, axes = inputs.turned(so3.exp(x[3:5] @ value.axes), value.n, value.axes)
     return Circle(value.centre + x[:3], n, max(value.radius + x[5], 1e-3 * value.radius), axes)
 
 
