@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from armlab.kinematics.derivative import jacobian_derivative
-from armlab.kinematics.forward import forward, link_transforms
-from armlab.kinematics.frame_jacobian import frame_jacobian, frame_poses, twist_jacobian
+from armlab.kinematics.forward import (
+    forward,
+    forward_jacobian,
+    frame_jacobian,
+    frame_poses,
+    jacobian,
+    jacobian_derivative,
+    link_transforms,
+    twist_jacobian,
+)
 from armlab.kinematics.inverse import Inverse, inverse
-from armlab.kinematics.jacobian import forward_jacobian, jacobian
 from armlab.kinematics.manipulability import (
     Ellipsoid,
     ellipsoid,

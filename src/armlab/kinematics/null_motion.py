@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 
 from armlab._numbers import make_read_only
 from armlab.errors import RobotError, ShapeError, SingularPoseError, UnknownName
-from armlab.kinematics.forward import forward
-from armlab.kinematics.jacobian import jacobian
+from armlab.kinematics.forward import forward, jacobian
 from armlab.lie import so3
 from armlab.robots import Robot
 
