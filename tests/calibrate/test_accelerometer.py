@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.calibrate import fit_accelerometer
-from armlab.calibrate._weight_equation import Equation, Load
+from armlab.calibrate.gravity_load.model import Load, WeightEquation
 from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.lie import se3, so3
@@ -45,7 +45,7 @@ def test_exact_data_give_the_exact_answer(weights, scale) -> None:
 def experiment_of(weights, scale: bool):
     def experiment(seed: int, n: int) -> Experiment:
         RA, acc, truth = draw(weights, [3500, seed], n)
-        equation = Equation(RA, acc, -G, True, None if scale else 1.0, np.full(3, SIGMA**2), ("a",) * 3, "")
+        equation = WeightEquation(RA, acc, -G, True, None if scale else 1.0, np.full(3, SIGMA**2), ("a",) * 3, "")
         (at,) = equation.evaluate(Load(truth["R"], -G, truth["bias"], np.zeros(3)))
         J = at.J.reshape(-1, at.J.shape[2]) / SIGMA
         data = {"T_base_tool": RA, "acc": acc, "noise": SIGMA, "gravity": G}

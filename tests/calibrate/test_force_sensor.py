@@ -9,8 +9,7 @@ import pytest
 
 from armlab import models, sim
 from armlab.calibrate import fit_force_sensor
-from armlab.calibrate._weight_closed import Found, closed_form, is_closed
-from armlab.calibrate._weight_equation import Equation, Load, Turn
+from armlab.calibrate.gravity_load.model import Found, Load, Turn, WeightEquation, closed_form, is_closed
 from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator, nonlinear_least_squares
 from armlab.lie import se3, so3
@@ -24,8 +23,10 @@ def variances(width: int) -> np.ndarray:
     return np.repeat(np.square(NOISE[width]), 3)[:width] if width == 6 else np.full(3, 0.01)
 
 
-def equation_of(data: Any, pull: np.ndarray | None = G, noise: np.ndarray | None = None, bias: bool = True) -> Equation:
-    return Equation(data.RA, data.y, pull, bias, None, noise, WRENCH[: data.y.shape[1]], "force sensor")
+def equation_of(
+    data: Any, pull: np.ndarray | None = G, noise: np.ndarray | None = None, bias: bool = True
+) -> WeightEquation:
+    return WeightEquation(data.RA, data.y, pull, bias, None, noise, WRENCH[: data.y.shape[1]], "force sensor")
 
 
 def error(fit: Fit[Any], truth: dict[str, Any]) -> np.ndarray:
@@ -119,7 +120,7 @@ def test_the_closed_form_has_the_covariance_that_the_solver_finds(weights, bias,
     for tilt in (None, 0.5):
         data = weights.draw(7, tilt=tilt)
         y = data.y if bias else data.y - data.bias[:3]
-        equation = Equation(data.RA, y, G, bias, mass, noise, WRENCH[:3], "force sensor")
+        equation = WeightEquation(data.RA, y, G, bias, mass, noise, WRENCH[:3], "force sensor")
         assert is_closed(equation)
         closed = closed_form(equation)
         solved = Found.of(equation, nonlinear_least_squares(equation.problem(), equation.start()))
@@ -178,7 +179,7 @@ def test_gravity_in_a_plane_leaves_the_hand_undecided(weights) -> None:
     y = G @ RA @ data.R + data.bias + 0.1 * np.random.default_rng(0).standard_normal((100, 3))
     assert "undecided whether an axis of the sensor is mirrored" in fit_force_sensor(RA, y, gravity=G).report()
     assert "undecided" not in fit_force_sensor(**data.given).report()
-    assert abs(Turn.of(Equation(RA, y, G, True, None, None, WRENCH[:3], "")).difference) < 20.0
+    assert abs(Turn.of(WeightEquation(RA, y, G, True, None, None, WRENCH[:3], "")).difference) < 20.0
 
 
 @pytest.mark.parametrize("tilt", [None, np.radians(30.0)], ids=["uniform", "tilt 30 degrees"])

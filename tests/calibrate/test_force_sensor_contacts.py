@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.calibrate import fit_force_sensor
-from armlab.calibrate._weight_equation import Equation, Load
-from armlab.calibrate._weight_start import likely, twin
+from armlab.calibrate.gravity_load.model import Load, WeightEquation, likely_samples, mirror_solution
 from armlab.lie import so3
 
 G = np.array([0.0, 0.0, -9.82])
@@ -37,19 +36,19 @@ def test_contacts_do_not_lead_to_another_answer(weights, known, torque, unknown,
 def test_a_start_leaves_contacts_out(weights, pull) -> None:
     data = weights.draw(21, tilt=TILT, contacts=30)
     y = data.y
-    found = likely(Equation(data.RA, y, pull, True, None, None, ("force [N]",) * 3, "force sensor"))
+    found = likely_samples(WeightEquation(data.RA, y, pull, True, None, None, ("force [N]",) * 3, "force sensor"))
     assert not found[:30].any()
     assert found[30:].sum() > 60
-    few = Equation(data.RA[:5], y[:5], pull, True, None, None, ("force [N]",) * 3, "force sensor")
-    assert likely(few).all()  # as many unknowns: nothing to tell by
+    few = WeightEquation(data.RA[:5], y[:5], pull, True, None, None, ("force [N]",) * 3, "force sensor")
+    assert likely_samples(few).all()  # as many unknowns: nothing to tell by
 
 
 @pytest.mark.parametrize("torque", [None, 0.0], ids=["forces", "torques"])
 def test_the_twin_reads_the_same_to_first_order(weights, torque) -> None:
     for tilt in (0.2, 0.02):
         data = weights.draw(22, sigma=0.0, tilt=tilt, torque=torque)
-        equation = Equation(data.RA, data.y, None, True, None, None, ("f",) * data.y.shape[1], "force sensor")
-        other = twin(equation, Load(data.R, G, data.bias, data.centre))
+        equation = WeightEquation(data.RA, data.y, None, True, None, None, ("f",) * data.y.shape[1], "force sensor")
+        other = mirror_solution(equation, Load(data.R, G, data.bias, data.centre))
         assert other is not None
         assert np.abs(so3.log(data.R.T @ other.R)).max() > 1.0
         np.testing.assert_array_equal(other.gamma, -G)
@@ -60,5 +59,5 @@ def test_the_twin_reads_the_same_to_first_order(weights, torque) -> None:
 def test_where_there_is_no_twin(weights) -> None:
     for tilt, bias in ((None, True), (0.1, False)):
         data = weights.draw(23, tilt=tilt)
-        equation = Equation(data.RA, data.y, None, bias, None, None, ("f",) * 3, "force sensor")
-        assert twin(equation, Load(data.R, G, data.bias, data.centre)) is None
+        equation = WeightEquation(data.RA, data.y, None, bias, None, None, ("f",) * 3, "force sensor")
+        assert mirror_solution(equation, Load(data.R, G, data.bias, data.centre)) is None

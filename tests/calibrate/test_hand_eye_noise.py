@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from armlab.calibrate import fit_hand_eye, fit_hand_eye_points
-from armlab.calibrate._hand_eye_equation import Equation, Pair
-from armlab.calibrate._marker_equation import Points, Sight
+from armlab.calibrate.hand_eye import HandEyeEquation, Pair
+from armlab.calibrate.hand_eye_points import PointModel, Points
 from armlab.estimation import Fit
 from armlab.lie import se3, so3
 
@@ -29,9 +29,9 @@ def error(fit: Fit[Any], truth: tuple[Any, Any, Any]) -> np.ndarray:
     return np.concatenate([first, pose_error(fit.value.Y, Y)])
 
 
-def sight_of(data: Any, seen: np.ndarray) -> Sight:
+def sight_of(data: Any, seen: np.ndarray) -> PointModel:
     sample, point = np.nonzero(seen)
-    return Sight(data.A[:, :3, :3], data.A[:, :3, 3], data.p[seen], sample, point, seen.shape[1], None)
+    return PointModel(data.A[:, :3, :3], data.A[:, :3, 3], data.p[seen], sample, point, seen.shape[1], None)
 
 
 def test_noise_of_the_robot_reaches_all_points_of_a_sample(leds) -> None:
@@ -153,9 +153,9 @@ def test_noise_of_the_robot_reaches_position_and_rotation_of_a_pair() -> None:
     at = Pair(X[:3, :3], X[:3, 3], Y[:3, :3], Y[:3, 3])
 
     def residuals(step: np.ndarray) -> np.ndarray:
-        moved = Equation(A[:, :3, :3] @ so3.exp(step[3:]), A[:, :3, 3] + step[:3], B[:, :3, :3], B[:, :3, 3])
+        moved = HandEyeEquation(A[:, :3, :3] @ so3.exp(step[3:]), A[:, :3, 3] + step[:3], B[:, :3, :3], B[:, :3, 3])
         return moved.evaluate(at)[0].r
 
     G = np.stack([(residuals(step) - residuals(-step)) / 2e-6 for step in np.eye(6) * 1e-6], axis=2)
-    added = Equation(A[:, :3, :3], A[:, :3, 3], B[:, :3, :3], B[:, :3, 3], None, S).evaluate(at)[0].added
+    added = HandEyeEquation(A[:, :3, :3], A[:, :3, 3], B[:, :3, :3], B[:, :3, 3], None, S).evaluate(at)[0].added
     np.testing.assert_allclose(added, G @ S @ G.transpose(0, 2, 1), rtol=1e-7, atol=1e-7)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.calibrate import fit_hand_eye_points
-from armlab.calibrate._marker_equation import Points, Sight
+from armlab.calibrate.hand_eye_points import PointModel, Points
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.lie import se3, so3
@@ -27,9 +27,9 @@ def error(fit: Fit[Any], truth: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np
     return np.concatenate([first, pose_error(fit.value.Y, Y)])
 
 
-def sight_of(data: Any, seen: np.ndarray, noise: np.ndarray | None = None) -> Sight:
+def sight_of(data: Any, seen: np.ndarray, noise: np.ndarray | None = None) -> PointModel:
     sample, point = np.nonzero(seen)
-    return Sight(data.A[:, :3, :3], data.A[:, :3, 3], data.p[seen], sample, point, seen.shape[1], noise)
+    return PointModel(data.A[:, :3, :3], data.A[:, :3, 3], data.p[seen], sample, point, seen.shape[1], noise)
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["known marker", "unknown marker"])
@@ -95,7 +95,7 @@ def test_jacobian_is_the_derivative_of_the_residual(leds, known) -> None:
     free = Points(leds.marker @ X[:3, :3].T + X[:3, 3], Y[:3, :3], Y[:3, 3])
     value = free
     if known:
-        from armlab.calibrate._marker_equation import marked_start
+        from armlab.calibrate.hand_eye_points import marked_start
 
         value = marked_start(free, leds.marker)
         np.testing.assert_allclose(value.poses()[0], X, atol=1e-12)
@@ -139,7 +139,7 @@ def experiment_of(leds, known: bool, missing: bool):
         sight, Y = sight_of(clean, seen), data.Y
         free = Points(points, Y[:3, :3], Y[:3, 3])
         if known:
-            from armlab.calibrate._marker_equation import marked_start
+            from armlab.calibrate.hand_eye_points import marked_start
 
             (truth,) = sight.marked(leds.marker).evaluate(marked_start(free, leds.marker))
         else:

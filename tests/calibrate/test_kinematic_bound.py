@@ -12,7 +12,7 @@ import pytest
 
 from armlab import robots
 from armlab.calibrate import fit_kinematics
-from armlab.calibrate._arm import Arm
+from armlab.calibrate.kinematics.model import Arm
 from armlab.errors import NotExcited
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.kinematics import forward

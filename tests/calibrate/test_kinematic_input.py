@@ -10,9 +10,8 @@ import pytest
 
 from armlab import robots
 from armlab.calibrate import fit_kinematics
-from armlab.calibrate._arm import Arm
-from armlab.calibrate._kinematic_data import measured_kinds
-from armlab.calibrate._kinematic_problem import KinematicProblem, State
+from armlab.calibrate.kinematics.measurements import measured_kinds
+from armlab.calibrate.kinematics.model import Arm, KinematicProblem, State
 from armlab.errors import ConfigError, NotConverged, NotExcited, RobotError, ShapeError, UnknownName
 from armlab.kinematics import forward
 from armlab.lie import se3

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.calibrate import fit_kinematics, kinematics
+from armlab.calibrate import fit_kinematics
+from armlab.calibrate.kinematics.fit import LIMITS
 from armlab.errors import NotExcited
 from armlab.estimation import Fit
 from armlab.kinematics import forward
@@ -199,4 +200,4 @@ class TestRefusals:
     def test_limits_are_arguments(self, case) -> None:
         with pytest.raises(NotExcited, match="worse than the limit"):
             fit_kinematics(case.robot, case.q, pose=case.pose, noise=NOISE, limits=(1e-6, 1e-6))
-        assert kinematics.LIMITS == (0.05, 0.05)
+        assert LIMITS == (0.05, 0.05)

@@ -11,8 +11,7 @@ import pytest
 
 from armlab import models, robots
 from armlab.calibrate import fit_kinematics
-from armlab.calibrate._arm import Arm
-from armlab.calibrate._kinematic_problem import pose_residual
+from armlab.calibrate.kinematics.model import Arm, pose_residual
 from armlab.estimation import Fit
 from armlab.kinematics import forward, inverse, jacobian
 from armlab.lie import se3, so3

@@ -1,4 +1,4 @@
-"""What measurements of an arm cannot see, by name: gauge, what a kind of measurement never sees, what was not moved.
+"""Identifiability of an arm's parameters: gauge, directions that a kind of measurement never sees, joints at rest.
 
 Directions are in units of the limits. Three sorts of them are not seen. Gauge: what can go from one frame to the next.
 Missing by nature: a tool point says nothing of the tool's orientation, a distance nothing of where the base stands.
@@ -13,18 +13,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armlab.calibrate.kinematics.model import Arm, ArmState, KinematicProblem, State
 from armlab.errors import NotExcited
 from armlab.estimation import Excitation
+from armlab.lie import se3, so3
 
 NULL = 1e-9  # relative singular value below which nothing is seen
 SEEN = 1e-8  # the same of a direction that is given, whose digits are rounded
 SAME = 0.9  # cosine above which a direction is the one that has a name
 PART = 0.3  # share of the largest component above which a component is named
 UNSEEN = np.inf
+LITTLE = 0.35  # rad or m: a joint that moves less is named where something is missing
+STILL = 1e-3
+TURNED, SHIFTED = 0.5, 0.3  # rad, and share of the reach, by which no link is away from its description
 
 
 @dataclass(frozen=True, eq=False)
-class Suspect:
+class UnobservableDirection:
     """Directions (d, k) that may be unseen, what they are called, and what to do then."""
 
     name: str
@@ -49,8 +54,8 @@ class Judgement:
     limits: np.ndarray
     gauge: np.ndarray
     gauge_names: Sequence[str]
-    nature: Sequence[Suspect]
-    suspects: Callable[[], Sequence[Suspect]]
+    nature: Sequence[UnobservableDirection]
+    suspects: Callable[[], Sequence[UnobservableDirection]]
     what: str
 
     def excitation(self, J: np.ndarray, hold: bool) -> Excitation:
@@ -184,3 +189,100 @@ def _independent(D: np.ndarray) -> np.ndarray:
         return Q
     U, singular, _ = np.linalg.svd(D / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
     return U[:, singular > SEEN]
+
+
+def far_links(arm: Arm, frames: np.ndarray, whose: str = "") -> list[str]:
+    """Return what a report says of the link that is farthest from its description, if it is far."""
+    twists = arm.corrections(frames)[1:-1]
+    if not len(twists):
+        return []
+    shift, turn = np.linalg.norm(twists[:, :3], axis=1), np.linalg.norm(twists[:, 3:], axis=1)
+    reach = float(np.linalg.norm(arm.start[1:, :3, 3], axis=1).sum()) or 1.0
+    share = np.maximum(turn / TURNED, shift / (SHIFTED * reach))
+    j = int(np.argmax(share))
+    if share[j] < 1.0:
+        return []
+    return [
+        f"link {j + 1}{whose} is {shift[j]:.2g} m and {turn[j]:.2g} rad from its description: a reversed joint, an "
+        "offset of a joint, left-handed measurements, another arm?"
+    ]
+
+
+def joints_at_rest(arm: Arm, frames: np.ndarray, at: int, size: int, whose: str = "") -> list[UnobservableDirection]:
+    """Return for each joint that moves little what goes through it from one frame to the next."""
+    found = []
+    reach = np.ptp(arm.q, axis=0)
+    for j in np.flatnonzero(reach < LITTLE):
+        Z, middle = np.eye(4), float(np.mean(arm.q[:, j]))
+        if arm.robot.prismatic[j]:
+            Z[2, 3] = middle
+        else:
+            Z[:3, :3] = so3.exp([0.0, 0.0, middle])
+        D = np.zeros((size, 6))
+        D[at + 6 * j : at + 6 * j + 6] = np.eye(6)
+        D[at + 6 * j + 6 : at + 6 * j + 12] = -se3.adjoint_inv(Z @ frames[j + 1])
+        unit = "mm" if arm.robot.prismatic[j] else "deg"
+        moved = reach[j] * 1000.0 if arm.robot.prismatic[j] else np.degrees(reach[j])
+        name = f"joint {j + 1}{whose} " + ("did not move" if reach[j] < STILL else f"moved by only {moved:.2g} {unit}")
+        found.append(UnobservableDirection(name, D, f"Move joint {j + 1}{whose} over its range."))
+    return found
+
+
+def arm_scale(arm: Arm, frames: np.ndarray) -> np.ndarray:
+    """Return the direction (d,) in which all lengths of the arm grow."""
+    direction = np.zeros(arm.size)
+    direction[: 6 * len(frames)].reshape(-1, 6)[:, :3] = np.einsum("jba,jb->ja", frames[:, :3, :3], frames[:, :3, 3])
+    return direction
+
+
+def never_seen(problem: KinematicProblem, state: State) -> list[UnobservableDirection]:
+    """Return what a kind of measurement may never see: where the base stands, how the tool is turned, all positions."""
+    arm, size = problem.arm, problem.size
+    frames, b = state.arm.frames, arm.size + 3 * problem.points
+    shifts = np.zeros((size, 6))
+    shifts[:6] = se3.adjoint_inv(frames[0])
+    shifts[b : b + 3] = np.hstack([np.eye(3), -so3.hat(state.anchor)])  # the anchor goes with the base
+    found = [
+        UnobservableDirection(f"measurement frame, {verb} {letter}", shifts[:, [k]])
+        for k, (verb, letter) in enumerate((verb, letter) for verb in ("shift along", "turn about") for letter in "xyz")
+    ]
+    if not problem.points:
+        turns = np.zeros((size, 3))
+        turns[6 * arm.n + 3 : 6 * arm.n + 6] = np.eye(3)
+        found += [UnobservableDirection(f"tool orientation about {'xyz'[k]}", turns[:, [k]]) for k in range(3)]
+    places = arm.names
+    if all(kind.name == "pose" and kind.kept.min() >= 3 for kind in problem.kinds):
+        for j in range(arm.n + 1):
+            for k in range(3):
+                column = np.zeros((size, 1))
+                column[6 * j + k] = 1.0
+                found.append(UnobservableDirection(f"{places[6 * j + k]} (only orientation is measured)", column))
+    return found
+
+
+def may_be_missing(problem: KinematicProblem, state: State) -> list[UnobservableDirection]:
+    """Return what the data may fail to see."""
+    arm, size = problem.arm, problem.size
+    a, b = arm.size, arm.size + 3 * problem.points
+    found = joints_at_rest(arm, state.arm.frames, 0, size)
+    if not problem.points and not arm.robot.prismatic[-1]:
+        found.append(_on_last_axis(arm, state.arm, size))
+    scale = np.zeros((size, 1))
+    scale[:a, 0] = arm_scale(arm, state.arm.frames)
+    scale[a:b, 0] = state.points.ravel()
+    if problem.points and problem.tool_held:
+        scale[6 * arm.n : 6 * arm.n + 6] = 0.0
+        scale[a:b, 0] += np.tile(state.arm.frames[-1, :3, :3].T @ state.arm.frames[-1, :3, 3], problem.points)
+    scale[b : b + 3, 0] = state.anchor
+    scale[-1] = -state.length[1]
+    advice = "Measure one length that is known, or give the scale of the instrument."
+    return [*found, UnobservableDirection("overall scale", scale, advice)]
+
+
+def _on_last_axis(arm: Arm, state: ArmState, size: int) -> UnobservableDirection:
+    """Return tilts of the last axis about the tool point."""
+    D = np.zeros((size, 2))
+    D[6 * arm.n - 6 : 6 * arm.n - 3] = so3.hat([0.0, 0.0, state.frames[-1, 2, 3]])[:, :2]
+    D[6 * arm.n - 3 : 6 * arm.n] = np.eye(3)[:, :2]
+    name = f"tool point lies on the axis of joint {arm.n}"
+    return UnobservableDirection(name, D, f"Mount the target away from the axis of joint {arm.n}.")

@@ -1,7 +1,4 @@
-"""Where a kinematic calibration starts: the nominal robot, its foot moved to the frame that was measured in.
-
-Closed forms: Kabsch for points, chordal mean for poses, one linear system for several unknown tool points.
-"""
+"""Start of a kinematic calibration: the nominal robot, its base moved to the frame of the measurements."""
 
 from __future__ import annotations
 
@@ -9,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from armlab.calibrate._arm import Arm
-from armlab.calibrate._kinematic_data import Kind
+from armlab.calibrate.kinematics.measurements import Kind
+from armlab.calibrate.kinematics.model import Arm
 from armlab.errors import ShapeError
 from armlab.lie import se3, so3
 

@@ -1,24 +1,254 @@
-"""Residuals of a kinematic calibration with their Jacobian, for one arm and any kinds of measurement.
+"""Model of a kinematic calibration: unknowns of one arm, residuals of any kinds of measurement with their Jacobian.
 
-Position residuals are differences in the measurement frame, rotations are ``Log(R^T R_measured)``, never the twist in
-the base frame: that turns noise of rotation into noise of position through the lever arm.
+The frames are those of `robots.Robot`, whose joint axes are z: ``T = E_0 Z_1 E_1 ... Z_n E_n``. A step moves each to
+``E_j Exp([v; w])``. What commutes with Z_j can go from E_{j-1} to E_j and no measurement sees it: the gauge.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from armlab.calibrate._arm import Arm, ArmState, Motion, frame_steps
-from armlab.calibrate._kinematic_data import Kind
+from armlab.calibrate.kinematics.measurements import Kind
 from armlab.estimation import Measurement
+from armlab.kernels import Chain
+from armlab.kinematics import frame_poses, twist_jacobian
 from armlab.lie import se3, so3
+from armlab.models.kinematic_correction import harmonic_basis
+from armlab.robots import Robot
 
+GAUGE = {False: (2, 5), True: (0, 1, 2, 5)}  # components of [v; w] that commute with Rz, with Tz
+SMALLEST_ROUNDS, SMALLEST_STEP = 20, 1e-12
+SAME = 1e-2  # m and rad: after a step as short the gauge has hardly turned
+TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 HARMONIC_PRIOR = np.radians(0.1)  # without it amplitudes run to degrees against the geometry
+
+
+class ArmState(NamedTuple):
+    """The unknowns of an arm: frames (n+1, 4, 4), amplitudes (n, 2 m), coefficients (L,)."""
+
+    frames: np.ndarray
+    amplitudes: np.ndarray
+    coefficients: np.ndarray
+
+
+class Motion(NamedTuple):
+    """Where frames and tool are at every sample: P (N, n+1, 4, 4), the last of which is the tool."""
+
+    P: np.ndarray
+
+    @property
+    def T(self) -> np.ndarray:
+        """Poses of the tool (N, 4, 4)."""
+        return self.P[:, -1]
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """What is known of an arm and its samples.
+
+    Attributes
+    ----------
+    robot : nominal. start : (n+1, 4, 4) its frames, the first perhaps moved to the measurement.
+    q : (N, n). waves : (N, n, 2 m) harmonics at q. terms : (N, n, L). orders : of the harmonics.
+    chart : "local_poe", or "poe": steps turn the screws S_j in the base and the home pose M.
+    """
+
+    robot: Robot
+    start: np.ndarray
+    q: np.ndarray
+    waves: np.ndarray
+    terms: np.ndarray
+    orders: tuple[int, ...]
+    chart: str = "local_poe"
+
+    @classmethod
+    def of(cls, robot: Robot, q: np.ndarray, orders: tuple[int, ...], terms: np.ndarray, chart: str) -> Arm:
+        """Return the arm at its nominal frames."""
+        return cls(robot, np.array(robot.frames), q, harmonic_basis(q, orders), terms, orders, chart)
+
+    @cached_property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.robot.n
+
+    @cached_property
+    def size(self) -> int:
+        """Number of unknowns, gauge included."""
+        return 6 * (self.n + 1) + self.waves[0].size + self.terms.shape[2]
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Name of every unknown."""
+        places = ["base", *(f"link {j}" for j in range(1, self.n)), "tool"]
+        frames = [f"{place} {letter}" for place in places for letter in TWIST]
+        waves = [f"{what} {k}q" for k in self.orders for what in ("cos", "sin")]
+        joints = [f"joint {j + 1} {wave}" for j in range(self.n) for wave in waves]
+        return (*frames, *joints, *(f"joint term {i + 1}" for i in range(self.terms.shape[2])))
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """Unit of every unknown; that of a joint term is rad (or m) per unit of the term."""
+        twists = (*("m",) * 3, *("rad",) * 3) * (self.n + 1)
+        return (*twists, *("rad",) * self.waves[0].size, *("rad/unit",) * self.terms.shape[2])
+
+    def sizes(self, length: float, angle: float) -> np.ndarray:
+        """Return (d,) a length for metres, an angle for radians, what turns a joint by the angle for joint terms."""
+        twists = np.tile([*(length,) * 3, *(angle,) * 3], self.n + 1)
+        parts = [twists, np.full(self.waves[0].size, angle)]
+        if self.terms.shape[2]:
+            rms = np.sqrt(np.mean(self.terms**2, axis=(0, 1)))
+            parts.append(angle / np.where(rms > 0, rms, 1.0))
+        return np.concatenate(parts)
+
+    @cached_property
+    def unbound(self) -> np.ndarray:
+        """Mask (d,) of unknowns that remain when the gauge is left out: every frame but along the axis after it."""
+        kept = np.ones(self.size, dtype=bool)
+        for j, slides in enumerate(self.robot.prismatic):
+            kept[[6 * j + k for k in GAUGE[bool(slides)]]] = False
+        return kept & self.existing
+
+    @cached_property
+    def existing(self) -> np.ndarray:
+        """Mask (d,) without the harmonics of joints that slide."""
+        kept = np.ones(self.size, dtype=bool)
+        waves = np.repeat(~self.robot.prismatic, self.waves.shape[2])
+        kept[6 * (self.n + 1) : 6 * (self.n + 1) + len(waves)] = waves
+        return kept
+
+    def first(self) -> ArmState:
+        """Return the start."""
+        return ArmState(self.start, np.zeros(self.waves.shape[1:]), np.zeros(self.terms.shape[2]))
+
+    def plus(self, state: ArmState, x: np.ndarray) -> ArmState:
+        """Return the state after a step x (d,)."""
+        frames = se3.exp(x[: 6 * (self.n + 1)].reshape(-1, 6))
+        waves = x[6 * (self.n + 1) : self.size - self.terms.shape[2]].reshape(self.waves.shape[1:])
+        moved = state.frames @ frames if self.chart == "local_poe" else _turned(state.frames, frames)
+        terms = x[self.size - self.terms.shape[2] : self.size]
+        return ArmState(moved, state.amplitudes + waves, state.coefficients + terms)
+
+    def move(self, state: ArmState) -> Motion:
+        """Return where everything is."""
+        q = self.q
+        if self.orders:
+            q = q + np.sum(self.waves * state.amplitudes, axis=2)
+        if self.terms.shape[2]:
+            q = q + self.terms @ state.coefficients
+        return Motion(frame_poses(Chain(state.frames, self.robot.prismatic), state.frames, q))
+
+    def jacobian(self, state: ArmState, P: np.ndarray, point: np.ndarray, local: bool = False) -> np.ndarray:
+        """Return (N, 6, d), how a point (N, 3) fixed to the tool moves and turns, in the axes of P (N, n+1, 4, 4).
+
+        `local` asks for steps of the frames, whatever the chart.
+        """
+        J = twist_jacobian(P, point)
+        turning = J[:, :, np.arange(self.n), np.where(self.robot.prismatic, 2, 5)]
+        flat = J.reshape(len(P), 6, -1)
+        parts = [flat if local or self.chart == "local_poe" else flat @ frame_steps(state.frames)]
+        if self.orders:
+            parts.append((turning[..., None] * self.waves[:, None]).reshape(len(P), 6, -1))
+        if self.terms.shape[2]:
+            parts.append(turning @ self.terms)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=2)
+
+    def gauge(self, frames: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+        """Return directions (d, g) that nothing sees at these frames, and their names."""
+        joints, parts, names = self.moving
+        back, count = se3.adjoint_inv(frames[1:]), np.arange(len(joints))
+        G = np.zeros((self.size, len(joints)))
+        G[6 * joints + parts, count] = 1.0
+        G[6 * (joints + 1)[:, None] + np.arange(6), count[:, None]] = -back[joints, :, parts]
+        return G, names
+
+    @cached_property
+    def moving(self) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+        """Joint and component (g,) of each twist that goes through a joint, and its name."""
+        joints, parts, names = [], [], []
+        for j, slides in enumerate(self.robot.prismatic):
+            for k in GAUGE[bool(slides)]:
+                verb = "turn about" if k == 5 else "slide along" if k == 2 else f"shift {'xy'[k]} of"
+                joints.append(j)
+                parts.append(k)
+                names.append(f"{verb} the axis of joint {j + 1}")
+        return np.array(joints), np.array(parts), tuple(names)
+
+    def corrections(self, frames: np.ndarray) -> np.ndarray:
+        """Return the twists (n+1, 6) that lead from the start to the frames."""
+        return se3.log(se3.inv(self.start) @ frames)
+
+    def smallest(self, frames: np.ndarray, base: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return equal frames that are as near to the start as can be, and how the base was moved (4, 4).
+
+        Parameters
+        ----------
+        frames : (n+1, 4, 4). base, tool : twists (6, b), (6, t) of the foot, in its own axes of measurement, and of the
+            tool that nothing sees either.
+        """
+        frames, whole = np.array(frames), np.eye(4)
+        rows, columns, _ = self.moving
+        length, W = np.inf, np.zeros((0, 0))
+        for _ in range(SMALLEST_ROUNDS):
+            foot, end = np.zeros((6 * len(frames), base.shape[1])), np.zeros((6 * len(frames), tool.shape[1]))
+            foot[:6], end[-6:] = se3.adjoint_inv(frames[0]) @ base, tool
+            G = np.hstack([self.gauge(frames)[0][: len(foot)], foot, end])
+            if length > SAME:  # nearer, the same W W^T = (G^T G)^+ serves
+                _, s, V = np.linalg.svd(G, full_matrices=False)
+                W = V[s > 1e-9 * s[0]].T / s[s > 1e-9 * s[0]]
+            step = -W @ (W.T @ (G.T @ self.corrections(frames).ravel()))
+            twists, turned = np.zeros((self.n, 6)), len(rows) + base.shape[1]
+            twists[rows, columns] = step[: len(rows)]
+            frames[:-1] = frames[:-1] @ se3.exp(twists)
+            frames[1:] = se3.exp(-twists) @ frames[1:]
+            move = se3.exp(base @ step[len(rows) : turned])
+            frames[0], whole = move @ frames[0], move @ whole
+            frames[-1] = frames[-1] @ se3.exp(tool @ step[turned:])
+            length = np.abs(step).max()
+            if length < SMALLEST_STEP:
+                break
+        return frames, whole
+
+    def corrected(self, frames: np.ndarray) -> Robot:
+        """Return the robot with these frames; gravity turns with the foot."""
+        robot = self.robot
+        links = np.array(robot.links)
+        links[1:-1] = frames[1:-1]
+        T_base_mount = frames[0] @ se3.inv(links[0])
+        turn = T_base_mount[:3, :3] @ robot.T_base_mount[:3, :3].T
+        return replace(
+            robot,
+            links=links,
+            T_base_mount=T_base_mount,
+            T_flange_tool=se3.inv(links[-1]) @ frames[-1],
+            gravity=turn @ robot.gravity,
+            source=f"{robot.source}; corrected by armlab.calibrate".lstrip("; "),
+        )
+
+
+def frame_steps(frames: np.ndarray) -> np.ndarray:
+    """Return the steps of the frames (d, d) that belong to steps of the screws and the home pose in the base.
+
+    With ``C_j = E_0 ... E_j`` the screw of joint j + 1 is ``Ad(C_j) e_z``; ``C_j Exp(x_j)`` for all j makes
+    ``E_j Exp(x_j - Ad(E_j^-1) x_{j-1})``. The column block of T is then ``Ad(C_j) - Ad(exp(S q) C_j)`` as it must be.
+    """
+    m = len(frames)
+    steps = np.eye(6 * m)
+    for j, back in enumerate(se3.adjoint_inv(frames[1:]), start=1):
+        steps[6 * j : 6 * j + 6, 6 * j - 6 : 6 * j] = -back
+    return steps
+
+
+def _turned(frames: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Return frames (n+1, 4, 4) whose products E_0 ... E_j have moved by steps in their own axes."""
+    moved = np.empty_like(frames)
+    moved[0] = frames[0] @ steps[0]
+    moved[1:] = se3.inv(steps[:-1]) @ frames[1:] @ steps[1:]
+    return moved
 
 
 class State(NamedTuple):

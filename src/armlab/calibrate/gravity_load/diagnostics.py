@@ -1,24 +1,25 @@
-"""What readings of a turned weight do not tell, or why they do not fit, in words."""
+"""Diagnostics of readings of a load in gravity: unidentifiable directions, and likely causes of misfit."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from math import hypot
-from typing import Any
 
 import numpy as np
 
-from armlab._numbers import numbers
-from armlab.calibrate._hand_eye_words import axis_text
-from armlab.calibrate._weight_equation import Equation, Load, Turn
-from armlab.errors import NotConverged, NotExcited, ShapeError
+from armlab.calibrate.diagnostics import UNSEEN, axis_text
+from armlab.calibrate.gravity_load.model import Load, Turn, WeightEquation
+from armlab.calibrate.orientation_conventions import MUCH_BETTER, ROBOT, readings
+from armlab.errors import NotConverged, NotExcited
+from armlab.lie import so3
 
+MISREAD, MISREAD_FAR = 1e-3, 0.1  # share of the variation of forces from which other readings are tried
+WIDE = 0.4  # share of gravity: where it moves farther over the tool, a wrong reading leaves much
 STILL = 1e-6  # share of gravity that counts as none, in its way over the tool axes
 HAND = 20.0  # Delta from which a hand is decided
 RICH = 0.1  # share of gravity over two directions from which readings must follow it
 UNEXPLAINED = 0.5
-UNSEEN = 1e-9
 ROUGH = 5.0  # noise given, times which residuals are called none
 FIRST_ORDER = 0.05  # rad: beyond it a covariance is a first-order statement
 FAR, ABSURD = 1.0, 10.0  # m: a centre of mass farther away may be, and is, a mistake of units
@@ -30,7 +31,7 @@ STANDARD = 9.80665
 
 
 @dataclass(frozen=True, eq=False)
-class Words:
+class LoadUnknowns:
     """Names, units and limits of the unknowns; puts a direction of them into words, see `estimation.check_spread`.
 
     Attributes
@@ -39,7 +40,7 @@ class Words:
     scale : what a unit of mass is called: "mass" in kg, or "scale" of an accelerometer.
     """
 
-    equation: Equation
+    equation: WeightEquation
     load: Load
     limits: tuple[float, float, float]
     scale: str = "mass"
@@ -65,8 +66,6 @@ class Words:
 
     def parameters(self) -> np.ndarray:
         """Return the values of the unknowns."""
-        from armlab.lie import so3
-
         load, pull = self.load, self.equation.pull
         mass = load.gamma if pull is None else np.array([load.gamma @ pull / (pull @ pull)])
         all_ = {"rotation": so3.log(load.R), "mass": mass, "force bias": load.bias[:3], "centre": load.centre}
@@ -93,7 +92,7 @@ class Words:
         return f"{text}, {np.linalg.norm(part):.2g} {unit}".rstrip()
 
 
-def _along(equation: Equation) -> str:
+def _along(equation: WeightEquation) -> str:
     """Return what else nothing is told of along the axis of a rotation that is not told."""
     return (", bias" + " and centre of mass" * equation.torque + " along it") * equation.bias
 
@@ -112,18 +111,7 @@ def _labels(widths: tuple[tuple[str, int], ...], scale: str) -> tuple[tuple[str,
     return tuple(names), tuple(units)
 
 
-def limits_of(limits: Any) -> tuple[float, float, float]:
-    """Return the three limits, refusing others than numbers above zero."""
-    values = numbers(limits, "limits", ShapeError)
-    if values.shape != (3,) or not values.min() > 0:
-        raise ShapeError(
-            f"Expected limits as three numbers above zero, an angle [rad], a share of the weight and a length [m], got "
-            f"{limits!r}. (0.2, 0.3, 0.1) are the usual ones."
-        )
-    return float(values[0]), float(values[1]), float(values[2])
-
-
-def require_motion(equation: Equation) -> float:
+def require_motion(equation: WeightEquation) -> float:
     """Refuse too few samples, and orientations that cannot tell; return how far gravity moves (share of it).
 
     That is the second singular value of gravity over the tool axes, or of the rotations where gravity is unknown.
@@ -160,7 +148,7 @@ def require_motion(equation: Equation) -> float:
     )
 
 
-def require_match(equation: Equation, load: Load, r: np.ndarray, kept: np.ndarray, moved: float) -> None:
+def require_match(equation: WeightEquation, load: Load, r: np.ndarray, kept: np.ndarray, moved: float) -> None:
     """Refuse readings that do not follow gravity though it moves well.
 
     Parameters
@@ -185,7 +173,7 @@ def require_match(equation: Equation, load: Load, r: np.ndarray, kept: np.ndarra
     )
 
 
-def _unexplained(equation: Equation, load: Load, kept: np.ndarray) -> float:
+def _unexplained(equation: WeightEquation, load: Load, kept: np.ndarray) -> float:
     """Return the share of the variation of the forces that a load leaves."""
     w = equation.weights[kept] / equation.weights[kept].sum()
     f = equation.y[kept, :3]
@@ -195,7 +183,7 @@ def _unexplained(equation: Equation, load: Load, kept: np.ndarray) -> float:
     return float(np.sum(w[:, None] * r * r) / max(float(np.sum(w[:, None] * f * f)), np.finfo(float).tiny))
 
 
-def _cause(equation: Equation, kept: np.ndarray) -> str:
+def _cause(equation: WeightEquation, kept: np.ndarray) -> str:
     """Return what is wrong with readings that do not follow gravity: their unit, where another one would do."""
     if equation.mass is not None and equation.pull is not None:
         turn = Turn.of(replace(equation, mass=None), kept)
@@ -206,7 +194,7 @@ def _cause(equation: Equation, kept: np.ndarray) -> str:
     return "Check that sample i of both records is the same moment, and that the poses are those of the tool."
 
 
-def require_right_hand(equation: Equation, kept: np.ndarray) -> str:
+def require_right_hand(equation: WeightEquation, kept: np.ndarray) -> str:
     """Refuse sensors with a mirrored axis or a reversed sign; return a remark where that cannot be told."""
     if equation.pull is None:
         return ""
@@ -224,7 +212,7 @@ def require_right_hand(equation: Equation, kept: np.ndarray) -> str:
     raise error
 
 
-def require_lever(equation: Equation, load: Load, sd: np.ndarray) -> None:
+def require_lever(equation: WeightEquation, load: Load, sd: np.ndarray) -> None:
     """Refuse torques in newton millimetres: a centre of mass that cannot be.
 
     Parameters
@@ -243,7 +231,7 @@ def require_lever(equation: Equation, load: Load, sd: np.ndarray) -> None:
         )
 
 
-def mirrored(equation: Equation, turn: Turn) -> NotConverged:
+def mirrored(equation: WeightEquation, turn: Turn) -> NotConverged:
     """Return the refusal of a left-handed sensor with the fit that would be its."""
     pull = np.zeros(3) if equation.pull is None else equation.pull
     gamma = turn.other_m * pull
@@ -258,7 +246,7 @@ def mirrored(equation: Equation, turn: Turn) -> NotConverged:
     )
 
 
-def remarks(words: Words, sd: np.ndarray, squares: float | None, moved: float) -> list[str]:
+def remarks(words: LoadUnknowns, sd: np.ndarray, squares: float | None, moved: float) -> list[str]:
     """Return what a report says beyond the values.
 
     Parameters
@@ -283,7 +271,7 @@ def remarks(words: Words, sd: np.ndarray, squares: float | None, moved: float) -
     return lines
 
 
-def _odd_scale(m: float, words: Words) -> list[str]:
+def _odd_scale(m: float, words: LoadUnknowns) -> list[str]:
     """Return a suspicion of units where a mass or scale is none that is met."""
     pull = words.equation.pull
     g = 0.0 if pull is None else float(np.linalg.norm(pull))
@@ -293,3 +281,26 @@ def _odd_scale(m: float, words: Words) -> list[str]:
     if g < LOW_GRAVITY:
         return [f"gravity of {g:.3g} m/s^2: given in units of g?"]
     return [] if LIGHT < m < HEAVY else [f"mass of {m:.3g} kg: forces in another unit than N?"]
+
+
+def require_order_of_tool(equation: WeightEquation, kept: np.ndarray) -> None:
+    """Refuse orientations that explain the forces much better when they are read in another way.
+
+    Parameters
+    ----------
+    equation : of readings of a known gravity. kept : (N,) samples that were not left out.
+    """
+    if equation.pull is None:
+        return
+    now = equation.turn if kept.all() else Turn.of(equation, kept)
+    if now.power < (MISREAD_FAR if now.moved[1] > WIDE else MISREAD) * now.signal:
+        return
+    for one in readings(equation.RA, np.zeros((equation.N, 3))):
+        other = Turn.of(replace(equation, RA=np.ascontiguousarray(one.R)), kept)
+        if other.power < MUCH_BETTER * now.power and other.m > 0.0:
+            raise NotConverged(
+                f"Expected readings that follow gravity as the tool turns, got {now.power / now.signal:.2g} of their "
+                f"variation unexplained. {one.text.format(ROBOT)}",
+                best=other,
+                reason="mismatch",
+            )

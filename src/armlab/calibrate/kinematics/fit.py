@@ -9,24 +9,22 @@ measurement together; what they cannot see is in `excitation`, by name.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import numbers
-from armlab.calibrate._arm import Arm
-from armlab.calibrate._kinematic_data import check_harmonics, check_joints, check_terms, measured_kinds
-from armlab.calibrate._kinematic_problem import KinematicProblem, State
-from armlab.calibrate._kinematic_question import check_weak, length_angle
-from armlab.calibrate._kinematic_solution import ArmQuestion
-from armlab.calibrate._kinematic_start import check_scale, start_arm
+from armlab.calibrate.kinematics.identifiability import UnobservableDirection, far_links, may_be_missing, never_seen
+from armlab.calibrate.kinematics.measurements import check_harmonics, check_joints, check_terms, measured_kinds
+from armlab.calibrate.kinematics.model import Arm, KinematicProblem, State
+from armlab.calibrate.kinematics.solve import Question, check_misfit, check_weak, length_angle, never_moves, spread_of
+from armlab.calibrate.kinematics.start import check_scale, start_arm
 from armlab.errors import ConfigError, NotExcited, ShapeError, UnknownName
-from armlab.estimation import Fit
+from armlab.estimation import Fit, Measurement, NonlinearSolution
 from armlab.models import KinematicCorrection
 from armlab.robots import Robot
-
-__all__ = ["fit_kinematics"]
 
 LIMITS = (0.05, 0.05)
 """Standard deviation [m, rad] along any direction that is the most accepted."""
@@ -189,3 +187,105 @@ def _free_frames(arm: Arm, free: Any) -> np.ndarray:
     if free == "offsets":
         mask[np.arange(arm.n), np.where(arm.robot.prismatic, 2, 5)] = True
     return mask
+
+
+@dataclass(frozen=True, eq=False)
+class ArmQuestion(Question[State]):
+    """What is asked of the data of one arm."""
+
+    problem: KinematicProblem
+
+    def nature(self, state: State) -> list[UnobservableDirection]:
+        """Return directions that these kinds of measurement may never see."""
+        return never_seen(self.problem, state)
+
+    def suspects(self, state: State) -> list[UnobservableDirection]:
+        """Return directions that the data may fail to see."""
+        return may_be_missing(self.problem, state)
+
+    def fit(self, found: NonlinearSolution[State], smallest: bool, notes: Sequence[str]) -> Fit[KinematicCorrection]:
+        """Return value, covariance and what the data tell; of equal fits the one nearest to the start.
+
+        Raises
+        ------
+        NotExcited, NotConverged : see `fit_kinematics`.
+        """
+        problem, state = self.problem, found.value
+        if smallest:
+            state = self._smallest(state)
+        sigma = dict(zip(found.classes, found.sigma.tolist()))
+        data = problem.measurements(state, local=True)
+        outside = np.flatnonzero(found.outliers)
+        check_misfit(data, self.spaces(), found.value, outside)
+        excitation = self.judge(data, state, sigma, outside)
+        cov = self.covariance(data, state, sigma, outside, excitation)
+        names = tuple(name for name, mine in zip(problem.names, self.used) if mine)
+        return Fit(
+            value=self._value(state, cov),
+            names=names,
+            units=tuple(unit for unit, mine in zip(problem.units, self.used) if mine),
+            parameters=problem.values(state)[self.used],
+            cov=cov,
+            sigma=found.sigma,
+            residuals=_table(data, problem),
+            n=len(problem.arm.q),
+            excitation=excitation,
+            summary=lambda fit: "\n".join(
+                [fit.table(), *notes, *self.match(found), *far_links(problem.arm, state.arm.frames)]
+            ),
+            outliers=found.outliers,
+            classes=found.classes,
+        )
+
+    def _smallest(self, state: State) -> State:
+        """Return the state, of those that no measurement tells from it, that is nearest to the start."""
+        problem, foot, tool = self.problem, [], []
+        if not any(kind.name == "pose" and len(kind.kept) == 6 for kind in problem.kinds):
+            data = problem.measurements(state, local=True)
+            unseen = never_moves(self.nature(state), data, self.used)
+            foot, tool = unseen[:6], [False] * 3 + unseen[6:9] * (not problem.points)
+        base, end = (np.eye(6)[:, np.flatnonzero(unseen)] for unseen in (foot, tool))
+        frames, move = problem.arm.smallest(state.arm.frames, base, end)
+        anchor = move[:3, :3] @ state.anchor + move[:3, 3]
+        return state._replace(arm=state.arm._replace(frames=frames), anchor=anchor)
+
+    def spaces(self) -> list[float]:
+        """Return the size [m] of the space in which each measurement was made."""
+        sizes = []
+        for kind in self.problem.kinds:
+            seen = kind.values[kind.visible]
+            if kind.name == "position":
+                sizes += [spread_of(seen)] * kind.values.shape[1]
+            else:
+                sizes.append(spread_of(seen[:, :3, 3]) if kind.name == "pose" else float(np.mean(seen)))
+        return sizes
+
+    def _value(self, state: State, cov: np.ndarray) -> KinematicCorrection:
+        arm, problem = self.problem.arm, self.problem
+        whole = np.zeros((problem.size, problem.size))
+        whole[np.ix_(self.used, self.used)] = cov
+        anchored = bool(self.used[arm.size + 3 * problem.points : -2].any())
+        return KinematicCorrection(
+            robot=arm.corrected(state.arm.frames),
+            robot_name=arm.robot.name,
+            robot_hash=arm.robot.hash,
+            harmonics=arm.orders,
+            amplitudes=state.arm.amplitudes,
+            coefficients=state.arm.coefficients,
+            cov=whole[: arm.size, : arm.size],
+            points=state.points,
+            anchor=state.anchor if anchored else None,
+            length_offset=float(state.length[0]),
+            length_scale=float(state.length[1]),
+        )
+
+
+def _table(data: Sequence[Measurement], problem: KinematicProblem) -> np.ndarray:
+    """Return residuals, a row per sample and then per pair, NaN where nothing was measured."""
+    rows = problem.first_pair + max((len(kind.values) for kind in problem.kinds if kind.pairs is not None), default=0)
+    table = np.full((rows, sum(one.r.shape[1] for one in data)), np.nan)
+    first = 0
+    for one in data:
+        table[one.sample, first : first + one.r.shape[1]] = one.r
+        first += one.r.shape[1]
+    return table

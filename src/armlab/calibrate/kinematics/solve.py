@@ -1,4 +1,4 @@
-"""What is asked of kinematic measurements: descent, what the data tell, covariance without the gauge."""
+"""Solution shared by one arm and two: descent, identifiability, covariance without the gauge."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 
 from armlab._numbers import numbers
-from armlab.calibrate._kinematic_data import Kind
-from armlab.calibrate._kinematic_rank import Judgement, Suspect, spread_covariance
+from armlab.calibrate.kinematics.identifiability import Judgement, UnobservableDirection, spread_covariance
+from armlab.calibrate.kinematics.measurements import Kind
 from armlab.errors import ConfigError, NotConverged, NotExcited, UnknownName
 from armlab.estimation import Excitation, Measurement, NonlinearSolution, Problem, nonlinear_least_squares
 
@@ -63,11 +63,11 @@ class Question(ABC, Generic[S]):
     hold: bool
 
     @abstractmethod
-    def nature(self, state: S) -> list[Suspect]:
+    def nature(self, state: S) -> list[UnobservableDirection]:
         """Return directions that these kinds of measurement may never see."""
 
     @abstractmethod
-    def suspects(self, state: S) -> list[Suspect]:
+    def suspects(self, state: S) -> list[UnobservableDirection]:
         """Return directions that the data may fail to see."""
 
     @abstractmethod
@@ -178,9 +178,9 @@ def _classes(problem: Residuals[Any]) -> list[str]:
     return [name for kind in problem.kinds for name in kind.classes]
 
 
-def _inside(suspects: Sequence[Suspect], used: np.ndarray) -> list[Suspect]:
+def _inside(suspects: Sequence[UnobservableDirection], used: np.ndarray) -> list[UnobservableDirection]:
     """Return directions that move something that is used, cut to it."""
-    found = [Suspect(one.name, one.directions[used], one.advice) for one in suspects]
+    found = [UnobservableDirection(one.name, one.directions[used], one.advice) for one in suspects]
     return [one for one in found if np.abs(one.directions).max(initial=0.0) > 0]
 
 
@@ -215,7 +215,7 @@ def spread_of(points: np.ndarray) -> float:
     return spread if spread > ROUNDING * float(np.abs(points).max()) else 0.0
 
 
-def never_moves(suspects: Sequence[Suspect], data: Sequence[Measurement], used: np.ndarray) -> list[bool]:
+def never_moves(suspects: Sequence[UnobservableDirection], data: Sequence[Measurement], used: np.ndarray) -> list[bool]:
     """Tell of the first direction of each whether, cut to what is used, it is one that moves nothing measured."""
     if not suspects:
         return []

@@ -1,4 +1,4 @@
-"""Measurements of a kinematic calibration: checked once, in sentences, each kind with its mask and its noise."""
+"""Measurements of a kinematic calibration, checked: each kind with its mask and its noise."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from armlab._numbers import numbers
-from armlab.calibrate._arguments import are_rotations, rows_text
+from armlab.calibrate.inputs import are_rotations, rows_text
 from armlab.errors import ConfigError, RobotError, ShapeError, UnknownName
 from armlab.lie import so3
 from armlab.robots import Robot

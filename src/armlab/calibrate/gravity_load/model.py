@@ -1,8 +1,9 @@
-"""What a sensor reads of a weight that turns with the tool: closed forms, residuals with their Jacobian.
+"""Model of a sensor that reads a load turned in gravity: residuals with their Jacobian, closed forms, starts.
 
     f_i = R^T R_base_tool,i^T gamma + b_f,        tau_i = c x (R^T R_base_tool,i^T gamma) + b_tau
 
-with gamma = s m g in base axes. An accelerometer reads the same with gamma = -(scale) g.
+with gamma = s m g in base axes. An accelerometer reads the same with gamma = -(scale) g. Forces of a known gravity with
+isotropic noise have a closed form, which is the most likely load.
 """
 
 from __future__ import annotations
@@ -10,16 +11,24 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from armlab import kernels
-from armlab.estimation import Measurement, Problem
+from armlab.estimation import Measurement, NonlinearSolution, Problem
 from armlab.lie import so3
 
 ROUNDING = 1e-11  # of the largest reading
 FLOOR = 1e-6  # noise relative to the readings below which it is rounding
+NOTHING = np.zeros(3)
+ROUNDS = 50
+SETTLED = 1e-3  # change of weights, relative to the largest
+SHORT = 1e-3  # of the median residual: below it a residual is none
+FAR = 4.0  # medians from which a residual is left out of the start
+NULL = 1e-9
+ALIKE = 0.5  # mean of the weight over the tool, relative to the weight, above which the twin is a minimum too
 
 
 class Load(NamedTuple):
@@ -32,7 +41,7 @@ class Load(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Equation:
+class WeightEquation:
     """Readings at known orientations.
 
     Attributes
@@ -120,7 +129,7 @@ class Equation:
             self.evaluate, self.plus, what=self.what, residue=ROUNDING * (float(np.abs(self.y).max()) or 1.0)
         )
 
-    def only(self, kept: np.ndarray) -> Equation:
+    def only(self, kept: np.ndarray) -> WeightEquation:
         """Return it with some of its samples (N,)."""
         noise = self.noise[kept] if self.noise is not None and self.noise.ndim == 3 else self.noise
         return replace(self, RA=self.RA[kept], y=self.y[kept], noise=noise)
@@ -224,7 +233,7 @@ class Turn(NamedTuple):
         return self.R - 2.0 * np.vdot(third, self.R) * third
 
     @classmethod
-    def of(cls, equation: Equation, kept: np.ndarray | None = None) -> Turn:
+    def of(cls, equation: WeightEquation, kept: np.ndarray | None = None) -> Turn:
         """Solve for the samples (N,) that are kept; all when None."""
         weight = None if equation.even else equation.weights
         if kept is not None:
@@ -241,3 +250,106 @@ class Turn(NamedTuple):
         else:
             scale = equation.variance if equation.even else 1.0
         return cls(R, bias, residuals, cov, H, S, m, other_m, power, signal, moved, (other_power - power) / scale)
+
+
+class Found(NamedTuple):
+    """A fit of readings: see `estimation.NonlinearSolution`; residuals (N, k) of all samples."""
+
+    load: Load
+    cov: np.ndarray
+    sigma: np.ndarray
+    outliers: np.ndarray
+    residuals: np.ndarray
+    cost: float
+    freedom: int
+    unseen: int
+    rows: np.ndarray | None
+
+    @classmethod
+    def of(cls, equation: WeightEquation, found: NonlinearSolution[Load]) -> Found:
+        """Return what the solver found."""
+        residuals = equation.evaluate(found.value)[0].r
+        return cls(
+            found.value,
+            found.cov,
+            found.sigma,
+            found.outliers,
+            residuals,
+            found.cost,
+            found.freedom,
+            found.null.shape[1],
+            found.rows.J,
+        )
+
+    def jacobian(self, equation: WeightEquation) -> np.ndarray:
+        """Return the whitened Jacobian (M, d) of the samples kept."""
+        if self.rows is not None:
+            return self.rows
+        (one,) = equation.evaluate(self.load)
+        J = one.J.reshape(-1, len(self.cov))
+        return J / np.sqrt(_variance(equation, float(self.sigma[0])))
+
+
+def is_closed(equation: WeightEquation) -> bool:
+    """Tell whether the closed form is the most likely load."""
+    noise = equation.noise
+    same = noise is None or (noise.ndim == 1 and bool(noise[0] == noise[1] == noise[2]))
+    return same and equation.pull is not None and not equation.torque
+
+
+def closed_form(equation: WeightEquation) -> Found:
+    """Return the most likely load; only where `is_closed`."""
+    turn, N = equation.turn, equation.N
+    freedom = 3 * N - sum(equation.widths.values())
+    sigma = sqrt(turn.power / freedom)
+    variance = _variance(equation, sigma)
+    load = Load(turn.R, turn.m * (NOTHING if equation.pull is None else equation.pull), turn.bias, NOTHING)
+    none, cost = np.zeros(N, dtype=bool), 0.5 * turn.power / variance
+    return Found(load, variance * turn.cov, np.array([sigma]), none, turn.residuals, cost, freedom, 0, None)
+
+
+def _variance(equation: WeightEquation, sigma: float) -> float:
+    if equation.noise is not None:
+        return float(equation.noise[0])
+    return max(sigma, ROUNDING * (float(np.abs(equation.y).max()) or 1.0)) ** 2
+
+
+def likely_samples(equation: WeightEquation) -> np.ndarray:
+    """Return which samples (N,) a start should use: those near the regression of least absolute residuals.
+
+    Forces are linear in the orientation of the tool, ``f_i = sum_k c_k (R_i)_k + b`` (in gravity over the tool where it
+    is known). ``sum |r_i|`` has one minimum wherever one begins, and a contact does not pull it.
+    """
+    X = equation.RA.reshape(equation.N, 9) if equation.pull is None else equation.pull @ equation.RA
+    if equation.bias:
+        X = np.hstack([X - X.mean(axis=0), np.ones((equation.N, 1))])
+    U, size, _ = np.linalg.svd(X, full_matrices=False)
+    Q, f, w = U[:, size > NULL * size[0]], equation.y[:, :3], np.ones(equation.N)
+    r = w
+    if 2 * Q.shape[1] > equation.N:  # it would go through half of the samples, whichever they are
+        return np.ones(equation.N, dtype=bool)
+    for _ in range(ROUNDS):
+        weighted = Q.T * w
+        r = np.linalg.norm(f - Q @ np.linalg.lstsq(weighted @ Q, weighted @ f, rcond=None)[0], axis=1)
+        before, w = w, 1.0 / np.maximum(r, max(SHORT * float(np.median(r)), np.finfo(float).tiny))
+        w = w / w.max()
+        if np.abs(w - before).max() < SETTLED:
+            break
+    return r <= FAR * np.median(r)
+
+
+def mirror_solution(equation: WeightEquation, load: Load) -> Load | None:
+    """Return the load with its weight reversed and the sensor turned by half a turn about it.
+
+    Both read the same to first order in tilts: ``R^T (u x w) = (H R)^T (-u x w)`` with H the half turn about u; the
+    bias takes the mean. None where tilts are large, or there is no bias: nothing is alike then.
+    """
+    u = load.gamma @ equation.RA.mean(axis=0)
+    length = float(np.linalg.norm(u))
+    if not equation.bias or length <= ALIKE * np.linalg.norm(load.gamma):
+        return None
+    R, gamma = so3.exp(np.pi * u / length) @ load.R, -load.gamma
+    expected = gamma @ (equation.RA @ R)
+    if equation.torque:
+        expected = np.hstack([expected, np.cross(load.centre, expected)])
+    return Load(R, gamma, np.median(equation.y - expected, axis=0), load.centre)
