@@ -1,4 +1,4 @@
-"""Hand-eye calibration: exact on exact data, efficient and honest on noisy ones, and never silently wrong."""
+"""Hand-eye calibration from pairs of poses: exactness, noise, robustness, refusals."""
 
 from __future__ import annotations
 

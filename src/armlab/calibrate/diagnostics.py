@@ -49,10 +49,7 @@ def require_two_axes(RA: np.ndarray, noise: float, carrier: str, moved: Sequence
 
     ``e_u^2 = 1 - |mean(R_A) u|^2`` is the mean square by which a tool axis u turns; noise alone makes it 2 sigma^2.
 
-    Parameters
-    ----------
-    RA : (N, 3, 3). noise : sigma of a rotation [rad]; more than 0.05 is none, but records that do not fit.
-    carrier : whose axes turn, "tool". moved : names of what is on it, and of what moves with that.
+    `noise` is the deviation of a rotation [rad]; a larger one than `ROUGH` is none, but records that do not fit.
     """
     M = RA.sum(axis=0) / len(RA)
     squares, u = np.linalg.eigh(np.eye(3) - M.T @ M)
@@ -79,12 +76,7 @@ def largest_rotation(R: np.ndarray) -> float:
 
 
 def require_most(outliers: np.ndarray, what: str, best: Any) -> None:
-    """Refuse a fit that leaves out half of the samples or more: it agrees with some by chance.
-
-    Parameters
-    ----------
-    outliers : (N,) samples left out. what : "readings", for the message. best : for the error.
-    """
+    """Refuse a fit that leaves out half of the samples or more: it agrees with some by chance."""
     left, total = int(np.count_nonzero(outliers)), len(outliers)
     if 2 * left < total or not left:
         return

@@ -198,21 +198,15 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class HandEyeEquation:
-    """Pairs of poses.
+    """Pairs of poses."""
 
-    Attributes
-    ----------
-    RA, tA : (N, 3, 3) and (N, 3) of A. RB, tB : of B, which is measured.
-    noise : of B: variances (6,) or covariance (6, 6) or (N, 6, 6); None when it is to be estimated.
-    noise_A : of A, in the same forms; None when A is exact.
-    """
-
-    RA: np.ndarray
+    RA: np.ndarray  # RA, tA: (N, 3, 3) and (N, 3) of A
     tA: np.ndarray
-    RB: np.ndarray
+    RB: np.ndarray  # RB, tB: of B, which is measured
     tB: np.ndarray
+    # of B: variances (6,) or covariance (6, 6) or (N, 6, 6); None when it is to be estimated
     noise: np.ndarray | None = None
-    noise_A: np.ndarray | None = None
+    noise_A: np.ndarray | None = None  # of A, in the same forms; None when A is exact
 
     @property
     def N(self) -> int:
@@ -265,9 +259,7 @@ class HandEyeEquation:
     def _noise_of_A(self, pair: Pair, C: np.ndarray) -> np.ndarray | None:
         """Return G S_A G^T (N, 6, 6), G = [[-R_Y^T, C hat(t_X)], [0, -R_X^T]]: the lever t_X couples both.
 
-        Parameters
-        ----------
-        C : (N, 3, 3) R_Y^T R_A.
+        C is R_Y^T R_A (N, 3, 3).
         """
         if self.noise_A is None:
             return None
@@ -298,12 +290,7 @@ def rotation_sd(noise: np.ndarray | None) -> float:
 def robot_side(
     R: np.ndarray, t: np.ndarray, noise: np.ndarray | None, setup: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Return rotations, positions and noise of A: of the robot's poses, or of their inverses with the eye in the hand.
-
-    Parameters
-    ----------
-    R, t : (N, 3, 3), (N, 3) of T_base_tool. noise : of it; None or all zero where it is exact.
-    """
+    """Return rotations, positions and noise of A: the robot's poses, or their inverses with the eye in the hand."""
     noise = noise if noise is not None and noise.any() else None
     if setup == "eye_to_hand":
         return R, t, noise
@@ -314,9 +301,7 @@ def robot_side(
 def inverse_noise(noise: np.ndarray, R: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Return the covariance (N, 6, 6) of the inverses of noisy poses: v' = hat(p') w - R^T v, w' = -R w.
 
-    Parameters
-    ----------
-    noise : of the poses. R, t : (N, 3, 3), (N, 3) of them; p' = -R^T t.
+    R and t are those of the poses; p' = -R^T t.
     """
     M = np.zeros((len(R), 6, 6))
     Rt = R.transpose(0, 2, 1)
@@ -328,16 +313,11 @@ def inverse_noise(noise: np.ndarray, R: np.ndarray, t: np.ndarray) -> np.ndarray
 
 @dataclass(frozen=True)
 class Part:
-    """Three of the unknowns.
+    """Three of the unknowns."""
 
-    Attributes
-    ----------
-    what : "translation of T_tool_marker". axes : whose axes, "tool". rotation : True for a rotation vector.
-    """
-
-    what: str
-    axes: str
-    rotation: bool
+    what: str  # "translation of T_tool_marker"
+    axes: str  # whose axes, "tool"
+    rotation: bool  # True for a rotation vector
 
     @classmethod
     def of(cls, names: Sequence[str]) -> tuple[Part, ...]:
@@ -351,17 +331,11 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class PoseUnknowns:
-    """Names, units and limits of the unknowns; puts a direction of them into words, see `estimation.check_spread`.
+    """Names, units and limits of the unknowns; puts a direction of them into words, see `estimation.check_spread`."""
 
-    Attributes
-    ----------
-    parts : of the unknowns, three each. spread : of the measured positions [m].
-    limits : largest deviation accepted: share of the spread, and [rad].
-    """
-
-    parts: Sequence[Part]
-    spread: float
-    limits: tuple[float, float]
+    parts: Sequence[Part]  # of the unknowns, three each
+    spread: float  # of the measured positions [m]
+    limits: tuple[float, float]  # largest deviation accepted: share of the spread, and [rad]
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -407,13 +381,7 @@ def require_samples(N: int, least: int, what: str) -> None:
 
 
 def require_match(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray, best: Any) -> None:
-    """Refuse records that do not belong together, with what would make them fit where that can be said.
-
-    Parameters
-    ----------
-    equation : all pairs. r : (N, 6) residuals at the best value. kept : (N,) pairs that were not left out.
-    best : for the error.
-    """
+    """Refuse records that do not belong together, with what would make them fit where that can be said."""
     turned, moved = np.sqrt(3.0 - np.vdot(equation.mean, equation.mean)), equation.spread
     squares, count = (r[kept] ** 2).sum(axis=0), np.count_nonzero(kept)
     position, rotation = np.sqrt(squares.reshape(2, 3).sum(axis=1) / count)
@@ -481,13 +449,7 @@ def _scale(equation: HandEyeEquation) -> float | None:
 
 
 def remarks(RA: np.ndarray, spread: float, given: bool, found: NonlinearSolution[Any], turns: np.ndarray) -> list[str]:
-    """Return what a report says beyond the values.
-
-    Parameters
-    ----------
-    RA : (N, 3, 3). spread : of the positions [m]. given : whether the noise was. found : the fit.
-    turns : deviations of rotations [rad].
-    """
+    """Return what a report says beyond the values."""
     lines = [f"largest rotation between two poses {largest_rotation(RA):.3g} rad"]
     if given and found.freedom:
         lines.append(f"residuals {np.sqrt(2.0 * found.cost / found.freedom):.3g} times the noise that was given")
@@ -502,12 +464,7 @@ def remarks(RA: np.ndarray, spread: float, given: bool, found: NonlinearSolution
 
 
 def require_order(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray) -> None:
-    """Refuse two records of poses that fit much better when orientations are read in another way.
-
-    Parameters
-    ----------
-    equation : all pairs. r : (N, 6) residuals at the best value. kept : (N,) pairs that were not left out.
-    """
+    """Refuse two records of poses that fit much better when orientations are read in another way."""
     now = _sizes(r[kept])
     if now[0] < SUSPECT * equation.spread and now[1] < SUSPECT:
         return

@@ -193,24 +193,16 @@ class Linear(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PointModel:
-    """What was seen: one row per point that was visible in a sample.
+    """What was seen: one row per point that was visible in a sample."""
 
-    Attributes
-    ----------
-    RA, tA : (N, 3, 3), (N, 3) of the samples.
-    p : (m, 3) measured points in camera axes. sample, point : (m,) which of them.
-    K : number of points.
-    noise : variances (3,) or covariance (3, 3) or (m, 3, 3); None when it is to be estimated.
-    noise_A : of the poses of the samples: variances (6,) or covariance (6, 6) or (N, 6, 6); None when they are exact.
-    """
-
-    RA: np.ndarray
+    RA: np.ndarray  # RA, tA: (N, 3, 3), (N, 3) of the samples
     tA: np.ndarray
-    p: np.ndarray
-    sample: np.ndarray
+    p: np.ndarray  # (m, 3) measured points in camera axes
+    sample: np.ndarray  # sample, point: (m,) which of them
     point: np.ndarray
-    K: int
-    noise: np.ndarray | None
+    K: int  # number of points
+    noise: np.ndarray | None  # variances (3,) or covariance (3, 3) or (m, 3, 3); None when it is to be estimated
+    # of the poses of the samples: variances (6,) or covariance (6, 6) or (N, 6, 6); None when they are exact
     noise_A: np.ndarray | None = None
 
     @cached_property
@@ -301,9 +293,7 @@ class PointModel:
     ) -> list[Measurement]:
         """Return measured minus expected points; by sample with noise of the robot, which the points of a sample share.
 
-        Parameters
-        ----------
-        ph : (m, 3) expected. J : (m, 3, d). C : (m, 3, 3) R_Y^T R_A. s : (K, 3) points in tool axes. RY : (3, 3).
+        ph (m, 3) are expected points, J (m, 3, d), C = R_Y^T R_A (m, 3, 3), s (K, 3) points in tool axes.
         """
         r = self.p - ph
         if self.noise_A is None:
@@ -338,12 +328,7 @@ class PointModel:
 
 
 def marked_start(free: Points, marker: np.ndarray) -> Pair:
-    """Return X that puts the marker onto the points, and Y.
-
-    Parameters
-    ----------
-    free : points in tool axes, and Y. marker : (K, 3) the points in marker axes.
-    """
+    """Return X that puts the marker onto the points, and Y."""
     X = marker_pose(free.s[None], marker).T[0]
     return Pair(X[:3, :3], X[:3, 3], free.RY, free.tY)
 
@@ -351,10 +336,7 @@ def marked_start(free: Points, marker: np.ndarray) -> Pair:
 def require_agreement(sight: PointModel, rms: float | None = None, left_out: float = 0.0) -> None:
     """Refuse records that do not belong together, with what would make them fit where that can be said.
 
-    Parameters
-    ----------
-    sight : what was seen. rms : of the residuals of the fit, without outliers [m]; before the fit, None.
-    left_out : share of the samples that are outliers.
+    `rms` is that of the residuals without outliers [m], None before the fit.
     """
     found = sight.solution
     if rms is None:
@@ -374,12 +356,7 @@ def require_agreement(sight: PointModel, rms: float | None = None, left_out: flo
 
 
 def require_marker(sight: PointModel, s: np.ndarray, marker: np.ndarray) -> None:
-    """Refuse a marker whose points are not arranged as those that were seen.
-
-    Parameters
-    ----------
-    s : (K, 3) the points on the tool, as seen. marker : (K, 3) as given, not in a line.
-    """
+    """Refuse a marker whose points are not arranged as those that were seen."""
     a, b = s - s.mean(axis=0), marker - marker.mean(axis=0)
     U, sizes, V = np.linalg.svd(a.T @ b)
     hand = np.sign(np.linalg.det(U @ V))
@@ -436,12 +413,7 @@ def _other_reading(sight: PointModel, now: float) -> str:
 
 
 def require_order_of_robot(sight: PointModel) -> None:
-    """Refuse poses that fit the points of a marker much better when orientations are read in another way.
-
-    Parameters
-    ----------
-    sight : what was seen.
-    """
+    """Refuse poses that fit the points of a marker much better when orientations are read in another way."""
     rms = sight.solution.misfit
     if rms < SUSPECT * sight.spread:
         return

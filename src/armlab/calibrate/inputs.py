@@ -26,12 +26,7 @@ def finite(values: np.ndarray, name: str) -> None:
 
 
 def poses(value: ArrayLike, name: str) -> tuple[np.ndarray, np.ndarray, str]:
-    """Return rotations (N, 3, 3), positions (N, 3), and what must be reported of them.
-
-    Raises
-    ------
-    ShapeError : another shape, NaN, matrices that are no poses, mirror images, each with its rows.
-    """
+    """Return rotations (N, 3, 3), positions (N, 3), and what must be reported of them."""
     T = numbers(value, name, ShapeError)
     if T.ndim != 3 or T.shape[1:] != (4, 4):
         raise ShapeError(f"Expected {name} of shape (N, 4, 4), got {T.shape}. Give one pose per sample.")
@@ -47,12 +42,7 @@ def poses(value: ArrayLike, name: str) -> tuple[np.ndarray, np.ndarray, str]:
 
 
 def orientations(value: ArrayLike, name: str) -> tuple[np.ndarray, str]:
-    """Return rotations (N, 3, 3) of poses (N, 4, 4) or of rotations (N, 3, 3), and what must be reported of them.
-
-    Raises
-    ------
-    ShapeError : another shape, NaN, what is no rotation, each with its rows.
-    """
+    """Return rotations (N, 3, 3) of poses (N, 4, 4) or of rotations (N, 3, 3), and what must be reported of them."""
     values = numbers(value, name, ShapeError)
     if values.ndim == 3 and values.shape[1:] == (4, 4):
         R, _, note = poses(values, name)
@@ -109,12 +99,7 @@ def gravity_of(gravity: Any) -> np.ndarray:
 
 
 def pose_noise(noise: Any, N: int, name: str = "noise") -> np.ndarray | None:
-    """Return variances (6,) or covariance (6, 6) or (N, 6, 6) of poses; None for None.
-
-    Raises
-    ------
-    ShapeError : one number other than zero (metres or radians?), another shape, what is no covariance.
-    """
+    """Return variances (6,) or covariance (6, 6) or (N, 6, 6) of poses; None for None."""
     if noise is None:
         return None
     values = numbers(noise, name, ShapeError)
@@ -131,12 +116,7 @@ def pose_noise(noise: Any, N: int, name: str = "noise") -> np.ndarray | None:
 
 
 def point_noise(noise: Any, shape: tuple[int, ...], name: str = "noise") -> np.ndarray | None:
-    """Return variances (3,), or covariance (3, 3) or (*shape, 3, 3), of points; None for None.
-
-    Raises
-    ------
-    ShapeError : another shape, what is no covariance.
-    """
+    """Return variances (3,), or covariance (3, 3) or (*shape, 3, 3), of points; None for None."""
     if noise is None:
         return None
     values = numbers(noise, name, ShapeError)

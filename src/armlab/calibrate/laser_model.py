@@ -71,24 +71,16 @@ def tangents(n: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Scans:
-    """Scans of plates, as lines or as points.
+    """Scans of plates, as lines or as points."""
 
-    Attributes
-    ----------
-    RA, tA : (N, 3, 3), (N, 3) of T_base_tool. plane : (N,) number of the plate.
-    p, line : (N, 2) point and unit direction of the line in each scan.
-    points : (M, 2) raw, or None; then lines are what was measured. owner : (M,) scan of each point.
-    noise : (2,) variances of point and angle, (1,) of points; None when it is to be estimated.
-    """
-
-    RA: np.ndarray
+    RA: np.ndarray  # RA, tA: (N, 3, 3), (N, 3) of T_base_tool
     tA: np.ndarray
-    plane: np.ndarray
-    p: np.ndarray
+    plane: np.ndarray  # (N,) number of the plate
+    p: np.ndarray  # p, line: (N, 2) point and unit direction of the line in each scan
     line: np.ndarray
-    points: np.ndarray | None
-    owner: np.ndarray
-    noise: np.ndarray | None
+    points: np.ndarray | None  # (M, 2) raw, or None; then lines are what was measured
+    owner: np.ndarray  # (M,) scan of each point
+    noise: np.ndarray | None  # (2,) variances of point and angle, (1,) of points; None when it is to be estimated
 
     @property
     def N(self) -> int:
@@ -187,9 +179,7 @@ class Scans:
 def starts(scans: Scans, ratio: float) -> Iterator[list[Scene]]:
     """Yield groups of first values, the best of each group first.
 
-    Parameters
-    ----------
-    scans : of plates. ratio : deviation of points over that of angles.
+    `ratio` is the deviation of points over that of angles.
     """
     linear = [R for found, _ in linear_rotations(scans, ratio) for R in found]
     if linear:
@@ -274,17 +264,12 @@ def scene_of(scans: Scans, R: np.ndarray) -> Scene:
 
 @dataclass(frozen=True, eq=False)
 class SceneUnknowns:
-    """Names, units and limits of the unknowns; puts a direction of them into words, see `estimation.check_spread`.
+    """Names, units and limits of the unknowns; puts a direction of them into words, see `estimation.check_spread`."""
 
-    Attributes
-    ----------
-    scans, scene : of the fit. planes : labels. limits : share of the spread of the points, and [rad].
-    """
-
-    scans: Scans
+    scans: Scans  # scans, scene: of the fit
     scene: Scene
-    planes: tuple[str, ...]
-    limits: tuple[float, float]
+    planes: tuple[str, ...]  # labels
+    limits: tuple[float, float]  # share of the spread of the points, and [rad]
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -199,16 +199,7 @@ def _profile_noise(noise: Any, count: int) -> np.ndarray | None:
 
 
 def searched(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearSolution[Scene]:
-    """Return the first fit that agrees with its noise, or the best of all where noise is not given.
-
-    Parameters
-    ----------
-    scans : checked. guess : (4, 4) pose of the sensor, or None. robust : find wrong scans.
-
-    Raises
-    ------
-    NotConverged : nothing fits.
-    """
+    """Return the first fit that agrees with its noise, or the best of all where noise is not given."""
     ratio = _ratio(scans)
     size = max(ratio, _spread(scans.p))
     require_units(scans, ratio)

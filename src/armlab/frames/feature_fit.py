@@ -21,13 +21,7 @@ SURE = 3.0  # deviations from which a side is sure
 
 
 class Cloud:
-    """Points (N, 3) with their noise, checked: enough of them to fit a feature, and its noise where it is not given.
-
-    Attributes
-    ----------
-    p : (N, 3). sigma : deviation of a coordinate, or None. each : (N, 3, 3) covariances, or None. kept : (N,) points
-        that belong to the feature.
-    """
+    """Points (N, 3) with their noise, checked: enough of them to fit a feature, and its noise where it is not given."""
 
     def __init__(self, p: ArrayLike, noise: Any, least: int, what: str) -> None:
         self.p = inputs.points(p)
@@ -74,15 +68,7 @@ def upward(
 ) -> np.ndarray:
     """Return a normal with the sign that the rule gives it.
 
-    Parameters
-    ----------
-    n : (3,) unit normal of any sign. c : (3,) a point in the plane [m].
-    reach : standard deviation of the distance of the plane from the origin [m].
-    toward, normal : the hints of `fit_plane`. what : name of the feature.
-
-    Raises
-    ------
-    ShapeError : both hints, or one that does not tell. NotExcited : no hint, and the origin is in the plane.
+    `reach` is the standard deviation of the plane's distance from the origin [m]; see `fit_plane` for the hints.
     """
     if toward is not None and normal is not None:
         raise ShapeError("Expected toward= or normal=, got both. Either says on which side the normal is.")

@@ -224,12 +224,7 @@ class LoopCheck:
 
 
 def check_loops(edges: Sequence[Edge]) -> LoopCheck:
-    """Return the closure of every independent loop: one per pose that the spanning tree does not need.
-
-    Parameters
-    ----------
-    edges : measured poses.
-    """
+    """Return the closure of every independent loop: one per pose that the spanning tree does not need."""
     tree = spanning(edges)
     found = []
     for k, edge in enumerate(edges):
@@ -241,12 +236,7 @@ def check_loops(edges: Sequence[Edge]) -> LoopCheck:
 
 
 def spanning(edges: Sequence[Edge]) -> list[int]:
-    """Return the numbers of the poses of a spanning tree, or of one per part: the earliest that join something new.
-
-    Parameters
-    ----------
-    edges : measured poses.
-    """
+    """Return the numbers of the poses of a spanning tree, or of one per part: the earliest that join something new."""
     part: dict[str, str] = {}
 
     def root(name: str) -> str:
@@ -264,12 +254,7 @@ def spanning(edges: Sequence[Edge]) -> list[int]:
 
 
 def path(edges: Sequence[Edge], a: str, b: str) -> Steps | None:
-    """Return the fewest poses from a to b as (number, 1 or -1 against its direction); None when there is no way.
-
-    Parameters
-    ----------
-    edges : measured poses. a, b : names.
-    """
+    """Return the fewest poses from a to b as (number, 1 or -1 against its direction); None when there is no way."""
     came: dict[str, tuple[str, int, int]] = {a: (a, -1, 1)}
     waiting = deque([a])
     while waiting and b not in came:
@@ -358,12 +343,7 @@ class FrameSet:
 
 
 def solve_poses(edges: Sequence[Edge], names: Sequence[str], robust: bool = False) -> Fit[FrameSet]:
-    """Return the most likely poses; see `Graph.solve`.
-
-    Parameters
-    ----------
-    edges : measured poses. names : of the frames. robust : find poses that do not fit the others.
-    """
+    """Return the most likely poses; see `Graph.solve`."""
     start = _start(edges, names)
     given = [edge.cov is not None for edge in edges]
     if any(given) and not all(given):

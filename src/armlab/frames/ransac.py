@@ -37,12 +37,7 @@ def inliers(
 ) -> np.ndarray:
     """Return which points (N,) belong to the feature.
 
-    Parameters
-    ----------
-    p : (N, 3) points. size : of a minimal set. numbers : of residual per point.
-    through : (sets (S, size, 3), p) -> squared distances (S, N) of p from the features through the sets.
-    refit : which points (N,) -> noise found, and squared distances (N,) of all points.
-    sigma : noise of a coordinate when it is known. what : name of the feature.
+    `size` is that of a minimal set, `numbers` the residuals per point, `sigma` the noise of a coordinate if known.
     """
     from scipy.special import chdtri
 

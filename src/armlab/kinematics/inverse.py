@@ -201,9 +201,7 @@ class Inverse:
 def freeze(q: np.ndarray, errors: np.ndarray, counts: np.ndarray, history: np.ndarray | None) -> Inverse:
     """Return what a kernel gave as an `Inverse`; single goals get scalars.
 
-    Parameters
-    ----------
-    q : (..., n). errors : (..., 3) [m], [rad], slope. counts : (..., 3) steps, starts, status. history : or None.
+    `errors` (..., 3) are [m], [rad] and slope; `counts` (..., 3) steps, starts and status.
     """
     for array in (q, errors, counts, history):
         if array is not None:
@@ -224,15 +222,7 @@ def _errors(position: np.ndarray, rotation: np.ndarray) -> str:
 
 
 def check_task(robot: object, task: str, objective: str | None) -> None:
-    """Refuse names that are none, and what is no robot.
-
-    Raises
-    ------
-    UnknownName
-        When there is no such task or objective.
-    RobotError
-        When something else comes in place of a robot.
-    """
+    """Refuse names that are none, and what is no robot."""
     if not isinstance(task, str) or task not in ROWS:
         raise UnknownName.among("task of inverse kinematics", task, ROWS)
     if objective is not None and (not isinstance(objective, str) or objective not in _KINDS):
@@ -242,13 +232,7 @@ def check_task(robot: object, task: str, objective: str | None) -> None:
 
 
 def check_search(tol: Any, maxiter: Any, starts: Any, damping: Any) -> tuple[float, float]:
-    """Return the tolerances of position and rotation; refuse numbers that make no sense.
-
-    Raises
-    ------
-    ConfigError
-        When one is of another kind or out of its range.
-    """
+    """Return the tolerances of position and rotation; refuse numbers that make no sense."""
     if not (isinstance(maxiter, _INTEGER) and 0 <= maxiter <= MOST_STEPS):
         raise ConfigError(f"Expected maxiter to be an integer from 0 to {MOST_STEPS}, got {maxiter!r}.")
     if not (isinstance(starts, _INTEGER) and 1 <= starts < 2**31):
@@ -264,13 +248,7 @@ def check_search(tol: Any, maxiter: Any, starts: Any, damping: Any) -> tuple[flo
 def kernel_objective(
     robot: Robot, name: Objective | None, posture: ArrayLike | None, q0: ArrayLike | None
 ) -> tuple[int, ArrayLike | None, np.ndarray | None]:
-    """Return the kernel's objective, reference and scale.
-
-    Raises
-    ------
-    ConfigError
-        When a posture comes without the objective that it is for.
-    """
+    """Return the kernel's objective, reference and scale."""
     if posture is not None and name != "posture":
         raise ConfigError(f'Expected objective="posture" with a posture, got objective={name!r}. Leave one out.')
     if name is None or name == "manipulability":

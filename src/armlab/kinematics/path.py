@@ -199,15 +199,7 @@ Solve = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def with_detours(robot: Robot, T: np.ndarray, rows: Rows, follow: Follow, solve: Solve) -> Rows:
-    """Return `rows` with detours around the breaks for which there are some, if fewer rows break then.
-
-    Parameters
-    ----------
-    robot : the arm, with joints to spare.
-    T : (N, 4, 4) poses.
-    rows : followed along T.
-    follow, solve : the kernels with everything else decided.
-    """
+    """Return `rows` with detours around the breaks for which there are some, if fewer rows break then."""
     rng = np.random.default_rng(0)
     given_up = 0  # breaks up to this row stay
     best = rows

@@ -360,13 +360,7 @@ def _axis_frames(screws: np.ndarray) -> np.ndarray:
 def frames_along(z: np.ndarray) -> np.ndarray:
     """Return rotations whose third column is z; of a coordinate axis without any rounding, and 1 for z = (0, 0, 1).
 
-    Parameters
-    ----------
-    z : (n, 3) directions; the length does not matter.
-
-    Returns
-    -------
-    (n, 3, 3).
+    z is (n, 3), of any length.
     """
     z = z / np.linalg.norm(z, axis=1, keepdims=True)
     x = np.eye(3)[np.argmin(np.abs(z), axis=1)]

@@ -284,12 +284,7 @@ class Mesh:
 
 
 def arm_length(robot: Robot) -> float:
-    """Return the length of the stretched arm from mount to tool [m], the measure of what is drawn on it; 1 for none.
-
-    Parameters
-    ----------
-    robot : the arm.
-    """
+    """Return the length of the stretched arm from mount to tool [m], the measure of what is drawn on it; 1 for none."""
     steps = np.linalg.norm(np.concatenate([robot.links, robot.T_flange_tool[None]])[:, :3, 3], axis=1)
     strokes = np.nan_to_num(np.maximum(-robot.q_min, robot.q_max), posinf=0.0)[robot.prismatic]
     return float(steps.sum() + strokes.sum()) or 1.0
@@ -298,9 +293,7 @@ def arm_length(robot: Robot) -> float:
 def bends(a: np.ndarray, along_a: np.ndarray, b: np.ndarray, along_b: np.ndarray) -> list[np.ndarray]:
     """Return where a link between two joint axes bends: the ends of their common normal, or the foot of a parallel one.
 
-    Parameters
-    ----------
-    a, b : (3,) points of the axes. along_a, along_b : (3,) unit vectors.
+    a, b are points (3,) of the axes, along_a and along_b unit vectors.
     """
     across = b - a
     cosine = along_a @ along_b

@@ -78,17 +78,7 @@ class File(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def read_robot(text: str, path: str) -> Robot:
-    """Return the robot that a TOML text describes.
-
-    Parameters
-    ----------
-    text : content of the file.
-    path : its name, for messages.
-
-    Raises
-    ------
-    RobotError : when the text is no TOML, has unknown, missing or wrong fields, or describes no consistent robot.
-    """
+    """Return the robot that a TOML text describes."""
     fields: dict[str, Any] = {}
     try:
         fields = parsed(text)
@@ -239,12 +229,7 @@ def _matrix(pose: Pose, where: str) -> np.ndarray:
 
 
 def write_robot(robot: Robot) -> str:
-    """Return the TOML text of a robot: DH rows where they give the same bits, else the pose of each next joint.
-
-    Parameters
-    ----------
-    robot : any robot.
-    """
+    """Return the TOML text of a robot: DH rows where they give the same bits, else the pose of each next joint."""
     rows = [{"name": _text(name)} for name in robot.joint_names]
     dh = _dh_columns(robot)
     head: Fields = {"name": _text(robot.name)}

@@ -32,18 +32,12 @@ STANDARD = 9.80665
 
 @dataclass(frozen=True, eq=False)
 class LoadUnknowns:
-    """Names, units and limits of the unknowns; puts a direction of them into words, see `estimation.check_spread`.
+    """Names, units and limits of the unknowns; puts a direction of them into words, see `estimation.check_spread`."""
 
-    Attributes
-    ----------
-    equation : of the fit. load : that was found. limits : (angle [rad], share of the weight, length [m]).
-    scale : what a unit of mass is called: "mass" in kg, or "scale" of an accelerometer.
-    """
-
-    equation: WeightEquation
-    load: Load
-    limits: tuple[float, float, float]
-    scale: str = "mass"
+    equation: WeightEquation  # of the fit
+    load: Load  # that was found
+    limits: tuple[float, float, float]  # (angle [rad], share of the weight, length [m])
+    scale: str = "mass"  # what a unit of mass is called: "mass" in kg, or "scale" of an accelerometer
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -149,12 +143,7 @@ def require_motion(equation: WeightEquation) -> float:
 
 
 def require_match(equation: WeightEquation, load: Load, r: np.ndarray, kept: np.ndarray, moved: float) -> None:
-    """Refuse readings that do not follow gravity though it moves well.
-
-    Parameters
-    ----------
-    load : the best. r : (N, k) its residuals. kept : (N,) samples that count. moved : from `require_motion`.
-    """
+    """Refuse readings that do not follow gravity though it moves well."""
     count = np.count_nonzero(kept)
     whole = equation.pull is not None and not equation.torque and count == equation.N
     if whole and equation.turn.power < UNEXPLAINED * equation.turn.signal:
@@ -213,12 +202,7 @@ def require_right_hand(equation: WeightEquation, kept: np.ndarray) -> str:
 
 
 def require_lever(equation: WeightEquation, load: Load, sd: np.ndarray) -> None:
-    """Refuse torques in newton millimetres: a centre of mass that cannot be.
-
-    Parameters
-    ----------
-    load : that was found. sd : of the parameters.
-    """
+    """Refuse torques in newton millimetres: a centre of mass that cannot be."""
     if not equation.torque:
         return
     away, unsure = np.linalg.norm(load.centre), np.linalg.norm(sd[equation.places["centre"]])
@@ -247,12 +231,7 @@ def mirrored(equation: WeightEquation, turn: Turn) -> NotConverged:
 
 
 def remarks(words: LoadUnknowns, sd: np.ndarray, squares: float | None, moved: float) -> list[str]:
-    """Return what a report says beyond the values.
-
-    Parameters
-    ----------
-    sd : of the parameters. squares : chi^2 over its degrees of freedom where noise was given. moved : by gravity.
-    """
+    """Return what a report says beyond the values."""
     equation, load = words.equation, words.load
     lines = [f"gravity moves over the tool by {moved:.2g} of itself in its second direction"]
     if squares is not None:
@@ -284,12 +263,7 @@ def _odd_scale(m: float, words: LoadUnknowns) -> list[str]:
 
 
 def require_order_of_tool(equation: WeightEquation, kept: np.ndarray) -> None:
-    """Refuse orientations that explain the forces much better when they are read in another way.
-
-    Parameters
-    ----------
-    equation : of readings of a known gravity. kept : (N,) samples that were not left out.
-    """
+    """Refuse orientations that explain the forces much better when they are read in another way."""
     if equation.pull is None:
         return
     now = equation.turn if kept.all() else Turn.of(equation, kept)

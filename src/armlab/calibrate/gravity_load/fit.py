@@ -214,13 +214,7 @@ def fit_weight(
     notes: list[str],
     scale: str = "mass",
 ) -> Fit[Value]:
-    """Fit readings of a turned weight.
-
-    Parameters
-    ----------
-    equation : the readings. value : makes the result. limits : see `Words`. robust : find outliers.
-    notes : for the report. scale : name of the mass.
-    """
+    """Fit readings of a turned weight."""
     moved = require_motion(equation)
     if not robust and moved > RICH and is_closed(equation):
         found = closed_form(equation)

@@ -42,24 +42,15 @@ class Load(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WeightEquation:
-    """Readings at known orientations.
+    """Readings at known orientations."""
 
-    Attributes
-    ----------
-    RA : (N, 3, 3) R_base_tool. y : (N, 3) forces, or (N, 6) with torques.
-    pull : (3,) s g, what one unit of mass adds to gamma; None when gamma itself is unknown.
-    bias : whether there is one. mass : known mass; None when it is to be found.
-    noise : variances (k,), or covariance (k, k) or (N, k, k); None when it is to be estimated.
-    classes : name of the noise class of each column of y.
-    """
-
-    RA: np.ndarray
-    y: np.ndarray
-    pull: np.ndarray | None
-    bias: bool
-    mass: float | None
-    noise: np.ndarray | None
-    classes: tuple[str, ...]
+    RA: np.ndarray  # (N, 3, 3) R_base_tool
+    y: np.ndarray  # (N, 3) forces, or (N, 6) with torques
+    pull: np.ndarray | None  # (3,) s g, what one unit of mass adds to gamma; None when gamma itself is unknown
+    bias: bool  # whether there is one
+    mass: float | None  # known mass; None when it is to be found
+    noise: np.ndarray | None  # variances (k,), or covariance (k, k) or (N, k, k); None when it is to be estimated
+    classes: tuple[str, ...]  # name of the noise class of each column of y
     what: str
 
     @property
@@ -200,30 +191,20 @@ class WeightEquation:
 
 
 class Turn(NamedTuple):
-    """The rotation and the mass that turn gravity into forces, known gravity: see `kernels.turned_weight`.
+    """The rotation and the mass that turn gravity into forces, known gravity: see `kernels.turned_weight`."""
 
-    Attributes
-    ----------
-    R : (3, 3). bias : (3,). residuals : (N, 3) of the forces. cov : (d, d), times a variance where noise is even.
-    H, S : (3, 3) products of gravity over the tool with itself and with the forces.
-    m : mass. other_m : that of the best of the other hand.
-    power : squares that are left. signal : those that were there. Both times the variance where noise is even.
-    moved : by which share of itself gravity moves over the tool, along three axes, ascending.
-    difference : Delta, chi^2 of the best of the other hand minus that of the best rotation.
-    """
-
-    R: np.ndarray
-    bias: np.ndarray
-    residuals: np.ndarray
-    cov: np.ndarray
-    H: np.ndarray
+    R: np.ndarray  # (3, 3)
+    bias: np.ndarray  # (3,)
+    residuals: np.ndarray  # (N, 3) of the forces
+    cov: np.ndarray  # (d, d), times a variance where noise is even
+    H: np.ndarray  # H, S: (3, 3) products of gravity over the tool with itself and with the forces
     S: np.ndarray
-    m: float
-    other_m: float
-    power: float
-    signal: float
-    moved: list[float]
-    difference: float
+    m: float  # mass
+    other_m: float  # that of the best of the other hand
+    power: float  # squares that are left
+    signal: float  # those that were there. Both times the variance where noise is even
+    moved: list[float]  # by which share of itself gravity moves over the tool, along three axes, ascending
+    difference: float  # Delta, chi^2 of the best of the other hand minus that of the best rotation
 
     @property
     def mirrored(self) -> np.ndarray:

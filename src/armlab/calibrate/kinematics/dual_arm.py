@@ -177,22 +177,15 @@ class DualState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DualProblem:
-    """Two arms and what was measured.
+    """Two arms and what was measured."""
 
-    Attributes
-    ----------
-    arm_a, arm_b : the arms. kinds : relative pose or position, then perhaps the pose of arm a from outside.
-    absolute : whether that is so. closed : whether b's tool does not move in a's.
-    active : (d,) mask of the components of a step. prior : (metres, radians) of the links, or None.
-    """
-
-    arm_a: Arm
+    arm_a: Arm  # arm_a, arm_b: the arms
     arm_b: Arm
-    kinds: tuple[Kind, ...]
-    absolute: bool
-    closed: bool
-    active: np.ndarray
-    prior: tuple[float, float] | None
+    kinds: tuple[Kind, ...]  # relative pose or position, then perhaps the pose of arm a from outside
+    absolute: bool  # whether that is so
+    closed: bool  # whether b's tool does not move in a's
+    active: np.ndarray  # (d,) mask of the components of a step
+    prior: tuple[float, float] | None  # (metres, radians) of the links, or None
 
     @property
     def size(self) -> int:

@@ -204,12 +204,7 @@ class ArmQuestion(Question[State]):
         return may_be_missing(self.problem, state)
 
     def fit(self, found: NonlinearSolution[State], smallest: bool, notes: Sequence[str]) -> Fit[KinematicCorrection]:
-        """Return value, covariance and what the data tell; of equal fits the one nearest to the start.
-
-        Raises
-        ------
-        NotExcited, NotConverged : see `fit_kinematics`.
-        """
+        """Return value, covariance and what the data tell; of equal fits the one nearest to the start."""
         problem, state = self.problem, found.value
         if smallest:
             state = self._smallest(state)

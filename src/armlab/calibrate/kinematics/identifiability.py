@@ -39,32 +39,20 @@ class UnobservableDirection:
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """What is judged.
+    """What is judged."""
 
-    Attributes
-    ----------
-    names, units : of the d unknowns. limits : (d,) the largest deviation that is accepted.
-    gauge : (d, g) directions that nothing sees, with their names. nature : what this kind of data may never see.
-    suspects : returns what data may fail to see; asked where something is weak.
-    what : is fitted.
-    """
-
-    names: Sequence[str]
+    names: Sequence[str]  # names, units: of the d unknowns
     units: Sequence[str]
-    limits: np.ndarray
-    gauge: np.ndarray
+    limits: np.ndarray  # (d,) the largest deviation that is accepted
+    gauge: np.ndarray  # (d, g) directions that nothing sees, with their names
     gauge_names: Sequence[str]
-    nature: Sequence[UnobservableDirection]
+    nature: Sequence[UnobservableDirection]  # what this kind of data may never see
+    # returns what data may fail to see; asked where something is weak
     suspects: Callable[[], Sequence[UnobservableDirection]]
-    what: str
+    what: str  # is fitted
 
     def excitation(self, J: np.ndarray, hold: bool) -> Excitation:
-        """Judge the whitened Jacobian (m, d) of the data.
-
-        Raises
-        ------
-        NotExcited : a direction that is missing by the data, unless a prior holds it.
-        """
+        """Judge the whitened Jacobian (m, d) of the data."""
         A = np.asarray(np.linalg.qr(J, mode="r")) * self.limits if len(J) > J.shape[1] else J * self.limits
         fixed, names = _independent(self.gauge / self.limits[:, None]), [f"gauge: {name}" for name in self.gauge_names]
         largest = float(np.linalg.norm(A))

@@ -27,22 +27,14 @@ CLASSES = {
 
 @dataclass(frozen=True, eq=False)
 class Kind:
-    """All measurements of one kind.
+    """All measurements of one kind."""
 
-    Attributes
-    ----------
-    name : one of KINDS. values : (N, 4, 4), (N, K, 3), (N,), or (M,) for pairs.
-    visible : (N,), or (N, K) for positions. kept : components that are used.
-    cov : of these, (k,), (k, k) or (N, k, k), or None when the noise is to be estimated.
-    pairs : (2, M) samples of a pair distance.
-    """
-
-    name: str
-    values: np.ndarray
-    visible: np.ndarray
-    kept: np.ndarray
-    cov: np.ndarray | None
-    pairs: np.ndarray | None = None
+    name: str  # one of KINDS
+    values: np.ndarray  # (N, 4, 4), (N, K, 3), (N,), or (M,) for pairs
+    visible: np.ndarray  # (N,), or (N, K) for positions
+    kept: np.ndarray  # components that are used
+    cov: np.ndarray | None  # of these, (k,), (k, k) or (N, k, k), or None when the noise is to be estimated
+    pairs: np.ndarray | None = None  # (2, M) samples of a pair distance
 
     @property
     def classes(self) -> tuple[str, ...]:
@@ -98,12 +90,7 @@ def check_harmonics(value: Any) -> tuple[int, ...]:
 
 
 def measured_kinds(N: int, given: Mapping[str, Any], visible: Any, noise: Any) -> tuple[list[Kind], list[str]]:
-    """Return the kinds that were measured, and what must be reported of them.
-
-    Raises
-    ------
-    ShapeError : shapes, NaN where something is visible, what is no rotation. ConfigError : nothing was measured.
-    """
+    """Return the kinds that were measured, and what must be reported of them."""
     names = [name for name in KINDS if given.get(name) is not None]
     if not names:
         raise ConfigError(f"Expected at least one of {', '.join(KINDS)}, got none. Say what was measured.")

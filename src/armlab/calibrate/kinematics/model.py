@@ -49,22 +49,15 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """What is known of an arm and its samples.
+    """What is known of an arm and its samples."""
 
-    Attributes
-    ----------
-    robot : nominal. start : (n+1, 4, 4) its frames, the first perhaps moved to the measurement.
-    q : (N, n). waves : (N, n, 2 m) harmonics at q. terms : (N, n, L). orders : of the harmonics.
-    chart : "local_poe", or "poe": steps turn the screws S_j in the base and the home pose M.
-    """
-
-    robot: Robot
-    start: np.ndarray
-    q: np.ndarray
-    waves: np.ndarray
-    terms: np.ndarray
-    orders: tuple[int, ...]
-    chart: str = "local_poe"
+    robot: Robot  # nominal
+    start: np.ndarray  # (n+1, 4, 4) its frames, the first perhaps moved to the measurement
+    q: np.ndarray  # (N, n)
+    waves: np.ndarray  # (N, n, 2 m) harmonics at q
+    terms: np.ndarray  # (N, n, L)
+    orders: tuple[int, ...]  # of the harmonics
+    chart: str = "local_poe"  # "local_poe", or "poe": steps turn the screws S_j in the base and the home pose M
 
     @classmethod
     def of(cls, robot: Robot, q: np.ndarray, orders: tuple[int, ...], terms: np.ndarray, chart: str) -> Arm:
@@ -185,10 +178,7 @@ class Arm:
     def smallest(self, frames: np.ndarray, base: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return equal frames that are as near to the start as can be, and how the base was moved (4, 4).
 
-        Parameters
-        ----------
-        frames : (n+1, 4, 4). base, tool : twists (6, b), (6, t) of the foot, in its own axes of measurement, and of the
-            tool that nothing sees either.
+        `base` (6, b) and `tool` (6, t) are twists that nothing sees: of the base, in measurement axes, and of the tool.
         """
         frames, whole = np.array(frames), np.eye(4)
         rows, columns, _ = self.moving
@@ -262,19 +252,13 @@ class State(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class KinematicProblem:
-    """One arm, what was measured, and which unknowns there are.
+    """One arm, what was measured, and which unknowns there are."""
 
-    Attributes
-    ----------
-    arm : the arm. kinds : what was measured. active : (d,) mask of the components of a step.
-    points : number of tool points that are unknown. prior : (metres, radians) of the links, or None.
-    """
-
-    arm: Arm
-    kinds: tuple[Kind, ...]
-    active: np.ndarray
-    points: int
-    prior: tuple[float, float] | None
+    arm: Arm  # the arm
+    kinds: tuple[Kind, ...]  # what was measured
+    active: np.ndarray  # (d,) mask of the components of a step
+    points: int  # number of tool points that are unknown
+    prior: tuple[float, float] | None  # (metres, radians) of the links, or None
 
     @cached_property
     def size(self) -> int:
@@ -350,9 +334,7 @@ class KinematicProblem:
     def measurements(self, state: State, local: bool = False) -> list[Measurement]:
         """Return residuals of the data with their derivatives by all components.
 
-        Parameters
-        ----------
-        local : derivatives by steps of the frames, whatever the chart.
+        `local` asks for derivatives by steps of the frames, whatever the chart.
         """
         motion = self.arm.move(state.arm)
         J = self.arm.jacobian(state.arm, motion.P, motion.T[:, :3, 3], local)

@@ -49,18 +49,12 @@ class Residuals(Protocol[S]):
 
 @dataclass(frozen=True, eq=False)
 class Question(ABC, Generic[S]):
-    """What is asked of the data.
+    """What is asked of the data."""
 
-    Attributes
-    ----------
-    problem : residuals. used : (d,) unknowns there are, gauge included. limits : (metres, radians) that are accepted.
-    hold : go on where they are exceeded.
-    """
-
-    problem: Residuals[S]
-    used: np.ndarray
-    limits: tuple[float, float]
-    hold: bool
+    problem: Residuals[S]  # residuals
+    used: np.ndarray  # (d,) unknowns there are, gauge included
+    limits: tuple[float, float]  # (metres, radians) that are accepted
+    hold: bool  # go on where they are exceeded
 
     @abstractmethod
     def nature(self, state: S) -> list[UnobservableDirection]:
@@ -75,12 +69,7 @@ class Question(ABC, Generic[S]):
         """Return the size [m] of the space in which each measurement was made."""
 
     def solve(self, start: S, robust: bool) -> NonlinearSolution[S]:
-        """Descend; where that fails say which direction the data do not tell, if there is one.
-
-        Raises
-        ------
-        NotConverged, NotExcited : see `fit_kinematics`.
-        """
+        """Descend; where that fails say which direction the data do not tell, if there is one."""
         problem = self.problem
         self._check_count(start)
         task = Problem(problem.evaluate, problem.retract, problem.sizes(UNIT, UNIT)[problem.active], "arm")
@@ -187,10 +176,7 @@ def _inside(suspects: Sequence[UnobservableDirection], used: np.ndarray) -> list
 def check_misfit(data: Sequence[Measurement], sizes: Sequence[float], best: Any, outside: np.ndarray = NOBODY) -> None:
     """Refuse samples that do not belong together.
 
-    Parameters
-    ----------
-    data : residuals at the best value. sizes : of the space [m] in which each of them was measured; 0 of one that did
-        not move. best : for the error. outside : samples left out.
+    `sizes` are those of the space [m] in which each was measured; 0 for one that did not move.
     """
     for one, size in zip(data, sizes):
         kept = one.r[_kept(one, outside)]

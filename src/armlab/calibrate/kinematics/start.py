@@ -17,12 +17,7 @@ STILL = 1e-4  # times: no other unit of length, but what did not move
 
 
 def start_arm(arm: Arm, kinds: tuple[Kind, ...]) -> tuple[Arm, np.ndarray]:
-    """Return the arm at its start and tool points (K, 3), where several are unknown.
-
-    Raises
-    ------
-    ShapeError : lengths that seem to be millimetres.
-    """
+    """Return the arm at its start and tool points (K, 3), where several are unknown."""
     by_name = {kind.name: kind for kind in kinds}
     T = arm.move(arm.first()).T
     points = np.zeros((0, 3))

@@ -72,17 +72,7 @@ def parse(text: str | bytes, file: str = "the URDF text") -> Tree:
 
 
 def read_tree(text: str | bytes, file: str) -> Tree:
-    """Return the tree that a text describes.
-
-    Parameters
-    ----------
-    text : the XML.
-    file : its name, for messages.
-
-    Raises
-    ------
-    RobotError : with file and line.
-    """
+    """Return the tree that a text describes."""
     robot = parse_xml(text, file)
     if robot.tag != "robot":
         raise robot.error("<robot> as the outermost element of a URDF", f"<{robot.tag}>")
@@ -280,15 +270,7 @@ class Element:
 def parse_xml(data: str | bytes, file: str) -> Element:
     """Return the root element of a text.
 
-    Parameters
-    ----------
-    data : XML; bytes are decoded as their declaration says.
-    file : its name, for messages.
-
-    Raises
-    ------
-    RobotError : when the text is no XML, has a document type (entities), is too large, nested too deep, or is not
-        expanded xacro.
+    Document types (entities), xacro, and texts too large or nested too deep are refused.
     """
     if len(data) > MOST_BYTES:
         raise RobotError(f"Expected XML of at most {MOST_BYTES >> 20} MiB in {file}, got {len(data)} bytes.")

@@ -257,24 +257,12 @@ class Tree:
 
 
 def fault(tree: Tree, part: Link | Joint, expected: str, got: object, advice: str = "") -> RobotError:
-    """Return the error that says what was expected of a link or joint, with file and line.
-
-    Parameters
-    ----------
-    tree : its file is named.
-    part : its line is named.
-    expected, got, advice : the sentence.
-    """
+    """Return the error that says what was expected of a link or joint, with file and line."""
     return RobotError(f"Expected {expected} in {tree.file}, line {part.line}, got {got}.{advice and ' '}{advice}")
 
 
 def check_tree(tree: Tree) -> None:
-    """Raise `RobotError` unless links and joints are a tree with one root.
-
-    Parameters
-    ----------
-    tree : links and joints.
-    """
+    """Raise `RobotError` unless links and joints are a tree with one root."""
     if not tree.links:
         raise RobotError(f"Expected at least one link in {tree.file}, got none.")
     _check_names(tree, tree.links, "link")
@@ -333,13 +321,7 @@ def _check_roots(tree: Tree) -> None:
 
 
 def follow(tree: Tree, joint_names: Iterable[str]) -> Mimic:
-    """Return how joints follow the free ones. See `Tree.mimic`.
-
-    Parameters
-    ----------
-    tree : the joints.
-    joint_names : those of the chain.
-    """
+    """Return how joints follow the free ones. See `Tree.mimic`."""
 
     joints = {joint.name: joint for joint in tree.joints}
     rows: list[tuple[str, float, float]] = []  # leader, multiplier, offset
@@ -372,28 +354,16 @@ def _leader(tree: Tree, joints: dict[str, Joint], joint: Joint) -> tuple[str, fl
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A joint on the way, passed downwards or upwards, and the links that are rigidly joined behind it.
+    """A joint on the way, passed downwards or upwards, and the links that are rigidly joined behind it."""
 
-    Attributes
-    ----------
-    joint : the joint.
-    T_last_link : pose of the joint's armlab frame, z along the axis, in the frame of the joint before, or in the base.
-    T_link_body : pose in that frame of each link that moves with it.
-    """
-
-    joint: Joint
+    joint: Joint  # the joint
+    # pose of the joint's armlab frame, z along the axis, in the frame of the joint before, or in the base
     T_last_link: np.ndarray
-    T_link_body: dict[str, np.ndarray]
+    T_link_body: dict[str, np.ndarray]  # pose in that frame of each link that moves with it
 
 
 def build_chain(tree: Tree, base: str | None, tip: str | None, name: str | None) -> Robot:
-    """Return the serial arm from one link to another. See `Tree.chain`.
-
-    Parameters
-    ----------
-    tree : links and joints.
-    base, tip, name : of the arm.
-    """
+    """Return the serial arm from one link to another. See `Tree.chain`."""
     names = [link.name for link in tree.links]
     for link in (base, tip):
         if link is not None and link not in names:

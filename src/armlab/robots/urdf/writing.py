@@ -21,14 +21,6 @@ def write_urdf(robot: Robot) -> str:
     """Return the URDF of a robot: links base, mount, link_1 ... link_n, flange and tool; joints about z, 0 as here.
 
     What URDF cannot say is in a comment at the top: gravity, gears, home, accelerations, where the numbers come from.
-
-    Parameters
-    ----------
-    robot : any robot.
-
-    Raises
-    ------
-    RobotError : when a name has characters that XML does not have.
     """
     _check_text(robot)
     links = ["mount", *(f"link_{i + 1}" for i in range(robot.n))]

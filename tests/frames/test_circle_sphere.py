@@ -1,4 +1,4 @@
-"""Circles and spheres: exact on exact data, honest on noisy data, short arcs and small caps refused."""
+"""Circles and spheres fitted to points."""
 
 from __future__ import annotations
 
