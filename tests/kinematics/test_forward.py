@@ -13,11 +13,11 @@ from armlab.errors import ConfigError, RobotError, ShapeError, UnknownName
 from armlab.kinematics import (
     forward,
     forward_jacobian,
-    frame_jacobian,
     frame_poses,
     jacobian,
     jacobian_derivative,
     link_transforms,
+    parameter_jacobian,
     twist_jacobian,
 )
 from armlab.lie import se3, so3
@@ -301,7 +301,7 @@ def moved(arm: robots.Robot, j: int, twist: np.ndarray) -> robots.Robot:
 @pytest.mark.parametrize("shape", [(), (4,), (2, 3)])
 def test_columns_are_differences(robot_parameters: robots.Robot, shape: tuple[int, ...]) -> None:
     q = np.random.default_rng(0).uniform(-1, 1, (*shape, 6))
-    J = frame_jacobian(robot_parameters, q)
+    J = parameter_jacobian(robot_parameters, q)
     assert J.shape == (*shape, 6, 7, 6)
     for j in range(6):  # the last link is followed by the tool, which is the identity here
         for k in range(6):
@@ -315,7 +315,7 @@ def test_columns_are_differences(robot_parameters: robots.Robot, shape: tuple[in
 
 def test_joints_are_the_z_axes_of_the_frames(robot_parameters: robots.Robot) -> None:
     q = np.random.default_rng(1).uniform(-1, 1, (5, 6))
-    own = frame_jacobian(robot_parameters, q)[..., np.arange(6), np.where(robot_parameters.prismatic, 2, 5)]
+    own = parameter_jacobian(robot_parameters, q)[..., np.arange(6), np.where(robot_parameters.prismatic, 2, 5)]
     np.testing.assert_allclose(own, jacobian(robot_parameters, q), rtol=0, atol=1e-14)
 
 
@@ -345,6 +345,6 @@ def test_any_point_moves_with_a_frame() -> None:
 
 def test_sentences() -> None:
     with pytest.raises(RobotError, match="Load it first"):
-        frame_jacobian("irb2400", np.zeros(6))  # type: ignore[arg-type]
+        parameter_jacobian("irb2400", np.zeros(6))  # type: ignore[arg-type]
     with pytest.raises(ShapeError):
-        frame_jacobian(robots.load("irb2400"), np.zeros(5))
+        parameter_jacobian(robots.load("irb2400"), np.zeros(5))

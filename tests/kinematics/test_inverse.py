@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from armlab import kernels, kinematics, lie, robots
 from armlab.errors import ConfigError, NotConverged, ShapeError, UnknownName
 from armlab.kinematics import (
-    Inverse,
+    IkSolution,
     forward,
     inverse,
     jacobian,
@@ -478,7 +478,7 @@ def test_reports() -> None:
     robot = robots.load("irb2400")
     T = moved_poses(robot, 4, seed=1)
     one = inverse(robot, forward(robot, robot.q_home), robot.q_home)
-    assert repr(one) == "Inverse(Solved to 0 m and 0 rad in 0 iterations from 1 start.)"
+    assert repr(one) == "IkSolution(Solved to 0 m and 0 rad in 0 iterations from 1 start.)"
     T[2, 0, 3] += 10.0
     text = inverse(robot, T.reshape(2, 2, 4, 4)).report()
     assert text.startswith("3 of 4 goals solved, to ")
@@ -494,7 +494,7 @@ def test_strict_raises_with_the_result() -> None:
     with pytest.raises(NotConverged, match="out of reach") as caught:
         inverse(robot, T, strict=True)
     best = caught.value.best
-    assert isinstance(best, Inverse)
+    assert isinstance(best, IkSolution)
     np.testing.assert_array_equal(best.q, inverse(robot, T).q)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from armlab import lie, robots
 from armlab.errors import RobotError, ShapeError, SingularPoseError, UnknownName
-from armlab.kinematics import NullMotion, forward, jacobian, manipulability_gradient, null_motion
+from armlab.kinematics import SelfMotion, forward, jacobian, manipulability_gradient, self_motion
 from armlab.robots import Robot
 
 YUMI = robots.load("yumi_left")
@@ -32,8 +32,8 @@ def pose_errors(robot: Robot, q: np.ndarray) -> tuple[float, float]:
 @pytest.mark.parametrize("direction", [1, -1])
 def test_the_tool_stays_and_the_joints_stay_inside(seed: int, direction: Any) -> None:
     q = posture(seed)
-    walk = null_motion(YUMI, q, direction=direction, length=2.0, points=201)
-    assert isinstance(walk, NullMotion)
+    walk = self_motion(YUMI, q, direction=direction, length=2.0, points=201)
+    assert isinstance(walk, SelfMotion)
     np.testing.assert_array_equal(walk.q[0], q)
     assert len(walk.q) >= 10
     for error, reported in zip(pose_errors(YUMI, walk.q), (walk.position_error, walk.rotation_error)):
@@ -55,15 +55,15 @@ def test_the_tool_stays_and_the_joints_stay_inside(seed: int, direction: Any) ->
 
 def test_there_and_back_again() -> None:
     q = posture(0)
-    there = null_motion(YUMI, q, direction=-1, length=1.5, points=4)
+    there = self_motion(YUMI, q, direction=-1, length=1.5, points=4)
     assert there.end == "length"
-    back = null_motion(YUMI, there.q[-1], direction=there.q[-2] - there.q[-1], length=1.5, points=4)
+    back = self_motion(YUMI, there.q[-1], direction=there.q[-2] - there.q[-1], length=1.5, points=4)
     np.testing.assert_allclose(back.q, there.q[::-1], rtol=0, atol=1e-7)
 
 
 def test_the_sign_is_that_of_the_joint_that_moves_most() -> None:
     q = posture(0)
-    forth, back = (null_motion(YUMI, q, direction=sign, length=0.02, points=2) for sign in (1, -1))
+    forth, back = (self_motion(YUMI, q, direction=sign, length=0.02, points=2) for sign in (1, -1))
     step = forth.q[1] - q
     assert step[np.argmax(np.abs(step))] > 0
     np.testing.assert_allclose(back.q[1] - q, -step, rtol=0, atol=1e-3)
@@ -73,7 +73,7 @@ def test_the_sign_is_that_of_the_joint_that_moves_most() -> None:
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])
 def test_uphill_ends_where_the_gradient_has_no_part_left(seed: int) -> None:
     gradient = partial(manipulability_gradient, YUMI)
-    walk = null_motion(YUMI, posture(seed), direction=gradient, length=10.0, points=201)
+    walk = self_motion(YUMI, posture(seed), direction=gradient, length=10.0, points=201)
     assert walk.end == "optimum"
     q = walk.q[-1]
     along = np.linalg.svd(jacobian(YUMI, q))[2][6:]
@@ -84,7 +84,7 @@ def test_uphill_ends_where_the_gradient_has_no_part_left(seed: int) -> None:
 def test_a_six_joint_arm_turns_about_its_tool_axis() -> None:
     robot = robots.load("irb2400")
     q = np.array([0.1, 0.2, -0.3, 0.4, 0.8, 0.2])
-    walk = null_motion(robot, q, task="axis", length=1.0, points=11)
+    walk = self_motion(robot, q, task="axis", length=1.0, points=11)
     T = forward(robot, walk.q)
     assert np.abs(T[:, :3, 2] - T[0, :3, 2]).max() <= 1e-9
     assert np.abs(T[:, :3, 3] - T[0, :3, 3]).max() <= 1e-9
@@ -94,37 +94,37 @@ def test_a_six_joint_arm_turns_about_its_tool_axis() -> None:
 def test_of_several_dimensions_one_is_chosen() -> None:
     """Position only: 7 joints leave four dimensions."""
     q, wish = posture(0), np.array([0, 0, 1.0, 0, 0, 0, 0])
-    walk = null_motion(YUMI, q, task="position", direction=wish, length=0.5, points=6)
+    walk = self_motion(YUMI, q, task="position", direction=wish, length=0.5, points=6)
     assert pose_errors(YUMI, walk.q)[0] <= 1e-9
     assert walk.q[1, 2] > q[2]
     with pytest.raises(SingularPoseError, match="one of the 4 dimensions of this self-motion, got only the sign 1"):
-        null_motion(YUMI, q, task="position")
+        self_motion(YUMI, q, task="position")
 
 
 def test_planar_arms_have_what_their_rank_leaves() -> None:
     """Four parallel axes: rank 3 of the pose, one dimension of self-motion."""
     planar = robots.from_dh("planar", 0.0, [0.5, 0.4, 0.3, 0.2], 0.0)
-    walk = null_motion(planar, [0.1, 0.4, 0.5, 0.6], length=1.0, points=11)
+    walk = self_motion(planar, [0.1, 0.4, 0.5, 0.6], length=1.0, points=11)
     assert walk.end == "length"
     assert max(pose_errors(planar, walk.q)) <= 1e-9
 
 
 def test_a_tool_on_the_only_axis_does_not_move_at_all() -> None:
     """No row of the task then depends on the joint: the whole joint space is self-motion."""
-    walk = null_motion(robots.from_dh("one", 0.0, [0.0], 0.3), [0.0], task="position", length=0.5, points=3)
+    walk = self_motion(robots.from_dh("one", 0.0, [0.0], 0.3), [0.0], task="position", length=0.5, points=3)
     np.testing.assert_array_equal(walk.q, [[0.0], [0.25], [0.5]])
     assert walk.end == "length"
 
 
 def test_prismatic_joints() -> None:
     robot = replace(YUMI, prismatic=np.arange(7) == 0)
-    walk = null_motion(robot, posture(3), length=0.5, points=6)
+    walk = self_motion(robot, posture(3), length=0.5, points=6)
     assert len(walk.q) > 1
     assert max(pose_errors(robot, walk.q)) <= 1e-9
 
 
 def test_results_are_frozen() -> None:
-    walk = null_motion(YUMI, posture(0), length=0.1, points=2)
+    walk = self_motion(YUMI, posture(0), length=0.1, points=2)
     with pytest.raises(ValueError, match="read-only"):
         walk.q[0] = 0.0
 
@@ -133,22 +133,22 @@ def test_refusals() -> None:
     q = posture(0)
     unknown: Any = "speed"
     with pytest.raises(RobotError, match="a joint to spare for the task 'pose', got 'irb2400', which needs all its 6"):
-        null_motion(robots.load("irb2400"), np.ones(6) / 5)
+        self_motion(robots.load("irb2400"), np.ones(6) / 5)
     with pytest.raises(RobotError, match="'planar', which needs all its 3 joints"):
-        null_motion(robots.from_dh("planar", 0.0, [0.5, 0.4, 0.3], 0.0), np.ones(3) / 5)
+        self_motion(robots.from_dh("planar", 0.0, [0.5, 0.4, 0.3], 0.0), np.ones(3) / 5)
     with pytest.raises(UnknownName, match=r"task, got 'speed'. Known: axis, pose, position"):
-        null_motion(YUMI, q, task=unknown)
+        self_motion(YUMI, q, task=unknown)
     with pytest.raises(UnknownName, match=r"task, got \['pose'\]"):
-        null_motion(YUMI, q, task=cast(Any, ["pose"]))
+        self_motion(YUMI, q, task=cast(Any, ["pose"]))
     with pytest.raises(ShapeError, match=r"Expected q inside the limits of 'yumi_left', got 3 for joint 1"):
-        null_motion(YUMI, [3.0, 0, 0, 0, 0, 0, 0])
+        self_motion(YUMI, [3.0, 0, 0, 0, 0, 0, 0])
     for bad in (np.zeros(6), np.zeros((2, 7)), np.full(7, np.nan)):
         with pytest.raises(ShapeError, match=r"Expected q to be \(7,\) finite numbers"):
-            null_motion(YUMI, bad)
+            self_motion(YUMI, bad)
     with pytest.raises(ShapeError, match="Expected direction"):
-        null_motion(YUMI, q, direction=[1.0, 2.0])
+        self_motion(YUMI, q, direction=[1.0, 2.0])
     with pytest.raises(ShapeError, match="Expected the gradient that direction"):
-        null_motion(YUMI, q, direction=lambda _: np.zeros(3))
+        self_motion(YUMI, q, direction=lambda _: np.zeros(3))
     for length, points in (
         (1001.0, 5),
         (0.0, 5),
@@ -161,9 +161,9 @@ def test_refusals() -> None:
         (1.0, "5"),
     ):
         with pytest.raises(ShapeError, match="length above 0 and up to 1000, and from 2 to 1000000 points"):
-            null_motion(YUMI, q, length=cast(Any, length), points=cast(Any, points))
+            self_motion(YUMI, q, length=cast(Any, length), points=cast(Any, points))
     with pytest.raises(SingularPoseError, match="a direction with a part along the self-motion"):
-        null_motion(YUMI, q, direction=jacobian(YUMI, q)[0])
+        self_motion(YUMI, q, direction=jacobian(YUMI, q)[0])
     stretched = robots.from_dh("planar", 0.0, [0.5, 0.4, 0.3, 0.2], 0.0)
     with pytest.raises(SingularPoseError, match="a regular posture to walk from"):
-        null_motion(stretched, np.zeros(4))
+        self_motion(stretched, np.zeros(4))

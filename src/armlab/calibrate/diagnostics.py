@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import hypot
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from armlab._numbers import numbers
 from armlab.errors import NotConverged, NotExcited, ShapeError
 
+Limits = TypeVar("Limits", tuple[float, float], tuple[float, float, float])
 FIXED = 1e-6  # rad: an orientation that moves less does not move
 NOISE = 3.0  # an orientation that moves less than this many deviations of the noise does not either
 ALIGNED = 0.996  # cosine beyond which an axis is called by its letter
@@ -33,7 +34,7 @@ def axis_text(u: np.ndarray, axes: str) -> str:
     return f"{axes} axis ({', '.join(f'{round(x / scale, 2) + 0.0:.2f}' for x in parts)})"
 
 
-def limits_of(limits: Any, what: str, usual: tuple[float, ...]) -> tuple[float, ...]:
+def limits_of(limits: Any, what: str, usual: Limits) -> Limits:
     """Return the limits of a fit, as many as usual, refusing others than numbers above zero."""
     values = numbers(limits, "limits", ShapeError)
     if values.shape != (len(usual),) or not np.all(values > 0):
@@ -41,7 +42,8 @@ def limits_of(limits: Any, what: str, usual: tuple[float, ...]) -> tuple[float, 
             f"Expected limits as {COUNTS[len(usual)]} numbers above zero, {what}, got {limits!r}. {usual} are the "
             "usual ones."
         )
-    return tuple(values.tolist())
+    found: Any = tuple(values.tolist())
+    return found
 
 
 def require_two_axes(RA: np.ndarray, noise: float, carrier: str, moved: Sequence[str]) -> None:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from math import hypot
 from typing import Any, Literal, NamedTuple
 
@@ -48,7 +48,6 @@ from armlab.estimation import (
     Problem,
     check_spread,
     nonlinear_least_squares,
-    unhurried,
 )
 from armlab.lie import so3
 from armlab.models import HandEye
@@ -58,7 +57,7 @@ LIMITS = (0.2, 0.2)
 CLASSES = ("position [m]", "rotation [rad]")
 WHAT = "hand-eye calibration"
 COMPONENTS = ("t",) * 3 + ("R",) * 3
-SHARED = 0.3  # length, relative to the largest, from which a part of a direction is told
+SHARED = 0.3  # length, relative to the largest, from which a part of a direction is named
 APART = 0.5  # residual over spread beyond which two records do not belong together
 COARSE = 0.03  # of the spread: a larger residual is no noise of a sensor
 NOTHING, FITS_BETTER = 1e-4, 0.1  # mean square of a rotation [rad^2] that is no misfit; share that is left of one
@@ -103,7 +102,7 @@ def fit_hand_eye(
     Raises
     ------
     ShapeError : another shape, NaN rows, no rotations, left-handed axes. UnknownName : another setup.
-    NotExcited : too few poses; a direction that they do not tell, by name.
+    NotExcited : too few poses; an unidentifiable direction, by name.
     NotConverged : records that do not belong together: pairing, inverse poses, millimetres.
 
     References
@@ -131,8 +130,7 @@ def fit_hand_eye(
     if equation.noise is None:
         require_two_axes(equation.RA, float(np.hypot(found.sigma[1], rotation_sd(equation.noise_A))), carrier, names)
     words = PoseUnknowns(Part.of(names), equation.spread, limits_of(limits, SPREAD_AND_ANGLE, LIMITS))
-    judge = partial(check_spread, found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
-    excitation = unhurried(judge, found.cov, words.widths, found.null.shape[1])
+    excitation = check_spread(found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
 
     def summary(fit: Fit[HandEye]) -> str:
         given, turns = equation.noise is not None, fit.sd.reshape(4, 3)[1::2]

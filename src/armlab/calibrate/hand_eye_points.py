@@ -12,7 +12,7 @@ for a known marker or unknown points.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -35,7 +35,7 @@ from armlab.calibrate.hand_eye import (
 from armlab.calibrate.inputs import point_noise, pose_noise, poses
 from armlab.calibrate.orientation_conventions import FITS, MUCH_BETTER, ROBOT, SUSPECT, readings_of_robot
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
-from armlab.estimation import Fit, Measurement, Problem, check_spread, nonlinear_least_squares, unhurried
+from armlab.estimation import Fit, Measurement, Problem, check_spread, nonlinear_least_squares
 from armlab.estimation.factors import triangle
 from armlab.frames import marker_pose
 from armlab.frames.inputs import marker_points, sightings
@@ -87,7 +87,7 @@ def fit_hand_eye_points(
     Raises
     ------
     ShapeError : another shape, NaN rows where visible, no rotations. UnknownName : another setup.
-    NotExcited : too few poses or points; a direction that they do not tell, by name.
+    NotExcited : too few poses or points; an unidentifiable direction, by name.
     NotConverged : records that do not belong together: pairing, inverse poses, millimetres, a left-handed camera.
     """
     if setup not in FRAMES:
@@ -122,8 +122,7 @@ def fit_hand_eye_points(
     outliers[: len(found.outliers)] = found.outliers
     require_agreement(sight, float(np.sqrt(3.0 * np.nanmean(residuals[~outliers] ** 2))), float(np.mean(outliers)))
     words = PoseUnknowns(parts, sight.spread, limits_of(limits, SPREAD_AND_ANGLE, LIMITS))
-    judge = partial(check_spread, found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
-    excitation = unhurried(judge, found.cov, words.widths, found.null.shape[1])
+    excitation = check_spread(found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
 
     def summary(fit: Fit[HandEye]) -> str:
         turns = fit.sd[[unit == "rad" for unit in fit.units]]
@@ -193,7 +192,7 @@ class Linear(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PointModel:
-    """What was seen: one row per point that was visible in a sample."""
+    """Measured points: one row per point that was visible in a sample."""
 
     RA: np.ndarray  # RA, tA: (N, 3, 3), (N, 3) of the samples
     tA: np.ndarray

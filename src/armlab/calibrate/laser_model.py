@@ -31,7 +31,7 @@ PRODUCT = 0.3  # second singular value over the first beyond which what should b
 LIMITS = (0.2, 0.2)  # largest deviations accepted: share of the spread of the points, and [rad]
 FLAT = 0.05  # sine of the angle between plate and laser plane below which a scan is not one
 SHAKEN = 1e-3  # rad: orientations of robots are no better; a turn that they could make by that is none
-UNITS = 2.0  # factor between units of length from which it is told
+UNITS = 2.0  # factor between units of length from which it is reported
 FAR = 20.0  # factor from which nothing is tried
 ROUGH = 0.1  # residual over the spread of the points from which scans do not fit
 FAR_APART = 30.0  # m: no cell is as large, but one of 30 cm is in millimetres
@@ -213,7 +213,7 @@ def _cost(scans: Scans, scene: Scene, ratio: float) -> float:
 def linear_rotations(scans: Scans, ratio: float) -> tuple[tuple[list[np.ndarray], float], ...]:
     """Return rotations from the scans of each plate alone, and the unit of length of the scans over that of the poses.
 
-    The unit is 1 where the scans do not tell it: it counts only if the products are products.
+    The unit is 1 where the scans do not determine it: it counts only if the products are products.
 
     p_x n.R_i r1 + p_y n.R_i r2 + n.R_i t + n.t_i - d = 0 and l_x n.R_i r1 + l_y n.R_i r2 = 0 are linear in
     [n (x) r1, n (x) r2, n (x) t, n, d], up to scale.
@@ -244,8 +244,8 @@ def _linear(scans: Scans, j: int, ratio: float) -> tuple[list[np.ndarray], float
         r1, r2 = (U @ W).T
         found.append(np.stack([r1, r2, np.cross(r1, r2)], axis=1))
     size = float(np.linalg.norm(z[27:30]))
-    told = size > 0 and s[1] < PRODUCT * s[0]
-    return found, float(s[0] / np.sqrt(2.0) / size) if told else 1.0
+    known = size > 0 and s[1] < PRODUCT * s[0]
+    return found, float(s[0] / np.sqrt(2.0) / size) if known else 1.0
 
 
 def scene_of(scans: Scans, R: np.ndarray) -> Scene:
@@ -356,7 +356,7 @@ def _unit(scans: Scans, ratio: float) -> float:
 
 
 def misfit(scans: Scans, ratio: float, best: Scene | None, text: str) -> NotConverged:
-    """Return the refusal of scans that no start fits, with the cause where it can be told."""
+    """Return the refusal of scans that no start fits, with the cause where it can be identified."""
     size = _unit(scans, ratio)
     cause = "Check the labels of the plates and that scan i and pose i are of the same moment, or look for wrong scans "
     cause += "with robust=True."

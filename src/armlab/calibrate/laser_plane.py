@@ -9,7 +9,7 @@ The search for the scene of a line scanner: short descents from many starts, the
 
 The best start of each group is fitted at once. Where that does not agree with the noise, every start of the group makes
 a few steps with weights ``(c^2 / (c^2 + rho^2))^2`` over whole scans, rho in deviations that the median of the
-residuals tells, so that neither noise that nobody gave nor wrong scans matter; the few that leave least are fitted.
+residuals estimates, so that neither unknown noise nor wrong scans matter; the best few are fitted to the end.
 So many steps are all that scans cost which nothing fits.
 """
 
@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -42,7 +41,7 @@ from armlab.calibrate.laser_model import (
     starts,
 )
 from armlab.errors import NotConverged, NotExcited, ShapeError
-from armlab.estimation import Fit, NonlinearSolution, check_spread, nonlinear_least_squares, unhurried
+from armlab.estimation import Fit, NonlinearSolution, check_spread, nonlinear_least_squares
 from armlab.estimation.descent import descend
 from armlab.estimation.robust import mad
 from armlab.lie import se3, so3
@@ -93,7 +92,7 @@ def fit_laser_plane(
     Raises
     ------
     ShapeError : another shape, NaN rows, no rotations; a plate parallel to the laser plane.
-    NotExcited : too few scans; a direction that they do not tell, by name.
+    NotExcited : too few scans; an unidentifiable direction, by name.
     NotConverged : no start fits the noise: labels, pairing, millimetres, wrong scans.
 
     References
@@ -107,8 +106,7 @@ def fit_laser_plane(
     scene = found.value
     require_slant(data, scene)
     words = SceneUnknowns(data, scene, planes, limits_of(limits, SPREAD_AND_ANGLE, LIMITS))
-    judge = partial(check_spread, found.rows.J, words.names, words.units, words.widths, "laser scanner", describe=words)
-    excitation = unhurried(judge, found.cov, words.widths, found.null.shape[1])
+    excitation = check_spread(found.rows.J, words.names, words.units, words.widths, "laser scanner", describe=words)
 
     def summary(fit: Fit[LaserSensor]) -> str:
         found_planes = (f"plane {a}: n {np.round(n, 6)}, d {d:.6g} m" for a, n, d in zip(planes, scene.n, scene.d))
@@ -315,7 +313,7 @@ def _tried(scans: Scans, scene: Scene, robust: bool) -> NonlinearSolution[Scene]
 def _doubted(scans: Scans, found: NonlinearSolution[Scene], size: float) -> NonlinearSolution[Scene]:
     """Return the fit, or a better one without a scan that holds it: a wrong one may have others left out in its place.
 
-    Where a plate is nearly parallel to the laser plane, one scan tells more of the rotation than all others.
+    Where a plate is nearly parallel to the laser plane, one scan determines the rotation more than all others.
     """
     held = np.einsum("ij,jk,ik->i", found.rows.J, found.cov, found.rows.J)
     numbers = np.bincount(found.rows.sample, minlength=scans.N)

@@ -1,7 +1,7 @@
-"""Orientations that were read wrongly before they came here: quaternions in another order, matrices by columns.
+"""Orientations in another convention: quaternions with another order of components, transposed matrices.
 
 Both records with the wrong order of quaternions keep the rotations of ``A X = Y B`` true: ``q_A = q_Y q_B q_X^-1`` is a
-rotation of four numbers, and whatever order these have it stays one. Only positions tell.
+rotation of four numbers, and whatever order these have it stays one. Only positions show it.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     sphere: e = |p - c| - r                          circle: e = (|q| - r, z),  z = n . (p - c),  q = p - c - n z
 
 A start comes from the linear equation ``|p|^2 = 2 c . p + (r^2 - |c|^2)``; Gauss-Newton does the rest. Short arcs and
-flat caps, which do not tell where the centre is, are refused by name.
+flat caps, which do not determine the centre, raise an error naming the direction.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def fit_circle(
 
     Raises
     ------
-    ShapeError : points are no (N, 3) or not finite, with their rows; hints that do not tell the side.
+    ShapeError : points are no (N, 3) or not finite, with their rows; hints that do not decide the side.
     NotExcited : too few points; points on a short arc, or in a line; a plane through the origin without a hint.
     """
     cloud = Cloud(p, noise, 3, "circle")

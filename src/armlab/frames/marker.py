@@ -32,7 +32,7 @@ class MarkerPoses:
     valid : (N,) where there is a pose.
     rms : (N,) root mean square distance of the visible points from the marker's [m]; NaN where there is no pose.
     cov : (N, 6, 6) of [v; w], v in camera axes, w in marker axes; NaN where there is no pose.
-    noise : deviation of each coordinate of a point [m], given or found; NaN where nothing tells it.
+    noise : deviation of each coordinate of a point [m], given or found; NaN where it cannot be estimated.
     marker : (K, 3) the points in marker axes [m], given or found.
     """
 

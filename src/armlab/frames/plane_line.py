@@ -35,7 +35,7 @@ from armlab.lie import so3
 Flat = TypeVar("Flat", Plane, Line)
 
 CHANCE = 1e-3  # of a spread that noise alone would show
-JUDGED = 10  # points from which the spread is held against that chance; fewer cannot tell
+JUDGED = 10  # points from which the spread is held against that chance; fewer cannot decide
 
 
 def fit_plane(
@@ -67,7 +67,7 @@ def fit_plane(
 
     Raises
     ------
-    ShapeError : points are no (N, 3) or not finite, with their rows; both hints are given, or one that does not tell
+    ShapeError : points are no (N, 3) or not finite, with their rows; both hints are given, or one that does not decide
         the side.
     NotExcited : too few points; points along a line, with its direction; a plane through the origin without a hint.
     """
@@ -82,9 +82,10 @@ def fit_plane(
     used = max(sigma or found, rounding(p))
     n = axes[2]
     cov = used**2 * np.diag([1.0 / max(squares[1], 1e-300), 1.0 / max(squares[0], 1e-300), 1.0 / kept.sum()])
-    told = _told(squares[1], squares[2], used, int(kept.sum()) - 3), _told(squares[0], squares[2], used, 0)
+    spare = int(kept.sum()) - 3
+    precision = _precision(squares[1], squares[2], used, spare), _precision(squares[0], squares[2], used, 0)
     names = (f"tilt about the long axis of the points, {text(axes[0])}", f"tilt about {text(axes[1])}")
-    excitation = _judge(told, used, kept.sum(), squares, limit, Plane, names)
+    excitation = _judge(precision, used, kept.sum(), squares, limit, Plane, names)
     reach = float(np.sqrt(cov[2, 2] + (axes[1] @ c) ** 2 * cov[0, 0] + (axes[0] @ c) ** 2 * cov[1, 1]))
     n = upward(n, c, reach, toward, normal, "plane")
     value = Plane(n, float(n @ c), c, axes[:2], cov)
@@ -131,9 +132,9 @@ def fit_line(
     found = float(np.sqrt((squares[1] + squares[2]) / freedom)) if freedom else float(sigma or 0.0)
     used = max(sigma or found, rounding(cloud.p))
     tilt, offset = used**2 / max(squares[0], 1e-300), used**2 / len(p)
-    told = _told(squares[0], squares[1], used, len(p) - 2)
+    precision = _precision(squares[0], squares[1], used, len(p) - 2)
     names = ("direction of the line: its points are in one place, tilt about axis 1", "tilt about axis 2")
-    excitation = _judge((told, told), used, len(p), squares, limit, Line, names)
+    excitation = _judge((precision, precision), used, len(p), squares, limit, Line, names)
     v = _forward(axes[0], p[-1] - p[0], float(np.sqrt(2.0)) * used, along)
     cov = np.diag([tilt, tilt, offset, offset])
     value = Line(v, c - v * (v @ c), c, inputs.across(v), cov)
@@ -160,8 +161,8 @@ def _forward(v: np.ndarray, step: np.ndarray, sigma: float, along: ArrayLike | N
     return v if side > 0 else -v
 
 
-def _told(strong: float, weak: float, sigma: float, points: int) -> float:
-    """Return how far the larger of two sums of squares tells its direction from the other: 1 over the deviation.
+def _precision(strong: float, weak: float, sigma: float, points: int) -> float:
+    """Return 1 over the standard deviation of the direction of the larger of two sums of squares.
 
     The deviation is ``sigma sqrt(strong) / (strong - weak)``, which is ``sigma / sqrt(strong)`` for a clear one. Noise
     alone shows a ratio q with the chance ``(2 sqrt(q) / (1 + q))^points``, the test of sphericity in two dimensions.
@@ -174,7 +175,7 @@ def _told(strong: float, weak: float, sigma: float, points: int) -> float:
 
 
 def _judge(
-    told: tuple[float, float],
+    precision: tuple[float, float],
     sigma: float,
     count: int,
     squares: np.ndarray,
@@ -183,10 +184,10 @@ def _judge(
     words: Sequence[str],
 ) -> Any:
     """Return the excitation, refusing tilts beyond the limit by name."""
-    names, tilts = kind.names, len(told)
+    names, tilts = kind.names, len(precision)
     offsets = len(names) - tilts
     size = 0.2 * max(float(np.sqrt(squares.sum() / count)), 1e-300)
-    J = np.diag([*told, *[np.sqrt(count) / sigma] * offsets])
+    J = np.diag([*precision, *[np.sqrt(count) / sigma] * offsets])
     limits = np.array([limit] * tilts + [size] * offsets)
 
     def describe(reach: np.ndarray) -> str:

@@ -154,7 +154,7 @@ class Edge:
     ----------
     a, b : names of the frames. T : (4, 4) pose of b in a [m].
     cov : (6, 6) covariance of its error [v; w], v along the axes of a [m], w along those of b [rad]; zero when the pose
-        is exact, None when nobody knows.
+        is exact, None when unknown.
     source : where it comes from, in words.
     """
 

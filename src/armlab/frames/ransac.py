@@ -57,7 +57,7 @@ def inliers(
     half = np.zeros(len(p), dtype=bool)
     half[jury[np.argsort(squares, kind="stable")[:height]]] = True
     kept = half
-    with suppress(NotExcited):  # half of the points may tell too little
+    with suppress(NotExcited):  # half of the points may be too few
         kept = refit(half)[1] <= limit * (ROOM * max(sigma or spread, rounding(p))) ** 2
     for _ in range(ROUNDS):
         noise, squares = refit(kept)

@@ -90,7 +90,7 @@ def jacobian(
     ----------
     robot : the arm.
     q : (..., n) joint positions [rad or m].
-    frame : axes in which v and w are told, "base" or "tool"; the point is the tool's origin in both.
+    frame : axes of v and w, "base" or "tool"; the point is the tool's origin in both.
     out : (..., 6, n) array to write into, or None for a new one.
     threads : how many share the poses, 1 to 256; the result is the same to the last bit.
 
@@ -178,7 +178,7 @@ def jacobian_derivative(
 
     It is the derivative of the numbers that `jacobian` returns for the same `frame`. In base axes `vd` and `wd` are the
     accelerations of the tool point and of the tool. In tool axes they are the rates of the velocities as the tool
-    tells them: ``vd + w x v`` is then the acceleration of the tool point in tool axes, and `wd` the angular one.
+    measures them: ``vd + w x v`` is then the acceleration of the tool point in tool axes, and `wd` the angular one.
     Pinocchio's ``getFrameJacobianTimeVariation`` with LOCAL_WORLD_ALIGNED and LOCAL gives the same two arrays.
 
     Parameters
@@ -186,7 +186,7 @@ def jacobian_derivative(
     robot : the arm.
     q : (..., n) joint positions [rad or m].
     qd : (..., n) joint velocities [rad/s or m/s], of the shape of `q`.
-    frame : axes in which the Jacobian is told, "base" or "tool"; the point is the tool's origin in both.
+    frame : axes of the Jacobian, "base" or "tool"; the point is the tool's origin in both.
     out : (..., 6, n) array to write into, or None for a new one.
 
     Returns
@@ -211,7 +211,7 @@ def jacobian_derivative(
     return chain.jacobian_derivative(q, qd, frame == "tool", out)
 
 
-def frame_jacobian(robot: Robot, q: ArrayLike) -> np.ndarray:
+def parameter_jacobian(robot: Robot, q: ArrayLike) -> np.ndarray:
     """Return how the tool moves when frame j of the arm becomes ``E_j Exp([v; w])``: ``J[..., j, :] @ [v; w]``.
 
     With ``P_j = E_0 Z_1(q_1) E_1 ... E_j = (R_j, p_j)`` the tool at p moves by ``R_j v + R_j w x (p - p_j)`` and turns

@@ -46,7 +46,7 @@ def inverse(
     threads: int = 1,
     history: bool = False,
     strict: bool = False,
-) -> Inverse:
+) -> IkSolution:
     """Return joint positions within the limits that put the tool at given poses.
 
     Levenberg-Marquardt steps ``dq = J^T (J J^T + lambda I)^-1 e`` with ``lambda = damping |e|^2`` and
@@ -82,12 +82,12 @@ def inverse(
 
     Returns
     -------
-    Inverse with arrays of the shape of the batch; where there is no solution, the posture with the least error and why.
+    IkSolution with arrays of the shape of the batch; without a solution, the posture with the least error and why.
 
     Raises
     ------
     ShapeError
-        When a goal is not a pose or not finite (its index is told), or `q0`, `axis` or `posture` does not fit.
+        When a goal is not a pose or not finite (its index is reported), or `q0`, `axis` or `posture` does not fit.
     UnknownName
         When there is no such task or objective.
     RobotError
@@ -96,7 +96,7 @@ def inverse(
         When `tol`, `maxiter`, `starts`, `damping`, `seed` or `threads` is out of its range, or a
         posture comes without its objective.
     NotConverged
-        With `strict`, when a goal is not solved; `best` is the `Inverse`.
+        With `strict`, when a goal is not solved; `best` is the `IkSolution`.
 
     References
     ----------
@@ -138,7 +138,7 @@ def _checked(seed: int) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class Inverse:
+class IkSolution:
     """Joint positions for one goal or a batch of goals; arrays are read-only, and scalars for one goal.
 
     Attributes
@@ -195,11 +195,11 @@ class Inverse:
         return f"Not solved ({reason}: {_EXPLANATIONS[reason]}); the best posture is off by {errors} after {spent}."
 
     def __repr__(self) -> str:
-        return f"Inverse({self.report()})"
+        return f"IkSolution({self.report()})"
 
 
-def freeze(q: np.ndarray, errors: np.ndarray, counts: np.ndarray, history: np.ndarray | None) -> Inverse:
-    """Return what a kernel gave as an `Inverse`; single goals get scalars.
+def freeze(q: np.ndarray, errors: np.ndarray, counts: np.ndarray, history: np.ndarray | None) -> IkSolution:
+    """Return what a kernel gave as an `IkSolution`; single goals get scalars.
 
     `errors` (..., 3) are [m], [rad] and slope; `counts` (..., 3) steps, starts and status.
     """
@@ -208,17 +208,17 @@ def freeze(q: np.ndarray, errors: np.ndarray, counts: np.ndarray, history: np.nd
             array.flags.writeable = False
     if counts.ndim == 1:
         steps, starts, status = counts
-        return Inverse(q, status == 0, errors[0], errors[1], steps, starts, REASONS[status], errors[2], history)
+        return IkSolution(q, status == 0, errors[0], errors[1], steps, starts, REASONS[status], errors[2], history)
     success, reason = counts[..., 2] == 0, _TEXTS[counts[..., 2]]
     success.flags.writeable = reason.flags.writeable = False
-    return Inverse(
+    return IkSolution(
         q, success, errors[..., 0], errors[..., 1], counts[..., 0], counts[..., 1], reason, errors[..., 2], history
     )
 
 
 def _errors(position: np.ndarray, rotation: np.ndarray) -> str:
-    told = [(position, "m"), (rotation, "rad")]
-    return " and ".join(f"{np.max(values):.2g} {unit}" for values, unit in told if not np.isnan(values).all())
+    parts = [(position, "m"), (rotation, "rad")]
+    return " and ".join(f"{np.max(values):.2g} {unit}" for values, unit in parts if not np.isnan(values).all())
 
 
 def check_task(robot: object, task: str, objective: str | None) -> None:

@@ -28,7 +28,7 @@ TOGETHER = 1e-6  # rad: postures that are one
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class IkPath:
     """Joint positions along a path of N poses; arrays are read-only.
 
     Attributes
@@ -76,7 +76,7 @@ class Path:
         return text + "."
 
     def __repr__(self) -> str:
-        return f"Path({self.report()})"
+        return f"IkPath({self.report()})"
 
 
 def inverse_path(
@@ -94,7 +94,7 @@ def inverse_path(
     starts: int = 100,
     damping: float = 0.1,
     strict: bool = False,
-) -> Path:
+) -> IkPath:
     """Return joint positions that lead the tool through poses, on one branch.
 
     Every pose is solved as by `inverse`, from the row before and its last step: joints stay on their branch, and go
@@ -119,7 +119,7 @@ def inverse_path(
 
     Returns
     -------
-    Path, with `success` per row.
+    IkPath, with `success` per row.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def inverse_path(
     ConfigError
         When `tol`, `maxiter`, `starts` or `damping` is out of its range, or a posture comes without its objective.
     NotConverged
-        With `strict`, when the path breaks; `best` is the `Path`.
+        With `strict`, when the path breaks; `best` is the `IkPath`.
     """
     from armlab.kernels import follow_path
 
@@ -162,7 +162,7 @@ def inverse_path(
         rows = with_detours(robot, np.asarray(T_base_tool, dtype=np.float64), rows, follow, solve)
     q, errors, counts = rows
     steps, status, other_branch = counts.T.copy()
-    path = Path(q, status == 0, errors[:, 0], errors[:, 1], _TEXTS[status], np.flatnonzero(other_branch), steps)
+    path = IkPath(q, status == 0, errors[:, 0], errors[:, 1], _TEXTS[status], np.flatnonzero(other_branch), steps)
     if strict and not path.success.all():
         raise NotConverged(path.report(), best=path)
     return path

@@ -16,7 +16,7 @@ from armlab.kinematics.forward import forward, jacobian
 from armlab.lie import so3
 from armlab.robots import Robot
 
-__all__ = ["NullMotion", "null_motion"]
+__all__ = ["SelfMotion", "self_motion"]
 
 Task = Literal["pose", "position", "axis"]
 
@@ -31,7 +31,7 @@ _SINGULAR = 1e-9  # of the largest singular value
 
 
 @dataclass(frozen=True, eq=False)
-class NullMotion:
+class SelfMotion:
     """A walk along the self-motion; arrays are read-only.
 
     Attributes
@@ -54,7 +54,7 @@ class NullMotion:
         make_read_only(self, "q", "s", "position_error", "rotation_error")
 
 
-def null_motion(
+def self_motion(
     robot: Robot,
     q: ArrayLike,
     *,
@@ -62,7 +62,7 @@ def null_motion(
     length: float = 1.0,
     points: int = 51,
     task: Task = "pose",
-) -> NullMotion:
+) -> SelfMotion:
     """Walk along the self-motion from a posture: ``J(q) dq/ds = 0``, ``|dq/ds| = 1``.
 
     A Runge-Kutta step of fourth order along the null space, then Newton steps ``dq = J^+ e`` back to the pose. Every
@@ -83,7 +83,7 @@ def null_motion(
 
     Returns
     -------
-    NullMotion
+    SelfMotion
         The points, their errors, and why the walk ended.
 
     Raises
@@ -112,7 +112,7 @@ def null_motion(
     rows = np.clip(rows, robot.q_min, robot.q_max)
     errors = np.array([curve.error(row)[0] for row in rows])
     position_error, rotation_error = (np.linalg.norm(half, axis=1) for half in (errors[:, :3], errors[:, 3:]))
-    return NullMotion(rows, np.array(walked), position_error, rotation_error, end)
+    return SelfMotion(rows, np.array(walked), position_error, rotation_error, end)
 
 
 class _Curve:

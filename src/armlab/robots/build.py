@@ -27,7 +27,7 @@ SCREW_TOLERANCE = 1e-9
 
 
 class Details(TypedDict, total=False):
-    """What a builder may be told beside the geometry (see `Robot`), and what holds when it is not told.
+    """Arguments of a builder beside the geometry (see `Robot`), and their defaults.
 
     Attributes
     ----------

@@ -101,12 +101,12 @@ def _no_robot_file(kind: str) -> str:
     return text
 
 
-def _as_written(told: str, fields: dict[str, Any]) -> str:
-    """Return what msgspec tells with the name that the file has, ``limits_deg`` for ``limits``."""
-    place = re.search(r"\$\.joint\[(\d+)\]\.(\w+)", told)
+def _as_written(message: str, fields: dict[str, Any]) -> str:
+    """Return the message of msgspec with the name used in the file, ``limits_deg`` for ``limits``."""
+    place = re.search(r"\$\.joint\[(\d+)\]\.(\w+)", message)
     if place is None or f"{place[2]}_deg" not in fields["joint"][int(place[1])]:
-        return told
-    return told.replace(place[0], f"{place[0]}_deg")
+        return message
+    return message.replace(place[0], f"{place[0]}_deg")
 
 
 def _in_radians(value: Any) -> Any:

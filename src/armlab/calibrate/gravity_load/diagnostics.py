@@ -87,13 +87,13 @@ class LoadUnknowns:
 
 
 def _along(equation: WeightEquation) -> str:
-    """Return what else nothing is told of along the axis of a rotation that is not told."""
+    """Name the other unknowns that are unidentifiable along the axis of an unidentifiable rotation."""
     return (", bias" + " and centre of mass" * equation.torque + " along it") * equation.bias
 
 
 @cache
 def _labels(widths: tuple[tuple[str, int], ...], scale: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return names and units of the unknowns, see `Words`."""
+    """Return names and units of the unknowns, see `LoadUnknowns`."""
     names, units = [], []
     quantity, weight, single = ("acceleration", "m/s^2", "") if scale == "scale" else ("force", "N", "kg")
     for kind, count in widths:
@@ -106,7 +106,7 @@ def _labels(widths: tuple[tuple[str, int], ...], scale: str) -> tuple[tuple[str,
 
 
 def require_motion(equation: WeightEquation) -> float:
-    """Refuse too few samples, and orientations that cannot tell; return how far gravity moves (share of it).
+    """Refuse too few samples, and orientations that are not exciting; return how far gravity moves (share of it).
 
     That is the second singular value of gravity over the tool axes, or of the rotations where gravity is unknown.
     """
@@ -184,7 +184,7 @@ def _cause(equation: WeightEquation, kept: np.ndarray) -> str:
 
 
 def require_right_hand(equation: WeightEquation, kept: np.ndarray) -> str:
-    """Refuse sensors with a mirrored axis or a reversed sign; return a remark where that cannot be told."""
+    """Refuse sensors with a mirrored axis or a reversed sign; return a remark where that is undecided."""
     if equation.pull is None:
         return ""
     turn = equation.turn if kept.all() else Turn.of(equation, kept)

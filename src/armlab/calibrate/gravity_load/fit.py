@@ -31,18 +31,15 @@ from armlab.calibrate.gravity_load.diagnostics import (
 )
 from armlab.calibrate.gravity_load.diagnostics import mirrored as mirrored_error
 from armlab.calibrate.gravity_load.model import (
-    Found,
     Load,
     Turn,
     WeightEquation,
-    closed_form,
-    is_closed,
     likely_samples,
     mirror_solution,
 )
 from armlab.calibrate.inputs import covariance, finite, gravity_of, orientations, point_noise
 from armlab.errors import NotConverged, NotExcited, ShapeError
-from armlab.estimation import Excitation, Fit, NonlinearSolution, check_spread, nonlinear_least_squares, unhurried
+from armlab.estimation import Fit, NonlinearSolution, check_spread, nonlinear_least_squares
 from armlab.models import Accelerometer, ForceSensor
 
 LIMITS = (0.2, 0.3, 0.1)
@@ -51,7 +48,6 @@ CLASSES = ("force [N]",) * 3 + ("torque [N m]",) * 3
 Value = TypeVar("Value")
 
 SCHEDULE = (200.0, 60.0, 20.0, 10.0, 5.0)
-RICH = 0.01  # share of gravity over two directions from which the closed form keeps 12 digits
 
 
 def fit_force_sensor(
@@ -89,7 +85,7 @@ def fit_force_sensor(
     Raises
     ------
     ShapeError : another shape, NaN rows, no rotations, a gravity, sign or mass that cannot be.
-    NotExcited : too few samples; a direction that the orientations do not tell, in words.
+    NotExcited : too few samples; an unidentifiable direction, in words.
     NotConverged : an axis mirrored or the sign reversed (`reason` "left_handed"); readings that do not follow gravity.
 
     References
@@ -181,7 +177,7 @@ def fit_accelerometer(
     Raises
     ------
     ShapeError : another shape, NaN rows, no rotations.
-    NotExcited : too few samples; a direction that the orientations do not tell, in words.
+    NotExcited : too few samples; an unidentifiable direction, in words.
     NotConverged : an axis mirrored or the sign reversed (`reason` "left_handed"); readings that do not follow gravity.
     """
     RA, note = orientations(T_base_tool, "T_base_tool")
@@ -216,22 +212,16 @@ def fit_weight(
 ) -> Fit[Value]:
     """Fit readings of a turned weight."""
     moved = require_motion(equation)
-    if not robust and moved > RICH and is_closed(equation):
-        found = closed_form(equation)
-    else:
-        found = _descended(equation, robust, moved, limits, scale)
-    load, kept = found.load, ~found.outliers
+    found = _solved_globally(equation, robust, moved, limits, scale)
+    load, kept, residuals = found.value, ~found.outliers, equation.evaluate(found.value)[0].r
     require_order_of_tool(equation, kept)
     require_most(found.outliers, f"readings of the {equation.what}", load)
     hand = require_right_hand(equation, kept)
-    require_match(equation, load, found.residuals, kept, moved)
+    require_match(equation, load, residuals, kept, moved)
     _require_weight(equation, load)
     require_lever(equation, load, np.sqrt(found.cov.diagonal()))
     words = LoadUnknowns(equation, load, limits, scale)
-
-    def excitation() -> Excitation:
-        J = found.jacobian(equation)
-        return check_spread(J, words.names, words.units, words.widths, equation.what, describe=words)
+    excitation = check_spread(found.rows.J, words.names, words.units, words.widths, equation.what, describe=words)
 
     def summary(fit: Fit[Value]) -> str:
         squares = 2.0 * found.cost / found.freedom if equation.noise is not None and found.freedom else None
@@ -239,15 +229,15 @@ def fit_weight(
         return "\n".join([fit.table(), *(line for line in lines if line)])
 
     return Fit(
-        value(load), words.names, words.units, words.parameters(), found.cov, found.sigma, found.residuals, equation.N,
-        unhurried(excitation, found.cov, words.widths, found.unseen), summary, found.outliers,
-        tuple(dict.fromkeys(equation.classes)),
+        value(load), words.names, words.units, words.parameters(), found.cov, found.sigma, residuals, equation.N,
+        excitation, summary, found.outliers, tuple(dict.fromkeys(equation.classes)),
     )  # fmt: skip
 
 
-def _descended(
+def _solved_globally(
     equation: WeightEquation, robust: bool, moved: float, limits: tuple[float, float, float], scale: str
-) -> Found:
+) -> NonlinearSolution[Load]:
+    """Return the best of all minima; where none is found, say why."""
     start = equation.only(likely_samples(equation)).start() if robust else equation.start()
     try:
         found = _solved(equation, start, robust)
@@ -258,7 +248,7 @@ def _descended(
         found = _better_of_mirrored(equation, found, robust)
     elif robust and np.mean(found.outliers) > MANY:
         _try_other_hand(equation)
-    return Found.of(equation, found)
+    return found
 
 
 def _solved(equation: WeightEquation, start: Load, robust: bool) -> NonlinearSolution[Load]:
@@ -268,7 +258,7 @@ def _solved(equation: WeightEquation, start: Load, robust: bool) -> NonlinearSol
 def _better_of_mirrored(
     equation: WeightEquation, found: NonlinearSolution[Load], robust: bool
 ) -> NonlinearSolution[Load]:
-    """Return the better of a minimum and of that from its `twin`: fewer outliers, then smaller residuals."""
+    """Return the better of a minimum and of that from its mirror image: fewer outliers, then smaller residuals."""
     start = mirror_solution(equation, found.value)
     if start is None:
         return found
@@ -285,9 +275,10 @@ def _better_of_mirrored(
 
 
 def _explain(equation: WeightEquation, best: Load, moved: float, words: LoadUnknowns) -> None:
-    """Say why a descent came to no end, where readings do not follow gravity or orientations do not tell."""
+    """Say why a descent did not converge: readings that do not follow gravity, or orientations that do not excite."""
     (one,) = equation.evaluate(best)
     everything = np.ones(equation.N, dtype=bool)
+    require_order_of_tool(equation, everything)
     require_right_hand(equation, everything)
     require_match(equation, best, one.r, everything, moved)
     size = {name: float(np.sqrt(np.mean(one.r[:, [name == c for c in one.classes]] ** 2))) for name in one.classes}

@@ -3,7 +3,7 @@
     Z_i = T_a(q_a,i)^-1 T_basea_baseb T_b(q_b,i)
 
 What is measured is the tool of b, its pose or a point, seen from the tool of a. One system for both arms and all
-samples; nothing absolute is needed, and where the feet of the arms are is then a matter of convention.
+samples; nothing absolute is needed, and where the bases of the arms are is then a matter of convention.
 
 The tool of b seen from the tool of a is ``Z = T_a^-1 T_basea_baseb T_b``. A point p of b's tool, in a's base, moves in
 a's tool axes by what the frames of b and the base of b do to it, less what the frames of a do to a point there.
@@ -79,7 +79,7 @@ def fit_dual_arm(
 
     Raises
     ------
-    NotExcited : directions that the data do not tell, by name; of a closed chain always the overall scale and what both
+    NotExcited : unidentifiable directions, by name; of a closed chain always the overall scale and what both
         tools have in common, unless weak="prior" holds them. NotConverged : samples that do not belong together.
     ShapeError, ConfigError, UnknownName : see `fit_kinematics`.
 
@@ -335,7 +335,7 @@ class DualQuestion(Question[DualState]):
         return self.problem.may_be_missing(state)
 
     def fit(self, found: NonlinearSolution[DualState]) -> Fit[DualArmCorrection]:
-        """Return value, covariance and what the data tell."""
+        """Return value, covariance and excitation."""
         problem, state = self.problem, found.value
         tool = np.eye(6)[:, 3:] if problem.kinds[0].name == "position" else np.zeros((6, 0))
         a, _ = problem.arm_a.smallest(state.a.frames, np.zeros((6, 0)), np.zeros((6, 0)))

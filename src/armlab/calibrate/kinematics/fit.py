@@ -1,4 +1,4 @@
-"""Kinematic calibration: the frames of an arm, its tool and its foot from what an instrument saw of them.
+"""Kinematic calibration: the frames of an arm, its tool and its base from measurements of an instrument.
 
     T(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n,        E_j <- E_j Exp(x_j)
 
@@ -76,7 +76,7 @@ def fit_kinematics(
     harmonics : orders k of ``a_jk cos k q_j + b_jk sin k q_j`` added to q, amplitudes known before to 0.1 deg.
     joint_terms : phi (N, n, L), for example gravity torques: ``sum_l c_l phi_l`` is added to q.
     prior : standard deviation of the links [m and rad, or a pair] for `weak="prior"`; none for base and tool.
-    weak : "refuse" directions that the data tell worse than `limits`, or hold them by the "prior".
+    weak : "refuse" directions with larger deviations than `limits`, or hold them by the "prior".
     robust : find outliers among the samples.
     limits : standard deviation [m, rad] that is the most accepted.
 
@@ -88,7 +88,7 @@ def fit_kinematics(
 
     Raises
     ------
-    NotExcited : directions that the data do not tell, by name. NotConverged : samples that do not belong together.
+    NotExcited : unidentifiable directions, by name. NotConverged : samples that do not belong together.
     ShapeError : wrong shapes, NaN that is not masked, what is no rotation, millimetres, degrees.
     ConfigError, UnknownName : options that do not exist.
 
@@ -112,7 +112,7 @@ def fit_kinematics(
     reduced = isinstance(free, str) and free == "all" and held is None
     active = used & _with_rest(arm.unbound, problem.size) if reduced else used
     if reduced and not problem.points and not any(kind.name == "pose" for kind in problem.kinds):
-        active[6 * arm.n + 3 : 6 * arm.n + 6] = False  # one point never tells how the tool is turned
+        active[6 * arm.n + 3 : 6 * arm.n + 6] = False  # one point does not determine the rotation of the tool
     problem = KinematicProblem(arm, tuple(kinds), active, len(points), held)
     question = ArmQuestion(problem, used, length_angle(limits, "limits"), weak == "prior")
     solution = question.solve(start, robust)
@@ -204,7 +204,7 @@ class ArmQuestion(Question[State]):
         return may_be_missing(self.problem, state)
 
     def fit(self, found: NonlinearSolution[State], smallest: bool, notes: Sequence[str]) -> Fit[KinematicCorrection]:
-        """Return value, covariance and what the data tell; of equal fits the one nearest to the start."""
+        """Return value, covariance and excitation; of equal fits the one nearest to the start."""
         problem, state = self.problem, found.value
         if smallest:
             state = self._smallest(state)
@@ -233,14 +233,14 @@ class ArmQuestion(Question[State]):
         )
 
     def _smallest(self, state: State) -> State:
-        """Return the state, of those that no measurement tells from it, that is nearest to the start."""
-        problem, foot, tool = self.problem, [], []
+        """Return the state, of those with the same measurements, that is nearest to the start."""
+        problem, base, tool = self.problem, [], []
         if not any(kind.name == "pose" and len(kind.kept) == 6 for kind in problem.kinds):
             data = problem.measurements(state, local=True)
             unseen = never_moves(self.nature(state), data, self.used)
-            foot, tool = unseen[:6], [False] * 3 + unseen[6:9] * (not problem.points)
-        base, end = (np.eye(6)[:, np.flatnonzero(unseen)] for unseen in (foot, tool))
-        frames, move = problem.arm.smallest(state.arm.frames, base, end)
+            base, tool = unseen[:6], [False] * 3 + unseen[6:9] * (not problem.points)
+        base_steps, tool_steps = (np.eye(6)[:, np.flatnonzero(unseen)] for unseen in (base, tool))
+        frames, move = problem.arm.smallest(state.arm.frames, base_steps, tool_steps)
         anchor = move[:3, :3] @ state.anchor + move[:3, 3]
         return state._replace(arm=state.arm._replace(frames=frames), anchor=anchor)
 

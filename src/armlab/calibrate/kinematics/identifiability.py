@@ -3,7 +3,7 @@
 Directions are in units of the limits. Three sorts of them are not seen. Gauge: what can go from one frame to the next.
 Missing by nature: a tool point says nothing of the tool's orientation, a distance nothing of where the base stands.
 Missing by the data: a joint that did not move, a tool point on the last axis, an unknown scale; these are refused, and
-so is every direction that the data tell worse than the limit.
+so is every direction with a larger deviation than the limit.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class UnobservableDirection:
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """What is judged."""
+    """Unknowns whose excitation is judged."""
 
     names: Sequence[str]  # names, units: of the d unknowns
     units: Sequence[str]

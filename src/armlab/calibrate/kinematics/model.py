@@ -184,9 +184,12 @@ class Arm:
         rows, columns, _ = self.moving
         length, W = np.inf, np.zeros((0, 0))
         for _ in range(SMALLEST_ROUNDS):
-            foot, end = np.zeros((6 * len(frames), base.shape[1])), np.zeros((6 * len(frames), tool.shape[1]))
-            foot[:6], end[-6:] = se3.adjoint_inv(frames[0]) @ base, tool
-            G = np.hstack([self.gauge(frames)[0][: len(foot)], foot, end])
+            base_steps, tool_steps = (
+                np.zeros((6 * len(frames), base.shape[1])),
+                np.zeros((6 * len(frames), tool.shape[1])),
+            )
+            base_steps[:6], tool_steps[-6:] = se3.adjoint_inv(frames[0]) @ base, tool
+            G = np.hstack([self.gauge(frames)[0][: len(base_steps)], base_steps, tool_steps])
             if length > SAME:  # nearer, the same W W^T = (G^T G)^+ serves
                 _, s, V = np.linalg.svd(G, full_matrices=False)
                 W = V[s > 1e-9 * s[0]].T / s[s > 1e-9 * s[0]]
@@ -204,7 +207,7 @@ class Arm:
         return frames, whole
 
     def corrected(self, frames: np.ndarray) -> Robot:
-        """Return the robot with these frames; gravity turns with the foot."""
+        """Return the robot with these frames; gravity turns with the base."""
         robot = self.robot
         links = np.array(robot.links)
         links[1:-1] = frames[1:-1]

@@ -49,7 +49,7 @@ class Residuals(Protocol[S]):
 
 @dataclass(frozen=True, eq=False)
 class Question(ABC, Generic[S]):
-    """What is asked of the data."""
+    """One estimation problem: descent, identifiability and covariance."""
 
     problem: Residuals[S]  # residuals
     used: np.ndarray  # (d,) unknowns there are, gauge included
@@ -69,7 +69,7 @@ class Question(ABC, Generic[S]):
         """Return the size [m] of the space in which each measurement was made."""
 
     def solve(self, start: S, robust: bool) -> NonlinearSolution[S]:
-        """Descend; where that fails say which direction the data do not tell, if there is one."""
+        """Descend; where that fails, name the unidentifiable direction if there is one."""
         problem = self.problem
         self._check_count(start)
         task = Problem(problem.evaluate, problem.retract, problem.sizes(UNIT, UNIT)[problem.active], "arm")
@@ -127,7 +127,7 @@ class Question(ABC, Generic[S]):
     def judge(
         self, data: Sequence[Measurement], state: S, sigma: dict[str, float], outside: np.ndarray = NOBODY
     ) -> Excitation:
-        """Return what the data tell at a state, or refuse."""
+        """Return the excitation at a state, or refuse."""
         problem, used = self.problem, self.used
         sigma = {name: max(size, NO_NOISE) for name, size in sigma.items()}
         G, gauge_names = problem.gauge(state, used)
@@ -151,7 +151,7 @@ class Question(ABC, Generic[S]):
         outside: np.ndarray,
         excitation: Excitation,
     ) -> np.ndarray:
-        """Return the covariance (p, p) of what is used, zero along gauge and along what nothing tells."""
+        """Return the covariance (p, p) of what is used, zero along gauge and unidentifiable directions."""
         priors, limits = list(self.problem.priors(state, local=True)), self.problem.sizes(*self.limits)[self.used]
         if not priors:
             return spread_covariance(excitation.vectors, excitation.spread, limits)
