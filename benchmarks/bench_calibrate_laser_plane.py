@@ -15,7 +15,7 @@ from all_cores import on_all_cores
 from blocks import Contender, Table, loop, table
 
 from armlab.calibrate import fit_laser_plane
-from armlab.calibrate._laser_equation import tangents
+from armlab.calibrate.laser_model import tangents
 from armlab.errors import ArmlabError
 from armlab.estimation import Contract, Experiment, Fit, check_estimator
 from armlab.lie import se3, so3

@@ -20,8 +20,8 @@ import numpy as np
 from all_cores import on_all_cores
 
 from armlab.calibrate import fit_hand_eye, fit_hand_eye_points
-from armlab.calibrate._hand_eye_equation import Equation, Pair
-from armlab.calibrate._marker_equation import Points, Sight, marked_start
+from armlab.calibrate.hand_eye import HandEyeEquation, Pair
+from armlab.calibrate.hand_eye_points import PointModel, Points, marked_start
 from armlab.estimation import Measurement
 from armlab.lie import so3
 from armlab.sim import cell
@@ -105,7 +105,9 @@ def pose_case(name: str, seed: int, runs: int, given: bool = True, **how: Any) -
         good = slice(bad, None)
         A, B = clean.A[good], clean.B[good]
         of_robot = None if robot is None else np.repeat(robot, 3) ** 2
-        equation = Equation(A[:, :3, :3], A[:, :3, 3], B[:, :3, :3], B[:, :3, 3], np.repeat(CAMERA, 3) ** 2, of_robot)
+        equation = HandEyeEquation(
+            A[:, :3, :3], A[:, :3, 3], B[:, :3, :3], B[:, :3, 3], np.repeat(CAMERA, 3) ** 2, of_robot
+        )
         (truth,) = equation.evaluate(Pair(data.X[:3, :3], data.X[:3, 3], data.Y[:3, :3], data.Y[:3, 3]))
         bound = np.linalg.inv(information(truth))
         e = np.concatenate([pose_error(fit.value.X, data.X), pose_error(fit.value.Y, data.Y)])
@@ -138,7 +140,7 @@ def led_case(
         )
         of_robot = None if robot is None else np.repeat(robot, 3) ** 2
         variance = np.full(3, sigma**2)
-        sight = Sight(A[:, :3, :3], A[:, :3, 3], clean[seen], *np.nonzero(seen), 3, variance, of_robot)
+        sight = PointModel(A[:, :3, :3], A[:, :3, 3], clean[seen], *np.nonzero(seen), 3, variance, of_robot)
         points = MARKER @ X[:3, :3].T + X[:3, 3]
         at = Points(points, Y[:3, :3], Y[:3, 3])
         truth = sight.marked(MARKER).evaluate(marked_start(at, MARKER)) if known else sight.free().evaluate(at)

@@ -22,7 +22,7 @@ from all_cores import on_all_cores
 
 from armlab.calibrate import fit_dual_arm, fit_kinematics
 from armlab.estimation import Fit
-from armlab.kinematics import forward, frame_jacobian
+from armlab.kinematics import forward, parameter_jacobian
 from armlab.lie import so3
 from armlab.models import DualArmCorrection, KinematicCorrection
 from armlab.robots import from_local_poe
@@ -157,7 +157,7 @@ def _distances(robot: Any, anchor: np.ndarray, q: np.ndarray) -> tuple[np.ndarra
     away = forward(robot, q)[:, :3, 3] - anchor
     length = np.linalg.norm(away, axis=1)
     along = away / length[:, None]
-    J = np.einsum("na,nab->nb", along, frame_jacobian(robot, q)[:, :3].reshape(len(q), 3, -1))
+    J = np.einsum("na,nab->nb", along, parameter_jacobian(robot, q)[:, :3].reshape(len(q), 3, -1))
     return np.hstack([J, -along]), length
 
 

@@ -31,7 +31,7 @@ def main() -> None:
     v_dot = (Jd @ qd[..., None])[:, :3, 0]  # the tool's acceleration when no joint accelerates
     print(f"velocities alone accelerate the tool by up to {np.linalg.norm(v_dot, axis=1).max():.3f} m/s^2")
 
-    walk = kinematics.null_motion(robot, robot.q_home, direction=1, length=3.0)
+    walk = kinematics.self_motion(robot, robot.q_home, direction=1, length=3.0)
     print(f"the elbow turns {walk.s[-1]:.2f} rad, until {walk.end}; tool off by {walk.position_error.max():.1g} m")
 
 

@@ -24,7 +24,7 @@ from armlab.bridge.row import RowWriter  # noqa: E402
 from armlab.bridge.row_schema import RowSchema  # noqa: E402
 from armlab.bridge.zenoh.keys import Attached  # noqa: E402
 from armlab.log import Tick  # noqa: E402
-from armlab.robots._urdf_writing import write_urdf  # noqa: E402
+from armlab.robots.urdf.writing import write_urdf  # noqa: E402
 from armlab.state import State  # noqa: E402
 from armlab.wire.egm import EgmCodec, Reference, RobotMessage, RobotSideCodec  # noqa: E402
 from armlab.wire.labcomm import PRIMS, Array, Encoder, Field, SampleType, Struct, parse_lc  # noqa: E402

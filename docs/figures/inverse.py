@@ -29,8 +29,8 @@ def main() -> None:
     T_base_tool = kinematics.forward(arm, np.deg2rad([150, -70, 100, -60, -70, 0]))
     plots.robot(arm, branches(arm, T_base_tool), frames=False, ax=left)
     yumi = robots.load("yumi_right")
-    walk = kinematics.null_motion(yumi, yumi.q_home, length=2.0, points=15)
-    back = kinematics.null_motion(yumi, yumi.q_home, length=2.0, points=15, direction=-1)
+    walk = kinematics.self_motion(yumi, yumi.q_home, length=2.0, points=15)
+    back = kinematics.self_motion(yumi, yumi.q_home, length=2.0, points=15, direction=-1)
     plots.robot(yumi, np.concatenate([back.q[::-1], walk.q])[::3], frames=False, ax=right)
     for ax, robot, title in ((left, arm, "one pose, several branches"), (right, yumi, "one pose, a whole self-motion")):
         q = T_base_tool if robot is arm else kinematics.forward(yumi, yumi.q_home)

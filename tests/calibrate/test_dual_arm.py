@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from armlab.calibrate import fit_dual_arm
-from armlab.calibrate._arm import Arm
-from armlab.calibrate._dual_problem import DualProblem, DualState
-from armlab.calibrate._kinematic_data import measured_kinds
+from armlab.calibrate.kinematics.dual_arm import DualProblem, DualState
+from armlab.calibrate.kinematics.measurements import measured_kinds
+from armlab.calibrate.kinematics.model import Arm
 from armlab.errors import ConfigError, NotConverged, NotExcited, ShapeError
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.kinematics import forward, inverse

@@ -1,4 +1,4 @@
-"""Hand-eye calibration: exact on exact data, efficient and honest on noisy ones, and never silently wrong."""
+"""Hand-eye calibration from pairs of poses: exactness, noise, robustness, refusals."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import pytest
 
 from armlab import models
 from armlab.calibrate import fit_hand_eye
-from armlab.calibrate._hand_eye_equation import Equation, Pair, inverse_noise
-from armlab.calibrate.hand_eye import LIMITS
+from armlab.calibrate.hand_eye import LIMITS, HandEyeEquation, Pair, inverse_noise
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.lie import se3, so3
@@ -33,8 +32,8 @@ def pair_of(X: np.ndarray, Y: np.ndarray) -> Pair:
     return Pair(X[ROTATION], X[:3, 3], Y[ROTATION], Y[:3, 3])
 
 
-def equation_of(data: Any, noise: Any = None, noise_A: Any = None) -> Equation:
-    return Equation(data.A[:, :3, :3], data.A[:, :3, 3], data.B[:, :3, :3], data.B[:, :3, 3], noise, noise_A)
+def equation_of(data: Any, noise: Any = None, noise_A: Any = None) -> HandEyeEquation:
+    return HandEyeEquation(data.A[:, :3, :3], data.A[:, :3, 3], data.B[:, :3, :3], data.B[:, :3, 3], noise, noise_A)
 
 
 @pytest.mark.parametrize("tilt", [None, 30.0, 5.0])

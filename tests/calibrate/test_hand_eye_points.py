@@ -1,19 +1,25 @@
-"""Hand-eye calibration from points: known marker or not, missing points, at the bound, never silently wrong."""
+"""Hand-eye calibration from points of a marker, and orientations in another convention."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from armlab.calibrate import fit_hand_eye_points
-from armlab.calibrate._marker_equation import Points, Sight
+from armlab import sim
+from armlab.calibrate import fit_force_sensor, fit_hand_eye, fit_hand_eye_points
+from armlab.calibrate.hand_eye import HandEyeEquation, Pair
+from armlab.calibrate.hand_eye_points import PointModel, Points
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
-from armlab.lie import se3, so3
+from armlab.lie import quaternion, se3, so3
 
 SIGMA = 0.5e-3
+ROBOT = (0.5e-3, np.radians(0.05))
+G = np.array([0.0, 0.0, -9.82])
 
 
 def pose_error(T: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -27,9 +33,9 @@ def error(fit: Fit[Any], truth: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np
     return np.concatenate([first, pose_error(fit.value.Y, Y)])
 
 
-def sight_of(data: Any, seen: np.ndarray, noise: np.ndarray | None = None) -> Sight:
+def sight_of(data: Any, seen: np.ndarray, noise: np.ndarray | None = None) -> PointModel:
     sample, point = np.nonzero(seen)
-    return Sight(data.A[:, :3, :3], data.A[:, :3, 3], data.p[seen], sample, point, seen.shape[1], noise)
+    return PointModel(data.A[:, :3, :3], data.A[:, :3, 3], data.p[seen], sample, point, seen.shape[1], noise)
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["known marker", "unknown marker"])
@@ -95,7 +101,7 @@ def test_jacobian_is_the_derivative_of_the_residual(leds, known) -> None:
     free = Points(leds.marker @ X[:3, :3].T + X[:3, 3], Y[:3, :3], Y[:3, 3])
     value = free
     if known:
-        from armlab.calibrate._marker_equation import marked_start
+        from armlab.calibrate.hand_eye_points import marked_start
 
         value = marked_start(free, leds.marker)
         np.testing.assert_allclose(value.poses()[0], X, atol=1e-12)
@@ -139,7 +145,7 @@ def experiment_of(leds, known: bool, missing: bool):
         sight, Y = sight_of(clean, seen), data.Y
         free = Points(points, Y[:3, :3], Y[:3, 3])
         if known:
-            from armlab.calibrate._marker_equation import marked_start
+            from armlab.calibrate.hand_eye_points import marked_start
 
             (truth,) = sight.marked(leds.marker).evaluate(marked_start(free, leds.marker))
         else:
@@ -286,3 +292,210 @@ def test_noise_in_three_forms_is_the_same_noise(leds) -> None:
         np.testing.assert_allclose(other.parameters, first.parameters, atol=1e-12)
         np.testing.assert_allclose(other.cov, first.cov, rtol=1e-9)
     assert "times the noise that was given" in first.report()
+
+
+def test_noise_of_the_robot_reaches_all_points_of_a_sample(leds) -> None:
+    """The covariance of a sample's residuals, against differences of the poses; one sample misses a point."""
+    data, seen = leds.draw(11, 3), np.ones((3, 3), dtype=bool)
+    seen[1, 0] = False
+    S = np.diag(np.arange(1.0, 7.0))
+    points = leds.marker @ data.X[:3, :3].T + data.X[:3, 3]
+    at = Points(points, data.Y[:3, :3], data.Y[:3, 3])
+    sight = replace(sight_of(data, seen), noise_A=S)
+    columns = []
+    for step in np.eye(6) * 1e-6:
+        moved = sight_of(
+            replace(data, A=se3.from_rp(data.A[:, :3, :3] @ so3.exp(step[3:]), data.A[:, :3, 3] + step[:3])), seen
+        )
+        columns.append((moved.free().evaluate(at)[0].r - sight_of(data, seen).free().evaluate(at)[0].r) / 1e-6)
+    G = np.stack(columns, axis=2)
+    two, three = sight.free().evaluate(at)
+    for one, parts in ((two, [[3, 4]]), (three, [[0, 1, 2], [5, 6, 7]])):
+        assert one.added is not None
+        for cov, rows in zip(one.added, parts, strict=True):
+            M = G[rows].reshape(-1, 6)
+            np.testing.assert_allclose(cov, M @ S @ M.T, rtol=1e-4, atol=1e-4)
+    np.testing.assert_array_equal(two.sample, [1])
+    np.testing.assert_array_equal(three.sample, [0, 2])
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["known marker", "unknown marker"])
+def test_a_robot_without_noise_is_the_same_as_none_told(leds, known) -> None:
+    data, more = leds.draw(12), {"marker": leds.marker} if known else {}
+    given = {**data.given, "visible": data.visible, "noise": SIGMA, **more}
+    plain, zero = (fit_hand_eye_points(**given, noise_robot=told) for told in (None, 0.0))
+    for name in ("parameters", "cov", "sigma"):
+        assert getattr(plain, name).tobytes() == getattr(zero, name).tobytes()
+    little = fit_hand_eye_points(**given, noise_robot=(1e-9, 1e-9))  # the other way of whitening
+    np.testing.assert_allclose(little.parameters, plain.parameters, atol=1e-9)
+    np.testing.assert_allclose(little.cov, plain.cov, rtol=1e-6, atol=1e-6 * np.abs(plain.cov).max())
+
+
+@pytest.mark.parametrize("setup", ["eye_to_hand", "eye_in_hand"])
+@pytest.mark.parametrize("known", [True, False], ids=["known marker", "unknown marker"])
+def test_noise_of_the_robot_makes_the_covariance_honest(hand_eye, leds, setup, known) -> None:
+    nees: dict[bool, list[float]] = {True: [], False: []}
+    for run in range(15):
+        data = leds.draw([1100, run], 40, robot=ROBOT)
+        A = data.A
+        if setup == "eye_in_hand":  # the robot reads the inverse of A, with noise of its own
+            A = hand_eye.noisy(np.random.default_rng([1100, run, 1]), se3.inv(data.A_exact), ROBOT)
+        points = leds.marker @ data.X[:3, :3].T + data.X[:3, 3]
+        for told, values in nees.items():
+            fit = fit_hand_eye_points(
+                A, data.p, visible=data.visible, marker=leds.marker if known else None, setup=setup, noise=SIGMA,
+                noise_robot=ROBOT if told else None,
+            )  # fmt: skip
+            e = error(fit, (data.X, data.Y, points))
+            values.append(float(e @ np.linalg.solve(fit.cov, e)) / len(e))
+    assert 0.75 < np.mean(nees[True]) < 1.3
+    assert np.mean(nees[False]) > 1.5
+
+
+def test_noise_of_the_camera_is_found_beside_that_of_the_robot(leds) -> None:
+    found = []
+    for run in range(5):
+        data = leds.draw([1101, run], robot=ROBOT)
+        p = data.p.copy()
+        p[:5] += 0.02
+        fit = fit_hand_eye_points(data.A, p, visible=data.visible, marker=leds.marker, noise_robot=ROBOT, robust=True)
+        assert fit.outliers[:5][data.visible[:5].any(axis=1)].all()
+        found.append(fit.sigma[0])
+    assert np.mean(found) == pytest.approx(SIGMA, rel=0.05)
+
+
+def test_unequal_noise_of_points_counts_by_its_size(leds) -> None:
+    """A tracker that sees depth badly, the worse the farther away."""
+    told, equal = [], []
+    for run in range(20):
+        data, rng = leds.draw([1600, run], 40), np.random.default_rng([1600, run])
+        sd = np.linspace(0.2, 3.0, 40)[:, None, None] * np.array([0.1e-3, 0.1e-3, 1e-3]) * np.ones((40, 3, 3))
+        p = data.p_exact + sd * rng.standard_normal((40, 3, 3))
+        given = {"T_base_tool": data.A, "p_cam": p, "marker": leds.marker, "visible": data.visible}
+        fit = fit_hand_eye_points(**given, noise=sd[..., None] ** 2 * np.eye(3))
+        for one, values in ((fit, told), (fit_hand_eye_points(**given), equal)):
+            e = error(one, (data.X, data.Y, fit.value.points))
+            values.append(e @ np.linalg.solve(fit.cov, e) / 12)
+    assert 0.8 < np.mean(told) < 1.2
+    assert np.mean(equal) > 4.0 * np.mean(told)
+
+
+def test_unequal_noise_of_poses_counts_by_its_size(hand_eye) -> None:
+    """A camera that sees depth badly and whose noise grows from sample to sample: honest when told, worse when not."""
+    told, equal = [], []
+    for run in range(40):
+        rng = np.random.default_rng([1200, run])
+        data = hand_eye.draw([1200, run])
+        size = np.linspace(0.2, 4.0, 30)[:, None]
+        sd = size * np.array([0.2e-3, 0.2e-3, 2e-3, 2e-3, 2e-3, 0.4e-3])
+        mix = np.eye(6) + 0.3 * rng.standard_normal((6, 6))
+        step = (sd * rng.standard_normal((30, 6))) @ mix.T
+        B = data.B_exact.copy()
+        B[:, :3, 3] += step[:, :3]
+        B[..., :3, :3] = B[..., :3, :3] @ so3.exp(step[:, 3:])
+        cov = mix @ (sd[:, :, None] ** 2 * np.eye(6)) @ mix.T
+        fit = fit_hand_eye(data.A, B, noise=cov)
+        for one, values in ((fit, told), (fit_hand_eye(data.A, B), equal)):
+            e = np.concatenate([pose_error(one.value.X, data.X), pose_error(one.value.Y, data.Y)])
+            values.append(e @ np.linalg.solve(fit.cov, e) / 12)
+    assert 0.85 < np.mean(told) < 1.15
+    assert np.mean(equal) > 4.0 * np.mean(told)
+
+
+def test_noise_of_the_robot_reaches_position_and_rotation_of_a_pair() -> None:
+    """Its covariance in the residuals, lever arm of the marker included, against differences of the poses."""
+    rng = np.random.default_rng(2)
+    X, Y = se3.exp(0.5 * rng.standard_normal(6)), se3.exp(rng.standard_normal(6))
+    A = se3.exp(rng.standard_normal((4, 6)))
+    B = se3.inv(Y) @ A @ X
+    L = rng.standard_normal((6, 6))
+    S = L @ L.T
+    at = Pair(X[:3, :3], X[:3, 3], Y[:3, :3], Y[:3, 3])
+
+    def residuals(step: np.ndarray) -> np.ndarray:
+        moved = HandEyeEquation(A[:, :3, :3] @ so3.exp(step[3:]), A[:, :3, 3] + step[:3], B[:, :3, :3], B[:, :3, 3])
+        return moved.evaluate(at)[0].r
+
+    G = np.stack([(residuals(step) - residuals(-step)) / 2e-6 for step in np.eye(6) * 1e-6], axis=2)
+    added = HandEyeEquation(A[:, :3, :3], A[:, :3, 3], B[:, :3, :3], B[:, :3, 3], None, S).evaluate(at)[0].added
+    np.testing.assert_allclose(added, G @ S @ G.transpose(0, 2, 1), rtol=1e-7, atol=1e-7)
+
+
+def rolled(T: np.ndarray, by: int) -> np.ndarray:
+    """Poses whose quaternions were read in another order."""
+    R = quaternion.to_matrix(np.roll(quaternion.from_matrix(T[:, :3, :3]), by, axis=1))
+    return se3.from_rp(R, T[:, :3, 3])
+
+
+def transposed(T: np.ndarray) -> np.ndarray:
+    return se3.from_rp(np.ascontiguousarray(T[:, :3, :3].transpose(0, 2, 1)), T[:, :3, 3])
+
+
+WRONG: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "x, y, z, w taken": lambda T: rolled(T, -1),
+    "w, x, y, z taken": lambda T: rolled(T, 1),
+    "are transposed": transposed,
+}
+
+
+@pytest.mark.parametrize("text", WRONG)
+@pytest.mark.parametrize("setup", ["eye_to_hand", "eye_in_hand"])
+def test_records_of_poses_in_another_reading_are_refused_by_name(text: str, setup: str) -> None:
+    wrong = WRONG[text]
+    for seed in range(3):
+        seen = sim.cell(seed).hand_eye()
+        A = seen.A if setup == "eye_to_hand" else se3.inv(seen.A)
+        for who, (a, b) in {
+            "T_base_tool": (wrong(A), seen.B),
+            "T_cam_marker": (A, wrong(seen.B)),
+            "T_base_tool and T_cam_marker": (wrong(A), wrong(seen.B)),
+        }.items():
+            with pytest.raises(NotConverged, match=f"of {who} are.*{text.removeprefix('are ')}") as caught:
+                fit_hand_eye(a, b, setup=setup)
+            assert caught.value.reason == "mismatch"
+        fit_hand_eye(A, seen.B, setup=setup)
+
+
+def test_quaternions_of_both_records_in_another_order_leave_rotations_that_fit() -> None:
+    """Positions alone tell, here with a tenth of the spread between them: once fitted in silence, 0.4 m off."""
+    rng = np.random.default_rng(39)
+    X, Y = se3.exp(0.1 * rng.standard_normal(6)), se3.exp(rng.standard_normal(6))
+    A = se3.from_rp(so3.exp(rng.standard_normal((30, 3))), rng.uniform(-0.5, 0.5, (30, 3)))
+    B = se3.inv(Y) @ A @ X @ se3.exp(5e-4 * rng.standard_normal((30, 6)))
+    with pytest.raises(NotConverged, match=r"T_base_tool and T_cam_marker are x, y, z, w.* 0\.0\d+ rad|0\.0\d+ rad.*"):
+        fit_hand_eye(rolled(A, -1), rolled(B, -1))
+
+
+@pytest.mark.parametrize("text", WRONG)
+@pytest.mark.parametrize("setup", ["eye_to_hand", "eye_in_hand"])
+def test_points_with_poses_in_another_reading_are_refused_by_name(text: str, setup: str) -> None:
+    seen = sim.cell(3).marker_points(N=40, missing=0.0)
+    A = seen.A if setup == "eye_to_hand" else se3.inv(seen.A)
+    with pytest.raises(NotConverged, match=f"T_base_tool are.*{text.removeprefix('are ')}"):
+        fit_hand_eye_points(WRONG[text](A), seen.p, setup=setup)
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_forces_with_orientations_in_another_reading_are_refused_by_name(text: str) -> None:
+    """Tilts of 30 degrees look nearly the same transposed: half a turn about the vertical."""
+    for tilt in (None, np.deg2rad(30.0)):
+        weighed = sim.cell(2).force(tilt=tilt)
+        T = se3.from_rp(weighed.RA, np.zeros((len(weighed.RA), 3)))
+        with pytest.raises(NotConverged, match=f"T_base_tool are.*{text.removeprefix('are ')}"):
+            fit_force_sensor(WRONG[text](T), weighed.y, gravity=G)
+        fit_force_sensor(T, weighed.y, gravity=G)
+
+
+def test_residuals_that_no_sensor_has_are_doubted_in_the_report() -> None:
+    """A marker that was mounted anew after a third of the samples: no other reading of the poses explains it."""
+    seen = sim.cell(1).hand_eye()
+    assert "are some samples wrong" not in fit_hand_eye(seen.A, seen.B).report()
+    B = seen.B.copy()
+    B[:10] = B[:10] @ se3.exp([0.1, 0.0, 0.0, 0.0, 0.0, 0.5])
+    assert "are some samples wrong, or all?" in fit_hand_eye(seen.A, B).report()
+    assert fit_hand_eye(seen.A, B, robust=True).outliers.tolist() == [True] * 10 + [False] * 20
+    sights = sim.cell(1).marker_points(N=40, missing=0.0)
+    p = sights.p.copy()
+    assert "are some samples wrong" not in fit_hand_eye_points(sights.A, p).report()
+    p[:12] += [0.2, 0.0, 0.0]
+    assert "are some samples wrong, or all?" in fit_hand_eye_points(sights.A, p).report()

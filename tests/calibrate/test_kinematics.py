@@ -1,7 +1,8 @@
-"""Kinematic calibration: the truth from exact data, one answer for every chart and frame, its value and its files."""
+"""Kinematic calibration: exact data, gauge, input, and the corrected robot."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,16 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import models, robots
-from armlab.calibrate import fit_kinematics
-from armlab.calibrate._arm import Arm
-from armlab.calibrate._kinematic_problem import pose_residual
+from armlab import Command, bridge, contact, identify, kinematics, models, robots, sim
+from armlab.calibrate import fit_dual_arm, fit_kinematics
+from armlab.calibrate.kinematics.measurements import measured_kinds
+from armlab.calibrate.kinematics.model import Arm, KinematicProblem, State, pose_residual
+from armlab.errors import ConfigError, ModelMismatchError, NotConverged, NotExcited, RobotError, ShapeError, UnknownName
 from armlab.estimation import Fit
 from armlab.kinematics import forward, inverse, jacobian
 from armlab.lie import se3, so3
 from armlab.models import KinematicCorrection
+from armlab.robots import Robot
 from armlab.sim import cell
-from armlab.sim.experiments.kinematics import ANCHOR, DEGREE, NOISE, KinematicRun, dh_arm, sliding_robot
+from armlab.sim._cell_kinematics import ANCHOR, DEGREE, NOISE, KinematicRun, as_robot, dh_arm, sliding_robot, spoilt
 
 
 @pytest.fixture(scope="module")
@@ -242,7 +245,7 @@ class TestValue:
         robots.save(robot, tmp_path / "arm.urdf")
         np.testing.assert_allclose(forward(robots.load(tmp_path / "arm.urdf"), q), goals, rtol=0, atol=1e-9)
         assert robot.hash != case.robot.hash
-        assert sim.SimulatedArm(robot, sim.synthetic_truth(robot), seed=1).robot == robot
+        assert sim.Arm(robot, sim.synthetic_truth(robot), seed=1).robot == robot
 
     def test_gravity_turns_with_the_foot(self, case) -> None:
         frame = se3.from_rp(so3.exp([1.0, 0.0, 0.0]), [3.0, 0.0, 0.0])
@@ -264,3 +267,309 @@ def test_derivatives_of_a_pose_that_is_far_from_the_measured_one() -> None:
 
     found = np.stack([(residual(x) - residual(-x)) / 2e-6 for x in np.eye(2) * 1e-6], axis=2)
     np.testing.assert_allclose(pose_residual(T, measured, motion)[1], found, atol=1e-8)
+
+
+@pytest.mark.parametrize("model", ["local_poe", "poe"])
+@pytest.mark.parametrize("robot", [as_robot(dh_arm(tool=True)), sliding_robot()], ids=["6R", "5R1P"])
+def test_derivatives_are_those_of_the_residuals(robot: robots.Robot, model: str) -> None:
+    """Central differences, far from the solution: every kind, harmonics, joint terms, instrument, priors."""
+    rng = np.random.default_rng(2)
+    q, N = rng.uniform(-2, 2, (7, 6)), 7
+    pose = forward(robot, q) @ se3.exp(0.3 * rng.standard_normal((N, 6)))
+    given = {
+        "pose": pose,
+        "position": rng.standard_normal((N, 2, 3)),
+        "distance": rng.uniform(1, 2, N),
+        "pair_distance": (np.arange(6), np.arange(1, 7), np.ones(6)),
+    }
+    kinds, _ = measured_kinds(N, given, None, None)
+    arm = Arm.of(robot, q, (1, 3), rng.standard_normal((N, 6, 2)), model)
+    problem = KinematicProblem(arm, tuple(kinds), np.zeros(0, dtype=bool), 2, (0.1, 0.2))
+    problem = replace(problem, active=np.ones(problem.size, dtype=bool))
+    first = State(arm.first(), rng.standard_normal((2, 3)), np.array([0.3, 2.0, 1.0]), np.array([0.1, 1.1]))
+    state = problem.retract(first, 0.1 * rng.standard_normal(problem.size))
+    for local in (False, True):
+        if local and model == "poe":
+            continue
+        found = problem.evaluate(state)
+        for k in range(problem.size):
+            step = 1e-6 * np.eye(problem.size)[k]
+            ends = [problem.evaluate(problem.retract(state, sign * step)) for sign in (1.0, -1.0)]
+            for here, up, down in zip(found, *ends, strict=True):
+                np.testing.assert_allclose(here.J[:, :, k], (up.r - down.r) / 2e-6, rtol=0, atol=1e-6)
+
+
+def test_local_derivatives_are_those_of_the_frames_in_both_models() -> None:
+    robot, q = as_robot(dh_arm(tool=True)), np.random.default_rng(3).uniform(-2, 2, (4, 6))
+    kinds, _ = measured_kinds(4, {"pose": forward(robot, q)}, None, None)
+    both = []
+    for model in ("local_poe", "poe"):
+        arm = Arm.of(robot, q, (), np.zeros((4, 6, 0)), model)
+        problem = KinematicProblem(arm, tuple(kinds), np.zeros(0, dtype=bool), 0, None)
+        state = State(arm.first(), np.zeros((0, 3)), np.zeros(3), np.array([0.0, 1.0]))
+        both.append(problem.measurements(state, local=True)[0].J)
+    np.testing.assert_array_equal(*both)
+
+
+class TestBadInput:
+    @pytest.mark.parametrize(
+        ("error", "words", "change"),
+        [
+            (ShapeError, r"q of shape \(N, 6\)", lambda d: {**d, "q": d["q"][:, :5]}),
+            (ShapeError, r"pose of shape \(150, 4, 4\)", lambda d: {**d, "pose": d["pose"][:-1]}),
+            (ShapeError, r"NaN or Inf in 1 rows: 7", lambda d: {**d, "q": holed(d["q"], 7)}),
+            (ShapeError, r"finite pose, .* 7.*visible", lambda d: {**d, "pose": holed(d["pose"], 7)}),
+            (ShapeError, "rotations in pose, got others in rows 3", lambda d: {**d, "pose": mirrored(d["pose"], 3)}),
+            (ShapeError, "transposed", lambda d: {**d, "pose": d["pose"].swapaxes(1, 2)}),
+            (ShapeError, "millimetres", lambda d: {**d, "pose": in_millimetres(d["pose"])}),
+            (ShapeError, "degrees", lambda d: {**d, "q": np.degrees(d["q"])}),
+            (NotConverged, "belong together|better start", lambda d: {**d, "pose": np.roll(d["pose"], 1, axis=0)}),
+            (ShapeError, "noise of pose", lambda d: {**d, "noise": 1e-4}),
+            (ShapeError, "noise of pose", lambda d: {**d, "noise": (0.0, 1.0)}),
+            (ShapeError, "noise of pose", lambda d: {**d, "noise": (np.inf, np.inf)}),
+            (ShapeError, "noise of pose", lambda d: {**d, "noise": -np.eye(6)}),
+            (ShapeError, "visible", lambda d: {**d, "visible": np.ones(3, dtype=bool)}),
+            (ConfigError, "at least one of pose, position", lambda d: {"q": d["q"]}),
+            (ConfigError, "first guess of the fixed point", lambda d: {"q": d["q"], "distance": np.ones(150)}),
+            (ConfigError, "noise of each kind", lambda d: {**d, "position": d["pose"][:, :3, 3]}),
+            (ConfigError, "harmonics", lambda d: {**d, "harmonics": (1, 1)}),
+            (ConfigError, "prior", lambda d: {**d, "weak": "prior", "prior": 0.0}),
+            (ConfigError, "free='all' with model='poe'", lambda d: {**d, "model": "poe", "free": "offsets"}),
+            (UnknownName, "Known: local_poe, poe", lambda d: {**d, "model": "dh"}),
+            (UnknownName, "Known: prior, refuse", lambda d: {**d, "weak": "ignore"}),
+            (UnknownName, "Known: all, base_tool, offsets", lambda d: {**d, "free": "tool"}),
+            (ShapeError, r"free as True and False of shape \(7, 6\)", lambda d: {**d, "free": np.ones((6, 6)) > 0}),
+            (ShapeError, r"joint_terms of shape \(150, 6, L\)", lambda d: {**d, "joint_terms": np.ones((150, 6))}),
+            (ShapeError, "two different samples", lambda d: {"q": d["q"], "pair_distance": ([1], [1], [0.2])}),
+            (UnknownName, "position", lambda d: {**d, "visible": {"position": np.ones(150) > 0}}),
+        ],
+    )  # fmt: skip
+    def test_a_sentence(self, case, error: type[Exception], words: str, change: Callable) -> None:
+        data = {"q": case.q, "pose": case.pose, "noise": NOISE}
+        with pytest.raises(error, match=words):
+            fit_kinematics(case.robot, **change(data))
+
+    @pytest.mark.parametrize("noise", [NOISE, None], ids=["noise given", "noise estimated"])
+    def test_samples_that_do_not_belong_together_are_not_called_outliers(self, case, noise) -> None:
+        """Five poses always fit exactly: a robust fit that keeps these and leaves out all others has found nothing."""
+        rng = np.random.default_rng(0)
+        mixed = case.pose[rng.permutation(150)]
+        for q, pose in ((case.q, mixed), (case.q[:, ::-1], case.pose)):
+            with pytest.raises((NotConverged, NotExcited), match=r"belong together|better start|more different"):
+                fit_kinematics(case.robot, q, pose=pose, noise=noise, robust=True)
+        distance = rng.uniform(1.0, 2.0, 150)
+        given = None if noise is None else {"pose": noise, "distance": 1e-4}
+        with pytest.raises((NotConverged, NotExcited)):
+            fit_kinematics(case.robot, case.q, pose=mixed, distance=distance, anchor=ANCHOR, noise=given, robust=True)
+
+    def test_most_samples_must_agree(self, case) -> None:
+        """Half of them wrong are found; one more than half is refused by their number."""
+        pose = spoilt(case.pose, np.random.default_rng(0), 75, 0.3, 0.2)
+        fit = fit_kinematics(case.robot, case.q, pose=pose, noise=NOISE, robust=True)
+        assert np.flatnonzero(fit.outliers).tolist() == list(range(75))
+        with pytest.raises(NotConverged, match=r"most samples to fit one arm, got 1[0-9][0-9] of 150 that do not"):
+            fit_kinematics(
+                case.robot, case.q, pose=case.pose[np.random.default_rng(0).permutation(150)], noise=NOISE, robust=True
+            )
+        with pytest.raises(NotConverged, match="noise that was given is not too small"):
+            fit_kinematics(case.robot, case.q, pose=case.pose, noise=(1e-6, 1e-6), robust=True)
+
+    def test_another_order_of_the_joints(self, case) -> None:
+        with pytest.raises((NotConverged, NotExcited), match=r"order of the joints|better start|more different"):
+            fit_kinematics(case.robot, case.q[:, ::-1], pose=case.pose, noise=NOISE)
+
+    def test_no_robot(self, case) -> None:
+        with pytest.raises(RobotError, match="Load it first"):
+            fit_kinematics("irb2400", case.q, pose=case.pose)  # type: ignore[arg-type]
+
+    def test_rotations_that_are_nearly_right_are_projected_and_told(self, case) -> None:
+        rough = case.pose.copy()
+        rough[4, :3, :3] *= 1.0 + 3e-6
+        fit = fit_kinematics(case.robot, case.q, pose=rough, noise=NOISE)
+        assert "1 rotations were projected, off by up to 6e-06" in fit.report()
+
+
+def holed(values: np.ndarray, row: int) -> np.ndarray:
+    found = values.copy()
+    found[row] = np.nan
+    return found
+
+
+def in_millimetres(pose: np.ndarray) -> np.ndarray:
+    found = pose.copy()
+    found[:, :3, 3] *= 1000.0
+    return found
+
+
+def mirrored(pose: np.ndarray, row: int) -> np.ndarray:
+    found = pose.copy()
+    found[row, :3, 0] *= -1.0
+    return found
+
+
+def calibrated(name: str, harmonics: tuple[int, ...] = ()) -> tuple[Robot, KinematicCorrection, Fit]:
+    """Return an arm every frame of which is 1 mm and 1 mrad off, in truth and as it was found from exact poses."""
+    robot, rng = robots.load(name), np.random.default_rng(1)
+    n = robot.n
+    q = rng.uniform(robot.q_min, robot.q_max, (80, n))
+    frames = robot.frames @ se3.exp(1e-3 * rng.standard_normal((n + 1, 6)))
+    amplitudes = 5e-4 * rng.standard_normal((n, 2 * len(harmonics)))
+    arm = robots.from_local_poe("true", frames, np.tile([0.0, 0, 0, 0, 0, 1], (n, 1)))
+    d = 6 * (n + 1) + amplitudes.size
+    truth = KinematicCorrection(arm, "true", arm.hash, harmonics, amplitudes, np.zeros(0), np.zeros((d, d)))
+    fit = fit_kinematics(robot, q, pose=truth.forward(q), noise=(1e-6, 1e-6), harmonics=harmonics)
+    return robot, truth, fit
+
+
+@pytest.fixture(scope="module")
+def yumi() -> tuple[Robot, KinematicCorrection, Fit]:
+    return calibrated("yumi_left")
+
+
+@pytest.fixture(scope="module")
+def waved() -> tuple[Robot, KinematicCorrection, Fit]:
+    return calibrated("irb2400", (1, 2))
+
+
+def postures(robot: Robot, count: int = 20) -> np.ndarray:
+    return np.random.default_rng(5).uniform(0.8 * robot.q_min, 0.8 * robot.q_max, (count, robot.n))
+
+
+class TestGeometry:
+    """An arm whose joints are where they say."""
+
+    def test_it_keeps_what_is_not_kinematics(self, yumi) -> None:
+        """Limits, gears, names and home stay; the hash is another, so that models of the old one do not fit."""
+        robot, _, fit = yumi
+        found = fit.value.robot
+        for name in ("q_min", "q_max", "qd_max", "coupling", "q_home"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(robot, name))
+        assert (found.name, found.n) == (robot.name, robot.n)
+        assert found.hash != robot.hash
+        np.testing.assert_allclose(found.gravity, robot.gravity, rtol=0, atol=0.1)
+
+    def test_kinematics(self, yumi) -> None:
+        robot, truth, fit = yumi
+        found, q = fit.value.robot, postures(robot)
+        goals = truth.forward(q)
+        np.testing.assert_allclose(kinematics.forward(found, q), goals, rtol=0, atol=1e-8)
+        reached = kinematics.inverse(found, goals, q)
+        assert reached.success.all()
+        np.testing.assert_allclose(truth.forward(reached.q), goals, rtol=0, atol=1e-8)
+        J, step = kinematics.jacobian(found, q), 1e-6
+        for j in range(found.n):
+            ends = [kinematics.forward(found, q + sign * step * np.eye(found.n)[j])[:, :3, 3] for sign in (1, -1)]
+            np.testing.assert_allclose(J[:, :3, j], (ends[0] - ends[1]) / (2 * step), rtol=0, atol=1e-8)
+        line = kinematics.forward(found, found.q_home[None] + np.linspace(0, 0.2, 30)[:, None])
+        path = kinematics.inverse_path(found, line, found.q_home)
+        np.testing.assert_allclose(truth.forward(path.q), line, rtol=0, atol=1e-7)
+        assert (kinematics.manipulability(found, q) > 0).all()
+
+    def test_files(self, yumi, tmp_path: Path) -> None:
+        _, _, fit = yumi
+        found, q = fit.value.robot, postures(fit.value.robot)
+        robots.save(found, tmp_path / "arm.toml")
+        assert robots.load(tmp_path / "arm.toml") == found
+        robots.save(found, tmp_path / "arm.urdf")
+        there = kinematics.forward(robots.load(tmp_path / "arm.urdf"), q)
+        np.testing.assert_allclose(there, kinematics.forward(found, q), rtol=0, atol=1e-9)
+        fit.save(tmp_path / "kinematics.toml")
+        assert models.load(tmp_path / "kinematics.toml").robot == found
+        with pytest.raises(RobotError, match=r"kinematic_correction.*models.load\(path\).robot"):
+            robots.load(tmp_path / "kinematics.toml")
+
+    def test_a_torque_model_is_of_one_of_them(self, yumi, model) -> None:
+        """A model that was identified with the description is refused by the corrected arm: identify again."""
+        robot, _, fit = yumi
+        with pytest.raises(ModelMismatchError, match="yumi_left"):
+            contact.Estimator(model, fit.value.robot)
+        assert contact.Estimator(model, robot) is not None
+        bases = [identify.base_parameters(one) for one in (robot, fit.value.robot)]
+        assert [len(base.B) for base in bases] == [50, 50]  # what axes 0.06 deg off perpendicular add is no parameter
+
+    @pytest.mark.slow  # 6 s
+    def test_identification_and_contact_force(self, yumi, truth) -> None:
+        """A torque model of the corrected arm runs it, and refuses the arm before."""
+        robot, _, fit = yumi
+        found = fit.value.robot
+        log = replace(truth, robot=found).log(identify.excitation(found, seconds=30, seed=1), seed=1)
+        model = identify.fit_dynamics(log, found).value
+        free = contact.Estimator(model, found).run(log)
+        assert np.median(np.linalg.norm(free["wrench_hat"][100:, :3], axis=1)) < 5.0
+        with pytest.raises(ModelMismatchError, match="yumi_left"):
+            contact.Estimator(model, robot)
+
+    def test_calibration_goes_on_from_it(self, yumi) -> None:
+        _, truth, fit = yumi
+        found, q = fit.value.robot, postures(fit.value.robot, 60)
+        again = fit_kinematics(found, q, pose=truth.forward(q), noise=(1e-6, 1e-6))
+        assert np.abs(again.parameters).max() < 1e-6
+        right = robots.load("yumi_right")
+        q_b = np.random.default_rng(6).uniform(right.q_min, right.q_max, (60, 7))
+        Z = se3.inv(truth.forward(q)) @ kinematics.forward(right, q_b)
+        both = fit_dual_arm(found, right, q, q_b, pose=Z, noise=(1e-6, 1e-6))
+        np.testing.assert_allclose(both.value.forward(q, q_b), Z, rtol=0, atol=1e-8)
+
+    def test_simulation_and_bridge(self, yumi) -> None:
+        """The simulated controller is the library's arm; the loop knows the corrected one, and drives its joints."""
+        robot, _, fit = yumi
+        found = fit.value.robot
+        arm = sim.Arm(found, sim.synthetic_truth(found), seed=1)
+        assert arm.robot == found
+        arm.place(found.q_home)
+        seen = []
+
+        def controller(state: Any) -> Command:
+            seen.append(np.array(state.q))
+            return Command(q=robot.q_home)
+
+        with bridge.connect("sim://yumi_left?lockstep=true&seed=1", found) as link:
+            link.run(controller, seconds=0.1)
+        assert np.abs(seen[-1] - robot.q_home).max() < 0.01
+
+
+class TestJointErrors:
+    """An arm whose joints are not quite where they say: errors of orders 1 and 2."""
+
+    def test_it_is_reached_by_the_positions_that_are_asked_for(self, waved) -> None:
+        """Inverse kinematics of the frames, then `command`: the true arm is where it should be, else 0.3 mm off."""
+        robot, truth, fit = waved
+        goals = truth.forward(postures(robot))
+        there = kinematics.inverse(fit.value.robot, goals, postures(robot)).q
+        np.testing.assert_allclose(truth.forward(fit.value.command(there)), goals, rtol=0, atol=1e-5)
+        assert np.abs(truth.forward(there) - goals)[:, :3, 3].max() > 3e-4
+
+    def test_what_the_robot_tells_is_where_it_is_after_joints(self, waved) -> None:
+        robot, truth, fit = waved
+        q = postures(robot)
+        np.testing.assert_allclose(
+            kinematics.forward(fit.value.robot, fit.value.joints(q)), truth.forward(q), rtol=0, atol=1e-5
+        )
+        np.testing.assert_array_equal(fit.value.forward(q), kinematics.forward(fit.value.robot, fit.value.joints(q)))
+
+    @pytest.mark.parametrize(
+        "part",
+        [
+            lambda value, q: kinematics.forward(value, q),
+            lambda value, q: kinematics.inverse(value, np.eye(4)),
+            lambda value, q: kinematics.jacobian(value, q),
+            lambda value, q: kinematics.inverse_path(value, np.eye(4)[None], q[0]),
+            lambda value, q: kinematics.self_motion(value, q[0]),
+            lambda value, q: kinematics.parameter_jacobian(value, q),
+            lambda value, q: robots.save(value, "arm.toml"),
+            lambda value, q: sim.synthetic_truth(value),
+            lambda value, q: sim.Arm(value, sim.synthetic_truth(robots.load("irb2400"))),
+            lambda value, q: bridge.connect("sim://irb2400", value),
+            lambda value, q: identify.base_parameters(value),
+            lambda value, q: identify.excitation(value),
+            lambda value, q: fit_kinematics(value, q, pose=np.tile(np.eye(4), (20, 1, 1))),
+        ],
+    )
+    def test_the_whole_correction_is_no_robot(self, waved, part: Callable[[Any, np.ndarray], Any]) -> None:
+        _, _, fit = waved
+        with pytest.raises(RobotError, match=r"its attribute robot; .* its joints\(\), .* its command\(\)"):
+            part(fit.value, postures(fit.value.robot))
+
+    def test_contact_force_wants_the_robot_too(self, waved, model) -> None:
+        with pytest.raises(RobotError, match="its attribute robot"):
+            contact.Estimator(model, waved[2].value)

@@ -9,7 +9,7 @@ import pytest
 
 from armlab import models
 from armlab.calibrate import fit_laser_plane
-from armlab.calibrate._laser_equation import Scans, Scene, tangents
+from armlab.calibrate.laser_model import Scans, Scene, tangents
 from armlab.errors import NotConverged, ShapeError
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.lie import se3, so3

@@ -9,7 +9,7 @@ from armlab import robots
 from armlab.contact import Estimator, hypotheses
 from armlab.contact.places import check_distance, contact_point
 from armlab.errors import ShapeError
-from armlab.robots.outline import arm_length
+from armlab.robots.robot import arm_length
 
 
 def test_a_point_is_three_finite_numbers_of_its_own() -> None:

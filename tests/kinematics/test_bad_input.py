@@ -27,7 +27,7 @@ OF_BATCHES: dict[str, Callable[[Robot, Any], Any]] = {
     "manipulability_gradient": kinematics.manipulability_gradient,
     "axes of ellipsoid": lambda robot, q: kinematics.ellipsoid(robot, q).axes,
 }
-OF_ONE: dict[str, Callable[[Robot, Any], Any]] = {"null_motion": kinematics.null_motion}
+OF_ONE: dict[str, Callable[[Robot, Any], Any]] = {"self_motion": kinematics.self_motion}
 INTO = {  # functions that write into an array, and the shape of one result
     "forward": (kinematics.forward, (4, 4)),
     "link_transforms": (kinematics.link_transforms, (7, 4, 4)),
@@ -169,7 +169,7 @@ def test_unknown_words(word: Any) -> None:
     with pytest.raises(UnknownName, match="Known: force, velocity"):
         kinematics.ellipsoid(ROBOT, HOME, kind=word)
     with pytest.raises(UnknownName, match="Known: axis, pose, position"):
-        kinematics.null_motion(ROBOT, HOME, task=word)
+        kinematics.self_motion(ROBOT, HOME, task=word)
     for function, T in ((kinematics.inverse, goal()), (kinematics.inverse_path, goal()[None])):
         with pytest.raises(UnknownName, match="Known: axis, direction, pose, position"):
             function(ROBOT, T, task=word)

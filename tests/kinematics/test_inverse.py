@@ -1,7 +1,8 @@
-"""Inverse kinematics: exact inside the limits, quick, deterministic, and honest about what it cannot do."""
+"""Inverse kinematics: solutions, objectives, reasons of failure."""
 
 from __future__ import annotations
 
+import itertools
 from functools import partial
 
 import numpy as np
@@ -9,15 +10,30 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armlab import kernels, lie, robots
-from armlab.errors import ConfigError, ShapeError, UnknownName
-from armlab.kinematics import forward, inverse, jacobian, singular_values
+from armlab import kernels, kinematics, lie, robots
+from armlab.errors import ConfigError, NotConverged, ShapeError, UnknownName
+from armlab.kinematics import (
+    IkSolution,
+    forward,
+    inverse,
+    jacobian,
+    manipulability,
+    manipulability_gradient,
+    singular_values,
+)
+from armlab.lie import so3
 from armlab.robots import Robot
 
 ARMS = ["yumi_left", "yumi_right", "irb2400", "irb7600", "ur5e"]
 NATIVE = kernels.backend == "native"
 TASKS = ("pose", "position", "axis", "direction")
 FIELDS = ("q", "success", "position_error", "rotation_error", "iterations", "starts", "reason", "slope")
+ARMS_LIBRARY = [name for name in robots.names() if name != "dh_test"]
+COUNT = 2000 if kernels.backend == "native" else 10
+COUNT_OBJECTIVES = 300 if kernels.backend == "native" else 15
+OBJECTIVES = ("posture", "mid_range", "limits", "manipulability")
+ROWS = {"pose": slice(0, 6), "position": slice(0, 3)}
+YUMI = "yumi_left"
 
 
 def reachable(robot: Robot, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -331,3 +347,279 @@ def spoilt(entry: tuple[int, ...], value: float) -> np.ndarray:
 def test_wrong_arguments(arguments: dict, error: type[Exception], sentence: str) -> None:
     with pytest.raises(error, match=sentence):
         inverse(robots.load("irb2400"), **({"T_base_tool": np.eye(4)} | arguments))
+
+
+def solved(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Which of these postures' poses are reached again, inside the limits and to 1e-9, by any posture."""
+    T_base_tool = kinematics.forward(robot, q)
+    solution = kinematics.inverse(robot, T_base_tool)
+    assert ((solution.q >= robot.q_min) & (solution.q <= robot.q_max)).all()
+    T_found = kinematics.forward(robot, solution.q)[solution.success]
+    wanted = T_base_tool[solution.success]
+    assert np.linalg.norm(T_found[:, :3, 3] - wanted[:, :3, 3], axis=1).max() <= 1e-9
+    assert so3.angle(T_found[:, :3, :3], wanted[:, :3, :3]).max() <= 1.001e-9
+    return solution.success
+
+
+@pytest.mark.parametrize("name", ARMS_LIBRARY)
+def test_random_poses(name: str) -> None:
+    """Found: all of 10 000 on each of the fourteen arms, after 1.2 to 1.8 starts on average."""
+    robot = robots.load(name)
+    q = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (COUNT, robot.n))
+    assert solved(robot, q).mean() >= 0.999
+
+
+@pytest.mark.parametrize("name", ARMS_LIBRARY)
+def test_poses_with_a_straight_wrist(name: str) -> None:
+    """Two axes of the wrist are one line, or nearly where lengths lie between."""
+    robot = robots.load(name)
+    q = np.random.default_rng(1).uniform(robot.q_min, robot.q_max, (COUNT // 4, robot.n))
+    bend = robot.n - 2
+    q[:, bend] = np.clip(0.0, robot.q_min[bend], robot.q_max[bend])
+    assert solved(robot, q).mean() >= 0.999
+
+
+@pytest.mark.parametrize("name", ARMS_LIBRARY)
+def test_every_joint_at_a_limit(name: str) -> None:
+    """2^n corners of the box of limits; within 100 starts all were found, but 1 of 128 on the YuMi of the URDF."""
+    robot = robots.load(name)
+    corners = np.array(list(itertools.product(*zip(robot.q_min, robot.q_max))))
+    assert solved(robot, corners[:: 1 if kernels.backend == "native" else 16]).mean() >= 0.98
+
+
+@pytest.mark.parametrize("name", ARMS_LIBRARY)
+def test_home_is_found_without_a_step(name: str) -> None:
+    robot = robots.load(name)
+    solution = kinematics.inverse(robot, kinematics.forward(robot, robot.q_home))
+    assert solution.success
+    np.testing.assert_array_equal(solution.q, robot.q_home)
+
+
+def moved_poses(robot: Robot, count: int, seed: int) -> np.ndarray:
+    return forward(robot, np.random.default_rng(seed).uniform(robot.q_min, robot.q_max, (count, robot.n)))
+
+
+def planar(*lengths: float, **limits: tuple[float, ...]) -> Robot:
+    """Joint axes all along z: what it reaches is known from school."""
+    zeros = np.zeros(len(lengths))
+    return robots.from_dh("planar", zeros, lengths, zeros, zeros, **limits)  # type: ignore[arg-type]
+
+
+def at(x: float, y: float, z: float = 0.0) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, 3] = x, y, z
+    return T
+
+
+REACH = planar(1.0, 0.5)
+BENT = planar(1.0, 0.5, q_min=(-np.pi, 0.5), q_max=(np.pi, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("robot", "T", "q0", "options", "reason", "least"),
+    [
+        # further than the links are long, in front of the shortest reach, beside the plane: distances are known
+        (REACH, at(3.0, 0.0), (0.1, 0.2), {}, "out of reach", 1.5),
+        (REACH, at(0.2, 0.0), (0.1, 0.2), {}, "out of reach", 0.3),
+        (REACH, at(0.6, 0.6, 0.1), (0.1, 0.2), {}, "out of reach", 0.1),
+        (REACH, at(0.6, 0.6, 0.1), (0.1, 0.2), {"starts": 1}, "out of reach", 0.1),
+        (REACH, at(1.5 + 1e-6, 0.0), (0.1, 0.2), {}, "out of reach", 1e-6),
+        # the elbow would have to bend by 2 rad; at its limit the distance is that of the two circles
+        (
+            BENT,
+            forward(REACH, (0.3, 2.0)),
+            (0.3, 0.7),
+            {},
+            "limits",
+            np.sqrt(1.25 + np.cos(1)) - np.sqrt(1.25 + np.cos(2)),
+        ),
+        (BENT, forward(REACH, (0.3, 2.0)), (0.3, 0.7), {"starts": 1}, "limits", 0.0),
+        # the goal lies on the stretched arm: no joint moves towards it, another start gets there
+        (REACH, at(1.2, 0.0), (0.0, 0.0), {"starts": 1}, "singular", 0.3),
+        (REACH, at(1.2, 0.0), (0.0, 0.0), {}, "solved", 0.0),
+        (REACH, forward(REACH, (0.3, 1.0)), (-2.0, 0.5), {"maxiter": 2, "starts": 1}, "iterations", 0.0),
+        (REACH, at(1.5, 0.0), (0.3, 0.5), {"starts": 1}, "solved", 0.0),  # the last point that it reaches
+    ],
+)
+def test_why_not(robot: Robot, T: np.ndarray, q0: tuple, options: dict, reason: str, least: float) -> None:
+    """Where there is no solution the nearest posture comes back, with the true reason."""
+    result = inverse(robot, T, q0, task="position", **options)
+    assert result.reason == reason
+    assert bool(result.success) == (reason == "solved")
+    assert inside(robot, result.q)
+    distance = np.linalg.norm(forward(robot, result.q)[:3, 3] - T[:3, 3])
+    np.testing.assert_allclose(result.position_error, distance, rtol=0, atol=1e-14)
+    if (reason != "iterations" and options.get("starts") != 1) or reason == "singular":
+        assert least - 1e-9 <= distance <= least * (1 + 1e-3) + 1e-9
+    assert reason == "solved" or f"Not solved ({reason}" in result.report()
+
+
+def test_unreachable_poses_end_soon_and_stay_finite() -> None:
+    robot = robots.load("yumi_left")
+    T = moved_poses(robot, 30, seed=3)
+    T[::2, :3, 3] += 0.4
+    T[1::2, :3, 3] *= 1e6
+    result = inverse(robot, T, maxiter=50, starts=30)
+    assert np.isfinite(result.q).all()
+    assert inside(robot, result.q)
+    assert (result.reason[1::2] == "out of reach").all()  # type: ignore[index]
+    assert result.iterations.max() <= 50 * (30 + 1 + 10)
+
+
+def test_turns_are_taken_back_into_the_limits() -> None:
+    """A joint that may turn more than once: the solution outside the limits is also one inside."""
+    robot = planar(1.0, 0.5, q_min=(-4.0, 3.3), q_max=(4.0, 6.0))
+    result = inverse(robot, forward(robot, (0.5, 4.0)), (0.4, 3.3), task="position")
+    assert result.success
+    assert inside(robot, result.q)
+
+
+def test_reports() -> None:
+    robot = robots.load("irb2400")
+    T = moved_poses(robot, 4, seed=1)
+    one = inverse(robot, forward(robot, robot.q_home), robot.q_home)
+    assert repr(one) == "IkSolution(Solved to 0 m and 0 rad in 0 iterations from 1 start.)"
+    T[2, 0, 3] += 10.0
+    text = inverse(robot, T.reshape(2, 2, 4, 4)).report()
+    assert text.startswith("3 of 4 goals solved, to ")
+    assert text.endswith("; not solved: 1 out of reach, first at index 1, 0.")
+    assert inverse(robot, T[2:3]).report() == "0 of 1 goals solved; not solved: 1 out of reach, first at index 0."
+
+
+def test_strict_raises_with_the_result() -> None:
+    robot = robots.load("irb2400")
+    T = forward(robot, robot.q_home)
+    assert inverse(robot, T, strict=True).success
+    T[0, 3] += 10.0
+    with pytest.raises(NotConverged, match="out of reach") as caught:
+        inverse(robot, T, strict=True)
+    best = caught.value.best
+    assert isinstance(best, IkSolution)
+    np.testing.assert_array_equal(best.q, inverse(robot, T).q)
+
+
+def goals(robot: Robot, count: int, seed: int) -> np.ndarray:
+    return forward(robot, np.random.default_rng(seed).uniform(robot.q_min, robot.q_max, (count, robot.n)))
+
+
+def scaled(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Joint positions as -1 to 1 from limit to limit."""
+    return (2.0 * q - robot.q_max - robot.q_min) / (robot.q_max - robot.q_min)
+
+
+def gradient(robot: Robot, q: np.ndarray, objective: str, task: str) -> np.ndarray:
+    """Gradients (N, n) as the documentation of `inverse` defines the objectives, written down once more."""
+    x, slope = scaled(robot, q), 2.0 / (robot.q_max - robot.q_min)
+    if objective == "posture":
+        return q - robot.q_home
+    if objective == "mid_range":
+        return slope * x
+    if objective == "limits":
+        largest = np.abs(x).max(axis=1, keepdims=True)
+        up, down = np.exp(1000.0 * (x - largest)), np.exp(1000.0 * (-x - largest))
+        return slope * ((up - down) / (up + down).sum(axis=1, keepdims=True) + 1e-3 * x)
+    w = manipulability(robot, q, task)  # type: ignore[arg-type]
+    return -manipulability_gradient(robot, q, task) / w[:, None]  # type: ignore[arg-type]
+
+
+def left_slope(robot: Robot, q: np.ndarray, g: np.ndarray, rows: slice) -> float:
+    """Slope along the self-motion of the joints that are not pressed against a limit, by singular vectors."""
+    free = np.ones(robot.n, dtype=bool)
+    for _ in range(robot.n):
+        J = jacobian(robot, q)[rows][:, free]
+        null = np.linalg.svd(J)[2][J.shape[0] :]
+        along = np.zeros(robot.n)
+        along[free] = null.T @ (null @ g[free])
+        pressed = free & (((q >= robot.q_max) & (along < 0)) | ((q <= robot.q_min) & (along > 0)))
+        if not pressed.any():
+            return float(np.linalg.norm(along))
+        free &= ~pressed
+    return 0.0
+
+
+@pytest.mark.parametrize("objective", OBJECTIVES)
+@pytest.mark.parametrize("task", ["pose", "position"])
+def test_pose_is_exact_and_no_slope_is_left(objective: str, task: str) -> None:
+    robot = robots.load(YUMI)
+    T = goals(robot, COUNT_OBJECTIVES, seed=1)
+    result = inverse(robot, T, task=task, objective=objective)  # type: ignore[arg-type]
+    assert result.success.all()
+    assert ((robot.q_min <= result.q) & (result.q <= robot.q_max)).all()
+    assert result.position_error.max() <= 1e-9
+    assert task == "position" or result.rotation_error.max() <= 1e-9
+    g = gradient(robot, result.q, objective, task)
+    left = np.array([left_slope(robot, *row, ROWS[task]) for row in zip(result.q, g)])
+    assert left.max() <= 1e-6
+    assert result.slope.max() <= 1e-6
+    at_limit = ((result.q == robot.q_min) | (result.q == robot.q_max)).any(axis=1)
+    assert at_limit.mean() < 0.7  # the others had to come to rest
+
+
+def test_objectives_are_better_than_the_plain_solution() -> None:
+    robot = robots.load(YUMI)
+    T = goals(robot, COUNT_OBJECTIVES, seed=2)
+    plain = inverse(robot, T)
+    assert np.isnan(plain.slope).all()
+    away = [np.linalg.norm(q - robot.q_home, axis=1) for q in (inverse(robot, T, objective="posture").q, plain.q)]
+    assert np.all(away[0] <= away[1] + 1e-9)
+    middle = [np.linalg.norm(scaled(robot, q), axis=1) for q in (inverse(robot, T, objective="mid_range").q, plain.q)]
+    assert np.all(middle[0] <= middle[1] + 1e-9)
+    w = [manipulability(robot, q) for q in (inverse(robot, T, objective="manipulability").q, plain.q)]
+    assert np.all(w[0] >= w[1] * (1 - 1e-6) - 1e-9)
+    assert np.mean(w[0]) > 1.1 * np.mean(w[1])
+
+
+@pytest.mark.parametrize("name", [YUMI, "panda", "iiwa14"])
+def test_limits_are_avoided(name: str) -> None:
+    """On 99 % of the poses the smallest distance to a limit, over the range, is at least that of the plain solution."""
+    robot = robots.load(name)
+    T = goals(robot, 1000 if kernels.backend == "native" else 30, seed=3)
+    near = [np.abs(scaled(robot, inverse(robot, T, objective=o).q)).max(axis=1) for o in ("limits", None)]
+    assert np.mean(near[0] <= near[1] + 1e-9) >= 0.99
+    assert np.median(near[1] - near[0]) > 0.02
+
+
+def test_the_posture_that_is_asked_for() -> None:
+    """By default where the search starts; one for all goals, or one per goal."""
+    robot = robots.load(YUMI)
+    rng = np.random.default_rng(4)
+    q = rng.uniform(0.8 * robot.q_min, 0.8 * robot.q_max, (20, 7))
+    T = forward(robot, q)
+    near = q + rng.uniform(-0.05, 0.05, q.shape)
+    each = inverse(robot, T, near, objective="posture")
+    np.testing.assert_array_equal(each.q, inverse(robot, T, near, objective="posture", posture=near).q)
+    assert np.all(np.linalg.norm(each.q - near, axis=1) <= np.linalg.norm(q - near, axis=1) + 1e-9)
+    np.testing.assert_array_equal(
+        inverse(robot, T, objective="posture").q, inverse(robot, T, objective="posture", posture=robot.q_home).q
+    )
+    same = inverse(robot, T, q, objective="posture", posture=q)
+    np.testing.assert_allclose(same.q, q, rtol=0, atol=1e-12)
+
+
+def test_without_freedom_an_objective_changes_nothing() -> None:
+    robot = robots.load("irb2400")
+    T = goals(robot, 20, seed=5)
+    result = inverse(robot, T, objective="mid_range")
+    np.testing.assert_allclose(result.q, inverse(robot, T).q, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(result.slope, 0.0)
+
+
+def test_five_of_six_joints_for_an_axis() -> None:
+    """A tool that may turn about its axis is a redundant task on six joints."""
+    robot = robots.load("irb2400")
+    T = goals(robot, 50, seed=6)
+    result = inverse(robot, T, task="axis", objective="limits")
+    assert result.success.all()
+    assert result.slope.max() <= 1e-6
+    turned = forward(robot, result.q)
+    np.testing.assert_allclose(turned[:, :3, 2:], T[:, :3, 2:], rtol=0, atol=2e-9)
+    assert np.abs(turned[:, :3, 0] - T[:, :3, 0]).max() > 0.1
+
+
+def test_joints_without_limits_have_no_middle() -> None:
+    zeros = np.zeros(4)
+    robot = robots.from_dh("planar", zeros, np.ones(4), zeros, zeros, q_min=(-3, -np.inf, -2, -1), q_max=(3, 3, 2, 1))
+    T = forward(robot, (0.3, 0.4, -0.5, 0.6))
+    result = inverse(robot, T, task="position", objective="limits")
+    assert result.success
+    assert result.slope <= 1e-6

@@ -14,7 +14,7 @@ import pytest
 from armlab import kernels, lie, robots
 from armlab.errors import ConfigError, NotConverged, ShapeError, UnknownName
 from armlab.kinematics import (
-    Path,
+    IkPath,
     forward,
     inverse,
     inverse_path,
@@ -59,7 +59,7 @@ def test_an_arm_of_six_joints_finds_its_own_path() -> None:
     for seed in range(5):
         q = wave(IRB, ROWS, seed)
         path = inverse_path(IRB, forward(IRB, q), q[0])
-        assert isinstance(path, Path)
+        assert isinstance(path, IkPath)
         assert path.success.all()
         np.testing.assert_allclose(path.q, q, rtol=0, atol=1e-5)  # 1e-9 m over the smallest singular value
 
@@ -265,7 +265,7 @@ def test_strict_raises_with_the_path() -> None:
     T[7, 0, 3] += 9.0
     with pytest.raises(NotConverged, match="breaks at index 7") as caught:
         inverse_path(IRB, T, q[0], strict=True)
-    assert isinstance(caught.value.best, Path)
+    assert isinstance(caught.value.best, IkPath)
 
 
 def test_empty_path_and_one_pose() -> None:

@@ -1,4 +1,4 @@
-"""The frozen description: what it derives, what it refuses, what makes two robots equal."""
+"""Robots: fields, builders, products of exponentials, meshes, outline."""
 
 from __future__ import annotations
 
@@ -9,10 +9,14 @@ from dataclasses import FrozenInstanceError, fields, replace
 import numpy as np
 import pytest
 
-from armlab import robots
-from armlab.errors import RobotError
-from armlab.lie import euler, se3
-from armlab.robots import POSE_TOLERANCE, Mesh, Robot, inertia
+from armlab import kinematics, robots
+from armlab.errors import RobotError, ShapeError
+from armlab.lie import euler, quaternion, se3
+from armlab.robots import GRAVITY, POSE_TOLERANCE, RAMP_TIME, SCREW_TOLERANCE, Details, LocalPoe, Mesh, Robot, inertia
+from armlab.robots.robot import arm_length, bends
+
+FILE = "package://maker/link_1.stl"
+GOOD = {"kind": "visual", "file": FILE, "T_link_mesh": np.eye(4), "scale": (1, 1, 1)}
 
 
 @pytest.fixture(scope="module")
@@ -247,3 +251,314 @@ def test_an_inertia_that_no_body_has_but_that_moves_is_accepted() -> None:
 def test_no_joints_are_refused() -> None:
     with pytest.raises(RobotError, match="Expected at least one joint for robot 'r'"):
         robots.from_links("r", np.eye(4)[None])
+
+
+def dh_matrix(theta: float, d: float, a: float, alpha: float) -> np.ndarray:
+    """The matrix of the textbooks, entry by entry."""
+    ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+    return np.array([[ct, -st * ca, st * sa, a * ct], [st, ct * ca, -ct * sa, a * st], [0, sa, ca, d], [0, 0, 0, 1]])
+
+
+def craig_matrix(theta: float, d: float, a: float, alpha: float) -> np.ndarray:
+    """Craig, Introduction to Robotics, equation 3.6."""
+    ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+    return np.array([[ct, -st, 0, a], [st * ca, ct * ca, -sa, -sa * d], [st * sa, ct * sa, ca, ca * d], [0, 0, 0, 1]])
+
+
+def product(matrix, table: np.ndarray, prismatic: np.ndarray, q: np.ndarray) -> np.ndarray:
+    T = np.eye(4)
+    for (alpha, a, d, offset), slides, position in zip(table.T, prismatic, q):
+        T = T @ matrix(offset + position * (not slides), d + position * slides, a, alpha)
+    return T
+
+
+@pytest.mark.parametrize("modified", [False, True])
+def test_from_dh_equals_the_textbook_product(modified: bool) -> None:
+    """Random robots of 2 to 9 joints, revolute and prismatic; tests/laws has a thousand of them in all forms."""
+    rng = np.random.default_rng(0)
+    matrix = craig_matrix if modified else dh_matrix
+    for _ in range(300):
+        n = int(rng.integers(2, 10))
+        table = rng.uniform(-np.pi, np.pi, (4, n)) * [[1], [0.3], [0.3], [1]]
+        prismatic = rng.random(n) < 0.3
+        robot = robots.from_dh("random", *table, prismatic=prismatic, modified=modified)
+        q = rng.uniform(-3, 3, n)
+        np.testing.assert_allclose(
+            kinematics.forward(robot, q), product(matrix, table, prismatic, q), atol=1e-12, rtol=0
+        )
+
+
+def test_link_frames_are_dh_frames_before_the_shift() -> None:
+    """Link frame i followed by Tz(d) Tx(a) Rx(alpha) is DH frame i."""
+    rng = np.random.default_rng(1)
+    table = rng.uniform(-1, 1, (4, 5))
+    robot = robots.from_dh("random", *table)
+    q = rng.uniform(-1, 1, 5)
+    links = kinematics.link_transforms(robot, q)
+    for i in range(5):
+        alpha, a, d, _ = table[:, i]
+        expected = product(dh_matrix, table[:, : i + 1], np.zeros(5, bool), q[: i + 1])
+        np.testing.assert_allclose(links[i] @ dh_matrix(0.0, d, a, alpha), expected, rtol=0, atol=1e-14)
+
+
+def test_a_number_stands_for_all_rows() -> None:
+    robot = robots.from_dh("planar", 0.0, [0.5, 0.4], 0.0)
+    np.testing.assert_allclose(robot.T_home[:3, 3], [0.9, 0, 0])
+    assert robot.n == 2
+
+
+def test_defaults_of_details() -> None:
+    robot = robots.from_dh("r", 0.0, [1.0, 1.0], 0.0)
+    assert (robot.q_max == np.inf).all()
+    assert (robot.qdd_max == np.inf).all()
+    np.testing.assert_array_equal(robot.q_home, 0)
+    np.testing.assert_array_equal(robot.gravity, GRAVITY)
+    np.testing.assert_array_equal(robot.coupling, np.eye(2))
+    assert robot.joint_names == ("joint_1", "joint_2")
+    assert robot.abb_axes == (1, 2)
+    assert (robot.side, robot.source) == ("", "")
+    limited = robots.from_dh("r", 0.0, [1.0, 1.0], 0.0, q_min=[0.5, -2], q_max=[1, -1], qd_max=[2.0, 3.0])
+    np.testing.assert_array_equal(limited.q_home, [0.5, -1])
+    np.testing.assert_array_equal(limited.qdd_max, np.array([2.0, 3.0]) / RAMP_TIME)
+
+
+def test_a_misspelt_detail_is_refused() -> None:
+    """Limits that are not taken would be infinite."""
+    with pytest.raises(RobotError, match="got 'q_maxx'"):
+        robots.from_dh("r", 0.0, [1.0, 1.0], 0.0, q_maxx=[1.0, 1.0])  # type: ignore[call-arg]
+
+
+def test_details_name_fields_of_robot() -> None:
+    assert set(Details.__annotations__) < set(Robot.__dataclass_fields__)
+
+
+def test_from_links() -> None:
+    rng = np.random.default_rng(2)
+    q = rng.standard_normal((3, 4))
+    links = np.tile(np.eye(4), (3, 1, 1))
+    links[:, :3, :3] = quaternion.to_matrix(q / np.linalg.norm(q, axis=1, keepdims=True))
+    robot = robots.from_links("r", links, [False, True])
+    np.testing.assert_array_equal(robot.frames, links)
+    np.testing.assert_allclose(robot.T_home, links[0] @ links[1] @ links[2], rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("columns", "sentence"),
+    [
+        (
+            ([0.0, 0.0], [1.0, 1, 1], 0.0),
+            "Expected DH columns of one length for robot 'r', got alpha 2, a 3, d 1, offset 1.",
+        ),
+        (([0.0, np.nan], 1.0, 0.0), "Expected finite alpha in the DH table of 'r', got nan at joint 2."),
+        (([0.0, 0.0], 1.0, [0.0, np.inf]), "Expected finite d in the DH table of 'r', got inf at joint 2."),
+    ],
+)
+def test_bad_tables_are_refused_with_a_sentence(columns: tuple, sentence: str) -> None:
+    with pytest.raises(RobotError) as caught:
+        robots.from_dh("r", *columns)
+    assert str(caught.value) == sentence
+
+
+def test_a_prismatic_flag_per_joint() -> None:
+    with pytest.raises(RobotError, match="of robot 'r'"):
+        robots.from_dh("r", 0.0, [1.0, 1.0], 0.0, prismatic=[True])
+
+
+def test_limits_that_look_like_degrees_are_doubted() -> None:
+    with pytest.warns(UserWarning, match=r"'r' within four turns, got joint_2 \(-170 to 170 rad\)\. If these are d"):
+        robot = robots.from_dh("r", 0.0, [1.0, 1.0], 0.0, q_min=[-3.0, -170.0], q_max=[3.0, 170.0])
+    assert robot.q_max[1] == 170.0
+    turns = 2.0 * np.pi * np.array([1.1, 4.0, 96.0, np.inf])  # 400 degrees; an ABB wrist; without end
+    robots.from_dh("wide", 0.0, np.ones(4), 0.0, q_min=-turns, q_max=turns)
+    robots.from_dh("slide", 0.0, 1.0, 0.0, prismatic=[True], q_min=[0.0], q_max=[100.0])
+
+
+def test_angles_of_a_table_that_look_like_degrees_are_doubted() -> None:
+    with pytest.warns(UserWarning, match=r"one turn, got alpha of 90 rad in the DH table of 'two links'\. If th"):
+        robots.from_dh("two links", 90.0, [1.0, 1.0], 0.0)
+    with pytest.warns(UserWarning, match="got offset of 180 rad"):
+        robots.from_dh("r", 0.0, [1.0, 1.0], 0.0, [0.0, -180.0])
+    robots.from_dh("r", [2.0 * np.pi, -np.pi], [1.0, 1.0], 0.0, [-np.pi, 2.0 * np.pi])
+
+
+def random_screws(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Unit axes through random points; about a third slide."""
+    axis = rng.standard_normal((n, 3))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    slides = rng.random((n, 1)) < 0.3
+    return np.where(slides, np.hstack([axis, 0 * axis]), np.hstack([np.cross(rng.standard_normal((n, 3)), axis), axis]))
+
+
+def random_robot(rng: np.random.Generator, n: int) -> Robot:
+    """Random links, kinds, mount and tool."""
+    return robots.from_links(
+        "random",
+        se3.exp(rng.standard_normal((n + 1, 6))),
+        rng.random(n) < 0.3,
+        T_base_mount=se3.exp(rng.standard_normal(6)),
+        T_flange_tool=se3.exp(rng.standard_normal(6)),
+    )
+
+
+def test_from_poe_is_the_product_of_exponentials() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        n = int(rng.integers(2, 10))
+        screws, T_home, q = random_screws(rng, n), se3.exp(rng.standard_normal(6)), rng.uniform(-2, 2, n)
+        robot = robots.from_poe("random", screws, T_home)
+        T = np.eye(4)
+        for xi, position in zip(screws, q):
+            T = T @ se3.exp(xi * position)
+        np.testing.assert_allclose(kinematics.forward(robot, q), T @ T_home, atol=1e-12, rtol=0)
+        np.testing.assert_allclose(robot.screws, screws, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(robot.T_home, T_home, rtol=0, atol=1e-13)
+        np.testing.assert_array_equal(robot.prismatic, ~screws[:, 3:].any(axis=1))
+
+
+def test_the_three_forms_agree_on_random_robots() -> None:
+    """Robots of 2 to 9 joints, revolute and prismatic, with mount and tool; tests/laws has a thousand of them."""
+    rng = np.random.default_rng(1)
+    for _ in range(100):
+        robot = random_robot(rng, int(rng.integers(2, 10)))
+        q = rng.uniform(-2, 2, robot.n)
+        T = kinematics.forward(robot, q)
+        for other in (
+            robots.from_poe("poe", robot.screws, robot.T_home),
+            robots.from_local_poe("local", *robots.to_local_poe(robot)),
+        ):
+            np.testing.assert_allclose(kinematics.forward(other, q), T, atol=1e-12, rtol=0)
+
+
+def test_local_poe_of_a_robot() -> None:
+    """``T = A_1 exp(xi_1 q_1) ... A_n exp(xi_n q_n) A_tool``, typed in."""
+    rng = np.random.default_rng(2)
+    robot = random_robot(rng, 5)
+    local = robots.to_local_poe(robot)
+    assert isinstance(local, LocalPoe)
+    q = rng.standard_normal(5)
+    T = np.eye(4)
+    for pose, xi, position in zip(local.poses, local.screws, q):
+        T = T @ pose @ se3.exp(xi * position)
+    np.testing.assert_allclose(T @ local.poses[-1], kinematics.forward(robot, q), rtol=0, atol=1e-13)
+
+
+def test_the_ancestors_test_robot() -> None:
+    """Robotlib.jl's runtests.jl: axes z y y x y x. It takes v = -p × w, so its axes go through the points -p."""
+    axes = np.array([[0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0]], dtype=float)
+    points = -np.array([[0, 0, 0], [0, 0, 0.3], [0, 0, 1], [1, 0, 1], [1, 0, 1], [1, 0, 1]])
+    T_home = [[0, -1, 0, 1.2], [0, 0, -1, 0], [1, 0, 0, 1], [0, 0, 0, 1.0]]
+    robot = robots.from_poe("runtests", np.hstack([np.cross(points, axes), axes]), T_home)
+    p = kinematics.forward(robot, 0.1 * np.arange(1, 7))[:3, 3]
+    np.testing.assert_allclose(p, (1.447748001821, -1.054251457784, -1.879210347845), rtol=0, atol=1e-12)
+
+
+def test_from_poe_takes_its_frames_behind_the_mount() -> None:
+    T_base_mount = se3.exp([1, 2, 3, 0.1, 0.2, 0.3])
+    screws = random_screws(np.random.default_rng(3), 4)
+    robot = robots.from_poe("r", screws, np.eye(4), T_base_mount=T_base_mount)
+    bare = robots.from_poe("r", screws, np.eye(4))
+    q = np.ones(4)
+    np.testing.assert_allclose(
+        kinematics.forward(robot, q), T_base_mount @ kinematics.forward(bare, q), rtol=0, atol=1e-14
+    )
+
+
+def test_normalise_screw() -> None:
+    np.testing.assert_allclose(robots.normalise_screw([1, 2, 3, 0, 0, 2]), [0.5, 1, 0, 0, 0, 1])
+    np.testing.assert_allclose(robots.normalise_screw([1, 2, 3, 0, 0, 2], keep_pitch=True), [0.5, 1, 1.5, 0, 0, 1])
+    np.testing.assert_allclose(robots.normalise_screw([0, 3, 4, 0, 0, 0]), [0, 0.6, 0.8, 0, 0, 0])
+    rough = random_screws(np.random.default_rng(4), 50) * 1.3
+    before = rough.copy()
+    np.testing.assert_allclose(robots.normalise_screw(rough), before / 1.3, rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(rough, before)
+    assert robots.normalise_screw(rough.reshape(5, 10, 6)).shape == (5, 10, 6)
+
+
+@pytest.mark.parametrize(
+    ("screw", "sentence"),
+    [
+        (np.zeros(6), "other than zero"),
+        ([0, 0, 0, 0, 0, np.nan], "not finite"),
+        ([1, 2, 3], r"Expected screws of shape \(\.\.\., 6\), got \(3,\)\."),
+    ],
+)
+def test_normalise_screw_refuses(screw: list, sentence: str) -> None:
+    with pytest.raises(ShapeError, match=sentence):
+        robots.normalise_screw(screw)
+
+
+@pytest.mark.parametrize(
+    ("screws", "T_home", "sentence"),
+    [
+        (
+            [[0, 0, 0, 0, 0, 2.0]],
+            np.eye(4),
+            "for joint 1 of robot 'r', got length 2 and pitch 0 m/rad. Use robots",
+        ),
+        ([[0, 0, 1, 0, 0, 1]], np.eye(4), "got length 1 and pitch 1 m/rad"),
+        ([[0, 0, 0, 0, 0, 0]], np.eye(4), "got length 0"),
+        ([[0, 0, 0, 0, 0, np.nan]], np.eye(4), "got length nan"),
+        ([[0, 0, 1, 0, 0]], np.eye(4), r"Expected screws of shape \(n, 6\)"),
+        ([[0, 0, 0, 0, 0, 1]], 2 * np.eye(4), "Expected T_home of robot 'r' to be a pose"),
+        ([[0, 0, 0, 0, 0, 1]], np.eye(3), "Expected T_home of robot 'r' to be a pose"),
+    ],
+)
+def test_bad_screws_are_refused_with_a_sentence(screws: list, T_home: np.ndarray, sentence: str) -> None:
+    assert SCREW_TOLERANCE == 1e-9
+    with pytest.raises(RobotError, match=sentence):
+        robots.from_poe("r", screws, T_home)
+
+
+def test_equal_by_content_and_read_only() -> None:
+    T_link_mesh = se3.exp([1, 2, 3, 0.1, 0.2, 0.3])
+    mesh = Mesh("collision", FILE, T_link_mesh, np.array([0.001, 0.001, -0.001]))
+    twin = pickle.loads(pickle.dumps(mesh))
+    assert twin == mesh
+    assert hash(twin) == hash(mesh)
+    assert mesh != Mesh("visual", FILE, T_link_mesh, mesh.scale)
+    assert mesh != Mesh("collision", FILE, np.eye(4), mesh.scale)
+    assert mesh != FILE
+    T_link_mesh[0, 3] = 9.0
+    assert mesh.T_link_mesh[0, 3] != 9.0
+    for array in (twin.T_link_mesh, twin.scale):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0.0
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        ({"kind": "picture"}, 'Expected "visual" or "collision" as kind of mesh .* got \'picture\''),
+        ({"file": ""}, "Expected the file name of a mesh, got ''"),
+        ({"T_link_mesh": 2 * np.eye(4)}, r"Expected a pose \(4, 4\) of mesh"),
+        ({"T_link_mesh": np.eye(3)}, r"Expected a pose \(4, 4\) of mesh"),
+        ({"scale": (1, 0, 1)}, "Expected 3 finite factors of mesh .* other than 0"),
+        ({"scale": (1, np.nan, 1)}, "Expected 3 finite factors"),
+        ({"scale": "one"}, "Expected scale of mesh .* to be real numbers, got 'one'"),
+        ({"file": 5}, "Expected the file name of a mesh, got 5"),
+        ({"scale": (1, 1)}, "Expected 3 finite factors"),
+    ],
+)
+def test_what_is_no_mesh_is_refused(wrong: dict, sentence: str) -> None:
+    with pytest.raises(RobotError, match=sentence):
+        Mesh(**(GOOD | wrong))
+
+
+def test_a_stretched_arm_is_as_long_as_its_links_and_strokes_together() -> None:
+    limits = {"q_min": [-2, -2, 0, -3], "q_max": [2, 2, 0.3, 3]}
+    alpha, a, d = [0, np.pi, 0, 0], [0.4, 0.3, 0, 0], [0.5, 0, 0, 0.05]
+    scara = robots.from_dh("scara", alpha, a, d, prismatic=[0, 0, 1, 0], **limits)
+    assert arm_length(scara) == pytest.approx(np.hypot(0.5, 0.4) + 0.3 + 0.3 + 0.05)
+
+
+def test_a_link_follows_the_common_normal_of_its_axes() -> None:
+    """Axis z through the origin, axis y through (0.3, 0.1, 0.5): they are nearest at x = 0 and 0.3, height 0.5."""
+    z, y = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
+    found = bends(np.zeros(3), z, np.array([0.3, 0.1, 0.5]), y)
+    np.testing.assert_allclose(found, [[0.0, 0.0, 0.5], [0.3, 0.0, 0.5]], atol=1e-15, rtol=0)
+
+
+def test_parallel_axes_have_one_bend() -> None:
+    z = np.array([0.0, 0.0, 1.0])
+    found = bends(np.zeros(3), z, np.array([0.3, 0.1, 0.5]), z)
+    np.testing.assert_allclose(found, [[0.0, 0.0, 0.5]], atol=1e-15, rtol=0)

@@ -1,42 +1,68 @@
-"""Hand-eye and robot-world calibration: where the camera stands and where the marker sits, from pairs of poses.
+"""Hand-eye and robot-world calibration: poses of the camera and of the marker, from pairs of poses.
 
-Maximum likelihood on two poses for ``A_i X = Y B_i``, with the noise of the camera and, when it is told, of the robot:
+Maximum likelihood on two poses for ``A_i X = Y B_i``, with the noise of the camera and, where it is given, of the
+robot:
 
     r_t = t_B - R_Y^T (R_A t_X + t_A - t_Y),    r_R = Log((R_Y^T R_A R_X)^T R_B)
 
+The file follows the fit: inputs, problem with its closed-form start, solution, diagnostics.
 Theory: Shiu and Ahmad (1989); Park and Martin (1994); Dornaika and Horaud (1998); Strobl and Hirzinger (2006).
 """
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any, Literal
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import hypot
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.calibrate._arguments import pose_noise, poses
-from armlab.calibrate._hand_eye_equation import Equation, full, robot_side, rotation_sd
-from armlab.calibrate._hand_eye_words import (
-    Part,
-    Words,
+from armlab import kernels
+from armlab.calibrate.diagnostics import (
+    ROUGH,
+    SPREAD_AND_ANGLE,
+    UNSEEN,
+    axis_text,
+    largest_rotation,
     limits_of,
-    remarks,
-    require_match,
-    require_samples,
     require_two_axes,
 )
-from armlab.calibrate._orientation_readings import require_order
-from armlab.errors import NotConverged, ShapeError, UnknownName
-from armlab.estimation import Fit, check_spread, nonlinear_least_squares, unhurried
+from armlab.calibrate.inputs import pose_noise, poses
+from armlab.calibrate.orientation_conventions import (
+    FITS,
+    MARKER,
+    MUCH_BETTER,
+    ROBOT,
+    SUSPECT,
+    readings,
+    readings_of_robot,
+)
+from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
+from armlab.estimation import (
+    Fit,
+    Measurement,
+    NonlinearSolution,
+    Problem,
+    check_spread,
+    nonlinear_least_squares,
+)
+from armlab.lie import so3
 from armlab.models import HandEye
 from armlab.models.hand_eye import FRAMES
-
-__all__ = ["LIMITS", "fit_hand_eye"]
 
 LIMITS = (0.2, 0.2)
 CLASSES = ("position [m]", "rotation [rad]")
 WHAT = "hand-eye calibration"
+COMPONENTS = ("t",) * 3 + ("R",) * 3
+SHARED = 0.3  # length, relative to the largest, from which a part of a direction is named
+APART = 0.5  # residual over spread beyond which two records do not belong together
+COARSE = 0.03  # of the spread: a larger residual is no noise of a sensor
+NOTHING, FITS_BETTER = 1e-4, 0.1  # mean square of a rotation [rad^2] that is no misfit; share that is left of one
+FAR = 30.0  # m: no arm measures over that, but one of 30 cm does in millimetres
+FIRST_ORDER = 0.05  # rad: beyond it a covariance is a first-order statement
 
 
 def fit_hand_eye(
@@ -76,7 +102,7 @@ def fit_hand_eye(
     Raises
     ------
     ShapeError : another shape, NaN rows, no rotations, left-handed axes. UnknownName : another setup.
-    NotExcited : too few poses; a direction that they do not tell, by name.
+    NotExcited : too few poses; an unidentifiable direction, by name.
     NotConverged : records that do not belong together: pairing, inverse poses, millimetres.
 
     References
@@ -103,9 +129,8 @@ def fit_hand_eye(
     require_match(equation, residuals, ~found.outliers, value)
     if equation.noise is None:
         require_two_axes(equation.RA, float(np.hypot(found.sigma[1], rotation_sd(equation.noise_A))), carrier, names)
-    words = Words(Part.of(names), equation.spread, limits_of(limits))
-    judge = partial(check_spread, found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
-    excitation = unhurried(judge, found.cov, words.widths, found.null.shape[1])
+    words = PoseUnknowns(Part.of(names), equation.spread, limits_of(limits, SPREAD_AND_ANGLE, LIMITS))
+    excitation = check_spread(found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
 
     def summary(fit: Fit[HandEye]) -> str:
         given, turns = equation.noise is not None, fit.sd.reshape(4, 3)[1::2]
@@ -119,7 +144,7 @@ def fit_hand_eye(
 
 def _equation(
     T_base_tool: ArrayLike, T_cam_marker: ArrayLike, setup: str, noise: Any, noise_robot: Any
-) -> tuple[Equation, list[str]]:
+) -> tuple[HandEyeEquation, list[str]]:
     """Return the checked equation, and what must be reported of its poses."""
     RA, tA, first = poses(T_base_tool, "T_base_tool")
     RB, tB, second = poses(T_cam_marker, "T_cam_marker")
@@ -133,13 +158,340 @@ def _equation(
     if of_camera is not None and not np.all(np.diagonal(full(of_camera), axis1=-2, axis2=-1) > 0):
         raise ShapeError("Expected noise above zero, got zero. Leave it out to have it estimated.")
     RA, tA, of_robot = robot_side(RA, tA, of_robot, setup)
-    return Equation(RA, tA, RB, tB, of_camera, of_robot), [note for note in (first, second) if note]
+    return HandEyeEquation(RA, tA, RB, tB, of_camera, of_robot), [note for note in (first, second) if note]
 
 
-def _rotation_noise(equation: Equation, robust: bool) -> float:
+def _rotation_noise(equation: HandEyeEquation, robust: bool) -> float:
     """Return what is known of the deviation of rotations before the fit [rad]."""
     if equation.noise is not None:
         return float(np.hypot(rotation_sd(equation.noise), rotation_sd(equation.noise_A)))
     if robust:
         return rotation_sd(equation.noise_A)
     return float(np.sqrt(max(1.0 - np.linalg.svd(equation.product(), compute_uv=False)[0], 0.0)))
+
+
+class Pair(NamedTuple):
+    """Two poses, X and Y."""
+
+    RX: np.ndarray
+    tX: np.ndarray
+    RY: np.ndarray
+    tY: np.ndarray
+
+    def plus(self, x: np.ndarray) -> Pair:
+        """Return the pair after a step x = (v_X, w_X, v_Y, w_Y): v in the parent's axes, w in the child's."""
+        turn = so3.exp(x.reshape(4, 3)[1::2])
+        return Pair(self.RX @ turn[0], self.tX + x[:3], self.RY @ turn[1], self.tY + x[6:9])
+
+    def parameters(self) -> np.ndarray:
+        """Return position and rotation vector of both poses (12,)."""
+        return np.concatenate([self.tX, so3.log(self.RX), self.tY, so3.log(self.RY)])
+
+    def poses(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return X and Y (4, 4)."""
+        X, Y = np.eye(4), np.eye(4)
+        X[:3, :3], X[:3, 3], Y[:3, :3], Y[:3, 3] = self.RX, self.tX, self.RY, self.tY
+        return X, Y
+
+
+@dataclass(frozen=True, eq=False)
+class HandEyeEquation:
+    """Pairs of poses."""
+
+    RA: np.ndarray  # RA, tA: (N, 3, 3) and (N, 3) of A
+    tA: np.ndarray
+    RB: np.ndarray  # RB, tB: of B, which is measured
+    tB: np.ndarray
+    # of B: variances (6,) or covariance (6, 6) or (N, 6, 6); None when it is to be estimated
+    noise: np.ndarray | None = None
+    noise_A: np.ndarray | None = None  # of A, in the same forms; None when A is exact
+
+    @property
+    def N(self) -> int:
+        """Number of pairs."""
+        return len(self.tA)
+
+    @cached_property
+    def _sample(self) -> np.ndarray:
+        """The numbers of the pairs (N,)."""
+        return np.arange(self.N)
+
+    @cached_property
+    def mean(self) -> np.ndarray:
+        """Mean of R_A (3, 3): no rotation, and the shorter the more they turn."""
+        return self.RA.sum(axis=0) / self.N
+
+    @cached_property
+    def spread(self) -> float:
+        """Length by which positions are judged [m]: their RMS distance from their mean, of the record that has more."""
+        both = (t - t.sum(axis=0) / self.N for t in (self.tA, self.tB))
+        return max(float(np.sqrt(np.vdot(t, t) / self.N)) for t in both) or 1.0
+
+    def product(self) -> np.ndarray:
+        """Return K = mean of R_A (x) R_B (9, 9), for which K vec(R_X) = vec(R_Y), row by row.
+
+        Its largest singular value is 1 - sigma_R^2 where A and B belong together.
+        """
+        K = self.RA.reshape(-1, 9).T @ self.RB.reshape(-1, 9) / self.N
+        return K.reshape(3, 3, 3, 3).transpose(0, 2, 1, 3).reshape(9, 9)
+
+    def start(self) -> Pair:
+        """Return rotations by the singular vectors of K, positions by least squares: no units, no guess."""
+        U, _, V = np.linalg.svd(self.product())
+        RX, RY = V[0].reshape(3, 3), U[:, 0].reshape(3, 3)
+        (RX, RY), _ = kernels.so3_nearest(np.sign(np.linalg.det(RX)) * np.stack([RX, RY]))
+        M, c = self.mean, self.tB @ RY.T - self.tA
+        middle = c.sum(axis=0) / self.N
+        pulled = c.ravel() @ self.RA.reshape(-1, 3) / self.N - M.T @ middle
+        tX = np.linalg.solve(np.eye(3) - M.T @ M, pulled)
+        return Pair(RX, tX, RY, M @ tX - middle)
+
+    def evaluate(self, pair: Pair) -> list[Measurement]:
+        """Return r_t = t_B - t_h in camera axes and r_R = Log(R_h^T R_B) in marker axes, where h = Y^-1 A X."""
+        r, J = kernels.hand_eye_rows(self.RA, self.tA, self.RB, self.tB, *pair)
+        of_A = self._noise_of_A(pair, -J[:, :3, :3])
+        if self.noise is None:
+            return [Measurement(r, J, None, COMPONENTS, self._sample, added=of_A)]
+        return [Measurement(r, J, self.noise if of_A is None else full(self.noise) + of_A, COMPONENTS, self._sample)]
+
+    def _noise_of_A(self, pair: Pair, C: np.ndarray) -> np.ndarray | None:
+        """Return G S_A G^T (N, 6, 6), G = [[-R_Y^T, C hat(t_X)], [0, -R_X^T]]: the lever t_X couples both.
+
+        C is R_Y^T R_A (N, 3, 3).
+        """
+        if self.noise_A is None:
+            return None
+        G = np.zeros((self.N, 6, 6))
+        G[:, :3, :3] = -pair.RY.T
+        G[:, :3, 3:] = C @ so3.hat(pair.tX)
+        G[:, 3:, 3:] = -pair.RX.T
+        return G @ full(self.noise_A) @ G.transpose(0, 2, 1)
+
+    def problem(self) -> Problem[Pair]:
+        """Return what the solver needs."""
+        return Problem(self.evaluate, Pair.plus, what="hand-eye calibration")
+
+
+def full(noise: np.ndarray) -> np.ndarray:
+    """Return variances (k,) as a covariance (k, k); a covariance as it is."""
+    return np.diag(noise) if noise.ndim == 1 else noise
+
+
+def rotation_sd(noise: np.ndarray | None) -> float:
+    """Return the deviation of one component of a rotation [rad] of a covariance of poses; 0 for None."""
+    if noise is None:
+        return 0.0
+    variance = noise if noise.ndim == 1 else np.diagonal(noise, axis1=-2, axis2=-1)
+    return float(np.sqrt(np.mean(variance[..., 3:])))
+
+
+def robot_side(
+    R: np.ndarray, t: np.ndarray, noise: np.ndarray | None, setup: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Return rotations, positions and noise of A: the robot's poses, or their inverses with the eye in the hand."""
+    noise = noise if noise is not None and noise.any() else None
+    if setup == "eye_to_hand":
+        return R, t, noise
+    inverse = np.ascontiguousarray(R.transpose(0, 2, 1))
+    return inverse, -(inverse @ t[:, :, None])[:, :, 0], None if noise is None else inverse_noise(noise, R, t)
+
+
+def inverse_noise(noise: np.ndarray, R: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Return the covariance (N, 6, 6) of the inverses of noisy poses: v' = hat(p') w - R^T v, w' = -R w.
+
+    R and t are those of the poses; p' = -R^T t.
+    """
+    M = np.zeros((len(R), 6, 6))
+    Rt = R.transpose(0, 2, 1)
+    M[:, :3, :3] = -Rt
+    M[:, :3, 3:] = so3.hat(-(Rt @ t[:, :, None])[:, :, 0])
+    M[:, 3:, 3:] = -R
+    return M @ full(noise) @ M.transpose(0, 2, 1)
+
+
+@dataclass(frozen=True)
+class Part:
+    """Three of the unknowns."""
+
+    what: str  # "translation of T_tool_marker"
+    axes: str  # whose axes, "tool"
+    rotation: bool  # True for a rotation vector
+
+    @classmethod
+    def of(cls, names: Sequence[str]) -> tuple[Part, ...]:
+        """Return the parts of poses T_a_b: translation in axes of a, rotation in axes of b."""
+        found: list[Part] = []
+        for name in names:
+            _, parent, child = name.split("_")
+            found += [cls(f"translation of {name}", parent, False), cls(f"rotation of {name}", child, True)]
+        return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class PoseUnknowns:
+    """Names, units and limits of the unknowns; puts a direction of them into words, see `estimation.check_spread`."""
+
+    parts: Sequence[Part]  # of the unknowns, three each
+    spread: float  # of the measured positions [m]
+    limits: tuple[float, float]  # largest deviation accepted: share of the spread, and [rad]
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Name of each unknown, for example "T_base_cam rx"."""
+        return tuple(f"{p.what.split()[-1]} {'r' * p.rotation}{axis}" for p in self.parts for axis in "xyz")
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each unknown."""
+        return tuple("rad" if p.rotation else "m" for p in self.parts for _ in range(3))
+
+    @cached_property
+    def widths(self) -> np.ndarray:
+        """Largest deviation accepted of each unknown."""
+        return np.repeat([self.limits[1] if p.rotation else self.limits[0] * self.spread for p in self.parts], 3)
+
+    def __call__(self, step: np.ndarray) -> str:
+        """Return for example "translation of T_tool_marker along tool axis z (T_base_cam moves with it), 0.4 m"."""
+        blocks = step.reshape(-1, 3)
+        sizes = [hypot(*block) for block in (blocks / self.widths.reshape(-1, 3)).tolist()]
+        largest = max(sizes)
+        first = next(
+            i for i, size in enumerate(sizes) if size > 0.5 * largest
+        )  # of poses that move together, the first
+        part = self.parts[first]
+        text = f"{part.what} {'about' if part.rotation else 'along'} {axis_text(blocks[first], part.axes)}"
+        others = {p.what.split()[-1] for p, size in zip(self.parts, sizes) if size > SHARED * largest}
+        others -= {part.what.split()[-1]}
+        text += f" ({' and '.join(sorted(others))} move{'s' * (len(others) == 1)} with it)" if others else ""
+        if abs(hypot(*sizes) - 1.0) < UNSEEN:
+            return text
+        return f"{text}, {hypot(*blocks[first].tolist()):.2g} {'rad' if part.rotation else 'm'}"
+
+
+def require_samples(N: int, least: int, what: str) -> None:
+    """Refuse fewer samples than any such fit needs."""
+    if least > N:
+        raise NotExcited(
+            f"Expected at least {least} pairs of {what}, got {N}. Measure at poses that turn the tool about two axes.",
+            [f"everything: {N} poses"],
+            [f"{N} of at least {least} poses"],
+        )
+
+
+def require_match(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray, best: Any) -> None:
+    """Refuse records that do not belong together, with what would make them fit where that can be said."""
+    turned, moved = np.sqrt(3.0 - np.vdot(equation.mean, equation.mean)), equation.spread
+    squares, count = (r[kept] ** 2).sum(axis=0), np.count_nonzero(kept)
+    position, rotation = np.sqrt(squares.reshape(2, 3).sum(axis=1) / count)
+    few = 2 * count <= len(kept)
+    if (rotation <= APART * turned or rotation < ROUGH) and position <= APART * moved and not few:
+        cause = _other_reading(equation) if rotation > SUSPECT else ""
+        if not cause:
+            return
+    left_out = f", {np.count_nonzero(~kept)} of {len(kept)} left out" if few else ""
+    raise NotConverged(
+        f"Expected two records of poses that belong together, got {position:.3g} m and {rotation:.3g} rad between them "
+        f"(RMS{left_out}) where the poses spread over {moved:.3g} m and {turned:.3g} rad. {_cause(equation)}",
+        best=best,
+        reason="mismatch",
+    )
+
+
+def _cause(equation: HandEyeEquation) -> str:
+    """Return what is wrong with the records, as far as another reading of them fits much better."""
+    cause = _other_reading(equation)
+    if cause:
+        return cause
+    scale = _scale(equation)
+    if scale is not None and scale < 0.0:
+        return "Positions and rotations are of different hands: one axis of the camera or of the robot is reversed."
+    if scale is not None:
+        return f"Lengths of the measured poses times {scale:.3g} would fit: perhaps millimetres were given as metres."
+    return "Check that sample i of both is the same moment, and which frame each is in."
+
+
+def _other_reading(equation: HandEyeEquation) -> str:
+    """Return the reading of the records whose rotations fit much better, "" where none does."""
+    now = _misfit(equation.RA, equation.RB)
+    RA, RB = equation.RA, equation.RB
+    other = {
+        "One of the records holds the inverse of what was expected, or the setup is the other one.": _misfit(
+            RA.transpose(0, 2, 1), RB
+        ),
+        "One of the records is in reverse order.": _misfit(RA, RB[::-1]),
+    }
+    for k in (1, 2, 3):
+        if 2 * k + 3 < equation.N:
+            text = f"The records are shifted by {k} samples against each other."
+            other[text] = min(_misfit(RA[k:], RB[:-k]), _misfit(RA[:-k], RB[k:]))
+    cause = min(other, key=lambda text: other[text])
+    return cause if now > NOTHING and other[cause] < FITS_BETTER * now else ""
+
+
+def _misfit(RA: np.ndarray, RB: np.ndarray) -> float:
+    """Return 1 minus the largest singular value of the mean of R_A (x) R_B: 0 where they belong together."""
+    still = np.zeros((len(RA), 3))
+    return float(1.0 - np.linalg.svd(HandEyeEquation(RA, still, RB, still).product(), compute_uv=False)[0])
+
+
+def _scale(equation: HandEyeEquation) -> float | None:
+    """Return the factor on t_B that makes the positions fit, below 0 for a mirror image; None where none does."""
+    RY = equation.start().RY
+    turned = equation.tB @ RY.T
+    A = np.concatenate([equation.RA, -turned[:, :, None], np.broadcast_to(-np.eye(3), (equation.N, 3, 3))], axis=2)
+    x = np.linalg.lstsq(A.reshape(-1, 7), -equation.tA.ravel(), rcond=None)[0]
+    left = float(np.sqrt(np.mean((A.reshape(-1, 7) @ x + equation.tA.ravel()) ** 2) * 3.0))
+    odd = x[3] < 0 or abs(np.log(max(x[3], 1e-300))) > np.log(2.0)
+    fits = left < 0.1 * float(equation.tA.std(axis=0).max()) and odd
+    return float(x[3]) if fits else None
+
+
+def remarks(RA: np.ndarray, spread: float, given: bool, found: NonlinearSolution[Any], turns: np.ndarray) -> list[str]:
+    """Return what a report says beyond the values."""
+    lines = [f"largest rotation between two poses {largest_rotation(RA):.3g} rad"]
+    if given and found.freedom:
+        lines.append(f"residuals {np.sqrt(2.0 * found.cost / found.freedom):.3g} times the noise that was given")
+    left = found.sigma.tolist()
+    if not given and (left[0] > COARSE * spread or (left[-1] > ROUGH and len(left) == 2)):
+        lines.append("residuals are larger than those of any sensor: are some samples wrong, or all?")
+    if spread > FAR:
+        lines.append(f"positions spread over {spread:.3g} m: millimetres given as metres?")
+    if turns.max() > FIRST_ORDER:
+        lines.append("rotations are known to worse than 3 degrees: deviations are first-order statements there")
+    return lines
+
+
+def require_order(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray) -> None:
+    """Refuse two records of poses that fit much better when orientations are read in another way."""
+    now = _sizes(r[kept])
+    if now[0] < SUSPECT * equation.spread and now[1] < SUSPECT:
+        return
+    for text, other in _equations(equation):
+        position, rotation = _sizes(other.evaluate(other.start())[0].r)
+        fits = position < min(max(MUCH_BETTER * now[0], SUSPECT * equation.spread), FITS * equation.spread)
+        if fits and rotation < max(MUCH_BETTER * now[1], SUSPECT):
+            raise NotConverged(
+                f"Expected two records of poses that belong together, got {now[0]:.3g} m and {now[1]:.3g} rad between "
+                f"them (RMS). {text}",
+                best=other.start(),
+                reason="mismatch",
+            )
+
+
+def _equations(equation: HandEyeEquation) -> Iterator[tuple[str, HandEyeEquation]]:
+    """Yield the equation with the robot, the marker, or both read in another way."""
+    RA, tA, RB, tB = equation.RA, equation.tA, equation.RB, equation.tB
+    of_marker = readings(RB, tB)
+    for one in of_marker:
+        yield one.text.format(MARKER), HandEyeEquation(RA, tA, one.R, one.t)
+    for one in readings_of_robot(RA, tA):
+        yield one.text.format(ROBOT), HandEyeEquation(one.R, one.t, RB, tB)
+        for two in of_marker:
+            if two.text == one.text:
+                yield one.text.format(f"{ROBOT} and {MARKER}"), HandEyeEquation(one.R, one.t, two.R, two.t)
+
+
+def _sizes(r: np.ndarray) -> tuple[float, float]:
+    """Return the RMS length of the residuals (N, 6): of positions [m], of rotations [rad]."""
+    position, rotation = np.sqrt((r**2).sum(axis=0).reshape(2, 3).sum(axis=1) / max(len(r), 1))
+    return float(position), float(rotation)

@@ -4,34 +4,51 @@
 
 Poses of the marker are not needed in between: with their unequal covariance they cost accuracy, and a sample in which
 a point is missing still counts.
+
+The equation is ``A_i s_k = Y p_ik`` for the points s_k on the tool: linear start, then residuals with their Jacobian,
+for a known marker or unknown points.
 """
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import rows_text
-from armlab.calibrate._arguments import point_noise, pose_noise, poses
-from armlab.calibrate._hand_eye_equation import robot_side, rotation_sd
-from armlab.calibrate._hand_eye_words import Part, Words, limits_of, remarks, require_samples, require_two_axes
-from armlab.calibrate._marker_equation import Sight, marked_start
-from armlab.calibrate._marker_match import require_marker, require_sight
-from armlab.calibrate._orientation_readings import require_order_of_robot
-from armlab.calibrate.hand_eye import LIMITS, WHAT
+from armlab.calibrate.diagnostics import SPREAD_AND_ANGLE, limits_of, require_two_axes
+from armlab.calibrate.hand_eye import (
+    LIMITS,
+    WHAT,
+    Pair,
+    Part,
+    PoseUnknowns,
+    full,
+    remarks,
+    require_samples,
+    robot_side,
+    rotation_sd,
+)
+from armlab.calibrate.inputs import point_noise, pose_noise, poses
+from armlab.calibrate.orientation_conventions import FITS, MUCH_BETTER, ROBOT, SUSPECT, readings_of_robot
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
-from armlab.estimation import Fit, check_spread, nonlinear_least_squares, unhurried
-from armlab.frames._check import marker_points, sightings
-from armlab.lie import se3
+from armlab.estimation import Fit, Measurement, Problem, check_spread, nonlinear_least_squares
+from armlab.estimation.factors import triangle
+from armlab.frames import marker_pose
+from armlab.frames.inputs import marker_points, sightings
+from armlab.lie import se3, so3
 from armlab.models import HandEye
 from armlab.models.hand_eye import FRAMES
 
-__all__ = ["fit_hand_eye_points"]
-
 TURNED = 1e-3  # rad: orientations of robots are no better; a turn that they could make by that is none
+APART = 0.5  # residual over spread beyond which two records do not belong together
+ROUND = 0.5  # smallest over largest singular value of a matrix that is a rotation, a mirror image or a scale
+SHAPED = 0.25  # difference of two arrangements over their size from which they are different
+CLEAR = 5.0  # deviations of the points found from which a difference is one
+OTHER_UNIT = 2.0  # factor of length that no camera is wrong by
 
 
 def fit_hand_eye_points(
@@ -70,18 +87,18 @@ def fit_hand_eye_points(
     Raises
     ------
     ShapeError : another shape, NaN rows where visible, no rotations. UnknownName : another setup.
-    NotExcited : too few poses or points; a direction that they do not tell, by name.
+    NotExcited : too few poses or points; an unidentifiable direction, by name.
     NotConverged : records that do not belong together: pairing, inverse poses, millimetres, a left-handed camera.
     """
     if setup not in FRAMES:
         raise UnknownName.among("setup", setup, FRAMES)
-    sight, seen, notes = _sight(T_base_tool, p_cam, visible, setup, noise, noise_robot)
+    sight, seen, notes = _point_model(T_base_tool, p_cam, visible, setup, noise, noise_robot)
     body = None if marker is None else marker_points(marker, sight.K, "p_cam")
     names, carrier = FRAMES[setup], FRAMES[setup][0].split("_")[1]
     require_samples(len(np.unique(sight.sample)), 3 if sight.K >= 3 else 5, "poses with points that were seen")
     held = "the points" if body is None else names[0]
     require_two_axes(sight.RA, max(TURNED, rotation_sd(sight.noise_A)), carrier, (held, names[1]))
-    require_sight(sight)
+    require_agreement(sight)
     require_order_of_robot(sight)
     start = sight.start()
     try:
@@ -97,16 +114,15 @@ def fit_hand_eye_points(
             value, parts = HandEye(setup, X, Y, body @ X[:3, :3].T + X[:3, 3]), Part.of(names)
     except NotConverged as error:
         if not error.reason:
-            require_sight(sight, sight.solution.misfit)
+            require_agreement(sight, sight.solution.misfit)
         raise
     residuals = np.full((*seen.shape, 3), np.nan)
     residuals[seen] = sight.residuals(value)
     outliers = np.zeros(len(seen), dtype=bool)
     outliers[: len(found.outliers)] = found.outliers
-    require_sight(sight, float(np.sqrt(3.0 * np.nanmean(residuals[~outliers] ** 2))), float(np.mean(outliers)))
-    words = Words(parts, sight.spread, limits_of(limits))
-    judge = partial(check_spread, found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
-    excitation = unhurried(judge, found.cov, words.widths, found.null.shape[1])
+    require_agreement(sight, float(np.sqrt(3.0 * np.nanmean(residuals[~outliers] ** 2))), float(np.mean(outliers)))
+    words = PoseUnknowns(parts, sight.spread, limits_of(limits, SPREAD_AND_ANGLE, LIMITS))
+    excitation = check_spread(found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
 
     def summary(fit: Fit[HandEye]) -> str:
         turns = fit.sd[[unit == "rad" for unit in fit.units]]
@@ -118,9 +134,9 @@ def fit_hand_eye_points(
     )  # fmt: skip
 
 
-def _sight(
+def _point_model(
     T_base_tool: ArrayLike, p_cam: ArrayLike, visible: ArrayLike | None, setup: str, noise: Any, noise_robot: Any
-) -> tuple[Sight, np.ndarray, list[str]]:
+) -> tuple[PointModel, np.ndarray, list[str]]:
     """Return what was seen, checked, which points were visible (N, K), and what must be reported of the poses."""
     RA, tA, note = poses(T_base_tool, "T_base_tool")
     p, seen = _points(p_cam, visible)
@@ -134,7 +150,7 @@ def _sight(
     if cov is not None and cov.ndim == 4:
         cov = cov[seen]
     sample, point = np.nonzero(seen)
-    return Sight(RA, tA, p[seen], sample, point, seen.shape[1], cov, of_robot), seen, [note] if note else []
+    return PointModel(RA, tA, p[seen], sample, point, seen.shape[1], cov, of_robot), seen, [note] if note else []
 
 
 def _points(p_cam: ArrayLike, visible: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:
@@ -148,3 +164,264 @@ def _points(p_cam: ArrayLike, visible: ArrayLike | None) -> tuple[np.ndarray, np
             ["never visible"] * len(never),
         )
     return p, seen
+
+
+class Points(NamedTuple):
+    """Points (K, 3) in tool axes, and Y."""
+
+    s: np.ndarray
+    RY: np.ndarray
+    tY: np.ndarray
+
+    def plus(self, x: np.ndarray) -> Points:
+        """Return them after a step x = (s, v_Y, w_Y)."""
+        return Points(self.s + x[:-6].reshape(-1, 3), self.RY @ so3.exp(x[-3:]), self.tY + x[-6:-3])
+
+    def parameters(self) -> np.ndarray:
+        """Return the points, and position and rotation vector of Y (3 K + 6,)."""
+        return np.concatenate([self.s.ravel(), self.tY, so3.log(self.RY)])
+
+
+class Linear(NamedTuple):
+    """Solution of A_i s_k = M p_ik + t_Y with any matrix M; misfit: RMS of what is left [m]."""
+
+    s: np.ndarray
+    M: np.ndarray
+    misfit: float
+
+
+@dataclass(frozen=True, eq=False)
+class PointModel:
+    """Measured points: one row per point that was visible in a sample."""
+
+    RA: np.ndarray  # RA, tA: (N, 3, 3), (N, 3) of the samples
+    tA: np.ndarray
+    p: np.ndarray  # (m, 3) measured points in camera axes
+    sample: np.ndarray  # sample, point: (m,) which of them
+    point: np.ndarray
+    K: int  # number of points
+    noise: np.ndarray | None  # variances (3,) or covariance (3, 3) or (m, 3, 3); None when it is to be estimated
+    # of the poses of the samples: variances (6,) or covariance (6, 6) or (N, 6, 6); None when they are exact
+    noise_A: np.ndarray | None = None
+
+    @cached_property
+    def spread(self) -> float:
+        """RMS distance of the measured points from their mean [m]."""
+        t = self.p - self.p.mean(axis=0)
+        return float(np.sqrt(np.vdot(t, t) / len(t))) or 1.0
+
+    def only(self, keep: np.ndarray) -> PointModel:
+        """Return it with some of its rows (m,)."""
+        noise = self.noise[keep] if self.noise is not None and self.noise.ndim == 3 else self.noise
+        return replace(self, p=self.p[keep], sample=self.sample[keep], point=self.point[keep], noise=noise)
+
+    @cached_property
+    def solution(self) -> Linear:
+        """Linear solution of all samples."""
+        return self.linear(self.RA, self.tA)
+
+    def linear(self, RA: np.ndarray, tA: np.ndarray) -> Linear:
+        """Return the linear solution with these poses of the robot, (N, 3, 3) and (N, 3)."""
+        A, t = RA[self.sample], tA[self.sample]
+        m, n = len(self.p), 3 * self.K
+        rows = np.zeros((m, 3, n + 13))
+        rows[:, :, :n].reshape(m, 3, self.K, 3)[np.arange(m), :, self.point] = A
+        for i in range(3):
+            rows[:, i, n + 3 * i : n + 3 * i + 3] = -self.p
+            rows[:, i, n + 9 + i] = -1.0
+        rows[:, :, -1] = -t
+        R = triangle(rows.reshape(3 * m, -1))
+        scale = np.linalg.norm(R[:, :-1], axis=0)
+        scale = np.where(scale > 0, scale, 1.0)
+        x = np.linalg.lstsq(R[:, :-1] / scale, R[:, -1], rcond=1e-9)[0] / scale
+        misfit = float(np.linalg.norm(R[:, :-1] @ x - R[:, -1]) / np.sqrt(m))
+        return Linear(x[:n].reshape(-1, 3), x[n : n + 9].reshape(3, 3), misfit)
+
+    def start(self) -> Points:
+        """Return Y with the rotation nearest to the linear solution, and points and position that go with it."""
+        RY = so3.project(self.solution.M)[0]
+        m, n = len(self.p), 3 * self.K
+        rows = np.zeros((m, 3, n + 4))
+        rows[:, :, :n].reshape(m, 3, self.K, 3)[np.arange(m), :, self.point] = self.RA[self.sample]
+        rows[:, :, n : n + 3] = -np.eye(3)
+        rows[:, :, -1] = self.p @ RY.T - self.tA[self.sample]
+        R = triangle(rows.reshape(3 * m, -1))
+        x = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=None)[0]
+        return Points(x[:n].reshape(-1, 3), RY, x[n:])
+
+    def seen(self, s: np.ndarray, RY: np.ndarray, tY: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return R_Y^T R_A (m, 3, 3), ph that should be seen (m, 3), and the derivative of p - ph by Y (m, 3, 6)."""
+        C = (self.RA.transpose(0, 2, 1).reshape(-1, 3) @ RY).reshape(-1, 3, 3).transpose(0, 2, 1)[self.sample]
+        ph = (C @ s[self.point][:, :, None])[:, :, 0] + ((self.tA - tY) @ RY)[self.sample]
+        J = np.empty((len(ph), 3, 6))
+        J[:, :, :3], J[:, :, 3:] = RY.T, -so3.hat(ph)
+        return C, ph, J
+
+    def residuals(self, value: HandEye) -> np.ndarray:
+        """Return measured minus predicted (m, 3) in camera axes [m]."""
+        return self.p - self.seen(np.asarray(value.points), value.Y[:3, :3], value.Y[:3, 3])[1]
+
+    def free(self) -> Problem[Points]:
+        """Return the problem of points of unknown place."""
+
+        def evaluate(value: Points) -> list[Measurement]:
+            C, ph, JY = self.seen(*value)
+            J = np.zeros((len(ph), 3, 3 * self.K + 6))
+            J[:, :, : 3 * self.K].reshape(-1, 3, self.K, 3)[np.arange(len(ph)), :, self.point] = -C
+            J[:, :, -6:] = JY
+            return self._measured(ph, J, C, value.s, value.RY)
+
+        return Problem(evaluate, Points.plus, what="hand-eye calibration from points")
+
+    def marked(self, marker: np.ndarray) -> Problem[Pair]:
+        """Return the problem of a marker whose points (K, 3) are known."""
+        body = so3.hat(marker)
+
+        def evaluate(value: Pair) -> list[Measurement]:
+            s = marker @ value.RX.T + value.tX
+            C, ph, JY = self.seen(s, value.RY, value.tY)
+            J = np.empty((len(ph), 3, 12))
+            J[:, :, :3], J[:, :, 3:6] = -C, C @ (value.RX @ body)[self.point]
+            J[:, :, 6:] = JY
+            return self._measured(ph, J, C, s, value.RY)
+
+        return Problem(evaluate, Pair.plus, what="hand-eye calibration from points")
+
+    def _measured(
+        self, ph: np.ndarray, J: np.ndarray, C: np.ndarray, s: np.ndarray, RY: np.ndarray
+    ) -> list[Measurement]:
+        """Return measured minus expected points; by sample with noise of the robot, which the points of a sample share.
+
+        ph (m, 3) are expected points, J (m, 3, d), C = R_Y^T R_A (m, 3, 3), s (K, 3) points in tool axes.
+        """
+        r = self.p - ph
+        if self.noise_A is None:
+            return [Measurement(r, J, self.noise, ("p",) * 3, self.sample)]
+        G = np.concatenate([np.broadcast_to(-RY.T, C.shape), C @ so3.hat(s[self.point])], axis=2)
+        found = []
+        for rows in self._together:
+            n, width = len(rows), 3 * rows.shape[1]
+            sample, lever = self.sample[rows[:, 0]], G[rows].reshape(n, width, 6)
+            of_A = self.noise_A[sample] if self.noise_A.ndim == 3 else full(self.noise_A)
+            shared = lever @ of_A @ lever.transpose(0, 2, 1)
+            cov = None if self.noise is None else shared + self._apart(rows)
+            one = (r[rows].reshape(n, width), J[rows].reshape(n, width, -1), cov, ("p",) * width, sample)
+            found.append(Measurement(*one, added=shared if cov is None else None))
+        return found
+
+    @cached_property
+    def _together(self) -> list[np.ndarray]:
+        """Rows (n, v) of the samples that have v points, for every such v."""
+        counts = np.bincount(self.sample)
+        first = np.cumsum(counts) - counts
+        return [first[counts == v][:, None] + np.arange(v) for v in np.unique(counts[counts > 0])]
+
+    def _apart(self, rows: np.ndarray) -> np.ndarray:
+        """Return the covariance (n, 3 v, 3 v) of noise that no two points share; rows (n, v)."""
+        noise = np.zeros(3) if self.noise is None else self.noise
+        n, v = rows.shape
+        cov = np.zeros((n, v, 3, v, 3))
+        for k in range(v):
+            cov[:, k, :, k, :] = noise[rows[:, k]] if noise.ndim == 3 else full(noise)
+        return cov.reshape(n, 3 * v, 3 * v)
+
+
+def marked_start(free: Points, marker: np.ndarray) -> Pair:
+    """Return X that puts the marker onto the points, and Y."""
+    X = marker_pose(free.s[None], marker).T[0]
+    return Pair(X[:3, :3], X[:3, 3], free.RY, free.tY)
+
+
+def require_agreement(sight: PointModel, rms: float | None = None, left_out: float = 0.0) -> None:
+    """Refuse records that do not belong together, with what would make them fit where that can be said.
+
+    `rms` is that of the residuals without outliers [m], None before the fit.
+    """
+    found = sight.solution
+    if rms is None:
+        cause = _unit_or_hand(sight, found)
+    else:
+        bad = rms > APART * sight.spread or left_out >= 0.5
+        cause = _other_reading(sight, found.misfit) if bad or rms > SUSPECT * sight.spread else ""
+        cause = cause or ("Check that sample i of both is the same moment, and which frame each is in." if bad else "")
+    if cause:
+        share = f", with {100 * left_out:.0f} % of the samples left out" if left_out else ""
+        raise NotConverged(
+            f"Expected poses and points that belong together, got points {found.misfit:.3g} m from where one rigid "
+            f"arrangement has them (RMS of the linear solution{share}). {cause}",
+            best=found,
+            reason="mismatch",
+        )
+
+
+def require_marker(sight: PointModel, s: np.ndarray, marker: np.ndarray) -> None:
+    """Refuse a marker whose points are not arranged as those that were seen."""
+    a, b = s - s.mean(axis=0), marker - marker.mean(axis=0)
+    U, sizes, V = np.linalg.svd(a.T @ b)
+    hand = np.sign(np.linalg.det(U @ V))
+    seen, given = np.linalg.norm(a), np.linalg.norm(b)
+    apart = float(np.linalg.norm(a - b @ (U * [1.0, 1.0, hand] @ V).T))
+    unsure = CLEAR * sight.solution.misfit * np.sqrt(sight.K / len(sight.p))
+    if apart < max(SHAPED * seen, unsure):
+        return
+    turned, times = float(sizes.sum()), seen / given
+    cause = "Check the order of the points."
+    if turned > (1.0 - SHAPED**2) * seen * given and abs(np.log(times)) > np.log(OTHER_UNIT):
+        cause = f"The marker times {times:.3g} would fit: perhaps millimetres were given as metres."
+    elif hand < 0 and turned > (1.0 - SHAPED**2) * seen * given:
+        cause = "Its mirror image would fit: one axis of the marker is reversed."
+    raise NotConverged(
+        f"Expected a marker arranged as its points were seen, got {apart / np.sqrt(sight.K):.3g} m between them (RMS) "
+        f"where they spread over {seen / np.sqrt(sight.K):.3g} m. {cause}",
+        best=s,
+        reason="mismatch",
+    )
+
+
+def _unit_or_hand(sight: PointModel, found: Linear) -> str:
+    """Return what is wrong with a linear solution whose matrix is not nearly a rotation though it fits."""
+    size = np.linalg.svd(found.M, compute_uv=False)
+    if size[2] < ROUND * size[0] or found.misfit > 0.1 * float(np.cbrt(np.prod(size))) * sight.spread:
+        return ""
+    scale = float(np.cbrt(np.prod(size)))
+    if np.linalg.det(found.M) < 0:
+        return "The axes of the camera are left-handed: one of them is reversed."
+    if abs(np.log(scale)) > np.log(OTHER_UNIT):
+        return f"Points times {scale:.3g} would fit: perhaps millimetres were given as metres."
+    return ""
+
+
+def _other_reading(sight: PointModel, now: float) -> str:
+    """Return the reading of the poses that fits much better, "" where none does."""
+    N = len(sight.tA)
+    inverse = sight.RA.transpose(0, 2, 1)
+    other = {
+        "The poses of the robot are the inverse of what was expected, or the setup is the other one.": sight.linear(
+            inverse, -(inverse @ sight.tA[:, :, None])[:, :, 0]
+        ).misfit,
+        "One of the records is in reverse order.": sight.linear(sight.RA[::-1], sight.tA[::-1]).misfit,
+    }
+    for k in (1, 2, 3):
+        text = f"The records are shifted by {k} samples against each other."
+        for move in (k, -k):
+            keep = (sight.sample + move >= 0) & (sight.sample + move < N)
+            misfit = sight.only(keep).linear(np.roll(sight.RA, -move, axis=0), np.roll(sight.tA, -move, axis=0)).misfit
+            other[text] = min(misfit, other.get(text, np.inf))
+    cause = min(other, key=lambda text: other[text])
+    return cause if other[cause] < MUCH_BETTER * now else ""
+
+
+def require_order_of_robot(sight: PointModel) -> None:
+    """Refuse poses that fit the points of a marker much better when orientations are read in another way."""
+    rms = sight.solution.misfit
+    if rms < SUSPECT * sight.spread:
+        return
+    for one in readings_of_robot(sight.RA, sight.tA):
+        other = sight.linear(one.R, one.t)
+        if other.misfit < min(MUCH_BETTER * rms, FITS * sight.spread):
+            raise NotConverged(
+                f"Expected poses and points that belong together, got {rms:.3g} m between them (RMS). "
+                f"{one.text.format(ROBOT)}",
+                best=other,
+                reason="mismatch",
+            )

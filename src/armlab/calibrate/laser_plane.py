@@ -4,28 +4,60 @@
 
 Maximum likelihood of lines or raw profiles in the laser plane; plates through the origin are plates like others, and no
 guess is needed. Bagge Carlson, Johansson and Robertsson (2015) posed the problem.
+
+The search for the scene of a line scanner: short descents from many starts, the best of them to their end.
+
+The best start of each group is fitted at once. Where that does not agree with the noise, every start of the group makes
+a few steps with weights ``(c^2 / (c^2 + rho^2))^2`` over whole scans, rho in deviations that the median of the
+residuals estimates, so that neither unknown noise nor wrong scans matter; the best few are fitted to the end.
+So many steps are all that scans cost which nothing fits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.calibrate._arguments import poses
-from armlab.calibrate._hand_eye_words import limits_of
-from armlab.calibrate._laser_data import scans_of
-from armlab.calibrate._laser_search import searched, times
-from armlab.calibrate._laser_words import FAR_APART, LIMITS, Words, require_motion, require_slant
-from armlab.estimation import Fit, check_spread, unhurried
+from armlab._numbers import numbers
+from armlab.calibrate.diagnostics import SPREAD_AND_ANGLE, limits_of
+from armlab.calibrate.inputs import finite, poses, rows_text
+from armlab.calibrate.laser_model import (
+    FAR_APART,
+    LIMITS,
+    ROUGH,
+    TURNED,
+    Scans,
+    Scene,
+    SceneUnknowns,
+    misfit,
+    require_motion,
+    require_slant,
+    require_units,
+    scene_of,
+    starts,
+)
+from armlab.errors import NotConverged, NotExcited, ShapeError
+from armlab.estimation import Fit, NonlinearSolution, check_spread, nonlinear_least_squares
+from armlab.estimation.descent import descend
+from armlab.estimation.robust import mad
 from armlab.lie import se3, so3
 from armlab.models import LaserSensor
 
-__all__ = ["fit_laser_plane"]
-
 CLASSES = {"p": "point [m]", "l": "line [rad]"}
+FAT = 0.2  # width over length of a profile beyond which it is no line
+SCHEDULE = (100.0, 30.0, 10.0, 5.0)
+REFUSED = 1e-4  # probability of a chi^2 as large as that of a fit that is not taken
+MANY = 0.35  # share of outliers from which another start is tried
+STEPS, TUNING, SETTLED = 9, 5.0, 1e-2  # of a short descent: most steps, c, last step in deviations
+BEST, WORSE, SAME = 2, 5.0, 1e-3  # of a group: how many are fitted, how much worse than the best, how alike
+LOST = 1.5  # rad, left by angles and by points made an angle, from which nothing is fitted: wrong labels leave 2 to 8
+CLEAR = (2e-3, 0.03)  # residual over the spread of the points, and [rad], from which no other starts are tried
+HELD = 0.6  # of a scan's two numbers: the share of what they say that they say alone, from which it is doubted
+TINY = 1e-12  # m, rad: rounding
 
 
 def fit_laser_plane(
@@ -60,7 +92,7 @@ def fit_laser_plane(
     Raises
     ------
     ShapeError : another shape, NaN rows, no rotations; a plate parallel to the laser plane.
-    NotExcited : too few scans; a direction that they do not tell, by name.
+    NotExcited : too few scans; an unidentifiable direction, by name.
     NotConverged : no start fits the noise: labels, pairing, millimetres, wrong scans.
 
     References
@@ -73,9 +105,8 @@ def fit_laser_plane(
     found = searched(data, guess, robust)
     scene = found.value
     require_slant(data, scene)
-    words = Words(data, scene, planes, limits_of(limits))
-    judge = partial(check_spread, found.rows.J, words.names, words.units, words.widths, "laser scanner", describe=words)
-    excitation = unhurried(judge, found.cov, words.widths, found.null.shape[1])
+    words = SceneUnknowns(data, scene, planes, limits_of(limits, SPREAD_AND_ANGLE, LIMITS))
+    excitation = check_spread(found.rows.J, words.names, words.units, words.widths, "laser scanner", describe=words)
 
     def summary(fit: Fit[LaserSensor]) -> str:
         found_planes = (f"plane {a}: n {np.round(n, 6)}, d {d:.6g} m" for a, n, d in zip(planes, scene.n, scene.d))
@@ -90,4 +121,246 @@ def fit_laser_plane(
     return Fit(
         value, words.names, words.units, parameters, found.cov, found.sigma, residuals, data.N, excitation, summary,
         found.outliers, tuple(CLASSES[name] for name in found.classes),
+    )  # fmt: skip
+
+
+def scans_of(T_base_tool: Any, scans: Any, plane: Any, noise: Any) -> tuple[Scans, tuple[str, ...], str]:
+    """Return the scans, the labels of the plates, and what must be reported of the poses."""
+    RA, tA, note = poses(T_base_tool, "T_base_tool")
+    N = len(RA)
+    labels = np.asarray(plane)
+    if labels.shape != (N,) or labels.dtype.kind not in "iuUS":
+        raise ShapeError(
+            f"Expected one label per scan in plane, {N} whole numbers or texts, got {labels.dtype} of shape "
+            f"{labels.shape}. Say on which plate each scan lies."
+        )
+    names, number = np.unique(labels, return_inverse=True)
+    p, line, points, owner = _lines(scans, N)
+    cov = _profile_noise(noise, 2 if points is None else 1)
+    return Scans(RA, tA, number, p, line, points, owner, cov), tuple(str(name) for name in names), note
+
+
+def _lines(scans: Any, N: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]:
+    """Return point and direction (N, 2) of each scan; raw points (M, 2) and their scans where these came."""
+    if getattr(scans, "ndim", None) == 2 or (len(scans) and np.ndim(scans[0]) == 1):
+        values = numbers(scans, "scans", ShapeError)
+        if values.shape != (N, 4):
+            raise ShapeError(_shape_text(N, values.shape))
+        finite(values, "scans")
+        lengths = np.linalg.norm(values[:, 2:], axis=1)
+        bad = np.flatnonzero(np.abs(lengths - 1.0) > 1e-6)
+        if len(bad):
+            raise ShapeError(
+                f"Expected unit directions in columns 3 and 4 of scans, got other lengths in rows {rows_text(bad)}. "
+                "Divide them by their length."
+            )
+        return values[:, :2], values[:, 2:] / lengths[:, None], None, np.arange(N)
+    profiles = [numbers(one, f"profile {i}", ShapeError) for i, one in enumerate(scans)]
+    if len(profiles) != N or any(one.ndim != 2 or one.shape[1:] != (2,) for one in profiles):
+        raise ShapeError(_shape_text(N, [one.shape for one in profiles[:3]]))
+    bad = np.array([i for i, one in enumerate(profiles) if not np.isfinite(one).all()], dtype=int)
+    if len(bad):
+        raise ShapeError(
+            f"Expected finite scans, got NaN or Inf in {len(bad)} rows: {rows_text(bad)}. Leave these points out."
+        )
+    short = np.array([i for i, one in enumerate(profiles) if len(one) < 2 or not np.ptp(one, axis=0).any()], dtype=int)
+    if len(short):
+        raise ShapeError(
+            f"Expected profiles of two points or more, got fewer in rows {rows_text(short)}. Leave them out."
+        )
+    p = np.array([one.mean(axis=0) for one in profiles])
+    shapes = [np.linalg.svd(one - middle, full_matrices=False) for one, middle in zip(profiles, p)]
+    fat = np.array([i for i, (_, s, _) in enumerate(shapes) if s[1] > FAT * s[0]], dtype=int)
+    if len(fat):
+        raise ShapeError(
+            f"Expected profiles of flat plates, got what is no line in rows {rows_text(fat)}. Cut them to the plate."
+        )
+    owner = np.repeat(np.arange(N), [len(one) for one in profiles])
+    return p, np.array([V[0] for _, _, V in shapes]), np.concatenate(profiles), owner
+
+
+def _shape_text(N: int, got: Any) -> str:
+    return (
+        f"Expected {N} scans, one per pose: lines of shape ({N}, 4), point and unit direction in the laser plane, or "
+        f"profiles of shape (K, 2) each, got {got}. Pair them with the poses first."
+    )
+
+
+def _profile_noise(noise: Any, count: int) -> np.ndarray | None:
+    if noise is None:
+        return None
+    values = np.atleast_1d(numbers(noise, "noise", ShapeError))
+    if values.shape != (count,) or not np.all(values > 0) or not np.isfinite(values).all():
+        usual = "(sd of points [m], sd of angles [rad]) of lines" if count == 2 else "one sd of raw points [m]"
+        raise ShapeError(f"Expected noise as {usual}, above zero, got {noise!r}. Correct it.")
+    return values**2
+
+
+def searched(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearSolution[Scene]:
+    """Return the first fit that agrees with its noise, or the best of all where noise is not given."""
+    ratio = _ratio(scans)
+    size = max(ratio, _spread(scans.p))
+    require_units(scans, ratio)
+    best: NonlinearSolution[Scene] | None = None
+    for group in _groups(scans, guess, ratio):
+        for found in _fitted(scans, group, size, robust):
+            if scans.noise is not None and agrees(found):
+                return _oriented(scans, _doubted(scans, found, size) if robust else found, robust)
+            if best is None or _rank(scans, found, size, robust) < _rank(scans, best, size, robust):
+                best = found
+        if best is not None and len(group) > 1 and scans.noise is None and _is_clear(scans, best):
+            break  # one guess alone proves nothing
+    if best is None or scans.noise is not None:
+        text = "none that converge"
+        if best is not None:
+            text = f"residuals {times(best):.3g} times the noise at best"
+            text += f" and {int(best.outliers.sum())} of {scans.N} scans left out" if robust else ""
+        raise misfit(scans, ratio, None if best is None else best.value, text)
+    _require_fit(scans, ratio, best)
+    return _oriented(scans, best, robust)
+
+
+def agrees(found: NonlinearSolution[Scene]) -> bool:
+    """Return whether residuals are as small as the noise that was given, and most scans count."""
+    from scipy.special import chdtri
+
+    free = found.freedom
+    return bool((free == 0 or 2.0 * found.cost < chdtri(free, REFUSED)) and np.mean(found.outliers) <= MANY)
+
+
+def times(found: NonlinearSolution[Scene]) -> float:
+    """Return the residuals over the noise that was given."""
+    return float(np.sqrt(2.0 * found.cost / max(found.freedom, 1)))
+
+
+def _groups(scans: Scans, guess: np.ndarray | None, ratio: float) -> Iterator[list[Scene]]:
+    if guess is not None:
+        yield [scene_of(scans, guess)]
+    yield from starts(scans, ratio)
+
+
+def _ratio(scans: Scans) -> float:
+    """Return the deviation of points over that of angles [m/rad], of a typical scan where noise is not given.
+
+    A line through many points of a scan is as sure at its ends as these: the ratio is their spread along it.
+    """
+    if scans.points is not None:
+        off = scans.points - scans.p[scans.owner]
+        return float(np.sqrt(np.median(np.bincount(scans.owner, np.sum(off * off, axis=1)) / np.bincount(scans.owner))))
+    if scans.noise is not None:
+        return float(np.sqrt(scans.noise[0] / scans.noise[1]))
+    return _spread(scans.p)
+
+
+def _spread(p: np.ndarray) -> float:
+    """Return the RMS distance of points (N, 2) from their mean."""
+    return max(float(np.sqrt(np.mean(np.sum((p - p.mean(axis=0)) ** 2, axis=1)))), TINY)
+
+
+def _fitted(scans: Scans, group: list[Scene], size: float, robust: bool) -> Iterator[NonlinearSolution[Scene]]:
+    """Yield the fit from the first start, then those from the ends of the best short descents."""
+    first = _tried(scans, group[0], robust)
+    if first is not None:
+        yield first
+    ends = [_approached(scans, scene) for scene in group]
+    lefts = np.array([_left(scans, scene, size) for scene in ends])
+    before = 0.0
+    for k in np.argsort(lefts, kind="stable")[:BEST]:
+        if lefts[k] > min(WORSE * lefts.min(), LOST):
+            break
+        if lefts[k] > (1.0 + SAME) * before:
+            found = _tried(scans, ends[k], robust)
+            if found is not None:
+                yield found
+        before = lefts[k]
+
+
+def _approached(scans: Scans, scene: Scene) -> Scene:
+    """Return the scene after a short descent that neither the size of the noise nor wrong scans lead."""
+    problem = replace(scans, noise=None).problem()
+    names = ("p", "l")
+    for _ in range(STEPS):
+        r = scans.residuals(scene)
+        sizes = np.maximum([mad(r[:, k]) for k in range(r.shape[1])], TINY)
+        rho2 = np.mean((r / sizes) ** 2, axis=1)
+        if scans.points is not None:
+            rho2 = np.bincount(scans.owner, rho2) / np.bincount(scans.owner)
+        weight = (TUNING**2 / (TUNING**2 + rho2)) ** 2
+        try:
+            found = descend(problem, scene, dict(zip(names, sizes)), weight, iterations=1, strict=False)
+        except (NotConverged, NotExcited, ShapeError, np.linalg.LinAlgError):
+            break
+        scene = found.value
+        if found.step < SETTLED:
+            break
+    return scene
+
+
+def _left(scans: Scans, scene: Scene, size: float) -> float:
+    """Return what a scene leaves: the median residual of angles, and that of points made an angle."""
+    r = np.median(np.abs(scans.residuals(scene)), axis=0)
+    left = float(r[0] / size + np.sum(r[1:]))
+    return left if np.isfinite(left) else np.inf
+
+
+def _tried(scans: Scans, scene: Scene, robust: bool) -> NonlinearSolution[Scene] | None:
+    try:
+        return nonlinear_least_squares(scans.problem(), scene, robust=robust, schedule=SCHEDULE)
+    except (NotConverged, NotExcited, ShapeError, np.linalg.LinAlgError):
+        return None
+
+
+def _doubted(scans: Scans, found: NonlinearSolution[Scene], size: float) -> NonlinearSolution[Scene]:
+    """Return the fit, or a better one without a scan that holds it: a wrong one may have others left out in its place.
+
+    Where a plate is nearly parallel to the laser plane, one scan determines the rotation more than all others.
+    """
+    held = np.einsum("ij,jk,ik->i", found.rows.J, found.cov, found.rows.J)
+    numbers = np.bincount(found.rows.sample, minlength=scans.N)
+    strong = np.bincount(found.rows.sample, held, minlength=scans.N) > HELD * np.minimum(numbers, 2)
+    for i in np.flatnonzero(strong & ~found.outliers).tolist():
+        try:
+            rest = nonlinear_least_squares(scans.without(i).problem(), found.value, robust=True, schedule=SCHEDULE)
+            other = nonlinear_least_squares(scans.problem(), rest.value, robust=True, schedule=SCHEDULE[-1:])
+        except (NotConverged, NotExcited, ShapeError, np.linalg.LinAlgError):
+            continue
+        if agrees(other) and _rank(scans, other, size, True) < _rank(scans, found, size, True):
+            found = other
+    return found
+
+
+def _oriented(scans: Scans, found: NonlinearSolution[Scene], robust: bool) -> NonlinearSolution[Scene]:
+    """Return the fit with normals away from the origin."""
+    if np.all(found.value.d >= 0):
+        return found
+    return nonlinear_least_squares(scans.problem(), found.value.oriented(), robust=robust, schedule=SCHEDULE[-1:])
+
+
+def _is_clear(scans: Scans, found: NonlinearSolution[Scene]) -> bool:
+    """Return whether what is left is small beside the scene: points and angles."""
+    left = np.median(np.abs(scans.residuals(found.value)), axis=0)
+    near = left[0] < CLEAR[0] * SceneUnknowns(scans, found.value, (), LIMITS).spread
+    return bool(near and (len(left) == 1 or left[1] < CLEAR[1]) and np.mean(found.outliers) <= MANY)
+
+
+def _rank(scans: Scans, found: NonlinearSolution[Scene], size: float, robust: bool) -> float:
+    """Return what to make small: chi^2 of given noise, otherwise minus the logarithm of the likelihood per scan."""
+    if scans.noise is not None:
+        return float(found.outliers.sum()) + times(found) if robust else found.cost
+    if robust:
+        return _left(scans, found.value, size)
+    return float(np.sum(np.log(np.maximum(found.sigma, TINY))))
+
+
+def _require_fit(scans: Scans, ratio: float, found: NonlinearSolution[Scene]) -> None:
+    """Refuse what leaves more than any scanner errs, where noise is not given."""
+    size, spread = float(found.sigma[0]), SceneUnknowns(scans, found.value, (), LIMITS).spread
+    turn = float(found.sigma[1]) if len(found.sigma) > 1 else 0.0
+    if size <= ROUGH * spread and turn <= TURNED and np.mean(found.outliers) <= MANY:
+        return
+    angles = f", {turn:.2g} rad between lines and plates" if turn else ""
+    raise misfit(
+        scans, ratio, found.value,
+        f"{size:.3g} m between points and plates (RMS) where they spread over {spread:.3g} m{angles}, "
+        f"{int(found.outliers.sum())} of {scans.N} scans left out",
     )  # fmt: skip

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from armlab._numbers import numbers
 from armlab.errors import ShapeError
 from armlab.robots import Robot
-from armlab.robots.outline import arm_length
+from armlab.robots.robot import arm_length
 
 __all__ = ["check_distance", "contact_point"]
 

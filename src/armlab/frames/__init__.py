@@ -1,15 +1,11 @@
 """Geometry of measured points: planes, lines, circles and spheres with covariance, frames built from them."""
 
-from armlab.frames.building import BuiltFrame, build
+from armlab.frames.circle_sphere import fit_circle, fit_sphere
+from armlab.frames.construction import BuiltFrame, build, distance, intersect, project
 from armlab.frames.features import Circle, Line, Plane, Sphere
-from armlab.frames.flat import fit_line, fit_plane
-from armlab.frames.graph import Graph
-from armlab.frames.loops import Edge, Loop, LoopCheck
-from armlab.frames.marker_pose import MarkerPoses, marker_pose
-from armlab.frames.network import FrameSet
-from armlab.frames.offset import OffsetCheck, check_offset
-from armlab.frames.projection import distance, intersect, project
-from armlab.frames.round import fit_circle, fit_sphere
+from armlab.frames.marker import MarkerPoses, marker_pose
+from armlab.frames.plane_line import OffsetCheck, check_offset, fit_line, fit_plane
+from armlab.frames.pose_graph import Edge, FrameSet, Graph, Loop, LoopCheck
 from armlab.models import register
 
 __all__ = [

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from armlab._numbers import number
 from armlab.errors import ShapeError
-from armlab.frames import _check
+from armlab.frames import inputs
 from armlab.lie import so3
 
 __all__ = ["Circle", "Line", "Plane", "Sphere"]
@@ -44,14 +44,14 @@ class Plane:
 
     def __post_init__(self) -> None:
         """Check that everything fits together, and freeze it."""
-        n, c = _check.unit(self.n, "the normal of a plane"), _check.vector(self.centroid, "the centroid of a plane")
+        n, c = inputs.unit(self.n, "the normal of a plane"), inputs.vector(self.centroid, "the centroid of a plane")
         d = number(self.d, "the distance of a plane [m]")
-        if not abs(n @ c - d) <= _check.UNIT * (1.0 + np.linalg.norm(c)):
+        if not abs(n @ c - d) <= inputs.UNIT * (1.0 + np.linalg.norm(c)):
             raise ShapeError(
                 f"Expected a centroid in the plane, got one {n @ c - d:.2g} m away. Plane.of makes a plane from any "
                 "normal and a point."
             )
-        _freeze(self, n=n, d=d, centroid=c, axes=_axes(self.axes, n), cov=_check.covariance(self.cov, 3, "cov"))
+        _freeze(self, n=n, d=d, centroid=c, axes=_axes(self.axes, n), cov=inputs.covariance(self.cov, 3, "cov"))
 
     @classmethod
     def of(cls, normal: ArrayLike, point: ArrayLike) -> Plane:
@@ -61,8 +61,8 @@ class Plane:
         ----------
         normal : (3,) of any length above zero. point : (3,) of the plane [m]; its centroid.
         """
-        n, p = _check.direction(normal, "normal"), _check.vector(point, "point")
-        return cls(n, float(n @ p), p, _check.across(n))
+        n, p = inputs.direction(normal, "normal"), inputs.vector(point, "point")
+        return cls(n, float(n @ p), p, inputs.across(n))
 
     def __neg__(self) -> Plane:
         """Return the same plane with the normal on its other side."""
@@ -77,7 +77,7 @@ class Plane:
         T_a_b : (4, 4) pose of b in a.
         """
         R, c = _moved(T_a_b, self.centroid)
-        n, axes = _check.turned(R, self.n, self.axes)
+        n, axes = inputs.turned(R, self.n, self.axes)
         return Plane(n, float(n @ c), c, axes, self.cov)
 
     def distance(self, p: ArrayLike) -> np.ndarray:
@@ -87,7 +87,7 @@ class Plane:
         ----------
         p : (N, 3) [m].
         """
-        return (_check.points(p) - self.centroid) @ self.n
+        return (inputs.points(p) - self.centroid) @ self.n
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,15 +119,15 @@ class Line:
 
     def __post_init__(self) -> None:
         """Check that everything fits together, and freeze it."""
-        v, c = _check.unit(self.v, "the direction of a line"), _check.vector(self.centroid, "the centroid of a line")
-        r = _check.vector(self.r, "the foot of a line")
+        v, c = inputs.unit(self.v, "the direction of a line"), inputs.vector(self.centroid, "the centroid of a line")
+        r = inputs.vector(self.r, "the foot of a line")
         off = np.linalg.norm(np.cross(v, c - r))
-        if not off + abs(r @ v) <= _check.UNIT * (1.0 + np.linalg.norm(c)):
+        if not off + abs(r @ v) <= inputs.UNIT * (1.0 + np.linalg.norm(c)):
             raise ShapeError(
                 f"Expected the foot of a line on it and closest to the origin, got one {off:.2g} m off and "
                 f"{r @ v:.2g} m along it. Line.of makes a line from any direction and a point."
             )
-        _freeze(self, v=v, r=r, centroid=c, axes=_axes(self.axes, v), cov=_check.covariance(self.cov, 4, "cov"))
+        _freeze(self, v=v, r=r, centroid=c, axes=_axes(self.axes, v), cov=inputs.covariance(self.cov, 4, "cov"))
 
     @classmethod
     def of(cls, direction: ArrayLike, point: ArrayLike) -> Line:
@@ -137,8 +137,8 @@ class Line:
         ----------
         direction : (3,) of any length above zero. point : (3,) of the line [m]; its centroid.
         """
-        v, p = _check.direction(direction, "direction"), _check.vector(point, "point")
-        return cls(v, _foot(v, p), p, _check.across(v))
+        v, p = inputs.direction(direction, "direction"), inputs.vector(point, "point")
+        return cls(v, _foot(v, p), p, inputs.across(v))
 
     def __neg__(self) -> Line:
         """Return the same line in the other direction."""
@@ -155,7 +155,7 @@ class Line:
         T_a_b : (4, 4) pose of b in a.
         """
         R, c = _moved(T_a_b, self.centroid)
-        v, axes = _check.turned(R, self.v, self.axes)
+        v, axes = inputs.turned(R, self.v, self.axes)
         return Line(v, _foot(v, c), c, axes, self.cov)
 
     def offset(self, p: ArrayLike) -> np.ndarray:
@@ -165,7 +165,7 @@ class Line:
         ----------
         p : (N, 3) [m].
         """
-        away = _check.points(p) - self.centroid
+        away = inputs.points(p) - self.centroid
         return away - np.outer(away @ self.v, self.v)
 
 
@@ -198,14 +198,14 @@ class Circle:
 
     def __post_init__(self) -> None:
         """Check that everything fits together, and freeze it."""
-        n = _check.unit(self.n, "the normal of a circle")
+        n = inputs.unit(self.n, "the normal of a circle")
         _freeze(
             self,
-            centre=_check.vector(self.centre, "the centre of a circle"),
+            centre=inputs.vector(self.centre, "the centre of a circle"),
             n=n,
             radius=_positive(self.radius, "circle"),
             axes=_axes(self.axes, n),
-            cov=_check.covariance(self.cov, 6, "cov"),
+            cov=inputs.covariance(self.cov, 6, "cov"),
         )
 
     @property
@@ -240,8 +240,8 @@ class Sphere:
 
     def __post_init__(self) -> None:
         """Check that everything fits together, and freeze it."""
-        centre = _check.vector(self.centre, "the centre of a sphere")
-        cov = _check.covariance(self.cov, 4, "cov")
+        centre = inputs.vector(self.centre, "the centre of a sphere")
+        cov = inputs.covariance(self.cov, 4, "cov")
         _freeze(self, centre=centre, radius=_positive(self.radius, "sphere"), cov=cov)
 
 
@@ -261,7 +261,7 @@ def _axes(axes: np.ndarray, third: np.ndarray) -> np.ndarray:
     """Return two unit vectors (2, 3) across the third, read-only."""
     axes = np.array(axes, dtype=float)
     whole = np.vstack([axes, third]) if axes.shape == (2, 3) else np.zeros((3, 3))
-    if not np.allclose(whole @ whole.T, np.eye(3), rtol=0.0, atol=_check.UNIT):
+    if not np.allclose(whole @ whole.T, np.eye(3), rtol=0.0, atol=inputs.UNIT):
         raise ShapeError(
             f"Expected axes of a feature to be two unit vectors (2, 3) across its direction, got shape {axes.shape}. "
             "of() makes a feature that fits together."
@@ -272,7 +272,7 @@ def _axes(axes: np.ndarray, third: np.ndarray) -> np.ndarray:
 
 def _moved(T_a_b: ArrayLike, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the rotation of a pose, which may be off by 1e-6, as one that keeps lengths, and a point in frame a."""
-    T = _check.pose(T_a_b, "T_a_b")
+    T = inputs.pose(T_a_b, "T_a_b")
     return so3.project(T[:3, :3])[0], T[:3, :3] @ p + T[:3, 3]
 
 

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from armlab.kinematics.derivative import jacobian_derivative
-from armlab.kinematics.forward import forward, link_transforms
-from armlab.kinematics.frame_jacobian import frame_jacobian, frame_poses, twist_jacobian
-from armlab.kinematics.inverse import Inverse, inverse
-from armlab.kinematics.jacobian import forward_jacobian, jacobian
+from armlab.kinematics.forward import (
+    forward,
+    forward_jacobian,
+    frame_poses,
+    jacobian,
+    jacobian_derivative,
+    link_transforms,
+    parameter_jacobian,
+    twist_jacobian,
+)
+from armlab.kinematics.inverse import IkSolution, inverse
 from armlab.kinematics.manipulability import (
     Ellipsoid,
     ellipsoid,
@@ -14,18 +20,18 @@ from armlab.kinematics.manipulability import (
     manipulability_gradient,
     singular_values,
 )
-from armlab.kinematics.null_motion import NullMotion, null_motion
-from armlab.kinematics.path import Path, inverse_path
+from armlab.kinematics.path import IkPath, inverse_path
+from armlab.kinematics.self_motion import SelfMotion, self_motion
 
 __all__ = [
     "Ellipsoid",
-    "Inverse",
-    "NullMotion",
-    "Path",
+    "IkSolution",
+    "SelfMotion",
+    "IkPath",
     "ellipsoid",
     "forward",
     "forward_jacobian",
-    "frame_jacobian",
+    "parameter_jacobian",
     "frame_poses",
     "inverse",
     "inverse_path",
@@ -34,7 +40,7 @@ __all__ = [
     "link_transforms",
     "manipulability",
     "manipulability_gradient",
-    "null_motion",
+    "self_motion",
     "singular_values",
     "twist_jacobian",
 ]

@@ -1,14 +1,19 @@
-"""Forward kinematics: the pose of the tool and of every link."""
+"""Forward kinematics and Jacobians: poses of tool and links, geometric Jacobian, its derivative, parameter Jacobian."""
 
 from __future__ import annotations
+
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab.errors import RobotError
+from armlab._numbers import numbers
+from armlab.errors import RobotError, ShapeError, UnknownName
+from armlab.kernels import Chain
 from armlab.robots import Robot
 
-__all__ = ["forward", "link_transforms"]
+Frame = Literal["base", "tool"]
+_TOOL_AXES = {"base": False, "tool": True}
 
 
 def forward(robot: Robot, q: ArrayLike, out: np.ndarray | None = None, threads: int = 1) -> np.ndarray:
@@ -71,3 +76,206 @@ def link_transforms(robot: Robot, q: ArrayLike, out: np.ndarray | None = None) -
     except AttributeError:
         raise RobotError.no_robot(robot) from None
     return chain.link_transforms(q, out)
+
+
+def jacobian(
+    robot: Robot, q: ArrayLike, frame: Frame = "base", out: np.ndarray | None = None, threads: int = 1
+) -> np.ndarray:
+    """Return the Jacobian of the tool point: ``[v; w] = J(q) qd``.
+
+    Column i is ``[z_i x (p - p_i); z_i]`` (revolute) or ``[z_i; 0]`` (prismatic). A wrench that acts on the
+    tool at the tool point, in the same axes, acts on the joints with the torques ``tau = J^T wrench``.
+
+    Parameters
+    ----------
+    robot : the arm.
+    q : (..., n) joint positions [rad or m].
+    frame : axes of v and w, "base" or "tool"; the point is the tool's origin in both.
+    out : (..., 6, n) array to write into, or None for a new one.
+    threads : how many share the poses, 1 to 256; the result is the same to the last bit.
+
+    Returns
+    -------
+    J : (..., 6, n), rows [v; w].
+
+    Raises
+    ------
+    UnknownName
+        When `frame` is neither "base" nor "tool".
+    ShapeError
+        When the last axis of `q` is not n long, or `out` does not fit.
+    RobotError
+        When something else comes in place of a robot, such as its name.
+    ConfigError
+        When `threads` is not an integer from 1 to 256.
+    """
+    try:
+        chain, tool = robot.chain, _TOOL_AXES[frame]
+    except AttributeError:
+        raise RobotError.no_robot(robot) from None
+    except (KeyError, TypeError):  # TypeError: arrays and lists have no hash
+        raise _unknown(frame) from None
+    return chain.jacobian(q, tool, out, threads)
+
+
+def forward_jacobian(
+    robot: Robot,
+    q: ArrayLike,
+    frame: Frame = "base",
+    out: tuple[np.ndarray, np.ndarray] | None = None,
+    threads: int = 1,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pose of the tool and its Jacobian, ``T_base_tool(q)`` and ``J(q)``, in one walk along the arm.
+
+    The numbers are those of `forward` and `jacobian` to the last bit, in little more than the time of one of them.
+
+    Parameters
+    ----------
+    robot : the arm.
+    q : (..., n) joint positions [rad or m].
+    frame : axes of the Jacobian, "base" or "tool"; the pose is in the base in both.
+    out : pair of arrays (..., 4, 4) and (..., 6, n) to write into, or None for new ones. Large ones that are used again
+        save half of the time, which the system takes to give new memory.
+    threads : how many share the poses, 1 to 256; the result is the same to the last bit.
+
+    Returns
+    -------
+    T_base_tool : (..., 4, 4).
+    J : (..., 6, n), rows [v; w].
+
+    Raises
+    ------
+    UnknownName
+        When `frame` is neither "base" nor "tool".
+    ShapeError
+        When the last axis of `q` is not n long, or `out` is no pair of arrays that fit and share no memory.
+    RobotError
+        When something else comes in place of a robot, such as its name.
+    ConfigError
+        When `threads` is not an integer from 1 to 256.
+    """
+    try:
+        chain, tool = robot.chain, _TOOL_AXES[frame]
+    except AttributeError:
+        raise RobotError.no_robot(robot) from None
+    except (KeyError, TypeError):
+        raise _unknown(frame) from None
+    return chain.forward_jacobian(q, tool, out, threads)
+
+
+def _unknown(frame: object) -> UnknownName:
+    return UnknownName.among("Jacobian frame", frame, _TOOL_AXES)
+
+
+def jacobian_derivative(
+    robot: Robot,
+    q: ArrayLike,
+    qd: ArrayLike,
+    frame: Literal["base", "tool"] = "base",
+    out: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return the time derivative of the Jacobian along a motion: ``[vd; wd] = J(q) qdd + Jd(q, qd) qd``.
+
+    It is the derivative of the numbers that `jacobian` returns for the same `frame`. In base axes `vd` and `wd` are the
+    accelerations of the tool point and of the tool. In tool axes they are the rates of the velocities as the tool
+    measures them: ``vd + w x v`` is then the acceleration of the tool point in tool axes, and `wd` the angular one.
+    Pinocchio's ``getFrameJacobianTimeVariation`` with LOCAL_WORLD_ALIGNED and LOCAL gives the same two arrays.
+
+    Parameters
+    ----------
+    robot : the arm.
+    q : (..., n) joint positions [rad or m].
+    qd : (..., n) joint velocities [rad/s or m/s], of the shape of `q`.
+    frame : axes of the Jacobian, "base" or "tool"; the point is the tool's origin in both.
+    out : (..., 6, n) array to write into, or None for a new one.
+
+    Returns
+    -------
+    Jd : (..., 6, n), rows [vd; wd].
+
+    Raises
+    ------
+    UnknownName
+        When `frame` is neither "base" nor "tool".
+    ShapeError
+        When the last axis of `q` is not n long, `qd` has another shape, or `out` does not fit.
+    RobotError
+        When something else comes in place of a robot, such as its name.
+    """
+    if not isinstance(frame, str) or frame not in ("base", "tool"):
+        raise UnknownName.among("Jacobian frame", frame, ("base", "tool"))
+    try:
+        chain = robot.chain
+    except AttributeError:
+        raise RobotError.no_robot(robot) from None
+    return chain.jacobian_derivative(q, qd, frame == "tool", out)
+
+
+def parameter_jacobian(robot: Robot, q: ArrayLike) -> np.ndarray:
+    """Return how the tool moves when frame j of the arm becomes ``E_j Exp([v; w])``: ``J[..., j, :] @ [v; w]``.
+
+    With ``P_j = E_0 Z_1(q_1) E_1 ... E_j = (R_j, p_j)`` the tool at p moves by ``R_j v + R_j w x (p - p_j)`` and turns
+    by ``R_j w``. The columns of the joints are among these: that of joint j + 1 is column w_z (prismatic: v_z) of
+    frame j.
+
+    Parameters
+    ----------
+    robot : the arm.
+    q : (..., n) joint positions [rad or m].
+
+    Returns
+    -------
+    J : (..., 6, n+1, 6), rows [v; w] at the tool point in base axes.
+
+    Raises
+    ------
+    RobotError : when something else comes in place of a robot. ShapeError : when the last axis of `q` is not n long.
+    """
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
+    P = frame_poses(robot.chain, robot.frames, q)
+    return twist_jacobian(P, P[..., -1, :3, 3])
+
+
+def frame_poses(chain: Chain, frames: np.ndarray, q: ArrayLike) -> np.ndarray:
+    """Return ``P_j = E_0 Z_1(q_1) E_1 ... Z_j(q_j) E_j``, the last of which is the tool.
+
+    Parameters
+    ----------
+    chain : of the arm. frames : (n+1, 4, 4) its E_0 ... E_n. q : (..., n) joint positions [rad or m].
+
+    Returns
+    -------
+    P : (..., n+1, 4, 4).
+    """
+    links = chain.link_transforms(q)
+    P = np.empty((*links.shape[:-3], len(frames), 4, 4))
+    P[..., 0, :, :] = frames[0]
+    np.matmul(links, frames[1:], out=P[..., 1:, :, :])
+    return P
+
+
+def twist_jacobian(P: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Return how a point that is fixed to all that follows frame j moves and turns with the body twist of that frame.
+
+    Parameters
+    ----------
+    P : (..., m, 4, 4) poses of the frames. point : (..., 3) in the same axes [m].
+
+    Returns
+    -------
+    J : (..., 6, m, 6), rows [v; w].
+    """
+    P, point = numbers(P, "poses of frames", ShapeError), numbers(point, "a point [m]", ShapeError)
+    if P.ndim < 3 or P.shape[-2:] != (4, 4) or point.shape[-1:] != (3,):
+        raise ShapeError(f"Expected poses (..., m, 4, 4) and points (..., 3), got shapes {P.shape} and {point.shape}.")
+    R = P[..., :3, :3].swapaxes(-2, -3)
+    lever = point[..., None, :] - P[..., :3, 3]
+    x, y, z = lever[..., 0, None], lever[..., 1, None], lever[..., 2, None]
+    J = np.zeros((*P.shape[:-3], 6, P.shape[-3], 6))
+    J[..., :3, :, :3] = R
+    J[..., 3:, :, 3:] = R
+    J[..., 0, :, 3:] = R[..., 1, :, :] * z - R[..., 2, :, :] * y
+    J[..., 1, :, 3:] = R[..., 2, :, :] * x - R[..., 0, :, :] * z
+    J[..., 2, :, 3:] = R[..., 0, :, :] * y - R[..., 1, :, :] * x
+    return J

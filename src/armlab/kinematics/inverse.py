@@ -1,17 +1,32 @@
-"""Inverse kinematics: joint positions that put the tool where it is wanted."""
+"""Inverse kinematics: joint positions that put the tool at a pose; its tasks, objectives and result."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import flag
-from armlab.errors import ConfigError, NotConverged
-from armlab.kinematics._inverse_result import Inverse, freeze
-from armlab.kinematics._tasks import ROWS, Objective, Task, check, check_search, kernel_objective
+from armlab.errors import ConfigError, NotConverged, RobotError, UnknownName
 from armlab.robots import Robot
 
-__all__ = ["Inverse", "inverse"]
+REASONS = ("solved", "out of reach", "limits", "singular", "iterations", "bound")
+_TEXTS = np.array(REASONS)
+_EXPLANATIONS = {
+    "out of reach": "no posture that was tried comes nearer, with or without limits of revolute joints",
+    "limits": "a posture outside the joint limits gets there, none was found inside",
+    "singular": "from the start only a singular posture is reached, where no joint reduces the error",
+    "iterations": "the steps ended while the error was still falling",
+    "bound": "no joint may move further from the start",
+}
+Task = Literal["pose", "position", "axis", "direction"]
+Objective = Literal["posture", "mid_range", "limits", "manipulability"]
+ROWS = dict(zip(get_args(Task), (6, 3, 5, 2)))
+MOST_STEPS = 10**6  # from one start; a history of them takes 16 MB per goal
+_KINDS = dict(zip(get_args(Objective), (1, 1, 2, 3)))
+_INTEGER, _NUMBER = (int, np.integer), (int, float, np.integer, np.floating)
 
 
 def inverse(
@@ -31,7 +46,7 @@ def inverse(
     threads: int = 1,
     history: bool = False,
     strict: bool = False,
-) -> Inverse:
+) -> IkSolution:
     """Return joint positions within the limits that put the tool at given poses.
 
     Levenberg-Marquardt steps ``dq = J^T (J J^T + lambda I)^-1 e`` with ``lambda = damping |e|^2`` and
@@ -67,12 +82,12 @@ def inverse(
 
     Returns
     -------
-    Inverse with arrays of the shape of the batch; where there is no solution, the posture with the least error and why.
+    IkSolution with arrays of the shape of the batch; without a solution, the posture with the least error and why.
 
     Raises
     ------
     ShapeError
-        When a goal is not a pose or not finite (its index is told), or `q0`, `axis` or `posture` does not fit.
+        When a goal is not a pose or not finite (its index is reported), or `q0`, `axis` or `posture` does not fit.
     UnknownName
         When there is no such task or objective.
     RobotError
@@ -81,14 +96,14 @@ def inverse(
         When `tol`, `maxiter`, `starts`, `damping`, `seed` or `threads` is out of its range, or a
         posture comes without its objective.
     NotConverged
-        With `strict`, when a goal is not solved; `best` is the `Inverse`.
+        With `strict`, when a goal is not solved; `best` is the `IkSolution`.
 
     References
     ----------
     Levenberg 1944; Marquardt 1963; Sugihara, Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt
     method, IEEE Transactions on Robotics 27(5), 2011.
     """
-    check(robot, task, objective)
+    check_task(robot, task, objective)
     position_tolerance, rotation_tolerance = check_search(tol, maxiter, starts, damping)
     solver = robot.inverse_solver
     if _checked(seed):
@@ -120,3 +135,127 @@ def _checked(seed: int) -> int:
     if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or not 0 <= seed < 2**64:
         raise ConfigError(f"Expected seed to be an integer from 0 to 2^64 - 1, got {seed!r}.")
     return int(seed)
+
+
+@dataclass(frozen=True, eq=False)
+class IkSolution:
+    """Joint positions for one goal or a batch of goals; arrays are read-only, and scalars for one goal.
+
+    Attributes
+    ----------
+    q : (..., n) joint positions, always within the limits; without success the posture with the least error.
+    success : (...) whether the errors are within the tolerance.
+    position_error : (...) distance from tool point to goal [m]; NaN when the task is a direction.
+    rotation_error : (...) angle to the goal, of the tool or of its axis [rad]; NaN when the task is a position.
+    iterations : (...) steps of all starts together.
+    starts : (...) starts that were tried.
+    reason : (...) "solved", or why not:
+        "out of reach" further from the first joint than the links are long, or all starts, also without the limits of
+        revolute joints, ended where no joint reduces the error;
+        "limits" a posture outside the limits gets there, none was found inside;
+        "singular" the only start ended at a singular posture, where no joint reduces the error;
+        "iterations" the error was still falling when the steps ended.
+    slope : (...) length of the gradient of the objective that is left along the self-motion of the joints that are not
+        at a limit; NaN without an objective or a solution.
+    history : (..., maxiter + 1, 2) least errors so far [m, rad] after each step of the descent that gave `q` (of the
+        best start going on, where all have failed), NaN after its end; None unless asked for.
+    """
+
+    q: np.ndarray
+    success: np.ndarray
+    position_error: np.ndarray
+    rotation_error: np.ndarray
+    iterations: np.ndarray
+    starts: np.ndarray
+    reason: np.ndarray | str
+    slope: np.ndarray
+    history: np.ndarray | None
+
+    def report(self) -> str:
+        """Return one sentence: how many goals are solved and how well, or what is in the way."""
+        if np.ndim(self.success) == 0:
+            return self._one()
+        count, solved = np.size(self.success), int(np.sum(self.success))
+        text = f"{solved} of {count} goals solved"
+        if solved:
+            text += f", to {_errors(self.position_error[self.success], self.rotation_error[self.success])}"
+        if solved < count:
+            first = np.unravel_index(int(np.argmin(self.success)), np.shape(self.success))
+            names, numbers = np.unique(np.asarray(self.reason)[~np.asarray(self.success)], return_counts=True)
+            causes = ", ".join(f"{number} {name}" for name, number in zip(names, numbers))
+            text += f"; not solved: {causes}, first at index {', '.join(map(str, first))}"
+        return text + "."
+
+    def _one(self) -> str:
+        errors = _errors(np.asarray(self.position_error), np.asarray(self.rotation_error))
+        spent = f"{self.iterations} iterations from {self.starts} start{'s' if self.starts > 1 else ''}"
+        if self.success:
+            return f"Solved to {errors} in {spent}."
+        reason = str(self.reason)
+        return f"Not solved ({reason}: {_EXPLANATIONS[reason]}); the best posture is off by {errors} after {spent}."
+
+    def __repr__(self) -> str:
+        return f"IkSolution({self.report()})"
+
+
+def freeze(q: np.ndarray, errors: np.ndarray, counts: np.ndarray, history: np.ndarray | None) -> IkSolution:
+    """Return what a kernel gave as an `IkSolution`; single goals get scalars.
+
+    `errors` (..., 3) are [m], [rad] and slope; `counts` (..., 3) steps, starts and status.
+    """
+    for array in (q, errors, counts, history):
+        if array is not None:
+            array.flags.writeable = False
+    if counts.ndim == 1:
+        steps, starts, status = counts
+        return IkSolution(q, status == 0, errors[0], errors[1], steps, starts, REASONS[status], errors[2], history)
+    success, reason = counts[..., 2] == 0, _TEXTS[counts[..., 2]]
+    success.flags.writeable = reason.flags.writeable = False
+    return IkSolution(
+        q, success, errors[..., 0], errors[..., 1], counts[..., 0], counts[..., 1], reason, errors[..., 2], history
+    )
+
+
+def _errors(position: np.ndarray, rotation: np.ndarray) -> str:
+    parts = [(position, "m"), (rotation, "rad")]
+    return " and ".join(f"{np.max(values):.2g} {unit}" for values, unit in parts if not np.isnan(values).all())
+
+
+def check_task(robot: object, task: str, objective: str | None) -> None:
+    """Refuse names that are none, and what is no robot."""
+    if not isinstance(task, str) or task not in ROWS:
+        raise UnknownName.among("task of inverse kinematics", task, ROWS)
+    if objective is not None and (not isinstance(objective, str) or objective not in _KINDS):
+        raise UnknownName.among("objective of inverse kinematics", objective, _KINDS)
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
+
+
+def check_search(tol: Any, maxiter: Any, starts: Any, damping: Any) -> tuple[float, float]:
+    """Return the tolerances of position and rotation; refuse numbers that make no sense."""
+    if not (isinstance(maxiter, _INTEGER) and 0 <= maxiter <= MOST_STEPS):
+        raise ConfigError(f"Expected maxiter to be an integer from 0 to {MOST_STEPS}, got {maxiter!r}.")
+    if not (isinstance(starts, _INTEGER) and 1 <= starts < 2**31):
+        raise ConfigError(f"Expected starts to be an integer of at least 1, got {starts!r}.")
+    if not (isinstance(damping, _NUMBER) and 0 < damping < np.inf):
+        raise ConfigError(f"Expected damping to be a number above 0, got {damping!r}.")
+    position, rotation = tol if isinstance(tol, tuple) and len(tol) == 2 else (tol, tol)
+    if not (isinstance(position, _NUMBER) and isinstance(rotation, _NUMBER) and position >= 0 and rotation >= 0):
+        raise ConfigError(f"Expected tol to be a number of at least 0, or (position, rotation), got {tol!r}.")
+    return float(position), float(rotation)
+
+
+def kernel_objective(
+    robot: Robot, name: Objective | None, posture: ArrayLike | None, q0: ArrayLike | None
+) -> tuple[int, ArrayLike | None, np.ndarray | None]:
+    """Return the kernel's objective, reference and scale."""
+    if posture is not None and name != "posture":
+        raise ConfigError(f'Expected objective="posture" with a posture, got objective={name!r}. Leave one out.')
+    if name is None or name == "manipulability":
+        return _KINDS.get(name or "", 0), None, None
+    if name == "posture":
+        wanted = next((given for given in (posture, q0) if given is not None), robot.q_home)
+        return _KINDS[name], wanted, np.ones(robot.n)
+    ranges = (robot.q_max - robot.q_min) / 2.0
+    limited = np.isfinite(ranges)  # a joint without limits may be anywhere
+    return _KINDS[name], np.where(limited, robot.q_max - ranges, 0.0), np.where(limited, 1.0 / ranges, 0.0)

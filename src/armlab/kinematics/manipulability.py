@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from armlab._numbers import make_read_only
 from armlab.errors import UnknownName
-from armlab.kinematics.jacobian import jacobian
+from armlab.kinematics.forward import jacobian
 from armlab.robots import Robot
 
 __all__ = ["Ellipsoid", "ellipsoid", "manipulability", "manipulability_gradient", "singular_values"]

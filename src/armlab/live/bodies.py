@@ -12,7 +12,7 @@ import numpy as np
 
 from armlab.lie import se3
 from armlab.robots import Mesh, Robot
-from armlab.robots.outline import arm_length, bends
+from armlab.robots.robot import arm_length, bends
 
 __all__ = ["Body", "along", "arrow", "bodies", "box", "capsule", "drums", "mesh_bodies"]
 

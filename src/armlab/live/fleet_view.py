@@ -16,7 +16,7 @@ from armlab.live.panel import Lines, Markup
 from armlab.live.scene import Scene
 from armlab.live.server import address, start, stop
 from armlab.robots import Robot
-from armlab.robots.outline import arm_length
+from armlab.robots.robot import arm_length
 
 if TYPE_CHECKING:
     from viser import ViserServer

@@ -18,7 +18,7 @@ from armlab.live.bodies import bodies, drums, mesh_bodies
 from armlab.live.force_arrow import ForceArrow
 from armlab.live.node import Node, rgb, solid
 from armlab.robots import Robot
-from armlab.robots.outline import arm_length
+from armlab.robots.robot import arm_length
 
 if TYPE_CHECKING:
     from viser import ViserServer

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from armlab._numbers import numbers, still
 from armlab.errors import ModelMismatchError, RobotError, ShapeError
-from armlab.kinematics import forward, frame_jacobian
+from armlab.kinematics import forward, parameter_jacobian
 from armlab.lie import se3, so3
 from armlab.robots import Robot
 
@@ -191,7 +191,7 @@ class KinematicCorrection:
         """
         q = np.asarray(q, dtype=float)
         there = self.joints(q, joint_terms)
-        J = frame_jacobian(self.robot, there)
+        J = parameter_jacobian(self.robot, there)
         J[..., 3:, :, :] = np.einsum("...ji,...jab->...iab", forward(self.robot, there)[..., :3, :3], J[..., 3:, :, :])
         turning = J[..., np.arange(self.robot.n), np.where(self.robot.prismatic, 2, 5)]
         parts = [J.reshape(*J.shape[:-2], -1)]

@@ -13,7 +13,7 @@ from armlab.kinematics import forward, link_transforms
 from armlab.plots import space
 from armlab.plots.style import GREY, JOINT_STYLES, legend, look
 from armlab.robots import Robot
-from armlab.robots.outline import arm_length, bends
+from armlab.robots.robot import arm_length, bends
 
 if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D

@@ -14,7 +14,7 @@ from armlab.plots.arms import configurations
 from armlab.plots.arms import robot as draw_arm
 from armlab.plots.style import MODEL, look
 from armlab.robots import Robot
-from armlab.robots.outline import arm_length
+from armlab.robots.robot import arm_length
 
 if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D

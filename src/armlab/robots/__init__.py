@@ -7,11 +7,21 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from armlab.robots import couplings, inertia
-from armlab.robots.build import GRAVITY, RAMP_TIME, Details, from_dh, from_links
+from armlab.robots.build import (
+    GRAVITY,
+    RAMP_TIME,
+    SCREW_TOLERANCE,
+    Details,
+    LocalPoe,
+    from_dh,
+    from_links,
+    from_local_poe,
+    from_poe,
+    normalise_screw,
+    to_local_poe,
+)
 from armlab.robots.files import from_toml, load, names, save, to_toml
-from armlab.robots.mesh import Mesh
-from armlab.robots.poe import SCREW_TOLERANCE, LocalPoe, from_local_poe, from_poe, normalise_screw, to_local_poe
-from armlab.robots.robot import POSE_TOLERANCE, Robot
+from armlab.robots.robot import POSE_TOLERANCE, Mesh, Robot
 
 if TYPE_CHECKING:
     from armlab.robots import urdf

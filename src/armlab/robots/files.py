@@ -73,7 +73,7 @@ def save(robot: Robot, path: str | Path) -> None:
         raise RobotError.no_robot(robot)
     if not isinstance(path, str | PathLike):
         raise RobotError(f"Expected the path of a file for robot {robot.name!r}, got {path!r}.")
-    from armlab.robots._urdf_writing import write_urdf
+    from armlab.robots.urdf.writing import write_urdf
 
     path = Path(path)
     writers = {".toml": to_toml, ".urdf": write_urdf}
@@ -100,7 +100,7 @@ def to_toml(robot: Robot) -> str:
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
-    from armlab.robots._writing import write_robot
+    from armlab.robots.toml import write_robot
 
     return write_robot(robot)
 
@@ -118,7 +118,7 @@ def from_toml(text: str, origin: str) -> Robot:
     """
     if not isinstance(text, str):
         raise RobotError(f"Expected the text of a robot file, got {shortened(text)}. Of a file: robots.load.")
-    from armlab.robots._reading import read_robot  # it brings msgspec, which kinematics alone does not need
+    from armlab.robots.toml import read_robot  # it brings msgspec, which kinematics alone does not need
 
     return read_robot(text, origin)
 

@@ -1,0 +1,280 @@
+"""Diagnostics of readings of a load in gravity: unidentifiable directions, and likely causes of misfit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from math import hypot
+
+import numpy as np
+
+from armlab.calibrate.diagnostics import UNSEEN, axis_text
+from armlab.calibrate.gravity_load.model import Load, Turn, WeightEquation
+from armlab.calibrate.orientation_conventions import MUCH_BETTER, ROBOT, readings
+from armlab.errors import NotConverged, NotExcited
+from armlab.lie import so3
+
+MISREAD, MISREAD_FAR = 1e-3, 0.1  # share of the variation of forces from which other readings are tried
+WIDE = 0.4  # share of gravity: where it moves farther over the tool, a wrong reading leaves much
+STILL = 1e-6  # share of gravity that counts as none, in its way over the tool axes
+HAND = 20.0  # Delta from which a hand is decided
+RICH = 0.1  # share of gravity over two directions from which readings must follow it
+UNEXPLAINED = 0.5
+ROUGH = 5.0  # noise given, times which residuals are called none
+FIRST_ORDER = 0.05  # rad: beyond it a covariance is a first-order statement
+FAR, ABSURD = 1.0, 10.0  # m: a centre of mass farther away may be, and is, a mistake of units
+OTHER_UNIT = 2.0  # factor that no weight and no gravity are wrong by
+HEAVY, LIGHT = 500.0, 1e-3  # kg that no arm carries, and no sensor feels
+LOW_GRAVITY = 1.5  # m/s^2, less than on the Moon
+MANY = 1.0 / 3.0  # share of outliers from which the other hand is tried
+STANDARD = 9.80665
+
+
+@dataclass(frozen=True, eq=False)
+class LoadUnknowns:
+    """Names, units and limits of the unknowns; puts a direction of them into words, see `estimation.check_spread`."""
+
+    equation: WeightEquation  # of the fit
+    load: Load  # that was found
+    limits: tuple[float, float, float]  # (angle [rad], share of the weight, length [m])
+    scale: str = "mass"  # what a unit of mass is called: "mass" in kg, or "scale" of an accelerometer
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each unknown."""
+        return _labels(tuple(self.equation.widths.items()), self.scale)[0]
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each unknown."""
+        return _labels(tuple(self.equation.widths.items()), self.scale)[1]
+
+    @cached_property
+    def widths(self) -> np.ndarray:
+        """Largest deviation accepted of each unknown."""
+        angle, share, length = self.limits
+        weight, pull = hypot(*self.load.gamma.tolist()), self.equation.pull
+        mass = share * (weight if pull is None else weight / hypot(*pull.tolist()))
+        one = {"rotation": angle, "mass": mass, "centre": length, "torque bias": length * weight}
+        return np.array([one.get(kind, share * weight) for kind, n in self.equation.widths.items() for _ in range(n)])
+
+    def parameters(self) -> np.ndarray:
+        """Return the values of the unknowns."""
+        load, pull = self.load, self.equation.pull
+        mass = load.gamma if pull is None else np.array([load.gamma @ pull / (pull @ pull)])
+        all_ = {"rotation": so3.log(load.R), "mass": mass, "force bias": load.bias[:3], "centre": load.centre}
+        all_["torque bias"] = load.bias[3:]
+        return np.concatenate([all_[kind] for kind in self.equation.widths])
+
+    def __call__(self, step: np.ndarray) -> str:
+        """Return for example "rotation about tool axis z, bias along it, 0.4 rad"."""
+        parts = {kind: step[at] for kind, at in self.equation.places.items()}
+        sizes = {kind: np.linalg.norm(step[at] / self.widths[at]) for kind, at in self.equation.places.items()}
+        first = next(kind for kind in parts if sizes[kind] > 0.5 * max(sizes.values()))
+        part = parts[first]
+        unit = dict(zip(self.names, self.units))[self.names[self.equation.places[first].start]]
+        if first == "rotation":
+            text = f"rotation about {axis_text(self.load.R @ part, 'tool')}{_along(self.equation)}"
+        elif len(part) == 1:
+            text = self.scale
+        else:
+            axes = "base" if first == "mass" else "sensor"
+            kind = {"mass": "weight", "centre": "centre of mass", "torque bias": "bias of torque"}.get(first, "bias")
+            text = f"{kind} along {axis_text(part, axes)}"
+        if abs(np.linalg.norm(step / self.widths) - 1.0) < UNSEEN:
+            return text
+        return f"{text}, {np.linalg.norm(part):.2g} {unit}".rstrip()
+
+
+def _along(equation: WeightEquation) -> str:
+    """Name the other unknowns that are unidentifiable along the axis of an unidentifiable rotation."""
+    return (", bias" + " and centre of mass" * equation.torque + " along it") * equation.bias
+
+
+@cache
+def _labels(widths: tuple[tuple[str, int], ...], scale: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return names and units of the unknowns, see `LoadUnknowns`."""
+    names, units = [], []
+    quantity, weight, single = ("acceleration", "m/s^2", "") if scale == "scale" else ("force", "N", "kg")
+    for kind, count in widths:
+        label = {"rotation": "R_tool_sensor r", "mass": "weight ", "centre": "centre "}.get(kind, "")
+        label = label or f"{kind.replace('force', quantity)} "
+        unit = {"rotation": "rad", "centre": "m", "torque bias": "N m"}.get(kind, weight)
+        names += [scale] if count == 1 else [f"{label}{axis}" for axis in "xyz"]
+        units += [single] if count == 1 else [unit] * count
+    return tuple(names), tuple(units)
+
+
+def require_motion(equation: WeightEquation) -> float:
+    """Refuse too few samples, and orientations that are not exciting; return how far gravity moves (share of it).
+
+    That is the second singular value of gravity over the tool axes, or of the rotations where gravity is unknown.
+    """
+    needed = (2 + equation.bias) if equation.pull is not None else (4 + equation.bias)
+    if needed > equation.N:
+        raise NotExcited(
+            f"Expected at least {needed} samples to fit the {equation.what}, got {equation.N}. Turn the tool about two "
+            "horizontal axes and measure again.",
+            [f"everything: {equation.N} samples"],
+            [f"{equation.N} of at least {needed} samples"],
+        )
+    if equation.pull is None:
+        M = equation.RA.mean(axis=0)
+        squares, axes = np.linalg.eigh(np.eye(3) - M.T @ M)
+        moved, u = np.sqrt(np.maximum(squares[[2, 0]], 0.0)), axes[:, 0]
+        still = "orientation of the tool does not change"
+        line = f"rotation about {axis_text(u, 'tool')}, weight and bias along it"
+    else:
+        moved = equation.turn.moved[:0:-1]  # the largest first
+        if moved[1] > STILL:
+            return moved[1]
+        u = np.linalg.eigh(equation.turn.H)[1][:, 2]
+        still = "gravity seen from the tool does not move (rotations about the vertical only)"
+        line = f"rotation about {axis_text(u, 'tool')}{_along(equation)}"
+    if moved[1] > STILL:
+        return float(moved[1])
+    direction = still if moved[0] <= STILL else line
+    raise NotExcited(
+        f"Expected orientations that move gravity over the tool in two directions, got less: {direction}. "
+        "Turn the tool about a second horizontal axis.",
+        [direction],
+        [f"gravity moves by {moved[1]:.1e} of itself"],
+    )
+
+
+def require_match(equation: WeightEquation, load: Load, r: np.ndarray, kept: np.ndarray, moved: float) -> None:
+    """Refuse readings that do not follow gravity though it moves well."""
+    count = np.count_nonzero(kept)
+    whole = equation.pull is not None and not equation.torque and count == equation.N
+    if whole and equation.turn.power < UNEXPLAINED * equation.turn.signal:
+        return
+    power = float(equation.weights[kept] @ np.einsum("ij,ij->i", r[kept, :3], r[kept, :3]))
+    if moved < RICH or 2 * count < 3 or (equation.noise is not None and power < 3 * count * ROUGH**2):
+        return
+    share = _unexplained(equation, load, kept)
+    if share < UNEXPLAINED:
+        return
+    raise NotConverged(
+        f"Expected readings that follow gravity as the tool turns, got {min(share, 1.0):.0%} of their variation "
+        f"unexplained. {_cause(equation, kept)}",
+        best=load,
+        reason="mismatch",
+    )
+
+
+def _unexplained(equation: WeightEquation, load: Load, kept: np.ndarray) -> float:
+    """Return the share of the variation of the forces that a load leaves."""
+    w = equation.weights[kept] / equation.weights[kept].sum()
+    f = equation.y[kept, :3]
+    r = f - load.gamma @ (equation.RA[kept] @ load.R)
+    if equation.bias:
+        f, r = f - w @ f, r - w @ r
+    return float(np.sum(w[:, None] * r * r) / max(float(np.sum(w[:, None] * f * f)), np.finfo(float).tiny))
+
+
+def _cause(equation: WeightEquation, kept: np.ndarray) -> str:
+    """Return what is wrong with readings that do not follow gravity: their unit, where another one would do."""
+    if equation.mass is not None and equation.pull is not None:
+        turn = Turn.of(replace(equation, mass=None), kept)
+        free = Load(turn.R, turn.m * equation.pull, np.zeros(3), np.zeros(3))
+        times = turn.m / equation.mass
+        if _unexplained(equation, free, kept) < UNEXPLAINED and abs(np.log(max(times, 1e-300))) > np.log(OTHER_UNIT):
+            return f"Readings {times:.3g} times what was expected would fit: check the units."
+    return "Check that sample i of both records is the same moment, and that the poses are those of the tool."
+
+
+def require_right_hand(equation: WeightEquation, kept: np.ndarray) -> str:
+    """Refuse sensors with a mirrored axis or a reversed sign; return a remark where that is undecided."""
+    if equation.pull is None:
+        return ""
+    turn = equation.turn if kept.all() else Turn.of(equation, kept)
+    if turn.difference >= HAND:
+        return ""
+    if turn.difference > -HAND:
+        return (
+            f"undecided whether an axis of the sensor is mirrored or its sign reversed (Delta {turn.difference:.1f}, "
+            f"decided from {HAND:.0f}): turn the tool farther"
+        )
+    error = mirrored(equation, turn)
+    if _unexplained(equation, error.best, kept) > UNEXPLAINED:
+        return ""  # neither hand explains the readings
+    raise error
+
+
+def require_lever(equation: WeightEquation, load: Load, sd: np.ndarray) -> None:
+    """Refuse torques in newton millimetres: a centre of mass that cannot be."""
+    if not equation.torque:
+        return
+    away, unsure = np.linalg.norm(load.centre), np.linalg.norm(sd[equation.places["centre"]])
+    if away > max(ABSURD, 3.0 * unsure):
+        raise NotConverged(
+            f"Expected a centre of mass within {ABSURD:.0f} m of the sensor, got {away:.3g} m. Torques seem to be in "
+            "N mm: divide by 1000.",
+            best=load,
+            reason="units",
+        )
+
+
+def mirrored(equation: WeightEquation, turn: Turn) -> NotConverged:
+    """Return the refusal of a left-handed sensor with the fit that would be its."""
+    pull = np.zeros(3) if equation.pull is None else equation.pull
+    gamma = turn.other_m * pull
+    R = turn.mirrored
+    bias = np.mean(equation.y[:, :3] - gamma @ (equation.RA @ R), axis=0) * equation.bias
+    return NotConverged(
+        "Expected readings in right-handed axes with the sign that was told, got the opposite: an axis is mirrored or "
+        f"the sign is reversed (Delta {turn.difference:.3g}), and data cannot tell which. Correct the axis that the "
+        "sensor's manual turns round, or give the other sign.",
+        best=Load(R, gamma, bias, np.full(3, np.nan)),
+        reason="left_handed",
+    )
+
+
+def remarks(words: LoadUnknowns, sd: np.ndarray, squares: float | None, moved: float) -> list[str]:
+    """Return what a report says beyond the values."""
+    equation, load = words.equation, words.load
+    lines = [f"gravity moves over the tool by {moved:.2g} of itself in its second direction"]
+    if squares is not None:
+        lines.append(f"residuals {np.sqrt(squares):.3g} times the noise that was given")
+    if equation.pull is None:
+        lines.append(
+            "gravity unknown: the sign of the sensor cannot be seen and is the one that was given; an axis that is "
+            "mirrored would look the same, with the weight the other way"
+        )
+    if equation.torque and np.linalg.norm(load.centre) > FAR:
+        lines.append(f"centre of mass {np.linalg.norm(load.centre):.3g} m away: N mm given as N m?")
+    if equation.pull is not None and equation.mass is None:
+        lines += _odd_scale(float(load.gamma @ equation.pull / (equation.pull @ equation.pull)), words)
+    if sd[:3].max() > FIRST_ORDER:
+        lines.append("the rotation is known to worse than 3 degrees: deviations are first-order statements there")
+    return lines
+
+
+def _odd_scale(m: float, words: LoadUnknowns) -> list[str]:
+    """Return a suspicion of units where a mass or scale is none that is met."""
+    pull = words.equation.pull
+    g = 0.0 if pull is None else float(np.linalg.norm(pull))
+    if words.scale == "scale":
+        odd = abs(np.log(max(m, 1e-300))) > np.log(OTHER_UNIT)
+        return [f"scale of {m:.3g}: readings or gravity in another unit than m/s^2?"] if odd else []
+    if g < LOW_GRAVITY:
+        return [f"gravity of {g:.3g} m/s^2: given in units of g?"]
+    return [] if LIGHT < m < HEAVY else [f"mass of {m:.3g} kg: forces in another unit than N?"]
+
+
+def require_order_of_tool(equation: WeightEquation, kept: np.ndarray) -> None:
+    """Refuse orientations that explain the forces much better when they are read in another way."""
+    if equation.pull is None:
+        return
+    now = equation.turn if kept.all() else Turn.of(equation, kept)
+    if now.power < (MISREAD_FAR if now.moved[1] > WIDE else MISREAD) * now.signal:
+        return
+    for one in readings(equation.RA, np.zeros((equation.N, 3))):
+        other = Turn.of(replace(equation, RA=np.ascontiguousarray(one.R)), kept)
+        if other.power < MUCH_BETTER * now.power and other.m > 0.0:
+            raise NotConverged(
+                f"Expected readings that follow gravity as the tool turns, got {now.power / now.signal:.2g} of their "
+                f"variation unexplained. {one.text.format(ROBOT)}",
+                best=other,
+                reason="mismatch",
+            )

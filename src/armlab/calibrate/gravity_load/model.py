@@ -1,0 +1,272 @@
+"""Model of a sensor that reads a load turned in gravity: residuals with their Jacobian, closed forms, starts.
+
+    f_i = R^T R_base_tool,i^T gamma + b_f,        tau_i = c x (R^T R_base_tool,i^T gamma) + b_tau
+
+with gamma = s m g in base axes. An accelerometer reads the same with gamma = -(scale) g. Forces of a known gravity with
+isotropic noise have a closed form, which is the most likely load.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate
+from typing import NamedTuple
+
+import numpy as np
+
+from armlab import kernels
+from armlab.estimation import Measurement, Problem
+from armlab.lie import so3
+
+ROUNDING = 1e-11  # of the largest reading
+FLOOR = 1e-6  # noise relative to the readings below which it is rounding
+ROUNDS = 50
+SETTLED = 1e-3  # change of weights, relative to the largest
+SHORT = 1e-3  # of the median residual: below it a residual is none
+FAR = 4.0  # medians from which a residual is left out of the start
+NULL = 1e-9
+ALIKE = 0.5  # mean of the weight over the tool, relative to the weight, above which the twin is a minimum too
+
+
+class Load(NamedTuple):
+    """R (3, 3) from sensor to tool, gamma (3,) base axes, bias (k,), centre (3,)."""
+
+    R: np.ndarray
+    gamma: np.ndarray
+    bias: np.ndarray
+    centre: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class WeightEquation:
+    """Readings at known orientations."""
+
+    RA: np.ndarray  # (N, 3, 3) R_base_tool
+    y: np.ndarray  # (N, 3) forces, or (N, 6) with torques
+    pull: np.ndarray | None  # (3,) s g, what one unit of mass adds to gamma; None when gamma itself is unknown
+    bias: bool  # whether there is one
+    mass: float | None  # known mass; None when it is to be found
+    noise: np.ndarray | None  # variances (k,), or covariance (k, k) or (N, k, k); None when it is to be estimated
+    classes: tuple[str, ...]  # name of the noise class of each column of y
+    what: str
+
+    @property
+    def N(self) -> int:
+        """Number of samples."""
+        return len(self.y)
+
+    @property
+    def torque(self) -> bool:
+        """True where torques were measured."""
+        return self.y.shape[1] == 6
+
+    @cached_property
+    def widths(self) -> dict[str, int]:
+        """How many unknowns there are of each kind, in their order."""
+        mass = 3 if self.pull is None else int(self.mass is None)
+        found = {"rotation": 3, "mass": mass, "force bias": 3 * self.bias, "centre": 3 * self.torque}
+        found["torque bias"] = 3 * (self.bias and self.torque)
+        return {kind: count for kind, count in found.items() if count}
+
+    @cached_property
+    def places(self) -> dict[str, slice]:
+        """Where the unknowns of each kind are."""
+        ends = list(accumulate(self.widths.values(), initial=0))
+        return {kind: slice(a, b) for kind, a, b in zip(self.widths, ends[:-1], ends[1:])}
+
+    def plus(self, load: Load, x: np.ndarray) -> Load:
+        """Return the load after a step x."""
+        at, bias = self.places, load.bias.copy()
+        gamma, centre = load.gamma, load.centre
+        if "mass" in at:
+            gamma = gamma + (x[at["mass"]] if self.pull is None else x[at["mass"]] * self.pull)
+        if self.bias:
+            bias[:3] += x[at["force bias"]]
+        if self.torque:
+            centre = centre + x[at["centre"]]
+            if self.bias:
+                bias[3:] += x[at["torque bias"]]
+        return Load(load.R @ so3.exp(x[:3]), gamma, bias, centre)
+
+    def evaluate(self, load: Load) -> list[Measurement]:
+        """Return measured minus expected readings."""
+        M = self.RA @ load.R
+        u = load.gamma @ M
+        turned = so3.hat(u)
+        size = sum(self.widths.values())
+        at, J = self.places, np.zeros((self.N, self.y.shape[1], size))
+        J[:, :3, at["rotation"]] = -turned
+        if "mass" in at:
+            per = M.transpose(0, 2, 1) if self.pull is None else (self.pull @ M)[:, :, None]
+            J[:, :3, at["mass"]] = -per
+        expected = u
+        if self.torque:
+            lever = so3.hat(load.centre)
+            J[:, 3:] = lever @ J[:, :3]
+            J[:, 3:, at["centre"]] = turned
+            expected = np.concatenate([u, np.cross(load.centre, u)], axis=1)
+        if self.bias:
+            J[:, :3, at["force bias"]] = -np.eye(3)
+            if self.torque:
+                J[:, 3:, at["torque bias"]] = -np.eye(3)
+        return [Measurement(self.y - expected - load.bias, J, self.noise, self.classes)]
+
+    def problem(self) -> Problem[Load]:
+        """Return what the solver needs."""
+        return Problem(
+            self.evaluate, self.plus, what=self.what, residue=ROUNDING * (float(np.abs(self.y).max()) or 1.0)
+        )
+
+    def only(self, kept: np.ndarray) -> WeightEquation:
+        """Return it with some of its samples (N,)."""
+        noise = self.noise[kept] if self.noise is not None and self.noise.ndim == 3 else self.noise
+        return replace(self, RA=self.RA[kept], y=self.y[kept], noise=noise)
+
+    @property
+    def even(self) -> bool:
+        """True where all samples have the same noise."""
+        return self.noise is None or self.noise.ndim < 3
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """1 over the mean variance (N,) of the force of each sample; 1 where noise is not given."""
+        if self.noise is None:
+            return np.ones(self.N)
+        variances = self.noise if self.noise.ndim == 1 else np.diagonal(self.noise, axis1=-2, axis2=-1)
+        return np.broadcast_to(1.0 / np.mean(variances[..., :3], axis=-1), (self.N,))
+
+    @property
+    def variance(self) -> float:
+        """Mean variance of a force where noise is given and the same for all samples; 1 where it is not given."""
+        if self.noise is None:
+            return 1.0
+        a, b, c = (self.noise if self.noise.ndim == 1 else self.noise.diagonal())[:3].tolist()
+        return (a + b + c) / 3.0
+
+    @cached_property
+    def turn(self) -> Turn:
+        """The rotation and the mass from all samples; known gravity."""
+        return Turn.of(self)
+
+    def start(self) -> Load:
+        """Return the load in closed form; without torques and with isotropic noise the most likely one."""
+        R, gamma = self._unknown_gravity() if self.pull is None else (self.turn.R, self.turn.m * self.pull)
+        u = gamma @ (self.RA @ R)
+        w = self.weights[:, None] / self.weights.sum()
+        bias = np.zeros(self.y.shape[1])
+        if self.bias:
+            bias[:3] = np.sum(w * (self.y[:, :3] - u), axis=0)
+        if not self.torque:
+            return Load(R, gamma, bias, np.zeros(3))
+        rows = [-so3.hat(u).reshape(-1, 3)]
+        if self.bias:
+            rows.append(np.tile(np.eye(3), (self.N, 1)))
+        found = np.linalg.lstsq(np.hstack(rows), self.y[:, 3:].ravel(), rcond=None)[0]
+        bias[3:] = found[3:] if self.bias else 0.0
+        return Load(R, gamma, bias, found[:3])
+
+    def centred(self, values: np.ndarray) -> np.ndarray:
+        """Return values (N, ...) minus their weighted mean when there is a bias that takes it."""
+        if not self.bias:
+            return values
+        if self.even:
+            return values - values.sum(axis=0) / self.N
+        return values - np.tensordot(self.weights / self.weights.sum(), values, axes=1)
+
+    def _unknown_gravity(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return R and gamma from R f_i = R_i^T gamma, linear in both, centred where there is a bias."""
+        root = np.sqrt(self.weights)
+        D = (self.centred(self.RA.transpose(0, 2, 1)) * root[:, None, None]).reshape(-1, 3)
+        f = self.centred(self.y[:, :3]) * root[:, None]
+        F = np.einsum("nk,ij->nikj", f, np.eye(3)).reshape(-1, 9)  # times vec(R), column by column
+        (QD, _), (QF, RF) = np.linalg.qr(D), np.linalg.qr(F)
+        v = np.linalg.svd(QD.T @ QF)[2][0]
+        R = np.linalg.lstsq(RF, v, rcond=None)[0].reshape(3, 3).T
+        U, _, V = np.linalg.svd(R * np.sign(np.linalg.det(R)))
+        R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
+        return R, np.linalg.lstsq(D, (f @ R.T).ravel(), rcond=None)[0]
+
+
+class Turn(NamedTuple):
+    """The rotation and the mass that turn gravity into forces, known gravity: see `kernels.turned_weight`."""
+
+    R: np.ndarray  # (3, 3)
+    bias: np.ndarray  # (3,)
+    residuals: np.ndarray  # (N, 3) of the forces
+    cov: np.ndarray  # (d, d), times a variance where noise is even
+    H: np.ndarray  # H, S: (3, 3) products of gravity over the tool with itself and with the forces
+    S: np.ndarray
+    m: float  # mass
+    other_m: float  # that of the best of the other hand
+    power: float  # squares that are left
+    signal: float  # those that were there. Both times the variance where noise is even
+    moved: list[float]  # by which share of itself gravity moves over the tool, along three axes, ascending
+    difference: float  # Delta, chi^2 of the best of the other hand minus that of the best rotation
+
+    @property
+    def mirrored(self) -> np.ndarray:
+        """The best of the other hand (3, 3)."""
+        U, _, V = np.linalg.svd(self.S)
+        third = U[:, 2:] * V[2]
+        return self.R - 2.0 * np.vdot(third, self.R) * third
+
+    @classmethod
+    def of(cls, equation: WeightEquation, kept: np.ndarray | None = None) -> Turn:
+        """Solve for the samples (N,) that are kept; all when None."""
+        weight = None if equation.even else equation.weights
+        if kept is not None:
+            weight = kept.astype(float) if weight is None else weight * kept
+        pull = np.zeros(3) if equation.pull is None else equation.pull
+        R, bias, residuals, cov, (H, S), numbers = kernels.turned_weight(
+            equation.RA, equation.y[:, :3], pull, weight, equation.mass, equation.bias
+        )
+        m, other_m, power, other_power, signal, *moved = numbers.tolist()
+        if equation.noise is None:
+            N = equation.N if kept is None else int(np.count_nonzero(kept))
+            floor = max(FLOOR**2 * signal / N, np.finfo(float).tiny)  # of exact readings; of none
+            scale = max(min(power, other_power) / max(3 * N - 7, 1), floor)
+        else:
+            scale = equation.variance if equation.even else 1.0
+        return cls(R, bias, residuals, cov, H, S, m, other_m, power, signal, moved, (other_power - power) / scale)
+
+
+def likely_samples(equation: WeightEquation) -> np.ndarray:
+    """Return which samples (N,) a start should use: those near the regression of least absolute residuals.
+
+    Forces are linear in the orientation of the tool, ``f_i = sum_k c_k (R_i)_k + b`` (in gravity over the tool where it
+    is known). ``sum |r_i|`` has one minimum wherever one begins, and a contact does not pull it.
+    """
+    X = equation.RA.reshape(equation.N, 9) if equation.pull is None else equation.pull @ equation.RA
+    if equation.bias:
+        X = np.hstack([X - X.mean(axis=0), np.ones((equation.N, 1))])
+    U, size, _ = np.linalg.svd(X, full_matrices=False)
+    Q, f, w = U[:, size > NULL * size[0]], equation.y[:, :3], np.ones(equation.N)
+    r = w
+    if 2 * Q.shape[1] > equation.N:  # it would go through half of the samples, whichever they are
+        return np.ones(equation.N, dtype=bool)
+    for _ in range(ROUNDS):
+        weighted = Q.T * w
+        r = np.linalg.norm(f - Q @ np.linalg.lstsq(weighted @ Q, weighted @ f, rcond=None)[0], axis=1)
+        before, w = w, 1.0 / np.maximum(r, max(SHORT * float(np.median(r)), np.finfo(float).tiny))
+        w = w / w.max()
+        if np.abs(w - before).max() < SETTLED:
+            break
+    return r <= FAR * np.median(r)
+
+
+def mirror_solution(equation: WeightEquation, load: Load) -> Load | None:
+    """Return the load with its weight reversed and the sensor turned by half a turn about it.
+
+    Both read the same to first order in tilts: ``R^T (u x w) = (H R)^T (-u x w)`` with H the half turn about u; the
+    bias takes the mean. None where tilts are large, or there is no bias: nothing is alike then.
+    """
+    u = load.gamma @ equation.RA.mean(axis=0)
+    length = float(np.linalg.norm(u))
+    if not equation.bias or length <= ALIKE * np.linalg.norm(load.gamma):
+        return None
+    R, gamma = so3.exp(np.pi * u / length) @ load.R, -load.gamma
+    expected = gamma @ (equation.RA @ R)
+    if equation.torque:
+        expected = np.hstack([expected, np.cross(load.centre, expected)])
+    return Load(R, gamma, np.median(equation.y - expected, axis=0), load.centre)

@@ -1,0 +1,142 @@
+"""Arguments of calibrations: poses, points and their noise, checked once, in sentences."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab._numbers import numbers, rows_text
+from armlab.errors import ShapeError
+from armlab.lie import so3
+
+NO_ROTATION = 1e-5  # largest entry of |R^T R - I| that is projected, not refused
+ROUNDING = 1e-9  # what is below it is left as it is
+
+
+def finite(values: np.ndarray, name: str) -> None:
+    """Refuse NaN and infinity with their rows."""
+    if not np.isfinite(values).all():
+        bad = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1))
+        raise ShapeError(
+            f"Expected finite {name}, got NaN or Inf in {len(bad)} rows: {rows_text(bad)}. "
+            "Leave these samples out of all records."
+        )
+
+
+def poses(value: ArrayLike, name: str) -> tuple[np.ndarray, np.ndarray, str]:
+    """Return rotations (N, 3, 3), positions (N, 3), and what must be reported of them."""
+    T = numbers(value, name, ShapeError)
+    if T.ndim != 3 or T.shape[1:] != (4, 4):
+        raise ShapeError(f"Expected {name} of shape (N, 4, 4), got {T.shape}. Give one pose per sample.")
+    finite(T, name)
+    if not (T[:, 3] == (0.0, 0.0, 0.0, 1.0)).all():
+        bad = np.flatnonzero((T[:, 3] != (0.0, 0.0, 0.0, 1.0)).any(axis=1))
+        raise ShapeError(
+            f"Expected (0, 0, 0, 1) as the last row of every pose of {name}, got others in rows {rows_text(bad)}. "
+            "Perhaps the matrices are transposed."
+        )
+    R, note = _rotations(T[:, :3, :3].copy(), name)
+    return R, T[:, :3, 3].copy(), note
+
+
+def orientations(value: ArrayLike, name: str) -> tuple[np.ndarray, str]:
+    """Return rotations (N, 3, 3) of poses (N, 4, 4) or of rotations (N, 3, 3), and what must be reported of them."""
+    values = numbers(value, name, ShapeError)
+    if values.ndim == 3 and values.shape[1:] == (4, 4):
+        R, _, note = poses(values, name)
+        return R, note
+    if values.ndim != 3 or values.shape[1:] != (3, 3):
+        raise ShapeError(
+            f"Expected {name} of shape (N, 4, 4) or (N, 3, 3), got {values.shape}. Give one orientation per sample."
+        )
+    return _rotations(values.copy(), name)
+
+
+def _rotations(R: np.ndarray, name: str) -> tuple[np.ndarray, str]:
+    """Return R (N, 3, 3) projected where it is slightly off, and a note of that."""
+    if are_rotations(R):
+        return R, ""
+    finite(R, name)
+    off = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).reshape(len(R), 9).max(axis=1, initial=0.0)
+    wrong = off > NO_ROTATION
+    if wrong.any():
+        raise ShapeError(
+            f"Expected rotations in {name}, got matrices off by up to {off.max():.2g} in rows "
+            f"{rows_text(np.flatnonzero(wrong))}. Project them (lie.so3.project) if that is what they should be."
+        )
+    mirrored = np.flatnonzero(np.linalg.det(R) < 0)
+    if len(mirrored):
+        raise ShapeError(
+            f"Expected rotations in {name}, got left-handed axes in rows {rows_text(mirrored)}. "
+            "One axis of that frame is reversed."
+        )
+    note, near = "", off > ROUNDING
+    if near.any():
+        R[near] = so3.project(R[near])[0]
+        note = f"{np.count_nonzero(near)} rotations of {name} were projected, off by up to {off.max():.2g}"
+    return R, note
+
+
+def are_rotations(R: np.ndarray) -> bool:
+    """Tell whether R = Exp(Log(R)), which only rotations do: the cheapest proof, whatever else is to be said."""
+    try:
+        return bool(np.abs(so3.exp(so3.log(R)) - R).max(initial=0.0) < 0.1 * ROUNDING)
+    except ShapeError:
+        return False
+
+
+def gravity_of(gravity: Any) -> np.ndarray:
+    """Return gravity (3,), refusing what is none."""
+    g = numbers(gravity, "gravity", ShapeError)
+    if g.shape != (3,) or not 0.0 < g @ g < np.inf:
+        raise ShapeError(
+            f"Expected gravity as three finite numbers in base axes, not all zero [m/s^2], got {gravity!r}. "
+            "Give (0, 0, -9.80665) for a base that stands upright."
+        )
+    return g
+
+
+def pose_noise(noise: Any, N: int, name: str = "noise") -> np.ndarray | None:
+    """Return variances (6,) or covariance (6, 6) or (N, 6, 6) of poses; None for None."""
+    if noise is None:
+        return None
+    values = numbers(noise, name, ShapeError)
+    if values.ndim == 0 and values == 0.0:
+        return np.zeros(6)
+    if values.shape == (2,) and np.all(values >= 0) and np.isfinite(values).all():
+        return np.repeat(values**2, 3)
+    if values.shape not in ((6, 6), (N, 6, 6)) or not np.isfinite(values).all():
+        raise ShapeError(
+            f"Expected {name} of poses as (sd of position [m], sd of rotation [rad]) or as a covariance (6, 6) or "
+            f"({N}, 6, 6), got shape {values.shape}. Metres and radians need a number each."
+        )
+    return covariance(values, name)
+
+
+def point_noise(noise: Any, shape: tuple[int, ...], name: str = "noise") -> np.ndarray | None:
+    """Return variances (3,), or covariance (3, 3) or (*shape, 3, 3), of points; None for None."""
+    if noise is None:
+        return None
+    values = numbers(noise, name, ShapeError)
+    if values.ndim == 0 and 0 < values < np.inf:
+        return np.full(3, float(values) ** 2)
+    if values.shape not in ((3, 3), (*shape, 3, 3)) or not np.isfinite(values).all():
+        wide = ", ".join(str(n) for n in (*shape, 3, 3))
+        raise ShapeError(
+            f"Expected {name} of points as one standard deviation above zero [m] or as a covariance (3, 3) or "
+            f"({wide}), got shape {values.shape}. Correct it."
+        )
+    return covariance(values, name)
+
+
+def covariance(values: np.ndarray, name: str) -> np.ndarray:
+    """Refuse what is not symmetric or has a negative eigenvalue."""
+    size = np.abs(values).max()
+    even = np.abs(values - np.swapaxes(values, -1, -2)).max() <= 1e-9 * size
+    if not even or np.linalg.eigvalsh(values).min() < -1e-12 * size:
+        raise ShapeError(
+            f"Expected {name} as symmetric covariances without negative eigenvalues, got others. Correct it."
+        )
+    return values

@@ -1,0 +1,397 @@
+"""Two arms that measure each other: both kinematics and where one stands in the base of the other.
+
+    Z_i = T_a(q_a,i)^-1 T_basea_baseb T_b(q_b,i)
+
+What is measured is the tool of b, its pose or a point, seen from the tool of a. One system for both arms and all
+samples; nothing absolute is needed, and where the bases of the arms are is then a matter of convention.
+
+The tool of b seen from the tool of a is ``Z = T_a^-1 T_basea_baseb T_b``. A point p of b's tool, in a's base, moves in
+a's tool axes by what the frames of b and the base of b do to it, less what the frames of a do to a point there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab.calibrate.kinematics.identifiability import UnobservableDirection, arm_scale, far_links, joints_at_rest
+from armlab.calibrate.kinematics.measurements import Kind, check_harmonics, check_joints, check_terms, measured_kinds
+from armlab.calibrate.kinematics.model import Arm, ArmState, amplitude_prior, chosen, link_prior, pose_residual
+from armlab.calibrate.kinematics.solve import Question, check_misfit, check_weak, length_angle, spread_of
+from armlab.calibrate.kinematics.start import check_scale, hand_eye, kabsch
+from armlab.errors import ConfigError, NotExcited, ShapeError
+from armlab.estimation import Fit, Measurement, NonlinearSolution
+from armlab.kinematics import twist_jacobian
+from armlab.lie import se3
+from armlab.models import DualArmCorrection, KinematicCorrection
+from armlab.robots import Robot
+
+LIMITS = (0.05, 0.05)
+TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
+
+
+def fit_dual_arm(
+    robot_a: Robot,
+    robot_b: Robot,
+    q_a: ArrayLike,
+    q_b: ArrayLike,
+    *,
+    pose: ArrayLike | None = None,
+    position: ArrayLike | None = None,
+    closed: bool = False,
+    absolute_a: ArrayLike | None = None,
+    visible: ArrayLike | None = None,
+    noise: Any = None,
+    noise_absolute: Any = None,
+    harmonics: Sequence[int] = (),
+    joint_terms_a: ArrayLike | None = None,
+    joint_terms_b: ArrayLike | None = None,
+    prior: float | tuple[float, float] = 0.1,
+    weak: str = "refuse",
+    robust: bool = False,
+    limits: tuple[float, float] = LIMITS,
+) -> Fit[DualArmCorrection]:
+    """Calibrate two arms from what one sees of the other.
+
+    Parameters
+    ----------
+    robot_a, robot_b : nominal arms.
+    q_a, q_b : (N, n) joint positions of the same moments [rad or m].
+    pose : (N, 4, 4) of b's tool seen from a's tool; (4, 4) for a closed chain whose tools are held in a known pose.
+    position : (N, 3) of b's tool point, in a's tool axes [m].
+    closed : the tools are joined: b's tool does not move in a's. The pose may be unknown.
+    absolute_a : (N, 4, 4) of a's tool in a frame that is then the base of a.
+    visible : (N,), False where the relative measurement is missing.
+    noise : of the relative measurement, as in `fit_kinematics`. None: estimated.
+    noise_absolute : of `absolute_a`, (sd [m], sd [rad]) or a covariance; given where `noise` is.
+    harmonics : orders of joint errors of both arms, see `fit_kinematics`.
+    joint_terms_a, joint_terms_b : phi (N, n, L) of an arm, see `fit_kinematics`.
+    prior, weak, robust, limits : see `fit_kinematics`.
+
+    Returns
+    -------
+    Fit of `models.DualArmCorrection`. The parameters are the twists of the frames of a, of b, from their start; that of
+    T_basea_baseb, which has no nominal value, is counted from the value found.
+
+    Raises
+    ------
+    NotExcited : unidentifiable directions, by name; of a closed chain always the overall scale and what both
+        tools have in common, unless weak="prior" holds them. NotConverged : samples that do not belong together.
+    ShapeError, ConfigError, UnknownName : see `fit_kinematics`.
+
+    References
+    ----------
+    Bennett and Hollerbach (1991), IEEE T-RA 7(5), closed chains and their scale.
+    """
+    q_a, q_b = check_joints(robot_a, q_a, "q_a"), check_joints(robot_b, q_b, "q_b")
+    if len(q_a) != len(q_b):
+        raise ShapeError(
+            f"Expected as many rows of q_a as of q_b, got {len(q_a)} and {len(q_b)}. Both are of the same moments."
+        )
+    check_weak(weak)
+    orders = check_harmonics(harmonics)
+    arms = [
+        Arm.of(robot, q, orders, check_terms(terms, q.shape, name), "local_poe")
+        for robot, q, terms, name in (
+            (robot_a, q_a, joint_terms_a, "joint_terms_a"),
+            (robot_b, q_b, joint_terms_b, "joint_terms_b"),
+        )
+    ]
+    kinds, T = _measured(arms[0], arms[1], pose, position, closed, visible, noise)
+    if absolute_a is not None:
+        kinds += measured_kinds(len(q_a), {"pose": absolute_a}, None, noise_absolute)[0]
+        if (noise is None) != (noise_absolute is None):
+            raise ConfigError("Expected noise and noise_absolute together, got one of them. Give both or none.")
+    held = length_angle(prior, "prior") if weak == "prior" else None
+    problem = DualProblem(arms[0], arms[1], tuple(kinds), absolute_a is not None, closed, np.zeros(0, dtype=bool), held)
+    used = np.concatenate([arms[0].existing, arms[1].existing, np.ones(6, dtype=bool)])
+    problem = replace(problem, active=used if held is not None else _without_bases(problem))
+    question = DualQuestion(problem, used, length_angle(limits, "limits"), weak == "prior")
+    return question.fit(question.solve(DualState(arms[0].first(), arms[1].first(), T), robust))
+
+
+def _without_bases(problem: DualProblem) -> np.ndarray:
+    """Return the unknowns that remain when gauge and feet are left out; T_basea_baseb says where the feet are."""
+    a, b = problem.arm_a.unbound.copy(), problem.arm_b.unbound.copy()
+    b[:6] = False
+    a[:6] &= problem.absolute
+    return np.concatenate([a, b, np.ones(6, dtype=bool)])
+
+
+def _measured(
+    a: Arm, b: Arm, pose: Any, position: Any, closed: bool, visible: Any, noise: Any
+) -> tuple[list[Kind], np.ndarray]:
+    """Return the relative measurement and a first T_basea_baseb."""
+    if (pose is None) == (position is None) and not (closed and position is None):
+        raise ConfigError("Expected either pose or position of b's tool in a's, got both or none. Give one of them.")
+    T_a, T_b = a.move(a.first()).T, b.move(b.first()).T
+    if closed:
+        if position is not None:
+            raise ConfigError("Expected no position for a closed chain, got one. Give the pose (4, 4), or nothing.")
+        pose = _closed_pose(T_a, T_b) if pose is None else pose
+        pose = np.broadcast_to(np.asarray(pose, dtype=float), (len(T_a), 4, 4))
+    kinds, _ = measured_kinds(len(T_a), {"pose": pose, "position": position}, visible, noise)
+    kind = kinds[0]
+    if kind.name == "position" and kind.values.shape[1] > 1:
+        raise ShapeError(
+            f"Expected position of shape ({len(T_a)}, 3), one point of b's tool, got {kind.values.shape}. Give one of "
+            "the points."
+        )
+    rows = np.flatnonzero(kind.visible.reshape(len(T_a), -1)[:, 0])
+    if len(rows) < 3:
+        raise NotExcited(
+            f"Expected at least 3 samples in which b is seen from a, got {len(rows)}. Measure more.",
+            ["everything"],
+            [f"{len(rows)} of at least 3 samples"],
+        )
+    if kind.name == "pose":
+        check_scale(_size(T_a[:, :3, 3]) + _size(T_b[:, :3, 3]), _size(kind.values[rows, :3, 3]), "positions of poses")
+        seen = T_a[rows] @ kind.values[rows] @ se3.inv(T_b[rows])
+        return kinds, se3.project(np.mean(seen, axis=0))[0]
+    seen = np.einsum("iab,ib->ia", T_a[rows, :3, :3], kind.values[rows, 0]) + T_a[rows, :3, 3]
+    check_scale(_size(T_a[:, :3, 3]) + _size(T_b[:, :3, 3]), _size(kind.values[rows, 0]), "positions")
+    return kinds, kabsch(T_b[rows, :3, 3], seen)
+
+
+def _size(points: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=-1))))
+
+
+def _closed_pose(T_a: np.ndarray, T_b: np.ndarray) -> np.ndarray:
+    """Return Z of ``T_b = T_basea_baseb^-1 T_a Z``."""
+    R, t, _, _ = hand_eye(T_a, T_b)
+    return se3.from_rp(R, t)
+
+
+class DualState(NamedTuple):
+    """The unknowns: both arms and T_basea_baseb (4, 4)."""
+
+    a: ArmState
+    b: ArmState
+    T: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class DualProblem:
+    """Two arms and what was measured."""
+
+    arm_a: Arm  # arm_a, arm_b: the arms
+    arm_b: Arm
+    kinds: tuple[Kind, ...]  # relative pose or position, then perhaps the pose of arm a from outside
+    absolute: bool  # whether that is so
+    closed: bool  # whether b's tool does not move in a's
+    active: np.ndarray  # (d,) mask of the components of a step
+    prior: tuple[float, float] | None  # (metres, radians) of the links, or None
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns, gauge included: arm a, arm b, twist of T_basea_baseb."""
+        return self.arm_a.size + self.arm_b.size + 6
+
+    @property
+    def waves(self) -> int:
+        """Number of amplitudes."""
+        return self.arm_a.waves[0].size + self.arm_b.waves[0].size
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of every unknown."""
+        arms = [f"{letter}: {name}" for letter, arm in (("a", self.arm_a), ("b", self.arm_b)) for name in arm.names]
+        return (*arms, *(f"base of b {name}" for name in TWIST))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of every unknown."""
+        return (*self.arm_a.units, *self.arm_b.units, *("m",) * 3, *("rad",) * 3)
+
+    def sizes(self, length: float, angle: float) -> np.ndarray:
+        """Return (d,) a length for metres and an angle for radians."""
+        arms = [arm.sizes(length, angle) for arm in (self.arm_a, self.arm_b)]
+        return np.concatenate([*arms, np.repeat([length, angle], 3)])
+
+    def values(self, state: DualState) -> np.ndarray:
+        """Return all unknowns (d,); frames by the twists that lead to them from the start, that of T as zero."""
+        parts = []
+        for arm, one in ((self.arm_a, state.a), (self.arm_b, state.b)):
+            parts += [arm.corrections(one.frames).ravel(), one.amplitudes.ravel(), one.coefficients]
+        return np.concatenate([*parts, np.zeros(6)])
+
+    def gauge(self, state: DualState, used: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+        """Return directions (d, g) that nothing sees, and their names: joints, and where the foot of each arm is."""
+        a, b = self.arm_a.size, self.arm_a.size + self.arm_b.size
+        columns, names = [], []
+        for arm, one, at, letter in ((self.arm_a, state.a, 0, "a"), (self.arm_b, state.b, a, "b")):
+            inner, mine = arm.gauge(one.frames)
+            G = np.zeros((self.size, len(mine)))
+            G[at : at + arm.size] = inner
+            columns.append(G)
+            names += [f"{letter}: {name}" for name in mine]
+        for letter in "ab"[self.absolute :]:
+            G = np.zeros((self.size, 6))
+            if letter == "a":
+                G[:6], G[b:] = se3.adjoint_inv(state.a.frames[0]), se3.adjoint_inv(state.T)
+            else:
+                G[a : a + 6], G[b:] = -se3.adjoint_inv(state.b.frames[0]), np.eye(6)
+            columns.append(G)
+            names += [f"foot of arm {letter} {name}" for name in TWIST]
+        return np.hstack(columns), tuple(names)
+
+    def retract(self, state: DualState, y: np.ndarray) -> DualState:
+        """Return the state after a step of the active components."""
+        x = np.zeros(self.size)
+        x[self.active] = y
+        a, b = self.arm_a.size, self.arm_a.size + self.arm_b.size
+        arms = self.arm_a.plus(state.a, x[:a]), self.arm_b.plus(state.b, x[a:b])
+        return DualState(*arms, state.T @ se3.exp(x[b:]))
+
+    def evaluate(self, state: DualState) -> list[Measurement]:
+        """Return residuals with their derivatives by the active components."""
+        return [chosen(one, self.active) for one in [*self.measurements(state), *self.priors(state)]]
+
+    def relative(self, state: DualState) -> np.ndarray:
+        """Return ``Z = T_a^-1 T_basea_baseb T_b`` (N, 4, 4)."""
+        return se3.inv(self.arm_a.move(state.a).T) @ state.T @ self.arm_b.move(state.b).T
+
+    def measurements(self, state: DualState, local: bool = False) -> list[Measurement]:
+        """Return residuals of the data with their derivatives by all components."""
+        Pa = self.arm_a.move(state.a).P
+        W = state.T @ self.arm_b.move(state.b).P
+        point = W[:, -1, :3, 3]
+        base = twist_jacobian(np.broadcast_to(state.T, (len(W), 1, 4, 4)), point)[:, :, 0]
+        J = [-self.arm_a.jacobian(state.a, Pa, point), self.arm_b.jacobian(state.b, W, point), base]
+        R = Pa[:, -1, :3, :3].transpose(0, 2, 1)
+        moved = np.concatenate(J, axis=2)
+        moved = np.concatenate([R @ moved[:, :3], R @ moved[:, 3:]], axis=1)  # base of a -> tool of a
+        Z = se3.inv(Pa[:, -1]) @ W[:, -1]
+        found = [_relative(self.kinds[0], Z, moved)]
+        if self.absolute:
+            own = self.arm_a.jacobian(state.a, Pa, Pa[:, -1, :3, 3])
+            wide = np.concatenate([own, np.zeros((*own.shape[:2], self.size - own.shape[2]))], axis=2)
+            found.append(_relative(self.kinds[1], Pa[:, -1], wide))
+        return found
+
+    def priors(self, state: DualState, local: bool = False) -> Iterator[Measurement]:
+        """Yield what is known before: amplitudes are small; links are nearly nominal, if they are to be held."""
+        for arm, one, at in ((self.arm_a, state.a, 0), (self.arm_b, state.b, self.arm_a.size)):
+            if arm.orders:
+                yield amplitude_prior(arm, one, self.size, at)
+            if self.prior is not None and arm.n > 1:
+                yield link_prior(arm, one, self.prior, self.size, at)
+
+    def never_seen(self) -> list[UnobservableDirection]:
+        """Return how b's tool is turned."""
+        at = self.arm_a.size + 6 * self.arm_b.n + 3
+        turns = np.zeros((self.size, 3))
+        turns[at : at + 3] = np.eye(3)
+        return [
+            UnobservableDirection(f"orientation of the tool of arm b about {'xyz'[k]}", turns[:, [k]]) for k in range(3)
+        ]
+
+    def may_be_missing(self, state: DualState) -> list[UnobservableDirection]:
+        """Return joints at rest, what both tools have in common, and the scale."""
+        a, size = self.arm_a.size, self.size
+        found = joints_at_rest(self.arm_a, state.a.frames, 0, size, " of arm a")
+        found += joints_at_rest(self.arm_b, state.b.frames, a, size, " of arm b")
+        Z = self.relative(state)[0]
+        end_a, end_b = 6 * self.arm_a.n, a + 6 * self.arm_b.n
+        scale = np.zeros((size, 1))
+        scale[:a, 0] = arm_scale(self.arm_a, state.a.frames)
+        scale[a:-6, 0] = arm_scale(self.arm_b, state.b.frames)
+        scale[-6:-3, 0] = state.T[:3, :3].T @ state.T[:3, 3]
+        scale[end_b : end_b + 3, 0] -= Z[:3, :3].T @ Z[:3, 3]
+        if self.closed:
+            tools = np.zeros((size, 6))
+            tools[end_a : end_a + 6], tools[end_b : end_b + 6] = np.eye(6), se3.adjoint_inv(Z)
+            advice = "Measure the pose of one tool."
+            found.append(UnobservableDirection("common change of both tools", tools, advice))
+        return [*found, UnobservableDirection("overall scale", scale, "Measure one length that is known.")]
+
+
+def _relative(kind: Kind, T: np.ndarray, J: np.ndarray) -> Measurement:
+    rows = np.flatnonzero(kind.visible.reshape(len(T), -1)[:, 0])
+    if kind.name == "pose":
+        r, J = pose_residual(T[rows], kind.values[rows], J[rows])
+    else:
+        r, J = kind.values[rows, 0] - T[rows, :3, 3], -J[rows, :3]
+    return Measurement(r[:, kind.kept], J[:, kind.kept], kind.noise(rows), kind.classes, rows)
+
+
+@dataclass(frozen=True, eq=False)
+class DualQuestion(Question[DualState]):
+    """What is asked of the data of two arms."""
+
+    problem: DualProblem
+
+    def nature(self, state: DualState) -> list[UnobservableDirection]:
+        """Return directions that these kinds of measurement may never see."""
+        return self.problem.never_seen()
+
+    def suspects(self, state: DualState) -> list[UnobservableDirection]:
+        """Return directions that the data may fail to see."""
+        return self.problem.may_be_missing(state)
+
+    def fit(self, found: NonlinearSolution[DualState]) -> Fit[DualArmCorrection]:
+        """Return value, covariance and excitation."""
+        problem, state = self.problem, found.value
+        tool = np.eye(6)[:, 3:] if problem.kinds[0].name == "position" else np.zeros((6, 0))
+        a, _ = problem.arm_a.smallest(state.a.frames, np.zeros((6, 0)), np.zeros((6, 0)))
+        b, _ = problem.arm_b.smallest(state.b.frames, np.zeros((6, 0)), tool)
+        state = DualState(state.a._replace(frames=a), state.b._replace(frames=b), se3.project(state.T)[0])
+        sigma, outside = dict(zip(found.classes, found.sigma.tolist())), np.flatnonzero(found.outliers)
+        data = problem.measurements(state)
+        check_misfit(data, self.spaces(), found.value, np.flatnonzero(found.outliers))
+        excitation = self.judge(data, state, sigma, outside)
+        cov = self.covariance(data, state, sigma, outside, excitation)
+        residuals = np.full((len(problem.arm_a.q), sum(one.r.shape[1] for one in data)), np.nan)
+        for i, one in enumerate(data):
+            first = data[0].r.shape[1] * i
+            residuals[one.sample, first : first + one.r.shape[1]] = one.r
+        return Fit(
+            value=self._value(state, cov),
+            names=tuple(name for name, mine in zip(problem.names, self.used) if mine),
+            units=tuple(unit for unit, mine in zip(problem.units, self.used) if mine),
+            parameters=problem.values(state)[self.used],
+            cov=cov,
+            sigma=found.sigma,
+            residuals=residuals,
+            n=len(residuals),
+            excitation=excitation,
+            summary=lambda fit: "\n".join([fit.table(), *self.match(found), *self._far(state)]),
+            outliers=found.outliers,
+            classes=found.classes,
+        )
+
+    def spaces(self) -> list[float]:
+        """Return the size [m] of the space in which each measurement was made; of a closed chain, in which a moved."""
+        problem = self.problem
+        places = [kind.values[kind.visible.reshape(len(kind.values), -1)[:, 0]] for kind in problem.kinds]
+        if problem.closed:
+            places[0] = problem.arm_a.move(problem.arm_a.first()).T
+        return [spread_of(seen[:, 0] if seen.shape[1:] == (1, 3) else seen[:, :3, 3]) for seen in places]
+
+    def _far(self, state: DualState) -> list[str]:
+        a, b = self.problem.arm_a, self.problem.arm_b
+        return far_links(a, state.a.frames, " of arm a") + far_links(b, state.b.frames, " of arm b")
+
+    def _value(self, state: DualState, cov: np.ndarray) -> DualArmCorrection:
+        problem, a = self.problem, self.problem.arm_a.size
+        whole = np.zeros((problem.size, problem.size))
+        whole[np.ix_(self.used, self.used)] = cov
+        arm_a = _correction(problem.arm_a, state.a, whole[:a, :a])
+        return DualArmCorrection(arm_a, _correction(problem.arm_b, state.b, whole[a:-6, a:-6]), state.T, whole)
+
+
+def _correction(arm: Arm, state: ArmState, cov: np.ndarray) -> KinematicCorrection:
+    return KinematicCorrection(
+        robot=arm.corrected(state.frames),
+        robot_name=arm.robot.name,
+        robot_hash=arm.robot.hash,
+        harmonics=arm.orders,
+        amplitudes=state.amplitudes,
+        coefficients=state.coefficients,
+        cov=cov,
+    )

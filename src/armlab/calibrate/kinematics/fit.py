@@ -1,0 +1,286 @@
+"""Kinematic calibration: the frames of an arm, its tool and its base from measurements of an instrument.
+
+    T(q) = E_0 Z_1(q_1) E_1 ... Z_n(q_n) E_n,        E_j <- E_j Exp(x_j)
+
+Every frame may move by a twist, so that no arm is special, parallel axes included. Maximum likelihood over all kinds of
+measurement together; what they cannot see is in `excitation`, by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab._numbers import numbers
+from armlab.calibrate.kinematics.identifiability import UnobservableDirection, far_links, may_be_missing, never_seen
+from armlab.calibrate.kinematics.measurements import check_harmonics, check_joints, check_terms, measured_kinds
+from armlab.calibrate.kinematics.model import Arm, KinematicProblem, State
+from armlab.calibrate.kinematics.solve import Question, check_misfit, check_weak, length_angle, never_moves, spread_of
+from armlab.calibrate.kinematics.start import check_scale, start_arm
+from armlab.errors import ConfigError, NotExcited, ShapeError, UnknownName
+from armlab.estimation import Fit, Measurement, NonlinearSolution
+from armlab.models import KinematicCorrection
+from armlab.robots import Robot
+
+LIMITS = (0.05, 0.05)
+"""Standard deviation [m, rad] along any direction that is the most accepted."""
+
+MODELS, CHOICES = ("local_poe", "poe"), ("all", "offsets", "base_tool")
+
+
+def fit_kinematics(
+    robot: Robot,
+    q: ArrayLike,
+    *,
+    pose: ArrayLike | None = None,
+    position: ArrayLike | None = None,
+    distance: ArrayLike | None = None,
+    pair_distance: tuple[ArrayLike, ArrayLike, ArrayLike] | None = None,
+    anchor: ArrayLike | None = None,
+    length_offset: bool = False,
+    length_scale: bool = False,
+    visible: ArrayLike | Mapping[str, ArrayLike] | None = None,
+    noise: Any = None,
+    model: str = "local_poe",
+    free: str | ArrayLike = "all",
+    harmonics: Sequence[int] = (),
+    joint_terms: ArrayLike | None = None,
+    prior: float | tuple[float, float] = 0.1,
+    weak: str = "refuse",
+    robust: bool = False,
+    limits: tuple[float, float] = LIMITS,
+) -> Fit[KinematicCorrection]:
+    """Calibrate an arm: base, links, joint offsets, tool, and errors of the joints if asked.
+
+    Parameters
+    ----------
+    robot : nominal arm, where the fit starts. A measurement frame far from its base is found first.
+    q : (N, n) joint positions [rad or m].
+    pose : (N, 4, 4) measured poses of the tool.
+    position : (N, 3) of the tool point, or (N, K, 3) of K points that are fixed to the tool at unknown places [m].
+    distance : (N,) from `anchor`, a fixed point that is known roughly and estimated, to the tool point [m].
+    pair_distance : (i, j, d): samples i and j (M,), and the distances d (M,) of their tool points [m].
+    anchor : (3,) first guess of the fixed point, measurement frame [m].
+    length_offset, length_scale : estimate ``measured = scale * true + offset`` of distances.
+    visible : (N,) or (N, K), False where a measurement is missing; by kind where masks differ: {"position": mask}.
+    noise : of a pose (sd [m], sd [rad]) or 6 sd; of a position one sd or 3 [m]; of a distance one sd; covariances
+        (k, k) or (N, k, k). An infinite sd drops a component. Several kinds: {"pose": ..., "distance": ...}. What is
+        left out is estimated.
+    model : "local_poe": steps of the frames; "poe": of the screws in the base and the home pose. The robot is the same.
+    free : "all"; "offsets": joint offsets, base and tool; "base_tool"; or a mask (n+1, 6) of the twists [v; w] of the
+        frames, joint j + 1 being the z axis of frame j.
+    harmonics : orders k of ``a_jk cos k q_j + b_jk sin k q_j`` added to q, amplitudes known before to 0.1 deg.
+    joint_terms : phi (N, n, L), for example gravity torques: ``sum_l c_l phi_l`` is added to q.
+    prior : standard deviation of the links [m and rad, or a pair] for `weak="prior"`; none for base and tool.
+    weak : "refuse" directions with larger deviations than `limits`, or hold them by the "prior".
+    robust : find outliers among the samples.
+    limits : standard deviation [m, rad] that is the most accepted.
+
+    Returns
+    -------
+    Fit of `models.KinematicCorrection`. The parameters are the twists of the frames from the start, of equal ones the
+    smallest, then amplitudes, coefficients, points, anchor and what else was asked. `residuals` and `outliers` have a
+    row for each sample, then one for each pair; components that were not measured are NaN.
+
+    Raises
+    ------
+    NotExcited : unidentifiable directions, by name. NotConverged : samples that do not belong together.
+    ShapeError : wrong shapes, NaN that is not masked, what is no rotation, millimetres, degrees.
+    ConfigError, UnknownName : options that do not exist.
+
+    References
+    ----------
+    Okamura and Park (1996); Chen, Yang, Tan and Yeo (2001); He et al. (2010); Hollerbach and Wampler (1996).
+    """
+    q = check_joints(robot, q)
+    if len(q) == 0:
+        raise NotExcited("Expected samples, got none. Measure poses of the arm.", ["everything"], ["no samples"])
+    _check_options(model, free, weak)
+    orders, terms = check_harmonics(harmonics), check_terms(joint_terms, q.shape)
+    given = {"pose": pose, "position": position, "distance": distance, "pair_distance": pair_distance}
+    kinds, notes = measured_kinds(len(q), given, visible, noise)
+    arm, points = start_arm(Arm.of(robot, q, orders, terms, model), tuple(kinds))
+    held = length_angle(prior, "prior") if weak == "prior" else None
+    problem = KinematicProblem(arm, tuple(kinds), np.zeros(0, dtype=bool), len(points), held)
+    start = State(arm.first(), points, _anchor(anchor, distance is not None), np.array([0.0, 1.0]))
+    _check_lengths(problem, start, length_offset)
+    used = _used(problem, free, distance is not None, (length_offset, length_scale))
+    reduced = isinstance(free, str) and free == "all" and held is None
+    active = used & _with_rest(arm.unbound, problem.size) if reduced else used
+    if reduced and not problem.points and not any(kind.name == "pose" for kind in problem.kinds):
+        active[6 * arm.n + 3 : 6 * arm.n + 6] = False  # one point does not determine the rotation of the tool
+    problem = KinematicProblem(arm, tuple(kinds), active, len(points), held)
+    question = ArmQuestion(problem, used, length_angle(limits, "limits"), weak == "prior")
+    solution = question.solve(start, robust)
+    return question.fit(solution, isinstance(free, str) and free == "all", notes)
+
+
+def _check_options(model: str, free: Any, weak: str) -> None:
+    check_weak(weak)
+    if model not in MODELS:
+        raise UnknownName.among("model", model, MODELS)
+    if isinstance(free, str) and free not in CHOICES:
+        raise UnknownName.among("choice of free frames", free, CHOICES)
+    if model == "poe" and not (isinstance(free, str) and free == "all"):
+        raise ConfigError("Expected free='all' with model='poe', got a part of it. Use model='local_poe' for parts.")
+
+
+def _anchor(anchor: ArrayLike | None, needed: bool) -> np.ndarray:
+    if anchor is None:
+        if needed:
+            raise ConfigError(
+                "Expected a first guess of the fixed point for distances, got none. Give anchor=(x, y, z)."
+            )
+        return np.zeros(3)
+    found = numbers(anchor, "anchor", ShapeError)
+    if found.shape != (3,) or not np.isfinite(found).all():
+        raise ShapeError(f"Expected anchor as three finite numbers [m], got {anchor!r}.")
+    return found
+
+
+def _check_lengths(problem: KinematicProblem, start: State, length_offset: bool) -> None:
+    """Refuse distances below zero, and in millimetres."""
+    lengths = [kind for kind in problem.kinds if "distance" in kind.name]
+    if not lengths:
+        return
+    nominal = [one for one in problem.measurements(start) if one.classes[0] in ("distance [m]", "pair distance [m]")]
+    for kind, one in zip(lengths, nominal):
+        measured = kind.values[kind.visible]
+        if len(measured) and not length_offset and measured.min() < 0:
+            raise ShapeError(
+                f"Expected {kind.name} from 0, got {measured.min():.4g} m. Give length_offset=True where the "
+                "instrument does not begin at zero."
+            )
+        if len(measured):
+            check_scale(float(np.mean(np.abs(measured - one.r[:, 0]))), float(np.mean(measured)), kind.name)
+
+
+def _used(problem: KinematicProblem, free: Any, anchored: bool, length: tuple[bool, bool]) -> np.ndarray:
+    """Return which unknowns (d,) there are, gauge included."""
+    arm = problem.arm
+    frames = _free_frames(arm, free)
+    if problem.tool_held:
+        frames[-1] = False
+    rest = [np.ones(3 * problem.points, dtype=bool), np.full(3, anchored), np.array(length, dtype=bool)]
+    mask = np.concatenate([frames.ravel(), np.ones(arm.size - frames.size, dtype=bool), *rest])
+    return mask & _with_rest(arm.existing, problem.size)
+
+
+def _with_rest(mask: np.ndarray, size: int) -> np.ndarray:
+    return np.concatenate([mask, np.ones(size - len(mask), dtype=bool)])
+
+
+def _free_frames(arm: Arm, free: Any) -> np.ndarray:
+    """Return the mask (n+1, 6) of what is free."""
+    mask = np.ones((arm.n + 1, 6), dtype=bool)
+    if not isinstance(free, str):
+        mask = np.asarray(free)
+        if mask.dtype != bool or mask.shape != (arm.n + 1, 6):
+            raise ShapeError(f"Expected free as True and False of shape ({arm.n + 1}, 6), got {mask.shape}.")
+        return mask.copy()
+    if free != "all":
+        mask[1:-1] = False
+    if free == "offsets":
+        mask[np.arange(arm.n), np.where(arm.robot.prismatic, 2, 5)] = True
+    return mask
+
+
+@dataclass(frozen=True, eq=False)
+class ArmQuestion(Question[State]):
+    """What is asked of the data of one arm."""
+
+    problem: KinematicProblem
+
+    def nature(self, state: State) -> list[UnobservableDirection]:
+        """Return directions that these kinds of measurement may never see."""
+        return never_seen(self.problem, state)
+
+    def suspects(self, state: State) -> list[UnobservableDirection]:
+        """Return directions that the data may fail to see."""
+        return may_be_missing(self.problem, state)
+
+    def fit(self, found: NonlinearSolution[State], smallest: bool, notes: Sequence[str]) -> Fit[KinematicCorrection]:
+        """Return value, covariance and excitation; of equal fits the one nearest to the start."""
+        problem, state = self.problem, found.value
+        if smallest:
+            state = self._smallest(state)
+        sigma = dict(zip(found.classes, found.sigma.tolist()))
+        data = problem.measurements(state, local=True)
+        outside = np.flatnonzero(found.outliers)
+        check_misfit(data, self.spaces(), found.value, outside)
+        excitation = self.judge(data, state, sigma, outside)
+        cov = self.covariance(data, state, sigma, outside, excitation)
+        names = tuple(name for name, mine in zip(problem.names, self.used) if mine)
+        return Fit(
+            value=self._value(state, cov),
+            names=names,
+            units=tuple(unit for unit, mine in zip(problem.units, self.used) if mine),
+            parameters=problem.values(state)[self.used],
+            cov=cov,
+            sigma=found.sigma,
+            residuals=_table(data, problem),
+            n=len(problem.arm.q),
+            excitation=excitation,
+            summary=lambda fit: "\n".join(
+                [fit.table(), *notes, *self.match(found), *far_links(problem.arm, state.arm.frames)]
+            ),
+            outliers=found.outliers,
+            classes=found.classes,
+        )
+
+    def _smallest(self, state: State) -> State:
+        """Return the state, of those with the same measurements, that is nearest to the start."""
+        problem, base, tool = self.problem, [], []
+        if not any(kind.name == "pose" and len(kind.kept) == 6 for kind in problem.kinds):
+            data = problem.measurements(state, local=True)
+            unseen = never_moves(self.nature(state), data, self.used)
+            base, tool = unseen[:6], [False] * 3 + unseen[6:9] * (not problem.points)
+        base_steps, tool_steps = (np.eye(6)[:, np.flatnonzero(unseen)] for unseen in (base, tool))
+        frames, move = problem.arm.smallest(state.arm.frames, base_steps, tool_steps)
+        anchor = move[:3, :3] @ state.anchor + move[:3, 3]
+        return state._replace(arm=state.arm._replace(frames=frames), anchor=anchor)
+
+    def spaces(self) -> list[float]:
+        """Return the size [m] of the space in which each measurement was made."""
+        sizes = []
+        for kind in self.problem.kinds:
+            seen = kind.values[kind.visible]
+            if kind.name == "position":
+                sizes += [spread_of(seen)] * kind.values.shape[1]
+            else:
+                sizes.append(spread_of(seen[:, :3, 3]) if kind.name == "pose" else float(np.mean(seen)))
+        return sizes
+
+    def _value(self, state: State, cov: np.ndarray) -> KinematicCorrection:
+        arm, problem = self.problem.arm, self.problem
+        whole = np.zeros((problem.size, problem.size))
+        whole[np.ix_(self.used, self.used)] = cov
+        anchored = bool(self.used[arm.size + 3 * problem.points : -2].any())
+        return KinematicCorrection(
+            robot=arm.corrected(state.arm.frames),
+            robot_name=arm.robot.name,
+            robot_hash=arm.robot.hash,
+            harmonics=arm.orders,
+            amplitudes=state.arm.amplitudes,
+            coefficients=state.arm.coefficients,
+            cov=whole[: arm.size, : arm.size],
+            points=state.points,
+            anchor=state.anchor if anchored else None,
+            length_offset=float(state.length[0]),
+            length_scale=float(state.length[1]),
+        )
+
+
+def _table(data: Sequence[Measurement], problem: KinematicProblem) -> np.ndarray:
+    """Return residuals, a row per sample and then per pair, NaN where nothing was measured."""
+    rows = problem.first_pair + max((len(kind.values) for kind in problem.kinds if kind.pairs is not None), default=0)
+    table = np.full((rows, sum(one.r.shape[1] for one in data)), np.nan)
+    first = 0
+    for one in data:
+        table[one.sample, first : first + one.r.shape[1]] = one.r
+        first += one.r.shape[1]
+    return table

@@ -1,0 +1,276 @@
+"""Identifiability of an arm's parameters: gauge, directions that a kind of measurement never sees, joints at rest.
+
+Directions are in units of the limits. Three sorts of them are not seen. Gauge: what can go from one frame to the next.
+Missing by nature: a tool point says nothing of the tool's orientation, a distance nothing of where the base stands.
+Missing by the data: a joint that did not move, a tool point on the last axis, an unknown scale; these are refused, and
+so is every direction with a larger deviation than the limit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from armlab.calibrate.kinematics.model import Arm, ArmState, KinematicProblem, State
+from armlab.errors import NotExcited
+from armlab.estimation import Excitation
+from armlab.lie import se3, so3
+
+NULL = 1e-9  # relative singular value below which nothing is seen
+SEEN = 1e-8  # the same of a direction that is given, whose digits are rounded
+SAME = 0.9  # cosine above which a direction is the one that has a name
+PART = 0.3  # share of the largest component above which a component is named
+UNSEEN = np.inf
+LITTLE = 0.35  # rad or m: a joint that moves less is named where something is missing
+STILL = 1e-3
+TURNED, SHIFTED = 0.5, 0.3  # rad, and share of the reach, by which no link is away from its description
+
+
+@dataclass(frozen=True, eq=False)
+class UnobservableDirection:
+    """Directions (d, k) that may be unseen, what they are called, and what to do then."""
+
+    name: str
+    directions: np.ndarray
+    advice: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """Unknowns whose excitation is judged."""
+
+    names: Sequence[str]  # names, units: of the d unknowns
+    units: Sequence[str]
+    limits: np.ndarray  # (d,) the largest deviation that is accepted
+    gauge: np.ndarray  # (d, g) directions that nothing sees, with their names
+    gauge_names: Sequence[str]
+    nature: Sequence[UnobservableDirection]  # what this kind of data may never see
+    # returns what data may fail to see; asked where something is weak
+    suspects: Callable[[], Sequence[UnobservableDirection]]
+    what: str  # is fitted
+
+    def excitation(self, J: np.ndarray, hold: bool) -> Excitation:
+        """Judge the whitened Jacobian (m, d) of the data."""
+        A = np.asarray(np.linalg.qr(J, mode="r")) * self.limits if len(J) > J.shape[1] else J * self.limits
+        fixed, names = _independent(self.gauge / self.limits[:, None]), [f"gauge: {name}" for name in self.gauge_names]
+        largest = float(np.linalg.norm(A))
+        for suspect in self.nature if self._may_be_dark(A, fixed, largest) else ():
+            for v in (suspect.directions / self.limits[:, None]).T:
+                v = v - fixed @ (fixed.T @ v)
+                length = np.linalg.norm(v)
+                if length > SEEN and np.linalg.norm(A @ v) <= SEEN * largest * length:
+                    v = v / length
+                    fixed = np.column_stack([fixed, v - fixed @ (fixed.T @ v)])
+                    names.append(f"missing: {suspect.name}")
+        whole = np.linalg.svd(fixed, full_matrices=True)[0] if fixed.shape[1] else np.eye(len(self.limits))
+        rest = whole[:, fixed.shape[1] :]
+        _, found, rows = np.linalg.svd(A @ rest, full_matrices=len(A) < rest.shape[1])
+        singular = np.zeros(rest.shape[1])
+        singular[: len(found)] = found
+        vectors, unseen = rest @ rows.T, singular <= NULL * max(largest, np.finfo(float).tiny)
+        spread = np.divide(1.0, singular, out=np.full_like(singular, UNSEEN), where=~unseen)
+        weak = _Named.of(vectors[:, spread > 1.0], spread[spread > 1.0], self, fixed)
+        if weak.words and not hold:
+            raise NotExcited(weak.sentence(self.what), weak.words, weak.spreads)
+        missing = _Named.of(vectors[:, unseen], spread[unseen], self, fixed)
+        return Excitation(
+            rank=int(np.count_nonzero(~unseen)),
+            expected=len(singular),
+            singular_values=singular,
+            weakest=self.words(vectors[:, -1], spread[-1]) if len(singular) else "none",
+            scale=1.0 / self.limits,
+            vectors=vectors,
+            held=tuple(weak.words),
+            null_space=np.column_stack([fixed, missing.vectors]),
+            null_names=(*names, *(f"missing: {name}" for name in missing.each)),
+            spread=spread,
+        )
+
+    def _may_be_dark(self, A: np.ndarray, fixed: np.ndarray, largest: float) -> bool:
+        """Tell whether any direction of `nature` is unseen: all at once, as few ever are."""
+        if not self.nature:
+            return False
+        V = np.concatenate([suspect.directions for suspect in self.nature], axis=1) / self.limits[:, None]
+        V = V - fixed @ (fixed.T @ V)
+        lengths, seen = np.linalg.norm(V, axis=0), np.linalg.norm(A @ V, axis=0)
+        return bool(np.any((lengths > SEEN) & (seen <= SEEN * largest * lengths)))
+
+    def words(self, v: np.ndarray, spread: float) -> str:
+        """Name a direction by its largest components, with their deviation."""
+        order = [int(i) for i in np.argsort(-np.abs(v))[:3]]
+        kept = [i for i in order if abs(v[i]) > PART * abs(v[order[0]])]
+        text, i = " and ".join(self.names[i] for i in kept), order[0]
+        if not np.isfinite(spread):
+            return text
+        return f"{text} ({self.names[i]} to {abs(v[i]) * spread * self.limits[i]:.2g} {self.units[i]})"
+
+
+def spread_covariance(vectors: np.ndarray, spread: np.ndarray, limits: np.ndarray) -> np.ndarray:
+    """Return the covariance of what was seen, from orthonormal directions and deviations in units of the limits."""
+    seen = np.isfinite(spread)
+    reach = limits[:, None] * vectors[:, seen] * spread[seen]
+    return reach @ reach.T
+
+
+@dataclass(frozen=True, eq=False)
+class _Named:
+    """Weak directions with their names: `words` once for each cause, `each` and `vectors` (d, w) for each direction."""
+
+    words: list[str]
+    spreads: list[str]
+    advice: list[str]
+    each: list[str]
+    vectors: np.ndarray
+
+    @classmethod
+    def of(cls, W: np.ndarray, spread: np.ndarray, judgement: Judgement, fixed: np.ndarray) -> _Named:
+        words, spreads, advice, each = [], [], [], []
+        if not W.shape[1]:
+            return cls(words, spreads, advice, each, W)
+        parts, left, worst = [], W, float(np.max(spread))
+        for suspect in judgement.suspects():
+            D = suspect.directions / judgement.limits[:, None]
+            known = np.column_stack([fixed, *parts])
+            Q = _independent(D - known @ (known.T @ D))
+            if not Q.shape[1] or not left.shape[1]:
+                continue
+            _, cosine, turn = np.linalg.svd(Q.T @ left, full_matrices=True)
+            k = int(np.count_nonzero(cosine > SAME))
+            if k:
+                parts.append(left @ turn[:k].T)
+                left = left @ turn[k:].T
+                words.append(suspect.name)
+                spreads.append(_spread_text(worst))
+                advice.append(suspect.advice)
+                each += [suspect.name] * k
+        for v in left.T:
+            near = spread[np.argmax(np.abs(W.T @ v))]
+            words.append(judgement.words(v, near))
+            spreads.append(_spread_text(near))
+            each.append(words[-1])
+        return cls(words, spreads, advice, each, np.column_stack([*parts, left]))
+
+    def sentence(self, what: str) -> str:
+        todo = " ".join(dict.fromkeys(text for text in self.advice if text))
+        return (
+            f"Expected measurements that tell every direction of the {what}, got {len(self.words)} that they do not, "
+            f"or worse than the limit: {'; '.join(self.words)}. "
+            f"{todo or 'Measure at more and more different positions of all joints.'} "
+            "With weak='prior' the fit goes on and holds them near their nominal values."
+        )
+
+
+def _spread_text(spread: float) -> str:
+    return f"{spread:.2g} times the limit" if np.isfinite(spread) else "unseen"
+
+
+def _independent(D: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis of the columns, in their order where they are independent."""
+    if not D.shape[1]:
+        return D
+    lengths = np.linalg.norm(D, axis=0)
+    Q, R = np.linalg.qr(D / np.where(lengths > 0, lengths, 1.0))
+    kept = np.abs(np.diag(R)) > SEEN
+    if kept.all():
+        return Q
+    U, singular, _ = np.linalg.svd(D / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
+    return U[:, singular > SEEN]
+
+
+def far_links(arm: Arm, frames: np.ndarray, whose: str = "") -> list[str]:
+    """Return what a report says of the link that is farthest from its description, if it is far."""
+    twists = arm.corrections(frames)[1:-1]
+    if not len(twists):
+        return []
+    shift, turn = np.linalg.norm(twists[:, :3], axis=1), np.linalg.norm(twists[:, 3:], axis=1)
+    reach = float(np.linalg.norm(arm.start[1:, :3, 3], axis=1).sum()) or 1.0
+    share = np.maximum(turn / TURNED, shift / (SHIFTED * reach))
+    j = int(np.argmax(share))
+    if share[j] < 1.0:
+        return []
+    return [
+        f"link {j + 1}{whose} is {shift[j]:.2g} m and {turn[j]:.2g} rad from its description: a reversed joint, an "
+        "offset of a joint, left-handed measurements, another arm?"
+    ]
+
+
+def joints_at_rest(arm: Arm, frames: np.ndarray, at: int, size: int, whose: str = "") -> list[UnobservableDirection]:
+    """Return for each joint that moves little what goes through it from one frame to the next."""
+    found = []
+    reach = np.ptp(arm.q, axis=0)
+    for j in np.flatnonzero(reach < LITTLE):
+        Z, middle = np.eye(4), float(np.mean(arm.q[:, j]))
+        if arm.robot.prismatic[j]:
+            Z[2, 3] = middle
+        else:
+            Z[:3, :3] = so3.exp([0.0, 0.0, middle])
+        D = np.zeros((size, 6))
+        D[at + 6 * j : at + 6 * j + 6] = np.eye(6)
+        D[at + 6 * j + 6 : at + 6 * j + 12] = -se3.adjoint_inv(Z @ frames[j + 1])
+        unit = "mm" if arm.robot.prismatic[j] else "deg"
+        moved = reach[j] * 1000.0 if arm.robot.prismatic[j] else np.degrees(reach[j])
+        name = f"joint {j + 1}{whose} " + ("did not move" if reach[j] < STILL else f"moved by only {moved:.2g} {unit}")
+        found.append(UnobservableDirection(name, D, f"Move joint {j + 1}{whose} over its range."))
+    return found
+
+
+def arm_scale(arm: Arm, frames: np.ndarray) -> np.ndarray:
+    """Return the direction (d,) in which all lengths of the arm grow."""
+    direction = np.zeros(arm.size)
+    direction[: 6 * len(frames)].reshape(-1, 6)[:, :3] = np.einsum("jba,jb->ja", frames[:, :3, :3], frames[:, :3, 3])
+    return direction
+
+
+def never_seen(problem: KinematicProblem, state: State) -> list[UnobservableDirection]:
+    """Return what a kind of measurement may never see: where the base stands, how the tool is turned, all positions."""
+    arm, size = problem.arm, problem.size
+    frames, b = state.arm.frames, arm.size + 3 * problem.points
+    shifts = np.zeros((size, 6))
+    shifts[:6] = se3.adjoint_inv(frames[0])
+    shifts[b : b + 3] = np.hstack([np.eye(3), -so3.hat(state.anchor)])  # the anchor goes with the base
+    found = [
+        UnobservableDirection(f"measurement frame, {verb} {letter}", shifts[:, [k]])
+        for k, (verb, letter) in enumerate((verb, letter) for verb in ("shift along", "turn about") for letter in "xyz")
+    ]
+    if not problem.points:
+        turns = np.zeros((size, 3))
+        turns[6 * arm.n + 3 : 6 * arm.n + 6] = np.eye(3)
+        found += [UnobservableDirection(f"tool orientation about {'xyz'[k]}", turns[:, [k]]) for k in range(3)]
+    places = arm.names
+    if all(kind.name == "pose" and kind.kept.min() >= 3 for kind in problem.kinds):
+        for j in range(arm.n + 1):
+            for k in range(3):
+                column = np.zeros((size, 1))
+                column[6 * j + k] = 1.0
+                found.append(UnobservableDirection(f"{places[6 * j + k]} (only orientation is measured)", column))
+    return found
+
+
+def may_be_missing(problem: KinematicProblem, state: State) -> list[UnobservableDirection]:
+    """Return what the data may fail to see."""
+    arm, size = problem.arm, problem.size
+    a, b = arm.size, arm.size + 3 * problem.points
+    found = joints_at_rest(arm, state.arm.frames, 0, size)
+    if not problem.points and not arm.robot.prismatic[-1]:
+        found.append(_on_last_axis(arm, state.arm, size))
+    scale = np.zeros((size, 1))
+    scale[:a, 0] = arm_scale(arm, state.arm.frames)
+    scale[a:b, 0] = state.points.ravel()
+    if problem.points and problem.tool_held:
+        scale[6 * arm.n : 6 * arm.n + 6] = 0.0
+        scale[a:b, 0] += np.tile(state.arm.frames[-1, :3, :3].T @ state.arm.frames[-1, :3, 3], problem.points)
+    scale[b : b + 3, 0] = state.anchor
+    scale[-1] = -state.length[1]
+    advice = "Measure one length that is known, or give the scale of the instrument."
+    return [*found, UnobservableDirection("overall scale", scale, advice)]
+
+
+def _on_last_axis(arm: Arm, state: ArmState, size: int) -> UnobservableDirection:
+    """Return tilts of the last axis about the tool point."""
+    D = np.zeros((size, 2))
+    D[6 * arm.n - 6 : 6 * arm.n - 3] = so3.hat([0.0, 0.0, state.frames[-1, 2, 3]])[:, :2]
+    D[6 * arm.n - 3 : 6 * arm.n] = np.eye(3)[:, :2]
+    name = f"tool point lies on the axis of joint {arm.n}"
+    return UnobservableDirection(name, D, f"Mount the target away from the axis of joint {arm.n}.")

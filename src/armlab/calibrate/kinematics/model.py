@@ -1,0 +1,461 @@
+"""Model of a kinematic calibration: unknowns of one arm, residuals of any kinds of measurement with their Jacobian.
+
+The frames are those of `robots.Robot`, whose joint axes are z: ``T = E_0 Z_1 E_1 ... Z_n E_n``. A step moves each to
+``E_j Exp([v; w])``. What commutes with Z_j can go from E_{j-1} to E_j and no measurement sees it: the gauge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from armlab.calibrate.kinematics.measurements import Kind
+from armlab.estimation import Measurement
+from armlab.kernels import Chain
+from armlab.kinematics import frame_poses, twist_jacobian
+from armlab.lie import se3, so3
+from armlab.models.kinematic_correction import harmonic_basis
+from armlab.robots import Robot
+
+GAUGE = {False: (2, 5), True: (0, 1, 2, 5)}  # components of [v; w] that commute with Rz, with Tz
+SMALLEST_ROUNDS, SMALLEST_STEP = 20, 1e-12
+SAME = 1e-2  # m and rad: after a step as short the gauge has hardly turned
+TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
+HARMONIC_PRIOR = np.radians(0.1)  # without it amplitudes run to degrees against the geometry
+
+
+class ArmState(NamedTuple):
+    """The unknowns of an arm: frames (n+1, 4, 4), amplitudes (n, 2 m), coefficients (L,)."""
+
+    frames: np.ndarray
+    amplitudes: np.ndarray
+    coefficients: np.ndarray
+
+
+class Motion(NamedTuple):
+    """Where frames and tool are at every sample: P (N, n+1, 4, 4), the last of which is the tool."""
+
+    P: np.ndarray
+
+    @property
+    def T(self) -> np.ndarray:
+        """Poses of the tool (N, 4, 4)."""
+        return self.P[:, -1]
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """What is known of an arm and its samples."""
+
+    robot: Robot  # nominal
+    start: np.ndarray  # (n+1, 4, 4) its frames, the first perhaps moved to the measurement
+    q: np.ndarray  # (N, n)
+    waves: np.ndarray  # (N, n, 2 m) harmonics at q
+    terms: np.ndarray  # (N, n, L)
+    orders: tuple[int, ...]  # of the harmonics
+    chart: str = "local_poe"  # "local_poe", or "poe": steps turn the screws S_j in the base and the home pose M
+
+    @classmethod
+    def of(cls, robot: Robot, q: np.ndarray, orders: tuple[int, ...], terms: np.ndarray, chart: str) -> Arm:
+        """Return the arm at its nominal frames."""
+        return cls(robot, np.array(robot.frames), q, harmonic_basis(q, orders), terms, orders, chart)
+
+    @cached_property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.robot.n
+
+    @cached_property
+    def size(self) -> int:
+        """Number of unknowns, gauge included."""
+        return 6 * (self.n + 1) + self.waves[0].size + self.terms.shape[2]
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Name of every unknown."""
+        places = ["base", *(f"link {j}" for j in range(1, self.n)), "tool"]
+        frames = [f"{place} {letter}" for place in places for letter in TWIST]
+        waves = [f"{what} {k}q" for k in self.orders for what in ("cos", "sin")]
+        joints = [f"joint {j + 1} {wave}" for j in range(self.n) for wave in waves]
+        return (*frames, *joints, *(f"joint term {i + 1}" for i in range(self.terms.shape[2])))
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """Unit of every unknown; that of a joint term is rad (or m) per unit of the term."""
+        twists = (*("m",) * 3, *("rad",) * 3) * (self.n + 1)
+        return (*twists, *("rad",) * self.waves[0].size, *("rad/unit",) * self.terms.shape[2])
+
+    def sizes(self, length: float, angle: float) -> np.ndarray:
+        """Return (d,) a length for metres, an angle for radians, what turns a joint by the angle for joint terms."""
+        twists = np.tile([*(length,) * 3, *(angle,) * 3], self.n + 1)
+        parts = [twists, np.full(self.waves[0].size, angle)]
+        if self.terms.shape[2]:
+            rms = np.sqrt(np.mean(self.terms**2, axis=(0, 1)))
+            parts.append(angle / np.where(rms > 0, rms, 1.0))
+        return np.concatenate(parts)
+
+    @cached_property
+    def unbound(self) -> np.ndarray:
+        """Mask (d,) of unknowns that remain when the gauge is left out: every frame but along the axis after it."""
+        kept = np.ones(self.size, dtype=bool)
+        for j, slides in enumerate(self.robot.prismatic):
+            kept[[6 * j + k for k in GAUGE[bool(slides)]]] = False
+        return kept & self.existing
+
+    @cached_property
+    def existing(self) -> np.ndarray:
+        """Mask (d,) without the harmonics of joints that slide."""
+        kept = np.ones(self.size, dtype=bool)
+        waves = np.repeat(~self.robot.prismatic, self.waves.shape[2])
+        kept[6 * (self.n + 1) : 6 * (self.n + 1) + len(waves)] = waves
+        return kept
+
+    def first(self) -> ArmState:
+        """Return the start."""
+        return ArmState(self.start, np.zeros(self.waves.shape[1:]), np.zeros(self.terms.shape[2]))
+
+    def plus(self, state: ArmState, x: np.ndarray) -> ArmState:
+        """Return the state after a step x (d,)."""
+        frames = se3.exp(x[: 6 * (self.n + 1)].reshape(-1, 6))
+        waves = x[6 * (self.n + 1) : self.size - self.terms.shape[2]].reshape(self.waves.shape[1:])
+        moved = state.frames @ frames if self.chart == "local_poe" else _turned(state.frames, frames)
+        terms = x[self.size - self.terms.shape[2] : self.size]
+        return ArmState(moved, state.amplitudes + waves, state.coefficients + terms)
+
+    def move(self, state: ArmState) -> Motion:
+        """Return where everything is."""
+        q = self.q
+        if self.orders:
+            q = q + np.sum(self.waves * state.amplitudes, axis=2)
+        if self.terms.shape[2]:
+            q = q + self.terms @ state.coefficients
+        return Motion(frame_poses(Chain(state.frames, self.robot.prismatic), state.frames, q))
+
+    def jacobian(self, state: ArmState, P: np.ndarray, point: np.ndarray, local: bool = False) -> np.ndarray:
+        """Return (N, 6, d), how a point (N, 3) fixed to the tool moves and turns, in the axes of P (N, n+1, 4, 4).
+
+        `local` asks for steps of the frames, whatever the chart.
+        """
+        J = twist_jacobian(P, point)
+        turning = J[:, :, np.arange(self.n), np.where(self.robot.prismatic, 2, 5)]
+        flat = J.reshape(len(P), 6, -1)
+        parts = [flat if local or self.chart == "local_poe" else flat @ frame_steps(state.frames)]
+        if self.orders:
+            parts.append((turning[..., None] * self.waves[:, None]).reshape(len(P), 6, -1))
+        if self.terms.shape[2]:
+            parts.append(turning @ self.terms)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=2)
+
+    def gauge(self, frames: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+        """Return directions (d, g) that nothing sees at these frames, and their names."""
+        joints, parts, names = self.moving
+        back, count = se3.adjoint_inv(frames[1:]), np.arange(len(joints))
+        G = np.zeros((self.size, len(joints)))
+        G[6 * joints + parts, count] = 1.0
+        G[6 * (joints + 1)[:, None] + np.arange(6), count[:, None]] = -back[joints, :, parts]
+        return G, names
+
+    @cached_property
+    def moving(self) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+        """Joint and component (g,) of each twist that goes through a joint, and its name."""
+        joints, parts, names = [], [], []
+        for j, slides in enumerate(self.robot.prismatic):
+            for k in GAUGE[bool(slides)]:
+                verb = "turn about" if k == 5 else "slide along" if k == 2 else f"shift {'xy'[k]} of"
+                joints.append(j)
+                parts.append(k)
+                names.append(f"{verb} the axis of joint {j + 1}")
+        return np.array(joints), np.array(parts), tuple(names)
+
+    def corrections(self, frames: np.ndarray) -> np.ndarray:
+        """Return the twists (n+1, 6) that lead from the start to the frames."""
+        return se3.log(se3.inv(self.start) @ frames)
+
+    def smallest(self, frames: np.ndarray, base: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return equal frames that are as near to the start as can be, and how the base was moved (4, 4).
+
+        `base` (6, b) and `tool` (6, t) are twists that nothing sees: of the base, in measurement axes, and of the tool.
+        """
+        frames, whole = np.array(frames), np.eye(4)
+        rows, columns, _ = self.moving
+        length, W = np.inf, np.zeros((0, 0))
+        for _ in range(SMALLEST_ROUNDS):
+            base_steps, tool_steps = (
+                np.zeros((6 * len(frames), base.shape[1])),
+                np.zeros((6 * len(frames), tool.shape[1])),
+            )
+            base_steps[:6], tool_steps[-6:] = se3.adjoint_inv(frames[0]) @ base, tool
+            G = np.hstack([self.gauge(frames)[0][: len(base_steps)], base_steps, tool_steps])
+            if length > SAME:  # nearer, the same W W^T = (G^T G)^+ serves
+                _, s, V = np.linalg.svd(G, full_matrices=False)
+                W = V[s > 1e-9 * s[0]].T / s[s > 1e-9 * s[0]]
+            step = -W @ (W.T @ (G.T @ self.corrections(frames).ravel()))
+            twists, turned = np.zeros((self.n, 6)), len(rows) + base.shape[1]
+            twists[rows, columns] = step[: len(rows)]
+            frames[:-1] = frames[:-1] @ se3.exp(twists)
+            frames[1:] = se3.exp(-twists) @ frames[1:]
+            move = se3.exp(base @ step[len(rows) : turned])
+            frames[0], whole = move @ frames[0], move @ whole
+            frames[-1] = frames[-1] @ se3.exp(tool @ step[turned:])
+            length = np.abs(step).max()
+            if length < SMALLEST_STEP:
+                break
+        return frames, whole
+
+    def corrected(self, frames: np.ndarray) -> Robot:
+        """Return the robot with these frames; gravity turns with the base."""
+        robot = self.robot
+        links = np.array(robot.links)
+        links[1:-1] = frames[1:-1]
+        T_base_mount = frames[0] @ se3.inv(links[0])
+        turn = T_base_mount[:3, :3] @ robot.T_base_mount[:3, :3].T
+        return replace(
+            robot,
+            links=links,
+            T_base_mount=T_base_mount,
+            T_flange_tool=se3.inv(links[-1]) @ frames[-1],
+            gravity=turn @ robot.gravity,
+            source=f"{robot.source}; corrected by armlab.calibrate".lstrip("; "),
+        )
+
+
+def frame_steps(frames: np.ndarray) -> np.ndarray:
+    """Return the steps of the frames (d, d) that belong to steps of the screws and the home pose in the base.
+
+    With ``C_j = E_0 ... E_j`` the screw of joint j + 1 is ``Ad(C_j) e_z``; ``C_j Exp(x_j)`` for all j makes
+    ``E_j Exp(x_j - Ad(E_j^-1) x_{j-1})``. The column block of T is then ``Ad(C_j) - Ad(exp(S q) C_j)`` as it must be.
+    """
+    m = len(frames)
+    steps = np.eye(6 * m)
+    for j, back in enumerate(se3.adjoint_inv(frames[1:]), start=1):
+        steps[6 * j : 6 * j + 6, 6 * j - 6 : 6 * j] = -back
+    return steps
+
+
+def _turned(frames: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Return frames (n+1, 4, 4) whose products E_0 ... E_j have moved by steps in their own axes."""
+    moved = np.empty_like(frames)
+    moved[0] = frames[0] @ steps[0]
+    moved[1:] = se3.inv(steps[:-1]) @ frames[1:] @ steps[1:]
+    return moved
+
+
+class State(NamedTuple):
+    """The unknowns: the arm, points (K, 3) in tool axes, anchor (3,), offset and scale (2,) of lengths."""
+
+    arm: ArmState
+    points: np.ndarray
+    anchor: np.ndarray
+    length: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class KinematicProblem:
+    """One arm, what was measured, and which unknowns there are."""
+
+    arm: Arm  # the arm
+    kinds: tuple[Kind, ...]  # what was measured
+    active: np.ndarray  # (d,) mask of the components of a step
+    points: int  # number of tool points that are unknown
+    prior: tuple[float, float] | None  # (metres, radians) of the links, or None
+
+    @cached_property
+    def size(self) -> int:
+        """Number of unknowns, gauge included: arm, points, anchor, offset and scale of lengths."""
+        return self.arm.size + 3 * self.points + 5
+
+    @property
+    def waves(self) -> int:
+        """Number of amplitudes."""
+        return self.arm.waves[0].size
+
+    @property
+    def tool_held(self) -> bool:
+        """True where several tool points are all that is known of the tool: they move, its frame does not."""
+        return self.points > 0 and all(kind.name == "position" for kind in self.kinds)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of every unknown."""
+        points = [f"point {k + 1} {letter}" for k in range(self.points) for letter in "xyz"]
+        return (*self.arm.names, *points, "anchor x", "anchor y", "anchor z", "length offset", "length scale")
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of every unknown."""
+        return (*self.arm.units, *("m",) * (3 * self.points + 4), "-")
+
+    def sizes(self, length: float, angle: float) -> np.ndarray:
+        """Return (d,) a length for metres, an angle for radians and for the scale of lengths."""
+        lengths = np.full(3 * self.points + 4, length)
+        return np.concatenate([self.arm.sizes(length, angle), lengths, [angle]])
+
+    def values(self, state: State) -> np.ndarray:
+        """Return all unknowns (d,); frames by the twists that lead to them from the start."""
+        arm = state.arm
+        twists = self.arm.corrections(arm.frames).ravel()
+        joints = [arm.amplitudes.ravel(), arm.coefficients]
+        return np.concatenate([twists, *joints, state.points.ravel(), state.anchor, state.length])
+
+    def gauge(self, state: State, used: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+        """Return directions (d, g) that nothing sees and that move what is used only, and their names."""
+        arm, a = self.arm, self.arm.size
+        inner, names = arm.gauge(state.arm.frames)
+        G = np.zeros((self.size, len(names)))
+        G[:a] = inner
+        if self.tool_held:  # what goes through the last joint reaches the points, not the tool
+            tool = G[6 * arm.n : 6 * arm.n + 6].copy()
+            G[6 * arm.n : 6 * arm.n + 6] = 0.0
+            for k, point in enumerate(state.points):
+                G[a + 3 * k : a + 3 * k + 3] = tool[:3] + np.cross(tool[3:].T, point).T
+        out = G[~used]
+        if not np.abs(out).max(initial=0.0) > 0:
+            return G, names
+        _, singular, rows = np.linalg.svd(out)
+        mixed = rows[np.count_nonzero(singular > 1e-9) :]
+        return G @ mixed.T, tuple(_mixture(row, names) for row in mixed)
+
+    def retract(self, state: State, y: np.ndarray) -> State:
+        """Return the state after a step of the active components."""
+        x = np.zeros(self.size)
+        x[self.active] = y
+        a, b = self.arm.size, self.arm.size + 3 * self.points
+        moved = self.arm.plus(state.arm, x[:a])
+        return State(
+            moved, state.points + x[a:b].reshape(-1, 3), state.anchor + x[b : b + 3], state.length + x[b + 3 :]
+        )
+
+    def evaluate(self, state: State) -> list[Measurement]:
+        """Return residuals with their derivatives by the active components."""
+        found = [chosen(one, self.active) for one in self.measurements(state)]
+        return [*found, *(chosen(one, self.active) for one in self.priors(state))]
+
+    def measurements(self, state: State, local: bool = False) -> list[Measurement]:
+        """Return residuals of the data with their derivatives by all components.
+
+        `local` asks for derivatives by steps of the frames, whatever the chart.
+        """
+        motion = self.arm.move(state.arm)
+        J = self.arm.jacobian(state.arm, motion.P, motion.T[:, :3, 3], local)
+        found: list[Measurement] = []
+        for kind in self.kinds:
+            make = {"pose": self._pose, "position": self._position, "distance": self._distance}.get(kind.name)
+            found += [self._pair(kind, state, motion, J)] if make is None else make(kind, state, motion, J, local)
+        return found
+
+    def priors(self, state: State, local: bool = False) -> Iterator[Measurement]:
+        """Yield what is known before: amplitudes are small; links are nearly nominal, if they are to be held."""
+        arm, d = self.arm, self.size
+        if arm.orders:
+            yield amplitude_prior(arm, state.arm, d)
+        if self.prior is not None and arm.n > 1:
+            yield link_prior(arm, state.arm, self.prior, d, local=local)
+
+    def _pose(self, kind: Kind, state: State, motion: Motion, J: np.ndarray, local: bool) -> list[Measurement]:
+        rows, T, measured = np.flatnonzero(kind.visible), motion.T, kind.values
+        if len(rows) < len(T):
+            T, measured, J = T[rows], measured[rows], J[rows]
+        r, J = pose_residual(T, measured, J)
+        if len(kind.kept) < 6:
+            r, J = r[:, kind.kept], J[:, kind.kept]
+        return [Measurement(r, self._wide(J), kind.noise(rows), kind.classes, rows)]
+
+    def _position(self, kind: Kind, state: State, motion: Motion, J: np.ndarray, local: bool) -> list[Measurement]:
+        found = []
+        for k in range(kind.values.shape[1]):
+            rows, T = np.flatnonzero(kind.visible[:, k]), motion.T
+            if not self.points:
+                r, wide = kind.values[rows, 0] - T[rows, :3, 3], self._wide(-J[rows, :3])
+            else:
+                point = T[:, :3, 3] + T[:, :3, :3] @ state.points[k]
+                r = (kind.values[:, k] - point)[rows]
+                wide = self._wide(-self.arm.jacobian(state.arm, motion.P, point, local)[rows, :3])
+                a = self.arm.size + 3 * k
+                wide[:, :, a : a + 3] = -T[rows, :3, :3]
+            found.append(Measurement(r[:, kind.kept], wide[:, kind.kept], kind.noise(rows), kind.classes, rows))
+        return found
+
+    def _distance(self, kind: Kind, state: State, motion: Motion, J: np.ndarray, local: bool) -> list[Measurement]:
+        rows = np.flatnonzero(kind.visible)
+        away = motion.T[rows, :3, 3] - state.anchor
+        length, along = _lengths(away)
+        wide = self._wide(-state.length[1] * (along[:, None] @ J[rows, :3]))
+        b = self.arm.size + 3 * self.points
+        wide[:, 0, b : b + 3] = state.length[1] * along
+        r = _instrument(wide, kind.values[rows], length, state.length)
+        return [Measurement(r, wide, kind.noise(rows), kind.classes, rows)]
+
+    def _pair(self, kind: Kind, state: State, motion: Motion, J: np.ndarray) -> Measurement:
+        rows = np.flatnonzero(kind.visible)
+        i, j = (np.zeros((2, 0), dtype=int) if kind.pairs is None else kind.pairs)[:, rows]
+        length, along = _lengths(motion.T[i, :3, 3] - motion.T[j, :3, 3])
+        wide = self._wide(-state.length[1] * (along[:, None] @ (J[i, :3] - J[j, :3])))
+        r = _instrument(wide, kind.values[rows], length, state.length)
+        return Measurement(r, wide, kind.noise(rows), kind.classes, rows + self.first_pair)
+
+    @property
+    def first_pair(self) -> int:
+        """Number of the first pair among samples: they come after the rows of q, or alone."""
+        return 0 if all(kind.name == "pair_distance" for kind in self.kinds) else len(self.arm.q)
+
+    def _wide(self, J: np.ndarray) -> np.ndarray:
+        """Return derivatives by the arm with zeros for the other unknowns."""
+        wide = np.zeros((*J.shape[:2], self.size))
+        wide[:, :, : J.shape[2]] = J
+        return wide
+
+
+def pose_residual(T: np.ndarray, measured: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return residuals (N, 6) of poses and their derivatives, from the motion J (N, 6, d) of the tool, base axes."""
+    R = T[:, :3, :3].transpose(0, 2, 1)
+    turn = so3.log(R @ measured[:, :3, :3])
+    r = np.concatenate([measured[:, :3, 3] - T[:, :3, 3], turn], axis=1)
+    moved = np.empty_like(J)
+    np.negative(J[:, :3], out=moved[:, :3])
+    np.matmul(-(so3.left_jacobian_inv(turn) @ R), J[:, 3:], out=moved[:, 3:])
+    return r, moved
+
+
+def amplitude_prior(arm: Arm, state: ArmState, size: int, at: int = 0) -> Measurement:
+    """Return the prior on the amplitudes of harmonics; the arm's unknowns begin at `at`."""
+    first = at + 6 * (arm.n + 1)
+    J = np.eye(size)[first : first + state.amplitudes.size, None]
+    cov = np.full(1, HARMONIC_PRIOR**2)
+    return Measurement(state.amplitudes.reshape(-1, 1), J, cov, ("prior",), prior=True)
+
+
+def link_prior(
+    arm: Arm, state: ArmState, prior: tuple[float, float], size: int, at: int = 0, local: bool = False
+) -> Measurement:
+    """Return the prior on the frames between the joints, none on base and tool; the arm's unknowns begin at `at`."""
+    twists = arm.corrections(state.frames)[1:-1]
+    steps = np.eye(6 * (arm.n + 1)) if local or arm.chart == "local_poe" else frame_steps(state.frames)
+    J = np.zeros((arm.n - 1, 6, size))
+    J[:, :, at : at + len(steps)] = se3.left_jacobian_inv(-twists) @ steps[6:-6].reshape(arm.n - 1, 6, -1)
+    cov = np.repeat(np.square(prior), 3)
+    return Measurement(twists, J, cov, ("prior",) * 6, prior=True)
+
+
+def _mixture(row: np.ndarray, names: Sequence[str]) -> str:
+    """Name a combination by its largest parts."""
+    order = [int(i) for i in np.argsort(-np.abs(row))]
+    return " with ".join(names[i] for i in order[:3] if abs(row[i]) > 0.3 * abs(row[order[0]]))
+
+
+def chosen(one: Measurement, active: np.ndarray) -> Measurement:
+    return Measurement(one.r, one.J[:, :, active], one.cov, one.classes, one.sample, one.prior)
+
+
+def _lengths(away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    length = np.linalg.norm(away, axis=1)
+    return length, away / np.where(length > 0, length, 1.0)[:, None]
+
+
+def _instrument(wide: np.ndarray, measured: np.ndarray, length: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Write the derivatives by offset and scale into the last two columns; return the residuals (N, 1)."""
+    wide[:, 0, -2], wide[:, 0, -1] = -1.0, -length
+    return (measured - known[1] * length - known[0])[:, None]

@@ -1,0 +1,367 @@
+"""A laser line on a plate: residuals in the laser plane with their Jacobian.
+
+With g = R_i^T n, c = R_X^T g, h = d - n.t_i - g.t_X and k = hypot(c_x, c_y):
+
+    e1 = (c_x p_x + c_y p_y - h) / k [m],        e2 = asin((c_x l_x + c_y l_y) / k) [rad]
+
+First values come from one linear system per plate, then rotations of a cube, then random ones. Refusals say which
+directions scans do not determine, or why scans do not fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import permutations, product
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from armlab.calibrate.diagnostics import ALIGNED, UNSEEN, axis_text, require_two_axes
+from armlab.calibrate.inputs import rows_text
+from armlab.errors import NotConverged, NotExcited, ShapeError
+from armlab.estimation import Measurement, Problem
+from armlab.lie import quaternion, so3
+
+TINY = 1e-12
+ENOUGH = 15  # scans of a plate that a linear start needs
+RESTARTS = 20
+PRODUCT = 0.3  # second singular value over the first beyond which what should be a product is none
+LIMITS = (0.2, 0.2)  # largest deviations accepted: share of the spread of the points, and [rad]
+FLAT = 0.05  # sine of the angle between plate and laser plane below which a scan is not one
+SHAKEN = 1e-3  # rad: orientations of robots are no better; a turn that they could make by that is none
+UNITS = 2.0  # factor between units of length from which it is reported
+FAR = 20.0  # factor from which nothing is tried
+ROUGH = 0.1  # residual over the spread of the points from which scans do not fit
+FAR_APART = 30.0  # m: no cell is as large, but one of 30 cm is in millimetres
+TURNED = 0.2  # rad between lines and plates from which they do not
+
+
+class Scene(NamedTuple):
+    """Pose of the sensor on the tool, and planes: R (3, 3), t (3,), n (P, 3), d (P,)."""
+
+    R: np.ndarray
+    t: np.ndarray
+    n: np.ndarray
+    d: np.ndarray
+
+    def plus(self, x: np.ndarray) -> Scene:
+        """Return the scene after a step (v, w, then two tilts and an offset for each plane)."""
+        tilts = x[6:].reshape(-1, 3)
+        n = self.n + np.einsum("jab,jb->ja", tangents(self.n), tilts[:, :2])
+        n /= np.linalg.norm(n, axis=1, keepdims=True)
+        return Scene(self.R @ so3.exp(x[3:6]), self.t + x[:3], n, self.d + tilts[:, 2])
+
+    def oriented(self) -> Scene:
+        """Return it with normals that point away from the origin."""
+        sign = np.where(self.d < 0, -1.0, 1.0)
+        return Scene(self.R, self.t, self.n * sign[:, None], self.d * sign)
+
+
+def tangents(n: np.ndarray) -> np.ndarray:
+    """Return bases (P, 3, 2) of the planes across unit normals (P, 3)."""
+    cross = so3.hat(n)
+    B = np.empty((len(n), 3, 2))
+    first = -cross[np.arange(len(n)), :, np.argmin(np.abs(n), axis=1)]  # e x n, e the axis farthest from n
+    B[:, :, 0] = first / np.sqrt(np.einsum("ji,ji->j", first, first))[:, None]
+    B[:, :, 1:] = cross @ B[:, :, :1]
+    return B
+
+
+@dataclass(frozen=True, eq=False)
+class Scans:
+    """Scans of plates, as lines or as points."""
+
+    RA: np.ndarray  # RA, tA: (N, 3, 3), (N, 3) of T_base_tool
+    tA: np.ndarray
+    plane: np.ndarray  # (N,) number of the plate
+    p: np.ndarray  # p, line: (N, 2) point and unit direction of the line in each scan
+    line: np.ndarray
+    points: np.ndarray | None  # (M, 2) raw, or None; then lines are what was measured
+    owner: np.ndarray  # (M,) scan of each point
+    noise: np.ndarray | None  # (2,) variances of point and angle, (1,) of points; None when it is to be estimated
+
+    @property
+    def N(self) -> int:
+        """Number of scans."""
+        return len(self.tA)
+
+    @cached_property
+    def linear(self) -> dict[float, Any]:
+        """What was found of each plate alone, see `linear_rotations`: asked for units and for starts."""
+        return {}
+
+    @cached_property
+    def P(self) -> int:
+        """Number of plates."""
+        return int(self.plane.max()) + 1
+
+    def without(self, i: int) -> Scans:
+        """Return all scans but one."""
+        keep, rows = np.arange(self.N) != i, self.owner != i
+        owner = self.owner[rows] - (self.owner[rows] > i)
+        points = None if self.points is None else self.points[rows]
+        return Scans(
+            self.RA[keep], self.tA[keep], self.plane[keep], self.p[keep], self.line[keep], points, owner, self.noise
+        )
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers were measured."""
+        return 2 * self.N if self.points is None else len(self.points)
+
+    def seen(self, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return g, c (N, 3) and h (N,)."""
+        n = scene.n[self.plane]
+        g = np.einsum("nij,ni->nj", self.RA, n)
+        return g, g @ scene.R, scene.d[self.plane] - np.sum(n * self.tA, axis=1) - g @ scene.t
+
+    def slant(self, scene: Scene) -> np.ndarray:
+        """Return k (N,): sine of the angle between plate and laser plane."""
+        return np.hypot(*self.seen(scene)[1][:, :2].T)
+
+    def evaluate(self, scene: Scene) -> list[Measurement]:
+        """Return the distance of points from the plate in the laser plane, and the angle of lines.
+
+        With a = p - e1 c / k and b = (-c_y, c_x) / k^2, in the laser plane: de1 = (a . dc - dh) / k, de2 = +- b . dc.
+        """
+        g, c, h = self.seen(scene)
+        k = np.maximum(np.hypot(c[:, 0], c[:, 1]), TINY)
+        r = self._off(c, h, k)
+        own, p = (slice(None), self.p) if self.points is None else (self.owner, self.points)
+        c, k, classes = c[own], k[own, None], ("p", "l")[: r.shape[1]]
+        levers = np.empty((len(r), r.shape[1], 2))  # of dc in the laser plane
+        levers[:, 0] = (p - r[:, :1] * c[:, :2] / k) / k
+        if self.points is None:
+            across = np.stack([-c[:, 1], c[:, 0]], axis=1)
+            levers[:, 1] = across * np.sign(np.einsum("ni,ni->n", across, self.line))[:, None] / k**2
+        B = tangents(scene.n)[self.plane]
+        J = np.zeros((len(r), r.shape[1], 6 + 3 * self.P))
+        J[:, 0, :3] = g[own] / k
+        J[:, :, 3] = levers[..., 1] * c[:, None, 2]
+        J[:, :, 4] = -levers[..., 0] * c[:, None, 2]
+        J[:, :, 5] = levers[..., 0] * c[:, None, 1] - levers[..., 1] * c[:, None, 0]
+        tilts = np.zeros((len(r), r.shape[1], 3))
+        tilts[:, :, :2] = levers @ ((self.RA @ scene.R[:, :2]).transpose(0, 2, 1) @ B)[own]
+        arm = self.tA + self.RA @ scene.t
+        tilts[:, 0, :2] += np.einsum("na,nab->nb", arm, B)[own] / k
+        tilts[:, 0, 2:] = -1.0 / k
+        at = 6 + 3 * self.plane[own][:, None] + np.arange(3)
+        J[np.arange(len(r))[:, None], :, at] = tilts.transpose(0, 2, 1)
+        return [Measurement(r, J, self.noise, classes, np.arange(self.N) if self.points is None else self.owner)]
+
+    def residuals(self, scene: Scene) -> np.ndarray:
+        """Return the residuals (N, 2), or (M, 1) of raw points, of `evaluate`."""
+        _, c, h = self.seen(scene)
+        return self._off(c, h, np.maximum(np.hypot(c[:, 0], c[:, 1]), TINY))
+
+    def _off(self, c: np.ndarray, h: np.ndarray, k: np.ndarray) -> np.ndarray:
+        if self.points is not None:
+            own = self.owner
+            return ((np.einsum("ni,ni->n", c[own, :2], self.points) - h[own]) / k[own])[:, None]
+        r = np.empty((self.N, 2))
+        r[:, 0] = (np.einsum("ni,ni->n", c[:, :2], self.p) - h) / k
+        sine = np.einsum("ni,ni->n", c[:, :2], self.line) / k
+        r[:, 1] = np.arcsin(np.minimum(np.maximum(sine, -1.0), 1.0))
+        return r
+
+    def problem(self) -> Problem[Scene]:
+        """Return what the solver needs."""
+        return Problem(self.evaluate, Scene.plus, what="laser scanner")
+
+    def base_points(self, scene: Scene) -> np.ndarray:
+        """Return the points (N, 3) of the lines in base axes."""
+        q = self.p @ scene.R[:, :2].T + scene.t
+        return np.einsum("nij,nj->ni", self.RA, q) + self.tA
+
+
+def starts(scans: Scans, ratio: float) -> Iterator[list[Scene]]:
+    """Yield groups of first values, the best of each group first.
+
+    `ratio` is the deviation of points over that of angles.
+    """
+    linear = [R for found, _ in linear_rotations(scans, ratio) for R in found]
+    if linear:
+        yield _sorted(scans, linear, ratio)
+    yield _sorted(scans, list(cube()), ratio)
+    q = np.random.default_rng(0).standard_normal((RESTARTS, 4))
+    yield _sorted(scans, list(quaternion.to_matrix(q / np.linalg.norm(q, axis=1, keepdims=True))), ratio)
+
+
+def cube() -> Iterator[np.ndarray]:
+    """Yield the 24 rotations that turn the axes into each other."""
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            R = np.eye(3)[list(order)] * np.array(signs)
+            if np.linalg.det(R) > 0:
+                yield R
+
+
+def _sorted(scans: Scans, rotations: list[np.ndarray], ratio: float) -> list[Scene]:
+    scenes = [scene_of(scans, R) for R in rotations]
+    costs = [_cost(scans, scene, ratio) for scene in scenes]
+    return [scenes[i] for i in np.argsort(costs, kind="stable")]
+
+
+def _cost(scans: Scans, scene: Scene, ratio: float) -> float:
+    r = scans.residuals(scene)
+    r = r * np.array([1.0, ratio])[: r.shape[1]]
+    return float(np.vdot(r, r))
+
+
+def linear_rotations(scans: Scans, ratio: float) -> tuple[tuple[list[np.ndarray], float], ...]:
+    """Return rotations from the scans of each plate alone, and the unit of length of the scans over that of the poses.
+
+    The unit is 1 where the scans do not determine it: it counts only if the products are products.
+
+    p_x n.R_i r1 + p_y n.R_i r2 + n.R_i t + n.t_i - d = 0 and l_x n.R_i r1 + l_y n.R_i r2 = 0 are linear in
+    [n (x) r1, n (x) r2, n (x) t, n, d], up to scale.
+    """
+    known = scans.linear
+    if ratio not in known:
+        known[ratio] = tuple(_linear(scans, j, ratio) for j in range(scans.P))
+    return known[ratio]
+
+
+def _linear(scans: Scans, j: int, ratio: float) -> tuple[list[np.ndarray], float]:
+    mine = scans.plane == j
+    if np.count_nonzero(mine) < ENOUGH:
+        return [], 1.0
+    R, p, line = scans.RA[mine].reshape(-1, 9), scans.p[mine], scans.line[mine]
+    middle = scans.tA[mine].mean(axis=0)
+    t = scans.tA[mine] - middle
+    A = np.hstack([p[:, :1] * R, p[:, 1:] * R, R, t, -np.ones((len(R), 1))])
+    B = np.hstack([line[:, :1] * R, line[:, 1:] * R, np.zeros((len(R), 13))]) * ratio
+    rows = np.vstack([A, B])
+    z = np.linalg.svd(rows)[2][-1]
+    pairs = np.hstack([z[:9].reshape(3, 3), z[9:18].reshape(3, 3)])
+    _, s, V = np.linalg.svd(pairs)
+    found = []
+    for sign in (1.0, -1.0):
+        r1, r2 = sign * V[0, :3], sign * V[0, 3:]
+        U, _, W = np.linalg.svd(np.stack([r1, r2], axis=1), full_matrices=False)
+        r1, r2 = (U @ W).T
+        found.append(np.stack([r1, r2, np.cross(r1, r2)], axis=1))
+    size = float(np.linalg.norm(z[27:30]))
+    known = size > 0 and s[1] < PRODUCT * s[0]
+    return found, float(s[0] / np.sqrt(2.0) / size) if known else 1.0
+
+
+def scene_of(scans: Scans, R: np.ndarray) -> Scene:
+    """Return planes and position that go best with a rotation R of the sensor: lines give normals, points the rest."""
+    lines = np.einsum("nij,nj->ni", scans.RA, scans.line @ R[:, :2].T)
+    across = (lines[scans.plane == j] for j in range(scans.P))
+    n = np.linalg.eigh(np.stack([one.T @ one for one in across]))[1][:, :, 0]
+    own = n[scans.plane]
+    A = np.zeros((scans.N, 3 + scans.P))
+    A[:, :3] = np.einsum("ni,nij->nj", own, scans.RA)
+    A[np.arange(scans.N), 3 + scans.plane] = -1.0
+    reach = np.einsum("nij,nj->ni", scans.RA, scans.p @ R[:, :2].T) + scans.tA
+    x = np.linalg.lstsq(A, -np.sum(own * reach, axis=1), rcond=None)[0]
+    return Scene(R, x[:3], n, x[3:]).oriented()
+
+
+@dataclass(frozen=True, eq=False)
+class SceneUnknowns:
+    """Names, units and limits of the unknowns; puts a direction of them into words, see `estimation.check_spread`."""
+
+    scans: Scans  # scans, scene: of the fit
+    scene: Scene
+    planes: tuple[str, ...]  # labels
+    limits: tuple[float, float]  # share of the spread of the points, and [rad]
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Name of each unknown."""
+        pose = [f"T_tool_sensor {'r' * turn}{axis}" for turn in (0, 1) for axis in "xyz"]
+        return (*pose, *(f"plane {label} {what}" for label in self.planes for what in ("tilt 1", "tilt 2", "offset")))
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each unknown."""
+        return (*("m",) * 3, *("rad",) * 3, *("rad", "rad", "m") * len(self.planes))
+
+    @cached_property
+    def spread(self) -> float:
+        """RMS distance of the measured points from their mean [m]."""
+        q = self.scans.base_points(self.scene)
+        return float(np.sqrt(np.mean(np.sum((q - q.mean(axis=0)) ** 2, axis=1)))) or 1.0
+
+    @cached_property
+    def widths(self) -> np.ndarray:
+        """Largest deviation accepted of each unknown."""
+        return np.array([self.limits[0] * self.spread if unit == "m" else self.limits[1] for unit in self.units])
+
+    def __call__(self, step: np.ndarray) -> str:
+        """Return for example "translation of the sensor along tool axis z, 0.4 m"."""
+        widths = self.widths
+        sizes = np.linalg.norm((step / widths).reshape(-1, 3), axis=1)
+        first = int(np.flatnonzero(sizes > 0.5 * sizes.max())[0])
+        part = step[3 * first : 3 * first + 3]
+        if first == 0:
+            text, unit = f"translation of the sensor along {axis_text(part, 'tool')}", "m"
+        elif first == 1:
+            u, line = part / np.linalg.norm(part), np.append(self.scans.line.T @ np.sign(self.scans.line[:, :1]), 0.0)
+            along = abs(u @ line) > ALIGNED * np.linalg.norm(line)
+            text = f"rotation about the {'laser line' if along else axis_text(part, 'sensor')}"
+            unit = "rad"
+        else:
+            label = self.planes[first - 2]
+            tilted = np.linalg.norm(part[:2] / widths[3 * first]) > abs(part[2] / widths[3 * first + 2])
+            text, unit = (f"tilt of plane {label}", "rad") if tilted else (f"offset of plane {label}", "m")
+            part = part[:2] if tilted else part[2:]
+        if abs(np.linalg.norm(step / widths) - 1.0) < UNSEEN:
+            return text
+        return f"{text}, {np.linalg.norm(part):.2g} {unit}"
+
+
+def require_motion(scans: Scans, planes: tuple[str, ...]) -> None:
+    """Refuse too few scans, and orientations that leave a translation of the sensor open."""
+    needed = 7 + 3 * scans.P
+    few = [str(planes[j]) for j in range(scans.P) if np.count_nonzero(scans.plane == j) < 2]
+    if scans.numbers < needed or few:
+        where = f"planes {', '.join(few)} with one scan" if few else f"{scans.N} scans"
+        raise NotExcited(
+            f"Expected at least {needed} numbers and two scans of each of {scans.P} planes, got {scans.numbers} numbers"
+            f" from {where}. Scan each plate from many directions.",
+            [where],
+            [f"{scans.numbers} of {needed} numbers"],
+        )
+    require_two_axes(scans.RA, SHAKEN, "tool", ("the sensor", "every plane"))
+
+
+def require_slant(scans: Scans, scene: Scene) -> None:
+    """Refuse scans whose plate is parallel to the laser plane."""
+    bad = np.flatnonzero(scans.slant(scene) < FLAT)
+    if len(bad):
+        raise ShapeError(
+            f"Expected plates that cut the laser plane, got some parallel to it (sine below {FLAT}) in rows "
+            f"{rows_text(bad)}. Leave these scans out."
+        )
+
+
+def require_units(scans: Scans, ratio: float) -> None:
+    """Refuse scans and poses in units of length that are far apart, before a search for what cannot be found."""
+    size = _unit(scans, ratio)
+    if not 1.0 / FAR < size < FAR:
+        raise misfit(scans, ratio, None, f"lengths that are {size:.2g} of those of the poses")
+
+
+def _unit(scans: Scans, ratio: float) -> float:
+    """Return the unit of the poses over that of the scans, 1 where plates do not agree on it."""
+    sizes = [size for _, size in linear_rotations(scans, ratio)]
+    agreed = np.ptp(np.log(np.maximum(sizes, 1e-300))) < np.log(UNITS)
+    return float(np.median(sizes)) if agreed else 1.0
+
+
+def misfit(scans: Scans, ratio: float, best: Scene | None, text: str) -> NotConverged:
+    """Return the refusal of scans that no start fits, with the cause where it can be identified."""
+    size = _unit(scans, ratio)
+    cause = "Check the labels of the plates and that scan i and pose i are of the same moment, or look for wrong scans "
+    cause += "with robust=True."
+    if not 1.0 / UNITS < size < UNITS:
+        cause = f"Lengths of the scans times {size:.2g} would fit."
+        if not 1.0 / FAR < size < FAR:
+            cause = f"{cause[:-1]}: perhaps millimetres were given as metres."
+    return NotConverged(f"Expected scans of flat plates by one sensor, got {text}. {cause}", best=best, reason="misfit")

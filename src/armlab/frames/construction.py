@@ -1,0 +1,301 @@
+"""Geometry from fitted features, with first-order covariance: frames, projections, intersections and distances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab._numbers import numbers
+from armlab.errors import FrameError, ShapeError
+from armlab.estimation import Fit
+from armlab.frames import inputs
+from armlab.frames.features import Circle, Line, Plane, Sphere
+
+LETTERS = ("x", "y", "z")
+LEAST_ANGLE = 1e-6  # rad between the features
+PARALLEL = 1e-9  # sine of the angle below which directions are parallel
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltFrame:
+    """A frame that was built from features.
+
+    Attributes
+    ----------
+    T : (4, 4) its pose in the frame of the features.
+    angle : between the two features [rad]. deviation : of it from a right angle [rad].
+    cov : (6, 6) covariance of its pose error [v; w], v along the axes of the features' frame, w along its own; None
+        when all features are exact.
+    """
+
+    T: np.ndarray
+    angle: float
+    deviation: float
+    cov: np.ndarray | None
+
+
+def build(
+    *,
+    origin: ArrayLike | Sphere | Circle,
+    origin_cov: ArrayLike | None = None,
+    **axes: Line | Plane | Circle | ArrayLike,
+) -> BuiltFrame:
+    """Build a frame from two features and its origin.
+
+    The feature given first is an axis exactly, the second is made orthogonal to it, the third axis is their product:
+    a right-handed frame, whatever the features. ``build(z=line, y=-plane, origin=p)``: z along the line, y against the
+    normal of the plane.
+
+    With w_1 and w_2 the small turns of the features (axes of the frame: 1, 2, and 3 = 1 x 2) and a their angle, the
+    frame turns by ``(w_2 . e_1 + cot(a) (w_1 - w_2) . e_2,  w_1 . e_2,  w_1 . e_3)``.
+
+    Parameters
+    ----------
+    origin : (3,) point [m], or a `Sphere` or a `Circle` for its centre.
+    origin_cov : (3, 3) covariance of a point [m^2].
+    **axes : two of x, y and z, each a `Line` (its direction), a `Plane` or a `Circle` (its normal), or a vector (3,).
+        A minus turns a feature round.
+
+    Raises
+    ------
+    ShapeError : not two of x, y, z; features that are none of these, or less than 1e-6 rad from parallel.
+    FrameError : letters other than x, y and z.
+
+    Notes
+    -----
+    The errors of the features and of the origin count as independent of each other.
+    """
+    unknown = [name for name in axes if name not in LETTERS]
+    if unknown:
+        raise FrameError(f"Expected axes named x, y or z, got {', '.join(map(repr, unknown))}. A minus reverses one.")
+    if len(axes) != 2:
+        raise ShapeError(f"Expected exactly two of x, y and z, got {', '.join(axes) or 'none'}. The third follows.")
+    (i, first), (j, second) = ((LETTERS.index(name), _direction(item, name)) for name, item in axes.items())
+    f, g = first[0], second[0]
+    across = g - f * (f @ g)
+    sine, cosine = float(np.linalg.norm(across)), float(f @ g)
+    angle = float(np.arctan2(sine, cosine))
+    if min(angle, np.pi - angle) < LEAST_ANGLE:
+        raise ShapeError(
+            f"Expected two features that are not parallel, got an angle of {angle:.2g} rad between "
+            f"{' and '.join(axes)}. Measure another feature."
+        )
+    e2 = across / sine
+    e3 = np.cross(f, e2)
+    k, sign = 3 - i - j, 1.0 if (j - i) % 3 == 1 else -1.0
+    T = np.eye(4)
+    T[:3, i], T[:3, j], T[:3, k] = f, e2, sign * e3
+    T[:3, 3], place = _origin(origin, origin_cov)
+    turns = np.zeros((3, 6))  # of the frame about its axes, from those of the features about the parent's
+    slope = cosine / sine
+    turns[i] = np.concatenate([slope * e2, f - slope * e2])
+    turns[j, :3], turns[k, :3] = e2, sign * e3
+    known = [one for one in (first[1], second[1], place) if one is not None]
+    cov = _covariance(turns, first[1], second[1], place) if known else None
+    for array in (T, cov):
+        if array is not None:
+            array.flags.writeable = False
+    return BuiltFrame(T, angle, angle - 0.5 * np.pi, cov)
+
+
+def _covariance(
+    turns: np.ndarray, first: np.ndarray | None, second: np.ndarray | None, place: np.ndarray | None
+) -> np.ndarray:
+    """Return the covariance (6, 6) of the pose error; what is None is exact."""
+    errors, cov = np.zeros((6, 6)), np.zeros((6, 6))
+    errors[:3, :3] = 0.0 if first is None else first
+    errors[3:, 3:] = 0.0 if second is None else second
+    cov[:3, :3] = 0.0 if place is None else place
+    C = turns @ errors @ turns.T
+    cov[3:, 3:] = 0.5 * (C + C.T)
+    return cov
+
+
+def _direction(item: Any, name: str) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the unit direction (3,) of a feature and the covariance (3, 3) of its turn, in the axes of its frame."""
+    if isinstance(item, Fit):
+        raise ShapeError(f"Expected a feature or a vector for {name}, got a Fit. Give its value.")
+    if isinstance(item, Circle):
+        item = item.plane
+    if isinstance(item, (Plane, Line)):
+        v = item.n if isinstance(item, Plane) else item.v
+        return v, None if item.cov is None else item.axes.T @ item.cov[:2, :2] @ item.axes
+    return inputs.direction(item, f"the vector for {name}"), None
+
+
+def _origin(origin: Any, cov: ArrayLike | None) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the origin (3,) and its covariance."""
+    if isinstance(origin, (Sphere, Circle)):
+        if cov is not None:
+            raise ShapeError("Expected origin_cov for a point, got it beside a feature that has its own. Leave it out.")
+        return origin.centre, None if origin.cov is None else origin.cov[:3, :3]
+    return inputs.vector(origin, "origin"), inputs.covariance(cov, 3, "origin_cov")
+
+
+@overload
+def project(item: Line, onto: Plane) -> Line: ...
+@overload
+def project(item: ArrayLike, onto: Plane | Line) -> np.ndarray: ...
+
+
+def project(item: ArrayLike | Line, onto: Plane | Line) -> np.ndarray | Line:
+    """Return the nearest points of a plane or a line, or the shadow of a line on a plane.
+
+    Point on plane ``x - n (n . x - d)``; point on line ``c + v (v . (x - c))``; line on plane: direction
+    ``v - n (n . v)``, made unit, through the projected points.
+
+    Parameters
+    ----------
+    item : points (..., 3) [m], or a `Line`. onto : `Plane`, or `Line` for points.
+
+    Returns
+    -------
+    (..., 3) points [m], or a `Line` with the covariance that those of line and plane give it.
+
+    Raises
+    ------
+    ShapeError : shapes; a line across the plane has no shadow; a line on a line.
+    """
+    if isinstance(item, Line):
+        if not isinstance(onto, Plane):
+            raise ShapeError(f"Expected a Plane to project a line onto, got {type(onto).__name__}. Project its points.")
+        return _shadow(item, onto)
+    p = numbers(item, "points", ShapeError)
+    if p.shape[-1:] != (3,) or not np.isfinite(p).all():
+        raise ShapeError(f"Expected finite points (..., 3) [m], got shape {p.shape}. Drop what is missing.")
+    if isinstance(onto, Plane):
+        return p - ((p - onto.centroid) @ onto.n)[..., None] * onto.n
+    if isinstance(onto, Line):
+        return onto.centroid + ((p - onto.centroid) @ onto.v)[..., None] * onto.v
+    raise ShapeError(f"Expected a Plane or a Line to project onto, got {type(onto).__name__}. Take the value of a fit.")
+
+
+@overload
+def intersect(first: Plane, second: Plane) -> Line: ...
+@overload
+def intersect(first: Plane | Line, second: Line) -> np.ndarray: ...
+@overload
+def intersect(first: Line, second: Plane) -> np.ndarray: ...
+
+
+def intersect(first: Plane | Line, second: Plane | Line) -> Line | np.ndarray:
+    """Return the line that two planes share, or the point that a line and a plane share.
+
+    The line of two planes has the direction ``n_1 x n_2`` and, as its centroid, its point nearest to that of the first.
+
+    Parameters
+    ----------
+    first, second : two planes, or a plane and a line in either order.
+
+    Returns
+    -------
+    `Line` with the covariance that those of the planes give it, or point (3,) [m].
+
+    Raises
+    ------
+    ShapeError : they are parallel within 1e-9, or two lines, which need not meet.
+    """
+    if isinstance(first, Plane) and isinstance(second, Plane):
+        return _edge(first, second)
+    if isinstance(first, Line) and isinstance(second, Plane):
+        first, second = second, first
+    if not isinstance(first, Plane) or not isinstance(second, Line):
+        raise ShapeError(
+            f"Expected two planes, or a plane and a line, got {type(first).__name__} and {type(second).__name__}. "
+            "Two lines have a distance() instead."
+        )
+    across = float(first.n @ second.v)
+    if abs(across) <= PARALLEL:
+        raise ShapeError(f"Expected a line that meets the plane, got one parallel to it (sine {across:.2g}).")
+    return second.centroid - second.v * (first.n @ (second.centroid - first.centroid)) / across
+
+
+def distance(first: Line, second: Line) -> float:
+    """Return the least distance between two lines [m]: ``abs((c_2 - c_1) . (v_1 x v_2)) / abs(v_1 x v_2)``.
+
+    Parameters
+    ----------
+    first, second : the lines; parallel ones too.
+    """
+    for one in (first, second):
+        if not isinstance(one, Line):
+            raise ShapeError(f"Expected two lines, got {type(one).__name__}. A plane has its own distance().")
+    between, normal = second.centroid - first.centroid, np.cross(first.v, second.v)
+    sine = float(np.linalg.norm(normal))
+    if sine <= PARALLEL:
+        return float(np.linalg.norm(between - first.v * (first.v @ between)))
+    return float(abs(between @ normal) / sine)
+
+
+def _shadow(line: Line, plane: Plane) -> Line:
+    """Return the projection of a line on a plane with its covariance."""
+    n, v = plane.n, line.v
+    along = v - n * (n @ v)
+    if np.linalg.norm(along) <= PARALLEL:
+        raise ShapeError("Expected a line with a shadow on the plane, got one along its normal. A point is its shadow.")
+    away = line.centroid - plane.centroid
+    height = float(n @ away)
+    dv, dc = _errors(line)
+    dn, do = _errors(plane)
+    turn = np.hstack([dv - np.outer(n, n @ dv), -(n @ v) * dn - np.outer(n, v @ dn)])
+    shift = np.hstack([dc - np.outer(n, n @ dc), -height * dn - np.outer(n, away @ dn - do)])
+    return _line(along, line.centroid - n * height, turn, shift, _joint(line.cov, plane.cov, 4, 3))
+
+
+def _edge(first: Plane, second: Plane) -> Line:
+    """Return the line that two planes share with its covariance."""
+    along = np.cross(first.n, second.n)
+    if np.linalg.norm(along) <= PARALLEL:
+        raise ShapeError(
+            "Expected planes that meet, got parallel ones (within 1e-9 rad). Their distance is all there is."
+        )
+    rows = np.stack([first.n, second.n, along / np.linalg.norm(along)])
+    step = np.linalg.solve(rows, np.array([0.0, float(second.n @ (second.centroid - first.centroid)), 0.0]))
+    point = first.centroid + step
+    (dn, do), (dm, dp) = _errors(first), _errors(second)
+    turn = np.hstack([-np.cross(second.n, dn.T).T, np.cross(first.n, dm.T).T])
+    still = np.zeros(3)
+    moved = np.stack(
+        [
+            np.concatenate([do - step @ dn, still]),
+            np.concatenate([still, dp - (point - second.centroid) @ dm]),
+            np.zeros(6),
+        ]
+    )
+    return _line(along, point, turn, np.linalg.solve(rows, moved), _joint(first.cov, second.cov, 3, 3))
+
+
+def _errors(item: Plane | Line) -> tuple[np.ndarray, np.ndarray]:
+    """Return how direction (3, m) and place move with each of the m errors of a feature.
+
+    The place of a line is its centroid (3, m), that of a plane its offset along the normal (m,).
+    """
+    if isinstance(item, Plane):
+        return np.column_stack([np.cross(item.axes, item.n).T, np.zeros(3)]), np.array([0.0, 0.0, 1.0])
+    tilts = np.cross(item.axes, item.v).T
+    return np.hstack([tilts, np.zeros((3, 2))]), np.hstack([np.zeros((3, 2)), item.axes.T])
+
+
+def _line(along: np.ndarray, point: np.ndarray, turn: np.ndarray, shift: np.ndarray, cov: np.ndarray | None) -> Line:
+    """Return a line whose direction and point move by `turn` and `shift` (3, m) with errors of covariance (m, m)."""
+    plain = Line.of(along, point)
+    if cov is None:
+        return plain
+    across = plain.axes
+    tilts = np.stack([-across[1], across[0]]) @ turn / np.linalg.norm(along)  # about axis 1: v moves against axis 2
+    J = np.vstack([tilts, across @ shift])
+    C = J @ cov @ J.T
+    return Line(plain.v, plain.r, plain.centroid, across, 0.5 * (C + C.T))
+
+
+def _joint(a: np.ndarray | None, b: np.ndarray | None, m: int, k: int) -> np.ndarray | None:
+    """Return the covariance of the errors of two features, independent of each other; None when both are exact."""
+    if a is None and b is None:
+        return None
+    C = np.zeros((m + k, m + k))
+    C[:m, :m] = 0.0 if a is None else a
+    C[m:, m:] = 0.0 if b is None else b
+    return C

@@ -1,0 +1,434 @@
+"""Pose graph: named frames joined by measured poses, the error of every loop, and the most likely set of poses.
+
+A graph belongs to its user: there is no global one.
+
+Loops: with T the product around a loop and E one of its poses, an error [v; w] of E (v along the axes of its first
+frame, w along those of its second) turns and shifts the closure by ``Ad(S^-1) [R_E^T v; w]``, S the product behind E.
+The sum of the covariances that this gives is that of the closure error [p; Log R]; ``chi2 = e^T C^-1 e`` has six
+degrees of freedom.
+
+Most likely poses: with X_a the pose of frame a in the first frame, the pose E_k measured between a and b has the
+residuals
+
+    r_t = p_E - R_a^T (p_b - p_a)          along the axes of a
+    r_R = Log(R_b^T R_a R_E)               along the axes of b
+
+minimised together, whitened by the covariance of E_k, by Gauss-Newton over the poses.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab._numbers import still
+from armlab.errors import FrameError
+from armlab.estimation import Fit, Measurement, Problem, check_spread, nonlinear_least_squares
+from armlab.frames import inputs
+from armlab.lie import se3, so3
+
+CHANCE = 1e-3  # of a closure error below which a loop is reported
+
+Steps = list[tuple[int, int]]
+CLASSES = ("position",) * 3 + ("rotation",) * 3
+LIMIT = 0.2  # rad, and share of the size of the set [m]
+PARTS = (("x", "m"), ("y", "m"), ("z", "m"), ("turn x", "rad"), ("turn y", "rad"), ("turn z", "rad"))
+
+
+class Graph:
+    """Named frames and the poses between them; several between the same two frames are welcome."""
+
+    def __init__(self) -> None:
+        self._edges: list[Edge] = []
+
+    @property
+    def edges(self) -> tuple[Edge, ...]:
+        """All poses, in the order in which they were added."""
+        return tuple(self._edges)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All frames, in the order in which they were first named."""
+        return tuple(dict.fromkeys(name for edge in self._edges for name in (edge.a, edge.b)))
+
+    def add(self, a: str, b: str, T_a_b: ArrayLike, cov: ArrayLike | None = None, source: str = "") -> None:
+        """Add a measured pose.
+
+        Parameters
+        ----------
+        a, b : names of two frames, words without an underscore, as in ``T_a_b``. New ones become known.
+        T_a_b : (4, 4) pose of b in a [m].
+        cov : (6, 6) covariance of its error [v; w], v along the axes of a, w along those of b.
+        source : where it comes from, for reports.
+
+        Raises
+        ------
+        FrameError : a name that is none, or the same twice. ShapeError : no pose, or no covariance.
+        """
+        for name in (a, b):
+            if not isinstance(name, str) or not name.isalnum():
+                raise FrameError(
+                    f"Expected the name of a frame, letters and digits without an underscore, got {name!r}. "
+                    "T_base_tool is the pose of tool in base."
+                )
+        if a == b:
+            raise FrameError(f"Expected two frames, got {a!r} twice. A frame has no pose in itself.")
+        T = np.array(inputs.pose(T_a_b, f"T_{a}_{b}"))
+        T.flags.writeable = False
+        self._edges.append(Edge(a, b, T, inputs.covariance(cov, 6, f"the covariance of T_{a}_{b}"), str(source)))
+
+    def get(self, a: str, b: str, via: Sequence[str] = ()) -> np.ndarray:
+        """Return the pose (4, 4) of b in a, composed along the way with the fewest poses, the earliest added first.
+
+        Parameters
+        ----------
+        a, b : names of frames.
+        via : frames on the way, in order; each must be joined to the next by a pose of its own.
+
+        Raises
+        ------
+        FrameError : an unknown name, with those that are known; frames that no pose joins, with both names.
+        """
+        for name in (a, *via, b):
+            if name not in self.names:
+                raise FrameError(
+                    f"Expected the name of a known frame, got {name!r}. Known: {', '.join(self.names) or 'none'}."
+                )
+        T = np.eye(4)
+        if not via:
+            return self._along(T, path(self._edges, a, b), a, b)
+        stops = (a, *via, b)
+        for here, there in pairwise(stops):
+            direct = [edge for edge in self._edges if {edge.a, edge.b} == {here, there}]
+            if not direct:
+                raise FrameError(
+                    f"Expected a pose between {here!r} and {there!r}, got none. Joined to {here!r}: "
+                    f"{', '.join(self._neighbours(here))}."
+                )
+            T = self._along(T, [(self._edges.index(direct[0]), 1 if direct[0].a == here else -1)], here, there)
+        return T
+
+    def check(self) -> LoopCheck:
+        """Return every independent loop with its closure error and, where covariances are known, its chance."""
+        return check_loops(self._edges)
+
+    def solve(self, robust: bool = False) -> Fit[FrameSet]:
+        """Return the most likely poses of all frames, given all measured poses at once.
+
+        Each pose has a residual of position, in the axes of its first frame, and of rotation, in those of its second,
+        weighted by its covariance. Without any covariance all poses count alike and the noise is estimated.
+
+        Parameters
+        ----------
+        robust : find poses that do not fit the others; `outliers` marks them.
+
+        Raises
+        ------
+        FrameError : no poses, frames that nothing joins, or covariances of some poses only.
+        NotExcited : too few poses to estimate the noise; outliers left a frame without a pose.
+        NotConverged : the iteration did not.
+        """
+        return solve_poses(self._edges, self.names, robust)
+
+    def _along(self, T: np.ndarray, steps: Iterable[tuple[int, int]] | None, a: str, b: str) -> np.ndarray:
+        if steps is None:
+            raise FrameError(f"Expected poses that join {a!r} and {b!r}, got none on any way. Add the missing pose.")
+        for k, sign in steps:
+            T = T @ (self._edges[k].T if sign > 0 else se3.inv(self._edges[k].T))
+        return T
+
+    def _neighbours(self, name: str) -> list[str]:
+        return sorted({edge.b if edge.a == name else edge.a for edge in self._edges if name in (edge.a, edge.b)})
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """A measured pose between two frames.
+
+    Attributes
+    ----------
+    a, b : names of the frames. T : (4, 4) pose of b in a [m].
+    cov : (6, 6) covariance of its error [v; w], v along the axes of a [m], w along those of b [rad]; zero when the pose
+        is exact, None when unknown.
+    source : where it comes from, in words.
+    """
+
+    a: str
+    b: str
+    T: np.ndarray
+    cov: np.ndarray | None = None
+    source: str = ""
+
+    def text(self) -> str:
+        """Return the names and the source."""
+        return f"{self.a} to {self.b}" + (f" ({self.source})" if self.source else "")
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A loop of poses.
+
+    Attributes
+    ----------
+    frames : names along it; the last is joined to the first. edges : numbers of its poses, as they were added.
+    position : closure error [m]. angle : closure error [rad].
+    chi2, p : of the closure error given the covariances, and the chance of a larger one; NaN where one is not known.
+    words : of each pose.
+    """
+
+    frames: tuple[str, ...]
+    edges: tuple[int, ...]
+    position: float
+    angle: float
+    chi2: float
+    p: float
+    words: tuple[str, ...]
+
+    @property
+    def beyond(self) -> bool:
+        """True when noise alone would show so large an error once in a thousand loops."""
+        return self.p < CHANCE
+
+    def text(self) -> str:
+        """Return one line."""
+        chance = "" if np.isnan(self.p) else f", chi2 {self.chi2:.3g} of 6, p {self.p:.2g}"
+        verdict = f"; does not close: look at {', '.join(self.words)}" if self.beyond else ""
+        way = " - ".join([*self.frames, self.frames[0]])
+        return f"{way}: {1e3 * self.position:.3g} mm, {1e3 * self.angle:.3g} mrad{chance}{verdict}"
+
+
+@dataclass(frozen=True)
+class LoopCheck:
+    """All independent loops of a graph.
+
+    Attributes
+    ----------
+    loops : in the order in which the poses that close them were added.
+    """
+
+    loops: tuple[Loop, ...]
+
+    @property
+    def passed(self) -> bool:
+        """True when no loop is beyond what its covariances allow."""
+        return not any(loop.beyond for loop in self.loops)
+
+    def text(self) -> str:
+        """Return one line per loop."""
+        return "\n".join(loop.text() for loop in self.loops) or "no loops: nothing to check"
+
+
+def check_loops(edges: Sequence[Edge]) -> LoopCheck:
+    """Return the closure of every independent loop: one per pose that the spanning tree does not need."""
+    tree = spanning(edges)
+    found = []
+    for k, edge in enumerate(edges):
+        if k in tree:
+            continue
+        back = path([edges[i] for i in tree], edge.b, edge.a) or []
+        found.append(_closure(edges, [(k, 1), *((tree[i], sign) for i, sign in back)]))
+    return LoopCheck(tuple(found))
+
+
+def spanning(edges: Sequence[Edge]) -> list[int]:
+    """Return the numbers of the poses of a spanning tree, or of one per part: the earliest that join something new."""
+    part: dict[str, str] = {}
+
+    def root(name: str) -> str:
+        while part.setdefault(name, name) != name:
+            name = part[name]
+        return name
+
+    tree = []
+    for k, edge in enumerate(edges):
+        a, b = root(edge.a), root(edge.b)
+        if a != b:
+            part[b] = a
+            tree.append(k)
+    return tree
+
+
+def path(edges: Sequence[Edge], a: str, b: str) -> Steps | None:
+    """Return the fewest poses from a to b as (number, 1 or -1 against its direction); None when there is no way."""
+    came: dict[str, tuple[str, int, int]] = {a: (a, -1, 1)}
+    waiting = deque([a])
+    while waiting and b not in came:
+        here = waiting.popleft()
+        for k, edge in enumerate(edges):
+            if here not in (edge.a, edge.b):
+                continue
+            there, sign = (edge.b, 1) if edge.a == here else (edge.a, -1)
+            if there not in came:
+                came[there] = (here, k, sign)
+                waiting.append(there)
+    if b not in came:
+        return None
+    steps: Steps = []
+    while b != a:
+        b, k, sign = came[b]
+        steps.append((k, sign))
+    return steps[::-1]
+
+
+def _closure(edges: Sequence[Edge], steps: Steps) -> Loop:
+    """Return the closure of a loop with its chance."""
+    from scipy.special import chdtrc
+
+    poses = [edges[k].T if sign > 0 else se3.inv(edges[k].T) for k, sign in steps]
+    T, C, known = np.eye(4), np.zeros((6, 6)), True
+    for (k, sign), pose in zip(reversed(steps), reversed(poses)):  # T is the product behind the pose
+        edge = edges[k]
+        turned = np.eye(6)
+        turned[:3, :3] = edge.T[:3, :3].T
+        behind = se3.inv(T) if sign > 0 else se3.inv(pose @ T)
+        J = se3.adjoint(behind) @ turned
+        known &= edge.cov is not None
+        C += 0.0 if edge.cov is None else J @ edge.cov @ J.T
+        T = pose @ T
+    e = np.concatenate([T[:3, 3], so3.log(so3.project(T[:3, :3])[0])])
+    chi2 = _squared(e, C) if known else float("nan")
+    chance = float(chdtrc(6, chi2)) if np.isfinite(chi2) else (0.0 if chi2 > 0 else float("nan"))
+    frames = tuple(edges[k].a if sign > 0 else edges[k].b for k, sign in steps)
+    words = tuple(edges[k].text() for k, _ in steps)
+    numbers = tuple(k for k, _ in steps)
+    return Loop(frames, numbers, float(np.linalg.norm(e[:3])), float(np.linalg.norm(e[3:])), chi2, chance, words)
+
+
+def _squared(e: np.ndarray, C: np.ndarray) -> float:
+    """Return ``e^T C^-1 e``; NaN where the covariance is not positive definite, as around a loop of exact poses."""
+    try:
+        return float(np.sum(np.linalg.solve(np.linalg.cholesky(C), e) ** 2))
+    except np.linalg.LinAlgError:
+        return float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSet:
+    """Poses of named frames that agree with each other.
+
+    Attributes
+    ----------
+    names : of the frames. T : (F, 4, 4) their poses in the first of them [m].
+    """
+
+    names: tuple[str, ...]
+    T: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Freeze the poses."""
+        T = still(self.T, "poses T of frames")
+        object.__setattr__(self, "names", tuple(self.names))
+        object.__setattr__(self, "T", T)
+
+    def get(self, a: str, b: str) -> np.ndarray:
+        """Return the pose (4, 4) of b in a.
+
+        Parameters
+        ----------
+        a, b : names of frames.
+
+        Raises
+        ------
+        FrameError : an unknown name, with those that are known.
+        """
+        for name in (a, b):
+            if name not in self.names:
+                raise FrameError(f"Expected the name of a known frame, got {name!r}. Known: {', '.join(self.names)}.")
+        return se3.inv(self.T[self.names.index(a)]) @ self.T[self.names.index(b)]
+
+
+def solve_poses(edges: Sequence[Edge], names: Sequence[str], robust: bool = False) -> Fit[FrameSet]:
+    """Return the most likely poses; see `Graph.solve`."""
+    start = _start(edges, names)
+    given = [edge.cov is not None for edge in edges]
+    if any(given) and not all(given):
+        missing = ", ".join(edge.text() for edge, known in zip(edges, given) if not known)
+        raise FrameError(f"Expected covariances of all poses or of none, got none of {missing}. Say how sure they are.")
+    problem = _problem(edges, names)
+    found = nonlinear_least_squares(problem, start, robust=robust)
+    size = float(np.linalg.norm(found.value[:, :3, 3].std(axis=0)))
+    labels = [(f"{name} {part}", unit) for name in names[1:] for part, unit in PARTS]
+    limits = np.array([LIMIT * (1.0 if unit == "rad" else size or 1.0) for _, unit in labels])
+    excitation = check_spread(
+        found.rows.J, [name for name, _ in labels], [unit for _, unit in labels], limits, "frames"
+    )
+    R = found.value[1:, :3, :3]
+    parameters = np.hstack([found.value[1:, :3, 3], so3.log(R)]).ravel()
+    residuals = problem.evaluate(found.value)[0].r
+    return Fit(
+        value=FrameSet(tuple(names), found.value),
+        names=tuple(name for name, _ in labels),
+        units=tuple(unit for _, unit in labels),
+        parameters=parameters,
+        cov=found.cov,
+        sigma=found.sigma,
+        residuals=residuals,
+        n=len(edges) - int(found.outliers.sum()),
+        excitation=excitation,
+        summary=lambda fit: _report(fit, [edge.text() for edge in edges]),
+        outliers=found.outliers,
+        classes=("position [m]", "rotation [rad]"),
+    )
+
+
+def _start(edges: Sequence[Edge], names: Sequence[str]) -> np.ndarray:
+    """Return the poses (F, 4, 4) along the fewest measured ones."""
+    if not edges:
+        raise FrameError("Expected poses between frames, got none. Graph.add takes them.")
+    start = np.zeros((len(names), 4, 4))
+    for k, name in enumerate(names):
+        steps = path(edges, names[0], name)
+        if steps is None:
+            raise FrameError(f"Expected poses that join {names[0]!r} and {name!r}, got none. Add the missing pose.")
+        T = np.eye(4)
+        for i, sign in steps:
+            T = T @ (edges[i].T if sign > 0 else se3.inv(edges[i].T))
+        start[k] = se3.project(T)[0]
+    return start
+
+
+def _problem(edges: Sequence[Edge], names: Sequence[str]) -> Problem[np.ndarray]:
+    """Return residuals with their Jacobian, and the retraction."""
+    index = {name: k for k, name in enumerate(names)}
+    first, second = np.array([index[edge.a] for edge in edges]), np.array([index[edge.b] for edge in edges])
+    measured = np.stack([se3.project(edge.T)[0] for edge in edges])
+    known = [edge.cov for edge in edges if edge.cov is not None]
+    cov = np.stack(known) if known else None
+    rows = np.arange(len(edges))
+
+    def evaluate(T: np.ndarray) -> list[Measurement]:
+        R_a, R_b = T[first, :3, :3], T[second, :3, :3]
+        back = np.swapaxes(R_a, 1, 2)
+        p = np.einsum("kij,kj->ki", back, T[second, :3, 3] - T[first, :3, 3])
+        R = back @ R_b
+        turn = so3.log(np.swapaxes(R, 1, 2) @ measured[:, :3, :3])
+        bend = so3.left_jacobian_inv(turn)
+        J = np.zeros((len(edges), 6, len(names), 6))
+        J[rows, :3, first, :3] = back
+        J[rows, :3, first, 3:] = -so3.hat(p)
+        J[rows, 3:, first, 3:] = bend @ np.swapaxes(R, 1, 2)
+        J[rows, :3, second, :3] = -back
+        J[rows, 3:, second, 3:] = -bend
+        r = np.hstack([measured[:, :3, 3] - p, turn])
+        return [Measurement(r, J[:, :, 1:].reshape(len(edges), 6, -1), cov, CLASSES)]
+
+    def retract(T: np.ndarray, x: np.ndarray) -> np.ndarray:
+        step = x.reshape(-1, 6)
+        moved = T.copy()
+        moved[1:, :3, 3] += step[:, :3]
+        moved[1:, :3, :3] = T[1:, :3, :3] @ so3.exp(step[:, 3:])
+        return moved
+
+    return Problem(evaluate, retract, what="frames")
+
+
+def _report(fit: Fit[FrameSet], words: Sequence[str]) -> str:
+    """Return the table with the poses that were left out by name."""
+    lines = [fit.table()]
+    lines += [f"left out: {words[k]}" for k in np.flatnonzero(fit.outliers).tolist()]
+    return "\n".join(lines)

@@ -1,0 +1,276 @@
+"""Walking along the self-motion of a redundant arm: the joints move, the tool does not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from reprlib import repr as shortened
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab._numbers import make_read_only
+from armlab.errors import RobotError, ShapeError, SingularPoseError, UnknownName
+from armlab.kinematics.forward import forward, jacobian
+from armlab.lie import so3
+from armlab.robots import Robot
+
+__all__ = ["SelfMotion", "self_motion"]
+
+Task = Literal["pose", "position", "axis"]
+
+_ROWS = {"pose": 6, "position": 3, "axis": 5}  # of the twist in tool axes: the turn about the tool's z axis comes last
+_STEP = 0.02  # rad: the longest step of the integration
+_SHORTEST = 1e-7  # rad: where a curve needs shorter steps, it ends
+_EXACT = 1e-12  # m and rad: what the correction leaves, and by how much rounding may cross a limit
+_DRIFT = 1e-4  # the largest correction of a step, as a part of its length
+_MOST = 10**6  # points
+_FARTHEST = 1e3  # rad or m: a closed self-motion would be walked round and round
+_SINGULAR = 1e-9  # of the largest singular value
+
+
+@dataclass(frozen=True, eq=False)
+class SelfMotion:
+    """A walk along the self-motion; arrays are read-only.
+
+    Attributes
+    ----------
+    q : (N, n) joint positions, the first is where the walk began.
+    s : (N,) arc length walked [rad; m for prismatic joints].
+    position_error : (N,) how far the tool point is from where it was [m]; at most 1e-9.
+    rotation_error : (N,) how far the tool has turned [rad]; at most 1e-9. Task "axis": its z axis only; "position": 0.
+    end : why the walk ended: "length" (all of it was walked), "limit of joint k", "optimum" or "singular".
+    """
+
+    q: np.ndarray
+    s: np.ndarray
+    position_error: np.ndarray
+    rotation_error: np.ndarray
+    end: str
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        make_read_only(self, "q", "s", "position_error", "rotation_error")
+
+
+def self_motion(
+    robot: Robot,
+    q: ArrayLike,
+    *,
+    direction: Literal[1, -1] | ArrayLike | Callable[[np.ndarray], ArrayLike] = 1,
+    length: float = 1.0,
+    points: int = 51,
+    task: Task = "pose",
+) -> SelfMotion:
+    """Walk along the self-motion from a posture: ``J(q) dq/ds = 0``, ``|dq/ds| = 1``.
+
+    A Runge-Kutta step of fourth order along the null space, then Newton steps ``dq = J^+ e`` back to the pose. Every
+    point keeps the pose to 1e-9 (in fact to 1e-12) and lies inside the joint limits; at a limit the walk ends, with a
+    last point on it.
+
+    Parameters
+    ----------
+    robot : an arm with more joints than the task needs.
+    q : (n,) joint positions to start from, inside the limits [rad or m].
+    direction : 1 or -1, for a self-motion of one dimension: 1 is where the joint that moves most moves forward.
+        Or (n,) joint velocities: where their part in the null space leads. Or a function of the joint positions that
+        returns the gradient (n,) of an objective, for example of the manipulability: uphill, until its optimum.
+    length : arc length to walk in joint space, at most [rad; m for prismatic joints]; up to 1000.
+    points : how many points the whole length would have, 2 to 1 000 000, evenly spaced, start and end included.
+    task : what stays: "pose", "position" of the tool point, or "axis": the position and the direction of the tool's z
+        axis.
+
+    Returns
+    -------
+    SelfMotion
+        The points, their errors, and why the walk ended.
+
+    Raises
+    ------
+    RobotError
+        When the robot has no joint to spare for the task, or is none.
+    SingularPoseError
+        When `q` is singular, or `direction` is a sign where there are several directions, or leads nowhere.
+    ShapeError
+        When `q` is not (n,), finite and inside the limits, or another argument does not fit.
+    UnknownName
+        When there is no such task.
+    """
+    curve = _Curve(robot, _checked(robot, q, length, points, task), task)
+    here, tangent = curve.begin(direction)
+    rows, walked, end = [here], [0.0], "length"
+    for goal in np.linspace(0.0, length, points)[1:]:
+        s = walked[-1]
+        while end == "length" and s < goal:
+            before = s
+            here, tangent, moved, end = curve.step(here, tangent, min(goal - s, _STEP))
+            s = goal if moved == goal - before else s + moved
+        if s > walked[-1]:
+            rows.append(here)
+            walked.append(s)
+    rows = np.clip(rows, robot.q_min, robot.q_max)
+    errors = np.array([curve.error(row)[0] for row in rows])
+    position_error, rotation_error = (np.linalg.norm(half, axis=1) for half in (errors[:, :3], errors[:, 3:]))
+    return SelfMotion(rows, np.array(walked), position_error, rotation_error, end)
+
+
+class _Curve:
+    """The self-motion through one posture."""
+
+    def __init__(self, robot: Robot, start: np.ndarray, task: Task) -> None:
+        self.robot, self.start, self.size = robot, start, _ROWS[task]
+        self.T_base_goal = forward(robot, start)
+        self.climbs: Callable[[np.ndarray], ArrayLike] | None = None
+        anywhere = np.random.default_rng(0).uniform(-np.pi, np.pi, (16, robot.n))
+        s = np.linalg.svd(jacobian(robot, anywhere)[:, : self.size], compute_uv=False)
+        self.rank = int((s > _SINGULAR * s[:, :1]).sum(axis=1).max())
+        if self.rank == robot.n:
+            raise RobotError(
+                f"Expected a robot with a joint to spare for the task {task!r}, got {robot.name!r}, which needs all "
+                f'its {robot.n} joints for it. Take an arm with more joints, or a smaller task ("axis", "position").'
+            )
+
+    def begin(self, direction: int | ArrayLike | Callable[[np.ndarray], ArrayLike]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the first point and tangent."""
+        q, dimension = self.start, self.robot.n - self.rank
+        s, Vt = np.linalg.svd(self.error(q)[1])[1:]
+        if self.rank and s[self.rank - 1] <= _SINGULAR * s[0]:
+            raise SingularPoseError(
+                f"Expected a regular posture to walk from, got a singular one, {q.tolist()}: the self-motion has no "
+                "single tangent there. Start a little beside it."
+            )
+        if callable(direction):
+            self.climbs = direction
+            wanted = self.gradient(q)
+        elif isinstance(direction, (int, np.integer)) and direction in (1, -1):
+            if dimension > 1:
+                raise SingularPoseError(
+                    f"Expected one of the {dimension} dimensions of this self-motion, got only the sign {direction}. "
+                    "Give joint velocities (n,), or a function that returns the gradient of an objective."
+                )
+            wanted = direction * np.sign(Vt[-1, np.argmax(np.abs(Vt[-1]))]) * Vt[-1]
+        else:
+            wanted = _vector(self.robot, direction, "direction (when it is neither 1 nor -1 nor a function)")
+        along = self.projected(q, wanted)
+        if np.linalg.norm(along) <= 1e-9 * np.linalg.norm(wanted):
+            raise SingularPoseError(
+                "Expected a direction with a part along the self-motion, got one without: it moves the tool only, or "
+                "the objective is at its optimum. Give another direction."
+            )
+        return q, along / np.linalg.norm(along)
+
+    def step(self, q: np.ndarray, tangent: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray, float, str]:
+        """Return the next point and tangent, its distance, and "length" or why the walk ends there."""
+        if self.climbs:
+            uphill = self.projected(q, self.gradient(q))
+            tangent = uphill / max(float(np.linalg.norm(uphill)), 1e-300)
+        while (there := self.ahead(q, tangent, h)) is None:
+            h /= 2
+            if h < _SHORTEST:
+                return q, tangent, 0.0, "singular"
+        beyond = self.beyond(*there)
+        if not beyond:
+            return *there, h, "length"
+        low, high, best = 0.0, h, (q, tangent)
+        while high - low > 1e-12:  # the last point that is not beyond
+            middle = (low + high) / 2
+            there = self.ahead(q, tangent, middle)
+            if there is None or self.beyond(*there):
+                high, beyond = middle, self.beyond(*there) if there else beyond
+            else:
+                low, best = middle, there
+        end = "length" if beyond == "optimum" and low > _SHORTEST else beyond
+        return *best, low, end
+
+    def ahead(self, q: np.ndarray, tangent: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return the point at arc length h and its tangent; None where the curve bends too much for such a step."""
+        k1 = tangent
+        k2 = self.tangent(q + h / 2 * k1, tangent)
+        k3 = self.tangent(q + h / 2 * k2, tangent)
+        k4 = self.tangent(q + h * k3, tangent)
+        predicted = q + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        there = predicted.copy()
+        for _ in range(6):
+            e, J = self.error(there)
+            if np.linalg.norm(e) <= _EXACT:
+                break
+            U, s, Vt = np.linalg.svd(J)
+            r = self.rank
+            there = there + Vt[:r].T @ (U[:, :r].T @ e[: self.size] / s[:r])
+        else:
+            return None
+        if np.linalg.norm(there - predicted) > _DRIFT * h:
+            return None
+        return there, self.tangent(there, k4)
+
+    def beyond(self, q: np.ndarray, tangent: np.ndarray) -> str:
+        """Return what lies before this point: "limit of joint k", "optimum" or nothing."""
+        over = np.maximum(self.robot.q_min - q, q - self.robot.q_max)
+        if over.max() > _EXACT:
+            return f"limit of joint {int(np.argmax(over)) + 1}"
+        return "optimum" if self.climbs and self.gradient(q) @ tangent < 0 else ""
+
+    def tangent(self, q: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """Return the unit vector of the null space that is nearest to another."""
+        along = self.projected(q, near)
+        return along / max(float(np.linalg.norm(along)), 1e-300)
+
+    def projected(self, q: np.ndarray, vector: np.ndarray) -> np.ndarray:
+        """Return the part of `vector` in the null space."""
+        basis = np.linalg.svd(self.error(q)[1])[2][self.rank :]
+        return basis.T @ (basis @ vector)
+
+    def gradient(self, q: np.ndarray) -> np.ndarray:
+        """Return the gradient of the objective."""
+        return _vector(self.robot, self.climbs(q) if self.climbs else None, "the gradient that direction(q) returns")
+
+    def error(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the way back as a twist (6,) in tool axes, 0 where the task leaves it free, and J (m, n)."""
+        T_base_tool = forward(self.robot, q)
+        R_transposed = T_base_tool[:3, :3].T
+        turn = R_transposed @ self.T_base_goal[:3, :3]
+        e = np.zeros(6)
+        e[:3] = R_transposed @ (self.T_base_goal[:3, 3] - T_base_tool[:3, 3])
+        if self.size == _ROWS["pose"]:
+            e[3:] = so3.log(turn)
+        elif self.size == _ROWS["axis"]:
+            e[3:5] = -turn[1, 2], turn[0, 2]  # z x z_goal, small
+        return e, jacobian(self.robot, q, frame="tool")[: self.size]
+
+
+def _vector(robot: Robot, value: object, name: str) -> np.ndarray:
+    try:
+        vector = np.asarray(value).astype(np.float64, casting="safe", copy=False)
+    except (TypeError, ValueError):  # text, complex, None, rows of different length
+        raise ShapeError(f"Expected {name} to be ({robot.n},) finite numbers, got {shortened(value)}.") from None
+    if vector.shape != (robot.n,) or not np.isfinite(vector).all():
+        raise ShapeError(
+            f"Expected {name} to be ({robot.n},) finite numbers, got shape {vector.shape}: {vector.tolist()}."
+        )
+    return vector
+
+
+def _checked(robot: Robot, q: ArrayLike, length: float, points: int, task: str) -> np.ndarray:
+    if not isinstance(task, str) or task not in _ROWS:
+        raise UnknownName.among("task", task, _ROWS)
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
+    start = _vector(robot, q, "q").copy()
+    outside = (start < robot.q_min) | (start > robot.q_max)
+    if outside.any():
+        k = int(np.argmax(outside))
+        raise ShapeError(
+            f"Expected q inside the limits of {robot.name!r}, got {start[k]:.6g} for joint {k + 1} "
+            f"({robot.joint_names[k]}), limits {robot.q_min[k]:.6g} to {robot.q_max[k]:.6g}. Start from a posture that "
+            "the robot can have."
+        )
+    lengths, counts = (int, float, np.integer, np.floating), (int, np.integer)
+    if not (
+        isinstance(length, lengths) and 0 < length <= _FARTHEST and isinstance(points, counts) and 2 <= points <= _MOST
+    ):
+        raise ShapeError(
+            f"Expected a length above 0 and up to {_FARTHEST:g}, and from 2 to {_MOST} points, got {length!r} "
+            f"and {points!r}."
+        )
+    return start

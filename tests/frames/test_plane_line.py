@@ -1,0 +1,388 @@
+"""Planes and lines fitted to points; points at one distance from a plane."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from armlab.errors import NotExcited, ShapeError
+from armlab.estimation import Experiment, Fit, Gauge, check_estimator
+from armlab.frames import Line, OffsetCheck, Plane, check_offset, fit_line, fit_plane
+from armlab.frames.feature_fit import LIMIT, upward
+from armlab.lie import se3, so3
+
+SIGMA = 5e-5
+SEED = 5000
+Draw = Callable[[np.random.Generator], np.ndarray]
+PLANE = Plane.of([0.1, 0.2, 1.0], [0.3, 0.4, 2.0])
+
+
+def sheet(n: int = 20, seed: int = 0, sigma: float = SIGMA) -> np.ndarray:
+    """Points of the plane z = 2."""
+    rng = np.random.default_rng(seed)
+    p = np.column_stack([rng.uniform(-0.15, 0.15, n), rng.uniform(-0.1, 0.1, n), np.full(n, 2.0)])
+    return p + sigma * rng.standard_normal((n, 3))
+
+
+def rod(n: int = 20, seed: int = 0, sigma: float = SIGMA) -> np.ndarray:
+    """Points of the line through (0, 1, 2) along x, in its order."""
+    rng = np.random.default_rng(seed)
+    p = np.column_stack([np.sort(rng.uniform(-0.15, 0.15, n)), np.ones(n), np.full(n, 2.0)])
+    return p + sigma * rng.standard_normal((n, 3))
+
+
+def test_fit_plane_on_exact_points() -> None:
+    plane = fit_plane(sheet(sigma=0.0)).value
+    np.testing.assert_allclose(plane.n, [0, 0, 1], rtol=0, atol=1e-12)
+    assert plane.d == pytest.approx(2.0, abs=1e-12)
+
+
+def test_fit_line_on_exact_points() -> None:
+    line = fit_line(rod(sigma=0.0)).value
+    np.testing.assert_allclose(line.v, [1, 0, 0], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(line.r, [0, 1, 2], rtol=0, atol=1e-12)
+
+
+def test_residuals_and_report() -> None:
+    p = sheet()
+    fit = fit_plane(p)
+    np.testing.assert_allclose(fit.residuals, p @ fit.value.n - fit.value.d, rtol=0, atol=1e-15)
+    assert fit.sigma[0] == pytest.approx(SIGMA, rel=0.4)
+    assert "n . x = d" in fit.report()
+    line = fit_line(rod())
+    assert line.residuals.shape == (20, 3)
+    np.testing.assert_allclose(line.residuals @ line.value.v, 0.0, atol=1e-16)
+    assert "x = r + s v" in line.report()
+
+
+def test_the_covariance_is_that_of_the_text() -> None:
+    """sigma^2 over the sum of squares along each axis; a tilt about one axis lifts points along the other."""
+    p = sheet(60)
+    fit = fit_plane(p, noise=1e-4)
+    along = np.sum(((p - p.mean(axis=0)) @ fit.value.axes.T) ** 2, axis=0)
+    assert along[0] > along[1]
+    np.testing.assert_allclose(np.diag(fit.cov), 1e-8 / np.array([along[1], along[0], 60]), rtol=1e-12)
+    np.testing.assert_array_equal(fit.value.cov, fit.cov)
+
+
+def test_directions_follow_the_rule_in_every_orientation(cube: list[np.ndarray]) -> None:
+    """Turned data give the turned answer: no sign of a decomposition is left in it."""
+    plane, line = fit_plane(sheet()).value, fit_line(rod()).value
+    assert len(cube) == 24
+    for R in cube:
+        np.testing.assert_allclose(fit_plane(sheet() @ R.T).value.n, R @ plane.n, atol=1e-12)
+        turned = fit_line(rod() @ R.T).value
+        np.testing.assert_allclose(turned.v, R @ line.v, atol=1e-12)
+        np.testing.assert_allclose(turned.r, R @ line.r, atol=1e-12)
+        np.testing.assert_allclose(fit_line(rod()[::-1] @ R.T).value.v, -R @ line.v, atol=1e-12)
+
+
+def test_hints_choose_the_side() -> None:
+    p = sheet()
+    away = fit_plane(p).value.n
+    np.testing.assert_allclose(fit_plane(p, toward=[0, 0, 0]).value.n, -away, atol=1e-15)
+    np.testing.assert_allclose(fit_plane(p, normal=[0.3, 0, -1]).value.n, -away, atol=1e-15)
+    np.testing.assert_allclose(fit_line(rod(), along=[-1, 0.4, 0]).value.v, -fit_line(rod()).value.v, atol=1e-15)
+
+
+def test_upward_needs_a_side() -> None:
+    n = np.array([0.0, 0.0, 1.0])
+    np.testing.assert_array_equal(upward(n, np.array([0.0, 0, -2]), 1e-3, None, None, "plane"), -n)
+    with pytest.raises(NotExcited, match="toward="):
+        upward(n, np.array([3.0, 0, 2e-3]), 1e-3, None, None, "plane")
+    with pytest.raises(NotExcited) as caught:
+        fit_plane(sheet() - [0, 0, 2.0])
+    assert caught.value.directions == ("side of the plane",)
+    assert fit_plane(sheet() - [0, 0, 2.0], normal=[0, 0, 1]).value.n[2] > 0.99
+    with pytest.raises(ShapeError, match="lies in it"):
+        fit_plane(sheet(), toward=[0.1, 0, 2.0])
+    with pytest.raises(ShapeError, match="got both"):
+        fit_plane(sheet(), toward=[0.1, 0, 0], normal=[0, 0, 1])
+    closed = rod()
+    closed[-1] = closed[0]
+    with pytest.raises(NotExcited, match="along="):
+        fit_line(closed)
+    with pytest.raises(ShapeError, match="across it"):
+        fit_line(rod(sigma=0.0), along=[0, 1, 0])
+
+
+@pytest.mark.parametrize("sigma", [0.0, SIGMA])
+@pytest.mark.parametrize("n", [4, 20, 200])
+def test_points_along_a_line_are_no_plane(n: int, sigma: float) -> None:
+    refused = 0
+    for seed in range(20):
+        try:
+            fit_plane(rod(n, seed, sigma), normal=[0, 0, 1])
+        except NotExcited as error:
+            refused += "tilt about the long axis of the points, (1.0000" in error.directions[0]
+    assert refused >= (20 if n > 4 or not sigma else 8), "four points can look like a plane"
+
+
+@pytest.mark.parametrize("sigma", [0.0, SIGMA])
+def test_points_in_one_place_are_no_line(sigma: float) -> None:
+    for seed in range(20):
+        p = np.ones(3) + sigma * np.random.default_rng(seed).standard_normal((20, 3))
+        with pytest.raises(NotExcited, match="in one place"):
+            fit_line(p, along=[1, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "sentence"),
+    [
+        (lambda: fit_plane(sheet(3)), NotExcited, "at least 4 points"),
+        (lambda: fit_plane(sheet(4), robust=True), NotExcited, "at least 5 points"),
+        (lambda: fit_line(rod(2)), NotExcited, "at least 3 points"),
+        (lambda: fit_plane(sheet().T), ShapeError, "Transpose"),
+        (lambda: fit_plane([["a"] * 3] * 5), ShapeError, "real numbers"),
+        (lambda: fit_plane(sheet(), noise=0.0), ShapeError, "above zero"),
+        (lambda: fit_plane(sheet(), limit=-1.0), ShapeError, "limit"),
+        (lambda: fit_line(np.vstack([rod(), [np.nan, 0, 0]])), ShapeError, "rows 20"),
+    ],
+)
+def test_bad_input_is_refused(call, error, sentence: str) -> None:
+    with pytest.raises(error, match=sentence):
+        call()
+    assert LIMIT == 0.2
+
+
+def test_minimal_sets_find_outliers() -> None:
+    """One of five points is no point of the plane, one of four none of the line; 40 % of many neither."""
+    p = sheet(5, 3)
+    p[2, 2] += 0.02
+    assert fit_plane(p, robust=True).outliers.tolist() == [False, False, True, False, False]
+    q = rod(4, 1)
+    q[3, 1] += 0.02
+    assert fit_line(q, robust=True).outliers.tolist() == [False, False, False, True]
+    for n in (50, 200):  # all sets, and seeded ones
+        bad = np.arange(n) < 0.4 * n
+        many = sheet(n, 7)
+        many[bad, 2] += np.random.default_rng(1).uniform(0.005, 0.1, int(bad.sum()))
+        fit = fit_plane(many, robust=True, noise=SIGMA)
+        np.testing.assert_array_equal(fit.outliers[bad], True)
+        assert fit.outliers[~bad].sum() <= 1
+        assert fit.n == n - fit.outliers.sum()
+        assert abs(fit.value.n[2]) > 1 - 1e-6
+
+
+def drawn(seed: int, n: int, draw: Draw) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rotation, centre, cloud and rod as section 7 of the specification draws them."""
+    rng = np.random.default_rng([SEED, seed])
+    R, c = draw(rng), rng.standard_normal(3)
+    flat = c + rng.uniform(-1, 1, (n, 2)) * [0.15, 0.10] @ R[:, :2].T
+    measured = flat + SIGMA * rng.standard_normal((n, 3))
+    thin = c + np.outer(rng.uniform(-0.15, 0.15, n), R[:, 0])
+    return R, c, measured, thin + SIGMA * rng.standard_normal((n, 3))
+
+
+def plane_error(fit: Fit[Plane], truth: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    n, c = truth
+    value = fit.value
+    return np.array([*(value.axes @ np.cross(n, value.n)), n @ (value.centroid - c)])
+
+
+def line_error(fit: Fit[Line], truth: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    v, c = truth
+    value = fit.value
+    return np.concatenate([value.axes @ np.cross(v, value.v), value.axes @ (value.centroid - c)])
+
+
+MOVE = se3.from_rp(so3.exp([0.4, 1.0, -0.3]), [3.0, -1.0, 2.0])
+
+
+def plane_experiment(draw: Draw) -> Callable[[int, int], Experiment]:
+    def experiment(seed: int, n: int) -> Experiment:
+        R, c, p, _ = drawn(seed, n, draw)
+        return Experiment({"p": p, "noise": SIGMA, "normal": R[:, 2]}, (R[:, 2], c))
+
+    return experiment
+
+
+def line_experiment(draw: Draw) -> Callable[[int, int], Experiment]:
+    def experiment(seed: int, n: int) -> Experiment:
+        R, c, _, p = drawn(seed, n, draw)
+        return Experiment({"p": p, "noise": SIGMA, "along": R[:, 0]}, (R[:, 0], c))
+
+    return experiment
+
+
+def spoil(data: dict, rng: np.random.Generator) -> tuple[dict, np.ndarray]:
+    bad = np.zeros(len(data["p"]), dtype=bool)
+    bad[rng.choice(len(bad), len(bad) // 20, replace=False)] = True
+    away = rng.standard_normal((len(bad), 3))
+    side = np.asarray(data.get("normal", np.cross(data.get("along", [0, 0, 1]), [0.3, 0.5, 0.8])))
+    away = 0.01 * np.sign(away @ side)[:, None] * side / np.linalg.norm(side)
+    return {**data, "p": data["p"] + bad[:, None] * away, "robust": True}, bad
+
+
+def moved(hint: str) -> Callable[[dict], dict]:
+    return lambda data: {**data, "p": data["p"] @ MOVE[:3, :3].T + MOVE[:3, 3], hint: MOVE[:3, :3] @ data[hint]}
+
+
+def scaled(data: dict) -> dict:
+    return {**data, "p": 1000.0 * data["p"], "noise": 1000.0 * data["noise"]}
+
+
+def here(which: str, scale: float = 1.0, T: np.ndarray | None = None) -> Callable[[Fit], tuple]:
+    def expect(fit: Fit) -> tuple:
+        value = fit.value if T is None else fit.value.moved(T)
+        return getattr(value, which), scale * value.centroid
+
+    return expect
+
+
+def test_fit_plane_keeps_the_contract(uniform_rotation: Draw) -> None:
+    contract = check_estimator(
+        fit_plane,
+        plane_experiment(uniform_rotation),
+        100,
+        n=20,
+        error=plane_error,
+        gauges=[
+            Gauge("frame", moved("normal"), here("n", T=MOVE)),
+            Gauge("millimetres", scaled, here("n", 1000.0)),
+        ],
+        refusals={"tilt about the long axis": {"p": rod(), "noise": SIGMA, "normal": [0, 0, 1]}},
+        spoil=spoil,
+        skip={"efficient": "benchmarks/bench_calibrate_frames.py judges it on 1000 runs of two seeds"},
+    )
+    assert contract.passed, contract.text()
+
+
+def test_fit_line_keeps_the_contract(uniform_rotation: Draw) -> None:
+    one_place = np.ones((20, 3)) + SIGMA * np.random.default_rng(0).standard_normal((20, 3))
+    contract = check_estimator(
+        fit_line,
+        line_experiment(uniform_rotation),
+        100,
+        n=20,
+        error=line_error,
+        gauges=[
+            Gauge("frame", moved("along"), here("v", T=MOVE)),
+            Gauge("millimetres", scaled, here("v", 1000.0)),
+        ],
+        refusals={"in one place": {"p": one_place, "noise": SIGMA, "along": [1, 0, 0]}},
+        spoil=spoil,
+        skip={"efficient": "benchmarks/bench_calibrate_frames.py judges it on 1000 runs of two seeds"},
+    )
+    assert contract.passed, contract.text()
+
+
+def uneven(seed: int, n: int = 20) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places, errors, and covariances as a tracker's: worse along its ray."""
+    rng = np.random.default_rng([8, seed])
+    root = np.linalg.qr(rng.standard_normal((n, 3, 3)))[0] * np.array([2e-4, 5e-5, 2e-5])
+    return (
+        rng.uniform(-0.15, 0.15, (n, 3)),
+        (root @ rng.standard_normal((n, 3, 1)))[..., 0],
+        root @ root.transpose(0, 2, 1),
+    )
+
+
+@pytest.mark.parametrize("what", ["plane", "line"])
+def test_points_of_their_own_covariance(what: str) -> None:
+    """NEES over the dimension is 1, and the error smaller than with one deviation for all."""
+    nees, weighted, plain = [], [], []
+    fit, error, mask, truth, hint = (
+        (fit_plane, plane_error, [1, 1, 0], (np.eye(3)[2], np.array([0.0, 0, 1])), {"normal": [0, 0, 1]})
+        if what == "plane"
+        else (fit_line, line_error, [1, 0, 0], (np.eye(3)[0], np.array([0.0, 0, 1])), {"along": [1, 0, 0]})
+    )
+    for seed in range(100):
+        p, e, cov = uneven(seed)
+        p = p * mask + [0, 0, 1.0] + e
+        found = fit(p, noise=cov, **hint)
+        d = error(found, truth)
+        nees.append(d @ np.linalg.solve(found.cov, d) / len(d))
+        weighted.append(d[0] ** 2 + d[1] ** 2)
+        plain.append(np.sum(error(fit(p, **hint), truth)[:2] ** 2))
+    assert 0.8 < np.mean(nees) < 1.25
+    assert np.sqrt(np.mean(weighted) / np.mean(plain)) < 0.8
+    same = np.eye(3) * SIGMA**2
+    one, other = fit(p, noise=same, **hint), fit(p, noise=SIGMA, **hint)
+    assert np.abs(error(one, truth) - error(other, truth)).max() < 1e-12
+    np.testing.assert_allclose(np.sort(np.diag(one.cov)), np.sort(np.diag(other.cov)), rtol=1e-6)
+
+
+def test_outliers_among_points_of_their_own_covariance() -> None:
+    p, e, cov = uneven(3)
+    p = p * [1, 1, 0] + [0, 0, 1.0] + e
+    p[[4, 11], 2] += 0.003
+    found = fit_plane(p, noise=cov, robust=True)
+    assert np.flatnonzero(found.outliers).tolist() == [4, 11]
+    with pytest.raises(ShapeError, match=r"\(20, 3, 3\)"):
+        fit_plane(p, noise=cov[:5])
+    with pytest.raises(ShapeError, match="at point 2"):
+        fit_line(p, noise=np.where(np.arange(20)[:, None, None] == 2, -cov, cov))
+
+
+def test_a_hundred_thousand_points() -> None:
+    """No square of their number is ever stored."""
+    p = sheet(100_000)
+    p[:20_000, 2] += 0.01
+    fit = fit_plane(p, robust=True)
+    assert fit.outliers[:20_000].all()
+    assert fit.n > 79_000
+    assert fit_line(rod(100_000), robust=True).n > 99_000
+
+
+def test_the_side_of_a_plane_is_as_sure_as_its_tilt_far_away() -> None:
+    """Points five metres from the origin: 2 mm above it is within what their tilt leaves open."""
+    rng = np.random.default_rng(1)
+    p = np.column_stack([rng.uniform(5.0, 5.2, 20), rng.uniform(-0.1, 0.1, 20), np.full(20, 0.002)])
+    with pytest.raises(NotExcited, match="side"):
+        fit_plane(p, noise=1e-4)
+    assert fit_plane(p, noise=1e-4, toward=[5.0, 0.0, 1.0]).value.n[2] == pytest.approx(1.0)
+    assert fit_plane(p, noise=1e-6).value.n[2] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("fit", "draw", "n"), [(fit_line, rod, 4), (fit_plane, sheet, 5)])
+def test_noise_of_few_points_is_not_flattered(fit: Callable[..., Fit], draw: Callable[..., np.ndarray], n: int) -> None:
+    """The mean of its square is the variance: degrees of freedom that the fit took do not count."""
+    squares = [fit(draw(n, seed)).sigma[0] ** 2 for seed in range(300)]
+    assert np.mean(squares) == pytest.approx(SIGMA**2, rel=0.15)
+
+
+def points(n: int, offset: float, sigma: float, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    on = PLANE.centroid + rng.uniform(-1, 1, (n, 2)) @ PLANE.axes
+    return on + (offset + sigma * rng.standard_normal((n, 1))) * PLANE.n
+
+
+def test_the_constant_and_its_deviation() -> None:
+    found = check_offset(PLANE, points(400, -0.005, 1e-4))
+    assert isinstance(found, OffsetCheck)
+    assert found.sigma == pytest.approx(1e-4, rel=0.1)
+    assert found.sd == pytest.approx(found.sigma / 20, rel=0.01)
+    assert abs(found.offset + 0.005) < 4 * found.sd
+    assert found.outliers.sum() <= 3
+
+
+def test_outliers_are_flagged_by_index() -> None:
+    p = points(9, 0.005, 5e-5)
+    p[[1, 4, 7, 8]] += np.outer([0.01, -0.02, 0.03, 0.004], PLANE.n)
+    found = check_offset(PLANE, p)
+    assert np.flatnonzero(found.outliers).tolist() == [1, 4, 7, 8]
+    assert abs(found.offset - 0.005) < 1e-4
+    assert "point 4: -0.02" in found.text()
+
+
+def test_exact_data() -> None:
+    found = check_offset(PLANE, points(5, 0.005, 0.0))
+    assert found.offset == pytest.approx(0.005, abs=1e-15)
+    assert not found.outliers.any()
+
+
+def test_bad_input_is_refused_offset() -> None:
+    with pytest.raises(NotExcited, match="at least 3 points"):
+        check_offset(PLANE, points(2, 0.0, 0.0))
+    with pytest.raises(ShapeError, match="rows 1"):
+        check_offset(PLANE, [[0, 0, 0], [0, np.inf, 0], [0, 0, 1]])
+    with pytest.raises(ShapeError, match="Plane"):
+        check_offset([0, 0, 1], points(5, 0.0, 0.0))
+
+
+def test_noise_of_few_distances_is_not_flattered() -> None:
+    squares = [check_offset(PLANE, points(4, 0.005, 1e-4, seed)).sigma ** 2 for seed in range(300)]
+    assert np.mean(squares) == pytest.approx(1e-8, rel=0.15)

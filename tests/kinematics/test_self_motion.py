@@ -1,0 +1,169 @@
+"""Self-motion: the pose stays, the limits hold, the curve is the one that was asked for, refusals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from armlab import lie, robots
+from armlab.errors import RobotError, ShapeError, SingularPoseError, UnknownName
+from armlab.kinematics import SelfMotion, forward, jacobian, manipulability_gradient, self_motion
+from armlab.robots import Robot
+
+YUMI = robots.load("yumi_left")
+
+
+def posture(seed: int, robot: Robot = YUMI) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(0.8 * robot.q_min, 0.8 * robot.q_max)
+
+
+def pose_errors(robot: Robot, q: np.ndarray) -> tuple[float, float]:
+    """Largest distance and turn of the tool from the first pose, without the code under test."""
+    T = forward(robot, q)
+    turn = lie.so3.log(np.swapaxes(T[:1, :3, :3], 1, 2) @ T[:, :3, :3])
+    return np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1).max(), np.linalg.norm(turn, axis=1).max()
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("direction", [1, -1])
+def test_the_tool_stays_and_the_joints_stay_inside(seed: int, direction: Any) -> None:
+    q = posture(seed)
+    walk = self_motion(YUMI, q, direction=direction, length=2.0, points=201)
+    assert isinstance(walk, SelfMotion)
+    np.testing.assert_array_equal(walk.q[0], q)
+    assert len(walk.q) >= 10
+    for error, reported in zip(pose_errors(YUMI, walk.q), (walk.position_error, walk.rotation_error)):
+        assert error <= 1e-9
+        assert reported.max() <= 1e-9
+    assert (YUMI.q_min <= walk.q).all()
+    assert (walk.q <= YUMI.q_max).all()
+    steps = np.diff(walk.q, axis=0)
+    np.testing.assert_allclose(np.diff(walk.s)[:-1], 0.01, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(steps, axis=1), np.diff(walk.s), rtol=0.01)  # chords of bends
+    tangents = steps / np.linalg.norm(steps, axis=1, keepdims=True)
+    assert np.vecdot(tangents[1:], tangents[:-1]).min() > 0.9  # a smooth curve
+    if walk.end == "length":
+        assert walk.s[-1] == 2.0
+    else:
+        k = int(walk.end.removeprefix("limit of joint ")) - 1
+        assert min(walk.q[-1, k] - YUMI.q_min[k], YUMI.q_max[k] - walk.q[-1, k]) <= 1e-9
+
+
+def test_there_and_back_again() -> None:
+    q = posture(0)
+    there = self_motion(YUMI, q, direction=-1, length=1.5, points=4)
+    assert there.end == "length"
+    back = self_motion(YUMI, there.q[-1], direction=there.q[-2] - there.q[-1], length=1.5, points=4)
+    np.testing.assert_allclose(back.q, there.q[::-1], rtol=0, atol=1e-7)
+
+
+def test_the_sign_is_that_of_the_joint_that_moves_most() -> None:
+    q = posture(0)
+    forth, back = (self_motion(YUMI, q, direction=sign, length=0.02, points=2) for sign in (1, -1))
+    step = forth.q[1] - q
+    assert step[np.argmax(np.abs(step))] > 0
+    np.testing.assert_allclose(back.q[1] - q, -step, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(np.linalg.norm(jacobian(YUMI, q) @ step), 0.0, rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_uphill_ends_where_the_gradient_has_no_part_left(seed: int) -> None:
+    gradient = partial(manipulability_gradient, YUMI)
+    walk = self_motion(YUMI, posture(seed), direction=gradient, length=10.0, points=201)
+    assert walk.end == "optimum"
+    q = walk.q[-1]
+    along = np.linalg.svd(jacobian(YUMI, q))[2][6:]
+    assert np.abs(along @ manipulability_gradient(YUMI, q)).max() <= 1e-6
+    assert max(pose_errors(YUMI, walk.q)) <= 1e-9
+
+
+def test_a_six_joint_arm_turns_about_its_tool_axis() -> None:
+    robot = robots.load("irb2400")
+    q = np.array([0.1, 0.2, -0.3, 0.4, 0.8, 0.2])
+    walk = self_motion(robot, q, task="axis", length=1.0, points=11)
+    T = forward(robot, walk.q)
+    assert np.abs(T[:, :3, 2] - T[0, :3, 2]).max() <= 1e-9
+    assert np.abs(T[:, :3, 3] - T[0, :3, 3]).max() <= 1e-9
+    assert lie.so3.angle(T[0, :3, :3], T[-1, :3, :3]) > 0.3
+
+
+def test_of_several_dimensions_one_is_chosen() -> None:
+    """Position only: 7 joints leave four dimensions."""
+    q, wish = posture(0), np.array([0, 0, 1.0, 0, 0, 0, 0])
+    walk = self_motion(YUMI, q, task="position", direction=wish, length=0.5, points=6)
+    assert pose_errors(YUMI, walk.q)[0] <= 1e-9
+    assert walk.q[1, 2] > q[2]
+    with pytest.raises(SingularPoseError, match="one of the 4 dimensions of this self-motion, got only the sign 1"):
+        self_motion(YUMI, q, task="position")
+
+
+def test_planar_arms_have_what_their_rank_leaves() -> None:
+    """Four parallel axes: rank 3 of the pose, one dimension of self-motion."""
+    planar = robots.from_dh("planar", 0.0, [0.5, 0.4, 0.3, 0.2], 0.0)
+    walk = self_motion(planar, [0.1, 0.4, 0.5, 0.6], length=1.0, points=11)
+    assert walk.end == "length"
+    assert max(pose_errors(planar, walk.q)) <= 1e-9
+
+
+def test_a_tool_on_the_only_axis_does_not_move_at_all() -> None:
+    """No row of the task then depends on the joint: the whole joint space is self-motion."""
+    walk = self_motion(robots.from_dh("one", 0.0, [0.0], 0.3), [0.0], task="position", length=0.5, points=3)
+    np.testing.assert_array_equal(walk.q, [[0.0], [0.25], [0.5]])
+    assert walk.end == "length"
+
+
+def test_prismatic_joints() -> None:
+    robot = replace(YUMI, prismatic=np.arange(7) == 0)
+    walk = self_motion(robot, posture(3), length=0.5, points=6)
+    assert len(walk.q) > 1
+    assert max(pose_errors(robot, walk.q)) <= 1e-9
+
+
+def test_results_are_frozen() -> None:
+    walk = self_motion(YUMI, posture(0), length=0.1, points=2)
+    with pytest.raises(ValueError, match="read-only"):
+        walk.q[0] = 0.0
+
+
+def test_refusals() -> None:
+    q = posture(0)
+    unknown: Any = "speed"
+    with pytest.raises(RobotError, match="a joint to spare for the task 'pose', got 'irb2400', which needs all its 6"):
+        self_motion(robots.load("irb2400"), np.ones(6) / 5)
+    with pytest.raises(RobotError, match="'planar', which needs all its 3 joints"):
+        self_motion(robots.from_dh("planar", 0.0, [0.5, 0.4, 0.3], 0.0), np.ones(3) / 5)
+    with pytest.raises(UnknownName, match=r"task, got 'speed'. Known: axis, pose, position"):
+        self_motion(YUMI, q, task=unknown)
+    with pytest.raises(UnknownName, match=r"task, got \['pose'\]"):
+        self_motion(YUMI, q, task=cast(Any, ["pose"]))
+    with pytest.raises(ShapeError, match=r"Expected q inside the limits of 'yumi_left', got 3 for joint 1"):
+        self_motion(YUMI, [3.0, 0, 0, 0, 0, 0, 0])
+    for bad in (np.zeros(6), np.zeros((2, 7)), np.full(7, np.nan)):
+        with pytest.raises(ShapeError, match=r"Expected q to be \(7,\) finite numbers"):
+            self_motion(YUMI, bad)
+    with pytest.raises(ShapeError, match="Expected direction"):
+        self_motion(YUMI, q, direction=[1.0, 2.0])
+    with pytest.raises(ShapeError, match="Expected the gradient that direction"):
+        self_motion(YUMI, q, direction=lambda _: np.zeros(3))
+    for length, points in (
+        (1001.0, 5),
+        (0.0, 5),
+        (np.nan, 5),
+        (1.0, 1),
+        (1.0, 10**30),
+        (1.0, 2.5),
+        (np.ones(2), 5),
+        ("1", 5),
+        (1.0, "5"),
+    ):
+        with pytest.raises(ShapeError, match="length above 0 and up to 1000, and from 2 to 1000000 points"):
+            self_motion(YUMI, q, length=cast(Any, length), points=cast(Any, points))
+    with pytest.raises(SingularPoseError, match="a direction with a part along the self-motion"):
+        self_motion(YUMI, q, direction=jacobian(YUMI, q)[0])
+    stretched = robots.from_dh("planar", 0.0, [0.5, 0.4, 0.3, 0.2], 0.0)
+    with pytest.raises(SingularPoseError, match="a regular posture to walk from"):
+        self_motion(stretched, np.zeros(4))
