@@ -7,7 +7,7 @@ import pytest
 
 from armlab import robots
 from armlab.contact import Estimator, hypotheses
-from armlab.contact.places import check_distance, contact_point
+from armlab.contact.estimator import check_distance, contact_point
 from armlab.errors import ShapeError
 from armlab.robots.outline import arm_length
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import make_read_only, number, numbers
-from armlab.contact.places import check_distance, contact_point
+from armlab.contact.estimator import check_distance, contact_point
 from armlab.errors import RobotError, ShapeError
 from armlab.log import Table
 from armlab.models import PRIOR
