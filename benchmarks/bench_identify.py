@@ -17,8 +17,8 @@ from peers import Pinocchio
 from armlab import identify, robots
 from armlab.estimation import Rows, least_squares
 from armlab.identify.base_parameters import base_parameters
-from armlab.identify.design import Design
-from armlab.identify.preparation import Prepared
+from armlab.identify.record import Prepared
+from armlab.identify.regression import Design
 from armlab.robots import Robot
 
 RATE = 250.0  # Hz

@@ -7,7 +7,7 @@ import pytest
 
 from armlab.errors import NotConverged
 from armlab.estimation import Measurement, Problem
-from armlab.estimation.descent import Descent, descend
+from armlab.estimation.nonlinear import Descent, descend
 
 
 def problem(residual, jacobian, **options) -> Problem[np.ndarray]:

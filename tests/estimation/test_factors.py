@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from armlab.errors import ShapeError
 from armlab.estimation import Factors, Rows, factorise
-from armlab.estimation.factors import stack, triangle
+from armlab.estimation.tsqr import stack, triangle
 
 RNG = np.random.default_rng(0)
 A = RNG.standard_normal((90, 2, 4))

@@ -7,7 +7,7 @@ import pytest
 
 from armlab.errors import NotExcited, ShapeError, UnknownName
 from armlab.estimation import Prior, Rows, least_squares
-from armlab.estimation.linear import METHODS
+from armlab.estimation.robust import METHODS
 
 BLOCKS = 30
 

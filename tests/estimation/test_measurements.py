@@ -7,7 +7,7 @@ import pytest
 
 from armlab.errors import ShapeError
 from armlab.estimation import Measurement
-from armlab.estimation.measurements import Whitened, cost, median_norm, whiten
+from armlab.estimation.nonlinear import Whitened, cost, median_norm, whiten
 
 RNG = np.random.default_rng(0)
 COV = np.array([[4.0, 1.0], [1.0, 9.0]])

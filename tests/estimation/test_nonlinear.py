@@ -7,8 +7,7 @@ import pytest
 
 from armlab.errors import NotExcited
 from armlab.estimation import Measurement, NonlinearSolution, Problem, nonlinear_least_squares
-from armlab.estimation.measurements import whiten
-from armlab.estimation.nonlinear import SCHEDULE, _median_noise
+from armlab.estimation.nonlinear import SCHEDULE, _median_noise, whiten
 from armlab.lie import so3
 
 SIGMA = 0.01

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.identify import base_parameters, prepare
-from armlab.identify.columns import SMOOTH, Columns
-from armlab.identify.thinning import Thinning
+from armlab.identify.columns import SMOOTH, Columns, Thinning
 from armlab.kernels import presliding
 
 

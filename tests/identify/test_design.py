@@ -9,9 +9,9 @@ import pytest
 
 from armlab import robots
 from armlab.identify import base_parameters, excitation, prepare
-from armlab.identify.design import Design
-from armlab.identify.settling import settle
-from armlab.identify.shapes import DELTAS, STRIBECK_SPEEDS
+from armlab.identify.friction_structure import DELTAS, STRIBECK_SPEEDS
+from armlab.identify.regression import Design
+from armlab.identify.solve import settle
 
 
 @pytest.mark.slow  # 5 s beside other work

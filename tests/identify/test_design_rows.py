@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from armlab.identify import design_rows
-from armlab.identify.design_rows import DesignRows
+from armlab.identify import regression
+from armlab.identify.regression import DesignRows
 
 
 def test_pieces_are_all_rows_of_all_joints_and_come_again(monkeypatch) -> None:
-    monkeypatch.setattr(design_rows, "AT_ONCE", 4)
+    monkeypatch.setattr(regression, "AT_ONCE", 4)
     rng = np.random.default_rng(0)
     tau, trust, block = rng.standard_normal((10, 2)), rng.uniform(0, 1, (10, 2)), np.arange(10) // 3
     rigid, local = [rng.standard_normal((10, w)) for w in (3, 2)], [rng.standard_normal((10, k)) for k in (1, 2)]

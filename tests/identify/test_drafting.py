@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from armlab.identify import base_parameters
-from armlab.identify.drafting import Draft, Job, Progress, fit_of, fold_models, make_draft, model_of
-from armlab.identify.preparation import prepare
+from armlab.identify.dynamics import Draft, Job, Progress, fit_of, fold_models, make_draft, model_of
+from armlab.identify.record import prepare
 
 
 def test_a_draft_is_linear_in_what_is_left(short_arm) -> None:

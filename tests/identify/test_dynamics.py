@@ -10,8 +10,7 @@ from armlab.errors import ModelMismatchError, NotExcited, UnknownName
 from armlab.estimation import Limits, check_estimator
 from armlab.estimation.contract import PROPERTIES
 from armlab.identify import base_parameters, fit_dynamics, fit_gravity
-from armlab.identify.drafting import Job
-from armlab.identify.dynamics import fit_model
+from armlab.identify.dynamics import Job, fit_model
 from armlab.identify.validation import assess
 from armlab.log import Table
 

@@ -7,7 +7,7 @@ import pytest
 
 from armlab import identify, robots
 from armlab.errors import ShapeError
-from armlab.identify.expectation import Expectation, expectation
+from armlab.identify.excite import Expectation, expectation
 
 
 @pytest.fixture(scope="module")

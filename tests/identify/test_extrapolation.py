@@ -9,7 +9,7 @@ import pytest
 
 from armlab.errors import ShapeError
 from armlab.identify import Extrapolation, excitation, extrapolation, predict
-from armlab.identify.extrapolation import training
+from armlab.identify.validation import training
 from armlab.log import Table
 
 

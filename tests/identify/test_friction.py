@@ -11,7 +11,7 @@ from armlab import identify
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Experiment, check_estimator
 from armlab.identify import fit_dynamics, fit_friction
-from armlab.identify.preparation import prepare
+from armlab.identify.record import prepare
 from armlab.identify.residuals import model_residuals
 from armlab.identify.validation import held_out
 from armlab.log import Table

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armlab.identify.friction_columns import Bell, FrictionColumns
-from armlab.identify.thinning import Thinning
+from armlab.identify.columns import Bell, FrictionColumns, Thinning
 from armlab.kernels import presliding
 
 DELTA, SMOOTH, SPEED = np.array([1e-3, 2e-3, 3e-3]), np.array([0.0, 0.02, 0.0]), np.array([0.1, 0.2, 0.3])

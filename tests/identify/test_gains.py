@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.estimation import Rows, least_squares
-from armlab.identify.gains import GainProblem
+from armlab.identify.solve import GainProblem
 
 X = np.array([2.0, -1.0, 0.5])
 NAMES = ("a", "b", "c")

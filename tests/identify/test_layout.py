@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armlab.identify import base_parameters
-from armlab.identify.layout import Layout
+from armlab.identify.regression import Layout
 
 
 def test_every_parameter_has_one_name_unit_bound_and_place(short_arm) -> None:

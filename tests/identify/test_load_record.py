@@ -9,7 +9,7 @@ import pytest
 
 from armlab import identify
 from armlab.errors import ShapeError
-from armlab.identify.load_record import LoadRecord, moving_joints
+from armlab.identify.payload import LoadRecord, moving_joints
 from armlab.robots import inertia
 
 PI = inertia.from_body(0.5, [0.03, -0.01, 0.06], np.diag([1e-3, 2e-3, 1.5e-3]))

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from armlab import identify
-from armlab.identify.load_record import LoadRecord
-from armlab.identify.model_error import ModelError
+from armlab.identify.payload import LoadRecord, ModelError
 from armlab.log import Table
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.identify import prepare
-from armlab.identify.momentum import momentum_noise, stretches, velocity_noise
+from armlab.identify.residuals import momentum_noise, stretches, velocity_noise
 from armlab.identify.validation import held_out
 from armlab.models import FORCE_RATES, PRIOR
 
@@ -38,7 +38,7 @@ def test_some_windows_of_a_long_record_tell_the_factors(truth, excited, model, m
     errors, moving = held_out([(model, rows)], data)
     errors = np.where(moving, errors, np.nan)
     whole = momentum_noise(model, [(model, rows)], errors, data)
-    monkeypatch.setattr("armlab.identify.momentum.ENOUGH", len(rows) // 2)
+    monkeypatch.setattr("armlab.identify.residuals.ENOUGH", len(rows) // 2)
     part = momentum_noise(model, [(model, rows)], errors, data)
     assert part.alpha2_observer != whole.alpha2_observer
     assert part.alpha2_observer == pytest.approx(whole.alpha2_observer, rel=0.2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from armlab.estimation import Fit
-from armlab.identify.parameter_table import parameter_rows, parameter_text
+from armlab.identify.validation import parameter_rows, parameter_text
 from armlab.models import TorqueModel
 
 

@@ -11,8 +11,7 @@ from armlab import identify, sim
 from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Experiment, Fit, check_estimator
 from armlab.identify import fit_payload
-from armlab.identify.model_error import ModelError
-from armlab.identify.payload import _possible
+from armlab.identify.payload import ModelError, _possible
 from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import Friction, Payload, TorqueModel

@@ -9,7 +9,7 @@ import pytest
 
 from armlab.errors import NotExcited, RobotError, ShapeError, UnknownName
 from armlab.identify import Prepared, prepare, with_velocity
-from armlab.identify.preparation import check_once, log_name, pieces, prepare_share
+from armlab.identify.record import check_once, log_name, pieces, prepare_share
 from armlab.log import Table
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armlab.identify.ridge import held_out_error, refit, ridge_solution, scattered
+from armlab.identify.drives.regularised import held_out_error, refit, ridge_solution, scattered
 
 
 def test_the_covariance_of_a_refit_is_true() -> None:

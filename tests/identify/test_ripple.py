@@ -7,8 +7,8 @@ import pytest
 
 from armlab.errors import ShapeError
 from armlab.identify import ripple_lines, ripple_regressor
-from armlab.identify.ridge import refit, ridge_solution
-from armlab.identify.ripple import (
+from armlab.identify.drives.regularised import refit, ridge_solution
+from armlab.identify.drives.ripple import (
     highest_seen,
     refine_lines,
     ripple_amplitudes,

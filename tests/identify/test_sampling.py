@@ -7,7 +7,7 @@ import pytest
 
 from armlab.errors import ShapeError
 from armlab.identify import prepare
-from armlab.identify.sampling import MIN_RATE, SLOW_SHARE, check_rate, slow_enough
+from armlab.identify.record import MIN_RATE, SLOW_SHARE, check_rate, slow_enough
 from armlab.log import Table
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from armlab.identify import base_parameters, prepare
-from armlab.identify.design import Design
-from armlab.identify.settling import ROBUST, linearised, settle, short_blocks, solved
+from armlab.identify.regression import Design
+from armlab.identify.solve import ROBUST, linearised, settle, short_blocks, solved
 
 
 @pytest.mark.slow  # 5 s beside other work

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armlab.identify.friction_columns import FrictionColumns
-from armlab.identify.shapes import (
+from armlab.identify.columns import FrictionColumns, Thinning
+from armlab.identify.friction_structure import (
     COLUMNS,
     DELTAS,
     FOLDS,
@@ -23,7 +23,6 @@ from armlab.identify.shapes import (
     mixing,
     term_names,
 )
-from armlab.identify.thinning import Thinning
 from armlab.kernels import presliding
 
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import median_filter
 
 from armlab.identify import fit_dynamics, prepare
-from armlab.identify.spikes import AT_ONCE, spikes, without_spikes
+from armlab.identify.record import AT_ONCE, spikes, without_spikes
 
 
 def test_spikes_are_found_and_replaced_better_by_a_model(short_arm) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from armlab.identify import prepare
-from armlab.identify.thinning import Piece, Thinning
+from armlab.identify.columns import Piece, Thinning
 
 
 @pytest.fixture(scope="module")

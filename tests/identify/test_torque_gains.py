@@ -10,8 +10,8 @@ import pytest
 from armlab import identify
 from armlab.estimation import LinearSolution, least_squares
 from armlab.identify import base_parameters, prepare
-from armlab.identify.design import Design
-from armlab.identify.torque_gains import GAIN_SD, calibrated, gain_share
+from armlab.identify.regression import Design
+from armlab.identify.solve import GAIN_SD, calibrated, gain_share
 
 GAINS = np.array([1.05, 0.96, 1.02, 1.03, 1.05, 0.99, 0.99])
 

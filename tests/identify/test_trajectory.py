@@ -8,7 +8,7 @@ import pytest
 from armlab import log, robots
 from armlab.errors import ShapeError
 from armlab.identify import Trajectory, dither, excitation, sequence
-from armlab.identify.trajectory import quintic_step
+from armlab.identify.excite import quintic_step
 from armlab.state import Command, State
 
 

@@ -9,8 +9,7 @@ import pytest
 
 from armlab.errors import NotExcited, ShapeError
 from armlab.identify import dither, predict, prepare
-from armlab.identify.parameter_table import parameter_text
-from armlab.identify.validation import FIFTHS, assess, assess_again, fold_of, held_out, report
+from armlab.identify.validation import FIFTHS, assess, assess_again, fold_of, held_out, parameter_text, report
 
 
 def test_held_out_residuals_cover_the_log_and_assess_calibrates(truth, excited, model) -> None:

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.identify import prepare
-from armlab.identify.residuals import friction_signs
-from armlab.identify.warmth import BIN, begun, dry_torques, mean_power, relaxed, seconds, settled
+from armlab.identify.residuals import BIN, begun, dry_torques, friction_signs, mean_power, relaxed, seconds, settled
 from armlab.models import WarmUp
 
 

@@ -18,10 +18,10 @@ from armlab import log, robots, signals
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Rows, least_squares
 from armlab.identify import base_parameters, extrapolation, fit_dynamics, predict, prepare, with_velocity
-from armlab.identify.design import Design
-from armlab.identify.extrapolation import training
-from armlab.identify.preparation import Prepared
-from armlab.identify.settling import settle
+from armlab.identify.record import Prepared
+from armlab.identify.regression import Design
+from armlab.identify.solve import settle
+from armlab.identify.validation import training
 from armlab.lie import euler, se3
 from armlab.log import Table
 from armlab.models import TorqueModel

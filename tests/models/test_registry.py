@@ -11,7 +11,7 @@ import pytest
 
 from armlab import models
 from armlab.errors import ConfigError, ModelMismatchError
-from armlab.models.registry import decode, encode, kind_of, provenance, read_value, register, value_file
+from armlab.models.files import decode, encode, kind_of, provenance, read_value, register, value_file
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from armlab.calibrate._laser_start import scene_of, starts
 from armlab.calibrate._laser_words import LIMITS, ROUGH, TURNED, Words, misfit, require_units
 from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation import NonlinearSolution, nonlinear_least_squares
-from armlab.estimation.descent import descend
+from armlab.estimation.nonlinear import descend
 from armlab.estimation.robust import mad
 
 __all__ = ["searched", "times"]

@@ -10,7 +10,7 @@ import numpy as np
 
 from armlab.calibrate._hand_eye_equation import Pair, full
 from armlab.estimation import Measurement, Problem
-from armlab.estimation.factors import triangle
+from armlab.estimation.tsqr import triangle
 from armlab.frames import marker_pose
 from armlab.lie import so3
 from armlab.models import HandEye

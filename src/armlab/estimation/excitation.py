@@ -18,7 +18,7 @@ import numpy as np
 
 from armlab._numbers import numbers, still
 from armlab.errors import NotExcited, ShapeError
-from armlab.estimation.factors import triangle
+from armlab.estimation.tsqr import triangle
 
 __all__ = ["Excitation", "Prior", "check_excitation", "check_spread", "unhurried"]
 

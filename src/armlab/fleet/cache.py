@@ -18,7 +18,7 @@ import numpy as np
 
 from armlab import __version__
 from armlab.errors import ShapeError
-from armlab.estimation.factors import Factors
+from armlab.estimation.tsqr import Factors
 from armlab.identify.many import LogSums, Pattern
 from armlab.models import Training
 

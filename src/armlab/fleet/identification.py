@@ -13,10 +13,10 @@ from armlab.estimation import Fit
 from armlab.fleet.cache import SumCache
 from armlab.fleet.logs import Log, as_table, named
 from armlab.fleet.mapping import Progress, each
-from armlab.identify.drafting import Draft
+from armlab.identify.dynamics import Draft
+from armlab.identify.friction_structure import Choice, Chooser, Shapes, choose
 from armlab.identify.many import LogSums, Pattern, fit_draft, fit_sums, log_sums, same_rate
-from armlab.identify.preparation import prepare_share
-from armlab.identify.shapes import Choice, Chooser, Shapes, choose
+from armlab.identify.record import prepare_share
 from armlab.log import Table
 from armlab.models import TorqueModel
 from armlab.robots import Robot

@@ -15,7 +15,7 @@ from math import comb
 import numpy as np
 
 from armlab.errors import NotExcited
-from armlab.estimation.measurements import median_norm
+from armlab.estimation.nonlinear import median_norm
 from armlab.frames._cloud import rounding
 
 __all__ = ["chosen"]

@@ -16,19 +16,267 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
-from armlab.estimation import Fit, block_bootstrap
+import numpy as np
+
+from armlab._numbers import check_name
+from armlab.errors import ModelMismatchError, NotExcited, ShapeError
+from armlab.estimation import BlockSums, Fit, LinearSolution, Prior, block_bootstrap, block_seconds, least_squares
 from armlab.identify.base_parameters import BaseParameters, base_parameters, measured_joints
-from armlab.identify.drafting import Job, Progress, fit_of, fold_models, make_draft, model_of
-from armlab.identify.preparation import Prepared, prepare
+from armlab.identify.friction_structure import Chooser, choose_here
+from armlab.identify.record import Prepared, prepare, spikes, without_spikes
+from armlab.identify.regression import Design
+from armlab.identify.solve import ROBUST, calibrated, gain_share, linearised, settle, short_blocks
 from armlab.identify.threads import one_thread
-from armlab.identify.torque_gains import gain_share
-from armlab.identify.validation import assess
+from armlab.identify.validation import assess, report, training
 from armlab.log import Table
-from armlab.models import TorqueModel
+from armlab.models import FrictionBound, Quality, TorqueModel, velocity_covariance
 from armlab.robots import Robot
 
-__all__ = ["fit_dynamics", "fit_model"]
+# What `fit_dynamics` and `fleet.identify` share: gains, shape of friction, sums of blocks, and the model they make.
+#
+# A draft fixes what is not linear: which spikes of torque are replaced, the gains, the shape of friction. What remains
+# are sums of rows, which any number of logs may add to.
+
+
+CUTOFF = 10.0  # Hz, corner of the estimator's causal filter
+FEWEST = 8.0  # stretches that tell a number of the shape of friction
+UNKNOWN = 1e3  # deviation of what a prior does not know
+METHODS = ("irls", "lts", "wls", "ols")
+
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """How to fit.
+
+    Attributes
+    ----------
+    what : is fitted, for messages. method : of `estimation.least_squares`. seed : of random starts and bootstrap.
+    tell : called with (done, total, what). prior : an earlier fit. joints : whose torque is measured; None for all.
+    chooser : of the shapes of friction, see `Design.choose_shapes`.
+    """
+
+    what: str
+    method: str
+    seed: int
+    tell: Progress
+    prior: Fit[TorqueModel] | None = None
+    joints: tuple[int, ...] | None = None
+    chooser: Chooser = choose_here
+
+    def check(self, robot: Robot) -> None:
+        """Refuse another method, and a prior that is no fit or of another robot."""
+        if self.prior is not None:
+            if not isinstance(getattr(self.prior, "value", None), TorqueModel):
+                found = type(self.prior).__name__
+                raise ModelMismatchError(f"Expected an earlier fit as prior, got {found}. See Fit.load.")
+            self.prior.value.check_robot(robot)
+        check_name(self.method, "method of identification", METHODS)
+
+    def solve(self, design: Design, block: np.ndarray) -> LinearSolution:
+        """Solve for the linear parameters; `block` (M,) is the block of time of each kept row."""
+        limits = {"lower": design.layout.lower, "prior": self._prior(design), "seed": self.seed}
+        return least_squares(design.stream(block), design.layout.heads, what=self.what, method=self.method, **limits)
+
+    def _prior(self, design: Design) -> Prior | None:
+        if self.prior is None:
+            return None
+        known = dict(zip(self.prior.names, zip(self.prior.parameters, self.prior.sd)))
+        values = [known.get(name, (0.0, UNKNOWN)) for name in design.layout.names]
+        values = [(0.0, 1.0) if slope else value for value, slope in zip(values, design.layout.slopes)]
+        return Prior(np.array([v for v, _ in values]), np.array([max(sd, 1e-12) for _, sd in values]))
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """A design with what is not linear in it found, and the sums of its blocks.
+
+    Attributes
+    ----------
+    design : with its slopes. gain_cov : (J, J) of the gains.
+    sums : of the blocks. block : (N,) number of the block of each sample. length : blocks in a stretch of time.
+    seconds : of a stretch. theta : (p,) parameters without slopes at which the slopes were taken.
+    """
+
+    design: Design
+    gain_cov: np.ndarray
+    sums: BlockSums
+    block: np.ndarray
+    length: int
+    seconds: float
+    theta: np.ndarray
+
+
+def make_draft(data: Prepared, robot: Robot, base: BaseParameters, job: Job) -> Draft:
+    """Settle gains and shape of friction, and sum the rows.
+
+    Parameters
+    ----------
+    data : the record. robot : the arm. base : which base parameters. job : how to fit.
+
+    Raises
+    ------
+    NotExcited : the record does not determine everything, by name.
+    """
+    design, theta, gain_cov = _settled(data, robot, base, job)
+    job.tell(3, 5, "covariance from blocks")
+    block, length, seconds = _blocks(design, theta, job.method)
+    design, sums = _summed(design, theta, job, block, length)
+    return Draft(design, gain_cov, sums, block, length, seconds, theta)
+
+
+def _settled(data: Prepared, robot: Robot, base: BaseParameters, job: Job) -> tuple[Design, np.ndarray, np.ndarray]:
+    """Return the design with its gains and shape of friction, parameters (p,), and the covariance (J, J) of the gains.
+
+    Spikes are replaced twice: the second time by what the first fit makes of them.
+    """
+    known = None if job.prior is None else (job.prior.value.gains, job.prior.value.gain_cov)
+    found = spikes(data) if job.method in ROBUST else np.zeros(data.tau.shape, dtype=bool)
+    first = without_spikes(data, found) if found.any() else data.tau
+    job.tell(1, 5, "building the regressor")
+    design = calibrated(Design.build(replace(data, tau=first), robot, base, joints=job.joints), job.method, known)[0]
+    job.tell(2, 5, "choosing the shape of friction")
+    design, theta = settle(design, job.method, job.seed, chooser=job.chooser)
+    if found.any():
+        model = model_of(design, theta, np.zeros((len(theta), len(theta))))
+        design = design.with_torque(without_spikes(data, found, model))
+        design, theta = settle(design, job.method, job.seed, chooser=job.chooser)
+    return calibrated(design, job.method, known)
+
+
+def _summed(design: Design, theta: np.ndarray, job: Job, block: np.ndarray, length: int) -> tuple[Design, BlockSums]:
+    """Return the design with its slopes and the sums of its blocks (B,).
+
+    A number of the shape that a few reversals tell keeps its value: its deviation cannot be drawn from them.
+    """
+    sloped = linearised(design, theta, job.method)
+    sums = BlockSums.of(job.solve(sloped, block[design.rows]))
+    spread = sums.spread(length)[sloped.layout.slopes] >= FEWEST
+    if spread.all():
+        return sloped, sums
+    free = sloped.free.copy()
+    free[sloped.free] = spread
+    sloped = design.with_slopes(theta, free)
+    return sloped, BlockSums.of(job.solve(sloped, block[design.rows]))
+
+
+def _blocks(design: Design, theta: np.ndarray, method: str) -> tuple[np.ndarray, int, float]:
+    """Return the block number (N,) of each sample, how many blocks make a stretch that stands for itself, its length.
+
+    Stretches are longer than the residual remembers; of blocks that may be left out there are several in a stretch.
+    """
+    data = design.data
+    step = float(np.median(np.diff(data.t[design.rows])))
+    seconds = min(block_seconds(design.residuals(theta), step), data.seconds / 20.0)
+    block = data.blocks(short_blocks(data) if method == "lts" else seconds)
+    count = int(block[-1]) + 1
+    length = max(1, round(seconds * count / data.seconds))
+    if count < 8 * length:
+        raise NotExcited(
+            f"Expected at least 8 blocks of {seconds:.2g} s for a covariance, got {count // length}. "
+            "Record for longer.",
+            ["covariance"],
+            [f"{data.seconds:.1f} s"],
+        )
+    return block, length, seconds
+
+
+def model_of(design: Design, theta: np.ndarray, cov: np.ndarray, gain_cov: np.ndarray | None = None) -> TorqueModel:
+    """Turn linear parameters and friction shapes into a model; covariance and quality are provisional.
+
+    Parameters
+    ----------
+    design : of the draft. theta, cov : (p,) and (p, p). gain_cov : (J, J) of the gains; zero when left out.
+    """
+    data, robot, base = design.data, design.robot, design.base
+    n, p = robot.n, len(base.names)
+    links, rotor = base.links_and_rotors(theta[:p])
+    friction, ripple = design.drives(theta)
+    tiny = np.full(n, 1e-18)
+    gains, spread = np.ones(n), np.zeros((n, n))
+    gains[design.joints] = design.gains
+    if gain_cov is not None:
+        spread[np.ix_(design.joints, design.joints)] = gain_cov
+    return TorqueModel(
+        robot_name=robot.name,
+        robot_hash=robot.hash,
+        frames=robot.frames,
+        prismatic=robot.prismatic,
+        gravity=robot.gravity,
+        link_parameters=links,
+        rotor=rotor,
+        friction=friction,
+        ripple=ripple,
+        covariance=velocity_covariance("const", tiny, tiny),
+        bound=FrictionBound.of(friction),
+        cutoff=CUTOFF,
+        base_names=base.names,
+        base_values=theta[:p],
+        base_cov=cov[:p, :p],
+        gains=gains,
+        gain_cov=spread,
+        quality=_quality(data),
+        training=training(data.t, data.q, data.qd, data.segments),
+        sources=data.sources,
+        coupled=design.coupled(theta),
+        quasi_static=base.quasi_static,
+    )
+
+
+def _quality(data: Prepared) -> Quality:
+    unknown = np.full(data.q.shape[1], np.nan)
+    return Quality(
+        torque_sd=np.std(data.tau, axis=0),
+        rms=unknown,
+        rms_cv=unknown,
+        coverage=unknown,
+        seconds=data.seconds,
+    )
+
+
+def fold_models(
+    model: TorqueModel, design: Design, sums: BlockSums, block: np.ndarray, length: int
+) -> list[tuple[TorqueModel, np.ndarray]]:
+    """Return, for each fifth of the stretches, the model fitted without them and a mask (N,) of their samples.
+
+    Parameters
+    ----------
+    model : fitted to all. design : of the draft. sums : of all blocks.
+    block : (N,) number of the block of each sample of the record that will judge. length : blocks in a stretch.
+    """
+    folds = []
+    for k in range(5):
+        kept = np.arange(len(sums.rows)) // length % 5 != k
+        theta = sums.solve(kept.astype(float))
+        folds.append((replace(model_of(design, theta, sums.solution.cov), base_cov=model.base_cov), ~kept[block]))
+    return folds
+
+
+def fit_of(model: TorqueModel, design: Design, solution: LinearSolution, cov: np.ndarray, n: int) -> Fit[TorqueModel]:
+    """Return the fit behind a model, its parameters in their units.
+
+    Parameters
+    ----------
+    model : assessed. design : of the draft. solution : of the linear parameters (p,).
+    cov : (p, p) of these, what gains have in common included. n : samples.
+    """
+    parameters, in_units, formal = design.in_units(solution.x, cov, solution.cov)
+    return Fit(
+        value=model,
+        names=design.layout.names,
+        units=design.layout.units,
+        parameters=parameters,
+        cov=in_units,
+        formal_cov=formal,
+        sigma=solution.sigma,
+        residuals=design.residuals(solution.x),
+        n=n,
+        excitation=solution.excitation,
+        summary=lambda fit: report(fit, solution),
+    )
 
 
 @one_thread()
@@ -107,3 +355,67 @@ def fit_model(
     model = assess(model, fold_models(model, design, sums, draft.block, draft.length), data, design.joints)
     job.tell(5, 5, "done")
     return fit_of(model, design, solution, cov + gain_share(solution, draft.gain_cov), len(data.t))
+
+
+# Gravity and friction from slow motion: the ancestor's model of a YuMi for force estimation.
+#
+#     tau_i = Y_i(q) gravity parameters + F_f,i(qd_i, s_i) + ripple_i(q_i) + e_i
+#
+# A log of slow motion does not tell inertia. Masses and first moments that gravity shows (14 combinations of a YuMi
+# arm)
+# need no more than that, and contact forces at low speed need no more than these.
+
+
+BAND = 5.0  # Hz, in which acceleration is judged
+SLOW = 1.0  # rad/s^2, m/s^2
+QUANTILE = 0.99
+
+
+@one_thread()
+def fit_gravity(
+    table: Table | Sequence[Table],
+    robot: Robot,
+    *,
+    method: str = "irls",
+    seed: int = 0,
+    progress: Callable[[int, int, str], None] | None = None,
+    prior: Fit[TorqueModel] | None = None,
+) -> Fit[TorqueModel]:
+    """Identify gravity, friction and offsets from one or several logs of slow free motion.
+
+    Parameters
+    ----------
+    table : logs with columns q, tau (N, n), and qd where it was measured, without contact.
+    robot : the arm that was logged; its gravity counts.
+    method, seed, progress, prior : as in `fit_dynamics`.
+
+    Returns
+    -------
+    Fit of a `models.TorqueModel` that is quasi-static: no torque comes with acceleration or velocity of its links.
+
+    Raises
+    ------
+    ShapeError : logs that `fit_dynamics` refuses, or motion so fast that inertia would count as gravity.
+    NotExcited : joints or directions that the log does not determine, by name. UnknownName : another method.
+
+    References
+    ----------
+    Bagge Carlson and Haage (2017), YuMi low-level motion guidance, TFRT-7651, section 4.
+    """
+    job = Job("gravity model", method, seed, progress or (lambda done, total, what: None), prior)
+    return fit_model(
+        table, robot, base_parameters(robot, quasi_static=True), job, lambda data: _check_slow(data, robot)
+    )
+
+
+def _check_slow(data: Prepared, robot: Robot) -> None:
+    """Refuse motion whose inertia cannot be neglected."""
+    band = min(BAND, data.rate / 10.0)
+    acceleration = np.quantile(np.abs(data.filter(data.differentiate(data.qd), band)), QUANTILE, axis=0)
+    fast = np.flatnonzero(acceleration > SLOW)
+    if len(fast):
+        listed = ", ".join(f"{robot.joint_names[i]} ({acceleration[i]:.2g})" for i in fast)
+        raise ShapeError(
+            f"Expected slow motion, accelerations below {SLOW:g} rad/s^2 or m/s^2, got more for {listed}: inertia "
+            "would count as gravity. Use fit_dynamics for this log, or record a slower one."
+        )

@@ -21,18 +21,16 @@ import numpy as np
 
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import BlockSums, Fit, block_bootstrap
-from armlab.estimation.factors import Factors, factorise
-from armlab.estimation.solution import LinearSolution, Question, solve
+from armlab.estimation.linear_problem import LinearSolution, Question, solve
+from armlab.estimation.tsqr import Factors, factorise
 from armlab.identify.base_parameters import BaseParameters, base_parameters
-from armlab.identify.design import Design
-from armlab.identify.drafting import Draft, Job, Progress, fit_of, fold_models, make_draft, model_of
-from armlab.identify.extrapolation import training
-from armlab.identify.preparation import Prepared, prepare, prepare_share
-from armlab.identify.shapes import Chooser, Shapes, choose_here
-from armlab.identify.spikes import spikes, without_spikes
+from armlab.identify.dynamics import Draft, Job, Progress, fit_of, fold_models, make_draft, model_of
+from armlab.identify.friction_structure import Chooser, Shapes, choose_here
+from armlab.identify.record import Prepared, prepare, prepare_share, spikes, without_spikes
+from armlab.identify.regression import Design
+from armlab.identify.solve import gain_share
 from armlab.identify.threads import one_thread
-from armlab.identify.torque_gains import gain_share
-from armlab.identify.validation import assess
+from armlab.identify.validation import assess, training
 from armlab.log import Table
 from armlab.models import TorqueModel, Training
 from armlab.robots import Robot

@@ -18,12 +18,8 @@ from numpy.typing import ArrayLike
 
 from armlab._numbers import numbers
 from armlab.errors import NotExcited, ShapeError
-from armlab.estimation.descent import Problem
 from armlab.estimation.excitation import Excitation, check_excitation
-from armlab.estimation.measurements import Measurement
-from armlab.estimation.nonlinear import nonlinear_least_squares
-
-__all__ = ["TotalSolution", "total_least_squares"]
+from armlab.estimation.nonlinear import Measurement, Problem, nonlinear_least_squares
 
 WHAT = "total least squares"
 

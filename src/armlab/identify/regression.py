@@ -1,9 +1,9 @@
 """The linear regression behind `fit_dynamics`: filtered, thinned columns of each joint, made in blocks.
 
 Base-parameter columns are shared by all joints; each joint has its own: viscous, Coulomb, offset, Stribeck and root
-where they win (`armlab.identify.shapes`), and, where the gears are known, cosine and sine of the ripple line at twice
-the gear ratio (strain-wave gears press twice per input turn). A robot file that is silent about the gears has ratio 1:
-such a line would be a harmonic of gravity and is left out.
+where they win (`armlab.identify.friction_structure`), and, where the gears are known, cosine and sine of the ripple
+line at twice the gear ratio (strain-wave gears press twice per input turn). A robot file that is silent about the
+gears has ratio 1: such a line would be a harmonic of gravity and is left out.
 
 A motor that moves several joints, as in wrists, brings three shared columns: its angle is ``theta = c q``, and its
 inertia, viscous and Coulomb friction act on all of them, ``tau = c^T f(theta)``.
@@ -11,7 +11,8 @@ inertia, viscous and Coulomb friction act on all of them, ``tau = c^T f(theta)``
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 
@@ -19,11 +20,8 @@ import numpy as np
 
 from armlab.estimation import Rows
 from armlab.identify.base_parameters import BaseParameters
-from armlab.identify.columns import SMOOTH, Columns
-from armlab.identify.design_rows import DesignRows
-from armlab.identify.layout import Layout
-from armlab.identify.preparation import Prepared
-from armlab.identify.shapes import (
+from armlab.identify.columns import SMOOTH, Columns, Thinning
+from armlab.identify.friction_structure import (
     COLUMNS,
     FOLDS,
     Choice,
@@ -33,11 +31,121 @@ from armlab.identify.shapes import (
     mixing,
     term_names,
 )
-from armlab.identify.thinning import Thinning
+from armlab.identify.record import Prepared
 from armlab.models import CoupledMotors, Friction, Ripple
 from armlab.robots import Robot
 
-__all__ = ["Design"]
+# Where the parameters of `fit_dynamics` stand: base, then each joint's own, then those of coupled motors.
+
+
+BOUNDED = ("viscous", "coulomb", "coulomb+", "coulomb-", "rotor")  # not negative
+COUPLED = ("rotor", "viscous", "coulomb")  # of a motor that moves several joints
+SLOPES = ("delta", "tanh-speed", "stribeck-speed")  # numbers of the shape of friction
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Names, units, bounds and places of p parameters.
+
+    Attributes
+    ----------
+    robot, base : the arm and its base parameters. joints : (J,) those whose torque counts.
+    motors : (K, n) angles theta = c q of motors that move several joints. owners : (K,) the joint each belongs to.
+    terms : names of each joint's own parameters.
+    """
+
+    robot: Robot
+    base: BaseParameters
+    joints: np.ndarray
+    motors: np.ndarray
+    owners: np.ndarray
+    terms: tuple[tuple[str, ...], ...]
+
+    @property
+    def columns(self) -> list[np.ndarray]:
+        """Which parameters the columns of each joint belong to: base, own, coupled motors."""
+        counts = [len(terms) for terms in self.terms]
+        first = len(self.base.names) + np.concatenate([[0], np.cumsum(counts)])
+        out = []
+        for i, joint in enumerate(self.joints):
+            moved = np.flatnonzero(self.motors[:, joint])
+            coupled = first[-1] + (3 * moved[:, None] + np.arange(3)).ravel()
+            out.append(np.concatenate([np.flatnonzero(self.base.seen[joint]), np.arange(*first[i : i + 2]), coupled]))
+        return out
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all parameters: base, own of each joint, coupled motors."""
+        own = []
+        for i, terms in zip(self.joints, self.terms):
+            plain = {"offset": self.base.offset_names[i]}
+            own += [plain.get(term, f"{term} {self.robot.joint_names[i]}") for term in terms]
+        motors = [f"{term} of motor {self.robot.joint_names[i]}" for i in self.owners for term in COUPLED]
+        return (*self.base.names, *own, *motors)
+
+    @property
+    def heads(self) -> list[str]:
+        """Names without the combination that base parameters stand for, which fills a line."""
+        return [re.split(r" [+-] ", name)[0] for name in self.names]
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of all parameters."""
+        own = []
+        for i, terms in zip(self.joints, self.terms):
+            force, length = ("N", "m") if self.robot.prismatic[i] else ("N m", "rad")
+            special = {"viscous": f"{force} s/{length}", "root": f"{force} sqrt(s/{length})", "delta": length}
+            special |= {"tanh-speed": f"{length}/s", "stribeck-speed": f"{length}/s"}
+            own += [special.get(term, force) for term in terms]
+        return (*self.base.units, *own, *("kg m^2", "N m s/rad", "N m") * len(self.motors))
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lower bounds of all parameters: 0 for inertia, viscous and Coulomb friction, else -inf."""
+        own = [term for terms in self.terms for term in terms] + list(COUPLED) * len(self.motors)
+        return np.concatenate([self.base.lower, [0.0 if term in BOUNDED else -np.inf for term in own]])
+
+    @property
+    def slopes(self) -> np.ndarray:
+        """Which parameters (p,) are steps of the logarithm of a number of the shape of friction."""
+        own = [term in SLOPES for terms in self.terms for term in terms]
+        return np.array([False] * len(self.base.names) + own + [False] * 3 * len(self.motors))
+
+
+# Rows of a regression over joint torque for the solver, joint by joint and in pieces of bounded size.
+
+
+AT_ONCE = 8192  # rows handed to the solver
+
+
+@dataclass(frozen=True, eq=False)
+class DesignRows:
+    """Rows of J joints; reading it again makes them again.
+
+    Attributes
+    ----------
+    tau : (M, J) torque. rigid, local : of each joint (M, w) and (M, k), its columns, in this order.
+    columns : of each joint (w + k,), the parameters that they belong to.
+    block : (M,) number of the block of time of each row. trust : (M, J) weights of the rows, None for 1.
+    """
+
+    tau: np.ndarray
+    rigid: Sequence[np.ndarray]
+    local: Sequence[np.ndarray]
+    columns: Sequence[np.ndarray]
+    block: np.ndarray
+    trust: np.ndarray | None
+
+    def __iter__(self) -> Iterator[Rows]:
+        """Yield the rows of one joint after the other."""
+        for i, columns in enumerate(self.columns):
+            for a in range(0, len(self.block), AT_ONCE):
+                part = slice(a, a + AT_ONCE)
+                A, y = np.hstack([self.rigid[i][part], self.local[i][part]]), self.tau[part, i]
+                if self.trust is not None:
+                    A, y = A * self.trust[part, i, None], y * self.trust[part, i]
+                yield Rows(A, y, self.block[part], i, columns)
+
 
 CUTOFF = 25.0  # Hz, the most; a tenth of the rate where that is less
 BLOCK = 0.5  # s, blocks that go to the folds in turn for the choice of shape

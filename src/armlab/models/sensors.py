@@ -1,4 +1,4 @@
-"""A calibrated force sensor: what it reads of the tool's own weight, and the wrench of the environment that remains."""
+"""Models of sensors on the arm: force sensors, accelerometers and laser distance sensors."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from typing import Literal
 
 import numpy as np
 
+from armlab import kernels
 from armlab._numbers import still
 from armlab.errors import ShapeError, UnknownName
 from armlab.lie import so3
-
-__all__ = ["ForceSensor"]
 
 _SHAPES = {"R_tool_sensor": (3, 3), "centre": (3,), "bias": (6,), "gravity": (3,), "position": (3,)}
 _MOMENTS = {"centre": slice(0, 3), "bias": slice(3, 6)}  # NaN where the fit had no torques
@@ -141,3 +140,137 @@ def _poses(T_base_tool: np.ndarray) -> np.ndarray:
     if poses.shape[-2:] != (4, 4):
         raise ShapeError(f"Expected poses T_base_tool (..., 4, 4), got shape {poses.shape}.")
     return poses
+
+
+# A calibrated accelerometer on the tool: its axes, scale and bias.
+
+
+_ACCELEROMETER_SHAPES = {"R_tool_sensor": (3, 3), "bias": (3,), "gravity": (3,)}
+
+
+@dataclass(frozen=True, eq=False)
+class Accelerometer:
+    """An accelerometer on the tool; at rest it reads g upwards.
+
+        y = scale R_tool_sensor^T R_base_tool^T (a - g) + b
+
+    Attributes
+    ----------
+    R_tool_sensor : (3, 3) turns sensor axes into tool axes.
+    bias : b (3,) sensor axes [m/s^2]. scale : of its readings, 1 for one that is right.
+    gravity : g (3,) base axes [m/s^2].
+    robot_name, robot_hash : the robot that carries it; empty for any. sources : what it was fitted to.
+
+    Raises
+    ------
+    ShapeError : a shape, a rotation or a scale that cannot be.
+
+    References
+    ----------
+    The model of `calibrate.fit_accelerometer`.
+    """
+
+    R_tool_sensor: np.ndarray
+    bias: np.ndarray
+    scale: float = 1.0
+    gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.80665]))
+    robot_name: str = ""
+    robot_hash: str = ""
+    sources: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check the fields and freeze the arrays."""
+        for name, shape in _ACCELEROMETER_SHAPES.items():
+            values = still(getattr(self, name), f"{name} of an accelerometer")
+            if values.shape != shape or not np.isfinite(values).all():
+                raise ShapeError(f"Expected finite {name} of shape {shape} of an accelerometer, got {values.tolist()}.")
+            object.__setattr__(self, name, values)
+        R = self.R_tool_sensor
+        if np.abs(R.T @ R - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
+            raise ShapeError(f"Expected a rotation as R_tool_sensor of an accelerometer, got {R.tolist()}.")
+        if not 0.0 < self.scale < np.inf:
+            raise ShapeError(f"Expected a scale above zero of an accelerometer, got {self.scale!r}.")
+
+    def acceleration(self, raw: np.ndarray, T_base_tool: np.ndarray) -> np.ndarray:
+        """Return how the sensor is accelerated (..., 3), base axes [m/s^2]; zero at rest.
+
+        Parameters
+        ----------
+        raw : (..., 3) as read, sensor axes [m/s^2]; NaN stays NaN.
+        T_base_tool : (..., 4, 4) pose of the tool at that time.
+
+        Raises
+        ------
+        ShapeError : readings or poses of another shape.
+        """
+        poses, raw = np.asarray(T_base_tool, dtype=np.float64), np.asarray(raw, dtype=np.float64)
+        if poses.shape[-2:] != (4, 4) or raw.shape[-1:] != (3,):
+            raise ShapeError(
+                f"Expected readings (..., 3) and poses T_base_tool (..., 4, 4), got {raw.shape} and {poses.shape}."
+            )
+        felt = (raw - self.bias) / self.scale
+        R_base_sensor = poses[..., :3, :3] @ self.R_tool_sensor
+        return (R_base_sensor @ felt[..., None])[..., 0] + self.gravity
+
+
+# A laser line scanner on a tool, and the plates by which it was calibrated.
+
+
+@dataclass(frozen=True, eq=False)
+class LaserSensor:
+    """Where a scanner measures, and the planes ``n . x = d`` it was calibrated on.
+
+    Attributes
+    ----------
+    T_tool_sensor : (4, 4); the laser plane is the xy plane of the sensor.
+    normals : n (P, 3) unit, base axes. offsets : d (P,) not negative [m].
+    planes : their labels. robot_name, robot_hash : the robot that carries it; empty for any. sources : what it was
+        fitted to.
+
+    Raises
+    ------
+    ShapeError : a pose, a normal or a number of planes that cannot be.
+
+    References
+    ----------
+    The model of `calibrate.fit_laser_plane`.
+    """
+
+    T_tool_sensor: np.ndarray
+    normals: np.ndarray
+    offsets: np.ndarray
+    planes: tuple[str, ...]
+    robot_name: str = ""
+    robot_hash: str = ""
+    sources: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check and freeze."""
+        P = len(self.planes)
+        shapes = {"T_tool_sensor": (4, 4), "normals": (P, 3), "offsets": (P,)}
+        for name, shape in shapes.items():
+            values = still(getattr(self, name), f"{name} of a laser sensor")
+            if values.shape != shape or not np.isfinite(values).all():
+                raise ShapeError(f"Expected finite {name} of shape {shape} of a laser sensor, got {values.tolist()}.")
+            object.__setattr__(self, name, values)
+        kernels.poses(self.T_tool_sensor, "T_tool_sensor")
+        if np.abs(np.linalg.norm(self.normals, axis=1) - 1.0).max(initial=0.0) > 1e-9:
+            raise ShapeError("Expected unit normals of a laser sensor's planes, got others. Divide by their length.")
+
+    def points(self, p: np.ndarray, T_base_tool: np.ndarray) -> np.ndarray:
+        """Return points (..., 3) in base axes.
+
+        Parameters
+        ----------
+        p : (..., 2) as measured, laser plane [m]; NaN stays NaN.
+        T_base_tool : (..., 4, 4) pose of the tool at that time.
+
+        Raises
+        ------
+        ShapeError : points or poses of another shape.
+        """
+        p, poses = np.asarray(p, dtype=np.float64), np.asarray(T_base_tool, dtype=np.float64)
+        if p.shape[-1:] != (2,) or poses.shape[-2:] != (4, 4):
+            raise ShapeError(f"Expected points (..., 2) and poses (..., 4, 4), got {p.shape} and {poses.shape}.")
+        T = poses @ self.T_tool_sensor
+        return (T[..., :3, :2] @ p[..., None])[..., 0] + T[..., :3, 3]

@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from armlab._numbers import numbers
+from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Excitation, Fit, block_seconds
-from armlab.identify.rbf import rbf_centres
-from armlab.identify.residuals import Residuals, model_residuals
-from armlab.identify.ridge import RIDGE as LINE_RIDGE
-from armlab.identify.ridge import held_out_error, refit, ridge_solution
-from armlab.identify.ripple import (
+from armlab.identify.drives.regularised import RIDGE as LINE_RIDGE
+from armlab.identify.drives.regularised import held_out_error, refit, ridge_solution
+from armlab.identify.drives.ripple import (
     GAIN,
     highest_seen,
     refine_lines,
@@ -31,12 +31,89 @@ from armlab.identify.ripple import (
     select_lines,
     warn_of_fast_lines,
 )
+from armlab.identify.drives.warm_up import MIN_SECONDS, fit_warm_up
+from armlab.identify.residuals import Residuals, model_residuals
 from armlab.identify.validation import FIFTHS, assess_again, fold_of
-from armlab.identify.warm_up import MIN_SECONDS, fit_warm_up
 from armlab.log import Table
 from armlab.models import FrictionMap, RadialBasis, RippleLines, TorqueModel, speed_basis
 
-__all__ = ["fit_friction"]
+# Centres and regressor of friction over position and speed: the ancestor's `getcenters` and `frictionRBFN`, corrected.
+#
+# Against Robotlib.jl: widths belong to a joint; centres have speeds above 0 and stand for both directions; at rest the
+# presliding state blends both; the functions sum to 1 everywhere, without a constant in the denominator, and beyond the
+# centres the nearest edge counts, which `models.RadialBasis.outside` tells.
+
+
+SLOWEST = 0.02  # of the peak speed: slower samples do not place centres
+
+
+def rbf_centres(q: np.ndarray, qd: np.ndarray, positions: int = 8, speeds: int = 5) -> RadialBasis:
+    """Return centres over the range of positions, evenly, and over the quantiles of speed, for every joint.
+
+    Widths are the distances of neighbouring centres.
+
+    Parameters
+    ----------
+    q, qd : (N, n) positions [rad] and velocities [rad/s] of a record.
+    positions, speeds : number of centres of each, at least 2.
+
+    Raises
+    ------
+    ShapeError : shapes, NaN, fewer than 2 centres. NotExcited : a joint that does not move.
+    """
+    q, qd = _record(q, qd)
+    if min(positions, speeds) < 2:
+        raise ShapeError(f"Expected at least 2 positions and speeds, got {positions} and {speeds}.")
+    peak = np.abs(qd).max(axis=0)
+    still = np.flatnonzero((np.ptp(q, axis=0) <= 0) | (peak <= 0))
+    if len(still):
+        names = [f"joint {i + 1}" for i in still]
+        raise NotExcited(
+            f"Expected every joint to move, got rest of {', '.join(names)}. Record a motion of all joints.",
+            names,
+            ["rest"] * len(names),
+        )
+    grid = np.linspace(q.min(axis=0), q.max(axis=0), positions, axis=1)
+    levels = np.linspace(0.1, 1.0, speeds)
+    quantiles = np.empty((q.shape[1], speeds))
+    for i in range(q.shape[1]):
+        speed = np.abs(qd[:, i])
+        speed = np.quantile(speed[speed > SLOWEST * peak[i]], levels)
+        apart = np.all(np.diff(speed) > SLOWEST * peak[i])  # constant speeds have quantiles on top of each other
+        quantiles[i] = speed if apart else peak[i] * levels
+    widths, speed_widths = (np.asarray(np.gradient(centres, axis=1)) for centres in (grid, quantiles))
+    return RadialBasis(grid, widths, quantiles, speed_widths)
+
+
+def rbf_regressor(q: np.ndarray, qd: np.ndarray, basis: RadialBasis, z: np.ndarray | None = None) -> np.ndarray:
+    """Return the functions of every joint (N, n, 2 P S), positive direction first: friction is regressor times k.
+
+    Parameters
+    ----------
+    q, qd : (N, n) positions [rad] and velocities [rad/s].
+    basis : of the same n joints.
+    z : (N, n) presliding state; the sign of qd when left out.
+
+    Raises
+    ------
+    ShapeError : shapes that do not fit, NaN.
+    """
+    q, qd = _record(q, qd)
+    z = np.sign(qd) if z is None else np.asarray(z, dtype=float)
+    if q.shape[1] != basis.n or z.shape != q.shape or not np.isfinite(z).all():
+        raise ShapeError(f"Expected finite q, qd and z of {basis.n} joints, got shapes {q.shape} and {z.shape}.")
+    joints = [basis.functions(i, *(np.ascontiguousarray(x[:, i]) for x in (q, qd, z))) for i in range(basis.n)]
+    return np.stack(joints, axis=1)
+
+
+def _record(q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    q, qd = numbers(q, "q", ShapeError), numbers(qd, "qd", ShapeError)
+    if q.ndim != 2 or q.shape != qd.shape or not len(q) or not np.isfinite(q).all() or not np.isfinite(qd).all():
+        raise ShapeError(
+            f"Expected finite q and qd of one shape (N, n), got {q.shape} and {qd.shape}. Drop NaN rows first."
+        )
+    return q, qd
+
 
 RIDGE = 1e-3  # of the friction map, relative to the mean diagonal
 SHORTEST = 0.5  # s, of a block

@@ -19,8 +19,6 @@ import numpy as np
 
 from armlab.errors import ShapeError
 
-__all__ = ["Factors", "Rows", "factorise", "stack", "triangle"]
-
 PANEL = 8  # columns that LAPACK reflects at once; fastest for 20 to 100 columns
 CHUNK = 1024  # rows reflected at once: they stay in the cache
 

@@ -15,24 +15,8 @@ from itertools import compress, pairwise
 
 import numpy as np
 
-from armlab.identify.friction_columns import FrictionColumns
+from armlab.identify.columns import FrictionColumns
 from armlab.identify.threads import one_thread
-
-__all__ = [
-    "COLUMNS",
-    "DELTAS",
-    "FOLDS",
-    "SMOOTH_SPEEDS",
-    "STRIBECK_SPEEDS",
-    "TERMS",
-    "Choice",
-    "Chooser",
-    "Shapes",
-    "choose",
-    "choose_here",
-    "mixing",
-    "term_names",
-]
 
 DELTAS = np.geomspace(1e-4, 1e-2, 7)  # rad
 SMOOTH_SPEEDS = np.array([0.005, 0.01, 0.02, 0.05, 0.1])  # rad/s

@@ -16,14 +16,20 @@ import numpy as np
 
 from armlab.errors import NotExcited
 from armlab.estimation import Excitation, Fit, block_seconds
-from armlab.identify.residuals import Residuals, model_residuals
-from armlab.identify.ridge import scattered
+from armlab.identify.drives.regularised import scattered
+from armlab.identify.residuals import (
+    BIN,
+    Residuals,
+    dry_torques,
+    mean_power,
+    model_residuals,
+    relaxed,
+    seconds,
+    settled,
+)
 from armlab.identify.validation import FIFTHS, assess_again, fold_of
-from armlab.identify.warmth import BIN, dry_torques, mean_power, relaxed, seconds, settled
 from armlab.log import Table
 from armlab.models import TorqueModel, WarmUp
-
-__all__ = ["fit_warm_up"]
 
 MIN_SECONDS = 20 * 60.0
 TIMES = 60.0 * np.geomspace(2.0, 60.0, 12)  # s

@@ -11,13 +11,50 @@ import numpy as np
 
 from armlab.errors import NotExcited, ShapeError
 from armlab.identify.base_parameters import measured_joints
-from armlab.identify.sampling import check_rate
 from armlab.log import Table
 from armlab.log.plausibility import check_position, check_torque, check_velocity
+from armlab.models import TorqueModel
 from armlab.robots import Robot
 from armlab.signals import central_diff, lowpass_offline
 
-__all__ = ["Prepared", "check_once", "log_name", "pieces", "prepare", "prepare_share", "with_velocity"]
+# What the sampling of a log is fast enough for: friction as a whole, and a line of torque ripple.
+
+
+MIN_RATE = 40.0  # Hz: four samples in a period of the 10 Hz that models and estimators keep
+SLOW_SHARE = 0.25  # of the sampling rate: a faster ripple line folds back
+
+
+def check_rate(t: np.ndarray) -> None:
+    """Refuse a log whose sampling is too slow for friction: below `MIN_RATE`.
+
+    Parameters
+    ----------
+    t : (N,) times [s], increasing.
+
+    Raises
+    ------
+    ShapeError : with the rate that came.
+    """
+    rate = 1.0 / float(np.median(np.diff(t)))
+    if rate < MIN_RATE * (1.0 - 1e-6):
+        hint = " If t is in milliseconds, divide it by 1000." if rate < 10.0 else ""
+        raise ShapeError(
+            f"Expected a log of at least {MIN_RATE:g} Hz, got {rate:.4g} Hz: friction changes within one sample when a "
+            f"joint turns round.{hint} Record faster; resampling does not bring it back."
+        )
+
+
+def slow_enough(qd: np.ndarray, rate: float, cycles: np.ndarray) -> np.ndarray:
+    """Return where (N, n) a ripple line passes below a quarter of the sampling rate; a faster one folds back.
+
+    ``cycles |qd| / (2 pi) < rate / 4``
+
+    Parameters
+    ----------
+    qd : (N, n) velocity [rad/s]. rate : of sampling [Hz]. cycles : (n,) line [rad/rad].
+    """
+    return np.abs(qd) * cycles < 2 * np.pi * SLOW_SHARE * rate
+
 
 MIN_SECONDS = 5.0
 MIN_TURN, MIN_SLIDE = np.deg2rad(5.0), 0.02  # rad, m: range of a joint that is said to move
@@ -319,3 +356,64 @@ def _check_motion(q: np.ndarray, robot: Robot, still: np.ndarray) -> None:
         names,
         spread,
     )
+
+
+# Single samples of torque that are far from their neighbours, found and replaced.
+#
+# A filter would spread a spike over its neighbours, where no loss function finds it again. The median of the neighbours
+# is a first guess, wrong by several deviations where friction turns round; once there is a model, its torque is taken
+# there, plus the median of what it leaves of the neighbours.
+
+
+SPIKE, WINDOW = 6.0, 9  # robust deviations from the median of so many samples
+AT_ONCE = 4096  # rows: nine copies of them stay in the cache
+# Exchanges after which the fifth of nine values is their median (Smith 1996, Implementing median filters in XC4000E).
+EXCHANGES = "12 45 78 01 34 67 12 45 78 03 58 47 36 14 25 47 42 64 42"
+NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
+
+
+def spikes(data: Prepared) -> np.ndarray:
+    """Return which torques (N, n) are six robust deviations or more from the median of nine samples around them.
+
+    Parameters
+    ----------
+    data : the record.
+    """
+    away = np.abs(data.tau - _median(data.tau, data))
+    found = np.zeros(away.shape, dtype=bool)
+    for a, b in data.segments:
+        scale = np.median(away[a:b], axis=0) / NORMAL_MAD
+        found[a:b] = (away[a:b] > SPIKE * scale) & (scale > 0)
+    return found
+
+
+def without_spikes(data: Prepared, found: np.ndarray, model: TorqueModel | None = None) -> np.ndarray:
+    """Return the torque (N, n) with spikes replaced by the model's, plus the median of what it leaves around them.
+
+    Parameters
+    ----------
+    data : the record. found : (N, n) from `spikes`. model : of the arm; the median of the torque alone when left out.
+    """
+    known = np.zeros_like(data.tau) if model is None else _modelled(model, data)
+    return np.where(found, known + _median(data.tau - known, data), data.tau)
+
+
+def _median(x: np.ndarray, data: Prepared) -> np.ndarray:
+    """Return the median (N, n) of nine samples around each, the first and last of a segment repeated."""
+    out, reach = np.empty_like(x), WINDOW // 2
+    for a, b in data.segments:
+        wide = np.concatenate([np.repeat(x[a : a + 1], reach, axis=0), x[a:b], np.repeat(x[b - 1 : b], reach, axis=0)])
+        for k in range(0, b - a, AT_ONCE):
+            stop = min(k + AT_ONCE, b - a)
+            around = [wide[k + j : stop + j] for j in range(WINDOW)]
+            for i, j in (map(int, pair) for pair in EXCHANGES.split()):
+                around[i], around[j] = np.minimum(around[i], around[j]), np.maximum(around[i], around[j])
+            out[a + k : a + stop] = around[reach]
+    return out
+
+
+def _modelled(model: TorqueModel, data: Prepared) -> np.ndarray:
+    """Return the torque (N, n) of the model; the acceleration is low-passed at a tenth of the rate."""
+    qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
+    parts = [model.torque(data.q[a:b], data.qd[a:b], qdd[a:b], data.dt[a:b]) for a, b in data.segments]
+    return np.concatenate(parts)

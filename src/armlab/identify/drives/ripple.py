@@ -20,20 +20,9 @@ import numpy as np
 from armlab._numbers import numbers
 from armlab.errors import ShapeError
 from armlab.estimation import mad
-from armlab.identify.group_lasso import select_groups
-from armlab.identify.ridge import RIDGE, held_out_error, ridge_solution
-from armlab.identify.sampling import SLOW_SHARE, slow_enough
+from armlab.identify.drives.regularised import RIDGE, held_out_error, ridge_solution, select_groups
+from armlab.identify.record import SLOW_SHARE, slow_enough
 from armlab.kernels import basis_weights
-
-__all__ = [
-    "highest_seen",
-    "refine_lines",
-    "ripple_amplitudes",
-    "ripple_lines",
-    "ripple_regressor",
-    "select_lines",
-    "warn_of_fast_lines",
-]
 
 P_VALUE = 1e-3
 NEIGHBOURS = 50  # grid points on either side that make the local median
