@@ -138,13 +138,7 @@ class Wrench:
 def contact_point(point: ArrayLike, robot: Robot) -> np.ndarray:
     """Return the point (3,) as an array of its own.
 
-    Parameters
-    ----------
-    point : (3,) tool axes [m]. robot : the arm.
-
-    Raises
-    ------
-    ShapeError : not three finite numbers, or further from the tool than the arm is long.
+    `point`: (3,) tool axes [m].
     """
     place = np.array(numbers(point, "the contact point", ShapeError))
     if place.shape != (3,) or not np.all(np.isfinite(place)):
@@ -156,13 +150,7 @@ def contact_point(point: ArrayLike, robot: Robot) -> np.ndarray:
 def check_distance(places: np.ndarray, robot: Robot) -> None:
     """Refuse places further from the tool than the arm is long: millimetres, as a rule.
 
-    Parameters
-    ----------
-    places : (M, 3) tool axes [m]. robot : the arm.
-
-    Raises
-    ------
-    ShapeError : names the distance.
+    `places`: (M, 3) tool axes [m].
     """
     far, length = float(np.linalg.norm(places, axis=1).max(initial=0.0)), arm_length(robot)
     if far > length:

@@ -107,11 +107,8 @@ class Measurement:
 class Whitened:
     """All rows of all measurements, whitened.
 
-    Attributes
-    ----------
-    r : (M,) residuals. J : (M, d) derivatives.
-    measurements : that they come from, in this order.
-    kept : (M of all measurements,) rows that were not left out; None where all are here.
+    `r`: (M,) residuals. `J`: (M, d) derivatives. `kept`: (M of all measurements,) rows that were not left out; None
+    where all are here.
     """
 
     r: np.ndarray
@@ -156,9 +153,7 @@ class Whitened:
     def times(self, weight: np.ndarray) -> Whitened:
         """Return it with a weight per sample (N,): rows times its root, rows of weight 0 left out; priors as they are.
 
-        Parameters
-        ----------
-        weight : (N,) from 0 to 1.
+        `weight`: (N,) from 0 to 1.
         """
         if np.all(weight == 1.0):
             return self
@@ -173,9 +168,7 @@ class Whitened:
 def whiten(measurements: Sequence[Measurement], roots: Sequence[np.ndarray]) -> Whitened:
     """Put all measurements below each other, whitened.
 
-    Parameters
-    ----------
-    measurements : at one value. roots : their whitening factors, from `Measurement.roots`.
+    `roots`: their whitening factors, from `Measurement.roots`.
     """
     r, J = [], []
     for one, root in zip(measurements, roots):
@@ -189,10 +182,7 @@ def whiten(measurements: Sequence[Measurement], roots: Sequence[np.ndarray]) -> 
 def cost(measurements: Sequence[Measurement], roots: Sequence[np.ndarray], weight: np.ndarray) -> float:
     """Return ``1/2 sum_i w_i r_i^T S_i^-1 r_i``.
 
-    Parameters
-    ----------
-    measurements : at one value. roots : their whitening factors, from `Measurement.roots`.
-    weight : (N,) of the samples; priors have weight 1.
+    `roots`: their whitening factors, from `Measurement.roots`. `weight`: (N,) of the samples; priors have weight 1.
     """
     total = 0.0
     for one, root in zip(measurements, roots):
@@ -203,12 +193,7 @@ def cost(measurements: Sequence[Measurement], roots: Sequence[np.ndarray], weigh
 
 
 def median_norm(dimension: int) -> float:
-    """Return the median length of a standard normal vector; 1.5382 in three dimensions.
-
-    Parameters
-    ----------
-    dimension : of the vector.
-    """
+    """Return the median length of a standard normal vector; 1.5382 in three dimensions."""
     from scipy.special import gammaincinv
 
     return float(np.sqrt(2.0 * gammaincinv(0.5 * dimension, 0.5)))
@@ -260,13 +245,9 @@ class Problem(Generic[Value]):
 class Descent(Generic[Value]):
     """Where a descent ended.
 
-    Attributes
-    ----------
-    value : the minimum. rows : whitened residuals and Jacobian there, weights of samples included.
-    basis : (d, r) directions that the rows tell, ``J @ basis`` orthonormal; ``basis @ basis.T`` is the covariance.
-    null : (d, d - r) orthonormal directions, in units of the scale, that they do not.
-    step : length of the last step in deviations of the estimate.
-    history : cost after each iteration.
+    `rows`: whitened residuals and Jacobian there, weights of samples included. `basis`: (d, r) directions that the rows
+    tell, ``J @ basis`` orthonormal; ``basis @ basis.T`` is the covariance. `null`: (d, d - r) orthonormal directions,
+    in units of the scale, that they do not. `step`: length of the last step in deviations of the estimate.
     """
 
     value: Value
@@ -407,9 +388,7 @@ class _Slope:
     def step(self, damping: float) -> tuple[np.ndarray, float]:
         """Return the step (d,), and by how much it should lower the cost.
 
-        Parameters
-        ----------
-        damping : relative to the largest singular value squared.
+        `damping`: relative to the largest singular value squared.
         """
         if damping == 0.0:
             return -self.basis @ self.along, 0.5 * float(self.along @ self.along)

@@ -127,13 +127,7 @@ def base_parameters(robot: Robot, *, quasi_static: bool = False, joints: Sequenc
 def measured_joints(robot: Robot, joints: Sequence[int] | None = None) -> list[int]:
     """Return the numbers of the joints that are meant, ascending; all when left out.
 
-    Parameters
-    ----------
-    robot : frozen description. joints : numbers from 0.
-
-    Raises
-    ------
-    RobotError : something else than a robot. UnknownName : no such joint, one twice, or none at all.
+    `joints`: numbers from 0.
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)

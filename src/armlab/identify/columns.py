@@ -51,12 +51,8 @@ class Piece:
 class Thinning:
     """A zero-phase filter that keeps every few rows of each segment.
 
-    Attributes
-    ----------
-    segments : (start, stop) of each piece of the record without a gap.
-    every : rows from one kept row to the next.
-    taps : (2 L + 1,) impulse response h; one tap, 1, filters nothing.
-    rows : (M,) rows that are kept.
+    `segments`: (start, stop) of each piece of the record without a gap. `taps`: (2 L + 1,) impulse response h; one tap,
+    1, filters nothing. `rows`: (M,) rows that are kept.
     """
 
     segments: tuple[tuple[int, int], ...]
@@ -68,11 +64,7 @@ class Thinning:
     def of(cls, data: Prepared, cutoff: float, every: int) -> Thinning:
         """Return the filter for a record.
 
-        Parameters
-        ----------
-        data : the record.
-        cutoff : corner of one pass [Hz]; infinite for none.
-        every : rows from one kept row to the next.
+        `cutoff`: corner of one pass [Hz]; infinite for none.
         """
         taps = np.ones(1) if np.isinf(cutoff) else _taps(cutoff / data.rate)
         rows = np.concatenate([np.arange(a, b, every) for a, b in data.segments])
@@ -81,10 +73,7 @@ class Thinning:
     def run(self, columns: Callable[[int, int], np.ndarray], width: int) -> np.ndarray:
         """Return the kept rows (M, width) of columns that are made on the fly.
 
-        Parameters
-        ----------
-        columns : (start, stop) -> rows (stop - start, width) of the record.
-        width : number of columns.
+        `columns`: (start, stop) -> rows (stop - start, width) of the record.
         """
         out = np.empty((len(self.rows), width))
         for piece in self.pieces(AT_ONCE * max(1, WIDE // max(width, 1))):
@@ -107,9 +96,7 @@ class Thinning:
     def thin(self, piece: Piece, x: np.ndarray, out: np.ndarray) -> None:
         """Write the kept rows of one piece; ends of a segment are continued by point reflection.
 
-        Parameters
-        ----------
-        piece : from `pieces`. x : (stop - start, C) its rows. out : (last - first, C) where they go.
+        `x`: (stop - start, C) its rows. `out`: (last - first, C) where they go.
         """
         if piece.before or piece.after:
             x = _continued(x, piece.before, piece.after)
@@ -171,9 +158,7 @@ def _taps(corner: float) -> np.ndarray:
 class Bell:
     """The factor exp(-(qd / v_s)^2), made of the rows that are asked for.
 
-    Attributes
-    ----------
-    qd : (N, J) velocities. speed : (J,) v_s of Stribeck's term.
+    `qd`: (N, J) velocities. `speed`: (J,) v_s of Stribeck's term.
     """
 
     qd: np.ndarray
@@ -188,10 +173,8 @@ class Bell:
 class FrictionColumns:
     """Makes the columns of friction of J joints from their motion.
 
-    Attributes
-    ----------
-    thinning : filter of the record, with the (M,) rows that are kept.
-    q, qd : (N, J) positions and velocities. resolution : (J,) half the smallest step of the encoder [rad].
+    `thinning`: filter of the record, with the (M,) rows that are kept. `q`, `qd`: (N, J) positions and velocities.
+    `resolution`: (J,) half the smallest step of the encoder [rad].
     """
 
     thinning: Thinning
@@ -208,9 +191,7 @@ class FrictionColumns:
     def sign(self, delta: np.ndarray, smooth: np.ndarray) -> np.ndarray:
         """Return s (N, J) along the record: presliding state, or smooth sign.
 
-        Parameters
-        ----------
-        delta, smooth : (J,) shape of the sign, see `Shapes`.
+        `delta`, `smooth`: (J,) shape of the sign, see `Shapes`.
         """
         soft = smooth > 0
         z = np.empty(self.q.shape)
@@ -224,19 +205,15 @@ class FrictionColumns:
     def bell(self, speed: np.ndarray) -> Bell:
         """Return the factor of Stribeck's column.
 
-        Parameters
-        ----------
-        speed : (J,) v_s of Stribeck's term.
+        `speed`: (J,) v_s of Stribeck's term.
         """
         return Bell(self.qd, speed)
 
     def columns(self, s: np.ndarray, bells: Sequence[Bell | np.ndarray], signs: bool = True) -> np.ndarray:
         """Return the columns (M, J, 3 + S) of a sign: s+, s-, root, then Stribeck of each bell.
 
-        Parameters
-        ----------
-        s : (N, J) from `sign`. bells : S from `bell`, or their arrays (N, J).
-        signs : whether the first three are wanted.
+        `s`: (N, J) from `sign`. `bells`: S from `bell`, or their arrays (N, J). `signs`: whether the first three are
+        wanted.
         """
 
         def made(a: int, b: int) -> np.ndarray:
@@ -257,12 +234,9 @@ SMOOTH = 0.02  # rad/s, of the sign of coupled motors
 class Columns:
     """Makes the columns of J joints of a record.
 
-    Attributes
-    ----------
-    data : the record. thinning : its filter, with the (M,) rows that are kept.
-    robot : kinematics, gravity and gears. joints : (J,) those whose torque counts.
-    motors : (K, n) angles theta = c q of motors that move several joints.
-    geared : whether there are columns of ripple; where gears are known and ripple is seen in this record, when None.
+    `thinning`: its filter, with the (M,) rows that are kept. `joints`: (J,) those whose torque counts. `motors`: (K, n)
+    angles theta = c q of motors that move several joints. `geared`: whether there are columns of ripple; where gears
+    are known and ripple is seen in this record, when None.
     """
 
     data: Prepared
@@ -286,14 +260,8 @@ class Columns:
     def plain(self, qdd: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return what has neither shape nor base parameters.
 
-        Parameters
-        ----------
-        qdd : (N, n) acceleration of the record.
-
-        Returns
-        -------
-        Torque (M, J); columns (M, J, 2 or 4): viscous, offset, and ripple where it is seen; acceleration and velocity
-        (M, K, 2) of the coupled motors.
+        `qdd`: (N, n) acceleration of the record. Returns: Torque (M, J); columns (M, J, 2 or 4): viscous, offset, and
+        ripple where it is seen; acceleration and velocity (M, K, 2) of the coupled motors.
         """
         data, joints, cycles = self.data, self.joints, self.cycles
         J, K = len(joints), len(self.motors)
@@ -318,9 +286,7 @@ class Columns:
     def rigid(self, qdd: np.ndarray, base: BaseParameters) -> tuple[np.ndarray, ...]:
         """Return of each joint the columns (M, w) of the base parameters that it sees.
 
-        Parameters
-        ----------
-        qdd : (N, n) acceleration of the record. base : base parameters for the same joints.
+        `qdd`: (N, n) acceleration of the record.
         """
         data, robot, n = self.data, self.robot, self.robot.n
         seen = [base.kept[base.seen[i]] for i in self.joints]
@@ -343,9 +309,7 @@ class Columns:
     def shaped(self, delta: np.ndarray, smooth: np.ndarray, speeds: np.ndarray) -> np.ndarray:
         """Return the columns (M, J, 3 + S) that depend on the shape of friction: s+, s-, root, Stribeck of each speed.
 
-        Parameters
-        ----------
-        delta, smooth : (J,) shape of the sign. speeds : (S, J) of Stribeck's term.
+        `delta`, `smooth`: (J,) shape of the sign. `speeds`: (S, J) of Stribeck's term.
         """
         friction = self.friction
         return friction.columns(friction.sign(delta, smooth), [friction.bell(speed) for speed in speeds])

@@ -52,11 +52,8 @@ Progress = Callable[[int, int, str], None]
 class Job:
     """How to fit.
 
-    Attributes
-    ----------
-    what : is fitted, for messages. method : of `estimation.least_squares`. seed : of random starts and bootstrap.
-    tell : called with (done, total, what). prior : an earlier fit. joints : whose torque is measured; None for all.
-    chooser : of the shapes of friction, see `Design.choose_shapes`.
+    `tell`: called with (done, total, what). `joints`: whose torque is measured; None for all. `chooser`: of the shapes
+    of friction, see `Design.choose_shapes`.
     """
 
     what: str
@@ -94,11 +91,8 @@ class Job:
 class Draft:
     """A design with what is not linear in it found, and the sums of its blocks.
 
-    Attributes
-    ----------
-    design : with its slopes. gain_cov : (J, J) of the gains.
-    sums : of the blocks. block : (N,) number of the block of each sample. length : blocks in a stretch of time.
-    seconds : of a stretch. theta : (p,) parameters without slopes at which the slopes were taken.
+    `gain_cov`: (J, J) of the gains. `block`: (N,) number of the block of each sample. `theta`: (p,) parameters without
+    slopes at which the slopes were taken.
     """
 
     design: Design
@@ -111,16 +105,7 @@ class Draft:
 
 
 def make_draft(data: Prepared, robot: Robot, base: BaseParameters, job: Job) -> Draft:
-    """Settle gains and shape of friction, and sum the rows.
-
-    Parameters
-    ----------
-    data : the record. robot : the arm. base : which base parameters. job : how to fit.
-
-    Raises
-    ------
-    NotExcited : the record does not determine everything, by name.
-    """
+    """Settle gains and shape of friction, and sum the rows."""
     design, theta, gain_cov = _settled(data, robot, base, job)
     job.tell(3, 5, "covariance from blocks")
     block, length, seconds = _blocks(design, theta, job.method)
@@ -187,9 +172,7 @@ def _blocks(design: Design, theta: np.ndarray, method: str) -> tuple[np.ndarray,
 def model_of(design: Design, theta: np.ndarray, cov: np.ndarray, gain_cov: np.ndarray | None = None) -> TorqueModel:
     """Turn linear parameters and friction shapes into a model; covariance and quality are provisional.
 
-    Parameters
-    ----------
-    design : of the draft. theta, cov : (p,) and (p, p). gain_cov : (J, J) of the gains; zero when left out.
+    `theta`, `cov`: (p,) and (p, p). `gain_cov`: (J, J) of the gains; zero when left out.
     """
     data, robot, base = design.data, design.robot, design.base
     n, p = robot.n, len(base.names)
@@ -242,10 +225,7 @@ def fold_models(
 ) -> list[tuple[TorqueModel, np.ndarray]]:
     """Return, for each fifth of the stretches, the model fitted without them and a mask (N,) of their samples.
 
-    Parameters
-    ----------
-    model : fitted to all. design : of the draft. sums : of all blocks.
-    block : (N,) number of the block of each sample of the record that will judge. length : blocks in a stretch.
+    `block`: (N,) number of the block of each sample of the record that will judge.
     """
     folds = []
     for k in range(5):
@@ -258,10 +238,7 @@ def fold_models(
 def fit_of(model: TorqueModel, design: Design, solution: LinearSolution, cov: np.ndarray, n: int) -> Fit[TorqueModel]:
     """Return the fit behind a model, its parameters in their units.
 
-    Parameters
-    ----------
-    model : assessed. design : of the draft. solution : of the linear parameters (p,).
-    cov : (p, p) of these, what gains have in common included. n : samples.
+    `solution`: of the linear parameters (p,). `cov`: (p, p) of these, what gains have in common included.
     """
     parameters, in_units, formal = design.in_units(solution.x, cov, solution.cov)
     return Fit(
@@ -335,13 +312,7 @@ def fit_model(
     job: Job,
     check: Callable[[Prepared], None] = lambda data: None,
 ) -> Fit[TorqueModel]:
-    """Fit base parameters, friction and offset; see `fit_dynamics` and `fit_gravity`.
-
-    Parameters
-    ----------
-    table, robot : as there. base : which base parameters. job : how to fit.
-    check : refuses records that are not of this kind.
-    """
+    """Fit base parameters, friction and offset; see `fit_dynamics` and `fit_gravity`."""
     job.check(robot)
     job.tell(0, 5, "checking the log")
     data = prepare(table, robot, job.joints)

@@ -128,9 +128,7 @@ class Trajectory:
 def quintic_step(x: float) -> tuple[float, float, float]:
     """Return the smooth step ``x^3 (10 - 15 x + 6 x^2)`` of x in [0, 1] and its two derivatives.
 
-    Parameters
-    ----------
-    x : share of the step; below 0 it has not begun, above 1 it is over.
+    `x`: share of the step; below 0 it has not begun, above 1 it is over.
     """
     x = min(max(x, 0.0), 1.0)
     return x**3 * (10 - 15 * x + 6 * x * x), 30 * x * x * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x)

@@ -37,10 +37,8 @@ TERMS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 
 class Shapes:
     """Shape of the friction of all joints; vectors are (n,).
 
-    Attributes
-    ----------
-    delta : presliding distance [rad]. smooth : v_t [rad/s], 0 where the sign is the presliding state.
-    speed : v_s of Stribeck's term [rad/s]. terms : (n, 3) bool: asymmetry, Stribeck, root.
+    `delta`: presliding distance [rad]. `smooth`: v_t [rad/s], 0 where the sign is the presliding state. `speed`: v_s of
+    Stribeck's term [rad/s]. `terms`: (n, 3) bool: asymmetry, Stribeck, root.
     """
 
     delta: np.ndarray
@@ -97,9 +95,7 @@ def term_names(terms: np.ndarray, ripple: bool) -> tuple[str, ...]:
 def mixing(terms: np.ndarray, width: int) -> np.ndarray:
     """Return the matrix (width, k) from all columns of a joint to those that it has.
 
-    Parameters
-    ----------
-    terms : (3,) asymmetry, Stribeck, root. width : number of all columns, see `COLUMNS`.
+    `terms`: (3,) asymmetry, Stribeck, root.
     """
     asymmetric, stribeck, root = terms
     eye = np.eye(width)
@@ -112,11 +108,9 @@ def mixing(terms: np.ndarray, width: int) -> np.ndarray:
 class Choice:
     """What the shape of one joint's friction is chosen by; it may travel to a worker.
 
-    Attributes
-    ----------
-    motion : of the joint. fixed : (M, 2 or more) columns viscous, offset, and whatever else has no shape.
-    target : (M,) torque that friction has to explain.
-    fold : (M,) number of the fold of each row, 0 to FOLDS - 1. trust : (M,) weights of the rows, 0 to leave one out.
+    `fixed`: (M, 2 or more) columns viscous, offset, and whatever else has no shape. `target`: (M,) torque that friction
+    has to explain. `fold`: (M,) number of the fold of each row, 0 to FOLDS - 1. `trust`: (M,) weights of the rows, 0 to
+    leave one out.
     """
 
     motion: FrictionColumns
@@ -141,9 +135,7 @@ class _Search:
     def scores(self, columns: np.ndarray, speeds: np.ndarray, kinds: slice) -> np.ndarray:
         """Return the held-out error (S, k), relative to the torque.
 
-        Parameters
-        ----------
-        columns : (M, 1, 3 + S) from `FrictionColumns.columns`. speeds : (S,) of its bells. kinds : which k of TERMS.
+        `columns`: (M, 1, 3 + S) from `FrictionColumns.columns`. `speeds`: (S,) of its bells.
         """
         fixed, S = self._fixed, len(speeds)
         shaped = columns[:, 0][self._order] * self._trust
@@ -164,10 +156,7 @@ def _sums(A: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
 def _held_out(sums: list[tuple[np.ndarray, np.ndarray, float]], picks: np.ndarray, T: np.ndarray) -> np.ndarray:
     """Return the squared error (S, k) of each fold by the parameters of the others, over that of the torque.
 
-    Parameters
-    ----------
-    sums : of each fold A^T A, A^T y and y^T y. picks : (S, w) columns of A that each speed of Stribeck has.
-    T : (k, w, w) of `_mixings`.
+    `picks`: (S, w) columns of A that each speed of Stribeck has. `T`: (k, w, w) of `_mixings`.
     """
     grams = [(G[picks[:, :, None], picks[:, None, :]][:, None], v[picks][:, None, :, None]) for G, v, _ in sums]
     error, told = np.zeros((len(picks), len(T))), np.ones((len(picks), len(T)), dtype=bool)
@@ -210,10 +199,6 @@ def choose(choice: Choice) -> Shapes:
     Presliding distance or v_t, the speed of Stribeck's term, and which terms there are come from a grid; of all that
     come within 1 % of the smallest squared error the one with the fewest terms wins, with presliding before tanh. Its
     numbers are then refined.
-
-    Parameters
-    ----------
-    choice : of the joint.
     """
     search, motion = _Search(choice), choice.motion
     trials = [(delta, 0.0) for delta in DELTAS] + [(DELTAS[3], smooth) for smooth in SMOOTH_SPEEDS]

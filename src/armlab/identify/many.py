@@ -48,13 +48,9 @@ BIN = 1e-9  # share of a sample
 class Pattern:
     """What the sums of a log need to know of the draft. It travels to workers.
 
-    Attributes
-    ----------
-    robot, base : the arm and its base parameters. shapes : of friction. free : (J, 2) bool, numbers with a slope.
-    geared : whether there are columns of ripple, also in logs that alone would have none, or some.
-    gains : (J,) of the torques. theta, x : parameters of the draft without and with slopes.
-    limit : (J,) residual from which a row counts less [N m]. rate : of the draft [Hz].
-    model : of the draft, whose torque replaces spikes. blocks : of time in each log.
+    `free`: (J, 2) bool, numbers with a slope. `geared`: whether there are columns of ripple, also in logs that alone
+    would have none, or some. `gains`: (J,) of the torques. `theta`, `x`: parameters of the draft without and with
+    slopes. `limit`: (J,) residual from which a row counts less [N m]. `rate`: of the draft [Hz].
     """
 
     robot: Robot
@@ -82,12 +78,7 @@ class Pattern:
         return digest.hexdigest()
 
     def design(self, data: Prepared) -> Design:
-        """Return the regression problem of a record, with the draft's gains, shapes and slopes.
-
-        Parameters
-        ----------
-        data : the record, its spikes replaced.
-        """
+        """Return the regression problem of a record, with the draft's gains, shapes and slopes."""
         built = Design.build(data, self.robot, self.base, shapes=self.shapes, geared=self.geared)
         return built.with_gains(self.gains).with_slopes(self.theta, self.free)
 
@@ -96,10 +87,7 @@ class Pattern:
 class LogSums:
     """What one log says of the parameters.
 
-    Attributes
-    ----------
-    factors : of its rows, per block of time. weight, inside : sum of the weights of its rows, and how many have 1.
-    n : samples. seconds : of motion. training : its ranges, speeds beside the draft's. source : its name and hash.
+    `weight`, `inside`: sum of the weights of its rows, and how many have 1.
     """
 
     factors: Factors
@@ -121,14 +109,7 @@ def fit_draft(
 ) -> tuple[Draft, Pattern]:
     """Fit the first logs, which fix what is not linear.
 
-    Parameters
-    ----------
-    tables : the first logs. robot : the arm. logs : how many there are in all.
-    progress : called with (done, total, what). chooser : of the shapes of friction, see `Design.choose_shapes`.
-
-    Raises
-    ------
-    ShapeError, NotExcited : as `fit_dynamics`.
+    `progress`: called with (done, total, what). `chooser`: of the shapes of friction, see `Design.choose_shapes`.
     """
     job = Job("torque model", "irls", 0, progress, chooser=chooser)
     base = base_parameters(robot)
@@ -155,13 +136,7 @@ def fit_draft(
 def log_sums(table: Table, pattern: Pattern) -> LogSums:
     """Reduce one log to sums; joints may rest in it.
 
-    Parameters
-    ----------
-    table : log with columns q, qd, tau (N, n), without contact. pattern : of the draft.
-
-    Raises
-    ------
-    ShapeError, NotExcited : a log that cannot be used; says why.
+    `table`: log with columns q, qd, tau (N, n), without contact.
     """
     data = _without_spikes(prepare_share(table, pattern.robot), pattern)
     if not same_rate(data.rate, pattern.rate):
@@ -190,14 +165,7 @@ def log_sums(table: Table, pattern: Pattern) -> LogSums:
 def fit_sums(draft: Draft, pattern: Pattern, sums: Sequence[LogSums], first: Sequence[int]) -> Fit[TorqueModel]:
     """Fit the model to the sum of all logs.
 
-    Parameters
-    ----------
-    draft, pattern : from `fit_draft`. sums : of all logs, in their order.
-    first : which of them the draft was made of; their held-out residuals give the torque covariance over velocity.
-
-    Raises
-    ------
-    NotExcited : the logs together do not determine everything, by name; or too few of them for a covariance.
+    `first`: which of them the draft was made of; their held-out residuals give the torque covariance over velocity.
     """
     solution, block_sums = _solved(draft.design, sums)
     design = draft.design

@@ -62,12 +62,8 @@ RIPPLE = {"ripple cos": np.cos, "ripple sin": np.sin}
 class ModelError:
     """The uncertain parameters of a model.
 
-    Attributes
-    ----------
-    model : the model. robot : its arm.
-    base : its base parameters, or None for those of an arm of which some joints were left out.
-    names : of the P parameters that are propagated. cov : (P, P) their covariance.
-    left_out : names of those that are not.
+    `base`: its base parameters, or None for those of an arm of which some joints were left out. `cov`: (P, P) their
+    covariance.
     """
 
     model: TorqueModel
@@ -81,9 +77,7 @@ class ModelError:
     def of(cls, known: TorqueModel | Fit[TorqueModel], robot: Robot) -> ModelError:
         """Return what is uncertain in a model: rigid body and friction of a fit, the rigid body alone of a model.
 
-        Parameters
-        ----------
-        known : as `identify.fit_dynamics` or `fit_gravity` return it, or its value. robot : the arm.
+        `known`: as `identify.fit_dynamics` or `fit_gravity` return it, or its value.
         """
         model = known.value if isinstance(known, Fit) else known
         names, cov = (known.names, _apart(known)) if isinstance(known, Fit) else (model.base_names, model.base_cov)
@@ -98,9 +92,7 @@ class ModelError:
     def against(self, A: np.ndarray, data: Prepared, rows: np.ndarray, joints: np.ndarray) -> np.ndarray:
         """Return the sums (J, w, P) of A_i^T C_i per joint: how columns take up what is wrong with the model.
 
-        Parameters
-        ----------
-        A : (M, J, w) filtered columns. data : the record. rows : (M,) of it that are kept. joints : (J,) numbers.
+        `A`: (M, J, w) filtered columns. `rows`: (M,) of it that are kept. `joints`: (J,) numbers.
         """
         total = np.zeros((len(joints), A.shape[2], len(self.names)))
         at = {name: k for k, name in enumerate(self.names)}
@@ -191,14 +183,10 @@ APART = 0.02  # rad or m, RMS; records further apart are not of one motion
 class LoadRecord:
     """Regression ``y = A pi + e`` of the torque that a load adds.
 
-    Attributes
-    ----------
-    data : the record with the load. rows : (M,) rows of it that are kept.
-    joints : (j,) those that move; what friction does at rest is not known, and the others are left out.
-    A : (M, j, 10) filtered columns of the load, at the flange. y : (M, j) filtered residual of the model [N m].
-    error : what is uncertain in the model. against : (j, 10, P) sums of A_i^T C_i per joint, C the slopes of its torque
-        over these parameters: how the load takes up what is wrong with them.
-    sources : name and SHA-256 of each log.
+    `rows`: (M,) rows of it that are kept. `joints`: (j,) those that move; what friction does at rest is not known, and
+    the others are left out. `A`: (M, j, 10) filtered columns of the load, at the flange. `y`: (M, j) filtered residual
+    of the model [N m]. `against`: (j, 10, P) sums of A_i^T C_i per joint, C the slopes of its torque over these
+    parameters: how the load takes up what is wrong with them. `sources`: name and SHA-256 of each log.
     """
 
     data: Prepared
@@ -220,15 +208,7 @@ class LoadRecord:
     ) -> LoadRecord:
         """Build the regression from logs.
 
-        Parameters
-        ----------
-        table : log or logs with the load. known : model of the arm alone, or its fit. robot : the arm.
-        without : log of the same motion without the load; its residual is subtracted.
-
-        Raises
-        ------
-        ShapeError, NotExcited : logs that `prepare` refuses. ShapeError : two motions that are not the same, or one
-            log for both.
+        `without`: log of the same motion without the load; its residual is subtracted.
         """
         error = ModelError.of(known, robot)
         model = error.model
@@ -259,9 +239,7 @@ class LoadRecord:
 def moving_joints(tables: Sequence[Table], robot: Robot) -> np.ndarray:
     """Return the numbers, from 0, of joints that move enough for their friction to be known; all where none does.
 
-    Parameters
-    ----------
-    tables : logs with q (N, n). robot : the arm.
+    `tables`: logs with q (N, n).
     """
     if not tables or any(not isinstance(one, Table) or one["q"].shape[1:] != (robot.n,) for one in tables):
         return np.arange(robot.n)  # `prepare` says what is wrong

@@ -27,13 +27,7 @@ SLOW_SHARE = 0.25  # of the sampling rate: a faster ripple line folds back
 def check_rate(t: np.ndarray) -> None:
     """Refuse a log whose sampling is too slow for friction: below `MIN_RATE`.
 
-    Parameters
-    ----------
-    t : (N,) times [s], increasing.
-
-    Raises
-    ------
-    ShapeError : with the rate that came.
+    `t`: (N,) times [s], increasing.
     """
     rate = 1.0 / float(np.median(np.diff(t)))
     if rate < MIN_RATE * (1.0 - 1e-6):
@@ -49,9 +43,7 @@ def slow_enough(qd: np.ndarray, rate: float, cycles: np.ndarray) -> np.ndarray:
 
     ``cycles |qd| / (2 pi) < rate / 4``
 
-    Parameters
-    ----------
-    qd : (N, n) velocity [rad/s]. rate : of sampling [Hz]. cycles : (n,) line [rad/rad].
+    `qd`: (N, n) velocity [rad/s]. `rate`: of sampling [Hz]. `cycles`: (n,) line [rad/rad].
     """
     return np.abs(qd) * cycles < 2 * np.pi * SLOW_SHARE * rate
 
@@ -139,16 +131,7 @@ def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] 
 
 
 def prepare_share(table: Table, robot: Robot, joints: Sequence[int] | None = None) -> Prepared:
-    """Check and cut one log of many as `prepare` does; joints may rest in it, since others may move them.
-
-    Parameters
-    ----------
-    table, robot, joints : as there.
-
-    Raises
-    ------
-    ShapeError, NotExcited : as there, but for joints at rest.
-    """
+    """Check and cut one log of many as `prepare` does; joints may rest in it, since others may move them."""
     used = np.bincount(measured_joints(robot, joints), minlength=robot.n) > 0
     return _checked(_tables(table), robot, used, np.zeros(robot.n, dtype=bool))
 
@@ -192,13 +175,7 @@ def _tables(table: Table | Sequence[Table]) -> list[Table]:
 def check_once(logs: Iterable[tuple[str, str]]) -> None:
     """Refuse a log that comes twice, be it under another name: the second time it says nothing new.
 
-    Parameters
-    ----------
-    logs : name and SHA-256 of the rows of each.
-
-    Raises
-    ------
-    ShapeError : names both.
+    `logs`: name and SHA-256 of the rows of each.
     """
     known: dict[str, str] = {}
     for name, sha256 in logs:
@@ -213,9 +190,7 @@ def check_once(logs: Iterable[tuple[str, str]]) -> None:
 def log_name(table: Table, number: int) -> str:
     """Return the file that a log was read from; "log 2" where it was not read from one.
 
-    Parameters
-    ----------
-    table : the log. number : its place, from 1.
+    `number`: its place, from 1.
     """
     return table.source[0].partition(" sha256 ")[0] if table.source else f"log {number}"
 
@@ -259,13 +234,7 @@ def _corner(q: np.ndarray, rate: float) -> float:
 def pieces(t: np.ndarray) -> list[tuple[int, int]]:
     """Return (start, stop) of the stretches of a log without a gap that have at least 100 rows.
 
-    Parameters
-    ----------
-    t : (N,) times [s], increasing.
-
-    Raises
-    ------
-    ShapeError : when there is none.
+    `t`: (N,) times [s], increasing.
     """
     found = _pieces(t)
     if not found:
@@ -373,12 +342,7 @@ NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
 
 
 def spikes(data: Prepared) -> np.ndarray:
-    """Return which torques (N, n) are six robust deviations or more from the median of nine samples around them.
-
-    Parameters
-    ----------
-    data : the record.
-    """
+    """Return which torques (N, n) are six robust deviations or more from the median of nine samples around them."""
     away = np.abs(data.tau - _median(data.tau, data))
     found = np.zeros(away.shape, dtype=bool)
     for a, b in data.segments:
@@ -390,9 +354,7 @@ def spikes(data: Prepared) -> np.ndarray:
 def without_spikes(data: Prepared, found: np.ndarray, model: TorqueModel | None = None) -> np.ndarray:
     """Return the torque (N, n) with spikes replaced by the model's, plus the median of what it leaves around them.
 
-    Parameters
-    ----------
-    data : the record. found : (N, n) from `spikes`. model : of the arm; the median of the torque alone when left out.
+    `found`: (N, n) from `spikes`. `model`: of the arm; the median of the torque alone when left out.
     """
     known = np.zeros_like(data.tau) if model is None else _modelled(model, data)
     return np.where(found, known + _median(data.tau - known, data), data.tau)

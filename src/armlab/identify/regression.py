@@ -47,11 +47,8 @@ SLOPES = ("delta", "tanh-speed", "stribeck-speed")  # numbers of the shape of fr
 class Layout:
     """Names, units, bounds and places of p parameters.
 
-    Attributes
-    ----------
-    robot, base : the arm and its base parameters. joints : (J,) those whose torque counts.
-    motors : (K, n) angles theta = c q of motors that move several joints. owners : (K,) the joint each belongs to.
-    terms : names of each joint's own parameters.
+    `joints`: (J,) those whose torque counts. `motors`: (K, n) angles theta = c q of motors that move several joints.
+    `owners`: (K,) the joint each belongs to.
     """
 
     robot: Robot
@@ -122,11 +119,9 @@ AT_ONCE = 8192  # rows handed to the solver
 class DesignRows:
     """Rows of J joints; reading it again makes them again.
 
-    Attributes
-    ----------
-    tau : (M, J) torque. rigid, local : of each joint (M, w) and (M, k), its columns, in this order.
-    columns : of each joint (w + k,), the parameters that they belong to.
-    block : (M,) number of the block of time of each row. trust : (M, J) weights of the rows, None for 1.
+    `tau`: (M, J) torque. `rigid`, `local`: of each joint (M, w) and (M, k), its columns, in this order. `columns`: of
+    each joint (w + k,), the parameters that they belong to. `block`: (M,) number of the block of time of each row.
+    `trust`: (M, J) weights of the rows, None for 1.
     """
 
     tau: np.ndarray
@@ -158,17 +153,13 @@ NOTHING = 1e-12  # of the power of the torque: a slope without effect
 class Design:
     """Filtered and thinned regression problem of J joints.
 
-    Attributes
-    ----------
-    made : what makes the columns of this record and arm. base : base parameters.
-    owners : (K,) the joint that each coupled motor belongs to.
-    gains : (J,) torque as it is read over true torque. tau : (M, J) filtered torque, divided by them.
-    rigid : of each joint (M, w), columns of the base parameters that it sees.
-    fixed : (M, J, 2 or 4) columns without shape: viscous, offset, and ripple where the gears are known.
-    coupled_motors : (M, K, 3) filtered acceleration, velocity and sign of the coupled motors.
-    shapes : of friction. free : (J, 2) bool, which of `Shapes.numbers` have a column: the derivative of the torque over
-        the logarithm of the number, at the parameters given to `with_slopes`.
-    local : of each joint (M, k) columns of its own, slopes of its shape last, then of the motors that move it.
+    `owners`: (K,) the joint that each coupled motor belongs to. `gains`: (J,) torque as it is read over true torque.
+    `tau`: (M, J) filtered torque, divided by them. `rigid`: of each joint (M, w), columns of the base parameters that
+    it sees. `fixed`: (M, J, 2 or 4) columns without shape: viscous, offset, and ripple where the gears are known.
+    `coupled_motors`: (M, K, 3) filtered acceleration, velocity and sign of the coupled motors. `free`: (J, 2) bool,
+    which of `Shapes.numbers` have a column: the derivative of the torque over the logarithm of the number, at the
+    parameters given to `with_slopes`. `local`: of each joint (M, k) columns of its own, slopes of its shape last, then
+    of the motors that move it.
     """
 
     made: Columns
@@ -198,16 +189,10 @@ class Design:
     ) -> Design:
         """Filter and thin all columns.
 
-        Parameters
-        ----------
-        data : the record.
-        robot : kinematics, gravity and gears.
-        base : base parameters of the robot, for the same joints.
-        cutoff : of the zero-phase filter [Hz]; a tenth of the rate, at most 25 Hz, when left out; infinite for none.
-        every : rows from one kept row to the next; 2.5 kept rows per period of the cut-off when left out.
-        joints : whose torque counts; all when left out.
-        shapes : of friction; presliding over 1e-3 rad when left out.
-        geared : whether there are columns of ripple, see `Columns`.
+        `base`: base parameters of the robot, for the same joints. `cutoff`: of the zero-phase filter [Hz]; a tenth of
+        the rate, at most 25 Hz, when left out; infinite for none. `every`: rows from one kept row to the next; 2.5 kept
+        rows per period of the cut-off when left out. `joints`: whose torque counts; all when left out. `shapes`: of
+        friction; presliding over 1e-3 rad when left out. `geared`: whether there are columns of ripple, see `Columns`.
         """
         corner = min(data.rate / 10.0, CUTOFF) if cutoff is None else cutoff
         step = max(1, int(data.rate / (2.5 * corner))) if every is None else every
@@ -298,10 +283,8 @@ class Design:
     def with_slopes(self, theta: np.ndarray, free: np.ndarray | None = None) -> Design:
         """Return it with the derivatives of the torque over the logarithms of the numbers that make the shapes.
 
-        Parameters
-        ----------
-        theta : (p,) parameters of this design, without slopes, at which they are taken.
-        free : (J, 2) bool, which numbers; those that matter to the torque when left out.
+        `theta`: (p,) parameters of this design, without slopes, at which they are taken. `free`: (J, 2) bool, which
+        numbers; those that matter to the torque when left out.
         """
         slopes = self._slopes(theta)
         power = np.sum(slopes * slopes, axis=0)
@@ -340,10 +323,8 @@ class Design:
     def stream(self, block: np.ndarray, trust: np.ndarray | None = None) -> Iterable[Rows]:
         """Return the rows of the problem, made again whenever they are read.
 
-        Parameters
-        ----------
-        block : (M,) number of the block of time of each kept row.
-        trust : (M, J) weights to multiply the rows by; 1 when left out.
+        `block`: (M,) number of the block of time of each kept row. `trust`: (M, J) weights to multiply the rows by; 1
+        when left out.
         """
         return DesignRows(self.tau, self.rigid, self.local, self.layout.columns, block, trust)
 
@@ -394,10 +375,8 @@ class Design:
     ) -> Design:
         """Choose the shape of friction of each joint on held-out blocks of half a second.
 
-        Parameters
-        ----------
-        theta : (p,) parameters, of which the base parameters are held.
-        trust : (M, J) weights of the rows; 0 leaves one out. chooser : calls `choose` for each joint.
+        `theta`: (p,) parameters, of which the base parameters are held. `trust`: (M, J) weights of the rows; 0 leaves
+        one out.
         """
         weights = np.ones_like(self.tau) if trust is None else np.asarray(trust, dtype=float)
         used = np.cumsum(weights.any(axis=1))  # blocks of what is used: all folds have as much

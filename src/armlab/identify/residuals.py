@@ -22,10 +22,8 @@ from armlab.robots import Robot, from_links
 class Residuals:
     """Residuals of a model along logs.
 
-    Attributes
-    ----------
-    data : the record. y : (N, n) measured minus modelled torque [N m], over the gains, unfiltered.
-    s : (N, n) the sign that friction goes by: presliding state, or the smooth sign.
+    `y`: (N, n) measured minus modelled torque [N m], over the gains, unfiltered. `s`: (N, n) the sign that friction
+    goes by: presliding state, or the smooth sign.
     """
 
     data: Prepared
@@ -41,16 +39,9 @@ def model_residuals(
 ) -> Residuals:
     """Return measured minus modelled torque of every row; the acceleration is low-passed at a tenth of the rate.
 
-    Parameters
-    ----------
-    table : one log or several, of free motion, with columns q, qd, tau.
-    model : of the arm that was logged.
-    joints : numbers, from 0, of those that must move; all when left out.
-    robot : the arm; its limits and gears, which the model does not know, tell a log in other units.
-
-    Raises
-    ------
-    ShapeError, NotExcited : logs that `prepare` refuses.
+    `table`: one log or several, of free motion, with columns q, qd, tau. `joints`: numbers, from 0, of those that must
+    move; all when left out. `robot`: the arm; its limits and gears, which the model does not know, tell a log in other
+    units.
     """
     if not isinstance(model, TorqueModel):
         raise ModelMismatchError.no_model(model)
@@ -67,12 +58,7 @@ def model_residuals(
 
 
 def friction_signs(model: TorqueModel, data: Prepared) -> np.ndarray:
-    """Return the sign (N, n) that friction goes by: the presliding state, or the smooth sign where a joint has one.
-
-    Parameters
-    ----------
-    model : of the arm. data : the record.
-    """
+    """Return the sign (N, n) that friction goes by: the presliding state, or the smooth sign where a joint has one."""
     smooth, s = model.friction.smooth_speed, np.empty_like(data.q)
     for a, b in data.segments:
         s[a:b] = presliding(data.q[a:b], model.friction.delta, model.friction.resolution)
@@ -94,9 +80,7 @@ def begun(
 ) -> Iterator[tuple[TorqueModel, int, int]]:
     """Yield a model for each piece of a record, which begins as warm as the record before has made it, and the piece.
 
-    Parameters
-    ----------
-    model : of the arm. data : the record. pieces : (start, stop) rows.
+    `pieces`: (start, stop) rows.
     """
     listed = list(pieces)
     if model.warm_up is None:
@@ -128,9 +112,7 @@ def _warmth_at(model: TorqueModel, data: Prepared, rows: np.ndarray) -> np.ndarr
 def seconds(t: np.ndarray) -> np.ndarray:
     """Return the number (N,) of the second, from 0, that each row is in.
 
-    Parameters
-    ----------
-    t : (N,) time [s], increasing.
+    `t`: (N,) time [s], increasing.
     """
     return ((t - t[0]) / BIN).astype(int)
 
@@ -138,9 +120,7 @@ def seconds(t: np.ndarray) -> np.ndarray:
 def dry_torques(model: TorqueModel, i: int | np.intp, qd: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return Coulomb torque c (N,) of a cold joint, which warmth changes, and of the rest (N,), which it does not.
 
-    Parameters
-    ----------
-    model : of the arm. i : joint, from 0. qd, s : (N,) velocity [rad/s] and the sign that friction goes by.
+    `i`: joint, from 0. `qd`, `s`: (N,) velocity [rad/s] and the sign that friction goes by.
     """
     f = model.friction
     c = f.coulomb_pos[i] * np.maximum(s, 0) + f.coulomb_neg[i] * np.minimum(s, 0)
@@ -151,9 +131,7 @@ def dry_torques(model: TorqueModel, i: int | np.intp, qd: np.ndarray, s: np.ndar
 def mean_power(model: TorqueModel, i: int | np.intp, qd: np.ndarray, s: np.ndarray, number: np.ndarray) -> np.ndarray:
     """Return the means (B, 3) of ``qd qd``, ``c qd`` and ``rest qd`` over the seconds, see `dry_torques`.
 
-    Parameters
-    ----------
-    model, i, qd, s : see `dry_torques`. number : (N,) of `seconds`; seconds without rows have no power.
+    `number`: (N,) of `seconds`; seconds without rows have no power.
     """
     c, rest = dry_torques(model, i, qd, s)
     sums = [np.bincount(number, weights=torque * qd) for torque in (qd, c, rest)]
@@ -163,9 +141,7 @@ def mean_power(model: TorqueModel, i: int | np.intp, qd: np.ndarray, s: np.ndarr
 def relaxed(heat: np.ndarray, time: float, start: float) -> np.ndarray:
     """Return x (B,) in the middle of every second for heat (B,) = power / reference.
 
-    Parameters
-    ----------
-    heat : (B,). time : constant [s]. start : x at the beginning.
+    `heat`: (B,). `time`: constant [s].
     """
     from scipy.signal import lfilter
 
@@ -178,10 +154,8 @@ def relaxed(heat: np.ndarray, time: float, start: float) -> np.ndarray:
 def settled(power: np.ndarray, k: np.ndarray, time: float, start: float, reference: float) -> np.ndarray:
     """Return the warmth x (B,) of a joint, which settles with the power of its own friction.
 
-    Parameters
-    ----------
-    power : (B, 3) of `mean_power`. k : (6,) viscous, coulomb+, coulomb-, offset, of_viscous viscous, of_coulomb.
-    time : constant [s]. start : x at the beginning. reference : power at which x settles at 1 [W].
+    `power`: (B, 3) of `mean_power`. `k`: (6,) viscous, coulomb+, coulomb-, offset, of_viscous viscous, of_coulomb.
+    `time`: constant [s]. `reference`: power at which x settles at 1 [W].
     """
     x = np.zeros(len(power))
     for _ in range(SETTLING):
@@ -359,12 +333,7 @@ ENOUGH, WINDOW = 50_000, 10.0  # rows for a factor, and s: of longer records eve
 
 
 def velocity_noise(data: Prepared) -> np.ndarray:
-    """Return the deviation (n,) of the measured velocity [rad/s], from fourth differences, which motion hardly has.
-
-    Parameters
-    ----------
-    data : the record.
-    """
+    """Return the deviation (n,) of the measured velocity [rad/s], from fourth differences, which motion hardly has."""
     steps = np.concatenate([np.diff(data.qd[a:b], 4, axis=0) for a, b in data.segments])
     return np.sqrt(np.mean(steps**2, axis=0) / 70.0)  # 70 = 1 + 16 + 36 + 16 + 1
 
@@ -374,10 +343,8 @@ def momentum_noise(
 ) -> MomentumNoise:
     """Return memory and velocity noise of a record, and factors that make the momentum estimators' 2 sigma hold.
 
-    Parameters
-    ----------
-    model : with its torque covariance. folds : models and the rows (N,) that each did not see.
-    errors : (N, n) held-out causal residuals [N m], NaN where they do not count. data : the record.
+    `folds`: models and the rows (N,) that each did not see. `errors`: (N, n) held-out causal residuals [N m], NaN where
+    they do not count.
     """
     step = float(np.median(data.dt))
     known = [column[np.isfinite(column)] for column in errors.T]
@@ -416,9 +383,7 @@ def _runs(
 def stretches(rows: np.ndarray, data: Prepared) -> Iterator[tuple[int, int]]:
     """Yield the stretches of the record that hold the rows, each with a lead of half a second where the segment has it.
 
-    Parameters
-    ----------
-    rows : (N,) which are wanted. data : the record.
+    `rows`: (N,) which are wanted.
     """
     lead = int(LEAD * data.rate)
     for first, last in data.segments:

@@ -40,13 +40,10 @@ EXACT = 1e-5  # residuals below this share of the measurements are rounding, not
 class GainProblem:
     """Sums of a regression with unknown gains.
 
-    Attributes
-    ----------
-    sums : (B, n, p + 1, p + 1) of ``[A y]^T [A y]`` per block and joint, weighted by 1 / variance, each joint by the
-        share of its samples that are independent.
-    weights : (n,) what a squared residual of each joint counts [1 / (N m)^2].
-    gain_sd : s, 0 where the gains are known to be 1.
-    stretch : how much further a robust solution moves than its weighted sums say.
+    `sums`: (B, n, p + 1, p + 1) of ``[A y]^T [A y]`` per block and joint, weighted by 1 / variance, each joint by the
+    share of its samples that are independent. `weights`: (n,) what a squared residual of each joint counts [1 / (N
+    m)^2]. `gain_sd`: s, 0 where the gains are known to be 1. `stretch`: how much further a robust solution moves than
+    its weighted sums say.
     """
 
     sums: np.ndarray
@@ -58,10 +55,8 @@ class GainProblem:
     def of(cls, solution: LinearSolution, residuals: np.ndarray, gains: np.ndarray, gain_sd: float) -> GainProblem:
         """Build the sums from a solution of rows ``(1 + gains_i) A_i``.
 
-        Parameters
-        ----------
-        solution : its classes are the joints; its weights of rows and joints are used.
-        residuals : (M, n) of it, evenly sampled. gains : (n,) a first guess of the gains less 1. gain_sd : s.
+        `solution`: its classes are the joints; its weights of rows and joints are used. `residuals`: (M, n) of it,
+        evenly sampled. `gains`: (n,) a first guess of the gains less 1.
         """
         factors, p = solution.factors, len(solution.x)
         share = np.array([effective_samples(column) for column in residuals.T]) / len(residuals)
@@ -96,18 +91,14 @@ class GainProblem:
     def information(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
         """Return the information (p, p) on x, unknown gains accounted for.
 
-        Parameters
-        ----------
-        x : (p,) solution. g : (n,) its gains less 1.
+        `x`: (p,) solution. `g`: (n,) its gains less 1.
         """
         return self._normal(self.sums.sum(axis=0)[:, :-1, :-1], x, 1.0 + g)[0]
 
     def gain_covariance(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
         """Return the covariance (n, n) of the gains, x unknown.
 
-        Parameters
-        ----------
-        x : (p,) solution. g : (n,) its gains less 1.
+        `x`: (p,) solution. `g`: (n,) its gains less 1.
         """
         G, k = self.sums.sum(axis=0)[:, :-1, :-1], 1.0 + g
         _, u, d = self._normal(G, x, k)
@@ -120,9 +111,7 @@ class GainProblem:
     def response(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
         """Return how x follows the sums ``weights_i A_i^T e_i`` of each joint (n, p, p): dx = sum_i response_i @ them.
 
-        Parameters
-        ----------
-        x : (p,) solution. g : (n,) its gains less 1.
+        `x`: (p,) solution. `g`: (n,) its gains less 1.
         """
         S, through, _ = self._reduced(x, g)
         return np.linalg.solve(S, through)
@@ -130,9 +119,7 @@ class GainProblem:
     def covariance(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
         """Return the covariance (p, p) of x: scatter of the blocks, and gains.
 
-        Parameters
-        ----------
-        x : (p,) solution. g : (n,) its gains less 1.
+        `x`: (p,) solution. `g`: (n,) its gains less 1.
         """
         S, through, pushes = self._reduced(x, g)
         B, A = len(self.sums), self.sums[:, :, :-1, :-1]
@@ -181,10 +168,7 @@ def settle(
 
     Directions that the log does not tell are no fault here: the last fit judges.
 
-    Parameters
-    ----------
-    design : with any shapes. method : of `fit_dynamics`. seed : of "lts".
-    use : (M,) kept rows to fit to; all when left out. chooser : of `Design.choose_shapes`.
+    `use`: (M,) kept rows to fit to; all when left out.
     """
     use = np.ones(len(design.rows), dtype=bool) if use is None else use
     trust = np.repeat(use[:, None].astype(float), len(design.joints), axis=1)
@@ -230,10 +214,7 @@ def _cost(design: Design, theta: np.ndarray, trust: np.ndarray) -> float:
 def linearised(design: Design, theta: np.ndarray, method: str, trust: np.ndarray | None = None) -> Design:
     """Return the design with slopes of those numbers of the shapes that the log tells.
 
-    Parameters
-    ----------
-    design : without slopes, at its parameters theta (p,). method : of the fit.
-    trust : (M, J) weights of the rows; 1 when left out.
+    `design`: without slopes, at its parameters theta (p,). `trust`: (M, J) weights of the rows; 1 when left out.
     """
     sloped = design.with_slopes(theta)
     free, sd = sloped.free.copy(), solved(sloped, trust, method).sd[sloped.layout.slopes]
@@ -242,21 +223,14 @@ def linearised(design: Design, theta: np.ndarray, method: str, trust: np.ndarray
 
 
 def short_blocks(data: Prepared) -> float:
-    """Return the length of the blocks that "lts" leaves out [s].
-
-    Parameters
-    ----------
-    data : the record.
-    """
+    """Return the length of the blocks that "lts" leaves out [s]."""
     return max(TRIMMED, data.seconds / MOST_BLOCKS)
 
 
 def solved(design: Design, trust: np.ndarray | None, method: str) -> LinearSolution:
     """Solve for weighted rows; the smallest parameters where the log does not tell them.
 
-    Parameters
-    ----------
-    design : the problem. trust : (M, J) weights of the rows; 1 when left out. method : of `fit_dynamics`.
+    `trust`: (M, J) weights of the rows; 1 when left out.
     """
     rows = design.stream(np.zeros(len(design.rows), dtype=int), trust)
     plain = "ols" if method == "ols" else "wls"
@@ -294,10 +268,7 @@ def calibrated(
 
     Where the log does not tell the parameters, the gains stay what they are: the last fit judges.
 
-    Parameters
-    ----------
-    design : without slopes. method : of `fit_dynamics`.
-    known : gains (n,) and their covariance (n, n) of an earlier fit, which stay.
+    `known`: gains (n,) and their covariance (n, n) of an earlier fit, which stay.
     """
     if known is not None:
         gains, cov = known[0][design.joints], known[1][np.ix_(design.joints, design.joints)]
@@ -325,9 +296,7 @@ def gain_share(solution: LinearSolution, gain_cov: np.ndarray) -> np.ndarray:
 
     A gain that is g too large leaves a torque that is g too small: ``dx = -sum_i (A^T W A)^-1 w_i^2 A_i^T y_i g_i``.
 
-    Parameters
-    ----------
-    solution : of torques divided by their gains. gain_cov : (J, J) of the gains.
+    `gain_cov`: (J, J) of the gains.
     """
     pushed = np.zeros((len(solution.x), len(gain_cov)))
     parts = zip(solution.factors.R, solution.factors.columns, solution.weights)

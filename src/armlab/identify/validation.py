@@ -80,11 +80,8 @@ def training(
 ) -> Training:
     """Return the ranges of the data that a model is fitted to.
 
-    Parameters
-    ----------
-    t : (N,) time [s]. q, qd : (N, n) position and velocity.
-    segments : (start, stop) rows of each piece without a gap.
-    peak : (n,) speed that counts as the largest; that of the data when left out.
+    `t`: (N,) time [s]. `q`, `qd`: (N, n) position and velocity. `segments`: (start, stop) rows of each piece without a
+    gap. `peak`: (n,) speed that counts as the largest; that of the data when left out.
     """
     scale = np.abs(qd).max(axis=0) if peak is None else peak
     rest_share, longest = _rest(t, qd, scale, segments)
@@ -177,23 +174,13 @@ def _rest(
 
 
 def parameter_rows(fit: Fit[TorqueModel]) -> list[tuple[str, str, str, str]]:
-    """Return value, deviation, unit and name of each parameter as words: base parameters, then those of the drives.
-
-    Parameters
-    ----------
-    fit : of `fit_dynamics` or `fit_gravity`.
-    """
+    """Return value, deviation, unit and name of each parameter as words: base parameters, then those of the drives."""
     columns = zip(fit.parameters, fit.sd, fit.units, fit.names, strict=True)
     return [(f"{value:.4g}", f"{sd:.2g}", unit, name) for value, sd, unit, name in columns]
 
 
 def parameter_text(fit: Fit[TorqueModel]) -> str:
-    """Return one line per parameter; numbers first, since the combinations are of any length.
-
-    Parameters
-    ----------
-    fit : of `fit_dynamics` or `fit_gravity`.
-    """
+    """Return one line per parameter; numbers first, since the combinations are of any length."""
     head, rows = ("value", "sd", "unit", "parameter"), parameter_rows(fit)
     value, sd, unit = (max(map(len, column)) for column in list(zip(head, *rows))[:3])
     lines = [f"{head[0]:>{value}}    {head[1]:<{sd}}  {head[2]:<{unit}}  {head[3]}"]
@@ -216,10 +203,7 @@ def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Prepared) -> tup
 
     A joint is in motion when it has slid far enough since its last reversal or rest that its friction is known.
 
-    Parameters
-    ----------
-    folds : models and the rows (N,) that each did not see.
-    data : the record.
+    `folds`: models and the rows (N,) that each did not see.
     """
     residuals = np.full(data.q.shape, np.nan)
     moving = np.zeros(data.q.shape, dtype=bool)
@@ -257,12 +241,8 @@ def assess(
     stretches of time and judged on the other, both ways; the model gets those of all. Joints whose torque is not
     measured have no figures, and a deviation so large that no estimator listens to them.
 
-    Parameters
-    ----------
-    model : fitted to all data. folds : models for held-out rows.
-    data : the record. joints : whose torque is measured; all when left out.
-    unseen : (n,) variance [(N m)^2] that held-out residuals have beyond those of `folds`, whose models share a part
-        that was fitted to these rows too.
+    `joints`: whose torque is measured; all when left out. `unseen`: (n,) variance [(N m)^2] that held-out residuals
+    have beyond those of `folds`, whose models share a part that was fitted to these rows too.
     """
     errors, moving = held_out(folds, data)
     if unseen is not None:
@@ -299,11 +279,8 @@ def assess_again(before: TorqueModel, model: TorqueModel, folds: list[TorqueMode
     Where `before` was identified from one of these logs, its own parameters have seen the rows that `folds` have not:
     what it lost on held-out rows, ``rms_cv^2 - rms^2``, is added to their errors.
 
-    Parameters
-    ----------
-    before : without the parts. model : with the parts, fitted to all data.
-    folds : with the parts fitted without each fifth of `fold_of`.
-    data : the record; single spikes of its torque do not count, as in `fit_dynamics`.
+    `folds`: with the parts fitted without each fifth of `fold_of`. `data`: the record; single spikes of its torque do
+    not count, as in `fit_dynamics`.
     """
     data = replace(data, tau=without_spikes(data, spikes(data), before))
     fold, quality = fold_of(data), before.quality
@@ -319,12 +296,7 @@ def assess_again(before: TorqueModel, model: TorqueModel, folds: list[TorqueMode
 
 
 def fold_of(data: Prepared) -> np.ndarray:
-    """Return which fifth (N,), from 0, each row is in: twenty stretches of time go to the fifths in turn.
-
-    Parameters
-    ----------
-    data : the record.
-    """
+    """Return which fifth (N,), from 0, each row is in: twenty stretches of time go to the fifths in turn."""
     return data.blocks(data.seconds / STRETCHES) % FIFTHS
 
 
@@ -411,10 +383,7 @@ def predict(model: TorqueModel, table: Table) -> Table:
 def report(fit: Fit[TorqueModel], solution: LinearSolution | None = None) -> str:
     """Return all parameters, then per joint: torque, residuals in % of its deviation, friction with deviations.
 
-    Parameters
-    ----------
-    fit : of a torque model.
-    solution : behind the fit: bounds that hold a parameter are listed, with what they cost.
+    `solution`: behind the fit: bounds that hold a parameter are listed, with what they cost.
     """
     model, q = fit.value, fit.value.quality
     header = ("joint", "torque sd", "rms", "fit", "held-out", "viscous", "coulomb +", "coulomb -", "sign", "in 2 sigma")

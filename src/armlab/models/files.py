@@ -56,12 +56,7 @@ def register(kind: str, cls: type) -> None:
 
 
 def kind_of(value: object) -> str:
-    """Return the kind of a registered value.
-
-    Raises
-    ------
-    ConfigError : its class has no file format.
-    """
+    """Return the kind of a registered value."""
     for kind, cls in _CLASSES.items():
         if type(value) is cls:
             return kind
@@ -74,9 +69,7 @@ def kind_of(value: object) -> str:
 def provenance(kind: str, value: object) -> dict[str, Any]:
     """Return the table [meta] of a file that is written now.
 
-    Parameters
-    ----------
-    kind : of the value. value : sources, robot name and hash are taken from it where it has them.
+    `value`: sources, robot name and hash are taken from it where it has them.
     """
     return {
         "kind": kind,
@@ -134,13 +127,7 @@ def _check_texts(value: Any, path: Path) -> None:
 def read_value(raw: Mapping[str, Any], path: Path) -> Any:
     """Return the value of a file's tables.
 
-    Parameters
-    ----------
-    raw : the tables, with a [meta] of some kind. path : for messages.
-
-    Raises
-    ------
-    ModelMismatchError : a kind or format that this version does not know. ConfigError : fields are missing or wrong.
+    `raw`: the tables, with a [meta] of some kind.
     """
     meta = raw["meta"]
     kind, version, package = str(meta.get("kind")), meta.get("format"), str(meta.get("package", "")) or "the package"
@@ -165,12 +152,7 @@ def read_value(raw: Mapping[str, Any], path: Path) -> Any:
 
 
 def encode(item: Any) -> Any:
-    """Return numbers, texts, lists and tables that TOML can hold; None becomes an empty table.
-
-    Parameters
-    ----------
-    item : a field of a registered value.
-    """
+    """Return numbers, texts, lists and tables that TOML can hold; None becomes an empty table."""
     if isinstance(item, np.ndarray):
         return {"shape": list(item.shape), "array": item.tolist()} if not item.size else {"array": item.tolist()}
     if item is None:
@@ -187,12 +169,7 @@ def encode(item: Any) -> Any:
 
 
 def decode(item: Any) -> Any:
-    """Return the field that `encode` has turned into tables.
-
-    Parameters
-    ----------
-    item : from a TOML file.
-    """
+    """Return the field that `encode` has turned into tables."""
     if not isinstance(item, dict):
         return item
     if "array" in item:
@@ -319,12 +296,7 @@ class _File(_Strict):
 
 
 def torque_tables(model: TorqueModel) -> dict[str, Any]:
-    """Return the tables of the file of a torque model.
-
-    Parameters
-    ----------
-    model : to save.
-    """
+    """Return the tables of the file of a torque model."""
     lower = np.tril_indices(len(model.base_names))
     c, q = model.covariance, model.quality
     return {
@@ -380,13 +352,7 @@ def _joined(tables: dict[str, dict[str, float]], names: tuple[str, ...], path: P
 def read_torque_model(raw: dict[str, Any], path: Path) -> TorqueModel:
     """Return the model of the tables of a file.
 
-    Parameters
-    ----------
-    raw : tables, with [meta]. path : of the file, for messages.
-
-    Raises
-    ------
-    ConfigError : tables that are damaged or unknown. ModelMismatchError : another kind, format or sign convention.
+    `raw`: tables, with [meta].
     """
     meta = raw["meta"]
     found = tuple(meta.get(key) for key in ("kind", "format", "sign"))

@@ -87,10 +87,8 @@ class CoupledKernel:
 
     The acceleration is the difference of the velocity to the last sample that was whole, as in the kernel itself.
 
-    Parameters
-    ----------
-    kernel : with step, run and reset, of a model without the motors. motors : of the model.
-    gains : (n,) torque as it is read over true torque.
+    `kernel`: with step, run and reset, of a model without the motors. `gains`: (n,) torque as it is read over true
+    torque.
     """
 
     def __init__(self, kernel: Any, motors: CoupledMotors, gains: np.ndarray) -> None:

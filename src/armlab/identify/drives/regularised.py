@@ -31,9 +31,7 @@ FULL = 1e-6  # least share of a direction that other stretches tell
 def ridge_solution(A: np.ndarray, y: np.ndarray, ridge: float = RIDGE) -> tuple[np.ndarray, np.ndarray]:
     """Return ridge coefficients (p,) and the matrix (p, p) of their equations, see `refit`.
 
-    Parameters
-    ----------
-    A : (N, p). y : (N,). ridge : relative to the mean diagonal of A^T A.
+    `A`: (N, p). `y`: (N,).
     """
     H = A.T @ A
     H[np.diag_indices_from(H)] += ridge * np.trace(H) / max(len(H), 1)
@@ -50,11 +48,8 @@ def refit(
     blocks are few for the coefficients S is shrunk towards a multiple of H (`estimation.shrinkage`): it would have no
     spread in most directions. v is the mean square of the coefficients: so far the ridge pulls what is hardly told.
 
-    Parameters
-    ----------
-    A : (N, p). y : (N,). block : (N,) numbers. ridge : relative to the mean diagonal of A^T A.
-    beside : (N, m) columns of parameters known so far that they leave nothing, free in the covariance, which is then
-        (p + m, p + m).
+    `A`: (N, p). `y`: (N,). `block`: (N,) numbers. `beside`: (N, m) columns of parameters known so far that they leave
+    nothing, free in the covariance, which is then (p + m, p + m).
     """
     x, H = ridge_solution(A, y, ridge)
     pull = ridge * np.trace(H) / max(len(H), 1) / (1.0 + ridge)
@@ -106,9 +101,7 @@ def scattered(H: np.ndarray, moments: np.ndarray) -> np.ndarray:
 def held_out_error(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float = RIDGE, folds: int = 5) -> float:
     """Return the mean square of y - A x on blocks that x was not fitted to.
 
-    Parameters
-    ----------
-    A : (N, p); without columns the mean square of y. y : (N,). block : (N,) numbers. ridge : relative. folds : number.
+    `A`: (N, p); without columns the mean square of y. `y`: (N,). `block`: (N,) numbers.
     """
     total, fold = 0.0, np.asarray(block) % folds
     for k in range(folds):

@@ -104,9 +104,7 @@ def ripple_lines(
 def highest_seen(qd: np.ndarray, rate: float) -> float:
     """Return the largest c [cycles per revolution] that passes below a quarter of the rate in half of the samples.
 
-    Parameters
-    ----------
-    qd : (N,) velocity [rad/s]. rate : of sampling [Hz].
+    `qd`: (N,) velocity [rad/s]. `rate`: of sampling [Hz].
     """
     return float(2 * np.pi * SLOW_SHARE * rate / max(np.median(np.abs(qd)), 1e-12))
 
@@ -114,9 +112,7 @@ def highest_seen(qd: np.ndarray, rate: float) -> float:
 def warn_of_fast_lines(seen: dict[str, float], rate: float) -> None:
     """Warn that lines of torque ripple fold back and are not looked for.
 
-    Parameters
-    ----------
-    seen : largest c of each joint that can be found, by name. rate : of sampling [Hz].
+    `seen`: largest c of each joint that can be found, by name. `rate`: of sampling [Hz].
     """
     listed = ", ".join(f"{name} (above {c:.0f} cycles/rev)" for name, c in seen.items())
     warnings.warn(
@@ -184,9 +180,7 @@ def ripple_regressor(
 def ripple_amplitudes(qd: np.ndarray, z: np.ndarray, speeds: np.ndarray, widths: np.ndarray) -> np.ndarray:
     """Return the weights (N, 2 S) of both directions and of the Gaussians in speed.
 
-    Parameters
-    ----------
-    qd, z : (N,) velocity [rad/s], presliding state. speeds, widths : (S,) of the Gaussians [rad/s].
+    `qd`, `z`: (N,) velocity [rad/s], presliding state. `speeds`, `widths`: (S,) of the Gaussians [rad/s].
     """
     qd, z = numbers(qd, "velocities [rad/s]", ShapeError), numbers(z, "presliding states", ShapeError)
     if qd.ndim != 1 or qd.shape != z.shape:
@@ -204,10 +198,8 @@ def refine_lines(
     The search finds a line with one amplitude in each direction; here it has all of them. Its error turns the phase at
     the ends of the range: coefficients would seem too sure in a covariance without the slopes.
 
-    Parameters
-    ----------
-    q : (N,) position [rad]. amplitudes : (N, 2 S) of each direction and speed, see `ripple_regressor`.
-    y : (N,) residual torque [N m]. cycles : (L,) lines found.
+    `q`: (N,) position [rad]. `amplitudes`: (N, 2 S) of each direction and speed, see `ripple_regressor`. `y`: (N,)
+    residual torque [N m]. `cycles`: (L,) lines found.
     """
     for _ in range(NEWTON):
         A, slopes, left = _bent(q, amplitudes, y, cycles)
@@ -239,9 +231,7 @@ def _waves(q: np.ndarray, amplitudes: np.ndarray, cycles: np.ndarray) -> tuple[n
 def select_lines(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray, ridge: float = RIDGE) -> np.ndarray:
     """Return which groups of columns (G,) stay: chosen by the group lasso, and worth 2 % of the held-out error each.
 
-    Parameters
-    ----------
-    A : (N, G size). y : (N,). size : columns of a line. block : (N,) numbers of whole blocks. ridge : relative.
+    `A`: (N, G size). `y`: (N,). `block`: (N,) numbers of whole blocks.
     """
     scale = mad(y) or 1.0
     kept = select_groups(A / np.sqrt(np.mean(A**2)), y / scale, size, block)
