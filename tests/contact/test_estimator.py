@@ -33,7 +33,7 @@ def test_run_equals_step_bit_for_bit(truth, model, excited, method) -> None:
     estimator.reset()
     for k, state in enumerate(log.states()):
         wrench = estimator.step(state)
-        assert np.array_equal(wrench.F, table["wrench_hat"][k])
+        assert np.array_equal(wrench.wrench, table["wrench_hat"][k])
         assert np.array_equal(wrench.cov, table["wrench_hat_cov"][k])
         assert np.array_equal(wrench.observability, table["observability"][k])
 
@@ -41,7 +41,7 @@ def test_run_equals_step_bit_for_bit(truth, model, excited, method) -> None:
 @pytest.mark.parametrize("method", ["map", "bounded", "interval"])
 def test_over_a_gap_nothing_is_made_up(truth, model, method: str) -> None:
     """What friction did in it is not known; what the filter held before says nothing of the time after."""
-    log = truth.log(identify.excitation(truth.robot, seconds=12, seed=3), seed=8)
+    log = truth.log(identify.design_excitation(truth.robot, seconds=12, seed=3), seed=8)
     held = []
     for start in np.arange(2.0, 9.0, 1.0):
         torn = log.rows(((log.t > start - 1.0) & (log.t <= start)) | ((log.t >= start + 0.6) & (log.t < start + 1.0)))
@@ -96,7 +96,7 @@ def test_a_press_along_an_axis_appears_with_its_sign(truth, perfect, axis: int, 
 
 def test_a_load_that_the_model_does_not_know_pulls_down(truth, perfect) -> None:
     """1 kg at the tool point: f_z = -9.81 N in motion through many poses."""
-    motion = identify.excitation(truth.robot, seconds=12, speed=0.2, acceleration=1.0, seed=4)
+    motion = identify.design_excitation(truth.robot, seconds=12, speed=0.2, acceleration=1.0, seed=4)
     weight = np.array([0, 0, -9.80665, 0, 0, 0])
     table = Estimator(perfect, truth.robot).run(
         truth.log(motion, noise=0.0, wrench=lambda t: np.tile(weight, (len(t), 1)))
@@ -126,11 +126,11 @@ def test_a_singular_pose_gives_a_finite_estimate_and_a_hidden_direction(truth, p
     wrench = Estimator(planar, truth.robot).step(State(t=0.0, dt=0.004, q=q, qd=zero, tau=np.ones(7)))
     J = planar.chain.jacobian(q)
     assert np.linalg.matrix_rank(J) == 1
-    assert np.all(np.isfinite(wrench.F))
+    assert np.all(np.isfinite(wrench.wrench))
     assert np.linalg.norm(J.T @ (wrench.hidden * PRIOR_SD)) < 1e-9
     np.testing.assert_allclose(wrench.observability[:5], 0.0, atol=1e-6)
     assert wrench.observability[5] > 0.5
-    np.testing.assert_allclose(wrench.F[:5], 0.0, atol=1e-9)
+    np.testing.assert_allclose(wrench.wrench[:5], 0.0, atol=1e-9)
     assert wrench.cond > 1e6
     assert wrench.flags == WEAK
 
@@ -148,7 +148,7 @@ def test_the_posterior_is_as_wide_as_the_errors(truth, perfect) -> None:
     for k in range(len(q)):
         estimator.reset()
         wrench = estimator.step(State(t=0.0, dt=0.004, q=q[k], qd=zero, tau=tau[k]))
-        error = wrench.F - F[k]
+        error = wrench.wrench - F[k]
         nees.append(error @ np.linalg.solve(wrench.cov, error) / 6)
     assert 0.97 < np.mean(nees) < 1.03
 
@@ -211,7 +211,7 @@ def test_at_rest_the_band_is_wide_and_holds_the_truth(truth, model) -> None:
 
 def test_coverage_and_force_error_on_another_motion(truth, model) -> None:
     """Free motion of another seed: false force at most 1 N RMS where it can be seen, 2 sigma holds 85 to 99 %."""
-    motion = identify.excitation(truth.robot, seconds=20, f0=0.07, harmonics=6, speed=0.4, seed=77)
+    motion = identify.design_excitation(truth.robot, seconds=20, f0=0.07, harmonics=6, speed=0.4, seed=77)
     table = Estimator(model, truth.robot).run(truth.log(motion, seed=8)).between(2.0, 18.0)
     F, sigma = table["wrench_hat"], np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"]))
     for axis in range(3):
@@ -228,11 +228,11 @@ def test_a_broken_sample_gives_nan_and_leaves_the_state_alone(truth, model, exci
         if k == 100:
             bad = disturbed.step(replace(state, tau=np.full(7, np.nan)))
             assert bad.flags == INVALID
-            assert np.all(np.isnan(bad.F))
+            assert np.all(np.isnan(bad.wrench))
             assert np.all(np.isnan(bad.cov))
             assert disturbed.step(replace(state, dt=0.0)).flags == INVALID
             assert disturbed.step(replace(state, qd=np.full(7, 1e200))).flags == INVALID  # its torque overflows
-        assert np.array_equal(good.step(state).F, disturbed.step(state).F)
+        assert np.array_equal(good.step(state).wrench, disturbed.step(state).wrench)
 
 
 def test_weak_axes_are_flagged(truth, model, excited) -> None:

@@ -47,7 +47,7 @@ def test_at_rest_the_interval_holds_the_truth_and_no_contact_is_claimed_without_
 
 def test_in_motion_the_bounded_estimate_is_as_good_as_the_random_one(truth, model) -> None:
     """A push of 8 N in motion: force RMS within 1 N of the truth by both methods."""
-    motion = identify.excitation(truth.robot, seconds=12, f0=0.1, harmonics=4, speed=0.4, seed=31)
+    motion = identify.design_excitation(truth.robot, seconds=12, f0=0.1, harmonics=4, speed=0.4, seed=31)
     force = np.array([4.0, -4.0, 5.6, 0, 0, 0])
     log = truth.log(motion, seed=9, wrench=lambda t: np.outer(((t > 3) & (t < 9)).astype(float), force))
     inside = (log.t > 3.5) & (log.t < 8.5)
@@ -75,9 +75,11 @@ def test_a_known_point_about_halves_the_error_and_a_wrong_one_spoils_it(truth, p
         for name, estimator in estimators.items():
             estimator.reset()
             wrench = estimator.step(State(t=0.0, dt=0.004, q=q, qd=zero, tau=tau))
-            errors[name].append(np.linalg.norm(wrench.F[:3] - f))
+            errors[name].append(np.linalg.norm(wrench.wrench[:3] - f))
             if name == "known":
-                np.testing.assert_allclose(wrench.F[3:], np.cross(T_base_tool[:3, :3] @ point, wrench.F[:3]), atol=1e-9)
+                np.testing.assert_allclose(
+                    wrench.wrench[3:], np.cross(T_base_tool[:3, :3] @ point, wrench.wrench[:3]), atol=1e-9
+                )
                 assert np.linalg.matrix_rank(wrench.cov, tol=1e-9) == 3
     median = {name: np.median(found) for name, found in errors.items()}
     assert median["known"] < 0.8 * median["full"]
@@ -91,5 +93,5 @@ def test_without_a_prior_a_singular_pose_is_said_and_not_guessed(truth, perfect)
     state = State(t=0.0, dt=0.004, q=np.zeros(7), qd=np.zeros(7), tau=np.ones(7))
     wrench = Estimator(planar, truth.robot, "ls").step(state)
     assert wrench.flags & SINGULAR
-    assert np.isnan(wrench.F).all()
+    assert np.isnan(wrench.wrench).all()
     assert np.isnan(wrench.cond)

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from armlab.errors import NotConverged
-from armlab.estimation import Measurement, Problem
+from armlab.estimation import Measurement, NonlinearProblem
 from armlab.estimation.nonlinear import Descent, descend
 
 
-def problem(residual, jacobian, **options) -> Problem[np.ndarray]:
+def problem(residual, jacobian, **options) -> NonlinearProblem[np.ndarray]:
     def evaluate(x: np.ndarray) -> list[Measurement]:
         return [Measurement(residual(x)[:, None], jacobian(x)[:, None, :], np.eye(1), ("r",))]
 
-    return Problem(evaluate, lambda x, step: x + step, **options)
+    return NonlinearProblem(evaluate, lambda x, step: x + step, **options)
 
 
-def rosenbrock() -> Problem[np.ndarray]:
+def rosenbrock() -> NonlinearProblem[np.ndarray]:
     return problem(
         lambda x: np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]]),
         lambda x: np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]]),

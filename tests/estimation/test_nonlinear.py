@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 
 from armlab.errors import NotExcited
-from armlab.estimation import Measurement, NonlinearSolution, Problem, nonlinear_least_squares
+from armlab.estimation import Measurement, NonlinearProblem, NonlinearSolution, nonlinear_least_squares
 from armlab.estimation.nonlinear import SCHEDULE, _median_noise, whiten
 from armlab.lie import so3
 
 SIGMA = 0.01
 
 
-def curve(x: np.ndarray, y: np.ndarray, model) -> Problem[np.ndarray]:
+def curve(x: np.ndarray, y: np.ndarray, model) -> NonlinearProblem[np.ndarray]:
     def evaluate(b: np.ndarray) -> list[Measurement]:
         value, gradient = model(x, b)
         return [Measurement((value - y)[:, None], gradient[:, None, :], None, ("y",))]
 
-    return Problem(evaluate, lambda b, step: b + step)
+    return NonlinearProblem(evaluate, lambda b, step: b + step)
 
 
 def misra(x: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -69,14 +69,14 @@ def test_certified_values_of_nist(data, model, start, certified, sd, noise) -> N
     assert found.freedom == len(x) - len(start)
 
 
-def rotations(R: np.ndarray, cov: np.ndarray | None) -> Problem[np.ndarray]:
+def rotations(R: np.ndarray, cov: np.ndarray | None) -> NonlinearProblem[np.ndarray]:
     """Mean of rotations: r = Log(X^T R_i), X [+] w = X Exp(w), J = -left_jacobian_inv(r)."""
 
     def evaluate(X: np.ndarray) -> list[Measurement]:
         r = so3.log(X.T @ R)
         return [Measurement(r, -so3.left_jacobian_inv(r), cov, ("R",) * 3)]
 
-    return Problem(evaluate, lambda X, w: X @ so3.exp(w), what="mean rotation")
+    return NonlinearProblem(evaluate, lambda X, w: X @ so3.exp(w), what="mean rotation")
 
 
 def sampled(seed: int, N: int = 30) -> tuple[np.ndarray, np.ndarray]:
@@ -127,7 +127,7 @@ def test_two_classes_of_noise_find_their_own_deviation() -> None:
     rng = np.random.default_rng(0)
     A = rng.standard_normal((400, 2, 3))
     y = A @ [1.0, 2.0, 3.0] + rng.standard_normal((400, 2)) * [1e-3, 0.1]
-    linear = Problem(
+    linear = NonlinearProblem(
         lambda x: [Measurement(A @ x - y, A, None, ("t", "R"))],
         lambda x, step: x + step,
     )
@@ -153,14 +153,16 @@ def test_noise_is_found_beside_a_part_that_is_known() -> None:
         def evaluate(x, A=A, y=y, known=known) -> list[Measurement]:
             return [Measurement(A @ x - y, A, None, ("y", "y"), added=known)]
 
-        fit = nonlinear_least_squares(Problem(evaluate, lambda x, step: x + step), np.zeros(3))
+        fit = nonlinear_least_squares(NonlinearProblem(evaluate, lambda x, step: x + step), np.zeros(3))
         e = fit.value - [1.0, 2.0, 3.0]
         found.append([fit.sigma[0], e @ np.linalg.solve(fit.cov, e) / 3])
         without = nonlinear_least_squares(
-            Problem(lambda x, A=A, y=y: [Measurement(A @ x - y, A, None, ("y", "y"), added=np.zeros((2, 2)))],
+            NonlinearProblem(lambda x, A=A, y=y: [Measurement(A @ x - y, A, None, ("y", "y"), added=np.zeros((2, 2)))],
                     lambda x, step: x + step), np.zeros(3))  # fmt: skip
         none = nonlinear_least_squares(
-            Problem(lambda x, A=A, y=y: [Measurement(A @ x - y, A, None, ("y", "y"))], lambda x, step: x + step),
+            NonlinearProblem(
+                lambda x, A=A, y=y: [Measurement(A @ x - y, A, None, ("y", "y"))], lambda x, step: x + step
+            ),
             np.zeros(3),
         )
         plain.append(abs(without.sigma[0] / none.sigma[0] - 1.0))
@@ -178,7 +180,7 @@ def test_priors_hold_what_the_data_do_not_tell_and_are_no_samples() -> None:
         data = Measurement((x[0] - y)[:, None], J, np.eye(1) * 0.01, ("y",))
         return [data, Measurement((x - 0.5)[None], np.eye(2)[None], np.diag([4.0, 0.09]), ("p",) * 2, prior=True)]
 
-    found = nonlinear_least_squares(Problem(evaluate, lambda x, step: x + step), np.zeros(2), robust=True)
+    found = nonlinear_least_squares(NonlinearProblem(evaluate, lambda x, step: x + step), np.zeros(2), robust=True)
     assert found.value[1] == pytest.approx(0.5)
     assert found.cov[1, 1] == pytest.approx(0.09)
     assert found.value[0] == pytest.approx((3.0 / 0.01 + 0.5 / 4.0) / (3 / 0.01 + 1 / 4.0))
@@ -209,7 +211,7 @@ def test_a_start_that_is_near_is_not_left() -> None:
     def evaluate(b: np.ndarray) -> list[Measurement]:
         return [Measurement((b - y)[:, None], np.ones((100, 1, 1)), np.array([SIGMA**2]), ("y",))]
 
-    problem = Problem(evaluate, lambda b, step: b + step)
+    problem = NonlinearProblem(evaluate, lambda b, step: b + step)
     wide, narrow = (nonlinear_least_squares(problem, np.ones(1), robust=True, near=near) for near in (False, True))
     np.testing.assert_allclose([wide.value[0], narrow.value[0]], [0.0, 1.0], atol=0.01)
     assert wide.outliers[60:].all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import NotExcited
-from armlab.estimation import Rows, huber, least_squares, mad, trimmed
+from armlab.estimation import Rows, huber, least_squares, least_trimmed_squares, mad
 
 
 def test_mad_is_the_deviation_of_gaussians_and_ignores_outliers() -> None:
@@ -30,11 +30,11 @@ def test_huber_is_a_stationary_point_of_its_loss(problems) -> None:
 def test_trimmed_drops_a_third_of_a_contact_but_no_clean_blocks(problems) -> None:
     A, y = problems.draw(2, 3000)
     rows = list(Rows.of(A, y, np.arange(3000) // 100))
-    clean = trimmed(least_squares(rows, problems.names))
+    clean = least_trimmed_squares(least_squares(rows, problems.names))
     assert clean.kept.sum() >= 28
     y[1000:1600] += 20.0  # a fifth of the record
     rows = list(Rows.of(A, y, np.arange(3000) // 100))
-    found = trimmed(least_squares(rows, problems.names))
+    found = least_trimmed_squares(least_squares(rows, problems.names))
     assert not found.kept[10:16].any()
     assert found.kept.sum() >= 22
     np.testing.assert_allclose(found.x, clean.x, atol=4 * clean.sd.max(), rtol=0.2)
@@ -45,4 +45,4 @@ def test_trimming_needs_blocks_that_determine_the_model_together(problems) -> No
     A[60:, 0, 2] *= 1e-5  # one block of ten tells the third parameter
     rows = list(Rows.of(A, y, np.arange(600) // 60))
     with pytest.raises(NotExcited, match="Let every joint move for the whole record"):
-        trimmed(least_squares(rows, problems.names))
+        least_trimmed_squares(least_squares(rows, problems.names))

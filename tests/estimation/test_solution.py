@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import NotExcited, ShapeError
-from armlab.estimation import ActiveBound, LinearSolution, Prior, Question, Rows, factorise, least_squares, solve
+from armlab.estimation import ActiveBound, LinearProblem, LinearSolution, Prior, Rows, factorise, least_squares, solve
 
 BLOCKS = 30
 
@@ -56,7 +56,7 @@ def test_what_the_data_do_not_tell_is_refused_by_name_or_held_by_a_prior(problem
 def test_one_pass_serves_any_weights(problems) -> None:
     A, y = problems.draw(6, 300, k=2)
     factors = factorise(iter(rows(A, y)), 3)
-    question = Question.of(problems.names, "model")
+    question = LinearProblem.of(problems.names, "model")
     assert isinstance(solve(question, factors), LinearSolution)
     found = solve(question, factors, np.array([3.0, 1.0]), kept=np.arange(BLOCKS) != 4)
     keep = np.arange(300) * BLOCKS // 300 != 4
@@ -67,8 +67,8 @@ def test_one_pass_serves_any_weights(problems) -> None:
 
 
 def test_a_question_checks_its_bounds() -> None:
-    question = Question.of(["a", "b"], "model", upper=np.array([1.0, 2.0]))
+    question = LinearProblem.of(["a", "b"], "model", upper=np.array([1.0, 2.0]))
     assert question.names == ("a", "b")
     assert question.lower.tolist() == [-np.inf, -np.inf]
     with pytest.raises(ShapeError, match="2 lower bounds below 2 upper bounds"):
-        Question.of(["a", "b"], "model", np.ones(2), np.ones(2))
+        LinearProblem.of(["a", "b"], "model", np.ones(2), np.ones(2))

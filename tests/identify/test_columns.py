@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.identify import base_parameters, prepare
-from armlab.identify.columns import SMOOTH, Columns, Thinning
+from armlab.identify.columns import SMOOTH, Columns, Decimation
 from armlab.kernels import presliding
 
 
@@ -14,7 +14,7 @@ from armlab.kernels import presliding
 def columns(truth, excited) -> Columns:
     data = prepare(excited, truth.robot)
     motors = np.array([[0, 0, 0, 0, 0, 1.0, 1.0]])
-    return Columns(data, Thinning.of(data, np.inf, 7), truth.robot, np.array([1, 4, 6]), motors)
+    return Columns(data, Decimation.of(data, np.inf, 7), truth.robot, np.array([1, 4, 6]), motors)
 
 
 def test_plain_columns_are_torque_velocity_offset_ripple_and_motors(columns) -> None:

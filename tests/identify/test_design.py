@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.identify import base_parameters, excitation, prepare
+from armlab.identify import base_parameters, design_excitation, prepare
 from armlab.identify.friction_structure import DELTAS, STRIBECK_SPEEDS
 from armlab.identify.regression import Design
-from armlab.identify.solve import settle
+from armlab.identify.solve import alternate
 
 
 @pytest.mark.slow  # 5 s beside other work
 def test_design_finds_the_shape_of_friction_and_the_parameters_of_a_clean_log(truth) -> None:
     """Noise-free data, truth between the grids DELTAS and STRIBECK_SPEEDS: both shapes come out within 15 %."""
     robot = truth.robot
-    data = prepare(truth.log(excitation(robot, seconds=20, seed=2), noise=0.0), robot)
-    design, theta = settle(Design.build(data, robot, base_parameters(robot)), "wls")
+    data = prepare(truth.log(design_excitation(robot, seconds=20, seed=2), noise=0.0), robot)
+    design, theta = alternate(Design.build(data, robot, base_parameters(robot)), "wls")
     assert truth.friction.delta[0] not in DELTAS
     assert not design.shapes.smooth.any()
     np.testing.assert_allclose(design.shapes.delta, truth.friction.delta, rtol=0.15)

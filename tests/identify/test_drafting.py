@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armlab.identify import base_parameters
-from armlab.identify.dynamics import Draft, Job, Progress, fit_of, fold_models, make_draft, model_of
+from armlab.identify.dynamics import FitProblem, FitSettings, Progress, fit_of, fold_models, make_problem, model_of
 from armlab.identify.record import prepare
 
 
@@ -13,9 +13,9 @@ def test_a_draft_is_linear_in_what_is_left(short_arm) -> None:
     told: list[str] = []
     robot = short_arm.robot
     tell: Progress = lambda done, total, what: told.append(what)  # noqa: E731
-    job = Job("torque model", "irls", 0, tell)
-    draft = make_draft(prepare(short_arm.log(0, 3000), robot), robot, base_parameters(robot), job)
-    assert isinstance(draft, Draft)
+    job = FitSettings("torque model", "irls", 0, tell)
+    draft = make_problem(prepare(short_arm.log(0, 3000), robot), robot, base_parameters(robot), job)
+    assert isinstance(draft, FitProblem)
     assert "choosing the shape of friction" in told
     x = draft.sums.solution.x
     assert draft.design.free.any()

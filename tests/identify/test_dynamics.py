@@ -10,7 +10,7 @@ from armlab.errors import ModelMismatchError, NotExcited, UnknownName
 from armlab.estimation import Limits, check_estimator
 from armlab.estimation.contract import PROPERTIES
 from armlab.identify import base_parameters, fit_dynamics, fit_gravity
-from armlab.identify.dynamics import Job, fit_model
+from armlab.identify.dynamics import FitSettings, fit_model
 from armlab.identify.validation import assess
 from armlab.log import Table
 
@@ -18,7 +18,7 @@ from armlab.log import Table
 def test_fit_dynamics_predicts_the_torque_of_another_motion(truth, model) -> None:
     """Held-out motion: the error stays below a tenth of the Coulomb torque, without any knowledge of the truth."""
     t = np.arange(0, 20, 0.004)
-    motion = identify.excitation(truth.robot, seconds=20, f0=0.07, harmonics=6, speed=0.4, seed=99)
+    motion = identify.design_excitation(truth.robot, seconds=20, f0=0.07, harmonics=6, speed=0.4, seed=99)
     clean = truth.log(motion, noise=0.0)
     _, _, qdd = motion.sample(t)
     error = model.torque(clean["q"], clean["qd"], qdd) - clean["tau"]
@@ -222,7 +222,7 @@ def test_a_prior_holds_what_a_small_sway_does_not_tell_and_is_of_this_robot(trut
 
 
 def test_an_unknown_method_is_refused_before_the_log_is_read(truth) -> None:
-    job = Job("torque model", "median", 0, lambda done, total, what: None)
+    job = FitSettings("torque model", "median", 0, lambda done, total, what: None)
     with pytest.raises(UnknownName, match="method of identification"):
         fit_model([], truth.robot, base_parameters(truth.robot), job)
 

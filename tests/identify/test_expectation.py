@@ -7,20 +7,20 @@ import pytest
 
 from armlab import identify, robots
 from armlab.errors import ShapeError
-from armlab.identify.excite import Expectation, expectation
+from armlab.identify.excite import PredictedUncertainty, predicted_uncertainty
 
 
 @pytest.fixture(scope="module")
 def motion() -> identify.Trajectory:
-    return identify.excitation(robots.load("yumi_left"), seconds=30.0, seed=1)
+    return identify.design_excitation(robots.load("yumi_left"), seconds=30.0, seed=1)
 
 
 @pytest.fixture(scope="module")
-def expected(motion: identify.Trajectory) -> Expectation:
-    return expectation(motion, robots.load("yumi_left"), noise=0.1)
+def expected(motion: identify.Trajectory) -> PredictedUncertainty:
+    return predicted_uncertainty(motion, robots.load("yumi_left"), noise=0.1)
 
 
-def test_every_parameter_has_a_group_and_a_deviation(expected: Expectation) -> None:
+def test_every_parameter_has_a_group_and_a_deviation(expected: PredictedUncertainty) -> None:
     assert len(expected.names) == len(expected.units) == len(expected.groups) == len(expected.sd)
     assert np.all(expected.sd > 0)
     assert set(expected.groups) == {"first moments", "inertias", "viscous", "Coulomb", "offset"}
@@ -30,14 +30,16 @@ def test_every_parameter_has_a_group_and_a_deviation(expected: Expectation) -> N
     assert sum(int(row[2]) for row in rows) == len(expected.names)
 
 
-def test_deviations_follow_the_noise_and_the_length(expected: Expectation, motion: identify.Trajectory) -> None:
+def test_deviations_follow_the_noise_and_the_length(
+    expected: PredictedUncertainty, motion: identify.Trajectory
+) -> None:
     robot = robots.load("yumi_left")
-    assert expectation(motion, robot, noise=0.2).sd == pytest.approx(2 * expected.sd)
-    twice = expectation(identify.sequence([motion, motion], walk=0.1), robot)
+    assert predicted_uncertainty(motion, robot, noise=0.2).sd == pytest.approx(2 * expected.sd)
+    twice = predicted_uncertainty(identify.sequence([motion, motion], walk=0.1), robot)
     assert np.median(twice.sd / expected.sd) == pytest.approx(np.sqrt(0.5), rel=0.05)
 
 
-def test_the_spread_of_fits_is_what_was_expected(expected: Expectation, motion: identify.Trajectory) -> None:
+def test_the_spread_of_fits_is_what_was_expected(expected: PredictedUncertainty, motion: identify.Trajectory) -> None:
     """Least squares on the expected regressor itself, with white noise: the deviations are those of 200 fits."""
     from armlab.identify.base_parameters import base_parameters
 
@@ -63,9 +65,9 @@ def test_the_spread_of_fits_is_what_was_expected(expected: Expectation, motion: 
 def test_noise_must_be_above_zero(noise: float) -> None:
     robot = robots.load("yumi_left")
     with pytest.raises(ShapeError, match="noise above 0"):
-        expectation(identify.dither(robot.q_home, 5.0), robot, noise)
+        predicted_uncertainty(identify.dither(robot.q_home, 5.0), robot, noise)
 
 
 def test_a_motion_of_another_arm_is_refused() -> None:
     with pytest.raises(ShapeError, match="6 joints"):
-        expectation(identify.dither(robots.load("yumi_left").q_home, 5.0), robots.load("irb2400"))
+        predicted_uncertainty(identify.dither(robots.load("yumi_left").q_home, 5.0), robots.load("irb2400"))

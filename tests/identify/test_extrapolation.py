@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import ShapeError
-from armlab.identify import Extrapolation, excitation, extrapolation, predict
+from armlab.identify import Extrapolation, design_excitation, extrapolation, predict
 from armlab.identify.validation import training
 from armlab.log import Table
 
@@ -38,7 +38,7 @@ def test_rest_that_training_did_not_have(model, excited) -> None:
 
 
 def test_positions_and_speeds_outside_training_are_named(model, truth) -> None:
-    wide = truth.log(excitation(truth.robot, seconds=20, seed=9, speed=1.0, acceleration=40.0), seed=2)
+    wide = truth.log(design_excitation(truth.robot, seconds=20, seed=9, speed=1.0, acceleration=40.0), seed=2)
     found = extrapolation(model, wide)
     text = " ".join(found.warnings)
     assert "at speeds that were not trained" in text

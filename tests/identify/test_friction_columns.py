@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armlab.identify.columns import Bell, FrictionColumns, Thinning
+from armlab.identify.columns import Bell, Decimation, FrictionColumns
 from armlab.kernels import presliding
 
 DELTA, SMOOTH, SPEED = np.array([1e-3, 2e-3, 3e-3]), np.array([0.0, 0.02, 0.0]), np.array([0.1, 0.2, 0.3])
@@ -19,7 +19,7 @@ def motion() -> FrictionColumns:
     segments = ((0, 400), (400, 900))
     rows = np.concatenate([np.arange(0, 400, 2), np.arange(400, 900, 2)])
     taps = np.array([0.1, 0.2, 0.4, 0.2, 0.1])
-    return FrictionColumns(Thinning(segments, 2, taps, rows), np.cumsum(0.004 * qd, axis=0), qd, np.full(3, 1e-5))
+    return FrictionColumns(Decimation(segments, 2, taps, rows), np.cumsum(0.004 * qd, axis=0), qd, np.full(3, 1e-5))
 
 
 def test_the_sign_is_the_presliding_state_of_each_segment_or_smooth(motion: FrictionColumns) -> None:

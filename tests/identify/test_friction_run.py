@@ -66,7 +66,7 @@ def test_a_short_joint_runs_less_fast_or_not_at_all() -> None:
     assert 0.05 < np.abs(qd[:, 0]).max() < 0.79 * robot.qd_max[0]
     assert np.abs(q[:, 0]).max() < 0.3
     low[0], high[0] = -0.1, 0.1
-    with pytest.raises(ShapeError, match=r"room for a run of 0.3 rad .*Use identify\.excitation"):
+    with pytest.raises(ShapeError, match=r"room for a run of 0.3 rad .*Use identify\.design_excitation"):
         friction_run(replace(robot, q_min=low, q_max=high, q_home=home), 0)
 
 

@@ -17,7 +17,7 @@ PI = inertia.from_body(0.5, [0.03, -0.01, 0.06], np.diag([1e-3, 2e-3, 1.5e-3]))
 
 @pytest.fixture(scope="module")
 def motion(truth):
-    return identify.excitation(truth.robot, seconds=12, speed=0.4, seed=3)
+    return identify.design_excitation(truth.robot, seconds=12, speed=0.4, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def test_a_log_that_began_at_another_time(truth, model, loaded, motion, late: in
 
 
 def test_another_motion_is_refused(truth, model, loaded, motion) -> None:
-    other = identify.excitation(truth.robot, seconds=12, speed=0.4, seed=4)
+    other = identify.design_excitation(truth.robot, seconds=12, speed=0.4, seed=4)
     with pytest.raises(ShapeError, match="same motion"):
         LoadRecord.of(loaded.log(motion), model, truth.robot, truth.log(other))
     thin = truth.log(motion).rows(slice(None, None, 2))

@@ -14,7 +14,7 @@ from armlab.log import Table
 
 @pytest.fixture(scope="module")
 def table(truth) -> Table:
-    return truth.log(identify.excitation(truth.robot, seconds=10, speed=0.4, acceleration=8.0, seed=3), seed=3)
+    return truth.log(identify.design_excitation(truth.robot, seconds=10, speed=0.4, acceleration=8.0, seed=3), seed=3)
 
 
 STEPS = {"viscous": 0.1, "coulomb_pos": 0.1, "coulomb_neg": 0.1, "offset": 0.1, "stribeck": 0.1, "delta": 1e-6}

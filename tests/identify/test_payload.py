@@ -29,7 +29,7 @@ def carrying(truth, pi: np.ndarray):
 
 @pytest.fixture(scope="module")
 def motion(truth):
-    return identify.excitation(truth.robot, seconds=14, speed=0.4, acceleration=8.0, seed=3)
+    return identify.design_excitation(truth.robot, seconds=14, speed=0.4, acceleration=8.0, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +152,7 @@ def test_the_truth_is_inside_over_fifty_seeds(model) -> None:
     robot = load("yumi_left")
     truth = sim.synthetic_truth(robot)
     exact = truth.without("noise")
-    motion = identify.excitation(robot, seconds=12, speed=0.4, acceleration=6.0, seed=5)
+    motion = identify.design_excitation(robot, seconds=12, speed=0.4, acceleration=6.0, seed=5)
     T_last_flange = robot.links[-1]
     at = T_last_flange[:3, :3] @ CENTRE + T_last_flange[:3, 3]
     full, empty = (sim.record(sim.Arm(robot, one), motion) for one in (exact.with_payload(MASS, at), exact))
@@ -206,7 +206,7 @@ def experiment(truth, fitted):
     error = ModelError.of(fitted, robot).cov  # with the gains of the model, whatever they have in common
     values, vectors = np.linalg.eigh(error / np.outer(scale, scale))
     root = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    motion = identify.excitation(robot, seconds=70, speed=0.4, acceleration=8.0, seed=9)
+    motion = identify.design_excitation(robot, seconds=70, speed=0.4, acceleration=8.0, seed=9)
 
     def make(gain_sd: float, wrong: float, seed: int, n: int) -> Experiment:
         rng = np.random.default_rng([7, seed])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import NotExcited, RobotError, ShapeError, UnknownName
-from armlab.identify import Prepared, prepare, with_velocity
+from armlab.identify import Record, prepare, with_velocity
 from armlab.identify.record import check_once, log_name, pieces, prepare_share
 from armlab.log import Table
 
@@ -24,7 +24,7 @@ def test_prepare_cuts_at_gaps_and_joins_logs(truth, excited) -> None:
         {k: np.delete(excited[k], slice(1000, 1020), 0) for k in ("q", "qd", "tau")},
     )
     data = prepare([excited, holed], truth.robot)
-    assert isinstance(data, Prepared)
+    assert isinstance(data, Record)
     N = len(excited)
     assert data.segments == ((0, N), (N, N + 1000), (N + 1000, 2 * N - 20))
     assert data.rate == pytest.approx(250.0)

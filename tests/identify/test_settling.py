@@ -9,7 +9,7 @@ import pytest
 
 from armlab.identify import base_parameters, prepare
 from armlab.identify.regression import Design
-from armlab.identify.solve import ROBUST, linearised, settle, short_blocks, solved
+from armlab.identify.solve import ROBUST, alternate, linearised, short_blocks, solved
 
 
 @pytest.mark.slow  # 5 s beside other work
@@ -22,7 +22,7 @@ def test_settle_uses_the_rows_it_is_told_and_spares_outliers(truth, excited) -> 
     design = Design.build(spoilt, robot, base_parameters(robot))
     use = ~half[design.rows]
     use = np.all([np.roll(use, k) for k in range(-16, 17)], axis=0)  # the filter carries steps over the edge of a block
-    found, theta = settle(design, "wls", use=use)
+    found, theta = alternate(design, "wls", use=use)
     error = found.residuals(theta)[use]
     assert np.all(np.std(error, axis=0) < 0.05 * np.std(data.tau, axis=0))
 
@@ -31,12 +31,12 @@ def test_settle_uses_the_rows_it_is_told_and_spares_outliers(truth, excited) -> 
 def test_where_all_has_settled_there_is_no_step_left(short_arm, method) -> None:
     """The distance of presliding is that of least squares: a straight line there leads nowhere else."""
     data = prepare(short_arm.log(3, 3000), short_arm.robot)
-    design, theta = settle(Design.build(data, short_arm.robot, base_parameters(short_arm.robot)), method)
+    design, theta = alternate(Design.build(data, short_arm.robot, base_parameters(short_arm.robot)), method)
     assert not design.layout.slopes.any()
     assert np.linalg.norm(solved(design, None, method).x - theta) < 0.05 * np.linalg.norm(theta)
     sloped = linearised(design, theta, method)
     assert sloped.layout.slopes.sum() == sloped.free.sum() == 2
-    again = linearised(*settle(design, method), method)
+    again = linearised(*alternate(design, method), method)
     np.testing.assert_allclose(again.shapes.delta, design.shapes.delta, rtol=0.01)
     np.testing.assert_allclose(design.shapes.delta, 1e-3, rtol=0.15)
 

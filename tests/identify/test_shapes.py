@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armlab.identify.columns import FrictionColumns, Thinning
+from armlab.identify.columns import Decimation, FrictionColumns
 from armlab.identify.friction_structure import (
     COLUMNS,
     DELTAS,
@@ -17,7 +17,7 @@ from armlab.identify.friction_structure import (
     TERMS,
     Choice,
     Chooser,
-    Shapes,
+    FrictionStructure,
     choose,
     choose_here,
     mixing,
@@ -38,12 +38,12 @@ def record(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 def choice(q: np.ndarray, qd: np.ndarray, y: np.ndarray, trust: np.ndarray) -> Choice:
     """All rows of a record without a filter, in folds of half a second."""
     rows = np.arange(len(q))
-    motion = FrictionColumns(Thinning(((0, len(q)),), 1, np.ones(1), rows), q, qd, np.zeros(1))
+    motion = FrictionColumns(Decimation(((0, len(q)),), 1, np.ones(1), rows), q, qd, np.zeros(1))
     fixed = np.column_stack([qd, np.ones_like(qd)])
     return Choice(motion, fixed, y[:, 0], rows // 50 % FOLDS, trust)
 
 
-def chosen(torque, noise: float = 0.02) -> Shapes:
+def chosen(torque, noise: float = 0.02) -> FrictionStructure:
     q, qd = record()
     y = torque(q, qd) + noise * np.random.default_rng(1).standard_normal(q.shape)
     return choose(choice(q, qd, y, np.ones(len(q))))
@@ -95,7 +95,7 @@ def test_joints_are_chosen_one_after_the_other_and_joined() -> None:
     y = presliding(q, np.array([1e-3]), np.zeros(1))
     one = choice(q, qd, y, np.ones(len(q)))
     chooser: Chooser = choose_here
-    both = Shapes.joined(chooser([one, replace(one, target=np.tanh(qd[:, 0] / 0.05))]))
+    both = FrictionStructure.joined(chooser([one, replace(one, target=np.tanh(qd[:, 0] / 0.05))]))
     assert both.delta.shape == both.smooth.shape == both.speed.shape == (2,)
     assert both.terms.shape == (2, 3)
     assert both.smooth[0] == 0.0 < both.smooth[1]
@@ -114,15 +114,15 @@ def test_mixing_gives_the_columns_that_have_names(terms: np.ndarray) -> None:
 
 
 def test_same_shapes_agree_to_ten_per_cent() -> None:
-    one = Shapes.start(3)
-    assert one.same(Shapes(one.delta * 1.05, one.smooth, one.speed, one.terms))
-    assert not one.same(Shapes(one.delta * 1.3, one.smooth, one.speed, one.terms))
-    assert not one.same(Shapes(one.delta, one.smooth + 0.02, one.speed, one.terms))
-    assert not one.same(Shapes(one.delta, one.smooth, one.speed, ~one.terms))
+    one = FrictionStructure.start(3)
+    assert one.same(FrictionStructure(one.delta * 1.05, one.smooth, one.speed, one.terms))
+    assert not one.same(FrictionStructure(one.delta * 1.3, one.smooth, one.speed, one.terms))
+    assert not one.same(FrictionStructure(one.delta, one.smooth + 0.02, one.speed, one.terms))
+    assert not one.same(FrictionStructure(one.delta, one.smooth, one.speed, ~one.terms))
 
 
 def test_numbers_move_by_factors_within_the_range_of_the_search() -> None:
-    shapes = Shapes(np.full(2, 1e-3), np.array([0.0, 0.02]), np.array([0.1, 0.5]), TERMS[[2, 3]])
+    shapes = FrictionStructure(np.full(2, 1e-3), np.array([0.0, 0.02]), np.array([0.1, 0.5]), TERMS[[2, 3]])
     np.testing.assert_array_equal(shapes.numbers, [[1e-3, 0.1], [0.02, 0.5]])
     assert shapes.names == [("delta", "stribeck-speed"), ("tanh-speed", "stribeck-speed")]
     moved = shapes.moved(np.log([[2.0, 0.5], [3.0, 4.0]]))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from armlab.identify import prepare
-from armlab.identify.columns import Piece, Thinning
+from armlab.identify.columns import Decimation, Piece
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +20,7 @@ def data(truth, excited):
 
 
 def test_thinning_is_the_zero_phase_filter_at_the_rows_that_are_kept(data) -> None:
-    thinning = Thinning.of(data, 25.0, 4)
+    thinning = Decimation.of(data, 25.0, 4)
     got = thinning.run(lambda a, b: data.tau[a:b], data.tau.shape[1])
     expected = data.filter(data.tau, 25.0)[thinning.rows]
     inside = np.concatenate([np.arange(50, 1200), np.arange(1300, len(got) - 50)])
@@ -31,19 +31,19 @@ def test_thinning_is_the_zero_phase_filter_at_the_rows_that_are_kept(data) -> No
 
 def test_a_constant_and_a_slope_pass_unchanged(data) -> None:
     for every in (1, 3, 7):
-        thinning = Thinning.of(data, 10.0, every)
+        thinning = Decimation.of(data, 10.0, every)
         x = np.column_stack([np.ones(len(data.t)), np.arange(len(data.t))])
         np.testing.assert_allclose(thinning.run(lambda a, b, x=x: x[a:b], 2), x[thinning.rows], rtol=1e-9, atol=1e-6)
 
 
 def test_without_a_filter_rows_are_picked(data) -> None:
-    thinning = Thinning.of(data, np.inf, 50)
+    thinning = Decimation.of(data, np.inf, 50)
     got = thinning.run(lambda a, b: data.tau[a:b], data.tau.shape[1])
     np.testing.assert_array_equal(got, data.tau[thinning.rows])
 
 
 def test_pieces_ask_for_no_row_beyond_their_segment(data) -> None:
-    thinning = Thinning.of(data, 25.0, 4)
+    thinning = Decimation.of(data, 25.0, 4)
     pieces = list(thinning.pieces())
     assert all(isinstance(piece, Piece) for piece in pieces)
     assert pieces[0].first == 0
@@ -61,7 +61,7 @@ def test_pieces_ask_for_no_row_beyond_their_segment(data) -> None:
 def test_ends_are_continued_by_point_reflection(data, rows: int) -> None:
     """Also where the filter reaches beyond the other end of the piece."""
     short = replace(data, rate=2500.0, segments=((0, rows),))
-    thinning = Thinning.of(short, 25.0, 10)
+    thinning = Decimation.of(short, 25.0, 10)
     reach = len(thinning.taps) // 2
     assert reach > 200
     x = data.tau[:rows]

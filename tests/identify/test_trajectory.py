@@ -7,7 +7,7 @@ import pytest
 
 from armlab import log, robots
 from armlab.errors import ShapeError
-from armlab.identify import Trajectory, dither, excitation, sequence
+from armlab.identify import Trajectory, design_excitation, dither, sequence
 from armlab.identify.excite import quintic_step
 from armlab.state import Command, State
 
@@ -73,7 +73,7 @@ def test_the_smooth_step_and_its_derivatives() -> None:
 def test_a_motion_is_saved_and_run_again(tmp_path) -> None:
     """Through a CSV file at 250 Hz the same motion comes back: what is designed today runs tomorrow."""
     robot = robots.load("yumi_left")
-    motion = excitation(robot, seconds=12.3, seed=2)
+    motion = design_excitation(robot, seconds=12.3, seed=2)
     path = log.write(motion.table(), tmp_path / "excite.csv")
     again = Trajectory.from_table(log.read(path))
     assert again.seconds == pytest.approx(motion.seconds)

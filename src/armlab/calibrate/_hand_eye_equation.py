@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armlab import kernels
-from armlab.estimation import Measurement, Problem
+from armlab.estimation import Measurement, NonlinearProblem
 from armlab.lie import so3
 
 CLASSES = ("t",) * 3 + ("R",) * 3
@@ -120,9 +120,9 @@ class Equation:
         G[:, 3:, 3:] = -pair.RX.T
         return G @ full(self.noise_A) @ G.transpose(0, 2, 1)
 
-    def problem(self) -> Problem[Pair]:
+    def problem(self) -> NonlinearProblem[Pair]:
         """Return what the solver needs."""
-        return Problem(self.evaluate, Pair.plus, what="hand-eye calibration")
+        return NonlinearProblem(self.evaluate, Pair.plus, what="hand-eye calibration")
 
 
 def full(noise: np.ndarray) -> np.ndarray:

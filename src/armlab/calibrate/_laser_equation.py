@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armlab.estimation import Measurement, Problem
+from armlab.estimation import Measurement, NonlinearProblem
 from armlab.lie import so3
 
 TINY = 1e-12
@@ -155,9 +155,9 @@ class Scans:
         r[:, 1] = np.arcsin(np.minimum(np.maximum(sine, -1.0), 1.0))
         return r
 
-    def problem(self) -> Problem[Scene]:
+    def problem(self) -> NonlinearProblem[Scene]:
         """Return what the solver needs."""
-        return Problem(self.evaluate, Scene.plus, what="laser scanner")
+        return NonlinearProblem(self.evaluate, Scene.plus, what="laser scanner")
 
     def base_points(self, scene: Scene) -> np.ndarray:
         """Return the points (N, 3) of the lines in base axes."""

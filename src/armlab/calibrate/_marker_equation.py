@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armlab.calibrate._hand_eye_equation import Pair, full
-from armlab.estimation import Measurement, Problem
+from armlab.estimation import Measurement, NonlinearProblem
 from armlab.estimation.tsqr import triangle
 from armlab.frames import marker_pose
 from armlab.lie import so3
@@ -119,7 +119,7 @@ class Sight:
         """Return measured minus predicted (m, 3) in camera axes [m]."""
         return self.p - self.seen(np.asarray(value.points), value.Y[:3, :3], value.Y[:3, 3])[1]
 
-    def free(self) -> Problem[Points]:
+    def free(self) -> NonlinearProblem[Points]:
         """Return the problem of points of unknown place."""
 
         def evaluate(value: Points) -> list[Measurement]:
@@ -129,9 +129,9 @@ class Sight:
             J[:, :, -6:] = JY
             return self._measured(ph, J, C, value.s, value.RY)
 
-        return Problem(evaluate, Points.plus, what="hand-eye calibration from points")
+        return NonlinearProblem(evaluate, Points.plus, what="hand-eye calibration from points")
 
-    def marked(self, marker: np.ndarray) -> Problem[Pair]:
+    def marked(self, marker: np.ndarray) -> NonlinearProblem[Pair]:
         """Return the problem of a marker whose points (K, 3) are known."""
         body = so3.hat(marker)
 
@@ -143,7 +143,7 @@ class Sight:
             J[:, :, 6:] = JY
             return self._measured(ph, J, C, s, value.RY)
 
-        return Problem(evaluate, Pair.plus, what="hand-eye calibration from points")
+        return NonlinearProblem(evaluate, Pair.plus, what="hand-eye calibration from points")
 
     def _measured(
         self, ph: np.ndarray, J: np.ndarray, C: np.ndarray, s: np.ndarray, RY: np.ndarray

@@ -70,7 +70,7 @@ class Wrench:
 
     Attributes
     ----------
-    F : (6,) [N, N m]. cov : (6, 6) posterior covariance, with what unknown gains of the torques add to it.
+    wrench : (6,) [N, N m]. cov : (6, 6) posterior covariance, with what unknown gains of the torques add to it.
     observability : (6,) 1 - posterior variance / prior variance, in [0, 1], as if the gains were known.
     torque_error : (n,) filtered model minus measured torque [N m]; of "kf", what of it the
         estimate explains. torque_variance : (n,) its variance.
@@ -82,7 +82,7 @@ class Wrench:
     tared_at : time of the tare that holds [s], or None.
     """
 
-    F: np.ndarray
+    wrench: np.ndarray
     cov: np.ndarray
     observability: np.ndarray
     torque_error: np.ndarray
@@ -205,7 +205,7 @@ class Estimator:
     Examples
     --------
     >>> estimator = Estimator(models.load("model.toml"), robot)  # doctest: +SKIP
-    >>> estimator.step(state).F  # doctest: +SKIP
+    >>> estimator.step(state).wrench  # doctest: +SKIP
     """
 
     def __init__(

@@ -15,9 +15,9 @@ from armlab.estimation.contract import Contract, Experiment, Gauge, Limits, Prop
 from armlab.estimation.errors_in_variables import TotalSolution, total_least_squares
 from armlab.estimation.excitation import Excitation, Prior, check_excitation, check_spread, unhurried
 from armlab.estimation.fit import Fit
-from armlab.estimation.linear_problem import ActiveBound, LinearSolution, Question, solve, within_bounds
-from armlab.estimation.nonlinear import Measurement, NonlinearSolution, Problem, nonlinear_least_squares
-from armlab.estimation.robust import huber, least_squares, mad, trimmed
+from armlab.estimation.linear_problem import ActiveBound, LinearProblem, LinearSolution, solve, within_bounds
+from armlab.estimation.nonlinear import Measurement, NonlinearProblem, NonlinearSolution, nonlinear_least_squares
+from armlab.estimation.robust import huber, least_squares, least_trimmed_squares, mad
 from armlab.estimation.tsqr import Factors, Rows, factorise
 
 __all__ = [
@@ -36,9 +36,9 @@ __all__ = [
     "Measurement",
     "NonlinearSolution",
     "Prior",
-    "Problem",
+    "NonlinearProblem",
     "Property",
-    "Question",
+    "LinearProblem",
     "Rows",
     "TotalSolution",
     "block_bootstrap",
@@ -58,7 +58,7 @@ __all__ = [
     "shrinkage",
     "solve",
     "total_least_squares",
-    "trimmed",
+    "least_trimmed_squares",
     "unhurried",
     "within_bounds",
 ]

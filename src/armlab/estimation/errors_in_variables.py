@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from armlab._numbers import numbers
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation.excitation import Excitation, check_excitation
-from armlab.estimation.nonlinear import Measurement, Problem, nonlinear_least_squares
+from armlab.estimation.nonlinear import Measurement, NonlinearProblem, nonlinear_least_squares
 
 WHAT = "total least squares"
 
@@ -156,7 +156,7 @@ def _weighted(A: np.ndarray, y: np.ndarray, cov: np.ndarray, robust: bool, names
 
     scale = 1.0 / np.sqrt(parts(np.zeros(p))[2])  # rows weighted by the noise of y alone
     start = np.linalg.lstsq(A * scale[:, None], y * scale, rcond=None)[0]
-    found = nonlinear_least_squares(Problem(evaluate, np.add, what=WHAT), start, robust=robust)
+    found = nonlinear_least_squares(NonlinearProblem(evaluate, np.add, what=WHAT), start, robust=robust)
     gap, spread, s = parts(found.value)
     excitation = check_excitation(found.rows.J, names, WHAT)
     corrections = (gap / s)[:, None] * spread

@@ -79,7 +79,7 @@ EXACT = 1e-12  # residuals below this share of the measurements are rounding
 
 
 @dataclass(frozen=True, eq=False)
-class Question:
+class LinearProblem:
     """What is asked of the data.
 
     Attributes
@@ -107,7 +107,7 @@ class Question:
         upper: np.ndarray | None = None,
         prior: Prior | None = None,
         max_condition: float = MAX_CONDITION,
-    ) -> Question:
+    ) -> LinearProblem:
         """Check the bounds and fill in those that are left out.
 
         Parameters
@@ -161,7 +161,7 @@ class LinearSolution:
     rounds : of the iteration. converged : False when it stopped at its limit.
     """
 
-    question: Question
+    question: LinearProblem
     x: np.ndarray
     cov: np.ndarray
     weights: np.ndarray
@@ -199,7 +199,7 @@ class LinearSolution:
 
 
 def solve(
-    question: Question, factors: Factors, weights: np.ndarray | None = None, kept: np.ndarray | None = None
+    question: LinearProblem, factors: Factors, weights: np.ndarray | None = None, kept: np.ndarray | None = None
 ) -> LinearSolution:
     """Solve a linear problem by its triangular factors.
 
@@ -235,7 +235,7 @@ def _inverse(sigma: np.ndarray, spread: np.ndarray) -> np.ndarray:
 
 
 def _solve_once(
-    question: Question, factors: Factors, groups: list[np.ndarray], kept: np.ndarray, weights: np.ndarray
+    question: LinearProblem, factors: Factors, groups: list[np.ndarray], kept: np.ndarray, weights: np.ndarray
 ) -> LinearSolution:
     """Return the solution for given weights."""
     p = factors.size
@@ -300,6 +300,6 @@ def _held_covariance(excitation: Excitation, prior: Prior | None) -> np.ndarray:
     return sides @ across @ sides.T
 
 
-def _active(question: Question, x: np.ndarray, loose: np.ndarray, sd: np.ndarray) -> tuple[ActiveBound, ...]:
+def _active(question: LinearProblem, x: np.ndarray, loose: np.ndarray, sd: np.ndarray) -> tuple[ActiveBound, ...]:
     at = np.flatnonzero((x <= question.lower) | (x >= question.upper))
     return tuple(ActiveBound(question.names[i], float(x[i]), float(loose[i]), float(sd[i])) for i in at)

@@ -221,7 +221,7 @@ DAMPING = 1e-3  # first damping, relative to the largest singular value squared
 
 
 @dataclass(frozen=True, eq=False)
-class Problem(Generic[Value]):
+class NonlinearProblem(Generic[Value]):
     """A fit on a manifold.
 
     Attributes
@@ -259,7 +259,7 @@ class Descent(Generic[Value]):
 
 
 def descend(
-    problem: Problem[Value],
+    problem: NonlinearProblem[Value],
     start: Value,
     sigma: dict[str, float],
     weight: np.ndarray,
@@ -326,7 +326,7 @@ def descend(
     return replace(here, value=value)
 
 
-def _stuck(problem: Problem[Any], value: Any, history: list[float]) -> NotConverged:
+def _stuck(problem: NonlinearProblem[Any], value: Any, history: list[float]) -> NotConverged:
     return NotConverged(
         f"Expected the fit of the {problem.what} to converge, got a cost of {history[-1]:.6g} after {len(history)} "
         "iterations. Give a better start, or look for wrong samples with robust=True.",
@@ -347,7 +347,7 @@ class _Slope:
     scale: np.ndarray
 
     @classmethod
-    def of(cls, problem: Problem[Any], rows: Whitened) -> _Slope:
+    def of(cls, problem: NonlinearProblem[Any], rows: Whitened) -> _Slope:
         R = triangle(rows.J, rows.r)
         norms = np.sqrt(np.einsum("ij,ij->j", R[:, :-1], R[:, :-1]))
         return cls(R, problem.scale if problem.scale is not None else 1.0 / np.where(norms > 0, norms, 1.0))
@@ -445,7 +445,7 @@ class NonlinearSolution(Generic[Value]):
 
 
 def nonlinear_least_squares(
-    problem: Problem[Value],
+    problem: NonlinearProblem[Value],
     start: Value,
     *,
     robust: bool = False,
@@ -511,7 +511,11 @@ def _first_noise(now: Sequence[Measurement], residue: float) -> dict[str, float]
 
 
 def _graduate(
-    problem: Problem[Value], value: Value, sigma: dict[str, float], weight: np.ndarray, schedule: Sequence[float]
+    problem: NonlinearProblem[Value],
+    value: Value,
+    sigma: dict[str, float],
+    weight: np.ndarray,
+    schedule: Sequence[float],
 ) -> tuple[Value, dict[str, float], np.ndarray]:
     """Shrink the loss; return value, noise, and which samples (N,) fit at the end, as 0 or 1."""
     count = len(weight)
@@ -529,7 +533,7 @@ def _graduate(
     return value, sigma, _fits(problem, value, sigma, count)
 
 
-def _rows(problem: Problem[Value], value: Value, sigma: dict[str, float]) -> Whitened:
+def _rows(problem: NonlinearProblem[Value], value: Value, sigma: dict[str, float]) -> Whitened:
     now = problem.evaluate(value)
     return whiten(now, [one.roots(sigma) for one in now])
 
@@ -546,7 +550,7 @@ def _median_noise(rows: Whitened, sigma: dict[str, float], residue: float) -> di
     return found
 
 
-def _fits(problem: Problem[Value], value: Value, sigma: dict[str, float], count: int) -> np.ndarray:
+def _fits(problem: NonlinearProblem[Value], value: Value, sigma: dict[str, float], count: int) -> np.ndarray:
     """Return 1 for samples (N,) whose squared residual is below the 99.9 % quantile, else 0."""
     from scipy.special import chdtri
 
@@ -555,7 +559,7 @@ def _fits(problem: Problem[Value], value: Value, sigma: dict[str, float], count:
 
 
 def _with_noise(
-    problem: Problem[Value], value: Value, sigma: dict[str, float], weight: np.ndarray
+    problem: NonlinearProblem[Value], value: Value, sigma: dict[str, float], weight: np.ndarray
 ) -> tuple[Descent[Value], dict[str, float]]:
     """Alternate between the value and the noise of its classes."""
     found = descend(problem, value, sigma, weight)
@@ -614,7 +618,7 @@ def _mixed_sigma(found: Descent[Any], sigma: dict[str, float]) -> np.ndarray:
 
 
 def _solution(
-    problem: Problem[Value], found: Descent[Value], sigma: dict[str, float], weight: np.ndarray
+    problem: NonlinearProblem[Value], found: Descent[Value], sigma: dict[str, float], weight: np.ndarray
 ) -> NonlinearSolution[Value]:
     rows, rank = found.rows, found.basis.shape[1]
     freedom = len(rows.r) - rank

@@ -19,7 +19,7 @@ from armlab._numbers import generator, numbers
 from armlab.errors import NotExcited, ShapeError, UnknownName
 from armlab.estimation.bootstrap import BlockSums
 from armlab.estimation.excitation import MAX_CONDITION, Prior
-from armlab.estimation.linear_problem import EXACT, LinearSolution, Question, solve
+from armlab.estimation.linear_problem import EXACT, LinearProblem, LinearSolution, solve
 from armlab.estimation.tsqr import Rows, factorise
 
 HUBER = 1.345
@@ -117,7 +117,7 @@ def _finish(
     )
 
 
-def trimmed(start: LinearSolution, seed: int = 0) -> LinearSolution:
+def least_trimmed_squares(start: LinearSolution, seed: int = 0) -> LinearSolution:
     """Fit to the blocks of time that agree: least trimmed squares over blocks, then one reweighted step.
 
     Random small sets of blocks are fitted; each fit is improved by steps that keep the 75 % of the blocks with the
@@ -240,9 +240,9 @@ def least_squares(
         raise UnknownName.among("method of least squares", method, METHODS)
     if method == "irls" and iter(rows) is rows:
         raise ShapeError("Expected rows that can be read again in every round, got a generator. Give a list of Rows.")
-    question = Question.of(names, what, lower, upper, prior, max_condition)
+    question = LinearProblem.of(names, what, lower, upper, prior, max_condition)
     factors = factorise(rows, len(names))
     found = solve(question, factors, np.ones(len(factors.columns)) if method == "ols" else None)
     if method == "irls":
         return huber(rows, found)
-    return trimmed(found, seed) if method == "lts" else found
+    return least_trimmed_squares(found, seed) if method == "lts" else found

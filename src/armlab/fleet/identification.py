@@ -13,8 +13,8 @@ from armlab.estimation import Fit
 from armlab.fleet.cache import SumCache
 from armlab.fleet.logs import Log, as_table, named
 from armlab.fleet.mapping import Progress, each
-from armlab.identify.dynamics import Draft
-from armlab.identify.friction_structure import Choice, Chooser, Shapes, choose
+from armlab.identify.dynamics import FitProblem
+from armlab.identify.friction_structure import Choice, Chooser, FrictionStructure, choose
 from armlab.identify.many import LogSums, Pattern, fit_draft, fit_sums, log_sums, same_rate
 from armlab.identify.record import prepare_share
 from armlab.log import Table
@@ -102,7 +102,7 @@ def identify(
 
 def _draft(
     jobs: Mapping[str, Log], robot: Robot, executor: Executor | None, tell: Progress
-) -> tuple[Draft, Pattern, list[str], Mapping[str, str]]:
+) -> tuple[FitProblem, Pattern, list[str], Mapping[str, str]]:
     """Fit the first logs that can be used, more of them while they do not tell enough.
 
     Returns the names of these, and the reason by name of those before and between them that cannot be used. Logs are
@@ -195,7 +195,7 @@ def _try(log: Log, robot: Robot) -> tuple[float, float, str]:
 def _chooser(executor: Executor | None, tell: Progress) -> Chooser:
     """Return what chooses the shapes of friction of the joints on an executor."""
 
-    def choose_all(choices: Iterable[Choice]) -> list[Shapes]:
+    def choose_all(choices: Iterable[Choice]) -> list[FrictionStructure]:
         joints = {f"joint {number + 1}": choice for number, choice in enumerate(choices)}
         done = each(
             choose, joints, executor=executor, kind="joint",

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armlab.estimation import Measurement, NonlinearSolution, Problem, nonlinear_least_squares
+from armlab.estimation import Measurement, NonlinearProblem, NonlinearSolution, nonlinear_least_squares
 from armlab.frames import _check
 from armlab.frames.features import Line, Plane
 from armlab.lie import so3
@@ -31,7 +31,7 @@ def plane(p: np.ndarray, cov: np.ndarray, start: Plane, robust: bool) -> Nonline
         c = value.centroid + x[2] * value.n
         return Plane(n, float(n @ c), c, axes)
 
-    return nonlinear_least_squares(Problem(evaluate, step, what="plane"), start, robust=robust)
+    return nonlinear_least_squares(NonlinearProblem(evaluate, step, what="plane"), start, robust=robust)
 
 
 def line(p: np.ndarray, cov: np.ndarray, start: Line, robust: bool) -> NonlinearSolution[Line]:
@@ -50,7 +50,7 @@ def line(p: np.ndarray, cov: np.ndarray, start: Line, robust: bool) -> Nonlinear
         c = value.centroid + x[2:] @ value.axes
         return Line(v, c - v * (v @ c), c, axes)
 
-    return nonlinear_least_squares(Problem(evaluate, step, what="line"), start, robust=robust)
+    return nonlinear_least_squares(NonlinearProblem(evaluate, step, what="line"), start, robust=robust)
 
 
 def _likely(away: np.ndarray, D: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

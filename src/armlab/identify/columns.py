@@ -14,7 +14,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from armlab.identify.base_parameters import BaseParameters
-from armlab.identify.record import Prepared, slow_enough
+from armlab.identify.record import Record, slow_enough
 from armlab.kernels import presliding
 from armlab.robots import Robot
 
@@ -48,7 +48,7 @@ class Piece:
 
 
 @dataclass(frozen=True, eq=False)
-class Thinning:
+class Decimation:
     """A zero-phase filter that keeps every few rows of each segment.
 
     `segments`: (start, stop) of each piece of the record without a gap. `taps`: (2 L + 1,) impulse response h; one tap,
@@ -61,7 +61,7 @@ class Thinning:
     rows: np.ndarray
 
     @classmethod
-    def of(cls, data: Prepared, cutoff: float, every: int) -> Thinning:
+    def of(cls, data: Record, cutoff: float, every: int) -> Decimation:
         """Return the filter for a record.
 
         `cutoff`: corner of one pass [Hz]; infinite for none.
@@ -177,7 +177,7 @@ class FrictionColumns:
     `resolution`: (J,) half the smallest step of the encoder [rad].
     """
 
-    thinning: Thinning
+    thinning: Decimation
     q: np.ndarray
     qd: np.ndarray
     resolution: np.ndarray
@@ -191,7 +191,7 @@ class FrictionColumns:
     def sign(self, delta: np.ndarray, smooth: np.ndarray) -> np.ndarray:
         """Return s (N, J) along the record: presliding state, or smooth sign.
 
-        `delta`, `smooth`: (J,) shape of the sign, see `Shapes`.
+        `delta`, `smooth`: (J,) shape of the sign, see `FrictionStructure`.
         """
         soft = smooth > 0
         z = np.empty(self.q.shape)
@@ -239,8 +239,8 @@ class Columns:
     are known and ripple is seen in this record, when None.
     """
 
-    data: Prepared
-    thinning: Thinning
+    data: Record
+    thinning: Decimation
     robot: Robot
     joints: np.ndarray
     motors: np.ndarray

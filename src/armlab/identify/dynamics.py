@@ -25,9 +25,9 @@ from armlab.errors import ModelMismatchError, NotExcited, ShapeError
 from armlab.estimation import BlockSums, Fit, LinearSolution, Prior, block_bootstrap, block_seconds, least_squares
 from armlab.identify.base_parameters import BaseParameters, base_parameters, measured_joints
 from armlab.identify.friction_structure import Chooser, choose_here
-from armlab.identify.record import Prepared, prepare, spikes, without_spikes
+from armlab.identify.record import Record, prepare, torque_outliers, without_outliers
 from armlab.identify.regression import Design
-from armlab.identify.solve import ROBUST, calibrated, gain_share, linearised, settle, short_blocks
+from armlab.identify.solve import ROBUST, alternate, calibrated, gain_share, linearised, short_blocks
 from armlab.identify.threads import one_thread
 from armlab.identify.validation import assess, report, training
 from armlab.log import Table
@@ -49,7 +49,7 @@ Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Job:
+class FitSettings:
     """How to fit.
 
     `tell`: called with (done, total, what). `joints`: whose torque is measured; None for all. `chooser`: of the shapes
@@ -88,7 +88,7 @@ class Job:
 
 
 @dataclass(frozen=True, eq=False)
-class Draft:
+class FitProblem:
     """A design with what is not linear in it found, and the sums of its blocks.
 
     `gain_cov`: (J, J) of the gains. `block`: (N,) number of the block of each sample. `theta`: (p,) parameters without
@@ -104,35 +104,39 @@ class Draft:
     theta: np.ndarray
 
 
-def make_draft(data: Prepared, robot: Robot, base: BaseParameters, job: Job) -> Draft:
+def make_problem(data: Record, robot: Robot, base: BaseParameters, job: FitSettings) -> FitProblem:
     """Settle gains and shape of friction, and sum the rows."""
     design, theta, gain_cov = _settled(data, robot, base, job)
     job.tell(3, 5, "covariance from blocks")
     block, length, seconds = _blocks(design, theta, job.method)
     design, sums = _summed(design, theta, job, block, length)
-    return Draft(design, gain_cov, sums, block, length, seconds, theta)
+    return FitProblem(design, gain_cov, sums, block, length, seconds, theta)
 
 
-def _settled(data: Prepared, robot: Robot, base: BaseParameters, job: Job) -> tuple[Design, np.ndarray, np.ndarray]:
+def _settled(
+    data: Record, robot: Robot, base: BaseParameters, job: FitSettings
+) -> tuple[Design, np.ndarray, np.ndarray]:
     """Return the design with its gains and shape of friction, parameters (p,), and the covariance (J, J) of the gains.
 
     Spikes are replaced twice: the second time by what the first fit makes of them.
     """
     known = None if job.prior is None else (job.prior.value.gains, job.prior.value.gain_cov)
-    found = spikes(data) if job.method in ROBUST else np.zeros(data.tau.shape, dtype=bool)
-    first = without_spikes(data, found) if found.any() else data.tau
+    found = torque_outliers(data) if job.method in ROBUST else np.zeros(data.tau.shape, dtype=bool)
+    first = without_outliers(data, found) if found.any() else data.tau
     job.tell(1, 5, "building the regressor")
     design = calibrated(Design.build(replace(data, tau=first), robot, base, joints=job.joints), job.method, known)[0]
     job.tell(2, 5, "choosing the shape of friction")
-    design, theta = settle(design, job.method, job.seed, chooser=job.chooser)
+    design, theta = alternate(design, job.method, job.seed, chooser=job.chooser)
     if found.any():
         model = model_of(design, theta, np.zeros((len(theta), len(theta))))
-        design = design.with_torque(without_spikes(data, found, model))
-        design, theta = settle(design, job.method, job.seed, chooser=job.chooser)
+        design = design.with_torque(without_outliers(data, found, model))
+        design, theta = alternate(design, job.method, job.seed, chooser=job.chooser)
     return calibrated(design, job.method, known)
 
 
-def _summed(design: Design, theta: np.ndarray, job: Job, block: np.ndarray, length: int) -> tuple[Design, BlockSums]:
+def _summed(
+    design: Design, theta: np.ndarray, job: FitSettings, block: np.ndarray, length: int
+) -> tuple[Design, BlockSums]:
     """Return the design with its slopes and the sums of its blocks (B,).
 
     A number of the shape that a few reversals tell keeps its value: its deviation cannot be drawn from them.
@@ -209,7 +213,7 @@ def model_of(design: Design, theta: np.ndarray, cov: np.ndarray, gain_cov: np.nd
     )
 
 
-def _quality(data: Prepared) -> Quality:
+def _quality(data: Record) -> Quality:
     unknown = np.full(data.q.shape[1], np.nan)
     return Quality(
         torque_sd=np.std(data.tau, axis=0),
@@ -301,7 +305,7 @@ def fit_dynamics(
     the block bootstrap.
     """
     measured = None if joints is None else tuple(measured_joints(robot, joints))
-    job = Job("torque model", method, seed, progress or (lambda done, total, what: None), prior, measured)
+    job = FitSettings("torque model", method, seed, progress or (lambda done, total, what: None), prior, measured)
     return fit_model(table, robot, base_parameters(robot, joints=measured), job)
 
 
@@ -309,15 +313,15 @@ def fit_model(
     table: Table | Sequence[Table],
     robot: Robot,
     base: BaseParameters,
-    job: Job,
-    check: Callable[[Prepared], None] = lambda data: None,
+    job: FitSettings,
+    check: Callable[[Record], None] = lambda data: None,
 ) -> Fit[TorqueModel]:
     """Fit base parameters, friction and offset; see `fit_dynamics` and `fit_gravity`."""
     job.check(robot)
     job.tell(0, 5, "checking the log")
     data = prepare(table, robot, job.joints)
     check(data)
-    draft = make_draft(data, robot, base, job)
+    draft = make_problem(data, robot, base, job)
     design, sums = draft.design, draft.sums
     data, solution = design.data, sums.solution
     cov = block_bootstrap(sums, seed=job.seed, length=draft.length).cov
@@ -373,13 +377,13 @@ def fit_gravity(
     ----------
     Bagge Carlson and Haage (2017), YuMi low-level motion guidance, TFRT-7651, section 4.
     """
-    job = Job("gravity model", method, seed, progress or (lambda done, total, what: None), prior)
+    job = FitSettings("gravity model", method, seed, progress or (lambda done, total, what: None), prior)
     return fit_model(
         table, robot, base_parameters(robot, quasi_static=True), job, lambda data: _check_slow(data, robot)
     )
 
 
-def _check_slow(data: Prepared, robot: Robot) -> None:
+def _check_slow(data: Record, robot: Robot) -> None:
     """Refuse motion whose inertia cannot be neglected."""
     band = min(BAND, data.rate / 10.0)
     acceleration = np.quantile(np.abs(data.filter(data.differentiate(data.qd), band)), QUANTILE, axis=0)

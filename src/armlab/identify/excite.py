@@ -147,7 +147,9 @@ def sequence(parts: Sequence[Trajectory], walk: float = 2.0) -> Trajectory:
     """
     walk = number(walk, "the walk [s]")
     if not isinstance(parts, list | tuple) or not all(isinstance(part, Trajectory) for part in parts):
-        raise ShapeError(f"Expected a list of motions, got {type(parts).__name__}. identify.excitation gives one.")
+        raise ShapeError(
+            f"Expected a list of motions, got {type(parts).__name__}. identify.design_excitation gives one."
+        )
     if not parts or not 0 < walk < np.inf:
         raise ShapeError(f"Expected at least one motion and a walk above 0 s, got {len(parts)} and {walk:g} s.")
     starts = np.cumsum([0.0, *(part.seconds + walk for part in parts[:-1])])
@@ -182,7 +184,7 @@ TURNS_PER_SECOND = 10.0 / 60.0
 MARGIN = 0.05  # rad or m, kept from the position limits; a tenth of the range where that is less
 
 
-def excitation(
+def design_excitation(
     robot: Robot,
     seconds: float = 60.0,
     f0: float = 0.1,
@@ -538,7 +540,7 @@ def _speeds(robot: Robot, i: int) -> tuple[np.ndarray, float]:
     if top <= 2 * SLOWEST:
         raise ShapeError(
             f"Expected room for a run of {stroke:.3g} rad (m) at constant speed, got {name} with "
-            f"{room:.3g} rad (m) inside its limits. Use identify.excitation for such a joint."
+            f"{room:.3g} rad (m) inside its limits. Use identify.design_excitation for such a joint."
         )
     return np.geomspace(SLOWEST, top, SPEEDS), stroke
 
@@ -573,7 +575,7 @@ GROUPS = (*GROUPS, ("offset", "N m"))
 
 
 @dataclass(frozen=True, eq=False)
-class Expectation:
+class PredictedUncertainty:
     """What a motion will tell.
 
     Attributes
@@ -605,7 +607,7 @@ class Expectation:
         return rows
 
 
-def expectation(trajectory: Trajectory, robot: Robot, noise: float = 0.1) -> Expectation:
+def predicted_uncertainty(trajectory: Trajectory, robot: Robot, noise: float = 0.1) -> PredictedUncertainty:
     """Return how well a motion will tell the parameters of the torque model.
 
     The covariance is ``s^2 (A^T A)^-1`` with the regressor A of base parameters and friction along the motion,
@@ -613,7 +615,7 @@ def expectation(trajectory: Trajectory, robot: Robot, noise: float = 0.1) -> Exp
 
     Parameters
     ----------
-    trajectory : of `excitation`. robot : its arm.
+    trajectory : of `design_excitation`. robot : its arm.
     noise : standard deviation of each torque sample [N m]; the expected deviations are in proportion to it.
 
     Raises
@@ -624,7 +626,9 @@ def expectation(trajectory: Trajectory, robot: Robot, noise: float = 0.1) -> Exp
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
     if not isinstance(trajectory, Trajectory):
-        raise ShapeError(f"Expected a Trajectory, got {type(trajectory).__name__}. identify.excitation gives one.")
+        raise ShapeError(
+            f"Expected a Trajectory, got {type(trajectory).__name__}. identify.design_excitation gives one."
+        )
     n, noise = robot.n, number(noise, "the torque noise [N m]")
     if not 0 < noise < np.inf or trajectory.q_first.shape != (n,):
         raise ShapeError(
@@ -650,7 +654,7 @@ def expectation(trajectory: Trajectory, robot: Robot, noise: float = 0.1) -> Exp
     found = Excitation.of(R, names)
     inverse = (found.vectors / np.maximum(found.singular_values, 1e-12)) / found.scale[:, None]
     sd = np.sqrt(np.sum(inverse**2, axis=1))
-    return Expectation(names, units, tuple(_group(name, unit) for name, unit in zip(names, units)), sd, found)
+    return PredictedUncertainty(names, units, tuple(_group(name, unit) for name, unit in zip(names, units)), sd, found)
 
 
 def _group(name: str, unit: str) -> str:

@@ -34,7 +34,7 @@ TERMS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 
 
 
 @dataclass(frozen=True, eq=False)
-class Shapes:
+class FrictionStructure:
     """Shape of the friction of all joints; vectors are (n,).
 
     `delta`: presliding distance [rad]. `smooth`: v_t [rad/s], 0 where the sign is the presliding state. `speed`: v_s of
@@ -47,12 +47,12 @@ class Shapes:
     terms: np.ndarray
 
     @classmethod
-    def start(cls, n: int) -> Shapes:
+    def start(cls, n: int) -> FrictionStructure:
         """Return presliding over 1e-3 rad with all terms but the root, for n joints."""
         return cls(np.full(n, 1e-3), np.zeros(n), np.full(n, 0.1), np.tile([True, True, False], (n, 1)))
 
     @classmethod
-    def joined(cls, parts: Iterable[Shapes]) -> Shapes:
+    def joined(cls, parts: Iterable[FrictionStructure]) -> FrictionStructure:
         """Return the shapes of all joints of some shapes, in their order."""
         listed = list(parts)
         return cls(*(np.concatenate([getattr(part, field.name) for part in listed]) for field in fields(cls)))
@@ -67,7 +67,7 @@ class Shapes:
         """Names of `numbers`, for each joint."""
         return [("tanh-speed" if soft else "delta", "stribeck-speed") for soft in self.smooth > 0]
 
-    def moved(self, steps: np.ndarray) -> Shapes:
+    def moved(self, steps: np.ndarray) -> FrictionStructure:
         """Return it with `numbers` times exp(steps) (n, 2), within the range that is searched."""
         (sign, bump), soft = np.exp(steps).T, self.smooth > 0
         return replace(
@@ -77,7 +77,7 @@ class Shapes:
             speed=np.clip(bump * self.speed, 0.5 * STRIBECK_SPEEDS[0], 2.0 * STRIBECK_SPEEDS[-1]),
         )
 
-    def same(self, other: Shapes) -> bool:
+    def same(self, other: FrictionStructure) -> bool:
         """Return whether the other differs by less than 10 %, in the same terms."""
         kinds = np.array_equal(self.terms, other.terms) and np.array_equal(self.smooth > 0, other.smooth > 0)
         mine, others = (np.stack([s.delta, s.smooth, s.speed]) for s in (self, other))
@@ -193,7 +193,7 @@ def _scaled(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @one_thread()
-def choose(choice: Choice) -> Shapes:
+def choose(choice: Choice) -> FrictionStructure:
     """Choose the shape of one joint's friction: fitted to all folds of the data but one, judged on that one, in turn.
 
     Presliding distance or v_t, the speed of Stribeck's term, and which terms there are come from a grid; of all that
@@ -209,7 +209,7 @@ def choose(choice: Choice) -> Shapes:
         scores.append(search.scores(motion.columns(s, bells), STRIBECK_SPEEDS, slice(None)))
     t, k, terms = _pick(np.array(scores))  # (trial, speed, terms)
     delta, smooth = trials[t]
-    shape = Shapes(np.array([delta]), np.array([smooth]), STRIBECK_SPEEDS[[k]], TERMS[[terms]])
+    shape = FrictionStructure(np.array([delta]), np.array([smooth]), STRIBECK_SPEEDS[[k]], TERMS[[terms]])
     shape = _refine(search, shape, scores[t][k, terms])
     columns = motion.columns(motion.sign(shape.delta, shape.smooth), [motion.bell(shape.speed)])
     errors = search.scores(columns, shape.speed, slice(None))[0]
@@ -218,10 +218,10 @@ def choose(choice: Choice) -> Shapes:
     return _refine(search, shape, errors[simplest])
 
 
-Chooser = Callable[[Iterable[Choice]], Iterable[Shapes]]
+Chooser = Callable[[Iterable[Choice]], Iterable[FrictionStructure]]
 
 
-def choose_here(choices: Iterable[Choice]) -> list[Shapes]:
+def choose_here(choices: Iterable[Choice]) -> list[FrictionStructure]:
     """Return what `choose` says of joints, one after the other."""
     return list(map(choose, choices))
 
@@ -239,7 +239,7 @@ def _pick(scores: np.ndarray) -> tuple[int, int, int]:
     return next(choice for score, choice in choices if score <= limit)
 
 
-def _refine(search: _Search, shape: Shapes, best: float) -> Shapes:
+def _refine(search: _Search, shape: FrictionStructure, best: float) -> FrictionStructure:
     """Try factors on distance or speed of the sign and on Stribeck's speed; keep what lowers the held-out error."""
     motion, kind = search.motion, int(np.flatnonzero((shape.terms == TERMS).all(axis=1))[0])
     ways = ((1.0, 0.0), (0.0, 1.0)) if shape.terms[0, 1] else ((1.0, 0.0),)

@@ -21,12 +21,12 @@ import numpy as np
 
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import BlockSums, Fit, block_bootstrap
-from armlab.estimation.linear_problem import LinearSolution, Question, solve
+from armlab.estimation.linear_problem import LinearProblem, LinearSolution, solve
 from armlab.estimation.tsqr import Factors, factorise
 from armlab.identify.base_parameters import BaseParameters, base_parameters
-from armlab.identify.dynamics import Draft, Job, Progress, fit_of, fold_models, make_draft, model_of
-from armlab.identify.friction_structure import Chooser, Shapes, choose_here
-from armlab.identify.record import Prepared, prepare, prepare_share, spikes, without_spikes
+from armlab.identify.dynamics import FitProblem, FitSettings, Progress, fit_of, fold_models, make_problem, model_of
+from armlab.identify.friction_structure import Chooser, FrictionStructure, choose_here
+from armlab.identify.record import Record, prepare, prepare_share, torque_outliers, without_outliers
 from armlab.identify.regression import Design
 from armlab.identify.solve import gain_share
 from armlab.identify.threads import one_thread
@@ -55,7 +55,7 @@ class Pattern:
 
     robot: Robot
     base: BaseParameters
-    shapes: Shapes
+    shapes: FrictionStructure
     free: np.ndarray
     geared: bool
     gains: np.ndarray
@@ -77,7 +77,7 @@ class Pattern:
             digest.update(f"{values.dtype} {values.shape} {values.tolist()}".encode())
         return digest.hexdigest()
 
-    def design(self, data: Prepared) -> Design:
+    def design(self, data: Record) -> Design:
         """Return the regression problem of a record, with the draft's gains, shapes and slopes."""
         built = Design.build(data, self.robot, self.base, shapes=self.shapes, geared=self.geared)
         return built.with_gains(self.gains).with_slopes(self.theta, self.free)
@@ -106,14 +106,14 @@ def fit_draft(
     logs: int,
     progress: Progress = lambda done, total, what: None,
     chooser: Chooser = choose_here,
-) -> tuple[Draft, Pattern]:
+) -> tuple[FitProblem, Pattern]:
     """Fit the first logs, which fix what is not linear.
 
     `progress`: called with (done, total, what). `chooser`: of the shapes of friction, see `Design.choose_shapes`.
     """
-    job = Job("torque model", "irls", 0, progress, chooser=chooser)
+    job = FitSettings("torque model", "irls", 0, progress, chooser=chooser)
     base = base_parameters(robot)
-    draft = make_draft(prepare(tables, robot), robot, base, job)
+    draft = make_problem(prepare(tables, robot), robot, base, job)
     design, solution = draft.design, draft.sums.solution
     pattern = Pattern(
         robot=robot,
@@ -162,7 +162,7 @@ def log_sums(table: Table, pattern: Pattern) -> LogSums:
 
 
 @one_thread()
-def fit_sums(draft: Draft, pattern: Pattern, sums: Sequence[LogSums], first: Sequence[int]) -> Fit[TorqueModel]:
+def fit_sums(draft: FitProblem, pattern: Pattern, sums: Sequence[LogSums], first: Sequence[int]) -> Fit[TorqueModel]:
     """Fit the model to the sum of all logs.
 
     `first`: which of them the draft was made of; their held-out residuals give the torque covariance over velocity.
@@ -197,23 +197,23 @@ def _solved(design: Design, sums: Sequence[LogSums]) -> tuple[LinearSolution, Bl
             ["covariance"],
             [f"{len(factors.rows)} stretches"],
         )
-    found = solve(Question.of(design.layout.heads, "torque model", lower=design.layout.lower), factors)
+    found = solve(LinearProblem.of(design.layout.heads, "torque model", lower=design.layout.lower), factors)
     stretch = sum(one.weight for one in sums) / max(sum(one.inside for one in sums), 1)
     found = replace(found, stretch=stretch)
     return found, BlockSums.of(found)
 
 
-def _without_spikes(data: Prepared, pattern: Pattern) -> Prepared:
-    found = spikes(data)
-    return replace(data, tau=without_spikes(data, found, pattern.model)) if found.any() else data
+def _without_spikes(data: Record, pattern: Pattern) -> Record:
+    found = torque_outliers(data)
+    return replace(data, tau=without_outliers(data, found, pattern.model)) if found.any() else data
 
 
-def _block(data: Prepared, count: int) -> np.ndarray:
+def _block(data: Record, count: int) -> np.ndarray:
     """Return the number (N,) of the stretch of each sample, about `count` of them in a log."""
     return data.blocks(data.seconds / count * (1.0 + BIN))
 
 
-def _blocks_of_draft(data: Prepared, count: int, sums: Sequence[LogSums], first: Sequence[int]) -> np.ndarray:
+def _blocks_of_draft(data: Record, count: int, sums: Sequence[LogSums], first: Sequence[int]) -> np.ndarray:
     """Return the number (N,) of the stretch, among those of all logs, of each sample of the draft."""
     starts = np.cumsum([0, *(len(one.factors.rows) for one in sums)])
     numbers, row = [], 0

@@ -26,7 +26,7 @@ from armlab._numbers import number
 from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Fit, LinearSolution, Rows, block_seconds, check_spread, least_squares
 from armlab.identify.base_parameters import LINK_SYMBOLS, BaseParameters, base_parameters
-from armlab.identify.record import MIN_SECONDS, MIN_SLIDE, MIN_TURN, Prepared, check_once, log_name
+from armlab.identify.record import MIN_SECONDS, MIN_SLIDE, MIN_TURN, Record, check_once, log_name
 from armlab.identify.residuals import model_residuals
 from armlab.identify.solve import GainProblem
 from armlab.kernels import presliding
@@ -89,7 +89,7 @@ class ModelError:
         left_out = tuple(name for name in names if name not in own | rigid)
         return cls(model, robot, base, tuple(names[k] for k in index), cov[np.ix_(index, index)], left_out)
 
-    def against(self, A: np.ndarray, data: Prepared, rows: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    def against(self, A: np.ndarray, data: Record, rows: np.ndarray, joints: np.ndarray) -> np.ndarray:
         """Return the sums (J, w, P) of A_i^T C_i per joint: how columns take up what is wrong with the model.
 
         `A`: (M, J, w) filtered columns. `rows`: (M,) of it that are kept. `joints`: (J,) numbers.
@@ -106,7 +106,7 @@ class ModelError:
                     total[i, :, at[names[joint]]] = A[:, i].T @ column[:, joint]
         return total
 
-    def _own(self, data: Prepared, wanted: set[str]) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
+    def _own(self, data: Record, wanted: set[str]) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
         """Yield the names (n,) of one term of all joints, and its slope (N, n)."""
         friction, ripple = self.model.friction, self.model.ripple
         for term, names in _own_names(self.robot, self.base).items():
@@ -148,7 +148,7 @@ def _own_names(robot: Robot, base: BaseParameters | None) -> dict[str, tuple[str
     return names if base is None else {**names, "offset": tuple(base.offset_names)}
 
 
-def _friction(friction: Friction, data: Prepared) -> np.ndarray:
+def _friction(friction: Friction, data: Record) -> np.ndarray:
     """Return the torque (N, n) of friction along a record, each segment from rest."""
     torque = np.empty_like(data.q)
     for a, b in data.segments:
@@ -158,7 +158,7 @@ def _friction(friction: Friction, data: Prepared) -> np.ndarray:
 
 
 def _rigid(
-    A: np.ndarray, data: Prepared, rows: np.ndarray, joints: np.ndarray, robot: Robot, base: BaseParameters
+    A: np.ndarray, data: Record, rows: np.ndarray, joints: np.ndarray, robot: Robot, base: BaseParameters
 ) -> np.ndarray:
     """Return the sums (J, w, p) over columns of the base parameters."""
     n, moves = robot.n, 0.0 if base.quasi_static else 1.0
@@ -189,7 +189,7 @@ class LoadRecord:
     parameters: how the load takes up what is wrong with them. `sources`: name and SHA-256 of each log.
     """
 
-    data: Prepared
+    data: Record
     rows: np.ndarray
     joints: np.ndarray
     A: np.ndarray
@@ -249,7 +249,7 @@ def moving_joints(tables: Sequence[Table], robot: Robot) -> np.ndarray:
     return np.asarray(moving) if len(moving) else np.arange(robot.n)
 
 
-def _at_flange(data: Prepared, robot: Robot) -> np.ndarray:
+def _at_flange(data: Record, robot: Robot) -> np.ndarray:
     """Return the torque columns (N, n, 10) of a load at the flange, unfiltered."""
     moved = inertia.transform(robot.links[-1], np.eye(10)).T
     qdd = data.differentiate(data.qd)
@@ -258,7 +258,7 @@ def _at_flange(data: Prepared, robot: Robot) -> np.ndarray:
     return np.concatenate([regressor(data.q[p], data.qd[p], qdd[p], robot.gravity)[:, :, -10:] @ moved for p in parts])
 
 
-def _shift(data: Prepared, other: Prepared) -> int:
+def _shift(data: Record, other: Record) -> int:
     """Return by how many rows the record with the load began earlier in the motion; refuse two different motions."""
     if len(data.segments) > 1 or len(other.segments) > 1 or abs(data.rate / other.rate - 1.0) > 1e-3:
         raise ShapeError(
@@ -455,7 +455,10 @@ def _notes(
     if not np.array_equal(free, theta):
         notes.append(f"held at a bound (m >= 0, centre within {FARTHEST} m); without it m = {free[0]:.4g} kg")
     if len(theta) == 10 and inertia.principal_moments(load.pi).min() < -3.0 * sd[4:].max():
-        notes.append("the inertia is not that of a body; identify.physical_load gives the nearest, or use mode static")
+        notes.append(
+            "the inertia is not that of a body; identify.physically_consistent_load gives the nearest, "
+            "or use mode static"
+        )
     if gain_sd:
         percent = "  ".join(f"{100 * g:+.1f}" for g in gains)
         notes.append(f"gains of the joints, of which {100 * gain_sd:g} % is expected [%]: {percent}")

@@ -56,7 +56,7 @@ KEPT, MARGIN = 0.99, 10.0  # share of the power of motion, and how far above its
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class Record:
     """One or several logs as one record of segments without gaps.
 
     Attributes
@@ -108,7 +108,7 @@ class Prepared:
         return number
 
 
-def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] | None = None) -> Prepared:
+def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] | None = None) -> Record:
     """Check logs and cut them into segments without gaps.
 
     Parameters
@@ -130,13 +130,13 @@ def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] 
     return _checked(_tables(table), robot, used, used)
 
 
-def prepare_share(table: Table, robot: Robot, joints: Sequence[int] | None = None) -> Prepared:
+def prepare_share(table: Table, robot: Robot, joints: Sequence[int] | None = None) -> Record:
     """Check and cut one log of many as `prepare` does; joints may rest in it, since others may move them."""
     used = np.bincount(measured_joints(robot, joints), minlength=robot.n) > 0
     return _checked(_tables(table), robot, used, np.zeros(robot.n, dtype=bool))
 
 
-def _checked(tables: list[Table], robot: Robot, used: np.ndarray, moving: np.ndarray) -> Prepared:
+def _checked(tables: list[Table], robot: Robot, used: np.ndarray, moving: np.ndarray) -> Record:
     """Return the record of logs whose joints `moving` (n,) must move, and `used` (n,) have a torque."""
     parts = [_segments(one, robot) for one in tables]
     rate = _common_rate(tables)
@@ -148,7 +148,7 @@ def _checked(tables: list[Table], robot: Robot, used: np.ndarray, moving: np.nda
     dt[lengths[:-1]] = 1.0 / rate
     q, qd, tau = columns
     sources = tuple(f"{one.source or 'table'} sha256:{one.sha256}" for one in tables)
-    prepared = Prepared(t, dt, q, qd, tau, segments, rate, _resolution(q), sources)
+    prepared = Record(t, dt, q, qd, tau, segments, rate, _resolution(q), sources)
     check_position(q, robot)
     least = np.where(robot.prismatic, MIN_SLIDE, MIN_TURN)
     moved = np.ptp(q, axis=0) >= least
@@ -321,7 +321,7 @@ def _check_motion(q: np.ndarray, robot: Robot, still: np.ndarray) -> None:
     listed = ", ".join(f"{a} ({b})" for a, b in zip(names, spread))
     raise NotExcited(
         f"Expected every joint to move by at least 5 deg (20 mm), got less for {listed}: their inertia, "
-        "gravity and friction cannot be told apart. Record a motion of all joints, as of identify.excitation.",
+        "gravity and friction cannot be told apart. Record a motion of all joints, as of identify.design_excitation.",
         names,
         spread,
     )
@@ -341,7 +341,7 @@ EXCHANGES = "12 45 78 01 34 67 12 45 78 03 58 47 36 14 25 47 42 64 42"
 NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
 
 
-def spikes(data: Prepared) -> np.ndarray:
+def torque_outliers(data: Record) -> np.ndarray:
     """Return which torques (N, n) are six robust deviations or more from the median of nine samples around them."""
     away = np.abs(data.tau - _median(data.tau, data))
     found = np.zeros(away.shape, dtype=bool)
@@ -351,16 +351,16 @@ def spikes(data: Prepared) -> np.ndarray:
     return found
 
 
-def without_spikes(data: Prepared, found: np.ndarray, model: TorqueModel | None = None) -> np.ndarray:
+def without_outliers(data: Record, found: np.ndarray, model: TorqueModel | None = None) -> np.ndarray:
     """Return the torque (N, n) with spikes replaced by the model's, plus the median of what it leaves around them.
 
-    `found`: (N, n) from `spikes`. `model`: of the arm; the median of the torque alone when left out.
+    `found`: (N, n) from `torque_outliers`. `model`: of the arm; the median of the torque alone when left out.
     """
     known = np.zeros_like(data.tau) if model is None else _modelled(model, data)
     return np.where(found, known + _median(data.tau - known, data), data.tau)
 
 
-def _median(x: np.ndarray, data: Prepared) -> np.ndarray:
+def _median(x: np.ndarray, data: Record) -> np.ndarray:
     """Return the median (N, n) of nine samples around each, the first and last of a segment repeated."""
     out, reach = np.empty_like(x), WINDOW // 2
     for a, b in data.segments:
@@ -374,7 +374,7 @@ def _median(x: np.ndarray, data: Prepared) -> np.ndarray:
     return out
 
 
-def _modelled(model: TorqueModel, data: Prepared) -> np.ndarray:
+def _modelled(model: TorqueModel, data: Record) -> np.ndarray:
     """Return the torque (N, n) of the model; the acceleration is low-passed at a tenth of the rate."""
     qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
     parts = [model.torque(data.q[a:b], data.qd[a:b], qdd[a:b], data.dt[a:b]) for a, b in data.segments]

@@ -20,18 +20,18 @@ import numpy as np
 
 from armlab.estimation import Rows
 from armlab.identify.base_parameters import BaseParameters
-from armlab.identify.columns import SMOOTH, Columns, Thinning
+from armlab.identify.columns import SMOOTH, Columns, Decimation
 from armlab.identify.friction_structure import (
     COLUMNS,
     FOLDS,
     Choice,
     Chooser,
-    Shapes,
+    FrictionStructure,
     choose_here,
     mixing,
     term_names,
 )
-from armlab.identify.record import Prepared
+from armlab.identify.record import Record
 from armlab.models import CoupledMotors, Friction, Ripple
 from armlab.robots import Robot
 
@@ -157,9 +157,9 @@ class Design:
     `tau`: (M, J) filtered torque, divided by them. `rigid`: of each joint (M, w), columns of the base parameters that
     it sees. `fixed`: (M, J, 2 or 4) columns without shape: viscous, offset, and ripple where the gears are known.
     `coupled_motors`: (M, K, 3) filtered acceleration, velocity and sign of the coupled motors. `free`: (J, 2) bool,
-    which of `Shapes.numbers` have a column: the derivative of the torque over the logarithm of the number, at the
-    parameters given to `with_slopes`. `local`: of each joint (M, k) columns of its own, slopes of its shape last, then
-    of the motors that move it.
+    which of `FrictionStructure.numbers` have a column: the derivative of the torque over the logarithm of the number,
+    at the parameters given to `with_slopes`. `local`: of each joint (M, k) columns of its own, slopes of its shape last,
+    then of the motors that move it.
     """
 
     made: Columns
@@ -170,21 +170,21 @@ class Design:
     rigid: tuple[np.ndarray, ...]
     fixed: np.ndarray
     coupled_motors: np.ndarray
-    shapes: Shapes
+    shapes: FrictionStructure
     free: np.ndarray
     local: tuple[np.ndarray, ...] = ()
 
     @classmethod
     def build(
         cls,
-        data: Prepared,
+        data: Record,
         robot: Robot,
         base: BaseParameters,
         *,
         cutoff: float | None = None,
         every: int | None = None,
         joints: Sequence[int] | None = None,
-        shapes: Shapes | None = None,
+        shapes: FrictionStructure | None = None,
         geared: bool | None = None,
     ) -> Design:
         """Filter and thin all columns.
@@ -200,7 +200,7 @@ class Design:
         ratios = np.linalg.inv(robot.coupling)
         turning = ratios / np.diag(ratios)[:, None]
         owners = np.flatnonzero(np.count_nonzero(turning, axis=1) > 1)
-        columns = Columns(data, Thinning.of(data, corner, step), robot, measured, turning[owners], geared)
+        columns = Columns(data, Decimation.of(data, corner, step), robot, measured, turning[owners], geared)
         qdd = data.differentiate(data.qd)
         tau, fixed, inertial = columns.plain(qdd)
         design = cls(
@@ -212,18 +212,18 @@ class Design:
             rigid=columns.rigid(qdd, base),
             fixed=fixed,
             coupled_motors=np.concatenate([inertial, columns.coupled_sign()[:, :, None]], axis=2),
-            shapes=shapes or Shapes.start(len(measured)),
+            shapes=shapes or FrictionStructure.start(len(measured)),
             free=np.zeros((len(measured), 2), dtype=bool),
         )
         return design.with_shapes(design.shapes)
 
     @property
-    def data(self) -> Prepared:
+    def data(self) -> Record:
         """The record."""
         return self.made.data
 
     @property
-    def thinning(self) -> Thinning:
+    def thinning(self) -> Decimation:
         """Its filter, with the rows that are kept."""
         return self.made.thinning
 
@@ -258,7 +258,7 @@ class Design:
         """Names, units, bounds and places of all parameters."""
         return Layout(self.robot, self.base, self.joints, self.made.motors, self.owners, tuple(self.terms))
 
-    def with_shapes(self, shapes: Shapes) -> Design:
+    def with_shapes(self, shapes: FrictionStructure) -> Design:
         """Return it with the columns of other shapes of friction."""
         shaped = self.made.shaped(shapes.delta, shapes.smooth, shapes.speed[None])
         local = []
@@ -308,7 +308,7 @@ class Design:
         signs = np.einsum("mjk,jk->mj", more - less, c / apart[:, None])
         return np.stack([signs, (bumps[:, :, 3] - bumps[:, :, 4]) * (c[:, 3] / bump)], axis=2)
 
-    def moved(self, theta: np.ndarray) -> Shapes:
+    def moved(self, theta: np.ndarray) -> FrictionStructure:
         """Return the shapes with the steps among parameters theta (p,) taken, each by half at most."""
         steps = np.zeros(self.free.shape)
         steps[self.free] = np.clip(theta[self.layout.slopes], -LONGEST, LONGEST)
@@ -392,4 +392,4 @@ class Design:
             fixed = np.concatenate([self.fixed[:, i], free], axis=1)
             return Choice(motion.of(i), fixed, target, fold, weights[:, i])
 
-        return self.with_shapes(Shapes.joined(chooser(map(choice, range(len(self.joints))))))
+        return self.with_shapes(FrictionStructure.joined(chooser(map(choice, range(len(self.joints))))))

@@ -11,7 +11,7 @@ import numpy as np
 from armlab._numbers import numbers
 from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Excitation, Fit, correlation_time, effective_samples
-from armlab.identify.record import Prepared, prepare
+from armlab.identify.record import Record, prepare
 from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import FORCE_RATES, PRIOR, MomentumNoise, TorqueModel, VelocityCovariance, velocity_covariance
@@ -26,7 +26,7 @@ class Residuals:
     goes by: presliding state, or the smooth sign.
     """
 
-    data: Prepared
+    data: Record
     y: np.ndarray
     s: np.ndarray
 
@@ -57,7 +57,7 @@ def model_residuals(
     return Residuals(data, y, friction_signs(model, data))
 
 
-def friction_signs(model: TorqueModel, data: Prepared) -> np.ndarray:
+def friction_signs(model: TorqueModel, data: Record) -> np.ndarray:
     """Return the sign (N, n) that friction goes by: the presliding state, or the smooth sign where a joint has one."""
     smooth, s = model.friction.smooth_speed, np.empty_like(data.q)
     for a, b in data.segments:
@@ -76,7 +76,7 @@ FEWEST_SECONDS = 20  # rows of a second that tell its power
 
 
 def begun(
-    model: TorqueModel, data: Prepared, pieces: Iterable[tuple[int, int]]
+    model: TorqueModel, data: Record, pieces: Iterable[tuple[int, int]]
 ) -> Iterator[tuple[TorqueModel, int, int]]:
     """Yield a model for each piece of a record, which begins as warm as the record before has made it, and the piece.
 
@@ -91,7 +91,7 @@ def begun(
         yield replace(model, warm_up=replace(model.warm_up, start=start)), a, b
 
 
-def _warmth_at(model: TorqueModel, data: Prepared, rows: np.ndarray) -> np.ndarray:
+def _warmth_at(model: TorqueModel, data: Record, rows: np.ndarray) -> np.ndarray:
     """Return the warmth (M, n) at rows (M,) of a record; every log in it begins with that of the model."""
     warm, f, s = model.warm_up, model.friction, friction_signs(model, data)
     if warm is None:
@@ -332,14 +332,14 @@ LEAD = 0.5  # s, in which an estimator forgets how it began
 ENOUGH, WINDOW = 50_000, 10.0  # rows for a factor, and s: of longer records every second window, or third, is run
 
 
-def velocity_noise(data: Prepared) -> np.ndarray:
+def velocity_noise(data: Record) -> np.ndarray:
     """Return the deviation (n,) of the measured velocity [rad/s], from fourth differences, which motion hardly has."""
     steps = np.concatenate([np.diff(data.qd[a:b], 4, axis=0) for a, b in data.segments])
     return np.sqrt(np.mean(steps**2, axis=0) / 70.0)  # 70 = 1 + 16 + 36 + 16 + 1
 
 
 def momentum_noise(
-    model: TorqueModel, folds: Sequence[tuple[TorqueModel, np.ndarray]], errors: np.ndarray, data: Prepared
+    model: TorqueModel, folds: Sequence[tuple[TorqueModel, np.ndarray]], errors: np.ndarray, data: Record
 ) -> MomentumNoise:
     """Return memory and velocity noise of a record, and factors that make the momentum estimators' 2 sigma hold.
 
@@ -369,7 +369,7 @@ def momentum_noise(
 
 
 def _runs(
-    held: Sequence[tuple[TorqueModel, np.ndarray]], noise: MomentumNoise, data: Prepared, filters: bool
+    held: Sequence[tuple[TorqueModel, np.ndarray]], noise: MomentumNoise, data: Record, filters: bool
 ) -> Iterator[tuple[tuple[np.ndarray, ...], np.ndarray]]:
     """Yield what the estimators of the folds find in rows that they did not see, and these rows, piece by piece."""
     prior, rate = np.square(PRIOR), np.square(FORCE_RATES["normal"])
@@ -380,7 +380,7 @@ def _runs(
             yield tuple(values[rows[a:b]] for values in found[:5]), a + np.flatnonzero(rows[a:b])
 
 
-def stretches(rows: np.ndarray, data: Prepared) -> Iterator[tuple[int, int]]:
+def stretches(rows: np.ndarray, data: Record) -> Iterator[tuple[int, int]]:
     """Yield the stretches of the record that hold the rows, each with a lead of half a second where the segment has it.
 
     `rows`: (N,) which are wanted.

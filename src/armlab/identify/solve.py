@@ -15,7 +15,7 @@ import numpy as np
 
 from armlab.estimation import LinearSolution, effective_samples, least_squares, shrinkage
 from armlab.identify.friction_structure import Chooser, choose_here
-from armlab.identify.record import Prepared
+from armlab.identify.record import Record
 from armlab.identify.regression import Design
 
 # Least squares with one unknown gain per joint: ``y_i = (1 + g_i) A_i x + e_i``, ``g_i ~ N(0, s^2)``.
@@ -161,7 +161,7 @@ NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
 ROBUST = ("irls", "lts")
 
 
-def settle(
+def alternate(
     design: Design, method: str, seed: int = 0, use: np.ndarray | None = None, chooser: Chooser = choose_here
 ) -> tuple[Design, np.ndarray]:
     """Alternate between the linear parameters and the shape of friction until the shape stays; return both.
@@ -222,7 +222,7 @@ def linearised(design: Design, theta: np.ndarray, method: str, trust: np.ndarray
     return sloped if np.array_equal(free, sloped.free) else design.with_slopes(theta, free)
 
 
-def short_blocks(data: Prepared) -> float:
+def short_blocks(data: Record) -> float:
     """Return the length of the blocks that "lts" leaves out [s]."""
     return max(TRIMMED, data.seconds / MOST_BLOCKS)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from armlab.errors import ModelMismatchError, NotExcited, ShapeError
 from armlab.estimation import Fit, LinearSolution
-from armlab.identify.record import Prepared, pieces, spikes, with_velocity, without_spikes
+from armlab.identify.record import Record, pieces, torque_outliers, with_velocity, without_outliers
 from armlab.identify.residuals import begun, fit_velocity_covariance, momentum_noise, stretches
 from armlab.log import Table
 from armlab.models import SPEED_EDGES, FrictionBound, TorqueModel, Training, VelocityCovariance
@@ -198,7 +198,7 @@ FEWEST = 100  # rows of sliding in either half
 FAST = 0.1  # rad/s: above it the bound on friction holds the model's error in motion
 
 
-def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Prepared) -> tuple[np.ndarray, np.ndarray]:
+def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Record) -> tuple[np.ndarray, np.ndarray]:
     """Return causal residuals (N, n) of models that did not see the row, and a mask (N, n) of joints in motion.
 
     A joint is in motion when it has slid far enough since its last reversal or rest that its friction is known.
@@ -214,7 +214,7 @@ def held_out(folds: list[tuple[TorqueModel, np.ndarray]], data: Prepared) -> tup
     return residuals, moving & np.isfinite(residuals)
 
 
-def _causal(model: TorqueModel, data: Prepared, rows: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+def _causal(model: TorqueModel, data: Record, rows: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Run the estimator's own residual filter; return filtered residuals and the variance from unknown friction.
 
     Of a log long enough for warm-up only the stretches with the rows (N,) are run, as warm as the log before made them.
@@ -230,7 +230,7 @@ def _causal(model: TorqueModel, data: Prepared, rows: np.ndarray | None = None) 
 def assess(
     model: TorqueModel,
     folds: list[tuple[TorqueModel, np.ndarray]],
-    data: Prepared,
+    data: Record,
     joints: np.ndarray | None = None,
     unseen: np.ndarray | None = None,
 ) -> TorqueModel:
@@ -273,7 +273,7 @@ def assess(
     return replace(judged, momentum=momentum_noise(judged, folds, np.where(moving, errors, np.nan), data))
 
 
-def assess_again(before: TorqueModel, model: TorqueModel, folds: list[TorqueModel], data: Prepared) -> TorqueModel:
+def assess_again(before: TorqueModel, model: TorqueModel, folds: list[TorqueModel], data: Record) -> TorqueModel:
     """Return a model with parts added to one that was identified before, with torque covariance and quality of its own.
 
     Where `before` was identified from one of these logs, its own parameters have seen the rows that `folds` have not:
@@ -282,7 +282,7 @@ def assess_again(before: TorqueModel, model: TorqueModel, folds: list[TorqueMode
     `folds`: with the parts fitted without each fifth of `fold_of`. `data`: the record; single spikes of its torque do
     not count, as in `fit_dynamics`.
     """
-    data = replace(data, tau=without_spikes(data, spikes(data), before))
+    data = replace(data, tau=without_outliers(data, torque_outliers(data), before))
     fold, quality = fold_of(data), before.quality
     known = np.isfinite(quality.rms_cv)
     measured = np.flatnonzero(known) if known.any() else None
@@ -295,7 +295,7 @@ def assess_again(before: TorqueModel, model: TorqueModel, folds: list[TorqueMode
     return assess(model, pairs, data, measured, lost if seen else None)
 
 
-def fold_of(data: Prepared) -> np.ndarray:
+def fold_of(data: Record) -> np.ndarray:
     """Return which fifth (N,), from 0, each row is in: twenty stretches of time go to the fifths in turn."""
     return data.blocks(data.seconds / STRETCHES) % FIFTHS
 
