@@ -158,8 +158,8 @@ class Design:
     it sees. `fixed`: (M, J, 2 or 4) columns without shape: viscous, offset, and ripple where the gears are known.
     `coupled_motors`: (M, K, 3) filtered acceleration, velocity and sign of the coupled motors. `free`: (J, 2) bool,
     which of `FrictionStructure.numbers` have a column: the derivative of the torque over the logarithm of the number,
-    at the parameters given to `with_slopes`. `local`: of each joint (M, k) columns of its own, slopes of its shape last,
-    then of the motors that move it.
+    at the parameters given to `with_slopes`. `local`: of each joint (M, k) columns of its own, slopes of its shape
+    last, then of the motors that move it.
     """
 
     made: Columns

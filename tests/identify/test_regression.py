@@ -1,4 +1,4 @@
-"""The regression problem: columns, shapes of friction."""
+"""The regression problem of a record: columns, places of the parameters, rows for the solver."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.identify import base_parameters, design_excitation, prepare
+from armlab.identify import base_parameters, design_excitation, prepare, regression
 from armlab.identify.friction_structure import DELTAS, STRIBECK_SPEEDS
-from armlab.identify.regression import Design
+from armlab.identify.regression import Design, DesignRows, Layout
 from armlab.identify.solve import alternate
 
 
@@ -128,3 +128,47 @@ def test_another_torque_takes_the_place_of_the_first(short_arm) -> None:
     twice = design.with_torque(2.0 * design.data.tau)
     np.testing.assert_allclose(twice.tau, 2.0 * design.tau, rtol=1e-12, atol=1e-12)
     np.testing.assert_array_equal(twice.data.tau, 2.0 * design.data.tau)
+
+
+# Names, units, bounds and places of the parameters.
+
+
+def test_every_parameter_has_one_name_unit_bound_and_place(short_arm) -> None:
+    robot = short_arm.robot
+    base = base_parameters(robot)
+    p, motors = len(base.names), np.array([[1.0, 1.0]])
+    terms = (("viscous", "coulomb", "offset", "delta"), ("viscous", "coulomb+", "coulomb-", "offset", "root"))
+    layout = Layout(robot, base, np.arange(2), motors, np.array([1]), terms)
+    assert len(layout.names) == len(layout.units) == len(layout.lower) == len(layout.slopes) == p + 4 + 5 + 3
+    assert len(set(layout.names)) == len(layout.names)
+    np.testing.assert_array_equal(np.flatnonzero(layout.slopes), [p + 3])
+    assert layout.names[p + 3] == f"delta {robot.joint_names[0]}"
+    assert layout.units[p + 3] == "rad"
+    assert layout.units[p + 8] == "N m sqrt(s/rad)"
+    np.testing.assert_array_equal(layout.lower[p : p + 4], [0.0, 0.0, -np.inf, -np.inf])
+    for i, (columns, own) in enumerate(zip(layout.columns, ([*range(p, p + 4)], [*range(p + 4, p + 9)]))):
+        motor = [p + 9, p + 10, p + 11]
+        np.testing.assert_array_equal(columns, [*np.flatnonzero(base.seen[i]), *own, *motor])
+
+
+# Rows of a design in pieces: together they are all of it, once for each reading.
+
+
+def test_pieces_are_all_rows_of_all_joints_and_come_again(monkeypatch) -> None:
+    monkeypatch.setattr(regression, "AT_ONCE", 4)
+    rng = np.random.default_rng(0)
+    tau, trust, block = rng.standard_normal((10, 2)), rng.uniform(0, 1, (10, 2)), np.arange(10) // 3
+    rigid, local = [rng.standard_normal((10, w)) for w in (3, 2)], [rng.standard_normal((10, k)) for k in (1, 2)]
+    columns = [np.array([0, 1, 2, 4]), np.array([1, 2, 5, 6])]
+    rows = DesignRows(tau, rigid, local, columns, block, trust)
+    for found in (list(rows), list(rows)):
+        assert [piece.group for piece in found] == [0, 0, 0, 1, 1, 1]
+        for joint in range(2):
+            own = [piece for piece in found if piece.group == joint]
+            whole = np.hstack([rigid[joint], local[joint]])
+            np.testing.assert_array_equal(np.vstack([piece.A for piece in own]), whole * trust[:, joint, None])
+            np.testing.assert_array_equal(np.concatenate([piece.y for piece in own]), (tau * trust)[:, joint])
+            np.testing.assert_array_equal(np.concatenate([piece.block for piece in own]), block)
+            assert all(piece.columns is columns[joint] for piece in own)
+    plain = list(DesignRows(tau, rigid, local, columns, block, None))
+    np.testing.assert_array_equal(np.concatenate([piece.y for piece in plain]), tau.T.ravel())

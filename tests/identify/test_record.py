@@ -1,4 +1,4 @@
-"""Logs are checked before they are fitted, and refused in sentences."""
+"""Records from logs: sampling rate, checks, segments without gaps, outliers of the torque."""
 
 from __future__ import annotations
 
@@ -6,10 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import median_filter
 
 from armlab.errors import NotExcited, RobotError, ShapeError, UnknownName
-from armlab.identify import Record, prepare, with_velocity
-from armlab.identify.record import check_once, log_name, pieces, prepare_share
+from armlab.identify import Record, fit_dynamics, prepare, with_velocity
+from armlab.identify.record import (
+    AT_ONCE,
+    MIN_RATE,
+    SLOW_SHARE,
+    check_once,
+    check_rate,
+    log_name,
+    pieces,
+    prepare_share,
+    slow_enough,
+    torque_outliers,
+    without_outliers,
+)
 from armlab.log import Table
 
 
@@ -166,3 +179,56 @@ def test_of_a_share_joints_may_rest_but_what_is_there_is_checked(short_arm) -> N
     assert prepare(logs, short_arm.robot).segments == ((0, 1000), (1000, 2000))
     with pytest.raises(ShapeError, match=r"derivative of q.*joint_1"):
         prepare_share(logs[0].with_column("qd", -logs[0]["qd"]), short_arm.robot)
+
+
+# Logs that are sampled too slowly are refused; lines of ripple that fold back are not used.
+
+
+def test_slow_sampling_is_refused(truth, excited) -> None:
+    check_rate(np.arange(0, 1, 1 / MIN_RATE))
+    with pytest.raises(ShapeError, match=r"at least 40 Hz, got 10 Hz.*Record faster"):
+        check_rate(np.arange(0, 60, 0.1))
+    with pytest.raises(ShapeError, match=r"got 0\.25 Hz.*If t is in milliseconds, divide it by 1000"):
+        prepare(Table(1000 * excited.t, dict(excited.values)), truth.robot)
+    with pytest.raises(ShapeError, match=r"at least 40 Hz, got 10 Hz"):
+        prepare(excited.rows(slice(None, None, 25)), truth.robot)
+
+
+def test_ripple_that_folds_back_is_not_used() -> None:
+    """A line of 200 rad/rad at 250 Hz folds from 125 Hz on; a quarter of the rate is 62.5 Hz, 1.96 rad/s."""
+    assert SLOW_SHARE == 0.25
+    speed = np.array([[0.0, 0.0], [1.9, 1.9], [-2.0, -2.0]])
+    expected = [[True, True], [True, True], [False, True]]
+    np.testing.assert_array_equal(slow_enough(speed, 250.0, np.array([200.0, 100.0])), expected)
+
+
+# Spikes of torque, found and replaced.
+
+
+def test_spikes_are_found_and_replaced_better_by_a_model(short_arm) -> None:
+    """The median errs where friction turns round; with the model no replacement is worse than the noise around it."""
+    clean, bad = short_arm.log(0, 3000), short_arm.log(0, 3000, bad=0.05)
+    data = prepare(bad, short_arm.robot)
+    spoilt, found = bad["tau"] != clean["tau"], torque_outliers(data)
+    assert np.sum(found & ~spoilt) < 0.02 * found.sum()
+    assert found.sum() > 0.98 * spoilt.sum()
+    plain = without_outliers(data, found)
+    modelled = without_outliers(data, found, fit_dynamics(clean, short_arm.robot).value)
+    for tau in (plain, modelled):
+        np.testing.assert_array_equal(tau[~found], bad["tau"][~found])
+    first, second = (np.sqrt(np.mean((tau - clean["tau"])[found] ** 2)) for tau in (plain, modelled))
+    assert second < 0.9 * first
+    noise = np.sqrt(np.mean(np.broadcast_to([0.3, 0.2], found.shape)[found] ** 2))
+    assert second == pytest.approx(np.hypot(1.0, 0.5) * noise, rel=0.15), "its own noise, and that of a median of nine"
+
+
+def test_a_clean_record_has_no_spikes(short_arm) -> None:
+    assert not torque_outliers(prepare(short_arm.log(1, 3000), short_arm.robot)).any()
+
+
+def test_what_replaces_a_spike_without_a_model_is_the_median_of_nine(short_arm) -> None:
+    data = prepare(short_arm.log(2, AT_ONCE + 900), short_arm.robot)
+    data = replace(data, segments=((0, AT_ONCE + 500), (AT_ONCE + 500, AT_ONCE + 900)))
+    expected = [median_filter(data.tau[a:b], size=(9, 1), mode="nearest") for a, b in data.segments]
+    got = without_outliers(data, np.ones(data.tau.shape, dtype=bool))
+    np.testing.assert_array_equal(got, np.concatenate(expected))

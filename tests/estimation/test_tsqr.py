@@ -1,4 +1,4 @@
-"""Triangular factors: the same answer as dense QR, in any cut, without squaring the condition."""
+"""Tall-skinny QR in pieces."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Total least squares: no bias where least squares has one, honest covariance, weights, exact columns."""
+"""Total least squares."""
 
 from __future__ import annotations
 

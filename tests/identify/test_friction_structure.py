@@ -1,4 +1,4 @@
-"""Shapes of friction and their choice."""
+"""The structure of friction, chosen on held-out blocks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A known mass, turned anywhere: what the sensor reads is physics worked out by hand, and the contact comes back."""
+"""Models of force sensors, accelerometers and laser sensors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from armlab import models
 from armlab.errors import ConfigError, ShapeError, UnknownName
 from armlab.lie import se3, so3
-from armlab.models import ForceSensor
+from armlab.models import Accelerometer, ForceSensor, LaserSensor
 
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # about z
 
@@ -129,3 +129,88 @@ def test_wrong_readings_and_poses() -> None:
         sensor.unloaded(np.zeros(6))
     with pytest.raises(UnknownName, match="sensor"):
         sensor.contact(np.zeros(6), np.eye(4), frame="sensor")  # type: ignore[arg-type]
+
+
+# An accelerometer at rest reads g upwards; what is left of its reading is motion.
+
+
+def test_by_hand() -> None:
+    """A sensor turned by 90 degrees about z that reads 10 % too much, on a tool that falls, stands and starts."""
+    sensor = Accelerometer(QUARTER, np.array([0.1, 0.0, 0.0]), 1.1)
+    np.testing.assert_allclose(sensor.acceleration([0.1, 0.0, 1.1 * 9.80665], np.eye(4)), 0.0, atol=1e-12)
+    np.testing.assert_allclose(sensor.acceleration([0.1, 0, 0], np.eye(4)), [0, 0, -9.80665], atol=1e-12)
+    np.testing.assert_allclose(sensor.acceleration([1.2, 0, 1.1 * 9.80665], np.eye(4)), [0, 1, 0], atol=1e-12)
+
+
+def test_batches_and_nan() -> None:
+    rng = np.random.default_rng(0)
+    sensor = Accelerometer(so3.exp(rng.normal(size=3)), rng.normal(size=3))
+    poses = se3.from_rp(so3.exp(rng.normal(size=(2, 5, 3))), np.zeros((2, 5, 3)))
+    raw = rng.normal(size=(2, 5, 3))
+    raw[1, 2, 0] = np.nan
+    found = sensor.acceleration(raw, poses)
+    np.testing.assert_array_equal(found[0, 3], sensor.acceleration(raw[0, 3], poses[0, 3]))
+    assert np.isnan(found[1, 2]).all()
+    assert np.isfinite(found[0]).all()
+
+
+def test_file_of_accelerometer(tmp_path) -> None:
+    sensor = Accelerometer(QUARTER, np.ones(3), 1.1, sources=("a",))
+    again = models.load(models.save(sensor, tmp_path / "acc.toml"), kind="accelerometer")
+    for name in sensor.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(again, name), getattr(sensor, name))
+    assert not again.bias.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("R_tool_sensor", np.diag([1.0, 1.0, -1.0]), "a rotation"),
+        ("bias", np.full(3, np.nan), "finite bias"),
+        ("gravity", np.zeros(2), "finite gravity"),
+        ("scale", 0.0, "scale above zero"),
+    ],
+)
+def test_refusals_of_accelerometer(field: str, value: object, words: str) -> None:
+    with pytest.raises(ShapeError, match=words):
+        replace(Accelerometer(np.eye(3), np.zeros(3)), **{field: value})
+
+
+def test_wrong_readings() -> None:
+    with pytest.raises(ShapeError, match="readings"):
+        Accelerometer(np.eye(3), np.zeros(3)).acceleration(np.zeros(2), np.eye(4))
+
+
+# A scanner on a tool: where its points are.
+
+
+def some_of_laser_sensor() -> LaserSensor:
+    X = np.array([[0.0, -1.0, 0.0, 0.1], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.3], [0.0, 0.0, 0.0, 1.0]])
+    return LaserSensor(X, np.eye(3)[:2], np.array([1.0, 0.5]), ("a", "b"), sources=("c",))
+
+
+def test_points_by_hand() -> None:
+    np.testing.assert_allclose(some_of_laser_sensor().points([0.2, 0.05], np.eye(4)), [0.05, 0.2, 0.3], atol=1e-15)
+    lifted = se3.from_rp(np.eye(3), [0.0, 0.0, 1.0])
+    found = some_of_laser_sensor().points(np.array([[0.2, 0.05], [np.nan, 0.0]]), lifted)
+    np.testing.assert_allclose(found[0], [0.05, 0.2, 1.3], atol=1e-15)
+    assert np.isnan(found[1]).any()
+
+
+def test_file_of_laser_sensor(tmp_path) -> None:
+    again = models.load(models.save(some_of_laser_sensor(), tmp_path / "laser.toml"), kind="laser_sensor")
+    for name in again.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(again, name), getattr(some_of_laser_sensor(), name))
+    assert not again.normals.flags.writeable
+
+
+def test_refusals_of_laser_sensor() -> None:
+    for field, value, words in (
+        ("T_tool_sensor", 2.0 * np.eye(4), "T_tool_sensor"),
+        ("normals", 2.0 * np.eye(3)[:2], "unit normals"),
+        ("offsets", np.ones(3), "offsets of shape"),
+    ):
+        with pytest.raises(ShapeError, match=words):
+            replace(some_of_laser_sensor(), **{field: value})
+    with pytest.raises(ShapeError, match="points"):
+        some_of_laser_sensor().points(np.zeros(3), np.eye(4))
