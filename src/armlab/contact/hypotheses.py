@@ -30,8 +30,6 @@ from armlab.log import Table
 from armlab.models import PRIOR
 from armlab.robots import Robot
 
-__all__ = ["Hypotheses", "hypotheses"]
-
 DECISIVE = 3.0  # log Bayes factor
 EXCLUDED = 6.0  # log Bayes factor against links, 400 to 1: who trusts a force at the tool stands beside the link
 GRID = 50  # places along a segment

@@ -20,8 +20,6 @@ from armlab._numbers import numbers, still
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation.tsqr import triangle
 
-__all__ = ["Excitation", "Prior", "check_excitation", "check_spread", "unhurried"]
-
 MAX_CONDITION = 1e4  # beyond it a direction is called not excited
 WARN_CONDITION = 300.0
 NULL = 1e-9  # relative singular value below which a direction is not weak but unseen

@@ -203,8 +203,7 @@ def median_norm(dimension: int) -> float:
 #
 # Minimise ``1/2 sum_i r_i^T S_i^-1 r_i`` over a value that lives anywhere: a pose, a set of planes, link frames. The
 # caller gives residuals with their Jacobian and a retraction, ``value [+] x``; nothing else is asked of the value.
-# Steps
-# come from the triangle R of the whitened Jacobian and its singular values, never from the normal matrix.
+# Steps come from the triangle R of the whitened Jacobian and its singular values, never from the normal matrix.
 
 
 Value = TypeVar("Value")

@@ -22,8 +22,6 @@ from armlab._numbers import flag, members
 from armlab.errors import RobotError, UnknownName
 from armlab.robots import Robot
 
-__all__ = ["BaseParameters", "base_parameters", "measured_joints"]
-
 LINK_SYMBOLS = ("m", "m c_x", "m c_y", "m c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 POSITIVE = (0, 4, 6, 9)  # masses and moments of inertia
 TOLERANCE = 1e-8

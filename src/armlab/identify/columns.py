@@ -23,8 +23,7 @@ from armlab.robots import Robot
 #     y_m = sum_j h_j x_{m every + j},   |j| <= L
 #
 # with h the impulse response of a Butterworth filter run forward and backward, cut where it has decayed. Torque and
-# every
-# column of the regressor pass the same h, so linear relations survive it exactly. Only the rows that are kept are
+# every column of the regressor pass the same h, so linear relations survive it exactly. Only the rows that are kept are
 # computed, as products with a narrow matrix, and never more than a few thousand rows of the regressor exist at once.
 
 

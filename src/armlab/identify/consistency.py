@@ -29,8 +29,6 @@ from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.models import Payload, TorqueModel
 from armlab.robots import Robot, inertia
 
-__all__ = ["PhysicallyConsistent", "physically_consistent", "physically_consistent_load", "pseudo_inertia"]
-
 LEAST = 1e-6  # eigenvalue of a pseudo-inertia [kg, kg m^2]
 PULLS = ("log-det", "euclidean")
 # The cost is flat about the bodies: its root is their error. How far rounding lets the solver come depends on the

@@ -35,8 +35,6 @@ from armlab.log import Table
 from armlab.models import TorqueModel, Training
 from armlab.robots import Robot
 
-__all__ = ["LogSums", "Pattern", "fit_draft", "fit_sums", "log_sums", "same_rate"]
-
 HUBER = 1.345
 NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
 SAME_RATE = 1.1

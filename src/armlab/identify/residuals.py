@@ -168,9 +168,8 @@ def settled(power: np.ndarray, k: np.ndarray, time: float, start: float, referen
 #
 # Minimise ``sum log s^2 + e^2 / s^2`` over C0, Cinf and the decay rate, per joint, in their logarithms. Residuals must
 # have passed the same causal filter as the estimator will use. Covariances of the parameters count effective samples;
-# to
-# the information of the ratio and the rate that of a uniform distribution over their bounds is added, so that what the
-# data do not tell is uncertain, not exact.
+# to the information of the ratio and the rate that of a uniform distribution over their bounds is added, so that what
+# the data do not tell is uncertain, not exact.
 
 
 STARTS = (5.0, 30.0, 150.0)  # s/rad

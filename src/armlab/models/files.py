@@ -33,8 +33,7 @@ from armlab.models.torque import SIGN, Quality, TorqueModel, Training
 #     [fit]    what the fit knew of them: names, units, covariance, noise, outliers
 #
 # Numbers are written with 17 digits and arrays row by row, so that what is read is bit-equal to what was written. A
-# class
-# anywhere in the package registers itself by `register`; `models.save` and `models.load` do the rest.
+# class anywhere in the package registers itself by `register`; `models.save` and `models.load` do the rest.
 
 
 FORMAT = 1

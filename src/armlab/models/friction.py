@@ -369,8 +369,7 @@ class RippleLines:
 #     coulomb: times (1 + of_coulomb x),   viscous: times (1 + of_viscous x)
 #
 # x >= 0 is 1 where a drive has rubbed with the power `power` for long. The idea is that of Bagge Carlson, Robertsson
-# and
-# Johansson, IROS 2015.
+# and Johansson, IROS 2015.
 
 
 @dataclass(frozen=True, eq=False)
