@@ -70,7 +70,7 @@ def _momentum(torque_model: TorqueModel, robot: Robot, states: Sequence[State], 
         worst = 0.0
         for state in states[:1000]:
             wrench, (F, cov) = ours.step(state), peer.step(state)
-            worst = max(worst, agree(f"wrench of {name}", F, wrench.F, 1e-6))
+            worst = max(worst, agree(f"wrench of {name}", F, wrench.wrench, 1e-6))
             agree(f"covariance of {name}", cov, wrench.cov, 1e-6)
         note = "crba, computeCoriolisMatrix, computeGeneralizedGravity, computeFrameJacobian, LAPACK dposv"
         contenders = [
@@ -123,7 +123,11 @@ def _check(ours: Estimator, pinocchio: PinocchioEstimator, reference: Estimator,
     for state in states:
         wrench, same = ours.step(state), reference.step(state)
         F, cov, observability, error, variance = pinocchio.step(state)
-        worst = max(worst, agree("wrench", F, wrench.F, 1e-7), agree("wrench of the reference", same.F, wrench.F, 1e-7))
+        worst = max(
+            worst,
+            agree("wrench", F, wrench.wrench, 1e-7),
+            agree("wrench of the reference", same.wrench, wrench.wrench, 1e-7),
+        )
         agree("covariance", cov, wrench.cov, 1e-6)
         agree("covariance of the reference", same.cov, wrench.cov, 1e-6)
         agree("observability", observability, wrench.observability, 1e-8)

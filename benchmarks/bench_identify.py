@@ -17,8 +17,8 @@ from peers import Pinocchio
 from armlab import identify, robots
 from armlab.estimation import Rows, least_squares
 from armlab.identify.base_parameters import base_parameters
-from armlab.identify.design import Design
-from armlab.identify.preparation import Prepared
+from armlab.identify.record import Record
+from armlab.identify.regression import Design
 from armlab.robots import Robot
 
 RATE = 250.0  # Hz
@@ -89,7 +89,7 @@ def _beside_figaroh(robot: Robot, rounds: int) -> Table:
     return Table(found.title, text, found.unit, found.figures, found.rounds)
 
 
-def _plain(data: Prepared, qdd: np.ndarray, robot: Robot, base: identify.BaseParameters) -> np.ndarray:
+def _plain(data: Record, qdd: np.ndarray, robot: Robot, base: identify.BaseParameters) -> np.ndarray:
     """Return the parameters of ordinary least squares without filter."""
     block = np.arange(len(data.t)) // BLOCK
     parts = [slice(a, a + BLOCK) for a in range(0, len(data.t), BLOCK)]
@@ -99,7 +99,7 @@ def _plain(data: Prepared, qdd: np.ndarray, robot: Robot, base: identify.BasePar
     return least_squares(rows, names, method="ols").x
 
 
-def _columns(data: Prepared, qdd: np.ndarray, robot: Robot, base: identify.BaseParameters, rows: slice) -> np.ndarray:
+def _columns(data: Record, qdd: np.ndarray, robot: Robot, base: identify.BaseParameters, rows: slice) -> np.ndarray:
     """Return the columns (N, n, p): base parameters, then viscous and Coulomb friction and offset of each joint."""
     q, qd, joints = data.q[rows], data.qd[rows], range(robot.n)
     own = np.zeros((4, len(q), robot.n, robot.n))
@@ -109,23 +109,23 @@ def _columns(data: Prepared, qdd: np.ndarray, robot: Robot, base: identify.BaseP
     return np.concatenate([np.concatenate([rigid, own[0]], axis=2)[:, :, base.kept], *own[1:]], axis=2)
 
 
-def _record(robot: Robot, samples: int) -> Prepared:
+def _record(robot: Robot, samples: int) -> Record:
     """Return an excitation, repeated, with torques of noise: the cost does not depend on them."""
     t = np.arange(samples) / RATE
-    motion = identify.excitation(robot, seconds=60, seed=0)
+    motion = identify.design_excitation(robot, seconds=60, seed=0)
     q, qd, _ = motion.sample(t % 60.0)
     tau = np.random.default_rng(0).standard_normal(q.shape)
     dt = np.full(samples, 1.0 / RATE)
-    return Prepared(t, dt, q, qd, tau, ((0, samples),), RATE, np.zeros(robot.n), ())
+    return Record(t, dt, q, qd, tau, ((0, samples),), RATE, np.zeros(robot.n), ())
 
 
-def _fit(data: Prepared, robot: Robot, base: identify.BaseParameters) -> np.ndarray:
+def _fit(data: Record, robot: Robot, base: identify.BaseParameters) -> np.ndarray:
     design = Design.build(data, robot, base)
     block = data.blocks(20.0)[design.rows]
     return least_squares(design.stream(block), design.layout.names, method="wls").x
 
 
-def _loop(peer: Pinocchio, data: Prepared) -> np.ndarray:
+def _loop(peer: Pinocchio, data: Record) -> np.ndarray:
     qdd = data.differentiate(data.qd)
     Y = np.empty((len(data.t), *np.shape(peer.data.jointTorqueRegressor)))
     for k in range(len(Y)):

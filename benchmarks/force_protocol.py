@@ -87,9 +87,9 @@ def record(name: str, seed: int, gains: float = 0.0) -> Logs:
         arm = sim.SimulatedArm(robot, truth, seed=[seed, number], mismatch=mismatch)
         return sim.record(arm, motion, wrench)
 
-    excitation = identify.excitation(robot, centre=centre, seed=seed)  # its defaults are those of the protocol
+    excitation = identify.design_excitation(robot, centre=centre, seed=seed)  # its defaults are those of the protocol
     model = identify.fit_dynamics(run(excitation, 1), robot).value
-    test = identify.excitation(robot, f0=0.07, harmonics=6, speed=0.4, centre=centre, seed=1000 + seed)
+    test = identify.design_excitation(robot, f0=0.07, harmonics=6, speed=0.4, centre=centre, seed=1000 + seed)
     pushes, edges = _pushes(test.seconds, np.random.default_rng([seed, 11]))
     sway, rest = identify.dither(robot.q_home, 6.0), identify.dither(robot.q_home, 4.0, amplitude=0.0)
     presses = {"+x": (0, WEIGHT), "-z": (2, -WEIGHT)}

@@ -19,7 +19,7 @@ def log(robot: Robot, seconds: float, seed: int, wrench: np.ndarray | None = Non
     """Return a log of an excitation at 250 Hz with friction and noise, under a constant wrench on the tool."""
     truth = sim.synthetic_truth(robot)
     fine = np.arange(0, seconds, PERIOD / SUBSTEPS)
-    q, qd, qdd = identify.excitation(robot, seconds=seconds, seed=seed).sample(fine)
+    q, qd, qdd = identify.design_excitation(robot, seconds=seconds, seed=seed).sample(fine)
     friction = Friction(
         viscous=truth.viscous,
         coulomb_pos=truth.coulomb_pos,

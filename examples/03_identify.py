@@ -7,7 +7,7 @@ from armlab import bridge, identify, log, robots
 
 def main() -> None:
     robot = robots.load("yumi_right")
-    motion = identify.excitation(robot, seconds=30.0, seed=0)
+    motion = identify.design_excitation(robot, seconds=30.0, seed=0)
     with bridge.connect("sim://yumi_right?lockstep=true&seed=1", robot) as link:
         run = link.run(motion.controller(approach=3.0), seconds=33.0, record="excite.mcap")
     fit = identify.fit_dynamics(log.read(run.path), robot)

@@ -21,7 +21,7 @@ def main() -> None:
         wrench = estimator.step(state)
         if state.t > said:  # once a second
             said += 1
-            force, band = wrench.F[:3], 2 * wrench.sigma[:3]
+            force, band = wrench.wrench[:3], 2 * wrench.sigma[:3]
             print(f"{state.t:4.1f} s  force {force.round(1)} N  +- {band.round(1)} N")
         return sway(state)
 

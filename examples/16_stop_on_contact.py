@@ -20,7 +20,7 @@ def main() -> None:
     felt: list[str] = []
 
     def careful(state: State) -> Command:
-        force = estimator.step(state).F[:3]
+        force = estimator.step(state).wrench[:3]
         if state.t > 1.0 and np.linalg.norm(force) > LIMIT:
             felt.append(f"touched after {state.t:.2f} s, force {force.round(1)} N")
             return Command.stop()  # comes to rest within the limits, then the run ends

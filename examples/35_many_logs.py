@@ -12,7 +12,7 @@ def main() -> None:
     folder = Path("logs")
     folder.mkdir(exist_ok=True)
     for k in range(3):  # in place of the recordings of a month
-        motion = identify.excitation(robot, seconds=15.0, seed=k)
+        motion = identify.design_excitation(robot, seconds=15.0, seed=k)
         with bridge.connect(f"sim://yumi_right?lockstep=true&seed={k}", robot) as link:
             link.run(motion.controller(approach=3.0), seconds=18.0, record=folder / f"day{k}.mcap")
     (folder / "torn.mcap").write_bytes(b"the disk was full")

@@ -12,7 +12,7 @@ from armlab.bridge.address import addresses
 from armlab.bridge.cell import parse_cell
 from armlab.bridge.zenoh.place import Place
 from armlab.errors import ArmlabError
-from armlab.models.registry import encode
+from armlab.models.files import encode
 from armlab.robots import urdf
 
 _FOLDER = tempfile.TemporaryDirectory(prefix="armlab-fuzz-")
@@ -71,6 +71,6 @@ def model(data: bytes) -> None:
 
 def _told(value: Any) -> str:
     from armlab.models import TorqueModel
-    from armlab.models._torque_file import torque_tables
+    from armlab.models.files import torque_tables
 
     return repr({**torque_tables(value), "meta": 0} if isinstance(value, TorqueModel) else encode(value))

@@ -228,7 +228,7 @@ def truth() -> Truth:
 @pytest.fixture(scope="session")
 def excited(truth: Truth) -> Table:
     """A noisy 30 s excitation log of the made-up arm."""
-    return truth.log(identify.excitation(truth.robot, seconds=30, seed=1), seed=1)
+    return truth.log(identify.design_excitation(truth.robot, seconds=30, seed=1), seed=1)
 
 
 def _once(run: Path, name: str, fit: Callable[[], Fit[TorqueModel]]) -> Fit[TorqueModel]:
@@ -265,7 +265,9 @@ def model(fitted: Fit[TorqueModel]) -> TorqueModel:
 @pytest.fixture(scope="session")
 def slow(truth: Truth) -> Table:
     """A minute at a tenth of the speed limits."""
-    return truth.log(identify.excitation(truth.robot, seconds=60, f0=1 / 60, harmonics=3, speed=0.1, seed=3), seed=3)
+    return truth.log(
+        identify.design_excitation(truth.robot, seconds=60, f0=1 / 60, harmonics=3, speed=0.1, seed=3), seed=3
+    )
 
 
 @pytest.fixture(scope="session")

@@ -19,7 +19,7 @@ from armlab.robots import inertia
 @pytest.fixture(scope="module")
 def tables(truth) -> dict[str, Table]:
     """A log with 0.5 kg, one without, one with 5 g."""
-    motion = identify.excitation(truth.robot, seconds=12, speed=0.4, acceleration=8.0, seed=3)
+    motion = identify.design_excitation(truth.robot, seconds=12, speed=0.4, acceleration=8.0, seed=3)
 
     def log(mass: float, seed: int) -> Table:
         links = truth.links.copy()
@@ -106,7 +106,7 @@ def test_torque_that_is_not_explained_is_not_called_good(words: list[str], table
 def test_of_an_arm_that_rests_in_part_the_joints_that_move_are_judged(
     words: list[str], truth, monkeypatch, capsys
 ) -> None:
-    motion = identify.excitation(truth.robot, seconds=12, speed=0.4, acceleration=8.0, seed=3)
+    motion = identify.design_excitation(truth.robot, seconds=12, speed=0.4, acceleration=8.0, seed=3)
 
     rests = np.arange(7) < 3
 

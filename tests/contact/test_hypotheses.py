@@ -119,7 +119,7 @@ def test_the_default_memory_makes_no_false_decision_where_the_error_remembers_le
 
 
 def test_the_default_memory_is_above_that_of_an_identified_arm(truth, model) -> None:
-    motion = identify.excitation(truth.robot, seconds=20, f0=0.07, harmonics=6, speed=0.4, seed=2)
+    motion = identify.design_excitation(truth.robot, seconds=20, f0=0.07, harmonics=6, speed=0.4, seed=2)
     table = Estimator(model, truth.robot).run(truth.log(motion, seed=2)).between(1.0, 20.0)
     white = table["tau_error"] / np.sqrt(table["tau_variance"])
     assert max(correlation_time(column, STEP) for column in white.T) < 0.1
@@ -159,7 +159,7 @@ def test_evidence_is_the_density_of_the_torque_error() -> None:
 
 def test_an_estimated_log(truth, perfect) -> None:
     """From the estimator's own table: a press at the tool point is one, and before it there is none."""
-    motion = identify.excitation(truth.robot, seconds=12, speed=0.3, seed=4)
+    motion = identify.design_excitation(truth.robot, seconds=12, speed=0.3, seed=4)
     force = np.array([0.0, 12.0, -12.0, 0, 0, 0])
     log = truth.log(motion, seed=1, wrench=lambda t: np.outer((t > 6) & (t < 8), force))
     found = hypotheses(Estimator(perfect, truth.robot).run(log), truth.robot)

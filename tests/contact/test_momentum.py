@@ -39,7 +39,7 @@ def resting(truth, force: np.ndarray, seconds: float = 3.0, seed: int = 0) -> Ta
 
 def pushed(truth, seconds: float, seed: int) -> tuple[Table, np.ndarray]:
     """Motion with a push of 5 N for 1 s every 3 s, ramps of 0.1 s; the log and the force (N, 3)."""
-    motion = identify.excitation(truth.robot, seconds=seconds, f0=0.07, harmonics=6, speed=0.4, seed=77)
+    motion = identify.design_excitation(truth.robot, seconds=seconds, f0=0.07, harmonics=6, speed=0.4, seed=77)
     rng = np.random.default_rng(seed)
 
     starts = np.arange(2.0, seconds - 2.0, 3.0)
@@ -87,7 +87,7 @@ def test_friction_as_a_state_steps_as_it_runs(truth, model, excited) -> None:
     estimator.reset()
     for k, state in enumerate(log.states()):
         wrench = estimator.step(state)
-        assert np.array_equal(wrench.F, table["wrench_hat"][k])
+        assert np.array_equal(wrench.wrench, table["wrench_hat"][k])
         assert np.array_equal(wrench.cov, table["wrench_hat_cov"][k])
 
 
@@ -101,9 +101,9 @@ def test_a_broken_sample_gives_nan_and_leaves_the_state_alone(truth, model, exci
             ):  # fmt: skip
                 wrench = disturbed.step(bad)
                 assert wrench.flags == INVALID
-                assert np.isnan(wrench.F).all()
+                assert np.isnan(wrench.wrench).all()
                 assert np.isnan(wrench.cov).all()
-        assert np.array_equal(good.step(state).F, disturbed.step(state).F)
+        assert np.array_equal(good.step(state).wrench, disturbed.step(state).wrench)
 
 
 def test_rows_that_are_missing_take_their_time_with_them(truth, model, excited, way) -> None:
@@ -117,12 +117,12 @@ def test_rows_that_are_missing_take_their_time_with_them(truth, model, excited, 
     assert np.array_equal(table["wrench_hat"][~missing], short["wrench_hat"])
     estimator.reset()
     for k, state in enumerate(holed.states()):
-        assert np.array_equal(estimator.step(state).F, table["wrench_hat"][k], equal_nan=True)
+        assert np.array_equal(estimator.step(state).wrench, table["wrench_hat"][k], equal_nan=True)
 
 
 def test_over_a_gap_nothing_is_made_up(truth, model, way) -> None:
     """Half a second is missing in fast motion: the error after it is that of everywhere else."""
-    motion = identify.excitation(truth.robot, seconds=12, speed=0.6, seed=5)
+    motion = identify.design_excitation(truth.robot, seconds=12, speed=0.6, seed=5)
     log = truth.log(motion, seed=5)
     kept = np.ones(len(log), dtype=bool)
     for start in range(500, 2600, 300):
@@ -147,11 +147,11 @@ def test_a_tare_at_rest_tells_friction_from_contact(truth, model) -> None:
     wrench = estimator.step(states[half])
     assert wrench.flags & TARED
     assert wrench.tared_at == states[half - 1].t
-    np.testing.assert_allclose(wrench.F[:3], 0.0, atol=0.2)
+    np.testing.assert_allclose(wrench.wrench[:3], 0.0, atol=0.2)
     last = [estimator.step(state) for state in states[half + 1 :]][-1]
     assert np.all(last.sigma[:3] < 1.0)
-    np.testing.assert_allclose(last.F[:3], force[:3], atol=1.5)
-    assert np.all(np.abs(last.F - force) < 3.0 * last.sigma)
+    np.testing.assert_allclose(last.wrench[:3], force[:3], atol=1.5)
+    assert np.all(np.abs(last.wrench - force) < 3.0 * last.sigma)
 
 
 def test_a_tare_ends_when_a_joint_has_moved_its_presliding_distance(truth, model) -> None:
@@ -205,7 +205,7 @@ def test_what_a_pose_hides_stays_as_the_prior_has_it(truth, model, way) -> None:
     state = State(t=0.0, dt=0.02, q=np.zeros(7), qd=np.zeros(7), tau=0.3 * np.ones(7))
     for _ in range(3000):
         wrench = estimator.step(state)
-    np.testing.assert_allclose(wrench.F[:5], 0.0, atol=1e-6)
+    np.testing.assert_allclose(wrench.wrench[:5], 0.0, atol=1e-6)
     np.testing.assert_allclose(wrench.observability[:5], 0.0, atol=1e-6)
     assert wrench.flags == WEAK
     assert np.all(wrench.sigma[:5] < 1.0001 * np.sqrt(estimator.prior[:5]))
@@ -218,7 +218,7 @@ def test_a_contact_at_a_known_point_has_the_moment_of_its_force(truth, model, ex
     for state in excited.between(3.0, 3.5).states():
         known, free = estimator.step(state), wide.step(state)
         r = truth.robot.chain.forward(state.q)[:3, :3] @ point
-        np.testing.assert_allclose(known.F[3:], np.cross(r, known.F[:3]), atol=1e-12)
+        np.testing.assert_allclose(known.wrench[3:], np.cross(r, known.wrench[:3]), atol=1e-12)
     assert known.at_point
     assert np.all(known.sigma[:3] < free.sigma[:3])
 

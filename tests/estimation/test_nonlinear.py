@@ -1,25 +1,24 @@
-"""Maximum likelihood on manifolds: certified problems, rotations, unknown noise, outliers, honest covariance."""
+"""Nonlinear least squares over manifolds, measurement weights and descent."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from armlab.errors import NotExcited
-from armlab.estimation import Measurement, NonlinearSolution, Problem, nonlinear_least_squares
-from armlab.estimation.measurements import whiten
-from armlab.estimation.nonlinear import SCHEDULE, _median_noise
+from armlab.errors import NotConverged, NotExcited, ShapeError
+from armlab.estimation import Measurement, NonlinearProblem, NonlinearSolution, nonlinear_least_squares
+from armlab.estimation.nonlinear import SCHEDULE, Descent, Whitened, _median_noise, cost, descend, median_norm, whiten
 from armlab.lie import so3
 
 SIGMA = 0.01
 
 
-def curve(x: np.ndarray, y: np.ndarray, model) -> Problem[np.ndarray]:
+def curve(x: np.ndarray, y: np.ndarray, model) -> NonlinearProblem[np.ndarray]:
     def evaluate(b: np.ndarray) -> list[Measurement]:
         value, gradient = model(x, b)
         return [Measurement((value - y)[:, None], gradient[:, None, :], None, ("y",))]
 
-    return Problem(evaluate, lambda b, step: b + step)
+    return NonlinearProblem(evaluate, lambda b, step: b + step)
 
 
 def misra(x: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -70,14 +69,14 @@ def test_certified_values_of_nist(data, model, start, certified, sd, noise) -> N
     assert found.freedom == len(x) - len(start)
 
 
-def rotations(R: np.ndarray, cov: np.ndarray | None) -> Problem[np.ndarray]:
+def rotations(R: np.ndarray, cov: np.ndarray | None) -> NonlinearProblem[np.ndarray]:
     """Mean of rotations: r = Log(X^T R_i), X [+] w = X Exp(w), J = -left_jacobian_inv(r)."""
 
     def evaluate(X: np.ndarray) -> list[Measurement]:
         r = so3.log(X.T @ R)
         return [Measurement(r, -so3.left_jacobian_inv(r), cov, ("R",) * 3)]
 
-    return Problem(evaluate, lambda X, w: X @ so3.exp(w), what="mean rotation")
+    return NonlinearProblem(evaluate, lambda X, w: X @ so3.exp(w), what="mean rotation")
 
 
 def sampled(seed: int, N: int = 30) -> tuple[np.ndarray, np.ndarray]:
@@ -128,7 +127,7 @@ def test_two_classes_of_noise_find_their_own_deviation() -> None:
     rng = np.random.default_rng(0)
     A = rng.standard_normal((400, 2, 3))
     y = A @ [1.0, 2.0, 3.0] + rng.standard_normal((400, 2)) * [1e-3, 0.1]
-    linear = Problem(
+    linear = NonlinearProblem(
         lambda x: [Measurement(A @ x - y, A, None, ("t", "R"))],
         lambda x, step: x + step,
     )
@@ -154,14 +153,16 @@ def test_noise_is_found_beside_a_part_that_is_known() -> None:
         def evaluate(x, A=A, y=y, known=known) -> list[Measurement]:
             return [Measurement(A @ x - y, A, None, ("y", "y"), added=known)]
 
-        fit = nonlinear_least_squares(Problem(evaluate, lambda x, step: x + step), np.zeros(3))
+        fit = nonlinear_least_squares(NonlinearProblem(evaluate, lambda x, step: x + step), np.zeros(3))
         e = fit.value - [1.0, 2.0, 3.0]
         found.append([fit.sigma[0], e @ np.linalg.solve(fit.cov, e) / 3])
         without = nonlinear_least_squares(
-            Problem(lambda x, A=A, y=y: [Measurement(A @ x - y, A, None, ("y", "y"), added=np.zeros((2, 2)))],
+            NonlinearProblem(lambda x, A=A, y=y: [Measurement(A @ x - y, A, None, ("y", "y"), added=np.zeros((2, 2)))],
                     lambda x, step: x + step), np.zeros(3))  # fmt: skip
         none = nonlinear_least_squares(
-            Problem(lambda x, A=A, y=y: [Measurement(A @ x - y, A, None, ("y", "y"))], lambda x, step: x + step),
+            NonlinearProblem(
+                lambda x, A=A, y=y: [Measurement(A @ x - y, A, None, ("y", "y"))], lambda x, step: x + step
+            ),
             np.zeros(3),
         )
         plain.append(abs(without.sigma[0] / none.sigma[0] - 1.0))
@@ -179,7 +180,7 @@ def test_priors_hold_what_the_data_do_not_tell_and_are_no_samples() -> None:
         data = Measurement((x[0] - y)[:, None], J, np.eye(1) * 0.01, ("y",))
         return [data, Measurement((x - 0.5)[None], np.eye(2)[None], np.diag([4.0, 0.09]), ("p",) * 2, prior=True)]
 
-    found = nonlinear_least_squares(Problem(evaluate, lambda x, step: x + step), np.zeros(2), robust=True)
+    found = nonlinear_least_squares(NonlinearProblem(evaluate, lambda x, step: x + step), np.zeros(2), robust=True)
     assert found.value[1] == pytest.approx(0.5)
     assert found.cov[1, 1] == pytest.approx(0.09)
     assert found.value[0] == pytest.approx((3.0 / 0.01 + 0.5 / 4.0) / (3 / 0.01 + 1 / 4.0))
@@ -210,7 +211,7 @@ def test_a_start_that_is_near_is_not_left() -> None:
     def evaluate(b: np.ndarray) -> list[Measurement]:
         return [Measurement((b - y)[:, None], np.ones((100, 1, 1)), np.array([SIGMA**2]), ("y",))]
 
-    problem = Problem(evaluate, lambda b, step: b + step)
+    problem = NonlinearProblem(evaluate, lambda b, step: b + step)
     wide, narrow = (nonlinear_least_squares(problem, np.ones(1), robust=True, near=near) for near in (False, True))
     np.testing.assert_allclose([wide.value[0], narrow.value[0]], [0.0, 1.0], atol=0.01)
     assert wide.outliers[60:].all()
@@ -227,3 +228,148 @@ def test_the_median_length_of_a_class_tells_its_deviation_beside_outliers() -> N
     r[:800] *= 100.0
     found = _median_noise(whiten([one], [one.roots(ones)]), ones, 0.0)
     assert 1.0 < found["t"] / 2.0 < 1.25
+
+
+# Gauss-Newton with damping: textbook problems, and what it does at the end of its means.
+
+
+def problem(residual, jacobian, **options) -> NonlinearProblem[np.ndarray]:
+    def evaluate(x: np.ndarray) -> list[Measurement]:
+        return [Measurement(residual(x)[:, None], jacobian(x)[:, None, :], np.eye(1), ("r",))]
+
+    return NonlinearProblem(evaluate, lambda x, step: x + step, **options)
+
+
+def rosenbrock() -> NonlinearProblem[np.ndarray]:
+    return problem(
+        lambda x: np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]]),
+        lambda x: np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]]),
+    )
+
+
+def test_rosenbrock_from_the_usual_start() -> None:
+    found = descend(rosenbrock(), np.array([-1.2, 1.0]), {}, np.ones(2))
+    assert isinstance(found, Descent)
+    np.testing.assert_allclose(found.value, 1.0, rtol=1e-9)
+    assert np.all(np.diff(found.history) < 0)
+    np.testing.assert_allclose(found.basis.T @ found.rows.J.T @ found.rows.J @ found.basis, np.eye(2), atol=1e-9)
+
+
+def test_a_linear_problem_takes_one_step() -> None:
+    A = np.random.default_rng(0).standard_normal((20, 3))
+    found = descend(problem(lambda x: A @ x - 1.0, lambda x: A), np.zeros(3), {}, np.ones(20))
+    assert len(found.history) == 2
+    np.testing.assert_allclose(found.value, np.linalg.lstsq(A, np.ones(20), rcond=None)[0], rtol=1e-12)
+
+
+def test_what_the_data_do_not_see_stays_and_is_reported() -> None:
+    """Only x + 2 y is measured: the smallest step in units of the scale, and the other direction in `null`."""
+    see = problem(lambda x: np.array([x[0] + 2 * x[1] - 5.0]), lambda x: np.array([[1.0, 2.0]]), scale=np.ones(2))
+    found = descend(see, np.zeros(2), {}, np.ones(1))
+    np.testing.assert_allclose(found.value, [1.0, 2.0])
+    np.testing.assert_allclose(np.abs(found.null[:, 0]), np.array([2.0, 1.0]) / np.sqrt(5))
+    assert found.basis.shape == (2, 1)
+
+
+def test_iterations_end_with_the_best_value_and_history() -> None:
+    with pytest.raises(NotConverged, match="after 3 iterations") as caught:
+        descend(rosenbrock(), np.array([-1.2, 1.0]), {}, np.ones(2), iterations=3)
+    assert caught.value.best.shape == (2,)
+    assert len(caught.value.history) == 3
+    loose = descend(rosenbrock(), np.array([-1.2, 1.0]), {}, np.ones(2), iterations=3, strict=False)
+    np.testing.assert_array_equal(loose.value, caught.value.best)
+
+
+def test_a_wrong_jacobian_does_not_pass_for_a_minimum() -> None:
+    wrong = problem(lambda x: np.array([x[0] - 3.0, x[1]]), lambda x: -np.eye(2))
+    with pytest.raises(NotConverged):
+        descend(wrong, np.zeros(2), {}, np.ones(2))
+
+
+def test_exact_data_end_at_the_rounding_floor() -> None:
+    A = np.random.default_rng(0).standard_normal((20, 3)) * [1e3, 1.0, 1.0]
+    tight = problem(lambda x: 1e9 * (A @ x - A @ np.ones(3)), lambda x: 1e9 * A)
+    np.testing.assert_allclose(descend(tight, np.zeros(3), {}, np.ones(20)).value, 1.0, rtol=1e-12)
+
+
+# Whitening of residuals.
+
+
+RNG = np.random.default_rng(0)
+COV = np.array([[4.0, 1.0], [1.0, 9.0]])
+
+
+def poses(cov: np.ndarray | None, m: int = 5) -> Measurement:
+    return Measurement(RNG.standard_normal((m, 2)), RNG.standard_normal((m, 2, 3)), cov, ("t", "R"))
+
+
+def test_whitened_squares_are_mahalanobis_distances() -> None:
+    one = poses(COV)
+    rows = whiten([one], [one.roots({})])
+    assert isinstance(rows, Whitened)
+    expected = np.einsum("ni,ij,nj->n", one.r, np.linalg.inv(COV), one.r)
+    np.testing.assert_allclose(rows.squares(5), expected, rtol=1e-12)
+    assert rows.numbers(5).tolist() == [2] * 5
+    many = Measurement(one.r, one.J, np.broadcast_to(COV, (5, 2, 2)), one.classes)
+    np.testing.assert_array_equal(whiten([many], [many.roots({})]).J, rows.J)
+    np.testing.assert_allclose(cost([one], [one.roots({})], np.ones(5)), 0.5 * expected.sum(), rtol=1e-12)
+
+
+def test_variances_alone_are_a_diagonal_covariance() -> None:
+    whole = poses(np.diag([4.0, 9.0]))
+    short = Measurement(whole.r, whole.J, np.array([4.0, 9.0]), whole.classes)
+    assert short.roots({}).tolist() == [0.5, 1.0 / 3.0]
+    first, second = (whiten([one], [one.roots({})]) for one in (whole, short))
+    np.testing.assert_allclose(first.J, second.J, rtol=1e-15)
+    np.testing.assert_allclose(first.r, second.r, rtol=1e-15)
+    with pytest.raises(ShapeError, match="positive definite"):
+        Measurement(whole.r, whole.J, np.array([4.0, 0.0]), whole.classes).roots({})
+
+
+def test_estimated_noise_is_a_deviation_per_class() -> None:
+    one = poses(None)
+    rows = whiten([one], [one.roots({"t": 2.0, "R": 0.5})])
+    np.testing.assert_allclose(rows.r.reshape(5, 2), one.r / [2.0, 0.5])
+    np.testing.assert_allclose(rows.label.reshape(5, 2)[0], [0, 1])
+    np.testing.assert_array_equal(rows.raw, one.r.ravel())
+    assert rows.names == ("t", "R")
+
+
+def test_weights_act_on_samples_and_spare_priors() -> None:
+    one = poses(COV)
+    known = Measurement(np.ones((1, 1)), np.ones((1, 1, 3)), np.eye(1) * 4.0, ("p",), prior=True)
+    everything = [one, known]
+    roots = [m.roots({}) for m in everything]
+    weight = np.array([1.0, 0.25, 0.0, 1.0, 1.0])
+    rows = whiten(everything, roots)
+    assert rows.names == ("t", "R")
+    kept = rows.times(weight)
+    assert len(kept.r) == len(rows.r) - 2
+    np.testing.assert_allclose(kept.r[2:4], 0.5 * rows.r[2:4])
+    assert kept.r[-1] == 0.5
+    assert cost(everything, roots, weight) == pytest.approx(0.5 * kept.r @ kept.r)
+    assert rows.times(np.ones(5)) is rows
+
+
+def test_several_measurements_may_belong_to_one_sample() -> None:
+    points = Measurement(np.ones((4, 1)), np.zeros((4, 1, 2)), np.eye(1), ("p",), np.array([0, 0, 1, 1]))
+    rows = whiten([points], [points.roots({})])
+    assert rows.squares(2).tolist() == [2.0, 2.0]
+
+
+def test_median_norm_of_three_dimensions() -> None:
+    assert median_norm(3) == pytest.approx(1.5382, abs=1e-4)
+    assert median_norm(1) == pytest.approx(0.67449, abs=1e-5)
+
+
+def test_faults_are_refused() -> None:
+    with pytest.raises(ShapeError, match="This is a fault of the residual"):
+        Measurement(np.ones((3, 2)), np.ones((3, 1, 2)), COV, ("t", "R"))
+    with pytest.raises(ShapeError, match="got"):
+        Measurement(np.ones((3, 2)), np.ones((3, 2, 2)), COV, ("t",))
+    with pytest.raises(ShapeError, match="positive definite"):
+        poses(np.zeros((2, 2))).roots({})
+    with pytest.raises(ShapeError, match="beside noise that is estimated"):
+        Measurement(np.ones((3, 2)), np.ones((3, 2, 2)), COV, ("t", "R"), added=COV)
+    with pytest.raises(ShapeError, match="Say how surely it is known"):
+        Measurement(np.ones((1, 1)), np.ones((1, 1, 3)), None, ("p",), prior=True)

@@ -18,7 +18,7 @@ from armlab.robots import load
 def recordings(truth, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A log that somebody pushes in, one that nobody does, and one without torque."""
     folder = tmp_path_factory.mktemp("recordings")
-    motion = identify.excitation(truth.robot, seconds=10, f0=0.1, speed=0.3, seed=5)
+    motion = identify.design_excitation(truth.robot, seconds=10, f0=0.1, speed=0.3, seed=5)
 
     def push(t: np.ndarray) -> np.ndarray:
         return np.where(((t > 4.0) & (t < 7.0))[:, None], [0.0, 0.0, -15.0, 0.0, 0.0, 0.0], 0.0)

@@ -19,17 +19,17 @@ YUMI = robots.load("yumi_left")
 MOTION = identify.dither(YUMI.q_home, 1.0)
 
 NO_NUMBER: dict[str, Callable] = {
-    "seconds": lambda x: identify.excitation(YUMI, seconds=x),
-    "f0": lambda x: identify.excitation(YUMI, f0=x),
-    "harmonics": lambda x: identify.excitation(YUMI, harmonics=x),
-    "speed": lambda x: identify.excitation(YUMI, speed=x),
-    "acceleration": lambda x: identify.excitation(YUMI, acceleration=x),
-    "rounds": lambda x: identify.excitation(YUMI, rounds=x),
-    "seed": lambda x: identify.excitation(YUMI, seed=x),
+    "seconds": lambda x: identify.design_excitation(YUMI, seconds=x),
+    "f0": lambda x: identify.design_excitation(YUMI, f0=x),
+    "harmonics": lambda x: identify.design_excitation(YUMI, harmonics=x),
+    "speed": lambda x: identify.design_excitation(YUMI, speed=x),
+    "acceleration": lambda x: identify.design_excitation(YUMI, acceleration=x),
+    "rounds": lambda x: identify.design_excitation(YUMI, rounds=x),
+    "seed": lambda x: identify.design_excitation(YUMI, seed=x),
     "length of a dither": lambda x: identify.dither(YUMI.q_home, x),
     "frequency": lambda x: identify.dither(YUMI.q_home, 1.0, frequency=x),
     "pose": lambda x: identify.dither(x, 1.0),
-    "noise": lambda x: identify.expectation(MOTION, YUMI, x),
+    "noise": lambda x: identify.predicted_uncertainty(MOTION, YUMI, x),
     "walk": lambda x: identify.sequence([MOTION], x),
     "parts": identify.sequence,
     "q": lambda x: identify.rbf_centres(x, np.zeros((5, 2))),
@@ -57,7 +57,7 @@ def test_what_is_no_log_no_model_no_robot_no_motion(other: Any, model: TorqueMod
         lambda: contacts(other),
         lambda: compare(other),
         lambda: hypotheses(other, YUMI),
-        lambda: identify.expectation(other, YUMI),
+        lambda: identify.predicted_uncertainty(other, YUMI),
     ):
         with pytest.raises(ShapeError):
             function()
@@ -68,13 +68,13 @@ def test_what_is_no_log_no_model_no_robot_no_motion(other: Any, model: TorqueMod
         lambda: identify.fit_friction(table, other),
         lambda: identify.fit_payload(table, other, YUMI),
         lambda: Estimator(other, YUMI),
-        lambda: identify.physical(other, YUMI),
+        lambda: identify.physically_consistent(other, YUMI),
     ):
         with pytest.raises(ModelMismatchError):
             function()
     for function in (
         lambda: Estimator(model, other),
-        lambda: identify.expectation(MOTION, other),
+        lambda: identify.predicted_uncertainty(MOTION, other),
         lambda: identify.friction_run(other, 0),
         lambda: identify.fit_payload(table, model, other),
     ):

@@ -10,7 +10,13 @@ import pytest
 from armlab import identify, robots, sim
 from armlab.errors import ConfigError, MissingExtra, ModelMismatchError, ShapeError, UnknownName
 from armlab.estimation import Fit
-from armlab.identify import Physical, fit_payload, physical, physical_load, pseudo_inertia
+from armlab.identify import (
+    PhysicallyConsistent,
+    fit_payload,
+    physically_consistent,
+    physically_consistent_load,
+    pseudo_inertia,
+)
 from armlab.identify.consistency import LEAST
 from armlab.identify.residuals import model_residuals
 from armlab.robots import inertia
@@ -48,8 +54,8 @@ def test_true_bodies_stay(truth, fitted, pull: str) -> None:
     robot = truth.robot
     bodies = sim.synthetic_truth(robot).pi
     values = identify.base_parameters(robot).B @ np.concatenate([bodies.ravel(), truth.rotor])
-    found = physical(shifted(fitted, values, robot), robot, prior=bodies, pull=pull)
-    assert isinstance(found, Physical)
+    found = physically_consistent(shifted(fitted, values, robot), robot, prior=bodies, pull=pull)
+    assert isinstance(found, PhysicallyConsistent)
     np.testing.assert_allclose(found.links, bodies, atol=1e-4)
     np.testing.assert_allclose(found.rotor, truth.rotor, atol=1e-4)
     assert found.distance < 0.1
@@ -58,7 +64,7 @@ def test_true_bodies_stay(truth, fitted, pull: str) -> None:
 
 def test_an_identified_model_gets_bodies_without_a_prior(truth, fitted) -> None:
     assert np.linalg.eigvalsh(pseudo_inertia(fitted.value.link_parameters)).min() < 0
-    found = physical(fitted, truth.robot)
+    found = physically_consistent(fitted, truth.robot)
     assert np.linalg.eigvalsh(pseudo_inertia(found.links)).min() > LEAST * (1 - 1e-6)
     assert np.all(found.rotor >= 0)
     assert found.growth < 0.01
@@ -77,16 +83,16 @@ def test_an_impossible_fit_becomes_possible(truth, fitted) -> None:
     base = identify.base_parameters(truth.robot)
     wrong = np.array(fitted.value.base_values)
     wrong[[name.startswith("I_xx7") for name in base.names]] -= 0.02
-    found = physical(shifted(fitted, wrong, truth.robot), truth.robot)
+    found = physically_consistent(shifted(fitted, wrong, truth.robot), truth.robot)
     assert np.linalg.eigvalsh(pseudo_inertia(found.links)).min() > LEAST * (1 - 1e-6)
-    assert found.growth > physical(fitted, truth.robot).growth
+    assert found.growth > physically_consistent(fitted, truth.robot).growth
     assert found.distance > 3.0
 
 
 def test_the_residual_of_the_log_grows_as_stated(truth, fitted, excited) -> None:
     """Pulled hard to bodies that are too heavy: what the log's own residual, filtered, says of it."""
     heavy = 3.0 * sim.synthetic_truth(truth.robot).pi
-    found = physical(fitted, truth.robot, prior=heavy, pull="euclidean", strength=3e4)
+    found = physically_consistent(fitted, truth.robot, prior=heavy, pull="euclidean", strength=3e4)
 
     def rms(model) -> float:
         left = model_residuals(excited, model)
@@ -98,7 +104,7 @@ def test_the_residual_of_the_log_grows_as_stated(truth, fitted, excited) -> None
 
 
 def test_simulator_and_urdf_take_the_links(truth, fitted, tmp_path) -> None:
-    found = physical(fitted, truth.robot)
+    found = physically_consistent(fitted, truth.robot)
     robot = replace(truth.robot, inertias=found.links)
     robots.save(robot, tmp_path / "arm.urdf")
     again = robots.load(tmp_path / "arm.urdf", tip="tool")
@@ -115,33 +121,35 @@ def test_a_load_becomes_a_body(truth, model) -> None:
     point = inertia.from_body(0.5, [0.03, 0.0, 0.052], np.zeros((3, 3)))
     links = truth.links.copy()
     links[-1] += inertia.transform(robot.links[-1], point)
-    motion = identify.excitation(robot, seconds=12, speed=0.4, seed=3)
+    motion = identify.design_excitation(robot, seconds=12, speed=0.4, seed=3)
     fit = fit_payload(replace(truth, links=links).log(motion, seed=3), model, robot, "dynamic")
     assert np.linalg.eigvalsh(pseudo_inertia(fit.value.pi)).min() < 0
-    body = physical_load(fit)
+    body = physically_consistent_load(fit)
     assert np.linalg.eigvalsh(pseudo_inertia(body.value.pi)).min() > -1e-12
     assert np.all(np.abs(body.parameters - point) < 4 * fit.sd)
     assert "deviations to a body" in body.report()
     with pytest.raises(ConfigError, match="dynamic"):
-        physical_load(fit_payload(truth.log(motion, seed=3), model, robot))
+        physically_consistent_load(fit_payload(truth.log(motion, seed=3), model, robot))
 
 
 def test_bad_input_is_refused_by_a_sentence(truth, fitted, tmp_path, monkeypatch) -> None:
     robot = truth.robot
     with pytest.raises(ModelMismatchError, match="yumi_right"):
-        physical(fitted, robots.load("yumi_right"))
+        physically_consistent(fitted, robots.load("yumi_right"))
     with pytest.raises(UnknownName, match="log-det"):
-        physical(fitted, robot, pull="strong")
+        physically_consistent(fitted, robot, pull="strong")
     with pytest.raises(ShapeError, match="strength"):
-        physical(fitted, robot, strength=0.0)
+        physically_consistent(fitted, robot, strength=0.0)
     with pytest.raises(ShapeError, match=r"\(7, 10\)"):
-        physical(fitted, robot, prior=np.zeros((6, 10)))
+        physically_consistent(fitted, robot, prior=np.zeros((6, 10)))
     with pytest.raises(ShapeError, match="link 1, link 2"):
-        physical(fitted, robot, prior=np.zeros((7, 10)))
+        physically_consistent(fitted, robot, prior=np.zeros((7, 10)))
     with pytest.raises(ConfigError, match="Identify again"):
-        physical(Fit.load(fitted.save(tmp_path / "model.toml")), robot)
+        physically_consistent(Fit.load(fitted.save(tmp_path / "model.toml")), robot)
     with pytest.raises(ConfigError, match="fit_dynamics"):
-        physical(replace(fitted, value=replace(fitted.value, base_names=("m",) * len(fitted.value.base_names))), robot)
+        physically_consistent(
+            replace(fitted, value=replace(fitted.value, base_names=("m",) * len(fitted.value.base_names))), robot
+        )
     monkeypatch.setitem(__import__("sys").modules, "cvxpy", None)
     with pytest.raises(MissingExtra, match=r"armlab\[sdp\]"):
-        physical(fitted, robot)
+        physically_consistent(fitted, robot)

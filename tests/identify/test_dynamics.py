@@ -1,17 +1,27 @@
-"""The torque model: right, honest about its uncertainty, and refused when the log cannot tell."""
+"""Fits of the torque model: whole, and gravity alone."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from armlab import identify, robots
-from armlab.errors import ModelMismatchError, NotExcited, UnknownName
+from armlab import identify, models, robots
+from armlab.contact import Estimator
+from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Limits, check_estimator
 from armlab.estimation.contract import PROPERTIES
 from armlab.identify import base_parameters, fit_dynamics, fit_gravity
-from armlab.identify.drafting import Job
-from armlab.identify.dynamics import fit_model
+from armlab.identify.dynamics import (
+    FitProblem,
+    FitSettings,
+    Progress,
+    fit_model,
+    fit_of,
+    fold_models,
+    make_problem,
+    model_of,
+)
+from armlab.identify.record import prepare
 from armlab.identify.validation import assess
 from armlab.log import Table
 
@@ -19,7 +29,7 @@ from armlab.log import Table
 def test_fit_dynamics_predicts_the_torque_of_another_motion(truth, model) -> None:
     """Held-out motion: the error stays below a tenth of the Coulomb torque, without any knowledge of the truth."""
     t = np.arange(0, 20, 0.004)
-    motion = identify.excitation(truth.robot, seconds=20, f0=0.07, harmonics=6, speed=0.4, seed=99)
+    motion = identify.design_excitation(truth.robot, seconds=20, f0=0.07, harmonics=6, speed=0.4, seed=99)
     clean = truth.log(motion, noise=0.0)
     _, _, qdd = motion.sample(t)
     error = model.torque(clean["q"], clean["qd"], qdd) - clean["tau"]
@@ -223,7 +233,7 @@ def test_a_prior_holds_what_a_small_sway_does_not_tell_and_is_of_this_robot(trut
 
 
 def test_an_unknown_method_is_refused_before_the_log_is_read(truth) -> None:
-    job = Job("torque model", "median", 0, lambda done, total, what: None)
+    job = FitSettings("torque model", "median", 0, lambda done, total, what: None)
     with pytest.raises(UnknownName, match="method of identification"):
         fit_model([], truth.robot, base_parameters(truth.robot), job)
 
@@ -246,3 +256,100 @@ def test_joints_without_torque_are_left_out_of_the_model(truth, excited) -> None
     for wrong in ([], [7], [1, 1]):
         with pytest.raises(UnknownName, match="numbers of joints from 0 to 6, each once"):
             fit_dynamics(excited, robot, joints=wrong)
+
+
+# A draft: what is not linear is settled, the rest are sums of blocks that can be left out.
+
+
+def test_a_draft_is_linear_in_what_is_left(short_arm) -> None:
+    told: list[str] = []
+    robot = short_arm.robot
+    tell: Progress = lambda done, total, what: told.append(what)  # noqa: E731
+    job = FitSettings("torque model", "irls", 0, tell)
+    draft = make_problem(prepare(short_arm.log(0, 3000), robot), robot, base_parameters(robot), job)
+    assert isinstance(draft, FitProblem)
+    assert "choosing the shape of friction" in told
+    x = draft.sums.solution.x
+    assert draft.design.free.any()
+    assert len(x) == len(draft.theta) + np.count_nonzero(draft.design.free)
+    assert np.array_equal(draft.gain_cov.shape, (2, 2))
+    all_blocks = draft.sums.solve(np.ones(len(draft.sums.rows)))
+    np.testing.assert_allclose(all_blocks, x, atol=1e-6 * np.abs(x).max())
+    model = model_of(draft.design, x, draft.sums.solution.cov)
+    folds = fold_models(model, draft.design, draft.sums, draft.block, draft.length)
+    assert len(folds) == 5
+    fit = fit_of(model, draft.design, draft.sums.solution, draft.sums.solution.cov, 3000)
+    np.testing.assert_allclose(fit.cov, fit.formal_cov)
+    assert (fit.value, fit.n) == (model, 3000)
+    assert np.array_equal(np.sum([mask for _, mask in folds], axis=0), np.ones(3000))  # each sample is held out once
+    assert len({fold.base_values.tobytes() for fold, _ in folds}) == 5
+
+
+# Gravity, friction and offsets from slow motion.
+
+
+def test_gravity_of_other_poses_is_predicted(truth, gravity) -> None:
+    """As it is read, to 3.5 % of its deviation over random poses in the range of the log, 3 % were every gain known;
+    offsets but for the asymmetry of friction."""
+    model, robot = gravity.value, truth.robot
+    rng = np.random.default_rng(0)
+    q = rng.uniform(model.training.q_min, model.training.q_max, (500, 7))
+    still = np.zeros_like(q)
+    expected = robot.chain.rnea(q, still, still, robot.gravity, truth.links)
+    found = model.gains * model.rigid_torque(q, still, still)
+    heavy = np.std(expected, axis=0) > 0.1
+    assert heavy.sum() >= 4
+    assert np.all((np.std(found - expected, axis=0) / np.std(expected, axis=0))[heavy] < 0.035)
+    offset = np.mean(found - expected, axis=0) + model.friction.offset - truth.friction.offset
+    assert np.all(np.abs(offset) < 0.08 * truth.friction.coulomb_pos)
+
+
+def test_the_model_has_no_torque_of_motion(truth, gravity) -> None:
+    model = gravity.value
+    assert model.quasi_static
+    assert len(model.base_names) == 14
+    assert not model.rotor.any()
+    rng = np.random.default_rng(1)
+    q, qd, qdd = rng.uniform(-1, 1, (3, 50, 7))
+    still = np.zeros_like(q)
+    moving = model.rigid_torque(q, 3 * qd, 10 * qdd)
+    np.testing.assert_allclose(moving, model.rigid_torque(q, still, still), atol=1e-6)
+    with_gravity = truth.robot.chain.rnea(q, still, still, model.gravity, model.link_parameters)
+    np.testing.assert_allclose(model.rigid_torque(q, still, still), with_gravity, atol=1e-12)
+
+
+def test_it_is_saved_and_estimates(truth, gravity, slow, tmp_path) -> None:
+    again = models.load(models.save(gravity.value, tmp_path / "gravity.toml"))
+    assert again.quasi_static
+    estimate = Estimator(again, truth.robot).run(slow)
+    force = estimate["wrench_hat"][500:, :3]
+    assert np.all(np.sqrt(np.mean(force**2, axis=0)) < 2.0), "free motion: no force"
+
+
+def test_fast_motion_is_refused_by_joint(truth, excited) -> None:
+    with pytest.raises(ShapeError, match="Expected slow motion") as caught:
+        fit_gravity(excited, truth.robot)
+    assert truth.robot.joint_names[6] in str(caught.value)
+
+
+def test_a_log_at_one_pose_is_refused(truth) -> None:
+    t = np.arange(0, 10, 0.004)
+    q = np.tile(truth.robot.q_home, (len(t), 1))
+    tau = np.random.default_rng(0).standard_normal(q.shape)
+    with pytest.raises(NotExcited):
+        fit_gravity(Table(t, {"q": q, "qd": np.zeros_like(q), "tau": tau}), truth.robot)
+
+
+@pytest.mark.slow  # 18 s
+def test_errors_halve_with_four_times_the_data_and_match_the_covariance_of_gravity(short_arm) -> None:
+    """The statistical contract on a short arm."""
+    for law, gain_sd in (("consistent", 0.0), ("honest", 0.05)):  # as for fit_dynamics
+        found = check_estimator(
+            lambda table, robot: short_arm.of_base(fit_gravity(table, robot)),
+            short_arm.experiment(slow=True, gain_sd=gain_sd),
+            runs=16,
+            n=3000,
+            noise_given=False,
+            skip=dict.fromkeys(set(PROPERTIES) - {law}, "as fit_dynamics, whose machinery it shares"),
+        )
+        assert found.passed, found.text()

@@ -10,9 +10,9 @@ import pytest
 
 from armlab import robots
 from armlab.errors import NotExcited, ShapeError
-from armlab.identify.design import Design
 from armlab.identify.many import LogSums, Pattern, fit_draft, fit_sums, log_sums, same_rate
-from armlab.identify.preparation import prepare_share
+from armlab.identify.record import prepare_share
+from armlab.identify.regression import Design
 from armlab.log import Table
 
 

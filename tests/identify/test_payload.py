@@ -1,4 +1,4 @@
-"""A load at the flange: right, honest about its uncertainty, and refused when the log cannot tell."""
+"""Payload identification: the fit, its records, and errors of the model of the arm."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from armlab import identify, sim
 from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Experiment, Fit, check_estimator
 from armlab.identify import fit_payload
-from armlab.identify.model_error import ModelError
-from armlab.identify.payload import _possible
+from armlab.identify.payload import LoadRecord, ModelError, _possible, moving_joints
 from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import Friction, Payload, TorqueModel
@@ -30,7 +29,7 @@ def carrying(truth, pi: np.ndarray):
 
 @pytest.fixture(scope="module")
 def motion(truth):
-    return identify.excitation(truth.robot, seconds=14, speed=0.4, acceleration=8.0, seed=3)
+    return identify.design_excitation(truth.robot, seconds=14, speed=0.4, acceleration=8.0, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -153,7 +152,7 @@ def test_the_truth_is_inside_over_fifty_seeds(model) -> None:
     robot = load("yumi_left")
     truth = sim.synthetic_truth(robot)
     exact = truth.without("noise")
-    motion = identify.excitation(robot, seconds=12, speed=0.4, acceleration=6.0, seed=5)
+    motion = identify.design_excitation(robot, seconds=12, speed=0.4, acceleration=6.0, seed=5)
     T_last_flange = robot.links[-1]
     at = T_last_flange[:3, :3] @ CENTRE + T_last_flange[:3, 3]
     full, empty = (sim.record(sim.SimulatedArm(robot, one), motion) for one in (exact.with_payload(MASS, at), exact))
@@ -207,7 +206,7 @@ def experiment(truth, fitted):
     error = ModelError.of(fitted, robot).cov  # with the gains of the model, whatever they have in common
     values, vectors = np.linalg.eigh(error / np.outer(scale, scale))
     root = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    motion = identify.excitation(robot, seconds=70, speed=0.4, acceleration=8.0, seed=9)
+    motion = identify.design_excitation(robot, seconds=70, speed=0.4, acceleration=8.0, seed=9)
 
     def make(gain_sd: float, wrong: float, seed: int, n: int) -> Experiment:
         rng = np.random.default_rng([7, seed])
@@ -349,3 +348,147 @@ def test_value_and_file(truth, model, table, tmp_path) -> None:
     assert np.array_equal(again.value.pi, fit.value.pi)
     assert np.array_equal(again.cov, fit.cov)
     assert again.names == fit.names
+
+
+# The regression of a load: exact without noise; two logs of one motion are brought together.
+
+
+PI = inertia.from_body(0.5, [0.03, -0.01, 0.06], np.diag([1e-3, 2e-3, 1.5e-3]))
+
+
+@pytest.fixture(scope="module")
+def motion_of_load_record(truth):
+    return identify.design_excitation(truth.robot, seconds=12, speed=0.4, seed=3)
+
+
+@pytest.fixture(scope="module")
+def loaded(truth):
+    links = truth.links.copy()
+    links[-1] += inertia.transform(truth.robot.links[-1], PI)
+    return replace(truth, links=links)
+
+
+def test_the_load_explains_the_difference(truth, model, loaded, motion_of_load_record) -> None:
+    """Without noise the difference of the logs is the load, to the step from one sample to the next."""
+    record = LoadRecord.of(
+        loaded.log(motion_of_load_record, noise=0.0), model, truth.robot, truth.log(motion_of_load_record, noise=0.0)
+    )
+    assert record.A.shape == (*record.y.shape, 10)
+    np.testing.assert_allclose(model.gains * record.y, record.A @ PI, atol=2e-3)
+    assert record.against.shape == (7, 10, len(model.base_names))
+    scale = np.abs(LoadRecord.of(loaded.log(motion_of_load_record, noise=0.0), model, truth.robot).against).max()
+    assert np.abs(record.against).max() < 1e-6 * scale
+    assert len(record.sources) == 2
+    block = record.blocks(1.0)
+    assert block[0] == 0
+    assert np.all(np.isin(np.diff(block), [0, 1]))
+
+
+@pytest.mark.parametrize("late", [300, -300])
+def test_a_log_that_began_at_another_time(truth, model, loaded, motion_of_load_record, late: int) -> None:
+    one, two = loaded.log(motion_of_load_record, noise=0.0), truth.log(motion_of_load_record, noise=0.0)
+    if late > 0:
+        two = two.rows(slice(late, None))
+    else:
+        one = one.rows(slice(-late, None))
+    record = LoadRecord.of(one, model, truth.robot, two)
+    np.testing.assert_allclose(record.y[20:-20], (record.A @ PI)[20:-20], atol=0.02)
+
+
+def test_another_motion_is_refused(truth, model, loaded, motion_of_load_record) -> None:
+    other = identify.design_excitation(truth.robot, seconds=12, speed=0.4, seed=4)
+    with pytest.raises(ShapeError, match="same motion"):
+        LoadRecord.of(loaded.log(motion_of_load_record), model, truth.robot, truth.log(other))
+    thin = truth.log(motion_of_load_record).rows(slice(None, None, 2))
+    with pytest.raises(ShapeError, match="one rate"):
+        LoadRecord.of(loaded.log(motion_of_load_record), model, truth.robot, thin)
+
+
+def test_degrees_are_refused_by_the_limits_of_the_arm(truth, model, loaded, motion_of_load_record) -> None:
+    """The model alone knows no limits."""
+    log = truth.log(motion_of_load_record)
+    degrees = log.with_column("q", np.rad2deg(log["q"])).with_column("qd", np.rad2deg(log["qd"]))
+    for pair in ((degrees, None), (loaded.log(motion_of_load_record), degrees)):
+        with pytest.raises(ShapeError, match=r"axis_1 \(\S+, limit 2\.941: degrees"):
+            LoadRecord.of(pair[0], model, truth.robot, pair[1])
+
+
+def test_joints_that_move(truth, motion_of_load_record) -> None:
+    log = truth.log(motion_of_load_record)
+    held = log.with_column("q", np.where(np.arange(7) < 3, 0.1, log["q"]))
+    assert moving_joints([held], truth.robot).tolist() == [3, 4, 5, 6]
+    assert moving_joints([held, log], truth.robot).tolist() == list(range(7))
+    assert moving_joints([log.with_column("q", 0.0 * log["q"])], truth.robot).tolist() == list(range(7))
+
+
+def test_the_log_with_the_load_is_not_the_one_without(truth, model, loaded, motion_of_load_record) -> None:
+    log = loaded.log(motion_of_load_record)
+    with pytest.raises(ShapeError, match="rows of log 1 again as log 2"):
+        LoadRecord.of(log, model, truth.robot, log)
+
+
+# What is uncertain in a model: the slopes of its torque, and which parameters are known by name.
+
+
+@pytest.fixture(scope="module")
+def table_of_model_error(truth) -> Table:
+    return truth.log(identify.design_excitation(truth.robot, seconds=10, speed=0.4, acceleration=8.0, seed=3), seed=3)
+
+
+STEPS = {"viscous": 0.1, "coulomb_pos": 0.1, "coulomb_neg": 0.1, "offset": 0.1, "stribeck": 0.1, "delta": 1e-6}
+TERMS = {"coulomb_pos": "coulomb+", "coulomb_neg": "coulomb-"}
+
+
+@pytest.mark.parametrize("field", STEPS)
+def test_a_changed_model_changes_the_sums_as_said(truth, fitted, table_of_model_error, field: str) -> None:
+    """A_i^T (y of the changed model - y) is minus the sums times the change, for every joint."""
+    robot, model, step = truth.robot, fitted.value, STEPS[field]
+    joint = 2
+    one = np.eye(robot.n)[joint] * step
+    changed = replace(model, friction=replace(model.friction, **{field: getattr(model.friction, field) + one}))
+    name = f"{TERMS.get(field, field)} {robot.joint_names[joint]}"
+    name = identify.base_parameters(robot).offset_names[joint] if field == "offset" else name
+    names, p = (*model.base_names, name), len(model.base_names)
+    known = replace(fitted, names=names, units=("1",) * (p + 1), parameters=np.zeros(p + 1), cov=np.eye(p + 1))
+    record, other = (
+        LoadRecord.of(table_of_model_error, known, robot),
+        LoadRecord.of(table_of_model_error, changed, robot),
+    )
+    sums = np.einsum("kia,ki->ia", record.A, other.y - record.y)
+    np.testing.assert_allclose(sums, -step * record.against[:, :, p], atol=2e-3 * np.abs(sums).max())
+    assert np.abs(sums[joint]).max() > 0
+
+
+def test_every_parameter_of_a_fit_is_known_by_name(truth, fitted) -> None:
+    error = ModelError.of(fitted, truth.robot)
+    assert error.names == fitted.names
+    assert error.left_out == ()
+    held = replace(fitted, value=replace(fitted.value, gain_cov=np.zeros((7, 7))))
+    np.testing.assert_array_equal(ModelError.of(held, truth.robot).cov, fitted.cov)
+    alone = ModelError.of(fitted.value, truth.robot)
+    assert alone.names == fitted.value.base_names
+    np.testing.assert_array_equal(alone.cov, fitted.value.base_cov)
+
+
+def test_what_is_not_known_by_name_is_left_out_and_said(truth, fitted) -> None:
+    names = (*fitted.names[:-1], "coulomb of motor of another arm")
+    error = ModelError.of(replace(fitted, names=names), truth.robot)
+    assert error.left_out == names[-1:]
+    np.testing.assert_array_equal(error.cov, ModelError.of(fitted, truth.robot).cov[:-1, :-1])
+    base_names = tuple(f"{name} of an arm with joints left out" for name in fitted.value.base_names)
+    other = ModelError.of(replace(fitted.value, base_names=base_names), truth.robot)
+    assert other.base is None
+    assert other.cov.shape == (0, 0)
+
+
+def test_what_gains_have_in_common_is_no_error_of_the_torque_that_is_read(fitted, truth) -> None:
+    """The deviation of the weight of the arm is 2 % of it with the gains; what the model predicts is known better."""
+    model, p = fitted.value, len(fitted.value.base_names)
+    error = ModelError.of(fitted, truth.robot)
+    index = [error.names.index(name) for name in model.base_names]
+    apart = error.cov[np.ix_(index, index)]
+    assert np.linalg.eigvalsh(error.cov).min() > -1e-9 * np.linalg.eigvalsh(error.cov).max()
+    whole, held = (model.base_values @ C @ model.base_values for C in (fitted.cov[:p, :p], model.base_cov))
+    weight = float(model.base_values @ model.base_values)
+    assert whole - held > 0.015**2 * weight**2
+    assert model.base_values @ apart @ model.base_values - held < 0.2 * (whole - held)

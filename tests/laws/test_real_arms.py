@@ -18,10 +18,10 @@ from armlab import log, robots, signals
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Rows, least_squares
 from armlab.identify import base_parameters, extrapolation, fit_dynamics, predict, prepare, with_velocity
-from armlab.identify.design import Design
-from armlab.identify.extrapolation import training
-from armlab.identify.preparation import Prepared
-from armlab.identify.settling import settle
+from armlab.identify.record import Record
+from armlab.identify.regression import Design
+from armlab.identify.solve import alternate
+from armlab.identify.validation import training
 from armlab.lie import euler, se3
 from armlab.log import Table
 from armlab.models import TorqueModel
@@ -114,10 +114,10 @@ def tiago() -> tuple[Robot, Table]:
     return read_tiago()
 
 
-def held_out(data: Prepared, robot: Robot, test: np.ndarray, every: int, method: str, joints=None) -> np.ndarray:
+def held_out(data: Record, robot: Robot, test: np.ndarray, every: int, method: str, joints=None) -> np.ndarray:
     """Fit to the kept rows outside `test` and return the share of each joint on those inside."""
     design = Design.build(data, robot, base_parameters(robot, joints=joints), cutoff=np.inf, every=every, joints=joints)
-    design, theta = settle(design, method, use=~test)
+    design, theta = alternate(design, method, use=~test)
     return share(design.residuals(theta)[test], design.tau[test])
 
 

@@ -142,7 +142,7 @@ def test_a_model_estimates_where_nobody_else_does(
         expected = wanted.step(State(excited.t[k], dt, **fields))
         hear_until(running, lambda k=k: running.row and running.value("yumi_left", "session_t") == excited.t[k])
     force = running.force("yumi_left")
-    np.testing.assert_array_equal(force.wrench, expected.F)
+    np.testing.assert_array_equal(force.wrench, expected.wrench)
     np.testing.assert_array_equal(force.covariance, expected.cov)
     assert isinstance(force, Force)
     assert force.origin == "estimate of the model"

@@ -10,7 +10,7 @@ import pytest
 from armlab import models
 from armlab.errors import ShapeError
 from armlab.models import CoupledMotors
-from armlab.models.coupled import CoupledKernel
+from armlab.models.torque import CoupledKernel
 
 WRIST = CoupledMotors(np.array([[0, 0, 0, 0, 0, 0.5, 1.0]]), [0.02], [0.3], [0.4], [0.02])
 

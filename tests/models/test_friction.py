@@ -1,13 +1,26 @@
-"""Friction with a presliding state, and ripple."""
+"""Friction: terms, maps over position, ripple lines, warm-up."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from armlab.errors import ShapeError
 from armlab.kernels import presliding
-from armlab.models import Friction, FrictionBound, Ripple
+from armlab.models import (
+    Friction,
+    FrictionBound,
+    FrictionMap,
+    RadialBasis,
+    Ripple,
+    RippleLines,
+    WarmUp,
+    load,
+    save,
+    speed_basis,
+)
 
 
 def friction(**change: object) -> Friction:
@@ -85,3 +98,168 @@ def test_bad_fields_are_refused() -> None:
         friction(smooth_speed=[-0.1])
     with pytest.raises(ShapeError, match="like the other fields"):
         friction(offset=[1.0, 2.0])
+
+
+# Friction over position and speed.
+
+
+def basis(n: int = 2) -> RadialBasis:
+    positions, speeds = np.linspace(-2, 2, 8), np.geomspace(0.05, 1.0, 5)
+    return RadialBasis(*(np.tile(x, (n, 1)) for x in (positions, np.full(8, 0.5), speeds, np.gradient(speeds))))
+
+
+def test_the_functions_sum_to_one_inside_and_outside() -> None:
+    rng = np.random.default_rng(0)
+    q, qd = rng.uniform(-3, 3, 500), rng.uniform(-2, 2, 500)
+    phi = basis().functions(1, q, qd, rng.uniform(-1, 1, 500))
+    np.testing.assert_allclose(phi.sum(axis=1), 1.0, rtol=0, atol=1e-12)
+    assert phi.shape == (500, basis().size)
+    assert np.isfinite(basis().functions(0, np.array([1e6]), np.array([-1e6]), np.array([-1.0]))).all()
+
+
+def test_only_the_side_of_the_motion_counts_and_rest_blends_both() -> None:
+    b = basis()
+    forward, rest = (
+        b.functions(0, np.array([0.3]), np.array([v]), np.array([s]))[0] for v, s in ((0.2, 1.0), (0.0, 0.0))
+    )
+    assert not forward[40:].any()
+    np.testing.assert_allclose(rest[:40], rest[40:], rtol=0, atol=1e-15)
+
+
+def test_outside_is_told() -> None:
+    assert basis().outside([[0.0, 0.0], [2.5, 0.0]], [[0.0, 2.0], [0.1, -0.5]]).tolist() == [
+        [False, True],
+        [True, False],
+    ]
+
+
+def test_torque_is_functions_times_coefficients() -> None:
+    rng = np.random.default_rng(1)
+    b, k = basis(), rng.standard_normal((2, 2, 8, 5))
+    q, qd, z = rng.uniform(-1, 1, (3, 60, 2))
+    expected = np.stack([b.functions(i, q[:, i], qd[:, i], z[:, i]) @ k[i].ravel() for i in range(2)], axis=1)
+    np.testing.assert_allclose(FrictionMap(b, k).torque(q, qd, z), expected, rtol=0, atol=1e-12)
+
+
+def test_a_model_keeps_its_map(tmp_path, model) -> None:
+    part = FrictionMap(basis(7), np.random.default_rng(0).standard_normal((7, 2, 8, 5)))
+    more = replace(model, friction_map=part)
+    again = load(save(more, tmp_path / "model.toml"))
+    q, qd = np.random.default_rng(1).standard_normal((2, 40, 7))
+    assert np.array_equal(again.torque(q, qd), more.torque(q, qd))
+    with pytest.raises(ShapeError, match="map positions"):
+        replace(model, friction_map=FrictionMap(basis(2), np.zeros((2, 2, 8, 5))))
+
+
+def test_wrong_centres_are_refused() -> None:
+    b = basis()
+    with pytest.raises(ShapeError, match="speeds above 0"):
+        replace(b, speeds=b.speeds - 0.05)
+    with pytest.raises(ShapeError, match="positive widths"):
+        replace(b, position_widths=0 * b.position_widths)
+    with pytest.raises(ShapeError, match="shape"):
+        replace(b, speeds=b.speeds[:1])
+    with pytest.raises(ShapeError, match="coefficients"):
+        FrictionMap(b, np.zeros((2, 2, 8, 4)))
+
+
+# Torque ripple over position and speed.
+
+
+def lines(**change: object) -> RippleLines:
+    """Two joints, the second with two lines of one direction."""
+    speeds, widths = speed_basis(-1.0, 1.0)
+    fields = {
+        "joint": [1, 1], "cycles": [100.0, 200.0], "speeds": np.stack([speeds, speeds]),
+        "widths": np.stack([widths, widths]), "coefficients": np.ones((2, 1, 8, 2)),
+    }  # fmt: skip
+    return RippleLines(**{**fields, **change})  # type: ignore[arg-type]
+
+
+def test_equal_amplitudes_are_a_plain_line() -> None:
+    q, qd = np.random.default_rng(0).uniform(-2, 2, (2, 50, 2))
+    torque = lines().torque(q, qd, np.sign(qd))
+    expected = sum(np.cos(c * q[:, 1]) + np.sin(c * q[:, 1]) for c in (100.0, 200.0))
+    np.testing.assert_allclose(torque[:, 1], expected, rtol=0, atol=1e-12)
+    assert not torque[:, 0].any()
+    assert lines().n == 2
+
+
+def test_each_direction_may_have_its_own_amplitude() -> None:
+    speeds, widths = speed_basis(0.0, 1.0)
+    both = np.zeros((1, 2, 8, 2))
+    both[0, 0, :, 0], both[0, 1, :, 1] = 2.0, 3.0
+    part = RippleLines([0], [50.0], speeds[None], widths[None], both)
+    q = np.linspace(0, 1, 30)[:, None]
+    np.testing.assert_allclose(part.torque(q, 0 * q + 0.3, 0 * q + 1), 2 * np.cos(50 * q), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(part.torque(q, 0 * q - 0.3, 0 * q - 1), 3 * np.sin(50 * q), rtol=0, atol=1e-12)
+
+
+def test_a_model_keeps_its_lines(tmp_path, model) -> None:
+    from dataclasses import replace
+
+    speeds, widths = speed_basis(0.0, 2.0)
+    part = RippleLines([0, 6], [100.0, 202.0], np.tile(speeds, (7, 1)), np.tile(widths, (7, 1)),
+                       np.random.default_rng(0).standard_normal((2, 2, 8, 2)))  # fmt: skip
+    more = replace(model, lines=part)
+    again = load(save(more, tmp_path / "model.toml"))
+    q, qd = np.random.default_rng(1).standard_normal((2, 40, 7))
+    assert np.array_equal(again.torque(q, qd), more.torque(q, qd))
+    assert not np.allclose(more.torque(q, qd), model.torque(q, qd))
+    with pytest.raises(ShapeError, match="line speeds"):
+        replace(model, lines=lines())
+
+
+def test_wrong_lines_are_refused() -> None:
+    with pytest.raises(ShapeError, match="joint by joint"):
+        lines(joint=[1, 0])
+    with pytest.raises(ShapeError, match="ascending speeds"):
+        lines(widths=np.zeros((2, 8)))
+    with pytest.raises(ShapeError, match="finite cycles"):
+        lines(cycles=[1.0, np.nan])
+    with pytest.raises(ShapeError, match="coefficients"):
+        lines(coefficients=np.ones((2, 3, 8, 2)))
+    with pytest.raises(ShapeError, match="2 Gaussians"):
+        speed_basis(1.0, 1.0)
+
+
+# Friction that changes with its own heat.
+
+
+def warm_up(n: int = 1, **change: object) -> WarmUp:
+    fields = {"of_coulomb": -0.1, "of_viscous": -0.4, "time": 100.0, "power": 2.0, "start": 0.0}
+    return WarmUp(**{name: np.full(n, change.get(name, value)) for name, value in fields.items()})  # type: ignore[arg-type]
+
+
+def test_warmth_settles_at_one_under_the_reference_power() -> None:
+    x = warm_up().warmth(np.full((1001, 1), 2.0), np.ones(1001))
+    assert x[0, 0] == 0.0
+    assert x[100, 0] == pytest.approx(1 - np.exp(-1.0))
+    assert x[-1, 0] == pytest.approx(1.0, abs=1e-4)
+    assert np.all(warm_up(time=0.0, start=0.3).warmth(np.ones((5, 1)), np.ones(5)) == 0.3)
+
+
+def test_a_model_warms_up_along_a_record(tmp_path, model) -> None:
+    """At constant velocity the viscous and Coulomb torque go with the warmth, which goes with their power."""
+    part = warm_up(7, time=5.0)
+    warm = load(save(replace(model, warm_up=part), tmp_path / "model.toml"))
+    t = np.arange(0, 40, 0.01)
+    qd = np.full((len(t), 7), 0.3)
+    q, dt = np.cumsum(qd, axis=0) * 0.01, np.full(len(t), 0.01)
+    change = (warm.torque(q, qd, dt=dt) - model.torque(q, qd)) / model.gains
+    f = model.friction
+    x = (change / -(0.4 * f.viscous * 0.3 + 0.1 * f.coulomb_pos))[200:]
+    settled = x[-1]
+    rubbing = f.viscous * (1 - 0.4 * settled) * 0.3 + f.coulomb_pos * (1 - 0.1 * settled)
+    rubbing = rubbing + f.stribeck * np.exp(-((0.3 / f.stribeck_speed) ** 2))
+    np.testing.assert_allclose(settled, np.abs(rubbing * 0.3) / 2.0, rtol=1e-2)
+    assert np.array_equal(warm.torque(q, qd), model.torque(q, qd))  # without steps it stays cold
+
+
+def test_wrong_warm_up_is_refused() -> None:
+    with pytest.raises(ShapeError, match="power > 0"):
+        warm_up(power=0.0)
+    with pytest.raises(ShapeError, match="finite time"):
+        warm_up(time=np.nan)
+    with pytest.raises(ShapeError, match="one number per joint"):
+        replace(warm_up(), start=np.zeros(2))

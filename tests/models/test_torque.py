@@ -1,4 +1,4 @@
-"""The torque model evaluates what was identified and belongs to one robot."""
+"""The torque model, its quality figures and training data."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from armlab import contact, identify, robots
 from armlab.errors import ModelMismatchError, ShapeError
 from armlab.kernels import presliding
 from armlab.log import Table
-from armlab.models import TorqueModel, load, save
+from armlab.models import SPEED_EDGES, Quality, TorqueModel, Training, load, save
 
 
 def test_torque_is_rigid_plus_friction_plus_ripple(model: TorqueModel) -> None:
@@ -141,3 +141,48 @@ def test_gains_that_are_none_are_refused(model) -> None:
         replace(model, gains=-GAINS)
     with pytest.raises(ShapeError, match=r"gains of shape \(7,\)"):
         replace(model, gains=GAINS[:3])
+
+
+# Quality figures: one per joint, read-only.
+
+
+def test_figures_are_one_per_joint_and_read_only() -> None:
+    found = Quality([1.0, 2.0], [0.1, np.nan], [0.2, np.nan], [0.95, np.nan], 60.0)
+    assert not any(getattr(found, name).flags.writeable for name in ("torque_sd", "rms", "rms_cv", "coverage"))
+    assert np.isnan(found.rms[1]), "a joint that could not be judged"
+    with pytest.raises(ShapeError, match=r"coverage of one number per joint, got shape \(1,\)"):
+        Quality(np.ones(2), np.ones(2), np.ones(2), np.ones(1), 60.0)
+
+
+# The ranges of the training data are checked and frozen.
+
+
+def ranges(**changes) -> Training:
+    bins = 2 * len(SPEED_EDGES)
+    fields = {
+        "q_min": -np.ones(2),
+        "q_max": np.ones(2),
+        "qd_peak": np.ones(2),
+        "speed_share": np.ones((2, bins)) / bins,
+    }
+    return Training(**{**fields, "rest_share": 0.1, "longest_rest": 0.5, **changes})
+
+
+def test_ranges_are_frozen() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        ranges().qd_peak[0] = 2.0
+    np.testing.assert_array_equal(np.diff(SPEED_EDGES) > 0, True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"speed_share": np.ones((2, 4))}, r"speed_share of shape \(2, 12\) of the training, got \(2, 4\)"),
+        ({"q_max": np.array([1.0, np.nan])}, "finite q_max"),
+        ({"rest_share": 1.5}, "share of rest from 0 to 1"),
+        ({"longest_rest": np.nan}, "length from 0 s"),
+    ],
+)
+def test_others_are_refused(changes: dict, sentence: str) -> None:
+    with pytest.raises(ShapeError, match=sentence):
+        ranges(**changes)

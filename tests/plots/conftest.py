@@ -52,7 +52,7 @@ def truth(truth: Any) -> Any:
 @pytest.fixture(scope="session")
 def excited(truth: Any) -> Table:
     """A noisy log of it."""
-    return truth.log(identify.excitation(truth.robot, seconds=12, seed=1), seed=1)
+    return truth.log(identify.design_excitation(truth.robot, seconds=12, seed=1), seed=1)
 
 
 @pytest.fixture(scope="session")

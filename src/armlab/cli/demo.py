@@ -77,10 +77,10 @@ class Plan:
         """Lay out the motions of a robot; `seed` chooses the excitation and the free motion."""
         import numpy as np
 
-        from armlab.identify import dither, excitation, sequence
+        from armlab.identify import design_excitation, dither, sequence
 
         sway_length = 2 * SETTLE + len(PRESSES) * (HOLD + 2 * RAMP + GAP)
-        free = excitation(robot, FREE, f0=0.12, harmonics=5, speed=0.45, acceleration=8.0, seed=1000 + seed)
+        free = design_excitation(robot, FREE, f0=0.12, harmonics=5, speed=0.45, acceleration=8.0, seed=1000 + seed)
         motions = [free, dither(robot.q_home, sway_length), dither(robot.q_home, REST, amplitude=0.0)]
         sway_start = APPROACH + FREE + WALK
         rest_start = sway_start + sway_length + WALK
@@ -97,7 +97,7 @@ class Plan:
             press(name, axis, force, start, start + HOLD)
         press("at rest -z", 2, -4.905, rest_start + 1.5, rest_start + 4.0)
         return cls(
-            excitation=excitation(robot, EXCITATION, seed=seed),
+            excitation=design_excitation(robot, EXCITATION, seed=seed),
             test=sequence(motions, walk=WALK),
             presses=tuple(presses),
             free=(APPROACH + 1.0, APPROACH + FREE),
@@ -228,7 +228,7 @@ def _estimating(plan: Plan, estimator: Estimator) -> Any:
 
     def step(state: State) -> Command:
         wrench = estimator.step(state)
-        record = {"wrench_hat": wrench.F, "wrench_hat_cov": wrench.cov, "observability": wrench.observability}
+        record = {"wrench_hat": wrench.wrench, "wrench_hat_cov": wrench.cov, "observability": wrench.observability}
         return replace(move(state), record=record)
 
     return step

@@ -64,7 +64,7 @@ def identify(
     from armlab.cli.reading import read_log
     from armlab.errors import ConfigError
     from armlab.identify import fit_dynamics, fit_friction, fit_gravity
-    from armlab.identify.preparation import check_once
+    from armlab.identify.record import check_once
 
     arm = robots.load(robot)
     if not logs:

@@ -79,7 +79,7 @@ def write(
     log : the first that was fitted to. about : which logs, for the line below the title.
     tell : called with (done, total, what).
     """
-    from armlab.identify.parameter_table import parameter_rows
+    from armlab.identify.validation import parameter_rows
 
     page = Page(f"Torque model of {fit.value.robot_name}", about)
     page.verdict(verdict)

@@ -112,7 +112,7 @@ def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> V
     from armlab.cli.identify_verdict import POOR
     from armlab.cli.page import Verdict
     from armlab.identify import extrapolation
-    from armlab.identify.load_record import moving_joints
+    from armlab.identify.payload import moving_joints
 
     mass, sd = fit.value.mass, fit.sd[0]
     good, bad, ahead = [], [], []

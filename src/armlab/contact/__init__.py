@@ -1,10 +1,8 @@
 """Contact: the wrench of the environment on the robot, estimated from joint torques."""
 
-from armlab.contact.comparison import Comparison, compare
-from armlab.contact.estimator import Estimator
+from armlab.contact.contacts import Comparison, Contact, compare, contacts
+from armlab.contact.estimator import INFEASIBLE, INVALID, SINGULAR, STUCK, TARED, WEAK, Estimator, Wrench
 from armlab.contact.hypotheses import Hypotheses, hypotheses
-from armlab.contact.intervals import Contact, contacts
-from armlab.contact.wrench import INFEASIBLE, INVALID, SINGULAR, STUCK, TARED, WEAK, Wrench
 
 __all__ = [
     "INFEASIBLE",

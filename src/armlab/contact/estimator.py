@@ -30,6 +30,7 @@ Momentum methods need no acceleration: ``p = M qd``, ``dp/dt = u + J^T F``, ``u 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import pairwise
 from threading import get_ident
 from typing import Any, Literal
@@ -38,16 +39,126 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import numbers
-from armlab.contact.places import contact_point
-from armlab.contact.wrench import INVALID, TARED, Wrench
 from armlab.errors import ConcurrentUse, ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.log import Table
 from armlab.log.plausibility import check_known
 from armlab.models import FORCE_RATES, PRIOR, TorqueModel
 from armlab.robots import Robot
+from armlab.robots.outline import arm_length
 from armlab.state import State
 
-__all__ = ["Estimator"]
+# `Wrench`: an estimated contact wrench with its covariance and what could be seen at all.
+
+
+INVALID = 1
+"""The sample was not finite; the estimate is NaN."""
+WEAK = 2
+"""Some axis has observability below 0.5: there the prior speaks louder than the torques."""
+STUCK = 4
+"""Every joint is inside its friction bound: nothing is known but the interval."""
+INFEASIBLE = 8
+"""No wrench explains the torques inside their bounds: another contact, or a wrong model."""
+SINGULAR = 16
+"""Without a prior this pose does not determine the wrench; the estimate is NaN."""
+TARED = 32
+"""Friction was told apart from contact by `Estimator.tare`, and no joint has moved away since."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wrench:
+    """Wrench [f; m] by the environment on the robot, base axes, at the tool point.
+
+    Attributes
+    ----------
+    wrench : (6,) [N, N m]. cov : (6, 6) posterior covariance, with what unknown gains of the torques add to it.
+    observability : (6,) 1 - posterior variance / prior variance, in [0, 1], as if the gains were known.
+    torque_error : (n,) filtered model minus measured torque [N m]; of "kf", what of it the
+        estimate explains. torque_variance : (n,) its variance.
+    prior : (6,) prior variances of the unknowns: the wrench, or a force at a known point (then the last three idle).
+    flags : bits INVALID, WEAK, STUCK, INFEASIBLE, SINGULAR, TARED.
+    active : (n,) joints that tell something; when INFEASIBLE, those that contradict each other.
+    interval : (6, 2) guaranteed smallest and largest value per axis, of the method "interval".
+    at_point : the contact is at a known point: three unknowns instead of six.
+    tared_at : time of the tare that holds [s], or None.
+    """
+
+    wrench: np.ndarray
+    cov: np.ndarray
+    observability: np.ndarray
+    torque_error: np.ndarray
+    torque_variance: np.ndarray
+    prior: np.ndarray
+    flags: int
+    active: np.ndarray
+    interval: np.ndarray | None = None
+    at_point: bool = False
+    tared_at: float | None = None
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Standard deviation per axis (6,) [N, N m]."""
+        return np.sqrt(np.diag(self.cov))
+
+    @property
+    def cond(self) -> float:
+        """Condition of C_tau^-1/2 J^T C_F^1/2: how unevenly this pose sees the wrench; inf when singular."""
+        shares = self._spectrum()[0]
+        if not np.isfinite(shares).all():
+            return float("nan")
+        gains = np.maximum(1.0 / np.clip(shares, 1e-300, 1.0) - 1.0, 0.0)  # squared singular values
+        return float(np.sqrt(gains.max() / gains.min())) if gains.min() > 0 else float("inf")
+
+    @property
+    def directions(self) -> tuple[np.ndarray, np.ndarray]:
+        """Observability (k,) of k orthogonal directions, worst first, and the directions as columns (k, k).
+
+        Directions are in prior-scaled axes, the eigenvectors of ``C_F^-1/2 P C_F^-1/2``; k is 6, or 3 at a known point.
+        """
+        shares, vectors = self._spectrum()
+        return np.maximum(1.0 - shares[::-1], 0.0), vectors[:, ::-1]
+
+    @property
+    def hidden(self) -> np.ndarray:
+        """Unit direction (k,) in prior-scaled axes that the torques tell least about; NaN for an invalid sample."""
+        return self._spectrum()[1][:, -1]
+
+    def _spectrum(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return posterior over prior variance (k,), ascending, and its directions as columns."""
+        k = 3 if self.at_point else 6
+        cov, scale = self.cov[:k, :k], np.sqrt(self.prior[:k])
+        if not np.isfinite(cov).all():
+            return np.full(k, np.nan), np.full((k, k), np.nan)
+        shares, vectors = np.linalg.eigh(cov / np.outer(scale, scale))
+        return shares, vectors
+
+
+# Places of contact on the tool: three finite numbers in metres, no further off than the arm is long.
+
+
+def contact_point(point: ArrayLike, robot: Robot) -> np.ndarray:
+    """Return the point (3,) as an array of its own.
+
+    `point`: (3,) tool axes [m].
+    """
+    place = np.array(numbers(point, "the contact point", ShapeError))
+    if place.shape != (3,) or not np.all(np.isfinite(place)):
+        raise ShapeError(f"Expected the contact point as three finite numbers [m], tool axes, got {point!r}.")
+    check_distance(place[None], robot)
+    return place
+
+
+def check_distance(places: np.ndarray, robot: Robot) -> None:
+    """Refuse places further from the tool than the arm is long: millimetres, as a rule.
+
+    `places`: (M, 3) tool axes [m].
+    """
+    far, length = float(np.linalg.norm(places, axis=1).max(initial=0.0)), arm_length(robot)
+    if far > length:
+        raise ShapeError(
+            f"Expected a place of contact within {length:.3g} m of the tool, the length of {robot.name!r}, got one "
+            f"{far:.4g} m away. Give metres, in tool axes; divide millimetres by 1000."
+        )
+
 
 Method = Literal["map", "bounded", "clip", "interval", "ls", "lund", "observer", "kf"]
 STATIC = ("map", "bounded", "clip", "interval", "ls", "lund")  # the kernel knows them by number
@@ -94,7 +205,7 @@ class Estimator:
     Examples
     --------
     >>> estimator = Estimator(models.load("model.toml"), robot)  # doctest: +SKIP
-    >>> estimator.step(state).F  # doctest: +SKIP
+    >>> estimator.step(state).wrench  # doctest: +SKIP
     """
 
     def __init__(

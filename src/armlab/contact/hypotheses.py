@@ -24,13 +24,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import make_read_only, number, numbers
-from armlab.contact.places import check_distance, contact_point
+from armlab.contact.estimator import check_distance, contact_point
 from armlab.errors import RobotError, ShapeError
 from armlab.log import Table
 from armlab.models import PRIOR
 from armlab.robots import Robot
-
-__all__ = ["Hypotheses", "hypotheses"]
 
 DECISIVE = 3.0  # log Bayes factor
 EXCLUDED = 6.0  # log Bayes factor against links, 400 to 1: who trusts a force at the tool stands beside the link

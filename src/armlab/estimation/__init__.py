@@ -1,19 +1,24 @@
 """Estimation for the whole package: `Fit`, streaming and robust least squares, excitation, block bootstrap."""
 
-from armlab.estimation.blocks import BlockSums, Bootstrap, CrossValidation, block_bootstrap, block_cv, shrinkage
-from armlab.estimation.bounds import within_bounds
+from armlab.estimation.bootstrap import (
+    BlockSums,
+    Bootstrap,
+    CrossValidation,
+    block_bootstrap,
+    block_cv,
+    block_seconds,
+    correlation_time,
+    effective_samples,
+    shrinkage,
+)
 from armlab.estimation.contract import Contract, Experiment, Gauge, Limits, Property, check_estimator, difference
-from armlab.estimation.correlation import block_seconds, correlation_time, effective_samples
-from armlab.estimation.descent import Problem
+from armlab.estimation.errors_in_variables import TotalSolution, total_least_squares
 from armlab.estimation.excitation import Excitation, Prior, check_excitation, check_spread, unhurried
-from armlab.estimation.factors import Factors, Rows, factorise
 from armlab.estimation.fit import Fit
-from armlab.estimation.linear import least_squares
-from armlab.estimation.measurements import Measurement
-from armlab.estimation.nonlinear import NonlinearSolution, nonlinear_least_squares
-from armlab.estimation.robust import huber, mad, trimmed
-from armlab.estimation.solution import ActiveBound, LinearSolution, Question, solve
-from armlab.estimation.total import TotalSolution, total_least_squares
+from armlab.estimation.linear_problem import ActiveBound, LinearProblem, LinearSolution, solve, within_bounds
+from armlab.estimation.nonlinear import Measurement, NonlinearProblem, NonlinearSolution, nonlinear_least_squares
+from armlab.estimation.robust import huber, least_squares, least_trimmed_squares, mad
+from armlab.estimation.tsqr import Factors, Rows, factorise
 
 __all__ = [
     "ActiveBound",
@@ -31,9 +36,9 @@ __all__ = [
     "Measurement",
     "NonlinearSolution",
     "Prior",
-    "Problem",
+    "NonlinearProblem",
     "Property",
-    "Question",
+    "LinearProblem",
     "Rows",
     "TotalSolution",
     "block_bootstrap",
@@ -53,7 +58,7 @@ __all__ = [
     "shrinkage",
     "solve",
     "total_least_squares",
-    "trimmed",
+    "least_trimmed_squares",
     "unhurried",
     "within_bounds",
 ]

@@ -9,19 +9,374 @@ A fit is run on many experiments of known truth. What it says of its own errors 
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field, fields, is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from armlab import models
 from armlab._numbers import flag, number
-from armlab.errors import ConfigError, UnknownName
-from armlab.estimation import _laws, _statistics
-from armlab.estimation._statistics import Trial
+from armlab.errors import ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.estimation.fit import Fit
 
-__all__ = ["PROPERTIES", "Contract", "Experiment", "Gauge", "Limits", "Property", "check_estimator", "difference"]
+if TYPE_CHECKING:
+    from armlab.estimation.fit import Fit
+
+
+# The properties of the contract that need many runs: consistent, honest, efficient, robust.
+
+
+Verdict = tuple[bool | None, str]
+
+NORMAL_95 = 1.959963984540054
+ENOUGH = 1000  # runs from which coverage and efficiency are judged
+STANDARD_ERRORS = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """What is checked, and on what: the arguments of `check_estimator`; `done` keeps runs that several judges need."""
+
+    fit: Callable[..., Fit[Any]]
+    experiment: Callable[[int, int], Experiment]
+    runs: int
+    n: int
+    seed: int
+    error: Error
+    blocks: Mapping[str, Sequence[int]]
+    gauges: Sequence[Gauge]
+    refusals: Mapping[str, Mapping[str, Any]]
+    spoil: Spoil | None
+    limits: Limits
+    done: dict[str, list[Run]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """Error of one run with its stated covariance; both in the same coordinates."""
+
+    e: np.ndarray
+    C: np.ndarray
+    rank: int
+    bound: np.ndarray | None
+
+    @property
+    def nees(self) -> float:
+        """Squared error over the stated covariance, of as many directions as its rank."""
+        sd = np.sqrt(np.diag(self.C))
+        sd = np.where(sd > 0, sd, 1.0)
+        values, vectors = np.linalg.eigh(self.C / np.outer(sd, sd))
+        along = vectors.T @ (self.e / sd)
+        told = slice(len(values) - self.rank, None)
+        return float(np.sum(along[told] ** 2 / values[told]))
+
+
+def error_of(trial: Trial, fit: Fit[Any], truth: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return the error of a fit and its covariance."""
+    found = trial.error(fit, truth)
+    e, C = found if isinstance(found, tuple) else (found, fit.cov)
+    return np.atleast_1d(np.asarray(e, dtype=float)), np.asarray(C, dtype=float)
+
+
+def run(trial: Trial, case: Experiment) -> Run:
+    """Fit one experiment."""
+    fit = trial.fit(**case.data)
+    e, C = error_of(trial, fit, case.truth)
+    return Run(e, C, fit.rank, case.bound)
+
+
+def _runs(trial: Trial, times: int) -> list[Run]:
+    """Return the runs with n times as many samples, made once."""
+    key = f"runs {times}"
+    if key not in trial.done:
+        seeds = range(trial.seed, trial.seed + trial.runs)
+        trial.done[key] = [run(trial, trial.experiment(seed, times * trial.n)) for seed in seeds]
+    return trial.done[key]
+
+
+def _weight(runs: list[Run]) -> np.ndarray:
+    """Return the inverse of the mean stated covariance: it makes errors of many units one number."""
+    C = np.mean([r.C for r in runs], axis=0)
+    sd = np.sqrt(np.diag(C))
+    sd = np.where(sd > 0, sd, 1.0)
+    return np.linalg.pinv(C / np.outer(sd, sd), rcond=1e-9, hermitian=True) / np.outer(sd, sd)
+
+
+def _rms(runs: list[Run], W: np.ndarray) -> float:
+    return float(np.sqrt(np.mean([r.e @ W @ r.e for r in runs])))
+
+
+def _bound(runs: list[Run], W: np.ndarray) -> float:
+    return float(np.mean([np.vdot(W, r.bound) for r in runs if r.bound is not None]))
+
+
+def _se(runs: list[Run]) -> float:
+    """Return the relative standard error of an RMS over these runs."""
+    return 1.0 / np.sqrt(2.0 * runs[0].rank * len(runs))
+
+
+def consistent(trial: Trial) -> Verdict:
+    """Four times the samples must halve the error; of experiments drawn at random, as far as it halves the bound."""
+    few, many = _runs(trial, 1), _runs(trial, 4)
+    W = _weight(few)
+    ratio, found = _rms(many, W) / _rms(few, W), ""
+    if all(r.bound is not None and r.bound.shape == W.shape for r in (*few, *many)):
+        least = np.sqrt(_bound(many, W) / _bound(few, W))
+        ratio, found = 0.5 * ratio / least, f" ({ratio:.3f}, of the bound {least:.3f})"
+    low, high = trial.limits.consistent
+    slack = STANDARD_ERRORS * np.sqrt(2.0) * _se(few) * 0.5
+    low, high = min(low, 0.5 - slack), max(high, 0.5 + slack)
+    text = f"error of 4 N over that of N: {ratio:.3f}{found}, accepted {low:.2f} to {high:.2f}"
+    return bool(low <= ratio <= high), text
+
+
+def honest(trial: Trial) -> Verdict:
+    """The mean NEES must be its dimension; intervals of 95 % must hold 95 %."""
+    runs = _runs(trial, 1)
+    dim = runs[0].rank
+    nees = float(np.mean([r.nees / r.rank for r in runs]))
+    low, high = trial.limits.honest
+    slack = STANDARD_ERRORS * np.sqrt(2.0 / (dim * len(runs)))
+    low, high = min(low, 1.0 - slack), max(high, 1.0 + slack)
+    passed = low <= nees <= high
+    text = f"NEES/{dim} {nees:.3f}, accepted {low:.2f} to {high:.2f}"
+    inside = float(np.mean([np.abs(r.e) <= NORMAL_95 * np.sqrt(np.diag(r.C)) for r in runs]))
+    text += f"; stated 95 % covers {100 * inside:.1f} %"
+    if len(runs) >= ENOUGH:
+        low, high = trial.limits.covered
+        passed &= low <= inside <= high
+    return bool(passed), text
+
+
+def efficient(trial: Trial) -> Verdict:
+    """The error must be that of the Cramer-Rao bound."""
+    runs = _runs(trial, 1)
+    bounds = [r.bound for r in runs if r.bound is not None]
+    if len(bounds) < len(runs):
+        return False, "no Cramer-Rao bound: give Experiment.bound, or skip with the reason"
+    e = np.array([r.e for r in runs])
+    variance = np.array([np.diag(bound) for bound in bounds])
+    blocks = trial.blocks or {"all": range(e.shape[1])}
+    parts, passed = [], True
+    for name, which in blocks.items():
+        index = list(which)
+        scale = np.mean(variance[:, index], axis=0)
+        ratio = float(np.sqrt(np.mean(e[:, index] ** 2 / scale) / np.mean(variance[:, index] / scale)))
+        limit = trial.limits.efficient + STANDARD_ERRORS / np.sqrt(2.0 * len(index) * len(runs))
+        passed &= ratio <= limit
+        parts.append(f"{name} {ratio:.3f} (accepted {limit:.3f})")
+    text = "error over the Cramer-Rao bound: " + ", ".join(parts)
+    return (bool(passed), text) if len(runs) >= ENOUGH else (None, text + f"; judged from {ENOUGH} runs on")
+
+
+def robust(trial: Trial) -> Verdict:
+    """Five per cent of gross outliers must be flagged and do little harm."""
+    if trial.spoil is None:
+        return False, "no outliers to test with: give spoil, or skip with the reason"
+    clean = _runs(trial, 1)
+    W = _weight(clean)
+    spoilt, missed, false, good, share = [], 0, 0, 0, 0.0
+    for i in range(trial.runs):
+        seed = trial.seed + i
+        case = trial.experiment(seed, trial.n)
+        data, bad = trial.spoil(dict(case.data), np.random.default_rng([seed, 1]))
+        fit = trial.fit(**data)
+        e, C = error_of(trial, fit, case.truth)
+        spoilt.append(Run(e, C, fit.rank, case.bound))
+        if bad is not None:
+            flags = fit.outliers if fit.outliers.size else np.zeros(len(bad), dtype=bool)
+            missed += int(np.sum(bad & ~flags))
+            false += int(np.sum(~bad & flags))
+            good += int(np.sum(~bad))
+            share += float(np.mean(bad)) / trial.runs
+    ratio = _rms(spoilt, W) / _rms(clean, W) * np.sqrt(1.0 - share)
+    limit = trial.limits.robust + STANDARD_ERRORS * _se(clean)
+    text = f"error over that without outliers {ratio:.3f}, accepted {limit:.2f}"
+    if not good:
+        return bool(ratio <= limit), text
+    found = missed == 0 and false <= trial.limits.false * good
+    text += f"; {missed} outliers missed, {100 * false / good:.2f} % of the good flagged"
+    return bool(ratio <= limit and found), text
+
+
+# The properties of the contract that are laws: order, gauge, refusals, files, words, clean hands.
+
+
+SAME = 1e-9  # deviations of the estimate, or relative
+SEEDS = 3
+EXACT = ("parameters", "cov", "sigma", "outliers")
+
+
+def order_free(trial: Trial) -> Verdict:
+    """Samples in another order must give the same answer and flags."""
+    worst = 0.0
+    for seed in range(trial.seed, trial.seed + SEEDS):
+        case = trial.experiment(seed, trial.n)
+        order = np.random.default_rng([seed, 2]).permutation(trial.n)
+        mixed, changed = dict(case.data), 0
+        for name, value in case.data.items():
+            if isinstance(value, np.ndarray) and value.shape[:1] == (trial.n,):
+                mixed[name] = value[order]
+                changed += 1
+        if not changed:
+            return False, "no array with samples along axis 0: skip with the reason"
+        first, second = trial.fit(**case.data), trial.fit(**mixed)
+        worst = max(worst, _apart(trial, first, second, case.truth))
+        if not np.array_equal(first.outliers[order] if first.outliers.size else first.outliers, second.outliers):
+            return False, "other flags in another order of the samples"
+    return worst <= SAME, f"permuted samples move the answer by {worst:.1e} deviations, accepted {SAME:.0e}"
+
+
+def _apart(trial: Trial, first: Fit[Any], second: Fit[Any], truth: Any) -> float:
+    """Return the step between two fits, in deviations of the estimate."""
+    (a, C), (b, _) = error_of(trial, first, truth), error_of(trial, second, truth)
+    return _length(b - a, C)
+
+
+def _length(e: np.ndarray, C: np.ndarray) -> float:
+    sd = np.sqrt(np.diag(C))
+    sd = np.where(sd > 0, sd, 1.0)
+    inverse = np.linalg.pinv(C / np.outer(sd, sd), rcond=SAME, hermitian=True)
+    return float(np.sqrt(max((e / sd) @ inverse @ (e / sd), 0.0)))
+
+
+def gauge_free(trial: Trial) -> Verdict:
+    """Another frame or unit must change the answer as it must."""
+    if not trial.gauges:
+        return False, "no change of frame or unit to test with: give gauges, or skip with the reason"
+    parts, passed = [], True
+    for gauge in trial.gauges:
+        worst = 0.0
+        for seed in range(trial.seed, trial.seed + SEEDS):
+            data = dict(trial.experiment(seed, trial.n).data)
+            there = trial.fit(**gauge.change(dict(data)))
+            e, C = error_of(trial, there, gauge.expect(trial.fit(**data)))
+            worst = max(worst, min(_length(e, C), _relative(e, there)))
+        passed &= worst <= SAME
+        parts.append(f"{gauge.name} {worst:.1e}")
+    return bool(passed), f"change of the answer beyond what must be: {', '.join(parts)}, accepted {SAME:.0e}"
+
+
+def _relative(e: np.ndarray, fit: Fit[Any]) -> float:
+    """Return the largest error relative to its parameter; infinite where errors are not those of the parameters."""
+    if e.shape != fit.parameters.shape:
+        return np.inf
+    return float(np.max(np.abs(e) / np.maximum(np.abs(fit.parameters), fit.sd)))
+
+
+def refuses(trial: Trial) -> Verdict:
+    """Data that do not tell a direction must be refused with its name."""
+    if not trial.refusals:
+        return False, "nothing that must be refused: give refusals, or skip with the reason"
+    wrong = []
+    for words, data in trial.refusals.items():
+        try:
+            trial.fit(**data)
+            wrong.append(f"{words!r} was accepted")
+        except NotExcited as error:
+            if not any(words in direction for direction in error.directions):
+                wrong.append(f"{words!r} was called {'; '.join(error.directions)}")
+        except Exception as error:  # the wrong refusal is a finding
+            wrong.append(f"{words!r} raised {type(error).__name__}")
+    return not wrong, "; ".join(wrong) or f"{len(trial.refusals)} cases refused by name"
+
+
+def saves(trial: Trial) -> Verdict:
+    """A saved fit must come back bit-equal, and not as something else."""
+    fit = trial.fit(**trial.experiment(trial.seed, trial.n).data)
+    with tempfile.TemporaryDirectory() as folder:
+        path = fit.save(Path(folder) / "fit.toml")
+        again = Fit.load(path)
+        changed = [name for name in EXACT if getattr(again, name).tobytes() != getattr(fit, name).tobytes()]
+        pairs = zip(_arrays(fit.value), _arrays(again.value), strict=True)
+        changed += [f"value{a}" for (a, x), (_, y) in pairs if x.tobytes() != y.tobytes() or x.shape != y.shape]
+        if changed:
+            return False, f"not bit-equal after a file: {', '.join(changed)}"
+        try:
+            models.load(path, kind="another kind")
+        except ModelMismatchError:
+            return True, "bit-equal after a file; another kind is refused"
+    return False, "a file of another kind was accepted"
+
+
+def explains(trial: Trial) -> Verdict:
+    """The report must have unit and deviation of every value."""
+    fit = trial.fit(**trial.experiment(trial.seed, trial.n).data)
+    text = fit.report()
+    missing = [name for name in fit.names if name not in text]
+    missing += [unit for unit in dict.fromkeys(fit.units) if unit not in text]
+    if missing:
+        return False, f"not in the report: {', '.join(missing[:5])}"
+    deviations = text.count("+-") + text.count("\N{PLUS-MINUS SIGN}")
+    return deviations >= len(fit.names), f"{deviations} deviations for {len(fit.names)} values in the report"
+
+
+def clean(trial: Trial) -> Verdict:
+    """Inputs stay, outputs are read-only, the same input gives the same bits, NaN is refused with its row."""
+    data = dict(trial.experiment(trial.seed, trial.n).data)
+    before = [(name, array.tobytes()) for name, array in _arrays(data)]
+    fit = trial.fit(**data)
+    faults = [f"input {name} changed" for (name, bits), (_, now) in zip(before, _arrays(data)) if bits != now.tobytes()]
+    faults += [f"output {name} can be written to" for name, array in _arrays(fit) if array.flags.writeable]
+    again = trial.fit(**trial.experiment(trial.seed, trial.n).data)
+    faults += [f"other bits of {n} twice" for n in EXACT if getattr(fit, n).tobytes() != getattr(again, n).tobytes()]
+    faults += _nan_faults(trial)
+    return not faults, "; ".join(faults) or "inputs unchanged, outputs read-only, same bits twice, NaN refused by row"
+
+
+def _nan_faults(trial: Trial) -> list[str]:
+    """Return what is wrong with the refusal of NaN in any array of samples."""
+    row, faults, tried = trial.n // 2, [], 0
+    for name, data in _with_nan(dict(trial.experiment(trial.seed, trial.n).data), trial.n, row):
+        tried += 1
+        try:
+            trial.fit(**data)
+            faults.append(f"NaN in {name} accepted")
+        except ShapeError as error:
+            if str(row) not in str(error):
+                faults.append(f"NaN in {name} refused without its row")
+        except Exception as error:  # the wrong refusal is a finding
+            faults.append(f"NaN in {name} raised {type(error).__name__}")
+    return faults if tried else ["no array of samples to put NaN into"]
+
+
+def _with_nan(data: dict[str, Any], n: int, row: int) -> Iterator[tuple[str, dict[str, Any]]]:
+    from armlab.log import Table  # fits need no logs: half the time of their import
+
+    for name, value in data.items():
+        if isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.shape[:1] == (n,):
+            spoilt = value.copy()
+            spoilt[row] = np.nan
+            yield name, {**data, name: spoilt}
+        if isinstance(value, Table):
+            for column in value.names:
+                if value[column].dtype.kind == "f":
+                    spoilt = value[column].copy()
+                    spoilt[row] = np.nan
+                    yield f"{name}[{column!r}]", {**data, name: value.with_column(column, spoilt)}
+
+
+def _arrays(item: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:
+    """Yield all arrays inside data or a result, with names."""
+    from armlab.log import Table
+
+    if isinstance(item, np.ndarray):
+        yield name, item
+    elif isinstance(item, Table):
+        yield from ((f"{name}[{column!r}]", item[column]) for column in item.names)
+    elif isinstance(item, dict):
+        for key, part in item.items():
+            yield from _arrays(part, f"{name}.{key}" if name else str(key))
+    elif isinstance(item, (list, tuple)):
+        for i, part in enumerate(item):
+            yield from _arrays(part, f"{name}[{i}]")
+    elif is_dataclass(item) and not isinstance(item, type):
+        for one in fields(item):
+            yield from _arrays(getattr(item, one.name), f"{name}.{one.name}" if name else one.name)
+
 
 PROPERTIES = (
     "consistent",
@@ -216,16 +571,16 @@ def check_estimator(
 
 def _properties(trial: Trial, reasons: dict[str, str]) -> Iterator[Property]:
     judges = {
-        "consistent": _statistics.consistent,
-        "honest": _statistics.honest,
-        "efficient": _statistics.efficient,
-        "order-free": _laws.order_free,
-        "gauge-free": _laws.gauge_free,
-        "refuses": _laws.refuses,
-        "robust": _statistics.robust,
-        "saves": _laws.saves,
-        "explains": _laws.explains,
-        "clean": _laws.clean,
+        "consistent": consistent,
+        "honest": honest,
+        "efficient": efficient,
+        "order-free": order_free,
+        "gauge-free": gauge_free,
+        "refuses": refuses,
+        "robust": robust,
+        "saves": saves,
+        "explains": explains,
+        "clean": clean,
     }
     for name, judge in judges.items():
         if name in reasons:

@@ -18,9 +18,7 @@ import numpy as np
 
 from armlab._numbers import numbers, still
 from armlab.errors import NotExcited, ShapeError
-from armlab.estimation.factors import triangle
-
-__all__ = ["Excitation", "Prior", "check_excitation", "check_spread", "unhurried"]
+from armlab.estimation.tsqr import triangle
 
 MAX_CONDITION = 1e4  # beyond it a direction is called not excited
 WARN_CONDITION = 300.0

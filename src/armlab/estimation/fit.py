@@ -14,8 +14,6 @@ from armlab import models
 from armlab.errors import ConfigError, ShapeError
 from armlab.estimation.excitation import Excitation
 
-__all__ = ["Fit"]
-
 Value = TypeVar("Value")
 
 READ_ONLY = ("parameters", "sigma", "outliers", "formal_cov")

@@ -12,18 +12,389 @@ out, and the rest is fitted by plain maximum likelihood, whose covariance is the
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from armlab.errors import NotExcited
-from armlab.estimation.descent import Descent, Problem, descend
-from armlab.estimation.measurements import Measurement, Whitened, median_norm, whiten
+from armlab.errors import NotConverged, NotExcited, ShapeError
+from armlab.estimation.tsqr import triangle
 
-__all__ = ["SCHEDULE", "NonlinearSolution", "nonlinear_least_squares"]
+# Residuals of a nonlinear fit and their whitening: metres and radians are never mixed unweighted.
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """Residuals of one kind of measurement at one value of the unknowns.
+
+    Attributes
+    ----------
+    r : (m, k) residuals in SI, k numbers for each of m measurements.
+    J : (m, k, d) their derivatives with respect to a step of `retract`.
+    cov : (k,) variances, or (k, k) or (m, k, k) covariance of r; None when the noise is to be estimated, a deviation
+        per class.
+    classes : name of the noise class of each of the k numbers, for example ("t", "t", "t", "R", "R", "R").
+    sample : (m,) number of the sample (pose, scan, point) that each measurement belongs to; 0 to m - 1 when left out.
+        Outliers are found by samples.
+    prior : True for what was known before: it is no sample, cannot be an outlier and tells nothing of the noise.
+    added : (k, k) or (m, k, k) covariance of a part of the noise that is known, beside the part that is to be
+        estimated; None for none.
+    """
+
+    r: np.ndarray
+    J: np.ndarray
+    cov: np.ndarray | None
+    classes: tuple[str, ...]
+    sample: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
+    prior: bool = False
+    added: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        """Check the shapes."""
+        for name in ("r", "J", "sample", *(("cov",) if self.cov is not None else ())):
+            if not isinstance(getattr(self, name), np.ndarray):
+                raise ShapeError(f"Expected {name} of a measurement as a NumPy array. This is a fault of the residual.")
+        m, k = self.r.shape if self.r.ndim == 2 else (0, 0)
+        given = None if self.cov is None else self.cov.shape
+        if not self.sample.size:
+            object.__setattr__(self, "sample", np.arange(m))
+        fits = self.r.ndim == 2 and self.J.shape[:2] == (m, k) and self.J.ndim == 3 and len(self.classes) == k
+        if not fits or given not in (None, (k,), (k, k), (m, k, k)) or self.sample.shape != (m,):
+            raise ShapeError(
+                "Expected r (m, k), J (m, k, d), cov (k,), (k, k) or (m, k, k), k classes and sample (m,), got "
+                f"{self.r.shape}, {self.J.shape}, {given}, {len(self.classes)} and {self.sample.shape}. "
+                "This is a fault of the residual."
+            )
+        beside = None if self.added is None else self.added.shape
+        if beside not in (None, (k, k), (m, k, k)) or (beside is not None and self.cov is not None):
+            raise ShapeError(
+                f"Expected added ({k}, {k}) or ({m}, {k}, {k}) beside noise that is estimated, got {beside}. "
+                "This is a fault of the residual."
+            )
+        if self.prior and self.cov is None:
+            raise ShapeError("Expected the covariance of a prior, got None. Say how surely it is known.")
+
+    def roots(self, sigma: dict[str, float]) -> np.ndarray:
+        """Return the whitening factor: the inverse of the Cholesky factor of the covariance.
+
+        (k, k) or (m, k, k); (k,), its diagonal, where the numbers are independent.
+
+        Parameters
+        ----------
+        sigma : deviation of each class whose noise is estimated.
+        """
+        if self.cov is None and self.added is None:
+            return np.array([1.0 / sigma[name] for name in self.classes])
+        if self.cov is None:
+            return np.linalg.inv(np.linalg.cholesky(self.added + np.diag([sigma[name] ** 2 for name in self.classes])))
+        if self.cov.ndim == 1 and np.all(self.cov > 0):
+            return 1.0 / np.sqrt(self.cov)
+        try:
+            return np.linalg.inv(np.linalg.cholesky(np.diag(self.cov) if self.cov.ndim == 1 else self.cov))
+        except np.linalg.LinAlgError:
+            raise ShapeError(
+                "Expected noise with a positive definite covariance, got one that is not. Give standard deviations "
+                "above zero."
+            ) from None
+
+    def whitened(self, root: np.ndarray) -> np.ndarray:
+        """Return the residuals (m, k) times their whitening factor, from `roots`."""
+        return self.r * root if root.ndim == 1 else (root @ self.r[:, :, None])[:, :, 0]
+
+
+@dataclass(frozen=True, eq=False)
+class Whitened:
+    """All rows of all measurements, whitened.
+
+    `r`: (M,) residuals. `J`: (M, d) derivatives. `kept`: (M of all measurements,) rows that were not left out; None
+    where all are here.
+    """
+
+    r: np.ndarray
+    J: np.ndarray
+    measurements: tuple[Measurement, ...]
+    kept: np.ndarray | None = None
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the noise classes."""
+        return tuple(dict.fromkeys(name for one in self.measurements if not one.prior for name in one.classes))
+
+    @cached_property
+    def sample(self) -> np.ndarray:
+        """Sample (M,) of each row, -1 for priors."""
+        return self._rows(lambda one: np.repeat(np.full(len(one.r), -1) if one.prior else one.sample, one.r.shape[1]))
+
+    @cached_property
+    def label(self) -> np.ndarray:
+        """Number (M,) of the noise class of each row, -1 for priors."""
+        number = {name: i for i, name in enumerate(self.names)}
+        return self._rows(lambda one: np.tile([-1 if one.prior else number[n] for n in one.classes], len(one.r)))
+
+    @cached_property
+    def raw(self) -> np.ndarray:
+        """Residuals (M,) in SI."""
+        return self._rows(lambda one: one.r.ravel())
+
+    def _rows(self, of: Callable[[Measurement], np.ndarray]) -> np.ndarray:
+        found = [of(one) for one in self.measurements]
+        whole = found[0] if len(found) == 1 else np.concatenate(found)
+        return whole if self.kept is None else whole[self.kept]
+
+    def squares(self, count: int) -> np.ndarray:
+        """Return the squared whitened residual (count,) of each sample."""
+        return np.bincount(self.sample + 1, self.r**2, minlength=count + 1)[1:]  # priors are sample -1
+
+    def numbers(self, count: int) -> np.ndarray:
+        """Return how many numbers (count,) each sample has."""
+        return np.bincount(self.sample + 1, minlength=count + 1)[1:]
+
+    def times(self, weight: np.ndarray) -> Whitened:
+        """Return it with a weight per sample (N,): rows times its root, rows of weight 0 left out; priors as they are.
+
+        `weight`: (N,) from 0 to 1.
+        """
+        if np.all(weight == 1.0):
+            return self
+        root = np.sqrt(np.append(weight, 1.0))[self.sample]
+        if np.all(weight > 0):
+            return replace(self, r=self.r * root, J=self.J * root[:, None])
+        kept = root > 0
+        root = root[kept]
+        return Whitened(self.r[kept] * root, self.J[kept] * root[:, None], self.measurements, kept)
+
+
+def whiten(measurements: Sequence[Measurement], roots: Sequence[np.ndarray]) -> Whitened:
+    """Put all measurements below each other, whitened.
+
+    `roots`: their whitening factors, from `Measurement.roots`.
+    """
+    r, J = [], []
+    for one, root in zip(measurements, roots):
+        r.append(one.whitened(root).ravel())
+        J.append((one.J * root[:, None] if root.ndim == 1 else root @ one.J).reshape(r[-1].size, -1))
+    if len(r) == 1:
+        return Whitened(r[0], J[0], tuple(measurements))
+    return Whitened(np.concatenate(r), np.concatenate(J), tuple(measurements))
+
+
+def cost(measurements: Sequence[Measurement], roots: Sequence[np.ndarray], weight: np.ndarray) -> float:
+    """Return ``1/2 sum_i w_i r_i^T S_i^-1 r_i``.
+
+    `roots`: their whitening factors, from `Measurement.roots`. `weight`: (N,) of the samples; priors have weight 1.
+    """
+    total = 0.0
+    for one, root in zip(measurements, roots):
+        r = one.whitened(root)
+        squares = np.einsum("ij,ij->i", r, r)
+        total += float(np.sum(squares) if one.prior else squares @ weight[one.sample])
+    return 0.5 * total
+
+
+def median_norm(dimension: int) -> float:
+    """Return the median length of a standard normal vector; 1.5382 in three dimensions."""
+    from scipy.special import gammaincinv
+
+    return float(np.sqrt(2.0 * gammaincinv(0.5 * dimension, 0.5)))
+
+
+# Descent on a manifold: Gauss-Newton that damps itself when the cost does not fall.
+#
+# Minimise ``1/2 sum_i r_i^T S_i^-1 r_i`` over a value that lives anywhere: a pose, a set of planes, link frames. The
+# caller gives residuals with their Jacobian and a retraction, ``value [+] x``; nothing else is asked of the value.
+# Steps come from the triangle R of the whitened Jacobian and its singular values, never from the normal matrix.
+
 
 Value = TypeVar("Value")
+
+ITERATIONS = 100
+STEP = 1e-9  # in deviations of the estimate
+ROUNDING = 1e-13  # relative change of the cost that is rounding
+IDLE, PATIENCE = 1e-3, 5  # steps so short that get no shorter, or lower nothing, are rounding too: exact data
+EXACT = 1e-3  # and all steps are where residuals are a share so small of their deviation
+MAX_DAMPING = 1e15
+WELL = 1e7  # condition of a triangle below which its inverse serves
+NULL = 1e-9  # relative singular value of the scaled Jacobian below which data see nothing
+DAMPING = 1e-3  # first damping, relative to the largest singular value squared
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearProblem(Generic[Value]):
+    """A fit on a manifold.
+
+    Attributes
+    ----------
+    evaluate : value -> residuals with their Jacobian at zero step.
+    retract : (value, x (d,)) -> value [+] x.
+    scale : (d,) unit of each component of x, in which the smallest of equal steps is taken; the inverse norm of the
+        columns when None.
+    what : what is fitted, for messages.
+    residue : deviation in SI below which residuals are rounding.
+    """
+
+    evaluate: Callable[[Value], Sequence[Measurement]]
+    retract: Callable[[Value, np.ndarray], Value]
+    scale: np.ndarray | None = None
+    what: str = "model"
+    residue: float = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Descent(Generic[Value]):
+    """Where a descent ended.
+
+    `rows`: whitened residuals and Jacobian there, weights of samples included. `basis`: (d, r) directions that the rows
+    tell, ``J @ basis`` orthonormal; ``basis @ basis.T`` is the covariance. `null`: (d, d - r) orthonormal directions,
+    in units of the scale, that they do not. `step`: length of the last step in deviations of the estimate.
+    """
+
+    value: Value
+    rows: Whitened
+    basis: np.ndarray
+    null: np.ndarray
+    step: float
+    history: tuple[float, ...]
+
+
+def descend(
+    problem: NonlinearProblem[Value],
+    start: Value,
+    sigma: dict[str, float],
+    weight: np.ndarray,
+    iterations: int = ITERATIONS,
+    strict: bool = True,
+) -> Descent[Value]:
+    """Minimise the whitened cost from a start.
+
+    The covariance of the residuals is that at the start of each step: a step is judged by the cost it promised to
+    lower. Converged when the step is below 1e-9 deviations of the estimate, or the cost at its rounding floor.
+
+    Parameters
+    ----------
+    problem : residuals and retraction.
+    start : first value.
+    sigma : deviation of each noise class that is estimated.
+    weight : (N,) weight of each sample, 0 to leave it out.
+    iterations : the most that are taken.
+    strict : raise when that many did not converge; otherwise rows and basis are those before the last step.
+
+    Raises
+    ------
+    NotConverged : after that many iterations, with the best value and the cost after each.
+
+    References
+    ----------
+    Madsen, Nielsen and Tingleff (2004), Methods for non-linear least squares problems, algorithm 3.16.
+    """
+    value, now = start, problem.evaluate(start)
+    damping, growth, here = 0.0, 2.0, None
+    shortest, waited = np.inf, 0
+    history: list[float] = []
+    for _ in range(iterations):
+        roots = [one.roots(sigma) for one in now]
+        rows = whiten(now, roots).times(weight)
+        height = 0.5 * float(rows.r @ rows.r)
+        history.append(height)
+        slope = _Slope.of(problem, rows)
+        here = Descent(value, rows, slope.basis, slope.null, float(np.sqrt(slope.along @ slope.along)), tuple(history))
+        waited = waited + 1 if here.step > 0.5 * shortest else 0
+        shortest = min(shortest, here.step)
+        idle = here.step < IDLE or 2.0 * height < EXACT**2 * len(rows.r)
+        if here.step < STEP or (idle and waited > PATIENCE):
+            return here
+        rounding = 0.5 * here.step**2 < ROUNDING * height  # the cost cannot tell; the steps do, by their length
+        while True:
+            x, promise = slope.step(damping)
+            trial = problem.retract(value, x)
+            then = problem.evaluate(trial)
+            fall = height - cost(then, roots, weight)
+            if fall > 0 or rounding:
+                break
+            if idle and damping > 1.0:
+                return here
+            damping, growth = max(damping * growth, DAMPING), 2.0 * growth
+            if damping > MAX_DAMPING:
+                raise _stuck(problem, value, history)
+        gain = fall / promise if fall > 0 else 1.0
+        damping, growth = damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
+        damping = damping if damping > 1e-12 else 0.0
+        value, now = trial, then
+    if strict or here is None:
+        raise _stuck(problem, value, history)
+    return replace(here, value=value)
+
+
+def _stuck(problem: NonlinearProblem[Any], value: Any, history: list[float]) -> NotConverged:
+    return NotConverged(
+        f"Expected the fit of the {problem.what} to converge, got a cost of {history[-1]:.6g} after {len(history)} "
+        "iterations. Give a better start, or look for wrong samples with robust=True.",
+        best=value,
+        history=history,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Slope:
+    """The linear problem at one value: what its rows tell, and the way down.
+
+    The inverse of the triangle spans what the rows tell, at a third of the cost of singular values; these are for
+    triangles that are nearly singular, and for damping.
+    """
+
+    R: np.ndarray
+    scale: np.ndarray
+
+    @classmethod
+    def of(cls, problem: NonlinearProblem[Any], rows: Whitened) -> _Slope:
+        R = triangle(rows.J, rows.r)
+        norms = np.sqrt(np.einsum("ij,ij->j", R[:, :-1], R[:, :-1]))
+        return cls(R, problem.scale if problem.scale is not None else 1.0 / np.where(norms > 0, norms, 1.0))
+
+    @cached_property
+    def _inverse(self) -> np.ndarray | None:
+        """Inverse of the scaled triangle, or None where it is nearly singular."""
+        from scipy.linalg import lapack
+
+        scaled = self.R[:-1, :-1] * self.scale
+        inverse, fault = lapack.dtrtri(scaled)  # pyright: ignore
+        size = np.vdot(scaled, scaled) * np.vdot(inverse, inverse)
+        return inverse if not fault and size < WELL**2 else None
+
+    @cached_property
+    def _singular(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Basis (d, r), singular values (r,), null space (d, d - r), and slope (r,) of the cost along the basis."""
+        U, singular, V = np.linalg.svd(self.R[:-1, :-1] * self.scale)
+        rank = int(np.count_nonzero(singular > NULL * singular[0]))
+        basis = (self.scale * V[:rank]).T / singular[:rank]
+        return basis, singular[:rank], V[rank:].T, U[:, :rank].T @ self.R[:-1, -1]
+
+    @cached_property
+    def basis(self) -> np.ndarray:
+        """Directions (d, r) that the rows tell: J times them is orthonormal."""
+        return self._singular[0] if self._inverse is None else self.scale[:, None] * self._inverse
+
+    @property
+    def null(self) -> np.ndarray:
+        """Directions (d, d - r), in units of the scale, that they do not."""
+        return self._singular[2] if self._inverse is None else np.zeros((len(self.scale), 0))
+
+    @property
+    def along(self) -> np.ndarray:
+        """Slope (r,) of the cost along the basis."""
+        return self._singular[3] if self._inverse is None else self.R[:-1, -1]
+
+    def step(self, damping: float) -> tuple[np.ndarray, float]:
+        """Return the step (d,), and by how much it should lower the cost.
+
+        `damping`: relative to the largest singular value squared.
+        """
+        if damping == 0.0:
+            return -self.basis @ self.along, 0.5 * float(self.along @ self.along)
+        basis, singular, _, slope = self._singular
+        shrink = singular**2 / (singular**2 + damping * singular[0] ** 2)
+        return -basis @ (shrink * slope), float(slope @ (shrink * (1.0 - 0.5 * shrink) * slope))
+
 
 SCHEDULE = (200.0, 60.0, 20.0, 10.0)
 UNKNOWN_NOISE = (1000.0, 10.0, 5.0, 5.0)
@@ -73,7 +444,7 @@ class NonlinearSolution(Generic[Value]):
 
 
 def nonlinear_least_squares(
-    problem: Problem[Value],
+    problem: NonlinearProblem[Value],
     start: Value,
     *,
     robust: bool = False,
@@ -139,7 +510,11 @@ def _first_noise(now: Sequence[Measurement], residue: float) -> dict[str, float]
 
 
 def _graduate(
-    problem: Problem[Value], value: Value, sigma: dict[str, float], weight: np.ndarray, schedule: Sequence[float]
+    problem: NonlinearProblem[Value],
+    value: Value,
+    sigma: dict[str, float],
+    weight: np.ndarray,
+    schedule: Sequence[float],
 ) -> tuple[Value, dict[str, float], np.ndarray]:
     """Shrink the loss; return value, noise, and which samples (N,) fit at the end, as 0 or 1."""
     count = len(weight)
@@ -157,7 +532,7 @@ def _graduate(
     return value, sigma, _fits(problem, value, sigma, count)
 
 
-def _rows(problem: Problem[Value], value: Value, sigma: dict[str, float]) -> Whitened:
+def _rows(problem: NonlinearProblem[Value], value: Value, sigma: dict[str, float]) -> Whitened:
     now = problem.evaluate(value)
     return whiten(now, [one.roots(sigma) for one in now])
 
@@ -174,7 +549,7 @@ def _median_noise(rows: Whitened, sigma: dict[str, float], residue: float) -> di
     return found
 
 
-def _fits(problem: Problem[Value], value: Value, sigma: dict[str, float], count: int) -> np.ndarray:
+def _fits(problem: NonlinearProblem[Value], value: Value, sigma: dict[str, float], count: int) -> np.ndarray:
     """Return 1 for samples (N,) whose squared residual is below the 99.9 % quantile, else 0."""
     from scipy.special import chdtri
 
@@ -183,7 +558,7 @@ def _fits(problem: Problem[Value], value: Value, sigma: dict[str, float], count:
 
 
 def _with_noise(
-    problem: Problem[Value], value: Value, sigma: dict[str, float], weight: np.ndarray
+    problem: NonlinearProblem[Value], value: Value, sigma: dict[str, float], weight: np.ndarray
 ) -> tuple[Descent[Value], dict[str, float]]:
     """Alternate between the value and the noise of its classes."""
     found = descend(problem, value, sigma, weight)
@@ -242,7 +617,7 @@ def _mixed_sigma(found: Descent[Any], sigma: dict[str, float]) -> np.ndarray:
 
 
 def _solution(
-    problem: Problem[Value], found: Descent[Value], sigma: dict[str, float], weight: np.ndarray
+    problem: NonlinearProblem[Value], found: Descent[Value], sigma: dict[str, float], weight: np.ndarray
 ) -> NonlinearSolution[Value]:
     rows, rank = found.rows, found.basis.shape[1]
     freedom = len(rows.r) - rank

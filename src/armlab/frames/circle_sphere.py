@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab.errors import NotConverged, NotExcited
-from armlab.estimation import Excitation, Fit, Measurement, NonlinearSolution, Problem, check_spread
+from armlab.estimation import Excitation, Fit, Measurement, NonlinearProblem, NonlinearSolution, check_spread
 from armlab.estimation import nonlinear_least_squares as solve
 from armlab.frames import inputs, ransac
 from armlab.frames.feature_fit import LIMIT, Cloud, result, text, upward
@@ -131,7 +131,7 @@ def _descend(
         return [Measurement(r, J, cov, ("distance",) * k)]
 
     try:
-        return solve(Problem(evaluate, step, what=what), start)
+        return solve(NonlinearProblem(evaluate, step, what=what), start)
     except NotConverged:
         raise NotExcited(
             f"Expected points that tell where the {what} is, got a descent without end. They cover too little of it.",

@@ -22,8 +22,6 @@ from armlab._numbers import flag, members
 from armlab.errors import RobotError, UnknownName
 from armlab.robots import Robot
 
-__all__ = ["BaseParameters", "base_parameters", "measured_joints"]
-
 LINK_SYMBOLS = ("m", "m c_x", "m c_y", "m c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 POSITIVE = (0, 4, 6, 9)  # masses and moments of inertia
 TOLERANCE = 1e-8
@@ -127,13 +125,7 @@ def base_parameters(robot: Robot, *, quasi_static: bool = False, joints: Sequenc
 def measured_joints(robot: Robot, joints: Sequence[int] | None = None) -> list[int]:
     """Return the numbers of the joints that are meant, ascending; all when left out.
 
-    Parameters
-    ----------
-    robot : frozen description. joints : numbers from 0.
-
-    Raises
-    ------
-    RobotError : something else than a robot. UnknownName : no such joint, one twice, or none at all.
+    `joints`: numbers from 0.
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)

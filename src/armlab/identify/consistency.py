@@ -29,8 +29,6 @@ from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.models import Payload, TorqueModel
 from armlab.robots import Robot, inertia
 
-__all__ = ["Physical", "physical", "physical_load", "pseudo_inertia"]
-
 LEAST = 1e-6  # eigenvalue of a pseudo-inertia [kg, kg m^2]
 PULLS = ("log-det", "euclidean")
 # The cost is flat about the bodies: its root is their error. How far rounding lets the solver come depends on the
@@ -41,7 +39,7 @@ WIDTH = 0.05  # radius of gyration of a default prior, as a share of the reach
 
 
 @dataclass(frozen=True, eq=False)
-class Physical:
+class PhysicallyConsistent:
     """A torque model whose links are bodies.
 
     Attributes
@@ -104,9 +102,9 @@ def pseudo_inertia(pi: np.ndarray) -> np.ndarray:
     return P
 
 
-def physical(
+def physically_consistent(
     fit: Fit[TorqueModel], robot: Robot, prior: np.ndarray | None = None, pull: str = "log-det", strength: float = 1.0
-) -> Physical:
+) -> PhysicallyConsistent:
     """Return the nearest model whose links are bodies, with how much the residual grows.
 
     Parameters
@@ -149,10 +147,10 @@ def physical(
     constant = base.D @ np.concatenate([links.ravel(), rotor])  # torque of bodies that the fit took for an offset
     friction = replace(model.friction, offset=model.friction.offset - constant)
     better = replace(model, link_parameters=links, rotor=rotor, base_values=values, friction=friction)
-    return Physical(better, links, rotor, growth, distance)
+    return PhysicallyConsistent(better, links, rotor, growth, distance)
 
 
-def physical_load(fit: Fit[Payload]) -> Fit[Payload]:
+def physically_consistent_load(fit: Fit[Payload]) -> Fit[Payload]:
     """Return the nearest load that is a body, in deviations of the fit.
 
     ``minimise (pi - pi_fit)^T cov^-1 (pi - pi_fit)`` over pseudo-inertias that are not negative.

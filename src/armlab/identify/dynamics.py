@@ -2,33 +2,61 @@
 
     tau_i = Y_i(q, qd, qdd) base + F_f,i(qd_i, s_i) + ripple_i(q_i) + e_i
 
-1. The same zero-phase filter runs over torque and every regressor column; then every few samples are kept.
-2. Joints may read their torque by a few percent too large or small: gains, by which it is divided, are fitted before
-   and after the next step.
-3. Per joint, kind and width of the sign, Stribeck speed and the terms of friction are chosen on held-out blocks, with
-   the rigid part held.
-4. All linear parameters by least squares, joints weighted by 1 / their residual deviation, within physical bounds.
-5. Covariance by drawing blocks again: residuals are coloured, and the formal covariance is far too small.
-6. Models fitted without a fifth of the blocks give held-out residuals through the estimator's own causal filter; to
-   them the torque covariance over velocity is fitted and its scale calibrated to 95.4 % inside 2 sigma.
+Five stages, in this order:
+
+1. Record: the logs are checked and cut at gaps (`identify.record`).
+2. Regression: one zero-phase filter runs over torque and every regressor column, then every few samples are kept
+   (`identify.regression`). Joints may read their torque by a few percent too large or small: gains, by which it is
+   divided, are fitted before and after the next stage.
+3. Friction structure: per joint, kind and width of the sign, Stribeck speed and the terms of friction are chosen on
+   held-out blocks, with the rigid part held (`identify.friction_structure`).
+4. Solution: all linear parameters by least squares, joints weighted by 1 / their residual deviation, within physical
+   bounds (`identify.solve`). Their covariance comes from a block bootstrap: residuals are coloured, and the formal
+   covariance is far too small.
+5. Validation: models fitted without a fifth of the blocks give held-out residuals through the estimator's own causal
+   filter; to them the torque covariance over velocity is fitted and its scale calibrated to 95.4 % inside 2 sigma
+   (`identify.validation`).
+
+`fit_gravity` fits gravity, friction and offsets alone, from slow motion:
+
+    tau_i = Y_i(q) gravity parameters + F_f,i(qd_i, s_i) + ripple_i(q_i) + e_i
+
+Such a log does not identify inertia. Masses and first moments that gravity shows (14 combinations of a YuMi arm) need
+no more than that, and contact forces at low speed need no more than these.
+
+`identify.many` runs the same stages over any number of logs: stages 1 to 4 on the first logs fix what is not linear
+(torque outliers, gains, structure of friction); what remains are sums of rows, which every log may add to.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
-from armlab.estimation import Fit, block_bootstrap
+import numpy as np
+
+from armlab._numbers import check_name
+from armlab.errors import ModelMismatchError, NotExcited, ShapeError
+from armlab.estimation import BlockSums, Fit, LinearSolution, Prior, block_bootstrap, block_seconds, least_squares
 from armlab.identify.base_parameters import BaseParameters, base_parameters, measured_joints
-from armlab.identify.drafting import Job, Progress, fit_of, fold_models, make_draft, model_of
-from armlab.identify.preparation import Prepared, prepare
+from armlab.identify.friction_structure import Chooser, choose_here
+from armlab.identify.record import Record, prepare, torque_outliers, without_outliers
+from armlab.identify.regression import Design
+from armlab.identify.solve import ROBUST, alternate, calibrated, gain_share, linearised, short_blocks
 from armlab.identify.threads import one_thread
-from armlab.identify.torque_gains import gain_share
-from armlab.identify.validation import assess
+from armlab.identify.validation import assess, report, training
 from armlab.log import Table
-from armlab.models import TorqueModel
+from armlab.models import FrictionBound, Quality, TorqueModel, velocity_covariance
 from armlab.robots import Robot
 
-__all__ = ["fit_dynamics", "fit_model"]
+CUTOFF = 10.0  # Hz, corner of the estimator's causal filter
+FEWEST = 8.0  # independent segments that identify a number of the friction structure
+UNKNOWN = 1e3  # deviation of a parameter that the prior does not contain
+METHODS = ("irls", "lts", "wls", "ols")
+FOLDS = 5
+BAND, SLOW, QUANTILE = 5.0, 1.0, 0.99  # Hz; rad/s^2, m/s^2: a log for `fit_gravity` stays below it, in this share
+
+Progress = Callable[[int, int, str], None]
 
 
 @one_thread()
@@ -76,34 +104,278 @@ def fit_dynamics(
     the block bootstrap.
     """
     measured = None if joints is None else tuple(measured_joints(robot, joints))
-    job = Job("torque model", method, seed, progress or (lambda done, total, what: None), prior, measured)
-    return fit_model(table, robot, base_parameters(robot, joints=measured), job)
+    settings = FitSettings("torque model", method, seed, progress or (lambda done, total, what: None), prior, measured)
+    return fit_model(table, robot, base_parameters(robot, joints=measured), settings)
+
+
+@one_thread()
+def fit_gravity(
+    table: Table | Sequence[Table],
+    robot: Robot,
+    *,
+    method: str = "irls",
+    seed: int = 0,
+    progress: Progress | None = None,
+    prior: Fit[TorqueModel] | None = None,
+) -> Fit[TorqueModel]:
+    """Identify gravity, friction and offsets from one or several logs of slow free motion.
+
+    Parameters
+    ----------
+    table : logs with columns q, tau (N, n), and qd where it was measured, without contact.
+    robot : the arm that was logged; its gravity counts.
+    method, seed, progress, prior : as in `fit_dynamics`.
+
+    Returns
+    -------
+    Fit of a `models.TorqueModel` that is quasi-static: no torque comes with acceleration or velocity of its links.
+
+    Raises
+    ------
+    ShapeError : logs that `fit_dynamics` refuses, or motion so fast that inertia would count as gravity.
+    NotExcited : joints or directions that the log does not determine, by name. UnknownName : another method.
+
+    References
+    ----------
+    Bagge Carlson and Haage (2017), YuMi low-level motion guidance, TFRT-7651, section 4.
+    """
+    settings = FitSettings("gravity model", method, seed, progress or (lambda done, total, what: None), prior)
+    return fit_model(
+        table, robot, base_parameters(robot, quasi_static=True), settings, lambda data: _check_slow(data, robot)
+    )
+
+
+def _check_slow(data: Record, robot: Robot) -> None:
+    """Refuse motion whose inertia cannot be neglected."""
+    band = min(BAND, data.rate / 10.0)
+    acceleration = np.quantile(np.abs(data.filter(data.differentiate(data.qd), band)), QUANTILE, axis=0)
+    fast = np.flatnonzero(acceleration > SLOW)
+    if len(fast):
+        listed = ", ".join(f"{robot.joint_names[i]} ({acceleration[i]:.2g})" for i in fast)
+        raise ShapeError(
+            f"Expected slow motion, accelerations below {SLOW:g} rad/s^2 or m/s^2, got more for {listed}: inertia "
+            "would count as gravity. Use fit_dynamics for this log, or record a slower one."
+        )
 
 
 def fit_model(
     table: Table | Sequence[Table],
     robot: Robot,
     base: BaseParameters,
-    job: Job,
-    check: Callable[[Prepared], None] = lambda data: None,
+    settings: FitSettings,
+    check: Callable[[Record], None] = lambda data: None,
 ) -> Fit[TorqueModel]:
-    """Fit base parameters, friction and offset; see `fit_dynamics` and `fit_gravity`.
+    """Run the five stages for `fit_dynamics` and `fit_gravity`; `check` refuses records that do not suit the fit."""
+    settings.check(robot)
+    settings.tell(0, 5, "checking the log")
+    record = prepare(table, robot, settings.joints)
+    check(record)
+    problem = make_problem(record, robot, base, settings)
+    design, sums, solution = problem.design, problem.sums, problem.sums.solution
+    cov = block_bootstrap(sums, seed=settings.seed, length=problem.length).cov
+    settings.tell(4, 5, "held-out residuals")
+    model = model_of(design, solution.x, cov, problem.gain_cov)
+    folds = fold_models(model, design, sums, problem.block, problem.length)
+    model = assess(model, folds, design.data, design.joints)
+    settings.tell(5, 5, "done")
+    return fit_of(model, design, solution, cov + gain_share(solution, problem.gain_cov), len(record.t))
 
-    Parameters
-    ----------
-    table, robot : as there. base : which base parameters. job : how to fit.
-    check : refuses records that are not of this kind.
+
+@dataclass(frozen=True, eq=False)
+class FitSettings:
+    """How to fit.
+
+    `tell`: called with (done, total, what). `joints`: whose torque is measured; None for all. `chooser`: of the shapes
+    of friction, see `Design.choose_shapes`.
     """
-    job.check(robot)
-    job.tell(0, 5, "checking the log")
-    data = prepare(table, robot, job.joints)
-    check(data)
-    draft = make_draft(data, robot, base, job)
-    design, sums = draft.design, draft.sums
-    data, solution = design.data, sums.solution
-    cov = block_bootstrap(sums, seed=job.seed, length=draft.length).cov
-    job.tell(4, 5, "held-out residuals")
-    model = model_of(design, solution.x, cov, draft.gain_cov)
-    model = assess(model, fold_models(model, design, sums, draft.block, draft.length), data, design.joints)
-    job.tell(5, 5, "done")
-    return fit_of(model, design, solution, cov + gain_share(solution, draft.gain_cov), len(data.t))
+
+    what: str
+    method: str
+    seed: int
+    tell: Progress
+    prior: Fit[TorqueModel] | None = None
+    joints: tuple[int, ...] | None = None
+    chooser: Chooser = choose_here
+
+    def check(self, robot: Robot) -> None:
+        """Refuse another method, and a prior that is no fit or of another robot."""
+        if self.prior is not None:
+            if not isinstance(getattr(self.prior, "value", None), TorqueModel):
+                found = type(self.prior).__name__
+                raise ModelMismatchError(f"Expected an earlier fit as prior, got {found}. See Fit.load.")
+            self.prior.value.check_robot(robot)
+        check_name(self.method, "method of identification", METHODS)
+
+    def solve(self, design: Design, block: np.ndarray) -> LinearSolution:
+        """Solve for the linear parameters; `block` (M,) is the block of time of each kept row."""
+        limits = {"lower": design.layout.lower, "prior": self._prior(design), "seed": self.seed}
+        return least_squares(design.stream(block), design.layout.heads, what=self.what, method=self.method, **limits)
+
+    def _prior(self, design: Design) -> Prior | None:
+        if self.prior is None:
+            return None
+        known = dict(zip(self.prior.names, zip(self.prior.parameters, self.prior.sd)))
+        values = [known.get(name, (0.0, UNKNOWN)) for name in design.layout.names]
+        values = [(0.0, 1.0) if slope else value for value, slope in zip(values, design.layout.slopes)]
+        return Prior(np.array([v for v, _ in values]), np.array([max(sd, 1e-12) for _, sd in values]))
+
+
+@dataclass(frozen=True, eq=False)
+class FitProblem:
+    """A regression whose nonlinear parameters are fixed, and the sums of its blocks.
+
+    `gain_cov`: (J, J) of the gains. `block`: (N,) number of the block of each sample, `length` of them in an
+    independent segment. `theta`: (p,) parameters without
+    slopes at which the slopes were taken.
+    """
+
+    design: Design
+    gain_cov: np.ndarray
+    sums: BlockSums
+    block: np.ndarray
+    length: int
+    theta: np.ndarray
+
+
+def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: FitSettings) -> FitProblem:
+    """Run stages 2 to 4: build the regression, choose the friction structure, solve.
+
+    Torque outliers are replaced twice: the second time by the torque of the first fit.
+    """
+    method, prior = settings.method, settings.prior
+    known = None if prior is None else (prior.value.gains, prior.value.gain_cov)
+    outliers = torque_outliers(record) if method in ROBUST else np.zeros(record.tau.shape, dtype=bool)
+    first = replace(record, tau=without_outliers(record, outliers)) if outliers.any() else record
+
+    settings.tell(1, 5, "building the regressor")
+    design = calibrated(Design.build(first, robot, base, joints=settings.joints), method, known)[0]
+
+    settings.tell(2, 5, "choosing the shape of friction")
+    design, theta = alternate(design, method, settings.seed, chooser=settings.chooser)
+    if outliers.any():
+        model = model_of(design, theta, np.zeros((len(theta), len(theta))))
+        design = design.with_torque(without_outliers(record, outliers, model))
+        design, theta = alternate(design, method, settings.seed, chooser=settings.chooser)
+    design, theta, gain_cov = calibrated(design, method, known)
+
+    settings.tell(3, 5, "covariance from blocks")
+    block, length = _blocks(design, theta, method)
+    design, sums = _solved(design, theta, settings, block, length)
+    return FitProblem(design, gain_cov, sums, block, length, theta)
+
+
+def _solved(
+    design: Design, theta: np.ndarray, settings: FitSettings, block: np.ndarray, length: int
+) -> tuple[Design, BlockSums]:
+    """Return the design with its slopes and the sums of its blocks (B,).
+
+    A number of the friction structure that only a few reversals identify keeps its value: a bootstrap cannot give its
+    deviation.
+    """
+    sloped = linearised(design, theta, settings.method)
+    sums = BlockSums.of(settings.solve(sloped, block[design.rows]))
+    spread = sums.spread(length)[sloped.layout.slopes] >= FEWEST
+    if spread.all():
+        return sloped, sums
+    free = sloped.free.copy()
+    free[sloped.free] = spread
+    sloped = design.with_slopes(theta, free)
+    return sloped, BlockSums.of(settings.solve(sloped, block[design.rows]))
+
+
+def _blocks(design: Design, theta: np.ndarray, method: str) -> tuple[np.ndarray, int]:
+    """Return the block number (N,) of each sample, and how many blocks make an independent segment.
+
+    Segments are longer than the autocorrelation of the residual; method "lts" has several blocks in a segment.
+    """
+    data = design.data
+    step = float(np.median(np.diff(data.t[design.rows])))
+    seconds = min(block_seconds(design.residuals(theta), step), data.seconds / 20.0)
+    block = data.blocks(short_blocks(data) if method == "lts" else seconds)
+    count = int(block[-1]) + 1
+    length = max(1, round(seconds * count / data.seconds))
+    if count < 8 * length:
+        raise NotExcited(
+            f"Expected at least 8 blocks of {seconds:.2g} s for a covariance, got {count // length}. "
+            "Record for longer.",
+            ["covariance"],
+            [f"{data.seconds:.1f} s"],
+        )
+    return block, length
+
+
+def model_of(design: Design, theta: np.ndarray, cov: np.ndarray, gain_cov: np.ndarray | None = None) -> TorqueModel:
+    """Turn linear parameters and friction shapes into a model; covariance and quality are provisional.
+
+    `theta`, `cov`: (p,) and (p, p). `gain_cov`: (J, J) of the gains; zero when left out.
+    """
+    data, robot, base = design.data, design.robot, design.base
+    n, p = robot.n, len(base.names)
+    unknown = np.full(n, np.nan)
+    links, rotor = base.links_and_rotors(theta[:p])
+    friction, ripple = design.drives(theta)
+    tiny = np.full(n, 1e-18)
+    gains, spread = np.ones(n), np.zeros((n, n))
+    gains[design.joints] = design.gains
+    if gain_cov is not None:
+        spread[np.ix_(design.joints, design.joints)] = gain_cov
+    return TorqueModel(
+        robot_name=robot.name,
+        robot_hash=robot.hash,
+        frames=robot.frames,
+        prismatic=robot.prismatic,
+        gravity=robot.gravity,
+        link_parameters=links,
+        rotor=rotor,
+        friction=friction,
+        ripple=ripple,
+        covariance=velocity_covariance("const", tiny, tiny),
+        bound=FrictionBound.of(friction),
+        cutoff=CUTOFF,
+        base_names=base.names,
+        base_values=theta[:p],
+        base_cov=cov[:p, :p],
+        gains=gains,
+        gain_cov=spread,
+        quality=Quality(np.std(data.tau, axis=0), rms=unknown, rms_cv=unknown, coverage=unknown, seconds=data.seconds),
+        training=training(data.t, data.q, data.qd, data.segments),
+        sources=data.sources,
+        coupled=design.coupled(theta),
+        quasi_static=base.quasi_static,
+    )
+
+
+def fold_models(
+    model: TorqueModel, design: Design, sums: BlockSums, block: np.ndarray, length: int
+) -> list[tuple[TorqueModel, np.ndarray]]:
+    """Return, for each fifth of the stretches, the model fitted without them and a mask (N,) of their samples.
+
+    `block`: (N,) number of the block of each sample of the record that will judge.
+    """
+    folds = []
+    for k in range(FOLDS):
+        kept = np.arange(len(sums.rows)) // length % FOLDS != k
+        theta = sums.solve(kept.astype(float))
+        folds.append((replace(model_of(design, theta, sums.solution.cov), base_cov=model.base_cov), ~kept[block]))
+    return folds
+
+
+def fit_of(model: TorqueModel, design: Design, solution: LinearSolution, cov: np.ndarray, n: int) -> Fit[TorqueModel]:
+    """Return the fit behind a model, its parameters in their units.
+
+    `solution`: of the linear parameters (p,). `cov`: (p, p) of these, what gains have in common included.
+    """
+    parameters, in_units, formal = design.in_units(solution.x, cov, solution.cov)
+    return Fit(
+        value=model,
+        names=design.layout.names,
+        units=design.layout.units,
+        parameters=parameters,
+        cov=in_units,
+        formal_cov=formal,
+        sigma=solution.sigma,
+        residuals=design.residuals(solution.x),
+        n=n,
+        excitation=solution.excitation,
+        summary=lambda fit: report(fit, solution),
+    )

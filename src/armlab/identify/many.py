@@ -21,23 +21,19 @@ import numpy as np
 
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import BlockSums, Fit, block_bootstrap
-from armlab.estimation.factors import Factors, factorise
-from armlab.estimation.solution import LinearSolution, Question, solve
+from armlab.estimation.linear_problem import LinearProblem, LinearSolution, solve
+from armlab.estimation.tsqr import Factors, factorise
 from armlab.identify.base_parameters import BaseParameters, base_parameters
-from armlab.identify.design import Design
-from armlab.identify.drafting import Draft, Job, Progress, fit_of, fold_models, make_draft, model_of
-from armlab.identify.extrapolation import training
-from armlab.identify.preparation import Prepared, prepare, prepare_share
-from armlab.identify.shapes import Chooser, Shapes, choose_here
-from armlab.identify.spikes import spikes, without_spikes
+from armlab.identify.dynamics import FitProblem, FitSettings, Progress, fit_of, fold_models, make_problem, model_of
+from armlab.identify.friction_structure import Chooser, FrictionStructure, choose_here
+from armlab.identify.record import Record, prepare, prepare_share, torque_outliers, without_outliers
+from armlab.identify.regression import Design
+from armlab.identify.solve import gain_share
 from armlab.identify.threads import one_thread
-from armlab.identify.torque_gains import gain_share
-from armlab.identify.validation import assess
+from armlab.identify.validation import assess, training
 from armlab.log import Table
 from armlab.models import TorqueModel, Training
 from armlab.robots import Robot
-
-__all__ = ["LogSums", "Pattern", "fit_draft", "fit_sums", "log_sums", "same_rate"]
 
 HUBER = 1.345
 NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
@@ -50,18 +46,14 @@ BIN = 1e-9  # share of a sample
 class Pattern:
     """What the sums of a log need to know of the draft. It travels to workers.
 
-    Attributes
-    ----------
-    robot, base : the arm and its base parameters. shapes : of friction. free : (J, 2) bool, numbers with a slope.
-    geared : whether there are columns of ripple, also in logs that alone would have none, or some.
-    gains : (J,) of the torques. theta, x : parameters of the draft without and with slopes.
-    limit : (J,) residual from which a row counts less [N m]. rate : of the draft [Hz].
-    model : of the draft, whose torque replaces spikes. blocks : of time in each log.
+    `free`: (J, 2) bool, numbers with a slope. `geared`: whether there are columns of ripple, also in logs that alone
+    would have none, or some. `gains`: (J,) of the torques. `theta`, `x`: parameters of the draft without and with
+    slopes. `limit`: (J,) residual from which a row counts less [N m]. `rate`: of the draft [Hz].
     """
 
     robot: Robot
     base: BaseParameters
-    shapes: Shapes
+    shapes: FrictionStructure
     free: np.ndarray
     geared: bool
     gains: np.ndarray
@@ -83,13 +75,8 @@ class Pattern:
             digest.update(f"{values.dtype} {values.shape} {values.tolist()}".encode())
         return digest.hexdigest()
 
-    def design(self, data: Prepared) -> Design:
-        """Return the regression problem of a record, with the draft's gains, shapes and slopes.
-
-        Parameters
-        ----------
-        data : the record, its spikes replaced.
-        """
+    def design(self, data: Record) -> Design:
+        """Return the regression problem of a record, with the draft's gains, shapes and slopes."""
         built = Design.build(data, self.robot, self.base, shapes=self.shapes, geared=self.geared)
         return built.with_gains(self.gains).with_slopes(self.theta, self.free)
 
@@ -98,10 +85,7 @@ class Pattern:
 class LogSums:
     """What one log says of the parameters.
 
-    Attributes
-    ----------
-    factors : of its rows, per block of time. weight, inside : sum of the weights of its rows, and how many have 1.
-    n : samples. seconds : of motion. training : its ranges, speeds beside the draft's. source : its name and hash.
+    `weight`, `inside`: sum of the weights of its rows, and how many have 1.
     """
 
     factors: Factors
@@ -120,21 +104,14 @@ def fit_draft(
     logs: int,
     progress: Progress = lambda done, total, what: None,
     chooser: Chooser = choose_here,
-) -> tuple[Draft, Pattern]:
+) -> tuple[FitProblem, Pattern]:
     """Fit the first logs, which fix what is not linear.
 
-    Parameters
-    ----------
-    tables : the first logs. robot : the arm. logs : how many there are in all.
-    progress : called with (done, total, what). chooser : of the shapes of friction, see `Design.choose_shapes`.
-
-    Raises
-    ------
-    ShapeError, NotExcited : as `fit_dynamics`.
+    `progress`: called with (done, total, what). `chooser`: of the shapes of friction, see `Design.choose_shapes`.
     """
-    job = Job("torque model", "irls", 0, progress, chooser=chooser)
+    job = FitSettings("torque model", "irls", 0, progress, chooser=chooser)
     base = base_parameters(robot)
-    draft = make_draft(prepare(tables, robot), robot, base, job)
+    draft = make_problem(prepare(tables, robot), robot, base, job)
     design, solution = draft.design, draft.sums.solution
     pattern = Pattern(
         robot=robot,
@@ -157,13 +134,7 @@ def fit_draft(
 def log_sums(table: Table, pattern: Pattern) -> LogSums:
     """Reduce one log to sums; joints may rest in it.
 
-    Parameters
-    ----------
-    table : log with columns q, qd, tau (N, n), without contact. pattern : of the draft.
-
-    Raises
-    ------
-    ShapeError, NotExcited : a log that cannot be used; says why.
+    `table`: log with columns q, qd, tau (N, n), without contact.
     """
     data = _without_spikes(prepare_share(table, pattern.robot), pattern)
     if not same_rate(data.rate, pattern.rate):
@@ -189,17 +160,10 @@ def log_sums(table: Table, pattern: Pattern) -> LogSums:
 
 
 @one_thread()
-def fit_sums(draft: Draft, pattern: Pattern, sums: Sequence[LogSums], first: Sequence[int]) -> Fit[TorqueModel]:
+def fit_sums(draft: FitProblem, pattern: Pattern, sums: Sequence[LogSums], first: Sequence[int]) -> Fit[TorqueModel]:
     """Fit the model to the sum of all logs.
 
-    Parameters
-    ----------
-    draft, pattern : from `fit_draft`. sums : of all logs, in their order.
-    first : which of them the draft was made of; their held-out residuals give the torque covariance over velocity.
-
-    Raises
-    ------
-    NotExcited : the logs together do not determine everything, by name; or too few of them for a covariance.
+    `first`: which of them the draft was made of; their held-out residuals give the torque covariance over velocity.
     """
     solution, block_sums = _solved(draft.design, sums)
     design = draft.design
@@ -231,23 +195,23 @@ def _solved(design: Design, sums: Sequence[LogSums]) -> tuple[LinearSolution, Bl
             ["covariance"],
             [f"{len(factors.rows)} stretches"],
         )
-    found = solve(Question.of(design.layout.heads, "torque model", lower=design.layout.lower), factors)
+    found = solve(LinearProblem.of(design.layout.heads, "torque model", lower=design.layout.lower), factors)
     stretch = sum(one.weight for one in sums) / max(sum(one.inside for one in sums), 1)
     found = replace(found, stretch=stretch)
     return found, BlockSums.of(found)
 
 
-def _without_spikes(data: Prepared, pattern: Pattern) -> Prepared:
-    found = spikes(data)
-    return replace(data, tau=without_spikes(data, found, pattern.model)) if found.any() else data
+def _without_spikes(data: Record, pattern: Pattern) -> Record:
+    found = torque_outliers(data)
+    return replace(data, tau=without_outliers(data, found, pattern.model)) if found.any() else data
 
 
-def _block(data: Prepared, count: int) -> np.ndarray:
+def _block(data: Record, count: int) -> np.ndarray:
     """Return the number (N,) of the stretch of each sample, about `count` of them in a log."""
     return data.blocks(data.seconds / count * (1.0 + BIN))
 
 
-def _blocks_of_draft(data: Prepared, count: int, sums: Sequence[LogSums], first: Sequence[int]) -> np.ndarray:
+def _blocks_of_draft(data: Record, count: int, sums: Sequence[LogSums], first: Sequence[int]) -> np.ndarray:
     """Return the number (N,) of the stretch, among those of all logs, of each sample of the draft."""
     starts = np.cumsum([0, *(len(one.factors.rows) for one in sums)])
     numbers, row = [], 0

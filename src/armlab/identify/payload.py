@@ -17,22 +17,271 @@ less, g_i: without it the mass would seem to be known far better than it is.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from armlab._numbers import number
 from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Fit, LinearSolution, Rows, block_seconds, check_spread, least_squares
-from armlab.identify.base_parameters import LINK_SYMBOLS
-from armlab.identify.gains import GainProblem
-from armlab.identify.load_record import EVERY, LoadRecord
-from armlab.identify.model_error import ModelError
+from armlab.identify.base_parameters import LINK_SYMBOLS, BaseParameters, base_parameters
+from armlab.identify.record import MIN_SECONDS, MIN_SLIDE, MIN_TURN, Record, check_once, log_name
+from armlab.identify.residuals import model_residuals
+from armlab.identify.solve import GainProblem
+from armlab.kernels import presliding
 from armlab.log import Table
-from armlab.models import Payload, TorqueModel
+from armlab.models import Friction, Payload, TorqueModel
 from armlab.robots import Robot, inertia
 
-__all__ = ["fit_payload"]
+# What is uncertain in an identified model, and what fits that rely on the model make of it.
+#
+# Where the residual ``y = tau - tau_model`` is fitted by ``y = A x + e``, an error d of the model's parameters adds
+# ``-C d`` to e, with C = d tau_model / d parameters. All rows share one d: no number of rows averages it out.
+
+
+CHUNK = 4096  # rows whose whole regressor is held at once
+STEP = 1e-3  # of the logarithm of what the torque is not linear in
+FIELDS = {
+    "viscous": ("viscous",),
+    "coulomb": ("coulomb_pos", "coulomb_neg"),
+    "coulomb+": ("coulomb_pos",),
+    "coulomb-": ("coulomb_neg",),
+    "offset": ("offset",),
+    "stribeck": ("stribeck",),
+    "root": ("root",),
+    "delta": ("delta",),
+    "tanh-speed": ("smooth_speed",),
+    "stribeck-speed": ("stribeck_speed",),
+}
+CURVED = ("delta", "tanh-speed", "stribeck-speed")
+RIPPLE = {"ripple cos": np.cos, "ripple sin": np.sin}
+
+
+@dataclass(frozen=True, eq=False)
+class ModelError:
+    """The uncertain parameters of a model.
+
+    `base`: its base parameters, or None for those of an arm of which some joints were left out. `cov`: (P, P) their
+    covariance.
+    """
+
+    model: TorqueModel
+    robot: Robot
+    base: BaseParameters | None
+    names: tuple[str, ...]
+    cov: np.ndarray
+    left_out: tuple[str, ...]
+
+    @classmethod
+    def of(cls, known: TorqueModel | Fit[TorqueModel], robot: Robot) -> ModelError:
+        """Return what is uncertain in a model: rigid body and friction of a fit, the rigid body alone of a model.
+
+        `known`: as `identify.fit_dynamics` or `fit_gravity` return it, or its value.
+        """
+        model = known.value if isinstance(known, Fit) else known
+        names, cov = (known.names, _apart(known)) if isinstance(known, Fit) else (model.base_names, model.base_cov)
+        bases = base_parameters(robot), base_parameters(robot, quasi_static=True)
+        base = next((base for base in bases if base.names == tuple(model.base_names)), None)
+        own = {name for terms in _own_names(robot, base).values() for name in terms}
+        rigid = set() if base is None else set(base.names)
+        index = [k for k, name in enumerate(names) if name in own | rigid]
+        left_out = tuple(name for name in names if name not in own | rigid)
+        return cls(model, robot, base, tuple(names[k] for k in index), cov[np.ix_(index, index)], left_out)
+
+    def against(self, A: np.ndarray, data: Record, rows: np.ndarray, joints: np.ndarray) -> np.ndarray:
+        """Return the sums (J, w, P) of A_i^T C_i per joint: how columns take up what is wrong with the model.
+
+        `A`: (M, J, w) filtered columns. `rows`: (M,) of it that are kept. `joints`: (J,) numbers.
+        """
+        total = np.zeros((len(joints), A.shape[2], len(self.names)))
+        at = {name: k for k, name in enumerate(self.names)}
+        if self.base is not None:
+            rigid = [at[name] for name in self.base.names]
+            total[:, :, rigid] = _rigid(A, data, rows, joints, self.robot, self.base)
+        for names, slope in self._own(data, set(self.names)):
+            column = data.filter(slope, data.rate / 10.0)[rows]
+            for i, joint in enumerate(joints):
+                if names[joint] in at:
+                    total[i, :, at[names[joint]]] = A[:, i].T @ column[:, joint]
+        return total
+
+    def _own(self, data: Record, wanted: set[str]) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
+        """Yield the names (n,) of one term of all joints, and its slope (N, n)."""
+        friction, ripple = self.model.friction, self.model.ripple
+        for term, names in _own_names(self.robot, self.base).items():
+            if wanted.isdisjoint(names):
+                continue
+            if term in RIPPLE:
+                yield names, RIPPLE[term](ripple.cycles * data.q)
+                continue
+            ends = []
+            for sign in (1.0, -1.0):
+                fields = {name: getattr(friction, name) for name in FIELDS[term]}
+                moved = {k: x * np.exp(sign * STEP) if term in CURVED else x + sign for k, x in fields.items()}
+                ends.append(_friction(replace(friction, **moved), data))
+            width = 2.0
+            if term in CURVED:
+                value = getattr(friction, FIELDS[term][0])
+                width = 2.0 * np.sinh(STEP) * np.where(value > 0, value, 1.0)
+            yield names, (ends[0] - ends[1]) / width
+
+
+def _apart(fit: Fit[TorqueModel]) -> np.ndarray:
+    """Return the covariance of a fit without what its gains have in common.
+
+    Gains that are all c too large leave parameters that are all c too small, and the torque that is read the same.
+    """
+    gain_cov = fit.value.gain_cov
+    told = np.flatnonzero(np.diag(gain_cov) > 0)
+    if not len(told):
+        return fit.cov
+    ones = np.ones(len(told))
+    common = 1.0 / (ones @ np.linalg.solve(gain_cov[np.ix_(told, told)], ones))
+    scaled = np.array([0.0 if name.split()[0] in CURVED else x for name, x in zip(fit.names, fit.parameters)])
+    return fit.cov - common * np.outer(scaled, scaled)
+
+
+def _own_names(robot: Robot, base: BaseParameters | None) -> dict[str, tuple[str, ...]]:
+    """Return the names (n,) of each term that joints have of their own."""
+    names = {term: tuple(f"{term} {joint}" for joint in robot.joint_names) for term in (*FIELDS, *RIPPLE)}
+    return names if base is None else {**names, "offset": tuple(base.offset_names)}
+
+
+def _friction(friction: Friction, data: Record) -> np.ndarray:
+    """Return the torque (N, n) of friction along a record, each segment from rest."""
+    torque = np.empty_like(data.q)
+    for a, b in data.segments:
+        z = presliding(data.q[a:b], friction.delta, friction.resolution)
+        torque[a:b] = friction.torque(data.qd[a:b], z)
+    return torque
+
+
+def _rigid(
+    A: np.ndarray, data: Record, rows: np.ndarray, joints: np.ndarray, robot: Robot, base: BaseParameters
+) -> np.ndarray:
+    """Return the sums (J, w, p) over columns of the base parameters."""
+    n, moves = robot.n, 0.0 if base.quasi_static else 1.0
+    qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
+    total = np.zeros((len(joints), A.shape[2], len(base.names)))
+    for a in range(0, len(rows), CHUNK):
+        part = rows[a : a + CHUNK]
+        Y = robot.chain.rigid_regressor(data.q[part], moves * data.qd[part], moves * qdd[part], robot.gravity)
+        Y = Y @ base.lift[: 10 * n] + qdd[part][:, :, None] * base.lift[10 * n :]
+        total += A[a : a + CHUNK].transpose(1, 2, 0) @ Y[:, joints].transpose(1, 0, 2)
+    return total
+
+
+# What a load adds to the torques of a log, as a linear regression: filtered, thinned, and less a log without it.
+
+
+EVERY = 4  # rows apart that are kept; the filter's corner is at a tenth of the rate
+APART = 0.02  # rad or m, RMS; records further apart are not of one motion
+
+
+@dataclass(frozen=True, eq=False)
+class LoadRecord:
+    """Regression ``y = A pi + e`` of the torque that a load adds.
+
+    `rows`: (M,) rows of it that are kept. `joints`: (j,) those that move; what friction does at rest is not known, and
+    the others are left out. `A`: (M, j, 10) filtered columns of the load, at the flange. `y`: (M, j) filtered residual
+    of the model [N m]. `against`: (j, 10, P) sums of A_i^T C_i per joint, C the slopes of its torque over these
+    parameters: how the load takes up what is wrong with them. `sources`: name and SHA-256 of each log.
+    """
+
+    data: Record
+    rows: np.ndarray
+    joints: np.ndarray
+    A: np.ndarray
+    y: np.ndarray
+    error: ModelError
+    against: np.ndarray
+    sources: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls,
+        table: Table | Sequence[Table],
+        known: TorqueModel | Fit[TorqueModel],
+        robot: Robot,
+        without: Table | None = None,
+    ) -> LoadRecord:
+        """Build the regression from logs.
+
+        `without`: log of the same motion without the load; its residual is subtracted.
+        """
+        error = ModelError.of(known, robot)
+        model = error.model
+        tables = [table] if isinstance(table, Table) else table
+        joints = moving_joints(tables, robot)
+        found = model_residuals(table, model, joints.tolist(), robot)
+        data, cutoff = found.data, found.data.rate / 10.0
+        rows = np.concatenate([np.arange(a, b, EVERY) for a, b in data.segments])
+        y, sources = data.filter(found.y[:, joints], cutoff), data.sources
+        columns = data.filter(_at_flange(data, robot)[:, joints], cutoff)
+        if without is None:
+            A = columns[rows]
+            return cls(data, rows, joints, A, y[rows], error, error.against(A, data, rows, joints), sources)
+        other = model_residuals(without, model, joints.tolist(), robot)
+        check_once((log_name(one, k), one.sha256) for k, one in enumerate([*tables, without], 1))
+        shift = _shift(data, other.data)
+        rows = rows[(rows >= shift) & (rows - shift < len(other.data.t))]
+        A, there = columns[rows], rows - shift
+        y = y[rows] - other.data.filter(other.y[:, joints], cutoff)[there]
+        shared = error.against(A, data, rows, joints) - error.against(A, other.data, there, joints)
+        return cls(data, rows, joints, A, y, error, shared, (*sources, *other.data.sources))
+
+    def blocks(self, seconds: float) -> np.ndarray:
+        """Return the block number (M,) of each row, from 0, for blocks of about `seconds`."""
+        return np.unique(self.data.blocks(seconds)[self.rows], return_inverse=True)[1]
+
+
+def moving_joints(tables: Sequence[Table], robot: Robot) -> np.ndarray:
+    """Return the numbers, from 0, of joints that move enough for their friction to be known; all where none does.
+
+    `tables`: logs with q (N, n).
+    """
+    if not tables or any(not isinstance(one, Table) or one["q"].shape[1:] != (robot.n,) for one in tables):
+        return np.arange(robot.n)  # `prepare` says what is wrong
+    ends = np.array([(np.nanmin(one["q"], axis=0), np.nanmax(one["q"], axis=0)) for one in tables if len(one)])
+    least = np.where(robot.prismatic, MIN_SLIDE, MIN_TURN)
+    moving = np.flatnonzero(ends[:, 1].max(axis=0) - ends[:, 0].min(axis=0) >= least) if len(ends) else []
+    return np.asarray(moving) if len(moving) else np.arange(robot.n)
+
+
+def _at_flange(data: Record, robot: Robot) -> np.ndarray:
+    """Return the torque columns (N, n, 10) of a load at the flange, unfiltered."""
+    moved = inertia.transform(robot.links[-1], np.eye(10)).T
+    qdd = data.differentiate(data.qd)
+    parts = [slice(a, a + CHUNK) for a in range(0, len(data.t), CHUNK)]
+    regressor = robot.chain.rigid_regressor
+    return np.concatenate([regressor(data.q[p], data.qd[p], qdd[p], robot.gravity)[:, :, -10:] @ moved for p in parts])
+
+
+def _shift(data: Record, other: Record) -> int:
+    """Return by how many rows the record with the load began earlier in the motion; refuse two different motions."""
+    if len(data.segments) > 1 or len(other.segments) > 1 or abs(data.rate / other.rate - 1.0) > 1e-3:
+        raise ShapeError(
+            f"Expected one log with and one without the load, of one rate and without gaps, got "
+            f"{len(data.segments)} and {len(other.segments)} pieces at {data.rate:.4g} and {other.rate:.4g} Hz. "
+            "Record both again, or leave the log without the load out."
+        )
+    size = len(data.t) + len(other.t)
+    weight = 1.0 / np.maximum(np.std(data.qd, axis=0), 1e-3 * np.std(data.qd))
+    one, two = (np.fft.rfft(x.qd * weight, size, axis=0) for x in (data, other))
+    alike = np.fft.irfft((one * np.conj(two)).sum(axis=1), size)
+    shift = int(np.argmax(alike))
+    shift = shift - size if shift >= len(data.t) else shift
+    first, last = max(shift, 0), min(len(data.t), len(other.t) + shift)
+    apart = np.sqrt(np.mean((data.q[first:last] - other.q[first - shift : last - shift]) ** 2, axis=0))
+    if (last - first) / data.rate < MIN_SECONDS or apart.max() > APART:
+        raise ShapeError(
+            f"Expected the same motion with and without the load for at least {MIN_SECONDS:g} s, got "
+            f"{(last - first) / data.rate:.1f} s in which joint {int(apart.argmax()) + 1} is {apart.max():.2g} apart "
+            f"(RMS). Run the same motion twice, or leave the log without the load out."
+        )
+    return shift
+
 
 SIZES = {"static": 4, "dynamic": 10}
 UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
@@ -206,7 +455,10 @@ def _notes(
     if not np.array_equal(free, theta):
         notes.append(f"held at a bound (m >= 0, centre within {FARTHEST} m); without it m = {free[0]:.4g} kg")
     if len(theta) == 10 and inertia.principal_moments(load.pi).min() < -3.0 * sd[4:].max():
-        notes.append("the inertia is not that of a body; identify.physical_load gives the nearest, or use mode static")
+        notes.append(
+            "the inertia is not that of a body; identify.physically_consistent_load gives the nearest, "
+            "or use mode static"
+        )
     if gain_sd:
         percent = "  ".join(f"{100 * g:+.1f}" for g in gains)
         notes.append(f"gains of the joints, of which {100 * gain_sd:g} % is expected [%]: {percent}")

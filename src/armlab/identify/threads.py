@@ -13,8 +13,6 @@ from importlib import import_module
 from threading import Lock
 from typing import Any
 
-__all__ = ["one_thread"]
-
 _lock = Lock()
 _inside = 0
 _limits = ExitStack()

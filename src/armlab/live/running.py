@@ -206,7 +206,7 @@ class _Estimate:
                 self._estimator.reset()
         self._t, self._session = t, session
         found = self._estimator.step(State(t, dt, q, qd, tau, robot=self._name))
-        self.force = Force(found.F, found.cov, "estimate of the model")
+        self.force = Force(found.wrench, found.cov, "estimate of the model")
 
 
 def _estimates(models: Sequence[TorqueModel], arms: Mapping[str, Robot]) -> dict[str, _Estimate]:

@@ -1,23 +1,22 @@
 """What is identified, saved, and later run: friction, ripple, torque covariance, the torque model, force sensors."""
 
-from armlab.models.accelerometer import Accelerometer
-from armlab.models.coupled import CoupledMotors
-from armlab.models.files import load, load_statistics, save
-from armlab.models.force_sensor import ForceSensor
-from armlab.models.friction import Friction, FrictionBound, Ripple
+from armlab.models.files import load, load_statistics, register, save
+from armlab.models.friction import (
+    Friction,
+    FrictionBound,
+    FrictionMap,
+    RadialBasis,
+    Ripple,
+    RippleLines,
+    WarmUp,
+    speed_basis,
+)
 from armlab.models.hand_eye import HandEye
 from armlab.models.kinematic_correction import DualArmCorrection, KinematicCorrection, harmonic_basis
-from armlab.models.laser_sensor import LaserSensor
-from armlab.models.momentum import FORCE_RATES, PRIOR, MomentumNoise
+from armlab.models.noise import FORCE_RATES, PRIOR, MomentumNoise, VelocityCovariance, velocity_covariance
 from armlab.models.payload import Payload
-from armlab.models.quality import Quality
-from armlab.models.rbf import FrictionMap, RadialBasis
-from armlab.models.registry import register
-from armlab.models.ripple import RippleLines, speed_basis
-from armlab.models.torque import TorqueModel
-from armlab.models.training import SPEED_EDGES, Training
-from armlab.models.velocity_covariance import VelocityCovariance, velocity_covariance
-from armlab.models.warm_up import WarmUp
+from armlab.models.sensors import Accelerometer, ForceSensor, LaserSensor
+from armlab.models.torque import SPEED_EDGES, CoupledMotors, Quality, TorqueModel, Training
 from armlab.robots import Mesh, Robot
 
 __all__ = [

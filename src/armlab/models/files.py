@@ -2,25 +2,410 @@
 
 A file begins with ``[meta]``: kind, format, armlab version, command line, UTC time, sources with their SHA-256, robot
 name and hash, and the sign convention of the wrench. A loader refuses another kind, format or sign. The torque model
-has tables that are made to be read by people; other values are written by `armlab.models.registry`.
+has tables that are made to be read by people; other values are written by `armlab.models.files`.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import msgspec
+import numpy as np
 import tomli_w
 
+import armlab
 from armlab._toml import TomlError, parsed
 from armlab._whole_files import whole_file
-from armlab.errors import ConfigError, ModelMismatchError
-from armlab.models._torque_file import KIND, read_torque_model, torque_tables
-from armlab.models.registry import decode, encode, read_value, value_file
-from armlab.models.torque import TorqueModel
+from armlab.errors import ConfigError, ModelMismatchError, UnknownName
+from armlab.models.friction import Friction, FrictionBound, Ripple
+from armlab.models.noise import VelocityCovariance
+from armlab.models.torque import SIGN, Quality, TorqueModel, Training
 
-__all__ = ["load", "load_statistics", "save"]
+# Values that have a file format: any frozen dataclass of numbers, texts and arrays, once it is registered.
+#
+#     [meta]   kind, package of its class, format, armlab version, command line, UTC time, sources, robot name and hash
+#     [value]  the fields of the value
+#     [fit]    what the fit knew of them: names, units, covariance, noise, outliers
+#
+# Numbers are written with 17 digits and arrays row by row, so that what is read is bit-equal to what was written. A
+# class anywhere in the package registers itself by `register`; `models.save` and `models.load` do the rest.
+
+
+FORMAT = 1
+
+_CLASSES: dict[str, type] = {}
+
+
+def register(kind: str, cls: type) -> None:
+    """Give a frozen dataclass a file format.
+
+    Parameters
+    ----------
+    kind : name of the format, written into the file; for example "hand_eye".
+    cls : its fields are numbers, texts, arrays, tuples and dicts of these, None, or other registered values. Its
+        constructor must take what its fields hold.
+    """
+    if not is_dataclass(cls) or _CLASSES.setdefault(kind, cls) is not cls:
+        raise ConfigError(f"Expected a dataclass and a kind of its own, got {cls.__name__} and {kind!r}.")
+
+
+def kind_of(value: object) -> str:
+    """Return the kind of a registered value."""
+    for kind, cls in _CLASSES.items():
+        if type(value) is cls:
+            return kind
+    raise ConfigError(
+        f"Expected a value with a file format, got {type(value).__name__}. "
+        f"These have one: {', '.join(sorted(c.__name__ for c in _CLASSES.values())) or 'none'} and TorqueModel."
+    )
+
+
+def provenance(kind: str, value: object) -> dict[str, Any]:
+    """Return the table [meta] of a file that is written now.
+
+    `value`: sources, robot name and hash are taken from it where it has them.
+    """
+    return {
+        "kind": kind,
+        "format": FORMAT,
+        "armlab": armlab.__version__,
+        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "created": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        "sources": list(getattr(value, "sources", ())),
+        "robot": getattr(value, "robot_name", ""),
+        "robot_hash": getattr(value, "robot_hash", ""),
+    }
+
+
+def value_file(value: object) -> dict[str, Any]:
+    """Return the tables [meta] and [value] of a registered value, with the UNITS of its fields where it has them."""
+    kind = kind_of(value)
+    meta, units = provenance(kind, value), _units(value)
+    meta["package"] = type(value).__module__.rpartition(".")[0]
+    if units:
+        meta["units"] = units
+    return {"meta": meta, "value": encode(value)["fields"]}
+
+
+def _units(value: Any, prefix: str = "") -> dict[str, str]:
+    """Return the UNITS of a value and, by "part.field", those of the values that are its fields."""
+    found = {prefix + name: unit for name, unit in getattr(type(value), "UNITS", {}).items()}
+    for field in fields(value):
+        part = getattr(value, field.name)
+        if type(part) in _CLASSES.values():
+            found |= _units(part, f"{prefix}{field.name}.")
+    return found
+
+
+def _check_units(written: Any, known: Mapping[str, str]) -> None:
+    """Refuse units in a file that are not those in which its numbers are read."""
+    for name, unit in written.items() if isinstance(written, dict) else ():
+        if known.get(name) != unit:
+            raise ConfigError(
+                f"Expected [meta.units] to say {known.get(name)!r} for {name}, got {unit!r}. No number is "
+                "converted: write them in the first."
+            )
+
+
+def _check_texts(value: Any, path: Path) -> None:
+    """Refuse a value whose sources and robot could not be named again in [meta]."""
+    known = provenance("", value)
+    for name, text in (
+        *(("sources", one) for one in known["sources"]),
+        *((k, known[k]) for k in ("robot", "robot_hash")),
+    ):
+        if not isinstance(text, str):
+            raise ConfigError(f"Expected texts for {name} at {path}, got {text!r}. Make the file again.")
+
+
+def read_value(raw: Mapping[str, Any], path: Path) -> Any:
+    """Return the value of a file's tables.
+
+    `raw`: the tables, with a [meta] of some kind.
+    """
+    meta = raw["meta"]
+    kind, version, package = str(meta.get("kind")), meta.get("format"), str(meta.get("package", "")) or "the package"
+    owner = package.removeprefix("armlab.")
+    if kind not in _CLASSES and owner in armlab.__all__:
+        getattr(armlab, owner)  # is imported by that, and its kinds are registered
+    if kind not in _CLASSES or version != FORMAT:
+        raise ModelMismatchError(
+            f"Expected a file of format {FORMAT} and a kind of {sorted({*_CLASSES, 'torque_model'})} at {path}, got "
+            f"{kind!r} in format {version}. Import {package} that made it, or make it again."
+        )
+    try:
+        value = decode({"kind": kind, "fields": raw["value"]})
+        _check_units(meta.get("units", {}), _units(value))
+        _check_texts(value, path)
+        return value
+    except ConfigError:
+        raise
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        what = str(error).rstrip(".")
+        raise ConfigError(f"Expected the fields of a {kind} at {path}, got: {what}. Make the file again.") from None
+
+
+def encode(item: Any) -> Any:
+    """Return numbers, texts, lists and tables that TOML can hold; None becomes an empty table."""
+    if isinstance(item, np.ndarray):
+        return {"shape": list(item.shape), "array": item.tolist()} if not item.size else {"array": item.tolist()}
+    if item is None:
+        return {}
+    if isinstance(item, (bool, int, float, str)):
+        return item
+    if isinstance(item, np.generic):
+        return item.item()
+    if isinstance(item, (tuple, list)):
+        return {"tuple": [encode(part) for part in item]}
+    if isinstance(item, Mapping):
+        return {"table": {str(key): encode(part) for key, part in item.items()}}
+    return {"kind": kind_of(item), "fields": {f.name: encode(getattr(item, f.name)) for f in fields(item)}}
+
+
+def decode(item: Any) -> Any:
+    """Return the field that `encode` has turned into tables."""
+    if not isinstance(item, dict):
+        return item
+    if "array" in item:
+        values = np.array(item["array"])
+        return values.reshape(item["shape"]).astype(float) if "shape" in item else values
+    if "tuple" in item:
+        return tuple(decode(part) for part in item["tuple"])
+    if "table" in item:
+        return {key: decode(part) for key, part in item["table"].items()}
+    if "kind" in item:
+        return _CLASSES[item["kind"]](**{name: decode(part) for name, part in item["fields"].items()})
+    if item:
+        raise ConfigError(
+            "Expected a table with array, tuple, table or kind, or an empty one, got one with "
+            f"{sorted(item)[0][:60]!r}. Make the file again."
+        )
+    return None
+
+
+# The file of a torque model: what its tables hold, made to be read by people, and back.
+
+
+KIND = "torque_model"
+TORQUE_FORMAT = 5
+FRICTION = tuple(entry.name for entry in fields(Friction))
+RIPPLE = ("cycles", "cosine", "sine")
+BOUND = ("torque", "speed", "floor")
+PARTS = ("lines", "friction_map", "warm_up", "momentum", "coupled")  # where there are any
+QUALITY = ("torque_sd", "rms", "rms_cv", "coverage")
+LIMITS = ("q_min", "q_max", "qd_peak", "speed_share")  # of the training
+UNITS = {
+    "link_parameters": "kg, kg m, kg m^2; order m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz; link frames",
+    "rotor": "kg m^2",
+    "friction": "N m, rad, s",
+    "ripple": "N m; cycles in rad/rad",
+    "lines": "N m; cycles per revolution; speeds in rad/s",
+    "friction_map": "N m, rad, rad/s",
+    "warm_up": "s, W",
+    "momentum": "s, rad/s",
+    "coupled": "kg m^2, N m, rad, s",
+    "ctau": "(N m)^2, s/rad",
+    "bound": "N m, rad/s",
+    "limits": "rad, rad/s, s; ranges of the training data",
+    "validation": "N m, s",
+}
+
+
+class _Strict(msgspec.Struct, forbid_unknown_fields=True):
+    """A table of the file: unknown keys are errors."""
+
+
+class _Meta(_Strict):
+    kind: str
+    format: int
+    armlab: str
+    command: str
+    created: str
+    sources: list[str]
+    robot: str
+    robot_hash: str
+    sign: str
+    units: dict[str, str]
+
+
+class _RobotPart(_Strict):
+    frames: list[list[list[float]]]
+    prismatic: list[bool]
+    gravity: list[float]
+
+
+class _Dynamics(_Strict):
+    link_parameters: list[list[float]]
+    rotor: list[float]
+    base_names: list[str]
+    base_values: list[float]
+    base_cov_lower: list[float]
+    gains: list[float]
+    gain_cov: list[list[float]]
+    quasi_static: bool = False
+
+
+class _Covariance(_Strict):
+    kind: str
+    C0: list[float]
+    Cinf: list[float]
+    shape: list[float]
+    alpha2: float
+    cutoff: float
+
+
+class _Validation(_Strict):
+    torque_sd: list[float]
+    rms: list[float]
+    rms_cv: list[float]
+    coverage: list[float]
+    seconds: float
+
+
+class _Limits(_Strict):
+    q_min: list[float]
+    q_max: list[float]
+    qd_peak: list[float]
+    speed_share: list[list[float]]
+    rest_share: float
+    longest_rest: float
+
+
+class _File(_Strict):
+    meta: _Meta
+    robot: _RobotPart
+    dynamics: _Dynamics
+    friction: dict[str, dict[str, float]]
+    ripple: dict[str, dict[str, float]]
+    ctau: _Covariance
+    bound: dict[str, dict[str, float]]
+    limits: _Limits
+    validation: _Validation
+    lines: dict[str, Any] | None = None
+    friction_map: dict[str, Any] | None = None
+    warm_up: dict[str, Any] | None = None
+    momentum: dict[str, Any] | None = None
+    coupled: dict[str, Any] | None = None
+    fit: dict[str, Any] | None = None
+
+
+def torque_tables(model: TorqueModel) -> dict[str, Any]:
+    """Return the tables of the file of a torque model."""
+    lower = np.tril_indices(len(model.base_names))
+    c, q = model.covariance, model.quality
+    return {
+        "meta": {**provenance(KIND, model), "format": TORQUE_FORMAT, "sign": SIGN, "units": UNITS},
+        "robot": {
+            "frames": model.frames.tolist(),
+            "prismatic": [bool(p) for p in model.prismatic],
+            "gravity": model.gravity.tolist(),
+        },
+        "dynamics": {
+            "link_parameters": model.link_parameters.tolist(),
+            "rotor": model.rotor.tolist(),
+            "quasi_static": model.quasi_static,
+            "base_names": list(model.base_names),
+            "base_values": model.base_values.tolist(),
+            "base_cov_lower": model.base_cov[lower].tolist(),
+            "gains": model.gains.tolist(),
+            "gain_cov": model.gain_cov.tolist(),
+        },
+        "friction": _by_joint(model.friction, FRICTION),
+        "ripple": _by_joint(model.ripple, RIPPLE),
+        "ctau": {
+            "kind": c.kind,
+            "C0": c.C0.tolist(),
+            "Cinf": c.Cinf.tolist(),
+            "shape": c.shape.tolist(),
+            "alpha2": c.alpha2,
+            "cutoff": model.cutoff,
+        },
+        "bound": _by_joint(model.bound, BOUND),
+        "limits": {
+            **{name: getattr(model.training, name).tolist() for name in LIMITS},
+            "rest_share": model.training.rest_share,
+            "longest_rest": model.training.longest_rest,
+        },
+        "validation": {**{name: getattr(q, name).tolist() for name in QUALITY}, "seconds": q.seconds},
+        **{name: encode(part) for name in PARTS if (part := getattr(model, name)) is not None},
+    }
+
+
+def _by_joint(part: Friction | FrictionBound | Ripple, names: tuple[str, ...]) -> dict[str, dict[str, float]]:
+    count = len(getattr(part, names[0]))
+    return {f"joint{i + 1}": {name: float(getattr(part, name)[i]) for name in names} for i in range(count)}
+
+
+def _joined(tables: dict[str, dict[str, float]], names: tuple[str, ...], path: Path) -> dict[str, np.ndarray]:
+    try:
+        return {name: np.array([tables[f"joint{i + 1}"][name] for i in range(len(tables))]) for name in names}
+    except KeyError as error:
+        raise ConfigError(f"Expected {error} for every joint in {path}, got none. Identify again.") from None
+
+
+def read_torque_model(raw: dict[str, Any], path: Path) -> TorqueModel:
+    """Return the model of the tables of a file.
+
+    `raw`: tables, with [meta].
+    """
+    meta = raw["meta"]
+    found = tuple(meta.get(key) for key in ("kind", "format", "sign"))
+    if found != (KIND, TORQUE_FORMAT, SIGN):
+        raise ModelMismatchError(
+            f"Expected kind, format and sign {(KIND, FORMAT, SIGN)} in {path}, got {found}. "
+            "Identify again with this version of armlab."
+        )
+    try:
+        return _model(msgspec.convert(raw, _File), path)
+    except ConfigError:
+        raise
+    except (msgspec.ValidationError, UnknownName, KeyError, TypeError, ValueError) as error:
+        what = str(error).rstrip(".")
+        raise ConfigError(f"Expected a complete model file at {path}, got: {what}. Identify again.") from None
+
+
+def _model(file: _File, path: Path) -> TorqueModel:
+    d = file.dynamics
+    p = len(d.base_names)
+    if len(d.base_values) != p or len(d.base_cov_lower) != p * (p + 1) // 2:
+        raise ConfigError(f"Expected {p} base values with covariance in {path}, got other lengths. Identify again.")
+    cov = np.zeros((p, p))
+    cov[np.tril_indices(p)] = d.base_cov_lower
+    cov = cov + np.tril(cov, -1).T
+    c, validation = file.ctau, file.validation
+    return TorqueModel(
+        robot_name=file.meta.robot,
+        robot_hash=file.meta.robot_hash,
+        frames=np.array(file.robot.frames),
+        prismatic=np.array(file.robot.prismatic),
+        gravity=np.array(file.robot.gravity),
+        link_parameters=np.array(d.link_parameters),
+        rotor=np.array(d.rotor),
+        quasi_static=d.quasi_static,
+        friction=Friction(**_joined(file.friction, FRICTION, path)),
+        ripple=Ripple(**_joined(file.ripple, RIPPLE, path)),
+        covariance=VelocityCovariance(c.kind, np.array(c.C0), np.array(c.Cinf), np.array(c.shape), c.alpha2),
+        bound=FrictionBound(**_joined(file.bound, BOUND, path)),
+        cutoff=c.cutoff,
+        base_names=tuple(d.base_names),
+        base_values=np.array(d.base_values),
+        base_cov=cov,
+        gains=np.array(d.gains),
+        gain_cov=np.array(d.gain_cov),
+        quality=Quality(**{name: np.array(getattr(validation, name)) for name in QUALITY}, seconds=validation.seconds),
+        training=Training(
+            **{name: np.array(getattr(file.limits, name)) for name in LIMITS},
+            rest_share=file.limits.rest_share,
+            longest_rest=file.limits.longest_rest,
+        ),
+        sources=tuple(file.meta.sources),
+        **{name: decode(part) for name in PARTS if (part := getattr(file, name)) is not None},
+    )
 
 
 def save(

@@ -1,4 +1,4 @@
-"""Joint friction with a presliding state, and torque ripple.
+"""Friction of joints: its terms, maps over position or temperature, torque ripple and warm-up.
 
 Friction of joint i (specification of the torque model, per joint)::
 
@@ -21,11 +21,9 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from armlab._numbers import still
+from armlab._numbers import number, still
 from armlab.errors import ShapeError
-from armlab.kernels import Drive
-
-__all__ = ["Friction", "FrictionBound", "Ripple"]
+from armlab.kernels import Drive, basis_weights
 
 SLOW = 0.02  # rad/s, m/s: below it friction is known only to lie inside a bound
 
@@ -167,3 +165,256 @@ class Ripple:
     def rows(self) -> np.ndarray:
         """cycles, cosine, sine, one row each (3, n), as `kernels.Drive` takes them."""
         return np.stack([self.cycles, self.cosine, self.sine])
+
+
+# Friction over position and speed by normalised radial basis functions, one set for each direction.
+#
+# After Bagge Carlson, Robertsson and Johansson, "Modeling and identification of position and temperature dependent
+# friction phenomena without temperature sensing", IROS 2015::
+#
+#     F = (1 + s)/2 phi(q, |qd|)^T k_pos + (1 - s)/2 phi(q, |qd|)^T k_neg
+#     phi_ab = exp(-((q - p_a) / w_a)^2 - ((|qd| - v_b) / u_b)^2), divided by their sum over a and b
+#
+# s is the sign that friction goes by: the presliding state, which blends both sides at rest. Outside its hull phi keeps
+# the value of the nearest edge.
+
+
+@dataclass(frozen=True, eq=False)
+class RadialBasis:
+    """Centres of all n joints on a grid of positions and speeds; speeds are positive and stand for both directions.
+
+    Attributes
+    ----------
+    positions, position_widths : (n, P) [rad], ascending; positive.
+    speeds, speed_widths : (n, S) [rad/s], ascending and above 0; positive.
+    """
+
+    positions: np.ndarray
+    position_widths: np.ndarray
+    speeds: np.ndarray
+    speed_widths: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Check shapes and freeze."""
+        for name in ("positions", "position_widths", "speeds", "speed_widths"):
+            values = still(getattr(self, name), f"{name} of radial bases")
+            object.__setattr__(self, name, values)
+        p, v = self.positions, self.speeds
+        if (
+            p.ndim != 2
+            or v.ndim != 2
+            or len(p) != len(v)
+            or p.shape != self.position_widths.shape
+            or v.shape != self.speed_widths.shape
+        ):
+            raise ShapeError(f"Expected centres and widths of shape (n, P) and (n, S), got {p.shape} and {v.shape}.")
+        steps = *np.diff(p, axis=1).ravel(), *np.diff(v, axis=1).ravel()
+        positive = *steps, *v.ravel(), *self.position_widths.ravel(), *self.speed_widths.ravel()
+        if not np.isfinite(p).all() or not np.isfinite(positive).all() or min(positive) <= 0:
+            raise ShapeError("Expected ascending centres, speeds above 0 and positive widths, got others.")
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.positions)
+
+    @property
+    def size(self) -> int:
+        """Functions of a joint, 2 P S."""
+        return 2 * self.positions.shape[1] * self.speeds.shape[1]
+
+    def functions(self, i: int, q: np.ndarray, qd: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Return the functions (N, 2 P S) of joint i, positive direction first; their sum is 1.
+
+        Parameters
+        ----------
+        i : joint.
+        q, qd, s : (N,) position [rad], velocity [rad/s] and sign in [-1, 1].
+        """
+        at = basis_weights(q, self.positions[i], self.position_widths[i])
+        along = basis_weights(np.abs(qd), self.speeds[i], self.speed_widths[i])
+        phi = (at[:, :, None] * along[:, None, :]).reshape(len(at), -1)
+        s = np.asarray(s, dtype=float)[:, None]
+        return np.concatenate([0.5 * (1.0 + s) * phi, 0.5 * (1.0 - s) * phi], axis=1)
+
+    def outside(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        """Return True (..., n) where position or speed is beyond the centres, so that an edge stands for it."""
+        q, speed = np.asarray(q, dtype=float), np.abs(qd)
+        return (q < self.positions[:, 0]) | (q > self.positions[:, -1]) | (speed > self.speeds[:, -1])
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionMap:
+    """Friction over position and speed, in addition to `Friction`.
+
+    Attributes
+    ----------
+    basis : centres and widths. coefficients : (n, 2, P, S) [N m], positive direction first; zero for joints without.
+    """
+
+    basis: RadialBasis
+    coefficients: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Check the shape and freeze."""
+        values = still(self.coefficients, "coefficients of radial bases")
+        shape = (self.basis.n, 2, self.basis.positions.shape[1], self.basis.speeds.shape[1])
+        if values.shape != shape or not np.isfinite(values).all():
+            raise ShapeError(f"Expected finite coefficients of shape {shape}, got shape {values.shape}.")
+        object.__setattr__(self, "coefficients", values)
+
+    def kernel_rows(self) -> tuple[np.ndarray, ...]:
+        """Return the arrays as `kernels.Drive` takes them."""
+        b = self.basis
+        return b.positions, b.position_widths, b.speeds, b.speed_widths, self.coefficients
+
+    def torque(self, q: np.ndarray, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return the torque (..., n) [N m].
+
+        Parameters
+        ----------
+        q, qd : (..., n) [rad], [rad/s]. z : (..., n) presliding state.
+        """
+        friction = np.zeros((10, self.basis.n))
+        friction[5:7] = 1.0  # widths of terms that are zero
+        return Drive(friction, np.zeros((3, self.basis.n)), map=self.kernel_rows()).torque(q, qd, z)
+
+
+# Torque ripple as lines over position whose amplitude and phase depend on speed.
+#
+#     tau_i = sum_c psi(qd)^T (a_c cos(c q) + b_c sin(c q))
+#
+# c counts cycles per revolution, equal to rad/rad; psi are normalised Gaussians in speed. With two directions each line
+# has amplitudes of its own for positive and negative motion, so that amplitude and phase may jump at reversal::
+#
+#     psi = [(1 + s)/2 psi(|qd|), (1 - s)/2 psi(|qd|)],   s: the sign that friction goes by, the presliding state
+#
+# It is evaluated from q itself: no filter delays it.
+
+
+SPEEDS = 8
+LARGEST = 1e15  # of the numbers of ripple lines, joint numbers among them
+
+
+def speed_basis(slowest: float, fastest: float, count: int = SPEEDS) -> tuple[np.ndarray, np.ndarray]:
+    """Return centres and widths (count,) [rad/s] of Gaussians spread evenly from one speed to another.
+
+    Parameters
+    ----------
+    slowest, fastest : ends of the range; 0 and the peak speed for lines with two directions, minus and plus the peak
+        speed for others.
+    count : of Gaussians, at least 2.
+    """
+    slowest, fastest = number(slowest, "the slowest speed [rad/s]"), number(fastest, "the fastest speed [rad/s]")
+    if count < 2 or not fastest > slowest:
+        raise ShapeError(f"Expected at least 2 Gaussians from one speed to a faster one, got {count} from {slowest:g} "
+                         f"to {fastest:g} rad/s.")  # fmt: skip
+    centres = np.linspace(slowest, fastest, count)
+    return centres, np.full(count, centres[1] - centres[0])
+
+
+@dataclass(frozen=True, eq=False)
+class RippleLines:
+    """Lines of torque ripple of n joints, L in all.
+
+    Attributes
+    ----------
+    joint : (L,) number of the joint from 0, in ascending order. cycles : (L,) cycles per revolution.
+    speeds, widths : (n, S) centres and widths of the Gaussians [rad/s].
+    coefficients : (L, D, S, 2) amplitudes of cosine and sine [N m] for D = 1 or 2 directions, positive first.
+    """
+
+    joint: np.ndarray
+    cycles: np.ndarray
+    speeds: np.ndarray
+    widths: np.ndarray
+    coefficients: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Check shapes and freeze."""
+        for name in ("joint", "cycles", "speeds", "widths", "coefficients"):
+            values = still(getattr(self, name), f"{name} of the ripple lines")
+            if not np.all(np.abs(values) < LARGEST):
+                raise ShapeError(f"Expected finite {name} of the ripple lines, got NaN or Inf.")
+            object.__setattr__(self, name, values.astype(int) if name == "joint" else values)
+        self.joint.flags.writeable = False
+        if np.any(self.widths <= 0) or self.speeds.ndim != 2 or np.any(np.diff(self.speeds, axis=-1) <= 0):
+            raise ShapeError("Expected ascending speeds and positive widths of the ripple lines, got others.")
+        Drive(np.ones((10, len(self.speeds))), np.zeros((3, len(self.speeds))), lines=self.kernel_rows())
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.speeds)
+
+    def kernel_rows(self) -> tuple[np.ndarray, ...]:
+        """Return the arrays as `kernels.Drive` takes them."""
+        return self.joint.astype(float), self.cycles, self.speeds, self.widths, self.coefficients
+
+    def torque(self, q: np.ndarray, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return the ripple torque (..., n) [N m].
+
+        Parameters
+        ----------
+        q, qd : (..., n) [rad], [rad/s]. z : (..., n) presliding state.
+        """
+        friction = np.zeros((10, self.n))
+        friction[5:7] = 1.0  # widths of terms that are zero
+        return Drive(friction, np.zeros((3, self.n)), lines=self.kernel_rows()).torque(q, qd, z)
+
+
+# Friction that changes as a drive warms up by its own friction, without a temperature sensor.
+#
+#     dx/dt = (|F_f qd| / power - x) / time
+#     coulomb: times (1 + of_coulomb x),   viscous: times (1 + of_viscous x)
+#
+# x >= 0 is 1 where a drive has rubbed with the power `power` for long. The idea is that of Bagge Carlson, Robertsson
+# and Johansson, IROS 2015.
+
+
+@dataclass(frozen=True, eq=False)
+class WarmUp:
+    """How warmth changes friction; every field has shape (n,).
+
+    Attributes
+    ----------
+    of_coulomb, of_viscous : relative change of Coulomb and viscous friction at warmth 1.
+    time : time constant [s]; 0 for a drive that does not change.
+    power : friction power at which warmth settles at 1 [W]; above 0.
+    start : warmth at the beginning of a record; 0 is cold.
+    """
+
+    of_coulomb: np.ndarray
+    of_viscous: np.ndarray
+    time: np.ndarray
+    power: np.ndarray
+    start: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Check shapes and freeze."""
+        for entry in fields(self):
+            values = still(getattr(self, entry.name), f"{entry.name} of the warm-up")
+            if values.ndim != 1 or values.shape != np.shape(self.of_coulomb) or not np.isfinite(values).all():
+                raise ShapeError(f"Expected finite {entry.name} of one number per joint, got shape {values.shape}.")
+            object.__setattr__(self, entry.name, values)
+        if np.any(self.time < 0) or np.any(self.power <= 0) or np.any(self.start < 0):
+            raise ShapeError("Expected time >= 0, power > 0 and start >= 0 of the warm-up, got others.")
+
+    def kernel_rows(self) -> np.ndarray:
+        """Return the rows (5, n) as `kernels.Drive` takes them."""
+        return np.stack([getattr(self, entry.name) for entry in fields(self)])
+
+    def warmth(self, power: np.ndarray, dt: np.ndarray) -> np.ndarray:
+        """Return the warmth (N, n) before each row, for friction power (N, n) [W] held over steps dt (N,) [s].
+
+        Parameters
+        ----------
+        power : (N, n) |F_f qd|. dt : (N,).
+        """
+        x = np.empty(np.shape(power))
+        now = self.start
+        heats = self.time > 0
+        for k, (heat, step) in enumerate(zip(np.asarray(power) / self.power, dt)):
+            x[k] = now
+            now = np.where(heats, heat + (now - heat) * np.exp(-step / np.where(heats, self.time, 1.0)), now)
+        return x

@@ -9,8 +9,6 @@ import numpy as np
 from armlab import kernels
 from armlab.errors import FrameError, ShapeError, UnknownName
 
-__all__ = ["FRAMES", "HandEye"]
-
 FRAMES = {"eye_to_hand": ("T_tool_marker", "T_base_cam"), "eye_in_hand": ("T_base_marker", "T_tool_cam")}
 
 

@@ -13,8 +13,6 @@ from armlab.kinematics import forward, parameter_jacobian
 from armlab.lie import se3, so3
 from armlab.robots import Robot
 
-__all__ = ["DualArmCorrection", "KinematicCorrection", "harmonic_basis"]
-
 COMMAND_ROUNDS = 50
 
 

@@ -11,8 +11,6 @@ from armlab.errors import ModelMismatchError, ShapeError
 from armlab.models.torque import TorqueModel
 from armlab.robots import inertia
 
-__all__ = ["Payload"]
-
 
 @dataclass(frozen=True, eq=False)
 class Payload:

@@ -12,23 +12,197 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from armlab._numbers import still
 from armlab.errors import ModelMismatchError, RobotError, ShapeError
 from armlab.kernels import Chain, Drive, MomentumEstimator, WrenchEstimator, model_torque
-from armlab.models.coupled import CoupledKernel, CoupledMotors
-from armlab.models.friction import Friction, FrictionBound, Ripple
-from armlab.models.momentum import MomentumNoise
-from armlab.models.quality import Quality
-from armlab.models.rbf import FrictionMap
-from armlab.models.ripple import RippleLines
-from armlab.models.training import Training
-from armlab.models.velocity_covariance import KINDS, VelocityCovariance
-from armlab.models.warm_up import WarmUp
+from armlab.models.friction import Friction, FrictionBound, FrictionMap, Ripple, RippleLines, WarmUp
+from armlab.models.noise import KINDS, MomentumNoise, VelocityCovariance
 from armlab.robots import Robot
 
-__all__ = ["TorqueModel"]
+# Motors that move several joints, as in wrists: their inertia and friction act on all of these.
+#
+# Motor k turns by ``theta_k = c_k q`` (in units of the joint it belongs to), so with the power kept::
+#
+#     tau = sum_k c_k^T (inertia_k c_k qdd + viscous_k c_k qd + coulomb_k tanh(c_k qd / smooth_speed_k))
+#
+# No set of links and joint friction has these torques: they must be told apart.
+
+
+@dataclass(frozen=True, eq=False)
+class CoupledMotors:
+    """K motors of an arm of n joints.
+
+    Attributes
+    ----------
+    ratios : (K, n) rows c_k.
+    inertia : (K,) [kg m^2]. viscous : (K,) [N m s/rad]. coulomb : (K,) [N m]. smooth_speed : (K,) [rad/s].
+    """
+
+    ratios: np.ndarray
+    inertia: np.ndarray
+    viscous: np.ndarray
+    coulomb: np.ndarray
+    smooth_speed: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Check shapes and freeze."""
+        K = len(np.atleast_2d(still(self.ratios, "ratios of coupled motors")))
+        for name in ("ratios", "inertia", "viscous", "coulomb", "smooth_speed"):
+            values = still(getattr(self, name), f"{name} of coupled motors")
+            if (
+                values.shape[:1] != (K,)
+                or values.ndim != (2 if name == "ratios" else 1)
+                or not np.isfinite(values).all()
+            ):
+                raise ShapeError(f"Expected finite {name} of {K} coupled motors, got shape {values.shape}.")
+            object.__setattr__(self, name, values)
+        if np.any(self.smooth_speed <= 0):
+            raise ShapeError("Expected smooth_speed > 0 of coupled motors, got a value that is not. Make it positive.")
+
+    def torque(self, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        """Return what the motors take of each joint (..., n) [N m] at velocity and acceleration (..., n)."""
+        speed = self._turned(qd)
+        own = self.inertia * self._turned(qdd) + self.viscous * speed
+        return self._spread(own + self.coulomb * np.tanh(speed / self.smooth_speed))
+
+    def inertial(self, qdd: np.ndarray) -> np.ndarray:
+        """Return the part of their inertia (..., n) [N m] at acceleration (..., n)."""
+        return self._spread(self.inertia * self._turned(qdd))
+
+    def _turned(self, x: np.ndarray) -> np.ndarray:
+        return np.sum(
+            self.ratios * np.asarray(x, dtype=float)[..., None, :], axis=-1
+        )  # not @: rows as alone, bit for bit
+
+    def _spread(self, own: np.ndarray) -> np.ndarray:
+        return np.sum(self.ratios * own[..., None], axis=-2)
+
+
+class CoupledKernel:
+    """A kernel of an estimator whose torques are first relieved of what coupled motors take.
+
+    The acceleration is the difference of the velocity to the last sample that was whole, as in the kernel itself.
+
+    `kernel`: with step, run and reset, of a model without the motors. `gains`: (n,) torque as it is read over true
+    torque.
+    """
+
+    def __init__(self, kernel: Any, motors: CoupledMotors, gains: np.ndarray) -> None:
+        self._kernel, self._motors, self._gains = kernel, motors, gains
+        self._qd: np.ndarray | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._kernel, name)
+
+    def reset(self) -> None:
+        """Forget all samples."""
+        self._qd = None
+        self._kernel.reset()
+
+    def step(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: float) -> Any:
+        """Take one sample: q, qd, tau (n,), dt [s]."""
+        if not np.shape(q) == np.shape(qd) == np.shape(tau):
+            return self._kernel.step(q, qd, tau, dt)  # which says what is wrong
+        whole = bool(np.isfinite(q).all() and np.isfinite(qd).all() and np.isfinite(tau).all() and np.isfinite(dt))
+        if not whole or not dt > 0:
+            return self._kernel.step(q, qd, tau, dt)
+        last = qd if self._qd is None else self._qd
+        self._qd = np.array(qd, dtype=float)
+        return self._kernel.step(q, qd, tau - self._gains * self._motors.torque(qd, (qd - last) / dt), dt)
+
+    def run(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: np.ndarray) -> Any:
+        """Take samples in their order: q, qd, tau (N, n), dt (N,) [s]; the same as steps."""
+        if not np.shape(q) == np.shape(qd) == np.shape(tau) == (*np.shape(dt), len(self._gains)):
+            return self._kernel.run(q, qd, tau, dt)  # which says what is wrong
+        whole = np.isfinite(np.concatenate([q, qd, tau], axis=1)).all(axis=1) & np.isfinite(dt)
+        rows = np.flatnonzero(whole & (np.where(whole, dt, 0.0) > 0))
+        relieved = np.array(tau, dtype=float)
+        if len(rows):
+            first = qd[rows[:1]] if self._qd is None else self._qd[None]
+            last = np.concatenate([first, qd[rows[:-1]]])
+            relieved[rows] -= self._gains * self._motors.torque(qd[rows], (qd[rows] - last) / dt[rows, None])
+            self._qd = np.array(qd[rows[-1]], dtype=float)
+        return self._kernel.run(q, qd, relieved, dt)
+
+
+# How well a torque model fits.
+
+
+@dataclass(frozen=True, eq=False)
+class Quality:
+    """How well the model fits, per joint (n,).
+
+    Attributes
+    ----------
+    torque_sd : standard deviation of the measured torque [N m].
+    rms : residual in the data it was fitted to [N m]; rms_cv : in held-out blocks [N m]; both in motion, after the
+        causal filter of the estimator.
+    coverage : share of held-out causal residuals inside 2 sigma.
+    seconds : length of the training data.
+    """
+
+    torque_sd: np.ndarray
+    rms: np.ndarray
+    rms_cv: np.ndarray
+    coverage: np.ndarray
+    seconds: float
+
+    def __post_init__(self) -> None:
+        """Check shapes and freeze the arrays; NaN stands for joints that could not be judged."""
+        for name in ("torque_sd", "rms", "rms_cv", "coverage"):
+            values = still(getattr(self, name), f"{name} of the quality")
+            if values.ndim != 1 or values.shape != np.shape(self.torque_sd):
+                raise ShapeError(f"Expected {name} of one number per joint, got shape {values.shape}. Identify again.")
+            object.__setattr__(self, name, values)
+
+
+# What data a model was fitted to: ranges of position and speed, and how much the arm rested.
+
+
+SPEED_EDGES = np.array([0.0, 0.01, 0.03, 0.1, 0.3, 1.0])
+"""Lower edges of the bins of speed, as shares of the training's peak; the last bin is faster than anything trained."""
+SPEED_EDGES.flags.writeable = False
+
+
+@dataclass(frozen=True, eq=False)
+class Training:
+    """Limits of the data behind a model; outside them its quality figures say nothing.
+
+    Attributes
+    ----------
+    q_min, q_max : (n,) range of position [rad]. qd_peak : (n,) largest speed [rad/s].
+    speed_share : (n, 12) share of samples per bin of `SPEED_EDGES`: six of negative velocity, then six of positive,
+        slowest first.
+    rest_share : share of samples at which every joint is slower than 1 % of its peak.
+    longest_rest : longest stretch of such samples [s].
+    """
+
+    q_min: np.ndarray
+    q_max: np.ndarray
+    qd_peak: np.ndarray
+    speed_share: np.ndarray
+    rest_share: float
+    longest_rest: float
+
+    def __post_init__(self) -> None:
+        """Check shapes and freeze."""
+        n = len(self.q_min)
+        shapes = {"q_min": (n,), "q_max": (n,), "qd_peak": (n,), "speed_share": (n, 2 * len(SPEED_EDGES))}
+        for name, shape in shapes.items():
+            values = still(getattr(self, name), f"{name} of the training")
+            if values.shape != shape or not np.all(np.isfinite(values)):
+                raise ShapeError(f"Expected finite {name} of shape {shape} of the training, got {values.shape}.")
+            object.__setattr__(self, name, values)
+        if not (0.0 <= self.rest_share <= 1.0 and 0.0 <= self.longest_rest < np.inf):
+            raise ShapeError(
+                f"Expected a share of rest from 0 to 1 and a length from 0 s, got {self.rest_share:g} and "
+                f"{self.longest_rest:g} s. Identify again."
+            )
+
 
 SIGN = "environment_on_robot"
 WEIGHTLESS = 1e-9

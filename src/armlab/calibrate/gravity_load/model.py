@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armlab import kernels
-from armlab.estimation import Measurement, Problem
+from armlab.estimation import Measurement, NonlinearProblem
 from armlab.lie import so3
 
 ROUNDING = 1e-11  # of the largest reading
@@ -112,9 +112,9 @@ class WeightEquation:
                 J[:, 3:, at["torque bias"]] = -np.eye(3)
         return [Measurement(self.y - expected - load.bias, J, self.noise, self.classes)]
 
-    def problem(self) -> Problem[Load]:
+    def problem(self) -> NonlinearProblem[Load]:
         """Return what the solver needs."""
-        return Problem(
+        return NonlinearProblem(
             self.evaluate, self.plus, what=self.what, residue=ROUNDING * (float(np.abs(self.y).max()) or 1.0)
         )
 

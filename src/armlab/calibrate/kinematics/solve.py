@@ -13,7 +13,7 @@ from armlab._numbers import numbers
 from armlab.calibrate.kinematics.identifiability import Judgement, UnobservableDirection, spread_covariance
 from armlab.calibrate.kinematics.measurements import Kind
 from armlab.errors import ConfigError, NotConverged, NotExcited, UnknownName
-from armlab.estimation import Excitation, Measurement, NonlinearSolution, Problem, nonlinear_least_squares
+from armlab.estimation import Excitation, Measurement, NonlinearProblem, NonlinearSolution, nonlinear_least_squares
 
 SCHEDULE = (1000.0, 300.0, 100.0, 30.0, 10.0)
 UNIT = 1e-3  # 1 mm and 1 mrad: of equal steps the smallest is taken
@@ -72,7 +72,7 @@ class Question(ABC, Generic[S]):
         """Descend; where that fails, name the unidentifiable direction if there is one."""
         problem = self.problem
         self._check_count(start)
-        task = Problem(problem.evaluate, problem.retract, problem.sizes(UNIT, UNIT)[problem.active], "arm")
+        task = NonlinearProblem(problem.evaluate, problem.retract, problem.sizes(UNIT, UNIT)[problem.active], "arm")
         try:
             found = nonlinear_least_squares(task, start, robust=robust, schedule=SCHEDULE)
         except NotConverged as error:

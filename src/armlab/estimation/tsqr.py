@@ -1,0 +1,213 @@
+"""Triangular factors of a linear problem, made row by row: memory O(p^2) per block of time, whatever the length.
+
+For the rows ``[A y]`` of one class of measurement in one block of time only the triangle R of ``[A y] = Q R`` is kept:
+
+    R <- qr([R; A_new y_new])
+
+by Householder reflections (LAPACK tpqrt), so that the condition number is never squared. All that least squares can
+ask follows from R: ``||A x - y|| = ||R [x; -1]||`` for every x. A row of joint i has only the shared columns and its
+own: `Rows.columns` says which, and the others are never stored or multiplied.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from armlab.errors import ShapeError
+
+PANEL = 8  # columns that LAPACK reflects at once; fastest for 20 to 100 columns
+CHUNK = 1024  # rows reflected at once: they stay in the cache
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows of one class of measurement: a joint, or a sensor.
+
+    Attributes
+    ----------
+    A : (m, w) rows of the regressor, only the columns that this class has.
+    y : (m,) measurements.
+    block : (m,) number of the block of time of each row, ascending; residuals of one block may depend on each other.
+    group : number of the class, from 0; classes have a weight each.
+    columns : (w,) which of the p parameters the columns belong to; all of them when left out.
+    """
+
+    A: np.ndarray
+    y: np.ndarray
+    block: np.ndarray
+    group: int = 0
+    columns: np.ndarray | None = None
+
+    @staticmethod
+    def of(A: np.ndarray, y: np.ndarray, block: np.ndarray) -> Iterator[Rows]:
+        """Yield one `Rows` for each of the k rows of every sample; their classes are 0 to k - 1.
+
+        Parameters
+        ----------
+        A : (N, k, p) regressor of N samples with k rows each. Columns that are zero in a class are left out of it.
+        y : (N, k) measurements.
+        block : (N,) number of the block of time of each sample, ascending.
+        """
+        if A.ndim != 3 or y.shape != A.shape[:2] or block.shape != A.shape[:1]:
+            raise ShapeError(
+                f"Expected A (N, k, p), y (N, k) and block (N,), got {A.shape}, {y.shape} and {block.shape}. "
+                "Give one row of y and one block number per sample."
+            )
+        for i in range(A.shape[1]):
+            columns = np.flatnonzero(A[:, i].any(axis=0))
+            yield Rows(A[:, i, columns], y[:, i], block, i, columns)
+
+
+@dataclass(frozen=True, eq=False)
+class Factors:
+    """Triangular factors of every class of measurement in every block of time.
+
+    Attributes
+    ----------
+    size : number p of parameters.
+    columns : of each class, (w,) the parameters that it has.
+    R : of each class, (B, w + 1, w + 1) factors of its rows ``[A y]`` per block.
+    rows : (B, G) number of rows per block and class.
+    """
+
+    size: int
+    columns: tuple[np.ndarray, ...]
+    R: tuple[np.ndarray, ...]
+    rows: np.ndarray
+
+    def of_groups(self, kept: np.ndarray | None = None) -> list[np.ndarray]:
+        """Return the factor (w + 1, w + 1) of each class over all blocks, or those with `kept` (B,) true."""
+        blocks = range(len(self.rows)) if kept is None else np.flatnonzero(kept)
+        return [stack(R[b] for b in blocks) for R in self.R]
+
+    def merge(self, groups: list[np.ndarray], weights: np.ndarray) -> np.ndarray:
+        """Return the factor (p + 1, p + 1) of all classes, each with its weight (G,).
+
+        Parameters
+        ----------
+        groups : from `of_groups`.
+        weights : multiply the rows of each class, 1 / sd.
+        """
+        p = self.size
+        wide = []
+        for R, columns, weight in zip(groups, self.columns, weights):
+            rows = np.zeros((len(R), p + 1))
+            rows[:, [*columns, p]] = weight * R
+            wide.append(rows)
+        return stack(wide)
+
+    def power(self, x: np.ndarray) -> np.ndarray:
+        """Return the sum of squared residuals (B, G) of the parameters x (p,) per block and class."""
+        columns = zip(self.R, self.columns)
+        return np.stack([np.sum((R @ np.append(x[c], -1.0)) ** 2, axis=1) for R, c in columns], axis=1)
+
+
+def factorise(rows: Iterable[Rows], size: int) -> Factors:
+    """Reduce rows to triangular factors, one pass, whatever their number.
+
+    Parameters
+    ----------
+    rows : of all classes, in any order of classes; blocks and classes may come in several pieces.
+    size : number p of parameters.
+
+    Raises
+    ------
+    ShapeError : shapes differ, a column is out of range or differs within a class, values are not finite.
+
+    References
+    ----------
+    Demmel, Grigori, Hoemmen and Langou (2012), Communication-optimal parallel and sequential QR.
+    """
+    columns: dict[int, np.ndarray] = {}
+    found: dict[tuple[int, int], np.ndarray] = {}
+    count: dict[tuple[int, int], int] = {}
+    for piece in rows:
+        _check(piece, size, columns)
+        edges = [*np.flatnonzero(np.diff(piece.block, prepend=-1)).tolist(), len(piece.y)]
+        for a, b in pairwise(edges):
+            key = (piece.group, int(piece.block[a]))
+            found[key] = _append(found.get(key), piece, a, b)
+            count[key] = count.get(key, 0) + b - a
+    if not found:
+        raise ShapeError("Expected rows to fit, got none. Give at least one sample.")
+    groups, blocks = max(columns) + 1, 1 + max(b for _, b in found)
+    totals = np.zeros((blocks, groups), dtype=int)
+    for (g, b), number in count.items():
+        totals[b, g] = number
+    widths = [len(columns[g]) + 1 if g in columns else 1 for g in range(groups)]
+    empty = [np.zeros((w, w)) for w in widths]
+    factors = tuple(np.stack([found.get((g, b), empty[g]) for b in range(blocks)]) for g in range(groups))
+    return Factors(size, tuple(columns.get(g, np.zeros(0, dtype=int)) for g in range(groups)), factors, totals)
+
+
+def stack(parts: Iterable[np.ndarray]) -> np.ndarray:
+    """Return the triangle R (w, w) of parts (m, w) below each other."""
+    R = np.zeros((0, 0))
+    for part in parts:
+        R = R if R.size else np.zeros((part.shape[1], part.shape[1]), order="F")
+        R = _reflect(R, np.array(part, dtype=float, order="F"))
+    return R
+
+
+def triangle(A: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
+    """Return the triangle R (w, w) of A (m, p), or of ``[A y]``, in pieces that stay in the cache."""
+    w = A.shape[1]
+    wide = w + (y is not None)
+    R = np.zeros((wide, wide), order="F")
+    for a in range(0, len(A), CHUNK):
+        below = np.empty((min(CHUNK, len(A) - a), wide), order="F")
+        below[:, :w] = A[a : a + CHUNK]
+        if y is not None:
+            below[:, w] = y[a : a + CHUNK]
+        R = _reflect(R, below)
+    return R
+
+
+def _append(R: np.ndarray | None, piece: Rows, start: int, stop: int) -> np.ndarray:
+    """Return the factor of R and some more rows below it."""
+    w = piece.A.shape[1]
+    R = np.zeros((w + 1, w + 1), order="F") if R is None else R
+    for a in range(start, stop, CHUNK):
+        b = min(a + CHUNK, stop)
+        below = np.empty((b - a, w + 1), order="F")
+        below[:, :w], below[:, w] = piece.A[a:b], piece.y[a:b]
+        R = _reflect(R, below)
+    if not np.isfinite(R).all():
+        bad = start + np.flatnonzero(~np.isfinite(piece.A[start:stop]).all(axis=1) | ~np.isfinite(piece.y[start:stop]))
+        raise ShapeError(
+            f"Expected finite rows, got NaN or Inf in {len(bad)} rows of class {piece.group}, first {bad[:5].tolist()}"
+            ": they would spread over the whole fit. Drop these samples."
+        )
+    return R
+
+
+def _reflect(R: np.ndarray, below: np.ndarray) -> np.ndarray:
+    """Return the triangle of R and rows below it; both are overwritten."""
+    from scipy.linalg import lapack
+
+    return lapack.dtpqrt(0, min(PANEL, len(R)), R, below, overwrite_a=1, overwrite_b=1)[0]  # pyright: ignore
+
+
+def _check(piece: Rows, size: int, known: dict[int, np.ndarray]) -> None:
+    """Refuse rows that do not fit together; remember the columns of each class."""
+    A, y, block = piece.A, piece.y, piece.block
+    if A.ndim != 2 or y.shape != A.shape[:1] or block.shape != y.shape or np.any(np.diff(block) < 0):
+        raise ShapeError(
+            f"Expected A (m, w), y (m,) and ascending block numbers (m,), got {A.shape}, {y.shape} and {block.shape}. "
+            "Sort the samples by time."
+        )
+    columns = np.arange(size) if piece.columns is None else np.asarray(piece.columns)
+    fits = columns.shape == A.shape[1:] and np.all((columns >= 0) & (columns < size))
+    if not fits or len(np.unique(columns)) != len(columns) or (len(y) and block[0] < 0):
+        raise ShapeError(
+            f"Expected {A.shape[1]} different columns from 0 to {size - 1} and blocks from 0, got {columns.tolist()} "
+            f"in class {piece.group}. Name each column once."
+        )
+    if not np.array_equal(known.setdefault(piece.group, columns), columns):
+        raise ShapeError(
+            f"Expected the same columns in all rows of class {piece.group}, got others. Use another class."
+        )

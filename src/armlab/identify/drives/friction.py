@@ -1,0 +1,340 @@
+"""Parts of the drives beyond the friction of `fit_dynamics`, fitted to its residuals and kept where they win.
+
+1. Warm-up, when one log lasts 20 minutes or more (`fit_warm_up`).
+2. Torque ripple: lines found by a periodogram over position, chosen by a group lasso, with amplitudes over speed for
+   each direction; a line stays when it removes 2 % of the error on held-out blocks.
+   What is slower over position than the centres of (3) resolve is left to them.
+3. Friction over position and speed, by radial basis functions pulled towards nothing; it stays by the same rule.
+
+Each is joint by joint, on the unfiltered residual that the ones before leave.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from armlab._numbers import numbers
+from armlab.errors import NotExcited, ShapeError
+from armlab.estimation import Excitation, Fit, block_seconds
+from armlab.identify.drives.regularised import RIDGE as LINE_RIDGE
+from armlab.identify.drives.regularised import held_out_error, refit, ridge_solution
+from armlab.identify.drives.ripple import (
+    GAIN,
+    highest_seen,
+    refine_lines,
+    ripple_amplitudes,
+    ripple_lines,
+    ripple_regressor,
+    select_lines,
+    warn_of_fast_lines,
+)
+from armlab.identify.drives.warm_up import MIN_SECONDS, fit_warm_up
+from armlab.identify.residuals import Residuals, model_residuals
+from armlab.identify.validation import FIFTHS, assess_again, fold_of
+from armlab.log import Table
+from armlab.models import FrictionMap, RadialBasis, RippleLines, TorqueModel, speed_basis
+
+# Centres and regressor of friction over position and speed: the ancestor's `getcenters` and `frictionRBFN`, corrected.
+#
+# Against Robotlib.jl: widths belong to a joint; centres have speeds above 0 and stand for both directions; at rest the
+# presliding state blends both; the functions sum to 1 everywhere, without a constant in the denominator, and beyond the
+# centres the nearest edge counts, which `models.RadialBasis.outside` tells.
+
+
+SLOWEST = 0.02  # of the peak speed: slower samples do not place centres
+
+
+def rbf_centres(q: np.ndarray, qd: np.ndarray, positions: int = 8, speeds: int = 5) -> RadialBasis:
+    """Return centres over the range of positions, evenly, and over the quantiles of speed, for every joint.
+
+    Widths are the distances of neighbouring centres.
+
+    Parameters
+    ----------
+    q, qd : (N, n) positions [rad] and velocities [rad/s] of a record.
+    positions, speeds : number of centres of each, at least 2.
+
+    Raises
+    ------
+    ShapeError : shapes, NaN, fewer than 2 centres. NotExcited : a joint that does not move.
+    """
+    q, qd = _record(q, qd)
+    if min(positions, speeds) < 2:
+        raise ShapeError(f"Expected at least 2 positions and speeds, got {positions} and {speeds}.")
+    peak = np.abs(qd).max(axis=0)
+    still = np.flatnonzero((np.ptp(q, axis=0) <= 0) | (peak <= 0))
+    if len(still):
+        names = [f"joint {i + 1}" for i in still]
+        raise NotExcited(
+            f"Expected every joint to move, got rest of {', '.join(names)}. Record a motion of all joints.",
+            names,
+            ["rest"] * len(names),
+        )
+    grid = np.linspace(q.min(axis=0), q.max(axis=0), positions, axis=1)
+    levels = np.linspace(0.1, 1.0, speeds)
+    quantiles = np.empty((q.shape[1], speeds))
+    for i in range(q.shape[1]):
+        speed = np.abs(qd[:, i])
+        speed = np.quantile(speed[speed > SLOWEST * peak[i]], levels)
+        apart = np.all(np.diff(speed) > SLOWEST * peak[i])  # constant speeds have quantiles on top of each other
+        quantiles[i] = speed if apart else peak[i] * levels
+    widths, speed_widths = (np.asarray(np.gradient(centres, axis=1)) for centres in (grid, quantiles))
+    return RadialBasis(grid, widths, quantiles, speed_widths)
+
+
+def rbf_regressor(q: np.ndarray, qd: np.ndarray, basis: RadialBasis, z: np.ndarray | None = None) -> np.ndarray:
+    """Return the functions of every joint (N, n, 2 P S), positive direction first: friction is regressor times k.
+
+    Parameters
+    ----------
+    q, qd : (N, n) positions [rad] and velocities [rad/s].
+    basis : of the same n joints.
+    z : (N, n) presliding state; the sign of qd when left out.
+
+    Raises
+    ------
+    ShapeError : shapes that do not fit, NaN.
+    """
+    q, qd = _record(q, qd)
+    z = np.sign(qd) if z is None else np.asarray(z, dtype=float)
+    if q.shape[1] != basis.n or z.shape != q.shape or not np.isfinite(z).all():
+        raise ShapeError(f"Expected finite q, qd and z of {basis.n} joints, got shapes {q.shape} and {z.shape}.")
+    joints = [basis.functions(i, *(np.ascontiguousarray(x[:, i]) for x in (q, qd, z))) for i in range(basis.n)]
+    return np.stack(joints, axis=1)
+
+
+def _record(q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    q, qd = numbers(q, "q", ShapeError), numbers(qd, "qd", ShapeError)
+    if q.ndim != 2 or q.shape != qd.shape or not len(q) or not np.isfinite(q).all() or not np.isfinite(qd).all():
+        raise ShapeError(
+            f"Expected finite q and qd of one shape (N, n), got {q.shape} and {qd.shape}. Drop NaN rows first."
+        )
+    return q, qd
+
+
+RIDGE = 1e-3  # of the friction map, relative to the mean diagonal
+SHORTEST = 0.5  # s, of a block
+MOST_OF = 20  # blocks at least
+ROWS = 20000  # that a joint is fitted to: more are thinned
+SPEEDS = 8
+HIGHEST = 1.25  # times the ripple line of the model, which is at twice the gear ratio
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Coefficients (p,) of one joint, lines (L,), covariance of both, and coefficients (5, p) without each fifth."""
+
+    name: str
+    k: np.ndarray
+    cycles: np.ndarray
+    cov: np.ndarray
+    folds: np.ndarray
+
+    @property
+    def names(self) -> list[str]:
+        of_lines = [f"{self.name} line {number + 1}" for number in range(len(self.cycles))]
+        return [f"{self.name} [{number}]" for number in range(len(self.k))] + of_lines
+
+    @property
+    def units(self) -> list[str]:
+        return ["N m"] * len(self.k) + ["cycles/rev"] * len(self.cycles)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Thinned rows of one joint, with the number of the half second and of the fifth that they are in."""
+
+    q: np.ndarray
+    qd: np.ndarray
+    s: np.ndarray
+    half: np.ndarray
+    fifth: np.ndarray
+    rate: float  # of the log
+    step: float  # s, between thinned rows
+
+    def of(self, use: np.ndarray) -> _Rows:
+        """Return the rows that are used (M,)."""
+        parts = self.q[use], self.qd[use], self.s[use], self.half[use], self.fifth[use]
+        return _Rows(*parts, self.rate, self.step)
+
+    def blocks(self, left: np.ndarray) -> np.ndarray:
+        """Return block numbers (M,): blocks last longer than the residuals (M,) remember, and there are 20 or more."""
+        count = int(np.ceil(block_seconds(left[:, None], self.step) / SHORTEST))
+        return self.half // max(1, min(count, (int(self.half[-1]) + 1) // MOST_OF))
+
+    def refit(
+        self, A: np.ndarray, y: np.ndarray, ridge: float, slopes: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return coefficients and covariance, from blocks by the memory of what the coefficients leave, not of y."""
+        return refit(A, y, self.blocks(y - A @ ridge_solution(A, y, ridge)[0]), ridge, slopes)
+
+    def folds(self, A: np.ndarray, others: np.ndarray, ridge: float) -> np.ndarray:
+        """Return coefficients (5, p) without each fifth, from residuals `others` (5, M) of models without it."""
+        used = [self.fifth != number for number in range(FIFTHS)]
+        return np.array([ridge_solution(A[use], y[use], ridge)[0] for use, y in zip(used, others)])
+
+
+def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[TorqueModel]:
+    """Fit warm-up, torque ripple and friction over position to what a model leaves of a log, and keep what wins.
+
+    Parameters
+    ----------
+    table : one log or several of free motion with columns q, qd, tau (N, n); 20 minutes in one for warm-up.
+    model : identified torque model of the arm that was logged.
+
+    Returns
+    -------
+    Fit of `models.TorqueModel`: the model with the parts that won, the same model when none did. Its torque covariance
+    and quality are its own: parts fitted without a fifth of the log are judged on it, and what the model given lost on
+    held-out rows is added where it was identified from the same log. Parameters are the coefficients of the parts, in
+    N m, and the lines, with a covariance from the scatter of whole blocks and the pull of the ridge; parameters of
+    warm-up stay with `fit_warm_up`.
+
+    Raises
+    ------
+    ShapeError : NaN rows, wrong joint count, velocity that is not the derivative of position.
+    NotExcited : too short, joints at rest, or that hardly slide past their presliding.
+
+    References
+    ----------
+    Bagge Carlson, Robertsson and Johansson (IROS 2015; ACC 2017, LPV spectral estimation).
+    """
+    found = model_residuals(table, model)
+    data = found.data
+    if len(data.segments) == 1 and data.seconds >= MIN_SECONDS:
+        model = fit_warm_up(table, model).value
+        found = model_residuals(table, model)
+    half = data.blocks(SHORTEST)
+    basis, fifth = rbf_centres(data.q, data.qd), fold_of(data)
+    peaks = np.abs(data.qd).max(axis=0)
+    spread = [speed_basis(0.0, float(peak), SPEEDS) for peak in peaks]
+    lines: dict[int, _Part] = {}
+    maps: dict[int, _Part] = {}
+    every = max(1, len(data.t) // ROWS)
+    highest = _highest(model, data.qd[::every], data.rate)
+    for i in range(model.n):
+        q, qd, s, y = (np.ascontiguousarray(x[::every, i]) for x in (data.q, data.qd, found.s, found.y))
+        rows = _Rows(q, qd, s, half[::every], fifth[::every], data.rate, every / data.rate)
+        lowest = np.pi / float(basis.position_widths[i, 0])
+        others = np.tile(y, (FIFTHS, 1))
+        over = basis.functions(i, q, qd, s)
+        clean = y - over @ ridge_solution(over, y, RIDGE)[0]
+        ripple = _ripple(rows, y, clean, (lowest, float(highest[i])), float(peaks[i]), f"ripple joint {i + 1}")
+        if ripple is not None:
+            part, spread[i] = ripple
+            lines[i] = part
+            A = ripple_regressor(q, qd, s, part.cycles, *spread[i])
+            y, others = y - A @ part.k, others - part.folds @ A.T
+        block = rows.blocks(y)
+        if held_out_error(over, y, block, RIDGE) < (1.0 - GAIN) * held_out_error(over[:, :0], y, block):
+            k, cov = rows.refit(over, y, RIDGE)
+            maps[i] = _Part(f"map joint {i + 1}", k, np.zeros(0), cov, rows.folds(over, others, RIDGE))
+
+    def with_parts(pick: Callable[[_Part], np.ndarray]) -> TorqueModel:
+        of_lines = {i: (part.cycles, pick(part)) for i, part in lines.items()}
+        own_map = _map(basis, {i: pick(part) for i, part in maps.items()}) if maps else model.friction_map
+        return replace(model, lines=_lines(of_lines, spread) if lines else model.lines, friction_map=own_map)
+
+    extended = model
+    if lines or maps:
+        folds = [with_parts(lambda part, number=number: part.folds[number]) for number in range(FIFTHS)]
+        extended = assess_again(model, with_parts(lambda part: part.k), folds, data)
+    return _fit(table, extended, [*lines.values(), *maps.values()], found)
+
+
+def _highest(model: TorqueModel, qd: np.ndarray, rate: float) -> np.ndarray:
+    """Return up to which line (n,) each joint is searched; warn where the sampling hides what is beyond."""
+    wanted = HIGHEST * model.ripple.cycles
+    seen = np.array([highest_seen(column, rate) for column in qd.T])
+    hidden = np.flatnonzero(seen < wanted)
+    if len(hidden):
+        warn_of_fast_lines({f"joint {i + 1}": float(seen[i]) for i in hidden}, rate)
+    return np.minimum(wanted, seen)
+
+
+def _ripple(
+    rows: _Rows,
+    y: np.ndarray,
+    clean: np.ndarray,
+    ends: tuple[float, float],
+    peak: float,
+    name: str,
+) -> tuple[_Part, tuple[np.ndarray, np.ndarray]] | None:
+    """Return the lines of one joint that stay with their coefficients, and the Gaussians in speed of these.
+
+    They are fitted to the rows on which all of them are slow, and so far the Gaussians reach: beyond, the amplitude is
+    that at the end. Gaussians up to the peak speed would have coefficients that no row holds, of many times the ripple.
+
+    They are found and chosen in `clean`, which friction over position has left: what it puts into some blocks and not
+    into others would hide lines from the choice by held-out blocks.
+    """
+    cycles = ripple_lines(rows.q, rows.qd, clean, rows.rate, ends[1], max(ends[0], 1.0))
+    if not len(cycles):
+        return None
+    fastest = 0.5 * np.pi * rows.rate / float(cycles.max())
+    slow, spread = np.abs(rows.qd) < fastest, speed_basis(0.0, min(peak, fastest), SPEEDS)
+    rows, y, clean = rows.of(slow), y[slow], clean[slow]
+    amplitudes = ripple_amplitudes(rows.qd, rows.s, *spread)
+    A = ripple_regressor(rows.q, rows.qd, rows.s, cycles, *spread)
+    kept = select_lines(A, clean, amplitudes.shape[1] * 2, rows.blocks(clean))
+    if not kept.any():
+        return None
+    cycles, A, slopes = refine_lines(rows.q, amplitudes, y, cycles[kept])
+    k, cov = rows.refit(A, y, LINE_RIDGE, slopes)
+    return _Part(name, k, cycles, cov, rows.folds(A, np.tile(y, (FIFTHS, 1)), LINE_RIDGE)), spread
+
+
+def _lines(
+    lines: dict[int, tuple[np.ndarray, np.ndarray]], spread: Sequence[tuple[np.ndarray, np.ndarray]]
+) -> RippleLines:
+    return RippleLines(
+        joint=np.concatenate([np.full(len(cycles), i) for i, (cycles, _) in lines.items()]),
+        cycles=np.concatenate([cycles for cycles, _ in lines.values()]),
+        speeds=np.stack([speeds for speeds, _ in spread]),
+        widths=np.stack([widths for _, widths in spread]),
+        coefficients=np.concatenate([k.reshape(-1, 2, SPEEDS, 2) for _, k in lines.values()]),
+    )
+
+
+def _map(basis: RadialBasis, maps: dict[int, np.ndarray]) -> FrictionMap:
+    coefficients = np.zeros((basis.n, 2, basis.positions.shape[1], basis.speeds.shape[1]))
+    for i, k in maps.items():
+        coefficients[i] = k.reshape(coefficients[i].shape)
+    return FrictionMap(basis, coefficients)
+
+
+def _fit(table: Table | Sequence[Table], model: TorqueModel, parts: list[_Part], before: Residuals) -> Fit[TorqueModel]:
+    names = tuple(name for part in parts for name in part.names)
+    cov, at = np.zeros((len(names), len(names))), 0
+    for part in parts:
+        size = len(part.cov)
+        cov[at : at + size, at : at + size] = part.cov
+        at += size
+    residuals = model_residuals(table, model).y
+    started = np.std(before.y, axis=0)
+
+    def report(fit: Fit[TorqueModel]) -> str:
+        lines, part = fit.value.lines, fit.value.friction_map
+        rows = ["joint  residual before  after [N m]  ripple lines [cycles/rev]  over position"]
+        for i in range(fit.value.n):
+            cycles = [] if lines is None else [f"{c:.1f}" for c in lines.cycles[lines.joint == i]]
+            over = "yes" if part is not None and part.coefficients[i].any() else "-"
+            after = np.std(fit.residuals[:, i])
+            rows.append(f"{i + 1:5}  {started[i]:15.4f}  {after:11.4f}  {', '.join(cycles) or '-':>25}  {over:>13}")
+        return "\n".join(rows)
+
+    return Fit(
+        value=model,
+        names=names,
+        units=tuple(unit for part in parts for unit in part.units),
+        parameters=np.concatenate([np.zeros(0), *(np.append(part.k, part.cycles) for part in parts)]),
+        cov=cov,
+        sigma=np.std(residuals, axis=0),
+        residuals=residuals,
+        n=len(residuals),
+        excitation=Excitation.of_covariance(cov, names),
+        summary=report,
+    )

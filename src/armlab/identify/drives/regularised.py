@@ -1,0 +1,257 @@
+"""Group lasso by an accelerated proximal gradient method with restart, stopped by its duality gap.
+
+    min_x  1/2 |y - A x|^2 + penalty sqrt(size) sum_g |x_g|
+
+over groups of `size` neighbouring columns: whole groups are zero or not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from armlab._numbers import number, numbers
+from armlab.errors import NotConverged, ShapeError
+from armlab.estimation import shrinkage
+
+# Ridge regression on coloured residuals: coefficients, a covariance that takes no model of the noise, held-out errors.
+#
+#     x = H^-1 A^T y,    H = A^T A + r 1,    cov = H^-1 (S + r^2 v 1) H^-1
+#
+# with S the scatter of the moments of whole stretches of time.
+
+
+RIDGE = 1e-6  # relative
+MOST_STRETCHES = 200  # for a covariance
+FULL = 1e-6  # least share of a direction that other stretches tell
+
+
+def ridge_solution(A: np.ndarray, y: np.ndarray, ridge: float = RIDGE) -> tuple[np.ndarray, np.ndarray]:
+    """Return ridge coefficients (p,) and the matrix (p, p) of their equations, see `refit`.
+
+    `A`: (N, p). `y`: (N,).
+    """
+    H = A.T @ A
+    H[np.diag_indices_from(H)] += ridge * np.trace(H) / max(len(H), 1)
+    return np.linalg.solve(H, A.T @ y), H
+
+
+def refit(
+    A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float = RIDGE, beside: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return ridge coefficients (p,) and their covariance (p, p) from the scatter of whole blocks.
+
+    ``H = A^T A + r 1, r = ridge mean(diag)``, ``cov = H^-1 (S + r^2 v 1) H^-1`` with S the scatter ``sum_b g_b g_b^T``
+    of the moments g_b of the residuals in a block: residuals that remember make it larger than the formal one. Where
+    blocks are few for the coefficients S is shrunk towards a multiple of H (`estimation.shrinkage`): it would have no
+    spread in most directions. v is the mean square of the coefficients: so far the ridge pulls what is hardly told.
+
+    `A`: (N, p). `y`: (N,). `block`: (N,) numbers. `beside`: (N, m) columns of parameters known so far that they leave
+    nothing, free in the covariance, which is then (p + m, p + m).
+    """
+    x, H = ridge_solution(A, y, ridge)
+    pull = ridge * np.trace(H) / max(len(H), 1) / (1.0 + ridge)
+    left, size = y - A @ x, len(x)
+    if beside is not None:
+        A = np.hstack([A, beside])
+        H = np.block([[H, A[:, :size].T @ beside], [beside.T @ A[:, :size], beside.T @ beside]])
+    pulled = np.linalg.inv(H)[:, :size] * pull * np.sqrt(np.mean(x**2))
+    return x, scattered(H, _moments(A, left, H, block)) + pulled @ pulled.T
+
+
+def _moments(A: np.ndarray, left: np.ndarray, H: np.ndarray, block: np.ndarray) -> np.ndarray:
+    """Return the moments (B, p) of stretches, each as large as that of the noise.
+
+    A stretch that tells a coefficient nearly alone leaves nothing of its own noise: with M its share of H, the moment
+    is ``(1 - M)^(-1/2)`` times that of the residuals, in coordinates in which H is 1 (Bell and McCaffrey 2002).
+    """
+    number = np.asarray(block) // (1 + int(np.max(block)) // MOST_STRETCHES)
+    root = np.linalg.cholesky(H)
+    B = np.linalg.solve(root, A.T).T
+    whole = np.zeros((int(np.max(number)) + 1, len(H)))
+    for k in np.unique(number):
+        rows = number == k
+        values, vectors = np.linalg.eigh(B[rows].T @ B[rows])
+        whole[k] = vectors @ ((vectors.T @ (B[rows].T @ left[rows])) / np.sqrt(np.maximum(1.0 - values, FULL)))
+    return whole @ root.T
+
+
+def scattered(H: np.ndarray, moments: np.ndarray) -> np.ndarray:
+    """Return ``H^-1 S H^-1`` (p, p), S the scatter of the moments, shrunk towards a multiple of H where they are few.
+
+    Parameters
+    ----------
+    H : (p, p) of the normal equations. moments : (B, p) gradients of independent stretches, of sum 0 or nearly so.
+
+    References
+    ----------
+    Huber (1967), The behavior of maximum likelihood estimates under nonstandard conditions, for the sandwich.
+    """
+    scale = np.sqrt(np.diag(H))  # parameters of many units
+    root = np.linalg.cholesky(H / np.outer(scale, scale))
+    scores = np.linalg.solve(root, (moments / scale).T).T
+    chance, S = shrinkage(scores), scores.T @ scores
+    S = (1.0 - chance) * S + chance * np.trace(S) / len(S) * np.eye(len(S))
+    half = np.linalg.solve(root.T, np.linalg.cholesky(S)) / scale[:, None]
+    return half @ half.T
+
+
+def held_out_error(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float = RIDGE, folds: int = 5) -> float:
+    """Return the mean square of y - A x on blocks that x was not fitted to.
+
+    `A`: (N, p); without columns the mean square of y. `y`: (N,). `block`: (N,) numbers.
+    """
+    total, fold = 0.0, np.asarray(block) % folds
+    for k in range(folds):
+        out = fold == k
+        x = ridge_solution(A[~out], y[~out], ridge)[0]
+        total += float(np.sum((y[out] - A[out] @ x) ** 2))
+    return total / len(y)
+
+
+GAP = 1e-6  # relative
+ROUNDS = 20000
+PATH = 20  # penalties
+SHORTEST = 1e-3  # of the largest penalty
+
+
+@dataclass(frozen=True, eq=False)
+class GroupLasso:
+    """A solution.
+
+    Attributes
+    ----------
+    x : (p,) coefficients. objective : of the problem. gap : objective minus a lower bound of the least, relative to it.
+    rounds : of the iteration.
+    """
+
+    x: np.ndarray
+    objective: float
+    gap: float
+    rounds: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """A^T A, A^T y and y^T y: all that the problem needs."""
+
+    gram: np.ndarray
+    moment: np.ndarray
+    power: float
+
+    @classmethod
+    def of(cls, A: np.ndarray, y: np.ndarray) -> _Sums:
+        return cls(A.T @ A, A.T @ y, float(y @ y))
+
+    @cached_property
+    def steepness(self) -> float:
+        """Largest eigenvalue of A^T A: no gradient changes faster."""
+        return float(np.linalg.eigvalsh(self.gram)[-1]) if len(self.gram) else 0.0
+
+    def minus(self, other: _Sums) -> _Sums:
+        return _Sums(self.gram - other.gram, self.moment - other.moment, self.power - other.power)
+
+    def error(self, x: np.ndarray) -> float:
+        """Return |y - A x|^2."""
+        return max(float(self.power - 2 * self.moment @ x + x @ self.gram @ x), 0.0)
+
+
+def group_lasso(A: np.ndarray, y: np.ndarray, size: int, penalty: float) -> GroupLasso:
+    """Solve the group lasso by FISTA with adaptive restart.
+
+    Parameters
+    ----------
+    A : (N, p) columns, group by group. y : (N,). size : columns in a group. penalty : above 0.
+
+    Raises
+    ------
+    ShapeError : other shapes, NaN, a penalty that is not positive. NotConverged : the gap stays above 1e-6.
+
+    References
+    ----------
+    Yuan and Lin (2006); Beck and Teboulle (2009); O'Donoghue and Candes (2015), Adaptive restart.
+    """
+    A, y, penalty = numbers(A, "A", ShapeError), numbers(y, "y", ShapeError), number(penalty, "penalty")
+    if A.ndim != 2 or y.shape != A.shape[:1] or size < 1 or A.shape[1] % size or not penalty > 0:
+        raise ShapeError(
+            f"Expected A (N, p), y (N,), groups of equal size and a penalty above 0, got {A.shape}, {y.shape}, "
+            f"{size} and {penalty!r}."
+        )
+    if not np.isfinite(A).all() or not np.isfinite(y).all():
+        raise ShapeError("Expected finite A and y, got NaN or Inf. Drop those rows first.")
+    return _solve(_Sums.of(A, y), size, penalty, np.zeros(A.shape[1]))
+
+
+def _norms(x: np.ndarray, size: int) -> np.ndarray:
+    return np.linalg.norm(x.reshape(-1, size), axis=1)
+
+
+def _solve(sums: _Sums, size: int, penalty: float, x: np.ndarray) -> GroupLasso:
+    """Solve from a first guess."""
+    threshold = penalty * np.sqrt(size)
+    L = sums.steepness
+    if L <= 0.0:
+        return GroupLasso(x, 0.5 * sums.power, 0.0, 0)
+    v, momentum, gap, best = x, 1.0, np.inf, 0.0
+    for k in range(ROUNDS):
+        step = v - (sums.gram @ v - sums.moment) / L
+        norms = _norms(step, size)
+        shrink = np.maximum(1.0 - threshold / L / np.where(norms > 0, norms, np.inf), 0.0)
+        new = (step.reshape(-1, size) * shrink[:, None]).ravel()
+        if (v - new) @ (new - x) > 0:  # the momentum points uphill
+            momentum = 1.0
+        following = 0.5 * (1.0 + np.sqrt(1.0 + 4.0 * momentum**2))
+        v = new + (momentum - 1.0) / following * (new - x)
+        x, momentum = new, following
+        if k % 10 == 9:
+            best, gap = _gap(sums, size, threshold, x)
+            if gap <= GAP:
+                return GroupLasso(x, best, gap, k + 1)
+    raise NotConverged(f"Expected a group lasso with a relative gap of {GAP:g}, got {gap:.2g} after {ROUNDS} rounds.")
+
+
+def _gap(sums: _Sums, size: int, threshold: float, x: np.ndarray) -> tuple[float, float]:
+    """Return the objective and its relative distance from the dual one of the scaled residual."""
+    error = sums.error(x)
+    objective = 0.5 * error + threshold * float(_norms(x, size).sum())
+    steepest = float(_norms(sums.moment - sums.gram @ x, size).max())
+    scale = min(1.0, threshold / steepest) if steepest > 0 else 1.0
+    dual = scale * (sums.power - float(sums.moment @ x)) - 0.5 * scale**2 * error
+    return objective, (objective - dual) / max(objective, 1e-300)
+
+
+def select_groups(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray, folds: int = 5) -> np.ndarray:
+    """Return which groups (G,) a group lasso keeps.
+
+    The penalty is the largest of 20 whose held-out error is within one standard deviation of the least.
+
+    Parameters
+    ----------
+    A : (N, p) columns, group by group. y : (N,). size : columns in a group.
+    block : (N,) block number of each row; whole blocks are held out.
+    folds : of the cross-validation.
+    """
+    A, y, block = (numbers(one, "columns, values and blocks", ShapeError) for one in (A, y, block))
+    if A.ndim != 2 or not y.shape == block.shape == A.shape[:1]:
+        raise ShapeError(f"Expected columns (N, p), values and blocks (N,), got {A.shape}, {y.shape}, {block.shape}.")
+    fold = block % folds
+    parts = [_Sums.of(A[fold == k], y[fold == k]) for k in range(folds)]
+    whole = _Sums.of(A, y)
+    largest = float(_norms(whole.moment, size).max()) / np.sqrt(size)
+    if largest <= 0:
+        return np.zeros(A.shape[1] // size, dtype=bool)
+    penalties = largest * np.geomspace(1.0, SHORTEST, PATH)
+    errors = np.empty((folds, PATH))
+    for k, part in enumerate(parts):
+        rest, x, count = whole.minus(part), np.zeros(A.shape[1]), np.count_nonzero(fold == k)
+        for j, penalty in enumerate(penalties):
+            x = _solve(rest, size, penalty * (1.0 - count / len(y)), x).x
+            errors[k, j] = part.error(x) / count
+    mean, best = errors.mean(axis=0), int(np.argmin(errors.mean(axis=0)))
+    chosen = int(np.flatnonzero(mean <= mean[best] + errors[:, best].std(ddof=1))[0])
+    x = np.zeros(A.shape[1])
+    for penalty in penalties[: chosen + 1]:
+        x = _solve(whole, size, penalty, x).x
+    return _norms(x, size) > 0

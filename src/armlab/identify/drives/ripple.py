@@ -1,0 +1,250 @@
+"""Search and fit of torque ripple lines on the residuals of one joint (models.RippleLines has the law).
+
+1. Least-squares periodogram over position: for each c the share of the residual that cos(c q) and sin(c q) explain. A
+   peak counts when noise with the local median would give one like it anywhere with p < 1e-3; the strongest is taken,
+   refined and removed, and the search goes on.
+2. Group lasso over the lines found, all amplitudes of a line in one group.
+3. A line stays when without it the error on held-out blocks grows by more than 2 %.
+
+A line passes with the frequency c |qd| / (2 pi): only samples below a quarter of the sampling rate are used, and a line
+that loses more than half of the samples is refused; what cannot be searched for that reason is told by a warning.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from armlab._numbers import numbers
+from armlab.errors import ShapeError
+from armlab.estimation import mad
+from armlab.identify.drives.regularised import RIDGE, held_out_error, ridge_solution, select_groups
+from armlab.identify.record import SLOW_SHARE, slow_enough
+from armlab.kernels import basis_weights
+
+P_VALUE = 1e-3
+NEIGHBOURS = 50  # grid points on either side that make the local median
+MAX_LINES = 10
+NEWTON = 3  # steps of Gauss and Newton from a line found to one that leaves least
+GAIN = 0.02  # share of the held-out variance that a part must remove
+CHUNK = 2**22  # numbers held at once
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Rows of one joint that may be used for a line: those on which it passes slowly enough."""
+
+    q: np.ndarray
+    qd: np.ndarray
+    y: np.ndarray
+    rate: float
+
+    @property
+    def speed(self) -> np.ndarray:
+        return np.abs(self.qd)
+
+    def slow(self, c: float) -> np.ndarray:
+        return slow_enough(self.qd, self.rate, np.array(c))
+
+
+def ripple_lines(
+    q: np.ndarray, qd: np.ndarray, y: np.ndarray, rate: float, highest: float, lowest: float = 1.0
+) -> np.ndarray:
+    """Return the lines (L,) [cycles per revolution] in the residual of one joint, ascending.
+
+    A warning says from where on lines pass too fast for the sampling in more than half of the samples.
+
+    Parameters
+    ----------
+    q, qd, y : (N,) position [rad], velocity [rad/s], residual torque [N m].
+    rate : of sampling [Hz].
+    highest : largest c that is searched, 2.5 times the gear ratio.
+    lowest : smallest.
+
+    Raises
+    ------
+    ShapeError : shapes, NaN, a rate that is not above 0.
+    """
+    q, qd, y = (numbers(x, "q, qd and y", ShapeError) for x in (q, qd, y))
+    if q.ndim != 1 or q.shape != qd.shape or q.shape != y.shape or not np.isfinite([q, qd, y]).all():
+        raise ShapeError(f"Expected finite q, qd and y of one shape (N,), got {q.shape}, {qd.shape} and {y.shape}.")
+    if not 0 < rate < np.inf or not np.isfinite([highest, lowest]).all():
+        raise ShapeError(
+            f"Expected a rate above 0 Hz and finite ends of the search, got {rate:g} Hz and {lowest:g} to {highest:g} "
+            "cycles. Give the sampling rate and 2.5 times the gear ratio."
+        )
+    turns = np.ptp(q) / (2 * np.pi) if len(q) else 0.0
+    if not highest > lowest or turns * (highest - lowest) < 4.0:
+        return np.zeros(0)
+    seen = highest_seen(qd, rate)
+    if seen < highest:
+        warn_of_fast_lines({"this joint": seen}, rate)
+    search = _Search(q, qd, y - np.mean(y), rate)
+    grid = np.arange(lowest, highest, 0.25 / turns)
+    grid = grid[[np.mean(search.slow(c)) >= 0.5 for c in grid]]
+    found: list[float] = []
+    while len(found) < MAX_LINES and len(grid):
+        rest = _Search(q, qd, _left(search, found), rate)
+        power = _periodogram(rest, grid)
+        floor = np.array([np.median(power[max(k - NEIGHBOURS, 0) : k + NEIGHBOURS + 1]) for k in range(len(grid))])
+        ratio = power / np.maximum(floor, 1e-300)
+        k = int(np.argmax(ratio))
+        if len(grid) * 2.0 ** -ratio[k] > P_VALUE:  # powers of noise are exponential: the median is at one half
+            break
+        line = _refined(rest, grid[k], 0.25 / turns)
+        if any(abs(line - c) < 0.5 / turns for c in found):
+            grid = np.delete(grid, k)
+            continue
+        found.append(line)
+    return np.sort(found)
+
+
+def highest_seen(qd: np.ndarray, rate: float) -> float:
+    """Return the largest c [cycles per revolution] that passes below a quarter of the rate in half of the samples.
+
+    `qd`: (N,) velocity [rad/s]. `rate`: of sampling [Hz].
+    """
+    return float(2 * np.pi * SLOW_SHARE * rate / max(np.median(np.abs(qd)), 1e-12))
+
+
+def warn_of_fast_lines(seen: dict[str, float], rate: float) -> None:
+    """Warn that lines of torque ripple fold back and are not looked for.
+
+    `seen`: largest c of each joint that can be found, by name. `rate`: of sampling [Hz].
+    """
+    listed = ", ".join(f"{name} (above {c:.0f} cycles/rev)" for name, c in seen.items())
+    warnings.warn(
+        f"Expected torque ripple below {SLOW_SHARE * rate:.3g} Hz, a quarter of the sampling rate, in half of the "
+        f"samples at least, got faster ripple for {listed}: it folds back, and lines beyond are not looked for. Log "
+        "slower motion, as of identify.friction_run, or sample faster.",
+        stacklevel=3,
+    )
+
+
+def _left(search: _Search, lines: list[float]) -> np.ndarray:
+    """Return the residual without lines whose amplitude and phase are constant in either direction."""
+    if not lines:
+        return search.y
+    angle = np.outer(search.q, lines)
+    waves, forward = np.hstack([np.cos(angle), np.sin(angle)]), search.qd[:, None] > 0
+    A = np.hstack([waves * forward, waves * ~forward])
+    return search.y - A @ np.linalg.lstsq(A, search.y, rcond=None)[0]
+
+
+def _periodogram(search: _Search, grid: np.ndarray) -> np.ndarray:
+    """Return the sum of squares per sample (len(grid),) that each line explains."""
+    power = np.empty(len(grid))
+    step = max(1, CHUNK // len(search.q))
+    for a in range(0, len(grid), step):
+        part = grid[a : a + step]
+        angle = np.outer(part, search.q)
+        slow = part[:, None] * search.speed < 2 * np.pi * SLOW_SHARE * search.rate
+        C, S = np.cos(angle) * slow, np.sin(angle) * slow
+        cc, cs, ss = np.sum(C * C, 1), np.sum(C * S, 1), np.sum(S * S, 1)
+        cy, sy = C @ search.y, S @ search.y
+        det = np.maximum(cc * ss - cs**2, 1e-12 * len(search.q) ** 2)
+        power[a : a + step] = (ss * cy**2 - 2 * cs * cy * sy + cc * sy**2) / det
+    return power
+
+
+def _refined(search: _Search, c: float, width: float) -> float:
+    """Return the line near c that leaves least: phases of the two directions may differ."""
+    from scipy.optimize import minimize_scalar
+
+    slow = search.slow(c)
+    rows = _Search(search.q[slow], search.qd[slow], search.y[slow], search.rate)
+    best = minimize_scalar(
+        lambda x: np.sum(_left(rows, [x]) ** 2),
+        bounds=(max(c - width, 1.0), c + width),
+        method="bounded",
+        options={"xatol": 0.05 * width},
+    )
+    return float(best.x)
+
+
+def ripple_regressor(
+    q: np.ndarray, qd: np.ndarray, z: np.ndarray, cycles: np.ndarray, speeds: np.ndarray, widths: np.ndarray
+) -> np.ndarray:
+    """Return the columns (N, L 2 S 2) of lines with amplitudes for both directions, in the order of the coefficients.
+
+    Parameters
+    ----------
+    q, qd, z : (N,) position [rad], velocity [rad/s], presliding state.
+    cycles : (L,) lines. speeds, widths : (S,) of the Gaussians [rad/s].
+    """
+    return _waves(q, ripple_amplitudes(qd, z, speeds, widths), cycles)[0]
+
+
+def ripple_amplitudes(qd: np.ndarray, z: np.ndarray, speeds: np.ndarray, widths: np.ndarray) -> np.ndarray:
+    """Return the weights (N, 2 S) of both directions and of the Gaussians in speed.
+
+    `qd`, `z`: (N,) velocity [rad/s], presliding state. `speeds`, `widths`: (S,) of the Gaussians [rad/s].
+    """
+    qd, z = numbers(qd, "velocities [rad/s]", ShapeError), numbers(z, "presliding states", ShapeError)
+    if qd.ndim != 1 or qd.shape != z.shape:
+        raise ShapeError(f"Expected velocities and presliding states (N,), got shapes {qd.shape} and {z.shape}.")
+    along = basis_weights(np.abs(qd), speeds, widths)
+    sides = np.stack([0.5 * (1 + z), 0.5 * (1 - z)], axis=1)
+    return (sides[:, :, None] * along[:, None, :]).reshape(len(along), -1)
+
+
+def refine_lines(
+    q: np.ndarray, amplitudes: np.ndarray, y: np.ndarray, cycles: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return lines (L,) that leave least, their columns (N, p), and the slopes (N, L) of their sum over the lines.
+
+    The search finds a line with one amplitude in each direction; here it has all of them. Its error turns the phase at
+    the ends of the range: coefficients would seem too sure in a covariance without the slopes.
+
+    `q`: (N,) position [rad]. `amplitudes`: (N, 2 S) of each direction and speed, see `ripple_regressor`. `y`: (N,)
+    residual torque [N m]. `cycles`: (L,) lines found.
+    """
+    for _ in range(NEWTON):
+        A, slopes, left = _bent(q, amplitudes, y, cycles)
+        both = np.hstack([A, slopes])
+        norms = np.linalg.norm(both, axis=0)
+        cycles = cycles + (ridge_solution(both / norms, left, RIDGE)[0] / norms)[-len(cycles) :]
+    return cycles, *_bent(q, amplitudes, y, cycles)[:2]
+
+
+def _bent(
+    q: np.ndarray, amplitudes: np.ndarray, y: np.ndarray, cycles: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the columns of lines, the derivatives (N, L) of their best sum over the lines, and what it leaves."""
+    A, slopes = _waves(q, amplitudes, cycles)
+    x = ridge_solution(A, y, RIDGE)[0]
+    shape = len(cycles), -1
+    return A, np.einsum("nlk,lk->nl", slopes.reshape(len(q), *shape), x.reshape(shape)), y - A @ x
+
+
+def _waves(q: np.ndarray, amplitudes: np.ndarray, cycles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the columns (N, L 2 S 2) of lines and their derivatives over the lines."""
+    angle = np.outer(q, cycles)
+    wave = np.stack([np.cos(angle), np.sin(angle)], axis=2)
+    turned = q[:, None, None] * np.stack([-np.sin(angle), np.cos(angle)], axis=2)
+    columns, slopes = (np.einsum("nk,nlw->nlkw", amplitudes, part).reshape(len(q), -1) for part in (wave, turned))
+    return columns, slopes
+
+
+def select_lines(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray, ridge: float = RIDGE) -> np.ndarray:
+    """Return which groups of columns (G,) stay: chosen by the group lasso, and worth 2 % of the held-out error each.
+
+    `A`: (N, G size). `y`: (N,). `block`: (N,) numbers of whole blocks.
+    """
+    scale = mad(y) or 1.0
+    kept = select_groups(A / np.sqrt(np.mean(A**2)), y / scale, size, block)
+    while kept.any():
+        with_all = held_out_error(A[:, np.repeat(kept, size)], y, block, ridge)
+        worth = np.full(len(kept), np.inf)
+        for g in np.flatnonzero(kept):
+            without = kept.copy()
+            without[g] = False
+            error = held_out_error(A[:, np.repeat(without, size)], y, block, ridge)
+            worth[g] = 1.0 - with_all / error if error > 0 else 0.0
+        weakest = int(np.argmin(worth))
+        if worth[weakest] > GAIN:
+            break
+        kept[weakest] = False
+    return kept

@@ -1,0 +1,260 @@
+"""The shape of friction: what is not linear in it, and which terms each joint has, chosen on held-out blocks.
+
+    F_f = viscous qd + coulomb s + offset [+ asymmetry |s|] [+ stribeck s exp(-(qd / v_s)^2)] [+ root s sqrt(|qd|)]
+
+s is the presliding state z of distance delta, or tanh(qd / v_t). Terms in brackets are there where they win; asymmetry
+is told as two Coulomb torques, one for each direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from itertools import compress, pairwise
+
+import numpy as np
+
+from armlab.identify.columns import FrictionColumns
+from armlab.identify.threads import one_thread
+
+DELTAS = np.geomspace(1e-4, 1e-2, 7)  # rad
+SMOOTH_SPEEDS = np.array([0.005, 0.01, 0.02, 0.05, 0.1])  # rad/s
+STRIBECK_SPEEDS = np.array([0.02, 0.05, 0.1, 0.3])  # rad/s
+REFINEMENTS = (1.5, 1.25, 1.12, 1.06, 1.03, 1.015)  # factors tried both ways after the grid
+FOLDS = 4
+GAIN = 0.01  # of the squared held-out error: a term that wins less is left out
+DEFAULT_SPEED = 2  # of STRIBECK_SPEEDS, for joints without that term
+TOLD = 1e-6  # squared, of what each fold must tell of every direction: no term rests on one event
+EXACT = 1e-12  # squared error, relative to the torque, that is rounding
+# All columns of a joint, in their order; the last two where the gears are known.
+COLUMNS = ("viscous", "coulomb+", "coulomb-", "offset", "stribeck", "root", "ripple cos", "ripple sin")
+# Which of asymmetry, Stribeck and root a joint may have, fewest first.
+TERMS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 1, 1]], dtype=bool)
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionStructure:
+    """Shape of the friction of all joints; vectors are (n,).
+
+    `delta`: presliding distance [rad]. `smooth`: v_t [rad/s], 0 where the sign is the presliding state. `speed`: v_s of
+    Stribeck's term [rad/s]. `terms`: (n, 3) bool: asymmetry, Stribeck, root.
+    """
+
+    delta: np.ndarray
+    smooth: np.ndarray
+    speed: np.ndarray
+    terms: np.ndarray
+
+    @classmethod
+    def start(cls, n: int) -> FrictionStructure:
+        """Return presliding over 1e-3 rad with all terms but the root, for n joints."""
+        return cls(np.full(n, 1e-3), np.zeros(n), np.full(n, 0.1), np.tile([True, True, False], (n, 1)))
+
+    @classmethod
+    def joined(cls, parts: Iterable[FrictionStructure]) -> FrictionStructure:
+        """Return the shapes of all joints of some shapes, in their order."""
+        listed = list(parts)
+        return cls(*(np.concatenate([getattr(part, field.name) for part in listed]) for field in fields(cls)))
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """What is not linear in the torque (n, 2): delta or v_t, whichever the sign has, and v_s."""
+        return np.stack([np.where(self.smooth > 0, self.smooth, self.delta), self.speed], axis=1)
+
+    @property
+    def names(self) -> list[tuple[str, str]]:
+        """Names of `numbers`, for each joint."""
+        return [("tanh-speed" if soft else "delta", "stribeck-speed") for soft in self.smooth > 0]
+
+    def moved(self, steps: np.ndarray) -> FrictionStructure:
+        """Return it with `numbers` times exp(steps) (n, 2), within the range that is searched."""
+        (sign, bump), soft = np.exp(steps).T, self.smooth > 0
+        return replace(
+            self,
+            delta=np.where(soft, self.delta, np.clip(sign * self.delta, 0.1 * DELTAS[0], DELTAS[-1])),
+            smooth=np.where(soft, np.clip(sign * self.smooth, 0.1 * SMOOTH_SPEEDS[0], SMOOTH_SPEEDS[-1]), 0.0),
+            speed=np.clip(bump * self.speed, 0.5 * STRIBECK_SPEEDS[0], 2.0 * STRIBECK_SPEEDS[-1]),
+        )
+
+    def same(self, other: FrictionStructure) -> bool:
+        """Return whether the other differs by less than 10 %, in the same terms."""
+        kinds = np.array_equal(self.terms, other.terms) and np.array_equal(self.smooth > 0, other.smooth > 0)
+        mine, others = (np.stack([s.delta, s.smooth, s.speed]) for s in (self, other))
+        return bool(kinds and np.allclose(mine, others, rtol=0.1))
+
+
+def term_names(terms: np.ndarray, ripple: bool) -> tuple[str, ...]:
+    """Return the names of the columns that a joint with these terms (3,) has; `ripple` where the gears are known."""
+    asymmetric, stribeck, root = terms
+    coulomb = COLUMNS[1:3] if asymmetric else ("coulomb",)
+    rest = compress(COLUMNS[4:6], (stribeck, root))
+    return (COLUMNS[0], *coulomb, COLUMNS[3], *rest, *(COLUMNS[6:] if ripple else ()))
+
+
+def mixing(terms: np.ndarray, width: int) -> np.ndarray:
+    """Return the matrix (width, k) from all columns of a joint to those that it has.
+
+    `terms`: (3,) asymmetry, Stribeck, root.
+    """
+    asymmetric, stribeck, root = terms
+    eye = np.eye(width)
+    coulomb = eye[:, 1:3] if asymmetric else eye[:, 1:3].sum(axis=1, keepdims=True)
+    rest = [eye[:, 4 + k : 5 + k] for k, present in enumerate((stribeck, root)) if present]
+    return np.hstack([eye[:, :1], coulomb, eye[:, 3:4], *rest, eye[:, 6:]])
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """What the shape of one joint's friction is chosen by; it may travel to a worker.
+
+    `fixed`: (M, 2 or more) columns viscous, offset, and whatever else has no shape. `target`: (M,) torque that friction
+    has to explain. `fold`: (M,) number of the fold of each row, 0 to FOLDS - 1. `trust`: (M,) weights of the rows, 0 to
+    leave one out.
+    """
+
+    motion: FrictionColumns
+    fixed: np.ndarray
+    target: np.ndarray
+    fold: np.ndarray
+    trust: np.ndarray
+
+
+class _Search:
+    """Held-out errors of shapes of one joint, tried one after the other."""
+
+    def __init__(self, choice: Choice) -> None:
+        self.motion = choice.motion
+        self._order = np.argsort(choice.fold, kind="stable")
+        self._edges = np.searchsorted(choice.fold[self._order], np.arange(FOLDS + 1)).tolist()
+        self._fastest = np.abs(choice.fixed[:, 0]).max()
+        self._trust = choice.trust[self._order, None]
+        self._fixed = choice.fixed[self._order] * self._trust
+        self._target = choice.target[self._order] * self._trust[:, 0]
+
+    def scores(self, columns: np.ndarray, speeds: np.ndarray, kinds: slice) -> np.ndarray:
+        """Return the held-out error (S, k), relative to the torque.
+
+        `columns`: (M, 1, 3 + S) from `FrictionColumns.columns`. `speeds`: (S,) of its bells.
+        """
+        fixed, S = self._fixed, len(speeds)
+        shaped = columns[:, 0][self._order] * self._trust
+        A = np.column_stack([fixed[:, :1], shaped[:, :2], fixed[:, 1:2], shaped[:, 2:], fixed[:, 2:]])
+        sums = [_sums(A[a:b], self._target[a:b]) for a, b in pairwise(self._edges)]
+        ripple = list(range(5 + S, A.shape[1]))
+        picks = np.array([[0, 1, 2, 3, 5 + s, 4, *ripple] for s in range(S)])
+        out = _held_out(sums, picks, _mixings(picks.shape[1])[kinds])
+        wide = speeds > self._fastest  # beyond the log's speeds it is one more viscous term
+        out[np.ix_(wide, TERMS[kinds, 1])] = np.inf
+        return out
+
+
+def _sums(A: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    return A.T @ A, A.T @ y, float(y @ y)
+
+
+def _held_out(sums: list[tuple[np.ndarray, np.ndarray, float]], picks: np.ndarray, T: np.ndarray) -> np.ndarray:
+    """Return the squared error (S, k) of each fold by the parameters of the others, over that of the torque.
+
+    `picks`: (S, w) columns of A that each speed of Stribeck has. `T`: (k, w, w) of `_mixings`.
+    """
+    grams = [(G[picks[:, :, None], picks[:, None, :]][:, None], v[picks][:, None, :, None]) for G, v, _ in sums]
+    error, told = np.zeros((len(picks), len(T))), np.ones((len(picks), len(T)), dtype=bool)
+    G, v = sum(G for G, _ in grams), sum(v for _, v in grams)
+    for (H, u), (_, _, power) in zip(grams, sums):
+        A, scale = _scaled(T.transpose(0, 2, 1) @ (G - H) @ T)
+        x = T @ (np.linalg.solve(A, T.transpose(0, 2, 1) @ (v - u) / scale) / scale)
+        error += (power - 2.0 * np.swapaxes(u, 2, 3) @ x + np.swapaxes(x, 2, 3) @ H @ x)[..., 0, 0]
+        if H.any():
+            told &= np.linalg.eigvalsh(_scaled(T.transpose(0, 2, 1) @ H @ T)[0])[..., 0] > TOLD
+    total = sum(power for _, _, power in sums)
+    return np.where(told, np.maximum(error / total if total > 0 else error, EXACT), np.inf)
+
+
+@cache
+def _mixings(width: int) -> np.ndarray:
+    """Return `mixing` of all TERMS (8, width, width): absent columns are zero and keep parameters of zero."""
+    T = np.zeros((len(TERMS), width, width))
+    for k, terms in enumerate(TERMS):
+        mixed = mixing(terms, width)
+        T[k, :, : mixed.shape[1]] = mixed
+    T.flags.writeable = False
+    return T
+
+
+def _scaled(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return A (..., w, w) with columns and rows scaled to a diagonal of 1, and the scale (..., w, 1)."""
+    scale = np.sqrt(np.diagonal(A, axis1=-2, axis2=-1))
+    scale = np.where(scale > 0, scale, 1.0)[..., None]
+    A = A / (scale * np.swapaxes(scale, -2, -1))
+    diagonal = np.arange(A.shape[-1])
+    A[..., diagonal, diagonal] = 1.0 + EXACT
+    return A, scale
+
+
+@one_thread()
+def choose(choice: Choice) -> FrictionStructure:
+    """Choose the shape of one joint's friction: fitted to all folds of the data but one, judged on that one, in turn.
+
+    Presliding distance or v_t, the speed of Stribeck's term, and which terms there are come from a grid; of all that
+    come within 1 % of the smallest squared error the one with the fewest terms wins, with presliding before tanh. Its
+    numbers are then refined.
+    """
+    search, motion = _Search(choice), choice.motion
+    trials = [(delta, 0.0) for delta in DELTAS] + [(DELTAS[3], smooth) for smooth in SMOOTH_SPEEDS]
+    bells = [motion.bell(np.array([speed]))[:] for speed in STRIBECK_SPEEDS]
+    scores = []
+    for delta, smooth in trials:
+        s = motion.sign(np.array([delta]), np.array([smooth]))
+        scores.append(search.scores(motion.columns(s, bells), STRIBECK_SPEEDS, slice(None)))
+    t, k, terms = _pick(np.array(scores))  # (trial, speed, terms)
+    delta, smooth = trials[t]
+    shape = FrictionStructure(np.array([delta]), np.array([smooth]), STRIBECK_SPEEDS[[k]], TERMS[[terms]])
+    shape = _refine(search, shape, scores[t][k, terms])
+    columns = motion.columns(motion.sign(shape.delta, shape.smooth), [motion.bell(shape.speed)])
+    errors = search.scores(columns, shape.speed, slice(None))[0]
+    simplest = int(np.argmax(errors <= (1.0 + GAIN) * errors.min()))
+    shape = replace(shape, terms=TERMS[[simplest]])  # on the grid a term may stand in for a width between two points
+    return _refine(search, shape, errors[simplest])
+
+
+Chooser = Callable[[Iterable[Choice]], Iterable[FrictionStructure]]
+
+
+def choose_here(choices: Iterable[Choice]) -> list[FrictionStructure]:
+    """Return what `choose` says of joints, one after the other."""
+    return list(map(choose, choices))
+
+
+def _pick(scores: np.ndarray) -> tuple[int, int, int]:
+    """Return (trial, speed, terms) of the simplest shape of one joint that is good enough, of (trial, speed, terms)."""
+    kinds = np.arange(len(scores)) < len(DELTAS)
+    choices = []
+    for k, terms in enumerate(TERMS):
+        for kind in (kinds, ~kinds):
+            part = np.where(kind[:, None], scores[:, :, k], np.inf)
+            t, s = divmod(int(np.argmin(part)), part.shape[1])
+            choices.append((float(part[t, s]), (t, s if terms[1] else DEFAULT_SPEED, k)))
+    limit = (1.0 + GAIN) * min(score for score, _ in choices)
+    return next(choice for score, choice in choices if score <= limit)
+
+
+def _refine(search: _Search, shape: FrictionStructure, best: float) -> FrictionStructure:
+    """Try factors on distance or speed of the sign and on Stribeck's speed; keep what lowers the held-out error."""
+    motion, kind = search.motion, int(np.flatnonzero((shape.terms == TERMS).all(axis=1))[0])
+    ways = ((1.0, 0.0), (0.0, 1.0)) if shape.terms[0, 1] else ((1.0, 0.0),)
+    s = motion.sign(shape.delta, shape.smooth)
+    columns = motion.columns(s, [motion.bell(shape.speed)])
+    for step in (sign * np.log(factor) for factor in REFINEMENTS for sign in (1.0, -1.0)):
+        for way in ways:
+            trial = shape.moved(step * np.array([way]))
+            bells = [motion.bell(trial.speed)]
+            if way[0]:
+                z = motion.sign(trial.delta, trial.smooth)
+                tried = motion.columns(z, bells)
+            else:  # the columns of the sign stay
+                z, tried = s, np.concatenate([columns[:, :, :3], motion.columns(s, bells, signs=False)], axis=2)
+            score = float(search.scores(tried, trial.speed, slice(kind, kind + 1))[0, 0])
+            if score < best:
+                best, shape, s, columns = score, trial, z, tried
+    return shape

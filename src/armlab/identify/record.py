@@ -1,0 +1,381 @@
+"""From logs to arrays that can be fitted: checks first, then segments without gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from armlab.errors import NotExcited, ShapeError
+from armlab.identify.base_parameters import measured_joints
+from armlab.log import Table
+from armlab.log.plausibility import check_position, check_torque, check_velocity
+from armlab.models import TorqueModel
+from armlab.robots import Robot
+from armlab.signals import central_diff, lowpass_offline
+
+# What the sampling of a log is fast enough for: friction as a whole, and a line of torque ripple.
+
+
+MIN_RATE = 40.0  # Hz: four samples in a period of the 10 Hz that models and estimators keep
+SLOW_SHARE = 0.25  # of the sampling rate: a faster ripple line folds back
+
+
+def check_rate(t: np.ndarray) -> None:
+    """Refuse a log whose sampling is too slow for friction: below `MIN_RATE`.
+
+    `t`: (N,) times [s], increasing.
+    """
+    rate = 1.0 / float(np.median(np.diff(t)))
+    if rate < MIN_RATE * (1.0 - 1e-6):
+        hint = " If t is in milliseconds, divide it by 1000." if rate < 10.0 else ""
+        raise ShapeError(
+            f"Expected a log of at least {MIN_RATE:g} Hz, got {rate:.4g} Hz: friction changes within one sample when a "
+            f"joint turns round.{hint} Record faster; resampling does not bring it back."
+        )
+
+
+def slow_enough(qd: np.ndarray, rate: float, cycles: np.ndarray) -> np.ndarray:
+    """Return where (N, n) a ripple line passes below a quarter of the sampling rate; a faster one folds back.
+
+    ``cycles |qd| / (2 pi) < rate / 4``
+
+    `qd`: (N, n) velocity [rad/s]. `rate`: of sampling [Hz]. `cycles`: (n,) line [rad/rad].
+    """
+    return np.abs(qd) * cycles < 2 * np.pi * SLOW_SHARE * rate
+
+
+MIN_SECONDS = 5.0
+MIN_TURN, MIN_SLIDE = np.deg2rad(5.0), 0.02  # rad, m: range of a joint that is said to move
+MIN_SEGMENT = 100  # samples; shorter pieces between gaps are left out
+BAND = 5.0  # Hz, in which velocity is compared with the slope of position
+KEPT, MARGIN = 0.99, 10.0  # share of the power of motion, and how far above its frequency a velocity is kept
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One or several logs as one record of segments without gaps.
+
+    Attributes
+    ----------
+    t : (N,) time [s], increasing inside a segment. q, qd, tau : (N, n).
+    dt : (N,) step to the previous sample [s]; the period at the start of a segment.
+    segments : (start, stop) rows of each piece without a gap.
+    rate : [Hz]. resolution : (n,) half the smallest step of the encoder [rad].
+    sources : name and SHA-256 of each log.
+    """
+
+    t: np.ndarray
+    dt: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    tau: np.ndarray
+    segments: tuple[tuple[int, int], ...]
+    rate: float
+    resolution: np.ndarray
+    sources: tuple[str, ...]
+
+    @property
+    def seconds(self) -> float:
+        """Length of all segments [s]."""
+        return float(sum(self.t[b - 1] - self.t[a] for a, b in self.segments))
+
+    def filter(self, x: np.ndarray, cutoff: float) -> np.ndarray:
+        """Filter (N, ...) with zero phase inside each segment; the same filter serves torque and regressor."""
+        out = np.empty_like(x)
+        for a, b in self.segments:
+            out[a:b] = lowpass_offline(x[a:b], self.rate, cutoff)
+        return out
+
+    def differentiate(self, x: np.ndarray) -> np.ndarray:
+        """Differentiate (N, ...) by central differences inside each segment."""
+        out = np.empty_like(x)
+        for a, b in self.segments:
+            out[a:b] = np.gradient(x[a:b], self.t[a:b], axis=0, edge_order=2)
+        return out
+
+    def blocks(self, seconds: float) -> np.ndarray:
+        """Return the block number (N,) of each sample: blocks of `seconds` that never cross a gap."""
+        number = np.empty(len(self.t), dtype=int)
+        first = 0
+        for a, b in self.segments:
+            count = max(1, int((self.t[b - 1] - self.t[a]) / seconds))
+            number[a:b] = first + np.minimum(((self.t[a:b] - self.t[a]) / seconds).astype(int), count - 1)
+            first += count
+        return number
+
+
+def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] | None = None) -> Record:
+    """Check logs and cut them into segments without gaps.
+
+    Parameters
+    ----------
+    table : one log or several, each with columns q, tau of `robot`; qd, where it is left out, is the slope of q.
+    robot : the arm that was logged.
+    joints : numbers, from 0, of those whose torque will be fitted; only these must move and must have a torque that
+        is one. All when left out.
+
+    Raises
+    ------
+    RobotError : something else than a robot. UnknownName : no such joint.
+    ShapeError : something else than a log, one log twice, wrong joint count, NaN rows by number, logs of different
+        rates or below 40 Hz, gaps everywhere, positions in degrees or of the motors, velocity that is not the
+        derivative of position, torque of the motors.
+    NotExcited : too short, joints at rest by name, constant torque.
+    """
+    used = np.bincount(measured_joints(robot, joints), minlength=robot.n) > 0
+    return _checked(_tables(table), robot, used, used)
+
+
+def prepare_share(table: Table, robot: Robot, joints: Sequence[int] | None = None) -> Record:
+    """Check and cut one log of many as `prepare` does; joints may rest in it, since others may move them."""
+    used = np.bincount(measured_joints(robot, joints), minlength=robot.n) > 0
+    return _checked(_tables(table), robot, used, np.zeros(robot.n, dtype=bool))
+
+
+def _checked(tables: list[Table], robot: Robot, used: np.ndarray, moving: np.ndarray) -> Record:
+    """Return the record of logs whose joints `moving` (n,) must move, and `used` (n,) have a torque."""
+    parts = [_segments(one, robot) for one in tables]
+    rate = _common_rate(tables)
+    t = np.concatenate([t[a:b] for t, _, segs in parts for a, b in segs])
+    columns = [np.concatenate([c[k][a:b] for _, c, segs in parts for a, b in segs]) for k in range(3)]
+    lengths = np.cumsum([0, *(b - a for _, _, segs in parts for a, b in segs)])
+    segments = tuple((int(a), int(b)) for a, b in pairwise(lengths))
+    dt = np.diff(t, prepend=t[0])
+    dt[lengths[:-1]] = 1.0 / rate
+    q, qd, tau = columns
+    sources = tuple(f"{one.source or 'table'} sha256:{one.sha256}" for one in tables)
+    prepared = Record(t, dt, q, qd, tau, segments, rate, _resolution(q), sources)
+    check_position(q, robot)
+    least = np.where(robot.prismatic, MIN_SLIDE, MIN_TURN)
+    moved = np.ptp(q, axis=0) >= least
+    _check_motion(q, robot, moving & ~moved)
+    slope = prepared.filter(prepared.differentiate(q), BAND)
+    turned = np.max([np.ptp(q[a:b], axis=0) for a, b in segments], axis=0) >= least  # not between two logs
+    check_velocity(slope, prepared.filter(qd, BAND), moved & turned, robot)
+    check_torque(q, tau, used & (moving | moved), robot)
+    return prepared
+
+
+def _tables(table: Table | Sequence[Table]) -> list[Table]:
+    """Return one log or several as a list; refuse what is none."""
+    tables: list[Any] = list(table) if isinstance(table, (list, tuple)) else [table]
+    if not tables:
+        raise ShapeError("Expected at least one log, got none. Give the file of a recorded excitation.")
+    for one in tables:
+        if not isinstance(one, Table):
+            raise ShapeError.no_table(one)
+    check_once([(log_name(one, number), one.sha256) for number, one in enumerate(tables, 1)])
+    return tables
+
+
+def check_once(logs: Iterable[tuple[str, str]]) -> None:
+    """Refuse a log that comes twice, be it under another name: the second time it says nothing new.
+
+    `logs`: name and SHA-256 of the rows of each.
+    """
+    known: dict[str, str] = {}
+    for name, sha256 in logs:
+        if sha256 in known:
+            raise ShapeError(
+                f"Expected each log once, got the rows of {known[sha256]} again as {name}. Leave one out: counted "
+                "twice, they would seem to tell more than they do."
+            )
+        known[sha256] = name
+
+
+def log_name(table: Table, number: int) -> str:
+    """Return the file that a log was read from; "log 2" where it was not read from one.
+
+    `number`: its place, from 1.
+    """
+    return table.source[0].partition(" sha256 ")[0] if table.source else f"log {number}"
+
+
+def with_velocity(table: Table) -> Table:
+    """Return the log with qd: its own, or else the slope of q behind a zero-phase low-pass.
+
+    The corner is ten times the frequency below which 99 % of the power of motion lies, a tenth of the rate at most.
+    Pieces between gaps are filtered each by itself; in pieces of fewer than 100 rows qd is missing (NaN).
+
+    Parameters
+    ----------
+    table : log with q (N, n), finite.
+
+    Raises
+    ------
+    ShapeError : NaN rows, by number.
+    """
+    if not isinstance(table, Table):
+        raise ShapeError.no_table(table)
+    if "qd" in table:
+        return table
+    q, t = table["q"], table.t
+    _check_finite("q", q)
+    qd = np.full(q.shape, np.nan)
+    for a, b in _pieces(t):
+        rate = 1.0 / float(np.median(np.diff(t[a:b])))
+        qd[a:b] = central_diff(lowpass_offline(q[a:b], rate, _corner(q[a:b], rate)), t[a:b])
+    return table.with_column("qd", qd)
+
+
+def _corner(q: np.ndarray, rate: float) -> float:
+    """Return the corner [Hz] of the low-pass before a derivative."""
+    speed = np.diff(q, axis=0) * np.hanning(len(q) - 1)[:, None]
+    power = np.abs(np.fft.rfft(speed, axis=0)) ** 2
+    share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
+    highest = float(np.argmax(share >= KEPT, axis=0).max()) * rate / (len(q) - 1)
+    return min(max(MARGIN * highest, 0.01 * rate), 0.1 * rate)
+
+
+def pieces(t: np.ndarray) -> list[tuple[int, int]]:
+    """Return (start, stop) of the stretches of a log without a gap that have at least 100 rows.
+
+    `t`: (N,) times [s], increasing.
+    """
+    found = _pieces(t)
+    if not found:
+        cuts = _cuts(t)
+        longest = int(np.diff([0, *cuts, len(t)]).max())
+        raise ShapeError(
+            f"Expected pieces of at least {MIN_SEGMENT} samples without a gap, got {len(cuts)} gaps in {len(t)} rows, "
+            f"the longest piece with {longest} samples. Record again, or resample the log."
+        )
+    return found
+
+
+def _pieces(t: np.ndarray) -> list[tuple[int, int]]:
+    """Return (start, stop) of the stretches without a gap that have at least `MIN_SEGMENT` rows."""
+    return [(a, b) for a, b in pairwise([0, *_cuts(t), len(t)]) if b - a >= MIN_SEGMENT]
+
+
+def _cuts(t: np.ndarray) -> list[int]:
+    """Return the rows that come after a gap."""
+    step = np.diff(t)
+    return (np.flatnonzero(step > 1.5 * np.median(step)) + 1).tolist() if len(step) else []
+
+
+def _segments(table: Table, robot: Robot) -> tuple[np.ndarray, list[np.ndarray], list[tuple[int, int]]]:
+    """Return time, [q, qd, tau] and the pieces of one log that have no gap."""
+    names = [name for name in ("q", "qd", "tau") if name != "qd" or "qd" in table]
+    columns = [np.asarray(table[name], dtype=float) for name in names]
+    for name, values in zip(names, columns):
+        if values.shape != (len(table), robot.n):
+            raise ShapeError(
+                f"Expected {name} of shape ({len(table)}, {robot.n}) for robot {robot.name!r}, got {values.shape}. "
+                "Name the robot that was logged."
+            )
+        _check_finite(name, values)
+    t = np.asarray(table.t, dtype=float)
+    if len(t) < MIN_SEGMENT or t[-1] - t[0] < MIN_SECONDS:
+        length = t[-1] - t[0] if len(t) else 0.0
+        raise NotExcited(
+            f"Expected a log of at least {MIN_SECONDS:g} s, got {length:.2f} s in {len(t)} rows. Record for longer.",
+            ["everything"],
+            ["too short"],
+        )
+    check_rate(t)
+    if "qd" not in table:
+        columns.insert(1, with_velocity(table)["qd"])
+    return t, columns, pieces(t)
+
+
+def _check_finite(name: str, values: np.ndarray) -> None:
+    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    if len(bad):
+        raise ShapeError(
+            f"Expected finite {name}, got NaN or Inf in {len(bad)} rows, first {bad[:5].tolist()}. "
+            "Drop them with table.dropna, or record with the research extension when torque is missing."
+        )
+
+
+def _common_rate(tables: list[Table]) -> float:
+    """Return the sampling rate [Hz] of all logs; one filter serves them all, so they must agree."""
+    rates = [1.0 / float(np.median(np.diff(one.t))) for one in tables]
+    if max(rates) > 1.1 * min(rates):
+        listed = ", ".join(f"{rate:.4g} Hz" for rate in rates)
+        raise ShapeError(f"Expected logs of one sampling rate, got {listed}. Resample them to the slowest first.")
+    return float(np.median(rates))
+
+
+def _resolution(q: np.ndarray) -> np.ndarray:
+    """Return half the smallest non-zero step of each joint (n,) [rad]: the play of the presliding state."""
+    steps = np.abs(np.diff(q, axis=0))
+    smallest = np.where(steps > 1e-12, steps, np.inf).min(axis=0)
+    return np.where(np.isfinite(smallest), 0.5 * smallest, 0.0)
+
+
+def _check_motion(q: np.ndarray, robot: Robot, still: np.ndarray) -> None:
+    """Refuse joints (n,) that are to be fitted but hardly move."""
+    if not still.any():
+        return
+    names = [robot.joint_names[i] for i in np.flatnonzero(still)]
+    spread = [
+        f"{1e3 * x:.1f} mm" if robot.prismatic[i] else f"{np.rad2deg(x):.2f} deg"
+        for i, x in enumerate(np.ptp(q, axis=0))
+        if still[i]
+    ]
+    listed = ", ".join(f"{a} ({b})" for a, b in zip(names, spread))
+    raise NotExcited(
+        f"Expected every joint to move by at least 5 deg (20 mm), got less for {listed}: their inertia, "
+        "gravity and friction cannot be told apart. Record a motion of all joints, as of identify.design_excitation.",
+        names,
+        spread,
+    )
+
+
+# Single samples of torque that are far from their neighbours, found and replaced.
+#
+# A filter would spread a spike over its neighbours, where no loss function finds it again. The median of the neighbours
+# is a first guess, wrong by several deviations where friction turns round; once there is a model, its torque is taken
+# there, plus the median of what it leaves of the neighbours.
+
+
+SPIKE, WINDOW = 6.0, 9  # robust deviations from the median of so many samples
+AT_ONCE = 4096  # rows: nine copies of them stay in the cache
+# Exchanges after which the fifth of nine values is their median (Smith 1996, Implementing median filters in XC4000E).
+EXCHANGES = "12 45 78 01 34 67 12 45 78 03 58 47 36 14 25 47 42 64 42"
+NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
+
+
+def torque_outliers(data: Record) -> np.ndarray:
+    """Return which torques (N, n) are six robust deviations or more from the median of nine samples around them."""
+    away = np.abs(data.tau - _median(data.tau, data))
+    found = np.zeros(away.shape, dtype=bool)
+    for a, b in data.segments:
+        scale = np.median(away[a:b], axis=0) / NORMAL_MAD
+        found[a:b] = (away[a:b] > SPIKE * scale) & (scale > 0)
+    return found
+
+
+def without_outliers(data: Record, found: np.ndarray, model: TorqueModel | None = None) -> np.ndarray:
+    """Return the torque (N, n) with spikes replaced by the model's, plus the median of what it leaves around them.
+
+    `found`: (N, n) from `torque_outliers`. `model`: of the arm; the median of the torque alone when left out.
+    """
+    known = np.zeros_like(data.tau) if model is None else _modelled(model, data)
+    return np.where(found, known + _median(data.tau - known, data), data.tau)
+
+
+def _median(x: np.ndarray, data: Record) -> np.ndarray:
+    """Return the median (N, n) of nine samples around each, the first and last of a segment repeated."""
+    out, reach = np.empty_like(x), WINDOW // 2
+    for a, b in data.segments:
+        wide = np.concatenate([np.repeat(x[a : a + 1], reach, axis=0), x[a:b], np.repeat(x[b - 1 : b], reach, axis=0)])
+        for k in range(0, b - a, AT_ONCE):
+            stop = min(k + AT_ONCE, b - a)
+            around = [wide[k + j : stop + j] for j in range(WINDOW)]
+            for i, j in (map(int, pair) for pair in EXCHANGES.split()):
+                around[i], around[j] = np.minimum(around[i], around[j]), np.maximum(around[i], around[j])
+            out[a + k : a + stop] = around[reach]
+    return out
+
+
+def _modelled(model: TorqueModel, data: Record) -> np.ndarray:
+    """Return the torque (N, n) of the model; the acceleration is low-passed at a tenth of the rate."""
+    qdd = data.filter(data.differentiate(data.qd), data.rate / 10.0)
+    parts = [model.torque(data.q[a:b], data.qd[a:b], qdd[a:b], data.dt[a:b]) for a, b in data.segments]
+    return np.concatenate(parts)

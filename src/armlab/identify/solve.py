@@ -1,0 +1,305 @@
+"""Alternation between the linear parameters of a design and the shape of friction, until both stay.
+
+The shape comes from a grid, judged on held-out blocks; its numbers then by Gauss-Newton steps on all rows,
+
+    tau ~ A theta + sum_k d(A theta)/d(log s_k) log(s_k' / s_k)
+
+so that an estimate that linearises there again has no step left to take, and its covariance holds for the shape too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from armlab.estimation import LinearSolution, effective_samples, least_squares, shrinkage
+from armlab.identify.friction_structure import Chooser, choose_here
+from armlab.identify.record import Record
+from armlab.identify.regression import Design
+
+# Least squares with one unknown gain per joint: ``y_i = (1 + g_i) A_i x + e_i``, ``g_i ~ N(0, s^2)``.
+#
+# The problem is kept as sums per joint and block of time. Newton's method without second derivatives (Gauss-Newton);
+# the gains, each in its own equation, are eliminated:
+#
+#     (H - sum_i u_i u_i^T / d_i) dx = -(r - sum_i u_i e_i / d_i),   dg_i = -(e_i + u_i dx) / d_i
+#     H = sum k^2 G_i,   u_i = k G_i x,   d_i = x^T G_i x + 1 / s^2,   k = 1 + g_i
+#
+# The covariance of x is the scatter of the blocks' gradients (the bootstrap of whole blocks, of many draws) and what
+# the gains may be. Chance in the scatter of few blocks is shrunk away as in `estimation.block_bootstrap`.
+
+
+STEPS, SETTLED = 30, 1e-9
+EXACT = 1e-5  # residuals below this share of the measurements are rounding, not knowledge of the gain
+
+
+@dataclass(frozen=True, eq=False)
+class GainProblem:
+    """Sums of a regression with unknown gains.
+
+    `sums`: (B, n, p + 1, p + 1) of ``[A y]^T [A y]`` per block and joint, weighted by 1 / variance, each joint by the
+    share of its samples that are independent. `weights`: (n,) what a squared residual of each joint counts [1 / (N
+    m)^2]. `gain_sd`: s, 0 where the gains are known to be 1. `stretch`: how much further a robust solution moves than
+    its weighted sums say.
+    """
+
+    sums: np.ndarray
+    weights: np.ndarray
+    gain_sd: float
+    stretch: float = 1.0
+
+    @classmethod
+    def of(cls, solution: LinearSolution, residuals: np.ndarray, gains: np.ndarray, gain_sd: float) -> GainProblem:
+        """Build the sums from a solution of rows ``(1 + gains_i) A_i``.
+
+        `solution`: its classes are the joints; its weights of rows and joints are used. `residuals`: (M, n) of it,
+        evenly sampled. `gains`: (n,) a first guess of the gains less 1.
+        """
+        factors, p = solution.factors, len(solution.x)
+        share = np.array([effective_samples(column) for column in residuals.T]) / len(residuals)
+        size = np.array([np.linalg.norm(R[:, :, -1]) for R in factors.R]) / np.sqrt(len(residuals))
+        weights = share / np.maximum(1.0 / solution.weights, EXACT * size) ** 2
+        sums = np.zeros((len(factors.rows), len(weights), p + 1, p + 1))
+        for i, (R, columns) in enumerate(zip(factors.R, factors.columns)):
+            at = np.append(columns, p)
+            R = R / np.append(np.full(len(columns), 1.0 + gains[i]), 1.0)
+            sums[:, i, at[:, None], at] = weights[i] * R.transpose(0, 2, 1) @ R
+        return cls(sums, weights, gain_sd, solution.stretch)
+
+    def solve(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return x (p,) and the gains less 1 (n,)."""
+        p = self.sums.shape[-1] - 1
+        total = self.sums.sum(axis=0)
+        scale = np.sqrt(np.einsum("iaa->a", total[:, :p, :p]))
+        scale = np.where(scale > 0, scale, 1.0)
+        G, b = total[:, :p, :p] / np.outer(scale, scale), total[:, :p, p] / scale
+        x, g = np.linalg.solve(G.sum(axis=0), b.sum(axis=0)), np.zeros(len(b))
+        for _ in range(STEPS):
+            S, u, d = self._normal(G, x, 1.0 + g)
+            short = u - b  # k G x - b
+            e = short @ x + (g / self.gain_sd**2 if self.gain_sd else 0.0)
+            dx = -np.linalg.solve(S, (1.0 + g) @ short - (e / d) @ u)
+            g = g - (e + u @ dx) / d
+            x = x + dx
+            if np.abs(dx).max() <= SETTLED * np.abs(x).max():
+                break
+        return x / scale, g
+
+    def information(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
+        """Return the information (p, p) on x, unknown gains accounted for.
+
+        `x`: (p,) solution. `g`: (n,) its gains less 1.
+        """
+        return self._normal(self.sums.sum(axis=0)[:, :-1, :-1], x, 1.0 + g)[0]
+
+    def gain_covariance(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
+        """Return the covariance (n, n) of the gains, x unknown.
+
+        `x`: (p,) solution. `g`: (n,) its gains less 1.
+        """
+        G, k = self.sums.sum(axis=0)[:, :-1, :-1], 1.0 + g
+        _, u, d = self._normal(G, x, k)
+        H = np.tensordot(k * k, G, 1)
+        scale = np.sqrt(np.where(np.diag(H) > 0, np.diag(H), 1.0))
+        told = np.linalg.solve(H / np.outer(scale, scale), (u / scale).T)
+        cov = np.linalg.inv(np.diag(d) - (u / scale) @ told)
+        return 0.5 * (cov + cov.T)
+
+    def response(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
+        """Return how x follows the sums ``weights_i A_i^T e_i`` of each joint (n, p, p): dx = sum_i response_i @ them.
+
+        `x`: (p,) solution. `g`: (n,) its gains less 1.
+        """
+        S, through, _ = self._reduced(x, g)
+        return np.linalg.solve(S, through)
+
+    def covariance(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
+        """Return the covariance (p, p) of x: scatter of the blocks, and gains.
+
+        `x`: (p,) solution. `g`: (n,) its gains less 1.
+        """
+        S, through, pushes = self._reduced(x, g)
+        B, A = len(self.sums), self.sums[:, :, :-1, :-1]
+        left = self.sums[:, :, :-1, -1] - (1.0 + g)[:, None] * (A @ x)  # A^T e of blocks and joints
+        gradients = np.einsum("iab,jib->ja", through, left)
+        white = np.einsum("iab,ibc,idc->ad", through, A.sum(axis=0), through)  # their covariance if e were white
+        root = np.linalg.cholesky(white)
+        scores = np.linalg.solve(root, (gradients - gradients.mean(axis=0)).T).T
+        chance = shrinkage(scores)
+        scatter = self.stretch**2 * B / (B - 1.0) * scores.T @ scores
+        scatter = (1.0 - chance) * scatter + chance * np.trace(scatter) / len(x) * np.eye(len(x))
+        sides = np.linalg.solve(S, np.hstack([root @ np.linalg.cholesky(scatter), pushes]))
+        return sides @ sides.T
+
+    def _reduced(self, x: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the information (p, p), what passes to x of each joint's sums (n, p, p), and of its gain (p, n)."""
+        k = 1.0 + g
+        S, u, d = self._normal(self.sums.sum(axis=0)[:, :-1, :-1], x, k)
+        through = k[:, None, None] * np.eye(len(x)) - u[:, :, None] * x / d[:, None, None]
+        return S, through, (u / d[:, None]).T / self.gain_sd if self.gain_sd else np.zeros((len(x), 0))
+
+    def _normal(self, G: np.ndarray, x: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the information on x (p, p), u (n, p) and d (n,) of the module."""
+        Gx = G @ x
+        u = k[:, None] * Gx
+        d = Gx @ x + (1.0 / self.gain_sd**2 if self.gain_sd else np.inf)
+        return np.tensordot(k * k, G, 1) - (u / d[:, None]).T @ u, u, d
+
+
+ROUNDS = 4
+SHAPE_STEPS = 6  # of Gauss and Newton
+SHARES = (1.0, 0.5, 0.25)  # of a step that are tried
+STAYS = 1e-3  # sum of the squared logarithmic steps
+VAGUE = 0.3  # formal deviation of the logarithm of a number beyond which a straight line tells nothing of it
+TRIMMED = 0.25  # s, blocks of which the method "lts" leaves some out
+MOST_BLOCKS = 1000.0  # of them: a triangle is kept for each
+HUBER = 1.345
+NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
+ROBUST = ("irls", "lts")
+
+
+def alternate(
+    design: Design, method: str, seed: int = 0, use: np.ndarray | None = None, chooser: Chooser = choose_here
+) -> tuple[Design, np.ndarray]:
+    """Alternate between the linear parameters and the shape of friction until the shape stays; return both.
+
+    Directions that the log does not tell are no fault here: the last fit judges.
+
+    `use`: (M,) kept rows to fit to; all when left out.
+    """
+    use = np.ones(len(design.rows), dtype=bool) if use is None else use
+    trust = np.repeat(use[:, None].astype(float), len(design.joints), axis=1)
+    block = design.data.blocks(short_blocks(design.data))[design.rows]
+    theta = solved(design, trust, method).x
+    for _ in range(ROUNDS):
+        if method in ROBUST:
+            trust = _trust(design, theta, block, method, seed) * use[:, None]
+        shaped = design.choose_shapes(theta, trust, chooser)
+        settled = shaped.shapes.same(design.shapes)
+        design, theta = shaped, solved(shaped, trust, method).x
+        if settled:
+            break
+    return _refined(design, theta, trust, method)
+
+
+def _refined(design: Design, theta: np.ndarray, trust: np.ndarray, method: str) -> tuple[Design, np.ndarray]:
+    """Take Gauss-Newton steps of the numbers of the shapes while they lower the residual."""
+    cost = _cost(design, theta, trust)
+    for _ in range(SHAPE_STEPS):
+        sloped = linearised(design, theta, method, trust)
+        step = np.where(sloped.layout.slopes, solved(sloped, trust, method).x, 0.0)
+        for share in SHARES:
+            trial = design.with_shapes(sloped.moved(share * step))
+            found = solved(trial, trust, method).x
+            lower = _cost(trial, found, trust)
+            if lower < cost:
+                break
+        else:
+            break
+        design, theta, cost = trial, found, lower
+        if float(step @ step) < STAYS**2:
+            break
+    return design, theta
+
+
+def _cost(design: Design, theta: np.ndarray, trust: np.ndarray) -> float:
+    """Return the sum over joints of the logarithm of the weighted squared residual."""
+    power = np.sum((trust * design.residuals(theta)) ** 2, axis=0)
+    return float(np.sum(np.log(np.maximum(power, 1e-300))))
+
+
+def linearised(design: Design, theta: np.ndarray, method: str, trust: np.ndarray | None = None) -> Design:
+    """Return the design with slopes of those numbers of the shapes that the log tells.
+
+    `design`: without slopes, at its parameters theta (p,). `trust`: (M, J) weights of the rows; 1 when left out.
+    """
+    sloped = design.with_slopes(theta)
+    free, sd = sloped.free.copy(), solved(sloped, trust, method).sd[sloped.layout.slopes]
+    free[sloped.free] = sd < VAGUE
+    return sloped if np.array_equal(free, sloped.free) else design.with_slopes(theta, free)
+
+
+def short_blocks(data: Record) -> float:
+    """Return the length of the blocks that "lts" leaves out [s]."""
+    return max(TRIMMED, data.seconds / MOST_BLOCKS)
+
+
+def solved(design: Design, trust: np.ndarray | None, method: str) -> LinearSolution:
+    """Solve for weighted rows; the smallest parameters where the log does not tell them.
+
+    `trust`: (M, J) weights of the rows; 1 when left out.
+    """
+    rows = design.stream(np.zeros(len(design.rows), dtype=int), trust)
+    plain = "ols" if method == "ols" else "wls"
+    return least_squares(rows, design.layout.names, method=plain, lower=design.layout.lower, max_condition=np.inf)
+
+
+def _trust(design: Design, theta: np.ndarray, block: np.ndarray, method: str, seed: int) -> np.ndarray:
+    """Return factors (M, J) of the rows that keep outliers from the choice of shape."""
+    if method == "lts":
+        found = least_squares(design.stream(block), design.layout.names, method="lts", seed=seed, max_condition=np.inf)
+        return np.repeat(found.kept[block][:, None].astype(float), len(design.joints), axis=1)
+    e = np.abs(design.residuals(theta))
+    limit = HUBER / NORMAL_MAD * np.median(e, axis=0)
+    return np.sqrt(np.divide(limit, e, out=np.ones_like(e), where=e > limit))
+
+
+# Gains of the torques: what a joint calls one newton metre may be a few percent more or less.
+#
+# Base parameters are shared by all joints, so joints whose torque constants are off contradict each other, and the
+# misfit goes to wrong places. ``tau_i = g_i (A_i theta + e_i)`` with ``g_i ~ N(1, 0.05^2)`` is solved by Gauss-Newton
+# (`armlab.identify.solve`). What all gains have in common no log of the arm alone can tell: that is left to the prior,
+# and so it is for joints that move hardly any load of their own.
+
+
+GAIN_SD = 0.05
+GAIN_ROUNDS = 2  # weights of the joints follow their gains
+MAX_CONDITION = 1e4  # of a log that tells the parameters
+
+
+def calibrated(
+    design: Design, method: str, known: tuple[np.ndarray, np.ndarray] | None = None
+) -> tuple[Design, np.ndarray, np.ndarray]:
+    """Return a design with the gains of its torques, its parameters (p,), and the covariance (J, J) of the gains.
+
+    Where the log does not tell the parameters, the gains stay what they are: the last fit judges.
+
+    `known`: gains (n,) and their covariance (n, n) of an earlier fit, which stay.
+    """
+    if known is not None:
+        gains, cov = known[0][design.joints], known[1][np.ix_(design.joints, design.joints)]
+        design = design.with_gains(gains)
+        return design, solved(design, None, method).x, cov
+    cov = GAIN_SD**2 * np.eye(len(design.joints))
+    for _ in range(GAIN_ROUNDS):
+        solution = solved(design, None, method)
+        if not solution.excitation.condition < MAX_CONDITION:
+            return design, solution.x, cov
+        problem = GainProblem.of(_read(solution, design.gains), design.residuals(solution.x), design.gains - 1, GAIN_SD)
+        x, g = problem.solve()
+        design, cov = design.with_gains(1.0 + g), problem.gain_covariance(x, g)
+    return design, solved(design, None, method).x, cov
+
+
+def _read(solution: LinearSolution, gains: np.ndarray) -> LinearSolution:
+    """Return the solution with the factors of the torque as it was read: both sides times the gains."""
+    factors = replace(solution.factors, R=tuple(k * R for k, R in zip(gains, solution.factors.R)))
+    return replace(solution, factors=factors, weights=solution.weights / gains)
+
+
+def gain_share(solution: LinearSolution, gain_cov: np.ndarray) -> np.ndarray:
+    """Return what unknown gains add to the covariance (p, p) of the parameters.
+
+    A gain that is g too large leaves a torque that is g too small: ``dx = -sum_i (A^T W A)^-1 w_i^2 A_i^T y_i g_i``.
+
+    `gain_cov`: (J, J) of the gains.
+    """
+    pushed = np.zeros((len(solution.x), len(gain_cov)))
+    parts = zip(solution.factors.R, solution.factors.columns, solution.weights)
+    for i, (R, columns, weight) in enumerate(parts):
+        kept = R[solution.kept]
+        pushed[columns, i] = weight**2 * np.einsum("bka,bk->a", kept[:, :, :-1], kept[:, :, -1])
+    response = solution.basis @ (solution.basis.T @ pushed)
+    cov = response @ gain_cov @ response.T
+    return 0.5 * (cov + cov.T)

@@ -1,0 +1,276 @@
+"""Models of sensors on the arm: force sensors, accelerometers and laser distance sensors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import isfinite, isnan
+from typing import Literal
+
+import numpy as np
+
+from armlab import kernels
+from armlab._numbers import still
+from armlab.errors import ShapeError, UnknownName
+from armlab.lie import so3
+
+_SHAPES = {"R_tool_sensor": (3, 3), "centre": (3,), "bias": (6,), "gravity": (3,), "position": (3,)}
+_MOMENTS = {"centre": slice(0, 3), "bias": slice(3, 6)}  # NaN where the fit had no torques
+_FRAMES = ("base", "tool")
+
+
+@dataclass(frozen=True, eq=False)
+class ForceSensor:
+    """A force sensor at the tool, with the weight that hangs on it and its bias.
+
+    Without contact it reads, in its own axes, ``f = s m g_s + b_f`` and ``tau = c x (s m g_s) + b_tau``, with
+    ``g_s = R_tool_sensor^T R_base_tool^T g``.
+
+    Attributes
+    ----------
+    R_tool_sensor : (3, 3) turns sensor axes into tool axes.
+    mass : m, what hangs on the sensor [kg]. centre : c (3,) of that mass, sensor axes [m].
+    bias : (6,) what it reads without weight, sensor axes [N, N m].
+    sign : s, +1 when it reads the weight that hangs on it, -1 when it reads the reaction.
+    gravity : g (3,) base axes [m/s^2].
+    position : (3,) of the sensor's origin in the tool frame [m].
+    robot_name, robot_hash : the robot that carries it; empty for any. sources : what it was fitted to.
+
+    Raises
+    ------
+    ShapeError : a shape, a rotation, a mass or a sign that cannot be. `centre` and the moments of `bias` may be NaN
+        where only forces were calibrated; the moments of a contact then are NaN.
+
+    References
+    ----------
+    The model of `calibrate.fit_force_sensor`.
+    """
+
+    R_tool_sensor: np.ndarray
+    mass: float
+    centre: np.ndarray
+    bias: np.ndarray
+    sign: int = 1
+    gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.80665]))
+    position: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    robot_name: str = ""
+    robot_hash: str = ""
+    sources: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check the fields and freeze the arrays."""
+        for name, shape in _SHAPES.items():
+            values = still(getattr(self, name), f"{name} of a force sensor")
+            known = values.ravel().tolist()
+            if name in _MOMENTS and values.shape == shape and all(map(isnan, known[_MOMENTS[name]])):
+                known = known[: 3 * (name == "bias")]
+            if values.shape != shape or not all(map(isfinite, known)):
+                raise ShapeError(f"Expected finite {name} of shape {shape} of a force sensor, got {values.tolist()}.")
+            object.__setattr__(self, name, values)
+        try:
+            so3.log(self.R_tool_sensor)
+        except ShapeError:
+            R = self.R_tool_sensor.tolist()
+            raise ShapeError(f"Expected a rotation as R_tool_sensor of a force sensor, got {R}.") from None
+        if self.sign not in (1, -1):
+            raise ShapeError(f"Expected the sign +1 or -1 of a force sensor, got {self.sign!r}.")
+        if not 0.0 <= self.mass < np.inf:
+            raise ShapeError(f"Expected a mass of 0 kg or more on a force sensor, got {self.mass!r}.")
+
+    def unloaded(self, T_base_tool: np.ndarray) -> np.ndarray:
+        """Return what the sensor reads without contact, at rest: weight and bias (..., 6), sensor axes [N, N m].
+
+        Parameters
+        ----------
+        T_base_tool : (..., 4, 4) pose of the tool.
+
+        Raises
+        ------
+        ShapeError : poses of another shape.
+        """
+        R_base_tool = _poses(T_base_tool)[..., :3, :3]
+        weight = (self.sign * self.mass) * (self.gravity @ (R_base_tool @ self.R_tool_sensor))
+        return np.concatenate([weight, np.cross(self.centre, weight)], axis=-1) + self.bias
+
+    def contact(self, raw: np.ndarray, T_base_tool: np.ndarray, frame: Literal["base", "tool"] = "base") -> np.ndarray:
+        """Return the wrench of the environment on the robot, at the sensor's origin.
+
+        ``[f; m] = s R (raw - unloaded)``, with R from sensor axes to those of `frame`, for forces and moments alike.
+
+        Parameters
+        ----------
+        raw : (..., 6) as read, sensor axes [N, N m]; NaN stays NaN.
+        T_base_tool : (..., 4, 4) pose of the tool at that time.
+        frame : axes of the result, "base" or "tool".
+
+        Raises
+        ------
+        ShapeError : readings or poses of another shape. UnknownName : another frame.
+        """
+        if frame not in _FRAMES:
+            raise UnknownName.among("frame of a contact", frame, _FRAMES)
+        poses, raw = _poses(T_base_tool), np.asarray(raw, dtype=np.float64)
+        if raw.shape[-1:] != (6,):
+            raise ShapeError(f"Expected readings (..., 6) of a force sensor, forces first, got shape {raw.shape}.")
+        R = self.R_tool_sensor if frame == "tool" else poses[..., :3, :3] @ self.R_tool_sensor
+        own = self.sign * (raw - self.unloaded(poses))
+        pairs = own.reshape(*own.shape[:-1], 2, 3)  # force and moment as rows: (R v)^T = v^T R^T
+        return (pairs @ np.swapaxes(R, -1, -2)).reshape(own.shape)
+
+    def wrench(self, raw: np.ndarray, T_base_tool: np.ndarray) -> np.ndarray:
+        """Return the wrench of the environment on the robot at the tool point, base axes, as `State.wrench` is.
+
+        ``m_tool = m_sensor + p x f``, with p from the tool point to the sensor's origin.
+
+        Parameters
+        ----------
+        raw, T_base_tool : see `contact`.
+
+        Raises
+        ------
+        ShapeError : readings or poses of another shape.
+        """
+        found = self.contact(raw, T_base_tool)
+        p = _poses(T_base_tool)[..., :3, :3] @ self.position
+        found[..., 3:] += np.cross(p, found[..., :3])
+        return found
+
+
+def _poses(T_base_tool: np.ndarray) -> np.ndarray:
+    poses = np.asarray(T_base_tool, dtype=np.float64)
+    if poses.shape[-2:] != (4, 4):
+        raise ShapeError(f"Expected poses T_base_tool (..., 4, 4), got shape {poses.shape}.")
+    return poses
+
+
+# A calibrated accelerometer on the tool: its axes, scale and bias.
+
+
+_ACCELEROMETER_SHAPES = {"R_tool_sensor": (3, 3), "bias": (3,), "gravity": (3,)}
+
+
+@dataclass(frozen=True, eq=False)
+class Accelerometer:
+    """An accelerometer on the tool; at rest it reads g upwards.
+
+        y = scale R_tool_sensor^T R_base_tool^T (a - g) + b
+
+    Attributes
+    ----------
+    R_tool_sensor : (3, 3) turns sensor axes into tool axes.
+    bias : b (3,) sensor axes [m/s^2]. scale : of its readings, 1 for one that is right.
+    gravity : g (3,) base axes [m/s^2].
+    robot_name, robot_hash : the robot that carries it; empty for any. sources : what it was fitted to.
+
+    Raises
+    ------
+    ShapeError : a shape, a rotation or a scale that cannot be.
+
+    References
+    ----------
+    The model of `calibrate.fit_accelerometer`.
+    """
+
+    R_tool_sensor: np.ndarray
+    bias: np.ndarray
+    scale: float = 1.0
+    gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.80665]))
+    robot_name: str = ""
+    robot_hash: str = ""
+    sources: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check the fields and freeze the arrays."""
+        for name, shape in _ACCELEROMETER_SHAPES.items():
+            values = still(getattr(self, name), f"{name} of an accelerometer")
+            if values.shape != shape or not np.isfinite(values).all():
+                raise ShapeError(f"Expected finite {name} of shape {shape} of an accelerometer, got {values.tolist()}.")
+            object.__setattr__(self, name, values)
+        R = self.R_tool_sensor
+        if np.abs(R.T @ R - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
+            raise ShapeError(f"Expected a rotation as R_tool_sensor of an accelerometer, got {R.tolist()}.")
+        if not 0.0 < self.scale < np.inf:
+            raise ShapeError(f"Expected a scale above zero of an accelerometer, got {self.scale!r}.")
+
+    def acceleration(self, raw: np.ndarray, T_base_tool: np.ndarray) -> np.ndarray:
+        """Return how the sensor is accelerated (..., 3), base axes [m/s^2]; zero at rest.
+
+        Parameters
+        ----------
+        raw : (..., 3) as read, sensor axes [m/s^2]; NaN stays NaN.
+        T_base_tool : (..., 4, 4) pose of the tool at that time.
+
+        Raises
+        ------
+        ShapeError : readings or poses of another shape.
+        """
+        poses, raw = np.asarray(T_base_tool, dtype=np.float64), np.asarray(raw, dtype=np.float64)
+        if poses.shape[-2:] != (4, 4) or raw.shape[-1:] != (3,):
+            raise ShapeError(
+                f"Expected readings (..., 3) and poses T_base_tool (..., 4, 4), got {raw.shape} and {poses.shape}."
+            )
+        felt = (raw - self.bias) / self.scale
+        R_base_sensor = poses[..., :3, :3] @ self.R_tool_sensor
+        return (R_base_sensor @ felt[..., None])[..., 0] + self.gravity
+
+
+# A laser line scanner on a tool, and the plates by which it was calibrated.
+
+
+@dataclass(frozen=True, eq=False)
+class LaserSensor:
+    """Where a scanner measures, and the planes ``n . x = d`` it was calibrated on.
+
+    Attributes
+    ----------
+    T_tool_sensor : (4, 4); the laser plane is the xy plane of the sensor.
+    normals : n (P, 3) unit, base axes. offsets : d (P,) not negative [m].
+    planes : their labels. robot_name, robot_hash : the robot that carries it; empty for any. sources : what it was
+        fitted to.
+
+    Raises
+    ------
+    ShapeError : a pose, a normal or a number of planes that cannot be.
+
+    References
+    ----------
+    The model of `calibrate.fit_laser_plane`.
+    """
+
+    T_tool_sensor: np.ndarray
+    normals: np.ndarray
+    offsets: np.ndarray
+    planes: tuple[str, ...]
+    robot_name: str = ""
+    robot_hash: str = ""
+    sources: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check and freeze."""
+        P = len(self.planes)
+        shapes = {"T_tool_sensor": (4, 4), "normals": (P, 3), "offsets": (P,)}
+        for name, shape in shapes.items():
+            values = still(getattr(self, name), f"{name} of a laser sensor")
+            if values.shape != shape or not np.isfinite(values).all():
+                raise ShapeError(f"Expected finite {name} of shape {shape} of a laser sensor, got {values.tolist()}.")
+            object.__setattr__(self, name, values)
+        kernels.poses(self.T_tool_sensor, "T_tool_sensor")
+        if np.abs(np.linalg.norm(self.normals, axis=1) - 1.0).max(initial=0.0) > 1e-9:
+            raise ShapeError("Expected unit normals of a laser sensor's planes, got others. Divide by their length.")
+
+    def points(self, p: np.ndarray, T_base_tool: np.ndarray) -> np.ndarray:
+        """Return points (..., 3) in base axes.
+
+        Parameters
+        ----------
+        p : (..., 2) as measured, laser plane [m]; NaN stays NaN.
+        T_base_tool : (..., 4, 4) pose of the tool at that time.
+
+        Raises
+        ------
+        ShapeError : points or poses of another shape.
+        """
+        p, poses = np.asarray(p, dtype=np.float64), np.asarray(T_base_tool, dtype=np.float64)
+        if p.shape[-1:] != (2,) or poses.shape[-2:] != (4, 4):
+            raise ShapeError(f"Expected points (..., 2) and poses (..., 4, 4), got {p.shape} and {poses.shape}.")
+        T = poses @ self.T_tool_sensor
+        return (T[..., :3, :2] @ p[..., None])[..., 0] + T[..., :3, 3]

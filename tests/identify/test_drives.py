@@ -1,0 +1,532 @@
+"""Friction over position and speed, ripple lines, and the regularised regressions behind them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armlab import identify
+from armlab.errors import NotExcited, ShapeError
+from armlab.estimation import Experiment, check_estimator
+from armlab.identify import (
+    GroupLasso,
+    fit_dynamics,
+    fit_friction,
+    group_lasso,
+    rbf_centres,
+    rbf_regressor,
+    ripple_lines,
+    ripple_regressor,
+    select_groups,
+)
+from armlab.identify.drives.regularised import held_out_error, refit, ridge_solution, scattered
+from armlab.identify.drives.ripple import (
+    highest_seen,
+    refine_lines,
+    ripple_amplitudes,
+    select_lines,
+    warn_of_fast_lines,
+)
+from armlab.identify.record import prepare
+from armlab.identify.residuals import model_residuals
+from armlab.identify.validation import held_out
+from armlab.kernels import basis_weights, presliding
+from armlab.log import Table
+from armlab.models import FrictionMap, RippleLines, TorqueModel, load, save, speed_basis
+from armlab.robots import from_links
+
+
+def log(model: TorqueModel, seconds: float, seed: int, noise: float = 0.05) -> Table:
+    """Slow free motion of all joints, torque from the model itself."""
+    t = np.arange(0, seconds, 0.004)
+    rng = np.random.default_rng(seed)
+    f = rng.uniform(0.25, 0.45, 7)
+    q = 0.9 * np.sin(f * t[:, None]) + 0.05 * np.sin(3.1 * f * t[:, None] + 1.0)
+    qd = np.gradient(q, t, axis=0)
+    tau = model.torque(q, qd, np.gradient(qd, t, axis=0))
+    return Table(t, {"q": q, "qd": qd, "tau": tau + noise * rng.standard_normal(q.shape)})
+
+
+@pytest.fixture(scope="module")
+def rippled(model: TorqueModel) -> TorqueModel:
+    """Joint 2 has a line of ripple at 100 cycles/rev, joint 4 friction over position."""
+    speeds, widths = speed_basis(0.0, 0.5)
+    k = np.zeros((1, 2, 8, 2))
+    k[0, 0, :, 0], k[0, 1, :, 1] = 0.3, 0.2  # another phase in the other direction
+    lines = RippleLines([1], [100.0], np.tile(speeds, (7, 1)), np.tile(widths, (7, 1)), k)
+    q = np.tile(np.linspace(-0.9, 0.9, 200)[:, None], (1, 7))
+    basis = identify.rbf_centres(q, np.full(q.shape, 0.3))
+    table = np.zeros((7, 2, 8, 5))
+    table[3, 0], table[3, 1] = 0.4 * np.sin(3 * basis.positions[3])[:, None], -0.2
+    return replace(model, lines=lines, friction_map=FrictionMap(basis, table))
+
+
+def assert_honest(found: TorqueModel, before: TorqueModel, unseen: Table) -> None:
+    """Quality and covariance are what another motion shows: neither those of the model before nor those of the fit."""
+    quality, won = found.quality, [1, 3]
+    data = prepare(unseen, from_links("arm", found.frames, gravity=found.gravity))
+    rows = np.ones(len(unseen), dtype=bool)
+    errors, moving = held_out([(found, rows)], data)
+    worse, _ = held_out([(before, rows)], data)
+    rms, rms_before = (np.sqrt(np.sum(e**2, axis=0, where=moving) / moving.sum(axis=0)) for e in (errors, worse))
+    assert np.all(quality.rms_cv[won] > quality.rms[won])
+    assert np.all(quality.rms_cv[won] < 0.5 * rms_before[won])
+    np.testing.assert_allclose(quality.rms_cv[won], rms[won], rtol=0.4)
+    inside = np.mean(errors[:, won] ** 2 < 4.0 * found.covariance.variance(unseen["qd"])[:, won], where=moving[:, won])
+    assert 0.85 < inside < 0.995
+    np.testing.assert_allclose(quality.coverage[won], 0.954, atol=0.05)
+
+
+@pytest.mark.slow  # 15 s
+def test_what_is_there_is_found_and_nothing_else(tmp_path, model: TorqueModel, rippled: TorqueModel) -> None:
+    fit = fit_friction(log(rippled, 40, seed=0), model)
+    lines, part = fit.value.lines, fit.value.friction_map
+    assert lines is not None
+    assert part is not None
+    assert lines.joint.tolist() == [1]
+    assert lines.cycles[0] == pytest.approx(100.0, abs=0.2)
+    assert np.flatnonzero(part.coefficients.any(axis=(1, 2, 3))).tolist() == [3]
+    assert fit.value.warm_up is None
+    held_out = log(rippled, 30, seed=5, noise=0.0)  # other frequencies
+    qdd = np.gradient(held_out["qd"], held_out.t, axis=0)
+    exact, before, after = (m.torque(held_out["q"], held_out["qd"], qdd) for m in (rippled, model, fit.value))
+    error = np.sqrt(np.mean((after - exact) ** 2, axis=0)) / np.maximum(
+        np.sqrt(np.mean((before - exact) ** 2, 0)), 1e-9
+    )
+    assert error[1] < 0.25
+    assert error[3] < 0.25
+    assert len(fit.names) == 32 + 1 + 80
+    assert fit.names[32] == "ripple joint 2 line 1"
+    assert fit.parameters[32] == lines.cycles[0]
+    assert "100." in fit.report()
+    assert_honest(fit.value, model, log(rippled, 30, seed=5))
+    again = load(save(fit.value, tmp_path / "model.toml"))
+    assert np.array_equal(again.torque(held_out["q"], held_out["qd"]), fit.value.torque(held_out["q"], held_out["qd"]))
+
+
+@pytest.mark.slow  # 8 s
+def test_noise_adds_nothing(model: TorqueModel) -> None:
+    fit = fit_friction(log(model, 20, seed=3), model)
+    assert fit.value.lines is None
+    assert fit.value.friction_map is None
+    assert fit.names == ()
+    np.testing.assert_allclose(fit.sigma, 0.05, rtol=0.05)
+
+
+def test_bad_logs_are_refused(model: TorqueModel) -> None:
+    table = log(model, 10, seed=1)
+    with pytest.raises(NotExcited, match="5 s"):
+        fit_friction(table.between(0.0, 3.0), model)
+    with pytest.raises(ShapeError, match="derivative of q"):
+        fit_friction(table.with_column("qd", -table["qd"]), model)
+    tau = np.array(table["tau"])
+    tau[7] = np.nan
+    with pytest.raises(ShapeError, match="first"):
+        fit_friction(table.with_column("tau", tau), model)
+
+
+def test_lines_that_the_sampling_hides_are_told_by_joint(model: TorqueModel) -> None:
+    """At 50 Hz ripple at twice the gear ratio folds back above 0.7 rad/s or so; the search says for whom."""
+    t = np.arange(0, 8, 0.02)
+    f = np.where(np.arange(7) == 2, 2.0, 0.2)
+    q = 0.9 * np.sin(f * t[:, None])
+    qd, qdd = 0.9 * f * np.cos(f * t[:, None]), -0.9 * f**2 * np.sin(f * t[:, None])
+    noise = 0.05 * np.random.default_rng(0).standard_normal(q.shape)
+    table = Table(t, {"q": q, "qd": qd, "tau": model.torque(q, qd, qdd) + noise})
+    with pytest.warns(UserWarning, match=r"faster ripple for joint 3 \(above \d+ cycles/rev\): it folds back"):
+        fit_friction(table, model)
+
+
+class Drives:
+    """Ripple of joint 1 and friction over position of joint 2; four times the samples at four times the rate."""
+
+    f = np.array([0.4, 0.53])
+
+    def __init__(self, base: TorqueModel) -> None:
+        self.base = replace(base, ripple=replace(base.ripple, cycles=np.array([100.0, 100.0])))
+        _, q, qd, _ = self.motion(4000)
+        spread = [speed_basis(0.0, float(peak), 8) for peak in np.abs(qd).max(axis=0)]
+        speeds, widths = (np.stack([one[k] for one in spread]) for k in range(2))
+        ripple, basis, over = np.zeros((1, 2, 8, 2)), identify.rbf_centres(q, qd), np.zeros((2, 2, 8, 5))
+        ripple[0, 0, :, 0], ripple[0, 1, :, 1] = 0.8, 0.7
+        over[1, 0], over[1, 1] = 0.4 * np.sin(3 * basis.positions[1])[:, None], -0.2
+        self.lines, self.map = RippleLines([0], [100.0], speeds, widths, ripple), FrictionMap(basis, over)
+        self.parameters = np.concatenate([ripple.ravel(), [100.0], over[1].ravel()])
+
+    def motion(self, n: int) -> tuple[np.ndarray, ...]:
+        t = np.arange(n)[:, None] * 40.0 / n
+        waves = [(0.9, self.f, 0.0), (0.1, 3.1 * self.f, 1.0)]
+        q = sum(a * np.sin(w * t + p) for a, w, p in waves)
+        qd = sum(a * w * np.cos(w * t + p) for a, w, p in waves)
+        return t[:, 0], q, qd, sum(-a * w**2 * np.sin(w * t + p) for a, w, p in waves)
+
+    def log(self, truth: TorqueModel, seed: int, n: int) -> Table:
+        t, q, qd, qdd = self.motion(n)
+        noise = 0.2 * np.random.default_rng(seed).standard_normal((n, 2))
+        return Table(t, {"q": q, "qd": qd, "tau": truth.torque(q, qd, qdd) + noise})
+
+
+@pytest.fixture(scope="module")
+def drives(short_arm) -> Drives:
+    return Drives(fit_dynamics(short_arm.log(0, 3000), short_arm.robot).value)
+
+
+@pytest.mark.slow  # 2 s
+def test_a_weak_line_is_found_beside_friction_over_position(drives: Drives) -> None:
+    """A tenth of the power of the noise: under friction over position at most 4 of 20 logs told it."""
+    weak = replace(drives.lines, coefficients=0.12 * np.asarray(drives.lines.coefficients))
+    over = replace(drives.map, coefficients=np.asarray(drives.map.coefficients)[::-1])
+    truth = replace(drives.base, lines=weak, friction_map=over)
+    for seed in range(2):
+        found = fit_friction(drives.log(truth, seed, 4000), drives.base).value
+        assert found.lines is not None
+        np.testing.assert_allclose(found.lines.cycles, [100.0], atol=0.5)
+        assert found.friction_map is not None
+
+
+@pytest.mark.slow  # 2 s
+def test_no_ripple_is_made_up_for_speeds_at_which_none_is_seen(drives: Drives) -> None:
+    """Lines are fitted where they are slow; the fast rows of a wrist had a residual of ten times the one before."""
+    t = np.arange(0.0, 40.0, 0.004)
+    q = np.array([0.9, 0.5]) * np.sin(9.0 * drives.f * t[:, None]) * (1.0 + np.sin(1.3 * t))[:, None]
+    qd = np.gradient(q, t, axis=0)
+    truth = replace(drives.base, lines=replace(drives.lines, coefficients=0.3 * np.asarray(drives.lines.coefficients)))
+    tau = truth.torque(q, qd, np.gradient(qd, t, axis=0)) + 0.05 * np.random.default_rng(0).standard_normal(q.shape)
+    table = Table(t, {"q": q, "qd": qd, "tau": tau})
+    found = fit_friction(table, drives.base)
+    assert found.value.lines is not None
+    fast = 100.0 * np.abs(qd[:, 0]) > 1.2 * 0.5 * np.pi * 250.0  # rows beyond those that tell the line
+    assert fast.sum() > 100
+    before, after = (model_residuals(table, model).y[:, 0] for model in (drives.base, found.value))
+    assert np.std(after[~fast]) < 0.7 * np.std(before[~fast])
+    assert np.std(after[fast]) < np.std(before[fast])
+
+
+@pytest.mark.slow  # 12 s
+def test_the_statistical_contract(drives: Drives) -> None:
+    base, truth = drives.base, replace(drives.base, lines=drives.lines, friction_map=drives.map)
+
+    def draw(seed: int, n: int) -> Experiment:
+        return Experiment({"table": drives.log(truth, seed, n), "model": base}, drives.parameters)
+
+    contract = check_estimator(
+        fit_friction,
+        draw,
+        3,
+        n=4000,
+        noise_given=False,
+        refusals={"everything": {"table": draw(0, 4000).data["table"].between(0.0, 3.0), "model": base}},
+        skip={
+            "efficient": "residuals of robots are coloured: there is no bound to reach",
+            "order-free": "friction remembers: the rows of a log have an order",
+            "gauge-free": "parameters are those of the drives",
+            "robust": "fit_dynamics takes care of outliers before",
+            "explains": "the report is a table per joint; the table of the fit has every value",
+        },
+    )
+    assert contract.passed, contract.text()
+
+
+# Centres and regressor of friction over position and speed.
+
+
+def motion(n: int = 2, N: int = 4000) -> tuple[np.ndarray, np.ndarray]:
+    t = np.linspace(0, 40, N)[:, None]
+    f = 1.0 + 0.37 * np.arange(n)
+    return np.sin(f * t) + 0.5 * np.sin(2.3 * f * t), f * np.cos(f * t) + 1.15 * f * np.cos(2.3 * f * t)
+
+
+def test_the_functions_sum_to_one_on_the_hull() -> None:
+    q, qd = motion()
+    basis = rbf_centres(q, qd)
+    Y = rbf_regressor(q, qd, basis)
+    moving = qd != 0
+    np.testing.assert_allclose(Y.sum(axis=2)[moving], 1.0, rtol=0, atol=1e-12)
+    assert Y.shape == (len(q), 2, 80)
+    assert not basis.outside(q, qd).any()
+
+
+def test_centres_are_mirrored_speeds_of_each_joint() -> None:
+    q, qd = motion()
+    basis = rbf_centres(q, qd * [1.0, 3.0])
+    assert np.all(basis.speeds > 0)
+    assert basis.speeds[1, -1] == pytest.approx(3 * np.abs(qd[:, 1]).max())
+    np.testing.assert_allclose(rbf_centres(-q, -qd).speeds, rbf_centres(q, qd).speeds)
+    constant = np.sign(qd)  # quantiles of a constant speed coincide
+    assert np.all(np.diff(rbf_centres(q, constant).speeds) > 0)
+
+
+def test_it_equals_the_ancestors_formula_between_the_centres() -> None:
+    """Scattered centres on both sides of zero, functions of the other sign left out, divided by their sum."""
+    q, qd = motion(1)
+    basis = rbf_centres(q, qd)
+    inside = np.flatnonzero(np.abs(qd[:, 0]) > basis.speeds[0, 0])[:500]
+    x, v = q[inside, 0], qd[inside, 0]
+    P, V = np.meshgrid(basis.positions[0], basis.speeds[0], indexing="ij")
+    W, U = np.meshgrid(basis.position_widths[0], basis.speed_widths[0], indexing="ij")
+    centres = np.concatenate([np.stack([P, s * V, W, U], axis=-1).reshape(-1, 4) for s in (1, -1)])
+    phi = np.exp(
+        -(((x[:, None] - centres[:, 0]) / centres[:, 2]) ** 2) - ((v[:, None] - centres[:, 1]) / centres[:, 3]) ** 2
+    )
+    phi *= np.sign(centres[:, 1]) == np.sign(v)[:, None]
+    phi /= phi.sum(axis=1, keepdims=True)
+    np.testing.assert_allclose(rbf_regressor(q, qd, basis)[inside, 0], phi, rtol=0, atol=1e-6)
+
+
+def test_a_map_of_coulomb_friction_over_position_is_recovered() -> None:
+    q, qd = motion(1, 20000)
+    z = presliding(q, np.array([1e-3]), np.array([0.0]))
+    level = np.where(z > 0, 2.0 + 0.6 * np.sin(1.5 * q), 1.5 + 0.4 * np.cos(2 * q))
+    y = (level * z + 0.05 * np.random.default_rng(0).standard_normal(q.shape))[:, 0]
+    basis = rbf_centres(q, qd)
+    Y = rbf_regressor(q, qd, basis, z)[:, 0]
+    k = np.linalg.solve(Y.T @ Y + 1e-3 * np.trace(Y.T @ Y) / Y.shape[1] * np.eye(Y.shape[1]), Y.T @ y)
+    moving = np.abs(z[:, 0]) > 0.99
+    error = (Y @ k - (level * z)[:, 0])[moving]
+    assert np.sqrt(np.mean(error**2)) < 0.05 * np.sqrt(np.mean((level * z) ** 2))
+
+
+def test_bad_records_are_refused() -> None:
+    q, qd = motion()
+    basis = rbf_centres(q, qd)
+    with pytest.raises(NotExcited, match="joint 2"):
+        rbf_centres(q * [1, 0], qd * [1, 0])
+    with pytest.raises(ShapeError, match="at least 2"):
+        rbf_centres(q, qd, speeds=1)
+    with pytest.raises(ShapeError, match="one shape"):
+        rbf_centres(q, qd[:-1])
+    with pytest.raises(ShapeError, match="2 joints"):
+        rbf_regressor(q[:, :1], qd[:, :1], basis)
+    with pytest.raises(ShapeError, match="finite q, qd and z"):
+        rbf_regressor(q, qd, basis, z=np.full(q.shape, np.nan))
+    q = q.copy()
+    q[3, 0] = np.nan
+    with pytest.raises(ShapeError, match="finite q"):
+        rbf_regressor(q, qd, basis)
+
+
+# Lines of torque ripple: found where they are, and only there.
+
+
+RATE = 250.0
+
+
+def motion_of_ripple(seconds: float = 30.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Slow motion over 0.6 turns; time, position, velocity."""
+    t = np.arange(0, seconds, 1 / RATE)
+    return t, 1.9 * np.sin(0.3 * t) + 0.1 * np.sin(1.7 * t), 0.57 * np.cos(0.3 * t) + 0.17 * np.cos(1.7 * t)
+
+
+def test_lines_are_found_to_a_twentieth_of_their_width() -> None:
+    _, q, qd = motion_of_ripple()
+    rng = np.random.default_rng(0)
+    y = 0.2 * np.cos(100.0 * q + 0.4) + 0.1 * np.cos(202.0 * q) * (0.5 + np.abs(qd)) + 0.1 * rng.standard_normal(len(q))
+    found = ripple_lines(q, qd, y, RATE, 250.0)
+    width = 2 * np.pi / np.ptp(q)
+    assert len(found) == 2
+    np.testing.assert_allclose(found, [100.0, 202.0], rtol=0, atol=0.05 * width)
+
+
+@pytest.mark.slow  # 5 s
+def test_noise_has_no_lines() -> None:
+    _, q, qd = motion_of_ripple(12.0)
+    rng = np.random.default_rng(1)
+    false = sum(len(ripple_lines(q, qd, rng.standard_normal(len(q)), RATE, 100.0)) > 0 for _ in range(100))
+    assert false <= 5
+
+
+def test_lines_that_pass_too_fast_are_refused() -> None:
+    """At a quarter of the sampling rate the line is at 62.5 Hz; four times the speed hides it from half the samples."""
+    q = motion_of_ripple()[1]
+    y = 0.2 * np.cos(100.0 * q)
+    fast = np.full(len(q), 5.0)
+    assert highest_seen(fast, RATE) == pytest.approx(2 * np.pi * 62.5 / 5.0)
+    with pytest.warns(UserWarning, match=r"below 62\.5 Hz.*this joint \(above 79 cycles/rev\)"):
+        found = ripple_lines(q, fast, y, RATE, 250.0)
+    assert not np.any(np.abs(found - 100.0) < 5.0)
+    with pytest.warns(UserWarning, match=r"joint 2 \(above 30 cycles/rev\).*slower motion"):
+        warn_of_fast_lines({"joint 2": 30.0}, RATE)
+
+
+def test_a_short_range_or_no_gear_has_no_lines() -> None:
+    _, q, qd = motion_of_ripple()
+    assert len(ripple_lines(1e-3 * q, 1e-3 * qd, np.cos(100 * q), RATE, 250.0)) == 0
+    assert len(ripple_lines(q, qd, np.cos(100 * q), RATE, 1.0)) == 0
+
+
+def test_the_regressor_is_linear_in_the_coefficients_of_the_model() -> None:
+    _, q, qd = motion_of_ripple(4.0)
+    z, rng = np.sin(3 * q), np.random.default_rng(0)
+    speeds, widths = speed_basis(0.0, np.abs(qd).max())
+    k = rng.standard_normal((2, 2, 8, 2))
+    torque = RippleLines([0, 0], [100.0, 202.0], speeds[None], widths[None], k).torque(
+        q[:, None], qd[:, None], z[:, None]
+    )
+    A = ripple_regressor(q, qd, z, np.array([100.0, 202.0]), speeds, widths)
+    np.testing.assert_allclose(A @ k.ravel(), torque[:, 0], rtol=0, atol=1e-12)
+
+
+def test_only_lines_that_pay_on_held_out_blocks_stay() -> None:
+    t, q, qd = motion_of_ripple()
+    rng = np.random.default_rng(2)
+    speeds, widths = speed_basis(0.0, np.abs(qd).max())
+    A = ripple_regressor(q, qd, np.sign(qd), np.array([60.0, 100.0, 140.0]), speeds, widths)
+    y = 0.2 * np.cos(100.0 * q) + 0.2 * rng.standard_normal(len(q))
+    block = (t / 0.5).astype(int)
+    assert select_lines(A, y, 32, block).tolist() == [False, True, False]
+    assert not select_lines(A, rng.standard_normal(len(q)), 32, block).any()
+
+
+def test_wrong_shapes_are_refused() -> None:
+    _, q, qd = motion_of_ripple(1.0)
+    with pytest.raises(ShapeError, match="one shape"):
+        ripple_lines(q, qd, q[:-1], RATE, 250.0)
+    for rate, highest in ((0.0, 250.0), (np.nan, 250.0), (RATE, np.inf)):
+        with pytest.raises(ShapeError, match="rate above 0 Hz and finite ends"):
+            ripple_lines(q, qd, q, rate, highest)
+    assert len(ripple_lines(q[:0], q[:0], q[:0], RATE, 250.0)) == 0
+    with pytest.raises(ShapeError, match="finite"):
+        ripple_lines(q, qd, np.full(len(q), np.nan), RATE, 250.0)
+
+
+def test_a_line_is_refined_with_all_its_amplitudes_and_its_error_is_told() -> None:
+    """Amplitudes over speed and direction, a search 0.1 off, 20 logs: errors are as large as stated."""
+    t, q, qd = motion_of_ripple(20.0)
+    speeds, widths = speed_basis(0.0, np.abs(qd).max(), 3)
+    amplitudes, block = ripple_amplitudes(qd, np.sign(qd), speeds, widths), (t / 0.5).astype(int)
+    A = ripple_regressor(q, qd, np.sign(qd), np.array([100.0]), speeds, widths)
+    truth = np.array([0.3, 0.0, 0.3, 0.1, 0.2, 0.0, 0.0, 0.3, 0.1, 0.3, 0.0, 0.2])
+    rng, nees = np.random.default_rng(5), []
+    for _ in range(20):
+        y = A @ truth + 0.1 * rng.standard_normal(len(q))
+        cycles, columns, slopes = refine_lines(q, amplitudes, y, np.array([100.1]))
+        x, cov = refit(columns, y, block, beside=slopes)
+        assert cycles[0] == pytest.approx(100.0, abs=5.0 * np.sqrt(cov[-1, -1]))
+        e = np.append(x - truth, cycles - 100.0)
+        nees.append(e @ np.linalg.solve(cov, e) / 13)
+    assert 0.7 < np.mean(nees) < 1.3
+    np.testing.assert_allclose(ridge_solution(A, A @ truth)[0], truth, atol=1e-4)
+
+
+# Group lasso: the optimum, and the groups that matter.
+
+
+def problem(seed: int, N: int = 60, groups: int = 5, size: int = 3) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((N, groups * size)) @ np.diag(rng.uniform(0.3, 3, groups * size))
+    x = np.zeros(groups * size)
+    x[: 2 * size] = rng.standard_normal(2 * size)
+    return A, A @ x + 0.3 * rng.standard_normal(N)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("penalty", [0.5, 5.0, 30.0])
+def test_the_objective_is_that_of_an_independent_solver(seed: int, penalty: float) -> None:
+    """Newton's method would stop at the corners of the norms: quadratics above them, ever closer, do not."""
+    A, y = problem(seed)
+    found = group_lasso(A, y, 3, penalty)
+    threshold = penalty * np.sqrt(3)
+    x = np.linalg.lstsq(A, y, rcond=None)[0]
+    for corner in np.geomspace(1.0, 1e-10, 3000):
+        norms = np.sqrt(np.sum(x.reshape(-1, 3) ** 2, axis=1) + corner**2)
+        x = np.linalg.solve(A.T @ A + np.diag(np.repeat(threshold / norms, 3)), A.T @ y)
+    least = 0.5 * np.sum((y - A @ x) ** 2) + threshold * np.linalg.norm(x.reshape(-1, 3), axis=1).sum()
+    assert isinstance(found, GroupLasso)
+    assert found.gap <= 1e-6
+    assert found.objective <= least * (1 + 1e-6)
+    assert found.objective == pytest.approx(least, rel=1e-5)
+
+
+def test_a_large_penalty_leaves_nothing_and_a_tiny_one_is_least_squares() -> None:
+    A, y = problem(0)
+    largest = np.linalg.norm((A.T @ y).reshape(-1, 3), axis=1).max() / np.sqrt(3)
+    assert not group_lasso(A, y, 3, 1.001 * largest).x.any()
+    assert group_lasso(A, y, 3, 0.98 * largest).x.any()
+    x = group_lasso(A, y, 3, 1e-7).x
+    np.testing.assert_allclose(x, np.linalg.lstsq(A, y, rcond=None)[0], atol=1e-3)
+
+
+@pytest.mark.slow  # 20 s
+def test_three_lines_of_twelve_are_found() -> None:
+    """The example of LPVSpectral.jl: amplitudes that grow, pass through a peak, and jump."""
+    rng = np.random.default_rng(0)
+    N, speeds = 500, 50
+    X, v = np.sort(rng.uniform(0, 10, N)), np.linspace(0, 1, N)
+    lines = np.arange(2.0, 26.0, 2.0)
+    y = v**2 * np.cos(2 * np.pi * 2 * X) + 2 * np.exp(-5 * np.abs(v - 0.5)) * np.cos(2 * np.pi * 10 * X)
+    y += np.where(v > 0.8, 0.5, 0.3) * np.cos(2 * np.pi * 20 * X) + np.sin(2 * np.pi * 20 * X)
+    y += 0.1 * rng.standard_normal(N)
+    psi = basis_weights(v, *speed_basis(0.0, 1.0, speeds))
+    waves = [wave(2 * np.pi * c * X)[:, None] * psi for c in lines for wave in (np.cos, np.sin)]
+    kept = select_groups(np.hstack(waves), y, 2 * speeds, np.arange(N) // 10)
+    assert lines[kept].tolist() == [2.0, 10.0, 20.0]
+
+
+def test_noise_selects_no_group() -> None:
+    rng = np.random.default_rng(3)
+    A, y = rng.standard_normal((300, 24)), rng.standard_normal(300)
+    assert not select_groups(A, y, 4, np.arange(300) // 10).any()
+    assert not select_groups(A, np.zeros(300), 4, np.arange(300) // 10).any()
+
+
+def test_wrong_arguments_are_refused() -> None:
+    A, y = problem(0)
+    for wrong in ((A, y[:-1], 3, 1.0), (A, y, 4, 1.0), (A, y, 3, 0.0)):
+        with pytest.raises(ShapeError, match="groups of equal size"):
+            group_lasso(*wrong)
+    y[3] = np.nan
+    with pytest.raises(ShapeError, match="finite"):
+        group_lasso(A, y, 3, 1.0)
+
+
+# Ridge regression on coloured residuals: the covariance is as large as the errors are.
+
+
+def test_the_covariance_of_a_refit_is_true() -> None:
+    """Scatter of 200 refits of one problem with residuals that remember."""
+    rng = np.random.default_rng(3)
+    A, truth, block = rng.standard_normal((2000, 3)), np.array([1.0, -2.0, 0.5]), np.arange(2000) // 20
+    found = []
+    for _ in range(200):
+        e = np.repeat(rng.standard_normal(200), 10) + 0.1 * rng.standard_normal(2000)
+        found.append(refit(A, A @ truth + e, block))
+    errors = np.array([x - truth for x, _ in found])
+    nees = np.mean([e @ np.linalg.solve(cov, e) for e, (_, cov) in zip(errors, found)]) / 3
+    assert 0.8 < nees < 1.25
+    assert held_out_error(A, A @ truth, block) < 1e-6
+
+
+def test_few_blocks_leave_no_direction_without_spread() -> None:
+    """32 coefficients and 20 blocks of residuals that remember: the scatter alone would have rank 20."""
+    rng = np.random.default_rng(4)
+    A, block = np.repeat(rng.standard_normal((200, 32)), 10, axis=0), np.arange(2000) // 100
+    A = A + 0.5 * rng.standard_normal(A.shape)
+    nees = []
+    for _ in range(15):
+        e = np.repeat(rng.standard_normal(200), 10) + 0.1 * rng.standard_normal(2000)
+        x, cov = refit(A, e, block)
+        nees.append(x @ np.linalg.solve(cov, x) / 32)
+    assert np.linalg.matrix_rank(cov) == 32
+    assert 0.7 < np.mean(nees) < 1.4
+
+
+def test_the_scatter_of_many_stretches_is_that_of_least_squares_in_any_unit() -> None:
+    """White residuals: the sandwich is the formal covariance; a parameter in thousandths has a thousandth deviation."""
+    rng = np.random.default_rng(4)
+    A, noise = rng.standard_normal((20000, 3)), rng.standard_normal(20000)
+    cov = scattered(A.T @ A, A * noise[:, None])
+    np.testing.assert_allclose(cov, np.linalg.inv(A.T @ A), atol=0.05 / 20000)
+    unit = np.array([1.0, 1e3, 1e-3])
+    B = A * unit
+    np.testing.assert_allclose(scattered(B.T @ B, B * noise[:, None]), cov / np.outer(unit, unit), rtol=1e-6)
+
+
+def test_the_ridge_solves_its_equations_and_is_relative() -> None:
+    rng = np.random.default_rng(6)
+    A, y = rng.standard_normal((50, 4)), rng.standard_normal(50)
+    x, H = ridge_solution(A, y, 0.1)
+    np.testing.assert_allclose(H, A.T @ A + 0.1 * np.mean(np.sum(A**2, axis=0)) * np.eye(4), rtol=1e-12)
+    np.testing.assert_allclose(H @ x, A.T @ y, rtol=1e-12)
+    np.testing.assert_allclose(ridge_solution(1e3 * A, 1e3 * y, 0.1)[0], x, rtol=1e-12)

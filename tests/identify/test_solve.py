@@ -1,0 +1,242 @@
+"""Solving for parameters, friction structure and gains."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armlab import identify
+from armlab.estimation import LinearSolution, Rows, least_squares
+from armlab.identify import base_parameters, prepare
+from armlab.identify.regression import Design
+from armlab.identify.solve import (
+    GAIN_SD,
+    ROBUST,
+    GainProblem,
+    alternate,
+    calibrated,
+    gain_share,
+    linearised,
+    short_blocks,
+    solved,
+)
+
+
+@pytest.mark.slow  # 5 s beside other work
+def test_settle_uses_the_rows_it_is_told_and_spares_outliers(truth, excited) -> None:
+    """Half of the blocks spoilt: used, they ruin the fit; left out, the other half gives it."""
+    robot = truth.robot
+    data = prepare(excited.between(0.0, 16.0), robot)
+    half = data.blocks(1.0) % 2 == 1
+    spoilt = replace(data, tau=data.tau + np.where(half[:, None], 5.0, 0.0))
+    design = Design.build(spoilt, robot, base_parameters(robot))
+    use = ~half[design.rows]
+    use = np.all([np.roll(use, k) for k in range(-16, 17)], axis=0)  # the filter carries steps over the edge of a block
+    found, theta = alternate(design, "wls", use=use)
+    error = found.residuals(theta)[use]
+    assert np.all(np.std(error, axis=0) < 0.05 * np.std(data.tau, axis=0))
+
+
+@pytest.mark.parametrize("method", ROBUST)
+def test_where_all_has_settled_there_is_no_step_left(short_arm, method) -> None:
+    """The distance of presliding is that of least squares: a straight line there leads nowhere else."""
+    data = prepare(short_arm.log(3, 3000), short_arm.robot)
+    design, theta = alternate(Design.build(data, short_arm.robot, base_parameters(short_arm.robot)), method)
+    assert not design.layout.slopes.any()
+    assert np.linalg.norm(solved(design, None, method).x - theta) < 0.05 * np.linalg.norm(theta)
+    sloped = linearised(design, theta, method)
+    assert sloped.layout.slopes.sum() == sloped.free.sum() == 2
+    again = linearised(*alternate(design, method), method)
+    np.testing.assert_allclose(again.shapes.delta, design.shapes.delta, rtol=0.01)
+    np.testing.assert_allclose(design.shapes.delta, 1e-3, rtol=0.15)
+
+
+def test_numbers_that_the_log_does_not_tell_have_no_slope(short_arm) -> None:
+    """Torque of noise alone: no straight line holds for a distance that nothing shows."""
+    log = short_arm.log(0, 3000)
+    data = prepare(log, short_arm.robot)
+    noise = replace(data, tau=np.random.default_rng(0).standard_normal(data.tau.shape))
+    design = Design.build(noise, short_arm.robot, base_parameters(short_arm.robot))
+    theta = np.full(len(design.layout.names), 1e-3)
+    assert not linearised(design, theta, "wls").free.any()
+
+
+def test_blocks_are_short_but_not_too_many(short_arm) -> None:
+    data = prepare(short_arm.log(0, 3000), short_arm.robot)
+    assert short_blocks(data) == 0.25
+    assert short_blocks(replace(data, t=data.t * 100.0, dt=data.dt * 100.0)) > 0.25
+
+
+# Least squares with a gain per joint: the minimum, its response, and drawing blocks again.
+
+
+X = np.array([2.0, -1.0, 0.5])
+NAMES = ("a", "b", "c")
+
+
+def problem(gains: np.ndarray, gain_sd: float = 0.05, seed: int = 0, noise: float = 0.01):
+    rng = np.random.default_rng(seed)
+    N, n = 400, len(gains)
+    A = rng.standard_normal((N, n, 3))
+    y = (1 + gains) * (A @ X) + noise * rng.standard_normal((N, n))
+    found = least_squares(list(Rows.of(A, y, np.arange(N) // 20)), NAMES)
+    made = GainProblem.of(found, y - A @ found.x, np.zeros(n), gain_sd)
+    return A, y, found, made
+
+
+def test_without_gains_it_is_least_squares() -> None:
+    A, y, _, made = problem(np.zeros(4), gain_sd=0.0)
+    x, g = made.solve()
+    root = np.sqrt(made.weights)
+    expected = np.linalg.lstsq((A * root[:, None]).reshape(-1, 3), (y * root).ravel(), rcond=None)[0]
+    np.testing.assert_allclose(x, expected, atol=1e-9)
+    np.testing.assert_array_equal(g, 0.0)
+
+
+def test_it_is_the_minimum_of_the_cost() -> None:
+    gains = np.array([0.04, -0.03, 0.02, -0.05])
+    A, y, _, made = problem(gains)
+    x, g = made.solve()
+
+    def cost(x: np.ndarray, g: np.ndarray) -> float:
+        r = y - (1 + g) * (A @ x)
+        return float(np.sum(made.weights * r * r) + np.sum(g * g) / 0.05**2)
+
+    least = cost(x, g)
+    rng = np.random.default_rng(1)
+    for step in 1e-4 * rng.standard_normal((50, 7)):
+        assert cost(x + step[:3], g + step[3:]) > least
+    np.testing.assert_allclose(g - g.mean(), gains - gains.mean(), atol=2e-3)  # their mean is the prior's
+
+
+def test_the_response_is_the_derivative() -> None:
+    A, y, _, made = problem(np.array([0.04, -0.03, 0.02, -0.05]), noise=1e-3)
+    x, g = made.solve()
+    push = 1e-2 * np.random.default_rng(2).standard_normal(y.shape)
+    sums = made.sums.copy()
+    for i in range(4):
+        for b in range(20):
+            rows = slice(20 * b, 20 * b + 20)
+            change = made.weights[i] * A[rows, i].T @ push[rows, i]
+            sums[b, i, :3, 3] += change
+            sums[b, i, 3, :3] += change
+    moved = replace(made, sums=sums).solve()[0]
+    pushed = made.weights[:, None] * np.einsum("kia,ki->ia", A, push)
+    expected = np.einsum("iab,ib->a", made.response(x, g), pushed)
+    assert np.linalg.norm(moved - x - expected) < 0.03 * np.linalg.norm(expected)  # second derivatives are left out
+
+
+def test_the_covariance_is_that_of_the_errors() -> None:
+    """Over many draws of noise and gains."""
+    nees = []
+    for seed in range(60):
+        gains = 0.05 * np.random.default_rng([1, seed]).standard_normal(4)
+        made = problem(gains, seed=seed, noise=0.3)[3]
+        x, g = made.solve()
+        nees.append((x - X) @ np.linalg.solve(made.covariance(x, g), x - X) / 3)
+    assert np.mean(nees) == pytest.approx(1.0, abs=3 * np.sqrt(2 / (3 * 60)))
+
+
+def test_the_gains_err_as_their_covariance_says() -> None:
+    nees = []
+    for seed in range(60):
+        gains = 0.05 * np.random.default_rng([1, seed]).standard_normal(4)
+        made = problem(gains, seed=seed, noise=0.3)[3]
+        x, g = made.solve()
+        nees.append((g - gains) @ np.linalg.solve(made.gain_covariance(x, g), g - gains) / 4)
+    assert np.mean(nees) == pytest.approx(1.0, abs=3 * np.sqrt(2 / (4 * 60)))
+
+
+def test_exact_measurements_are_solved() -> None:
+    """Without noise a joint would seem to know its gain infinitely well."""
+    _, _, _, made = problem(np.array([0.04, -0.03, 0.02, -0.05]), noise=0.0)
+    x, g = made.solve()
+    np.testing.assert_allclose(np.outer(1 + g, x), np.outer([1.04, 0.97, 1.02, 0.95], X), rtol=1e-3)
+    information = made.information(x, g)
+    assert np.linalg.eigvalsh(information).min() > 0
+    assert x @ information @ x == pytest.approx(4 / 0.05**2, rel=0.1)  # its length is known by four gains of 5 %
+
+
+# Gains of the torques: told apart as well as is said, and part of the covariance.
+
+
+GAINS = np.array([1.05, 0.96, 1.02, 1.03, 1.05, 0.99, 0.99])
+
+
+@pytest.fixture(scope="module")
+def misread(truth, excited) -> Design:
+    robot = truth.robot
+    return Design.build(
+        prepare(excited.with_column("tau", GAINS * excited["tau"]), robot), robot, base_parameters(robot)
+    )
+
+
+def test_joints_that_disagree_tell_their_gains(misread) -> None:
+    """Errors are as large as the covariance says; friction has not even its shape yet."""
+    design, _, cov = calibrated(misread, "irls")
+    error = design.gains - GAINS
+    assert error @ np.linalg.solve(cov, error) / 7 < 2.0
+    apart = error[:4] - error[:4].mean()
+    assert np.abs(apart).max() < 0.01 < np.abs(GAINS[:4] - GAINS[:4].mean()).max()
+    ones = np.ones(7)
+    assert 1 / np.sqrt(ones @ np.linalg.solve(cov, ones)) == pytest.approx(GAIN_SD / np.sqrt(7), rel=0.05)
+    np.testing.assert_allclose(design.tau, misread.tau / design.gains, rtol=1e-12)
+
+
+def test_what_all_have_in_common_is_left_to_the_prior(misread) -> None:
+    one = calibrated(misread, "wls")[0].gains
+    other = calibrated(misread.with_torque(1.03 * misread.data.tau), "wls")[0].gains
+    np.testing.assert_allclose(other, one, atol=2e-3)
+
+
+def test_gains_that_are_known_stay(misread) -> None:
+    cov = 0.01**2 * np.eye(7)
+    design, _, known = calibrated(misread, "wls", (GAINS, cov))
+    np.testing.assert_array_equal(design.gains, GAINS)
+    np.testing.assert_array_equal(known, cov)
+
+
+def test_the_share_of_the_gains_is_the_derivative(misread) -> None:
+    """One gain a little larger: the parameters move by what its covariance is made of."""
+
+    def solve(design: Design) -> LinearSolution:
+        rows = design.stream(np.zeros(len(design.rows), dtype=int))
+        return least_squares(rows, design.layout.names, method="ols")
+
+    found = solve(misread)
+    step = np.array([0, 0, 1e-4, 0, 0, 0, 0])
+    moved = solve(misread.with_gains(1.0 + step)).x - found.x
+    share = gain_share(found, np.outer(step, step))
+    np.testing.assert_allclose(share, np.outer(moved, moved), rtol=0.01, atol=1e-4 * np.abs(share).max())
+
+
+def test_where_the_log_tells_nothing_gains_stay(misread) -> None:
+    """Two base parameters with one effect, then a torque that is nothing: gains of 1, known as expected."""
+    alike = [A.copy() for A in misread.rigid]
+    for A, columns in zip(alike, misread.layout.columns):
+        at = [np.flatnonzero(columns[: A.shape[1]] == k) for k in (0, 1)]
+        A[:, at[0]] = A[:, at[1]] if len(at[0]) == len(at[1]) else 0.0
+        A[:, at[1]] = A[:, at[0]] if len(at[0]) == len(at[1]) else 0.0
+    for blind in (replace(misread, rigid=tuple(alike)), misread.with_torque(np.zeros_like(misread.data.tau))):
+        design, x, cov = calibrated(blind, "wls")
+        np.testing.assert_array_equal(design.gains, np.ones(7))
+        np.testing.assert_allclose(cov, GAIN_SD**2 * np.eye(7), rtol=1e-9, atol=1e-12)
+        assert np.all(np.isfinite(x))
+
+
+def test_a_fit_of_misread_torque_reads_the_same_torque(truth, short_arm) -> None:
+    """The short arm with gains of 1.05 and 0.97: in the model, in its covariance, in its report."""
+    gains, log = np.array([1.05, 0.97]), short_arm.log(1, 3000)
+    fit = identify.fit_dynamics(log.with_column("tau", gains * log["tau"]), short_arm.robot)
+    plain = identify.fit_dynamics(log, short_arm.robot)
+    ratio, sd = fit.value.gains / plain.value.gains / gains, np.sqrt(np.diag(fit.value.gain_cov))
+    assert np.all(np.abs(ratio - 1.0) < 2 * sd)
+    p = len(fit.value.base_names)
+    assert np.all(np.diag(fit.cov)[:p] >= np.diag(fit.value.base_cov))
+    e = (fit.parameters - plain.parameters)[:p]
+    assert e @ np.linalg.solve(fit.cov[:p, :p], e) / p < 1.0
+    assert "true torque" in fit.report()
+    again = identify.fit_dynamics(log, short_arm.robot, prior=fit)
+    np.testing.assert_array_equal(again.value.gains, fit.value.gains)
