@@ -18,9 +18,9 @@ from rosbags.rosbag2 import Reader
 from armlab import log, robots
 from armlab.lie import se3
 from armlab.log import Column
+from armlab.log.formats import opened
 from armlab.log.mcap_chunk import unpacked
 from armlab.log.mcap_records import contents
-from armlab.log.reading import opened
 from armlab.robots import Robot
 
 ROWS, RATE = 150_000, 250.0

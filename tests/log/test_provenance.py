@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from armlab.log import Column, Table
-from armlab.log.provenance import file_hash, origin, table_hash
+from armlab.log.provenance import file_hash, origin
+from armlab.log.table import table_hash
 
 
 def test_the_hash_of_a_table_never_changes_between_versions() -> None:

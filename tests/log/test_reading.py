@@ -15,9 +15,10 @@ from scipy.io import savemat
 
 from armlab.errors import ConfigError, LogError, UnknownName
 from armlab.log import Column, Recorder, Tick, inspect, messages, read, read_topics, recover, write
+from armlab.log.formats import naming, opened
 from armlab.log.mcap_records import MAGIC
-from armlab.log.reading import earlier, names_robots, naming, opened, summary_of, torn_sentence
-from armlab.log.topic_reading import is_foreign
+from armlab.log.recording_columns import earlier, summary_of, torn_sentence
+from armlab.log.topic_reading import is_foreign, names_robots
 from armlab.robots import Robot
 from armlab.state import Command, State
 

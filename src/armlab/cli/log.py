@@ -97,8 +97,8 @@ def export(
     from armlab import log as logs
     from armlab.cli.output import check_output, note, progress, refuse_overwrite, result
     from armlab.log.mat_table import matlab_names
-    from armlab.log.reading import names_robots
     from armlab.log.sidecar import sidecar_path
+    from armlab.log.topic_reading import names_robots
     from armlab.log.writing import ENDINGS
 
     check_output(output, force, ENDINGS, [file])
@@ -207,8 +207,7 @@ def cut(
     from armlab.cli.output import check_output, progress, result
     from armlab.errors import ConfigError, LogError
     from armlab.log.formats import format_at
-    from armlab.log.reading import names_robots
-    from armlab.log.topic_reading import is_foreign
+    from armlab.log.topic_reading import is_foreign, names_robots
     from armlab.log.writing import ENDINGS
 
     start, stop = (-float("inf") if from_ is None else from_), (float("inf") if to is None else to)

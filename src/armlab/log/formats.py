@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import mmap
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from armlab.errors import LogError
-
-__all__ = ["BAGS", "FIRST", "bag_files", "check_readable", "format_at", "format_of", "is_text"]
 
 FIRST = 1024
 """Bytes from which `format_of` tells the format: HDF5 may have 512 of another program before it."""
@@ -95,3 +96,30 @@ def check_readable(path: str | Path) -> None:
     raise LogError(
         f"Expected a log in MCAP at {path}, got a file of format {shown}; MCAP files begin with 89 4d 43 41 50."
     )
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Put the file into the sentence of a LogError that does not name it: what reads bytes does not know whose."""
+    try:
+        yield
+    except LogError as error:
+        if re.search(rf"(?<!\w){re.escape(str(path))}(?!\w)", str(error)):
+            raise
+        raise LogError(f"Expected a whole log in {path}, got a fault: {error}") from None
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[memoryview]:
+    """Map a file into memory.
+
+    Raises
+    ------
+    LogError : it cannot be opened.
+    """
+    try:
+        with path.open("rb") as file:
+            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    except (OSError, ValueError) as error:
+        raise LogError(f"Expected a log at {path}, got: {error}.") from None
+    yield memoryview(mapped)  # released with the last array that looks at it

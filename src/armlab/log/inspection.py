@@ -12,11 +12,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from armlab.errors import LogError
-from armlab.log.formats import check_readable
+from armlab.log.formats import check_readable, naming, opened
 from armlab.log.mcap_decode import message_counts, messages
 from armlab.log.mcap_records import DAMAGE, Contents, contents
-from armlab.log.reading import naming, opened, summary_of
-from armlab.log.recording_columns import clocks
+from armlab.log.recording_columns import clocks, summary_of
 from armlab.wire import cdr
 
 __all__ = ["Event", "Inspection", "Setting", "Topic", "inspect"]

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,18 +19,7 @@ from armlab.log.mcap_decode import Decoded, decode
 from armlab.log.mcap_records import Contents
 from armlab.log.messages import CLOCK_KEY, CLOCK_NAME_KEY, COLUMN_KEY, T0_KEY, topic_name
 from armlab.log.rows import with_holes
-
-__all__ = [
-    "CLOCK_COLUMNS",
-    "Rows",
-    "Source",
-    "clock_channel",
-    "clocks",
-    "columns_at",
-    "kept_clock",
-    "rows_of",
-    "sources_of",
-]
+from armlab.log.table import Table
 
 CLOCK_COLUMNS = ("t", "robot_ns", "session_t", "session")
 """Columns from which the clock of a recording is made."""
@@ -212,3 +202,30 @@ def rows_of(view: memoryview, found: Contents, path: Path, robot: str | None = N
     first = np.flatnonzero(kept)[:1]
     t0_ns, name = kept_clock(found, sources, wall_at_zero(t[first], rows.log_ns[first]), name)
     return Rows(clock, rows.sequence, t, kept, rows.log_ns, t0_ns, name)
+
+
+def earlier(view: memoryview, found: Contents) -> tuple[str, ...]:
+    """Return where the rows of a file had come from that `write`, `cut` or `merge` made."""
+    chain = summary_of(view, found).get("source", [])
+    return tuple(str(entry) for entry in chain) if isinstance(chain, list) else ()
+
+
+def summary_of(view: memoryview, found: Contents) -> dict[str, Any]:
+    """Return what was counted at the end of a recording, empty without."""
+    for one in found.attachments:
+        if one.name == "summary.json":
+            try:
+                told = json.loads(bytes(view[slice(*one.data)]))
+            except (ValueError, RecursionError):
+                return {}
+            return told if isinstance(told, dict) else {}
+    return {}
+
+
+def torn_sentence(path: Path, found: Contents, table: Table) -> str:
+    """Return what was recovered from an unfinished file and how to repair it."""
+    seconds = float(table.t[-1] - table.t[0]) if len(table) else 0.0
+    return (
+        f"{path.name} was not finished: recovered {len(table)} rows ({seconds:.3f} s), {found.torn} bytes torn; "
+        f"`armlab log recover {path.name}` writes a whole file"
+    )

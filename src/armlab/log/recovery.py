@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import BinaryIO
 
 from armlab.errors import LogError
-from armlab.log.formats import check_readable
+from armlab.log.formats import check_readable, naming, opened
 from armlab.log.mcap_copy import Registry, messages_in, new_file, pieces, records_at
 from armlab.log.mcap_records import CHUNK, Contents, contents
 from armlab.log.mcap_writer import McapWriter
-from armlab.log.reading import naming, opened
 
 __all__ = ["Recovery", "recover"]
 

@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from armlab.errors import ArmlabError, LogError
-from armlab.log.formats import check_readable
+from armlab.log.formats import check_readable, naming, opened
 from armlab.log.mcap_records import DAMAGE, Contents, contents
 from armlab.log.messages import COLUMN_KEY, topic_name
 from armlab.log.provenance import file_hash
-from armlab.log.reading import earlier, naming, opened, summary_of
-from armlab.log.recording_columns import clock_channel, clocks, rows_of
+from armlab.log.recording_columns import clock_channel, clocks, earlier, rows_of, summary_of
 from armlab.log.splice_arm import Arm
 
 __all__ = ["Source", "attachments", "metadata", "opened_source", "summary"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -17,9 +18,8 @@ from armlab._numbers import numbers
 from armlab.errors import ShapeError, UnknownName
 from armlab.log.column import Column, frozen, stored
 from armlab.log.labels import alias, natural_key
+from armlab.log.states import iterate, periods
 from armlab.state import State
-
-__all__ = ["Table", "missing_rows"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -115,15 +115,11 @@ class Table:
         The first row has no previous one: it takes the median (NaN when it is the only row). Where rows in between
         were taken out, the difference holds.
         """
-        from armlab.log.states import periods
-
-        return frozen(periods(self))
+        return frozen(periods(self.t, self.values))
 
     @cached_property
     def sha256(self) -> str:
         """Hash of names, units, kinds, types, shapes, values and `t`: equal data hash equal from any file."""
-        from armlab.log.provenance import table_hash
-
         return table_hash(self)
 
     def rows(self, which: slice | np.ndarray) -> Table:
@@ -162,9 +158,7 @@ class Table:
 
     def states(self) -> Iterator[State]:
         """Yield the `State` of each row, as a controller saw it; what the table does not have stays missing."""
-        from armlab.log.states import iterate
-
-        return iterate(self)
+        return iterate(self.t, self.dt, self.values)
 
     def select(self, *names: str) -> Table:
         """Return the named columns only, in this order."""
@@ -300,3 +294,27 @@ def _check_lengths(rows: int, values: Mapping[str, np.ndarray]) -> None:
             joints[name] = array.shape[1]
     if len(set(joints.values())) > 1:
         raise ShapeError(f"Expected the same number of joints in all columns, got {joints}.")
+
+
+def table_hash(table: Table) -> str:
+    """Return the SHA-256 over `t` and, by name, unit, kind, type, shape and bytes of every column.
+
+    Notes, source and clock do not count: the same data from two formats hash equal. Every NaN counts as the same NaN.
+    """
+    digest = hashlib.sha256(b"armlab table 1\n")
+    digest.update(_bytes(table.t))
+    for name in sorted(table.names):
+        column, array = table.columns[name], table[name]
+        kind = "text" if array.dtype.kind == "U" else array.dtype.str
+        digest.update("\0".join([name, column.unit or "1", column.kind or "", kind, str(array.shape)]).encode())
+        digest.update(_bytes(array))
+    return digest.hexdigest()
+
+
+def _bytes(array: np.ndarray) -> bytes | memoryview:
+    """Return the bytes that count: text without padding, one pattern for NaN."""
+    if array.dtype.kind == "U":
+        return "\0".join(array.ravel().tolist()).encode()
+    if array.dtype.kind == "f" and np.isnan(array).any():
+        array = np.where(np.isnan(array), np.nan, array)
+    return np.ascontiguousarray(array).reshape(-1).view(np.uint8).data

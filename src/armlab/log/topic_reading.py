@@ -12,19 +12,17 @@ from typing import Any
 from armlab import robots
 from armlab.errors import ArmlabError, LogError, UnknownName
 from armlab.log.description import Progress
-from armlab.log.formats import BAGS, bag_files, check_readable, format_at
+from armlab.log.formats import BAGS, bag_files, check_readable, format_at, naming, opened
 from armlab.log.mcap_records import Contents, contents
 from armlab.log.provenance import origin
-from armlab.log.reading import names_robots, naming, opened, torn_sentence
-from armlab.log.recording_columns import clocks
+from armlab.log.recording_columns import clocks, torn_sentence
+from armlab.log.rosbag2_file import is_ours
 from armlab.log.table import Table
 from armlab.log.topic_fields import JOINTS
 from armlab.log.topic_messages import TopicMessages, read_mcap_topics, read_rosbags_topics
 from armlab.log.topic_streams import Stream, stem, streams_of
 from armlab.log.topic_table import WRENCH, Choice, table_of_streams, tables_of_streams
 from armlab.robots import Robot
-
-__all__ = ["is_foreign", "read_foreign", "read_joints", "read_topics"]
 
 Wanted = Callable[[str, str], bool]
 
@@ -240,3 +238,14 @@ def _needed(topics: dict[str, str], columns: Sequence[str] | None) -> set[str]:
         needed |= held
     together = {topics[one] for one in needed} & {JOINTS, WRENCH}  # each is named by what the others are
     return needed | {one for one, kind in topics.items() if kind in together}
+
+
+def names_robots(path: Path) -> bool:
+    """Tell whether a log tells by its topics whose rows it has, so that `read` takes robot=; a table alone does not.
+
+    Parameters
+    ----------
+    path : of a file or folder.
+    """
+    kind = format_at(path)
+    return kind == "MCAP" or (kind in BAGS and not (kind == "rosbag2" and is_ours(path)))
