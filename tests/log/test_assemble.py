@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.log import Column
-from armlab.log.assemble import in_time_order, recording_clock, recording_table, rows_in_order, wall_at_zero
+from armlab.log.assembly import in_time_order, recording_clock, recording_table, rows_in_order, wall_at_zero
 
 STAMPS = 10**18 + np.arange(6) * 4_000_000
 

@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 
 from armlab.errors import LogError
 from armlab.log import Column, Table, read, read_csv, write
-from armlab.log.delimited import rows_of
+from armlab.log.file_formats.delimited import rows_of
 
 ROWS = "t [ms],q1 [deg],q2 [deg],tau_1,tau_2,grip [N]\n0,180,0,1,2,0.5\n4,90,-90,1.5,,0.5\n8,0,0,2,4,0.5\n"
 
@@ -229,7 +229,7 @@ def test_empty_fields_wherever_they_are(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("size", [1, 7, 1 << 18])
 def test_blocks_end_where_lines_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: int) -> None:
-    monkeypatch.setattr("armlab.log.delimited.BLOCK", size)
+    monkeypatch.setattr("armlab.log.file_formats.delimited.BLOCK", size)
     path = written(tmp_path, "t,k\r\n" + "".join(f"{i},{2**60 + i}\r\n" for i in range(50)))
     assert read_csv(path)["k"].tolist() == [2**60 + i for i in range(50)]
     crossing = list(range(2**53 - 25, 2**53 + 25))

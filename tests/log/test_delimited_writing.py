@@ -11,7 +11,7 @@ import pytest
 from armlab import log
 from armlab.errors import LogError
 from armlab.log import Column, Table
-from armlab.log.delimited_writing import write_csv
+from armlab.log.file_formats.delimited import write_csv
 
 WORDS = ["", "1", 'a "b", c', "line\nbreak", "\r", "ü", " x "]
 

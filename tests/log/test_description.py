@@ -9,7 +9,15 @@ import pytest
 
 from armlab.errors import LogError
 from armlab.log import Column, Table
-from armlab.log.description import Description, Progress, components, distinct, headings, of_json, put_together
+from armlab.log.file_formats.description import (
+    Description,
+    Progress,
+    components,
+    distinct,
+    headings,
+    of_json,
+    put_together,
+)
 
 TABLE = Table(
     [0.0, 0.5],

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from armlab.errors import MissingExtra
-from armlab.log.extras import needed
+from armlab.log.file_formats.opening import needed
 
 
 def test_what_is_installed_is_returned() -> None:

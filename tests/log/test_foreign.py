@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import LogError
-from armlab.log.foreign import foreign_table
+from armlab.log.file_formats.column_labels import foreign_table
 
 T = np.arange(5) * 0.004
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from armlab.errors import LogError
-from armlab.log.formats import BAGS, FIRST, bag_files, check_readable, format_at, format_of, is_text
+from armlab.log.file_formats.opening import BAGS, FIRST, bag_files, check_readable, format_at, format_of, is_text
 
 
 @pytest.mark.parametrize(

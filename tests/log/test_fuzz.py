@@ -11,12 +11,12 @@ import pytest
 
 from armlab.errors import LogError
 from armlab.log import inspect, read, recover
-from armlab.log.mcap_records import MAGIC, records
+from armlab.log.mcap.records import MAGIC, records
 
 
 @pytest.fixture
 def data(recording: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> bytes:
-    monkeypatch.setattr("armlab.log.recording_file.MAX_CHUNK_ROWS", 8)
+    monkeypatch.setattr("armlab.log.recording.file.MAX_CHUNK_ROWS", 8)
     return recording(30, name="whole.mcap").read_bytes()
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from armlab.errors import LogError, ShapeError, UnknownName
 from armlab.log import Column, Log, Tail, inspect, read
-from armlab.log.recording_file import RecordingFile
+from armlab.log.recording.file import RecordingFile
 from armlab.robots import Robot
 
 

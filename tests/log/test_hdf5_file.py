@@ -14,7 +14,7 @@ import pytest
 from armlab import log
 from armlab.errors import LogError, MissingExtra, UnknownName
 from armlab.log import Column, Table
-from armlab.log.hdf5_file import read_hdf5, stored_size, write_hdf5
+from armlab.log.file_formats.hdf5 import read_hdf5, stored_size, write_hdf5
 
 h5py = pytest.importorskip("h5py", reason="HDF5 needs the extra data")
 T = np.arange(4) * 0.004

@@ -12,8 +12,8 @@ from mcap.writer import Writer
 
 from armlab import robots
 from armlab.errors import LogError
-from armlab.log.inspection import Event, Inspection, Setting, Topic, inspect
-from armlab.log.recorder import Recorder
+from armlab.log.recording.inspection import Event, Inspection, Setting, Topic, inspect
+from armlab.log.recording.recorder import Recorder
 
 
 def test_topics_events_and_sizes(recording: Callable[..., Path]) -> None:

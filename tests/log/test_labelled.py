@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import LogError
-from armlab.log.labelled import CLOCKS, labelled_table, names_of
+from armlab.log.file_formats.column_labels import CLOCKS, labelled_table, names_of
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armlab.log.labels import OLD_NAMES, alias, natural_key
+from armlab.log.column import OLD_NAMES, alias, natural_key
 
 
 def test_aliases_are_those_of_the_old_tools() -> None:

@@ -12,8 +12,7 @@ import pytest
 
 from armlab import log
 from armlab.errors import LogError
-from armlab.log.delimited import _numbers_only
-from armlab.log.lines import LONGEST, open_text, rows_in
+from armlab.log.file_formats.delimited import LONGEST, _numbers_only, open_text, rows_in
 
 SOME = 1 << 16
 
@@ -37,8 +36,7 @@ def put(path: Path, text: bytes, packed: bool = False) -> Path:
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> int:
     """Lines of at most so many characters."""
-    for module in ("lines", "delimited"):
-        monkeypatch.setattr(f"armlab.log.{module}.LONGEST", 40)
+    monkeypatch.setattr("armlab.log.file_formats.delimited.LONGEST", 40)
     return 40
 
 
@@ -56,7 +54,7 @@ def test_the_fields_and_bytes_of_text_packed_or_not(tmp_path: Path, packed: bool
 def test_a_line_is_as_long_as_is_allowed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, short: int, packed: bool, block: int, digit: bytes
 ) -> None:
-    monkeypatch.setattr("armlab.log.delimited.BLOCK", block)
+    monkeypatch.setattr("armlab.log.file_formats.delimited.BLOCK", block)
     path = put(tmp_path / "log", b"t,x\n0,1\n1," + digit * (short - 3) + b"\n2,3\n", packed)
     assert len(log.read_csv(path)) == 3
     put(path, b"t,x\n0,1\n1," + digit * (short - 2) + b"\n2,3\n", packed)
@@ -83,7 +81,7 @@ def test_what_unpacks_to_far_more_than_its_size_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, digit: bytes, most: float
 ) -> None:
     """Numbers are not read once more as words for that, which take more."""
-    monkeypatch.setattr("armlab.log.lines._UNPACKED", SOME)
+    monkeypatch.setattr("armlab.log.file_formats.delimited._UNPACKED", SOME)
     text = b"x\n" + (digit + b"\n") * SOME
     path = put(tmp_path / "log", text, packed=True)
     with (
@@ -92,19 +90,19 @@ def test_what_unpacks_to_far_more_than_its_size_is_refused(
     ):
         log.read_csv(path, rate=250.0)
     assert len(log.read_csv(put(path, text), rate=250.0)) == SOME
-    monkeypatch.setattr("armlab.log.lines._UNPACKED", len(text))
+    monkeypatch.setattr("armlab.log.file_formats.delimited._UNPACKED", len(text))
     assert len(log.read_csv(put(path, text, packed=True), rate=250.0)) == SOME
 
 
 def test_more_lines_than_bytes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("armlab.log.lines._LINES", 1000)
+    monkeypatch.setattr("armlab.log.file_formats.delimited._LINES", 1000)
     path = put(tmp_path / "log", b"x\n" + b"1\n" * 1000, packed=True)
     with pytest.raises(LogError, match=r"and 1000 lines in .*log, got more\. If you trust it"):
         log.read_csv(path, rate=250.0)
 
 
 def test_an_arm_that_stands_still_is_no_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("armlab.log.lines._UNPACKED", SOME)
+    monkeypatch.setattr("armlab.log.file_formats.delimited._UNPACKED", SOME)
     rows = [f"{0.004 * k:.3f}" + ",0.25" * 30 for k in range(2000)]
     text = "\n".join(["t," + ",".join(f"c{k}" for k in range(30)), *rows])
     assert len(text) > 4 * SOME

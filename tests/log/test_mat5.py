@@ -12,7 +12,7 @@ import pytest
 from scipy.io import loadmat, savemat
 
 from armlab.errors import LogError
-from armlab.log.mat5 import variables_in
+from armlab.log.file_formats.mat import variables_in
 
 
 def saved(variables: dict[str, Any], packed: bool) -> bytes:
@@ -61,8 +61,8 @@ def test_texts_cells_and_what_is_neither() -> None:
 
 
 def test_a_bomb_is_refused_by_the_size_that_it_tells(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("armlab.log.mat5._UNPACKED", 1000)
-    monkeypatch.setattr("armlab.log.mat5._RATIO", 2)
+    monkeypatch.setattr("armlab.log.file_formats.mat._UNPACKED", 1000)
+    monkeypatch.setattr("armlab.log.file_formats.mat._RATIO", 2)
     data = saved({"t": np.zeros(1000)}, packed=True)
     with pytest.raises(LogError, match="Expected variables of at most 1000 bytes in a file of this size, got 8"):
         variables_in(data)

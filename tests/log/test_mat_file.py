@@ -11,7 +11,7 @@ from scipy.io import savemat
 
 from armlab.errors import LogError, MissingExtra, UnknownName
 from armlab.log import read_mat
-from armlab.log.mat_file import read_variables
+from armlab.log.file_formats.mat import read_variables
 
 ARRAYS = {"T": np.arange(12.0).reshape(3, 4), "few": np.array([[1, 2, 3]], dtype=np.int16)}
 

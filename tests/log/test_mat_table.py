@@ -12,7 +12,7 @@ from scipy.io import loadmat, savemat
 from armlab import log
 from armlab.errors import LogError
 from armlab.log import Column, Table
-from armlab.log.mat_table import matlab_names, read_mat_table, write_mat
+from armlab.log.file_formats.mat import matlab_names, read_mat_table, write_mat
 
 T = np.arange(4) * 0.004
 VALUES = {"q": np.arange(8.0).reshape(4, 2), "force.raw": np.arange(4.0), "end": np.arange(4) + 2**60}
@@ -56,7 +56,7 @@ def test_long_names_are_kept(tmp_path: Path) -> None:
 
 
 def test_columns_of_two_gigabytes_are_refused(table: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("armlab.log.mat_table.LARGEST", 63)
+    monkeypatch.setattr("armlab.log.file_formats.mat.LARGEST", 63)
     with pytest.raises(LogError, match=r"below 2 GB for a MAT file of version 5, got .* in 'q'\. Write HDF5.*\.h5"):
         log.write(table, tmp_path / "run.mat")
     assert not list(tmp_path.iterdir())

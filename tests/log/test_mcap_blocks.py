@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from armlab.log.mcap_blocks import Part, decode_chunks, decode_messages, walked
-from armlab.log.mcap_chunk import Chunk, unpacked
-from armlab.log.mcap_variants import assembled, split
+from armlab.log.mcap.decode import Part, decode_chunks, decode_messages, walked
+from armlab.log.mcap.message_layouts import assembled, split
+from armlab.log.mcap.records import Chunk, unpacked
 
 
 def layouts(numbered) -> tuple[memoryview, list[tuple[Chunk, bytes]]]:

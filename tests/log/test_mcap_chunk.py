@@ -10,7 +10,7 @@ import pytest
 import zstandard
 
 from armlab.errors import LogError
-from armlab.log.mcap_chunk import Chunk, end_of_blocks, most_unpacked, unpacked
+from armlab.log.mcap.records import Chunk, end_of_blocks, most_unpacked, unpacked
 
 DATA = b"records " * 500
 
@@ -74,6 +74,6 @@ def test_blocks_of_an_unfinished_frame() -> None:
 
 
 def test_an_unfinished_frame_takes_no_memory_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("armlab.log.mcap_chunk._MAX_OPEN", 1 << 20)
+    monkeypatch.setattr("armlab.log.mcap.records._MAX_OPEN", 1 << 20)
     bomb = zstandard.ZstdCompressor().compress(b"\5" + (91).to_bytes(8, "little") + bytes(91) + b"\0" * 100_000_000)
     assert len(unpacked(memoryview(bomb), replace(chunk(bomb, "zstd"), is_open=True))) <= 2 << 20

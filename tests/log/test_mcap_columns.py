@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armlab.log.mcap_chunk import unpacked
-from armlab.log.mcap_columns import Room
+from armlab.log.mcap.decode import Room
+from armlab.log.mcap.records import unpacked
 
 
 @pytest.mark.parametrize("order", ["<", ">"])

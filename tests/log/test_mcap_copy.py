@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from armlab.errors import LogError
-from armlab.log.mcap_copy import Registry, messages_in, new_file, pieces, records_at
-from armlab.log.mcap_records import contents
-from armlab.log.mcap_writer import McapWriter
+from armlab.log.mcap.records import contents
+from armlab.log.mcap.recovery import Registry, messages_in, new_file, pieces, records_at
+from armlab.log.mcap.writer import McapWriter
 
 
 def test_a_copy_made_of_its_parts_holds_the_same(recording: Callable[..., Path], tmp_path: Path) -> None:

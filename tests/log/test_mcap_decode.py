@@ -14,10 +14,9 @@ from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from armlab.errors import LogError
-from armlab.log.mcap_chunk import unpacked
-from armlab.log.mcap_decode import Decoded, decode, decode_by, message_counts, messages
-from armlab.log.mcap_records import contents
-from armlab.log.mcap_variants import MessageReader
+from armlab.log.mcap.decode import Decoded, decode, decode_by, message_counts, messages
+from armlab.log.mcap.message_layouts import MessageReader
+from armlab.log.mcap.records import contents, unpacked
 from armlab.wire.cdr import definitions
 
 TYPE = "sensor_msgs/msg/JointState"

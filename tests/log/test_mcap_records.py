@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from armlab.errors import LogError
-from armlab.log import mcap_records
-from armlab.log.mcap_records import DAMAGE, MAGIC, OPEN, Attached, Channel, Contents, contents, records
+from armlab.log.mcap import records as mcap_records
+from armlab.log.mcap.records import DAMAGE, MAGIC, OPEN, Attached, Channel, Contents, contents, records
 
 
 def test_summary_and_walk_agree(recording: Callable[..., Path]) -> None:

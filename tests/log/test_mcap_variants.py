@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab.errors import LogError
-from armlab.log.mcap_variants import (
+from armlab.log.mcap.message_layouts import (
     MessageReader,
     Piece,
     Read,

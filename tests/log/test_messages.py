@@ -10,9 +10,10 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from armlab.kernels import RowEncoder
-from armlab.log import Column, Tick, messages
-from armlab.log.mcap_copy import messages_in
-from armlab.log.messages import (
+from armlab.log import Column, Tick
+from armlab.log.mcap.recovery import messages_in
+from armlab.log.recording import ros_messages as messages
+from armlab.log.recording.ros_messages import (
     CLOCK_KEY,
     CLOCK_NAME_KEY,
     COLUMN_KEY,
@@ -28,7 +29,7 @@ from armlab.log.messages import (
     topic_name,
     topics,
 )
-from armlab.log.rows import RowLayout
+from armlab.log.recording.rows import RowLayout
 from armlab.robots import Robot
 from armlab.state import State
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from armlab.log.persistent_file import PersistentFile
+from armlab.log.recording.file import PersistentFile
 
 
 def close_it(file: PersistentFile, folder: Path) -> int:

@@ -11,7 +11,7 @@ from armlab import robots
 from armlab.errors import NotExcited, ShapeError
 from armlab.identify import dither, prepare
 from armlab.log import Table
-from armlab.log.plausibility import check_known, check_position, check_torque, check_velocity, has_moved
+from armlab.log.units_check import check_known, check_position, check_torque, check_velocity, has_moved
 from armlab.robots.couplings import joint_to_motor, joint_torque_to_motor
 
 

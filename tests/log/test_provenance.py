@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from armlab.log import Column, Table
-from armlab.log.provenance import file_hash, origin
+from armlab.log.file_formats.opening import file_hash, origin
 from armlab.log.table import table_hash
 
 

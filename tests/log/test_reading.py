@@ -14,11 +14,12 @@ import pytest
 from scipy.io import savemat
 
 from armlab.errors import ConfigError, LogError, UnknownName
-from armlab.log import Column, Recorder, Tick, inspect, messages, read, read_topics, recover, write
-from armlab.log.formats import naming, opened
-from armlab.log.mcap_records import MAGIC
-from armlab.log.recording_columns import earlier, summary_of, torn_sentence
-from armlab.log.topic_reading import is_foreign, names_robots
+from armlab.log import Column, Recorder, Tick, inspect, read, read_topics, recover, write
+from armlab.log.file_formats.opening import naming, opened
+from armlab.log.mcap.records import MAGIC
+from armlab.log.recording import ros_messages as messages
+from armlab.log.recording.columns import earlier, summary_of, torn_sentence
+from armlab.log.topics.reader import is_foreign, names_robots
 from armlab.robots import Robot
 from armlab.state import Command, State
 
@@ -308,7 +309,7 @@ def test_an_empty_recording_is_an_empty_table(tmp_path: Path, robot: Robot) -> N
 
 
 def test_sources_and_sentences(recording: Callable[..., Path]) -> None:
-    from armlab.log.mcap_records import Contents
+    from armlab.log.mcap.records import Contents
 
     path = recording(3)
     with opened(path) as view:

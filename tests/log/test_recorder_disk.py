@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.log import Recorder, inspect, read, recording_file
-from armlab.log.recorder import QUEUE_ROWS
+from armlab.log import Recorder, inspect, read
+from armlab.log.recording import file as recording_file
+from armlab.log.recording.recorder import QUEUE_ROWS
 from armlab.robots import Robot
 
 PATIENCE = 20.0  # s: only a test that fails waits so long
@@ -120,9 +121,9 @@ def test_a_disk_that_is_slow_to_sync_holds_up_no_row(
 ) -> None:
     """Else a process that is killed meanwhile would lose what had come since."""
     gate, reached = threading.Event(), threading.Event()
-    monkeypatch.setattr("armlab.log.recorder.FLUSH_PERIOD", 0.0)
+    monkeypatch.setattr("armlab.log.recording.recorder.FLUSH_PERIOD", 0.0)
     recorder = Recorder(tmp_path / "run.mcap", robot)
-    monkeypatch.setattr("armlab.log.recording_file.os.fsync", lambda _: (reached.set(), gate.wait(PATIENCE)))
+    monkeypatch.setattr("armlab.log.recording.file.os.fsync", lambda _: (reached.set(), gate.wait(PATIENCE)))
     recorder.row(*rows(0))
     assert reached.wait(PATIENCE)
     for i in range(1, 5):
@@ -144,9 +145,9 @@ def test_a_sync_that_fails_stops_the_recorder(
     def broken(_: int) -> None:
         raise OSError(errno.EIO, "Input/output error")
 
-    monkeypatch.setattr("armlab.log.recorder.FLUSH_PERIOD", 0.0)
+    monkeypatch.setattr("armlab.log.recording.recorder.FLUSH_PERIOD", 0.0)
     recorder = Recorder(tmp_path / "run.mcap", robot)
-    monkeypatch.setattr("armlab.log.recording_file.os.fsync", broken)
+    monkeypatch.setattr("armlab.log.recording.file.os.fsync", broken)
     while recorder.failed is None:
         recorder.row(*rows(0))
     assert recorder.failed.endswith("Input/output error.")
@@ -189,7 +190,7 @@ def test_a_sync_that_fails_last_is_told_when_the_recorder_closes(
             raise errors.pop()
 
     recorder = Recorder(tmp_path / "run.mcap", robot)
-    monkeypatch.setattr("armlab.log.recording_file.os.fsync", broken_once)
+    monkeypatch.setattr("armlab.log.recording.file.os.fsync", broken_once)
     recorder.row(*rows(0))
     recorder._syncing.ask()
     recorder._syncing._thread.join(PATIENCE)
@@ -205,7 +206,7 @@ def test_waiting_instead_of_dropping(
     with Recorder(tmp_path / "run.mcap", robot, wait=True) as recorder:
         disk().gate.clear()
         waited = SimpleNamespace(monotonic=time.monotonic, sleep=lambda _: disk().gate.set())
-        monkeypatch.setattr("armlab.log.recorder.time", waited)  # the disk comes back once row() waits
+        monkeypatch.setattr("armlab.log.recording.recorder.time", waited)  # the disk comes back once row() waits
         for i in range(count):
             assert recorder.row(sample[0], None, sample[2]._replace(number=i))
     assert disk().gate.is_set()

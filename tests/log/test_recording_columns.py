@@ -10,9 +10,8 @@ import pytest
 
 from armlab import log, robots
 from armlab.errors import LogError, UnknownName
-from armlab.log.mcap_records import contents
-from armlab.log.messages import T0_KEY
-from armlab.log.recording_columns import (
+from armlab.log.mcap.records import contents
+from armlab.log.recording.columns import (
     CLOCK_COLUMNS,
     Rows,
     Source,
@@ -23,6 +22,7 @@ from armlab.log.recording_columns import (
     rows_of,
     sources_of,
 )
+from armlab.log.recording.ros_messages import T0_KEY
 
 
 def test_the_rows_are_those_of_the_table(recording: Callable[..., Path]) -> None:

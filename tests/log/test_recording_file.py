@@ -12,9 +12,9 @@ import pytest
 
 from armlab.errors import ConfigError
 from armlab.log import Log, Recorder, inspect, read
-from armlab.log.mcap_records import contents
-from armlab.log.recording_file import MAX_CHUNK_ROWS, RecordingFile, open_new, recording_path
-from armlab.log.rows import RowLayout
+from armlab.log.mcap.records import contents
+from armlab.log.recording.file import MAX_CHUNK_ROWS, RecordingFile, open_new, recording_path
+from armlab.log.recording.rows import RowLayout
 from armlab.robots import Robot, from_toml
 
 

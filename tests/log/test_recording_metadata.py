@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from armlab.errors import RobotError
-from armlab.log.recording_metadata import attached, described, metadata, revision
+from armlab.log.recording.metadata import attached, described, metadata, revision
 from armlab.robots import Robot, from_toml, load, to_toml
 
 

@@ -12,8 +12,8 @@ from rosbags.highlevel import AnyReader
 
 from armlab.errors import LogError
 from armlab.log import inspect, read, recover
-from armlab.log.mcap_records import contents
-from armlab.log.recovery import Recovery
+from armlab.log.mcap.records import contents
+from armlab.log.mcap.recovery import Recovery
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
-from armlab.log.redaction import SECRET, redacted
+from armlab.log.recording.metadata import SECRET, redacted
 
 MARKER = "q7Zw"
 LETTERS = st.text("abcxyz", min_size=1, max_size=5)  # of which no name of a secret can be made

@@ -16,7 +16,7 @@ from armlab import log
 from armlab.errors import LogError, UnknownName
 from armlab.lie import se3
 from armlab.log import Column, Table
-from armlab.log.rosbag2_file import STORAGES, is_ours, read_rosbag2, write_rosbag2
+from armlab.log.file_formats.rosbag2 import STORAGES, is_ours, read_rosbag2, write_rosbag2
 
 START = 1_700_000_000_000_000_000
 

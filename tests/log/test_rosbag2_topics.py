@@ -7,7 +7,7 @@ import pytest
 
 from armlab.errors import LogError
 from armlab.log import Column, Table
-from armlab.log.rosbag2_topics import BagTopic, columns_of, messages_of, topics_of, whole_poses
+from armlab.log.file_formats.rosbag2 import BagTopic, columns_of, messages_of, topics_of, whole_poses
 
 T = np.arange(3.0)
 

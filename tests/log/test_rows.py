@@ -10,7 +10,7 @@ import pytest
 
 from armlab.errors import ShapeError, UnknownName
 from armlab.log import Column, Tick
-from armlab.log.rows import NO_CLOCK, NO_COUNT, NO_FLAG, SELDOM, RowLayout, Slot, with_holes
+from armlab.log.recording.rows import NO_CLOCK, NO_COUNT, NO_FLAG, SELDOM, RowLayout, Slot, with_holes
 from armlab.robots import Robot
 from armlab.state import Command, State
 

@@ -9,8 +9,8 @@ import pytest
 
 from armlab.errors import LogError
 from armlab.log import Column, Table, read, write
-from armlab.log.description import Description
-from armlab.log.sidecar import describe, read_sidecar, sidecar_path
+from armlab.log.file_formats.delimited import describe, read_sidecar, sidecar_path
+from armlab.log.file_formats.description import Description
 
 
 @pytest.fixture

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from armlab.errors import LogError
-from armlab.log.recording_columns import Rows
-from armlab.log.splice_arm import Arm, seconds_channel
+from armlab.log.recording.columns import Rows
+from armlab.log.recording.splice import SplicedRows, seconds_channel
 
 
-def arm(numbers: list[int], t: list[float], t0_ns: int = 10**18) -> Arm:
+def arm(numbers: list[int], t: list[float], t0_ns: int = 10**18) -> SplicedRows:
     kept = np.diff(t, prepend=-1.0) > 0
     stamps = t0_ns + np.zeros(len(t), dtype=int)
-    return Arm(
+    return SplicedRows(
         Path("run.mcap"), "/a/", "hash", Rows(1, np.array(numbers), np.array(t), kept, stamps, t0_ns, "robot"), None
     )
 

@@ -10,7 +10,7 @@ import pytest
 from armlab import robots
 from armlab.errors import LogError
 from armlab.log import Recorder, cut, inspect, merge, read
-from armlab.log.splice_source import Source, attachments, metadata, opened_source, summary
+from armlab.log.recording.splice import Source, attachments, metadata, opened_source, summary
 from armlab.robots import Robot
 
 

@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from armlab.log.syncing import Syncing
+from armlab.log.recording.recorder import Syncing
 
 
 def test_who_asks_does_not_wait_for_the_disk() -> None:

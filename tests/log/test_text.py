@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.log import Column, Table
-from armlab.log.text import component_names, describe_text, statistics, table_text, timing
+from armlab.log.table import component_names, describe_text, statistics, table_text, timing
 
 
 def test_statistics_leave_out_what_is_missing() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.errors import LogError
-from armlab.log.topic_encodings import decode_one_by_one, numbers_in_json, numbers_in_protobuf
+from armlab.log.topics.messages import decode_one_by_one, numbers_in_json, numbers_in_protobuf
 
 
 def test_json() -> None:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.log.mcap_variants import MessageReader, assembled, read_blocks, split
-from armlab.log.topic_fields import JOINTS, TopicFields, columns_of_fields
+from armlab.log.mcap.message_layouts import MessageReader, assembled, read_blocks, split
+from armlab.log.topics.streams import JOINTS, TopicFields, columns_of_fields
 from armlab.wire import cdr
 
 ROBOT = """\

@@ -14,9 +14,9 @@ from mcap.writer import CompressionType, Writer
 
 from armlab import log
 from armlab.errors import LogError, UnknownName
-from armlab.log.mcap_decode import Decoded
-from armlab.log.topic_fields import TopicFields
-from armlab.log.topic_messages import TopicMessages, is_measurement, read_mcap_topics, read_rosbags_topics
+from armlab.log.mcap.decode import Decoded
+from armlab.log.topics.messages import TopicMessages, is_measurement, read_mcap_topics, read_rosbags_topics
+from armlab.log.topics.streams import TopicFields
 
 NAMES = ("a", "b", "c")
 
@@ -138,7 +138,7 @@ module lab_msgs { module msg {
 def test_the_functions_behind_read(ros: Any, tmp_path: Path) -> None:
     from rosbags.rosbag2 import Reader
 
-    from armlab.log.mcap_records import contents
+    from armlab.log.mcap.records import contents
 
     path = ros.bag(tmp_path / "bag", [("/n", 5 + i, ros.numbers([i])) for i in range(3)])
     ours, theirs = TopicMessages(), TopicMessages()

@@ -7,15 +7,14 @@ from typing import Any
 import numpy as np
 
 from armlab.log.column import Column
-from armlab.log.mcap_decode import Decoded
-from armlab.log.topic_fields import JOINTS, TopicFields
-from armlab.log.topic_messages import TopicMessages
-from armlab.log.topic_streams import Stream, rate_text, stem, streams_of
+from armlab.log.mcap.decode import Decoded
+from armlab.log.topics.messages import TopicMessages
+from armlab.log.topics.streams import JOINTS, Stream, TopicFields, rate_text, stem, streams_of
 from armlab.wire import cdr
 
 
 def streams(ros: Any, topic: str, messages: list[tuple[int, Any]]) -> list[Stream]:
-    from armlab.log.topic_messages import _decoded
+    from armlab.log.topics.messages import _decoded
 
     kind = messages[0][1].__msgtype__
     into = TopicMessages()

@@ -9,9 +9,8 @@ import pytest
 
 from armlab.errors import LogError
 from armlab.log.column import Column
-from armlab.log.topic_fields import JOINTS
-from armlab.log.topic_streams import Stream
-from armlab.log.topic_table import WRENCH, Choice, table_of_streams, tables_of_streams
+from armlab.log.topics.streams import JOINTS, Stream
+from armlab.log.topics.tables import WRENCH, Choice, table_of_streams, tables_of_streams
 
 PATH = Path("run.mcap")
 ROWS = np.arange(10)

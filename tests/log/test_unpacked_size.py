@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from armlab.errors import LogError
-from armlab.log.unpacked_size import check_unpacked_size
+from armlab.log.file_formats.opening import check_unpacked_size
 
 
 def test_a_thousand_times_the_file(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from armlab import log, robots
 from armlab.errors import ConfigError, LogError, RobotError, ShapeError
 from armlab.log import Column, Table
-from armlab.log.provenance import file_hash
+from armlab.log.file_formats.opening import file_hash
 from armlab.log.writing import ENDINGS, write
 
 N = 600

@@ -42,7 +42,7 @@ from armlab.contact.places import contact_point
 from armlab.contact.wrench import INVALID, TARED, Wrench
 from armlab.errors import ConcurrentUse, ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.log import Table
-from armlab.log.plausibility import check_known
+from armlab.log.units_check import check_known
 from armlab.models import FORCE_RATES, PRIOR, TorqueModel
 from armlab.robots import Robot
 from armlab.state import State

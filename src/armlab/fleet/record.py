@@ -16,7 +16,7 @@ from armlab.bridge.zenoh import EVERY, Asking, Place, close_session, key, robot_
 from armlab.bridge.zenoh.inbox import Inbox
 from armlab.bridge.zenoh.session import zenoh
 from armlab.fleet.robot_record import RobotRecord
-from armlab.log.recorder import FLUSH_PERIOD, WRITE_PERIOD
+from armlab.log.recording.recorder import FLUSH_PERIOD, WRITE_PERIOD
 
 __all__ = ["FleetRecorder"]
 

@@ -13,9 +13,9 @@ from armlab.bridge.row import MAGIC
 from armlab.bridge.zenoh.texts import read_about
 from armlab.errors import ArmlabError, LinkError
 from armlab.fleet.row_columns import RowColumns, stamp_of, tick_of
-from armlab.log.recording_file import RecordingFile
-from armlab.log.rows import RowLayout
-from armlab.log.syncing import Syncing
+from armlab.log.recording.file import RecordingFile
+from armlab.log.recording.recorder import Syncing
+from armlab.log.recording.rows import RowLayout
 
 __all__ = ["RobotRecord"]
 

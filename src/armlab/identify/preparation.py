@@ -13,7 +13,7 @@ from armlab.errors import NotExcited, ShapeError
 from armlab.identify.base_parameters import measured_joints
 from armlab.identify.sampling import check_rate
 from armlab.log import Table
-from armlab.log.plausibility import check_position, check_torque, check_velocity
+from armlab.log.units_check import check_position, check_torque, check_velocity
 from armlab.robots import Robot
 from armlab.signals import central_diff, lowpass_offline
 

@@ -1,4 +1,4 @@
-"""`read`: a file becomes a `Table`, finished or torn."""
+"""`read`: a file becomes a `Table`, finished or torn; `read_arm`: the log of one arm."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-from armlab.errors import ArmlabError, ConfigError, LogError, UnknownName
-from armlab.log.assemble import recording_table
-from armlab.log.delimited import read_csv
-from armlab.log.description import Progress
-from armlab.log.formats import BAGS, check_readable, format_at, naming, opened
-from armlab.log.hdf5_file import read_hdf5
-from armlab.log.labcomm import read_labcomm
-from armlab.log.mat_table import read_mat_table
-from armlab.log.mcap_records import DAMAGE, Contents, contents
-from armlab.log.parquet_file import read_parquet
-from armlab.log.recording_columns import (
+from armlab.errors import ArmlabError, ConfigError, LogError, ModelMismatchError, UnknownName
+from armlab.log.assembly import recording_table
+from armlab.log.file_formats.delimited import read_csv
+from armlab.log.file_formats.description import Progress
+from armlab.log.file_formats.hdf5 import read_hdf5
+from armlab.log.file_formats.labcomm import read_labcomm
+from armlab.log.file_formats.mat import read_mat_table
+from armlab.log.file_formats.opening import BAGS, check_readable, format_at, naming, opened
+from armlab.log.file_formats.parquet import read_parquet
+from armlab.log.file_formats.rosbag2 import read_rosbag2
+from armlab.log.mcap.records import DAMAGE, Contents, contents
+from armlab.log.recording.columns import (
     CLOCK_COLUMNS,
     clock_channel,
     clocks,
@@ -30,10 +31,11 @@ from armlab.log.recording_columns import (
     summary_of,
     torn_sentence,
 )
-from armlab.log.rosbag2_file import read_rosbag2
+from armlab.log.recording.inspection import inspect
+from armlab.log.recording.ros_messages import topic_name
 from armlab.log.table import Table
-from armlab.log.topic_reading import names_robots, read_foreign
-from armlab.log.topic_table import Choice
+from armlab.log.topics.reader import is_foreign, names_robots, read_foreign, read_joints
+from armlab.log.topics.tables import Choice
 from armlab.robots import Robot
 
 _READERS: dict[str, Callable[..., Table]] = {
@@ -189,3 +191,57 @@ def _recording(
     if empty:
         raise LogError(f"Expected values of {', '.join(empty)} in {path}, got none in {len(table)} rows.")
     return table.select(*wanted), damage
+
+
+def read_arm(path: str | Path, robot: Robot, progress: Progress | None = None) -> Table:
+    """Return the log of an arm with q and tau (N, n), in its order of joints; qd where it was recorded.
+
+    Parameters
+    ----------
+    path : of the log, see `read`. robot : that was logged. progress : as there.
+
+    Raises
+    ------
+    LogError : it cannot be read, or has no positions or torques.
+    ModelMismatchError : a recording of another robot, or another number of joints.
+    """
+    path = Path(path)
+    several = _is_of_several(path, robot)
+    if is_foreign(path):
+        table = read_joints(path, robot, progress)
+    else:
+        table = read(path, robot=robot.name if several else None, progress=progress)
+    missing = [name for name in ("q", "tau") if name not in table]
+    if missing:
+        raise LogError(
+            f"Expected positions and torques, columns q and tau, in {path}, got none for {' and '.join(missing)} among "
+            f"{', '.join(table.names)}. {_advice(missing)}"
+        )
+    if table["q"].shape[1:] != (robot.n,):
+        raise ModelMismatchError(
+            f"Expected a log of {robot.name!r} with {robot.n} joints, got q of shape {table['q'].shape} in {path}. "
+            "Name the robot that was logged."
+        )
+    return table
+
+
+def _advice(missing: list[str]) -> str:
+    """Say where columns that are missing may come from."""
+    if missing == ["tau"]:
+        return "Record with the research extension, which sends torques."
+    return "Name a log of the joints: armlab log show tells what one holds."
+
+
+def _is_of_several(path: Path, robot: Robot) -> bool:
+    """Refuse a recording without rows of a robot of this name; True when it holds several. Text knows none."""
+    if path.suffix != ".mcap" or not path.is_file():
+        return False
+    told = inspect(path)
+    several = len(told.robots) > 1  # named by their topics, in which some letters cannot stand
+    names = told.robots if several else (told.metadata.get("armlab", {}).get("robot", robot.name),)
+    if (topic_name(robot.name) if several else robot.name) not in names:
+        raise ModelMismatchError(
+            f"Expected a recording of {robot.name!r}, got one of {' and '.join(map(repr, names))} in {path}. Name the "
+            "robot that was recorded."
+        )
+    return several

@@ -12,15 +12,14 @@ import numpy as np
 
 from armlab.errors import ConfigError, LogError, ShapeError
 from armlab.log.column import Column
-from armlab.log.delimited_writing import write_csv
-from armlab.log.description import Progress
-from armlab.log.hdf5_file import write_hdf5
-from armlab.log.mat_table import write_mat
-from armlab.log.parquet_file import write_parquet
-from armlab.log.recording_file import RecordingFile
-from armlab.log.rosbag2_file import write_rosbag2
-from armlab.log.rows import RowLayout
-from armlab.log.sidecar import describe, sidecar_path
+from armlab.log.file_formats.delimited import describe, sidecar_path, write_csv
+from armlab.log.file_formats.description import Progress
+from armlab.log.file_formats.hdf5 import write_hdf5
+from armlab.log.file_formats.mat import write_mat
+from armlab.log.file_formats.parquet import write_parquet
+from armlab.log.file_formats.rosbag2 import write_rosbag2
+from armlab.log.recording.file import RecordingFile
+from armlab.log.recording.rows import RowLayout
 from armlab.log.table import Table
 
 if TYPE_CHECKING:
