@@ -19,7 +19,7 @@ import numpy as np
 
 from armlab.robots import Robot
 from armlab.sim.settings import Settings
-from armlab.wire.egm.linkage import Linkage
+from armlab.wire.egm.axes import Linkage
 
 __all__ = ["Guidance"]
 

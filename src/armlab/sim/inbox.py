@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from armlab.sim.settings import Settings
 from armlab.sim.statistics import Statistics
 from armlab.wire.egm import Drop, RobotSideCodec, SensorMessage
-from armlab.wire.egm.standing_queue import StandingQueue
+from armlab.wire.egm.types import StandingQueue
 
 __all__ = ["QUEUE_LENGTH", "Inbox", "Sent"]
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armlab.wire.egm.force import NO_WRENCH, decode_force, encode_force, is_layout_of_rw7
+from armlab.wire.egm.pose_force import NO_WRENCH, decode_force, encode_force, is_layout_of_rw7
 
 FORCE = (1.0, -2.0, 3.5, 0.1, 0.2, -0.3)
 DOUBLES = [struct.pack("<d", value) for value in FORCE]

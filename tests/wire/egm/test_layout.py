@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab.wire.egm import Drop, EgmCodec, Packet, RobotMessage, RobotSideCodec
-from armlab.wire.egm.layout import Places, find_places
+from armlab.wire.egm.message_layout import Places, find_places
 
 SEVEN = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
 

@@ -11,7 +11,7 @@ import pytest
 from armlab import robots
 from armlab.errors import RobotError
 from armlab.wire.egm import EgmCodec, Packet, Reference, RobotMessage, RobotSideCodec, SensorMessage
-from armlab.wire.egm.linkage import Linkage
+from armlab.wire.egm.axes import Linkage
 
 IRB2400 = robots.load("irb2400")
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from armlab.wire.egm.axes import AxisMap, Refused
-from armlab.wire.egm.numbers import INTEGERS, Numbers, Shape
+from armlab.wire.egm.message_layout import INTEGERS, Numbers, Shape
 
 RADIAN = np.pi / 180
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armlab.wire.egm import armlab_egm_pb2 as pb
-from armlab.wire.egm.pose import NO_POSE, pose_from_matrix, pose_values, read_pose
+from armlab.wire.egm.pose_force import NO_POSE, pose_from_matrix, pose_values, read_pose
 
 
 def written(message: pb.EgmPose) -> np.ndarray:

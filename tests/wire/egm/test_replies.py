@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from armlab.wire.egm import Beside, EgmCodec, Reference, RobotSideCodec
 from armlab.wire.egm.axes import AxisMap
-from armlab.wire.egm.replies import Replies, encode_path_correction, encode_pose
+from armlab.wire.egm.codec import Replies, encode_path_correction, encode_pose
 
 T = np.array([[0.0, 0, 1, 0.4], [1, 0, 0, -0.05], [0, 1, 0, 0.3], [0, 0, 0, 1]])
 

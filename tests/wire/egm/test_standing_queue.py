@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armlab.wire.egm.standing_queue import StandingQueue
+from armlab.wire.egm.types import StandingQueue
 
 
 def test_one_sentence_per_second_that_the_queue_is_never_empty() -> None:

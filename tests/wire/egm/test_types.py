@@ -7,11 +7,21 @@ import pytest
 
 from armlab import robots
 from armlab.wire.egm import EgmCodec
-from armlab.wire.egm.types import DROP_REASONS, Arm, Beside, Codec, Drop, Packet, Reference, RobotMessage, SensorMessage
+from armlab.wire.egm.types import (
+    DROP_REASONS,
+    Beside,
+    Codec,
+    Drop,
+    Packet,
+    Reference,
+    RobotAxes,
+    RobotMessage,
+    SensorMessage,
+)
 
 
 def test_a_robot_is_an_arm_and_the_codec_is_a_codec() -> None:
-    arm: Arm = robots.load("yumi_right")
+    arm: RobotAxes = robots.load("yumi_right")
     codec: Codec = EgmCodec(arm)
     assert codec.capabilities == {"position", "velocity", "external_axes", "rapid_data"}
     assert arm.abb_axes == (1, 2, 7, 3, 4, 5, 6)

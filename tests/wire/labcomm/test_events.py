@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from armlab.wire.labcomm import PRIMS
-from armlab.wire.labcomm.events import Binding, Definition, Event, Other, Pragma, Sample, Unknown, Version
+from armlab.wire.labcomm.types import Binding, Definition, Event, Other, Pragma, Sample, Unknown, Version
 
 
 def test_events_compare_by_value() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from armlab.errors import LabCommError
-from armlab.wire.labcomm.lc import Typedef, parse_lc, to_lc
+from armlab.wire.labcomm.idl import Typedef, parse_lc, to_lc
 from armlab.wire.labcomm.types import PRIMS, VOID, Array, Field, SampleType, Struct
 
 

@@ -6,9 +6,9 @@ import pytest
 
 from armlab.errors import LabCommError, UnknownName
 from armlab.wire.labcomm import Limits, parse_lc
-from armlab.wire.labcomm._source import Source
 from armlab.wire.labcomm.dialects import dialect_named
 from armlab.wire.labcomm.signature import FIRST_INDEX, SignatureWalk, parse_signature
+from armlab.wire.labcomm.source import Source
 from armlab.wire.labcomm.types import TypeRef
 
 

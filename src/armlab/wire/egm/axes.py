@@ -1,17 +1,21 @@
-"""The map between ABB's axes and units on the wire and kinematic joints in SI: one permutation, one scale vector."""
+"""The map between ABB's axes and kinematic joints: order, units, and joints that two motors move together.
+
+On an IRB 2400 a parallel rod turns the upper arm, and ABB counts axis 3 from the foot: axis 3 = q_2 + q_3. EGM speaks
+of axes, armlab of joints: ``q = C q_axis``, ``qd = C qd_axis``, ``tau = C^-T tau_axis``. C is the coupling of the
+robot's description without its gear ratios, which are ABB's own business: EGM is behind the gears.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import pi
 from operator import itemgetter
+from typing import Any, TypeVar
 
 import numpy as np
 
 from armlab.errors import ConfigError, RobotError
-from armlab.wire.egm.types import Arm, Drop
-
-__all__ = ["RADIAN", "AxisMap", "Refused"]
+from armlab.wire.egm.types import Drop, RobotAxes
 
 RADIAN = pi / 180.0
 _MILLIMETRE = 1e-3
@@ -52,7 +56,7 @@ class AxisMap:
     ConfigError : units that are none, or fewer than joints.
     """
 
-    def __init__(self, arm: Arm, units: Sequence[str] = ()) -> None:
+    def __init__(self, arm: RobotAxes, units: Sequence[str] = ()) -> None:
         axes = tuple(int(axis) for axis in arm.abb_axes)
         if sorted(axes) != list(range(1, arm.n + 1)):
             raise RobotError(f"Expected abb_axes to hold each of 1 to {arm.n} once, got {axes}.")
@@ -132,3 +136,85 @@ class AxisMap:
 def _picker(order: tuple[int, ...]) -> Callable[[Sequence[float]], tuple[float, ...]]:
     """Return the function that picks the elements `order` of a sequence."""
     return itemgetter(*order) if len(order) > 1 else lambda values: tuple(values[k] for k in order)
+
+
+Message = TypeVar("Message", bound=Any)
+
+_MOTIONS = ("q", "qd", "q_planned", "q_reference", "qd_reference")
+_TORQUES = ("tau", "tau_total", "tau_gravity", "tau_reference")
+
+
+class Linkage:
+    """Between ABB's axes and joints, both in kinematic order.
+
+    Parameters
+    ----------
+    coupling : (n, n) C. `Linkage.of` makes it of a robot.
+    """
+
+    def __init__(self, coupling: np.ndarray) -> None:
+        inverse = np.linalg.inv(coupling)
+        self._to_joints, self._to_axes = coupling, inverse
+        self._torque_to_joints, self._torque_to_axes = inverse.T, coupling.T
+
+    @classmethod
+    def of(cls, arm: RobotAxes) -> Linkage | None:
+        """Return the linkage of a robot, None where every axis is a joint.
+
+        Parameters
+        ----------
+        arm : its coupling.
+
+        Raises
+        ------
+        RobotError : a coupling from which axes cannot be told: a motor that does not move its own joint, or none.
+        """
+        coupling = np.asarray(arm.coupling, dtype=np.float64)
+        gears = np.diag(coupling)
+        if not np.any(coupling - np.diag(gears)):
+            return None
+        if not np.all(gears) or abs(np.linalg.det(coupling / gears)) < 1e-9:
+            raise RobotError(
+                f"Expected a coupling that can be inverted, each motor with its own joint, got {coupling}."
+            )
+        return cls(coupling / gears)
+
+    def joints(self, axes: np.ndarray) -> np.ndarray:
+        """Return positions or velocities (n,) of the joints. `axes` (n,) : those of the axes."""
+        return _times(self._to_joints, axes)
+
+    def axes(self, joints: np.ndarray) -> np.ndarray:
+        """Return positions or velocities (n,) of the axes. `joints` (n,) : those of the joints."""
+        return _times(self._to_axes, joints)
+
+    def heard(self, message: Message) -> Message:
+        """Return a message from the wire with its axes made joints.
+
+        Parameters
+        ----------
+        message : a `Packet`, `SensorMessage` or `Details`; what it does not have is left out.
+        """
+        return _changed(message, self._to_joints, self._torque_to_joints)
+
+    def said(self, message: Message) -> Message:
+        """Return a message for the wire with its joints made axes.
+
+        Parameters
+        ----------
+        message : a `Reference` or `RobotMessage`.
+        """
+        return _changed(message, self._to_axes, self._torque_to_axes)
+
+
+def _changed(message: Message, motion: np.ndarray, torque: np.ndarray) -> Message:
+    fields = [(name, motion) for name in _MOTIONS] + [(name, torque) for name in _TORQUES]
+    values = {name: (matrix, getattr(message, name, None)) for name, matrix in fields}
+    return message._replace(**{name: _times(matrix, old) for name, (matrix, old) in values.items() if old is not None})
+
+
+def _times(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the product; NaN in one value spoils only what depends on it."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        product = np.where(matrix, matrix * values, 0.0).sum(axis=1)
+    product.flags.writeable = False
+    return product

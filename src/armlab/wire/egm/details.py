@@ -10,8 +10,7 @@ from google.protobuf.message import DecodeError
 
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import AxisMap, Refused
-from armlab.wire.egm.force import is_layout_of_rw7
-from armlab.wire.egm.pose import NO_POSE, pose_values, read_pose
+from armlab.wire.egm.pose_force import NO_POSE, is_layout_of_rw7, pose_values, read_pose
 
 __all__ = ["Details", "read_details"]
 

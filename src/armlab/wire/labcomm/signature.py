@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Generator
 
 from armlab.errors import LabCommError
-from armlab.wire.labcomm._source import Cut, Number, Source, label, number
 from armlab.wire.labcomm.dialects import Dialect, dialect_named
-from armlab.wire.labcomm.limits import Limits
+from armlab.wire.labcomm.source import Cut, Limits, Number, Source, label, number
 from armlab.wire.labcomm.types import ARRAY, PRIMS, SAMPLE, STRUCT, VOID, Array, Field, Struct, Type, TypeRef
 
 __all__ = ["FIRST_INDEX", "SignatureWalk", "parse_signature"]
