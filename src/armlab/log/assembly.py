@@ -27,17 +27,8 @@ def recording_table(
 ) -> Table:
     """Return the table of one recording: t = 0 at the first row, columns without any value left out.
 
-    Parameters
-    ----------
-    values : column name -> (N, ...), missing values NaN, of clocks in ns 0.
-    columns : their descriptions.
-    stamp_ns : (N,) wall clock of each row.
-    notes, source : as in `Table`.
-    raw : keep rows whose clock does not advance, one nanosecond after the row before.
-
-    Returns
-    -------
-    Table : on the robot's clock where it was recorded, else on the bridge's.
+    `values`: column name -> (N, ...), missing values NaN, of clocks in ns 0; `stamp_ns`: (N,) wall clock of each row.
+    Returned: on the robot's clock where it was recorded, else on the bridge's.
     """
     t, clock = recording_clock(values, stamp_ns)
     t, keep, dropped = rows_in_order(t, raw)
@@ -124,10 +115,7 @@ def rows_in_order(
 
     What is dropped is warned of, once. The same for every format.
 
-    Parameters
-    ----------
-    t : (N,) times [s]. raw : every row stays, one nanosecond after the row before where the clock does not advance.
-    row : what the file calls the row of a number. of : whose rows they are.
+    `t`: (N,) times [s].
     """
     keep, lost = in_time_order(t)
     if not lost:

@@ -167,13 +167,7 @@ def refuse_ragged(count: int, widths: Mapping[str, int], held: int) -> None:
 
     One message of a megabyte among thousands of short ones asks for gigabytes.
 
-    Parameters
-    ----------
-    count : rows. widths : name -> most numbers in one of them. held : numbers in all of them.
-
-    Raises
-    ------
-    LogError : more than 2 GiB of columns with less than one number in 512 cells.
+    `widths`: name -> most numbers in one of them.
     """
     cells = count * sum(widths.values())
     if 8 * cells > _LARGEST and cells > _CELLS_PER_NUMBER * held:

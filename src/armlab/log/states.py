@@ -28,10 +28,6 @@ def iterate(t: np.ndarray, periods: np.ndarray, values: Mapping[str, np.ndarray]
 
     `dt` is the recorded one, else the difference of `t`. Joint velocities or torques that the table does not have are
     NaN. `q_start` is the position in the first row of the session; `t` the session's time where it was recorded.
-
-    Raises
-    ------
-    UnknownName : the table has no column q.
     """
     if "q" not in values:
         raise UnknownName.among("column", "q", values)

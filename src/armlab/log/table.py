@@ -230,11 +230,38 @@ class Table:
         return self._derived(f"shifted({dt:g})", t=self.t + dt)
 
     def resample(self, to: float | np.ndarray, *, max_gap: float | None = None) -> Table:
-        """Return the table at a rate [Hz] or at given times [s]; see `armlab.log.table.resample`."""
+        """Return the table at other times: numbers linear, pose and quaternion geodesic, count, flag and text held.
+
+        ``x(t) = (1 - s) x_i + s x_{i+1}``, ``s = (t - t_i) / (t_{i+1} - t_i)``; a time that exists keeps its values.
+
+        Parameters
+        ----------
+        to : rate [Hz], or increasing times (M,) [s] inside the table.
+        max_gap : a longer gap between rows [s] is not bridged, NaN there; three median periods when None.
+
+        Raises
+        ------
+        ShapeError : the rate goes down (that needs a filter) or up beyond all sense, a time lies outside the table,
+            fewer than two rows.
+        """
         return resample(self, to, max_gap=max_gap)
 
     def join(self, other: Table, *, fill: str = "hold", max_age: float | None = None) -> Table:
-        """Return this table with the columns of `other` brought to its clock; see `armlab.log.table.join`."""
+        """Return a table with the columns of another brought to its clock, and the age of each as ``<name>_age``.
+
+        Both clocks are placed on the wall clock when both tables know theirs (`t0_ns`).
+
+        Parameters
+        ----------
+        other : gives the columns; names that both have are refused.
+        fill : "hold" takes the last row at or before; "linear" interpolates as `resample` does.
+        max_age : an older value is missing; any age is taken when None. With "linear", the longest gap bridged.
+
+        Raises
+        ------
+        ShapeError : a column, or its age, exists in both.
+        UnknownName : another way of filling.
+        """
         return join(self, other, fill=fill, max_age=max_age)
 
     def missing(self) -> dict[str, tuple[int, tuple[int, ...]]]:
@@ -318,21 +345,7 @@ _SLOWER = 1.05  # periods may differ that much before resampling counts as going
 
 
 def resample(table: Table, to: float | np.ndarray, *, max_gap: float | None = None) -> Table:
-    """Return the table at other times: real and angle linear, pose and quaternion geodesic, count, flag and text held.
-
-    ``x(t) = (1 - s) x_i + s x_{i+1}`` with ``s = (t - t_i) / (t_{i+1} - t_i)``; a time that exists keeps its values.
-
-    Parameters
-    ----------
-    table : what to resample.
-    to : rate [Hz], or increasing times (M,) [s] inside the table.
-    max_gap : a longer gap between rows [s] is not bridged, NaN there; three median periods when None.
-
-    Raises
-    ------
-    ShapeError : the rate goes down (that needs a filter) or up beyond all sense, a time lies outside the table, fewer
-        than two rows.
-    """
+    """Return `Table.resample`."""
     if len(table) < 2:
         raise ShapeError(f"Expected at least two rows to resample, got {len(table)}.")
     period = float(np.median(np.diff(table.t)))
@@ -350,22 +363,7 @@ def resample(table: Table, to: float | np.ndarray, *, max_gap: float | None = No
 
 
 def join(table: Table, other: Table, *, fill: str = "hold", max_age: float | None = None) -> Table:
-    """Return a table with the columns of another brought to its clock, and the age of each as ``<name>_age``.
-
-    Both clocks are placed on the wall clock when both tables know theirs (`t0_ns`).
-
-    Parameters
-    ----------
-    table : gives the rows.
-    other : gives the columns; names that both have are refused.
-    fill : "hold" takes the last row at or before; "linear" interpolates as `resample` does.
-    max_age : an older value is missing; any age is taken when None. With "linear", the longest gap bridged.
-
-    Raises
-    ------
-    ShapeError : a column, or its age, exists in both.
-    UnknownName : another way of filling.
-    """
+    """Return `Table.join`."""
     if fill not in ("hold", "linear"):
         raise UnknownName.among("way of filling", fill, ("hold", "linear"))
     double = [name for name in other.names if name in table or f"{name}_age" in table]

@@ -22,9 +22,7 @@ FEW = 0.01  # share of rows with a position out there that may be glitches, not 
 def has_moved(q: np.ndarray, robot: Robot) -> np.ndarray:
     """Return the joints (n,) whose position changed by at least one degree, or 5 mm.
 
-    Parameters
-    ----------
-    q : (N, n), finite, N at least 1. robot : says which joints slide.
+    `q`: (N, n), finite, N at least 1.
     """
     return np.ptp(q, axis=0) >= np.where(robot.prismatic, *MOVED)
 
@@ -34,13 +32,7 @@ def check_known(q: np.ndarray, tau: np.ndarray, robot: Robot) -> None:
 
     Less than is asked of a log to identify from: the arm may rest, a few rows may be wrong, a joint may have no torque.
 
-    Parameters
-    ----------
-    q, tau : (N, n) positions and torques; rows that are not finite do not count. robot : its limits and gears.
-
-    Raises
-    ------
-    ShapeError : positions in degrees or of the motors. NotExcited : joints moved, and no torque ever changed.
+    `q`, `tau`: (N, n) positions and torques; rows that are not finite do not count.
     """
     whole = np.isfinite(q).all(axis=1) & np.isfinite(tau).all(axis=1)
     q, tau = q[whole], tau[whole]
@@ -55,13 +47,7 @@ def check_known(q: np.ndarray, tau: np.ndarray, robot: Robot) -> None:
 def check_position(q: np.ndarray, robot: Robot, few: float = 0.0) -> None:
     """Refuse positions in degrees, or of the motors: far outside the limits, and inside them by a known factor.
 
-    Parameters
-    ----------
-    q : (N, n) [rad, m]. robot : its limits and gears. few : share of the rows that may be out there.
-
-    Raises
-    ------
-    ShapeError : names the joints and the factor.
+    `q`: (N, n) [rad, m]; `few`: share of the rows that may be out there.
     """
     limit = np.maximum(np.abs(robot.q_min), np.abs(robot.q_max))
     peak = np.abs(q).max(axis=0)
@@ -93,14 +79,8 @@ def _side(times: float, joint: int | np.intp, robot: Robot) -> str:
 def check_velocity(slope: np.ndarray, qd: np.ndarray, moved: np.ndarray, robot: Robot) -> None:
     """Refuse a velocity that is not the derivative of the position: wrong sign, unit, side or joint order.
 
-    Parameters
-    ----------
-    slope : (N, n) derivative of position. qd : (N, n) velocity; both low-passed alike.
-    moved : (n,) joints that moved; at rest there is nothing to compare. robot : names and gears.
-
-    Raises
-    ------
-    ShapeError : names the joints, the factor and what it looks like.
+    `slope`: (N, n) derivative of position; `qd`: (N, n) velocity; both low-passed alike; `moved`: (n,) joints that
+    moved; at rest there is nothing to compare.
     """
     power = np.sum(slope**2, axis=0) + 1e-300
     gain = np.sum(slope * qd, axis=0) / power
@@ -150,13 +130,7 @@ def check_torque(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot)
     With masses in the robot file, torque is compared with the weight of the links. Without, with the reach: half the
     range of torque over ``g reach^4`` is 1 to 60 kg/m^3 on arms from 0.5 to 300 kg of payload.
 
-    Parameters
-    ----------
-    q, tau : (N, n) position and torque. used : (n,) joints whose torque is fitted. robot : gears, masses, reach.
-
-    Raises
-    ------
-    NotExcited : constant torque. ShapeError : torque of the motor side, with the factor of each joint.
+    `q`, `tau`: (N, n) position and torque; `used`: (n,) joints whose torque is fitted.
     """
     _check_constant(tau, used, robot)
     sized = _against_links(q, tau, used, robot) if robot.inertias is not None else _against_reach(tau, used, robot)

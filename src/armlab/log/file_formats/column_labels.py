@@ -63,16 +63,7 @@ NUMBERED = re.compile(
 
 
 def names_of(path: Path, headings: Sequence[str]) -> list[tuple[str, str]]:
-    """Return name and unit, "" for none, of each heading: "q1 [deg]" and "q1[deg]" are q1 in deg.
-
-    Parameters
-    ----------
-    path : that the error names. headings : a leading "- ", as some ROS exports have, is dropped.
-
-    Raises
-    ------
-    LogError : a name that comes twice, or none.
-    """
+    """Return name and unit, "" for none, of each heading: "q1 [deg]" and "q1[deg]" are q1 in deg."""
     result, seen = [], set()
     for label in headings:
         found = HEADING.match(label.removeprefix("- "))
@@ -97,20 +88,9 @@ def labelled_table(
 ) -> Table:
     """Return the table of columns with units of their own; rows whose time does not advance are dropped and counted.
 
-    Parameters
-    ----------
-    path : where they are from. arrays : name -> values (N, ...) and unit, "" for none; t or time is the clock.
-    rate : [Hz] where there is no clock. every : keep every so many rows.
-    notes : of the reader. row : what the file calls the row of a number, for notes and errors.
-    raw : keep rows whose time does not advance.
-
-    Returns
-    -------
-    Table : t = 0 at the first row.
-
-    Raises
-    ------
-    LogError : no clock, a unit that is not known, columns that the glossary has otherwise.
+    `arrays`: name -> values (N, ...) and unit, "" for none; t or time is the clock; `rate`: [Hz] where there is no
+    clock.
+    Returned: t = 0 at the first row.
     """
     values, columns = _in_si(path, arrays)
     t = _clock(path, values, columns, rate, row)
@@ -244,14 +224,7 @@ def foreign_table(
     The clock is t, time or timestamp. Other arrays have as many rows, or as many columns: they are transposed. Names of
     the ancestors' logs are read as ours. What has another size is left out, and named in the notes.
 
-    Parameters
-    ----------
-    path : where they are from. arrays : name -> values and unit, "" for none.
-    left_out : names of what was not read, for the notes. raw : keep rows whose time does not advance.
-
-    Raises
-    ------
-    LogError : no clock, a unit that is not known, columns that the glossary has otherwise.
+    `arrays`: name -> values and unit, "" for none.
     """
     named = {OLD_NAMES.get(name, name): entry for name, entry in arrays.items()}
     clock = next((name for name in CLOCKS if name in named and _is_line(named[name][0])), None)

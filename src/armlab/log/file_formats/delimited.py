@@ -41,16 +41,7 @@ _PIECE = 1 << 16
 
 
 def open_text(path: Path) -> BinaryIO:
-    """Open a text file, packed or not; what is read of a packed one is bounded.
-
-    Parameters
-    ----------
-    path : of the file.
-
-    Raises
-    ------
-    LogError : another format, or it unpacks to far more than its size. OSError : no file.
-    """
+    """Open a text file, packed or not; what is read of a packed one is bounded."""
     with path.open("rb") as file:
         found = format_of(file.read(FIRST))
     if found not in ("text", "gzip"):
@@ -63,17 +54,7 @@ def open_text(path: Path) -> BinaryIO:
 
 
 def rows_in(path: Path, separator: str) -> Iterator[list[str]]:
-    """Yield the fields of each line of a text file, packed or not.
-
-    Parameters
-    ----------
-    path : of the file. separator : between fields.
-
-    Raises
-    ------
-    LogError : no file, no text in UTF-8, a line of more than `LONGEST` characters, a packed file that unpacks to far
-        more than its size.
-    """
+    """Yield the fields of each line of a text file, packed or not."""
     try:
         with open_text(path) as raw, io.TextIOWrapper(raw, encoding="utf-8-sig", newline="") as file:
             yield from csv.reader(_lines(file, path), delimiter=separator)
@@ -117,12 +98,7 @@ def describe(table: Table) -> str:
 
 
 def read_sidecar(path: Path) -> Description | None:
-    """Return what the file beside a CSV file says, None where there is none.
-
-    Raises
-    ------
-    LogError : it cannot be read; says where.
-    """
+    """Return what the file beside a CSV file says, None where there is none."""
     beside = sidecar_path(path)
     try:
         return msgspec.convert(parsed(beside.read_text(encoding="utf-8")), Description)
@@ -210,13 +186,7 @@ def read_csv(
 def rows_of(path: Path, separator: str, count: int | None = None) -> list[list[str]]:
     """Return the fields of the lines of a text file, packed or not.
 
-    Parameters
-    ----------
-    path : of the file. separator : between fields. count : of the first lines; of all when None.
-
-    Raises
-    ------
-    LogError : see `rows_in`.
+    `count`: of the first lines; of all when None.
     """
     return list(islice(rows_in(path, separator), count))
 
@@ -245,12 +215,7 @@ def _numbers_only(path: Path, skip: int, separator: str) -> list[np.ndarray] | N
 
 
 def _decoded(text: bytes, separator: str) -> list[list[Any]]:
-    """Return the fields of some lines; None is an empty one.
-
-    Raises
-    ------
-    ValueError : something else than numbers. DecodeError : numbers that JSON has not.
-    """
+    """Return the fields of some lines; None is an empty one."""
     mark = separator.encode()
     if text.translate(None, _NUMERIC.replace(b",", mark)) or separator in ".eE+-0123456789":
         raise ValueError("no numbers")
@@ -401,16 +366,7 @@ ROWS_PER_BLOCK = 10_000  # rows
 
 
 def write_csv(table: Table, file: BinaryIO, progress: Progress) -> None:
-    """Write one line of headings, ``t [s],q1 [rad],...``, and one line per row; the shortest digits that read back.
-
-    Parameters
-    ----------
-    table : to write. file : opened for writing. progress : is told the rows.
-
-    Raises
-    ------
-    OSError : the file cannot be written.
-    """
+    """Write one line of headings, ``t [s],q1 [rad],...``, and one line per row; the shortest digits that read back."""
     file.write(b",".join(_quoted(label) for label in Description.of(table).labels()) + b"\n")
     columns = [values for _, _, values in components(table)]
     for start, stop in pairwise([*range(0, len(table), ROWS_PER_BLOCK), len(table)]):

@@ -84,15 +84,8 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def table(self, path: Path, t: np.ndarray, values: Mapping[str, np.ndarray]) -> Table:
         """Return the table that was written to a file.
 
-        Parameters
-        ----------
-        path : the file, with which the source of the table goes on.
-        t : (N,). values : all columns or some, of any shape with as many values. Nobody else may hold these arrays: the
-            table takes them without a copy.
-
-        Raises
-        ------
-        LogError : values that the description does not fit.
+        `t`: (N,); `values`: all columns or some, of any shape with as many values. Nobody else may hold these arrays:
+        the table takes them without a copy.
         """
         described = self.described()
         try:
@@ -124,16 +117,7 @@ def _columns(columns: Mapping[str, Column]) -> dict[str, _Column]:
 
 
 def of_json(text: str | bytes, path: Path) -> Description:
-    """Return the description in a text of `Description.json`.
-
-    Parameters
-    ----------
-    text : in which other entries are left out. path : that the error names.
-
-    Raises
-    ------
-    LogError : it cannot be read.
-    """
+    """Return the description in a text of `Description.json`."""
     try:
         entries = json.loads(text)
         known = {name: entries[name] for name in Description.__struct_fields__ if name in entries}
@@ -173,9 +157,7 @@ def put_together(about: Description, parts: Sequence[np.ndarray], rows: int) -> 
 def distinct(wanted: Mapping[Key, str], taken: Iterable[str] = ()) -> dict[Key, str]:
     """Return names of which none comes twice or is taken: the later of equal ones have "_2", "_3", ... behind them.
 
-    Parameters
-    ----------
-    wanted : key -> name; keys that are their own names come first. taken : names that none may have.
+    `wanted`: key -> name; keys that are their own names come first; `taken`: names that none may have.
     """
     used, found = set(taken), {}
     for key in sorted(wanted, key=lambda key: wanted[key] != key):

@@ -26,16 +26,7 @@ CHUNK = 1 << 18  # bytes: what a reader of a few rows unpacks
 
 
 def write_hdf5(table: Table, file: BinaryIO, progress: Progress) -> None:
-    """Write a dataset per column, shuffled and packed by gzip, with attributes unit, kind, frame and labels, if any.
-
-    Parameters
-    ----------
-    table : to write. file : opened for writing, after all is packed in memory. progress : is told the columns.
-
-    Raises
-    ------
-    MissingExtra : h5py is not installed. OSError : the file cannot be written.
-    """
+    """Write a dataset per column, shuffled and packed by gzip, with attributes unit, kind, frame and labels, if any."""
     h5py = needed("h5py", "for HDF5")
     names = distinct({name: name.replace("/", "_").strip(".") or "_" for name in table.names}, ["t"])
     about = msgspec.structs.asdict(Description.of(table))
@@ -81,18 +72,7 @@ def _dataset(h5py: Any, whole: Any, name: str, array: np.ndarray) -> Any:
 
 
 def read_hdf5(path: Path, columns: Sequence[str] | None = None, *, raw: bool = False) -> Table:
-    """Return the table in an HDF5 file: one of `write_hdf5`, or the datasets of another program by `foreign_table`.
-
-    Parameters
-    ----------
-    path : of the file. columns : read only these of a file of ours. raw : keep rows whose time does not advance.
-
-    Raises
-    ------
-    LogError : a damaged file, far too large arrays, no clock, or what its attributes do not fit.
-    MissingExtra : h5py is not installed.
-    UnknownName : a column that the file does not have.
-    """
+    """Return the table in an HDF5 file: one of `write_hdf5`, or the datasets of another program by `foreign_table`."""
     h5py = needed("h5py", f"to read {path}, a file in HDF5")
     try:
         with h5py.File(path, "r") as whole:

@@ -42,14 +42,6 @@ def variables_in(data: bytes) -> dict[str, np.ndarray | None]:
     """Return the variables of a file: real numbers as stored, texts and cells of texts, None for others.
 
     Arrays share the memory of the file and cannot be written to.
-
-    Parameters
-    ----------
-    data : the whole file.
-
-    Raises
-    ------
-    LogError : it is damaged, or unpacks to more than 64 MiB and 200 times its size. ValueError : it is damaged.
     """
     order = {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER])
     if order is None:
@@ -211,16 +203,7 @@ def read_mat(path: str | Path, name: str | None = None) -> dict[str, np.ndarray]
 
 
 def read_variables(path: Path) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Return the arrays of real numbers and of text in a MAT file by name, and the names of what else it has.
-
-    Parameters
-    ----------
-    path : of the file, v5 to v7.3. A text is an array (1, 1); of v7.3 no cells of text are read.
-
-    Raises
-    ------
-    LogError : no MAT file, or a truncated one. MissingExtra : v7.3 without h5py.
-    """
+    """Return the arrays of real numbers and of text in a MAT file by name, and the names of what else it has."""
     try:
         with path.open("rb") as file:
             head = file.read(1024)
@@ -285,26 +268,12 @@ KEYWORDS = (
 
 
 def matlab_names(names: Iterable[str]) -> dict[str, str]:
-    """Return the variable of each column: its name where MATLAB allows that, else one like it.
-
-    Parameters
-    ----------
-    names : of the columns.
-    """
+    """Return the variable of each column: its name where MATLAB allows that, else one like it."""
     return distinct({name: _valid(name) for name in names}, TAKEN)
 
 
 def write_mat(table: Table, file: BinaryIO, progress: Progress) -> None:
-    """Write a MAT file of version 5.
-
-    Parameters
-    ----------
-    table : to write. file : opened for writing. progress : is told the bytes.
-
-    Raises
-    ------
-    LogError : a column of 2 GB or more. OSError : the file cannot be written.
-    """
+    """Write a MAT file of version 5."""
     from scipy.io import savemat
 
     for name in ("t", *table.names):
@@ -326,16 +295,7 @@ def write_mat(table: Table, file: BinaryIO, progress: Progress) -> None:
 
 
 def read_mat_table(path: Path, *, raw: bool = False) -> Table:
-    """Return the table in a MAT file: one of `write_mat`, or the arrays of another program by `foreign_table`.
-
-    Parameters
-    ----------
-    path : of the file, v5 to v7.3. raw : keep rows whose time does not advance.
-
-    Raises
-    ------
-    LogError : a damaged file, no clock, or what the description in it does not fit. MissingExtra : v7.3 without h5py.
-    """
+    """Return the table in a MAT file: one of `write_mat`, or the arrays of another program by `foreign_table`."""
     found, left_out = read_variables(path)
     text = found.get("armlab")
     if text is None or text.dtype.kind != "U" or text.shape != (1, 1):

@@ -77,12 +77,7 @@ def bag_files(folder: Path) -> list[Path]:
 
 
 def check_readable(path: str | Path) -> None:
-    """Check that a file is there and is a recording in MCAP.
-
-    Raises
-    ------
-    LogError : the file is missing, empty, a pipe or of another format; says which was expected and which came.
-    """
+    """Check that a file is there and is a recording in MCAP."""
     try:
         if Path(path).is_fifo():  # opening it would wait for a writer
             raise LogError(f"Expected a log at {path}, got a pipe; a log is read in any order, so it must be a file.")
@@ -114,12 +109,7 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def opened(path: Path) -> Iterator[memoryview]:
-    """Map a file into memory.
-
-    Raises
-    ------
-    LogError : it cannot be opened.
-    """
+    """Map a file into memory."""
     try:
         with path.open("rb") as file:
             mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
@@ -135,17 +125,7 @@ _ANY, _RATIO = (
 
 
 def check_unpacked_size(path: Path, size: int) -> None:
-    """Refuse a file whose arrays are far larger than itself.
-
-    Parameters
-    ----------
-    path : of the file.
-    size : bytes of its arrays, as it tells them.
-
-    Raises
-    ------
-    LogError : more than 64 MiB and 1000 times the file.
-    """
+    """Refuse a file whose arrays are far larger than itself."""
     most = max(_ANY, _RATIO * path.stat().st_size)
     if size > most:
         raise LogError(
@@ -155,16 +135,7 @@ def check_unpacked_size(path: Path, size: int) -> None:
 
 
 def needed(module: str, purpose: str, otherwise: str = "") -> Any:
-    """Return a module of the extra `data`.
-
-    Parameters
-    ----------
-    module : its name. purpose : what it is needed for. otherwise : what else can be done, from "or".
-
-    Raises
-    ------
-    MissingExtra : it is not installed; says how to.
-    """
+    """Return a module of the extra `data`."""
     try:
         return import_module(module)
     except ImportError:

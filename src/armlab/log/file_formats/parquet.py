@@ -18,16 +18,7 @@ ROWS = 150_000  # of a group: ten minutes at 250 Hz
 
 
 def write_parquet(table: Table, file: BinaryIO, progress: Progress) -> None:
-    """Write columns t, q1, q2, ... packed by zstd, bytes of numbers split into streams, units in the fields' metadata.
-
-    Parameters
-    ----------
-    table : to write. file : opened for writing. progress : is told the rows.
-
-    Raises
-    ------
-    MissingExtra : pyarrow is not installed. OSError : the file cannot be written.
-    """
+    """Write columns t, q1, q2, ... packed by zstd, bytes of numbers split into streams, units in the fields' metadata."""
     pa, parquet = needed("pyarrow", "for Parquet"), needed("pyarrow.parquet", "for Parquet")
     parts = list(components(table))
     labels = list(distinct({place: label for place, (label, _, _) in enumerate(parts)}).values())
@@ -49,18 +40,7 @@ def write_parquet(table: Table, file: BinaryIO, progress: Progress) -> None:
 
 
 def read_parquet(path: Path, columns: Sequence[str] | None = None, *, raw: bool = False) -> Table:
-    """Return the table in a Parquet file: one of `write_parquet`, or the columns of another program.
-
-    Parameters
-    ----------
-    path : of the file. columns : read only these of a file of ours. raw : keep rows whose time does not advance.
-
-    Raises
-    ------
-    LogError : a damaged file, far too large arrays, no clock, a unit that is not known.
-    MissingExtra : pyarrow is not installed.
-    UnknownName : a column that the file does not have.
-    """
+    """Return the table in a Parquet file: one of `write_parquet`, or the columns of another program."""
     what = f"to read {path}, a file in Parquet"
     pa, parquet = needed("pyarrow", what), needed("pyarrow.parquet", what)
     try:

@@ -62,12 +62,7 @@ def whole_poses(table: Table) -> list[str]:
 
 
 def topics_of(columns: Mapping[str, Column], poses: Iterable[str]) -> list[BagTopic]:
-    """Return the topics of a table; the same ones when it is read.
-
-    Parameters
-    ----------
-    columns : their descriptions. poses : those of `whole_poses`.
-    """
+    """Return the topics of a table; the same ones when it is read."""
     rest, topics = dict(columns), [BagTopic("/t", "std_msgs/msg/Float64", {"t": ("data",)})]
     for ending in ("", "_ref", "_sent"):
         parts = {f"{name}{ending}": field for name, field in (("q", "position"), ("qd", "velocity"), ("tau", "effort"))}
@@ -83,10 +78,7 @@ def topics_of(columns: Mapping[str, Column], poses: Iterable[str]) -> list[BagTo
 def messages_of(topic: BagTopic, table: Table, stamps: np.ndarray, joint_names: Sequence[str] = ()) -> Iterator[bytes]:
     """Yield the message of each row.
 
-    Parameters
-    ----------
-    topic : which. table : its rows. stamps : (N,) wall clock of each [ns].
-    joint_names : of a JointState; those of the columns' labels by default.
+    `stamps`: (N,) wall clock of each [ns]; `joint_names`: of a JointState; those of the columns' labels by default.
     """
     if topic.type == TEXT:
         (name,) = topic.fields
@@ -107,16 +99,7 @@ def messages_of(topic: BagTopic, table: Table, stamps: np.ndarray, joint_names: 
 
 
 def columns_of(topic: BagTopic, columns: Mapping[str, Column], raws: Sequence[bytes]) -> dict[str, np.ndarray]:
-    """Return the columns (N, ...) in the messages of a topic.
-
-    Parameters
-    ----------
-    topic : which. columns : descriptions of its columns. raws : its messages, one per row.
-
-    Raises
-    ------
-    LogError : messages of another form.
-    """
+    """Return the columns (N, ...) in the messages of a topic."""
     if topic.type == TEXT:
         (name,) = topic.fields
         return {name: _texts(raws, columns[name].shape)}
@@ -233,14 +216,7 @@ def write_rosbag2(
 ) -> None:
     """Write a folder with metadata.yaml and one file of messages; all types are standard ones of ROS 2.
 
-    Parameters
-    ----------
-    table : to write. folder : must not exist. storage : one of `STORAGES`. progress : is told the rows.
-    joint_names : in JointState messages; those of the columns' labels by default.
-
-    Raises
-    ------
-    UnknownName : another storage. LogError : times beyond what ROS holds. OSError : the folder cannot be written.
+    `folder`: must not exist; `joint_names`: in JointState messages; those of the columns' labels by default.
     """
     import sqlite3
 
@@ -296,16 +272,7 @@ def is_ours(folder: Path) -> bool:
 
 
 def read_rosbag2(path: Path) -> Table:
-    """Return the table in a rosbag2 that `write_rosbag2` has written.
-
-    Parameters
-    ----------
-    path : of the folder.
-
-    Raises
-    ------
-    LogError : a damaged bag, or one of another program; lists its topics.
-    """
+    """Return the table in a rosbag2 that `write_rosbag2` has written."""
     from rosbags.rosbag2 import Reader
 
     try:

@@ -62,11 +62,6 @@ def decode_chunks(
     """Return the messages in several chunks, decoded as if they were one.
 
     Without whole indexes, or where one is wrong, the records are walked.
-
-    Parameters
-    ----------
-    view : bytes of the file. chunks : with their records, unpacked.
-    readers : by channel. indexed : the indexes of the chunks name every message.
     """
     raw = np.frombuffer(b"".join(data for _, data in chunks), dtype=np.uint8)
     begin = np.cumsum([0, *(len(data) for _, data in chunks)])
@@ -147,12 +142,7 @@ _TRIES = 8  # chunks in which the first messages of the channels are looked for
 
 
 class Room:
-    """Arrays for the messages of some channels.
-
-    Parameters
-    ----------
-    view : bytes of the file. chunks : of it, in order. readers : by channel.
-    """
+    """Arrays for the messages of some channels."""
 
     def __init__(self, view: memoryview, chunks: Sequence[Chunk], readers: Mapping[int, MessageReader]) -> None:
         self._columns: dict[int, _Columns] = {}
@@ -169,12 +159,7 @@ class Room:
         self._copier = MessageCopier([one.told(number) for number, one in self._columns.items()])
 
     def copy(self, place: int, data: bytes) -> dict[int, range]:
-        """Copy the messages of a chunk; return the rows of the channels whose messages all are as expected.
-
-        Parameters
-        ----------
-        place : of the chunk among all. data : its records, unpacked.
-        """
+        """Copy the messages of a chunk; return the rows of the channels whose messages all are as expected."""
         first, count = self._first[place], self._count[place]
         copied = self._copier.copy(data, first, count)
         return {
@@ -199,11 +184,9 @@ class Room:
 class _Columns:
     """Arrays of one channel.
 
-    Attributes
-    ----------
-    first, count : row of the first message of each chunk, and how many it has; -1 where its index cannot be true.
-    message, fixed, places : an example, the bytes in it that all messages have, and those of the numbers.
-    sequence, log_ns, numbers : (N,) of the messages; by dotted name (N, count) in the file's byte order.
+    `first`, `count`: row of the first message of each chunk, and how many it has; -1 where its index cannot be true;
+    `message`, `fixed`, `places`: an example, the bytes in it that all messages have, and those of the numbers;
+    `sequence`, `log_ns`, `numbers`: (N,) of the messages; by dotted name (N, count) in the file's byte order.
     """
 
     first: list[int]
@@ -274,10 +257,8 @@ _BATCH = 2_000_000  # bytes of records read at once: amortises calls, stays in t
 class Decoded:
     """The messages of one channel.
 
-    Attributes
-    ----------
-    sequence, log_ns : (N,) sequence numbers and log times.
-    fields : dotted name -> (N, count); NaN where a message does not have it.
+    `sequence`, `log_ns`: (N,) sequence numbers and log times; `fields`: dotted name -> (N, count); NaN where a message
+    does not have it.
     """
 
     sequence: np.ndarray
@@ -290,16 +271,7 @@ def decode(
 ) -> tuple[dict[int, Decoded], list[str]]:
     """Return the wanted fields of the wanted channels, and one sentence per damaged chunk or channel.
 
-    Parameters
-    ----------
-    view : bytes of the file.
-    found : its contents.
-    wanted : channel -> dotted names of fields.
-    progress : is told the bytes.
-
-    Raises
-    ------
-    LogError : the schema of a wanted channel cannot be read.
+    `wanted`: channel -> dotted names of fields.
     """
     readers = {}
     for number, paths in wanted.items():
@@ -314,12 +286,7 @@ def decode(
 def decode_by(
     view: memoryview, found: Contents, readers: Mapping[int, MessageReader], progress: Progress | None = None
 ) -> tuple[dict[int, Decoded], list[str]]:
-    """Return what the readers of some channels read, and one sentence per damaged chunk or channel.
-
-    Parameters
-    ----------
-    view, found, progress : as in `decode`. readers : by channel.
-    """
+    """Return what the readers of some channels read, and one sentence per damaged chunk or channel."""
     chunks = [chunk for chunk in found.chunks if not found.indexed or chunk.indexes.keys() & readers.keys()]
     reading = _Reading(view, chunks, readers, found.indexed, Room(view, chunks, readers))
     parts: dict[int, list[range | Part]] = {number: [] for number in readers}

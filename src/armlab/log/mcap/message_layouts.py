@@ -55,10 +55,8 @@ class MessageReader:
 class Read:
     """Messages without those that do not fit their type.
 
-    Attributes
-    ----------
-    rows : (k,) of all messages, in order. pieces : numbers, by layout, of rows of these.
-    bad : how many do not fit. reason : why the first of them does not.
+    `rows`: (k,) of all messages, in order; `pieces`: numbers, by layout, of rows of these; `bad`: how many do not fit;
+    `reason`: why the first of them does not.
     """
 
     rows: np.ndarray
@@ -92,9 +90,7 @@ def read_blocks(count: int, blocks: Iterable[tuple[np.ndarray, np.ndarray]], rea
 
     A message is walked only where its layout is a new one or it fits none, so the time is bounded by the bytes.
 
-    Parameters
-    ----------
-    count : of all messages. blocks : rows (k,) and bytes (k, length) of those of each length.
+    `blocks`: rows (k,) and bytes (k, length) of those of each length.
     """
     pieces: list[Piece] = []
     bad = _Bad()
@@ -192,12 +188,7 @@ def joined(pieces: Iterable[Piece]) -> list[Piece]:
 
 
 def assembled(count: int, pieces: Sequence[Piece]) -> Values:
-    """Put the numbers of several layouts into their rows; NaN where a layout has none.
-
-    Raises
-    ------
-    LogError : hardly anything but NaN.
-    """
+    """Put the numbers of several layouts into their rows; NaN where a layout has none."""
     places = [_place(rows) for rows, _ in pieces]
     if len(pieces) == 1 and isinstance(places[0], slice):
         return pieces[0][1]

@@ -43,22 +43,12 @@ class Chunk:
 
 
 def most_unpacked(size: int) -> int:
-    """Return the bytes that all chunks of a file may unpack to.
-
-    Parameters
-    ----------
-    size : bytes of the file.
-    """
+    """Return the bytes that all chunks of a file may unpack to."""
     return max(_UNPACKED, _RATIO * size)
 
 
 def end_of_blocks(view: memoryview, at: int) -> int:
-    """Return where the last whole block of the zstd frame at this place ends; `at` when there is none.
-
-    Raises
-    ------
-    LogError : no such frame begins there.
-    """
+    """Return where the last whole block of the zstd frame at this place ends; `at` when there is none."""
     import zstandard
 
     header = bytes(view[at : at + 18])
@@ -80,12 +70,7 @@ def end_of_blocks(view: memoryview, at: int) -> int:
 
 
 def unpacked(view: memoryview, chunk: Chunk) -> bytes:
-    """Return the records of a chunk.
-
-    Raises
-    ------
-    LogError : the chunk is damaged (size, checksum) or compressed in an unknown way.
-    """
+    """Return the records of a chunk."""
     start, stop = chunk.data
     most = min(_MAX_OPEN if chunk.is_open else _MAX_CHUNK, most_unpacked(len(view)))
     if chunk.is_open:
@@ -199,14 +184,10 @@ class Attached:
 class Contents:
     """What an MCAP file contains.
 
-    Attributes
-    ----------
-    finished : the file ends with a footer. torn : bytes after the last whole record.
-    indexed : the summary is whole, so the indexes of the chunks name every message.
-    profile, library : of the header.
-    channels, chunks, attachments, metadata : by channel number; in order; in order; by name.
-    loose : places [start, stop) of messages outside chunks.
-    damaged : kind of each record left out because it is damaged, and a sentence.
+    `finished`: the file ends with a footer; `torn`: bytes after the last whole record; `indexed`: the summary is whole,
+    so the indexes of the chunks name every message; `profile`, `library`: of the header; `channels`, `chunks`,
+    `attachments`, `metadata`: by channel number; in order; in order; by name; `loose`: places [start, stop) of messages
+    outside chunks; `damaged`: kind of each record left out because it is damaged, and a sentence.
     """
 
     finished: bool = False
@@ -224,12 +205,7 @@ class Contents:
 
 
 def contents(view: memoryview) -> Contents:
-    """Return what the file contains, by its summary where that is whole, else record by record.
-
-    Raises
-    ------
-    LogError : the bytes are not an MCAP file, its header is damaged, or it unpacks to far more than its size.
-    """
+    """Return what the file contains, by its summary where that is whole, else record by record."""
     if bytes(view[: len(MAGIC)]) != MAGIC:
         raise LogError(f"Expected an MCAP file, got {bytes(view[:8]).hex(' ') or 'nothing'} at its beginning.")
     try:

@@ -22,14 +22,7 @@ _MESSAGE = struct.Struct("<HIQQ")
 def new_file(target: Path, part: Path, *, replace: bool) -> Iterator[BinaryIO]:
     """Open a file under another name; it gets its own when the block has ended well, else nothing is left.
 
-    Parameters
-    ----------
-    target : the file. part : name until it is whole, in the same folder; must be free.
-    replace : a file that exists is replaced; else it is refused, also one that comes in the meantime.
-
-    Raises
-    ------
-    LogError : it cannot be created or written, or exists.
+    `part`: name until it is whole, in the same folder; must be free.
     """
     try:
         file = part.open("xb", buffering=0)  # never over a file, which may be the one that is read
@@ -48,12 +41,7 @@ def new_file(target: Path, part: Path, *, replace: bool) -> Iterator[BinaryIO]:
 
 
 def _rename(part: Path, target: Path) -> None:
-    """Give the finished copy its name, unless something has got it in the meantime.
-
-    Raises
-    ------
-    FileExistsError : it has. OSError : the name cannot be given.
-    """
+    """Give the finished copy its name, unless something has got it in the meantime."""
     try:
         os.link(part, target)  # never over a file, as a rename would
     except FileExistsError:
@@ -64,12 +52,7 @@ def _rename(part: Path, target: Path) -> None:
 
 
 class Registry:
-    """Schemas and channels of a new file: a schema that comes again is not written again.
-
-    Parameters
-    ----------
-    writer : of the file.
-    """
+    """Schemas and channels of a new file: a schema that comes again is not written again."""
 
     def __init__(self, writer: McapWriter) -> None:
         self._writer = writer
@@ -117,11 +100,9 @@ Progress = Callable[[int, int, str], None]
 class Recovery:
     """What `recover` did.
 
-    Attributes
-    ----------
-    path : the whole file. messages : how many it holds. torn : bytes at the end of the original that were lost.
-    lost_chunks : chunks left out because they were damaged. seconds : from the first to the last
-    message, events apart.
+    `path`: the whole file; `messages`: how many it holds; `torn`: bytes at the end of the original that were lost;
+    `lost_chunks`: chunks left out because they were damaged; `seconds`: from the first to the last message, events
+    apart.
     """
 
     path: Path

@@ -117,17 +117,7 @@ class _Index:
 
 
 class McapWriter:
-    """Writes an MCAP file with chunks in zstd, message indexes and a summary.
-
-    Parameters
-    ----------
-    file : opened for writing, at its beginning, and not buffered.
-    profile, library : for the header.
-
-    Raises
-    ------
-    OSError : by every method, when the file cannot be written.
-    """
+    """Writes an MCAP file with chunks in zstd, message indexes and a summary."""
 
     def __init__(self, file: _WritableFile, profile: str, library: str) -> None:
         import zstandard
@@ -160,9 +150,7 @@ class McapWriter:
     def attach(self, log_ns: int, name: str, media_type: str, data: bytes) -> None:
         """Write an attachment.
 
-        Parameters
-        ----------
-        log_ns : its time [ns]. name, media_type, data : what it is.
+        `log_ns`: its time [ns].
         """
         self.close_chunk()
         about = struct.pack("<QQ", log_ns, log_ns)
@@ -174,12 +162,7 @@ class McapWriter:
         self._put(record)
 
     def schema(self, name: str, encoding: str, text: bytes) -> int:
-        """Write a schema and return its number.
-
-        Parameters
-        ----------
-        name, encoding, text : of the message type, of the text, and the text.
-        """
+        """Write a schema and return its number."""
         self.close_chunk()
         number = len(self._schemas) + 1
         body = [struct.pack("<H", number), _text(name), _text(encoding), struct.pack("<I", len(text)), text]
@@ -188,12 +171,7 @@ class McapWriter:
         return number
 
     def channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
-        """Write a channel and return its number.
-
-        Parameters
-        ----------
-        topic, metadata : of the channel. encoding : of its messages. schema : number of its schema.
-        """
+        """Write a channel and return its number."""
         self.close_chunk()
         number = len(self._channels) + 1
         self._channels.append(
@@ -206,9 +184,7 @@ class McapWriter:
     def message(self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes | bytearray) -> None:
         """Add a message to the chunk in progress; it is in the file after `push`.
 
-        Parameters
-        ----------
-        channel, sequence : numbers. log_ns, publish_ns : its times [ns]. data : copied.
+        `log_ns`, `publish_ns`: its times [ns].
         """
         length = _MESSAGE_PREFIX + len(data)
         record = _MESSAGE.pack(MESSAGE, length, channel, sequence, log_ns, publish_ns) + data
@@ -217,10 +193,7 @@ class McapWriter:
     def records(self, data: bytes, entries: Mapping[int, bytes], first_ns: int, last_ns: int) -> None:
         """Add messages that are records already, as `kernels.RowEncoder` makes them, to the chunk in progress.
 
-        Parameters
-        ----------
-        data : the records. entries : of the message index, by channel; the first record is at `size`.
-        first_ns, last_ns : earliest and latest time of the messages [ns].
+        `first_ns`, `last_ns`: earliest and latest time of the messages [ns].
         """
         chunk = self._chunk
         if chunk is None:

@@ -42,11 +42,8 @@ class Source:
 class Rows:
     """The rows of one robot in a recording, those too that its table leaves out.
 
-    Attributes
-    ----------
-    channel : whose messages are the rows. sequence : (N,) their numbers.
-    t : (N,) seconds as in the table. kept : (N,) mask of those that are in it.
-    stamp_ns : (N,) wall clock. t0_ns, clock : as in the table.
+    `channel`: whose messages are the rows; `sequence`: (N,) their numbers; `t`: (N,) seconds as in the table; `kept`:
+    (N,) mask of those that are in it; `stamp_ns`: (N,) wall clock; `t0_ns`, `clock`: as in the table.
     """
 
     channel: int
@@ -64,12 +61,7 @@ def clocks(found: Contents) -> dict[int, str]:
 
 
 def clock_channel(found: Contents, path: Path, robot: str | None) -> int:
-    """Return the channel whose messages are the rows of a robot; the only one when None.
-
-    Raises
-    ------
-    LogError : the file has no columns, or several robots. UnknownName : it has no such robot.
-    """
+    """Return the channel whose messages are the rows of a robot; the only one when None."""
     robots = clocks(found)
     if not robots:
         topics = ", ".join(f"{c.topic} ({c.type})" for c in found.channels.values()) or "none"
@@ -183,16 +175,7 @@ def columns_at(
 
 
 def rows_of(view: memoryview, found: Contents, path: Path, robot: str | None = None) -> Rows:
-    """Return the rows of a robot in a recording, without their columns.
-
-    Parameters
-    ----------
-    view, found : bytes and contents of the file at `path`. robot : name of the arm, needed when there are several.
-
-    Raises
-    ------
-    LogError : it is no recording, or of several robots. UnknownName : no such robot.
-    """
+    """Return the rows of a robot in a recording, without their columns."""
     clock = clock_channel(found, path, robot)
     sources = sources_of(found, clock)
     needed = {name: sources[name] for name in CLOCK_COLUMNS if name in sources}

@@ -41,17 +41,7 @@ class PersistentFile:
     Each call looks first whether the descriptor still belongs to the file. If not, the file is opened again by its
     path, and writing goes on at the same place.
 
-    Parameters
-    ----------
-    path : file that does not exist.
-
-    Attributes
-    ----------
-    name : absolute path. closed : whether `close` was called.
-
-    Raises
-    ------
-    FileExistsError : the file exists. OSError : by every method, when the file cannot be written.
+    `name`: absolute path; `closed`: whether `close` was called.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -107,12 +97,7 @@ _PARAMETER_TYPE = "armlab_msgs/msg/Parameter"
 
 
 def recording_path(path: str | Path) -> Path:
-    """Return the name of a recording as a path.
-
-    Raises
-    ------
-    ConfigError : it does not end in .mcap, so that it says of the file what is not true.
-    """
+    """Return the name of a recording as a path."""
     path = Path(path)
     if path.suffix.lower() != ".mcap":
         raise ConfigError(
@@ -125,13 +110,7 @@ def recording_path(path: str | Path) -> Path:
 def open_new(path: str | Path) -> tuple[PersistentFile, Path]:
     """Open a file that does not exist yet: ``run.mcap``, else ``run-2.mcap``, ``run-3.mcap``, ...
 
-    Returns
-    -------
-    The open file, not buffered, and its path.
-
-    Raises
-    ------
-    LogError : the file cannot be created; says why.
+    Returned: The open file, not buffered, and its path.
     """
     path = Path(path)
     number, candidate = 1, path
@@ -152,13 +131,8 @@ class RecordingFile:
 
     After construction header, metadata, attachments, schemas and channels are on the disk.
 
-    Parameters
-    ----------
-    path : wanted name; `path` holds the real one.
-    robot, layout : the arm and the layout of its rows.
-    attachments : name -> bytes; the robot's description, robot.toml, is there without.
-    note : the user's.
-    clock : of a layout with a column `t`: wall clock of t = 0 [ns], and whose clock `t` is.
+    `attachments`: name -> bytes; the robot's description, robot.toml, is there without; `clock`: of a layout with a
+    column `t`: wall clock of t = 0 [ns], and whose clock `t` is.
     """
 
     def __init__(
@@ -212,10 +186,8 @@ class RecordingFile:
     def write(self, rows: Sequence[bytes], first: int | None = None) -> None:
         """Write the messages of some rows: they survive the end of this process.
 
-        Parameters
-        ----------
-        rows : as the layout packs them. first : number of the first, by which a reader puts the messages of a row
-            together, and from which is counted on; None takes the numbers of the ticks.
+        `first`: number of the first, by which a reader puts the messages of a row together, and from which is counted
+        on; None takes the numbers of the ticks.
         """
         if self._opening and rows:
             self._open(_stamp(rows[0]))

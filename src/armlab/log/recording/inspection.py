@@ -55,12 +55,10 @@ class Topic:
 class Inspection:
     """What a recording holds besides its table.
 
-    Attributes
-    ----------
-    path, size : the file and its bytes. finished, torn : closed properly; bytes torn off at the end.
-    metadata : records of string maps by name; "armlab" says what wrote the file, for which robot.
-    topics, events, parameters : in order. attachments : bytes by name.
-    summary : counts written at the end, empty if there is none. robots : whose rows it holds.
+    `path`, `size`: the file and its bytes; `finished`, `torn`: closed properly; bytes torn off at the end; `metadata`:
+    records of string maps by name; "armlab" says what wrote the file, for which robot; `topics`, `events`,
+    `parameters`: in order; `attachments`: bytes by name; `summary`: counts written at the end, empty if there is none;
+    `robots`: whose rows it holds.
     """
 
     path: Path

@@ -37,12 +37,7 @@ _TOP = " "  # name of a section for what comes before the first of an INI file
 
 
 def redacted(name: str, data: bytes) -> bytes:
-    """Return a file without its secrets.
-
-    Parameters
-    ----------
-    name : of the file; TOML, JSON, YAML and INI are looked at, others stay as they are. data : its bytes.
-    """
+    """Return a file without its secrets."""
     if Path(name).suffix.lower() not in _FORMATS:
         return bytes(data)
     plain = data.replace(b"\0", b"").decode("latin-1")  # finds the names in UTF-16, too
@@ -150,12 +145,7 @@ _PATIENCE = 2.0  # s for git
 
 
 def metadata(robot: Robot, attachments: Mapping[str, bytes], note: str) -> dict[str, str]:
-    """Return the metadata record of a recording; values of secret options are replaced.
-
-    Parameters
-    ----------
-    robot : the arm. attachments : as they are written, for their hashes. note : the user's.
-    """
+    """Return the metadata record of a recording; values of secret options are replaced."""
     from armlab import __version__
 
     return {
@@ -174,9 +164,7 @@ def metadata(robot: Robot, attachments: Mapping[str, bytes], note: str) -> dict[
 def attached(robot: Robot, attachments: Mapping[str, bytes]) -> dict[str, bytes]:
     """Return the attachments of a recording: the description of the robot, and what is given, secrets replaced.
 
-    Parameters
-    ----------
-    robot : the arm. attachments : name -> bytes; of settings (TOML, JSON, YAML, INI) the values of secret keys go.
+    `attachments`: name -> bytes; of settings (TOML, JSON, YAML, INI) the values of secret keys go.
     """
     from armlab.robots import to_toml
 
@@ -191,13 +179,7 @@ def attached(robot: Robot, attachments: Mapping[str, bytes]) -> dict[str, bytes]
 def described(attachments: Mapping[str, bytes], name: str, origin: str) -> Robot | None:
     """Return the robot of a name as the attachments of a recording describe it, None where none of them does.
 
-    Parameters
-    ----------
-    attachments : name -> bytes; robot.toml, robot-2.toml of the other arm. name : of the robot. origin : for messages.
-
-    Raises
-    ------
-    RobotError : a description that is none.
+    `attachments`: name -> bytes; robot.toml, robot-2.toml of the other arm.
     """
     from armlab.robots import from_toml
 

@@ -30,10 +30,6 @@ class Syncing:
 
     What is written while the disk is slow is in the kernel's memory: it survives the end of the process, and goes to
     the disk with the next sync.
-
-    Parameters
-    ----------
-    sync : brings the file to the disk; called in the thread. name : of the thread.
     """
 
     def __init__(self, sync: Callable[[], None], name: str) -> None:
@@ -45,22 +41,12 @@ class Syncing:
         self._thread.start()
 
     def ask(self) -> None:
-        """Have the file synced soon.
-
-        Raises
-        ------
-        OSError : an earlier sync has failed.
-        """
+        """Have the file synced soon."""
         self._check()
         self._asked.set()
 
     def close(self) -> None:
-        """End the thread, after the sync in progress.
-
-        Raises
-        ------
-        OSError : a sync has failed; the kernel says so once, so that the next one seems to do well.
-        """
+        """End the thread, after the sync in progress."""
         self._closed = True
         self._asked.set()
         self._thread.join()

@@ -50,14 +50,10 @@ _POSE = tuple(f"pose.position.{axis}" for axis in "xyz") + tuple(f"pose.orientat
 class Topic:
     """One topic of a recording.
 
-    Attributes
-    ----------
-    name : below the robot's, for example "joint_states".
-    type : ROS 2 message type.
-    fields : column -> dotted names of the message fields that hold it.
-    frame_id : of the header. labels : names of the joints, for JointState.
-    optional : columns that may be missing from a message, their sequence empty.
-    clock : its messages are the rows of the table.
+    `name`: below the robot's, for example "joint_states"; `type`: ROS 2 message type; `fields`: column -> dotted names
+    of the message fields that hold it; `frame_id`: of the header; `labels`: names of the joints, for JointState;
+    `optional`: columns that may be missing from a message, their sequence empty; `clock`: its messages are the rows of
+    the table.
     """
 
     name: str
@@ -195,12 +191,7 @@ Plan = tuple[int, bool, list[tuple[int, bytes, bool]], list[tuple[bytes, list[tu
 
 
 def plan(channel: int, topic: Topic, slots: Mapping[str, Slot]) -> Plan:
-    """Return how `kernels.RowEncoder` writes the messages of a topic: templates that rosbags serialised, and copies.
-
-    Parameters
-    ----------
-    channel : number of the topic in the file. topic : what to write. slots : where its columns are in a row.
-    """
+    """Return how `kernels.RowEncoder` writes the messages of a topic: templates that rosbags serialised, and copies."""
     held = {name: slots[name] for name in topic.fields}
     columns = [(slot.start, slot.nothing, name in topic.optional) for name, slot in held.items()]
     optional = [name for name in held if name in topic.optional]

@@ -121,21 +121,9 @@ class Slot:
 class RowLayout:
     """Layout of the rows of one arm: the standard columns and the user's.
 
-    Parameters
-    ----------
-    robot : gives the number and names of the joints.
-    extra : the user's columns by name; `wrench_hat` and `wrench_hat_cov` need no declaration.
-
-    Attributes
-    ----------
-    slots : name -> `Slot`. size : bytes of a row with all its parts. extra : the declared columns, resolved.
-    pack : called with State, Command or None, and Tick, returns one row as bytes. Values are copied; what is None or
-        empty is missing. Raises ShapeError for an array with the wrong number of values, and names the column.
-
-    Raises
-    ------
-    ShapeError, UnknownName : a declaration contradicts the glossary, lacks its unit, or repeats a standard column.
-    RobotError : something else than a robot.
+    `slots`: name -> `Slot`; `size`: bytes of a row with all its parts; `extra`: the declared columns, resolved; `pack`:
+    called with State, Command or None, and Tick, returns one row as bytes. Values are copied; what is None or empty is
+    missing. Raises ShapeError for an array with the wrong number of values, and names the column.
     """
 
     def __init__(self, robot: Robot, extra: Mapping[str, Column] | None = None) -> None:
@@ -189,13 +177,7 @@ class RowLayout:
         self.size = stop
 
     def pack_values(self, values: Mapping[str, Any]) -> bytes:
-        """Return one row as bytes from values by column name; what is not given is missing.
-
-        Raises
-        ------
-        UnknownName : a name that is not a column; lists those that are.
-        ShapeError : a value has the wrong number of components.
-        """
+        """Return one row as bytes from values by column name; what is not given is missing."""
         row = bytearray(self._empty)
         for name, value in values.items():
             slot = self.slots.get(name)

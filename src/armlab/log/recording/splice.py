@@ -33,12 +33,7 @@ _NEVER = (1 << 63) - 1
 
 
 def seconds_channel(prefix: str, clock: dict[str, str]) -> Channel:
-    """Return the channel of the column `t`: times that are not those of the messages.
-
-    Parameters
-    ----------
-    prefix : topics of the robot begin so. clock : what is written beside, see `messages.clock_metadata`.
-    """
+    """Return the channel of the column `t`: times that are not those of the messages."""
     topic = column_topic("t")
     metadata = topic.metadata(_SECONDS) | clock
     return Channel(f"{prefix}{topic.name}", topic.type, definition(topic.type), "ros2msg", "cdr", metadata)
@@ -47,15 +42,8 @@ def seconds_channel(prefix: str, clock: dict[str, str]) -> Channel:
 class SplicedRows:
     """The rows of one robot in a file: which of them are taken, at what times, under which numbers.
 
-    Parameters
-    ----------
-    path : of the file. prefix : topics of the robot begin so, with slashes. robot_hash : of its description.
-    rows : all its rows. seconds : channel of a column t, if it has one: it is written anew.
-
-    Attributes
-    ----------
-    t, t0_ns : times of all rows in the new file and the wall clock of its t = 0. seconds_number : channel of `t` there.
-    inside : the rows and events that come now are taken.
+    `t`, `t0_ns`: times of all rows in the new file and the wall clock of its t = 0; `seconds_number`: channel of `t`
+    there; `inside`: the rows and events that come now are taken.
     """
 
     def __init__(self, path: Path, prefix: str, robot_hash: str, rows: Rows, seconds: int | None) -> None:
@@ -108,12 +96,7 @@ class SplicedRows:
         self.inside = self._first == 0 and self._last > 0
 
     def follow(self, first: SplicedRows, before: SplicedRows) -> None:
-        """Put the rows on the clock of the first recording of the robot, numbered on from the one before.
-
-        Raises
-        ------
-        LogError : the one before has not ended when this one begins.
-        """
+        """Put the rows on the clock of the first recording of the robot, numbered on from the one before."""
         self.t, self.t0_ns = self.rows.t + (self.rows.t0_ns - first.t0_ns) / 1e9, first.t0_ns
         own, last = self.t[self.rows.kept], before.t[before.rows.kept]
         if len(own) and len(last) and own[0] <= last[-1]:
@@ -154,10 +137,8 @@ Message = tuple[int, int, int, int, bytes]  # channel, sequence, log and publish
 class Source:
     """One recording.
 
-    Attributes
-    ----------
-    path, view, found : the file, its bytes and its contents. arms : its robots. chain : where its rows come from.
-    numbers : channel in the new file by channel here.
+    `path`, `view`, `found`: the file, its bytes and its contents; `arms`: its robots; `chain`: where its rows come
+    from; `numbers`: channel in the new file by channel here.
     """
 
     path: Path
@@ -184,16 +165,7 @@ class Source:
         return summary_of(self.view, self.found)
 
     def keep(self, robot: str) -> None:
-        """Take the rows and events of one robot only; metadata and attachments are of the whole file, and stay.
-
-        Parameters
-        ----------
-        robot : its name.
-
-        Raises
-        ------
-        UnknownName : it is not in this file.
-        """
+        """Take the rows and events of one robot only; metadata and attachments are of the whole file, and stay."""
         topic = self.found.channels[clock_channel(self.found, self.path, robot)].topic
         others = tuple(arm.prefix for arm in self.arms if not topic.startswith(arm.prefix))
         self.arms = [arm for arm in self.arms if arm.prefix not in others]
@@ -234,12 +206,7 @@ class Source:
 
 @contextmanager
 def opened_source(path: Path) -> Iterator[Source]:
-    """Open a recording, finished or torn.
-
-    Raises
-    ------
-    LogError : the file is missing, of another format, no recording of armlab, or damaged beyond use.
-    """
+    """Open a recording, finished or torn."""
     check_readable(path)
     with opened(path) as view:
         try:

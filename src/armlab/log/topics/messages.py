@@ -32,9 +32,7 @@ def decode_one_by_one(
 ) -> tuple[Decoded, int, str]:
     """Return the numbers of messages, how many messages are left out, and why one of them is.
 
-    Parameters
-    ----------
-    messages : sequence number, log time [ns] and bytes of each. numbers : takes one apart; LogError where it cannot.
+    `messages`: sequence number, log time [ns] and bytes of each.
     """
     sequence: list[int] = []
     log_ns: list[int] = []
@@ -82,12 +80,7 @@ def _array(count: int, rows: list[int], values: list[Any], width: int) -> np.nda
 
 
 def numbers_in_json(raw: bytes) -> Numbers:
-    """Return the numbers of a message in JSON; lists of numbers stay whole, texts are left out.
-
-    Raises
-    ------
-    LogError : no JSON.
-    """
+    """Return the numbers of a message in JSON; lists of numbers stay whole, texts are left out."""
     found: Numbers = {}
     try:
         _collect(msgspec.json.decode(raw), "", found, 0)
@@ -113,16 +106,7 @@ def _collect(value: Any, path: str, found: Numbers, depth: int) -> None:
 
 
 def numbers_in_protobuf(name: str, definition: bytes) -> Callable[[bytes], Numbers]:
-    """Return what takes messages in protobuf apart.
-
-    Parameters
-    ----------
-    name : of the message type. definition : a FileDescriptorSet with the files that it needs.
-
-    Raises
-    ------
-    LogError : the definition cannot be read.
-    """
+    """Return what takes messages in protobuf apart."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message, message_factory
 
     try:
@@ -179,10 +163,8 @@ _TYPES = {  # texts, pictures, clouds, maps
 class TopicMessages:
     """What is read of the topics of a log, also of several files.
 
-    Attributes
-    ----------
-    fields, parts : topic -> what names its numbers; its messages.
-    left_out : topic and why it was not read. damage : a sentence for each part of a file that is damaged.
+    `fields`, `parts`: topic -> what names its numbers; its messages; `left_out`: topic and why it was not read;
+    `damage`: a sentence for each part of a file that is damaged.
     """
 
     fields: dict[str, TopicFields] = field(default_factory=dict)
@@ -223,13 +205,7 @@ def read_mcap_topics(
     into: TopicMessages,
     progress: Progress | None = None,
 ) -> None:
-    """Read topics of an MCAP file in CDR, JSON and protobuf.
-
-    Parameters
-    ----------
-    view, found : the file and its contents. wanted : tells of topic and type whether to read.
-    into : takes what is read. progress : is told the bytes.
-    """
+    """Read topics of an MCAP file in CDR, JSON and protobuf."""
     readers: dict[int, MessageReader] = {}
     others: dict[int, Callable[[bytes], dict[str, Any]]] = {}
     for number, channel in found.channels.items():
@@ -270,12 +246,7 @@ def _other_encoding(channel: Channel) -> Callable[[bytes], dict[str, Any]]:
 def read_rosbags_topics(
     bag: Any, wanted: Callable[[str, str], bool], into: TopicMessages, progress: Progress | None = None
 ) -> None:
-    """Read topics of a bag that `rosbags` has opened: rosbag2 in any storage, or ROS 1.
-
-    Parameters
-    ----------
-    bag : the reader. wanted, into, progress : as in `read_mcap_topics`; progress is told the messages.
-    """
+    """Read topics of a bag that `rosbags` has opened: rosbag2 in any storage, or ROS 1."""
     readers: dict[int, tuple[Any, MessageReader, Callable[[bytes], bytes]]] = {}
     for connection in bag.connections:
         if not wanted(connection.topic, connection.msgtype):

@@ -26,12 +26,7 @@ Wanted = Callable[[str, str], bool]
 
 
 def is_foreign(path: Path) -> bool:
-    """Tell whether a file or folder is a log of another program: a bag, or an MCAP file, that armlab has not written.
-
-    Parameters
-    ----------
-    path : of any file or folder.
-    """
+    """Tell whether a file or folder is a log of another program: a bag, or an MCAP file, that armlab has not written."""
     kind = format_at(path)
     if kind == "MCAP":
         with opened(path) as view, naming(path):
@@ -50,17 +45,7 @@ class _Held:
 
 
 def read_foreign(path: Path, choice: Choice, robot: Robot | str | None, progress: Progress | None = None) -> Table:
-    """Return the table of another program's log: an MCAP file, a rosbag2, a ROS 1 bag.
-
-    Parameters
-    ----------
-    path : of the file or folder. choice : columns, clock and raw of `read`. robot : of `read`.
-    progress : is told the bytes or messages.
-
-    Raises
-    ------
-    LogError : a damaged bag; what `table_of_streams` refuses. UnknownName : a topic or column that does not exist.
-    """
+    """Return the table of another program's log: an MCAP file, a rosbag2, a ROS 1 bag."""
     held = _held(path, choice, robot, progress)
     streams, notes = _streams(held.topics)
     reason = held.topics.left_out.get(choice.clock or "")
@@ -77,14 +62,6 @@ def read_joints(path: Path, robot: Robot, progress: Progress | None = None) -> T
     """Return q, and qd and tau as far as they are there, of an arm in another program's log, in its own order.
 
     Drivers name joints in an order of theirs, and log other things at other rates: both are no matter here.
-
-    Parameters
-    ----------
-    path : as of `read_foreign`. robot : the arm. progress : is told the bytes or messages.
-
-    Raises
-    ------
-    LogError : a damaged bag, joints of another robot. UnknownName : no positions.
     """
     for columns in (["q", "qd", "tau"], ["q", "tau"], ["q", "qd"]):
         with suppress(UnknownName):
@@ -239,11 +216,6 @@ def _needed(topics: dict[str, str], columns: Sequence[str] | None) -> set[str]:
 
 
 def names_robots(path: Path) -> bool:
-    """Tell whether a log tells by its topics whose rows it has, so that `read` takes robot=; a table alone does not.
-
-    Parameters
-    ----------
-    path : of a file or folder.
-    """
+    """Tell whether a log tells by its topics whose rows it has, so that `read` takes robot=; a table alone does not."""
     kind = format_at(path)
     return kind == "MCAP" or (kind in BAGS and not (kind == "rosbag2" and is_ours(path)))

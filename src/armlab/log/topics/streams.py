@@ -44,12 +44,9 @@ _INDEX = re.compile(r"\[[^\]]*\]")
 class TopicFields:
     """Names the numbers of one type of message, and keeps what its texts tell.
 
-    Attributes
-    ----------
-    type, types : the type and the definitions it uses.
-    parts : dotted name without indices -> type of each message inside that is read as a whole.
-    joints : prefix of a JointState -> the lists of names that its messages have.
-    frames : dotted name of a header or pair of frames -> its frame, of the first message that has it.
+    `type`, `types`: the type and the definitions it uses; `parts`: dotted name without indices -> type of each message
+    inside that is read as a whole; `joints`: prefix of a JointState -> the lists of names that its messages have;
+    `frames`: dotted name of a header or pair of frames -> its frame, of the first message that has it.
     """
 
     type: str
@@ -116,9 +113,7 @@ def columns_of_fields(
 
     A JointState gives ``q``, ``qd`` and ``tau`` with the names of the joints as labels, behind the name of its field.
 
-    Parameters
-    ----------
-    topic : what named them. fields : dotted name -> (N, k).
+    `fields`: dotted name -> (N, k).
     """
     groups: dict[tuple[str, str], dict[str, np.ndarray]] = {}
     for path, array in fields.items():
@@ -228,11 +223,9 @@ _PAIR = re.compile(r"^(?P<list>[^\[]*)\[(?P<parent>[^\]>]*)>(?P<child>[^\]]*)\]\
 class Stream:
     """Columns whose values came together.
 
-    Attributes
-    ----------
-    topic : where they came. type : of its messages.
-    log_ns : (N,) when each message was recorded. stamp_ns : (N,) when it was made, by its header; None without.
-    values, columns : by name; those of a JointState are q, qd and tau.
+    `topic`: where they came; `type`: of its messages; `log_ns`: (N,) when each message was recorded; `stamp_ns`: (N,)
+    when it was made, by its header; None without; `values`, `columns`: by name; those of a JointState are q, qd and
+    tau.
     """
 
     topic: str

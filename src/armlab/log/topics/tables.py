@@ -36,15 +36,6 @@ def table_of_streams(path: Path, streams: Sequence[Stream], choice: Choice, note
 
     The arm's JointState is q, qd and tau, the only WrenchStamped wrench_raw; other columns have the name of their
     topic. Each value is the last at or before its row, and its age is in ``<name>_age`` where it has stamps of its own.
-
-    Parameters
-    ----------
-    path : of the log. streams : by `streams_of`. choice : of the caller. notes : so far.
-
-    Raises
-    ------
-    LogError : several rates and no clock; several arms and no robot; joints that are not those of the robot.
-    UnknownName : a topic or column that does not exist.
     """
     streams = [one for one in streams if len(one.log_ns)]
     if not streams:
@@ -67,16 +58,7 @@ def table_of_streams(path: Path, streams: Sequence[Stream], choice: Choice, note
 
 
 def tables_of_streams(path: Path, streams: Sequence[Stream], choice: Choice) -> dict[str, Table]:
-    """Return each stream as a table of its own, by topic; of several of one topic the first column is named too.
-
-    Parameters
-    ----------
-    path, streams, choice : as in `table_of_streams`; of the choice only robot and raw count.
-
-    Raises
-    ------
-    LogError : columns that a table cannot hold.
-    """
+    """Return each stream as a table of its own, by topic; of several of one topic the first column is named too."""
     tables: dict[str, Table] = {}
     for one in streams:
         ordered = one if choice.robot is None else _in_order(one, choice.robot)

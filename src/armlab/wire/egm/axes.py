@@ -40,20 +40,9 @@ class AxisMap:
     An arm without joints is an external unit alone: everything is in the external joints. Further external axes are
     in degrees unless `units` says otherwise. Where a motor moves two joints, q are the axes of `linkage`.
 
-    Parameters
-    ----------
-    arm : number of joints, which are prismatic, ABB's axis number of each in kinematic order, and the gears.
-    units : "deg" or "mm", for each joint in kinematic order and then for each external axis; empty for the rule above.
-
-    Attributes
-    ----------
-    n, head, tail : joints, those among ABB's first six, those beyond. scale : (n,) SI per wire unit.
-    can_move : the units of all commands are known.
-
-    Raises
-    ------
-    RobotError : when `abb_axes` is not a permutation of 1..n.
-    ConfigError : units that are none, or fewer than joints.
+    `units`: "deg" or "mm", for each joint in kinematic order and then for each external axis; empty for the rule above.
+    `n`, `head`, `tail`: joints, those among ABB's first six, those beyond; `scale`: (n,) SI per wire unit; `can_move`:
+    the units of all commands are known.
     """
 
     def __init__(self, arm: RobotAxes, units: Sequence[str] = ()) -> None:
@@ -79,13 +68,7 @@ class AxisMap:
     def joints(self, joints: Sequence[float], external: Sequence[float]) -> tuple[float, ...]:
         """Return the n joints in kinematic order, in wire units.
 
-        Parameters
-        ----------
-        joints, external : as received; further external axes may follow the robot's own.
-
-        Raises
-        ------
-        Refused : no joints, or their number is not that of this robot.
+        `joints`, `external`: as received; further external axes may follow the robot's own.
         """
         if not joints and (self.head or not external):
             raise Refused("no joints", "the array of joints is absent or empty")
@@ -97,26 +80,12 @@ class AxisMap:
         return self.kinematic((*joints, *external) if self.tail else joints)
 
     def external_scale(self, count: int) -> np.ndarray:
-        """Return SI per wire unit of the external axes beyond the robot's own, (count,).
-
-        Parameters
-        ----------
-        count : how many there are.
-        """
+        """Return SI per wire unit of the external axes beyond the robot's own, (count,)."""
         known = self._beyond[:count]
         return np.concatenate((known, np.full(count - len(known), RADIAN)))
 
     def array(self, values: Sequence[float], is_kinematic: bool) -> tuple[float, ...] | None:
-        """Return the n values of one extension array in kinematic order, None when it is absent.
-
-        Parameters
-        ----------
-        values : as received. is_kinematic : True when the sender uses kinematic order, False for ABB's.
-
-        Raises
-        ------
-        Refused : the number of values is not that of the joints.
-        """
+        """Return the n values of one extension array in kinematic order, None when it is absent."""
         if not values:
             return None
         if len(values) != self.n:
@@ -126,9 +95,7 @@ class AxisMap:
     def wire(self, q: np.ndarray, scale: np.ndarray) -> tuple[float, ...]:
         """Return the n wire values in ABB's order: the first `head` are joints, the rest external.
 
-        Parameters
-        ----------
-        q : (n,) SI, kinematic order. scale : (n,) SI per wire unit.
+        `q`: (n,) SI, kinematic order; `scale`: (n,) SI per wire unit.
         """
         return self.abb((q / scale).tolist())
 
@@ -147,9 +114,7 @@ _TORQUES = ("tau", "tau_total", "tau_gravity", "tau_reference")
 class Linkage:
     """Between ABB's axes and joints, both in kinematic order.
 
-    Parameters
-    ----------
-    coupling : (n, n) C. `Linkage.of` makes it of a robot.
+    `coupling`: (n, n) C. `Linkage.of` makes it of a robot.
     """
 
     def __init__(self, coupling: np.ndarray) -> None:
@@ -159,16 +124,7 @@ class Linkage:
 
     @classmethod
     def of(cls, arm: RobotAxes) -> Linkage | None:
-        """Return the linkage of a robot, None where every axis is a joint.
-
-        Parameters
-        ----------
-        arm : its coupling.
-
-        Raises
-        ------
-        RobotError : a coupling from which axes cannot be told: a motor that does not move its own joint, or none.
-        """
+        """Return the linkage of a robot, None where every axis is a joint."""
         coupling = np.asarray(arm.coupling, dtype=np.float64)
         gears = np.diag(coupling)
         if not np.any(coupling - np.diag(gears)):
@@ -188,21 +144,11 @@ class Linkage:
         return _times(self._to_axes, joints)
 
     def heard(self, message: Message) -> Message:
-        """Return a message from the wire with its axes made joints.
-
-        Parameters
-        ----------
-        message : a `Packet`, `SensorMessage` or `Details`; what it does not have is left out.
-        """
+        """Return a message from the wire with its axes made joints."""
         return _changed(message, self._to_joints, self._torque_to_joints)
 
     def said(self, message: Message) -> Message:
-        """Return a message for the wire with its joints made axes.
-
-        Parameters
-        ----------
-        message : a `Reference` or `RobotMessage`.
-        """
+        """Return a message for the wire with its joints made axes."""
         return _changed(message, self._to_axes, self._torque_to_axes)
 
 

@@ -30,12 +30,7 @@ _TWIST = np.array([1e-3, 1e-3, 1e-3, RADIAN, RADIAN, RADIAN])
 
 
 class Replies:
-    """Joint references to bytes: serialised once for each kind of reply, then written into the bytes of the one before.
-
-    Parameters
-    ----------
-    axes : order and units. extension : send the research extension.
-    """
+    """Joint references to bytes: serialised once for each kind of reply, then written into the bytes of the one before."""
 
     def __init__(self, axes: AxisMap, extension: bool) -> None:
         self._axes, self._extension = axes, extension
@@ -45,9 +40,7 @@ class Replies:
     def encode(self, ref: Reference) -> bytes:
         """Return the bytes of an EgmSensor.
 
-        Parameters
-        ----------
-        ref : finite values.
+        `ref`: finite values.
         """
         q, qd, tau, seq, tm_ms, robot_seq, mono, free, beside = ref
         if beside is not None:
@@ -116,9 +109,7 @@ class Replies:
 def encode_pose(T_frame_tool: np.ndarray, twist: np.ndarray | None, seq: int, tm_ms: int) -> bytes:
     """Return the bytes of an EgmSensor that holds a pose; the quaternion, never Euler angles, which would win over it.
 
-    Parameters
-    ----------
-    T_frame_tool : (4, 4). twist : (6,) [v; w] or None. seq, tm_ms : as in `Reference`.
+    `T_frame_tool`: (4, 4); `twist`: (6,) [v; w] or None.
     """
     sensor = pb.EgmSensor(header=_header(_CORRECTION, seq, tm_ms))
     pose_from_matrix(sensor.planned.cartesian, T_frame_tool)
@@ -130,9 +121,7 @@ def encode_pose(T_frame_tool: np.ndarray, twist: np.ndarray | None, seq: int, tm
 def encode_path_correction(yz: Sequence[float], age: float, seq: int, tm_ms: int) -> bytes:
     """Return the bytes of an EgmSensorPathCorr.
 
-    Parameters
-    ----------
-    yz : across the path [m]. age : of the measurement [s]. seq, tm_ms : as in `Reference`.
+    `yz`: across the path [m]; `age`: of the measurement [s].
     """
     message = pb.EgmSensorPathCorr(header=_header(_PATH_CORRECTION, seq, tm_ms))
     where = message.pathCorr.pos

@@ -55,12 +55,7 @@ class Details(NamedTuple):
 
 
 def read_details(axes: AxisMap, data: bytes, robotware: str) -> Details | None:
-    """Return the details of a datagram, None for what is no message of this robot. Never raises.
-
-    Parameters
-    ----------
-    axes : order and units. data : one datagram. robotware : its flavour; 6.06 sends radians.
-    """
+    """Return the details of a datagram, None for what is no message of this robot. Never raises."""
     try:
         message = pb.EgmRobot.FromString(data)
         return _read(axes, message, robotware)

@@ -35,10 +35,8 @@ _STATES = {
 class Places:
     """What `find_places` found in a message.
 
-    Attributes
-    ----------
-    mask : 1 for each bit that belongs to the shape.
-    doubles : offsets of the values of each field, by its name with dots. integers : (start, stop) of each varint.
+    `mask`: 1 for each bit that belongs to the shape; `doubles`: offsets of the values of each field, by its name with
+    dots; `integers`: (start, stop) of each varint.
     """
 
     def __init__(self, size: int) -> None:
@@ -85,9 +83,7 @@ class Places:
 def find_places(data: bytes, descriptor: Any = pb.EgmRobot.DESCRIPTOR) -> Places | None:
     """Return where the numbers of a message lie, None for what is too long or not laid out as usual.
 
-    Parameters
-    ----------
-    data : one datagram. descriptor : of the message, by default an EgmRobot.
+    `descriptor`: of the message, by default an EgmRobot.
     """
     if len(data) > _LONGEST:
         return None
@@ -137,11 +133,9 @@ _FIXED = Packet(
 class Numbers(NamedTuple):
     """The doubles of an EgmRobot by field, as on the wire; or, in their place, their offsets in the datagram.
 
-    Attributes
-    ----------
-    joints, external : of the feedback. planned, planned_external : of the controller's reference.
-    velocities, torques : of the extension. torque_reference : torqueRef. force : measuredForce. data : RAPIDfromRobot.
-    utilization : one or none. pose : x, y, z, u0 to u3, or nothing.
+    `joints`, `external`: of the feedback; `planned`, `planned_external`: of the controller's reference; `velocities`,
+    `torques`: of the extension; `torque_reference`: torqueRef; `force`: measuredForce; `data`: RAPIDfromRobot;
+    `utilization`: one or none; `pose`: x, y, z, u0 to u3, or nothing.
     """
 
     joints: Sequence[float]
@@ -158,12 +152,7 @@ class Numbers(NamedTuple):
 
     @classmethod
     def of_offsets(cls, doubles: Mapping[str, Sequence[int]]) -> Numbers:
-        """Return the offsets by field.
-
-        Parameters
-        ----------
-        doubles : offsets by name, see `layout.Places`.
-        """
+        """Return the offsets by field."""
         names = (
             "feedBack.joints.joints",
             "feedBack.externalJoints.joints",
@@ -186,19 +175,7 @@ class Numbers(NamedTuple):
 class Shape:
     """What packets that look alike have in common, and how their numbers become a `Packet`.
 
-    Parameters
-    ----------
-    axes : order and units. numbers : of the packet that shows the shape. is_kinematic : order of the extension.
-    has_tm, has_research : fields present. states : motors, mci, rapid.
-    converged, robotware, rapid_digital : see `Packet`.
-
-    Attributes
-    ----------
-    reader : makes packets of numbers in the order of `arranged`; see `kernels.EgmReader`.
-
-    Raises
-    ------
-    Refused : wrong number of joints.
+    `reader`: makes packets of numbers in the order of `arranged`; see `kernels.EgmReader`.
     """
 
     def __init__(
@@ -253,12 +230,7 @@ class Shape:
         )
 
     def arranged(self, numbers: Numbers, absent: T) -> list[T]:
-        """Return numbers in the order q, qd, q_planned, tau, force, external axes, data, utilization, pose.
-
-        Parameters
-        ----------
-        numbers : values or offsets of a packet of this shape. absent : stands for what is missing.
-        """
+        """Return numbers in the order q, qd, q_planned, tau, force, external axes, data, utilization, pose."""
         axes, missing = self._axes, (absent,) * self._n
         try:
             planned = axes.joints(numbers.planned, numbers.planned_external)

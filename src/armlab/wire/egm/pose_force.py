@@ -21,9 +21,7 @@ def pose_values(pose: Sequence[float]) -> tuple[float, ...]:
 
     Plain arithmetic: ten times cheaper than small arrays. The quaternion is normalised.
 
-    Parameters
-    ----------
-    pose : x, y, z in mm, quaternion u0 (scalar) to u3.
+    `pose`: x, y, z in mm, quaternion u0 (scalar) to u3.
     """
     x, y, z, a, b, c, d = pose
     norm = a * a + b * b + c * c + d * d
@@ -42,13 +40,7 @@ def pose_values(pose: Sequence[float]) -> tuple[float, ...]:
 
 
 def read_pose(pose: Any, euler_wins: bool = False) -> tuple[float, ...] | None:
-    """Return x, y, z [mm] and u0 to u3 of an EgmPose, None without a position and an orientation.
-
-    Parameters
-    ----------
-    pose : an EgmPose message. euler_wins : read Euler angles where there are some, as ABB's controller does; they are
-        rotations about x, then y, then z of the frame: ``R = Rz Ry Rx``. Otherwise the quaternion alone counts.
-    """
+    """Return x, y, z [mm] and u0 to u3 of an EgmPose, None without a position and an orientation."""
     if euler_wins and pose.HasField("pos") and pose.HasField("euler"):
         x, y, z = (0.5 * RADIAN * angle for angle in (pose.euler.x, pose.euler.y, pose.euler.z))
         if not isfinite(x + y + z):
@@ -65,9 +57,7 @@ def read_pose(pose: Any, euler_wins: bool = False) -> tuple[float, ...] | None:
 def pose_from_matrix(pose: Any, T_frame_tool: np.ndarray) -> None:
     """Write a (4, 4) matrix [m] into an EgmPose message: position in mm and the quaternion with u0 >= 0.
 
-    Parameters
-    ----------
-    pose : an EgmPose message. T_frame_tool : (4, 4) rigid transformation.
+    `T_frame_tool`: (4, 4) rigid transformation.
     """
     (r00, r01, r02, x), (r10, r11, r12, y), (r20, r21, r22, z) = T_frame_tool.tolist()[:3]
     pos, orient = pose.pos, pose.orient
@@ -95,12 +85,7 @@ _RW7_TAGS = (b"\x08", b"\x11", b"\x12")  # field 1 bool; field 2 doubles, unpack
 
 
 def is_layout_of_rw7(data: bytes) -> bool:
-    """Return whether a measuredForce has the layout of RobotWare 7, by its first tag.
-
-    Parameters
-    ----------
-    data : content of the field.
-    """
+    """Return whether a measuredForce has the layout of RobotWare 7, by its first tag."""
     return data[:1] in _RW7_TAGS
 
 
@@ -108,10 +93,6 @@ def decode_force(data: bytes) -> tuple[tuple[float, ...], bool]:
     """Return the 6 values of the wrench [N, N m] and whether the layout is that of RobotWare 7.
 
     `NO_WRENCH` when there is none. The first tag byte tells the layout. Frame and sign are not documented by ABB.
-
-    Parameters
-    ----------
-    data : content of the field measuredForce.
     """
     if data[:1] not in _RW6_TAGS + _RW7_TAGS:
         return NO_WRENCH, False
@@ -126,9 +107,7 @@ def decode_force(data: bytes) -> tuple[tuple[float, ...], bool]:
 def encode_force(wrench: np.ndarray, is_rw7: bool) -> bytes:
     """Return the bytes of measuredForce in the layout of RobotWare 6 or 7.
 
-    Parameters
-    ----------
-    wrench : (6,) N, N m. is_rw7 : True for the layout of RobotWare 7.
+    `wrench`: (6,) N, N m.
     """
     message = pb.EgmForceRw7(fcActive=True) if is_rw7 else pb.EgmForceRw6()
     message.force.extend(wrench.tolist())

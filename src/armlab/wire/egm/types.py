@@ -255,10 +255,7 @@ class StandingQueue:
     def after(self, depth: int, period: float) -> str:
         """Return a sentence in the cycle in which the queue has not been empty for 1 s, else "".
 
-        Parameters
-        ----------
-        depth : messages left after the controller took one; not above 0 also when it is unknown.
-        period : cycle time of the robot [s].
+        `period`: cycle time of the robot [s].
         """
         if depth <= 0:
             self._seconds = 0.0

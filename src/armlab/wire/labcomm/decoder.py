@@ -170,10 +170,8 @@ def version(source: Source, wanted: Set[str], limits: Limits) -> Generator[None,
 class Known:
     """A sample type and what reads its values, made with the first value: many types are defined and never sent.
 
-    Attributes
-    ----------
-    index, name, type : as defined. left : values that a packet may hold besides those that every value has.
-    read : the reader.
+    `index`, `name`, `type`: as defined; `left`: values that a packet may hold besides those that every value has;
+    `read`: the reader.
     """
 
     def __init__(self, definition: Definition, limits: Limits) -> None:

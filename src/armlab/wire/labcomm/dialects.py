@@ -11,16 +11,7 @@ _LONGEST = 5  # bytes
 
 
 def encode_packed32(n: int) -> bytes:
-    """Return the shortest form of a number: 0 is 00, 128 is 81 00, 300 is 82 2c.
-
-    Parameters
-    ----------
-    n : from 0 to 2**32 - 1.
-
-    Raises
-    ------
-    LabCommError : the number is out of range.
-    """
+    """Return the shortest form of a number: 0 is 00, 128 is 81 00, 300 is 82 2c."""
     if 0 <= n < 0x80:
         return bytes((n,))
     if not 0 <= n <= _LARGEST:
@@ -32,16 +23,7 @@ def encode_packed32(n: int) -> bytes:
 
 
 def decode_packed32(buf: bytes | bytearray, pos: int) -> tuple[int, int]:
-    """Return the number at a position and the position after it. Longer forms, up to 5 bytes, are read.
-
-    Parameters
-    ----------
-    buf : the bytes. pos : where the number begins.
-
-    Raises
-    ------
-    LabCommError : no end within 5 bytes or within `buf`, or a number above 2**32 - 1.
-    """
+    """Return the number at a position and the position after it. Longer forms, up to 5 bytes, are read."""
     n = 0
     for at in range(pos, min(pos + _LONGEST, len(buf))):
         byte = buf[at]
@@ -66,13 +48,10 @@ Notes = tuple[tuple[str, str], ...]
 class Dialect:
     """One generation of the format.
 
-    Attributes
-    ----------
-    name : "2014v1", "2014", "2014i", "2014old", "2013" or "2006".
-    version : what a stream announces, "" for nothing.
-    lengths : packets carry the length of their body. trusted : and that length is right.
-    wide : numbers are 4 bytes instead of packed32. maps : names are maps of strings (intentions).
-    references : samples may refer to sample types.
+    `name`: "2014v1", "2014", "2014i", "2014old", "2013" or "2006"; `version`: what a stream announces, "" for nothing;
+    `lengths`: packets carry the length of their body; `trusted`: and that length is right; `wide`: numbers are 4 bytes
+    instead of packed32; `maps`: names are maps of strings (intentions); `references`: samples may refer to sample
+    types.
     """
 
     name: str
@@ -127,16 +106,7 @@ DIALECTS = {
 
 
 def dialect_named(name: str) -> Dialect:
-    """Return a dialect.
-
-    Parameters
-    ----------
-    name : key of `DIALECTS`.
-
-    Raises
-    ------
-    UnknownName : there is no such dialect.
-    """
+    """Return a dialect."""
     if name not in DIALECTS:
         raise UnknownName.among("LabComm dialect", name, DIALECTS)
     return DIALECTS[name]

@@ -46,10 +46,7 @@ def parse_signature(data: bytes, dialect: str = "2014v1", limits: Limits | None 
 class SignatureWalk:
     """Walks over one signature.
 
-    Parameters
-    ----------
-    source, dialect, limits : of the stream. end : where the signature ends at the latest.
-    type_refs : indices of types may stand for types (TYPE_DEF).
+    `end`: where the signature ends at the latest; `type_refs`: indices of types may stand for types (TYPE_DEF).
     """
 
     def __init__(self, source: Source, dialect: Dialect, limits: Limits, end: int, type_refs: bool = False) -> None:

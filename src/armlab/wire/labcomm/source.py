@@ -58,9 +58,7 @@ class Cut(Exception):
 class Source:
     """The bytes from the beginning of the current packet on.
 
-    Attributes
-    ----------
-    buf : the bytes. base : position of the first of them. at : position of the current packet.
+    `buf`: the bytes; `base`: position of the first of them; `at`: position of the current packet.
     """
 
     def __init__(self) -> None:

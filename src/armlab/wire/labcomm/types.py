@@ -215,24 +215,14 @@ class SampleType(NamedTuple):
 
 
 def typename(node: Type) -> str:
-    """Return a type in words for errors: "double[7]", "struct".
-
-    Parameters
-    ----------
-    node : the type.
-    """
+    """Return a type in words for errors: "double[7]", "struct"."""
     if isinstance(node, Array):
         return f"{typename(node.elem)}[{','.join(str(size or '_') for size in node.dims)}]"
     return node.name if isinstance(node, Prim) else f"type {node.index}" if isinstance(node, TypeRef) else "struct"
 
 
 def containers(shape: tuple[int, ...]) -> int:
-    """Return how many lists a nested list has.
-
-    Parameters
-    ----------
-    shape : its sizes.
-    """
+    """Return how many lists a nested list has."""
     total = rows = 1
     for size in shape[:-1]:
         rows *= size

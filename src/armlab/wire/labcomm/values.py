@@ -73,10 +73,8 @@ def _bad_array(offset: int, expected: str, got: object) -> LabCommError:
 class Cursor:
     """Where a reader is in a packet that has come whole.
 
-    Attributes
-    ----------
-    buf : bytes. at, end : next byte and end of the body, as indices of `buf`. base : position of ``buf[0]``.
-    left : values that the packet may still hold. limits : of the stream.
+    `buf`: bytes; `at`, `end`: next byte and end of the body, as indices of `buf`; `base`: position of ``buf[0]``;
+    `left`: values that the packet may still hold; `limits`: of the stream.
     """
 
     __slots__ = ("at", "base", "buf", "end", "left", "limits", "wide")
