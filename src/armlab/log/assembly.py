@@ -1,4 +1,4 @@
-"""From recorded columns to a `Table`: which clock, which rows, which columns."""
+"""Assembly of recorded columns into a `Table`: its clock, rows and columns."""
 
 from __future__ import annotations
 

@@ -10,8 +10,6 @@ import numpy as np
 from armlab.errors import UnknownName
 from armlab.state import State
 
-__all__ = ["QD_SOURCES", "TAU_SOURCES", "iterate", "periods"]
-
 # The columns `qd_source` and `tau_source` hold the index of the word.
 QD_SOURCES = ("difference", "measured")
 TAU_SOURCES = ("none", "measured", "reference")

@@ -1,4 +1,4 @@
-"""What a log may be mistaken in: units and sides of the gears; each refused in a sentence with the factor."""
+"""Checks of units and gear sides: a wrong one raises an error that states the factor."""
 
 from __future__ import annotations
 

@@ -25,8 +25,6 @@ from armlab.log.table import Table
 if TYPE_CHECKING:
     from armlab.robots import Robot
 
-__all__ = ["ENDINGS", "write"]
-
 _EXACT = 2**53  # whole numbers up to here are exact as real ones
 _TOLD = 1000  # rows of a recording between two words on progress
 _FILES: dict[str, Callable[[Table, BinaryIO, Progress], None]] = {

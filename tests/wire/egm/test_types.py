@@ -1,4 +1,4 @@
-"""The types that cross the border of the codec."""
+"""Types of the EGM codec, and a receive queue that a robot does not empty."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from armlab.wire.egm.types import (
     RobotAxes,
     RobotMessage,
     SensorMessage,
+    StandingQueue,
 )
 
 
@@ -46,3 +47,13 @@ def test_reasons_are_words_of_a_fixed_set() -> None:
     assert len(set(DROP_REASONS)) == len(DROP_REASONS)
     assert {"unparsable", "no header", "foreign source", "duplicate", "old"} <= set(DROP_REASONS)
     assert Packet._fields[:2] == ("seqno", "tm_ms")
+
+
+def test_one_sentence_per_second_that_the_queue_is_never_empty() -> None:
+    queue = StandingQueue()
+    depths = [3] * 99 + [0] + [5, 2] * 100 + [-1] + [1] * 100
+    sentences = {cycle: text for cycle, depth in enumerate(depths) if (text := queue.after(depth, 0.01))}
+    assert list(sentences) == [199, 400]
+    assert sentences[199].startswith("2 messages have waited"), "the fewest of that second"
+    assert sentences[199].endswith("20 ms late.")
+    assert sentences[400].startswith("1 message has waited")

@@ -1,4 +1,6 @@
-"""`read_abb`: ABB's test signals, logged as text, become a `Table`; a small TOML file says which column is which.
+"""Logs of ABB controllers: test signals in text files (`read_abb`), and motor signals of orca or ExtCtrl (`from_orca`).
+
+`read_abb` takes a small TOML file with the meaning of each column:
 
     time = "time"
     time_unit = "ms"
@@ -13,9 +15,9 @@ The numbers are those of RAPID's ``TestSignDefine channel, signal, unit, axis, t
 issue 86). Public loggers also use 201 to 212 for a force sensor, which no manual describes: like any other signal they
 keep their number.
 
-Such logs have one column per signal of a motor, ``irb2ext.robot[0].joint[2].posRawAbs``: motor angles in ABB's order of
-axes. `read_csv` reads them as lc2csv writes them, `read_labcomm` the stream itself; old names with ``_`` for ``. [ ]``
-are the same.
+Logs of orca and ExtCtrl have one column per motor signal, ``irb2ext.robot[0].joint[2].posRawAbs``: motor angles in
+ABB's order of axes. `read_csv` reads them as lc2csv writes them, `read_labcomm` the stream itself; old names with ``_``
+for ``. [ ]`` are the same.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Columns and arrays of other programs, with labels and units of theirs, become a `Table` in SI.
 
-Numbered labels of a name that the glossary knows are put together: q1, q2, ... are the column q (N, n). Units that are
-known are converted; others are refused by name.
+Numbered labels of a name that the glossary knows are put together: q1, q2, ... are the column q (N, n). Known
+units are converted; an unknown one raises an error that names it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is said of a table besides its numbers, in one form for every format; and columns taken apart and put together.
+"""Description of a table beside its numbers (units, kinds, notes), and columns split into components and reassembled.
 
 A CSV file keeps it beside itself, a MAT file in a variable, Parquet and rosbag2 in their metadata; HDF5 in attributes.
 """

@@ -18,7 +18,7 @@ ROWS = 150_000  # of a group: ten minutes at 250 Hz
 
 
 def write_parquet(table: Table, file: BinaryIO, progress: Progress) -> None:
-    """Write columns t, q1, q2, ... packed by zstd, bytes of numbers split into streams, units in the fields' metadata."""
+    """Write columns t, q1, q2, ... packed by zstd, bytes of numbers in streams, units in the metadata of fields."""
     pa, parquet = needed("pyarrow", "for Parquet"), needed("pyarrow.parquet", "for Parquet")
     parts = list(components(table))
     labels = list(distinct({place: label for place, (label, _, _) in enumerate(parts)}).values())

@@ -1,10 +1,9 @@
 """Numbers out of the messages of an MCAP file, a chunk at a time and without building objects.
 
-The indexes of the chunks tell how many messages there are; the first message of a channel tells where its numbers are.
-What is laid out in another way is left to `mcap_blocks`.
-
-The first message of a channel is walked field by field. All messages of equal length whose bytes outside the numbers
-are the same hold their numbers in the same places, so those of a whole chunk are copied at once, to where they stay.
+The chunk indexes give the number of messages. The first message of a channel is walked field by field. All messages of
+equal length whose bytes outside the numbers are the same hold their numbers in the same places, so those of a whole
+chunk are copied at once, into arrays of their final size (`Room`). Messages with another layout are read in blocks of
+equal length (`decode_messages`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where the numbers of messages are: layouts found once, checked on whole blocks, copied at once."""
+"""Layouts of messages: found once, checked on whole blocks; their numbers are copied at once."""
 
 from __future__ import annotations
 

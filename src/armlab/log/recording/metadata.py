@@ -1,7 +1,7 @@
-"""What a recording says of itself: metadata and attachments, with their secrets replaced before they are written.
+"""Metadata and attachments of a recording; secrets in attached settings are replaced before they are written.
 
-A file that mentions none stays as it is, to the byte. Of one that does, the values are written anew: what a key or a
-table says to be secret is ``***``, and comments are gone. What cannot be read is left out: nobody knows what is in it.
+An attached file without secrets stays the same, to the byte. Otherwise its values are written anew: secret ones as
+``***``, and without comments. A file that cannot be parsed is left out.
 """
 
 from __future__ import annotations

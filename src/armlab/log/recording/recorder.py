@@ -1,7 +1,7 @@
 """`Recorder`: writes what a link does to an MCAP file without ever holding up its loop.
 
-Nothing of the loop wakes the thread that writes: that would be a system call in each cycle, and a thread that wants the
-interpreter when the controller does. It comes by itself and takes what there is.
+The loop never wakes the writing thread: that would cost a system call per cycle, and the thread would compete with the
+controller for the interpreter. The thread polls the queue instead.
 """
 
 from __future__ import annotations

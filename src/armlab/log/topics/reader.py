@@ -26,7 +26,7 @@ Wanted = Callable[[str, str], bool]
 
 
 def is_foreign(path: Path) -> bool:
-    """Tell whether a file or folder is a log of another program: a bag, or an MCAP file, that armlab has not written."""
+    """Return whether a path is a log of another program: a bag, or an MCAP file that armlab has not written."""
     kind = format_at(path)
     if kind == "MCAP":
         with opened(path) as view, naming(path):

@@ -30,7 +30,7 @@ _TWIST = np.array([1e-3, 1e-3, 1e-3, RADIAN, RADIAN, RADIAN])
 
 
 class Replies:
-    """Joint references to bytes: serialised once for each kind of reply, then written into the bytes of the one before."""
+    """Joint references as bytes: one template per kind of reply, with the numbers written into it."""
 
     def __init__(self, axes: AxisMap, extension: bool) -> None:
         self._axes, self._extension = axes, extension

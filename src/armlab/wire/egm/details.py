@@ -12,8 +12,6 @@ from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import AxisMap, Refused
 from armlab.wire.egm.pose_force import NO_POSE, is_layout_of_rw7, pose_values, read_pose
 
-__all__ = ["Details", "read_details"]
-
 _KINEMATIC = 1
 _MAX_SECONDS = 9_000_000_000  # a later clock does not fit int64 nanoseconds: it counts as absent
 

@@ -14,8 +14,6 @@ from armlab.wire.egm.axes import RADIAN, AxisMap, Linkage, Refused
 from armlab.wire.egm.pose_force import encode_force, pose_from_matrix, pose_values, read_pose
 from armlab.wire.egm.types import Drop, RobotAxes, RobotMessage, SensorMessage
 
-__all__ = ["DEFAULT_ARRAYS", "EXTENSION_ARRAYS", "MAX_BYTES", "ROBOTWARE", "RobotSideCodec"]
-
 ROBOTWARE = ("6.06", "6.07", "6.10", "7")
 """The flavours of EgmRobot that exist."""
 

@@ -1,10 +1,10 @@
-"""What crosses the border of the EGM codec: `Packet`, `Drop`, `Reference`, `Beside`, messages of both sides, `Codec`.
+"""Inputs and outputs of the EGM codec: `Packet`, `Drop`, `Reference`, `Beside`, messages of both sides, `Codec`.
 
 All values are SI and radians in kinematic joint order. They are named tuples: immutable, and five times cheaper to make
 than frozen dataclasses, which counts at one of each per control cycle.
 
-The controller takes one message per cycle, first in, first out. Each message that stays delays every later reference
-by one cycle.
+`StandingQueue`: the controller takes one message per cycle, first in, first out. Each message that stays in the queue
+delays every later reference by one cycle.
 """
 
 from __future__ import annotations

@@ -22,8 +22,6 @@ from armlab.wire.labcomm.types import (
 )
 from armlab.wire.labcomm.values import Misfit, Wire, Writer, writer
 
-__all__ = ["Encoder", "write_packet"]
-
 FIRST_INDEX = 0x40
 VERSION, SAMPLE_DEF, SAMPLE_REF, TYPE_DEF, TYPE_BINDING, PRAGMA = 1, 2, 3, 4, 5, 0x3F
 _DEFINES = {"sample": SAMPLE_DEF, "ref": SAMPLE_REF, "type": TYPE_DEF}

@@ -9,8 +9,6 @@ from armlab.wire.labcomm.dialects import Dialect, dialect_named
 from armlab.wire.labcomm.source import Cut, Limits, Number, Source, label, number
 from armlab.wire.labcomm.types import ARRAY, PRIMS, SAMPLE, STRUCT, VOID, Array, Field, Struct, Type, TypeRef
 
-__all__ = ["FIRST_INDEX", "SignatureWalk", "parse_signature"]
-
 FIRST_INDEX = 0x40
 """Smallest index of a sample or type; smaller numbers are tags and type codes."""
 

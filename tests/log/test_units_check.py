@@ -1,4 +1,4 @@
-"""Logs with a wrong unit, side or order are refused, and the sentence names the joint and the factor."""
+"""Logs whose units or sides of the gears are mistaken."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables in HDF5, as other programs see them; old .jld files; logs of other programs."""
+"""Tables in HDF5."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables in Parquet, as other programs see them, and tables of other programs."""
+"""Tables in Parquet."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`cut` and `merge`: the rows of the table to the last bit, and all that belongs to them."""
+"""`cut` and `merge`."""
 
 from __future__ import annotations
 
@@ -15,6 +15,16 @@ from rosbags.highlevel import AnyReader
 from armlab import log, robots
 from armlab.errors import ConfigError, LogError, UnknownName
 from armlab.log import Column, Recorder, cut, inspect, merge, read
+from armlab.log.recording.columns import Rows
+from armlab.log.recording.splice import (
+    Source,
+    SplicedRows,
+    attachments,
+    metadata,
+    opened_source,
+    seconds_channel,
+    summary,
+)
 from armlab.robots import Robot
 
 ROWS = 500
@@ -257,3 +267,110 @@ def test_a_file_may_be_cut_into_itself(record: Callable[..., Path], tmp_path: Pa
     path = record("run.mcap", 0, 300)
     table = read(path)
     assert read(cut(path, path, 0.5, 0.8)).sha256 == table.between(0.5, 0.8).sha256
+
+
+def arm(numbers: list[int], t: list[float], t0_ns: int = 10**18) -> SplicedRows:
+    kept = np.diff(t, prepend=-1.0) > 0
+    stamps = t0_ns + np.zeros(len(t), dtype=int)
+    return SplicedRows(
+        Path("run.mcap"), "/a/", "hash", Rows(1, np.array(numbers), np.array(t), kept, stamps, t0_ns, "robot"), None
+    )
+
+
+def test_rows_are_taken_between_the_first_and_the_last_of_the_cut() -> None:
+    one = arm([5, 6, 7, 8, 9], [0.0, 1.0, 1.0, 2.0, 3.0])
+    one.cut(1.0, 2.5)
+    assert (one.rows_left, one.ticks, one.inside) == (2, (6, 8), False)
+    taken = [one.arrive(number, 0) is not None for number in (5, 6, 7, 8, 9, 77)]
+    assert taken == [False, True, True, True, False, False]
+    assert one.is_over
+    one.cut(7.0, 8.0)
+    assert (one.rows_left, one.ticks) == (0, (0, -1))
+
+
+def test_a_following_recording_is_on_the_clock_of_the_first_and_numbered_on() -> None:
+    first, second = arm([0, 1, 2], [0.0, 1.0, 2.0]), arm([1, 2], [0.0, 1.0], 10**18 + 5 * 10**9)
+    second.follow(first, first)
+    assert second.t.tolist() == [5.0, 6.0]
+    assert [second.number(sequence) for sequence in (1, 2)] == [3, 4]
+    assert first.number(2) == 2
+    assert second.start_ns - first.end_ns == 3 * 10**9
+    with pytest.raises(LogError, match=r"to begin after run\.mcap has ended at 2 s, got 1 s"):
+        arm([7], [0.0], 10**18 + 10**9).follow(first, first)
+
+
+def test_numbers_that_come_again_are_refused() -> None:
+    with pytest.raises(LogError, match="got 1 that come again"):
+        arm([3, 3], [0.0, 1.0])
+
+
+def test_the_channel_of_the_seconds() -> None:
+    channel = seconds_channel("/a/", {"armlab.t0_ns": "5"})
+    assert (channel.topic, channel.type) == ("/a/columns/t", "armlab_msgs/msg/Column")
+    assert set(channel.metadata) == {"column.t", "armlab.t0_ns"}
+    one = arm([4], [0.25])
+    message = one.arrive(4, 10**9)
+    assert message is not None
+    assert np.frombuffer(message[-8:], "<f8")[0] == 0.25
+
+
+def test_holes_of_the_recorder_are_told_where_they_are(tmp_path: Path, robot: Robot, rows: Callable) -> None:
+    with Recorder(tmp_path / "run.mcap", robot) as recorder:
+        for i in range(60):
+            state, command, tick = rows(i)
+            recorder.row(None if i in (20, 21, 40) else state, command, tick)  # type: ignore[arg-type]
+    assert inspect(recorder.path).summary["holes"] == [[20, 21, 2], [40, 40, 1]]
+    with opened_source(recorder.path) as source:
+        assert isinstance(source, Source)
+        assert (summary([source], "all")["rows"], summary([source], "all")["dropped"]) == (57, 3)
+        source.arms[0].cut(source.arms[0].rows.t[10], source.arms[0].rows.t[30])
+        told = summary([source], "between")
+    assert (told["rows"], told["dropped"], told["holes"]) == (20, 2, [[20, 21, 2, 20, "yumi_right"]])
+    assert told["source"][-1] == "between"
+
+
+def test_holes_stay_with_the_recording_that_has_them(tmp_path: Path, robot: Robot, rows: Callable) -> None:
+    """Both recordings begin with tick 0: in one file of both, a tick does not say whose it is."""
+    for name, first, lost in (("a", 0, ()), ("b", 60, (80, 81))):
+        with Recorder(tmp_path / f"{name}.mcap", robot) as recorder:
+            for i in range(first, first + 60):
+                state, command, tick = rows(i)
+                tick = tick._replace(number=i - first)
+                recorder.row(None if i in lost else state, command, tick)  # type: ignore[arg-type]
+    both = merge([tmp_path / "a.mcap", tmp_path / "b.mcap"], tmp_path / "both.mcap")
+    t = read(both).t
+    of_a = inspect(cut(both, tmp_path / "of_a.mcap", stop=t[59])).summary
+    of_b = inspect(cut(both, tmp_path / "of_b.mcap", start=t[61])).summary
+    assert (of_a["dropped"], of_a["holes"]) == (0, [])
+    assert (of_b["dropped"], of_b["holes"]) == (2, [[20, 21, 2, 80, "yumi_right"]])
+
+
+def test_holes_stay_with_the_arm_that_has_them(tmp_path: Path, rows: Callable) -> None:
+    """Both arms count the same ticks: in one file of both, a tick does not say whose it is."""
+    for name, lost in (("yumi_left", (20, 21)), ("yumi_right", (40,))):
+        with Recorder(tmp_path / f"{name}.mcap", robots.load(name)) as recorder:
+            for i in range(60):
+                state, command, tick = rows(i)
+                recorder.row(None if i in lost else state, command, tick)  # type: ignore[arg-type]
+    both = merge([tmp_path / "yumi_right.mcap", tmp_path / "yumi_left.mcap"], tmp_path / "both.mcap")
+    again = cut(both, tmp_path / "again.mcap")
+    for path in (both, again):
+        assert "2 rows were dropped while recording: ticks 20 to 21" in read(path, robot="yumi_left").notes
+        assert "1 rows were dropped while recording: ticks 40 to 40" in read(path, robot="yumi_right").notes
+
+
+def test_what_several_have_under_one_name_gets_a_number(recording: Callable[..., Path]) -> None:
+    first = recording(5, "a.mcap", attachments={"m.toml": b"1", "n": b"3"})
+    second = recording(5, "b.mcap", attachments={"m.toml": b"2", "n": b"3"}, note="other")
+    with opened_source(first) as a, opened_source(second) as b:
+        named = {name: data for _, name, _, data in attachments([a, b, a])}
+        assert {"m.toml": b"1", "m-2.toml": b"2", "n": b"3"}.items() <= named.items()
+        assert [name for name, _ in metadata([a, b, a])] == ["armlab", "armlab-2"]
+        assert a.start_ns == b.start_ns < a.end_ns
+
+
+def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n" + bytes(30))
+    with pytest.raises(LogError), opened_source(path):
+        pass
