@@ -18,9 +18,8 @@ from rosbags.rosbag2 import Reader
 from armlab import log, robots
 from armlab.lie import se3
 from armlab.log import Column
-from armlab.log.mcap_chunk import unpacked
-from armlab.log.mcap_records import contents
-from armlab.log.reading import opened
+from armlab.log.file_formats.opening import opened
+from armlab.log.mcap.records import contents, unpacked
 from armlab.robots import Robot
 
 ROWS, RATE = 150_000, 250.0

@@ -11,7 +11,7 @@ from typing import BinaryIO
 import numpy as np
 
 from armlab import bridge, log, robots
-from armlab.log import recording_file
+from armlab.log.recording import file as recording_file
 
 BEFORE, AFTER = 3.0, 3.0  # s
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from armlab import log, robots
 from armlab.errors import ArmlabError
-from armlab.log.formats import FIRST, format_of
-from armlab.log.redaction import redacted
+from armlab.log.file_formats.opening import FIRST, format_of
+from armlab.log.recording.metadata import redacted
 
 _FOLDER = tempfile.TemporaryDirectory(prefix="armlab-fuzz-")
 _RATE = 250.0

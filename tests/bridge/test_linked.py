@@ -11,7 +11,7 @@ from armlab.bridge.limits import Limiter, Limits
 from armlab.bridge.linked import LinkedLimiter, axes_of, limiter_of
 from armlab.bridge.torque import Torques
 from armlab.state import Command, State
-from armlab.wire.egm.linkage import Linkage
+from armlab.wire.egm.axes import Linkage
 
 ROBOT = robots.load("irb2400")
 T = 0.004

@@ -21,7 +21,7 @@ def pushed(monkeypatch, truth, model, tmp_path) -> str:
         return np.outer(8.0 * ((t > 3) & (t < 4)), np.eye(6)[0])
 
     table = truth.log(identify.dither(truth.robot.q_home, 6.0), seed=5, wrench=hand)
-    monkeypatch.setattr("armlab.log.arm_log.read", lambda path, **_: table)
+    monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: table)
     return str(models.save(model, tmp_path / "model.toml"))
 
 
@@ -70,7 +70,7 @@ def test_rows_without_torque_are_counted_and_none_at_all_is_an_error(pushed: str
         ),
         (table.rows(slice(0, 0)), 1, "none among 0"),
     ):
-        monkeypatch.setattr("armlab.log.arm_log.read", lambda path, broken=broken, **_: broken)
+        monkeypatch.setattr("armlab.log.reading.read", lambda path, broken=broken, **_: broken)
         assert main(words) == code
         assert sentence in capsys.readouterr().err
 
@@ -165,7 +165,7 @@ def test_limits_of_the_method_interval_are_printed(pushed: str, capsys) -> None:
 def test_gaps_are_named(pushed: str, truth, monkeypatch, capsys) -> None:
     table = truth.log(identify.dither(truth.robot.q_home, 4.0), seed=5)
     torn = table.rows((table.t < 2.0) | (table.t >= 2.5))
-    monkeypatch.setattr("armlab.log.arm_log.read", lambda path, **_: torn)
+    monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: torn)
     words = ["estimate", "yumi_left", "push.mcap", "--model", pushed]
     assert main(words) == 0
     assert "Gap in the log: 0.504 s after 2.00 s" in capsys.readouterr().out
@@ -183,14 +183,14 @@ def test_a_log_that_cannot_be_true_is_refused_or_nothing_of_it_is_called_good(
     degrees = table.with_column("q", np.rad2deg(table["q"])).with_column("qd", np.rad2deg(table["qd"]))
     silent = table.with_column("tau", np.zeros_like(table["tau"]))
     for broken, sentence in ((degrees, "degrees"), (silent, "Expected measured torques, got a constant")):
-        monkeypatch.setattr("armlab.log.arm_log.read", lambda path, broken=broken, **_: broken)
+        monkeypatch.setattr("armlab.log.reading.read", lambda path, broken=broken, **_: broken)
         assert main(words) == 1
         said = capsys.readouterr()
         assert sentence in said.err
         assert said.out == ""
     assert list(tmp_path.glob("est*")) == []
     backwards = table.with_column("qd", -table["qd"])
-    monkeypatch.setattr("armlab.log.arm_log.read", lambda path, **_: backwards)
+    monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: backwards)
     assert main(words) == 0
     said = capsys.readouterr().out
     assert "not good: Expected qd to be the derivative of q" in said

@@ -36,7 +36,7 @@ def logs(excited: Table, truth) -> dict[str, Table]:
 @pytest.fixture
 def reading(monkeypatch, logs: dict[str, Table]) -> None:
     """`log.read` gives the synthetic logs by name."""
-    monkeypatch.setattr("armlab.log.arm_log.read", lambda path, **_: logs[path.name])
+    monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: logs[path.name])
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def outcome(logs: dict[str, Table], fitted: Fit[TorqueModel], tmp_path_factory) 
     folder, out, err = tmp_path_factory.mktemp("identify"), StringIO(), StringIO()
     words = ["-o", str(folder / "model.toml"), "--report", str(folder / "id.html"), "--figure", str(folder / "fit.png")]
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-        patch.setattr("armlab.log.arm_log.read", lambda path, **_: logs[path.name])
+        patch.setattr("armlab.log.reading.read", lambda path, **_: logs[path.name])
         patch.setattr("armlab.identify.fit_dynamics", told)
         patch.setattr("armlab.plots.png", lambda drawn: plt.close("all") or b"drawn")  # test_excite has real pictures
         assert main(["identify", "yumi_left", "run.mcap", *words, "--test", "free.mcap"]) == 0
@@ -128,7 +128,7 @@ def test_gravity_only_is_a_model_of_slow_motion(
 ) -> None:
     """The slow log goes to `fit_gravity`; its fit is that of the other tests."""
     tables = {"slow.mcap": slow, "fast.mcap": excited}
-    monkeypatch.setattr("armlab.log.arm_log.read", lambda path, **_: tables[path.name])
+    monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: tables[path.name])
     monkeypatch.setattr("armlab.plots.png", lambda drawn: plt.close("all") or b"drawn")
     output, report = tmp_path / "model.toml", tmp_path / "id.html"
     words = ["identify", "yumi_left", "--gravity-only", "-o", str(output), "--report", str(report)]

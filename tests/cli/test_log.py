@@ -285,7 +285,7 @@ def test_ctrl_c_leaves_nothing(path: Path, tmp_path: Path, monkeypatch: pytest.M
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("armlab.log.mcap_writer.McapWriter.finish", interrupted)
+    monkeypatch.setattr("armlab.log.mcap.writer.McapWriter.finish", interrupted)
     assert cli.main(["log", "cut", str(path), "--from", "0", "-o", str(tmp_path / "to.mcap")]) == 130
     assert [entry.name for entry in tmp_path.iterdir()] == ["run.mcap"]
 

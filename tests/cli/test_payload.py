@@ -33,7 +33,7 @@ def tables(truth) -> dict[str, Table]:
 @pytest.fixture
 def words(monkeypatch, tables: dict[str, Table], model, tmp_path: Path) -> list[str]:
     """The logs by name, and the model file."""
-    monkeypatch.setattr("armlab.log.arm_log.read", lambda path, **_: tables[path.name])
+    monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: tables[path.name])
     saved = models.save(model, tmp_path / "model.toml")
     return ["payload", "yumi_left", "full.mcap", "--model", str(saved)]
 
@@ -87,7 +87,7 @@ def test_the_model_of_another_arm_is_refused(words: list[str], capsys) -> None:
 def test_a_log_in_degrees_is_refused(words: list[str], tables: dict[str, Table], monkeypatch, capsys) -> None:
     log = tables["full.mcap"]
     degrees = log.with_column("q", np.rad2deg(log["q"])).with_column("qd", np.rad2deg(log["qd"]))
-    monkeypatch.setattr("armlab.log.arm_log.read", lambda path, **_: degrees)
+    monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: degrees)
     assert main(words) == 1
     said = capsys.readouterr()
     assert "degrees" in said.err
@@ -96,7 +96,7 @@ def test_a_log_in_degrees_is_refused(words: list[str], tables: dict[str, Table],
 
 def test_torque_that_is_not_explained_is_not_called_good(words: list[str], tables, monkeypatch, capsys) -> None:
     log = tables["full.mcap"]
-    monkeypatch.setattr("armlab.log.arm_log.read", lambda path, **_: log.with_column("tau", -log["tau"]))
+    monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: log.with_column("tau", -log["tau"]))
     assert main([*words, "--json"]) == 0
     verdict = json.loads(capsys.readouterr().out)["verdict"]
     assert not any("explain" in said for said in verdict["good"])
@@ -115,7 +115,7 @@ def test_of_an_arm_that_rests_in_part_the_joints_that_move_are_judged(
         return np.where(rests, truth.robot.q_home, q), np.where(rests, 0.0, qd), np.where(rests, 0.0, qdd)
 
     monkeypatch.setattr(
-        "armlab.log.arm_log.read", lambda path, **_: truth.log(identify.Trajectory(motion.seconds, wrist), seed=1)
+        "armlab.log.reading.read", lambda path, **_: truth.log(identify.Trajectory(motion.seconds, wrist), seed=1)
     )
     assert main(words) == 0
     said = capsys.readouterr().out

@@ -176,7 +176,7 @@ def test_a_full_disk(tmp_path: Path, streaming: Any, capsys: Any, monkeypatch: p
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(f"armlab.log.recording_file.RecordingFile.{step}", full)
+    monkeypatch.setattr(f"armlab.log.recording.file.RecordingFile.{step}", full)
     (port,) = free_ports(1)
     streaming(Streaming("yumi_left", port))
     words = ["--port", str(port), "-o", str(tmp_path / "run.mcap"), "--seconds", "0.4"]

@@ -77,7 +77,7 @@ def test_a_log_that_is_not_whole_is_a_failure(folder: Path, capsys: Any, monkeyp
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("armlab.log.recording_file.RecordingFile.write", full)
+    monkeypatch.setattr("armlab.log.recording.file.RecordingFile.write", full)
     words = ["--link", "sim://yumi_left?lockstep=true", "--seconds", "0.5"]
     assert main(["run", "yumi_left", *words]) == 1
     said = capsys.readouterr()

@@ -13,8 +13,8 @@ from armlab import robots
 from armlab.errors import ShapeError
 from armlab.kernels import _reference
 from armlab.log import Column
-from armlab.log.messages import plan, topics
-from armlab.log.rows import RowLayout
+from armlab.log.recording.ros_messages import plan, topics
+from armlab.log.recording.rows import RowLayout
 
 if find_spec("armlab.kernels._native") is None:
     pytest.skip("the extension is not built", allow_module_level=True)

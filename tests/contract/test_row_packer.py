@@ -15,7 +15,8 @@ import pytest
 from armlab import robots
 from armlab.errors import ShapeError
 from armlab.kernels import _reference
-from armlab.log import Column, Tick, rows
+from armlab.log import Column, Tick
+from armlab.log.recording import rows
 from armlab.state import Command, State
 
 if find_spec("armlab.kernels._native") is None:

@@ -74,7 +74,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/log/test_kill.py::test_kill_9_loses_a_few_rows",
+    "tests/log/test_recording_file.py::test_kill_9_loses_a_few_rows",
     cells(
         "process",
         "kill -9 of a process that records",
@@ -236,7 +236,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/log/test_recorder_disk.py::test_a_disk_that_is_slow_to_sync_holds_up_no_row",
+    "tests/log/test_recorder.py::test_a_disk_that_is_slow_to_sync_holds_up_no_row",
     cells(
         "disk",
         "is slow to sync",

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from armlab.errors import LogError
-from armlab.log import Table, inspect, read, recording_file
+from armlab.log import Table, inspect, read
+from armlab.log.recording import file as recording_file
 
 from .bench import Bench, Outcome
 from .judge import log_is_what_was_sent, met_in_motion, within_limits
@@ -230,8 +231,8 @@ def test_a_disk_that_stands_still(bench: Bench, cell: Cell, disks: list[Disk]) -
 def test_a_disk_that_stands_still_for_long(
     bench: Bench, cell: Cell, disks: list[Disk], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("armlab.log.recorder.QUEUE_ROWS", 100)  # instead of ten seconds
-    monkeypatch.setattr("armlab.log.recorder.MANY_ROWS", 50)
+    monkeypatch.setattr("armlab.log.recording.recorder.QUEUE_ROWS", 100)  # instead of ten seconds
+    monkeypatch.setattr("armlab.log.recording.recorder.MANY_ROWS", 50)
     hangs = threading.Event()
 
     def stand_still() -> None:

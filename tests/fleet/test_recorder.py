@@ -200,7 +200,7 @@ def test_a_robot_that_dies_and_comes_again_with_other_rows(processes: Callable[.
 def test_a_file_that_cannot_be_written_costs_its_robot_alone(
     processes: Callable[..., Started], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, robot: Robot
 ) -> None:
-    from armlab.log.recording_file import RecordingFile
+    from armlab.log.recording.file import RecordingFile
 
     whole, told = RecordingFile.write, []
 

@@ -11,7 +11,7 @@ from armlab.bridge.row_schema import RowSchema
 from armlab.errors import LinkError
 from armlab.fleet.row_columns import RowColumns, stamp_of, tick_of
 from armlab.log import Tick
-from armlab.log.rows import RowLayout
+from armlab.log.recording.rows import RowLayout
 from armlab.robots import Robot
 from armlab.state import Command, State
 

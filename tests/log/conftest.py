@@ -17,8 +17,8 @@ import armlab
 from armlab import robots
 from armlab.errors import LogError
 from armlab.log import Column, Recorder, Tick
-from armlab.log.mcap_records import Contents, contents
-from armlab.log.mcap_variants import MessageReader
+from armlab.log.mcap.message_layouts import MessageReader
+from armlab.log.mcap.records import Contents, contents
 from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.cdr import definitions

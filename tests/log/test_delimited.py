@@ -1,9 +1,13 @@
-"""Delimited text becomes a Table with units, and bad files get a sentence with the line or the column."""
+"""Delimited text: reading, writing, long lines, packed files, and the description beside a CSV file."""
 
 from __future__ import annotations
 
 import gzip
+import io
 import re
+import tracemalloc
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +16,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from armlab import log
 from armlab.errors import LogError
 from armlab.log import Column, Table, read, read_csv, write
-from armlab.log.delimited import rows_of
+from armlab.log.file_formats.delimited import (
+    LONGEST,
+    _numbers_only,
+    describe,
+    open_text,
+    read_sidecar,
+    rows_in,
+    rows_of,
+    sidecar_path,
+    write_csv,
+)
+from armlab.log.file_formats.description import Description
 
 ROWS = "t [ms],q1 [deg],q2 [deg],tau_1,tau_2,grip [N]\n0,180,0,1,2,0.5\n4,90,-90,1.5,,0.5\n8,0,0,2,4,0.5\n"
 
@@ -229,7 +245,7 @@ def test_empty_fields_wherever_they_are(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("size", [1, 7, 1 << 18])
 def test_blocks_end_where_lines_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: int) -> None:
-    monkeypatch.setattr("armlab.log.delimited.BLOCK", size)
+    monkeypatch.setattr("armlab.log.file_formats.delimited.BLOCK", size)
     path = written(tmp_path, "t,k\r\n" + "".join(f"{i},{2**60 + i}\r\n" for i in range(50)))
     assert read_csv(path)["k"].tolist() == [2**60 + i for i in range(50)]
     crossing = list(range(2**53 - 25, 2**53 + 25))
@@ -258,3 +274,208 @@ def test_spaces_that_only_python_knows_are_spaces(tmp_path: Path) -> None:
     table = read_csv(path)
     assert np.array_equal(table["a"], [1.0, 2.0])
     assert table["b"].dtype.kind == "U"
+
+
+WORDS = ["", "1", 'a "b", c', "line\nbreak", "\r", "ü", " x "]
+
+
+@pytest.fixture
+def table() -> Table:
+    """More rows than two blocks."""
+    rng = np.random.default_rng(2)
+    n = 25_000
+    real = rng.normal(size=(n, 3)) * 10.0 ** rng.integers(-300, 300, (n, 3))
+    real[rng.integers(0, n, 99), 1] = np.nan
+    real[:4, 0] = [np.inf, -np.inf, -0.0, 5e-324]
+    found = {"reals": real, "id": rng.integers(-(2**63), 2**63 - 1, n), "on": rng.integers(0, 2, n).astype(bool)}
+    found["mode"] = np.array(WORDS)[rng.integers(0, len(WORDS), n)]
+    kinds = {"reals": "real", "id": "count", "on": "flag", "mode": "text"}
+    return Table(np.arange(n) / 3, found, {name: Column(unit="1", kind=kind) for name, kind in kinds.items()})
+
+
+@pytest.mark.parametrize("names", [("reals",), ("id", "on"), ("reals", "id", "on", "mode")])
+def test_more_than_one_block_comes_back(table: Table, tmp_path: Path, names: tuple[str, ...]) -> None:
+    kept = table.select(*names)
+    assert log.read(log.write(kept, tmp_path / "run.csv")).sha256 == kept.sha256
+
+
+def test_what_is_in_the_text() -> None:
+    values = {"q": [[0.1, np.nan], [1e300, -0.0]], "on": [True, False], "say": np.array(['a "b"', ""])}
+    columns = {"on": Column(unit="1", kind="flag"), "say": Column(unit="1", kind="text")}
+    file, told = io.BytesIO(), []
+    write_csv(Table([0.0, 1e-9], values, columns), file, lambda *one: told.append(one))
+    assert file.getvalue() == b't [s],q1 [rad],q2 [rad],on,say\n0.0,0.1,,1,"a ""b"""\n1e-9,1e300,-0.0,0,""\n'
+    assert told == [(2, 2, "rows")]
+    none = io.BytesIO()
+    write_csv(Table([], {"q": np.zeros((0, 1)), "a,b": []}, {"a,b": Column(unit="N")}), none, lambda *_: None)
+    assert none.getvalue() == b't [s],q1 [rad],"a,b [N]"\n'
+
+
+def test_a_broken_line_is_named(table: Table, tmp_path: Path) -> None:
+    path = log.write(table.select("id").rows(slice(50)), tmp_path / "run.csv")
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:20], lines[20] + ",7", *lines[21:]]) + "\n")
+    with pytest.raises(LogError, match=r"Expected 2 fields .*line 21 "):
+        log.read(path)
+    path.write_text("\n".join([*lines[:20], lines[20] + "x", *lines[21:]]) + "\n")
+    with pytest.raises(LogError, match=r"columns that run\.csv\.toml describes"):
+        log.read(path)
+
+
+SOME = 1 << 16
+
+
+@contextmanager
+def memory(most: float) -> Iterator[None]:
+    """Check the bytes that are taken at once."""
+    tracemalloc.start()
+    try:
+        yield
+        assert tracemalloc.get_traced_memory()[1] < most
+    finally:
+        tracemalloc.stop()
+
+
+def put(path: Path, text: bytes, packed: bool = False) -> Path:
+    path.write_bytes(gzip.compress(text, 6) if packed else text)
+    return path
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> int:
+    """Lines of at most so many characters."""
+    monkeypatch.setattr("armlab.log.file_formats.delimited.LONGEST", 40)
+    return 40
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_the_fields_and_bytes_of_text_packed_or_not(tmp_path: Path, packed: bool) -> None:
+    path = put(tmp_path / "log", b"t;x\r\n0;1\r1;2\n", packed)
+    assert list(rows_in(path, ";")) == [["t", "x"], ["0", "1"], ["1", "2"]]
+    with open_text(path) as file:
+        assert file.read() == b"t;x\r\n0;1\r1;2\n"
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("block", [1, 7, 30])
+@pytest.mark.parametrize("digit", [b"1", b"a"])
+def test_a_line_is_as_long_as_is_allowed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, short: int, packed: bool, block: int, digit: bytes
+) -> None:
+    monkeypatch.setattr("armlab.log.file_formats.delimited.BLOCK", block)
+    path = put(tmp_path / "log", b"t,x\n0,1\n1," + digit * (short - 3) + b"\n2,3\n", packed)
+    assert len(log.read_csv(path)) == 3
+    put(path, b"t,x\n0,1\n1," + digit * (short - 2) + b"\n2,3\n", packed)
+    with pytest.raises(LogError, match=r"Expected at most 40 characters in line 3 of .*log, got more\. End each row"):
+        log.read_csv(path)
+
+
+@pytest.mark.parametrize("head", [b"", b"t,x\n0,1\n1,"])
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_line_of_megabytes_takes_no_memory(tmp_path: Path, head: bytes, packed: bool) -> None:
+    path = put(tmp_path / "log", head + b"1" * (12 * LONGEST), packed)
+    with memory(8 * LONGEST), pytest.raises(LogError, match=f"Expected at most {LONGEST} characters in line"):
+        log.read_csv(path)
+
+
+def test_lines_that_end_in_carriage_returns_are_no_long_header(tmp_path: Path) -> None:
+    path = put(tmp_path / "log", b"t,x\r" + b"1,a\r" * (3 * LONGEST))
+    with memory(8 * LONGEST):
+        assert _numbers_only(path, 0, ",") is None
+
+
+@pytest.mark.parametrize(("digit", "most"), [(b"12", 16.0), (b"ab", 64.0)])
+def test_what_unpacks_to_far_more_than_its_size_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, digit: bytes, most: float
+) -> None:
+    """Numbers are not read once more as words for that, which take more."""
+    monkeypatch.setattr("armlab.log.file_formats.delimited._UNPACKED", SOME)
+    text = b"x\n" + (digit + b"\n") * SOME
+    path = put(tmp_path / "log", text, packed=True)
+    with (
+        memory(most * SOME),
+        pytest.raises(LogError, match=rf"Expected at most {SOME} bytes of text, 200 times its size, .* gunzip"),
+    ):
+        log.read_csv(path, rate=250.0)
+    assert len(log.read_csv(put(path, text), rate=250.0)) == SOME
+    monkeypatch.setattr("armlab.log.file_formats.delimited._UNPACKED", len(text))
+    assert len(log.read_csv(put(path, text, packed=True), rate=250.0)) == SOME
+
+
+def test_more_lines_than_bytes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("armlab.log.file_formats.delimited._LINES", 1000)
+    path = put(tmp_path / "log", b"x\n" + b"1\n" * 1000, packed=True)
+    with pytest.raises(LogError, match=r"and 1000 lines in .*log, got more\. If you trust it"):
+        log.read_csv(path, rate=250.0)
+
+
+def test_an_arm_that_stands_still_is_no_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("armlab.log.file_formats.delimited._UNPACKED", SOME)
+    rows = [f"{0.004 * k:.3f}" + ",0.25" * 30 for k in range(2000)]
+    text = "\n".join(["t," + ",".join(f"c{k}" for k in range(30)), *rows])
+    assert len(text) > 4 * SOME
+    assert len(log.read_csv(put(tmp_path / "log", text.encode(), packed=True))) == 2000
+
+
+def test_one_long_text_among_short_ones_is_refused(tmp_path: Path) -> None:
+    """180 kB, of which 7 GiB would be made."""
+    path = put(tmp_path / "log", b"t,note\n" + b"0,a\n" * 20_000 + b"1," + b"a" * 100_000 + b"\n")
+    with pytest.raises(LogError, match=r"values that are alike, got 20001 rows .* in log: note"):
+        log.read_csv(path)
+
+
+@pytest.mark.parametrize("line", [b"a\n", b"ab\n"])
+def test_words_take_a_bounded_multiple_of_the_file(tmp_path: Path, line: bytes) -> None:
+    path = put(tmp_path / "log", b"x\n" + b"ab\n" + line * 40_000)
+    with memory(45.0 * path.stat().st_size):
+        log.read_csv(path, rate=250.0)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    values = {"q": np.ones((3, 2)), "n": np.arange(3)}
+    return write(Table([0.0, 0.1, 0.2], values, {"n": Column(unit="1", kind="count")}), tmp_path / "run.csv")
+
+
+def test_what_is_written_is_read(path: Path) -> None:
+    assert sidecar_path(path).name == "run.csv.toml"
+    beside = read_sidecar(path)
+    assert isinstance(beside, Description)
+    assert beside.labels() == ["t [s]", "q1 [rad]", "q2 [rad]", "n"]
+    assert beside.described()["n"].kind == "count"
+    assert describe(read(path)).startswith("armlab = ")
+    assert read_sidecar(path.with_name("other.csv")) is None
+
+
+def test_one_that_speaks_of_other_columns_is_not_used(path: Path) -> None:
+    path.write_text("t [s],q1 [rad]\n0,1\n0.1,2\n")
+    table = read(path)
+    assert table["q"].tolist() == [[1.0], [2.0]]
+    assert "run.csv.toml describes other columns and is not used" in table.notes
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('kind = "count"', 'kind = "number"', "kind of column"),
+        ('kind = "count"', "kind = 3", r"Expected `str`, got `int`"),
+        ('clock = "file"', 'clok = "file"', "unknown field `clok`"),
+        ("shape = []", "shape = [", "run.csv.toml"),
+        ("shape = []", "shape = [1000000, 1000000]", "at most 1048576 numbers"),
+        ("shape = []", "shape = [-1]", "sizes from 0"),
+    ],
+)
+def test_damaged_ones_are_one_sentence(path: Path, old: str, new: str, words: str) -> None:
+    beside = sidecar_path(path)
+    text = beside.read_text(encoding="utf-8")
+    assert old in text
+    beside.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(LogError, match=words) as told:
+        read(path)
+    assert str(told.value).endswith(".")
+
+
+def test_cells_that_are_no_numbers(path: Path) -> None:
+    path.write_text(path.read_text(encoding="utf-8").replace("0.2,1.0,1.0,2", "0.2,1.0,1.0,2.5"), encoding="utf-8")
+    with pytest.raises(LogError, match=r"columns that are described in .*run\.csv, got others: .*'n' of kind count"):
+        read(path)

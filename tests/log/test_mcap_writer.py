@@ -11,10 +11,9 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from armlab.log.mcap_chunk import unpacked
-from armlab.log.mcap_decode import messages
-from armlab.log.mcap_records import contents
-from armlab.log.mcap_writer import McapWriter
+from armlab.log.mcap.decode import messages
+from armlab.log.mcap.records import contents, unpacked
+from armlab.log.mcap.writer import McapWriter
 
 
 def begun(file: io.BufferedIOBase) -> tuple[McapWriter, int, int]:

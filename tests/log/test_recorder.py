@@ -1,17 +1,28 @@
-"""`Recorder`: complete, never overwriting, never raising in the loop."""
+"""`Recorder`: rows, readers of the file while it grows, slow and full disks, the end."""
 
 from __future__ import annotations
 
+import errno
+import os
+import signal
+import subprocess
 import sys
+import threading
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from armlab import robots
 from armlab.errors import LogError, ShapeError, UnknownName
 from armlab.log import Column, Recorder, inspect, read
+from armlab.log.recording import file as recording_file
+from armlab.log.recording.recorder import QUEUE_ROWS, Syncing
 from armlab.robots import Robot
 from armlab.state import Command
 
@@ -126,3 +137,395 @@ def test_complaints_that_are_always_new_do_not_fill_the_disk(tmp_path: Path, rob
     texts = event_texts(recorder.path)
     assert len([text for text in texts if "row not written" in text]) == 100
     assert any("300 rows were dropped" in text for text in texts)
+
+
+def test_a_finished_file_is_read_by_rosbags_and_by_mcap(recording: Callable[..., Path], rows: Callable) -> None:
+    from mcap.reader import make_reader
+    from rosbags.highlevel import AnyReader
+
+    path = recording(40)
+    with AnyReader([path]) as reader:
+        states = [c for c in reader.connections if c.topic == "/yumi_right/joint_states"]
+        messages = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(states)]
+        stamps = [time for _, time, _ in reader.messages(states)]
+        estimates = [c for c in reader.connections if c.topic == "/yumi_right/wrench_hat"]
+        for i, (c, _, raw) in enumerate(reader.messages(estimates)):
+            estimate = reader.deserialize(raw, c.msgtype)
+            assert np.array_equal(estimate.covariance.reshape(6, 6), rows(i)[1].record["wrench_hat_cov"])
+    assert len(messages) == 40
+    for i, message in enumerate(messages):
+        state, _, tick = rows(i)
+        assert message.name == [f"yumi_robr_joint_{k}" for k in range(1, 8)]
+        assert np.array_equal(message.position, state.q)
+        assert np.array_equal(message.effort, state.tau)
+        assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == tick.stamp_ns == stamps[i]
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.channel_message_counts[2] == 40
+        assert reader.get_header().profile == "ros2"
+        names = {attachment.name for attachment in reader.iter_attachments()}
+        assert names == {"robot.toml", "summary.json"}
+        ticks = [message.sequence for _, channel, message in reader.iter_messages("/yumi_right/tick")]
+    assert ticks == list(range(40))
+
+
+def test_every_topic_is_read_by_mcap_ros2_support(recording: Callable[..., Path], rows: Callable) -> None:
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    path, seen = recording(20), {}
+    with path.open("rb") as file:
+        for _, channel, _, message in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
+            seen.setdefault(channel.topic, []).append(message)
+    assert {topic: len(messages) for topic, messages in seen.items()} == {
+        topic.name: topic.messages for topic in inspect(path).topics if topic.messages
+    }
+    assert [message.tick for message in seen["/yumi_right/tick"]] == list(range(20))
+    assert list(seen["/yumi_right/columns/fext"][7].values) == rows(7)[1].record["fext"].tolist()
+
+
+@pytest.mark.parametrize("topic", ["joint_states", "joint_states_ref", "joint_states_sent"])
+def test_joints_have_the_names_of_the_urdf_and_of_the_live_topics(
+    recording: Callable[..., Path], robot: Robot, tmp_path: Path, topic: str
+) -> None:
+    """A played recording drives robot_state_publisher."""
+    from rosbags.highlevel import AnyReader
+
+    path = recording(2)
+    robots.save(robot, tmp_path / "arm.urdf")
+    with AnyReader([path]) as reader:
+        states = [c for c in reader.connections if c.topic == f"/yumi_right/{topic}"]
+        names = {tuple(reader.deserialize(raw, c.msgtype).name) for c, _, raw in reader.messages(states)}
+    assert names == {robots.load(tmp_path / "arm.urdf").joint_names} == {robot.ros_joint_names}
+
+
+def test_names_of_joints_in_messages_do_not_change_the_table(
+    recording: Callable[..., Path], robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Recordings from before have the names of the description in their messages."""
+    now = read(recording(3))
+    with monkeypatch.context() as before:
+        before.setattr(Robot, "ros_joint_names", property(lambda robot: robot.joint_names))
+        then = read(recording(3, "before.mcap"))
+    assert now.columns == then.columns
+    assert now.columns["q"].labels == robot.joint_names
+    assert now.sha256 == then.sha256
+
+
+def test_poses_are_written_with_the_real_part_last(recording: Callable[..., Path], rows: Callable) -> None:
+    from rosbags.highlevel import AnyReader
+
+    from armlab.lie import quaternion
+
+    with AnyReader([recording(60)]) as reader:
+        poses = [c for c in reader.connections if c.topic == "/yumi_right/tcp_pose"]
+        for i, (c, _, raw) in enumerate(reader.messages(poses)):
+            o = reader.deserialize(raw, c.msgtype).pose.orientation
+            expected = quaternion.from_matrix(rows(i)[0].T_frame_tool[:3, :3])
+            assert np.array([o.w, o.x, o.y, o.z]) * np.sign(o.w) == pytest.approx(
+                expected * np.sign(expected[0]), abs=1e-12
+            )
+
+
+def test_a_force_sensor_of_its_own_is_a_stamped_wrench(tmp_path: Path, robot: Robot, rows: Callable) -> None:
+    from rosbags.highlevel import AnyReader
+
+    name = "force.wrench_raw"
+    with Recorder(tmp_path / "run.mcap", robot, extra={name: Column((6,), unit="N, N m", frame="sensor")}) as recorder:
+        for i in range(5):
+            state, _, tick = rows(i)
+            recorder.row(state, None, tick._replace(record={name: state.wrench_raw + 1.0}))
+    table = read(recorder.path)
+    assert np.array_equal(table[name], table["wrench_raw"] + 1.0)
+    assert (table.columns[name].unit, table.columns[name].frame) == ("N, N m", "sensor")
+    with AnyReader([recorder.path]) as reader:
+        topics = [c for c in reader.connections if c.topic == "/yumi_right/wrench/force"]
+        forces = [reader.deserialize(raw, c.msgtype).wrench.force.x for c, _, raw in reader.messages(topics)]
+    assert np.array_equal(forces, table[name][:, 0])
+
+
+def test_closing_twice_and_rows_after_closing(tmp_path: Path, robot: Robot, rows: Callable) -> None:
+    recorder = Recorder(tmp_path / "run.mcap", robot)
+    recorder.row(*rows(0))
+    recorder.event("hello", 5)
+    recorder.close({"late": 3, "p99": np.float64(1.5), "bins": np.arange(2)})
+    recorder.close()
+    assert not recorder.row(*rows(1))
+    held = inspect(recorder.path)
+    assert held.summary == {"late": 3, "p99": 1.5, "bins": [0, 1], "rows": 1, "dropped": 0, "holes": []}
+    assert (held.events[-1].text, held.events[-1].stamp_ns) == ("hello", 5)
+
+
+INTERRUPTED = """
+import time
+import numpy as np
+from armlab import robots
+from armlab.log import Recorder, Tick
+from armlab.state import State
+robot = robots.load("yumi_right")
+x = np.zeros(7)
+try:
+    with Recorder({path!r}, robot) as recorder:
+        i = 0
+        while True:
+            recorder.row(State(i * 0.004, 0.004, x, x, x, robot_ns=1 + i), None, Tick(i, i, 10**18 + i, 1, 1, 0))
+            i += 1
+            if i == 300:
+                print("ready", flush=True)
+            time.sleep(0.001)
+except KeyboardInterrupt:
+    print(i, flush=True)
+"""
+
+
+def test_ctrl_c_leaves_a_complete_file(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    code = INTERRUPTED.format(path=str(path))
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == "ready\n"
+        child.send_signal(signal.SIGINT)
+        rows = int(child.stdout.readline())
+        assert child.wait(20) == 0
+    assert inspect(path).finished
+    assert abs(len(read(path)) - rows) <= 1  # the row in progress when the signal came
+
+
+def test_a_recorder_that_nobody_closes_is_closed_at_exit(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    code = INTERRUPTED.format(path=str(path)).replace("while True", "while i < 300")
+    code = code.replace(
+        f"with Recorder({str(path)!r}, robot) as recorder", f"if recorder := Recorder({str(path)!r}, robot)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    assert inspect(path).finished
+    assert len(read(path)) == 300
+
+
+PATIENCE = 20.0  # s: only a test that fails waits so long
+
+
+class Stalled:
+    """A file whose disk stands still until it is released; `fails` makes it full in the next write, by half."""
+
+    def __init__(self, file) -> None:
+        self.file, self.gate, self.fails = file, threading.Event(), False
+        self.gate.set()
+        self.reached = threading.Event()
+
+    def write(self, data) -> int:
+        if not self.gate.is_set():
+            self.reached.set()
+        self.gate.wait(PATIENCE)
+        if self.fails:
+            self.file.write(data[: len(data) // 2])
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return self.file.write(data)
+
+    def __getattr__(self, name: str):
+        return getattr(self.file, name)
+
+
+@pytest.fixture
+def disk(monkeypatch: pytest.MonkeyPatch) -> Callable[[], Stalled]:
+    made: list[Stalled] = []
+    real = recording_file.open_new
+
+    def opened(path: Path):
+        file, path = real(path)
+        made.append(Stalled(file))
+        return made[-1], path
+
+    monkeypatch.setattr(recording_file, "open_new", opened)
+    return lambda: made[-1]
+
+
+def test_a_stalled_disk_drops_rows_counts_them_exactly_and_keeps_the_rest(
+    tmp_path: Path, robot: Robot, rows: Callable, disk: Callable[[], Stalled]
+) -> None:
+    sample = [rows(i) for i in range(50)]
+    recorder = Recorder(tmp_path / "run.mcap", robot)
+    stalled = disk()
+    stalled.gate.clear()
+
+    def put(i: int) -> bool:
+        state, command, tick = sample[i % 50]
+        return recorder.row(state, command, tick._replace(number=i))
+
+    i = 0
+    while not stalled.reached.is_set():  # until the writer hangs in the disk
+        assert put(i)
+        i += 1
+        stalled.reached.wait(0.002)
+    accepted = [put(i) for i in range(i, i + QUEUE_ROWS + 300)]
+    dropped = accepted.count(False)
+    assert dropped > 0
+    assert accepted.index(False) == len(accepted) - dropped
+    assert recorder.dropped == dropped
+    stalled.gate.set()
+    last = i + len(accepted)
+    while not put(last):  # the first row that finds room ends the hole
+        dropped += 1
+        last += 1
+    recorder.close()
+    table = read(recorder.path, raw=True)
+    first = i + accepted.index(False)
+    assert recorder.dropped == dropped
+    assert np.array_equal(table["tick"], [*range(first), last])
+    assert inspect(recorder.path).summary["holes"] == [[first, last - 1, dropped]]
+    told = [event.text for event in inspect(recorder.path).events]
+    assert any(f"{dropped} rows were dropped, ticks {first} to {last - 1}" in text for text in told)
+    assert len(table) == recorder.rows
+    assert table.notes[0] == f"{dropped} rows were dropped while recording: ticks {first} to {last - 1}"
+
+
+def test_a_full_disk_stops_the_recorder_not_the_loop(
+    tmp_path: Path, robot: Robot, rows: Callable, disk: Callable[[], Stalled]
+) -> None:
+    recorder = Recorder(tmp_path / "run.mcap", robot)
+    for i in range(recording_file.MAX_CHUNK_ROWS):
+        assert recorder.row(*rows(i))
+    disk().fails = True
+    i = recording_file.MAX_CHUNK_ROWS
+    while recorder.failed is None:
+        recorder.row(*rows(i % 300))
+        i += 1
+    assert not recorder.row(*rows(0))
+    assert "No space left on device" in recorder.failed
+    assert recorder.failed.endswith(".")
+    recorder.close()
+    assert recorder.rows + recorder.dropped == i + 1
+    with pytest.warns(UserWarning, match="not finished"):
+        assert len(read(recorder.path, raw=True)) == recorder.rows
+
+
+def test_a_disk_that_is_slow_to_sync_holds_up_no_row(
+    tmp_path: Path, robot: Robot, rows: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else a process that is killed meanwhile would lose what had come since."""
+    gate, reached = threading.Event(), threading.Event()
+    monkeypatch.setattr("armlab.log.recording.recorder.FLUSH_PERIOD", 0.0)
+    recorder = Recorder(tmp_path / "run.mcap", robot)
+    monkeypatch.setattr("armlab.log.recording.file.os.fsync", lambda _: (reached.set(), gate.wait(PATIENCE)))
+    recorder.row(*rows(0))
+    assert reached.wait(PATIENCE)
+    for i in range(1, 5):
+        recorder.row(*rows(i))
+    until = time.monotonic() + PATIENCE
+    while recorder._file.rows < 5 or recorder._file._chunk_rows:  # a chunk that is being closed is no file to read
+        assert time.monotonic() < until
+        time.sleep(0.001)
+    with pytest.warns(UserWarning, match="not finished"):
+        assert len(read(recorder.path)) == 5
+    gate.set()
+    recorder.close()
+    assert inspect(recorder.path).finished
+
+
+def test_a_sync_that_fails_stops_the_recorder(
+    tmp_path: Path, robot: Robot, rows: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(_: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("armlab.log.recording.recorder.FLUSH_PERIOD", 0.0)
+    recorder = Recorder(tmp_path / "run.mcap", robot)
+    monkeypatch.setattr("armlab.log.recording.file.os.fsync", broken)
+    while recorder.failed is None:
+        recorder.row(*rows(0))
+    assert recorder.failed.endswith("Input/output error.")
+    recorder.close()
+
+
+def test_an_error_whose_text_cannot_be_made_stops_the_recorder(
+    tmp_path: Path, robot: Robot, rows: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There may be no memory for words: the file is closed all the same."""
+
+    class Mute(Exception):
+        def __str__(self) -> str:
+            raise MemoryError
+
+    def broken(_: Any) -> None:
+        raise Mute
+
+    recorder = Recorder(tmp_path / "run.mcap", robot)
+    number = recorder._file._file.fileno()
+    monkeypatch.setattr(recorder._file, "write", broken)
+    until = time.monotonic() + PATIENCE
+    while recorder.failed is None:
+        assert time.monotonic() < until
+        recorder.row(*rows(0))
+    assert recorder.failed == f"The log {recorder.path} stopped."
+    recorder.close()
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(number)
+
+
+def test_a_sync_that_fails_last_is_told_when_the_recorder_closes(
+    tmp_path: Path, robot: Robot, rows: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel tells it once: the sync at the end seems to do well, and what was lost would be lost in silence."""
+    errors = [OSError(errno.EIO, "Input/output error")]
+
+    def broken_once(_: int) -> None:
+        if errors:
+            raise errors.pop()
+
+    recorder = Recorder(tmp_path / "run.mcap", robot)
+    monkeypatch.setattr("armlab.log.recording.file.os.fsync", broken_once)
+    recorder.row(*rows(0))
+    recorder._syncing.ask()
+    recorder._syncing._thread.join(PATIENCE)
+    recorder.close()
+    assert str(recorder.failed).endswith("Input/output error.")
+
+
+def test_waiting_instead_of_dropping(
+    tmp_path: Path, robot: Robot, rows: Callable, disk: Callable[[], Stalled], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A link in lockstep keeps no real time: nothing may be lost."""
+    sample, count = rows(0), 2 * QUEUE_ROWS + 1  # the thread that hangs in the disk has taken a full queue at most
+    with Recorder(tmp_path / "run.mcap", robot, wait=True) as recorder:
+        disk().gate.clear()
+        waited = SimpleNamespace(monotonic=time.monotonic, sleep=lambda _: disk().gate.set())
+        monkeypatch.setattr("armlab.log.recording.recorder.time", waited)  # the disk comes back once row() waits
+        for i in range(count):
+            assert recorder.row(sample[0], None, sample[2]._replace(number=i))
+    assert disk().gate.is_set()
+    assert recorder.dropped == 0
+    assert len(read(recorder.path, raw=True)) == count
+
+
+def test_who_asks_does_not_wait_for_the_disk() -> None:
+    gate, reached, synced = threading.Event(), threading.Event(), []
+
+    def slow() -> None:
+        reached.set()
+        gate.wait()
+        synced.append(True)
+
+    syncing = Syncing(slow, "sync")
+    syncing.ask()
+    reached.wait()  # it hangs in the disk
+    syncing.ask()
+    assert not synced
+    gate.set()
+    syncing.close()
+    assert synced
+
+
+def test_an_error_comes_to_who_asks_next() -> None:
+    def broken() -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    syncing = Syncing(broken, "sync")
+    syncing.ask()
+    syncing._thread.join()
+    with pytest.raises(OSError, match="Input/output error"):
+        syncing.ask()
+    with pytest.raises(OSError, match="Input/output error"):
+        syncing.close()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from armlab.errors import ShapeError, UnknownName
 from armlab.lie import quaternion, se3, so3
 from armlab.log import Column, Table, concat
-from armlab.log.resample import join, resample
+from armlab.log.table import join, resample
 
 WALL = 1_700_000_000_000_000_000
 

@@ -1,7 +1,8 @@
-"""`Table`: construction, access, rows, columns, states, text and hash."""
+"""`Table` and its columns: units, shapes, names, rows, hashes, states, text."""
 
 from __future__ import annotations
 
+import contextlib
 import pickle
 
 import numpy as np
@@ -9,9 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armlab.errors import ShapeError, UnknownName
-from armlab.log import Column, Table
-from armlab.log.table import missing_rows
+from armlab import glossary
+from armlab.errors import LogError, ShapeError, UnknownName
+from armlab.log import Table
+from armlab.log.column import KINDS, OLD_NAMES, Column, alias, frozen, natural_key, refuse_ragged, stored
+from armlab.log.states import QD_SOURCES, TAU_SOURCES
+from armlab.log.table import component_names, describe_text, missing_rows, statistics, table_text, timing
 
 
 def example(rows: int = 50, joints: int = 7, seed: int = 1) -> Table:
@@ -257,3 +261,175 @@ def test_cutting_twice_is_cutting_once(a: int, b: int, c: int) -> None:
     third = table.t[min(c, 49)]
     twice = table.between(first, second).between(first, third)
     assert np.array_equal(twice.t, table.between(first, min(second, third)).t)
+
+
+def test_known_names_are_filled_from_the_glossary() -> None:
+    column = Column(shape=(7,)).resolved("q")
+    assert (column.unit, column.frame, column.kind) == ("rad", "joint", "angle")
+
+
+def test_new_names_state_their_unit() -> None:
+    column = Column(shape=(6,), unit="N", frame="base").resolved("fext")
+    assert (column.unit, column.frame, column.kind) == ("N", "base", "real")
+    with pytest.raises(ShapeError, match="unit"):
+        Column(shape=(6,)).resolved("fext")
+
+
+def test_contradictions_are_refused() -> None:
+    with pytest.raises(ShapeError, match="Expected unit 'rad'"):
+        Column(shape=(7,), unit="deg").resolved("q")
+    with pytest.raises(ShapeError, match=r"\(N, 6, 6\)"):
+        Column(shape=(6,)).resolved("wrench_hat_cov")
+    with pytest.raises(UnknownName, match="real"):
+        Column(unit="1", kind="double").resolved("mine")
+
+
+def test_symbols_of_motion_leave_columns_alone() -> None:
+    """x is the phase of a primitive in the glossary, and a coordinate in most files."""
+    column = Column(shape=(), unit="m").resolved("x")
+    assert (column.unit, column.kind) == ("m", "real")
+    assert glossary.lookup("x").unit == "1"
+    assert "x" not in glossary.columns()
+    assert glossary.columns()["q"] is glossary.lookup("q")
+
+
+def test_headings() -> None:
+    assert Column(unit="N m").heading("tau") == "tau [N m]"
+    assert Column(unit="1").heading("seq") == "seq"
+    assert set(KINDS) == {"real", "angle", "pose", "quaternion", "count", "flag", "text"}
+
+
+def test_stored_values_have_the_type_of_their_kind() -> None:
+    for name, values, dtype in (
+        ("q", [[1, 2]], "<f8"),
+        ("seq", [1.0, 2.0], "<i8"),
+        ("late", [0, 1], "|b1"),
+        ("dt", np.ones(2, dtype=np.float32), "<f8"),
+        ("dt", np.ones(2, dtype=">f8"), "<f8"),
+    ):
+        array, column, note = stored(name, values, None)
+        assert array.dtype.str == dtype
+        assert not array.flags.writeable
+        assert column.shape == array.shape[1:]
+        assert note == ""
+    array, column, note = stored("late", [0.0, np.nan], None)
+    assert column.kind == "real"
+    assert "flag with missing values" in note
+    for name, values in (("seq", [2.0**70]), ("late", [2]), ("dt", 1.0)):
+        with pytest.raises(ShapeError):
+            stored(name, values, None)
+
+
+def test_frozen_copies_only_what_someone_could_still_write_to() -> None:
+    mine = np.arange(6.0)
+    assert not np.shares_memory(frozen(mine), mine)
+    whole = frozen(mine)
+    assert frozen(whole) is whole
+    assert np.shares_memory(frozen(whole[2:4]), whole)
+    assert frozen(whole[::2]).flags.c_contiguous
+    fixed = np.frombuffer(b"12345678", dtype="<f8")
+    assert np.shares_memory(frozen(fixed), fixed)
+    buffer = bytearray(8)
+    view = np.frombuffer(buffer, dtype="<f8")
+    view.flags.writeable = False
+    kept = frozen(view)
+    buffer[:] = b"\xff" * 8
+    assert kept[0] == 0.0
+
+
+def test_the_clock_is_no_column() -> None:
+    with pytest.raises(ShapeError, match="columns besides t, the clock"):
+        stored("t", [0.0, 1.0], Column(unit="s"))
+
+
+def test_aliases_are_those_of_the_old_tools() -> None:
+    assert alias("irb2ext.robot[0].joint[2].posRawAbs") == "irb2ext_robot_0__joint_2__posRawAbs"
+    assert alias("sample:value[3]") == "sample_value_3"
+
+
+def test_natural_order() -> None:
+    names = ["q10", "q9", "q1", "p2", "q", "2q"]
+    assert sorted(names, key=natural_key) == ["2q", "p2", "q", "q1", "q9", "q10"]
+
+
+def test_names_of_the_ancestors_logs() -> None:
+    assert (OLD_NAMES["pos"], OLD_NAMES["trq_o"], OLD_NAMES["timestamp"]) == ("q", "tau_ref", "t")
+
+
+@pytest.mark.parametrize(("rows", "held", "told"), [(2**21, 0, ""), (2**22, 2**20, ""), (2**22, 2**20 - 1, "alike")])
+def test_few_holes_and_small_columns_are_no_matter(rows: int, held: int, told: str) -> None:
+    with pytest.raises(LogError, match=told) if told else contextlib.nullcontext():
+        refuse_ragged(rows, {"x": 100, "y": 28}, held)
+
+
+def test_sources_are_words_again() -> None:
+    table = Table(
+        [0.0, 1.0], {"q": np.zeros((2, 3)), "tau": np.zeros((2, 3)), "tau_source": [2, 0], "qd_source": [1, 0]}
+    )
+    states = list(table.states())
+    assert [state.tau_source for state in states] == ["reference", "none"]
+    assert [state.qd_source for state in states] == ["measured", "difference"]
+    assert QD_SOURCES[1] == "measured"
+    assert TAU_SOURCES[0] == "none"
+    assert next(table.without("tau_source").states()).tau_source == "measured"
+
+
+def test_missing_numbers_keep_the_default_of_the_state() -> None:
+    table = Table([0.0, 1.0], {"q": np.zeros((2, 3)), "robot_ns": [np.nan, 5.0], "utilization": [np.nan, 4.0]})
+    first, second = table.states()
+    assert first.robot_ns == 0
+    assert np.isnan(first.utilization)
+    assert (second.robot_ns, second.utilization) == (5, 4.0)
+    assert first.q_sent.size == 0
+
+
+def test_time_of_the_session_is_the_time_of_the_state() -> None:
+    table = Table([0.0, 1.0], {"q": np.zeros((2, 3)), "session_t": [7.0, 0.5], "session": [1, 2]})
+    assert [state.t for state in table.states()] == [7.0, 0.5]
+
+
+def test_periods_of_short_tables() -> None:
+    assert np.isnan(Table([3.0], {}).dt).all()
+    assert Table([3.0], {"dt": [0.004]}).dt.tolist() == [0.004]
+    assert Table([], {}).dt.size == 0
+    assert Table([0.0, 1.0, 3.0], {"dt": [np.nan, 1.0, np.nan]}).dt.tolist() == [1.5, 1.0, 2.0]
+
+
+def test_statistics_leave_out_what_is_missing() -> None:
+    array = np.array([[1.0, np.nan], [3.0, np.nan], [np.nan, np.nan]])
+    found = statistics(array)
+    assert found["min"][0] == 1.0
+    assert found["max"][0] == 3.0
+    assert found["mean"][0] == 2.0
+    assert found["sigma"][0] == 1.0
+    assert found["missing"].tolist() == [1.0, 3.0]
+    for key in ("min", "max", "mean", "sigma"):
+        assert np.isnan(found[key][1])
+    words = statistics(np.array(["a", ""]))
+    assert words["missing"].tolist() == [1.0]
+    assert np.isnan(words["min"]).all()
+
+
+def test_timing() -> None:
+    found = timing(Table([0.0, 0.1, 0.2, 0.6], {}))
+    assert found["rows"] == 4
+    assert found["duration"] == pytest.approx(0.6)
+    assert found["rate"] == pytest.approx(10.0)
+    assert found["gap"] == pytest.approx(0.4)
+    assert timing(Table([0.0], {}))["duration"] == 0.0
+
+
+def test_components_are_named_by_joint_or_number() -> None:
+    table = Table(
+        [0.0], {"q": [[1.0, 2.0]], "wrench_hat_cov": np.zeros((1, 6, 6)), "seq": [1]}, {"q": Column(labels=("a", "b"))}
+    )
+    assert component_names(table, "q") == ["q[a]", "q[b]"]
+    assert component_names(table, "wrench_hat_cov")[7] == "wrench_hat_cov[2,2]"
+    assert component_names(table, "seq") == ["seq"]
+
+
+def test_texts() -> None:
+    table = Table([0.0, 0.004], {"tau": [[1.0], [np.nan]]}, notes=("cut short",))
+    assert table_text(table).splitlines()[2].split() == ["tau", "(2,", "1)", "N", "m", "1", "rows", "from", "row", "1"]
+    assert table_text(table).endswith("note: cut short")
+    assert describe_text(table).splitlines()[1].split() == ["tau[1]", "N", "m", "1", "1", "1", "0", "1"]

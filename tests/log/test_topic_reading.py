@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from armlab import log, robots
 from armlab.errors import LogError, UnknownName
-from armlab.log.topic_reading import is_foreign, read_foreign, read_joints, read_topics
+from armlab.log.topics.reader import is_foreign, read_foreign, read_joints, read_topics
 
 UR = ("elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 STEP = 2_000_000  # ns
@@ -249,7 +249,7 @@ def test_damaged_messages_of_others_are_left_out_alone(ros: Any, tmp_path: Path,
 
 
 def test_the_functions_behind_read(ros: Any, tmp_path: Path) -> None:
-    from armlab.log.topic_table import Choice
+    from armlab.log.topics.tables import Choice
 
     path = ros.bag(tmp_path / "bag", ur_bag(ros, 4))
     told: list[tuple[float, float, str]] = []

@@ -1,21 +1,117 @@
-"""What a topic becomes: streams with stamps of their own."""
+"""Streams of columns out of topics of other programs, and tables of them."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
+from armlab.errors import LogError
 from armlab.log.column import Column
-from armlab.log.mcap_decode import Decoded
-from armlab.log.topic_fields import JOINTS, TopicFields
-from armlab.log.topic_messages import TopicMessages
-from armlab.log.topic_streams import Stream, rate_text, stem, streams_of
+from armlab.log.mcap.decode import Decoded
+from armlab.log.mcap.message_layouts import MessageReader, assembled, read_blocks, split
+from armlab.log.topics.messages import TopicMessages
+from armlab.log.topics.streams import JOINTS, Stream, TopicFields, columns_of_fields, rate_text, stem, streams_of
+from armlab.log.topics.tables import WRENCH, Choice, table_of_streams, tables_of_streams
 from armlab.wire import cdr
+
+ROBOT = """\
+std_msgs/Header header
+sensor_msgs/JointState measured
+geometry_msgs/WrenchStamped o_f_ext
+geometry_msgs/PoseStamped[] poses
+float64[7] gains
+uint64 count
+bool on
+uint8[] picture
+"""
+
+
+def fields(ros: Any, topic: TopicFields, *raws: bytes) -> dict[str, np.ndarray]:
+    reader = MessageReader(topic.type, topic.types, None, topic.named)
+    blocks = ((np.array([row]), np.frombuffer(raw, np.uint8)[None]) for row, raw in enumerate(raws))
+    return split(assembled(len(raws), read_blocks(len(raws), blocks, reader).pieces))
+
+
+def test_a_state_of_one_message(ros: Any) -> None:
+    """As the drivers of Franka arms send: everything in one message of their own type."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg(ROBOT, "lab_msgs/msg/State"))
+    topic = TopicFields("lab_msgs/msg/State", {name: entry[1] for name, entry in store.fielddefs.items()})
+    raws = []
+    for i in range(3):
+        names = ["a", "b"] if i else ["b", "a"]  # another order is another layout
+        joints = ros.joints(ros.start, names, [i, -i] if i else [-i, i])
+        poses = [ros.pose(ros.start, "base", [i, 2, 3], (0, 0, 1, 0) if i else (0, 0, 0, 0))]
+        message = store.types["lab_msgs/msg/State"](
+            header=ros.header(ros.start, "link0"),
+            measured=joints,
+            o_f_ext=ros.wrench(ros.start, "tool", [i, 0, 0, 0, 0, 1]),
+            poses=poses,
+            gains=np.full(7, float(i)),
+            count=2**64 - 1 if i == 2 else i,
+            on=i == 1,
+            picture=np.zeros(100, dtype=np.uint8),
+        )
+        raws.append(bytes(store.serialize_cdr(message, "lab_msgs/msg/State")))
+    values, columns, notes = columns_of_fields(topic, fields(ros, topic, *raws))
+    assert list(values) == [
+        "measured.q", "measured.qd", "measured.tau", "o_f_ext.wrench", "poses[0].pose", "gains", "count", "on",
+    ]  # fmt: skip
+    assert columns["measured.q"].labels == ("b", "a")
+    np.testing.assert_array_equal(values["measured.q"], [[0, 0], [-1, 1], [-2, 2]])
+    np.testing.assert_array_equal(values["o_f_ext.wrench"][:, 0], [0, 1, 2])
+    assert (columns["o_f_ext.wrench"].frame, columns["o_f_ext.wrench"].unit) == ("tool", "N, N m")
+    assert np.isnan(values["poses[0].pose"][0]).all()
+    np.testing.assert_allclose(values["poses[0].pose"][1, :3], [[-1, 0, 0, 1], [0, -1, 0, 2], [0, 0, 1, 3]], atol=1e-15)
+    assert notes == ["1 poses of poses[0].pose are missing: no quaternion of length 1"]
+    assert (columns["count"].kind, columns["on"].kind, columns["gains"].kind) == ("real", "flag", "real")
+
+
+def test_joints_without_names_or_with_too_few(ros: Any) -> None:
+    types = cdr.definitions(JOINTS, ros.store.generate_msgdef(JOINTS, ros_version=2)[0])
+    for names in ((), ("a",), ("a", "a")):
+        topic = TopicFields(JOINTS, types)
+        values, columns, _ = columns_of_fields(topic, fields(ros, topic, ros.raw(ros.joints(1, names, [1.0, 2.0]))))
+        np.testing.assert_array_equal(values["q"], [[1.0, 2.0]])
+        assert columns["tau"].labels == ()
+
+
+def test_states_without_a_joint_or_without_an_effort(ros: Any) -> None:
+    topic = TopicFields(JOINTS, cdr.definitions(JOINTS, ros.store.generate_msgdef(JOINTS, ros_version=2)[0]))
+    bare, named = ros.joints(1, (), [1.0, 2.0], efforts=False), ros.joints(1, ("a", "b"), [3.0, 4.0], efforts=False)
+    messages = [ros.raw(one) for one in (ros.joints(1, (), []), bare, named)]
+    assert columns_of_fields(topic, fields(ros, topic, messages[0])) == ({}, {}, [])
+    values, _, notes = columns_of_fields(topic, fields(ros, topic, *messages[:2]))
+    np.testing.assert_array_equal(values["q"], [[np.nan, np.nan], [1.0, 2.0]])
+    assert notes == []
+    values, _, notes = columns_of_fields(topic, fields(ros, topic, *messages))
+    np.testing.assert_array_equal(values["q"], [[np.nan, np.nan], [np.nan, np.nan], [3.0, 4.0]])
+    assert notes == [
+        "q of 1 messages are missing: they do not name their joints",
+        "qd of 1 messages are missing: they do not name their joints",
+    ]
+
+
+@pytest.mark.parametrize("names", [("map", "base/link.1"), ("a[0]", "b")])
+def test_transforms_by_frame(ros: Any, names: tuple[str, str]) -> None:
+    kind = "tf2_msgs/msg/TFMessage"
+    topic = TopicFields(kind, cdr.definitions(kind, ros.store.generate_msgdef(kind, ros_version=2)[0]))
+    one = ros.transforms(1, ("x", "y", [1, 0, 0]), (*names, [2, 0, 0]))
+    other = ros.transforms(1, (*names, [3, 0, 0]))
+    values, _, _ = columns_of_fields(topic, fields(ros, topic, ros.raw(one), ros.raw(other)))
+    if "[" in names[0]:
+        return  # such frames are none in ROS; nothing is raised
+    np.testing.assert_array_equal(values["transforms[map>base/link.1].transform"][:, 0, 3], [2, 3])
+    np.testing.assert_array_equal(values["transforms[x>y].transform"][:, 0, 3], [1, np.nan])
 
 
 def streams(ros: Any, topic: str, messages: list[tuple[int, Any]]) -> list[Stream]:
-    from armlab.log.topic_messages import _decoded
+    from armlab.log.topics.messages import _decoded
 
     kind = messages[0][1].__msgtype__
     into = TopicMessages()
@@ -88,3 +184,74 @@ def test_a_topic_without_numbers_is_none() -> None:
     fields = TopicFields(JOINTS, {})
     nothing = Decoded(np.zeros(1, np.uint32), np.zeros(1, np.int64), {})
     assert streams_of("/x", fields, nothing) == ([], [])
+
+
+PATH = Path("run.mcap")
+ROWS = np.arange(10)
+
+
+def stream(
+    topic: str, log_ns: np.ndarray, stamp_ns: np.ndarray | None = None, kind: str = "x", name: str = ""
+) -> Stream:
+    if kind == JOINTS:
+        column = Column(unit="rad", labels=("a", "b"))
+        values = {"q": np.stack([log_ns, log_ns], axis=1).astype(float)}
+        return Stream(topic, kind, log_ns, stamp_ns, values, {"q": column})
+    name = name or topic.strip("/")
+    shape = (len(log_ns), 6) if kind == WRENCH else (len(log_ns),)
+    column = Column(unit="N, N m" if kind == WRENCH else "1", frame="tool0")
+    return Stream(topic, kind, log_ns, stamp_ns, {name: np.ones(shape) * len(topic)}, {name: column})
+
+
+def test_a_header_of_another_clock_is_not_believed() -> None:
+    """A camera with a clock of its own; simulated time beside recorded time."""
+    log_ns = 10**18 + ROWS * 10**7
+    arm = stream("/joint_states", log_ns, log_ns - 300, JOINTS)
+    odd = stream("/cam", log_ns + 1000, ROWS * 10**7 + 5)
+    plain = stream("/n", log_ns + 1000)
+    table = table_of_streams(PATH, [odd, arm, plain], Choice(), ())
+    assert (table.t0_ns, table.clock) == (10**18 - 300, "file")
+    np.testing.assert_allclose(table["cam_age"][1:], 0.01 - 1e-6, atol=1e-8)
+    np.testing.assert_allclose(table["n_age"][1:], 0.01 - 1e-6, atol=1e-8)
+    by_log = table_of_streams(PATH, [arm, plain], Choice(clock="/n"), ())
+    assert by_log.t0_ns == 10**18 + 1000  # a clock without headers: everything when it was recorded
+    np.testing.assert_allclose(by_log["q_age"], 1e-6, atol=1e-8)
+
+
+def test_rows_out_of_order() -> None:
+    times = np.array([0, 1, 2, 2, 1, 3]) * 10**6 + 1
+    arm = stream("/joint_states", np.arange(6), times, JOINTS)
+    with pytest.warns(UserWarning, match="2 rows of /joint_states dropped"):
+        table = table_of_streams(PATH, [arm], Choice(), ())
+    assert table["q"][:, 0].tolist() == [0, 1, 2, 5]
+    raw = table_of_streams(PATH, [arm], Choice(raw=True), ())
+    assert raw["q"][:, 0].tolist() == [0, 1, 2, 3, 4, 5]
+
+
+def test_names_that_the_glossary_has_and_names_that_meet() -> None:
+    ns = ROWS * 10**6
+    streams = [stream("/tau", ns), stream("/t", ns), stream("/a/b", ns, name="a.b"), stream("/a.b", ns, name="a.b")]
+    table = table_of_streams(PATH, streams, Choice(), ())
+    assert table.names == ("topic.tau", "topic.t", "a.b", "a.b_2")
+    two = [stream("/w1", ns, kind=WRENCH), stream("/w2", ns, kind=WRENCH)]
+    assert table_of_streams(PATH, two, Choice(), ()).columns["w1"].frame == "tool0"
+    one = table_of_streams(PATH, two[:1], Choice(), ())
+    assert one.notes == ("wrench_raw is /w1, in axes of tool0",)
+
+
+def test_several_rates_are_refused_and_equal_ones_are_not() -> None:
+    ns = ROWS * 10**6
+    arm = stream("/joint_states", ns, None, JOINTS)
+    with pytest.raises(LogError, match=r"of one rate in run\.mcap, got several: /n 2000 Hz, /joint_states 1000 Hz\."):
+        table_of_streams(PATH, [arm, stream("/n", ns // 2)], Choice(), ())
+    table = table_of_streams(PATH, [stream("/n", ns + 7), arm, stream("/once", ns[:1])], Choice(), ())
+    assert table.names == ("q", "n", "n_age", "once", "once_age")
+    with pytest.raises(LogError, match=r"topics with numbers in run\.mcap, got none; left out: /x\."):
+        table_of_streams(PATH, [], Choice(), ["left out: /x"])
+
+
+def test_each_stream_by_itself() -> None:
+    ns = ROWS * 10**6
+    streams = [stream("/tf", ns, name="tf.a.b"), stream("/tf", ns[:3], name="tf.c.d"), stream("/n", ns)]
+    tables = tables_of_streams(PATH, streams, Choice())
+    assert {name: len(table) for name, table in tables.items()} == {"/tf tf.a.b": 10, "/tf tf.c.d": 3, "/n": 10}

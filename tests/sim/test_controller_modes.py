@@ -126,7 +126,7 @@ def test_another_mode_than_activated_is_event_41826() -> None:
 def test_pose_mode_moves_the_tool_to_the_pose() -> None:
     task = Task(mode="pose", ramp_in=0.005)
     goal = ROBOT.chain.forward(ROBOT.q_home + 0.05)
-    from armlab.wire.egm.pose import pose_from_matrix
+    from armlab.wire.egm.pose_force import pose_from_matrix
 
     motion = pb.EgmMotion()
     pose_from_matrix(motion.cartesian, goal)

@@ -11,7 +11,7 @@ from armlab.bridge.linked import axes_of
 from armlab.errors import CommandRefused
 from armlab.robots import Robot
 from armlab.state import Command
-from armlab.wire.egm.linkage import Linkage
+from armlab.wire.egm.axes import Linkage
 
 __all__ = ["causes", "entry_refusal", "kept", "numbers", "refusal", "wanted"]
 

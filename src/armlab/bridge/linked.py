@@ -9,7 +9,7 @@ import numpy as np
 
 from armlab.bridge.limits import Limiter, Limits, Reply
 from armlab.robots import Robot
-from armlab.wire.egm.linkage import Linkage
+from armlab.wire.egm.axes import Linkage
 
 __all__ = ["LinkedLimiter", "axes_of", "limiter_of"]
 

@@ -7,7 +7,7 @@ older, for ever, until one reply is left out. Only the research extension report
 from __future__ import annotations
 
 from armlab.bridge.events import Tell, nobody
-from armlab.wire.egm.standing_queue import StandingQueue
+from armlab.wire.egm.types import StandingQueue
 
 __all__ = ["Surplus"]
 

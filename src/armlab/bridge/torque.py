@@ -16,7 +16,7 @@ from armlab.bridge.limits import Limits, Reply
 from armlab.errors import CommandRefused, ConfigError
 from armlab.robots import Robot
 from armlab.state import Command
-from armlab.wire.egm.linkage import Linkage
+from armlab.wire.egm.axes import Linkage
 
 __all__ = ["Admittance", "TorqueModel", "Torques", "admittances"]
 

@@ -174,10 +174,9 @@ def read_samples(path: Path) -> Samples:
     """
     from armlab import log as logs
     from armlab.cli.output import note
-    from armlab.log.formats import is_text
-    from armlab.log.mat_file import read_mat
-    from armlab.log.provenance import file_hash
-    from armlab.log.topic_reading import is_foreign
+    from armlab.log.file_formats.mat import read_mat
+    from armlab.log.file_formats.opening import file_hash, is_text
+    from armlab.log.topics.reader import is_foreign
 
     source = f"{path.name} sha256 {file_hash(path)}" if path.is_file() else ""
     if path.suffix.lower() == ".mat":

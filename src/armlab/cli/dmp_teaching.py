@@ -97,7 +97,7 @@ def read_demonstration(
     """
     from armlab import kinematics, log, robots
     from armlab.errors import ConfigError
-    from armlab.log.topic_reading import is_foreign, read_joints
+    from armlab.log.topics.reader import is_foreign, read_joints
 
     arm, foreign = None if robot is None else robots.load(robot), is_foreign(path)
     if foreign and arm is None and kind != "pose" and "q" in (columns or ("q",)):

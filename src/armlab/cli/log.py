@@ -37,8 +37,8 @@ def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
     from armlab.cli.output import print_json, result
     from armlab.cli.reading import reading_bar
     from armlab.errors import LogError
-    from armlab.log.formats import format_at
-    from armlab.log.topic_reading import is_foreign
+    from armlab.log.file_formats.opening import format_at
+    from armlab.log.topics.reader import is_foreign
 
     kind = format_at(file)
     held = logs.inspect(file) if kind in ("MCAP", "") else None  # of no file it says why
@@ -96,9 +96,9 @@ def export(
     """
     from armlab import log as logs
     from armlab.cli.output import check_output, note, progress, refuse_overwrite, result
-    from armlab.log.mat_table import matlab_names
-    from armlab.log.reading import names_robots
-    from armlab.log.sidecar import sidecar_path
+    from armlab.log.file_formats.delimited import sidecar_path
+    from armlab.log.file_formats.mat import matlab_names
+    from armlab.log.topics.reader import names_robots
     from armlab.log.writing import ENDINGS
 
     check_output(output, force, ENDINGS, [file])
@@ -135,9 +135,9 @@ def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
     """
     from armlab import log as logs
     from armlab import robots
-    from armlab.log.formats import format_at
-    from armlab.log.recording_metadata import described
-    from armlab.log.topic_reading import is_foreign
+    from armlab.log.file_formats.opening import format_at
+    from armlab.log.recording.metadata import described
+    from armlab.log.topics.reader import is_foreign
 
     if ending not in (".mcap", ".rosbag2") or (ending == ".rosbag2" and is_foreign(file)):
         return None
@@ -206,9 +206,8 @@ def cut(
     from armlab import log as logs
     from armlab.cli.output import check_output, progress, result
     from armlab.errors import ConfigError, LogError
-    from armlab.log.formats import format_at
-    from armlab.log.reading import names_robots
-    from armlab.log.topic_reading import is_foreign
+    from armlab.log.file_formats.opening import format_at
+    from armlab.log.topics.reader import is_foreign, names_robots
     from armlab.log.writing import ENDINGS
 
     start, stop = (-float("inf") if from_ is None else from_), (float("inf") if to is None else to)

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from armlab.log import Table
-    from armlab.log.inspection import Inspection
+    from armlab.log.recording.inspection import Inspection
 
 __all__ = ["data_of", "parameters_data", "parameters_text", "text_of"]
 
@@ -67,7 +67,7 @@ def parameters_data(held: Inspection) -> dict[str, Any]:
 
 def _table_data(table: Table) -> dict[str, Any]:
     """Return what is shown of any log, for scripts."""
-    from armlab.log.text import component_names, statistics, timing
+    from armlab.log.table import component_names, statistics, timing
 
     holes = table.missing()
     columns = {}
@@ -114,7 +114,7 @@ def _exchanged_text(file: Path, kind: str, tables: Mapping[str, Table]) -> str:
 def _table_texts(tables: Mapping[str, Table]) -> list[str]:
     """Return rows, notes and columns of each table, with its name where there are several."""
     from armlab.cli.output import aligned
-    from armlab.log.text import table_text
+    from armlab.log.table import table_text
 
     blocks = [] if tables else ["no topic with numbers"]
     for name, table in tables.items():
@@ -163,7 +163,7 @@ def _column_rows(table: Table) -> list[tuple[str, ...]]:
     """Return one row per column: shape of a row, unit, frame, missing, minimum and maximum over its components."""
     import numpy as np
 
-    from armlab.log.text import statistics
+    from armlab.log.table import statistics
 
     holes = table.missing()
     rows: list[tuple[str, ...]] = [("column", "shape", "unit", "frame", "missing", "min", "max")]

@@ -123,7 +123,7 @@ class Part:
         """
         from armlab import log, robots
         from armlab.errors import LogError
-        from armlab.log.topic_reading import is_foreign, read_joints
+        from armlab.log.topics.reader import is_foreign, read_joints
 
         if robot is not None and is_foreign(path):
             whole = read_joints(path, robots.load(robot))

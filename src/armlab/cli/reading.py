@@ -12,7 +12,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from armlab.log import Table
-    from armlab.log.description import Progress
+    from armlab.log.file_formats.description import Progress
     from armlab.models import TorqueModel
     from armlab.robots import Robot
 
@@ -72,7 +72,7 @@ def doubts(table: Table, robot: Robot, model: TorqueModel | None = None) -> tupl
     model : that it is estimated with; torques of joints that it was not identified from do not count.
     """
     from armlab.errors import NotExcited, ShapeError
-    from armlab.log.plausibility import check_torque, check_velocity, has_moved
+    from armlab.log.units_check import check_torque, check_velocity, has_moved
     from armlab.signals import lowpass_offline
 
     rows = _longest_stretch(table)

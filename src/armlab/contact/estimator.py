@@ -41,7 +41,7 @@ from numpy.typing import ArrayLike
 from armlab._numbers import numbers
 from armlab.errors import ConcurrentUse, ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.log import Table
-from armlab.log.plausibility import check_known
+from armlab.log.units_check import check_known
 from armlab.models import FORCE_RATES, PRIOR, TorqueModel
 from armlab.robots import Robot
 from armlab.robots.outline import arm_length

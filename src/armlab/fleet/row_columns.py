@@ -8,7 +8,7 @@ import struct
 from armlab.bridge.row import MAGIC
 from armlab.bridge.row_schema import RowField, RowSchema
 from armlab.errors import LinkError
-from armlab.log.rows import SELDOM, RowLayout, Slot
+from armlab.log.recording.rows import SELDOM, RowLayout, Slot
 
 __all__ = ["RowColumns", "stamp_of", "tick_of"]
 

@@ -16,12 +16,12 @@ from armlab import robots as library
 from armlab.bridge.readiness import obstacle
 from armlab.errors import LogError, ModelMismatchError, RobotError, UnknownName
 from armlab.kinematics import forward
-from armlab.log.recording_metadata import described
+from armlab.log.recording.metadata import described
 from armlab.robots import Robot
 
 if TYPE_CHECKING:
     from armlab.log import Table
-    from armlab.log.inspection import Event
+    from armlab.log.recording.inspection import Event
     from armlab.models import TorqueModel
 
 __all__ = ["Recorded", "read_arms"]
@@ -212,8 +212,8 @@ def _tables(
     path: Path, given: Mapping[str, Robot], waiting: Sequence[Robot]
 ) -> Iterable[tuple[str | None, Table, tuple[Event, ...], Mapping[str, bytes]]]:
     """Yield name, table, events and attachments of each arm in a file; the name is None where it tells none."""
-    from armlab.log.formats import format_at
-    from armlab.log.topic_reading import is_foreign, read_joints
+    from armlab.log.file_formats.opening import format_at
+    from armlab.log.topics.reader import is_foreign, read_joints
 
     if waiting and is_foreign(path):
         named = [name for name in _arms_in(path) if name in given] if format_at(path) == "MCAP" else []

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from armlab.log import nikon
-from armlab.log.abb import read_abb
-from armlab.log.arm_log import read_arm
 from armlab.log.column import Column
-from armlab.log.delimited import read_csv
-from armlab.log.growing import Log, Tail
-from armlab.log.inspection import inspect
-from armlab.log.labcomm import read_labcomm
-from armlab.log.mat_file import read_mat
-from armlab.log.orca import from_orca
-from armlab.log.reading import read
-from armlab.log.recorder import Recorder
-from armlab.log.recovery import recover
-from armlab.log.resample import concat
-from armlab.log.rows import Tick
-from armlab.log.splicing import cut, merge
-from armlab.log.table import Table
-from armlab.log.topic_reading import read_topics
+from armlab.log.file_formats.abb import from_orca, read_abb
+from armlab.log.file_formats.delimited import read_csv
+from armlab.log.file_formats.labcomm import read_labcomm
+from armlab.log.file_formats.mat import read_mat
+from armlab.log.mcap.recovery import recover
+from armlab.log.reading import read, read_arm
+from armlab.log.recording.inspection import inspect
+from armlab.log.recording.recorder import Recorder
+from armlab.log.recording.rows import Tick
+from armlab.log.recording.splice import cut, merge
+from armlab.log.recording.table_builder import Log, Tail
+from armlab.log.table import Table, concat
+from armlab.log.topics.reader import read_topics
 from armlab.log.writing import write
 
 __all__ = [

@@ -1,16 +1,16 @@
-"""What one column of a table is: shape, unit, frame, labels and kind."""
+"""One column of a table: shape, unit, frame, labels, kind, the aliases of its name; ragged columns."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from armlab import glossary
-from armlab.errors import ShapeError, UnknownName
-
-__all__ = ["KINDS", "Column", "frozen", "stored"]
+from armlab.errors import LogError, ShapeError, UnknownName
 
 KINDS = ("real", "angle", "pose", "quaternion", "count", "flag", "text")
 """Kinds of columns; the kind decides how a column is stored and how it is resampled."""
@@ -141,3 +141,38 @@ def _writable_somewhere(array: np.ndarray) -> bool:
             return True
         seen = seen.base
     return not (seen is None or isinstance(seen, bytes))
+
+
+OLD_NAMES = {"pos": "q", "vel": "qd", "trq": "tau", "pos_o": "q_ref", "vel_o": "qd_ref", "trq_o": "tau_ref"}
+OLD_NAMES |= {"timestamp": "t", "seqnum": "seq"}
+"""Names of the fields of Robotlab.jl's logs -> ours."""
+
+
+def alias(name: str) -> str:
+    """Return a column name with ``: . [ ]`` replaced by ``_`` and outer ``_`` stripped, as the old tools did."""
+    return re.sub(r"[:.\[\]]", "_", name).strip("_")
+
+
+def natural_key(name: str) -> list[tuple[int, int, str]]:
+    """Return the sorting key in which digit groups compare as numbers."""
+    pieces = re.findall(r"\d+|\D+", name)
+    return [(0, int(piece), "") if piece.isdigit() else (1, 0, piece) for piece in pieces]
+
+
+_LARGEST, _CELLS_PER_NUMBER = 1 << 31, 512  # bytes of columns, and cells per number: one of 500 frames in each message
+
+
+def refuse_ragged(count: int, widths: Mapping[str, int], held: int) -> None:
+    """Refuse values that differ so much that their columns are large and hardly hold anything.
+
+    One message of a megabyte among thousands of short ones asks for gigabytes.
+
+    `widths`: name -> most numbers in one of them.
+    """
+    cells = count * sum(widths.values())
+    if 8 * cells > _LARGEST and cells > _CELLS_PER_NUMBER * held:
+        widest = max(widths, key=lambda path: widths[path])
+        raise LogError(
+            f"Expected values that are alike, got {count} rows with {held} numbers, up to {widths[widest]} in "
+            f"{widest[:80]}: {len(widths)} name(s) that would take {cells} cells."
+        )

@@ -21,7 +21,7 @@ import numpy as np
 
 from armlab.errors import LogError, ShapeError
 from armlab.lie import euler, se3, so3
-from armlab.log.mat_file import read_mat
+from armlab.log.file_formats.mat import read_mat
 
 __all__ = ["Cloud", "PlaneFile", "PoseFile", "read_cloud", "read_matrix", "read_plane"]
 

@@ -1,36 +1,42 @@
-"""`read`: a file becomes a `Table`, finished or torn."""
+"""`read`: a file becomes a `Table`, finished or torn; `read_arm`: the log of one arm."""
 
 from __future__ import annotations
 
 import hashlib
-import json
-import mmap
-import re
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from armlab.errors import ArmlabError, ConfigError, LogError, UnknownName
-from armlab.log.assemble import recording_table
-from armlab.log.delimited import read_csv
-from armlab.log.description import Progress
-from armlab.log.formats import BAGS, check_readable, format_at
-from armlab.log.hdf5_file import read_hdf5
-from armlab.log.labcomm import read_labcomm
-from armlab.log.mat_table import read_mat_table
-from armlab.log.mcap_records import DAMAGE, Contents, contents
-from armlab.log.parquet_file import read_parquet
-from armlab.log.recording_columns import CLOCK_COLUMNS, clock_channel, clocks, columns_at, kept_clock, sources_of
-from armlab.log.rosbag2_file import is_ours, read_rosbag2
+from armlab.errors import ArmlabError, ConfigError, LogError, ModelMismatchError, UnknownName
+from armlab.log.assembly import recording_table
+from armlab.log.file_formats.delimited import read_csv
+from armlab.log.file_formats.description import Progress
+from armlab.log.file_formats.hdf5 import read_hdf5
+from armlab.log.file_formats.labcomm import read_labcomm
+from armlab.log.file_formats.mat import read_mat_table
+from armlab.log.file_formats.opening import BAGS, check_readable, format_at, naming, opened
+from armlab.log.file_formats.parquet import read_parquet
+from armlab.log.file_formats.rosbag2 import read_rosbag2
+from armlab.log.mcap.records import DAMAGE, Contents, contents
+from armlab.log.recording.columns import (
+    CLOCK_COLUMNS,
+    clock_channel,
+    clocks,
+    columns_at,
+    earlier,
+    kept_clock,
+    sources_of,
+    summary_of,
+    torn_sentence,
+)
+from armlab.log.recording.inspection import inspect
+from armlab.log.recording.ros_messages import topic_name
 from armlab.log.table import Table
-from armlab.log.topic_table import Choice
+from armlab.log.topics.reader import is_foreign, names_robots, read_foreign, read_joints
+from armlab.log.topics.tables import Choice
 from armlab.robots import Robot
-
-__all__ = ["earlier", "names_robots", "naming", "opened", "read", "summary_of", "torn_sentence"]
 
 _READERS: dict[str, Callable[..., Table]] = {
     "text": read_csv,
@@ -91,8 +97,6 @@ def read(
     kind = format_at(path)
     with naming(path):
         if kind in BAGS and names_robots(path):
-            from armlab.log.topic_reading import read_foreign
-
             return read_foreign(path, choice, robot, progress)
         if kind in _READERS or kind in _COLUMN_READERS:
             _refuse_clock(path, clock)
@@ -102,17 +106,6 @@ def read(
         return _read_mcap(path, choice, robot, progress)
 
 
-def names_robots(path: Path) -> bool:
-    """Tell whether a log tells by its topics whose rows it has, so that `read` takes robot=; a table alone does not.
-
-    Parameters
-    ----------
-    path : of a file or folder.
-    """
-    kind = format_at(path)
-    return kind == "MCAP" or (kind in BAGS and not (kind == "rosbag2" and is_ours(path)))
-
-
 def _read_mcap(path: Path, choice: Choice, robot: Robot | str | None, progress: Progress | None) -> Table:
     check_readable(path)
     with opened(path) as view, ThreadPoolExecutor(1) as background:
@@ -120,8 +113,6 @@ def _read_mcap(path: Path, choice: Choice, robot: Robot | str | None, progress: 
         try:
             found = contents(view)
             if found.channels and not clocks(found):
-                from armlab.log.topic_reading import read_foreign
-
                 return read_foreign(path, choice, robot, progress)
             _refuse_clock(path, choice.clock)
             own = clock_channel(found, path, robot.name if isinstance(robot, Robot) else robot)
@@ -158,24 +149,6 @@ def _refuse_robot(path: Path, robot: Robot | str | None) -> None:
         )
 
 
-def earlier(view: memoryview, found: Contents) -> tuple[str, ...]:
-    """Return where the rows of a file had come from that `write`, `cut` or `merge` made."""
-    chain = summary_of(view, found).get("source", [])
-    return tuple(str(entry) for entry in chain) if isinstance(chain, list) else ()
-
-
-def summary_of(view: memoryview, found: Contents) -> dict[str, Any]:
-    """Return what was counted at the end of a recording, empty without."""
-    for one in found.attachments:
-        if one.name == "summary.json":
-            try:
-                told = json.loads(bytes(view[slice(*one.data)]))
-            except (ValueError, RecursionError):
-                return {}
-            return told if isinstance(told, dict) else {}
-    return {}
-
-
 def _holes(view: memoryview, found: Contents, clock: int) -> tuple[str, ...]:
     """Return what the recorder dropped of the robot with this clock channel, in a sentence.
 
@@ -191,42 +164,6 @@ def _holes(view: memoryview, found: Contents, clock: int) -> tuple[str, ...]:
     ticks = [f"{hole[0]} to {hole[1]}" for hole in holes]
     more = f" and {len(ticks) - 5} more" if len(ticks) > 5 else ""
     return (f"{dropped} rows were dropped while recording: ticks {', '.join(ticks[:5])}{more}",)
-
-
-def torn_sentence(path: Path, found: Contents, table: Table) -> str:
-    """Return what was recovered from an unfinished file and how to repair it."""
-    seconds = float(table.t[-1] - table.t[0]) if len(table) else 0.0
-    return (
-        f"{path.name} was not finished: recovered {len(table)} rows ({seconds:.3f} s), {found.torn} bytes torn; "
-        f"`armlab log recover {path.name}` writes a whole file"
-    )
-
-
-@contextmanager
-def naming(path: Path) -> Iterator[None]:
-    """Put the file into the sentence of a LogError that does not name it: what reads bytes does not know whose."""
-    try:
-        yield
-    except LogError as error:
-        if re.search(rf"(?<!\w){re.escape(str(path))}(?!\w)", str(error)):
-            raise
-        raise LogError(f"Expected a whole log in {path}, got a fault: {error}") from None
-
-
-@contextmanager
-def opened(path: Path) -> Iterator[memoryview]:
-    """Map a file into memory.
-
-    Raises
-    ------
-    LogError : it cannot be opened.
-    """
-    try:
-        with path.open("rb") as file:
-            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    except (OSError, ValueError) as error:
-        raise LogError(f"Expected a log at {path}, got: {error}.") from None
-    yield memoryview(mapped)  # released with the last array that looks at it
 
 
 def _recording(
@@ -254,3 +191,57 @@ def _recording(
     if empty:
         raise LogError(f"Expected values of {', '.join(empty)} in {path}, got none in {len(table)} rows.")
     return table.select(*wanted), damage
+
+
+def read_arm(path: str | Path, robot: Robot, progress: Progress | None = None) -> Table:
+    """Return the log of an arm with q and tau (N, n), in its order of joints; qd where it was recorded.
+
+    Parameters
+    ----------
+    path : of the log, see `read`. robot : that was logged. progress : as there.
+
+    Raises
+    ------
+    LogError : it cannot be read, or has no positions or torques.
+    ModelMismatchError : a recording of another robot, or another number of joints.
+    """
+    path = Path(path)
+    several = _is_of_several(path, robot)
+    if is_foreign(path):
+        table = read_joints(path, robot, progress)
+    else:
+        table = read(path, robot=robot.name if several else None, progress=progress)
+    missing = [name for name in ("q", "tau") if name not in table]
+    if missing:
+        raise LogError(
+            f"Expected positions and torques, columns q and tau, in {path}, got none for {' and '.join(missing)} among "
+            f"{', '.join(table.names)}. {_advice(missing)}"
+        )
+    if table["q"].shape[1:] != (robot.n,):
+        raise ModelMismatchError(
+            f"Expected a log of {robot.name!r} with {robot.n} joints, got q of shape {table['q'].shape} in {path}. "
+            "Name the robot that was logged."
+        )
+    return table
+
+
+def _advice(missing: list[str]) -> str:
+    """Say where columns that are missing may come from."""
+    if missing == ["tau"]:
+        return "Record with the research extension, which sends torques."
+    return "Name a log of the joints: armlab log show tells what one holds."
+
+
+def _is_of_several(path: Path, robot: Robot) -> bool:
+    """Refuse a recording without rows of a robot of this name; True when it holds several. Text knows none."""
+    if path.suffix != ".mcap" or not path.is_file():
+        return False
+    told = inspect(path)
+    several = len(told.robots) > 1  # named by their topics, in which some letters cannot stand
+    names = told.robots if several else (told.metadata.get("armlab", {}).get("robot", robot.name),)
+    if (topic_name(robot.name) if several else robot.name) not in names:
+        raise ModelMismatchError(
+            f"Expected a recording of {robot.name!r}, got one of {' and '.join(map(repr, names))} in {path}. Name the "
+            "robot that was recorded."
+        )
+    return several

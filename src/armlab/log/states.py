@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
 from armlab.errors import UnknownName
 from armlab.state import State
-
-if TYPE_CHECKING:
-    from armlab.log.table import Table
-
-__all__ = ["QD_SOURCES", "TAU_SOURCES", "iterate", "periods"]
 
 # The columns `qd_source` and `tau_source` hold the index of the word.
 QD_SOURCES = ("difference", "measured")
@@ -26,39 +21,35 @@ _NUMBERS = {"seq": int, "missed": int, "session": int, "motors": int, "rapid": i
 _NUMBERS |= {"utilization": float, "robot_ns": int, "converged": bool, "rapid_digital": bool}
 
 
-def iterate(table: Table) -> Iterator[State]:
+def iterate(t: np.ndarray, periods: np.ndarray, values: Mapping[str, np.ndarray]) -> Iterator[State]:
     """Yield one `State` per row.
 
     `dt` is the recorded one, else the difference of `t`. Joint velocities or torques that the table does not have are
     NaN. `q_start` is the position in the first row of the session; `t` the session's time where it was recorded.
-
-    Raises
-    ------
-    UnknownName : the table has no column q.
     """
-    if "q" not in table:
-        raise UnknownName.among("column", "q", table.names)
-    return _rows(table)
+    if "q" not in values:
+        raise UnknownName.among("column", "q", values)
+    return _rows(t, periods, values)
 
 
-def _rows(table: Table) -> Iterator[State]:
-    q = table["q"]
+def _rows(times: np.ndarray, periods: np.ndarray, values: Mapping[str, np.ndarray]) -> Iterator[State]:
+    q = values["q"]
     nothing = np.full(q.shape[1:], np.nan)
     nothing.flags.writeable = False
-    arrays = {name: table[name] for name in _ARRAYS if name in table}
-    numbers = {name: (kind, table[name].tolist()) for name, kind in _NUMBERS.items() if name in table}
-    replies = {name: table[name] for name in _PREVIOUS if name in table}
-    clock = table.values.get("session_t", table.t)
-    receive = table["receive_ns"].tolist() if "receive_ns" in table else None
-    qd, tau = table.values.get("qd"), table.values.get("tau")
+    arrays = {name: values[name] for name in _ARRAYS if name in values}
+    numbers = {name: (kind, values[name].tolist()) for name, kind in _NUMBERS.items() if name in values}
+    replies = {name: values[name] for name in _PREVIOUS if name in values}
+    clock = values.get("session_t", times)
+    receive = values["receive_ns"].tolist() if "receive_ns" in values else None
+    qd, tau = values.get("qd"), values.get("tau")
     words = {"qd_source": QD_SOURCES, "tau_source": TAU_SOURCES}
-    codes = {name: (known, table[name].tolist()) for name, known in words.items() if name in table}
-    constant = {} if tau is None or "tau_source" in table else {"tau_source": "measured"}
+    codes = {name: (known, values[name].tolist()) for name, known in words.items() if name in values}
+    constant = {} if tau is None or "tau_source" in values else {"tau_source": "measured"}
     session, q_start = None, nothing
-    for row, (t, dt) in enumerate(zip(clock.tolist(), table.dt.tolist(), strict=True)):
+    for row, (t, dt) in enumerate(zip(clock.tolist(), periods.tolist(), strict=True)):
         extra: dict[str, Any] = {name: array[row] for name, array in arrays.items()}
         extra |= {name: array[row - 1] for name, array in replies.items() if row}
-        extra |= {name: kind(values[row]) for name, (kind, values) in numbers.items() if values[row] == values[row]}
+        extra |= {name: kind(column[row]) for name, (kind, column) in numbers.items() if column[row] == column[row]}
         extra |= {name: known[int(code[row])] for name, (known, code) in codes.items()} | constant
         if receive is not None and receive[row] == receive[row]:
             extra["t_receive"] = int(receive[row])
@@ -75,19 +66,19 @@ def _rows(table: Table) -> Iterator[State]:
         )
 
 
-def periods(table: Table) -> np.ndarray:
+def periods(t: np.ndarray, values: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return the time since the previous row (N,) [s], as a controller was told it.
 
     That is the recorded `dt`, but the difference of `t` where the two are half a period apart: rows are missing
     there. At the first row of a session they may differ.
     """
-    steps = np.diff(table.t)
+    steps = np.diff(t)
     usual = np.median(steps) if len(steps) else np.nan
-    differences = np.concatenate(([usual][: len(table)], steps))
-    recorded = table.values.get("dt")
-    if recorded is None or not len(table):
+    differences = np.concatenate(([usual][: len(t)], steps))
+    recorded = values.get("dt")
+    if recorded is None or not len(t):
         return differences
-    begins = np.ones(len(table), dtype=bool)
-    begins[1:] = np.diff(table["session"]) != 0 if "session" in table else False
+    begins = np.ones(len(t), dtype=bool)
+    begins[1:] = np.diff(values["session"]) != 0 if "session" in values else False
     trusted = begins | (np.abs(recorded - differences) < 0.5 * usual)
     return np.where(trusted & np.isfinite(recorded), recorded, differences)

@@ -12,21 +12,18 @@ import numpy as np
 
 from armlab.errors import ConfigError, LogError, ShapeError
 from armlab.log.column import Column
-from armlab.log.delimited_writing import write_csv
-from armlab.log.description import Progress
-from armlab.log.hdf5_file import write_hdf5
-from armlab.log.mat_table import write_mat
-from armlab.log.parquet_file import write_parquet
-from armlab.log.recording_file import RecordingFile
-from armlab.log.rosbag2_file import write_rosbag2
-from armlab.log.rows import RowLayout
-from armlab.log.sidecar import describe, sidecar_path
+from armlab.log.file_formats.delimited import describe, sidecar_path, write_csv
+from armlab.log.file_formats.description import Progress
+from armlab.log.file_formats.hdf5 import write_hdf5
+from armlab.log.file_formats.mat import write_mat
+from armlab.log.file_formats.parquet import write_parquet
+from armlab.log.file_formats.rosbag2 import write_rosbag2
+from armlab.log.recording.file import RecordingFile
+from armlab.log.recording.rows import RowLayout
 from armlab.log.table import Table
 
 if TYPE_CHECKING:
     from armlab.robots import Robot
-
-__all__ = ["ENDINGS", "write"]
 
 _EXACT = 2**53  # whole numbers up to here are exact as real ones
 _TOLD = 1000  # rows of a recording between two words on progress

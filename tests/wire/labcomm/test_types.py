@@ -1,21 +1,34 @@
-"""Type trees: what they know of themselves, and what is no type."""
+"""Types, signatures, dialects, events, limits and numbers of LabComm."""
 
 from __future__ import annotations
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from armlab.errors import LabCommError
-from armlab.wire.labcomm import parse_lc
+from armlab.errors import LabCommError, UnknownName
+from armlab.wire.labcomm import Decoder, Encoder, Limits, parse_lc
+from armlab.wire.labcomm.dialects import DIALECTS, Dialect, decode_packed32, dialect_named, encode_packed32
+from armlab.wire.labcomm.signature import FIRST_INDEX, SignatureWalk, parse_signature
+from armlab.wire.labcomm.source import Source
 from armlab.wire.labcomm.types import (
     PRIMS,
     VOID,
     Array,
+    Binding,
+    Definition,
+    Event,
     Field,
+    Other,
+    Pragma,
     Prim,
+    Sample,
     SampleType,
     Struct,
     Type,
     TypeRef,
+    Unknown,
+    Version,
     containers,
     typename,
 )
@@ -87,3 +100,130 @@ def test_what_is_no_type_is_refused() -> None:
         node = Array((0,), node)
     with pytest.raises(LabCommError, match="32 levels"):
         Array((0,), node)
+
+
+def test_a_robot_row_has_the_signature_of_the_format() -> None:
+    (row,) = parse_lc("sample struct { int tm; double pos[7]; double vel[7]; double trq[7]; } robot_row;")
+    raw = row.type.signature()
+    assert raw.hex() == "110402746d2303706f731001072603" + "76656c1001072603" + "74727110010726"
+    assert parse_signature(raw) == row.type
+    assert len(raw) == 30
+
+
+@pytest.mark.parametrize(
+    ("raw", "offset", "what"),
+    [
+        ("", 0, "the rest"),
+        ("10 01", 2, "the rest"),
+        ("23 00", 1, "1 more"),
+        ("30", 0, "type code"),
+        ("40", 0, "type code"),
+        ("10 00 23", 1, "1 to 16 dimensions"),
+        ("10 11", 1, "1 to 16 dimensions"),
+        ("10 01 00 11 00", 3, "void"),
+        ("11 01 01 61 11 00", 4, "void"),
+        ("11 02 01 61 23 01 61 23", 5, "different names"),
+        ("10 02 87 68 87 68 21", 4, "product"),
+        ("10 01 00" * 32 + "23", 96, "32 levels"),
+        ("11 02 01 61" + "10 01 85 00 26" + "01 62 10 01 c0 00 26", 0, "bytes"),
+    ],
+)
+def test_malformed_signatures_are_refused_at_their_byte(raw: str, offset: int, what: str) -> None:
+    with pytest.raises(LabCommError, match=what) as caught:
+        parse_signature(bytes.fromhex(raw), limits=Limits(packet=65_536, values=16_384, definitions=1, nodes=1))
+    assert caught.value.offset == offset
+
+
+def test_type_indices_are_for_type_defs_only() -> None:
+    source = Source()
+    source.add(b"\x40")
+    walk = SignatureWalk(source, dialect_named("2014"), Limits.server(), 1, type_refs=True)
+    with pytest.raises(StopIteration) as done:
+        next(walk.tree(0))
+    assert done.value.value == (TypeRef(FIRST_INDEX), 1)
+    with pytest.raises(LabCommError):
+        parse_signature(b"\x28", "2013")
+    with pytest.raises(UnknownName):
+        parse_signature(b"\x28", "2015")
+
+
+def test_six_dialects() -> None:
+    assert list(DIALECTS) == ["2014v1", "2014", "2014i", "2014old", "2013", "2006"]
+    assert dialect_named("2013") == Dialect("2013", "LabComm2013", lengths=False, references=False)
+    with pytest.raises(UnknownName, match="2014v1"):
+        dialect_named("2014v2")
+
+
+def test_numbers_names_and_packets() -> None:
+    new, notes, old = (dialect_named(name) for name in ("2014v1", "2014i", "2006"))
+    assert new.number(300).hex() == "822c"
+    assert old.number(300).hex() == "0000012c"
+    assert new.label("val") == b"\3val"
+    assert notes.label("val", (("foo", "bar"),)) == b"\x02\x00\x03val\x03foo\x03bar"
+    assert new.packet(0x44, bytes(4)).hex() == "440400000000"
+    assert new.packet(0x44, bytes(4), length=5).hex() == "440500000000"
+    assert old.packet(0x44, bytes(4)).hex() == "0000004400000000"
+    with pytest.raises(LabCommError, match="UTF-8"):
+        new.label("\ud800")
+    with pytest.raises(LabCommError, match="from 0 to"):
+        old.number(2**32)
+
+
+def test_events_compare_by_value() -> None:
+    events: list[Event] = [
+        Version("LabComm2014.v1"),
+        Definition("sample", 0x40, "a", PRIMS["int"]),
+        Binding(0x40, 0),
+        Pragma("kind", b"x"),
+        Other(6, b""),
+        Sample(0x40, "a", 1, PRIMS["int"]),
+        Unknown(0x41, b""),
+    ]
+    assert len(set(events)) == 7
+    assert Sample(0x40, "a", 1, PRIMS["int"]) in events
+    assert "'a'" in repr(events[5])
+
+
+def test_presets() -> None:
+    server, file = Limits.server(), Limits.file()
+    assert (server.packet, server.values, server.definitions, server.nodes) == (65_536, 16_384, 1024, 65_536)
+    assert (file.packet, file.values, file.definitions, file.nodes) == (2**24, 2**21, 4096, 2**20)
+    assert (server.empty_rows, server.depth, server.name, server.dims, server.entries) == (256, 32, 255, 16, 64)
+
+
+def test_a_file_may_hold_what_a_peer_may_not_send() -> None:
+    (sample,) = parse_lc("sample float a[_];")
+    encoder = Encoder()
+    raw = encoder.version() + encoder.define(sample) + encoder.data(sample, [1.0] * 20_000)
+    *_, event = Decoder(limits=Limits.file()).feed(raw)
+    assert isinstance(event, Sample)
+    assert len(event.value) == 20_000
+
+
+@pytest.mark.parametrize(
+    ("n", "raw"),
+    [(0, "00"), (127, "7f"), (128, "8100"), (300, "822c"), (172, "812c"), (2**32 - 1, "8fffffff7f")],
+)
+def test_the_bytes_of_the_format(n: int, raw: str) -> None:
+    assert encode_packed32(n).hex() == raw
+    assert decode_packed32(bytes.fromhex(raw), 0) == (n, len(raw) // 2)
+
+
+@given(st.integers(0, 2**32 - 1), st.binary(max_size=3), st.integers(0, 4))
+def test_decode_inverts_encode(n: int, before: bytes, zeros: int) -> None:
+    raw = encode_packed32(n)
+    longer = b"\x80" * min(zeros, 5 - len(raw)) + raw
+    assert decode_packed32(before + longer + b"x", len(before)) == (n, len(before) + len(longer))
+
+
+@pytest.mark.parametrize("n", [-1, 2**32])
+def test_numbers_out_of_range_are_refused(n: int) -> None:
+    with pytest.raises(LabCommError, match="from 0 to"):
+        encode_packed32(n)
+
+
+@pytest.mark.parametrize("raw", ["", "81", "808080808001", "9080808000"])
+def test_bytes_that_are_no_number_are_refused(raw: str) -> None:
+    with pytest.raises(LabCommError, match="at byte 2") as caught:
+        decode_packed32(b"\xff\xff" + bytes.fromhex(raw), 2)
+    assert caught.value.offset == 2

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from armlab.sim.controller.settings import ControllerSettings
 from armlab.sim.controller.statistics import Statistics
 from armlab.wire.egm import Drop, RobotSideCodec, SensorMessage
-from armlab.wire.egm.standing_queue import StandingQueue
+from armlab.wire.egm.types import StandingQueue
 
 QUEUE_LENGTH = 64
 """Messages that wait; more are dropped. The packets that a reply can be matched with are as many."""

@@ -3,10 +3,9 @@
 from armlab.wire.egm.codec import EgmCodec
 from armlab.wire.egm.details import Details
 from armlab.wire.egm.robot_side import RobotSideCodec
-from armlab.wire.egm.types import Arm, Beside, Codec, Drop, Packet, Reference, RobotMessage, SensorMessage
+from armlab.wire.egm.types import Beside, Codec, Drop, Packet, Reference, RobotAxes, RobotMessage, SensorMessage
 
 __all__ = [
-    "Arm",
     "Beside",
     "Codec",
     "Details",
@@ -14,6 +13,7 @@ __all__ = [
     "EgmCodec",
     "Packet",
     "Reference",
+    "RobotAxes",
     "RobotMessage",
     "RobotSideCodec",
     "SensorMessage",

@@ -1,17 +1,21 @@
-"""The map between ABB's axes and units on the wire and kinematic joints in SI: one permutation, one scale vector."""
+"""The map between ABB's axes and kinematic joints: order, units, and joints that two motors move together.
+
+On an IRB 2400 a parallel rod turns the upper arm, and ABB counts axis 3 from the foot: axis 3 = q_2 + q_3. EGM speaks
+of axes, armlab of joints: ``q = C q_axis``, ``qd = C qd_axis``, ``tau = C^-T tau_axis``. C is the coupling of the
+robot's description without its gear ratios, which are ABB's own business: EGM is behind the gears.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import pi
 from operator import itemgetter
+from typing import Any, TypeVar
 
 import numpy as np
 
 from armlab.errors import ConfigError, RobotError
-from armlab.wire.egm.types import Arm, Drop
-
-__all__ = ["RADIAN", "AxisMap", "Refused"]
+from armlab.wire.egm.types import Drop, RobotAxes
 
 RADIAN = pi / 180.0
 _MILLIMETRE = 1e-3
@@ -36,23 +40,12 @@ class AxisMap:
     An arm without joints is an external unit alone: everything is in the external joints. Further external axes are
     in degrees unless `units` says otherwise. Where a motor moves two joints, q are the axes of `linkage`.
 
-    Parameters
-    ----------
-    arm : number of joints, which are prismatic, ABB's axis number of each in kinematic order, and the gears.
-    units : "deg" or "mm", for each joint in kinematic order and then for each external axis; empty for the rule above.
-
-    Attributes
-    ----------
-    n, head, tail : joints, those among ABB's first six, those beyond. scale : (n,) SI per wire unit.
-    can_move : the units of all commands are known.
-
-    Raises
-    ------
-    RobotError : when `abb_axes` is not a permutation of 1..n.
-    ConfigError : units that are none, or fewer than joints.
+    `units`: "deg" or "mm", for each joint in kinematic order and then for each external axis; empty for the rule above.
+    `n`, `head`, `tail`: joints, those among ABB's first six, those beyond; `scale`: (n,) SI per wire unit; `can_move`:
+    the units of all commands are known.
     """
 
-    def __init__(self, arm: Arm, units: Sequence[str] = ()) -> None:
+    def __init__(self, arm: RobotAxes, units: Sequence[str] = ()) -> None:
         axes = tuple(int(axis) for axis in arm.abb_axes)
         if sorted(axes) != list(range(1, arm.n + 1)):
             raise RobotError(f"Expected abb_axes to hold each of 1 to {arm.n} once, got {axes}.")
@@ -75,13 +68,7 @@ class AxisMap:
     def joints(self, joints: Sequence[float], external: Sequence[float]) -> tuple[float, ...]:
         """Return the n joints in kinematic order, in wire units.
 
-        Parameters
-        ----------
-        joints, external : as received; further external axes may follow the robot's own.
-
-        Raises
-        ------
-        Refused : no joints, or their number is not that of this robot.
+        `joints`, `external`: as received; further external axes may follow the robot's own.
         """
         if not joints and (self.head or not external):
             raise Refused("no joints", "the array of joints is absent or empty")
@@ -93,26 +80,12 @@ class AxisMap:
         return self.kinematic((*joints, *external) if self.tail else joints)
 
     def external_scale(self, count: int) -> np.ndarray:
-        """Return SI per wire unit of the external axes beyond the robot's own, (count,).
-
-        Parameters
-        ----------
-        count : how many there are.
-        """
+        """Return SI per wire unit of the external axes beyond the robot's own, (count,)."""
         known = self._beyond[:count]
         return np.concatenate((known, np.full(count - len(known), RADIAN)))
 
     def array(self, values: Sequence[float], is_kinematic: bool) -> tuple[float, ...] | None:
-        """Return the n values of one extension array in kinematic order, None when it is absent.
-
-        Parameters
-        ----------
-        values : as received. is_kinematic : True when the sender uses kinematic order, False for ABB's.
-
-        Raises
-        ------
-        Refused : the number of values is not that of the joints.
-        """
+        """Return the n values of one extension array in kinematic order, None when it is absent."""
         if not values:
             return None
         if len(values) != self.n:
@@ -122,9 +95,7 @@ class AxisMap:
     def wire(self, q: np.ndarray, scale: np.ndarray) -> tuple[float, ...]:
         """Return the n wire values in ABB's order: the first `head` are joints, the rest external.
 
-        Parameters
-        ----------
-        q : (n,) SI, kinematic order. scale : (n,) SI per wire unit.
+        `q`: (n,) SI, kinematic order; `scale`: (n,) SI per wire unit.
         """
         return self.abb((q / scale).tolist())
 
@@ -132,3 +103,64 @@ class AxisMap:
 def _picker(order: tuple[int, ...]) -> Callable[[Sequence[float]], tuple[float, ...]]:
     """Return the function that picks the elements `order` of a sequence."""
     return itemgetter(*order) if len(order) > 1 else lambda values: tuple(values[k] for k in order)
+
+
+Message = TypeVar("Message", bound=Any)
+
+_MOTIONS = ("q", "qd", "q_planned", "q_reference", "qd_reference")
+_TORQUES = ("tau", "tau_total", "tau_gravity", "tau_reference")
+
+
+class Linkage:
+    """Between ABB's axes and joints, both in kinematic order.
+
+    `coupling`: (n, n) C. `Linkage.of` makes it of a robot.
+    """
+
+    def __init__(self, coupling: np.ndarray) -> None:
+        inverse = np.linalg.inv(coupling)
+        self._to_joints, self._to_axes = coupling, inverse
+        self._torque_to_joints, self._torque_to_axes = inverse.T, coupling.T
+
+    @classmethod
+    def of(cls, arm: RobotAxes) -> Linkage | None:
+        """Return the linkage of a robot, None where every axis is a joint."""
+        coupling = np.asarray(arm.coupling, dtype=np.float64)
+        gears = np.diag(coupling)
+        if not np.any(coupling - np.diag(gears)):
+            return None
+        if not np.all(gears) or abs(np.linalg.det(coupling / gears)) < 1e-9:
+            raise RobotError(
+                f"Expected a coupling that can be inverted, each motor with its own joint, got {coupling}."
+            )
+        return cls(coupling / gears)
+
+    def joints(self, axes: np.ndarray) -> np.ndarray:
+        """Return positions or velocities (n,) of the joints. `axes` (n,) : those of the axes."""
+        return _times(self._to_joints, axes)
+
+    def axes(self, joints: np.ndarray) -> np.ndarray:
+        """Return positions or velocities (n,) of the axes. `joints` (n,) : those of the joints."""
+        return _times(self._to_axes, joints)
+
+    def heard(self, message: Message) -> Message:
+        """Return a message from the wire with its axes made joints."""
+        return _changed(message, self._to_joints, self._torque_to_joints)
+
+    def said(self, message: Message) -> Message:
+        """Return a message for the wire with its joints made axes."""
+        return _changed(message, self._to_axes, self._torque_to_axes)
+
+
+def _changed(message: Message, motion: np.ndarray, torque: np.ndarray) -> Message:
+    fields = [(name, motion) for name in _MOTIONS] + [(name, torque) for name in _TORQUES]
+    values = {name: (matrix, getattr(message, name, None)) for name, matrix in fields}
+    return message._replace(**{name: _times(matrix, old) for name, (matrix, old) in values.items() if old is not None})
+
+
+def _times(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the product; NaN in one value spoils only what depends on it."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        product = np.where(matrix, matrix * values, 0.0).sum(axis=1)
+    product.flags.writeable = False
+    return product

@@ -10,10 +10,7 @@ from google.protobuf.message import DecodeError
 
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import AxisMap, Refused
-from armlab.wire.egm.force import is_layout_of_rw7
-from armlab.wire.egm.pose import NO_POSE, pose_values, read_pose
-
-__all__ = ["Details", "read_details"]
+from armlab.wire.egm.pose_force import NO_POSE, is_layout_of_rw7, pose_values, read_pose
 
 _KINEMATIC = 1
 _MAX_SECONDS = 9_000_000_000  # a later clock does not fit int64 nanoseconds: it counts as absent
@@ -56,12 +53,7 @@ class Details(NamedTuple):
 
 
 def read_details(axes: AxisMap, data: bytes, robotware: str) -> Details | None:
-    """Return the details of a datagram, None for what is no message of this robot. Never raises.
-
-    Parameters
-    ----------
-    axes : order and units. data : one datagram. robotware : its flavour; 6.06 sends radians.
-    """
+    """Return the details of a datagram, None for what is no message of this robot. Never raises."""
     try:
         message = pb.EgmRobot.FromString(data)
         return _read(axes, message, robotware)

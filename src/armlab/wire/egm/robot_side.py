@@ -10,13 +10,9 @@ from google.protobuf.message import DecodeError
 
 from armlab.errors import ConfigError, UnknownName
 from armlab.wire.egm import armlab_egm_pb2 as pb
-from armlab.wire.egm.axes import RADIAN, AxisMap, Refused
-from armlab.wire.egm.force import encode_force
-from armlab.wire.egm.linkage import Linkage
-from armlab.wire.egm.pose import pose_from_matrix, pose_values, read_pose
-from armlab.wire.egm.types import Arm, Drop, RobotMessage, SensorMessage
-
-__all__ = ["DEFAULT_ARRAYS", "EXTENSION_ARRAYS", "MAX_BYTES", "ROBOTWARE", "RobotSideCodec"]
+from armlab.wire.egm.axes import RADIAN, AxisMap, Linkage, Refused
+from armlab.wire.egm.pose_force import encode_force, pose_from_matrix, pose_values, read_pose
+from armlab.wire.egm.types import Drop, RobotAxes, RobotMessage, SensorMessage
 
 ROBOTWARE = ("6.06", "6.07", "6.10", "7")
 """The flavours of EgmRobot that exist."""
@@ -63,7 +59,7 @@ class RobotSideCodec:
 
     def __init__(
         self,
-        arm: Arm,
+        arm: RobotAxes,
         robotware: str = "6.10",
         extension: bool | Iterable[str] = False,
         *,

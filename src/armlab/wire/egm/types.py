@@ -1,7 +1,10 @@
-"""What crosses the border of the EGM codec: `Packet`, `Drop`, `Reference`, `Beside`, messages of both sides, `Codec`.
+"""Inputs and outputs of the EGM codec: `Packet`, `Drop`, `Reference`, `Beside`, messages of both sides, `Codec`.
 
 All values are SI and radians in kinematic joint order. They are named tuples: immutable, and five times cheaper to make
 than frozen dataclasses, which counts at one of each per control cycle.
+
+`StandingQueue`: the controller takes one message per cycle, first in, first out. Each message that stays in the queue
+delays every later reference by one cycle.
 """
 
 from __future__ import annotations
@@ -10,8 +13,6 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
-
-__all__ = ["DROP_REASONS", "Arm", "Beside", "Codec", "Drop", "Packet", "Reference", "RobotMessage", "SensorMessage"]
 
 DROP_REASONS = (
     "unparsable",
@@ -29,7 +30,7 @@ DROP_REASONS = (
 """Why a datagram is dropped. The codec finds the first six, that of Zenoh's rows the last, the session the others."""
 
 
-class Arm(Protocol):
+class RobotAxes(Protocol):
     """What the codec needs to know of a robot: a `robots.Robot` has it."""
 
     @property
@@ -240,3 +241,29 @@ class SensorMessage(NamedTuple):
     echo_mono_ns: int | None = None
     echo_seq: int | None = None
     q_ext: np.ndarray | None = None
+
+
+_SECONDS = 1.0  # shorter queues are replies on their way
+
+
+class StandingQueue:
+    """Detector of messages that wait in every cycle for 1 s."""
+
+    def __init__(self) -> None:
+        self._seconds, self._least = 0.0, 0
+
+    def after(self, depth: int, period: float) -> str:
+        """Return a sentence in the cycle in which the queue has not been empty for 1 s, else "".
+
+        `period`: cycle time of the robot [s].
+        """
+        if depth <= 0:
+            self._seconds = 0.0
+            return ""
+        self._least = min(self._least, depth) if self._seconds else depth
+        before, self._seconds = self._seconds, self._seconds + period
+        if not before < _SECONDS <= self._seconds:
+            return ""
+        wait = "messages have waited" if self._least > 1 else "message has waited"
+        late = f"so each reference acts {1e3 * self._least * period:.0f} ms late"
+        return f"{self._least} {wait} in the controller's receive queue for 1 s, {late}."

@@ -8,11 +8,26 @@ no files.
 from armlab.wire.labcomm.decoder import Decoder
 from armlab.wire.labcomm.dialects import DIALECTS
 from armlab.wire.labcomm.encoder import Encoder, write_packet
-from armlab.wire.labcomm.events import Binding, Definition, Event, Other, Pragma, Sample, Unknown, Version
-from armlab.wire.labcomm.lc import Typedef, parse_lc, to_lc
-from armlab.wire.labcomm.limits import Limits
+from armlab.wire.labcomm.idl import Typedef, parse_lc, to_lc
 from armlab.wire.labcomm.signature import parse_signature
-from armlab.wire.labcomm.types import PRIMS, VOID, Array, Field, Prim, SampleType, Struct
+from armlab.wire.labcomm.source import Limits
+from armlab.wire.labcomm.types import (
+    PRIMS,
+    VOID,
+    Array,
+    Binding,
+    Definition,
+    Event,
+    Field,
+    Other,
+    Pragma,
+    Prim,
+    Sample,
+    SampleType,
+    Struct,
+    Unknown,
+    Version,
+)
 
 __all__ = [
     "DIALECTS",

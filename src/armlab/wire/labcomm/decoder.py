@@ -7,19 +7,209 @@ first. Faults are reported at the field where they are, before anything is built
 
 from __future__ import annotations
 
-from armlab.errors import LabCommError
-from armlab.wire.labcomm._definition import Head, definition, value_end
-from armlab.wire.labcomm._opening import HEADER, opening, version
-from armlab.wire.labcomm._read import Cursor, decoded
-from armlab.wire.labcomm._source import Cut, Source, Walk, number
-from armlab.wire.labcomm._tables import Known, Tables
-from armlab.wire.labcomm.dialects import DIALECTS, Dialect, dialect_named
-from armlab.wire.labcomm.encoder import PRAGMA, SAMPLE_DEF, SAMPLE_REF, TYPE_BINDING, TYPE_DEF, VERSION
-from armlab.wire.labcomm.events import Binding, Definition, Event, Kind, Other, Pragma, Sample, Unknown, Version
-from armlab.wire.labcomm.limits import Limits
-from armlab.wire.labcomm.signature import FIRST_INDEX
+from collections.abc import Generator, Set
+from functools import cached_property
+from typing import NamedTuple
 
-__all__ = ["Decoder"]
+from armlab.errors import LabCommError
+from armlab.wire.labcomm.dialects import DIALECTS, Dialect, Notes, dialect_named
+from armlab.wire.labcomm.encoder import PRAGMA, SAMPLE_DEF, SAMPLE_REF, TYPE_BINDING, TYPE_DEF, VERSION
+from armlab.wire.labcomm.signature import FIRST_INDEX, SignatureWalk
+from armlab.wire.labcomm.source import Cut, Limits, Source, Walk, label, number
+from armlab.wire.labcomm.types import (
+    Array,
+    Binding,
+    Definition,
+    Event,
+    Kind,
+    Other,
+    Pragma,
+    Sample,
+    SampleType,
+    Struct,
+    Type,
+    Unknown,
+    Version,
+)
+from armlab.wire.labcomm.values import Cursor, Reader, Size, checked_shape, decoded, reader
+
+
+class Head(NamedTuple):
+    """What a definition packet says."""
+
+    index: int  # pyright: ignore[reportIncompatibleMethodOverride]
+    name: str
+    notes: Notes
+    type: Type
+    end: int
+
+
+def definition(
+    source: Source, pos: int, end: int, dialect: Dialect, limits: Limits, type_refs: bool
+) -> Generator[None, None, Head]:
+    """Walk over the body of a SAMPLE_DEF, SAMPLE_REF or TYPE_DEF; `Cut` leaves it when the body is too short."""
+    first = pos
+    index, pos = yield from number(source, pos, end, dialect.wide)
+    if index < FIRST_INDEX:
+        raise _bad(first, f"an index from {FIRST_INDEX:#x} on", f"{index:#x}")
+    name, notes, pos = yield from label(source, pos, end, dialect, limits)
+    if not dialect.lengths:
+        tree, pos = yield from SignatureWalk(source, dialect, limits, end, type_refs).tree(pos)
+        return Head(index, name, notes, tree, pos)
+    declared = pos
+    size, pos = yield from number(source, pos, end, dialect.wide)
+    if pos + size != end:
+        raise _bad(declared, f"a signature of the {end - pos} bytes left in the packet", f"a length of {size}")
+    try:
+        tree, pos = yield from SignatureWalk(source, dialect, limits, end, type_refs).tree(pos)
+    except Cut:
+        raise _bad(declared, f"a signature of {size} bytes that is a whole type", "one that goes on") from None
+    if pos != end:
+        raise _bad(declared, f"a signature of {size} bytes", f"one that ends {end - pos} bytes before")
+    return Head(index, name, notes, tree, pos)
+
+
+def value_end(source: Source, node: Type, pos: int, end: int, wide: bool, limits: Limits) -> Generator[None, None, int]:
+    """Walk over a value to its end; `Cut` leaves it when the body would be too long."""
+    if node.fixed_size is not None:
+        pos += node.fixed_size
+    elif isinstance(node, Struct):
+        for field in node.fields:
+            pos = yield from value_end(source, field.type, pos, end, wide, limits)
+    elif isinstance(node, Array):
+        read: list[Size] = []
+        for size in node.dims:
+            if not size:
+                where = pos
+                size, pos = yield from number(source, pos, end, wide)
+                read.append(Size(size, where))
+        shape = checked_shape(node, read, end - pos, wide, limits)
+        if node.elem.fixed_size is not None:
+            pos += shape.total * node.elem.fixed_size
+        else:
+            for _ in range(shape.total):
+                pos = yield from value_end(source, node.elem, pos, end, wide, limits)
+    else:
+        where = pos
+        size, pos = yield from number(source, pos, end, wide)
+        if pos + size > end:
+            raise _bad(where, "a string that ends in its packet", f"{size} bytes")
+        pos += size
+    if pos > end:
+        raise Cut
+    return pos
+
+
+def _bad(offset: int, expected: str, got: str) -> LabCommError:
+    return LabCommError(f"Expected {expected} at byte {offset}, got {got}.", offset)
+
+
+HEADER = 10
+"""Bytes of a tag and a length at most."""
+
+_FIRST = {0x00: DIALECTS["2006"], 0x01: DIALECTS["2014"], 0x0B: DIALECTS["2013"]}
+
+
+class Opening(NamedTuple):
+    """The dialect, whether it may still be 2014i instead of 2014, and what was announced."""
+
+    dialect: Dialect
+    is_undecided: bool
+    events: list[Version]
+
+
+def opening(
+    source: Source, given: Dialect | None, require_version: bool, limits: Limits
+) -> Generator[None, None, Opening]:
+    """Walk over the announcement, if there is one."""
+    yield from source.need(1)
+    first = source.buf[0]
+    guess = _FIRST.get(first) if given is None else given
+    if guess is None:
+        raise _bad(0, "the beginning of a LabComm stream (00, 01 or 0b)", f"{first:02x}")
+    announces = {"2013": 0x0B, "2006": first}.get(guess.name, VERSION)
+    if first != announces and require_version:
+        raise _bad(0, f"the VERSION of {guess.name}", f"{first:02x}")
+    if first != announces or guess.name == "2006":
+        return Opening(guess, False, [])
+    if guess.name == "2013":
+        yield from source.need(12)
+        if source.slice(1, 12) != guess.version.encode():
+            raise _bad(0, guess.version, repr(source.slice(1, 12)))
+        source.at = 12
+        return Opening(guess, False, [Version(guess.version)])
+    every = {dialect.version for dialect in DIALECTS.values() if dialect.lengths}
+    text, extra = yield from version(source, every if given is None else {guess.version}, limits)
+    if given is None and text == DIALECTS["2014v1"].version:
+        guess = DIALECTS["2014v1"]
+    if guess.name == "2014" and extra:
+        guess = DIALECTS["2014old"]
+    return Opening(guess, given is None and guess.name == "2014", [Version(text)])
+
+
+def version(source: Source, wanted: Set[str], limits: Limits) -> Generator[None, None, tuple[str, int]]:
+    """Walk over VERSION: its text, and by how much (0 or 1) the declared length is too large."""
+    end = source.at + 2 * HEADER + limits.packet
+    _, where = yield from number(source, source.at, end, wide=False)
+    declared, begin = yield from number(source, where, end, wide=False)
+    size, pos = yield from number(source, begin, end, wide=False)
+    if size > limits.version:
+        raise _bad(begin, f"a VERSION of at most {limits.version} bytes", f"{size} bytes")
+    stop = pos + size
+    yield from source.need(stop)
+    text = source.slice(pos, stop).decode("ascii", "replace")
+    if text not in wanted:
+        raise _bad(begin, " or ".join(sorted(wanted)), repr(text))
+    extra = declared - (stop - begin)
+    if extra not in (0, 1):
+        raise _bad(where, f"a length of {stop - begin}", str(declared))
+    source.at = stop
+    return text, extra
+
+
+class Known:
+    """A sample type and what reads its values, made with the first value: many types are defined and never sent.
+
+    `index`, `name`, `type`: as defined; `left`: values that a packet may hold besides those that every value has;
+    `read`: the reader.
+    """
+
+    def __init__(self, definition: Definition, limits: Limits) -> None:
+        _, self.index, self.name, self.type, _ = definition
+        self.left = limits.values - self.type.values
+
+    @cached_property
+    def read(self) -> Reader:
+        """What reads a value."""
+        return reader(self.type)
+
+
+class Tables:
+    """Samples, references and types by index, and the readers of the samples; dicts, since indices may be sparse."""
+
+    def __init__(self, limits: Limits) -> None:
+        self.samples: dict[int, SampleType] = {}
+        self.refs: dict[int, SampleType] = {}
+        self.types: dict[int, SampleType] = {}
+        self.known: dict[int, Known] = {}
+        self._limits, self._nodes = limits, 0
+
+    def keep(self, kind: Kind, head: Head, offset: int) -> Definition:
+        """Enter a definition; a repeated one costs nothing, another for its index replaces it."""
+        table = {"sample": self.samples, "ref": self.refs, "type": self.types}[kind]
+        event, entry = Definition(kind, head.index, head.name, head.type, head.notes), SampleType(head.name, head.type)
+        old = table.get(head.index)
+        if old != entry:
+            nodes = self._nodes + head.type.nodes - (0 if old is None else old.type.nodes)
+            limits = self._limits
+            if (old is None and len(table) >= limits.definitions) or nodes > limits.nodes:
+                most = f"at most {limits.definitions} definitions and {limits.nodes} nodes"
+                raise LabCommError(f"Expected {most} in a stream, got one more at byte {offset}.", offset)
+            self._nodes, table[head.index] = nodes, entry
+            if kind == "sample":
+                self.known[head.index] = Known(event, limits)
+        return event
+
 
 _KINDS: dict[int, Kind] = {SAMPLE_DEF: "sample", SAMPLE_REF: "ref", TYPE_DEF: "type"}
 
@@ -262,7 +452,3 @@ class Decoder:
         cursor.base, cursor.at, cursor.end = source.base, pos - source.base, stop - source.base
         self._events.append(self._sample(known, cursor))
         source.at = stop
-
-
-def _bad(offset: int, expected: str, got: str) -> LabCommError:
-    return LabCommError(f"Expected {expected} at byte {offset}, got {got}.", offset)

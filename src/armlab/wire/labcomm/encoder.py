@@ -6,12 +6,21 @@ from collections.abc import Callable
 from typing import Any
 
 from armlab.errors import LabCommError
-from armlab.wire.labcomm._write import Misfit, Wire, Writer, writer
 from armlab.wire.labcomm.dialects import Dialect, dialect_named
-from armlab.wire.labcomm.events import Binding, Definition, Event, Other, Pragma, Sample, Unknown, Version
-from armlab.wire.labcomm.types import SampleType, Type, TypeRef
-
-__all__ = ["Encoder", "write_packet"]
+from armlab.wire.labcomm.types import (
+    Binding,
+    Definition,
+    Event,
+    Other,
+    Pragma,
+    Sample,
+    SampleType,
+    Type,
+    TypeRef,
+    Unknown,
+    Version,
+)
+from armlab.wire.labcomm.values import Misfit, Wire, Writer, writer
 
 FIRST_INDEX = 0x40
 VERSION, SAMPLE_DEF, SAMPLE_REF, TYPE_DEF, TYPE_BINDING, PRAGMA = 1, 2, 3, 4, 5, 0x3F

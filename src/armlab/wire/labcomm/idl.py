@@ -1,15 +1,261 @@
-"""Declarations that come with armlab: the rows of its bridge, and the signals of ABB's ExtCtrl."""
+"""The `.lc` language that LabComm programs declare their samples in, and the declarations that come with armlab.
+
+``sample struct { int tm; double pos[7]; } robot_row;`` declares a sample, ``typedef`` names a type for later use. A
+typedef is expanded where it is used: its name does not reach the wire.
+"""
 
 from __future__ import annotations
 
 import pkgutil
+import re
+from collections.abc import Iterable
 from functools import cache
+from typing import NamedTuple, NoReturn
 
-from armlab.errors import UnknownName
-from armlab.wire.labcomm.lc import parse_lc
-from armlab.wire.labcomm.types import SampleType
+from armlab.errors import LabCommError, UnknownName
+from armlab.wire.labcomm.dialects import Dialect, Notes, dialect_named
+from armlab.wire.labcomm.types import PRIMS, VOID, Array, Field, Prim, SampleType, Struct, Type, TypeRef
 
-__all__ = ["FILES", "samples", "text"]
+_LARGEST, _MAX_DEPTH = 2**20, 32
+_KEYWORDS = {"typedef", "struct", "void", *PRIMS}
+_TOKEN = re.compile(
+    r"(?P<skip>\s+|//[^\n]*|/\*.*?\*/)|(?P<name>[A-Za-z_][A-Za-z0-9_]*)|(?P<number>0|[1-9][0-9]*)(?![0-9])"
+    r'|(?P<quoted>"[^"]*")|(?P<mark>[{}\[\](),:;])',
+    re.DOTALL,
+)
+_NAME = re.compile(r"(?!_$)[A-Za-z_][A-Za-z0-9_]*")
+
+
+class Typedef(NamedTuple):
+    """A named type that is no sample."""
+
+    name: str
+    type: Type
+
+
+class _Token(NamedTuple):
+    kind: str
+    text: str
+    at: int
+
+
+def parse_lc(text: str, dialect: str = "2014v1") -> list[SampleType | Typedef]:
+    """Return the samples and typedefs of a text in its order.
+
+    Parameters
+    ----------
+    text : at most 1 MiB and 32 levels. dialect : notes, ``(unit:rad)`` and "docs", are read in 2014i only.
+
+    Raises
+    ------
+    LabCommError : with `line` and `column`. UnknownName : no such dialect.
+    """
+    kind = dialect_named(dialect)
+    if len(text) > _LARGEST:
+        raise LabCommError(f"Expected at most {_LARGEST} characters of .lc text, got {len(text)}.")
+    return _Parser(text, kind).file()
+
+
+def to_lc(types: Iterable[SampleType | Typedef]) -> str:
+    """Return the text that declares types, so that ``parse_lc(to_lc(types), "2014i")`` gives them again.
+
+    Parameters
+    ----------
+    types : samples and typedefs.
+
+    Raises
+    ------
+    LabCommError : a name or a note that the language cannot write.
+    """
+    lines = []
+    for one in types:
+        is_sample = isinstance(one, SampleType)
+        head = "sample" if is_sample else "typedef"
+        lines.append(f"{head} {_notes(one.notes if is_sample else ())}{_declared(one.type, _name(one.name), '')}\n")
+    return "".join(lines)
+
+
+class _Parser:
+    """Recursive descent over the tokens."""
+
+    def __init__(self, text: str, dialect: Dialect) -> None:
+        self._text, self._dialect = text, dialect
+        self._tokens, self._next = self._scan(), 0
+        self._types: dict[str, Type] = {}
+        self._names: set[str] = set()
+
+    def file(self) -> list[SampleType | Typedef]:
+        found: list[SampleType | Typedef] = []
+        while self._peek().kind != "end":
+            found.append(self._declaration())
+        return found
+
+    def _declaration(self) -> SampleType | Typedef:
+        start = self._take()
+        if start.text not in ("typedef", "sample"):
+            self._fail(start, '"typedef" or "sample"')
+        notes = self._notes()
+        if notes and start.text == "typedef":
+            self._fail(start, "a typedef without notes")
+        node, name = self._typed(1)
+        if name.text in self._names:
+            self._fail(name, "a name that is not taken")
+        self._names.add(name.text)
+        if start.text == "sample":
+            return SampleType(name.text, node, notes)
+        self._types[name.text] = node
+        return Typedef(name.text, node)
+
+    def _typed(self, depth: int) -> tuple[Type, _Token]:
+        """Parse a type, the name that it is for, its sizes and the semicolon."""
+        start = self._peek()
+        node = self._type(depth)
+        name = self._take()
+        if name.kind != "name" or name.text in _KEYWORDS or name.text == "_":
+            self._fail(name, "a name")
+        dims = []
+        while self._peek().text == "[":
+            dims.append(self._dims())
+        self._mark(";")
+        try:
+            for sizes in reversed(dims):
+                node = Array(sizes, node)
+        except LabCommError as error:
+            self._fail(start, str(error).partition(", got ")[0].removeprefix("Expected "))
+        return node, name
+
+    def _type(self, depth: int) -> Type:
+        token = self._take()
+        if depth > _MAX_DEPTH:
+            self._fail(token, f"at most {_MAX_DEPTH} levels")
+        if token.text == "struct":
+            return self._struct(token, depth)
+        if token.text == "void":
+            return VOID
+        if token.text in PRIMS:
+            if token.text == "sample" and not self._dialect.references:
+                self._fail(token, f"a type of LabComm {self._dialect.name}")
+            return PRIMS[token.text]
+        if token.kind != "name" or token.text not in self._types:
+            self._fail(token, "a type that is declared before")
+        return self._types[token.text]
+
+    def _struct(self, start: _Token, depth: int) -> Type:
+        self._mark("{")
+        fields: dict[str, Field] = {}
+        while self._peek().text != "}" or not fields:
+            notes = self._notes()
+            first = self._peek()
+            node, name = self._typed(depth + 1)
+            if node == VOID:
+                self._fail(first, "a type with a value for a field")
+            if name.text in fields:
+                self._fail(name, "a field name that is not taken")
+            fields[name.text] = Field(name.text, node, notes)
+        self._mark("}")
+        try:
+            return Struct(tuple(fields.values()))
+        except LabCommError:
+            self._fail(start, f"at most {_MAX_DEPTH} levels")
+
+    def _dims(self) -> tuple[int, ...]:
+        self._mark("[")
+        sizes = []
+        while True:
+            token = self._take()
+            if token.text != "_" and (token.kind != "number" or not 0 < int(token.text[:11]) < 2**32):
+                self._fail(token, "a size from 1 to 2**32 - 1 or _")
+            sizes.append(0 if token.text == "_" else int(token.text))
+            after = self._take()
+            if after.text == "]":
+                return tuple(sizes)
+            if after.text != ",":
+                self._fail(after, '"," or "]"')
+
+    def _notes(self) -> Notes:
+        """Parse notes; docs are only for people."""
+        notes: dict[str, str] = {}
+        while self._peek().text == "(" or self._peek().kind == "quoted":
+            token = self._take()
+            if not self._dialect.maps:
+                self._fail(token, f"no notes in LabComm {self._dialect.name}, they are of 2014i")
+            if token.kind == "quoted":
+                continue
+            key = self._take()
+            if key.kind != "name" or key.text in notes:
+                self._fail(key, "a key that is not taken")
+            self._mark(":")
+            value = self._take()
+            if value.kind not in ("name", "quoted"):
+                self._fail(value, "a value")
+            notes[key.text] = value.text
+            self._mark(")")
+        return tuple(sorted(notes.items()))
+
+    def _mark(self, text: str) -> None:
+        token = self._take()
+        if token.text != text:
+            self._fail(token, f'"{text}"')
+
+    def _peek(self) -> _Token:
+        return self._tokens[self._next]
+
+    def _take(self) -> _Token:
+        token = self._tokens[self._next]
+        self._next += token.kind != "end"
+        return token
+
+    def _scan(self) -> list[_Token]:
+        tokens, at = [], 0
+        while at < len(self._text):
+            match = _TOKEN.match(self._text, at)
+            if match is None:
+                self._fail(_Token("", self._text[at], at), "a name, a number, a mark or a comment")
+            if match.lastgroup != "skip":
+                tokens.append(_Token(match.lastgroup or "", match[0], at))
+            at = match.end()
+        tokens.append(_Token("end", "", at))
+        return tokens
+
+    def _fail(self, token: _Token, expected: str) -> NoReturn:
+        line = self._text.count("\n", 0, token.at) + 1
+        column = token.at - self._text.rfind("\n", 0, token.at)
+        got = repr(token.text[:40]) if token.text else "the end"
+        raise LabCommError(
+            f"Expected {expected} in line {line}, column {column}, got {got}.", line=line, column=column
+        ) from None
+
+
+def _declared(node: Type, name: str, indent: str) -> str:
+    dims = ""
+    while isinstance(node, Array):
+        dims += f"[{', '.join(str(size or '_') for size in node.dims)}]"
+        node = node.elem
+    if isinstance(node, TypeRef):
+        raise LabCommError(f"Expected a type that .lc can declare, got a reference to type {node.index}.")
+    if isinstance(node, Prim) or not node.fields:
+        return f"{node.name if isinstance(node, Prim) else 'void'} {name}{dims};"
+    inner = indent + "  "
+    fields = [f"{inner}{_notes(part.notes)}{_declared(part.type, _name(part.name), inner)}\n" for part in node.fields]
+    return f"struct {{\n{''.join(fields)}{indent}}} {name}{dims};"
+
+
+def _name(text: str) -> str:
+    if not _NAME.fullmatch(text) or text in _KEYWORDS:
+        raise LabCommError(f"Expected a name that .lc can write (letters, digits, _, no keyword), got {text!r}.")
+    return text
+
+
+def _notes(notes: Notes) -> str:
+    for key, value in notes:
+        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", key) or not re.fullmatch(
+            r'[A-Za-z_][A-Za-z0-9_]*|"[^"]*"', value
+        ):
+            raise LabCommError(
+                f"Expected a note that .lc can write (names, or a quoted value), got {key!r}: {value!r}."
+            )
+    return "".join(f"({key}:{value}) " for key, value in notes)
+
 
 FILES = ("armlab", "extctrl")
 """Names of the files, without their ending."""

@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Generator
 
 from armlab.errors import LabCommError
-from armlab.wire.labcomm._source import Cut, Number, Source, label, number
 from armlab.wire.labcomm.dialects import Dialect, dialect_named
-from armlab.wire.labcomm.limits import Limits
+from armlab.wire.labcomm.source import Cut, Limits, Number, Source, label, number
 from armlab.wire.labcomm.types import ARRAY, PRIMS, SAMPLE, STRUCT, VOID, Array, Field, Struct, Type, TypeRef
-
-__all__ = ["FIRST_INDEX", "SignatureWalk", "parse_signature"]
 
 FIRST_INDEX = 0x40
 """Smallest index of a sample or type; smaller numbers are tags and type codes."""
@@ -47,10 +44,7 @@ def parse_signature(data: bytes, dialect: str = "2014v1", limits: Limits | None 
 class SignatureWalk:
     """Walks over one signature.
 
-    Parameters
-    ----------
-    source, dialect, limits : of the stream. end : where the signature ends at the latest.
-    type_refs : indices of types may stand for types (TYPE_DEF).
+    `end`: where the signature ends at the latest; `type_refs`: indices of types may stand for types (TYPE_DEF).
     """
 
     def __init__(self, source: Source, dialect: Dialect, limits: Limits, end: int, type_refs: bool = False) -> None:

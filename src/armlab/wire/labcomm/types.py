@@ -1,4 +1,4 @@
-"""Types of LabComm values as immutable trees: `Prim`, `Array`, `Struct`; `SampleType` is one with a name.
+"""Types of LabComm values as immutable trees; `SampleType` is a named one; the packets of a stream as events.
 
 A tree knows of itself what a reader needs before it reads: levels, nodes, values, and its smallest size on the wire,
 which is ``size`` bytes and ``numbers`` sizes or lengths of 1 byte (4 in dialect 2006) or more.
@@ -9,24 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from armlab.errors import LabCommError
 from armlab.wire.labcomm.dialects import Notes, dialect_named
-
-__all__ = [
-    "PRIMS",
-    "VOID",
-    "Array",
-    "Field",
-    "Prim",
-    "SampleType",
-    "Struct",
-    "Type",
-    "TypeRef",
-    "containers",
-    "typename",
-]
 
 ARRAY, STRUCT, STRING, SAMPLE = 0x10, 0x11, 0x27, 0x28
 _CODES = {
@@ -229,24 +215,14 @@ class SampleType(NamedTuple):
 
 
 def typename(node: Type) -> str:
-    """Return a type in words for errors: "double[7]", "struct".
-
-    Parameters
-    ----------
-    node : the type.
-    """
+    """Return a type in words for errors: "double[7]", "struct"."""
     if isinstance(node, Array):
         return f"{typename(node.elem)}[{','.join(str(size or '_') for size in node.dims)}]"
     return node.name if isinstance(node, Prim) else f"type {node.index}" if isinstance(node, TypeRef) else "struct"
 
 
 def containers(shape: tuple[int, ...]) -> int:
-    """Return how many lists a nested list has.
-
-    Parameters
-    ----------
-    shape : its sizes.
-    """
+    """Return how many lists a nested list has."""
     total = rows = 1
     for size in shape[:-1]:
         rows *= size
@@ -286,3 +262,74 @@ def _signature(node: _Node, name: str) -> Iterator[bytes]:
         for entry in node.fields:
             yield dialect.label(entry.name, entry.notes)
             yield from _signature(entry.type, name)
+
+
+Kind = Literal["sample", "ref", "type"]
+
+
+class Version(NamedTuple):
+    """VERSION: the announced text."""
+
+    text: str
+
+
+class Definition(NamedTuple):
+    """SAMPLE_DEF, SAMPLE_REF or TYPE_DEF.
+
+    Attributes
+    ----------
+    kind : "sample", "ref" or "type". index, name, type : as defined. notes : of the name, dialect 2014i only.
+    """
+
+    kind: Kind
+    index: int  # pyright: ignore[reportIncompatibleMethodOverride]
+    name: str
+    type: Type
+    notes: Notes = ()
+
+
+class Binding(NamedTuple):
+    """TYPE_BINDING: index of a sample and of its type, 0 for its flat signature."""
+
+    sample: int
+    type: int
+
+
+class Pragma(NamedTuple):
+    """PRAGMA: its kind and its bytes."""
+
+    kind: str
+    body: bytes
+
+
+class Other(NamedTuple):
+    """A packet with a reserved tag, skipped."""
+
+    tag: int
+    body: bytes
+
+
+class Sample(NamedTuple):
+    """A value.
+
+    Attributes
+    ----------
+    index, name : of the sample. value : bool, int, float, str, bytes, nested lists, or a dict in the order of fields.
+    type : its type tree.
+    """
+
+    index: int  # pyright: ignore[reportIncompatibleMethodOverride]
+    name: str
+    value: Any
+    type: Type
+
+
+class Unknown(NamedTuple):
+    """Data of an index that was not defined, skipped."""
+
+    index: int  # pyright: ignore[reportIncompatibleMethodOverride]
+    body: bytes
+
+
+Event = Version | Definition | Binding | Pragma | Other | Sample | Unknown
+"""Any event."""

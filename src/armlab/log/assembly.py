@@ -1,0 +1,155 @@
+"""Assembly of recorded columns into a `Table`: its clock, rows and columns."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from armlab.log.column import Column
+from armlab.log.table import Table
+
+_PADDED = ("q_ext", "q_ext_ref", "q_ext_sent", "rapid_data", "rapid_data_sent")  # as many as a robot may have
+
+_MAX_DISAGREEMENT = 1.0  # s between two rows, robot clock against session time: beyond it the robot clock was set
+
+
+def recording_table(
+    values: Mapping[str, np.ndarray],
+    columns: Mapping[str, Column],
+    stamp_ns: np.ndarray,
+    *,
+    notes: Sequence[str] = (),
+    source: Sequence[str] = (),
+    raw: bool = False,
+) -> Table:
+    """Return the table of one recording: t = 0 at the first row, columns without any value left out.
+
+    `values`: column name -> (N, ...), missing values NaN, of clocks in ns 0; `stamp_ns`: (N,) wall clock of each row.
+    Returned: on the robot's clock where it was recorded, else on the bridge's.
+    """
+    t, clock = recording_clock(values, stamp_ns)
+    t, keep, dropped = rows_in_order(t, raw)
+    notes = [*notes, *dropped]
+    values = {name: _used(array) if name in _PADDED else array for name, array in values.items()}
+    if not keep.all():
+        values = {name: array[keep] for name, array in values.items()}
+        t, stamp_ns = t[keep], stamp_ns[keep]
+    present = {name: array for name, array in values.items() if name != "t" and not _absent(array, columns[name])}
+    present = dict(sorted(present.items(), key=lambda item: item[1].ndim == 1))  # q qd tau before the counters
+    described = {name: replace(columns[name], shape=()) for name in present}
+    for name, array in present.items():
+        if not _fits(array, described[name].kind):  # one wrong value of the user's must not cost the recording
+            notes.append(f"{name}: values that are no {described[name].kind}, kept as real")
+            described[name] = replace(described[name], kind="real")
+    return Table(
+        t,
+        present,
+        described,
+        t0_ns=wall_at_zero(t, stamp_ns),
+        clock=clock,
+        notes=tuple(notes),
+        source=tuple(source),
+    )
+
+
+def recording_clock(values: Mapping[str, np.ndarray], stamp_ns: np.ndarray) -> tuple[np.ndarray, str]:
+    """Return t (N,) [s], 0 in the first row, and whose clock it is.
+
+    A column `t` is taken as it is. Else the robot's own clock, if every row has it, it always advances and never
+    leaves the session's time by a second (it was not set while recording). Else the session's time, sessions placed
+    by the stamps. Else the stamps.
+    """
+    if "t" in values and np.isfinite(values["t"]).any():
+        return np.asarray(values["t"], dtype=float), "file"
+    stamps = (stamp_ns - stamp_ns[:1]) / 1e9 if len(stamp_ns) else np.zeros(0)
+    session_t = values.get("session_t")
+    session = values.get("session", np.ones(len(stamps)))
+    robot = values.get("robot_ns")
+    same = np.diff(session) == 0
+    if robot is not None and len(robot) and robot.dtype.kind == "i" and (robot != 0).all():
+        steps = np.diff(robot) / 1e9
+        expected = np.diff(session_t) if session_t is not None else np.diff(stamps)
+        if (steps > 0).all() and (np.abs(steps - expected)[same] <= _MAX_DISAGREEMENT).all():
+            return (robot - robot[0]) / 1e9, "robot"
+    if session_t is None or not np.isfinite(session_t).all():
+        return stamps, "bridge"
+    first = np.concatenate(([0], np.flatnonzero(~same) + 1)).astype(int)[: len(stamps)]
+    session_t = _before_guidance(session_t, values.get("dt"), first)
+    begin = np.repeat(stamps[first] - session_t[first], np.diff(np.append(first, len(stamps))))
+    return session_t + begin, "robot"
+
+
+def _before_guidance(session_t: np.ndarray, dt: np.ndarray | None, first: np.ndarray) -> np.ndarray:
+    """Return the session's time, which stands still until guidance begins, with negative times there."""
+    if dt is None or not np.isfinite(dt).all():
+        return session_t
+    session_t = np.array(session_t)
+    for rows in np.split(np.arange(len(session_t)), first[1:]):
+        moves = np.flatnonzero(session_t[rows] != session_t[rows[:1]])
+        still = rows[: moves[0]] if len(moves) else rows
+        passed = np.cumsum(dt[still])
+        session_t[still] -= passed[-1:] - passed
+    return session_t
+
+
+def wall_at_zero(t: np.ndarray, stamp_ns: np.ndarray) -> int:
+    """Return the wall clock of t = 0 [ns], 0 without a row; `t` need not be 0 in the first row."""
+    return int(stamp_ns[0]) - round(float(t[0]) * 1e9) if len(t) else 0
+
+
+def in_time_order(t: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return the mask (N,) of rows later than all rows before them, and how many are not."""
+    finite = np.where(np.isfinite(t), t, -np.inf)
+    before = np.concatenate(([-np.inf], np.maximum.accumulate(finite)[:-1]))[: len(t)]
+    keep = finite > before
+    return keep, int((~keep).sum())
+
+
+def rows_in_order(
+    t: np.ndarray, raw: bool, row: Callable[[int], str] = "row {}".format, of: str = ""
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Return times (N,) that increase in the rows that stay, the mask (N,) of these, and a note of the others.
+
+    What is dropped is warned of, once. The same for every format.
+
+    `t`: (N,) times [s].
+    """
+    keep, lost = in_time_order(t)
+    if not lost:
+        return t, keep, ()
+    if raw:
+        return _spread(t), np.ones(len(t), dtype=bool), ()
+    first = ", ".join(row(int(number)) for number in np.flatnonzero(~keep)[:5])
+    note = f"{lost} rows{of} dropped: their time does not advance ({first}{', ...' if lost > 5 else ''})"
+    warnings.warn(f"{note}; raw=True keeps them", stacklevel=4)
+    return t, keep, (note,)
+
+
+def _spread(t: np.ndarray) -> np.ndarray:
+    """Return times that increase: where the clock stands or steps back, one nanosecond after the row before."""
+    spread = np.where(np.isfinite(t), t, -np.inf)
+    steps = np.arange(len(t)) * 1e-9
+    return np.maximum.accumulate(spread - steps) + steps
+
+
+def _fits(array: np.ndarray, kind: str | None) -> bool:
+    """Tell whether the values can be kept as their kind; a missing value is the table's affair."""
+    if array.dtype.kind != "f" or kind not in ("count", "flag") or not np.isfinite(array).all():
+        return True
+    with np.errstate(invalid="ignore"):
+        return bool(np.array_equal(array.astype(bool if kind == "flag" else np.int64), array))
+
+
+def _absent(array: np.ndarray, column: Column) -> bool:
+    if array.dtype.kind == "i" and column.unit == "ns":
+        return array.size > 0 and not (array > 0).any()  # a clock that was never sent
+    return array.dtype.kind == "f" and array.size > 0 and bool(np.isnan(array).all())
+
+
+def _used(padded: np.ndarray) -> np.ndarray:
+    """Return the columns up to the last that ever had a value."""
+    used = np.flatnonzero(~np.isnan(padded).all(axis=0))
+    return padded[:, : used[-1] + 1 if len(used) else 1]

@@ -1,0 +1,284 @@
+"""Logs of ABB controllers: test signals in text files (`read_abb`), and motor signals of orca or ExtCtrl (`from_orca`).
+
+`read_abb` takes a small TOML file with the meaning of each column:
+
+    time = "time"
+    time_unit = "ms"
+    arm = "yumi_left"
+
+    [columns]
+    "pos 1" = { signal = 4000, axis = 1 }
+    "trq 1" = { signal = 4002, axis = 1 }
+
+The numbers are those of RAPID's ``TestSignDefine channel, signal, unit, axis, time``. Position 4000, speed 4001, torque
+4002 and external torque 4003 are of the arm's side of an axis (ABB's manual, as quoted in ros-industrial/abb_libegm,
+issue 86). Public loggers also use 201 to 212 for a force sensor, which no manual describes: like any other signal they
+keep their number.
+
+Logs of orca and ExtCtrl have one column per motor signal, ``irb2ext.robot[0].joint[2].posRawAbs``: motor angles in
+ABB's order of axes. `read_csv` reads them as lc2csv writes them, `read_labcomm` the stream itself; old names with ``_``
+for ``. [ ]`` are the same.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from armlab import glossary
+from armlab._toml import parsed
+from armlab.errors import ConfigError, LogError, RobotError, ShapeError, UnknownName
+from armlab.log.column import Column, alias
+from armlab.log.file_formats.column_labels import labelled_table
+from armlab.log.file_formats.delimited import rows_of
+from armlab.log.file_formats.opening import is_text, origin
+from armlab.log.table import Table
+
+if TYPE_CHECKING:
+    from armlab.robots import Robot
+
+SIGNALS = {4000: "q", 4001: "qd", 4002: "tau", 4003: "tau_ext"}
+UNITS = {"q": ("deg", "mm"), "qd": ("deg/s", "mm/s"), "tau": ("N m", "N"), "tau_ext": ("N m", "N")}  # rotary, linear
+
+
+class _Signal(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    signal: int
+    axis: int = 1
+    arm: str = ""
+
+
+class _Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    columns: dict[str, _Signal]
+    arm: str = ""
+    time: str = ""
+    time_unit: str = "s"
+    rate: float | None = None
+    separator: str = ","
+    header: bool = True
+    skip: int = 0
+
+
+def read_abb(path: str | Path, map: str | Path, arm: str | None = None, *, raw: bool = False) -> Table:
+    """Return the table in a text file of test signals, in SI, from base to tool.
+
+    Degrees, millimetres and ABB's order of axes are brought to ours; an axis that was not logged is missing (NaN).
+    Where ABB counts an axis from the foot (IRB 2400), q are the joints.
+
+    Parameters
+    ----------
+    path : the text, one line per sample.
+    map : TOML file: ``[columns]`` label -> signal, axis, arm; ``time`` the label of the clock and ``time_unit``, or
+        ``rate`` [Hz]; ``separator``, one character, a space for any number of them; ``skip`` lines at the beginning;
+        ``header = false`` where there are no labels: the columns are "1", "2", ...; ``arm`` where all are of one.
+    arm : which, of a map with several; a name of the library or a robot file.
+    raw : keep rows whose time does not advance; they are dropped else, counted in the notes and warned of.
+
+    Returns
+    -------
+    Table : what there is of q, qd, tau and tau_ext (N, n); signal_<number>_axis_<axis> (N,) of other signals.
+
+    Raises
+    ------
+    LogError : no text, such as the binary files of ABB's own programs; a label that the file does not have, a word
+        where a number should be, no clock. ConfigError : a map that cannot be read, without an arm, or with an axis
+        that the arm does not have. UnknownName : an arm that is not in the map.
+    """
+    path, map = Path(path), Path(map)
+    about = _read_map(map)
+    if path.is_file() and not is_text(path):
+        raise LogError(
+            f"Expected text at {path}, got another format. The binary files of ABB's signal viewers are read by them "
+            "alone: export text there."
+        )
+    robot, signals = _of_arm(about, map, arm)
+    fields = _fields(path, about)
+    arrays: dict[str, tuple[np.ndarray, str]] = {}
+    if about.time:
+        arrays["t"] = (_numbers(path, about, fields, about.time), about.time_unit)
+    for label, one in signals.items():
+        name = f"signal_{one.signal}_axis_{one.axis}"
+        if name in arrays:
+            raise ConfigError(f"Expected each signal of an axis once in {map}, got {name} twice. Mend the map.")
+        arrays[name] = (_numbers(path, about, fields, label), _unit(one, robot, map))
+    return _joined(labelled_table(path, arrays, rate=about.rate, raw=raw), robot, map)
+
+
+def _read_map(path: Path) -> _Map:
+    try:
+        about = msgspec.convert(parsed(path.read_text(encoding="utf-8")), _Map)
+    except OSError as error:
+        raise ConfigError(f"Expected a map of the columns at {path}, got: {error.strerror}.") from None
+    except (ValueError, msgspec.ValidationError) as error:
+        raise ConfigError(f"Expected a map of the columns in {path}, got: {str(error).rstrip('.')}.") from None
+    if bool(about.time) == (about.rate is not None) or len(about.separator) != 1 or about.skip < 0:
+        raise ConfigError(
+            f"Expected either time or rate, one character as separator and skip from 0 in {path}, got time "
+            f"{about.time!r}, rate {about.rate}, {about.separator!r} and {about.skip}. Mend the map."
+        )
+    return about
+
+
+def _of_arm(about: _Map, path: Path, arm: str | None) -> tuple[Robot, dict[str, _Signal]]:
+    """Return the arm and its signals."""
+    from armlab import robots
+
+    arms = {label: one.arm or about.arm for label, one in about.columns.items()}
+    names = sorted(set(arms.values()))
+    if not all(names) or not names:
+        raise ConfigError(f'Expected an arm for every column of {path}, got none for some. Add arm = "yumi_left".')
+    if arm is None and len(names) > 1:
+        raise ConfigError(f"Expected the name of one arm (arm=) for {path}, which has {', '.join(names)}.")
+    if arm is not None and arm not in names:
+        raise UnknownName.among("arm of the map", arm, names)
+    chosen = arm or names[0]
+    return robots.load(chosen), {label: one for label, one in about.columns.items() if arms[label] == chosen}
+
+
+def _unit(one: _Signal, robot: Robot, path: Path) -> str:
+    name = SIGNALS.get(one.signal)
+    if name is None:
+        return "1"
+    if not 1 <= one.axis <= robot.n:
+        raise ConfigError(f"Expected an axis from 1 to {robot.n} of {robot.name!r} in {path}, got {one.axis}.")
+    return UNITS[name][bool(robot.prismatic[robot.abb_axes.index(one.axis)])]
+
+
+def _fields(path: Path, about: _Map) -> dict[str, list[str]]:
+    """Return the texts of each column by its label, by its number from 1 where there are no labels."""
+    rows = rows_of(path, about.separator)[about.skip :]
+    if about.separator == " ":
+        rows = [[field for field in row if field] for row in rows]
+    while rows and not any(rows[-1]):
+        rows.pop()
+    labels = [label.strip() for label in rows[0]] if rows and about.header else []
+    rows = rows[about.header :]
+    if not rows:
+        raise LogError(f"Expected lines of numbers in {path}, got none after {about.skip} skipped. Mend the map.")
+    labels = labels or [str(number) for number in range(1, len(rows[0]) + 1)]
+    for number, row in enumerate(rows, start=1 + about.skip + about.header):
+        if len(row) != len(labels):
+            raise LogError(f"Expected {len(labels)} fields in line {number} of {path}, got {len(row)}. Mend the line.")
+    return dict(zip(labels, (list(column) for column in zip(*rows, strict=True)), strict=True))
+
+
+def _numbers(path: Path, about: _Map, fields: dict[str, list[str]], label: str) -> np.ndarray:
+    if label not in fields:
+        raise LogError(f"Expected a column {label!r} in {path}, as the map says, got {', '.join(fields)}.")
+    try:
+        return np.array([field.strip() or "nan" for field in fields[label]], dtype=float)
+    except ValueError as error:
+        raise LogError(f"Expected numbers in the column {label!r} of {path}, got: {error}.") from None
+
+
+def _joined(table: Table, robot: Robot, path: Path) -> Table:
+    """Put the axes of each signal together: first in the order of the arm, then as joints."""
+    from armlab.robots.couplings import abb_to_logical, motor_to_joint, motor_torque_to_joint
+
+    # The arm's side of an axis is behind its gears: what is left of them is the rod that moves two joints.
+    behind = replace(robot, coupling=robot.coupling / np.diag(robot.coupling))
+    values: dict[str, Any] = {}
+    columns: dict[str, Column] = {}
+    for signal, name in SIGNALS.items():
+        axes = [f"signal_{signal}_axis_{axis}" for axis in range(1, robot.n + 1)]
+        if any(axis in table for axis in axes):
+            empty = np.full(len(table), np.nan)
+            ordered = abb_to_logical(robot, np.stack([table.values.get(axis, empty) for axis in axes], axis=1))
+            to_joint = motor_torque_to_joint if name.startswith("tau") else motor_to_joint
+            values[name] = to_joint(behind, ordered)
+            unit, frame = (None, None) if name in glossary.columns() else ("N m", "joint")
+            columns[name] = Column(unit=unit, frame=frame, labels=robot.joint_names)
+            table = table.without(*(axis for axis in axes if axis in table))
+    return Table(
+        table.t,
+        {**values, **table.values},
+        {**columns, **table.columns},
+        notes=table.notes,
+        source=(table.source[0], f"read_abb({robot.name}, {origin(path)})"),
+    )
+
+
+MOTOR_SIGNALS = {"q": ("posRawAbs",), "qd": ("velFlt", "velRaw"), "tau": ("trqRaw",)}
+MOTOR_UNITS = {"q": "rad", "qd": "rad/s", "tau": "N m"}
+
+
+def from_orca(table: Table, robot: Robot, arm: int) -> Table:
+    """Return q, qd and tau of one arm: ``q = G q_motor``, ``qd = G qd_motor``, ``tau = G⁻ᵀ tau_motor``.
+
+    The order of axes comes first, then the gears G, whose torque keeps the power. Velocity is velFlt, velRaw where
+    there is none.
+
+    Parameters
+    ----------
+    table : of `read_csv` or `read_labcomm`. robot : its order of axes and its gears.
+    arm : number of the arm in the file, from 0: robot[0], robot[1].
+
+    Returns
+    -------
+    Table : what there is of q (N, n) [rad], qd [rad/s] and tau [N m], on the same clock.
+
+    Raises
+    ------
+    LogError : no positions of this arm (lists the arms there are), a joint that is missing, or a unit that is not that
+        of a motor. ShapeError, RobotError : something else than a table, than a robot.
+
+    Reference: Robotlib.jl, src/read_log.jl and README, whose ``q GR⁻ᵀ`` for torques is ``G⁻¹``: the same for gears
+    without coupling only.
+    """
+    from armlab.robots import Robot
+    from armlab.robots.couplings import abb_to_logical, motor_to_joint, motor_torque_to_joint
+
+    if not isinstance(table, Table):
+        raise ShapeError.no_table(table)
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
+    values = {}
+    for name, signals in MOTOR_SIGNALS.items():
+        blocks = [_motors(table, robot, arm, signal, MOTOR_UNITS[name]) for signal in signals]
+        found = [block for block in blocks if block is not None]
+        if found:
+            motors = abb_to_logical(robot, found[0])
+            values[name] = motor_torque_to_joint(robot, motors) if name == "tau" else motor_to_joint(robot, motors)
+    if "q" not in values:
+        arms = sorted({match[1] for name in table.names if (match := re.search(r"robot_(\d+)__joint_", alias(name)))})
+        have = f"arms {', '.join(arms)}" if arms else f"columns {', '.join(table.names[:5])}, ..."
+        raise LogError(f"Expected columns robot[{arm}].joint[0].posRawAbs and so on, got {have}. Name another arm.")
+    return Table(
+        table.t,
+        values,
+        {name: Column(labels=robot.joint_names) for name in values},
+        t0_ns=table.t0_ns,
+        clock=table.clock,
+        notes=table.notes,
+        source=(*table.source, f"from_orca({robot.name}, arm {arm})"),
+    )
+
+
+def _motors(table: Table, robot: Robot, arm: int, signal: str, unit: str) -> np.ndarray | None:
+    """Return the signal (N, n) of all motors in ABB's order, None where there is none; axes beyond n are external."""
+    pattern = re.compile(rf"(?:^|_)robot_{re.escape(str(arm))}__joint_(\d{{1,3}})__{signal}$")
+    found: dict[int, str] = {}
+    for name in table.names:
+        match = pattern.search(alias(name))
+        if match and int(match[1]) < robot.n:
+            if int(match[1]) in found:
+                raise LogError(
+                    f"Expected one {signal} per joint, got {found[int(match[1])]} and {name}. Drop one of them."
+                )
+            found[int(match[1])] = name
+    if not found:
+        return None
+    missing = [joint for joint in range(robot.n) if joint not in found]
+    if missing:
+        raise LogError(
+            f"Expected {signal} of {robot.n} joints of robot[{arm}] for {robot.name!r}, got none of joint {missing}. "
+            "Name the robot that was logged."
+        )
+    for name in found.values():
+        if table.units[name] not in ("1", unit):
+            raise LogError(f"Expected {name} in {unit} of the motor, got {table.units[name]}. Convert it.")
+    return np.stack([table[found[joint]] for joint in range(robot.n)], axis=1)

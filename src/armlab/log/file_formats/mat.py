@@ -1,0 +1,340 @@
+"""MATLAB files: arrays of versions 5 to 7.2 (read here) and 7.3 (HDF5, by h5py), and a `Table` in version 5.
+
+SciPy trusts the sizes in a file: a damaged one can end the process. The format: MATLAB, "MAT-File Level 5 File Format".
+
+HDF5 keeps MATLAB's columns as rows: every array of a v7.3 file is transposed on reading.
+
+In MATLAB ``run = load('run.mat')`` gives ``run.t``, ``run.q`` (N, n), ``run.units.q``; ``run.names`` holds the true
+names of columns whose own are none in MATLAB, ``run.armlab`` everything else as JSON.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+import zlib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from armlab.errors import LogError, UnknownName
+from armlab.log.file_formats.column_labels import foreign_table
+from armlab.log.file_formats.description import Description, Progress, distinct, of_json
+from armlab.log.file_formats.hdf5 import stored_size
+from armlab.log.file_formats.opening import check_unpacked_size, needed
+from armlab.log.table import Table
+
+_HEADER = 128  # bytes of text, version and byte order before the first element
+_MATRIX, _COMPRESSED = 14, 15  # kinds of elements
+_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_TEXTS = {1: "ascii", 2: "ascii", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
+_CELL, _CHARS, _OPAQUE = 1, 4, 17  # classes of matrices
+_NUMERIC = range(6, 16)
+_CLASSES = range(1, 18)
+_COMPLEX = 0x0800
+_UNPACKED, _RATIO = 1 << 26, 200  # bytes of any file; above that, for each of its own
+
+
+def variables_in(data: bytes) -> dict[str, np.ndarray | None]:
+    """Return the variables of a file: real numbers as stored, texts and cells of texts, None for others.
+
+    Arrays share the memory of the file and cannot be written to.
+    """
+    order = {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER])
+    if order is None:
+        raise LogError("Expected the byte order IM or MI, got another.")
+    left = max(_UNPACKED, _RATIO * len(data))
+    found = {}
+    for kind, body in _elements(memoryview(data)[_HEADER:], order):
+        if kind == _COMPRESSED:
+            kind, body = _unpacked(body, order, left)
+            left -= len(body)
+        if kind != _MATRIX:
+            raise LogError(f"Expected a variable, got an element of kind {kind}.")
+        name, value = _matrix(body, order)
+        found[name] = value
+    return found
+
+
+def _elements(view: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
+    """Yield kind and data of each element; it begins at a multiple of 8 bytes unless it is compressed."""
+    at = 0
+    while at < len(view):
+        if len(view) - at < 8:
+            raise LogError("Expected an element of 8 bytes or more, got the end of the file.")
+        kind, size = struct.unpack_from(order + "II", view, at)
+        start, end = at + 8, at + 8 + size
+        if kind >> 16:  # up to 4 bytes of data within the 8 of the tag
+            kind, size = kind & 0xFFFF, kind >> 16
+            start, end = at + 4, at + 4 + size
+            if size > 4:
+                raise LogError(f"Expected a small element of up to 4 bytes, got {size}.")
+        if end > len(view):
+            raise LogError(f"Expected an element of {size} bytes, got {len(view) - start}.")
+        yield kind, view[start:end]
+        at = end if kind == _COMPRESSED else end + -end % 8
+
+
+def _unpacked(body: memoryview, order: str, most: int) -> tuple[int, memoryview]:
+    """Return kind and data of the element in compressed data, which begins with its size."""
+    packed = zlib.decompressobj()
+    try:
+        kind, size = struct.unpack(order + "II", packed.decompress(body, 8))
+        if size > most:
+            raise LogError(
+                f"Expected variables of at most {most} bytes in a file of this size, got {size}. Save it from MATLAB "
+                "with save(..., '-nocompression')."
+            )
+        data = packed.decompress(packed.unconsumed_tail, size + 1)
+    except (zlib.error, struct.error) as error:
+        raise LogError(f"Expected compressed data, got: {error}.") from None
+    if len(data) != size or not packed.eof:
+        raise LogError(f"Expected {size} bytes of compressed data, got others.")
+    return kind, memoryview(data)
+
+
+def _matrix(body: memoryview, order: str) -> tuple[str, np.ndarray | None]:
+    """Return the name and the values of a variable."""
+    parts = _elements(body, order)
+    flags = _flags(parts, order)
+    kind = flags & 0xFF
+    shape = () if kind == _OPAQUE else tuple(_numbers(*_next(parts), order).tolist())
+    name = bytes(_next(parts)[1]).decode("ascii")
+    if kind in _NUMERIC and not flags & _COMPLEX:
+        _check_shape(shape)
+        return name, _numbers(*_next(parts), order).reshape(shape, order="F")
+    if kind == _CHARS:
+        text = _text(*_next(parts), shape, order)
+        return name, None if text is None or 0 in shape else np.array([[text]])
+    if kind == _CELL:
+        _check_shape(shape)
+        return name, _words(parts, shape, order)
+    return name, None
+
+
+def _words(parts: Iterator[tuple[int, memoryview]], shape: tuple[int, ...], order: str) -> np.ndarray | None:
+    """Return a cell of texts; None of one that holds something else."""
+    words = []
+    for kind, body in parts:
+        text = None
+        if kind == _MATRIX and len(body):
+            inner = _elements(body, order)
+            if _flags(inner, order) & 0xFF == _CHARS:
+                lengths = tuple(_numbers(*_next(inner), order).tolist())
+                _next(inner)
+                text = _text(*_next(inner), lengths, order)
+        if text is None:
+            return None
+        words.append(text)
+    _check_shape((len(words), max(map(len, words), default=0)))  # each takes the room of the longest
+    return np.array(words, dtype=np.str_).reshape(shape, order="F")
+
+
+def _text(kind: int, data: memoryview, shape: tuple[int, ...], order: str) -> str | None:
+    """Return a text in one row; None of several rows."""
+    _check_shape(shape)
+    if 0 in shape:
+        return ""
+    if math.prod(shape[:-1]) != 1:
+        return None
+    codec = _TEXTS.get(kind)
+    if codec is None:
+        raise LogError(f"Expected letters, got an element of kind {kind}.")
+    suffix = {"<": "-le", ">": "-be"}[order] if codec[-2:] in ("16", "32") else ""
+    return bytes(data).decode(codec + suffix, errors="replace")[: shape[-1]]
+
+
+def _flags(parts: Iterator[tuple[int, memoryview]], order: str) -> int:
+    """Return the class and the flags of a variable."""
+    found = _numbers(*_next(parts), order).tolist()
+    if len(found) != 2 or found[0] & 0xFF not in _CLASSES:
+        raise LogError(f"Expected the class and the flags of a variable, got {found[:2]}.")
+    return int(found[0])
+
+
+def _check_shape(shape: tuple[int, ...]) -> None:
+    if not shape or min(shape) < 0:
+        raise LogError(f"Expected the sizes of an array, got {list(shape)[:8]}.")
+
+
+def _numbers(kind: int, data: memoryview, order: str) -> np.ndarray:
+    if kind not in _NUMBERS:
+        raise LogError(f"Expected numbers, got an element of kind {kind}.")
+    stored = np.frombuffer(data, dtype=np.dtype(order + _NUMBERS[kind]))
+    return stored.astype(stored.dtype.newbyteorder("="), copy=False)
+
+
+def _next(parts: Iterator[tuple[int, memoryview]]) -> tuple[int, memoryview]:
+    found = next(parts, None)
+    if found is None:
+        raise LogError("Expected the rest of a variable, got its end.")
+    return found
+
+
+OFFSETS = (0, 512)  # of the signature of HDF5: MATLAB puts 512 bytes of text before it
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+
+
+def read_mat(path: str | Path, name: str | None = None) -> dict[str, np.ndarray]:
+    """Read the real numerical arrays of a ``.mat`` file, by name.
+
+    Text, cells, structs and complex numbers are left out.
+
+    Parameters
+    ----------
+    path : of the file, v5 to v7.3.
+    name : read only this variable.
+
+    Raises
+    ------
+    LogError : no MAT file, a truncated one, or one without arrays. UnknownName : it has no such array.
+    MissingExtra : v7.3 without h5py.
+    """
+    path = Path(path)
+    variables, _ = read_variables(path)
+    found = {key: array.astype(np.float64) for key, array in variables.items() if array.dtype.kind != "U"}
+    if name is not None and name not in found:
+        raise UnknownName.among("variable", name, found)
+    if not found:
+        raise LogError(f"Expected arrays in {path}, got none. Text, cells and structs are not read.")
+    return found if name is None else {name: found[name]}
+
+
+def read_variables(path: Path) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Return the arrays of real numbers and of text in a MAT file by name, and the names of what else it has."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(1024)
+    except OSError as error:
+        raise LogError(f"Expected a MAT file at {path}, got: {error.strerror}.") from None
+    if any(head[a : a + 8] == SIGNATURE for a in OFFSETS):
+        found = _hdf5(path)
+    elif head.startswith(b"MATLAB 5.0"):
+        found = _version_5(path)
+    else:
+        raise LogError(
+            f"Expected a MAT file at {path}, got one that begins with {head[:10]!r}. Save it from MATLAB with save."
+        )
+    return {k: v for k, v in found.items() if v is not None}, [k for k, v in found.items() if v is None]
+
+
+def _version_5(path: Path) -> dict[str, np.ndarray | None]:
+    try:
+        found = variables_in(path.read_bytes())
+    except (LogError, ValueError, OverflowError) as error:  # sizes that do not fit each other, letters that are none
+        raise _damaged(path, error) from None
+    return {name: value for name, value in found.items() if name and not name.startswith("__")}
+
+
+def _hdf5(path: Path) -> dict[str, np.ndarray | None]:
+    h5py = needed("h5py", f"to read {path}, a MAT file of version 7.3", "or save again with save(..., '-v7')")
+    try:
+        with h5py.File(path, "r") as file:
+            check_unpacked_size(path, stored_size(h5py, file))
+            return {name: _dataset(item, h5py) for name, item in file.items() if not name.startswith("#")}
+    except LogError:
+        raise
+    except Exception as error:  # h5py raises OSError, RuntimeError, KeyError and more on damaged files
+        raise _damaged(path, error) from None
+
+
+def _dataset(item: Any, h5py: Any) -> np.ndarray | None:
+    """Return an array of version 7.3 as MATLAB shows it."""
+    if not isinstance(item, h5py.Dataset) or "MATLAB_empty" in item.attrs:
+        return None
+    array = item[()]
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
+        return None
+    if item.attrs.get("MATLAB_class", b"double") == b"char":
+        codes = array.T.astype("<u2")
+        return np.array([[codes.tobytes().decode("utf-16-le")]]) if len(codes) == 1 else None
+    return array.T.copy()
+
+
+def _damaged(path: Path, error: Exception) -> LogError:
+    what = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+    return LogError(f"Expected a whole MAT file at {path}, got a damaged or truncated one: {what[:200]}.")
+
+
+LARGEST = 2**31 - 2**16  # bytes of a variable, with room for what stands before its numbers
+LONGEST = 59  # characters of a name: 63 with what may be put behind it
+TAKEN = ("t", "units", "names", "armlab")
+KEYWORDS = (
+    "break", "case", "catch", "classdef", "continue", "else", "elseif", "end", "for", "function", "global", "if",
+    "otherwise", "parfor", "persistent", "return", "spmd", "switch", "try", "while",
+)  # fmt: skip
+
+
+def matlab_names(names: Iterable[str]) -> dict[str, str]:
+    """Return the variable of each column: its name where MATLAB allows that, else one like it."""
+    return distinct({name: _valid(name) for name in names}, TAKEN)
+
+
+def write_mat(table: Table, file: BinaryIO, progress: Progress) -> None:
+    """Write a MAT file of version 5."""
+    from scipy.io import savemat
+
+    for name in ("t", *table.names):
+        if table[name].nbytes > LARGEST:
+            raise LogError(
+                f"Expected columns below 2 GB for a MAT file of version 5, got {table[name].nbytes / 1e9:.1f} GB in "
+                f"{name!r}. Write HDF5, a name that ends in .h5."
+            )
+    names = matlab_names(table.names)
+    variables: dict[str, Any] = {"t": table.t}
+    variables |= {own: _cells(table[name]) for name, own in names.items()}
+    variables["units"] = {"t": "s", **{own: table.units[name] for name, own in names.items()}}
+    changed = {own: name for name, own in names.items() if own != name}
+    if changed:
+        variables["names"] = changed
+    variables["armlab"] = Description.of(table).json()
+    whole = sum(array.nbytes for array in (table.t, *table.values.values()))
+    savemat(_Told(file, whole, progress), variables, long_field_names=True, oned_as="column")
+
+
+def read_mat_table(path: Path, *, raw: bool = False) -> Table:
+    """Return the table in a MAT file: one of `write_mat`, or the arrays of another program by `foreign_table`."""
+    found, left_out = read_variables(path)
+    text = found.get("armlab")
+    if text is None or text.dtype.kind != "U" or text.shape != (1, 1):
+        return foreign_table(path, {name: (value, "") for name, value in found.items()}, left_out, raw)
+    about = of_json(str(text[0, 0]), path)
+    names = matlab_names(about.columns)
+    missing = [name for name, own in {"t": "t", **names}.items() if own not in found]
+    if missing:
+        raise LogError(f"Expected the variables that are described in {path}, got none for {', '.join(missing)}.")
+    return about.table(path, np.ravel(found["t"]), {name: found[own] for name, own in names.items()})
+
+
+def _valid(name: str) -> str:
+    """Return a name that MATLAB allows, the same where it does."""
+    valid = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return (valid if valid[:1].isalpha() and valid not in KEYWORDS else f"x{valid}")[:LONGEST]
+
+
+def _cells(values: np.ndarray) -> np.ndarray:
+    """Return numbers as they are, texts as a cell of each."""
+    if values.dtype.kind != "U":
+        return values
+    cells = np.empty(values.shape if values.ndim > 1 else (len(values), 1), dtype=object)
+    cells[...] = values.astype(object).reshape(cells.shape)
+    return cells
+
+
+class _Told:
+    """A file that tells each percent of the bytes that go into it."""
+
+    def __init__(self, file: BinaryIO, whole: int, progress: Progress) -> None:
+        self._file, self._whole, self._progress = file, whole, progress
+        self._done = self._told = 0
+        self.tell, self.seek = file.tell, file.seek
+
+    def write(self, data: bytes) -> int:
+        self._done += memoryview(data).nbytes
+        if 100 * (self._done - self._told) >= self._whole:
+            self._told = min(self._done, self._whole)
+            self._progress(self._told, self._whole, "bytes")
+        return self._file.write(data)

@@ -1,0 +1,160 @@
+"""Opening a file: its format by its first bytes, its hash, bounds on what it unpacks to, packages it needs."""
+
+from __future__ import annotations
+
+import hashlib
+import mmap
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from armlab.errors import LogError, MissingExtra
+
+FIRST = 1024
+"""Bytes from which `format_of` tells the format: HDF5 may have 512 of another program before it."""
+
+BAGS = ("rosbag2", "SQLite (rosbag2)", "ROS 1 bag")
+"""Formats that programs of ROS record, besides MCAP."""
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+
+_FIRST_BYTES = {
+    b"\x89MCAP0\r\n": "MCAP",
+    _HDF5: "HDF5",
+    b"MATLAB 7.3": "MAT v7.3",
+    b"PAR1": "Parquet",
+    b"MATLAB 5.0": "MAT v5",
+    b"SQLite format 3\0": "SQLite (rosbag2)",
+    b"#ROSBAG V": "ROS 1 bag",
+    b"\x1f\x8b": "gzip",
+    b"\x28\xb5\x2f\xfd": "zstd",
+    b"PK\x03\x04": "zip",
+}
+
+
+def format_of(first: bytes) -> str:
+    """Return the name of the format that begins so: "MCAP", "LabComm", ..., "text", "empty" or "unknown"."""
+    if not first:
+        return "empty"
+    for magic, name in _FIRST_BYTES.items():
+        if first.startswith(magic):
+            return name
+    if first.startswith((b"\0\0\0\2", b"\x0bLabComm2013")) or (first[0] == 1 and b"LabComm2014" in first[:20]):
+        return "LabComm"
+    if first[512:520] == _HDF5:
+        return "HDF5"
+    text = b"\0" not in first and first[0] >= 9  # no control character begins a text
+    return "text" if text else "unknown"
+
+
+def is_text(path: str | Path) -> bool:
+    """Tell whether a file is there and begins as text or gzip, which `log.read_csv` reads."""
+    return format_at(path) in ("text", "gzip")
+
+
+def format_at(path: str | Path) -> str:
+    """Return the name of the format of a file, "rosbag2" of a folder that is one; "" where nothing can be read."""
+    path = Path(path)
+    if path.is_dir() and ((path / "metadata.yaml").is_file() or bag_files(path)):
+        return "rosbag2"
+    if not path.is_file():
+        return ""
+    try:
+        with path.open("rb") as file:
+            return format_of(file.read(FIRST))
+    except OSError:
+        return ""
+
+
+def bag_files(folder: Path) -> list[Path]:
+    """Return the files of a rosbag2 in order, run/run_0.mcap, run/run_1.mcap, ...; those of no other folder."""
+    name = re.escape(folder.resolve().name)
+    numbers = {one: re.fullmatch(rf"{name}_(\d+)\.(mcap|db3)", one.name) for one in folder.iterdir()}
+    return [one for _, one in sorted((int(found[1]), one) for one, found in numbers.items() if found)]
+
+
+def check_readable(path: str | Path) -> None:
+    """Check that a file is there and is a recording in MCAP."""
+    try:
+        if Path(path).is_fifo():  # opening it would wait for a writer
+            raise LogError(f"Expected a log at {path}, got a pipe; a log is read in any order, so it must be a file.")
+        with Path(path).open("rb") as file:
+            first = file.read(FIRST)
+    except OSError as error:
+        raise LogError(f"Expected a log at {path}, got: {error.strerror}.") from None
+    found = format_of(first)
+    if found == "MCAP":
+        return
+    if found == "empty":
+        raise LogError(f"Expected a log at {path}, got an empty file.")
+    shown = f"{found} ({first[:8].hex(' ')})" if found == "unknown" else found
+    raise LogError(
+        f"Expected a log in MCAP at {path}, got a file of format {shown}; MCAP files begin with 89 4d 43 41 50."
+    )
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Put the file into the sentence of a LogError that does not name it: what reads bytes does not know whose."""
+    try:
+        yield
+    except LogError as error:
+        if re.search(rf"(?<!\w){re.escape(str(path))}(?!\w)", str(error)):
+            raise
+        raise LogError(f"Expected a whole log in {path}, got a fault: {error}") from None
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[memoryview]:
+    """Map a file into memory."""
+    try:
+        with path.open("rb") as file:
+            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    except (OSError, ValueError) as error:
+        raise LogError(f"Expected a log at {path}, got: {error}.") from None
+    yield memoryview(mapped)  # released with the last array that looks at it
+
+
+_ANY, _RATIO = (
+    1 << 26,
+    1000,
+)  # bytes of any file; above that, for each of its own: a column that never changes reaches it
+
+
+def check_unpacked_size(path: Path, size: int) -> None:
+    """Refuse a file whose arrays are far larger than itself."""
+    most = max(_ANY, _RATIO * path.stat().st_size)
+    if size > most:
+        raise LogError(
+            f"Expected arrays of at most {most} bytes in {path}, {_RATIO} times its size, got {size}. If you trust it, "
+            "write it without compression."
+        )
+
+
+def needed(module: str, purpose: str, otherwise: str = "") -> Any:
+    """Return a module of the extra `data`."""
+    try:
+        return import_module(module)
+    except ImportError:
+        package, rest = module.partition(".")[0], f", {otherwise}" if otherwise else ""
+        raise MissingExtra(
+            f"Expected {package} {purpose}, got none. Install it: pip install 'armlab[data]'{rest}."
+        ) from None
+
+
+def file_hash(path: str | Path) -> str:
+    """Return the SHA-256 of a file's bytes."""
+    with Path(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def origin(path: str | Path) -> str:
+    """Return the first entry of the source of a table: name of a file and its hash; of a folder, over its files."""
+    path = Path(path)
+    if not path.is_dir():
+        return f"{path.name} sha256 {file_hash(path)}"
+    files = [f"{one.name} {file_hash(one)}\n" for one in sorted(path.iterdir()) if one.is_file()]
+    return f"{path.name} sha256 {hashlib.sha256(''.join(files).encode()).hexdigest()}"

@@ -1,0 +1,3 @@
+"""MCAP files: records, writing, decoding, repair."""
+
+__all__ = []

@@ -1,0 +1,445 @@
+"""Numbers out of the messages of an MCAP file, a chunk at a time and without building objects.
+
+The chunk indexes give the number of messages. The first message of a channel is walked field by field. All messages of
+equal length whose bytes outside the numbers are the same hold their numbers in the same places, so those of a whole
+chunk are copied at once, into arrays of their final size (`Room`). Messages with another layout are read in blocks of
+equal length (`decode_messages`).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from textwrap import shorten
+from typing import Any
+
+import numpy as np
+
+from armlab.errors import LogError
+from armlab.kernels import MessageCopier
+from armlab.log.file_formats.description import Progress
+from armlab.log.mcap.message_layouts import (
+    MessageReader,
+    Piece,
+    Values,
+    assembled,
+    of_length,
+    read_blocks,
+    split,
+    variant_of,
+)
+from armlab.log.mcap.records import DAMAGE, MESSAGE, Chunk, Contents, records, unpacked
+from armlab.wire import cdr
+
+_PREFIX = np.dtype(
+    [("kind", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<i8"), ("publish", "<i8")]
+)
+_NO_OFFSETS = np.zeros(0, dtype=np.int64)
+
+
+@dataclass(slots=True)
+class Part:
+    """Some messages of one channel: sequence numbers (k,), log times (k,) and numbers by layout.
+
+    `bad` more do not fit their type, the first of them for the `reason`.
+    """
+
+    sequence: np.ndarray
+    log_ns: np.ndarray
+    pieces: Sequence[Piece] = ()
+    bad: int = 0
+    reason: str = ""
+
+
+def decode_chunks(
+    view: memoryview, chunks: Sequence[tuple[Chunk, bytes]], readers: Mapping[int, MessageReader], indexed: bool
+) -> dict[int, Part]:
+    """Return the messages in several chunks, decoded as if they were one.
+
+    Without whole indexes, or where one is wrong, the records are walked.
+    """
+    raw = np.frombuffer(b"".join(data for _, data in chunks), dtype=np.uint8)
+    begin = np.cumsum([0, *(len(data) for _, data in chunks)])
+    offsets = {}
+    for number in readers if indexed else ():
+        offsets[number] = np.concatenate([_indexed(view, one, number) + at for at, (one, _) in zip(begin, chunks)])
+        indexed = indexed and _are_messages(raw, offsets[number], number)
+    if not indexed:
+        offsets = walked(raw.data, readers)
+    return {number: decode_messages(raw, offsets[number], reader) for number, reader in readers.items()}
+
+
+def _indexed(view: memoryview, chunk: Chunk, number: int) -> np.ndarray:
+    """Return where the messages of a channel begin in a chunk, from its index."""
+    start, stop = chunk.indexes.get(number, (0, 0))
+    if not start:
+        return _NO_OFFSETS
+    return np.frombuffer(view[start:stop], dtype="<i8")[1::2]
+
+
+def _are_messages(raw: np.ndarray, offsets: np.ndarray, number: int) -> bool:
+    """Tell whether messages of the channel begin at the offsets, in increasing order and wholly inside."""
+    if not len(offsets):
+        return True
+    if offsets[0] < 0 or offsets[-1] > len(raw) - _PREFIX.itemsize or (np.diff(offsets) <= 0).any():
+        return False
+    prefix = _items(raw, offsets, _PREFIX)
+    length = prefix["length"]
+    fits = (length >= 22) & (length <= len(raw)) & (offsets + 9 + length.astype(np.int64) <= len(raw))
+    return bool((fits & (prefix["kind"] == MESSAGE) & (prefix["channel"] == number)).all())
+
+
+def walked(data: bytes | memoryview, numbers: Collection[int]) -> dict[int, np.ndarray]:
+    """Return where the messages of some channels begin by walking the records."""
+    found: dict[int, list[int]] = {number: [] for number in numbers}
+    for kind, start, stop in records(memoryview(data), 0, len(data)):
+        if kind == MESSAGE and stop - start >= 22:
+            number = data[start] | data[start + 1] << 8
+            if number in found:
+                found[number].append(start - 9)
+    return {number: np.array(starts, dtype=np.int64) for number, starts in found.items()}
+
+
+def _items(raw: np.ndarray, offsets: np.ndarray, dtype: np.dtype) -> np.ndarray:
+    """Return the items (k,) of a type that begin at the offsets, wherever they are: a view where evenly spaced."""
+    steps = np.diff(offsets)
+    if len(steps) and (steps == steps[0]).all():
+        return np.ndarray((len(offsets),), dtype=dtype, buffer=raw, offset=int(offsets[0]), strides=(int(steps[0]),))
+    places = max(len(raw) - dtype.itemsize + 1, 0)
+    return np.ndarray((places,), dtype=dtype, buffer=raw, strides=(1,))[offsets]
+
+
+def _blocks(raw: np.ndarray, offsets: np.ndarray, length: int) -> np.ndarray:
+    """Return the bytes (k, length) that begin at the offsets."""
+    if not length:
+        return np.zeros((len(offsets), 0), dtype=np.uint8)
+    found = _items(raw, offsets, np.dtype((np.void, length)))
+    if found.base is None:
+        return found.view(np.uint8).reshape(len(offsets), length)
+    return np.ndarray((len(offsets), length), np.uint8, raw, int(offsets[0]), (found.strides[0], 1))
+
+
+def decode_messages(raw: np.ndarray, offsets: np.ndarray, reader: MessageReader) -> Part:
+    """Return the messages whose records begin at the offsets (k,) of some bytes."""
+    if not len(offsets):
+        return Part(np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.int64))
+    prefix = _items(raw, offsets, _PREFIX)
+    lengths = prefix["length"].astype(np.int64) - 22
+    same = of_length(lengths)
+    blocks = ((rows, _blocks(raw, offsets[rows] + _PREFIX.itemsize, int(lengths[rows[0]]))) for rows in same)
+    read = read_blocks(len(offsets), blocks, reader)
+    return Part(prefix["sequence"][read.rows], prefix["log"][read.rows], read.pieces, read.bad, read.reason)
+
+
+_RECORD = 31  # bytes of a record before its message: kind, length, channel, sequence, two times
+_LARGEST = 1 << 31  # bytes of a chunk; a larger size is a damaged one
+_TRIES = 8  # chunks in which the first messages of the channels are looked for
+
+
+class Room:
+    """Arrays for the messages of some channels."""
+
+    def __init__(self, view: memoryview, chunks: Sequence[Chunk], readers: Mapping[int, MessageReader]) -> None:
+        self._columns: dict[int, _Columns] = {}
+        messages = _first_messages(view, chunks, readers)
+        for number, reader in readers.items():
+            count = _counts(chunks, number)
+            message = messages.get(number, b"")
+            if message or not count.any():
+                with suppress(*DAMAGE):  # of the message, and of sizes that there is no memory for
+                    self._columns[number] = _columns(chunks, count, message, reader)
+        columns = self._columns.values()
+        self._first = list(zip(*(one.first for one in columns), strict=True)) or [()] * len(chunks)
+        self._count = list(zip(*(one.count for one in columns), strict=True)) or [()] * len(chunks)
+        self._copier = MessageCopier([one.told(number) for number, one in self._columns.items()])
+
+    def copy(self, place: int, data: bytes) -> dict[int, range]:
+        """Copy the messages of a chunk; return the rows of the channels whose messages all are as expected."""
+        first, count = self._first[place], self._count[place]
+        copied = self._copier.copy(data, first, count)
+        return {
+            number: range(row, row + rows)
+            for number, row, rows, whole in zip(self._columns, first, count, copied, strict=True)
+            if whole
+        }
+
+    def part(self, number: int, rows: range) -> Part:
+        """Return rows of a channel. From here on its arrays are read-only: a table takes them as they are."""
+        columns, which = self._columns[number], slice(rows.start, rows.stop)
+        numbers: Values = {}
+        for path, array in columns.numbers.items():
+            array.flags.writeable = False
+            native = array[which].astype(array.dtype.newbyteorder("="), copy=False)
+            native.flags.writeable = False
+            numbers[((path, array.shape[1]),)] = native
+        return Part(columns.sequence[which], columns.log_ns[which], [(np.arange(len(rows)), numbers)])
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """Arrays of one channel.
+
+    `first`, `count`: row of the first message of each chunk, and how many it has; -1 where its index cannot be true;
+    `message`, `fixed`, `places`: an example, the bytes in it that all messages have, and those of the numbers;
+    `sequence`, `log_ns`, `numbers`: (N,) of the messages; by dotted name (N, count) in the file's byte order.
+    """
+
+    first: list[int]
+    count: list[int]
+    message: bytes
+    fixed: Sequence[tuple[int, int]]
+    places: Sequence[tuple[int, int]]
+    sequence: np.ndarray
+    log_ns: np.ndarray
+    numbers: dict[str, np.ndarray]
+
+    def told(self, number: int) -> tuple[Any, ...]:
+        """Return what `MessageCopier` has to know of the channel."""
+        arrays = self.sequence, self.log_ns, list(self.numbers.values())
+        return number, self.message, self.fixed, self.places, *arrays
+
+
+def _counts(chunks: Sequence[Chunk], number: int) -> np.ndarray:
+    """Return how many messages of a channel each chunk has, by its index."""
+    places = np.array([chunk.indexes.get(number, (0, 0)) for chunk in chunks], dtype=np.int64).reshape(-1, 2)
+    return (places[:, 1] - places[:, 0]) // 16
+
+
+def _columns(chunks: Sequence[Chunk], count: np.ndarray, message: bytes, reader: MessageReader) -> _Columns:
+    """Return arrays for so many messages like this one, none where there are none."""
+    room = np.array([min(chunk.size, _LARGEST) // (_RECORD + len(message)) for chunk in chunks], dtype=np.int64)
+    count = np.where(count > room, -1, count)
+    ends = count.clip(0).cumsum()
+    rows = int(ends[-1]) if len(ends) else 0
+    fixed, places, numbers = [], {}, {}
+    if message:
+        layout = variant_of(np.frombuffer(message, dtype=np.uint8), reader)
+        reader.variants.setdefault(len(message), []).append(layout)
+        fixed = layout.fixed
+        for run, (at, _, dtype) in layout.runs.items():
+            for path, size in run:
+                numbers[path] = np.empty((rows, size), dtype)
+                places[path] = at, at + size * numbers[path].itemsize
+                at = places[path][1]
+    sequence, log_ns = np.empty(rows, "<u4"), np.empty(rows, "<i8")
+    first = (ends - count.clip(0)).tolist()
+    return _Columns(first, count.tolist(), message, fixed, list(places.values()), sequence, log_ns, numbers)
+
+
+def _first_messages(view: memoryview, chunks: Sequence[Chunk], channels: Collection[int]) -> dict[int, bytes]:
+    """Return the first message of each channel that has one in the first chunks."""
+    found: dict[int, bytes] = {}
+    for chunk in [one for one in chunks if one.indexes.keys() & set(channels)][:_TRIES]:
+        missing = chunk.indexes.keys() & set(channels) - found.keys()
+        try:
+            data = unpacked(view, chunk) if missing else b""
+        except LogError:
+            continue
+        for kind, start, stop in records(memoryview(data), 0, len(data)):
+            number = data[start] | data[start + 1] << 8 if kind == MESSAGE and stop - start >= 22 else -1
+            if number in missing:
+                found[number] = data[start + 22 : stop]
+                missing.discard(number)
+            if not missing:
+                break
+    return found
+
+
+_BATCH = 2_000_000  # bytes of records read at once: amortises calls, stays in the cache of a core
+
+
+@dataclass(slots=True)
+class Decoded:
+    """The messages of one channel.
+
+    `sequence`, `log_ns`: (N,) sequence numbers and log times; `fields`: dotted name -> (N, count); NaN where a message
+    does not have it.
+    """
+
+    sequence: np.ndarray
+    log_ns: np.ndarray
+    fields: dict[str, np.ndarray]
+
+
+def decode(
+    view: memoryview, found: Contents, wanted: Mapping[int, Sequence[str]], progress: Progress | None = None
+) -> tuple[dict[int, Decoded], list[str]]:
+    """Return the wanted fields of the wanted channels, and one sentence per damaged chunk or channel.
+
+    `wanted`: channel -> dotted names of fields.
+    """
+    readers = {}
+    for number, paths in wanted.items():
+        channel = found.channels[number]
+        if channel.encoding != "cdr":
+            raise LogError(f"Expected messages in cdr on {channel.topic}, got {channel.encoding!r}.")
+        types = cdr.definitions(channel.type, channel.schema)
+        readers[number] = MessageReader(channel.type, types, frozenset(paths))
+    return decode_by(view, found, readers, progress)
+
+
+def decode_by(
+    view: memoryview, found: Contents, readers: Mapping[int, MessageReader], progress: Progress | None = None
+) -> tuple[dict[int, Decoded], list[str]]:
+    """Return what the readers of some channels read, and one sentence per damaged chunk or channel."""
+    chunks = [chunk for chunk in found.chunks if not found.indexed or chunk.indexes.keys() & readers.keys()]
+    reading = _Reading(view, chunks, readers, found.indexed, Room(view, chunks, readers))
+    parts: dict[int, list[range | Part]] = {number: [] for number in readers}
+    damage: list[str] = []
+    batches, done, total = list(_batches(chunks)), 0, sum(chunk.size for chunk in chunks)
+    with ThreadPoolExecutor(2) as pool:  # decompression, checksums and copies release the interpreter lock
+        for batch, (decoded, lost) in zip(batches, pool.map(reading.batch, batches), strict=True):
+            damage += lost
+            for number, of_channel in decoded.items():
+                parts[number] += of_channel
+            done += sum(chunk.size for chunk in chunks[batch.start : batch.stop])
+            if progress:
+                progress(done, total, "bytes")
+    if found.loose:
+        for number, part in _decode_loose(view, found.loose, readers).items():
+            parts[number].append(part)
+    whole: dict[int, Decoded] = {}
+    for number, of_channel in parts.items():
+        whole[number], bad, reason = _decoded(reading.room, number, of_channel)
+        if bad:
+            damage.append(skipped(bad, found.channels[number].topic, reason))
+    return whole, damage
+
+
+def skipped(count: int, topic: str, reason: str) -> str:
+    """Return the sentence on messages that are left out, and why the first of them is."""
+    return f"{count} message{'s' if count > 1 else ''} on {topic} skipped: {shorten(reason, 300)}"
+
+
+def messages(view: memoryview, found: Contents, channel: int) -> Iterator[tuple[int, int, bytes]]:
+    """Yield (sequence, log time, message) of one channel; damaged chunks are left out."""
+    for chunk in found.chunks:
+        if found.indexed and channel not in chunk.indexes:
+            continue
+        try:
+            data = unpacked(view, chunk)
+        except LogError:
+            continue
+        for kind, start, stop in records(memoryview(data), 0, len(data)):
+            if kind == MESSAGE and stop - start >= 22:
+                number, sequence, log = struct.unpack_from("<HIq", data, start)
+                if number == channel:
+                    yield sequence, log, data[start + 22 : stop]
+    for start, stop in found.loose:
+        if stop - start >= 22:
+            number, sequence, log = struct.unpack_from("<HIq", view, start)
+            if number == channel:
+                yield sequence, log, bytes(view[start + 22 : stop])
+
+
+def message_counts(view: memoryview, found: Contents) -> Counter[int]:
+    """Return how many messages that can be read each channel has."""
+    counts: Counter[int] = Counter()
+    for chunk in found.chunks:
+        if found.indexed:
+            counts.update({number: (stop - start) // 16 for number, (start, stop) in chunk.indexes.items()})
+            continue
+        try:
+            offsets = walked(unpacked(view, chunk), found.channels)
+        except LogError:
+            continue
+        counts.update({number: len(places) for number, places in offsets.items()})
+    counts.update(struct.unpack_from("<H", view, start)[0] for start, stop in found.loose if stop - start >= 22)
+    return counts
+
+
+def _batches(chunks: Sequence[Chunk]) -> Iterator[range]:
+    """Yield the places of chunks that are read at once."""
+    first, size = 0, 0
+    for place, chunk in enumerate(chunks):
+        size += chunk.size
+        if size > _BATCH or place == len(chunks) - 1:
+            yield range(first, place + 1)
+            first, size = place + 1, 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Reading:
+    """The chunks of a file and the room that their messages are copied into."""
+
+    view: memoryview
+    chunks: Sequence[Chunk]
+    readers: Mapping[int, MessageReader]
+    indexed: bool
+    room: Room
+
+    def batch(self, places: range) -> tuple[dict[int, list[range | Part]], list[str]]:
+        """Read some chunks; return rows of the room and other messages by channel, and the damaged chunks.
+
+        From the first chunk on that the room does not take, a channel's messages are decoded layout by layout, those
+        of several chunks at once.
+        """
+        found: dict[int, list[range | Part]] = {number: [] for number in self.readers}
+        others: dict[int, list[tuple[Chunk, bytes]]] = {}
+        damage = []
+        for place in places:
+            chunk = self.chunks[place]
+            try:
+                data = unpacked(self.view, chunk)
+            except LogError as error:
+                damage.append(f"chunk at byte {chunk.start} skipped: {error}")
+                continue
+            copied = self.room.copy(place, data)
+            for number in self.readers:
+                if number in copied and number not in others:
+                    found[number].append(copied[number])
+                else:
+                    others.setdefault(number, []).append((chunk, data))
+        for count in sorted({len(chunks) for chunks in others.values()}):  # equally many begin at the same chunk
+            readers = {number: self.readers[number] for number, chunks in others.items() if len(chunks) == count}
+            parts = decode_chunks(self.view, others[next(iter(readers))], readers, self.indexed)
+            for number, part in parts.items():
+                found[number].append(part)
+        return found, damage
+
+
+def _decode_loose(
+    view: memoryview, places: Sequence[tuple[int, int]], readers: Mapping[int, MessageReader]
+) -> dict[int, Part]:
+    """Decode the messages of a file without chunks."""
+    raw = np.frombuffer(view, dtype=np.uint8)
+    offsets: dict[int, list[int]] = {}
+    for start, stop in places:
+        if stop - start >= 22:
+            offsets.setdefault(struct.unpack_from("<H", view, start)[0], []).append(start - 9)
+    return {
+        number: decode_messages(raw, np.array(offsets[number], dtype=np.int64), reader)
+        for number, reader in readers.items()
+        if number in offsets
+    }
+
+
+def _decoded(room: Room, number: int, found: Sequence[range | Part]) -> tuple[Decoded, int, str]:
+    """Join what was read of one channel; return also how many messages are left out, and why the first of them is."""
+    merged: list[range | Part] = []
+    for one in found:
+        before = merged[-1] if merged else None
+        if isinstance(one, range) and isinstance(before, range) and before.stop == one.start:
+            merged[-1] = range(before.start, one.stop)
+        else:
+            merged.append(one)
+    parts = [room.part(number, one) if isinstance(one, range) else one for one in merged]
+    bad, reason = sum(part.bad for part in parts), next((part.reason for part in parts if part.bad), "")
+    parts = [part for part in parts if len(part.sequence)]
+    nothing = Decoded(np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.int64), {})
+    if not parts:
+        return nothing, bad, reason
+    ends = np.cumsum([len(part.sequence) for part in parts]).tolist()
+    firsts = [end - len(part.sequence) for end, part in zip(ends, parts, strict=True)]
+    pieces = [(rows + at, values) for at, part in zip(firsts, parts, strict=True) for rows, values in part.pieces]
+    try:
+        fields = split(assembled(ends[-1], pieces))
+    except LogError as error:
+        return nothing, bad + ends[-1], str(error)
+    sequence = np.concatenate([part.sequence for part in parts]) if len(parts) > 1 else parts[0].sequence
+    log_ns = np.concatenate([part.log_ns for part in parts]) if len(parts) > 1 else parts[0].log_ns
+    return Decoded(sequence, log_ns, fields), bad, reason

@@ -1,0 +1,421 @@
+"""The records of an MCAP file, finished or torn, and its chunks. Follows the MCAP specification, version 0."""
+
+from __future__ import annotations
+
+import struct
+import threading
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from armlab.errors import LogError
+
+if TYPE_CHECKING:
+    import zstandard
+
+_MAX_CHUNK = 1 << 31  # bytes; a larger size is a damaged one
+_MAX_OPEN = 1 << 28  # bytes; of a chunk that does not tell its size
+_UNPACKED, _RATIO = 1 << 24, 200  # bytes of any file; above that, for each of its own: zstd reaches 15 000
+_PIECE = 1 << 20
+_REPEATED, _RESERVED = 1, 3  # kinds of zstd blocks
+_of_thread = threading.local()
+
+
+@dataclass(slots=True)
+class Chunk:
+    """A chunk of messages: where its record is [start, stop), its times, size and checksum, where its data are.
+
+    `indexes` maps channels to the place [start, stop) of the entries of their MessageIndex. `is_open`: its writer died
+    before it wrote times, size and checksum.
+    """
+
+    start: int
+    stop: int
+    first_ns: int
+    last_ns: int
+    size: int
+    crc: int
+    compression: str
+    data: tuple[int, int]
+    indexes: dict[int, tuple[int, int]] = field(default_factory=dict)
+    is_open: bool = False
+
+
+def most_unpacked(size: int) -> int:
+    """Return the bytes that all chunks of a file may unpack to."""
+    return max(_UNPACKED, _RATIO * size)
+
+
+def end_of_blocks(view: memoryview, at: int) -> int:
+    """Return where the last whole block of the zstd frame at this place ends; `at` when there is none."""
+    import zstandard
+
+    header = bytes(view[at : at + 18])
+    try:
+        zstandard.get_frame_parameters(header)  # the size alone does not look at the magic number
+        start = at + zstandard.frame_header_size(header)
+    except zstandard.ZstdError as error:
+        raise LogError(f"Expected zstd data at byte {at}, got: {error}.") from None
+    end, is_last = at, False
+    while not is_last and start + 3 <= len(view):
+        block = int.from_bytes(view[start : start + 3], "little")  # RFC 8878, 3.1.1.2: last, type, size
+        is_last = bool(block & 1)
+        kind, size = block >> 1 & 3, block >> 3
+        start += 3 + (1 if kind == _REPEATED else size)
+        if start > len(view) or kind == _RESERVED:
+            break
+        end = start
+    return end
+
+
+def unpacked(view: memoryview, chunk: Chunk) -> bytes:
+    """Return the records of a chunk."""
+    start, stop = chunk.data
+    most = min(_MAX_OPEN if chunk.is_open else _MAX_CHUNK, most_unpacked(len(view)))
+    if chunk.is_open:
+        return _unpacked_open(bytes(view[start:stop]), most)
+    if chunk.size > most:
+        raise LogError(f"Expected a chunk of at most {most} bytes at byte {chunk.start}, got {chunk.size}.")
+    data = _decompressed(view[start:stop], chunk)
+    if len(data) != chunk.size:
+        raise LogError(f"Expected {chunk.size} bytes in the chunk at byte {chunk.start}, got {len(data)}.")
+    if chunk.crc and zlib.crc32(data) != chunk.crc:
+        raise LogError(f"Expected checksum {chunk.crc:08x} of the chunk at byte {chunk.start}, got another.")
+    return data
+
+
+def _unpacked_open(packed: bytes, most: int) -> bytes:
+    """Return the whole records in the blocks of an unfinished zstd frame, of about so many bytes."""
+    import zstandard
+
+    pieces, size = [], 0
+    try:
+        with zstandard.ZstdDecompressor().stream_reader(packed) as reader:
+            while size < most and (piece := reader.read(_PIECE)):
+                pieces.append(piece)
+                size += len(piece)
+    except zstandard.ZstdError:  # what was read before stays
+        pass
+    data = b"".join(pieces)
+    end = 0
+    while end + 9 <= len(data):
+        length = int.from_bytes(data[end + 1 : end + 9], "little")
+        if length > len(data) - end - 9:
+            break
+        end += 9 + length
+    return data[:end]
+
+
+def _decompressor() -> zstandard.ZstdDecompressor:
+    """Return the decompressor of this thread: its tables are as large as a chunk."""
+    import zstandard
+
+    if not hasattr(_of_thread, "decompressor"):
+        _of_thread.decompressor = zstandard.ZstdDecompressor()
+    return _of_thread.decompressor
+
+
+def _decompressed(packed: memoryview, chunk: Chunk) -> bytes:
+    if chunk.compression == "":
+        return bytes(packed)
+    try:
+        if chunk.compression == "zstd":
+            import zstandard
+
+            declared = zstandard.frame_content_size(packed)
+            if declared not in (-1, chunk.size):  # before anything of that size is allocated
+                raise LogError(f"Expected {chunk.size} bytes in the chunk at byte {chunk.start}, got {declared}.")
+            return _decompressor().decompress(packed, max_output_size=chunk.size)
+        if chunk.compression == "lz4":
+            import lz4.frame
+
+            return lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=chunk.size + 1)
+    except LogError:
+        raise
+    except ImportError:
+        raise LogError("Expected the package lz4 for this file; install it with `pip install lz4`.") from None
+    except Exception as error:  # the codecs' own errors share no base class
+        raise LogError(f"Expected {chunk.compression} data in the chunk at byte {chunk.start}, got: {error}.") from None
+    raise LogError(f"Expected compression zstd, lz4 or none, got {chunk.compression!r} at byte {chunk.start}.")
+
+
+MAGIC = b"\x89MCAP0\r\n"
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
+ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
+_FOOTER_SIZE = 9 + 20
+OPEN = (1 << 64) - 1
+"""Length of a chunk that its writer never finished."""
+_PRIVATE = 128  # from here on kinds of records are the writer's own affair
+
+# What reading damaged bytes can raise.
+DAMAGE = (
+    struct.error, UnicodeDecodeError, ValueError, IndexError, KeyError, OverflowError, MemoryError, RecursionError,
+    LogError,
+)  # fmt: skip
+
+
+@dataclass(slots=True)
+class Channel:
+    """A channel: topic, type, schema and its encoding, encoding of the messages, and a map of strings.
+
+    Bytes of a schema that are no UTF-8, as those of protobuf, are escaped as surrogates.
+    """
+
+    topic: str
+    type: str
+    schema: str
+    schema_encoding: str
+    encoding: str
+    metadata: dict[str, str]
+
+
+@dataclass(slots=True)
+class Attached:
+    """An attachment: name, kind, time, and where its data are [start, stop)."""
+
+    name: str
+    media_type: str
+    log_ns: int
+    data: tuple[int, int]
+
+
+@dataclass(slots=True)
+class Contents:
+    """What an MCAP file contains.
+
+    `finished`: the file ends with a footer; `torn`: bytes after the last whole record; `indexed`: the summary is whole,
+    so the indexes of the chunks name every message; `profile`, `library`: of the header; `channels`, `chunks`,
+    `attachments`, `metadata`: by channel number; in order; in order; by name; `loose`: places [start, stop) of messages
+    outside chunks; `damaged`: kind of each record left out because it is damaged, and a sentence.
+    """
+
+    finished: bool = False
+    indexed: bool = False
+    torn: int = 0
+    profile: str = ""
+    library: str = ""
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: list[Chunk] = field(default_factory=list)
+    attachments: list[Attached] = field(default_factory=list)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    loose: list[tuple[int, int]] = field(default_factory=list)
+    damaged: list[tuple[int, str]] = field(default_factory=list)
+    _schemas: dict[int, tuple[str, str, str]] = field(default_factory=dict)
+
+
+def contents(view: memoryview) -> Contents:
+    """Return what the file contains, by its summary where that is whole, else record by record."""
+    if bytes(view[: len(MAGIC)]) != MAGIC:
+        raise LogError(f"Expected an MCAP file, got {bytes(view[:8]).hex(' ') or 'nothing'} at its beginning.")
+    try:
+        found = _by_summary(view)
+    except DAMAGE:
+        found = None
+    return found or _by_walking(view)
+
+
+def records(view: memoryview, at: int, stop: int) -> Iterator[tuple[int, int, int]]:
+    """Yield (kind, start, stop) of the body of each record that lies wholly in [at, stop)."""
+    while at + 9 <= stop:
+        kind, length = struct.unpack_from("<BQ", view, at)
+        body = at + 9
+        if length > stop - body:
+            return
+        yield kind, body, body + length
+        at = body + length
+
+
+def _by_summary(view: memoryview) -> Contents | None:
+    """Return the contents from a whole summary section, or None."""
+    end = len(view) - len(MAGIC) - _FOOTER_SIZE
+    if end < len(MAGIC) or bytes(view[-len(MAGIC) :]) != MAGIC or view[end] != FOOTER:
+        return None
+    start, _, crc = struct.unpack_from("<QQI", view, end + 9)
+    if not (0 < start < end) or not crc or zlib.crc32(view[start : end + 9 + 16]) != crc:
+        return None
+    found = Contents(finished=True)
+    chunk_count = None
+    for kind, body, stop in records(view, start, end):
+        if kind in (SCHEMA, CHANNEL):
+            _register(found, view, kind, body, stop)
+        elif kind == CHUNK_INDEX:
+            found.chunks.append(_indexed_chunk(view, body))
+        elif kind == ATTACHMENT_INDEX:
+            at = struct.unpack_from("<Q", view, body)[0]
+            found.attachments.append(_attachment(view, at + 9))
+        elif kind == METADATA_INDEX:
+            at = struct.unpack_from("<Q", view, body)[0]
+            _metadata(found, view, at + 9)
+        elif kind == STATISTICS:
+            (chunk_count,) = struct.unpack_from("<I", view, body + 22)
+    header = next(records(view, len(MAGIC), len(view)), None)
+    if header is not None:  # else its length is damaged, and the summary is all the same whole
+        found.profile, at = _text(view, header[1])
+        found.library, _ = _text(view, at)
+    whole = found.channels and found.chunks and chunk_count == len(found.chunks)
+    found.indexed = all(chunk.indexes for chunk in found.chunks)
+    _check_sizes(found, view)
+    return found if whole else None
+
+
+def _by_walking(view: memoryview) -> Contents:
+    """Return the contents record by record; what is damaged is left out and named."""
+    found = Contents()
+    at = len(MAGIC)
+    for kind, body, stop in records(view, at, len(view)):
+        if body == at + 9 == len(MAGIC) + 9 and kind != HEADER:
+            raise LogError(f"Expected the header of an MCAP file, got a record of kind {kind}.")
+        try:
+            _take(found, view, kind, body, stop)
+        except DAMAGE as error:
+            found.damaged.append((kind, f"record of kind {kind} at byte {body - 9} skipped: {error}"))
+            continue
+        finally:
+            at = stop
+        if kind == FOOTER:
+            found.finished = bytes(view[stop : stop + len(MAGIC)]) == MAGIC
+            break
+    if not found.finished:
+        found.torn = len(view) - _open_chunk(found, view, at)
+    _check_sizes(found, view)
+    _find_channels(found, view)
+    return found
+
+
+def _check_sizes(found: Contents, view: memoryview) -> None:
+    """Refuse chunks that together unpack to far more than the file; each that does so alone is left out as damaged."""
+    most = most_unpacked(len(view))
+    whole = sum(chunk.size for chunk in found.chunks if chunk.size <= most)
+    if whole > most:
+        raise LogError(
+            f"Expected chunks that unpack to at most {most} bytes, got {whole} in a file of {len(view)}. If you trust "
+            "the file, write it without compression: mcap compress --compression none."
+        )
+
+
+def _open_chunk(found: Contents, view: memoryview, at: int) -> int:
+    """Take the chunk at this place if its writer died over it; return where what can be read of the file ends."""
+    try:
+        kind, length = struct.unpack_from("<BQ", view, at)
+        compression, data = _text(view, at + 9 + 28)
+        (packed,) = struct.unpack_from("<Q", view, data)
+        if (kind, length, packed, compression) != (CHUNK, OPEN, OPEN, "zstd"):
+            return at
+        stop = end_of_blocks(view, data + 8)
+    except DAMAGE:
+        return at
+    found.chunks.append(Chunk(at, stop, 0, 0, 0, 0, compression, (data + 8, stop), is_open=True))
+    return stop
+
+
+def _take(found: Contents, view: memoryview, kind: int, body: int, stop: int) -> None:
+    if kind == HEADER:
+        found.profile, at = _text(view, body)
+        found.library, _ = _text(view, at)
+    elif kind in (SCHEMA, CHANNEL):
+        number = int.from_bytes(view[body : body + 2], "little")
+        if number not in (found._schemas if kind == SCHEMA else found.channels):  # else the summary repeats it
+            _register(found, view, kind, body, stop)
+    elif kind == CHUNK:
+        found.chunks.append(_chunk(view, body, stop))
+    elif kind == MESSAGE_INDEX and found.chunks:
+        channel, length = struct.unpack_from("<HI", view, body)
+        if length == stop - body - 6:
+            found.chunks[-1].indexes[channel] = (body + 6, stop)
+    elif kind == ATTACHMENT:
+        found.attachments.append(_attachment(view, body))
+    elif kind == METADATA:
+        _metadata(found, view, body)
+    elif kind == MESSAGE:
+        found.loose.append((body, stop))
+    elif kind == 0 or DATA_END < kind < _PRIVATE:  # what was it before its first byte changed?
+        raise LogError(f"Expected a kind of record from {HEADER} to {DATA_END}, got {kind}.")
+
+
+def _find_channels(found: Contents, view: memoryview) -> None:
+    """Read schemas and channels inside the chunks: without a summary they are nowhere else."""
+    used = {channel for chunk in found.chunks for channel in chunk.indexes}
+    for number, chunk in enumerate(found.chunks):
+        if number and used and used <= found.channels.keys():
+            return
+        try:
+            data = memoryview(unpacked(view, chunk))
+            for kind, body, stop in records(data, 0, len(data)):
+                if kind in (SCHEMA, CHANNEL):
+                    _register(found, data, kind, body, stop)
+        except DAMAGE:
+            continue
+
+
+def _register(found: Contents, view: memoryview, kind: int, body: int, stop: int) -> None:
+    if kind == SCHEMA:
+        (number,) = struct.unpack_from("<H", view, body)
+        name, at = _text(view, body + 2)
+        encoding, at = _text(view, at)
+        text, _ = _text(view, at, "surrogateescape")
+        found._schemas[number] = (name, text, encoding)
+        return
+    number, schema = struct.unpack_from("<HH", view, body)
+    topic, at = _text(view, body + 4)
+    encoding, at = _text(view, at)
+    description = found._schemas.get(schema, ("", "", ""))
+    found.channels[number] = Channel(topic, *description, encoding, _map(view, at, stop))
+
+
+def _chunk(view: memoryview, body: int, stop: int) -> Chunk:
+    first, last, size, crc = struct.unpack_from("<QQQI", view, body)
+    compression, at = _text(view, body + 28)
+    (length,) = struct.unpack_from("<Q", view, at)
+    if at + 8 + length != stop:
+        raise LogError(f"Expected a chunk of {stop - at - 8} bytes at byte {body}, got {length}.")
+    return Chunk(body - 9, stop, first, last, size, crc, compression, (at + 8, stop))
+
+
+def _indexed_chunk(view: memoryview, body: int) -> Chunk:
+    """Return the chunk that a ChunkIndex points at."""
+    _, _, start, length, size = struct.unpack_from("<QQQQI", view, body)
+    chunk = _chunk(view, start + 9, start + length)
+    for at in range(body + 36, body + 36 + size, 10):
+        channel, place = struct.unpack_from("<HQ", view, at)
+        kind, length, _, entries = struct.unpack_from("<BQHI", view, place)
+        if kind != MESSAGE_INDEX or entries + 6 != length or entries % 16:
+            raise LogError(f"Expected an index of messages at byte {place}, got a record of kind {kind}.")
+        chunk.indexes[channel] = (place + 15, place + 15 + entries)
+    return chunk
+
+
+def _attachment(view: memoryview, body: int) -> Attached:
+    name, at = _text(view, body + 16)
+    media_type, at = _text(view, at)
+    (length,) = struct.unpack_from("<Q", view, at)
+    if at + 8 + length > len(view):
+        raise LogError(f"Expected an attachment of {length} bytes at byte {body}, got the end of the file.")
+    (log_ns,) = struct.unpack_from("<Q", view, body)
+    return Attached(name, media_type, log_ns, (at + 8, at + 8 + length))
+
+
+def _metadata(found: Contents, view: memoryview, body: int) -> None:
+    name, at = _text(view, body)
+    found.metadata[name] = _map(view, at, len(view))
+
+
+def _text(view: memoryview, at: int, errors: str = "strict") -> tuple[str, int]:
+    (length,) = struct.unpack_from("<I", view, at)
+    at += 4
+    if length > len(view) - at:
+        raise LogError(f"Expected a text of {length} bytes at byte {at}, got the end of the file.")
+    return bytes(view[at : at + length]).decode(errors=errors), at + length
+
+
+def _map(view: memoryview, at: int, stop: int) -> dict[str, str]:
+    (length,) = struct.unpack_from("<I", view, at)
+    at += 4
+    end = at + length
+    if end > stop:
+        raise LogError(f"Expected a map of {length} bytes at byte {at}, got the end of the record.")
+    pairs = {}
+    while at < end:
+        key, at = _text(view, at)
+        pairs[key], at = _text(view, at)
+    return pairs

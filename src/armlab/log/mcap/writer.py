@@ -1,0 +1,315 @@
+"""`McapWriter`: an MCAP file that is readable up to the last `push`, whatever happens to the process.
+
+The chunk in progress is already in the file: its header says that it is open (length 2^64 - 1, as other writers do),
+behind it grows one zstd frame, block by block. What `push` has given to the kernel survives the end of the process;
+`close_chunk` then writes the true header over the open one. Follows the MCAP specification, version 0.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import struct
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import chain
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import Any, Protocol
+
+from armlab._descriptors import Descriptor
+from armlab.log.mcap.records import (
+    ATTACHMENT,
+    ATTACHMENT_INDEX,
+    CHANNEL,
+    CHUNK,
+    CHUNK_INDEX,
+    DATA_END,
+    FOOTER,
+    HEADER,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_INDEX,
+    METADATA,
+    METADATA_INDEX,
+    OPEN,
+    SCHEMA,
+    STATISTICS,
+)
+
+_MESSAGE = struct.Struct("<BQHIQQ")
+_MESSAGE_PREFIX = 22
+_CHUNK = struct.Struct("<BQQQQII4sQ")  # record, times, size, checksum, "zstd", length of the data
+_CHUNK_BODY = _CHUNK.size - 9
+_OPENED = _CHUNK.pack(CHUNK, OPEN, 0, 0, 0, 0, 4, b"zstd", OPEN)
+_ENTRY = struct.Struct("<QQ")
+_KEPT = 2**16  # bytes of the index of the chunks in memory, five minutes of one arm
+
+
+class _WritableFile(Protocol):
+    """What a writer needs of a file."""
+
+    def write(self, data: Any, /) -> int:
+        """Write, and return how many bytes the system took."""
+        ...
+
+    def seek(self, at: int, /) -> int:
+        """Go on at another place."""
+        ...
+
+    def truncate(self, size: int, /) -> int:
+        """Cut the file to a size."""
+        ...
+
+
+@dataclass(slots=True)
+class _OpenChunk:
+    """The chunk in progress: where it begins, its zstd frame, and what its header and indexes will say."""
+
+    start: int
+    frame: Any
+    first_ns: int
+    last_ns: int = 0
+    size: int = 0
+    crc: int = 0
+    packed: int = 0
+    pending: list[bytes] = field(default_factory=list)
+    indexes: dict[int, bytearray] = field(default_factory=dict)
+
+
+class _Index:
+    """Records that come last in a file. Those of a day have 20 MB: they wait on the disk, in a file without a name.
+
+    Where other code closes its descriptor, the file is gone; `taken` then raises.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder = folder
+        self._newest = bytearray()
+        self._file: Descriptor | None = None
+
+    def __del__(self) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    def add(self, record: bytes) -> None:
+        self._newest += record
+        if len(self._newest) > _KEPT:
+            if self._file is None:
+                with TemporaryFile(dir=self._folder) as file:
+                    self._file = Descriptor(os.dup(file.fileno()))
+            if self._file.is_open:
+                _write_all(partial(os.write, self._file.number), self._newest)
+            self._newest.clear()
+
+    def taken(self) -> Iterator[bytes]:
+        """Give all of it, once."""
+        if self._file is not None:
+            if not self._file.is_open:
+                raise OSError(errno.EBADF, "the descriptor of its index was closed; armlab log recover makes a new one")
+            os.lseek(self._file.number, 0, os.SEEK_SET)
+            while part := os.read(self._file.number, _KEPT):
+                yield part
+        yield bytes(self._newest)
+
+
+class McapWriter:
+    """Writes an MCAP file with chunks in zstd, message indexes and a summary."""
+
+    def __init__(self, file: _WritableFile, profile: str, library: str) -> None:
+        import zstandard
+
+        self._file, self._at = file, 0
+        self._compressor = zstandard.ZstdCompressor(level=1)
+        self._block = zstandard.COMPRESSOBJ_FLUSH_BLOCK
+        self._chunk: _OpenChunk | None = None
+        self._schemas: list[bytes] = []
+        self._channels: list[bytes] = []
+        self._counts: dict[int, int] = {}
+        self._times: tuple[int, int] | None = None  # first and last of all chunks
+        self._index, self._chunks = _Index(_folder(file)), 0
+        self._attachments: list[bytes] = []
+        self._metadata: list[bytes] = []
+        self._put(MAGIC + _record(HEADER, _text(profile), _text(library)))
+
+    @property
+    def size(self) -> int:
+        """Bytes in the chunk in progress: where the next record in it will be."""
+        return 0 if self._chunk is None else self._chunk.size
+
+    def metadata(self, name: str, pairs: Mapping[str, str]) -> None:
+        """Write a map of texts under a name."""
+        self.close_chunk()
+        record = _record(METADATA, _text(name), _map(pairs))
+        self._metadata.append(_record(METADATA_INDEX, struct.pack("<QQ", self._at, len(record)), _text(name)))
+        self._put(record)
+
+    def attach(self, log_ns: int, name: str, media_type: str, data: bytes) -> None:
+        """Write an attachment.
+
+        `log_ns`: its time [ns].
+        """
+        self.close_chunk()
+        about = struct.pack("<QQ", log_ns, log_ns)
+        body = b"".join([about, _text(name), _text(media_type), struct.pack("<Q", len(data)), data])
+        record = _record(ATTACHMENT, body, struct.pack("<I", zlib.crc32(body)))
+        place = struct.pack("<QQ", self._at, len(record))
+        index = _record(ATTACHMENT_INDEX, place, about, struct.pack("<Q", len(data)), _text(name), _text(media_type))
+        self._attachments.append(index)
+        self._put(record)
+
+    def schema(self, name: str, encoding: str, text: bytes) -> int:
+        """Write a schema and return its number."""
+        self.close_chunk()
+        number = len(self._schemas) + 1
+        body = [struct.pack("<H", number), _text(name), _text(encoding), struct.pack("<I", len(text)), text]
+        self._schemas.append(_record(SCHEMA, *body))
+        self._put(self._schemas[-1])
+        return number
+
+    def channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
+        """Write a channel and return its number."""
+        self.close_chunk()
+        number = len(self._channels) + 1
+        self._channels.append(
+            _record(CHANNEL, struct.pack("<HH", number, schema), _text(topic), _text(encoding), _map(metadata))
+        )
+        self._put(self._channels[-1])
+        self._counts[number] = 0
+        return number
+
+    def message(self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes | bytearray) -> None:
+        """Add a message to the chunk in progress; it is in the file after `push`.
+
+        `log_ns`, `publish_ns`: its times [ns].
+        """
+        length = _MESSAGE_PREFIX + len(data)
+        record = _MESSAGE.pack(MESSAGE, length, channel, sequence, log_ns, publish_ns) + data
+        self.records(record, {channel: _ENTRY.pack(log_ns, self.size)}, log_ns, log_ns)
+
+    def records(self, data: bytes, entries: Mapping[int, bytes], first_ns: int, last_ns: int) -> None:
+        """Add messages that are records already, as `kernels.RowEncoder` makes them, to the chunk in progress.
+
+        `first_ns`, `last_ns`: earliest and latest time of the messages [ns].
+        """
+        chunk = self._chunk
+        if chunk is None:
+            chunk = self._chunk = _OpenChunk(self._at, self._compressor.compressobj(), first_ns)
+            self._put(_OPENED)
+        for channel, made in entries.items():
+            chunk.indexes.setdefault(channel, bytearray()).extend(made)
+        chunk.pending.append(data)
+        chunk.size += len(data)
+        chunk.first_ns, chunk.last_ns = min(chunk.first_ns, first_ns), max(chunk.last_ns, last_ns)
+
+    def push(self) -> None:
+        """Give all messages to the kernel: they survive the end of this process (not of the machine)."""
+        if self._chunk is not None and self._chunk.pending:
+            self._push(self._chunk, self._block)
+
+    def close_chunk(self) -> None:
+        """Finish the chunk in progress, if any: its last bytes, its true header, its indexes."""
+        from zstandard import COMPRESSOBJ_FLUSH_FINISH
+
+        chunk, self._chunk = self._chunk, None
+        if chunk is None:
+            return
+        self._push(chunk, COMPRESSOBJ_FLUSH_FINISH)
+        times = struct.pack("<QQ", chunk.first_ns, chunk.last_ns)
+        length = _CHUNK_BODY + chunk.packed
+        header = (chunk.first_ns, chunk.last_ns, chunk.size, chunk.crc, 4, b"zstd", chunk.packed)
+        self._write_header(chunk.start, _CHUNK.pack(CHUNK, length, *header))
+        places, indexes, at = [], [], self._at
+        for channel, entries in chunk.indexes.items():
+            places.append(struct.pack("<HQ", channel, at))
+            indexes.append(_record(MESSAGE_INDEX, struct.pack("<HI", channel, len(entries)), bytes(entries)))
+            at += len(indexes[-1])
+            self._counts[channel] += len(entries) // _ENTRY.size
+        where = struct.pack("<QQI", chunk.start, length + 9, sum(map(len, places)))
+        sizes = struct.pack("<QI4sQQ", at - self._at, 4, b"zstd", chunk.packed, chunk.size)
+        self._index.add(_record(CHUNK_INDEX, times, where, *places, sizes))
+        self._chunks += 1
+        first, last = self._times or (chunk.first_ns, chunk.last_ns)
+        self._times = min(first, chunk.first_ns), max(last, chunk.last_ns)
+        self._put(b"".join(indexes))
+
+    def finish(self) -> None:
+        """Write the chunk in progress, the summary and the footer."""
+        self.close_chunk()
+        self._put(_record(DATA_END, struct.pack("<I", 0)))
+        before = [*self._schemas, *self._channels, self._statistics()]
+        footer = struct.pack("<BQQQ", FOOTER, 20, self._at, 0)
+        crc = 0
+        for part in chain(before, self._index.taken(), self._attachments, self._metadata, [footer]):
+            crc = zlib.crc32(part, crc)
+            self._put(part)
+        self._put(struct.pack("<I", crc) + MAGIC)
+
+    def _push(self, chunk: _OpenChunk, how: int) -> None:
+        data = b"".join(chunk.pending)
+        chunk.pending.clear()
+        chunk.crc = zlib.crc32(data, chunk.crc)
+        packed = chunk.frame.compress(data) + chunk.frame.flush(how)
+        chunk.packed += len(packed)
+        self._put(packed)
+
+    def _write_header(self, start: int, header: bytes) -> None:
+        """Write the true header of a chunk over the open one, or leave that: a half of each hides the rows."""
+        try:
+            self._file.seek(start)
+            self._write(header)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                self._file.seek(start)
+                self._write(_OPENED)
+            raise
+        self._file.seek(self._at)
+
+    def _put(self, data: bytes) -> None:
+        try:
+            self._write(data)
+        except BaseException:  # what the disk took of it would be read as messages that nobody counted
+            with contextlib.suppress(OSError):
+                self._file.truncate(self._at)
+            raise
+        self._at += len(data)
+
+    def _write(self, data: bytes) -> None:
+        _write_all(self._file.write, data)
+
+    def _statistics(self) -> bytes:
+        first, last = self._times or (0, 0)
+        counts = [struct.pack("<HQ", channel, count) for channel, count in self._counts.items() if count]
+        numbers = (len(self._schemas), len(self._channels), len(self._attachments), len(self._metadata))
+        head = struct.pack("<QHIIIIQQ", sum(self._counts.values()), *numbers, self._chunks, first, last)
+        return _record(STATISTICS, head, struct.pack("<I", sum(map(len, counts))), *counts)
+
+
+def _write_all(write: Callable[[Any], int], data: bytes | bytearray) -> None:
+    """Write all of it: a write that is not buffered may take less."""
+    done = write(data)
+    while done < len(data):
+        done += write(memoryview(data)[done:])
+
+
+def _folder(file: _WritableFile) -> Path | None:
+    """Return the folder of a file, None for one without."""
+    name = getattr(file, "name", None)
+    return Path(name).parent if isinstance(name, str) else None
+
+
+def _record(kind: int, *parts: bytes) -> bytes:
+    return b"".join([struct.pack("<BQ", kind, sum(map(len, parts))), *parts])
+
+
+def _text(text: str) -> bytes:
+    raw = text.encode(errors="backslashreplace")  # the name of a file that is no UTF-8, in a command line
+    return struct.pack("<I", len(raw)) + raw
+
+
+def _map(pairs: Mapping[str, str]) -> bytes:
+    raw = b"".join(_text(key) + _text(value) for key, value in pairs.items())
+    return struct.pack("<I", len(raw)) + raw

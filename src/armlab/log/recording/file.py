@@ -1,0 +1,273 @@
+"""The MCAP file of a recording: opened once, never over another, complete up to the last row when killed."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from armlab._descriptors import Descriptor, apart
+from armlab.errors import ConfigError, LogError
+from armlab.kernels import RowEncoder
+from armlab.log.mcap.writer import McapWriter
+from armlab.log.recording.metadata import attached, metadata
+from armlab.log.recording.ros_messages import (
+    Plan,
+    clock_metadata,
+    definition,
+    event,
+    parameter,
+    plan,
+    topic_name,
+    topics,
+)
+from armlab.log.recording.rows import RowLayout
+
+if TYPE_CHECKING:
+    from armlab.robots import Robot
+
+_FLAGS = os.O_WRONLY | getattr(os, "O_CLOEXEC", 0)
+
+
+class PersistentFile:
+    """A new file, opened for writing, not buffered.
+
+    Each call looks first whether the descriptor still belongs to the file. If not, the file is opened again by its
+    path, and writing goes on at the same place.
+
+    `name`: absolute path; `closed`: whether `close` was called.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.name = str(Path(path).absolute())
+        self.closed = False
+        self._at = 0
+        self._lock = threading.Lock()  # of the descriptor: threads that write and sync may both find it closed
+        self._descriptor = Descriptor(os.open(self.name, _FLAGS | os.O_CREAT | os.O_EXCL, 0o666))
+
+    def fileno(self) -> int:
+        """Return the descriptor, which may be another one next time."""
+        with self._lock:
+            if self.closed:
+                raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+            if not self._descriptor.is_open:
+                self._descriptor = self._reopened()
+            return self._descriptor.number
+
+    def write(self, data: bytes | bytearray | memoryview) -> int:
+        """Write, and return how many bytes the system took."""
+        done = os.write(self.fileno(), data)
+        self._at += done
+        return done
+
+    def seek(self, at: int) -> int:
+        """Go on at another place, counted in bytes from the beginning."""
+        self._at = os.lseek(self.fileno(), at, os.SEEK_SET)
+        return self._at
+
+    def truncate(self, size: int) -> int:
+        """Cut the file to a size; the place stays."""
+        os.ftruncate(self.fileno(), size)
+        return size
+
+    def close(self) -> None:
+        """Close the file. A second call does nothing."""
+        with self._lock:
+            self._descriptor.close()
+            self.closed = True
+
+    def _reopened(self) -> Descriptor:
+        number = apart(os.open(self.name, _FLAGS))
+        if not self._descriptor.same_file(number):
+            os.close(number)
+            raise FileNotFoundError(errno.ENOENT, "its descriptor was closed, and another file has its name")
+        os.lseek(number, self._at, os.SEEK_SET)
+        return Descriptor(number)
+
+
+MAX_CHUNK_ROWS = 250  # a second at 250 Hz: what a damaged chunk can cost, also after a stall
+_EVENT_TYPE = "rcl_interfaces/msg/Log"
+_PARAMETER_TYPE = "armlab_msgs/msg/Parameter"
+
+
+def recording_path(path: str | Path) -> Path:
+    """Return the name of a recording as a path."""
+    path = Path(path)
+    if path.suffix.lower() != ".mcap":
+        raise ConfigError(
+            f"Expected the name of a recording, ending in .mcap, got {path}. Change the ending; armlab log export and "
+            "log.write make files of other formats."
+        )
+    return path
+
+
+def open_new(path: str | Path) -> tuple[PersistentFile, Path]:
+    """Open a file that does not exist yet: ``run.mcap``, else ``run-2.mcap``, ``run-3.mcap``, ...
+
+    Returned: The open file, not buffered, and its path.
+    """
+    path = Path(path)
+    number, candidate = 1, path
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        while True:
+            try:
+                return PersistentFile(candidate), candidate
+            except FileExistsError:
+                number += 1
+                candidate = path.with_name(f"{path.stem}-{number}{path.suffix}")
+    except OSError as error:
+        raise LogError(f"Expected to create the log {candidate}, got: {error.strerror}.") from None
+
+
+class RecordingFile:
+    """One recording: topics of one arm in an MCAP file (profile ros2, zstd).
+
+    After construction header, metadata, attachments, schemas and channels are on the disk.
+
+    `attachments`: name -> bytes; the robot's description, robot.toml, is there without; `clock`: of a layout with a
+    column `t`: wall clock of t = 0 [ns], and whose clock `t` is.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        robot: Robot,
+        layout: RowLayout,
+        attachments: Mapping[str, bytes],
+        note: str,
+        clock: tuple[int, str] | None = None,
+    ) -> None:
+        from armlab import __version__
+
+        self._file, self.path = open_new(path)
+        self._layout, self._clock = layout, clock
+        self._chunk_rows = 0
+        self.rows = 0
+        self.last_stamp_ns = time.time_ns()
+        try:
+            self._writer = McapWriter(self._file, "ros2", f"armlab {__version__}")
+            attachments = attached(robot, attachments)
+            self._writer.metadata("armlab", metadata(robot, attachments, note))
+            for name, data in attachments.items():
+                self.attach(name, data)
+            self._encoder = RowEncoder(self._register(robot))
+            self._opening = f"recording {robot.name}"  # an event too, stamped with whatever comes first
+            self.sync()
+        except OSError as error:
+            self.abandon()
+            raise LogError(f"Expected to write the log {self.path}, got: {error.strerror}.") from None
+
+    def _register(self, robot: Robot) -> list[Plan]:
+        """Register all schemas and channels; return how the messages of rows are written."""
+        schemas: dict[str, int] = {}
+
+        def channel(name: str, message_type: str, metadata: dict[str, str]) -> int:
+            if message_type not in schemas:
+                schemas[message_type] = self._writer.schema(message_type, "ros2msg", definition(message_type).encode())
+            topic = f"/{topic_name(robot.name)}/{name}"
+            return self._writer.channel(topic, "cdr", schemas[message_type], metadata)
+
+        self._events = channel("events", _EVENT_TYPE, {})
+        slots, plans = self._layout.slots, []
+        for topic in topics(self._layout, robot.ros_joint_names):
+            clock = clock_metadata(*self._clock) if self._clock and "t" in topic.fields else {}
+            number = channel(topic.name, topic.type, topic.metadata(slots) | clock)
+            plans.append(plan(number, topic, slots))
+        self._parameters = channel("parameters", _PARAMETER_TYPE, {})
+        return plans
+
+    def write(self, rows: Sequence[bytes], first: int | None = None) -> None:
+        """Write the messages of some rows: they survive the end of this process.
+
+        `first`: number of the first, by which a reader puts the messages of a row together, and from which is counted
+        on; None takes the numbers of the ticks.
+        """
+        if self._opening and rows:
+            self._open(_stamp(rows[0]))
+        at = 0
+        while at < len(rows):
+            some = rows[at : at + MAX_CHUNK_ROWS - self._chunk_rows]
+            self._writer.records(*self._encoder.encode(some, None if first is None else first + at, self._writer.size))
+            self._writer.push()
+            at += len(some)
+            self._chunk_rows += len(some)
+            self.last_stamp_ns = _stamp(some[-1])
+            self.rows += len(some)
+            if self._chunk_rows >= MAX_CHUNK_ROWS:
+                self.close_chunk()
+
+    def event(self, text: str, stamp_ns: int, tick: int = 0) -> None:
+        """Write one line for the events."""
+        if self._opening:
+            self._open(stamp_ns)
+        self._writer.message(self._events, tick & 0xFFFFFFFF, stamp_ns, stamp_ns, event(stamp_ns, text))
+        self._writer.push()
+
+    def _open(self, stamp_ns: int) -> None:
+        text, self._opening = self._opening, ""
+        self.event(text, stamp_ns)
+
+    def parameter(self, sequence: int, name: str, value: Any, who: str, stamp_ns: int) -> None:
+        """Write the value of a parameter that came into force."""
+        data = parameter(stamp_ns, sequence, name, value, who)
+        self._writer.message(self._parameters, sequence & 0xFFFFFFFF, stamp_ns, stamp_ns, data)
+        self._writer.push()
+
+    def attach(self, name: str, data: bytes) -> None:
+        """Add an attachment."""
+        media = "application/json" if name.endswith(".json") else "application/octet-stream"
+        self._writer.attach(self.last_stamp_ns, name, media, data)
+
+    def to_disk(self) -> None:
+        """Bring everything to the disk, unless the file is closed. Any thread may call it."""
+        if not self._file.closed:
+            _fsync(self._file)
+
+    def sync(self) -> None:
+        """Close the chunk and bring everything to the disk: what was written so far survives a power loss."""
+        self.close_chunk()
+        _fsync(self._file)
+
+    def finish(self, summary: Mapping[str, Any]) -> None:
+        """Write the summary and the footer, bring file and folder to the disk, and close."""
+        if self._opening:
+            self._open(self.last_stamp_ns)
+        self.close_chunk()
+        self.attach("summary.json", json.dumps(summary, indent=1, default=_plain).encode())
+        self._writer.finish()
+        _fsync(self._file)
+        self._file.close()
+        with contextlib.suppress(OSError):
+            folder = os.open(self.path.parent, os.O_RDONLY)
+            os.fsync(folder)
+            os.close(folder)
+
+    def abandon(self) -> None:
+        """Close the file as it is, after a write error."""
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+    def close_chunk(self) -> None:
+        """Finish the chunk in progress, if any: other programs can read it then."""
+        self._writer.close_chunk()
+        self._chunk_rows = 0
+
+
+def _stamp(row: bytes) -> int:
+    return int.from_bytes(row[:8], "little", signed=True)
+
+
+def _fsync(file: PersistentFile) -> None:
+    os.fsync(file.fileno())
+
+
+def _plain(value: Any) -> Any:
+    """Make NumPy values plain for JSON."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)

@@ -1,0 +1,273 @@
+"""`Recorder`: writes what a link does to an MCAP file without ever holding up its loop.
+
+The loop never wakes the writing thread: that would cost a system call per cycle, and the thread would compete with the
+controller for the interpreter. The thread polls the queue instead.
+"""
+
+from __future__ import annotations
+
+import atexit
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+from armlab.log.column import Column
+from armlab.log.recording.file import RecordingFile, recording_path
+from armlab.log.recording.rows import RowLayout, Tick
+from armlab.state import Command, State
+
+if TYPE_CHECKING:
+    from armlab.robots import Robot
+
+
+class Syncing:
+    """Thread that syncs a file when asked.
+
+    What is written while the disk is slow is in the kernel's memory: it survives the end of the process, and goes to
+    the disk with the next sync.
+    """
+
+    def __init__(self, sync: Callable[[], None], name: str) -> None:
+        self._sync = sync
+        self._asked = threading.Event()
+        self._closed = False
+        self._error: OSError | None = None
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def ask(self) -> None:
+        """Have the file synced soon."""
+        self._check()
+        self._asked.set()
+
+    def close(self) -> None:
+        """End the thread, after the sync in progress."""
+        self._closed = True
+        self._asked.set()
+        self._thread.join()
+        self._check()
+
+    def _check(self) -> None:
+        if self._error is not None:
+            raise self._error
+
+    def _run(self) -> None:
+        try:
+            while True:
+                self._asked.wait()
+                self._asked.clear()
+                if self._closed:
+                    return
+                self._sync()
+        except OSError as error:
+            self._error = error
+
+
+WRITE_PERIOD = 0.04  # s; what the end of the process costs
+FLUSH_PERIOD = 0.8  # s; what a loss of power costs
+QUEUE_ROWS = 2500  # 10 s at 250 Hz
+MANY_ROWS = 1250  # that wait: they are written at once
+MOST_COMPLAINTS = 100
+
+
+class Recorder:
+    """Recording of one arm: `row()` in the loop, a thread that writes every 40 ms what has come.
+
+    Parameters
+    ----------
+    path : file to write, ending in .mcap; ``-2``, ``-3`` is added when it exists. The attribute `path` is the real one.
+    robot : the arm; its name is the first part of every topic.
+    extra : columns of the controller's own (``Command.record``); `wrench_hat` and `wrench_hat_cov` need none.
+    attachments : name -> bytes kept in the file, for example the robot's description and the model used.
+    note : the user's words, kept in the metadata.
+    wait : let `row()` wait when the queue is full instead of dropping: for links in lockstep, which keep no real time.
+
+    Attributes
+    ----------
+    rows, dropped : rows accepted and rows lost. failed : why the recorder stopped, or None.
+
+    Raises
+    ------
+    ConfigError : a name of another ending. LogError : the file cannot be created or written.
+    ShapeError, UnknownName : a declared column is not acceptable.
+
+    Notes
+    -----
+    A row is packed into bytes and queued (10 s of rows). When the queue is full the arriving row is dropped and
+    counted, and two events mark the hole. The thread gives all rows to the kernel every 40 ms: a killed process loses
+    those that have come since. Another has the file synced every 0.8 s, what a loss of power costs at most: a disk that
+    is slow to sync holds up no row. A write error stops the recorder, never the loop.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        robot: Robot,
+        *,
+        extra: Mapping[str, Column] | None = None,
+        attachments: Mapping[str, bytes] | None = None,
+        note: str = "",
+        wait: bool = False,
+    ) -> None:
+        self._layout = RowLayout(robot, extra)
+        self._pack, self._known = self._layout.pack, self._layout.extra.keys()
+        self._file = RecordingFile(recording_path(path), robot, self._layout, dict(attachments or {}), note)
+        self.path = self._file.path
+        self.rows = 0
+        self.dropped = 0
+        self.failed: str | None = None
+        self._stopped = f"The log {self.path} stopped."
+        self._wait = wait
+        self._holes: list[tuple[int, int, int]] = []  # first tick, last tick, rows
+        self._hole: tuple[int, int, int] | None = None
+        self._complained: set[str] = set()
+        self._closed = False
+        self._queue: deque[bytes | Callable[[], None]] = deque()  # append and popleft are atomic
+        self._wake = threading.Event()
+        self._syncing = Syncing(self._file.to_disk, f"sync {self.path.name}")
+        self._thread = threading.Thread(target=self._run, name=f"recorder {self.path.name}", daemon=True)
+        self._thread.start()
+        atexit.register(self.close)
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def row(self, state: State, command: Command | None, tick: Tick) -> bool:
+        """Queue one row; False when it was dropped. Neither blocks (unless `wait`) nor raises.
+
+        Parameters
+        ----------
+        state : what the controller saw.
+        command : what it returned, None when it was not called.
+        tick : what the bridge knows of the tick.
+        """
+        if self._closed or (len(self._queue) >= MANY_ROWS and not self._has_room()) or self.failed is not None:
+            return self._drop(tick)
+        try:
+            row = self._pack(state, command, tick)
+            if command is not None and not command.record.keys() <= self._known:
+                unknown = ", ".join(sorted(map(str, command.record.keys() - self._known)))
+                self._complain(f"not written, as not declared with extra=: {unknown}", tick)
+        except Exception as error:  # whatever it is: a row that cannot be packed must not stop the loop
+            self._complain(f"row not written: {str(error) or type(error).__name__}", tick)
+            return self._drop(tick)
+        if self._hole is not None:
+            self._end_hole(tick.stamp_ns)
+        self._queue.append(row)
+        self.rows += 1
+        return True
+
+    def event(self, text: str, stamp_ns: int) -> None:
+        """Queue one line for the events of the recording, unless it has stopped."""
+        if self.failed is None:
+            self._queue.append(partial(self._file.event, text, stamp_ns))
+
+    def parameter(self, sequence: int, name: str, value: Any, who: str, stamp_ns: int) -> None:
+        """Queue the value of a parameter that came into force, unless the recording has stopped.
+
+        Parameters
+        ----------
+        sequence : number of the setting. name, value : what. who : set it. stamp_ns : wall clock.
+        """
+        if self.failed is None:
+            self._queue.append(partial(self._file.parameter, sequence, name, value, who, stamp_ns))
+
+    def close(self, summary: Mapping[str, Any] | None = None) -> None:
+        """Write what is queued, the summary and the footer, and close the file. A second call does nothing.
+
+        Parameters
+        ----------
+        summary : kept in the file as summary.json, with the recorder's own counts.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        atexit.unregister(self.close)
+        if self._hole is not None:
+            self._end_hole(self._file.last_stamp_ns)
+        self._wake.set()
+        self._thread.join()
+        self._guarded(self._syncing.close)
+        self.dropped += self.rows - self._file.rows  # rows that were queued when the disk failed
+        self.rows = self._file.rows
+        counts = {"rows": self.rows, "dropped": self.dropped, "holes": self._holes}
+        if self.failed is None:
+            self._guarded(lambda: self._file.finish({**(summary or {}), **counts}))
+
+    def _run(self) -> None:
+        """Write what comes, until the recorder is closed."""
+        self._guarded(self._write_queue)
+
+    def _write_queue(self) -> None:
+        due, is_last = time.monotonic() + FLUSH_PERIOD, False
+        while not is_last:
+            self._wake.wait(WRITE_PERIOD)
+            self._wake.clear()
+            is_last = self._closed  # looked at before the queue is emptied: what came until then is in it
+            self._write([self._queue.popleft() for _ in range(len(self._queue))])
+            if time.monotonic() >= due:
+                self._file.close_chunk()
+                self._syncing.ask()
+                due = time.monotonic() + FLUSH_PERIOD
+
+    def _write(self, items: list[bytes | Callable[[], None]]) -> None:
+        """Write rows and what came between them, in their order."""
+        rows: list[bytes] = []
+        for item in items:
+            if isinstance(item, bytes):
+                rows.append(item)
+            else:
+                self._file.write(rows)
+                rows = []
+                item()
+        self._file.write(rows)
+
+    def _guarded(self, work: Callable[[], None]) -> None:
+        """Do work on the file; an error stops the recorder and is kept as a sentence."""
+        try:
+            work()
+        except Exception as error:  # the loop goes on, so this thread has nobody to raise to
+            try:
+                reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+                self.failed = f"The log {self.path} stopped after {self._file.rows} rows: {reason}."
+            except Exception:  # there may be no memory for words
+                self.failed = self._stopped
+            self._file.abandon()
+
+    def _has_room(self) -> bool:
+        """Have a long queue written soon. Return whether there is room for a row, with `wait` once there is."""
+        self._wake.set()
+        while self._wait and len(self._queue) >= QUEUE_ROWS and self.failed is None:
+            time.sleep(0.001)
+        return len(self._queue) < QUEUE_ROWS
+
+    def _drop(self, tick: Tick) -> bool:
+        self.dropped += 1
+        if self._hole is None:
+            self._hole = (tick.number, tick.number, 0)
+            self.event(f"rows are dropped from tick {tick.number} on, {len(self._queue)} rows wait", tick.stamp_ns)
+        first, _, count = self._hole
+        self._hole = (first, tick.number, count + 1)
+        return False
+
+    def _end_hole(self, stamp_ns: int) -> None:
+        hole, self._hole = self._hole, None
+        if hole is not None:
+            self._holes.append(hole)
+            self.event(f"{hole[2]} rows were dropped, ticks {hole[0]} to {hole[1]}", stamp_ns)
+
+    def _complain(self, text: str, tick: Tick) -> None:
+        """Write an event the first time it comes; a text that is always new must not fill the disk."""
+        if text not in self._complained and len(self._complained) < MOST_COMPLAINTS:
+            self._complained.add(text)
+            self.event(text, tick.stamp_ns)

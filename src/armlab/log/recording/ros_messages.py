@@ -1,0 +1,258 @@
+"""The topics of a recording: which columns go into which ROS 2 message, and the messages as patched templates."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from armlab.log.recording.rows import SELDOM, RowLayout, Slot
+from armlab.wire import cdr
+
+CLOCK_KEY = "armlab.clock"  # channel metadata: the messages of this channel are the rows of the table
+# channel metadata of a column t: whose clock it is, and the wall clock of t = 0 [ns]
+CLOCK_NAME_KEY, T0_KEY = "armlab.clock_name", "armlab.t0_ns"
+COLUMN_KEY = "column."  # channel metadata "column.<name>": JSON, how to rebuild the column <name>
+
+_TICK_NUMBERS = (
+    "tick", "seq", "seq_sent", "session", "missed", "drops", "robot_ns", "receive_ns", "send_ns",
+    "step_ns", "wake_ns", "motors", "mci", "rapid", "qd_source", "tau_source",
+)  # fmt: skip
+_TICK_REALS = ("session_t", "dt", "utilization")
+_TICK_FLAGS = ("converged", "late")
+_OWN_TYPES = {
+    "armlab_msgs/msg/Tick": "\n".join(
+        [
+            "std_msgs/Header header",
+            *(f"int64 {name}" for name in _TICK_NUMBERS),
+            *(f"float64 {name}" for name in _TICK_REALS),
+            *(f"uint8 {name}" for name in _TICK_FLAGS),
+            "uint8[] clamped",
+        ]
+    ),
+    "armlab_msgs/msg/Column": "std_msgs/Header header\nfloat64[] values",
+    "armlab_msgs/msg/Parameter": (
+        "builtin_interfaces/Time stamp\nint64 sequence\nstring name\nstring value\nstring who"
+    ),
+    "armlab_msgs/msg/WrenchEstimate": "std_msgs/Header header\nfloat64[6] wrench\nfloat64[36] covariance",
+}
+_WRENCH = tuple(f"wrench.{part}.{axis}" for part in ("force", "torque") for axis in "xyz")
+_RAW = ".wrench_raw"  # the end of the column of a force sensor in its own axes, behind the name of its source
+_POSE = tuple(f"pose.position.{axis}" for axis in "xyz") + tuple(f"pose.orientation.{axis}" for axis in "xyzw")
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One topic of a recording.
+
+    `name`: below the robot's, for example "joint_states"; `type`: ROS 2 message type; `fields`: column -> dotted names
+    of the message fields that hold it; `frame_id`: of the header; `labels`: names of the joints, for JointState;
+    `optional`: columns that may be missing from a message, their sequence empty; `clock`: its messages are the rows of
+    the table.
+    """
+
+    name: str
+    type: str
+    fields: Mapping[str, tuple[str, ...]]
+    frame_id: str = ""
+    labels: tuple[str, ...] = ()
+    optional: frozenset[str] = frozenset()
+    clock: bool = False
+
+    def metadata(self, slots: Mapping[str, Slot]) -> dict[str, str]:
+        """Return the channel metadata from which a reader rebuilds the columns without knowing armlab."""
+        data = {CLOCK_KEY: "rows"} if self.clock else {}
+        for name, paths in self.fields.items():
+            column, missing = slots[name].column, slots[name].missing
+            about: dict[str, Any] = {"fields": list(paths), "shape": list(column.shape), "unit": column.unit}
+            about |= {"frame": column.frame, "kind": column.kind, "labels": list(column.labels)}
+            if missing is not None:
+                about["missing"] = missing
+            if paths == _POSE:  # a pose of the user's own is kept as its 16 numbers
+                about["encoding"] = "position xyz, quaternion xyzw"
+            data[COLUMN_KEY + name] = json.dumps(about)
+        return data
+
+
+def topics(layout: RowLayout, joint_names: Sequence[str]) -> list[Topic]:
+    """Return the topics of a recording of one arm, the clock first."""
+    labels = tuple(joint_names)
+    joints = {
+        "joint_states": ("q", "qd", "tau"),
+        "joint_states_ref": ("q_ref", "qd_ref", "tau_ref"),
+        "joint_states_sent": ("q_sent", "qd_sent", "tau_sent"),
+    }
+    scalars = (*_TICK_NUMBERS, *_TICK_REALS, *_TICK_FLAGS, "clamped")
+    found = [
+        Topic("tick", "armlab_msgs/msg/Tick", {n: (n,) for n in scalars}, optional=frozenset(["clamped"]), clock=True)
+    ]
+    for name, columns in joints.items():
+        fields = dict(zip(columns, (("position",), ("velocity",), ("effort",)), strict=True))
+        found.append(Topic(name, "sensor_msgs/msg/JointState", fields, "", labels, frozenset(columns)))
+    found += [
+        Topic("wrench", "geometry_msgs/msg/WrenchStamped", {"wrench_raw": _WRENCH}, "sensor"),
+        Topic("tcp_pose", "geometry_msgs/msg/PoseStamped", {"T_frame_tool": _POSE}, "controller"),
+        Topic(
+            "wrench_hat",
+            "armlab_msgs/msg/WrenchEstimate",
+            {"wrench_hat": ("wrench",), "wrench_hat_cov": ("covariance",)},
+            "base",
+        ),
+    ]
+    own = [name for name in layout.extra if name not in found[-1].fields]
+    found += [column_topic(name) for name in ("q_planned", "q_ext", "wrench", *SELDOM)]
+    found += [
+        _sensor(name) if name.endswith(_RAW) and layout.slots[name].size == 6 else column_topic(name) for name in own
+    ]
+    return _distinct(found)
+
+
+def _distinct(found: Sequence[Topic]) -> list[Topic]:
+    """Number topics that would have one name, as of columns "a.b" and "a_b": other programs take them for one."""
+    named: dict[str, Topic] = {}
+    for topic in found:
+        name, number = topic.name, 1
+        while name in named:
+            number += 1
+            name = f"{topic.name}_{number}"
+        named[name] = replace(topic, name=name)
+    return list(named.values())
+
+
+def _sensor(name: str) -> Topic:
+    """Return the topic of a force sensor that is a source of its own, as measured: ``wrench/<source>``."""
+    source = name.removesuffix(_RAW)
+    return Topic(f"wrench/{topic_name(source)}", "geometry_msgs/msg/WrenchStamped", {name: _WRENCH}, source)
+
+
+def column_topic(name: str) -> Topic:
+    """Return the topic of one column by itself."""
+    return Topic(f"columns/{topic_name(name)}", "armlab_msgs/msg/Column", {name: ("values",)})
+
+
+def clock_metadata(t0_ns: int, clock: str) -> dict[str, str]:
+    """Return what is written beside a column `t`: the wall clock of t = 0 [ns], and whose clock it is."""
+    return {T0_KEY: str(t0_ns), CLOCK_NAME_KEY: clock}
+
+
+def topic_name(name: str) -> str:
+    """Return a name with everything that ROS does not allow in a topic replaced by ``_``."""
+    return re.sub(r"\W", "_", name, flags=re.ASCII) or "_"
+
+
+@cache
+def store() -> Any:
+    """Return the message types that are known: those of ROS 2 Humble and ours."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    known = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in _OWN_TYPES.items():
+        known.register(get_types_from_msg(text, name))
+    return known
+
+
+@cache
+def definition(name: str) -> str:
+    """Return the ``ros2msg`` schema of a message type, the texts of the types it uses included."""
+    return store().generate_msgdef(name, ros_version=2)[0]
+
+
+def event(stamp_ns: int, text: str, level: int = 20) -> bytes:
+    """Return an rcl_interfaces/msg/Log message (level 20 is INFO, 30 WARN, 40 ERROR)."""
+    types = store().types
+    stamp = types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+    log = types["rcl_interfaces/msg/Log"](
+        stamp=stamp, level=level, name="armlab", msg=_in_utf8(text), file="", function="", line=0
+    )
+    return bytes(store().serialize_cdr(log, "rcl_interfaces/msg/Log"))
+
+
+def parameter(stamp_ns: int, sequence: int, name: str, value: Any, who: str) -> bytes:
+    """Return an armlab_msgs/msg/Parameter message, its value as JSON."""
+    types = store().types
+    stamp = types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+    text = json.dumps(getattr(value, "tolist", lambda: value)())
+    words = {"name": _in_utf8(name), "value": text, "who": _in_utf8(who)}
+    setting = types["armlab_msgs/msg/Parameter"](stamp=stamp, sequence=sequence, **words)
+    return bytes(store().serialize_cdr(setting, "armlab_msgs/msg/Parameter"))
+
+
+def _in_utf8(text: str) -> str:
+    """Return a text that can be written: half a character, as from JSON or a file name, must not end a recording."""
+    return text.encode(errors="backslashreplace").decode()
+
+
+Plan = tuple[int, bool, list[tuple[int, bytes, bool]], list[tuple[bytes, list[tuple[int, int, int]]]], bool]
+
+
+def plan(channel: int, topic: Topic, slots: Mapping[str, Slot]) -> Plan:
+    """Return how `kernels.RowEncoder` writes the messages of a topic: templates that rosbags serialised, and copies."""
+    held = {name: slots[name] for name in topic.fields}
+    columns = [(slot.start, slot.nothing, name in topic.optional) for name, slot in held.items()]
+    optional = [name for name in held if name in topic.optional]
+    variants = []
+    for there in range(1 << len(optional)):
+        absent = {name for bit, name in enumerate(optional) if not there >> bit & 1}
+        variants.append(_variant(topic, held, absent))
+    return channel, topic.clock, columns, variants, "T_frame_tool" in held
+
+
+def _variant(topic: Topic, slots: Mapping[str, Slot], absent: Set[str]) -> tuple[bytes, list[tuple[int, int, int]]]:
+    """Serialise a message in which the sequences of some columns are empty, and find its numbers."""
+    counts = {name: 0 if name in absent else slot.size for name, slot in slots.items()}
+    raw = _serialised(topic, counts)
+    found = cdr.layout(raw, topic.type, cdr.definitions(topic.type, definition(topic.type)))
+    copies = []
+    for name, paths in topic.fields.items():
+        at = slots[name].start
+        for path in paths:
+            place = found.field(path)
+            if place is None or not counts[name]:
+                continue
+            copies.append((place.start, at, place.stop - place.start))
+            at += place.stop - place.start
+    return raw, _merged(copies)
+
+
+def _merged(copies: list[tuple[int, int, int]]) -> list[tuple[int, int, int]]:
+    """Join copies that continue each other in the message and in the row."""
+    merged: list[tuple[int, int, int]] = []
+    for to, start, count in copies:
+        if merged and (to, start) == (merged[-1][0] + merged[-1][2], merged[-1][1] + merged[-1][2]):
+            merged[-1] = (*merged[-1][:2], merged[-1][2] + count)
+        else:
+            merged.append((to, start, count))
+    return merged
+
+
+def _serialised(topic: Topic, counts: Mapping[str, int]) -> bytes:
+    """Return a message of the topic with zeros, its sequences as long as `counts` says."""
+    message = blank(topic.type)
+    message.header.frame_id = topic.frame_id
+    if topic.labels:
+        message.name = list(topic.labels)
+    for name, paths in topic.fields.items():
+        current = getattr(message, paths[0], None) if len(paths) == 1 else None
+        if isinstance(current, np.ndarray):
+            setattr(message, paths[0], np.zeros(counts[name], dtype=current.dtype))
+    return bytes(store().serialize_cdr(message, topic.type))
+
+
+def blank(name: str) -> Any:
+    """Return a message of a type with zeros and with empty texts and sequences of numbers or texts."""
+    values = {}
+    for field_name, (node, detail) in store().fielddefs[name][1]:
+        if int(node) == 2:
+            values[field_name] = blank(detail)
+        elif int(node) == 1:
+            values[field_name] = "" if detail[0] == "string" else 0
+        else:
+            element, length = detail
+            texts = int(element[0]) == 1 and element[1][0] == "string"
+            values[field_name] = [""] * length if texts else np.zeros(length, dtype=element[1][0])
+    return store().types[name](**values)

@@ -1,0 +1,217 @@
+"""One row of a recording as bytes: packed in the loop in a few microseconds, taken apart elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from armlab.errors import RobotError, ShapeError, UnknownName
+from armlab.kernels import RowPacker
+from armlab.log.column import Column
+from armlab.log.states import QD_SOURCES, TAU_SOURCES
+from armlab.state import Command, State
+
+if TYPE_CHECKING:
+    from armlab.robots import Robot
+
+# Marks of values that are not there, in counts and in flags. A clock that reads zero was not sent.
+NO_COUNT, NO_CLOCK, NO_FLAG = -1, 0, 255
+
+# column -> the object and its attribute that hold it
+_COUNTS = {
+    "stamp_ns": "tick.stamp_ns", "tick": "tick.number", "seq": "state.seq", "seq_sent": "tick.seq_sent",
+    "session": "state.session", "missed": "state.missed", "drops": "tick.drops", "robot_ns": "state.robot_ns",
+    "receive_ns": "tick.receive_ns", "send_ns": "tick.send_ns", "step_ns": "tick.step_ns", "wake_ns": "tick.wake_ns",
+    "motors": "state.motors", "mci": "state.mci", "rapid": "state.rapid",
+}  # fmt: skip
+_CODES = {"qd_source": QD_SOURCES, "tau_source": TAU_SOURCES}
+_REALS = {"session_t": "state.t", "dt": "state.dt", "utilization": "state.utilization"}
+_FLAGS = {"converged": "state.converged", "late": "tick.late"}
+_JOINTS = {
+    "q": "state.q", "qd": "state.qd", "tau": "state.tau", "q_planned": "state.q_planned", "q_ref": "command.q",
+    "qd_ref": "command.qd", "tau_ref": "command.tau", "q_sent": "tick.q_sent", "qd_sent": "tick.qd_sent",
+    "tau_sent": "tick.tau_sent",
+}  # fmt: skip
+_ESTIMATE = {"wrench_hat": Column((6,)), "wrench_hat_cov": Column((6, 6))}
+# column -> source, form (see `kernels.RowPacker`) and shape
+_FIXED = {
+    "wrench_raw": ("state.wrench_raw", "doubles", (6,)),
+    "wrench": ("state.wrench", "doubles", (6,)),
+    "T_frame_tool": ("state.T_frame_tool", "doubles", (4, 4)),
+    "q_ext": ("state.q_ext", "padded", (6,)),
+}
+_SELDOM = {
+    "q_ext_ref": ("command.q_ext", "padded", (6,)),
+    "q_ext_sent": ("tick.q_ext_sent", "padded", (6,)),
+    "rapid_data": ("state.rapid_data", "padded", (40,)),
+    "rapid_data_sent": ("tick.rapid_data_sent", "padded", (40,)),
+    "rapid_digital": ("state.rapid_digital", "heard", ()),
+    "rapid_digital_sent": ("tick.rapid_digital_sent", "said", ()),
+}
+SELDOM = tuple(_SELDOM)
+"""Columns of axes that are commanded and of values from and to RAPID: the end of a row, which most rows lack."""
+
+_DTYPES = {"count": "<i8", "code": "<i8", "flag": "u1", "bits": "u1"}  # of a form; others are real numbers
+
+
+class Tick(NamedTuple):
+    """What the bridge knows of one tick besides `State` and `Command`.
+
+    Attributes
+    ----------
+    number : tick number of the bridge, increasing.
+    seq_sent : sequence number of the reply, -1 when nothing was sent.
+    stamp_ns : wall clock at start plus monotonic time since start, int64 nanoseconds.
+    receive_ns, send_ns : arrival, and the moment before sending (-1 when nothing was sent).
+    step_ns : time spent in the controller.
+    late : the controller missed its deadline. drops : datagrams refused so far.
+    q_sent, qd_sent, tau_sent : (n,) what went out after the limits, None when nothing did.
+    clamped : (n,) bits of the limits that acted, None when there were none to apply.
+    record : values of declared columns that the bridge knows, besides those of the Command.
+    q_ext_sent, rapid_data_sent, rapid_digital_sent : what went to external axes and to RAPID, None for nothing.
+    wake_ns : from the arrival of the packet, by the kernel's stamp where there is one, to the loop running, -1 when not
+        known.
+    """
+
+    number: int
+    seq_sent: int
+    stamp_ns: int
+    receive_ns: int
+    send_ns: int
+    step_ns: int
+    late: bool = False
+    drops: int = 0
+    q_sent: np.ndarray | None = None
+    qd_sent: np.ndarray | None = None
+    tau_sent: np.ndarray | None = None
+    clamped: np.ndarray | None = None
+    record: Mapping[str, Any] = MappingProxyType({})
+    q_ext_sent: np.ndarray | None = None
+    rapid_data_sent: np.ndarray | None = None
+    rapid_digital_sent: bool | None = None
+    wake_ns: int = NO_COUNT
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """Where one column is in a row: bytes [start, stop) of type `dtype`; `missing` marks a value that is not there."""
+
+    column: Column
+    start: int
+    stop: int
+    dtype: str
+    missing: int | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of values."""
+        return (self.stop - self.start) // np.dtype(self.dtype).itemsize
+
+    @property
+    def nothing(self) -> bytes:
+        """The bytes of a row that nothing was given for."""
+        missing = np.nan if self.dtype == "<f8" else self.missing or 0
+        return np.full(self.size, missing, self.dtype).tobytes()
+
+
+class RowLayout:
+    """Layout of the rows of one arm: the standard columns and the user's.
+
+    `slots`: name -> `Slot`; `size`: bytes of a row with all its parts; `extra`: the declared columns, resolved; `pack`:
+    called with State, Command or None, and Tick, returns one row as bytes. Values are copied; what is None or empty is
+    missing. Raises ShapeError for an array with the wrong number of values, and names the column.
+    """
+
+    def __init__(self, robot: Robot, extra: Mapping[str, Column] | None = None) -> None:
+        from armlab.robots import Robot
+
+        if not isinstance(robot, Robot):
+            raise RobotError.no_robot(robot)
+        self.n = robot.n
+        self.extra = {name: column.resolved(name) for name, column in {**_ESTIMATE, **(extra or {})}.items()}
+        self.slots: dict[str, Slot] = {}
+        self.size = 0
+        self._places: list[tuple[str, str, str, str, bytes, Any]] = []
+        self._add_standard(robot)
+        for name, (source, form, shape) in _FIXED.items():
+            self._add(name, source, form, Column(shape))
+        for name, column in self.extra.items():
+            if name in self.slots or column.kind == "text":
+                raise ShapeError(f"Expected numeric columns with new names in `extra`, got {name!r} ({column.kind}).")
+            self._add(name, f"record.{name}", "doubles", column)
+        joints = Column((robot.n,), labels=robot.joint_names)
+        self._add("clamped", "tick.clamped", "bits", joints, NO_FLAG)
+        self._short = self.size
+        for name, (source, form, shape) in _SELDOM.items():
+            self._add(name, source, form, Column(shape), detail="rapid_data")
+        self._empty = b"".join(place[4] for place in self._places)
+        self.pack = RowPacker((State, Command, Tick), self._places, SELDOM[0]).pack
+
+    def _add_standard(self, robot: Robot) -> None:
+        for name, source in _COUNTS.items():
+            column = Column(unit="ns", kind="count") if name == "stamp_ns" else Column()
+            missing = {"stamp_ns": None, "robot_ns": NO_CLOCK, "receive_ns": NO_CLOCK}.get(name, NO_COUNT)
+            self._add(name, source, "count", column, missing)
+        for name, words in _CODES.items():
+            codes = {word: code for code, word in enumerate(words)}
+            self._add(name, f"state.{name}", "code", Column(), NO_COUNT, codes)
+        for name, source in _REALS.items():
+            self._add(name, source, "real", Column())
+        for name, source in _FLAGS.items():
+            self._add(name, source, "flag", Column(), NO_FLAG)
+        for name, source in _JOINTS.items():
+            self._add(name, source, "doubles", Column((robot.n,), labels=robot.joint_names))
+
+    def _add(
+        self, name: str, source: str, form: str, column: Column, missing: int | None = None, detail: Any = None
+    ) -> None:
+        column, dtype = column.resolved(name), _DTYPES.get(form, "<f8")
+        stop = self.size + int(np.prod(column.shape, dtype=int)) * np.dtype(dtype).itemsize
+        self.slots[name] = slot = Slot(column, self.size, stop, dtype, missing)
+        owner, field = source.split(".", 1)
+        self._places.append((name, owner, field, form, slot.nothing, detail))
+        self.size = stop
+
+    def pack_values(self, values: Mapping[str, Any]) -> bytes:
+        """Return one row as bytes from values by column name; what is not given is missing."""
+        row = bytearray(self._empty)
+        for name, value in values.items():
+            slot = self.slots.get(name)
+            if slot is None:
+                raise UnknownName.among("column", name, self.slots)
+            array = np.asarray(value, dtype=slot.dtype)
+            if array.shape != slot.column.shape:
+                raise ShapeError(f"Expected shape {slot.column.shape} for {name}, got {array.shape}.")
+            row[slot.start : slot.stop] = array.tobytes()
+        return bytes(row)
+
+    def unpack(self, rows: Iterable[bytes]) -> dict[str, np.ndarray]:
+        """Return the columns (N, ...) of many rows; missing counts are NaN, missing clocks 0."""
+        rows = list(rows)
+        longest = max(map(len, rows), default=self._short)
+        rest = self._empty[self._short : longest]
+        whole = [row if len(row) == longest else row + rest for row in rows]
+        block = np.frombuffer(b"".join(whole), dtype=np.uint8).reshape(-1, longest)
+        values = {}
+        for name, slot in self.slots.items():
+            if slot.stop > longest:
+                values[name] = np.full((len(block), *slot.column.shape), np.nan)
+                continue
+            raw = np.ascontiguousarray(block[:, slot.start : slot.stop]).view(slot.dtype)
+            values[name] = with_holes(raw.reshape(len(block), *slot.column.shape), slot.missing)
+        return values
+
+
+def with_holes(values: np.ndarray, missing: int | None) -> np.ndarray:
+    """Return the values with NaN (so as floats) where they equal the mark for missing.
+
+    A clock keeps its mark, zero: as floats its nanoseconds would be wrong by a hundred.
+    """
+    if missing is None or missing == NO_CLOCK:
+        return values
+    holes = values == missing
+    return np.where(holes, np.nan, values) if holes.any() else values

@@ -1,0 +1,488 @@
+"""`cut` and `merge`: a segment of a recording, or several recordings, as one whole file."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import struct
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from armlab.errors import ArmlabError, ConfigError, LogError
+from armlab.kernels import RowEncoder
+from armlab.log.column import Column
+from armlab.log.file_formats.opening import check_readable, file_hash, naming, opened
+from armlab.log.mcap.records import DAMAGE, Channel, Contents, contents
+from armlab.log.mcap.recovery import Registry, messages_in, new_file, pieces, records_at
+from armlab.log.mcap.writer import McapWriter
+from armlab.log.recording.columns import Rows, clock_channel, clocks, earlier, rows_of, summary_of
+from armlab.log.recording.file import recording_path
+from armlab.log.recording.ros_messages import COLUMN_KEY, clock_metadata, column_topic, definition, plan, topic_name
+from armlab.log.recording.rows import Slot
+
+_ROW = struct.Struct("<qqd")  # stamp, number, t
+_SECONDS = {"t": Slot(Column().resolved("t"), _ROW.size - 8, _ROW.size, "<f8")}
+_NUMBERS = 1 << 32  # of MCAP's sequence
+_NEVER = (1 << 63) - 1
+
+
+def seconds_channel(prefix: str, clock: dict[str, str]) -> Channel:
+    """Return the channel of the column `t`: times that are not those of the messages."""
+    topic = column_topic("t")
+    metadata = topic.metadata(_SECONDS) | clock
+    return Channel(f"{prefix}{topic.name}", topic.type, definition(topic.type), "ros2msg", "cdr", metadata)
+
+
+class SplicedRows:
+    """The rows of one robot in a file: which of them are taken, at what times, under which numbers.
+
+    `t`, `t0_ns`: times of all rows in the new file and the wall clock of its t = 0; `seconds_number`: channel of `t`
+    there; `inside`: the rows and events that come now are taken.
+    """
+
+    def __init__(self, path: Path, prefix: str, robot_hash: str, rows: Rows, seconds: int | None) -> None:
+        self.path, self.prefix, self.name, self.robot_hash = path, prefix, prefix.strip("/"), robot_hash
+        self.rows, self.seconds, self.seconds_number = rows, seconds, 0
+        self.t, self.t0_ns = rows.t, rows.t0_ns
+        self.inside, self.is_over = True, False
+        self._first, self._last = 0, len(rows.t)
+        self._offset = 0
+        self._place = {int(number): place for place, number in enumerate(rows.sequence)}
+        self._encoder = RowEncoder([plan(0, column_topic("t"), _SECONDS)])
+        twice = len(rows.t) - len(self._place)
+        if twice:
+            raise LogError(
+                f"Expected rows with numbers of their own in {path}, got {twice} that come again. "
+                "Write it anew: log.write(log.read(path), 'new.mcap', robot)."
+            )
+
+    @property
+    def start_ns(self) -> int:
+        """Wall clock of the first row; of a recording without rows, which sets no clock for others, the end of time."""
+        return self._wall(0) if self.rows.kept.any() else _NEVER
+
+    @property
+    def end_ns(self) -> int:
+        """Wall clock of the last row."""
+        return self._wall(-1)
+
+    @property
+    def rows_left(self) -> int:
+        """Number of rows of the table that are taken."""
+        return int(self.rows.kept[self._first : self._last].sum())
+
+    @property
+    def ticks(self) -> tuple[int, int]:
+        """Numbers of the first and the last row that are taken, as in the file."""
+        numbers = self.rows.sequence[self._first : self._last]
+        return (int(numbers[0]), int(numbers[-1])) if len(numbers) else (0, -1)
+
+    def cut(self, start: float, stop: float) -> None:
+        """Take the rows with start <= t < stop only, and what was written between them."""
+        kept = np.flatnonzero(self.rows.kept)
+        t = self.rows.t[kept]
+        wanted = kept[(t >= start) & (t < stop)]
+        if len(wanted) == 0:
+            self._first, self._last = 0, 0
+        else:  # what came before the first row of the table, and after the last, belongs to them
+            self._first = int(wanted[0]) if wanted[0] > kept[0] else 0
+            self._last = int(wanted[-1]) + 1 if wanted[-1] < kept[-1] else len(self.rows.t)
+        self.inside = self._first == 0 and self._last > 0
+
+    def follow(self, first: SplicedRows, before: SplicedRows) -> None:
+        """Put the rows on the clock of the first recording of the robot, numbered on from the one before."""
+        self.t, self.t0_ns = self.rows.t + (self.rows.t0_ns - first.t0_ns) / 1e9, first.t0_ns
+        own, last = self.t[self.rows.kept], before.t[before.rows.kept]
+        if len(own) and len(last) and own[0] <= last[-1]:
+            raise LogError(
+                f"Expected {self.path} of {self.name} to begin after {before.path} has ended at {last[-1]:.6g} s, got "
+                f"{own[0]:.6g} s. Cut one of them, or put them together in Python: log.concat and Table.shifted."
+            )
+        if len(self.rows.sequence) and len(before.rows.sequence):
+            highest = int(before.rows.sequence.max()) + before._offset
+            self._offset = max(0, highest + 1 - int(self.rows.sequence.min()))
+
+    def number(self, sequence: int) -> int:
+        """Return the number of a row in the new file."""
+        return (sequence + self._offset) % _NUMBERS
+
+    def arrive(self, sequence: int, log_ns: int) -> bytes | None:
+        """Take notice that a row begins; return the message that holds its t, None when the row is not taken."""
+        place = self._place.get(sequence)
+        if place is None:
+            return None
+        self.inside, self.is_over = self._first <= place < self._last, place >= self._last
+        if not self.inside:
+            return None
+        records, *_ = self._encoder.encode([_ROW.pack(log_ns, sequence, self.t[place])])
+        return next(message for *_, message in messages_in(records))
+
+    def _wall(self, which: int) -> int:
+        t = self.rows.t[self.rows.kept]
+        return self.rows.t0_ns + round(float(t[which]) * 1e9) if len(t) else 0
+
+
+_PARAMETER = "armlab_msgs/msg/Parameter"
+_SUMMARY = "summary.json"
+Message = tuple[int, int, int, int, bytes]  # channel, sequence, log and publish time, data
+
+
+@dataclass(slots=True)
+class Source:
+    """One recording.
+
+    `path`, `view`, `found`: the file, its bytes and its contents; `arms`: its robots; `chain`: where its rows come
+    from; `numbers`: channel in the new file by channel here.
+    """
+
+    path: Path
+    view: memoryview
+    found: Contents
+    arms: list[SplicedRows]
+    chain: tuple[str, ...]
+    numbers: dict[int, int] = field(default_factory=dict)
+    _routes: dict[int, tuple[int | None, SplicedRows | None, bool, bool, bool]] = field(default_factory=dict)
+
+    @property
+    def start_ns(self) -> int:
+        """Wall clock of the first row."""
+        return min(arm.start_ns for arm in self.arms)
+
+    @property
+    def end_ns(self) -> int:
+        """Wall clock of the last row."""
+        return max(arm.end_ns for arm in self.arms)
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """What was counted at its end, empty without."""
+        return summary_of(self.view, self.found)
+
+    def keep(self, robot: str) -> None:
+        """Take the rows and events of one robot only; metadata and attachments are of the whole file, and stay."""
+        topic = self.found.channels[clock_channel(self.found, self.path, robot)].topic
+        others = tuple(arm.prefix for arm in self.arms if not topic.startswith(arm.prefix))
+        self.arms = [arm for arm in self.arms if arm.prefix not in others]
+        channels = self.found.channels.items()
+        self.found.channels = {number: one for number, one in channels if not one.topic.startswith(others)}
+
+    def taken(self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> tuple[Message, ...]:
+        """Return what becomes of a message in the new file: nothing, it, or it and `t`.
+
+        What lies between the first and the last row that are taken is taken; of parameters, what was set before, too.
+        """
+        route = self._routes.get(channel)
+        if route is None:
+            route = self._routes[channel] = self._route(channel)
+        number, arm, is_clock, is_row, is_history = route
+        if number is None:
+            return ()
+        if arm is None:
+            inside = any(arm.inside for arm in self.arms)
+            return ((number, sequence, log_ns, publish_ns, data),) if inside else ()
+        seconds = arm.arrive(sequence, log_ns) if is_clock else None
+        if not (arm.inside or (is_history and not arm.is_over)):
+            return ()
+        place = arm.number(sequence) if is_row else sequence
+        message = (number, place, log_ns, publish_ns, data)
+        return (message,) if seconds is None else (message, (arm.seconds_number, place, log_ns, publish_ns, seconds))
+
+    def _route(self, channel: int) -> tuple[int | None, SplicedRows | None, bool, bool, bool]:
+        """Return channel in the new file, its arm, and whether its messages are rows, parts of rows, parameters."""
+        about = self.found.channels.get(channel)
+        if about is None:
+            return None, None, False, False, False
+        arm = next((arm for arm in self.arms if about.topic.startswith(arm.prefix)), None)
+        is_clock = arm is not None and channel == arm.rows.channel
+        is_row = any(key.startswith(COLUMN_KEY) for key in about.metadata)
+        return self.numbers.get(channel), arm, is_clock, is_row, about.type == _PARAMETER
+
+
+@contextmanager
+def opened_source(path: Path) -> Iterator[Source]:
+    """Open a recording, finished or torn."""
+    check_readable(path)
+    with opened(path) as view:
+        try:
+            with naming(path):
+                found = contents(view)
+            clock_channel(found, path, None) if not clocks(found) else None  # says that it is no recording
+            arms = [_arm(path, view, found, topic) for topic in clocks(found).values()]
+        except ArmlabError:
+            raise
+        except DAMAGE as error:
+            raise LogError(f"Expected a whole recording in {path}, got a damaged one ({error}).") from None
+        if not found.finished:
+            warnings.warn(f"{path.name} was not finished: what can be read of it is taken", stacklevel=3)
+        yield Source(path, view, found, arms, (f"{path.name} sha256 {file_hash(path)}", *earlier(view, found)))
+
+
+def _arm(path: Path, view: memoryview, found: Contents, topic: str) -> SplicedRows:
+    prefix = topic.rpartition("/")[0] + "/"
+    name = prefix.strip("/")
+    own = {number: channel for number, channel in found.channels.items() if channel.topic.startswith(prefix)}
+    seconds = next((number for number, channel in own.items() if f"{COLUMN_KEY}t" in channel.metadata), None)
+    about = next((pairs for pairs in found.metadata.values() if topic_name(pairs.get("robot", "")) == name), {})
+    return SplicedRows(path, prefix, about.get("robot_hash", ""), rows_of(view, found, path, name), seconds)
+
+
+def metadata(sources: list[Source]) -> Iterator[tuple[str, dict[str, str]]]:
+    """Yield the maps of all sources by name; one that has another content under a known name gets a number."""
+    known: dict[str, dict[str, str]] = {}
+    for source in sources:
+        for name, pairs in source.found.metadata.items():
+            own = _own_name(name, pairs, known)
+            if own is not None:
+                yield own, pairs
+
+
+def attachments(sources: list[Source]) -> Iterator[tuple[int, str, str, bytes]]:
+    """Yield (time, name, kind, data) of the attachments of all sources, without their summaries."""
+    known: dict[str, bytes] = {}
+    for source in sources:
+        for one in source.found.attachments:
+            data = bytes(source.view[slice(*one.data)])
+            own = None if one.name == _SUMMARY else _own_name(one.name, data, known)
+            if own is not None:
+                yield one.log_ns, own, one.media_type, data
+
+
+def _own_name(name: str, content: Any, known: dict[str, Any]) -> str | None:
+    """Return the name, with a number where it stands for something else; None for what is there already."""
+    stem, dot, ending = name.partition(".")
+    number, own = 1, name
+    while own in known:
+        if known[own] == content:
+            return None
+        number += 1
+        own = f"{stem}-{number}{dot}{ending}"
+    known[own] = content
+    return own
+
+
+def summary(sources: list[Source], operation: str) -> dict[str, Any]:
+    """Return what is counted of the new file: rows, what was dropped between them, and where they come from."""
+    holes = [hole for source in sources for hole in _holes(source)]
+    originals: dict[str, Any] = {}
+    for source in sources:
+        originals |= source.summary.get("originals") or {source.path.name: source.summary}
+    return {
+        "rows": sum(arm.rows_left for source in sources for arm in source.arms),
+        "dropped": sum(hole[2] for hole in holes),
+        "holes": holes,
+        "source": [*(entry for source in sources for entry in source.chain), operation],
+        "originals": originals,
+    }
+
+
+def _holes(source: Source) -> list[list[Any]]:
+    """Return the holes that the recorder left between the rows that are taken.
+
+    Each is first tick, last tick, rows, the number of the first tick among the rows of the new file (of recordings that
+    are put together, rows are numbered on, and ticks come again), and whose rows they are.
+    """
+    found = []
+    for first, last, rows, *more in source.summary.get("holes", []):
+        begin, robot = (more[0] if more else first), (more[1] if len(more) > 1 else None)
+        for arm in source.arms:
+            own = robot in (None, arm.name) and arm.rows_left
+            if own and arm.ticks[0] < begin and begin + last - first < arm.ticks[1]:
+                found.append([first, last, rows, arm.number(begin), arm.name])
+                break
+    return found
+
+
+Progress = Callable[[int, int, str], None]
+
+
+def cut(
+    path: str | Path,
+    to: str | Path,
+    start: float = -np.inf,
+    stop: float = np.inf,
+    *,
+    robot: str | None = None,
+    progress: Progress | None = None,
+) -> Path:
+    """Write the stretch start <= t < stop of a recording to a finished one, and return its path.
+
+    ``log.read(cut(path, to, a, b)).sha256 == log.read(path).between(a, b).sha256``: `t` is not shifted, and no value
+    goes through another format. Metadata and attachments stay, and the events that were written between the rows. The
+    history of the parameters stays from the beginning, so that what was in force is known.
+
+    Parameters
+    ----------
+    path : a recording, finished or not; of several robots each is cut on its own clock.
+    to : the new file, ending in .mcap; an existing one is replaced in one step or not at all.
+    start, stop : seconds of the table.
+    robot : whose rows and events are taken, of a recording of several; all when None.
+    progress : called with (bytes done, bytes in all, what).
+
+    Raises
+    ------
+    LogError : the file is no recording of armlab or has no rows there; the new one cannot be written.
+    UnknownName : no such robot in it.
+    ConfigError : a name that does not end in .mcap, or a stretch that ends before it begins.
+    """
+    path, to = Path(path), recording_path(to)
+    if not start < stop:
+        raise ConfigError(f"Expected a stretch from a time to a later one, got {start:g} s to {stop:g} s.")
+    with opened_source(path) as source:
+        if robot is not None:
+            source.keep(robot)
+        for arm in source.arms:
+            arm.cut(start, stop)
+        if not any(arm.rows_left for arm in source.arms):
+            t = np.concatenate([arm.rows.t[arm.rows.kept] for arm in source.arms])
+            has = f"{t.min():g} s to {t.max():g} s" if len(t) else "no rows at all"
+            raise LogError(f"Expected rows between {start:g} s and {stop:g} s in {path}, got none; it has {has}.")
+        _write(to, [source], f"between({start:g}, {stop:g})", progress)
+    return to
+
+
+def merge(paths: Sequence[str | Path], to: str | Path, *, progress: Progress | None = None) -> Path:
+    """Write several recordings to one, and return its path.
+
+    Recordings of one robot are put one after another, by their wall clocks in whatever order they are named; the gaps
+    between them stay, as in `concat`, and a column that one lacks is missing there. Recordings of several robots that
+    ran at the same time, such as both arms of a bridge, stand side by side: ``log.read(to, robot="yumi_left")``.
+
+    Parameters
+    ----------
+    paths : two recordings or more, finished or not.
+    to : the new file, ending in .mcap; an existing one is replaced in one step or not at all.
+    progress : called with (bytes done, bytes in all, what).
+
+    Raises
+    ------
+    LogError : a file is no recording of armlab; two of one robot overlap, or were made of other descriptions of it, or
+    have columns of one name that differ; robots that did not run at the same time; the new file cannot be written.
+    ConfigError : fewer than two files, or a name that does not end in .mcap.
+    """
+    to = recording_path(to)
+    if len(paths) < 2:
+        raise ConfigError(f"Expected two recordings or more to merge, got {len(paths)}.")
+    with contextlib.ExitStack() as stack:
+        sources = [stack.enter_context(opened_source(Path(path))) for path in paths]
+        sources.sort(key=lambda source: source.start_ns)
+        arms: dict[str, list[SplicedRows]] = {}
+        for source in sources:
+            for arm in source.arms:
+                arms.setdefault(arm.name, []).append(arm)
+        for pieces_of_one in arms.values():
+            _line_up(sorted(pieces_of_one, key=lambda arm: arm.start_ns))
+        _check_together(arms)
+        names = ", ".join(source.path.name for source in sources)
+        _write(to, sources, f"concat({len(sources)} tables)" if len(arms) == 1 else f"merge({names})", progress)
+    return to
+
+
+def _line_up(arms: list[SplicedRows]) -> None:
+    """Put the recordings of one robot on the clock of the first, their messages numbered on."""
+    first, before = arms[0], arms[0]
+    for arm in arms[1:]:
+        if arm.robot_hash != first.robot_hash:
+            raise LogError(
+                f"Expected recordings with one description of {arm.name}, got another in {arm.path} than in "
+                f"{first.path}: its hash is {arm.robot_hash[:12]}, not {first.robot_hash[:12]}."
+            )
+        arm.follow(first, before)
+        before = arm if len(arm.rows.t) else before
+
+
+def _check_together(arms: dict[str, list[SplicedRows]]) -> None:
+    """Refuse robots that did not run at the same time: what could a file of both say?"""
+    spans = {
+        name: (min(arm.start_ns for arm in pieces), max(arm.end_ns for arm in pieces))
+        for name, pieces in arms.items()
+        if any(len(arm.rows.t) for arm in pieces)
+    }
+    if not spans:
+        return
+    late = max(spans, key=lambda name: spans[name][0])
+    early = min(spans, key=lambda name: spans[name][1])
+    if spans[late][0] > spans[early][1]:
+        raise LogError(
+            f"Expected robots that ran at the same time, got {late}, which began "
+            f"{(spans[late][0] - spans[early][1]) / 1e9:.3f} s after {early} had ended. Leave one out."
+        )
+
+
+def _write(to: Path, sources: list[Source], operation: str, progress: Progress | None) -> None:
+    part = to.with_name(f".{to.name}.part")
+    with contextlib.suppress(OSError):
+        part.unlink()
+    with new_file(to, part, replace=True) as file:
+        writer = McapWriter(file, sources[0].found.profile, sources[0].found.library)
+        for name, pairs in metadata(sources):
+            writer.metadata(name, pairs)
+        for log_ns, name, media_type, data in attachments(sources):
+            writer.attach(log_ns, name, media_type, data)
+        _register(writer, sources)
+        lost = _copy(writer, sources, progress)
+        told = json.dumps(summary(sources, operation), indent=1).encode()
+        writer.attach(max(source.end_ns for source in sources), "summary.json", "application/json", told)
+        writer.finish()
+    if lost:
+        warnings.warn(f"{lost} damaged chunks were left out of {to.name}", stacklevel=3)
+
+
+def _register(writer: McapWriter, sources: list[Source]) -> None:
+    """Write the channels of all sources, one per topic, and those of the column t."""
+    registry, known = Registry(writer), {}
+    for source in sources:
+        for number, channel in source.found.channels.items():
+            if any(number == arm.seconds for arm in source.arms):
+                continue
+            if channel.topic not in known:
+                known[channel.topic] = (channel, registry.channel(channel), source.path)
+            first, source.numbers[number], where = known[channel.topic]
+            if first != channel:
+                raise LogError(
+                    f"Expected messages of one kind on {channel.topic}, got those in {source.path} to differ from "
+                    f"those in {where}: in type, in units or in the names of the joints."
+                )
+        for arm in source.arms:
+            channel = seconds_channel(arm.prefix, clock_metadata(arm.t0_ns, arm.rows.clock))
+            if channel.topic not in known:
+                known[channel.topic] = (channel, registry.channel(channel), source.path)
+            arm.seconds_number = known[channel.topic][1]
+
+
+def _copy(writer: McapWriter, sources: list[Source], progress: Progress | None) -> int:
+    """Copy the messages chunk by chunk, in the order of their times; return how many chunks are damaged."""
+    total, done, lost = sum(len(source.view) for source in sources), 0, 0
+    for source, piece in _in_order(sources):
+        data = records_at(source.view, source.found, piece)
+        if data is None:
+            lost += 1
+            continue
+        for channel, sequence, log_ns, publish_ns, message in messages_in(data):
+            for copied in source.taken(channel, sequence, log_ns, publish_ns, message):
+                writer.message(*copied)
+        writer.close_chunk()
+        done += 0 if piece is None else piece.stop - piece.start
+        if progress:
+            progress(done, total, "copied")
+    return lost
+
+
+def _in_order(sources: list[Source]) -> Iterator[tuple[Source, Any]]:
+    """Yield what the messages are in by time; what is of one file, or of one robot, stays in its order."""
+    latest: dict[str, int] = {}
+    keyed = []
+    for source in sources:
+        names = [arm.name for arm in source.arms]
+        at = max((latest.get(name, 0) for name in names), default=0)
+        for piece in pieces(source.found):
+            at = max(at, 0 if piece is None else piece.first_ns)
+            keyed.append((at, len(keyed), source, piece))
+        latest |= dict.fromkeys(names, at)
+    for _, _, source, piece in sorted(keyed, key=lambda entry: entry[:2]):
+        yield source, piece

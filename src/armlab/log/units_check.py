@@ -1,0 +1,205 @@
+"""Checks of units and gear sides: a wrong one raises an error that states the factor."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from armlab.errors import NotExcited, ShapeError
+from armlab.robots import Robot
+
+TOLERANCE, CORRELATION = 0.1, 0.98  # of velocity against the slope of position
+BEYOND = 3.0  # times the limits: a position so far out has another unit
+FLAT = 0.8  # share of rows with one and the same torque
+LIGHT = (
+    0.1  # kg/m^3, torque as weight at the reach, per cubed reach: real arms have 1 to 60, motors of geared ones < 0.05
+)
+HEAVY, DYNAMIC = 12.0, 3.0  # times lighter than the links, which is no error of masses; share for what is not weight
+GEARED = 10.0
+MOVED = (0.005, np.deg2rad(1.0))  # m, rad: a joint that moved less says nothing of its velocity
+FEW = 0.01  # share of rows with a position out there that may be glitches, not a unit
+
+
+def has_moved(q: np.ndarray, robot: Robot) -> np.ndarray:
+    """Return the joints (n,) whose position changed by at least one degree, or 5 mm.
+
+    `q`: (N, n), finite, N at least 1.
+    """
+    return np.ptp(q, axis=0) >= np.where(robot.prismatic, *MOVED)
+
+
+def check_known(q: np.ndarray, tau: np.ndarray, robot: Robot) -> None:
+    """Refuse what a known model can make nothing of: positions of another unit, torques that are not measured.
+
+    Less than is asked of a log to identify from: the arm may rest, a few rows may be wrong, a joint may have no torque.
+
+    `q`, `tau`: (N, n) positions and torques; rows that are not finite do not count.
+    """
+    whole = np.isfinite(q).all(axis=1) & np.isfinite(tau).all(axis=1)
+    q, tau = q[whole], tau[whole]
+    if not len(q):
+        return
+    check_position(q, robot, FEW)
+    moved = has_moved(q, robot)
+    if moved.any() and not np.ptp(tau, axis=0).any():
+        _check_constant(tau, moved, robot)
+
+
+def check_position(q: np.ndarray, robot: Robot, few: float = 0.0) -> None:
+    """Refuse positions in degrees, or of the motors: far outside the limits, and inside them by a known factor.
+
+    `q`: (N, n) [rad, m]; `few`: share of the rows that may be out there.
+    """
+    limit = np.maximum(np.abs(robot.q_min), np.abs(robot.q_max))
+    peak = np.abs(q).max(axis=0)
+    far = np.flatnonzero(np.isfinite(limit) & (limit > 0) & (peak > BEYOND * limit))
+    far = far[np.mean(np.abs(q[:, far]) > BEYOND * limit[far], axis=0) > few]
+    if not len(far):
+        return
+    words = [
+        f"{robot.joint_names[i]} ({peak[i]:.4g}, limit {limit[i]:.4g}: {_side(peak[i] / limit[i], i, robot)})"
+        for i in far
+    ]
+    raise ShapeError(
+        f"Expected q in rad (m) on the joint side, inside the limits of {robot.name!r}, got {', '.join(words)}. "
+        "Convert it."
+    )
+
+
+def _side(times: float, joint: int | np.intp, robot: Robot) -> str:
+    """Say what a position so many times beyond its limit may be."""
+    gear, found = _gears(robot)[joint], []
+    unit = ("millimetres, divide by 1000", 1e3) if robot.prismatic[joint] else ("degrees", np.rad2deg(1.0))
+    if times <= 1.05 * unit[1]:
+        found.append(unit[0])
+    if gear >= GEARED and times <= 1.05 * gear:
+        found.append(f"the motor's, gear ratio {gear:g}, see robots.couplings.motor_to_joint")
+    return " or ".join(found) or "no known unit"
+
+
+def check_velocity(slope: np.ndarray, qd: np.ndarray, moved: np.ndarray, robot: Robot) -> None:
+    """Refuse a velocity that is not the derivative of the position: wrong sign, unit, side or joint order.
+
+    `slope`: (N, n) derivative of position; `qd`: (N, n) velocity; both low-passed alike; `moved`: (n,) joints that
+    moved; at rest there is nothing to compare.
+    """
+    power = np.sum(slope**2, axis=0) + 1e-300
+    gain = np.sum(slope * qd, axis=0) / power
+    norm = np.sqrt(power * np.sum(qd**2, axis=0) + 1e-300)
+    alike = (slope.T @ qd) / np.sqrt(np.outer(power, np.sum(qd**2, axis=0)) + 1e-300)
+    correlation = np.sum(slope * qd, axis=0) / norm
+    wrong = np.flatnonzero(moved & ((np.abs(gain - 1) > TOLERANCE) | (correlation < CORRELATION)))
+    if not len(wrong):
+        return
+    gear = _gears(robot)
+    words = []
+    for i in wrong:
+        other = int(np.argmax(alike[i]))
+        if other != i and alike[i, other] > CORRELATION > correlation[i]:
+            what = f"the column of {robot.joint_names[other]} fits; joint order"
+        else:
+            what = _meaning(float(gain[i]), float(correlation[i]), gear[i])
+        words.append(f"{robot.joint_names[i]} ({gain[i]:.3g} times: {what})")
+    raise ShapeError(
+        f"Expected qd to be the derivative of q, got other values for {', '.join(words)}. "
+        "Correct the column, or leave qd out: it is then computed from q."
+    )
+
+
+def _meaning(gain: float, correlation: float, gear: float) -> str:
+    """Say what a factor between velocity and slope looks like."""
+    known = [
+        (1.0, "sign"),
+        (np.rad2deg(1.0), "degrees per second"),
+        (np.deg2rad(1.0), "position in degrees"),
+        (1e3, "per millisecond"),
+        (1e-3, "thousandths"),
+    ]
+    if gear >= GEARED:
+        known += [(gear, f"motor side, gear ratio {gear:g}"), (1.0 / gear, f"position of the motor, ratio {gear:g}")]
+    if abs(correlation) >= CORRELATION:
+        for factor, words in known:
+            if abs(abs(gain) / factor - 1.0) < TOLERANCE and (factor != 1.0 or gain < 0):
+                return words + (" and sign" if gain < 0 and factor != 1.0 else "")
+        return "unit"
+    return "another signal, or time stamps that are not those of q"
+
+
+def check_torque(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot) -> None:
+    """Refuse torques that no arm needs: constant, or so small that they are the motors'.
+
+    With masses in the robot file, torque is compared with the weight of the links. Without, with the reach: half the
+    range of torque over ``g reach^4`` is 1 to 60 kg/m^3 on arms from 0.5 to 300 kg of payload.
+
+    `q`, `tau`: (N, n) position and torque; `used`: (n,) joints whose torque is fitted.
+    """
+    _check_constant(tau, used, robot)
+    sized = _against_links(q, tau, used, robot) if robot.inertias is not None else _against_reach(tau, used, robot)
+    if sized is None:
+        return
+    joints, evidence = sized
+    gear = _gears(robot)
+    listed = ", ".join(robot.joint_names[i] + (f" (gear ratio {gear[i]:g})" if gear[i] > 1 else "") for i in joints)
+    advice = (
+        "Bring it to the joints with robots.couplings.motor_torque_to_joint."
+        if np.any(gear[joints] >= GEARED)
+        else "Multiply it by the gear ratio, and give the robot its coupling."
+    )
+    raise ShapeError(
+        f"Expected torque on the joint side in N m, got values that look like the motors' for {listed}: {evidence}. "
+        f"{advice}"
+    )
+
+
+def _check_constant(tau: np.ndarray, used: np.ndarray, robot: Robot) -> None:
+    share = np.array([np.unique(column, return_counts=True)[1].max() / len(column) for column in tau.T])
+    flat = np.flatnonzero(used & (share > FLAT))
+    if len(flat):
+        names = [robot.joint_names[i] for i in flat]
+        spread = [
+            "constant torque" if share[i] == 1.0 else f"one torque in {100 * share[i]:.0f} % of the rows" for i in flat
+        ]
+        listed = ", ".join(f"{a} ({b})" for a, b in zip(names, spread))
+        raise NotExcited(
+            f"Expected measured torques, got a constant for {listed}. Check that the robot sends torque.",
+            names,
+            spread,
+        )
+
+
+def _against_links(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot) -> tuple[np.ndarray, str] | None:
+    """Compare with the weight of the links: the factor between torque and gravity of each joint that lifts."""
+    still = np.zeros_like(q)
+    gravity = robot.chain.rnea(q, still, still, robot.gravity, robot.inertias)
+    gravity, varied = gravity - gravity.mean(axis=0), tau - tau.mean(axis=0)
+    size = gravity.std(axis=0)
+    lifts = used & (size > 0.1 * size.max(initial=0.0)) & (size > 1e-6)
+    if not lifts.any():
+        return None
+    scale = np.where(lifts, np.sum(gravity * varied, axis=0) / np.maximum(np.sum(gravity**2, axis=0), 1e-300), 1.0)
+    gear = np.where(_gears(robot) >= GEARED, _gears(robot), np.inf)
+    least = 1.0 / np.minimum(HEAVY, np.sqrt(gear))
+    small = lifts & (np.abs(scale) < least) & (varied.std(axis=0) < DYNAMIC * least * size)
+    if np.count_nonzero(small) * 2 < np.count_nonzero(lifts):
+        return None
+    joints = np.flatnonzero(small)
+    factors = ", ".join(f"{scale[i]:.2g}" for i in joints)
+    return joints, f"{factors} times what the weight of the links takes"
+
+
+def _against_reach(tau: np.ndarray, used: np.ndarray, robot: Robot) -> tuple[np.ndarray, str] | None:
+    """Compare with the reach, where gravity loads any turning joint."""
+    g = float(np.linalg.norm(robot.gravity))
+    turning = used & ~robot.prismatic
+    reach = float(np.linalg.norm(robot.frames[1:, :3, 3], axis=1).sum())
+    upright = np.abs(robot.screws[:, 3:] @ robot.gravity) > 0.999 * g
+    if g == 0 or reach == 0 or not np.any(turning) or bool(np.all(upright | ~turning)):
+        return None
+    swing = 0.5 * float(np.ptp(tau[:, turning], axis=0).max())
+    if swing > LIGHT * g * reach**4:
+        return None
+    return np.flatnonzero(turning), f"at most {swing:.2g} N m on an arm of {reach:.2g} m reach"
+
+
+def _gears(robot: Robot) -> np.ndarray:
+    """Return the size of each gear ratio (n,); 1 where the robot file is silent."""
+    return np.abs(np.diag(np.linalg.inv(robot.coupling)))

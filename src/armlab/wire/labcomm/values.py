@@ -1,0 +1,469 @@
+"""Readers and writers of values: one closure per node of a type, with `struct` formats compiled once."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from operator import itemgetter
+from struct import Struct as Format
+from struct import unpack_from
+from typing import Any, NamedTuple
+
+from armlab.errors import LabCommError
+from armlab.wire.labcomm.dialects import Dialect
+from armlab.wire.labcomm.source import Cut, Limits
+from armlab.wire.labcomm.types import SAMPLE, Array, Field, Prim, SampleType, Struct, Type, containers, typename
+
+
+class Size(NamedTuple):
+    """A size and the position where it was read."""
+
+    size: int
+    offset: int
+
+
+class Shape(NamedTuple):
+    """Sizes of all dimensions, number of elements, and where the last size was read (None: all are fixed)."""
+
+    sizes: tuple[int, ...]
+    total: int
+    last: int | None
+
+
+def checked_shape(node: Array, read: Sequence[Size], rest: int, wide: bool, limits: Limits) -> Shape:
+    """Return the shape of an array of which `rest` bytes may follow."""
+    offsets = iter(read)
+    sizes, product, seen_zero, last = [], 1, False, None
+    for size in node.dims:
+        if not size:
+            size, last = next(offsets)
+            if size > limits.values:
+                raise _bad_array(last, f"a size of at most {limits.values}", size)
+        seen_zero = seen_zero or not size
+        if not seen_zero:
+            product *= size
+            if product > limits.values and last is not None:
+                raise _bad_array(last, f"at most {limits.values} elements", product)
+        sizes.append(size)
+    count = math.prod(sizes)
+    if not count and product > limits.empty_rows and last is not None:
+        raise _bad_array(last, f"at most {limits.empty_rows} rows without elements", product)
+    smallest = count * (node.elem.size + node.elem.numbers * (4 if wide else 1))
+    if smallest > rest:
+        if last is None:
+            raise Cut
+        raise _bad_array(last, f"elements that fit in the {rest} bytes left in the packet", f"{smallest} bytes")
+    return Shape(tuple(sizes), count, last)
+
+
+def nest(flat: list[Any], sizes: tuple[int, ...]) -> list[Any]:
+    """Return the elements as nested lists."""
+    if not flat and len(sizes) > 1:
+        return [nest(flat, sizes[1:]) for _ in range(sizes[0])]
+    for size in reversed(sizes[1:]):
+        flat = [flat[start : start + size] for start in range(0, len(flat), size)]
+    return flat
+
+
+def _bad_array(offset: int, expected: str, got: object) -> LabCommError:
+    return LabCommError(f"Expected {expected} in the array at byte {offset}, got {got}.", offset)
+
+
+class Cursor:
+    """Where a reader is in a packet that has come whole.
+
+    `buf`: bytes; `at`, `end`: next byte and end of the body, as indices of `buf`; `base`: position of ``buf[0]``;
+    `left`: values that the packet may still hold; `limits`: of the stream.
+    """
+
+    __slots__ = ("at", "base", "buf", "end", "left", "limits", "wide")
+
+    def __init__(self, buf: bytes | bytearray, limits: Limits, wide: bool) -> None:
+        self.buf, self.limits, self.wide = buf, limits, wide
+        self.at = self.end = self.base = self.left = 0
+
+    def number(self) -> int:
+        """Read a size or a length."""
+        first, buf = self.at, self.buf
+        if self.wide:
+            self.at += 4
+            if self.at > self.end:
+                raise Cut
+            return int.from_bytes(buf[first : self.at], "big")
+        value = 0
+        for at in range(first, first + 5):
+            if at >= self.end:
+                raise Cut
+            byte = buf[at]
+            value = value << 7 | byte & 0x7F
+            if byte < 0x80:
+                if value >= 2**32:
+                    break
+                self.at = at + 1
+                return value
+        offset = self.base + first
+        raise LabCommError(f"Expected a number below 2**32 in at most 5 bytes at byte {offset}, got more.", offset)
+
+    def shape(self, node: Array) -> Shape:
+        """Read the variable sizes of an array and check them."""
+        read = []
+        for size in node.dims:
+            if not size:
+                where = self.base + self.at
+                read.append(Size(self.number(), where))
+        shape = checked_shape(node, read, self.end - self.at, self.wide, self.limits)
+        if shape.last is not None:
+            self.left -= containers(shape.sizes) - 1 + shape.total * node.elem.values
+            if self.left < 0:
+                limit = self.limits.values
+                raise LabCommError(
+                    f"Expected at most {limit} values in a packet, got more in the array at byte {shape.last}.",
+                    shape.last,
+                )
+        return shape
+
+
+Reader = Callable[[Cursor], Any]
+
+
+def reader(node: Type) -> Reader:
+    """Return what reads a value of a type. It raises `Cut` or LabCommError."""
+    if isinstance(node, Prim):
+        return _prim(node) if node.letter else _string
+    if isinstance(node, Array):
+        return _array(node)
+    if isinstance(node, Struct):
+        return _struct(node)
+    raise LabCommError(f"Expected a type whose values can be read, got a reference to type {node.index}.")
+
+
+def runs(node: Struct) -> list[list[Field]]:
+    """Return the fields of a struct in order, those together that one `struct` call takes."""
+    found: list[list[Field]] = []
+    was_flat = False
+    for field in node.fields:
+        is_flat = row_size(field.type) is not None
+        if is_flat and was_flat:
+            found[-1].append(field)
+        else:
+            found.append([field])
+        was_flat = is_flat
+    return found
+
+
+def row_size(node: Type) -> int | None:
+    """Return how many numbers a fixed row has, -1 for a scalar; None of what is not numbers alone."""
+    size = -1
+    if isinstance(node, Array) and len(node.dims) == 1 and node.dims[0]:
+        size, node = node.dims[0], node.elem
+    return size if isinstance(node, Prim) and node.letter not in ("", "?", "B") else None
+
+
+def decoded(raw: bytes) -> str:
+    """Return the text of a string on the wire: UTF-8, else Java's modified UTF-8, else with escaped bytes."""
+    try:
+        return raw.decode()
+    except UnicodeDecodeError:
+        pass
+    try:
+        pairs = raw.replace(b"\xc0\x80", b"\0").decode("utf-8", "surrogatepass")
+        return pairs.encode("utf-16-le", "surrogatepass").decode("utf-16-le")
+    except UnicodeDecodeError:
+        return raw.decode("utf-8", "surrogateescape")
+
+
+def _string(cursor: Cursor) -> str:
+    where = cursor.base + cursor.at
+    size = cursor.number()
+    start, stop = cursor.at, cursor.at + size
+    if stop > cursor.end:
+        left = cursor.end - start
+        raise LabCommError(f"Expected a string of at most {left} bytes at byte {where}, got {size}.", where)
+    cursor.at = stop
+    return decoded(bytes(cursor.buf[start:stop]))
+
+
+def _prim(node: Prim) -> Reader:
+    unpack, size = Format(">" + node.letter).unpack_from, node.size
+
+    def read(cursor: Cursor) -> Any:
+        start = cursor.at
+        cursor.at = start + size
+        if cursor.at > cursor.end:
+            raise Cut
+        return unpack(cursor.buf, start)[0]
+
+    return read
+
+
+def _flat(fields: Sequence[Field]) -> Reader:
+    """One `struct` call for all; a slice or an index of its result per field."""
+    node = Struct(tuple(fields))
+    unpack, size = Format(node.struct_format or "").unpack_from, node.size
+    names, places, at = [field.name for field in fields], [], 0
+    for field in fields:
+        count = row_size(field.type) or 0
+        places.append(at if count < 0 else slice(at, at + count))
+        at += abs(count)
+    pick = itemgetter(*places)
+
+    def read(cursor: Cursor) -> dict[str, Any]:
+        start = cursor.at
+        cursor.at = start + size
+        if cursor.at > cursor.end:
+            raise Cut
+        return dict(zip(names, pick(list(unpack(cursor.buf, start))), strict=True))
+
+    return read
+
+
+def _struct(node: Struct) -> Reader:
+    parts = [(None, _flat(run)) if len(run) > 1 else (run[0].name, reader(run[0].type)) for run in runs(node)]
+    if len(parts) == 1 and parts[0][0] is None:
+        return parts[0][1]
+
+    def read(cursor: Cursor) -> dict[str, Any]:
+        value: dict[str, Any] = {}
+        for name, part in parts:
+            if name is None:
+                value.update(part(cursor))
+            else:
+                value[name] = part(cursor)
+        return value
+
+    return read
+
+
+def _array(node: Array) -> Reader:
+    elem = node.elem
+    if isinstance(elem, Prim) and elem.letter:
+        return _numbers(node, elem)
+    part = reader(elem)
+
+    def read(cursor: Cursor) -> list[Any]:
+        shape = cursor.shape(node)
+        return nest([part(cursor) for _ in range(shape.total)], shape.sizes)
+
+    return read
+
+
+def _numbers(node: Array, elem: Prim) -> Reader:
+    size, letter = elem.size, elem.letter
+    is_bytes = letter == "B" and len(node.dims) == 1
+
+    def read(cursor: Cursor) -> Any:
+        shape = cursor.shape(node)
+        start, stop = cursor.at, cursor.at + shape.total * size
+        if stop > cursor.end:
+            raise Cut
+        cursor.at = stop
+        if is_bytes:
+            return bytes(cursor.buf[start:stop])
+        flat = list(unpack_from(f">{shape.total}{letter}", cursor.buf, start))
+        return nest(flat, shape.sizes) if len(shape.sizes) > 1 else flat
+
+    return read
+
+
+Writer = Callable[[Any], bytes]
+
+
+class Misfit(Exception):
+    """A value does not fit its type: what is wrong, and the path from the innermost part outwards."""
+
+    def __init__(self, text: str, *path: str) -> None:
+        super().__init__(text)
+        self.text, self.path = text, list(path)
+
+
+class Wire(NamedTuple):
+    """How values are written: dialect, whether strings may hold NUL, and the index of a sample type referred to."""
+
+    dialect: Dialect
+    allow_nul: bool
+    index_of: Callable[[SampleType], int]
+
+
+def writer(node: Type, wire: Wire) -> Writer:
+    """Return what writes a value of a type."""
+    if isinstance(node, Prim):
+        return _write_prim(node, wire)
+    if isinstance(node, Array):
+        return _write_array(node, wire)
+    if isinstance(node, Struct):
+        return _write_struct(node, wire)
+    raise LabCommError(f"Expected a type whose values can be written, got a reference to type {node.index}.")
+
+
+def _write_prim(node: Prim, wire: Wire) -> Writer:
+    if not node.letter:
+        return lambda value: _text(value, wire)
+    pack, name = Format(">" + node.letter).pack, node.name
+
+    def write(value: Any) -> bytes:
+        if node.code == SAMPLE and isinstance(value, SampleType):
+            value = wire.index_of(value)
+        if name == "boolean" and not _is_boolean(value):
+            raise Misfit(f"True or False expected, {value!r} given")
+        try:
+            return pack(value)
+        except (struct.error, TypeError, ValueError, OverflowError):
+            raise Misfit(f"a {name} expected, {value!r} given") from None
+
+    return write
+
+
+def _is_boolean(value: Any) -> bool:
+    return (isinstance(value, int) and value in (0, 1)) or type(value).__name__ in ("bool", "bool_")
+
+
+def _text(value: Any, wire: Wire) -> bytes:
+    if not isinstance(value, str):
+        raise Misfit(f"a string expected, {value!r} given")
+    if "\0" in value and not wire.allow_nul:
+        raise Misfit("a string without NUL expected, which would end it in C")
+    try:
+        return wire.dialect.text(value.encode("utf-8", "surrogateescape"))
+    except UnicodeEncodeError:
+        raise Misfit(f"a string that UTF-8 can write expected, {value!r} given") from None
+
+
+def _write_struct(node: Struct, wire: Wire) -> Writer:
+    parts = [_write_flat(run, wire) if len(run) > 1 else _field(run[0], wire) for run in runs(node)]
+    count = len(node.fields)
+
+    def write(value: Any) -> bytes:
+        try:
+            if len(value) == count:
+                return b"".join([part(value) for part in parts])
+        except (TypeError, LookupError):
+            pass
+        raise _unlike(value, [field.name for field in node.fields])
+
+    return write
+
+
+def _write_flat(fields: Sequence[Field], wire: Wire) -> Writer:
+    """One `struct` call for all these fields of a value; whatever is odd goes one by one, which says what is wrong."""
+    pack = Format(Struct(tuple(fields)).struct_format or "").pack
+    counts = [(field.name, row_size(field.type) or 0) for field in fields]
+    one_by_one = [_field(field, wire) for field in fields]
+
+    def write(value: Any) -> bytes:
+        flat: list[Any] = []
+        try:
+            for name, count in counts:
+                part = value[name]
+                if count < 0:
+                    flat.append(part)
+                    continue
+                if type(part) is not list and type(part) is not tuple:
+                    part = part.tolist()
+                if len(part) != count:
+                    break
+                flat += part
+            else:
+                return pack(*flat)
+        except (struct.error, TypeError, ValueError, OverflowError, AttributeError):
+            pass
+        return b"".join([part(value) for part in one_by_one])
+
+    return write
+
+
+def _field(field: Field, wire: Wire) -> Writer:
+    """One field of a value."""
+    name, part = field.name, writer(field.type, wire)
+
+    def write(value: Any) -> bytes:
+        try:
+            return part(value[name])
+        except Misfit as error:
+            error.path.append(f".{name}")
+            raise
+
+    return write
+
+
+def _unlike(value: Any, names: Sequence[str]) -> Misfit:
+    """Return what is wrong with a value that has not the fields of its struct."""
+    if not isinstance(value, Mapping):
+        return Misfit(f"a dict expected, {value!r} given")
+    missing, extra = sorted(set(names) - value.keys()), sorted(map(str, value.keys() - set(names)))
+    given = f"{', '.join(missing)} missing" if missing else f"{', '.join(extra)} given"
+    return Misfit(f"the fields {', '.join(names) or '(none)'} expected, {given}")
+
+
+def _write_array(node: Array, wire: Wire) -> Writer:
+    elem, dims, number = node.elem, node.dims, wire.dialect.number
+    letter = elem.letter if isinstance(elem, Prim) and elem.name not in ("boolean", "sample") else ""
+    part = writer(elem, wire)
+
+    def write(value: Any) -> bytes:
+        flat, sizes = _flattened(value, node)
+        head = b"".join(number(size) for size, fixed in zip(sizes, dims, strict=True) if not fixed)
+        if letter:
+            try:
+                return head + struct.pack(f">{len(flat)}{letter}", *flat)
+            except (struct.error, TypeError, ValueError, OverflowError):
+                pass  # the way through each element says which
+        parts = [head]
+        for index, one in enumerate(flat):
+            try:
+                parts.append(part(one))
+            except Misfit as error:
+                error.path.append(_place(index, sizes))
+                raise
+        return b"".join(parts)
+
+    return write
+
+
+def _flattened(value: Any, node: Array) -> tuple[Sequence[Any], list[int]]:
+    """Return the elements in order and the sizes; a list that is not rectangular is refused."""
+    dims = node.dims
+    shape = getattr(value, "shape", None)
+    if shape is not None and len(shape) == len(dims) and callable(getattr(value, "reshape", None)):
+        sizes, flat = list(shape), value.reshape(-1).tolist()
+        _check(sizes, dims)
+        return flat, sizes
+    if len(dims) == 1:
+        row = _row(value, node, "")
+        _check([len(row)], dims)
+        return row, [len(row)]
+    flat, sizes, path = [value], [], ""
+    for level, fixed in enumerate(dims):
+        rows = [_row(one, node, path) for one in flat]
+        size = len(rows[0]) if rows else fixed
+        if any(len(row) != size for row in rows):
+            given = sorted({len(row) for row in rows})
+            raise Misfit(f"rows of one length expected, {' and '.join(map(str, given))} given")
+        sizes.append(size)
+        _check(sizes, dims[: level + 1])
+        flat = rows[0] if len(rows) == 1 else [one for row in rows for one in row]
+        path += "[]"
+    return flat, sizes
+
+
+def _row(value: Any, node: Array, path: str) -> Sequence[Any]:
+    if isinstance(value, list | tuple | bytes | bytearray | range):
+        return value
+    listed = value.tolist() if callable(getattr(value, "tolist", None)) else None
+    if isinstance(listed, list):
+        return listed
+    raise Misfit(f"a list for {typename(node)}{path} expected, {value!r} given")
+
+
+def _check(sizes: Sequence[int], dims: Sequence[int]) -> None:
+    for size, fixed in zip(sizes, dims, strict=True):
+        if fixed and size != fixed:
+            raise Misfit(f"{fixed} values expected, {size} given")
+
+
+def _place(index: int, sizes: Sequence[int]) -> str:
+    places = []
+    for size in reversed(sizes):
+        index, place = divmod(index, size)
+        places.append(f"[{place}]")
+    return "".join(reversed(places))

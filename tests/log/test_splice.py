@@ -1,0 +1,376 @@
+"""`cut` and `merge`."""
+
+from __future__ import annotations
+
+import contextlib
+import resource
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+from armlab import log, robots
+from armlab.errors import ConfigError, LogError, UnknownName
+from armlab.log import Column, Recorder, cut, inspect, merge, read
+from armlab.log.recording.columns import Rows
+from armlab.log.recording.splice import (
+    Source,
+    SplicedRows,
+    attachments,
+    metadata,
+    opened_source,
+    seconds_channel,
+    summary,
+)
+from armlab.robots import Robot
+
+ROWS = 500
+
+
+@pytest.fixture
+def record(tmp_path: Path, rows: Callable, extra: dict[str, Column]) -> Callable[..., Path]:
+    """Record rows [first, last) of the made-up run of an arm, with events and parameters between them."""
+
+    def recorded(name: str, first: int = 0, last: int = ROWS, robot: str = "yumi_right") -> Path:
+        arm = robots.load(robot)
+        with Recorder(tmp_path / name, arm, extra=extra, attachments={"robot.toml": robot.encode()}, note=name) as to:
+            for i in range(first, last):
+                state, command, tick = rows(i)
+                state = replace(state, tau=np.full(7, np.nan)) if i < 10 else state
+                assert to.row(state, command, tick._replace(number=i - first))
+                if i % 100 == 50:
+                    to.event(f"event {i}", tick.stamp_ns)
+                if i % 250 == 0:
+                    to.parameter(i, "gain", float(i), "me", tick.stamp_ns)
+        return to.path
+
+    return recorded
+
+
+def texts(path: Path) -> list[str]:
+    return [event.text for event in inspect(path).events]
+
+
+@pytest.mark.parametrize(("start", "stop"), [(1.0, 1.5), (-np.inf, 0.5), (1.5, np.inf)])
+def test_the_rows_are_those_of_between_to_the_last_bit(
+    record: Callable[..., Path], tmp_path: Path, start: float, stop: float
+) -> None:
+    path = record("run.mcap")
+    part, table = read(cut(path, tmp_path / "part.mcap", start, stop)), read(path).between(start, stop)
+    assert part.sha256 == table.sha256
+    assert (part.t0_ns, part.clock, part.source[1:]) == (table.t0_ns, table.clock, table.source)
+    assert part.t[0] == table.t[0] >= start
+    assert part["fext"].shape == (len(table), 6)
+
+
+def test_columns_whose_names_differ_only_in_signs_are_not_mixed_up(
+    tmp_path: Path, rows: Callable, robot: Robot
+) -> None:
+    columns = {name: Column((6,), unit="N") for name in ("a.b", "a_b")}
+    with Recorder(tmp_path / "run.mcap", robot, extra=columns) as recorder:
+        for i in range(100):
+            state, command, tick = rows(i)
+            record = {"a.b": np.full(6, i), "a_b": np.full(6, -i)}
+            recorder.row(state, replace(command, record=record), tick)
+    part = read(cut(recorder.path, tmp_path / "part.mcap", 0.1, 0.3))
+    assert part.sha256 == read(recorder.path).between(0.1, 0.3).sha256
+    assert np.array_equal(part["a.b"], -part["a_b"])
+
+
+def test_a_cut_is_a_whole_recording_with_all_that_belongs_to_it(record: Callable[..., Path], tmp_path: Path) -> None:
+    path = record("run.mcap")
+    told: list[tuple[int, int, str]] = []
+    part = cut(path, tmp_path / "part.mcap", 1.0, 1.9, progress=lambda *step: told.append(step))
+    held, original = inspect(part), inspect(path)
+    assert held.finished
+    assert held.metadata == original.metadata
+    assert held.attachments["robot.toml"] == b"yumi_right"
+    assert texts(part) == ["event 250", "event 350", "event 450"]
+    assert [one.value for one in held.parameters] == [0.0, 250.0]  # what was in force, and what changed
+    assert held.summary["rows"] == len(read(part))
+    assert held.summary["originals"] == {"run.mcap": original.summary}
+    assert 0 < told[-1][0] <= told[-1][1]
+    with AnyReader([part]) as reader:
+        states = [c for c in reader.connections if c.topic == "/yumi_right/joint_states"]
+        q = [reader.deserialize(raw, c.msgtype).position for c, _, raw in reader.messages(states)]
+    assert np.array_equal(q, read(part)["q"])
+
+
+def test_pieces_put_together_are_the_whole_again(record: Callable[..., Path], tmp_path: Path) -> None:
+    path = record("run.mcap")
+    pieces = [cut(path, tmp_path / f"{k}.mcap", k, k + 1) for k in range(3)]
+    whole = merge([pieces[2], pieces[0], pieces[1]], tmp_path / "whole.mcap")
+    assert read(whole).sha256 == read(path).sha256
+    assert read(whole).t0_ns == read(path).t0_ns
+    assert texts(whole) == texts(path)
+    again = cut(cut(path, tmp_path / "part.mcap", 0.5, 1.8), tmp_path / "again.mcap", 1.0, 1.5)
+    assert read(again).sha256 == read(path).between(1.0, 1.5).sha256
+    chain = (*read(path).between(0.5, 1.8).source, "between(1, 1.5)")
+    assert read(again).source[2:] == chain
+
+
+def test_runs_of_one_robot_keep_the_gap_between_them(record: Callable[..., Path], tmp_path: Path) -> None:
+    """Their ticks begin at the same number, and the first rows lack torques: rows must not find those of others."""
+    first, second = record("first.mcap", 0, 300), record("second.mcap", 400, 600)
+    assert read(first)["tick"][0] == read(second)["tick"][0] == 0
+    whole = merge([second, first], tmp_path / "whole.mcap")
+    expected = log.concat(read(first), read(second))
+    assert read(whole).sha256 == expected.sha256
+    assert read(whole).source[1:] == expected.source
+    assert np.diff(read(whole).t).max() > 0.4
+    held = inspect(whole)
+    assert [pairs["note"] for pairs in held.metadata.values()] == ["first.mcap", "second.mcap"]
+    assert [name for name in held.attachments if "robot" in name] == ["robot.toml"]
+    assert read(cut(whole, tmp_path / "cut.mcap", 1.0, 2.0)).sha256 == expected.between(1.0, 2.0).sha256
+
+
+def test_both_arms_of_a_bridge_stand_side_by_side(record: Callable[..., Path], tmp_path: Path) -> None:
+    right, left = record("right.mcap", 0, 300), record("left.mcap", 100, 500, "yumi_left")
+    both = merge([left, right], tmp_path / "both.mcap")
+    assert inspect(both).robots == ("yumi_right", "yumi_left")
+    tables = {name: read(both, robot=name) for name in ("yumi_right", "yumi_left")}
+    assert tables["yumi_right"].sha256 == read(right).sha256
+    assert tables["yumi_left"].sha256 == read(left).sha256
+    assert tables["yumi_left"].source[1:] == (*read(right).source, *read(left).source, "merge(right.mcap, left.mcap)")
+    assert inspect(both).attachments["robot-2.toml"] == b"yumi_left"
+    assert len(texts(both)) == len(texts(right)) + len(texts(left))
+    with AnyReader([both]) as reader:
+        times = [time for _, time, _ in reader.messages()]
+    assert len(times) == sum(one.messages for path in (left, right) for one in inspect(path).topics) + 700  # and t
+    part = cut(both, tmp_path / "part.mcap", 0.2, 0.4)
+    assert read(part, robot="yumi_left").sha256 == read(left).between(0.2, 0.4).sha256
+    assert read(part, robot="yumi_right").sha256 == read(right).between(0.2, 0.4).sha256
+
+
+def test_one_arm_of_both_is_a_recording_of_its_own(record: Callable[..., Path], tmp_path: Path) -> None:
+    right, left = record("right.mcap", 0, 300), record("left.mcap", 100, 500, "yumi_left")
+    both = merge([left, right], tmp_path / "both.mcap")
+    alone = cut(both, tmp_path / "alone.mcap", 0.2, 0.6, robot="yumi_left")
+    assert inspect(alone).robots == ("yumi_left",)
+    assert {one.name.split("/")[1] for one in inspect(alone).topics} == {"yumi_left"}
+    assert read(alone).sha256 == read(left).between(0.2, 0.6).sha256
+    assert texts(alone) == texts(cut(left, tmp_path / "own.mcap", 0.2, 0.6))
+    assert inspect(alone).summary["rows"] == len(read(alone))
+    with pytest.raises(UnknownName, match="yumi_right"):
+        cut(both, tmp_path / "none.mcap", robot="yumi_rihgt")
+    assert not (tmp_path / "none.mcap").exists()
+
+
+def test_a_recording_without_rows_sets_no_clock(record: Callable[..., Path], tmp_path: Path) -> None:
+    """Of a run for which no robot came: its wall clock is not known."""
+    empty, run = record("empty.mcap", 0, 0), record("run.mcap", 0, 50)
+    other = record("other.mcap", 0, 0, "yumi_left")
+    for number, paths in enumerate(([empty, run], [run, empty], [run, other], [empty, run, other])):
+        whole = read(merge(paths, tmp_path / f"{number}.mcap"), robot="yumi_right")
+        assert (whole.sha256, whole.t0_ns, whole.clock) == (read(run).sha256, read(run).t0_ns, read(run).clock)
+    assert len(read(merge([empty, empty], tmp_path / "none.mcap"))) == 0
+
+
+def test_what_does_not_fit_is_refused_in_a_sentence(
+    record: Callable[..., Path], tmp_path: Path, robot: Robot, rows: Callable
+) -> None:
+    run, left = record("run.mcap", 0, 50), record("left.mcap", 300, 350, "yumi_left")
+    with Recorder(tmp_path / "other.mcap", replace(robot, q_home=robot.q_home + 0.1)) as other:
+        other.row(*rows(400))
+    with Recorder(tmp_path / "units.mcap", robot, extra={"fext": Column(shape=(6,), unit="N m")}) as units:
+        units.row(*rows(400))
+    text = tmp_path / "run.csv"
+    text.write_text("t [s],q1 [rad]\n0,1\n")
+    to = tmp_path / "to.mcap"
+    for error, words, work in (
+        (LogError, r"Expected rows between 5 s and 6 s in .*run\.mcap, got none; it has 0 s to 0\.19", (run, 5.0, 6.0)),
+        (ConfigError, "to a later one, got 2 s to 2 s", (run, 2.0, 2.0)),
+        (ConfigError, "got nan s to 2 s", (run, np.nan, 2.0)),
+        (LogError, "got a file of format text", (text, 0.0, 1.0)),
+        (LogError, "No such file", (tmp_path / "none.mcap", 0.0, 1.0)),
+        (ConfigError, "two recordings or more to merge, got 1", [run]),
+        (LogError, r"run\.mcap of yumi_right to begin after .*run\.mcap has ended at", [run, run]),
+        (LogError, r"yumi_left, which began 1\..* s after yumi_right had ended", [run, left]),
+        (LogError, "one description of yumi_right, got another in .*other", [run, other.path]),
+        (LogError, "one kind on /yumi_right/columns/fext, got those in .*units", [run, units.path]),
+    ):
+        with pytest.raises(error, match=words):
+            cut(work[0], to, *work[1:]) if isinstance(work, tuple) else merge(work, to)
+    with pytest.raises(ConfigError, match=r"ending in \.mcap"):
+        merge([run, left], tmp_path / "to.csv")
+    assert not to.exists()
+
+
+def test_a_torn_recording_is_cut_and_becomes_whole(record: Callable[..., Path], tmp_path: Path) -> None:
+    path = record("run.mcap")
+    path.write_bytes(path.read_bytes()[: int(0.7 * path.stat().st_size)])
+    with pytest.warns(UserWarning, match="was not finished"):
+        part, table = cut(path, tmp_path / "part.mcap", 1.0), read(path).between(1.0, np.inf)
+    assert inspect(part).finished
+    assert read(part).sha256 == table.sha256
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_damaged_files_are_cut_or_refused_in_a_sentence(record: Callable[..., Path], tmp_path: Path) -> None:
+    path, after, to = record("run.mcap", 0, 20), record("after.mcap", 50, 60), tmp_path / "to.mcap"
+    data, rng = path.read_bytes(), np.random.default_rng(1)
+    done = 0
+    for place in rng.integers(8, len(data), 4):
+        for spoilt in (data[:place], data[:place] + bytes([data[place] ^ 64]) + data[place + 1 :]):
+            path.write_bytes(spoilt)
+            with contextlib.suppress(LogError):
+                done += len(read(cut(path, to, 0.0, 0.05))) > 0
+            with contextlib.suppress(LogError):
+                done += len(read(merge([path, after], to))) > 0
+    assert done > 3
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["after.mcap", "run.mcap", "to.mcap"]
+
+
+def test_rows_out_of_order_stay_reachable(tmp_path: Path, robot: Robot, rows: Callable) -> None:
+    with Recorder(tmp_path / "run.mcap", robot) as to:
+        for i, place in enumerate([0, 1, 2, 2, 1, 3, 4, 5, 5]):
+            state, command, tick = rows(place)
+            to.row(state, command, tick._replace(number=i))
+    with pytest.warns(UserWarning, match="does not advance"):
+        table = read(to.path)
+    cut(to.path, tmp_path / "part.mcap", table.t[2], table.t[4])
+    with pytest.warns(UserWarning, match="does not advance"):
+        part = read(tmp_path / "part.mcap")
+    assert part.sha256 == table.between(table.t[2], table.t[4]).sha256
+    assert len(read(tmp_path / "part.mcap", raw=True)) == len(part) + 2
+
+
+@pytest.fixture
+def small_disk() -> Iterator[Callable[[int], None]]:
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, limit[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+
+
+def test_a_full_disk_and_ctrl_c_leave_nothing_behind(
+    record: Callable[..., Path], tmp_path: Path, small_disk: Callable[[int], None]
+) -> None:
+    path, to = record("run.mcap"), tmp_path / "to.mcap"
+    to.write_bytes(b"mine")
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        cut(path, to, 0.1, progress=interrupt)
+    small_disk(50_000)
+    with pytest.raises(LogError, match=rf"Expected to write {to}, got: File too large\."):
+        cut(path, to, 0.1)
+    assert to.read_bytes() == b"mine"
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["run.mcap", "to.mcap"]
+
+
+def test_a_file_may_be_cut_into_itself(record: Callable[..., Path], tmp_path: Path) -> None:
+    path = record("run.mcap", 0, 300)
+    table = read(path)
+    assert read(cut(path, path, 0.5, 0.8)).sha256 == table.between(0.5, 0.8).sha256
+
+
+def arm(numbers: list[int], t: list[float], t0_ns: int = 10**18) -> SplicedRows:
+    kept = np.diff(t, prepend=-1.0) > 0
+    stamps = t0_ns + np.zeros(len(t), dtype=int)
+    return SplicedRows(
+        Path("run.mcap"), "/a/", "hash", Rows(1, np.array(numbers), np.array(t), kept, stamps, t0_ns, "robot"), None
+    )
+
+
+def test_rows_are_taken_between_the_first_and_the_last_of_the_cut() -> None:
+    one = arm([5, 6, 7, 8, 9], [0.0, 1.0, 1.0, 2.0, 3.0])
+    one.cut(1.0, 2.5)
+    assert (one.rows_left, one.ticks, one.inside) == (2, (6, 8), False)
+    taken = [one.arrive(number, 0) is not None for number in (5, 6, 7, 8, 9, 77)]
+    assert taken == [False, True, True, True, False, False]
+    assert one.is_over
+    one.cut(7.0, 8.0)
+    assert (one.rows_left, one.ticks) == (0, (0, -1))
+
+
+def test_a_following_recording_is_on_the_clock_of_the_first_and_numbered_on() -> None:
+    first, second = arm([0, 1, 2], [0.0, 1.0, 2.0]), arm([1, 2], [0.0, 1.0], 10**18 + 5 * 10**9)
+    second.follow(first, first)
+    assert second.t.tolist() == [5.0, 6.0]
+    assert [second.number(sequence) for sequence in (1, 2)] == [3, 4]
+    assert first.number(2) == 2
+    assert second.start_ns - first.end_ns == 3 * 10**9
+    with pytest.raises(LogError, match=r"to begin after run\.mcap has ended at 2 s, got 1 s"):
+        arm([7], [0.0], 10**18 + 10**9).follow(first, first)
+
+
+def test_numbers_that_come_again_are_refused() -> None:
+    with pytest.raises(LogError, match="got 1 that come again"):
+        arm([3, 3], [0.0, 1.0])
+
+
+def test_the_channel_of_the_seconds() -> None:
+    channel = seconds_channel("/a/", {"armlab.t0_ns": "5"})
+    assert (channel.topic, channel.type) == ("/a/columns/t", "armlab_msgs/msg/Column")
+    assert set(channel.metadata) == {"column.t", "armlab.t0_ns"}
+    one = arm([4], [0.25])
+    message = one.arrive(4, 10**9)
+    assert message is not None
+    assert np.frombuffer(message[-8:], "<f8")[0] == 0.25
+
+
+def test_holes_of_the_recorder_are_told_where_they_are(tmp_path: Path, robot: Robot, rows: Callable) -> None:
+    with Recorder(tmp_path / "run.mcap", robot) as recorder:
+        for i in range(60):
+            state, command, tick = rows(i)
+            recorder.row(None if i in (20, 21, 40) else state, command, tick)  # type: ignore[arg-type]
+    assert inspect(recorder.path).summary["holes"] == [[20, 21, 2], [40, 40, 1]]
+    with opened_source(recorder.path) as source:
+        assert isinstance(source, Source)
+        assert (summary([source], "all")["rows"], summary([source], "all")["dropped"]) == (57, 3)
+        source.arms[0].cut(source.arms[0].rows.t[10], source.arms[0].rows.t[30])
+        told = summary([source], "between")
+    assert (told["rows"], told["dropped"], told["holes"]) == (20, 2, [[20, 21, 2, 20, "yumi_right"]])
+    assert told["source"][-1] == "between"
+
+
+def test_holes_stay_with_the_recording_that_has_them(tmp_path: Path, robot: Robot, rows: Callable) -> None:
+    """Both recordings begin with tick 0: in one file of both, a tick does not say whose it is."""
+    for name, first, lost in (("a", 0, ()), ("b", 60, (80, 81))):
+        with Recorder(tmp_path / f"{name}.mcap", robot) as recorder:
+            for i in range(first, first + 60):
+                state, command, tick = rows(i)
+                tick = tick._replace(number=i - first)
+                recorder.row(None if i in lost else state, command, tick)  # type: ignore[arg-type]
+    both = merge([tmp_path / "a.mcap", tmp_path / "b.mcap"], tmp_path / "both.mcap")
+    t = read(both).t
+    of_a = inspect(cut(both, tmp_path / "of_a.mcap", stop=t[59])).summary
+    of_b = inspect(cut(both, tmp_path / "of_b.mcap", start=t[61])).summary
+    assert (of_a["dropped"], of_a["holes"]) == (0, [])
+    assert (of_b["dropped"], of_b["holes"]) == (2, [[20, 21, 2, 80, "yumi_right"]])
+
+
+def test_holes_stay_with_the_arm_that_has_them(tmp_path: Path, rows: Callable) -> None:
+    """Both arms count the same ticks: in one file of both, a tick does not say whose it is."""
+    for name, lost in (("yumi_left", (20, 21)), ("yumi_right", (40,))):
+        with Recorder(tmp_path / f"{name}.mcap", robots.load(name)) as recorder:
+            for i in range(60):
+                state, command, tick = rows(i)
+                recorder.row(None if i in lost else state, command, tick)  # type: ignore[arg-type]
+    both = merge([tmp_path / "yumi_right.mcap", tmp_path / "yumi_left.mcap"], tmp_path / "both.mcap")
+    again = cut(both, tmp_path / "again.mcap")
+    for path in (both, again):
+        assert "2 rows were dropped while recording: ticks 20 to 21" in read(path, robot="yumi_left").notes
+        assert "1 rows were dropped while recording: ticks 40 to 40" in read(path, robot="yumi_right").notes
+
+
+def test_what_several_have_under_one_name_gets_a_number(recording: Callable[..., Path]) -> None:
+    first = recording(5, "a.mcap", attachments={"m.toml": b"1", "n": b"3"})
+    second = recording(5, "b.mcap", attachments={"m.toml": b"2", "n": b"3"}, note="other")
+    with opened_source(first) as a, opened_source(second) as b:
+        named = {name: data for _, name, _, data in attachments([a, b, a])}
+        assert {"m.toml": b"1", "m-2.toml": b"2", "n": b"3"}.items() <= named.items()
+        assert [name for name, _ in metadata([a, b, a])] == ["armlab", "armlab-2"]
+        assert a.start_ns == b.start_ns < a.end_ns
+
+
+def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n" + bytes(30))
+    with pytest.raises(LogError), opened_source(path):
+        pass

@@ -1,0 +1,153 @@
+"""Logs whose units or sides of the gears are mistaken."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.errors import NotExcited, ShapeError
+from armlab.identify import dither, prepare
+from armlab.log import Table
+from armlab.log.units_check import check_known, check_position, check_torque, check_velocity, has_moved
+from armlab.robots.couplings import joint_to_motor, joint_torque_to_motor
+
+
+def changed(table: Table, **columns: np.ndarray) -> Table:
+    return Table(table.t, {name: columns.get(name, table[name]) for name in ("q", "qd", "tau")})
+
+
+def test_time_that_runs_backwards_is_no_table(excited) -> None:
+    t = excited.t.copy()
+    t[4000] = t[3990]
+    with pytest.raises(ShapeError, match=r"strictly increasing times, got 15\.96 s in row 4000 after 15\.996 s"):
+        Table(t, dict(excited.values))
+    t[4000] = t[3999]
+    with pytest.raises(ShapeError, match=r"in row 4000 after.*drop these rows or sort by time"):
+        Table(t, dict(excited.values))
+
+
+def test_velocity_of_another_sign_unit_or_order(truth, excited) -> None:
+    robot, qd = truth.robot, excited["qd"]
+    for wrong, words in [
+        (-qd, r"axis_1 \(-1 times: sign\)"),
+        (np.rad2deg(qd), r"axis_1 \(57\.3 times: degrees per second\)"),
+        (-np.rad2deg(qd), r"\(-57\.3 times: degrees per second and sign\)"),
+        (joint_to_motor(robot, qd), r"axis_1 \(100 times: motor side, gear ratio 100\).*\(-101 times"),
+        (1e-3 * qd, r"0\.001 times: thousandths"),
+        (2.0 * qd, r"2 times: unit"),
+        (qd[:, [1, 0, *range(2, 7)]], r"axis_1 \(\S+ times: the column of axis_2 fits; joint order\)"),
+        (np.roll(qd, 100, axis=0), r"time stamps that are not those of q"),
+    ]:
+        with pytest.raises(ShapeError, match="derivative of q.*" + words + ".*Correct the column, or leave qd out"):
+            prepare(changed(excited, qd=wrong), robot)
+
+
+def test_velocity_check_alone(truth) -> None:
+    rng = np.random.default_rng(0)
+    slope = rng.standard_normal((100, 7))
+    moved = np.ones(7, dtype=bool)
+    check_velocity(slope, 1.05 * slope, moved, truth.robot)
+    with pytest.raises(ShapeError, match=r"1\.2 times"):
+        check_velocity(slope, 1.2 * slope, moved, truth.robot)
+
+
+def test_a_locked_joint_that_is_not_fitted_has_no_velocity_to_compare(truth, excited) -> None:
+    """Its position stands still and its velocity is noise: no derivative of anything, and no reason to refuse."""
+    q, qd = excited["q"].copy(), excited["qd"].copy()
+    q[:, 6], qd[:, 6] = 0.3, 1e-3 * np.random.default_rng(0).standard_normal(len(q))
+    for speed in (qd, np.where(np.arange(7) == 6, 0.0, qd)):
+        assert prepare(changed(excited, q=q, qd=speed), truth.robot, joints=range(6)).seconds > 29.0
+    with pytest.raises(NotExcited, match="axis_6"):
+        prepare(changed(excited, q=q, qd=qd), truth.robot)
+
+
+def test_positions_in_degrees_or_of_the_motors(truth, excited) -> None:
+    robot, q = truth.robot, excited["q"]
+    check_position(q, robot)
+    with pytest.raises(ShapeError, match=r"joint side.*axis_1 \(\S+, limit 2\.941: degrees or the motor's"):
+        check_position(np.rad2deg(q), robot)
+    with pytest.raises(ShapeError, match=r"gear ratio 100, see robots\.couplings\.motor_to_joint"):
+        prepare(changed(excited, q=joint_to_motor(robot, q)), robot)
+    slide = replace(robot, prismatic=np.arange(7) == 0)
+    with pytest.raises(ShapeError, match="millimetres, divide by 1000"):
+        check_position(q * np.array([1e3, 1, 1, 1, 1, 1, 1]), slide)
+    with pytest.raises(ShapeError, match="no known unit"):
+        check_position(1e6 * q, robot)
+
+
+def test_a_known_model_can_make_nothing_of_degrees_or_of_a_torque_that_is_not_measured(truth, excited) -> None:
+    robot, q, tau = truth.robot, excited["q"], excited["tau"]
+    torn = np.where(np.arange(len(q))[:, None] % 7 == 0, np.nan, q)
+    check_known(torn, tau, robot)
+    with pytest.raises(ShapeError, match=r"axis_1 \(\S+, limit 2\.941: degrees"):
+        check_known(np.rad2deg(torn), tau, robot)
+    with pytest.raises(NotExcited, match=r"got a constant for axis_1 \(constant torque\).*that the robot sends torque"):
+        check_known(q, np.zeros_like(tau), robot)
+
+
+def test_rest_glitches_a_dead_joint_and_joints_without_end_are_no_reason_to_refuse_an_estimate(truth, excited) -> None:
+    robot, q, tau = truth.robot, excited["q"], excited["tau"]
+    rows = np.arange(len(q))[:, None]
+    check_known(np.where(rows % 200 == 0, 1e6, q), tau, robot)
+    check_known(q, np.where(np.arange(7) == 2, 0.0, tau), robot)
+    check_known(np.tile(q[0], (100, 1)), np.zeros((100, 7)), robot)
+    check_known(np.full_like(q, np.nan), tau, robot)
+    check_known(q[:0], tau[:0], robot)
+    endless = robots.from_links("endless", robot.links)
+    check_known(100.0 * q, tau, endless)
+
+
+def test_a_joint_has_moved_by_a_degree_or_by_millimetres(truth) -> None:
+    slide = replace(truth.robot, prismatic=np.arange(7) == 0)
+    q = np.zeros((2, 7))
+    q[1] = [0.006, 0.006, 0.02, 0, 0, 0, 0]
+    np.testing.assert_array_equal(has_moved(q, slide), [True, False, True, False, False, False, False])
+
+
+def test_torque_of_the_motors_without_masses_in_the_robot_file(truth, excited) -> None:
+    """The arm is judged by its reach: at the motors of a gear of 100 it would hold itself up with a finger's force."""
+    robot = truth.robot
+    assert robot.inertias is None
+    with pytest.raises(ShapeError, match=r"motors' for .*axis_1 \(gear ratio 100\).*reach.*motor_torque_to_joint"):
+        prepare(changed(excited, tau=joint_torque_to_motor(robot, excited["tau"])), robot)
+    silent = replace(robot, coupling=np.eye(7))
+    with pytest.raises(ShapeError, match="Multiply it by the gear ratio, and give the robot its coupling"):
+        prepare(changed(excited, tau=excited["tau"] / 100), silent)
+
+
+@pytest.mark.parametrize("gear", [30.0, 100.0])
+def test_torque_of_the_motors_with_masses_in_the_robot_file(gear: float) -> None:
+    """Masses of a CAD drawing, wrong by a third and without friction, still tell a motor from a joint."""
+    robot = replace(robots.load("ur5e"), coupling=np.eye(6) / gear)
+    q, qd, qdd = dither(robot.q_home, 10.0, amplitude=0.6, frequency=0.2).sample(np.arange(0, 10, 0.008))
+    tau = robot.chain.rnea(q, qd, qdd, robot.gravity, 1.3 * robot.inertias) + 5.0 * np.sign(qd)
+    used = np.ones(6, dtype=bool)
+    check_torque(q, tau, used, robot)
+    check_torque(q, 0.4 * tau, used, robot)
+    with pytest.raises(ShapeError, match=rf"gear ratio {gear:g}\).*times what the weight of the links takes"):
+        check_torque(q, joint_torque_to_motor(robot, tau), used, robot)
+
+
+def test_an_arm_that_lifts_nothing_is_not_judged_by_its_weight(truth, excited) -> None:
+    """All axes upright: torque may be as small as it likes."""
+    links = np.tile(np.eye(4), (3, 1, 1))
+    links[1:, 0, 3] = 0.3
+    scara = robots.from_links("scara", links)
+    rng = np.random.default_rng(1)
+    q = rng.standard_normal((100, 2))
+    check_torque(q, 1e-6 * q, np.ones(2, dtype=bool), scara)
+
+
+def test_a_torque_that_hardly_ever_changes(truth, excited) -> None:
+    """Quantised to nothing: one value in most rows. A joint whose torque is not fitted may do so."""
+    tau = excited["tau"].copy()
+    tau[:, 6] = np.round(tau[:, 6] / 1.0)
+    tau[np.arange(len(tau)) % 10 != 0, 6] = 0.0
+    with pytest.raises(NotExcited, match=r"constant for axis_6 \(one torque in 9\d % of the rows\)") as caught:
+        prepare(changed(excited, tau=tau), truth.robot)
+    assert caught.value.directions == (truth.robot.joint_names[6],)
+    check_torque(excited["q"], tau, np.arange(7) < 6, truth.robot)
+    prepare(changed(excited, tau=tau), truth.robot, joints=range(6))
