@@ -5,8 +5,9 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 
+from armlab._palette import AXIS_COLORS
 from armlab.motion import duration_within, fit_dmp, within
-from armlab.plots.style import AXIS_COLORS, MODEL, look
+from armlab.plots.style import MODEL, look
 
 LIMITS = (1.0, 8.0)
 

@@ -12,7 +12,7 @@ from armlab import log, robots
 from armlab.cli import main
 from armlab.cli.plot_robots import manipulability, robot, workspace
 from armlab.log import Table
-from armlab.plots.arms import stick
+from armlab.plots.arm import stick
 
 
 def test_an_arm_at_home_and_through_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:

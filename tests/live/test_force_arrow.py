@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.lie import quaternion
-from armlab.live.force_arrow import ForceArrow, _towards, ellipsoid_axes, is_significant
+from armlab.live.scene import ForceArrow, _towards, ellipsoid_axes, is_significant
 
 TOOL = np.array([0.3, 0.1, 0.2])
 C = np.diag([1.0, 4.0, 9.0])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from armlab.live.bodies import arrow
-from armlab.live.node import Node, rgb, solid
+from armlab.live.scene import SceneNode, rgb, solid
 
 
 class Handle:
@@ -22,7 +22,7 @@ class Handle:
 
 def test_the_same_again_is_not_told() -> None:
     handle = Handle()
-    node = Node(handle)
+    node = SceneNode(handle)
     for position in ((0.0, 0.0, 1.0), (0.0, 0.0, 1.0), (0.0, 0.0, 2.0), (0.0, 0.0, 1.0)):
         node.set(position=position, color=(1, 2, 3))
     node.set(color=(3, 2, 1))

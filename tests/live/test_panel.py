@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from armlab import robots
-from armlab.live.panel import ArmPanel, Lines, Markup
+from armlab.live.curves import ArmPanel, Lines, Markup
 
 
 def test_words_are_escaped_and_sent_when_they_change(server: Any) -> None:

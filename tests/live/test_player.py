@@ -11,9 +11,8 @@ from armlab import robots
 from armlab.errors import LogError, ShapeError
 from armlab.kinematics import forward
 from armlab.lie import quaternion, se3
-from armlab.live.node import rgb
-from armlab.live.player import Player
-from armlab.live.recorded import Recorded
+from armlab.live.recording_view import Player, Recorded
+from armlab.live.scene import rgb
 from armlab.log import Table
 
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")

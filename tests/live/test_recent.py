@@ -1,17 +1,17 @@
-"""`Recent` keeps what a list of the last seconds would."""
+"""`RingBuffer` keeps what a list of the last seconds would."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from armlab.live.recent import Recent
+from armlab.live.curves import RingBuffer
 
 
 @pytest.mark.parametrize("step", [0.004, 0.033, 0.4, 20.0])
 def test_it_keeps_the_last_seconds(step: float) -> None:
     """Also when far more samples come than there is room for, and when each is older than the window."""
-    recent, all_t = Recent(2, 10.0), step * np.arange(6000)
+    recent, all_t = RingBuffer(2, 10.0), step * np.arange(6000)
     views = []
     for k, t in enumerate(all_t):
         recent.add(t, [k, -k])
@@ -28,7 +28,7 @@ def test_it_keeps_the_last_seconds(step: float) -> None:
 
 
 def test_it_begins_anew() -> None:
-    recent = Recent(1, 1.0)
+    recent = RingBuffer(1, 1.0)
     recent.add(5.0, [1.0])
     recent.clear()
     assert len(recent) == 0

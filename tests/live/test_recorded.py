@@ -11,7 +11,7 @@ import pytest
 from armlab import live, log, robots
 from armlab.errors import LogError, ModelMismatchError, RobotError
 from armlab.kinematics import forward
-from armlab.live.recorded import Recorded, read_arms
+from armlab.live.recording_view import Recorded, read_arms
 from armlab.log import Recorder, Table, Tick
 from armlab.models import TorqueModel
 from armlab.robots import Robot

@@ -11,7 +11,7 @@ import pytest
 from armlab import robots
 from armlab.contact import Estimator
 from armlab.errors import ConfigError, LinkError, ModelMismatchError, UnknownName
-from armlab.live.running import Force
+from armlab.live.live_bridge import Force
 from armlab.log import Table
 from armlab.models import TorqueModel
 from armlab.state import State

@@ -14,7 +14,7 @@ from armlab import robots
 from armlab.errors import MissingExtra
 from armlab.kinematics import forward
 from armlab.lie import quaternion, se3
-from armlab.live.running_view import RunningView, watch
+from armlab.live.live_bridge import RunningView, watch
 
 LOOKS = 1000  # frames; only a test that fails takes all
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")

@@ -12,8 +12,7 @@ from armlab import live, robots
 from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.kinematics import forward, link_transforms
 from armlab.lie import quaternion, se3
-from armlab.live.node import rgb
-from armlab.live.scene import ARROW, LINK_COLORS, TOOL_COLOR, Scene
+from armlab.live.scene import ARROW, LINK_COLORS, TOOL_COLOR, Scene, rgb
 from armlab.robots import Robot
 
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")

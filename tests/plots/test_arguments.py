@@ -8,7 +8,7 @@ import pytest
 from armlab.errors import ShapeError
 from armlab.log import Table
 from armlab.motion import ProMP
-from armlab.plots.arguments import expect
+from armlab.plots.style import expect
 
 
 def test_the_right_kind_passes_and_another_is_named() -> None:

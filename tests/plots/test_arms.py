@@ -15,7 +15,7 @@ import pytest
 from armlab import kinematics, robots
 from armlab.errors import RobotError, ShapeError
 from armlab.lie import se3
-from armlab.plots.arms import configurations, robot, stick
+from armlab.plots.arm import configurations, robot, stick
 from armlab.plots.style import JOINT_STYLES
 from armlab.robots import Robot
 

@@ -9,7 +9,7 @@ import pytest
 
 from armlab import calibrate, sim
 from armlab.errors import ShapeError
-from armlab.plots.calibrations import calibration
+from armlab.plots.calibration_quality import calibration
 
 
 @pytest.fixture(scope="module")

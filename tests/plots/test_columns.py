@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from armlab.errors import ShapeError, UnknownName
 from armlab.log import Column, Table
-from armlab.plots.columns import table
+from armlab.plots.recording import table
 from armlab.plots.style import JOINT_STYLES
 
 N = 40

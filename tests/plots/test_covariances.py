@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab.models import TorqueModel, velocity_covariance
-from armlab.plots import covariances
+from armlab.plots import model as covariances
 
 
 def test_lines_are_the_square_root_of_the_variance() -> None:

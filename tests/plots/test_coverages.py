@@ -7,7 +7,7 @@ import pytest
 
 from armlab.errors import ShapeError, UnknownName
 from armlab.log import Column, Table
-from armlab.plots.coverages import coverage, coverage_by_speed, observability
+from armlab.plots.contact import coverage, coverage_by_speed, observability
 
 N = 4000
 

@@ -7,7 +7,7 @@ import pytest
 
 from armlab import kinematics, robots
 from armlab.errors import RobotError, ShapeError, UnknownName
-from armlab.plots.ellipsoids import manipulability
+from armlab.plots.arm import manipulability
 
 
 @pytest.mark.parametrize("part", ["position", "rotation"])

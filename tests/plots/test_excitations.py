@@ -7,7 +7,7 @@ import pytest
 
 from armlab.errors import ShapeError
 from armlab.estimation import Excitation
-from armlab.plots.excitations import excitation
+from armlab.plots.model import excitation
 
 NAMES = ("mass", "offset", "gain")
 

@@ -7,7 +7,7 @@ import pytest
 
 from armlab.frames import Circle, Line, Plane, Sphere
 from armlab.plots import scene, space
-from armlab.plots.features import feature
+from armlab.plots.space import feature
 
 
 def part(ax, gid: str) -> list:

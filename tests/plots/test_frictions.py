@@ -10,7 +10,7 @@ from armlab.errors import ShapeError
 from armlab.estimation import Fit
 from armlab.log import Table
 from armlab.models import TorqueModel
-from armlab.plots.frictions import friction, own_parameters
+from armlab.plots.drives import friction, own_parameters
 
 
 def test_curve_band_and_points(fitted: Fit[TorqueModel], excited: Table, truth) -> None:

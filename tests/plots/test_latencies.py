@@ -7,7 +7,7 @@ import pytest
 
 from armlab.errors import ShapeError, UnknownName
 from armlab.log import Table
-from armlab.plots.latencies import latency
+from armlab.plots.recording import latency
 
 
 def test_every_tick_is_in_the_histogram() -> None:

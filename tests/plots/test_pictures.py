@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import pytest
 
 from armlab.errors import ConfigError
-from armlab.plots.pictures import png, show
+from armlab.plots.style import png, show
 
 
 def test_a_figure_and_its_axes_give_a_picture_of_the_size_asked_for_and_are_closed() -> None:

@@ -13,7 +13,7 @@ from armlab.glossary import label
 from armlab.motion import Dmp
 from armlab.plots import dmp as plot_dmp
 from armlab.plots import dmp_phase
-from armlab.plots.primitives import TAUGHT, demonstration
+from armlab.plots.motion import TAUGHT, demonstration
 
 T = np.linspace(0.0, 2.0, 101)
 

@@ -10,7 +10,7 @@ from armlab.errors import ShapeError, UnknownName
 from armlab.estimation import correlation_time
 from armlab.log import Table
 from armlab.models import velocity_covariance
-from armlab.plots.residuals import autocorrelation, residual_speed
+from armlab.plots.model import autocorrelation, residual_speed
 
 N = 3000
 

@@ -8,7 +8,7 @@ import pytest
 from armlab import kinematics, robots
 from armlab.errors import ShapeError
 from armlab.lie import se3
-from armlab.plots.scenes import pose_stack, scene
+from armlab.plots.space import pose_stack, scene
 
 T = se3.exp(np.linspace([0, 0, 0, 0, 0, 0], [1, 0.5, 0.3, 1, 2, 0.5], 40))
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
+from armlab._palette import AXIS_COLORS
 from armlab.errors import ShapeError
 from armlab.lie import se3
 from armlab.plots.space import AHEAD, AWAY, PROJECTION, arrow, equal_scale, extent, frame, solid, space, word
-from armlab.plots.style import AXIS_COLORS
 
 T = se3.exp([0.3, -0.2, 0.5, 0.4, -0.7, 1.1])
 

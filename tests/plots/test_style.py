@@ -9,21 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from armlab._palette import AXIS_COLORS, GREY
 from armlab.errors import ShapeError
-from armlab.plots.style import (
-    AXIS_COLORS,
-    GREY,
-    JOINT_STYLES,
-    MODEL,
-    band,
-    cloud,
-    envelope,
-    legend,
-    line,
-    look,
-    panels,
-    shade,
-)  # fmt: skip
+from armlab.plots.style import JOINT_STYLES, MODEL, band, cloud, envelope, legend, line, look, panels, shade
 
 
 def test_a_backend_that_turns_interactive_while_drawing_stays_so() -> None:

@@ -11,7 +11,7 @@ from armlab.errors import ModelMismatchError, ShapeError
 from armlab.estimation import Fit
 from armlab.log import Column, Table
 from armlab.models import TorqueModel
-from armlab.plots.torques import torque_fit, value_of
+from armlab.plots.model import torque_fit, value_of
 
 
 def test_each_joint_has_its_numbers(fitted: Fit[TorqueModel], excited: Table) -> None:

@@ -8,10 +8,10 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from armlab._palette import AXIS_COLORS
 from armlab.errors import ShapeError
 from armlab.lie import se3, so3
-from armlab.plots.style import AXIS_COLORS
-from armlab.plots.trajectories import poses
+from armlab.plots.recording import poses
 
 t = np.linspace(0, 2, 200)
 AXIS = np.array([0.6, 0.0, 0.8])

@@ -8,8 +8,7 @@ import pytest
 
 from armlab import robots
 from armlab.errors import ConfigError, RobotError, ShapeError
-from armlab.plots.arms import stick
-from armlab.plots.workspaces import workspace
+from armlab.plots.arm import stick, workspace
 
 
 def clouds(figure: plt.Figure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

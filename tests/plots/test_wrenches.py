@@ -6,11 +6,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
+from armlab._palette import AXIS_COLORS
 from armlab.contact import contacts
 from armlab.errors import ShapeError, UnknownName
 from armlab.log import Table
-from armlab.plots.style import AXIS_COLORS
-from armlab.plots.wrenches import wrench, wrenches
+from armlab.plots.contact import wrench, wrenches
 
 N = 1000
 

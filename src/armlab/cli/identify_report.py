@@ -119,7 +119,7 @@ def _residual_rows(fit: Fit[TorqueModel], trial: Trial) -> list[list[str]]:
 
 
 def _friction_rows(fit: Fit[TorqueModel], trial: Trial) -> list[list[str]]:
-    from armlab.plots.frictions import own_parameters
+    from armlab.plots.drives import own_parameters
 
     columns = {
         "viscous": ("viscous",),

@@ -1,4 +1,4 @@
-"""How good a calibration is: what is left per sample, whether it is noise, and how far the answer may be off."""
+"""Quality of a calibration: residuals per sample, their distribution, uncertainty of the parameters."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._palette import GREY
 from armlab.errors import ShapeError
 from armlab.estimation import Fit
-from armlab.plots.arguments import expect
-from armlab.plots.excitations import excitation
-from armlab.plots.style import GREY, JOINT_STYLES, look, panels
+from armlab.plots.model import excitation
+from armlab.plots.style import JOINT_STYLES, expect, look, panels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["calibration"]
 
 _SINGLE = ("distance", "pair distance", "point", "line")  # classes of noise of one number per sample
 _EDGE = 0.03  # of the width, left free beside the first and the last mark
