@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from armlab.cli.amounts import as_given, require_positive
+from armlab.cli.support.options import as_given, require_positive
 from armlab.errors import ConfigError, LogError, ShapeError
 
 

@@ -10,7 +10,7 @@ from scipy.io import savemat
 
 from armlab import log as logs
 from armlab import robots, sim
-from armlab.cli.calibrate_input import Samples, read_samples
+from armlab.cli.calibrate.samples import Samples, read_samples
 from armlab.errors import LogError
 from armlab.lie import quaternion
 from armlab.log import Column, Table

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from armlab import calibrate, sim
-from armlab.cli.calibrate_report import Wanted, judge, numbers
+from armlab.cli.calibrate.report import Wanted, judge, numbers
 from armlab.errors import ConfigError
 
 

@@ -11,9 +11,8 @@ from scipy.io import savemat
 
 from armlab import models, robots, sim
 from armlab.cli import main
-from armlab.cli.calibrate_input import Samples
-from armlab.cli.calibrate_report import Wanted
-from armlab.cli.calibrate_run import measured_rows, noise_of, run_fit, tool_poses
+from armlab.cli.calibrate.report import Wanted
+from armlab.cli.calibrate.samples import Samples, measured_rows, noise_of, run_fit, tool_poses
 from armlab.errors import ConfigError, LogError
 from armlab.kinematics import forward
 

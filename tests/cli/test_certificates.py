@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from armlab.cli import main
-from armlab.cli.certificates import USERS, write_certificates
+from armlab.cli.bridge import USERS, write_certificates
 from armlab.errors import ConfigError
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")

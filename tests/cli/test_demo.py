@@ -9,8 +9,7 @@ import pytest
 
 from armlab import robots
 from armlab.cli import main
-from armlab.cli.demo import PRESSES, Plan, demo, rehearse
-from armlab.cli.demo_report import judge
+from armlab.cli.demo import PRESSES, Plan, demo, judge, rehearse
 from armlab.errors import ControllerLate
 
 

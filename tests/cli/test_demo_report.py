@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.cli.demo import Plan
-from armlab.cli.demo_report import Verdict, figures, judge, latency_line
+from armlab.cli.demo import Plan, Verdict, figures, judge, latency_line
 from armlab.errors import LogError
 from armlab.log import Table
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from armlab import State, bridge, kinematics, robots
-from armlab.cli.dmp_playing import (
+from armlab.cli.dmp.playing import (
     OPTIONS,
     SETTLES,
     Motion,

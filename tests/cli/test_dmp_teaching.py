@@ -10,7 +10,7 @@ import pytest
 
 from armlab import kinematics, log, robots
 from armlab.cli import main
-from armlab.cli.dmp_teaching import (
+from armlab.cli.dmp.teaching import (
     KINDS,
     Demonstration,
     Window,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from armlab import identify
-from armlab.cli.estimate_report import judge, write
+from armlab.cli.estimate.report import judge, write
 from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, Estimator, contacts
 from armlab.log import Table
 from armlab.models import TorqueModel

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab import identify
-from armlab.cli.estimate_tables import AXES, axes, columns, contact_rows, limits, places, rows
+from armlab.cli.estimate.report import AXES, axes, columns, contact_rows, limits, places, rows
 from armlab.contact import Contact, Estimator, contacts, hypotheses
 from armlab.log import Table
 from armlab.models import TorqueModel

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from armlab import cli, log, models, robots
-from armlab.cli.fleet_logs import Job, estimate, export, identify
+from armlab.cli.fleet import Job, estimate, export, identify
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from armlab.cli import main
-from armlab.cli.help_text import WrappedHelp, unwrapped
+from armlab.cli.shell import WrappedHelp, unwrapped
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armlab.cli.identify_report import numbers, write
-from armlab.cli.identify_verdict import Trial, judge, try_out
+from armlab.cli.identify.report import Trial, judge, numbers, try_out, write
 from armlab.estimation import Fit
 from armlab.log import Table
 from armlab.models import TorqueModel
@@ -30,7 +29,7 @@ def test_the_page_tells_how_far_it_is(
     fitted: Fit[TorqueModel], trial: Trial, excited: Table, truth, monkeypatch, tmp_path
 ) -> None:
     drawings = [("First", "one", "caption", lambda: b"1"), ("Second", "two", "caption", lambda: b"2")]
-    monkeypatch.setattr("armlab.cli.identify_report._drawings", lambda *_: drawings)
+    monkeypatch.setattr("armlab.cli.identify.report._drawings", lambda *_: drawings)
     heard: list[tuple[float, float, str]] = []
     verdict = judge(fitted, truth.robot, [excited], trial)
     write(tmp_path / "id.html", fitted, verdict, trial, excited, "a log", lambda *words: heard.append(words))

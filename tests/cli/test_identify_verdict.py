@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armlab.cli.identify_verdict import Trial, judge, try_out
+from armlab.cli.identify.report import Trial, judge, try_out
 from armlab.estimation import Fit
 from armlab.log import Table
 from armlab.models import TorqueModel

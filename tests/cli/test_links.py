@@ -11,7 +11,7 @@ import pytest
 from armlab import log, robots
 from armlab.bridge.address import addresses
 from armlab.cli import main
-from armlab.cli.links import links_to, simulated
+from armlab.cli.support.options import links_to, simulated
 from armlab.errors import ConfigError, UnknownName
 from armlab.sim.scara import scara
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from armlab.cli.log_text import data_of, parameters_data, parameters_text, text_of
+from armlab.cli.log import data_of, parameters_data, parameters_text, text_of
 from armlab.log import Recorder, Table, inspect
 from armlab.robots import load
 

@@ -31,7 +31,7 @@ def test_help_imports_no_command() -> None:
         "print([m for m in sys.modules if m.startswith(('armlab.', 'numpy')) and m != 'armlab.cli'], file=sys.stderr)"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert result.stderr.strip() == "['armlab.errors', 'armlab._interrupts', 'armlab.cli.help_text']"
+    assert result.stderr.strip() == "['armlab.errors', 'armlab._interrupts', 'armlab.cli.shell']"
 
 
 def test_wrong_use_is_2_and_an_error_1_each_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:

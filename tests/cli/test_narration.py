@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from armlab.cli.narration import Narrator
+from armlab.cli.support.output import Narrator
 from armlab.log import Tick
 from armlab.state import State
 
@@ -32,7 +32,7 @@ def test_events_become_messages(capsys: Any) -> None:
 def test_a_warning_is_written_once() -> None:
     """Python's handler of last resort would write it again: seen in a process of its own, without pytest's handlers."""
     program = (
-        "import logging; from armlab.cli.narration import Narrator; narrator = Narrator()\n"
+        "import logging; from armlab.cli.support.output import Narrator; narrator = Narrator()\n"
         "logging.getLogger('armlab.bridge').warning('Twice.'); narrator.event('Twice.', warn=True)"
     )
     said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stderr

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armlab.cli.output import (
+from armlab.cli.support.output import (
     FIGURES,
     aligned,
     check_output,

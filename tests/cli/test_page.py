@@ -7,14 +7,14 @@ import re
 
 import pytest
 
-from armlab.cli.page import Page, Verdict
+from armlab.cli.support.html_report import HtmlReport, Verdict
 
 PIXEL = b"\x89PNG\r\n\x1a\n not really"
 
 
 @pytest.fixture
-def page() -> Page:
-    page = Page("Arm <1> & more", "a log & a model")
+def page() -> HtmlReport:
+    page = HtmlReport("Arm <1> & more", "a log & a model")
     page.verdict(Verdict(good=("It <fits>.",), bad=("Joint 7.",)))
     page.section("Per joint", "How to read it.")
     page.table([("joint", "RMS"), ("1", "0.5 & up")])
@@ -23,7 +23,7 @@ def page() -> Page:
     return page
 
 
-def test_the_words_are_there_and_none_of_them_is_markup(page: Page) -> None:
+def test_the_words_are_there_and_none_of_them_is_markup(page: HtmlReport) -> None:
     html = page.html()
     for words in (
         "Arm &lt;1&gt; &amp; more",
@@ -39,7 +39,7 @@ def test_the_words_are_there_and_none_of_them_is_markup(page: Page) -> None:
     assert '<meta charset="utf-8">' in html
 
 
-def test_figures_are_inside_and_nothing_is_asked_from_outside(page: Page) -> None:
+def test_figures_are_inside_and_nothing_is_asked_from_outside(page: HtmlReport) -> None:
     html = page.html()
     (data,) = re.findall(r'src="data:image/png;base64,([^"]+)"', html)
     assert base64.b64decode(data) == PIXEL
@@ -48,7 +48,7 @@ def test_figures_are_inside_and_nothing_is_asked_from_outside(page: Page) -> Non
 
 
 def test_a_table_fits_words_to_the_left_and_figures_whole() -> None:
-    page = Page("t", "a")
+    page = HtmlReport("t", "a")
     page.table([("joint", "friction [N m]", "where"), ("1", "0.5 ± 0.1", "point 100 %"), ("2", "nan", "-")])
     (table,) = page.pieces
     assert table.count("<th>") == 2
@@ -60,7 +60,7 @@ def test_a_table_fits_words_to_the_left_and_figures_whole() -> None:
 
 
 def test_long_tables_and_texts_open_with_a_click() -> None:
-    page = Page("t", "a")
+    page = HtmlReport("t", "a")
     page.table([("a",), ("1",)], "50 <numbers>")
     page.verbatim("long", "A text")
     assert page.pieces[0].startswith("<details><summary>50 &lt;numbers&gt;</summary><table>")
@@ -71,13 +71,13 @@ def test_a_verdict_has_only_the_parts_that_there_are() -> None:
     verdict = Verdict(good=("One.", "Two."), ahead=("Log more.",))
     assert verdict.text().splitlines() == ["good: One.", "good: Two.", "next: Log more."]
     assert [title for title, _ in verdict.parts] == ["Good", "Next"]
-    page = Page("t", "a")
+    page = HtmlReport("t", "a")
     page.verdict(verdict)
     assert "care" not in page.pieces[0]
     assert Verdict().text() == ""
 
 
-def test_writing_replaces_in_one_step(page: Page, tmp_path) -> None:
+def test_writing_replaces_in_one_step(page: HtmlReport, tmp_path) -> None:
     path = tmp_path / "report.html"
     path.write_text("old")
     page.write(path)

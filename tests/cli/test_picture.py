@@ -11,7 +11,18 @@ import pytest
 
 from armlab import kinematics, log, robots
 from armlab.cli import main
-from armlab.cli.picture import BESIDE, WHOLE, Joints, OwnRobot, Part, Picture, arm_of, joints_in, poses_in, torque_model
+from armlab.cli.support.figure_options import (
+    BESIDE,
+    WHOLE,
+    FigureFile,
+    Joints,
+    OwnRobot,
+    Part,
+    arm_of,
+    joints_in,
+    poses_in,
+    torque_model,
+)
 from armlab.errors import ConfigError, LogError, ModelMismatchError
 from armlab.lie import se3
 from armlab.log import Table
@@ -21,18 +32,18 @@ from armlab.models import TorqueModel, save
 def test_the_file_stands_beside_its_source(tmp_path: Path) -> None:
     assert BESIDE.path(tmp_path / "run.mcap", "wrench") == tmp_path / "run_wrench.png"
     assert BESIDE.path("ur5e", "workspace") == Path("ur5e_workspace.png")
-    assert Picture(tmp_path / "mine.svg").path("ur5e", "robot") == tmp_path / "mine.svg"
+    assert FigureFile(tmp_path / "mine.svg").path("ur5e", "robot") == tmp_path / "mine.svg"
 
 
 def test_names_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
     (tmp_path / "run_wrench.png").touch()
     with pytest.raises(ConfigError, match="--force"):
         BESIDE.path(tmp_path / "run.mcap", "wrench")
-    assert Picture(force=True).path(tmp_path / "run.mcap", "wrench").name == "run_wrench.png"
+    assert FigureFile(force=True).path(tmp_path / "run.mcap", "wrench").name == "run_wrench.png"
     with pytest.raises(ConfigError, match=r"\.png or \.svg or \.pdf"):
-        Picture(tmp_path / "a.jpg").path("ur5e", "robot")
+        FigureFile(tmp_path / "a.jpg").path("ur5e", "robot")
     with pytest.raises(ConfigError, match="folder"):
-        Picture(tmp_path / "none" / "a.png").path("ur5e", "robot")
+        FigureFile(tmp_path / "none" / "a.png").path("ur5e", "robot")
 
 
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from armlab import log
-from armlab.cli import main, plot_logs
+from armlab.cli import main
+from armlab.cli.plot import logs as plot_logs
 from armlab.lie import se3
 from armlab.log import Column, Table
 
@@ -39,7 +40,7 @@ def run(tmp_path: Path) -> Path:
 def drawn(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
     """What would have been written, by the name of the file."""
     found: dict[str, Any] = {}
-    monkeypatch.setattr("armlab.cli.output.save_figure", lambda figure, path: found.update({path.name: figure}))
+    monkeypatch.setattr("armlab.cli.support.output.save_figure", lambda figure, path: found.update({path.name: figure}))
     yield found
     plt.close("all")
 

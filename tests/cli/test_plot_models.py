@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from armlab import calibrate, identify, log, robots, sim
-from armlab.cli import main, plot_models
-from armlab.cli.picture import Part
+from armlab.cli import main
+from armlab.cli.plot import models as plot_models
+from armlab.cli.support.figure_options import Part
 from armlab.estimation import Fit
 from armlab.log import Table
 from armlab.models import TorqueModel
@@ -29,7 +30,7 @@ def files(fitted: Fit[TorqueModel], excited: Table, tmp_path_factory: pytest.Tem
 def drawn(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
     """What would have been written, by the name of the file."""
     found: dict[str, Any] = {}
-    monkeypatch.setattr("armlab.cli.output.save_figure", lambda figure, path: found.update({path.name: figure}))
+    monkeypatch.setattr("armlab.cli.support.output.save_figure", lambda figure, path: found.update({path.name: figure}))
     yield found
     plt.close("all")
 

@@ -11,7 +11,7 @@ import pytest
 
 from armlab import log
 from armlab.cli import main
-from armlab.cli.plot_motions import dmp, dmp_phase, two_dof
+from armlab.cli.plot.robots import dmp, dmp_phase, two_dof
 from armlab.log import Column, Table
 from armlab.motion import TwoDofDmp, fit_dmp, fit_periodic_dmp, fit_pose_dmp, fit_promp
 

@@ -10,14 +10,14 @@ import pytest
 
 from armlab import log, robots
 from armlab.cli import main
-from armlab.cli.plot_robots import manipulability, robot, workspace
+from armlab.cli.plot.robots import manipulability, robot, workspace
 from armlab.log import Table
 from armlab.plots.arm import stick
 
 
 def test_an_arm_at_home_and_through_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     found = {}
-    monkeypatch.setattr("armlab.cli.output.save_figure", lambda figure, path: found.update({path.name: figure}))
+    monkeypatch.setattr("armlab.cli.support.output.save_figure", lambda figure, path: found.update({path.name: figure}))
     monkeypatch.chdir(tmp_path)
     arm = robots.load("irb2400")
     q = np.linspace(np.zeros(6), np.ones(6), 20)

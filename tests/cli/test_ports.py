@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from armlab import robots
-from armlab.cli.ports import known_ports, ports_in
+from armlab.cli.support.options import known_ports, ports_in
 from armlab.errors import ConfigError
 
 

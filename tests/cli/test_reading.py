@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from armlab import identify, log, robots
-from armlab.cli.reading import doubts, gaps, left_out, read_log, reading_bar
+from armlab.cli.support.log_input import doubts, gaps, left_out, read_log, reading_bar
 from armlab.errors import LogError, ModelMismatchError
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from armlab.cli.settings import PREFIX, Settings, Told, load_settings, log_folder, user_file
+from armlab.cli.support.settings import PREFIX, Settings, Told, load_settings, log_folder, user_file
 from armlab.errors import ConfigError
 
 

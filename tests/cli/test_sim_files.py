@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armlab.cli.sim_files import Written, read_hand, read_operator
+from armlab.cli.sim import Written, read_hand, read_operator
 from armlab.errors import ConfigError, LogError
 
 HEADER = "t,fx,fy,fz,mx,my,mz\n"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from armlab import robots
-from armlab.cli.sim_options import Around, Content, FaultOptions, pair
+from armlab.cli.sim import Around, Content, FaultOptions, pair
 from armlab.errors import ConfigError, UnknownName
 from armlab.sim.fault_rates import FaultRates
 

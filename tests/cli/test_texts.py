@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from armlab.cli.texts import read_text
+from armlab.cli.support.settings import read_text
 from armlab.errors import ConfigError
 
 

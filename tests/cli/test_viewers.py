@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from armlab.cli.viewers import VIEWERS, Viewer, check_finished, chosen, started
+from armlab.cli.log import VIEWERS, Viewer, check_finished, chosen, started
 from armlab.errors import ConfigError, LogError, MissingExtra
 
 

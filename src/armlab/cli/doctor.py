@@ -48,8 +48,8 @@ def doctor(
     from armlab import robots
     from armlab.bridge.doctor import LONGEST, examine
     from armlab.cli import FAILED, SKIPPED
-    from armlab.cli.output import note, print_json, result
-    from armlab.cli.ports import known_ports, ports_in
+    from armlab.cli.support.options import known_ports, ports_in
+    from armlab.cli.support.output import note, print_json, result
     from armlab.errors import ConfigError
 
     arms = [robots.load(name) for name in robot]

@@ -102,10 +102,9 @@ def excite(
     """
     from armlab import log as logs
     from armlab import robots
-    from armlab.cli.amounts import as_given, require_positive
-    from armlab.cli.links import links_to
-    from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result, save_figure
-    from armlab.cli.settings import load_settings, log_folder
+    from armlab.cli.support.options import as_given, links_to, require_positive
+    from armlab.cli.support.output import FIGURES, check_output, note, print_json, progress, result, save_figure
+    from armlab.cli.support.settings import load_settings, log_folder
     from armlab.errors import ConfigError
     from armlab.identify import Trajectory, expectation
 
@@ -156,7 +155,7 @@ def _design(
     robot: Robot, motion: Motion, speed: float, joint: str | None, tell: Callable[[float, float, str], None]
 ) -> Trajectory:
     """Design a motion of all joints, or of one."""
-    from armlab.cli.picture import joints_in
+    from armlab.cli.support.figure_options import joints_in
     from armlab.identify import excitation, friction_run
 
     if joint is not None:
@@ -172,7 +171,7 @@ def _design(
 
 
 def _text(expected: Expectation) -> str:
-    from armlab.cli.output import aligned
+    from armlab.cli.support.output import aligned
 
     return f"{aligned(expected.rows(), right=(2, 3, 4))}\n{expected.excitation.text()}"
 
@@ -208,7 +207,7 @@ def _check_speed(robot: Robot, qd: np.ndarray, asked: float | None) -> None:
     """Refuse a motion that is faster than the settings allow and was not asked for: a limit would bend it."""
     import numpy as np
 
-    from armlab.cli.settings import load_settings
+    from armlab.cli.support.settings import load_settings
     from armlab.errors import ConfigError
 
     allowed, share = load_settings().settings.speed, float(np.max(np.abs(qd) / robot.qd_max))
@@ -223,7 +222,7 @@ def _run(robot: Robot, trajectory: Trajectory, url: str, log: Path, approach: fl
     """Run the motion over a link and record it; return the exit code."""
     from armlab import bridge
     from armlab.cli import FAILED
-    from armlab.cli.output import note, progress
+    from armlab.cli.support.output import note, progress
 
     with progress("excite") as tell, bridge.connect(url, robot) as link:
         done = link.run(trajectory.controller(approach), approach + trajectory.seconds, record=log, progress=tell)

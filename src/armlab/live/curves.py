@@ -19,12 +19,7 @@ _LEAST_ROWS = 256  # rows for which there is room at least
 
 
 class RingBuffer:
-    """Samples of the last seconds; adding one costs the same however many there are.
-
-    Parameters
-    ----------
-    width : numbers of a sample. seconds : before the newest sample; what is older is forgotten.
-    """
+    """Samples of the last seconds; adding one costs the same however many there are."""
 
     def __init__(self, width: int, seconds: float) -> None:
         self._table, self._seconds = np.empty((_LEAST_ROWS, 1 + width)), seconds
@@ -46,9 +41,7 @@ class RingBuffer:
     def add(self, t: float, values: ArrayLike) -> None:
         """Add a sample.
 
-        Parameters
-        ----------
-        t : [s], not before the last one. values : (width,).
+        `t`: [s], not before the last one. `values`: (width,).
         """
         if self._end == len(self._table):  # what is kept goes to the front of another array: views of this one stay
             kept = self._table[self._first :]
@@ -76,9 +69,7 @@ def envelope(t: np.ndarray, values: np.ndarray, stretches: int = _STRETCHES) -> 
     Stretches begin at whole multiples of their length, so that a window that slides does not flicker. Few samples are
     returned as they are. Stretches without a number are NaN.
 
-    Parameters
-    ----------
-    t : (N,) increasing [s]. values : (N, k). stretches : about how many.
+    `t`: (N,) increasing [s]. `values`: (N, k).
     """
     if len(t) <= 2 * stretches:
         return t, values
@@ -266,23 +257,13 @@ class Window:
 
 
 class Markup:
-    """Words in the panel; the same again sends nothing.
-
-    Parameters
-    ----------
-    gui : ``server.gui``.
-    """
+    """Words in the panel; the same again sends nothing."""
 
     def __init__(self, gui: Any) -> None:
         self._html, self._shown = gui.add_html(""), ""
 
     def show(self, content: str) -> None:
-        """Show what is HTML already.
-
-        Parameters
-        ----------
-        content : all of it.
-        """
+        """Show what is HTML already."""
         if content != self._shown:
             self._html.content = self._shown = content
 
@@ -292,20 +273,10 @@ class Markup:
 
 
 class Lines(Markup):
-    """Lines of text in the panel.
-
-    Parameters
-    ----------
-    gui : ``server.gui``.
-    """
+    """Lines of text in the panel."""
 
     def show(self, content: str) -> None:
-        """Show lines.
-
-        Parameters
-        ----------
-        content : as text.
-        """
+        """Show lines."""
         text = html.escape(content).replace("\n", "<br>")
         super().show(f"<div style='font-size:0.85em;margin:0.3em 0.8em'>{text}</div>")
 

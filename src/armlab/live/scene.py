@@ -24,27 +24,13 @@ if TYPE_CHECKING:
 
 
 class SceneNode:
-    """Remembers what it set: viser takes longer to find that a pose is the old one than to send a new one.
-
-    Parameters
-    ----------
-    handle : of the node; nobody else sets what is set here.
-
-    Attributes
-    ----------
-    handle : the same.
-    """
+    """Remembers what it set: viser takes longer to find that a pose is the old one than to send a new one."""
 
     def __init__(self, handle: Any) -> None:
         self.handle, self._set = handle, dict[str, tuple[float, ...]]()
 
     def set(self, **values: tuple[float, ...]) -> None:
-        """Set attributes of the handle: ``position``, ``wxyz``, ``scale`` or ``color``.
-
-        Parameters
-        ----------
-        values : by name.
-        """
+        """Set attributes of the handle: ``position``, ``wxyz``, ``scale`` or ``color``."""
         for name, value in values.items():
             if self._set.get(name) != value:
                 setattr(self.handle, name, value)
@@ -52,22 +38,12 @@ class SceneNode:
 
 
 def solid(scene: Any, name: str, body: Body, color: str) -> Any:
-    """Add a body and return viser's handle of it.
-
-    Parameters
-    ----------
-    scene : ``server.scene``. name : of the node. body : in its axes. color : such as "#0072B2".
-    """
+    """Add a body and return viser's handle of it."""
     return scene.add_mesh_simple(name, body.vertices.astype(np.float32), body.faces.astype(np.uint32), color=rgb(color))
 
 
 def rgb(color: str) -> tuple[int, int, int]:
-    """Return red, green and blue, 0 to 255, of a colour such as "#0072B2".
-
-    Parameters
-    ----------
-    color : as in style sheets.
-    """
+    """Return red, green and blue, 0 to 255, of a colour such as "#0072B2"."""
     red, green, blue = bytes.fromhex(color.removeprefix("#"))
     return red, green, blue
 
@@ -78,12 +54,7 @@ _SHORTEST, _FULL = 1e-3, 0.15  # m: a shorter arrow is not drawn, or thinner
 
 
 class ForceArrow:
-    """Arrow and ellipsoid; both are grey while zero lies inside the 95 % ellipsoid.
-
-    Parameters
-    ----------
-    scene : ``server.scene``. root : name of the node in whose axes forces are.
-    """
+    """Arrow and ellipsoid; both are grey while zero lies inside the 95 % ellipsoid."""
 
     def __init__(self, scene: Any, root: str) -> None:
         self._arrow = SceneNode(solid(scene, f"{root}/force", arrow(), VERMILION))
@@ -101,10 +72,8 @@ class ForceArrow:
     def show(self, tool: np.ndarray, force: np.ndarray | None, covariance: np.ndarray | None, unit: float) -> None:
         """Draw a force; nothing where it is missing or NaN.
 
-        Parameters
-        ----------
-        tool : (3,) where it acts [m]. force : (3,) [N]. covariance : (3, 3) of it; no ellipsoid where it is missing.
-        unit : length of a force [m/N].
+        `tool`: (3,) where it acts [m]. `force`: (3,) [N]. `covariance`: (3, 3) of it; no ellipsoid where it is
+        missing. `unit`: length of a force [m/N].
         """
         if force is None or not np.isfinite(force).all():
             self.hide()
@@ -134,10 +103,6 @@ def ellipsoid_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the axes (3, 3), columns of a rotation, and half axes (3,) of the two-sigma ellipsoid.
 
     ``{x : x^T C^-1 x = 4}``.
-
-    Parameters
-    ----------
-    covariance : (3, 3).
     """
     size, axes = np.linalg.eigh(covariance)
     if np.linalg.det(axes) < 0.0:
@@ -148,9 +113,7 @@ def ellipsoid_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def is_significant(force: np.ndarray, axes: np.ndarray, half: np.ndarray) -> bool:
     """Return whether zero lies outside the 95 % ellipsoid of a force: ``f^T C^-1 f >= 7.81``.
 
-    Parameters
-    ----------
-    force : (3,). axes, half : of its two-sigma ellipsoid; half axes of zero are no doubt at all.
+    `force`: (3,).
     """
     return bool(4.0 * np.sum((force @ axes / np.maximum(half, _SURE)) ** 2) >= _ZERO_OUTSIDE)
 

@@ -73,13 +73,7 @@ def robot(
 
 
 def configurations(robot: Robot, q: ArrayLike | None) -> np.ndarray:
-    """Return the configurations (N, n) to draw; the robot's home for None.
-
-    Raises
-    ------
-    ShapeError : the shape is neither (n,) nor (N, n), or a number is not finite.
-    RobotError : something else came in place of a robot, such as its name.
-    """
+    """Return the configurations (N, n) to draw; the robot's home for None."""
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
     q = robot.q_home if q is None else numbers(q, "q", ShapeError)

@@ -194,16 +194,7 @@ def coverage(table: Table, ax: Any = None) -> Axes:
 
 
 def coverage_by_speed(table: Table) -> tuple[tuple[str, ...], np.ndarray]:
-    """Return the names of joints or axes and the share (k, 5) of their errors inside two sigma, per bin of speed.
-
-    Parameters
-    ----------
-    table : as of `coverage`.
-
-    Raises
-    ------
-    UnknownName : as of `coverage`.
-    """
+    """Return the names of joints or axes and the share (k, 5) of their errors inside two sigma, per bin of speed."""
     expect(table, Table)
     if "qd" not in table:
         raise UnknownName.among("column of a coverage figure", "qd", table.names)

@@ -119,12 +119,7 @@ def _parameter_variance(fit: Fit[TorqueModel], i: int, qd: np.ndarray) -> np.nda
 
 
 def own_parameters(fit: Fit[TorqueModel]) -> list[dict[str, int]]:
-    """Return, for each joint, the place of each friction parameter in the fit: {"viscous": 45, "coulomb+": 46, ...}.
-
-    Parameters
-    ----------
-    fit : of `identify.fit_dynamics`: after the base parameters, those of each joint begin with viscous.
-    """
+    """Return, for each joint, the place of each friction parameter in the fit: {"viscous": 45, "coulomb+": 46, ...}."""
     joints: list[dict[str, int]] = []
     for place in range(len(fit.value.base_names), len(fit.names)):
         kind = fit.names[place].split()[0]

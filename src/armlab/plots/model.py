@@ -67,12 +67,7 @@ def torque_fit(fit: Fit[TorqueModel] | TorqueModel, table: Table, ax: Any = None
 
 
 def value_of(fit: Fit[TorqueModel] | TorqueModel) -> TorqueModel:
-    """Return the torque model of a fit, or the model itself.
-
-    Raises
-    ------
-    ModelMismatchError : something else, such as the path of a file.
-    """
+    """Return the torque model of a fit, or the model itself."""
     model = fit.value if isinstance(fit, Fit) else fit
     if not isinstance(model, TorqueModel):
         raise ModelMismatchError.no_model(model)

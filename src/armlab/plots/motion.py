@@ -108,16 +108,7 @@ def dmp_phase(dmp: Dmp, ax: Any = None) -> Axes:
 
 
 def demonstration(demo: tuple[ArrayLike, ArrayLike], n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (N,) from 0 and positions (N, n) of a demonstration.
-
-    Parameters
-    ----------
-    demo : times and positions. n : number of coordinates.
-
-    Raises
-    ------
-    ShapeError : another shape, times that do not rise.
-    """
+    """Return times (N,) from 0 and positions (N, n) of a demonstration."""
     t, y = (numbers(part, name, ShapeError) for part, name in zip(demo, ("demo times", "demo positions"), strict=True))
     if t.ndim != 1 or len(t) < 2 or y.shape != (len(t), n) or not (np.diff(t) > 0).all():
         raise ShapeError(

@@ -37,14 +37,7 @@ _ACROSS = ((0.0, 0.3, 0.7), (0.4, 0.0, 0.6), (0.6, 0.4, 0.0))  # parts of the si
 def space(ax: Any = None, *, width: float = 6.4, height: float = 5.4) -> tuple[Figure, Axes3D]:
     """Return a figure and its three-dimensional axes in metres: new ones, or those the caller gave.
 
-    Parameters
-    ----------
-    ax : three-dimensional Axes; None makes a new figure.
-    width, height : of the figure, in inches.
-
-    Raises
-    ------
-    ShapeError : the given Axes are flat, or several.
+    `ax`: three-dimensional Axes; None makes a new figure.
     """
     if ax is None:
         import matplotlib.pyplot as plt
@@ -72,14 +65,7 @@ def extent(ax: Axes3D) -> np.ndarray:
 
 
 def equal_scale(ax: Axes3D, part: float = 0.84, ticks: int = 7) -> None:
-    """Give the three axes one scale and room for everything drawn so far.
-
-    Parameters
-    ----------
-    ax : axes with something in them.
-    part : of the panel that the box fills; the rest is for labels.
-    ticks : most intervals along the longest side.
-    """
+    """Give the three axes one scale and room for everything drawn so far."""
     from matplotlib.ticker import MaxNLocator, MultipleLocator
     from mpl_toolkits.mplot3d.proj3d import proj_transform
 
@@ -106,14 +92,8 @@ def frame(
 ) -> None:
     """Draw a frame: x, y and z as arrows in their colours, lettered, and its name.
 
-    Parameters
-    ----------
-    ax : axes to draw into.
-    T : (4, 4) pose of the frame in the axes of the figure.
-    length : of each arrow [m].
-    name : of the frame.
-    letters : write x, y, z at the ends; without, they are plain lines.
-    place : (3,) of the name, in the frame and in lengths of an arrow.
+    `T`: (4, 4) pose of the frame in the axes of the figure. `length`: of each arrow [m]. `place`: (3,) of the name,
+    in the frame and in lengths of an arrow.
     """
     p, R = T[:3, 3], T[:3, :3]
     for i, color in enumerate(AXIS_COLORS):
@@ -142,15 +122,7 @@ def word(ax: Axes3D, place: np.ndarray, text: str, **style: Any) -> None:
 
 
 def solid(ax: Axes3D, faces: np.ndarray, color: Any, **style: Any) -> None:
-    """Draw lit faces (N, corners, 3) [m].
-
-    Parameters
-    ----------
-    ax : axes to draw into.
-    faces : (N, corners, 3) corners of each face [m].
-    color : one colour, or one per face.
-    style : passed to ``Poly3DCollection``.
-    """
+    """Draw lit faces (N, corners, 3) [m]."""
     from matplotlib.colors import LightSource, to_rgba_array
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -196,13 +168,7 @@ _NORMAL = 0.3  # length of a normal over the size of the scene
 def feature(ax: Axes3D, item: Line | Plane | Circle | Sphere, size: float, color: str) -> None:
     """Draw a feature, as large as a scene of that size asks for.
 
-    Parameters
-    ----------
-    ax : axes to draw into.
-    item : a line gets its direction and, where it is near, its foot; a plane is a patch with its normal; a circle has a
-        mark at its centre; a sphere is three great circles.
-    size : largest side of the scene [m]; planes and lines have no size of their own.
-    color : of all of it.
+    `size`: largest side of the scene [m]; planes and lines have no size of their own.
     """
     if isinstance(item, Line):
         start = item.centroid - 0.5 * size * item.v
@@ -286,12 +252,7 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
 
 
 def pose_stack(T: Any, name: str = "T") -> np.ndarray:
-    """Return poses (N, 4, 4) as float64; NaN is a missing pose.
-
-    Raises
-    ------
-    ShapeError : another shape, or a matrix that is no pose.
-    """
+    """Return poses (N, 4, 4) as float64; NaN is a missing pose."""
     T = numbers(T, f"poses {name}", ShapeError)
     if T.ndim != 3 or T.shape[1:] != (4, 4):
         raise ShapeError(f"Expected poses {name} of shape (N, 4, 4), got {T.shape}.")

@@ -59,16 +59,7 @@ def panels(
 ) -> tuple[Figure, np.ndarray]:
     """Return a figure and its axes (rows, columns): new ones, or those the caller gave.
 
-    Parameters
-    ----------
-    rows, columns : panels.
-    ax : one Axes or an array of rows x columns of them; None makes a new figure.
-    width, height : of the figure, and of one row, in inches.
-    layout : passed to ``matplotlib.pyplot.subplots``.
-
-    Raises
-    ------
-    ShapeError : another number of Axes than panels.
+    `ax`: one Axes or an array of rows x columns of them; None makes a new figure.
     """
     if ax is None:
         import matplotlib.pyplot as plt
@@ -172,16 +163,7 @@ _MAKERS = {
 
 
 def expect(value: object, kind: type) -> None:
-    """Refuse what is not of the kind that a figure draws.
-
-    Parameters
-    ----------
-    value : what came. kind : class of what is drawn.
-
-    Raises
-    ------
-    ShapeError : it is of another kind; says where the right one comes from.
-    """
+    """Refuse what is not of the kind that a figure draws."""
     if not isinstance(value, kind):
         raise ShapeError(f"Expected {kind.__name__} to draw, got {shortened(value)}. {_MAKERS[kind.__name__]}.")
 

@@ -1,0 +1,3 @@
+"""What the commands share: options, settings, output, reports, figures, the log of a command."""
+
+__all__ = []
