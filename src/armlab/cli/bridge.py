@@ -201,18 +201,6 @@ def write_certificates(folder: Path, hosts: Sequence[str] = ()) -> list[Path]:
     ``lab.pem`` goes to everybody, ``bridge.pem``, ``bridge.key`` and ``users.txt`` stay with the bridge (and with a
     router of the lab), ``USER.secret`` goes to whom it is for; ``lab.key`` signs more bridges and goes nowhere. Keys
     and passwords are readable by their owner alone. An authority or users that are there are kept.
-
-    Parameters
-    ----------
-    folder : where to. hosts : names and addresses under which the bridge is reached; this computer always is.
-
-    Returns
-    -------
-    The files that were written.
-
-    Raises
-    ------
-    ConfigError : no ``openssl``, a name that is none, or a folder that cannot be written.
     """
     names = ["localhost", "127.0.0.1", *hosts]
     for name in names:

@@ -49,23 +49,15 @@ PRESSES: tuple[tuple[str, int, float], ...] = (
 
 @dataclass(frozen=True)
 class Plan:
-    """What the demo does: motions and presses, in seconds of guidance time of the second run.
+    """What the demo does: motions and presses, in seconds of guidance time of the second run."""
 
-    Attributes
-    ----------
-    excitation, test : motions of the two runs.
-    presses : name, axis, force [N], start and end of the full force.
-    free, sway, rest : windows of the second run.
-    times, wrenches : (K,), (K, 6) corners of the operator's wrench.
-    """
-
-    excitation: Trajectory
+    excitation: Trajectory  # excitation, test: motions of the two runs
     test: Trajectory
-    presses: tuple[tuple[str, int, float, float, float], ...]
-    free: tuple[float, float]
+    presses: tuple[tuple[str, int, float, float, float], ...]  # name, axis, force [N], start and end of the full force
+    free: tuple[float, float]  # free, sway, rest: windows of the second run
     sway: tuple[float, float]
     rest: tuple[float, float]
-    times: np.ndarray
+    times: np.ndarray  # times, wrenches: (K,), (K, 6) corners of the operator's wrench
     wrenches: np.ndarray
 
     @classmethod
@@ -162,19 +154,7 @@ def demo(
 
 
 def rehearse(robot_name: str, seed: int, folder: Path, fast: bool, view: bool = False) -> dict[str, Any]:
-    """Run both motions over EGM and return plan, fit, run and the table of the estimate.
-
-    Parameters
-    ----------
-    robot_name : name in the library, or a robot file.
-    seed : of motions and noise.
-    folder : new folder for the logs and the model.
-    fast : lockstep. view : show it in the browser.
-
-    Raises
-    ------
-    ConfigError : when the folder exists. LinkError : when the view cannot begin.
-    """
+    """Run both motions over EGM and return plan, fit, run and the table of the estimate."""
     import numpy as np
 
     from armlab import log, robots
@@ -260,26 +240,17 @@ AXES = "xyz"
 
 @dataclass(frozen=True)
 class Verdict:
-    """How the estimate compares with the operator's forces.
+    """How the estimate compares with the operator's forces."""
 
-    Attributes
-    ----------
-    presses : name, true force, estimated force (x, y, z) [N], 2-sigma along the press [N], error along the press [N].
-    rms, free_rms : (3,) error with the operator and in free motion [N], where the axis is seen.
-    coverage : share of force samples inside 2 sigma while the arm sways and the operator presses.
-    rest_inside : share of samples at rest inside 2 sigma. rest_band : their mean 2-sigma (3,) [N].
-    holes : share of the cycles of the sway that have no estimate.
-    missed : bars that are not met, in words.
-    """
-
+    # name, true force, estimated force (x, y, z) [N], 2-sigma along the press [N], error along the press [N]
     presses: tuple[dict[str, Any], ...]
-    rms: np.ndarray
+    rms: np.ndarray  # rms, free_rms: (3,) error with the operator and in free motion [N], where the axis is seen
     free_rms: np.ndarray
-    coverage: float
-    rest_inside: float
-    rest_band: np.ndarray
-    holes: float
-    missed: tuple[str, ...] = field(default=())
+    coverage: float  # share of force samples inside 2 sigma while the arm sways and the operator presses
+    rest_inside: float  # share of samples at rest inside 2 sigma
+    rest_band: np.ndarray  # their mean 2-sigma (3,) [N]
+    holes: float  # share of the cycles of the sway that have no estimate
+    missed: tuple[str, ...] = field(default=())  # targets that are not met, in words
 
     @property
     def passed(self) -> bool:
@@ -317,16 +288,7 @@ class Verdict:
 def judge(table: Table, plan: Plan) -> Verdict:
     """Compare the recorded live estimate with the operator's forces.
 
-    Parameters
-    ----------
-    table : log of the second run, with wrench_hat, wrench_hat_cov, observability and session_t.
-    plan : what the operator did.
-
-    Raises
-    ------
-    LogError : when the run ended before the last press.
-
-    Cycles without an estimate do not count; more than MAX_HOLES of them miss a bar.
+    Cycles without an estimate do not count; more than MAX_HOLES of them miss a target.
     """
     import numpy as np
 
@@ -401,14 +363,7 @@ def latency_line(run: Any) -> str:
 
 
 def figures(folder: Path, outcome: dict[str, Any], verdict: Verdict) -> list[Path]:
-    """Write torque.png, wrench.png and summary.json into the folder; return all its files.
-
-    Parameters
-    ----------
-    folder : of the demo.
-    outcome : of `rehearse`.
-    verdict : of `judge`.
-    """
+    """Write torque.png, wrench.png and summary.json into the folder; return all its files."""
     from armlab import log, plots
 
     plan, table = outcome["plan"], outcome["estimate"]

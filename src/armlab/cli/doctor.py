@@ -71,12 +71,7 @@ def disk(
     sync: Callable[[int], None] = os.fsync,
     free: Callable[[Path], int] = lambda folder: shutil.disk_usage(folder).free,
 ) -> Finding:
-    """Measure the disk on which a log would be written: speed, how long a sync takes, hours of room.
-
-    Parameters
-    ----------
-    folder : of the log. sync : brings a file to the disk. free : bytes left.
-    """
+    """Measure the disk on which a log would be written: speed, how long a sync takes, hours of room."""
     from armlab.bridge.findings import Finding
 
     syncs: list[float] = []

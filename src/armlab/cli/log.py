@@ -292,13 +292,7 @@ _EVENTS_SHOWN = 20
 
 
 def data_of(file: Path, kind: str, held: Inspection | None, tables: Mapping[str, Table]) -> dict[str, Any]:
-    """Return what is shown of a log, for scripts.
-
-    Parameters
-    ----------
-    file : the log. kind : its format. held : of a recording, what it holds besides its tables.
-    tables : one by robot, by topic of another program's log, under "" where there is one only.
-    """
+    """Return what is shown of a log, for scripts."""
     told = [_table_data(table) for table in tables.values()]
     several = "robots" if held and held.robots else "tables"
     rows = told[0] if list(tables) == [""] else {several: dict(zip(tables, told, strict=True))}
@@ -452,19 +446,13 @@ def _column_rows(table: Table) -> list[tuple[str, ...]]:
 
 @dataclass(frozen=True, slots=True)
 class Viewer:
-    """A program that opens MCAP files.
+    """A program that opens MCAP files."""
 
-    Attributes
-    ----------
-    title, program : its name, and that of its command. arguments : before the file. source : how one gets it.
-    remark : what one should know before it opens.
-    """
-
-    title: str
+    title: str  # title, program: its name, and that of its command
     program: str
-    arguments: tuple[str, ...]
-    source: str
-    remark: str = ""
+    arguments: tuple[str, ...]  # before the file
+    source: str  # how one gets it
+    remark: str = ""  # what one should know before it opens
 
 
 VIEWERS = {
@@ -481,12 +469,7 @@ VIEWERS = {
 
 
 def check_finished(file: Path) -> None:
-    """Check that a file is a recording that was finished: these programs need its end.
-
-    Raises
-    ------
-    LogError : it is not; says what to do.
-    """
+    """Check that a file is a recording that was finished: these programs need its end."""
     from armlab import log as logs
 
     if not logs.inspect(file).finished:
@@ -497,16 +480,7 @@ def check_finished(file: Path) -> None:
 
 
 def chosen(wanted: Sequence[str]) -> tuple[Viewer, str]:
-    """Return the program to open a recording with, and where it is.
-
-    Parameters
-    ----------
-    wanted : names of viewers; none for the first that is installed.
-
-    Raises
-    ------
-    ConfigError : several. MissingExtra : it is not installed; says which are, and how to get one.
-    """
+    """Return the program to open a recording with, and where it is."""
     if len(wanted) > 1:
         raise ConfigError(f"Expected one program to open the log with, got {' and '.join(wanted)}. Leave one out.")
     places = {name: shutil.which(viewer.program) for name, viewer in VIEWERS.items()}

@@ -100,16 +100,7 @@ In this order: automatic mode or manual with the enabling device; motors on; RAP
 
 
 def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] | None]:
-    """Return the controller in a file, and the columns that the file declares as `extra`, None without them.
-
-    Parameters
-    ----------
-    place : ``FILE.py:NAME``; ``FILE.py`` alone means the function `controller`. The file may import its neighbours.
-
-    Raises
-    ------
-    ConfigError : no such file, no such name in it, or it is not callable. What the file itself raises is its cause.
-    """
+    """Return the controller in a file, and the columns that the file declares as `extra`, None without them."""
     from importlib.util import module_from_spec, spec_from_file_location
 
     from armlab.errors import ConfigError

@@ -14,12 +14,7 @@ _BREAK_IN_PARAGRAPH = re.compile(r"(?<=\S)[ \t]*\n(?![\s*-])")
 
 
 def unwrapped(text: str) -> str:
-    """Return a text whose paragraphs are one line each; empty lines, lists and indented lines stay.
-
-    Parameters
-    ----------
-    text : as it stands in a docstring.
-    """
+    """Return a text whose paragraphs are one line each; empty lines, lists and indented lines stay."""
     return _BREAK_IN_PARAGRAPH.sub(" ", text)
 
 

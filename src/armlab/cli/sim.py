@@ -16,7 +16,6 @@ from cyclopts import Parameter
 
 from armlab._interrupts import deferred
 from armlab.cli import FAILED, INTERRUPTED
-from armlab.cli.support.settings import read_text
 from armlab.errors import ConfigError, LogError
 from armlab.sim.fault_rates import FaultRates
 from armlab.sim.mismatch import Mismatch
@@ -103,16 +102,7 @@ class Content:
             )
 
     def names(self, robots: Sequence[str], count: int) -> tuple[str, ...]:
-        """Return the names of the robots.
-
-        Parameters
-        ----------
-        robots : names given. count : of the addresses.
-
-        Raises
-        ------
-        ConfigError : both names and axes.
-        """
+        """Return the names of the robots."""
         if self.axes and robots:
             raise ConfigError(f"Expected names of robots or --axes, got both: {', '.join(robots)} and {self.axes}.")
         return (_AXES[self.axes],) * count if self.axes else tuple(robots)
@@ -150,17 +140,7 @@ class Around:
     rapid: str = "running"
 
     def scene(self, robot: Robot, index: int, seed: list[int], external: int) -> Scene:
-        """Return what happens around one robot.
-
-        Parameters
-        ----------
-        robot : its description. index : 0 for the first, which the files are for. seed : of a random hand.
-        external : number of external axes.
-
-        Raises
-        ------
-        ConfigError, UnknownName : a file or a state that makes no sense.
-        """
+        """Return what happens around one robot."""
         from armlab.sim import MOTORS, RAPID, Grip, HandPath, Operator, Scene, Script
 
         operator = Operator.idle() if self.operator is None or index else read_operator(self.operator)
@@ -170,16 +150,7 @@ class Around:
 
 
 def pair(name: str, text: str) -> tuple[float, float]:
-    """Return the two numbers of an option.
-
-    Parameters
-    ----------
-    name : of the option, for the message. text : as typed, "1,2".
-
-    Raises
-    ------
-    ConfigError : the text is not two numbers.
-    """
+    """Return the two numbers of an option."""
     words = text.split(",")
     try:
         first, second = (float(word) for word in words)
@@ -193,16 +164,7 @@ _SHOWN = 80  # characters of a wrong line that a message quotes
 
 
 def read_operator(path: Path) -> Operator:
-    """Return the operator described by a CSV file with the header ``t,fx,fy,fz,mx,my,mz``.
-
-    Parameters
-    ----------
-    path : the file; one row per time, times increasing.
-
-    Raises
-    ------
-    ConfigError : when the file cannot be read or a row is wrong; names file and line.
-    """
+    """Return the operator described by a CSV file with the header ``t,fx,fy,fz,mx,my,mz``."""
     from armlab.sim.operator import Operator
 
     table = _read(path, _OPERATOR, "an operator file")
@@ -210,16 +172,7 @@ def read_operator(path: Path) -> Operator:
 
 
 def read_hand(path: Path, n: int) -> HandPath:
-    """Return the path of a hand described by a CSV file with the header ``t,q1,q2,...``.
-
-    Parameters
-    ----------
-    path : the file; at least two rows, times increasing. n : number of joints.
-
-    Raises
-    ------
-    ConfigError : when the file cannot be read or a row is wrong; names file and line.
-    """
+    """Return the path of a hand described by a CSV file with the header ``t,q1,q2,...``."""
     from armlab.sim.hand import HandPath
 
     table = _read(path, ("t", *(f"q{i + 1}" for i in range(n))), "a hand path")
@@ -231,6 +184,8 @@ def read_hand(path: Path, n: int) -> HandPath:
 def _read(path: Path, names: Sequence[str], what: str) -> np.ndarray:
     """Return the numbers of a CSV file whose first column is a time that increases."""
     import numpy as np
+
+    from armlab.cli.support.settings import read_text
 
     header, *lines = read_text(path, what).splitlines() or [""]
     if tuple(word.strip() for word in header.split(",")) != tuple(names):
@@ -259,16 +214,7 @@ def _numbers(words: Iterable[str]) -> list[float]:
 
 
 class Written:
-    """A text file that is written from its beginning; what goes wrong names it.
-
-    Parameters
-    ----------
-    path : the file.
-
-    Raises
-    ------
-    LogError : it cannot be opened, written or closed, as on a full disk; also from its methods.
-    """
+    """A text file that is written from its beginning; what goes wrong names it."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -283,12 +229,7 @@ class Written:
             self._file.close()
 
     def write(self, text: str) -> None:
-        """Add a text.
-
-        Parameters
-        ----------
-        text : with its line ends.
-        """
+        """Add a text."""
         with self._named():
             self._file.write(text)
 
@@ -304,12 +245,7 @@ class Written:
 
 
 def truth_writer(file: Written, controller: Controller) -> Callable[[Channel], None]:
-    """Write the header of the truth file and return what writes a row per packet.
-
-    Parameters
-    ----------
-    file : open for writing. controller : of the arm whose exact state is written.
-    """
+    """Write the header of the truth file and return what writes a row per packet."""
     import numpy as np
 
     joints = {"q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "tau": "N m", "tau_friction": "N m"}

@@ -140,16 +140,7 @@ def _open(url: str) -> None:
 
 @contextmanager
 def beside(cell: str) -> Iterator[str]:
-    """Show a bridge in the browser while the block runs, from a process of its own; yields the address.
-
-    Parameters
-    ----------
-    cell : of the bridge.
-
-    Raises
-    ------
-    LinkError : the view did not begin; with what it said.
-    """
+    """Show a bridge in the browser while the block runs, from a process of its own; yields the address."""
     words = [sys.executable, "-m", "armlab", "view", "--live", "--cell", cell]
     with TemporaryFile("w+") as said:
         options: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": said}

@@ -223,12 +223,7 @@ def _kinds(measured: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, n
 
 
 def _noises(values: list[float] | None, names: list[str]) -> dict[str, Any]:
-    """Return the deviations of each kind.
-
-    Raises
-    ------
-    ConfigError : another number of numbers.
-    """
+    """Return the deviations of each kind."""
     from armlab.errors import ConfigError
 
     if values is None:

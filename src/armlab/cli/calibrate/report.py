@@ -43,12 +43,7 @@ class Wanted:
     force: bool = False
 
     def check(self) -> None:
-        """Refuse names of files that cannot be written.
-
-        Raises
-        ------
-        ConfigError : another ending, no such folder, or the file is there and may not be replaced.
-        """
+        """Refuse names of files that cannot be written."""
         from armlab.cli.support.output import FIGURES, check_output
 
         for path, endings in ((self.output, (".toml",)), (self.report, (".html",)), (self.figure, FIGURES)):
@@ -56,12 +51,7 @@ class Wanted:
                 check_output(path, self.force, endings)
 
     def write(self, job: str, fit: Fit[Any], sources: tuple[str, ...]) -> None:
-        """Print the fit and write the files that are wanted.
-
-        Parameters
-        ----------
-        job : for the title. fit : of a `fit_*` of `calibrate`. sources : name and SHA-256 of each file.
-        """
+        """Print the fit and write the files that are wanted."""
         from armlab.cli.support.output import note, print_json, result, save_figure
 
         verdict = judge(fit)
@@ -82,12 +72,7 @@ class Wanted:
 
 
 def numbers(fit: Fit[Any]) -> dict[str, Any]:
-    """Return the fit as numbers for scripts.
-
-    Parameters
-    ----------
-    fit : of a `fit_*` of `calibrate`.
-    """
+    """Return the fit as numbers for scripts."""
     parameters = zip(fit.names, fit.parameters, fit.sd, fit.units, strict=True)
     found = fit.excitation
     return {
@@ -103,12 +88,7 @@ def numbers(fit: Fit[Any]) -> dict[str, Any]:
 
 
 def judge(fit: Fit[Any]) -> Verdict:
-    """Return what can be relied on, what not, and what to do next.
-
-    Parameters
-    ----------
-    fit : of a `fit_*` of `calibrate`.
-    """
+    """Return what can be relied on, what not, and what to do next."""
     import numpy as np
 
     from armlab.cli.support.html_report import Verdict

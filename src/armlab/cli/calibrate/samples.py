@@ -26,30 +26,19 @@ _TOGETHER = re.compile(r"(?!scans)(\w*?)(\d+|_[xyz])$")  # columns that have one
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """What files of samples hold.
+    """What files of samples hold."""
 
-    Attributes
-    ----------
-    path : of the file, for messages. values : name -> array (N, ...). source : name of the file and its SHA-256.
-    units : name -> unit, where the file tells it.
-    """
-
-    path: Path
-    values: Mapping[str, np.ndarray]
-    source: str
-    units: Mapping[str, str] = field(default_factory=dict)
+    path: Path  # of the file, for messages
+    values: Mapping[str, np.ndarray]  # name -> array (N, ...)
+    source: str  # name of the file and its SHA-256
+    units: Mapping[str, str] = field(default_factory=dict)  # name -> unit, where the file tells it
 
     def __contains__(self, name: object) -> bool:
         text = str(name)
         return any(key in self.values for key in (text, f"{text}1", f"{text}1_1", f"{text}_x", f"{text}1_x"))
 
     def numbers(self, name: str) -> np.ndarray:
-        """Return the column (N,) of a name.
-
-        Raises
-        ------
-        LogError : it is not there, or has several numbers per sample.
-        """
+        """Return the column (N,) of a name."""
         array = self._found(name)
         array = array.reshape(-1) if max(array.shape, default=0) == array.size else array
         if array.ndim != 1:
@@ -57,16 +46,7 @@ class Samples:
         return array
 
     def vectors(self, name: str, sizes: Sequence[int] = ()) -> np.ndarray:
-        """Return the vectors (N, k) of a name.
-
-        Parameters
-        ----------
-        name : of the column. sizes : numbers per sample that make sense; any when empty.
-
-        Raises
-        ------
-        LogError : it is not there, or of another size.
-        """
+        """Return the vectors (N, k) of a name."""
         import numpy as np
 
         if name not in self.values and f"{name}_x" in self.values:
@@ -84,16 +64,7 @@ class Samples:
         return array
 
     def points(self, name: str) -> np.ndarray:
-        """Return the points (N, K, 3) of a name: columns NAME1_x, NAME1_y, NAME1_z, NAME2_x ..., or one array.
-
-        Parameters
-        ----------
-        name : of the points.
-
-        Raises
-        ------
-        LogError : it is not there, or of another shape.
-        """
+        """Return the points (N, K, 3) of a name: columns NAME1_x, NAME1_y, NAME1_z, NAME2_x ..., or one array."""
         import numpy as np
 
         if f"{name}1_x" in self.values:
@@ -110,12 +81,7 @@ class Samples:
         return array
 
     def poses(self, name: str) -> np.ndarray:
-        """Return the poses (N, 4, 4) of a name.
-
-        Raises
-        ------
-        LogError : it is not there, or what is there are no poses.
-        """
+        """Return the poses (N, 4, 4) of a name."""
         import numpy as np
 
         if name not in self.values and f"{name}_x" in self.values:
@@ -168,16 +134,7 @@ class Samples:
 
 
 def read_samples(path: Path) -> Samples:
-    """Return the columns of a CSV file, a MAT file, or a recording.
-
-    Parameters
-    ----------
-    path : of the file; its format is told by its ending where it is a MAT file, else by its first bytes.
-
-    Raises
-    ------
-    LogError : no such file, damaged, or of another format.
-    """
+    """Return the columns of a CSV file, a MAT file, or a recording."""
     from armlab import log as logs
     from armlab.cli.support.output import note
     from armlab.log.formats import is_text
@@ -260,16 +217,9 @@ def run_fit(
     wanted: Wanted,
     sources: Sequence[str] = (),
 ) -> int:
-    """Read files of samples, fit all of them together, and write what is wanted; return the exit code.
+    """Read files of samples, fit all of them together, write what is wanted, and return the exit code.
 
-    Parameters
-    ----------
-    job : for the title. files : of samples. parts : takes arrays with as many rows each out of one file.
-    fit : takes these parts, files behind each other. wanted : of the result. sources : of other files that it needs.
-
-    Raises
-    ------
-    ConfigError : no file, or one twice. LogError : files that cannot be read, or measured something else.
+    `parts` takes arrays of equal length out of one file; `fit` takes these arrays, joined over the files.
     """
     import numpy as np
 
@@ -297,18 +247,8 @@ def measured_rows(
 ) -> tuple[np.ndarray, ...]:
     """Return the rows in which something was measured; recordings have rows between the samples of a sensor.
 
-    Parameters
-    ----------
-    read : the file, for messages. needed : arrays (N, ...) of which a row has all. some : of which it has at least one.
-    every : rows without any of `some` count too.
-
-    Returns
-    -------
-    The rows of `needed`, of `some`, and their numbers in the file.
-
-    Raises
-    ------
-    LogError : numbers of rows that differ; no such rows.
+    A row has all arrays of `needed`, and one of `some` unless `every`. Returns the rows of `needed`, those of `some`,
+    and their numbers in the file.
     """
     import numpy as np
 
@@ -382,13 +322,7 @@ def noise_of(values: Sequence[float] | None) -> Any:
 def tool_poses(read: Samples, robot: str | None) -> np.ndarray:
     """Return T_base_tool (N, 4, 4) as it was recorded, or of the joint positions of the arm.
 
-    Parameters
-    ----------
-    read : the file. robot : name or file of the arm; None for recorded poses.
-
-    Raises
-    ------
-    LogError : neither is in the file, or the joint positions are in degrees.
+    `robot`: name or file of the arm; None for recorded poses.
     """
     if robot is None:
         return read.poses("T_base_tool")

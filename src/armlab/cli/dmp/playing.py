@@ -43,16 +43,7 @@ class Motion:
 
 
 def numbers_in(text: str | None, option: str) -> np.ndarray | None:
-    """Return the numbers of a word such as ``0.1,0.2,-0.3``; None of None.
-
-    Parameters
-    ----------
-    text : the word. option : that it was given to.
-
-    Raises
-    ------
-    ConfigError : something else.
-    """
+    """Return the numbers of a word such as ``0.1,0.2,-0.3``; None of None."""
     from armlab.errors import ConfigError
 
     try:
@@ -69,13 +60,7 @@ def resolved(primitive: Any, given: Mapping[str, Any]) -> tuple[Any, dict[str, A
 
     A distribution over motions becomes the primitive of its mean, which passes start, goal and points.
 
-    Parameters
-    ----------
-    primitive : any that has a file. given : value by option, None where it was not given; via as words "TIME:Y,Y,...".
-
-    Raises
-    ------
-    ConfigError : no primitive, an option that its kind does not have, words that are no points or none it can pass.
+    `given`: value by option, None where it was not given; via as words "TIME:Y,Y,...".
     """
     from armlab.errors import ConfigError
     from armlab.motion import TwoDofDmp, fit_dmp, through
@@ -100,12 +85,7 @@ def resolved(primitive: Any, given: Mapping[str, Any]) -> tuple[Any, dict[str, A
 
 @as_given()
 def rolled_out(primitive: Any, run: Mapping[str, Any]) -> Table:
-    """Return the motion at 250 Hz: y, yd and ydd (N, n), or poses of the tool.
-
-    Parameters
-    ----------
-    primitive, run : from `resolved`.
-    """
+    """Return the motion at 250 Hz: y, yd and ydd (N, n), or poses of the tool."""
     from armlab.log import Column, Table
     from armlab.motion import PeriodicDmp, PoseDmp, TwoDofDmp
 
@@ -125,16 +105,7 @@ def rolled_out(primitive: Any, run: Mapping[str, Any]) -> Table:
 
 @as_given()
 def motion_of(primitive: Any, run: Mapping[str, Any], robot: Robot, limits: Limits, firm: bool) -> Motion:
-    """Return what leads the arm: stretched in time until it keeps to the limits of velocity.
-
-    Parameters
-    ----------
-    primitive, run : from `resolved`. robot : the arm. limits : of the reference. firm : whatever the arm does.
-
-    Raises
-    ------
-    ConfigError : a primitive of another arm, a goal outside the limits or out of reach.
-    """
+    """Return what leads the arm: stretched in time until it keeps to the limits of velocity."""
     from armlab.motion import PeriodicDmp, PoseDmp
 
     if isinstance(primitive, PoseDmp):
@@ -145,16 +116,7 @@ def motion_of(primitive: Any, run: Mapping[str, Any], robot: Robot, limits: Limi
 
 
 def rehearsed(motion: Motion) -> Table:
-    """Return what the controller would tell an arm that does as it is told: q and qd (N, n) at 250 Hz.
-
-    Parameters
-    ----------
-    motion : from `motion_of`.
-
-    Raises
-    ------
-    LinkError : the controller ended the run; with its reason.
-    """
+    """Return what the controller would tell an arm that does as it is told: q and qd (N, n) at 250 Hz."""
     from armlab.errors import LinkError
     from armlab.log import Table
     from armlab.state import State
@@ -175,9 +137,7 @@ def rehearsed(motion: Motion) -> Table:
 def distance(robot: Robot, q: np.ndarray, goal: np.ndarray) -> dict[str, float]:
     """Return how far an arm is from a goal, by unit: m and rad from a pose, rad from joint positions.
 
-    Parameters
-    ----------
-    robot : the arm. q : (n,) where it is. goal : (n,) or (4, 4).
+    `q`: (n,) where it is. `goal`: (n,) or (4, 4).
     """
     from armlab.kinematics import forward
     from armlab.lie import so3
@@ -192,9 +152,7 @@ def distance(robot: Robot, q: np.ndarray, goal: np.ndarray) -> dict[str, float]:
 class Walk:
     """A controller: from where the arm stands to a posture, with minimum jerk; then the end of the run.
 
-    Parameters
-    ----------
-    q : (n,) posture. qd_max : (n,) largest speed on the way.
+    `q`: (n,) posture. `qd_max`: (n,) largest speed on the way.
     """
 
     def __init__(self, q: np.ndarray, qd_max: np.ndarray) -> None:
@@ -202,12 +160,7 @@ class Walk:
         self._profile: Profile | None = None
 
     def __call__(self, state: State) -> Command:
-        """Return the reference for a packet.
-
-        Parameters
-        ----------
-        state : of the arm.
-        """
+        """Return the reference for a packet."""
         from armlab.motion import profiles
         from armlab.state import Command
 

@@ -58,13 +58,7 @@ class Window:
 def check_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the options that were given.
 
-    Parameters
-    ----------
-    kind : of the primitive. given : value by option, None where it was not given.
-
-    Raises
-    ------
-    UnknownName : another kind. ConfigError : an option of another kind.
+    `given`: value by option, None where it was not given.
     """
     from armlab.errors import ConfigError, UnknownName
 
@@ -83,17 +77,7 @@ def check_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
 def read_demonstration(
     path: Path, kind: str, columns: Sequence[str], robot: str | None, window: Window
 ) -> Demonstration:
-    """Return the motion in a log.
-
-    Parameters
-    ----------
-    path : of the log. kind : of the primitive. columns : what moves, side by side; () for q, or the poses of the tool.
-    robot : whose forward kinematics make poses of q, and whose joints are those of a bag. window : of the motion.
-
-    Raises
-    ------
-    UnknownName : a column that is not there. ConfigError : no poses, rest, joints of a bag without their robot.
-    """
+    """Return the motion in a log."""
     from armlab import kinematics, log, robots
     from armlab.errors import ConfigError
     from armlab.log.topic_reading import is_foreign, read_joints
@@ -122,16 +106,7 @@ def read_demonstration(
 
 
 def taught(kind: str, demos: Sequence[Demonstration], options: Mapping[str, Any]) -> Fit[Any]:
-    """Return the fit of a primitive.
-
-    Parameters
-    ----------
-    kind : one of `KINDS`. demos : what is shown. options : from `check_options`.
-
-    Raises
-    ------
-    ConfigError : several logs where one is asked for. Otherwise as the fit of the kind.
-    """
+    """Return the fit of a primitive."""
     from armlab import motion
     from armlab.errors import ConfigError
 
@@ -148,12 +123,7 @@ def taught(kind: str, demos: Sequence[Demonstration], options: Mapping[str, Any]
 
 
 def numbers_of(kind: str, found: Fit[Any], demos: int) -> dict[str, Any]:
-    """Return what was found, for scripts.
-
-    Parameters
-    ----------
-    kind : of the primitive. found : the fit. demos : number of demonstrations.
-    """
+    """Return what was found, for scripts."""
     value = found.value
     told = {"kind": kind, "demonstrations": demos, "samples": found.n, "rms": _rms(found)}
     if kind == "periodic":
@@ -168,12 +138,7 @@ def numbers_of(kind: str, found: Fit[Any], demos: int) -> dict[str, Any]:
 
 
 def text_of(kind: str, found: Fit[Any], demos: int) -> str:
-    """Return what was found, for people.
-
-    Parameters
-    ----------
-    kind : of the primitive. found : the fit. demos : number of demonstrations.
-    """
+    """Return what was found, for people."""
     from armlab.cli.support.output import aligned
 
     told, value = numbers_of(kind, found, demos), found.value

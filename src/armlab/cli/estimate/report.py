@@ -22,12 +22,7 @@ AXES = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
 
 
 def axes(table: Table) -> list[dict[str, float | str]]:
-    """Return range, RMS, mean 2-sigma and observability of each axis of the wrench.
-
-    Parameters
-    ----------
-    table : of `contact.Estimator.run`.
-    """
+    """Return range, RMS, mean 2-sigma and observability of each axis of the wrench."""
     F, observability = table["wrench_hat"], table["observability"]
     sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"]))
     return [
@@ -56,12 +51,7 @@ def _limits(table: Table, axis: int) -> dict[str, float]:
 
 
 def limits(table: Table, contact: Contact) -> list[tuple[float, float]]:
-    """Return the median limits of the force in x, y, z during a contact; nothing without the method "interval".
-
-    Parameters
-    ----------
-    table : of `contact.Estimator.run`. contact : found in it.
-    """
+    """Return the median limits of the force in x, y, z during a contact; nothing without the method "interval"."""
     if "wrench_interval" not in table:
         return []
     inside = table["wrench_interval"][(table.t >= contact.start) & (table.t <= contact.end), :3]
@@ -70,12 +60,7 @@ def limits(table: Table, contact: Contact) -> list[tuple[float, float]]:
 
 
 def rows(table: Table) -> list[tuple[str, ...]]:
-    """Return the table per axis as words, its head first.
-
-    Parameters
-    ----------
-    table : of `contact.Estimator.run`.
-    """
+    """Return the table per axis as words, its head first."""
     words = {"min": "min", "max": "max", "rms": "rms", "two_sigma": "2-sigma", "observability": "observability"}
     if "wrench_interval" in table:
         words |= {"limit_low": "limit from", "limit_high": "limit to", "proven": "share beyond zero"}
@@ -88,9 +73,7 @@ def columns(table: Table, believed: Hypotheses | None) -> Table:
 
     Those are columns p_none, p_point, p_link_1 and so on, of the window nearest to the row.
 
-    Parameters
-    ----------
-    table : of `contact.Estimator.run`. believed : of `contact.hypotheses`, or None.
+    `believed`: of `contact.hypotheses`, or None.
     """
     written = table.select(*(name for name in COLUMNS if name in table))
     if believed is not None:
@@ -102,21 +85,14 @@ def columns(table: Table, believed: Hypotheses | None) -> Table:
 
 
 def places(contacts: Sequence[Contact], believed: Hypotheses | None) -> list[tuple[Contact, str]]:
-    """Return each contact with what is believed of its place, in words.
-
-    Parameters
-    ----------
-    contacts : found. believed : of `contact.hypotheses`; without it the words are empty.
-    """
+    """Return each contact with what is believed of its place, in words."""
     return [(c, "" if believed is None else believed.during(c.start, c.end)) for c in contacts]
 
 
 def contact_rows(table: Table, contacts: Sequence[Contact], believed: Hypotheses | None) -> list[tuple[str, ...]]:
     """Return the contacts as words, the head first; forces with their limits where the method tells any.
 
-    Parameters
-    ----------
-    table : of `contact.Estimator.run`. contacts : found in it. believed : of `contact.hypotheses`, or None.
+    `believed`: of `contact.hypotheses`, or None.
     """
     found: list[tuple[str, ...]] = [
         ("from [s]", "to [s]", "f_x [N]", "f_y [N]", "f_z [N]", "2-sigma [N]", "where it may be")
@@ -142,10 +118,7 @@ def judge(
 ) -> Verdict:
     """Return what of the estimate can be relied on, what cannot, and what to do next.
 
-    Parameters
-    ----------
-    table : of `contact.Estimator.run`. model : that it used. prior : (6,) prior variances. contacts : found in it.
-    doubts : what of the log cannot be true; then nothing can be relied on.
+    `prior`: (6,) prior variances.
     """
     good: list[str] = []
     bad: list[str] = list(doubts)
@@ -277,12 +250,7 @@ def write(
 ) -> None:
     """Write the page.
 
-    Parameters
-    ----------
-    path : HTML file. table : of `contact.Estimator.run`. verdict : of `judge`.
-    contacts : found in the table. believed : of `contact.hypotheses`, or None.
-    about : which robot, log, model and method, for the line below the title.
-    tell : called with (done, total, what).
+    `believed`: of `contact.hypotheses`, or None. `tell`: called with (done, total, what).
     """
     page = HtmlReport("Contact wrench", about)
     page.verdict(verdict)

@@ -29,32 +29,18 @@ MOVING = 0.01  # of the peak speed
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """The model on a log of free motion, where the true wrench is zero.
+    """The model on a log of free motion, where the true wrench is zero."""
 
-    Attributes
-    ----------
-    unseen : the log was not part of the fit.
-    estimate : columns of `contact.Estimator.run`, and wrench_true, all zeros.
-    log : of that motion.
-    share : (n,) RMS of the torque error in motion over the torque's deviation.
-    force_rms : (3,) false force in motion [N]. coverage : share of the forces inside 2 sigma.
-    """
-
-    unseen: bool
-    estimate: Table
-    log: Table
-    share: np.ndarray
-    force_rms: np.ndarray
-    coverage: float
+    unseen: bool  # the log was not part of the fit
+    estimate: Table  # columns of `contact.Estimator.run`, and wrench_true, all zeros
+    log: Table  # of that motion
+    share: np.ndarray  # (n,) RMS of the torque error in motion over the torque's deviation
+    force_rms: np.ndarray  # (3,) false force in motion [N]
+    coverage: float  # share of the forces inside 2 sigma
 
 
 def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> Trial:
-    """Run the model over a log of free motion.
-
-    Parameters
-    ----------
-    model : identified. robot : its arm. table : the log. unseen : it was not part of the fit.
-    """
+    """Run the model over a log of free motion."""
     from armlab.contact import Estimator
 
     estimate = Estimator(model, robot).run(table).with_column("wrench_true", np.zeros((len(table), 6)))
@@ -73,12 +59,7 @@ def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> Tri
 
 
 def judge(fit: Fit[TorqueModel], robot: Robot, tables: Sequence[Table], trial: Trial) -> Verdict:
-    """Return what of the model can be relied on, what cannot, and what to log next.
-
-    Parameters
-    ----------
-    fit : of `identify.fit_dynamics`. robot : its arm. tables : the logs it was fitted to. trial : on one log.
-    """
+    """Return what of the model can be relied on, what cannot, and what to log next."""
     found = _Sentences()
     _judge_fit(found, fit, trial)
     _judge_honesty(found, fit.value, trial)
@@ -206,12 +187,7 @@ Drawing = tuple[str, str, str, Callable[[], bytes]]  # title, what it shows, how
 
 
 def numbers(fit: Fit[TorqueModel], trial: Trial) -> dict[str, Any]:
-    """Return the figures of the report for scripts: of the fit, and per joint.
-
-    Parameters
-    ----------
-    fit : of `identify.fit_dynamics`. trial : the model on one log.
-    """
+    """Return the figures of the report for scripts: of the fit, and per joint."""
     model = fit.value
     quality, friction, covariance = model.quality, model.friction, model.covariance
     columns = {
@@ -256,11 +232,7 @@ def write(
 ) -> None:
     """Write the page.
 
-    Parameters
-    ----------
-    path : HTML file. fit : of `identify.fit_dynamics`. verdict : of `judge`. trial : of `try_out`.
-    log : the first that was fitted to. about : which logs, for the line below the title.
-    tell : called with (done, total, what).
+    `tell`: called with (done, total, what).
     """
     from armlab.identify.parameter_table import parameter_rows
 

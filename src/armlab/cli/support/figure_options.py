@@ -45,16 +45,7 @@ class FigureFile:
     force: bool = False
 
     def path(self, source: Path | str, name: str) -> Path:
-        """Return the name of the file, refused before the work begins.
-
-        Parameters
-        ----------
-        source : what is drawn, a file or a robot of the library. name : of the figure.
-
-        Raises
-        ------
-        ConfigError : another ending, no such folder, or the file is there and may not be replaced.
-        """
+        """Return the name of the file, refused before the work begins."""
         from armlab.cli.support.output import FIGURES, check_output
 
         beside = Path(source)
@@ -63,12 +54,7 @@ class FigureFile:
         return path
 
     def save(self, drawn: Any, path: Path) -> int:
-        """Write the figure, print its path, open a window where one is wanted; return the exit code.
-
-        Parameters
-        ----------
-        drawn : Figure or Axes. path : of `path`.
-        """
+        """Write the figure, print its path, open a window where one is wanted; return the exit code."""
         from armlab import plots
         from armlab.cli.support.output import result, save_figure
 
@@ -99,16 +85,7 @@ class Part:
     arm: str | None = None
 
     def read(self, path: Path, robot: str | None = None) -> Table:
-        """Return that part of a log.
-
-        Parameters
-        ----------
-        path : of the log. robot : whose joints are read, in its order, where another program wrote the log.
-
-        Raises
-        ------
-        LogError : no log, one of several arms, or nothing in that part. UnknownName : no such arm.
-        """
+        """Return that part of a log."""
         from armlab import log, robots
         from armlab.errors import LogError
         from armlab.log.topic_reading import is_foreign, read_joints
@@ -133,32 +110,14 @@ BESIDE = FigureFile()
 
 
 def torque_model(path: Path) -> TorqueModel:
-    """Return the torque model of a file of `armlab identify`.
-
-    Parameters
-    ----------
-    path : of the model file.
-
-    Raises
-    ------
-    ConfigError, ModelMismatchError : no model file, or of another kind.
-    """
+    """Return the torque model of a file of `armlab identify`."""
     from armlab import models
 
     return models.load(path, "torque_model")
 
 
 def arm_of(model: TorqueModel, robot: str | None) -> Robot:
-    """Return the robot of a model.
-
-    Parameters
-    ----------
-    model : that knows the name. robot : name or file, where it is not in the library.
-
-    Raises
-    ------
-    UnknownName, RobotError : no such robot. ModelMismatchError : another robot.
-    """
+    """Return the robot of a model."""
     from armlab import robots
 
     arm = robots.load(model.robot_name if robot is None else robot)
@@ -169,14 +128,7 @@ def arm_of(model: TorqueModel, robot: str | None) -> Robot:
 def poses_in(table: Table, path: Path, column: str | None, robot: str | None) -> np.ndarray:
     """Return the poses of the tool (N, 4, 4).
 
-    Parameters
-    ----------
-    table : the log. path : of it, for messages. column : of poses; the usual ones when None.
-    robot : whose forward kinematics make them of q.
-
-    Raises
-    ------
-    UnknownName : no such column. LogError : no poses.
+    `column`: of poses; the usual ones when None.
     """
     from armlab import kinematics, robots
     from armlab.errors import LogError
@@ -193,16 +145,7 @@ def poses_in(table: Table, path: Path, column: str | None, robot: str | None) ->
 
 
 def joints_in(words: str, n: int) -> list[int]:
-    """Return numbers of joints from 0.
-
-    Parameters
-    ----------
-    words : numbers from 1 with commas between. n : how many joints there are.
-
-    Raises
-    ------
-    ConfigError : something else, or no such joint.
-    """
+    """Return numbers of joints from 0."""
     from armlab.errors import ConfigError
 
     numbers = [int(word) if word.strip().isdecimal() else 0 for word in words.split(",")]

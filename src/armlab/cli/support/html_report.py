@@ -45,17 +45,11 @@ summary {{ cursor: pointer; color: #555; }}
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a report says in words.
+    """What a report says in words."""
 
-    Attributes
-    ----------
-    good : sentences about what can be relied on. bad : about what cannot.
-    ahead : what to log, or do, next.
-    """
-
-    good: tuple[str, ...] = ()
-    bad: tuple[str, ...] = ()
-    ahead: tuple[str, ...] = ()
+    good: tuple[str, ...] = ()  # sentences about what can be relied on
+    bad: tuple[str, ...] = ()  # about what cannot
+    ahead: tuple[str, ...] = ()  # what to log, or do, next
 
     @property
     def parts(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
@@ -70,17 +64,11 @@ class Verdict:
 
 @dataclass
 class HtmlReport:
-    """A report that grows from top to bottom.
+    """A report that grows from top to bottom."""
 
-    Attributes
-    ----------
-    title : of the page. about : the line below: which robot, which files, when.
-    pieces : HTML so far.
-    """
-
-    title: str
-    about: str
-    pieces: list[str] = field(default_factory=list)
+    title: str  # of the page
+    about: str  # the line below: which robot, which files, when
+    pieces: list[str] = field(default_factory=list)  # HTML so far
 
     def verdict(self, verdict: Verdict) -> None:
         """Add the box with what is good, what is not, what to do next."""
@@ -95,12 +83,7 @@ class HtmlReport:
         self.pieces.append(f"<h2>{escape(title)}</h2>" + (f'<p class="note">{escape(words)}</p>' if words else ""))
 
     def table(self, rows: Sequence[Sequence[str]], folded: str = "") -> None:
-        """Add a table; the first row is the head. Columns of words stand to the left, figures to the right.
-
-        Parameters
-        ----------
-        rows : of cells. folded : what a long table holds; it opens with a click on that.
-        """
+        """Add a table; the first row is the head. Columns of words stand to the left, figures to the right."""
         head, *body = rows
         words = [any(row[k][:1].isalpha() and row[k] != "nan" for row in body) for k in range(len(head))]
         head_cells = "".join(_cell("th", cell, text) for cell, text in zip(head, words, strict=True))
@@ -111,23 +94,13 @@ class HtmlReport:
         self._add(f"<table><thead><tr>{head_cells}</tr></thead><tbody>{lines}</tbody></table>", folded)
 
     def figure(self, png: bytes, alt: str, caption: str = "") -> None:
-        """Add a picture.
-
-        Parameters
-        ----------
-        png : the file. alt : what it shows, for who cannot see it. caption : how to read it.
-        """
+        """Add a picture."""
         data = base64.b64encode(png).decode("ascii")
         below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
         self.pieces.append(f'<figure><img src="data:image/png;base64,{data}" alt="{escape(alt)}">{below}</figure>')
 
     def verbatim(self, text: str, folded: str = "") -> None:
-        """Add text as it is printed in a terminal.
-
-        Parameters
-        ----------
-        text : of lines. folded : what a long one holds; it opens with a click on that.
-        """
+        """Add text as it is printed in a terminal."""
         self._add(f"<pre>{escape(text)}</pre>", folded)
 
     def html(self) -> str:

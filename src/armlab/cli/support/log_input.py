@@ -25,12 +25,7 @@ LOST = 1.5  # median steps: a longer one lacks rows
 
 @contextmanager
 def reading_bar(path: Path) -> Iterator[Progress | None]:
-    """Show a bar on a terminal while the block reads a large log; yields what `log.read` tells, None without a bar.
-
-    Parameters
-    ----------
-    path : of the log, a file or a folder.
-    """
+    """Show a bar on a terminal while the block reads a large log; yields what `log.read` tells, None without a bar."""
     from armlab.cli.support.output import progress
 
     files = [path] if path.is_file() else [one for one in path.glob("*") if one.is_file()]
@@ -42,16 +37,7 @@ def reading_bar(path: Path) -> Iterator[Progress | None]:
 
 
 def read_log(path: Path, robot: Robot) -> Table:
-    """Return the log with q, qd and tau; where it has no velocity that is the slope of the position.
-
-    Parameters
-    ----------
-    path : of the log. robot : that the command names.
-
-    Raises
-    ------
-    LogError : no positions or torques. ModelMismatchError : a recording of another robot.
-    """
+    """Return the log with q, qd and tau; where it has no velocity that is the slope of the position."""
     from armlab.identify import with_velocity
     from armlab.log import read_arm
 
@@ -65,10 +51,7 @@ def doubts(table: Table, robot: Robot, model: TorqueModel | None = None) -> tupl
     `identify.prepare` refuses such logs. One that is only estimated may rest, so it is looked at where it moves, in its
     longest stretch without a gap. `contact.Estimator.run` has refused what is worse.
 
-    Parameters
-    ----------
-    table : with q, qd, tau (N, n). robot : the arm.
-    model : that it is estimated with; torques of joints that it was not identified from do not count.
+    `table`: with q, qd, tau (N, n).
     """
     from armlab.errors import NotExcited, ShapeError
     from armlab.log.plausibility import check_torque, check_velocity, has_moved
@@ -96,24 +79,14 @@ def doubts(table: Table, robot: Robot, model: TorqueModel | None = None) -> tupl
 
 
 def gaps(table: Table) -> list[tuple[float, float]]:
-    """Return (time of the row before, length) of each gap [s]: a step longer than one and a half of the usual.
-
-    Parameters
-    ----------
-    table : any log.
-    """
+    """Return (time of the row before, length) of each gap [s]: a step longer than one and a half of the usual."""
     steps = np.diff(table.t)
     after = np.flatnonzero(steps > LOST * np.median(steps)) if len(steps) else []
     return [(float(table.t[k]), float(steps[k])) for k in after]
 
 
 def left_out(table: Table) -> int:
-    """Return how many rows are not finite and have no estimate.
-
-    Parameters
-    ----------
-    table : of `contact.Estimator.run`.
-    """
+    """Return how many rows are not finite and have no estimate."""
     from armlab.contact import INVALID
 
     return int(np.count_nonzero(table["wrench_flags"] & INVALID))

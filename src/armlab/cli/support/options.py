@@ -16,12 +16,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def as_given() -> Iterator[None]:
-    """Take what the library refuses as wrong use: the block, or function, works on the words of a command alone.
-
-    Raises
-    ------
-    ConfigError : with the sentence of the library.
-    """
+    """Take what the library refuses as wrong use: the block, or function, works on the words of a command alone."""
     try:
         yield
     except ShapeError as error:
@@ -29,31 +24,13 @@ def as_given() -> Iterator[None]:
 
 
 def require_positive(option: str, value: float | None, unit: str = "") -> None:
-    """Refuse a number that is not above zero and finite; None was not given.
-
-    Parameters
-    ----------
-    option : its name, without hyphens. value : as given. unit : of the number, for the message.
-
-    Raises
-    ------
-    ConfigError : NaN, infinite, zero or below.
-    """
+    """Refuse a number that is not above zero and finite; None was not given."""
     if value is not None and not (math.isfinite(value) and value > 0.0):
         raise ConfigError(f"Expected --{option} above 0{f' {unit}' if unit else ''} and finite, got {value:g}.")
 
 
 def simulated(word: str) -> Robot:
-    """Return the robot that ``armlab sim`` simulates under a word.
-
-    Parameters
-    ----------
-    word : name in the library, a robot file, or scara.
-
-    Raises
-    ------
-    UnknownName, RobotError : as `robots.load`.
-    """
+    """Return the robot that ``armlab sim`` simulates under a word."""
     from armlab import robots
 
     if word == "scara":
@@ -66,14 +43,7 @@ def simulated(word: str) -> Robot:
 def links_to(robot: str, arms: Sequence[Robot], link: str | None) -> list[str]:
     """Return the url of each link to arms.
 
-    Parameters
-    ----------
-    robot : ROBOT as typed: names or files with plus signs between. arms : what they describe.
-    link : urls with commas between; None simulates what was typed.
-
-    Raises
-    ------
-    ConfigError : links that cannot be, or that simulate other arms: the log would say that it is of these.
+    `link`: urls with commas between; None simulates what was typed.
     """
     from armlab.bridge.address import addresses
 
@@ -91,16 +61,7 @@ _ONE, _FIRST = 6510, 6511  # of one arm, of the first of several
 
 
 def ports_in(text: str) -> list[int]:
-    """Return the ports in a text such as ``6511,6512``.
-
-    Parameters
-    ----------
-    text : as typed.
-
-    Raises
-    ------
-    ConfigError : something else, or a port that cannot be.
-    """
+    """Return the ports in a text such as ``6511,6512``."""
     words = [word.strip() for word in text.split(",")]
     if not all(word.isascii() and word.isdigit() and 0 < int(word) < 65536 for word in words):
         raise ConfigError(f"Expected ports from 1 to 65535, such as --port 6511,6512, got {text!r}.")
@@ -108,16 +69,7 @@ def ports_in(text: str) -> list[int]:
 
 
 def known_ports(arms: Sequence[Robot]) -> list[int]:
-    """Return a port per arm: the one of the settings, else 6510 of one arm, 6511, 6512, ... of several.
-
-    Parameters
-    ----------
-    arms : that are listened to.
-
-    Raises
-    ------
-    ConfigError : settings that cannot be read.
-    """
+    """Return a port per arm: the one of the settings, else 6510 of one arm, 6511, 6512, ... of several."""
     from armlab.cli.support.settings import load_settings
 
     known = load_settings().settings.ports

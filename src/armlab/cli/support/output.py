@@ -59,15 +59,7 @@ def refuse_overwrite(path: Path, force: bool) -> None:
 
 
 def check_output(path: Path, force: bool, endings: Sequence[str], inputs: Sequence[Path] = ()) -> None:
-    """Raise `ConfigError` before the work begins when its result could not be written.
-
-    Parameters
-    ----------
-    path : file to be written; must be new unless `force` is set, in a folder that exists.
-    force : the file may exist.
-    endings : that the name may have.
-    inputs : files and folders that are read: never replaced, under whatever name, nor anything in them or around them.
-    """
+    """Raise `ConfigError` before the work begins when its result could not be written."""
     if path.suffix.lower() not in endings:
         raise ConfigError(f"Expected a file name that ends in {' or '.join(endings)}, got {path}. Change the ending.")
     if not path.parent.is_dir():
@@ -89,12 +81,7 @@ def _holds(outer: Path, inner: Path) -> bool:
 
 
 def save_figure(drawn: Any, path: Path, dpi: int = 150) -> None:
-    """Write a figure; an existing file is replaced in one step or not at all.
-
-    Parameters
-    ----------
-    drawn : Figure or Axes. path : ends in one of `FIGURES`, which tells the format. dpi : dots per inch, of PNG.
-    """
+    """Write a figure; an existing file is replaced in one step or not at all."""
     figure = drawn if hasattr(drawn, "savefig") else drawn.get_figure(root=True)
     with whole_file(path) as part:
         figure.savefig(part, format=path.suffix[1:].lower(), dpi=dpi)
@@ -150,13 +137,7 @@ _QUIET = logging.NullHandler()
 
 
 class Narrator:
-    """Writes the events of a run to standard error, and what a listener should know of the first packets.
-
-    Parameters
-    ----------
-    listens : nothing is sent: an arm that waits for references is told of.
-    q_home : robot name -> home posture; an arm that begins elsewhere is told of. Empty: no matter.
-    """
+    """Writes the events of a run to standard error, and what a listener should know of the first packets."""
 
     def __init__(self, listens: bool = False, q_home: dict[str, list[float]] | None = None) -> None:
         self._listens, self._q_home = listens, dict(q_home or {})
@@ -165,12 +146,7 @@ class Narrator:
         logging.getLogger("armlab.bridge").addHandler(_QUIET)
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:
-        """Look at one row.
-
-        Parameters
-        ----------
-        state, command, tick : of the packet.
-        """
+        """Look at one row."""
         if self._listens and state.mci == _MCI_RUNNING and state.robot not in self._guided:
             self._guided.add(state.robot)
             note(
@@ -189,10 +165,5 @@ class Narrator:
             )
 
     def event(self, text: str, warn: bool = False) -> None:
-        """Write one sentence.
-
-        Parameters
-        ----------
-        text : the sentence. warn : something is wrong.
-        """
+        """Write one sentence."""
         note(f"warning: {text}" if warn else text)

@@ -15,16 +15,7 @@ from armlab.errors import ConfigError
 
 
 def read_text(path: Path, what: str) -> str:
-    """Return the text of a file.
-
-    Parameters
-    ----------
-    path : of the file. what : is expected there, for the message, with its article.
-
-    Raises
-    ------
-    ConfigError : it cannot be read, or holds no text in UTF-8.
-    """
+    """Return the text of a file."""
     try:
         return path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -61,27 +52,16 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class Told:
-    """Settings, and who said them.
+    """Settings, and who said them."""
 
-    Attributes
-    ----------
-    settings : the values in force. origins : name -> file, variable, or "default".
-    """
-
-    settings: Settings
-    origins: Mapping[str, str]
+    settings: Settings  # the values in force
+    origins: Mapping[str, str]  # name -> file, variable, or "default"
 
 
 def load_settings(environment: Mapping[str, str] | None = None) -> Told:
     """Return the settings that hold in this folder.
 
-    Parameters
-    ----------
-    environment : variables; those of the process when None.
-
-    Raises
-    ------
-    ConfigError : a file that cannot be read, no TOML, an unknown or wrong entry; one line with file and place.
+    `environment`: variables; those of the process when None.
     """
     variables = os.environ if environment is None else environment
     values: dict[str, Any] = {}
@@ -95,23 +75,13 @@ def load_settings(environment: Mapping[str, str] | None = None) -> Told:
 
 
 def user_file(environment: Mapping[str, str]) -> Path:
-    """Return where the user's own settings are: in the folder of the XDG base directories.
-
-    Parameters
-    ----------
-    environment : variables.
-    """
+    """Return where the user's own settings are: in the folder of the XDG base directories."""
     folder = environment.get("XDG_CONFIG_HOME") or "~/.config"
     return Path(folder).expanduser() / "armlab" / _FILE
 
 
 def log_folder() -> Path:
-    """Return the folder of recordings to which a command gives the name itself; it is made when it does not exist.
-
-    Raises
-    ------
-    ConfigError : settings that cannot be read. OSError : the folder cannot be made.
-    """
+    """Return the folder of recordings to which a command gives the name itself; it is made when it does not exist."""
     folder = Path(load_settings().settings.logs)
     folder.mkdir(parents=True, exist_ok=True)
     return folder
