@@ -235,8 +235,6 @@ def test_axes_and_points_are_checked() -> None:
     figure = plt.figure()
     axes = [figure.add_subplot(131), figure.add_subplot(132), figure.add_subplot(133, projection="3d")]
     assert workspace(arm, points=5, ax=axes) is figure
-    with pytest.raises(ShapeError, match="Expected 3 Axes"):
-        workspace(arm, points=5, ax=axes[0])
     with pytest.raises(ShapeError, match="3d"):
         workspace(arm, points=5, ax=axes[::-1])
     for points in (0, 1.5):
@@ -244,8 +242,6 @@ def test_axes_and_points_are_checked() -> None:
             workspace(arm, points=points)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="seed to be an integer of at least 0, got -1"):
         workspace(arm, points=5, seed=-1)
-    with pytest.raises(RobotError, match="Load it first"):
-        workspace("irb2400", points=5)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("part", ["position", "rotation"])
@@ -288,11 +284,9 @@ def test_at_most_eight_are_drawn() -> None:
     assert manipulability(arm, ax=ax) is ax
 
 
-def test_bad_input() -> None:
+def test_ellipsoids_that_cannot_be_drawn() -> None:
     arm = robots.load("irb2400")
     with pytest.raises(UnknownName, match="'force'"):
         manipulability(arm, part="force")  # type: ignore[arg-type]
     with pytest.raises(ShapeError, match="Expected q"):
         manipulability(arm, np.zeros(7))
-    with pytest.raises(RobotError, match="Load it first"):
-        manipulability("irb2400")  # type: ignore[arg-type]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -57,15 +56,6 @@ def test_the_dark_band_is_the_covariance_of_the_parameters(fitted: Fit[TorqueMod
 def test_both_bands_are_in_the_legend(fitted: Fit[TorqueModel]) -> None:
     names = [text.get_text() for text in friction(fitted).legends[0].get_texts()]
     assert names == ["± 2 sigma of the parameters", "with the torque error", "model"]
-
-
-def test_as_many_axes_as_joints(fitted: Fit[TorqueModel]) -> None:
-    import matplotlib.pyplot as plt
-
-    axes = plt.figure().subplots(1, 3)
-    assert friction(fitted, ax=axes) is axes[0].figure
-    with pytest.raises(ShapeError, match="Expected 3 Axes"):
-        friction(fitted, ax=axes[:2])
 
 
 def test_the_parameters_of_each_joint_are_found_by_kind(fitted: Fit[TorqueModel], truth) -> None:
@@ -136,10 +126,8 @@ def test_the_spectrum_shows_ripple_without_and_with_the_model(model: TorqueModel
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["without", "with", "line of the model"]
 
 
-def test_joints_that_are_not_there_and_other_axes_are_refused(model: TorqueModel, excited: Table) -> None:
+def test_joints_that_are_not_there_are_refused(model: TorqueModel, excited: Table) -> None:
     with pytest.raises(ShapeError, match="from 0 to 2"):
         friction_map(model, 7)
     with pytest.raises(ShapeError, match="from 0 to 2"):
         spectrum(model, excited, joints=[-1])
-    with pytest.raises(ShapeError, match="Expected 2 Axes"):
-        friction_map(model, 0, ax=plt.figure().add_subplot())

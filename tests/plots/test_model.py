@@ -63,13 +63,6 @@ def test_a_fit_or_its_value(fitted: Fit[TorqueModel], excited: Table) -> None:
         torque_fit("model.toml", excited)  # type: ignore[arg-type]
 
 
-def test_other_axes_are_refused(model: TorqueModel, excited: Table) -> None:
-    axes = plt.figure().subplots(3, 2)
-    assert torque_fit(model, excited, ax=axes) is axes[0, 0].figure
-    with pytest.raises(ShapeError, match="Expected 6 Axes"):
-        torque_fit(model, excited, ax=axes[0])
-
-
 N = 3000
 
 
@@ -115,8 +108,6 @@ def test_one_joint_in_axes_of_the_caller(table: Table) -> None:
     assert ax.get_title(loc="left") == "joint 3"
     with pytest.raises(ShapeError, match="from 0 to 2"):
         residual_speed(table, joints=[3])
-    with pytest.raises(ShapeError, match="Expected 3 Axes"):
-        residual_speed(table, ax=ax)
     with pytest.raises(UnknownName, match="tau_error"):
         residual_speed(table.without("tau_error"))
 

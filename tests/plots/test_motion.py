@@ -112,18 +112,6 @@ def test_phase_plane_leads_from_start_to_goal(tmp_path: Path) -> None:
     plt.close("all")
 
 
-def test_bad_input_gets_a_sentence() -> None:
-    for misuse in (
-        lambda: plot_dmp(primitive(), (T, np.zeros((101, 3)))),
-        lambda: plot_dmp(primitive(), (T[::-1], np.zeros((101, 2)))),
-        lambda: plot_dmp(primitive(), goals=[(0.5, [1.0])]),
-        lambda: dmp_phase(primitive(), ax=plt.subplots(2)[1]),
-    ):
-        with pytest.raises(ShapeError, match=r"^Expected .*\.$"):
-            misuse()
-    plt.close("all")
-
-
 T_POSE = np.linspace(0.0, 1.0, 201)
 S = 10 * T_POSE**3 - 15 * T_POSE**4 + 6 * T_POSE**5
 POSES = np.tile(np.eye(4), (201, 1, 1))
@@ -162,17 +150,6 @@ def test_without_a_demonstration_there_are_two_panels(taught_pose: PoseDmp) -> N
     plt.close("all")
 
 
-def test_bad_input_of_a_pose_primitive_gets_a_sentence(taught_pose: PoseDmp) -> None:
-    for misuse in (
-        lambda: pose_dmp(taught_pose, (T_POSE, POSES[1:])),
-        lambda: pose_dmp(taught_pose, (T_POSE[::-1], POSES)),
-        lambda: pose_dmp(taught_pose, (T_POSE, POSES), ax=plt.subplots(2)[1]),
-    ):
-        with pytest.raises(ShapeError, match=r"^Expected .*\.$"):
-            misuse()
-    plt.close("all")
-
-
 T_TURNS = np.linspace(0.0, 4.0, 401)
 Y = np.stack([0.3 + 0.1 * np.sin(np.pi * T_TURNS), 0.05 * np.cos(np.pi * T_TURNS)], axis=1)
 
@@ -201,17 +178,6 @@ def test_one_turn_and_several_are_shown(taught_rhythm: PeriodicDmp) -> None:
     assert [panel.get_ylabel() for panel in figure.axes] == [label("y"), label("forcing"), "kernels [1]", label("y")]
     assert (kernels.get_xlabel(), several.get_xlabel()) == ("phi [rad]", "t [s]")
     plt.close(figure)
-
-
-def test_bad_input_of_a_rhythm_gets_a_sentence(taught_rhythm: PeriodicDmp) -> None:
-    for misuse in (
-        lambda: periodic_dmp(taught_rhythm, (T_TURNS, Y[:, :1])),
-        lambda: periodic_dmp(taught_rhythm, turns=0.0),
-        lambda: periodic_dmp(taught_rhythm, ax=plt.subplots(3)[1]),
-    ):
-        with pytest.raises(ShapeError, match=r"^Expected .*\.$"):
-            misuse()
-    plt.close("all")
 
 
 T_UNIT = np.linspace(0.0, 1.0, 101)
@@ -260,17 +226,6 @@ def test_points_samples_and_what_was_before_are_shown(taught_promp: ProMP) -> No
     plt.close(figure)
 
 
-def test_bad_input_of_a_promp_gets_a_sentence(taught_promp: ProMP) -> None:
-    for misuse in (
-        lambda: promp(taught_promp, [(T_UNIT, np.zeros((101, 3)))]),
-        lambda: promp(taught_promp, points=[(0.5, [1.0])]),
-        lambda: promp(taught_promp, ax=plt.subplots(3)[1]),
-    ):
-        with pytest.raises(ShapeError, match=r"^Expected .*\.$"):
-            misuse()
-    plt.close("all")
-
-
 def run() -> TwoDofRun:
     y = np.outer(1.0 - np.cos(np.pi * T / 2), [0.5, -0.25])
     return TwoDofDmp(fit_dmp(T, y, n_basis=8).value).simulate(0.01, [Hold(0.5, 0.8), Displace(1.2, 0.1)])
@@ -302,8 +257,24 @@ def test_chosen_coordinates_in_given_axes() -> None:
     plt.close(figure)
 
 
-def test_bad_input_of_a_recovery_gets_a_sentence() -> None:
-    for misuse in (lambda: two_dof(run(), [2]), lambda: two_dof(run(), ax=plt.figure().add_subplot())):
+def test_bad_input_gets_a_sentence(taught_pose: PoseDmp, taught_rhythm: PeriodicDmp, taught_promp: ProMP) -> None:
+    for misuse in (
+        lambda: plot_dmp(primitive(), (T, np.zeros((101, 3)))),
+        lambda: plot_dmp(primitive(), (T[::-1], np.zeros((101, 2)))),
+        lambda: plot_dmp(primitive(), goals=[(0.5, [1.0])]),
+        lambda: dmp_phase(primitive(), ax=plt.subplots(2)[1]),
+        lambda: pose_dmp(taught_pose, (T_POSE, POSES[1:])),
+        lambda: pose_dmp(taught_pose, (T_POSE[::-1], POSES)),
+        lambda: pose_dmp(taught_pose, (T_POSE, POSES), ax=plt.subplots(2)[1]),
+        lambda: periodic_dmp(taught_rhythm, (T_TURNS, Y[:, :1])),
+        lambda: periodic_dmp(taught_rhythm, turns=0.0),
+        lambda: periodic_dmp(taught_rhythm, ax=plt.subplots(3)[1]),
+        lambda: promp(taught_promp, [(T_UNIT, np.zeros((101, 3)))]),
+        lambda: promp(taught_promp, points=[(0.5, [1.0])]),
+        lambda: promp(taught_promp, ax=plt.subplots(3)[1]),
+        lambda: two_dof(run(), [2]),
+        lambda: two_dof(run(), ax=plt.figure().add_subplot()),
+    ):
         with pytest.raises(ShapeError, match=r"^Expected .*\.$"):
             misuse()
     plt.close("all")
