@@ -1,4 +1,4 @@
-"""``armlab config``: the settings in force, and where each came from."""
+"""``armlab config``: the settings in force and their origins."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``armlab doctor``: is everything ready for a robot? Sends nothing to one."""
+"""``armlab doctor``: check computer, network and robot before a run. Sends nothing to a robot."""
 
 from __future__ import annotations
 

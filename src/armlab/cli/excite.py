@@ -1,4 +1,4 @@
-"""``armlab excite``: design a motion that tells the parameters apart, and run it."""
+"""``armlab excite``: design an excitation trajectory and run it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``armlab monitor``: a bridge that runs, in the terminal."""
+"""``armlab monitor``: a running bridge, in the terminal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``armlab run``: run a controller of yours, from a file, against a robot."""
+"""``armlab run``: run your controller from a file."""
 
 from __future__ import annotations
 

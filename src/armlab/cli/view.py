@@ -1,4 +1,4 @@
-"""``armlab view``: a log, or a bridge that runs, in the browser."""
+"""``armlab view``: a log or a running bridge, in the browser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How `armlab dmp play` runs a primitive of each kind: on an arm, or into a table."""
+"""Playing a movement primitive of each kind: on an arm, or into a table."""
 
 from __future__ import annotations
 

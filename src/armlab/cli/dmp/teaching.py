@@ -1,4 +1,4 @@
-"""How `armlab dmp fit` makes a primitive of each kind of the motions in logs."""
+"""Fitting a movement primitive of each kind to demonstrations in logs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``armlab payload``: a load at the flange from a log and the model of the arm alone."""
+"""``armlab payload``: payload identification from a log and the model of the arm alone."""
 
 from __future__ import annotations
 

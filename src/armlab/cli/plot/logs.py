@@ -1,4 +1,4 @@
-"""Figures of logs alone: columns, poses, how fast the loop was, estimated forces."""
+"""Figures of logs: columns, poses, loop latency, estimated forces."""
 
 from __future__ import annotations
 

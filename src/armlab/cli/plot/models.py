@@ -1,4 +1,4 @@
-"""Figures of torque models, of what they leave of a log, and of fits."""
+"""Figures of torque models, their residuals, and fits."""
 
 from __future__ import annotations
 

@@ -1,3 +1,3 @@
-"""What the commands share: options, settings, output, reports, figures, the log of a command."""
+"""Shared by the commands: options, settings, output, reports, figures, input logs."""
 
 __all__ = []

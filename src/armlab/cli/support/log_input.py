@@ -1,4 +1,4 @@
-"""The log of a command: refused when it has no torques or is of another robot, doubted when it cannot be true."""
+"""The log that a command reads: refused without torques or of another robot; doubts about implausible data."""
 
 from __future__ import annotations
 
