@@ -9,9 +9,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from armlab import kinematics, plots, robots
+from armlab._palette import AXIS_COLORS, GREY
 from armlab.lie import se3, so3
 from armlab.plots import space
-from armlab.plots.style import AXIS_COLORS, GREY, MODEL, look
+from armlab.plots.style import MODEL, look
 from armlab.robots import Robot
 
 STICK = {"color": "#333333", "linewidth": 2.5}

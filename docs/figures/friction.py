@@ -5,9 +5,10 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 
+from armlab._palette import GREY
 from armlab.kernels import presliding
 from armlab.models import Friction, RippleLines, WarmUp, speed_basis
-from armlab.plots.style import GREY, MODEL, look
+from armlab.plots.style import MODEL, look
 
 
 def curve() -> tuple[np.ndarray, np.ndarray, Friction]:

@@ -6,8 +6,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.patches import Circle
 
+from armlab._palette import AXIS_COLORS, GREY
 from armlab.motion import AvoidingDmp, Capsule, fit_dmp
-from armlab.plots.style import AXIS_COLORS, GREY, MODEL, look
+from armlab.plots.style import MODEL, look
 
 SCENE = [Capsule.sphere([0.15, 0.09], 0.025), Capsule([0.31, 0.02], [0.34, 0.09], 0.015)]
 CLEARANCE, REACH = 0.02, 0.08

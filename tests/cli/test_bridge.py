@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import re
+import shutil
 import signal
+import ssl
 import subprocess
 import sys
 import threading
@@ -12,7 +15,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from rich.console import Console
 
 from armlab import robots
 from armlab.bridge.feed import OPERATOR, Exchange
@@ -20,8 +25,25 @@ from armlab.bridge.local import LocalFeed, socket_path
 from armlab.bridge.local_server import LocalServer
 from armlab.bridge.messages import Subscribe, parameter_message
 from armlab.bridge.parameters import Parameter, Parameters
+from armlab.bridge.row import RowWriter, read_row
+from armlab.bridge.row_schema import RowSchema
+from armlab.bridge.watch import Watch
 from armlab.cli import main
-from armlab.cli.bridge import bridge, certificates, release, resume, set_parameters, start, stop
+from armlab.cli.bridge import (
+    USERS,
+    bridge,
+    certificates,
+    release,
+    resume,
+    set_parameters,
+    start,
+    stop,
+    write_certificates,
+)
+from armlab.cli.monitor import monitor, table
+from armlab.errors import ConfigError
+from armlab.log import Tick
+from armlab.state import State
 
 CELL = """
 name = "small"
@@ -182,3 +204,124 @@ def test_the_whole_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     one = r"\d+( \(\d+ dropped\))?"  # what was on its way as a client left
     assert re.search(rf"Rows to the server local: \d+\. To its clients: ({one} )*{one}\.", said)
     assert not socket_path("small").exists()
+
+
+needs_openssl = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+
+
+@needs_openssl
+def test_certificates_are_of_the_lab_s_authority(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "lab"
+    assert main(["bridge", "certificates", str(folder), "--host", "192.168.1.5", "--host", "lab-pc"]) == 0
+    shown = capsys.readouterr().out.split()
+    assert sorted(shown) == sorted(str(path) for path in folder.iterdir())
+    check = ["openssl", "verify", "-CAfile", str(folder / "lab.pem"), str(folder / "bridge.pem")]
+    assert subprocess.run(check, capture_output=True, text=True, check=False).stdout.endswith("OK\n")
+    text = ["openssl", "x509", "-in", str(folder / "bridge.pem"), "-noout", "-ext", "subjectAltName"]
+    names = subprocess.run(text, capture_output=True, text=True, check=True).stdout
+    assert re.search("DNS:localhost, IP Address:127.0.0.1, IP Address:192.168.1.5, DNS:lab-pc", names)
+    ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(folder / "bridge.pem", folder / "bridge.key")
+    assert {path.stat().st_mode & 0o077 for path in folder.iterdir()} == {0}
+    users = (folder / "users.txt").read_text().splitlines()
+    assert [line.partition(":")[0] for line in users] == ["commander", "bridge", "viewer"] == list(USERS)
+    assert (folder / "commander.secret").read_text().strip() == users[0]
+    assert len({line.partition(":")[2] for line in users}) == 3
+
+
+@needs_openssl
+def test_authority_and_users_are_kept(tmp_path: Path) -> None:
+    write_certificates(tmp_path)
+    kept = {name: (tmp_path / name).read_bytes() for name in ("lab.key", "lab.pem", "users.txt", "commander.secret")}
+    before = (tmp_path / "bridge.key").read_bytes()
+    assert [path.name for path in write_certificates(tmp_path, ["robot-pc"])] == ["bridge.key", "bridge.pem"]
+    assert {name: (tmp_path / name).read_bytes() for name in kept} == kept
+    assert (tmp_path / "bridge.key").read_bytes() != before
+
+
+@needs_openssl
+def test_what_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ConfigError, match="names or addresses"):
+        write_certificates(tmp_path, ["a,DNS:b"])
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="Expected a folder"):
+        write_certificates(tmp_path / "file")
+    (tmp_path / "lab.key").write_text("no key")
+    with pytest.raises(ConfigError, match="openssl to write a certificate"):
+        write_certificates(tmp_path)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(ConfigError, match="Expected the program openssl"):
+        write_certificates(tmp_path / "other")
+
+
+LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
+NOW = 10**18
+
+
+def row() -> Any:
+    q, schema = np.zeros(7), RowSchema.of([LEFT, RIGHT])
+    state = State(0.0, 0.004, q, q, q, robot="yumi_left", motors=1, rapid=2, mci=3)
+    return read_row(schema, RowWriter(schema).row(state, None, Tick(1, 1, NOW, NOW, NOW + 1000, 0), 0, "labcomm a"))
+
+
+def test_the_table() -> None:
+    watch, console = Watch(), Console(width=100, file=io.StringIO())
+    console.print(table(watch, NOW))
+    watch.take({"kind": "about", "cell": "yumi"})
+    watch.take({"kind": "event", "stamp_ns": NOW, "text": "[b]The robot[/b] is ready."})
+    watch.take({"kind": "status", "rows": 1, "lost": 4, "arms": {}})
+    watch.take(row())
+    console.print(table(watch, NOW))
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    for word in (
+        "No row yet",
+        "Cell yumi",
+        "yumi_right",
+        "p50 / p99 / max [us]",
+        "[b]The robot[/b] is ready.",
+        "Rows lost by this feed: 4",
+    ):
+        assert word in text
+
+
+@pytest.mark.parametrize("seconds", ["-1", "nan"])
+def test_a_time_that_is_none(capsys: Any, seconds: str) -> None:
+    assert main(["monitor", "--seconds", seconds]) == 2
+    assert "seconds of at least 0" in capsys.readouterr().err
+
+
+def test_plain_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    """Without a terminal: a line per arm and second, and the events."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    exchange = Exchange([LEFT], [OPERATOR])
+    far = exchange.open(OPERATOR)
+    server = threading.Thread(target=LocalServer(far, socket_path("small")).run, daemon=True)
+    server.start()
+    exchange.event("Something happened.")
+    over = threading.Event()
+
+    def rows() -> None:
+        q = np.zeros(7)
+        while not over.is_set():
+            state = State(0.0, 0.004, q, q, q, robot="yumi_left", motors=1, mci=3)
+            exchange.row(state, None, Tick(0, 0, time.time_ns(), time.time_ns(), time.time_ns(), 0))
+            time.sleep(0.02)
+
+    feeder = threading.Thread(target=rows, daemon=True)
+    feeder.start()
+    assert main(["monitor", "--seconds", "1"]) == 0
+    shown = capsys.readouterr().out
+    over.set()
+    feeder.join()
+    exchange.close()
+    server.join(10.0)
+    far.close()
+    assert "yumi_left, state holding" in shown
+    assert "Something happened." in shown
+    assert callable(monitor)
+    assert main(["monitor"]) == 1
+    assert "found none" in capsys.readouterr().err
+
+
+def test_a_bridge_elsewhere(capsys: Any) -> None:
+    assert main(["monitor", "--zenoh", "http://host"]) != 0
+    assert "zenoh://192.168.1.5:7447/lab1" in capsys.readouterr().err

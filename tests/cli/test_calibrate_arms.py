@@ -13,7 +13,7 @@ from scipy.io import savemat
 from armlab import log as logs
 from armlab import models, robots, sim
 from armlab.cli import main
-from armlab.cli.calibrate_arms import dual_arm, kinematics
+from armlab.cli.calibrate.arms import dual_arm, kinematics
 from armlab.kinematics import forward, inverse
 from armlab.lie import se3, so3
 from armlab.log import Column, Table

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from armlab import robots
 from armlab.cli import main
-from armlab.cli.demo import PRESSES, Plan, demo, rehearse
-from armlab.cli.demo_report import judge
-from armlab.errors import ControllerLate
+from armlab.cli.demo import PRESSES, Plan, Verdict, demo, figures, judge, latency_line, rehearse
+from armlab.errors import ControllerLate, LogError
+from armlab.log import Table
 
 
 @pytest.fixture(scope="module")
@@ -84,3 +85,88 @@ def test_nine_other_seeds_meet_the_bars(tmp_path, seed: int) -> None:
     outcome = rehearse("yumi_left" if seed % 2 else "yumi_right", seed, tmp_path / "demo", fast=True)
     verdict = judge(outcome["estimate"], outcome["plan"])
     assert verdict.passed, verdict.missed
+
+
+def pretend(plan: Plan, error: np.ndarray, sigma: float = 0.5) -> Table:
+    """A run whose estimate is the truth plus `error` (N, 6)."""
+    t = np.arange(0, 3.0 + plan.test.seconds, 0.004)
+    wrench = plan.wrench(t) + error if error.ndim else plan.wrench(t) + error * np.ones((len(t), 6))
+    cov = np.tile(sigma**2 * np.eye(6), (len(t), 1, 1))
+    columns = {"wrench_hat": wrench, "wrench_hat_cov": cov, "observability": np.ones((len(t), 6))}
+    return Table(t, columns).with_column("session_t", t)
+
+
+def noise(plan: Plan, sd: float) -> np.ndarray:
+    N = len(np.arange(0, 3.0 + plan.test.seconds, 0.004))
+    return sd * np.clip(np.random.default_rng(0).standard_normal((N, 6)), -2.5, 2.5)
+
+
+def test_a_good_estimate_passes_and_its_text_says_so(plan: Plan) -> None:
+    """White errors with the stated deviation: everything but the rest is in order; with a wide band at rest, all is."""
+    table = pretend(plan, noise(plan, 0.5))
+    verdict = judge(table, plan)
+    assert len(verdict.missed) == 1
+    assert "at rest" in verdict.missed[0]
+    rest = (table["session_t"] > plan.rest[0])[:, None, None]
+    wide = table.with_column("wrench_hat_cov", np.where(rest, 100 * np.eye(6), table["wrench_hat_cov"]))
+    verdict = judge(wide, plan)
+    assert verdict.passed
+    assert 0.94 < verdict.coverage < 0.97
+    assert "500 g -z" in verdict.text()
+
+
+@pytest.mark.parametrize(
+    ("error", "sigma", "words"),
+    [(2.0, 2.0, "force error x"), (0.0, 0.5, "coverage 100.0 %"), (1.0, 0.4, "500 g"), (2.0, 2.0, "false force")],
+)
+def test_each_bar_can_be_missed(plan: Plan, error: float, sigma: float, words: str) -> None:
+    verdict = judge(pretend(plan, np.array(error), sigma), plan)
+    assert any(words in missed for missed in verdict.missed)
+
+
+def test_a_run_that_ended_early_is_refused(plan: Plan) -> None:
+    table = pretend(plan, noise(plan, 0.5))
+    with pytest.raises(LogError, match="with all presses"):
+        judge(table.between(0.0, plan.presses[-1][3]), plan)
+    with pytest.raises(LogError, match="with all presses"):
+        judge(table.rows(slice(0, 0)), plan)
+
+
+def test_an_axis_that_cannot_be_seen_misses_the_bar(plan: Plan) -> None:
+    """No sample with observability above 0.9: there is no error to judge, and the demo does not pass."""
+    table = pretend(plan, noise(plan, 0.5))
+    blind = table.with_column("observability", 0.5 * np.ones((len(table), 6)))
+    assert any("force error x nan" in missed for missed in judge(blind, plan).missed)
+
+
+def test_cycles_without_an_estimate_do_not_count_but_too_many_miss_the_bar(plan: Plan) -> None:
+    table = pretend(plan, noise(plan, 0.5))
+
+    def without(every: int) -> Table:
+        holed = np.array(table["wrench_hat"])
+        holed[::every] = np.nan
+        return table.with_column("wrench_hat", holed)
+
+    few = judge(without(200), plan)
+    assert few.holes == pytest.approx(0.005, abs=1e-3)
+    assert all(np.isfinite(press["error"]) for press in few.presses)
+    assert not any("without an estimate" in missed for missed in few.missed)
+    assert any("without an estimate" in missed for missed in judge(without(20), plan).missed)
+
+
+def test_latency_line_takes_the_line_with_percentiles() -> None:
+    run = SimpleNamespace(report=lambda: "cycles 100\n  round trip p50 60 us\nnone")
+    assert latency_line(run) == "round trip p50 60 us"
+    assert latency_line(SimpleNamespace(report=lambda: "nothing yet")) == "nothing yet"
+
+
+def test_figures_and_summary_are_written(monkeypatch, plan: Plan, tmp_path, model, excited) -> None:
+    monkeypatch.setattr("armlab.log.read", lambda path, **_: excited.between(0.0, 4.0))
+    table = pretend(plan, noise(plan, 0.5))
+    verdict = judge(table, plan)
+    assert isinstance(verdict, Verdict)
+    files = figures(tmp_path, {"plan": plan, "estimate": table, "fit": SimpleNamespace(value=model)}, verdict)
+    assert [path.name for path in files] == ["summary.json", "torque.png", "wrench.png"]
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["passed"] is verdict.passed
+    assert len(summary["presses"]) == 9

@@ -4,19 +4,54 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from armlab import kinematics, log, robots
+from armlab import State, bridge, kinematics, log, robots
 from armlab.cli import main
 from armlab.cli.dmp import dmp, fit, play
-from armlab.log import Table
-from armlab.motion import Dmp, PoseDmp, profiles
+from armlab.cli.dmp.playing import (
+    OPTIONS,
+    SETTLES,
+    Motion,
+    Walk,
+    distance,
+    motion_of,
+    numbers_in,
+    rehearsed,
+    resolved,
+    rolled_out,
+)
+from armlab.cli.dmp.teaching import (
+    KINDS,
+    Demonstration,
+    Window,
+    check_options,
+    numbers_of,
+    read_demonstration,
+    taught,
+    text_of,
+)
+from armlab.errors import ConfigError, UnknownName
+from armlab.log import Column, Table
+from armlab.motion import (
+    Dmp,
+    PeriodicDmp,
+    PoseDmp,
+    ProMP,
+    TwoDofDmp,
+    fit_dmp,
+    fit_periodic_dmp,
+    fit_pose_dmp,
+    fit_promp,
+    profiles,
+)
 
 
 @pytest.fixture(scope="module")
-def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def taught_csv(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Half a second of rest, a motion of a second, and rest."""
     q0 = robots.load("yumi_left").q_home
     motion = profiles.minimum_jerk(q0, q0 + np.deg2rad([10, -5, 8, -10, 5, 5, 20]), 1.0)
@@ -27,25 +62,30 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def primitive(taught: Path) -> Path:
-    path = taught.with_name("motion.toml")
-    assert main(["dmp", "fit", str(taught), "-o", str(path)]) == 0
+def primitive(taught_csv: Path) -> Path:
+    path = taught_csv.with_name("motion.toml")
+    assert main(["dmp", "fit", str(taught_csv), "-o", str(path)]) == 0
     return path
 
 
-def test_a_motion_is_fitted_without_the_rest_around_it(taught: Path, primitive: Path, tmp_path: Path, capsys) -> None:
+def test_a_motion_is_fitted_without_the_rest_around_it(
+    taught_csv: Path, primitive: Path, tmp_path: Path, capsys
+) -> None:
     value = Dmp.load(primitive)
     assert value.n == 7
     assert 0.9 < value.duration < 1.25
-    assert main(["dmp", "fit", str(taught), str(taught), "-o", str(tmp_path / "two.toml"), "--whole", "--json"]) == 0
+    assert (
+        main(["dmp", "fit", str(taught_csv), str(taught_csv), "-o", str(tmp_path / "two.toml"), "--whole", "--json"])
+        == 0
+    )
     said = json.loads(capsys.readouterr().out)
     assert said["duration"] == pytest.approx(2.496)
     assert max(said["rms"]) < 1e-3
     assert "sha256" in primitive.read_text()
 
 
-def test_what_was_fitted_is_told(taught: Path, tmp_path: Path, capsys) -> None:
-    words = ["dmp", "fit", str(taught), "-o", str(tmp_path / "m.toml"), "--start", "0.4", "--end", "1.6"]
+def test_what_was_fitted_is_told(taught_csv: Path, tmp_path: Path, capsys) -> None:
+    words = ["dmp", "fit", str(taught_csv), "-o", str(tmp_path / "m.toml"), "--start", "0.4", "--end", "1.6"]
     assert main([*words, "--basis", "20"]) == 0
     said = capsys.readouterr().out
     assert "1 demonstration with" in said
@@ -81,10 +121,10 @@ def test_it_is_played_on_the_simulated_arm(primitive: Path, tmp_path: Path, caps
 
 
 @pytest.mark.slow  # 3 s
-def test_poses_are_played_on_the_simulated_arm(taught: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+def test_poses_are_played_on_the_simulated_arm(taught_csv: Path, tmp_path: Path, capsys, monkeypatch) -> None:
     """Over EGM, by inverse kinematics, from and to where the tool was shown."""
     monkeypatch.chdir(tmp_path)
-    assert main(["dmp", "fit", str(taught), "-o", "pose.toml", "--kind", "pose", "--robot", "yumi_left"]) == 0
+    assert main(["dmp", "fit", str(taught_csv), "-o", "pose.toml", "--kind", "pose", "--robot", "yumi_left"]) == 0
     words = ["dmp", "play", "pose.toml", "--robot", "yumi_left", "--link", "sim://yumi_left?lockstep=true"]
     assert main([*words, "--log", "pose.mcap"]) == 0
     assert "of motion, ended" in capsys.readouterr().out
@@ -93,16 +133,18 @@ def test_poses_are_played_on_the_simulated_arm(taught: Path, tmp_path: Path, cap
     np.testing.assert_allclose(tool, [shown.T_start, shown.T_goal], rtol=0, atol=0.01)
 
 
-def test_what_cannot_be_is_refused_before_anything_moves(taught: Path, primitive: Path, tmp_path: Path, capsys) -> None:
+def test_what_cannot_be_is_refused_before_anything_moves(
+    taught_csv: Path, primitive: Path, tmp_path: Path, capsys
+) -> None:
     new, play_it = ("-o", str(tmp_path / "x.toml")), ("play", str(primitive))
     for words, sentence in {
         ("fit", *new): "log of a motion",
-        ("fit", str(taught), "-o", str(tmp_path / "x.csv")): ".toml",
-        ("fit", str(taught), "-o", str(primitive)): "--force",
-        ("fit", str(taught), *new, "--column", "speed"): "speed",
-        ("fit", str(taught), *new, "--end", "0.2"): "rest",
-        ("fit", str(taught), *new, "--period", "2"): "--kind periodic",
-        ("fit", str(taught), *new, "--kind", "pose"): "--robot",
+        ("fit", str(taught_csv), "-o", str(tmp_path / "x.csv")): ".toml",
+        ("fit", str(taught_csv), "-o", str(primitive)): "--force",
+        ("fit", str(taught_csv), *new, "--column", "speed"): "speed",
+        ("fit", str(taught_csv), *new, "--end", "0.2"): "rest",
+        ("fit", str(taught_csv), *new, "--period", "2"): "--kind periodic",
+        ("fit", str(taught_csv), *new, "--kind", "pose"): "--robot",
         play_it: "--robot NAME",
         (*play_it, "--robot", "ur5e"): "6 joints",
         (*play_it, "--robot", "yumi_left", "--goal", ",".join("9" * 7)): "within the limits",
@@ -110,11 +152,11 @@ def test_what_cannot_be_is_refused_before_anything_moves(taught: Path, primitive
         (*play_it, "--robot", "yumi_left", "--duration", "-1"): "duration [s] above zero",
         (*play_it, "-o", str(tmp_path / "x.csv"), "--goal", "here"): "numbers with commas",
         ("play", str(tmp_path / "none.toml"), "-o", str(tmp_path / "x.csv")): "none.toml",
-        ("play", str(taught), "-o", str(tmp_path / "x.csv")): "TOML",
+        ("play", str(taught_csv), "-o", str(tmp_path / "x.csv")): "TOML",
     }.items():
         assert main(["dmp", *words]) == 2
         assert sentence in capsys.readouterr().err
-    assert main(["dmp", "fit", str(taught)]) == 2
+    assert main(["dmp", "fit", str(taught_csv)]) == 2
     assert not (tmp_path / "x.csv").exists()
     assert dmp.name == ("dmp",)
     assert fit.__doc__
@@ -128,3 +170,199 @@ def test_a_motion_whose_last_command_was_refused_fails(primitive: Path, tmp_path
     words = ["dmp", "play", str(primitive), "--robot", "yumi_left", "--link", "sim://yumi_left?lockstep=true"]
     assert main([*words, "--log", "refused.mcap"]) == 1
     assert "The last command to yumi_left was refused. Expected nearer." in capsys.readouterr().err
+
+
+ROBOT = robots.load("yumi_left")
+LIMITS = bridge.Limits.of(ROBOT)
+T = np.linspace(0.0, 1.0, 101)
+WAY = np.deg2rad([10, -5, 8, -10, 5, 5, 20])
+
+
+def path(share: float = 1.0) -> np.ndarray:
+    return profiles.minimum_jerk(ROBOT.q_home, ROBOT.q_home + share * WAY, 1.0).at(T)[0]
+
+
+@pytest.fixture(scope="module")
+def made() -> dict[str, Any]:
+    """One primitive of each kind that has a file."""
+    dmp = fit_dmp(T, path(), n_basis=20).value
+    round_and_round = ROBOT.q_home + 0.1 * np.outer(np.sin(2 * np.pi * T), np.ones(7))
+    return {
+        "dmp": dmp,
+        "two_dof_dmp": TwoDofDmp(dmp),
+        "promp": fit_promp(T, np.array([path(k) for k in (0.8, 1.0, 1.3)]), n_basis=8).value,
+        "pose_dmp": fit_pose_dmp(T, kinematics.forward(ROBOT, path()), n_basis=20).value,
+        "periodic_dmp": fit_periodic_dmp(T, round_and_round, period=1.0).value,
+    }
+
+
+@pytest.mark.parametrize("kind", OPTIONS)
+def test_every_kind_leads_the_arm_and_makes_a_table(kind: str, made: dict[str, Any], tmp_path: Path) -> None:
+    primitive, run = resolved(type(made[kind]).load(made[kind].save(tmp_path / "m.toml")), {"goal": None})
+    table = rolled_out(primitive, run)
+    assert table.names == (("T_base_tool",) if kind == "pose_dmp" else ("y", "yd", "ydd"))
+    assert table.t[-1] == pytest.approx(4.0 if kind == "periodic_dmp" else 1.0, abs=0.005)
+    motion = motion_of(primitive, run, ROBOT, LIMITS, firm=False)
+    assert isinstance(motion, Motion)
+    q = rehearsed(motion)["q"]
+    assert np.abs(q[0] - motion.q_start).max() < 0.01
+    assert np.abs(np.diff(q, axis=0)).max() / 0.004 <= LIMITS.qd_max.max() * (1 + 1e-9)
+    end = ROBOT.q_home + (0.0 if kind == "periodic_dmp" else 31 / 30 if kind == "promp" else 1.0) * WAY
+    if kind == "pose_dmp":
+        assert max(distance(ROBOT, q[-1], kinematics.forward(ROBOT, end)).values()) < 1e-3
+    else:
+        np.testing.assert_allclose(q[-1], end, rtol=0, atol=2e-3)
+
+
+@pytest.mark.parametrize("kind", ["dmp", "two_dof_dmp", "promp"])
+def test_points_on_the_way_are_passed(kind: str, made: dict[str, Any]) -> None:
+    point = path(1.2 if kind == "promp" else 1.0)[50] + (0.0 if kind == "promp" else 0.02)
+    primitive, run = resolved(made[kind], {"via": [f"0.5:{','.join(map(str, point))}"]})
+    table = rolled_out(primitive, run)
+    np.testing.assert_allclose(table["y"][125], point, rtol=0, atol=2e-3)
+
+
+def test_a_motion_too_fast_is_stretched(made: dict[str, Any]) -> None:
+    slow = bridge.Limits.of(ROBOT, speed=0.05)
+    for kind in ("dmp", "pose_dmp", "periodic_dmp"):
+        primitive, run = resolved(made[kind], {"duration": 0.2})
+        motion = motion_of(primitive, run, ROBOT, slow, firm=True)
+        assert motion.seconds > 1.0
+        assert np.all(np.abs(rehearsed(motion)["qd"]) <= slow.qd_max * (1 + 1e-9))
+
+
+def test_the_walk_ends_where_it_shall() -> None:
+    walk, q, k = Walk(ROBOT.q_home + WAY, ROBOT.qd_max), ROBOT.q_home, 0
+    while not (command := walk(State(0.004 * k, 0.004, q, q, q))).ends:
+        assert command.q is not None
+        q, k = command.q, k + 1
+        assert 0.004 * k < 10.0 + SETTLES
+    np.testing.assert_allclose(q, ROBOT.q_home + WAY, atol=1e-9)
+
+
+def test_what_does_not_fit_is_refused(made: dict[str, Any]) -> None:
+    assert numbers_in(None, "goal") is None
+    assert numbers_in("1,-2e-1", "goal") == pytest.approx([1.0, -0.2])
+    for misuse in (
+        lambda: numbers_in("1;2", "goal"),
+        lambda: resolved(made["pose_dmp"], {"via": ["0.5:1"]}),
+        lambda: resolved(made["dmp"], {"amplitude": 2.0}),
+        lambda: resolved(made["dmp"], {"via": ["now:1"]}),
+        lambda: resolved(ROBOT, {}),
+    ):
+        with pytest.raises(ConfigError, match=r"^Expected .*\."):
+            misuse()
+    far = {"goal": np.array([9.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])}
+    with pytest.raises(ConfigError, match="out of reach"):
+        motion_of(made["pose_dmp"], far, ROBOT, LIMITS, firm=False)
+
+
+def test_a_motion_is_as_fast_as_asked_within_the_limits(made: dict[str, Any]) -> None:
+    seconds = [motion_of(made["dmp"], {"duration": d}, ROBOT, LIMITS, firm=True).seconds for d in (2.0, 0.5, 1e-3)]
+    assert seconds[:2] == [2.0, 0.5]
+    fastest = np.abs(made["dmp"].rollout(1e-4, duration=seconds[2]).yd).max(axis=0) / LIMITS.qd_max
+    assert fastest.max() == pytest.approx(1.0, rel=1e-3)
+
+
+T_TAUGHT = np.arange(0, 2.0, 0.01)
+
+
+def shown(folder: Path, share: float = 1.0) -> Path:
+    """A log: rest, a motion of a second, rest."""
+    q = profiles.minimum_jerk(ROBOT.q_home, ROBOT.q_home + share * WAY, 1.0).at(T_TAUGHT - 0.5)[0]
+    return log.write(Table(T_TAUGHT, {"q": q}), folder / f"shown{share}.csv")
+
+
+def fitted(folder: Path, capsys, *words: str) -> tuple[Path, dict]:
+    path = folder / "motion.toml"
+    assert main(["dmp", "fit", *words, "-o", str(path), "--json"]) == 0
+    return path, json.loads(capsys.readouterr().out)
+
+
+def test_poses_come_from_kinematics_or_from_the_log(tmp_path: Path, capsys) -> None:
+    words = ["--kind", "pose", "--frame", "goal", "--basis", "20"]
+    path, said = fitted(tmp_path, capsys, str(shown(tmp_path)), *words, "--robot", "yumi_left")
+    value = PoseDmp.load(path)
+    assert value.frame == "goal"
+    assert said["kernels"] == 20
+    np.testing.assert_allclose(value.T_goal, kinematics.forward(ROBOT, ROBOT.q_home + WAY), atol=1e-9)
+    assert max(said["rms"]) < 1e-3
+    poses = kinematics.forward(ROBOT, log.read(shown(tmp_path))["q"])
+    table = log.write(Table(T_TAUGHT, {"T_base_tool": poses}), tmp_path / "poses.csv")
+    found = read_demonstration(table, "pose", (), None, Window())
+    assert found.y.shape[1:] == (4, 4)
+    assert "sha256" in found.sources[0]
+
+
+def test_a_rhythm(tmp_path: Path, capsys) -> None:
+    y = np.stack([np.sin(np.pi * T_TAUGHT), 0.5 * np.cos(np.pi * T_TAUGHT)], axis=1)
+    table = Table(T_TAUGHT, {"a": y[:, 0], "b": y[:, 1]}, {"a": Column(unit="m"), "b": Column(unit="m")})
+    columns = ("--column", "a", "--column", "b")
+    logs = log.write(table, tmp_path / "rhythm.csv")
+    path, said = fitted(tmp_path, capsys, str(logs), "--kind", "periodic", "--period", "2", *columns)
+    value = PeriodicDmp.load(path)
+    assert (said["period"], value.n) == (2.0, 2)
+    assert max(said["rms"]) < 1e-6
+
+
+def test_a_distribution_over_motions(tmp_path: Path, capsys) -> None:
+    logs = [str(shown(tmp_path, share)) for share in (0.8, 1.0, 1.3)]
+    path, said = fitted(tmp_path, capsys, *logs, "--kind", "promp", "--basis", "8")
+    value = ProMP.load(path)
+    assert (said["demonstrations"], said["kernels"], value.n) == (3, 8, 7)
+    spread = np.std([0.8, 1.0, 1.3], ddof=1) * np.abs(WAY)
+    np.testing.assert_allclose(said["goal_sd"], spread, rtol=0.1)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_is_told_in_words(kind: str) -> None:
+    y = np.outer(np.sin(np.pi * T_TAUGHT), [1.0, 0.5])
+    T_base_tool = np.tile(np.eye(4), (len(T_TAUGHT), 1, 1))
+    T_base_tool[:, 0, 3] = T_TAUGHT
+    demos = [Demonstration(T_TAUGHT, T_base_tool if kind == "pose" else k * y, ()) for k in (1.0, 1.5)]
+    demos = demos if kind in ("joints", "promp") else demos[:1]
+    options = check_options(kind, {"basis": 9, "period": 2.0 if kind == "periodic" else None})
+    found = taught(kind, demos, options)
+    said = text_of(kind, found, len(demos))
+    assert said.startswith(kind)
+    assert "9 kernels" in said
+    assert len(said.splitlines()) == 2 + (6 if kind == "pose" else 2)
+    assert numbers_of(kind, found, len(demos))["demonstrations"] == len(demos)
+
+
+def test_rest_is_left_out_and_windows_are_kept(tmp_path: Path) -> None:
+    path = shown(tmp_path)
+    assert read_demonstration(path, "joints", (), None, Window()).t[[0, -1]] == pytest.approx([0.42, 1.58], abs=0.04)
+    assert len(read_demonstration(path, "joints", (), None, Window(whole=True)).t) == 200
+    assert read_demonstration(path, "joints", ("q",), None, Window(0.6, 1.2)).t[[0, -1]] == pytest.approx([0.6, 1.19])
+    with pytest.raises(ConfigError, match="got rest"):
+        read_demonstration(path, "joints", (), None, Window(end=0.3))
+
+
+def test_options_belong_to_kinds(tmp_path: Path) -> None:
+    assert check_options("pose", {"frame": "goal", "period": None}) == {"frame": "goal"}
+    with pytest.raises(ConfigError, match="--kind pose"):
+        check_options("joints", {"frame": "goal"})
+    with pytest.raises(ConfigError, match="--period"):
+        check_options("periodic", {"period": None})
+    with pytest.raises(UnknownName, match="periodic"):
+        check_options("rhythm", {})
+    demo = read_demonstration(shown(tmp_path), "joints", (), None, Window())
+    with pytest.raises(ConfigError, match="Expected one log"):
+        taught("periodic", [demo, demo], {"period": 1.0})
+
+
+def test_poses_of_a_bag_are_those_of_the_robot(ur5e_bag: Path) -> None:
+    """In the order of their driver its joints would be another posture."""
+    found = read_demonstration(ur5e_bag, "pose", (), "ur5e", Window(whole=True))
+    np.testing.assert_allclose(found.y[0], kinematics.forward(robots.load("ur5e"), np.arange(6.0)))
+
+
+@pytest.mark.parametrize("kind", ["joints", "periodic", "promp"])
+def test_joints_of_a_bag_need_their_robot(ur5e_bag: Path, kind: str) -> None:
+    """In the order of their driver they would be played by the wrong joints."""
+    found = read_demonstration(ur5e_bag, kind, (), "ur5e", Window(whole=True))
+    np.testing.assert_array_equal(found.y[0], np.arange(6.0))
+    assert "robot" in check_options(kind, {"robot": "ur5e", "period": 1.0 if kind == "periodic" else None})
+    with pytest.raises(ConfigError, match="Expected --robot NAME with"):
+        read_demonstration(ur5e_bag, kind, (), None, Window(whole=True))

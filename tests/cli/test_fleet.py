@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import socket
 import threading
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
-from armlab import cli
-from armlab.cli.fleet import fleet, list_fleet, record, router
+from armlab import cli, log, models, robots
+from armlab.cli.fleet import Job, estimate, export, fleet, identify, list_fleet, record, router
 from armlab.fleet import Router
 
 
@@ -69,3 +70,91 @@ def test_wrong_words_get_a_sentence(
     (tmp_path / "taken").write_text("mine")
     assert cli.main(["fleet", *words.split()]) == code
     assert said in capsys.readouterr().err
+
+
+@pytest.fixture
+def logs(truth, excited, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    (tmp_path / "logs").mkdir()
+    log.write(excited, tmp_path / "logs/one.mcap", truth.robot)
+    (tmp_path / "logs/bad.mcap").write_bytes(b"nonsense")
+    return tmp_path / "logs"
+
+
+@pytest.mark.slow  # 5 s beside other work
+def test_the_robot_is_the_one_of_the_recordings_and_skipped_logs_are_named(logs: Path, truth, capsys) -> None:
+    assert identify.__doc__
+    model = logs.parent / "model.toml"
+    words = ["fleet", "identify", str(logs), "-o", str(model)]
+    assert cli.main([*words, "--json"]) == cli.SKIPPED
+    said = json.loads(capsys.readouterr().out)
+    assert said["used"] == [str(logs / "one.mcap")]
+    assert list(said["skipped"]) == [str(logs / "bad.mcap")]
+    assert len(said["parameters"]) > 20
+    assert models.load(model).robot_name == truth.robot.name
+    assert len(list((logs.parent / "cache/armlab/sums").iterdir())) == 1
+    assert cli.main(words) == cli.WRONG_USE
+    assert "--force" in capsys.readouterr().err
+
+
+def test_bad_input(logs: Path, tmp_path: Path, capsys) -> None:
+    (logs / "one.mcap").unlink()
+    words = ["fleet", "identify", str(logs), "-o", str(tmp_path / "model.toml")]
+    for more, code, sentence in (
+        ([], cli.WRONG_USE, "Name it with --robot"),
+        (["--robot", "yumi_left"], cli.FAILED, "a log that can be used among 1, got none"),
+        (["--robot", "yumi_left", "--workers", "0"], cli.WRONG_USE, "at least one worker, got 0"),
+    ):
+        assert cli.main([*words, *more]) == code
+        assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "model.toml").exists()
+
+
+def test_estimates_and_exports_of_many_logs(logs: Path, model, tmp_path: Path, capsys) -> None:
+    assert estimate.__doc__
+    models.save(model, tmp_path / "model.toml")
+    words = ["fleet", "estimate", str(logs), "--model", str(tmp_path / "model.toml"), "-o", str(tmp_path / "new")]
+    assert cli.main(words) == cli.SKIPPED
+    said = capsys.readouterr()
+    assert "2-sigma [N]" in said.out
+    assert f"skipped {logs / 'bad.mcap'}" in said.err
+    assert (tmp_path / "new/one_estimate.mcap").is_file()
+    assert cli.main(words) == cli.WRONG_USE
+    assert "--force" in capsys.readouterr().err
+    assert cli.main([*words, "--force", "--csv", "--json"]) == cli.SKIPPED
+    told = json.loads(capsys.readouterr().out)["logs"][str(logs / "one.mcap")]
+    assert told["contacts"] == 0
+    assert told["peak"] is None  # there was no contact
+
+    assert export.__doc__
+    words = ["fleet", "export", str(logs), "--format", "csv", "-o", str(tmp_path / "text"), "--json"]
+    assert cli.main(words) == cli.SKIPPED
+    (path,) = json.loads(capsys.readouterr().out)["files"].values()
+    assert log.read(path).sha256 == log.read(logs / "one.mcap").sha256
+
+
+@pytest.mark.slow  # a thousand logs
+def test_a_damaged_log_among_a_thousand_is_named(short_arm, tmp_path: Path, capsys) -> None:
+    logs, robot = tmp_path / "logs", tmp_path / "short.toml"
+    logs.mkdir()
+    robots.save(short_arm.robot, robot)
+    made = [short_arm.log(k, 600) for k in range(20)]
+    for k in range(999):
+        log.write(made[k % 20].rows(slice(k // 20, None)), logs / f"log{k:03d}.parquet")
+    whole = (logs / "log000.parquet").read_bytes()
+    (logs / "log500_damaged.parquet").write_bytes(whole[: len(whole) // 2])
+    words = ["fleet", "identify", str(logs), "-o", str(tmp_path / "model.toml"), "--robot", str(robot), "--no-cache"]
+    assert cli.main([*words, "--workers", "2"]) == cli.SKIPPED == 3
+    said = capsys.readouterr()
+    assert "999 logs used, 1 skipped" in said.out
+    assert f"skipped {logs / 'log500_damaged.parquet'}: " in said.out
+    assert "1000 of 1000 logs, " in said.err
+    assert "log500_damaged" in (tmp_path / "model.toml").read_text()
+
+
+def test_the_commands_have_the_same_options(capsys) -> None:
+    assert {field.name for field in fields(Job)} == {"robot", "workers", "dask", "json", "force"}
+    for verb in ("identify", "estimate", "export"):
+        assert cli.main(["fleet", verb, "--help"]) == 0
+        said = capsys.readouterr().out
+        assert all(f"--{field.name}" in said for field in fields(Job))

@@ -7,13 +7,33 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from armlab import cli, robots
-from armlab.cli.log import cut, export, log, merge, open_, recover, show
+from armlab.cli.log import (
+    VIEWERS,
+    Viewer,
+    check_finished,
+    chosen,
+    cut,
+    data_of,
+    export,
+    log,
+    merge,
+    open_,
+    parameters_data,
+    parameters_text,
+    recover,
+    show,
+    started,
+    text_of,
+)
+from armlab.errors import ConfigError, LogError, MissingExtra
 from armlab.log import Recorder, Table, Tick, inspect, read, write
+from armlab.robots import load
 from armlab.state import Command, State
 
 
@@ -392,3 +412,117 @@ def test_a_bag_of_another_program(tmp_path: Path, capsys: pytest.CaptureFixture[
     table = read(csv)
     assert table.columns["q"].labels == robots.load("ur5e").joint_names
     assert table["gravity.vector.z"][5] == -9.81
+
+
+NAMES = [f"yumi_robr_joint_{k}" for k in range(1, 8)]
+
+
+@pytest.fixture
+def run_path(tmp_path: Path) -> Path:
+    with Recorder(tmp_path / "run.mcap", robots.load("yumi_right")) as recorder:
+        for i in range(100):
+            q = np.full(7, 0.01 * i)
+            stamp = 1_700_000_000_000_000_000 + i * 4_000_000
+            state = State(i * 0.004, 0.004, q, q, q, seq=i, robot_ns=stamp)
+            recorder.row(state, None, Tick(i, i, stamp, stamp, stamp + 1000, 10))
+    return recorder.path
+
+
+def names_in(bag: Path) -> set[tuple[str, ...]]:
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([bag]) as reader:
+        states = [one for one in reader.connections if one.topic == "/joint_states"]
+        messages: list[Any] = [reader.deserialize(raw, one.msgtype) for one, _, raw in reader.messages(states)]
+    return {tuple(message.name) for message in messages}
+
+
+def test_a_bag_of_a_recording_has_the_joint_names_of_the_urdf(run_path: Path, tmp_path: Path) -> None:
+    whole, part = tmp_path / "whole.rosbag2", tmp_path / "part.rosbag2"
+    assert cli.main(["log", "export", str(run_path), str(whole)]) == 0
+    assert cli.main(["log", "cut", str(run_path), "--to", "0.1", "-o", str(part)]) == 0
+    for bag in (whole, part):
+        assert names_in(bag) == {tuple(NAMES)}
+        assert read(bag).columns["q"].labels == read(run_path).columns["q"].labels, (
+            "our own reader gives the same table"
+        )
+
+
+def test_of_a_log_without_a_description_the_robot_is_named(
+    run_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    csv, bag = tmp_path / "run.csv", tmp_path / "run.rosbag2"
+    assert cli.main(["log", "export", str(run_path), str(csv)]) == 0
+    assert cli.main(["log", "export", str(csv), str(bag)]) == 0
+    assert names_in(bag) == {robots.load("yumi_right").joint_names}, "labels of the columns"
+    assert cli.main(["log", "export", str(csv), str(bag), "--robot", "yumi_right", "--force"]) == 0
+    assert names_in(bag) == {tuple(NAMES)}
+    capsys.readouterr()
+    assert cli.main(["log", "export", str(csv), str(bag), "--robot", "irb120", "--force"]) == 1
+    assert "(100, 6) for robot 'irb120' of 6 joints, got (100, 7). Name the robot" in capsys.readouterr().err
+    assert names_in(bag) == {tuple(NAMES)}, "the bag from before stays"
+
+
+def test_a_log_of_another_format(tmp_path: Path) -> None:
+    table = Table(np.arange(3.0), {"q": np.array([[1.0], [np.nan], [3.0]])}, source=("run.csv sha256 0",))
+    text = text_of(tmp_path / "run.csv", "text", None, {"": table})
+    assert "run.csv: text, began -" in text
+    assert "source: run.csv sha256 0" in text
+    data = data_of(tmp_path / "run.csv", "text", None, {"": table})
+    assert (data["rows"], data["format"], data["columns"]["q"]["missing"]) == (3, "text", 1)
+
+
+def test_a_log_without_a_topic_of_numbers(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "run.mcap", load("yumi_right")) as recorder:
+        recorder.event("the only word", 10**18)
+    text = text_of(recorder.path, "MCAP", inspect(recorder.path), {})
+    assert "began -" in text
+    assert "no topic with numbers" in text
+    assert "the only word" in text
+    bag = text_of(tmp_path / "run.bag", "ROS 1 bag", None, {})
+    assert "run.bag: ROS 1 bag, began -" in bag
+    assert "no topic with numbers" in bag
+
+
+def test_only_the_first_events_are_shown(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "run.mcap", load("yumi_right")) as recorder:
+        for i in range(30):
+            recorder.event(f"event {i}", 10**18)
+    held = inspect(recorder.path)
+    text = text_of(recorder.path, "MCAP", held, {"yumi_right": Table(np.zeros(0), {})})
+    assert "event 18" in text
+    assert "event 19" not in text
+    assert text.endswith("and 11 more (--json shows all)")
+    assert parameters_text(held) == "This log has no parameters."
+    assert parameters_data(held) == {"parameters": [], "parameters_at_end": {}}
+
+
+def test_the_first_that_is_installed_is_taken_and_what_is_asked_for_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(MissingExtra, match="Expected Foxglove, PlotJuggler or Rerun on the PATH"):
+        chosen([])
+    for name in ("rerun", "foxglove-studio"):
+        (tmp_path / name).write_text("#!/bin/sh\n")
+        (tmp_path / name).chmod(0o755)
+    assert chosen([]) == (VIEWERS["foxglove"], str(tmp_path / "foxglove-studio"))
+    assert chosen(["rerun"]) == (VIEWERS["rerun"], str(tmp_path / "rerun"))
+    with pytest.raises(MissingExtra, match="Expected PlotJuggler on the PATH, got Foxglove, Rerun"):
+        chosen(["plotjuggler"])
+    with pytest.raises(ConfigError, match="foxglove and rerun"):
+        chosen(["foxglove", "rerun"])
+
+
+def test_rerun_listens_on_this_computer_only(tmp_path: Path) -> None:
+    program = tmp_path / "rerun"
+    program.write_text(f'#!/bin/sh\necho "$@" > {tmp_path}/called\nexit 3\n')
+    program.chmod(0o755)
+    assert started(VIEWERS["rerun"], str(program), tmp_path / "a b.mcap") == 3
+    assert (tmp_path / "called").read_text() == f"--bind 127.0.0.1 {tmp_path}/a b.mcap\n"
+    assert started(Viewer("True", "true", (), ""), "/bin/true", tmp_path) == 0
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="No such file"):
+        check_finished(tmp_path / "run.mcap")

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import shutil
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from armlab import cli
 from armlab._interrupts import deferred
+from armlab.cli import main
+from armlab.cli.shell import WrappedHelp, unwrapped
 from armlab.errors import LogError
 
 
@@ -31,7 +35,7 @@ def test_help_imports_no_command() -> None:
         "print([m for m in sys.modules if m.startswith(('armlab.', 'numpy')) and m != 'armlab.cli'], file=sys.stderr)"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert result.stderr.strip() == "['armlab.errors', 'armlab._interrupts', 'armlab.cli.help_text']"
+    assert result.stderr.strip() == "['armlab.errors', 'armlab._interrupts', 'armlab.cli.shell']"
 
 
 def test_wrong_use_is_2_and_an_error_1_each_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
@@ -121,3 +125,82 @@ def test_the_number_a_command_returns_is_the_exit_code(monkeypatch: pytest.Monke
     app.command(lambda: cli.SKIPPED, name="partly")
     monkeypatch.setattr(cli, "build_app", lambda _verb: app)
     assert cli.main(["partly"]) == cli.SKIPPED
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("one\ntwo", "one two"),
+        ("one\n\ntwo\nthree", "one\n\ntwo three"),
+        ("steps:\n- a\n- b\nand c", "steps:\n- a\n- b and c"),
+        ("code:\n    x = 1\n", "code:\n    x = 1 "),
+        ("", ""),
+    ],
+)
+def test_paragraphs_are_one_line(text: str, expected: str) -> None:
+    assert unwrapped(text) == expected
+
+
+@pytest.mark.parametrize("columns", [60, 160])
+def test_help_fills_the_terminal(
+    columns: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    assert main(["run", "--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= columns
+    first = next(line for line in lines if line.startswith("The file needs"))
+    assert len(first) > columns - 15
+
+
+def test_the_look_is_that_of_cyclopts() -> None:
+    assert all(hasattr(WrappedHelp, name) for name in ("render_usage", "render_description", "__call__"))
+
+
+@pytest.fixture(scope="module")
+def script(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The script for bash, in a file."""
+    import contextlib
+
+    path = tmp_path_factory.mktemp("completion") / "armlab"
+    with path.open("w") as file, contextlib.redirect_stdout(file):
+        assert main(["completion", "bash"]) == 0
+    return path
+
+
+def completed(script: Path, *words: str) -> list[str]:
+    """Return what bash offers for the last word."""
+    typed = " ".join(f"'{word}'" for word in words)
+    code = (
+        f"source {script}; COMP_WORDS=({typed}); COMP_CWORD={len(words) - 1}; "
+        "_armlab armlab; printf '%s\\n' \"${COMPREPLY[@]}\""
+    )
+    done = subprocess.run(["bash", "--norc", "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    return done.stdout.split()
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash on this computer")
+def test_bash_completes_verbs_subcommands_options_and_values(script: Path) -> None:
+    subprocess.run(["bash", "-n", str(script)], check=True, timeout=60)
+    assert completed(script, "armlab", "i") == ["identify"]
+    assert set(completed(script, "armlab", "")) >= {"demo", "sim", "run", "record", "bridge", "robot", "config"}
+    assert set(completed(script, "armlab", "robot", "")) >= {"list", "show", "convert"}
+    assert completed(script, "armlab", "identify", "--grav") == ["--gravity-only"]
+    assert completed(script, "armlab", "identify", "--method", "w") == ["wls"]
+
+
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
+def test_other_shells(shell: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert main(["completion", shell]) == 0
+    text = capsys.readouterr().out
+    assert "armlab" in text
+    assert "identify" in text
+    program = shutil.which(shell)
+    if program:
+        (tmp_path / "script").write_text(text)
+        subprocess.run([program, "-n", str(tmp_path / "script")], check=True, timeout=60)
+
+
+def test_another_shell_is_wrong_use(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["completion", "cmd"]) == 2
+    assert "bash" in capsys.readouterr().err

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import re
+import subprocess
+import sys
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from armlab.cli.output import (
+from armlab.cli.support.html_report import HtmlReport, Verdict
+from armlab.cli.support.output import (
     FIGURES,
+    Narrator,
     aligned,
     check_output,
     note,
@@ -21,6 +28,8 @@ from armlab.cli.output import (
     save_figure,
 )
 from armlab.errors import ConfigError
+from armlab.log import Tick
+from armlab.state import State
 
 
 def test_results_and_notes_go_to_their_streams(capsys: pytest.CaptureFixture[str]) -> None:
@@ -100,3 +109,121 @@ def test_what_is_read_is_never_replaced(tmp_path: Path) -> None:
                 check_output(path, force, [".csv", ".mcap", ".rosbag2"], [tmp_path / "other.csv", read])
     check_output(bag / "new.csv", False, [".csv"], [bag])
     check_output(log, True, [".csv"], [bag, tmp_path / "none.csv"])
+
+
+TICK = Tick(number=0, seq_sent=-1, stamp_ns=0, receive_ns=0, send_ns=-1, step_ns=0)
+
+
+def state(q: list[float], mci: int = 2) -> State:
+    return State(t=0.0, dt=0.004, q=np.array(q), qd=np.zeros(2), tau=np.zeros(2), mci=mci, robot="arm")
+
+
+def test_events_become_messages(capsys: Any) -> None:
+    narrator = Narrator()
+    narrator.event("Session 1 began.")
+    narrator.event("The robot is not ready.", warn=True)
+    narrator.row(state([1.0, 2.0], mci=3), None, TICK)
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err == "Session 1 began.\nwarning: The robot is not ready.\n"
+
+
+def test_a_warning_is_written_once() -> None:
+    """Python's handler of last resort would write it again: seen in a process of its own, without pytest's handlers."""
+    program = (
+        "import logging; from armlab.cli.support.output import Narrator; narrator = Narrator()\n"
+        "logging.getLogger('armlab.bridge').warning('Twice.'); narrator.event('Twice.', warn=True)"
+    )
+    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stderr
+    assert said == "warning: Twice.\n"
+
+
+def test_what_a_listener_should_know_is_said_once(capsys: Any) -> None:
+    narrator = Narrator(listens=True, q_home={"arm": [0.0, 0.0]})
+    for _ in range(3):
+        narrator.row(state([0.01, -0.3], mci=3), None, TICK)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 2
+    assert "waits for references" in lines[0]
+    assert "joint 2 is 0.30" in lines[1]
+
+
+def test_an_arm_at_home_is_not_worth_a_word(capsys: Any) -> None:
+    Narrator(listens=True, q_home={"arm": [0.0, 0.0]}).row(state([0.01, -0.03]), None, TICK)
+    assert not capsys.readouterr().err
+
+
+PIXEL = b"\x89PNG\r\n\x1a\n not really"
+
+
+@pytest.fixture
+def page() -> HtmlReport:
+    page = HtmlReport("Arm <1> & more", "a log & a model")
+    page.verdict(Verdict(good=("It <fits>.",), bad=("Joint 7.",)))
+    page.section("Per joint", "How to read it.")
+    page.table([("joint", "RMS"), ("1", "0.5 & up")])
+    page.figure(PIXEL, 'the "residual"', "A caption.")
+    page.verbatim("a < b")
+    return page
+
+
+def test_the_words_are_there_and_none_of_them_is_markup(page: HtmlReport) -> None:
+    html = page.html()
+    for words in (
+        "Arm &lt;1&gt; &amp; more",
+        "It &lt;fits&gt;.",
+        "0.5 &amp; up",
+        "the &quot;residual&quot;",
+        "a &lt; b",
+    ):
+        assert words in html
+    assert "<fits>" not in html
+    assert html.startswith("<!doctype html>")
+    assert html.rstrip().endswith("</html>")
+    assert '<meta charset="utf-8">' in html
+
+
+def test_figures_are_inside_and_nothing_is_asked_from_outside(page: HtmlReport) -> None:
+    html = page.html()
+    (data,) = re.findall(r'src="data:image/png;base64,([^"]+)"', html)
+    assert base64.b64decode(data) == PIXEL
+    assert not re.findall(r"https?:|//\w|<script|<link|@import|url\(", html)
+    assert "default-src 'none'; img-src data:" in html
+
+
+def test_a_table_fits_words_to_the_left_and_figures_whole() -> None:
+    page = HtmlReport("t", "a")
+    page.table([("joint", "friction [N m]", "where"), ("1", "0.5 ± 0.1", "point 100 %"), ("2", "nan", "-")])
+    (table,) = page.pieces
+    assert table.count("<th>") == 2
+    assert "friction [N\N{NO-BREAK SPACE}m]" in table
+    assert table.count('<th class="words">where</th>') == table.count('<td class="words">-</td>') == 1
+    assert "<td>0.5 ±\N{NO-BREAK SPACE}0.1</td>" in table
+    assert "overflow" not in page.html()
+    assert "nowrap" not in page.html()
+
+
+def test_long_tables_and_texts_open_with_a_click() -> None:
+    page = HtmlReport("t", "a")
+    page.table([("a",), ("1",)], "50 <numbers>")
+    page.verbatim("long", "A text")
+    assert page.pieces[0].startswith("<details><summary>50 &lt;numbers&gt;</summary><table>")
+    assert page.pieces[1] == "<details><summary>A text</summary><pre>long</pre></details>"
+
+
+def test_a_verdict_has_only_the_parts_that_there_are() -> None:
+    verdict = Verdict(good=("One.", "Two."), ahead=("Log more.",))
+    assert verdict.text().splitlines() == ["good: One.", "good: Two.", "next: Log more."]
+    assert [title for title, _ in verdict.parts] == ["Good", "Next"]
+    page = HtmlReport("t", "a")
+    page.verdict(verdict)
+    assert "care" not in page.pieces[0]
+    assert Verdict().text() == ""
+
+
+def test_writing_replaces_in_one_step(page: HtmlReport, tmp_path) -> None:
+    path = tmp_path / "report.html"
+    path.write_text("old")
+    page.write(path)
+    assert path.read_text(encoding="utf-8") == page.html()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]

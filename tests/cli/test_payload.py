@@ -11,7 +11,7 @@ import pytest
 
 from armlab import identify, models
 from armlab.cli import main
-from armlab.cli.payload import payload
+from armlab.cli.identify.payload import payload
 from armlab.log import Table
 from armlab.robots import inertia
 

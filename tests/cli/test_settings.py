@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from armlab.cli.settings import PREFIX, Settings, Told, load_settings, log_folder, user_file
+from armlab.cli.support.settings import PREFIX, Settings, Told, load_settings, log_folder, read_text, user_file
 from armlab.errors import ConfigError
 
 
@@ -85,3 +85,17 @@ def test_the_folder_of_logs_is_made(home: Path, tmp_path: Path) -> None:
 def test_the_user_file_follows_xdg() -> None:
     assert user_file({"XDG_CONFIG_HOME": "/own"}) == Path("/own/armlab/armlab.toml")
     assert user_file({}) == Path.home() / ".config" / "armlab" / "armlab.toml"
+
+
+def test_text_with_or_without_a_byte_order_mark(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes("\ufeffspeed = 1 # µ".encode())
+    assert read_text(tmp_path / "a", "settings") == "speed = 1 # µ"
+
+
+@pytest.mark.parametrize(
+    ("name", "said"), [("none", "No such file"), ("", "Is a directory"), ("junk", "no text in UTF-8")]
+)
+def test_what_cannot_be_read_is_named(name: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "junk").write_bytes(b"\xff\xfe\x00\xd8")
+    with pytest.raises(ConfigError, match=rf"^Expected a cell at {tmp_path}.*{said}.*\.$"):
+        read_text(tmp_path / name, "a cell")

@@ -9,15 +9,18 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from armlab import cli, robots
-from armlab.cli.sim import sim
-from armlab.sim.arm.arm import scara
-from armlab.sim.controller.settings import ControllerSettings
+from armlab.cli.sim import Around, Content, FaultOptions, Written, pair, read_hand, read_operator, sim
+from armlab.errors import ConfigError, LogError, UnknownName
+from armlab.sim.fault_rates import FaultRates
+from armlab.sim.scara import scara
+from armlab.sim.settings import Settings
 from armlab.wire.egm import EgmCodec, Packet, Reference
 
 HEADER = "t,fx,fy,fz,mx,my,mz\n"
@@ -109,9 +112,9 @@ def test_each_robot_may_have_a_seed_of_its_own() -> None:
 
 
 def test_abb_defaults_do_not_replace_what_was_given(holding_peer: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[ControllerSettings] = []
-    original = ControllerSettings.__post_init__
-    monkeypatch.setattr(ControllerSettings, "__post_init__", lambda self: (original(self), seen.append(self))[0])
+    seen: list[Settings] = []
+    original = Settings.__post_init__
+    monkeypatch.setattr(Settings, "__post_init__", lambda self: (original(self), seen.append(self))[0])
     assert cli.main(arguments(holding_peer, "--abb-defaults", "--window", "0.2")) == 0
     assert (seen[-1].window, seen[-1].max_speed) == (0.2, np.radians(1.0))
 
@@ -227,3 +230,129 @@ def test_sim_ends_cleanly_when_terminated(tmp_path: Path) -> None:
     assert "Traceback" not in said
     assert json.loads(stats.read_text(encoding="utf-8"))["yumi_right"]["counts"]["packets"] >= 1
     assert sim.__doc__
+
+
+ROBOT = robots.load("yumi_right")
+
+
+def test_faults() -> None:
+    rates = FaultOptions(loss=0.1, delay="0.01, 0.002", pause="5,0.5", burst=3).rates()
+    assert (rates.loss, rates.delay, rates.pause, rates.burst) == (0.1, (0.01, 0.002), (5.0, 0.5), 3)
+    assert not FaultOptions().rates().any
+
+
+@pytest.mark.parametrize("text", ["1", "1,2,3", "a,b", ""])
+def test_pairs_that_are_none(text: str) -> None:
+    with pytest.raises(ConfigError, match="--delay"):
+        pair("delay", text)
+    with pytest.raises(ConfigError, match="--delay"):
+        FaultOptions(delay=text).rates()
+
+
+def test_names_or_axes() -> None:
+    assert Content().names(["a", "b"], 2) == ("a", "b")
+    assert Content(axes="7").names([], 2) == ("yumi_right", "yumi_right")
+    assert Content(fields=" time,planned ").left_out == ["time", "planned"]
+    with pytest.raises(ConfigError, match="both"):
+        Content(axes="6").names(["yumi_left"], 1)
+
+
+def test_values_that_rapid_sends_back() -> None:
+    assert Content(rapid_data=40, robotware="7").rapid_data == 40
+    for content in ({"rapid_data": 1}, {"rapid_data": 41, "robotware": "7"}, {"rapid_data": -1, "robotware": "7"}):
+        with pytest.raises(ConfigError, match="--rapid-data from 0 to 40"):
+            Content(**content)
+
+
+def test_around_the_arms(tmp_path: Path) -> None:
+    push = tmp_path / "push.csv"
+    push.write_text("t,fx,fy,fz,mx,my,mz\n0,1,0,0,0,0,0\n9,1,0,0,0,0,0\n", encoding="utf-8")
+    around = Around(operator=push, motors="0:on,2:off", rapid="undefined")
+    first, second = (around.scene(ROBOT, index, [0, index], 1) for index in (0, 1))
+    assert first.operator.at(1.0) is not None
+    assert second.operator.at(1.0) is None, "the files are for the first robot"
+    assert first.hand is not None
+    assert (first.motors.at(3.0), first.rapid.at(3.0), first.external) == (2, 0, 1)
+    with pytest.raises(UnknownName, match="off"):
+        Around(motors="aus").scene(ROBOT, 0, [0], 0)
+
+
+def test_the_help_of_faults_is_that_of_the_rates() -> None:
+    """Written once, with the same defaults."""
+    assert FaultOptions().rates() == FaultRates()
+    assert [field.name for field in fields(FaultOptions)] == [field.name for field in fields(FaultRates)]
+    text = FaultOptions.__doc__ or ""
+    for field in fields(FaultRates):
+        assert f"    {field.name} : " in text
+    assert "Raises" not in text
+
+
+def test_a_grip_holds_the_first_robot_only() -> None:
+    robot = robots.load("yumi_right")
+    first, second = (Around(grip="1,3").scene(robot, index, [0, index], 0) for index in (0, 1))
+    assert first.grip is not None
+    assert second.grip is None
+    with pytest.raises(ConfigError, match="--grip"):
+        Around(grip="soon").scene(robot, 0, [0, 0], 0)
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("t,fx,fy,fz\n", "line 1"),
+        (HEADER + "0,1,2,3,4,5,6\n1,1,2,3\n", "line 3"),
+        (HEADER + "0,1,2,3,4,5,6\n1,a,0,0,0,0,0\n", "line 3"),
+        (HEADER + "0,1,2,3,4,5,nan\n", "line 2"),
+        (HEADER + "1,0,0,0,0,0,0\n\n1,0,0,0,0,0,0\n", "line 4"),
+        (HEADER + "1" * 200_000 + ",0,0,0,0,0,0\n", "line 2"),
+        ("", "line 1"),
+    ],
+)
+def test_read_operator_names_file_and_line(tmp_path: Path, text: str, where: str) -> None:
+    path = tmp_path / "hand.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError, match=rf"{where} of .*hand\.csv"):
+        read_operator(path)
+
+
+def test_read_operator_reads(tmp_path: Path) -> None:
+    path = tmp_path / "hand.csv"
+    path.write_text("\ufeff" + HEADER + "0, 0,0,0,0,0,0\n2,10,0,0,0,0,1\n", encoding="utf-8")
+    np.testing.assert_allclose(read_operator(path).at(1.0), [5, 0, 0, 0, 0, 0.5])
+    path.write_text(HEADER, encoding="utf-8")
+    assert read_operator(path).at(0.0) is None
+
+
+def test_read_hand_reads(tmp_path: Path) -> None:
+    path = tmp_path / "hand.csv"
+    path.write_text("t,q1,q2\n0,0,1\n1,2,1\n2,4,1\n", encoding="utf-8")
+    q, qd = read_hand(path, 2).at(1.0)
+    np.testing.assert_allclose(q, [2.0, 1.0])
+    np.testing.assert_allclose(qd, [2.0, 0.0])
+
+
+@pytest.mark.parametrize(("text", "what"), [("t,q1\n0,0\n", "header t,q1,q2"), ("t,q1,q2\n0,0,0\n", "two rows")])
+def test_read_hand_refuses(tmp_path: Path, text: str, what: str) -> None:
+    path = tmp_path / "hand.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError, match=what):
+        read_hand(path, 2)
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"Expected to write .*none/x\.json, got: No such file"):
+        Written(tmp_path / "none" / "x.json")
+    with Written(tmp_path / "x.json") as file:
+        file.write("1\n")
+    assert (tmp_path / "x.json").read_text() == "1\n"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no file that is always full")
+def test_a_full_disk_is_named_also_when_the_last_bytes_do_not_fit() -> None:
+    full = Path("/dev/full")
+    with pytest.raises(LogError, match=r"Expected to write /dev/full, got: No space left"), Written(full) as file:
+        file.write("1\n")
+    with pytest.raises(LogError, match="/dev/full"), Written(full) as file:
+        file.write("1" * 1_000_000)
+    with pytest.raises(KeyError), Written(full) as file:
+        raise KeyError

@@ -16,7 +16,7 @@ from armlab import live
 from armlab.bridge.feed import OPERATOR, Exchange
 from armlab.bridge.local import socket_path
 from armlab.bridge.local_server import LocalServer
-from armlab.live.running import Running
+from armlab.live.live_bridge import Running
 from armlab.live.server import HOST
 from armlab.log import Tick
 from armlab.robots import Robot

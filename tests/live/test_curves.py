@@ -10,9 +10,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from armlab import robots
 from armlab.errors import ShapeError
 from armlab.live import curves
-from armlab.live.curves import Curves, Window, envelope
+from armlab.live.curves import ArmPanel, Curves, Lines, Markup, RingBuffer, Window, envelope
 
 
 class Gui:
@@ -158,3 +159,63 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
         Window(plot).push(0.0, [1.0, 2.0])
     with pytest.raises(ShapeError, match="bands of shape"):
         Curves(Gui(), "x", ["x"], ["#000000"], band=True).show([0.0], [[1.0]], [1.0])
+
+
+@pytest.mark.parametrize("step", [0.004, 0.033, 0.4, 20.0])
+def test_it_keeps_the_last_seconds(step: float) -> None:
+    """Also when far more samples come than there is room for, and when each is older than the window."""
+    recent, all_t = RingBuffer(2, 10.0), step * np.arange(6000)
+    views = []
+    for k, t in enumerate(all_t):
+        recent.add(t, [k, -k])
+        if k % 997 == 0:
+            views.append((recent.t, recent.t.copy(), recent.values, recent.values.copy()))
+        if k % 501 == 0:
+            inside = np.flatnonzero((all_t <= t) & (all_t >= t - 10.0))
+            np.testing.assert_array_equal(recent.values, np.stack([inside, -inside], axis=1))
+            np.testing.assert_array_equal(recent.t, all_t[inside])
+            assert len(recent) == len(inside)
+    for t, t_then, values, values_then in views:  # what was sent is not overwritten
+        np.testing.assert_array_equal(t, t_then)
+        np.testing.assert_array_equal(values, values_then)
+
+
+def test_it_begins_anew() -> None:
+    recent = RingBuffer(1, 1.0)
+    recent.add(5.0, [1.0])
+    recent.clear()
+    assert len(recent) == 0
+    recent.add(1.0, [2.0])
+    assert (recent.t.tolist(), recent.values.tolist()) == ([1.0], [[2.0]])
+
+
+def test_words_are_escaped_and_sent_when_they_change(server: Any) -> None:
+    panel = ArmPanel(server.gui, robots.load("irb2400"))
+    panel.say({"state": "holding", "why": "<no> packet"})
+    text = panel._words._html.content
+    assert "holding" in text
+    assert "&lt;no&gt; packet" in text
+    panel.say({"state": "holding", "why": "<no> packet"})
+    assert panel._words._html.content is text
+
+
+def test_lines_are_text_and_markup_is_not(server: Any) -> None:
+    lines, markup = Lines(server.gui), Markup(server.gui)
+    lines.show("<b>\nsecond")
+    markup.show("<b>bold</b>")
+    assert "&lt;b&gt;<br>second" in lines._html.content
+    assert markup._html.content == "<b>bold</b>"
+    lines.remove()
+    markup.remove()
+
+
+def test_plots_have_one_curve_per_joint_and_axis(server: Any) -> None:
+    robot = robots.load("irb2400")
+    panel = ArmPanel(server.gui, robot, {"force": (-20.0, 20.0)})
+    panel.torque.show([0.0], np.zeros((1, 6)))
+    panel.force.show([0.0], np.zeros((1, 3)), np.ones((1, 3)))
+    panel.moment.show([0.0], np.zeros((1, 3)))
+    plots = [panel.torque._plot, panel.force._plot, panel.moment._plot]
+    assert [len(plot.data) for plot in plots] == [7, 10, 10]
+    assert [one["stroke"] for one in plots[0].series[1:3]] == ["#0072B2", "#D55E00"]
+    assert plots[1].scales["y"]["range"] == (-20.0, 20.0)

@@ -1,23 +1,137 @@
-"""The view of many robots, without a browser: who stands where, what stands over it, what the panel says."""
+"""`FleetRows`: who is at a router, the newest of each, who goes and who comes again as another run."""
 
 from __future__ import annotations
 
+import json
+import math
 from typing import Any
 
 import numpy as np
 import pytest
 
 from armlab import robots
+from armlab.bridge.row_schema import RowSchema
 from armlab.bridge.zenoh import EVERY, Place
 from armlab.errors import LinkError
 from armlab.kinematics import forward
 from armlab.lie import quaternion, se3
-from armlab.live import FleetView, watch_fleet
-from armlab.robots import Robot
+from armlab.live import FleetRows, FleetView, SeenRobot, watch_fleet
+from armlab.robots import Robot, to_toml
 
 from .fleet_bridges import Fleet, hear_fleet
 
 LEFT, UR = robots.load("yumi_left"), robots.load("ur5e")
+
+
+def test_who_comes_is_seen_and_who_goes_is_gone(fleet: Fleet) -> None:
+    """Also of the same name in another lab, and one that comes again with another description."""
+    rows = fleet.rows()
+    one = fleet.bridge(LEFT, "arm")
+    fleet.bridge(UR, "arm", "lab2")
+
+    def there(name: str) -> bool:
+        known = rows.robots.get(name)
+        return known is not None and known.state == "there" and known.decode() and math.isfinite(known.rate)
+
+    for name, wanted in (("lab1/arm", LEFT), ("lab2/arm", UR)):
+        hear_fleet(rows, lambda name=name: there(name))
+        seen = rows.robots[name]
+        assert seen.robot is not None
+        assert (seen.robot.name, seen.robot.n) == (name, wanted.n)
+        np.testing.assert_array_equal(seen.value("q"), wanted.q_home)
+        assert (seen.damaged, seen.restarts, seen.missed) == (0, 0, 0)
+        assert abs(seen.age) < 60.0
+        assert seen.rate > 0.0
+    one.close()
+    hear_fleet(rows, lambda: rows.robots["lab1/arm"].state == "gone")
+    assert rows.robots["lab2/arm"].is_alive
+    fleet.bridge(UR, "arm")
+    hear_fleet(rows, lambda: there("lab1/arm"))
+    again = rows.robots["lab1/arm"]
+    assert again.restarts == 1
+    assert again.robot is not None
+    assert again.robot.n == UR.n
+
+
+def test_one_lab_alone_and_damaged_rows(fleet: Fleet) -> None:
+    rows = fleet.rows("lab2")
+    fleet.bridge(LEFT)
+    fleet.bridge(UR, lab="lab2")
+    hear_fleet(rows, lambda: "lab2/ur5e" in rows.robots and rows.robots["lab2/ur5e"].rows > 3)
+    assert list(rows.robots) == ["lab2/ur5e"]
+    seen = rows.robots["lab2/ur5e"]
+    hear_fleet(rows, lambda: seen.damaged > 1, lambda: fleet.put("armlab/lab2/ur5e/view", b"ALR1 and no sum"))
+    hear_fleet(rows, lambda: seen.state == "there")
+
+
+def test_without_a_router() -> None:
+    with pytest.raises(LinkError, match="Expected a Zenoh router"):
+        FleetRows(Place(port=1), patience=0.1)
+
+
+WRONG = [
+    b'{"kind": "status", "arms": {"arm": {"rate": 1.0, "missed": Infinity}}}',
+    b'{"kind": "status", "arms": {"arm": {"rate": 1%s, "missed": 0}}}' % (b"0" * 400),
+    b"[" * 200_000,
+    b"5",
+]
+
+
+def test_texts_that_are_none_end_nothing(fleet: Fleet) -> None:
+    rows = fleet.rows()
+    fleet.bridge(LEFT, "arm")
+    hear_fleet(rows, lambda: "lab1/arm" in rows.robots and math.isfinite(rows.robots["lab1/arm"].rate))
+    seen = rows.robots["lab1/arm"]
+    hear_fleet(
+        rows, lambda: seen.refused >= len(WRONG), lambda: [fleet.put("armlab/lab1/arm/status", x) for x in WRONG]
+    )
+    assert math.isfinite(seen.rate)
+    before = seen.rows
+    hear_fleet(rows, lambda: seen.rows > before)
+
+
+@pytest.mark.parametrize("about", [b"", b"[]", b"[1]", b'[{"schema": "{}"}]', b'[{"schema": 1}]', b"\xff"])
+def test_a_description_that_is_none_is_asked_again(about: bytes) -> None:
+    seen = SeenRobot("lab1/ur5e")
+    seen.live(True)
+    seen.describe(about)
+    seen.status(about)
+    assert (seen.wants, seen.robot, seen.missed, seen.decode(), seen.refused) == (True, None, 0, False, 2)
+
+
+def test_a_silent_robot_and_rows_of_another_schema() -> None:
+    schema, seen = RowSchema.of([UR]), SeenRobot("lab1/ur5e")
+    seen.live(True)
+    seen.describe(json.dumps([{"run": "a", "schema": schema.text.decode(), "robots": {"ur5e": to_toml(UR)}}]).encode())
+    assert (seen.state, seen.value("q"), seen.wants) == ("silent", None, False)
+    seen.take(b"ALR1    " + schema.id)  # too short
+    assert seen.state == "there"
+    assert not seen.decode()
+    seen.listened(1.9)
+    assert seen.state == "there"
+    seen.listened(0.2)
+    assert seen.state == "silent"
+    seen.take(bytes(schema.size))
+    assert seen.wants
+
+
+def test_a_viewer_that_was_not_run_takes_no_robot_for_silent(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time in which nobody listened says nothing of a robot; two seconds of listening do."""
+    rows = fleet.rows()
+    bridge = fleet.bridge(LEFT)
+    hear_fleet(rows, lambda: "lab1/yumi_left" in rows.robots and rows.robots["lab1/yumi_left"].state == "there")
+    seen, looks = rows.robots["lab1/yumi_left"], 0
+    monkeypatch.setattr(rows, "_put", lambda *words: None)  # nothing of what comes is taken
+    for _ in range(3):
+        rows._looked -= 60.0
+        rows.hear(0.0)
+        assert seen.state == "there"
+    while seen.state == "there":
+        rows._looked -= 60.0
+        rows.hear(0.0)
+        looks += 1
+    assert looks > 10
+    bridge.close()
 
 
 def handle(server: Any, name: str) -> Any:

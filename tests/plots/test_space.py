@@ -7,10 +7,26 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
+from armlab import kinematics, robots
+from armlab._palette import AXIS_COLORS
 from armlab.errors import ShapeError
+from armlab.frames import Circle, Line, Plane, Sphere
 from armlab.lie import se3
-from armlab.plots.space import AHEAD, AWAY, PROJECTION, arrow, equal_scale, extent, frame, solid, space, word
-from armlab.plots.style import AXIS_COLORS
+from armlab.plots.space import (
+    AHEAD,
+    AWAY,
+    PROJECTION,
+    arrow,
+    equal_scale,
+    extent,
+    feature,
+    frame,
+    pose_stack,
+    scene,
+    solid,
+    space,
+    word,
+)
 
 T = se3.exp([0.3, -0.2, 0.5, 0.4, -0.7, 1.1])
 
@@ -109,3 +125,130 @@ def test_the_box_has_all_its_edges() -> None:
     for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
         assert axis.pane.get_edgecolor()[3] == 1.0
         assert axis.pane.get_facecolor()[3] == 0.0
+
+
+def part(ax, gid: str) -> list:
+    return [artist for artist in ax.get_children() if artist.get_gid() == gid]
+
+
+def test_a_line_with_its_foot() -> None:
+    line = Line.of([0.0, 1.0, 0.0], [0.3, 0.2, 0.1])
+    ax = scene(np.array([[0, 0, 0], [0.5, 0.5, 0.5]]), line)
+    (arrow,) = part(ax, "line")
+    np.testing.assert_allclose(line.offset(arrow.ends), 0.0, atol=1e-15)
+    assert (arrow.ends[1] - arrow.ends[0]) @ line.v > 0
+    (foot,) = part(ax, "foot")
+    np.testing.assert_allclose(np.ravel(foot.get_data_3d()), [0.3, 0.0, 0.1], atol=1e-15)
+    _, far = space()
+    feature(far, Line.of([0.0, 1.0, 0.0], [0.3, 20.0, 0.1]), 1.0, "k")
+    assert not part(far, "foot")
+
+
+def test_a_plane_with_its_normal() -> None:
+    plane = Plane.of([1.0, 1.0, 0.0], [0.3, 0.2, 0.1])
+    ax = scene({"seam": np.eye(4)}, plane)
+    (patch,) = part(ax, "plane")
+    corners = np.reshape(patch._faces, (4, 3))
+    np.testing.assert_allclose(plane.distance(corners), 0.0, atol=1e-14)
+    (normal,) = part(ax, "normal")
+    np.testing.assert_allclose(np.cross(normal.ends[1] - normal.ends[0], plane.n), 0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("item", "rings"),
+    [
+        (Circle(np.array([1.0, 2.0, 3.0]), np.eye(3)[2], 0.5, np.eye(3)[:2]), 1),
+        (Sphere(np.array([1.0, 2.0, 3.0]), 0.5), 3),
+    ],
+)
+def test_round_features(item, rings: int) -> None:
+    found = part(scene(item), "circle")
+    assert len(found) == rings
+    for ring in found:
+        away = np.stack(ring.get_data_3d(), axis=1) - [1.0, 2.0, 3.0]
+        np.testing.assert_allclose(np.linalg.norm(away, axis=1), 0.5, atol=1e-15)
+
+
+T_PATH = se3.exp(np.linspace([0, 0, 0, 0, 0, 0], [1, 0.5, 0.3, 1, 2, 0.5], 40))
+
+
+def drawn(ax, gid: str) -> list[np.ndarray]:
+    return [np.stack(line.get_data_3d(), axis=-1) for line in ax.lines if line.get_gid() == gid]
+
+
+def arrows(ax, name: str) -> list[np.ndarray]:
+    return [patch.ends for patch in ax.patches if patch.get_gid().rpartition(".")[0] == name]
+
+
+def test_a_path_has_start_end_and_frames() -> None:
+    gap = T_PATH.copy()
+    gap[[0, 20]] = np.nan
+    ax = scene(gap, frames=0.1)
+    (path,) = drawn(ax, "path")
+    assert np.array_equal(path, gap[:, :3, 3], equal_nan=True)
+    assert np.array_equal(drawn(ax, "start")[0], T_PATH[1:2, :3, 3])
+    assert np.array_equal(drawn(ax, "end")[0], T_PATH[-1:, :3, 3])
+    axes = arrows(ax, "")
+    assert len(axes) == 36
+    assert axes[-1] == pytest.approx(np.array([T_PATH[-1, :3, 3], T_PATH[-1, :3, 3] + 0.1 * T_PATH[-1, :3, 2]]))
+    assert not scene(T_PATH).patches
+
+
+def test_named_frames_and_points() -> None:
+    points = np.random.default_rng(1).normal(size=(20, 3))
+    points[3] = np.nan
+    ax = scene({"base": np.eye(4), "cam": T_PATH[-1]}, points, frames=0.2)
+    assert [text.get_text() for text in ax.texts] == ["x", "y", "z", "base", "x", "y", "z", "cam"]
+    for i, ends in enumerate(arrows(ax, "cam")):
+        assert ends == pytest.approx(np.array([T_PATH[-1, :3, 3], T_PATH[-1, :3, 3] + 0.2 * T_PATH[-1, :3, i]]))
+    (cloud,) = ax.collections
+    assert np.array_equal(np.stack(cloud._offsets3d, axis=-1), np.delete(points, 3, axis=0))
+    assert np.array_equal(cloud.get_array(), np.delete(np.arange(20), 3))
+    (length,) = {
+        np.round(np.linalg.norm(np.diff(e, axis=0)), 12) for e in arrows(scene({"a": T_PATH[0], "b": T_PATH[-1]}), "b")
+    }
+    assert 0.05 < length < 0.5
+    assert scene({"alone": np.eye(4)}).get_xlim()[1] > 0
+
+
+def test_together_with_an_arm() -> None:
+    from armlab.plots import robot
+
+    arm = robots.load("irb2400")
+    ax = robot(arm, frames=False)
+    assert scene({"4": kinematics.link_transforms(arm, arm.q_home)[3]}, frames=0.3, ax=ax) is ax
+    assert ax.get_zlim()[1] > 1.4
+
+
+@pytest.mark.parametrize(
+    ("item", "words"),
+    [
+        (np.zeros((3, 20)), "Transpose it"),
+        (np.zeros(3), r"got \(3,\)"),
+        (np.zeros((5, 4, 4)), "row 0 whose rotation"),
+        (np.zeros((5, 3, 3)), r"\(N, 4, 4\)"),
+        ({"cam": 2 * np.eye(4)}, "poses in 'cam'"),
+        ({"cam": np.eye(3)}, r"the pose of 'cam' of shape \(4, 4\), got \(3, 3\)"),
+        ({"cam": "here"}, "the pose of 'cam' to be real numbers, got 'here'"),
+        ("path", "what is drawn to be real numbers, got 'path'"),
+        ([[1, 2, 3], [1, 2]], "what is drawn to be real numbers"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(item, words: str) -> None:
+    with pytest.raises(ShapeError, match=words):
+        scene(item)
+
+
+def test_missing_poses_are_poses() -> None:
+    gap = T_PATH.copy()
+    gap[2] = np.nan
+    assert pose_stack(gap) is gap
+    gap[3, 3, 0] = 1.0
+    with pytest.raises(ShapeError, match="row 3"):
+        pose_stack(gap)
+
+
+@pytest.mark.parametrize("frames", [-1, np.nan, np.inf, "long", [0.1, 0.2]])
+def test_frames_have_a_length(frames) -> None:
+    with pytest.raises(ShapeError, match="frames to be"):
+        scene({"base": np.eye(4)}, frames=frames)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
@@ -9,21 +11,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armlab.errors import ShapeError
+from armlab._palette import AXIS_COLORS, GREY
+from armlab.errors import ConfigError, ShapeError
+from armlab.log import Table
+from armlab.motion import ProMP
 from armlab.plots.style import (
-    AXIS_COLORS,
-    GREY,
     JOINT_STYLES,
     MODEL,
     band,
     cloud,
     envelope,
+    expect,
     legend,
     line,
     look,
     panels,
+    png,
     shade,
-)  # fmt: skip
+    show,
+)
 
 
 def test_a_backend_that_turns_interactive_while_drawing_stays_so() -> None:
@@ -153,3 +159,29 @@ def test_a_cloud_is_small_points_and_one_mark_that_can_be_seen() -> None:
     assert np.array_equal(points.get_ydata(), [1.0, np.nan, 2.0], equal_nan=True)
     assert points.get_markersize() < mark.get_markersize()
     assert ax.get_legend_handles_labels()[1] == ["residual"]
+
+
+def test_the_right_kind_passes_and_another_is_named() -> None:
+    expect(Table(np.arange(2.0), {}), Table)
+    with pytest.raises(ShapeError, match=r"Expected Table to draw, got 'run\.mcap'\. log\.read gives one\."):
+        expect("run.mcap", Table)
+    with pytest.raises(ShapeError, match=r"Expected ProMP to draw, got None\. motion\.fit_promp gives one\."):
+        expect(None, ProMP)
+
+
+def test_a_figure_and_its_axes_give_a_picture_of_the_size_asked_for_and_are_closed() -> None:
+    for drawn in (plt.figure(figsize=(2, 1)), plt.figure(figsize=(2, 1)).add_subplot()):
+        picture = png(drawn, dpi=50)
+        assert picture.startswith(b"\x89PNG\r\n\x1a\n")
+        assert struct.unpack(">II", picture[16:24]) == (100, 50)
+    assert not plt.get_fignums()
+
+
+def test_windows_are_left_to_the_backend(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    monkeypatch.setattr(plt, "show", lambda: asked.append(True))
+    with pytest.raises(ConfigError, match=r"Expected a screen .* \(matplotlib draws by [Aa]gg\)"):
+        show()
+    monkeypatch.setattr(plt, "get_backend", lambda: "QtAgg")
+    show()
+    assert asked == [True]

@@ -33,9 +33,9 @@ STARTS_PROGRAMS = {  # file: which
     "bridge/ros1/process.py": "the Python that has rospy, of the system or named in the cell",
     "bridge/servers.py": "armlab: a server of the cell",
     "bridge/simulator.py": "armlab: the simulated robot",
-    "cli/certificates.py": "openssl",
+    "cli/bridge.py": "openssl",
     "cli/view.py": "armlab: the demo that is viewed",
-    "cli/viewers.py": "the viewer that the user names, or the first that is installed",
+    "cli/log.py": "the viewer that the user names, or the first that is installed",
     "log/recording_metadata.py": "git",
 }
 

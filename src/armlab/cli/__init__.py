@@ -35,7 +35,7 @@ _COMMANDS = {
     "excite": ("excite:excite", "Design a motion that tells all parameters apart; run it and record a log."),
     "identify": ("identify:identify", "Identify gravity, inertia and friction from logs; save the model."),
     "estimate": ("estimate:estimate", "Estimate the contact force in a log with a model."),
-    "payload": ("payload:payload", "Weigh a load at the flange with the motors: mass, centre, inertia."),
+    "payload": ("identify.payload:payload", "Weigh a load at the flange with the motors: mass, centre, inertia."),
     "calibrate": ("calibrate:calibrate", "Calibrate a camera, a force sensor, an arm or a line scanner from samples."),
     "dmp": ("dmp:dmp", "Movement primitives: fit one to logs of a motion, play it on a robot."),
     "plot": ("plot:plot", "Figures of logs, models, robots and movement primitives."),
@@ -45,7 +45,7 @@ _COMMANDS = {
     "fleet": ("fleet:fleet", "Many robots at once: a router, recordings of all, one list of them."),
     "log": ("log:log", "Show, export, cut, merge, open and repair logs."),
     "config": ("config:config", "Show settings: of files, of the environment, of a cell. Writes nothing."),
-    "completion": ("completion:completion", "Print what lets bash, zsh or fish complete the words of armlab."),
+    "completion": ("shell:completion", "Print what lets bash, zsh or fish complete the words of armlab."),
     "robot": ("robot:robot", "List, show and convert robot descriptions."),
 }
 
@@ -76,7 +76,7 @@ def build_app(verb: str = "") -> App:
     from cyclopts import App, Parameter
 
     from armlab import __version__
-    from armlab.cli.help_text import WrappedHelp
+    from armlab.cli.shell import WrappedHelp
 
     app = App(
         name="armlab",

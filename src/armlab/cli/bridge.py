@@ -1,10 +1,14 @@
-"""``armlab bridge``: run a cell, and talk to one that runs."""
+"""``armlab bridge``: run a cell, control a running one, write its certificates with ``openssl``."""
 
 from __future__ import annotations
 
+import ipaddress
+import os
 import re
+import secrets
+import subprocess
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +20,6 @@ from armlab.errors import ConfigError
 if TYPE_CHECKING:
     from armlab.bridge.messages import Request
 
-__all__ = ["bridge", "certificates", "release", "resume", "set_parameters", "start", "stop"]
 
 _WHOLE = re.compile(r"[-+]?[1-9][0-9]*(_[0-9]+)*")
 _PATIENCE = 10.0  # s for an answer: reports go on when a request was lost
@@ -43,9 +46,8 @@ def start(*, config: Path | None = None, listen: list[str] | None = None, second
     """
     from armlab.bridge.cell import parse_cell, run_cell
     from armlab.cli import FAILED
-    from armlab.cli.output import note, result
-    from armlab.cli.settings import load_settings
-    from armlab.cli.texts import read_text
+    from armlab.cli.support.output import note, result
+    from armlab.cli.support.settings import load_settings, read_text
 
     known = load_settings().settings.cell if config is None else config
     if known is None:
@@ -68,7 +70,7 @@ def set_parameters(*setting: str, cell: str = "") -> None:
     """
     from armlab.bridge.local import LocalFeed
     from armlab.bridge.messages import SetRequest, Subscribe
-    from armlab.cli.output import aligned, result
+    from armlab.cli.support.output import aligned, result
 
     values = dict(_setting(word) for word in setting)
     with LocalFeed(cell) as feed:
@@ -137,15 +139,14 @@ def certificates(folder: Path, *, host: list[str] | None = None) -> None:
     host
         Names and addresses of the bridge's computer, as others call it; localhost always.
     """
-    from armlab.cli.certificates import write_certificates
-    from armlab.cli.output import result
+    from armlab.cli.support.output import result
 
     result("\n".join(str(path) for path in write_certificates(folder, host or ())))
 
 
 def _operate(request: Request, cell: str) -> None:
     from armlab.bridge.local import LocalFeed
-    from armlab.cli.output import result
+    from armlab.cli.support.output import result
 
     with LocalFeed(cell) as feed:
         feed.ask(request)
@@ -185,3 +186,88 @@ def _setting(word: str) -> tuple[str, Any]:
                 f"Expected an integer of 64 bits, got {word[:80]!r}. Write 1e20 for a large one."
             ) from None
         return name, value  # a text without quotes
+
+
+USERS = ("commander", "bridge", "viewer")  # the first two as `armlab.bridge.zenoh.security` names them
+"""Users that get a password each."""
+
+_DAYS = "3650"
+_CURVE = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
+
+
+def write_certificates(folder: Path, hosts: Sequence[str] = ()) -> list[Path]:
+    """Write a lab's authority, the certificate and key of a bridge, and users with their passwords.
+
+    ``lab.pem`` goes to everybody, ``bridge.pem``, ``bridge.key`` and ``users.txt`` stay with the bridge (and with a
+    router of the lab), ``USER.secret`` goes to whom it is for; ``lab.key`` signs more bridges and goes nowhere. Keys
+    and passwords are readable by their owner alone. An authority or users that are there are kept.
+    """
+    names = ["localhost", "127.0.0.1", *hosts]
+    for name in names:
+        if not name or any(not (letter.isalnum() or letter in ".-:") for letter in name):
+            raise ConfigError(f"Expected names or addresses of the bridge's computer, got {name!r}.")
+    before = os.umask(0o077)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        written = [] if (folder / "lab.key").exists() else _authority(folder)
+        return written + _bridge(folder, names) + _users(folder)
+    except OSError as error:
+        raise ConfigError(f"Expected a folder to write certificates to, but {error}.") from None
+    finally:
+        os.umask(before)
+
+
+def _authority(folder: Path) -> list[Path]:
+    key, certificate = folder / "lab.key", folder / "lab.pem"
+    subject = ["-subj", "/CN=armlab lab", "-addext", "basicConstraints=critical,CA:TRUE"]
+    _openssl("req", "-x509", *_CURVE, "-days", _DAYS, *subject, "-keyout", str(key), "-out", str(certificate))
+    return [key, certificate]
+
+
+def _bridge(folder: Path, names: Sequence[str]) -> list[Path]:
+    key, certificate, request = (folder / f"bridge.{end}" for end in ("key", "pem", "csr"))
+    extensions = folder / "bridge.ext"
+    subjects = ",".join(f"{'IP' if _is_address(name) else 'DNS'}:{name}" for name in names)
+    extensions.write_text(
+        f"subjectAltName={subjects}\nbasicConstraints=critical,CA:FALSE\nextendedKeyUsage=serverAuth,clientAuth\n",
+        encoding="utf-8",
+    )
+    try:
+        _openssl("req", *_CURVE, "-subj", f"/CN={names[-1]}", "-keyout", str(key), "-out", str(request))
+        signing = ["-CA", str(folder / "lab.pem"), "-CAkey", str(folder / "lab.key"), "-CAcreateserial"]
+        where = ["-extfile", str(extensions), "-days", _DAYS, "-out", str(certificate)]
+        _openssl("x509", "-req", "-in", str(request), *signing, *where)
+    finally:
+        for one in (extensions, request, folder / "lab.srl"):
+            one.unlink(missing_ok=True)
+    return [key, certificate]
+
+
+def _users(folder: Path) -> list[Path]:
+    path = folder / "users.txt"
+    if path.exists():
+        return []
+    lines = {user: f"{user}:{secrets.token_urlsafe(24)}\n" for user in USERS}
+    path.write_text("".join(lines.values()), encoding="utf-8")
+    for user, line in lines.items():
+        (folder / f"{user}.secret").write_text(line, encoding="utf-8")
+    return [path, *(folder / f"{user}.secret" for user in USERS)]
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _openssl(*words: str) -> None:
+    try:
+        run = subprocess.run(["openssl", *words], capture_output=True, text=True, check=False, timeout=60.0)
+    except FileNotFoundError:
+        raise ConfigError("Expected the program openssl to write certificates, got none. Install it.") from None
+    if run.returncode:
+        raise ConfigError(
+            f"Expected openssl to write a certificate, but it said: {' '.join(run.stderr.split())[:300]}."
+        )

@@ -1,4 +1,4 @@
-"""``armlab config``: the settings in force, and where each came from."""
+"""``armlab config``: the settings in force and their origins."""
 
 from __future__ import annotations
 
@@ -29,9 +29,8 @@ def show(*, config: Path | None = None, origin: bool = False, json: bool = False
         Print JSON for scripts: name, value, origin.
     """
     from armlab.bridge.cell_values import cell_values
-    from armlab.cli.output import aligned, print_json, result
-    from armlab.cli.settings import load_settings
-    from armlab.cli.texts import read_text
+    from armlab.cli.support.output import aligned, print_json, result
+    from armlab.cli.support.settings import load_settings, read_text
 
     told = load_settings()
     rows: list[tuple[str, Any, str]] = [

@@ -1,17 +1,13 @@
-"""``armlab demo``: the main job without a robot.
-
-A simulated YuMi is excited over EGM, its torque model identified from the log, then the arm sways while an operator
-presses on the tool, and the force is estimated live from motor torques. The estimator sees only what comes over the
-wire; the operator's forces come from the plan and are compared afterwards.
-"""
+"""``armlab demo``: the main job without a robot, and its report: tables, figures, a summary file."""
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,17 +15,17 @@ from urllib.parse import urlencode
 
 from cyclopts import Parameter
 
-from armlab.errors import ConfigError, ControllerLate, UnknownName
+from armlab.errors import ConfigError, ControllerLate, LogError, UnknownName
 
 if TYPE_CHECKING:
     import numpy as np
 
     from armlab.contact import Estimator
     from armlab.identify import Trajectory
+    from armlab.log import Table
     from armlab.robots import Robot
     from armlab.state import Command, State
 
-__all__ = ["Plan", "demo", "rehearse"]
 
 APPROACH = 3.0  # s, walk to the start of a motion
 EXCITATION = 36.0  # s
@@ -53,23 +49,15 @@ PRESSES: tuple[tuple[str, int, float], ...] = (
 
 @dataclass(frozen=True)
 class Plan:
-    """What the demo does: motions and presses, in seconds of guidance time of the second run.
+    """What the demo does: motions and presses, in seconds of guidance time of the second run."""
 
-    Attributes
-    ----------
-    excitation, test : motions of the two runs.
-    presses : name, axis, force [N], start and end of the full force.
-    free, sway, rest : windows of the second run.
-    times, wrenches : (K,), (K, 6) corners of the operator's wrench.
-    """
-
-    excitation: Trajectory
+    excitation: Trajectory  # excitation, test: motions of the two runs
     test: Trajectory
-    presses: tuple[tuple[str, int, float, float, float], ...]
-    free: tuple[float, float]
+    presses: tuple[tuple[str, int, float, float, float], ...]  # name, axis, force [N], start and end of the full force
+    free: tuple[float, float]  # free, sway, rest: windows of the second run
     sway: tuple[float, float]
     rest: tuple[float, float]
-    times: np.ndarray
+    times: np.ndarray  # times, wrenches: (K,), (K, 6) corners of the operator's wrench
     wrenches: np.ndarray
 
     @classmethod
@@ -139,8 +127,7 @@ def demo(
     output : Path
         New folder for logs, model, figures and summary; demo-<time> when left out.
     """
-    from armlab.cli.demo_report import figures, judge, latency_line
-    from armlab.cli.output import note, result
+    from armlab.cli.support.output import note, result
 
     if robot not in ROBOTS:
         raise UnknownName.among("robot of the demo", robot, ROBOTS)
@@ -167,23 +154,11 @@ def demo(
 
 
 def rehearse(robot_name: str, seed: int, folder: Path, fast: bool, view: bool = False) -> dict[str, Any]:
-    """Run both motions over EGM and return plan, fit, run and the table of the estimate.
-
-    Parameters
-    ----------
-    robot_name : name in the library, or a robot file.
-    seed : of motions and noise.
-    folder : new folder for the logs and the model.
-    fast : lockstep. view : show it in the browser.
-
-    Raises
-    ------
-    ConfigError : when the folder exists. LinkError : when the view cannot begin.
-    """
+    """Run both motions over EGM and return plan, fit, run and the table of the estimate."""
     import numpy as np
 
     from armlab import log, robots
-    from armlab.cli.output import progress
+    from armlab.cli.support.output import progress
     from armlab.contact import Estimator
     from armlab.identify import fit_dynamics
 
@@ -237,7 +212,7 @@ def _estimating(plan: Plan, estimator: Estimator) -> Any:
 @contextmanager
 def _shown(cell: str) -> Iterator[None]:
     """Show in the browser what links offer under this name; the view can hold none of them up."""
-    from armlab.cli.output import result
+    from armlab.cli.support.output import result
     from armlab.cli.view import beside
 
     with beside(cell) as line:
@@ -253,3 +228,157 @@ def _drive(robot: Robot, url: str, controller: Any, seconds: float, path: Path, 
     extra = {"observability": Column(shape=(6,))}  # wrench_hat and its covariance need no declaration
     with bridge.connect(url, robot, offer=cell) as link:
         return link.run(controller, seconds, record=path, extra=extra, progress=tell)
+
+
+SEEN = 0.9  # observability from which an axis counts
+MAX_RMS = 1.5  # N per axis, with contact and in free motion
+MAX_PRESS_ERROR = 0.15  # of 500 g, mean of the press
+COVERAGE = (0.85, 0.99)
+MAX_HOLES = 0.02  # share of cycles without an estimate: overtaken or late ones of a busy machine
+AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How the estimate compares with the operator's forces."""
+
+    # name, true force, estimated force (x, y, z) [N], 2-sigma along the press [N], error along the press [N]
+    presses: tuple[dict[str, Any], ...]
+    rms: np.ndarray  # rms, free_rms: (3,) error with the operator and in free motion [N], where the axis is seen
+    free_rms: np.ndarray
+    coverage: float  # share of force samples inside 2 sigma while the arm sways and the operator presses
+    rest_inside: float  # share of samples at rest inside 2 sigma
+    rest_band: np.ndarray  # their mean 2-sigma (3,) [N]
+    holes: float  # share of the cycles of the sway that have no estimate
+    missed: tuple[str, ...] = field(default=())  # targets that are not met, in words
+
+    @property
+    def passed(self) -> bool:
+        """True when every bar is met."""
+        return not self.missed
+
+    def text(self) -> str:
+        """Return the tables."""
+        from armlab.cli.support.output import aligned
+
+        rows = [("press", "true [N]", "estimated x", "y", "z", "2-sigma", "error")]
+        rows += [
+            (
+                p["name"],
+                f"{p['true']:+.2f}",
+                *(f"{f:+.2f}" for f in p["force"]),
+                f"{p['band']:.2f}",
+                f"{p['error']:+.2f}",
+            )
+            for p in self.presses
+        ]
+        rms, free, band = (" ".join(f"{v:.2f}" for v in a) for a in (self.rms, self.free_rms, self.rest_band))
+        return "\n".join(
+            [
+                aligned(rows, right=(1, 2, 3, 4, 5, 6)),
+                f"force error x y z, RMS while swaying and pressing  {rms} N (bar {MAX_RMS})",
+                f"false force x y z, RMS in free motion              {free} N (bar {MAX_RMS})",
+                f"inside 2 sigma while swaying and pressing          {100 * self.coverage:.1f} % (bar 85 to 99)",
+                f"at rest: inside 2 sigma {100 * self.rest_inside:.1f} %, mean 2-sigma x y z {band} N: "
+                "static friction hides small forces",
+            ]
+        )
+
+
+def judge(table: Table, plan: Plan) -> Verdict:
+    """Compare the recorded live estimate with the operator's forces.
+
+    Cycles without an estimate do not count; more than MAX_HOLES of them miss a target.
+    """
+    import numpy as np
+
+    estimated = np.asarray(np.isfinite(table["wrench_hat"]).all(axis=1))
+    cycles = table["session_t"]
+    asked = (cycles >= plan.sway[0]) & (cycles < plan.sway[1])
+    holes = float(np.mean(~estimated[asked])) if asked.any() else 1.0
+    table = table.where(estimated)
+    t = table["session_t"]
+    force, truth = table["wrench_hat"][:, :3], plan.wrench(t)[:, :3]
+    sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"])[:, :3])
+    seen = table["observability"][:, :3] >= SEEN
+    error = force - truth
+
+    def window(span: tuple[float, float]) -> np.ndarray:
+        return (t >= span[0]) & (t < span[1])
+
+    def rms(rows: np.ndarray) -> np.ndarray:
+        kept = rows[:, None] & seen
+        return np.array([np.sqrt(np.mean(error[kept[:, i], i] ** 2)) if kept[:, i].any() else np.nan for i in range(3)])
+
+    if not len(t) or t[-1] < plan.presses[-1][4]:
+        raise LogError(
+            f"Expected a run of {plan.presses[-1][4]:.1f} s, with all presses, got {t[-1] if len(t) else 0.0:.1f} s. "
+            "Run the demo again."
+        )
+    sway, rest = window(plan.sway), window(plan.rest)
+    presses = []
+    for name, axis, true, start, end in plan.presses:
+        rows = window((start + 0.1, end))
+        mean = force[rows].mean(axis=0)
+        band = float(2 * sigma[rows, axis].mean())
+        presses.append(
+            {"name": name, "true": true, "force": mean.tolist(), "band": band, "error": float(mean[axis] - true)}
+        )
+    verdict = Verdict(
+        presses=tuple(presses),
+        rms=rms(sway),
+        free_rms=rms(window(plan.free)),
+        coverage=float(np.mean(np.abs(error[sway]) < 2 * sigma[sway])),
+        rest_inside=float(np.mean(np.abs(error[rest]) < 2 * sigma[rest])),
+        rest_band=2 * sigma[rest].mean(axis=0),
+        holes=holes,
+    )
+    return Verdict(**{**vars(verdict), "missed": _missed(verdict)})
+
+
+def _missed(v: Verdict) -> tuple[str, ...]:
+    missed = [
+        f"{what} {AXES[i]} {values[i]:.2f} N"
+        for what, values in (("force error", v.rms), ("false force", v.free_rms))
+        for i in range(3)
+        if not values[i] <= MAX_RMS
+    ]
+    if v.holes > MAX_HOLES:
+        missed.append(f"{100 * v.holes:.1f} % of the cycles without an estimate")
+    if not COVERAGE[0] <= v.coverage <= COVERAGE[1]:
+        missed.append(f"coverage {100 * v.coverage:.1f} %")
+    missed += [
+        f"{p['name']}: {p['error']:+.2f} N"
+        for p in v.presses
+        if p["name"].startswith("500 g") and not abs(p["error"]) <= MAX_PRESS_ERROR * abs(p["true"])
+    ]
+    if not v.rest_inside >= 1.0:
+        missed.append(f"truth inside 2 sigma at rest only {100 * v.rest_inside:.1f} %")
+    return tuple(missed)
+
+
+def latency_line(run: Any) -> str:
+    """Return the line about the loop: round trip and cycles."""
+    return next((line.strip() for line in run.report().splitlines() if "p50" in line), run.report().splitlines()[0])
+
+
+def figures(folder: Path, outcome: dict[str, Any], verdict: Verdict) -> list[Path]:
+    """Write torque.png, wrench.png and summary.json into the folder; return all its files."""
+    from armlab import log, plots
+
+    plan, table = outcome["plan"], outcome["estimate"]
+    truth = table.with_column("wrench_true", plan.wrench(table["session_t"]))
+    plots.torque_fit(outcome["fit"].value, log.read(folder / "excite.mcap")).savefig(folder / "torque.png", dpi=120)
+    plots.wrench(truth).savefig(folder / "wrench.png", dpi=120)
+    summary = {
+        "passed": verdict.passed,
+        "missed": list(verdict.missed),
+        "presses": list(verdict.presses),
+        "force_rms": verdict.rms.tolist(),
+        "false_force_rms": verdict.free_rms.tolist(),
+        "coverage": verdict.coverage,
+        "rest_inside": verdict.rest_inside,
+        "rest_two_sigma": verdict.rest_band.tolist(),
+    }
+    (folder / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    return sorted(folder.iterdir())

@@ -1,4 +1,4 @@
-"""``armlab doctor``: is everything ready for a robot? Sends nothing to one."""
+"""``armlab doctor``: check computer, network and robot before a run. Sends nothing to a robot."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ def doctor(
     from armlab import robots
     from armlab.bridge.doctor import LONGEST, examine
     from armlab.cli import FAILED, SKIPPED
-    from armlab.cli.output import note, print_json, result
-    from armlab.cli.ports import known_ports, ports_in
+    from armlab.cli.support.options import known_ports, ports_in
+    from armlab.cli.support.output import note, print_json, result
     from armlab.errors import ConfigError
 
     arms = [robots.load(name) for name in robot]
@@ -71,12 +71,7 @@ def disk(
     sync: Callable[[int], None] = os.fsync,
     free: Callable[[Path], int] = lambda folder: shutil.disk_usage(folder).free,
 ) -> Finding:
-    """Measure the disk on which a log would be written: speed, how long a sync takes, hours of room.
-
-    Parameters
-    ----------
-    folder : of the log. sync : brings a file to the disk. free : bytes left.
-    """
+    """Measure the disk on which a log would be written: speed, how long a sync takes, hours of room."""
     from armlab.bridge.findings import Finding
 
     syncs: list[float] = []

@@ -1,4 +1,4 @@
-"""``armlab excite``: design a motion that tells the parameters apart, and run it."""
+"""``armlab excite``: design an excitation trajectory and run it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cyclopts import Parameter
 if TYPE_CHECKING:
     import numpy as np
 
-    from armlab.identify import PredictedUncertainty, Trajectory
+    from armlab.identify import Expectation, Trajectory
     from armlab.log import Table
     from armlab.robots import Robot
 
@@ -102,12 +102,11 @@ def excite(
     """
     from armlab import log as logs
     from armlab import robots
-    from armlab.cli.amounts import as_given, require_positive
-    from armlab.cli.links import links_to
-    from armlab.cli.output import FIGURES, check_output, note, print_json, progress, result, save_figure
-    from armlab.cli.settings import load_settings, log_folder
+    from armlab.cli.support.options import as_given, links_to, require_positive
+    from armlab.cli.support.output import FIGURES, check_output, note, print_json, progress, result, save_figure
+    from armlab.cli.support.settings import load_settings, log_folder
     from armlab.errors import ConfigError
-    from armlab.identify import Trajectory, predicted_uncertainty
+    from armlab.identify import Trajectory, expectation
 
     if output is None and run is None:
         raise ConfigError("Expected a file for the motion (-o motion.csv) or a link to run it on (--run), got neither.")
@@ -129,7 +128,7 @@ def excite(
             tell(0, 2, f"reading {saved.name}")
             trajectory = Trajectory.from_table(logs.read(saved))
         tell(9, 10, "what it will tell")
-        expected = predicted_uncertainty(trajectory, arm, noise) if joint is None else None
+        expected = expectation(trajectory, arm, noise) if joint is None else None
         tell(1, 1, "done")
     if json:
         told = {} if expected is None else _plain(expected)
@@ -156,13 +155,13 @@ def _design(
     robot: Robot, motion: Motion, speed: float, joint: str | None, tell: Callable[[float, float, str], None]
 ) -> Trajectory:
     """Design a motion of all joints, or of one."""
-    from armlab.cli.picture import joints_in
-    from armlab.identify import design_excitation, friction_run
+    from armlab.cli.support.figure_options import joints_in
+    from armlab.identify import excitation, friction_run
 
     if joint is not None:
         return friction_run(robot, joints_in(joint, robot.n)[0] if joint.isdecimal() else joint)
     shape = motion.seconds, motion.f0, motion.harmonics, speed, motion.acceleration
-    return design_excitation(
+    return excitation(
         robot,
         *shape,
         seed=motion.seed,
@@ -171,13 +170,13 @@ def _design(
     )
 
 
-def _text(expected: PredictedUncertainty) -> str:
-    from armlab.cli.output import aligned
+def _text(expected: Expectation) -> str:
+    from armlab.cli.support.output import aligned
 
     return f"{aligned(expected.rows(), right=(2, 3, 4))}\n{expected.excitation.text()}"
 
 
-def _plain(expected: PredictedUncertainty) -> dict[str, Any]:
+def _plain(expected: Expectation) -> dict[str, Any]:
     parameters = zip(expected.names, expected.units, expected.groups, expected.sd, strict=True)
     keys = ("name", "unit", "group", "sd")
     found = {"condition": expected.excitation.condition, "weakest": expected.excitation.weakest}
@@ -208,7 +207,7 @@ def _check_speed(robot: Robot, qd: np.ndarray, asked: float | None) -> None:
     """Refuse a motion that is faster than the settings allow and was not asked for: a limit would bend it."""
     import numpy as np
 
-    from armlab.cli.settings import load_settings
+    from armlab.cli.support.settings import load_settings
     from armlab.errors import ConfigError
 
     allowed, share = load_settings().settings.speed, float(np.max(np.abs(qd) / robot.qd_max))
@@ -223,7 +222,7 @@ def _run(robot: Robot, trajectory: Trajectory, url: str, log: Path, approach: fl
     """Run the motion over a link and record it; return the exit code."""
     from armlab import bridge
     from armlab.cli import FAILED
-    from armlab.cli.output import note, progress
+    from armlab.cli.support.output import note, progress
 
     with progress("excite") as tell, bridge.connect(url, robot) as link:
         done = link.run(trajectory.controller(approach), approach + trajectory.seconds, record=log, progress=tell)

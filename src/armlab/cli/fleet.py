@@ -1,19 +1,25 @@
-"""``armlab fleet``: the same jobs over many logs and many robots."""
+"""``armlab fleet``: many robots and many logs at once: router, record, list; identify, estimate, export."""
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Parameter
 
 from armlab.errors import ConfigError
 
 if TYPE_CHECKING:
-    from armlab.bridge.zenoh import Place
+    from concurrent.futures import Executor
 
-__all__ = ["fleet", "list_fleet", "record", "router"]
+    from armlab.bridge.zenoh import Place
+    from armlab.robots import Robot
+
 
 _ROUTER = "127.0.0.1:7447"
 _PORT = 7447
@@ -51,7 +57,7 @@ def router(
         Time after which to end [s].
     """
     from armlab.bridge.zenoh import Security
-    from armlab.cli.output import note
+    from armlab.cli.support.output import note
     from armlab.fleet import Router
 
     _check(seconds)
@@ -88,7 +94,7 @@ def record(
         Time after which to end [s].
     """
     from armlab.cli import FAILED
-    from armlab.cli.output import aligned, note, result
+    from armlab.cli.support.output import aligned, note, result
     from armlab.fleet import FleetRecorder
 
     _check(seconds)
@@ -133,7 +139,7 @@ def list_fleet(
     json
         Print JSON.
     """
-    from armlab.cli.output import aligned, print_json, result
+    from armlab.cli.support.output import aligned, print_json, result
     from armlab.fleet import list_robots
 
     _check(seconds)
@@ -150,17 +156,17 @@ def list_fleet(
 
 
 fleet.command(
-    "armlab.cli.fleet_logs:identify",
+    "armlab.cli.fleet:identify",
     name="identify",
     help_epilogue="Example: armlab fleet identify logs/ -o model.toml --workers 4",
 )
 fleet.command(
-    "armlab.cli.fleet_logs:estimate",
+    "armlab.cli.fleet:estimate",
     name="estimate",
     help_epilogue="Example: armlab fleet estimate logs/ --model model.toml -o estimates/ --workers 4",
 )
 fleet.command(
-    "armlab.cli.fleet_logs:export",
+    "armlab.cli.fleet:export",
     name="export",
     help_epilogue="Example: armlab fleet export logs/ --format csv -o text/ --workers 4",
 )
@@ -181,3 +187,203 @@ def _wait(seconds: float | None) -> None:
     end = float("inf") if seconds is None else time.monotonic() + seconds
     while (left := end - time.monotonic()) > 0.0:
         time.sleep(min(left, _LOOK))
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Job:
+    """What the commands over many logs have in common.
+
+    Attributes
+    ----------
+    robot : str
+        Name in the library, or a robot file; the one that the recordings name when not given.
+    workers : int
+        Processes on this computer.
+    dask : str
+        Address of a Dask scheduler, tcp://HOST:PORT; its workers must see the files by the same paths.
+    json : bool
+        Print JSON for scripts.
+    force : bool
+        Replace existing files.
+    """
+
+    robot: str | None = None
+    workers: int = 1
+    dask: str | None = None
+    json: bool = False
+    force: bool = False
+
+    def arm(self, logs: tuple[Path, ...]) -> Robot:
+        """Return the arm that is named, or else the one that the first recording names."""
+        from armlab import robots
+        from armlab.errors import ArmlabError, ConfigError
+        from armlab.fleet.logs import named
+        from armlab.log import inspect
+
+        if self.robot is not None:
+            return robots.load(self.robot)
+        for log in named(logs):
+            if not log.endswith(".mcap"):
+                continue
+            try:
+                return robots.load(inspect(log).metadata["armlab"]["robot"])
+            except (ArmlabError, OSError, KeyError):
+                continue
+        raise ConfigError("Expected recordings that name a robot of the library, got none. Name it with --robot.")
+
+    @contextmanager
+    def work(self, title: str) -> Iterator[tuple[Executor | None, Callable[[int, int, str], None]]]:
+        """Yield the executor of the block, and what shows its progress."""
+        from armlab.cli.support.output import progress
+        from armlab.fleet.workers import workers
+
+        with workers(self.workers, self.dask) as executor, progress(title) as tell:
+            yield executor, tell
+
+
+def identify(
+    *logs: Path,
+    output: Annotated[Path, Parameter(alias="-o")],
+    no_cache: bool = False,
+    job: Job = Job(),
+) -> int:
+    """Identify gravity, inertia and friction from many logs of one arm; save the model.
+
+    The result has the same bits with any number of workers. Logs that cannot be used are named, and the command ends
+    with status 3. Sums of each log are kept, so that ten logs more cost ten logs.
+
+    Parameters
+    ----------
+    logs
+        Recordings of free motion without contact, and folders of such.
+    output
+        Model file to write, ends in .toml.
+    no_cache
+        Keep no sums, and use none.
+    job
+        See `Job`.
+    """
+    from armlab import fleet
+    from armlab.cli import SKIPPED
+    from armlab.cli.support.output import check_output, note, print_json, result
+    from armlab.fleet.cache import default_folder
+
+    check_output(output, job.force, [".toml"])
+    arm = job.arm(logs)
+    cache = None if no_cache else default_folder()
+    with job.work("identify") as (executor, tell):
+        found = fleet.identify(logs, arm, executor, tell, cache)
+    if job.json:
+        fit = found.fit
+        parameters = [
+            {"name": name, "value": value, "sd": sd, "unit": unit}
+            for name, value, sd, unit in zip(fit.names, fit.parameters, fit.sd, fit.units)
+        ]
+        print_json({"model": str(output), "parameters": parameters, "used": found.used, "skipped": found.skipped})
+    else:
+        result(found.report())
+    found.fit.save(output)
+    note(f"model: {output}")
+    return SKIPPED if found.skipped else 0
+
+
+def estimate(
+    *logs: Path,
+    model: Path,
+    output: Annotated[Path, Parameter(alias="-o")],
+    method: Literal["map", "bounded", "interval", "observer", "kf", "clip", "ls", "lund"] = "map",
+    csv: bool = False,
+    job: Job = Job(),
+) -> int:
+    """Estimate the contact force in many logs of one arm; write a file of it for each.
+
+    Prints a line per log: its length, how often and how long there was contact, the largest force and the mean 2-sigma
+    band. Logs that cannot be used are named, and the command ends with status 3.
+
+    Parameters
+    ----------
+    logs
+        Recordings with positions, velocities and torques, and folders of such.
+    model
+        Model file of armlab identify.
+    output
+        Folder for the estimates.
+    method
+        As of armlab estimate.
+    csv
+        Write text instead of recordings.
+    job
+        See `Job`.
+    """
+    from armlab import fleet, models
+    from armlab.cli import SKIPPED
+    from armlab.cli.support.output import aligned, note, print_json, result
+
+    arm, known = job.arm(logs), models.load(model, "torque_model")
+    about = {"method": method, "ending": ".csv" if csv else ".mcap", "force": job.force}
+    with job.work("estimate") as (executor, tell):
+        done = fleet.estimate(logs, known, arm, output, executor, tell, **about)
+    if job.json:
+        told = {name: {**vars(one), "path": str(one.path)} for name, one in done.results.items()}
+        print_json({"logs": told, "skipped": done.skipped})
+    else:
+        rows = [
+            [name, f"{one.seconds:.1f}", f"{one.contacts}", *_fixed(one.contact_seconds, one.peak, one.band)]
+            for name, one in done.results.items()
+        ]
+        head = ["log", "seconds", "contacts", "in contact [s]", "largest [N]", "2-sigma [N]"]
+        result(aligned([head, *rows], right=range(1, len(head))))
+        _skipped(done.skipped)
+    note(f"estimates: {output}")
+    return SKIPPED if done.skipped else 0
+
+
+def export(
+    *logs: Path,
+    format: Literal["csv", "mat", "parquet", "h5", "mcap", "rosbag2"],
+    output: Annotated[Path, Parameter(alias="-o")],
+    job: Job = Job(),
+) -> int:
+    """Write many logs in another format.
+
+    Logs that cannot be read or written are named, and the command ends with status 3.
+
+    Parameters
+    ----------
+    logs
+        Files of any format that armlab reads, and folders of such.
+    format
+        To write: csv, mat, parquet, h5, mcap or rosbag2.
+    output
+        Folder for the files.
+    job
+        See `Job`; the robot is for recordings in mcap.
+    """
+    from armlab import fleet
+    from armlab.cli import SKIPPED
+    from armlab.cli.support.output import note, print_json, result
+
+    arm = job.arm(logs) if format == "mcap" else None
+    with job.work("export") as (executor, tell):
+        done = fleet.export(logs, output, f".{format}", executor, tell, robot=arm, force=job.force)
+    if job.json:
+        print_json({"files": {name: str(path) for name, path in done.results.items()}, "skipped": done.skipped})
+    else:
+        result("\n".join(map(str, done.results.values())))
+        _skipped(done.skipped)
+    note(f"{len(done.results)} files in {output}")
+    return SKIPPED if done.skipped else 0
+
+
+def _fixed(*values: float) -> list[str]:
+    """Return numbers with two digits, a dash for what is not there."""
+    return [f"{value:.2f}" if math.isfinite(value) else "-" for value in values]
+
+
+def _skipped(reasons: Mapping[str, str]) -> None:
+    """Say which logs were not used."""
+    from armlab.cli.support.output import note
+
+    for name, reason in reasons.items():
+        note(f"skipped {name}: {reason}")

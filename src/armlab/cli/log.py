@@ -1,16 +1,26 @@
-"""``armlab log``: what a log holds, its export, parts of it, several in one, repair, and other programs to look."""
+"""``armlab log``: show, export, cut, merge, open and repair logs."""
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
+from armlab.errors import ConfigError, LogError, MissingExtra
+
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from armlab.log import Table
+    from armlab.log.inspection import Inspection
     from armlab.robots import Robot
 
-__all__ = ["cut", "export", "log", "merge", "open_", "recover", "show"]
 
 log = App(name="log", help="Show, export, cut, merge, open and repair logs.")
 
@@ -33,12 +43,11 @@ def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
     import warnings
 
     from armlab import log as logs
-    from armlab.cli.log_text import data_of, parameters_data, parameters_text, text_of
-    from armlab.cli.output import print_json, result
-    from armlab.cli.reading import reading_bar
+    from armlab.cli.support.log_input import reading_bar
+    from armlab.cli.support.output import print_json, result
     from armlab.errors import LogError
-    from armlab.log.file_formats.opening import format_at
-    from armlab.log.topics.reader import is_foreign
+    from armlab.log.formats import format_at
+    from armlab.log.topic_reading import is_foreign
 
     kind = format_at(file)
     held = logs.inspect(file) if kind in ("MCAP", "") else None  # of no file it says why
@@ -95,10 +104,10 @@ def export(
         Replace an existing file.
     """
     from armlab import log as logs
-    from armlab.cli.output import check_output, note, progress, refuse_overwrite, result
-    from armlab.log.file_formats.delimited import sidecar_path
-    from armlab.log.file_formats.mat import matlab_names
-    from armlab.log.topics.reader import names_robots
+    from armlab.cli.support.output import check_output, note, progress, refuse_overwrite, result
+    from armlab.log.mat_table import matlab_names
+    from armlab.log.reading import names_robots
+    from armlab.log.sidecar import sidecar_path
     from armlab.log.writing import ENDINGS
 
     check_output(output, force, ENDINGS, [file])
@@ -135,9 +144,9 @@ def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
     """
     from armlab import log as logs
     from armlab import robots
-    from armlab.log.file_formats.opening import format_at
-    from armlab.log.recording.metadata import described
-    from armlab.log.topics.reader import is_foreign
+    from armlab.log.formats import format_at
+    from armlab.log.recording_metadata import described
+    from armlab.log.topic_reading import is_foreign
 
     if ending not in (".mcap", ".rosbag2") or (ending == ".rosbag2" and is_foreign(file)):
         return None
@@ -162,7 +171,7 @@ def recover(file: Path, *, output: Path | None = None) -> None:
         The copy; <name>.recovered.mcap beside the file when not given.
     """
     from armlab import log as logs
-    from armlab.cli.output import note, progress, result
+    from armlab.cli.support.output import note, progress, result
 
     with progress("recover") as tell:
         done = logs.recover(file, output, progress=tell)
@@ -204,10 +213,11 @@ def cut(
         Replace an existing file.
     """
     from armlab import log as logs
-    from armlab.cli.output import check_output, progress, result
+    from armlab.cli.support.output import check_output, progress, result
     from armlab.errors import ConfigError, LogError
-    from armlab.log.file_formats.opening import format_at
-    from armlab.log.topics.reader import is_foreign, names_robots
+    from armlab.log.formats import format_at
+    from armlab.log.reading import names_robots
+    from armlab.log.topic_reading import is_foreign
     from armlab.log.writing import ENDINGS
 
     start, stop = (-float("inf") if from_ is None else from_), (float("inf") if to is None else to)
@@ -246,7 +256,7 @@ def merge(*file: Path, output: Annotated[Path, Parameter(alias="-o")], force: bo
         Replace an existing file.
     """
     from armlab import log as logs
-    from armlab.cli.output import check_output, progress, result
+    from armlab.cli.support.output import check_output, progress, result
 
     check_output(output, force, [".mcap"], file)
     with progress("merge") as tell:
@@ -269,11 +279,221 @@ def open_(file: Path, *, rerun: bool = False, foxglove: bool = False, plotjuggle
         Open it there.
     """
     from armlab.cli import FAILED
-    from armlab.cli.output import note
-    from armlab.cli.viewers import check_finished, chosen, started
+    from armlab.cli.support.output import note
 
     check_finished(file)
     wanted = [name for name, is_on in (("foxglove", foxglove), ("plotjuggler", plotjuggler), ("rerun", rerun)) if is_on]
     viewer, program = chosen(wanted)
     note(f"Opening {file} in {viewer.title}: {program}.{viewer.remark}")
     return FAILED if started(viewer, program, file) else 0
+
+
+_EVENTS_SHOWN = 20
+
+
+def data_of(file: Path, kind: str, held: Inspection | None, tables: Mapping[str, Table]) -> dict[str, Any]:
+    """Return what is shown of a log, for scripts."""
+    told = [_table_data(table) for table in tables.values()]
+    several = "robots" if held and held.robots else "tables"
+    rows = told[0] if list(tables) == [""] else {several: dict(zip(tables, told, strict=True))}
+    return {"file": str(file), **rows, **(_recording_data(held) if held else {"format": kind})}
+
+
+def text_of(file: Path, kind: str, held: Inspection | None, tables: Mapping[str, Table]) -> str:
+    """Return what is shown of a log, for people; see `data_of`."""
+    return _text(held, tables) if held else _exchanged_text(file, kind, tables)
+
+
+def parameters_text(held: Inspection) -> str:
+    """Return the history of the parameters."""
+    from datetime import UTC, datetime
+
+    told = [
+        (one.stamp_ns, f"{one.name} = {one.value}, {f'set by {one.who} ({one.sequence})' if one.sequence else one.who}")
+        for one in held.parameters
+    ]
+    told += [(event.stamp_ns, event.text) for event in held.events if event.text.startswith("A setting of ")]
+    lines = [
+        f"{datetime.fromtimestamp(stamp_ns / 1e9, UTC):%Y-%m-%d %H:%M:%S.%f} UTC  {text}"
+        for stamp_ns, text in sorted(told, key=itemgetter(0))
+    ]
+    last = (held.summary or {}).get("parameters") or {}
+    ends = [f"At the end: {', '.join(f'{name} = {value}' for name, value in last.items())}."] if last else []
+    return "\n".join([*lines, *ends]) or "This log has no parameters."
+
+
+def parameters_data(held: Inspection) -> dict[str, Any]:
+    """Return the history of the parameters, for scripts."""
+    return {
+        "parameters": [
+            {"stamp_ns": one.stamp_ns, "name": one.name, "value": one.value, "who": one.who, "sequence": one.sequence}
+            for one in held.parameters
+        ],
+        "parameters_at_end": (held.summary or {}).get("parameters") or {},
+    }
+
+
+def _table_data(table: Table) -> dict[str, Any]:
+    """Return what is shown of any log, for scripts."""
+    from armlab.log.text import component_names, statistics, timing
+
+    holes = table.missing()
+    columns = {}
+    for name in table.names:
+        about, stats = table.columns[name], statistics(table[name])
+        columns[name] = {"shape": list(about.shape), "unit": about.unit, "frame": about.frame, "kind": about.kind}
+        columns[name] |= {"missing": holes.get(name, (0, ()))[0], "components": component_names(table, name)}
+        columns[name] |= {key: stats[key] for key in ("min", "max", "mean", "sigma")}
+    return {
+        **timing(table),
+        "clock": table.clock,
+        "t0_ns": table.t0_ns,
+        "sha256": table.sha256,
+        "columns": columns,
+        "notes": table.notes,
+        "source": table.source,
+    }
+
+
+def _recording_data(held: Inspection) -> dict[str, Any]:
+    """Return what is shown of a recording besides, for scripts."""
+    return {
+        "format": "MCAP",
+        "bytes": held.size,
+        "finished": held.finished,
+        "torn_bytes": held.torn,
+        "metadata": held.metadata,
+        "topics": [{"name": t.name, "type": t.type, "messages": t.messages} for t in held.topics],
+        "attachments": {name: len(data) for name, data in held.attachments.items()},
+        "events": [{"stamp_ns": event.stamp_ns, "text": event.text} for event in held.events],
+        **parameters_data(held),
+        "summary": held.summary,
+    }
+
+
+def _exchanged_text(file: Path, kind: str, tables: Mapping[str, Table]) -> str:
+    """Return what is shown of a log that is no recording."""
+    first = min(tables.values(), key=lambda table: table.t0_ns, default=None)
+    sources = [f"source: {entry}" for entry in first.source] if first else []
+    head = [f"{file}: {kind}, began {_began(first.t0_ns if first else 0)}", *sources]
+    return "\n\n".join(["\n".join(head), *_table_texts(tables)])
+
+
+def _table_texts(tables: Mapping[str, Table]) -> list[str]:
+    """Return rows, notes and columns of each table, with its name where there are several."""
+    from armlab.cli.support.output import aligned
+    from armlab.log.text import table_text
+
+    blocks = [] if tables else ["no topic with numbers"]
+    for name, table in tables.items():
+        first, *rest = table_text(table).splitlines()
+        first = f"{name}: {first}" if name else first
+        blocks.append("\n".join([first, *(line for line in rest if line.startswith("note:"))]))
+        blocks.append(aligned(_column_rows(table), right=(4, 5, 6)))
+    return blocks
+
+
+def _began(t0_ns: int) -> str:
+    from datetime import UTC, datetime
+
+    if not t0_ns:
+        return "-"
+    return datetime.fromtimestamp(t0_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def _text(held: Inspection, tables: Mapping[str, Table]) -> str:
+    from armlab.cli.support.output import aligned
+
+    state = "finished" if held.finished else f"not finished, {held.torn} bytes torn"
+    began = min((table.t0_ns for table in tables.values()), default=0)
+    blocks = [f"{held.path}: {held.size / 1e6:.2f} MB, {state}, began {_began(began)}"]
+    for about in held.metadata.values():
+        blocks.append(
+            aligned(
+                [(key, value) for key, value in about.items() if value and "\n" not in value and key != "attachments"]
+            )
+        )
+    blocks += _table_texts(tables)
+    blocks.append(aligned([("attachment", "bytes"), *((n, str(len(d))) for n, d in held.attachments.items())], (1,)))
+    lines = [f"{_when(event.stamp_ns, began):>12}  {event.text}" for event in held.events[:_EVENTS_SHOWN]]
+    more = len(held.events) - len(lines)
+    blocks.append("\n".join(["events", *lines, *([f"and {more} more (--json shows all)"] if more > 0 else [])]))
+    return "\n\n".join(block for block in blocks if block)
+
+
+def _when(stamp_ns: int, t0_ns: int) -> str:
+    """Return seconds since the first row; "-" where the stamp is on another clock, as in lockstep."""
+    seconds = (stamp_ns - t0_ns) / 1e9
+    return f"{seconds:.3f} s" if abs(seconds) < 30 * 86_400 else "-"
+
+
+def _column_rows(table: Table) -> list[tuple[str, ...]]:
+    """Return one row per column: shape of a row, unit, frame, missing, minimum and maximum over its components."""
+    import numpy as np
+
+    from armlab.log.text import statistics
+
+    holes = table.missing()
+    rows: list[tuple[str, ...]] = [("column", "shape", "unit", "frame", "missing", "min", "max")]
+    for name in table.names:
+        column, stats = table.columns[name], statistics(table[name])
+        known = ~np.isnan(stats["min"])
+        numbers = [f"{f(stats[k][known]):.6g}" if known.any() else "-" for k, f in (("min", np.min), ("max", np.max))]
+        shape = "x".join(map(str, column.shape)) or "1"
+        rows.append((name, shape, column.unit or "", column.frame or "-", str(holes.get(name, (0,))[0]), *numbers))
+    return rows
+
+
+@dataclass(frozen=True, slots=True)
+class Viewer:
+    """A program that opens MCAP files."""
+
+    title: str  # title, program: its name, and that of its command
+    program: str
+    arguments: tuple[str, ...]  # before the file
+    source: str  # how one gets it
+    remark: str = ""  # what one should know before it opens
+
+
+VIEWERS = {
+    "foxglove": Viewer("Foxglove", "foxglove-studio", (), "its desktop program is at foxglove.dev/download"),
+    "plotjuggler": Viewer("PlotJuggler", "plotjuggler", ("-d",), "its packages are listed at plotjuggler.io"),
+    "rerun": Viewer(
+        "Rerun",
+        "rerun",
+        ("--bind", "127.0.0.1"),  # its default is every interface
+        "pip install rerun-sdk, in an environment of its own",
+        " It may call hosts outside; `rerun analytics disable` says no.",
+    ),
+}
+
+
+def check_finished(file: Path) -> None:
+    """Check that a file is a recording that was finished: these programs need its end."""
+    from armlab import log as logs
+
+    if not logs.inspect(file).finished:
+        raise LogError(
+            f"Expected a finished recording, got {file}, which was cut off, and which other programs do not open. Make "
+            f"it whole: armlab log recover {file}."
+        )
+
+
+def chosen(wanted: Sequence[str]) -> tuple[Viewer, str]:
+    """Return the program to open a recording with, and where it is."""
+    if len(wanted) > 1:
+        raise ConfigError(f"Expected one program to open the log with, got {' and '.join(wanted)}. Leave one out.")
+    places = {name: shutil.which(viewer.program) for name, viewer in VIEWERS.items()}
+    for name in wanted or VIEWERS:
+        place = places[name]
+        if place is not None:
+            return VIEWERS[name], place
+    there = ", ".join(VIEWERS[name].title for name, place in places.items() if place) or "none of these programs"
+    missing = "; ".join(f"{VIEWERS[name].title}: {VIEWERS[name].source}" for name in wanted or VIEWERS)
+    what = VIEWERS[wanted[0]].title if wanted else "Foxglove, PlotJuggler or Rerun"
+    raise MissingExtra(f"Expected {what} on the PATH, got {there}. How to get it: {missing}.")
+
+
+def started(viewer: Viewer, program: str, file: Path) -> int:
+    """Run a program on a file until it ends, and return its exit code."""
+    return subprocess.run([program, *viewer.arguments, str(file.absolute())], check=False).returncode

@@ -1,4 +1,4 @@
-"""``armlab monitor``: a bridge that runs, in the terminal."""
+"""``armlab monitor``: a running bridge, in the terminal."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def monitor(robot: str | None = None, *, cell: str = "", zenoh: str = "", second
     from armlab.bridge.messages import Subscribe
     from armlab.bridge.watch import Watch
     from armlab.bridge.zenoh import ZenohFeed
-    from armlab.cli.output import note, result
+    from armlab.cli.support.output import note, result
 
     if seconds is not None and not seconds >= 0.0:
         raise ConfigError(f"Expected seconds of at least 0 s, got {seconds}.")

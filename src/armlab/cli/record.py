@@ -48,9 +48,8 @@ def record(
     """
     from armlab import bridge, robots
     from armlab.bridge.recording import paths
-    from armlab.cli.amounts import require_positive
-    from armlab.cli.narration import Narrator
-    from armlab.cli.output import check_output, note
+    from armlab.cli.support.options import require_positive
+    from armlab.cli.support.output import Narrator, check_output, note
     from armlab.errors import NoRobot, SessionEnded
 
     arms = [robots.load(name) for name in robot]
@@ -92,7 +91,7 @@ _STEPS = """Leading by hand, step by step:
 
 def _urls(port: str | None, arms: list[Robot]) -> list[str]:
     """Return one link per arm, on all network interfaces."""
-    from armlab.cli.ports import known_ports, ports_in
+    from armlab.cli.support.options import known_ports, ports_in
     from armlab.errors import ConfigError
 
     if not arms:
@@ -109,7 +108,7 @@ def _told(files: list[Path]) -> int:
     """Say what the logs hold; a log without a row is removed. Return the exit code."""
     from armlab import log as logs
     from armlab.cli import FAILED
-    from armlab.cli.output import note, result
+    from armlab.cli.support.output import note, result
 
     kept = 0
     for path in files:

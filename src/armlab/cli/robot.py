@@ -27,7 +27,7 @@ def list_robots(*, json: bool = False) -> None:
         Print JSON for scripts.
     """
     from armlab import robots
-    from armlab.cli.output import aligned, print_json, result
+    from armlab.cli.support.output import aligned, print_json, result
 
     found = [robots.load(name) for name in robots.names()]
     if json:
@@ -66,7 +66,7 @@ def show(
         Replace an existing figure.
     """
     from armlab import robots
-    from armlab.cli.output import FIGURES, check_output, note, save_figure
+    from armlab.cli.support.output import FIGURES, check_output, note, save_figure
 
     if figure is not None:
         check_output(figure, force, FIGURES)
@@ -100,7 +100,7 @@ def convert(source: str, target: Path, *, base: str | None = None, tip: str | No
         Replace an existing file.
     """
     from armlab import robots
-    from armlab.cli.output import check_output, note
+    from armlab.cli.support.output import check_output, note
 
     check_output(target, force, (".toml", ".urdf"))
     arm = robots.load(source, base=base, tip=tip)
@@ -109,7 +109,7 @@ def convert(source: str, target: Path, *, base: str | None = None, tip: str | No
 
 
 def _show_tree(tree: Tree, json: bool) -> None:
-    from armlab.cli.output import aligned, note, print_json, result
+    from armlab.cli.support.output import aligned, note, print_json, result
 
     if json:
         fields = ("name", "kind", "parent", "child", "q_min", "q_max", "qd_max", "tau_max", "line")
@@ -141,7 +141,7 @@ def _show_tree(tree: Tree, json: bool) -> None:
 def _show_arm(arm: Robot, json: bool) -> None:
     import numpy as np
 
-    from armlab.cli.output import aligned, print_json, result
+    from armlab.cli.support.output import aligned, print_json, result
 
     if json:
         words = ("name", "n", "joint_names", "abb_axes", "side", "source", "hash")

@@ -1,4 +1,4 @@
-"""``armlab run``: run a controller of yours, from a file, against a robot."""
+"""``armlab run``: run your controller from a file."""
 
 from __future__ import annotations
 
@@ -62,10 +62,9 @@ def run(
     """
     from armlab import bridge, robots
     from armlab.cli import FAILED
-    from armlab.cli.links import links_to
-    from armlab.cli.narration import Narrator
-    from armlab.cli.output import note, result
-    from armlab.cli.settings import load_settings
+    from armlab.cli.support.options import links_to
+    from armlab.cli.support.output import Narrator, note, result
+    from armlab.cli.support.settings import load_settings
     from armlab.errors import ControllerFailed
 
     arms = [robots.load(name) for name in robot.split("+")]
@@ -101,16 +100,7 @@ In this order: automatic mode or manual with the enabling device; motors on; RAP
 
 
 def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] | None]:
-    """Return the controller in a file, and the columns that the file declares as `extra`, None without them.
-
-    Parameters
-    ----------
-    place : ``FILE.py:NAME``; ``FILE.py`` alone means the function `controller`. The file may import its neighbours.
-
-    Raises
-    ------
-    ConfigError : no such file, no such name in it, or it is not callable. What the file itself raises is its cause.
-    """
+    """Return the controller in a file, and the columns that the file declares as `extra`, None without them."""
     from importlib.util import module_from_spec, spec_from_file_location
 
     from armlab.errors import ConfigError
@@ -172,8 +162,8 @@ def _hold(state: object) -> None:
 
 def _base(log: str | None, no_log: bool, robot: str) -> Path | None:
     """Return the name of the log, with the time: one file per arm and start."""
-    from armlab.cli.output import check_output
-    from armlab.cli.settings import log_folder
+    from armlab.cli.support.output import check_output
+    from armlab.cli.support.settings import log_folder
     from armlab.errors import ConfigError
 
     if no_log:
@@ -198,7 +188,7 @@ def _files(link: Link) -> list[Path]:
 
 
 def _tell_files(link: Link) -> None:
-    from armlab.cli.output import note
+    from armlab.cli.support.output import note
 
     for path in _files(link):
         note(f"log: {path}; look at it: armlab log show {path}")
@@ -208,7 +198,7 @@ def _report_of_logs(link: Link) -> None:
     """Print the report of a run that was interrupted: its numbers are the summary of the log."""
     from armlab import log as logs
     from armlab.bridge.run import Run
-    from armlab.cli.output import result
+    from armlab.cli.support.output import result
 
     for path in _files(link):
         summary = logs.inspect(path).summary

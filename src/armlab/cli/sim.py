@@ -1,32 +1,268 @@
-"""``armlab sim``: simulated arms and a simulated controller that speaks EGM."""
+"""``armlab sim``: simulated arms and their EGM controller, its options, and the files it reads and writes."""
 
 from __future__ import annotations
 
+import contextlib
 import json as json_format
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO
 
 from cyclopts import Parameter
 
 from armlab._interrupts import deferred
 from armlab.cli import FAILED, INTERRUPTED
-from armlab.cli.sim_options import Around, Content, FaultOptions
-from armlab.errors import ConfigError
-from armlab.sim.arm.mismatch import Mismatch
-from armlab.sim.controller.settings import ControllerSettings
+from armlab.errors import ConfigError, LogError
+from armlab.sim.fault_rates import FaultRates
+from armlab.sim.mismatch import Mismatch
+from armlab.sim.settings import Settings
 
 if TYPE_CHECKING:
-    from armlab.robots import Robot
-    from armlab.sim.arm.arm import LaggingArm, SimulatedArm
-    from armlab.sim.controller.channel import UdpClient
-    from armlab.sim.controller.statistics import ControllerEvent
+    import numpy as np
 
-__all__ = ["sim"]
+    from armlab.robots import Robot
+    from armlab.sim import Scene
+    from armlab.sim.arm import Arm
+    from armlab.sim.channel import Channel
+    from armlab.sim.controller import Controller
+    from armlab.sim.hand import HandPath
+    from armlab.sim.lagging import LaggingArm
+    from armlab.sim.operator import Operator
+    from armlab.sim.statistics import Event
+
+
+_AXES = {"6": "irb1200", "7": "yumi_right", "scara": "scara"}
+
+
+@dataclass(frozen=True)
+class FaultOptions:
+    """What goes wrong: `FaultRates`, with pairs as text."""
+
+    loss: float = FaultRates.loss
+    duplicate: float = FaultRates.duplicate
+    reorder: float = FaultRates.reorder
+    corrupt: float = FaultRates.corrupt
+    delay: str = "0,0"
+    pause: str = "0,0"
+    burst: int = FaultRates.burst
+    until: float = FaultRates.until
+
+    def rates(self) -> FaultRates:
+        """Return the rates, or raise ConfigError for what makes no sense."""
+        given: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
+        return FaultRates(**{**given, "delay": pair("delay", self.delay), "pause": pair("pause", self.pause)})
+
+
+_, _, _attributes = (FaultRates.__doc__ or "").partition("    Attributes\n")  # the help is written once, there
+FaultOptions.__doc__ = f"{FaultOptions.__doc__}\n\n    Attributes\n{_attributes.partition('    Raises')[0]}"
+
+
+@dataclass(frozen=True)
+class Content:
+    """What the packets hold.
+
+    Attributes
+    ----------
+    robotware : str
+        Flavour: 6.06 sends radians and no time, 6.07 time, 6.10 the utilization, 7 what came later.
+    axes : str
+        A robot without a name: 6 for irb1200, 7 for yumi_right, scara for an invented robot of four axes.
+    external : int
+        External axes beyond those of the robot.
+    rapid_data : int
+        How many of the numbers that RAPID hears it sends back, with the digital value (RobotWare 7).
+    fields : str
+        Fields of EgmRobot to leave out, with commas between: tm, planned, cartesian, time, motorState, mciState,
+        rapidExecState, mciConvergenceMet, utilizationRate.
+    force : bool
+        Send the wrench on the tool as measuredForce, in the layout of the RobotWare.
+    lagging : bool
+        No masses: the arm follows its reference through a dead time of two cycles and a lag of 8 ms, without torques.
+        So do all robots of which no masses are assumed.
+    """
+
+    robotware: Literal["6.06", "6.07", "6.10", "7"] = "6.10"
+    axes: Literal["6", "7", "scara"] | None = None
+    external: int = 0
+    rapid_data: int = 0
+    fields: str = ""
+    force: bool = False
+    lagging: bool = False
+
+    def __post_init__(self) -> None:
+        """Check what RAPID sends back."""
+        if not 0 <= self.rapid_data <= 40 or (self.rapid_data and self.robotware != "7"):
+            raise ConfigError(
+                f"Expected --rapid-data from 0 to 40, with --robotware 7 only, got {self.rapid_data} and RobotWare "
+                f"{self.robotware}."
+            )
+
+    def names(self, robots: Sequence[str], count: int) -> tuple[str, ...]:
+        """Return the names of the robots."""
+        if self.axes and robots:
+            raise ConfigError(f"Expected names of robots or --axes, got both: {', '.join(robots)} and {self.axes}.")
+        return (_AXES[self.axes],) * count if self.axes else tuple(robots)
+
+    @property
+    def left_out(self) -> list[str]:
+        """Names of the fields to leave out."""
+        return [name.strip() for name in self.fields.split(",") if name.strip()]
+
+
+@dataclass(frozen=True)
+class Around:
+    """What happens around the arms.
+
+    Attributes
+    ----------
+    operator : Path
+        CSV file of the wrench that a hand exerts on the first robot, t,fx,fy,fz,mx,my,mz: seconds since guidance began,
+        N and N m in base axes at the tool point, linear between rows.
+    hand : Path
+        CSV file of the posture to which a hand leads the first robot with --program lead-through, t,q1,q2,... in rad;
+        without it the path is random and smooth.
+    grip : str
+        START,END [s] of guidance time: a hand takes the tool of the first robot, holds it where it is, and lets go.
+    motors : str
+        State of the motors over robot time, as on, or 0:on,2.5:off,4:on. Also: undefined.
+    rapid : str
+        State of RAPID over robot time: running, stopped or undefined (stuck, as after a restart).
+    """
+
+    operator: Path | None = None
+    hand: Path | None = None
+    grip: str | None = None
+    motors: str = "on"
+    rapid: str = "running"
+
+    def scene(self, robot: Robot, index: int, seed: list[int], external: int) -> Scene:
+        """Return what happens around one robot."""
+        from armlab.sim import MOTORS, RAPID, Grip, HandPath, Operator, Scene, Script
+
+        operator = Operator.idle() if self.operator is None or index else read_operator(self.operator)
+        hand = HandPath.random(robot, seed) if self.hand is None or index else read_hand(self.hand, robot.n)
+        grip = None if self.grip is None or index else Grip(*pair("grip", self.grip))
+        return Scene(operator, hand, Script(self.motors, MOTORS), Script(self.rapid, RAPID), external, grip)
+
+
+def pair(name: str, text: str) -> tuple[float, float]:
+    """Return the two numbers of an option."""
+    words = text.split(",")
+    try:
+        first, second = (float(word) for word in words)
+    except ValueError:
+        raise ConfigError(f"Expected two numbers with a comma between for --{name}, got {text!r}.") from None
+    return first, second
+
+
+_OPERATOR = ("t", "fx", "fy", "fz", "mx", "my", "mz")
+_SHOWN = 80  # characters of a wrong line that a message quotes
+
+
+def read_operator(path: Path) -> Operator:
+    """Return the operator described by a CSV file with the header ``t,fx,fy,fz,mx,my,mz``."""
+    from armlab.sim.operator import Operator
+
+    table = _read(path, _OPERATOR, "an operator file")
+    return Operator(table[:, 0], table[:, 1:])
+
+
+def read_hand(path: Path, n: int) -> HandPath:
+    """Return the path of a hand described by a CSV file with the header ``t,q1,q2,...``."""
+    from armlab.sim.hand import HandPath
+
+    table = _read(path, ("t", *(f"q{i + 1}" for i in range(n))), "a hand path")
+    if len(table) < 2:
+        raise ConfigError(f"Expected at least two rows in {path}, got {len(table)}.")
+    return HandPath(table[:, 0], table[:, 1:])
+
+
+def _read(path: Path, names: Sequence[str], what: str) -> np.ndarray:
+    """Return the numbers of a CSV file whose first column is a time that increases."""
+    import numpy as np
+
+    from armlab.cli.support.settings import read_text
+
+    header, *lines = read_text(path, what).splitlines() or [""]
+    if tuple(word.strip() for word in header.split(",")) != tuple(names):
+        raise ConfigError(f"Expected the header {','.join(names)} in line 1 of {path}, got {header[:_SHOWN]!r}.")
+    rows: list[list[float]] = []
+    for number, line in enumerate(lines, start=2):
+        if not line.strip():
+            continue
+        row = _numbers(line.split(","))
+        if len(row) != len(names) or not all(math.isfinite(value) for value in row):
+            raise ConfigError(f"Expected {len(names)} numbers in line {number} of {path}, got {line[:_SHOWN]!r}.")
+        if rows and row[0] <= rows[-1][0]:
+            raise ConfigError(
+                f"Expected times that increase in line {number} of {path}, got {row[0]:g} s after {rows[-1][0]:g} s."
+            )
+        rows.append(row)
+    return np.array(rows).reshape(len(rows), len(names))
+
+
+def _numbers(words: Iterable[str]) -> list[float]:
+    """Return the words as numbers; nothing when one of them is none."""
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        return []
+
+
+class Written:
+    """A text file that is written from its beginning; what goes wrong names it."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with self._named():
+            self._file: TextIO = path.open("w", encoding="utf-8")
+
+    def __enter__(self) -> Written:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        with self._named(quiet=kind is not None):  # an error that is on its way already says more
+            self._file.close()
+
+    def write(self, text: str) -> None:
+        """Add a text."""
+        with self._named():
+            self._file.write(text)
+
+    @contextlib.contextmanager
+    def _named(self, quiet: bool = False) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            if not quiet:
+                raise LogError(
+                    f"Expected to write {self._path}, got: {error.strerror}. Make room there or choose another file."
+                ) from None
+
+
+def truth_writer(file: Written, controller: Controller) -> Callable[[Channel], None]:
+    """Write the header of the truth file and return what writes a row per packet."""
+    import numpy as np
+
+    joints = {"q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "tau": "N m", "tau_friction": "N m"}
+    n = controller.arm.robot.n
+    header = ["robot_ns", "session", "seq", "t [s]"]
+    header += [f"wrench_true{i + 1} [{'N' if i < 3 else 'N m'}]" for i in range(6)]
+    header += [f"{name}{i + 1} [{unit}]" for name, unit in joints.items() for i in range(n)]
+    file.write(",".join(header) + "\n")
+
+    def write(_: Channel) -> None:
+        sample = controller.arm.sample
+        numbers = np.concatenate([sample.wrench, *(getattr(sample, name) for name in joints)])
+        stamp = f"{controller.robot_ns},{controller.session},{controller.seq - 1},{controller.guidance_time:.6f}"
+        file.write(stamp + "," + ",".join(map(repr, numbers.tolist())) + "\n")
+
+    return write
+
 
 _flat = Parameter(name="*")
 
@@ -44,10 +280,10 @@ def sim(
     json: bool = False,
     patience: float = 10.0,
     abb_defaults: bool = False,
-    content: Annotated[Content, _flat] = Content(),  # noqa: B008 - frozen
-    around: Annotated[Around, _flat] = Around(),  # noqa: B008 - frozen
-    settings: Annotated[ControllerSettings, _flat] = ControllerSettings(),  # noqa: B008 - frozen
-    faults: Annotated[FaultOptions, _flat] = FaultOptions(),  # noqa: B008 - frozen
+    content: Annotated[Content, _flat] = Content(),
+    around: Annotated[Around, _flat] = Around(),
+    settings: Annotated[Settings, _flat] = Settings(),  # noqa: B008 - frozen
+    faults: Annotated[FaultOptions, _flat] = FaultOptions(),
     outgoing: FaultOptions | None = None,
     incoming: FaultOptions | None = None,
     mismatch: Mismatch = Mismatch(),  # noqa: B008 - frozen
@@ -99,13 +335,12 @@ def sim(
     parent : int
         Process with which to end; the one that started this one by default.
     """
-    from armlab.cli.output import note
-    from armlab.cli.sim_files import Written, truth_writer
-    from armlab.sim.controller.cycles import Timing, run
+    from armlab.cli.support.output import note
+    from armlab.sim.loop import Pace, run
 
     os.environ.setdefault("MUJOCO_GL", "disable")  # nothing is drawn: MuJoCo need not load what opens windows
     parent = os.getppid() if parent is None else parent  # now, before anything takes time in which it could end
-    pace = Timing(lockstep, seconds, patience)
+    pace = Pace(lockstep, seconds, patience)
     if not 0.0 <= phase < math.inf:
         raise ConfigError(f"Expected a phase of at least 0 s, got {phase:g}.")
     if abb_defaults:
@@ -120,7 +355,7 @@ def sim(
         raise ConfigError(f"Expected one robot together with --truth, got {len(names)}. Start one simulator per robot.")
     seeds = _seeds(seed, len(names))
     with ExitStack() as opened:
-        channels: list[UdpClient] = []
+        channels: list[Channel] = []
         for i, (name, address) in enumerate(zip(names, addresses)):
             with deferred():  # MuJoCo loads here
                 channels.append(cell.channel(name, address, i, [seeds[i], i]))
@@ -143,10 +378,10 @@ def sim(
     return code
 
 
-def _with_abb_defaults(settings: ControllerSettings) -> ControllerSettings:
+def _with_abb_defaults(settings: Settings) -> Settings:
     """Return the settings with ABB's defaults where the user gave nothing."""
-    ours, careless = ControllerSettings(), ControllerSettings.abb_defaults()
-    names = [field.name for field in fields(ControllerSettings)]
+    ours, careless = Settings(), Settings.abb_defaults()
+    names = [field.name for field in fields(Settings)]
     return replace(
         settings, **{name: getattr(careless, name) for name in names if getattr(settings, name) == getattr(ours, name)}
     )
@@ -177,19 +412,20 @@ class _Cell:
 
     content: Content
     around: Around
-    settings: ControllerSettings
+    settings: Settings
     faults: tuple[FaultOptions, FaultOptions]
     mismatch: Mismatch
     extension: bool
     phase: float
-    tell: Callable[[ControllerEvent], None]
+    tell: Callable[[Event], None]
 
-    def channel(self, name: str, address: tuple[str, int], index: int, seed: list[int]) -> UdpClient:
+    def channel(self, name: str, address: tuple[str, int], index: int, seed: list[int]) -> Channel:
         """Return one simulated robot with its socket."""
-        from armlab.cli.links import simulated
-        from armlab.sim.controller.channel import Faults, UdpClient
-        from armlab.sim.controller.controller import SimulatedController
-        from armlab.sim.controller.packets import PacketBuilder
+        from armlab.cli.support.options import simulated
+        from armlab.sim.channel import Channel
+        from armlab.sim.controller import Controller
+        from armlab.sim.faults import Faults
+        from armlab.sim.packets import Packets
         from armlab.wire.egm import RobotSideCodec
 
         content, settings = self.content, self.settings
@@ -203,7 +439,7 @@ class _Cell:
             external=content.external,
             data=content.rapid_data,
         )
-        packets = PacketBuilder(
+        packets = Packets(
             codec,
             settings.period,
             fields=content.left_out,
@@ -213,16 +449,17 @@ class _Cell:
             data=content.rapid_data,
         )
         scene = self.around.scene(robot, index, [*seed, 3], content.external)
-        controller = SimulatedController(self._arm(robot, seed), packets, settings, scene, self.tell)
+        controller = Controller(self._arm(robot, seed), packets, settings, scene, self.tell)
         both = [options.rates() for options in self.faults]
         ways = [Faults(rates, [*seed, i], settings.period) if rates.any else None for i, rates in enumerate(both, 1)]
-        return UdpClient(controller, *address, *ways, phase=index * self.phase)
+        return Channel(controller, *address, *ways, phase=index * self.phase)
 
-    def _arm(self, robot: Robot, seed: list[int]) -> SimulatedArm | LaggingArm:
-        from armlab.sim.arm.arm import LaggingArm, SimulatedArm
-        from armlab.sim.arm.truth import synthetic_truth, truth_names
+    def _arm(self, robot: Robot, seed: list[int]) -> Arm | LaggingArm:
+        from armlab.sim.arm import Arm
+        from armlab.sim.lagging import LaggingArm
+        from armlab.sim.truth import synthetic_truth, truth_names
 
         period = self.settings.period
         if self.content.lagging or robot.name not in truth_names():
             return LaggingArm(robot, period)
-        return SimulatedArm(robot, synthetic_truth(robot), period=period, seed=seed, mismatch=self.mismatch)
+        return Arm(robot, synthetic_truth(robot), period=period, seed=seed, mismatch=self.mismatch)

@@ -1,4 +1,4 @@
-"""``armlab view``: a log, or a bridge that runs, in the browser."""
+"""``armlab view``: a log or a running bridge, in the browser."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def view(
 
 def _watch(arm: str | None, cell: str, zenoh: str, models: Sequence[TorqueModel], port: int | None) -> None:
     """Show a bridge that runs."""
-    from armlab.cli.output import note
+    from armlab.cli.support.output import note
     from armlab.live import watch
 
     watch(arm, cell=cell, zenoh=zenoh, models=models, port=port, opened=_open, tell=note)
@@ -96,7 +96,7 @@ def _watch(arm: str | None, cell: str, zenoh: str, models: Sequence[TorqueModel]
 def _watch_fleet(url: str, port: int | None) -> None:
     """Show all robots at a router."""
     from armlab.bridge.zenoh import EVERY, Place
-    from armlab.cli.output import note
+    from armlab.cli.support.output import note
     from armlab.live import watch_fleet
 
     place = Place.read(url or "zenoh://127.0.0.1")
@@ -107,7 +107,7 @@ def _watch_fleet(url: str, port: int | None) -> None:
 def _play(paths: Sequence[str], names: Sequence[str], models: Sequence[TorqueModel], port: int | None) -> None:
     """Show logs."""
     from armlab import robots
-    from armlab.cli.output import note
+    from armlab.cli.support.output import note
     from armlab.errors import ConfigError
     from armlab.live import Player, address, read_arms, start, stop
 
@@ -132,7 +132,7 @@ def _folders(robots: Sequence[str]) -> list[Path]:
 
 def _open(url: str) -> None:
     """Print the address at once, also for a program that reads it."""
-    from armlab.cli.output import result
+    from armlab.cli.support.output import result
 
     result(f"View: {url}")
     sys.stdout.flush()
@@ -140,16 +140,7 @@ def _open(url: str) -> None:
 
 @contextmanager
 def beside(cell: str) -> Iterator[str]:
-    """Show a bridge in the browser while the block runs, from a process of its own; yields the address.
-
-    Parameters
-    ----------
-    cell : of the bridge.
-
-    Raises
-    ------
-    LinkError : the view did not begin; with what it said.
-    """
+    """Show a bridge in the browser while the block runs, from a process of its own; yields the address."""
     words = [sys.executable, "-m", "armlab", "view", "--live", "--cell", cell]
     with TemporaryFile("w+") as said:
         options: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": said}

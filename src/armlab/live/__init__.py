@@ -5,14 +5,10 @@ It needs viser (extra `live`), which loads on first use. Everything stays on thi
 
 from __future__ import annotations
 
-from armlab.live.curves import Curves, Window
-from armlab.live.fleet_rows import FleetRows, SeenRobot
-from armlab.live.fleet_view import FleetView, watch_fleet
-from armlab.live.panel import ArmPanel
-from armlab.live.player import Player
-from armlab.live.recorded import Recorded, read_arms
-from armlab.live.running import Force, Running
-from armlab.live.running_view import RunningView, watch
+from armlab.live.curves import ArmPanel, Curves, Window
+from armlab.live.fleet_view import FleetRows, FleetView, SeenRobot, watch_fleet
+from armlab.live.live_bridge import Force, Running, RunningView, watch
+from armlab.live.recording_view import Player, Recorded, read_arms
 from armlab.live.scene import Scene
 from armlab.live.server import address, start, stop
 

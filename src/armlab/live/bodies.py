@@ -32,9 +32,7 @@ class Body(NamedTuple):
     def moved(self, T_a_b: np.ndarray) -> Body:
         """Return the body in frame a.
 
-        Parameters
-        ----------
-        T_a_b : (4, 4), where it is in b now.
+        `T_a_b`: (4, 4), where it is in b now.
         """
         return Body(self.vertices @ T_a_b[:3, :3].T + T_a_b[:3, 3], self.faces)
 
@@ -42,9 +40,7 @@ class Body(NamedTuple):
 def capsule(a: np.ndarray, b: np.ndarray, radius: float) -> Body:
     """Return all points within a radius of the line from a to b: a cylinder and two half spheres.
 
-    Parameters
-    ----------
-    a, b : (3,) ends of the line; the same make a sphere. radius : [m].
+    `a`, `b`: (3,) ends of the line; the same make a sphere. `radius`: [m].
     """
     polar = np.linspace(0.0, np.pi, _SIDES + 1)
     polar = np.insert(polar, _SIDES // 2, np.pi / 2)  # the equator twice: one ring for each end
@@ -62,9 +58,7 @@ def _drum(radius: float, length: float) -> Body:
 def box(a: np.ndarray, b: np.ndarray, width: float) -> Body:
     """Return a rod of square section from a to b.
 
-    Parameters
-    ----------
-    a, b : (3,) middles of its ends. width : [m].
+    `a`, `b`: (3,) middles of its ends. `width`: [m].
     """
     h, length = width / 2.0, float(np.linalg.norm(b - a))
     corners = np.array([[x, y, z] for z in (0.0, length) for y in (-h, h) for x in (-h, h)])
@@ -87,10 +81,6 @@ def bodies(robot: Robot) -> list[Body]:
 
     A link runs along its joint axes and the common normal between them, as in `plots.robot`; it gets thinner towards
     the tool. What slides is a rod along its axis, as long as its stroke.
-
-    Parameters
-    ----------
-    robot : the arm.
     """
     length = arm_length(robot)
     radii = length * np.linspace(*_THICK, robot.n + 1)
@@ -111,12 +101,7 @@ def bodies(robot: Robot) -> list[Body]:
 
 
 def drums(robot: Robot) -> list[Body]:
-    """Return the n joints, each about the z axis of its link frame.
-
-    Parameters
-    ----------
-    robot : the arm.
-    """
+    """Return the n joints, each about the z axis of its link frame."""
     radii = arm_length(robot) * np.linspace(*_THICK, robot.n + 1)[1:]
     return [_drum(_DRUM[0] * radius, _DRUM[1] * radius) for radius in radii]
 
@@ -124,9 +109,7 @@ def drums(robot: Robot) -> list[Body]:
 def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return a pose (4, 4) at a whose z axis points to b.
 
-    Parameters
-    ----------
-    a, b : (3,); where they are the same, z stays.
+    `a`, `b`: (3,); where they are the same, z stays.
     """
     z = b - a
     z = z / np.linalg.norm(z) if z.any() else np.array([0.0, 0.0, 1.0])
@@ -140,10 +123,6 @@ def mesh_bodies(robot: Robot, folders: Sequence[Path] = ()) -> list[Body | None]
 
     One warning names all files that are missing or cannot be read. ``package://maker/a/b.stl`` is looked for as
     ``maker/a/b.stl`` and ``a/b.stl`` in each folder.
-
-    Parameters
-    ----------
-    robot : the arm. folders : where files of meshes are looked for; the current one when none is given.
     """
     missing: list[str] = []
     shapes: list[Body | None] = []

@@ -1,9 +1,9 @@
-"""Curves in the panel: the last seconds of a stream, or a whole run with a cursor; two-sigma bands around them."""
+"""Curves and words of one arm in the panel: the last seconds of a stream, or a whole run with a cursor."""
 
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -11,10 +11,52 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import numbers
+from armlab._palette import AXIS_COLORS, COLORS
 from armlab.errors import ShapeError
-from armlab.live.recent import Recent
+from armlab.robots import Robot
 
-__all__ = ["Curves", "Window", "envelope"]
+_LEAST_ROWS = 256  # rows for which there is room at least
+
+
+class RingBuffer:
+    """Samples of the last seconds; adding one costs the same however many there are."""
+
+    def __init__(self, width: int, seconds: float) -> None:
+        self._table, self._seconds = np.empty((_LEAST_ROWS, 1 + width)), seconds
+        self._first = self._end = 0
+
+    def __len__(self) -> int:
+        return self._end - self._first
+
+    @property
+    def t(self) -> np.ndarray:
+        """Times (N,); they do not change when samples are added."""
+        return self._table[self._first : self._end, 0]
+
+    @property
+    def values(self) -> np.ndarray:
+        """Samples (N, width); they do not change when samples are added."""
+        return self._table[self._first : self._end, 1:]
+
+    def add(self, t: float, values: ArrayLike) -> None:
+        """Add a sample.
+
+        `t`: [s], not before the last one. `values`: (width,).
+        """
+        if self._end == len(self._table):  # what is kept goes to the front of another array: views of this one stay
+            kept = self._table[self._first :]
+            self._table = np.empty((max(_LEAST_ROWS, 2 * len(kept)), self._table.shape[1]))
+            self._table[: len(kept)] = kept
+            self._first, self._end = 0, len(kept)
+        row = self._table[self._end]
+        row[0], row[1:] = t, values
+        self._end += 1
+        self._first += int(np.searchsorted(self.t, t - self._seconds))
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._first = self._end
+
 
 _STRETCHES = 200  # of a plot some 400 pixels wide: minimum and maximum of each are drawn
 _CURSOR = "#000000"
@@ -27,9 +69,7 @@ def envelope(t: np.ndarray, values: np.ndarray, stretches: int = _STRETCHES) -> 
     Stretches begin at whole multiples of their length, so that a window that slides does not flicker. Few samples are
     returned as they are. Stretches without a number are NaN.
 
-    Parameters
-    ----------
-    t : (N,) increasing [s]. values : (N, k). stretches : about how many.
+    `t`: (N,) increasing [s]. `values`: (N, k).
     """
     if len(t) <= 2 * stretches:
         return t, values
@@ -183,7 +223,7 @@ class Window:
 
     def __init__(self, curves: Curves, seconds: float = 10.0, rate: float = 10.0) -> None:
         self._curves, self._period = curves, 1.0 / rate
-        self._recent = Recent(2 * curves.k, seconds)
+        self._recent = RingBuffer(2 * curves.k, seconds)
         self._drawn = -np.inf
 
     def push(self, t: float, values: ArrayLike, half: ArrayLike | None = None) -> None:
@@ -214,3 +254,68 @@ class Window:
         self._drawn = float(recent.t[-1])
         values, half = recent.values[:, : self._curves.k], recent.values[:, self._curves.k :]
         self._curves.show(recent.t, values, None if np.isnan(half).all() else half)
+
+
+class Markup:
+    """Words in the panel; the same again sends nothing."""
+
+    def __init__(self, gui: Any) -> None:
+        self._html, self._shown = gui.add_html(""), ""
+
+    def show(self, content: str) -> None:
+        """Show what is HTML already."""
+        if content != self._shown:
+            self._html.content = self._shown = content
+
+    def remove(self) -> None:
+        """Take them away."""
+        self._html.remove()
+
+
+class Lines(Markup):
+    """Lines of text in the panel."""
+
+    def show(self, content: str) -> None:
+        """Show lines."""
+        text = html.escape(content).replace("\n", "<br>")
+        super().show(f"<div style='font-size:0.85em;margin:0.3em 0.8em'>{text}</div>")
+
+
+class ArmPanel:
+    """Words and plots of one arm, where ``with`` of a folder or tab of the panel puts them.
+
+    Parameters
+    ----------
+    gui : ``server.gui``.
+    robot : the arm.
+    limits : ends of the scales by name of the plot: "torque", "force", "moment"; they follow the data otherwise.
+
+    Attributes
+    ----------
+    torque, force, moment : plots, see `Curves`: n curves, three with bands, three with bands.
+    """
+
+    def __init__(self, gui: Any, robot: Robot, limits: Mapping[str, tuple[float, float]] | None = None) -> None:
+        limits = limits or {}
+        self._words = Markup(gui)
+        joints = [COLORS[i % len(COLORS)] for i in range(robot.n)]
+        forces, moments = ("f_x", "f_y", "f_z"), ("m_x", "m_y", "m_z")
+        self.force = Curves(gui, "force [N]", forces, AXIS_COLORS, band=True, limits=limits.get("force"))
+        self.torque = Curves(gui, "torque [N m]", robot.joint_names, joints, limits=limits.get("torque"))
+        self.moment = Curves(
+            gui, "moment [N m]", moments, AXIS_COLORS, band=True, limits=limits.get("moment"), height=110
+        )
+
+    def say(self, words: Mapping[str, str]) -> None:
+        """Write what there is to say of the arm: state, rate, latency, clamps, drops; the same again sends nothing.
+
+        Parameters
+        ----------
+        words : what it is -> its value.
+        """
+        key, value = "padding:0 1em 0 0;opacity:0.65", "padding:0"
+        rows = "".join(
+            f"<tr><td style='{key}'>{html.escape(what)}</td><td style='{value}'>{html.escape(word)}</td></tr>"
+            for what, word in words.items()
+        )
+        self._words.show(f"<table style='font-size:0.8em;line-height:1.3;margin:0 1em'>{rows}</table>")

@@ -1,4 +1,4 @@
-"""The view of all robots at a Zenoh router: side by side, each under its name, and how they do in the panel."""
+"""View of all robots at a Zenoh router: their newest rows, their arms side by side, their state in the panel."""
 
 from __future__ import annotations
 
@@ -6,13 +6,19 @@ import html
 import math
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armlab.bridge.zenoh import Place
-from armlab.live.fleet_rows import FleetRows, SeenRobot
-from armlab.live.panel import Lines, Markup
+from armlab.bridge.row import Row, read_row
+from armlab.bridge.row_schema import RowSchema
+from armlab.bridge.zenoh import EVERY, Asking, Place, close_session, key, robot_of, undamaged
+from armlab.bridge.zenoh.inbox import Inbox
+from armlab.bridge.zenoh.session import zenoh
+from armlab.bridge.zenoh.texts import read_about, read_message
+from armlab.errors import ArmlabError, LinkError
+from armlab.live.curves import Lines, Markup
 from armlab.live.scene import Scene
 from armlab.live.server import address, start, stop
 from armlab.robots import Robot
@@ -21,7 +27,217 @@ from armlab.robots.robot import arm_length
 if TYPE_CHECKING:
     from viser import ViserServer
 
-__all__ = ["FleetView", "watch_fleet"]
+
+_MOST = 1000  # robots
+_INBOX = 20_000  # messages that wait, the oldest are lost: ten seconds of fifty robots
+_SILENT = 2.0  # s of listening without a row after which a robot is silent
+_LATE = 0.1  # s: what a look takes longer than it was to wait is no listening, as the process may not have been run
+
+
+class SeenRobot:
+    """What is known of a robot; all methods belong to one thread.
+
+    Parameters
+    ----------
+    name : "lab1/yumi_left".
+
+    Attributes
+    ----------
+    robot : its description under that name, None before its bridge said it; another object when it changed.
+    row : the newest, None without any. is_alive : its bridge is there. restarts : other runs of it that came.
+    rows, damaged : rows that came, and those of another checksum. refused : texts that were none.
+    rate, missed : of its packets at the bridge [Hz], and packets that did not come there since somebody looked; NaN and
+        0 before the bridge said them.
+    wants : its bridge must be asked.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name, self._arm = name, name.rpartition("/")[2]
+        self.robot: Robot | None = None
+        self.row: Row | None = None
+        self.is_alive = self.wants = False
+        self.restarts = self.rows = self.damaged = self.refused = self.missed = 0
+        self.rate = math.nan
+        self._text, self._run = "", ""
+        self._schema: RowSchema | None = None
+        self._quiet = math.inf  # s of listening since the newest row
+        self._data = b""
+
+    def live(self, is_alive: bool) -> None:
+        """Take that the bridge has come, or has gone or the way to it: what comes again may be another run.
+
+        Parameters
+        ----------
+        is_alive : it has come.
+        """
+        self.is_alive = is_alive
+        self.wants = True
+        self._data, self._quiet = b"", math.inf
+
+    def take(self, data: bytes | None) -> None:
+        """Take a row.
+
+        Parameters
+        ----------
+        data : as it came, None when it was damaged.
+        """
+        if data is None:
+            self.damaged += 1
+        elif self._schema is None or data[8:16] != self._schema.id:
+            self.wants = True
+        elif not self.wants:
+            self.rows, self._data, self._quiet = self.rows + 1, data, 0.0
+
+    def listened(self, seconds: float) -> None:
+        """Take that somebody listened; what came meanwhile is taken after this.
+
+        Parameters
+        ----------
+        seconds : how long.
+        """
+        self._quiet += seconds
+
+    def describe(self, about: bytes) -> None:
+        """Take what the bridge says of itself; what cannot be understood is counted and asked again.
+
+        Parameters
+        ----------
+        about : the answer to the query "about".
+        """
+        try:
+            said = read_about(about)
+            robot, text = said.robots[self._arm], said.said[0]["robots"][self._arm]
+        except (ArmlabError, KeyError):
+            self.refused += 1
+            return
+        if text != self._text:
+            self.robot, self._text = replace(robot, name=self.name), text
+        if self._run and said.run != self._run:
+            self.restarts += 1
+            self.row, self._data = None, b""
+        self._schema, self._run, self.wants = said.schema, said.run, False
+
+    def status(self, data: bytes) -> None:
+        """Take how its packets come at the bridge.
+
+        Parameters
+        ----------
+        data : of the key "status".
+        """
+        try:
+            said = read_message(data)
+        except LinkError:
+            self.refused += 1
+            return
+        arm = said.get("arms", {}).get(self._arm)
+        if arm is not None:
+            self.rate, self.missed = arm.get("rate") or math.nan, arm.get("missed", 0)
+
+    def decode(self) -> bool:
+        """Make `row` of the newest bytes; return whether there are new ones."""
+        data, self._data = self._data, b""
+        if not data or self._schema is None:
+            return False
+        try:
+            self.row = read_row(self._schema, data)
+        except ArmlabError:
+            return False
+        return True
+
+    def value(self, name: str) -> Any:
+        """Return a value of the newest row.
+
+        Parameters
+        ----------
+        name : of the field, for example "q".
+        """
+        return None if self.row is None else self.row.values.get(f"{self._arm}.{name}")
+
+    @property
+    def age(self) -> float:
+        """Of the newest row by both computers' clocks [s]; NaN without any."""
+        return math.nan if self.row is None else 1e-9 * (time.time_ns() - self.row.wall_ns)
+
+    @property
+    def state(self) -> str:
+        """How it is: "there", "silent" after two seconds of listening without a row, "gone" with its bridge."""
+        if not self.is_alive:
+            return "gone"
+        return "there" if self._quiet < _SILENT else "silent"
+
+
+class FleetRows:
+    """The newest of all robots at a router, thirty rows a second of each; what is slow to be read is dropped.
+
+    Parameters
+    ----------
+    place : of the router; its `lab` may be `EVERY`. patience : s to wait for the router.
+
+    Attributes
+    ----------
+    place : as given. robots : by "lab/robot", in the order in which they came; who goes stays.
+
+    Raises
+    ------
+    LinkError : no router. MissingExtra : no Zenoh.
+    """
+
+    def __init__(self, place: Place, patience: float = 5.0) -> None:
+        self.place, self.robots = place, dict[str, SeenRobot]()
+        self._inbox: Inbox[tuple[str, str, Any]] = Inbox(_INBOX)
+        self._looked = time.monotonic()
+        self._session = place.open_behind(patience)
+        self._asking = Asking(self._session, lambda lab, robot, data: self._put("describe", key(lab, robot, ""), data))
+        declare, alive = self._session.declare_subscriber, key(place.lab, EVERY, "alive")
+        self._declared = [
+            declare(
+                key(place.lab, EVERY, "view"), lambda sample: self._put("take", sample.key_expr, undamaged(sample))
+            ),
+            declare(
+                key(place.lab, EVERY, "status"),
+                lambda sample: self._put("status", sample.key_expr, sample.payload.to_bytes()),
+            ),
+            self._session.liveliness().declare_subscriber(alive, self._take_life, history=True),
+        ]
+
+    def close(self) -> None:
+        """Leave the router."""
+        close_session(self._session)
+
+    def hear(self, seconds: float) -> None:
+        """Wait for a message, and take all that wait; `SeenRobot.row` is the newest then.
+
+        Parameters
+        ----------
+        seconds : to wait at most.
+        """
+        self._inbox.wait(seconds)
+        now = time.monotonic()
+        listened, self._looked = min(now - self._looked, seconds + _LATE), now
+        for robot in self.robots.values():
+            robot.listened(listened)
+        for _ in range(len(self._inbox)):
+            message = self._inbox.get()
+            if message is None:
+                break
+            what, where, data = message
+            lab, name = robot_of(where)
+            full = f"{lab}/{name}"
+            if full not in self.robots and len(self.robots) < _MOST:
+                self.robots[full] = SeenRobot(full)
+            if full in self.robots:
+                getattr(self.robots[full], what)(data)
+        for full, robot in self.robots.items():
+            if robot.wants and robot.is_alive:
+                lab, _, name = full.partition("/")
+                self._asking.ask(lab, name)
+
+    def _take_life(self, sample: Any) -> None:
+        self._put("live", sample.key_expr, sample.kind == zenoh().SampleKind.PUT)
+
+    def _put(self, what: str, where: Any, data: Any) -> None:
+        self._inbox.put((what, str(where), data), len(data) if isinstance(data, bytes) else 0)
+
 
 _FRAME = 1.0 / 30.0  # s
 _WORDS = 0.25  # s between two looks at what there is to say

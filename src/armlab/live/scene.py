@@ -1,7 +1,8 @@
-"""The scene: arms in space, the path of their tools, the force at them with its uncertainty, named frames."""
+"""The scene in the browser: arms, paths of their tools, forces with their uncertainty, named frames."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,20 +11,119 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import numbers, positive
-from armlab._palette import COLORS, GREY
+from armlab._palette import COLORS, GREY, VERMILION
 from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.kinematics import forward, link_transforms
 from armlab.lie import quaternion, se3
-from armlab.live.bodies import bodies, drums, mesh_bodies
-from armlab.live.force_arrow import ForceArrow
-from armlab.live.node import Node, rgb, solid
+from armlab.live.bodies import Body, arrow, bodies, drums, mesh_bodies
 from armlab.robots import Robot
 from armlab.robots.robot import arm_length
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
-__all__ = ["ARROW", "LINK_COLORS", "TOOL_COLOR", "Scene"]
+
+class SceneNode:
+    """Remembers what it set: viser takes longer to find that a pose is the old one than to send a new one."""
+
+    def __init__(self, handle: Any) -> None:
+        self.handle, self._set = handle, dict[str, tuple[float, ...]]()
+
+    def set(self, **values: tuple[float, ...]) -> None:
+        """Set attributes of the handle: ``position``, ``wxyz``, ``scale`` or ``color``."""
+        for name, value in values.items():
+            if self._set.get(name) != value:
+                setattr(self.handle, name, value)
+                self._set[name] = value
+
+
+def solid(scene: Any, name: str, body: Body, color: str) -> Any:
+    """Add a body and return viser's handle of it."""
+    return scene.add_mesh_simple(name, body.vertices.astype(np.float32), body.faces.astype(np.uint32), color=rgb(color))
+
+
+def rgb(color: str) -> tuple[int, int, int]:
+    """Return red, green and blue, 0 to 255, of a colour such as "#0072B2"."""
+    red, green, blue = bytes.fromhex(color.removeprefix("#"))
+    return red, green, blue
+
+
+_ZERO_OUTSIDE = 7.81  # 95 % quantile of chi-square with 3 degrees of freedom
+_SURE = 1e-6  # N; half axes are not shorter
+_SHORTEST, _FULL = 1e-3, 0.15  # m: a shorter arrow is not drawn, or thinner
+
+
+class ForceArrow:
+    """Arrow and ellipsoid; both are grey while zero lies inside the 95 % ellipsoid."""
+
+    def __init__(self, scene: Any, root: str) -> None:
+        self._arrow = SceneNode(solid(scene, f"{root}/force", arrow(), VERMILION))
+        self._spread = SceneNode(
+            scene.add_icosphere(
+                f"{root}/uncertainty", 1.0, rgb(VERMILION), opacity=0.3, visible=False, cast_shadow=False
+            )
+        )
+        self.hide()
+
+    def hide(self) -> None:
+        """Draw nothing."""
+        self._arrow.handle.visible = self._spread.handle.visible = False
+
+    def show(self, tool: np.ndarray, force: np.ndarray | None, covariance: np.ndarray | None, unit: float) -> None:
+        """Draw a force; nothing where it is missing or NaN.
+
+        `tool`: (3,) where it acts [m]. `force`: (3,) [N]. `covariance`: (3, 3) of it; no ellipsoid where it is
+        missing. `unit`: length of a force [m/N].
+        """
+        if force is None or not np.isfinite(force).all():
+            self.hide()
+            return
+        covariance = np.full((3, 3), np.nan) if covariance is None else covariance
+        known = bool(np.isfinite(covariance).all())
+        axes, half = ellipsoid_axes(covariance) if known else (np.eye(3), np.zeros(3))
+        color = rgb(VERMILION if is_significant(force, axes, half) else GREY)
+        tip = unit * force
+        length = math.hypot(*tip)
+        self._arrow.handle.visible = length >= _SHORTEST
+        if length >= _SHORTEST:
+            thick = min(max(length / _FULL, 0.3), 1.0)
+            wxyz, scale = _towards(*(tip / length).tolist()), (thick, thick, length)
+            self._arrow.set(position=tuple(tool.tolist()), wxyz=wxyz, scale=scale, color=color)
+        self._spread.handle.visible = known
+        if known:
+            self._spread.set(
+                position=tuple((tool + tip).tolist()),
+                wxyz=tuple(quaternion.from_matrix(axes).tolist()),
+                scale=tuple((unit * np.maximum(half, _SURE)).tolist()),
+                color=color,
+            )
+
+
+def ellipsoid_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the axes (3, 3), columns of a rotation, and half axes (3,) of the two-sigma ellipsoid.
+
+    ``{x : x^T C^-1 x = 4}``.
+    """
+    size, axes = np.linalg.eigh(covariance)
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 0] *= -1.0
+    return axes, 2.0 * np.sqrt(np.maximum(size, 0.0))
+
+
+def is_significant(force: np.ndarray, axes: np.ndarray, half: np.ndarray) -> bool:
+    """Return whether zero lies outside the 95 % ellipsoid of a force: ``f^T C^-1 f >= 7.81``.
+
+    `force`: (3,).
+    """
+    return bool(4.0 * np.sum((force @ axes / np.maximum(half, _SURE)) ** 2) >= _ZERO_OUTSIDE)
+
+
+def _towards(x: float, y: float, z: float) -> tuple[float, float, float, float]:
+    """Return the shortest turn (wxyz) that takes the z axis to a unit vector."""
+    w = 1.0 + z if z > 0.0 else (x * x + y * y) / (1.0 - z)  # the same, exact also close to -z
+    size = math.hypot(w, x, y)
+    return (w / size, -y / size, x / size, 0.0) if size else (0.0, 1.0, 0.0, 0.0)
+
 
 ARROW = 0.2 / 20.0
 """Length of a force [m/N] unless set otherwise."""
@@ -226,11 +326,11 @@ class _Arm:
         self._arm = scene.add_frame(f"{root}/arm", show_axes=False)
         shapes, given, joints = bodies(robot), mesh_bodies(robot, meshes), drums(robot)
         solid(scene, f"{root}/arm/mount", given[0] or shapes[0], color)
-        self._links: list[Node] = []
+        self._links: list[SceneNode] = []
         self._placed, path = False, f"{root}/arm"
         for i in range(robot.n):
             path += f"/link_{i + 1}"  # below the link before: where it turns about its joint, only the turn is sent
-            self._links.append(Node(solid(scene, path, given[i + 1] or shapes[i + 1], color)))
+            self._links.append(SceneNode(solid(scene, path, given[i + 1] or shapes[i + 1], color)))
             if given[i + 1] is None:
                 solid(scene, f"{path}/joint", joints[i], COLORS[i % len(COLORS)])
         _place(

@@ -86,12 +86,6 @@ def is_own(origins: Sequence[str], hosts: Sequence[str]) -> bool:
     """Return whether a page that asks for a connection came from the server that it asks; also a program, not a page.
 
     A page cannot forge these headers. Its name must be one of this computer: a foreign name may lead here as well.
-
-    Parameters
-    ----------
-    origins, hosts : values of the headers Origin and Host.
-
-    Reference: RFC 6455 section 10.2.
     """
     if not origins:
         return True

@@ -1,7 +1,8 @@
-"""Axes in three dimensions: equal scale, lettered frames, arrows, solids."""
+"""Axes in three dimensions and what is drawn in them: frames, paths of poses, points, lines, planes, spheres."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -9,14 +10,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armlab._numbers import numbers
+from armlab._palette import AXIS_COLORS, GREY
 from armlab.errors import ShapeError
-from armlab.plots.style import AXIS_COLORS, GREY
+from armlab.frames import Circle, Line, Plane, Sphere
+from armlab.lie import se3
+from armlab.plots.style import JOINT_STYLES, look
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d import Axes3D
 
-__all__ = ["AHEAD", "AWAY", "PROJECTION", "arrow", "equal_scale", "extent", "frame", "solid", "space", "word"]
 
 PROJECTION: dict[str, Any] = {"projection": "3d", "proj_type": "ortho", "elev": 20.0, "azim": -55.0}
 """For ``subplot_kw``: parallel projection, x to the right, y away from the eye, z up, as in a textbook."""
@@ -33,14 +37,7 @@ _ACROSS = ((0.0, 0.3, 0.7), (0.4, 0.0, 0.6), (0.6, 0.4, 0.0))  # parts of the si
 def space(ax: Any = None, *, width: float = 6.4, height: float = 5.4) -> tuple[Figure, Axes3D]:
     """Return a figure and its three-dimensional axes in metres: new ones, or those the caller gave.
 
-    Parameters
-    ----------
-    ax : three-dimensional Axes; None makes a new figure.
-    width, height : of the figure, in inches.
-
-    Raises
-    ------
-    ShapeError : the given Axes are flat, or several.
+    `ax`: three-dimensional Axes; None makes a new figure.
     """
     if ax is None:
         import matplotlib.pyplot as plt
@@ -68,14 +65,7 @@ def extent(ax: Axes3D) -> np.ndarray:
 
 
 def equal_scale(ax: Axes3D, part: float = 0.84, ticks: int = 7) -> None:
-    """Give the three axes one scale and room for everything drawn so far.
-
-    Parameters
-    ----------
-    ax : axes with something in them.
-    part : of the panel that the box fills; the rest is for labels.
-    ticks : most intervals along the longest side.
-    """
+    """Give the three axes one scale and room for everything drawn so far."""
     from matplotlib.ticker import MaxNLocator, MultipleLocator
     from mpl_toolkits.mplot3d.proj3d import proj_transform
 
@@ -102,14 +92,8 @@ def frame(
 ) -> None:
     """Draw a frame: x, y and z as arrows in their colours, lettered, and its name.
 
-    Parameters
-    ----------
-    ax : axes to draw into.
-    T : (4, 4) pose of the frame in the axes of the figure.
-    length : of each arrow [m].
-    name : of the frame.
-    letters : write x, y, z at the ends; without, they are plain lines.
-    place : (3,) of the name, in the frame and in lengths of an arrow.
+    `T`: (4, 4) pose of the frame in the axes of the figure. `length`: of each arrow [m]. `place`: (3,) of the name,
+    in the frame and in lengths of an arrow.
     """
     p, R = T[:3, 3], T[:3, :3]
     for i, color in enumerate(AXIS_COLORS):
@@ -138,15 +122,7 @@ def word(ax: Axes3D, place: np.ndarray, text: str, **style: Any) -> None:
 
 
 def solid(ax: Axes3D, faces: np.ndarray, color: Any, **style: Any) -> None:
-    """Draw lit faces (N, corners, 3) [m].
-
-    Parameters
-    ----------
-    ax : axes to draw into.
-    faces : (N, corners, 3) corners of each face [m].
-    color : one colour, or one per face.
-    style : passed to ``Poly3DCollection``.
-    """
+    """Draw lit faces (N, corners, 3) [m]."""
     from matplotlib.colors import LightSource, to_rgba_array
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -182,3 +158,151 @@ def _arrow_class() -> type:
             return float(np.min(depth))
 
     return Arrow
+
+
+_ROUND = np.linspace(0.0, 2.0 * np.pi, 73)
+_PATCH = 0.5  # half side of a plane over the size of the scene
+_NORMAL = 0.3  # length of a normal over the size of the scene
+
+
+def feature(ax: Axes3D, item: Line | Plane | Circle | Sphere, size: float, color: str) -> None:
+    """Draw a feature, as large as a scene of that size asks for.
+
+    `size`: largest side of the scene [m]; planes and lines have no size of their own.
+    """
+    if isinstance(item, Line):
+        start = item.centroid - 0.5 * size * item.v
+        arrow(ax, start, size * item.v, color=color, gid="line")
+        if np.linalg.norm(item.r - item.centroid) <= size:
+            ax.plot(*item.r[:, None], marker="x", color=color, markersize=5.0, gid="foot")
+    elif isinstance(item, Plane):
+        corners = _PATCH * size * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) @ item.axes
+        solid(ax, (item.centroid + corners)[None], color, alpha=0.25, shade=False, zorder=1, gid="plane")
+        arrow(ax, item.centroid, _NORMAL * size * item.n, color=color, gid="normal")
+    elif isinstance(item, Circle):
+        _ring(ax, item.centre, item.radius * item.axes, color)
+        ax.plot(*item.centre[:, None], marker="+", color=color, markersize=6.0, gid="centre")
+    else:
+        for pair in ((0, 1), (1, 2), (2, 0)):
+            _ring(ax, item.centre, item.radius * np.eye(3)[list(pair)], color)
+
+
+def _ring(ax: Axes3D, centre: np.ndarray, axes: np.ndarray, color: str) -> None:
+    points = centre + np.column_stack([np.cos(_ROUND), np.sin(_ROUND)]) @ axes
+    ax.plot(*points.T, color=color, linewidth=1.2, gid="circle")
+
+
+_MOST_FRAMES = 12  # along one path
+_MARKS = (("o", 8), ("^", 22), ("s", 14), ("D", 14))  # of one cloud after the other, with their areas
+_NAMED = 0.15  # length of a named frame over the size of the scene, when none is given
+
+
+def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
+    """Draw frames, paths, points and features in one set of axes of equal scale [m].
+
+    Parameters
+    ----------
+    *items : each is a mapping {name: T_a_x (4, 4)} of named frames; or poses (N, 4, 4), drawn as a path from a dot to
+        a square; or points (N, 3), coloured from first to last, with other marks in each set; or a `frames.Line` with
+        its foot where that is near, a `frames.Plane` as a patch with its normal, a `frames.Circle` or a
+        `frames.Sphere`. All in the same frame a. NaN leaves a gap.
+    frames : length [m] of the frames along paths (at most 12 of each, evenly spaced) and of the named ones. With 0
+        paths have none, and the named ones a length that fits.
+    ax : three-dimensional Axes to draw into, for example those of `robot`; a new figure when None.
+
+    Returns
+    -------
+    The Axes.
+
+    Raises
+    ------
+    ShapeError : an item is none of these, a pose has no rotation, `frames` is no length from 0 on, or `ax` is not
+        three-dimensional.
+    """
+    size = numbers(frames, "frames", ShapeError)
+    if size.ndim or not 0.0 <= size < np.inf:
+        raise ShapeError(f"Expected frames to be one length from 0 on [m], got {frames!r}. 0 is the default.")
+    frames = float(size)
+    checked = [_checked(item) for item in items]
+    with look():
+        _, panel = space(ax)
+        paths, clouds = 0, 0
+        for item in checked:
+            if not isinstance(item, np.ndarray):
+                continue
+            if item.ndim == 3:
+                _path(panel, item, frames, JOINT_STYLES[paths % len(JOINT_STYLES)][0])
+                paths += 1
+            else:
+                shown = item[np.isfinite(item).all(axis=1)]
+                order = np.flatnonzero(np.isfinite(item).all(axis=1))
+                mark, area = _MARKS[clouds % len(_MARKS)]
+                panel.scatter(*shown.T, c=order, cmap="viridis", s=area, marker=mark, depthshade=False, gid="points")
+                clouds += 1
+        named = {name: T for item in checked if isinstance(item, dict) for name, T in item.items()}
+        shapes = [item for item in checked if isinstance(item, (Line, Plane, Circle, Sphere))]
+        size = _size(panel, named)
+        for k, item in enumerate(shapes):
+            feature(panel, item, size, JOINT_STYLES[(paths + k) % len(JOINT_STYLES)][0])
+        length = frames or _NAMED * size
+        for name, T in named.items():
+            frame(panel, T, length, name)
+        equal_scale(panel)
+    return panel
+
+
+def pose_stack(T: Any, name: str = "T") -> np.ndarray:
+    """Return poses (N, 4, 4) as float64; NaN is a missing pose."""
+    T = numbers(T, f"poses {name}", ShapeError)
+    if T.ndim != 3 or T.shape[1:] != (4, 4):
+        raise ShapeError(f"Expected poses {name} of shape (N, 4, 4), got {T.shape}.")
+    wrong = np.flatnonzero(~(se3.is_pose(T) | np.isnan(T).any(axis=(1, 2))))
+    if wrong.size:
+        raise ShapeError(
+            f"Expected poses in {name}, got a matrix at row {wrong[0]} whose rotation is none. "
+            "Project it first if it is nearly one (lie.se3.project)."
+        )
+    return T
+
+
+def _checked(item: Any) -> dict[str, np.ndarray] | np.ndarray | Line | Plane | Circle | Sphere:
+    """Return named frames, poses (N, 4, 4), points (N, 3) or a feature."""
+    if isinstance(item, (Line, Plane, Circle, Sphere)):
+        return item
+    if isinstance(item, Mapping):
+        return {str(name): _named(T, name) for name, T in item.items()}
+    array = numbers(item, "what is drawn", ShapeError)
+    if array.ndim == 3:
+        return pose_stack(array)
+    if array.ndim == 2 and array.shape[1] == 3:
+        return array
+    hint = " Transpose it." if array.ndim == 2 and array.shape[0] == 3 else ""
+    raise ShapeError(
+        f"Expected {{name: pose}}, poses (N, 4, 4), points (N, 3) or a feature to draw, got {array.shape}.{hint}"
+    )
+
+
+def _named(T: Any, name: Any) -> np.ndarray:
+    T = numbers(T, f"the pose of {name!r}", ShapeError)
+    if T.shape != (4, 4):
+        raise ShapeError(f"Expected the pose of {name!r} of shape (4, 4), got {T.shape}.")
+    return pose_stack(T[None], repr(name))[0]
+
+
+def _path(ax: Axes3D, T: np.ndarray, frames: float, color: str) -> None:
+    """Draw a path with its start, its end, and frames along it."""
+    p = T[:, :3, 3]
+    ax.plot(*p.T, color=color, linewidth=1.4, gid="path")
+    there = np.flatnonzero(np.isfinite(T).all(axis=(1, 2)))
+    for mark, k in zip("os", there[[0, -1]] if there.size else (), strict=False):
+        ax.plot(*p[k : k + 1].T, marker=mark, color=color, markersize=5.0, gid="start" if mark == "o" else "end")
+    if frames:
+        for k in there[np.unique(np.linspace(0, there.size - 1, min(_MOST_FRAMES, there.size)).astype(int))]:
+            frame(ax, T[k], frames, letters=False)
+
+
+def _size(ax: Axes3D, named: dict[str, np.ndarray]) -> float:
+    """Return the largest side of what is drawn and named [m]; 1 for a single place."""
+    points = np.concatenate([extent(ax), *(T[None, :3, 3] for T in named.values())])
+    points = points[np.isfinite(points).all(axis=1)]
+    return float(np.ptp(points, axis=0).max(initial=0.0)) or 1.0 if len(points) else 1.0

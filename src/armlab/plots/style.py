@@ -1,34 +1,21 @@
-"""The look of all figures: colours that most eyes can tell apart, lines that keep gaps and spikes."""
+"""The look of all figures: colours, lines that keep gaps and spikes, checks of what is drawn, and figures as PNG."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armlab._palette import AXIS_COLORS, COLORS, GREY, VERMILION
-from armlab.errors import ShapeError
+from armlab._palette import COLORS, GREY, VERMILION
+from armlab.errors import ConfigError, ShapeError, shortened
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "AXIS_COLORS",
-    "GREY",
-    "JOINT_STYLES",
-    "MODEL",
-    "band",
-    "cloud",
-    "envelope",
-    "legend",
-    "line",
-    "look",
-    "panels",
-    "shade",
-]
 
 JOINT_STYLES = tuple((color, style) for style in ("-", "-.") for color in COLORS)
 """Colour and line style of joint 1, 2, ...: the same in every figure."""
@@ -72,16 +59,7 @@ def panels(
 ) -> tuple[Figure, np.ndarray]:
     """Return a figure and its axes (rows, columns): new ones, or those the caller gave.
 
-    Parameters
-    ----------
-    rows, columns : panels.
-    ax : one Axes or an array of rows x columns of them; None makes a new figure.
-    width, height : of the figure, and of one row, in inches.
-    layout : passed to ``matplotlib.pyplot.subplots``.
-
-    Raises
-    ------
-    ShapeError : another number of Axes than panels.
+    `ax`: one Axes or an array of rows x columns of them; None makes a new figure.
     """
     if ax is None:
         import matplotlib.pyplot as plt
@@ -169,3 +147,58 @@ def _legend_columns(figure: Figure, labels: list[str]) -> int:
     widest = max((TextPath((0.0, 0.0), label, size=size).get_extents().width for label in labels), default=0.0)
     room = 72.0 * figure.bbox.width / figure.dpi + 2.0 * size
     return max(1, min(len(labels), 7, int(room / (widest + 4.8 * size))))
+
+
+_MAKERS = {
+    "Dmp": "motion.fit_dmp gives one",
+    "Excitation": "The excitation of a fit is one",
+    "Fit": "A fit_* returns one, and estimation.Fit.load reads one",
+    "Hypotheses": "contact.hypotheses gives them",
+    "PeriodicDmp": "motion.fit_periodic_dmp gives one",
+    "PoseDmp": "motion.fit_pose_dmp gives one",
+    "ProMP": "motion.fit_promp gives one",
+    "Table": "log.read gives one",
+    "TwoDofRun": "TwoDofDmp.simulate and TwoDofDmp.recorded give one",
+}
+
+
+def expect(value: object, kind: type) -> None:
+    """Refuse what is not of the kind that a figure draws."""
+    if not isinstance(value, kind):
+        raise ShapeError(f"Expected {kind.__name__} to draw, got {shortened(value)}. {_MAKERS[kind.__name__]}.")
+
+
+def png(drawn: Figure | Axes, dpi: int = 110) -> bytes:
+    """Return what was drawn as a PNG file, and close its figure.
+
+    Parameters
+    ----------
+    drawn : Figure or Axes of a function of this package.
+    dpi : dots per inch.
+    """
+    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
+
+    figure = drawn if isinstance(drawn, Figure) else drawn.get_figure(root=True)
+    memory = BytesIO()
+    if figure is not None:
+        figure.savefig(memory, format="png", dpi=dpi)
+        plt.close(figure)
+    return memory.getvalue()
+
+
+def show() -> None:
+    """Open a window with each figure that was drawn, and wait until all are closed.
+
+    Raises
+    ------
+    ConfigError : there is no screen, or matplotlib was told to use none.
+    """
+    import matplotlib.pyplot as plt
+    from matplotlib.backends.registry import BackendFilter, backend_registry
+
+    if plt.get_backend().lower() in backend_registry.list_builtin(BackendFilter.NON_INTERACTIVE):
+        raise ConfigError(
+            f"Expected a screen for the figure, got none (matplotlib draws by {plt.get_backend()}). Open its file."
+        )
+    plt.show()

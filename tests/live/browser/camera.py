@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab.lie import quaternion
-from armlab.live.node import rgb
-from armlab.live.scene import TOOL_COLOR
+from armlab.live.scene import TOOL_COLOR, rgb
 
 WIDTH, HEIGHT, FOV = 600, 400, np.deg2rad(45.0)
 POSITION, LOOK_AT = np.array([1.6, 0.0, 0.9]), np.array([0.2, 0.0, 0.35])

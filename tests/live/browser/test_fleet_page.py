@@ -31,7 +31,7 @@ def test_the_robots_in_the_browser_are_where_their_rows_say(
     rows = fleet.rows()
     view = FleetView(server, rows)
     page = open_page(server)
-    monkeypatch.setattr("armlab.live.fleet_rows._SILENT", 60.0)  # a picture takes seconds, in which nobody hears
+    monkeypatch.setattr("armlab.live.fleet_view._SILENT", 60.0)  # a picture takes seconds, in which nobody hears
 
     arms = {f"lab1/{name}": fleet.bridge(robot, name) for name, robot in (("a", UR), ("b", LEFT))}
 

@@ -16,9 +16,8 @@ import pytest
 from armlab import live, robots
 from armlab.kinematics import forward, link_transforms
 from armlab.lie import quaternion
-from armlab.live.node import rgb
-from armlab.live.recorded import Recorded
-from armlab.live.scene import ARROW, LINK_COLORS, TOOL_COLOR
+from armlab.live.recording_view import Recorded
+from armlab.live.scene import ARROW, LINK_COLORS, TOOL_COLOR, rgb
 from armlab.log import Table
 from armlab.robots import Robot
 

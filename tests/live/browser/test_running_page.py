@@ -11,7 +11,7 @@ import pytest
 
 from armlab import robots
 from armlab.kinematics import forward
-from armlab.live.running_view import RunningView
+from armlab.live.live_bridge import RunningView
 
 from .camera import seen
 

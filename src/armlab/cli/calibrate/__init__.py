@@ -1,0 +1,249 @@
+"""``armlab calibrate``: camera, sensors, arms from files of samples."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import App, Parameter
+
+from armlab.cli.calibrate.arms import dual_arm, kinematics
+from armlab.cli.calibrate.report import Wanted
+from armlab.cli.calibrate.samples import measured_rows, noise_of, run_fit, tool_poses
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from armlab.cli.calibrate.samples import Samples
+
+__all__ = []
+
+
+calibrate = App(name="calibrate", help="Calibrate a camera, a force sensor, an arm or a line scanner from samples.")
+calibrate.command(
+    kinematics,
+    help_epilogue="Example: armlab calibrate kinematics irb2400 samples.csv -o found.toml --corrected mine.toml",
+)
+calibrate.command(
+    dual_arm,
+    name="dual-arm",
+    help_epilogue="Example: armlab calibrate dual-arm yumi_left yumi_right samples.csv -o arms.toml",
+)
+
+_flat = Parameter(name="*")
+_several = Parameter(consume_multiple=True)
+
+
+@calibrate.command(
+    name="hand-eye", help_epilogue="Example: armlab calibrate hand-eye samples.csv --robust -o camera.toml"
+)
+def hand_eye(
+    *samples: Path,
+    marker: Path | None = None,
+    setup: Literal["eye_to_hand", "eye_in_hand"] = "eye_to_hand",
+    robot: str | None = None,
+    noise: Annotated[list[float] | None, _several] = None,
+    noise_robot: tuple[float, float] | None = None,
+    robust: bool = False,
+    wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
+) -> int:
+    """Find camera and marker from poses of the robot and of the marker, or from points of the marker.
+
+    A file has the poses T_base_tool and T_cam_marker, one sample per row: as T_cam_marker_x, _y, _z [m or mm in the
+    header], _qw, _qx, _qy, _qz; as T_cam_marker1_1 ... T_cam_marker4_4; in a MAT file as (N, 4, 4) or (4, 4, N).
+    Instead of T_cam_marker it may have points of the marker in camera axes, p_cam1_x, p_cam1_y, p_cam1_z, p_cam2_x ...;
+    in a MAT file p_cam (N, K, 3). A point that was not seen is empty.
+
+    Parameters
+    ----------
+    samples : Path
+        CSV, MAT or MCAP; several are joined.
+    marker : Path
+        File with the places of the points on the marker, a row each: marker_x, marker_y, marker_z [m or mm in the
+        header]. They are found when left out.
+    setup : str
+        eye_to_hand: the camera stands, the marker is on the tool. eye_in_hand: the other way round.
+    robot : str
+        Name or file of the arm: its joint positions q give T_base_tool.
+    noise : list
+        Deviations of the camera where they are known: m and rad of poses, m of points.
+    noise_robot : tuple
+        Deviations of the poses of the robot, m and rad, where it is not exact: samples cannot tell them.
+    robust : bool
+        Find wrong samples and leave them out.
+    wanted : Wanted
+        What to write.
+    """
+    import numpy as np
+
+    from armlab.calibrate import fit_hand_eye, fit_hand_eye_points
+    from armlab.cli.calibrate.samples import read_samples
+
+    kinds: set[bool] = set()
+    known = None if marker is None else read_samples(marker)
+    body = None if known is None else known.vectors("marker", (3,))
+
+    def parts(read: Samples) -> tuple[np.ndarray, ...]:
+        kinds.add("T_cam_marker" in read and known is None)
+        seen = read.poses("T_cam_marker") if True in kinds else read.points("p_cam")
+        return measured_rows(read, (tool_poses(read, robot), seen))[:2]
+
+    def fit(T_base_tool: np.ndarray, seen: np.ndarray) -> Any:
+        told: dict[str, Any] = {"setup": setup, "noise": noise_of(noise), "noise_robot": noise_robot, "robust": robust}
+        if True in kinds:
+            return fit_hand_eye(T_base_tool, seen, **told)
+        return fit_hand_eye_points(T_base_tool, seen, marker=body, visible=np.isfinite(seen).all(axis=2), **told)
+
+    return run_fit("hand-eye", samples, parts, fit, wanted, () if known is None else (known.source,))
+
+
+@calibrate.command(name="force-sensor", help_epilogue="Example: armlab calibrate force-sensor rest.csv -o sensor.toml")
+def force_sensor(
+    *samples: Path,
+    robot: str | None = None,
+    wrench: str | None = None,
+    gravity: tuple[float, float, float] | None = None,
+    unknown_gravity: bool = False,
+    sign: Literal[1, -1] = 1,
+    mass: float | None = None,
+    no_bias: bool = False,
+    noise: Annotated[list[float] | None, _several] = None,
+    robust: bool = False,
+    wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
+) -> int:
+    """Find axes, load and bias of a force sensor from readings at rest in many orientations.
+
+    A file has the poses T_base_tool, as for hand-eye, and force1 ... force3, or wrench_raw1 ... wrench_raw6 with
+    torques, N and N m, sensor axes; in a MAT file force (N, 3) or wrench_raw (N, 6).
+
+    Parameters
+    ----------
+    samples : Path
+        CSV, MAT or MCAP; several are joined.
+    robot : str
+        Name or file of the arm: its joint positions q give T_base_tool.
+    wrench : str
+        Name of the readings in the file, where it is another one.
+    gravity : tuple
+        In base axes, m/s^2; downwards when left out.
+    unknown_gravity : bool
+        Find the direction of gravity too.
+    sign : int
+        1 when the sensor reads the weight that hangs on it, -1 when it reads the reaction.
+    mass : float
+        What hangs on the sensor, kg, where it is known.
+    no_bias : bool
+        Readings without weight are zero.
+    noise : list
+        Deviation of forces, N, and of torques, N m, where they are known.
+    robust : bool
+        Find samples with contact and leave them out.
+    wanted : Wanted
+        What to write.
+    """
+    from armlab.calibrate import fit_force_sensor
+    from armlab.errors import ConfigError
+
+    if gravity is not None and unknown_gravity:
+        raise ConfigError("Expected --gravity or --unknown-gravity, got both. Leave one out.")
+    told = "unknown" if unknown_gravity else gravity
+    more: dict[str, Any] = {} if told is None else {"gravity": told}
+
+    def parts(read: Samples) -> tuple[np.ndarray, ...]:
+        name = wrench or ("force" if "force" in read else "wrench_raw")
+        return measured_rows(read, (tool_poses(read, robot), read.vectors(name, (3, 6))))[:2]
+
+    def fit(T_base_tool: np.ndarray, reading: np.ndarray) -> Any:
+        return fit_force_sensor(
+            T_base_tool, reading, sign=sign, bias=not no_bias, mass=mass, noise=noise_of(noise), robust=robust, **more
+        )
+
+    return run_fit("force sensor", samples, parts, fit, wanted)
+
+
+@calibrate.command(help_epilogue="Example: armlab calibrate accelerometer rest.csv --scale -o accelerometer.toml")
+def accelerometer(
+    *samples: Path,
+    robot: str | None = None,
+    gravity: tuple[float, float, float] | None = None,
+    scale: bool = False,
+    noise: float | None = None,
+    robust: bool = False,
+    wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
+) -> int:
+    """Find axes and bias of an accelerometer on the tool from readings at rest in many orientations.
+
+    A file has the poses T_base_tool, as for hand-eye, and acc1, acc2, acc3, m/s^2, sensor axes, upwards at rest; in a
+    MAT file acc (N, 3).
+
+    Parameters
+    ----------
+    samples : Path
+        CSV, MAT or MCAP; several are joined.
+    robot : str
+        Name or file of the arm: its joint positions q give T_base_tool.
+    gravity : tuple
+        In base axes, m/s^2; downwards when left out.
+    scale : bool
+        Find the scale of the readings too.
+    noise : float
+        Deviation of a reading, m/s^2, where it is known.
+    robust : bool
+        Find samples that were not at rest and leave them out.
+    wanted : Wanted
+        What to write.
+    """
+    from armlab.calibrate import fit_accelerometer
+
+    more: dict[str, Any] = {} if gravity is None else {"gravity": gravity}
+
+    def parts(read: Samples) -> tuple[np.ndarray, ...]:
+        return measured_rows(read, (tool_poses(read, robot), read.vectors("acc", (3,))))[:2]
+
+    def fit(T_base_tool: np.ndarray, acc: np.ndarray) -> Any:
+        return fit_accelerometer(T_base_tool, acc, scale=scale, noise=noise, robust=robust, **more)
+
+    return run_fit("accelerometer", samples, parts, fit, wanted)
+
+
+@calibrate.command(help_epilogue="Example: armlab calibrate laser scans.csv --robust -o scanner.toml")
+def laser(
+    *samples: Path,
+    robot: str | None = None,
+    noise: tuple[float, float] | None = None,
+    robust: bool = False,
+    wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
+) -> int:
+    """Find a line scanner on the tool from scans of flat plates.
+
+    A file has the poses T_base_tool, as for hand-eye, the lines scans1 ... scans4 (point x, y, direction x, y in the
+    laser plane), and plane, the number of the plate.
+
+    Parameters
+    ----------
+    samples : Path
+        CSV, MAT or MCAP; several are joined.
+    robot : str
+        Name or file of the arm: its joint positions q give T_base_tool.
+    noise : tuple
+        Deviations of a point, m, and of the angle of a line, rad, where they are known.
+    robust : bool
+        Find wrong scans and leave them out.
+    wanted : Wanted
+        What to write.
+    """
+    import numpy as np
+
+    from armlab.calibrate import fit_laser_plane
+    from armlab.errors import LogError
+
+    def parts(read: Samples) -> tuple[np.ndarray, ...]:
+        return measured_rows(read, (tool_poses(read, robot), read.vectors("scans", (4,)), read.numbers("plane")))[:3]
+
+    def fit(T_base_tool: np.ndarray, scans: np.ndarray, plane: np.ndarray) -> Any:
+        labels = plane.astype(int)
+        if not np.array_equal(labels, plane):
+            raise LogError(f"Expected whole numbers in plane, one per plate, got {plane[labels != plane][0]:g}.")
+        return fit_laser_plane(T_base_tool, scans, labels, noise=noise, robust=robust)
+
+    return run_fit("laser", samples, parts, fit, wanted)

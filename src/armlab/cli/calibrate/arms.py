@@ -1,0 +1,256 @@
+"""``armlab calibrate kinematics`` and ``dual-arm``: one arm, or two that see each other, from files of samples."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from armlab.cli.calibrate.report import Wanted
+from armlab.cli.calibrate.samples import measured_rows, run_fit
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from armlab.cli.calibrate.samples import Samples
+    from armlab.robots import Robot
+
+
+_flat = Parameter(name="*")
+_several = Parameter(consume_multiple=True)
+_NUMBERS = {"pose": 2, "position": 1, "distance": 1, "pair_distance": 1, "absolute_a": 2}
+
+
+def kinematics(
+    robot: str,
+    *samples: Path,
+    anchor: tuple[float, float, float] | None = None,
+    length_offset: bool = False,
+    noise: Annotated[list[float] | None, _several] = None,
+    free: Literal["all", "offsets", "base_tool"] = "all",
+    harmonics: Annotated[list[int] | None, _several] = None,
+    weak: Literal["refuse", "prior"] = "refuse",
+    robust: bool = False,
+    corrected: Path | None = None,
+    wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
+) -> int:
+    """Calibrate an arm from joint positions and what was measured of its tool: poses, positions, distances.
+
+    A file has q1 ... qn and one or several of: the measured pose, as for hand-eye; position1 ... position3; distance
+    from a fixed point; pair_distance, from the tool in sample pair_with of the file, the first being 0. What was not
+    measured in a sample is empty.
+
+    Parameters
+    ----------
+    robot : str
+        Name in the library, or a robot file: the nominal arm.
+    samples : Path
+        CSV, MAT or MCAP; several are joined.
+    anchor : tuple
+        Roughly where the fixed point of distances is, m.
+    length_offset : bool
+        Distances do not begin at zero, as those of a draw wire: find where.
+    noise : list
+        Deviations where they are known, in this order: m and rad of poses, m of positions, of distances, of pairs.
+    free : str
+        What may be wrong: all; offsets: joint offsets, base and tool; base_tool.
+    harmonics : list
+        Orders of joint errors that repeat with the turn, such as 1 2.
+    weak : str
+        What the samples do not tell: refuse, or hold it by a prior.
+    robust : bool
+        Find wrong samples and leave them out.
+    corrected : Path
+        Also write the corrected arm as a robot file, ends in .toml.
+    wanted : Wanted
+        What to write.
+    """
+    from armlab import robots
+    from armlab.calibrate import fit_kinematics
+
+    arm = robots.load(robot)
+    files = () if corrected is None else (corrected,)
+    _check_robots(files, wanted)
+    length = 0  # of the samples before
+
+    def parts(read: Samples) -> tuple[np.ndarray, ...]:
+        nonlocal length
+        *found, pair = _arm_parts(read, arm)
+        pair[:] += length
+        length += len(pair)
+        return (*found, pair)
+
+    def fit(q: np.ndarray, pose: np.ndarray, position: np.ndarray, *lengths: np.ndarray) -> Any:
+        distance, pair_distance, pair = lengths
+        told, visible = _kinds({"pose": pose, "position": position, "distance": distance})
+        rows = _seen(pair_distance).nonzero()[0]
+        if len(rows):
+            told["pair_distance"] = (rows, pair[rows].astype(int), pair_distance[rows])
+        more: dict[str, Any] = {"anchor": anchor, "length_offset": length_offset, "free": free, "weak": weak}
+        more |= {"robust": robust, "harmonics": tuple(harmonics or ()), "visible": visible}
+        sizes = _noises(noise, list(told))
+        known: Any = sizes if len(told) > 1 else next(iter(sizes.values()), None)
+        found = fit_kinematics(arm, q, noise=known, **told, **more)
+        _save([found.value.robot], files)
+        return found
+
+    return run_fit("kinematics", samples, parts, fit, wanted)
+
+
+def dual_arm(
+    robot_a: str,
+    robot_b: str,
+    *samples: Path,
+    closed: bool = False,
+    noise: Annotated[list[float] | None, _several] = None,
+    harmonics: Annotated[list[int] | None, _several] = None,
+    weak: Literal["refuse", "prior"] = "refuse",
+    robust: bool = False,
+    corrected: tuple[Path, Path] | None = None,
+    wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
+) -> int:
+    """Calibrate two arms from what one sees of the other, and where they stand.
+
+    A file has the joint positions q_a1 ... q_an and q_b1 ... q_bn of the same moments, and the pose of b's tool seen
+    from a's tool, as for hand-eye, or its position1 ... position3. Where something outside measured a's tool too, it
+    has the pose absolute_a.
+
+    Parameters
+    ----------
+    robot_a : str
+        Name in the library, or a robot file: the nominal arm that sees.
+    robot_b : str
+        The same of the arm that is seen.
+    samples : Path
+        CSV, MAT or MCAP; several are joined.
+    closed : bool
+        The tools are joined, and nothing else was measured.
+    noise : list
+        Deviations where they are known: m and rad of poses, m of positions; then m and rad of absolute_a.
+    harmonics : list
+        Orders of joint errors that repeat with the turn, such as 1 2.
+    weak : str
+        What the samples do not tell: refuse, or hold it by a prior.
+    robust : bool
+        Find wrong samples and leave them out.
+    corrected : tuple
+        Also write the corrected arms as robot files, a and b, end in .toml.
+    wanted : Wanted
+        What to write.
+    """
+    from armlab import robots
+    from armlab.calibrate import fit_dual_arm
+
+    kinds = ("pose", "position", "absolute_a")
+    arms = robots.load(robot_a), robots.load(robot_b)
+    _check_robots(corrected or (), wanted)
+
+    def parts(read: Samples) -> tuple[np.ndarray, ...]:
+        joints = [read.vectors(f"q_{letter}", (arm.n,)) for letter, arm in zip("ab", arms, strict=True)]
+        seen = _measurements(read, len(joints[0]), kinds) if not closed or "pose" in read else []
+        return measured_rows(read, joints, seen, every=closed)[:-1]
+
+    def fit(q_a: np.ndarray, q_b: np.ndarray, *measured: np.ndarray) -> Any:
+        told, visible = _kinds(dict(zip(kinds, measured, strict=False)))  # none of tools that are joined
+        sizes = _noises(noise, list(told) or ["pose"])
+        more: dict[str, Any] = {"noise": sizes.get("pose", sizes.get("position")), "closed": closed}
+        more |= {"noise_absolute": sizes.get("absolute_a"), "weak": weak, "robust": robust}
+        more["visible"] = visible.get("pose", visible.get("position"))
+        found = fit_dual_arm(*arms, q_a, q_b, harmonics=tuple(harmonics or ()), **told, **more)
+        _save([found.value.arm_a.robot, found.value.arm_b.robot], corrected or ())
+        return found
+
+    return run_fit("dual arm", samples, parts, fit, wanted)
+
+
+def _arm_parts(read: Samples, arm: Robot) -> tuple[np.ndarray, ...]:
+    """Return joints, poses, positions, distances, pair distances, and the other sample of each pair."""
+    import numpy as np
+
+    from armlab.errors import LogError
+
+    q = read.vectors("q", (arm.n,))
+    seen = _measurements(read, len(q), ("pose", "position", "distance", "pair_distance", "pair_with"))
+    *found, rows = measured_rows(read, (q,), seen, every="pair_distance" in read)
+    pair = found[-1]
+    paired = _seen(found[-2])
+    place = np.full(len(q), -1)
+    place[rows] = np.arange(len(rows))
+    other = pair[paired]
+    if not np.all((other >= 0) & (other < len(q)) & (other % 1 == 0)) or np.any(place[other.astype(int)] < 0):
+        raise LogError(
+            f"Expected in pair_with of {read.path} the number of another sample with joint positions, 0 to "
+            f"{len(q) - 1}, wherever there is a pair_distance, got others. Correct the file."
+        )
+    pair[paired] = place[other.astype(int)]
+    return (*found[:-1], pair)
+
+
+def _measurements(read: Samples, N: int, names: tuple[str, ...]) -> list[np.ndarray]:
+    """Return what was measured of each name, NaN where that is not in the file."""
+    import numpy as np
+
+    from armlab.errors import LogError
+
+    if not any(name in read for name in names):
+        raise LogError(f"Expected one of {', '.join(names)} in {read.path}, got {', '.join(read.values)}.")
+    empty = {"pose": (N, 4, 4), "absolute_a": (N, 4, 4), "position": (N, 1, 3)}
+    found = []
+    for name in names:
+        if name not in read:
+            found.append(np.full(empty.get(name, (N,)), np.nan))
+        elif name == "position":
+            found.append(read.points(name))
+        else:
+            found.append(read.poses(name) if name in empty else read.numbers(name))
+    return found
+
+
+def _seen(values: np.ndarray) -> np.ndarray:
+    """Return which measurements are there: (N,), or (N, K) of positions (N, K, 3)."""
+    import numpy as np
+
+    lead = 2 if values.shape[2:] == (3,) else 1
+    return np.asarray(~np.isnan(values).all(axis=tuple(range(lead, values.ndim))))
+
+
+def _kinds(measured: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Return what was measured at all, and where, by kind; what is whole needs no mask."""
+    masks = {name: _seen(values) for name, values in measured.items()}
+    there = {name: measured[name] for name, mask in masks.items() if mask.any()}
+    return there, {name: masks[name] for name in there if not masks[name].all()}
+
+
+def _noises(values: list[float] | None, names: list[str]) -> dict[str, Any]:
+    """Return the deviations of each kind."""
+    from armlab.errors import ConfigError
+
+    if values is None:
+        return {}
+    counts = [_NUMBERS[name] for name in names]
+    if sum(counts) != len(values):
+        wanted = ", ".join(f"{name}: {'m and rad' if n == 2 else 'm'}" for name, n in zip(names, counts, strict=True))
+        raise ConfigError(f"Expected {sum(counts)} numbers for --noise ({wanted}), got {len(values)}.")
+    rest = iter(values)
+    return {
+        name: tuple(next(rest) for _ in range(n)) if n > 1 else next(rest)
+        for name, n in zip(names, counts, strict=True)
+    }
+
+
+def _check_robots(files: tuple[Path, ...], wanted: Wanted) -> None:
+    from armlab.cli.support.output import check_output
+
+    for path in files:
+        check_output(path, wanted.force, (".toml",))
+
+
+def _save(arms: list[Robot], files: tuple[Path, ...]) -> None:
+    """Write the corrected robots that are wanted."""
+    from armlab import robots
+    from armlab.cli.support.output import note
+
+    for arm, path in zip(arms, files, strict=False):
+        robots.save(arm, path)
+        note(f"robot: {path}")

@@ -1,0 +1,234 @@
+"""Playing a movement primitive of each kind: on an arm, or into a table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from armlab.cli.support.options import as_given
+
+if TYPE_CHECKING:
+    from armlab.bridge import Limits
+    from armlab.log import Table
+    from armlab.motion import Controller, Dmp, PeriodicDmp, PoseDmp, ProMP, TwoDofDmp
+    from armlab.motion.profiles import Profile
+    from armlab.robots import Robot
+    from armlab.state import Command, State
+
+
+OPTIONS = {
+    "dmp": ("duration", "start", "goal", "via"),
+    "two_dof_dmp": ("duration", "start", "goal", "via"),
+    "promp": ("duration", "start", "goal", "via"),
+    "pose_dmp": ("duration", "start", "goal"),
+    "periodic_dmp": ("duration", "goal", "amplitude", "turns"),
+}
+"""What is free in a run of each kind of primitive."""
+DT = 0.004  # s
+SOFT = 2.0  # rad/s^2 or m/s^2 on the way to the start
+SETTLES = 1.0  # s after the end
+TURNS = 4.0  # of a periodic motion, when not given
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What leads an arm: from a posture q_start (n,), for so many seconds."""
+
+    controller: Controller
+    q_start: np.ndarray
+    seconds: float
+
+
+def numbers_in(text: str | None, option: str) -> np.ndarray | None:
+    """Return the numbers of a word such as ``0.1,0.2,-0.3``; None of None."""
+    from armlab.errors import ConfigError
+
+    try:
+        return None if text is None else np.array([float(word) for word in text.split(",")])
+    except ValueError:
+        raise ConfigError(
+            f"Expected --{option} as numbers with commas between, such as 0.1,0.2, got {text!r}."
+        ) from None
+
+
+@as_given()
+def resolved(primitive: Any, given: Mapping[str, Any]) -> tuple[Any, dict[str, Any]]:
+    """Return the primitive that passes the via-points, and what is left to set of its run.
+
+    A distribution over motions becomes the primitive of its mean, which passes start, goal and points.
+
+    `given`: value by option, None where it was not given; via as words "TIME:Y,Y,...".
+    """
+    from armlab.errors import ConfigError
+    from armlab.motion import TwoDofDmp, fit_dmp, with_via_points
+
+    kind = getattr(primitive, "KIND", type(primitive).__name__)
+    if kind not in OPTIONS:
+        raise ConfigError(f"Expected a movement primitive, got a file of kind {kind!r}. armlab dmp fit makes one.")
+    run = {name: value for name, value in given.items() if value is not None}
+    for name in run:
+        if name not in OPTIONS[kind]:
+            raise ConfigError(f"Expected --{', --'.join(OPTIONS[kind])} with a {kind}, got --{name}. Leave it out.")
+    points = [_point(word) for word in run.pop("via", ())]
+    if kind == "promp":
+        return _mean(primitive, points, run, fit_dmp), {}
+    if points:
+        t, y = [when for when, _ in points], np.array([value for _, value in points])
+        if isinstance(primitive, TwoDofDmp):
+            return replace(primitive, dmp=with_via_points(primitive.dmp, t, y)), run
+        return with_via_points(primitive, t, y), run
+    return primitive, run
+
+
+@as_given()
+def rolled_out(primitive: Any, run: Mapping[str, Any]) -> Table:
+    """Return the motion at 250 Hz: y, yd and ydd (N, n), or poses of the tool."""
+    from armlab.log import Column, Table
+    from armlab.motion import PeriodicDmp, PoseDmp, TwoDofDmp
+
+    if isinstance(primitive, PoseDmp):
+        poses = primitive.rollout(DT, **run)
+        return Table(poses.t, {"T_base_tool": poses.T})
+    if isinstance(primitive, PeriodicDmp):
+        period = run.get("duration", primitive.period)
+        t = np.arange(0.0, run.get("turns", TURNS) * period + 0.5 * DT, DT)
+        found = primitive.rollout(t, period=period, g=run.get("goal"), r=run.get("amplitude", 1.0))
+    else:
+        dmp = primitive.dmp if isinstance(primitive, TwoDofDmp) else primitive
+        found = dmp.rollout(DT, duration=run.get("duration"), y0=run.get("start"), g=run.get("goal"))
+    names = {"y": found.y, "yd": found.yd, "ydd": found.ydd}
+    return Table(found.t, names, {name: Column(unit="1") for name in names})  # rad or m, which no primitive knows
+
+
+@as_given()
+def motion_of(primitive: Any, run: Mapping[str, Any], robot: Robot, limits: Limits, firm: bool) -> Motion:
+    """Return what leads the arm: stretched in time until it keeps to the limits of velocity."""
+    from armlab.motion import PeriodicDmp, PoseDmp
+
+    if isinstance(primitive, PoseDmp):
+        return _pose_motion(primitive, run, robot, limits)
+    if isinstance(primitive, PeriodicDmp):
+        return _periodic_motion(primitive, run, robot, limits)
+    return _joint_motion(primitive, run, robot, limits, firm)
+
+
+def rehearsed(motion: Motion) -> Table:
+    """Return what the controller would tell an arm that does as it is told: q and qd (N, n) at 250 Hz."""
+    from armlab.errors import LinkError
+    from armlab.log import Table
+    from armlab.state import State
+
+    q, qd, unknown = motion.q_start, np.zeros_like(motion.q_start), np.full_like(motion.q_start, np.nan)
+    t = DT * np.arange(round((motion.seconds + SETTLES) / DT) + 1)
+    rows = []
+    for now in t:
+        command = motion.controller(State(float(now), DT, q, qd, unknown))
+        if command.q is None or command.qd is None:
+            raise LinkError(f"Expected a motion to its end, got none after {now:.2f} s: {motion.controller.reason}")
+        q, qd = command.q, command.qd
+        rows.append((q, qd))
+    positions, velocities = np.array(rows).swapaxes(0, 1)
+    return Table(t, {"q": positions, "qd": velocities})
+
+
+def distance(robot: Robot, q: np.ndarray, goal: np.ndarray) -> dict[str, float]:
+    """Return how far an arm is from a goal, by unit: m and rad from a pose, rad from joint positions.
+
+    `q`: (n,) where it is. `goal`: (n,) or (4, 4).
+    """
+    from armlab.kinematics import forward
+    from armlab.lie import so3
+
+    if goal.ndim == 1:
+        return {"rad": float(np.abs(q - goal).max())}
+    T_base_tool = forward(robot, q)
+    turned = so3.angle(T_base_tool[:3, :3], goal[:3, :3])
+    return {"m": float(np.linalg.norm(T_base_tool[:3, 3] - goal[:3, 3])), "rad": float(turned)}
+
+
+class Walk:
+    """A controller: from where the arm stands to a posture, with minimum jerk; then the end of the run.
+
+    `q`: (n,) posture. `qd_max`: (n,) largest speed on the way.
+    """
+
+    def __init__(self, q: np.ndarray, qd_max: np.ndarray) -> None:
+        self._q, self._qd_max, self._begin = q, qd_max, 0.0
+        self._profile: Profile | None = None
+
+    def __call__(self, state: State) -> Command:
+        """Return the reference for a packet."""
+        from armlab.motion import profiles
+        from armlab.state import Command
+
+        if self._profile is None:
+            whole = profiles.minimum_jerk(state.q, self._q, 1e-2)
+            self._profile, self._begin = whole.slowed(self._qd_max, SOFT), state.t
+        clock = state.t - self._begin
+        if clock > self._profile.duration + 0.5 * SETTLES:
+            return Command.stop()
+        q, qd, _ = self._profile.at(clock)
+        return Command(q, qd)
+
+
+def _point(word: str) -> tuple[float, np.ndarray]:
+    from armlab.errors import ConfigError
+
+    time, _, values = word.partition(":")
+    try:
+        return float(time), np.array([float(value) for value in values.split(",")])
+    except ValueError:
+        raise ConfigError(f"Expected --via as TIME:Y,Y,... such as 0.8:0.1,0.2, got {word!r}.") from None
+
+
+def _mean(promp: ProMP, points: Sequence[tuple[float, np.ndarray]], run: Mapping[str, Any], fit: Any) -> Dmp:
+    """Return the primitive of the mean of the motions that pass start, goal and points, in the duration asked for."""
+    ends = [(when, run[name]) for name, when in (("start", 0.0), ("goal", promp.duration)) if name in run]
+    for when, y in (*points, *ends):
+        promp = promp.condition(when, y)
+    mean = promp.marginal(DT, duration=run.get("duration"))
+    return fit(mean.t, mean.y, scaling="none").value
+
+
+def _joint_motion(law: Dmp | TwoDofDmp, run: Mapping[str, Any], robot: Robot, limits: Limits, firm: bool) -> Motion:
+    from armlab.motion import Dmp, TwoDofDmp, shortest_duration
+
+    dmp = law if isinstance(law, Dmp) else law.dmp
+    follows = dmp if firm else law if isinstance(law, TwoDofDmp) else TwoDofDmp(dmp)
+    start, goal, wanted = run.get("start", dmp.y0), run.get("goal"), run.get("duration", dmp.duration)
+    follows.controller(robot, limits=limits, g=goal, duration=wanted)  # refuses before anything is computed
+    pace = wanted / dmp.duration
+    seconds = pace * shortest_duration(dmp, limits.qd_max * pace, y0=start, g=goal)  # as asked, or stretched
+    return Motion(follows.controller(robot, limits=limits, g=goal, duration=seconds), np.array(start), seconds)
+
+
+def _pose_motion(dmp: PoseDmp, run: Mapping[str, Any], robot: Robot, limits: Limits) -> Motion:
+    """The posture at the start is the one nearest to home; along the path each is the nearest to the one before."""
+    from armlab.errors import ShapeError
+    from armlab.kinematics import inverse
+
+    dmp.controller(robot, limits=limits, goal=run.get("goal"))
+    seconds = float(run.get("duration", dmp.duration))
+    T = dmp.rollout(DT, duration=seconds, start=run.get("start"), twist0=np.zeros(6), goal=run.get("goal")).T
+    q = [inverse(robot, T[0], robot.q_home).q]
+    for k, pose in enumerate(T):
+        found = inverse(robot, pose, q[-1], starts=1)
+        if not found.success:
+            raise ShapeError(f"Expected a path that {robot.name} reaches, got one that it leaves after {k * DT:.2f} s.")
+        q.append(found.q)
+    speed = np.abs(np.diff(q, axis=0)).max(axis=0) / DT
+    seconds *= max(1.0, float(np.max(speed / limits.qd_max)))
+    return Motion(dmp.controller(robot, limits=limits, goal=run.get("goal"), duration=seconds), q[0], seconds)
+
+
+def _periodic_motion(dmp: PeriodicDmp, run: Mapping[str, Any], robot: Robot, limits: Limits) -> Motion:
+    base, r, turns = run.get("goal", dmp.g), run.get("amplitude", 1.0), float(run.get("turns", TURNS))
+    period = float(run.get("duration", dmp.period))
+    dmp.controller(robot, limits=limits, g=base, r=r, turns=turns)
+    speed = np.abs(dmp.rollout(1e-3 * period, period=period, r=r).yd).max(axis=0)
+    period *= max(1.0, float(np.max(speed / limits.qd_max)))
+    controller = dmp.controller(robot, limits=limits, period=period, g=base, r=r, turns=turns)
+    return Motion(controller, np.array(base), turns * period)

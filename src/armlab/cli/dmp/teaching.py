@@ -1,0 +1,188 @@
+"""Fitting a movement primitive of each kind to demonstrations in logs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from armlab.estimation import Fit
+    from armlab.log import Table
+
+
+KINDS: dict[str, tuple[str, ...]] = {
+    "joints": ("basis", "schedule", "scaling", "convention", "robot"),
+    "pose": ("basis", "schedule", "scaling", "convention", "frame", "robot"),
+    "periodic": ("basis", "period", "robot"),
+    "promp": ("basis", "robot"),
+}
+"""Options of `armlab dmp fit` that each kind of primitive has."""
+POSES = "T_base_tool"
+MOVES = 0.02  # of the largest speed: below it the arm still rests, or rests again
+STILL = 2e-3  # rad/s or m/s: noise of an arm at rest
+MARGIN = 0.1  # s of rest that is kept at both ends
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """Times (N,) and positions (N, n), or poses (N, 4, 4), of one log; sources are what a saved file names."""
+
+    t: np.ndarray
+    y: np.ndarray
+    sources: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Window:
+    """Which part of a log is the motion: from `start` to `end` [s], and unless `whole` without the rest around it."""
+
+    start: float | None = None
+    end: float | None = None
+    whole: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse times that are none: nothing is before or after NaN."""
+        from armlab.errors import ConfigError
+
+        for name in ("start", "end"):
+            value = getattr(self, name)
+            if value is not None and not math.isfinite(value):
+                raise ConfigError(f"Expected --{name} as a time of the log [s], got {value:g}.")
+
+
+def check_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options that were given.
+
+    `given`: value by option, None where it was not given.
+    """
+    from armlab.errors import ConfigError, UnknownName
+
+    if kind not in KINDS:
+        raise UnknownName.among("kind of primitive", kind, KINDS)
+    chosen = {name: value for name, value in given.items() if value is not None}
+    for name in chosen:
+        if name not in KINDS[kind]:
+            having = " or ".join(k for k, options in KINDS.items() if name in options)
+            raise ConfigError(f"Expected --{name} with --kind {having}, got it with --kind {kind}. Leave it out.")
+    if kind == "periodic" and "period" not in chosen:
+        raise ConfigError("Expected --period, the duration of one turn [s], with --kind periodic, got none.")
+    return chosen
+
+
+def read_demonstration(
+    path: Path, kind: str, columns: Sequence[str], robot: str | None, window: Window
+) -> Demonstration:
+    """Return the motion in a log."""
+    from armlab import kinematics, log, robots
+    from armlab.errors import ConfigError
+    from armlab.log.topics.reader import is_foreign, read_joints
+
+    arm, foreign = None if robot is None else robots.load(robot), is_foreign(path)
+    if foreign and arm is None and kind != "pose" and "q" in (columns or ("q",)):
+        raise ConfigError(
+            f"Expected --robot NAME with {path}, got none. Another program has its joints in an order of its own; they "
+            "are put into that of the robot, as it will play them."
+        )
+    table = log.read(path) if arm is None or not foreign else read_joints(path, arm)
+    if kind == "pose" and arm is not None:
+        table = table.with_column(POSES, kinematics.forward(arm, table["q"]))
+    elif kind == "pose" and not columns and POSES not in table:
+        raise ConfigError(
+            f"Expected poses of the tool in {path}, column {POSES}, got {', '.join(table.names)}. "
+            "Add --robot NAME, whose kinematics make them of q, or name their --column."
+        )
+    names = columns or ((POSES,) if kind == "pose" else ("q",))
+    part = table.between(
+        table.t[0] if window.start is None else window.start, np.inf if window.end is None else window.end
+    )
+    y = _side_by_side(part, names)
+    rows = slice(None) if window.whole else _moving(part.t, y, f"{' '.join(names)} of {path}")
+    return Demonstration(part.t[rows], y[rows], tuple(source for source in table.source if "sha256" in source))
+
+
+def taught(kind: str, demos: Sequence[Demonstration], options: Mapping[str, Any]) -> Fit[Any]:
+    """Return the fit of a primitive."""
+    from armlab import motion
+    from armlab.errors import ConfigError
+
+    given = {("n_basis" if name == "basis" else name): value for name, value in options.items() if name != "robot"}
+    if kind in ("pose", "periodic"):
+        if len(demos) > 1:
+            raise ConfigError(f"Expected one log with --kind {kind}, got {len(demos)}. Fit one primitive to each.")
+        fit = motion.fit_pose_dmp if kind == "pose" else motion.fit_periodic_dmp
+        return fit(demos[0].t, demos[0].y, **given)
+    t, y = [demo.t for demo in demos], [demo.y for demo in demos]
+    if kind == "promp":
+        return motion.fit_promp(t, y, **given)
+    return motion.fit_dmp(t if len(t) > 1 else t[0], y if len(y) > 1 else y[0], **given)
+
+
+def numbers_of(kind: str, found: Fit[Any], demos: int) -> dict[str, Any]:
+    """Return what was found, for scripts."""
+    value = found.value
+    told = {"kind": kind, "demonstrations": demos, "samples": found.n, "rms": _rms(found)}
+    if kind == "periodic":
+        return told | {"period": value.period, "kernels": len(value.centres), "baseline": value.g}
+    told |= {"duration": value.duration}
+    if kind == "promp":
+        sd = value.marginal(np.array([0.0, value.duration])).sd
+        return told | {"kernels": len(value.centres), "start_sd": sd[0], "goal_sd": sd[1]}
+    if kind == "pose":
+        return told | {"kernels": value.position.n_basis, "start": value.T_start, "goal": value.T_goal}
+    return told | {"kernels": value.n_basis, "start": value.y0, "goal": value.g, "unscaled": list(value.unscaled)}
+
+
+def text_of(kind: str, found: Fit[Any], demos: int) -> str:
+    """Return what was found, for people."""
+    from armlab.cli.support.output import aligned
+
+    told, value = numbers_of(kind, found, demos), found.value
+    shown = "1 demonstration" if demos == 1 else f"{demos} demonstrations"
+    length = f"turns of {value.period:.2f} s" if kind == "periodic" else f"{value.duration:.2f} s"
+    size = 6 if kind == "pose" else value.n
+    count = "" if kind == "promp" else f" with {found.n} samples"
+    head = f"{kind}: {length} of {size} coordinates from {shown}{count}; {told['kernels']} kernels"
+    names = ("x", "y", "z", "turn x", "turn y", "turn z") if kind == "pose" else [str(i + 1) for i in range(size)]
+    columns: dict[str, Sequence[float]] = {
+        "joints": {"start": value.y0, "goal": value.g} if kind == "joints" else {},
+        "periodic": {"baseline": value.g} if kind == "periodic" else {},
+        "promp": {key: told[f"{key}_sd"] for key in ("start", "goal")} if kind == "promp" else {},
+        "pose": {},
+    }[kind]
+    titles = [f"{name} differs by (sd)" if kind == "promp" else name for name in columns]
+    rows = [("coordinate", *titles, "motion off by (RMS)")]
+    rows += [
+        (name, *(f"{values[i]:.4f}" for values in columns.values()), f"{told['rms'][i]:.2e}")
+        for i, name in enumerate(names)
+    ]
+    return f"{head}\n{aligned(rows, right=range(1, len(rows[0])))}"
+
+
+def _side_by_side(table: Table, names: Sequence[str]) -> np.ndarray:
+    parts = [table[name] for name in names]
+    if len(parts) == 1 and parts[0].ndim > 1:
+        return parts[0]
+    return np.column_stack([part.reshape(len(table), -1) for part in parts])
+
+
+def _moving(t: np.ndarray, y: np.ndarray, what: str) -> slice:
+    """Return the rows of the motion, with a little of the rest at both ends."""
+    from armlab.errors import ConfigError
+
+    if len(t) < 3:
+        return slice(None)
+    speed = np.abs(np.gradient(y, t, axis=0)).reshape(len(t), -1).max(axis=1)
+    moving = np.flatnonzero(speed > max(MOVES * np.nanmax(speed), STILL))
+    if not len(moving):
+        raise ConfigError(f"Expected a motion in {what}, got rest. Name another log or column.")
+    first, last = np.searchsorted(t, (t[moving[0]] - MARGIN, t[moving[-1]] + MARGIN))
+    return slice(int(first), int(last))
+
+
+def _rms(found: Fit[Any]) -> np.ndarray:
+    return np.sqrt((found.residuals**2).mean(axis=0))

@@ -1,0 +1,310 @@
+"""Report of ``armlab estimate``: tables per axis and per contact, a verdict in words, the HTML page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from armlab.cli.support.html_report import HtmlReport, Verdict
+from armlab.cli.support.log_input import gaps, left_out
+
+if TYPE_CHECKING:
+    from armlab.contact import Contact, Hypotheses
+    from armlab.log import Table
+    from armlab.models import TorqueModel
+
+
+COLUMNS = ("wrench_hat", "wrench_hat_cov", "observability", "wrench_flags", "wrench_active", "wrench_interval")
+AXES = ("f_x", "f_y", "f_z", "m_x", "m_y", "m_z")
+
+
+def axes(table: Table) -> list[dict[str, float | str]]:
+    """Return range, RMS, mean 2-sigma and observability of each axis of the wrench."""
+    F, observability = table["wrench_hat"], table["observability"]
+    sigma = np.sqrt(np.einsum("kii->ki", table["wrench_hat_cov"]))
+    return [
+        {
+            "axis": AXES[i],
+            "min": float(np.nanmin(F[:, i])),
+            "max": float(np.nanmax(F[:, i])),
+            "rms": float(np.sqrt(np.nanmean(F[:, i] ** 2))),
+            "two_sigma": float(2 * np.nanmean(sigma[:, i])),
+            "observability": float(np.nanmean(observability[:, i])),
+            **_limits(table, i),
+        }
+        for i in range(6)
+    ]
+
+
+def _limits(table: Table, axis: int) -> dict[str, float]:
+    """Return the median lower and upper limit of an axis and the share of rows in which they exclude zero."""
+    if "wrench_interval" not in table:
+        return {}
+    low, high = table["wrench_interval"][:, axis].T
+    if not np.isfinite(low).any():
+        return {"limit_low": np.nan, "limit_high": np.nan, "proven": 0.0}
+    proven = float(np.mean((low > 0) | (high < 0)))
+    return {"limit_low": float(np.nanmedian(low)), "limit_high": float(np.nanmedian(high)), "proven": proven}
+
+
+def limits(table: Table, contact: Contact) -> list[tuple[float, float]]:
+    """Return the median limits of the force in x, y, z during a contact; nothing without the method "interval"."""
+    if "wrench_interval" not in table:
+        return []
+    inside = table["wrench_interval"][(table.t >= contact.start) & (table.t <= contact.end), :3]
+    inside = inside[np.isfinite(inside).all(axis=(1, 2))]
+    return [(float(low), float(high)) for low, high in np.median(inside, axis=0)] if len(inside) else []
+
+
+def rows(table: Table) -> list[tuple[str, ...]]:
+    """Return the table per axis as words, its head first."""
+    words = {"min": "min", "max": "max", "rms": "rms", "two_sigma": "2-sigma", "observability": "observability"}
+    if "wrench_interval" in table:
+        words |= {"limit_low": "limit from", "limit_high": "limit to", "proven": "share beyond zero"}
+    lines = ((str(axis["axis"]), *(f"{axis[key]:.2f}" for key in words)) for axis in axes(table))
+    return [("axis", *words.values()), *lines]
+
+
+def columns(table: Table, believed: Hypotheses | None) -> Table:
+    """Return what is written of an estimate: its columns, and the probability of each place of the contact.
+
+    Those are columns p_none, p_point, p_link_1 and so on, of the window nearest to the row.
+
+    `believed`: of `contact.hypotheses`, or None.
+    """
+    written = table.select(*(name for name in COLUMNS if name in table))
+    if believed is not None:
+        middles = 0.5 * (believed.t[1:] + believed.t[:-1])
+        nearest = np.searchsorted(middles, table.t)
+        for k, name in enumerate(believed.names):
+            written = written.with_column(f"p_{name.replace(' ', '_')}", believed.posterior[nearest, k], unit="1")
+    return written
+
+
+def places(contacts: Sequence[Contact], believed: Hypotheses | None) -> list[tuple[Contact, str]]:
+    """Return each contact with what is believed of its place, in words."""
+    return [(c, "" if believed is None else believed.during(c.start, c.end)) for c in contacts]
+
+
+def contact_rows(table: Table, contacts: Sequence[Contact], believed: Hypotheses | None) -> list[tuple[str, ...]]:
+    """Return the contacts as words, the head first; forces with their limits where the method tells any.
+
+    `believed`: of `contact.hypotheses`, or None.
+    """
+    found: list[tuple[str, ...]] = [
+        ("from [s]", "to [s]", "f_x [N]", "f_y [N]", "f_z [N]", "2-sigma [N]", "where it may be")
+    ]
+    for c, place in places(contacts, believed):
+        within = [f" ({low:+.2f} to {high:+.2f})" for low, high in limits(table, c)] or [""] * 3
+        forces = (f"{force:+.2f}{limit}" for force, limit in zip(c.force, within, strict=True))
+        found.append((f"{c.start:.2f}", f"{c.end:.2f}", *forces, f"{c.band:.2f}", place or "-"))
+    return found
+
+
+SEEN, WEAK = 0.9, 0.5  # observability
+SLOW = 0.01  # rad/s: an arm below it in all joints rests
+OFTEN = 0.05  # share of the rows that is worth a sentence
+HONEST = 0.90  # share inside 2 sigma
+NAMED = 3  # gaps, the longest, that are named
+
+Tell = Callable[[float, float, str], None]
+
+
+def judge(
+    table: Table, model: TorqueModel, prior: np.ndarray, contacts: Sequence[Contact], doubts: Sequence[str] = ()
+) -> Verdict:
+    """Return what of the estimate can be relied on, what cannot, and what to do next.
+
+    `prior`: (6,) prior variances.
+    """
+    good: list[str] = []
+    bad: list[str] = list(doubts)
+    ahead: list[str] = ["Correct the log first: forces from what it says are not to be trusted."] if doubts else []
+    if contacts:
+        largest = max(contacts, key=lambda contact: float(np.linalg.norm(contact.force)))
+        size = float(np.linalg.norm(largest.force))
+        good.append(
+            f"{len(contacts)} contact{'s' if len(contacts) > 1 else ''}; the strongest from {largest.start:.2f} to "
+            f"{largest.end:.2f} s with {size:.2f} N, 2 sigma {largest.band:.2f} N."
+        )
+    else:
+        good.append("No contact: the force band never excludes zero for 0.2 s.")
+    for part in (_seen(table), _whole(table), _flags(table), _reach(table, model, prior), _truth(table)):
+        good += part.good
+        bad += part.bad
+        ahead += part.ahead
+    return Verdict(() if doubts else tuple(good), tuple(bad), tuple(ahead))
+
+
+def _seen(table: Table) -> Verdict:
+    """Say which axes the torques show."""
+    observability = table["observability"]
+    known = np.isfinite(observability).all(axis=1)
+    mean = observability[known].mean(axis=0)
+    weak = (observability[known] < WEAK).mean(axis=0)
+    good, bad, ahead = [], [], []
+    seen = [AXES[i] for i in range(6) if mean[i] >= SEEN]
+    if seen:
+        good.append(f"Well seen: {', '.join(seen)} (mean observability {mean[mean >= SEEN].min():.2f} or more).")
+    hidden = [f"{AXES[i]} ({100 * weak[i]:.0f} % of the time)" for i in range(6) if weak[i] > OFTEN]
+    if hidden:
+        bad.append(f"Hardly seen, so that the prior speaks: {', '.join(hidden)}.")
+        still = np.asarray((np.abs(table["qd"][known]) < SLOW).all(axis=1))
+        hard = (observability[known] < WEAK).any(axis=1)
+        if np.mean(still[hard]) > 0.5:
+            ahead.append("Sway the joints a little (identify.dither): at rest static friction hides the force.")
+        else:
+            ahead.append("Use a pose away from singular ones, or --point when it is known where the contact is.")
+    return Verdict(tuple(good), tuple(bad), tuple(ahead))
+
+
+def _whole(table: Table) -> Verdict:
+    """Name rows that were left out, and gaps."""
+    from armlab.contact import INVALID
+
+    bad = []
+    if count := left_out(table):
+        t = table.t[(table["wrench_flags"] & INVALID) > 0]
+        bad.append(
+            f"{count} of {len(table)} rows ({100 * count / len(table):.1f} %), between {t[0]:.2f} and {t[-1]:.2f} s, "
+            "are not finite and have no estimate."
+        )
+    if found := gaps(table):
+        longest = sorted(sorted(found, key=lambda gap: -gap[1])[:NAMED])
+        named = ", ".join(f"{seconds:.3g} s after {after:.2f} s" for after, seconds in longest)
+        more = f", {len(found) - NAMED} shorter ones" if len(found) > NAMED else ""
+        total = sum(seconds for _, seconds in found)
+        bad.append(
+            f"{'Gap' if len(found) == 1 else f'{len(found)} gaps'} in the log: {named}{more}; {total:.3g} s in all. "
+            "A contact in a gap is not seen; after more than five periods the estimate begins anew."
+        )
+    return Verdict(bad=tuple(bad))
+
+
+def _flags(table: Table) -> Verdict:
+    from armlab.contact import INFEASIBLE, SINGULAR, STUCK
+
+    flags = table["wrench_flags"]
+    share = {flag: float(np.mean((flags & flag) != 0)) for flag in (STUCK, INFEASIBLE, SINGULAR)}
+    bad, ahead = [], []
+    if share[SINGULAR]:
+        bad.append(f"{100 * share[SINGULAR]:.1f} % of the rows are at singular poses and have no estimate.")
+        ahead.append("Choose a method with a prior (map, bounded) for such poses.")
+    if share[STUCK] > OFTEN:
+        bad.append(
+            f"In {100 * share[STUCK]:.0f} % of the rows every joint is inside its friction bound: a force may be "
+            "hidden there."
+        )
+        ahead.append(
+            "Read the limits there: in the tables, dotted in the figure, wrench_interval in the written estimate."
+            if "wrench_interval" in table
+            else "Read the limits of --method interval there."
+        )
+    if share[INFEASIBLE]:
+        bad.append(
+            f"In {100 * share[INFEASIBLE]:.1f} % of the rows no wrench at the tool explains the torques: contact on "
+            "another link, or a model that is wrong there."
+        )
+    return Verdict((), tuple(bad), tuple(ahead))
+
+
+def _reach(table: Table, model: TorqueModel, prior: np.ndarray) -> Verdict:
+    """Say where the log leaves what the model was fitted to, and where the prior shrinks."""
+    from armlab.identify import extrapolation
+
+    bad = list(extrapolation(model, table.dropna("q", "qd")).warnings)
+    ahead = ["Identify again with motions that go there, or trust these stretches less."] if bad else []
+    largest = np.nanmax(np.abs(table["wrench_hat"]) / np.sqrt(prior), axis=0)
+    beyond = [AXES[i] for i in range(6) if largest[i] > 2]
+    if beyond:
+        bad.append(f"Larger than twice the prior: {', '.join(beyond)}. The estimate is too small there.")
+        ahead.append("Give a larger --prior-force or --prior-moment.")
+    return Verdict((), tuple(bad), tuple(ahead))
+
+
+def _truth(table: Table) -> Verdict:
+    """Compare with a force sensor or a simulated operator, where the log has one."""
+    from armlab.contact import compare
+    from armlab.errors import UnknownName
+
+    try:
+        found = compare(table)
+    except UnknownName:
+        return Verdict()
+    text = found.text()
+    sentence = f"{text[0].upper()}{text[1:]}."
+    return Verdict((sentence,)) if np.mean(found.inside[:3]) >= HONEST else Verdict(bad=(sentence,))
+
+
+def write(
+    path: Path,
+    table: Table,
+    verdict: Verdict,
+    contacts: Sequence[Contact],
+    believed: Hypotheses | None,
+    about: str,
+    tell: Tell | None = None,
+) -> None:
+    """Write the page.
+
+    `believed`: of `contact.hypotheses`, or None. `tell`: called with (done, total, what).
+    """
+    page = HtmlReport("Contact wrench", about)
+    page.verdict(verdict)
+    words = "By the environment on the robot, base axes, at the tool point, in N and N m. Observability: 1 the torques "
+    words += "determine the axis, 0 only the prior speaks."
+    if "wrench_interval" in table:
+        words += " Limits: the middle ones of all rows, and the share of rows in which they leave out zero."
+    page.section("Per axis", words)
+    page.table(rows(table))
+    page.section("Contacts", "" if contacts else "None: the force band never excludes zero for 0.2 s.")
+    if contacts:
+        page.table(contact_rows(table, contacts, believed))
+    drawings = _drawings(table, believed)
+    for k, (title, caption, draw) in enumerate(drawings):
+        if tell is not None:
+            tell(k, len(drawings), f"drawing {title.lower()}")
+        page.section(title)
+        page.figure(draw(), title, caption)
+    page.write(path)
+
+
+def _drawings(table: Table, believed: Hypotheses | None) -> list[tuple[str, str, Any]]:
+    """Return title, how to read it, and what draws it, of each figure."""
+    from armlab import plots
+
+    shown = [
+        (
+            "Wrench over time",
+            "Line: estimate. Band: two sigma. Shaded: contact, where zero lies outside the 95 % ellipsoid.",
+            lambda: plots.png(plots.wrench(table)),
+        ),
+        (
+            "Observability over time",
+            "What the pose and the friction of the joints let through. Shaded: some axis below 0.5.",
+            lambda: plots.png(plots.observability(table)),
+        ),
+        (
+            "Motion",
+            "Positions, velocities and torques of the log.",
+            lambda: plots.png(plots.table(table, "q", "qd", "tau")),
+        ),
+    ]
+    if believed is not None:
+        where = (
+            "Where the contact may be",
+            "Probability of each place, in windows of one second. The bar on top: a link is not excluded, 400 to 1.",
+            lambda: plots.png(plots.hypotheses(believed)),
+        )
+        shown.insert(1, where)
+    if "wrench_true" in table or "wrench" in table:
+        coverage = (
+            "Coverage by speed",
+            "Share of the axis's errors inside two sigma; a true uncertainty holds 95.4 % at every speed.",
+            lambda: plots.png(plots.coverage(table)),
+        )
+        shown.insert(-1, coverage)
+    return shown

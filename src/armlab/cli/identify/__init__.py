@@ -1,0 +1,105 @@
+"""``armlab identify``: from logs of free motion to a model file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+__all__ = []
+
+
+def identify(
+    robot: str,
+    *logs: Path,
+    output: Annotated[Path, Parameter(alias="-o")],
+    method: Literal["irls", "wls", "ols", "lts"] = "irls",
+    gravity_only: bool = False,
+    drives: bool = False,
+    report: Path | None = None,
+    test: Path | None = None,
+    figure: Path | None = None,
+    json: bool = False,
+    force: bool = False,
+) -> int:
+    """Identify gravity, inertia and friction from logs; save the model.
+
+    Prints a table per joint and a verdict: what is good, what is not, what to log next. Writes nothing, and ends with
+    status 1, when the logs do not determine the model.
+
+    Parameters
+    ----------
+    robot : str
+        Name in the library, or a robot file.
+    logs : Path
+        Recordings of free motion without contact, with positions, velocities and torques; armlab excite makes one.
+    output : Path
+        Model file to write, ends in .toml.
+    method : str
+        irls: outliers count less. lts: a quarter of the stretches of time, those that fit worst, is left out. wls, ols:
+        every sample as it is, with or without a weight per joint.
+    gravity_only : bool
+        Gravity and friction alone, from a log of slow motion (accelerations below 1 rad/s^2), for an arm that may not
+        move fast: enough for contact forces in slow motion. Without: also inertia, which takes a log of fast motion.
+    drives : bool
+        Also look for lines of torque ripple, friction over position and warm-up (logs from 20 minutes), joint by joint;
+        what wins on held-out stretches of time is kept.
+    report : Path
+        Also write a page with tables and figures, ends in .html; everything is inside, it asks nobody for anything.
+    test : Path
+        Another recording without contact: how good the model is where it was not fitted.
+    figure : Path
+        Also draw measured and modelled torques into this PNG, SVG or PDF.
+    json : bool
+        Print JSON for scripts.
+    force : bool
+        Replace existing files.
+    """
+    from armlab import robots
+    from armlab.cli.identify import report as report_of
+    from armlab.cli.support.log_input import read_log
+    from armlab.cli.support.output import FIGURES, check_output, note, print_json, progress, result, save_figure
+    from armlab.errors import ConfigError
+    from armlab.identify import fit_dynamics, fit_friction, fit_gravity
+    from armlab.identify.record import check_once
+
+    arm = robots.load(robot)
+    if not logs:
+        raise ConfigError("Expected at least one log to identify from, got none. Give the files of recorded motions.")
+    for path, endings in ((output, [".toml"]), (report, [".html"]), (figure, FIGURES)):
+        if path is not None:
+            check_output(path, force, endings)
+    tables = [read_log(path, arm) for path in logs]
+    unseen = None if test is None else read_log(test, arm)
+    if test is not None and unseen is not None:
+        names = [path.name for path in (*logs, test)]
+        check_once(zip(names, (one.sha256 for one in (*tables, unseen))))
+    with progress("identify") as tell:
+        fit_model = fit_gravity if gravity_only else fit_dynamics
+        fit = fit_model(tables, arm, method=method, progress=tell)
+        if drives:
+            tell(4, 5, "ripple, friction over position, warm-up")
+            fit = replace(fit, value=fit_friction(tables, fit.value).value)
+    trial = report_of.try_out(fit.value, arm, tables[0] if unseen is None else unseen, unseen is not None)
+    verdict = report_of.judge(fit, arm, tables, trial)
+    if json:
+        print_json({"model": str(output), **report_of.numbers(fit, trial), "verdict": vars(verdict)})
+    else:
+        result(f"{fit.report()}\n\n{verdict.text()}")
+    fit.save(output)
+    note(f"model: {output}")
+    if figure is not None:
+        from armlab import plots
+
+        save_figure(plots.torque_fit(fit, trial.log), figure)
+        note(f"figure: {figure}")
+    if report is not None:
+        seconds = fit.value.quality.seconds
+        kind = ", gravity and friction only" if gravity_only else ""
+        about = f"From {', '.join(path.name for path in logs)}, {seconds:.0f} s of motion, method {method}{kind}."
+        with progress("report") as tell:
+            report_of.write(report, fit, verdict, trial, tables[0], about, tell)
+        note(f"report: {report}")
+    return 0

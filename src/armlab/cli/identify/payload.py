@@ -1,0 +1,166 @@
+"""``armlab payload``: payload identification from a log and the model of the arm alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    from armlab.cli.support.html_report import Verdict
+    from armlab.estimation import Fit
+    from armlab.log import Table
+    from armlab.models import Payload, TorqueModel
+    from armlab.robots import Robot
+
+
+LARGEST = 0.1  # share of the mass that its deviation may be
+LEAST = 3.0  # deviations that a mass must differ from nothing
+
+
+def payload(
+    robot: str,
+    log: Path,
+    *,
+    model: Path,
+    without: Path | None = None,
+    mode: Literal["static", "dynamic"] = "static",
+    gain: float = 0.05,
+    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    report: Path | None = None,
+    figure: Path | None = None,
+    json: bool = False,
+    force: bool = False,
+) -> int:
+    """Weigh a load at the flange with the motors: mass, centre and, if asked, inertia.
+
+    Prints each with its deviation, in flange axes.
+
+    Parameters
+    ----------
+    robot : str
+        Name in the library, or a robot file; the one the model belongs to.
+    log : Path
+        Recording with the load, without contact, with positions, velocities and torques.
+    model : Path
+        Model file of `armlab identify`, of the arm without the load.
+    without : Path
+        Recording of the same motion without the load: what the model has wrong falls out.
+    mode : str
+        static: mass and centre. dynamic: inertia too, which needs fast motion of the wrist.
+    gain : float
+        How well the torque constants are known, as a share.
+    output : Path
+        Also save the load, ends in .toml.
+    report : Path
+        Also write a page with table and figure, ends in .html; everything is inside, it asks nobody for anything.
+    figure : Path
+        Also draw measured and modelled torques, load included, into this PNG, SVG or PDF.
+    json : bool
+        Print JSON for scripts.
+    force : bool
+        Replace existing files.
+    """
+    from armlab import models, robots
+    from armlab.cli.support.log_input import read_log
+    from armlab.cli.support.output import FIGURES, check_output, note, print_json, progress, result, save_figure
+    from armlab.estimation import Fit
+    from armlab.identify import fit_payload
+
+    for path, endings in ((output, (".toml",)), (report, (".html",)), (figure, FIGURES)):
+        if path is not None:
+            check_output(path, force, endings)
+    arm, known = robots.load(robot), models.load(model, "torque_model")
+    told = Fit.load(model) if models.load_statistics(model) else known  # the fit knows what is uncertain in friction
+    table = read_log(log, arm)
+    empty = None if without is None else read_log(without, arm)
+    with progress("payload") as tell:
+        tell(0, 1, f"{mode} fit to {len(table)} rows")
+        fit = fit_payload(table, told, arm, mode, empty, gain_sd=gain)
+        tell(1, 1, "done")
+    verdict = _judge(fit, known, table, arm)
+    if json:
+        print_json({**_numbers(fit), "verdict": vars(verdict)})
+    else:
+        result(f"{fit.report()}\n\n{verdict.text()}")
+    if output is not None:
+        note(f"load: {fit.save(output)}")
+    if figure is not None:
+        save_figure(_figure(fit, known, table), figure)
+        note(f"figure: {figure}")
+    if report is not None:
+        _page(fit, known, table, verdict, f"{log.name} of {arm.name}, model {model.name}, mode {mode}.").write(report)
+        note(f"report: {report}")
+    return 0
+
+
+def _numbers(fit: Fit[Payload]) -> dict[str, Any]:
+    load = fit.value
+    parameters = [
+        {"name": name, "value": value, "sd": sd, "unit": unit}
+        for name, value, sd, unit in zip(fit.names, fit.parameters, fit.sd, fit.units)
+    ]
+    return {"mass": load.mass, "centre": load.centre, "pi": load.pi, "parameters": parameters, "samples": fit.n}
+
+
+def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> Verdict:
+    """Return what can be relied on, what not, and what to do next."""
+    import numpy as np
+
+    from armlab.cli.identify.report import POOR
+    from armlab.cli.support.html_report import Verdict
+    from armlab.identify import extrapolation
+    from armlab.identify.payload import moving_joints
+
+    mass, sd = fit.value.mass, fit.sd[0]
+    good, bad, ahead = [], [], []
+    if mass < LEAST * sd:
+        bad.append(f"{1e3 * mass:.0f} g cannot be told from no load: one deviation is {1e3 * sd:.0f} g.")
+    elif sd > LARGEST * mass:
+        bad.append(f"The mass is known to {100 * sd / mass:.0f} % only.")
+        ahead.append("Record the same motion without the load and name it by --without.")
+    else:
+        good.append(f"The load of {1e3 * mass:.0f} g is known to {100 * sd / mass:.1f} %.")
+    joints = moving_joints([table], arm)
+    left = np.std(fit.residuals, axis=0) / np.std(table["tau"][:, joints], axis=0)
+    if left.max() <= POOR:
+        good.append(
+            f"Arm and load together explain {100 * (1 - left.max() ** 2):.1f} % of the torque variance or more."
+        )
+    else:
+        worst = arm.joint_names[joints[left.argmax()]]
+        bad.append(
+            f"{worst}: arm and load together leave {100 * left.max():.0f} % of the torque's deviation unexplained."
+        )
+        ahead.append("Check the log's torques, and that the model is of this arm with the tool that it has now.")
+    bad += extrapolation(model, table).warnings
+    ahead.append(
+        "Use the model of the arm as it is; nothing is to be read from the centre."
+        if mass < LEAST * sd
+        else "Add the load to the model of the arm: models.load(…).added_to(model)."
+    )
+    return Verdict(tuple(good), tuple(bad), tuple(ahead))
+
+
+def _figure(fit: Fit[Payload], model: TorqueModel, table: Table) -> Any:
+    from armlab import plots
+
+    return plots.torque_fit(fit.value.added_to(model), table)
+
+
+def _page(fit: Fit[Payload], model: TorqueModel, table: Table, verdict: Verdict, about: str) -> Any:
+    from armlab.cli.support.html_report import HtmlReport
+    from armlab.plots import png
+
+    page = HtmlReport(f"Load of {1e3 * fit.value.mass:.0f} g", about)
+    page.verdict(verdict)
+    page.section("Load", "Flange axes; deviations of one sigma, unknown gains of the joints included.")
+    rows = [("parameter", "value", "deviation", "unit")]
+    rows += [(n, f"{x:.5g}", f"{s:.2g}", u) for n, x, s, u in zip(fit.names, fit.parameters, fit.sd, fit.units)]
+    page.table(rows)
+    page.section("Torques", "Measured, and modelled with the load; the band is two sigma of the model.")
+    page.figure(png(_figure(fit, model, table)), "measured and modelled torque of each joint")
+    page.section("As printed")
+    page.verbatim(fit.report())
+    return page

@@ -1,0 +1,374 @@
+"""Report of ``armlab identify``: a verdict in words, figures for scripts, the HTML page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from armlab.cli.support.html_report import HtmlReport, Verdict
+
+if TYPE_CHECKING:
+    from armlab.estimation import Fit
+    from armlab.log import Table
+    from armlab.models import TorqueModel
+    from armlab.robots import Robot
+
+
+FINE, POOR = 0.10, 0.25  # residual over the torque's deviation
+HONEST = (0.92, 0.985)  # share inside 2 sigma
+WORSE = 1.5  # unseen over seen residual
+STRETCHED = 3.0  # alpha
+SLOW, SLOW_SHARE = 0.1, 0.15  # of the speed limit, and of the samples that shall be below it
+NARROW = 0.25  # of a joint's range
+MOVING = 0.01  # of the peak speed
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """The model on a log of free motion, where the true wrench is zero."""
+
+    unseen: bool  # the log was not part of the fit
+    estimate: Table  # columns of `contact.Estimator.run`, and wrench_true, all zeros
+    log: Table  # of that motion
+    share: np.ndarray  # (n,) RMS of the torque error in motion over the torque's deviation
+    force_rms: np.ndarray  # (3,) false force in motion [N]
+    coverage: float  # share of the forces inside 2 sigma
+
+
+def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> Trial:
+    """Run the model over a log of free motion."""
+    from armlab.contact import Estimator
+
+    estimate = Estimator(model, robot).run(table).with_column("wrench_true", np.zeros((len(table), 6)))
+    qd, error = table["qd"], estimate["tau_error"]
+    moving = (np.abs(qd) > MOVING * np.abs(qd).max(axis=0)).any(axis=1) & np.isfinite(error).all(axis=1)
+    force = estimate["wrench_hat"][moving, :3]
+    sigma = np.sqrt(np.einsum("kii->ki", estimate["wrench_hat_cov"]))[moving, :3]
+    return Trial(
+        unseen=unseen,
+        estimate=estimate,
+        log=table,
+        share=np.sqrt(np.mean(error[moving] ** 2, axis=0)) / np.std(table["tau"], axis=0),
+        force_rms=np.sqrt(np.mean(force**2, axis=0)),
+        coverage=float(np.mean(np.abs(force) <= 2 * sigma)),
+    )
+
+
+def judge(fit: Fit[TorqueModel], robot: Robot, tables: Sequence[Table], trial: Trial) -> Verdict:
+    """Return what of the model can be relied on, what cannot, and what to log next."""
+    found = _Sentences()
+    _judge_fit(found, fit, trial)
+    _judge_honesty(found, fit.value, trial)
+    _judge_motion(found, fit, robot, tables)
+    return Verdict(tuple(found.good), tuple(found.bad), tuple(found.ahead))
+
+
+class _Sentences:
+    def __init__(self) -> None:
+        self.good: list[str] = []
+        self.bad: list[str] = []
+        self.ahead: list[str] = []
+
+
+def _judge_fit(found: _Sentences, fit: Fit[TorqueModel], trial: Trial) -> None:
+    quality = fit.value.quality
+    held_out = quality.rms_cv / quality.torque_sd
+    judged = np.isfinite(held_out)  # joints that did not move have no figures
+    fine, poor = (held_out <= FINE) | ~judged, judged & (held_out > POOR)
+    worst = int(np.nanargmax(held_out)) if judged.any() else 0
+    if fine.all():
+        found.good.append(
+            f"The model leaves {100 * np.nanmin(held_out):.1f} to {100 * np.nanmax(held_out):.1f} % of the torque's "
+            "deviation in motion that it has not seen."
+        )
+    elif fine.any():
+        found.good.append(f"{_joints(fine)}: at most {100 * FINE:.0f} % of the torque's deviation is left unexplained.")
+    kept = _kept(fit.value)
+    if kept:
+        found.good.append(f"Kept, because they win on held-out stretches of time: {', '.join(kept)}.")
+    if poor.any():
+        found.bad.append(
+            f"{_joints(poor)}: up to {100 * held_out[worst]:.0f} % of the torque's deviation is left unexplained."
+        )
+        found.ahead.append(
+            f"Look at the residuals of {_joints(poor)}: over speed they show friction, over position ripple or a load "
+            "that moves."
+        )
+    worse = quality.rms_cv > WORSE * quality.rms
+    if worse.any():
+        found.bad.append(f"{_joints(worse)}: much worse in motion that the model has not seen. Too little was logged.")
+        found.ahead.append("Log for longer, or several motions: the model has more parameters than these logs tell.")
+    if trial.unseen:
+        worse = trial.share > WORSE * held_out
+        said = f"{100 * trial.share.min():.1f} to {100 * trial.share.max():.1f} % of the torque's deviation"
+        if worse.any():
+            found.bad.append(f"{_joints(worse)}: worse in the test log ({said} left) than in held-out blocks.")
+            found.ahead.append("Log motions like those of the test log: its speeds, poses or load were not identified.")
+        else:
+            found.good.append(f"In the test log {said} is left, as in held-out blocks.")
+
+
+def _kept(model: TorqueModel) -> list[str]:
+    """Name the parts of the drives beyond the usual ones."""
+    kept = []
+    if model.lines is not None:
+        kept.append(f"ripple of {_joints(np.isin(np.arange(model.n), model.lines.joint))}")
+    if model.friction_map is not None:
+        mapped = np.any(model.friction_map.coefficients != 0, axis=(1, 2, 3))
+        kept.append(f"friction over position of {_joints(mapped)}")
+    if model.warm_up is not None:
+        kept.append("warm-up")
+    return kept
+
+
+def _judge_honesty(found: _Sentences, model: TorqueModel, trial: Trial) -> None:
+    coverage, alpha = model.quality.coverage, float(np.sqrt(model.covariance.alpha2))
+    honest = ~((coverage < HONEST[0]) | (coverage > HONEST[1]))
+    where = "test log" if trial.unseen else "log"
+    force = " ".join(f"{value:.2f}" for value in trial.force_rms)
+    if honest.all():
+        found.good.append(
+            f"The stated uncertainty is true: {100 * np.nanmin(coverage):.0f} to {100 * np.nanmax(coverage):.0f} % of "
+            "the held-out torques lie inside 2 sigma."
+        )
+    else:
+        shares = ", ".join(f"{100 * value:.0f} %" for value in coverage[~honest])
+        found.bad.append(f"{_joints(~honest)}: {shares} of the held-out torques lie inside 2 sigma, where 95 % should.")
+    if alpha > STRETCHED:
+        found.bad.append(f"The torque covariance had to be stretched {alpha:.1f} times to be true: its shape is wrong.")
+    if model.momentum is not None:
+        worst = float(np.sqrt(max(model.momentum.alpha2_observer, model.momentum.alpha2_kf)))
+        if worst > STRETCHED:
+            found.bad.append(f"The momentum methods' covariance had to be stretched {worst:.1f} times to be true.")
+    sentence = f"Without contact the {where} gives a force of {force} N RMS in x y z, where the truth is zero"
+    inside = f"{100 * trial.coverage:.0f} % inside 2 sigma"
+    (found.good if trial.coverage >= HONEST[0] else found.bad).append(f"{sentence}; {inside}.")
+    friction = model.friction
+    wrong = (friction.viscous < 0) | (friction.coulomb_pos < 0) | (friction.coulomb_neg < 0) | (model.rotor < 0)
+    if wrong.any():
+        found.bad.append(f"{_joints(wrong)}: negative friction or rotor inertia, which no drive has.")
+
+
+def _judge_motion(found: _Sentences, fit: Fit[TorqueModel], robot: Robot, tables: Sequence[Table]) -> None:
+    excitation, training = fit.excitation, fit.value.training
+    told = excitation.text().splitlines()[0]
+    if told.startswith("excitation good"):
+        found.good.append(f"The motion tells all parameters apart (condition {excitation.condition:.0f}).")
+    else:
+        found.bad.append(f"The motion tells some parameters badly (condition {excitation.condition:.0f}).")
+        found.ahead.append(f"Log a longer or richer motion, as of armlab excite; told least: {excitation.weakest}.")
+    used = (training.q_max - training.q_min) / (robot.q_max - robot.q_min)
+    narrow = used < NARROW
+    if narrow.any():
+        found.ahead.append(
+            f"{_joints(narrow)} moved over less than {100 * NARROW:.0f} % of the range: outside of it the model is "
+            "extrapolated. Log there before you work there."
+        )
+    qd = np.concatenate([np.abs(table["qd"]) for table in tables])
+    hasty = np.mean(qd < SLOW * robot.qd_max, axis=0) < SLOW_SHARE
+    if hasty.any():
+        found.ahead.append(f"{_joints(hasty)}: hardly any slow motion. Log some, friction is known worst there.")
+    if not found.ahead:
+        found.ahead.append("Nothing: estimate forces with it, and identify again when tool, load or mounting change.")
+
+
+def _joints(which: np.ndarray) -> str:
+    """Name joints by number: "joint 2", "joints 1, 3"."""
+    numbered = [str(i + 1) for i in np.flatnonzero(which)]
+    return f"joint{'s' if len(numbered) > 1 else ''} {', '.join(numbered)}"
+
+
+Tell = Callable[[float, float, str], None]
+Drawing = tuple[str, str, str, Callable[[], bytes]]  # title, what it shows, how to read it, what draws it
+
+
+def numbers(fit: Fit[TorqueModel], trial: Trial) -> dict[str, Any]:
+    """Return the figures of the report for scripts: of the fit, and per joint."""
+    model = fit.value
+    quality, friction, covariance = model.quality, model.friction, model.covariance
+    columns = {
+        "torque_sd": quality.torque_sd,
+        "rms": quality.rms,
+        "share_fit": quality.rms / quality.torque_sd,
+        "share_held_out": quality.rms_cv / quality.torque_sd,
+        "share_test": trial.share if trial.unseen else np.full(model.n, np.nan),
+        "coverage": quality.coverage,
+        "viscous": friction.viscous,
+        "coulomb_pos": friction.coulomb_pos,
+        "coulomb_neg": friction.coulomb_neg,
+        "offset": friction.offset,
+        "stribeck": friction.stribeck,
+        "delta": friction.delta,
+        "sigma_rest": np.sqrt(covariance.alpha2 * covariance.C0),
+        "sigma_motion": np.sqrt(covariance.alpha2 * covariance.Cinf),
+        "gamma": covariance.shape,
+        "ripple": np.hypot(model.ripple.cosine, model.ripple.sine),
+    }
+    return {
+        "robot": model.robot_name,
+        "samples": fit.n,
+        "seconds": quality.seconds,
+        "alpha": float(np.sqrt(covariance.alpha2)),
+        "condition": fit.excitation.condition,
+        "weakest": fit.excitation.weakest,
+        "false_force_rms": trial.force_rms,
+        "false_force_coverage": trial.coverage,
+        "joints": [{"joint": i + 1, **{name: v[i] for name, v in columns.items()}} for i in range(model.n)],
+    }
+
+
+def write(
+    path: Path,
+    fit: Fit[TorqueModel],
+    verdict: Verdict,
+    trial: Trial,
+    log: Table,
+    about: str,
+    tell: Tell | None = None,
+) -> None:
+    """Write the page.
+
+    `tell`: called with (done, total, what).
+    """
+    from armlab.identify.validation import parameter_rows
+
+    page = HtmlReport(f"Torque model of {fit.value.robot_name}", about)
+    page.verdict(verdict)
+    page.section(
+        "Residuals per joint",
+        "Of the estimator's causal filter, in motion, as % of the standard deviation (sd) of the measured torque: in "
+        "the data of the fit, in held-out blocks, and in the test log. Sigma is what the model states for the torque "
+        "error; gamma is how fast it falls with speed.",
+    )
+    page.table(_residual_rows(fit, trial))
+    page.section("Friction per joint", "With standard deviations from drawing blocks of time again.")
+    page.table(_friction_rows(fit, trial))
+    drawings = _drawings(fit, trial, log)
+    for k, (title, alt, caption, draw) in enumerate(drawings):
+        if tell is not None:
+            tell(k, len(drawings), f"drawing {title.lower()}")
+        page.section(title)
+        page.figure(draw(), alt, caption)
+    page.section("Parameters", "What the motion can tell: of the links only these combinations act on the torques.")
+    head = ("value", "standard deviation", "unit", "parameter")
+    page.table([head, *parameter_rows(fit)], f"{len(fit.names)} parameters with standard deviations")
+    page.section("As printed")
+    page.verbatim(fit.report(), "Report of the fit")
+    page.write(path)
+
+
+def _residual_rows(fit: Fit[TorqueModel], trial: Trial) -> list[list[str]]:
+    rows = [["joint", "torque sd [N m]", "RMS [N m]", "fit [%]", "held-out [%]", "test [%]", "in 2 sigma [%]"]]
+    rows[0] += ["sigma at rest [N m]", "in motion [N m]", "gamma [s/rad]"]
+    for joint in numbers(fit, trial)["joints"]:
+        shares = [joint[name] for name in ("share_fit", "share_held_out", "share_test", "coverage")]
+        row = [str(joint["joint"]), f"{joint['torque_sd']:.3f}", f"{joint['rms']:.3f}"]
+        row += [f"{100 * share:.1f}" if np.isfinite(share) else "-" for share in shares]
+        row += [f"{joint['sigma_rest']:.3f}", f"{joint['sigma_motion']:.3f}", f"{joint['gamma']:.0f}"]
+        rows.append(row)
+    return rows
+
+
+def _friction_rows(fit: Fit[TorqueModel], trial: Trial) -> list[list[str]]:
+    from armlab.plots.drives import own_parameters
+
+    columns = {
+        "viscous": ("viscous",),
+        "coulomb_pos": ("coulomb+", "coulomb"),
+        "coulomb_neg": ("coulomb-", "coulomb"),
+        "offset": ("offset",),
+        "stribeck": ("stribeck",),
+    }
+    rows = [["joint", "viscous [N m s/rad]", "Coulomb + [N m]", "Coulomb - [N m]", "offset [N m]", "Stribeck [N m]"]]
+    rows[0] += ["ripple [N m]", "presliding [rad]"]
+    for own, joint in zip(own_parameters(fit), numbers(fit, trial)["joints"], strict=True):
+        row = [str(joint["joint"])]
+        row += [f"{joint[name]:.3f}{_deviation(fit, own, kinds)}" for name, kinds in columns.items()]
+        rows.append([*row, f"{joint['ripple']:.3f}" if joint["ripple"] else "-", f"{joint['delta']:.1e}"])
+    return rows
+
+
+def _deviation(fit: Fit[TorqueModel], own: dict[str, int], kinds: tuple[str, ...]) -> str:
+    """Return the deviation of one friction parameter with its sign; nothing when the fit does not have it."""
+    place = next((own[kind] for kind in kinds if kind in own), None)
+    return "" if place is None else f" ± {fit.sd[place]:.3f}"
+
+
+def _drawings(fit: Fit[TorqueModel], trial: Trial, log: Table) -> list[Drawing]:
+    """Return title, what it shows, how to read it, and what draws it, of each figure."""
+    return [*_of_the_torque(fit, trial, log), *_of_the_force(fit, trial)]
+
+
+def _of_the_torque(fit: Fit[TorqueModel], trial: Trial, log: Table) -> list[Drawing]:
+    from armlab import plots
+
+    model, estimate = fit.value, trial.estimate
+    shown = "The test log" if trial.unseen else "The first log"
+    return [
+        (
+            "Measured and modelled torque",
+            "Torque of each joint over time, measured and modelled, and the residual",
+            f"{shown}. What is left should look like noise inside the band.",
+            lambda: plots.png(plots.torque_fit(fit, trial.log)),
+        ),
+        (
+            "Residual over speed",
+            "Residual torque of each joint over its speed with two-sigma curves",
+            "Curves follow the cloud where the covariance is right. A step at zero is Coulomb friction that is wrong.",
+            lambda: plots.png(plots.residual_speed(estimate, {"model": model.covariance})),
+        ),
+        (
+            "Friction",
+            "Friction of each joint over its speed with uncertainty",
+            "Dark: uncertainty of the parameters. Light: with the torque error at that speed, 95 % of the points.",
+            lambda: plots.png(plots.friction(fit, estimate)),
+        ),
+        (
+            "Torque ripple",
+            "Amplitude of the torque residual over cycles per turn",
+            "Peaks that stand still over position are ripple of gears and motors; the dotted ones are in the model.",
+            lambda: plots.png(plots.spectrum(model, log)),
+        ),
+        (
+            "How long the residual remembers",
+            "Autocorrelation of the residuals over the lag",
+            "Coloured residuals make formal deviations too small; those of this report come from blocks.",
+            lambda: plots.png(plots.autocorrelation(estimate)),
+        ),
+    ]
+
+
+def _of_the_force(fit: Fit[TorqueModel], trial: Trial) -> list[Drawing]:
+    from armlab import plots
+
+    shown = "The test log" if trial.unseen else "The first log"
+    return [
+        (
+            "Excitation",
+            "Singular values of the regressor",
+            "Each point is a direction of the parameters. Those below the upper line need a richer motion.",
+            lambda: plots.png(plots.excitation(fit.excitation)),
+        ),
+        (
+            "Force without contact",
+            "Estimated wrench over time with two-sigma band; the truth is zero",
+            f"{shown} through the estimator. The truth is zero: the band should hold it 95 % of the time.",
+            lambda: plots.png(plots.wrench(trial.estimate)),
+        ),
+        (
+            "Observability",
+            "Observability per axis over time",
+            "1: the torques determine the axis. 0: only the prior speaks.",
+            lambda: plots.png(plots.observability(trial.estimate)),
+        ),
+        (
+            "Coverage by speed",
+            "Share of forces inside two sigma per bin of speed",
+            "A true uncertainty holds 95.4 % at every speed.",
+            lambda: plots.png(plots.coverage(trial.estimate)),
+        ),
+    ]

@@ -1,0 +1,127 @@
+"""Settings: defaults of options from files and the environment."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from armlab._toml import TomlError, parsed
+from armlab.errors import ConfigError
+
+
+def read_text(path: Path, what: str) -> str:
+    """Return the text of a file."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise ConfigError(f"Expected {what} at {path}, but it cannot be read: {error.strerror}.") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"Expected {what} at {path}, got a file that is no text in UTF-8.") from None
+
+
+PREFIX = "ARMLAB_"
+_FILE = "armlab.toml"
+_PATHS = ("cell", "logs")  # relative to the file that says them
+_ELSEWHERE = ("ARMLAB_KERNELS",)  # variables that are no settings of commands
+
+_Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
+
+
+class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a file of settings may hold.
+
+    Attributes
+    ----------
+    cell : the cell of `armlab bridge`. logs : folder of recordings to which a command gives the name itself.
+    ports : name of a robot -> UDP port on which it is listened to.
+    speed : share of a robot's speed and acceleration limits that is allowed, in (0, 1].
+    wait : how a run waits for packets.
+    """
+
+    cell: str | None = None
+    logs: str = "."
+    ports: dict[str, _Port] = {}
+    speed: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 1.0
+    wait: Literal["ahead", "block", "spin"] = "ahead"
+
+
+@dataclass(frozen=True)
+class Told:
+    """Settings, and who said them."""
+
+    settings: Settings  # the values in force
+    origins: Mapping[str, str]  # name -> file, variable, or "default"
+
+
+def load_settings(environment: Mapping[str, str] | None = None) -> Told:
+    """Return the settings that hold in this folder.
+
+    `environment`: variables; those of the process when None.
+    """
+    variables = os.environ if environment is None else environment
+    values: dict[str, Any] = {}
+    origins = dict.fromkeys(Settings.__struct_fields__, "default")
+    sources = [(str(path), _of_file(path)) for path in (user_file(variables), Path(_FILE)) if path.is_file()]
+    sources += [(f"${name}", given) for name, given in _of_environment(variables)]
+    for origin, given in sources:
+        values |= given
+        origins |= dict.fromkeys(given, origin)
+    return Told(Settings(**values), origins)
+
+
+def user_file(environment: Mapping[str, str]) -> Path:
+    """Return where the user's own settings are: in the folder of the XDG base directories."""
+    folder = environment.get("XDG_CONFIG_HOME") or "~/.config"
+    return Path(folder).expanduser() / "armlab" / _FILE
+
+
+def log_folder() -> Path:
+    """Return the folder of recordings to which a command gives the name itself; it is made when it does not exist."""
+    folder = Path(load_settings().settings.logs)
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def _of_file(path: Path) -> dict[str, Any]:
+    try:
+        given = parsed(read_text(path, "settings"))
+    except TomlError as error:
+        raise ConfigError(f"Expected TOML in {path}: {error}.") from None
+    return _checked(given, str(path), path.parent, strict=True)
+
+
+def _of_environment(variables: Mapping[str, str]) -> list[tuple[str, dict[str, Any]]]:
+    found = []
+    for variable in sorted(variables):
+        if not variable.startswith(PREFIX) or variable in _ELSEWHERE:
+            continue
+        name = variable.removeprefix(PREFIX).lower()
+        value: Any = variables[variable]
+        if name == "ports":
+            value = dict(_pair(word) for word in value.split(",") if word)
+        found.append((variable, _checked({name: value}, f"${variable}", Path(), strict=False)))
+    return found
+
+
+def _pair(word: str) -> tuple[str, str]:
+    name, _, port = word.strip().partition("=")
+    return name, port
+
+
+def _checked(given: dict[str, Any], origin: str, folder: Path, strict: bool) -> dict[str, Any]:
+    """Return the entries with their types, paths from this folder."""
+    try:
+        settings = msgspec.convert(given, Settings, strict=strict)
+    except msgspec.ValidationError as error:
+        known = ", ".join(Settings.__struct_fields__)
+        raise ConfigError(f"Expected other settings in {origin}: {error}. Known: {known}.") from None
+    values = {name: getattr(settings, name) for name in given}
+    for name in _PATHS:
+        if values.get(name) is not None:
+            values[name] = str(folder / Path(values[name]).expanduser())
+    return values

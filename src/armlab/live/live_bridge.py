@@ -1,0 +1,429 @@
+"""View of a running bridge, through its local feed or Zenoh; found again after it restarts."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from armlab.bridge.local import LocalFeed
+from armlab.bridge.messages import Subscribe
+from armlab.bridge.row import Row
+from armlab.bridge.watch import Watch
+from armlab.bridge.zenoh import Place, ZenohFeed
+from armlab.contact import Estimator
+from armlab.errors import LinkError, ModelMismatchError, UnknownName
+from armlab.kinematics import forward
+from armlab.live.curves import ArmPanel, Lines, RingBuffer, Window
+from armlab.live.scene import Scene
+from armlab.live.server import address, start, stop
+from armlab.models import TorqueModel
+from armlab.robots import Robot, from_toml
+from armlab.state import State
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+
+_AGAIN = 0.5  # s between two looks for a bridge
+_MOST = 5000  # messages taken at once: ten seconds of all rows of two arms
+_PATIENCE = 2.0  # s for a bridge over Zenoh, also to come again
+_ESTIMATE_GAP = 1.0  # s without a packet, after which an estimate begins anew
+
+
+class Force(NamedTuple):
+    """The wrench on an arm.
+
+    Attributes
+    ----------
+    wrench : (6,) by the environment on the robot, base axes, at the tool point [N, N m].
+    covariance : (6, 6) of it; None where it is not known. origin : who says so.
+    """
+
+    wrench: np.ndarray
+    covariance: np.ndarray | None
+    origin: str
+
+
+class Running:
+    """The newest of a bridge that runs. It only reads; what it does not read in time the feed drops.
+
+    Parameters
+    ----------
+    robot : this arm only; None for all.
+    cell : name of the cell; "" when only one runs. zenoh : of a bridge elsewhere, see `bridge.zenoh.Place.read`.
+    rate : rows per second to ask for; with models every row is.
+    models : torque models, each for the arm that it was identified on, for a bridge that sends no estimate.
+
+    Attributes
+    ----------
+    robots : the arms by name, none before the first bridge was found; another object when they changed.
+    row : the newest, None without any. watch : what there is to say. state : a sentence on the connection.
+    """
+
+    def __init__(
+        self,
+        robot: str | None = None,
+        cell: str = "",
+        *,
+        zenoh: str = "",
+        rate: float = 30.0,
+        models: Sequence[TorqueModel] = (),
+    ) -> None:
+        if zenoh:
+            Place.read(zenoh)
+        self._robot, self._cell, self._zenoh, self._models = robot, cell, zenoh, tuple(models)
+        self._rate = None if models else rate
+        self._feed: LocalFeed | ZenohFeed | None = None
+        self._due = 0.0
+        self._estimates: dict[str, _Estimate] = {}
+        self.robots: Mapping[str, Robot] = {}
+        self.row: Row | None = None
+        self.watch = Watch(robot)
+        where = f"at {zenoh}" if zenoh else "of this user"
+        self.state = f"Waiting for a bridge {where}, as armlab bridge --config CELL starts one."
+
+    def close(self) -> None:
+        """Leave the feed."""
+        if self._feed is not None:
+            self._feed.close()
+        self._feed = None
+
+    def hear(self, seconds: float) -> bool:
+        """Wait for a message, take all that wait behind it, and return whether a row was among them.
+
+        Without a bridge, look for one twice a second.
+
+        Parameters
+        ----------
+        seconds : to wait at most.
+
+        Raises
+        ------
+        ConfigError : several bridges run and neither cell nor arm was named. UnknownName : the arm is not in this cell.
+        ModelMismatchError : a model is of no arm of this cell.
+        """
+        if self._feed is None:
+            self._look(seconds)
+        before = self.row
+        try:
+            for _ in range(_MOST):
+                if self._feed is None or not self._feed.wait(seconds):
+                    break
+                self._take(self._feed.receive())
+                seconds = 0.0
+        except LinkError:
+            self.close()
+            self._due = time.monotonic() + _AGAIN
+            self.state = f"The bridge of {self._cell} has ended. Waiting for it to start again."
+        return self.row is not before
+
+    def _look(self, seconds: float) -> None:
+        """Look for the bridge, or wait until it is time to."""
+        pause = self._due - time.monotonic()
+        if pause > 0.0:
+            time.sleep(min(pause, seconds))
+            return
+        self._due = time.monotonic() + _AGAIN
+        try:
+            if self._zenoh:
+                self._feed = ZenohFeed(self._zenoh, self._robot or "", _PATIENCE)
+            else:
+                self._feed = LocalFeed(self._cell)
+            self._feed.ask(Subscribe(rate=self._rate))
+        except LinkError:
+            self.close()
+            return
+        self._cell, self.state = self._feed.cell, f"Cell {self._feed.cell}"
+        self.row, self.watch = None, Watch(self._robot)
+
+    def _take(self, message: Row | dict[str, Any]) -> None:
+        self.watch.take(message)
+        if not isinstance(message, dict):
+            self.row = message
+            for estimate in self._estimates.values():
+                estimate.take(message)
+        elif message["kind"] == "about":
+            self._meet(message["robots"])
+
+    def _meet(self, descriptions: Mapping[str, str]) -> None:
+        """Read who the arms are."""
+        found = {name: from_toml(text, f"the bridge of {self._cell}") for name, text in descriptions.items()}
+        if self._robot is not None and self._robot not in found:
+            raise UnknownName.among("robot of this cell", self._robot, found)
+        shown = {name: robot for name, robot in found.items() if self._robot in (None, name)}
+        self._estimates = _estimates(self._models, shown)
+        if shown != self.robots:
+            self.robots = shown
+
+    def value(self, arm: str, name: str) -> Any:
+        """Return a value of an arm in the newest row.
+
+        Parameters
+        ----------
+        arm : whose. name : of the field, for example "q".
+
+        Raises
+        ------
+        LinkError : no row has come yet.
+        """
+        if self.row is None:
+            raise LinkError("Expected a row of the bridge, but none has come yet. Hear first.")
+        return self.row.values[f"{arm}.{name}"]
+
+    def force(self, arm: str) -> Force | None:
+        """Return the force on an arm: as its controller estimated it, else a model, else the sensor; None without any.
+
+        Parameters
+        ----------
+        arm : its name.
+        """
+        recorded = self.value(arm, "wrench_hat")
+        if np.isfinite(recorded).all():
+            return Force(recorded, self.value(arm, "wrench_hat_cov"), "estimate of the controller")
+        if arm in self._estimates:
+            return self._estimates[arm].force
+        measured = self.value(arm, "wrench")
+        return Force(measured, None, "force sensor") if np.isfinite(measured).all() else None
+
+
+class _Estimate:
+    """The estimate of one arm by a model, packet by packet."""
+
+    def __init__(self, model: TorqueModel, robot: Robot) -> None:
+        self._name, self._estimator = robot.name, Estimator(model, robot)
+        self._t, self._session = math.nan, -1
+        self.force: Force | None = None
+
+    def take(self, row: Row) -> None:
+        t, dt, session, fresh, q, qd, tau = (
+            row.values[f"{self._name}.{what}"] for what in ("session_t", "dt", "session", "fresh", "q", "qd", "tau")
+        )
+        if not fresh:
+            return
+        if session != self._session:
+            self._estimator.reset()
+        elif t > self._t:
+            dt = t - self._t  # rows between may have been dropped
+            if dt > _ESTIMATE_GAP:
+                self._estimator.reset()
+        self._t, self._session = t, session
+        found = self._estimator.step(State(t, dt, q, qd, tau, robot=self._name))
+        self.force = Force(found.wrench, found.cov, "estimate of the model")
+
+
+def _estimates(models: Sequence[TorqueModel], arms: Mapping[str, Robot]) -> dict[str, _Estimate]:
+    """Return the estimate of each arm that has a model."""
+    found = {}
+    for model in models:
+        if model.robot_name not in arms:
+            raise ModelMismatchError(
+                f"Expected a model of {' or '.join(arms)}, got one of {model.robot_name!r}. Give the model of this arm."
+            )
+        found[model.robot_name] = _Estimate(model, arms[model.robot_name])
+    return found
+
+
+_FRAME = 1.0 / 30.0  # s
+_WORDS = 0.25  # s between two looks at what there is to say
+_TRACE = 0.1  # s between two pictures of the path of a tool
+_PATH = 10.0  # s of it
+_GAP = 0.5  # s without news that curves and paths do not bridge
+
+
+def watch(
+    robot: str | None = None,
+    *,
+    cell: str = "",
+    zenoh: str = "",
+    models: Sequence[TorqueModel] = (),
+    port: int | None = None,
+    opened: Callable[[str], None] = lambda url: None,
+    tell: Callable[[str], None] = lambda sentence: None,
+    over: Callable[[], bool] = lambda: False,
+) -> None:
+    """Show a bridge that runs in the browser, until `over` or an interrupt: before it starts, and after its end.
+
+    The bridge notices nothing of it: rows come from its local feed or over Zenoh, and nothing is sent back.
+
+    Parameters
+    ----------
+    robot : this arm only; None for all.
+    cell : name of the cell; "" when only one runs.
+    zenoh : where a bridge elsewhere is, see `bridge.zenoh.Place.read`; "" for one of this user.
+    models : torque models for a bridge that sends no estimate of the force.
+    port : of the view on this computer; from 8080 on the first that is free when None.
+    opened : told the address to open. tell : told what becomes of the connection.
+    over : whether to end; asked at each frame.
+
+    Raises
+    ------
+    MissingExtra : viser is not installed. ConfigError : a wrong port, or several bridges run and no cell was named.
+    LinkError : the port is taken. UnknownName : the arm is not in the cell. ModelMismatchError : a model is of no arm.
+    """
+    server = start(port)
+    running = Running(robot, cell, zenoh=zenoh, rate=1.0 / _FRAME, models=models)
+    try:
+        opened(address(server))
+        view, said = RunningView(server, running), ""
+        while not over():
+            began = time.monotonic()
+            running.hear(_WORDS)
+            if running.state != said:
+                said = running.state
+                tell(said)
+            if server.get_clients():
+                view.draw()
+            else:  # nobody looks: who comes is shown all that was kept
+                view.take()
+            time.sleep(max(began + _FRAME - time.monotonic(), 0.0))
+    finally:
+        running.close()
+        stop(server)
+
+
+class RunningView:
+    """Scene and panel of a bridge that runs, drawn frame by frame.
+
+    Parameters
+    ----------
+    server : of `start`. running : the bridge; somebody else lets it hear.
+    """
+
+    def __init__(self, server: ViserServer, running: Running) -> None:
+        self._server, self._running = server, running
+        self._robots: Mapping[str, Robot] | None = None
+        self._row: Row | None = None
+        self._drawn: Row | None = None
+        self._due = self._start = self._stamp = 0.0
+        self._parts: list[Any] = []
+        self._build()
+
+    def take(self) -> None:
+        """Keep the newest row for curves and paths."""
+        running = self._running
+        if running.robots is not self._robots:
+            self._build()
+        if running.row is not None and running.row is not self._row:
+            t, follows = self._time(running.row)
+            self._row = running.row
+            for arm in self._arms.values():
+                arm.take(running, t, follows)
+
+    def draw(self) -> None:
+        """Show the newest row, and four times a second what there is to say."""
+        self.take()
+        with self._server.atomic():
+            if self._row is not self._drawn:
+                self._drawn = self._row
+                for arm in self._arms.values():
+                    arm.draw()
+            if time.monotonic() >= self._due:
+                self._due = time.monotonic() + _WORDS
+                self._say()
+
+    def _build(self) -> None:
+        """Make scene and panel for the arms of this bridge, in place of those of the last one."""
+        running, server = self._running, self._server
+        for part in self._parts:
+            part.remove()
+        server.scene.reset()
+        self._robots, self._row, self._drawn = running.robots, None, None
+        self._arms: dict[str, _Arm] = {}
+        self._state = Lines(server.gui)
+        self._parts = [self._state]
+        if running.robots:
+            scene = Scene(server, running.robots.values())
+            self._parts += [_arrow(server.gui, scene), tabs := server.gui.add_tab_group()]
+            for name, robot in running.robots.items():
+                with tabs.add_tab(name):
+                    self._arms[name] = _Arm(scene, ArmPanel(server.gui, robot), robot)
+        self._notes = Lines(server.gui)
+        self._parts.append(self._notes)
+
+    def _time(self, row: Row) -> tuple[float, bool]:
+        """Return the time of a row since the first [s], and whether it follows the last; a clock set back begins anew.
+
+        The time is that of the robot, which in lockstep is not that of the wall; a gap is one for who looks.
+        """
+        last, stamp = self._row, 1e-9 * row.wall_ns
+        if last is None or stamp < self._stamp - _GAP:
+            self._start = stamp
+        elif stamp < self._stamp:  # in lockstep, each arm has a clock of its own
+            stamp = self._stamp
+        self._stamp = stamp
+        return stamp - self._start, last is not None and row.mono_ns - last.mono_ns < 1e9 * _GAP
+
+    def _say(self) -> None:
+        watch = self._running.watch
+        self._state.show(self._running.state)
+        for words in watch.arms(time.time_ns()):
+            self._arms[words.pop("arm")].say(words)
+        self._notes.show("\n".join(watch.notes() if self._arms else []))
+
+
+class _Arm:
+    """What is shown of one arm."""
+
+    def __init__(self, scene: Scene, panel: ArmPanel, robot: Robot) -> None:
+        self._scene, self._panel, self._robot = scene, panel, robot
+        self._torque, self._force, self._moment = (Window(one) for one in (panel.torque, panel.force, panel.moment))
+        self._path = RingBuffer(3, _PATH)
+        self._t, self._traced, self._origin = -np.inf, -np.inf, "-"
+        self._picture: tuple[np.ndarray, np.ndarray | None, np.ndarray | None] | None = None
+
+    def take(self, running: Running, t: float, follows: bool) -> None:
+        """Keep the newest row, which may follow the last or come after a gap; its time [s]."""
+        name = self._robot.name
+        q, tau, force = running.value(name, "q"), running.value(name, "tau"), running.force(name)
+        if running.value(name, "age") > _GAP:  # it is silent while another arm sends: its last values are no news
+            tau, force = np.full_like(tau, np.nan), None
+        wrench, covariance, self._origin = (None, None, "-") if force is None else force
+        self._picture = (q, wrench, covariance)
+        if t < self._t or not follows:
+            self._path.clear()
+        if not follows and t > self._t >= 0.0:  # what is missing between interrupts the curves
+            self._push(0.5 * (self._t + t), np.full_like(tau, np.nan))
+        if t != self._t:
+            self._path.add(t, forward(self._robot, q)[:3, 3])
+            self._push(t, tau, wrench, covariance)
+        self._t = t
+
+    def _push(
+        self, t: float, tau: np.ndarray, wrench: np.ndarray | None = None, covariance: np.ndarray | None = None
+    ) -> None:
+        """Add a sample to the curves."""
+        unknown = np.full(6, np.nan)
+        values = unknown if wrench is None else wrench
+        half = unknown if covariance is None else 2.0 * np.sqrt(np.diag(covariance))
+        self._torque.push(t, tau)
+        self._force.push(t, values[:3], half[:3])
+        self._moment.push(t, values[3:], half[3:])
+
+    def draw(self) -> None:
+        """Show what was taken last; curves and path of the tool ten times a second."""
+        if self._picture is None:
+            return
+        self._scene.show(self._robot.name, *self._picture)
+        for window in (self._torque, self._force, self._moment):
+            window.draw()
+        if not self._traced <= self._t < self._traced + _TRACE:
+            self._traced = self._t
+            self._scene.trace(self._robot.name, self._path.values)
+
+    def say(self, words: dict[str, str]) -> None:
+        self._panel.say({**words, "force from": self._origin})
+
+
+def _arrow(gui: Any, scene: Scene) -> Any:
+    """Return the slider for the length of a force."""
+    slider = gui.add_slider("force [mm/N]", 1.0, 50.0, 1.0, 1e3 * scene.arrow)
+
+    @slider.on_update
+    def _(_: Any) -> None:
+        scene.arrow = 1e-3 * float(slider.value)
+
+    return slider

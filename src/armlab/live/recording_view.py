@@ -1,0 +1,526 @@
+"""View of a recording: what it holds of each arm, and a player with a slider."""
+
+from __future__ import annotations
+
+import html
+import math
+import threading
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab import log as logs
+from armlab import robots as library
+from armlab._numbers import number
+from armlab._palette import BLUE, ORANGE
+from armlab.bridge.readiness import obstacle
+from armlab.errors import LogError, ModelMismatchError, RobotError, ShapeError, UnknownName
+from armlab.kinematics import forward
+from armlab.live.curves import ArmPanel, Curves, envelope
+from armlab.live.scene import Scene
+from armlab.log.recording_metadata import described
+from armlab.robots import Robot
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+    from armlab.log import Table
+    from armlab.log.inspection import Event
+    from armlab.models import TorqueModel
+
+
+_SILENT = 0.5  # s after which an arm had sent no packets
+_RATE_SPAN, _TRIP_SPAN = 1.0, 10.0  # s over which rate and round trips are taken
+_CLOCK = "joint_states"  # a topic that every arm of a recording has
+_LIMITS = {1: "position", 2: "velocity", 4: "acceleration", 8: "braking", 16: "torque", 32: "torque rate"}
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """The log of one arm.
+
+    Attributes
+    ----------
+    robot : its description.
+    table : with q (N, n); with tau, wrench_hat and wrench_hat_cov or wrench, what the bridge knew, where recorded.
+    t : (N,) time of each row since the view's beginning [s].
+    events : time and text, in order.
+    """
+
+    robot: Robot
+    table: Table
+    t: np.ndarray
+    events: tuple[tuple[float, str], ...] = ()
+
+    @cached_property
+    def tool(self) -> np.ndarray:
+        """Path of the tool point (N, 3), base axes [m]."""
+        return forward(self.robot, np.ascontiguousarray(self.table["q"]))[:, :3, 3]
+
+    @cached_property
+    def torque(self) -> np.ndarray | None:
+        """Measured torques (N, n); None without."""
+        return self.table.values.get("tau")
+
+    @cached_property
+    def wrench(self) -> np.ndarray | None:
+        """The wrench (N, 6), base axes, at the tool point: estimated, else measured; None without either."""
+        name = next((name for name in ("wrench_hat", "wrench") if name in self.table), None)
+        return None if name is None else self.table[name]
+
+    @cached_property
+    def covariance(self) -> np.ndarray | None:
+        """Covariance (N, 6, 6) of an estimated wrench; None without."""
+        return self.table["wrench_hat_cov"] if {"wrench_hat", "wrench_hat_cov"} <= set(self.table.names) else None
+
+    @cached_property
+    def sigma(self) -> np.ndarray | None:
+        """Standard deviations (N, 6) of the wrench; None without."""
+        return None if self.covariance is None else np.sqrt(np.einsum("kii->ki", self.covariance))
+
+    def row(self, t: float) -> int:
+        """Return the last row at or before an instant; the first one before it.
+
+        Parameters
+        ----------
+        t : [s].
+        """
+        return max(int(np.searchsorted(self.t, t, side="right")) - 1, 0)
+
+    def span(self, t: float, seconds: float) -> slice:
+        """Return the rows of the last seconds before an instant, at least one.
+
+        Parameters
+        ----------
+        t : [s]. seconds : their length.
+        """
+        last = self.row(t)
+        return slice(min(int(np.searchsorted(self.t, t - seconds)), last), last + 1)
+
+    def words(self, t: float) -> dict[str, str]:
+        """Return what there is to say of the link at an instant: state, rate, round trips, limits, packets lost.
+
+        Parameters
+        ----------
+        t : [s].
+        """
+        k = self.row(t)
+        times = self.t[self.span(t, _RATE_SPAN)]
+        rate = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else math.nan
+        return {
+            "state": self._state(k, t),
+            "rate": f"{rate:.1f} Hz" if math.isfinite(rate) else "-",
+            "latency": self._latency(self.span(t, _TRIP_SPAN)),
+            "clamps": self._clamps(k),
+            "drops": " ".join(self._lost(k)) or "-",
+        }
+
+    def _state(self, k: int, t: float) -> str:
+        age = t - self.t[k]
+        if not 0.0 <= age <= _SILENT:
+            return "not begun" if age < 0.0 else f"no packet for {age:.1f} s"
+        if not {"motors", "rapid", "mci"} <= set(self.table.names):
+            return "recorded"
+        why = obstacle(self.table["motors"][k], self.table["rapid"][k], self.table["mci"][k])
+        if why:
+            return why
+        if "seq_sent" in self.table and not self.table["seq_sent"][k] >= 0:
+            return "listening"
+        asked = [name for name in ("q_ref", "qd_ref", "tau_ref") if name in self.table]
+        return "running" if any(np.isfinite(self.table[name][k]).any() for name in asked) else "holding"
+
+    def _latency(self, rows: slice) -> str:
+        if not {"receive_ns", "send_ns"} <= set(self.table.names):
+            return "-"
+        trips = 1e-3 * (self.table["send_ns"][rows] - self.table["receive_ns"][rows])
+        trips = trips[np.isfinite(trips) & (trips > 0.0)]
+        if not len(trips):
+            return "-"
+        p50, p99 = np.percentile(trips, (50.0, 99.0))
+        return f"p50 {p50:.0f} µs, p99 {p99:.0f} µs"
+
+    def _clamps(self, k: int) -> str:
+        """Return which limits act on which joints now, and in how many rows any did so far."""
+        if "clamped" not in self.table:
+            return "-"
+        word = np.nan_to_num(self.table["clamped"][k]).astype(int)
+        now = [
+            f"{name} of joint {' '.join(str(i + 1) for i in np.flatnonzero(word & bit))}"
+            for bit, name in _LIMITS.items()
+            if (word & bit).any()
+        ]
+        return f"{', '.join(now) or 'none'} ({self._clamped_rows[k]} rows so far)"
+
+    @cached_property
+    def _clamped_rows(self) -> np.ndarray:
+        return np.cumsum((np.nan_to_num(self.table["clamped"]) != 0).any(axis=1))
+
+    def _lost(self, k: int) -> list[str]:
+        """Return how many packets were lost on the way, and how many refused, so far."""
+        found = []
+        if "missed" in self.table:
+            found.append(f"{self._missed[k]:.0f} missed,")
+        if "drops" in self.table:
+            found.append(f"{np.nan_to_num(self.table['drops'][k]):.0f} refused")
+        return found
+
+    @cached_property
+    def _missed(self) -> np.ndarray:
+        return np.nancumsum(self.table["missed"])
+
+
+def read_arms(
+    paths: Iterable[str | Path], robots: Sequence[Robot] = (), models: Sequence[TorqueModel] = ()
+) -> list[Recorded]:
+    """Return the arms that were recorded in one file or in several, on one clock that begins at 0.
+
+    A recording of armlab tells its robots. Other files, and recordings of robots that are neither described in them
+    nor in the library, need theirs in `robots`: by name, or, where a file tells none, in the order of these files.
+
+    Parameters
+    ----------
+    paths : of logs of any format that `log.read` reads.
+    robots : descriptions to use.
+    models : torque models; where one belongs to an arm without an estimated wrench, the wrench is estimated.
+
+    Raises
+    ------
+    LogError : no file, one that cannot be read, without q of its robot, or an arm that is in two of them.
+    RobotError : a robot is not known. ModelMismatchError : a model is of none of these arms.
+    """
+    given = {robot.name: robot for robot in robots}
+    waiting = list(robots)
+    found: list[tuple[Robot, Table, tuple[Event, ...]]] = []
+    for path in map(Path, paths):
+        for name, table, events, attached in _tables(path, given, waiting):
+            robot = _robot(path, name, given, waiting, attached)
+            if not len(table):
+                raise LogError(f"Expected rows of {robot.name} in {path}, got a log without any. Nothing was recorded.")
+            if "q" not in table or table["q"].shape[1] != robot.n:
+                got = table["q"].shape if "q" in table else ", ".join(table.names)
+                raise LogError(f"Expected positions q (N, {robot.n}) of {robot.name} in {path}, got {got}.")
+            if any(robot.name == other.name for other, _, _ in found):
+                raise LogError(
+                    f"Expected each arm once, but {robot.name} is in {path} again. Give one log of each arm."
+                )
+            found.append((robot, _with_wrench(table, robot, models), events))
+    if not found:
+        raise LogError("Expected at least one log to view, got none. Give the path of a recording.")
+    _check_models(models, [robot for robot, _, _ in found])
+    start = _start([table for _, table, _ in found])
+    return [_recorded(*one, start) for one in found]
+
+
+def _tables(
+    path: Path, given: Mapping[str, Robot], waiting: Sequence[Robot]
+) -> Iterable[tuple[str | None, Table, tuple[Event, ...], Mapping[str, bytes]]]:
+    """Yield name, table, events and attachments of each arm in a file; the name is None where it tells none."""
+    from armlab.log.formats import format_at
+    from armlab.log.topic_reading import is_foreign, read_joints
+
+    if waiting and is_foreign(path):
+        named = [name for name in _arms_in(path) if name in given] if format_at(path) == "MCAP" else []
+        for name in named or (None,):
+            yield name, read_joints(path, waiting[0] if name is None else given[name]), (), {}
+        return
+    if format_at(path) != "MCAP":
+        yield None, logs.read(path), (), {}
+        return
+    held, names = logs.inspect(path), _arms_in(path)
+    if len(names) < 2:
+        yield held.metadata.get("armlab", {}).get("robot"), logs.read(path), held.events, held.attachments
+        return
+    for name in names:
+        yield name, logs.read(path, robot=name), held.events, held.attachments
+
+
+def _arms_in(path: Path) -> list[str]:
+    """Return the names of the arms that an MCAP file tells by its topics."""
+    topics = [topic.name.strip("/").rpartition("/") for topic in logs.inspect(path).topics]
+    return sorted({name for name, _, last in topics if last == _CLOCK and name})
+
+
+def _robot(
+    path: Path, name: str | None, given: Mapping[str, Robot], waiting: list[Robot], attached: Mapping[str, bytes]
+) -> Robot:
+    if name is not None and name in given:
+        waiting[:] = [robot for robot in waiting if robot.name != name]
+        return given[name]
+    if name is None and waiting:
+        return waiting.pop(0)
+    found = described(attached, name or "", str(path))
+    if found is not None:
+        return found
+    try:
+        return library.load(name or "")
+    except (UnknownName, RobotError):
+        said = f"{name!r}, which the library does not have" if name else "none in the file"
+        raise RobotError(f"Expected the robot of {path}, got {said}. Give its description: --robot FILE.") from None
+
+
+def _check_models(models: Sequence[TorqueModel], arms: Sequence[Robot]) -> None:
+    """Refuse a model that would be passed over."""
+    for model in models:
+        if model.robot_hash not in {robot.hash for robot in arms}:
+            raise ModelMismatchError(
+                f"Expected a model of {' or '.join(f'{robot.name} ({robot.hash[:12]})' for robot in arms)}, got one of "
+                f"{model.robot_name} ({model.robot_hash[:12]}). Give the model of this arm."
+            )
+
+
+def _with_wrench(table: Table, robot: Robot, models: Sequence[TorqueModel]) -> Table:
+    """Estimate the wrench where the log has none and a model of this robot was given."""
+    model = next((model for model in models if model.robot_hash == robot.hash), None)
+    if model is None or "wrench_hat" in table or "tau" not in table:
+        return table
+    from armlab.contact import Estimator
+    from armlab.identify import with_velocity
+
+    return Estimator(model, robot).run(with_velocity(table))
+
+
+def _start(tables: Sequence[Table]) -> int:
+    """Return the wall clock at which the view begins [ns]; 0 where the clocks have nothing to do with each other."""
+    ends = [(table.t0_ns + int(1e9 * table.t[0]), table.t0_ns + int(1e9 * table.t[-1])) for table in tables]
+    together = max(first for first, _ in ends) <= min(last for _, last in ends)
+    return min(first for first, _ in ends) if together and all(table.t0_ns for table in tables) else 0
+
+
+def _recorded(robot: Robot, table: Table, events: tuple[Event, ...], start: int) -> Recorded:
+    shift = 1e-9 * (table.t0_ns - start) if start else -float(table.t[0])
+    begin, end = table.t[0] + shift, table.t[-1] + shift
+    stamped = ((1e-9 * (event.stamp_ns - table.t0_ns) + shift, event.text) for event in events)
+    inside = tuple(sorted((min(max(t, begin), end), text) for t, text in stamped if begin - 1.0 <= t <= end + 1.0))
+    return Recorded(robot, table, table.t + shift, inside)
+
+
+_WINDOW = 10.0  # s of curves and path
+_FRAMES, _CURVES = 30.0, 10.0  # pictures per second, of the arms and of the panel
+_SPEEDS, _ARROWS = (0.1, 4.0), (1.0, 50.0)  # of the sliders; the latter in mm/N
+_ARM_COLORS = (BLUE, ORANGE)  # of the whole run
+
+
+class Player:
+    """Shows recorded arms, and moves through their log when asked to, by its methods or in the browser.
+
+    Parameters
+    ----------
+    server : of `start`.
+    arms : of `read_arms`.
+    T_world_base, meshes : as of `Scene`.
+
+    Attributes
+    ----------
+    scene : its `Scene`. t : instant shown [s]. duration : end of the log [s]. playing : whether time goes on.
+    speed : log seconds per second, 0.1 to 4.
+
+    Raises
+    ------
+    LogError : no arm. RobotError, UnknownName, ShapeError : as of `Scene`.
+    """
+
+    def __init__(
+        self,
+        server: ViserServer,
+        arms: Sequence[Recorded],
+        T_world_base: Mapping[str, ArrayLike] | None = None,
+        *,
+        meshes: Sequence[Path] = (),
+    ) -> None:
+        if not arms:
+            raise LogError("Expected at least one recorded arm to play, got none. See read_arms.")
+        self.scene = Scene(server, [arm.robot for arm in arms], T_world_base, meshes=meshes)
+        self.t, self.playing, self.speed = 0.0, False, 1.0
+        self.duration = max(float(arm.t[-1]) for arm in arms)
+        self._server, self._arms = server, list(arms)
+        self._events = sorted({event for arm in arms for event in arm.events})
+        self._lock = threading.Lock()  # the browser asks in threads of the server
+        self._stale, self._panel_due = True, -math.inf
+        self._controls = _Controls(server.gui, self)
+        self._run, self._overview = self._whole_run(server.gui)
+        self._panels = self._arm_panels(server.gui)
+        self.draw()
+
+    def play(self) -> None:
+        """Let time go on; from the beginning when it was at the end."""
+        with self._lock:
+            self.t = 0.0 if self.t >= self.duration else self.t
+            self.playing = self._stale = True
+
+    def pause(self) -> None:
+        """Let time stand still."""
+        with self._lock:
+            self.playing, self._stale = False, True
+
+    def seek(self, t: float) -> None:
+        """Go to an instant.
+
+        Parameters
+        ----------
+        t : [s]; before the beginning and after the end are those.
+
+        Raises
+        ------
+        ShapeError : no finite number.
+        """
+        t = number(t, "the time to go to [s]")
+        if not math.isfinite(t):
+            raise ShapeError(f"Expected a finite time to go to, got {t}. The log ends at {self.duration:g} s.")
+        with self._lock:
+            self.t, self._stale = min(max(t, 0.0), self.duration), True
+
+    def next_event(self) -> None:
+        """Go to the next event after this instant, from the last one to the first."""
+        later = [t for t, _ in self._events if t > self.t + 1e-9]
+        if self._events:
+            self.seek(later[0] if later else self._events[0][0])
+
+    def advance(self, seconds: float) -> None:
+        """Let so much time pass before the screen and draw what changed.
+
+        Parameters
+        ----------
+        seconds : since the last call; nothing moves while paused.
+        """
+        with self._lock:
+            if self.playing:
+                self.t = min(self.t + self.speed * seconds, self.duration)
+                self.playing, self._stale = self.t < self.duration, True
+            stale = self._stale
+        if stale:
+            self.draw()
+
+    def run(self, seconds: float | None = None) -> None:
+        """Play for people: thirty pictures a second, until Ctrl-C.
+
+        Parameters
+        ----------
+        seconds : after which to end all the same.
+        """
+        last = time.monotonic()
+        end = math.inf if seconds is None else last + seconds
+        while last < end:
+            time.sleep(1.0 / _FRAMES)
+            now = time.monotonic()
+            self.advance(now - last)
+            last = now
+
+    def draw(self) -> None:
+        """Draw the arms at this instant; the panel at most ten times a second while playing."""
+        with self._lock:
+            t, playing, self._stale = self.t, self.playing, False
+        now = time.monotonic()
+        panel = not playing or now >= self._panel_due
+        self._panel_due = now + 1.0 / _CURVES if panel else self._panel_due
+        with self._server.atomic():
+            for arm, words in zip(self._arms, self._panels):
+                k, recent = arm.row(t), arm.span(t, _WINDOW)
+                self.scene.show(
+                    arm.robot.name,
+                    arm.table["q"][k],
+                    None if arm.wrench is None else arm.wrench[k],
+                    None if arm.covariance is None else arm.covariance[k],
+                )
+                if panel:
+                    self.scene.trace(arm.robot.name, arm.tool[recent])
+                    _draw_panel(words, arm, t, recent)
+            if panel:
+                self._run.show(*self._overview, at=t)
+                past = [event for event in self._events if event[0] <= t]
+                self._controls.show(t, past[-1] if past else None)
+
+    def _whole_run(self, gui: Any) -> tuple[Curves, tuple[np.ndarray, np.ndarray]]:
+        """Return the plot of the whole run and what it shows: size of the force, else speed of the tool."""
+        forces = any(arm.wrench is not None for arm in self._arms)
+        t = np.unique(np.concatenate([arm.t for arm in self._arms]))
+        columns = []
+        for arm in self._arms:
+            if forces:
+                size = np.full(len(arm.t), np.nan) if arm.wrench is None else np.linalg.norm(arm.wrench[:, :3], axis=1)
+            else:
+                size = np.linalg.norm(np.gradient(arm.tool, arm.t, axis=0), axis=1) if len(arm.t) > 1 else np.zeros(1)
+            columns.append(np.interp(t, arm.t, size, left=np.nan, right=np.nan))
+        shown = envelope(t, np.stack(columns, axis=1))
+        known = shown[1][np.isfinite(shown[1])]
+        limits = (0.0, 1.05 * float(known.max(initial=0.0)) or 1.0)
+        title = "whole run: force [N]" if forces else "whole run: speed of the tool [m/s]"
+        names = [arm.robot.name for arm in self._arms]
+        colors = [_ARM_COLORS[k % len(_ARM_COLORS)] for k in range(len(names))]
+        return Curves(gui, title, names, colors, cursor=True, limits=limits, height=90), shown
+
+    def _arm_panels(self, gui: Any) -> list[ArmPanel]:
+        if len(self._arms) == 1:
+            return [_panel(gui, self._arms[0])]
+        tabs, panels = gui.add_tab_group(), []
+        for arm in self._arms:
+            with tabs.add_tab(arm.robot.name):
+                panels.append(_panel(gui, arm))
+        return panels
+
+
+class _Controls:
+    """Buttons and sliders; what the user does goes to the player, what the player does is shown."""
+
+    def __init__(self, gui: Any, player: Player) -> None:
+        actions = {"Play": player.play, "Pause": player.pause, "Next event": player.next_event}
+        buttons = gui.add_button_group("log", tuple(actions))
+        self._slider = gui.add_slider("time [s]", 0.0, max(math.ceil(100.0 * player.duration), 1) / 100.0, 0.01, 0.0)
+        speed = gui.add_slider("speed", *_SPEEDS, 0.1, 1.0)
+        arrow = gui.add_slider("force [mm/N]", *_ARROWS, 1.0, round(1e3 * player.scene.arrow))
+        self._said = gui.add_html("")
+        buttons.on_click(lambda one: actions[one.target.value]())
+        self._slider.on_update(lambda one: player.seek(one.target.value) if one.client_id is not None else None)
+
+        @speed.on_update
+        def _(_: Any) -> None:
+            player.speed = float(speed.value)
+
+        @arrow.on_update
+        def _(_: Any) -> None:
+            player.scene.arrow = 1e-3 * float(arrow.value)
+            player.seek(player.t)
+
+    def show(self, t: float, last: tuple[float, str] | None) -> None:
+        self._slider.value = round(t, 2)
+        said = "" if last is None else f"{last[0]:.2f} s: {html.escape(last[1])}"
+        words = f"<div style='font-size:0.8em;margin:0 1em'>{said}</div>"
+        if self._said.content != words:
+            self._said.content = words
+
+
+def _panel(gui: Any, arm: Recorded) -> ArmPanel:
+    """Make the panel of an arm, its scales those of the whole log."""
+    limits = {}
+    wrench, no_wrench = arm.wrench, arm.wrench is None
+    for name, values in (
+        ("torque", arm.torque),
+        ("force", None if wrench is None else wrench[:, :3]),
+        ("moment", None if wrench is None else wrench[:, 3:]),
+    ):
+        if values is not None and np.isfinite(values).any():
+            low, high = float(np.nanmin(values)), float(np.nanmax(values))
+            room = 0.15 * (high - low) or 1.0
+            limits[name] = (low - room, high + room)
+    panel = ArmPanel(gui, arm.robot, limits)
+    for curves, missing in ((panel.torque, arm.torque is None), (panel.force, no_wrench), (panel.moment, no_wrench)):
+        if missing:
+            curves.hide()
+    return panel
+
+
+def _draw_panel(panel: ArmPanel, arm: Recorded, t: float, rows: slice) -> None:
+    panel.say(arm.words(t))
+    times = arm.t[rows]
+    if arm.torque is not None:
+        panel.torque.show(times, arm.torque[rows])
+    if arm.wrench is not None:
+        half = None if arm.sigma is None else 2.0 * arm.sigma[rows]
+        for k, plot in ((0, panel.force), (3, panel.moment)):
+            part = slice(k, k + 3)
+            plot.show(times, arm.wrench[rows, part], None if half is None else half[:, part])

@@ -1,0 +1,156 @@
+"""Quality of a calibration: residuals per sample, their distribution, uncertainty of the parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab._palette import GREY
+from armlab.errors import ShapeError
+from armlab.estimation import Fit
+from armlab.plots.model import excitation
+from armlab.plots.style import JOINT_STYLES, expect, look, panels
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+_SINGLE = ("distance", "pair distance", "point", "line")  # classes of noise of one number per sample
+_EDGE = 0.03  # of the width, left free beside the first and the last mark
+_MOST = 3  # ellipses in one panel
+
+
+def calibration(fit: Fit[Any], truth: ArrayLike | None = None, ax: Any = None) -> Figure:
+    """Draw a calibration: residuals per sample, their quantiles, ellipses of two sigma, and the excitation.
+
+    Residuals are in standard deviations of their class of noise; a straight line of quantiles says that they are
+    normal. The ellipse of two parameters holds both in 86 % of the experiments.
+
+    Parameters
+    ----------
+    fit : of a `fit_*` of `calibrate`. One that was read from a file has no residuals: the last two panels are drawn.
+    truth : (d,) true parameters where they are known; drawn as crosses into the ellipses.
+    ax : four Axes, two for a fit from a file; a new figure when None.
+
+    Returns
+    -------
+    The figure of four panels, or of two.
+
+    Raises
+    ------
+    ShapeError : no fit, another number of true parameters or of Axes.
+    """
+    expect(fit, Fit)
+    true = None if truth is None else np.asarray(truth, dtype=float)
+    if true is not None and true.shape != fit.parameters.shape:
+        raise ShapeError(f"Expected {len(fit.parameters)} true parameters to draw, got shape {true.shape}.")
+    with look():
+        figure, axes = panels(2 if fit.residuals.size else 1, 2, ax, width=10.0, height=3.4)
+        if fit.residuals.size:
+            groups = _groups(fit)
+            _per_sample(axes[0, 0], groups, fit.outliers)
+            _quantiles(axes[0, 1], groups, fit.outliers)
+        ellipses, told = axes[-1]
+        _ellipses(ellipses, fit, true)
+        excitation(fit.excitation, told)
+    return figure
+
+
+def _groups(fit: Fit[Any]) -> dict[str, np.ndarray]:
+    """Return the residuals (N, k) of each class of noise, in its standard deviations."""
+    rows = fit.residuals.reshape(len(fit.residuals), -1)
+    owner = _owners(fit.classes, rows.shape[1])
+    if owner is None or fit.sigma.size != len(fit.classes) or not np.all(fit.sigma > 0):
+        size = np.sqrt(np.nanmean(rows**2, axis=0))
+        return {"residual": rows / np.where(size > 0, size, 1.0)}
+    return {name: rows[:, owner == k] / fit.sigma.ravel()[k] for k, name in enumerate(fit.classes)}
+
+
+def _owners(classes: Sequence[str], columns: int) -> np.ndarray | None:
+    """Return the class of each column: three each, one of a distance or of a line, again and again; None if unclear."""
+    if len(classes) == 1:
+        return np.zeros(columns, dtype=int)
+    once = np.repeat(np.arange(len(classes)), [1 if name.split(" [")[0] in _SINGLE else 3 for name in classes])
+    return np.resize(once, columns) if len(once) and columns % len(once) == 0 else None
+
+
+def _per_sample(panel: Axes, groups: dict[str, np.ndarray], outliers: np.ndarray) -> None:
+    """Draw the norm per sample and class, wrong samples as crosses."""
+    for (name, part), (color, _) in zip(groups.items(), JOINT_STYLES, strict=False):
+        count = np.isfinite(part).sum(axis=1)
+        size = np.sqrt(np.nansum(part**2, axis=1) / np.where(count > 0, count, np.nan))  # NaN: was not measured
+        bad = outliers if len(outliers) == len(size) else np.zeros(len(size), dtype=bool)
+        good = ~bad & np.isfinite(size)
+        panel.plot(np.flatnonzero(good), size[good], "o", color=color, markersize=3.0, label=name)
+        if bad.any():
+            panel.plot(np.flatnonzero(bad), size[bad], "x", color=GREY, markersize=5.0, label="left out")
+    panel.set_yscale("log" if outliers.any() else "linear")
+    panel.set_xlabel("sample")
+    panel.set_ylabel("residual / sigma")
+    handles, labels = panel.get_legend_handles_labels()
+    once = dict(zip(labels, handles, strict=True))
+    panel.legend(
+        once.values(), once.keys(), loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(once), borderaxespad=0.2,
+        handletextpad=0.1, columnspacing=1.0,
+    )  # fmt: skip
+    panel.margins(x=_EDGE, y=_EDGE)
+    panel.set_title("residuals")
+
+
+def _quantiles(panel: Axes, groups: dict[str, np.ndarray], outliers: np.ndarray) -> None:
+    """Draw the sorted residuals of the samples that count over the quantiles of the normal distribution."""
+    from scipy.special import ndtri
+
+    widest = 1.0
+    for (name, part), (color, _) in zip(groups.items(), JOINT_STYLES, strict=False):
+        kept = part[~outliers] if len(outliers) == len(part) else part
+        values = np.sort(kept[np.isfinite(kept)])
+        at = ndtri((np.arange(len(values)) + 0.5) / len(values)) if len(values) else values
+        panel.plot(at, values, ".", color=color, markersize=3.0, label=name)
+        widest = max([widest, *np.abs(at[:1])])
+    panel.plot([-widest, widest], [-widest, widest], color=GREY, linestyle="--", label="normal")
+    panel.set_xlabel("normal quantile")
+    panel.set_ylabel("residual / sigma")
+    panel.legend(loc="upper left")
+    panel.margins(x=_EDGE, y=_EDGE)
+    panel.set_title("quantiles")
+
+
+def _ellipses(panel: Axes, fit: Fit[Any], true: np.ndarray | None) -> None:
+    """Draw the ellipses of two sigma of the first pairs of neighbours of one unit, around what was found."""
+    round_ = np.linspace(0.0, 2.0 * np.pi, 91)
+    circle = np.stack([np.cos(round_), np.sin(round_)])
+    for at, (color, _) in zip(_pairs(fit), JOINT_STYLES, strict=False):
+        size, axes = np.linalg.eigh(fit.cov[np.ix_(at, at)])
+        x, y = 2.0 * (axes * np.sqrt(np.maximum(size, 0.0))) @ circle
+        names = " and ".join(fit.names[i] for i in at)
+        panel.plot(x, y, color=color, label=f"{names} [{fit.units[at[0]]}]")
+        if true is not None:
+            off = (true - fit.parameters)[at]
+            panel.plot(off[0], off[1], "x", color=color, label="_truth")
+    panel.axhline(0.0, color=GREY, linewidth=0.5)
+    panel.axvline(0.0, color=GREY, linewidth=0.5)
+    panel.set_aspect("equal", adjustable="datalim")
+    panel.xaxis.set_major_formatter("{x:g}")
+    panel.yaxis.set_major_formatter("{x:g}")
+    panel.set_xlabel("first parameter, off by")
+    panel.set_ylabel("second parameter, off by")
+    panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2))
+    panel.set_title("two sigma, around what was found")
+
+
+def _pairs(fit: Fit[Any]) -> list[list[int]]:
+    """Return numbers of neighbouring parameters of one unit, each parameter once; of blocks of three the first two."""
+    found: list[list[int]] = []
+    i = 0
+    while i + 1 < len(fit.names) and len(found) < _MOST:
+        if fit.units[i] == fit.units[i + 1] and fit.sd[i] > 0 and fit.sd[i + 1] > 0:
+            found.append([i, i + 1])
+            i += 3
+        else:
+            i += 1
+    return found

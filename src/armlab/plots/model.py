@@ -1,0 +1,308 @@
+"""A torque model against a log: fit, residuals, their autocorrelation, covariance over velocity, excitation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from armlab._palette import GREY
+from armlab.errors import ModelMismatchError, ShapeError, UnknownName
+from armlab.estimation import Excitation, Fit, correlation_time
+from armlab.glossary import label, lookup
+from armlab.identify import predict
+from armlab.log import Table
+from armlab.models import TorqueModel, VelocityCovariance
+from armlab.plots.style import JOINT_STYLES, MODEL, band, cloud, expect, legend, line, look, panels
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+_RESIDUAL = JOINT_STYLES[0][0]
+
+
+def torque_fit(fit: Fit[TorqueModel] | TorqueModel, table: Table, ax: Any = None) -> Figure:
+    """Draw measured and modelled torque of each joint, and the residual with its two-sigma band.
+
+    Both are low-passed at the cut-off of the model, see `identify.predict`. The title of a residual says how much of
+    the variance of the torque the model explains, the root mean square of the rest, and how much of it is in the band.
+
+    Parameters
+    ----------
+    fit : identified torque model, or the fit that has it.
+    table : log of free motion with q, tau (N, n), and qd where it was measured.
+    ax : (n, 2) Axes to draw into; a new figure when None.
+
+    Raises
+    ------
+    ModelMismatchError : something else in place of a model.
+    ShapeError : a log that `identify.predict` refuses, or another number of Axes.
+    """
+    found = predict(value_of(fit), table)
+    t, tau, model, sigma = found.t, found["tau"], found["tau_model"], found["tau_sigma"]
+    joints = tau.shape[1]
+    names = table.columns["tau"].labels or tuple(f"joint {i + 1}" for i in range(joints))
+    with look():
+        figure, axes = panels(joints, 2, ax, width=11.0, height=1.55, sharex=True, width_ratios=(3, 2))
+        for i in range(joints):
+            left, right = axes[i]
+            line(left, t, tau[:, i], color=GREY, linewidth=3.2, alpha=0.45, label="measured")
+            line(left, t, model[:, i], color=MODEL, linewidth=0.8, label="model")
+            left.set_ylabel(label("tau"))
+            residual = tau[:, i] - model[:, i]
+            band(right, t, np.zeros(len(t)), 2 * sigma[:, i], color=_RESIDUAL, alpha=0.22, label="± 2 sigma")
+            line(right, t, residual, color=_RESIDUAL, linewidth=0.7, label="measured - model")
+            right.set_ylabel(label("tau").replace("tau", "residual"))
+            right.set_ylim(*_scale(residual, sigma[:, i]))
+            left.set_title(names[i], fontweight="bold")
+            right.set_title(_verdict(tau[:, i], residual, sigma[:, i]))
+        for low in axes[-1]:
+            low.set_xlabel(label("t"))
+        legend(figure, *axes[0])
+        figure.align_ylabels()
+    return figure
+
+
+def value_of(fit: Fit[TorqueModel] | TorqueModel) -> TorqueModel:
+    """Return the torque model of a fit, or the model itself."""
+    model = fit.value if isinstance(fit, Fit) else fit
+    if not isinstance(model, TorqueModel):
+        raise ModelMismatchError.no_model(model)
+    return model
+
+
+def _verdict(tau: np.ndarray, residual: np.ndarray, sigma: np.ndarray) -> str:
+    """Return share of variance explained, size of the residual, and how much of it the band covers."""
+    known = np.isfinite(residual) & np.isfinite(sigma)
+    spread = np.var(tau[known]) if known.any() else 0.0
+    if not spread > 0:
+        return ""
+    explained = 1.0 - np.var(residual[known]) / spread
+    inside = np.mean(np.abs(residual[known]) < 2 * sigma[known])
+    rms = np.sqrt(np.mean(residual[known] ** 2))
+    return f"{100 * explained:.2f} % explained, {rms:.2g} N m RMS, {100 * inside:.0f} % in band"
+
+
+def _scale(residual: np.ndarray, sigma: np.ndarray) -> tuple[float | None, float | None]:
+    """Return symmetric limits that hold the band and the residual but for rare spikes."""
+    sizes = [np.nanquantile(np.abs(residual), 0.999)] if np.isfinite(residual).any() else []
+    sizes += [2 * np.nanmedian(sigma)] if np.isfinite(sigma).any() else []
+    largest = float(max(sizes, default=0.0))
+    return (-1.3 * largest, 1.3 * largest) if largest > 0 else (None, None)
+
+
+_COLUMNS = 4  # panels side by side
+_CLOUD_POINTS = 4_000  # of a cloud; more are thinned
+_LAG = 1.0  # s
+_MODELS = (MODEL, JOINT_STYLES[0][0], JOINT_STYLES[2][0])
+
+
+def residual_speed(
+    table: Table,
+    covariances: Mapping[str, VelocityCovariance] | None = None,
+    joints: Sequence[int] | None = None,
+    ax: Any = None,
+) -> Figure:
+    """Draw torque residuals over joint velocity, with the two-sigma curves of one or several covariance models.
+
+    Parameters
+    ----------
+    table : of free motion, with qd and tau_error (N, n), from `contact.Estimator.run`.
+    covariances : name -> `models.VelocityCovariance`, drawn as curves at two sigma.
+    joints : numbers of the joints to draw, from 0; all when None.
+    ax : as many Axes as joints; a new figure when None.
+
+    Raises
+    ------
+    UnknownName : a column is missing. ShapeError : no table, a joint that is not there, or another number of Axes.
+    """
+    residuals, qd = _residuals(table), table["qd"]
+    shown = _joints(residuals, joints)
+    every = max(1, len(qd) // _CLOUD_POINTS)
+    peak = np.nanmax(np.abs(qd), axis=0)
+    with look():
+        figure, axes = _grid(len(shown), ax)
+        for panel, i in zip(axes, shown, strict=True):
+            cloud(panel, qd[::every, i], residuals[::every, i], "residual")
+            speeds = _signed(peak[i])
+            grid = np.repeat(speeds[:, None], residuals.shape[1], axis=1)
+            for (name, covariance), color in zip((covariances or {}).items(), _MODELS, strict=False):
+                half = 2 * np.sqrt(covariance.variance(grid)[:, i])
+                panel.plot(speeds, half, color=color, linewidth=1.4, label=f"± 2 sigma, {name}")
+                panel.plot(speeds, -half, color=color, linewidth=1.4, label="_")
+            panel.set_title(f"joint {i + 1}")
+            panel.set_xlabel(f"qd [{lookup('qd').unit}]")
+            panel.set_ylabel(f"residual [{lookup('tau').unit}]")
+        legend(figure, axes[0])
+    return figure
+
+
+def autocorrelation(table: Table, joints: Sequence[int] | None = None, ax: Any = None) -> Axes:
+    """Draw the autocorrelation of the torque residuals over the lag; white noise would stay inside the grey band.
+
+    The correlation time of each joint, in the legend, says how many samples count as one.
+
+    Parameters
+    ----------
+    table : of free motion, with tau_error (N, n), from `contact.Estimator.run`, evenly sampled.
+    joints : numbers of the joints to draw, from 0; all when None.
+    ax : Axes to draw into; a new figure when None.
+
+    Raises
+    ------
+    UnknownName : a column is missing. ShapeError : no table, a joint that is not there, fewer than 10 whole rows.
+    """
+    residuals = _residuals(table)
+    shown = _joints(residuals, joints)
+    known = np.asarray(np.isfinite(residuals).all(axis=1))
+    if known.sum() < 10:
+        raise ShapeError(f"Expected at least 10 rows with a residual to correlate, got {known.sum()}.")
+    whole = slice(int(np.argmax(known)), len(known) - int(np.argmax(known[::-1])))
+    t, residuals, known = table.t[whole], residuals[whole], known[whole]
+    step = float(np.median(np.diff(t)))
+    most = min(int(_LAG / step), len(residuals) // 2)
+    with look():
+        _, axes = panels(1, 1, ax, width=7.5, height=3.6)
+        panel: Axes = axes[0, 0]
+        for i in shown:
+            color, style = JOINT_STYLES[i % len(JOINT_STYLES)]
+            seconds = correlation_time(np.interp(t, t[known], residuals[known, i]), step)
+            panel.plot(
+                np.arange(most) * step,
+                _correlation(residuals[:, i], known, most),
+                color=color,
+                linestyle=style,
+                label=f"joint {i + 1}: {1e3 * seconds:.0f} ms",
+            )
+        white = 2 / np.sqrt(known.sum())
+        panel.axhspan(-white, white, color=GREY, alpha=0.2, linewidth=0.0, label="white noise")
+        panel.set_xlabel("lag [s]")
+        panel.set_ylabel("autocorrelation of the residual")
+        panel.legend(loc="upper right", ncols=2)
+    return panel
+
+
+def _residuals(table: Table) -> np.ndarray:
+    """Return measured minus modelled torque (N, n)."""
+    expect(table, Table)
+    for name in ("tau_error", "qd"):
+        if name not in table:
+            raise UnknownName.among("column of torque residuals", name, table.names)
+    return -table["tau_error"]
+
+
+def _joints(residuals: np.ndarray, joints: Sequence[int] | None) -> list[int]:
+    n = residuals.shape[1]
+    shown = list(range(n)) if joints is None else list(joints)
+    if not shown or not all(0 <= i < n for i in shown):
+        raise ShapeError(f"Expected numbers of joints from 0 to {n - 1} to draw, got {shown}.")
+    return shown
+
+
+def _grid(count: int, ax: Any) -> tuple[Figure, np.ndarray]:
+    """Return as many panels as joints, in rows of up to four; what is too much of a new grid is taken out."""
+    if ax is not None:
+        figure, axes = panels(1, count, ax)
+        return figure, axes[0]
+    rows = -(-count // _COLUMNS)
+    figure, axes = panels(rows, min(count, _COLUMNS), width=11.0 if count > 1 else 6.5, height=2.6)
+    for panel in axes.ravel()[count:]:
+        panel.remove()
+    return figure, axes.ravel()[:count]
+
+
+def _signed(peak: float) -> np.ndarray:
+    """Return speeds from -peak to peak, close together near zero."""
+    half = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 300)]) * (peak if peak > 0 else 1.0)
+    return np.concatenate([-half[:0:-1], half])
+
+
+def _correlation(x: np.ndarray, known: np.ndarray, most: int) -> np.ndarray:
+    """Return the autocorrelation (most,) of x (N,), at each lag the mean over the pairs of which both are known."""
+    size = 2 ** int(np.ceil(np.log2(2 * len(x))))
+
+    def pairs(values: np.ndarray) -> np.ndarray:
+        spectrum = np.fft.rfft(values, size)
+        return np.fft.irfft(spectrum * np.conj(spectrum), size)[:most]
+
+    count = np.round(pairs(known.astype(float)))
+    found = pairs(np.where(known, x - x[known].mean(), 0.0)) / np.where(count > 0, count, np.nan)
+    return found / found[0] if found[0] > 0 else found
+
+
+_VELOCITIES = 601
+
+
+def velocity_covariance(
+    model: Fit[TorqueModel] | TorqueModel | VelocityCovariance, qd_max: float = 1.0, ax: Any = None
+) -> Axes:
+    """Draw the standard deviation of each joint's torque error over its velocity: wide at rest, narrow in motion.
+
+    Parameters
+    ----------
+    model : a torque model, the fit that has it, or its covariance alone.
+    qd_max : the figure goes from -qd_max to qd_max [rad/s].
+    ax : Axes to draw into; a new figure when None.
+
+    Returns
+    -------
+    The Axes.
+
+    Raises
+    ------
+    ModelMismatchError : something else in place of a model.
+    """
+    covariance = model if isinstance(model, VelocityCovariance) else value_of(model).covariance
+    joints = len(covariance.C0)
+    qd = np.linspace(-qd_max, qd_max, _VELOCITIES)
+    sigma = np.sqrt(covariance.variance(np.repeat(qd[:, None], joints, axis=1)))
+    with look():
+        figure, axes = panels(1, 1, ax, width=7.5, height=4.0)
+        panel: Axes = axes[0, 0]
+        for i in range(joints):
+            color, style = JOINT_STYLES[i % len(JOINT_STYLES)]
+            panel.plot(qd, sigma[:, i], color=color, linestyle=style, linewidth=1.4, label=f"joint {i + 1}")
+        panel.set_yscale("log")
+        panel.set_xlabel(f"qd [{lookup('qd').unit}]")
+        panel.set_ylabel(f"sigma of the torque error [{lookup('tau').unit}]")
+        panel.set_ylim(0.7 * sigma.min(), 1.4 * sigma.max())
+        legend(figure, panel)
+    return panel
+
+
+_WEAK, _REFUSED = 300.0, 1e4  # condition numbers of the estimators
+
+
+def excitation(found: Excitation, ax: Any = None) -> Axes:
+    """Draw the singular values of the scaled regressor, strongest first, each relative to the strongest.
+
+    A direction below 1/300 is weak: it needs a longer or richer log. Below 1/10000 a fit is refused.
+
+    Parameters
+    ----------
+    found : of a fit, ``fit.excitation``.
+    ax : Axes to draw into; a new figure when None.
+
+    Raises
+    ------
+    ShapeError : something else in place of an excitation; there are no singular values, or none above zero.
+    """
+    expect(found, Excitation)
+    values = found.singular_values
+    if not len(values) or not values[0] > 0:
+        raise ShapeError(f"Expected singular values above zero to draw, got {len(values)} values. Take those of a fit.")
+    relative = np.where(values > 0, values / values[0], np.nan)
+    with look():
+        _, axes = panels(1, 1, ax, width=7.5, height=3.2)
+        panel: Axes = axes[0, 0]
+        panel.semilogy(np.arange(1, len(values) + 1), relative, "o-", color=JOINT_STYLES[0][0], markersize=3.5)
+        for condition, color, words in ((_WEAK, GREY, "weak below"), (_REFUSED, MODEL, "refused below")):
+            panel.axhline(1 / condition, color=color, linestyle="--")
+            panel.text(1, 1.1 / condition, words, color=color, fontsize=8.0, va="bottom")
+        panel.set_xlabel("direction")
+        panel.set_ylabel("singular value, relative")
+        panel.set_title(f"condition {found.condition:.0f}; weakest: {found.weakest}", wrap=True)
+    return panel

@@ -1,0 +1,411 @@
+"""Movement primitives: over time, in the phase plane, of poses, periodic, probabilistic, and waiting for the arm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab._numbers import number, numbers
+from armlab._palette import AXIS_COLORS, GREY
+from armlab.errors import ShapeError
+from armlab.glossary import label
+from armlab.lie import so3
+from armlab.motion import Dmp, PeriodicDmp, PoseDmp, ProMP, Rollout, TwoDofRun
+from armlab.plots.space import pose_stack
+from armlab.plots.style import JOINT_STYLES, band, expect, legend, line, look, panels
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+TAUGHT: dict[str, Any] = {"color": "#BFBFBF", "linewidth": 3.5, "zorder": 1}
+"""Look of demonstrations: wide, below the motion."""
+_SAMPLES = 501
+_SETTLES = 1.5  # durations that are drawn where the motion goes on after its end
+Goals = Sequence[tuple[float, ArrayLike]]
+
+
+def dmp(dmp: Dmp, demo: tuple[ArrayLike, ArrayLike] | None = None, goals: Goals = (), ax: Any = None) -> Figure:
+    """Draw what a movement primitive does over time: position, velocity, forcing, kernels with the phase, weights.
+
+    Parameters
+    ----------
+    dmp : the primitive. demo : times (N,) and positions (N, n) that it was taught, drawn wide and grey.
+    goals : (t, g) of goals (n,) for which it goes from a time on [s]; every goal is drawn dashed.
+    ax : five Axes to draw into; a new figure when None.
+
+    Returns
+    -------
+    The Figure.
+
+    Raises
+    ------
+    ShapeError : another kind of primitive, a demonstration or goal of another shape, or another number of Axes.
+    """
+    expect(dmp, Dmp)
+    run, steps = _run(dmp, goals)
+    with look():
+        figure, axes = panels(5, 1, ax, width=8.0, height=1.6, sharex=True)
+        position, velocity, forcing, kernels, weights = axes[:, 0]
+        for i in range(dmp.n):
+            color, style = JOINT_STYLES[i % len(JOINT_STYLES)]
+            for panel, values in ((position, run.y), (velocity, run.yd), (forcing, run.forcing)):
+                panel.plot(run.t, values[:, i], color=color, linestyle=style, label=f"y{i + 1}")
+            weights.plot(_when(dmp), dmp.weights[:, i], ".", color=color, markersize=4.0, label="_")
+            if len(steps[0]) > 1:
+                position.step(*(steps[0], steps[1][:, i]), where="post", color=color, linestyle="--", linewidth=0.7)
+        if len(steps[0]) > 1:
+            position.plot([], [], color=GREY, linestyle="--", linewidth=0.7, label="goal")
+        if demo is not None:
+            _demonstration(dmp, demo, position, velocity)
+        x = run.x if run.x.ndim == 2 else run.x[:, None]
+        kernels.plot(run.t, dmp.kernels(x[:, 0]), color=GREY, linewidth=0.5, alpha=0.6, label="_")
+        for i in range(x.shape[1]):
+            color = "black" if run.x.ndim == 1 else JOINT_STYLES[i % len(JOINT_STYLES)][0]
+            kernels.plot(run.t, x[:, i], color=color, linewidth=1.4, label="phase x" if not i else "_")
+        names = (label("y"), label("yd"), label("forcing"), "kernels, x [1]", label("weights"))
+        for panel, name in zip(axes[:, 0], names, strict=True):
+            panel.set_ylabel(name)
+        weights.set_xlabel(label("t"))
+        figure.align_ylabels()
+        legend(figure, position, kernels)
+    return figure
+
+
+def dmp_phase(dmp: Dmp, ax: Any = None) -> Axes:
+    """Draw the phase plane of a movement primitive: velocity over position, from the start (o) to the goal (x).
+
+    Parameters
+    ----------
+    dmp : the primitive. ax : Axes to draw into; a new figure when None.
+
+    Returns
+    -------
+    The Axes.
+
+    Raises
+    ------
+    ShapeError : another kind of primitive, or another number of Axes.
+    """
+    expect(dmp, Dmp)
+    run = dmp.rollout(np.linspace(0.0, _SETTLES * dmp.duration, _SAMPLES))
+    with look():
+        figure, axes = panels(1, 1, ax, width=6.0, height=4.5)
+        panel: Axes = axes[0, 0]
+        for i in range(dmp.n):
+            color, style = JOINT_STYLES[i % len(JOINT_STYLES)]
+            panel.plot(run.y[:, i], run.yd[:, i], color=color, linestyle=style, label=f"y{i + 1}")
+            panel.plot(run.y[0, i], run.yd[0, i], "o", color=color, markersize=4.0, label="_")
+            panel.plot(dmp.g[i], 0.0, "x", color=color, markersize=6.0, label="_")
+        panel.set_xlabel(label("y"))
+        panel.set_ylabel(label("yd"))
+        legend(figure, panel)
+    return panel
+
+
+def demonstration(demo: tuple[ArrayLike, ArrayLike], n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return times (N,) from 0 and positions (N, n) of a demonstration."""
+    t, y = (numbers(part, name, ShapeError) for part, name in zip(demo, ("demo times", "demo positions"), strict=True))
+    if t.ndim != 1 or len(t) < 2 or y.shape != (len(t), n) or not (np.diff(t) > 0).all():
+        raise ShapeError(
+            f"Expected a demonstration as rising times (N,) and positions (N, {n}), got {t.shape} and {y.shape}."
+        )
+    return t - t[0], y
+
+
+def _run(dmp: Dmp, goals: Goals) -> tuple[Rollout, tuple[np.ndarray, np.ndarray]]:
+    """Return the motion, and times (K,) and goals (K, n) from which on it goes for them."""
+    if not goals:
+        return dmp.rollout(np.linspace(0.0, dmp.duration, _SAMPLES)), (np.zeros(1), dmp.g[None])
+    due = [(number(t, "time of a goal [s]"), g) for t, g in sorted(goals, key=lambda goal: goal[0])]
+    times = np.linspace(0.0, max(_SETTLES * dmp.duration, due[-1][0] + 0.5 * dmp.duration), _SAMPLES)
+    stepper, rows, phase, steps = dmp.stepper(), [], [], [(0.0, dmp.g)]
+    for k, t in enumerate(times):
+        if k:
+            stepper.step(t - times[k - 1])
+        while due and t >= due[0][0]:
+            stepper.change_goal(due.pop(0)[1])
+            steps.append((t, stepper.goal))
+        rows.append((*stepper.state, stepper.goal))
+        phase.append(stepper.x)
+    y, yd, ydd, g = np.array(rows).swapaxes(0, 1)
+    f = dmp.tau_d**2 * ydd - dmp.alpha_z * (dmp.beta_z * (g - y) - dmp.tau_d * yd)
+    steps.append((times[-1], stepper.goal))
+    return Rollout(times, y, yd, ydd, np.array(phase), f), tuple(map(np.array, zip(*steps)))  # pyright: ignore
+
+
+def _when(dmp: Dmp) -> np.ndarray:
+    """Return when the phase passes the centre of each kernel (n_basis,) [s]; for "position" as if it went evenly."""
+    if dmp.schedule == "canonical":
+        return -np.log(np.maximum(dmp.centres, 1e-12)) * dmp.tau_d / dmp.alpha_x
+    share = dmp.centres if dmp.schedule == "time" else 1.0 - dmp.centres
+    return share * dmp.duration
+
+
+def _demonstration(dmp: Dmp, demo: tuple[ArrayLike, ArrayLike], position: Axes, velocity: Axes) -> None:
+    t, y = demonstration(demo, dmp.n)
+    for panel, values in ((position, y), (velocity, np.gradient(y, t, axis=0))):
+        for i in range(dmp.n):
+            line(panel, t, values[:, i], **TAUGHT, label="_" if i else "demonstration")
+
+
+_POSE_SAMPLES = 501
+_DASHES = ("-", "--", "-.")
+
+
+def pose_dmp(dmp: PoseDmp, demo: tuple[ArrayLike, ArrayLike] | None = None, ax: Any = None) -> Figure:
+    """Draw what a movement primitive of poses does over time: position, and rotation vector from the goal.
+
+    Parameters
+    ----------
+    dmp : the primitive.
+    demo : times (N,) and poses (N, 4, 4) that it was taught, drawn wide and grey; below, how far the motion is from
+        them.
+    ax : two Axes to draw into, four with a demonstration; a new figure when None.
+
+    Returns
+    -------
+    The Figure.
+
+    Raises
+    ------
+    ShapeError : another kind of primitive, a demonstration of another shape, or another number of Axes.
+    """
+    expect(dmp, PoseDmp)
+    t, taught = (np.linspace(0.0, dmp.duration, _POSE_SAMPLES), None) if demo is None else _taught(demo)
+    T = dmp.rollout(t).T
+    with look():
+        figure, axes = panels(2 if taught is None else 4, 1, ax, width=8.0, height=1.9, sharex=True)
+        _poses(axes[:2, 0], t, T, dmp.T_goal, [{"linestyle": s, "label": n} for s, n in zip(_DASHES, "xyz")])
+        names = ["position [m]", "rotation vector\nfrom the goal [rad]"]
+        if taught is not None:
+            _poses(axes[:2, 0], t, taught, dmp.T_goal, [TAUGHT | {"label": n} for n in ("demonstration", "_", "_")])
+            line(axes[2, 0], t, np.linalg.norm(T[:, :3, 3] - taught[:, :3, 3], axis=1), color=GREY, label="_")
+            line(axes[3, 0], t, so3.angle(T[:, :3, :3], taught[:, :3, :3]), color=GREY, label="_")
+            names += ["distance off [m]", "angle off [rad]"]
+        for panel, name in zip(axes[:, 0], names, strict=True):
+            panel.set_ylabel(name)
+        axes[-1, 0].set_xlabel(label("t"))
+        figure.align_ylabels()
+        legend(figure, axes[0, 0])
+    return figure
+
+
+def _poses(axes: np.ndarray, t: np.ndarray, T: np.ndarray, T_goal: np.ndarray, styles: list[dict[str, Any]]) -> None:
+    """Draw x, y and z of position and of the rotation vector, base axes, that leads from the goal."""
+    turned = so3.log(T[:, :3, :3] @ T_goal[:3, :3].T)
+    for panel, values in zip(axes, (T[:, :3, 3], turned), strict=True):
+        for i, style in enumerate(styles):
+            line(panel, t, values[:, i], **{"color": AXIS_COLORS[i], **style})
+
+
+def _taught(demo: tuple[ArrayLike, ArrayLike]) -> tuple[np.ndarray, np.ndarray]:
+    t, T = numbers(demo[0], "demo times", ShapeError), pose_stack(demo[1])
+    if t.shape != (len(T),) or len(t) < 2 or not (np.diff(t) > 0).all():
+        raise ShapeError(
+            f"Expected a demonstration as rising times (N,) and poses (N, 4, 4), got {t.shape} and {T.shape}."
+        )
+    return t - t[0], T
+
+
+_TURN_SAMPLES = 500  # of a turn
+_MOST = 2000  # samples of a demonstration
+_TICKS = {0.0: "0", np.pi / 2: "π/2", np.pi: "π", 3 * np.pi / 2: "3π/2", 2 * np.pi: "2π"}
+
+
+def periodic_dmp(
+    dmp: PeriodicDmp, demo: tuple[ArrayLike, ArrayLike] | None = None, turns: float = 3.0, ax: Any = None
+) -> Figure:
+    """Draw a periodic movement primitive: position, forcing and kernels over one turn, then several turns over time.
+
+    The last panel begins at rest on the baseline (dashed): the motion is soon that of the panels above.
+
+    Parameters
+    ----------
+    dmp : the primitive. demo : times (N,) and positions (N, n) that it was taught, phase 0 at the first; drawn as dots.
+    turns : periods of the last panel. ax : four Axes to draw into; a new figure when None.
+
+    Returns
+    -------
+    The Figure.
+
+    Raises
+    ------
+    ShapeError : another kind of primitive, a demonstration of another shape, no turns above zero, another number of
+        Axes.
+    """
+    expect(dmp, PeriodicDmp)
+    if not 0.0 < number(turns, "turns") < np.inf:
+        raise ShapeError(f"Expected turns above zero, got {turns:g}. Three show the rhythm.")
+    phi = 2 * np.pi / _TURN_SAMPLES * np.arange(_TURN_SAMPLES + 1)
+    once = dmp.rollout(phi * dmp.period / (2 * np.pi))
+    t = np.linspace(0.0, turns * dmp.period, round(_TURN_SAMPLES * turns) + 1)
+    begun = dmp.rollout(t, y0=dmp.g, v0=np.zeros(dmp.n))
+    with look():
+        figure, axes = panels(4, 1, ax, width=8.0, height=1.9)
+        position, forcing, kernels, several = axes[:, 0]
+        if demo is not None:
+            _draw_dots(dmp, demo, position)
+        for i in range(dmp.n):
+            color, style = JOINT_STYLES[i % len(JOINT_STYLES)]
+            position.plot(phi, once.y[:, i], color=color, linestyle=style, label=f"y{i + 1}")
+            forcing.plot(phi, once.forcing[:, i], color=color, linestyle=style, label="_")
+            several.plot(t, begun.y[:, i], color=color, linestyle=style, label="_")
+            several.axhline(dmp.g[i], color=color, linestyle="--", linewidth=0.7, label="_")
+        kernels.plot(phi, dmp.primitive_from().basis(phi), color=GREY, linewidth=0.7, label="_")
+        names = (label("y"), label("forcing"), "kernels [1]", label("y"))
+        for panel, name in zip(axes[:, 0], names, strict=True):
+            panel.set_ylabel(name)
+        for panel in axes[:3, 0]:
+            panel.set_xticks(list(_TICKS), list(_TICKS.values()))
+        kernels.set_xlabel(label("phi"))
+        several.set_xlabel(label("t"))
+        figure.align_ylabels()
+        legend(figure, position)
+    return figure
+
+
+def _draw_dots(dmp: PeriodicDmp, demo: tuple[ArrayLike, ArrayLike], position: Any) -> None:
+    t, y = demonstration(demo, dmp.n)
+    every = max(1, len(t) // _MOST)
+    phi = 2 * np.pi * np.mod(t[::every] / dmp.period, 1.0)
+    for i in range(dmp.n):
+        name = "demonstration" if not i else "_"
+        position.plot(phi, y[::every, i], ".", color="#999999", markersize=2.5, label=name)
+
+
+_BAND_SAMPLES = 301
+
+
+def promp(
+    promp: ProMP,
+    demos: Sequence[tuple[ArrayLike, ArrayLike]] = (),
+    *,
+    prior: ProMP | None = None,
+    points: Sequence[tuple[float, ArrayLike]] = (),
+    samples: int = 0,
+    seed: int = 0,
+    ax: Any = None,
+) -> Figure:
+    """Draw a distribution over motions, one panel per coordinate: mean, and a band of two standard deviations.
+
+    Parameters
+    ----------
+    promp : the distribution.
+    demos : times (N,) and positions (N, n) of each demonstration, drawn thin, stretched to the duration of `promp`.
+    prior : distribution before it was conditioned, drawn grey. points : (t, y) that it passes, y (n,).
+    samples : motions that are drawn from it, dotted. seed : of them.
+    ax : n Axes to draw into; a new figure when None.
+
+    Returns
+    -------
+    The Figure.
+
+    Raises
+    ------
+    ShapeError : another kind of primitive; demonstrations, a prior or points of another shape; another number of Axes.
+    """
+    expect(promp, ProMP)
+    t = np.linspace(0.0, promp.duration, _BAND_SAMPLES)
+    marks = [(number(when, "time of a point [s]"), _point(y, promp.n)) for when, y in points]
+    if prior is not None and prior.n != promp.n:
+        raise ShapeError(f"Expected a prior of {promp.n} coordinates, got one of {prior.n}. Take the one conditioned.")
+    with look():
+        figure, axes = panels(promp.n, 1, ax, width=8.0, height=1.9, sharex=True)
+        for demo in demos:
+            times, y = demonstration(demo, promp.n)
+            for i, panel in enumerate(axes[:, 0]):
+                line(panel, times * promp.duration / times[-1], y[:, i], color=GREY, linewidth=0.4, label="_")
+        if prior is not None:
+            _bands(axes[:, 0], t, prior, ["#999999"] * promp.n, ("before", None))
+        colors = [JOINT_STYLES[i % len(JOINT_STYLES)][0] for i in range(promp.n)]
+        _bands(axes[:, 0], t, promp, colors, ("mean", "± 2 sd"))
+        drawn = promp.sample(t, seed, samples) if samples else np.zeros((0, len(t), promp.n))
+        for i, panel in enumerate(axes[:, 0]):
+            for k, one in enumerate(drawn):
+                panel.plot(t, one[:, i], color=colors[i], linewidth=0.7, linestyle=":", label="_" if k else "samples")
+            for k, (when, y) in enumerate(marks):
+                panel.plot(when, y[i], "o", color="black", markersize=4.0, label="_" if k else "points")
+            panel.set_ylabel(label("y").replace("y ", f"y{i + 1} ", 1))
+        if len(demos):
+            axes[0, 0].plot([], [], color=GREY, linewidth=0.8, label="demonstrations")
+        axes[-1, 0].set_xlabel(label("t"))
+        figure.align_ylabels()
+        legend(figure, axes[0, 0])
+    return figure
+
+
+def _bands(axes: np.ndarray, t: np.ndarray, promp: ProMP, colors: list[str], names: tuple[str, str | None]) -> None:
+    """Draw mean and band of each coordinate."""
+    motion = promp.marginal(t, duration=t[-1])
+    for panel, color, mean, sd in zip(axes, colors, motion.y.T, motion.sd.T, strict=True):
+        panel.plot(t, mean, color=color, label=names[0])
+        band(panel, t, mean, 2.0 * sd, color=color, alpha=0.25, label=names[1] or "_")
+
+
+def _point(y: ArrayLike, n: int) -> np.ndarray:
+    point = np.atleast_1d(numbers(y, "point", ShapeError))
+    if point.shape != (n,):
+        raise ShapeError(f"Expected points y of shape ({n},), got {point.shape}. NaN leaves a coordinate out.")
+    return point
+
+
+def two_dof(run: TwoDofRun, dofs: Sequence[int] | None = None, ax: Any = None) -> Figure:
+    """Draw how a primitive with two degrees of freedom is held up and recovers.
+
+    Above the arm ya (line), the coupled path yc (dashed) and the primitive undisturbed (dotted), then the filtered
+    error e, then how many times slower the path runs. Where something moved the arm it is shaded.
+
+    Parameters
+    ----------
+    run : of `TwoDofDmp.simulate` or `TwoDofDmp.recorded`.
+    dofs : numbers of the coordinates from 0; all when None.
+    ax : three Axes to draw into; a new figure when None.
+
+    Returns
+    -------
+    The Figure.
+
+    Raises
+    ------
+    ShapeError : no run, a coordinate that does not exist, or another number of Axes.
+    """
+    expect(run, TwoDofRun)
+    which = range(run.yc.shape[1]) if dofs is None else dofs
+    if not all(isinstance(i, int | np.integer) and 0 <= i < run.yc.shape[1] for i in which):
+        raise ShapeError(f"Expected dofs as numbers from 0 to {run.yc.shape[1] - 1}, got {list(which)}.")
+    with look():
+        figure, axes = panels(3, 1, ax, width=8.0, height=2.0, sharex=True)
+        position, error, slower = axes[:, 0]
+        for i in which:
+            color, _ = JOINT_STYLES[i % len(JOINT_STYLES)]
+            line(position, run.t, run.free.y[:, i], color=color, linestyle=":", label="_")
+            line(position, run.t, run.yc[:, i], color=color, linestyle="--", label="_")
+            line(position, run.t, run.ya[:, i], color=color, label=f"y{i + 1}")
+            line(error, run.t, run.e[:, i], color=color, label="_")
+        for style, name in (("-", "arm ya"), ("--", "path yc"), (":", "undisturbed")):
+            position.plot([], [], color=GREY, linestyle=style, label=name)
+        line(slower, run.t, run.tau_a / run.tau_a.min(), color=GREY, label="_")
+        for panel, name in zip(axes[:, 0], (label("y"), label("e"), "times slower [1]"), strict=True):
+            for k, (t0, t1) in enumerate(run.disturbed):
+                _mark(panel, t0, t1, "disturbed" if not k and panel is position else "_")
+            panel.set_ylabel(name)
+        slower.set_yscale("log", subs=[2, 5])
+        slower.set_ylim(0.9, 1.2 * max(run.tau_a.max() / run.tau_a.min(), 2.0))
+        for formatter in (slower.yaxis.set_major_formatter, slower.yaxis.set_minor_formatter):
+            formatter("{x:g}")
+        slower.set_xlabel(label("t"))
+        figure.align_ylabels()
+        legend(figure, position)
+    return figure
+
+
+def _mark(panel: Axes, t0: float, t1: float, name: str) -> None:
+    if t1 > t0:
+        panel.axvspan(t0, t1, color="#999999", alpha=0.25, linewidth=0.0, zorder=0, label=name)
+    else:
+        panel.axvline(t0, color="#999999", alpha=0.6, zorder=0, label=name)

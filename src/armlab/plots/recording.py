@@ -1,0 +1,260 @@
+"""A recording over time: columns of its table, poses, latency of the loop."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armlab._numbers import flag, numbers
+from armlab._palette import AXIS_COLORS, GREY
+from armlab.errors import ShapeError, UnknownName
+from armlab.glossary import label
+from armlab.lie import quaternion
+from armlab.log import Table
+from armlab.plots.space import pose_stack
+from armlab.plots.style import JOINT_STYLES, expect, legend, line, look, panels, shade
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+_DASHES: dict[str, tuple[Any, str]] = {"_ref": ((0, (6, 2.5)), "asked"), "_sent": ((0, (2, 1.5)), "sent")}
+"""Dashes, long and short, of the ending of a name, and their word in the legend."""
+_USUAL = ("q", "qd", "tau", "wrench_hat")
+_MOST_COMPONENTS = 14
+
+
+def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes | Figure:
+    """Draw columns over time: one panel per quantity, each joint in its own colour, asked and sent values dashed.
+
+    Columns that differ only in ``_ref`` or ``_sent`` share a panel. Times when a limit acted on the command are shaded.
+
+    Parameters
+    ----------
+    data : the table.
+    names : columns; q, qd, tau and wrench_hat, as far as there are, when none is named.
+    split : one panel per component (joint) instead of all in one.
+    ax : Axes to draw into, as many as panels; a new figure when None.
+
+    Returns
+    -------
+    The Axes of one panel, or the Figure of several.
+
+    Raises
+    ------
+    UnknownName : a column does not exist, or none of the usual ones.
+    ShapeError : no table; a column is text or has too many components; `ax` has another number of Axes.
+    """
+    expect(data, Table)
+    names = names or tuple(name for name in _USUAL if name in data)
+    if not names:
+        raise UnknownName.among("column to draw", " or ".join(_USUAL), data.names)
+    quantities: dict[str, list[str]] = {}
+    for name in names:
+        _check(data, name)
+        quantities.setdefault(_quantity(name), []).append(name)
+    split = flag(split, "split of a drawn table")
+    parts = [
+        (shown, component)
+        for shown in quantities.values()
+        for component in (range(_components(data, shown[0])) if split else (None,))
+    ]
+    with look():
+        figure, axes = panels(len(parts), 1, ax, width=9.0, height=1.5 if split else 2.2, sharex=True)
+        for panel, (shown, component) in zip(axes[:, 0], parts, strict=True):
+            _draw(panel, data, shown, component)
+        axes[-1, 0].set_xlabel(label("t"))
+        figure.align_ylabels()
+        _legends(list(axes[:, 0]))
+    return axes[0, 0] if len(parts) == 1 else figure
+
+
+def _draw(ax: Axes, data: Table, names: list[str], component: int | None) -> None:
+    """Draw columns of one quantity, all components or one."""
+    ax.set_ylabel(data.columns[names[0]].heading(_quantity(names[0])))
+    for name in names:
+        flat = data[name].reshape(len(data), -1)
+        dashes, word = next((_DASHES[end] for end in _DASHES if name.endswith(end)), (None, None))
+        for i in range(flat.shape[1]) if component is None else (component,):
+            color, style = JOINT_STYLES[i % len(JOINT_STYLES)]
+            line(
+                ax,
+                data.t,
+                flat[:, i],
+                color=color,
+                linestyle=dashes or style,
+                label="_" if word or component is not None else _label(data, name, i),
+            )
+        if word:
+            ax.plot([], [], color=GREY, linestyle=dashes, label=word)
+    if component is not None:
+        ax.set_title(_label(data, names[0], component))
+    if "clamped" in data and _quantity(names[0]) in ("q", "qd", "tau"):
+        clamped = np.nan_to_num(data["clamped"]) != 0
+        shade(ax, data.t, clamped.any(axis=1) if component is None else clamped[:, component], label="limit acted")
+
+
+def _legends(axes: list[Axes]) -> None:
+    """Put a legend to the right of each panel, of the lines that no panel above it has."""
+    said: set[str] = set()
+    for ax in axes:
+        handles, names = ax.get_legend_handles_labels()
+        new = {name: handle for name, handle in zip(names, handles, strict=True) if name not in said}
+        if new:
+            ax.legend(new.values(), new, loc="upper left", bbox_to_anchor=(1.0, 1.03), borderaxespad=0.3)
+        said |= set(new)
+
+
+def _label(data: Table, name: str, i: int) -> str:
+    """Return the name of a component: the joint's, or the column's and its number."""
+    if data[name].ndim == 1:
+        return name
+    labels = data.columns[name].labels
+    if data.columns[name].frame == "joint":
+        labels = labels or next((c.labels for c in data.columns.values() if c.frame == "joint" and c.labels), ())
+        return labels[i] if i < len(labels) else f"joint {i + 1}"
+    if data.units[name] == "N, N m":
+        return f"{'fm'[i // 3]}_{'xyz'[i % 3]}"
+    return labels[i] if labels else f"{_quantity(name)} {i + 1}"
+
+
+def _quantity(name: str) -> str:
+    return name.removesuffix("_ref").removesuffix("_sent")
+
+
+def _components(data: Table, name: str) -> int:
+    return int(np.prod(data[name].shape[1:]))
+
+
+def _check(data: Table, name: str) -> None:
+    count = 0 if data[name].dtype.kind == "U" else _components(data, name)
+    if not 0 < count <= _MOST_COMPONENTS:
+        raise ShapeError(f"Expected numbers, at most {_MOST_COMPONENTS} per row, to draw in {name}, got {count}.")
+
+
+def poses(T: ArrayLike, t: ArrayLike | None = None, *, rotation: bool = True, ax: Any = None) -> Axes | Figure:
+    """Draw x, y and z of poses over time and, below, the rotation vector.
+
+    The rotation vector starts with an angle of at most π and goes on without jumps until a full turn.
+
+    Parameters
+    ----------
+    T : (N, 4, 4) poses; NaN leaves a gap.
+    t : (N,) times [s]; the number of the sample when None.
+    rotation : draw the rotation vector too.
+    ax : Axes to draw into, two with `rotation`, else one; a new figure when None.
+
+    Returns
+    -------
+    The Figure of both panels, or the Axes of the one.
+
+    Raises
+    ------
+    ShapeError : T are not poses, t is not one finite time per pose, or `ax` has another number of Axes.
+    """
+    T = pose_stack(T)
+    times = np.arange(len(T), dtype=float) if t is None else numbers(t, "t", ShapeError)
+    if times.shape != (len(T),) or not np.isfinite(times).all():
+        raise ShapeError(f"Expected one finite time per pose, {len(T)} in all, got t of shape {times.shape}.")
+    drawn = [("position [m]", T[:, :3, 3])]
+    if rotation:
+        drawn.append(("rotation vector [rad]", _rotation_vectors(T[:, :3, :3])))
+    with look():
+        figure, axes = panels(len(drawn), 1, ax, width=8.0, height=2.2, sharex=True)
+        for panel, (name, values) in zip(axes[:, 0], drawn, strict=True):
+            for i, color in enumerate(AXIS_COLORS):
+                line(panel, times, values[:, i], color=color, linestyle=("-", "--", "-.")[i], label="xyz"[i])
+            panel.set_ylabel(name)
+        axes[-1, 0].set_xlabel("sample" if t is None else label("t"))
+        figure.align_ylabels()
+        legend(figure, *axes[:, 0])
+    return figure if rotation else axes[0, 0]
+
+
+def _rotation_vectors(R: np.ndarray) -> np.ndarray:
+    """Return rotation vectors (N, 3) of R (N, 3, 3), from continuous quaternions: angles up to 2π."""
+    q = quaternion.continuous(quaternion.from_matrix(R))
+    first = q[np.isfinite(q).all(axis=1)][:1]
+    q = q * np.where(first[:, 0] < 0, -1.0, 1.0) if len(first) else q
+    sine = np.linalg.norm(q[:, 1:], axis=1, keepdims=True)
+    angle = 2 * np.arctan2(sine, q[:, :1])
+    return q[:, 1:] * np.where(sine > 0, angle / np.where(sine > 0, sine, 1.0), 2.0)
+
+
+_BINS_PER_DECADE = 40
+_QUANTILES = (("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999), ("max", 1.0))
+
+
+def latency(table: Table, ax: Any = None) -> Axes:
+    """Draw histograms of packet to reply, of the controller's step and of the loop's wake-up on a logarithmic axis.
+
+    Parameters
+    ----------
+    table : recording with receive_ns and send_ns, or step_ns, or wake_ns (N,).
+    ax : Axes to draw into; a new figure when None.
+
+    Returns
+    -------
+    The Axes; p50, p99, p99.9 and the maximum are in the legend, missed and late ticks in the title.
+
+    Raises
+    ------
+    UnknownName : the table has no times of the loop. ShapeError : no table, or one in which no answer took time.
+    """
+    from matplotlib.ticker import EngFormatter
+
+    spans = _spans(table)
+    shortest, longest = min(map(np.min, spans.values())), max(map(np.max, spans.values()))
+    low, high = 10 ** np.floor(np.log10(shortest)), 10 ** np.ceil(np.log10(longest * 1.001))
+    bins = np.geomspace(low, high, max(round(np.log10(high / low) * _BINS_PER_DECADE), 2))
+    words = EngFormatter("s")
+    with look():
+        _, axes = panels(1, 1, ax, width=7.5, height=3.8)
+        panel: Axes = axes[0, 0]
+        for (name, values), (color, _) in zip(spans.items(), JOINT_STYLES, strict=False):
+            numbers = "  ".join(f"{label} {words(_rounded(np.quantile(values, p)))}" for label, p in _QUANTILES)
+            panel.hist(values, bins=bins, color=color, alpha=0.35, histtype="stepfilled")
+            panel.hist(values, bins=bins, color=color, histtype="step", linewidth=1.2, label=f"{name}:  {numbers}")
+        panel.set_xscale("log")
+        panel.set_yscale("log")
+        panel.set_ylim(0.7, 8.0 * panel.get_ylim()[1])  # room for the legend
+        panel.xaxis.set_major_formatter(words)
+        panel.set_xlabel("time [s]")
+        panel.set_ylabel("ticks")
+        panel.set_title(_counts(table))
+        panel.legend(loc="upper right")
+    return panel
+
+
+def _spans(table: Table) -> dict[str, np.ndarray]:
+    """Return the measured times [s], those above zero."""
+    expect(table, Table)
+    found = {}
+    if "receive_ns" in table and "send_ns" in table:
+        found["packet to reply"] = (table["send_ns"] - table["receive_ns"]) / 1e9
+    if "step_ns" in table:
+        found["controller"] = table["step_ns"] / 1e9
+    if "wake_ns" in table:
+        found["wake-up"] = table["wake_ns"] / 1e9
+    if not found:
+        raise UnknownName.among("column of loop times", "receive_ns, send_ns, step_ns or wake_ns", table.names)
+    kept = {name: values[np.isfinite(values) & (values > 0)] for name, values in found.items()}
+    if not any(map(len, kept.values())):
+        raise ShapeError(f"Expected times of a loop above zero, got none in {len(table)} rows. Draw a log of a run.")
+    return {name: values for name, values in kept.items() if len(values)}
+
+
+def _rounded(number: float) -> float:
+    """Return three digits of a number."""
+    return float(f"{number:.3g}")
+
+
+def _counts(table: Table) -> str:
+    words = [f"{len(table)} ticks"]
+    for name in ("missed", "late"):
+        if name in table:
+            words.append(f"{int(np.nansum(table[name]))} {name}")
+    return ", ".join(words)

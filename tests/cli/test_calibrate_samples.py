@@ -1,0 +1,266 @@
+"""Samples of calibrations: the same numbers from every format, and sentences for files that have none."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from armlab import log as logs
+from armlab import models, robots, sim
+from armlab.cli import main
+from armlab.cli.calibrate.report import Wanted
+from armlab.cli.calibrate.samples import Samples, measured_rows, noise_of, read_samples, run_fit, tool_poses
+from armlab.errors import ConfigError, LogError
+from armlab.kinematics import forward
+from armlab.lie import quaternion
+from armlab.log import Column, Table
+
+
+def written(path: Path, columns: dict[str, np.ndarray]) -> Path:
+    np.savetxt(path, np.column_stack(list(columns.values())), "%.17g", ",", header=",".join(columns), comments="")
+    return path
+
+
+def as_numbers(name: str, T: np.ndarray) -> dict[str, np.ndarray]:
+    return {f"{name}{i + 1}_{j + 1}": T[:, i, j] for i in range(4) for j in range(4)}
+
+
+def as_quaternions(name: str, T: np.ndarray, unit: str = "") -> dict[str, np.ndarray]:
+    scale = 1e3 if unit == " [mm]" else 1.0
+    found = {f"{name}_{axis}{unit}": scale * T[:, k, 3] for k, axis in enumerate("xyz")}
+    q = quaternion.from_matrix(T[:, :3, :3])
+    return found | {f"{name}_q{axis}": q[:, k] for k, axis in enumerate("wxyz")}
+
+
+@pytest.fixture(scope="module")
+def T() -> np.ndarray:
+    return sim.cell(1).hand_eye(N=7).B
+
+
+def test_a_pose_is_the_same_from_every_format(T: np.ndarray, tmp_path: Path) -> None:
+    one, two, three = (tmp_path / f"{k}.csv" for k in range(3))
+    found = [written(one, as_numbers("pose", T)), written(two, as_quaternions("pose", T))]
+    found.append(written(three, {"t [ms]": np.arange(7.0), **as_quaternions("pose", T, " [mm]")}))
+    for k, layout in enumerate((T, np.moveaxis(T, 0, -1), T.reshape(7, 16), np.swapaxes(T, 1, 2).reshape(7, 16))):
+        savemat(tmp_path / f"{k}.mat", {"pose": layout})
+        found.append(tmp_path / f"{k}.mat")
+    column = Column(unit="1", kind="pose")
+    table = Table(np.arange(7.0), {"q": np.zeros((7, 6)), "pose": T}, {"pose": column})
+    found.append(logs.write(table, tmp_path / "one.mcap", robots.load("irb2400")))
+    for path in found:
+        read = read_samples(path)
+        assert "pose" in read
+        np.testing.assert_allclose(read.poses("pose"), T, atol=1e-12, err_msg=path.name)
+        assert read.source.startswith(f"{path.name} sha256 ")
+
+
+def test_four_poses_of_a_mat_file_are_told_by_their_last_rows(T: np.ndarray, tmp_path: Path) -> None:
+    for layout in (T[:4], np.moveaxis(T[:4], 0, -1)):
+        savemat(tmp_path / "four.mat", {"pose": layout})
+        np.testing.assert_array_equal(read_samples(tmp_path / "four.mat").poses("pose"), T[:4])
+
+
+def test_vectors_and_numbers(tmp_path: Path) -> None:
+    f = np.arange(12.0).reshape(4, 3)
+    path = written(tmp_path / "f.csv", {"force1": f[:, 0],
+                                        "force2": f[:, 1], "force3": f[:, 2], "plane": np.arange(4)})  # fmt: skip
+    read = read_samples(path)
+    np.testing.assert_array_equal(read.vectors("force", (3, 6)), f)
+    np.testing.assert_array_equal(read.numbers("plane"), np.arange(4))
+    assert "torque" not in read
+    for layout in (f, f.T):
+        savemat(tmp_path / "f.mat", {"force": layout, "plane": np.arange(4.0)[:, None]})
+        read = read_samples(tmp_path / "f.mat")
+        np.testing.assert_array_equal(read.vectors("force", (3,)), f)
+        np.testing.assert_array_equal(read.numbers("plane"), np.arange(4))
+
+
+def test_points_and_vectors_by_their_axes(tmp_path: Path) -> None:
+    p = np.arange(24.0).reshape(4, 2, 3)
+    flat = {f"led{k + 1}_{axis} [mm]": 1e3 * p[:, k, i] for k in range(2) for i, axis in enumerate("xyz")}
+    one = {f"tip_{axis} [mm]": 1e3 * p[:, 0, i] for i, axis in enumerate("xyz")}
+    read = read_samples(written(tmp_path / "p.csv", flat | one))
+    np.testing.assert_allclose(read.points("led"), p)
+    np.testing.assert_allclose(read.vectors("tip", (3,)), p[:, 0])
+    for layout in (p, p.transpose(2, 1, 0), p.reshape(4, 6)):
+        savemat(tmp_path / "p.mat", {"led": layout})
+        np.testing.assert_array_equal(read_samples(tmp_path / "p.mat").points("led"), p)
+    with pytest.raises(LogError, match=r"points a of shape \(N, K, 3\)"):
+        Samples(tmp_path / "x.csv", {"a": np.zeros((4, 2, 2))}, "").points("a")
+
+
+def test_what_is_not_there_is_told(T: np.ndarray, tmp_path: Path) -> None:
+    longer = as_quaternions("pose", T)
+    longer["pose_qw"] = longer["pose_qw"] * np.where(np.arange(7) == 2, 1.1, 1.0) + (np.arange(7) == 2)
+    turned = T.copy()
+    turned[:, 3, 0] = 1.0
+    empty = Samples(tmp_path / "x.csv", {"a": np.zeros(3), "word": np.array(["one", "two", "six"])}, "")
+    cases = [
+        (lambda: empty.poses("pose"), "Expected pose in .*x.csv, got a, word"),
+        (lambda: empty.vectors("a", (3,)), r"a of shape \(N, 3\) in .*, got \(3,\)"),
+        (lambda: empty.numbers("word"), "numbers in word of .* words such as 'one'"),
+        (
+            lambda: Samples(empty.path, {"a": np.zeros((3, 2))}, "").numbers("a"),
+            r"one number per sample of a .*\(3, 2\)",
+        ),
+        (lambda: Samples(empty.path, {"pose": turned}, "").poses("pose"), "last row 0 0 0 1"),
+        (lambda: read_samples(written(tmp_path / "q.csv", longer)).poses("pose"), "length 1 in pose_qw .* in sample 2"),
+        (lambda: read_samples(tmp_path / "none.csv"), "none.csv"),
+        (lambda: read_samples(tmp_path / "none.mat"), "MAT file at .*none.mat"),
+    ]
+    for case, words in cases:
+        with pytest.raises(LogError, match=words):
+            case()
+
+
+@pytest.mark.parametrize("content", [b"", b"\x00\x01\x02\xff" * 40, b"a,b\n1\n", "a,b\n1;5,2\n".encode("utf-16")])
+@pytest.mark.parametrize("ending", [".csv", ".mat", ".mcap"])
+def test_files_of_something_else_are_refused_by_a_sentence(content: bytes, ending: str, tmp_path: Path) -> None:
+    path = tmp_path / f"bad{ending}"
+    path.write_bytes(content)
+    with pytest.raises(LogError, match="Expected"):
+        read_samples(path)
+
+
+def test_missing_poses_stay_missing(T: np.ndarray) -> None:
+    holes = T.copy()
+    holes[[1, 4]] = np.nan
+    found = Samples(Path("x"), {"pose": holes}, "").poses("pose")
+    np.testing.assert_array_equal(found, holes)
+
+
+def test_a_row_without_a_quaternion_and_a_position_is_no_pose(T: np.ndarray, tmp_path: Path) -> None:
+    columns = as_quaternions("pose", T)
+    for values in columns.values():
+        values[2] = np.nan
+    found = read_samples(written(tmp_path / "a.csv", columns)).poses("pose")
+    assert np.isnan(found[2]).all()
+    np.testing.assert_allclose(np.delete(found, 2, axis=0), np.delete(T, 2, axis=0), atol=1e-12)
+
+
+def test_semicolons_and_tabs_are_seen(T: np.ndarray, tmp_path: Path) -> None:
+    text = written(tmp_path / "a.csv", as_quaternions("pose", T, " [mm]")).read_text(encoding="utf-8")
+    for mark in ";\t":
+        (tmp_path / "b.csv").write_text(text.replace(",", mark), encoding="utf-8")
+        np.testing.assert_allclose(read_samples(tmp_path / "b.csv").poses("pose"), T, atol=1e-12)
+    (tmp_path / "c.csv").write_text(text.replace(",", ";").replace(".", ","), encoding="utf-8")
+    with pytest.raises(LogError, match="Expected a decimal point"):
+        read_samples(tmp_path / "c.csv")
+
+
+@pytest.mark.parametrize(("name", "unit"), [("force", "kg"), ("force", "N m"), ("acc", "deg"), ("position", "rad")])
+def test_a_unit_of_something_else_is_refused(name: str, unit: str, tmp_path: Path) -> None:
+    columns = {f"{name}{k} [{unit}]": np.arange(4.0) for k in (1, 2, 3)}
+    with pytest.raises(LogError, match=f"Expected {name}1 of .* in .*, got"):
+        read_samples(written(tmp_path / "a.csv", columns)).vectors(name, (3,))
+
+
+@pytest.mark.parametrize("labels", [("q1 [deg]", "q2"), ("position1 [mm]", "position2"), ("T_x [mm]", "T_y")])
+def test_units_for_some_components_are_refused(labels: tuple[str, str], tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="unit for all components"):
+        read_samples(written(tmp_path / "a.csv", {label: np.arange(4.0) for label in labels}))
+
+
+def test_what_a_table_drops_is_said(tmp_path: Path, capsys) -> None:
+    read_samples(written(tmp_path / "a.csv", {"t [s]": np.array([0.0, 0.0, 1.0]), "plane": np.arange(3.0)}))
+    assert "a.csv: 1 rows dropped: their time does not advance (line 3)" in capsys.readouterr().err
+
+
+def test_poses_of_an_hdf5_file_of_another_program_are_not_transposed(T: np.ndarray, tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.mat", "w") as file:
+        file["pose"] = T
+    np.testing.assert_array_equal(read_samples(tmp_path / "a.mat").poses("pose"), T)
+
+
+def test_joints_of_a_bag_are_left_out_since_their_order_is_not_known(ur5e_bag: Path, capsys, monkeypatch) -> None:
+    one_rate = logs.read(ur5e_bag, ["q", "tau"])
+    monkeypatch.setattr("armlab.log.read", lambda path: one_rate)
+    samples = read_samples(ur5e_bag)
+    assert "export bag samples.csv --robot NAME" in capsys.readouterr().err
+    with pytest.raises(LogError, match=r"Expected q in .*bag"):
+        samples.vectors("q", [6])
+
+
+def samples(**values: np.ndarray) -> Samples:
+    return Samples(Path("some.mat"), values, "some.mat sha256 0")
+
+
+def test_several_files_are_fitted_together_and_named(tmp_path: Path, capsys) -> None:
+    seen = sim.cell(5).hand_eye(N=40)
+    parts = [(slice(0, 25), "one.mat"), (slice(25, 40), "two.mat")]
+    for rows, name in [*parts, (slice(0, 40), "all.mat")]:
+        savemat(tmp_path / name, {"T_base_tool": seen.A[rows], "T_cam_marker": seen.B[rows]})
+    out = tmp_path / "camera.toml"
+    files = [str(tmp_path / name) for _, name in parts]
+    page = tmp_path / "camera.html"
+    assert main(["calibrate", "hand-eye", *files, "--json", "-o", str(out), "--report", str(page)]) == 0
+    joined = json.loads(capsys.readouterr().out)
+    assert [source.split()[0] for source in joined["sources"]] == ["one.mat", "two.mat"]
+    assert all(source in out.read_text(encoding="utf-8") for source in joined["sources"])
+    assert "two.mat sha256" in page.read_text(encoding="utf-8")
+    assert main(["calibrate", "hand-eye", str(tmp_path / "all.mat"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["parameters"] == joined["parameters"]
+    assert models.load(out, "hand_eye").setup == "eye_to_hand"
+
+
+def test_files_that_measured_something_else_are_refused(tmp_path: Path) -> None:
+    for k, width in enumerate((3, 6)):
+        savemat(tmp_path / f"{k}.mat", {"y": np.arange(4.0 * width).reshape(4, width)})
+    files = [tmp_path / f"{k}.mat" for k in range(2)]
+    with pytest.raises(LogError, match=r"\(4, 3\) in 0\.mat, \(4, 6\) in 1\.mat"):
+        run_fit("job", files, lambda read: (read.vectors("y"),), lambda y: y, Wanted())
+    with pytest.raises(ConfigError, match=r"0\.mat again"):
+        run_fit("job", [files[0], files[0]], lambda read: (read.vectors("y"),), lambda y: y, Wanted())
+    with pytest.raises(ConfigError, match="got none"):
+        run_fit("job", [], lambda read: (read.vectors("y"),), lambda y: y, Wanted())
+
+
+def test_rows_that_were_measured(capsys) -> None:
+    q, a, b = np.arange(8.0).reshape(4, 2), np.array([1.0, np.nan, np.nan, 4.0]), np.array([np.nan, 2.0, np.nan, 4.0])
+    got = measured_rows(samples(), (q,), (a, b))
+    np.testing.assert_array_equal(got[0], q[[0, 1, 3]])
+    np.testing.assert_array_equal(got[-1], [0, 1, 3])
+    assert "1 of 4 rows of some.mat have no measurement" in capsys.readouterr().err
+    assert len(measured_rows(samples(), (q, a))[0]) == 2
+    assert len(measured_rows(samples(), (q,), (a, b), every=True)[0]) == 4
+    with pytest.raises(LogError, match=r"as many samples of each kind in some\.mat, got 4, 3"):
+        measured_rows(samples(), (q, a[:3]))
+
+
+def test_noise_and_poses_of_the_tool() -> None:
+    assert (noise_of(None), noise_of([0.1]), noise_of([0.1, 0.2])) == (None, 0.1, (0.1, 0.2))
+    q = np.random.default_rng(0).uniform(-1, 1, (5, 6))
+    T = forward(robots.load("irb2400"), q)
+    np.testing.assert_array_equal(tool_poses(samples(q=q), "irb2400"), T)
+    np.testing.assert_array_equal(tool_poses(samples(T_base_tool=T), None), T)
+    with pytest.raises(LogError, match="Expected T_base_tool"):
+        tool_poses(samples(q=q), None)
+    with pytest.raises(LogError, match="These seem to be degrees"):
+        tool_poses(samples(q=np.rad2deg(q)), "irb2400")
+
+
+def test_copies_of_a_sample_count_once_and_held_values_are_told(capsys) -> None:
+    seen = sim.cell(5).hand_eye(N=6)
+    twice = np.repeat(np.arange(6), 2)
+    A, B, rows = measured_rows(samples(), (seen.A[twice], seen.B[twice]))
+    np.testing.assert_array_equal(A, seen.A)
+    np.testing.assert_array_equal(B, seen.B)
+    np.testing.assert_array_equal(rows, np.arange(0, 12, 2))
+    assert "6 of 12 rows of some.mat are copies of others" in capsys.readouterr().err
+    measured_rows(samples(), (seen.A, seen.B[[0, 0, 2, 3, 3, 5]]))
+    assert "2 rows of some.mat repeat the measurement of the row before" in capsys.readouterr().err
+    measured_rows(samples(), (seen.A, seen.B))
+    assert capsys.readouterr().err == ""
+
+
+def test_parts_of_a_measurement_are_refused_by_their_row() -> None:
+    seen = sim.cell(5).hand_eye(N=6)
+    B = seen.B.copy()
+    B[1], B[4, 0, 3] = np.nan, np.nan
+    with pytest.raises(LogError, match=r"missing in 1 of 6 rows, first in row 4"):
+        measured_rows(samples(), (seen.A, B))
