@@ -10,10 +10,10 @@ import pytest
 
 from armlab import robots
 from armlab.bridge import Limits
-from armlab.bridge.arm import Arm
 from armlab.bridge.assembly import End, assemble, checked_limits, finished
-from armlab.bridge.port import Port
-from armlab.bridge.supervision import Settings
+from armlab.bridge.control.arm import Arm
+from armlab.bridge.control.supervision import Settings
+from armlab.bridge.net.sockets import Port
 from armlab.errors import ConfigError, LogError
 from armlab.robots import Robot
 from armlab.wire.egm import EgmCodec

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from armlab import log
-from armlab.bridge.recording import Recording
+from armlab.bridge.control.recording import Recording
 from armlab.errors import LinkError
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec
@@ -153,7 +153,7 @@ def test_a_run_without_memory_for_its_end_does_not_begin(
     def none_left(*_: Any) -> None:
         raise OSError(errno.ENOMEM, "Cannot allocate memory")
 
-    monkeypatch.setattr("armlab.bridge.loop.mmap", none_left)
+    monkeypatch.setattr("armlab.bridge.control.loop.mmap", none_left)
     link = play.link()
     with pytest.raises(LinkError, match=r"Expected 16 MiB .* of the run: Cannot allocate memory\. End other"):
         play(lambda peer: None, lambda state: None, link, record=tmp_path / "run.mcap")

@@ -13,9 +13,9 @@ import pytest
 
 from armlab import models, robots
 from armlab.bridge.cell import Cell, parse_cell, run_cell
-from armlab.bridge.labcomm import LabCommSource
-from armlab.bridge.local import socket_path
-from armlab.bridge.local_server import _listen
+from armlab.bridge.servers.labcomm import LabCommSource
+from armlab.bridge.servers.local import socket_path
+from armlab.bridge.servers.local_server import _listen
 from armlab.errors import ConfigError, LinkError
 from armlab.models import ForceSensor
 

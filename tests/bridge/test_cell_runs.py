@@ -19,11 +19,11 @@ import pytest
 
 from armlab import log, robots
 from armlab.bridge.cell import Cell, parse_cell, run_cell
-from armlab.bridge.local import LocalFeed
-from armlab.bridge.messages import CommandRequest, SetRequest, Stop, Subscribe
-from armlab.bridge.parameters import Parameters
-from armlab.bridge.rights import Arbiter
-from armlab.bridge.row import Row
+from armlab.bridge.command.arbiter import Arbiter
+from armlab.bridge.inputs.parameters import Parameters
+from armlab.bridge.servers.local import LocalFeed
+from armlab.bridge.servers.messages import CommandRequest, SetRequest, Stop, Subscribe
+from armlab.bridge.servers.row import Row
 from armlab.cli import main
 from armlab.state import Command
 from tests.processes import bound
@@ -35,7 +35,7 @@ def server_process(name: str) -> int:
     for folder in Path("/proc").iterdir():
         with contextlib.suppress(OSError):
             words = (folder / "cmdline").read_bytes().split(b"\0")
-            if b"armlab.bridge._serve" in words and name.encode() in words and folder.name.isdigit():
+            if b"armlab.bridge.servers.serve" in words and name.encode() in words and folder.name.isdigit():
                 parent = (folder / "stat").read_text().rpartition(")")[2].split()[1]
                 found += [int(folder.name)] if int(parent) == os.getpid() else []
     return max(found)
@@ -297,7 +297,7 @@ def test_a_full_run_with_every_server_listens_on_this_computer_only(cell_text: s
     """Cyclone DDS alone binds to all addresses, and is tied to loopback: see ros/test_dds_domain.py. Takes 10 s."""
     for module, extra in (("cyclonedds", "ros"), ("zenoh", "net"), ("websockets", "net"), ("xxhash", "net")):
         pytest.importorskip(module, reason=f"the extra {extra} is not installed")
-    from .ros.dds_peers import free_domain
+    from .servers.ros.dds_peers import free_domain
 
     def script(ports: dict[str, int]) -> None:
         ros2 = server_process("ros2")

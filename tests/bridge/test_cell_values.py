@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from armlab.bridge.cell_values import cell_values
+from armlab.bridge.cell import cell_values
 from armlab.errors import ConfigError
 
 TEXT = """

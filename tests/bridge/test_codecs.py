@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from armlab.bridge import connect
-from armlab.bridge.codecs import GROUP, codec_named, codecs_of
+from armlab.bridge.link import GROUP, codec_named, codecs_of
 from armlab.errors import ConfigError, UnknownName
 from armlab.robots import Robot
 from armlab.wire.egm import EgmCodec

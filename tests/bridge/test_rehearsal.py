@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from armlab.bridge.limits import Limits
-from armlab.bridge.port import Arrival, Port
-from armlab.bridge.rehearsal import Rehearsal
-from armlab.bridge.torque import Admittance
+from armlab.bridge.assembly import Rehearsal
+from armlab.bridge.control.limits import Limits
+from armlab.bridge.control.torque import Admittance
+from armlab.bridge.net.sockets import Arrival, Port
 from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec, Reference

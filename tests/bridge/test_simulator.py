@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from armlab.bridge.port import Port
-from armlab.bridge.simulator import Simulator
+from armlab.bridge.link import Simulator
+from armlab.bridge.net.sockets import Port
 from armlab.errors import LinkError
 
 PATIENCE = 30.0
@@ -62,7 +62,7 @@ def test_an_early_death_is_quoted() -> None:
 
 _DIES_AT_ONCE = """
 import os, sys
-from armlab.bridge.simulator import Simulator
+from armlab.bridge.link import Simulator
 print(Simulator(["yumi_right"], [int(sys.argv[1])], {})._process.pid, flush=True)
 os._exit(0)
 """

@@ -15,11 +15,11 @@ from typing import Any
 import pytest
 
 from armlab import robots
-from armlab.bridge.feed import OPERATOR, Exchange
-from armlab.bridge.local import LocalFeed, socket_path
-from armlab.bridge.local_server import LocalServer
-from armlab.bridge.messages import Subscribe, parameter_message
-from armlab.bridge.parameters import Parameter, Parameters
+from armlab.bridge.inputs.parameters import Parameter, Parameters
+from armlab.bridge.servers.hub import OPERATOR, Exchange
+from armlab.bridge.servers.local import LocalFeed, socket_path
+from armlab.bridge.servers.local_server import LocalServer
+from armlab.bridge.servers.messages import Subscribe, parameter_message
 from armlab.cli import main
 from armlab.cli.bridge import bridge, certificates, release, resume, set_parameters, start, stop
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from armlab import log, robots
-from armlab.bridge.address import addresses
+from armlab.bridge.urls import addresses
 from armlab.cli import main
 from armlab.cli.links import links_to, simulated
 from armlab.errors import ConfigError, UnknownName

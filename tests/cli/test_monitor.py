@@ -13,12 +13,11 @@ import pytest
 from rich.console import Console
 
 from armlab import robots
-from armlab.bridge.feed import OPERATOR, Exchange
-from armlab.bridge.local import socket_path
-from armlab.bridge.local_server import LocalServer
-from armlab.bridge.row import RowWriter, read_row
-from armlab.bridge.row_schema import RowSchema
-from armlab.bridge.watch import Watch
+from armlab.bridge.servers.hub import OPERATOR, Exchange
+from armlab.bridge.servers.local import socket_path
+from armlab.bridge.servers.local_server import LocalServer
+from armlab.bridge.servers.row import RowSchema, RowWriter, read_row
+from armlab.bridge.servers.watch import Watch
 from armlab.cli import main
 from armlab.cli.monitor import monitor, table
 from armlab.log import Tick

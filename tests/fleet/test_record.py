@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from armlab import log
-from armlab.bridge.row_schema import LARGEST
-from armlab.bridge.zenoh import EVERY, Place, checksum, close_session, open_session
+from armlab.bridge.servers.row import LARGEST
+from armlab.bridge.servers.zenoh import EVERY, Place, checksum, close_session, open_session
 from armlab.fleet import FleetRecorder, Router, record, robot_record
 from armlab.fleet.robot_record import RobotRecord
 from armlab.robots import Robot

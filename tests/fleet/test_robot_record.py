@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from armlab import log
-from armlab.bridge.row import RowWriter
-from armlab.bridge.row_schema import RowSchema
+from armlab.bridge.servers.row import RowSchema, RowWriter
 from armlab.fleet import robot_record
 from armlab.fleet.robot_record import RobotRecord
 from armlab.log import Tick

@@ -9,8 +9,8 @@ from collections.abc import Callable
 import pytest
 
 from armlab import robots
-from armlab.bridge.row_schema import RowSchema
-from armlab.bridge.zenoh import EVERY, Place
+from armlab.bridge.servers.row import RowSchema
+from armlab.bridge.servers.zenoh import EVERY, Place
 from armlab.fleet import FleetRobot, Router, list_robots
 from armlab.fleet.robots import _Seen
 

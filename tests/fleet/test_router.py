@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from armlab.bridge.zenoh import Place, Security, close_session
+from armlab.bridge.servers.zenoh import Place, Security, close_session
 from armlab.cli.certificates import write_certificates
 from armlab.errors import ConfigError, LinkError
 from armlab.fleet import Router

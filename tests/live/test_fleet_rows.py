@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.row_schema import RowSchema
-from armlab.bridge.zenoh import Place
+from armlab.bridge.servers.row import RowSchema
+from armlab.bridge.servers.zenoh import Place
 from armlab.errors import LinkError
 from armlab.live import FleetRows, SeenRobot
 from armlab.robots import to_toml

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.zenoh import EVERY, Place
+from armlab.bridge.servers.zenoh import EVERY, Place
 from armlab.errors import LinkError
 from armlab.kinematics import forward
 from armlab.lie import quaternion, se3

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from armlab import bridge, robots
-from armlab.bridge.port import Arrival, Port
-from armlab.bridge.surplus import Surplus
-from armlab.bridge.waiting import Waiting
+from armlab.bridge.control.arm import Surplus
+from armlab.bridge.control.realtime import Waiting
+from armlab.bridge.net.sockets import Arrival, Port
 from armlab.sim.controller import Controller
 from armlab.sim.fault_rates import FaultRates
 from armlab.sim.faults import Faults

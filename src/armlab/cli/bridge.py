@@ -14,7 +14,7 @@ from armlab._toml import TomlError, parsed
 from armlab.errors import ConfigError
 
 if TYPE_CHECKING:
-    from armlab.bridge.messages import Request
+    from armlab.bridge.servers.messages import Request
 
 __all__ = ["bridge", "certificates", "release", "resume", "set_parameters", "start", "stop"]
 
@@ -66,8 +66,8 @@ def set_parameters(*setting: str, cell: str = "") -> None:
     cell
         Name of the cell; needed when several run.
     """
-    from armlab.bridge.local import LocalFeed
-    from armlab.bridge.messages import SetRequest, Subscribe
+    from armlab.bridge.servers.local import LocalFeed
+    from armlab.bridge.servers.messages import SetRequest, Subscribe
     from armlab.cli.output import aligned, result
 
     values = dict(_setting(word) for word in setting)
@@ -93,7 +93,7 @@ def stop(*, cell: str = "") -> None:
     cell
         Name of the cell; needed when several run.
     """
-    from armlab.bridge.messages import Stop
+    from armlab.bridge.servers.messages import Stop
 
     _operate(Stop(), cell)
 
@@ -107,7 +107,7 @@ def release(*, cell: str = "") -> None:
     cell
         Name of the cell; needed when several run.
     """
-    from armlab.bridge.messages import Release
+    from armlab.bridge.servers.messages import Release
 
     _operate(Release(), cell)
 
@@ -121,7 +121,7 @@ def resume(*, cell: str = "") -> None:
     cell
         Name of the cell; needed when several run.
     """
-    from armlab.bridge.messages import Resume
+    from armlab.bridge.servers.messages import Resume
 
     _operate(Resume(), cell)
 
@@ -144,7 +144,7 @@ def certificates(folder: Path, *, host: list[str] | None = None) -> None:
 
 
 def _operate(request: Request, cell: str) -> None:
-    from armlab.bridge.local import LocalFeed
+    from armlab.bridge.servers.local import LocalFeed
     from armlab.cli.output import result
 
     with LocalFeed(cell) as feed:

@@ -9,7 +9,7 @@ import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
-from armlab.bridge.zenoh.security import BRIDGE, COMMANDER
+from armlab.bridge.servers.zenoh.security import BRIDGE, COMMANDER
 from armlab.errors import ConfigError
 
 __all__ = ["USERS", "write_certificates"]

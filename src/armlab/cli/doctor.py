@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from armlab.bridge.findings import Finding
+    from armlab.bridge.doctor.findings import Finding
 
 __all__ = ["disk", "doctor"]
 
@@ -46,7 +46,7 @@ def doctor(
         Print JSON for scripts.
     """
     from armlab import robots
-    from armlab.bridge.doctor import LONGEST, examine
+    from armlab.bridge.doctor.report import LONGEST, examine
     from armlab.cli import FAILED, SKIPPED
     from armlab.cli.output import note, print_json, result
     from armlab.cli.ports import known_ports, ports_in
@@ -77,7 +77,7 @@ def disk(
     ----------
     folder : of the log. sync : brings a file to the disk. free : bytes left.
     """
-    from armlab.bridge.findings import Finding
+    from armlab.bridge.doctor.findings import Finding
 
     syncs: list[float] = []
     try:

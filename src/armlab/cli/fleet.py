@@ -11,7 +11,7 @@ from cyclopts import App, Parameter
 from armlab.errors import ConfigError
 
 if TYPE_CHECKING:
-    from armlab.bridge.zenoh import Place
+    from armlab.bridge.servers.zenoh import Place
 
 __all__ = ["fleet", "list_fleet", "record", "router"]
 
@@ -50,7 +50,7 @@ def router(
     seconds
         Time after which to end [s].
     """
-    from armlab.bridge.zenoh import Security
+    from armlab.bridge.servers.zenoh import Security
     from armlab.cli.output import note
     from armlab.fleet import Router
 
@@ -167,7 +167,7 @@ fleet.command(
 
 
 def _place(lab: str, router: str, ca: Path | None, secret: Path | None) -> Place:
-    from armlab.bridge.zenoh import EVERY, Place, Security
+    from armlab.bridge.servers.zenoh import EVERY, Place, Security
 
     return Place.read(f"zenoh://{router}/{lab}")._replace(lab=lab or EVERY, security=Security(ca=ca, secret=secret))
 

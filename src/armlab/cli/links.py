@@ -46,7 +46,7 @@ def links_to(robot: str, arms: Sequence[Robot], link: str | None) -> list[str]:
     ------
     ConfigError : links that cannot be, or that simulate other arms: the log would say that it is of these.
     """
-    from armlab.bridge.address import addresses
+    from armlab.bridge.urls import addresses
 
     same = f"sim://{'+'.join(quote(word) for word in robot.split('+'))}"
     urls = [same] if link is None else link.split(",")

@@ -47,7 +47,7 @@ def record(
         Replace existing logs.
     """
     from armlab import bridge, robots
-    from armlab.bridge.recording import paths
+    from armlab.bridge.control.recording import paths
     from armlab.cli.amounts import require_positive
     from armlab.cli.narration import Narrator
     from armlab.cli.output import check_output, note

@@ -12,9 +12,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from armlab.bridge.zenoh import EVERY, Asking, Place, close_session, key, robot_of, undamaged
-from armlab.bridge.zenoh.inbox import Inbox
-from armlab.bridge.zenoh.session import zenoh
+from armlab.bridge.servers.zenoh import EVERY, Asking, Place, close_session, key, robot_of, undamaged
+from armlab.bridge.servers.zenoh.rows import Inbox
+from armlab.bridge.servers.zenoh.session import zenoh
 from armlab.fleet.robot_record import RobotRecord
 from armlab.log.recorder import FLUSH_PERIOD, WRITE_PERIOD
 

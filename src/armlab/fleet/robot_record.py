@@ -9,8 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from armlab.bridge.row import MAGIC
-from armlab.bridge.zenoh.texts import read_about
+from armlab.bridge.servers.row import MAGIC
+from armlab.bridge.servers.zenoh.messages import read_about
 from armlab.errors import ArmlabError, LinkError
 from armlab.fleet.row_columns import RowColumns, stamp_of, tick_of
 from armlab.log.recording_file import RecordingFile

@@ -7,10 +7,9 @@ import threading
 import time
 from typing import Any, NamedTuple
 
-from armlab.bridge.row import read_row
-from armlab.bridge.row_schema import RowSchema
-from armlab.bridge.zenoh import EVERY, Place, close_session, key, queried, robot_of, robots_at, undamaged
-from armlab.bridge.zenoh.texts import read_about
+from armlab.bridge.servers.row import RowSchema, read_row
+from armlab.bridge.servers.zenoh import EVERY, Place, close_session, key, queried, robot_of, robots_at, undamaged
+from armlab.bridge.servers.zenoh.messages import read_about
 from armlab.errors import ArmlabError
 
 __all__ = ["FleetRobot", "list_robots"]

@@ -6,8 +6,8 @@ import ipaddress
 from collections.abc import Sequence
 from types import TracebackType
 
-from armlab.bridge.listening import is_here
-from armlab.bridge.zenoh import Security, close_session, open_session
+from armlab.bridge.net.sockets import is_here
+from armlab.bridge.servers.zenoh import Security, close_session, open_session
 from armlab.errors import ConfigError
 
 __all__ = ["Router"]

@@ -7,12 +7,11 @@ import time
 from dataclasses import replace
 from typing import Any
 
-from armlab.bridge.row import Row, read_row
-from armlab.bridge.row_schema import RowSchema
-from armlab.bridge.zenoh import EVERY, Asking, Place, close_session, key, robot_of, undamaged
-from armlab.bridge.zenoh.inbox import Inbox
-from armlab.bridge.zenoh.session import zenoh
-from armlab.bridge.zenoh.texts import read_about, read_message
+from armlab.bridge.servers.row import Row, RowSchema, read_row
+from armlab.bridge.servers.zenoh import EVERY, Asking, Place, close_session, key, robot_of, undamaged
+from armlab.bridge.servers.zenoh.messages import read_about, read_message
+from armlab.bridge.servers.zenoh.rows import Inbox
+from armlab.bridge.servers.zenoh.session import zenoh
 from armlab.errors import ArmlabError, LinkError
 from armlab.robots import Robot
 

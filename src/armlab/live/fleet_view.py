@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armlab.bridge.zenoh import Place
+from armlab.bridge.servers.zenoh import Place
 from armlab.live.fleet_rows import FleetRows, SeenRobot
 from armlab.live.panel import Lines, Markup
 from armlab.live.scene import Scene

@@ -13,7 +13,7 @@ import numpy as np
 
 from armlab import log as logs
 from armlab import robots as library
-from armlab.bridge.readiness import obstacle
+from armlab.bridge.control.feedback import obstacle
 from armlab.errors import LogError, ModelMismatchError, RobotError, UnknownName
 from armlab.kinematics import forward
 from armlab.log.recording_metadata import described

@@ -21,7 +21,7 @@ from armlab.robots import Robot
 if TYPE_CHECKING:
     from viser import ViserServer
 
-    from armlab.bridge.row import Row
+    from armlab.bridge.servers.row import Row
 
 __all__ = ["RunningView", "watch"]
 

@@ -1,0 +1,175 @@
+"""Server processes: started, watched, started again, left dead; and the loop does not notice."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from armlab import robots
+from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.supervisor import PLACE, RESTARTS, WELL, Servers, server_command
+from armlab.errors import LinkError
+
+LEFT = robots.load("yumi_left")
+QUIET = (
+    'import socket,sys; s=socket.socket(fileno=int(sys.argv[1])); s.send(b\'{"kind":"listening","where":["here"]}\')\n'
+)
+WAITS = QUIET + "while s.recv(100000): pass"
+FAILS = "import sys; sys.stderr.write('no luck'); sys.exit(3)"
+
+
+def command(program: str) -> list[str]:
+    return [sys.executable, "-S", "-c", program, PLACE]
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_a_server_listens_and_ends_with_the_bridge() -> None:
+    exchange = Exchange([LEFT], ["a"])
+    with Servers(exchange, {"a": command(WAITS)}) as servers:
+        assert servers.ready() == ["here"]
+        pid = servers.processes()["a"]
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+    servers.close()
+
+
+def test_a_killed_server_starts_again() -> None:
+    exchange = Exchange([LEFT], ["a"])
+    told: list[str] = []
+    exchange.begin(lambda text, *_: told.append(text))
+    with Servers(exchange, {"a": command(WAITS)}, restarts=(0.01, 0.01)) as servers:
+        servers.ready()
+        first = servers.processes()["a"]
+        os.kill(first, signal.SIGKILL)
+        until(lambda: servers.processes().get("a", first) != first)
+        assert servers.ready() == ["here"]
+        until(lambda: bool(told))
+    assert told[0] == "The server a ended with status -9. It starts again in 0.01 s. It said: nothing"
+
+
+def test_a_server_that_fails_is_left_dead() -> None:
+    exchange = Exchange([LEFT], ["a"])
+    told: list[str] = []
+    exchange.begin(lambda text, *_: told.append(text))
+    program = QUIET + "while b'Now.' not in s.recv(100000): pass\n" + FAILS
+    with Servers(exchange, {"a": command(program)}, restarts=(0.01, 0.01)) as servers:
+        for ends in range(3):
+            assert servers.ready() == ["here"]
+            exchange.event("Now.")
+            until(lambda ends=ends: len(told) > ends)
+        assert servers.dead == {"a"}
+    assert told[-1] == "The server a ended with status 3. It stays dead; the loop goes on. It said: no luck"
+
+
+@pytest.mark.parametrize(("well", "outcome"), [(0.0, "It starts again in 0.01 s."), (1e6, "It stays dead")])
+def test_a_server_that_ran_well_begins_a_new_series(well: float, outcome: str) -> None:
+    """One that ends once a day is never left dead; one that ends whenever it has started is."""
+    exchange = Exchange([LEFT], ["a"])
+    told: list[str] = []
+    exchange.begin(lambda text, *_: told.append(text))
+    with Servers(exchange, {"a": command(WAITS)}, restarts=(0.01, 0.02), well=well) as servers:
+        for ends in range(3):
+            assert servers.ready(60.0) == ["here"]
+            until(lambda: servers._children[0].since is not None)
+            os.kill(servers.processes()["a"], signal.SIGKILL)
+            until(lambda ends=ends: len(told) > ends)
+        assert servers.dead == (set() if well == 0.0 else {"a"})
+    assert outcome in told[-1]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (command(FAILS), "ended with status 3. It said: no luck"),
+        (["/no/such/program"], "could not be started. It said: [Errno 2] No such file"),
+    ],
+)
+def test_a_server_that_never_listens_refuses_at_once(words: list[str], said: str) -> None:
+    with Servers(Exchange([LEFT], ["a"]), {"a": words}) as servers:
+        began = time.monotonic()
+        with pytest.raises(LinkError, match=re.escape(f"Expected the server a to listen, but it {said}")):
+            servers.ready(60.0)
+        assert time.monotonic() - began < 30.0
+
+
+def test_a_server_that_says_nothing() -> None:
+    with Servers(Exchange([LEFT], ["a"]), {"a": command("import time; time.sleep(60)")}) as servers:
+        with pytest.raises(LinkError, match=r"Expected a to listen within 0.2 s"):
+            servers.ready(0.2)
+        os.kill(servers.processes()["a"], signal.SIGKILL)
+
+
+def test_an_error_of_the_watch_does_not_end_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A server that cannot be watched starts again as one that ended, as often and no oftener."""
+    exchange = Exchange([LEFT], ["a", "b"])
+    told: list[str] = []
+    exchange.begin(lambda text, *_: told.append(text))
+    look, idle, broken = Servers._look, exchange.idle, [False]
+
+    def fail(servers: Servers, child: Any) -> None:
+        if broken[0] and child.name == "a":
+            raise RuntimeError("odd")
+        look(servers, child)
+
+    def fail_to_idle(longer_ns: int) -> None:
+        if broken[0]:
+            broken[0] = len(told) < 3
+            idle(0)
+            raise ValueError("also odd")
+        idle(longer_ns)
+
+    monkeypatch.setattr(Servers, "_look", fail)
+    monkeypatch.setattr(exchange, "idle", fail_to_idle)
+    with Servers(exchange, {"a": command(WAITS), "b": command(WAITS)}, restarts=(0.01,)) as servers:
+        servers.ready()
+        other = servers.processes()["b"]
+        broken[0] = True
+        until(lambda: not broken[0])
+        os.kill(other, signal.SIGKILL)
+        until(lambda: any("The server b ended with status -9" in text for text in told))
+    assert "The server a could not be watched. It starts again in 0.01 s. It said: RuntimeError: odd" in told
+    assert sum("The server a" in text for text in told) == 2
+    assert any("Requests of clients were not taken, ValueError: also odd" in text for text in told)
+
+
+def test_times_and_command() -> None:
+    assert RESTARTS == (1.0, 5.0, 30.0)
+    assert WELL == 300.0
+    assert server_command("local", {"path": "x"})[-3:] == ["local", PLACE, '{"path": "x"}']
+
+
+def test_no_server_outlives_a_bridge_that_is_killed(tmp_path: Path) -> None:
+    """The system closes its end of the socket; the server removes its own socket when it ends."""
+    path = tmp_path / "x"
+    program = f"""
+import time
+from armlab import robots
+from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.supervisor import Servers, server_command
+
+command = server_command("local", {{"path": "{path}"}})
+with Servers(Exchange([robots.load("ur5e")], ["local"]), {{"local": command}}) as servers:
+    print(*servers.ready(60.0), flush=True)
+    time.sleep(60.0)
+"""
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as bridge:
+        assert bridge.stdout is not None
+        assert bridge.stdout.readline() == f"{path} (local)\n"
+        assert path.exists()
+        bridge.kill()
+    until(lambda: not path.exists())
