@@ -39,38 +39,16 @@ from mutants import Mutant, codes, is_same, loaded, mutants, transplant  # noqa:
 EXPLAINED, LAST = ROOT / "mutation" / "survivors.toml", ROOT / "build" / "mutation.json"
 BRIDGE, KERNELS = "src/armlab/bridge", "src/armlab/kernels/_reference"
 FILES = {  # each with the tests that hold it
-    f"{BRIDGE}/control/limits.py": [
-        "bridge/control/limits",
-        "bridge/control/state_machine",
-        "bridge/control/state_machine_failing",
-        "bridge/control/torque",
-        "bridge/control/linked",
-    ],
-    f"{BRIDGE}/control/torque.py": ["bridge/control/torque", "bridge/control/linked", "bridge/control/state_machine"],
-    f"{BRIDGE}/control/command_checks.py": [
-        "bridge/control/command_checks",
-        "bridge/control/state_machine",
-        "bridge/control/state_machine_failing",
-    ],
-    f"{BRIDGE}/control/realtime.py": ["bridge/control/watchdog"],
-    f"{BRIDGE}/control/session.py": ["bridge/control/session", "bridge/control/session_order"],
-    f"{BRIDGE}/control/state_machine.py": [
-        "bridge/control/state_machine",
-        "bridge/control/state_machine_failing",
-        "bridge/control/torque",
-    ],
-    f"{BRIDGE}/command/arbiter.py": ["bridge/command/arbiter", "bridge/command/arbiter_distances"],
-    f"{BRIDGE}/control/loop.py": [
-        "bridge/control/loop_by_hand",
-        "bridge/control/loop_fails_by_hand",
-        "bridge/control/multi_arm_by_hand",
-    ],
+    f"{BRIDGE}/control/limits.py": ["bridge/control/limits", "bridge/control/state_machine", "bridge/control/torque"],
+    f"{BRIDGE}/control/torque.py": ["bridge/control/torque", "bridge/control/limits", "bridge/control/state_machine"],
+    f"{BRIDGE}/control/command_checks.py": ["bridge/control/command_checks", "bridge/control/state_machine"],
+    f"{BRIDGE}/control/realtime.py": ["bridge/control/realtime"],
+    f"{BRIDGE}/control/session.py": ["bridge/control/session"],
+    f"{BRIDGE}/control/state_machine.py": ["bridge/control/state_machine", "bridge/control/torque"],
+    f"{BRIDGE}/command/arbiter.py": ["bridge/command/arbiter"],
+    f"{BRIDGE}/control/loop.py": ["bridge/control/loop_by_hand", "bridge/control/multi_arm_by_hand"],
     f"{BRIDGE}/control/supervision.py": ["bridge/control/supervision"],
-    f"{BRIDGE}/control/arm.py": [
-        "bridge/control/arm",
-        "bridge/control/arm_by_hand",
-        "bridge/control/multi_arm_by_hand",
-    ],
+    f"{BRIDGE}/control/arm.py": ["bridge/control/arm", "bridge/control/multi_arm_by_hand"],
     f"{BRIDGE}/control/multi_arm.py": ["bridge/control/multi_arm"],
     f"{KERNELS}/limits.py": ["kernels/_reference/limits"],
     "native/limits.cpp": ["kernels/_reference/limits"],

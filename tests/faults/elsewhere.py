@@ -41,7 +41,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/bridge/control/test_loop_fails_by_hand.py::test_a_stop_of_which_the_system_sends_nothing_ends_the_run",
+    "tests/bridge/control/test_loop_by_hand.py::test_a_stop_of_which_the_system_sends_nothing_ends_the_run",
     cells(
         "network",
         "the system refuses to send for two seconds",
@@ -52,7 +52,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/bridge/control/test_multi_arm_loop.py::test_an_arm_that_falls_silent_holds_the_other",
+    "tests/bridge/control/test_multi_arm.py::test_an_arm_that_falls_silent_holds_the_other",
     cells(
         "network",
         "one arm of two falls silent",
@@ -192,7 +192,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/bridge/test_broken_codecs.py::test_an_error_outside_the_controller_stops_the_arm_first",
+    "tests/bridge/test_link.py::test_an_error_outside_the_controller_stops_the_arm_first",
     cells(
         "controller",
         "a codec of your own raises",
@@ -225,7 +225,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/bridge/inputs/test_fusion_runs.py::test_a_required_source_that_is_stale_holds_the_arm",
+    "tests/bridge/inputs/test_fusion.py::test_a_required_source_that_is_stale_holds_the_arm",
     cells(
         "controller",
         "a required source falls silent",

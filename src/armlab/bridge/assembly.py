@@ -36,10 +36,7 @@ __all__ = ["End", "Rehearsal", "assemble", "checked_limits", "finished"]
 class Rehearsal:
     """A second loop, one packet behind the real one, that nobody listens to.
 
-    Parameters
-    ----------
     robot, limits, admittance : as in `Guide`. codec : one of its own, since it is reset with the sessions.
-    port : one that sends to itself.
     """
 
     def __init__(
@@ -55,12 +52,7 @@ class Rehearsal:
         self._command: Command | None = None
 
     def __call__(self, arrival: Arrival, command: Command | None) -> None:
-        """Do everything that the loop did with a packet.
-
-        Parameters
-        ----------
-        arrival : the last packet. command : what the controller returned for it.
-        """
+        """Do everything that the loop did with a packet."""
         self._stage.arrival, self._command = arrival, command
         self._loop.cycle()
         self._port.flush()
@@ -100,9 +92,6 @@ _SILENCE = 0.5  # s that end a session
 class End(NamedTuple):
     """Where one arm is heard, and how.
 
-    Attributes
-    ----------
-    robot, port : the arm and its port. codec : of its session.
     spares, aside : codecs and a port that sends to itself for rehearsals, none where the codec is the user's.
     admittance : makes velocities of torque commands, None where torques are sent or refused.
     """
@@ -126,8 +115,6 @@ def checked_limits(
 ) -> list[Limits]:
     """Return the limits of each arm.
 
-    Parameters
-    ----------
     limits : one per arm; None gives the robots' own. robots : the arms. commands : False when nothing is ever sent.
 
     Raises
@@ -171,10 +158,7 @@ def assemble(
 ) -> list[Arm]:
     """Return the arms of one run, on one clock.
 
-    Parameters
-    ----------
     ends : where they are heard. limits : of each. settings : of the run. commands : False when nothing is ever sent.
-    answer_stream, record, extra, attachments, feeds, sources : see `Link.run`.
     """
     wall_ns = time.time_ns() - time.monotonic_ns()
     told = list(feeds)  # one list: a feed that fails is dropped for all arms
@@ -253,12 +237,7 @@ def _arm(
 
 
 def finished(arms: Sequence[Arm], reason: str, feeds: Sequence[Feed] = ()) -> Run:
-    """Close the recordings and return what the run left behind.
-
-    Parameters
-    ----------
-    arms : after the run, the pacing arm first. reason : why it ended. feeds : of the run; see `recording.Feed`.
-    """
+    """Close the recordings and return what the run left behind."""
     runs = []
     told = {}
     for feed in feeds:

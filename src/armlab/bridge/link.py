@@ -55,10 +55,6 @@ _METHODS = ("capabilities", "reset", "decode", "encode")
 def codec_named(name: str, robot: Robot, extension: bool = False) -> Codec:
     """Return a new codec for a robot.
 
-    Parameters
-    ----------
-    name : "egm", or the name of an entry point. robot : the arm. extension : of "egm", see `EgmCodec`.
-
     Raises
     ------
     UnknownName : no such codec; lists those that exist. ConfigError : an entry point that gives none.
@@ -92,10 +88,7 @@ def codecs_of(
 ) -> list[tuple[Codec, tuple[Codec, ...]]]:
     """Return the codec of each arm and those of its rehearsals, which an object of the user's does not have.
 
-    Parameters
-    ----------
     codec : name of a codec, made once for an arm and once for each rehearsal; or an object for each arm.
-    robots : the arms. extension : of "egm". spares : rehearsals of each arm.
 
     Raises
     ------
@@ -122,14 +115,8 @@ class Simulator:
 
     It gets its own process group, so that Ctrl-C reaches the bridge alone, which brings the arm to rest first.
 
-    Parameters
-    ----------
     robots : names in the library, or robot files. ports : where each shall send.
     options : further options by name: "seed" -> "1" becomes ``--seed 1``; "true" a bare ``--name``.
-
-    Attributes
-    ----------
-    lines : the last lines it wrote.
     """
 
     def __init__(self, robots: Sequence[str], ports: Sequence[int], options: Mapping[str, str]) -> None:

@@ -34,8 +34,6 @@ class _Cell(Protocol):
 def listening(listen: Iterable[str], cell: _Cell) -> dict[str, str]:
     """Return the address of each network server: loopback, or what the user asked for.
 
-    Parameters
-    ----------
     listen : "labcomm=192.168.1.5", "labcomm=0.0.0.0" or "labcomm=eth0". cell : whose servers.
 
     Raises
@@ -65,12 +63,7 @@ def listening(listen: Iterable[str], cell: _Cell) -> dict[str, str]:
 
 
 def is_open(options: Mapping[str, Any], address: str) -> bool:
-    """Return whether a server is reached from beyond this computer by clients that prove nothing: they only read.
-
-    Parameters
-    ----------
-    options : of the server, whose "guarded" may say that it asks for a secret and encrypts. address : it listens on.
-    """
+    """Return whether a server is reached from beyond this computer by clients that prove nothing: they only read."""
     return not options.get(GUARDED, False) and not ipaddress.ip_address(address).is_loopback
 
 

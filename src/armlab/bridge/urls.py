@@ -19,11 +19,7 @@ _LABCOMM = 7511  # of the first arm of a LabComm server: 7511 left, 7512 right
 class Address(NamedTuple):
     """Where one robot is heard.
 
-    Attributes
-    ----------
     scheme : "egm", "sim", "labcomm" or "zenoh". host, port : where to listen, or of the server.
-    robot : name or file of the simulated robot, else "".
-    options : of the simulator, the LabComm port or the Zenoh link, there with "lab".
     """
 
     scheme: str
@@ -36,8 +32,6 @@ class Address(NamedTuple):
 def addresses(urls: Sequence[str], count: int) -> list[Address]:
     """Return the addresses of the robots of a link.
 
-    Parameters
-    ----------
     urls : ``egm://HOST:PORT``, ``labcomm://HOST:PORT`` or ``zenoh://HOST:PORT/LAB`` for each robot, or
         ``sim://NAME?option=value``, also ``sim://NAME+NAME`` and ``sim://FOLDER/FILE.toml``. count : robots.
 
@@ -62,12 +56,7 @@ def addresses(urls: Sequence[str], count: int) -> list[Address]:
 
 
 def simulator_options(found: Sequence[Address]) -> dict[str, str]:
-    """Return the options of the one simulator that plays all robots, with a seed for each where they differ.
-
-    Parameters
-    ----------
-    found : as `addresses` returns them, all of the scheme "sim".
-    """
+    """Return the options of the one simulator that plays all robots, with a seed for each where they differ."""
     seeds = [one.options.get("seed", "0") for one in found]
     return found[0].options if len(set(seeds)) == 1 else {**found[0].options, "seed": ",".join(seeds)}
 
@@ -79,10 +68,6 @@ def _shared(address: Address) -> dict[str, str]:
 
 def split_url(url: str) -> SplitResult:
     """Return the parts of a url.
-
-    Parameters
-    ----------
-    url : of any form.
 
     Raises
     ------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import select
+import socket
 import subprocess
 import sys
 import time
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from armlab.bridge.net.sockets import Arrival, Port
+from armlab.bridge.net.sockets import Arrival, Outlet, Port, holder, listening_socket, pair, program
 from armlab.errors import LinkError
 
 
@@ -124,3 +125,83 @@ def test_a_port_in_use_names_its_holder() -> None:
 def test_an_address_of_another_computer(host: str) -> None:
     with pytest.raises(LinkError, match=f"Expected a local address to listen on, got {host}:6510"):
         Port(host, 6510)
+
+
+@pytest.mark.parametrize("kind", ["udp", "tcp"])
+def test_the_holder_of_a_port_is_named(kind: str) -> None:
+    code = (
+        "import socket, sys\n"
+        f"s = socket.socket(socket.AF_INET, socket.SOCK_{'DGRAM' if kind == 'udp' else 'STREAM'})\n"
+        "s.bind(('127.0.0.1', 0))\n"
+        f"{'s.listen()' if kind == 'tcp' else ''}\n"
+        "print(s.getsockname()[1], flush=True); sys.stdin.read()"
+    )
+    command = [sys.executable, "-S", "-c", code]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        number = int(other.stdout.readline())
+        assert holder(number, kind).startswith(f"process {other.pid} (")  # type: ignore[arg-type]
+        assert holder(number, "tcp" if kind == "udp" else "udp") == ""
+
+
+def test_nobody_holds_a_free_port() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        number = free.getsockname()[1]
+    assert holder(number) == ""
+
+
+def test_a_connection_is_no_listener() -> None:
+    """Nor is a client whose own end has that number."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        with socket.create_connection(server.getsockname()) as client:
+            assert holder(client.getsockname()[1], "tcp") == ""
+        assert str(os.getpid()) in holder(server.getsockname()[1], "tcp")
+
+
+def test_a_process_that_is_gone() -> None:
+    assert program(os.getpid()).startswith(f"process {os.getpid()} (")
+    assert program(2**22 + 1) == f"process {2**22 + 1}"
+
+
+def test_a_port_that_is_taken_names_who_has_it() -> None:
+    with listening_socket("127.0.0.1", 0, "left", 2) as one:
+        assert not one.getblocking()
+        port = one.getsockname()[1]
+        words = rf"TCP port 127.0.0.1:{port} for right to be free, but it is in use by process {os.getpid()} \("
+        with pytest.raises(LinkError, match=words):
+            listening_socket("127.0.0.1", port, "right", 2)
+
+
+def test_small_messages_wait_for_no_acknowledgement() -> None:
+    """A client acknowledges after up to 40 ms; with Nagle's algorithm the next message would wait for that."""
+    with listening_socket("127.0.0.1", 0, "left", 2) as listener:
+        listener.setblocking(True)
+        with socket.create_connection(listener.getsockname()), listener.accept()[0] as accepted:
+            assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+@pytest.mark.parametrize(("host", "port"), [("203.0.113.7", 7511), ("127.0.0.1", 70_000)])
+def test_an_address_that_is_none_of_ours(host: str, port: int) -> None:
+    with pytest.raises(LinkError, match=f"Expected TCP port {host}:{port} for left to be free, but"):
+        listening_socket(host, port, "left", 2)
+
+
+def test_a_pair_keeps_messages_whole() -> None:
+    ours, theirs = pair()
+    assert not ours.getblocking()
+    ours.send(b"one")
+    ours.send(b"two")
+    assert theirs.recv(100) == b"one"
+    assert isinstance(theirs, socket.socket)
+    ours.close()
+    theirs.close()
+
+
+def test_a_closed_outlet_is_silent() -> None:
+    outlet = Outlet("x")
+    assert not outlet.send(b"a")
+    outlet.row(b"b")
+    assert (outlet.rows, outlet.lost) == (0, 1)
+    assert outlet.receive() is None
+    outlet.close()

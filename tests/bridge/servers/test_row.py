@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from dataclasses import replace
 from typing import Any
 
@@ -17,7 +19,9 @@ from armlab.bridge.servers.row import (
     MAGIC,
     MONO,
     WALL,
+    Pace,
     Row,
+    RowField,
     RowSchema,
     RowWriter,
     beginning,
@@ -26,7 +30,7 @@ from armlab.bridge.servers.row import (
     read_head,
     read_row,
 )
-from armlab.errors import LinkError, UnknownName
+from armlab.errors import ConfigError, LinkError, UnknownName
 from armlab.log import Column, Tick
 from armlab.state import Command, State
 
@@ -142,3 +146,97 @@ def test_the_head_of_a_row() -> None:
 def test_the_clock_of_a_robot_or_of_its_session() -> None:
     assert (clock_ms(2_500_000, 9.0), clock_ms(0, 1.5), clock_ms(-1, 9.0)) == (2, 1500, -1)
     assert {clock_ms(0, time) for time in (np.nan, np.inf, 1.7e308)} == {None}
+
+
+def test_the_schema_is_its_own_text() -> None:
+    again = RowSchema.read(BOTH.text)
+    assert (again.text, again.id, again.size) == (BOTH.text, BOTH.id, BOTH.size)
+    assert json.loads(BOTH.text)["robots"] == ["yumi_left", "yumi_right"]
+    field = again.fields["yumi_left.tau"]
+    assert (field.unit, field.shape, field.labels[0]) == ("N m", (7,), LEFT.joint_names[0])
+    assert all(field.offset % 8 == 0 for field in again.fields.values())
+    assert RowSchema.of([LEFT]).id != BOTH.id
+
+
+def test_rows_of_an_arm_have_its_fields() -> None:
+    BOTH.require(LEFT)
+    some = RowSchema(["ur5e"], [RowField("ur5e.q", "float64", (6,), "rad", "", (), "ur5e", 40)])
+    arm = robots.load("ur5e")
+    some.require(arm, whole=False)
+    with pytest.raises(LinkError, match=r"Expected rows with ur5e.session_t, float64 of shape \(\), got none"):
+        some.require(arm)
+    for wrong in (("text", (6,)), ("float64", (7,)), ("int64", (6,))):
+        other = RowSchema(["ur5e"], [RowField("ur5e.q", *wrong, "rad", "", (), "ur5e", 40)])
+        with pytest.raises(LinkError, match=r"Use the same description of ur5e"):
+            other.require(arm, whole=False)
+
+
+def test_golden_text_and_id() -> None:
+    """Other programs read rows by this text and know it by this id."""
+    schema = RowSchema(["a"], [RowField("a.q", "float64", (2,), "rad", "", ("one", "two"), "a", 40)])
+    expected = (
+        b'{"fields":[{"frame":"","labels":["one","two"],"name":"a.q","offset":40,"shape":[2],"source":"a",'
+        b'"type":"float64","unit":"rad"}],"robots":["a"],"version":1}'
+    )
+    assert schema.text == expected
+    assert schema.id == hashlib.sha256(expected).digest()[:8] == bytes.fromhex("bee64d13376b7474")
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ([RowField("a", "float32", (), "1", "", (), "a", 40)], "one after another"),
+        ([RowField("a", "float64", (), "1", "", (), "a", 44)], "one after another"),
+        ([RowField("a", "float64", (-1,), "1", "", (), "a", 40)], "one after another"),
+        ([RowField("a", "float64", (2000,), "1", "", (), "a", 40)], "at most 8192"),
+        (
+            [RowField("a", "float64", (), "1", "", (), "a", 40), RowField("a", "int64", (), "1", "", (), "a", 48)],
+            "once",
+        ),
+    ],
+)
+def test_wrong_schemas(fields: list[RowField], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        RowSchema(["a"], fields)
+
+
+@pytest.mark.parametrize(
+    "text", [b"", b"[]", b"{", b'{"version":1}', b"\xff", BOTH.text.replace(b'"version":1', b'"version":2')]
+)
+def test_wrong_texts(text: bytes) -> None:
+    with pytest.raises(ConfigError):
+        RowSchema.read(text)
+
+
+@given(st.lists(st.tuples(st.integers(0, 5000), st.integers(0, 255)), min_size=1, max_size=4))
+def test_mutated_schemas(changes: list[tuple[int, int]]) -> None:
+    text = bytearray(BOTH.text)
+    for place, value in changes:
+        text[place % len(text)] = value
+    try:
+        schema = RowSchema.read(bytes(text))
+    except ConfigError:
+        return
+    assert schema.size <= LARGEST
+
+
+def test_each_arm_has_its_rate_whoever_comes_first() -> None:
+    pace, got = Pace(0.1), {"left": 0, "right": 0}
+    for k in range(2500):  # 10 s of two arms at 250 Hz, the right one just after the left
+        for arm, after in (("left", 0.0), ("right", 1e-4)):
+            got[arm] += pace.takes([arm], 0.004 * k + after)
+    assert np.allclose(list(got.values()), 100, atol=2)
+
+
+def test_a_row_that_is_fresh_for_both_counts_for_both() -> None:
+    pace = Pace(1.0)
+    assert pace.takes(["left", "right"], 5.0)
+    assert not pace.takes(["left", "right"], 5.5)
+    assert not pace.takes([], 7.0)
+    assert pace.takes(["right"], 6.0)
+    assert pace.takes(["left", "right"], 6.1)
+
+
+def test_all_rows() -> None:
+    pace = Pace(0.0)
+    assert all(pace.takes(["left"], now) for now in (1.0, 1.0, 1.5))

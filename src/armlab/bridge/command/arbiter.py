@@ -178,12 +178,7 @@ class Arbiter:
         self._refuse(client, why, self._clock(), answer=False)
 
     def __call__(self, state: State) -> Command | tuple[Command | None, ...] | None:
-        """Return what each arm shall do: the newest command of its holder, or None, hold.
-
-        Parameters
-        ----------
-        state : of the arm, or of all of them fused.
-        """
+        """Return what each arm shall do: the newest command of its holder, or None, hold."""
         self.poll()
         now = self._clock()
         for arm in self._holders:

@@ -15,8 +15,6 @@ __all__ = ["Order", "called", "read_order"]
 def called(robot: Robot, i: int, first: int | None = None, by_axis: bool = False) -> str:
     """Return what a joint is called by the client that commands it, with its place in what was sent.
 
-    Parameters
-    ----------
     robot : the arm. i : index of the joint, from 0.
     first : place of the arm's first number in a ROS message, from 0; None for a command that was none.
     by_axis : the numbers of a command that was none stood in ABB's order, axes 1 to n.
@@ -55,12 +53,7 @@ class Order(NamedTuple):
 
 
 def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Command, str]:
-    """Return the command of an order, and what is wrong with it, "" when nothing is; one bad number refuses it whole.
-
-    Parameters
-    ----------
-    order : of a client. robot : the arm. has_torque : whether it takes torques.
-    """
+    """Return the command of an order, and what is wrong with it, "" when nothing is; one bad number refuses it."""
     values: dict[str, np.ndarray | None] = {}
     for name in ("q", "qd", "tau"):
         values[name], problem = _vector(order, name, robot)

@@ -32,8 +32,6 @@ _BINS = 20_000  # of one microsecond; the last one takes everything longer
 class Latency:
     """Times from arrival to reply in bins of 1 us, in constant memory.
 
-    Attributes
-    ----------
     count : times counted. longest : the longest [us].
     """
 
@@ -51,8 +49,6 @@ class Latency:
     def percentile(self, percent: float) -> float:
         """Return the time [us] that `percent` of the times do not exceed; NaN when nothing was counted.
 
-        Parameters
-        ----------
         percent : from 0 to 100.
         """
         if not self.count:
@@ -85,16 +81,7 @@ _MOST = 16  # replies left out in a row: whatever it tells, a robot gets one lon
 
 
 class Surplus:
-    """Decides packet by packet whether its reply is left out. A queue that stays deep all the same is an event.
-
-    Parameters
-    ----------
-    on_event : receives the event.
-
-    Attributes
-    ----------
-    left_out : replies so far.
-    """
+    """Decides packet by packet whether its reply is left out. A queue that stays deep all the same is an event."""
 
     def __init__(self, on_event: Tell = nobody) -> None:
         self._on_event, self._standing = on_event, StandingQueue()
@@ -105,8 +92,6 @@ class Surplus:
     def leaves_out(self, depth: int, period: float) -> bool:
         """Return whether the reply to this packet is left out: one for each message that was left in three cycles.
 
-        Parameters
-        ----------
         depth : messages left in the queue after the controller took one; not above 0 also when it is unknown.
         period : cycle time of the robot [s].
         """

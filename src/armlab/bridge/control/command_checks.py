@@ -23,10 +23,6 @@ _NUMBERS = "q", "qd", "tau", "q_ext", "rapid_data"
 def wanted(command: Command, robot: Robot) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
     """Return the position, velocity and torque (n,) that a command asks for, None for what it does not.
 
-    Parameters
-    ----------
-    command : what the controller returned. robot : the arm.
-
     Raises
     ------
     CommandRefused : not a Command, wrong shape, or no numbers.
@@ -61,10 +57,6 @@ def _vector(name: str, values: Any, robot: Robot) -> np.ndarray | None:
 def numbers(values: Any) -> np.ndarray:
     """Return what a controller gave as an array of real numbers.
 
-    Parameters
-    ----------
-    values : may be anything.
-
     Raises
     ------
     Exception : any that NumPy or the values raise. TypeError : texts, truth values, complex numbers or objects.
@@ -76,12 +68,7 @@ def numbers(values: Any) -> np.ndarray:
 
 
 def kept(command: Command | None) -> Command | None:
-    """Return a command with arrays of its own: while it serves, the controller may write the next one into its own.
-
-    Parameters
-    ----------
-    command : what the controller returned. What is no Command or has no numbers stays as it is, for `wanted` to refuse.
-    """
+    """Return a command with arrays of its own: while it serves, the controller may write the next one into its own."""
     if not isinstance(command, Command):
         return command
     return replace(command, **{name: _copied(getattr(command, name)) for name in _NUMBERS})
@@ -97,10 +84,7 @@ def _copied(values: Any) -> Any:
 def refusal(refused: int, q: np.ndarray | None, qd: np.ndarray | None, sent: np.ndarray, robot: Robot) -> str:
     """Return the sentence for a reference that the limits refused.
 
-    Parameters
-    ----------
     refused : i when joint i (from 1) is not finite, -i when it jumps. q, qd : asked for. sent : (n,) position before.
-    robot : names the joints.
     """
     i = abs(refused) - 1
     joint, axes = f"joint {i + 1} ({robot.joint_names[i]})", axes_of(robot)
@@ -117,8 +101,6 @@ def refusal(refused: int, q: np.ndarray | None, qd: np.ndarray | None, sent: np.
 def entry_refusal(q: np.ndarray, held: np.ndarray, entry: np.ndarray, robot: Robot) -> str:
     """Return the sentence for a first position too far from where the arm holds, "" when it is near enough.
 
-    Parameters
-    ----------
     q : (n,) asked for. held : (n,) where the arm holds. entry : (n,) distance allowed. robot : names the joints.
     """
     axes = axes_of(robot)
@@ -135,12 +117,7 @@ def entry_refusal(q: np.ndarray, held: np.ndarray, entry: np.ndarray, robot: Rob
 
 
 def causes(robot: Robot) -> str:
-    """Return why a position may be far from another, and of what the numbers are that a refusal of it names.
-
-    Parameters
-    ----------
-    robot : the arm.
-    """
+    """Return why a position may be far from another, and of what the numbers are that a refusal of it names."""
     usual = "Usual causes are degrees instead of radians and another joint order."
     are_joints = Linkage.of(robot) is None
     return usual if are_joints else f"{usual} The numbers are those of ABB's axes, of which one may be several joints."

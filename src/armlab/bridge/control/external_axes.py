@@ -26,8 +26,6 @@ class Aside:
     External axes are asked for by the first `Command.q_ext` of a session. From then on each reply says where they
     shall be: a controller without a new reference keeps the last one, speed included. Values for RAPID go out once.
 
-    Parameters
-    ----------
     limits : of the external axes, None where commands to them are refused. capabilities : of the codec.
     """
 
@@ -62,8 +60,6 @@ class Aside:
     def observe(self, packet: Packet, dt: float) -> str:
         """Check the feedback of a packet: only a plausible one is ever a reference. Return the first problem in a row.
 
-        Parameters
-        ----------
         packet : the newest. dt : seconds since the packet before.
         """
         limits, q = self._limits, packet.q_ext
@@ -83,10 +79,6 @@ class Aside:
         """Return what goes with a reply while the robot follows no references: the axes stay where they are measured.
 
         The next position asked for must be near. Axes of another number are others, of which none was asked for.
-
-        Parameters
-        ----------
-        packet : the newest.
         """
         self._entered = False
         if not self._moves or self._limiter is None or self._q is None or packet.q_ext.shape != self._limiter.q.shape:
@@ -104,10 +96,6 @@ class Aside:
 
     def follow(self, command: Command, packet: Packet, dt: float, longest: float) -> Beside | None:
         """Return what goes with the reply to a command.
-
-        Parameters
-        ----------
-        command : of the controller. packet : the newest. dt, longest : see `Limiter.step`.
 
         Raises
         ------
@@ -191,8 +179,6 @@ class Aside:
 def joined(reply: Reply, beside: Beside | None) -> Reply:
     """Return a reply for the joints with what goes beside.
 
-    Parameters
-    ----------
     reply : for the joints. beside : None for nothing.
     """
     return reply if beside is None else reply._replace(beside=beside)

@@ -30,13 +30,6 @@ class FeedbackCheck:
     A frozen feedback is found by the reference that moves away from it. On a robot whose axes are not its joints all
     of this is about the axes.
 
-    Parameters
-    ----------
-    robot : the arm. limits : its `following_error` is used.
-
-    Attributes
-    ----------
-    plausible : packets in a row. implausible : packets, less an eighth for each plausible one.
     q : (n,) last plausible feedback of the session, None before. confirmed : three in a row were plausible.
     """
 
@@ -57,8 +50,6 @@ class FeedbackCheck:
     def check(self, q: np.ndarray, dt: float, sent: Reply | None) -> str:
         """Return why a feedback is not plausible, "" when it is.
 
-        Parameters
-        ----------
         q : (n,) feedback. dt : seconds since the packet before. sent : the reference that the robot follows, None
             while it follows none.
         """
@@ -159,8 +150,6 @@ def obstacle(motors: int, rapid: int, mci: int) -> str:
 class Readiness:
     """The states of the newest packets; one or two packets without a state do not end a motion.
 
-    Attributes
-    ----------
     is_unknown : packets without a state have followed a robot that was ready.
     """
 

@@ -146,8 +146,6 @@ class Limits:
 class Reply(NamedTuple):
     """One reference after the limits.
 
-    Attributes
-    ----------
     q, qd : (n,) position and speed to send.
     clamped : (n,) bits 1 position, 2 velocity, 4 acceleration, 8 braking, 16 torque, 32 torque rate.
     ratio : of the velocity limit, 1 when it did not act.
@@ -169,8 +167,6 @@ class Reply(NamedTuple):
 class Limiter:
     """The last reference sent, and the next one within the limits (law: `kernels.limit_reference`).
 
-    Parameters
-    ----------
     limits : see `Limits`. reach : range of the robot (n,), to which a position at rest is clipped.
     """
 
@@ -225,8 +221,6 @@ class Limiter:
     def step(self, q: np.ndarray | None, qd: np.ndarray | None, dt: float, longest: float = np.inf) -> Reply:
         """Return the reference for a position `q` (n,), a velocity `qd` (n,), both, or neither (hold).
 
-        Parameters
-        ----------
         q, qd : references or None. dt : measured time since the last reference that went out [s].
         longest : time within which a reference may move on [s]: after a longer gap it moves no further, unless that
             would brake too hard.
@@ -242,12 +236,7 @@ class Limiter:
 
 
 class LinkedLimiter(Limiter):
-    """A `Limiter` of axes: ABB limits positions, speeds and accelerations of axes, the controller speaks of joints.
-
-    Parameters
-    ----------
-    limits : of the axes. linkage : between the two. reach : see `Limiter`.
-    """
+    """A `Limiter` of axes: ABB limits positions, speeds and accelerations of axes, the controller speaks of joints."""
 
     def __init__(self, limits: Limits, linkage: Linkage, reach: tuple[Any, Any] = (-np.inf, np.inf)) -> None:
         super().__init__(limits, reach)
@@ -275,10 +264,6 @@ class LinkedLimiter(Limiter):
 def limiter_of(limits: Limits, robot: Robot) -> Limiter:
     """Return the limiter of a robot: of its joints, or of its axes where they differ.
 
-    Parameters
-    ----------
-    limits : of the robot. robot : the arm.
-
     Raises
     ------
     RobotError : see `Linkage.of`.
@@ -289,10 +274,6 @@ def limiter_of(limits: Limits, robot: Robot) -> Limiter:
 
 def axes_of(robot: Robot) -> Callable[[np.ndarray], np.ndarray]:
     """Return what makes positions (n,) of a robot's joints those that its limits are about: of ABB's axes.
-
-    Parameters
-    ----------
-    robot : the arm; one whose axes are its joints gives them back as they are.
 
     Raises
     ------

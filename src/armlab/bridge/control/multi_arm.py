@@ -22,8 +22,6 @@ def fuse(states: Sequence[State], ages: Sequence[float], pace: int, t: float) ->
     Time, sequence and state numbers are those of the pacing arm. What a fused state cannot say (poses, wrenches) is
     NaN: look into `arms`.
 
-    Parameters
-    ----------
     states : newest of each arm. ages : seconds since each was received. pace : index of the pacing arm.
     t : seconds since the guidance of all arms began.
     """
@@ -79,8 +77,6 @@ def _aged(state: State, age: float) -> State:
 def shares(asked: Any, robots: Sequence[Robot], pace: int = 0) -> Sequence[Command | None]:
     """Return the part of each arm in what a controller returned.
 
-    Parameters
-    ----------
     asked : None, a Command with the joints of all arms one after another, or one Command (or None) per arm. The values
         to record of a common Command go with the arm that paces. robots : the arms. pace : index of that arm.
 

@@ -76,8 +76,6 @@ def short_switches() -> Iterator[None]:
 def priority(level: int, on_event: Tell = nobody) -> Iterator[bool]:
     """Run the calling thread under SCHED_FIFO where that is permitted; what it starts does not inherit that.
 
-    Parameters
-    ----------
     level : 1 to 99. on_event : told once, with the remedy, when it is not permitted.
     """
     try:
@@ -103,10 +101,6 @@ def interrupts(stop: Callable[[], None]) -> Iterator[None]:
 
     A closed terminal may send SIGHUP twice and more: it counts once, and not after another signal, so that it never
     cuts a stop short. Where it is ignored (nohup) it stays so.
-
-    Parameters
-    ----------
-    stop : called in the main thread between two instructions; what it raises is raised there.
     """
     came: list[int] = []
 
@@ -142,8 +136,6 @@ class Prediction:
     def add(self, arrival_ns: int, periods: int, period: float) -> None:
         """Take one arrival.
 
-        Parameters
-        ----------
         arrival_ns : kernel stamp on our monotonic clock. periods : cycles since the packet before.
         period : cycle time of the robot [s].
         """
@@ -167,14 +159,7 @@ class Prediction:
 class Waiting:
     """Waits for datagrams on the ports of a link.
 
-    Parameters
-    ----------
     ports : where they arrive; each is asked first in turn, so that a flood on one does not shut out the others.
-    predictions : of the next arrival on each. mode : "block", "ahead" (sleep, poll around the predicted arrival,
-        block) or "spin".
-
-    Attributes
-    ----------
     rehearse : called with the index of the port shortly before an arrival is predicted there; must change nothing.
     """
 
@@ -184,12 +169,7 @@ class Waiting:
         self.rehearse: Callable[[int], None] = lambda index: None
 
     def next(self, seconds: float) -> tuple[int, Arrival] | None:
-        """Return the next datagram with the index of its port, or None when none came in the time.
-
-        Parameters
-        ----------
-        seconds : longest time to wait.
-        """
+        """Return the next datagram with the index of its port, or None when none came in the time."""
         found = self._receive()
         if found is not None:
             return found
@@ -267,12 +247,7 @@ class Lateness:
         self._recent: deque[tuple[int, bool]] = deque()
 
     def add(self, now_ns: int, late: bool, call_ns: int) -> str:
-        """Take one cycle and return why the controller must stop, "" when it need not.
-
-        Parameters
-        ----------
-        now_ns : our monotonic clock. late : this cycle was, by the controller's fault. call_ns : time it spent.
-        """
+        """Take one cycle and return why the controller must stop, "" when it need not."""
         self._row = self._row + 1 if late else 0
         if self._recent and now_ns - call_ns - self._recent[-1][0] > _PAUSE:
             self._recent.clear()  # a second of which most was a pause holds few cycles: one of them is not 5 %
@@ -294,8 +269,6 @@ class Lateness:
 class Guard:
     """Thread that wakes at the deadline of each cycle and acts only when the loop is overdue.
 
-    Parameters
-    ----------
     overdue : called without a lock; returns the seconds until the loop will be overdue, 0 or less when it is.
     act : called when it is: answers for the loop.
     """

@@ -43,10 +43,7 @@ class Feed(Protocol):
 def paths(record: str | Path | None, robots: Sequence[Robot]) -> list[Path | None]:
     """Return the file of each arm: the name given, with the side (else the name) of the arm added when several.
 
-    Parameters
-    ----------
     record : ``run.mcap`` becomes ``runleft.mcap`` and ``runright.mcap`` for the arms of a YuMi. None: no files.
-    robots : the arms.
     """
     if record is None:
         return [None] * len(robots)
@@ -61,15 +58,10 @@ def paths(record: str | Path | None, robots: Sequence[Robot]) -> list[Path | Non
 class Recording:
     """Where the rows of an arm go.
 
-    Parameters
-    ----------
     robot : the arm. path : file to write, None keeps the rows in memory. extra : the controller's own columns.
     attachments : kept in the file. wait : never drop a row (a link in lockstep keeps no real time).
     clock : stamps of events, wall clock [ns]; 0 while it is not known yet.
     feeds : told too; a list that the recordings of a run share. label : put before each event when several arms run.
-
-    Attributes
-    ----------
     path : the file, None without one. events : the last sentences, with their stamps.
     """
 
@@ -98,10 +90,6 @@ class Recording:
 
     def keep(self, state: State, command: Command | None, tick: Tick) -> Command | None:
         """Keep one row in memory. Return the command as it could be kept with it, None when it could not be.
-
-        Parameters
-        ----------
-        state : what the controller saw. command : what it returned. tick : what the bridge knows.
 
         Raises
         ------
@@ -133,12 +121,7 @@ class Recording:
         return command
 
     def pass_on(self, state: State, command: Command | None, tick: Tick) -> None:
-        """Give a row that was kept to the file and the feeds.
-
-        Parameters
-        ----------
-        state, tick : as of `keep`. command : as `keep` returned it.
-        """
+        """Give a row that was kept to the file and the feeds."""
         if self._recorder is not None and not self._recorder.row(state, command, tick):
             self._tell_stop(self._recorder)
         if self._feeds:
@@ -154,12 +137,7 @@ class Recording:
         self._limited(text, warn, self._clock(), each)
 
     def parameter(self, change: Change) -> None:
-        """Keep the value of a parameter that came into force.
-
-        Parameters
-        ----------
-        change : what, by whom.
-        """
+        """Keep the value of a parameter that came into force."""
         recorder = self._recorder
         if recorder is not None:
             self._stamped(lambda stamp: recorder.parameter(*change, stamp), self._clock())
@@ -220,12 +198,7 @@ class Recording:
         return log.read(self.path)
 
     def close(self, summary: Mapping[str, Any]) -> list[str]:
-        """Finish the file. Return what went wrong with it, in sentences.
-
-        Parameters
-        ----------
-        summary : numbers kept in the file.
-        """
+        """Finish the file. Return what went wrong with it, in sentences."""
         self._limited.close()
         self._stamp_early(time.time_ns())  # no packet came
         recorder = self._recorder

@@ -85,12 +85,7 @@ class Run:
 
 
 def statistics(arm: Arm, reason: str) -> dict[str, Any]:
-    """Return what was counted of one arm.
-
-    Parameters
-    ----------
-    arm : after the run. reason : why the run ended.
-    """
+    """Return what was counted of one arm."""
     session, guide = arm.session, arm.guide
     return {
         "robot": arm.robot.name,
@@ -116,12 +111,7 @@ def statistics(arm: Arm, reason: str) -> dict[str, Any]:
 
 
 def served(statistics: Mapping[str, Any]) -> list[str]:
-    """Return who was served and who commanded in a run with servers, and its parameters, in sentences.
-
-    Parameters
-    ----------
-    statistics : of the run, or of one of its arms.
-    """
+    """Return who was served and who commanded in a run with servers, and its parameters, in sentences."""
     lines = []
     for name, server in statistics.get("servers", {}).items():
         lost = f" ({server['lost']} lost)" if server["lost"] else ""
@@ -151,10 +141,6 @@ def together(tables: Mapping[str, Table]) -> Table:
     """Return the tables of several arms as one, with columns such as ``yumi_left.q``.
 
     The rows are those of the first arm; the others have their last row at or before, and its age in ``<robot>.age``.
-
-    Parameters
-    ----------
-    tables : of each arm by name, the one that gives the rows first.
     """
     named = [
         (robot, table.rename({name: f"{robot}.{name}" for name in table.names})) for robot, table in tables.items()

@@ -34,8 +34,6 @@ _WRONG, _WRONG_SHARE = 0.02, 0.01  # s, and of the time, that were not believed:
 class Period:
     """The robot's cycle time: the median of nine samples, then a slow average; relearnt when it changes.
 
-    Attributes
-    ----------
     seconds : the estimate, `NOMINAL_PERIOD` before the first sample.
     """
 
@@ -77,13 +75,7 @@ class RobotClock:
     A reference may move on by no more than `believed`: robot time may lead arrival times, those of the fastest packets,
     by 1 ms, and trail them by 0.5 s, in which a network that stood delivers what waited.
 
-    Parameters
-    ----------
-    checks_arrival : False for a robot in lockstep, whose time is not ours.
     on_event : called once for each kind of fault.
-
-    Attributes
-    ----------
     exact : the last step is of feedBack.time; tm counts milliseconds, and arrivals jitter.
     believed : the last step, cut off where the robot's clock runs ahead of arrivals [s].
     """
@@ -206,17 +198,8 @@ class Session:
     are a session whose beginning was lost: it begins with the third of them, once the others are silent for five
     periods. Each session has replies from number 0, also when another port took over.
 
-    Parameters
-    ----------
-    codec : decodes; is reset in each session.
     timeout : silence that ends a session [s], infinite for a robot in lockstep.
-    on_event : called with a sentence for what a user should know.
-
-    Attributes
-    ----------
     number : sessions so far. active : one is running. source : address of the robot, None before the first packet.
-    received, missed, errors : packets that counted, packets lost. drops : datagrams refused, by kind.
-    seq : sequence number of the next reply. period : measured cycle time. reason : why the last session ended.
     """
 
     def __init__(self, codec: Codec, timeout: float = 0.5, on_event: Tell = nobody) -> None:
@@ -241,12 +224,7 @@ class Session:
         return self._total_drops
 
     def accept(self, arrival: Arrival) -> Sample | None:
-        """Return the sample of one datagram, or None when it does not count.
-
-        Parameters
-        ----------
-        arrival : the datagram.
-        """
+        """Return the sample of one datagram, or None when it does not count."""
         if self.silent(arrival.ns):
             self.end()
         foreign = self.active and arrival.source != self.source

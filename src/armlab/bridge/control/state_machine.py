@@ -103,15 +103,8 @@ _LAST = (Mode.STOPPING, Mode.ENDED)
 class Guide:
     """Decides, packet by packet, whether the controller is asked and what is sent.
 
-    Parameters
-    ----------
-    robot : the arm. limits : on what is sent.
     commands : False when there is no controller: LISTENING.
     capabilities : of the codec. answer_stream : answer also before guidance. admittance : see `Torques`.
-    on_event : called with a sentence for what a user should know.
-
-    Attributes
-    ----------
     mode, ready : see the module. t : robot time since guidance began in this session [s].
     elapsed : robot time while ready since the first readiness [s]. guided : the robot has been ready in this session.
     q_start : (n,) where guidance began.
@@ -167,12 +160,7 @@ class Guide:
         return self.mode is Mode.ENDED and self._rested < STOP_TIME
 
     def observe(self, sample: Sample) -> None:
-        """Take one sample: readiness, time, transitions. The newest one observed is the one that `answer` answers.
-
-        Parameters
-        ----------
-        sample : from the session.
-        """
+        """Take one sample: readiness, time, transitions. The newest one observed is the one that `answer` answers."""
         packet, self._qd = sample.packet, sample.qd
         self._packet = packet
         if sample.fresh:
@@ -209,8 +197,6 @@ class Guide:
     def state(self, sample: Sample, t_receive: int, **fused: Any) -> State:
         """Return what the controller sees of a sample just observed.
 
-        Parameters
-        ----------
         sample : from the session. t_receive : arrival, wall clock [ns].
         fused : `sources` and `wrench` of the State, where there are any.
         """
@@ -220,8 +206,6 @@ class Guide:
     def answer(self, command: Command | None, period: float) -> Reply | None:
         """Return the reply to the newest packet observed, or None when nothing is sent.
 
-        Parameters
-        ----------
         command : what the controller returned; None holds.
         period : cycle time of the robot [s]; after a gap of more than three of them a reference moves on no further.
         """
@@ -257,8 +241,6 @@ class Guide:
     def hold(self, period: float) -> Reply | None:
         """Return the reply to the newest packet when the controller is overdue: hold, and stay in the mode.
 
-        Parameters
-        ----------
         period : cycle time of the robot [s].
         """
         if not self.calls:
@@ -270,8 +252,6 @@ class Guide:
     def take_back(self, waits: bool = False) -> None:
         """Forget the last reply, which did not go out: the next one goes on from the reference that the robot has.
 
-        Parameters
-        ----------
         waits : a reference waits in the robot's queue for this cycle, so that no time has passed since the last one.
         """
         self._dt, rested, self._last, self._limiter.memory, self._torques.memory, self._aside.memory = self._before
@@ -289,12 +269,7 @@ class Guide:
             self._on_event(problem, warn=True)
 
     def stop(self, reason: str, failure: LinkError | None = None) -> None:
-        """Bring the arm to rest and end; the first reason stays.
-
-        Parameters
-        ----------
-        reason : in words. failure : what `run` raises in the end.
-        """
+        """Bring the arm to rest and end; the first reason stays."""
         if self.mode in _LAST:
             return
         self.reason, self.failure = reason, failure
@@ -302,12 +277,7 @@ class Guide:
         self._on_event(f"Stopping: {reason}.")
 
     def lose(self, reason: str, resume: bool) -> None:
-        """Take note that the session ended.
-
-        Parameters
-        ----------
-        reason : why. resume : wait for the next one.
-        """
+        """Take note that the session ended."""
         self.ready = False
         self._packet = None
         if self.mode is Mode.STOPPING:

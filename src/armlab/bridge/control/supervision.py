@@ -44,12 +44,7 @@ class Settings:
 
 
 class Supervisor:
-    """Looks, whenever no packet came or a session begins, whether the session or the run is over.
-
-    Parameters
-    ----------
-    port, session, guide : of the loop. settings : see `Settings`. on_event : told the check list.
-    """
+    """Looks, whenever no packet came or a session begins, whether the session or the run is over."""
 
     def __init__(self, port: Port, session: Session, guide: Guide, settings: Settings, on_event: Tell) -> None:
         self._port, self._session, self._guide, self._settings = port, session, guide, settings
@@ -59,12 +54,7 @@ class Supervisor:
         self._elapsed, self._brief = 0.0, 0
 
     def look(self, heard_ns: int) -> None:
-        """End the session after silence, and the run when nothing more can come.
-
-        Parameters
-        ----------
-        heard_ns : last packet, or the beginning, on our monotonic clock.
-        """
+        """End the session after silence, and the run when nothing more can come."""
         guide, session, now = self._guide, self._session, time.monotonic_ns()
         if session.silent(now):
             guide.lose(session.end(), self._settings.resume)
@@ -133,8 +123,6 @@ class Supervisor:
 def check_list(port: Port) -> str:
     """Return what to check when no packet comes, in sentences.
 
-    Parameters
-    ----------
     port : where the packets were expected.
     """
     loopback = " That address hears programs on this computer only." if port.host.startswith("127.") else ""

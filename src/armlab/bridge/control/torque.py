@@ -31,8 +31,6 @@ _SLACK = 1e-9  # N m: rounding is not a clamp
 class Admittance:
     """Velocities in place of torques: ``qd_ref = (tau_ref - tau_model(q, qd)) / D``.
 
-    Attributes
-    ----------
     damping : (n,) D of each joint, positive [N m s/rad or N s/m].
     model : torque of a free motion; None means zero, the command then is the torque beyond it.
 
@@ -53,8 +51,6 @@ class Admittance:
     def velocity(self, tau: np.ndarray, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         """Return the velocity (n,) asked for.
 
-        Parameters
-        ----------
         tau : (n,) torque asked for. q, qd : (n,) measured.
         """
         return (tau if self.model is None else tau - self.model(q, qd)) / self.damping
@@ -66,9 +62,6 @@ class Torques:
     ``tau = tau_last + clip(clip(tau_ref, +-tau_max) - tau_last, +-tau_rate T)``; without a reference the torque returns
     to zero at the same rate.
 
-    Parameters
-    ----------
-    robot : names the joints. limits : see `Limits`. capabilities : of the codec.
     admittance : in place of torques, None where they are sent or refused.
     """
 
@@ -99,8 +92,6 @@ class Torques:
     ) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
         """Return the position, velocity and torque (n,) asked for; an admittance makes a velocity of the torque.
 
-        Parameters
-        ----------
         command : what the controller returned. q, qd : (n,) measured.
 
         Raises
@@ -139,8 +130,6 @@ class Torques:
     def outside(self, q: np.ndarray, qd: np.ndarray) -> str:
         """Return the sentence why a torque alone is not sent: the arm is beyond its limits; "" when it is not.
 
-        Parameters
-        ----------
         q, qd : (n,) measured.
         """
         limits = self._limits
@@ -161,8 +150,6 @@ class Torques:
     def limited(self, reply: Reply, tau: np.ndarray | None, dt: float) -> Reply:
         """Return the reply with the torque that may be sent.
 
-        Parameters
-        ----------
         reply : the position. tau : (n,) finite torque asked for, or None. dt : time in which it may change [s].
         """
         tau_max, tau_rate = self._limits.tau_max, self._limits.tau_rate
@@ -185,10 +172,7 @@ def admittances(
 ) -> list[Admittance | None]:
     """Return the admittance of each arm, None where torques are sent or refused.
 
-    Parameters
-    ----------
     torque : "refuse" or "admittance". damping : (n,) joints of all arms one after another, for the admittance.
-    model : torque of a free motion, one per arm. robots : the arms.
 
     Raises
     ------

@@ -44,13 +44,7 @@ class _AnyArm:
 class Heard:
     """Collects the datagrams of one port.
 
-    Parameters
-    ----------
     number : of the port. robot : the arm that is expected there, None for any.
-
-    Attributes
-    ----------
-    senders : datagrams per (host, port). session : of the first sender.
     """
 
     def __init__(self, number: int, robot: Robot | None = None) -> None:
@@ -64,12 +58,7 @@ class Heard:
         self._offset = 0.0
 
     def add(self, arrival: Arrival) -> None:
-        """Take one datagram.
-
-        Parameters
-        ----------
-        arrival : the datagram.
-        """
+        """Take one datagram."""
         self.senders[arrival.source] += 1
         self._sizes[len(arrival.data)] += 1
         sample = self.session.accept(arrival)
@@ -83,12 +72,7 @@ class Heard:
         self._first, self._last = self._first or sample, sample
 
     def findings(self, seconds: float) -> list[Finding]:
-        """Return what can be said, one finding per question.
-
-        Parameters
-        ----------
-        seconds : how long was listened.
-        """
+        """Return what can be said, one finding per question."""
         name = f"port {self.number}"
         total = sum(self.senders.values())
         if not total:

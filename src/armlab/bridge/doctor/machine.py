@@ -49,12 +49,7 @@ _ROS_SETTINGS = ("RMW_IMPLEMENTATION", "CYCLONEDDS_URI", "ROS_AUTOMATIC_DISCOVER
 
 
 def machine(seconds: float = 2.0) -> list[Finding]:
-    """Return all checks of this computer.
-
-    Parameters
-    ----------
-    seconds : time spent on the wake-up histogram.
-    """
+    """Return all checks of this computer."""
     return [
         python(),
         compiled_kernels(),
@@ -73,12 +68,7 @@ def machine(seconds: float = 2.0) -> list[Finding]:
 
 
 def python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
-    """Check the version of Python; tells armlab's own too.
-
-    Parameters
-    ----------
-    version : major, minor, micro.
-    """
+    """Check the version of Python; tells armlab's own too."""
     from armlab import __version__
 
     value = f"{'.'.join(map(str, version))} ({sys.executable}), armlab {__version__}"
@@ -86,12 +76,7 @@ def python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
 
 
 def compiled_kernels(backend: str = kernels.backend) -> Finding:
-    """Check that the compiled kernels are in use.
-
-    Parameters
-    ----------
-    backend : "native" or "reference".
-    """
+    """Check that the compiled kernels are in use."""
     advice = (
         "Install armlab where a C++ compiler is, and unset ARMLAB_KERNELS: without it a force estimate takes longer "
         "than a cycle."
@@ -100,12 +85,7 @@ def compiled_kernels(backend: str = kernels.backend) -> Finding:
 
 
 def packages(version: Callable[[str], str] = importlib.metadata.version) -> Finding:
-    """Check that what armlab needs is installed, and that nothing installed is known not to go together.
-
-    Parameters
-    ----------
-    version : returns the version of a package, or raises `importlib.metadata.PackageNotFoundError`.
-    """
+    """Check that what armlab needs is installed, and that nothing installed is known not to go together."""
     found: dict[str, str] = {}
     missing: list[str] = []
     for name in _required():
@@ -133,12 +113,7 @@ def _required() -> list[str]:
 
 
 def ros_on_path(environment: Mapping[str, str], path: Iterable[str]) -> Finding:
-    """Check that no ROS installation puts its own NumPy and protobuf before ours.
-
-    Parameters
-    ----------
-    environment : of the process. path : of Python's modules.
-    """
+    """Check that no ROS installation puts its own NumPy and protobuf before ours."""
     where = [name for name in ("PYTHONPATH", "LD_LIBRARY_PATH") if "/opt/ros" in environment.get(name, "")]
     where += ["sys.path"] if any("/opt/ros" in entry for entry in path) else []
     value = f"/opt/ros on {', '.join(where)}" if where else "not on the path"
@@ -147,12 +122,7 @@ def ros_on_path(environment: Mapping[str, str], path: Iterable[str]) -> Finding:
 
 
 def ros_nodes(environment: Mapping[str, str]) -> Finding:
-    """Tell by which settings a ROS 2 node started here would look for the bridge, and the bridge for it.
-
-    Parameters
-    ----------
-    environment : of the process, and so of a node.
-    """
+    """Tell by which settings a ROS 2 node started here would look for the bridge, and the bridge for it."""
     told = [f"{name}={environment[name][:80]}" for name in _ROS_SETTINGS if environment.get(name)]
     domain = environment.get("ROS_DOMAIN_ID") or "0"
     value = f"domain {domain}, nodes: {', '.join(told) or 'no settings'}; bridge: 127.0.0.1, no multicast"
@@ -165,8 +135,6 @@ def ros_nodes(environment: Mapping[str, str]) -> Finding:
 def clock(resolution: float = time.get_clock_info("monotonic").resolution) -> Finding:
     """Check the resolution of the monotonic clock.
 
-    Parameters
-    ----------
     resolution : in seconds.
     """
     value = f"{1e9 * resolution:.0f} ns"
@@ -189,8 +157,6 @@ def real_time() -> Finding:
 def throttle(file: Path = _THROTTLE) -> Finding:
     """Tell how much of its time a real-time thread may compute; wait="spin" never yields and needs all of it.
 
-    Parameters
-    ----------
     file : of the kernel: microseconds out of a second, -1 for all.
     """
     try:
@@ -204,12 +170,7 @@ def throttle(file: Path = _THROTTLE) -> Finding:
 
 
 def governor(folder: Path = _SYSTEM) -> Finding:
-    """Check that the processors do not slow down between two packets.
-
-    Parameters
-    ----------
-    folder : of the processors.
-    """
+    """Check that the processors do not slow down between two packets."""
     kinds: set[str] = set()
     for file in folder.glob("cpu[0-9]*/cpufreq/scaling_governor"):
         with suppress(OSError), file.open(encoding="ascii") as opened:
@@ -222,12 +183,7 @@ def governor(folder: Path = _SYSTEM) -> Finding:
 def wake_up(
     seconds: float = 2.0, sleep: Callable[[float], None] = time.sleep, now: Callable[[], float] = time.monotonic
 ) -> Finding:
-    """Measure how late a thread wakes up that sleeps from cycle to cycle, at the priority of the loop.
-
-    Parameters
-    ----------
-    seconds : how long. sleep, now : clock to use.
-    """
+    """Measure how late a thread wakes up that sleeps from cycle to cycle, at the priority of the loop."""
     late: list[float] = []
     with priority(LOOP_PRIORITY):
         due = now()
@@ -246,12 +202,7 @@ def wake_up(
 
 
 def garbage(collect: Callable[[], object] = gc.collect) -> Finding:
-    """Measure a full collection of garbage. The loop freezes what exists when it starts and pays only for new objects.
-
-    Parameters
-    ----------
-    collect : collects.
-    """
+    """Measure a full collection of garbage. The loop freezes what exists at its start and pays only for new objects."""
     objects = len(gc.get_objects())
     start = time.perf_counter()
     collect()
@@ -270,12 +221,7 @@ def blas() -> Finding:
 
 
 def other_programs(which: Callable[[str], str | None] = shutil.which) -> Finding:
-    """Tell which programs are there that other parts of armlab use; none is needed for a run.
-
-    Parameters
-    ----------
-    which : returns the path of a program.
-    """
+    """Tell which programs are there that other parts of armlab use; none is needed for a run."""
     browser = next((name for name in ("chromium", "chromium-browser", "google-chrome") if which(name)), "no Chromium")
     zenoh = "Zenoh" if importlib.util.find_spec("zenoh") else "no Zenoh"
     return Finding("other programs", "ok", f"{browser}, {zenoh}")

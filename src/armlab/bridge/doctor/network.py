@@ -40,8 +40,6 @@ def local_addresses() -> dict[str, str]:
 def addresses(found: Mapping[str, str]) -> Finding:
     """Check that other computers can reach this one at all.
 
-    Parameters
-    ----------
     found : interface -> IPv4 address.
     """
     value = ", ".join(f"{interface} {address}" for interface, address in found.items()) or "none"
@@ -51,12 +49,7 @@ def addresses(found: Mapping[str, str]) -> Finding:
 
 
 def route_to(host: str) -> str:
-    """Return the address from which this computer would send to a host, "" when there is no route. Sends nothing.
-
-    Parameters
-    ----------
-    host : address of the other.
-    """
+    """Return the address from which this computer would send to a host, "" when there is no route. Sends nothing."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect((host, 9))  # of UDP: only chooses the route
@@ -66,12 +59,7 @@ def route_to(host: str) -> str:
 
 
 def firewall(file: Path = _FIREWALL) -> Finding:
-    """Tell whether the firewall ufw is switched on; its rules can be read by root only.
-
-    Parameters
-    ----------
-    file : configuration of ufw.
-    """
+    """Tell whether the firewall ufw is switched on; its rules can be read by root only."""
     is_on = False
     with suppress(OSError), file.open(encoding="utf-8") as opened:
         is_on = any(line.strip().lower() == "enabled=yes" for line in opened)
@@ -115,8 +103,6 @@ class _Ear:
 def listen(numbers: Sequence[int], seconds: float, robots: Sequence[Robot | None], asked: bool) -> list[Finding]:
     """Bind ports, listen, and say what came. Nothing is sent but a token to this computer's own addresses.
 
-    Parameters
-    ----------
     numbers : UDP ports. seconds : how long to listen. robots : the arm expected at each, None for any.
     asked : the user named these ports, so that a silent one is worth a word of its own.
     """

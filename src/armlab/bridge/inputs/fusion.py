@@ -35,10 +35,6 @@ class ClockMap:
 
     A packet can be late but never early, so the least difference is the offset of the clocks and the least delay.
     A step above 50 ms begins anew.
-
-    Attributes
-    ----------
-    resets : how often it began anew.
     """
 
     def __init__(self) -> None:
@@ -56,12 +52,7 @@ class ClockMap:
         self._forget()
 
     def add(self, source_ns: int, receive_ns: int) -> int:
-        """Take one pair of stamps and return the source's on our clock.
-
-        Parameters
-        ----------
-        source_ns : the other clock. receive_ns : ours.
-        """
+        """Take one pair of stamps and return the source's on our clock."""
         offset = receive_ns - source_ns
         if self._points:
             error = offset - self._offset(source_ns)

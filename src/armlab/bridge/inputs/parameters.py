@@ -129,8 +129,6 @@ class Parameter:
 class Change(NamedTuple):
     """One value that came into force.
 
-    Attributes
-    ----------
     sequence : from 1. name, value : what. who : set it.
     """
 

@@ -66,10 +66,6 @@ class Reading(NamedTuple):
 def whole(number: Any, unit: int = 1) -> int:
     """Return a stamp or a number that somebody sent as an integer of a reading.
 
-    Parameters
-    ----------
-    number : what was sent. unit : by which to multiply it.
-
     Raises
     ------
     ValueError : no number, one that is not finite, or one beyond 64 bits.
@@ -219,12 +215,7 @@ def _check_calibration(name: str, fields: Mapping[str, Column], calibration: obj
 
 
 class ThreadSource(Source):
-    """A source with a thread of its own, which does `work` until `_over` is set and leaves what it has in `_newest`.
-
-    Parameters
-    ----------
-    name, fields, period, options : see `Source`.
-    """
+    """A source with a thread of its own, which does `work` until `_over` is set and leaves what it has in `_newest`."""
 
     def __init__(self, name: str, fields: Mapping[str, Column], period: float, **options: Any) -> None:
         super().__init__(name, fields, period, **options)

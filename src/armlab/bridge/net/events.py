@@ -25,12 +25,7 @@ class Tell(Protocol):
 
 
 def nobody(text: str, warn: bool = False, each: bool = False) -> None:
-    """Ignore a sentence.
-
-    Parameters
-    ----------
-    text : the sentence. warn : something is wrong. each : others like it do not stand for it.
-    """
+    """Ignore a sentence."""
 
 
 @dataclass(slots=True)
@@ -51,8 +46,6 @@ class Limited:
     fills no disk, and its last state is always known.
     What must be told one by one is, up to fifty of a kind in a second; who sends more floods the log.
 
-    Parameters
-    ----------
     tell : takes (sentence, whether something is wrong, stamp [ns]).
     """
 
@@ -63,12 +56,7 @@ class Limited:
         self._lock = threading.RLock()  # to tell may lead to another sentence
 
     def __call__(self, text: str, warn: bool, stamp_ns: int, each: bool = False) -> None:
-        """Take one sentence.
-
-        Parameters
-        ----------
-        text : the sentence. warn : something is wrong. stamp_ns : now. each : others like it do not stand for it.
-        """
+        """Take one sentence."""
         with self._lock:
             self.due(stamp_ns)
             name = _CHANGING.sub("#", text)
@@ -90,12 +78,7 @@ class Limited:
             self._tell(text, warn, stamp_ns)
 
     def due(self, now_ns: int) -> None:
-        """Pass on what has waited for its turn.
-
-        Parameters
-        ----------
-        now_ns : by the clock of the stamps.
-        """
+        """Pass on what has waited for its turn."""
         if self._waiting:
             self._pass_on(lambda kind: _is_over(kind, now_ns), now_ns)
 

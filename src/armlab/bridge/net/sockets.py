@@ -23,10 +23,6 @@ def holder(port: int, kind: Literal["udp", "tcp"] = "udp") -> str:
     """Return who holds a port, "process 4711 (armlab sim ...)", or "" when that cannot be told.
 
     Processes of other users stay hidden.
-
-    Parameters
-    ----------
-    port : its number. kind : udp, or tcp for who listens there.
     """
     with contextlib.suppress(OSError, ValueError, IndexError):
         inodes = _inodes(port, kind)
@@ -37,12 +33,7 @@ def holder(port: int, kind: Literal["udp", "tcp"] = "udp") -> str:
 
 
 def program(process: int) -> str:
-    """Return a process in words, "process 4711 (armlab sim ...)", without its command when that is hidden.
-
-    Parameters
-    ----------
-    process : its number.
-    """
+    """Return a process in words, "process 4711 (armlab sim ...)", without its command when that is hidden."""
     with contextlib.suppress(OSError), Path(f"/proc/{process}/cmdline").open("rb") as file:
         command = " ".join(file.read(200).replace(b"\0", b" ").decode(errors="replace").split())
         return f"process {process} ({command})"
@@ -77,13 +68,7 @@ class Arrival(NamedTuple):
 class Port:
     """A bound UDP port that never blocks; socket errors are counted.
 
-    Parameters
-    ----------
     host, port : where to listen; port 0 lets the system choose. to_itself : send there, whatever the address.
-
-    Attributes
-    ----------
-    host, port : the address bound. on_lost : called after the socket was bound again.
 
     Raises
     ------
@@ -178,8 +163,6 @@ def _why_not(host: str, port: int, error: Exception) -> str:
 def listening_socket(host: str, port: int, name: str, backlog: int) -> socket.socket:
     """Return a socket that listens and never blocks; what it accepts sends small messages at once.
 
-    Parameters
-    ----------
     host, port : where; port 0 lets the system choose. name : what for, in messages. backlog : connections that wait.
 
     Raises
@@ -223,13 +206,6 @@ def pair() -> tuple[socket.socket, socket.socket]:
 class Outlet:
     """The way to one server process and back.
 
-    Parameters
-    ----------
-    name : of the server.
-
-    Attributes
-    ----------
-    rows, lost : rows that the server was sent, and that it did not take in time.
     where : what the server listens on; None until it says so.
     clients : rows sent to each of its clients and dropped for it; None until it says so.
     """
@@ -280,12 +256,7 @@ class Outlet:
 
 
 def is_here(place: str) -> bool:
-    """Return whether "HOST:PORT" is on this computer; a name that is to be looked up is not, but for localhost.
-
-    Parameters
-    ----------
-    place : of a router.
-    """
+    """Return whether "HOST:PORT" is on this computer; a name that is to be looked up is not, but for localhost."""
     host = place.rpartition(":")[0].strip("[]")
     return host == "localhost" or is_loopback(host)
 

@@ -57,16 +57,6 @@ _SENTENCE = 1000  # characters of a report: what clients send may be quoted in i
 class Exchange:
     """A feed (see `recording.Feed`) for processes: rows and events to all, their requests to arbiter and parameters.
 
-    Parameters
-    ----------
-    robots : the arms. servers : names. parameters : of the run. allowed : servers that may command.
-    sources : fields by source. about : told every client first, for example the name of the cell; the descriptions of
-        the arms go with it, and "run", another id each time. torque : names of arms that take torques.
-    read_only : servers whose clients may stop the arms and nothing else.
-
-    Attributes
-    ----------
-    arbiter : the controller that obeys the clients. schema : of the rows. outlets : by name of the server.
     mistakes : requests that were none.
     """
 
@@ -102,12 +92,7 @@ class Exchange:
         self.arbiter = Arbiter(robots, allowed, poll=self.poll, tell=self.tell, answer=self.answer, torque=torque)
 
     def open(self, name: str) -> socket.socket:
-        """Return the socket for a server process that starts; it gets schema and parameters first.
-
-        Parameters
-        ----------
-        name : of the server.
-        """
+        """Return the socket for a server process that starts; it gets schema and parameters first."""
         outlet = self.outlets[name]
         theirs = outlet.open()
         outlet.send(text_message("about", **self._about, schema=self.schema.text.decode()))
@@ -124,12 +109,7 @@ class Exchange:
     def begin(
         self, tell: Tell, files: Sequence[Path] = (), keep: Callable[[Change], None] = lambda change: None
     ) -> None:
-        """Take where the events of a run are recorded; it gives them back to `event`.
-
-        Parameters
-        ----------
-        tell, files : of the recording. keep : records a parameter that came into force.
-        """
+        """Take where the events of a run are recorded; it gives them back to `event`."""
         self._files = text_message("recording", files=[str(file.absolute()) for file in files])
         for outlet in self.outlets.values():
             outlet.send(self._files)
@@ -166,21 +146,11 @@ class Exchange:
         return {"rows": outlet.rows, "lost": outlet.lost, "clients": outlet.clients}
 
     def tell(self, text: str, warn: bool = False, each: bool = False) -> None:
-        """Keep a sentence for the events of the run; from any thread.
-
-        Parameters
-        ----------
-        text : the sentence. warn : something is wrong. each : others like it do not stand for it.
-        """
+        """Keep a sentence for the events of the run; from any thread."""
         self._told.append((text, warn, each))
 
     def answer(self, client: str, text: str, refused: Iterable[str] = ()) -> None:
-        """Send a sentence to the client that asked.
-
-        Parameters
-        ----------
-        client : its identity, first its server. text : the sentence. refused : parameters that it could not set.
-        """
+        """Send a sentence to the client that asked."""
         server, _, rest = client.partition(" ")
         if server in self.outlets:
             self.outlets[server].send(text_message("answer", client=rest, text=text, refused=list(refused)))
@@ -201,8 +171,6 @@ class Exchange:
     def idle(self, longer_ns: int) -> None:
         """See what came back when no packet of a robot made the loop look; for another thread.
 
-        Parameters
-        ----------
         longer_ns : time without a look.
         """
         if time.monotonic_ns() - self._polled_ns > longer_ns:

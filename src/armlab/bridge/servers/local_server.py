@@ -69,10 +69,6 @@ class _Client:
 class LocalServer:
     """Passes rows and events on to at most 8 clients of this user, and their requests to the loop.
 
-    Parameters
-    ----------
-    feed : connected to the loop; see `feed.Exchange`. path : of the socket.
-
     Raises
     ------
     LinkError : another bridge serves there.
@@ -245,10 +241,6 @@ class LocalServer:
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
     """Serve until the loop closes the feed.
-
-    Parameters
-    ----------
-    feed : connected to the loop. options : "path", of the socket.
 
     Raises
     ------

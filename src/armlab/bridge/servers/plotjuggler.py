@@ -107,8 +107,6 @@ class Datagrams:
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
     """Send until the loop closes the feed.
 
-    Parameters
-    ----------
     feed : connected to the loop. options : "to" and "port", where PlotJuggler is; "fields"; "host", to send from.
 
     Raises

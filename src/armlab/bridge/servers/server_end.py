@@ -33,16 +33,6 @@ Clients = Mapping[str, tuple[int, int]]
 class LoopEnd:
     """A server process's end of its socket to the loop (the other is `feed.Exchange`).
 
-    Parameters
-    ----------
-    feed : connected to the loop.
-    clients : asked for rows sent to each client so far and dropped for it, by its name.
-
-    Attributes
-    ----------
-    schema : of the rows. about : what the loop said of itself first: "cell", "robots" (TOML by name), "commands", ...
-    parameters : what is known of each, by name, its "value" in force. lost : requests that found no room.
-
     Raises
     ------
     LinkError : the loop has gone before it said what its rows hold.
@@ -80,8 +70,6 @@ class LoopEnd:
 
         None when the loop has gone. Rows come one by one: to look whether there is a second one costs what a row costs.
 
-        Parameters
-        ----------
         patience : s to wait for the first message; None waits until one comes.
         """
         flags = self._wait(patience)
@@ -108,10 +96,6 @@ class LoopEnd:
 
         A command, a setting or a report is lost then, as newer ones follow; a stop or a release waits, and goes out by
         `receive`.
-
-        Parameters
-        ----------
-        request : see `messages`.
 
         Raises
         ------

@@ -37,12 +37,7 @@ class _Arm:
 
 
 class Status:
-    """Counts rows as they come.
-
-    Parameters
-    ----------
-    schema : of the rows.
-    """
+    """Counts rows as they come."""
 
     def __init__(self, schema: RowSchema) -> None:
         self._arms = {name: _Arm(schema, name) for name in schema.robots}
@@ -50,12 +45,7 @@ class Status:
         self._waiting: list[bytes] = []
 
     def add(self, data: bytes) -> None:
-        """Count one row, at the latest when somebody asks for the counts.
-
-        Parameters
-        ----------
-        data : as written by `RowWriter`, of this schema.
-        """
+        """Count one row, at the latest when somebody asks for the counts."""
         self._waiting.append(data)
         if len(self._waiting) == _TOGETHER:
             self._count_waiting()

@@ -40,12 +40,7 @@ _PATIENCE = 3.0  # s to end by itself before it is killed
 
 
 def server_command(name: str, options: Mapping[str, Any]) -> list[str]:
-    """Return the command that starts a server of armlab.
-
-    Parameters
-    ----------
-    name : "labcomm" or "local". options : of the server, as JSON can hold them.
-    """
+    """Return the command that starts a server of armlab."""
     return [sys.executable, "-m", "armlab.bridge.servers.serve", name, PLACE, json.dumps(dict(options))]
 
 
@@ -78,17 +73,7 @@ class _Child:
 
 
 class Servers:
-    """Starts the server processes of an exchange and keeps them running; a context manager.
-
-    Parameters
-    ----------
-    exchange : whose outlets are served. commands : by name of the server; see `server_command`.
-    restarts, well : see `RESTARTS` and `WELL`.
-
-    Attributes
-    ----------
-    dead : servers that are left dead.
-    """
+    """Starts the server processes of an exchange and keeps them running; a context manager."""
 
     def __init__(
         self,
@@ -124,10 +109,6 @@ class Servers:
 
     def ready(self, patience: float = 30.0) -> list[str]:
         """Wait until every server listens, and return who listens where.
-
-        Parameters
-        ----------
-        patience : s to wait at most.
 
         Raises
         ------
@@ -252,14 +233,6 @@ class Offering:
 
     Clients may stop the arms where the controller is made `stoppable`, and nothing else.
 
-    Parameters
-    ----------
-    robots : the arms. cell : the name under which the feed is found.
-
-    Attributes
-    ----------
-    exchange : the feed for `Link.run`.
-
     Raises
     ------
     LinkError : another bridge has this name, or the server of the feed cannot be started.
@@ -282,12 +255,7 @@ class Offering:
 
 
 def stoppable(controller: Controller, arbiter: Arbiter) -> Controller:
-    """Return the controller that holds while somebody has stopped the arms.
-
-    Parameters
-    ----------
-    controller : of the run. arbiter : of the exchange that the run feeds.
-    """
+    """Return the controller that holds while somebody has stopped the arms."""
 
     def controlled(state: State) -> Any:
         arbiter.poll()

@@ -25,13 +25,7 @@ _USED = ("motors", "rapid", "mci", "receive_ns", "seq_sent", "q_ref", "qd_ref", 
 class Watch:
     """What is known of a bridge from its messages, in words.
 
-    Parameters
-    ----------
     robot : show this arm only; None shows all.
-
-    Attributes
-    ----------
-    cell : its name. events : the last, with their times. told : events so far. lost : rows that the feed lost.
     """
 
     def __init__(self, robot: str | None = None) -> None:
@@ -51,10 +45,6 @@ class Watch:
 
     def take(self, message: Row | dict[str, Any]) -> None:
         """Take one message of the local feed.
-
-        Parameters
-        ----------
-        message : as `LocalFeed.receive` returns it.
 
         Raises
         ------
@@ -76,12 +66,7 @@ class Watch:
             self.told += 1
 
     def arms(self, now_ns: int) -> list[dict[str, str]]:
-        """Return what there is to say of each arm, by heading.
-
-        Parameters
-        ----------
-        now_ns : wall clock.
-        """
+        """Return what there is to say of each arm, by heading."""
         if self._row is None:
             return []
         return [self._arm(self._row, name, now_ns) for name in _names(self._row) if self._robot in (None, name)]
@@ -122,12 +107,7 @@ class Watch:
         return f"{', '.join(str(file) for file in self._files)}: {1e-6 * total:.1f} MB{hours}"
 
     def lines(self, now_ns: int) -> list[str]:
-        """Return one line per arm.
-
-        Parameters
-        ----------
-        now_ns : wall clock.
-        """
+        """Return one line per arm."""
         return [
             ", ".join(value if key == "arm" else f"{key} {value}" for key, value in arm.items())
             for arm in self.arms(now_ns)

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
+import sys
 import threading
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.servers.hub import Exchange
 from armlab.bridge.servers.ros import store
-from armlab.bridge.servers.ros.rmw_zenoh import Names, Origin, Writer
-from armlab.errors import ConfigError, LinkError
+from armlab.bridge.servers.ros.rmw_zenoh import ANY, Distribution, Names, Nodes, Origin, RmwZenohServer, Writer, serve
+from armlab.bridge.servers.zenoh import Place, close_session
+from armlab.errors import ConfigError, LinkError, MissingExtra
 from armlab.log import Tick
 from armlab.state import Command, State
 
@@ -24,8 +28,6 @@ from ..zenoh.conftest import free_port, until
 pytest.importorskip("zenoh", reason="the extra net is not installed")
 pytest.importorskip("xxhash", reason="the extra net is not installed")
 
-from armlab.bridge.servers.ros.rmw_zenoh import RmwZenohServer, serve
-from armlab.bridge.servers.zenoh import Place, close_session
 
 ARM = robots.load("yumi_left")
 JOINTS, ARRAY, TEXT = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String"
@@ -287,3 +289,100 @@ def test_it_ends_with_the_loop_and_refuses_commands_from_elsewhere() -> None:
     exchange.close()
     with gone, pytest.raises(LinkError, match="Start it again"):
         serve(gone, options)
+
+
+NAMED_JOINTS, NAMED_ARRAY = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
+HASH = "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"
+NAMES = Names(0, "aac3178e146ba6f1fc6e6a4085e77f21")
+
+
+def test_keys_of_data() -> None:
+    key = f"0/yumi_left/joint_states/sensor_msgs::msg::dds_::JointState_/{HASH}"
+    assert NAMES.data("/yumi_left/joint_states", NAMED_JOINTS) == key
+    assert NAMES.data("/a/b", NAMED_ARRAY, ANY) == "0/a/b/std_msgs::msg::dds_::Float64MultiArray_/*"
+    humble: Distribution = "humble"
+    old = Names(7, "1", humble).data("/joint_states", NAMED_JOINTS)
+    assert old == "7/joint_states/sensor_msgs::msg::dds_::JointState_/TypeHashNotSupported"
+    assert NAMES.hash(NAMED_JOINTS) == HASH == store().hash_rihs01(NAMED_JOINTS)
+
+
+def test_tokens() -> None:
+    start = "@ros2_lv/0/aac3178e146ba6f1fc6e6a4085e77f21/0"
+    assert NAMES.node() == f"{start}/0/NN/%/%/armlab"
+    about = f"%yumi_left%joint_states/sensor_msgs::msg::dds_::JointState_/{HASH}"
+    assert NAMES.writer(10, "/yumi_left/joint_states", NAMED_JOINTS) == f"{start}/10/MP/%/%/armlab/{about}/::,10:,:,:,,"
+    assert NAMES.reader(2, "/yumi_left/joint_states", NAMED_JOINTS) == f"{start}/2/MS/%/%/armlab/{about}/2::,1:,:,:,,"
+
+
+def test_the_attachment_is_what_zenoh_serialises() -> None:
+    ext = pytest.importorskip("zenoh.ext", reason="the extra net is not installed")
+    id_ = bytes(range(16))
+    expected = ext.z_serialize((ext.Int64(3), ext.Int64(1_700_000_000_000_000_000), id_)).to_bytes()
+    assert Origin(3, 1_700_000_000_000_000_000, id_).pack() == expected
+    assert len(expected) == 33
+    assert Origin.read(expected) == (3, 1_700_000_000_000_000_000, id_)
+
+
+def test_messages_of_a_writer_are_numbered_from_one() -> None:
+    pytest.importorskip("xxhash", reason="the extra net is not installed")
+    writer = Writer("")
+    assert writer.id[::-1].hex() == "99aa06d3014798d86001c324468d497f", "XXH3-128 of nothing, by its own test vectors"
+    found = [Origin.read(writer.next(stamp)) for stamp in (5, 6)]
+    assert found == [(1, 5, writer.id), (2, 6, writer.id)]
+    assert Writer("a").id != Writer("b").id
+
+
+@given(st.binary(max_size=50))
+def test_other_attachments_are_none(data: bytes) -> None:
+    found = Origin.read(data)
+    assert (found is not None) == (len(data) == 33 and data[16] == 16)
+    if found is not None:
+        assert found.pack() == data
+        assert len(found.client) == 32
+    assert Origin.read(None) is None
+
+
+def test_without_xxhash(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "xxhash", None)
+    with pytest.raises(MissingExtra, match=r"armlab\[net\]"):
+        Writer("")
+
+
+NODE_TEXT = "std_msgs/msg/String"
+
+
+def origin(token: str) -> Origin:
+    return Origin(1, 0, Writer(token).id)
+
+
+def test_writers_of_a_node_are_one_client_which_leaves_with_the_last() -> None:
+    left: list[str] = []
+    nodes = Nodes(left.append)
+    names = Names(0, "0123456789abcdef", node="theirs")
+    tokens = [names.writer(k, f"/topic_{k}", NODE_TEXT) for k in (1, 2)]
+    assert nodes.client(origin(tokens[0])) == origin(tokens[0]).client, "nothing is known yet"
+    for token in tokens:
+        nodes.token(token, is_there=True)
+    assert {nodes.client(origin(token)) for token in tokens} == {"/theirs@0123456789abcdef"}
+    nodes.token(tokens[0], is_there=False)
+    assert left == []
+    nodes.token(tokens[1], is_there=False)
+    nodes.token(tokens[1], is_there=False)
+    assert left == ["/theirs@0123456789abcdef"]
+    assert nodes.client(origin(tokens[0])) == origin(tokens[0]).client
+
+
+def test_a_namespace_is_part_of_the_name_and_what_is_no_token_is_none() -> None:
+    nodes = Nodes(lambda client: None)
+    token = f"@ros2_lv/0/ab/0/3/MP/%/%lab%left/node/%topic/{NODE_TEXT}/hash/::,10:,:,:,,"
+    nodes.token(token, is_there=True)
+    nodes.token("@ros2_lv/0/ab/0/4/MP", is_there=True)
+    assert nodes.client(origin(token)) == "/lab/left/node@ab"
+
+
+def test_a_flood_of_writers_is_not_kept() -> None:
+    nodes = Nodes(lambda client: None)
+    names = Names(0, "ab")
+    for k in range(5000):
+        nodes.token(names.writer(k, "/topic", NODE_TEXT), is_there=True)
+    assert len(nodes._clients) == 4096

@@ -22,8 +22,6 @@ __all__ = ["LabCommClient", "LabCommSource", "connected"]
 def connected(host: str, port: int, patience: float) -> socket.socket:
     """Return a connected socket.
 
-    Parameters
-    ----------
     host, port : of the server. patience : seconds to wait.
 
     Raises

@@ -23,14 +23,8 @@ _KERNEL = 65_536  # bytes that the system may hold back: rows of a slow peer sha
 class Peer:
     """A connection.
 
-    Parameters
-    ----------
     connection : connected socket. address : of the other side, for messages. encoder : of what is sent, None until the
         dialect is known.
-
-    Attributes
-    ----------
-    decoder : of what comes. sent, dropped : data packets whose sending began, and that a full queue lost.
     began : when it connected, monotonic [s]. refused : samples of it that were not taken. told : when that was told.
     """
 
@@ -58,12 +52,7 @@ class Peer:
         return self._stuck is not None
 
     def push(self, packet: bytes, may_drop: bool = True) -> None:
-        """Queue one packet. When the queue is full the oldest packet that may be dropped goes.
-
-        Parameters
-        ----------
-        packet : whole. may_drop : False for definitions.
-        """
+        """Queue one packet. When the queue is full the oldest packet that may be dropped goes."""
         queue = self._queue
         if len(queue) >= QUEUE:
             oldest = next((index for index, (_, droppable) in enumerate(queue) if droppable), None)
@@ -100,10 +89,6 @@ class Peer:
     def read(self, most: int = _AT_ONCE) -> list[Event] | None:
         """Return the events of one read, None when the other side has closed.
 
-        Parameters
-        ----------
-        most : bytes.
-
         Raises
         ------
         LabCommError : the stream is malformed, or ended within a packet; its `events` came before.
@@ -122,8 +107,6 @@ class Peer:
     def overdue(self, now: float) -> str:
         """Return why the connection must be closed, "" when it need not.
 
-        Parameters
-        ----------
         now : monotonic [s].
         """
         if self.decoder.pending:

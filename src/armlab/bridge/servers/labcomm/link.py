@@ -37,10 +37,6 @@ _NAN = np.full(7, math.nan)
 def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tuple[Port, Codec]:
     """Return the port and codec of an arm behind a LabComm server.
 
-    Parameters
-    ----------
-    robot : the arm. host, port : of the server. options : "order" (abb or chain) and "dialect" of the port.
-
     Raises
     ------
     ConfigError : other options. UnknownName : no such dialect. LinkError : nobody listens there.
@@ -58,14 +54,6 @@ class RowPort:
     """A connection to a LabComm server in place of a bound UDP port; it connects again by itself.
 
     Never blocks and never raises after construction; what goes wrong is counted.
-
-    Parameters
-    ----------
-    host, port : of the server. types : of the port. dialect : of what is sent.
-
-    Attributes
-    ----------
-    host, port : of the server. errors : connections lost and tries that failed.
 
     Raises
     ------
@@ -107,12 +95,7 @@ class RowPort:
                 break
 
     def send(self, data: bytes, to: tuple[str, int]) -> bool:
-        """Send one command; those that could not be sent yet are dropped for it. Return whether there is a connection.
-
-        Parameters
-        ----------
-        data : packet of `RowCodec`. to : not used, there is one server.
-        """
+        """Send one command, dropping those that still wait. Return whether there is a connection."""
         if self._peer is None:
             return False
         self._peer.clear()
@@ -178,16 +161,7 @@ class RowPort:
 
 
 class RowCodec:
-    """Rows as packets of the loop: see `wire.egm.Codec`.
-
-    Parameters
-    ----------
-    robot : the arm. types : of the port. dialect : of the commands.
-
-    Attributes
-    ----------
-    capabilities : positions and velocities.
-    """
+    """Rows as packets of the loop: see `wire.egm.Codec`."""
 
     def __init__(self, robot: Robot, types: RowTypes, dialect: str = "2014v1") -> None:
         self.capabilities = frozenset({"position", "velocity"})
@@ -203,12 +177,7 @@ class RowCodec:
         """Forget nothing: rows say all of themselves."""
 
     def decode(self, data: bytes) -> Packet | Drop:
-        """Return the packet of a row, or why it is dropped.
-
-        Parameters
-        ----------
-        data : from `RowPort.receive`.
-        """
+        """Return the packet of a row, or why it is dropped."""
         if len(data) != self._form.size:
             return Drop("unparsable", f"{len(data)} bytes are no row")
         count, tm, *_ = self._form.unpack(data)
@@ -243,11 +212,6 @@ class RowCodec:
         )
 
     def encode(self, ref: Reference) -> bytes:
-        """Return the packet of one command row.
-
-        Parameters
-        ----------
-        ref : positions, velocities and the `tm` of the row answered.
-        """
+        """Return the packet of one command row."""
         types = self._types
         return self._encoder.data(types.accepted, types.value(Row(ref.tm_ms, ref.q, ref.qd, ref.tau), types.accepted))

@@ -50,24 +50,14 @@ class Held(NamedTuple):
 
 
 class ArmPlaces:
-    """Where a row of the loop has what LabComm has of an arm.
-
-    Parameters
-    ----------
-    schema : of the rows. robot : name of the arm.
-    """
+    """Where a row of the loop has what LabComm has of an arm."""
 
     def __init__(self, schema: RowSchema, robot: str) -> None:
         self._name = robot
         self._form, self._wanted = _together([schema.fields[f"{robot}.{name}"] for name in _WANTED])
 
     def held(self, data: bytes) -> Held | None:
-        """Return what a row holds of the arm, None before its first.
-
-        Parameters
-        ----------
-        data : one row of the schema.
-        """
+        """Return what a row holds of the arm, None before its first."""
         values: Any = self._form.unpack_from(data)
         fresh, age, receive_ns, robot_ns, session_t, q, qd, tau = [values[place] for place in self._wanted]
         tm = clock_ms(robot_ns, session_t)
@@ -77,12 +67,7 @@ class ArmPlaces:
 
 
 class SourcePlaces:
-    """Where a row of the loop has the values of a source.
-
-    Parameters
-    ----------
-    schema : of the rows. source : its name.
-    """
+    """Where a row of the loop has the values of a source."""
 
     def __init__(self, schema: RowSchema, source: str) -> None:
         self._name = source
@@ -91,12 +76,7 @@ class SourcePlaces:
         self._age = found[[field.name for field in fields].index(f"{source}.age")]
 
     def held(self, data: bytes, now_ns: int) -> FusedSource | None:
-        """Return what the source gave last, None when it was never heard.
-
-        Parameters
-        ----------
-        data : one row of the schema. now_ns : its wall clock.
-        """
+        """Return what the source gave last, None when it was never heard."""
         numbers = list(self._form.unpack_from(data))
         age_ns = 1e9 * numbers.pop(self._age)
         if not math.isfinite(age_ns):
@@ -133,11 +113,8 @@ def labcomm_options(
 ) -> dict[str, Any]:
     """Return the options of the server of some arms, for `servers.server_command`.
 
-    Parameters
-    ----------
     robots : the arms. host : address to listen on, this computer only by default.
     ports : of the arms; None gives 7511 to a left or only arm, 7512 to a right one.
-    dialect, order, types, follows_client : see `ArmChannel`.
     parameters, fused : ports, None for none. Fused rows are for arms of 7 joints.
 
     Raises
@@ -169,10 +146,6 @@ def labcomm_options(
 
 class LabCommProcess:
     """Serves until the loop closes the feed.
-
-    Parameters
-    ----------
-    feed : connected to the loop; see `feed.Exchange`. options : see `labcomm_options`.
 
     Raises
     ------
@@ -297,10 +270,6 @@ class LabCommProcess:
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
     """Serve until the loop closes the feed.
-
-    Parameters
-    ----------
-    feed : connected to the loop. options : see `labcomm_options`.
 
     Raises
     ------

@@ -35,15 +35,7 @@ _SNIFF = 0.2  # s that a port which follows its client waits for the first packe
 class Ports:
     """Serves channels, a turn at a time.
 
-    Parameters
-    ----------
-    channels : the ports. host : address to listen on. on_event : told who connects, who is closed and why.
     on_stop : called with the address of a client that sent the sample ``void stop``, on any port.
-    beside : a socket of the caller's; what comes there ends the wait of a turn.
-
-    Attributes
-    ----------
-    numbers : the ports bound, by name of the channel.
 
     Raises
     ------
@@ -103,21 +95,11 @@ class Ports:
         return {**self._gone, **here}
 
     def has_clients(self, name: str) -> bool:
-        """Return whether anybody would get what is published on a channel; False when there is none of that name.
-
-        Parameters
-        ----------
-        name : of the channel.
-        """
+        """Return whether anybody would get what is published on a channel; False when there is none of that name."""
         return bool(self._peers.get(name))
 
     def put(self, name: str, item: Any) -> None:
-        """Send what the bridge publishes to the clients of a channel.
-
-        Parameters
-        ----------
-        name : of the channel. item : see its `put`.
-        """
+        """Send what the bridge publishes to the clients of a channel."""
         channel = self._channels[name]
         try:
             channel.put(item, self._peers[name])

@@ -71,8 +71,6 @@ def write_cdr(writer: DataWriter[Any], data: bytes) -> bool:
 
     `DataWriter.write` ends in this call. What it does before, for objects, would be a third of the time of a message.
 
-    Parameters
-    ----------
     writer : of the message. data : CDR with its 4 bytes, filled up to a multiple of 4.
     """
     return _write(writer._ref, data) >= 0
@@ -89,8 +87,6 @@ def configuration(host: str) -> str:
     discovery also finds it. Cyclone DDS would drop ports that do not answer for 30 s, and with them every node started
     later. On a network participants are found by multicast.
 
-    Parameters
-    ----------
     host : IPv4 address of the interface.
     """
     if _is_local(host):
@@ -113,8 +109,6 @@ def configuration(host: str) -> str:
 def joined(domain: int, host: str) -> Iterator[DomainParticipant]:
     """Be a participant of a domain while the block runs.
 
-    Parameters
-    ----------
     domain : its number. host : see `configuration`; 127.0.0.1 for this computer only.
 
     Raises
@@ -183,23 +177,13 @@ _BASE: dict[str, Any] = {
 
 
 def topic_name(name: str) -> str:
-    """Return the DDS name of a ROS topic.
-
-    Parameters
-    ----------
-    name : full, for example "/yumi_left/joint_states".
-    """
+    """Return the DDS name of a ROS topic."""
     return f"rt{name}"
 
 
 @cache
 def struct(name: str) -> Any:
-    """Return a message type as a dataclass of cyclonedds, which has a codec of its own.
-
-    Parameters
-    ----------
-    name : of a type of `store`, for example "sensor_msgs/msg/JointState".
-    """
+    """Return a message type as a dataclass of cyclonedds, which has a codec of its own."""
     return _made(name, is_dataclass=True)
 
 
@@ -208,10 +192,6 @@ def carrier(name: str) -> Any:
     """Return the type for a topic, whose objects hold the bytes of a message as attribute `cdr`.
 
     Encoding by `store` takes a third of the time of cyclonedds's own codec.
-
-    Parameters
-    ----------
-    name : of a type of `store`.
     """
     made = _made(name, is_dataclass=False)
     made.__init__, made.serialize = _hold, _held
@@ -258,16 +238,7 @@ _logger = logging.getLogger("armlab.bridge")
 
 
 class Writers:
-    """Writes topics that somebody reads.
-
-    Parameters
-    ----------
-    participant : that they belong to. published : topics by full name.
-
-    Attributes
-    ----------
-    wanted : names of topics that have a reader. counts : by name, messages written and such that found no room.
-    """
+    """Writes topics that somebody reads."""
 
     def __init__(self, participant: DomainParticipant, published: Mapping[str, Published]) -> None:
         self.wanted: frozenset[str] = frozenset()
@@ -282,8 +253,6 @@ class Writers:
     def write(self, topic: Published, cdr: bytes) -> None:
         """Send one message.
 
-        Parameters
-        ----------
         topic : where. cdr : a message, see `mould.cdr`.
         """
         written, full = self.counts.get(topic.name, (0, 0))
@@ -302,10 +271,7 @@ class Writers:
 class Readers:
     """Reads topics; calls from threads of DDS.
 
-    Parameters
-    ----------
     participant : that they belong to. types : ROS 2 message type by full name of the topic.
-    take : told the topic, its bytes and who wrote them. left : told the participant whose last writer has gone.
     """
 
     def __init__(
@@ -395,9 +361,6 @@ _AGAIN = 1.0  # s after which the parameters are told again, for readers that ca
 class DdsServer:
     """Serves until the loop closes the feed.
 
-    Parameters
-    ----------
-    feed : connected to the loop; see `feed.Exchange`.
     options : "domain", None for that of ROS_DOMAIN_ID, and "host", IPv4 address of the interface.
 
     Raises
@@ -477,10 +440,6 @@ class DdsServer:
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
     """Serve until the loop closes the feed.
-
-    Parameters
-    ----------
-    feed : connected to the loop. options : see `DdsServer`.
 
     Raises
     ------

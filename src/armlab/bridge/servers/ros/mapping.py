@@ -76,8 +76,6 @@ class Arm:
 def header(stamp_ns: int, frame_id: str = "") -> Any:
     """Return a std_msgs/msg/Header.
 
-    Parameters
-    ----------
     stamp_ns : wall clock. frame_id : name of the frame.
     """
     types: Mapping[str, Any] = store().types
@@ -101,8 +99,6 @@ class Kind(Enum):
 class Form(NamedTuple):
     """What of a row is in the messages of one topic.
 
-    Attributes
-    ----------
     type : of the messages. kind : how their numbers come from the fields. fields : of the row, by name without the arm.
     message : gives the message of an arm, a stamp [ns] and its numbers; nothing else of a row is in it.
     other : gives the numbers when the kind is no other.
@@ -115,12 +111,7 @@ class Form(NamedTuple):
     other: Callable[[Arm], Columns | None] | None = None
 
     def columns(self, arm: Arm) -> Columns | None:
-        """Return the numbers of a message, None when the row has nothing for it.
-
-        Parameters
-        ----------
-        arm : in the row.
-        """
+        """Return the numbers of a message, None when the row has nothing for it."""
         if self.other is not None:
             return self.other(arm)
         columns = tuple([arm.numbers(name) for name in self.fields])
@@ -212,9 +203,6 @@ def diagnostics(
 ) -> Any:
     """Return the message of one arm.
 
-    Parameters
-    ----------
-    robot : its name. wall_ns : wall clock. counts : of `Status.summary`. commander : who commands, "" for nobody.
     answer : the last to a client, "" for none. silent : s since the last packet; infinite before the first.
     """
     types = store().types

@@ -25,13 +25,7 @@ Variant = tuple[bytes, int, list[tuple[int, int, int]]]
 
 
 def plan(form: Form, robot: Robot, places: Mapping[str, tuple[Struct, int]], encode: Encode) -> tuple[Any, ...]:
-    """Return how `kernels.RowMessages` makes the messages of a topic.
-
-    Parameters
-    ----------
-    form, robot : of the messages; the form is of one of the kinds that it makes. places : of the arm's fields, see
-        `row.places`. encode : what its bytes are like.
-    """
+    """Return how `kernels.RowMessages` makes the messages of a topic."""
     columns = [(places[name][1], places[name][0].size // 8) for name in form.fields]
     variants = [
         _variant(form, robot, [column if bits >> k & 1 else None for k, column in enumerate(columns)], encode)
@@ -73,10 +67,5 @@ def _template(form: Form, robot: Robot, counts: list[int], encode: Encode) -> tu
 
 
 def cdr(message: Any, type: str) -> bytes:
-    """Return a message as ROS 2 has it on the wire, little-endian, behind its 4 bytes.
-
-    Parameters
-    ----------
-    message : of `store`. type : its own.
-    """
+    """Return a message as ROS 2 has it on the wire, little-endian, behind its 4 bytes."""
     return bytes(store().serialize_cdr(message, type))

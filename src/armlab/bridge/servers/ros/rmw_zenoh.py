@@ -37,32 +37,19 @@ _ORIGIN = struct.Struct(f"<qqB{_ID}s")
 
 
 class Names:
-    """Keys of one node.
-
-    Parameters
-    ----------
-    domain : its number. session : id of the Zenoh session, hexadecimal. distribution : of those who read.
-    node : its name, in the namespace "/".
-    """
+    """Keys of one node."""
 
     def __init__(self, domain: int, session: str, distribution: Distribution = "jazzy", node: str = "armlab") -> None:
         self._domain, self._node, self._has_hashes = domain, node, distribution != "humble"
         self._graph = f"@ros2_lv/{domain}/{session}"
 
     def hash(self, type: str) -> str:
-        """Return what stands for the definition of a message type.
-
-        Parameters
-        ----------
-        type : for example "sensor_msgs/msg/JointState".
-        """
+        """Return what stands for the definition of a message type."""
         return store().hash_rihs01(type) if self._has_hashes else _NO_HASH
 
     def data(self, topic: str, type: str, hash: str = "") -> str:
         """Return the key of a topic's messages.
 
-        Parameters
-        ----------
         topic : full name. type : of its messages. hash : `ANY` for a reader; that of the type by default.
         """
         return f"{self._domain}/{topic.strip('/')}/{type_name(type)}/{hash or self.hash(type)}"
@@ -78,19 +65,12 @@ class Names:
     def writer(self, number: int, topic: str, type: str) -> str:
         """Return the token of a reliable writer that keeps the last ten.
 
-        Parameters
-        ----------
         number : of the endpoint in the node, from 1. topic, type : as of `data`.
         """
         return self._endpoint(number, "MP", topic, type, _RELIABLE)
 
     def reader(self, number: int, topic: str, type: str) -> str:
-        """Return the token of a best-effort reader of the last one.
-
-        Parameters
-        ----------
-        number, topic, type : as of `writer`.
-        """
+        """Return the token of a best-effort reader of the last one."""
         return self._endpoint(number, "MS", topic, type, _BEST_EFFORT)
 
     def _endpoint(self, number: int, kind: str, topic: str, type: str, quality: str) -> str:
@@ -113,8 +93,6 @@ class Origin(NamedTuple):
     def read(cls, data: bytes | None) -> Origin | None:
         """Return what the bytes say; None for others, whose message is dropped as rmw_zenoh drops it.
 
-        Parameters
-        ----------
         data : of the attachment, None without one.
         """
         if data is None or len(data) != _ORIGIN.size:
@@ -131,10 +109,6 @@ class Origin(NamedTuple):
 class Writer:
     """Numbers the messages of one writer.
 
-    Parameters
-    ----------
-    token : its liveliness token, of which its id is the hash.
-
     Raises
     ------
     MissingExtra : xxhash is not installed; says how to.
@@ -145,12 +119,7 @@ class Writer:
         self._seq = 0
 
     def next(self, stamp_ns: int) -> bytes:
-        """Return the attachment of the next message.
-
-        Parameters
-        ----------
-        stamp_ns : wall clock.
-        """
+        """Return the attachment of the next message."""
         self._seq += 1
         return _ORIGIN.pack(self._seq, stamp_ns, _ID, self.id)
 
@@ -173,10 +142,6 @@ class Nodes:
     """Nodes that have writers. A message says its writer, a hash of the writer's token; the token says its node.
 
     All writers of a node are one client: with one it commands, with another it sets a parameter.
-
-    Parameters
-    ----------
-    left : told the client whose last writer has gone.
     """
 
     def __init__(self, left: Callable[[str], None]) -> None:
@@ -184,12 +149,7 @@ class Nodes:
         self._clients: dict[bytes, str] = {}
 
     def token(self, token: str, is_there: bool) -> None:
-        """Take note of a writer's token that has come or gone.
-
-        Parameters
-        ----------
-        token : its key. is_there : whether it has come.
-        """
+        """Take note of a writer's token that has come or gone."""
         words = token.split("/")
         if len(words) < 9:
             return
@@ -201,12 +161,7 @@ class Nodes:
             self._left(client)
 
     def client(self, origin: Origin) -> str:
-        """Return who wrote a message, ``/NODE@SESSION``; the writer itself when no token of it is known.
-
-        Parameters
-        ----------
-        origin : attached to the message.
-        """
+        """Return who wrote a message, ``/NODE@SESSION``; the writer itself when no token of it is known."""
         return self._clients.get(origin.writer, origin.client)
 
 
@@ -217,14 +172,7 @@ _MAY_COME_AGAIN = 30.0  # s after a reader: what it misses while its router star
 class RmwZenohServer:
     """Serves until the loop closes the feed.
 
-    Parameters
-    ----------
-    feed : connected to the loop; see `feed.Exchange`.
     options : "domain", None for that of ROS_DOMAIN_ID, "host", "port", "router" and "distribution".
-
-    Attributes
-    ----------
-    wanted : names of the topics that somebody reads, or has read in the last half minute.
 
     Raises
     ------
@@ -355,10 +303,6 @@ class RmwZenohServer:
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
     """Serve until the loop closes the feed.
-
-    Parameters
-    ----------
-    feed : connected to the loop. options : see `RmwZenohServer`.
 
     Raises
     ------

@@ -39,10 +39,6 @@ _LARGEST = 2**17  # bytes of a message to us
 def domain_number(given: int | None, environment: Mapping[str, str] = os.environ) -> int:
     """Return the number of the domain: as given, else that of ROS_DOMAIN_ID, else 0.
 
-    Parameters
-    ----------
-    given : by the cell. environment : of the process.
-
     Raises
     ------
     ConfigError : ROS_DOMAIN_ID is no such number.
@@ -56,22 +52,13 @@ def domain_number(given: int | None, environment: Mapping[str, str] = os.environ
 
 
 def type_name(name: str) -> str:
-    """Return the name that the wire has for a ROS 2 message type.
-
-    Parameters
-    ----------
-    name : for example "sensor_msgs/msg/JointState".
-    """
+    """Return the name that the wire has for a ROS 2 message type."""
     package, kind, message = name.split("/")
     return f"{package}::{kind}::dds_::{message}_"
 
 
 def content(name: str, cdr: bytes) -> Any:
     """Return what a command says: numbers, a text, or None of an empty one.
-
-    Parameters
-    ----------
-    name : of its type. cdr : its bytes.
 
     Raises
     ------

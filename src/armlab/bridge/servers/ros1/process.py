@@ -213,8 +213,6 @@ class Ros1Process:
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
     """Serve until the loop closes the feed.
 
-    Parameters
-    ----------
     feed : connected to the loop. options : see `Ros1Process`.
 
     Raises

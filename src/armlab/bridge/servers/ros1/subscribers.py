@@ -22,17 +22,7 @@ _SIZE_AND_SEQ = struct.Struct("<II")
 
 
 class Subscribers:
-    """Writes messages to whoever reads their topic; for a slow node they wait, and the oldest are dropped.
-
-    Parameters
-    ----------
-    looks : is told of each connection what to look for.
-
-    Attributes
-    ----------
-    wanted : names of topics that somebody reads.
-    counts : by topic, messages for its nodes and such that were dropped.
-    """
+    """Writes messages to whoever reads their topic; for a slow node they wait, and the oldest are dropped."""
 
     def __init__(self, looks: select.poll) -> None:
         self.wanted: frozenset[str] = frozenset()
@@ -48,8 +38,6 @@ class Subscribers:
 
         Returns why it was ended instead, a sentence; nothing when it was taken.
 
-        Parameters
-        ----------
         topic : full name. connection : of TCP. known : messages without a header that only this node gets.
         """
         one = _Connection(topic, connection)
@@ -69,8 +57,6 @@ class Subscribers:
     def send(self, topic: Published, raw: bytes) -> None:
         """Send a message to all nodes that read it; their connections that have ended are let go.
 
-        Parameters
-        ----------
         topic : of the message. raw : the message as ROS 1 has it; its number is set here.
         """
         name = topic.name
@@ -83,12 +69,7 @@ class Subscribers:
             self._put(one, data)
 
     def look(self, number: int) -> None:
-        """See what has become of a connection: there is room again, or it has ended, as nodes only read.
-
-        Parameters
-        ----------
-        number : of its file.
-        """
+        """See what has become of a connection: there is room again, or it has ended, as nodes only read."""
         one = self._connections.get(number)
         if one is not None:
             self._put(one, None)

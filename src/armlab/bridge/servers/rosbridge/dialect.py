@@ -29,10 +29,6 @@ _FILLER = "structure_needs_at_least_one_member"  # of types without a field, in 
 def read_type(text: str) -> tuple[str, Dialect]:
     """Return the ROS 2 name of a type, and the dialect that its text speaks.
 
-    Parameters
-    ----------
-    text : "sensor_msgs/JointState" or "sensor_msgs/msg/JointState".
-
     Raises
     ------
     CommandRefused : no name of a type; a sentence for the client.
@@ -49,8 +45,6 @@ def read_type(text: str) -> tuple[str, Dialect]:
 def type_name(type_: str, dialect: Dialect) -> str:
     """Return the name of a type in a dialect.
 
-    Parameters
-    ----------
     type_ : its ROS 2 name. dialect : of the client.
     """
     return type_.replace("/msg/", "/") if dialect == "ros1" else type_
@@ -60,8 +54,6 @@ def type_name(type_: str, dialect: Dialect) -> str:
 def fields(type_: str) -> tuple[str, ...]:
     """Return the names of the fields of a message.
 
-    Parameters
-    ----------
     type_ : its ROS 2 name, of `ros.store`.
     """
     return tuple(name for name, _ in store().fielddefs[type_][1] if name != _FILLER)
@@ -73,8 +65,6 @@ def flat(message: Any, type_: str) -> bytes:
     Text with a byte 0 for each number, what `struct` calls the numbers, and the numbers, between bytes 1: JSON has no
     such bytes. A byte stands before each array and after a stamp, so that `Encoded` can tell them apart.
 
-    Parameters
-    ----------
     message : of `ros.store`. type_ : its ROS 2 name.
     """
     form: list[str] = ["<"]
@@ -87,9 +77,6 @@ def flat(message: Any, type_: str) -> bytes:
 def publish(topic: str, message: bytes, dialect: Dialect, seq: int) -> bytes:
     """Return the operation "publish" of a message as JSON; a number that is not finite is null.
 
-    Parameters
-    ----------
-    topic : its name as the client spells it. message : see `flat`. dialect : of the client.
     seq : number of the message, which the headers of ROS 1 carry.
     """
     text, form, packed = message.split(b"\1", 2)

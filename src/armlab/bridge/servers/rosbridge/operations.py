@@ -129,10 +129,6 @@ _WRONG = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 def read_operation(data: bytes | str) -> Operation:
     """Return the operation in a message of a client.
 
-    Parameters
-    ----------
-    data : one text or binary message.
-
     Raises
     ------
     CommandRefused : no operation, an unknown or refused one, or one that is too long; a sentence for the client.
@@ -150,22 +146,12 @@ def read_operation(data: bytes | str) -> Operation:
 
 
 def full_name(name: str) -> str:
-    """Return the full name of a topic or service; clients may leave out the leading slash, as roslib 2 does.
-
-    Parameters
-    ----------
-    name : as the client spells it. Answers and messages to it repeat this spelling, by which it finds its callbacks.
-    """
+    """Return the full name of a topic or service; clients may leave out the leading slash, as roslib 2 does."""
     return name if name.startswith("/") else f"/{name}"
 
 
 def id_of(data: bytes | str) -> str | int | None:
-    """Return the id that a message carries although it is no operation.
-
-    Parameters
-    ----------
-    data : one message of a client.
-    """
+    """Return the id that a message carries although it is no operation."""
     found = _head(data).id
     return found[:256] if isinstance(found, str) else found if isinstance(found, int) else None
 

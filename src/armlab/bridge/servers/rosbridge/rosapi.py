@@ -22,10 +22,6 @@ Arguments = Mapping[str, Any]
 def parameter_name(arguments: Arguments, known: Mapping[str, Any]) -> str:
     """Return the parameter that a client means by "gain", "/gain" or "/node:gain".
 
-    Parameters
-    ----------
-    arguments : of the call. known : by name.
-
     Raises
     ------
     UnknownName : none of them; a sentence for the client.
@@ -40,10 +36,7 @@ def parameter_name(arguments: Arguments, known: Mapping[str, Any]) -> str:
 class Rosapi:
     """Answers at once whatever needs no loop.
 
-    Parameters
-    ----------
     cell : its name. topics : ROS 2 type by full name, those that go out and those that are taken.
-    parameters : asked for what is known of each, by name; see `LoopEnd.parameters`.
     """
 
     def __init__(
@@ -70,10 +63,6 @@ class Rosapi:
     def arguments(self, service: str, given: dict[str, Any] | list[Any] | None) -> Arguments:
         """Return the arguments of a call by name.
 
-        Parameters
-        ----------
-        service : its name. given : by name, or in their order.
-
         Raises
         ------
         UnknownName : no such service.
@@ -86,10 +75,6 @@ class Rosapi:
 
     def answer(self, service: str, arguments: Arguments, dialect: Dialect) -> dict[str, Any]:
         """Return the values that a service answers with.
-
-        Parameters
-        ----------
-        service : its name. arguments : see `arguments`. dialect : of types and stamps.
 
         Raises
         ------

@@ -41,8 +41,6 @@ _LOCAL_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1)(:\d{1,5})?")
 class Access:
     """What is asked of clients.
 
-    Attributes
-    ----------
     token : that clients show who want more than to read; None when nobody has to. context : of TLS, None without.
     origins : of web pages that may connect, as `websockets` takes them; None stands for programs, which have none.
     """
@@ -54,8 +52,6 @@ class Access:
     def judge(self, authorization: str | None) -> bool | None:
         """Return whether a client may ask for something, None when it must not even connect.
 
-        Parameters
-        ----------
         authorization : the header of that name, None without one.
         """
         if self.token is None:
@@ -70,9 +66,6 @@ class Access:
 def read_access(options: Mapping[str, Any], environment: Mapping[str, str] | None = None) -> Access:
     """Return what the options of the server say.
 
-    Parameters
-    ----------
-    options : "token_file" or "token_variable", "certificate" and "key", files in PEM, "origins" of web pages.
     environment : variables; those of the process by default.
 
     Raises
@@ -268,10 +261,6 @@ def _head(size: int) -> bytes:
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
     """Serve until the loop closes the feed.
-
-    Parameters
-    ----------
-    feed : connected to the loop. options : see `RosbridgeServer`.
 
     Raises
     ------

@@ -27,12 +27,7 @@ class _Waiting(NamedTuple):
 
 
 class Outbox:
-    """Messages for one client, in order.
-
-    Attributes
-    ----------
-    sent, dropped : messages taken out to be sent, and thrown away.
-    """
+    """Messages for one client, in order."""
 
     def __init__(self) -> None:
         self._waiting: deque[_Waiting] = deque()
@@ -44,9 +39,6 @@ class Outbox:
     def put(self, data: bytes, now_ns: int, topic: str = "", most: int = 0) -> None:
         """Let a message wait; what has waited for more than 1 s goes.
 
-        Parameters
-        ----------
-        data : the message. now_ns : monotonic clock. topic : of what is published.
         most : messages of this topic that wait at most, 0 for any number; the oldest of them goes.
         """
         if self._since_ns is None:
@@ -60,12 +52,7 @@ class Outbox:
         self._bytes += len(data)
 
     def take(self, most: int) -> list[bytes]:
-        """Return the next messages, for a client that takes them now.
-
-        Parameters
-        ----------
-        most : bytes, and one message more.
-        """
+        """Return the next messages, for a client that takes them now."""
         self._since_ns = None
         found: list[bytes] = []
         while self._waiting and most > 0:
@@ -75,12 +62,7 @@ class Outbox:
         return found
 
     def is_stuck(self, now_ns: int) -> bool:
-        """Return whether the client has taken nothing for 10 s although something came for it.
-
-        Parameters
-        ----------
-        now_ns : monotonic clock.
-        """
+        """Return whether the client has taken nothing for 10 s although something came for it."""
         return self._since_ns is not None and now_ns - self._since_ns > _PATIENCE
 
     def _drop(self, k: int) -> None:
@@ -99,16 +81,7 @@ _IDS = 16  # of one topic; who gives more ids has lost count
 
 
 class Subscription:
-    """One topic for one client. Several ids share it: the topic comes once, as the most eager of them wants.
-
-    Parameters
-    ----------
-    topic : its name as the client spells it. outbox : of the client. dialect : see `dialect.Dialect`.
-
-    Attributes
-    ----------
-    topic, dialect : as given. full_name : of the topic.
-    """
+    """One topic for one client. Several ids share it: the topic comes once, as the most eager of them wants."""
 
     def __init__(self, topic: str, outbox: Outbox, dialect: Dialect) -> None:
         self.dialect: Dialect = dialect
@@ -120,9 +93,6 @@ class Subscription:
     def add(self, id_: str, throttle_ms: float, queue_length: int) -> None:
         """Take what one id wants.
 
-        Parameters
-        ----------
-        id_ : of the client's own. throttle_ms : least time between two messages.
         queue_length : messages that wait at most; 0 throws away what comes too early.
         """
         self._ids[id_] = (int(1e6 * throttle_ms), queue_length)
@@ -131,12 +101,7 @@ class Subscription:
         self._agree()
 
     def remove(self, id_: str | None) -> bool:
-        """Forget one id, or all of them for None; return whether nothing is wanted any more.
-
-        Parameters
-        ----------
-        id_ : of the client's own.
-        """
+        """Forget one id, or all of them for None; return whether nothing is wanted any more."""
         if id_ is None:
             self._ids.clear()
         self._ids.pop(id_ or "", None)
@@ -144,23 +109,13 @@ class Subscription:
         return not self._ids
 
     def is_due(self, now_ns: int) -> bool:
-        """Return whether a message of now would be sent or would wait; sends what waited long enough.
-
-        Parameters
-        ----------
-        now_ns : monotonic clock.
-        """
+        """Return whether a message of now would be sent or would wait; sends what waited long enough."""
         if self._waiting and now_ns >= self._due_ns:
             self._send(self._waiting.popleft(), now_ns)
         return self._most > 0 or now_ns >= self._due_ns
 
     def offer(self, data: bytes, now_ns: int) -> None:
-        """Send a message, let it wait, or throw it away.
-
-        Parameters
-        ----------
-        data : encoded, in the dialect. now_ns : monotonic clock.
-        """
+        """Send a message, let it wait, or throw it away."""
         if now_ns >= self._due_ns and not self._waiting:
             self._send(data, now_ns)
         elif self._most:
@@ -185,10 +140,6 @@ _LEVELS = ("info", "warning", "error", "none")
 class Setting:
     """A parameter that a client has set by a service, until the loop has answered.
 
-    Attributes
-    ----------
-    service : name of the service as the client spells it. id : of the call. parameter, value : what it sets.
-    until_ns : how long to wait.
     sequence : of the parameter's last change when the loop was asked; None while an earlier setting of it waits, as
         the loop's answers name the parameter, not the call.
     """
@@ -202,18 +153,7 @@ class Setting:
 
 
 class Session:
-    """One client.
-
-    Parameters
-    ----------
-    name : its identity. may_ask : whether it may command and set; everyone may read and stop.
-
-    Attributes
-    ----------
-    name, may_ask : as given. outbox : what waits for it. subscriptions : by the topic's name as the client spells it.
-    advertised : topics that it said it would publish on. warned : topics of whose messages it was warned.
-    settings : that the loop has not answered. level : the least of what it is told.
-    """
+    """One client."""
 
     def __init__(self, name: str, may_ask: bool) -> None:
         self.name, self.may_ask = name, may_ask
@@ -225,24 +165,13 @@ class Session:
         self.level: Level = "error"  # of the protocol
 
     def status(self, level: Level, text: str, now_ns: int, id_: str | int | None = None) -> None:
-        """Tell the client what happened, if it wants to hear of it.
-
-        Parameters
-        ----------
-        level, text : what. now_ns : monotonic clock. id_ : of the operation that it is about.
-        """
+        """Tell the client what happened, if it wants to hear of it."""
         if _LEVELS.index(level) >= _LEVELS.index(self.level):
             about = {} if id_ is None else {"id": id_}
             self._send({"op": "status", **about, "level": level, "msg": text}, now_ns)
 
     def response(self, service: str, id_: str | int | None, values: Any, is_done: bool, now_ns: int) -> None:
-        """Answer the call of a service.
-
-        Parameters
-        ----------
-        service, id_ : of the call, as the client spells them. values : of the answer, or why not.
-        is_done : whether it is one. now_ns : monotonic clock.
-        """
+        """Answer the call of a service."""
         about = {} if id_ is None else {"id": id_}
         message = {"op": "service_response", **about, "service": service, "values": values, "result": is_done}
         self._send(message, now_ns)

@@ -30,10 +30,6 @@ _DAMAGED = b"damaged"  # in place of a row that was
 def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tuple[Port, Codec]:
     """Return the port and codec of an arm behind a Zenoh server.
 
-    Parameters
-    ----------
-    robot : the arm. host, port : of the bridge or a router. options : see `Place.of`.
-
     Raises
     ------
     ConfigError : other options. UnknownName : the bridge has another arm.
@@ -47,15 +43,6 @@ class FarPort:
     """Rows of an arm in place of datagrams; never blocks and never raises after construction.
 
     Zenoh connects again by itself. Rows come in a thread of Zenoh's, which hands them over by a socket.
-
-    Parameters
-    ----------
-    robot : the arm. place : of its bridge.
-
-    Attributes
-    ----------
-    host, port : of the bridge. schema : of its rows. gaps : rows that came and that did not.
-    errors : commands that could not be sent, rows that found no room.
 
     Raises
     ------
@@ -110,12 +97,7 @@ class FarPort:
                 break
 
     def send(self, data: bytes, to: tuple[str, int]) -> bool:
-        """Send one command; return whether Zenoh took it.
-
-        Parameters
-        ----------
-        data : of `FarCodec`: positions, or positions and velocities. to : not used, there is one bridge.
-        """
+        """Send one command; return whether Zenoh took it."""
         self._seq += 1
         kind = "position" if len(data) == 8 * self._n else "motion"
         try:
@@ -138,14 +120,6 @@ class FarPort:
 class FarCodec:
     """Rows as packets of the loop: see `wire.egm.Codec`.
 
-    Parameters
-    ----------
-    robot : the arm. schema : of the rows.
-
-    Attributes
-    ----------
-    capabilities : positions and velocities.
-
     Raises
     ------
     UnknownName : the arm is not in these rows. LinkError : they have other fields of it, as of other joints.
@@ -162,12 +136,7 @@ class FarCodec:
         """Forget nothing: rows say all of themselves."""
 
     def decode(self, data: bytes) -> Packet | Drop:
-        """Return the packet of a row, or why it is dropped.
-
-        Parameters
-        ----------
-        data : from `FarPort.receive`.
-        """
+        """Return the packet of a row, or why it is dropped."""
         if data == _DAMAGED:
             return Drop("damaged", "a row whose checksum is another one")
         try:
@@ -208,12 +177,7 @@ class FarCodec:
         )
 
     def encode(self, ref: Reference) -> bytes:
-        """Return positions, or positions and velocities, as they go out.
-
-        Parameters
-        ----------
-        ref : of the loop.
-        """
+        """Return positions, or positions and velocities, as they go out."""
         parts = [ref.q] if ref.qd is None else [ref.q, ref.qd]
         return np.concatenate(parts).astype("<f8").tobytes()
 

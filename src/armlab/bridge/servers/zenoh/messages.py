@@ -58,14 +58,7 @@ _Text = _Parameters | _Recording | _Event | _Status
 
 
 class About(NamedTuple):
-    """What a bridge says of itself.
-
-    Attributes
-    ----------
-    said : its messages, as `LocalFeed.receive` gives them, first that of kind "about". schema : of its rows; fields of
-        its arms that are there have their type and shape. robots : its arms by name. run : another id each time.
-    cell : its name.
-    """
+    """What a bridge says of itself."""
 
     said: list[dict[str, Any]]
     schema: RowSchema
@@ -76,10 +69,6 @@ class About(NamedTuple):
 
 def read_about(data: bytes) -> About:
     """Return what a bridge answers to the query "about".
-
-    Parameters
-    ----------
-    data : the answer.
 
     Raises
     ------
@@ -106,10 +95,6 @@ def read_about(data: bytes) -> About:
 
 def read_message(data: bytes) -> dict[str, Any]:
     """Return a text of the keys "events", "status" and "parameters", as `LocalFeed.receive` gives it.
-
-    Parameters
-    ----------
-    data : the message.
 
     Raises
     ------

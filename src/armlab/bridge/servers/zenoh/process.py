@@ -37,11 +37,6 @@ _NOBODY = "unknown"
 class ZenohProcess:
     """Serves until the loop closes the feed.
 
-    Parameters
-    ----------
-    feed : connected to the loop; see `feed.Exchange`.
-    options : "lab", "host", "port", "router" and the files of `Security`.
-
     Raises
     ------
     LinkError, ConfigError : the loop has gone, or see `open_near` and `Security`. MissingExtra : see `zenoh`.
@@ -256,10 +251,6 @@ def _setting(name: str, data: bytes) -> Any:
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
     """Serve until the loop closes the feed.
-
-    Parameters
-    ----------
-    feed : connected to the loop. options : see `ZenohProcess`.
 
     Raises
     ------

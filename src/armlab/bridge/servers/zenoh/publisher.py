@@ -17,16 +17,7 @@ _LAST = 1.0  # s for what waits at the end
 
 
 class Output:
-    """One key. Nothing is sent while nobody reads it; for a slow reader it is dropped.
-
-    Parameters
-    ----------
-    session : open. key : of what goes out. changed : called after `wanted` has changed, by a thread of Zenoh's.
-
-    Attributes
-    ----------
-    wanted : whether somebody reads it. sent : messages handed to Zenoh. dropped : not sent, though they were wanted.
-    """
+    """One key. Nothing is sent while nobody reads it; for a slow reader it is dropped."""
 
     def __init__(self, session: Any, key: str, changed: Callable[[], None] = lambda: None) -> None:
         self.wanted, self.sent, self.dropped = False, 0, 0
@@ -36,12 +27,7 @@ class Output:
         self.wanted = self.wanted or self._publisher.matching_status.matching
 
     def put(self, data: bytes, attachment: bytes | None = None) -> None:
-        """Send when it is wanted.
-
-        Parameters
-        ----------
-        data : the message. attachment : of it.
-        """
+        """Send when it is wanted."""
         if self.wanted:
             self._publisher.put(data, attachment=attachment)
             self.sent += 1
@@ -60,10 +46,6 @@ class Waiting(Output):
 
     A reader that stands still loses its connection when the buffers on the way are full, after some seconds; it gets
     rows again when it has connected again, and the hole shows in their numbers.
-
-    Parameters
-    ----------
-    session, key : as of `Output`.
     """
 
     def __init__(self, session: Any, key: str) -> None:
@@ -73,12 +55,7 @@ class Waiting(Output):
         self._thread.start()
 
     def put(self, data: bytes, attachment: bytes | None = None) -> None:
-        """Queue what is wanted.
-
-        Parameters
-        ----------
-        data : the message. attachment : of it.
-        """
+        """Queue what is wanted."""
         if self.wanted:
             try:
                 self._queue.put_nowait((data, attachment))

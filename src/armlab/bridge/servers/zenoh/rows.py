@@ -20,12 +20,7 @@ T = TypeVar("T")
 
 
 class Inbox(Generic[T]):
-    """Messages from Zenoh's threads; when too much waits the oldest are lost.
-
-    Parameters
-    ----------
-    most : messages.
-    """
+    """Messages from Zenoh's threads; when too much waits the oldest are lost."""
 
     def __init__(self, most: int) -> None:
         self._most, self._size = most, 0
@@ -36,12 +31,7 @@ class Inbox(Generic[T]):
         return len(self._waiting)
 
     def put(self, message: T, size: int = 0) -> None:
-        """Keep a message, and wake who waits.
-
-        Parameters
-        ----------
-        message : of any kind. size : bytes that it had.
-        """
+        """Keep a message, and wake who waits."""
         size = max(size, _LEAST)
         with self._came:
             while self._waiting and (len(self._waiting) >= self._most or self._size + size > _LARGEST):
@@ -51,12 +41,7 @@ class Inbox(Generic[T]):
             self._came.notify()
 
     def get(self, patience: float = 0.0) -> T | None:
-        """Return the oldest message and forget it, None when none comes in time.
-
-        Parameters
-        ----------
-        patience : s to wait for one.
-        """
+        """Return the oldest message and forget it, None when none comes in time."""
         with self._came:
             if not self._waiting and not (patience > 0.0 and self._came.wait(patience) and self._waiting):
                 return None
@@ -65,12 +50,7 @@ class Inbox(Generic[T]):
             return message
 
     def wait(self, patience: float) -> bool:
-        """Return whether a message waits, or comes in time.
-
-        Parameters
-        ----------
-        patience : s to wait for one.
-        """
+        """Return whether a message waits, or comes in time."""
         with self._came:
             return bool(self._waiting) or self._came.wait(patience)
 

@@ -107,12 +107,8 @@ def open_near(
 ) -> tuple[Any, str]:
     """Return the session of a server, and where it is in words: a router of its own, unless there is one.
 
-    Parameters
-    ----------
     host, port : where others find it. When the port is taken, by the router of another server, that one is used, and
         the session is found directly at a port that the system chooses. router : "HOST:PORT" of a router elsewhere.
-    security : see `open_session`; with `ca` and no certificate the session is found through the router alone.
-    commands : whether the server may command.
 
     Raises
     ------
@@ -175,12 +171,7 @@ def _free_port(host: str) -> int:
 
 
 def _check_router(router: str, is_open: bool) -> None:
-    """Refuse that commands come from anybody by a router that is named.
-
-    Parameters
-    ----------
-    router : "HOST:PORT". is_open : whether the server takes commands from whoever comes.
-    """
+    """Refuse that commands come from anybody by a router that is named."""
     port = router.rpartition(":")[2]
     if not (port.isascii() and port.isdigit() and 0 < int(port) < 2**16):
         raise ConfigError(f"Expected a router like 192.168.1.9:7447, got {router!r}.")
@@ -196,8 +187,6 @@ def _check_router(router: str, is_open: bool) -> None:
 def _check_holder(host: str, port: int, is_open: bool) -> None:
     """Refuse to use the router that holds our port: commands come by it from anybody, or it is not where we would be.
 
-    Parameters
-    ----------
     host, port : of the server, "" where it need not be found. is_open : whether it takes commands from whoever comes.
     """
     with socket.socket() as probe:
@@ -221,8 +210,6 @@ def _check_holder(host: str, port: int, is_open: bool) -> None:
 def wait_for_router(session: Any, patience: float) -> bool:
     """Return whether a peer has found a router, or another peer.
 
-    Parameters
-    ----------
     session : of the peer. patience : s to wait.
     """
     until = time.monotonic() + patience
@@ -248,12 +235,7 @@ def close_session(session: Any) -> None:
 
 
 def data_of(part: Any) -> bytes | None:
-    """Return the bytes of a payload or an attachment, None when there is none.
-
-    Parameters
-    ----------
-    part : of a sample or a query.
-    """
+    """Return the bytes of a payload or an attachment, None when there is none."""
     return None if part is None else part.to_bytes()
 
 
