@@ -13,7 +13,7 @@ import numpy as np
 
 from armlab import log as logs
 from armlab import robots as library
-from armlab.bridge.control.feedback import obstacle
+from armlab.bridge.control.feedback import not_ready_reason
 from armlab.errors import LogError, ModelMismatchError, RobotError, UnknownName
 from armlab.kinematics import forward
 from armlab.log.recording_metadata import described
@@ -118,7 +118,7 @@ class Recorded:
             return "not begun" if age < 0.0 else f"no packet for {age:.1f} s"
         if not {"motors", "rapid", "mci"} <= set(self.table.names):
             return "recorded"
-        why = obstacle(self.table["motors"][k], self.table["rapid"][k], self.table["mci"][k])
+        why = not_ready_reason(self.table["motors"][k], self.table["rapid"][k], self.table["mci"][k])
         if why:
             return why
         if "seq_sent" in self.table and not self.table["seq_sent"][k] >= 0:

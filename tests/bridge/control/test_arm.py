@@ -17,7 +17,7 @@ import pytest
 from armlab import robots
 from armlab.bridge import Limits, connect
 from armlab.bridge.assembly import End, assemble
-from armlab.bridge.control.arm import Arm, Latency, Surplus, Turn
+from armlab.bridge.control.arm import Arm, Latency, PendingPacket, Surplus
 from armlab.bridge.control.state_machine import Mode
 from armlab.bridge.control.supervision import Settings
 from armlab.bridge.net.sockets import Arrival, Port
@@ -47,7 +47,7 @@ def arm(robot: Robot) -> Iterator[Arm]:
     port.close()
 
 
-def take(arm: Arm, packets: Any, k: int) -> Turn:
+def take(arm: Arm, packets: Any, k: int) -> PendingPacket:
     turn = arm.take(Arrival(packets(), ("127.0.0.1", arm.port.port), arm.stamp_ns + k * PERIOD_NS))
     assert turn is not None
     return turn

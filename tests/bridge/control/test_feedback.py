@@ -14,7 +14,7 @@ from armlab.bridge.control.feedback import (
     STOP_AFTER,
     FeedbackCheck,
     Readiness,
-    obstacle,
+    not_ready_reason,
     outside_range,
 )
 from armlab.bridge.control.limits import Limiter, Limits, Reply
@@ -210,7 +210,7 @@ def packet(packets: Any, **fields: Any) -> Packet:
 )
 def test_obstacles(packets: Any, fields: dict[str, int], words: str) -> None:
     one = packet(packets, **fields)
-    found = obstacle(one.motors, one.rapid, one.mci)
+    found = not_ready_reason(one.motors, one.rapid, one.mci)
     assert words in found
     assert bool(found) == bool(words)
     assert packet(packets).mci == MCI_RUNNING
@@ -219,9 +219,9 @@ def test_obstacles(packets: Any, fields: dict[str, int], words: str) -> None:
 def test_one_or_two_packets_without_a_state_end_no_motion(packets: Any) -> None:
     readiness = Readiness()
     for fields in ({}, {"motors": None}, {"mci": None}, {}, {"motors": None, "mci": None}, {"motors": None}):
-        assert readiness.obstacle(packet(packets, **fields)) == ""
-    assert "motors" in readiness.obstacle(packet(packets, motors=None))
-    assert readiness.obstacle(packet(packets)) == ""
-    assert "motors are off" in readiness.obstacle(packet(packets, motors=2))
+        assert readiness.not_ready_reason(packet(packets, **fields)) == ""
+    assert "motors" in readiness.not_ready_reason(packet(packets, motors=None))
+    assert readiness.not_ready_reason(packet(packets)) == ""
+    assert "motors are off" in readiness.not_ready_reason(packet(packets, motors=2))
     readiness.begin()
-    assert "motors" in readiness.obstacle(packet(packets, motors=None)), "of a new session nothing is known"
+    assert "motors" in readiness.not_ready_reason(packet(packets, motors=None)), "of a new session nothing is known"

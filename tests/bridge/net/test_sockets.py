@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from armlab.bridge.net.sockets import Arrival, Outlet, Port, holder, listening_socket, pair, program
+from armlab.bridge.net.sockets import Arrival, Outlet, Port, listening_socket, pair, process_using_port, program
 from armlab.errors import LinkError
 
 
@@ -140,23 +140,23 @@ def test_the_holder_of_a_port_is_named(kind: str) -> None:
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout is not None
         number = int(other.stdout.readline())
-        assert holder(number, kind).startswith(f"process {other.pid} (")  # type: ignore[arg-type]
-        assert holder(number, "tcp" if kind == "udp" else "udp") == ""
+        assert process_using_port(number, kind).startswith(f"process {other.pid} (")  # type: ignore[arg-type]
+        assert process_using_port(number, "tcp" if kind == "udp" else "udp") == ""
 
 
 def test_nobody_holds_a_free_port() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         number = free.getsockname()[1]
-    assert holder(number) == ""
+    assert process_using_port(number) == ""
 
 
 def test_a_connection_is_no_listener() -> None:
     """Nor is a client whose own end has that number."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         with socket.create_connection(server.getsockname()) as client:
-            assert holder(client.getsockname()[1], "tcp") == ""
-        assert str(os.getpid()) in holder(server.getsockname()[1], "tcp")
+            assert process_using_port(client.getsockname()[1], "tcp") == ""
+        assert str(os.getpid()) in process_using_port(server.getsockname()[1], "tcp")
 
 
 def test_a_process_that_is_gone() -> None:

@@ -24,7 +24,7 @@ from armlab.state import Command, State
 from armlab.wire.egm import Codec, Reference
 from armlab.wire.egm.standing_queue import StandingQueue
 
-__all__ = ["Arm", "Latency", "Surplus", "Turn"]
+__all__ = ["Arm", "Latency", "Surplus", "PendingPacket"]
 
 _BINS = 20_000  # of one microsecond; the last one takes everything longer
 
@@ -115,7 +115,7 @@ _REHEARSED = 200_000  # ns before the next packet at which no rehearsal begins b
 _DEADLINE = 0.75  # of a period, from arrival to reply
 
 
-class Turn(NamedTuple):
+class PendingPacket(NamedTuple):
     """A packet that is about to be answered, what the controller sees of it, and how long it waited for the loop."""
 
     sample: Sample
@@ -126,7 +126,7 @@ class Turn(NamedTuple):
 class _Row(NamedTuple):
     """What is recorded of a packet: by default one that was overtaken."""
 
-    turn: Turn
+    turn: PendingPacket
     command: Command | None = None
     reply: Reply | None = None
     seq: int = -1
@@ -169,13 +169,13 @@ class Arm:
         self.latency, self.prediction = Latency(), Prediction()
         self.replies = self.overtaken = self.late = self._ticks = 0
         self.was_late = self._went_out = self._left_out = False
-        self.newest: Turn | None = None
+        self.newest: PendingPacket | None = None
         self._in_lockstep, self._resumes = settings.clock == "robot", settings.resume
         self._fusion = fusion
         self.surplus = Surplus(recording.event)
         self._supervisor = Supervisor(port, session, guide, settings, recording.event)
         self._wall_ns, self._heard_ns, self._robot_ns = wall_ns, time.monotonic_ns(), 0
-        self._surpassed: list[Turn] = []
+        self._surpassed: list[PendingPacket] = []
         self._rows: list[_Row] = []
         self._rehearsals, self._arrival = rehearsals, None
         self._details = getattr(codec, "details", None)  # a codec of the user's need not have it
@@ -232,7 +232,7 @@ class Arm:
         self._given_age += sample.dt
         return self._given if self._given_age <= longest else None
 
-    def take(self, arrival: Arrival | None, unanswered: Turn | None = None) -> Turn | None:
+    def take(self, arrival: Arrival | None, unanswered: PendingPacket | None = None) -> PendingPacket | None:
         """Drain the port as far as a flood allows. Return the newest packet that counts, or the unanswered one.
 
         Parameters
@@ -255,7 +255,7 @@ class Arm:
             arrival = self.port.receive()
         return turn
 
-    def _observe(self, sample: Sample, woken_ns: int) -> Turn:
+    def _observe(self, sample: Sample, woken_ns: int) -> PendingPacket:
         if sample.fresh:
             self.give(None)  # what it was told in another session: its age counts the packets, not the silence
         if sample.fresh and sample.session > 1:
@@ -270,11 +270,11 @@ class Arm:
             fused = {**fused, "details": partial(self._details, self._arrival.data)}
         state = self.guide.state(sample, self._wall_ns + sample.arrival_ns, **fused)
         waited_ns = max(0, woken_ns - sample.arrival_ns)  # one that came while the loop ran did not wait for it
-        self.newest = Turn(sample, state, waited_ns)
+        self.newest = PendingPacket(sample, state, waited_ns)
         return self.newest
 
     def reply(
-        self, turn: Turn, command: Command | None, reply: Reply | None, *, call_ns: int = 0, late: bool = False
+        self, turn: PendingPacket, command: Command | None, reply: Reply | None, *, call_ns: int = 0, late: bool = False
     ) -> None:
         """Send the one reply to a packet; `record` later records it and those it has overtaken.
 

@@ -8,7 +8,15 @@ from armlab.bridge.control.limits import Limits, Reply, axes_of
 from armlab.robots import Robot
 from armlab.wire.egm import Packet
 
-__all__ = ["FeedbackCheck", "MCI_RUNNING", "READY_AFTER", "Readiness", "STOP_AFTER", "obstacle", "outside_range"]
+__all__ = [
+    "FeedbackCheck",
+    "MCI_RUNNING",
+    "READY_AFTER",
+    "Readiness",
+    "STOP_AFTER",
+    "not_ready_reason",
+    "outside_range",
+]
 
 READY_AFTER = 3
 """Plausible packets in a row before the robot counts as ready."""
@@ -138,7 +146,7 @@ _RAPID_MOVES = (0, 2)  # undefined (0) stays after a restart of the controller a
 _ABSENT = 3  # packets in a row without a state count
 
 
-def obstacle(motors: int, rapid: int, mci: int) -> str:
+def not_ready_reason(motors: int, rapid: int, mci: int) -> str:
     """Return why the robot would not follow a reference, "" when it would; states as in a `Packet`."""
     if motors != _MOTORS_ON:
         return "the motors are off" if motors else "its packets have no state of the motors"
@@ -161,13 +169,13 @@ class Readiness:
         self._motors = self._mci = self._absent = 0
         self.is_unknown = False
 
-    def obstacle(self, packet: Packet) -> str:
+    def not_ready_reason(self, packet: Packet) -> str:
         """Return why the robot would not follow a reference, "" when it would."""
         absent = not (packet.motors and packet.mci)
         self._absent = self._absent + 1 if absent else 0
         if self._absent in range(1, _ABSENT):
-            return obstacle(packet.motors or self._motors, packet.rapid, packet.mci or self._mci)
-        was_ready = not obstacle(self._motors, packet.rapid, self._mci)
+            return not_ready_reason(packet.motors or self._motors, packet.rapid, packet.mci or self._mci)
+        was_ready = not not_ready_reason(self._motors, packet.rapid, self._mci)
         self.is_unknown = absent and (self.is_unknown or was_ready)
         self._motors, self._mci = packet.motors, packet.mci
-        return obstacle(packet.motors, packet.rapid, packet.mci)
+        return not_ready_reason(packet.motors, packet.rapid, packet.mci)

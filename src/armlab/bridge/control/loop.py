@@ -14,8 +14,8 @@ from contextlib import suppress
 from mmap import mmap
 from typing import Any, Protocol
 
-from armlab.bridge.control.arm import Arm, Turn
-from armlab.bridge.control.multi_arm import fuse, shares
+from armlab.bridge.control.arm import Arm, PendingPacket
+from armlab.bridge.control.multi_arm import merge_states, split_command
 from armlab.bridge.control.realtime import Lateness, collect_if_due
 from armlab.bridge.control.state_machine import Mode
 from armlab.bridge.control.supervision import Settings
@@ -81,7 +81,7 @@ class Loop:
         # Shared with the guard. `_calling` becomes False only under the lock, `_turn` does not change while it is True.
         self._calling = self._taken = self._told = False
         self._called_ns, self._deadline_ns = 0, 0.0
-        self._turn: Turn | None = None
+        self._turn: PendingPacket | None = None
 
     @property
     def elapsed(self) -> float:
@@ -201,7 +201,7 @@ class Loop:
         for arm in self._arms:
             arm.record()
 
-    def _may_ask(self, turn: Turn) -> bool:
+    def _may_ask(self, turn: PendingPacket) -> bool:
         """Whether the controller is called for this packet: all arms are ready and nothing that it needs is stale."""
         for arm in self._arms:
             if not arm.may_call:
@@ -212,7 +212,7 @@ class Loop:
                 return False
         return True
 
-    def _answer(self, arm: Arm, turn: Turn) -> None:
+    def _answer(self, arm: Arm, turn: PendingPacket) -> None:
         """Answer without the controller: with the newest command for an arm that does not pace, else hold."""
         command = None
         if arm is self._pace:
@@ -228,7 +228,7 @@ class Loop:
             if turn is not None:
                 self._answer(arm, turn)
 
-    def _call(self, turn: Turn) -> None:
+    def _call(self, turn: PendingPacket) -> None:
         """Ask the controller and answer; when the guard has answered meanwhile, the result is discarded."""
         pace, controller, period_ns = self._pace, self._controller, 1e9 * self._pace.period
         state = self._state(turn)
@@ -258,7 +258,7 @@ class Loop:
                 self._obey(turn, asked, call_ns)
             self._judge(call_ns, period_ns)
 
-    def _state(self, turn: Turn) -> State:
+    def _state(self, turn: PendingPacket) -> State:
         """Return what the controller sees: the state of the one arm, or all of them fused."""
         if not self._others:
             return turn.state
@@ -268,13 +268,13 @@ class Loop:
             self._sessions, self._t0 = sessions, turn.state.t
         now_ns = self._pace.stamp(turn.sample)
         ages = [1e-9 * (now_ns - arm.stamp(one.sample)) for arm, one in zip(self._arms, turns, strict=True)]
-        return fuse([one.state for one in turns], ages, self._pace_index, turn.state.t - self._t0)
+        return merge_states([one.state for one in turns], ages, self._pace_index, turn.state.t - self._t0)
 
-    def _obey(self, turn: Turn, asked: Any, call_ns: int) -> None:
+    def _obey(self, turn: PendingPacket, asked: Any, call_ns: int) -> None:
         """Answer the newest packet of the pacing arm with what the controller wants, keep the rest for the others."""
         pace = self._pace
         try:
-            commands = shares(asked, self._robots, self._pace_index)
+            commands = split_command(asked, self._robots, self._pace_index)
         except CommandRefused as error:
             self._stop("a command was refused", error)
             commands = (None,) * len(self._arms)

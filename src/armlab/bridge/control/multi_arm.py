@@ -1,4 +1,4 @@
-"""Several arms as one: `fuse` makes one State of theirs, `shares` gives each its part of a Command."""
+"""Several arms as one: `merge_states` makes one State of theirs, `split_command` gives each its part of a Command."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from armlab.errors import CommandRefused
 from armlab.robots import Robot
 from armlab.state import Command, State
 
-__all__ = ["fuse", "shares"]
+__all__ = ["merge_states", "split_command"]
 
 _JOINTS = ("q", "qd", "tau", "q_start", "q_planned", "q_sent", "qd_sent")
 
 
-def fuse(states: Sequence[State], ages: Sequence[float], pace: int, t: float) -> State:
+def merge_states(states: Sequence[State], ages: Sequence[float], pace: int, t: float) -> State:
     """Return the state of all arms: joint arrays one arm after another, each arm's own State in `arms` with its age.
 
     Time, sequence and state numbers are those of the pacing arm. What a fused state cannot say (poses, wrenches) is
@@ -74,7 +74,7 @@ def _aged(state: State, age: float) -> State:
     return aged
 
 
-def shares(asked: Any, robots: Sequence[Robot], pace: int = 0) -> Sequence[Command | None]:
+def split_command(asked: Any, robots: Sequence[Robot], pace: int = 0) -> Sequence[Command | None]:
     """Return the part of each arm in what a controller returned.
 
     asked : None, a Command with the joints of all arms one after another, or one Command (or None) per arm. The values

@@ -44,7 +44,7 @@ _OTHERS = tuple((field.name, getattr(_PLAIN, field.name)) for field in fields(St
 _make = kernels.RecordMaker(State, (*_NAMES, *(name for name, _ in _OTHERS))).make
 
 
-def seen(
+def make_state(
     sample: Sample,
     last: Reply,
     t: float,
@@ -183,7 +183,7 @@ class Guide:
         if self.mode is Mode.WAITING:
             self.mode = Mode.HOLDING
         self._check_feedback(sample)
-        why = self._readiness.obstacle(packet)
+        why = self._readiness.not_ready_reason(packet)
         ready = not why and (self.ready or self._feedback.plausible >= READY_AFTER)
         if ready and self.ready:
             self.elapsed += sample.dt
@@ -201,7 +201,7 @@ class Guide:
         fused : `sources` and `wrench` of the State, where there are any.
         """
         q_start = self.q_start if self.guided else sample.packet.q
-        return seen(sample, self._last, self.t, q_start, t_receive, self._robot.name, fused)
+        return make_state(sample, self._last, self.t, q_start, t_receive, self._robot.name, fused)
 
     def answer(self, command: Command | None, period: float) -> Reply | None:
         """Return the reply to the newest packet observed, or None when nothing is sent.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from armlab.bridge.control.feedback import obstacle, outside_range
+from armlab.bridge.control.feedback import not_ready_reason, outside_range
 from armlab.bridge.control.session import Sample, Session
 from armlab.bridge.doctor.findings import Finding
 from armlab.bridge.net.sockets import Arrival
@@ -146,7 +146,7 @@ class Heard:
         return Finding.judged(f"{name}, posture", "failure", bool(problem), value, problem)
 
     def _guidance(self, name: str, last: Sample) -> Finding:
-        why = obstacle(last.packet.motors, last.packet.rapid, last.packet.mci)
+        why = not_ready_reason(last.packet.motors, last.packet.rapid, last.packet.mci)
         value = f"not ready: {why}" if why else "ready for references"
         return Finding.judged(f"{name}, guidance", "warning", bool(why), value, _REMEDY.get(why, ""))
 

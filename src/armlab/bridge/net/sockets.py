@@ -14,12 +14,22 @@ from armlab import kernels
 from armlab._descriptors import Descriptor, apart
 from armlab.errors import LinkError
 
-__all__ = ["is_here", "is_loopback", "Arrival", "Outlet", "Port", "holder", "listening_socket", "pair", "program"]
+__all__ = [
+    "is_here",
+    "is_loopback",
+    "Arrival",
+    "Outlet",
+    "Port",
+    "process_using_port",
+    "listening_socket",
+    "pair",
+    "program",
+]
 
 _LISTENING = "0A"  # state of a TCP socket in /proc/net/tcp
 
 
-def holder(port: int, kind: Literal["udp", "tcp"] = "udp") -> str:
+def process_using_port(port: int, kind: Literal["udp", "tcp"] = "udp") -> str:
     """Return who holds a port, "process 4711 (armlab sim ...)", or "" when that cannot be told.
 
     Processes of other users stay hidden.
@@ -147,7 +157,7 @@ class Port:
 def _why_not(host: str, port: int, error: Exception) -> str:
     code = getattr(error, "errno", None)
     if code == errno.EADDRINUSE:
-        who = holder(port)
+        who = process_using_port(port)
         return (
             f"Expected UDP port {host}:{port} to be free, but it is in use{f' by {who}' if who else ''}. "
             "End that program or choose another port."
@@ -178,7 +188,7 @@ def listening_socket(host: str, port: int, name: str, backlog: int) -> socket.so
     except (OSError, OverflowError) as error:
         listener.close()
         is_taken = getattr(error, "errno", None) == errno.EADDRINUSE
-        who = holder(port, "tcp") if is_taken else ""
+        who = process_using_port(port, "tcp") if is_taken else ""
         why = f"it is in use{f' by {who}' if who else ''}" if is_taken else f"{error}"
         raise LinkError(
             f"Expected TCP port {host}:{port} for {name} to be free, but {why}. End the program that has it or choose "

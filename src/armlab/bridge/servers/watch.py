@@ -9,7 +9,7 @@ from collections import deque
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from armlab.bridge.control.feedback import obstacle
+from armlab.bridge.control.feedback import not_ready_reason
 from armlab.errors import UnknownName
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ def _state(values: dict[str, Any], now_ns: int) -> str:
     age = 1e-9 * (now_ns - values["receive_ns"])
     if age > _SILENT:
         return f"no packet for {age:.1f} s"
-    why = obstacle(values["motors"], values["rapid"], values["mci"])
+    why = not_ready_reason(values["motors"], values["rapid"], values["mci"])
     if why:
         return why
     if values["seq_sent"] < 0:
