@@ -5,8 +5,8 @@
     .venv/bin/python .ci/ros2.py jazzy           # some distributions
 
 The bridge runs on this computer and the containers share its network. What came out is printed as a table, kept in
-.ci/ros2.json, and said in README.md and docs/parity.md; tests/bridge/ros/test_page.py holds them to that file, and
-docs/ros.md, which a person has to change.
+.ci/ros2.json, and said in README.md and docs/parity.md; tests/bridge/servers/ros/test_page.py holds them to that file,
+and docs/ros.md, which a person has to change.
 """
 
 from __future__ import annotations

@@ -17,8 +17,8 @@ from blocks import Contender, Table, table
 
 from armlab import bridge, robots
 from armlab.bridge.cell import parse_cell, run_cell
-from armlab.bridge.local import LocalFeed
-from armlab.bridge.messages import Subscribe
+from armlab.bridge.servers.local import LocalFeed
+from armlab.bridge.servers.messages import Subscribe
 
 ROBOT = "yumi_right"
 IDLE = 10

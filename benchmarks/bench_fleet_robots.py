@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from blocks import Contender, Table, figures
 
-from armlab.bridge.zenoh import EVERY, Place
+from armlab.bridge.servers.zenoh import EVERY, Place
 from armlab.errors import ArmlabError
 from armlab.fleet import FleetRecorder
 

@@ -11,10 +11,10 @@ import numpy as np
 from blocks import Contender, Table, agree, each, loop, table
 
 from armlab import robots
-from armlab.bridge.feed import Exchange
-from armlab.bridge.labcomm import LabCommClient
-from armlab.bridge.labcomm.process import labcomm_options
-from armlab.bridge.servers import Servers, server_command
+from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.labcomm import LabCommClient
+from armlab.bridge.servers.labcomm.process import labcomm_options
+from armlab.bridge.servers.supervisor import Servers, server_command
 from armlab.log import Tick
 from armlab.state import State
 from armlab.wire.labcomm import Decoder, Encoder, Sample, idl

@@ -18,7 +18,7 @@ from blocks import Contender, Figure, Table, alternate, figures, table
 
 from armlab import robots
 from armlab.bridge.cell import parse_cell, run_cell
-from armlab.bridge.loop import Controller
+from armlab.bridge.control.loop import Controller
 from armlab.kinematics import forward
 from armlab.state import Command, State
 

@@ -14,8 +14,8 @@ from path_runs import PATIENCE, SETTLED, Reader, Received, Writer, usage
 from ros_paths import WAYS, Way
 
 from armlab import robots
-from armlab.bridge.feed import Exchange
-from armlab.bridge.servers import Servers, server_command
+from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.supervisor import Servers, server_command
 from armlab.errors import ArmlabError
 from armlab.log import Tick
 from armlab.state import State

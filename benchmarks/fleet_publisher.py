@@ -13,10 +13,9 @@ from functools import partial
 from typing import Any
 
 from armlab import robots
-from armlab.bridge.row import MAGIC
-from armlab.bridge.row_schema import RowSchema
-from armlab.bridge.zenoh import checksum, close_session, key, open_session
-from armlab.bridge.zenoh.output import Waiting
+from armlab.bridge.servers.row import MAGIC, RowSchema
+from armlab.bridge.servers.zenoh import checksum, close_session, key, open_session
+from armlab.bridge.servers.zenoh.publisher import Waiting
 from armlab.robots import to_toml
 
 PERIOD = 0.004

@@ -7,10 +7,10 @@ import sys
 
 from path_ends import PATIENCE, ROBOT, Lines
 
-from armlab.bridge.labcomm import LabCommClient
-from armlab.bridge.local import LocalFeed
-from armlab.bridge.messages import Subscribe
-from armlab.bridge.row import Row
+from armlab.bridge.servers.labcomm import LabCommClient
+from armlab.bridge.servers.local import LocalFeed
+from armlab.bridge.servers.messages import Subscribe
+from armlab.bridge.servers.row import Row
 from armlab.wire.labcomm import Sample
 
 
@@ -36,7 +36,7 @@ def _labcomm(port: int, lines: Lines) -> None:
 
 def _feed(kind: str, where: str, lines: Lines) -> None:
     if kind == "zenoh":
-        from armlab.bridge.zenoh import ZenohFeed
+        from armlab.bridge.servers.zenoh import ZenohFeed
 
         feed = ZenohFeed(where, patience=PATIENCE)
     else:

@@ -27,9 +27,8 @@ from path_zenoh import Key
 
 from armlab import robots
 from armlab.bridge.cell import parse_cell
-from armlab.bridge.ros import store
-from armlab.bridge.row import MAGIC
-from armlab.bridge.row_schema import RowSchema
+from armlab.bridge.servers.ros import store
+from armlab.bridge.servers.row import MAGIC, RowSchema
 
 HERE = Path(__file__).resolve().parent
 PEERS = HERE.parent / "tests" / "bridge" / "ros" / "peers"
@@ -82,7 +81,7 @@ def dds_fast(opened: ExitStack) -> Way | None:
 
 def rmw_zenoh(opened: ExitStack) -> Way | None:
     """A peer that reads the keys that a node with rmw_zenoh would; of the bytes it reads the stamps."""
-    from armlab.bridge.ros.rmw_zenoh_names import Names
+    from armlab.bridge.servers.ros.rmw_zenoh import Names
 
     names, keys = Names(0, "1"), []
     for kind, topic, type_ in (

@@ -11,22 +11,19 @@ from types import SimpleNamespace
 from typing import Any
 
 from armlab import robots
-from armlab.bridge.fusion import Fusion
-from armlab.bridge.labcomm.channels import ArmChannel
-from armlab.bridge.labcomm.parameter_channel import ParameterChannel
-from armlab.bridge.labcomm.peer import Peer
-from armlab.bridge.loop_end import encoded
-from armlab.bridge.messages import parameter_message, read_request
-from armlab.bridge.parameters import Parameter, Parameters
-from armlab.bridge.ros import Commands
-from armlab.bridge.ros.rmw_zenoh_names import Names, Origin
-from armlab.bridge.ros.rmw_zenoh_nodes import Nodes
-from armlab.bridge.ros.ros2 import content
-from armlab.bridge.rosbridge import Engine
-from armlab.bridge.row import read_row
-from armlab.bridge.row_schema import RowSchema
-from armlab.bridge.udp import UdpSource
-from armlab.bridge.zenoh.process import ZenohProcess
+from armlab.bridge.inputs.fusion import Fusion
+from armlab.bridge.inputs.parameters import Parameter, Parameters
+from armlab.bridge.inputs.sources import UdpSource
+from armlab.bridge.servers.labcomm.channels import ArmChannel, ParameterChannel
+from armlab.bridge.servers.labcomm.connection import Peer
+from armlab.bridge.servers.messages import parameter_message, read_request
+from armlab.bridge.servers.ros import Commands
+from armlab.bridge.servers.ros.rmw_zenoh import Names, Nodes, Origin
+from armlab.bridge.servers.ros.types import content
+from armlab.bridge.servers.rosbridge import Engine
+from armlab.bridge.servers.row import RowSchema, read_row
+from armlab.bridge.servers.server_end import encoded
+from armlab.bridge.servers.zenoh.process import ZenohProcess
 from armlab.errors import ArmlabError, CommandRefused, LabCommError
 from armlab.log import Column
 from armlab.robots import to_toml

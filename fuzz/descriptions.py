@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from armlab import models, robots
-from armlab.bridge.address import addresses
 from armlab.bridge.cell import parse_cell
-from armlab.bridge.zenoh.place import Place
+from armlab.bridge.servers.zenoh.address import Place
+from armlab.bridge.urls import addresses
 from armlab.errors import ArmlabError
 from armlab.models.files import encode
 from armlab.robots import urdf

@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 
 from armlab import robots
-from armlab.bridge.row import RowWriter, beginning
-from armlab.bridge.row_schema import RowSchema
-from armlab.bridge.zenoh import Gaps, ZenohFeed, checksum
-from armlab.bridge.zenoh.far import FarCodec, FarPort
-from armlab.bridge.zenoh.inbox import Inbox
-from armlab.bridge.zenoh.texts import read_about
+from armlab.bridge.servers.row import RowSchema, RowWriter, beginning
+from armlab.bridge.servers.zenoh import Gaps, ZenohFeed, checksum
+from armlab.bridge.servers.zenoh.link import FarCodec, FarPort
+from armlab.bridge.servers.zenoh.messages import read_about
+from armlab.bridge.servers.zenoh.rows import Inbox
 from armlab.errors import ArmlabError, LinkError
 from armlab.fleet.discovery import _Seen
 from armlab.fleet.recorder import RobotRecord

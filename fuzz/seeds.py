@@ -17,12 +17,11 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from armlab import log, models, robots  # noqa: E402
-from armlab.bridge.ros.mould import cdr  # noqa: E402
-from armlab.bridge.ros.rmw_zenoh_names import Names, Origin  # noqa: E402
-from armlab.bridge.ros.types import store  # noqa: E402
-from armlab.bridge.row import RowWriter  # noqa: E402
-from armlab.bridge.row_schema import RowSchema  # noqa: E402
-from armlab.bridge.zenoh.keys import Attached  # noqa: E402
+from armlab.bridge.servers.ros.message_template import cdr  # noqa: E402
+from armlab.bridge.servers.ros.rmw_zenoh import Names, Origin  # noqa: E402
+from armlab.bridge.servers.ros.types import store  # noqa: E402
+from armlab.bridge.servers.row import RowSchema, RowWriter  # noqa: E402
+from armlab.bridge.servers.zenoh.keys import Attached  # noqa: E402
 from armlab.log import Tick  # noqa: E402
 from armlab.robots.urdf.writing import write_urdf  # noqa: E402
 from armlab.state import State  # noqa: E402
@@ -70,7 +69,7 @@ def labcomm() -> Seeds:
         yield "labcomm", dialect, b"\x07" + stream
     yield "definitions", "labcomm", LANGUAGE.encode()
     encoder = Encoder()
-    from armlab.bridge.labcomm.rows import RowTypes
+    from armlab.bridge.servers.labcomm.rows import RowTypes
 
     accepted = RowTypes(ARM.abb_axes, "abb").accepted
     fields = {one.name: [0.1] * 7 if isinstance(one.type, Array) else 1 for one in accepted.type.fields}

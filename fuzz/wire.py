@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from armlab import log, robots
-from armlab.bridge.port import Arrival
-from armlab.bridge.session import Session
+from armlab.bridge.control.session import Session
+from armlab.bridge.net.sockets import Arrival
 from armlab.errors import ArmlabError, LabCommError, LogError
 from armlab.wire import cdr
 from armlab.wire.egm import Drop, EgmCodec, Packet, Reference, RobotMessage, RobotSideCodec

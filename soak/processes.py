@@ -63,8 +63,8 @@ def label(pid: int, root: int) -> str:
     words = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
     if not words[0]:
         raise ProcessLookupError(f"Expected a process that runs, got {pid}, which has no command line.")
-    if "armlab.bridge._serve" in words:
-        return f"server {words[words.index('armlab.bridge._serve') + 1]}"
+    if "armlab.bridge.servers.serve" in words:
+        return f"server {words[words.index('armlab.bridge.servers.serve') + 1]}"
     if "sim" in words[:4]:
         return "simulator"
     if pid == root:

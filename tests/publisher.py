@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from armlab import robots
-from armlab.bridge.feed import Exchange
-from armlab.bridge.zenoh.process import ZenohProcess
+from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.zenoh.process import ZenohProcess
 from armlab.fleet import Router
 from armlab.log import Tick
 from armlab.state import State

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from armlab.bridge.local import LocalFeed
-from armlab.bridge.messages import Subscribe
-from armlab.bridge.row import Row
+from armlab.bridge.servers.local import LocalFeed
+from armlab.bridge.servers.messages import Subscribe
+from armlab.bridge.servers.row import Row
 from armlab.errors import LinkError
 from armlab.log import Table
 
-from .zenoh.conftest import until
+from .servers.zenoh.conftest import until
 
 PATIENCE = 60.0  # s; only a test that fails waits so long
 WINDOW = 100  # ticks before and after what happened, in which packets without an answer are compared

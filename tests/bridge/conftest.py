@@ -14,8 +14,8 @@ import pytest
 
 from armlab import bridge, robots
 from armlab.bridge import Link, Run
-from armlab.bridge.port import Arrival
-from armlab.bridge.session import Sample, Session
+from armlab.bridge.control.session import Sample, Session
+from armlab.bridge.net.sockets import Arrival
 from armlab.robots import Robot
 from armlab.wire.egm import EgmCodec, RobotMessage, RobotSideCodec, SensorMessage
 
@@ -115,7 +115,7 @@ class Feed:
 
 @pytest.fixture
 def feed(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> Feed:
-    for module in ("states", "aside"):  # what three packets do: test_feedback.py
+    for module in ("control.state_machine", "control.external_axes"):  # what three packets do: test_feedback.py
         monkeypatch.setattr(f"armlab.bridge.{module}.READY_AFTER", 1)
     return Feed(robot)
 

@@ -9,8 +9,8 @@ import sys
 
 import numpy as np
 
-from armlab.bridge.labcomm import Row
-from armlab.bridge.labcomm.client import LabCommClient
+from armlab.bridge.servers.labcomm import Row
+from armlab.bridge.servers.labcomm.client import LabCommClient
 
 SPEED = -0.01  # rad/s
 

@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 
 from armlab.bridge.cell import parse_cell, run_cell
-from armlab.bridge.feed import Exchange
-from armlab.bridge.rights import LEASE, Arbiter
+from armlab.bridge.command.arbiter import LEASE, Arbiter
+from armlab.bridge.servers.hub import Exchange
 from armlab.state import Command
 
 from .beside import PATIENCE, WINDOW, Watch, more_missed
-from .zenoh.conftest import free_port
+from .servers.zenoh.conftest import free_port
 
 pytest.importorskip("zenoh", reason="the extra net is not installed")
 

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import os
+import select
 import signal
 import socket
 import subprocess
 import sys
+import threading
+import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,10 +22,13 @@ import pytest
 
 from armlab import bridge, log, robots
 from armlab.bridge import Limits
-from armlab.bridge.link import Link, connect
+from armlab.bridge.control.recording import Recording
+from armlab.bridge.link import GROUP, Link, Simulator, codec_named, codecs_of, connect
+from armlab.bridge.net.sockets import Port
 from armlab.errors import ConfigError, LinkError, NoRobot, RobotError, UnknownName
 from armlab.robots import Robot
 from armlab.state import Command, State
+from armlab.wire.egm import EgmCodec
 
 
 def sway(state: State) -> Command:
@@ -342,3 +351,293 @@ def test_what_else_a_packet_says_is_read_on_demand() -> None:
     assert np.isfinite(seen[-1].T_frame_planned).all()
     assert (seen[-1].mode, seen[-1].move_index, seen[-1].used_seq > 0) == (1, None, True)
     assert State(0.0, 0.004, np.zeros(1), np.zeros(1), np.zeros(1)).details() is None
+
+
+PATIENCE = 30.0
+
+
+def wait_until_gone(simulator: Simulator) -> str:
+    deadline = time.monotonic() + PATIENCE
+    while time.monotonic() < deadline:
+        reason = simulator.gone()
+        if reason:
+            return reason
+        time.sleep(0.02)
+    raise TimeoutError
+
+
+def test_it_sends_and_is_stopped() -> None:
+    port = Port("127.0.0.1", 0)
+    simulator = Simulator(["yumi_right"], [port.port], {"lockstep": "true", "seed": "3"})
+    try:
+        assert select.select([port], [], [], PATIENCE)[0]
+        assert simulator.gone() == ""
+    finally:
+        simulator.stop()
+        port.close()
+    assert "interrupted" in " ".join(simulator.lines)
+
+
+def test_an_end_in_time_is_no_error() -> None:
+    port = Port("127.0.0.1", 0)
+    simulator = Simulator(["yumi_right"], [port.port], {"seconds": "0.05", "lockstep": "false"})
+    try:
+        assert wait_until_gone(simulator) == "the simulated robot ended"
+    finally:
+        simulator.stop()
+        port.close()
+
+
+def test_an_early_death_is_quoted() -> None:
+    simulator = Simulator(["no_such_robot"], [9], {})
+    try:
+        with pytest.raises(LinkError, match=r"armlab sim no_such_robot .* status .*no_such_robot.*yumi_right"):
+            wait_until_gone(simulator)
+    finally:
+        simulator.stop()
+
+
+_DIES_AT_ONCE = """
+import os, sys
+from armlab.bridge.link import Simulator
+print(Simulator(["yumi_right"], [int(sys.argv[1])], {})._process.pid, flush=True)
+os._exit(0)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="tells living processes by /proc")
+def test_it_does_not_outlive_a_bridge_that_dies_while_it_starts() -> None:
+    """The bridge is gone long before the simulator can look who started it."""
+    port = Port("127.0.0.1", 0)
+    command = [sys.executable, "-c", _DIES_AT_ONCE, str(port.port)]
+    number = subprocess.run(command, capture_output=True, text=True, check=True, timeout=PATIENCE).stdout.strip()
+    deadline = time.monotonic() + PATIENCE
+    try:
+        while _command_of(number) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert not _command_of(number), "the simulator lives on without its bridge"
+        assert not select.select([port], [], [], 0.0)[0], "it never spoke"
+    finally:
+        port.close()
+        if _command_of(number):
+            os.kill(int(number), signal.SIGKILL)
+
+
+def _command_of(number: str) -> str:
+    """Return the command of our process, "" when it is gone or only waits to be buried."""
+    try:
+        command = Path(f"/proc/{number}/cmdline").read_text(encoding="utf-8")
+    except OSError:
+        return ""
+    return command if "armlab" in command else ""
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A package as pip would install it, with three entry points."""
+    (tmp_path / "somesite.py").write_text(
+        "from armlab.wire.egm import EgmCodec\n"
+        "def good(robot):\n    return EgmCodec(robot, extension=True)\n"
+        "def bad(robot):\n    return 5\n"
+        "def broken(robot):\n    raise OSError('no licence')\n"
+    )
+    info = tmp_path / "somesite-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: somesite\nVersion: 1.0\n")
+    points = "\n".join(f"{name} = somesite:{name}" for name in ("good", "bad", "broken"))
+    (info / "entry_points.txt").write_text(f"[{GROUP}]\n{points}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "somesite", raising=False)
+
+
+def test_ours(robot: Robot) -> None:
+    codec = codec_named("egm", robot, extension=True)
+    assert isinstance(codec, EgmCodec)
+    assert "torque" in codec.capabilities
+
+
+@pytest.mark.usefixtures("package")
+def test_an_entry_point(robot: Robot) -> None:
+    first, second = codec_named("good", robot), codec_named("good", robot)
+    assert first is not second
+    assert "measured_torque" in first.capabilities
+    with connect("egm://127.0.0.1:0", robot, codec="good") as link:
+        assert link.port > 0
+
+
+@pytest.mark.usefixtures("package")
+@pytest.mark.parametrize(
+    ("name", "words"), [("bad", "got int without capabilities"), ("broken", "OSError: no licence")]
+)
+def test_entry_points_that_give_no_codec(robot: Robot, name: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        codec_named(name, robot)
+
+
+@pytest.mark.usefixtures("package")
+def test_unknown_names_list_what_exists(robot: Robot) -> None:
+    with pytest.raises(UnknownName, match="bad, broken, egm, good"):
+        codec_named("egmri", robot)
+
+
+def test_an_object_of_ones_own(robot: Robot) -> None:
+    own: Any = SimpleNamespace(capabilities=frozenset(("position",)), reset=None, decode=None, encode=None)
+    with connect("egm://127.0.0.1:0", robot, codec=own) as link:
+        assert link.robot is robot
+
+
+def test_each_arm_has_its_own_and_one_for_each_rehearsal(robot: Robot) -> None:
+    [(own, spares)] = codecs_of("egm", [robot], extension=False, spares=2)
+    assert len({id(own), *map(id, spares)}) == 3
+    mine = EgmCodec(robot)
+    assert codecs_of(mine, [robot], extension=False, spares=2) == [(mine, ())]
+
+
+def test_an_object_that_is_no_codec_is_refused(robot: Robot) -> None:
+    with pytest.raises(ConfigError, match=r"wire\.egm\.Codec, got 5\."):
+        connect("egm://127.0.0.1:0", robot, codec=5)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="one codec per arm"):
+        codecs_of(EgmCodec(robot), [robot, robot], extension=False, spares=0)
+
+
+BROKEN = r"^Expected a cycle without errors, got ZeroDivisionError: division by zero\.$"
+
+
+def test_an_error_outside_the_controller_stops_the_arm_first(play: Any, robot: Any) -> None:
+    """A codec of the user's that raises, against its protocol."""
+
+    class Broken(EgmCodec):
+        decoded = 0
+
+        def decode(self, data: bytes) -> Any:
+            self.decoded += 1
+            if self.decoded == 40:
+                raise ZeroDivisionError("division by zero")
+            return super().decode(data)
+
+    def script(peer: Any) -> None:
+        while not peer.over.is_set():  # one packet has no answer
+            peer.send()
+            with contextlib.suppress(TimeoutError):
+                peer.answer(0.05)
+
+    with pytest.raises(LinkError, match=BROKEN) as caught:
+        play(script, lambda state: Command(qd=np.full(7, 0.1)), play.link(codec=Broken(robot)))
+    sent = caught.value.table["qd_sent"]
+    assert np.nanmax(sent) > 0.05
+    assert not sent[-1].any()
+
+
+def test_an_error_in_the_guard_stops_the_arm(play: Any, robot: Any) -> None:
+    """While the guard answers for a controller that sleeps, the codec raises: the run ends and says so."""
+    asleep, raised = threading.Event(), threading.Event()
+
+    class Broken(EgmCodec):
+        def encode(self, reference: Any) -> bytes:
+            if asleep.is_set() and not raised.is_set():
+                raised.set()
+                raise ZeroDivisionError("division by zero")
+            return super().encode(reference)
+
+    def controller(state: State) -> Command:
+        if state.t > 0.05 and not asleep.is_set():
+            asleep.set()
+            assert raised.wait(5.0)
+        return Command(qd=np.full(7, 0.1))
+
+    def script(peer: Any) -> None:
+        peer.begin()
+        while not peer.over.is_set():  # one packet has no answer
+            peer.send()
+            with contextlib.suppress(TimeoutError):
+                peer.answer(0.02)
+
+    with pytest.raises(LinkError, match=BROKEN) as caught:
+        play(script, controller, play.link(clock="wall", codec=Broken(robot)))
+    sent = caught.value.table["qd_sent"]
+    assert not sent[-1].any()
+
+
+def answered(peer: Any) -> None:
+    """Guided packets until the run has ended, which the loop under test sees to."""
+    peer.begin()
+    until = time.monotonic() + 20.0
+    while not peer.over.is_set():
+        assert time.monotonic() < until
+        peer.send()
+        with contextlib.suppress(TimeoutError):
+            peer.answer(0.05)
+
+
+def test_errors_while_the_arm_stops_end_the_run(play: Any, robot: Any) -> None:
+    """A codec that raises from then on: the loop must not go round for ever."""
+
+    class Broken(EgmCodec):
+        broken = False
+
+        def decode(self, data: bytes) -> Any:
+            if self.broken:
+                raise ZeroDivisionError("division by zero")
+            return super().decode(data)
+
+    codec = Broken(robot)
+
+    def controller(state: State) -> Command:
+        codec.broken = state.t > 0.1
+        return Command.stop() if codec.broken else Command(qd=np.full(7, 0.1))
+
+    with pytest.raises(LinkError, match=BROKEN) as caught:
+        play(answered, controller, play.link(codec=codec))
+    assert np.nanmax(caught.value.table["qd_sent"]) > 0.05
+
+
+def test_a_row_for_which_there_is_no_memory_is_recorded_later(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No hole and none twice: the table has a row for each packet."""
+    keep, failures = Recording.keep, [MemoryError()]
+
+    def fails_once(self: Recording, state: State, command: Command | None, tick: Any) -> Command | None:
+        if tick.number == 30 and failures:
+            raise failures.pop()
+        return keep(self, state, command, tick)
+
+    monkeypatch.setattr(Recording, "keep", fails_once)
+
+    with pytest.raises(LinkError, match=r"without errors, got MemoryError: no memory is left\.") as caught:
+        play(answered, lambda state: Command(qd=np.full(7, 0.1)))
+    table = caught.value.table
+    np.testing.assert_array_equal(table["tick"], np.arange(len(table)))
+    assert len(table) > 31
+    assert not table["qd_sent"][-1].any()
+
+
+def test_rows_for_which_there_is_never_memory_leave_the_reason_and_a_whole_file(
+    play: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    keep = Recording.keep
+
+    def fails(self: Recording, state: State, command: Command | None, tick: Any) -> Command | None:
+        if tick.number >= 30:
+            raise MemoryError
+        return keep(self, state, command, tick)
+
+    monkeypatch.setattr(Recording, "keep", fails)
+
+    link = play.link()
+    with pytest.raises(LinkError, match=r"got MemoryError: no memory is left\."):
+        play(answered, lambda state: Command(qd=np.full(7, 0.1)), link, record=tmp_path / "run.mcap")
+    assert len(log.read(tmp_path / "run.mcap")) == 30
+    assert "The last rows were not recorded: MemoryError." in link.last.statistics["problems"]
+
+
+def test_a_run_without_memory_for_its_end_does_not_begin(
+    play: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def none_left(*_: Any) -> None:
+        raise OSError(errno.ENOMEM, "Cannot allocate memory")
+
+    monkeypatch.setattr("armlab.bridge.control.loop.mmap", none_left)
+    link = play.link()
+    with pytest.raises(LinkError, match=r"Expected 16 MiB .* of the run: Cannot allocate memory\. End other"):
+        play(lambda peer: None, lambda state: None, link, record=tmp_path / "run.mcap")
+    assert log.inspect(tmp_path / "run.mcap").finished
+    assert link.last.reason == "there is no memory for its end"

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from armlab.bridge.ros import store
-from armlab.bridge.ros.rmw_zenoh_names import Names, Origin
-from armlab.bridge.zenoh import Attached, Place, key
+from armlab.bridge.servers.ros import store
+from armlab.bridge.servers.ros.rmw_zenoh import Names, Origin
+from armlab.bridge.servers.zenoh import Attached, Place, key
 
 ARRAY, JOINTS = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState"
 VELOCITY = "/yumi_left/joint_group_velocity_controller/commands"

@@ -166,7 +166,7 @@ def test_what_cannot_be_is_refused_before_anything_moves(
 @pytest.mark.slow  # 1 s
 def test_a_motion_whose_last_command_was_refused_fails(primitive: Path, tmp_path: Path, capsys, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("armlab.bridge.states.entry_refusal", lambda *_: "Expected nearer.")
+    monkeypatch.setattr("armlab.bridge.control.state_machine.entry_refusal", lambda *_: "Expected nearer.")
     words = ["dmp", "play", str(primitive), "--robot", "yumi_left", "--link", "sim://yumi_left?lockstep=true"]
     assert main([*words, "--log", "refused.mcap"]) == 1
     assert "The last command to yumi_left was refused. Expected nearer." in capsys.readouterr().err

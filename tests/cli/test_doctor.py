@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from armlab.bridge.findings import Finding
+from armlab.bridge.doctor.findings import Finding
 from armlab.cli import main
 from armlab.cli.doctor import disk, doctor
 
@@ -42,7 +42,7 @@ def simulated(port: int, *words: str) -> Iterator[None]:
 @pytest.mark.slow
 def test_the_simulated_controller(capsys: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Streaming and not guided: a warning. About 5 s, of which the simulator needs one or two to start."""
-    monkeypatch.setattr("armlab.bridge.doctor.machine", lambda seconds: [])
+    monkeypatch.setattr("armlab.bridge.doctor.report.machine", lambda seconds: [])
     port = free_port()
     with simulated(port):
         code = main(["doctor", "yumi_left", "--port", str(port), "--seconds", "4", "--json"])
@@ -62,7 +62,7 @@ def test_exit_codes_and_lines(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     findings = [Finding(f"check {i}", verdict, "seen", "do it") for i, verdict in enumerate(verdicts)]
-    monkeypatch.setattr("armlab.bridge.doctor.examine", lambda *arguments: findings)
+    monkeypatch.setattr("armlab.bridge.doctor.report.examine", lambda *arguments: findings)
     monkeypatch.setattr("armlab.cli.doctor.disk", lambda folder: Finding("disk", "ok", "fast"))
     assert main(["doctor"]) == code
     said = capsys.readouterr()
@@ -75,7 +75,7 @@ def test_exit_codes_and_lines(
 def test_ports_follow_the_robots(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
     asked: list[Any] = []
-    monkeypatch.setattr("armlab.bridge.doctor.examine", lambda ports, *rest: asked.append(ports) or [])
+    monkeypatch.setattr("armlab.bridge.doctor.report.examine", lambda ports, *rest: asked.append(ports) or [])
     for words in ([], ["yumi_left"], ["yumi_left", "yumi_right"], ["--port", "7000, 7001"]):
         main(["doctor", *words])
     assert asked == [None, [6510], [6511, 6512], [7000, 7001]]

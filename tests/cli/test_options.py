@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from armlab import log, robots
-from armlab.bridge.address import addresses
+from armlab.bridge.urls import addresses
 from armlab.cli import main
 from armlab.cli.support.options import as_given, known_ports, links_to, ports_in, require_positive, simulated
 from armlab.errors import ConfigError, LogError, ShapeError, UnknownName

@@ -20,8 +20,8 @@ import pytest
 from armlab import robots
 from armlab.bridge import Link, Run
 from armlab.bridge.assembly import End
-from armlab.bridge.port import Arrival
-from armlab.bridge.supervision import Settings
+from armlab.bridge.control.supervision import Settings
+from armlab.bridge.net.sockets import Arrival
 from armlab.errors import LinkError
 from armlab.log import Table
 from armlab.sim.arm.arm import LaggingArm
@@ -42,7 +42,13 @@ NAP = 2e-3  # s between two looks of the guard once it answers
 BRIDGE = ("127.0.0.1", 6510)
 WALL_NS = 1_700_000_000_000_000_000
 PATIENCE = 5.0  # s of the bridge
-MODULES = ("arm", "assembly", "loop", "recording", "supervision")  # of the bridge, that read a clock
+MODULES = (
+    "control.arm",
+    "assembly",
+    "control.loop",
+    "control.recording",
+    "control.supervision",
+)  # of the bridge, that read a clock
 
 
 class Sent(NamedTuple):

@@ -8,7 +8,7 @@ UNFINISHED = "was not finished"
 LEASE = "… no longer commands …: silent for 0.1 s. The arm holds."
 
 held_by(
-    "tests/bridge/test_loop.py::test_a_flood_of_garbage_changes_no_reference",
+    "tests/bridge/control/test_loop.py::test_a_flood_of_garbage_changes_no_reference",
     cells(
         "network",
         "a flood of garbage from a stranger",
@@ -19,7 +19,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/bridge/test_motion_limits.py::test_a_robot_that_streams_slower_than_it_guides",
+    "tests/bridge/control/test_motion_limits.py::test_a_robot_that_streams_slower_than_it_guides",
     cells(
         "robot",
         "the cycle time changes from 24 to 4 ms, or back",
@@ -30,7 +30,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/bridge/test_hostile_datagrams.py::test_a_million_mutated_datagrams",
+    "tests/bridge/net/test_hostile_datagrams.py::test_a_million_mutated_datagrams",
     cells(
         "network",
         "a million mutated datagrams",
@@ -41,7 +41,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/bridge/test_loop_fails_by_hand.py::test_a_stop_of_which_the_system_sends_nothing_ends_the_run",
+    "tests/bridge/control/test_loop_by_hand.py::test_a_stop_of_which_the_system_sends_nothing_ends_the_run",
     cells(
         "network",
         "the system refuses to send for two seconds",
@@ -52,7 +52,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/bridge/test_arms_loop.py::test_an_arm_that_falls_silent_holds_the_other",
+    "tests/bridge/control/test_multi_arm.py::test_an_arm_that_falls_silent_holds_the_other",
     cells(
         "network",
         "one arm of two falls silent",
@@ -85,7 +85,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/bridge/test_arms_simulated.py::test_both_files_survive_a_kill",
+    "tests/bridge/control/test_multi_arm_simulated.py::test_both_files_survive_a_kill",
     cells(
         "process",
         "kill -9 of a bridge of two arms",
@@ -137,7 +137,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/bridge/rosbridge/test_lost_clients.py::test_one_client_reads_while_the_others_are_lost",
+    "tests/bridge/servers/rosbridge/test_lost_clients.py::test_one_client_reads_while_the_others_are_lost",
     cells(
         "process",
         "web clients stopped, killed, or cut off",
@@ -148,7 +148,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/bridge/test_servers.py::test_a_killed_server_starts_again",
+    "tests/bridge/servers/test_supervisor.py::test_a_killed_server_starts_again",
     cells(
         "process",
         "kill -9 of a server",
@@ -170,7 +170,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/bridge/test_loop.py::test_a_busy_controller_is_answered_for_by_the_guard",
+    "tests/bridge/control/test_loop.py::test_a_busy_controller_is_answered_for_by_the_guard",
     cells(
         "controller",
         "is busy for 0.3 s, in real time",
@@ -181,7 +181,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/bridge/test_loop_by_hand.py::test_a_call_that_hangs_is_told_once_after_a_second",
+    "tests/bridge/control/test_loop_by_hand.py::test_a_call_that_hangs_is_told_once_after_a_second",
     cells(
         "controller",
         "never returns",
@@ -192,7 +192,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/bridge/test_broken_codecs.py::test_an_error_outside_the_controller_stops_the_arm_first",
+    "tests/bridge/test_link.py::test_an_error_outside_the_controller_stops_the_arm_first",
     cells(
         "controller",
         "a codec of your own raises",
@@ -203,7 +203,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/bridge/test_fusion.py::test_a_source_that_breaks_its_promises_grows_old",
+    "tests/bridge/inputs/test_fusion.py::test_a_source_that_breaks_its_promises_grows_old",
     cells(
         "controller",
         "a source of your own raises, or gives something else",
@@ -214,7 +214,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/bridge/test_fusion.py::test_a_reading_that_is_none_does_not_stop_the_loop",
+    "tests/bridge/inputs/test_fusion.py::test_a_reading_that_is_none_does_not_stop_the_loop",
     cells(
         "controller",
         "a source gives a number or a stamp that is none",
@@ -225,7 +225,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/bridge/test_fusion_runs.py::test_a_required_source_that_is_stale_holds_the_arm",
+    "tests/bridge/inputs/test_fusion.py::test_a_required_source_that_is_stale_holds_the_arm",
     cells(
         "controller",
         "a required source falls silent",

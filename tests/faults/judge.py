@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from armlab.bridge.feedback import READY_AFTER
-from armlab.bridge.limits import Limits
+from armlab.bridge.control.feedback import READY_AFTER
+from armlab.bridge.control.limits import Limits
 from armlab.log import Table
 from armlab.wire.egm import EgmCodec, Reference
 

@@ -14,7 +14,7 @@ from typing import IO, Any
 import numpy as np
 
 from armlab import bridge
-from armlab.bridge.limits import Limits
+from armlab.bridge.control.limits import Limits
 from armlab.log import Table
 from armlab.state import Command, State
 

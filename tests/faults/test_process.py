@@ -128,9 +128,9 @@ def test_a_bridge_is_killed(cell: Cell, tmp_path: Path) -> None:
 SHOWN = 250  # cycles, a second of the robot's
 
 READER = """
-from armlab.bridge.local import LocalFeed
-from armlab.bridge.messages import Subscribe
-from armlab.bridge.row import Row
+from armlab.bridge.servers.local import LocalFeed
+from armlab.bridge.servers.messages import Subscribe
+from armlab.bridge.servers.row import Row
 from armlab.errors import LinkError
 with LocalFeed() as feed:
     feed.ask(Subscribe(rate=None))

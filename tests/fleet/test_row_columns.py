@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.row import RowWriter
-from armlab.bridge.row_schema import RowSchema
+from armlab.bridge.servers.row import RowSchema, RowWriter
 from armlab.errors import LinkError
 from armlab.fleet.row_columns import RowColumns, stamp_of, tick_of
 from armlab.log import Tick

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.bridge.feed import Exchange
-from armlab.bridge.zenoh import EVERY, Place, close_session, open_session
-from armlab.bridge.zenoh.process import ZenohProcess
+from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.zenoh import EVERY, Place, close_session, open_session
+from armlab.bridge.servers.zenoh.process import ZenohProcess
 from armlab.live import FleetRows
 from armlab.log import Tick
 from armlab.robots import Robot

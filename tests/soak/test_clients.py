@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from armlab.bridge.labcomm import LabCommClient
-from armlab.bridge.local import LocalFeed
-from armlab.bridge.messages import Subscribe
+from armlab.bridge.servers.labcomm import LabCommClient
+from armlab.bridge.servers.local import LocalFeed
+from armlab.bridge.servers.messages import Subscribe
 from soak.processes import family, held, label
 from soak.programs import Program
 from tests.processes import free_port, until
@@ -74,7 +74,7 @@ def rosbridge(port: int) -> None:
 
 
 def zenoh(port: int) -> None:
-    feed = pytest.importorskip("armlab.bridge.zenoh").ZenohFeed(f"zenoh://127.0.0.1:{port}", patience=30.0)
+    feed = pytest.importorskip("armlab.bridge.servers.zenoh").ZenohFeed(f"zenoh://127.0.0.1:{port}", patience=30.0)
     try:
         feed.ask(Subscribe(rate=None))
         feed.wait(5.0)

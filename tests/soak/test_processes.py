@@ -35,7 +35,7 @@ def test_memory_and_descriptors_of_a_process_are_counted(tmp_path: Path) -> None
 
 
 def test_what_a_process_started_belongs_to_it_until_it_ends() -> None:
-    words = [sys.executable, "-c", "print(flush=True); input()", "-m", "armlab.bridge._serve", "zenoh"]
+    words = [sys.executable, "-c", "print(flush=True); input()", "-m", "armlab.bridge.servers.serve", "zenoh"]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
         try:
             assert child.stdout is not None

@@ -1,15 +1,13 @@
 """The real-time loop between a controller in Python and a robot."""
 
-from armlab.bridge.fusion import Fusion, Held
-from armlab.bridge.limits import Limits
+from armlab.bridge.command.arbiter import Arbiter
+from armlab.bridge.command.order import Order
+from armlab.bridge.control.limits import Limits
+from armlab.bridge.control.run import Run
+from armlab.bridge.inputs.fusion import Fusion, Held
+from armlab.bridge.inputs.parameters import Parameter, Parameters
+from armlab.bridge.inputs.sources import CallableSource, Reading, ReplaySource, Source, TimerSource, UdpSource
 from armlab.bridge.link import Link, connect
-from armlab.bridge.order import Order
-from armlab.bridge.parameters import Parameter, Parameters
-from armlab.bridge.replay import ReplaySource
-from armlab.bridge.rights import Arbiter
-from armlab.bridge.run import Run
-from armlab.bridge.sources import CallableSource, Reading, Source, TimerSource
-from armlab.bridge.udp import UdpSource
 
 __all__ = [
     "Arbiter",

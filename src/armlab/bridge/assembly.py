@@ -4,31 +4,87 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from armlab.bridge.arm import Arm
-from armlab.bridge.events import nobody
-from armlab.bridge.fusion import Fusion
-from armlab.bridge.limits import Limits
-from armlab.bridge.parameters import Change
-from armlab.bridge.port import Port
-from armlab.bridge.recording import Feed, Recording, paths
-from armlab.bridge.rehearsal import Rehearsal
-from armlab.bridge.run import Run, statistics
-from armlab.bridge.session import Session
-from armlab.bridge.sources import Source
-from armlab.bridge.states import Guide
-from armlab.bridge.supervision import Settings
-from armlab.bridge.torque import Admittance
+from armlab.bridge.control.arm import Arm
+from armlab.bridge.control.limits import Limits
+from armlab.bridge.control.loop import Loop
+from armlab.bridge.control.recording import Feed, Recording, paths
+from armlab.bridge.control.run import Run, statistics
+from armlab.bridge.control.session import Session
+from armlab.bridge.control.state_machine import Guide
+from armlab.bridge.control.supervision import Settings
+from armlab.bridge.control.torque import Admittance
+from armlab.bridge.inputs.fusion import Fusion
+from armlab.bridge.inputs.parameters import Change
+from armlab.bridge.inputs.sources import Source
+from armlab.bridge.net.events import nobody
+from armlab.bridge.net.sockets import Arrival, Port
 from armlab.errors import ConfigError
 from armlab.log import Column
 from armlab.robots import Robot
+from armlab.state import Command, State
 from armlab.wire.egm import Codec
 
-__all__ = ["End", "assemble", "checked_limits", "finished"]
+__all__ = ["End", "Rehearsal", "assemble", "checked_limits", "finished"]
+
+
+class Rehearsal:
+    """A second loop, one packet behind the real one, that nobody listens to.
+
+    robot, limits, admittance : as in `Guide`. codec : one of its own, since it is reset with the sessions.
+    """
+
+    def __init__(
+        self, robot: Robot, limits: Limits, codec: Codec, port: Port, admittance: Admittance | None = None
+    ) -> None:
+        softness = None if admittance is None else replace(admittance, model=None)  # the user's may remember its calls
+        guide = Guide(robot, limits, capabilities=codec.capabilities, admittance=softness)
+        session, settings = Session(codec, float("inf")), Settings(patience=float("inf"))
+        nobody: Any = _Nobody()
+        self._port, self._stage = port, _Stage()
+        self._arm = Arm(robot, port, codec, session, guide, nobody, settings, 0, Fusion(()))
+        self._loop = Loop([self._arm], self._stage, self._obey, settings)
+        self._command: Command | None = None
+
+    def __call__(self, arrival: Arrival, command: Command | None) -> None:
+        """Do everything that the loop did with a packet."""
+        self._stage.arrival, self._command = arrival, command
+        self._loop.cycle()
+        self._port.flush()
+
+    def _obey(self, state: State) -> Command | None:
+        return self._command
+
+
+class _Stage:
+    """In place of `Waiting`: the packet is there."""
+
+    arrival: Arrival
+
+    def next(self, seconds: float) -> tuple[int, Arrival]:
+        return 0, self.arrival
+
+
+class _Nobody:
+    """In place of a `Recording`."""
+
+    def keep(self, *_: Any) -> None:
+        """Forget a row."""
+
+    def pass_on(self, *_: Any) -> None:
+        """Nobody gets it."""
+
+    def event(self, *_: Any, **__: Any) -> None:
+        """Forget a sentence."""
+
+    def catch_up(self) -> None:
+        """Nothing waits."""
+
 
 _SILENCE = 0.5  # s that end a session
 
@@ -36,9 +92,6 @@ _SILENCE = 0.5  # s that end a session
 class End(NamedTuple):
     """Where one arm is heard, and how.
 
-    Attributes
-    ----------
-    robot, port : the arm and its port. codec : of its session.
     spares, aside : codecs and a port that sends to itself for rehearsals, none where the codec is the user's.
     admittance : makes velocities of torque commands, None where torques are sent or refused.
     """
@@ -62,8 +115,6 @@ def checked_limits(
 ) -> list[Limits]:
     """Return the limits of each arm.
 
-    Parameters
-    ----------
     limits : one per arm; None gives the robots' own. robots : the arms. commands : False when nothing is ever sent.
 
     Raises
@@ -107,10 +158,7 @@ def assemble(
 ) -> list[Arm]:
     """Return the arms of one run, on one clock.
 
-    Parameters
-    ----------
     ends : where they are heard. limits : of each. settings : of the run. commands : False when nothing is ever sent.
-    answer_stream, record, extra, attachments, feeds, sources : see `Link.run`.
     """
     wall_ns = time.time_ns() - time.monotonic_ns()
     told = list(feeds)  # one list: a feed that fails is dropped for all arms
@@ -189,12 +237,7 @@ def _arm(
 
 
 def finished(arms: Sequence[Arm], reason: str, feeds: Sequence[Feed] = ()) -> Run:
-    """Close the recordings and return what the run left behind.
-
-    Parameters
-    ----------
-    arms : after the run, the pacing arm first. reason : why it ended. feeds : of the run; see `recording.Feed`.
-    """
+    """Close the recordings and return what the run left behind."""
     runs = []
     told = {}
     for feed in feeds:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,26 +14,24 @@ import numpy as np
 
 from armlab import models, robots
 from armlab._toml import TomlError, parsed
-from armlab.bridge._cell_file import File, LabCommTable, RobotTable, SourceTable
-from armlab.bridge.feed import OPERATOR, Exchange
-from armlab.bridge.labcomm import LabCommSource
-from armlab.bridge.labcomm.process import labcomm_options
-from armlab.bridge.limits import Limits
+from armlab.bridge.cell_file import File, LabCommTable, RobotTable, SourceTable
+from armlab.bridge.control.limits import Limits
+from armlab.bridge.control.loop import Controller
+from armlab.bridge.control.run import Run
+from armlab.bridge.inputs.parameters import Parameter, Parameters
+from armlab.bridge.inputs.sources import Source, UdpSource
 from armlab.bridge.link import connect
-from armlab.bridge.listening import is_open, listening
-from armlab.bridge.local import socket_path
-from armlab.bridge.loop import Controller
-from armlab.bridge.offering import stoppable
-from armlab.bridge.parameters import Parameter, Parameters
-from armlab.bridge.run import Run
-from armlab.bridge.servers import Servers, server_command
-from armlab.bridge.sources import Source
-from armlab.bridge.udp import UdpSource
+from armlab.bridge.listen import is_open, listening
+from armlab.bridge.servers.hub import OPERATOR, Exchange
+from armlab.bridge.servers.labcomm import LabCommSource
+from armlab.bridge.servers.labcomm.process import labcomm_options
+from armlab.bridge.servers.local import socket_path
+from armlab.bridge.servers.supervisor import Servers, server_command, stoppable
 from armlab.errors import ArmlabError, ConfigError, UnknownName
 from armlab.log import Column
 from armlab.robots import Robot
 
-__all__ = ["Cell", "parse_cell", "run_cell"]
+__all__ = ["Cell", "cell_values", "parse_cell", "run_cell"]
 
 _SIDES = {"left": 7511, "right": 7512}
 
@@ -255,3 +253,37 @@ def run_cell(
 
 def _line(error: Exception) -> str:
     return re.sub(r"\s+", " ", str(error)).rstrip(".")
+
+
+def cell_values(text: str, path: str = "cell.toml") -> list[tuple[str, Any, bool]]:
+    """Return (place, value, whether the file says it) of all that a cell file may say, as `robots[0].speed`.
+
+    Parameters
+    ----------
+    text : of the file. path : its name, for messages.
+
+    Raises
+    ------
+    ConfigError : as of `parse_cell`.
+    """
+    parse_cell(text, path)
+    raw = parsed(text)
+    return list(_values(msgspec.convert(raw, File, strict=True), raw, ""))
+
+
+def _values(value: Any, raw: Any, place: str) -> Iterator[tuple[str, Any, bool]]:
+    if isinstance(value, msgspec.Struct):
+        for name in value.__struct_fields__:
+            given = raw.get(name, _NOTHING) if isinstance(raw, dict) else _NOTHING
+            yield from _values(getattr(value, name), given, f"{place}.{name}" if place else name)
+    elif isinstance(value, dict) and value:
+        for name, one in value.items():
+            yield from _values(one, raw[name], f"{place}.{name}")
+    elif isinstance(value, list) and value and isinstance(value[0], msgspec.Struct):
+        for k, (one, given) in enumerate(zip(value, raw, strict=True)):
+            yield from _values(one, given, f"{place}[{k}]")
+    else:
+        yield place, value, raw is not _NOTHING
+
+
+_NOTHING = object()

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import threading
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
@@ -11,29 +16,164 @@ from typing import Any, Literal
 
 import numpy as np
 
-from armlab.bridge.address import addresses, simulator_options
+from armlab._descriptors import Descriptor
 from armlab.bridge.assembly import End, assemble, checked_limits, finished
-from armlab.bridge.codecs import codecs_of
-from armlab.bridge.conditions import LOOP_PRIORITY, interrupts, priority, quiet_memory, short_switches
-from armlab.bridge.events import Tell
-from armlab.bridge.limits import Limits
-from armlab.bridge.loop import Controller, Loop
-from armlab.bridge.offering import Offering, stoppable
-from armlab.bridge.port import Port
-from armlab.bridge.recording import Feed
-from armlab.bridge.run import Run, together
-from armlab.bridge.simulator import Simulator
-from armlab.bridge.sources import Source
-from armlab.bridge.supervision import Settings
-from armlab.bridge.torque import TorqueModel, admittances
-from armlab.bridge.waiting import Wait, Waiting
-from armlab.bridge.watchdog import Guard
+from armlab.bridge.control.limits import Limits
+from armlab.bridge.control.loop import Controller, Loop
+from armlab.bridge.control.realtime import (
+    LOOP_PRIORITY,
+    Guard,
+    Wait,
+    Waiting,
+    interrupts,
+    priority,
+    quiet_memory,
+    short_switches,
+)
+from armlab.bridge.control.recording import Feed
+from armlab.bridge.control.run import Run, together
+from armlab.bridge.control.supervision import Settings
+from armlab.bridge.control.torque import TorqueModel, admittances
+from armlab.bridge.inputs.sources import Source
+from armlab.bridge.net.events import Tell
+from armlab.bridge.net.sockets import Port
+from armlab.bridge.servers.supervisor import Offering, stoppable
+from armlab.bridge.urls import addresses, simulator_options
 from armlab.errors import ConfigError, LinkError, RobotError, UnknownName
 from armlab.log import Column
 from armlab.robots import Robot
-from armlab.wire.egm import Codec
+from armlab.wire.egm import Codec, EgmCodec
 
-__all__ = ["Link", "connect"]
+__all__ = ["GROUP", "Link", "Simulator", "codec_named", "codecs_of", "connect"]
+
+GROUP = "armlab.bridge.codecs"
+"""Group of entry points; each is a function from a Robot to its `wire.egm.Codec`."""
+
+_METHODS = ("capabilities", "reset", "decode", "encode")
+
+
+def codec_named(name: str, robot: Robot, extension: bool = False) -> Codec:
+    """Return a new codec for a robot.
+
+    Raises
+    ------
+    UnknownName : no such codec; lists those that exist. ConfigError : an entry point that gives none.
+    """
+    if name == "egm":
+        return EgmCodec(robot, extension)
+    from importlib.metadata import entry_points
+
+    brought = entry_points(group=GROUP)
+    if name not in brought.names:
+        raise UnknownName.among("codec", name, ["egm", *sorted(brought.names)])
+    point = brought[name]
+    try:
+        codec = point.load()(robot)
+    except Exception as error:
+        raise ConfigError(
+            f"Expected the entry point {point.value} of {GROUP} to make a codec for {robot.name}, but it raised "
+            f"{type(error).__name__}: {error}."
+        ) from error
+    missing = [method for method in _METHODS if not hasattr(codec, method)]
+    if missing:
+        raise ConfigError(
+            f"Expected the entry point {point.value} of {GROUP} to make a codec, got {type(codec).__name__} without "
+            f"{', '.join(missing)}. See wire.egm.Codec."
+        )
+    return codec
+
+
+def codecs_of(
+    codec: str | Codec | Sequence[Codec], robots: Sequence[Robot], extension: bool, spares: int
+) -> list[tuple[Codec, tuple[Codec, ...]]]:
+    """Return the codec of each arm and those of its rehearsals, which an object of the user's does not have.
+
+    codec : name of a codec, made once for an arm and once for each rehearsal; or an object for each arm.
+
+    Raises
+    ------
+    UnknownName, ConfigError : as of `codec_named`; objects that are no codecs, or not one for each arm.
+    """
+    if isinstance(codec, str):
+        made = [[codec_named(codec, robot, extension) for _ in range(1 + spares)] for robot in robots]
+        return [(own, tuple(others)) for own, *others in made]
+    given = list(codec) if isinstance(codec, Sequence) else [codec]
+    for one in given:
+        if not all(hasattr(one, method) for method in _METHODS):
+            raise ConfigError(f"Expected the name of a codec, or one like wire.egm.Codec, got {one!r}.")
+    if len(given) != len(robots):
+        raise ConfigError(f"Expected one codec per arm, since each follows one session, got {len(given)}.")
+    return [(one, ()) for one in given]
+
+
+_KEPT_LINES = 20
+_PATIENCE = 5.0  # s to end by itself before it is killed
+
+
+class Simulator:
+    """One ``python -m armlab sim`` process that sends to ports of this computer.
+
+    It gets its own process group, so that Ctrl-C reaches the bridge alone, which brings the arm to rest first.
+
+    robots : names in the library, or robot files. ports : where each shall send.
+    options : further options by name: "seed" -> "1" becomes ``--seed 1``; "true" a bare ``--name``.
+    """
+
+    def __init__(self, robots: Sequence[str], ports: Sequence[int], options: Mapping[str, str]) -> None:
+        to = ",".join(f"127.0.0.1:{port}" for port in ports)
+        arguments = [sys.executable, "-m", "armlab", "sim", *robots, "--to", to, "--extension"]
+        for name, value in options.items():
+            if value.lower() != "false":
+                arguments += [f"--{name}"] if value.lower() in ("", "true") else [f"--{name}", value]
+        self._command = " ".join(["armlab", *arguments[3:]])
+        arguments += ["--parent", str(os.getpid())]  # told, not found: this process may end before the other looks
+        self.lines: deque[str] = deque(maxlen=_KEPT_LINES)
+        number, errors = os.pipe()
+        self._errors = Descriptor(number)
+        self._process = subprocess.Popen(
+            arguments,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=errors,
+            start_new_session=True,
+        )
+        os.close(errors)
+        self._reader = threading.Thread(target=self._read, name="simulator messages", daemon=True)
+        self._reader.start()
+
+    def gone(self) -> str:
+        """Return why it has ended, "" while it runs.
+
+        Raises
+        ------
+        LinkError : it ended with an error; quotes what it wrote.
+        """
+        status = self._process.poll()
+        if status is None:
+            return ""
+        self._reader.join(_PATIENCE)
+        if status == 0:
+            return "the simulated robot ended"
+        said = " ".join(line for line in self.lines if line) or "nothing"
+        raise LinkError(f"Expected `{self._command}` to go on, but it ended with status {status}. It said: {said}")
+
+    def stop(self) -> None:
+        """End the process."""
+        if self._process.poll() is None:
+            self._process.terminate()
+            try:
+                self._process.wait(_PATIENCE)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+        self._reader.join(_PATIENCE)
+        self._errors.close()
+
+    def _read(self) -> None:
+        with suppress(OSError), os.fdopen(self._errors.number, errors="replace", closefd=False) as file:
+            for line in file:
+                self.lines.append(line.strip())
+
 
 _REHEARSALS = 2  # before a packet, when there is time: the first fills the caches, the second finds them warm
 
@@ -89,9 +229,9 @@ def connect(
         for one, address, wires in zip(robots, where, codecs, strict=True):
             if address.scheme in ("labcomm", "zenoh"):
                 if address.scheme == "labcomm":
-                    from armlab.bridge.labcomm.far import far_end
+                    from armlab.bridge.servers.labcomm.link import far_end
                 else:
-                    from armlab.bridge.zenoh.far import far_end
+                    from armlab.bridge.servers.zenoh.link import far_end
 
                 ends.append(End(one, *far_end(one, address.host, address.port, address.options), (), None))
             else:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import struct
 
-from armlab.bridge.row import MAGIC
-from armlab.bridge.row_schema import RowField, RowSchema
+from armlab.bridge.servers.row import MAGIC, RowField, RowSchema
 from armlab.errors import LinkError
 from armlab.log.recording.rows import SELDOM, RowLayout, Slot
 

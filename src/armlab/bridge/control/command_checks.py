@@ -1,0 +1,123 @@
+"""What a controller returned: `wanted` gives the references, checked, `refusal` the sentence for a refused one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from armlab.bridge.control.limits import axes_of
+from armlab.errors import CommandRefused
+from armlab.robots import Robot
+from armlab.state import Command
+from armlab.wire.egm.axes import Linkage
+
+__all__ = ["causes", "entry_refusal", "kept", "numbers", "refusal", "wanted"]
+
+_DOUBLE = np.dtype(np.float64)
+_REAL = "f", "i", "u"  # kinds of numbers; of others a conversion would make some
+_NUMBERS = "q", "qd", "tau", "q_ext", "rapid_data"
+
+
+def wanted(command: Command, robot: Robot) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
+    """Return the position, velocity and torque (n,) that a command asks for, None for what it does not.
+
+    Raises
+    ------
+    CommandRefused : not a Command, wrong shape, or no numbers.
+    """
+    if not isinstance(command, Command):
+        raise CommandRefused(
+            f"Expected the controller to return a Command or None, got {type(command).__name__}. "
+            "Write Command(q) for positions, Command(qd=...) for velocities."
+        )
+    return _vector("q", command.q, robot), _vector("qd", command.qd, robot), _vector("tau", command.tau, robot)
+
+
+def _vector(name: str, values: Any, robot: Robot) -> np.ndarray | None:
+    if values is None:
+        return None
+    if type(values) is np.ndarray and values.dtype == _DOUBLE and values.shape == (robot.n,):
+        return np.ascontiguousarray(values)
+    try:
+        array = numbers(values)
+    except Exception as error:  # what a controller returned may be anything
+        raise CommandRefused(
+            f"Expected {robot.n} numbers in Command.{name} for {robot.name}, got {values!r} ({error})."
+        ) from error
+    if array.shape != (robot.n,):
+        raise CommandRefused(
+            f"Expected Command.{name} of shape ({robot.n},) for {robot.name}, got {array.shape}. "
+            f"Give one value per joint: {', '.join(robot.joint_names)}."
+        )
+    return np.ascontiguousarray(array, dtype=np.float64)
+
+
+def numbers(values: Any) -> np.ndarray:
+    """Return what a controller gave as an array of real numbers.
+
+    Raises
+    ------
+    Exception : any that NumPy or the values raise. TypeError : texts, truth values, complex numbers or objects.
+    """
+    array = np.asarray(values)
+    if array.dtype.kind not in _REAL:
+        raise TypeError(f"of type {array.dtype}")
+    return array
+
+
+def kept(command: Command | None) -> Command | None:
+    """Return a command with arrays of its own: while it serves, the controller may write the next one into its own."""
+    if not isinstance(command, Command):
+        return command
+    return replace(command, **{name: _copied(getattr(command, name)) for name in _NUMBERS})
+
+
+def _copied(values: Any) -> Any:
+    try:
+        return None if values is None else np.array(values)
+    except Exception:  # what a controller returned may be anything
+        return values
+
+
+def refusal(refused: int, q: np.ndarray | None, qd: np.ndarray | None, sent: np.ndarray, robot: Robot) -> str:
+    """Return the sentence for a reference that the limits refused.
+
+    refused : i when joint i (from 1) is not finite, -i when it jumps. q, qd : asked for. sent : (n,) position before.
+    """
+    i = abs(refused) - 1
+    joint, axes = f"joint {i + 1} ({robot.joint_names[i]})", axes_of(robot)
+    if refused > 0 or q is None:  # only a position can jump
+        got = ", ".join(f"{name} = {values[i]}" for name, values in (("q", q), ("qd", qd)) if values is not None)
+        return f"Expected finite numbers in the Command, got {got} for {joint}. NaN never goes to a robot."
+    before, asked = axes(sent)[i], axes(q)[i]
+    return (
+        f"Expected a position near the last one sent, {before:.4f}, for {joint}, got {asked:.4f}: a jump of "
+        f"{abs(asked - before):.4f}. Move there gradually. {causes(robot)}"
+    )
+
+
+def entry_refusal(q: np.ndarray, held: np.ndarray, entry: np.ndarray, robot: Robot) -> str:
+    """Return the sentence for a first position too far from where the arm holds, "" when it is near enough.
+
+    q : (n,) asked for. held : (n,) where the arm holds. entry : (n,) distance allowed. robot : names the joints.
+    """
+    axes = axes_of(robot)
+    q, held = axes(q), axes(held)
+    distance = np.abs(q - held)
+    far = distance > entry
+    if not far.any():
+        return ""
+    i = int(np.argmax(np.where(far, distance / entry, 0.0)))
+    return (
+        f"Expected the first position within {entry[i]:g} of where the arm holds, got {q[i]:.4f} for joint {i + 1} "
+        f"({robot.joint_names[i]}), which holds at {held[i]:.4f}. Begin at state.q_start. {causes(robot)}"
+    )
+
+
+def causes(robot: Robot) -> str:
+    """Return why a position may be far from another, and of what the numbers are that a refusal of it names."""
+    usual = "Usual causes are degrees instead of radians and another joint order."
+    are_joints = Linkage.of(robot) is None
+    return usual if are_joints else f"{usual} The numbers are those of ABB's axes, of which one may be several joints."

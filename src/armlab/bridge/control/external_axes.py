@@ -1,0 +1,196 @@
+"""`Aside`: the part of a command that is not for the joints: external axes within their limits, values for RAPID."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from armlab.bridge.control.command_checks import numbers
+from armlab.bridge.control.feedback import READY_AFTER
+from armlab.bridge.control.limits import Limiter, Limits, Reply
+from armlab.errors import CommandRefused
+from armlab.state import Command
+from armlab.wire.egm import Beside, Packet
+
+__all__ = ["Aside", "joined"]
+
+_MOST_DATA = 40  # numbers that EgmRAPIDdata holds
+_OUTSIDE, _STEP, _FASTER = 0.1, 0.02, 2.0  # as those of the joints, see `feedback`
+_KNOWS_DATA = "7"  # RobotWare
+
+
+class Aside:
+    """References of the external axes beyond the robot's joints, and what goes to RAPID, packet by packet.
+
+    External axes are asked for by the first `Command.q_ext` of a session. From then on each reply says where they
+    shall be: a controller without a new reference keeps the last one, speed included. Values for RAPID go out once.
+
+    limits : of the external axes, None where commands to them are refused. capabilities : of the codec.
+    """
+
+    def __init__(self, limits: Limits | None, capabilities: frozenset[str]) -> None:
+        self._limits, self._capabilities = limits, capabilities
+        self._limiter = None if limits is None else Limiter(limits)
+        self.begin()
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the references of the external axes stand still."""
+        return not self._moves or self._limiter is None or self._limiter.at_rest
+
+    @property
+    def memory(self) -> tuple[bool, bool, Any]:
+        """What the next references depend on. Set it back when the last ones did not go out."""
+        return self._moves, self._entered, None if self._limiter is None else self._limiter.memory
+
+    @memory.setter
+    def memory(self, memory: tuple[bool, bool, Any]) -> None:
+        """Go on from what it was."""
+        self._moves, self._entered, sent = memory
+        if self._limiter is not None:
+            self._limiter.memory = sent
+
+    def begin(self) -> None:
+        """Forget what was asked for: a new session."""
+        self._moves = self._entered = False
+        self._plausible, self._since = 0, 0.0
+        self._q: np.ndarray | None = None
+
+    def observe(self, packet: Packet, dt: float) -> str:
+        """Check the feedback of a packet: only a plausible one is ever a reference. Return the first problem in a row.
+
+        packet : the newest. dt : seconds since the packet before.
+        """
+        limits, q = self._limits, packet.q_ext
+        if limits is None or q.shape != limits.q_min.shape:
+            return ""
+        self._since += dt
+        reach = _STEP + _FASTER * limits.qd_max * self._since
+        false = not ((q >= limits.q_min - _OUTSIDE) & (q <= limits.q_max + _OUTSIDE)).all()
+        if false or (self._q is not None and (np.abs(q - self._q) > reach).any()):
+            first, self._plausible = self._plausible > 0, 0
+            what = f"Expected external axes within their limits, no faster than they can be, got feedback of {q}."
+            return f"{what} It is not used." if first else ""
+        self._plausible, self._q, self._since = self._plausible + 1, q, 0.0
+        return ""
+
+    def rest(self, packet: Packet) -> Beside | None:
+        """Return what goes with a reply while the robot follows no references: the axes stay where they are measured.
+
+        The next position asked for must be near. Axes of another number are others, of which none was asked for.
+        """
+        self._entered = False
+        if not self._moves or self._limiter is None or self._q is None or packet.q_ext.shape != self._limiter.q.shape:
+            self._moves = False
+            return None
+        reply = self._limiter.rest(self._q)
+        return Beside(reply.q, reply.qd)
+
+    def hold(self, dt: float, longest: float) -> Beside | None:
+        """Return what goes with a reply that holds: the axes come to rest, RAPID gets nothing. See `Limiter.step`."""
+        if not self._moves or self._limiter is None:
+            return None
+        reply = self._limiter.hold(dt, longest)
+        return Beside(reply.q, reply.qd)
+
+    def follow(self, command: Command, packet: Packet, dt: float, longest: float) -> Beside | None:
+        """Return what goes with the reply to a command.
+
+        Raises
+        ------
+        CommandRefused : values of another shape, no numbers, a jump, no limits, or a robot that cannot take them.
+        """
+        if command.rapid_data is None and command.rapid_digital is None and command.q_ext is None:
+            return self.hold(dt, longest)
+        data = self._data(command, packet)
+        q_ext = command.q_ext
+        moved = self.hold(dt, longest) if q_ext is None else self._moved(q_ext, packet, dt, longest)
+        return (moved or Beside())._replace(rapid_data=data, rapid_digital=command.rapid_digital)
+
+    def _data(self, command: Command, packet: Packet) -> np.ndarray | None:
+        """Return the numbers for RAPID, checked together with the digital value."""
+        if command.rapid_data is None and command.rapid_digital is None:
+            return None
+        if "rapid_data" not in self._capabilities or packet.robotware != _KNOWS_DATA:
+            got = (
+                f"RobotWare {packet.robotware}" if "rapid_data" in self._capabilities else "a codec that cannot send it"
+            )
+            raise CommandRefused(
+                f"Expected no rapid_data and rapid_digital in the Command: they need RobotWare 7, this is {got}."
+            )
+        digital = command.rapid_digital
+        if digital is not None and not isinstance(digital, bool | np.bool_):
+            raise CommandRefused(f"Expected True, False or None in Command.rapid_digital, got {digital!r}.")
+        if command.rapid_data is None:
+            return None
+        data = _numbers("rapid_data", command.rapid_data)
+        if data.ndim != 1 or len(data) > _MOST_DATA:
+            raise CommandRefused(
+                f"Expected at most {_MOST_DATA} numbers in a row in Command.rapid_data, got shape {data.shape}."
+            )
+        return data
+
+    def _moved(self, q_ext: Any, packet: Packet, dt: float, longest: float) -> Beside:
+        """Return the next references of the external axes on the way to `q_ext`."""
+        limiter, limits, measured = self._limiter, self._limits, packet.q_ext
+        if "external_axes" not in self._capabilities:
+            raise CommandRefused("Expected no q_ext in the Command: the codec of this link cannot send external axes.")
+        if limits is None or limiter is None:
+            raise CommandRefused(
+                "Expected no q_ext in the Command, since no limits of the external axes are known. "
+                "Run with limits=Limits.of(robot, external=Limits.of_axes(q_min, q_max, qd_max))."
+            )
+        wanted = _numbers("q_ext", q_ext)
+        if not wanted.shape == measured.shape == limits.q_min.shape:
+            raise CommandRefused(
+                f"Expected as many numbers in Command.q_ext and in the limits as the robot has external axes, "
+                f"{len(measured)}, got shape {wanted.shape} and limits of {len(limits.q_min)}."
+            )
+        if not self._entered:
+            if self._plausible < READY_AFTER or self._q is None:
+                raise CommandRefused(
+                    f"Expected external axes that report positions within their limits, {limits.q_min} to "
+                    f"{limits.q_max}, three times in a row before they are moved, got {measured}."
+                )
+            if not self._moves:
+                limiter.rest(self._q)
+            held = limiter.q
+            far = np.flatnonzero(np.abs(wanted - held) > limits.entry)
+            if len(far):
+                k = int(far[0])
+                raise CommandRefused(
+                    f"Expected the first position of external axis {k + 1} within {limits.entry[k]:g} of where it is, "
+                    f"{held[k]:.4f}, got {wanted[k]:.4f}. Begin at state.q_ext."
+                )
+            self._moves = self._entered = True
+        before, memory = limiter.q, limiter.memory
+        reply = limiter.step(wanted, None, dt, longest)
+        if reply.refused:
+            limiter.memory = memory  # nobody gets this reply: the hold that goes out begins where the last one ended
+            k = abs(reply.refused) - 1
+            raise CommandRefused(
+                f"Expected a position of external axis {k + 1} near the last one sent, {before[k]:.4f}, got "
+                f"{wanted[k]:.4f}. Move there gradually."
+            )
+        return Beside(reply.q, reply.qd)
+
+
+def joined(reply: Reply, beside: Beside | None) -> Reply:
+    """Return a reply for the joints with what goes beside.
+
+    reply : for the joints. beside : None for nothing.
+    """
+    return reply if beside is None else reply._replace(beside=beside)
+
+
+def _numbers(name: str, values: Any) -> np.ndarray:
+    """Return a copy of what a controller gave, in finite numbers."""
+    try:
+        array = np.array(numbers(values), dtype=np.float64)
+    except Exception as error:  # what a controller returned may be anything
+        raise CommandRefused(f"Expected numbers in Command.{name}, got {values!r} ({error}).") from error
+    if not np.isfinite(array).all():
+        raise CommandRefused(f"Expected finite numbers in Command.{name}, got {array}. NaN never goes to a robot.")
+    array.flags.writeable = False
+    return array

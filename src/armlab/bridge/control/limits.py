@@ -1,0 +1,287 @@
+"""What a reference may do: `Limits`, and `Limiter`, which remembers what was sent last."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from armlab import kernels
+from armlab.errors import ConfigError
+from armlab.robots import Robot
+from armlab.wire.egm import Beside
+from armlab.wire.egm.linkage import Linkage
+
+__all__ = ["Limiter", "Limits", "LinkedLimiter", "Reply", "axes_of", "limiter_of"]
+
+_TORQUE_RISE = 0.1  # s from no torque to the largest
+_SPEED_RISE = 0.1  # s from rest to full speed, of axes of which no acceleration is known
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Limits on what is sent, per joint (n,).
+
+    Attributes
+    ----------
+    q_min, q_max : positions [rad or m]. qd_max, qdd_max : speed and acceleration.
+    jump : how far a position may be from the last one sent, besides ``qd_max dt``.
+    entry : how far the first position may be from where the arm holds; no further than `jump`.
+    tau_max, tau_rate : torque [N m or N] and its change per second; None where torques are refused.
+    external : of the external axes beyond the robot's joints, see `Limits.of_axes`; None where commands to them are
+        refused.
+    following_error : how far the feedback may be from the reference, besides 0.05 s times its speed; `jump` when None.
+    lag : time constant with which the arm follows its reference [s]: 1/k for EGM's position loop of gain k (1/s), 0.2 s
+        for its default of 5. The reference brakes for its limits earlier by lag times its speed.
+
+    Raises
+    ------
+    ConfigError : shapes that differ, NaN, q_min not below q_max, another limit that is not above 0, entry above jump,
+        or one of the torque limits without the other.
+    """
+
+    q_min: np.ndarray
+    q_max: np.ndarray
+    qd_max: np.ndarray
+    qdd_max: np.ndarray
+    jump: np.ndarray
+    entry: np.ndarray
+    tau_max: np.ndarray | None = None
+    tau_rate: np.ndarray | None = None
+    external: Limits | None = None
+    following_error: np.ndarray | None = None
+    lag: float = 0.2
+
+    def __post_init__(self) -> None:
+        if self.following_error is None:
+            object.__setattr__(self, "following_error", self.jump)
+        if not (isinstance(self.lag, int | float) and 0.0 <= self.lag < np.inf):
+            raise ConfigError(f"Expected Limits with a lag of at least 0 s, got {self.lag!r}.")
+        shape = np.shape(self.q_min)
+        if (self.tau_max is None) != (self.tau_rate is None):
+            raise ConfigError(f"Expected tau_max and tau_rate together, got {self.tau_max} and {self.tau_rate}.")
+        torque = () if self.tau_max is None else ("tau_max", "tau_rate")
+        for name in ("q_min", "q_max", "qd_max", "qdd_max", "jump", "entry", "following_error", *torque):
+            if len(shape) != 1 or np.shape(getattr(self, name)) != shape:
+                got = f"{name} of shape {np.shape(getattr(self, name))} and q_min of {shape}"
+                raise ConfigError(f"Expected Limits of one shape (n,), got {got}.")
+        if not np.all(self.q_min < self.q_max):  # also NaN, with which a limit would never act
+            raise ConfigError(f"Expected Limits with q_min below q_max, got {self.q_min} and {self.q_max}.")
+        for name in ("qd_max", "qdd_max", "jump", "entry", "following_error", *torque):
+            if not np.all(getattr(self, name) > 0.0):
+                raise ConfigError(f"Expected Limits with {name} above 0 for each joint, got {getattr(self, name)}.")
+        if not np.all(self.entry <= self.jump):
+            raise ConfigError(
+                f"Expected Limits with entry up to jump for each joint, got {self.entry} and {self.jump}: a first "
+                "position further away would be refused as a jump. Begin nearer, and move there gradually."
+            )
+
+    @classmethod
+    def of(
+        cls,
+        robot: Robot,
+        *,
+        margin: float = 0.01,
+        speed: float = 1.0,
+        entry: float = 0.05,
+        tau_max: float | np.ndarray | None = None,
+        external: Limits | None = None,
+        following_error: float | np.ndarray | None = None,
+        lag: float = 0.2,
+    ) -> Limits:
+        """Return the limits of a robot.
+
+        Parameters
+        ----------
+        margin : distance kept from the ends of the joints [rad or m].
+        speed : share of the robot's own speed and acceleration limits, in (0, 1].
+        entry : see `Limits`; of sliding joints at most 0.02 m.
+        tau_max : torque limits, one or (n,); the robot's own by default, none where it has none. The full torque is
+            reached in 0.1 s at the earliest.
+        external : of external axes, see `of_axes`.
+        following_error : one or (n,) [rad or m]; by default 0.1 rad, of prismatic joints 0.02 m. lag : see `Limits`.
+
+        Raises
+        ------
+        ConfigError : a share outside (0, 1], an entry above 0.1 rad, or a margin that is negative or leaves no room.
+        """
+        if not 0.0 < speed <= 1.0 or not entry > 0.0 or not margin >= 0.0:
+            raise ConfigError(
+                f"Expected speed in (0, 1], entry above 0 and margin from 0, got {speed}, {entry} and {margin}."
+            )
+        q_min, q_max = robot.q_min + margin, robot.q_max - margin
+        if not np.all(q_min < q_max):
+            raise ConfigError(f"Expected a margin that leaves room between the joint limits, got {margin}.")
+        jump = np.where(robot.prismatic, 0.02, 0.1)
+        most = np.broadcast_to(robot.tau_max if tau_max is None else tau_max, (robot.n,)).astype(np.float64)
+        torque = (most, most / _TORQUE_RISE) if np.isfinite(most).all() else (None, None)
+        speeds = speed * robot.qd_max, speed * robot.qdd_max
+        near = np.where(robot.prismatic, np.minimum(entry, jump), entry)
+        apart = jump if following_error is None else np.broadcast_to(following_error, (robot.n,)).astype(np.float64)
+        return cls(q_min, q_max, *speeds, jump, near, *torque, external, apart, lag)
+
+    @classmethod
+    def of_axes(
+        cls,
+        q_min: Sequence[float] | np.ndarray,
+        q_max: Sequence[float] | np.ndarray,
+        qd_max: Sequence[float] | np.ndarray,
+    ) -> Limits:
+        """Return the limits of external axes: full speed after 0.1 s, jumps up to 0.1, a first position within 0.05.
+
+        Parameters
+        ----------
+        q_min, q_max : (k,) positions [rad or m]. qd_max : (k,) speed.
+
+        Raises
+        ------
+        ConfigError : as `Limits`.
+        """
+        low, high, fastest = (np.asarray(values, dtype=np.float64) for values in (q_min, q_max, qd_max))
+        return cls(low, high, fastest, fastest / _SPEED_RISE, np.full(low.shape, 0.1), np.full(low.shape, 0.05))
+
+
+class Reply(NamedTuple):
+    """One reference after the limits.
+
+    q, qd : (n,) position and speed to send.
+    clamped : (n,) bits 1 position, 2 velocity, 4 acceleration, 8 braking, 16 torque, 32 torque rate.
+    ratio : of the velocity limit, 1 when it did not act.
+    refused : 0, or i when joint i (from 1) is not finite, -i when it jumps; the reply then holds.
+    tau : (n,) torque to send or None. free : the torque takes the place of the position loop.
+    beside : what goes to external axes and RAPID, None for nothing.
+    """
+
+    q: np.ndarray
+    qd: np.ndarray
+    clamped: np.ndarray
+    ratio: float = 1.0
+    refused: int = 0
+    tau: np.ndarray | None = None
+    free: bool = False
+    beside: Beside | None = None
+
+
+class Limiter:
+    """The last reference sent, and the next one within the limits (law: `kernels.limit_reference`).
+
+    limits : see `Limits`. reach : range of the robot (n,), to which a position at rest is clipped.
+    """
+
+    def __init__(self, limits: Limits, reach: tuple[Any, Any] = (-np.inf, np.inf)) -> None:
+        self._reach = reach
+        self._bounds = np.stack((limits.q_min, limits.q_max, limits.qd_max, limits.qdd_max, limits.jump))
+        self._lag = limits.lag
+        self._none = np.zeros(len(limits.q_min), dtype=np.uint8)
+        self._none.flags.writeable = False
+        self._sent = np.zeros((3, len(limits.q_min)))
+        self._asked: np.ndarray | None = None
+
+    @property
+    def q(self) -> np.ndarray:
+        """(n,) position sent last."""
+        return self._sent[0]
+
+    @property
+    def memory(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """State on which the next reference depends. Restore it when the last one did not go out."""
+        return self._sent, self._asked
+
+    @memory.setter
+    def memory(self, memory: tuple[np.ndarray, np.ndarray | None]) -> None:
+        """Go on from what it was."""
+        self._sent, self._asked = memory
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the last reference stood still."""
+        return not self._sent[1:].any()
+
+    def rest(self, q: np.ndarray) -> Reply:
+        """Stand still at `q` (n,), wherever the last reference was: for an arm that does not follow references."""
+        q = np.minimum(np.maximum(q, self._reach[0]), self._reach[1])
+        self._sent = np.stack((q, np.zeros_like(q), np.zeros_like(q)))
+        self._sent.flags.writeable = False
+        self._asked = None
+        return Reply(self._sent[0], self._sent[1], self._none)
+
+    def follow(self, q: np.ndarray, qd: np.ndarray) -> Reply:
+        """Go along with an arm that moves freely: the next reference begins at its `q` and `qd` (n,)."""
+        self._sent = np.stack((q, qd, qd))
+        self._sent.flags.writeable = False
+        self._asked = None
+        return Reply(self._sent[0], self._sent[2], self._none, free=True)
+
+    def hold(self, dt: float, longest: float = np.inf) -> Reply:
+        """Come to rest within the acceleration limits, then stay; see `step`."""
+        return self.step(None, None, dt, longest)
+
+    def step(self, q: np.ndarray | None, qd: np.ndarray | None, dt: float, longest: float = np.inf) -> Reply:
+        """Return the reference for a position `q` (n,), a velocity `qd` (n,), both, or neither (hold).
+
+        q, qd : references or None. dt : measured time since the last reference that went out [s].
+        longest : time within which a reference may move on [s]: after a longer gap it moves no further, unless that
+            would brake too hard.
+        """
+        bounds = self._bounds
+        if dt > longest:
+            bounds = bounds.copy()
+            bounds[2] *= longest / dt
+        sent, clamped, ratio, refused = kernels.limit_reference(self._sent, bounds, dt, q, self._asked, qd, self._lag)
+        self._sent = sent
+        self._asked = None if q is None or refused else q.copy()
+        return Reply(sent[0], sent[2], clamped, ratio, refused)
+
+
+class LinkedLimiter(Limiter):
+    """A `Limiter` of axes: ABB limits positions, speeds and accelerations of axes, the controller speaks of joints."""
+
+    def __init__(self, limits: Limits, linkage: Linkage, reach: tuple[Any, Any] = (-np.inf, np.inf)) -> None:
+        super().__init__(limits, reach)
+        self._linkage = linkage
+
+    @property
+    def q(self) -> np.ndarray:
+        """(n,) position sent last, of the joints."""
+        return self._linkage.joints(super().q)
+
+    def rest(self, q: np.ndarray) -> Reply:
+        """Stand still at `q` (n,), as `Limiter.rest`."""
+        return self._linkage.heard(super().rest(self._linkage.axes(q)))
+
+    def follow(self, q: np.ndarray, qd: np.ndarray) -> Reply:
+        """Go along with an arm at `q` and `qd` (n,), as `Limiter.follow`."""
+        return self._linkage.heard(super().follow(self._linkage.axes(q), self._linkage.axes(qd)))
+
+    def step(self, q: np.ndarray | None, qd: np.ndarray | None, dt: float, longest: float = np.inf) -> Reply:
+        """Return the reference for `q` and `qd` (n,) of the joints, as `Limiter.step`."""
+        wanted, speed = (None if values is None else self._linkage.axes(values) for values in (q, qd))
+        return self._linkage.heard(super().step(wanted, speed, dt, longest))
+
+
+def limiter_of(limits: Limits, robot: Robot) -> Limiter:
+    """Return the limiter of a robot: of its joints, or of its axes where they differ.
+
+    Raises
+    ------
+    RobotError : see `Linkage.of`.
+    """
+    linkage, reach = Linkage.of(robot), (robot.q_min, robot.q_max)
+    return Limiter(limits, reach) if linkage is None else LinkedLimiter(limits, linkage, reach)
+
+
+def axes_of(robot: Robot) -> Callable[[np.ndarray], np.ndarray]:
+    """Return what makes positions (n,) of a robot's joints those that its limits are about: of ABB's axes.
+
+    Raises
+    ------
+    RobotError : see `Linkage.of`.
+    """
+    linkage = Linkage.of(robot)
+    return _same if linkage is None else linkage.axes
+
+
+def _same(joints: np.ndarray) -> np.ndarray:
+    return joints

@@ -1,0 +1,361 @@
+"""The loop: receive, decode, ask the controller, limit, send one reply, record. In this order, every packet.
+
+One reply per packet, never more; none for a packet that a newer one has overtaken. One arm paces: the controller is
+called on its packets. Another arm is answered in its own tick with the newest command it was given. Everything but the
+controller runs under one lock, which the guard thread takes when the controller is overdue.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from mmap import mmap
+from typing import Any, Protocol
+
+from armlab.bridge.control.arm import Arm, PendingPacket
+from armlab.bridge.control.multi_arm import merge_states, split_command
+from armlab.bridge.control.realtime import Lateness, collect_if_due
+from armlab.bridge.control.state_machine import Mode
+from armlab.bridge.control.supervision import Settings
+from armlab.bridge.net.sockets import Arrival
+from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, LinkError
+from armlab.state import Command, State
+
+__all__ = ["Controller", "Loop", "Packets"]
+
+Controller = Callable[[State], Command | Sequence[Command | None] | None]
+"""What decides: called with each state, returns a command or None for hold; with several arms also one per arm."""
+
+_LOOK = 0.05  # s between two looks at silence; an interrupt waits no longer either
+_GRACE = 0.25  # of a period, that the controller has in any case
+_BLAME = 0.5  # of a period: a late cycle is the controller's fault when its call took longer
+_HANGS = 1_000_000_000  # ns in one call of the controller, after which nobody waits for its return
+_NAP = 2e-3  # s the guard waits for a packet
+_SPARE = 1_000_000  # ns to the next packet that leave time to collect garbage
+_PROGRESS = 0.1  # s between two calls of progress
+_STALE_PERIODS, _STALE = 3.0, 0.02  # an arm unheard for longer, the larger of the two, holds the others
+_SERVES = 2.5  # periods of the pacing arm for which a command serves another arm
+_RESERVE = 2**24  # bytes, given back by what ends the run: to bring the arms to rest and to tell why needs some
+
+
+class Packets(Protocol):
+    """Where packets come from: `Waiting`."""
+
+    def next(self, seconds: float) -> tuple[int, Arrival] | None:
+        """Return the next datagram with the index of its arm, or None when none came in the time."""
+        ...
+
+
+class Loop:
+    """Runs the arms of a link until all have ended.
+
+    Parameters
+    ----------
+    arms : see `Arm`. waiting : gives their packets, see `Packets`. controller : see `Controller`; None listens only.
+    settings : see `Settings`. pace : index of the arm on whose packets the controller is called.
+
+    Attributes
+    ----------
+    reason, failure : why the run ended. interrupted : set it to stop.
+    """
+
+    def __init__(
+        self, arms: Sequence[Arm], waiting: Packets, controller: Controller | None, settings: Settings, pace: int = 0
+    ) -> None:
+        self._arms, self._pace, self._waiting = tuple(arms), arms[pace], waiting
+        self._others = tuple(arm for arm in arms if arm is not self._pace)
+        self._robots, self._pace_index = tuple(arm.robot for arm in arms), pace
+        self._controller, self._settings = controller, settings
+        self._in_lockstep = settings.clock == "robot"
+        self._lateness = Lateness()
+        self.interrupted = self._has_failed = False
+        self.reason = ""
+        self._lock = threading.Lock()
+        self._reserve: mmap | None = None  # pages that nobody touches: address space, no memory
+        self._next_progress = 0.0
+        self._looked_ns = time.monotonic_ns()
+        self._sessions: tuple[int, ...] = ()
+        self._t0 = 0.0
+        # Shared with the guard. `_calling` becomes False only under the lock, `_turn` does not change while it is True.
+        self._calling = self._taken = self._told = False
+        self._called_ns, self._deadline_ns = 0, 0.0
+        self._turn: PendingPacket | None = None
+
+    @property
+    def elapsed(self) -> float:
+        """Robot time while all arms were ready [s]."""
+        return min(arm.guide.elapsed for arm in self._arms)
+
+    @property
+    def failure(self) -> LinkError | None:
+        """What `run` of the link raises."""
+        return next((arm.guide.failure for arm in self._arms if arm.guide.failure is not None), None)
+
+    def interrupt(self) -> None:
+        """Stop at the next packet; the second time, or to break off a call that hangs, raise KeyboardInterrupt."""
+        again, self.interrupted = self.interrupted, True
+        if again or self._hangs:
+            raise KeyboardInterrupt
+
+    @property
+    def _hangs(self) -> bool:
+        """Whether the controller has not returned for so long that it may never do."""
+        return self._calling and time.monotonic_ns() - self._called_ns > _HANGS
+
+    def run(self) -> None:
+        """Run until every guide has ended.
+
+        Raises
+        ------
+        LinkError : there is no memory to set aside for the end.
+        """
+        try:
+            self._reserve = mmap(-1, _RESERVE)
+        except OSError as error:
+            self.reason = "there is no memory for its end"
+            text = f"Expected {_RESERVE >> 20} MiB of memory to set aside for the end of the run: {error.strerror}. "
+            raise LinkError(f"{text}End other programs, or raise the limit of this one.") from error
+        ended = False
+        while not ended:
+            try:
+                ended = self._have_ended()
+                if not ended:
+                    self.cycle()
+            except Exception as error:
+                with self._lock:
+                    ended = self._has_failed  # again: the arms cannot be brought to rest
+                    if not ended:
+                        self._fail(error)
+        self._give_back()
+
+    def _give_back(self) -> None:
+        """Give back what was set aside for the end of the run."""
+        if self._reserve is not None:
+            self._reserve.close()
+
+    def _fail(self, error: Exception) -> None:
+        """Stop after an error of a codec or a source of the user's, or ours: no arm goes on at its speed."""
+        self._give_back()
+        self._has_failed = True
+        failure = _broken(error)
+        with suppress(Exception):  # the arms come to rest, whoever cannot be told
+            self._stop("the bridge failed", failure)
+        self._pace.guide.failure = self.failure or failure  # also when the arms were to stop already
+        with suppress(Exception):
+            self._pace.recording.event(str(failure), warn=True)
+
+    def cycle(self) -> None:
+        """Wait for one packet, answer it, record it."""
+        found = self._waiting.next(_LOOK)
+        turn = asked = None
+        with self._lock:
+            if found is not None:
+                arm = self._arms[found[0]]
+                turn = arm.take(found[1])
+                if turn is not None and arm is self._pace and self._may_ask(turn):
+                    asked = turn
+                    self._serve_others()
+                elif turn is not None:
+                    self._answer(arm, turn)
+        if asked is not None:
+            self._call(asked)
+        self._record()
+        self._look(turn is None)
+        self._after()
+
+    def overdue(self) -> float:
+        """Return the seconds until the controller is overdue, 0 or less when it is. For the guard."""
+        if not self._calling:
+            return 1.0
+        return 0.0 if self._taken else 1e-9 * (self._deadline_ns - time.monotonic_ns())
+
+    def answer_for_controller(self) -> None:
+        """Hold for the packet whose reply is overdue and for newer ones until the controller returns. For the guard."""
+        if self._taken:
+            time.sleep(_NAP)  # only the loop's own thread may wait on the ports
+        with self._lock:
+            if self.overdue() > 0.0:
+                return
+            try:
+                self._hold_for_controller()
+            except Exception as error:  # the guard must go on, and the run end
+                self._taken = True
+                self._fail(error)
+
+    def _hold_for_controller(self) -> None:
+        pace = self._pace
+        turn = pace.take(pace.port.receive(), None if self._taken else self._turn)
+        self._taken = True
+        if turn is not None:
+            pace.reply(turn, None, pace.guide.hold(pace.period), late=True)
+        self._serve_others()
+        if self._hangs and not self._told:
+            self._told = True
+            sentence = f"The controller has not returned for {1e-9 * _HANGS:g} s; the arm is held meanwhile."
+            pace.recording.event(f"{sentence} Ctrl-C breaks it off and ends the run.", warn=True)
+        self._record()
+
+    def _record(self) -> None:
+        for arm in self._arms:
+            arm.record()
+
+    def _may_ask(self, turn: PendingPacket) -> bool:
+        """Whether the controller is called for this packet: all arms are ready and nothing that it needs is stale."""
+        for arm in self._arms:
+            if not arm.may_call:
+                return False
+        for arm in () if self._in_lockstep else self._others:
+            longest = max(_STALE_PERIODS * arm.period, _STALE)
+            if arm.newest is None or turn.sample.arrival_ns - arm.newest.sample.arrival_ns > 1e9 * longest:
+                return False
+        return True
+
+    def _answer(self, arm: Arm, turn: PendingPacket) -> None:
+        """Answer without the controller: with the newest command for an arm that does not pace, else hold."""
+        command = None
+        if arm is self._pace:
+            for other in self._others:
+                other.give(None)
+        elif all(one.may_call for one in self._arms):
+            command = arm.given(turn.sample, _SERVES * self._pace.period)
+        arm.reply(turn, command, arm.guide.answer(command, arm.period))
+
+    def _serve_others(self) -> None:
+        for arm in self._others:
+            turn = arm.take(arm.port.receive())
+            if turn is not None:
+                self._answer(arm, turn)
+
+    def _call(self, turn: PendingPacket) -> None:
+        """Ask the controller and answer; when the guard has answered meanwhile, the result is discarded."""
+        pace, controller, period_ns = self._pace, self._controller, 1e9 * self._pace.period
+        state = self._state(turn)
+        asked, failure = None, None
+        self._turn, self._taken = turn, False
+        start = self._called_ns = time.monotonic_ns()
+        self._deadline_ns = max(pace.deadline(turn.sample), start + _GRACE * period_ns)
+        self._calling = True
+        try:
+            asked = controller(state) if controller is not None else None
+        except BaseException as error:  # also SystemExit: the arm must not go on at its last speed
+            by_hand = isinstance(error, KeyboardInterrupt) and self.interrupted
+            if by_hand and not self._hangs:
+                raise  # the second Ctrl-C
+            self._give_back()
+            if not by_hand:
+                failure = ControllerFailed(f"The controller raised {_named(error)}. The arm was stopped.")
+                failure.__cause__ = error
+        finally:
+            call_ns = time.monotonic_ns() - start
+            with self._lock:
+                self._calling = False
+        with self._lock:
+            if failure is not None:
+                self._stop("the controller failed", failure)
+            if not self._taken:
+                self._obey(turn, asked, call_ns)
+            self._judge(call_ns, period_ns)
+
+    def _state(self, turn: PendingPacket) -> State:
+        """Return what the controller sees: the state of the one arm, or all of them fused."""
+        if not self._others:
+            return turn.state
+        turns = [arm.newest or turn for arm in self._arms]
+        sessions = tuple(one.sample.session for one in turns)
+        if sessions != self._sessions:
+            self._sessions, self._t0 = sessions, turn.state.t
+        now_ns = self._pace.stamp(turn.sample)
+        ages = [1e-9 * (now_ns - arm.stamp(one.sample)) for arm, one in zip(self._arms, turns, strict=True)]
+        return merge_states([one.state for one in turns], ages, self._pace_index, turn.state.t - self._t0)
+
+    def _obey(self, turn: PendingPacket, asked: Any, call_ns: int) -> None:
+        """Answer the newest packet of the pacing arm with what the controller wants, keep the rest for the others."""
+        pace = self._pace
+        try:
+            commands = split_command(asked, self._robots, self._pace_index)
+        except CommandRefused as error:
+            self._stop("a command was refused", error)
+            commands = (None,) * len(self._arms)
+        newest = pace.take(pace.port.receive(), turn) or turn
+        is_same = newest.sample.session == turn.sample.session
+        for arm, command in zip(self._arms, commands, strict=True):
+            if arm is pace:
+                command = command if is_same else None
+                pace.reply(newest, command, pace.guide.answer(command, pace.period), call_ns=call_ns)
+            else:
+                arm.give(command if is_same else None)
+
+    def _judge(self, call_ns: int, period_ns: float) -> None:
+        """Stop when the controller, not the computer, makes too many cycles late."""
+        if self._in_lockstep:
+            return
+        blamed = self._taken or (self._pace.was_late and call_ns > _BLAME * period_ns)
+        too_late = self._lateness.add(time.monotonic_ns(), blamed, call_ns)
+        if too_late:
+            sentence = f"The controller was too slow: {too_late}. The arm was stopped. Give work to another thread."
+            self._stop("the controller was late", ControllerLate(sentence))
+
+    def _look(self, now: bool) -> None:
+        """Look at silence: when nothing came, and often enough when only one arm is silent."""
+        now_ns = time.monotonic_ns()
+        if now or now_ns - self._looked_ns > 1e9 * _LOOK:
+            self._looked_ns = now_ns
+            for arm in self._arms:
+                arm.look()
+
+    def _after(self) -> None:
+        """After a reply: interrupts, ends, progress, garbage."""
+        settings, elapsed = self._settings, self.elapsed
+        if self.interrupted:
+            self._stop("interrupted")
+        if settings.seconds is not None and elapsed >= settings.seconds:
+            self._stop("the time is up")
+        if settings.progress is not None and elapsed >= self._next_progress:
+            self._next_progress = elapsed + _PROGRESS
+            try:
+                settings.progress(elapsed)
+            except Exception as error:
+                self._give_back()
+                failure = ControllerFailed(f"`progress` raised {_named(error)}. The arm was stopped.")
+                failure.__cause__ = error
+                self._stop("the display of progress failed", failure)
+        spare_ns = time.monotonic_ns() + _SPARE
+        for arm in self._arms:
+            next_ns = arm.prediction.next_ns
+            if next_ns is not None and next_ns < spare_ns and not self._in_lockstep:
+                return
+        collect_if_due()
+
+    def _have_ended(self) -> bool:
+        """Whether all arms have ended; one that stops or has ended stops the others."""
+        ended = True
+        for arm in self._arms:
+            mode = arm.guide.mode
+            if mode is Mode.STOPPING or mode is Mode.ENDED:
+                self._stop(arm.guide.reason)
+            ended = ended and mode is Mode.ENDED
+        return ended
+
+    def _stop(self, reason: str, failure: LinkError | None = None) -> None:
+        """Bring all arms to rest and end; the first reason stays. The pacing arm carries the failure."""
+        self.reason = self.reason or reason
+        self._pace.guide.stop(reason, failure)
+        for arm in self._others:
+            arm.guide.stop(reason)
+
+
+def _broken(error: Exception) -> LinkError:
+    failure = LinkError(f"Expected a cycle without errors, got {_named(error)}.")
+    failure.__cause__ = error
+    return failure
+
+
+def _named(error: BaseException) -> str:
+    """Return type and text of an error, whatever it is."""
+    try:
+        text = "no memory is left" if isinstance(error, MemoryError) else str(error)
+    except Exception:
+        text = "its text cannot be read"
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

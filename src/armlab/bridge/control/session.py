@@ -1,0 +1,375 @@
+"""`Session`: which packets count, where a session begins and ends, and why; `Sample`, one packet that counts."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from statistics import median
+from typing import NamedTuple
+
+import numpy as np
+
+from armlab.bridge.net.events import Tell, nobody
+from armlab.bridge.net.sockets import Arrival
+from armlab.wire.egm import Codec, Drop, Packet
+
+__all__ = ["EGM_ERROR", "NOMINAL_PERIOD", "Period", "RobotClock", "Sample", "Session"]
+
+NOMINAL_PERIOD = 0.004
+"""Cycle time of EGM that is assumed before the first measurement [s]; a real controller has 4.032 ms."""
+
+_LONGEST = 1.0  # s between two packets; a clock that steps further was set
+_WINDOW = 9  # samples of the median
+_TRUSTED = 1.5 * NOMINAL_PERIOD  # s, longest before the first window is complete: one gap is no cycle
+_GAIN = 0.02
+_NEAR = 0.4  # of the estimate: wider than one tick of a clock in milliseconds, narrower than one skipped cycle
+_WRAP_MS = 2**32
+_SHORTEST = 2e-4  # s between two packets; those of a burst, or of a clock that is not believed, are no cycles
+_AHEAD, _BEHIND = 1e-3, 0.5  # s by which robot time may lead or trail arrival times: jitter, and a network that stood
+_STAYS = 10.0  # s: a lag of robot time that stays is no burst, it is a longer way, or a slow clock
+_DRIFT = 1e-4  # of crystals
+_WRONG, _WRONG_SHARE = 0.02, 0.01  # s, and of the time, that were not believed: less is a first packet that came late
+
+
+class Period:
+    """The robot's cycle time: the median of nine samples, then a slow average; relearnt when it changes.
+
+    seconds : the estimate, `NOMINAL_PERIOD` before the first sample.
+    """
+
+    def __init__(self) -> None:
+        self.seconds = NOMINAL_PERIOD
+        self._recent: deque[float] = deque(maxlen=_WINDOW)
+        self._learnt = False
+
+    def add(self, sample: float) -> bool:
+        """Add the time between two packets over the difference of their numbers [s]; return whether the cycle changed.
+
+        A change shows after five packets: they are the majority of the window then.
+        """
+        if sample < _SHORTEST:
+            return False
+        self._recent.append(sample)
+        if self._learnt and self._is_near(sample):
+            self.seconds += _GAIN * (sample - self.seconds)
+            return False
+        middle = median(self._recent)
+        if not self._learnt:
+            self._learnt = len(self._recent) == _WINDOW
+            self.seconds = middle if self._learnt else min(middle, _TRUSTED)
+            return False
+        if self._is_near(middle):
+            return False
+        self.seconds = middle
+        return True
+
+    def _is_near(self, sample: float) -> bool:
+        return abs(sample - self.seconds) < _NEAR * self.seconds
+
+
+class RobotClock:
+    """Differences of robot time: feedBack.time, else the header's tm, else arrival; never faster than arrivals allow.
+
+    A source that steps back, stands still or jumps by more than 1 s is not used for that step. A tm that is the same in
+    two packets is too coarse for the cycle, below 1 ms, and is not used again: its next step would count twice.
+    A reference may move on by no more than `believed`: robot time may lead arrival times, those of the fastest packets,
+    by 1 ms, and trail them by 0.5 s, in which a network that stood delivers what waited.
+
+    on_event : called once for each kind of fault.
+    exact : the last step is of feedBack.time; tm counts milliseconds, and arrivals jitter.
+    believed : the last step, cut off where the robot's clock runs ahead of arrivals [s].
+    """
+
+    def __init__(self, checks_arrival: bool = True, on_event: Tell = nobody) -> None:
+        self._checks_arrival, self._on_event = checks_arrival, on_event
+        self.exact = self._is_coarse = False
+        self.believed = 0.0
+        self._lead = self._cut_off = 0.0  # s of robot time beyond arrival time, and of what was not believed
+        self._trails = 0.0  # s for which robot time has trailed
+        self._trailed = False
+        self._told: set[str] = set()
+        self._last: tuple[int, int | None, int] | None = None  # robot ns, tm ms, arrival ns
+
+    def step(self, packet: Packet, arrival_ns: int) -> float | None:
+        """Return the seconds since the previous packet, None for the first."""
+        last, self._last = self._last, (packet.robot_ns, packet.tm_ms, arrival_ns)
+        if last is None:
+            return None
+        self.exact = False
+        arrived = max(1e-9 * (arrival_ns - last[2]), 1e-6)
+        claimed = self._claimed(packet, last)
+        self.believed = arrived if claimed is None else claimed
+        if claimed is not None and self._checks_arrival:
+            self.believed = self._check(claimed, arrived)
+        return arrived if claimed is None else claimed
+
+    def _check(self, claimed: float, arrived: float) -> float:
+        """Return what is believed of a step by the robot's clocks."""
+        dt = min(claimed, max(arrived + _AHEAD - self._lead, 1e-6))
+        self._cut_off = max(self._cut_off + claimed - dt - _WRONG_SHARE * arrived, 0.0)
+        if self._cut_off > _WRONG:
+            self._tell(
+                "fast",
+                f"The robot's clock runs ahead of ours: it claims {1e3 * claimed:.1f} ms between packets that arrived "
+                f"{1e3 * arrived:.1f} ms apart. Steps are limited to the time between arrivals.",
+            )
+        forgotten = min(abs(self._lead), _DRIFT * arrived)
+        self._lead -= forgotten if self._lead > 0.0 else -forgotten
+        self._lead = max(self._lead + dt - arrived, -_BEHIND)
+        self._trails = self._trails + arrived if self._lead < -_WRONG else 0.0
+        if self._trails > _STAYS:  # the arrivals now are the fastest ones
+            if self._trailed:
+                self._tell("slow", "The robot's clock runs behind ours: steps are those of the slower clock.")
+            self._lead, self._trails, self._trailed = 0.0, 0.0, True
+        return dt
+
+    def _claimed(self, packet: Packet, last: tuple[int, int | None, int]) -> float | None:
+        """Return the step by the robot's own clocks, None when neither can be used."""
+        robot_ns, tm_ms, _ = last
+        if packet.robot_ns and robot_ns:
+            dt = 1e-9 * (packet.robot_ns - robot_ns)
+            if 0.0 < dt <= _LONGEST:
+                self.exact = True
+                return dt
+            what = "stands still" if dt == 0.0 else f"was set by {dt:+.3f} s"
+            self._tell(
+                "set" if dt else "still",
+                f"The robot's clock {what}. This step is measured by the header's tm or by arrival.",
+            )
+        if packet.tm_ms is not None and tm_ms is not None and not self._is_coarse:
+            dt = 1e-3 * ((packet.tm_ms - tm_ms) % _WRAP_MS)
+            self._is_coarse = dt == 0.0
+            if 0.0 < dt <= _LONGEST:
+                return dt
+        return None
+
+    def _tell(self, kind: str, text: str) -> None:
+        if kind not in self._told:
+            self._told.add(kind)
+            self._on_event(text, warn=True)
+
+
+EGM_ERROR = "the controller reported an EGM error"
+"""Why a session ended, when the robot's controller ended it."""
+
+_SEQUENCES = 2**32
+_HALF = 2**31  # ms ahead: a tm that is further is one of the past
+_FAR = 2**16  # packets ahead: less than 2**31 of them do not fit into the silence that ends a session
+_FILTER = 30.0  # Hz, of velocities from differences
+_OVERTAKEN_MS = 100  # a first packet that is older by less was overtaken on the way: it begins no session
+_SILENT_PERIODS = 5  # of the old source, before another port of the same host may begin a session
+_FOLLOWERS = 3  # packets out of order that go on from each other are a session of their own
+_REMEMBERED = 8  # sessions whose first packet may come again
+_OWN_SILENCE = 150_000_000  # ns without a reply: shorter than any CommTimeout in use
+_FOREIGN = Drop("foreign source", "only the first sender of a session is answered, each motion task needs its own port")
+_MOTORS_OFF, _RAPID_STOPPED, _MCI_ERROR, _MCI_RUNNING = 2, 1, 1, 3
+
+
+class Sample(NamedTuple):
+    """One packet that counts.
+
+    Attributes
+    ----------
+    packet : as decoded. arrival_ns : on our monotonic clock.
+    dt : seconds of robot time since the sample before (the period for the first of a session).
+    missed : packets lost before this one. session : number of the session from 1. fresh : first of its session.
+    qd : (n,) velocities; qd_source : "measured" (extension) or "difference".
+    step : seconds by which a reference may move on: dt as far as it is believed, see `RobotClock`, and no more than the
+        cycles passed where the clock is coarse.
+    """
+
+    packet: Packet
+    arrival_ns: int
+    dt: float
+    missed: int
+    session: int
+    fresh: bool
+    qd: np.ndarray
+    qd_source: str
+    step: float
+
+
+class Session:
+    """Follows one robot controller: sequence numbers, sources, sessions.
+
+    Numbers compare modulo 2**32. A packet with number 0 begins a session, also when its clock went back (the robot
+    restarted), unless its `tm` is that of the first packet of this session or one before: a late duplicate. So do the
+    first packet of all and the first after a silence. Packets that go on from each other but lie before the newest one
+    are a session whose beginning was lost: it begins with the third of them, once the others are silent for five
+    periods. Each session has replies from number 0, also when another port took over.
+
+    timeout : silence that ends a session [s], infinite for a robot in lockstep.
+    number : sessions so far. active : one is running. source : address of the robot, None before the first packet.
+    """
+
+    def __init__(self, codec: Codec, timeout: float = 0.5, on_event: Tell = nobody) -> None:
+        self._codec, self._timeout_ns, self._on_event = codec, 1e9 * timeout, on_event
+        self.number, self.active = 0, False
+        self.source: tuple[str, int] | None = None
+        self.received = self.missed = self.seq = self._total_drops = 0
+        self.drops: Counter[str] = Counter()
+        self.period = Period()
+        self.reason = ""
+        self._told: set[str] = set()
+        self._clock = self._new_clock()
+        self._last: Sample | None = None
+        self._first_tm: int | None = None
+        self._past_tms: deque[int | None] = deque(maxlen=_REMEMBERED)
+        self._stray: tuple[Packet, int, int] | None = None  # newest packet out of order, how many in a row, since when
+        self._begun_ns = self._replied_ns = 0
+
+    @property
+    def total_drops(self) -> int:
+        """Datagrams refused so far."""
+        return self._total_drops
+
+    def accept(self, arrival: Arrival) -> Sample | None:
+        """Return the sample of one datagram, or None when it does not count."""
+        if self.silent(arrival.ns):
+            self.end()
+        foreign = self.active and arrival.source != self.source
+        if foreign and not self._may_replace(arrival):
+            return self._drop(_FOREIGN, arrival)
+        packet = self._codec.decode(arrival.data)
+        if isinstance(packet, Drop):
+            return self._drop(packet, arrival)
+        if foreign and packet.seqno != 0:
+            return self._drop(_FOREIGN, arrival)
+        missed = -1 if foreign or not self.active or self._last is None else self._count(packet, self._last.packet)
+        if isinstance(missed, Drop):
+            if not self._goes_on(packet, arrival):
+                return self._drop(missed, arrival)
+            missed = -1
+        return self._begin(arrival) if missed < 0 else self._sample(packet, arrival, missed)
+
+    def silent(self, now_ns: int) -> bool:
+        """Return whether the robot has been silent for so long that its session is over."""
+        return self.active and self._last is not None and now_ns - self._last.arrival_ns >= self._timeout_ns
+
+    def replied(self, now_ns: int) -> None:
+        """Note that a reply left: the next has the next number."""
+        self.seq += 1
+        self._replied_ns = now_ns
+
+    def end(self) -> str:
+        """End the session and return why it ended, in words: the first cause that fits its last packet."""
+        if self.active and self._last is not None:
+            self.reason = self._why(self._last)
+            self._on_event(f"Session {self.number} ended: {self.reason}.", warn=True)
+        self.active = False
+        return self.reason
+
+    def _why(self, last: Sample) -> str:
+        packet = last.packet
+        own = last.arrival_ns - max(self._replied_ns, self._begun_ns)
+        causes = (
+            (packet.converged, "the convergence condition of EGMAct was met (a window of zero never is)"),
+            (packet.motors == _MOTORS_OFF, "the motors were switched off"),
+            (packet.rapid == _RAPID_STOPPED, "RAPID was stopped"),
+            (packet.mci == _MCI_ERROR, EGM_ERROR),
+            (
+                packet.mci == _MCI_RUNNING and own > _OWN_SILENCE,
+                f"we did not answer for {1e-9 * own:.2f} s (event 41822 is likely)",
+            ),
+        )
+        return next((text for holds, text in causes if holds), "the controller stopped sending")
+
+    def _may_replace(self, arrival: Arrival) -> bool:
+        """RAPID restarts fast: the same host may come back from another port once the old one is silent."""
+        return self.source is not None and arrival.source[0] == self.source[0] and self._is_quiet(arrival)
+
+    def _count(self, packet: Packet, last: Packet) -> int | Drop:
+        """Return the packets lost between two, -1 for a new session, or why the later one does not count."""
+        now, then = packet.tm_ms, last.tm_ms
+        is_late = now is not None and then is not None and (now - then) % _SEQUENCES >= _HALF  # of a session before
+        ahead = (packet.seqno - last.seqno) % _SEQUENCES
+        if packet.seqno == 0 and ahead != 1:
+            same_tm = now == self._first_tm if now is not None else last.seqno == 0
+            if same_tm:
+                return Drop("duplicate", "the first packet of the session again")
+            is_own = now is not None and self._first_tm is not None and 0 < self._first_tm - now < _OVERTAKEN_MS
+            if not is_own and (now is None or now not in self._past_tms):
+                return -1
+        if ahead == 0:
+            return Drop("duplicate", f"packet {packet.seqno} again")
+        if is_late or ahead > _FAR:
+            return Drop("old", f"packet {packet.seqno} after {last.seqno}, at {now} after {then} ms")
+        return ahead - 1
+
+    def _goes_on(self, packet: Packet, arrival: Arrival) -> bool:
+        """Whether packets out of order are a session whose first packet was lost."""
+        before, count, since_ns = self._stray or (None, 0, 0)
+        follows = before is not None and packet.seqno == (before.seqno + 1) % _SEQUENCES
+        if before is not None and packet.tm_ms is not None and before.tm_ms is not None:
+            follows = follows and 0 < (packet.tm_ms - before.tm_ms) % _SEQUENCES < _HALF
+        count, since_ns = (count + 1, since_ns) if follows else (1, arrival.ns)
+        self._stray = packet, count, since_ns
+        in_time = arrival.ns - since_ns > 0.5e9 * (_FOLLOWERS - 1) * self.period.seconds  # delayed ones come at once
+        return count >= _FOLLOWERS and in_time and self._is_quiet(arrival)
+
+    def _is_quiet(self, arrival: Arrival) -> bool:
+        """Whether the session has been silent for so long that another may take its place."""
+        last = self._last
+        return last is not None and arrival.ns - last.arrival_ns > _SILENT_PERIODS * 1e9 * self.period.seconds
+
+    def _begin(self, arrival: Arrival) -> Sample | None:
+        self.end()
+        self._codec.reset()
+        packet = self._codec.decode(arrival.data)
+        if isinstance(packet, Drop):
+            return self._drop(packet, arrival)
+        self.number, self.active, self.source, self.seq = self.number + 1, True, arrival.source, 0
+        self.period, self._clock, self._last = Period(), self._new_clock(), None
+        self._past_tms.append(self._first_tm)
+        self._first_tm, self._begun_ns = packet.tm_ms, arrival.ns
+        self._told.clear()
+        host, port = arrival.source
+        self._on_event(
+            f"Session {self.number} began: RobotWare {packet.robotware}, {len(packet.q)} joints, {host}:{port}."
+        )
+        return self._sample(packet, arrival, 0)
+
+    def _new_clock(self) -> RobotClock:
+        return RobotClock(math.isfinite(self._timeout_ns), self._on_event)  # in lockstep arrivals keep no time
+
+    def _sample(self, packet: Packet, arrival: Arrival, missed: int) -> Sample:
+        last = self._last
+        dt = self._clock.step(packet, arrival.ns)
+        if dt is None:
+            dt = believed = self.period.seconds
+        else:
+            before, believed = self.period.seconds, self._clock.believed
+            if self.period.add(believed / (missed + 1)):
+                change = f"from {1e3 * before:.2f} to {1e3 * self.period.seconds:.2f} ms"
+                self._on_event(f"The cycle time of the robot changed {change}.", warn=True)
+        if packet.qd is not None:
+            qd, source = packet.qd, "measured"
+        else:
+            qd, source = _difference(packet.q, last, dt), "difference"
+        self.received += 1
+        self.missed += missed
+        self._stray = None
+        step = believed if self._clock.exact else min(believed, (missed + 1) * self.period.seconds)
+        self._last = Sample(packet, arrival.ns, dt, missed, self.number, last is None, qd, source, step)
+        return self._last
+
+    def _drop(self, drop: Drop, arrival: Arrival) -> None:
+        self.drops[drop.reason] += 1
+        self._total_drops += 1
+        if drop.reason not in self._told:
+            self._told.add(drop.reason)
+            host, port = arrival.source
+            bytes_ = arrival.data[:32].hex(" ")
+            what = f"Dropped a datagram from {host}:{port}, {drop.reason}: {drop.detail}. It begins {bytes_}."
+            self._on_event(what, warn=True)
+
+
+def _difference(q: np.ndarray, last: Sample | None, dt: float) -> np.ndarray:
+    """Return the velocity from two positions through a first-order low-pass; it starts from rest."""
+    if last is None:
+        qd = np.zeros_like(q)
+    else:
+        share = 1.0 - math.exp(-2.0 * math.pi * _FILTER * dt)
+        qd = last.qd + share * ((q - last.packet.q) / dt - last.qd)
+    qd.flags.writeable = False
+    return qd

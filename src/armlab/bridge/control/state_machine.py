@@ -1,0 +1,386 @@
+"""The state machine of a run: `Mode`, and `Guide`, which says what is sent for each packet.
+
+WAITING -> HOLDING (not ready: feedback is sent back; ready: a frozen position) -> RUNNING -> STOPPING -> ENDED.
+LISTENING sends nothing, ever. *Hold* means everywhere: the sent velocity ramps to zero within the acceleration limits,
+then the position reached is repeated with speed zero.
+
+The step of a reference is the measured robot time since the last reference that went out. Feedback that is not
+plausible is never sent back and never held at: the robot becomes ready with the third plausible packet in a row, and
+three implausible ones in a row stop the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from enum import Enum
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from armlab import kernels
+from armlab.bridge.control.command_checks import entry_refusal, refusal
+from armlab.bridge.control.external_axes import Aside, joined
+from armlab.bridge.control.feedback import MCI_RUNNING, READY_AFTER, STOP_AFTER, FeedbackCheck, Readiness
+from armlab.bridge.control.limits import Limits, Reply, limiter_of
+from armlab.bridge.control.session import Sample
+from armlab.bridge.control.torque import Admittance, Torques
+from armlab.bridge.net.events import Tell, nobody
+from armlab.errors import CommandRefused, LinkError
+from armlab.robots import Robot
+from armlab.state import Command, State
+from armlab.wire.egm import Packet
+
+__all__ = ["Guide", "Mode"]
+
+_NAMES = (
+    "t", "dt", "q", "qd", "tau", "seq", "missed", "session", "qd_source", "tau_source", "q_start", "q_planned",
+    "q_sent", "qd_sent", "clamped", "T_frame_tool", "wrench_raw", "q_ext", "motors", "rapid", "mci", "converged",
+    "utilization", "robotware", "rapid_data", "rapid_digital", "robot_ns", "t_receive", "robot",
+)  # fmt: skip
+_PLAIN = State(0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros(0))
+_OTHERS = tuple((field.name, getattr(_PLAIN, field.name)) for field in fields(State) if field.name not in _NAMES)
+_make = kernels.RecordMaker(State, (*_NAMES, *(name for name, _ in _OTHERS))).make
+
+
+def make_state(
+    sample: Sample,
+    last: Reply,
+    t: float,
+    q_start: np.ndarray,
+    t_receive: int,
+    robot: str,
+    fused: Mapping[str, Any],
+) -> State:
+    """Return the state: the packet of a sample, the reply `last` to the one before, and what is `fused` with them."""
+    packet, _, dt, missed, session, _, qd, qd_source, _ = sample
+    (
+        seqno, _, robot_ns, q, q_planned, q_ext, _, tau, tau_source, T_frame_tool, wrench_raw, motors, mci, rapid,
+        converged, utilization, robotware, rapid_data, rapid_digital, _, _,
+    ) = packet  # fmt: skip
+    return _make(
+        (
+            t, dt, q, qd, _missing(len(q)) if tau is None else tau, seqno, missed, session, qd_source, tau_source,
+            q_start, q_planned, last.q, last.qd, last.clamped, T_frame_tool, wrench_raw, q_ext, motors, rapid, mci,
+            converged, utilization, robotware, rapid_data, rapid_digital, robot_ns, t_receive, robot,
+            *[fused.get(name, plain) for name, plain in _OTHERS],
+        )
+    )  # fmt: skip
+
+
+@cache
+def _missing(n: int) -> np.ndarray:
+    """Return n times NaN, read-only: what a robot does not measure."""
+    missing = np.full(n, np.nan)
+    missing.flags.writeable = False
+    return missing
+
+
+STOP_TIME = 0.5  # s at rest before a run ends
+_UNSENT = 500  # replies that do not go out end a stop: 2 s, after which the robot's own time-out has acted
+_REFUSALS = 3  # in a row end the run
+_GAP = 3.0  # periods within which a reference may move on after a gap
+_ENTRY_PATIENCE = 1.0  # s of refused entries before a warning
+_BITS = 1, 2, 4, 8, 16, 32  # of `Reply.clamped`
+
+
+class Mode(Enum):
+    """Where a run is."""
+
+    WAITING = "waiting"
+    LISTENING = "listening"
+    HOLDING = "holding"
+    RUNNING = "running"
+    STOPPING = "stopping"
+    ENDED = "ended"
+
+
+_ASKED, _UNANSWERED = (Mode.HOLDING, Mode.RUNNING), (Mode.WAITING, Mode.LISTENING)
+_LAST = (Mode.STOPPING, Mode.ENDED)
+
+
+class Guide:
+    """Decides, packet by packet, whether the controller is asked and what is sent.
+
+    commands : False when there is no controller: LISTENING.
+    capabilities : of the codec. answer_stream : answer also before guidance. admittance : see `Torques`.
+    mode, ready : see the module. t : robot time since guidance began in this session [s].
+    elapsed : robot time while ready since the first readiness [s]. guided : the robot has been ready in this session.
+    q_start : (n,) where guidance began.
+    failure, reason : why the run stops. clamps : times each limit acted, (6, n). worst_ratio : of the velocity limit.
+    refused : commands refused. refusing : why the last one was, "" when it was not.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        limits: Limits,
+        *,
+        commands: bool = True,
+        capabilities: frozenset[str] = frozenset(("position", "velocity")),
+        answer_stream: bool = True,
+        on_event: Tell = nobody,
+        admittance: Admittance | None = None,
+    ) -> None:
+        self._robot, self._limits = robot, limits
+        self._torques = Torques(robot, limits, capabilities, admittance)
+        self._answer_stream, self._on_event = answer_stream, on_event
+        self._limiter, self._aside = limiter_of(limits, robot), Aside(limits.external, capabilities)
+        self._last = self._limiter.rest(np.full(robot.n, np.nan))
+        self.mode = Mode.WAITING if commands else Mode.LISTENING
+        self.ready = False
+        self.t = self.elapsed = self._rested = self._waited = 0.0
+        self.q_start = self._last.q
+        self.failure: LinkError | None = None
+        self.reason = self.refusing = ""
+        self.clamps = np.zeros((len(_BITS), robot.n), dtype=int)
+        self.worst_ratio = 1.0
+        self.refused = self._refused_in_a_row = self._unsent = 0
+        self._packet: Packet | None = None
+        self._feedback, self._readiness = FeedbackCheck(robot, limits), Readiness()
+        self._dt = self._passed = 0.0  # s since the last reference that went out, and since the last packet
+        self._longest = np.inf
+        self._before = self._memory
+        self._qd = self._last.qd
+        self.guided = self._doubtful = self._warned = False
+
+    @property
+    def calls(self) -> bool:
+        """Whether the controller is asked for this packet."""
+        return self.ready and not self._doubtful and self.mode in _ASKED
+
+    @property
+    def _memory(self) -> tuple[float, float, Reply, Any, Any, Any]:
+        return self._dt, self._rested, self._last, self._limiter.memory, self._torques.memory, self._aside.memory
+
+    @property
+    def _is_silent(self) -> bool:
+        """Whether it ended without coming to rest; one that rests is answered while another arm of the link stops."""
+        return self.mode is Mode.ENDED and self._rested < STOP_TIME
+
+    def observe(self, sample: Sample) -> None:
+        """Take one sample: readiness, time, transitions. The newest one observed is the one that `answer` answers."""
+        packet, self._qd = sample.packet, sample.qd
+        self._packet = packet
+        if sample.fresh:
+            self.t, self._dt, self.guided, self.ready = 0.0, 0.0, False, False
+            self._aside.begin()
+            self._feedback.begin()
+            self._readiness.begin()
+            if self.mode is Mode.RUNNING:
+                self.mode = Mode.HOLDING
+        else:
+            self.t += sample.dt if self.guided or self.mode is Mode.LISTENING else 0.0
+        self._passed = sample.step
+        self._dt += sample.step
+        problem = self._aside.observe(packet, sample.dt)
+        if problem:
+            self._on_event(problem, warn=True)
+        if self.mode is Mode.LISTENING:
+            self.elapsed += 0.0 if sample.fresh else sample.dt
+            return
+        if self.mode is Mode.WAITING:
+            self.mode = Mode.HOLDING
+        self._check_feedback(sample)
+        why = self._readiness.not_ready_reason(packet)
+        ready = not why and (self.ready or self._feedback.plausible >= READY_AFTER)
+        if ready and self.ready:
+            self.elapsed += sample.dt
+        elif ready:
+            self._become_ready(packet)
+        elif self.ready:
+            self._on_event(f"The robot is not ready: {why}.", warn=True)
+            self.mode = Mode.HOLDING if self.mode is Mode.RUNNING else self.mode
+        self.ready = ready
+
+    def state(self, sample: Sample, t_receive: int, **fused: Any) -> State:
+        """Return what the controller sees of a sample just observed.
+
+        sample : from the session. t_receive : arrival, wall clock [ns].
+        fused : `sources` and `wrench` of the State, where there are any.
+        """
+        q_start = self.q_start if self.guided else sample.packet.q
+        return make_state(sample, self._last, self.t, q_start, t_receive, self._robot.name, fused)
+
+    def answer(self, command: Command | None, period: float) -> Reply | None:
+        """Return the reply to the newest packet observed, or None when nothing is sent.
+
+        command : what the controller returned; None holds.
+        period : cycle time of the robot [s]; after a gap of more than three of them a reference moves on no further.
+        """
+        packet, self._before = self._packet, self._memory
+        if packet is None or self.mode in _UNANSWERED or self._is_silent:
+            return None
+        self._longest = _GAP * period
+        if self._dt == 0.0:  # this packet has its reply
+            return self._last
+        if not self.ready and self._readiness.is_unknown and self.guided:
+            self._last = self._held()  # it may be guided still: no step to the feedback
+        elif not self.ready:
+            self._rest()
+            q = self._feedback.q
+            if q is None or not (self._answer_stream or packet.mci == MCI_RUNNING):
+                return None
+            self._last = joined(self._limiter.rest(q), self._aside.rest(packet))
+        elif self.mode in _LAST:
+            self._last = self._held()
+            if self._limiter.at_rest and self._aside.at_rest:
+                self._rest()
+        elif self._doubtful:
+            self._last = self._held()
+        else:
+            self.refusing = ""
+            self._last = self._follow(Command() if command is None else command, packet)
+        self._dt = 0.0
+        if any(self._last.clamped.tobytes()):  # a tenth of the time of its method `any`
+            self.clamps += [(self._last.clamped & bit) != 0 for bit in _BITS]
+            self.worst_ratio = min(self.worst_ratio, self._last.ratio)
+        return self._last
+
+    def hold(self, period: float) -> Reply | None:
+        """Return the reply to the newest packet when the controller is overdue: hold, and stay in the mode.
+
+        period : cycle time of the robot [s].
+        """
+        if not self.calls:
+            return self.answer(None, period)
+        self._before, self._longest = self._memory, _GAP * period
+        self._last, self._dt = self._held(), 0.0
+        return self._last
+
+    def take_back(self, waits: bool = False) -> None:
+        """Forget the last reply, which did not go out: the next one goes on from the reference that the robot has.
+
+        waits : a reference waits in the robot's queue for this cycle, so that no time has passed since the last one.
+        """
+        self._dt, rested, self._last, self._limiter.memory, self._torques.memory, self._aside.memory = self._before
+        if waits:
+            self._dt = max(0.0, self._dt - self._passed)
+        if self.mode is not Mode.STOPPING:
+            return
+        self._rested, self._unsent = rested, self._unsent + 1
+        if self._unsent >= _UNSENT:
+            problem = (
+                f"Expected the replies that bring the arm to rest to go out, but {_UNSENT} of them did not go out. The "
+                "robot keeps the last reference until its own time-out. Check the network of this computer."
+            )
+            self.mode, self.failure = Mode.ENDED, self.failure or LinkError(problem)
+            self._on_event(problem, warn=True)
+
+    def stop(self, reason: str, failure: LinkError | None = None) -> None:
+        """Bring the arm to rest and end; the first reason stays."""
+        if self.mode in _LAST:
+            return
+        self.reason, self.failure = reason, failure
+        self.mode = Mode.ENDED if self.mode in _UNANSWERED else Mode.STOPPING  # whatever becomes of the sentence
+        self._on_event(f"Stopping: {reason}.")
+
+    def lose(self, reason: str, resume: bool) -> None:
+        """Take note that the session ended."""
+        self.ready = False
+        self._packet = None
+        if self.mode is Mode.STOPPING:
+            self.mode = Mode.ENDED
+        elif not resume:
+            self.reason, self.mode = reason, Mode.ENDED
+        elif self.mode is not Mode.LISTENING:
+            self.mode = Mode.WAITING
+
+    def _follow(self, command: Command, packet: Packet) -> Reply:
+        try:
+            asked = self._torques.wanted(command, packet.q, self._qd)
+            if command.ends:
+                self.stop("the controller ended the run")
+                return self._held()
+            beside = self._aside.follow(command, packet, self._dt, self._longest)
+        except CommandRefused as error:
+            self.stop("a command was refused", error)
+            return self._held()
+        return joined(self._moved(asked, packet), beside)
+
+    def _moved(self, wanted: tuple[np.ndarray | None, ...], packet: Packet) -> Reply:
+        """Return the reply for the joints to a command that is well formed."""
+        q, qd, tau = wanted
+        if q is None and qd is None:
+            if tau is not None:
+                return self._free(tau, packet)
+            self.mode, self._refused_in_a_row = Mode.HOLDING, 0
+            return self._still()
+        before = self._limiter.q
+        if self.mode is Mode.HOLDING and q is not None:
+            problem = entry_refusal(q, before, self._limits.entry, self._robot)
+            if problem:
+                return self._refuse_entry(problem)
+        reply = self._limiter.step(q, qd, self._dt, self._longest)
+        reply = self._torques.limited(reply, None if reply.refused else tau, self._step)
+        if reply.refused:
+            self._refuse(refusal(reply.refused, q, qd, before, self._robot))
+        else:
+            self.mode, self._refused_in_a_row, self._waited = Mode.RUNNING, 0, 0.0
+        return reply
+
+    def _free(self, tau: np.ndarray, packet: Packet) -> Reply:
+        """A torque alone: no position loop, as long as the arm stays within its limits."""
+        problem = self._torques.outside(packet.q, self._qd)
+        if problem:
+            self._refuse(problem)
+            return self._still()
+        self.mode, self._refused_in_a_row, self._waited = Mode.RUNNING, 0, 0.0
+        return self._torques.limited(self._limiter.follow(packet.q, self._qd), tau, self._step)
+
+    def _held(self) -> Reply:
+        return joined(self._still(), self._aside.hold(self._dt, self._longest))
+
+    def _still(self) -> Reply:
+        return self._torques.limited(self._limiter.hold(self._dt, self._longest), None, self._step)
+
+    def _refuse(self, problem: str) -> None:
+        self.refused, self.refusing = self.refused + 1, problem
+        self._refused_in_a_row += 1
+        if self._refused_in_a_row == 1:
+            self._on_event(problem, warn=True)
+        if self._refused_in_a_row >= _REFUSALS:
+            self.stop("commands were refused", CommandRefused(problem))
+
+    def _refuse_entry(self, problem: str) -> Reply:
+        self.refused, self.refusing = self.refused + 1, problem
+        self._waited += self._passed
+        if self._waited >= _ENTRY_PATIENCE and not self._warned:
+            self._warned = True
+            self._on_event(problem, warn=True)
+        return self._still()
+
+    def _rest(self) -> None:
+        if self.mode is Mode.STOPPING:
+            self._rested += self._passed
+            if self._rested >= STOP_TIME:
+                self.mode = Mode.ENDED
+
+    def _become_ready(self, packet: Packet) -> None:
+        self._torques.reset()
+        self._dt = self._passed  # from this packet's feedback on
+        self._last = joined(self._limiter.rest(packet.q), self._aside.rest(packet))
+        self._refused_in_a_row, self._waited, self._warned = 0, 0.0, False
+        if not self.guided:
+            self.guided, self.t, self.q_start = True, 0.0, packet.q
+        self._on_event("The robot is ready and holds.")
+
+    @property
+    def _step(self) -> float:
+        """Time within which a torque may change [s]."""
+        return min(self._dt, self._longest)
+
+    def _check_feedback(self, sample: Sample) -> None:
+        """Doubt a feedback that is not plausible; three in a row stop the run."""
+        sent = self._last if self.ready else None
+        problem = self._feedback.check(sample.packet.q, sample.dt, sent)
+        self._doubtful = bool(problem)
+        if not problem:
+            return
+        if self._feedback.implausible <= 1.0:
+            self._on_event(problem, warn=True)
+        if self._feedback.implausible >= STOP_AFTER and (self.ready or self._feedback.q is None):
+            self.stop("the feedback is not plausible", LinkError(problem))
+            if not self.ready:  # nothing is sent back: in wrong units it would be a jump
+                self._rested, self.mode = 0.0, Mode.ENDED

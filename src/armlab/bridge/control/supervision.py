@@ -1,0 +1,132 @@
+"""When a run ends for reasons outside the controller: silence, a robot that is gone, sessions that end at once.
+
+`Settings` of a run.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+from armlab.bridge.control.session import EGM_ERROR, Session
+from armlab.bridge.control.state_machine import Guide, Mode
+from armlab.bridge.net.events import Tell
+from armlab.bridge.net.sockets import Port
+from armlab.errors import ControllerFailed, LinkError, NoRobot, SessionEnded
+
+__all__ = ["Settings", "Supervisor", "check_list"]
+
+_CHECKLIST_AFTER = 5.0  # s without any packet
+_BRIEF = 0.1  # s under guidance: a session that ends sooner did not move the run on
+_BRIEF_IN_A_ROW = 10  # end the run: `Settings.seconds` counts time under guidance, of which they have none
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a loop runs.
+
+    Attributes
+    ----------
+    seconds : robot time while ready after which to stop, None for never. resume : wait for the next session.
+    clock : "wall", or "robot" for a robot in lockstep: no deadline then. patience : seconds to wait for a robot.
+    alive : returns why nothing more can come, "" while something can; raises LinkError when that is a failure.
+    progress : told the robot time [s] ten times a second.
+    """
+
+    seconds: float | None = None
+    resume: bool = True
+    clock: Literal["wall", "robot"] = "wall"
+    patience: float = 30.0
+    alive: Callable[[], str] = field(default=lambda: "")
+    progress: Callable[[float], None] | None = None
+
+
+class Supervisor:
+    """Looks, whenever no packet came or a session begins, whether the session or the run is over."""
+
+    def __init__(self, port: Port, session: Session, guide: Guide, settings: Settings, on_event: Tell) -> None:
+        self._port, self._session, self._guide, self._settings = port, session, guide, settings
+        self._on_event = on_event
+        port.on_lost = self._stop_without_descriptors
+        self._told = False
+        self._elapsed, self._brief = 0.0, 0
+
+    def look(self, heard_ns: int) -> None:
+        """End the session after silence, and the run when nothing more can come."""
+        guide, session, now = self._guide, self._session, time.monotonic_ns()
+        if session.silent(now):
+            guide.lose(session.end(), self._settings.resume)
+        failure = None
+        try:
+            gone = self._settings.alive()
+        except LinkError as error:
+            gone, failure = "the robot is gone", error
+        quiet = 1e-9 * (now - heard_ns)
+        if not gone and quiet > self._settings.patience:
+            gone, failure = "no packet came", self._silence()
+        if gone:
+            guide.stop(gone, failure)
+            session.end()
+            guide.lose(gone, resume=False)
+        elif quiet > _CHECKLIST_AFTER and not session.number and not self._told:
+            self._told = True
+            self._on_event(f"No packet yet. {check_list(self._port)}", warn=True)
+
+    def judge(self) -> None:
+        """End the run when too many sessions in a row ended at once. Called before the guide observes another one.
+
+        Without guidance a robot may wait for its operator, and such a session does not count; in lockstep nobody comes.
+        """
+        guide, session = self._guide, self._session
+        gained, self._elapsed = guide.elapsed - self._elapsed, guide.elapsed
+        if gained >= _BRIEF:
+            self._brief = 0
+        elif (
+            guide.guided
+            or guide.mode is Mode.LISTENING
+            or session.reason == EGM_ERROR
+            or self._settings.clock == "robot"
+        ):
+            self._brief += 1
+        if self._brief >= _BRIEF_IN_A_ROW:
+            kind = "packets" if guide.mode is Mode.LISTENING else "guidance"
+            failure = SessionEnded(
+                f"Expected a session with {kind} for {_BRIEF:g} s or more, but {self._brief} in a row ended sooner, "
+                f"the last because {session.reason}. The event log of the robot's controller says more; a usual cause "
+                "is a reference that it refuses, too far away or too fast."
+            )
+            guide.stop("sessions ended at once", failure)
+
+    def _stop_without_descriptors(self) -> None:
+        """Bring the arm to rest over the socket that was bound again."""
+        self._guide.stop(
+            "file descriptors were closed",
+            ControllerFailed(
+                "The controller, or other code in this process, closed file descriptors that it had not opened, the "
+                "bridge's socket among them. The arm was stopped. Close only the files that the controller opens."
+            ),
+        )
+
+    def _silence(self) -> LinkError:
+        session, seconds = self._session, self._settings.patience
+        if session.number:
+            return SessionEnded(f"Expected another packet within {seconds:g} s, but none came: {session.end()}.")
+        others = ", ".join(f"{number} {kind}" for kind, number in session.drops.items())
+        heard = f" Datagrams that are no packets of a robot came: {others}." if others else ""
+        return NoRobot(
+            f"Expected packets from a robot within {seconds:g} s, but none came.{heard} {check_list(self._port)}"
+        )
+
+
+def check_list(port: Port) -> str:
+    """Return what to check when no packet comes, in sentences.
+
+    port : where the packets were expected.
+    """
+    loopback = " That address hears programs on this computer only." if port.host.startswith("127.") else ""
+    return (
+        f"Listening on {port.host}:{port.port}.{loopback} Check that the controller's UDPUC device has this computer's "
+        f"address and port {port.port}, that RAPID runs EGMStreamStart or EGMRunJoint, and that no firewall drops UDP."
+    )

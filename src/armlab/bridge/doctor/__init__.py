@@ -1,0 +1,3 @@
+"""Checks before a run: computer, network, and what robots send."""
+
+__all__ = []

@@ -1,0 +1,151 @@
+"""The network of this computer, and what comes to its EGM ports: checks of `armlab doctor`. Sends nothing to others."""
+
+from __future__ import annotations
+
+import fcntl
+import secrets
+import select
+import socket
+import struct
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from armlab.bridge.doctor.egm_listener import Heard
+from armlab.bridge.doctor.findings import Finding
+from armlab.bridge.net.sockets import Arrival, Port
+from armlab.errors import LinkError
+from armlab.robots import Robot
+
+__all__ = ["addresses", "firewall", "listen", "local_addresses", "route_to"]
+
+_SIOCGIFADDR = 0x8915
+_INTERFACE = struct.Struct("256s")
+_FIREWALL = Path("/etc/ufw/ufw.conf")
+_SELF_TEST = 0.2  # s at least for the self-test to come back
+
+
+def local_addresses() -> dict[str, str]:
+    """Return the IPv4 address of each network interface that has one."""
+    found: dict[str, str] = {}
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+        for _, name in socket.if_nameindex():
+            with suppress(OSError):  # an interface without an address
+                answer = fcntl.ioctl(asked.fileno(), _SIOCGIFADDR, _INTERFACE.pack(name.encode()[:15]))
+                found[name] = socket.inet_ntoa(answer[20:24])
+    return found
+
+
+def addresses(found: Mapping[str, str]) -> Finding:
+    """Check that other computers can reach this one at all.
+
+    found : interface -> IPv4 address.
+    """
+    value = ", ".join(f"{interface} {address}" for interface, address in found.items()) or "none"
+    outside = [address for address in found.values() if not address.startswith("127.")]
+    advice = "Only a simulated robot can reach this computer: plug in the cable to the controller, set an address."
+    return Finding.judged("addresses", "warning", not outside, value, advice)
+
+
+def route_to(host: str) -> str:
+    """Return the address from which this computer would send to a host, "" when there is no route. Sends nothing."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect((host, 9))  # of UDP: only chooses the route
+        except OSError:
+            return ""
+        return probe.getsockname()[0]
+
+
+def firewall(file: Path = _FIREWALL) -> Finding:
+    """Tell whether the firewall ufw is switched on; its rules can be read by root only."""
+    is_on = False
+    with suppress(OSError), file.open(encoding="utf-8") as opened:
+        is_on = any(line.strip().lower() == "enabled=yes" for line in opened)
+    value = "ufw is on" if is_on else "no ufw that is on"
+    return Finding.judged("firewall", "warning", is_on, value, "Let packets of robots in: sudo ufw allow 6510:6512/udp")
+
+
+class _Ear:
+    """One bound port, a token that it sends to itself, and what others send."""
+
+    def __init__(self, port: Port, robot: Robot | None) -> None:
+        self.port, self.heard = port, Heard(port.port, robot)
+        self.token, self.came = secrets.token_bytes(16), set[str]()
+        self.addresses = ["127.0.0.1", *(a for a in local_addresses().values() if a != "127.0.0.1")]
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
+            for address in self.addresses:
+                with suppress(OSError):
+                    own.sendto(self.token + address.encode(), (address, port.port))
+
+    def take(self) -> None:
+        """Take what waits."""
+        arrival = self.port.receive()
+        while arrival is not None:
+            self._take(arrival)
+            arrival = self.port.receive()
+
+    def _take(self, arrival: Arrival) -> None:
+        if arrival.data.startswith(self.token):
+            self.came.add(arrival.data[len(self.token) :].decode())
+        else:
+            self.heard.add(arrival)
+
+    def self_test(self) -> Finding:
+        """Return whether what this computer sends to its own addresses arrives."""
+        lost = [address for address in self.addresses if address not in self.came]
+        value = f"{len(self.came)} of {len(self.addresses)} own addresses reach it"
+        advice = f"A rule of this computer drops packets to {', '.join(lost)}: look at nft list ruleset, or ufw status."
+        return Finding.judged(f"port {self.port.port}, self-test", "failure", bool(lost), value, advice)
+
+
+def listen(numbers: Sequence[int], seconds: float, robots: Sequence[Robot | None], asked: bool) -> list[Finding]:
+    """Bind ports, listen, and say what came. Nothing is sent but a token to this computer's own addresses.
+
+    numbers : UDP ports. seconds : how long to listen. robots : the arm expected at each, None for any.
+    asked : the user named these ports, so that a silent one is worth a word of its own.
+    """
+    found: list[Finding] = []
+    ears: list[_Ear] = []
+    for number, robot in zip(numbers, robots, strict=True):
+        try:
+            port = Port("0.0.0.0", number)
+        except LinkError as error:
+            found.append(Finding(f"port {number}", "failure", "cannot be listened on", str(error)))
+            continue
+        found.append(Finding(f"port {port.port}", "ok", "free"))
+        ears.append(_Ear(port, robot))
+    try:
+        _wait(ears, max(seconds, _SELF_TEST))
+    finally:
+        for ear in ears:
+            ear.port.close()
+    found += [ear.self_test() for ear in ears]
+    silent = not any(ear.heard.senders for ear in ears)
+    for ear in ears:
+        if ear.heard.senders or asked or (silent and ear is ears[0]):
+            found += ear.heard.findings(max(seconds, _SELF_TEST))
+            found += _routes(ear)
+    return found
+
+
+def _wait(ears: Sequence[_Ear], seconds: float) -> None:
+    poller = select.poll()
+    for ear in ears:
+        poller.register(ear.port.fileno(), select.POLLIN)
+    end = time.monotonic() + seconds
+    while (left := end - time.monotonic()) > 0.0:
+        poller.poll(1e3 * min(left, 0.1))
+        for ear in ears:
+            ear.take()
+
+
+def _routes(ear: _Ear) -> list[Finding]:
+    name = f"port {ear.port.port}, route"
+    hosts = sorted({host for host, _ in ear.heard.senders})
+    routes = {host: route_to(host) for host in hosts}
+    lost = [host for host, own in routes.items() if not own]
+    value = ", ".join(f"replies to {host} leave from {own or 'nowhere'}" for host, own in routes.items())
+    advice = f"Give this computer an address in the network of {', '.join(lost)}."
+    return [Finding.judged(name, "failure", bool(lost), value, advice)] if hosts else []

@@ -1,0 +1,300 @@
+"""`Fusion`: the newest of every source at each tick, with its age, whether it is new, and its place on our clock.
+
+Values are held, never waited for and never interpolated. What is too old is NaN in a State, while the log keeps it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from armlab.bridge.inputs.sources import TICK_COLUMNS, Reading, Source, whole
+from armlab.bridge.net.events import Tell, nobody
+from armlab.errors import ConfigError
+from armlab.kinematics import forward
+from armlab.robots import Robot
+
+__all__ = ["ClockMap", "Fusion", "Held"]
+
+_WINDOW = 10_000_000_000  # ns of the running minimum
+_BUCKET = 500_000_000  # ns of which the minimum is one point
+_STEP = 50_000_000  # ns that a clock was set when it departs further
+_LATE_IN_A_ROW = 10  # late by so many readings is a clock set back, not a delay
+_DRIFT_SPAN = 3_000_000_000  # ns before a drift is told from the delays
+_FASTEST_DRIFT = 1e-3
+
+
+class ClockMap:
+    """Maps the stamps of another clock to ours: the running minimum over 10 s of receive - source stamp, with drift.
+
+    A packet can be late but never early, so the least difference is the offset of the clocks and the least delay.
+    A step above 50 ms begins anew.
+    """
+
+    def __init__(self) -> None:
+        self.resets = 0
+        self._forget()
+
+    def _forget(self) -> None:
+        self._points: deque[tuple[int, int]] = deque()  # (source, offset) of the least offset in each bucket
+        self._drift, self._late = 0.0, 0
+        self._line: tuple[int, float] = (0, 0.0)  # source stamp and offset there
+
+    def reset(self) -> None:
+        """Begin anew: the other clock was set, or its program restarted."""
+        self.resets += 1
+        self._forget()
+
+    def add(self, source_ns: int, receive_ns: int) -> int:
+        """Take one pair of stamps and return the source's on our clock."""
+        offset = receive_ns - source_ns
+        if self._points:
+            error = offset - self._offset(source_ns)
+            self._late = self._late + 1 if error > _STEP else 0
+            if error < -_STEP or self._late >= _LATE_IN_A_ROW or source_ns < self._points[-1][0] - _STEP:
+                self.reset()
+        points = self._points
+        if points and source_ns // _BUCKET == points[-1][0] // _BUCKET:
+            if offset < self._offset(source_ns) or offset < points[-1][1]:
+                points[-1] = (source_ns, offset)
+                self._fit()
+        else:
+            points.append((source_ns, offset))
+            while source_ns - points[0][0] > _WINDOW:
+                points.popleft()
+            self._fit()
+        return source_ns + round(self._offset(source_ns))
+
+    def _offset(self, source_ns: int) -> float:
+        start, offset = self._line
+        return offset + self._drift * (source_ns - start)
+
+    def _fit(self) -> None:
+        """Fit a line under the points: their slope, touching the lowest."""
+        start, first = self._points[0]
+        steps = [(source - start, offset - first) for source, offset in self._points]
+        self._drift = 0.0
+        if steps[-1][0] >= _DRIFT_SPAN:
+            t, d = np.array(steps, dtype=float).T
+            slope = float(((t - t.mean()) * (d - d.mean())).sum() / ((t - t.mean()) ** 2).sum())
+            self._drift = min(max(slope, -_FASTEST_DRIFT), _FASTEST_DRIFT)
+        self._line = (start, first + min(step - self._drift * at for at, step in steps))
+
+
+_AHEAD = 1.0  # s that a reading may be younger than the packet of its tick: one that waited in the port
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What a tick has of one source.
+
+    Attributes
+    ----------
+    values : by field; NaN when stale or never seen. Also reached by ``held["field"]``.
+    kept : the last values whatever their age. age : seconds since they were received, infinite when never seen.
+    fresh : they are new in this tick. stale : older than the source's `max_age`. gaps : readings lost so far.
+    seq, source_ns, receive_ns : of the reading; 0 when never seen. mapped_ns : the source's stamp on our clock, 0
+        without one.
+    """
+
+    values: Mapping[str, np.ndarray]
+    kept: Mapping[str, np.ndarray]
+    age: float
+    fresh: bool
+    stale: bool
+    gaps: int = 0
+    seq: int = 0
+    source_ns: int = 0
+    receive_ns: int = 0
+    mapped_ns: int = 0
+
+    def __getitem__(self, field: str) -> np.ndarray:
+        return self.values[field]
+
+
+class Fusion:
+    """Several sources, looked at together.
+
+    Parameters
+    ----------
+    sources : with different names; see `Source`. on_event : told when one is stale, comes back, or its clock was set.
+
+    Attributes
+    ----------
+    sources : as given. columns : of the log, ``<source>.<field>`` and what `sources.TICK_COLUMNS` says.
+    missing : name of a required source that was stale in the last tick, "" when there is none.
+
+    Raises
+    ------
+    ConfigError : two sources with one name, two that pace, or something that is no source.
+    """
+
+    def __init__(self, sources: Sequence[Source], on_event: Tell = nobody) -> None:
+        for source in sources:
+            if not isinstance(source, Source):
+                raise ConfigError(f"Expected sources of bridge.sources, got {type(source).__name__}.")
+        names = [source.name for source in sources]
+        if len(set(names)) < len(names) or sum(source.role == "pacing" for source in sources) > 1:
+            raise ConfigError(f"Expected sources with different names, at most one of them pacing, got {names}.")
+        self.sources, self.missing, self._on_event = tuple(sources), "", on_event
+        self.columns = {
+            f"{source.name}.{field}": column
+            for source in sources
+            for field, column in {**source.fields, **TICK_COLUMNS}.items()
+        }
+        self._nothing = {source.name: source.values({}) for source in sources}
+        self._maps = {source.name: ClockMap() for source in sources}
+        self._last: dict[str, tuple[Reading, int]] = {}  # and its mapped stamp
+        self._stale: set[str] = set()
+        self._told: dict[str, str] = {}
+
+    def tick(self, now_ns: int) -> Mapping[str, Held]:
+        """Return what each source has at a tick, by name.
+
+        Parameters
+        ----------
+        now_ns : of the tick, on our monotonic clock.
+        """
+        held = {source.name: self._look(source, now_ns) for source in self.sources}
+        self.missing = next((s.name for s in self.sources if s.role == "required" and held[s.name].stale), "")
+        return MappingProxyType(held)
+
+    def ticks(self, seconds: float) -> Iterator[Mapping[str, Held]]:
+        """Yield what each source has whenever the pacing one has something new: rows without a robot.
+
+        Parameters
+        ----------
+        seconds : for which to go on.
+
+        Raises
+        ------
+        ConfigError : none of the sources paces.
+        """
+        pacing = next((source for source in self.sources if source.role == "pacing"), None)
+        if pacing is None:
+            raise ConfigError("Expected one source with the role pacing, got none. A TimerSource is one.")
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            before = self._last.get(pacing.name)
+            held = self.tick(time.monotonic_ns())
+            if held[pacing.name].fresh:
+                yield held
+            elif before is self._last.get(pacing.name):
+                time.sleep(0.1 * pacing.period)
+
+    def fields(self, now_ns: int, robot: Robot, q: np.ndarray) -> dict[str, Any]:
+        """Return the fields of a State at a tick: `sources`, and `wrench` where a source gives it calibrated or raw.
+
+        Parameters
+        ----------
+        now_ns : of the tick. robot : the arm. q : (n,) its joints, for the weight on a force sensor [rad].
+        """
+        if not self.sources:
+            return {}
+        held = self.tick(now_ns)
+        found: dict[str, Any] = {"sources": held}
+        for source in self.sources:
+            if source.robot not in ("", robot.name):
+                continue
+            if "wrench" in source.fields:
+                found["wrench"] = held[source.name].values["wrench"]
+            elif source.calibration is not None:
+                wrench = source.calibration.wrench(held[source.name].values["wrench_raw"], forward(robot, q))
+                wrench.flags.writeable = False
+                found["wrench"] = wrench
+        return found
+
+    def record(self, held: Mapping[str, Held], now_ns: int) -> dict[str, Any]:
+        """Return the values of the log's columns: what was kept, whatever its age.
+
+        Parameters
+        ----------
+        held : of this tick. now_ns : of the tick.
+        """
+        row: dict[str, Any] = {}
+        for name, one in held.items():
+            if not one.receive_ns:
+                continue
+            for field, value in one.kept.items():
+                row[f"{name}.{field}"] = value
+            row[f"{name}.age"] = 1e-9 * (now_ns - one.receive_ns)
+            row[f"{name}.gaps"], row[f"{name}.seq"] = float(one.gaps), float(one.seq)
+            if one.source_ns:
+                row[f"{name}.source_time"] = 1e-9 * one.source_ns
+                row[f"{name}.delay"] = 1e-9 * (one.receive_ns - one.mapped_ns)
+        return row
+
+    def _look(self, source: Source, now_ns: int) -> Held:
+        name = source.name
+        source.now_ns = now_ns
+        last = self._last.get(name)
+        reading = self._newest(source, None if last is None else last[0])
+        if source.problem and self._told.get(name) != source.problem:
+            self._told[name] = source.problem
+            self._on_event(f"The source {name} has a problem: {source.problem}.", warn=True)
+        if reading is None:
+            return Held(self._nothing[name], self._nothing[name], float("inf"), False, True)
+        fresh = last is None or (reading.seq, reading.receive_ns) != (last[0].seq, last[0].receive_ns)
+        if fresh:
+            last = self._last[name] = (reading, self._mapped(source, reading, None if last is None else last[0]))
+        age = max(1e-9 * (now_ns - reading.receive_ns), 0.0)
+        stale = age > source.max_age
+        self._tell_stale(source, stale, age)
+        values = self._nothing[name] if stale else reading.values
+        return Held(
+            values, reading.values, age, fresh, stale, reading.gaps, reading.seq, reading.source_ns,
+            reading.receive_ns, last[1] if last is not None else 0,
+        )  # fmt: skip
+
+    def _newest(self, source: Source, last: Reading | None) -> Reading | None:
+        """Return the latest reading of a source; the one before where it raises or gives something else."""
+        try:
+            reading = source.newest()
+            if reading is None or reading is last:
+                return reading
+            values = {field: np.asarray(value) for field, value in reading.values.items()}
+            for number in (reading.source_ns, reading.receive_ns, reading.seq, reading.gaps):
+                whole(number)
+            ahead = 1e-9 * (reading.receive_ns - source.now_ns)
+        except Exception as error:  # a user's own source must not stop the loop
+            source.problem = f"{type(error).__name__}: {error}"
+            return last
+        shapes = {field: value.shape for field, value in values.items()}
+        if shapes != {field: column.shape for field, column in source.fields.items()}:
+            source.problem = f"expected the fields {', '.join(source.fields)} with their shapes, got {shapes}"
+            return last
+        if wrong := [field for field, value in values.items() if value.dtype.kind not in "biuf"]:
+            source.problem = f"expected numbers in {', '.join(wrong)}"
+            return last
+        if ahead > _AHEAD:  # its age would stay 0 when the source dies
+            source.problem = f"expected a stamp of time.monotonic_ns(), got one {ahead:.3g} s ahead of it"
+            return last
+        return reading
+
+    def _mapped(self, source: Source, reading: Reading, last: Reading | None) -> int:
+        if not reading.source_ns:
+            return 0
+        clock = self._maps[source.name]
+        if last is not None and reading.seq < last.seq:
+            clock.reset()
+            self._on_event(f"The source {source.name} began anew: number {reading.seq} after {last.seq}.", warn=True)
+            return clock.add(reading.source_ns, reading.receive_ns)
+        before = clock.resets
+        mapped = clock.add(reading.source_ns, reading.receive_ns)
+        if clock.resets > before:
+            self._on_event(f"The clock of the source {source.name} was set; its stamps are mapped anew.", warn=True)
+        return mapped
+
+    def _tell_stale(self, source: Source, stale: bool, age: float) -> None:
+        if stale and source.name not in self._stale:
+            self._stale.add(source.name)
+            self._on_event(f"The source {source.name} is stale: its last reading is {age:.3f} s old.", warn=True)
+        elif not stale and source.name in self._stale:
+            self._stale.discard(source.name)
+            self._on_event(f"The source {source.name} is back.")

@@ -1,0 +1,3 @@
+"""Sockets, and how the parts of a run report events."""
+
+__all__ = []

@@ -1,0 +1,279 @@
+"""Sockets: the UDP port of an arm, TCP ports of servers, the pair between the loop and a server process."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import ipaddress
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from armlab import kernels
+from armlab._descriptors import Descriptor, apart
+from armlab.errors import LinkError
+
+__all__ = [
+    "is_here",
+    "is_loopback",
+    "Arrival",
+    "Outlet",
+    "Port",
+    "process_using_port",
+    "listening_socket",
+    "pair",
+    "program",
+]
+
+_LISTENING = "0A"  # state of a TCP socket in /proc/net/tcp
+
+
+def process_using_port(port: int, kind: Literal["udp", "tcp"] = "udp") -> str:
+    """Return who holds a port, "process 4711 (armlab sim ...)", or "" when that cannot be told.
+
+    Processes of other users stay hidden.
+    """
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        inodes = _inodes(port, kind)
+        for process in Path("/proc").iterdir():
+            if process.name.isdigit() and _has_socket(process, inodes):
+                return program(int(process.name))
+    return ""
+
+
+def program(process: int) -> str:
+    """Return a process in words, "process 4711 (armlab sim ...)", without its command when that is hidden."""
+    with contextlib.suppress(OSError), Path(f"/proc/{process}/cmdline").open("rb") as file:
+        command = " ".join(file.read(200).replace(b"\0", b" ").decode(errors="replace").split())
+        return f"process {process} ({command})"
+    return f"process {process}"
+
+
+def _inodes(port: int, kind: str) -> set[str]:
+    with Path(f"/proc/net/{kind}").open(encoding="ascii") as file:
+        rows = [line.split() for line in file.readlines()[1:]]
+    mine = [row for row in rows if int(row[1].rpartition(":")[2], 16) == port]
+    return {f"socket:[{row[9]}]" for row in mine if kind == "udp" or row[3] == _LISTENING}
+
+
+def _has_socket(process: Path, inodes: set[str]) -> bool:
+    with contextlib.suppress(OSError):
+        return any(str(entry.readlink()) in inodes for entry in (process / "fd").iterdir())
+    return False
+
+
+_SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)  # Linux; absent from Python's socket module
+_FLUSHED = 2000  # datagrams: more than a receive buffer holds
+
+
+class Arrival(NamedTuple):
+    """One datagram: its bytes, (host, port) of the sender, and its arrival on our monotonic clock [ns]."""
+
+    data: bytes
+    source: tuple[str, int]
+    ns: int
+
+
+class Port:
+    """A bound UDP port that never blocks; socket errors are counted.
+
+    host, port : where to listen; port 0 lets the system choose. to_itself : send there, whatever the address.
+
+    Raises
+    ------
+    LinkError : the address cannot be bound, or not again; names who holds the port where that can be determined.
+    """
+
+    def __init__(self, host: str, port: int, to_itself: bool = False) -> None:
+        self._errors = self._seen = 0
+        self._is_closed = False
+        self.on_lost: Callable[[], None] = lambda: None
+        self._bind(socket.socket(socket.AF_INET, socket.SOCK_DGRAM), host, port)
+        self.host, self.port = self._socket.getsockname()
+        self._always_to = (self.host, self.port) if to_itself else None
+
+    def _bind(self, opened: socket.socket, host: str, port: int) -> None:
+        self._socket = opened
+        try:
+            self._socket.bind((host, port))
+        except (OSError, OverflowError) as error:
+            self._socket.close()
+            raise LinkError(_why_not(host, port, error)) from error
+        self._socket.setblocking(False)
+        with contextlib.suppress(OSError):
+            self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+        self._descriptor = Descriptor(self._socket.fileno())
+        self._datagrams = kernels.Datagrams(self._socket, Arrival)
+
+    @property
+    def errors(self) -> int:
+        """Socket errors so far."""
+        return self._errors + self._datagrams.errors
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._is_closed = True
+        if self._descriptor.is_open:
+            self._datagrams.close()
+        else:
+            self._socket.detach()
+
+    def fileno(self) -> int:
+        """Return the number by which the system knows the socket: one can wait on it."""
+        return self._socket.fileno()
+
+    def receive(self) -> Arrival | None:
+        """Return the next datagram, or None when there is none."""
+        arrival = self._datagrams.receive()
+        if arrival is None and self._datagrams.errors != self._seen and self._was_lost():
+            arrival = self._datagrams.receive()
+        return arrival
+
+    def flush(self) -> None:
+        """Throw away what arrived while nobody listened: replies to old packets would be references to old places."""
+        for _ in range(_FLUSHED):
+            if self.receive() is None:
+                break
+
+    def send(self, data: bytes, to: tuple[str, int]) -> bool:
+        """Send one datagram. Return whether the system took it."""
+        to = self._always_to or to
+        return self._datagrams.send(data, to) or (self._was_lost() and self._datagrams.send(data, to))
+
+    def _was_lost(self) -> bool:
+        """After an error: return whether other code had closed the socket, which is bound again then."""
+        self._seen = self._datagrams.errors
+        if self._is_closed or self._descriptor.is_open:
+            return False
+        self._errors, self._seen = self._errors + self._seen, 0
+        self._socket.detach()  # its number may belong to another file by now
+        number = apart(socket.socket(socket.AF_INET, socket.SOCK_DGRAM).detach())
+        self._bind(socket.socket(fileno=number), self.host, self.port)
+        self.on_lost()
+        return True
+
+
+def _why_not(host: str, port: int, error: Exception) -> str:
+    code = getattr(error, "errno", None)
+    if code == errno.EADDRINUSE:
+        who = process_using_port(port)
+        return (
+            f"Expected UDP port {host}:{port} to be free, but it is in use{f' by {who}' if who else ''}. "
+            "End that program or choose another port."
+        )
+    if code == errno.EACCES:
+        return f"Expected to be allowed to listen on {host}:{port} ({error}). Choose a port above 1023."
+    return (
+        f"Expected a local address to listen on, got {host}:{port} ({error}). Use an address of this computer, "
+        "127.0.0.1 for a robot simulated on it."
+    )
+
+
+def listening_socket(host: str, port: int, name: str, backlog: int) -> socket.socket:
+    """Return a socket that listens and never blocks; what it accepts sends small messages at once.
+
+    host, port : where; port 0 lets the system choose. name : what for, in messages. backlog : connections that wait.
+
+    Raises
+    ------
+    LinkError : the port cannot be bound; names the process that has it where that can be told.
+    """
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else one waits up to 40 ms for an acknowledgement
+    try:
+        listener.bind((host, port))
+        listener.listen(backlog)
+    except (OSError, OverflowError) as error:
+        listener.close()
+        is_taken = getattr(error, "errno", None) == errno.EADDRINUSE
+        who = process_using_port(port, "tcp") if is_taken else ""
+        why = f"it is in use{f' by {who}' if who else ''}" if is_taken else f"{error}"
+        raise LinkError(
+            f"Expected TCP port {host}:{port} for {name} to be free, but {why}. End the program that has it or choose "
+            "another port."
+        ) from error
+    listener.setblocking(False)
+    return listener
+
+
+_BUFFER = 4 * 2**20  # bytes that wait for a server
+_SNDBUFFORCE = 32  # Linux: beyond the system's limit, where permitted
+_LARGEST = 2**17
+
+
+def pair() -> tuple[socket.socket, socket.socket]:
+    """Return two connected sockets that keep messages whole: ours, which never blocks, and the server's."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, getattr(socket, "SOCK_SEQPACKET", socket.SOCK_DGRAM))
+    ours.setblocking(False)
+    for option in (socket.SO_SNDBUF, _SNDBUFFORCE):
+        with contextlib.suppress(OSError):
+            ours.setsockopt(socket.SOL_SOCKET, option, _BUFFER)
+    return ours, theirs
+
+
+class Outlet:
+    """The way to one server process and back.
+
+    where : what the server listens on; None until it says so.
+    clients : rows sent to each of its clients and dropped for it; None until it says so.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.rows = self.lost = 0
+        self.where: list[str] | None = None
+        self.clients: dict[str, tuple[int, int]] | None = None
+        self._socket: socket.socket | None = None
+        self._descriptor = Descriptor(-1)
+
+    def open(self) -> socket.socket:
+        """Return a new socket for the server process; the old one, of a process that has ended, is closed."""
+        self.close()
+        ours, theirs = pair()
+        self._socket, self._descriptor = ours, Descriptor(ours.fileno())
+        return theirs
+
+    def close(self) -> None:
+        """Close our end: the server process ends then."""
+        gone, self._socket, self.where = self._socket, None, None
+        if gone is not None:
+            gone.detach()
+            self._descriptor.close()
+
+    def row(self, data: bytes) -> None:
+        """Send one row, or count it as lost. Never waits."""
+        if self.send(data):
+            self.rows += 1
+        else:
+            self.lost += 1
+
+    def send(self, data: bytes) -> bool:
+        """Send one message; False when it was dropped: no process, or one that does not read. Never waits."""
+        try:
+            return self._socket is not None and self._socket.send(data) > 0
+        except OSError:  # full, or the process has gone: its supervisor sees to that
+            return False
+
+    def receive(self) -> bytes | None:
+        """Return one message, None when none waits."""
+        connection = self._socket
+        try:
+            return None if connection is None else connection.recv(_LARGEST) or None
+        except OSError:
+            return None
+
+
+def is_here(place: str) -> bool:
+    """Return whether "HOST:PORT" is on this computer; a name that is to be looked up is not, but for localhost."""
+    host = place.rpartition(":")[0].strip("[]")
+    return host == "localhost" or is_loopback(host)
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether a host is an address of this computer only; a name is not."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

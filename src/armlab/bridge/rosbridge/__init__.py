@@ -1,9 +1,0 @@
-"""rosbridge v2 over WebSocket, for roslibpy, roslibjs and web pages (docs/ros.md).
-
-`Engine` is the protocol without sockets, `RosbridgeServer` the process that serves it.
-"""
-
-from armlab.bridge.rosbridge.engine import Engine
-from armlab.bridge.rosbridge.server import RosbridgeServer
-
-__all__ = ["Engine", "RosbridgeServer"]

@@ -1,0 +1,322 @@
+"""What each port of a LabComm server sends and accepts: `ArmChannel`, `FusedChannel`; see also `parameter_channel`."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from armlab.bridge.servers.labcomm.connection import Peer
+from armlab.bridge.servers.labcomm.rows import Order, Row, RowTypes
+from armlab.errors import ConfigError, LabCommError
+from armlab.wire.labcomm import PRIMS, Array, Definition, Event, Sample, SampleType, idl
+from armlab.wire.labcomm.dialects import dialect_named
+from armlab.wire.labcomm.types import Type
+
+__all__ = [
+    "ArmChannel",
+    "Channel",
+    "FusedArm",
+    "FusedChannel",
+    "FusedSource",
+    "OnCommand",
+    "OnSet",
+    "ParameterChannel",
+    "Value",
+]
+
+OnCommand = Callable[[str, Row, str], None]
+"""Called with the name of the channel, a valid command and the address of its client."""
+
+
+class Channel:
+    """One port.
+
+    Parameters
+    ----------
+    name, port : port 0 lets the system choose. dialect : that the server speaks.
+    follows_client : wait up to 200 ms for the client's first packets and speak their dialect.
+
+    Attributes
+    ----------
+    counts : what was ignored or refused, by reason.
+    """
+
+    def __init__(self, name: str, port: int, dialect: str = "2014v1", follows_client: bool = False) -> None:
+        self.name, self.port, self.follows_client = name, port, follows_client
+        self.dialect = dialect_named(dialect).name
+        self.counts: Counter[str] = Counter()
+
+    def greet(self, peer: Peer) -> None:
+        """Queue what a client gets on accept.
+
+        Parameters
+        ----------
+        peer : whose encoder is set.
+        """
+        if peer.encoder is not None:
+            peer.push(peer.encoder.version(), may_drop=False)
+
+    def take(self, peer: Peer, event: Event, peers: Iterable[Peer]) -> None:
+        """Take one event of a client; by default data is read and dropped.
+
+        Parameters
+        ----------
+        peer : the client. event : from its stream. peers : all of this channel.
+        """
+        self.counts["ignored"] += isinstance(event, Sample)
+
+    def left(self, peer: Peer) -> None:
+        """Forget a client that is gone.
+
+        Parameters
+        ----------
+        peer : the client.
+        """
+
+    def put(self, item: Any, peers: Iterable[Peer]) -> None:
+        """Queue what the bridge publishes for all clients.
+
+        Parameters
+        ----------
+        item : what the channel's maker passes. peers : all of this channel.
+        """
+        raise NotImplementedError
+
+
+def _send(sample: SampleType, value: Any, peers: Iterable[Peer]) -> None:
+    """Queue a value of the one type of a port; it has the same bytes in every stream of a dialect."""
+    packets: dict[str, bytes] = {}
+    for peer in peers:
+        if peer.encoder is not None:
+            dialect = peer.encoder.dialect
+            if dialect not in packets:
+                packets[dialect] = peer.encoder.data(sample, value)
+            peer.push(packets[dialect])
+
+
+class ArmChannel(Channel):
+    """Rows of one arm out, commands in.
+
+    Which client may command is not decided here: see `rights.Arbiter`.
+
+    Parameters
+    ----------
+    name : of the arm. port : 7511 for a left arm, 7512 for a right one.
+    on_command, on_left : called in the server's thread; the second with the address of a client that is gone.
+    axes, order, types : see `RowTypes`. dialect, follows_client : see `Channel`.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        port: int,
+        on_command: OnCommand | None = None,
+        axes: Sequence[int] = (1, 2, 7, 3, 4, 5, 6),
+        order: Order = "abb",
+        types: str | None = None,
+        dialect: str = "2014v1",
+        follows_client: bool = False,
+        on_left: Callable[[str], None] = lambda client: None,
+    ) -> None:
+        super().__init__(name, port, dialect, follows_client)
+        self.types = RowTypes(axes, order, types)
+        self._on_command, self._on_left = on_command, on_left
+
+    def greet(self, peer: Peer) -> None:
+        """Queue VERSION and the definition of the row; rows follow."""
+        super().greet(peer)
+        if peer.encoder is not None:
+            peer.push(peer.encoder.define(self.types.sent), may_drop=False)
+
+    def put(self, item: Row, peers: Iterable[Peer]) -> None:
+        """Queue one row for all clients."""
+        _send(self.types.sent, self.types.value(item), peers)
+
+    def take(self, peer: Peer, event: Event, peers: Iterable[Peer]) -> None:
+        """Take a command; what is none is counted, and told by the server.
+
+        Raises
+        ------
+        LabCommError : a sample of another type, or values that are no command.
+        """
+        if not isinstance(event, Sample):
+            return
+        if not self.types.accepts(SampleType(event.name, event.type)):
+            self.counts["other type"] += 1
+            raise LabCommError(f"Expected {self.types.accepted.name} on this port, got a sample {event.name!r}.")
+        try:
+            row = self.types.command(event.value)
+        except LabCommError:
+            self.counts["refused"] += 1
+            raise
+        self.counts["commands"] += 1
+        if self._on_command is not None:
+            self._on_command(self.name, row, peer.address)
+
+    def left(self, peer: Peer) -> None:
+        """Tell that a client is gone."""
+        self._on_left(peer.address)
+
+
+class FusedArm(NamedTuple):
+    """An arm in a fused row: name, clock of the bridge at its arrival [µs], and its row."""
+
+    name: str
+    t_us: int
+    row: Row
+
+
+class FusedSource(NamedTuple):
+    """A source in a fused row: name, clock of the bridge at its arrival [µs], and its values."""
+
+    name: str
+    t_us: int
+    value: Sequence[float] | np.ndarray
+
+
+class FusedChannel(Channel):
+    """Rows of all arms and sources out; what clients send is dropped.
+
+    Parameters
+    ----------
+    port : 7514 by default. axes, order, dialect, follows_client : as of `ArmChannel`.
+    """
+
+    def __init__(
+        self,
+        port: int = 7514,
+        axes: Sequence[int] = (1, 2, 7, 3, 4, 5, 6),
+        order: Order = "abb",
+        dialect: str = "2014v1",
+        follows_client: bool = False,
+    ) -> None:
+        super().__init__("fused", port, dialect, follows_client)
+        self._sample = idl.samples("armlab")["fused_row"]
+        self._types = RowTypes(axes, order)
+        if self._types.n != 7:
+            raise ConfigError(f"Expected arms of 7 joints for fused rows, got {self._types.n}.")
+
+    def greet(self, peer: Peer) -> None:
+        """Queue VERSION and the definition of the row; rows follow."""
+        super().greet(peer)
+        if peer.encoder is not None:
+            peer.push(peer.encoder.define(self._sample), may_drop=False)
+
+    def put(self, item: tuple[int, Sequence[FusedArm], Sequence[FusedSource]], peers: Iterable[Peer]) -> None:
+        """Queue one fused row for all clients: (t_us, arms, sources)."""
+        t_us, arms, sources = item
+        value = {
+            "t_us": t_us,
+            "arm": [{"name": one.name, "t_us": one.t_us, **self._types.value(one.row)} for one in arms],
+            "source": [one._asdict() for one in sources],
+        }
+        _send(self._sample, value, peers)
+
+
+Value = float | bool | str | Sequence[float] | np.ndarray
+"""Of a parameter."""
+
+OnSet = Callable[[str, Any, str], Any]
+"""Called with the name of a parameter, the value asked for and who asks. Returns the value now in force, or None when
+`LabCommServer.parameter` will tell it later."""
+
+
+class ParameterChannel(Channel):
+    """Parameters: one sample each, set by sending, echoed to all who asked, in the type that they asked for.
+
+    A number is ``double name``, a list ``double name[_]`` or with its size, a truth value ``boolean name``, a text
+    ``string name``.
+
+    Parameters
+    ----------
+    values : of each name, in force at the start. port : 7513 by default. on_set : asked before a value
+        is in force; None takes every finite one. mode : "asked" sends a parameter to a client that has defined or
+        referred to it, "all" sends all on accept. dialect, follows_client : see `Channel`.
+    """
+
+    def __init__(
+        self,
+        values: Mapping[str, Value],
+        port: int = 7513,
+        on_set: OnSet | None = None,
+        mode: Literal["asked", "all"] = "asked",
+        dialect: str = "2014v1",
+        follows_client: bool = False,
+    ) -> None:
+        super().__init__("parameters", port, dialect, follows_client)
+        if mode not in ("asked", "all"):
+            raise ConfigError(f'Expected mode to be "asked" or "all", got {mode!r}.')
+        self._values, self._on_set, self._mode = dict(values), on_set, mode
+        self._asked: dict[Peer, dict[str, Type]] = {}
+
+    def greet(self, peer: Peer) -> None:
+        """Queue VERSION, and in mode "all" every parameter."""
+        super().greet(peer)
+        if self._mode == "all":
+            for name in self._values:
+                self._ask(peer, name, self._types(name)[0])
+
+    def put(self, item: tuple[str, Value], peers: Iterable[Peer]) -> None:
+        """Queue the value now in force, (name, value), for all who asked for it."""
+        name, value = item
+        self._values[name] = value
+        for peer in peers:
+            if name in self._asked.get(peer, ()):
+                self._tell(peer, name)
+
+    def take(self, peer: Peer, event: Event, peers: Iterable[Peer]) -> None:
+        """Take a definition of, a reference to, or a value for a parameter."""
+        if not isinstance(event, Definition | Sample) or (isinstance(event, Definition) and event.kind == "type"):
+            return
+        if event.type not in self._types(event.name):
+            self.counts["other type" if event.name in self._values else "unknown"] += 1
+            return
+        if isinstance(event, Definition):
+            self._ask(peer, event.name, event.type)
+            return
+        value, now = event.value, self._values[event.name]
+        if not _may_be(value):
+            self.counts["refused"] += 1
+            self.put((event.name, now), peers)
+            return
+        taken = value if self._on_set is None else self._on_set(event.name, value, peer.address)
+        if taken is not None:
+            self.counts["set" if taken == value else "refused"] += 1
+            self.put((event.name, taken), peers)
+
+    def left(self, peer: Peer) -> None:
+        """Forget what a client asked for."""
+        self._asked.pop(peer, None)
+
+    def _types(self, name: str) -> tuple[Type, ...]:
+        """Return the types that a parameter may have on the wire, none of one that does not exist."""
+        value = self._values.get(name)
+        if value is None:
+            return ()
+        if isinstance(value, bool | str):
+            return (PRIMS["boolean" if isinstance(value, bool) else "string"],)
+        if isinstance(value, Sequence | np.ndarray):
+            return Array((0,), PRIMS["double"]), Array((len(value),), PRIMS["double"])
+        return (PRIMS["double"],)
+
+    def _ask(self, peer: Peer, name: str, node: Type) -> None:
+        asked = self._asked.setdefault(peer, {})
+        if peer.encoder is not None and name not in asked:
+            asked[name] = node
+            peer.push(peer.encoder.define(SampleType(name, node)), may_drop=False)
+            self._tell(peer, name)
+
+    def _tell(self, peer: Peer, name: str) -> None:
+        if peer.encoder is not None:
+            peer.push(peer.encoder.data(SampleType(name, self._asked[peer][name]), self._values[name]))
+
+
+def _may_be(value: Any) -> bool:
+    """Whether a value may be one of a parameter: finite numbers, or a text that all clients can be told."""
+    if isinstance(value, str):
+        return "\0" not in value and not any("\ud800" <= one <= "\udfff" for one in value)
+    return all(math.isfinite(one) for one in (value if isinstance(value, list) else [value]))

@@ -1,0 +1,278 @@
+"""`LabCommProcess`: a LabComm server in a process of its own, between the loop's feed and its clients.
+
+Rows, events and parameters come from the loop by a socket (see `bridge.feed`); commands and settings of parameters go
+back by it. Nothing here can touch the loop: what it does not read is dropped there. One thread does all: a row that is
+handed to another one costs more than the row.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import socket
+from collections.abc import Mapping, Sequence
+from struct import Struct
+from typing import Any, NamedTuple
+
+from armlab.bridge.servers.labcomm.channels import (
+    ArmChannel,
+    Channel,
+    FusedArm,
+    FusedChannel,
+    FusedSource,
+    ParameterChannel,
+    Value,
+)
+from armlab.bridge.servers.labcomm.rows import Order, Row
+from armlab.bridge.servers.labcomm.selector_server import Ports
+from armlab.bridge.servers.messages import CommandRequest, Leave, Listening, Report, SetRequest, Stop
+from armlab.bridge.servers.row import RowField, RowSchema, clock_ms, read_head
+from armlab.bridge.servers.server_end import LoopEnd
+from armlab.errors import ConfigError
+from armlab.robots import Robot
+
+__all__ = ["ArmPlaces", "Held", "LabCommProcess", "SourcePlaces", "labcomm_options", "serve"]
+
+_LETTERS = {"float64": "d", "int64": "q"}  # of `struct`
+_WANTED = ("fresh", "age", "receive_ns", "robot_ns", "session_t", "q", "qd", "tau")
+
+
+class Held(NamedTuple):
+    """What a row of the loop holds of an arm.
+
+    Attributes
+    ----------
+    is_fresh : the row is one of this arm. arm : its newest values.
+    """
+
+    is_fresh: bool
+    arm: FusedArm
+
+
+class ArmPlaces:
+    """Where a row of the loop has what LabComm has of an arm."""
+
+    def __init__(self, schema: RowSchema, robot: str) -> None:
+        self._name = robot
+        self._form, self._wanted = _together([schema.fields[f"{robot}.{name}"] for name in _WANTED])
+
+    def held(self, data: bytes) -> Held | None:
+        """Return what a row holds of the arm, None before its first."""
+        values: Any = self._form.unpack_from(data)
+        fresh, age, receive_ns, robot_ns, session_t, q, qd, tau = [values[place] for place in self._wanted]
+        tm = clock_ms(robot_ns, session_t)
+        if tm is None or not math.isfinite(age):
+            return None
+        return Held(bool(fresh), FusedArm(self._name, receive_ns // 1000, Row(tm, q, qd, tau)))
+
+
+class SourcePlaces:
+    """Where a row of the loop has the values of a source."""
+
+    def __init__(self, schema: RowSchema, source: str) -> None:
+        self._name = source
+        fields = [field for field in schema.fields.values() if field.source == source]
+        self._form, found = _together(fields)
+        self._age = found[[field.name for field in fields].index(f"{source}.age")]
+
+    def held(self, data: bytes, now_ns: int) -> FusedSource | None:
+        """Return what the source gave last, None when it was never heard."""
+        numbers = list(self._form.unpack_from(data))
+        age_ns = 1e9 * numbers.pop(self._age)
+        if not math.isfinite(age_ns):
+            return None
+        return FusedSource(self._name, (now_ns - round(age_ns)) // 1000, numbers)
+
+
+def _together(fields: Sequence[RowField]) -> tuple[Struct, list[Any]]:
+    """Return what reads fields of a row in one call, and the index or slice of each in what it gives."""
+    text, end, count, found = "<", 0, 0, {}
+    for field in sorted(fields, key=lambda one: one.offset):
+        many = math.prod(field.shape)
+        text += f"{field.offset - end}x{many}{_LETTERS[field.type]}"
+        found[field.name] = slice(count, count + many) if field.shape else count
+        end, count = field.offset + field.size, count + many
+    return Struct(text), [found[field.name] for field in fields]
+
+
+_LEFT, _PARAMETERS, _FUSED = 7511, 7513, 7514
+_ROWS = 64  # that are sent between two turns of clients who send without pause
+_logger = logging.getLogger("armlab.bridge")
+
+
+def labcomm_options(
+    robots: Sequence[Robot],
+    host: str = "127.0.0.1",
+    ports: Sequence[int] | None = None,
+    dialect: str = "2014v1",
+    order: Order = "abb",
+    parameters: int | None = _PARAMETERS,
+    fused: int | None = _FUSED,
+    types: str | None = None,
+    follows_client: bool = False,
+) -> dict[str, Any]:
+    """Return the options of the server of some arms, for `servers.server_command`.
+
+    robots : the arms. host : address to listen on, this computer only by default.
+    ports : of the arms; None gives 7511 to a left or only arm, 7512 to a right one.
+    parameters, fused : ports, None for none. Fused rows are for arms of 7 joints.
+
+    Raises
+    ------
+    ConfigError, UnknownName : another number of ports than of arms, an order or a dialect that does not exist.
+    LabCommError : `types` that do not parse or that are no rows.
+    """
+    for robot in robots:
+        ArmChannel(robot.name, 0, None, robot.abb_axes, order, types, dialect)  # a mistake shows before any process
+    if ports is None:
+        sides = [robot.side for robot in robots]
+        ports = [_LEFT + (side == "right" if all(sides) else k) for k, side in enumerate(sides)]
+    if len(ports) != len(robots):
+        raise ConfigError(f"Expected a LabComm port for each of {len(robots)} arms, got {len(ports)}.")
+    arms = {one.name: {"port": port, "axes": list(one.abb_axes)} for one, port in zip(robots, ports, strict=True)}
+    if any(robot.n != 7 for robot in robots):
+        fused = None
+    return {
+        "host": host,
+        "dialect": dialect,
+        "order": order,
+        "arms": arms,
+        "parameters": parameters,
+        "fused": fused,
+        "types": types,
+        "follows_client": follows_client,
+    }
+
+
+class LabCommProcess:
+    """Serves until the loop closes the feed.
+
+    Raises
+    ------
+    LinkError : the loop has gone before it said what rows hold.
+    """
+
+    def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
+        self._options = options
+        self._commands: dict[tuple[str, str], CommandRequest] = {}  # the newest of a turn: the loop takes no other
+        self._loop = LoopEnd(feed, lambda: self._ports.clients)
+        self._sequences = self._set_sequences()
+        schema = self._loop.schema
+        self._arms = [ArmPlaces(schema, name) for name in options["arms"]]
+        sources = dict.fromkeys(field.source for field in schema.fields.values())
+        self._sources = [SourcePlaces(schema, name) for name in sources if name not in schema.robots]
+        self._ports = Ports(self._channels(), options["host"], self._event, self._stop, feed)
+
+    def run(self) -> None:
+        """Serve until the loop closes the feed."""
+        host, ports = self._options["host"], self._ports
+        self._loop.ask(Listening(where=[f"{host}:{port} (labcomm, {name})" for name, port in ports.numbers.items()]))
+        try:
+            most = 1
+            while self._take(most):
+                most = _ROWS if ports.turn() else 1  # a row that came alone is worth no second look
+                for request in self._commands.values():
+                    self._loop.ask(request)
+                self._commands.clear()
+        finally:
+            ports.close()
+
+    def _take(self, most: int) -> bool:
+        """Send what has come from the loop, so many rows at most; False when the loop has gone."""
+        for _ in range(most):
+            messages = self._loop.receive()
+            if messages is None:
+                return False
+            for message in messages:
+                if isinstance(message, bytes):
+                    self._row(message)
+                else:
+                    self._text(message)
+            if not messages:
+                break
+        return True
+
+    def _left(self, client: str) -> None:
+        for arm in self._options["arms"]:
+            self._commands.pop((arm, client), None)
+        self._loop.ask(Leave(client))
+
+    def _stop(self, client: str) -> None:
+        self._loop.ask(Stop(client))
+
+    def _channels(self) -> list[Channel]:
+        options = self._options
+        common = {name: options[name] for name in ("dialect", "follows_client")}
+        channels: list[Channel] = []
+        for name, arm in options["arms"].items():
+            where = name, arm["port"], self._command, arm["axes"], options["order"], options["types"]
+            channels.append(ArmChannel(*where, **common, on_left=self._left))
+        if options["fused"] is not None:
+            axes = next(iter(options["arms"].values()))["axes"]
+            channels.append(FusedChannel(options["fused"], axes, options["order"], **common))
+        if options["parameters"] is not None:
+            values = {name: self._value(name) for name in self._loop.parameters}
+            channels.append(ParameterChannel(values, options["parameters"], self._set, **common))
+        return channels
+
+    def _command(self, name: str, row: Row, client: str) -> None:
+        q, qd, tau = (None if part is None else part.tolist() for part in (row.q, row.qd, row.tau))
+        by_axis = self._options["order"] == "abb"
+        self._commands[name, client] = CommandRequest(client, name, q, qd, tau, by_axis=by_axis)
+
+    def _set(self, name: str, value: Any, client: str) -> None:
+        """Ask the loop; it answers with the values in force, or with why not."""
+        if self._loop.parameters[name]["type"] == "int" and float(value).is_integer():
+            value = int(value)
+        self._loop.ask(SetRequest(client, {name: value}))
+
+    def _value(self, name: str) -> Value:
+        """Return a parameter as LabComm has it: all numbers are double."""
+        value = self._loop.parameters[name]["value"]
+        if isinstance(value, list):
+            return [float(one) for one in value]
+        return value if isinstance(value, bool | str) else float(value)
+
+    def _set_sequences(self) -> dict[str, int]:
+        return {name: about["sequence"] for name, about in self._loop.parameters.items()}
+
+    def _text(self, message: Mapping[str, Any]) -> None:
+        if message["kind"] == "parameters":
+            before, self._sequences = self._sequences, self._set_sequences()
+            for name, sequence in self._sequences.items():
+                if before.get(name) != sequence:
+                    self._echo(name)
+        elif message["kind"] == "answer":
+            for name in message["refused"]:  # what this client set is not in force
+                self._echo(name)
+
+    def _echo(self, name: str) -> None:
+        if "parameters" in self._ports.numbers:
+            self._ports.put("parameters", (name, self._value(name)))
+
+    def _row(self, data: bytes) -> None:
+        ports, pace = self._ports, next(iter(self._options["arms"]))
+        _, _, wall_ns = read_head(self._loop.schema, data)
+        held = [one for places in self._arms if (one := places.held(data)) is not None]
+        for is_fresh, arm in held:
+            if is_fresh and ports.has_clients(arm.name):
+                ports.put(arm.name, arm.row)
+            if is_fresh and arm.name == pace and ports.has_clients("fused"):
+                sources = [one for places in self._sources if (one := places.held(data, wall_ns)) is not None]
+                ports.put("fused", (wall_ns // 1000, [one.arm for one in held], sources))
+
+    def _event(self, text: str, warn: bool = False, each: bool = False) -> None:
+        if warn:
+            self._loop.ask(Report(text=text))
+        else:
+            _logger.info("labcomm %s", text)
+
+
+def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
+    """Serve until the loop closes the feed.
+
+    Raises
+    ------
+    LinkError : the loop has gone, or a port is taken.
+    """
+    LabCommProcess(feed, options).run()

@@ -1,0 +1,216 @@
+"""Rows on the wire and in the bridge: `Row`, and `RowTypes`, the sample types of a port.
+
+On the wire joints stand in ABB's order (axes 1 to 6, then 7) unless a port says "chain"; in a `Row` they stand in
+kinematic order from base to tool, as everywhere in armlab. What is not given is NaN on the wire and None in a `Row`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from armlab.errors import ConfigError, LabCommError
+from armlab.wire.labcomm import Array, Event, Prim, Sample, SampleType, Struct, idl, parse_lc
+from armlab.wire.labcomm.types import Type
+
+__all__ = ["STOP", "Order", "Row", "RowTypes", "signed"]
+
+Order = Literal["abb", "chain"]
+"""Order of the joints on the wire."""
+
+STOP = idl.samples("armlab")["stop"]
+"""``sample void stop``: what any client sends on any port to bring all arms to rest."""
+
+_YUMI = (1, 2, 7, 3, 4, 5, 6)
+_VECTORS = ("pos", "vel", "trq")
+
+
+class Row(NamedTuple):
+    """One row of an arm, in kinematic joint order.
+
+    Attributes
+    ----------
+    tm : time stamp of the robot's packet [ms, modulo 2**32]; in a command that of the row it answers.
+    q, qd, tau : (n,) positions [rad], velocities [rad/s], torques [N m], None where not given. What was received is an
+        array; to send, any sequence will do.
+    """
+
+    tm: int
+    q: np.ndarray | None = None
+    qd: np.ndarray | None = None
+    tau: np.ndarray | None = None
+
+
+def signed(tm: int) -> int:
+    """Return a time stamp modulo 2**32 as the signed number that LabComm's int holds.
+
+    tm : milliseconds.
+    """
+    return (tm + 2**31) % 2**32 - 2**31
+
+
+class RowTypes:
+    """The sample types of a port for one arm, and the joints' order on it.
+
+    Parameters
+    ----------
+    axes : ABB's axis number of each joint in kinematic order (`Robot.abb_axes`). order : "abb" or "chain" on the wire.
+    text : an `.lc` text that replaces the types: its first sample is sent, its last is accepted. Each is a struct with
+        fields among tm (int, long), pos, vel and trq (float or double, one per joint or variable).
+
+    Attributes
+    ----------
+    sent, accepted : sample types. n : joints.
+
+    Raises
+    ------
+    ConfigError : wrong order or axes. LabCommError : a text that does not parse, or other fields.
+    """
+
+    def __init__(self, axes: Sequence[int] = _YUMI, order: Order = "abb", text: str | None = None) -> None:
+        self.n = len(axes)
+        if sorted(axes) != list(range(1, self.n + 1)) or order not in ("abb", "chain"):
+            raise ConfigError(
+                f'Expected ABB\'s axis numbers from 1 to n and order "abb" or "chain", got {tuple(axes)} and {order!r}.'
+            )
+        if text is None and self.n != 7:
+            text = idl.text("armlab").partition("// t_us")[0].replace("[7]", f"[{self.n}]")
+        found = [one for one in parse_lc(text or idl.text("armlab")) if isinstance(one, SampleType)]
+        found = found[:2] if text is None else found
+        if not found:
+            raise LabCommError("Expected an .lc text with the sample that is sent and the one accepted, got none.")
+        self.sent, self.accepted = found[0], found[-1]
+        for sample in (self.sent, self.accepted):
+            self._check(sample)
+        columns = np.arange(self.n) if order == "chain" else np.asarray(axes) - 1
+        self._to_chain, self._to_wire = columns, np.argsort(columns).tolist()
+        self._sent = tuple(_fields(self.sent))
+        self._met: Type | None = None  # the newest type that was seen to be that of `sent`
+
+    def accepts(self, sample: SampleType) -> bool:
+        """Return whether values of a client's type are commands: some fields of the accepted type, `pos` among them.
+
+        Parameters
+        ----------
+        sample : as the client defined it.
+        """
+        ours, theirs = _fields(self.accepted), _fields(sample)
+        fits = "pos" in theirs and all(ours.get(name) == node for name, node in theirs.items())
+        return sample.name == self.accepted.name and fits
+
+    def value(self, row: Row, sample: SampleType | None = None) -> dict[str, Any]:
+        """Return the value of a row on the wire, NaN where it has nothing.
+
+        Parameters
+        ----------
+        row : of the arm. sample : the type, `sent` by default.
+
+        Raises
+        ------
+        LabCommError : a wrong number of joints.
+        """
+        parts = {"pos": row.q, "vel": row.qd, "trq": row.tau}
+        names = self._sent if sample is None else _fields(sample)
+        return {name: signed(row.tm) if name == "tm" else self._wired(name, parts[name]) for name in names}
+
+    def row(self, value: Mapping[str, Any]) -> Row:
+        """Return the row of a value from the wire; a vector that is NaN or zero throughout is not given, but for `pos`.
+
+        Parameters
+        ----------
+        value : of a type that `accepts` takes, or of `sent`.
+
+        Raises
+        ------
+        LabCommError : a wrong number of joints.
+        """
+        parts = [self._chained(name, value.get(name)) for name in _VECTORS]
+        return Row(value.get("tm", 0), *parts)
+
+    def rows(self, events: Iterable[Event]) -> list[Row]:
+        """Return the rows among what came: samples of the type `sent`.
+
+        Parameters
+        ----------
+        events : of a decoder.
+
+        Raises
+        ------
+        LabCommError : a wrong number of joints.
+        """
+        return [self.row(event.value) for event in events if isinstance(event, Sample) and self._is_sent(event)]
+
+    def command(self, value: Mapping[str, Any]) -> Row:
+        """Return the command of a value from the wire; zeros and NaN in `vel` and `trq` ask for nothing.
+
+        Parameters
+        ----------
+        value : of a type that `accepts` takes.
+
+        Raises
+        ------
+        LabCommError : a position that is not finite, an infinite velocity or torque, a wrong number of joints.
+        """
+        row = self.row(value)
+        if row.q is None or not all(map(math.isfinite, value["pos"])):
+            raise LabCommError(f"Expected finite positions in a command, got {value.get('pos')}.")
+        return Row(row.tm, row.q, _asked(row.qd, "vel", value), _asked(row.tau, "trq", value))
+
+    def _is_sent(self, sample: Sample) -> bool:
+        """Whether it is of the type `sent`; a tree that was seen before is not compared again."""
+        if sample.type is not self._met:
+            if (sample.name, sample.type) != (self.sent.name, self.sent.type):
+                return False
+            self._met = sample.type
+        return sample.name == self.sent.name
+
+    def _wired(self, name: str, part: Any) -> list[float]:
+        if part is None:
+            return [math.nan] * self.n
+        if type(part) is not tuple or len(part) != self.n:  # tuples are of numbers, from a row of the loop
+            array = np.asarray(part, dtype=float)
+            if array.shape != (self.n,):
+                raise LabCommError(f"Expected {self.n} numbers in {name} of a row, got shape {array.shape}.")
+            part = array.tolist()
+        return [part[k] for k in self._to_wire]
+
+    def _chained(self, name: str, part: Sequence[float] | None) -> np.ndarray | None:
+        if part is None:
+            return None
+        if len(part) != self.n:
+            raise LabCommError(f"Expected {self.n} numbers in {name} of a row, got {len(part)}.")
+        return np.array(part, dtype=float)[self._to_chain]
+
+    def _check(self, sample: SampleType) -> None:
+        fields = _fields(sample)
+        numbers = {name: node for name, node in fields.items() if name in _VECTORS and _is_vector(node, self.n)}
+        stamps = {name: node for name, node in fields.items() if name == "tm" and _named(node) in ("int", "long")}
+        if not numbers or len(numbers) + len(stamps) != len(fields):
+            raise LabCommError(
+                f"Expected {sample.name} to be a struct with fields among tm (int, long), pos, vel and trq (float or "
+                f"double, [{self.n}] or [_]), got {', '.join(fields) or 'no struct'}."
+            )
+
+
+def _asked(part: np.ndarray | None, name: str, value: Mapping[str, Any]) -> np.ndarray | None:
+    """Return what a vector of a command asks for, None when that is nothing; on lists, faster than on short arrays."""
+    if part is None or not any(number and not math.isnan(number) for number in value[name]):
+        return None
+    if any(map(math.isinf, value[name])):
+        raise LabCommError(f"Expected finite numbers in {name} of a command, got {value[name]}.")
+    return np.nan_to_num(part) if any(map(math.isnan, value[name])) else part
+
+
+def _fields(sample: SampleType) -> dict[str, Any]:
+    return {field.name: field.type for field in sample.type.fields} if isinstance(sample.type, Struct) else {}
+
+
+def _named(node: object) -> str:
+    return node.name if isinstance(node, Prim) else ""
+
+
+def _is_vector(node: object, n: int) -> bool:
+    return isinstance(node, Array) and node.dims in ((n,), (0,)) and _named(node.elem) in ("float", "double")

@@ -1,0 +1,145 @@
+"""`Datagrams`: one JSON datagram per row for PlotJuggler's UDP server, and the process that sends them."""
+
+from __future__ import annotations
+
+import ipaddress
+import math
+import socket
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import msgspec
+
+from armlab.bridge.servers.messages import Listening
+from armlab.bridge.servers.row import WALL, RowField, RowSchema, read_head
+from armlab.bridge.servers.server_end import LoopEnd
+from armlab.errors import ConfigError, UnknownName
+from armlab.kernels import JsonText
+
+__all__ = ["Datagrams", "serve"]
+
+_FIELDS = ("q", "qd", "tau", "wrench", "wrench_hat", "q_sent", "qd_sent", "tau_sent", "q_ref", "qd_ref", "tau_ref")
+_LARGEST = 1400  # bytes towards other computers: one packet of a network
+_LARGEST_HERE = 65507
+_NUMBER = len("-1234567890123456789012.0")  # the longest; "-1.2345678901234567e-308" is shorter by one
+_SLOT = b"\0"  # JSON has no such byte
+_FORMS = {"float64": b"d", "int64": b"q"}
+_STAMP = len('{"timestamp":1700000000.1234567}')
+
+
+class Datagrams:
+    """Makes datagrams of rows: {"timestamp": s, "yumi_left": {"q": {"1": ...}}}, a number that is not finite as null.
+
+    Parameters
+    ----------
+    schema : of the rows. fields : names without the robot, of what every robot has, in the order of their worth.
+    largest : bytes of a datagram, whatever the numbers are.
+
+    Attributes
+    ----------
+    fields : those that fit, or all that were asked for.
+
+    Raises
+    ------
+    UnknownName : a field that rows do not have. ConfigError : the fields asked for do not fit.
+    """
+
+    def __init__(self, schema: RowSchema, fields: Sequence[str] | None = None, largest: int = _LARGEST) -> None:
+        self._schema = schema
+        known = {name.partition(".")[2] for name, field in schema.fields.items() if field.type != "text"}
+        for name in fields or ():
+            if name not in known:
+                raise UnknownName.among("field of rows", name, known)
+        others = [one for one in schema.fields.values() if one.source not in schema.robots]
+        sizes = dict.fromkeys(schema.robots, _STAMP + sum(_size(one, len(one.source)) for one in others))
+        self.fields: list[str] = []
+        for name in fields or _FIELDS:
+            found = {robot: schema.fields.get(f"{robot}.{name}") for robot in schema.robots}
+            more = {robot: 0 if one is None else _size(one, len(robot)) for robot, one in found.items()}
+            if max(sizes[robot] + more[robot] for robot in sizes) <= largest:
+                sizes = {robot: sizes[robot] + more[robot] for robot in sizes}
+                self.fields.append(name)
+            elif fields:
+                raise ConfigError(
+                    f"Expected fields that fit into {largest} bytes for PlotJuggler on another computer, but {name} "
+                    "does not any more. Choose fewer."
+                )
+        self._parts = {
+            robot: [field for name in self.fields if (field := schema.fields.get(f"{robot}.{name}"))]
+            for robot in schema.robots
+        }
+        self._others = [one for one in others if one.type in _FORMS]
+        self._fresh = [(robot, schema.fields[f"{robot}.fresh"].offset) for robot in schema.robots]
+        self._texts: dict[tuple[str, ...], JsonText] = {}
+
+    def datagram(self, data: bytes) -> bytes:
+        """Return the datagram of a row: of the arm that it is the row of, and of all sources besides.
+
+        Parameters
+        ----------
+        data : one row.
+
+        Raises
+        ------
+        LinkError : no row of the schema.
+        """
+        read_head(self._schema, data)
+        robots = tuple([robot for robot, place in self._fresh if any(data[place : place + 8])])
+        text = self._texts.get(robots)
+        if text is None:
+            text = self._texts[robots] = self._text(robots)
+        return text.of(data)
+
+    def _text(self, robots: Sequence[str]) -> JsonText:
+        """Return the text of rows of these arms."""
+        slots = [(WALL, b"t")]
+        found: dict[str, Any] = {"timestamp": msgspec.Raw(_SLOT), **{robot: {} for robot in robots}}
+        for field in [one for robot in robots for one in self._parts[robot]] + self._others:
+            count = math.prod(field.shape)
+            slots += [(field.offset + 8 * k, _FORMS[field.type]) for k in range(count)]
+            many = {str(k): msgspec.Raw(_SLOT) for k in range(1, count + 1)}
+            found.setdefault(field.source, {})[field.name.partition(".")[2]] = (
+                many if field.shape else msgspec.Raw(_SLOT)
+            )
+        return JsonText(msgspec.json.encode(found).split(_SLOT), slots)
+
+
+def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
+    """Send until the loop closes the feed.
+
+    feed : connected to the loop. options : "to" and "port", where PlotJuggler is; "fields"; "host", to send from.
+
+    Raises
+    ------
+    ConfigError : an address elsewhere that the cell was not opened to, or fields that do not fit. LinkError : the loop
+        has gone.
+    """
+    to, port = options["to"], options["port"]
+    try:
+        is_here = ipaddress.IPv4Address(to).is_loopback
+    except ValueError:
+        raise ConfigError(f"Expected an IPv4 address as `to` of plotjuggler, got {to}.") from None
+    if not is_here and ipaddress.IPv4Address(options["host"]).is_loopback:
+        raise ConfigError(f"Expected --listen plotjuggler=ADDRESS too, since {to} is not this computer. Add it.")
+    counts = [0, 0]
+    loop = LoopEnd(feed, lambda: {f"{to}:{port}": (counts[0], counts[1])})
+    datagrams = Datagrams(loop.schema, options["fields"], _LARGEST_HERE if is_here else _LARGEST)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+        out.bind((options["host"], 0))
+        out.setblocking(False)
+        out.connect((to, port))  # the system tells then that nobody listens there
+        loop.ask(Listening(where=[f"to {to}:{port} (plotjuggler: {', '.join(datagrams.fields)})"]))
+        while (messages := loop.receive(None)) is not None:
+            for message in messages:
+                if isinstance(message, bytes):
+                    try:
+                        out.send(datagrams.datagram(message))
+                        counts[0] += 1
+                    except OSError:  # nobody listens there now
+                        counts[1] += 1
+
+
+def _size(field: RowField, owner: int) -> int:
+    """Return the most bytes that a field takes, with its name and that of its owner."""
+    count = math.prod(field.shape)
+    return len(field.name) + owner + 16 + count * (_NUMBER + len(str(count)) + 4)

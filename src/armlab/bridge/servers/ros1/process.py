@@ -1,0 +1,234 @@
+"""`Ros1Process`: between the loop's feed and a node of ROS 1: a program under the system's Python."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from typing import IO, Any
+
+from armlab.bridge.net.sockets import pair
+from armlab.bridge.servers.messages import Listening, Report
+from armlab.bridge.servers.ros import Commands, Encoded, Published, Topics, store
+from armlab.bridge.servers.ros1 import relay
+from armlab.bridge.servers.ros1.subscribers import Subscribers
+from armlab.bridge.servers.server_end import LoopEnd
+from armlab.errors import CommandRefused, LinkError
+from armlab.robots import from_toml
+
+__all__ = ["Ros1Process", "serve"]
+
+_LOOK = 1000  # ms of one look
+_START = 8.0  # s for the relay to be a node
+_END = 2.0  # s for it to end by itself
+_SPOKEN = 1.0  # s between two sentences to one node
+_CLIENTS = 256  # of which it is known when they were answered
+_SENTENCE = 1000  # characters of an answer
+
+
+class Ros1Process:
+    """Serves until the loop closes the feed.
+
+    Parameters
+    ----------
+    feed : connected to the loop.
+    options : "master", its URI; "python", which has rospy; "host", the address it listens at and others reach.
+
+    Raises
+    ------
+    LinkError : the loop has gone.
+    """
+
+    def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
+        self._options = options
+        self._looks = select.poll()
+        self._subscribers = Subscribers(self._looks)
+        self._loop = LoopEnd(feed, lambda: self._subscribers.counts)
+        about = self._loop.about
+        robots = {name: from_toml(text, name) for name, text in about["robots"].items()}
+        self._topics, self._commands = Topics(robots, self._loop.schema), Commands(about["cell"], robots)
+        self._encoded = Encoded(self._topics, _encoded)
+        self._spoken: dict[str, float] = {}
+
+    def run(self) -> None:
+        """Serve until the loop closes the feed.
+
+        Raises
+        ------
+        LinkError : no rospy, no master, or it has gone.
+        """
+        own = tempfile.TemporaryDirectory(prefix="armlab-ros-", ignore_cleanup_errors=True)
+        held = contextlib.closing(self._subscribers)
+        with own as home, tempfile.TemporaryFile() as log, self._relay(home, log) as node, held:
+            self._begin(node, log)
+            self._looks.register(self._loop, select.POLLIN)
+            self._looks.register(node, select.POLLIN)
+            while True:
+                for number, _ in self._looks.poll(_LOOK):
+                    if number == node.fileno():
+                        self._hear(node, log)
+                    elif number != self._loop.fileno():
+                        self._subscribers.look(number)
+                messages = self._loop.receive()
+                if messages is None:
+                    return
+                for message in messages:
+                    self._pass_on(node, message)
+                if not messages:
+                    self._send(self._encoded.of_silence(time.monotonic_ns(), self._subscribers.wanted))
+
+    @contextlib.contextmanager
+    def _relay(self, home: str, log: IO[bytes]) -> Iterator[socket.socket]:
+        """Start the node; it ends with its input."""
+        ours, theirs = pair()
+        master, host = self._options["master"], self._options["host"]
+        own = {"ROS_MASTER_URI": master, "ROS_IP": host, "ROS_HOME": home}
+        environment = {name: value for name, value in os.environ.items() if name not in _NOT_INHERITED}
+        with theirs:
+            try:
+                process = subprocess.Popen(
+                    [self._options["python"], relay.__file__],
+                    stdin=theirs.fileno(),
+                    stdout=theirs.fileno(),
+                    stderr=log,
+                    env={**environment, **own},
+                    cwd=home,
+                )
+            except OSError as error:
+                ours.close()
+                raise LinkError(
+                    f"Expected a Python with rospy at {self._options['python']}, but {error.strerror}. Set `python`."
+                ) from None
+        try:
+            yield ours
+        finally:
+            ours.close()
+            try:
+                process.wait(_END)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def _begin(self, node: socket.socket, log: IO[bytes]) -> None:
+        """Tell the node what there is, and the loop that it is one."""
+        published = {name: _old(one.type) for name, one in self._topics.published.items()}
+        taken = {name: _old(type_) for name, type_ in self._commands.types.items()}
+        about = {"node": f"armlab_{self._loop.about['cell'].replace('-', '_')}", "published": published, "taken": taken}
+        with contextlib.suppress(OSError):  # it has ended: its words say why
+            node.send(json.dumps(about).encode())
+        until = time.monotonic() + _START
+        messages: list[dict[str, Any]] = []
+        while not (ready := [message for message in messages if message["kind"] == "ready"]):
+            left = until - time.monotonic()
+            if left < 0.0 or not select.select([node], [], [], left)[0]:
+                raise LinkError(f"Expected a node of ROS 1 within {_START:g} s, but none came. Look at the master.")
+            messages += self._messages(node, log)
+        master, missing = self._options["master"], ready[0]["missing"]
+        without = f", not installed: {', '.join(missing)}" if missing else ""
+        self._loop.ask(Listening(where=[f"{self._options['host']} (ros1, master {master}{without})"]))
+        for message in messages:
+            self._take(node, message)
+
+    def _messages(self, node: socket.socket, log: IO[bytes]) -> list[dict[str, Any]]:
+        """Return what the node says now; raise what it said last when it has ended."""
+        found: list[dict[str, Any]] = []
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(64):
+                try:
+                    data, connections, _, _ = socket.recv_fds(node, 2**17, 1)
+                except ConnectionError:
+                    data, connections = b"", []
+                if not data:
+                    log.seek(0)
+                    words = log.read().decode(errors="replace").strip().splitlines()
+                    raise LinkError(words[-1] if words else "Expected the node of ROS 1 to go on, but it ended.")
+                try:
+                    found.append({**json.loads(data), "connections": connections})
+                except ValueError as error:
+                    self._loop.ask(Report(text=f"Expected JSON from the node of ROS 1, but {error}."))
+        return found
+
+    def _hear(self, node: socket.socket, log: IO[bytes]) -> None:
+        for message in self._messages(node, log):
+            self._take(node, message)
+
+    def _take(self, node: socket.socket, message: Mapping[str, Any]) -> None:
+        """Take what the node says: who reads a topic, or what another node commands."""
+        if message["kind"] == "subscriber":
+            if why := self._connect(message):
+                self._refuse(node, message["client"], why)
+                with contextlib.suppress(OSError):
+                    node.send(json.dumps({"topic": message["topic"], "id": message["id"]}).encode())
+        elif message["kind"] == "refused":
+            self._refuse(node, message["client"], message["text"])
+        elif message["kind"] == "command":
+            try:
+                for request in self._commands.requests(message["topic"], message["content"], message["client"]):
+                    self._loop.ask(request)
+            except CommandRefused as error:
+                self._refuse(node, message["client"], str(error))
+
+    def _connect(self, message: Mapping[str, Any]) -> str:
+        """Write to a node from now on; a sentence when that cannot be: it would wait for ever."""
+        if not message["connections"]:
+            return "Expected room for the connection in the server's process, got none. Raise `ulimit -n`."
+        topic = message["topic"]
+        known = [raw for _, raw in self._encoded.of_parameters(self._loop.parameters, {topic})]
+        return self._subscribers.add(topic, socket.socket(fileno=message["connections"][0]), known)
+
+    def _refuse(self, node: socket.socket, client: str, text: str) -> None:
+        self._answer(node, client, text)
+        self._loop.ask(Report(client, text))
+
+    def _pass_on(self, node: socket.socket, message: bytes | dict[str, Any]) -> None:
+        if isinstance(message, bytes):
+            self._send(self._encoded.of_row(message, self._subscribers.wanted))
+        elif message["kind"] == "parameters":
+            self._send(self._encoded.of_parameters(self._loop.parameters, self._subscribers.wanted))
+        elif message["kind"] == "answer":
+            self._answer(node, message["client"], message["text"])
+
+    def _answer(self, node: socket.socket, client: str, text: str) -> None:
+        """Write a sentence for a node into the log of ROS, at most once a second."""
+        now = time.monotonic()
+        if now - self._spoken.get(client, -_SPOKEN) >= _SPOKEN:
+            self._spoken.pop(client, None)
+            if len(self._spoken) >= _CLIENTS:
+                del self._spoken[next(iter(self._spoken))]  # who was answered longest ago
+            self._spoken[client] = now
+            with contextlib.suppress(OSError):
+                node.send(json.dumps({"text": f"{client}: {text}"[:_SENTENCE]}).encode())
+
+    def _send(self, messages: Iterable[tuple[Published, bytes]]) -> None:
+        for published, raw in messages:
+            self._subscribers.send(published, raw)
+
+
+def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
+    """Serve until the loop closes the feed.
+
+    feed : connected to the loop. options : see `Ros1Process`.
+
+    Raises
+    ------
+    LinkError : see `Ros1Process.run`.
+    """
+    Ros1Process(feed, options).run()
+
+
+def _encoded(message: Any, type_: str) -> bytes:
+    """Return a message as ROS 1 has it."""
+    return bytes(store().cdr_to_ros1(store().serialize_cdr(message, type_), type_))
+
+
+def _old(type_: str) -> str:
+    return type_.replace("/msg/", "/")
+
+
+_NOT_INHERITED = ("PYTHONHOME", "VIRTUAL_ENV", "ROS_HOSTNAME", "ROS_IPV6", "ROS_NAMESPACE", "ROS_LOG_DIR")

@@ -1,0 +1,307 @@
+"""`Engine`: rosbridge v2 without sockets: what clients say becomes requests to the loop, rows become what they read."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from typing import Any, Protocol
+
+import msgspec
+
+from armlab.bridge.servers.messages import CommandRequest, Leave, Report, Request, SetRequest
+from armlab.bridge.servers.ros import Commands, Encoded, Published, Topics
+from armlab.bridge.servers.rosbridge.dialect import Dialect, fields, flat, publish, read_type, type_name
+from armlab.bridge.servers.rosbridge.operations import (
+    Advertise,
+    CallService,
+    Operation,
+    Publish,
+    ServiceResponse,
+    SetLevel,
+    Status,
+    Subscribe,
+    Unadvertise,
+    Unsubscribe,
+    full_name,
+    id_of,
+    read_operation,
+)
+from armlab.bridge.servers.rosbridge.rosapi import SET_PARAM, Rosapi, parameter_name
+from armlab.bridge.servers.rosbridge.session import Session, Setting, Subscription
+from armlab.bridge.servers.row import RowSchema
+from armlab.errors import CommandRefused, UnknownName
+from armlab.robots import from_toml
+
+__all__ = ["Engine"]
+
+_PATIENCE = 1_000_000_000  # ns for the loop to say what became of a setting
+_SETTINGS = 64  # of a client that wait for the loop
+_ABSENT: Mapping[str, Any] = {"std_msgs/msg/Float64MultiArray": [], "std_msgs/msg/String": ""}
+
+
+class _Loop(Protocol):
+    """What is needed of `LoopEnd`."""
+
+    schema: RowSchema
+    about: dict[str, Any]
+    parameters: dict[str, dict[str, Any]]
+
+    def ask(self, request: Request) -> bool: ...
+
+
+class Engine:
+    """All clients of one server.
+
+    Parameters
+    ----------
+    loop : the server's end of the feed. server : its name, the first word of its clients' identities in the loop.
+    dialect : of clients whose texts do not tell.
+
+    Attributes
+    ----------
+    sessions : by identity.
+    """
+
+    def __init__(self, loop: _Loop, server: str = "rosbridge", dialect: Dialect = "ros2") -> None:
+        robots = {name: from_toml(text, name) for name, text in loop.about["robots"].items()}
+        self._dialect: Dialect = dialect
+        self._loop, self._server = loop, server
+        self._topics, self._commands = Topics(robots, loop.schema), Commands(loop.about["cell"], robots)
+        self._encoded, self._published = Encoded(self._topics, flat), self._topics.published
+        types = {name: one.type for name, one in self._published.items()} | self._commands.types
+        self._rosapi = Rosapi(loop.about["cell"], types, lambda: self._loop.parameters)
+        self._numbers: Counter[str] = Counter()
+        self.sessions: dict[str, Session] = {}
+
+    def join(self, name: str, may_ask: bool = True) -> Session:
+        """Return the session of a new client.
+
+        Parameters
+        ----------
+        name, may_ask : see `Session`.
+        """
+        session = self.sessions[name] = Session(name, may_ask)
+        return session
+
+    def leave(self, session: Session) -> None:
+        """Forget a client that has gone.
+
+        Parameters
+        ----------
+        session : of the client.
+        """
+        del self.sessions[session.name]
+        self._loop.ask(Leave(session.name))
+
+    def take(self, session: Session, data: bytes | str, now_ns: int) -> None:
+        """Do what a client asks for; what cannot be done is told it by a status.
+
+        Parameters
+        ----------
+        session : of the client. data : one message of it. now_ns : monotonic clock.
+        """
+        operation = None
+        try:
+            operation = read_operation(data)
+            self._do(session, operation, now_ns)
+        except (CommandRefused, UnknownName) as error:
+            session.status("error", str(error), now_ns, id_of(data) if operation is None else operation.id)
+            self._loop.ask(Report(session.name, str(error)))
+
+    def row(self, data: bytes, now_ns: int) -> None:
+        """Send a row to those who want it.
+
+        Parameters
+        ----------
+        data : one row of the loop. now_ns : monotonic clock.
+        """
+        self._publish(lambda wanted: self._encoded.of_row(data, wanted.keys()), now_ns)
+
+    def text(self, message: Mapping[str, Any], now_ns: int) -> None:
+        """Take what the loop says besides rows.
+
+        Parameters
+        ----------
+        message : see `messages`. now_ns : monotonic clock.
+        """
+        if message["kind"] == "parameters":
+            self._publish(lambda wanted: self._encoded.of_parameters(self._loop.parameters, wanted), now_ns)
+            for session in self.sessions.values():
+                self._confirm(session, now_ns)
+        elif message["kind"] == "answer" and message["client"] in self.sessions:
+            self._answer(self.sessions[message["client"]], message, now_ns)
+
+    def turn(self, now_ns: int) -> None:
+        """Do what is due without anybody saying anything; a few times a second.
+
+        Parameters
+        ----------
+        now_ns : monotonic clock.
+        """
+        self._publish(lambda wanted: self._encoded.of_silence(now_ns, wanted.keys()), now_ns)
+        for session in self.sessions.values():
+            late = [one for one in session.settings if now_ns > one.until_ns]
+            session.settings = [one for one in session.settings if one not in late]
+            for one in late:
+                about = self._loop.parameters[one.parameter]
+                why = (
+                    f"Expected the loop to set {one.parameter}, but it did not say so within 1 s. Its value is "
+                    f"{about['value']!r}, set by {about['who'] or 'nobody'}."
+                )
+                session.response(one.service, one.id, why, False, now_ns)
+
+    def _do(self, session: Session, operation: Operation, now_ns: int) -> None:
+        match operation:
+            case Publish():
+                self._take_message(session, operation, now_ns)
+            case Subscribe():
+                self._subscribe(session, operation, now_ns)
+            case Unsubscribe():
+                name = operation.topic
+                if name in session.subscriptions and session.subscriptions[name].remove(_id(operation)):
+                    del session.subscriptions[name]
+            case Advertise():
+                name = full_name(operation.topic)
+                self._known(name, operation.type, self._commands.types, "topic that this cell takes")
+                session.advertised.add(name)
+            case Unadvertise():
+                session.advertised.discard(full_name(operation.topic))
+            case CallService():
+                self._call(session, operation, now_ns)
+            case SetLevel():
+                session.level = operation.level
+            case ServiceResponse():
+                raise CommandRefused("Expected no answer: services of clients are never called.")
+            case Status():
+                pass
+
+    def _subscribe(self, session: Session, operation: Subscribe, now_ns: int) -> None:
+        name = operation.topic
+        types = {topic: one.type for topic, one in self._published.items()}
+        dialect = self._known(full_name(name), operation.type, types, "topic")
+        if operation.compression not in (None, "", "none"):
+            raise CommandRefused(f"Expected no compression, got {operation.compression[:80]!r}. Plain JSON is sent.")
+        if operation.fragment_size is not None:
+            raise CommandRefused("Expected no fragment_size: messages are sent whole.")
+        known = session.subscriptions.get(name)
+        if known is None or known.dialect != dialect:
+            known = session.subscriptions[name] = Subscription(name, session.outbox, dialect)
+        known.add(_id(operation) or "", operation.throttle_rate or 0.0, operation.queue_length or 0)
+        for published, message in self._encoded.of_parameters(self._loop.parameters, {known.full_name}):
+            self._send(published, message, [known], now_ns)
+
+    def _known(self, topic: str, type_: str | None, types: Mapping[str, str], what: str) -> Dialect:
+        """Return the dialect of a client that names a topic and its type; both must fit."""
+        if topic not in types:
+            raise UnknownName.among(what, topic, types)
+        if not type_:
+            return self._dialect
+        wanted, dialect = read_type(type_)
+        if wanted != types[topic]:
+            raise CommandRefused(f"Expected {type_name(types[topic], dialect)} for {topic}, got {type_}.")
+        return dialect
+
+    def _take_message(self, session: Session, operation: Publish, now_ns: int) -> None:
+        name, types = full_name(operation.topic), self._commands.types
+        if name not in types:
+            raise UnknownName.among("topic that this cell takes", name, types)
+        missing = [field for field in fields(types[name]) if field not in operation.msg]
+        if missing and name not in session.warned:
+            session.warned.add(name)
+            text = f"Expected {', '.join(missing)} in {types[name]} on {name}. The default is taken, now and later."
+            session.status("warning", text, now_ns, operation.id)
+        content = operation.msg.get("data", _ABSENT.get(types[name]))
+        for request in self._commands.requests(name, content, session.name):
+            if isinstance(request, CommandRequest | SetRequest):
+                _check_rights(session)
+            self._loop.ask(request)
+
+    def _call(self, session: Session, call: CallService, now_ns: int) -> None:
+        dialect: Dialect = self._dialect
+        if call.type:
+            dialect = "ros2" if call.type.count("/") == 2 else "ros1"
+        try:
+            given = self._rosapi.arguments(call.service, call.args)
+            if full_name(call.service) == SET_PARAM:
+                self._set(session, call, given, now_ns)
+                return
+            values, is_done = self._rosapi.answer(call.service, given, dialect), True
+        except (CommandRefused, UnknownName) as error:
+            values, is_done = str(error), False
+        session.response(call.service, call.id, values, is_done, now_ns)
+
+    def _set(self, session: Session, call: CallService, given: Mapping[str, Any], now_ns: int) -> None:
+        """Ask the loop for a value; its answer comes later."""
+        _check_rights(session)
+        name = parameter_name(given, self._loop.parameters)
+        try:
+            value = msgspec.json.decode(str(given.get("value")))
+        except (msgspec.DecodeError, RecursionError, UnicodeError) as error:
+            raise CommandRefused(f"Expected the value of {name} as JSON text, but {error}.") from None
+        if len(session.settings) >= _SETTINGS:
+            raise CommandRefused(f"Expected at most {_SETTINGS} settings that wait for the loop. Send fewer.")
+        session.settings.append(Setting(call.service, call.id, name, value, now_ns + _PATIENCE))
+        self._ask_next(session, name, now_ns)
+
+    def _ask_next(self, session: Session, parameter: str, now_ns: int) -> None:
+        """Ask the loop for a client's first setting of a parameter, unless it has been asked for it."""
+        for k, one in enumerate(session.settings):
+            if one.parameter == parameter:
+                if one.sequence is None:
+                    one = replace(one, sequence=self._loop.parameters[parameter]["sequence"])
+                    session.settings[k] = one
+                    try:
+                        self._loop.ask(SetRequest(session.name, {parameter: one.value}))
+                    except CommandRefused as error:
+                        self._settle(session, one, str(error), False, now_ns)
+                return
+
+    def _settle(self, session: Session, one: Setting, values: Any, is_done: bool, now_ns: int) -> None:
+        session.settings.remove(one)
+        session.response(one.service, one.id, values, is_done, now_ns)
+        self._ask_next(session, one.parameter, now_ns)
+
+    def _confirm(self, session: Session, now_ns: int) -> None:
+        """Answer the settings of a client that are in force now."""
+        for one in [one for one in session.settings if one.sequence is not None]:
+            about = self._loop.parameters[one.parameter]
+            if about["sequence"] > one.sequence and about["who"] == f"{self._server} {session.name}":
+                self._settle(session, one, {}, True, now_ns)
+
+    def _answer(self, session: Session, message: Mapping[str, Any], now_ns: int) -> None:
+        """Pass on what the loop says to a client: as the answer to its setting, or as a status."""
+        text, refused = message["text"], message["refused"]
+        one = next((one for one in session.settings if one.parameter in refused), None)
+        if one is not None:
+            self._settle(session, one, text, False, now_ns)
+        else:
+            session.status("info" if text == "Done." else "error", text, now_ns)
+
+    def _publish(self, made: Callable[[Mapping[str, Any]], Any], now_ns: int) -> None:
+        wanted: dict[str, list[Subscription]] = {}
+        for session in self.sessions.values():
+            for one in session.subscriptions.values():
+                if one.is_due(now_ns):
+                    wanted.setdefault(one.full_name, []).append(one)
+        for published, message in made(wanted):
+            self._send(published, message, wanted[published.name], now_ns)
+
+    def _send(self, published: Published, message: bytes, to: Iterable[Subscription], now_ns: int) -> None:
+        """Send a message (see `flat`) as text, made once for all clients of one dialect and spelling."""
+        self._numbers[published.name] += 1
+        texts: dict[tuple[str, Dialect], bytes] = {}
+        for one in to:
+            kind = one.topic, one.dialect
+            if kind not in texts:
+                texts[kind] = publish(one.topic, message, one.dialect, self._numbers[published.name])
+            one.offer(texts[kind], now_ns)
+
+
+def _id(operation: Subscribe | Unsubscribe) -> str | None:
+    return None if operation.id is None else str(operation.id)
+
+
+def _check_rights(session: Session) -> None:
+    if not session.may_ask:
+        raise CommandRefused("Expected a token from who commands or sets: send Authorization: Bearer. You may read.")

@@ -1,0 +1,171 @@
+"""The operations of rosbridge v2 that are understood, as msgspec reads them; fields that are unknown are ignored.
+
+Source: RobotWebTools/rosbridge_suite, ROSBRIDGE_PROTOCOL.md.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from armlab.errors import CommandRefused
+
+__all__ = [
+    "LARGEST",
+    "Advertise",
+    "CallService",
+    "Level",
+    "Operation",
+    "Publish",
+    "ServiceResponse",
+    "SetLevel",
+    "Status",
+    "Subscribe",
+    "Unadvertise",
+    "Unsubscribe",
+    "full_name",
+    "id_of",
+    "read_operation",
+]
+
+LARGEST = 65536
+"""Bytes of an operation."""
+
+Level = Literal["info", "warning", "error", "none"]
+
+_Name = Annotated[str, msgspec.Meta(max_length=256)]
+
+
+class _Operation(msgspec.Struct, frozen=True, tag_field="op"):
+    """What every operation has."""
+
+    id: _Name | int | None = None
+
+
+class Subscribe(_Operation, tag="subscribe", frozen=True, kw_only=True):
+    """The client wants a topic."""
+
+    topic: _Name
+    type: _Name | None = None
+    throttle_rate: Annotated[float, msgspec.Meta(ge=0, le=1e9)] | None = 0.0  # ms
+    queue_length: Annotated[int, msgspec.Meta(ge=0, le=10000)] | None = 0
+    compression: _Name | None = None
+    fragment_size: int | None = None
+
+
+class Unsubscribe(_Operation, tag="unsubscribe", frozen=True, kw_only=True):
+    """It does not any more."""
+
+    topic: _Name
+
+
+class Advertise(_Operation, tag="advertise", frozen=True, kw_only=True):
+    """The client is going to publish."""
+
+    topic: _Name
+    type: _Name
+
+
+class Unadvertise(_Operation, tag="unadvertise", frozen=True, kw_only=True):
+    """It is not any more."""
+
+    topic: _Name
+
+
+class Publish(_Operation, tag="publish", frozen=True, kw_only=True):
+    """A message of the client."""
+
+    topic: _Name
+    msg: dict[str, Any] = {}
+
+
+class CallService(_Operation, tag="call_service", frozen=True, kw_only=True):
+    """A question."""
+
+    service: _Name
+    args: dict[str, Any] | list[Any] | None = None
+    type: _Name | None = None
+
+
+class ServiceResponse(_Operation, tag="service_response", frozen=True, kw_only=True):
+    """An answer to a question that is never asked."""
+
+    service: _Name = ""
+
+
+class SetLevel(_Operation, tag="set_level", frozen=True, kw_only=True):
+    """How much of what happens the client wants to hear."""
+
+    level: Level
+
+
+class Status(_Operation, tag="status", frozen=True):
+    """What happened at the client's side."""
+
+
+Operation = (
+    Subscribe | Unsubscribe | Advertise | Unadvertise | Publish | CallService | ServiceResponse | SetLevel | Status
+)
+
+
+class _Head(msgspec.Struct, frozen=True):
+    """What can be told of an operation that is none."""
+
+    op: Any = None
+    id: Any = None
+
+
+_DECODER = msgspec.json.Decoder(Operation)
+_HEAD = msgspec.json.Decoder(_Head)
+_KNOWN = tuple(str(one.__struct_config__.tag) for one in Operation.__args__)
+_REFUSED = {
+    "fragment": "Expected whole messages: fragments are not taken. Send less at once.",
+    "png": "Expected plain JSON: pictures of it are not taken.",
+}
+_WRONG = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
+
+
+def read_operation(data: bytes | str) -> Operation:
+    """Return the operation in a message of a client.
+
+    Raises
+    ------
+    CommandRefused : no operation, an unknown or refused one, or one that is too long; a sentence for the client.
+    """
+    if isinstance(data, bytes):
+        raise CommandRefused(f"Expected a text message with JSON, got a binary one of {len(data)} bytes.")
+    if len(data) > LARGEST:
+        raise CommandRefused(f"Expected at most {LARGEST} characters at once, got {len(data)}.")
+    try:
+        return _DECODER.decode(data)
+    except _WRONG as error:
+        raise CommandRefused(_why(data, error)) from None
+    except UnicodeEncodeError:
+        raise CommandRefused("Expected text in Unicode, got half a surrogate pair.") from None
+
+
+def full_name(name: str) -> str:
+    """Return the full name of a topic or service; clients may leave out the leading slash, as roslib 2 does."""
+    return name if name.startswith("/") else f"/{name}"
+
+
+def id_of(data: bytes | str) -> str | int | None:
+    """Return the id that a message carries although it is no operation."""
+    found = _head(data).id
+    return found[:256] if isinstance(found, str) else found if isinstance(found, int) else None
+
+
+def _head(data: bytes | str) -> _Head:
+    try:
+        return _HEAD.decode(data)
+    except (*_WRONG, UnicodeEncodeError):
+        return _Head()
+
+
+def _why(data: str, error: Exception) -> str:
+    op = _head(data).op
+    if isinstance(op, str) and op not in _KNOWN:
+        known = ", ".join(sorted(_KNOWN))
+        return _REFUSED.get(op, f"Expected one of the operations {known}, got {op[:80]!r}.")
+    return f"Expected an operation of rosbridge v2 in JSON, but {str(error).rstrip('.')}."

@@ -1,0 +1,283 @@
+"""`RosbridgeServer`: clients on WebSockets, between the loop's feed and the `Engine`, in a process of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hmac
+import logging
+import os
+import re
+import socket
+import ssl
+import stat
+import struct
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from http import HTTPStatus
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from armlab.bridge.net.sockets import listening_socket
+from armlab.bridge.servers.messages import Listening
+from armlab.bridge.servers.rosbridge.engine import Engine
+from armlab.bridge.servers.rosbridge.operations import LARGEST
+from armlab.bridge.servers.rosbridge.session import Session
+from armlab.bridge.servers.server_end import LoopEnd
+from armlab.errors import ConfigError, MissingExtra
+
+if TYPE_CHECKING:
+    from websockets.asyncio.server import ServerConnection
+    from websockets.http11 import Request, Response
+
+__all__ = ["Access", "RosbridgeServer", "read_access", "serve"]
+
+_SHORTEST = 16  # characters of a token
+_LOCAL_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1)(:\d{1,5})?")
+
+
+@dataclass(frozen=True, repr=False)
+class Access:
+    """What is asked of clients.
+
+    token : that clients show who want more than to read; None when nobody has to. context : of TLS, None without.
+    origins : of web pages that may connect, as `websockets` takes them; None stands for programs, which have none.
+    """
+
+    token: bytes | None
+    context: ssl.SSLContext | None
+    origins: tuple[Any, ...]
+
+    def judge(self, authorization: str | None) -> bool | None:
+        """Return whether a client may ask for something, None when it must not even connect.
+
+        authorization : the header of that name, None without one.
+        """
+        if self.token is None:
+            return True
+        if authorization is None:
+            return False
+        kind, _, shown = authorization.partition(" ")
+        is_right = hmac.compare_digest(shown.strip().encode(errors="replace"), self.token)  # in constant time
+        return True if is_right and kind.lower() == "bearer" else None
+
+
+def read_access(options: Mapping[str, Any], environment: Mapping[str, str] | None = None) -> Access:
+    """Return what the options of the server say.
+
+    environment : variables; those of the process by default.
+
+    Raises
+    ------
+    ConfigError : files or variables that are missing, open to others, or hold something else.
+    """
+    token = _token(options, os.environ if environment is None else environment)
+    context = _context(options.get("certificate"), options.get("key"))
+    return Access(token, context, (None, _LOCAL_PAGES, *options.get("origins", ())))
+
+
+def _token(options: Mapping[str, Any], environment: Mapping[str, str]) -> bytes | None:
+    file, variable = options.get("token_file"), options.get("token_variable")
+    if file and variable:
+        raise ConfigError("Expected token_file or token_variable for rosbridge, got both. Take one out.")
+    if variable:
+        where, text = f"the variable {variable}", environment.get(variable, "")
+    elif file:
+        where, text = str(file), _secret(Path(file))
+    else:
+        return None
+    token = text.strip()
+    if len(token) < _SHORTEST or not token.isascii() or len(token.split()) > 1:
+        raise ConfigError(
+            f"Expected a token of at least {_SHORTEST} ASCII characters without spaces in {where}, got {len(token)} "
+            "characters. Make one: python -c 'import secrets; print(secrets.token_urlsafe())'."
+        )
+    return token.encode()
+
+
+def _secret(file: Path) -> str:
+    try:
+        with file.open(encoding="utf-8", errors="replace") as opened:
+            mode = stat.S_IMODE(os.fstat(opened.fileno()).st_mode)
+            if mode & 0o077:
+                raise ConfigError(
+                    f"Expected {file} to be read by its owner only, got mode {mode:04o}. chmod 600 {file}"
+                )
+            return opened.read(4096)
+    except OSError as error:
+        raise ConfigError(f"Expected the token of rosbridge in {file}, but {error.strerror}.") from None
+
+
+def _context(certificate: str | None, key: str | None) -> ssl.SSLContext | None:
+    if not certificate and not key:
+        return None
+    if not certificate or not key:
+        raise ConfigError("Expected certificate and key for rosbridge, got one of them. Name both files.")
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    try:
+        context.load_cert_chain(certificate, key, password="")
+    except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
+        raise ConfigError(
+            f"Expected a certificate in {certificate} and its key, without a password, in {key}, but {error}."
+        ) from None
+    return context
+
+
+_CLIENTS = 16
+_SEND_BUFFER = 65536  # bytes; with the system's own a slow client would see data half a minute old
+_KEPT = 100  # clients that have left, of which is known what they got
+_TURN = 0.1  # s between two looks at what is due without anybody saying anything
+_WRITE_LIMIT = 16384  # bytes that wait in the process before a send waits
+_CLOSING = 0.5  # s for a client to say goodbye
+_PING, _PONG = 5.0, 10.0  # s between two pings, and for the answer: whose computer has gone is given up then
+
+
+class RosbridgeServer:
+    """Serves until the loop closes the feed.
+
+    Parameters
+    ----------
+    feed : connected to the loop. options : "host", "port", "dialect", and what `read_access` reads.
+
+    Raises
+    ------
+    ConfigError : see `read_access`. LinkError : the port is taken, or the loop has gone.
+    MissingExtra : websockets is not installed.
+    """
+
+    def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
+        self._websockets = _websockets()
+        self._open = self._websockets.State.OPEN
+        self._access = read_access(options)
+        self._loop = LoopEnd(feed, self._counts)
+        self._engine = Engine(self._loop, dialect=options["dialect"])
+        self._connections: dict[str, ServerConnection] = {}
+        self._gone: dict[str, tuple[int, int]] = {}
+        self._over = asyncio.Event()
+        self._listener = listening_socket(options["host"], options["port"], "rosbridge", _CLIENTS)
+        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)  # what it accepts inherits it
+
+    async def run(self) -> None:
+        """Serve until the loop closes the feed."""
+        server = self._websockets.serve(
+            self._client,
+            sock=self._listener,
+            ssl=self._access.context,
+            origins=self._access.origins,
+            process_request=self._judge,
+            compression=None,  # it would cost more than all the rest
+            max_size=LARGEST,
+            write_limit=_WRITE_LIMIT,
+            close_timeout=_CLOSING,
+            ping_interval=_PING,
+            ping_timeout=_PONG,
+            logger=logging.Logger("armlab.bridge.servers.rosbridge", logging.ERROR),  # more would show headers: tokens
+        )
+        running = asyncio.get_running_loop()
+        async with server:
+            host, port = self._listener.getsockname()
+            words = "rosbridge" if self._access.context is None else "rosbridge, TLS"
+            self._loop.ask(Listening(where=[f"{host}:{port} ({words})"]))
+            running.add_reader(self._loop.fileno(), self._hear)
+            while not self._over.is_set():
+                self._turn()
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(self._over.wait(), _TURN)
+            running.remove_reader(self._loop.fileno())
+
+    def _hear(self) -> None:
+        """Take what the loop says, and send what comes of it."""
+        messages = self._loop.receive()
+        if messages is None:
+            self._over.set()
+            return
+        for message in messages:
+            if isinstance(message, bytes):
+                self._engine.row(message, time.monotonic_ns())
+            else:
+                self._engine.text(message, time.monotonic_ns())
+        for name, session in self._engine.sessions.items():
+            self._send(self._connections[name], session)
+
+    def _turn(self) -> None:
+        """Do what is due; give clients up that take nothing."""
+        now = time.monotonic_ns()
+        self._engine.turn(now)
+        self._hear()
+        for name, session in self._engine.sessions.items():
+            if session.outbox.is_stuck(now):
+                self._connections[name].transport.abort()
+
+    def _send(self, connection: ServerConnection, session: Session) -> None:
+        """Send a client what waits for it, in one piece, unless it has not taken what was sent before."""
+        transport = connection.transport
+        if transport.get_write_buffer_size() > _WRITE_LIMIT or connection.state is not self._open:
+            return
+        if messages := session.outbox.take(_SEND_BUFFER):
+            transport.write(b"".join([part for data in messages for part in (_head(len(data)), data)]))
+
+    def _judge(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Refuse a connection before it is one: too many clients, or a wrong token."""
+        if len(self._connections) >= _CLIENTS:
+            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"Expected at most {_CLIENTS} clients.\n")
+        if self._may_ask(request) is None:
+            return connection.respond(HTTPStatus.UNAUTHORIZED, "Expected Authorization: Bearer and the right token.\n")
+        return None
+
+    def _may_ask(self, request: Request) -> bool | None:
+        headers = request.headers.get_all("Authorization")
+        return self._access.judge(",".join(headers) if headers else None)
+
+    async def _client(self, connection: ServerConnection) -> None:
+        """Serve one client until it goes."""
+        name = "{}:{}".format(*connection.remote_address[:2])
+        session = self._engine.join(name, bool(connection.request and self._may_ask(connection.request)))
+        self._connections[name] = connection
+        try:
+            async for message in connection:
+                self._engine.take(session, message, time.monotonic_ns())
+                self._send(connection, session)
+        except self._websockets.ConnectionClosed:
+            pass
+        finally:
+            del self._connections[name]
+            self._gone[name] = (session.outbox.sent, session.outbox.dropped)
+            if len(self._gone) > _KEPT:
+                del self._gone[next(iter(self._gone))]
+            self._engine.leave(session)
+
+    def _counts(self) -> Mapping[str, tuple[int, int]]:
+        here = {name: (one.outbox.sent, one.outbox.dropped) for name, one in self._engine.sessions.items()}
+        return {**self._gone, **here}
+
+
+def _head(size: int) -> bytes:
+    """Return what stands before a text of so many bytes: RFC 6455, section 5.2, a whole message and no mask."""
+    if size < 126:
+        return struct.pack(">BB", 0x81, size)
+    return struct.pack(">BBH", 0x81, 126, size) if size < 65536 else struct.pack(">BBQ", 0x81, 127, size)
+
+
+def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
+    """Serve until the loop closes the feed.
+
+    Raises
+    ------
+    ConfigError, LinkError, MissingExtra : see `RosbridgeServer`.
+    """
+    asyncio.run(_run(feed, options))
+
+
+async def _run(feed: socket.socket, options: Mapping[str, Any]) -> None:
+    await RosbridgeServer(feed, options).run()
+
+
+def _websockets() -> Any:
+    try:
+        import websockets.asyncio.server
+    except ImportError:
+        raise MissingExtra(
+            "Expected websockets for the rosbridge server, got none. Install it: pip install 'armlab[net]'."
+        ) from None
+    return websockets

@@ -1,0 +1,475 @@
+"""Rows as bytes for other programs: `RowWriter` fills one, `read_row` takes it apart. `RowSchema` says what is in it.
+
+A row is little-endian: "ALR1", its length (uint32), the schema's id (8 bytes), its number (uint64), monotonic and wall
+clock (int64 ns), then the fields, each at a multiple of 8 bytes, at most 8 KiB together. The schema is canonical JSON;
+its id is the first 8 bytes of its SHA-256.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import struct
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from armlab.errors import ConfigError, LinkError, UnknownName
+from armlab.log import Column, Tick
+from armlab.robots import Robot
+from armlab.state import Command, State
+
+__all__ = [
+    "LARGEST",
+    "MAGIC",
+    "MONO",
+    "Pace",
+    "Row",
+    "RowField",
+    "RowSchema",
+    "RowWriter",
+    "WALL",
+    "beginning",
+    "clock_ms",
+    "places",
+    "read_head",
+    "read_row",
+]
+
+VERSION = 1
+HEAD = struct.Struct("<4sI8sQqq")
+TYPES = {"float64": "<f8", "int64": "<i8", "text": "S1"}
+WORDS = 48  # bytes of a commander's name: a server, a blank, 16 bytes in hexadecimal digits
+REALS = ("session_t", "dt", "utilization", "age")
+COUNTS = (
+    "tick", "seq", "seq_sent", "session", "missed", "drops", "robot_ns", "receive_ns", "send_ns", "step_ns", "motors",
+    "mci", "rapid", "converged", "late", "fresh",
+)  # fmt: skip
+UNITS = {"age": "s", "fresh": "1", "commander": "1"}
+MEASURED = ("q", "qd", "tau", "q_planned")
+ASKED = {"q_ref": "q", "qd_ref": "qd", "tau_ref": "tau"}
+SENT = ("q_sent", "qd_sent", "tau_sent")
+FIXED = {"wrench_raw": (6,), "wrench": (6,), "T_frame_tool": (4, 4), "q_ext": (6,)}
+RECORDED = {"wrench_hat": (6,), "wrench_hat_cov": (6, 6)}
+
+
+LARGEST = 8192
+"""Bytes of a row."""
+
+
+@dataclass(frozen=True, slots=True)
+class RowField:
+    """One field of a row.
+
+    Attributes
+    ----------
+    name : "yumi_left.q". type : "float64", "int64", or "text" (UTF-8, filled up with zero bytes).
+    shape : of the values; of a text its bytes. unit, frame : as in the glossary. labels : of the first axis.
+    source : robot or source that it comes from. offset : bytes from the beginning of the row.
+    """
+
+    name: str
+    type: str
+    shape: tuple[int, ...]
+    unit: str
+    frame: str
+    labels: tuple[str, ...]
+    source: str
+    offset: int
+
+    @property
+    def size(self) -> int:
+        """Bytes, filled up to a multiple of 8."""
+        count = math.prod(self.shape)
+        return -(-count // 8) * 8 if self.type == "text" else 8 * count
+
+
+class RowSchema:
+    """What is in the rows of a run.
+
+    Parameters
+    ----------
+    robots : names of the robots. fields : see `RowField`.
+
+    Attributes
+    ----------
+    robots, fields : as given, `fields` by name. text : canonical JSON, bytes. id : 8 bytes. size : bytes of a row.
+
+    Raises
+    ------
+    ConfigError : fields of one name, overlapping, of an unknown type, or more than `LARGEST` bytes.
+    """
+
+    def __init__(self, robots: Sequence[str], fields: Iterable[RowField]) -> None:
+        self.robots = tuple(robots)
+        found = list(fields)
+        self.fields: Mapping[str, RowField] = {field.name: field for field in found}
+        self.size = HEAD.size
+        for field in found:
+            if field.type not in TYPES or field.offset != self.size or any(size < 0 for size in field.shape):
+                raise ConfigError(f"Expected the fields of a row one after another, got {str(field)[:200]}.")
+            self.size += field.size
+            if self.size > LARGEST:
+                raise ConfigError(f"Expected rows of at most {LARGEST} bytes, got {self.size} with {field.name[:60]}.")
+        if len(self.fields) < len(found):
+            raise ConfigError("Expected each field of a row once, got one name twice. Rename a source.")
+        about = {"version": VERSION, "robots": self.robots, "fields": [asdict(field) for field in found]}
+        self.text = json.dumps(about, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
+        self.id = hashlib.sha256(self.text).digest()[:8]
+
+    @classmethod
+    def of(cls, robots: Sequence[Robot], sources: Mapping[str, Mapping[str, Column]] | None = None) -> RowSchema:
+        """Return the schema of a cell: per robot the columns of its log, its age and its commander; then the sources.
+
+        Parameters
+        ----------
+        robots : the arms. sources : fields by name of the source.
+        """
+        fields: list[RowField] = []
+        at = HEAD.size
+
+        def add(owner: str, name: str, type_: str, column: Column, unit: str | None = None) -> None:
+            nonlocal at
+            known = column.resolved(name) if unit is None else column
+            fields.append(
+                RowField(
+                    f"{owner}.{name}",
+                    type_,
+                    column.shape,
+                    unit or known.unit or "1",
+                    known.frame or "",
+                    tuple(column.labels),
+                    owner,
+                    at,
+                )
+            )
+            at += fields[-1].size
+
+        for robot in robots:
+            for name in REALS:
+                add(robot.name, name, "float64", Column(), UNITS.get(name))
+            for name in (*MEASURED, *ASKED, *SENT):
+                add(robot.name, name, "float64", Column((robot.n,), labels=robot.joint_names))
+            for name, shape in {**FIXED, **RECORDED}.items():
+                add(robot.name, name, "float64", Column(shape))
+            for name in COUNTS:
+                add(robot.name, name, "int64", Column(), UNITS.get(name))
+            add(robot.name, "clamped", "int64", Column((robot.n,), labels=robot.joint_names))
+            add(robot.name, "commander", "text", Column((WORDS,)), "1")
+        for source, columns in (sources or {}).items():
+            for name, column in columns.items():
+                add(source, name, "float64", column)
+            add(source, "age", "float64", Column(), "s")
+        return cls([robot.name for robot in robots], fields)
+
+    def require(self, robot: Robot, *, whole: bool = True) -> None:
+        """Refuse rows whose fields of an arm are not those of this one: who reads them takes them for granted.
+
+        Parameters
+        ----------
+        robot : the arm. whole : also refuse rows that do not have all of them.
+
+        Raises
+        ------
+        LinkError : a field is of another type or shape, or not there.
+        """
+        for name, wanted in RowSchema.of([robot]).fields.items():
+            found = self.fields.get(name, None if whole else wanted)
+            if found is None or (found.type, found.shape) != (wanted.type, wanted.shape):
+                got = "none" if found is None else f"{found.type} of shape {found.shape}"
+                raise LinkError(
+                    f"Expected rows with {name}, {wanted.type} of shape {wanted.shape}, got {got}. Use the same "
+                    f"description of {robot.name}, and the same armlab, at both ends."
+                )
+
+    @classmethod
+    def read(cls, text: bytes) -> RowSchema:
+        """Return the schema that was written as JSON.
+
+        Parameters
+        ----------
+        text : as in `RowSchema.text`.
+
+        Raises
+        ------
+        ConfigError : not such a text.
+        """
+        import msgspec
+
+        class Written(msgspec.Struct, forbid_unknown_fields=True):
+            version: int
+            robots: list[str]
+            fields: list[RowField]
+
+        try:
+            written = msgspec.json.decode(text, type=Written)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+            raise ConfigError(
+                f"Expected the schema of rows as JSON, but {error}. Take it from the same feed."
+            ) from None
+        if written.version != VERSION:
+            raise ConfigError(f"Expected rows of version {VERSION}, got {written.version}. Install the same armlab.")
+        return cls(written.robots, written.fields)
+
+
+MAGIC = b"ALR1"
+
+MONO, WALL = HEAD.size - 16, HEAD.size - 8
+"""Places of the clocks in a row, int64 [ns]."""
+
+_BEGINNING = 16  # bytes until the number of the row
+_LETTERS = {"float64": "d", "int64": "q"}  # of `struct`
+
+
+class Row(NamedTuple):
+    """One row taken apart.
+
+    Attributes
+    ----------
+    seq : its number. mono_ns, wall_ns : when it was made. values : read-only arrays, numbers and texts by field name;
+        each is taken out of the bytes when it is asked for.
+    """
+
+    seq: int
+    mono_ns: int
+    wall_ns: int
+    values: Mapping[str, Any]
+
+
+class _Values(Mapping[str, Any]):
+    """The values in a row: who wants three of a hundred fields at 500 rows a second pays for three."""
+
+    __slots__ = ("_data", "_fields")
+
+    def __init__(self, fields: Mapping[str, RowField], data: bytes) -> None:
+        self._fields, self._data = fields, data
+
+    def __getitem__(self, name: str) -> Any:
+        field = self._fields[name]
+        if field.type == "text":
+            raw = self._data[field.offset : field.offset + math.prod(field.shape)]
+            return raw.rstrip(b"\0").decode(errors="replace")
+        array = np.frombuffer(self._data, TYPES[field.type], math.prod(field.shape), field.offset)
+        return array.reshape(field.shape) if field.shape else array[0].item()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._fields)
+
+    def __len__(self) -> int:
+        return len(self._fields)
+
+
+def read_row(schema: RowSchema, data: bytes) -> Row:
+    """Return the row in `data`.
+
+    Parameters
+    ----------
+    schema : of the feed. data : one message.
+
+    Raises
+    ------
+    LinkError : no row, one of another schema, or of another length.
+    """
+    return Row(*read_head(schema, data), _Values(schema.fields, data))
+
+
+def read_head(schema: RowSchema, data: bytes) -> tuple[int, int, int]:
+    """Return number, monotonic and wall clock [ns] of a row.
+
+    Parameters
+    ----------
+    schema, data : as of `read_row`.
+
+    Raises
+    ------
+    LinkError : as of `read_row`.
+    """
+    if len(data) < HEAD.size or data[:4] != MAGIC:
+        raise LinkError(f"Expected a row that begins with {MAGIC.decode()}, got {len(data)} bytes: {data[:8]!r}.")
+    _, size, id_, seq, mono_ns, wall_ns = HEAD.unpack_from(data)
+    if id_ != schema.id:
+        raise LinkError(f"Expected a row of schema {schema.id.hex()}, got {id_.hex()}. Read the new schema first.")
+    if size != len(data) or size != schema.size:
+        raise LinkError(f"Expected a row of {schema.size} bytes, got {len(data)} that say {size}. Read whole messages.")
+    return seq, mono_ns, wall_ns
+
+
+def beginning(schema: RowSchema) -> bytes:
+    """Return what all rows of a schema begin with.
+
+    Parameters
+    ----------
+    schema : of the rows.
+    """
+    return HEAD.pack(MAGIC, schema.size, schema.id, 0, 0, 0)[:_BEGINNING]
+
+
+def clock_ms(robot_ns: int, session_t: float) -> int | None:
+    """Return the clock of a robot [ms], that of its session where it tells none; None where neither is a time.
+
+    Parameters
+    ----------
+    robot_ns, session_t : of a row [ns, s].
+    """
+    if robot_ns:
+        return robot_ns // 10**6
+    ms = 1e3 * session_t
+    return round(ms) if math.isfinite(ms) else None
+
+
+def places(schema: RowSchema, source: str) -> dict[str, tuple[struct.Struct, int]]:
+    """Return where the numbers of a source are in its rows: their form and their offset, by field without the source.
+
+    Who wants the same few fields of every row reads them at a tenth of the time.
+
+    Parameters
+    ----------
+    schema : of the rows. source : robot or source.
+    """
+    return {
+        field.name.removeprefix(f"{source}."): (
+            struct.Struct(f"<{math.prod(field.shape)}{_LETTERS[field.type]}"),
+            field.offset,
+        )
+        for field in schema.fields.values()
+        if field.source == source and field.type in _LETTERS
+    }
+
+
+class _Part:
+    """Where the values of one robot are in the row, as indices of 8 bytes."""
+
+    def __init__(self, schema: RowSchema, robot: str) -> None:
+        def place(name: str) -> slice:
+            field = schema.fields[f"{robot}.{name}"]
+            start = (field.offset - HEAD.size) // 8
+            return slice(start, start + field.size // 8)
+
+        self.n = schema.fields[f"{robot}.q"].shape[0]
+        self.reals = schema.fields[f"{robot}.{REALS[0]}"].offset
+        self.counts = schema.fields[f"{robot}.{COUNTS[0]}"].offset
+        self.age, self.fresh = place("age").start, place("fresh").start
+        self.measured = [(name, place(name)) for name in MEASURED]
+        self.asked = [(place(name), attribute) for name, attribute in ASKED.items()]
+        self.sent = [(name, place(name)) for name in SENT]
+        self.fixed = [(name, place(name), math.prod(shape)) for name, shape in FIXED.items() if name != "q_ext"]
+        self.q_ext, self.clamped = place("q_ext"), place("clamped")
+        self.recorded = [(name, place(name), math.prod(shape)) for name, shape in RECORDED.items()]
+        self.commander = schema.fields[f"{robot}.commander"].offset
+        self.heard_ns = 0
+
+
+class RowWriter:
+    """Fills the row of a run, arm by arm.
+
+    Parameters
+    ----------
+    schema : of the rows, made by `RowSchema.of`.
+    """
+
+    def __init__(self, schema: RowSchema) -> None:
+        self._schema, self._seq = schema, 0
+        self._buffer = bytearray(schema.size)
+        self._numbers = np.frombuffer(self._buffer, "<f8", offset=HEAD.size)
+        self._integers = np.frombuffer(self._buffer, "<i8", offset=HEAD.size)
+        for field in schema.fields.values():
+            if field.type == "float64":
+                start = (field.offset - HEAD.size) // 8
+                self._numbers[start : start + field.size // 8] = np.inf if field.name.endswith(".age") else np.nan
+        self._parts = {robot: _Part(schema, robot) for robot in schema.robots}
+        self._sources = [field for field in schema.fields.values() if field.source not in schema.robots]
+
+    def row(self, state: State, command: Command | None, tick: Tick, mono_ns: int, commander: str = "") -> bytes:
+        """Return the row after a tick of one arm; what the others gave last is in it too, with its age.
+
+        Parameters
+        ----------
+        state, command, tick : see `recording.Feed`. mono_ns : our monotonic clock. commander : of this arm.
+
+        Raises
+        ------
+        UnknownName : the robot of the state is not in the schema.
+        """
+        part = self._parts.get(state.robot)
+        if part is None:
+            raise UnknownName.among("robot of these rows", state.robot, self._parts)
+        self._seq += 1
+        buffer = self._buffer
+        HEAD.pack_into(buffer, 0, MAGIC, len(buffer), self._schema.id, self._seq, mono_ns, tick.stamp_ns)
+        struct.pack_into("<4d", buffer, part.reals, state.t, state.dt, state.utilization, 0.0)
+        struct.pack_into(
+            "<16q", buffer, part.counts, tick.number, state.seq, tick.seq_sent, state.session, state.missed, tick.drops,
+            state.robot_ns, tick.receive_ns, tick.send_ns, tick.step_ns, state.motors, state.mci, state.rapid,
+            state.converged, tick.late, 1,
+        )  # fmt: skip
+        self._fill(part, state, command, tick)
+        word = commander.encode(errors="replace")[:WORDS]
+        buffer[part.commander : part.commander + WORDS] = word + bytes(WORDS - len(word))
+        part.heard_ns = tick.receive_ns
+        for other in self._parts.values():
+            if other is not part and other.heard_ns:
+                self._numbers[other.age] = 1e-9 * (tick.receive_ns - other.heard_ns)
+                self._integers[other.fresh] = 0
+        if self._sources:
+            self._fill_sources(state)
+        return bytes(buffer)
+
+    def _fill_sources(self, state: State) -> None:
+        """Write what each source gave last, whatever its age."""
+        for field in self._sources:
+            held = state.sources.get(field.source)
+            if held is not None:
+                name, start = field.name.removeprefix(f"{field.source}."), (field.offset - HEAD.size) // 8
+                values = held.age if name == "age" else held.kept[name]
+                self._numbers[start : start + field.size // 8] = np.ravel(values)
+
+    def _fill(self, part: _Part, state: State, command: Command | None, tick: Tick) -> None:
+        numbers, n = self._numbers, part.n
+        for name, place in part.measured:
+            values = getattr(state, name)
+            numbers[place] = values if len(values) == n else np.nan
+        for place, attribute in part.asked:
+            values = None if command is None else getattr(command, attribute)
+            numbers[place] = np.nan if values is None or np.shape(values) != (n,) else values
+        for name, place in part.sent:
+            values = getattr(tick, name)
+            numbers[place] = np.nan if values is None else values
+        for name, place, size in part.fixed:
+            values = getattr(state, name)
+            numbers[place] = values.ravel() if values.size == size else np.nan
+        numbers[part.q_ext] = np.nan
+        external = state.q_ext[: part.q_ext.stop - part.q_ext.start]
+        numbers[part.q_ext.start : part.q_ext.start + len(external)] = external
+        record = {} if command is None else command.record
+        for name, place, size in part.recorded:
+            values = record.get(name) if record else None
+            numbers[place] = np.nan if values is None or np.size(values) != size else np.ravel(values)
+        self._integers[part.clamped] = 0 if tick.clamped is None else tick.clamped
+
+
+class Pace:
+    """Takes a row when one of the arms that it is fresh for is due, so that no arm keeps another from its rows.
+
+    Parameters
+    ----------
+    every : s between two rows of an arm; 0 takes all.
+    """
+
+    def __init__(self, every: float) -> None:
+        self._every = every
+        self._due: dict[Hashable, float] = {}
+
+    def takes(self, arms: Iterable[Hashable], now: float) -> bool:
+        """Return whether a row is taken.
+
+        Parameters
+        ----------
+        arms : for which it is fresh. now : s, of a clock that never goes back.
+        """
+        due = [arm for arm in arms if now >= self._due.get(arm, now)]
+        for arm in due:
+            self._due[arm] = max(self._due.get(arm, now) + self._every, now)
+        return bool(due)

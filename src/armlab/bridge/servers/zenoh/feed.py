@@ -1,0 +1,259 @@
+"""`ZenohFeed`: what `LocalFeed` gives, from a bridge on another computer."""
+
+from __future__ import annotations
+
+import json
+import time
+from types import TracebackType
+from typing import Any
+
+from armlab.bridge.servers.messages import Request, SetRequest, Stop, Subscribe
+from armlab.bridge.servers.row import Pace, Row, RowSchema, read_row
+from armlab.bridge.servers.zenoh.address import Place
+from armlab.bridge.servers.zenoh.keys import EVERY, key, robot_of
+from armlab.bridge.servers.zenoh.messages import About, read_about, read_message
+from armlab.bridge.servers.zenoh.rows import Gaps, Inbox, undamaged
+from armlab.bridge.servers.zenoh.session import Asking, close_session, zenoh
+from armlab.errors import ArmlabError, ConfigError, LinkError
+
+__all__ = ["ZenohFeed", "robots_at"]
+
+_VIEW = 30.0  # rows/s that a view gets
+_HEARD = 0.5  # s in which all robots of a lab are heard of
+_KEPT = 5000  # messages that wait to be read: the oldest are lost then
+_TEXT = 2**16  # bytes that a text is counted for, read as it is
+
+
+def robots_at(session: Any, lab: str = EVERY, patience: float = 1.0) -> list[tuple[str, str]]:
+    """Return lab and name of the robots whose bridges are alive.
+
+    Parameters
+    ----------
+    session : open. lab : its name; all of them by default. patience : s to wait for an answer.
+    """
+    replies = session.liveliness().get(key(lab, EVERY, "alive"), timeout=patience)
+    return sorted({robot_of(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None})
+
+
+class ZenohFeed:
+    """A client of a bridge elsewhere; a context manager with the methods of `LocalFeed`.
+
+    Parameters
+    ----------
+    url : see `Place.read`. robot : an arm of the cell; "" when one cell serves that lab. patience : s to wait, also
+        for a bridge that has gone to come again: it may be the way to it, and what comes again another run.
+
+    Attributes
+    ----------
+    cell : its name. damaged : rows whose checksum was another one; they were dropped.
+    refused : texts that were none, dropped too.
+    lost : rows that did not come, or not read in time, counted by their numbers while every row is asked for.
+
+    Raises
+    ------
+    LinkError : nobody is there, or what it says of itself cannot be read. ConfigError : the same, a wrong url, or
+        several cells and no robot named.
+    """
+
+    def __init__(self, url: str, robot: str = "", patience: float = 5.0) -> None:
+        self._place, self._patience = Place.read(url), patience
+        self._messages: Inbox[bytes | dict[str, Any]] = Inbox(_KEPT)
+        self._next: bytes | dict[str, Any] | None = None
+        self._rows: list[Any] = []
+        self._gaps: dict[str, Gaps] = {}  # of the robots of which every row is asked for
+        self._pace: Pace | None = None
+        self._gone: float | None = None  # since when
+        self._is_unsure = False  # whether what comes again is the same run
+        self.damaged = self.lost = self.refused = 0
+        self._session = self._place.open(patience)
+        try:
+            known = [robot] if robot else self._robots()
+            arm = known[0]
+            about = _whole(self._place.ask(self._session, key(self._place.lab, arm, "about"), patience))
+            self._schema = about.schema
+            if not set(known) <= set(self._schema.robots):
+                names = ", ".join(known)
+                raise ConfigError(f"Expected the name of a robot, since several cells serve this lab: {names}.")
+        except BaseException:
+            self.close()
+            raise
+        self.cell = about.cell
+        self._arm, self._run = arm, about.run
+        self._take(*about.said)
+        self._asking = Asking(self._session, self._answered)
+        declare, lab = self._session.declare_subscriber, self._place.lab
+        self._texts = [declare(key(lab, arm, what), self._take_text) for what in ("events", "status", "parameters")]
+        self._alive = self._session.liveliness().declare_subscriber(
+            key(lab, arm, "alive"), self._take_life, history=True
+        )
+
+    def __enter__(self) -> ZenohFeed:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave."""
+        close_session(self._session)
+
+    def wait(self, seconds: float) -> bool:
+        """Return whether a message comes within so many seconds.
+
+        Parameters
+        ----------
+        seconds : at most.
+        """
+        if self._next is None:
+            self._next = self._messages.get(0.0 if self._has_ended() else seconds)
+        return self._next is not None or self._has_ended()
+
+    def ask(self, request: Request) -> None:
+        """Send a request: `Subscribe`, `SetRequest` or `Stop`.
+
+        Parameters
+        ----------
+        request : see `messages`.
+
+        Raises
+        ------
+        ConfigError : another request: only operators at the bridge's own computer may do that.
+        """
+        lab, robot = self._place.lab, self._schema.robots[0]
+        if isinstance(request, Subscribe):
+            self._subscribe(request.rate)
+        elif isinstance(request, SetRequest):
+            for name, value in request.values.items():
+                self._session.put(key(lab, robot, f"param/{name}"), json.dumps(value))
+        elif isinstance(request, Stop):
+            self._session.put(key(lab, robot, "stop"), b"")
+        else:
+            what = type(request).__name__
+            raise ConfigError(f"Expected a request that goes over Zenoh, got {what}. Ask at the bridge's own computer.")
+
+    def receive(self) -> Row | dict[str, Any]:
+        """Return the next message: a row, or what another message says, by name, with its "kind".
+
+        Raises
+        ------
+        LinkError : the bridge has ended, or nothing came in time.
+        """
+        until = time.monotonic() + self._patience
+        while self.wait(until - time.monotonic()):
+            message, self._next = self._next, None
+            if message is None:
+                break
+            if isinstance(message, dict):
+                if message["kind"] == "about":
+                    self._schema = RowSchema.read(message["schema"].encode())
+                    there = [robot for robot in self._gaps if robot in self._schema.robots]
+                    self._gaps = {robot: Gaps(self._schema, robot) for robot in there}
+                return message
+            if message[8:16] == self._schema.id:  # another is of a run that was not told of yet
+                row = read_row(self._schema, message)
+                self._count(row, message)
+                return row
+        if self._gone is not None:
+            raise LinkError(f"Expected the bridge of {self.cell} to go on, but it has gone.")
+        raise LinkError(f"Expected a message of {self.cell} in time, but none came. See whether its robot runs.")
+
+    def _subscribe(self, rate: float | None) -> None:
+        for one in self._rows:
+            one.undeclare()
+        self._rows = []
+        self._gaps = {robot: Gaps(self._schema, robot) for robot in self._schema.robots if rate is None}
+        if rate is None or rate > 0.0:
+            what = "live" if rate is None or rate > _VIEW else "view"
+            self._pace = None if rate is None else Pace(1.0 / rate)
+            self._rows = [
+                self._session.declare_subscriber(key(self._place.lab, robot, what), self._take_row)
+                for robot in self._schema.robots
+            ]
+
+    def _count(self, row: Row, data: bytes) -> None:
+        """Count what is missing before a row: Zenoh tells the bridge nothing of what it drops for a slow reader."""
+        told = self.lost.bit_length()
+        self.lost += sum(gaps.take(data) for robot, gaps in self._gaps.items() if row.values[f"{robot}.fresh"])
+        if self.lost.bit_length() > told:  # 1, 2, 4, ...
+            self._tell(f"Rows did not come, or were not read in time: {self.lost} so far.")
+
+    def _robots(self) -> list[str]:
+        """Return the robots of the lab; who has just connected hears of them one after another."""
+        found: set[str] = set()
+        until = time.monotonic() + _HEARD
+        while time.monotonic() < until:
+            found |= {name for _, name in robots_at(self._session, self._place.lab)}
+            time.sleep(_HEARD / 10)
+        if not found:
+            raise LinkError(
+                f"Expected a robot in the lab {self._place.lab!r} at {self._place.host}:{self._place.port}, got none. "
+                "Start armlab bridge with [servers.zenoh], or name another lab."
+            )
+        return sorted(found)
+
+    def _take_row(self, sample: Any) -> None:
+        if self._is_unsure:
+            self._asking.ask(self._place.lab, self._arm)
+        elif (data := undamaged(sample)) is None:
+            self.damaged += 1
+            if self.damaged & (self.damaged - 1) == 0:  # 1, 2, 4, ...: all may be
+                self._tell(f"Rows came damaged and were dropped: {self.damaged} so far.")
+        elif self._pace is None or self._pace.takes([robot_of(str(sample.key_expr))], time.monotonic()):
+            self._take(data)
+
+    def _take_text(self, sample: Any) -> None:
+        try:
+            self._take(read_message(sample.payload.to_bytes()))
+        except LinkError:
+            self._refuse()
+
+    def _refuse(self) -> None:
+        self.refused += 1
+        if self.refused & (self.refused - 1) == 0:  # 1, 2, 4, ...
+            self._tell(f"Texts came that cannot be read and were dropped: {self.refused} so far.")
+
+    def _take_life(self, sample: Any) -> None:
+        has_gone = sample.kind == zenoh().SampleKind.DELETE
+        self._gone = time.monotonic() if has_gone else None
+        if has_gone:
+            self._is_unsure = True
+            self._tell(f"The bridge of {self.cell} has gone, or the way to it.")
+
+    def _has_ended(self) -> bool:
+        gone = self._gone  # which a thread of Zenoh's changes
+        return gone is not None and time.monotonic() - gone >= self._patience
+
+    def _answered(self, lab: str, robot: str, about: bytes) -> None:
+        """Take what a bridge says that has come again."""
+        if not self._is_unsure:
+            return
+        try:
+            said = _whole(about)
+        except ArmlabError:
+            self._refuse()
+            return
+        self._is_unsure = False
+        if said.run == self._run:
+            self._tell(f"The bridge of {self.cell} is there again, in the same run.")
+            return
+        self._run = said.run
+        self._take(*said.said)
+        self._tell(f"The bridge of {self.cell} has restarted.")
+
+    def _tell(self, text: str) -> None:
+        self._take({"kind": "event", "stamp_ns": time.time_ns(), "text": text})
+
+    def _take(self, *messages: bytes | dict[str, Any]) -> None:
+        """Keep messages; in a thread of Zenoh's, which wakes who waits."""
+        for message in messages:
+            self._messages.put(message, len(message) if isinstance(message, bytes) else _TEXT)
+
+
+def _whole(data: bytes) -> About:
+    """Return what a bridge says of itself, whose rows tell all of its arms, as a `Watch` wants them."""
+    about = read_about(data)
+    for robot in about.robots.values():
+        about.schema.require(robot)
+    return about

@@ -1,0 +1,259 @@
+"""`ZenohProcess`: the native Zenoh server in a process of its own, between the loop's feed and programs elsewhere."""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+import struct
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from armlab.bridge.servers.messages import CommandRequest, Listening, Report, Request, SetRequest, Stop
+from armlab.bridge.servers.server_end import LoopEnd
+from armlab.bridge.servers.status import Status
+from armlab.bridge.servers.zenoh.keys import COMMANDS, Attached, key
+from armlab.bridge.servers.zenoh.publisher import Output, Waiting
+from armlab.bridge.servers.zenoh.rows import checksum
+from armlab.bridge.servers.zenoh.security import Security
+from armlab.bridge.servers.zenoh.session import close_session, data_of, open_near
+from armlab.errors import CommandRefused
+
+__all__ = ["ZenohProcess", "serve"]
+
+_VIEW = 33_000_000  # ns between two rows for views
+_STATUS = 500_000_000  # ns between two reports
+_LONGEST = 65536  # bytes of a setting
+_MOST = 64  # joints
+_CLIENTS = 256  # of which is known where their answers go
+_HEAD_MONO = struct.Struct("<q")
+_NOBODY = "unknown"
+
+
+class ZenohProcess:
+    """Serves until the loop closes the feed.
+
+    Raises
+    ------
+    LinkError, ConfigError : the loop has gone, or see `open_near` and `Security`. MissingExtra : see `zenoh`.
+    """
+
+    def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
+        self._loop = LoopEnd(feed, self._counts)
+        self._lab = options["lab"]
+        self._arms = {name: _Arm(self._loop, name) for name in self._loop.schema.robots}
+        self._recording: dict[str, Any] = {}
+        self._answers: dict[str, str] = {}  # client -> robot under which it is answered
+        self._declared: list[Any] = []  # they go with the last that holds them
+        commands = "zenoh" in self._loop.about.get("commands", ())
+        self._session, self._where = open_near(
+            options["host"], options["port"], options.get("router", ""), Security.of(options), commands
+        )
+
+    def run(self) -> None:
+        """Serve until the loop closes the feed."""
+        try:
+            for arm in self._arms.values():
+                self._declare(arm)
+            self._loop.ask(Listening(where=[f"{self._where}, armlab/{self._lab}"]))
+            while (messages := self._loop.receive(None)) is not None:
+                for message in messages:
+                    if isinstance(message, bytes):
+                        self._row(message)
+                    else:
+                        self._text(message)
+        finally:
+            for arm in self._arms.values():
+                arm.close()
+            close_session(self._session)
+
+    def _counts(self) -> dict[str, tuple[int, int]]:
+        """Return rows sent and dropped by key: who reads them is not known here."""
+        rows = {f"{name} {what}": arm.rows.get(what) for name, arm in self._arms.items() for what in _Arm.KINDS}
+        return {name: (one.sent, one.dropped) for name, one in rows.items() if one is not None and one.sent}
+
+    def _declare(self, arm: _Arm) -> None:
+        session, lab = self._session, self._lab
+        arm.open(session, lab)
+        self._declared += [
+            session.declare_subscriber(key(lab, arm.name, "command/*"), partial(self._command, arm.name)),
+            session.declare_subscriber(key(lab, arm.name, "param/*"), partial(self._set, arm.name)),
+            session.declare_subscriber(key(lab, arm.name, "stop"), partial(self._stop, arm.name)),
+            session.declare_queryable(key(lab, arm.name, "schema"), partial(self._schema, arm.name)),
+            session.declare_queryable(key(lab, arm.name, "about"), partial(self._about, arm.name)),
+            session.declare_queryable(key(lab, arm.name, "param/*"), partial(self._value, arm.name)),
+            session.liveliness().declare_token(key(lab, arm.name, "alive")),
+        ]
+
+    def _row(self, data: bytes) -> None:
+        for arm in self._arms.values():
+            arm.row(data)
+
+    def _text(self, message: Mapping[str, Any]) -> None:
+        kind, arms = message["kind"], self._arms.values()
+        if kind == "answer":
+            robot = self._answers.get(message["client"])
+            if robot is not None:
+                self._answer(robot, message["client"], message["text"])
+        elif kind == "parameters":
+            for arm in arms:
+                arm.texts["parameters"].put(msgspec.json.encode(message))
+        elif kind in ("event", "recording"):
+            if kind == "recording":
+                self._recording = dict(message)
+            for arm in arms:
+                arm.texts["events"].put(msgspec.json.encode(message))
+
+    def _command(self, robot: str, sample: Any) -> None:
+        """Take a command; of one that cannot be read the sender gets a sentence."""
+        kind, client = str(sample.key_expr).rpartition("/")[2], _NOBODY
+        try:
+            attached = Attached.read(data_of(sample.attachment))
+            client = attached.client
+            self._ask(robot, _order(robot, kind, sample.payload.to_bytes(), attached))
+        except CommandRefused as error:
+            self._refuse(robot, client, str(error))
+
+    def _set(self, robot: str, sample: Any) -> None:
+        name, client = str(sample.key_expr).rpartition("/")[2], _NOBODY
+        try:
+            attachment = data_of(sample.attachment)
+            client = _NOBODY if attachment is None else Attached.read(attachment).client
+            self._ask(robot, SetRequest(client, {name: _setting(name, sample.payload.to_bytes())}))
+        except CommandRefused as error:
+            self._refuse(robot, client, str(error))
+
+    def _stop(self, robot: str, sample: Any) -> None:
+        attachment = data_of(sample.attachment)
+        try:
+            client = _NOBODY if attachment is None else Attached.read(attachment).client
+        except CommandRefused:
+            client = _NOBODY  # a stop counts, whoever it is from
+        self._ask(robot, Stop(client))
+
+    def _ask(self, robot: str, request: Request) -> None:
+        client = request.client
+        if client not in self._answers and len(self._answers) >= _CLIENTS:
+            self._answers.pop(next(iter(self._answers)), None)
+        self._answers[client] = robot
+        self._loop.ask(request)
+
+    def _refuse(self, robot: str, client: str, why: str) -> None:
+        self._answer(robot, client, why)
+        self._loop.ask(Report(client, why))
+
+    def _answer(self, robot: str, client: str, text: str) -> None:
+        self._session.put(key(self._lab, robot, f"answer/{client}"), text)
+
+    def _schema(self, robot: str, query: Any) -> None:
+        with query:
+            query.reply(key(self._lab, robot, "schema"), self._loop.schema.text)
+
+    def _about(self, robot: str, query: Any) -> None:
+        """Answer what a viewer must know first: the cell, its arms, its rows, its parameters and its recording."""
+        said = [self._loop.about, {"kind": "parameters", "parameters": list(self._loop.parameters.values())}]
+        said += [self._recording] if self._recording else []
+        with query:
+            query.reply(
+                key(self._lab, robot, "about"),
+                msgspec.json.encode(said),
+            )
+
+    def _value(self, robot: str, query: Any) -> None:
+        """Answer with all that is known of the parameters that are asked for."""
+        with query:
+            for name, about in dict(self._loop.parameters).items():
+                where = key(self._lab, robot, f"param/{name}")
+                if query.key_expr.intersects(type(query.key_expr)(where)):
+                    query.reply(where, msgspec.json.encode(about))
+
+
+class _Arm:
+    """What goes out of one arm."""
+
+    KINDS = ("state", "live", "view")
+
+    def __init__(self, loop: LoopEnd, name: str) -> None:
+        self.name, self._schema = name, loop.schema
+        self._fresh = loop.schema.fields[f"{name}.fresh"].offset
+        self.rows: dict[str, Output] = {}
+        self.texts: dict[str, Output] = {}
+        self._status: Status | None = None
+        self._due = {"view": 0, "status": 0}
+
+    def open(self, session: Any, lab: str) -> None:
+        kinds = {"state": Waiting, "live": Output, "view": Output}
+        self.rows = {what: kind(session, key(lab, self.name, what)) for what, kind in kinds.items()}
+        self.texts = {what: Output(session, key(lab, self.name, what)) for what in ("events", "status", "parameters")}
+
+    def close(self) -> None:
+        for one in self.rows.values():
+            if isinstance(one, Waiting):
+                one.close()
+
+    def row(self, data: bytes) -> None:
+        """Send a row of this arm to those that want it; a row of another arm is none."""
+        self._count(data)
+        if not _HEAD_MONO.unpack_from(data, self._fresh)[0]:
+            return
+        attached = checksum(data)
+        self.rows["live"].put(data, attached)
+        self.rows["state"].put(data, attached)
+        if self._is_due("view", data, _VIEW):
+            self.rows["view"].put(data, attached)
+
+    def _count(self, data: bytes) -> None:
+        output = self.texts["status"]
+        if not output.wanted:
+            self._status = None
+            return
+        self._status = self._status or Status(self._schema)
+        self._status.add(data)
+        if self._is_due("status", data, _STATUS):
+            output.put(msgspec.json.encode({"kind": "status", **self._status.summary()}))
+
+    def _is_due(self, what: str, data: bytes, every: int) -> bool:
+        now = _HEAD_MONO.unpack_from(data, 24)[0]
+        if now < self._due[what]:
+            return False
+        self._due[what] = max(self._due[what] + every, now)
+        return True
+
+
+def _order(robot: str, kind: str, data: bytes, attached: Attached) -> CommandRequest:
+    if kind not in COMMANDS:
+        known = ", ".join(COMMANDS)
+        raise CommandRefused(f"Expected the last word of a command's key to be one of {known}, got {kind!r}.")
+    fields = COMMANDS[kind].split()
+    most = _MOST * len(fields)
+    if not data or len(data) % 8 or len(data) > 8 * most:
+        raise CommandRefused(f"Expected 1 to {most} numbers for {robot}, float64, 8 bytes each, got {len(data)} bytes.")
+    if len(data) % (8 * len(fields)):
+        raise CommandRefused(f"Expected as many velocities as positions for {robot}, got {len(data) // 8} numbers.")
+    parts = np.frombuffer(data, "<f8").reshape(len(fields), -1)
+    numbers = [[value if math.isfinite(value) else None for value in part] for part in parts.tolist()]
+    request = CommandRequest(attached.client, robot, seq=attached.seq)
+    return msgspec.structs.replace(request, **dict(zip(fields, numbers, strict=True)))
+
+
+def _setting(name: str, data: bytes) -> Any:
+    try:
+        if len(data) > _LONGEST:
+            raise ValueError(f"{len(data)} bytes came")
+        return json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise CommandRefused(f"Expected the value of {name} as JSON, but {error}.") from None
+
+
+def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
+    """Serve until the loop closes the feed.
+
+    Raises
+    ------
+    LinkError, ConfigError, MissingExtra : see `ZenohProcess`.
+    """
+    ZenohProcess(feed, options).run()

@@ -1,0 +1,166 @@
+"""`Security`: certificates, passwords and who may do what, at one end of a Zenoh link."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from armlab.bridge.servers.zenoh.keys import EVERY, key
+from armlab.errors import ConfigError
+
+__all__ = ["BRIDGE", "COMMANDER", "Security"]
+
+COMMANDER = "commander"
+"""User who may command and set parameters."""
+
+BRIDGE = "bridge"
+"""User as whom bridges come to a router elsewhere; they alone may publish there."""
+
+_LARGEST = 2**20  # characters of a file of users
+_SERVED = ("state", "live", "view", "events", "status", "parameters", "answer/**", "alive")
+
+
+@dataclass(frozen=True)
+class Security:
+    """What one end knows of the others; paths of files.
+
+    Parameters
+    ----------
+    ca : certificate of the lab's own authority; with it links are TLS.
+    certificate, key : of this end, when it listens; the key belongs to its user alone.
+    users : "user:password" lines of those who may come, when it listens; then `COMMANDER` alone commands.
+    secret : one line "user:password" as whom this end comes to others.
+
+    Raises
+    ------
+    ConfigError : no such file, one that others may read, a certificate without its key, or a line of another form.
+    """
+
+    ca: Path | None = None
+    certificate: Path | None = None
+    key: Path | None = None
+    users: Path | None = None
+    secret: Path | None = None
+
+    def __post_init__(self) -> None:
+        for path in (self.ca, self.certificate, self.key, self.users, self.secret):
+            if path is not None and not _is_file(path):
+                raise ConfigError(f"Expected the file {path}, but there is none. Write it: armlab bridge certificates.")
+        for path in (self.key, self.users, self.secret):
+            if path is not None and path.stat().st_mode & 0o077:
+                raise ConfigError(f"Expected {path} to be yours alone, but others may read it: chmod 600 {path}.")
+        if (self.certificate is None) != (self.key is None) or (self.certificate is not None and self.ca is None):
+            raise ConfigError("Expected `certificate`, `key` and `ca` together, got some of them.")
+        if self.secret is not None:
+            _own(self.secret)
+        if self.users is not None and COMMANDER not in dict(_lines(self.users)):
+            raise ConfigError(f"Expected a line {COMMANDER}:PASSWORD in {self.users}, got none: nobody could command.")
+
+    @classmethod
+    def of(cls, options: Any) -> Security:
+        """Return what a table or the options of a link name.
+
+        Parameters
+        ----------
+        options : mapping; names of other things are left alone.
+
+        Raises
+        ------
+        ConfigError : see `Security`.
+        """
+        names = [name for name in cls.__dataclass_fields__ if options.get(name)]
+        try:
+            return cls(**{name: Path(options[name]).expanduser() for name in names})
+        except (RuntimeError, ValueError) as error:  # ~somebody, ~ and a byte that no name has
+            raise ConfigError(
+                f"Expected files of users of this computer, but {str(error).rstrip('.')}. Give whole paths."
+            ) from None
+
+    @property
+    def is_safe(self) -> bool:
+        """Whether commands may come from another computer: encrypted, and from users with a password."""
+        return None not in (self.ca, self.certificate, self.key, self.users)
+
+    def values(self, listens: bool) -> dict[str, Any]:
+        """Return the values of Zenoh's configuration by key.
+
+        Parameters
+        ----------
+        listens : whether others come to this end.
+        """
+        found: dict[str, Any] = {}
+        if self.ca is not None:
+            found["transport/link/tls/root_ca_certificate"] = str(self.ca.absolute())
+        if self.certificate is not None and self.key is not None:
+            found["transport/link/tls/listen_certificate"] = str(self.certificate.absolute())
+            found["transport/link/tls/listen_private_key"] = str(self.key.absolute())
+        if self.secret is not None:
+            user, password = _own(self.secret)
+            found["transport/auth/usrpwd/user"], found["transport/auth/usrpwd/password"] = user, password
+        if self.users is not None and listens:
+            found["transport/auth/usrpwd/dictionary_file"] = str(self.users.absolute())
+            found["access_control"] = _rules()
+        return found
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # of a name that is too long
+        return False
+
+
+def _own(path: Path) -> tuple[str, str]:
+    lines = _lines(path)
+    if len(lines) != 1:
+        raise ConfigError(f"Expected one line USER:PASSWORD in {path}, got {len(lines)}.")
+    return lines[0]
+
+
+def _lines(path: Path) -> list[tuple[str, str]]:
+    found = []
+    with path.open(encoding="utf-8", errors="replace") as opened:
+        text = opened.read(_LARGEST)
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.strip():
+            user, colon, password = line.strip().partition(":")
+            if not (user and colon and password):
+                raise ConfigError(f"Expected USER:PASSWORD in line {number} of {path}.")
+            found.append((user, password))
+    return found
+
+
+def _rules() -> dict[str, Any]:
+    """Return who may do what, also on a router: all read, ask and stop, one user commands, bridges publish."""
+    everything = "armlab/**"
+    commands = [key(EVERY, EVERY, what) for what in ("command/**", "param/**")]
+    reading = ["declare_subscriber", "query", "liveliness_query", "declare_liveliness_subscriber"]
+    serving, answering = ["put", "delete", "liveliness_token"], ["reply", "declare_queryable"]
+    rules = [
+        _rule("out", "egress", [*reading, *serving, *answering], [everything]),
+        _rule("ask", "ingress", reading, [everything]),
+        _rule("stop", "ingress", ["put"], [key(EVERY, EVERY, "stop")]),
+        _rule("command", "ingress", ["put"], commands),
+        _rule("serve", "ingress", serving, [key(EVERY, EVERY, what) for what in _SERVED]),
+        _rule("answer", "ingress", answering, [everything]),
+    ]
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [
+            {"id": "everybody"},
+            {"id": COMMANDER, "usernames": [COMMANDER]},
+            {"id": BRIDGE, "usernames": [BRIDGE]},
+        ],
+        "policies": [
+            {"rules": ["out", "ask", "stop"], "subjects": ["everybody"]},
+            {"rules": ["command"], "subjects": [COMMANDER]},
+            {"rules": ["serve", "answer"], "subjects": [BRIDGE]},
+        ],
+    }
+
+
+def _rule(name: str, flow: str, messages: list[str], keys: list[str]) -> dict[str, Any]:
+    return {"id": name, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": keys}

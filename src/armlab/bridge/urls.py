@@ -1,0 +1,100 @@
+"""Urls of a link, taken apart: `Address`, and `addresses`, one per robot or one for all simulated robots."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
+
+from armlab.errors import ConfigError
+
+__all__ = ["Address", "addresses", "simulator_options", "split_url"]
+
+_PORT = 6510  # of one arm
+_PORTS = 6511  # of the first of several: 6511 left, 6512 right
+_ZENOH = 7447  # of the router
+_LABCOMM = 7511  # of the first arm of a LabComm server: 7511 left, 7512 right
+
+
+class Address(NamedTuple):
+    """Where one robot is heard.
+
+    scheme : "egm", "sim", "labcomm" or "zenoh". host, port : where to listen, or of the server.
+    """
+
+    scheme: str
+    host: str
+    port: int
+    robot: str
+    options: dict[str, str]
+
+
+def addresses(urls: Sequence[str], count: int) -> list[Address]:
+    """Return the addresses of the robots of a link.
+
+    urls : ``egm://HOST:PORT``, ``labcomm://HOST:PORT`` or ``zenoh://HOST:PORT/LAB`` for each robot, or
+        ``sim://NAME?option=value``, also ``sim://NAME+NAME`` and ``sim://FOLDER/FILE.toml``. count : robots.
+
+    Raises
+    ------
+    ConfigError : another form, another number than that of the robots, or two that cannot be in one link.
+    """
+    ports = [_PORTS + index if count > 1 else _PORT for index in range(len(urls))]
+    rows = [_LABCOMM + index for index in range(len(urls))]
+    found = [one for url, *numbers in zip(urls, ports, rows, strict=True) for one in _taken_apart(url, *numbers)]
+    if len(found) != count:
+        raise ConfigError(f"Expected one url per robot, got {len(found)} for {count}: {', '.join(urls)}.")
+    if len({(address.scheme, *sorted(_shared(address).items())) for address in found}) > 1:
+        raise ConfigError(
+            f"Expected urls of one kind and with the same options in one link, got {', '.join(urls)}. "
+            "Only seeds of simulated robots may differ."
+        )
+    bound = [(one.host, one.port) for one in found if one.port and one.scheme != "zenoh"]
+    if len(set(bound)) < len(bound):
+        raise ConfigError(f"Expected a port per arm, since each motion task needs its own, got {', '.join(urls)}.")
+    return found
+
+
+def simulator_options(found: Sequence[Address]) -> dict[str, str]:
+    """Return the options of the one simulator that plays all robots, with a seed for each where they differ."""
+    seeds = [one.options.get("seed", "0") for one in found]
+    return found[0].options if len(set(seeds)) == 1 else {**found[0].options, "seed": ",".join(seeds)}
+
+
+def _shared(address: Address) -> dict[str, str]:
+    """Return the options in which all urls of a link must agree."""
+    return {name: value for name, value in address.options.items() if (address.scheme, name) != ("sim", "seed")}
+
+
+def split_url(url: str) -> SplitResult:
+    """Return the parts of a url.
+
+    Raises
+    ------
+    ConfigError : no url, or half a bracket of an IPv6 address.
+    """
+    try:
+        return urlsplit(url if isinstance(url, str) else "")
+    except ValueError as error:
+        raise ConfigError(f"Expected a url like egm://127.0.0.1:6510, got {url!r} ({error}).") from None
+
+
+def _taken_apart(url: str, port: int, rows: int) -> list[Address]:
+    parts = split_url(url)
+    simulated = parts.netloc + parts.path if parts.scheme == "sim" else ""
+    if parts.scheme not in ("egm", "sim", "labcomm", "zenoh") or not (parts.netloc or simulated):
+        raise ConfigError(f"Expected a link like egm://127.0.0.1:6510 or sim://yumi_right, got {url!r}.")
+    options = dict(parse_qsl(parts.query, keep_blank_values=True))
+    if parts.scheme == "sim":
+        return [Address("sim", "127.0.0.1", 0, robot, options) for robot in map(unquote, simulated.split("+"))]
+    if parts.scheme == "labcomm":
+        port = rows
+    elif parts.scheme == "zenoh":
+        port, options = _ZENOH, {"lab": parts.path.strip("/"), **options}
+    elif options:
+        raise ConfigError(f"Expected no options in an egm link, got {', '.join(options)} in {url!r}.")
+    number = parts.netloc.rpartition(":")[2] if ":" in parts.netloc else str(port)
+    number = number.lstrip("0") or number[:1]  # Python reads no number of 5000 digits
+    if not parts.hostname or not number.isascii() or not number.isdigit() or int(number[:6]) > 65535:
+        raise ConfigError(f"Expected {parts.scheme}://HOST:PORT with a port from 0 to 65535, got {url!r}.")
+    return [Address(parts.scheme, parts.hostname, int(number), "", options)]

@@ -1,0 +1,388 @@
+"""`Arbiter`: one commander per arm; taking, keeping, losing an arm, in simulated time."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armlab import robots
+from armlab.bridge.command.arbiter import LEASE
+from armlab.bridge.command.order import Order
+
+from .commanders import HOME, LEFT, RIGHT, Bench, order
+
+
+def test_the_first_valid_command_takes_the_arm() -> None:
+    bench = Bench()
+    assert bench() is None
+    assert bench(order("labcomm a", 0.01), order("labcomm b", 0.02)).q[0] == HOME[0] + 0.01
+    assert bench.arbiter.commander("yumi_left") == "labcomm a"
+    assert bench.events[0] == "labcomm a commands yumi_left."
+    assert bench.answers == [
+        ("labcomm b", "yumi_left is commanded by labcomm a. You may read. 1 commands refused so far.")
+    ]
+    assert bench.arbiter.refused == {"labcomm b": 1}
+    assert bench.arbiter.obeyed == {"yumi_left": {"labcomm a": 1}}
+    assert bench.warnings == ["A command of labcomm b was refused: yumi_left is commanded by labcomm a. You may read."]
+
+
+def test_others_are_answered_once_a_second() -> None:
+    bench = Bench()
+    for _ in range(600):
+        bench(order("labcomm a"), order("labcomm b"))
+    assert bench.arbiter.refused["labcomm b"] == 600
+    assert len(bench.answers) == 3
+    assert sum("refused" in text for text in bench.events) == 3
+
+
+def test_the_second_answer_comes_after_one_second() -> None:
+    bench = Bench()
+    for _ in range(250):
+        bench(order("ros b"))
+    assert len(bench.answers) == 1
+    bench(order("ros b"))
+    assert bench.answers[1][1].endswith("251 commands refused so far.")
+
+
+def test_the_first_answer_comes_at_once_on_a_machine_that_has_just_begun() -> None:
+    bench = Bench()
+    bench.now = 0
+    bench(order("ros b"))
+    assert len(bench.answers) == 1
+
+
+def test_what_a_server_refused_is_told_and_not_answered() -> None:
+    bench = Bench()
+    bench.arbiter.report("ros b", "Expected a message, got noise.")
+    assert (bench.warnings, bench.answers) == (["ros b: Expected a message, got noise."], [])
+    assert bench.arbiter.refused == {"ros b": 1}
+
+
+def test_each_tick_polls_first() -> None:
+    orders = [order()]
+    bench = Bench(poll=lambda: bench.arbiter.submit(orders.pop()))
+    assert bench() is not None
+
+
+def test_the_lease_lasts_to_its_last_nanosecond() -> None:
+    bench = Bench()
+    bench(order())
+    assert bench(after=LEASE) is not None
+    assert bench(after=1e-9) is None
+    bench.arbiter.submit(order("labcomm b"))
+    assert bench(after=LEASE) is not None
+
+
+def test_the_lease_counts_from_when_the_command_came() -> None:
+    """Not from when it was judged: it may have waited for the arm to become ready."""
+    bench = Bench()
+    bench.arbiter.submit(order())
+    assert bench(after=LEASE - 0.004) is not None
+    assert bench(after=0.004) is not None
+    assert bench(after=1e-9) is None
+
+
+def test_a_lease_ends_also_while_nobody_asks_for_commands() -> None:
+    """While the arms are not ready: rows say that nobody commands, and others may set parameters."""
+    bench = Bench()
+    bench(order())
+    for after, holds in ((LEASE, True), (1e-9, False)):
+        bench.now += round(1e9 * after)
+        assert bench.arbiter.commander("yumi_left") == ("labcomm a" if holds else "")
+        assert bench.arbiter.commands("labcomm b") != holds
+    assert bench(order(), after=0.0) is not None
+    assert bench.events[1] == "labcomm a no longer commands yumi_left: silent for 0.1 s. The arm holds."
+
+
+def test_the_lease() -> None:
+    bench = Bench()
+    assert bench(order("labcomm a")) is not None
+    assert bench(order("labcomm b"), after=LEASE - 0.001).q[0] == HOME[0] + 0.01
+    command = bench(order("labcomm b", 0.02), after=0.002)
+    assert command.q[0] == HOME[0] + 0.02
+    assert bench.events[-2:] == [
+        "labcomm a no longer commands yumi_left: silent for 0.1 s. The arm holds.",
+        "labcomm b commands yumi_left.",
+    ]
+    assert bench.each[-2:] == bench.events[-2:]
+
+
+def test_refused_commands_keep_nothing() -> None:
+    bench = Bench()
+    bench(order())
+    for _ in range(24):
+        assert bench(order(offset=np.nan)) is not None
+    bench(order(offset=np.nan), after=0.01)
+    assert bench.arbiter.commander("yumi_left") == ""
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (order(offset=0.06), "first position within 0.05 of the one measured"),
+        (Order("labcomm a", "yumi_left", HOME[:6]), "7 numbers in q"),
+        (Order("labcomm a", "yumi_left", qd=[[1.0], [2.0, 3.0]]), "7 numbers in qd"),
+        (Order("labcomm a", "yumi_left", "up"), "7 numbers in q"),
+        (Order("labcomm a", "yumi_left", qd=np.full(7, np.inf)), "finite numbers in qd"),
+        (Order("labcomm a", "yumi_left", HOME, tau=np.zeros(7)), "no torque"),
+        (Order("labcomm a", "yumi_left"), "a position, a velocity or a torque"),
+        (order(arm="yumi_right"), r"arm of this cell \(yumi_left\), got 'yumi_right'"),
+        (order("ros a"), "no commands through ros"),
+    ],
+)
+def test_refused(wrong: Order, words: str) -> None:
+    bench = Bench()
+    assert bench(wrong) is None
+    assert re.search(words, bench.answers[0][1])
+    assert "was refused" in bench.events[0]
+    assert bench.arbiter.commander("yumi_left") == ""
+
+
+def test_torque_where_the_link_carries_it() -> None:
+    command = Bench(torque=["yumi_left"])(Order("labcomm a", "yumi_left", tau=np.ones(7)))
+    np.testing.assert_array_equal(command.tau, np.ones(7))
+
+
+def test_states_of_other_arms_are_none_of_ours() -> None:
+    with pytest.raises(ValueError, match="shorter"):
+        Bench((LEFT, RIGHT)).arbiter(Bench().state())
+
+
+def test_older_numbers_are_ignored() -> None:
+    bench = Bench()
+    assert bench(order(seq=5)).q[0] == HOME[0] + 0.01
+    assert bench(order(offset=0.02, seq=5)).q[0] == HOME[0] + 0.01
+    assert (bench.arbiter.refused, bench.answers) == ({"labcomm a": 1}, [])
+    bench.q_sent["yumi_left"] = HOME + 0.2
+    assert bench(order(offset=0.02, seq=5)) is None, "what is ignored makes no old command new"
+    bench.q_sent["yumi_left"] = HOME
+    assert bench(order(offset=0.03, seq=6)).q[0] == HOME[0] + 0.03
+
+
+def test_an_order_that_waited_too_long_is_dropped() -> None:
+    """The arbiter is not called while the robot is not ready; what was sent then must not move it later."""
+    bench = Bench()
+    bench.arbiter.submit(order())
+    assert bench(after=LEASE + 0.01) is None
+    assert bench.arbiter.refused == {"labcomm a": 1}
+
+
+def test_stop_is_for_everybody_and_resume_for_operators() -> None:
+    bench = Bench()
+    bench(order())
+    bench.arbiter.resume("local 1")
+    assert bench.arbiter.commander("yumi_left") == "labcomm a", "nothing was stopped"
+    bench.arbiter.stop("web b")
+    assert bench.warnings == ["Stopped by web b. An operator ends this: armlab bridge resume."]
+    assert bench.events[-1] == "labcomm a no longer commands yumi_left: all arms were stopped. The arm holds."
+    bench.arbiter.stop("web c")
+    assert bench(order()) is None
+    assert "All arms hold, since web b stopped them." in bench.answers[0][1]
+    assert (bench.arbiter.stopped, bench.arbiter.commander("yumi_left")) == ("web b", "")
+    bench.arbiter.submit(order())
+    bench.arbiter.resume("local 1")
+    assert bench() is None, "sent while all arms were stopped"
+    assert bench(order()) is not None
+    assert [text.split(".")[0] for text in bench.events if "topped by" in text or "Resumed" in text] == [
+        "Stopped by web b",
+        "Resumed by local 1",
+    ]
+
+
+def test_release_and_leave() -> None:
+    bench = Bench((LEFT, RIGHT))
+    bench(order("labcomm a"), Order("labcomm b", "yumi_right", np.array(RIGHT.q_home)))
+    assert (bench.arbiter.commander("yumi_left"), bench.arbiter.commander("yumi_right")) == ("labcomm a", "labcomm b")
+    bench.arbiter.leave("labcomm b")
+    assert bench.arbiter.commander("yumi_right") == ""
+    bench.arbiter.release("labcomm x", "labcomm x")
+    assert bench.arbiter.commander("yumi_left") == "labcomm a"
+    bench.arbiter.release("local 1")
+    assert bench.arbiter.commander("yumi_left") == ""
+    assert bench() == (None, None)
+
+
+def test_who_leaves_is_forgotten() -> None:
+    bench = Bench()
+    bench.arbiter.submit(order())
+    bench.arbiter.leave("labcomm a")
+    assert bench() is None
+    for _ in range(2):
+        bench(order(offset=np.nan))
+        bench.arbiter.leave("labcomm a")
+    assert len(bench.answers) == 2, "another client of that name is answered at once"
+
+
+def test_rights_of_a_commander() -> None:
+    arbiter = (bench := Bench()).arbiter
+    assert arbiter.commands("labcomm a")
+    assert not arbiter.commands("ros a")
+    bench(order("labcomm a"))
+    assert arbiter.commands("labcomm a")
+    assert not arbiter.commands("labcomm b")
+    assert Bench().arbiter.commands("labcomm a of the hall")
+
+
+def test_a_controller_of_its_own_keeps_the_arms() -> None:
+    bench = Bench()
+    bench.arbiter.reserve("the controller of the cell")
+    assert bench(order()) is None
+    assert "is commanded by the controller of the cell" in bench.answers[0][1]
+
+
+def test_a_flood_of_clients_is_bounded() -> None:
+    bench = Bench()
+    bench(order("labcomm holder"), *[order(f"labcomm {k}") for k in range(5000)])
+    bench(*[order(f"ros {k}") for k in range(5000)])
+    assert len(bench.arbiter.refused) <= 256
+    assert len(bench.arbiter._answered) <= 256
+
+
+def test_as_many_clients_wait_as_are_counted_and_of_each_the_newest_counts() -> None:
+    bench = Bench()
+    for k in range(300):
+        bench.arbiter.submit(order(f"labcomm {k}"))
+    assert len(bench.arbiter._inbox) == 256
+    assert bench(order("labcomm 0", 0.03)).q[0] == HOME[0] + 0.03
+
+
+step = st.tuples(st.booleans(), st.booleans(), st.sampled_from([0.0, 0.0, 0.01, 0.03, 0.2, np.nan]))
+
+
+@settings(max_examples=30)
+@given(st.lists(step, min_size=50, max_size=400), st.randoms(use_true_random=False))
+def test_two_commanders_that_die_at_random(steps: list[tuple[bool, bool, float]], chance: Any) -> None:
+    """The outcome is one of them or hold at each tick, no step is above the bound, each takeover has an event."""
+    bench = Bench()
+    alive = {"labcomm a": 1.0, "labcomm b": -1.0}
+    dead_until = dict.fromkeys(alive, 0)
+    holder, last = "", HOME
+    for k, (first, second, move) in enumerate(steps):
+        orders = []
+        for (client, sign), sends in zip(alive.items(), (first, second), strict=True):
+            if k >= dead_until[client] and chance.random() < 0.02:
+                dead_until[client] = k + chance.randrange(80)
+                if chance.random() < 0.5:
+                    bench.arbiter.leave(client)
+            if sends and k >= dead_until[client]:
+                orders.append(Order(client, "yumi_left", HOME + sign * (move + 1e-3 * k / len(steps))))
+        before = len(bench.events)
+        command = bench(*orders)
+        now = bench.arbiter.commander("yumi_left")
+        told = bench.events[before:]
+        assert (command is None) == (now == "")
+        if command is not None:
+            assert alive[now] * (command.q[0] - HOME[0]) >= 0.0
+            assert np.all(np.abs(command.q - last) <= 0.1 + 1e-12)
+            last = command.q
+        if now and now != holder:
+            assert f"{now} commands yumi_left." in told
+        holder = now if now else ("" if any("no longer" in text for text in told) else holder)
+
+
+def test_a_stop_while_a_command_comes_into_force_wins() -> None:
+    """Requests are taken by the guard's and the servers' thread too: a stop may come between check and command."""
+    bench = Bench()
+    arbiter = bench.arbiter
+    arbiter._tell = lambda text, *_, **__: arbiter.stop("local 1") if "commands yumi_left" in text else None
+    for _ in range(5):
+        assert bench(order()) is None
+        assert arbiter.stopped == "local 1"
+    arbiter._tell = bench.tell
+    arbiter.resume("local 1")
+    assert arbiter.commander("yumi_left") == "", "every commander begins anew by the start rule"
+
+
+def test_a_client_of_ros_is_told_of_its_own_joints() -> None:
+    """Of fourteen numbers the right arm's are the last seven, and ROS calls a YuMi's joints by their place."""
+    bench = Bench((RIGHT,), ("rosbridge",))
+    q = np.array(RIGHT.q_home)
+    q[2] += 1.0
+    bench(Order("rosbridge a", RIGHT.name, q, first=7))
+    assert "for yumi_robr_joint_3 (number 10 of the message) of yumi_right, measured" in bench.answers[0][1]
+    bench(Order("rosbridge b", RIGHT.name, np.where(np.arange(7) == 3, np.nan, 0.0), first=0))
+    assert "but that of yumi_robr_joint_4 (number 4 of the message) is not" in bench.answers[1][1]
+
+
+def test_a_jump_is_refused_and_the_last_command_stays() -> None:
+    bench = Bench()
+    bench(order())
+    assert bench(order(offset=0.2)).q[0] == HOME[0] + 0.01
+    assert "Expected the position within 0.1 of the one last sent" in bench.answers[0][1]
+    bench.q_sent["yumi_left"] = HOME + 0.2  # held elsewhere meanwhile
+    assert bench() is None
+    assert bench(order("labcomm b")) is None, "what is refused makes no old command new"
+    assert bench(order(offset=np.nan)) is None
+
+
+def test_a_commander_may_lead_the_arm_further_than_it_may_enter() -> None:
+    """The first position counts from the joints measured, those after it from the one sent last."""
+    bench = Bench()
+    for offset in (0.04, 0.08, 0.12):
+        assert bench(order(offset=offset)).q[0] == HOME[0] + offset
+    assert bench.events == ["labcomm a commands yumi_left."]
+
+
+def test_a_first_command_far_from_what_was_sent_is_for_the_guide_to_refuse() -> None:
+    """Which says why; an arm that was pushed away from where it holds would else not move, and no one know why."""
+    bench = Bench()
+    bench.q_sent["yumi_left"] = HOME + 0.2
+    assert bench(order()) is not None
+
+
+def test_before_anything_was_sent_the_measured_joints_count() -> None:
+    bench = Bench()
+    for offset, taken in ((0.01, 0.01), (0.02, 0.02), (0.2, 0.02)):
+        bench.q_sent["yumi_left"] = np.full(7, np.nan)
+        assert bench(order(offset=offset)).q[0] == HOME[0] + taken
+
+
+def test_distances_are_those_of_the_axes_where_these_are_not_the_joints() -> None:
+    """Of an IRB 2400 axis 3 is the sum of joints 2 and 3; the guide would refuse its jump, three times, and stop."""
+    linked = robots.load("irb2400")
+    bench = Bench((linked,))
+
+    def at(second: float, third: float) -> np.ndarray:
+        return linked.q_home + np.array([0.0, second, third, 0.0, 0.0, 0.0])
+
+    def away(second: float, third: float) -> Order:
+        return Order("labcomm a", linked.name, at(second, third))
+
+    assert bench(away(0.03, 0.03)) is None
+    assert "within 0.05 of the one measured, got" in bench.answers[0][1]
+    assert bench(away(0.049, -0.049)) is not None
+    bench.now += 10**9
+    bench(away(0.0, 0.0))
+    assert bench(away(0.095, 0.095)).q[1] == linked.q_home[1]
+    axis = linked.q_home[1] + linked.q_home[2]
+    assert f"got {axis + 0.19:.4f} for joint 3 (axis_3) of irb2400, last sent {axis:.4f}." in bench.answers[1][1]
+    assert "ABB's axes" in bench.answers[1][1]
+    bench.q_sent[linked.name] = at(0.06, 0.06)  # held elsewhere meanwhile
+    assert bench() is None
+    bench.q_sent[linked.name] = at(0.06, -0.06)
+    assert bench() is not None
+
+
+def test_the_ends_of_what_is_allowed_are_within() -> None:
+    q = HOME + 0.05 * (np.arange(7) == 0)
+    bench = Bench(entry=abs(q[0] - HOME[0]))
+    assert bench(Order("labcomm a", "yumi_left", q)) is not None
+    bench.arbiter._jumps["yumi_left"] = np.abs(q - HOME)
+    bench.q_sent["yumi_left"] = HOME
+    assert bench() is not None
+
+
+def test_a_sliding_joint_enters_as_near_as_its_arm_takes_it() -> None:
+    """0.02 m: what the arm itself would not take, and hold for, is refused, and the client told."""
+    rail = robots.from_dh(
+        "rail", 0.0, [0.0, 0.3], 0.0, prismatic=[True, False], q_min=[-1, -3], q_max=[1, 3], qd_max=[0.5, 2]
+    )
+    bench = Bench((rail,))
+    assert bench(Order("labcomm a", "rail", rail.q_home + np.array([0.03, 0.0]))) is None
+    assert "within 0.02 of the one measured" in bench.answers[0][1]
+    assert bench(Order("labcomm a", "rail", rail.q_home + np.array([0.019, 0.049]))) is not None

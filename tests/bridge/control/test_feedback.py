@@ -1,0 +1,227 @@
+"""Plausible feedback: what makes a robot ready, what is doubted, and what stops the run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.bridge.control.feedback import (
+    MCI_RUNNING,
+    READY_AFTER,
+    STOP_AFTER,
+    FeedbackCheck,
+    Readiness,
+    not_ready_reason,
+    outside_range,
+)
+from armlab.bridge.control.limits import Limiter, Limits, Reply
+from armlab.bridge.control.state_machine import Guide, Mode
+from armlab.robots import Robot
+from armlab.state import Command
+from armlab.wire.egm import EgmCodec, Packet
+
+from ..conftest import Feed
+
+T = 0.004
+
+
+class Bench:
+    """A guide with its real rule of three packets, and an arm that follows unless a feedback is given."""
+
+    def __init__(self, robot: Robot, limits: Limits | None = None) -> None:
+        self.feed, self.robot, self.q = Feed(robot), robot, np.array(robot.q_home)
+        self.guide = Guide(robot, limits or Limits.of(robot), on_event=self.feed.tell)
+
+    def __call__(self, command: Command | None = None, **fields: Any) -> Reply | None:
+        self.guide.observe(self.feed.sample(**{"q": self.q, **fields}))
+        reply = self.guide.answer(command if self.guide.calls else None, T)
+        if reply is not None and self.guide.ready and "q" not in fields:
+            self.q = reply.q
+        return reply
+
+    def ready(self) -> Bench:
+        while not self.guide.ready:
+            self()
+        return self
+
+    def moving(self) -> Bench:
+        self.ready()
+        for _ in range(300):
+            self(Command(qd=np.full(self.robot.n, 0.2)))
+        assert self.guide.mode is Mode.RUNNING
+        return self
+
+    @property
+    def reason(self) -> str:
+        return str(self.guide.failure)
+
+
+@pytest.fixture
+def bench(robot: Robot) -> Bench:
+    return Bench(robot)
+
+
+def test_the_third_plausible_packet_makes_the_robot_ready(bench: Bench) -> None:
+    ready = []
+    for _ in range(READY_AFTER + 1):
+        reply = bench()
+        assert reply is not None
+        np.testing.assert_allclose(reply.q, bench.robot.q_home, rtol=1e-14)
+        ready.append(bench.guide.ready)
+    assert ready == [False, False, True, True]
+
+
+@pytest.mark.parametrize("false", [100.0, 1.0, -0.3])
+@pytest.mark.parametrize("before", [0, 1, 5])
+def test_two_false_packets_at_readiness_are_never_a_reference(bench: Bench, false: float, before: int) -> None:
+    for _ in range(before):
+        bench(mci=2)
+    home = bench.robot.q_home
+    replies = [bench(q=home + false), bench(q=home + false), *[bench() for _ in range(100)]]
+    sent = [reply.q for reply in replies if reply is not None]
+    if before >= 3 or false == 100.0:
+        np.testing.assert_allclose(sent, np.broadcast_to(home, np.shape(sent)), rtol=1e-14)
+    else:  # nothing contradicts the first packets of all: each is answered with its own feedback
+        np.testing.assert_allclose(sent[2:], np.broadcast_to(home, np.shape(sent[2:])), rtol=1e-14)
+        np.testing.assert_allclose(bench.guide.q_start, home, rtol=1e-14)
+    assert bench.guide.ready
+    assert bench.guide.mode is Mode.HOLDING
+    assert len(bench.feed.warnings) == 1, "told once"
+    assert "joint" in bench.feed.warnings[0]
+
+
+def test_one_false_packet_in_motion_is_a_hold_and_three_stop_the_run(bench: Bench) -> None:
+    bench.moving()
+    before = bench()
+    held = bench(q=bench.q + 0.5)
+    assert before is not None
+    assert held is not None
+    assert not bench.guide.calls
+    assert np.abs(held.q - before.q).max() < 0.2 * T
+    assert "no faster than the arm can" in bench.feed.warnings[0]
+    bench(Command(qd=np.zeros(7)))
+    assert (bench.guide.mode, bench.guide.calls) == (Mode.RUNNING, True)
+    for k in range(int(STOP_AFTER)):
+        assert bench.guide.mode is Mode.RUNNING, k
+        bench(q=bench.q + 0.5)
+    assert bench.guide.mode is Mode.STOPPING
+    assert bench.guide.reason == "the feedback is not plausible"
+
+
+def test_an_arm_that_does_not_follow_stops_the_run(bench: Bench) -> None:
+    bench.moving()
+    stuck = bench.q
+    for k in range(400):
+        bench(Command(qd=np.full(7, 0.2)), q=stuck + 1e-4 * (k % 2))
+    assert bench.guide.mode is Mode.ENDED
+    assert "a following error of 0.1" in bench.reason
+    assert "MaxSpeedDeviation" in bench.reason
+
+
+def test_a_frozen_feedback_is_named(bench: Bench) -> None:
+    bench.moving()
+    stuck = bench.q
+    for _ in range(400):
+        bench(Command(qd=np.full(7, 0.2)), q=stuck)
+    assert bench.guide.mode is Mode.ENDED
+    assert "it is frozen" in bench.reason
+
+
+def test_the_following_error_allowed_is_an_option(robot: Robot) -> None:
+    for allowed, stops in ((0.3, False), (0.05, True)):
+        bench = Bench(robot, Limits.of(robot, following_error=allowed)).moving()
+        stuck = bench.q
+        for k in range(260):  # 0.2 rad
+            bench(Command(qd=np.full(7, 0.2)), q=stuck + 1e-4 * (k % 2))
+        assert (bench.guide.mode is not Mode.RUNNING) is stops
+
+
+def test_an_arm_that_follows_late_at_first_may_catch_up(robot: Robot) -> None:
+    """RampInTime: as far behind as 0.3 s of the speed, until it has caught up once."""
+    middle = (robot.q_min + robot.q_max) / 2
+    check, sent = FeedbackCheck(robot, Limits.of(robot)), Limiter(Limits.of(robot)).rest(middle)
+    moving = sent._replace(qd=np.full(7, 1.0))
+    assert check.check(middle, T, None) == ""
+    for _ in range(300):
+        assert check.check(middle - 0.39, 0.1, moving) == ""
+    assert "following error" in check.check(middle - 0.41, T, moving)
+    assert check.check(middle, 0.1, moving) == ""
+    assert check.check(middle - 0.14, 0.1, moving) == ""
+    assert "following error" in check.check(middle - 0.16, T, moving)
+
+
+def test_an_arm_slightly_outside_is_held_at_its_limit_and_led_back(robot: Robot) -> None:
+    bench = Bench(robot)
+    bench.q = np.array(robot.q_home)
+    bench.q[1] = robot.q_max[1] + 0.06
+    outside = np.array(bench.q)
+    while not bench.guide.ready:
+        reply = bench(q=outside)
+        assert reply is not None
+        assert (reply.q <= robot.q_max).all()
+    bench.q = np.minimum(outside, robot.q_max)
+    for _ in range(200):
+        reply = bench(Command(qd=np.eye(7)[1] * -0.2))
+    assert reply is not None
+    assert reply.q[1] < robot.q_max[1] - 0.1
+    assert bench.guide.mode is Mode.RUNNING
+
+
+def test_feedback_outside_the_range(robot: Robot) -> None:
+    q = np.array(robot.q_max)
+    assert outside_range(q + 0.09, robot) == ""
+    q[4] += 0.2
+    sentence = outside_range(q, robot)
+    assert f"joint 5 ({robot.joint_names[4]})" in sentence
+    assert f"{q[4]:.3f}" in sentence
+    assert "units" in sentence
+
+
+def test_the_following_error_is_that_of_the_axes() -> None:
+    """An IRB 2400 counts axis 3 from the foot: joints 2 and 3 against each other leave it where it is."""
+    robot = robots.load("irb2400")
+    check, sent = FeedbackCheck(robot, Limits.of(robot)), Limiter(Limits.of(robot)).rest(robot.q_home)
+    apart = robot.q_home + np.array([0, 0.06, 0.06, 0, 0, 0])
+    assert check.check(robot.q_home, T, None) == ""
+    assert "joint 3" in FeedbackCheck(robot, Limits.of(robot)).check(apart, T, sent)
+
+
+def packet(packets: Any, **fields: Any) -> Packet:
+    found = EgmCodec(packets.robot).decode(packets(**fields))
+    assert isinstance(found, Packet)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({}, ""),
+        ({"rapid": 0}, ""),
+        ({"rapid": None}, ""),
+        ({"motors": 2}, "motors are off"),
+        ({"motors": 0}, "no state of the motors"),
+        ({"rapid": 1}, "RAPID is stopped"),
+        ({"mci": 2}, "EGMRunJoint"),
+        ({"mci": 1}, "EGMRunJoint"),
+    ],
+)
+def test_obstacles(packets: Any, fields: dict[str, int], words: str) -> None:
+    one = packet(packets, **fields)
+    found = not_ready_reason(one.motors, one.rapid, one.mci)
+    assert words in found
+    assert bool(found) == bool(words)
+    assert packet(packets).mci == MCI_RUNNING
+
+
+def test_one_or_two_packets_without_a_state_end_no_motion(packets: Any) -> None:
+    readiness = Readiness()
+    for fields in ({}, {"motors": None}, {"mci": None}, {}, {"motors": None, "mci": None}, {"motors": None}):
+        assert readiness.not_ready_reason(packet(packets, **fields)) == ""
+    assert "motors" in readiness.not_ready_reason(packet(packets, motors=None))
+    assert readiness.not_ready_reason(packet(packets)) == ""
+    assert "motors are off" in readiness.not_ready_reason(packet(packets, motors=2))
+    readiness.begin()
+    assert "motors" in readiness.not_ready_reason(packet(packets, motors=None)), "of a new session nothing is known"

@@ -1,0 +1,216 @@
+"""`Limits` and `Limiter`; the law of the kernel is tested in kernels/_reference/test_limits.py."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armlab import bridge, robots
+from armlab.bridge.control.feedback import outside_range
+from armlab.bridge.control.limits import Limiter, Limits, LinkedLimiter, Reply, axes_of, limiter_of
+from armlab.bridge.control.torque import Torques
+from armlab.errors import ConfigError
+from armlab.kernels import _reference
+from armlab.robots import Robot, from_links
+from armlab.state import Command, State
+from armlab.wire.egm.linkage import Linkage
+
+T = 0.004
+
+
+def test_limits_of_a_robot(robot: Robot) -> None:
+    limits = Limits.of(robot, margin=0.02, speed=0.5)
+    np.testing.assert_allclose(limits.q_max, robot.q_max - 0.02)
+    np.testing.assert_allclose(limits.qd_max, 0.5 * robot.qd_max)
+    assert limits.jump.tolist() == [0.1] * 7
+    np.testing.assert_array_equal(Limits.of(robot, margin=0.0).q_max, robot.q_max)
+    for options in ({"speed": 2.0}, {"speed": 0.0}, {"entry": 0.0}):
+        with pytest.raises(ConfigError, match=r"speed in \(0, 1\], entry above 0"):
+            Limits.of(robot, **options)
+    for margin in (10.0, -0.01, np.nan):
+        with pytest.raises(ConfigError, match="margin"):
+            Limits.of(robot, margin=margin)
+
+
+@pytest.mark.parametrize("name", ["q_min", "q_max", "qd_max", "qdd_max", "jump", "entry"])
+def test_a_limit_that_would_never_act_is_refused(robot: Robot, name: str) -> None:
+    limits = Limits.of(robot)
+    bad = getattr(limits, name).copy()
+    bad[3] = np.nan
+    with pytest.raises(ConfigError, match=r"q_min below q_max|above 0"):
+        replace(limits, **{name: bad})
+    with pytest.raises(ConfigError, match=r"of one shape \(n,\).* \(6,\)"):
+        replace(limits, **{name: bad[:6]})
+    bad[3] = limits.q_max[3] if name == "q_min" else limits.q_min[3] if name == "q_max" else 0.0
+    with pytest.raises(ConfigError, match=r"q_min below q_max|above 0"):
+        replace(limits, **{name: bad})
+
+
+def test_a_sliding_joint_may_jump_and_begin_two_centimetres_away() -> None:
+    links = [np.eye(4)] * 3
+    robot = from_links("table", links, [True, False], q_min=[-1.0, -1.0], q_max=[1.0, 1.0], qd_max=[1.0, 1.0])
+    assert Limits.of(robot).jump.tolist() == [0.02, 0.1]
+    assert Limits.of(robot).entry.tolist() == [0.02, 0.05]
+    assert Limits.of(robot, entry=0.01).entry.tolist() == [0.01, 0.01]
+
+
+def test_no_first_position_may_be_further_away_than_a_jump(robot: Robot) -> None:
+    """It would pass the entry check and be refused as a jump, three times, which ends the run."""
+    assert Limits.of(robot, entry=0.1).entry.tolist() == [0.1] * 7
+    with pytest.raises(ConfigError, match=r"entry up to jump for each joint.*got \[0\.3.*\] and \[0\.1"):
+        Limits.of(robot, entry=0.3)
+    limits = Limits.of(robot)
+    far = limits.entry.copy()
+    far[6] = 0.1001
+    with pytest.raises(ConfigError, match="entry up to jump"):
+        replace(limits, entry=far)
+
+
+def test_the_limiter_remembers_what_it_sent(robot: Robot) -> None:
+    limiter = Limiter(Limits.of(robot))
+    start = limiter.rest(robot.q_home)
+    assert isinstance(start, Reply)
+    assert limiter.at_rest
+    target = robot.q_home + 0.05
+    first = limiter.step(target, None, T)
+    second = limiter.step(target, None, T)
+    np.testing.assert_array_equal(limiter.q, second.q)
+    assert np.all(second.q > first.q)
+    np.testing.assert_allclose(second.qd, (second.q - first.q) / T)
+    while not limiter.at_rest:
+        limiter.hold(T)
+    assert not limiter.hold(T).qd.any()
+    with pytest.raises(ValueError, match="read-only"):
+        first.q[0] = 0.0
+    before = limiter.memory
+    again = limiter.step(robot.q_home, None, T)
+    assert not limiter.at_rest
+    limiter.memory = before
+    np.testing.assert_array_equal(limiter.step(robot.q_home, None, T).q, again.q)
+
+
+def test_a_new_limiter_stands_at_zero(robot: Robot) -> None:
+    limiter = Limiter(Limits.of(robot))
+    assert limiter.at_rest
+    assert not limiter.hold(T).q.any()
+
+
+def test_a_limiter_knows_what_was_asked_before(robot: Robot) -> None:
+    """As the law of `kernels.limit_reference` says; what was asked before a rest is forgotten."""
+    limits = Limits.of(robot)
+    limiter, rows = (
+        Limiter(limits),
+        np.stack((limits.q_min, limits.q_max, limits.qd_max, limits.qdd_max, limits.jump)),
+    )
+    path = robot.q_home + 0.05 + 0.3 * T * np.arange(80)[:, None]
+    for begin in (limiter.rest, lambda q: limiter.follow(q, np.zeros(7)), limiter.rest):
+        begin(robot.q_home)
+        sent, asked = np.stack((robot.q_home, np.zeros(7), np.zeros(7))), None
+        for q in path:
+            sent = _reference.limit_reference(sent, rows, T, q, asked)[0]
+            asked = q
+            np.testing.assert_allclose(limiter.step(q, None, T).q, sent[0], rtol=0.0, atol=1e-12)
+        assert not np.allclose(sent, _reference.limit_reference(sent, rows, T, q + 0.05)[0])
+
+
+def test_an_arm_is_at_rest_when_position_and_speed_are(robot: Robot) -> None:
+    limiter = Limiter(Limits.of(robot))
+    limiter.rest(robot.q_home)
+    assert not limiter.step(robot.q_home + 1e-4, np.zeros(7), T).qd.any()
+    assert not limiter.at_rest
+
+
+def test_replies_are_read_only(robot: Robot) -> None:
+    limiter = Limiter(Limits.of(robot))
+    for reply in (limiter.rest(robot.q_home.copy()), limiter.follow(robot.q_home.copy(), np.zeros(7))):
+        assert not any(array.flags.writeable for array in (reply.q, reply.qd, reply.clamped))
+        assert (reply.ratio, reply.refused, reply.tau, reply.beside) == (1.0, 0, None, None)
+    assert reply.free
+    assert not limiter.rest(robot.q_home).free
+
+
+def test_limits_of_axes_beyond_the_robot(robot: Robot) -> None:
+    axes = Limits.of_axes([-1.0], [1.0], [0.5])
+    assert (axes.qdd_max.tolist(), axes.jump.tolist(), axes.entry.tolist()) == ([5.0], [0.1], [0.05])
+    assert Limits.of(robot).external is None
+    assert Limits.of(robot, external=axes).external is axes
+    with pytest.raises(ConfigError, match="q_min below q_max"):
+        Limits.of_axes([1.0], [-1.0], [0.5])
+    with pytest.raises(ConfigError, match="one shape"):
+        Limits.of_axes([-1.0], [1.0], [0.5, 0.5])
+
+
+ROBOT = robots.load("irb2400")
+
+
+def test_which_robots_need_it() -> None:
+    assert type(limiter_of(Limits.of(robots.load("irb120")), robots.load("irb120"))) is Limiter
+    assert isinstance(limiter_of(Limits.of(ROBOT), ROBOT), LinkedLimiter)
+
+
+def test_positions_that_limits_are_about() -> None:
+    q = np.array([0.1, 0.2, 0.4, 0.0, 0.3, 0.0])
+    np.testing.assert_allclose(axes_of(ROBOT)(q), [0.1, 0.2, 0.6, 0.0, 0.3, 0.0])
+    assert axes_of(robots.load("irb120"))(q) is q
+
+
+def test_the_sum_of_two_joints_is_limited() -> None:
+    """Joints 2 and 3 each stay within their numbers, their sum would reach 68 degrees, the axis ends at 65."""
+    limits = Limits.of(ROBOT)
+    limiter = limiter_of(limits, ROBOT)
+    q = np.radians([0.0, 40, 20, 0, 30, 0])
+    np.testing.assert_allclose(limiter.rest(q).q, q)
+    np.testing.assert_allclose(limiter.q, q)
+    for _ in range(500):
+        q = np.minimum(q + np.radians([0, 0.2, 0, 0, 0, 0]), np.radians([0, 48, 20, 0, 30, 0]))
+        reply = limiter.step(q, None, T)
+    axis = reply.q[1] + reply.q[2]
+    assert axis == pytest.approx(np.radians(65.0) - 0.01, abs=1e-3)
+    assert reply.clamped[2] & 9
+    assert reply.q[1] == pytest.approx(np.radians(48.0), abs=1e-3), "axis 2 goes on"
+    rest = limiter.hold(T)
+    assert rest.q[1] + rest.q[2] <= limits.q_max[2]
+    moving = limiter.follow(q, np.radians([0.0, 10, -10, 0, 0, 0]))
+    np.testing.assert_allclose(moving.qd, np.radians([0.0, 10, -10, 0, 0, 0]), atol=1e-15)
+
+
+def test_refusals_name_the_axis() -> None:
+    limiter = limiter_of(Limits.of(ROBOT), ROBOT)
+    limiter.rest(ROBOT.q_home)
+    assert limiter.step(ROBOT.q_home + 0.5 * np.eye(6)[3], None, T).refused == -4
+    assert limiter.step(np.full(6, np.nan), None, T).refused == 1
+
+
+def test_feedback_is_plausible_where_the_axes_are_within_their_limits() -> None:
+    """Lower arm forward by 60 degrees, upper arm level: joint 3 is at -60 - 50 degrees, and that is no mistake."""
+    assert outside_range(np.radians([0, 60.0, -110, 0, 30, 0]), ROBOT) == ""
+    assert "joint 3" in outside_range(np.radians([0, 60.0, 40, 0, 30, 0]), ROBOT)
+
+
+def test_a_torque_alone_is_judged_by_the_axes() -> None:
+    """Joint 3 at -110 degrees is axis 3 at -50, within its limits; joints 2 and 3 together may be beyond theirs."""
+    torques = Torques(ROBOT, Limits.of(ROBOT, tau_max=1.0), frozenset(("torque",)))
+    assert torques.outside(np.radians([0, 60.0, -110, 0, 30, 0]), np.zeros(6)) == ""
+    assert "joint 3" in torques.outside(np.radians([0, 48.0, 20, 0, 30, 0]), np.zeros(6))
+
+
+@pytest.mark.parametrize("lagging", [True, False])
+def test_an_irb_2400_follows(lagging: bool) -> None:
+    """Joints 2 and 3 against each other, so that axis 3 stands still, in lockstep with the simulated controller."""
+
+    def controller(state: State) -> Command:
+        sway = 0.2 * (1.0 - np.cos(2.0 * state.t))
+        return Command(state.q_start + sway * np.array([0, 1, -1, 0, 0, 0]))
+
+    with bridge.connect(f"sim://irb2400?lockstep=true&lagging={str(lagging).lower()}", ROBOT) as link:
+        run = link.run(controller, seconds=3.0)
+    table = run.table
+    linkage = Linkage.of(ROBOT)
+    assert linkage is not None
+    moved = table["q"] - table["q"][0]
+    assert moved[:, 1].max() == pytest.approx(0.4, abs=0.02)
+    np.testing.assert_allclose(moved[:, 1] + moved[:, 2], 0.0, atol=1e-6 if lagging else 5e-3)
+    assert not np.nan_to_num(table["clamped"][50:700]).any()
+    np.testing.assert_allclose(table["q_planned"][-1], table["q_sent"][-1], atol=0.02)

@@ -1,0 +1,357 @@
+"""Garbage collection, thread switches, priority."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import get_args
+
+import pytest
+
+from armlab.bridge.control.realtime import (
+    GUARD_PRIORITY,
+    LOOP_PRIORITY,
+    Guard,
+    Lateness,
+    Prediction,
+    Wait,
+    Waiting,
+    collect_if_due,
+    interrupts,
+    priority,
+    quiet_memory,
+    short_switches,
+)
+from armlab.bridge.net.sockets import Port
+
+
+def test_the_collector_sleeps_and_wakes() -> None:
+    assert gc.isenabled()
+
+    def fail() -> None:
+        with quiet_memory():
+            assert not gc.isenabled()
+            assert gc.get_freeze_count() > 0
+            raise RuntimeError("anything")
+
+    with pytest.raises(RuntimeError, match="anything"):
+        fail()
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == 0
+
+
+def test_a_collector_that_was_off_stays_off() -> None:
+    gc.disable()
+    try:
+        with quiet_memory():
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+
+
+def test_young_garbage_is_collected_when_there_is_much() -> None:
+    with quiet_memory():
+        kept = [[] for _ in range(2000)]
+        assert gc.get_count()[0] > 700
+        collect_if_due()
+        assert gc.get_count()[0] < 700
+        assert len(kept) == 2000
+
+
+def test_switches_are_short_inside() -> None:
+    before = sys.getswitchinterval()
+    with short_switches():
+        assert sys.getswitchinterval() == pytest.approx(5e-4)
+    assert sys.getswitchinterval() == before
+
+
+def test_priority_is_raised_or_told_and_given_back() -> None:
+    before, told, inherited = os.sched_getscheduler(0), [], []
+    assert GUARD_PRIORITY > LOOP_PRIORITY
+    with priority(LOOP_PRIORITY, lambda text, warn=False: told.append(text)) as raised:
+        assert raised == (not told)
+        if raised:
+            assert os.sched_getparam(0).sched_priority == LOOP_PRIORITY
+        thread = threading.Thread(target=lambda: inherited.append(os.sched_getscheduler(0)))
+        thread.start()
+        thread.join()
+    assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == before
+    assert inherited == [before]
+    assert all("rtprio" in sentence for sentence in told)
+
+
+def test_signals_call_and_their_handlers_come_back() -> None:
+    calls: list[int] = []
+    before = signal.getsignal(signal.SIGTERM)
+    with interrupts(lambda: calls.append(1)):
+        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGINT)
+    assert calls == [1, 1]
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_closed_terminal_counts_once_and_never_as_a_second_signal() -> None:
+    before = signal.getsignal(signal.SIGHUP)
+    for first in (signal.SIGHUP, signal.SIGINT):
+        calls: list[int] = []
+        with interrupts(lambda calls=calls: calls.append(1)):
+            for number in (first, signal.SIGHUP, signal.SIGHUP):
+                signal.raise_signal(number)
+        assert calls == [1]
+    assert signal.getsignal(signal.SIGHUP) is before
+
+
+def test_a_closed_terminal_that_is_ignored_stays_so() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with interrupts(lambda: pytest.fail("called")):
+            signal.raise_signal(signal.SIGHUP)
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_another_thread_leaves_signals_alone() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    seen: list[bool] = []
+
+    def work() -> None:
+        with interrupts(lambda: None):
+            seen.append(signal.getsignal(signal.SIGTERM) is before)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [True]
+
+
+MS = 1_000_000
+
+
+def test_there_is_no_prediction_before_the_first_packet() -> None:
+    assert Prediction().next_ns is None
+
+
+def test_early_pulls_fully_late_by_two_percent() -> None:
+    prediction = Prediction()
+    prediction.add(100 * MS, 1, 0.004)
+    assert prediction.next_ns == 104 * MS
+    prediction.add(103 * MS, 1, 0.004)
+    assert prediction.next_ns == 107 * MS
+    prediction.add(108 * MS, 1, 0.004)
+    assert prediction.next_ns == pytest.approx(111.02 * MS)
+
+
+def test_lost_packets_and_stalls() -> None:
+    prediction = Prediction()
+    prediction.add(0, 1, 0.004)
+    prediction.add(12 * MS, 3, 0.004)
+    assert prediction.next_ns == 16 * MS
+    prediction.add(500 * MS, 1, 0.004)
+    assert prediction.next_ns == 504 * MS
+
+
+@pytest.fixture
+def port() -> Iterator[Port]:
+    port = Port("127.0.0.1", 0)
+    yield port
+    port.close()
+
+
+@pytest.mark.parametrize("mode", get_args(Wait))
+def test_what_is_there_is_returned_at_once(port: Port, mode: Wait) -> None:
+    waiting = Waiting([port], [Prediction()], mode)
+    port.send(b"x", (port.host, port.port))
+    found = waiting.next(5.0)
+    assert found is not None
+    assert (found[0], found[1].data) == (0, b"x")
+
+
+@pytest.mark.parametrize("mode", get_args(Wait))
+def test_a_rehearsal_comes_before_the_packet_when_polling(port: Port, mode: Wait) -> None:
+    import time
+
+    prediction = Prediction()
+    waiting = Waiting([port], [prediction], mode)
+    waiting.rehearse = lambda index: bool(port.send(b"from the rehearsal", (port.host, port.port)))  # type: ignore[assignment]
+    prediction.add(time.monotonic_ns(), 1, 0.005)
+    arrival = waiting.next(0.02)
+    assert (arrival is None) == (mode == "block")
+
+
+@pytest.mark.parametrize("mode", get_args(Wait))
+def test_nothing_comes(port: Port, mode: Wait) -> None:
+    assert Waiting([port], [Prediction()], mode).next(0.001) is None
+
+
+@pytest.fixture
+def other() -> Iterator[Port]:
+    port = Port("127.0.0.1", 0)
+    yield port
+    port.close()
+
+
+def test_a_socket_that_was_bound_again_is_waited_for(port: Port, other: Port, tmp_path: Path) -> None:
+    """The descriptor that it had belongs to another file, which always seems to have something."""
+    waiting = Waiting([port], [Prediction()], "block")
+    assert waiting.next(0.0) is None
+    number = port.fileno()
+    os.close(number)
+    taken = os.open(tmp_path / "other", os.O_CREAT | os.O_RDONLY)
+    assert taken == number
+    before = time.monotonic()
+    assert waiting.next(0.2) is None
+    assert time.monotonic() - before > 0.19
+    other.send(b"x", (port.host, port.port))
+    assert waiting.next(5.0) is not None
+    os.close(taken)
+
+
+@pytest.mark.parametrize("mode", get_args(Wait))
+def test_two_ports_take_turns(port: Port, other: Port, mode: Wait) -> None:
+    """A flood on one does not shut out the other."""
+    waiting = Waiting([port, other], [Prediction(), Prediction()], mode)
+    for _ in range(20):
+        port.send(b"flood", (port.host, port.port))
+    other.send(b"packet", (other.host, other.port))
+    found = [waiting.next(5.0) for _ in range(3)]
+    assert [(one[0], one[1].data) for one in found if one is not None][:2] in (
+        [(0, b"flood"), (1, b"packet")],
+        [(1, b"packet"), (0, b"flood")],
+    )
+
+
+def test_each_port_is_rehearsed_and_none_twice(port: Port, other: Port) -> None:
+    import time
+
+    predictions = [Prediction(), Prediction()]
+    now = time.monotonic_ns()
+    predictions[0].add(now, 1, 0.02)
+    predictions[1].add(now, 1, 0.06)
+    waiting = Waiting([port, other], predictions, "ahead")
+    rehearsed: list[int] = []
+    waiting.rehearse = rehearsed.append
+    assert waiting.next(0.1) is None
+    assert rehearsed == [0, 1]
+
+
+def test_a_packet_of_another_arm_ends_the_sleep(port: Port, other: Port) -> None:
+    import threading
+    import time
+
+    prediction = Prediction()
+    prediction.add(time.monotonic_ns(), 1, 0.4)
+    waiting = Waiting([port, other], [prediction, Prediction()], "ahead")
+    threading.Timer(0.02, lambda: port.send(b"x", (other.host, other.port))).start()
+    began = time.monotonic()
+    found = waiting.next(5.0)
+    assert found is not None
+    assert found[0] == 1
+    assert time.monotonic() - began < 0.3
+
+
+PERIOD = 4_000_000
+
+
+def test_five_in_a_row() -> None:
+    lateness = Lateness()
+    now = 0
+    for _ in range(3):
+        for late in (True, True, True, True, False):
+            now += PERIOD
+            assert lateness.add(now, late, 0) == ""
+        now += 10 * 10**9
+    verdicts = [lateness.add(now + k * PERIOD, True, 0) for k in range(5)]
+    assert verdicts[:4] == [""] * 4
+    assert "5 cycles in a row" in verdicts[4]
+
+
+def test_five_percent_in_one_second() -> None:
+    lateness = Lateness()
+    verdicts = [lateness.add(k * PERIOD, k % 19 == 0, 0) for k in range(300)]
+    first = next(k for k, verdict in enumerate(verdicts) if verdict)
+    assert 225 <= first < 300
+    assert "within one second" in verdicts[first]
+    rarely = Lateness()
+    assert not any(rarely.add(k * PERIOD, k % 25 == 0, 0) for k in range(1000))
+
+
+def test_what_was_late_a_second_ago_counts_no_more_and_what_is_late_now_does() -> None:
+    lateness = Lateness()
+    assert not any(lateness.add(k * PERIOD, k % 25 == 0, 0) for k in range(1000))
+    assert any(lateness.add(k * PERIOD, k % 10 == 0, 0) for k in range(1000, 1250))
+
+
+def test_exactly_five_percent_is_not_too_much() -> None:
+    """A hundred cycles, the oldest of them exactly a second ago."""
+    for share, words in ((20, ""), (19, "6 of 100 cycles within one second were late")):
+        lateness = Lateness()
+        found = [lateness.add((k + 1) * 10**7 if k else 0, k % share == 0, 0) for k in range(100)]
+        assert found[-1] == words
+
+
+@pytest.mark.parametrize("pause", [500, 930, 970, 1100])
+def test_one_late_cycle_after_a_pause_is_not_too_much(pause: int) -> None:
+    lateness = Lateness()
+    times = [k * PERIOD + (pause * 10**6 if k >= 300 else 0) for k in range(600)]
+    assert not any(lateness.add(now, k == 300, PERIOD) for k, now in enumerate(times))
+
+
+@pytest.mark.parametrize(("pause", "call", "forgets"), [(1, 0, True), (0, 0, False), (0, 1000, False)])
+def test_a_quarter_of_a_second_without_a_call_forgets_what_was_late(pause: int, call: int, forgets: bool) -> None:
+    """Eleven late cycles before it and eleven behind it are too many in one second; a call that lasts is no pause."""
+    lateness = Lateness()
+    late = [k >= 300 - 33 and k < 300 + 33 and k % 3 == 0 for k in range(600)]
+    times = [k * PERIOD + (k >= 300) * (250_000_000 - PERIOD + pause + call) for k in range(600)]
+    told = [lateness.add(now, late[k], call * (k == 300)) for k, now in enumerate(times)]
+    assert any(told) != forgets
+
+
+def test_one_long_call() -> None:
+    lateness = Lateness()
+    assert lateness.add(0, True, 250_000_000) == ""
+    assert lateness.add(0, True, 249_000_000) == ""
+    assert "one call took 0.26 s, allowed are 0.25 s" in lateness.add(PERIOD, True, 260_000_000)
+
+
+def test_the_guard_acts_only_when_overdue() -> None:
+    left, acted, looked = [1.0], threading.Event(), threading.Event()
+
+    def overdue() -> float:
+        looked.set()
+        return left[0]
+
+    with Guard(overdue, acted.set):
+        assert looked.wait(5.0)
+        assert not acted.is_set()
+        left[0] = -0.001
+        assert acted.wait(5.0)
+
+
+def test_the_guard_sleeps_until_the_deadline_at_most_two_milliseconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    slept: list[float] = []
+    left = iter([1.0, 0.5e-3, 0.0])
+    done = threading.Event()
+
+    def overdue() -> float:
+        return next(left, 1.0)
+
+    def sleep(seconds: float) -> None:
+        slept.append(seconds)
+        done.wait(1e-3)
+
+    monkeypatch.setattr("armlab.bridge.control.realtime.time", SimpleNamespace(sleep=sleep))
+    with Guard(overdue, done.set) as guard:
+        assert done.wait(5.0)
+        assert guard._thread.daemon, "a program that ends does not wait for it"
+        assert guard._thread.name == "armlab guard"
+    assert not guard._thread.is_alive()
+    assert slept[:2] == [2e-3, 0.5e-3]

@@ -1,0 +1,268 @@
+"""Rows and events of a run, in memory and in a file."""
+
+from __future__ import annotations
+
+import errno
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import bridge, log, robots
+from armlab.bridge import Run
+from armlab.bridge.control.recording import Feed, Recording, paths
+from armlab.bridge.control.run import served, statistics, together
+from armlab.bridge.inputs.parameters import Change
+from armlab.log import Column, Table, Tick
+from armlab.log.inspection import Setting
+from armlab.robots import Robot
+from armlab.state import Command, State
+
+
+def row(robot: Robot, k: int) -> tuple[State, Tick]:
+    q = robot.q_home + 0.001 * k
+    state = State(0.02 * k, 0.02, q, 0 * q, 0 * q, seq=k, robot_ns=10**18 + 20_000_000 * k)
+    return state, Tick(k, k, 10**18 + 20_000_000 * k, 1, 2, 3)
+
+
+def keep(recording: Recording, state: State, command: Command | None, tick: Tick) -> None:
+    """Do what the loop does with a row."""
+    recording.pass_on(state, recording.keep(state, command, tick), tick)
+
+
+@pytest.mark.parametrize("in_file", [False, True])
+def test_rows_and_events(robot: Robot, tmp_path: Path, in_file: bool) -> None:
+    path = tmp_path / "run.mcap" if in_file else None
+    recording = Recording(robot, path, {"grip": Column(unit="N")}, wait=True, clock=lambda: 5)
+    for k in range(1000):
+        state, tick = row(robot, k)
+        keep(recording, state, Command(state.q, record={"grip": float(k)}), tick)
+    recording.event("Something happened.")
+    tail = recording.tail()
+    assert recording.close({"rows asked": 1000}) == []
+    table = recording.table()
+    assert len(table) == 1000
+    np.testing.assert_array_equal(table["grip"], np.arange(1000.0))
+    assert len(tail) == 501
+    np.testing.assert_array_equal(tail["seq"], np.arange(499, 1000))
+    assert list(recording.events) == [(5, "Something happened.")]
+    assert recording.path == path
+    if path is not None:
+        assert len(log.read(path)) == 1000
+
+
+def test_parameters(robot: Robot, tmp_path: Path) -> None:
+    for path in (None, tmp_path / "run.mcap"):
+        recording = Recording(robot, path, None, wait=True, clock=lambda: 5)
+        recording.parameter(Change(1, "gain", 3.0, "local 1"))
+        recording.close({})
+    assert log.inspect(tmp_path / "run.mcap").parameters == (Setting(5, 1, "gain", 3.0, "local 1"),)
+
+
+def test_the_robot_is_described_in_the_file(robot: Robot, tmp_path: Path) -> None:
+    recording = Recording(robot, tmp_path / "run.mcap", None, wait=True, clock=lambda: 5)
+    recording.close({})
+    text = log.inspect(tmp_path / "run.mcap").attachments["robot.toml"].decode()
+    assert robots.from_toml(text, "run.mcap") == robot
+
+
+def test_a_command_of_any_shape_does_not_stop_the_rows(robot: Robot) -> None:
+    recording = Recording(robot, None, None, wait=False, clock=lambda: 0)
+    odd: list[Any] = [Command(np.zeros(3)), Command(q="up"), "no command", None]  # type: ignore[arg-type]
+    for k, command in enumerate(odd):
+        state, tick = row(robot, k)
+        keep(recording, state, command, tick)
+    assert len(recording.table()) == len(odd)
+    assert not recording.events  # the bridge refuses such commands, by a sentence of its own
+
+
+def test_a_command_stays_when_what_the_controller_records_does_not_fit(robot: Robot) -> None:
+    recording = Recording(robot, None, {"grip": Column((2,), "N")}, wait=False, clock=lambda: 0)
+    for k in range(3):
+        state, tick = row(robot, k)
+        keep(recording, state, Command(state.q + 1.0, record={"grip": np.zeros(3)}), tick)
+    table = recording.table()
+    np.testing.assert_array_equal(table["q_ref"], table["q"] + 1.0)
+    assert "grip" not in table
+    ((_, told),) = recording.events
+    assert told.startswith("A row was kept without what the controller recorded: Expected")
+    assert "grip" in told
+
+
+def test_paths(robot: Robot) -> None:
+    left, other = robots.load("yumi_left"), robots.load("ur5e")
+    assert paths(None, [left, robot]) == [None, None]
+    assert paths("run.mcap", [robot]) == [Path("run.mcap")]
+    assert paths("logs/log", [left, robot]) == [Path("logs/logleft"), Path("logs/logright")]
+    assert paths("run.mcap", [left, other]) == [Path("run-yumi_left.mcap"), Path("run-ur5e.mcap")]
+
+
+def test_a_feed_that_raises_is_dropped(robot: Robot) -> None:
+    class Broken:
+        def row(self, state: State, command: Command | None, tick: Tick) -> None:
+            raise ValueError("full")
+
+        def event(self, text: str, warn: bool = False) -> None:
+            raise ValueError("full too")
+
+    feeds: list[Feed] = [Broken(), Broken()]
+    recording = Recording(robot, None, None, wait=False, clock=lambda: 1, feeds=feeds, label="arm")
+    state, tick = row(robot, 0)
+    keep(recording, state, None, tick)
+    assert not feeds
+    assert next(text for _, text in recording.events).startswith("arm: A feed was dropped: it raised ValueError: full")
+    assert len(recording.table()) == 1
+
+
+def test_a_full_disk_is_told_at_once_and_once(robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("armlab.log.recording_file.RecordingFile.write", full)
+    recording = Recording(robot, tmp_path / "run.mcap", None, wait=False, clock=lambda: 0)
+    deadline = time.monotonic() + 10.0
+    asked = 0
+    while not recording.events and time.monotonic() < deadline:
+        state, tick = row(robot, asked)
+        keep(recording, state, None, tick)
+        asked += 1
+        time.sleep(0.001)
+    state, tick = row(robot, asked)
+    keep(recording, state, None, tick)
+    problems = recording.close({})
+    ((_, told),) = recording.events
+    assert told.startswith("The recording stopped: The log")
+    assert told.endswith("stopped after 0 rows: No space left on device.")
+    assert problems == [told, f"The recording lost {asked + 1} rows: they came after it stopped."]
+
+
+def test_sentences_of_the_whole_run_have_no_label(robot: Robot) -> None:
+    recording = Recording(robot, None, None, wait=False, clock=lambda: 7, label="yumi_left")
+    recording.event("Late.")
+    recording.note("Stopped.")
+    assert list(recording.events) == [(7, "yumi_left: Late."), (7, "Stopped.")]
+
+
+@pytest.mark.parametrize("in_file", [False, True])
+def test_sentences_before_the_clock_is_known_get_the_stamp_of_the_first_row(
+    robot: Robot, tmp_path: Path, in_file: bool
+) -> None:
+    now = [0]
+    path = tmp_path / "run.mcap" if in_file else None
+    recording = Recording(robot, path, None, wait=True, clock=lambda: now[0])
+    recording.event("before")
+    assert not recording.events
+    state, tick = row(robot, 0)
+    keep(recording, state, None, tick)
+    now[0] = tick.stamp_ns + 5
+    recording.event("after")
+    recording.close({})
+    assert list(recording.events) == [(tick.stamp_ns, "before"), (tick.stamp_ns + 5, "after")]
+    if path is not None:
+        told = [(one.stamp_ns, one.text) for one in log.inspect(path).events]
+        assert told == [(tick.stamp_ns, f"recording {robot.name}"), *recording.events]
+
+
+def test_a_run_in_lockstep_is_on_one_clock(robot: Robot, tmp_path: Path) -> None:
+    """Also what was said before the first packet: the wall clock is years away from the simulated one."""
+    with bridge.connect(f"sim://{robot.name}?lockstep=true", robot) as link:
+        run = link.run(lambda state: Command(state.q_start), seconds=0.05, record=tmp_path / "run.mcap")
+    events = log.inspect(tmp_path / "run.mcap").events
+    assert len(events) > 1
+    begin = run.table.t0_ns
+    assert all(begin <= one.stamp_ns <= begin + 10**9 for one in events)
+    assert all(begin <= stamp <= begin + 10**9 for stamp, _ in run.events)
+
+
+def rush(state: State) -> Command:
+    return Command(qd=np.array([100.0, 0, 0, 0, 0, 0, 0]) * (state.t < 0.1))
+
+
+@pytest.mark.parametrize("in_file", [False, True])
+def test_report_and_table(play: Any, tmp_path: Path, in_file: bool) -> None:
+    path = tmp_path / "run.mcap" if in_file else None
+    run = play(lambda peer: peer.rest(), rush, seconds=0.3, record=path)
+    assert isinstance(run, Run)
+    assert (run.reason, run.path) == ("the time is up", path)
+    report = run.report()
+    for words in (
+        "Ended: the time is up.",
+        "yumi_right, RobotWare 6.10, 1 sessions, period 4.000 ms",
+        f"replies {run.statistics['replies']}",
+        "p99.9",
+        "Clamped by velocity",
+        "worst ratio 0.03",
+        "Dropped datagrams: none",
+    ):
+        assert words in report
+    assert run.table is run.table
+    assert len(run.table) == run.statistics["packets"]
+    assert run.table.clock == "robot"
+    np.testing.assert_allclose(np.diff(run.table.t), 0.004, atol=1e-9)
+    texts = [text for _, text in run.events]
+    assert texts[0].startswith("Session 1 began")
+    assert texts[-1] == "Stopping: the time is up."
+    if path is not None:
+        assert log.read(path).sha256 == run.table.sha256
+
+
+def test_who_was_served() -> None:
+    servers = {
+        "labcomm": {"rows": 9, "lost": 2, "clients": {"left 127.0.0.1:7": (8, 0), "fused 127.0.0.1:8": [5, 4]}},
+        "local": {"rows": 9, "lost": 0, "clients": {}},
+        "other": {"rows": 1, "lost": 0, "clients": None},
+    }
+    commands: dict[str, dict[str, int]] = {"yumi_left": {"labcomm 127.0.0.1:7": 6}, "yumi_right": {}}
+    counted = {
+        "servers": servers, "commands": commands, "commands_refused": {"local 1": 3}, "parameters": {"gain": 2.0},
+    }  # fmt: skip
+    assert served(counted) == [
+        "Rows to the server labcomm: 9 (2 lost). To its clients: left 127.0.0.1:7 8, fused 127.0.0.1:8 5 (4 dropped).",
+        "Rows to the server local: 9. To its clients: none.",
+        "Rows to the server other: 1. To its clients: unknown, it did not answer.",
+        "Commands to yumi_left: labcomm 127.0.0.1:7 6.",
+        "Commands to yumi_right: none.",
+        "Commands of clients refused: local 1 3.",
+        "Parameters in force: gain = 2.0.",
+    ]
+    assert served({}) == []
+
+
+def test_replies_that_were_left_out_are_in_the_report(play: Any) -> None:
+    run = play(lambda peer: peer.rest(), rush, seconds=0.05)
+    assert "Left out" not in run.report()
+    run.statistics["left_out"] = 3
+    assert "Left out 3 replies: so many messages waited in the robot's queue." in run.report()
+
+
+def test_a_run_without_replies_reports_no_times_of_them(play: Any) -> None:
+    run = play(lambda peer: peer.rest(), rush, seconds=0.05)
+    assert "Arrival to reply" in run.report()
+    run.statistics["replies"], run.statistics["latency_us"] = 0, {"p50": float("nan")}
+    assert "Arrival to reply" not in run.report()
+    assert "nan" not in run.report()
+
+
+def test_the_table_and_the_wire_agree_on_clamps(play: Any) -> None:
+    run = play(lambda peer: peer.rest(), rush, seconds=0.3)
+    clamped = run.table["clamped"].astype(int)
+    counts = [int(((clamped[:, 0] & bit) != 0).sum()) for bit in (1, 2, 4, 8)]
+    assert counts == [run.statistics["clamps"][name][0] for name in ("position", "velocity", "acceleration", "braking")]
+    assert counts[1] > 5
+
+
+def test_tables_together() -> None:
+    def table(rows: int, start_ns: int) -> Table:
+        t = 0.004 * np.arange(rows)
+        q = Column(shape=(2,), unit="rad")
+        return Table(t, {"q": np.stack((t, -t), axis=1)}, {"q": q}, t0_ns=start_ns)
+
+    both = together({"a": table(10, 10**18), "b": table(5, 10**18 + 2_000_000)})
+    assert set(both.names) == {"a.q", "b.q", "b.age"}
+    assert np.isnan(both["b.q"][0]).all()
+    np.testing.assert_allclose(both["b.age"][1:5], 0.002)
+    np.testing.assert_allclose(both["b.q"][1:5, 0], 0.004 * np.arange(4))
+    assert len(together({"a": table(10, 1), "b": table(0, 1)})) == 10
+    assert callable(statistics)

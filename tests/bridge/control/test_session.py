@@ -1,0 +1,570 @@
+"""Sources, begin and end of sessions; the order of packets is in test_session_order.py."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab.bridge.control.session import EGM_ERROR, NOMINAL_PERIOD, Period, RobotClock, Sample, Session
+from armlab.bridge.net.sockets import Arrival
+from armlab.robots import Robot
+from armlab.wire.egm import Drop, EgmCodec, Packet, RobotMessage, RobotSideCodec
+
+SILENCE = 600_000_000  # ns
+PERIOD_NS = 4_000_000
+
+
+def test_the_first_packet_of_all_begins_a_session(feed: Any) -> None:
+    sample = feed(seqno=500)
+    assert isinstance(sample, Sample)
+    assert (sample.session, sample.fresh, sample.missed, sample.dt) == (1, True, 0, 0.004)
+    assert (feed.session.active, feed.session.source) == (True, ("127.0.0.1", 5000))
+    assert "RobotWare 6.10, 7 joints" in feed.events[0]
+
+
+def test_lost_packets_are_counted_and_dt_grows(feed: Any) -> None:
+    feed()
+    feed.packets()
+    feed.packets()
+    sample = feed.sample(after=3 * PERIOD_NS)
+    assert (sample.missed, feed.session.missed) == (2, 2)
+    assert sample.dt == pytest.approx(0.012)
+    assert feed.session.period.seconds == pytest.approx(0.004)
+    feed.packets()
+    assert feed.sample(after=2 * PERIOD_NS).missed == 1
+    assert feed.session.missed == 3
+
+
+def test_the_period_is_measured(feed: Any) -> None:
+    for _ in range(20):
+        feed(after=2 * PERIOD_NS)
+        feed.packets.cycle += 1
+    assert feed.session.period.seconds == pytest.approx(0.008)
+    assert not feed.warnings
+    feed(after=2 * PERIOD_NS)
+    for _ in range(20):
+        feed()
+    assert feed.session.period.seconds == pytest.approx(0.004)
+    assert feed.warnings == ["The cycle time of the robot changed from 8.00 to 4.00 ms."]
+
+
+def test_replies_to_another_port_that_took_over_begin_at_zero(feed: Any) -> None:
+    """Each session has its own sequence of replies; what still comes from the old port is foreign."""
+    for _ in range(5):
+        feed()
+        feed.session.replied(feed.now)
+    assert feed.session.seq == 5
+    sample = feed(port=5001, after=6 * PERIOD_NS, seqno=0, tm_ms=4)
+    assert sample is not None
+    assert (sample.session, feed.session.seq) == (2, 0)
+    assert feed(port=5001, seqno=0, tm_ms=4) is None
+    feed.session.replied(feed.now)
+    assert feed(port=5000, seqno=5, tm_ms=10_020) is None
+    assert feed(port=5000, seqno=0, tm_ms=90_000) is None
+    assert feed.sample(port=5001, seqno=1, tm_ms=8).missed == 0
+    assert feed.session.seq == 1
+    assert feed.session.drops == {"duplicate": 1, "foreign source": 2}
+
+
+def test_silence_begins_a_new_session(feed: Any) -> None:
+    feed(seqno=10)
+    sample = feed.sample(seqno=11, after=SILENCE)
+    assert sample.session == 2
+    assert feed.session.reason == "the controller stopped sending"
+
+
+def test_a_session_ends_once_after_half_a_second(feed: Any) -> None:
+    assert feed.session.end() == ""
+    assert feed.session.period.seconds == 0.004
+    feed()
+    assert not feed.session.silent(feed.now + 499_999_999)
+    assert feed.session.silent(feed.now + 500_000_000)
+    for _ in range(2):
+        assert feed.session.end() == "the controller stopped sending"
+        assert feed.warnings == ["Session 1 ended: the controller stopped sending."]
+    assert len(feed.events) == 2
+    assert not feed.session.silent(feed.now + 10**12)
+
+
+def test_a_robot_in_lockstep_may_be_silent(robot: Robot) -> None:
+    session, side = Session(EgmCodec(robot), timeout=float("inf")), RobotSideCodec(robot)
+    for k in range(2):
+        data = side.encode_robot(RobotMessage(k, k, robot.q_home))
+        sample = session.accept(Arrival(data, ("127.0.0.1", 1), k * 10**12))
+    assert sample is not None
+    assert sample.session == 1
+    assert not session.silent(10**15)
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"converged": True, "motors": 2}, "convergence"),
+        ({"motors": 2, "rapid": 1}, "motors"),
+        ({"rapid": 1, "mci": 1}, "RAPID was stopped"),
+        ({"mci": 1}, EGM_ERROR),
+        ({"mci": 2}, "stopped sending"),
+    ],
+)
+def test_why_a_session_ended(feed: Any, fields: dict[str, int], words: str) -> None:
+    feed()
+    feed(**fields)
+    assert feed.session.silent(feed.now + SILENCE)
+    assert words in feed.session.end()
+    assert not feed.session.active
+
+
+def test_our_own_silence_is_named(feed: Any) -> None:
+    for _ in range(60):
+        feed()
+    assert "did not answer for 0.24 s (event 41822" in feed.session.end()
+    feed(seqno=0)
+    for _ in range(60):
+        feed()
+        feed.session.replied(feed.now)
+    assert "stopped sending" in feed.session.end()
+
+
+def test_our_own_silence_is_longer_than_150_ms(feed: Any) -> None:
+    feed()
+    feed(after=150_000_000)
+    assert "stopped sending" in feed.session.end()
+
+
+def test_other_senders_are_foreign(feed: Any) -> None:
+    feed()
+    assert feed(port=5001) is None
+    assert feed.raw(b"noise", host="10.0.0.9") is None
+    assert feed.session.drops == {"foreign source": 2}
+    assert feed.session.source == ("127.0.0.1", 5000)
+
+
+def test_rapid_restarts_fast_from_another_port(feed: Any) -> None:
+    feed()
+    assert feed(port=5001, seqno=0, after=16_000_000) is None
+    sample = feed.sample(port=5001, seqno=0, after=10_000_000)
+    assert sample.session == 2
+    assert feed.session.source == ("127.0.0.1", 5001)
+
+
+def test_another_port_without_number_zero_stays_foreign(feed: Any) -> None:
+    feed()
+    assert feed(port=5001, seqno=9, after=30_000_000) is None
+    assert feed.session.drops == {"foreign source": 1}
+
+
+def test_a_session_that_ended_takes_any_sender(feed: Any) -> None:
+    feed()
+    feed.session.end()
+    assert feed.sample(port=6000, seqno=40).session == 2
+
+
+def test_each_kind_of_drop_is_told_once_per_session(feed: Any) -> None:
+    feed()
+    begun = len(feed.events)
+    for _ in range(3):
+        feed.raw(b"\xff\xfe")
+        feed.raw(b"")
+    assert feed.session.drops == {"unparsable": 3, "no header": 3}
+    assert feed.session.total_drops == 6
+    assert len(feed.events) == begun + 2
+    assert "ff fe" in feed.events[begun]
+    assert feed.warnings == feed.events[begun:]
+    feed.session.end()
+    feed()
+    feed.raw(bytes([255] * 40))
+    assert feed.events[-1].endswith(" It begins " + " ".join(["ff"] * 32) + "."), "not more than 32 bytes of it"
+    feed(seqno=0)
+    feed.raw(b"\xff")
+    assert "unparsable" in feed.events[-1]
+
+
+def test_garbage_begins_no_session(feed: Any) -> None:
+    for data in (b"", b"\x0a", b"\xff" * 100):
+        assert feed.raw(data) is None
+    assert not feed.session.active
+    assert feed.session.received == 0
+
+
+def test_velocity_from_differences_is_filtered_and_converges(feed: Any) -> None:
+    speed = 0.5
+    q = feed.packets.q
+    for k in range(200):
+        sample = feed.sample(q=q + speed * 0.004 * k)
+        if k == 0:
+            assert not sample.qd.any()
+        assert not sample.qd.flags.writeable
+        if k == 1:
+            np.testing.assert_allclose(sample.qd, speed * (1.0 - np.exp(-2.0 * np.pi * 30.0 * 0.004)))
+    np.testing.assert_allclose(sample.qd, speed, rtol=1e-6)
+    assert sample.qd_source == "difference"
+
+
+def test_velocity_that_was_measured_is_taken(robot: Robot, feed: Any) -> None:
+    feed.packets.codec = RobotSideCodec(robot, extension=True)
+    sample = feed.sample(qd=np.arange(7.0))
+    np.testing.assert_allclose(sample.qd, np.arange(7.0), atol=1e-12)
+    assert sample.qd_source == "measured"
+
+
+class Forgetful(EgmCodec):
+    """Refuses the first packet after each reset."""
+
+    def reset(self) -> None:
+        super().reset()
+        self.is_new = True
+
+    def decode(self, data: bytes) -> Packet | Drop:
+        is_new, self.is_new = self.is_new, False
+        return Drop("stale", "of the flavour before") if is_new else super().decode(data)
+
+
+def test_a_packet_refused_by_the_codec_of_its_new_session_begins_none(robot: Robot) -> None:
+    codec, side = Forgetful(robot), RobotSideCodec(robot)
+    codec.is_new = False
+    session = Session(codec)
+    assert session.accept(Arrival(side.encode_robot(RobotMessage(0, 0, robot.q_home)), ("127.0.0.1", 1), 0)) is None
+    assert (session.number, session.active, session.drops) == (0, False, {"stale": 1})
+
+
+def test_the_flavour_is_decided_anew_in_each_session(robot: Robot, feed: Any) -> None:
+    feed()
+    feed.packets.codec = RobotSideCodec(robot, "6.06")
+    sample = feed.sample(seqno=0)
+    assert sample.packet.robotware == "6.06"
+    np.testing.assert_allclose(sample.packet.q, robot.q_home)
+
+
+def packet(packets: Any, **fields: Any) -> Any:
+    return EgmCodec(packets.robot).decode(packets(**fields))
+
+
+def test_dt_is_feedback_time(packets: Any) -> None:
+    clock = RobotClock()
+    assert clock.step(packet(packets, robot_ns=10**18), 0) is None
+    assert clock.step(packet(packets, robot_ns=10**18 + 4_032_000), 4_100_000) == pytest.approx(0.004032)
+    assert clock.step(packet(packets, robot_ns=10**18 + 3 * 4_032_000), 12_000_000) == pytest.approx(0.008064)
+
+
+@pytest.mark.parametrize("robot_ns", [10**18 - 1, 10**18, 10**18 + 1_100_000_000, None])
+def test_a_clock_that_was_set_gives_way_to_tm(packets: Any, robot_ns: int | None) -> None:
+    clock = RobotClock()
+    clock.step(packet(packets, robot_ns=10**18, tm_ms=100), 0)
+    assert clock.step(packet(packets, robot_ns=robot_ns, tm_ms=108), 8_000_000) == pytest.approx(0.008)
+
+
+def test_tm_wraps_after_seven_weeks(packets: Any) -> None:
+    clock = RobotClock()
+    clock.step(packet(packets, robot_ns=None, tm_ms=2**32 - 2), 0)
+    assert clock.step(packet(packets, robot_ns=None, tm_ms=2), 4_000_000) == pytest.approx(0.004)
+
+
+def test_arrival_is_the_last_resort(packets: Any) -> None:
+    clock = RobotClock()
+    clock.step(packet(packets, robot_ns=None, tm_ms=None), 1_000)
+    assert clock.step(packet(packets, robot_ns=None, tm_ms=None), 5_001_000) == pytest.approx(0.005)
+    assert clock.step(packet(packets, robot_ns=None, tm_ms=None), 5_001_000) > 0.0
+
+
+def test_a_tm_too_coarse_for_the_cycle_is_left_alone(packets: Any) -> None:
+    """At 0.5 ms two packets share one tm: counted too, its steps would make the robot's time run faster."""
+    clock = RobotClock()
+    steps = [clock.step(packet(packets, robot_ns=None, tm_ms=k // 2), 500_000 * k) for k in range(2000)]
+    assert sum(step for step in steps if step is not None) == pytest.approx(0.5e-3 * 1999, rel=1e-3)
+
+
+def test_the_period_is_the_robots_not_the_gaps() -> None:
+    period = Period()
+    assert period.seconds == NOMINAL_PERIOD
+    for sample in [0.001, 0.001, 0.02, 0.001, 0.001]:
+        period.add(sample)
+    assert period.seconds == 0.001
+    for _ in range(20):
+        period.add(0.001)
+    period.add(5.0)
+    period.add(0.002)
+    assert period.seconds == 0.001
+    for _ in range(500):
+        period.add(0.0011)
+    assert period.seconds == pytest.approx(0.0011, rel=1e-3)
+
+
+def test_a_clock_in_milliseconds_gives_the_mean() -> None:
+    period = Period()
+    for k in range(4000):
+        period.add(1e-3 * (int(4.032 * (k + 1)) - int(4.032 * k)))
+    assert period.seconds == pytest.approx(0.004032, rel=0.02)
+
+
+def test_a_gap_at_the_beginning_of_a_session_does_not_lengthen_the_step() -> None:
+    period = Period()
+    for sample in (0.9, 0.9, 0.9, 0.004):
+        period.add(sample)
+        assert period.seconds <= 1.5 * NOMINAL_PERIOD
+
+
+def test_a_slower_sample_rate_is_believed_after_nine_samples() -> None:
+    period = Period()
+    for _ in range(9):
+        period.add(0.024)
+    assert period.seconds == 0.024
+
+
+def test_a_cycle_that_changes_is_relearnt_after_five_packets() -> None:
+    period = Period()
+    assert not any(period.add(0.024) for _ in range(30))
+    changes = [period.add(0.004) for _ in range(30)]
+    assert (changes.index(True), sum(changes)) == (4, 1)
+    assert period.seconds == pytest.approx(0.004)
+
+
+def steps(
+    packets: Any, claimed_ms: list[float], arrived_ms: list[float], **options: Any
+) -> tuple[list[float], list[str]]:
+    """Return what is believed of the steps of a clock [ms], and what it says."""
+    told: list[str] = []
+    clock = RobotClock(on_event=lambda text, warn=False, each=False: told.append(text), **options)
+    robot_ns, arrival_ns, found = 10**18, 10**12, []
+    clock.step(packet(packets, robot_ns=robot_ns), arrival_ns)
+    for claimed, arrived in zip(claimed_ms, arrived_ms, strict=True):
+        robot_ns, arrival_ns = robot_ns + int(1e6 * claimed), arrival_ns + int(1e6 * arrived)
+        step = clock.step(packet(packets, robot_ns=robot_ns), arrival_ns)
+        assert step is not None
+        found.append(1e3 * clock.believed)
+    return found, told
+
+
+def test_a_clock_that_runs_ahead_of_arrivals_is_not_believed(packets: Any) -> None:
+    found, told = steps(packets, [24.0] * 50, [4.0] * 50)
+    assert sum(found) <= 4.0 * 50 + 1.5
+    assert max(found) <= 5.0
+    assert len(told) == 1
+    assert "24.0 ms between packets that arrived 4.0 ms apart" in told[0]
+
+
+def test_packets_that_come_late_and_in_bunches_keep_the_robots_time(packets: Any) -> None:
+    found, told = steps(packets, [4.0] * 40, ([40.0] + [0.1] * 9) * 4)
+    assert found == pytest.approx([4.0] * 40)
+    assert not told
+
+
+@pytest.mark.parametrize("stall_ms", [150.0, 300.0, 450.0])
+def test_a_network_that_stood_delivers_what_waited(packets: Any, stall_ms: float) -> None:
+    waits = int(stall_ms / 4.0)
+    found, told = steps(packets, [4.0] * 400, [4.0] * 100 + [stall_ms] + [0.05] * (waits - 1) + [4.0] * (300 - waits))
+    assert found == pytest.approx([4.0] * 400)
+    assert not told
+
+
+def test_a_slow_clock_is_told(packets: Any) -> None:
+    found, told = steps(packets, [1.0] * 8000, [4.0] * 8000)
+    assert found == pytest.approx([1.0] * 8000)
+    assert len(told) == 1
+    assert "runs behind ours" in told[0]
+
+
+def test_bursts_and_steps_that_are_not_believed_are_no_cycles() -> None:
+    period = Period()
+    for sample in [0.004] * 20 + [1e-6] * 100:
+        assert not period.add(sample)
+    assert period.seconds == pytest.approx(0.004)
+
+
+def test_in_lockstep_arrivals_keep_no_time(packets: Any) -> None:
+    found, told = steps(packets, [24.0] * 50, [0.1] * 50, checks_arrival=False)
+    assert found == pytest.approx([24.0] * 50)
+    assert not told
+
+
+def test_a_clock_that_is_set_or_stands_still_is_told_once(packets: Any) -> None:
+    for jumps, words in (([0.0] * 5, "stands still"), ([-5000.0, 4.0, -5000.0], "was set by -5.000 s")):
+        found, told = steps(packets, jumps, [4.0] * len(jumps))
+        assert min(found) > 0.0
+        assert max(found) <= 4.0 + 1e-6
+        assert len(told) == 1
+        assert words in told[0]
+
+
+@pytest.mark.parametrize(
+    ("seqno", "reason"),
+    [(7, "duplicate"), (6, "old"), ((7 - 2**31 + 1) % 2**32, "old"), (7 + 2**31, "old"), (7 + 2**30, "old")],
+)
+def test_duplicates_and_old_packets_are_dropped(feed: Any, seqno: int, reason: str) -> None:
+    feed(seqno=7)
+    assert feed(seqno=seqno) is None
+    assert feed.session.drops == {reason: 1}
+    assert feed.sample(seqno=8).missed == 0
+
+
+@pytest.mark.parametrize(("ahead", "counts"), [(2**16, True), (2**16 + 1, False)])
+def test_how_many_packets_may_be_lost(feed: Any, ahead: int, counts: bool) -> None:
+    feed(seqno=7)
+    sample = feed(seqno=7 + ahead)
+    assert (sample is not None) == counts
+    assert feed.session.missed == (ahead - 1 if counts else 0)
+
+
+def test_numbers_wrap(feed: Any) -> None:
+    feed(seqno=2**32 - 1)
+    sample = feed.sample(seqno=0)
+    assert (sample.session, sample.missed) == (1, 0)
+    assert feed.sample(seqno=3).missed == 2
+
+
+def test_number_zero_is_a_new_session(feed: Any) -> None:
+    for _ in range(5):
+        feed()
+    feed.session.replied(feed.now)
+    sample = feed.sample(seqno=0)
+    assert (sample.session, sample.fresh, sample.dt, feed.session.seq) == (2, True, 0.004, 0)
+    assert feed.session.received == 6
+    assert feed.warnings == ["Session 1 ended: the controller stopped sending."]
+
+
+def test_a_late_duplicate_of_the_first_packet_is_none(feed: Any) -> None:
+    feed(seqno=0, tm_ms=77)
+    feed()
+    assert feed(seqno=0, tm_ms=77) is None
+    assert feed.session.drops == {"duplicate": 1}
+    assert feed.session.number == 1
+
+
+def test_without_a_tm_the_number_tells(feed: Any) -> None:
+    """Number 0 twice in a row is a duplicate, after another number a session; numbers that go on begin one too."""
+    for seqno in (0, 1):
+        feed(seqno=seqno, tm_ms=None)
+    assert feed.sample(seqno=0, tm_ms=None).session == 2
+    assert feed(seqno=0, tm_ms=None) is None
+    feed(seqno=50, tm_ms=None)
+    found = [feed(seqno=7 + k, tm_ms=None, after=3 * PERIOD_NS) for k in range(3)]
+    assert (found[:2], found[2].session) == ([None, None], 3)
+
+
+def test_a_tm_half_a_turn_ahead_is_one_of_the_past(feed: Any) -> None:
+    feed(seqno=5, tm_ms=0)
+    assert feed(seqno=6, tm_ms=2**31) is None
+    assert feed.sample(seqno=6, tm_ms=2**31 - 1).missed == 0
+
+
+@pytest.mark.parametrize("seqno", [3, 40])
+def test_a_late_packet_of_the_session_before_is_old(feed: Any, seqno: int) -> None:
+    """Its number may be ahead of ours: only its tm tells."""
+    feed(seqno=0, tm_ms=1000)
+    feed(seqno=0, tm_ms=3000)
+    feed(seqno=1, tm_ms=3004)
+    assert feed(seqno=seqno, tm_ms=2000) is None
+    assert feed.session.drops == {"old": 1}
+    assert feed.sample(seqno=2, tm_ms=3008).missed == 0
+    assert feed.session.number == 2
+
+
+def test_the_first_packet_of_the_session_before_is_old(feed: Any) -> None:
+    feed(seqno=0, tm_ms=1000)
+    feed(seqno=0, tm_ms=3000)
+    feed(seqno=1, tm_ms=3004)
+    assert feed(seqno=0, tm_ms=1000) is None
+    assert feed.session.drops == {"old": 1}
+    assert feed.session.number == 2
+
+
+def test_the_first_packets_of_eight_sessions_are_remembered(feed: Any) -> None:
+    for k in range(1, 11):
+        assert feed.sample(seqno=0, tm_ms=1000 * k).session == k
+    feed(seqno=1, tm_ms=10_004)
+    assert feed(seqno=0, tm_ms=2000) is None
+    assert feed.sample(seqno=0, tm_ms=1000).session == 11
+
+
+@pytest.mark.parametrize("tm", [12, 50_000, 2**32 - 9])
+def test_number_zero_with_a_clock_that_went_back_is_a_robot_that_restarted(feed: Any, tm: int) -> None:
+    """Without waiting for half a second of silence, in which the controller would time out."""
+    for k in range(5):
+        feed(seqno=k, tm_ms=60_000 + 4 * k)
+    sample = feed.sample(seqno=0, tm_ms=tm)
+    assert (sample.session, sample.fresh, feed.session.seq) == (2, True, 0)
+    assert feed.sample(seqno=1, tm_ms=(tm + 4) % 2**32).missed == 0
+    assert not feed.session.drops
+
+
+@pytest.mark.parametrize(("seqno", "tm"), [(1, 200), (1, 60_050), (70, 200)])
+def test_a_session_whose_first_packet_was_lost_begins_after_five_periods(feed: Any, seqno: int, tm: int) -> None:
+    """Number or clock went back, and the packets go on from each other while nothing else comes."""
+    for k in range(50):
+        feed(seqno=k, tm_ms=60_000 + 4 * k)
+    found = [feed(seqno=seqno + k, tm_ms=tm + 4 * k) for k in range(7)]
+    assert found[:5] == [None] * 5
+    assert found[5].fresh
+    assert (found[6].missed, found[6].session) == (0, 2)
+    assert feed.session.drops == {"old": 5}
+
+
+def test_the_third_packet_that_goes_on_begins_a_session(feed: Any) -> None:
+    for k in range(50):
+        feed(seqno=k, tm_ms=60_000 + 4 * k)
+    found = [feed(seqno=1 + k, tm_ms=200 + 4 * k, after=3 * PERIOD_NS) for k in range(3)]
+    assert found[:2] == [None, None]
+    assert found[2].session == 2
+
+
+@pytest.mark.parametrize(("step", "begins"), [(0, False), (-4, False), (1, True), (2**31 - 1, True), (2**31, False)])
+def test_packets_go_on_from_each_other_by_number_and_tm(feed: Any, step: int, begins: bool) -> None:
+    for k in range(50):
+        feed(seqno=k, tm_ms=60_000 + 4 * k)
+    tm = 2**32 - 2 if step == 1 else 100
+    found = [feed(seqno=1 + k, tm_ms=(tm + k * step) % 2**32, after=3 * PERIOD_NS) for k in range(3)]
+    assert (found[2] is not None) == begins
+
+
+def test_packets_that_were_delayed_together_begin_no_session(feed: Any) -> None:
+    """Three within less than a period are none yet."""
+    for k in range(50):
+        feed(seqno=k, tm_ms=60_000 + 4 * k)
+    found = [feed(seqno=1 + k, tm_ms=200 + 4 * k, after=8 * PERIOD_NS if k == 0 else 1_500_000) for k in range(4)]
+    assert found[:3] == [None] * 3
+    assert found[3].session == 2
+
+
+def test_packets_out_of_order_between_others_do_not_add_up(feed: Any) -> None:
+    for k in range(50):
+        feed(seqno=k, tm_ms=60_000 + 4 * k)
+    assert [feed(seqno=1 + k, tm_ms=60_004 + 4 * k) for k in range(2)] == [None, None]
+    feed(seqno=50, tm_ms=60_200)
+    assert feed(seqno=3, tm_ms=60_012, after=8 * PERIOD_NS) is None
+
+
+def test_old_packets_in_a_row_do_not_take_over_from_a_session_that_goes_on(feed: Any) -> None:
+    """A stall that delayed many packets behind newer ones; and single packets after a pause."""
+    for k in range(50):
+        feed(seqno=k, tm_ms=60_000 + 4 * k)
+    for k in range(20):
+        assert feed(seqno=k, tm_ms=60_000 + 4 * k, after=1000) is None
+    assert feed.sample(seqno=50, tm_ms=60_200).session == 1
+    assert feed(seqno=1, tm_ms=60_004, after=8 * PERIOD_NS) is None
+    for k in range(2, 20):
+        assert feed(seqno=k, tm_ms=60_000 + 4 * k, after=1000) is None
+    for k in (7, 3, 9, 11):
+        assert feed(seqno=k, tm_ms=60_000 + 4 * k, after=12 * PERIOD_NS) is None
+    assert feed.sample(seqno=51, tm_ms=60_204).session == 1
+
+
+def test_tm_wraps(feed: Any) -> None:
+    feed(seqno=5, tm_ms=2**32 - 2)
+    assert feed.sample(seqno=6, tm_ms=2).missed == 0
+
+
+def test_a_first_packet_that_was_overtaken_begins_no_session(feed: Any) -> None:
+    assert feed(seqno=1, tm_ms=10_004) is not None
+    assert feed(seqno=0, tm_ms=10_000) is None
+    assert feed(seqno=2, tm_ms=10_008) is not None
+    for before in (1, 99):
+        assert feed(seqno=0, tm_ms=10_004 - before) is None
+    assert feed.session.number == 1
+    assert feed(seqno=0, tm_ms=500) is not None
+    assert feed.session.number == 2
+
+
+def test_a_first_packet_that_is_older_by_a_tenth_of_a_second_begins_one(feed: Any) -> None:
+    feed(seqno=1, tm_ms=10_004)
+    assert feed.sample(seqno=0, tm_ms=10_004 - 100).session == 2

@@ -1,0 +1,229 @@
+"""Ends that come from outside the controller."""
+
+from __future__ import annotations
+
+import time
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab.bridge.control.limits import Limits
+from armlab.bridge.control.state_machine import Guide, Mode
+from armlab.bridge.control.supervision import Settings, Supervisor, check_list
+from armlab.bridge.net.sockets import Port
+from armlab.errors import LinkError, NoRobot, SessionEnded
+from armlab.robots import Robot
+from armlab.state import Command
+
+
+class Bench:
+    """A supervisor over a session that can be given packets."""
+
+    def __init__(self, feed: Any, robot: Robot, **settings: Any) -> None:
+        self.port = Port("127.0.0.1", 0)
+        self.guide = Guide(robot, Limits.of(robot))
+        self.told: list[tuple[str, bool]] = []
+        self.feed, feed.now = feed, time.monotonic_ns()
+        self.supervisor = Supervisor(self.port, feed.session, self.guide, Settings(**settings), self.tell)
+
+    def tell(self, text: str, warn: bool = False, each: bool = False) -> None:
+        self.told.append((text, warn))
+
+    def packet(self) -> None:
+        self.guide.observe(self.feed.sample(after=0))
+
+    def look(self, silent_for: float) -> None:
+        """Look as if the last packet had come so many seconds ago."""
+        heard = time.monotonic_ns() - int(1e9 * silent_for)
+        if self.feed.session._last is not None:
+            self.feed.session._last = self.feed.session._last._replace(arrival_ns=heard)
+        self.supervisor.look(heard)
+        self.port.close()
+
+
+def test_a_run_without_settings_goes_on_and_waits_for_its_robot_half_a_minute() -> None:
+    one = Settings()
+    assert (one.seconds, one.resume, one.clock, one.patience, one.alive()) == (None, True, "wall", 30.0, "")
+
+
+def test_patience_ends_with_no_robot_and_a_check_list(feed: Any, robot: Robot) -> None:
+    bench = Bench(feed, robot, patience=7.0)
+    feed.raw(b"noise", after=0)
+    bench.look(7.1)
+    assert bench.guide.mode is Mode.ENDED
+    failure = bench.guide.failure
+    assert isinstance(failure, NoRobot)
+    for words in ("within 7 s", "1 unparsable", f"127.0.0.1:{bench.port.port}", "this computer only", "firewall"):
+        assert words in str(failure)
+
+
+def test_without_any_datagram_none_is_spoken_of(feed: Any, robot: Robot) -> None:
+    bench = Bench(feed, robot, patience=7.0)
+    bench.look(7.1)
+    assert "but none came. Listening on" in str(bench.guide.failure)
+
+
+def test_exactly_the_patience_is_not_too_long(feed: Any, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(feed, robot, patience=8.0)
+    bench.port.close()
+    now = iter([5_000_000_000, 5_000_000_001, 8_000_000_000, 8_000_000_100])
+    monkeypatch.setattr("armlab.bridge.control.supervision.time", SimpleNamespace(monotonic_ns=lambda: next(now)))
+    told, ended = [], []
+    for _ in range(4):
+        bench.supervisor.look(0)
+        told.append(len(bench.told))
+        ended.append(bench.guide.mode is Mode.ENDED)
+    assert told == [0, 1, 1, 1]
+    assert ended == [False, False, False, True]
+
+
+def test_the_check_list_is_told_before(feed: Any, robot: Robot) -> None:
+    bench = Bench(feed, robot, patience=30.0)
+    bench.look(5.5)
+    bench.look(5.6)
+    assert bench.told == [(f"No packet yet. {check_list(bench.port)}", True)]
+    assert bench.guide.mode is Mode.WAITING
+
+
+def test_the_check_list_says_who_can_be_heard() -> None:
+    port = Port("0.0.0.0", 0)
+    port.close()
+    assert f"Listening on 0.0.0.0:{port.port}. Check" in check_list(port)
+
+
+def test_silence_ends_the_session_and_waits(feed: Any, robot: Robot) -> None:
+    bench = Bench(feed, robot)
+    bench.packet()
+    bench.look(0.4)
+    assert feed.session.active
+    bench.look(0.6)
+    assert not feed.session.active
+    assert bench.guide.mode is Mode.WAITING
+
+
+def test_silence_ends_the_run_when_asked(feed: Any, robot: Robot) -> None:
+    bench = Bench(feed, robot, resume=False)
+    bench.packet()
+    bench.look(0.6)
+    assert (bench.guide.mode, bench.guide.reason) == (Mode.ENDED, "the controller stopped sending")
+
+
+def test_no_other_session_is_an_error(feed: Any, robot: Robot) -> None:
+    bench = Bench(feed, robot, patience=3.0)
+    bench.packet()
+    bench.look(3.5)
+    assert isinstance(bench.guide.failure, SessionEnded)
+    assert "the controller stopped sending" in str(bench.guide.failure)
+
+
+def test_a_robot_that_ended_ends_the_run(feed: Any, robot: Robot) -> None:
+    bench = Bench(feed, robot, alive=lambda: "the simulated robot ended")
+    bench.packet()
+    bench.look(0.0)
+    assert (bench.guide.mode, bench.guide.reason) == (Mode.ENDED, "the simulated robot ended")
+    assert bench.guide.failure is None
+    assert not feed.session.active
+
+
+def test_a_robot_that_died_is_an_error(feed: Any, robot: Robot) -> None:
+    def alive() -> str:
+        raise LinkError("Expected the simulator to go on, but it ended with status 2.")
+
+    bench = Bench(feed, robot, alive=alive)
+    bench.look(0.0)
+    assert "status 2" in str(bench.guide.failure)
+    assert bench.guide.mode is Mode.ENDED
+
+
+def sessions(bench: Bench, count: int, packets: int, **fields: Any) -> None:
+    """Sessions of so many packets each, one right after another."""
+    for _ in range(count):
+        bench.feed.packets.seq = 0
+        for k in range(packets):
+            sample = bench.feed.sample(**fields)
+            if k == 0 and sample.session > 1:
+                bench.supervisor.judge()
+            bench.guide.observe(sample)
+    bench.port.close()
+
+
+@pytest.mark.parametrize(
+    ("packets", "fields", "settings", "ends"),
+    [
+        (2, {}, {}, True),
+        (25, {}, {}, True),  # 24 periods: 0.096 s
+        (27, {}, {}, False),
+        (1, {"mci": 1}, {}, True),
+        (1, {"mci": 2}, {}, False),  # the robot waits for its operator
+        (1, {"mci": 2}, {"clock": "robot"}, True),
+    ],
+)
+def test_ten_sessions_in_a_row_that_end_at_once_end_the_run(
+    feed: Any, robot: Robot, packets: int, fields: dict[str, Any], settings: dict[str, Any], ends: bool
+) -> None:
+    bench = Bench(feed, robot, **settings)
+    sessions(bench, 10, packets, **fields)
+    assert bench.guide.failure is None
+    sessions(bench, 1, 1)
+    assert ("a session with guidance for" in str(bench.guide.failure)) == ends
+
+
+def test_a_session_that_moves_on_starts_the_count_again(feed: Any, robot: Robot) -> None:
+    bench = Bench(feed, robot)
+    for _ in range(3):
+        sessions(bench, 9, 2)
+        sessions(bench, 1, 30)
+    assert bench.guide.failure is None
+    sessions(bench, 11, 2)
+    assert bench.guide.reason == "sessions ended at once"
+
+
+def test_a_first_session_that_moves_on_does_not_count(feed: Any, robot: Robot) -> None:
+    bench = Bench(feed, robot)
+    sessions(bench, 1, 30)
+    sessions(bench, 10, 2)
+    assert bench.guide.failure is None
+
+
+def test_a_robot_that_reports_an_error_in_each_session_ends_the_run(play: Any) -> None:
+    """Time under guidance never comes then, so that `seconds` alone would go on for ever."""
+
+    def script(peer: Any) -> None:
+        while not peer.over.is_set() and peer.packets.cycle < 1000:
+            for mci in (3, 1):
+                peer.send(mci=mci)
+                peer.answer_or_end(peer.over)
+            peer.packets.seq = 0
+
+    with pytest.raises(SessionEnded, match=r"10 in a row .* the controller reported an EGM error") as caught:
+        play(script, lambda state: Command(qd=np.full(7, 0.1)), seconds=6.0)
+    assert caught.value.table["mci"].tolist()[:4] == [3, 1, 3, 1]
+    assert play.peer.packets.cycle < 200  # ten sessions, and half a second at rest
+
+
+@pytest.mark.parametrize("failing", [0, 1])
+def test_one_arm_of_two_that_reports_errors_ends_the_run_of_both(pair: Any, failing: int) -> None:
+    def script(*peers: Any) -> None:
+        over = pair.peer.over
+        while not over.is_set() and peers[0].packets.cycle < 1000:
+            for mci in (3, 1):
+                for k, peer in enumerate(peers):
+                    peer.send(mci=mci if k == failing else 3)
+                    peer.answer_or_end(over)
+            peers[failing].packets.seq = 0
+
+    with pytest.raises(SessionEnded, match="10 in a row"):
+        pair(script, lambda state: None, seconds=6.0)
+
+
+def test_listening_to_sessions_of_one_packet_ends(play: Any) -> None:
+    def script(peer: Any) -> None:
+        while not peer.over.is_set() and peer.packets.cycle < 1000:
+            peer.send()
+            peer.packets.seq = 0
+            peer.over.wait(0.001)
+
+    with pytest.raises(SessionEnded, match="a session with packets for"):
+        play(script, None, play.link(clock="wall"), seconds=6.0)

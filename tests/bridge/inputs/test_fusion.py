@@ -1,0 +1,434 @@
+"""The newest of every source at each tick: ages, gaps, staleness, clocks."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import bridge, kinematics
+from armlab.bridge import CallableSource, Fusion, Held, Reading, ReplaySource, Source, TimerSource, UdpSource
+from armlab.bridge.inputs.fusion import ClockMap
+from armlab.errors import ConfigError, UnknownName
+from armlab.log import Column
+from armlab.models import ForceSensor
+from armlab.robots import Robot
+from armlab.state import Command, State
+
+MS = 1_000_000
+P = {"p": Column(unit="m")}
+
+
+class Scripted(Source):
+    """Readings at given times; what `newest` returns depends on the time of the tick alone."""
+
+    def __init__(self, name: str, times_ns: np.ndarray, clock_ns: int = 0, lost: tuple[int, ...] = (), **options: Any):
+        super().__init__(name, P, **options)
+        kept = [seq for seq in range(len(times_ns)) if seq not in lost]
+        self.arrivals = times_ns[kept]
+        self.readings = []
+        for row, seq in enumerate(kept):
+            receive = int(times_ns[seq])
+            values = self.values({"p": float(seq)})
+            self.readings.append(Reading(values, receive - clock_ns, receive, seq, seq - row))
+
+    def newest(self) -> Reading | None:
+        row = int(np.searchsorted(self.arrivals, self.now_ns, side="right")) - 1
+        return self.readings[row] if row >= 0 else None
+
+
+def scripts(seconds: float) -> list[Scripted]:
+    """A force sensor at 1 kHz; a tracker at 30 Hz with jitter, lost frames, and 2 s without any."""
+    rng = np.random.default_rng(3)
+    force = np.arange(0, int(1e9 * seconds), MS) + rng.integers(0, MS // 20, int(1e3 * seconds))
+    frames = np.arange(0, int(1e9 * seconds), 33_333_333)
+    stall = (frames > 3e9) & (frames < 5e9)
+    track = (frames + rng.integers(0, 12 * MS, len(frames)))[~stall]
+    return [
+        Scripted("force", force, clock_ns=10**15, period=0.001, role="required"),
+        Scripted("tracker", track, lost=(5, 6, 40), period=1 / 30),
+    ]
+
+
+def test_ages_of_the_specified_cell() -> None:
+    """Two arms at 4.032 and 4.000 ms look at both: ages, freshness, gaps and staleness are the truth's, to 0.2 ms."""
+    made, fusion = scripts(8.0), [Fusion(scripts(8.0)) for _ in range(2)]
+    for one, period in zip(fusion, (4_032_000, 4_000_000), strict=True):
+        last: dict[str, int] = {}
+        for now in range(100 * MS, int(7.9e9), period):
+            held = one.tick(now)
+            for source in made:
+                got = held[source.name]
+                row = int(np.searchsorted(source.arrivals, now, side="right")) - 1
+                truth = 1e-9 * (now - source.arrivals[row])
+                assert abs(got.age - truth) < 0.2e-3
+                assert got.fresh == (last.get(source.name) != row)
+                assert got.stale == (truth > source.max_age)
+                assert np.isnan(got["p"]) == got.stale
+                assert got.kept["p"] == source.readings[row].values["p"]
+                assert got.gaps == source.readings[row].gaps
+                last[source.name] = row
+            assert one.missing == ""
+            assert abs(held["force"].mapped_ns - held["force"].receive_ns) < 0.2 * MS
+
+
+def test_stale_sources_are_told_and_a_required_one_is_missing() -> None:
+    told: list[str] = []
+    source = Scripted("force", np.array([0, MS, 100 * MS, 101 * MS]), period=0.001, role="required")
+    fusion = Fusion([source], lambda text, warn=False: told.append(text))
+    never = Fusion([Scripted("late", np.array([10 * MS]), period=0.001, role="required")])
+    never.tick(0)
+    assert never.missing == "late"
+    missing = []
+    for now in (2 * MS, 20 * MS, 22 * MS, 60 * MS, 101 * MS):
+        fusion.tick(now)
+        missing.append(fusion.missing)
+    assert missing == ["", "", "force", "force", ""]
+    assert told == ["The source force is stale: its last reading is 0.021 s old.", "The source force is back."]
+
+
+def test_what_was_never_seen() -> None:
+    held = Fusion([Scripted("late", np.array([10 * MS]), period=0.001)]).tick(0)["late"]
+    assert isinstance(held, Held)
+    assert held.age == float("inf")
+    assert (held.fresh, held.stale, held.receive_ns) == (False, True, 0)
+    assert np.isnan(held["p"])
+
+
+def test_a_source_that_breaks_its_promises_grows_old() -> None:
+    told: list[str] = []
+
+    class Broken(Source):
+        def newest(self) -> Any:
+            k = self.now_ns // MS
+            if k == 0:
+                return Reading(self.values({"p": 1.0}), 0, self.now_ns, 0)
+            if k < 50:
+                raise OSError("unplugged")
+            return Reading({"p": np.zeros(3)}, 0, self.now_ns, k) if k < 60 else "nothing"
+
+    fusion = Fusion([Broken("s", P, 0.001)], lambda text, warn=False: told.append(text))
+    ages = [fusion.tick(k * MS)["s"].age for k in range(70)]
+    np.testing.assert_allclose(ages, 1e-3 * np.arange(70))
+    assert [text.partition(":")[0] for text in told if "problem" in text] == ["The source s has a problem"] * 3
+    assert any("OSError: unplugged" in text for text in told)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"seq": None}, {"seq": 10**400}, {"seq": float("nan")}, {"source_ns": float("inf")}, {"source_ns": 10**400},
+        {"source_ns": "1"}, {"source_ns": [1]}, {"receive_ns": None}, {"receive_ns": float("nan")}, {"gaps": "x"},
+        {"values": {"p": "far"}}, {"values": {"p": np.array(1j)}}, {"values": {"p": None}}, {"values": None},
+    ],
+    ids=repr,
+)  # fmt: skip
+def test_a_reading_that_is_none_does_not_stop_the_loop(wrong: dict[str, Any]) -> None:
+    told: list[str] = []
+
+    class Odd(Source):
+        def newest(self) -> Reading:
+            k = self.now_ns // MS
+            good = Reading(self.values({"p": 1.0}), self.now_ns, self.now_ns, k)
+            return good if k != 1 else good._replace(**wrong)
+
+    fusion = Fusion([Odd("s", P, 0.001)], lambda text, warn=False: told.append(text))
+    for k in range(3):
+        held = fusion.tick(k * MS)
+        fusion.record(held, k * MS)
+        assert held["s"]["p"] == 1.0
+        assert held["s"].age == (1e-3 if k == 1 else 0.0)
+    assert [text.partition(":")[0] for text in told] == ["The source s has a problem"]
+
+
+def test_a_reading_stamped_in_the_future_is_stale() -> None:
+    """A wall clock in place of the monotonic one: such a reading would be fresh for ever, also when its source died."""
+    told: list[str] = []
+
+    class Ahead(Source):
+        def newest(self) -> Reading:
+            return Reading(self.values({"p": 1.0}), 0, 10**18, 0)
+
+    fusion = Fusion([Ahead("s", P, 0.001, role="required")], lambda text, warn=False: told.append(text))
+    held = fusion.tick(10**12)["s"]
+    assert held.stale
+    assert np.isnan(held["p"])
+    assert fusion.missing == "s"
+    assert any("time.monotonic_ns()" in text for text in told)
+
+
+def test_a_restart_of_the_numbers_maps_the_clock_anew() -> None:
+    told: list[str] = []
+
+    class Restarting(Source):
+        def newest(self) -> Reading:
+            k = self.now_ns // MS
+            seq, clock = (k, 5) if k < 50 else (k - 50, 20 * MS)
+            return Reading(self.values({"p": 0.0}), 10**9 + self.now_ns - clock, self.now_ns, seq)
+
+    fusion = Fusion([Restarting("s", P, 0.001)], lambda text, warn=False: told.append(text))
+    for k in range(60):
+        held = fusion.tick(k * MS)["s"]
+        assert abs(held.mapped_ns - k * MS) <= 5
+    assert told == ["The source s began anew: number 0 after 49."]
+
+
+def test_wrong_sets_of_sources() -> None:
+    one, two = TimerSource("a", 0.01), TimerSource("b", 0.01)
+    for sources, words in (([one, one], "different names"), ([one, two], "at most one"), ([object()], "got object")):
+        with pytest.raises(ConfigError, match=words):
+            Fusion(sources)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="role pacing"):
+        next(Fusion([TimerSource("a", 0.01, role="optional")]).ticks(0.1))
+
+
+def test_a_timer_paces_rows_without_a_robot() -> None:
+    timer = TimerSource("clock", 0.002)
+    fusion = Fusion([timer])
+    timer.start()
+    counts = [int(held["clock"]["count"]) for held in fusion.ticks(0.1)]
+    assert counts == sorted(set(counts))
+    assert 5 <= len(counts) <= 51
+
+
+OFFSET = 10**15
+
+
+def test_the_least_delay_is_the_offset() -> None:
+    """With delays from 1 ms up, all but the first moments are mapped to within the least of them."""
+    rng = np.random.default_rng(1)
+    clock, errors = ClockMap(), []
+    for k in range(3000):
+        source = 4 * MS * k
+        delay = int(1 * MS + rng.exponential(2 * MS))
+        errors.append(clock.add(source, source + OFFSET + delay) - (source + OFFSET))
+    assert clock.resets == 0
+    assert np.abs(np.array(errors[100:]) - MS).max() < 0.3 * MS
+
+
+@pytest.mark.parametrize("drift", [1e-4, -1e-4])
+def test_a_drift_is_followed(drift: float) -> None:
+    """A clock that is fast by 100 ppm runs off by a millisecond in the 10 s of the minimum."""
+    rng = np.random.default_rng(2)
+    clock, errors = ClockMap(), []
+    for k in range(10_000):
+        ours = 4 * MS * k
+        source = round(ours * (1.0 + drift))
+        errors.append(clock.add(source, ours + OFFSET + int(rng.exponential(1 * MS))) - (ours + OFFSET))
+    assert np.abs(np.array(errors[3000:])).max() < 0.2 * MS
+
+
+@pytest.mark.parametrize("step", [-60 * MS, 60 * MS, 10**12])
+def test_a_clock_that_was_set_is_mapped_anew(step: int) -> None:
+    clock = ClockMap()
+    for k in range(100):
+        clock.add(4 * MS * k, 4 * MS * k + OFFSET)
+    for k in range(100, 120):
+        mapped = clock.add(4 * MS * k + step, 4 * MS * k + OFFSET)
+    assert clock.resets == 1
+    assert mapped == 4 * MS * 119 + OFFSET
+
+
+def test_a_late_packet_is_no_step() -> None:
+    clock = ClockMap()
+    for k in range(100):
+        mapped = clock.add(4 * MS * k, 4 * MS * k + OFFSET + (80 * MS if k in (50, 51, 52) else 0))
+        assert mapped == 4 * MS * k + OFFSET
+    assert clock.resets == 0
+
+
+def test_reset() -> None:
+    clock = ClockMap()
+    clock.add(0, OFFSET)
+    clock.reset()
+    assert clock.add(5, 7) == 7
+
+
+def columns(table: Any, name: str) -> dict[str, np.ndarray]:
+    return {one: table[one] for one in table.names if one.startswith(f"{name}.")}
+
+
+def test_in_a_run_and_replayed(play: Any) -> None:
+    """Values reach the controller and the log; a replay of the log through the same fusion gives the same rows."""
+    seen: list[Mapping[str, Held]] = []
+
+    def controller(state: State) -> Command:
+        seen.append(state.sources)
+        return Command(state.q_start)
+
+    class Wrench(Source):
+        """Every third tick a new wrench."""
+
+        def newest(self) -> Reading:
+            k = (self.now_ns - begun) // (3 * MS)
+            stamp = begun + 3 * MS * k
+            return Reading(self.values({"wrench": np.full(6, 1.0 * k)}), stamp - begun + 1, stamp, k)
+
+    begun = time.monotonic_ns()
+    source = Wrench("force", {"wrench": Column((6,))}, 0.003)
+    wrenches: list[np.ndarray] = []
+
+    class Feed:
+        def row(self, state: State, command: Command | None, tick: Any) -> None:
+            wrenches.append(state.wrench)
+
+        def event(self, text: str, warn: bool = False) -> None:
+            pass
+
+    run = play(lambda peer: peer.rest(), controller, seconds=0.3, sources=[source], feeds=[Feed()])
+    table = run.table
+    assert all(held["force"].age < 0.02 for held in seen)
+    np.testing.assert_array_equal(table["force.wrench"][:, 0], [wrench[0] for wrench in wrenches])
+    np.testing.assert_array_equal(table["force.wrench"], np.repeat(table["force.seq"][:, None], 6, axis=1))
+    assert table.units["force.age"] == "s"
+    replay = ReplaySource("force", table, 0.003)
+    fusion = Fusion([replay])
+    start = 10**12
+    for row, receive_ns in enumerate(table["receive_ns"] - table["receive_ns"][0]):
+        now = start + int(receive_ns)
+        again = fusion.record(fusion.tick(now), now)
+        for name, column in columns(table, "force").items():
+            np.testing.assert_allclose(again[name], column[row], rtol=1e-12, atol=2e-9, err_msg=name)
+    with pytest.raises(UnknownName, match="source in this recording"):
+        ReplaySource("tracker", table, 0.03)
+
+
+def test_the_simulated_arm_turns_a_known_mass(robot: Robot) -> None:
+    """0.8 kg on a raw sensor: State.wrench is the push alone, wherever the wrist is; NaN when the sensor is silent."""
+    m, c, push = 0.8, np.array([0.01, -0.02, 0.06]), np.array([2.0, -1.0, 3.0, 0.1, 0.2, -0.3])
+    bias, p = np.array([5.0, -4.0, 3.0, 0.3, 0.2, 0.1]), np.array([0.0, 0.0, -0.04])
+    R_tool_sensor = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    sensor = ForceSensor(R_tool_sensor, m, c, bias, position=p, robot_name=robot.name, robot_hash=robot.hash)
+    states: list[State] = []
+
+    class Raw(Source):
+        """Reads at the posture of the packet before: what it says is exact once the arm stands."""
+
+        def newest(self) -> Reading | None:
+            if not states or len(states) > 500:
+                return self.last
+            R = (kinematics.forward(robot, states[-1].q)[:3, :3] @ R_tool_sensor).T
+            felt = m * R @ [0.0, 0.0, -9.80665]
+            moment = push[3:] - np.cross(R.T @ R_tool_sensor.T @ p, push[:3])  # at the sensor, not at the tool
+            raw = np.r_[R @ push[:3] + felt, R @ moment + np.cross(c, felt)] + bias
+            self.last = Reading(self.values({"wrench_raw": raw}), 0, self.now_ns, len(states))
+            return self.last
+
+        last: Reading | None = None
+
+    def controller(state: State) -> Command:
+        states.append(state)
+        turn = np.zeros(7)
+        turn[[4, 5]] = 0.5 * (1 - np.cos(2.0 * min(state.t, np.pi / 2)))
+        return Command(state.q_start + turn)
+
+    source = Raw("force", {"wrench_raw": Column((6,))}, 0.004, calibration=sensor)
+    assert source.robot == robot.name
+    with bridge.connect(f"sim://{robot.name}?lockstep=true", robot) as link:
+        run = link.run(controller, seconds=2.4, sources=[source])
+    q, wrench = np.array([s.q for s in states]), np.array([s.wrench for s in states])
+    assert np.isnan(wrench[0]).all()
+    moving = slice(5, 300)
+    assert np.ptp(q, axis=0)[4] > 0.7
+    assert np.abs(wrench[moving] - push).max() < 0.1  # 0.8 kg turned for one packet
+    assert np.abs(wrench[450:500] - push).max() < 1e-3  # at rest again, elsewhere, but for the noise of the joints
+    table = run.table
+    rows = np.isfinite(table["wrench"]).all(axis=1)
+    expected = sensor.wrench(table["force.wrench_raw"], kinematics.forward(robot, table["q"]))
+    np.testing.assert_allclose(table["wrench"][rows], expected[rows], atol=1e-12)
+    assert table.units["force.wrench_raw"] == "N, N m"
+    assert np.isnan(wrench[-1]).all()
+
+
+def test_a_required_source_that_is_stale_holds_the_arm(play: Any) -> None:
+    alive = [True]
+
+    class Sensor(Source):
+        kept: Reading | None = None
+
+        def newest(self) -> Reading | None:
+            if alive[0]:
+                self.kept = Reading(self.values({"p": 1.0}), 0, self.now_ns, self.now_ns)
+            return self.kept
+
+    calls: list[float] = []
+
+    def controller(state: State) -> Command:
+        calls.append(state.t)
+        return Command(qd=np.full(7, 0.1))
+
+    def script(peer: Any) -> None:
+        peer.cycles(20)
+        assert peer.replies[-1].qd.min() > 0.05
+        alive[0] = False
+        time.sleep(0.03)
+        held = peer.cycles(30)
+        called = len(calls)
+        assert not held[-1].qd.any()
+        alive[0] = True
+        peer.cycles(20)
+        assert len(calls) > called
+        peer.rest()
+
+    run = play(script, controller, sources=[Sensor("sensor", P, 0.004, role="required")], seconds=0.3)
+    assert any("The source sensor is stale" in text for _, text in run.events)
+
+
+def test_sources_are_started_and_closed(play: Any, robot: Robot) -> None:
+    done: list[str] = []
+
+    class Sensor(Source):
+        def start(self) -> None:
+            done.append(f"start {self.name}")
+            if self.name == "bad":
+                raise ConfigError("Expected a sensor, got none.")
+
+        def close(self) -> None:
+            done.append(f"close {self.name}")
+
+        def newest(self) -> None:
+            return None
+
+    good, bad = Sensor("good", P, 0.01), Sensor("bad", P, 0.01)
+    with bridge.connect("egm://127.0.0.1:0", robot) as link, pytest.raises(ConfigError, match="a sensor"):
+        link.run(None, sources=[good, bad])
+    assert done == ["start good", "start bad", "close bad", "close good"]
+
+
+@pytest.mark.slow
+def test_ages_of_datagrams(play: Any) -> None:
+    """1 s in real time: the sender's own clock is ours, so the age that the loop tells can be compared."""
+    sensor = UdpSource("force", P, 0.001, 0, {"seq": "<u4", "stamp_ns": "<i8", "p": "<f8"})
+    hand = CallableSource("hand", P, lambda: {"p": 1e-9 * time.monotonic_ns()}, 0.004)
+    over = threading.Event()
+
+    def send() -> None:
+        seq = 0
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+            while not over.wait(0.001):
+                if sensor.port:
+                    data = struct.pack("<Iqd", seq, time.monotonic_ns(), 0.0)
+                    out.sendto(data, ("127.0.0.1", sensor.port))
+                    seq += 1
+
+    def script(peer: Any) -> None:
+        peer.begin()
+        peer.rest(pause=0.004)
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    run = play(
+        script, lambda state: Command(state.q_start), play.link(clock="wall"), sources=[sensor, hand], seconds=1.0
+    )
+    over.set()
+    thread.join()
+    table = run.table
+    assert np.median(table["force.age"]) < 0.004
+    assert np.percentile(np.abs(table["force.delay"]), 90) < 0.2e-3
+    assert np.nanmax(table["force.gaps"]) == 0.0

@@ -1,0 +1,347 @@
+"""Kinds of sources."""
+
+from __future__ import annotations
+
+import json
+import select
+import socket
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armlab import robots
+from armlab.bridge import CallableSource, Reading, ReplaySource, Source, TimerSource, UdpSource
+from armlab.bridge.inputs.sources import TICK_COLUMNS, ThreadSource, whole
+from armlab.errors import ConfigError, LinkError, ModelMismatchError, ShapeError, UnknownName
+from armlab.log import Column, Table
+from armlab.models import ForceSensor
+
+FIELDS = {"p": Column((3,), unit="m"), "grip": Column(unit="N")}
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"name": "a.b"}, ConfigError, "without dots"),
+        ({"fields": {}}, ConfigError, "with fields"),
+        ({"fields": {"f": Column((10**27,))}}, ConfigError, "at most 1024 numbers"),
+        ({"fields": {"f": Column((-1,))}}, ConfigError, r"the shape \(-1,\) of 'f' in the source"),
+        (
+            {"fields": {"age": Column(unit="s")}},
+            ConfigError,
+            "other names than those of the log's own columns, got age",
+        ),
+        ({"fields": {"p": Column((3,))}}, ShapeError, "unit"),
+        ({"period": 0.0}, ConfigError, "above 0 s, got 0.0"),
+        ({"max_age": float("nan")}, ConfigError, "max_age"),
+        ({"role": "leading"}, UnknownName, "role of a source"),
+    ],
+)
+def test_wrong_sources(options: dict[str, Any], error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words):
+        Source(**{"name": "tracker", "fields": FIELDS, "period": 0.03, **options})
+
+
+RAW = {"wrench_raw": Column((6,))}
+SENSOR = ForceSensor(np.eye(3), 1.0, np.zeros(3), np.zeros(6))
+
+
+@pytest.mark.parametrize(
+    ("fields", "calibration"),
+    [
+        (RAW, "force.toml"),
+        (FIELDS, SENSOR),
+        ({**RAW, "wrench": Column((6,))}, SENSOR),
+    ],
+)
+def test_wrong_calibrations(fields: dict[str, Column], calibration: Any) -> None:
+    with pytest.raises(ConfigError, match="ForceSensor as the calibration of the source 'force'"):
+        Source("force", fields, 0.004, calibration=calibration)
+
+
+def test_a_calibration_belongs_to_an_arm_of_the_run() -> None:
+    arms = [robots.load("yumi_left"), robots.load("yumi_right")]
+    Source("tracker", FIELDS, 0.03).check(arms)
+    own = replace(SENSOR, robot_name="yumi_left", robot_hash=arms[0].hash)
+    source = Source("force", RAW, 0.004, calibration=own)
+    assert source.robot == "yumi_left"
+    source.check(arms)
+    Source("force", RAW, 0.004, calibration=SENSOR).check(arms[:1])
+    with pytest.raises(ConfigError, match=r"robot= of the force sensor 'force', one of yumi_left, yumi_right"):
+        Source("force", RAW, 0.004, calibration=SENSOR).check(arms)
+    with pytest.raises(ModelMismatchError, match="'force' to be of a robot of this run, got one of 'yumi_left'"):
+        source.check(arms[1:])
+    with pytest.raises(ModelMismatchError):
+        Source("force", RAW, 0.004, calibration=own, robot="yumi_right").check(arms)
+
+
+def test_values() -> None:
+    source = Source("tracker", FIELDS, 0.03)
+    assert source.max_age == pytest.approx(0.09)
+    assert Source("force", FIELDS, 0.001).max_age == 0.02
+    values = source.values({"p": [1, 2, 3]})
+    np.testing.assert_array_equal(values["p"], [1.0, 2.0, 3.0])
+    assert np.isnan(values["grip"])
+    assert not values["p"].flags.writeable
+    for wrong, error, words in (
+        ({"q": 1.0}, UnknownName, "field of the source 'tracker'"),
+        ({"p": [1.0]}, ConfigError, r"p of shape \(3,\) from the source 'tracker', got \(1,\)"),
+        ({"grip": "high"}, ConfigError, "numbers in grip"),
+    ):
+        with pytest.raises(error, match=words):
+            source.values(wrong)
+    assert set(TICK_COLUMNS) == {"age", "gaps", "seq", "source_time", "delay"}
+
+
+def test_a_function_in_a_thread() -> None:
+    calls = threading.Semaphore(0)
+    given: list[Any] = [{"grip": 1.0}, None, {"grip": "high"}, {"grip": 2.0}]
+
+    def function() -> Any:
+        calls.release()
+        return given.pop(0) if given else {"grip": 3.0}
+
+    source = CallableSource("hand", FIELDS, function, 0.001)
+    assert source.newest() is None
+    source.start()
+    for _ in range(6):
+        assert calls.acquire(timeout=5.0)
+    source.close()
+    reading = source.newest()
+    assert isinstance(reading, Reading)
+    assert reading.values["grip"] == 3.0
+    assert reading.receive_ns <= time.monotonic_ns()
+    assert reading.seq >= 2
+    assert "numbers in grip" in source.problem
+
+
+def test_timer() -> None:
+    timer = TimerSource("clock", 0.001)
+    timer.start()
+    first = timer.newest()
+    assert first is not None
+    time.sleep(0.003)
+    second = timer.newest()
+    assert second is not None
+    assert second.seq - first.seq >= 2
+    assert second.receive_ns - first.receive_ns == (second.seq - first.seq) * 1_000_000
+    assert second.values["count"] == second.seq
+
+
+def test_a_source_with_a_thread_of_its_own_ends_it_and_starts_again() -> None:
+    class Counting(ThreadSource):
+        def work(self) -> None:
+            seq = 0
+            while not self._over.wait(0.001):
+                self._newest, seq = Reading(self.values({"grip": seq}), 0, time.monotonic_ns(), seq), seq + 1
+
+    source = Counting("count", FIELDS, 0.001)
+    assert source.newest() is None
+    for _ in range(2):
+        before = source.newest()
+        source.start()
+        end = time.monotonic() + 5.0
+        while source.newest() is before and time.monotonic() < end:
+            time.sleep(0.001)
+        source.close()
+        assert source.newest() is not before
+        kept = source.newest()
+        time.sleep(0.01)
+        assert source.newest() is kept
+    with pytest.raises(NotImplementedError):
+        ThreadSource("none", FIELDS, 0.001).work()
+
+
+@pytest.mark.parametrize(
+    ("number", "unit", "wanted"),
+    [
+        (5, 1, 5), (1.75, 1000, 1750), (True, 1, 1), (np.uint8(200), 1000, 200_000), (np.float32(2.5), 1000, 2500),
+        (-(2**64) + 1, 1, -(2**64) + 1), (np.uint64(2**64 - 1), 1, 2**64 - 1), (2**53 + 1, 1000, 1000 * (2**53 + 1)),
+    ],
+)  # fmt: skip
+def test_whole_numbers(number: Any, unit: int, wanted: int) -> None:
+    assert whole(number, unit) == wanted
+    assert type(whole(number, unit)) is int
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf, 2**64, 2**60, 1e300, 10**400, "5", None, [5], 1j, np.zeros(1)])
+def test_what_is_no_whole_number(number: Any) -> None:
+    with pytest.raises(ValueError, match="at most 64 bits, got"):
+        whole(number, 1000)
+
+
+MS = 1_000_000
+
+
+def recording() -> Table:
+    """Five ticks, 4 ms apart; the tracker's first reading came before the second tick, its next before the fifth."""
+    nan = np.nan
+    numbers = {
+        "age": [nan, 0.001, 0.005, 0.009, 0.002],
+        "gaps": [nan, 0.0, 0.0, 0.0, 3.0],
+        "seq": [nan, 7.0, 7.0, 7.0, 11.0],
+        "source_time": [nan, 0.5, 0.5, 0.5, nan],
+        "delay": [nan, 0.0, 0.0, 0.0, nan],
+        "p": [nan, 1.0, 1.0, 1.0, 2.0],
+    }
+    values: dict[str, np.ndarray] = {f"tracker.{name}": np.array(column) for name, column in numbers.items()}
+    columns = {name: Column(unit="1") for name in values} | {"tracker.p": Column(unit="m")}
+    values["receive_ns"] = 10**18 + 4 * MS * np.arange(5)
+    return Table(0.004 * np.arange(5), values, columns)
+
+
+def test_readings_come_when_they_came() -> None:
+    source = ReplaySource("tracker", recording(), 1 / 30)
+    assert (source.fields["p"].unit, [*source.fields]) == ("m", ["p"])
+    start, got = 10**12, []
+    for tick in range(7):
+        source.now_ns = start + 4 * MS * tick
+        got.append(source.newest())
+    assert got[0] is None
+    assert [None if one is None else (one.values["p"], one.seq, one.gaps, one.source_ns) for one in got[1:5]] == [
+        (1.0, 7, 0, 500 * MS),
+        (1.0, 7, 0, 500 * MS),
+        (1.0, 7, 0, 500 * MS),
+        (2.0, 11, 3, 0),
+    ]
+    assert {one.receive_ns for one in got[1:4] if one is not None} == {start + 3 * MS}
+    assert got[4] is got[6]
+
+
+def test_a_source_without_a_clock() -> None:
+    source = ReplaySource("tracker", recording().without("tracker.source_time", "tracker.delay"), 1 / 30)
+    source.now_ns = 0
+    source.newest()
+    source.now_ns = 5 * MS
+    reading = source.newest()
+    assert reading is not None
+    assert (reading.seq, reading.source_ns) == (7, 0)
+
+
+@pytest.mark.parametrize("absent", ["seq", "gaps"])
+def test_a_source_without_numbers(absent: str) -> None:
+    """As another program's recording may be."""
+    source = ReplaySource("tracker", recording().without(f"tracker.{absent}"), 1 / 30)
+    source.now_ns = 0
+    assert source.newest() is None
+    source.now_ns = 16 * MS
+    reading = source.newest()
+    assert reading is not None
+    assert (reading.values["p"], reading.seq, reading.gaps) == (2.0, *((0, 3) if absent == "seq" else (11, 0)))
+
+
+def test_a_source_that_was_not_recorded() -> None:
+    with pytest.raises(UnknownName, match=r"source in this recording.*tracker"):
+        ReplaySource("force", recording(), 0.001)
+
+
+UDP_FIELDS = {"wrench": Column((6,))}
+LAYOUT = {"seq": "<u4", "stamp_ns": "<i8", "wrench": "<f8"}
+PACK = struct.Struct("<Iq6d")
+
+
+class Sender:
+    def __init__(self, source: UdpSource) -> None:
+        self.source = source
+        source.start()
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def __call__(self, *data: bytes) -> None:
+        for one in data:
+            self.socket.sendto(one, (self.source.host, self.source.port))
+
+    def close(self) -> None:
+        self.source.close()
+        self.socket.close()
+
+
+@pytest.fixture
+def force() -> Iterator[Sender]:
+    sender = Sender(UdpSource("force", UDP_FIELDS, 0.001, 0, LAYOUT))
+    yield sender
+    sender.close()
+
+
+def test_the_newest_counts_and_gaps_are_counted(force: Sender) -> None:
+    assert force.source.newest() is None
+    force(PACK.pack(2, 20, *np.zeros(6)))
+    force.source.newest()
+    force(*(PACK.pack(seq, 10 * seq, *np.arange(6.0) + seq) for seq in (3, 4, 7)))
+    reading = force.source.newest()
+    assert reading is not None
+    assert (reading.seq, reading.source_ns, reading.gaps) == (7, 70, 2)
+    np.testing.assert_array_equal(reading.values["wrench"], np.arange(6.0) + 7)
+    assert force.source.newest() is reading
+    force(PACK.pack(0, 5, *np.zeros(6)))
+    restarted = force.source.newest()
+    assert restarted is not None
+    assert (restarted.seq, restarted.gaps) == (0, 2)
+
+
+@pytest.mark.parametrize("number", ["1" + "0" * 400, "1e400", "NaN", "18446744073709551616", '"1"', "null", "[1]"])
+def test_numbers_beyond_64_bits_are_dropped(number: str) -> None:
+    """Each of them ended a run: the log has them as floats, and stamps are mapped."""
+    sender = Sender(UdpSource("force", {"p": Column(unit="m")}, 0.001, 0))
+    for name in ("seq", "stamp_ns"):
+        sender(b'{"p": 1.0, "%s": %s}' % (name.encode(), number.encode()))
+        assert sender.source.newest() is None
+    assert sender.source.drops == 2
+    sender(b'{"p": 2.0, "seq": -18446744073709551615}')
+    sender.source.newest()
+    sender(b'{"p": 2.0, "seq": 18446744073709551615}')
+    reading = sender.source.newest()
+    assert reading is not None
+    assert reading.gaps == 2**53
+    sender.close()
+
+
+def test_json() -> None:
+    sender = Sender(UdpSource("force", UDP_FIELDS, 0.001, 0))
+    sender(json.dumps({"wrench": [1, 2, 3, 4, 5, 6]}).encode())
+    first = sender.source.newest()
+    sender(json.dumps({"wrench": [0] * 6, "seq": 5, "stamp_ns": 12}).encode(), b'{"torque": 1}', b"[1]", b"{")
+    second = sender.source.newest()
+    assert first is not None
+    assert second is not None
+    assert (first.seq, first.source_ns, second.seq, second.source_ns) == (0, 0, 5, 12)
+    assert sender.source.drops == 3
+    assert "could not be read" in sender.source.problem
+    sender.close()
+
+
+@settings(max_examples=200)
+@given(data=st.binary(max_size=200))
+def test_any_datagram_is_a_reading_or_a_drop(data: bytes) -> None:
+    for layout in (LAYOUT, "json"):
+        source = UdpSource("force", UDP_FIELDS, 0.001, 0, layout)  # type: ignore[arg-type]
+        source._take(data, 1, 1)
+        assert (source.newest() is None) == (source.drops == 1)
+
+
+def test_what_came_before_the_start_is_not_there(force: Sender) -> None:
+    force(PACK.pack(0, 0, *np.zeros(6)))
+    force.source.close()
+    force.source.start()
+    assert not select.select([force.source._port], [], [], 0.0)[0]
+
+
+@pytest.mark.parametrize(
+    "layout",
+    [{"seq": "<u4"}, {"wrench": "<f8", "torque": "<f8"}, {"wrench": "U3"}, {"wrench": "no type"}],
+)
+def test_wrong_layouts(layout: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match="layout"):
+        UdpSource("force", UDP_FIELDS, 0.001, 0, layout)
+
+
+def test_a_port_in_use(force: Sender) -> None:
+    with pytest.raises(LinkError, match="in use"):
+        UdpSource("other", UDP_FIELDS, 0.001, force.source.port).start()

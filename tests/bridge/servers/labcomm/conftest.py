@@ -1,0 +1,92 @@
+"""Servers on ports of this computer, and plain clients that read what comes."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab.bridge.servers.labcomm import LabCommServer, Row
+from armlab.bridge.servers.labcomm.channels import Channel
+from armlab.wire.labcomm import Decoder, Event
+
+PATIENCE = 10.0  # s; only a test that fails waits so long
+
+
+def row(tm: int) -> Row:
+    """A row whose numbers tell which it is."""
+    return Row(tm, np.arange(7.0) + tm, np.arange(7.0) / 8, np.arange(7.0) - tm)
+
+
+def until(condition: Callable[[], Any]) -> None:
+    """Wait for what another thread does."""
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.001)
+
+
+class Plain:
+    """A client with nothing of ours but the decoder."""
+
+    def __init__(self, port: int) -> None:
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE)
+        self.decoder = Decoder()
+        self.events: list[Event] = []
+
+    def read(self, count: int) -> list[Event]:
+        """Read until there are so many events."""
+        while len(self.events) < count:
+            data = self.socket.recv(4096)
+            assert data, f"closed after {len(self.events)} events"
+            self.events += self.decoder.feed(data)
+        return self.events
+
+    def is_closed(self) -> bool:
+        """Read until the server closes; a test that waits too long fails."""
+        try:
+            while self.socket.recv(65536):
+                pass
+        except ConnectionError:
+            pass
+        return True
+
+
+class Started:
+    """A server with what it said, and its clients."""
+
+    def __init__(self, channels: Sequence[Channel]) -> None:
+        self.said: list[str] = []
+        self.server = LabCommServer(channels, on_event=self.tell)
+        self.clients: list[Plain] = []
+
+    def tell(self, text: str, warn: bool = False) -> None:
+        self.said.append(text)
+
+    def client(self, name: str) -> Plain:
+        """Return a client that the server has accepted."""
+        client = Plain(self.server.ports[name])
+        self.clients.append(client)
+        address = "{}:{}".format(*client.socket.getsockname())
+        until(lambda: any(address in text for text in self.said))
+        return client
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., Started]]:
+    """Start a server with channels; it and its clients end with the test."""
+    started: list[Started] = []
+
+    def make(*channels: Channel) -> Started:
+        started.append(Started(channels))
+        return started[-1]
+
+    yield make
+    for one in started:
+        for client in one.clients:
+            client.socket.close()
+        one.server.close()

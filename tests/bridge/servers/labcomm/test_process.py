@@ -1,0 +1,364 @@
+"""The server as a process: rows of a feed go out, commands and parameters of clients come back to the loop."""
+
+from __future__ import annotations
+
+import select
+import socket
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.bridge.inputs.parameters import Parameter, Parameters
+from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.labcomm import LabCommClient, Row, RowTypes
+from armlab.bridge.servers.labcomm.process import ArmPlaces, Held, LabCommProcess, SourcePlaces, labcomm_options, serve
+from armlab.bridge.servers.row import RowField, RowSchema, RowWriter, read_row
+from armlab.bridge.servers.supervisor import Servers, server_command
+from armlab.errors import ConfigError, LabCommError, LinkError, UnknownName
+from armlab.log import Column, Tick
+from armlab.robots import Robot
+from armlab.state import State
+from armlab.wire.labcomm import Encoder, Sample, SampleType, parse_lc
+
+from .conftest import PATIENCE, Plain, until
+
+TURNS = 60
+TICK = Tick(0, -1, 5_000_000_000, 4_999_000_000, -1, 0)
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return robots.load("yumi_right")
+
+
+def state(robot: Robot, **fields: Any) -> State:
+    q = np.array(robot.q_home)
+    return State(t=1.5, dt=0.004, q=q, qd=np.zeros(7), tau=np.full(7, np.nan), robot=robot.name, q_start=q, **fields)
+
+
+class Running:
+    """The process's work in a thread, at the other end of an exchange."""
+
+    def __init__(self, robot: Robot) -> None:
+        declared = [
+            Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone"),
+            Parameter("note", "a", "text", rights="anyone"),
+        ]
+        declared += [Parameter("gentle", True, "bool", rights="anyone"), Parameter("n", 2, "int", rights="anyone")]
+        declared.append(Parameter("push", [0.0, 1.0, 2.0], "float[3]", rights="anyone"))
+        self.exchange = Exchange(
+            [robot], ["labcomm"], Parameters(declared), ["labcomm"], sources={"force": {"f": Column((3,), "N")}}
+        )
+        options = labcomm_options([robot], ports=[0], parameters=0, fused=0)
+        self.feed = self.exchange.open("labcomm")
+        self.process = LabCommProcess(self.feed, options)
+        self.thread = threading.Thread(target=self.process.run)
+        self.thread.start()
+        self.where: dict[str, int] = {}
+        until(self.listens)
+
+    def listens(self) -> bool:
+        self.exchange.poll()
+        for text in self.exchange.outlets["labcomm"].where or ():
+            address, _, name = text.partition(" (labcomm, ")
+            self.where[name.rstrip(")")] = int(address.rpartition(":")[2])
+        return bool(self.where)
+
+    def close(self) -> None:
+        self.exchange.close()
+        self.thread.join()
+        self.feed.close()
+
+
+@pytest.fixture
+def running(robot: Robot) -> Iterator[Running]:
+    one = Running(robot)
+    yield one
+    one.close()
+
+
+def test_rows_go_out_and_commands_come_back(running: Running, robot: Robot) -> None:
+    now = state(robot, robot_ns=9_000_000)
+    with LabCommClient(port=running.where[robot.name], types=RowTypes(robot.abb_axes)) as client:
+        until(lambda: running.exchange.row(now, None, TICK) or client.rows(0.0))
+        client.command(Row(9, robot.q_home + 0.01))
+        counted = running.exchange.summary()["servers"]["labcomm"]
+        assert counted["rows"] > 0
+        ((name, (sent, dropped)),) = counted["clients"].items()
+        assert name.startswith(f"{robot.name} 127.0.0.1:")
+        assert 0 < sent <= counted["rows"]
+        assert dropped == 0
+
+        def commanded() -> bool:
+            running.exchange.row(now, None, TICK)
+            command = running.exchange.arbiter(now)
+            return command is not None and command.q is not None and np.allclose(command.q, robot.q_home + 0.01)
+
+        until(commanded)
+        assert running.exchange.arbiter.commander(robot.name).startswith("labcomm 127.0.0.1:")
+        got = client.rows(PATIENCE)[-1]
+        assert got.tm == 9
+        assert np.array_equal(got.q, robot.q_home)
+    until(lambda: running.exchange.poll() or not running.exchange.arbiter.commander(robot.name))
+
+
+def test_a_refusal_names_the_number_that_the_client_sent(running: Running, robot: Robot) -> None:
+    """In the log, since LabComm has no place for it: the third joint from the base is the last number of `pos`."""
+    told: list[str] = []
+    running.exchange.begin(lambda text, *_: told.append(text))
+    now, far = state(robot), np.array(robot.q_home)
+    far[2] += 0.5
+
+    def refused() -> bool:
+        running.exchange.row(now, None, TICK)
+        running.exchange.arbiter(now)
+        return any("axis_7 (number 7 of the vector) of yumi_right" in text for text in told)
+
+    with LabCommClient(port=running.where[robot.name], types=RowTypes(robot.abb_axes)) as client:
+        client.command(Row(9, far))
+        until(refused)
+
+
+def test_fused_rows_have_sources_that_were_heard(running: Running, robot: Robot) -> None:
+    with LabCommClient(port=running.where["fused"]) as client:
+        events: list[Any] = []
+
+        def heard() -> list[Any]:
+            running.exchange.row(state(robot), None, TICK)
+            events.extend(event for event in client.events(0.0) if isinstance(event, Sample))
+            return events
+
+        until(heard)
+    value = events[0].value
+    assert (value["t_us"], value["source"]) == (5_000_000, [])
+    assert [(arm["name"], arm["tm"], arm["t_us"]) for arm in value["arm"]] == [(robot.name, 1500, 4_999_000)]
+
+
+def test_parameters_are_echoed_as_the_loop_decides(running: Running) -> None:
+    (gain,) = parse_lc("sample double gain;")
+    with LabCommClient(port=running.where["parameters"]) as client:
+        values: list[float] = []
+
+        def told(count: int) -> bool:
+            running.exchange.poll()
+            values.extend(event.value for event in client.events(0.0) if isinstance(event, Sample))
+            return len(values) >= count
+
+        client.define(gain)
+        until(lambda: told(1))
+        client.send(gain, 0.75)
+        until(lambda: told(2))
+        client.send(gain, 7.0)
+        until(lambda: told(3))
+    assert values == [0.5, 0.75, 0.75]
+    assert running.exchange.parameters.gain == 0.75
+
+
+def test_parameters_of_every_type(running: Running) -> None:
+    text = "sample boolean gentle; sample string note; sample double n; sample double push[3];"
+    with LabCommClient(port=running.where["parameters"]) as client:
+        for one, value in zip(parse_lc(text), (False, "h\u00e9", 5.0, [3.0, 4.0, 5.0]), strict=True):
+            client.send(one, value)  # type: ignore[arg-type]
+        params = running.exchange.parameters
+        until(lambda: running.exchange.poll() or params.push[0] == 3.0)
+        assert (params.gentle, params.note, params.n, params.push.tolist()) == (False, "h\u00e9", 5, [3.0, 4.0, 5.0])
+        seen: dict[str, Any] = {}
+
+        def echoed() -> bool:
+            seen.update({event.name: event.value for event in client.events(0.01) if isinstance(event, Sample)})
+            return seen == {"gentle": False, "note": "h\u00e9", "n": 5.0, "push": [3.0, 4.0, 5.0]}
+
+        until(echoed)
+
+
+def flood(kind: str) -> tuple[bytes, bytes]:
+    """What a client sends first, and then without pause: commands, or 2 bytes of a type that no port takes."""
+    encoder, types, (nothing,) = Encoder(), RowTypes(), parse_lc("sample void x;")
+    assert isinstance(nothing, SampleType)
+    if kind == "wrong":
+        return encoder.version() + encoder.define(nothing), encoder.data(nothing, {})
+    value = {"tm": 1, **{name: 7 * [0.1] for name in ("pos", "vel", "trq")}}
+    return encoder.version() + encoder.define(types.accepted), encoder.data(types.accepted, value)
+
+
+@pytest.mark.parametrize("kind", ["commands", "wrong"])
+def test_who_sends_without_pause_holds_up_no_row(robot: Robot, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    """Three rows come before each turn and are out before the next; the loop is asked little, whatever comes."""
+    monkeypatch.setattr("armlab.bridge.servers.labcomm.selector_server._EVERY", 1e6)
+    exchange = Exchange([robot], ["labcomm"])
+    feed = exchange.open("labcomm")
+    process = LabCommProcess(feed, labcomm_options([robot], ports=[0], parameters=None, fused=None))
+    ports, real_turn, ask = process._ports, process._ports.turn, process._loop.ask
+    asked: list[str] = []
+    monkeypatch.setattr(process._loop, "ask", lambda request: asked.append(type(request).__name__) or ask(request))
+    behind: list[int] = []
+    begin, again = flood(kind)
+    with feed, socket.create_connection(("127.0.0.1", ports.numbers[robot.name]), PATIENCE) as bad:
+        until(lambda: ports.turn() and ports.clients)
+        good = Plain(ports.numbers[robot.name])
+        until(lambda: ports.turn() and len(ports.clients) == 2)
+        flooding, reading = ports._peers[robot.name]
+        bad.sendall(begin + 65_536 // len(again) * again)
+
+        def turn() -> bool:
+            behind.append(3 * len(behind) - reading.sent)
+            if len(behind) > TURNS:
+                exchange.close()
+                return False
+            for k in range(3):
+                exchange.row(state(robot, robot_ns=1_000_000 * (3 * len(behind) + k)), None, TICK)
+            bad.sendall(2048 // len(again) * again)
+            assert select.select([flooding.socket], [], [], PATIENCE)[0]
+            before = flooding.decoder.offset + flooding.decoder.pending
+            is_served = real_turn()
+            assert 0 < flooding.decoder.offset + flooding.decoder.pending - before <= 4096
+            return is_served
+
+        monkeypatch.setattr(ports, "turn", turn)
+        process.run()
+        with good.socket:
+            rows = [event.value["tm"] for event in good.read(2 + 3 * TURNS) if isinstance(event, Sample)]
+    assert max(behind) == 0
+    assert rows == list(range(3, 3 * TURNS + 3))
+    assert flooding.refused > 100 * TURNS if kind == "wrong" else not flooding.refused
+    assert asked.count("CommandRequest") == (0 if kind == "wrong" else TURNS)
+    assert asked.count("Report") == (1 if kind == "wrong" else 0)
+
+
+@pytest.mark.parametrize("port", ["yumi_right", "parameters", "fused"])
+def test_stop_from_any_client_on_any_port(running: Running, port: str) -> None:
+    with LabCommClient(port=running.where[port]) as client:
+        client.stop()
+        until(lambda: running.exchange.poll() or running.exchange.arbiter.stopped)
+    assert running.exchange.arbiter.stopped.startswith("labcomm 127.0.0.1:")
+
+
+def test_what_is_no_command_and_what_is_no_labcomm_are_events(running: Running, robot: Robot) -> None:
+    told: list[str] = []
+    running.exchange.begin(lambda text, *_: told.append(text))
+
+    def said(words: str) -> bool:
+        running.exchange.arbiter._answered.clear()  # each is told at once
+        running.exchange.poll()
+        return any(text.startswith("labcomm: ") and words in text for text in told)
+
+    with socket.create_connection(("127.0.0.1", running.where[robot.name])) as one:
+        types, encoder = RowTypes(robot.abb_axes), Encoder("2014v1")
+        value = {name: 7 * [0.0] for name in ("pos", "vel", "trq")}
+        one.sendall(encoder.version() + encoder.define(types.sent) + encoder.data(types.sent, {"tm": 1, **value}))
+        until(lambda: said("got a sample 'robot_row'"))
+        one.sendall(64 * b"\xff")
+        until(lambda: said("was closed, offset"))
+    assert not running.exchange.arbiter.obeyed[robot.name]
+
+
+def test_options() -> None:
+    left, right = robots.load("yumi_left"), robots.load("yumi_right")
+    options = labcomm_options([left, right])
+    assert [arm["port"] for arm in options["arms"].values()] == [7511, 7512]
+    assert (options["host"], options["parameters"], options["fused"]) == ("127.0.0.1", 7513, 7514)
+    assert [arm["port"] for arm in labcomm_options([right])["arms"].values()] == [7512]
+    six = labcomm_options([robots.load("irb2400")])
+    assert (six["fused"], six["arms"]["irb2400"]["port"]) == (None, 7511)
+    text = "sample struct { double pos[7]; } state;"
+    assert labcomm_options([left], types=text, follows_client=True)["types"] == text
+    with pytest.raises(LabCommError, match="to be a struct"):
+        labcomm_options([left], types="sample int a;")
+    with pytest.raises(UnknownName, match="dialect"):
+        labcomm_options([left], dialect="2015")
+    with pytest.raises(ConfigError, match="each of 1 arms"):
+        labcomm_options([left], ports=[1, 2])
+
+
+def test_a_loop_that_has_gone_ends_the_process(robot: Robot) -> None:
+    exchange = Exchange([robot], ["labcomm"])
+    feed = exchange.open("labcomm")
+    feed.recv(2**17)
+    exchange.close()
+    with pytest.raises(LinkError, match="Start it again"), feed:
+        serve(feed, labcomm_options([robot]))
+
+
+def test_it_is_one_of_the_bridge_s_servers(robot: Robot) -> None:
+    exchange = Exchange([robot], ["labcomm"])
+    text = "sample struct { long tm; float pos[_]; } where; sample struct { float pos[7]; } there;"
+    options = labcomm_options([robot], ports=[0], parameters=0, fused=None, types=text)
+    with Servers(exchange, {"labcomm": server_command("labcomm", options)}) as servers:
+        where = servers.ready()
+        assert [text.partition(" ")[2] for text in where] == [f"(labcomm, {robot.name})", "(labcomm, parameters)"]
+        types = RowTypes(robot.abb_axes, text=text)
+        with LabCommClient(port=int(where[0].partition(" ")[0].rpartition(":")[2]), types=types) as client:
+            rows: list[Row] = []
+            until(lambda: exchange.row(state(robot), None, TICK) or rows.extend(client.rows(0.0)) or rows)
+    assert np.allclose(rows[0].q, robot.q_home, rtol=0, atol=1e-6)
+
+
+LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
+SCHEMA = RowSchema.of([LEFT, RIGHT], {"force": {"f": Column((3,), "N"), "n": Column((), "1")}})
+VIEW_TICK = Tick(3, -1, 5_000_000_000, 4_999_000_000, -1, 0)
+
+
+@pytest.mark.parametrize("robot_ns", [0, 9_000_000])
+def test_an_arm_is_taken_as_it_stands_in_the_row(robot_ns: int) -> None:
+    q = np.arange(7.0) / 8
+    state = State(t=1.5, dt=0.004, q=q, qd=-q, tau=np.full(7, np.nan), robot=LEFT.name, robot_ns=robot_ns)
+    data = RowWriter(SCHEMA).row(state, None, VIEW_TICK, 1)
+    held = ArmPlaces(SCHEMA, LEFT.name).held(data)
+    assert isinstance(held, Held)
+    assert held.is_fresh
+    assert (held.arm.name, held.arm.t_us) == (LEFT.name, 4_999_000)
+    values = read_row(SCHEMA, data).values
+    assert held.arm.row.tm == (9 if robot_ns else 1500)
+    assert held.arm.row.q == tuple(values["yumi_left.q"])
+    assert held.arm.row.qd == tuple(values["yumi_left.qd"])
+    assert np.isnan(held.arm.row.tau).all()
+    assert ArmPlaces(SCHEMA, RIGHT.name).held(data) is None, "it was never heard"
+
+
+def test_the_newest_of_an_arm_whose_row_it_is_not() -> None:
+    writer, q = RowWriter(SCHEMA), np.arange(7.0)
+    for robot in (RIGHT, LEFT):
+        data = writer.row(State(t=1.5, dt=0.004, q=q, qd=q, tau=q, robot=robot.name), None, VIEW_TICK, 1)
+    held = ArmPlaces(SCHEMA, RIGHT.name).held(data)
+    assert held is not None
+    assert not held.is_fresh
+    assert held.arm.row.q == tuple(q)
+
+
+def _written(*numbers: float) -> bytes:
+    """A row whose source has these numbers and an age."""
+    q = np.zeros(7)
+    data = bytearray(RowWriter(SCHEMA).row(State(t=0.0, dt=0.0, q=q, qd=q, tau=q, robot=LEFT.name), None, VIEW_TICK, 1))
+    place = SCHEMA.fields["force.f"].offset
+    data[place : place + 8 * len(numbers)] = np.array(numbers, "<f8").tobytes()
+    return bytes(data)
+
+
+def test_times_beyond_all_clocks_are_none() -> None:
+    q = np.zeros(7)
+    data = RowWriter(SCHEMA).row(State(t=1.7e308, dt=0.0, q=q, qd=q, tau=q, robot=LEFT.name), None, VIEW_TICK, 1)
+    assert ArmPlaces(SCHEMA, LEFT.name).held(data) is None
+    assert SourcePlaces(SCHEMA, "force").held(_written(1.0, 2.0, 3.0, 4.0, 1e300), 5_000_000_000) is None
+
+
+def test_a_source_has_its_numbers_in_order_and_its_age() -> None:
+    places = SourcePlaces(SCHEMA, "force")
+    found = places.held(_written(1.0, 2.0, 3.0, 4.0, 0.002), 5_000_000_000)
+    assert found == ("force", 4_998_000, [1.0, 2.0, 3.0, 4.0])
+    assert places.held(_written(1.0, 2.0, 3.0, 4.0, np.inf), 5_000_000_000) is None
+
+
+def test_an_arm_of_one_joint_has_rows_of_one_number() -> None:
+    numbers = {"fresh": (), "age": (), "receive_ns": (), "robot_ns": (), "session_t": (), "q": 1, "qd": 1, "tau": 1}
+    fields, at = [], RowSchema([], []).size
+    for name, size in numbers.items():
+        kind = "int64" if name.endswith(("_ns", "fresh")) else "float64"
+        fields.append(RowField(f"arm.{name}", kind, (size,) if size else (), "1", "", (), "arm", at))
+        at += 8
+    held = ArmPlaces(RowSchema(["arm"], fields), "arm").held(bytes(at))
+    assert held is not None
+    assert held.arm.row == (0, (0.0,), (0.0,), (0.0,))

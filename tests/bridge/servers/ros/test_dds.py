@@ -1,0 +1,630 @@
+"""The server of ROS 2 at the other end of an exchange; a participant of the same process plays the nodes."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import subprocess
+import sys
+import threading
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.bridge.inputs.parameters import Parameter, Parameters
+from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.ros import Commands, Published, Topics, dds, store
+from armlab.bridge.servers.ros.dds import (
+    DataReader,
+    DdsServer,
+    Readers,
+    Writers,
+    carrier,
+    configuration,
+    joined,
+    serve,
+    struct,
+    tie_to_loopback,
+    topic_name,
+)
+from armlab.bridge.servers.ros.message_template import cdr
+from armlab.bridge.servers.ros.types import type_name
+from armlab.bridge.servers.row import RowSchema
+from armlab.errors import LinkError
+from armlab.log import Tick
+from armlab.state import Command, State
+
+from .dds_peers import Node, free_domain, numbers, taken, until, write
+
+pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
+
+
+ARM = robots.load("yumi_left")
+JOINTS, ARRAY, TEXT = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String"
+WALL = 1_700_000_000_000_000_000
+VELOCITY = "/yumi_left/joint_group_velocity_controller/commands"
+
+
+class Running:
+    """The server's work in a thread, a loop that gives rows, and a node."""
+
+    def __init__(self, rights: Literal["anyone", "commander"] = "anyone", **options: Any) -> None:
+        declared = Parameters([Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights=rights)])
+        self.exchange = Exchange([ARM], ["ros2"], declared, ["ros2"], about={"cell": "yumi"}, **options)
+        self.feed = self.exchange.open("ros2")
+        domain = free_domain()
+        self.server = DdsServer(self.feed, {"domain": domain, "host": "127.0.0.1"})
+        self.thread = threading.Thread(target=self.server.run)
+        self.thread.start()
+        self.ticks = 0
+        until(lambda: self.exchange.poll() or self.exchange.outlets["ros2"].where, "the server listening")
+        self.where = self.exchange.outlets["ros2"].where
+        self.domain, self.node = domain, Node(domain)  # a participant, so one client
+
+    def row(self, q: np.ndarray = ARM.q_home) -> Command | None:
+        """One tick of the loop; what the arm is told."""
+        self.ticks += 1
+        nothing = np.full(7, np.nan)
+        state = State(t=1.0, dt=0.004, q=q, qd=nothing, tau=nothing, robot=ARM.name, q_start=np.array(ARM.q_home))
+        command = self.exchange.arbiter(state)
+        tick = Tick(self.ticks, self.ticks, WALL + 4_000_000 * self.ticks, 1_000, 2_000, 3)
+        self.exchange.row(state, command, tick)
+        assert not isinstance(command, tuple)
+        return command
+
+    def close(self) -> None:
+        del self.node
+        self.exchange.close()
+        self.thread.join()
+        self.feed.close()
+
+
+@pytest.fixture
+def running() -> Iterator[Running]:
+    one = Running()
+    yield one
+    one.close()
+
+
+def client(writer: Any) -> str:
+    return writer.guid.hex[:24]
+
+
+def answer(running: Running, diagnostics: Any) -> str:
+    """What the newest diagnostics say to clients, "" while none has come."""
+    running.ticks += 250  # a second later
+    running.row()
+    found = taken(diagnostics, "diagnostic_msgs/msg/DiagnosticArray")
+    values = {one.key: one.value for message in found for one in message.status[0].values}
+    return values.get("last answer", "none").replace("none", "")
+
+
+def test_rows_become_messages_of_what_is_read(running: Running) -> None:
+    assert running.where == [f"127.0.0.1 (ros2, DDS domain {running.domain})"]
+    readers = [running.node.reader("/yumi_left/joint_states", JOINTS)]
+    found: list[Any] = []
+
+    def came() -> bool:
+        running.row(ARM.q_home + 1e-3 * running.ticks)
+        found.extend(taken(readers[0], JOINTS))
+        return len(found) >= 10
+
+    until(came)
+    for message in found:
+        k = (message.header.stamp.sec * 10**9 + message.header.stamp.nanosec - WALL) // 4_000_000
+        assert np.array_equal(message.position, ARM.q_home + 1e-3 * (k - 1))
+        assert len(message.velocity) == len(message.effort) == 0
+    counts = running.exchange.summary()["servers"]["ros2"]["clients"]
+    assert list(counts) == ["/yumi_left/joint_states"]
+    written, full = counts["/yumi_left/joint_states"]
+    assert len(found) <= written <= running.ticks
+    assert full == 0
+    readers.clear()
+    until(lambda: running.row() is None and running.server.wanted == frozenset(), "nobody reading")
+
+
+def test_commands_take_the_arm_until_the_writer_leaves(running: Running) -> None:
+    writers = {"velocity": running.node.writer(VELOCITY, ARRAY)}
+    qd = np.arange(7) / 100.0
+
+    def obeyed() -> bool:
+        write(writers["velocity"], ARRAY, *numbers(*qd))
+        command = running.row()
+        return command is not None and command.qd is not None and np.array_equal(command.qd, qd)
+
+    until(obeyed)
+    who = running.exchange.arbiter.commander("yumi_left")
+    assert who == f"ros2 {client(writers['velocity'])}"
+    events: list[str] = []
+    running.exchange.begin(lambda text, *_: events.append(text))
+    running.exchange.arbiter._lease_ns = 10**12  # what ends it is that the writer leaves
+    writers.clear()
+    until(lambda: running.row() is None and f"{who} no longer commands yumi_left: it closed. The arm holds." in events)
+
+
+def test_a_second_commander_is_refused_by_a_sentence(running: Running) -> None:
+    first = running.node.writer(VELOCITY, ARRAY)
+    until(lambda: write(first, ARRAY, *numbers(*[0.01] * 7)) or running.row())
+    other = Node(running.domain)
+    second = other.writer("/yumi_left/joint_group_position_controller/command", ARRAY)
+    diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+
+    def told() -> str:
+        write(first, ARRAY, *numbers(*[0.01] * 7))
+        write(second, ARRAY, *numbers(*ARM.q_home))
+        return answer(running, diagnostics)
+
+    said = f"{client(second)}: yumi_left is commanded by ros2 {client(first)}. You may read."
+    assert until(told).startswith(said)
+
+
+def test_who_commands_with_one_topic_sets_parameters_and_commands_with_another() -> None:
+    running = Running(rights="commander")
+    velocity = running.node.writer(VELOCITY, ARRAY)
+    writers = [running.node.writer("/yumi_left/joint_group_position_controller/command", ARRAY)]
+    setter = running.node.writer("/yumi_left/set_parameter", TEXT)
+
+    def is_set() -> bool:
+        write(velocity, ARRAY, *numbers(*[0.01] * 7))
+        write(setter, TEXT, '{"gain": 0.75}')
+        running.row()
+        return running.exchange.parameters.gain == 0.75 and running.exchange.arbiter.commander(ARM.name) != ""
+
+    def moves() -> bool:
+        write(writers[0], ARRAY, *numbers(*ARM.q_home))
+        command = running.row()
+        return command is not None and command.q is not None
+
+    until(is_set)
+    running.exchange.arbiter._lease_ns = 10**12  # silence frees nothing
+    until(moves)
+    writers.clear()
+    assert until(lambda: running.row() and running.exchange.arbiter.commander(ARM.name)) == f"ros2 {client(velocity)}"
+    running.close()
+
+
+@pytest.mark.parametrize(
+    ("type_", "fields", "sentence"),
+    [
+        (ARRAY, numbers(0.0, 1.0), "Expected 7 numbers on {}, got 2."),
+        (
+            ARRAY,
+            numbers(*[0.0] * 6, np.nan),
+            "Expected finite numbers on {}, got nan for yumi_robl_joint_7 (number 7 of the message).",
+        ),
+    ],
+)
+def test_wrong_numbers_are_answered_in_the_diagnostics(
+    running: Running, type_: str, fields: Any, sentence: str
+) -> None:
+    writer = running.node.writer(VELOCITY, type_)
+    diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+    events: list[str] = []
+    running.exchange.begin(lambda text, *_: events.append(text))
+
+    def told() -> str:
+        write(writer, type_, *fields)
+        return answer(running, diagnostics)
+
+    found = until(told)
+    until(lambda: running.row() or f"ros2 {found}" in events, "an event of the log")
+    assert found == f"{client(writer)}: {sentence.format(VELOCITY)}"
+    assert running.exchange.arbiter.commander("yumi_left") == ""
+
+
+def test_diagnostics_come_and_say_so_when_no_row_comes(running: Running) -> None:
+    diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+    found: list[Any] = []
+
+    def words() -> str:
+        found.extend(taken(diagnostics, "diagnostic_msgs/msg/DiagnosticArray"))
+        return found[-1].status[0].message if found else ""
+
+    until(lambda: words() == "no packet yet")
+    running.row()
+    until(lambda: "no packet for" in words())
+    assert found[-1].status[0].level == 2
+
+
+def test_half_a_surrogate_pair_is_answered(running: Running) -> None:
+    writer = running.node.writer("/yumi_left/set_parameter", TEXT)
+    diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+
+    def told() -> str:
+        write(writer, TEXT, '{"gain": "\\ud800"}')
+        return answer(running, diagnostics)
+
+    assert "Expected what JSON in UTF-8 can say" in until(told)
+
+
+def test_parameters_are_set_and_told_again_to_who_comes_later(running: Running) -> None:
+    writer = running.node.writer("/yumi_left/set_parameter", TEXT)
+    until(lambda: write(writer, TEXT, '{"gain": 0.75}') or running.row() or running.exchange.parameters.gain == 0.75)
+    reader = running.node.reader("/yumi_left/parameters", TEXT)
+    found: list[Any] = []
+    until(lambda: found.extend(taken(reader, TEXT)) or found)
+    assert found[-1].data == '{"gain": 0.75}'
+
+
+def test_any_node_may_stop_the_arms(running: Running) -> None:
+    writer = running.node.writer("/yumi_left/stop", "std_msgs/msg/Empty")
+    until(lambda: write(writer, "std_msgs/msg/Empty") or running.row() or running.exchange.arbiter.stopped)
+    assert running.exchange.arbiter.stopped == f"ros2 {client(writer)}"
+
+
+def test_a_server_that_listens_beyond_this_computer_is_for_reading() -> None:
+    running = Running(read_only=["ros2"])
+    writer = running.node.writer(VELOCITY, ARRAY)
+    diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+
+    def told() -> str:
+        write(writer, ARRAY, *numbers(*[0.01] * 7))
+        return answer(running, diagnostics)
+
+    assert "it listens beyond this computer. Read." in until(told)
+    assert running.exchange.arbiter.commander("yumi_left") == ""
+    running.close()
+
+
+def test_a_loop_that_has_gone_ends_the_process() -> None:
+    exchange = Exchange([ARM], ["ros2"], about={"cell": "yumi"})
+    feed = exchange.open("ros2")
+    feed.recv(2**17)
+    exchange.close()
+    with pytest.raises(LinkError, match="Start it again"), feed:
+        serve(feed, {"domain": 0, "host": "127.0.0.1"})
+
+
+STRING, NUMBERS = "std_msgs/msg/String", "std_msgs/msg/Float64MultiArray"
+
+
+def text(words: str) -> bytes:
+    """A message of any number of bytes, also such that are no multiple of 4."""
+    return cdr(store().types[STRING](words), STRING)
+
+
+@pytest.fixture
+def node() -> Iterator[Node]:
+    domain = free_domain()
+    with joined(domain, "127.0.0.1"):
+        yield Node(domain)
+
+
+def test_a_topic_is_wanted_while_it_has_a_reader(node: Node) -> None:
+    topics = {name: Published(name, STRING) for name in ("/a", "/b")}
+    writers = Writers(node.participant, topics)
+    assert writers.wanted == frozenset()
+    readers = [node.reader("/b", STRING), node.reader("/b", STRING)]
+    until(lambda: writers.wanted == {"/b"})
+    for k in range(3):
+        writers.write(topics["/b"], text(f"text {k}"))
+    assert writers.counts == {"/b": (3, 0)}
+    for texts in [[message.data for message in taken(reader, STRING)] for reader in readers]:
+        assert texts == ["text 0", "text 1", "text 2"]
+    readers.pop()
+    assert writers.wanted == {"/b"}
+    readers.clear()
+    until(lambda: writers.wanted == frozenset())
+    last = node.reader("/a", STRING)
+    until(last.get_matched_publications)
+    writers.close()
+    until(lambda: not last.get_matched_publications())
+
+
+def test_of_what_a_reader_has_not_read_the_last_ten_are_kept(node: Node) -> None:
+    topic = Published("/a", STRING)
+    writers = Writers(node.participant, {"/a": topic})
+    reader = node.reader("/a", STRING)
+    for k in range(500):
+        writers.write(topic, text(str(k)))
+    assert writers.counts == {"/a": (500, 0)}, "nothing waited"
+    assert [message.data for message in taken(reader, STRING)] == [str(k) for k in range(490, 500)]
+
+
+def test_messages_come_with_their_writer_and_its_end_is_told(node: Node) -> None:
+    came: list[tuple[str, bytes, str]] = []
+    left: list[str] = []
+    readers = Readers(node.participant, {"/a": STRING, "/b": NUMBERS}, lambda *one: came.append(one), left.append)
+    writers = [node.writer("/a", STRING), node.writer("/b", NUMBERS), node.writer("/b", STRING)]
+    client = writers[0].guid.hex[:24]  # of the participant
+    other = Node(node.domain)
+    last = other.writer("/a", STRING)
+    write(writers[0], STRING, "hello")
+    until(lambda: len(came) == 1)
+    write(writers[2], STRING, "another type on the same topic is another topic")
+    write(writers[1], NUMBERS, *numbers(1.0, 2.0))
+    until(lambda: len(came) == 2)
+    assert [(name, client) for name, _, client in came] == [("/a", client), ("/b", client)]
+    assert store().deserialize_cdr(came[0][1], STRING).data == "hello"
+    assert store().deserialize_cdr(came[1][1], NUMBERS).data.tolist() == [1.0, 2.0]
+    until(lambda: len(readers._clients) == 3)
+    del writers[0]
+    until(lambda: len(readers._clients) == 2)
+    assert left == [], "it has another writer"
+    writers.clear()  # it is told with a sample that holds no message, which is none
+    until(lambda: left)
+    assert left == [client]
+    assert len(came) == 2
+    del last
+    until(lambda: len(left) == 2)
+    assert left[1] == other.participant.guid.hex[:24] != client
+    writer = node.writer("/a", STRING)
+    until(writer.get_matched_subscriptions)
+    readers.close()
+    until(lambda: not writer.get_matched_subscriptions())
+
+
+def test_writers_may_be_there_first(node: Node, caplog: pytest.LogCaptureFixture) -> None:
+    """DDS tells of them before the reader is an object in Python."""
+    came: list[tuple[str, bytes, str]] = []
+    left: list[str] = []
+    writer, other = node.writer("/a", STRING), node.writer("/a", STRING)
+    with caplog.at_level(logging.ERROR, "armlab.bridge"):
+        readers = Readers(node.participant, {"/a": STRING}, lambda *one: came.append(one), left.append)
+        until(writer.get_matched_subscriptions)
+        write(writer, STRING, "hello")
+        until(lambda: came)
+        del writer
+        until(lambda: len(readers._clients) == 1)
+        assert left == [], "it has another writer, which has not written yet"
+        del other
+        until(lambda: left)
+        readers.close()
+    assert caplog.text == ""
+
+
+@pytest.mark.parametrize("ends", [False, True])
+def test_what_comes_while_a_reader_is_made_is_read(node: Node, monkeypatch: pytest.MonkeyPatch, ends: bool) -> None:
+    """DDS calls for it in vain then, and would not call again before the next message; nor tell that a writer ended."""
+    came: list[str] = []
+    left: list[str] = []
+    writers = [node.writer("/a", STRING)]
+
+    def made(*arguments: Any) -> DataReader[Any]:
+        reader = DataReader(*arguments[:-1])  # as if its listener had been called already
+        until(writers[0].get_matched_subscriptions)
+        write(writers[0], STRING, "hello")
+        until(lambda: reader.read(1))
+        if ends:
+            writers.clear()
+            until(lambda: not reader.get_matched_publications())
+        return reader
+
+    monkeypatch.setattr(dds, "DataReader", made)
+    readers = Readers(node.participant, {"/a": STRING}, lambda _name, _cdr, client: came.append(client), left.append)
+    assert len(came) == 1
+    assert left == (came if ends else [])
+    readers.close()
+
+
+def test_what_fails_is_told_and_the_next_message_comes(node: Node, caplog: pytest.LogCaptureFixture) -> None:
+    came: list[str] = []
+
+    def take(name: str, cdr: bytes, client: str) -> None:
+        came.append(client)
+        raise ValueError("of the test")
+
+    readers = Readers(node.participant, {"/a": STRING}, take, came.append)
+    writer = node.writer("/a", STRING)
+    with caplog.at_level(logging.ERROR, "armlab.bridge"):
+        for k in range(2):
+            write(writer, STRING, "hello")
+            until(lambda k=k: len(came) > k)
+    until(lambda: caplog.text.count("ValueError: of the test") == 2)
+    readers.close()
+
+
+PUBLISHED = {one.type for one in Topics({ARM.name: ARM}, RowSchema.of([ARM])).published.values()}
+TAKEN = set(Commands("cell", {ARM.name: ARM}).types.values())
+BYTES = bytes.fromhex(  # JointState of 1.000000002 s, frame "f", joints a and b, by hand
+    "00010000 01000000 02000000 02000000 66000000 02000000 02000000 61000000 02000000 62000000 02000000"
+    "0000000000000000 000000000000f03f 00000000 02000000 000000000000f03f 0000000000000040"
+)
+
+
+def message(name: str, seed: int = 0) -> Any:
+    """A message of a type, all of it filled in: texts of every length, sequences of two."""
+    count = iter(range(seed, 1000))
+
+    def value(kind: Any, about: Any) -> Any:
+        if kind.name == "NAME":
+            return message(about, next(count))
+        if kind.name == "SEQUENCE":
+            found = [value(*about[0]) for _ in range(2)]
+            return np.array(found) if isinstance(found[0], float) else found
+        k = next(count)
+        return {"string": "x" * (k % 9), "bool": k % 2 == 1, "float64": k + 0.25}.get(about[0], k % 200)
+
+    return store().types[name](*(value(*about) for _, about in store().fielddefs[name][1]))
+
+
+def plain(value: Any) -> Any:
+    """The same message as a dataclass of cyclonedds."""
+    if isinstance(value, list | np.ndarray):
+        return [plain(one) for one in value]
+    if is_dataclass(value):
+        made = struct(value.__msgtype__)
+        return made(*(plain(getattr(value, one.name)) for one in fields(made)))
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def test_names() -> None:
+    assert topic_name("/yumi_left/joint_states") == "rt/yumi_left/joint_states"
+    assert type_name("sensor_msgs/msg/JointState") == "sensor_msgs::msg::dds_::JointState_"
+    for name in PUBLISHED | TAKEN:
+        assert carrier(name).__idl_typename__ == struct(name).__idl_typename__ == type_name(name)
+
+
+def test_golden_bytes() -> None:
+    types = store().types
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](1, 2), "f")
+    joints = types["sensor_msgs/msg/JointState"](
+        header, ["a", "b"], np.array([0.0, 1.0]), np.zeros(0), np.array([1.0, 2.0])
+    )
+    assert bytes(store().serialize_cdr(joints, "sensor_msgs/msg/JointState")) == BYTES
+    assert plain(joints).serialize(use_version_2=False) == BYTES
+    assert carrier("sensor_msgs/msg/JointState")(BYTES).serialize() == BYTES
+    assert carrier("sensor_msgs/msg/JointState").deserialize(BYTES).cdr == BYTES
+
+
+@pytest.mark.parametrize("name", sorted(PUBLISHED | TAKEN))
+def test_both_codecs_agree(name: str) -> None:
+    for seed in range(9):
+        ours = message(name, seed)
+        expected = bytes(store().serialize_cdr(ours, name))
+        assert plain(ours).serialize(use_version_2=False) == expected
+        again = struct(name).deserialize(expected)
+        assert again.serialize(use_version_2=False) == expected
+
+
+def device(one: socket.socket) -> bytes:
+    return one.getsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, 16).rstrip(b"\0")
+
+
+def test_settings_of_this_computer_and_of_a_network() -> None:
+    local = ElementTree.fromstring(configuration("127.0.0.1"))
+    interface = local.find(".//NetworkInterface")
+    assert interface is not None
+    assert interface.attrib == {"address": "127.0.0.1", "multicast": "false"}
+    assert local.findtext(".//AllowMulticast") == "false"
+    assert local.find(".//Peer[@address='127.0.0.1']") is not None
+    assert local.findtext(".//InitialLocatorPruneDelay") == "inf", "nodes may start at any time"
+    lab = ElementTree.fromstring(configuration("192.168.1.5"))
+    interface = lab.find(".//NetworkInterface")
+    assert interface is not None
+    assert interface.attrib == {"address": "192.168.1.5"}
+    assert lab.findtext(".//AllowMulticast") == "spdp"
+    assert lab.find(".//Peer") is None
+    assert lab.find(".//InitialLocatorPruneDelay") is None
+
+
+def test_sockets_open_to_all_are_tied_to_this_computer(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as wide, socket.create_server(("127.0.0.1", 0)) as narrow:
+        wide.bind(("0.0.0.0", 0))
+        assert tie_to_loopback() >= 1
+        assert device(wide) == b"lo"
+        assert device(narrow) == b""
+        monkeypatch.setattr(dds, "_LOOPBACK", b"nowhere")
+        with pytest.raises(LinkError, match="use rosbridge or Zenoh"):
+            tie_to_loopback()
+
+
+def test_a_participant_listens_on_this_computer_only() -> None:
+    """Cyclone DDS binds to all addresses; every such socket is tied to the loopback interface."""
+    domain = free_domain()
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    found = {}
+    with joined(domain, "127.0.0.1"):
+        for entry in filter(Path.is_socket, Path("/proc/self/fd").iterdir()):
+            with socket.socket(fileno=os.dup(int(entry.name))) as one:
+                if one.family == socket.AF_INET:
+                    found[one.getsockname()[1]] = one.getsockname()[0], device(one)
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
+    for port in (7410 + 250 * domain, 7411 + 250 * domain):
+        assert found[port][0] == "127.0.0.1" or found[port][1] == b"lo"
+    wide = [about for about in found.values() if not about[0].startswith("127.")]
+    assert all(tied == b"lo" for _, tied in wide)
+
+
+def test_an_interface_that_is_not_there() -> None:
+    with (
+        pytest.raises(LinkError, match=r"on 192\.0\.2\.1, but .* Give the address"),
+        joined(free_domain(), "192.0.2.1"),
+    ):
+        pass
+
+
+OUTSIDE = """
+import contextlib, os, socket, subprocess, sys
+from pathlib import Path
+from armlab.bridge.servers.ros.dds import joined
+
+def ip(*words):
+    subprocess.run(["ip", *words], check=True, timeout=20)
+
+SENDS = '''
+import socket, sys
+print("there", flush=True)
+for port in sys.stdin.readline().split():
+    one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    one.settimeout(2.0)
+    one.connect(("10.255.77.1", int(port)))
+    one.send(b"RTPS")
+    try:
+        print(port, one.recv(10).decode(), flush=True)
+    except ConnectionRefusedError:
+        print(port, "refused", flush=True)
+    except TimeoutError:
+        print(port, "taken", flush=True)
+'''
+
+ip("link", "set", "lo", "up")
+words = ["unshare", "-n", sys.executable, "-S", "-c", SENDS]
+with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+    try:
+        other.stdout.readline()
+        ip("link", "add", "near0", "type", "veth", "peer", "name", "far0", "netns", str(other.pid))
+        ip("addr", "add", "10.255.77.1/24", "dev", "near0")
+        ip("link", "set", "near0", "up")
+        theirs = ["nsenter", "-t", str(other.pid), "-n", "ip"]
+        subprocess.run([*theirs, "addr", "add", "10.255.77.2/24", "dev", "far0"], check=True, timeout=20)
+        subprocess.run([*theirs, "link", "set", "far0", "up"], check=True, timeout=20)
+        with joined(0, "127.0.0.1"), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
+            control.bind(("0.0.0.0", 0))
+            control.settimeout(60.0)
+            ports = set()
+            for entry in filter(Path.is_socket, Path("/proc/self/fd").iterdir()):
+                with socket.socket(fileno=os.dup(int(entry.name))) as one:
+                    if one.family == socket.AF_INET and one.type == socket.SOCK_DGRAM:
+                        ports.add(one.getsockname()[1])
+            mine = control.getsockname()[1]
+            ports.discard(mine)
+            other.stdin.write(" ".join(map(str, [*sorted(ports), mine])) + chr(10))
+            other.stdin.flush()
+            _, sender = control.recvfrom(10)
+            control.sendto(b"heard", sender)
+            sys.stdout.write(other.stdout.read())
+    finally:
+        other.kill()
+"""
+
+
+@pytest.mark.slow
+def test_packets_from_another_interface_reach_no_socket_of_a_participant() -> None:
+    """Seen from a network namespace at the other end of a cable; one socket that is open to all shows that it holds."""
+    try:
+        cable = [
+            "unshare",
+            "-rn",
+            "unshare",
+            "-n",
+            "ip",
+            "link",
+            "add",
+            "near0",
+            "type",
+            "veth",
+            "peer",
+            "name",
+            "far0",
+        ]
+        able = subprocess.run(cable, capture_output=True, check=False)
+    except FileNotFoundError as error:
+        pytest.skip(f"{error.filename} is not installed")
+    if able.returncode:
+        pytest.skip(f"no network namespaces and cables here: {able.stderr.decode().strip()}")
+    words = ["unshare", "-rn", sys.executable, "-c", OUTSIDE]
+    found = subprocess.run(words, capture_output=True, text=True, timeout=120.0, check=False)
+    assert not found.returncode, found.stderr
+    outcomes = dict(line.split() for line in found.stdout.splitlines())
+    *dds, control = outcomes.values()
+    assert control == "heard"
+    assert {"7410", "7411"} <= set(outcomes)
+    assert set(dds) == {"refused"}

@@ -1,0 +1,388 @@
+"""The server at the other end of an exchange; a Zenoh session plays the nodes with rmw_zenoh."""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from armlab import robots
+from armlab.bridge.inputs.parameters import Parameter, Parameters
+from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.ros import store
+from armlab.bridge.servers.ros.rmw_zenoh import ANY, Distribution, Names, Nodes, Origin, RmwZenohServer, Writer, serve
+from armlab.bridge.servers.zenoh import Place, close_session
+from armlab.errors import ConfigError, LinkError, MissingExtra
+from armlab.log import Tick
+from armlab.state import Command, State
+
+from ..zenoh.conftest import free_port, until
+
+pytest.importorskip("zenoh", reason="the extra net is not installed")
+pytest.importorskip("xxhash", reason="the extra net is not installed")
+
+
+ARM = robots.load("yumi_left")
+JOINTS, ARRAY, TEXT = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+VELOCITY = "/yumi_left/joint_group_velocity_controller/commands"
+WALL = 1_700_000_000_000_000_000
+
+
+class Running:
+    """The server in a thread, a loop that gives rows, and a session of a node."""
+
+    def __init__(self) -> None:
+        declared = Parameters([Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone")])
+        about = {"cell": "yumi", "commands": ["rmw_zenoh"]}
+        self.exchange = Exchange([ARM], ["rmw_zenoh"], declared, ["rmw_zenoh"], about=about)
+        self.feed, port = self.exchange.open("rmw_zenoh"), free_port()
+        options = {"domain": 0, "host": "127.0.0.1", "port": port, "router": "", "distribution": "jazzy"}
+        self.server = RmwZenohServer(self.feed, options)
+        self.thread = threading.Thread(target=self.server.run)
+        self.thread.start()
+        self.ticks = 0
+        until(lambda: self.exchange.poll() or self.exchange.outlets["rmw_zenoh"].where)
+        self.node = Place("127.0.0.1", port).open()
+        self.names = Names(0, str(self.node.zid()), node="theirs")
+        self.sent = 0
+
+    def row(self) -> Command | None:
+        """One tick of the loop; what the arm is told."""
+        self.ticks += 1
+        nothing = np.full(7, np.nan)
+        q = np.array(ARM.q_home)
+        state = State(t=1.0, dt=0.004, q=q, qd=nothing, tau=nothing, robot=ARM.name, q_start=q)
+        command = self.exchange.arbiter(state)
+        assert not isinstance(command, tuple)
+        self.exchange.row(state, command, Tick(self.ticks, 0, WALL + 4_000_000 * self.ticks, 1_000, 2_000, 3))
+        return command
+
+    def read(self, topic: str, type_: str) -> list[Any]:
+        """Return a list that fills with the samples of a topic."""
+        samples: list[Any] = []
+        self.node.declare_subscriber(self.names.data(topic, type_), samples.append)
+        return samples
+
+    def write(self, topic: str, type_: str, raw: bytes, sender: bytes = b"s" * 16) -> None:
+        self.sent += 1
+        self.node.put(self.names.data(topic, type_), raw, attachment=Origin(self.sent, 0, sender).pack())
+
+    def close(self) -> None:
+        close_session(self.node)
+        self.exchange.close()
+        self.thread.join()
+        self.feed.close()
+
+
+@pytest.fixture
+def running() -> Iterator[Running]:
+    one = Running()
+    yield one
+    one.close()
+
+
+def message(sample: Any, type_: str) -> Any:
+    return store().deserialize_cdr(sample.payload.to_bytes(), type_)
+
+
+def numbers(values: Any) -> bytes:
+    types = store().types
+    array = types[ARRAY](types["std_msgs/msg/MultiArrayLayout"]([], 0), np.asarray(values, dtype=float))
+    return bytes(store().serialize_cdr(array, ARRAY))
+
+
+def answer(running: Running, diagnostics: list[Any]) -> str:
+    """What the newest diagnostics say to clients, "" while none has come."""
+    running.ticks += 250
+    running.row()
+    found = [message(sample, DIAGNOSTICS) for sample in diagnostics]
+    values = {one.key: one.value for each in found for one in each.status[0].values}
+    return values.get("last answer", "none").replace("none", "")
+
+
+def test_joint_states_reach_a_node_that_reads_them(running: Running) -> None:
+    running.row()
+    assert running.server.wanted == frozenset()
+    samples = running.read("/yumi_left/joint_states", JOINTS)
+    until(lambda: running.server.wanted == {"/yumi_left/joint_states"})
+    for _ in range(5):
+        running.row()
+    until(lambda: len(samples) == 5)
+    found = message(samples[0], JOINTS)
+    assert np.array_equal(found.position, ARM.q_home)
+    assert (list(found.name), len(found.velocity)) == (list(ARM.ros_joint_names), 0)
+    origins = [Origin.read(sample.attachment.to_bytes()) for sample in samples]
+    assert [origin.seq for origin in origins if origin] == [1, 2, 3, 4, 5]
+    assert samples[0].payload.to_bytes()[:4] == b"\0\1\0\0"
+
+
+def test_what_a_reader_missed_that_comes_again_is_numbered(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    topic = "/yumi_left/joint_states"
+    output = running.server._outputs[topic]
+    samples: list[Any] = []
+    for last in (1, 5):
+        reader = running.node.declare_subscriber(running.names.data(topic, JOINTS), samples.append)
+        until(lambda: output.wanted and topic in running.server.wanted)
+        running.row()
+        until(lambda last=last: samples and Origin.read(samples[-1].attachment.to_bytes()).seq == last)
+        reader.undeclare()
+        until(lambda: not output.wanted)
+        for _ in range(3):
+            running.row()
+        until(lambda last=last: running.server._writers[topic]._seq == last + 3)
+    assert len(samples) == output.sent == 2
+    monkeypatch.setattr("armlab.bridge.servers.ros.rmw_zenoh._MAY_COME_AGAIN", 0.0)
+    running.server._read_until[topic] = 0.0
+    until(lambda: running.server.wanted == frozenset())
+
+
+def test_what_is_read_is_noted_also_while_parameters_are_told_all_the_time(
+    running: Running, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else a topic whose reader's way is cut would not be numbered: its half minute had passed."""
+    topic = "/yumi_left/joint_states"
+    running.read(topic, JOINTS)
+    until(lambda: topic in running.server.wanted)
+    monkeypatch.setattr("armlab.bridge.servers.ros.rmw_zenoh._AGAIN", 0.05)
+    running.server._told = math.inf
+    for _ in range(3):
+        before = running.server._read_until[topic]
+        until(lambda before=before: running.server._read_until[topic] > before)
+
+
+def test_the_graph_has_the_node_its_writers_and_readers(running: Running) -> None:
+    def tokens() -> list[list[str]]:
+        replies = running.node.liveliness().get("@ros2_lv/0/**", timeout=2.0)
+        return [str(reply.ok.key_expr).split("/") for reply in replies if reply.ok is not None]
+
+    expected = len(running.server._topics.published) + len(running.server._commands.types) + 1
+    until(lambda: len(tokens()) == expected)
+    found = tokens()
+    kinds = [words[5] for words in found]
+    assert {kind: kinds.count(kind) for kind in ("NN", "MP", "MS")} == {"NN": 1, "MP": 11, "MS": 8}
+    assert len({words[4] for words in found}) == expected, "each endpoint has its own number"
+    joints = next(words for words in found if len(words) > 9 and words[9] == "%yumi_left%joint_states")
+    origin = running.server._writers["/yumi_left/joint_states"]
+    assert (joints[10], joints[12]) == ("sensor_msgs::msg::dds_::JointState_", "::,10:,:,:,,")
+    assert len(origin.id) == 16
+
+
+def test_a_node_commands_and_a_second_one_is_refused(running: Running) -> None:
+    diagnostics = running.read("/yumi_left/diagnostics", DIAGNOSTICS)
+    wanted = [0.0] * 6 + [0.1]
+
+    def commanded() -> bool:
+        running.write(VELOCITY, ARRAY, numbers(wanted))
+        command = running.row()
+        return command is not None and command.qd is not None and np.allclose(command.qd, wanted)
+
+    until(commanded)
+    assert running.exchange.arbiter.commander(ARM.name) == "rmw_zenoh " + (b"s" * 16).hex()
+
+    def refused() -> str:
+        running.write(VELOCITY, ARRAY, numbers([0.0] * 7), b"o" * 16)
+        return answer(running, diagnostics) if commanded() else ""
+
+    until(lambda: "is commanded by rmw_zenoh 737373737373" in refused())
+
+
+def test_all_writers_of_a_node_are_one_client_until_the_last_goes(running: Running) -> None:
+    names, node = running.names, running.node
+    tokens = [names.writer(1, VELOCITY, ARRAY), names.writer(2, "/yumi_left/set_parameter", TEXT)]
+    lives = [node.liveliness().declare_token(token) for token in tokens]
+    ids = [Writer(token).id for token in tokens]
+    until(lambda: all(one in running.server._nodes._clients for one in ids))
+    who = f"rmw_zenoh /theirs@{node.zid()!s}"
+
+    def commanded(k: int) -> bool:
+        running.write(VELOCITY, ARRAY, numbers([0.0] * 7), ids[k])
+        return running.row() is not None
+
+    until(lambda: commanded(0))
+    running.exchange.arbiter._lease_ns = 10**12  # silence frees nothing
+    assert running.exchange.arbiter.commander(ARM.name) == who
+    refused = running.exchange.arbiter.refused
+    obeyed = running.exchange.arbiter.obeyed[ARM.name]
+    so_far = obeyed[who]
+    until(lambda: commanded(1) and obeyed[who] > so_far + 1)
+    assert not refused
+    lives[0].undeclare()
+    until(lambda: ids[0] not in running.server._nodes._clients)
+    running.row()
+    assert running.exchange.arbiter.commander(ARM.name) == who
+    lives[1].undeclare()
+    until(lambda: running.row() is None and running.exchange.arbiter.commander(ARM.name) == "")
+
+
+def test_what_is_no_command_is_told(running: Running) -> None:
+    diagnostics = running.read("/yumi_left/diagnostics", DIAGNOSTICS)
+    events: list[str] = []
+    running.exchange.begin(lambda text, *_: events.append(text))
+    for type_, raw, words in (
+        (ARRAY, numbers([0.0] * 6), "Expected 7 numbers"),
+        (ARRAY, b"\0\1\0\0nothing", "Expected a std_msgs/msg/Float64MultiArray, got 11 bytes"),
+        (ARRAY, numbers([np.nan] * 7), "Expected finite numbers"),
+    ):
+
+        def told(type_: str = type_, raw: bytes = raw, words: str = words) -> bool:
+            running.write(VELOCITY, type_, raw)
+            return words in answer(running, diagnostics) and any(words in text for text in events)
+
+        until(told)
+
+    half = bytes(store().serialize_cdr(store().types[TEXT]('{"gain": "\\ud800"}'), TEXT))
+
+    def answered() -> bool:
+        running.write("/yumi_left/set_parameter", TEXT, half)
+        return "Expected what JSON in UTF-8 can say" in answer(running, diagnostics)
+
+    until(answered)
+
+    def dropped() -> bool:
+        running.node.put(running.names.data(VELOCITY, ARRAY), numbers([0.0] * 7))
+        words = "33 bytes attached"
+        return words in answer(running, diagnostics) and any(words in text for text in events)
+
+    until(dropped)
+    assert not running.exchange.arbiter.obeyed[ARM.name]
+
+
+def test_writers_of_every_distribution_are_heard(running: Running) -> None:
+    """Humble has no hashes; its key differs, and the subscription takes any."""
+    humble = Names(0, "1", "humble")
+
+    def commanded() -> bool:
+        running.sent += 1
+        attached = Origin(running.sent, 0, b"h" * 16).pack()
+        running.node.put(humble.data(VELOCITY, ARRAY), numbers([0.0] * 7), attachment=attached)
+        return running.row() is not None
+
+    until(commanded)
+
+
+def test_parameters_and_stop(running: Running) -> None:
+    echoes = running.read("/yumi_left/parameters", TEXT)
+    raw = bytes(store().serialize_cdr(store().types[TEXT]('{"gain": 0.75}'), TEXT))
+    until(lambda: running.write("/yumi_left/set_parameter", TEXT, raw) or running.row() or echoes)
+    until(lambda: running.row() or message(echoes[-1], TEXT).data == '{"gain": 0.75}')
+    empty = b"\0\1\0\0\0"
+    stop = "std_msgs/msg/Empty"
+    until(lambda: running.write("/yumi_left/stop", stop, empty) or running.row() or running.exchange.arbiter.stopped)
+
+
+def test_it_ends_with_the_loop_and_refuses_commands_from_elsewhere() -> None:
+    about = {"cell": "yumi", "commands": ["rmw_zenoh"]}
+    options = {"domain": 0, "host": "127.0.0.1", "port": free_port(), "router": "192.168.1.9:7447"}
+    exchange = Exchange([ARM], ["rmw_zenoh"], about=about)
+    with exchange.open("rmw_zenoh") as feed, pytest.raises(ConfigError, match="through a router elsewhere"):
+        serve(feed, {**options, "distribution": "jazzy"})
+    gone = exchange.open("rmw_zenoh")
+    gone.recv(2**17)
+    exchange.close()
+    with gone, pytest.raises(LinkError, match="Start it again"):
+        serve(gone, options)
+
+
+NAMED_JOINTS, NAMED_ARRAY = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
+HASH = "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"
+NAMES = Names(0, "aac3178e146ba6f1fc6e6a4085e77f21")
+
+
+def test_keys_of_data() -> None:
+    key = f"0/yumi_left/joint_states/sensor_msgs::msg::dds_::JointState_/{HASH}"
+    assert NAMES.data("/yumi_left/joint_states", NAMED_JOINTS) == key
+    assert NAMES.data("/a/b", NAMED_ARRAY, ANY) == "0/a/b/std_msgs::msg::dds_::Float64MultiArray_/*"
+    humble: Distribution = "humble"
+    old = Names(7, "1", humble).data("/joint_states", NAMED_JOINTS)
+    assert old == "7/joint_states/sensor_msgs::msg::dds_::JointState_/TypeHashNotSupported"
+    assert NAMES.hash(NAMED_JOINTS) == HASH == store().hash_rihs01(NAMED_JOINTS)
+
+
+def test_tokens() -> None:
+    start = "@ros2_lv/0/aac3178e146ba6f1fc6e6a4085e77f21/0"
+    assert NAMES.node() == f"{start}/0/NN/%/%/armlab"
+    about = f"%yumi_left%joint_states/sensor_msgs::msg::dds_::JointState_/{HASH}"
+    assert NAMES.writer(10, "/yumi_left/joint_states", NAMED_JOINTS) == f"{start}/10/MP/%/%/armlab/{about}/::,10:,:,:,,"
+    assert NAMES.reader(2, "/yumi_left/joint_states", NAMED_JOINTS) == f"{start}/2/MS/%/%/armlab/{about}/2::,1:,:,:,,"
+
+
+def test_the_attachment_is_what_zenoh_serialises() -> None:
+    ext = pytest.importorskip("zenoh.ext", reason="the extra net is not installed")
+    id_ = bytes(range(16))
+    expected = ext.z_serialize((ext.Int64(3), ext.Int64(1_700_000_000_000_000_000), id_)).to_bytes()
+    assert Origin(3, 1_700_000_000_000_000_000, id_).pack() == expected
+    assert len(expected) == 33
+    assert Origin.read(expected) == (3, 1_700_000_000_000_000_000, id_)
+
+
+def test_messages_of_a_writer_are_numbered_from_one() -> None:
+    pytest.importorskip("xxhash", reason="the extra net is not installed")
+    writer = Writer("")
+    assert writer.id[::-1].hex() == "99aa06d3014798d86001c324468d497f", "XXH3-128 of nothing, by its own test vectors"
+    found = [Origin.read(writer.next(stamp)) for stamp in (5, 6)]
+    assert found == [(1, 5, writer.id), (2, 6, writer.id)]
+    assert Writer("a").id != Writer("b").id
+
+
+@given(st.binary(max_size=50))
+def test_other_attachments_are_none(data: bytes) -> None:
+    found = Origin.read(data)
+    assert (found is not None) == (len(data) == 33 and data[16] == 16)
+    if found is not None:
+        assert found.pack() == data
+        assert len(found.client) == 32
+    assert Origin.read(None) is None
+
+
+def test_without_xxhash(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "xxhash", None)
+    with pytest.raises(MissingExtra, match=r"armlab\[net\]"):
+        Writer("")
+
+
+NODE_TEXT = "std_msgs/msg/String"
+
+
+def origin(token: str) -> Origin:
+    return Origin(1, 0, Writer(token).id)
+
+
+def test_writers_of_a_node_are_one_client_which_leaves_with_the_last() -> None:
+    left: list[str] = []
+    nodes = Nodes(left.append)
+    names = Names(0, "0123456789abcdef", node="theirs")
+    tokens = [names.writer(k, f"/topic_{k}", NODE_TEXT) for k in (1, 2)]
+    assert nodes.client(origin(tokens[0])) == origin(tokens[0]).client, "nothing is known yet"
+    for token in tokens:
+        nodes.token(token, is_there=True)
+    assert {nodes.client(origin(token)) for token in tokens} == {"/theirs@0123456789abcdef"}
+    nodes.token(tokens[0], is_there=False)
+    assert left == []
+    nodes.token(tokens[1], is_there=False)
+    nodes.token(tokens[1], is_there=False)
+    assert left == ["/theirs@0123456789abcdef"]
+    assert nodes.client(origin(tokens[0])) == origin(tokens[0]).client
+
+
+def test_a_namespace_is_part_of_the_name_and_what_is_no_token_is_none() -> None:
+    nodes = Nodes(lambda client: None)
+    token = f"@ros2_lv/0/ab/0/3/MP/%/%lab%left/node/%topic/{NODE_TEXT}/hash/::,10:,:,:,,"
+    nodes.token(token, is_there=True)
+    nodes.token("@ros2_lv/0/ab/0/4/MP", is_there=True)
+    assert nodes.client(origin(token)) == "/lab/left/node@ab"
+
+
+def test_a_flood_of_writers_is_not_kept() -> None:
+    nodes = Nodes(lambda client: None)
+    names = Names(0, "ab")
+    for k in range(5000):
+        nodes.token(names.writer(k, "/topic", NODE_TEXT), is_there=True)
+    assert len(nodes._clients) == 4096

@@ -1,0 +1,352 @@
+"""A real master, real nodes under the system's Python: what they read, what they command, what happens without them."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import re
+import select
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.bridge.cell import parse_cell, run_cell
+from armlab.bridge.inputs.parameters import Parameter, Parameters
+from armlab.bridge.net.sockets import pair
+from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.ros1.process import Ros1Process, serve
+from armlab.bridge.servers.supervisor import Servers, server_command
+from armlab.errors import LinkError
+from armlab.log import Tick
+from armlab.state import State
+from tests.processes import bound
+
+from .conftest import PATIENCE, PYTHON, Ros, end, free_port
+
+ROWS = 1500  # 6 s
+
+READER = """
+import json, sys, rospy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from rosgraph_msgs.msg import Log
+numbers, values, names, texts = [], [], set(), []
+def state(message):
+    numbers.append(message.header.stamp.to_nsec())
+    values.append(message.position[6])
+    names.update(message.name)
+rospy.init_node("reader")
+rospy.Subscriber("/yumi_right/joint_states", JointState, state, tcp_nodelay=True, queue_size=1000)
+rospy.Subscriber("/yumi_right/parameters", String, lambda message: texts.append(message.data))
+end = rospy.get_time() + 60.0
+while rospy.get_time() < end and (not numbers or numbers[-1] < int(sys.argv[1])):
+    rospy.sleep(0.01)
+print(json.dumps([numbers, values, sorted(names), texts]))
+"""
+
+COMMANDER = """
+import sys, rospy
+from std_msgs.msg import Float64MultiArray, Empty
+from rosgraph_msgs.msg import Log
+rospy.init_node("commander")
+said = []
+rospy.Subscriber("/rosout", Log, lambda message: said.append(message.msg))
+commands = rospy.Publisher(sys.argv[1], Float64MultiArray, tcp_nodelay=True, queue_size=1)
+data = [float(word) for word in sys.argv[2].split(",")]
+end = rospy.get_time() + 60.0
+while rospy.get_time() < end and not rospy.is_shutdown():
+    commands.publish(Float64MultiArray(data=data))
+    if any("/commander: " in text and sys.argv[3] in text for text in said):
+        print("told")
+        break
+    rospy.sleep(0.004)
+"""
+
+
+LONG = ",".join(["0.123456"] * 8000), "Expected at most 65536 bytes of JSON"
+
+
+def options(uri: str, python: str = PYTHON, host: str = "127.0.0.1") -> dict[str, Any]:
+    return {"host": host, "master": uri, "python": python}
+
+
+def on_a_network() -> str:
+    """Return an address of this computer by which others reach it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
+        probe.connect(("192.0.2.1", 9))  # chooses a network card and sends nothing
+        return str(probe.getsockname()[0])
+    pytest.skip("this computer is on no network")
+
+
+class Running:
+    """The server's process at the other end of an exchange, and rows at 250 Hz for as long as a test wants."""
+
+    def __init__(self, stack: contextlib.ExitStack, uri: str, host: str = "127.0.0.1") -> None:
+        self.robot = robots.load("yumi_right")
+        parameters = Parameters([Parameter("gain", 0.5)])
+        self.exchange = Exchange([self.robot], ["ros1"], parameters, ["ros1"], about={"cell": "yumi"})
+        self.told: list[str] = []
+        self.exchange.begin(lambda text, *_: self.told.append(text))
+        command = server_command("ros1", options(uri, host=host))
+        self.servers = stack.enter_context(Servers(self.exchange, {"ros1": command}, restarts=(1.0, 2.0)))
+        (self.where,) = self.servers.ready(PATIENCE)
+        self.number, self.due = 0, time.monotonic()
+
+    def state(self) -> State:
+        q = np.array(self.robot.q_home)
+        q[6] = np.sin(self.number)
+        return State(t=1.5, dt=0.004, q=q, qd=np.zeros(7), tau=q, robot=self.robot.name, q_start=q)
+
+    def until(self, condition: Callable[[], Any]) -> Any:
+        """Send rows until something is so; the number of a row is in its stamp."""
+        end = time.monotonic() + PATIENCE
+        while not (found := condition()):
+            assert time.monotonic() < end, self.told
+            self.number += 1
+            now = self.state()
+            self.exchange.row(now, None, Tick(self.number, -1, self.number, 0, -1, 0))
+            self.exchange.arbiter(now)
+            self.due = max(self.due + 0.004, time.monotonic() - 0.1)
+            time.sleep(max(0.0, self.due - time.monotonic()))
+        return found
+
+
+@pytest.fixture
+def running(ros: Ros) -> Iterator[Running]:
+    with contextlib.ExitStack() as stack:
+        yield Running(stack, ros.uri)
+
+
+@pytest.mark.slow
+def test_a_node_gets_every_row_in_order(ros: Ros, running: Running) -> None:
+    assert running.where.startswith(f"127.0.0.1 (ros1, master {ros.uri}")
+    reader = ros.program(READER, str(10**9))
+
+    def is_read() -> bool:
+        return sum(running.exchange.outlets["ros1"].clients.get("/yumi_right/joint_states", (0, 0))) > 0  # type: ignore[union-attr]
+
+    running.exchange.outlets["ros1"].clients = {}
+    running.until(lambda: running.exchange.outlets["ros1"].send(b'{"kind":"count"}') and is_read())
+    last = running.number + ROWS
+    running.until(lambda: running.number >= last)
+    running.number = 10**9  # tells the reader to end
+    running.until(lambda: reader.poll() is not None)
+    assert reader.stdout is not None
+    numbers, values, names, texts = json.loads(reader.stdout.read())
+    assert names == sorted(running.robot.ros_joint_names)
+    assert json.loads(texts[0]) == {"gain": 0.5}
+    assert np.all(np.diff(numbers) > 0)
+    assert values == np.sin(numbers).tolist()
+    counted = [number for number in numbers if numbers[0] + 500 <= number <= last]
+    assert len(counted) >= 0.999 * (last - numbers[0] - 500 + 1)
+    assert len(counted) > 500
+
+
+@pytest.mark.slow
+def test_a_refusal_is_in_the_log_of_ros(ros: Ros, running: Running) -> None:
+    """Wrong sizes, a position far from the arm, far too many numbers; the node is named."""
+    for data, words in (("0.0,0.0", "Expected 7 numbers"), (",".join(["9.0"] * 7), "first position within 0.05"), LONG):
+        topic = "/yumi_right/joint_group_position_controller/command"
+        commander = ros.program(COMMANDER, topic, data, words)
+        running.until(lambda commander=commander: commander.poll() is not None)
+        assert commander.stdout is not None
+        assert commander.stdout.read() == b"told\n", words
+    assert "ros1 /commander" in running.exchange.arbiter.refused
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("address", [lambda: "127.0.0.1", on_a_network], ids=["loopback", "network"])
+def test_it_listens_at_its_address_only(ros: Ros, address: Callable[[], str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """By itself rospy listens at every address, unless its own is loopback. Takes 3 s each."""
+    monkeypatch.setenv("ROS_IPV6", "on")  # of the user's shell
+    with contextlib.ExitStack() as stack:
+        running = Running(stack, ros.uri, host := address())
+        assert running.where.startswith(f"{host} (ros1, ")
+        assert bound(running.servers.processes()["ros1"]) == {host}
+
+
+class Alone:
+    """The server's object between an exchange and a node that the test plays."""
+
+    def __init__(self, stack: contextlib.ExitStack) -> None:
+        self.exchange = Exchange(
+            [robots.load("yumi_right")], ["ros1"], Parameters([Parameter("gain", 0.5)]), about={"cell": "yumi"}
+        )
+        stack.callback(self.exchange.close)
+        feed = stack.enter_context(self.exchange.open("ros1"))
+        ours, theirs = pair()
+        self.ours, self.node = stack.enter_context(ours), stack.enter_context(theirs)
+        self.node.settimeout(PATIENCE)
+        self.log = io.BytesIO()
+        self.process = Ros1Process(feed, options("http://127.0.0.1:1"))
+        stack.callback(self.process._subscribers.close)
+
+    def say(self, kind: str, *connections: int, **fields: Any) -> None:
+        socket.send_fds(self.node, [json.dumps({"kind": kind, **fields}).encode()], connections)
+
+    def hear(self) -> None:
+        self.process._hear(self.ours, self.log)
+
+    def told(self) -> dict[str, Any]:
+        """Return what the node is told."""
+        return json.loads(self.node.recv(10_000))
+
+    def asked(self) -> dict[str, Any]:
+        """Return what the loop is asked."""
+        data = self.exchange.outlets["ros1"].receive()
+        assert data is not None
+        return json.loads(data)
+
+
+@pytest.fixture
+def alone() -> Iterator[Alone]:
+    with contextlib.ExitStack() as stack:
+        yield Alone(stack)
+
+
+def test_half_a_surrogate_pair_is_refused_and_the_server_goes_on(alone: Alone) -> None:
+    alone.say("command", topic="/yumi_right/set_parameter", client="/node", content='{"gain": "\\ud800"}')
+    alone.hear()
+    assert "/node: Expected what JSON in UTF-8 can say" in alone.told()["text"]
+
+
+def test_a_command_may_come_before_the_node_is_ready(alone: Alone) -> None:
+    alone.say("command", topic="/yumi_right/set_parameter", client="/node", content='{"gain": 2.0}')
+    alone.say("ready", missing=["geometry_msgs/Wrench"])
+    alone.process._begin(alone.ours, alone.log)
+    assert "not installed: geometry_msgs/Wrench" in alone.asked()["where"][0]
+    assert alone.asked()["values"] == {"gain": 2.0}
+
+
+def test_what_is_too_long_or_no_json_is_told_and_the_server_goes_on(alone: Alone) -> None:
+    alone.node.send(b'{"kind": "command", "topic": "/yumi_right/stop", "clie')
+    alone.say("refused", client="/node", text="Expected less.")
+    alone.say("command", topic="/yumi_right/stop", client="/node", content=None)
+    alone.hear()
+    assert "Expected JSON from the node of ROS 1" in alone.asked()["text"]
+    assert alone.asked() == {"kind": "report", "client": "/node", "text": "Expected less."}
+    assert alone.asked()["kind"] == "stop"
+    assert alone.told() == {"text": "/node: Expected less."}
+
+
+def test_a_connection_that_the_node_hands_over_is_written_to(alone: Alone) -> None:
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        alone.say("subscriber", ours.fileno(), topic="/yumi_right/parameters", client="/node", id=3)
+        alone.hear()
+        assert json.loads(theirs.recv(1000)[8:]) == {"gain": 0.5}
+
+
+@pytest.mark.parametrize("came", [True, False])
+def test_a_connection_without_room_is_ended_and_the_reason_told(
+    alone: Alone, came: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There are too many connections; or the process may have no more files, and none came with the message."""
+    monkeypatch.setattr("armlab.bridge.servers.ros1.subscribers._MOST", 0)
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        numbers = [ours.fileno()] if came else []
+        alone.say("subscriber", *numbers, topic="/yumi_right/parameters", client="/node", id=3)
+        alone.hear()
+        theirs.settimeout(PATIENCE)
+        assert not came or theirs.recv(1) == b""
+    words = "Expected at most 0 connections of nodes" if came else "Raise `ulimit -n`."
+    assert words in alone.told()["text"]
+    assert alone.told() == {"topic": "/yumi_right/parameters", "id": 3}
+    asked = alone.asked()
+    assert (asked["kind"], asked["client"]) == ("report", "/node")
+    assert words in asked["text"]
+
+
+def test_each_of_many_nodes_is_answered_at_most_once_a_second(alone: Alone, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("armlab.bridge.servers.ros1.process.time.monotonic", lambda: 100.0)
+    for k in range(300):
+        for _ in range(2):
+            alone.process._answer(alone.ours, f"/node_{k}", "no")
+        assert alone.told() == {"text": f"/node_{k}: no"}
+        assert not select.select([alone.node], [], [], 0.0)[0]
+    assert len(alone.process._spoken) == 256
+
+
+@pytest.mark.slow
+def test_it_comes_back_when_the_master_does(ros: Ros, running: Running) -> None:
+    end(ros.master)
+    running.until(lambda: any("has gone or is another one" in text for text in running.told))
+    ros.start()
+    reader = ros.program(READER, str(10**9))
+    running.until(lambda: running.exchange.outlets["ros1"].where)
+    running.number = 10**9
+    running.until(lambda: reader.poll() is not None)
+    assert running.servers.dead == set()
+
+
+@pytest.mark.slow
+def test_a_relay_that_is_killed_ends_the_server_which_starts_again(ros: Ros, running: Running) -> None:
+    server = running.servers.processes()["ros1"]
+    (relay,) = Path(f"/proc/{server}/task/{server}/children").read_text().split()
+    os.kill(int(relay), signal.SIGKILL)
+    running.until(lambda: any("It starts again in 1 s" in text for text in running.told))
+    running.until(lambda: running.exchange.outlets["ros1"].where)
+
+
+def test_what_is_missing_is_told_in_one_sentence(tmp_path: Path) -> None:
+    exchange = Exchange([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
+    with exchange.open("ros1") as feed, pytest.raises(LinkError, match="Expected a Python with rospy at /none"):
+        serve(feed, options("http://127.0.0.1:1", "/none"))
+    without = tmp_path / "python"
+    without.write_text(f'#!/bin/sh\nexec {os.path.realpath(PYTHON)} -I -S "$@"\n')
+    without.chmod(0o755)
+    with exchange.open("ros1") as feed, pytest.raises(LinkError, match=r"No module named .* Install python3-rospy\."):
+        Ros1Process(feed, options("http://127.0.0.1:1", str(without))).run()
+    exchange.close()
+
+
+def test_no_master_or_another_address_is_told_in_one_sentence() -> None:
+    if subprocess.run([PYTHON, "-c", "import rospy"], capture_output=True, check=False).returncode:
+        pytest.skip(f"rospy is not installed for {PYTHON} (Debian: python3-rospy)")
+    exchange = Exchange([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
+    uri = f"http://127.0.0.1:{free_port()}"
+    with exchange.open("ros1") as feed, pytest.raises(LinkError, match=f"master at {uri}.*Start roscore"):
+        serve(feed, options(uri))
+    with (
+        exchange.open("ros1") as feed,
+        pytest.raises(LinkError, match=r"this computer for ros1, got 198\.51\.100\.1: "),
+    ):
+        serve(feed, options(uri, host="198.51.100.1"))
+    exchange.close()
+
+
+@pytest.mark.slow
+def test_a_node_moves_the_arm_of_a_cell(ros: Ros, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    text = f"""
+    commands = ["ros1"]
+    [[robots]]
+    name = "yumi_left"
+    link = "sim://yumi_left"
+    speed = 0.5
+    [servers.ros1]
+    master = "{ros.uri}"
+    """
+    started: list[subprocess.Popen[bytes]] = []
+
+    def ready(line: str) -> None:
+        assert re.search(r"127\.0\.0\.1 \(ros1, master", line)
+        topic = "/yumi_left/joint_group_velocity_controller/command"
+        started.append(ros.program(COMMANDER, topic, "0,0,0,0.05,0,0,0", "never"))
+
+    run = run_cell(parse_cell(text), seconds=6.0, ready=ready, patience=20.0)
+    assert any("ros1 /commander commands yumi_left." in event for _, event in run.events)
+    moved = run.table["q"][-1] - run.table["q"][0]
+    assert moved[3] > 0.05
+    assert np.abs(np.delete(moved, 3)).max() < 0.01

@@ -1,0 +1,479 @@
+"""The protocol without sockets: what a client says, what it hears, what the loop is asked for."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from typing import Any, get_args
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armlab.bridge.servers.messages import CommandRequest, Leave, SetRequest, Stop, read_request
+from armlab.bridge.servers.rosbridge import Engine
+from armlab.bridge.servers.rosbridge.operations import (
+    LARGEST,
+    Advertise,
+    CallService,
+    Level,
+    Operation,
+    Publish,
+    ServiceResponse,
+    SetLevel,
+    Status,
+    Subscribe,
+    Unadvertise,
+    Unsubscribe,
+    full_name,
+    id_of,
+    read_operation,
+)
+from armlab.bridge.servers.rosbridge.rosapi import SET_PARAM, Rosapi, parameter_name
+from armlab.errors import CommandRefused
+
+from .conftest import Bench
+
+POSITION = "/yumi_left/joint_group_position_controller/command"
+STATES = "/yumi_left/joint_states"
+SEVEN = [0.1 * k for k in range(7)]
+
+
+def test_a_subscriber_gets_rows_in_its_dialect(bench: Bench) -> None:
+    new, old, plain = (bench.client(f"c{k}") for k in range(3))
+    bench.say(new, op="subscribe", topic=STATES, type="sensor_msgs/msg/JointState")
+    bench.say(old, op="subscribe", topic=STATES, type="sensor_msgs/JointState", id="s", unknown=3)
+    bench.say(plain, op="subscribe", topic=STATES[1:])
+    bench.row()
+    bench.row()
+    (first, _), (_, second), (third, _) = bench.heard(new), bench.heard(old), bench.heard(plain)
+    assert (first["op"], first["topic"]) == ("publish", STATES)
+    assert first["msg"]["header"] == {"stamp": {"sec": 5, "nanosec": 250}, "frame_id": ""}
+    assert second["msg"]["header"] == {"seq": 2, "stamp": {"secs": 5, "nsecs": 250}, "frame_id": ""}
+    assert first["msg"]["position"] == bench.loop.robot.q_home.tolist()
+    assert first["msg"]["effort"] == [], "never zeros for what is not there"
+    assert third == first | {"topic": STATES[1:]}
+
+
+def test_names_without_a_leading_slash_are_resolved_and_echoed_as_asked(bench: Bench) -> None:
+    client = bench.client()
+    for topic in (STATES, STATES[1:]):
+        bench.say(client, op="subscribe", topic=topic)
+    bench.row()
+    assert [one["topic"] for one in bench.heard(client)] == [STATES, STATES[1:]]
+    bench.say(client, op="unsubscribe", topic=STATES[1:])
+    bench.row()
+    assert [one["topic"] for one in bench.heard(client)] == [STATES]
+    bench.say(client, op="subscribe", topic="yumi_left/parameters")
+    assert [one["topic"] for one in bench.heard(client)] == ["yumi_left/parameters"]
+    bench.say(client, op="subscribe", topic=f"/{STATES}")
+    assert "Expected the name of a topic" in bench.heard(client)[0]["msg"], "two slashes are no other spelling"
+
+
+def test_services_without_a_leading_slash_are_answered_as_asked(bench: Bench) -> None:
+    client = bench.client()
+    assert bench.ask(client, "rosapi/topics") == bench.ask(client, "/rosapi/topics")
+    assert bench.ask(client, "rosapi/topic_type", args={"topic": STATES[1:]})["type"] == "sensor_msgs/msg/JointState"
+    asked = {"service": "rosapi/get_time"}
+    assert bench.ask(client, "rosapi/service_type", args=asked)["type"] == "rosapi_msgs/srv/GetTime"
+    call = {"op": "call_service", "service": "rosapi/set_param"}
+    bench.say(client, **call, id="late", args=["gain", "1.0"])
+    bench.engine.turn(bench.now + 10**10)
+    (answer,) = bench.heard(client)
+    assert (answer["service"], answer["id"], answer["result"]) == ("rosapi/set_param", "late", False)
+    bench.say(client, **call, id="wrong", args=["gain", "{"])
+    assert bench.heard(client)[0]["service"] == "rosapi/set_param"
+
+
+def test_what_nobody_says_comes_from_the_configuration(bench: Bench) -> None:
+    engine = Engine(bench.loop, dialect="ros1")
+    client = engine.join("me")
+    engine.take(client, '{"op":"subscribe","topic":"/yumi_left/joint_states"}', 0)
+    bench.engine = engine
+    bench.row()
+    assert bench.heard(client)[0]["msg"]["header"]["seq"] == 1
+    assert "secs" in bench.ask(client, "/rosapi/get_time")["time"]
+
+
+def test_a_topic_is_encoded_once_for_all_of_one_dialect(bench: Bench) -> None:
+    clients = [bench.client(f"c{k}") for k in range(3)]
+    for client in clients:
+        bench.say(client, op="subscribe", topic=STATES)
+    bench.row()
+    (first, second, third) = (client.outbox.take(1) for client in clients)
+    assert first[0] is second[0] is third[0]
+
+
+def test_a_topic_that_nobody_wants_any_more_costs_nothing(bench: Bench) -> None:
+    client = bench.client()
+    for id_ in ("a", "b"):
+        bench.say(client, op="subscribe", topic=STATES, id=id_)
+    bench.say(client, op="unsubscribe", topic=STATES, id="a")
+    bench.row()
+    assert len(bench.heard(client)) == 1
+    bench.say(client, op="unsubscribe", topic=STATES)
+    bench.say(client, op="unsubscribe", topic=STATES)
+    bench.row()
+    assert bench.heard(client) == []
+    assert client.subscriptions == {}
+
+
+def test_throttle_and_queue(bench: Bench) -> None:
+    client = bench.client()
+    bench.say(client, op="subscribe", topic=STATES, throttle_rate=20)
+    for _ in range(50):
+        bench.row()
+    assert len(bench.heard(client)) == 10
+
+
+@pytest.mark.parametrize(
+    ("operation", "words"),
+    [
+        ({"op": "subscribe", "topic": "/yumi_left/joint_state"}, "Did you mean '/yumi_left/joint_states'"),
+        ({"op": "subscribe", "topic": STATES, "type": "sensor_msgs/Imu"}, "Expected sensor_msgs/JointState for"),
+        ({"op": "subscribe", "topic": STATES, "type": "JointState"}, "Expected a type such as"),
+        ({"op": "subscribe", "topic": STATES, "compression": "png"}, "no compression"),
+        ({"op": "subscribe", "topic": STATES, "compression": "cbor"}, "no compression"),
+        ({"op": "subscribe", "topic": STATES, "fragment_size": 100}, "sent whole"),
+        ({"op": "subscribe", "topic": STATES, "throttle_rate": -1}, "throttle_rate"),
+        ({"op": "subscribe", "topic": STATES, "queue_length": "many"}, "queue_length"),
+        ({"op": "subscribe"}, "missing required field `topic`"),
+        ({"op": "fragment", "data": "", "num": 0, "total": 1}, "fragments are not taken"),
+        ({"op": "png", "data": ""}, "pictures"),
+        ({"op": "advertise_service", "service": "/a"}, "one of the operations advertise, call_service"),
+        ({"op": "advertise", "topic": "/mine", "type": "std_msgs/String"}, "topic that this cell takes"),
+        ({"op": "advertise", "topic": POSITION, "type": "std_msgs/String"}, "Float64MultiArray for"),
+        ({"op": "publish", "topic": STATES, "msg": {}}, "topic that this cell takes"),
+        ({"op": "publish", "topic": POSITION, "msg": {"data": SEVEN[:6]}}, "Expected 7 numbers .* got 6"),
+        ({"op": "publish", "topic": POSITION, "msg": {"data": [*SEVEN[:6], None]}}, "finite numbers"),
+        ({"op": "publish", "topic": POSITION, "msg": {"data": [*SEVEN[:6], "a"]}}, "Expected 7 numbers"),
+        ({"op": "publish", "topic": POSITION, "msg": [1]}, "msg"),
+        ({"op": "publish", "topic": "/yumi_left/set_parameter", "msg": {"data": "gain"}}, "Expected JSON"),
+        ({"op": "service_response", "service": "/a", "result": True}, "never called"),
+        ({"op": "set_level", "level": "loud"}, "level"),
+    ],
+)
+def test_what_cannot_be_done_comes_back_as_a_status(bench: Bench, operation: dict[str, Any], words: str) -> None:
+    client = bench.client()
+    bench.say(client, **operation, id="mine")
+    (status,) = bench.heard(client)
+    assert (status["op"], status["id"], status["level"]) == ("status", "mine", "error")
+    assert re.search(words, status["msg"]), status["msg"]
+    assert bench.loop.asked == []
+    assert re.search(words, bench.loop.reports[0])
+    bench.row()
+    assert bench.heard(client) == []
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", "null", "NaN", '"a"', "[" * 20000, b"{}", "\ud800", "9" * LARGEST + "9"]
+)
+def test_what_is_no_operation_comes_back_as_a_status(bench: Bench, text: str | bytes) -> None:
+    client = bench.client()
+    bench.say(client, text)
+    (status,) = bench.heard(client)
+    assert status["msg"].startswith("Expected ")
+
+
+def test_commands_carry_the_identity_of_the_connection(bench: Bench) -> None:
+    client = bench.client("127.0.0.1:4711")
+    bench.say(client, op="advertise", topic=POSITION, type="std_msgs/Float64MultiArray")
+    bench.say(client, op="publish", topic=POSITION, msg={"data": SEVEN, "layout": {}})
+    bench.say(client, op="unadvertise", topic=POSITION)
+    bench.say(client, op="publish", topic="/yumi/joint_group_velocity_controller/commands", msg={"data": [0.0] * 14})
+    bench.say(client, op="publish", topic="/yumi_left/set_parameter", msg={"data": '{"gain": 1.0}'})
+    bench.say(client, op="publish", topic="/yumi_left/stop", msg={})
+    bench.engine.leave(client)
+    assert bench.heard(client) == []
+    me = "127.0.0.1:4711"
+    zeros = [0.0] * 7
+    assert bench.loop.asked == [
+        CommandRequest(me, "yumi_left", q=SEVEN, first=0),
+        CommandRequest(me, "yumi_left", qd=zeros, first=0),
+        CommandRequest(me, "yumi_right", qd=zeros, first=7),
+        SetRequest(me, {"gain": 1.0}),
+        Stop(me),
+        Leave(me),
+    ]
+
+
+def test_a_missing_field_is_its_default_and_a_warning_for_who_wants_warnings(bench: Bench) -> None:
+    client = bench.client()
+    bench.say(client, op="set_level", level="warning")
+    for _ in range(3):
+        bench.say(client, op="publish", topic=POSITION, msg={"data": SEVEN})
+    (status,) = bench.heard(client)
+    assert status["level"] == "warning"
+    assert "layout" in status["msg"]
+    assert len(bench.loop.asked) == 3
+    bench.say(client, op="publish", topic=POSITION, msg={})
+    assert "Expected 7 numbers" in bench.heard(client)[0]["msg"]
+    bench.say(client, op="set_level", level="none")
+    bench.say(client, "no operation")
+    assert bench.heard(client) == []
+
+
+def test_without_a_token_everybody_reads_and_stops(bench: Bench) -> None:
+    client = bench.client(may_ask=False)
+    for name, content in ((POSITION, SEVEN), ("/yumi_left/set_parameter", '{"gain": 1.0}')):
+        bench.say(client, op="publish", topic=name, msg={"data": content})
+        assert "Expected a token" in bench.heard(client)[0]["msg"]
+    assert "Expected a token" in bench.ask(client, "/rosapi/set_param", args={"name": "gain", "value": "1.0"})
+    bench.say(client, op="publish", topic="/yumi_left/stop")
+    assert bench.loop.asked == [Stop(client.name)]
+    bench.say(client, op="subscribe", topic=STATES)
+    bench.row()
+    assert len(bench.heard(client)) == 1
+
+
+def test_what_the_loop_refuses_goes_to_who_asked(bench: Bench) -> None:
+    one, other = bench.client("one"), bench.client("other")
+    refused = {"kind": "answer", "client": "one", "text": "yumi_left is commanded by labcomm.", "refused": []}
+    bench.engine.text(refused, bench.now)
+    bench.engine.text({**refused, "client": "gone"}, bench.now)
+    assert bench.heard(one) == [{"op": "status", "level": "error", "msg": refused["text"]}]
+    bench.engine.text({**refused, "text": "Done."}, bench.now)
+    assert bench.heard(one) == [], "level info"
+    assert bench.heard(other) == []
+
+
+def test_parameters_are_echoed(bench: Bench) -> None:
+    client = bench.client()
+    bench.say(client, op="subscribe", topic="/yumi_left/parameters")
+    bench.loop.declared.set("gain", 1.0)
+    bench.loop.declared.apply()
+    bench.engine.text(bench.loop.tell(), bench.now)
+    first, second = (json.loads(one["msg"]["data"]) for one in bench.heard(client))
+    assert (first, second) == ({"gain": 0.5, "note": "a"}, {"gain": 1.0, "note": "a"})
+
+
+def test_a_setting_is_answered_when_the_loop_has_decided(bench: Bench) -> None:
+    client = bench.client("me")
+    call = {"op": "call_service", "service": "/rosapi/set_param", "id": "7"}
+    bench.say(client, **call, args={"name": "gain", "value": "1.0"})
+    assert bench.heard(client) == []
+    assert bench.loop.asked == [SetRequest("me", {"gain": 1.0})]
+    bench.loop.declared.set("gain", 1.0, "rosbridge me")
+    bench.loop.declared.apply()
+    bench.engine.text(bench.loop.tell(), bench.now)
+    bench.engine.text(bench.loop.tell(), bench.now)
+    done = {"op": "service_response", "id": "7", "service": "/rosapi/set_param", "values": {}, "result": True}
+    assert bench.heard(client) == [done]
+    bench.say(client, **call, args=["gain", "2.0"])
+    refused = {"kind": "answer", "client": "me", "text": "Expected less.", "refused": ["gain"]}
+    bench.engine.text({**refused, "refused": ["note"]}, bench.now)
+    bench.engine.text(refused, bench.now)
+    status, answer = bench.heard(client)
+    assert status["op"] == "status"
+    assert answer == {**done, "values": "Expected less.", "result": False}
+
+
+def test_settings_of_one_parameter_are_answered_each_by_its_own_outcome(bench: Bench) -> None:
+    """The loop's answers name the parameter, so a setting waits for the one before it."""
+    client = bench.client("me")
+    for id_, value in enumerate(("1.0", "99", "0.5")):
+        bench.say(client, op="call_service", service="/rosapi/set_param", id=id_, args=["gain", value])
+
+    def in_force(value: float) -> None:
+        bench.loop.declared.set("gain", value, "rosbridge me")
+        bench.loop.declared.apply()
+        bench.engine.text(bench.loop.tell(), bench.now)
+
+    assert bench.loop.asked == [SetRequest("me", {"gain": 1.0})]
+    in_force(1.0)
+    bench.engine.text({"kind": "answer", "client": "me", "text": "Expected less.", "refused": ["gain"]}, bench.now)
+    in_force(0.5)
+    assert bench.loop.asked == [SetRequest("me", {"gain": value}) for value in (1.0, 99, 0.5)]
+    assert [(one["id"], one["result"]) for one in bench.heard(client)] == [(0, True), (1, False), (2, True)]
+
+
+def test_a_setting_that_cannot_be_asked_for_is_answered_once(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    client = bench.client("me")
+
+    def refuse(request: Any) -> bool:
+        raise CommandRefused("Expected another text.")
+
+    monkeypatch.setattr(bench.loop, "ask", refuse)
+    bench.say(client, op="call_service", service="/rosapi/set_param", id=1, args=["note", '"x"'])
+    bench.engine.turn(bench.now + 2 * 10**9)
+    assert [(one["id"], one["values"]) for one in bench.heard(client)] == [(1, "Expected another text.")]
+
+
+def test_a_setting_that_the_loop_does_not_answer(bench: Bench) -> None:
+    client = bench.client("me")
+    for _ in range(65):
+        bench.say(client, op="call_service", service="/rosapi/set_param", args=["gain", "1.0"])
+    assert "at most 64 settings" in bench.heard(client)[0]["values"]
+    bench.loop.declared.set("gain", 0.75, "local 1")
+    bench.loop.declared.apply()
+    bench.engine.text(bench.loop.tell(), bench.now)
+    bench.engine.turn(bench.now + 10**9)
+    assert bench.heard(client) == []
+    bench.engine.turn(bench.now + 2 * 10**9)
+    answers = bench.heard(client)
+    assert len(answers) == 64
+    assert not answers[0]["result"]
+    assert "0.75, set by local 1" in answers[0]["values"]
+
+
+_JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=8) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
+    max_leaves=12,
+)
+_OPS = ["subscribe", "unsubscribe", "advertise", "unadvertise", "publish", "call_service", "service_response", "png"]
+_OPS += ["set_level", "status", "fragment"]
+_NAMES = [STATES, POSITION, "/yumi_left/parameters", "/yumi_left/set_parameter", "/yumi_left/stop"]
+FUZZED = Bench()
+_VALUES = {
+    "op": st.sampled_from(_OPS),
+    "topic": st.sampled_from(_NAMES),
+    "service": st.sampled_from(FUZZED.engine._rosapi.services),
+    "type": st.sampled_from(["std_msgs/String", "sensor_msgs/msg/JointState"]),
+    "msg": st.dictionaries(st.sampled_from(["data", "layout", "x"]), _JSON | st.just(SEVEN), max_size=3),
+    "args": st.dictionaries(
+        st.sampled_from(["name", "value", "type", "topic"]), _JSON | st.sampled_from(["gain", "1"])
+    ),
+    "id": _JSON,
+    "level": st.sampled_from(["info", "warning", "error", "none"]),
+    "throttle_rate": st.integers(-1, 100),
+    "queue_length": st.integers(-1, 100),
+}
+_OPERATION = st.fixed_dictionaries({}, optional={name: value | _JSON for name, value in _VALUES.items()})
+
+
+@settings(max_examples=200, deadline=None)
+@given(said=st.lists(_OPERATION | _JSON | st.text() | st.binary(), max_size=8))
+def test_whatever_a_client_says_is_done_or_answered(said: list[Any]) -> None:
+    """Any JSON, any text, any bytes: no exception; what goes out is JSON, what is asked is a request."""
+    bench = FUZZED
+    bench.loop.asked.clear()
+    client = bench.client()
+    for one in said:
+        bench.say(client, one if isinstance(one, str | bytes) else json.dumps(one))
+        bench.row(wrench=np.full(6, math.nan))
+    bench.engine.text(bench.loop.tell(), bench.now)
+    bench.engine.turn(bench.now + 2 * 10**9)
+    assert {one["op"] for one in bench.heard(client)} <= {"publish", "status", "service_response"}
+    bench.engine.leave(client)
+    for request in bench.loop.asked:
+        read_request(msgspec.json.encode(request))
+    assert bench.loop.asked[-1] == Leave(client.name)
+
+
+GOLDEN: dict[str, Operation] = {
+    '{"op":"subscribe","id":"s:1","type":"a/B","topic":"/a","compression":"none","throttle_rate":5,"queue_length":2}': (
+        Subscribe(id="s:1", topic="/a", type="a/B", compression="none", throttle_rate=5.0, queue_length=2)
+    ),
+    '{"op":"subscribe","topic":"/a","throttle_rate":null,"queue_length":null,"type":null,"more":[{}]}': (
+        Subscribe(topic="/a", throttle_rate=None, queue_length=None)
+    ),
+    '{"op":"unsubscribe","id":3,"topic":"/a"}': Unsubscribe(id=3, topic="/a"),
+    '{"op":"advertise","type":"a/B","topic":"/a","latch":false,"queue_size":100}': Advertise(topic="/a", type="a/B"),
+    '{"op":"unadvertise","topic":"/a"}': Unadvertise(topic="/a"),
+    '{"op":"publish","topic":"/a","msg":{"data":[1]},"latch":false}': Publish(topic="/a", msg={"data": [1]}),
+    '{"topic":"/a","op":"publish"}': Publish(topic="/a", msg={}),
+    '{"op":"call_service","id":"c","service":"/s","args":[1]}': CallService(id="c", service="/s", args=[1]),
+    '{"op":"service_response","service":"/s","values":{},"result":true}': ServiceResponse(service="/s"),
+    '{"op":"set_level","level":"warning"}': SetLevel(level="warning"),
+    '{"op":"status","level":"error","msg":"a"}': Status(),
+}
+
+
+@pytest.mark.parametrize(("text", "operation"), GOLDEN.items())
+def test_golden_operations(text: str, operation: Operation) -> None:
+    assert read_operation(text) == operation
+    assert id_of(text) == operation.id
+
+
+def test_levels() -> None:
+    for level in get_args(Level):
+        assert read_operation(json.dumps({"op": "set_level", "level": level})) == SetLevel(level=level)
+
+
+def test_a_missing_leading_slash_is_added() -> None:
+    assert full_name("a/b") == full_name("/a/b") == "/a/b"
+    assert full_name("//a") == "//a", "no other spelling is understood"
+
+
+def test_too_long_and_ids_that_are_none() -> None:
+    with pytest.raises(CommandRefused, match="at most 65536 characters"):
+        read_operation(" " * (LARGEST + 1))
+    assert id_of('{"id": [1], "op": 3}') is None
+    assert id_of(json.dumps({"id": "x" * 1000})) == "x" * 256
+    assert id_of(b"\xff") is None
+
+
+def test_topics_and_types_in_both_dialects(bench: Bench) -> None:
+    client = bench.client()
+    new = bench.ask(client, "/rosapi/topics")
+    old = bench.ask(client, "/rosapi/topics", type="rosapi/Topics")
+    assert new["topics"] == old["topics"]
+    types, names = dict(zip(new["topics"], new["types"])), dict(zip(old["topics"], old["types"]))
+    assert (types[STATES], names[STATES]) == ("sensor_msgs/msg/JointState", "sensor_msgs/JointState")
+    assert types["/yumi_left/stop"] == "std_msgs/msg/Empty"
+    assert bench.ask(client, "/rosapi/topic_type", args={"topic": STATES})["type"] == types[STATES]
+    assert bench.ask(client, "/rosapi/topic_type", args={"topic": "/none"})["type"] == ""
+    for text in ("sensor_msgs/JointState", "sensor_msgs/msg/JointState"):
+        assert STATES in bench.ask(client, "/rosapi/topics_for_type", args=[text])["topics"]
+
+
+def test_services_nodes_and_time(bench: Bench) -> None:
+    client = bench.client()
+    services = bench.ask(client, "/rosapi/services")["services"]
+    assert services == list(Rosapi("yumi", {}, dict).services)
+    assert {SET_PARAM, "/rosapi/get_param_names"} <= set(services)
+    for service in services:
+        name = bench.ask(client, "/rosapi/service_type", args={"service": service})["type"]
+        assert name.startswith("rosapi_msgs/srv/")
+    old = bench.ask(client, "/rosapi/service_type", type="rosapi/ServiceType", args={"service": "/rosapi/get_time"})
+    assert old["type"] == "rosapi/GetTime"
+    assert bench.ask(client, "/rosapi/nodes") == {"nodes": ["/yumi"]}
+    assert bench.ask(client, "/rosapi/get_time")["time"]["sec"] > 1.7e9
+    assert bench.ask(client, "/rosapi/get_time", type="rosapi/GetTime")["time"]["secs"] > 1.7e9
+    assert "Did you mean '/rosapi/topics'" in bench.ask(client, "/rosapi/topicz")
+    assert "Expected 'topic' as a text" in bench.ask(client, "/rosapi/topic_type")
+
+
+def test_message_details_name_all_types_inside(bench: Bench) -> None:
+    client = bench.client()
+    asked = {"type": "sensor_msgs/msg/JointState"}
+    states, header, time = bench.ask(client, "/rosapi/message_details", args=asked)["typedefs"]
+    assert (states["type"], header["type"], time["type"]) == (
+        "sensor_msgs/msg/JointState",
+        "std_msgs/msg/Header",
+        "builtin_interfaces/msg/Time",
+    )
+    assert states["fieldnames"] == ["header", "name", "position", "velocity", "effort"]
+    assert states["fieldtypes"] == ["std_msgs/msg/Header", "string", "float64", "float64", "float64"]
+    assert states["fieldarraylen"] == [-1, 0, 0, 0, 0]
+    states, header = bench.ask(client, "/rosapi/message_details", args=["sensor_msgs/JointState"])["typedefs"]
+    assert states["fieldtypes"][0] == header["type"] == "std_msgs/Header"
+    assert dict(zip(header["fieldnames"], header["fieldtypes"])) == {
+        "seq": "uint32",
+        "stamp": "time",
+        "frame_id": "string",
+    }
+    diagnostics = bench.ask(client, "/rosapi/message_details", args=["diagnostic_msgs/DiagnosticStatus"])["typedefs"]
+    assert diagnostics[0]["constnames"] == ["OK", "WARN", "ERROR", "STALE"]
+    assert diagnostics[1]["type"] == "diagnostic_msgs/KeyValue"
+    assert bench.ask(client, "/rosapi/message_details", args=["std_msgs/Empty"])["typedefs"][0]["fieldnames"] == []
+    assert "Ask /rosapi/topics" in bench.ask(client, "/rosapi/message_details", args=["a/B"])
+
+
+def test_parameters(bench: Bench) -> None:
+    client = bench.client()
+    assert bench.ask(client, "/rosapi/get_param_names") == {"names": ["gain", "note"]}
+    for name in ("gain", "/gain", "/yumi:gain"):
+        assert json.loads(bench.ask(client, "/rosapi/get_param", args={"name": name})["value"]) == 0.5
+    assert bench.ask(client, "/rosapi/get_param", args={"name": "none", "default": "3"}) == {"value": "3"}
+    assert "Did you mean 'gain'" in bench.ask(client, "/rosapi/get_param", args={"name": "gian"})
+    assert parameter_name({"name": "/yumi:gain"}, {"gain": 1}) == "gain"
+    assert bench.ask(client, "/rosapi/has_param", args=["gain"]) == {"exists": True}
+    assert bench.ask(client, "/rosapi/has_param", args=[3]) == {"exists": False}
+    assert "declared and stay" in bench.ask(client, "/rosapi/delete_param", args=["gain"])
+    assert "as JSON text" in bench.ask(client, "/rosapi/set_param", args=["gain", "{"])
+    assert "gain" in bench.ask(client, "/rosapi/set_param", args=["none", "1"])

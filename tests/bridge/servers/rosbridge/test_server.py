@@ -1,0 +1,374 @@
+"""The server as a process, with clients on WebSockets: who may, who waits, who does not read."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import re
+import socket
+import ssl
+import struct
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from websockets.asyncio.client import connect as one_thread
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.frames import Frame, Opcode
+from websockets.sync.client import ClientConnection, connect
+
+from armlab import robots
+from armlab.bridge.inputs.parameters import Parameter, Parameters
+from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.rosbridge.server import Access, RosbridgeServer, _head, read_access, serve
+from armlab.bridge.servers.supervisor import Servers, server_command
+from armlab.errors import ConfigError, LinkError
+from armlab.log import Tick
+from armlab.state import State
+
+PATIENCE = 20.0  # s; only a test that fails waits so long
+STATES = "/yumi_right/joint_states"
+POSITION = "/yumi_right/joint_group_position_controller/command"
+HANDSHAKE = (
+    b"GET / HTTP/1.1\r\nHost: a\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+)
+OPTIONS = {"host": "127.0.0.1", "port": 0, "dialect": "ros2", "origins": ["https://lab.example"]}
+
+
+class Running:
+    """A server process at the other end of an exchange, and its clients."""
+
+    def __init__(self, stack: contextlib.ExitStack, **options: Any) -> None:
+        self.robot = robots.load("yumi_right")
+        parameters = Parameters([Parameter("gain", 0.5, minimum=0.0, maximum=1.0)])
+        self.exchange = Exchange([self.robot], ["rosbridge"], parameters, ["rosbridge"], about={"cell": "yumi"})
+        command = server_command("rosbridge", {**OPTIONS, **options})
+        self.stack = stack
+        (self.where,) = stack.enter_context(Servers(self.exchange, {"rosbridge": command})).ready(PATIENCE)
+        self.port = int(self.where.partition(" ")[0].rpartition(":")[2])
+        self.number = 0
+
+    def client(self, **options: Any) -> ClientConnection:
+        scheme = "wss" if "ssl" in options else "ws"
+        options |= {"max_queue": None, "close_timeout": 1.0}
+        return self.stack.enter_context(connect(f"{scheme}://127.0.0.1:{self.port}", **options))
+
+    def state(self) -> State:
+        q = np.array(self.robot.q_home)
+        return State(t=1.5, dt=0.004, q=q, qd=np.zeros(7), tau=q, robot=self.robot.name, q_start=q)
+
+    def row(self) -> None:
+        """Send the next row; its number is in its stamp."""
+        self.number += 1
+        self.exchange.row(self.state(), None, Tick(self.number, -1, self.number, 0, -1, 0))
+
+    def until(self, condition: Callable[[], Any]) -> Any:
+        """Send rows until something is so."""
+        end = time.monotonic() + PATIENCE
+        while not (found := condition()):
+            assert time.monotonic() < end, "it did not happen"
+            self.row()
+            time.sleep(0.001)
+        return found
+
+    def heard(self, client: ClientConnection, op: str = "publish") -> Any:
+        """Send rows until a client hears of an operation."""
+
+        def look() -> Any:
+            with contextlib.suppress(TimeoutError):
+                message = json.loads(client.recv(0.0))
+                return message if message["op"] == op else None
+            return None
+
+        return self.until(look)
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., Running]]:
+    with contextlib.ExitStack() as stack:
+        yield lambda **options: Running(stack, **options)
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[Running]:
+    with contextlib.ExitStack() as stack:
+        yield Running(stack)
+
+
+@pytest.fixture
+def running(shared: Running) -> Iterator[Running]:
+    """One server for the tests that leave it as it was; its clients end with each."""
+    with contextlib.ExitStack() as shared.stack:
+        yield shared
+
+
+def say(client: ClientConnection, op: str, **fields: Any) -> None:
+    client.send(json.dumps({"op": op, **fields}))
+
+
+def frame(op: str, **fields: Any) -> bytes:
+    """Return an operation as a client sends it, for one that is only a socket: it has a mask of zeros."""
+    text = json.dumps({"op": op, **fields}).encode()
+    return struct.pack(">BBH4s", 0x81, 0x80 | 126, len(text), bytes(4)) + text
+
+
+def test_rows_go_out_and_commands_come_back(start: Callable[..., Running]) -> None:
+    running = start()
+    assert re.fullmatch(r"127\.0\.0\.1:\d+ \(rosbridge\)", running.where)
+    client, other = running.client(), running.client()
+    say(client, "subscribe", topic=STATES)
+    message = running.heard(client)
+    assert message["msg"]["position"] == running.robot.q_home.tolist()
+    goal = (running.robot.q_home + 0.01).tolist()
+    me, they = ("rosbridge {}:{}".format(*one.local_address[:2]) for one in (client, other))
+    arbiter = running.exchange.arbiter
+
+    def commanded() -> bool:
+        say(client, "publish", topic=POSITION, msg={"data": goal})  # again: a command holds for 100 ms only
+        command = arbiter(running.state())
+        is_ours = command is not None and command.q is not None and np.allclose(command.q, goal)
+        return is_ours and arbiter.commander("yumi_right") == me
+
+    def refused() -> ClientConnection | None:
+        say(other, "publish", topic=POSITION, msg={"data": goal})
+        commanded()
+        return other if they in arbiter.refused else client if me in arbiter.refused else None
+
+    running.until(commanded)
+    second = running.until(refused)  # `client`, when it was silent for 100 ms
+    say(other, "publish", topic="/yumi_right/stop", msg={})
+    running.until(lambda: arbiter.stopped)
+    assert (
+        f"is commanded by {they if second is client else me}. You may read." in running.heard(second, "status")["msg"]
+    )
+    client.close()
+    counted = running.exchange.summary()["servers"]["rosbridge"]["clients"]
+    assert counted[me.removeprefix("rosbridge ")][0] > 0
+
+
+def test_a_commander_that_goes_frees_its_arm(running: Running) -> None:
+    client = running.client()
+    say(client, "publish", topic=POSITION, msg={"data": running.robot.q_home.tolist()})
+    running.until(lambda: running.exchange.arbiter(running.state()))
+    client.socket.shutdown(socket.SHUT_RDWR)
+    running.until(lambda: not running.exchange.arbiter.commander("yumi_right"))
+
+
+def test_parameters_are_set_and_refused(running: Running) -> None:
+    client = running.client()
+    say(client, "call_service", service="/rosapi/set_param", args={"name": "gain", "value": "0.75"}, id="1")
+    assert running.heard(client, "service_response")["result"]
+    assert running.exchange.parameters.gain == 0.75
+    say(client, "call_service", service="/rosapi/set_param", args={"name": "gain", "value": "7"}, id="2")
+    refused = running.heard(client, "service_response")
+    assert (refused["id"], refused["result"]) == ("2", False)
+    assert "from 0 to 1" in refused["values"]
+
+
+def test_a_client_that_does_not_read_disturbs_nobody(running: Running) -> None:
+    """It subscribes to much and reads nothing, with a small buffer: rows are dropped for it, none for others."""
+    client, deaf = running.client(), socket.socket()
+    running.stack.callback(deaf.close)
+    deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    deaf.connect(("127.0.0.1", running.port))
+    deaf.sendall(HANDSHAKE)
+    for name in ("joint_states", "tcp_pose", "egm_states"):
+        deaf.sendall(frame("subscribe", topic=f"/yumi_right/{name}"))
+    say(client, "subscribe", topic=STATES)
+    last = running.heard(client)["msg"]["header"]["stamp"]["nanosec"]
+    end = time.monotonic() + PATIENCE
+    name = "{}:{}".format(*deaf.getsockname())
+
+    def dropped() -> int:
+        return running.exchange.outlets["rosbridge"].clients.get(name, (0, 0))[1]  # type: ignore[union-attr]
+
+    running.exchange.outlets["rosbridge"].clients = {}
+    while dropped() < 500:
+        assert time.monotonic() < end, "nothing was dropped"
+        for _ in range(100):
+            running.row()
+            message = json.loads(client.recv(PATIENCE))
+            assert message["msg"]["header"]["stamp"]["nanosec"] == last + 1
+            last += 1
+        running.exchange.outlets["rosbridge"].send(b'{"kind":"count"}')
+
+
+@pytest.mark.slow
+def test_a_client_that_answers_no_ping_is_given_up(start: Callable[..., Running]) -> None:
+    """It reads all that comes, so nothing waits for it. Takes 15 s."""
+    running = start()
+    silent = running.stack.enter_context(socket.create_connection(("127.0.0.1", running.port), 60.0))
+    silent.sendall(HANDSHAKE + frame("publish", topic=POSITION, msg={"data": running.robot.q_home.tolist()}))
+    running.until(lambda: running.exchange.arbiter(running.state()))
+    running.until(lambda: running.exchange.arbiter(running.state()) is None)  # 100 ms later
+    heard = b""
+    while part := silent.recv(4096):
+        heard += part
+    assert b"\x89\x04" in heard, "a ping"
+    assert b"keepalive ping timeout" in heard
+
+
+@pytest.mark.parametrize("size", [0, 125, 126, 65535, 65536, 100000])
+def test_a_frame_is_that_of_websockets(size: int) -> None:
+    text = bytes(size)
+    assert _head(size) + text == Frame(Opcode.TEXT, text).serialize(mask=False)
+
+
+def test_sixteen_clients_at_most(running: Running) -> None:
+    def connected() -> Any:
+        with contextlib.suppress(InvalidStatus):
+            return running.client()
+
+    clients = [running.until(connected) for _ in range(16)]
+    with pytest.raises(InvalidStatus, match="HTTP 503"):
+        running.client()
+    clients[0].close()
+    assert running.until(connected)
+
+
+def test_pages_of_other_sites_may_not_connect(running: Running) -> None:
+    """A page from anywhere, open in a browser on this computer, reaches this port."""
+    for origin in ("http://localhost:8000", "http://127.0.0.1", "https://lab.example"):
+        running.client(origin=origin)
+    for origin in ("https://elsewhere.example", "null", "http://localhost.elsewhere.example", "http://localhost:1@a"):
+        with pytest.raises(InvalidStatus, match="HTTP 403"):
+            running.client(origin=origin)
+
+
+def test_too_much_at_once_ends_the_connection_and_no_other(running: Running) -> None:
+    client, other = running.client(), running.client()
+    client.send("x" * 70000)
+    with pytest.raises(ConnectionClosed, match="1009"):
+        client.recv(PATIENCE)
+    other.send(b"\xff\x00")
+    assert "got a binary one" in running.heard(other, "status")["msg"]
+
+
+@pytest.mark.slow
+def test_a_token_over_tls(start: Callable[..., Running], tmp_path: Path) -> None:
+    """By the client of asyncio: that of threads reads and writes TLS at once, and now and then waits for ever."""
+    secret = tmp_path / "token"
+    secret.write_text(TOKEN)
+    secret.chmod(0o600)
+    certificate, key = make_certificate(tmp_path)
+    running = start(token_file=str(secret), certificate=certificate, key=key)
+    assert "TLS" in running.where
+    trusted = ssl.create_default_context(cafile=certificate)
+    command = json.dumps({"op": "publish", "topic": POSITION, "msg": {"data": running.robot.q_home.tolist()}})
+    where, headers = f"wss://127.0.0.1:{running.port}", {"Authorization": f"Bearer {TOKEN}"}
+
+    async def talk() -> None:
+        async with (
+            one_thread(where, ssl=trusted, additional_headers=headers) as knows,
+            one_thread(where, ssl=trusted) as reads,
+        ):
+            with pytest.raises(InvalidStatus, match="HTTP 401"):
+                await one_thread(where, ssl=trusted, additional_headers={"Authorization": "Bearer wrong"})
+            await reads.send(command)
+            answer = json.loads(await asyncio.wait_for(reads.recv(), PATIENCE))
+            assert answer["op"] == "status"
+            assert "Expected a token" in answer["msg"]
+            await knows.send(command)
+            running.until(lambda: running.exchange.arbiter(running.state()))
+
+    asyncio.run(talk())
+
+
+def test_a_loop_that_has_gone_ends_it_and_no_port_stays_open() -> None:
+    exchange = Exchange([robots.load("yumi_right")], ["rosbridge"], about={"cell": "yumi"})
+    with exchange.open("rosbridge") as feed:
+        feed.recv(2**17)
+        exchange.close()
+        with pytest.raises(LinkError, match="Start it again"):
+            RosbridgeServer(feed, OPTIONS)
+    with exchange.open("rosbridge") as feed:
+        exchange.close()
+        serve(feed, OPTIONS)  # it ends by itself
+
+
+@pytest.mark.slow
+def test_it_says_why_it_does_not_start(start: Callable[..., Running], tmp_path: Path) -> None:
+    secret = tmp_path / "token"
+    secret.write_text(TOKEN)
+    secret.chmod(0o644)
+    with pytest.raises(LinkError, match="mode 0644"):
+        start(token_file=str(secret))
+    with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(LinkError, match="for rosbridge to be free"):
+        start(port=taken.getsockname()[1])
+
+
+TOKEN = "0123456789abcdef-_"
+
+
+@pytest.fixture
+def secret(tmp_path: Path) -> Path:
+    path = tmp_path / "token"
+    path.write_text(f"{TOKEN}\n")
+    path.chmod(0o600)
+    return path
+
+
+def test_without_a_token_everybody_may_ask() -> None:
+    access = read_access({})
+    assert access.judge(None) is True
+    assert access.judge("Bearer whatever") is True
+    assert access.context is None
+    assert isinstance(access, Access)
+
+
+def test_with_a_token_those_who_know_it(secret: Path) -> None:
+    for access in (read_access({"token_file": str(secret)}), read_access({"token_variable": "T"}, {"T": TOKEN})):
+        assert access.judge(f"Bearer {TOKEN}") is True
+        assert access.judge(f"bearer  {TOKEN} ") is True
+        assert access.judge(None) is False, "reads"
+        for wrong in ("", "Bearer", f"Bearer {TOKEN}x", TOKEN, f"Basic {TOKEN}", "Bearer \ud800\u00e4"):
+            assert access.judge(wrong) is None
+        assert TOKEN not in repr(access)
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o644, 0o660])
+def test_a_file_that_others_read_is_no_secret(secret: Path, mode: int) -> None:
+    secret.chmod(mode)
+    with pytest.raises(ConfigError, match=f"got mode {mode:04o}. chmod 600"):
+        read_access({"token_file": str(secret)})
+
+
+def test_what_is_no_token(tmp_path: Path, secret: Path) -> None:
+    with pytest.raises(ConfigError, match="No such file"):
+        read_access({"token_file": str(tmp_path / "none")})
+    with pytest.raises(ConfigError, match="got both"):
+        read_access({"token_file": str(secret), "token_variable": "T"})
+    for text in ("", "short", "with spaces in the middle", "\u00e4" * 20):
+        with pytest.raises(ConfigError, match=r"at least 16 ASCII characters .* in the variable T") as caught:
+            read_access({"token_variable": "T"}, {"T": text})
+        assert not text or text not in str(caught.value)
+
+
+def test_certificates(tmp_path: Path) -> None:
+    certificate, key = make_certificate(tmp_path)
+    assert read_access({"certificate": certificate, "key": key}).context is not None
+    wrong: list[dict[str, Any]] = [
+        {"certificate": certificate, "key": certificate},
+        {"certificate": str(tmp_path / "none"), "key": key},
+    ]
+    for options in wrong:
+        with pytest.raises(ConfigError, match="Expected a certificate in"):
+            read_access(options)
+    for name in ("certificate", "key"):
+        with pytest.raises(ConfigError, match="got one of them"):
+            read_access({name: certificate})
+
+
+def make_certificate(folder: Path) -> tuple[str, str]:
+    """Return a certificate of 127.0.0.1 and its key."""
+    certificate, key = str(folder / "certificate.pem"), str(folder / "key.pem")
+    words = "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 2 -subj /CN=127.0.0.1"
+    command = ["openssl", *words.split(), "-addext", "subjectAltName=IP:127.0.0.1", "-out", certificate, "-keyout", key]
+    subprocess.run(command, check=True, capture_output=True)
+    return certificate, key

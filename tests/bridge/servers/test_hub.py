@@ -1,0 +1,260 @@
+"""The feed of server processes: it never blocks, counts what it drops, and takes requests between ticks."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.bridge.inputs.parameters import Parameter, Parameters
+from armlab.bridge.servers.hub import OPERATOR, Exchange
+from armlab.bridge.servers.row import MAGIC, RowSchema, read_row
+from armlab.log import Tick
+from armlab.state import Command, State
+
+LEFT = robots.load("yumi_left")
+HOME = np.array(LEFT.q_home)
+SERVERS = ("labcomm", OPERATOR)
+
+
+class Cell:
+    """An exchange with both ends of its sockets."""
+
+    def __init__(self, allowed: Any = ("labcomm",)) -> None:
+        self.params = Parameters([Parameter("gain", 2.0, minimum=0.0), Parameter("open", 1.0, rights="anyone")])
+        self.exchange = Exchange([LEFT], SERVERS, self.params, allowed, about={"cell": "test"})
+        self.far = {name: self.exchange.open(name) for name in SERVERS}
+        for far in self.far.values():
+            far.settimeout(5.0)
+        self.k = 0
+        self.told: list[str] = []
+
+    def say(self, server: str, kind: str, **fields: Any) -> None:
+        self.far[server].send(json.dumps({"kind": kind, "client": "1", **fields}).encode())
+
+    def row(self, command: Command | None = None) -> None:
+        self.k += 1
+        self.exchange.row(self.state(), command, Tick(self.k, self.k, 10**18, 10**18, 10**18, 0))
+
+    def state(self) -> State:
+        return State(0.0, 0.004, HOME, 0 * HOME, 0 * HOME, robot="yumi_left", q_sent=HOME)
+
+    def heard(self, server: str) -> list[Any]:
+        """All messages that wait: rows as bytes, others as dictionaries."""
+        found: list[Any] = []
+        self.far[server].setblocking(False)
+        while True:
+            try:
+                data = self.far[server].recv(2**17)
+            except BlockingIOError:
+                return found
+            found.append(data if data[:4] == MAGIC else json.loads(data))
+
+    def texts(self, server: str, kind: str) -> list[str]:
+        return [m["text"] for m in self.heard(server) if isinstance(m, dict) and m["kind"] == kind]
+
+    def close(self) -> None:
+        self.exchange.close()
+        for far in self.far.values():
+            far.close()
+
+
+@pytest.fixture
+def cell() -> Any:
+    made = Cell()
+    yield made
+    made.close()
+
+
+def test_schema_first_then_rows(cell: Cell) -> None:
+    cell.row(Command(HOME))
+    about, parameters, data = cell.heard("labcomm")
+    assert about["cell"] == "test"
+    assert {name: robots.from_toml(text, "the feed") for name, text in about["robots"].items()} == {"yumi_left": LEFT}
+    row = read_row(RowSchema.read(about["schema"].encode()), data)
+    np.testing.assert_array_equal(row.values["yumi_left.q_ref"], HOME)
+    assert [one["name"] for one in parameters["parameters"]] == ["gain", "open"]
+
+
+def test_a_command_becomes_the_controllers(cell: Cell) -> None:
+    cell.say("labcomm", "command", arm="yumi_left", q=list(HOME + 0.01))
+    command = cell.exchange.arbiter(cell.state())
+    assert isinstance(command, Command)
+    np.testing.assert_array_equal(command.q, HOME + 0.01)
+    cell.say(OPERATOR, "command", arm="yumi_left", q=list(HOME))
+    cell.row()
+    assert cell.texts(OPERATOR, "answer") == [
+        "Expected no commands through local: `commands` does not name it. 1 commands refused so far."
+    ]
+    rows = [m for m in cell.heard("labcomm") if isinstance(m, bytes)]
+    assert read_row(cell.exchange.schema, rows[-1]).values["yumi_left.commander"] == "labcomm 1"
+
+
+def test_null_is_not_a_number(cell: Cell) -> None:
+    cell.say("labcomm", "command", arm="yumi_left", q=[None, *HOME[1:]])
+    assert cell.exchange.arbiter(cell.state()) is None
+    assert "finite numbers in q" in cell.texts("labcomm", "answer")[0]
+
+
+def test_parameters_are_set_between_ticks_echoed_and_told(cell: Cell) -> None:
+    cell.exchange.begin(lambda text, *_: cell.told.append(text))
+    cell.say("labcomm", "set", values={"gain": 3.0})
+    assert cell.params.gain == 2.0
+    cell.row()
+    assert cell.params.gain == 3.0
+    for server in SERVERS:
+        echo = [m for m in cell.heard(server) if isinstance(m, dict) and m["kind"] == "parameters"][-1]
+        assert (echo["parameters"][0]["value"], echo["parameters"][0]["who"]) == (3.0, "labcomm 1")
+    assert cell.told == ["Parameters: gain = 2.0, open = 1.0.", "Parameter gain = 3.0, set by labcomm 1 (setting 1)."]
+
+
+def test_refused_settings(cell: Cell) -> None:
+    cell.exchange.begin(lambda text, *_: cell.told.append(text))
+    cell.exchange.arbiter.stop("x")  # nobody holds, so labcomm has the rights of a commander
+    for _ in range(5):
+        cell.say("labcomm", "set", values={"gain": -1.0})
+    cell.row()
+    assert cell.params.gain == 2.0
+    assert sum("was refused" in text for text in cell.told) == 5
+    assert len(cell.texts("labcomm", "answer")) == 5
+
+
+def test_rights_of_settings() -> None:
+    cell = Cell(allowed=())
+    cell.say("labcomm", "set", values={"gain": 1.0})
+    cell.say("labcomm", "set", values={"open": 5.0})
+    cell.row()
+    assert (cell.params.gain, cell.params.open) == (2.0, 5.0)
+    cell.say(OPERATOR, "set", values={"gain": 1.0})
+    cell.row()
+    assert cell.params.gain == 1.0
+    cell.close()
+
+
+def test_beyond_this_computer_clients_only_read_and_stop() -> None:
+    params = Parameters([Parameter("open", 1.0, rights="anyone")])
+    exchange = Exchange([LEFT], ["labcomm"], params, read_only=["labcomm"])
+    with exchange.open("labcomm") as far:
+        for kind in ({"kind": "set", "values": {"open": 2.0}}, {"kind": "stop"}):
+            far.send(json.dumps({"client": "1", **kind}).encode())
+        exchange.poll()
+        assert (params.open, exchange.arbiter.stopped) == (1.0, "labcomm 1")
+    exchange.close()
+
+
+def test_stop_is_for_all_and_resume_for_operators(cell: Cell) -> None:
+    cell.say("labcomm", "stop")
+    cell.say("labcomm", "resume")
+    cell.row()
+    assert cell.exchange.arbiter.stopped == "labcomm 1"
+    assert cell.texts("labcomm", "answer") == ["Done.", "Expected an operator to resume: armlab bridge resume."]
+    cell.say(OPERATOR, "resume")
+    cell.row()
+    assert cell.exchange.arbiter.stopped == ""
+    assert cell.texts(OPERATOR, "answer") == ["Done."]
+
+
+def test_release_and_leave(cell: Cell) -> None:
+    arbiter = cell.exchange.arbiter
+    for kind, server in (("release", "labcomm"), ("leave", "labcomm"), ("release", OPERATOR)):
+        cell.say("labcomm", "command", arm="yumi_left", q=list(HOME))
+        arbiter(cell.state())
+        assert arbiter.commander("yumi_left") == "labcomm 1"
+        cell.say(server, kind)
+        cell.row()
+        assert arbiter.commander("yumi_left") == ""
+
+
+def test_a_server_that_does_not_read_loses_rows(cell: Cell) -> None:
+    for _ in range(20_000):
+        cell.row()
+        if cell.exchange.outlets["labcomm"].lost > 100:
+            break
+    outlet = cell.exchange.outlets["labcomm"]
+    assert outlet.lost > 100
+    assert len([m for m in cell.heard("labcomm") if isinstance(m, bytes)]) == outlet.rows
+    cell.row()
+    assert len(cell.heard("labcomm")) == 1
+
+
+def test_at_most_sixteen_requests_per_look(cell: Cell) -> None:
+    for k in range(40):
+        cell.say("labcomm", "set", values={"open": float(k)})
+    cell.row()
+    assert cell.params.open == 15.0
+    cell.exchange.idle(10**12)
+    assert cell.params.open == 15.0
+    cell.exchange.idle(0)
+    assert cell.params.open == 31.0
+
+
+def test_noise_is_counted(cell: Cell) -> None:
+    cell.far["labcomm"].send(b"\x00noise")
+    cell.row()
+    assert cell.exchange.mistakes == 1
+
+
+def test_what_a_server_refused_is_an_event_once_a_second(cell: Cell) -> None:
+    """Also of clients that may only read; and a flood of it is counted, not told."""
+    cell.exchange.begin(lambda text, *_: cell.told.append(text))
+    for _ in range(10):
+        cell.say("labcomm", "report", text="Expected 7 numbers, got 6." + 1500 * "x")
+        cell.exchange.poll()
+    (told,) = [text for text in cell.told if "Expected" in text]
+    assert told.startswith("labcomm 1: Expected 7 numbers, got 6.x")
+    assert len(told) < 1100
+    assert cell.exchange.summary()["commands_refused"] == {"labcomm 1": 10}
+    assert cell.texts("labcomm", "answer") == []
+
+
+def test_a_server_that_is_gone_holds_nothing_up(cell: Cell) -> None:
+    cell.far["labcomm"].close()
+    for _ in range(10):
+        cell.row()
+    outlet = cell.exchange.outlets["labcomm"]
+    assert outlet.lost == 10
+    cell.far["labcomm"] = cell.exchange.open("labcomm")
+    cell.row()
+    assert len(cell.heard("labcomm")) == 3
+
+
+def test_events_reach_every_server(cell: Cell) -> None:
+    cell.exchange.event("Something.", warn=True)
+    assert cell.texts("labcomm", "event") == cell.texts(OPERATOR, "event") == ["Something."]
+
+
+def test_listening(cell: Cell) -> None:
+    cell.say(OPERATOR, "listening", where=["a"])
+    cell.row()
+    assert cell.exchange.outlets[OPERATOR].where == ["a"]
+
+
+def test_the_summary_of_a_run(cell: Cell) -> None:
+    kept: list[Any] = []
+    cell.exchange.begin(lambda text, *_: cell.told.append(text), (), kept.append)
+    assert cell.params.running
+    cell.say(OPERATOR, "set", values={"gain": 4.0})
+    cell.exchange.arbiter.refused["labcomm 1"] = 3
+    cell.exchange.arbiter.obeyed["yumi_left"]["labcomm 2"] = 5
+    cell.row()
+    cell.say("labcomm", "counted", clients={"a": [7, 2]})
+    assert cell.exchange.summary() == {
+        "parameters": {"gain": 4.0, "open": 1.0},
+        "commands": {"yumi_left": {"labcomm 2": 5}},
+        "commands_refused": {"labcomm 1": 3},
+        "servers": {
+            OPERATOR: {"rows": 1, "lost": 0, "clients": None},
+            "labcomm": {"rows": 1, "lost": 0, "clients": {"a": (7, 2)}},
+        },
+    }
+    assert cell.heard("labcomm")[-1]["kind"] == "count"
+    assert "Parameter gain = 4.0" in cell.told[-1]
+    assert kept == [
+        (0, "gain", 2.0, "in force at the start"),
+        (0, "open", 1.0, "in force at the start"),
+        (1, "gain", 4.0, f"{OPERATOR} 1"),
+    ]
+    assert not cell.params.running

@@ -1,0 +1,260 @@
+"""Server processes: started, watched, started again, left dead; and the loop does not notice."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.bridge import connect
+from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.local import LocalFeed, cells
+from armlab.bridge.servers.messages import CommandRequest, Stop, Subscribe
+from armlab.bridge.servers.row import Row
+from armlab.bridge.servers.supervisor import PLACE, RESTARTS, WELL, Offering, Servers, server_command, stoppable
+from armlab.errors import LinkError
+from armlab.robots import Robot
+from armlab.state import Command, State
+
+LEFT = robots.load("yumi_left")
+QUIET = (
+    'import socket,sys; s=socket.socket(fileno=int(sys.argv[1])); s.send(b\'{"kind":"listening","where":["here"]}\')\n'
+)
+WAITS = QUIET + "while s.recv(100000): pass"
+FAILS = "import sys; sys.stderr.write('no luck'); sys.exit(3)"
+
+
+def command(program: str) -> list[str]:
+    return [sys.executable, "-S", "-c", program, PLACE]
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_a_server_listens_and_ends_with_the_bridge() -> None:
+    exchange = Exchange([LEFT], ["a"])
+    with Servers(exchange, {"a": command(WAITS)}) as servers:
+        assert servers.ready() == ["here"]
+        pid = servers.processes()["a"]
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+    servers.close()
+
+
+def test_a_killed_server_starts_again() -> None:
+    exchange = Exchange([LEFT], ["a"])
+    told: list[str] = []
+    exchange.begin(lambda text, *_: told.append(text))
+    with Servers(exchange, {"a": command(WAITS)}, restarts=(0.01, 0.01)) as servers:
+        servers.ready()
+        first = servers.processes()["a"]
+        os.kill(first, signal.SIGKILL)
+        until(lambda: servers.processes().get("a", first) != first)
+        assert servers.ready() == ["here"]
+        until(lambda: bool(told))
+    assert told[0] == "The server a ended with status -9. It starts again in 0.01 s. It said: nothing"
+
+
+def test_a_server_that_fails_is_left_dead() -> None:
+    exchange = Exchange([LEFT], ["a"])
+    told: list[str] = []
+    exchange.begin(lambda text, *_: told.append(text))
+    program = QUIET + "while b'Now.' not in s.recv(100000): pass\n" + FAILS
+    with Servers(exchange, {"a": command(program)}, restarts=(0.01, 0.01)) as servers:
+        for ends in range(3):
+            assert servers.ready() == ["here"]
+            exchange.event("Now.")
+            until(lambda ends=ends: len(told) > ends)
+        assert servers.dead == {"a"}
+    assert told[-1] == "The server a ended with status 3. It stays dead; the loop goes on. It said: no luck"
+
+
+@pytest.mark.parametrize(("well", "outcome"), [(0.0, "It starts again in 0.01 s."), (1e6, "It stays dead")])
+def test_a_server_that_ran_well_begins_a_new_series(well: float, outcome: str) -> None:
+    """One that ends once a day is never left dead; one that ends whenever it has started is."""
+    exchange = Exchange([LEFT], ["a"])
+    told: list[str] = []
+    exchange.begin(lambda text, *_: told.append(text))
+    with Servers(exchange, {"a": command(WAITS)}, restarts=(0.01, 0.02), well=well) as servers:
+        for ends in range(3):
+            assert servers.ready(60.0) == ["here"]
+            until(lambda: servers._children[0].since is not None)
+            os.kill(servers.processes()["a"], signal.SIGKILL)
+            until(lambda ends=ends: len(told) > ends)
+        assert servers.dead == (set() if well == 0.0 else {"a"})
+    assert outcome in told[-1]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (command(FAILS), "ended with status 3. It said: no luck"),
+        (["/no/such/program"], "could not be started. It said: [Errno 2] No such file"),
+    ],
+)
+def test_a_server_that_never_listens_refuses_at_once(words: list[str], said: str) -> None:
+    with Servers(Exchange([LEFT], ["a"]), {"a": words}) as servers:
+        began = time.monotonic()
+        with pytest.raises(LinkError, match=re.escape(f"Expected the server a to listen, but it {said}")):
+            servers.ready(60.0)
+        assert time.monotonic() - began < 30.0
+
+
+def test_a_server_that_says_nothing() -> None:
+    with Servers(Exchange([LEFT], ["a"]), {"a": command("import time; time.sleep(60)")}) as servers:
+        with pytest.raises(LinkError, match=r"Expected a to listen within 0.2 s"):
+            servers.ready(0.2)
+        os.kill(servers.processes()["a"], signal.SIGKILL)
+
+
+def test_an_error_of_the_watch_does_not_end_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A server that cannot be watched starts again as one that ended, as often and no oftener."""
+    exchange = Exchange([LEFT], ["a", "b"])
+    told: list[str] = []
+    exchange.begin(lambda text, *_: told.append(text))
+    look, idle, broken = Servers._look, exchange.idle, [False]
+
+    def fail(servers: Servers, child: Any) -> None:
+        if broken[0] and child.name == "a":
+            raise RuntimeError("odd")
+        look(servers, child)
+
+    def fail_to_idle(longer_ns: int) -> None:
+        if broken[0]:
+            broken[0] = len(told) < 3
+            idle(0)
+            raise ValueError("also odd")
+        idle(longer_ns)
+
+    monkeypatch.setattr(Servers, "_look", fail)
+    monkeypatch.setattr(exchange, "idle", fail_to_idle)
+    with Servers(exchange, {"a": command(WAITS), "b": command(WAITS)}, restarts=(0.01,)) as servers:
+        servers.ready()
+        other = servers.processes()["b"]
+        broken[0] = True
+        until(lambda: not broken[0])
+        os.kill(other, signal.SIGKILL)
+        until(lambda: any("The server b ended with status -9" in text for text in told))
+    assert "The server a could not be watched. It starts again in 0.01 s. It said: RuntimeError: odd" in told
+    assert sum("The server a" in text for text in told) == 2
+    assert any("Requests of clients were not taken, ValueError: also odd" in text for text in told)
+
+
+def test_times_and_command() -> None:
+    assert RESTARTS == (1.0, 5.0, 30.0)
+    assert WELL == 300.0
+    assert server_command("local", {"path": "x"})[-3:] == ["local", PLACE, '{"path": "x"}']
+
+
+def test_no_server_outlives_a_bridge_that_is_killed(tmp_path: Path) -> None:
+    """The system closes its end of the socket; the server removes its own socket when it ends."""
+    path = tmp_path / "x"
+    program = f"""
+import time
+from armlab import robots
+from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.supervisor import Servers, server_command
+
+command = server_command("local", {{"path": "{path}"}})
+with Servers(Exchange([robots.load("ur5e")], ["local"]), {{"local": command}}) as servers:
+    print(*servers.ready(60.0), flush=True)
+    time.sleep(60.0)
+"""
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as bridge:
+        assert bridge.stdout is not None
+        assert bridge.stdout.readline() == f"{path} (local)\n"
+        assert path.exists()
+        bridge.kill()
+    until(lambda: not path.exists())
+
+
+MESSAGES = 2000  # among which there is a row
+
+
+def test_rows_of_a_link_are_offered_and_a_stop_holds_it(
+    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In lockstep: the controller lets the client act between two packets."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with connect(f"sim://{robot.name}?lockstep=true", robot, offer="small") as link, LocalFeed() as feed:
+        assert link._offering is not None
+        exchange = link._offering.exchange
+        assert cells() == ["small"]
+        feed.ask(Subscribe(rate=None))
+        feed.ask(CommandRequest(arm=robot.name, qd=[0.1] * 7))
+        answers: list[str] = []
+
+        def heard(true: Callable[[Any], bool]) -> Any:
+            while not true(message := feed.receive()):
+                pass
+            return message
+
+        def controller(state: State) -> Command:
+            if len(answers) < 1 and state.t > 0.1:
+                exchange.poll()
+                answers.append(heard(lambda message: isinstance(message, dict) and message["kind"] == "answer")["text"])
+                feed.ask(Stop())
+                while not exchange.arbiter.stopped:
+                    exchange.poll()
+            return Command(qd=np.full(7, 0.05))
+
+        run = link.run(controller, seconds=0.6)
+        assert f"{robot.name}.q" in heard(lambda message: isinstance(message, Row)).values
+    assert "the controller of the run" in answers[0], "who holds the arm"
+    sent = run.table["qd_sent"]
+    assert sent.max() > 0.04
+    assert np.abs(sent[-10:]).max() < 1e-9, "it came to rest and held"
+    assert cells() == []
+
+
+def test_a_name_that_is_taken(robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The link that was opened for nothing leaves its port free."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    offering = Offering([robot], "small")
+    try:
+        with pytest.raises(LinkError, match="Expected the server local to listen"):
+            connect("egm://127.0.0.1:0", robot, offer="small")
+    finally:
+        offering.close()
+    assert cells() == []
+
+
+def test_who_only_listens_offers_what_it_hears(robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Again in the next run of the same link."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with connect(f"sim://{robot.name}", robot, offer="small") as link, LocalFeed() as feed:
+        feed.ask(Subscribe(rate=None))
+        for _ in range(2):
+            link.run(None, seconds=0.05)
+            for _ in range(MESSAGES):
+                message = feed.receive()
+                if isinstance(message, Row):
+                    break
+            else:
+                pytest.fail("no row came")
+
+
+def test_a_controller_holds_while_somebody_has_stopped_the_arms() -> None:
+    arbiter = SimpleNamespace(stopped=False, polled=0)
+    arbiter.poll = lambda: setattr(arbiter, "polled", arbiter.polled + 1)
+    controlled = stoppable(lambda state: Command(qd=np.ones(7)), arbiter)  # type: ignore[arg-type]
+    state: Any = None
+    assert controlled(state) is not None
+    arbiter.stopped = True
+    assert controlled(state) is None
+    assert arbiter.polled == 2

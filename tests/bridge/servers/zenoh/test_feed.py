@@ -1,0 +1,201 @@
+"""A viewer elsewhere gets what one on the bridge's own computer gets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import robots
+from armlab.bridge.servers.messages import CommandRequest, SetRequest, Stop, Subscribe
+from armlab.bridge.servers.row import Row
+from armlab.bridge.servers.watch import Watch
+from armlab.bridge.servers.zenoh import Place, ZenohFeed, checksum, close_session, key, robots_at
+from armlab.errors import ConfigError, LinkError
+from armlab.robots import Robot
+
+from .conftest import PATIENCE, Running, Wire, free_port, until
+
+Start = Callable[..., Running]
+
+
+def test_a_viewer_elsewhere(start: Start, robot: Robot) -> None:
+    one = start()
+    with ZenohFeed(f"zenoh://127.0.0.1:{one.options['port']}/lab1", patience=2.0) as feed:
+        assert feed.cell == "yumi"
+        watch, got = Watch(), []
+        feed.ask(Subscribe(rate=10.0))
+
+        def seen(kind: Any) -> bool:
+            one.row(motors=1, mci=3, rapid=2)
+            while feed.wait(0.0):
+                got.append(feed.receive())
+                watch.take(got[-1])
+            return any(
+                isinstance(each, Row) if kind is Row else isinstance(each, dict) and each["kind"] == kind
+                for each in got
+            )
+
+        for kind in ("about", "parameters", Row, "status"):
+            until(lambda kind=kind: seen(kind))
+        assert watch.arms(0)[0]["arm"] == robot.name
+        rows = [each for each in got if isinstance(each, Row)]
+        assert np.array_equal(rows[0].values[f"{robot.name}.q"], robot.q_home)
+        feed.ask(Subscribe(rate=None))
+        feed.ask(SetRequest(values={"gain": 0.25}))
+        until(lambda: one.exchange.poll() or one.exchange.parameters.gain == 0.25)
+        one.exchange.event("Hello.")
+        until(lambda: seen("event"))
+        feed.ask(Stop())
+        until(lambda: one.exchange.poll() or one.exchange.arbiter.stopped)
+        with pytest.raises(ConfigError, match="got CommandRequest"):
+            feed.ask(CommandRequest())
+        feed.ask(Subscribe(rate=0.0))
+        one.exchange.close()
+        with pytest.raises(LinkError, match="has gone"):
+            all_of(feed)
+
+
+def all_of(feed: ZenohFeed) -> None:
+    """Read until it ends."""
+    for _ in range(10_000):
+        feed.receive()
+
+
+def test_who_does_not_read_loses_the_oldest_messages(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("armlab.bridge.servers.zenoh.feed._KEPT", 5)
+    one = start()
+    with ZenohFeed(f"zenoh://127.0.0.1:{one.options['port']}/lab1") as feed:
+        for number in range(20):
+            feed._take({"kind": "event", "text": str(number)})
+        found: list[Any] = [feed.receive() for _ in range(5)]
+        assert [each.get("text") for each in found] == ["15", "16", "17", "18", "19"]
+        assert not feed.wait(0.0)
+
+
+def test_damaged_rows_are_dropped_and_told(start: Start, robot: Robot) -> None:
+    one = start()
+    with ZenohFeed(f"zenoh://127.0.0.1:{one.options['port']}/lab1") as feed:
+        feed.ask(Subscribe(rate=None))
+        session, where, data = one.process._session, key("lab1", robot.name, "live"), bytes(feed._schema.size)
+        until(lambda: session.put(where, data, attachment=checksum(data[1:])) or feed.damaged > 2)
+        until(lambda: session.put(where, data) or feed.damaged > 10)
+        said: list[Any] = []
+        until(lambda: feed.wait(0.1) and (said.append(feed.receive()) or "4 so far" in said[-1].get("text", "")))
+        assert not any(isinstance(each, Row) for each in said)
+        assert said[-1]["text"] == "Rows came damaged and were dropped: 4 so far."
+
+
+def test_texts_that_are_none_are_dropped_and_told(start: Start, robot: Robot) -> None:
+    one = start()
+    with ZenohFeed(f"zenoh://127.0.0.1:{one.options['port']}/lab1") as feed:
+        session, watch, said = one.process._session, Watch(), list[Any]()
+        bad = (b"[1", b"5", b"{}", b'{"kind": "event"}', b'{"kind": "about", "schema": "{}"}', b"[" * 100_000)
+
+        def told(text: str) -> bool:
+            for where, data in zip(("events", "status", "parameters"), bad[feed.refused % 2 * 3 :], strict=False):
+                session.put(key("lab1", robot.name, where), data)
+            while feed.wait(0.05):
+                said.append(feed.receive())
+                watch.take(said[-1])
+            return any(text in str(each) for each in said)
+
+        until(lambda: told("cannot be read and were dropped: 8 so far"))
+        assert {each["kind"] for each in said} <= {"about", "parameters", "event", "status"}
+        feed._is_unsure, before = True, feed.refused
+        feed._answered("lab1", robot.name, b"[[[")
+        assert feed.refused == before + 1
+        one.exchange.event("Hello.")
+        until(lambda: told("Hello."))
+
+
+def test_a_bridge_that_comes_again_is_told_from_one_that_restarted(start: Start, robot: Robot) -> None:
+    """Both while the way to it is cut; another run may have other rows."""
+    one = start()
+    wire, got = Wire(one.options["port"]), list[Any]()
+
+    def heard(bridge: Running, what: Any) -> bool:
+        bridge.row()
+        while feed.wait(0.0):
+            got.append(feed.receive())
+        return any(isinstance(each, Row) if what is Row else what in str(each) for each in got)
+
+    with ZenohFeed(f"zenoh://127.0.0.1:{wire.port}/lab1", patience=PATIENCE) as feed:
+        feed.ask(Subscribe(rate=None))
+        until(lambda: heard(one, Row))
+        wire.cut()
+        until(lambda: heard(one, "has gone, or the way to it"))
+        wire.mend()
+        until(lambda: heard(one, "is there again, in the same run"))
+        got.clear()
+        until(lambda: heard(one, Row))
+        wire.cut()
+        one.exchange.close()
+        one.thread.join()
+        got.clear()
+        again = start(one.options["port"], robot=replace(robots.load("ur5e"), name=robot.name))
+        again.tick = 10**6
+        while feed.wait(0.0):  # rows of the run that has ended
+            feed.receive()
+        feed._gaps["another"] = feed._gaps[robot.name]  # of an arm that the cell has no longer when it restarts
+        wire.mend()
+        until(lambda: heard(again, "has restarted"))
+        got.clear()
+        until(lambda: heard(again, Row))
+        assert got[-1].values[f"{robot.name}.q"].shape == (6,)
+    wire.cut()
+
+
+def test_rows_that_did_not_come_or_were_not_read_in_time_are_counted(
+    start: Start, robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("armlab.bridge.servers.zenoh.feed._KEPT", 50)
+    one, got = start(), []
+    with ZenohFeed(f"zenoh://127.0.0.1:{one.options['port']}/lab1") as feed:
+        feed.ask(Subscribe(rate=None))
+
+        def read(what: Any) -> bool:
+            one.row()
+            while feed.wait(0.0):
+                got.append(feed.receive())
+            return any(what(each) for each in got)
+
+        until(lambda: read(lambda each: isinstance(each, Row)))
+        before = feed.lost  # Zenoh itself may drop some on a busy machine
+        one.tick += 3
+        until(lambda: read(lambda each: "so far" in str(each)) and feed.lost >= before + 3)
+        last = one.tick - 1
+        until(lambda: read(lambda each: isinstance(each, Row) and each.values[f"{robot.name}.tick"] == last))
+        before = feed.lost
+
+        def overflows() -> bool:
+            for _ in range(100):
+                one.row()
+            until(lambda: len(feed._messages) >= 50)
+            read(lambda each: False)
+            return feed.lost > before
+
+        until(overflows)
+    ticks = [each.values[f"{robot.name}.tick"] for each in got if isinstance(each, Row)]
+    assert feed.lost == ticks[-1] - ticks[0] + 1 - len(ticks) > 3
+
+
+def test_nothing_to_view(start: Start, robot: Robot) -> None:
+    port = free_port()
+    with pytest.raises(LinkError, match="none let us in"):
+        ZenohFeed(f"zenoh://127.0.0.1:{port}", patience=0.3)
+    start(port)
+    with pytest.raises(LinkError, match="Expected a robot in the lab 'lab2'"):
+        ZenohFeed(f"zenoh://127.0.0.1:{port}/lab2")
+    start(port, robot=robots.load("yumi_left"))
+    session = Place("127.0.0.1", port).open()
+    until(lambda: robots_at(session) == [("lab1", "yumi_left"), ("lab1", robot.name)])
+    assert robots_at(session, "lab2") == []
+    close_session(session)
+    with pytest.raises(ConfigError, match="yumi_left, yumi_right"):
+        ZenohFeed(f"zenoh://127.0.0.1:{port}/lab1")
+    with ZenohFeed(f"zenoh://127.0.0.1:{port}/lab1", "yumi_left") as feed:
+        assert feed.receive()["robots"].keys() == {"yumi_left"}  # type: ignore[union-attr]

@@ -1,0 +1,204 @@
+"""Who may do what over Zenoh, on this computer: passwords, certificates, one user who commands."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab.bridge.cell import parse_cell
+from armlab.bridge.listen import listening
+from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.zenoh import Attached, Place, Security, close_session, key, queried, robots_at
+from armlab.bridge.servers.zenoh.process import ZenohProcess
+from armlab.bridge.servers.zenoh.security import BRIDGE, COMMANDER
+from armlab.bridge.servers.zenoh.session import open_near, wait_for_router
+from armlab.cli.certificates import write_certificates
+from armlab.errors import ConfigError, LinkError
+from armlab.robots import Robot
+
+from .conftest import Running, free_port, until
+
+pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+Start = Callable[..., Running]
+Open = Callable[..., Any]
+
+
+@pytest.fixture(scope="session")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of certificates and users."""
+    folder = tmp_path_factory.mktemp("lab")
+    write_certificates(folder)
+    return folder
+
+
+def bridge_files(lab: Path) -> dict[str, str]:
+    files = {"ca": "lab.pem", "certificate": "bridge.pem", "key": "bridge.key", "users": "users.txt"}
+    return {name: str(lab / file) for name, file in files.items()}
+
+
+def user(lab: Path, name: str) -> dict[str, str]:
+    return {"lab": "lab1", "ca": str(lab / "lab.pem"), "secret": str(lab / f"{name}.secret")}
+
+
+def heard(session: Any, name: str) -> list[Any]:
+    samples: list[Any] = []
+    session.declare_subscriber(name, lambda sample: samples.append(sample))
+    return samples
+
+
+def test_a_commander_commands_and_a_viewer_reads(start: Start, session: Open, lab: Path, robot: Robot) -> None:
+    one = start(**bridge_files(lab))
+    assert one.exchange.outlets["zenoh"].where[0].startswith("tls/127.0.0.1:")  # type: ignore[index]
+    port = one.options["port"]
+    commander, viewer = session(port, **user(lab, "commander")), session(port, **user(lab, "viewer"))
+    rows = {name: heard(who, key("lab1", robot.name, "live")) for name, who in (("c", commander), ("v", viewer))}
+    until(lambda: one.row() and all(rows.values()))
+    assert robots_at(viewer) == [("lab1", robot.name)]
+    assert queried(viewer, key("lab1", robot.name, "param/gain"), 5.0)
+    where, wanted = key("lab1", robot.name, "command/position"), np.asarray(robot.q_home) + 0.01
+    count = iter(range(10**6))
+
+    def put(who: Any, sender: bytes) -> Any:
+        who.put(where, wanted.tobytes(), attachment=Attached(sender, next(count), 0).pack())
+        who.put(key("lab1", robot.name, "param/gain"), "0.75")
+        return one.commanded()
+
+    sent = len(rows["v"])
+    until(lambda: put(viewer, b"v" * 16) is None and len(rows["v"]) > sent + 200)
+    assert not one.exchange.arbiter.obeyed[robot.name], "a viewer's commands vanish"
+    assert not one.exchange.arbiter.refused
+    assert one.exchange.parameters.gain == 0.5
+    until(lambda: put(commander, b"c" * 16) is not None)
+    until(lambda: one.exchange.poll() or one.exchange.parameters.gain == 0.75)
+    assert list(one.exchange.arbiter.obeyed[robot.name]) == [f"zenoh {(b'c' * 16).hex()}"]
+    until(lambda: viewer.put(key("lab1", robot.name, "stop"), b"") or (one.row() and one.exchange.arbiter.stopped))
+
+
+@pytest.mark.slow
+def test_who_is_not_let_in(start: Start, lab: Path, tmp_path: Path, robot: Robot) -> None:
+    """A wrong password, an unknown user, none at all, another authority, no encryption."""
+    one = start(**bridge_files(lab))
+    write_certificates(tmp_path / "other")
+    other = tmp_path / "other"
+    for name, text in (("wrong", "commander:guess\n"), ("unknown", "mallory:guess\n")):
+        (other / f"{name}.secret").write_text(text)
+        (other / f"{name}.secret").chmod(0o600)
+    right = user(lab, "commander")
+    for options in (
+        {**right, "secret": str(other / "wrong.secret")},
+        {**right, "secret": str(other / "unknown.secret")},
+        {**right, "secret": ""},
+        {**right, "ca": str(other / "lab.pem")},
+        {**right, "ca": ""},
+    ):
+        with pytest.raises(LinkError, match="none let us in"):
+            Place.of("127.0.0.1", one.options["port"], options).open(0.7)
+    one.row()
+    assert not one.exchange.arbiter.refused
+    assert not one.exchange.arbiter.obeyed[robot.name]
+
+
+def test_passwords_alone_do_not_encrypt_but_keep_viewers_from_commanding(
+    start: Start, session: Open, lab: Path, robot: Robot
+) -> None:
+    one = start(users=str(lab / "users.txt"))
+    viewer = session(one.options["port"], lab="lab1", secret=str(lab / "viewer.secret"))
+    rows = heard(viewer, key("lab1", robot.name, "live"))
+
+    def read() -> bool:
+        data = np.asarray(robot.q_home).tobytes()
+        viewer.put(key("lab1", robot.name, "command/position"), data, attachment=Attached(b"v" * 16, 1, 0).pack())
+        return one.commanded() is None and len(rows) > 100
+
+    until(read)
+
+
+CELL = """
+commands = ["zenoh"]
+[[robots]]
+name = "yumi_left"
+link = "sim://yumi_left"
+[servers.zenoh]
+"""
+
+
+def test_commands_beyond_this_computer_need_both(lab: Path) -> None:
+    files = bridge_files(lab)
+    assert listening(["zenoh=127.0.0.1"], parse_cell(CELL)) == {"zenoh": "127.0.0.1"}
+    for names in ((), ("ca", "certificate", "key"), ("users",)):
+        cell = parse_cell(CELL + "".join(f'{name} = "{files[name]}"\n' for name in names))
+        with pytest.raises(ConfigError, match="asks for no secret, or does not encrypt"):
+            listening(["zenoh=0.0.0.0"], cell)
+    cell = parse_cell(CELL + "".join(f'{name} = "{path}"\n' for name, path in files.items()))
+    assert listening(["zenoh=0.0.0.0"], cell) == {"zenoh": "0.0.0.0"}
+
+
+def test_commands_through_a_router_elsewhere_need_both(robot: Robot) -> None:
+    exchange = Exchange([robot], ["zenoh"], about={"commands": ["zenoh"]})
+    options = {"lab": "lab", "host": "127.0.0.1", "port": free_port(), "router": "192.168.1.9:7447"}
+    with (
+        exchange.open("zenoh") as feed,
+        pytest.raises(ConfigError, match="7447 is not on this computer"),
+    ):
+        ZenohProcess(feed, options)
+    exchange.close()
+
+
+def test_a_bridge_comes_to_a_router_with_passwords(lab: Path) -> None:
+    files, far, own = bridge_files(lab), free_port(), free_port()
+    router, _ = open_near("127.0.0.1", far, security=Security.of(files))
+    secret = {"secret": str(lab / "bridge.secret")}
+    place = f"127.0.0.1:{far}"
+    reading, where = open_near("127.0.0.1", own, place, Security.of({"ca": files["ca"], **secret}))
+    assert where == f"tls (zenoh, only through the router at {place})"
+    assert wait_for_router(reading, 20.0)
+    commanded, where = open_near("127.0.0.1", own, place, Security.of({**files, **secret}), commands=True)
+    assert where == f"tls/127.0.0.1:{own} (zenoh, through the router at {place})"
+    commander = Place.of("127.0.0.1", own, user(lab, "commander")).open(20.0)
+    for session in (commander, commanded, reading, router):
+        close_session(session)
+
+
+def test_configuration(lab: Path) -> None:
+    values = Security.of(bridge_files(lab)).values(listens=True)
+    rules = values["access_control"]
+    assert (rules["enabled"], rules["default_permission"]) == (True, "deny")
+    assert [one.get("usernames") for one in rules["subjects"]] == [None, [COMMANDER], [BRIDGE]]
+    commands = next(rule for rule in rules["rules"] if rule["id"] == "command")
+    assert (commands["flows"], commands["messages"]) == (["ingress"], ["put"])
+    assert commands["key_exprs"] == ["armlab/*/*/command/**", "armlab/*/*/param/**"]
+    assert "access_control" not in Security.of(user(lab, "viewer")).values(listens=False)
+    assert Security().values(listens=True) == {}
+
+
+def test_files_that_do_not_fit(lab: Path, tmp_path: Path) -> None:
+    open_, users = tmp_path / "open.secret", tmp_path / "users.txt"
+    open_.write_text("a:b\n")
+    users.write_text("viewer:x\n\n")
+    users.chmod(0o600)
+    two = tmp_path / "two.secret"
+    two.write_text("a:b\nc:d\n")
+    two.chmod(0o600)
+    bad = tmp_path / "bad.secret"
+    bad.write_text("nothing\n")
+    bad.chmod(0o600)
+    for options, words in (
+        ({"secret": tmp_path / "none"}, "there is none"),
+        ({"secret": tmp_path / ("long" * 100)}, "there is none"),
+        ({"secret": open_}, "chmod 600"),
+        ({"secret": two}, "got 2"),
+        ({"secret": bad}, "line 1 of"),
+        ({"users": users}, "commander:PASSWORD"),
+        ({"certificate": lab / "bridge.pem", "ca": lab / "lab.pem"}, "together"),
+        ({"certificate": lab / "bridge.pem", "key": lab / "bridge.key"}, "together"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            Security(**options)
+    for name in ("~nobody-has-this-name/secret", "~\0/secret"):
+        with pytest.raises(ConfigError, match="users of this computer"):
+            Security.of({"secret": name})
