@@ -205,7 +205,7 @@ nb::object reduce(nb::handle self) {
 
 void bind(nb::module_ &m) {
   using nb::arg;
-  nb::class_<Chain>(m, "Chain", "A serial chain, immutable; armlab.kernels._reference.Chain documents it.")
+  nb::class_<Chain>(m, "Chain", "A serial chain, immutable; _native.pyi documents it.")
       .def("__init__", &construct, array("frames"), array("prismatic"))
       .def_ro("n", &Chain::n)
       .def_prop_ro("frames", &frames)

@@ -222,17 +222,17 @@ nb::object presliding(nb::handle q_, nb::handle delta_, nb::handle resolution_) 
 void bind_drive(nb::module_ &m) {
   using namespace armlab;
   using nb::arg;
-  nb::class_<Drive>(m, "Drive", "Torque of the drives; armlab/kernels/_reference/drive.py documents it.")
+  nb::class_<Drive>(m, "Drive", "Torque of the drives; tests/oracles/drive.py documents it.")
       .def("__init__", &construct, array("friction"), array("ripple"), arg("lines") = nb::none(),
            arg("map") = nb::none(), arg("warm_up") = nb::none())
       .def_ro("n", &Drive::n)
       .def("torque", &torque, array("q"), array("qd"), array("z"), arg("out") = nb::none(),
            "Torque (..., n) at given presliding states.");
   m.def("basis_weights", &weights, array("x"), array("centres"), array("widths"),
-        "Normalised Gaussians (N, m) at x (N,); see armlab/kernels/_reference/drive.py.");
+        "Normalised Gaussians (N, m) at x (N,); see tests/oracles/drive.py.");
   m.def("model_torque", &model_torque, arg("chain"), array("gravity"), array("links"), array("rotor"), arg("drive"),
         array("q"), array("qd"), array("qdd"), arg("dt") = nb::none(), arg("out") = nb::none(),
         "Torque (N, n) of the arm and its drives along a record.");
   m.def("presliding", &presliding, array("q"), array("delta"), array("resolution"),
-        "Presliding friction state z (N, n) along positions q (N, n); see armlab/kernels/_reference/drive.py.");
+        "Presliding friction state z (N, n) along positions q (N, n); see tests/oracles/drive.py.");
 }

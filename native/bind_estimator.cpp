@@ -35,7 +35,7 @@ void construct(WrenchEstimator *self, const Chain &chain, nb::handle gravity, nb
 void bind_estimator(nb::module_ &m) {
   using namespace armlab;
   nb::class_<WrenchEstimator>(m, "WrenchEstimator",
-                              "Contact wrench from joint motion and torque; see armlab/kernels/_reference/estimator.py.")
+                              "Contact wrench from joint motion and torque; see tests/oracles/estimator.py.")
       .def("__init__", &construct, nb::arg("chain"), array("gravity"), array("links"), array("rotor"),
            nb::arg("drive"), array("gains"), nb::arg("gain_variance"), array("covariance"), array("bound"), array("prior"),
            nb::arg("cutoff"), nb::arg("method") = 0, nb::arg("point") = nb::none())

@@ -88,7 +88,7 @@ nb::object follow(const InverseSolver &self, nb::handle T, nb::handle q0, double
 void bind_inverse_solver(nb::module_ &m) {
   using nb::arg;
   nb::class_<InverseSolver>(m, "InverseSolver",
-                            "Inverse kinematics, immutable; armlab.kernels._reference.InverseSolver documents it.")
+                            "Inverse kinematics, immutable; _native.pyi documents it.")
       .def("__init__", &construct, arg("chain"), array("q_min"), array("q_max"), array("q_home"), arg("seed") = 0)
       .def("solve", &solve, array("T_base_tool"), arg("q0") = nb::none(), arg("task") = 6,
            array("axis") = nb::make_tuple(0.0, 0.0, 1.0), arg("steps") = 100, arg("starts") = 100,

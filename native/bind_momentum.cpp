@@ -68,7 +68,7 @@ void bind_momentum(nb::module_ &m) {
   using namespace armlab;
   using nb::arg;
   nb::class_<MomentumEstimator>(m, "MomentumEstimator",
-                                "Contact wrench by momentum; see armlab/kernels/_reference/momentum_estimator.py.")
+                                "Contact wrench by momentum; see tests/oracles/momentum.py.")
       .def("__init__", &construct, arg("chain"), array("gravity"), array("links"), array("rotor"), arg("drive"),
            array("gains"), arg("gain_variance"), array("covariance"), array("prior"), array("memory"), array("qd_noise"), array("rate"), array("leak"), arg("gain"),
            arg("filters"), arg("biased"), arg("point") = nb::none())
@@ -79,5 +79,5 @@ void bind_momentum(nb::module_ &m) {
       .def("run", &run<MomentumEstimator>, array("q"), array("qd"), array("tau"), array("dt"),
            "Step along a record (N, n); return the outputs of step stacked over N.");
   m.def("momentum_step", &filter_step, array("x"), array("P"), array("G"), array("u"), array("y"), array("R"), arg("h"), array("Qp"),
-        array("q"), array("a"), "One step of the momentum filter; see armlab/kernels/_reference/momentum.py.");
+        array("q"), array("a"), "One step of the momentum filter; see tests/oracles/momentum.py.");
 }

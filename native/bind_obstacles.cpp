@@ -92,7 +92,7 @@ nb::object add(Obstacles &self, nb::handle y_, nb::handle yd_, nb::handle g_, nb
 void bind_obstacles(nb::module_ &m) {
   using namespace armlab;
   using nb::arg;
-  nb::class_<Obstacles>(m, "Obstacles", "What a motion goes around; see armlab/kernels/_reference/obstacles.py.")
+  nb::class_<Obstacles>(m, "Obstacles", "What a motion goes around; see tests/oracles/obstacles.py.")
       .def("__init__", &construct, arg("arm"), array("links"), array("bodies"), arg("clearance"), arg("reach"),
            arg("by_potential") = false)
       .def("place", &put, array("capsules"), "Obstacles (K, 10) from now on.")

@@ -242,7 +242,7 @@ nb::object stepper_forcing(const PrimitiveStepper &self) {
 void bind_primitive(nb::module_ &m) {
   using namespace armlab;
   using nb::arg;
-  nb::class_<Primitive>(m, "Primitive", "Spring, damper and forcing; see armlab/kernels/_reference/primitive.py.")
+  nb::class_<Primitive>(m, "Primitive", "Spring, damper and forcing; see tests/oracles/primitive.py.")
       .def("__init__", &construct, array("centres"), array("widths"), array("weights"), arg("alpha"), arg("stiffness"),
            arg("decay"), arg("pace"), arg("phase"))
       .def("basis", &basis, array("x"), arg("out").none() = nb::none(), "Normalised kernels (..., m) at phases (...).")
@@ -254,7 +254,7 @@ void bind_primitive(nb::module_ &m) {
       .def("response", &responses, array("t"), arg("tau"), arg("longest"),
            "Position and velocity (N, m + 3) of each kernel, y0, v0 and g alone.");
   nb::class_<PrimitiveStepper>(m, "PrimitiveStepper",
-                               "One run, sample by sample; see armlab/kernels/_reference/primitive_stepper.py.")
+                               "One run, sample by sample; see tests/oracles/primitive.py.")
       .def("__init__", &construct_stepper, arg("primitive"), arg("filter") = 0.0, arg("around").none() = nb::none(),
            nb::keep_alive<1, 4>())
       .def("start", &start, array("y0"), array("v0"), array("g"), array("scale"), arg("tau"), "Begin at phase time 0.")

@@ -112,7 +112,7 @@ void bind_rotation_primitive(nb::module_ &m) {
   using nb::arg;
   nb::class_<RotationStepper>(m, "RotationStepper",
                               "One run of orientations, sample by sample; see "
-                              "armlab/kernels/_reference/rotation_primitive.py.")
+                              "tests/oracles/rotation_primitive.py.")
       .def("__init__", &python::construct, arg("primitive"))
       .def("start", &python::start, array("q0"), array("w0"), array("goal"), array("map"), arg("tau"),
            "Begin at phase time 0.")

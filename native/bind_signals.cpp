@@ -118,7 +118,7 @@ void reset(PySignalOperator &self, nb::handle init) {
 void bind_signals(nb::module_ &m) {
   using namespace armlab;
   nb::class_<PySignalOperator>(m, "SignalOperator",
-                               "Streaming operator on a signal; see armlab/kernels/_reference/signals.py.")
+                               "Streaming operator on a signal; see tests/oracles/signals.py.")
       .def("__init__", &construct, nb::arg("kind"), nb::arg("a"), nb::arg("b"), nb::arg("dt"),
            nb::arg("init").none() = nb::none())
       .def("step", &step, array("x"), nb::arg("t").none() = nb::none(), "Advance by one sample and return the output.")

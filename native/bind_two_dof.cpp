@@ -113,7 +113,7 @@ double time_constant(const TwoDof &self, nb::handle state_) {
 void bind_two_dof(nb::module_ &m) {
   using namespace armlab;
   using nb::arg;
-  nb::class_<TwoDof>(m, "TwoDof", "Two-degree-of-freedom control; see armlab/kernels/_reference/two_dof.py.")
+  nb::class_<TwoDof>(m, "TwoDof", "Two-degree-of-freedom control; see tests/oracles/two_dof.py.")
       .def("__init__", &construct, arg("primitive"), arg("tau"), array("y0"), array("g"), array("scale"),
            array("gains"), array("dead_zone"), array("unit"))
       .def_prop_ro("n", &TwoDof::n, "Number of coordinates.")

@@ -65,7 +65,7 @@ nb::object interval(nb::handle A_, nb::handle error_, nb::handle spread_, nb::ha
 void bind_wrench(nb::module_ &m) {
   using namespace armlab;
   m.def("solve_wrench", &solve, array("A"), array("error"), array("variance"), array("bound"), array("prior"),
-        nb::arg("method"), "Wrench of one instant; see armlab/kernels/_reference/wrench.py.");
+        nb::arg("method"), "Wrench of one instant; see tests/oracles/wrench.py.");
   m.def("wrench_interval", &interval, array("A"), array("error"), array("spread"), array("box"),
-        "Guaranteed interval of each unknown; see armlab/kernels/_reference/wrench.py.");
+        "Guaranteed interval of each unknown; see tests/oracles/wrench.py.");
 }

@@ -1,10 +1,9 @@
-// Datagrams in and out of a socket that another owns. Specification: armlab/kernels/_reference/datagrams.py.
+// Datagrams in and out of a socket that another owns. Documented in armlab/kernels/_native.pyi.
 //
 // Python's own calls make an exception for "nothing there", parse the address each time and let another thread have the
 // interpreter at each call: three times the time of the system calls, and more when the caches are cold.
 #include "arrays.h"
 
-#if defined(__linux__)
 #include <arpa/inet.h>
 #include <netinet/in.h>
 #include <sys/socket.h>
@@ -48,6 +47,7 @@ class Datagrams {
       return nb::none();
     }
     std::int64_t ns = clock_ns(CLOCK_MONOTONIC);
+#ifdef SCM_TIMESTAMPNS  // Linux stamps what arrives
     for (cmsghdr *found = CMSG_FIRSTHDR(&message); found; found = CMSG_NXTHDR(&message, found)) {
       if (found->cmsg_level != SOL_SOCKET || found->cmsg_type != SCM_TIMESTAMPNS) continue;
       timespec stamp;
@@ -55,6 +55,7 @@ class Datagrams {
       const std::int64_t age = clock_ns(CLOCK_REALTIME) - (stamp.tv_sec * 1'000'000'000LL + stamp.tv_nsec);
       if (age >= 0 && age < stale_ns) ns -= age;
     }
+#endif
     if (from.sin_addr.s_addr != from_.sin_addr.s_addr || from.sin_port != from_.sin_port || !source_.is_valid()) {
       char host[INET_ADDRSTRLEN] = "";
       inet_ntop(AF_INET, &from.sin_addr, host, sizeof host);
@@ -105,16 +106,10 @@ class Datagrams {
 
 void bind_datagrams(nb::module_ &m) {
   using armlab::Datagrams;
-  nb::class_<Datagrams>(m, "Datagrams", "See armlab/kernels/_reference/datagrams.py.")
+  nb::class_<Datagrams>(m, "Datagrams", "See _native.pyi.")
       .def(nb::init<nb::handle, nb::handle>(), nb::arg("socket"), nb::arg("kind"))
       .def("receive", &Datagrams::receive)
       .def("send", &Datagrams::send, nb::arg("data"), nb::arg("to"))
       .def("close", &Datagrams::close)
       .def_prop_ro("errors", &Datagrams::errors);
 }
-#else
-// Elsewhere Python's own calls serve.
-void bind_datagrams(nb::module_ &m) {
-  m.attr("Datagrams") = nb::module_::import_("armlab.kernels._reference.datagrams").attr("Datagrams");
-}
-#endif

@@ -1,5 +1,5 @@
 // Torque of the drives at one instant: friction with its presliding state and warmth, friction that depends on position,
-// and torque ripple. The only place in the compiled core that evaluates it; armlab/kernels/_reference/drive.py states the mathematics.
+// and torque ripple. The only place in the compiled core that evaluates it; tests/oracles/drive.py states the mathematics.
 #pragma once
 
 #include <algorithm>

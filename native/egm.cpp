@@ -1,4 +1,4 @@
-// EGM datagrams read and written where the numbers of one like them lay. Specification: armlab/kernels/_reference/egm.py.
+// EGM datagrams read and written where the numbers of one like them lay. Documented in armlab/kernels/_native.pyi.
 #include <cmath>
 #include <cstdint>
 #include <cstring>
@@ -261,7 +261,7 @@ void bind_egm(nb::module_ &m) {
   using armlab::array;
   using armlab::EgmReader;
   using armlab::EgmWriter;
-  nb::class_<EgmReader>(m, "EgmReader", "See armlab/kernels/_reference/egm.py.")
+  nb::class_<EgmReader>(m, "EgmReader", "See _native.pyi.")
       .def(nb::init<nb::handle, nb::tuple, std::vector<armlab::Cut>, int, std::vector<int>, nb::handle,
                     std::vector<armlab::Span>>(),
            nb::arg("kind"), nb::arg("fixed"), nb::arg("arrays"), nb::arg("matrix"), nb::arg("scalars"), array("scale"),
@@ -269,7 +269,7 @@ void bind_egm(nb::module_ &m) {
       .def("learn", &EgmReader::learn, nb::arg("data"), nb::arg("mask"), nb::arg("offsets"), nb::arg("spans"))
       .def("read", &EgmReader::read, nb::arg("data"))
       .def("packet", &EgmReader::packet, nb::arg("numbers"), nb::arg("integers"));
-  nb::class_<EgmWriter>(m, "EgmWriter", "See armlab/kernels/_reference/egm.py.")
+  nb::class_<EgmWriter>(m, "EgmWriter", "See _native.pyi.")
       .def(nb::init<nb::handle, std::vector<int>, nb::handle, std::vector<armlab::Span>>(), nb::arg("example"),
            nb::arg("offsets"), array("divisors"), nb::arg("spans"))
       .def("write", &EgmWriter::write, nb::arg("arrays"), nb::arg("integers"));

@@ -1,4 +1,4 @@
-// Contact wrench from joint motion and torque; armlab/kernels/_reference/estimator.py states the mathematics.
+// Contact wrench from joint motion and torque; tests/oracles/estimator.py states the mathematics.
 #pragma once
 
 #include <algorithm>

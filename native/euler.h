@@ -1,4 +1,4 @@
-// Three angles about three axes. Specification: armlab/kernels/_reference/euler.py.
+// Three angles about three axes. Specification: tests/oracles/lie.py.
 #pragma once
 
 #include "lie.h"

@@ -1,4 +1,4 @@
-// Residuals of A X = Y B and their derivatives. Specification: armlab/kernels/_reference/hand_eye.py.
+// Residuals of A X = Y B and their derivatives. Specification: tests/oracles/calibration.py.
 #pragma once
 
 #include "lie_arguments.h"

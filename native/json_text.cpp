@@ -1,4 +1,4 @@
-// Text of JSON with numbers out of packed bytes. Specification: armlab/kernels/_reference/json_text.py.
+// Text of JSON with numbers out of packed bytes. Documented in armlab/kernels/_native.pyi.
 #include <algorithm>
 #include <charconv>
 #include <cmath>
@@ -105,7 +105,7 @@ class JsonText {
 
 void bind_json_text(nb::module_ &m) {
   using armlab::JsonText;
-  nb::class_<JsonText>(m, "JsonText", "See armlab/kernels/_reference/json_text.py.")
+  nb::class_<JsonText>(m, "JsonText", "See _native.pyi.")
       .def(nb::init<nb::sequence, nb::sequence>(), nb::arg("parts"), nb::arg("slots"))
       .def("of", &JsonText::of, nb::arg("data"));
 }

@@ -1,6 +1,6 @@
 // Rotations and rigid motions: exponential, logarithm and quaternions over Real (double or Lanes).
 //
-// Specification: armlab/kernels/_reference/lie.py. Both sides of every `select` are computed, and the one that is not
+// Specification: tests/oracles/lie.py. Both sides of every `select` are computed, and the one that is not
 // chosen may be NaN; so a batch gives bit for bit what single calls give. Nothing takes an arc cosine.
 #pragma once
 

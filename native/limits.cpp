@@ -1,4 +1,4 @@
-// Limits on one reference before it goes to a robot. Specification: armlab/kernels/_reference/limits.py.
+// Limits on one reference before it goes to a robot. Specification: tests/oracles/limits.py.
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -157,5 +157,5 @@ void bind_limits(nb::module_ &m) {
         nb::arg("q_ref").none() = nb::none(), nb::arg("q_last").none() = nb::none(), nb::arg("qd_ref").none() = nb::none(),
         nb::arg("lag") = 0.0,
         "Return the reference to send next, clamp bits, velocity ratio and refusal; see "
-        "armlab/kernels/_reference/limits.py.");
+        "tests/oracles/limits.py.");
 }

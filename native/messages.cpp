@@ -1,4 +1,4 @@
-// The numbers of messages, out of a chunk of an MCAP file. Specification: armlab/kernels/_reference/messages.py.
+// The numbers of messages, out of a chunk of an MCAP file. Documented in armlab/kernels/_native.pyi.
 #include <cstdint>
 #include <cstring>
 #include <string>
@@ -189,7 +189,7 @@ class MessageCopier {
 
 void bind_messages(nb::module_ &m) {
   using armlab::MessageCopier;
-  nb::class_<MessageCopier>(m, "MessageCopier", "See armlab/kernels/_reference/messages.py.")
+  nb::class_<MessageCopier>(m, "MessageCopier", "See _native.pyi.")
       .def(nb::init<nb::sequence>(), nb::arg("channels"))
       .def("copy", &MessageCopier::copy, nb::arg("data"), nb::arg("first"), nb::arg("count"));
 }

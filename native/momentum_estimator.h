@@ -1,4 +1,4 @@
-// Contact wrench by the generalised momentum, without accelerations; armlab/kernels/_reference/momentum_estimator.py
+// Contact wrench by the generalised momentum, without accelerations; tests/oracles/momentum.py
 // states the mathematics.
 #pragma once
 

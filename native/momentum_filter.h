@@ -1,4 +1,4 @@
-// One step of the momentum filter; armlab/kernels/_reference/momentum.py states the mathematics.
+// One step of the momentum filter; tests/oracles/momentum.py states the mathematics.
 #pragma once
 
 #include "chain.h"

@@ -1,4 +1,4 @@
-// The rotation nearest to a matrix. Specification: armlab/kernels/_reference/nearest.py.
+// The rotation nearest to a matrix. Specification: tests/oracles/lie.py.
 #pragma once
 
 #include <algorithm>

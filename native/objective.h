@@ -1,4 +1,4 @@
-// Objectives for the joints that a task leaves free. Specification: armlab/kernels/_reference/objective.py.
+// Objectives for the joints that a task leaves free. Specification: tests/oracles/descent.py.
 #pragma once
 
 #include "inverse_step.h"

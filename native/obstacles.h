@@ -1,4 +1,4 @@
-// Obstacles that a motion goes around, in space or with an arm. Specification: armlab/kernels/_reference/obstacles.py.
+// Obstacles that a motion goes around, in space or with an arm. Specification: tests/oracles/obstacles.py.
 #pragma once
 
 #include <optional>

@@ -1,5 +1,5 @@
 // Inverse kinematics along a path of poses: each from the one before, on one branch. Specification:
-// armlab/kernels/_reference/path.py.
+// tests/oracles/inverse.py.
 #pragma once
 
 #include "descent.h"

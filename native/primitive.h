@@ -1,4 +1,4 @@
-// Movement primitives: spring, damper and a forcing term over a phase. armlab/kernels/_reference/primitive.py states the
+// Movement primitives: spring, damper and a forcing term over a phase. tests/oracles/primitive.py states the
 // mathematics. Time is counted in units of tau_d and velocity as z = tau_d yd, so that nothing here depends on tau_d.
 #pragma once
 

@@ -1,4 +1,4 @@
-// Instances of a class with slots, without its __init__. Specification: armlab/kernels/_reference/records.py.
+// Instances of a class with slots, without its __init__. Documented in armlab/kernels/_native.pyi.
 #include <string>
 #include <vector>
 
@@ -44,7 +44,7 @@ class RecordMaker {
 
 void bind_records(nb::module_ &m) {
   using armlab::RecordMaker;
-  nb::class_<RecordMaker>(m, "RecordMaker", "See armlab/kernels/_reference/records.py.")
+  nb::class_<RecordMaker>(m, "RecordMaker", "See _native.pyi.")
       .def(nb::init<nb::handle, nb::sequence>(), nb::arg("kind"), nb::arg("names"))
       .def("make", &RecordMaker::make, nb::arg("values"));
 }

@@ -1,4 +1,4 @@
-// A movement primitive of orientations. armlab/kernels/_reference/rotation_primitive.py states the mathematics. Time is
+// A movement primitive of orientations. tests/oracles/rotation_primitive.py states the mathematics. Time is
 // counted in units of tau, and the angular velocity as z = tau w.
 #pragma once
 

@@ -1,4 +1,4 @@
-// Rows of a recording as records of MCAP. Specification: armlab/kernels/_reference/row_encoder.py.
+// Rows of a recording as records of MCAP. Documented in armlab/kernels/_native.pyi.
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -224,7 +224,7 @@ class RowEncoder {
 
 void bind_row_encoder(nb::module_ &m) {
   using armlab::RowEncoder;
-  nb::class_<RowEncoder>(m, "RowEncoder", "See armlab/kernels/_reference/row_encoder.py.")
+  nb::class_<RowEncoder>(m, "RowEncoder", "See _native.pyi.")
       .def(nb::init<nb::sequence>(), nb::arg("topics"))
       .def("encode", &RowEncoder::encode, nb::arg("rows"), nb::arg("first").none() = nb::none(), nb::arg("at") = 0);
 }

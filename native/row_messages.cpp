@@ -1,4 +1,4 @@
-// Messages of one row for other programs. Specification: armlab/kernels/_reference/row_messages.py.
+// Messages of one row for other programs. Documented in armlab/kernels/_native.pyi.
 #include <cmath>
 #include <cstdint>
 #include <cstring>
@@ -203,7 +203,7 @@ class RowMessages {
 
 void bind_row_messages(nb::module_ &m) {
   using armlab::RowMessages;
-  nb::class_<RowMessages>(m, "RowMessages", "See armlab/kernels/_reference/row_messages.py.")
+  nb::class_<RowMessages>(m, "RowMessages", "See _native.pyi.")
       .def(nb::init<nb::bytes, std::size_t, std::size_t, nb::sequence>(), nb::arg("head"), nb::arg("size"),
            nb::arg("clock"), nb::arg("topics"))
       .def("of_row", &RowMessages::of_row, nb::arg("row"), nb::arg("wanted"));

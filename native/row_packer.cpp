@@ -1,4 +1,4 @@
-// Rows of a recording as bytes. Specification: armlab/kernels/_reference/row_packer.py.
+// Rows of a recording as bytes. Documented in armlab/kernels/_native.pyi.
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
@@ -237,7 +237,7 @@ class RowPacker {
 
 void bind_row_packer(nb::module_ &m) {
   using armlab::RowPacker;
-  nb::class_<RowPacker>(m, "RowPacker", "See armlab/kernels/_reference/row_packer.py.")
+  nb::class_<RowPacker>(m, "RowPacker", "See _native.pyi.")
       .def(nb::init<nb::tuple, nb::sequence, nb::str>(), nb::arg("kinds"), nb::arg("places"), nb::arg("seldom"))
       .def("pack", &RowPacker::pack, nb::arg("state").none(), nb::arg("command").none(),
            nb::arg("tick").none());

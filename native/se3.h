@@ -1,6 +1,6 @@
 // Rigid motions: exponential and logarithm of twists [v; w], and the left Jacobians of SO(3) and SE(3).
 //
-// Specification: armlab/kernels/_reference/lie.py.
+// Specification: tests/oracles/lie.py.
 #pragma once
 
 #include <cstddef>

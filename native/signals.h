@@ -1,4 +1,4 @@
-// Streaming operators on signals. Specification: armlab/kernels/_reference/signals.py.
+// Streaming operators on signals. Specification: tests/oracles/signals.py.
 #pragma once
 
 #include <cstddef>

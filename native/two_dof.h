@@ -1,4 +1,4 @@
-// Two-degree-of-freedom control of a movement primitive. Specification: armlab/kernels/_reference/two_dof.py.
+// Two-degree-of-freedom control of a movement primitive. Specification: tests/oracles/two_dof.py.
 #pragma once
 
 #include <vector>

@@ -1,5 +1,5 @@
 // The most likely turn, mass and bias of a weight that hangs on a sensor, with their covariance. Specification:
-// armlab/kernels/_reference/weight.py.
+// tests/oracles/calibration.py.
 #pragma once
 
 #include "lie_arguments.h"

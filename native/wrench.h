@@ -1,4 +1,4 @@
-// Wrench from joint torque errors at one instant: e = A^T x + d + noise; armlab/kernels/_reference/wrench.py states the
+// Wrench from joint torque errors at one instant: e = A^T x + d + noise; tests/oracles/wrench.py states the
 // mathematics.
 //
 // x are k <= 6 unknowns with prior N(0, diag(prior)): the wrench itself, or a force at a known point. d are bounded

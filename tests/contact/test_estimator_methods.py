@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from armlab import identify
 from armlab.contact import INFEASIBLE, SINGULAR, STUCK, Estimator
-from armlab.kernels import backend
 from armlab.log import Table
 from armlab.state import State
 
@@ -24,9 +22,6 @@ def at_rest(truth, force: np.ndarray, seed: int, seconds: float = 2.0) -> Table:
     return Table(t, {"q": q, "qd": zero, "tau": tau + truth.noise * rng.standard_normal(q.shape)})
 
 
-@pytest.mark.skipif(
-    backend == "reference", reason="HiGHS takes minutes for 10000 samples; the contract test holds one to the other"
-)
 def test_at_rest_the_interval_holds_the_truth_and_no_contact_is_claimed_without_one(truth, model) -> None:
     """500 g along -z and x: inside the interval in 100 %, half width 2 to 60 N; without a force STUCK and exactly 0."""
     for axis, size in ((2, -4.905), (0, 4.905)):

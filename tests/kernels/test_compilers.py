@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armlab.kernels import Chain, backend
+from armlab.kernels import Chain
 
 NATIVE = Path(__file__).resolve().parents[2] / "native"
 JOINTS, COUNT = 7, 23
@@ -45,7 +45,6 @@ COMPILER = shutil.which("c++")
 
 
 @pytest.mark.slow  # 4 s each: the compiler
-@pytest.mark.skipif(backend == "reference", reason="needs the extension to compare with")
 @pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
 @pytest.mark.parametrize("way", WAYS)
 def test_same_bits_however_compiled(way: str, tmp_path: Path) -> None:

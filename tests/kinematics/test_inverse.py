@@ -9,13 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armlab import kernels, lie, robots
+from armlab import lie, robots
 from armlab.errors import ConfigError, ShapeError, UnknownName
 from armlab.kinematics import forward, inverse, jacobian, singular_values
 from armlab.robots import Robot
 
 ARMS = ["yumi_left", "yumi_right", "irb2400", "irb7600", "ur5e"]
-NATIVE = kernels.backend == "native"
 TASKS = ("pose", "position", "axis", "direction")
 FIELDS = ("q", "success", "position_error", "rotation_error", "iterations", "starts", "reason", "slope")
 
@@ -57,11 +56,10 @@ def part_solved(robot: Robot, count: int, seed: int) -> float:
 
 @pytest.mark.parametrize("name", ARMS)
 def test_random_reachable_poses_are_solved_from_random_starts(name: str) -> None:
-    assert part_solved(robots.load(name), 500 if NATIVE else 50, seed=1) >= 0.998  # at most one of 500
+    assert part_solved(robots.load(name), 500, seed=1) >= 0.998  # at most one of 500
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not NATIVE, reason="10 000 poses take minutes in NumPy")
 @pytest.mark.parametrize("name", ARMS)
 def test_ten_thousand_reachable_poses(name: str) -> None:
     """The bar is 99.9 %. 0.3 s per arm."""
@@ -85,7 +83,7 @@ def test_numeric_example_of_the_ancestor() -> None:
 def test_convergence_is_quadratic(name: str) -> None:
     """From within 0.1 rad of regular postures the error falls below 1e-11 in at most 6 iterations, mostly in 4."""
     robot, rng = robots.load(name), np.random.default_rng(4)
-    q, T = reachable(robot, 1000 if NATIVE else 100, seed=4)
+    q, T = reachable(robot, 1000, seed=4)
     away = rng.normal(size=q.shape)
     start = np.clip(q + 0.1 * away / np.linalg.norm(away, axis=1, keepdims=True), robot.q_min, robot.q_max)
     regular = singular_values(robot, q)[:, -1] > 0.03
@@ -256,7 +254,7 @@ def chains(draw: st.DrawFn) -> tuple[Robot, np.ndarray]:
 
 
 @given(chains(), st.sampled_from(TASKS), st.booleans())
-@settings(max_examples=60 if NATIVE else 15)
+@settings(max_examples=60)
 def test_any_chain(case: tuple[Robot, np.ndarray], task: str, moved: bool) -> None:
     """The result is finite, inside the limits and tells the truth; the posture itself is found again."""
     robot, q = case

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armlab import kernels, robots
+from armlab import robots
 from armlab.kinematics import forward, inverse, jacobian, manipulability, manipulability_gradient
 from armlab.robots import Robot
 
-COUNT = 300 if kernels.backend == "native" else 15
+COUNT = 300
 OBJECTIVES = ("posture", "mid_range", "limits", "manipulability")
 ROWS = {"pose": slice(0, 6), "position": slice(0, 3)}
 YUMI = "yumi_left"
@@ -90,7 +90,7 @@ def test_objectives_are_better_than_the_plain_solution() -> None:
 def test_limits_are_avoided(name: str) -> None:
     """On 99 % of the poses the smallest distance to a limit, over the range, is at least that of the plain solution."""
     robot = robots.load(name)
-    T = goals(robot, 1000 if kernels.backend == "native" else 30, seed=3)
+    T = goals(robot, 1000, seed=3)
     near = [np.abs(scaled(robot, inverse(robot, T, objective=o).q)).max(axis=1) for o in ("limits", None)]
     assert np.mean(near[0] <= near[1] + 1e-9) >= 0.99
     assert np.median(near[1] - near[0]) > 0.02

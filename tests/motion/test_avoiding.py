@@ -7,7 +7,6 @@ import pytest
 
 from armlab import Command, State, kinematics, robots
 from armlab.errors import ShapeError
-from armlab.kernels import backend
 from armlab.motion import Dmp, fit_dmp
 from armlab.motion.avoiding import AvoidingController, AvoidingStepper
 from armlab.motion.obstacles import AvoidingDmp, Capsule
@@ -94,7 +93,6 @@ class Ideal:
         return command
 
 
-@pytest.mark.skipif(backend == "reference", reason="the reference takes minutes; the contract tests hold it to this")
 def test_a_controller_goes_around_what_is_put_in_its_way(arm: Dmp) -> None:
     path = arm.rollout(PERIOD).y
     one = AvoidingDmp(arm, [], 0.02, 0.1, robot=ROBOT)

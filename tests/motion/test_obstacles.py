@@ -7,14 +7,13 @@ import pytest
 
 from armlab import kinematics, robots
 from armlab.errors import ArmlabError, ConfigError, ShapeError, UnknownName
-from armlab.kernels import backend
 from armlab.motion import Dmp, fit_dmp
 from armlab.motion.obstacles import FORMS, AvoidingDmp, Capsule, rows_of
 
 U = np.linspace(0.0, 1.0, 251)
 S = U**3 * (10 - 15 * U + 6 * U**2)
 T = np.linspace(0.0, 3.0, 401)
-FEW = 3 if backend == "reference" else 100  # NumPy takes a hundred times as long
+FEW = 100
 ROBOT = robots.load("yumi_right")
 REACH = np.array([1.1, 0.1, 0.2, 0.2, -0.3, 0.4, 0.2])
 CLEARANCE = 0.02
@@ -112,7 +111,6 @@ def test_fast_approach_is_braked_before_the_clearance(plane: Dmp) -> None:
     assert near.distance(run.y).min() > CLEARANCE - 1e-4
 
 
-@pytest.mark.skipif(backend == "reference", reason="the reference takes minutes; the contract tests hold it to this")
 def test_an_arm_keeps_its_tool_and_its_elbow_clear(arm: Dmp) -> None:
     t = np.arange(0.0, 5.0, 0.004)
     tool = Capsule([0.0, 0.0, -0.05], [0.0, 0.0, 0.0], 0.01)

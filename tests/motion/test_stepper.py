@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from armlab.errors import ConfigError, ShapeError, UnknownName
-from armlab.kernels import backend
 from armlab.motion import Dmp, Stepper, fit_dmp
 
 Primitive = Callable[..., Dmp]
@@ -83,7 +82,6 @@ MOVING = {  # largest overshoot in the conventions lund and ijspeert
     "filter": ({"goal_rate": 12.5}, 0.0235, 0.122),
 }
 CHANGES = list(product((0.2, 0.4, 0.6, 0.8), (0.3, 0.6, 0.8, 1.2, 1.5)))  # when, and to which goal
-CHANGES = CHANGES if backend == "native" else CHANGES[::9]  # NumPy takes a hundred times as long
 
 
 @pytest.mark.parametrize("kind", MOVING)

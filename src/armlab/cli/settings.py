@@ -23,7 +23,6 @@ __all__ = ["PREFIX", "Settings", "Told", "load_settings", "log_folder", "user_fi
 PREFIX = "ARMLAB_"
 _FILE = "armlab.toml"
 _PATHS = ("cell", "logs")  # relative to the file that says them
-_ELSEWHERE = ("ARMLAB_KERNELS",)  # variables that are no settings of commands
 
 _Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
 
@@ -115,7 +114,7 @@ def _of_file(path: Path) -> dict[str, Any]:
 def _of_environment(variables: Mapping[str, str]) -> list[tuple[str, dict[str, Any]]]:
     found = []
     for variable in sorted(variables):
-        if not variable.startswith(PREFIX) or variable in _ELSEWHERE:
+        if not variable.startswith(PREFIX):
             continue
         name = variable.removeprefix(PREFIX).lower()
         value: Any = variables[variable]
