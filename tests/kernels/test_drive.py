@@ -66,9 +66,10 @@ def test_model_torque_agrees(model: TorqueModel) -> None:
     qd[50, 2] = np.nan
     qdd[0, 0] = np.inf
     found = []
-    chain, drive = kernels.Chain(model.frames, model.prismatic), kernels.Drive(*rows(7), *parts(7))
-    arguments = chain, model.gravity, model.link_parameters, model.rotor, drive, q, qd, qdd, np.full(len(q), 0.004)
-    found.append(kernels.model_torque(*arguments))
+    for module in (oracles, kernels):
+        chain, drive = module.Chain(model.frames, model.prismatic), module.Drive(*rows(7), *parts(7))
+        arguments = chain, model.gravity, model.link_parameters, model.rotor, drive, q, qd, qdd, np.full(len(q), 0.004)
+        found.append(module.model_torque(*arguments))
     out = np.empty_like(q)
     assert kernels.model_torque(*arguments, out=out) is out
     shared = np.zeros(q.size + 69)
@@ -76,8 +77,8 @@ def test_model_torque_agrees(model: TorqueModel) -> None:
     links = shared[:70].reshape(7, 10)
     with pytest.raises(ShapeError, match="Expected out to be apart from links"):
         kernels.model_torque(*arguments[:2], links, *arguments[3:], out=shared[69:].reshape(q.shape))
-    np.testing.assert_allclose(found[0], found[1], rtol=0, atol=1e-12 * np.nanmax(np.abs(found[1])))
-    assert np.array_equal(np.flatnonzero(np.isnan(found[0]).any(axis=1)), [0, 50])
+    np.testing.assert_allclose(found[1], found[0], rtol=0, atol=1e-12 * np.nanmax(np.abs(found[0])))
+    assert np.array_equal(np.flatnonzero(np.isnan(found[1]).any(axis=1)), [0, 50])
 
 
 def test_warmth_runs_along_the_record_only_with_steps(model: TorqueModel) -> None:

@@ -36,6 +36,8 @@ def parameters(node: ast.FunctionDef) -> list[str]:
 
 def compiled_parameters(function: Any) -> list[str]:
     signature = (function.__doc__ or "").splitlines()[0]
+    while "[" in signature:
+        signature = re.sub(r"\[[^][]*\]", "", signature)
     found = re.findall(r"[(,] ?\*{0,2}(\w+)(?=[:,)=])", signature.partition(" ->")[0])
     return found[1:] if found[:1] == ["self"] else found
 

@@ -62,7 +62,7 @@ def expected(numbers: list[float], integers: list[int], scalars: list[int] = PLA
         return None
     with np.errstate(all="ignore"):
         scaled = np.array(numbers[:5]) * [2.0, 1e-3, np.nan, 1.0, 3.0]
-    seqno, tm, seconds, microseconds, mono, depth = integers
+    seqno, tm, seconds, microseconds, mono, depth = (value % 2**64 for value in integers)
     ns = seconds * 10**9 + microseconds * 1000 if seconds < 9 * 10**9 and microseconds < 10**9 else 0
     made: list[Any] = [0, None, 0, scaled[:2], scaled[2:], transform(*numbers[6:]), None, 0, -1, "word"]
     for field, value in zip(scalars, (seqno % 2**32, tm % 2**32, ns, numbers[5], mono, depth % 2**32), strict=True):
