@@ -51,7 +51,7 @@ FILES = {  # each with the tests that hold it
     f"{BRIDGE}/supervision.py": ["bridge/supervision"],
     f"{BRIDGE}/arm.py": ["bridge/arm", "bridge/arm_by_hand", "bridge/arms_by_hand"],
     f"{BRIDGE}/arms.py": ["bridge/arms"],
-    "native/limits.cpp": ["kernels/limits"],
+    "native/math/motion/limits.cpp": ["kernels/limits"],
 }
 MARKED, NAMED = "not slow", "not (simulated or follows[)"  # not tests of whole simulated runs, which are slow
 NONE, FAILED = ("same", "no program"), "harness failed"  # what is no mutant, and what is no judgement of one
