@@ -1,7 +1,4 @@
-"""Residuals of A X = Y B and their derivatives, in NumPy.
-
-The most likely turn, mass and bias of a weight that hangs on a sensor, in NumPy.
-"""
+"""Residuals of A X = Y B; the most likely rotation, mass and bias of a weight that hangs on a sensor."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Matrices of spatial vectors, twists [v; w] and wrenches [f; m].
-
-Kinematics and rigid-body dynamics of a serial chain, in NumPy.
-"""
+"""Kinematics and rigid-body dynamics of a serial chain, with spatial vectors: twists [v; w], wrenches [f; m]."""
 
 from __future__ import annotations
 

@@ -1,9 +1,5 @@
-"""Objectives for the joints that a task leaves free.
-
-One start of the inverse kinematics: residual, damped steps inside limits, and when to give up.
-
-Descent of an objective along the self-motion.
-"""
+"""One start of the inverse kinematics: residual, damped steps inside limits, when to give up; then the descent of an
+objective along the self-motion."""
 
 from __future__ import annotations
 

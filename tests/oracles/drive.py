@@ -1,4 +1,4 @@
-"""Torque of the drives: friction with presliding state and warmth, friction over position, ripple (native/math/contact/drive.h).
+"""Torque of the drives: friction with presliding state and warmth, friction over position, ripple.
 
 With s = z, or s = tanh(qd / smooth_speed) where smooth_speed > 0, joint by joint::
 

@@ -1,7 +1,4 @@
-"""Inverse kinematics of a chain within joint limits.
-
-Inverse kinematics along a path of poses.
-"""
+"""Inverse kinematics of a chain within joint limits, of single poses and along a path."""
 
 from __future__ import annotations
 

@@ -1,13 +1,7 @@
 """Rotations, rigid motions and quaternions, in NumPy.
 
-Every function takes any leading axes and keeps them, accepts read-only input, leaves it unchanged, and writes into
-`out` when that is given. NaN gives NaN. Argument errors are `ShapeError`. `armlab.lie` documents them.
-
-The rotation nearest to a matrix, in NumPy.
-
-Three angles about three axes, in NumPy.
-
-The axes come by number, in the order of the product: ``R = R_first(r) R_middle(p) R_last(y)``; neighbours differ.
+Every function takes any leading axes and keeps them; NaN gives NaN.
+The axes of three angles come by number, in the order of the product: ``R = R_first(r) R_middle(p) R_last(y)``; neighbours differ.
 """
 
 from __future__ import annotations

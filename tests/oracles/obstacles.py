@@ -1,4 +1,4 @@
-"""Obstacles that a motion goes around (specification; the twin is in native/math/motion/obstacles.cpp).
+"""Obstacles that a motion goes around.
 
 Coordinates are a point in the plane or in space, or the joints of an arm that carries capsules. Of each pair of a body
 and an obstacle: p the point of the body that is nearest, d the distance of the surfaces, m the direction away, v the
