@@ -1,7 +1,8 @@
 """Rotations, rigid motions and quaternions, in NumPy.
 
 Every function takes any leading axes and keeps them; NaN gives NaN.
-The axes of three angles come by number, in the order of the product: ``R = R_first(r) R_middle(p) R_last(y)``; neighbours differ.
+The axes of three angles come by number, in the order of the product:
+``R = R_first(r) R_middle(p) R_last(y)``; neighbours differ.
 """
 
 from __future__ import annotations
