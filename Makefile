@@ -19,12 +19,12 @@ WAITING = $(filter $(patsubst %,tests/%/%,bridge examples faults interoperabilit
 # Of those that compute the longest come first: at the end both workers have something to do.
 LONGEST := tests/cli/test_demo.py tests/identify/test_dynamics.py tests/style/test_wheel.py
 
-.PHONY: help setup demo test slow waiting computing reference check docs bench atheris fuzz sanitize soak mutants house api clean
+.PHONY: help setup demo test slow waiting computing check docs bench atheris fuzz sanitize soak mutants house api clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-9s %s\n", $$1, $$2}'
 
-$(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(wildcard native/*.cpp native/*.h)
+$(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(wildcard $(addprefix native/,*/*.cpp */*.h */*/*.cpp */*/*.h))
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@echo "Installing armlab and what it needs into .venv (about two minutes the first time)."
 	CMAKE_BUILD_PARALLEL_LEVEL=$$(getconf _NPROCESSORS_ONLN) PIP_CONSTRAINT=constraints.txt \
@@ -48,10 +48,6 @@ waiting: $(STAMP)
 
 computing: $(STAMP)
 	$(PYTEST) -m slow --durations=25 $(LONGEST) $(filter-out $(WAITING) $(LONGEST),$(SLOW))
-
-reference: $(STAMP)  ## tests of the kernels in NumPy; force and identification would take minutes, tests/contract holds them
-	ARMLAB_KERNELS=reference $(PYTEST) -W "ignore:armlab runs its NumPy:RuntimeWarning" \
-	  --ignore=tests/models/test_coupled.py $(addprefix tests/,kernels kinematics lie laws robots models)
 
 check: $(STAMP)  ## linters and type checks
 	$(BIN)/ruff check .
@@ -77,7 +73,7 @@ atheris: $(STAMP)
 # One instruction set compiles in a quarter of the time; the assertions of nanobind and of the C++ library are on. The
 # environment's own packages come from PYTHONPATH: its loader of this package would find the extension without checks.
 SANITIZED := $(CURDIR)/build/sanitized
-sanitize: $(STAMP)  ## contract tests of the compiled core, with address and undefined-behaviour sanitizers
+sanitize: $(STAMP)  ## tests of the compiled core, with address and undefined-behaviour sanitizers
 	$(BIN)/cmake -S . -B $(SANITIZED) -G "Unix Makefiles" --log-level=WARNING -DCMAKE_CXX_COMPILER=$(CXX) -DCMAKE_BUILD_TYPE=None \
 	  -DCMAKE_CXX_FLAGS="-O1 -g1 \
 	  -fno-omit-frame-pointer -fsanitize=address,undefined -fno-sanitize-recover=all -D_GLIBCXX_ASSERTIONS \
@@ -85,11 +81,11 @@ sanitize: $(STAMP)  ## contract tests of the compiled core, with address and und
 	$(BIN)/cmake --build $(SANITIZED) --parallel $$(getconf _NPROCESSORS_ONLN) -- -s
 	rm -rf $(SANITIZED)/site && mkdir $(SANITIZED)/site && cp -r src/armlab $(SANITIZED)/site
 	$(BIN)/cmake --install $(SANITIZED) --prefix $(SANITIZED)/site >/dev/null
-	OMP_NUM_THREADS=1 ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 ARMLAB_KERNELS=native \
+	OMP_NUM_THREADS=1 ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 \
 	  LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
 	  PYTHONPATH=$(SANITIZED)/site:$$($(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib'))") \
 	  $(BIN)/python -S -c "import sys, pytest; from armlab import kernels as k; assert '$(SANITIZED)' in k.__file__; \
-	  sys.exit(pytest.main('-q -p no:cacheprovider tests/contract tests/kernels'.split()))"
+	  sys.exit(pytest.main('-q -p no:cacheprovider tests/kernels'.split()))"
 
 SOAK_SECONDS ?= 1800
 SOAK_ROBOT_SECONDS ?= 86400

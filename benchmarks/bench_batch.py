@@ -12,9 +12,9 @@ import numpy as np
 from blocks import Contender, Table, agree, loop, once, table
 from machine import arithmetic, writer
 from peers import FastNumpy, Pinocchio, PlainNumpy, elementary_transforms
+from plain import oracles
 
 from armlab import kinematics, robots
-from armlab.kernels import _reference
 from armlab.robots import Robot
 
 ROBOT = "yumi_right"
@@ -71,7 +71,7 @@ def run(quick: bool) -> list[Table]:
 
 def _poses(robot: Robot, q: np.ndarray) -> Job:
     pinocchio, ets, plain, fast = Pinocchio(robot), elementary_transforms(robot), PlainNumpy(robot), FastNumpy(robot)
-    reference = _reference.Chain(robot.frames, robot.prismatic).forward
+    reference = oracles.Chain(robot.frames, robot.prismatic).forward
     few = q[:3000]
     for way in (plain.forward, fast.forward, reference, pinocchio.forward_batch, ets.eval):
         agree("poses", way(few), kinematics.forward(robot, few))
@@ -86,7 +86,7 @@ def _poses(robot: Robot, q: np.ndarray) -> Job:
 
 def _poses_and_jacobians(robot: Robot, q: np.ndarray) -> Job:
     pinocchio, plain, fast = Pinocchio(robot), PlainNumpy(robot), FastNumpy(robot)
-    reference = _reference.Chain(robot.frames, robot.prismatic).forward_jacobian
+    reference = oracles.Chain(robot.frames, robot.prismatic).forward_jacobian
     few = q[:3000]
     T, J = kinematics.forward_jacobian(robot, few)
     for way in (plain.forward_jacobian, fast.forward_jacobian, reference, pinocchio.forward_jacobian_batch):

@@ -12,10 +12,10 @@ from blocks import Contender, Table, agree, alternate, each, figures
 from identified import PERIOD, WRENCH, log, model, with_masses
 from pinocchio_estimator import PinocchioEstimator
 from pinocchio_momentum import PinocchioMomentum
+from plain import oracles
 
 from armlab import robots
 from armlab.contact import Estimator
-from armlab.kernels import _reference
 from armlab.models import TorqueModel
 from armlab.robots import Robot
 from armlab.state import State
@@ -111,9 +111,9 @@ def _in_numpy(torque_model: TorqueModel, robot: Robot) -> Estimator:
     """Return the estimator on the reference kernels, which otherwise run only without the extension."""
     torque = "armlab.models.torque"
     with (
-        patch(f"{torque}.Chain", _reference.Chain),
-        patch(f"{torque}.Drive", _reference.Drive),
-        patch(f"{torque}.WrenchEstimator", _reference.WrenchEstimator),
+        patch(f"{torque}.Chain", oracles.Chain),
+        patch(f"{torque}.Drive", oracles.Drive),
+        patch(f"{torque}.WrenchEstimator", oracles.WrenchEstimator),
     ):
         return Estimator(replace(torque_model), robot)
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from blocks import Contender, Table, agree, loop, once, table
+from plain import oracles
 from scipy.signal import lfilter
 
-from armlab.kernels import _reference
 from armlab.signals import CausalDiff, ExpFilter, Integrator, LowPass2, Notch
 
 DT = 0.004
@@ -19,7 +19,7 @@ def run(quick: bool) -> list[Table]:
     rng = np.random.default_rng(0)
     samples = list(rng.standard_normal((1000, JOINTS)))
     operators = [LowPass2(10.0, DT), Integrator(DT), ExpFilter(0.1, DT), CausalDiff(10.0, DT), Notch(30.0, 2.0, DT)]
-    reference = _reference.SignalOperator("lowpass", 2 * np.pi * 10.0, np.sqrt(0.5), DT)
+    reference = oracles.SignalOperator("lowpass", 2 * np.pi * 10.0, np.sqrt(0.5), DT)
     worst = agree("LowPass2", operators[0].run(np.array(samples)), reference.run(np.array(samples)), 1e-10)
     steps = [
         *(

@@ -7,9 +7,9 @@ from time import perf_counter
 
 import numpy as np
 from blocks import Block, Contender, Table, agree, alternate, figures, loop, table
+from plain import oracles
 
 from armlab import State, motion, robots
-from armlab.kernels import _reference
 from armlab.kinematics import forward
 from armlab.motion.primitive.run import RunParameters
 
@@ -98,12 +98,12 @@ def _looping(count: int) -> Block:
     return block
 
 
-def _plain(two_dof: motion.TwoDofDmp) -> _reference.TwoDof:
+def _plain(two_dof: motion.TwoDofDmp) -> oracles.TwoDof:
     dmp, gains = two_dof.dmp, np.array([two_dof.kp, two_dof.kv, two_dof.kc, two_dof.alpha_e, two_dof.e_max])
     shape = dmp.centres, dmp.widths, dmp.weights, dmp.alpha_z, dmp.alpha_z * dmp.beta_z
-    primitive = _reference.Primitive(*shape, dmp.alpha_x, dmp.tau_d / dmp.duration, dmp.schedule)
+    primitive = oracles.Primitive(*shape, dmp.alpha_x, dmp.tau_d / dmp.duration, dmp.schedule)
     zone, unit = np.asarray(two_dof.e0), np.asarray(two_dof.e_scale)
-    return _reference.TwoDof(primitive, dmp.tau_d, dmp.y0, dmp.g, np.ones(7), gains, zone, unit)
+    return oracles.TwoDof(primitive, dmp.tau_d, dmp.y0, dmp.g, np.ones(7), gains, zone, unit)
 
 
 def _state(dmp: motion.Dmp, share: float) -> np.ndarray:

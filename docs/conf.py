@@ -28,6 +28,7 @@ extensions = [
     "plain_docstrings",
     "library_table",
     "accuracy_table",
+    "kernel_signatures",
     "fault_table",
     "figures",
     "notebooks",

@@ -27,10 +27,10 @@ __all__ = ["mutants", "placed", "prepare"]
 
 ROOT = Path(__file__).resolve().parents[1]
 NATIVE, BUILT = ROOT / "native", ROOT / "build" / "mutants"
-BESIDE, ORIGINAL = "arrays.cpp", "original.o"  # of the core, what the mutated file needs
+BESIDE, ORIGINAL = "array/arrays.cpp", "original.o"  # of the core, what the mutated file needs
 MODULE = """
 #define ARMLAB_IMPORTS_NUMPY
-#include "arrays.h"
+#include "array/arrays.h"
 void bind_{name}(nb::module_ &m);
 NB_MODULE({name}, m) {{
   if (PyArray_ImportNumPyAPI() < 0) throw nb::python_error();

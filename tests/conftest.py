@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from armlab import identify, kernels, robots
+from armlab import identify, robots
 from armlab.estimation import Experiment, Fit
 from armlab.identify import base_parameters
 from armlab.kernels import presliding
@@ -251,8 +251,6 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def fitted(truth: Truth, excited: Table, run_folder: Path) -> Fit[TorqueModel]:
     """The torque model identified from that log, with its covariance."""
-    if kernels.backend == "reference":
-        pytest.skip("identification takes minutes in NumPy; the contract test holds the kernels")
     return _once(run_folder, "fitted", lambda: identify.fit_dynamics(excited, truth.robot))
 
 

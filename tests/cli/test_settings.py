@@ -34,7 +34,6 @@ def test_environment_before_folder_before_user(home: Path) -> None:
         "XDG_CONFIG_HOME": str(home.parent),
         f"{PREFIX}SPEED": "0.5",
         f"{PREFIX}PORTS": "yumi_left=7001, yumi_right=7002",
-        f"{PREFIX}KERNELS": "native",
         "HOME": "/nowhere",
     }
     told = load_settings(variables)

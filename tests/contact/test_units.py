@@ -10,7 +10,6 @@ import pytest
 
 from armlab import identify
 from armlab.contact import Estimator
-from armlab.kernels import backend
 from armlab.log import Table
 from armlab.models import FORCE_RATES, PRIOR, TorqueModel, velocity_covariance
 
@@ -18,8 +17,7 @@ WAYS: dict[str, dict[str, Any]] = {
     **{name: {"method": name} for name in ("map", "bounded", "clip", "interval", "ls", "lund", "observer", "kf")},
     "kf with bias": {"method": "kf", "bias": True},
 }
-SLOW = pytest.mark.skipif(backend == "reference", reason="thousands of rounds and HiGHS take minutes in NumPy")
-CHECKED = [pytest.param(name, marks=SLOW if name in ("clip", "interval") else ()) for name in WAYS if name != "lund"]
+CHECKED = [name for name in WAYS if name != "lund"]
 
 
 @pytest.fixture(scope="module")

@@ -54,8 +54,6 @@ def run_here(path: Path, folder: Path) -> str:
 
 def run_file(path: Path, folder: Path) -> str:
     environment = {**os.environ, "MPLBACKEND": "agg", "PYTHONWARNINGS": "error"}
-    if os.environ.get("ARMLAB_KERNELS") == "reference":  # it says so in a warning
-        environment["PYTHONWARNINGS"] = "default"
     done = subprocess.run(
         [sys.executable, path],
         cwd=folder,

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armlab.kernels import Chain, backend
+from armlab.kernels import Chain
 
 NATIVE = Path(__file__).resolve().parents[2] / "native"
 JOINTS, COUNT = 7, 23
 PROGRAM = f"""
 #include <cstdio>
-#include "batch.h"
-#include "kinematics.h"
+#include "array/batch.h"
+#include "math/arm/kinematics.h"
 using namespace armlab;
 int main() {{
   static double frames[16 * {JOINTS + 1}], prismatic[{JOINTS}], q[{JOINTS * COUNT}];
@@ -45,7 +45,6 @@ COMPILER = shutil.which("c++")
 
 
 @pytest.mark.slow  # 4 s each: the compiler
-@pytest.mark.skipif(backend == "reference", reason="needs the extension to compare with")
 @pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
 @pytest.mark.parametrize("way", WAYS)
 def test_same_bits_however_compiled(way: str, tmp_path: Path) -> None:
@@ -63,7 +62,9 @@ def test_same_bits_however_compiled(way: str, tmp_path: Path) -> None:
     source, program = tmp_path / "kernels.cpp", tmp_path / "kernels"
     source.write_text(PROGRAM)
     options = ["-std=c++17", "-O2", "-ffp-contract=off", "-Wno-psabi", "-I", str(NATIVE), *WAYS[way]]
-    subprocess.run([str(COMPILER), *options, str(source), str(NATIVE / "chain.cpp"), "-o", str(program)], check=True)
+    subprocess.run(
+        [str(COMPILER), *options, str(source), str(NATIVE / "math/arm/chain.cpp"), "-o", str(program)], check=True
+    )
     given = b"".join(array.astype(np.float64).tobytes() for array in (frames, prismatic, q))
     out = np.frombuffer(subprocess.run([str(program)], input=given, capture_output=True, check=True).stdout)
     T, J = Chain(frames, prismatic).forward_jacobian(q)

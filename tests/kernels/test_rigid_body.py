@@ -1,4 +1,4 @@
-"""Laws of the dynamic kernels, of whichever backend is in use, and the golden values of the synthetic YuMi."""
+"""Laws of the dynamic kernels, and the golden values of the synthetic YuMi."""
 
 from __future__ import annotations
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import combinations, product
-from types import ModuleType
 
 import numpy as np
 import osqp
@@ -13,8 +12,10 @@ from scipy.optimize import lsq_linear
 
 from armlab import kernels, robots
 from armlab.errors import ShapeError
-from armlab.kernels import _reference, solve_wrench, wrench_interval
-from armlab.kernels._reference.wrench import METHODS
+from armlab.kernels import solve_wrench, wrench_interval
+
+from .. import oracles
+from ..oracles.wrench import METHODS
 
 PRIOR = np.array([400.0, 400, 400, 4, 4, 4])
 MAP, BOUNDED, CLIP, LS, LUND = (METHODS.index(name) for name in ("map", "bounded", "clip", "ls", "lund"))
@@ -190,7 +191,7 @@ def test_the_interval_holds_the_truth() -> None:
     """Draws with |d| <= D and |e| <= 3 s: never outside; a wider bound never gives a narrower interval."""
     rng = np.random.default_rng(10)
     box = 10 * np.sqrt(PRIOR)
-    count = 2000 if kernels.backend == "native" else 50  # NumPy solves twelve programs by SciPy for each
+    count = 2000
     for k, (A, F, d, variance, bound, _) in enumerate(problems(count, 10)):
         s = np.sqrt(variance)
         error = A.T @ F + d + np.clip(s * rng.standard_normal(7), -3 * s, 3 * s)
@@ -253,8 +254,7 @@ def test_nothing_in_place_of_an_array_is_refused() -> None:
 
 
 @pytest.mark.parametrize("method", range(len(METHODS)))
-@pytest.mark.parametrize("backend", [kernels, _reference], ids=["kernels", "reference"])
-def test_variances_that_are_none_are_refused(backend: ModuleType, method: int) -> None:
+def test_variances_that_are_none_are_refused(method: int) -> None:
     A, _, _, variance, bound, error = next(problems(1, seed=0))
     good = {"A": A, "error": error, "variance": variance, "bound": bound, "prior": PRIOR, "method": method}
     for name, number in product(("variance", "prior", "bound"), (0.0, -1.0, np.nan, np.inf)):
@@ -263,16 +263,15 @@ def test_variances_that_are_none_are_refused(backend: ModuleType, method: int) -
         wrong = good[name].copy()
         wrong[2] = number
         with pytest.raises(ShapeError, match=f"^Expected finite {name} .* at number 2"):
-            backend.solve_wrench(**{**good, name: wrong})
+            kernels.solve_wrench(**{**good, name: wrong})
 
 
 @pytest.mark.parametrize("method", range(len(METHODS)))
-@pytest.mark.parametrize("backend", [kernels, _reference], ids=["kernels", "reference"])
-def test_a_torque_error_that_is_not_known_is_no_wrench_of_zero(backend: ModuleType, method: int) -> None:
+def test_a_torque_error_that_is_not_known_is_no_wrench_of_zero(method: int) -> None:
     A, _, _, variance, bound, error = next(problems(1, seed=0))
     error[3] = np.nan
-    assert np.isnan(backend.solve_wrench(A, error, variance, bound, PRIOR, method)[0]).all()
-    ends, violated = backend.wrench_interval(A, error, bound + 1.0, 10 * np.sqrt(PRIOR))
+    assert np.isnan(kernels.solve_wrench(A, error, variance, bound, PRIOR, method)[0]).all()
+    ends, violated = kernels.wrench_interval(A, error, bound + 1.0, 10 * np.sqrt(PRIOR))
     assert np.isnan(ends).all()
     assert not violated.any()
 
@@ -280,15 +279,14 @@ def test_a_torque_error_that_is_not_known_is_no_wrench_of_zero(backend: ModuleTy
 def test_without_digits_left_there_is_no_wrench() -> None:
     """Seven joints tell six unknowns: without noise their covariance has rank six, and its inverse has no digit."""
     A, _, _, variance, bound, error = next(problems(1, seed=0))
-    for backend in (kernels, _reference):
+    for backend in (kernels, oracles):
         x, P, *_, singular = backend.solve_wrench(A, error, 1e-40 * variance, bound, PRIOR, MAP)
         assert singular
         assert np.isnan(x).all()
         assert np.isnan(P).all()
 
 
-@pytest.mark.parametrize("backend", [kernels, _reference], ids=["kernels", "reference"])
-def test_limits_that_are_none_are_refused(backend: ModuleType) -> None:
+def test_limits_that_are_none_are_refused() -> None:
     A, _, _, _, bound, error = next(problems(1, seed=0))
     for spread, box, name in (
         (-bound - 1.0, PRIOR, "spread"),
@@ -296,4 +294,4 @@ def test_limits_that_are_none_are_refused(backend: ModuleType) -> None:
         (bound * np.nan, PRIOR, "spread"),
     ):
         with pytest.raises(ShapeError, match=f"^Expected finite {name}"):
-            backend.wrench_interval(A, error, spread, box)
+            kernels.wrench_interval(A, error, spread, box)

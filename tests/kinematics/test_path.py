@@ -25,7 +25,7 @@ from armlab.kinematics import (
 )
 from armlab.robots import Robot
 
-ROWS = 500 if kernels.backend == "native" else 100
+ROWS = 500
 YUMI, IRB = robots.load("yumi_left"), robots.load("irb2400")
 
 
@@ -81,7 +81,6 @@ def test_poses_are_reached_inside_the_limits(objective: Any, seed: int) -> None:
     assert path.report() == f"All {ROWS} poses reached on one branch."
 
 
-@pytest.mark.skipif(kernels.backend == "reference", reason="minutes in NumPy; the contract test holds the kernels")
 def test_detours_lead_on_where_the_least_motion_ends() -> None:
     """Of large motions of seven joints the least motion breaks one in five; of these most are mended."""
     broken, mended = 0, 0
@@ -129,7 +128,6 @@ def is_elbow(q: np.ndarray) -> bool:
     return bool(abs(force @ arm) > 0.99 * np.linalg.norm(arm) * np.linalg.norm(force))
 
 
-@pytest.mark.skipif(kernels.backend == "reference", reason="minutes in NumPy; the contract test holds the kernels")
 def test_through_singular_elbows_without_a_jump() -> None:
     """4 ms steps of a joint motion at about 1 rad/s that passes exactly through a singular posture."""
     passages, s = 0, np.linspace(-0.6, 0.6, 301)[:, None]
@@ -319,7 +317,6 @@ def patient_threads() -> Iterator[None]:
     sys.setswitchinterval(interval)
 
 
-@pytest.mark.skipif(kernels.backend == "reference", reason="NumPy decides for itself when it lets go")
 @pytest.mark.usefixtures("patient_threads")
 def test_long_paths_let_other_threads_run() -> None:
     T, done = np.tile(forward(IRB, IRB.q_home), (100_000, 1, 1)), []

@@ -1,11 +1,10 @@
-"""What the kernels make of the inputs in `tables`: `python results.py native|reference FILE` writes the results."""
+"""What the kernels make of the inputs in `tables`: `python results.py FILE` writes the results."""
 
 from __future__ import annotations
 
 import json
 import sys
 from functools import reduce
-from importlib import import_module
 from operator import getitem
 from pathlib import Path
 from typing import Any
@@ -91,9 +90,9 @@ TABLED = {  # tables of kernels that are not called as these are
     "TwoDof.time_constant": "TwoDof time time_constant",
     "WrenchEstimator.run": "WrenchEstimator",
 }
-BYTES = "bytes and texts, no numbers are computed: tests/contract holds what comes out to what was put in"
+BYTES = "bytes and texts, no numbers are computed: tests/kernels holds what comes out to what was put in"
 LEFT_OUT = {  # kernels without a table, and what holds them instead
-    "Chain.forward_jacobian": "gives what forward and jacobian give, to the bit (tests/contract/test_kernels.py)",
+    "Chain.forward_jacobian": "gives what forward and jacobian give, to the bit (tests/kernels/test_chain.py)",
     "Datagrams": BYTES,
     "EgmReader": BYTES,
     "EgmWriter": BYTES,
@@ -117,7 +116,6 @@ LEFT_OUT = {  # kernels without a table, and what holds them instead
     "TwoDof.follow": "advance, then reference",
     "WrenchEstimator.reset": "forgets, and computes nothing",
     "WrenchEstimator.step": "the samples of run, one after the other",
-    "backend": "a name",
     "follow_path": "the same, row by row",
     "poses": "refuses what is no pose, and returns the rest as it came",
     "rotations": "refuses what is no rotation, and returns the rest as it came",
@@ -207,7 +205,8 @@ def many() -> dict[str, dict[str, Any]]:
 
 
 if __name__ == "__main__":
-    backend = import_module({"native": "armlab.kernels._native", "reference": "armlab.kernels._reference"}[sys.argv[1]])
-    found = {key: result(backend, key, table) for key, table in tables().items()}
-    found |= {f"many {key}": result(backend, key, table) for key, table in many().items()}
-    np.savez(sys.argv[2], **{key.replace("/", ":"): values for key, values in found.items()})
+    from armlab import kernels
+
+    found = {key: result(kernels, key, table) for key, table in tables().items()}
+    found |= {f"many {key}": result(kernels, key, table) for key, table in many().items()}
+    np.savez(sys.argv[1], **{key.replace("/", ":"): values for key, values in found.items()})

@@ -8,7 +8,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -19,14 +18,12 @@ RESULTS = runpy.run_path(str(SCRIPT))
 TABLES = RESULTS["tables"]()
 SAMPLES = TABLES | {f"many {key}": table for key, table in RESULTS["many"]().items()}
 PLAIN_C = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-AVX512F,-FMA,-FMA4"}  # exp, sin ... without fused multiply-add
-PLAIN_NUMPY = {"NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3 AVX512F AVX512_SKX", "OPENBLAS_CORETYPE": "Nehalem"}
 EMULATOR = shutil.which("qemu-x86_64") or shutil.which("qemu-x86_64-static")
 OF_THE_C_LIBRARY = 4.0  # roundings, of which 2 were found: its functions differ by one digit in one of a thousand calls
 PROCESSORS = {"SSE": "Nehalem", "AVX2": "Haswell"}
 
 pytestmark = [
     pytest.mark.slow,  # 1 to 10 s each: a program, emulated or not
-    pytest.mark.skipif(find_spec("armlab.kernels._native") is None, reason="the extension is not built here"),
     pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc chooses its functions by the processor"),
 ]
 
@@ -36,12 +33,12 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., dict[str, np.
     """Return results of a program of its own, by name."""
     folder, known = tmp_path_factory.mktemp("results"), {}
 
-    def results(module: str = "native", processor: str | None = None, **environment: str) -> dict[str, np.ndarray]:
-        key = (module, processor, *sorted(environment.items()))
+    def results(processor: str | None = None, **environment: str) -> dict[str, np.ndarray]:
+        key = (processor, *sorted(environment.items()))
         if key not in known:
             path = folder / f"{len(known)}.npz"
             emulator = [] if processor is None else [str(EMULATOR), "-cpu", processor]
-            command = [*emulator, sys.executable, "-W", "ignore", str(SCRIPT), module, str(path)]
+            command = [*emulator, sys.executable, "-W", "ignore", str(SCRIPT), str(path)]
             done = subprocess.run(command, timeout=300, env=os.environ | environment, capture_output=True, text=True)
             assert done.returncode == 0, done.stderr
             with np.load(path) as arrays:
@@ -78,14 +75,6 @@ def test_the_c_library_without_fused_multiply_add(run: Run) -> None:
         assert RESULTS["error"](table, plain[key]) <= RESULTS["bound"](key), key
 
 
-def test_numpy_kernels_without_vectors(run: Run) -> None:
-    """Their sums are those of BLAS, which orders them by the processor: within the bounds, not the same."""
-    found = run("reference", **PLAIN_C, **PLAIN_NUMPY)
-    for key, table in TABLES.items():
-        assert RESULTS["error"](table, found[key]) <= RESULTS["bound"](key), key
-
-
-@pytest.mark.parametrize("module", ["native", "reference"])
-def test_same_bits_with_any_number_of_threads(module: str, run: Run) -> None:
-    one, four = (run(module, OMP_NUM_THREADS=count, OPENBLAS_NUM_THREADS=count) for count in ("1", "4"))
+def test_same_bits_with_any_number_of_threads(run: Run) -> None:
+    one, four = (run(OMP_NUM_THREADS=count, OPENBLAS_NUM_THREADS=count) for count in ("1", "4"))
     assert differing(one, four) == set()

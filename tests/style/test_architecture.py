@@ -263,7 +263,7 @@ def test_what_is_imported_on_first_use_is_not_hidden_by_a_module(path: Path) -> 
 @each_file([p for p in FILES if p.name == "__init__.py" and p.parent.parent == SOURCE])
 def test_every_public_name_is_tested(path: Path) -> None:
     """Somewhere in the tests of its package, or of the whole (laws, contract)."""
-    folders = [ROOT / "tests" / folder for folder in (path.parent.name, "laws", "contract", "oracles", "style")]
+    folders = [ROOT / "tests" / folder for folder in (path.parent.name, "laws", "style")]
     words = {word for folder in folders for test in folder.rglob("*.py") for word in re.findall(r"\w+", source(test))}
     missing = sorted(public_names(path.parent.name) - words)
     assert not missing, f"{missing} do not appear in tests/{path.parent.name}"
@@ -372,9 +372,7 @@ def rule_that_fails(path: Path) -> None:
     assert not path.exists(), "it has a test" if path.name.startswith("test_") else "has none"
 
 
-@each_file(
-    [p for p in TESTS if p.parent.name in ("robots", "kinematics", "kernels", "_reference", "contract", "lie", "laws")]
-)
+@each_file([p for p in TESTS if p.parent.name in ("robots", "kinematics", "kernels", "lie", "laws")])
 def test_an_absolute_tolerance_is_the_whole_tolerance(path: Path) -> None:
     """`assert_allclose(a, b, atol=1e-12)` keeps rtol=1e-7, which is 1e5 times wider for numbers near 1."""
     for call in calls(path, "assert_allclose"):

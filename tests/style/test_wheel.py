@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -21,7 +20,7 @@ import numpy as np
 from armlab import kernels, robots
 robot = robots.load("yumi_left")
 T = robot.chain.forward(np.zeros(robot.n))
-print(kernels.backend, kernels.__file__, T.shape, bool(abs(np.linalg.det(T[:3, :3]) - 1) < 1e-12))
+print(kernels.__file__, T.shape, bool(abs(np.linalg.det(T[:3, :3]) - 1) < 1e-12))
 """
 
 for requirement in ("build", "scikit_build_core", "nanobind", "cmake"):
@@ -31,7 +30,7 @@ pytestmark = pytest.mark.slow  # a minute: the compiler
 
 def python(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run a module of this environment with no package index to ask."""
-    known = {k: v for k, v in os.environ.items() if k not in ("CC", "CXX", "ARMLAB_KERNELS")}
+    known = {k: v for k, v in os.environ.items() if k not in ("CC", "CXX")}
     return subprocess.run(
         [sys.executable, "-m", *arguments],
         env=known | {"PIP_NO_INDEX": "1", "PIP_NO_CACHE_DIR": "1"} | environment,
@@ -118,9 +117,8 @@ def test_wheel_holds_the_package_and_its_compiled_core(wheel: Path) -> None:
 def test_installed_wheel_runs_the_compiled_core(wheel: Path, tmp_path: Path) -> None:
     programs = install(wheel, tmp_path / "new")
     answer = run(programs, "python", "-W", "error", "-c", PROGRAM).stdout.split()
-    assert answer[0] == "native"
-    assert Path(answer[1]).is_relative_to(tmp_path)
-    assert answer[2:] == ["(4,", "4)", "True"]
+    assert Path(answer[0]).is_relative_to(tmp_path)
+    assert answer[1:] == ["(4,", "4)", "True"]
     assert run(programs, "armlab", "--version").stdout.strip() == wheel.name.split("-")[1]
 
 
@@ -143,17 +141,4 @@ def test_without_a_compiler_pip_says_what_to_install(sdist: Path, bare: Path, tm
     said = " ".join((result.stdout + result.stderr).split())
     assert "this machine has no C++ compiler. Install what is missing and try again: " in said
     assert "sudo apt install g++ python3-dev Fedora sudo dnf install gcc-c++ python3-devel macOS xcode-select" in said
-    assert "if it is preceded by ARMLAB_KERNELS=reference" in said
     assert not (tmp_path / "to").exists()
-
-
-def test_without_a_compiler_armlab_runs_in_numpy_if_asked(sdist: Path, bare: Path, tmp_path: Path) -> None:
-    """The wheel is of any machine, and what it runs says that it is slow and how to mend that."""
-    command = ("pip", "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(tmp_path), str(sdist))
-    result = python(*command, PATH=str(bare), ARMLAB_KERNELS="reference")
-    assert result.returncode == 0, result.stdout + result.stderr
-    (wheel,) = tmp_path.glob("*.whl")
-    assert wheel.name.endswith("-py3-none-any.whl")
-    answer = run(install(wheel, tmp_path / "new"), "python", "-c", PROGRAM)
-    assert answer.stdout.startswith("reference ")
-    assert re.search(r"NumPy reference kernels.* slower: .*with a C\+\+ compiler build it, `make", answer.stderr)

@@ -1,22 +1,15 @@
 """The compiled core: kernels that run per sample or per million samples.
 
-`backend` says which implementation is in use: "native", the C++ extension, or "reference", the same mathematics in
-NumPy. The environment variable ``ARMLAB_KERNELS`` chooses one; without it the extension is used when it is there.
-Both offer the same names, and a contract test holds one to the other.
+They are C++ (folder native); signatures and documentation are in `_native.pyi`. The tests hold each of them to its
+mathematics in plain NumPy, tests/oracles.
 """
 
 from __future__ import annotations
 
-import os
-import warnings
-from importlib import import_module
-from types import ModuleType
-from typing import TYPE_CHECKING
+from armlab.errors import MissingExtra
 
-from armlab.errors import ConfigError
-
-if TYPE_CHECKING:
-    from armlab.kernels._reference import (
+try:
+    from armlab.kernels._native import (
         Chain,
         Datagrams,
         Drive,
@@ -72,6 +65,11 @@ if TYPE_CHECKING:
         turned_weight,
         wrench_interval,
     )
+except ImportError as error:
+    raise MissingExtra(
+        f"Expected the compiled kernels of armlab, got none of this version ({error}). Install a wheel of armlab, or "
+        "install a C++ compiler and build it: `make -B setup` or `pip install .` in the sources."
+    ) from error
 
 __all__ = [
     "Chain",
@@ -94,7 +92,6 @@ __all__ = [
     "SignalOperator",
     "TwoDof",
     "WrenchEstimator",
-    "backend",
     "basis_weights",
     "euler_from_rpy",
     "euler_to_rpy",
@@ -130,38 +127,3 @@ __all__ = [
     "turned_weight",
     "wrench_interval",
 ]
-
-
-_BUILD = "`make -B setup` or `pip install .` in the sources"
-
-
-def _fall_back(reason: str) -> tuple[str, ModuleType]:
-    warnings.warn(
-        f"armlab runs its NumPy reference kernels, ten to a thousand times slower: {reason}.",
-        RuntimeWarning,
-        stacklevel=3,
-    )
-    return "reference", import_module("armlab.kernels._reference")
-
-
-def _choose() -> tuple[str, ModuleType]:
-    wanted = os.environ.get("ARMLAB_KERNELS", "")
-    if wanted not in ("", "native", "reference"):
-        raise ConfigError(f"Expected ARMLAB_KERNELS to be native or reference, got {wanted!r}. Correct it or unset it.")
-    if wanted == "reference":
-        return _fall_back("ARMLAB_KERNELS=reference asks for them")
-    try:
-        native = import_module("armlab.kernels._native")
-    except ImportError as error:
-        fault = f"the extension cannot be imported ({error}); with a C++ compiler build it, {_BUILD}"
-    else:
-        if not set(__all__) - {"backend"} - vars(native).keys():
-            return "native", native
-        fault = f"the extension is older than the sources; build it again, {_BUILD}"
-    if wanted == "native":
-        raise ConfigError(f"Expected the compiled kernels, as ARMLAB_KERNELS=native asks, got none: {fault}.")
-    return _fall_back(fault)
-
-
-backend, _module = _choose()
-globals().update({name: getattr(_module, name) for name in __all__ if name != "backend"})

@@ -362,7 +362,7 @@ class TorqueModel:
         Parameters
         ----------
         prior : (6,) prior variances of the wrench [N^2, (N m)^2].
-        method : index into ``armlab.kernels._reference.wrench.METHODS``.
+        method : 0 map, 1 bounded, 2 clip, 3 interval, 4 ls, 5 lund.
         point : (3,) known contact in tool axes [m], or None.
         """
         b = self.bound

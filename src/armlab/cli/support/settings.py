@@ -27,7 +27,6 @@ def read_text(path: Path, what: str) -> str:
 PREFIX = "ARMLAB_"
 _FILE = "armlab.toml"
 _PATHS = ("cell", "logs")  # relative to the file that says them
-_ELSEWHERE = ("ARMLAB_KERNELS",)  # variables that are no settings of commands
 
 _Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
 
@@ -98,7 +97,7 @@ def _of_file(path: Path) -> dict[str, Any]:
 def _of_environment(variables: Mapping[str, str]) -> list[tuple[str, dict[str, Any]]]:
     found = []
     for variable in sorted(variables):
-        if not variable.startswith(PREFIX) or variable in _ELSEWHERE:
+        if not variable.startswith(PREFIX):
             continue
         name = variable.removeprefix(PREFIX).lower()
         value: Any = variables[variable]

@@ -1,0 +1,155 @@
+// Forward kinematics and Jacobians of a chain, for Real = double (one configuration) or Lanes (several).
+#pragma once
+
+#include "math/arm/chain.h"
+
+namespace armlab {
+
+// Sine and cosine of `count` angles, angle(i).
+template <class Real, class Angle>
+inline void sincos_of(int count, Angle angle, Real *sine, Real *cosine) {
+  Real quadrant[max_joints], farthest(0.0);
+  for (int i = 0; i < count; ++i) {
+    const Real x = angle(i);
+    reduce_angle(x, quadrant[i], sine[i]);
+    note_distance(x, farthest);
+  }
+  for (int i = 0; i < count; ++i) sincos_of_remainder(Real(sine[i]), sine[i], cosine[i]);
+  for (int i = 0; i < count; ++i) turn_to_quadrant(quadrant[i], sine[i], cosine[i]);
+  if (all(farthest <= Real(far_angle))) return;
+  for (int i = 0; i < count; ++i) replace_far(angle(i), sine[i], cosine[i]);
+}
+
+// Sine and cosine of the angle of every joint.
+template <class Real>
+inline Real joint_angle(const Chain::Step &step, const Real &q) {
+  return step.slides ? Real(step.offset) : q + Real(step.offset);
+}
+template <class Real>
+inline void joint_sincos(const Chain &chain, const Real *q, Real *sine, Real *cosine) {
+  sincos_of(chain.n, [&](int i) { return joint_angle(chain.steps[i], q[i]); }, sine, cosine);
+}
+#ifdef ARMLAB_LANES
+inline void joint_sincos(const Chain &chain, const double *q, double *sine, double *cosine) {
+  constexpr int most = max_joints / Lanes::width;
+  Lanes angles[most], sines[most], cosines[most];  // joints side by side: the same numbers, sooner
+  const int groups = (chain.n + Lanes::width - 1) / Lanes::width;
+  double *angle = reinterpret_cast<double *>(angles);
+  for (int i = 0; i < chain.n; ++i) angle[i] = joint_angle(chain.steps[i], q[i]);
+  for (int i = chain.n; i < groups * Lanes::width; ++i) angle[i] = 0.0;
+  sincos_of(groups, [&](int i) { return angles[i]; }, sines, cosines);
+  std::memcpy(sine, sines, chain.n * sizeof(double));
+  std::memcpy(cosine, cosines, chain.n * sizeof(double));
+}
+#endif
+
+// Walks from base to tool; visit(i, z, p) sees the axis and a point of joint i + 1 in base axes. Returns T_base_tool.
+// (The columns are variables here, for of a pose that is returned the compiler would keep them in memory.)
+template <class Real, class Visit>
+inline Pose<Real> walk(const Chain &chain, const Real *q, Visit visit) {
+  Real sine[max_joints], cosine[max_joints];
+  joint_sincos(chain, q, sine, cosine);
+  const Pose<Real> base(chain.frame(0));
+  Vec3<Real> x = base.x, y = base.y, z = base.z, p = base.p;
+  for (int i = 0; i < chain.n; ++i) {
+    const Chain::Step &step = chain.steps[i];
+    visit(i, z, p);
+    const Vec3<Real> turned = cosine[i] * y - sine[i] * x;
+    x = cosine[i] * x + sine[i] * y;
+    if (step.slides) p = p + q[i] * z;
+    if (step.has_x) p = p + Real(step.px) * x;
+    if (step.has_y) p = p + Real(step.py) * turned;
+    if (step.has_z) p = p + Real(step.pz) * z;
+    switch (step.twist) {
+      case Chain::Twist::none:
+        y = turned;
+        break;
+      case Chain::Twist::quarter:
+        y = z;
+        z = -turned;
+        break;
+      case Chain::Twist::minus_quarter:
+        y = -z;
+        z = turned;
+        break;
+      case Chain::Twist::other:
+        y = Real(step.cos_alpha) * turned + Real(step.sin_alpha) * z;
+        z = Real(step.cos_alpha) * z - Real(step.sin_alpha) * turned;
+    }
+  }
+  if (chain.sin_last == 0.0 && chain.cos_last == 1.0) return {x, y, z, p};
+  const Real c(chain.cos_last), s(chain.sin_last);
+  return {c * x + s * y, c * y - s * x, z, p};
+}
+
+// T_out (16): T_base_tool, row by row.
+template <class Real>
+inline void forward(const Chain &chain, const Real *q, Real *T_out) {
+  walk(chain, q, [](int, const Vec3<Real> &, const Vec3<Real> &) {}).write(T_out);
+}
+
+// Zero, or NaN where a joint is NaN: for what does not depend on that joint, but must show that it is missing.
+template <class Real>
+inline Vec3<Real> missing_in(const Pose<Real> &T) {
+  return Real(0.0) * (T.x + T.p);
+}
+
+// J (6, n): rows [v; w], at the tool point, in base axes or in tool axes. Returns T_base_tool.
+template <class Real>
+inline Pose<Real> jacobian(const Chain &chain, const Real *q, bool tool, Real *J) {
+  const int n = chain.n;
+  const auto read = [&](int row, int i) { return Vec3<Real>{J[row * n + i], J[(row + 1) * n + i], J[(row + 2) * n + i]}; };
+  const auto write = [&](int row, int i, const Vec3<Real> &a) {
+    J[row * n + i] = a.x;
+    J[(row + 1) * n + i] = a.y;
+    J[(row + 2) * n + i] = a.z;
+  };
+  const Pose<Real> T = walk(chain, q, [&](int i, const Vec3<Real> &z, const Vec3<Real> &p) {
+    write(0, i, p);  // until the tool point is known
+    write(3, i, z);
+  });
+  const Vec3<Real> missing = missing_in(T), tip = T.p + missing;
+  for (int i = 0; i < n; ++i) {
+    Vec3<Real> w = read(3, i), v = cross(w, tip - read(0, i));
+    if (chain.steps[i].slides) {
+      v = w + missing;
+      w = {Real(0.0), Real(0.0), Real(0.0)};
+      write(3, i, w);
+    }
+    if (tool) {
+      v = T.turn_back(v);
+      write(3, i, T.turn_back(w));
+    }
+    write(0, i, v);
+  }
+  return T;
+}
+
+// T_{i-1,i} = E_{i-1} Z_i(q_i) (counting joints from 1): link frame i in link frame i - 1, the base for i = 1.
+template <class Real>
+inline Pose<Real> link_pose(const Chain &chain, int i, const Real &q) {
+  Pose<Real> T(chain.frame(i));
+  if (chain.steps[i].slides) {
+    T.p = T.p + q * T.z;
+    return T;
+  }
+  Real sine, cosine;
+  sincos(q, sine, cosine);
+  const Vec3<Real> x = cosine * T.x + sine * T.y;
+  T.y = cosine * T.y - sine * T.x;
+  T.x = x;
+  return T;
+}
+
+// T_out (n, 16): T_base_i of link frames 1 ... n.
+template <class Real>
+inline void link_transforms(const Chain &chain, const Real *q, Real *T_out) {
+  Pose<Real> T;
+  for (int i = 0; i < chain.n; ++i) {
+    const Pose<Real> step = link_pose(chain, i, q[i]);
+    T = i == 0 ? step : T * step;
+    T.write(T_out + 16 * i);
+  }
+}
+
+}  // namespace armlab

@@ -1,0 +1,70 @@
+// Contact wrench by the generalised momentum, without accelerations; tests/oracles/momentum.py
+// states the mathematics.
+#pragma once
+
+#include <array>
+#include <vector>
+
+#include "math/contact/estimator.h"
+#include "math/contact/momentum_filter.h"
+
+namespace armlab {
+
+class MomentumEstimator {
+ public:
+  struct Parameters : ArmModel {
+    using ArmModel::ArmModel;
+    std::array<double, max_joints> memory;    // correlation time of the torque error [s]
+    std::array<double, max_joints> qd_noise;  // deviation of the measured velocity
+    std::array<double, 6> rate, leak;         // of the wrench: intensity of its walk [N^2/s, (N m)^2/s], leak [1/s]
+    double gain;                              // of the observer [1/s]
+    bool filters;                             // Kalman filter, else the observer
+    bool biased;                              // the filter has a hidden friction error per joint
+  };
+
+  explicit MomentumEstimator(const Parameters &parameters);
+
+  int n() const { return p_.chain.n; }
+  bool has_interval() const { return false; }
+  void reset();
+  // One sample. All NaN and flag 1 for a sample that is not finite; then nothing has moved.
+  void step(const double *q, const double *qd, const double *tau, double dt, WrenchEstimate &estimate);
+  // Calls what the torques show now friction; false, and nothing done, unless every joint rests and friction is hidden.
+  bool tare();
+
+ private:
+  struct Joint {
+    JointDrive drive;
+    double q, known, momentum;  // of the last sample
+    double residual, unsure;    // of the observer: low-passed
+    double since_tare;          // displacement, in presliding distances
+  };
+  // A sample on its way in: nothing of the estimator has moved yet.
+  struct Sample {
+    std::array<Joint, max_joints> joints;
+    double known[max_joints], middle[max_joints];  // torque and position in the middle of the step
+    double change[max_joints];                     // of the momentum
+    double moved[max_joints], rise[max_joints];    // displacement; variance of the presliding state that rest adds
+    bool apart;                                    // from the last sample: nothing is known of the time between
+  };
+
+  int unknowns() const { return p_.at_point ? 3 : 6; }
+  int inputs() const { return unknowns() + (p_.biased ? n() : 0); }
+  const double *point() const { return p_.at_point ? p_.point.data() : nullptr; }
+  bool prepare(const double *q, const double *qd, const double *tau, double dt, Sample &s) const;
+  void observe(const double *q, const double *qd, double dt, Sample &s, WrenchEstimate &e);
+  bool filter(const double *q, const double *qd, double dt, const Sample &s, WrenchEstimate &e);
+  void hidden(const Sample &s, const double *A, double dt, WrenchEstimate &e);
+  void restart(const Sample &s, double dt);
+  void report(const double *q, const Unknowns &middle, WrenchEstimate &e) const;
+
+  Parameters p_;
+  std::array<double, max_joints> static_;
+  std::array<Joint, max_joints> joints_;
+  std::vector<double> x_, P_, work_;                // of the filter: [p; z; friction error]
+  std::vector<double> M_, R_, G_, Qp_, q_, a_;      // of a step, kept so that nothing is allocated in one
+  double seen_, nominal_;  // share of the wrench that has reached the observer; step of the first sample
+  bool first_, fresh_, tared_;  // fresh: at the last sample nothing was known of friction yet
+};
+
+}  // namespace armlab

@@ -1,0 +1,133 @@
+// Descent of the inverse kinematics from one start after the other; see inverse.h.
+#pragma once
+
+#include <cstddef>
+#include <utility>
+
+#include "math/inverse/inverse_step.h"
+
+namespace armlab {
+
+constexpr double least_damping = 1e-12;
+constexpr int grace = 3;                    // steps in a row that may fail to be the best before they are taken back
+constexpr double stationary_cosine = 1e-2;  // between the residual and what free joints can do about it
+
+// A start is given up when the last `window` steps together left more than `rate` of |e|^2.
+struct Patience {
+  int window;
+  double rate;
+};
+constexpr int most_window = 24;
+constexpr Patience hasty{4, 0.5}, patient{most_window, 1.0 - 1e-6};
+
+// Steps towards one goal, from one start after the other.
+template <int M>
+class Descent {
+ public:
+  Descent(const Chain &chain, const Goal &goal, const Search &search, double weight)
+      : chain_(chain), goal_(goal), search_(search), weight_(weight) {}
+
+  // Descends from q inside the box; true when it gets to the goal. A step that does not reduce the error may still lead
+  // on, as along a curved valley near a singular posture: `grace` of them are tried before the damping is raised.
+  bool run(const double *q, const Box &box, Patience patience, double *history) {
+    for (int i = 0; i < chain_.n; ++i) best_->q[i] = clamp(q[i], box.low[i], box.high[i]);
+    evaluate(chain_, goal_, weight_, *best_);
+    if (history) std::fill_n(history, 2 * (std::ptrdiff_t{search_.steps} + 1), std::numeric_limits<double>::quiet_NaN());
+    const Iterate<M> *from = best_;
+    double squares[most_window], damping = search_.damping;
+    int left = grace;
+    for (int k = 0;; ++k) {
+      if (history) {
+        *history++ = best_->position_error;
+        *history++ = best_->rotation_error;
+      }
+      if (best_->within(search_)) return true;
+      double &before = squares[k % patience.window];
+      if (k == search_.steps || (k >= patience.window && !(best_->square <= patience.rate * before))) return false;
+      before = best_->square;
+      ++steps_;
+      const bool moved = step(chain_.n, *from, box, damping * from->square + least_damping, *trial_);
+      if (moved) evaluate(chain_, goal_, weight_, *trial_);
+      if (moved && trial_->square < best_->square) {
+        std::swap(best_, trial_);
+        damping = std::max(damping / 4.0, search_.damping);
+        left = grace;
+        from = best_;
+      } else if (moved && --left > 0) {
+        std::swap(astray_, trial_);
+        from = astray_;
+      } else {
+        damping *= 8.0;
+        left = grace;
+        from = best_;
+      }
+    }
+  }
+
+  // The posture with the least error of the last run.
+  const Iterate<M> &best() const { return *best_; }
+
+  // Whether the residual pulls joint i against its end of the box.
+  bool is_blocked(const Box &box, int i) const {
+    return (best_->q[i] >= box.high[i] && slope(i) > 0.0) || (best_->q[i] <= box.low[i] && slope(i) < 0.0);
+  }
+  bool is_blocked(const Box &box) const {
+    for (int i = 0; i < chain_.n; ++i)
+      if (is_blocked(box, i)) return true;
+    return false;
+  }
+  // Whether no joint that is free to move reduces the error.
+  bool is_stationary(const Box &box) const {
+    double slopes = 0.0, sizes = 0.0;
+    for (int i = 0; i < chain_.n; ++i) {
+      if (is_blocked(box, i)) continue;
+      slopes += slope(i) * slope(i);
+      for (int a = 0; a < M; ++a) sizes += best_->J[i][a] * best_->J[i][a];
+    }
+    return slopes <= stationary_cosine * stationary_cosine * sizes * best_->square;
+  }
+
+  // Whether joints could do more elsewhere than at the best posture. Where there are joints enough for the task, a
+  // stationary residual says so; otherwise, that columns of J depend on those before them.
+  bool is_singular() const {
+    if (chain_.n >= M) return true;
+    double Q[M][M];  // orthogonal to each other, by Gram and Schmidt
+    for (int i = 0; i < chain_.n; ++i) {
+      double before = 0.0, after = 0.0;
+      std::copy_n(best_->J[i], M, Q[i]);
+      for (int a = 0; a < M; ++a) before += Q[i][a] * Q[i][a];
+      for (int j = 0; j < i; ++j) {
+        double along = 0.0;
+        for (int a = 0; a < M; ++a) along += Q[i][a] * Q[j][a];
+        for (int a = 0; a < M; ++a) Q[i][a] -= along * Q[j][a];
+      }
+      for (int a = 0; a < M; ++a) after += Q[i][a] * Q[i][a];
+      if (after <= stationary_cosine * stationary_cosine * before) return true;
+      for (int a = 0; a < M; ++a) Q[i][a] /= std::sqrt(after);
+    }
+    return false;
+  }
+
+  int steps() const { return steps_; }  // of all runs
+  Outcome outcome(Status status, int starts) const {
+    constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+    return {status, best_->position_error, best_->rotation_error, nan, steps_, starts};
+  }
+
+ private:
+  double slope(int i) const {  // how fast |e|^2 / 2 falls along joint i
+    double sum = 0.0;
+    for (int a = 0; a < M; ++a) sum += best_->J[i][a] * best_->e[a];
+    return sum;
+  }
+
+  const Chain &chain_;
+  const Goal &goal_;
+  const Search &search_;
+  const double weight_;
+  Iterate<M> iterates_[3];
+  Iterate<M> *best_ = &iterates_[0], *trial_ = &iterates_[1], *astray_ = &iterates_[2];
+  int steps_ = 0;
+};
+
+}  // namespace armlab

@@ -1,0 +1,186 @@
+// One start of the inverse kinematics: residual, Jacobian and damped steps inside a box. M is the number of rows of the
+// task; see inverse.h.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "math/inverse/inverse.h"
+#include "math/lie/lie.h"
+
+namespace armlab {
+
+inline double clamp(double x, double low, double high) { return std::min(std::max(x, low), high); }
+
+// Residual and Jacobian at a posture, about the same point: rows in radians (weight times metres), base axes. A small
+// step dq changes the residual by -J dq.
+template <int M>
+struct Iterate {
+  static constexpr bool has_position = M != 2, has_rotation = M == 6, has_axis = M == 5 || M == 2;
+  static constexpr int first_turn = has_position ? 3 : 0;
+
+  double q[max_joints];
+  double J[max_joints][M];  // column by column
+  double e[M];
+  double square;  // |e|^2
+  double position_error, rotation_error;
+
+  bool within(const Search &search) const {
+    return (!has_position || position_error <= search.position_tolerance) &&
+           (M == 3 || rotation_error <= search.rotation_tolerance);
+  }
+};
+
+// The rotation vector that turns the tool's axis into the goal's by the shortest way, along two directions across it.
+inline void axis_residual(const Goal &goal, const Pose<double> &T, Vec3<double> *across, double *e) {
+  const Vec3<double> now = T.turn(goal.axis), wanted = goal.T.turn(goal.axis), turn = cross(now, wanted);
+  across[0] = T.turn(goal.across[0]);
+  across[1] = T.turn(goal.across[1]);
+  const double sine = norm(turn), cosine = dot(now, wanted);
+  const double angle = std::atan2(sine, cosine);
+  if (sine == 0.0) {  // along, or against: then any direction across is as short
+    e[0] = angle;
+    e[1] = 0.0;
+    return;
+  }
+  e[0] = dot(across[0], turn) * (angle / sine);
+  e[1] = dot(across[1], turn) * (angle / sine);
+}
+
+// R_goal R^T: what turns the tool into the goal, in base axes.
+inline Rotation<double> rotation_between(const Pose<double> &T, const Pose<double> &goal) {
+  return {T.x.x * goal.x + T.y.x * goal.y + T.z.x * goal.z, T.x.y * goal.x + T.y.y * goal.y + T.z.y * goal.z,
+          T.x.z * goal.x + T.y.z * goal.y + T.z.z * goal.z};
+}
+
+template <int M>
+inline void evaluate(const Chain &chain, const Goal &goal, double weight, Iterate<M> &at) {
+  using I = Iterate<M>;
+  constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+  Vec3<double> axis[max_joints], point[max_joints], across[2];
+  const Pose<double> T = walk(chain, at.q, [&](int i, const Vec3<double> &z, const Vec3<double> &p) {
+    axis[i] = z;
+    point[i] = p;
+  });
+  at.position_error = at.rotation_error = nan;
+  at.square = 0.0;
+  if constexpr (I::has_position) {
+    const Vec3<double> d = goal.T.p - T.p;
+    at.position_error = norm(d);
+    at.e[0] = weight * d.x;
+    at.e[1] = weight * d.y;
+    at.e[2] = weight * d.z;
+    at.square = weight * weight * dot(d, d);
+  }
+  double *turn = at.e + I::first_turn;
+  if constexpr (I::has_rotation) {
+    const Vec3<double> w = so3_log(rotation_between(T, goal.T));
+    turn[0] = w.x;
+    turn[1] = w.y;
+    turn[2] = w.z;
+    at.square += dot(w, w);
+    at.rotation_error = norm(w);
+  }
+  if constexpr (I::has_axis) {
+    axis_residual(goal, T, across, turn);
+    const double square = turn[0] * turn[0] + turn[1] * turn[1];
+    at.square += square;
+    at.rotation_error = std::sqrt(square);
+  }
+  for (int i = 0; i < chain.n; ++i) {
+    double *column = at.J[i];
+    const bool slides = chain.steps[i].slides;
+    const Vec3<double> &z = axis[i];
+    if constexpr (I::has_position) {
+      const Vec3<double> v = slides ? z : cross(z, T.p - point[i]);
+      column[0] = weight * v.x;
+      column[1] = weight * v.y;
+      column[2] = weight * v.z;
+    }
+    if constexpr (I::has_rotation) {
+      column[3] = slides ? 0.0 : z.x;
+      column[4] = slides ? 0.0 : z.y;
+      column[5] = slides ? 0.0 : z.z;
+    }
+    if constexpr (I::has_axis) {
+      column[I::first_turn] = slides ? 0.0 : dot(across[0], z);
+      column[I::first_turn + 1] = slides ? 0.0 : dot(across[1], z);
+    }
+  }
+}
+
+// A = L D L^T of a symmetric positive definite matrix: L below the diagonal of A, and 1 / D. False when it is not.
+template <int M>
+inline bool factor(double (&A)[M][M], double (&inverse)[M]) {
+  double D[M], scaled[M] = {};
+  for (int j = 0; j < M; ++j) {
+    D[j] = A[j][j];
+    for (int k = 0; k < j; ++k) {
+      scaled[k] = A[j][k] * D[k];
+      D[j] -= A[j][k] * scaled[k];
+    }
+    if (!(D[j] > 0.0)) return false;
+    inverse[j] = 1.0 / D[j];
+    for (int i = j + 1; i < M; ++i) {
+      for (int k = 0; k < j; ++k) A[i][j] -= A[i][k] * scaled[k];
+      A[i][j] *= inverse[j];
+    }
+  }
+  return true;
+}
+
+// Solves A x = b in place, with A from `factor`.
+template <int M>
+inline void substitute(const double (&A)[M][M], const double (&inverse)[M], double (&b)[M]) {
+  for (int i = 1; i < M; ++i)
+    for (int k = 0; k < i; ++k) b[i] -= A[i][k] * b[k];
+  for (int i = 0; i < M; ++i) b[i] *= inverse[i];
+  for (int i = M - 2; i >= 0; --i)
+    for (int k = i + 1; k < M; ++k) b[i] -= A[k][i] * b[k];
+}
+
+// A = J J^T + lambda I, with the columns of J that `uses` tells.
+template <int M>
+inline void normal_matrix(int n, const double (*J)[M], const bool *uses, double lambda, double (&A)[M][M]) {
+  for (int a = 0; a < M; ++a) {
+    for (int b = 0; b < M; ++b) A[a][b] = 0.0;
+    A[a][a] = lambda;
+  }
+  for (int i = 0; i < n; ++i)
+    if (uses[i])
+      for (int a = 0; a < M; ++a)
+        for (int b = 0; b < M; ++b) A[a][b] += J[i][a] * J[i][b];
+}
+
+// next.q = q + dq with dq = J^T (J J^T + lambda I)^-1 e inside the box: a joint that would leave it goes to its end, the
+// others make up for what it does not do. False when the equations cannot be solved.
+template <int M>
+inline bool step(int n, const Iterate<M> &at, const Box &box, double lambda, Iterate<M> &next) {
+  bool moves[max_joints];
+  double e[M];
+  std::fill_n(moves, n, true);
+  std::copy_n(at.e, M, e);
+  for (bool again = true; again;) {
+    double A[M][M], inverse[M], y[M];
+    normal_matrix(n, at.J, moves, lambda, A);
+    if (!factor(A, inverse)) return false;
+    std::copy_n(e, M, y);
+    substitute(A, inverse, y);
+    again = false;
+    for (int i = 0; i < n; ++i) {
+      if (!moves[i]) continue;
+      double dq = 0.0;
+      for (int a = 0; a < M; ++a) dq += at.J[i][a] * y[a];
+      const double wanted = at.q[i] + dq, allowed = clamp(wanted, box.low[i], box.high[i]);
+      next.q[i] = allowed;
+      if (allowed == wanted) continue;
+      moves[i] = false;
+      again = true;
+      for (int a = 0; a < M; ++a) e[a] -= at.J[i][a] * (allowed - at.q[i]);
+    }
+  }
+  return true;
+}
+
+}  // namespace armlab

@@ -1,0 +1,181 @@
+// The self-motion of a redundant arm: with the tool at its goal, joints move to where an objective is least.
+// Specification: tests/oracles/descent.py.
+//
+// Newton steps in the null space of the task, with the curvature of the task in the Hessian. Joints at a limit that a
+// step would press against it stay there. After each step the tool is brought back to the goal.
+#pragma once
+
+#include "math/inverse/null_space.h"
+#include "math/inverse/objective.h"
+
+namespace armlab {
+
+constexpr int most_null_steps = 100;
+constexpr double least_slope = 1e-10;  // where the descent ends
+constexpr double longest_step = 0.3;   // of a joint
+constexpr double difference = 1e-6;    // of joints, for second derivatives
+constexpr double sharpnesses[] = {30.0, 300.0, 1000.0};  // of the objective "limits", one after the other
+
+template <int M>
+class SelfMotion {
+ public:
+  SelfMotion(const Chain &chain, const Goal &goal, const Search &search, double weight, const Box &box)
+      : chain_(chain), goal_(goal), search_(search), weight_(weight), box_(box), n_(chain.n) {}
+
+  // Moves `at`, which is at the goal. Returns the slope that is left along the free self-motion.
+  double descend(Iterate<M> &at) {
+    trial_ = at;
+    if (restore(box_)) at = trial_;
+    double slope = 0.0;
+    for (double sharpness : sharpnesses) {
+      sharpness_ = sharpness;
+      slope = descend_once(at);
+      if (search_.objective.kind != Objective::Kind::limits) break;
+    }
+    return slope;
+  }
+  int steps() const { return steps_; }
+
+ private:
+  double descend_once(Iterate<M> &at) {
+    for (int k = 0;; ++k) {
+      const double value = value_at(at, gradient_);
+      std::fill_n(fixed_, n_, false);
+      find_null_space(at);
+      const double slope = space_.slope();
+      if (slope <= least_slope || k == most_null_steps) return slope;
+      find_direction(at);
+      if (!advance(at, value)) return slope;
+      ++steps_;
+    }
+  }
+
+  double value_at(const Iterate<M> &at, double *gradient) const {
+    return objective(chain_, goal_, weight_, search_.objective, sharpness_, at, gradient);
+  }
+
+  // The null space of the joints that can go downhill: those that would leave the box are fixed.
+  void find_null_space(const Iterate<M> &at) {
+    double uphill[max_joints];
+    do {
+      space_.find(n_, at.J, gradient_, fixed_);
+      space_.expand(n_, space_.reduced, uphill);
+      for (int i = 0; i < n_; ++i) step_[i] = -uphill[i];
+    } while (fix_blocked(at));
+  }
+
+  // Fixes the joints at an end of the box that step_ presses against it; false when there are none.
+  bool fix_blocked(const Iterate<M> &at) {
+    bool any = false;
+    for (int i = 0; i < n_; ++i)
+      if ((at.q[i] >= box_.high[i] && step_[i] > 0.0) || (at.q[i] <= box_.low[i] && step_[i] < 0.0))
+        fixed_[i] = any = true;
+    return any;
+  }
+
+  // step_: the Newton step, with the joints that it presses against a limit fixed as well; where that leaves nothing, the
+  // step goes straight downhill.
+  void find_direction(const Iterate<M> &at) {
+    bool fixed[max_joints];
+    double z[max_joints];
+    std::copy_n(fixed_, n_, fixed);
+    while (space_.slope() > least_slope) {
+      find_newton_step(at, z);
+      if (!fix_blocked(at)) return;
+      find_null_space(at);
+    }
+    std::copy_n(fixed, n_, fixed_);
+    space_.find(n_, at.J, gradient_, fixed_);
+    for (int k = 0; k < space_.size; ++k) z[k] = -space_.reduced[k];
+    go_along(z);
+  }
+
+  // The Hessian of objective - mu^T task in the null space, by differences of its gradient.
+  void find_newton_step(const Iterate<M> &at, double *z) {
+    double H[max_joints][max_joints], other[max_joints], change[max_joints];
+    const int size = space_.size;
+    for (int k = 0; k < size; ++k) {
+      std::copy_n(at.q, n_, trial_.q);
+      for (int f = 0; f < space_.joints; ++f) trial_.q[space_.joint[f]] += difference * space_.basis[k][f];
+      evaluate(chain_, goal_, weight_, trial_);
+      value_at(trial_, other);
+      for (int f = 0; f < space_.joints; ++f) {
+        const int i = space_.joint[f];
+        change[f] = other[i] - gradient_[i];
+        for (int a = 0; a < M; ++a) change[f] -= (trial_.J[i][a] - at.J[i][a]) * space_.mu[a];
+      }
+      for (int l = 0; l < size; ++l) {
+        H[l][k] = 0.0;
+        for (int f = 0; f < space_.joints; ++f) H[l][k] += space_.basis[l][f] * change[f] / difference;
+      }
+    }
+    for (int k = 0; k < size; ++k)
+      for (int l = 0; l < k; ++l) H[k][l] = H[l][k] = 0.5 * (H[k][l] + H[l][k]);
+    newton_step(size, H, space_.reduced, z);
+    go_along(z);
+  }
+
+  // step_ = N z, shortened to `longest_step`; fall_ is what the slope promises of it.
+  void go_along(const double *z) {
+    space_.expand(n_, z, step_);
+    double longest = longest_step;
+    for (int i = 0; i < n_; ++i) longest = std::max(longest, std::fabs(step_[i]));
+    for (int i = 0; i < n_; ++i) step_[i] *= longest_step / longest;
+    fall_ = 0.0;
+    for (int k = 0; k < space_.size; ++k) fall_ -= longest_step / longest * z[k] * space_.reduced[k];
+  }
+
+  // Goes along step_ as far as the limits and the objective allow, and back to the goal. False where nothing is gained.
+  bool advance(Iterate<M> &at, double value) {
+    double part = 1.0, there[max_joints], unused[max_joints];
+    for (int i = 0; i < n_; ++i)
+      if (std::fabs(step_[i]) > std::fabs(end(i) - at.q[i])) part = std::min(part, (end(i) - at.q[i]) / step_[i]);
+    const double rounding = 1e-13 * std::max(1.0, std::fabs(value));
+    for (const double shortest = 1e-6 * part; part > shortest; part *= 0.5) {
+      Box kept = box_;  // joints at a limit do not leave it on the way back to the goal, unless there is no other way
+      for (int i = 0; i < n_; ++i) {
+        const double moved = part * step_[i];
+        const bool arrives = moved != 0.0 && std::fabs(moved) >= (1.0 - 1e-12) * std::fabs(end(i) - at.q[i]);
+        there[i] = arrives ? end(i) : clamp(at.q[i] + moved, box_.low[i], box_.high[i]);
+        if (arrives || fixed_[i]) kept.low[i] = kept.high[i] = there[i];
+      }
+      std::copy_n(there, n_, trial_.q);
+      if (!restore(kept)) {
+        std::copy_n(there, n_, trial_.q);
+        if (!restore(box_)) continue;
+      }
+      if (value_at(trial_, unused) <= value - 1e-4 * part * fall_ + rounding) {
+        at = trial_;
+        return true;
+      }
+    }
+    return false;
+  }
+  double end(int i) const { return step_[i] > 0.0 ? box_.high[i] : box_.low[i]; }
+
+  // Brings trial_ back to the goal; false where that fails.
+  bool restore(const Box &box) {
+    evaluate(chain_, goal_, weight_, trial_);
+    for (int k = 0; k < 8 && trial_.square > 1e-30; ++k) {
+      if (!step(n_, trial_, box, 1e-12, better_)) break;
+      evaluate(chain_, goal_, weight_, better_);
+      if (!(better_.square < trial_.square)) break;
+      trial_ = better_;
+    }
+    return trial_.within(search_);
+  }
+
+  const Chain &chain_;
+  const Goal &goal_;
+  const Search &search_;
+  const double weight_;
+  const Box &box_;
+  const int n_;
+  Iterate<M> trial_, better_;
+  NullSpace<M> space_;
+  bool fixed_[max_joints];
+  double gradient_[max_joints], step_[max_joints], fall_ = 0.0, sharpness_ = sharpnesses[0];
+  int steps_ = 0;
+};
+
+}  // namespace armlab

@@ -1,0 +1,256 @@
+#include "math/motion/primitive.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "math/lie/exponential.h"
+#include "array/lanes.h"
+
+namespace armlab {
+namespace {
+
+constexpr double faded = 40.0;     // exponents further than this below the largest are left out: exp(-40) = 4e-18
+constexpr double gate_width = 0.1;  // of the duration, over which the forcing of a time phase fades
+
+}  // namespace
+
+double Primitive::phase_at(double s) const { return phase == PhaseKind::canonical ? std::exp(-decay * s) : pace * s; }
+
+double Primitive::share(double x) const {
+  if (phase == PhaseKind::periodic) return 1.0;
+  if (phase != PhaseKind::time) return x;
+  const double late = std::min(std::max((x - 1.0) / gate_width, 0.0), 1.0);
+  return 1.0 - late * late * late * (late * (6.0 * late - 15.0) + 10.0);
+}
+
+int Primitive::kernels(double x, double factor, int *index, double *psi) const {
+  for (int j = 0; j < m; ++j) {
+    const double off = phase == PhaseKind::periodic ? 2.0 * std::sin(0.5 * (x - centres[j])) : x - centres[j];
+    psi[j] = -off * off * curvatures[j];
+  }
+  double tops[4] = {psi[0], psi[0], psi[0], psi[0]};  // four at once: a maximum waits for the one before
+  int next = 0;
+  for (; next + 4 <= m; next += 4)
+    for (int lane = 0; lane < 4; ++lane) tops[lane] = std::max(tops[lane], psi[next + lane]);
+  for (; next < m; ++next) tops[0] = std::max(tops[0], psi[next]);
+  const double top = std::max(std::max(tops[0], tops[1]), std::max(tops[2], tops[3]));
+  int count = 0;
+  double sum = 0.0;
+  for (int j = 0; j < m; ++j) {
+    if (psi[j] < top - faded) continue;
+    index[count] = j;
+    psi[count++] = psi[j] - top;
+  }
+  for (int k = 0; k < count; ++k) psi[k] = exponential(psi[k]);
+  for (int k = 0; k < count; ++k) sum += psi[k];
+  for (int k = 0; k < count; ++k) psi[k] *= factor / sum;
+  return count;
+}
+
+ARMLAB_VECTORISED void Primitive::basis(std::ptrdiff_t N, const double *x, const double *factors, std::ptrdiff_t row,
+                                        std::ptrdiff_t column, double *psi) const {
+  std::vector<double> values(m);
+  std::vector<int> index(m);
+  for (std::ptrdiff_t k = 0; k < N; ++k) {
+    const int count = kernels(x[k], factors ? factors[k] : 1.0, index.data(), values.data());
+    for (int l = 0; l < count; ++l) psi[k * row + index[l] * column] = values[l];
+  }
+}
+
+void Primitive::forcing(double x, int *index, double *psi, double *f) const {
+  const int count = kernels(x, share(x), index, psi);
+  std::fill(f, f + n, 0.0);
+  for (int k = 0; k < count; ++k) {
+    const double *w = weights.data() + static_cast<std::ptrdiff_t>(n) * index[k];
+    for (int i = 0; i < n; ++i) f[i] += psi[k] * w[i];
+  }
+}
+
+void Primitive::forcing_each(const double *x, int *index, double *psi, double *f) const {
+  for (int i = 0; i < n; ++i) {
+    const int count = kernels(x[i], x[i], index, psi);
+    f[i] = 0.0;
+    for (int k = 0; k < count; ++k) f[i] += psi[k] * weights[static_cast<std::ptrdiff_t>(n) * index[k] + i];
+  }
+}
+
+namespace {
+
+constexpr std::ptrdiff_t together = 32;  // runs side by side: their states and weights stay in the first caches
+
+// position, velocity, acceleration and forcing of a state
+inline void write(std::ptrdiff_t count, const double *y, const double *z, const double *g, const double *f, double stiffness,
+                  double alpha, double rate, double *__restrict Y, double *__restrict V, double *__restrict A,
+                  double *__restrict F) {
+  for (std::ptrdiff_t i = 0; i < count; ++i) {
+    Y[i] = y[i];
+    V[i] = z[i] * rate;
+    A[i] = (stiffness * (g[i] - y[i]) - alpha * z[i] + f[i]) * (rate * rate);
+    F[i] = f[i];
+  }
+}
+
+// to (n) = scale * sum psi w over the kernels that are there; n is known where it is not 0
+template <int n_known>
+inline void weigh(int n_given, int count, const int *index, const double *psi, const double *weights, const double *scale,
+                  double *to) {
+  constexpr int most = n_known ? n_known : 1;
+  const int n = n_known ? n_known : n_given;
+  double fixed[most] = {}, *sum = n_known ? fixed : to;
+  if (!n_known) std::fill(to, to + n, 0.0);
+  for (int l = 0; l < count; ++l) {
+    const double *w = weights + static_cast<std::ptrdiff_t>(n) * index[l];
+    for (int i = 0; i < n; ++i) sum[i] += psi[l] * w[i];
+  }
+  for (int i = 0; i < n; ++i) to[i] = sum[i] * scale[i];
+}
+
+inline void weigh_any(int n, int count, const int *index, const double *psi, const double *w, const double *s, double *to) {
+  switch (n) {
+    case 1: return weigh<1>(n, count, index, psi, w, s, to);
+    case 2: return weigh<2>(n, count, index, psi, w, s, to);
+    case 3: return weigh<3>(n, count, index, psi, w, s, to);
+    case 6: return weigh<6>(n, count, index, psi, w, s, to);
+    case 7: return weigh<7>(n, count, index, psi, w, s, to);
+    default: return weigh<0>(n, count, index, psi, w, s, to);
+  }
+}
+
+// What all runs over one clock share: steps, and the forcing at starts and middles of them.
+struct Course {
+  std::vector<SpringStep> steps;
+  std::vector<double> forces;  // (2 N - 1, n) of the primitive's own weights
+  std::vector<double> psi;     // (2 N - 1, m) the kernels, where runs have weights of their own: the first `counts`
+  std::vector<int> index, counts;
+};
+
+ARMLAB_VECTORISED void plan(const Primitive &p, std::ptrdiff_t N, const double *t, double tau, bool own, Course &course) {
+  const std::ptrdiff_t points = 2 * N - 1;
+  std::vector<double> values(p.m);
+  std::vector<int> numbers(p.m);
+  course.steps.resize(N - 1);
+  course.forces.resize(own ? 0 : points * p.n);
+  course.psi.resize(own ? points * p.m : 0);
+  course.index.resize(own ? points * p.m : 0);
+  course.counts.resize(own ? points : 0);
+  for (std::ptrdiff_t k = 0; k < points; ++k) {
+    const double at = k % 2 ? 0.5 * (t[k / 2] + t[k / 2 + 1]) : t[k / 2], x = p.phase_at((at - t[0]) / tau);
+    if (own)
+      course.counts[k] = p.kernels(x, p.share(x), course.index.data() + k * p.m, course.psi.data() + k * p.m);
+    else
+      p.forcing(x, numbers.data(), values.data(), course.forces.data() + k * p.n);
+  }
+  for (std::ptrdiff_t k = 0; k + 1 < N; ++k) {
+    const double r = (t[k + 1] - t[k]) / tau;
+    course.steps[k] = SpringStep(p.alpha, p.stiffness, r);
+  }
+}
+
+ARMLAB_VECTORISED void run_together(const Primitive &p, const Course &course, std::ptrdiff_t N, double tau, std::ptrdiff_t K,
+                  std::ptrdiff_t begin, std::ptrdiff_t runs, const double *y0, const double *v0, const double *g,
+                  const double *scale, const double *weights, double *Y, double *V, double *A, double *F) {
+  const std::ptrdiff_t n = p.n, count = runs * n;
+  std::vector<double> state(5 * count);
+  double *y = state.data(), *z = y + count, *f0 = z + count, *fm = f0 + count, *f1 = fm + count;
+  const double rate = 1.0 / tau;
+  y0 += begin * n;
+  v0 += begin * n;
+  g += begin * n;
+  scale += begin * n;
+  const auto force = [&](std::ptrdiff_t k, double *f) {
+    if (!weights) {
+      const double *shared = course.forces.data() + k * n;
+      for (std::ptrdiff_t run = 0; run < runs; ++run)
+        for (std::ptrdiff_t i = 0; i < n; ++i) f[run * n + i] = scale[run * n + i] * shared[i];
+      return;
+    }
+    for (std::ptrdiff_t run = 0; run < runs; ++run)
+      weigh_any(p.n, course.counts[k], course.index.data() + k * p.m, course.psi.data() + k * p.m,
+                weights + (begin + run) * p.m * n, scale + run * n, f + run * n);
+  };
+  for (std::ptrdiff_t i = 0; i < count; ++i) {
+    y[i] = y0[i];
+    z[i] = tau * v0[i];
+  }
+  force(0, f0);
+  for (std::ptrdiff_t k = 0; k < N; ++k) {
+    const std::ptrdiff_t at = (k * K + begin) * n;
+    if (k > 0) {
+      force(2 * k - 1, fm);
+      force(2 * k, f1);
+      course.steps[k - 1].advance(count, f0, fm, f1, g, y, z);
+      std::swap(f0, f1);
+    }
+    write(count, y, z, g, f0, p.stiffness, p.alpha, rate, Y + at, V + at, A + at, F + at);
+  }
+}
+
+void run_position(const Primitive &p, std::ptrdiff_t N, const double *t, double tau, std::ptrdiff_t K,
+                  std::ptrdiff_t number, const double *y0, const double *v0, const double *g, const double *scale,
+                  const double *weights, double *Y, double *V, double *A, double *F) {
+  PrimitiveStepper run(p);
+  const std::ptrdiff_t n = p.n, first = number * n;
+  if (weights) std::copy_n(weights + number * p.m * n, p.m * n, run.primitive.weights.begin());
+  run.start(y0 + first, v0 + first, g + first, scale + first, tau);
+  for (std::ptrdiff_t k = 0; k < N; ++k) {
+    if (k > 0) run.step(t[k] - t[k - 1]);
+    const std::ptrdiff_t at = k * K * n + first;
+    run.outputs(Y + at, V + at, A + at, F + at);
+  }
+}
+
+}  // namespace
+
+void rollout(const Primitive &p, std::ptrdiff_t N, const double *t, double tau, std::ptrdiff_t K, const double *y0,
+             const double *v0, const double *g, const double *scale, const double *weights, double *y, double *yd,
+             double *ydd, double *x, double *f) {
+  for (std::ptrdiff_t k = 0; k < N; ++k) x[k] = p.phase_at((t[k] - t[0]) / tau);
+  if (p.phase == PhaseKind::position) {
+    for (std::ptrdiff_t run = 0; run < K; ++run) run_position(p, N, t, tau, K, run, y0, v0, g, scale, weights, y, yd, ydd, f);
+    return;
+  }
+  Course course;
+  plan(p, N, t, tau, weights != nullptr, course);
+  for (std::ptrdiff_t begin = 0; begin < K; begin += together)
+    run_together(p, course, N, tau, K, begin, std::min(together, K - begin), y0, v0, g, scale, weights, y, yd, ydd, f);
+}
+
+ARMLAB_VECTORISED void response(const Primitive &p, std::ptrdiff_t N, const double *t, double tau, double longest, double *Y,
+                                double *V) {
+  const std::ptrdiff_t m = p.m, columns = m + 3;
+  std::vector<double> state(6 * columns), psi(m);
+  std::vector<int> index(m);
+  double *y = state.data(), *z = y + columns, *f0 = z + columns, *fm = f0 + columns, *f1 = fm + columns, *g = f1 + columns;
+  y[m] = 1.0;
+  z[m + 1] = tau;
+  g[m + 2] = 1.0;
+  const auto force = [&](double s, double *f) {
+    std::fill(f, f + m, 0.0);
+    const double x = p.phase_at(s);
+    const int count = p.kernels(x, p.share(x), index.data(), psi.data());
+    for (int k = 0; k < count; ++k) f[index[k]] = psi[k];
+  };
+  force(0.0, f0);
+  SpringStep step{};
+  const double rate = 1.0 / tau;
+  double last = -1.0;
+  for (std::ptrdiff_t k = 0; k < N; ++k) {
+    if (k > 0) {
+      const double parts = std::max(std::ceil((t[k] - t[k - 1]) / longest), 1.0), r = (t[k] - t[k - 1]) / parts / tau;
+      if (r != last) step = SpringStep(p.alpha, p.stiffness, last = r);
+      for (double part = 0.0; part < parts; part += 1.0) {
+        const double s = (t[k - 1] - t[0]) / tau + part * r;
+        force(s + 0.5 * r, fm);
+        force(s + r, f1);
+        step.advance(columns, f0, fm, f1, g, y, z);
+        std::swap(f0, f1);
+      }
+    }
+    for (std::ptrdiff_t j = 0; j < columns; ++j) {
+      Y[k * columns + j] = y[j];
+      V[k * columns + j] = z[j] * rate;
+    }
+  }
+}
+
+}  // namespace armlab

@@ -1,0 +1,432 @@
+"""`Chain`: against its oracle, by hand, by laws of kinematics; batches, and arguments."""
+
+from __future__ import annotations
+
+import pickle
+import sys
+from collections.abc import Callable, Iterator
+from threading import Thread
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from armlab import kernels
+from armlab.errors import ShapeError
+from armlab.kernels import Chain
+
+from .. import oracles
+
+METHODS = {  # name: arguments out of the inputs below
+    "forward": ("q",),
+    "jacobian": ("q",),
+    "forward_jacobian": ("q",),
+    "link_transforms": ("q",),
+    "jacobian_derivative": ("q", "qd"),
+    "rnea": ("q", "qd", "qdd", "gravity", "pi"),
+    "rigid_regressor": ("q", "qd", "qdd", "gravity"),
+    "gravity_regressor": ("q", "gravity"),
+    "mass_matrix": ("q", "pi"),
+    "momentum": ("q", "qd", "pi"),
+}
+BATCHES = [(), (1,), (3,), (4,), (9,), (2, 3), (0,), (5, 0), (1, 2, 1)]
+
+# Right angles, parallel axes and nearly parallel axes are where factorisations of rotations break.
+angle = st.one_of(
+    st.sampled_from([0.0, np.pi / 2, -np.pi / 2, np.pi, -np.pi]),
+    st.sampled_from([1e-3, 1e-9, 1e-12, 1e-16, -1e-9]),
+    st.floats(-np.pi, np.pi),
+)
+length = st.one_of(st.just(0.0), st.floats(-2.0, 2.0))
+frame = st.tuples(angle, angle, angle, length, length, length)
+
+
+def pose(values: tuple[float, ...]) -> np.ndarray:
+    T = np.eye(4)
+    for axis, turn in enumerate(values[:3]):
+        R, (i, j) = np.eye(3), ((axis + 1) % 3, (axis + 2) % 3)
+        R[i, i] = R[j, j] = np.cos(turn)
+        R[i, j], R[j, i] = -np.sin(turn), np.sin(turn)
+        T[:3, :3] = T[:3, :3] @ R
+    T[:3, 3] = values[3:]
+    return T
+
+
+@st.composite
+def cases(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    n = draw(st.integers(1, 9))
+    frames = np.stack([pose(draw(frame)) for _ in range(n + 1)])
+    prismatic = np.array(draw(st.lists(st.booleans(), min_size=n, max_size=n)))
+    batch = draw(st.sampled_from(BATCHES))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    inputs = {name: rng.normal(scale=3.0, size=(*batch, n)) for name in ("q", "qd", "qdd")}
+    return frames, prismatic, inputs | {"gravity": rng.normal(scale=10.0, size=3), "pi": rng.normal(size=(n, 10))}
+
+
+def flat(result: Any) -> list[np.ndarray]:
+    return list(result) if isinstance(result, tuple) else [result]
+
+
+def assert_same(native: Any, reference: Any) -> None:
+    for ours, wanted in zip(flat(native), flat(reference), strict=True):
+        assert ours.shape == wanted.shape
+        assert ours.dtype == wanted.dtype == np.float64
+        np.testing.assert_allclose(ours, wanted, rtol=0.0, atol=1e-12 * max(1.0, np.abs(wanted).max(initial=0.0)))
+
+
+@given(cases())
+@settings(max_examples=60)
+def test_native_is_the_reference(case: tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]) -> None:
+    frames, prismatic, inputs = case
+    native, reference = (module.Chain(frames, prismatic) for module in (kernels, oracles))
+    for name, arguments in METHODS.items():
+        values = [inputs[a] for a in arguments]
+        assert_same(getattr(native, name)(*values), getattr(reference, name)(*values))
+    assert_same(native.jacobian(inputs["q"], tool=True), reference.jacobian(inputs["q"], tool=True))
+    motion = inputs["q"], inputs["qd"]
+    assert_same(native.jacobian_derivative(*motion, tool=True), reference.jacobian_derivative(*motion, tool=True))
+    assert_same(native.frames, reference.frames)
+    assert native.n == reference.n == len(prismatic)
+    assert (native.prismatic == reference.prismatic).all()
+
+
+@pytest.fixture
+def arm() -> Any:
+    frames = np.stack([pose((0.3 * k, -0.2 * k, 0.1, 0.1, 0.2, 0.3)) for k in range(5)])
+    return kernels.Chain(frames, np.array([False, True, False, False]))
+
+
+@pytest.fixture
+def inputs() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(7)
+    batch = {name: rng.normal(size=(2, 35, 4)) for name in ("q", "qd", "qdd")}
+    return batch | {"gravity": rng.normal(size=3), "pi": rng.normal(size=(4, 10))}
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_every_kind_of_input_gives_the_same(arm: Any, inputs: dict[str, np.ndarray], name: str) -> None:
+    """Read-only, non-contiguous, big-endian and lists; and no input is changed."""
+    plain = [inputs[a] for a in METHODS[name]]
+    before = [array.copy() for array in plain]
+    wanted = getattr(arm, name)(*plain)
+    for array in plain:
+        array.flags.writeable = False
+    strided = [np.repeat(array, 2, axis=-1)[..., ::2] for array in plain]
+    transposed = [np.asfortranarray(array) for array in plain]
+    swapped = [array.astype(">f8") for array in plain]
+    lists = [array.tolist() for array in plain]
+    for arguments in (plain, strided, transposed, swapped, lists):
+        for ours, theirs in zip(flat(getattr(arm, name)(*arguments)), flat(wanted)):
+            np.testing.assert_array_equal(ours, theirs)
+    for array, saved in zip(plain, before):
+        np.testing.assert_array_equal(array, saved)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_out_is_filled_and_returned(arm: Any, inputs: dict[str, np.ndarray], name: str) -> None:
+    arguments = [inputs[a] for a in METHODS[name]]
+    wanted = getattr(arm, name)(*arguments)
+    out = tuple(np.full(array.shape, np.nan) for array in flat(wanted))
+    given_out: Any = out if isinstance(wanted, tuple) else out[0]
+    result = getattr(arm, name)(*arguments, out=given_out)
+    for ours, into, theirs in zip(flat(result), out, flat(wanted)):
+        assert ours is into
+        np.testing.assert_array_equal(ours, theirs)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_batch_is_a_loop(inputs: dict[str, np.ndarray], name: str) -> None:
+    """Bit for bit, for whole groups of four samples and for the rest."""
+    chain = kernels.Chain(np.stack([pose((0.3, -0.2 * k, 0.1, 0.1, 0.2, 0.3)) for k in range(5)]), [0, 1, 0, 0])
+    whole = flat(getattr(chain, name)(*[inputs[a] for a in METHODS[name]]))
+    for index in np.ndindex(2, 35):
+        sample = [inputs[a] if a in ("gravity", "pi") else inputs[a][index] for a in METHODS[name]]
+        for one, many in zip(flat(getattr(chain, name)(*sample)), whole):
+            np.testing.assert_array_equal(one, many[index])
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_nan_stays_in_its_sample(arm: Any, inputs: dict[str, np.ndarray], name: str) -> None:
+    arguments = [inputs[a].copy() for a in METHODS[name]]
+    clean = flat(getattr(arm, name)(*arguments))
+    arguments[0][1, 2, 0] = np.nan
+    for dirty, wanted in zip(flat(getattr(arm, name)(*arguments)), clean):
+        assert np.isnan(dirty[1, 2]).any()
+        dirty[1, 2] = wanted[1, 2]
+        np.testing.assert_array_equal(dirty, wanted)
+
+
+def test_angles_beyond_the_polynomial(arm: Any) -> None:
+    """Far angles go to the C library; infinity has no sine."""
+    q = np.array([[1e300, 0.0, -1e7, 3.0], [1e6, 0.0, -1e6, 2.0]])
+    wanted = oracles.Chain(arm.frames, arm.prismatic).forward(q[1])
+    np.testing.assert_allclose(arm.forward(q)[1], wanted, rtol=0, atol=1e-9)
+    assert np.isfinite(arm.forward(q)).all()
+    assert np.isnan(arm.forward([np.inf, 0.0, 0.0, 0.0])[0, 0])
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "sentence"),
+    [
+        ("forward", {"q": np.zeros((2, 3))}, r"q of shape \(\.\.\., 4\), got \(2, 3\)"),
+        ("forward", {"q": np.float64(1.0)}, r"q of shape \(\.\.\., 4\), got \(\)"),
+        ("forward", {"q": "north"}, "array of real numbers, got str"),
+        ("forward", {"q": [[1.0], [2.0, 3.0]]}, "array of real numbers, got list"),
+        ("jacobian", {"q": np.zeros(4, dtype=complex)}, "array of real numbers"),
+        ("rnea", {"qd": np.zeros((1, 4))}, r"qd of the same shape as q, \(2, 35, 4\), got \(1, 4\)"),
+        ("rnea", {"gravity": np.zeros(4)}, r"gravity of shape \(3,\), got \(4,\)"),
+        ("rnea", {"pi": np.zeros((4, 9))}, r"pi of shape \(4, 10\), got \(4, 9\)"),
+        ("rigid_regressor", {"qdd": np.zeros(4)}, "qdd of the same shape as q"),
+        ("gravity_regressor", {"gravity": np.zeros((3, 1))}, r"gravity of shape \(3,\), got \(3, 1\)"),
+        ("forward", {"out": np.zeros((2, 35, 4, 3))}, r"shape \(2, 35, 4, 4\), got shape \(2, 35, 4, 3\)"),
+        ("forward", {"out": np.zeros((2, 35, 4, 4), dtype=np.float32)}, "writable C-contiguous float64"),
+        ("forward", {"out": [1.0]}, "writable C-contiguous float64"),
+        ("forward_jacobian", {"out": np.zeros(2)}, "pair of arrays"),
+    ],
+)
+def test_wrong_arguments(
+    arm: Any, inputs: dict[str, np.ndarray], name: str, change: dict[str, Any], sentence: str
+) -> None:
+    arguments = {a: inputs[a] for a in METHODS[name]} | change
+    with pytest.raises(ShapeError, match=sentence):
+        getattr(arm, name)(**arguments)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_out_apart_from_the_samples(name: str) -> None:
+    """Each of them is named in the refusal."""
+    chain = kernels.Chain(np.tile(np.eye(4), (5, 1, 1)), np.zeros(4))
+    given = {"gravity": np.zeros(3), "pi": np.zeros((4, 10))} | {key: np.zeros(4) for key in ("q", "qd", "qdd")}
+    wanted = getattr(chain, name)(*(given[key] for key in METHODS[name]))
+    pair = isinstance(wanted, tuple)
+    for key in ("q", "qd", "qdd"):
+        if key not in METHODS[name]:
+            continue
+        memory = np.zeros(8 + (wanted[1] if pair else wanted).size)
+        arguments = [memory[:4] if other == key else given[other] for other in METHODS[name]]
+        last = wanted[1] if pair else wanted
+        inside = memory[2 : 2 + last.size].reshape(last.shape)
+        sentence = rf"Expected out(\[1\])? to be .* got one that shares memory with {key}\. Make"
+        with pytest.raises(ShapeError, match=sentence):
+            getattr(chain, name)(*arguments, out=(np.empty_like(wanted[0]), inside) if pair else inside)
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [("rnea", (4,)), ("mass_matrix", (4, 4)), ("rigid_regressor", (4, 40)), ("gravity_regressor", (4, 16))],
+)
+def test_out_apart_from_the_parameters(name: str, size: tuple[int, ...]) -> None:
+    """The next sample would be computed with other parameters."""
+    chain, memory = kernels.Chain(np.tile(np.eye(4), (5, 1, 1)), np.zeros(4)), np.zeros(200)
+    parameters = {"gravity": memory[:3], "pi": memory[:40].reshape(4, 10)}
+    arguments = [parameters.get(argument, np.zeros(4)) for argument in METHODS[name]]
+    with pytest.raises(ShapeError, match=r"Expected out to be apart from (gravity|pi), got arrays that share memory"):
+        getattr(chain, name)(*arguments, out=memory[2 : 2 + np.prod(size)].reshape(size))
+
+
+def test_momentum_into_arrays_apart(arm: Any, inputs: dict[str, np.ndarray]) -> None:
+    both = np.zeros((2, 35, 4))
+    with pytest.raises(ShapeError, match=r"out\[1\] and out\[0\] to be apart, got arrays that share memory"):
+        arm.momentum(inputs["q"], inputs["qd"], inputs["pi"], out=(both, both))
+
+
+@pytest.mark.parametrize("prismatic", [False, True])
+@pytest.mark.parametrize("joint", [0, 1, 2])
+@pytest.mark.parametrize("name", ["forward", "jacobian", "jacobian_derivative"])
+def test_a_joint_that_is_missing_shows(name: str, joint: int, prismatic: bool) -> None:
+    """Also where the result depends on no joint: all axes are one, with the tool on it."""
+    q = np.where(np.arange(3) == joint, np.nan, 0.5)
+    chain = kernels.Chain(np.tile(np.eye(4), (4, 1, 1)), [prismatic] * 3)
+    arguments = (q, np.ones(3)) if name == "jacobian_derivative" else (q,)
+    assert np.isnan(getattr(chain, name)(*arguments)).any()
+    batch = getattr(chain, name)(*(np.tile(argument, (9, 1)) for argument in arguments))
+    assert np.isnan(batch).any(axis=(1, 2)).all()
+
+
+@pytest.mark.parametrize("prismatic", [None, ["a", "b"], [[True], [False, True]]])
+def test_kinds_of_joints_that_are_none(prismatic: Any) -> None:
+    with pytest.raises(ShapeError, match=r"^Expected prismatic to be an array of real numbers, got .*\.$"):
+        kernels.Chain(np.tile(np.eye(4), (3, 1, 1)), prismatic)
+
+
+@pytest.mark.parametrize(
+    ("frames", "prismatic", "sentence"),
+    [
+        (np.zeros((3, 4, 4)), [False], r"frames of shape \(2, 4, 4\)"),
+        (np.tile(np.eye(4), (34, 1, 1)), [False] * 33, "from 1 to 32 joints"),
+        (np.eye(4)[None], [], "from 1 to 32 joints"),
+        (np.tile(np.diag([1.0, 1.0, -1.0, 1.0]), (2, 1, 1)), [False], "rigid transformation"),
+        (np.tile(np.diag([1.0, 1.0, 1.01, 1.0]), (2, 1, 1)), [True], "rigid transformation"),
+        (np.full((2, 4, 4), np.nan), [False], "rigid transformation"),
+        (np.tile(2.0 * np.eye(4), (2, 1, 1)), [False], "rigid transformation"),
+    ],
+)
+def test_wrong_chains(frames: np.ndarray, prismatic: list[bool], sentence: str) -> None:
+    with pytest.raises(ShapeError, match=sentence):
+        kernels.Chain(frames, prismatic)
+
+
+def test_slightly_rough_rotations_are_projected() -> None:
+    frames = np.tile(np.eye(4), (3, 1, 1))
+    frames[:, :3, :3] += 3e-8 * np.random.default_rng(3).normal(size=(3, 3, 3))
+    R = kernels.Chain(frames, [False, False]).frames[:, :3, :3]
+    np.testing.assert_allclose(np.swapaxes(R, 1, 2) @ R, np.tile(np.eye(3), (3, 1, 1)), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(R, frames[:, :3, :3], rtol=0, atol=3e-7)
+
+
+@pytest.fixture
+def planar() -> Chain:
+    """Two links of 1 m and 0.5 m that turn about z."""
+    frames = np.tile(np.eye(4), (3, 1, 1))
+    frames[1, 0, 3], frames[2, 0, 3] = 1.0, 0.5
+    return Chain(frames, [False, False])
+
+
+def test_forward_of_two_links(planar: Chain) -> None:
+    T = planar.forward([np.pi / 2, -np.pi / 2])
+    np.testing.assert_allclose(T[:3, 3], [0.5, 1.0, 0.0], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(T[:3, :3], np.eye(3), rtol=0, atol=1e-15)
+
+
+def test_jacobian_of_two_links(planar: Chain) -> None:
+    J = planar.jacobian([0.0, np.pi / 2])
+    np.testing.assert_allclose(J[[0, 1, 5]], [[-0.5, -0.5], [1.0, 0.0], [1.0, 1.0]], rtol=0, atol=1e-15)
+    J_tool = planar.jacobian([0.0, np.pi / 2], tool=True)
+    np.testing.assert_allclose(J_tool[[0, 1, 5]], [[1.0, 0.0], [0.5, 0.5], [1.0, 1.0]], rtol=0, atol=1e-15)
+
+
+def test_sliding_joint() -> None:
+    lift = Chain(np.tile(np.eye(4), (2, 1, 1)), [True])
+    np.testing.assert_allclose(lift.forward([0.3])[:3, 3], [0.0, 0.0, 0.3])
+    np.testing.assert_allclose(lift.jacobian([0.3])[:, 0], [0, 0, 1, 0, 0, 0])
+    pi = np.zeros((1, 10))
+    pi[0, 0] = 2.0
+    np.testing.assert_allclose(lift.rnea([0.3], [1.0], [0.5], [0.0, 0.0, -9.81], pi), [2.0 * (0.5 + 9.81)])
+
+
+def test_gravity_of_a_lever() -> None:
+    """A mass m at distance r on a horizontal axis needs m g r cos(q)."""
+    flat = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
+    lever = Chain(np.stack([flat, np.eye(4)]), [False])
+    q = np.linspace(-3, 3, 7)[:, None]
+    Y = lever.gravity_regressor(q, [0.0, 0.0, -9.81])
+    np.testing.assert_allclose(Y @ [2.0, 2.0 * 0.3, 0.0, 0.0], 2.0 * 0.3 * 9.81 * np.cos(q), rtol=0, atol=1e-14)
+
+
+def test_regressor_of_a_spinning_wheel() -> None:
+    """About its own axis only Izz counts."""
+    wheel = Chain(np.tile(np.eye(4), (2, 1, 1)), [False])
+    Y = wheel.rigid_regressor([0.4], [3.0], [2.0], [0.0, 0.0, -9.81])
+    np.testing.assert_allclose(Y[0], [0, 0, 0, 0, 0, 0, 0, 0, 0, 2.0], rtol=0, atol=1e-15)
+
+
+def product_of_exponentials(chain: Chain, q: np.ndarray) -> np.ndarray:
+    """T_base_tool by matrix products, independent of both backends."""
+    T = chain.frames[0]
+    for value, slides, frame in zip(q, chain.prismatic, chain.frames[1:]):
+        Z = np.eye(4)
+        if slides:
+            Z[2, 3] = value
+        else:
+            Z[:3, :3] = Rotation.from_rotvec([0, 0, value]).as_matrix()
+        T = T @ Z @ frame
+    return T
+
+
+def test_forward_is_the_product_of_exponentials(chain: Chain) -> None:
+    q = np.random.default_rng(0).uniform(-6, 6, (20, chain.n))
+    wanted = np.stack([product_of_exponentials(chain, row) for row in q])
+    np.testing.assert_allclose(chain.forward(q), wanted, rtol=0, atol=2e-14)
+
+
+def test_link_transforms_end_in_forward(chain: Chain) -> None:
+    q = np.random.default_rng(1).uniform(-3, 3, (5, chain.n))
+    links = chain.link_transforms(q)
+    assert links.shape == (5, chain.n, 4, 4)
+    np.testing.assert_allclose(links[:, -1] @ chain.frames[-1], chain.forward(q), rtol=0, atol=1e-13)
+    for i in range(chain.n):  # link i does not feel the joints after it
+        cut = Chain(chain.frames[: i + 2], chain.prismatic[: i + 1])
+        np.testing.assert_allclose(links[:, i] @ chain.frames[i + 1], cut.forward(q[:, : i + 1]), rtol=0, atol=1e-13)
+
+
+def test_jacobian_is_the_derivative_of_forward(chain: Chain) -> None:
+    """Central differences: position, and the logarithm of the turn between both sides."""
+    h, q = 2e-5, np.random.default_rng(2).uniform(-3, 3, chain.n)
+    steps = h * np.eye(chain.n)
+    plus, minus = chain.forward(q + steps), chain.forward(q - steps)
+    v = (plus[:, :3, 3] - minus[:, :3, 3]) / (2 * h)
+    turn = Rotation.from_matrix(plus[:, :3, :3]) * Rotation.from_matrix(minus[:, :3, :3]).inv()
+    numerical = np.concatenate([v, turn.as_rotvec() / (2 * h)], axis=1).T
+    np.testing.assert_allclose(chain.jacobian(q), numerical, rtol=0, atol=1e-8)
+
+
+def test_tool_jacobian_is_the_base_jacobian_turned(chain: Chain) -> None:
+    q = np.random.default_rng(3).uniform(-3, 3, (8, chain.n))
+    T, J = chain.forward_jacobian(q)
+    R = T[:, :3, :3]
+    turned = np.concatenate([R @ half for half in np.split(chain.jacobian(q, tool=True), 2, axis=1)], axis=1)
+    np.testing.assert_allclose(turned, J, rtol=0, atol=1e-14 * max(1.0, np.abs(J).max()))
+    np.testing.assert_array_equal(J, chain.jacobian(q))
+    np.testing.assert_array_equal(T, chain.forward(q))
+
+
+def test_power(chain: Chain) -> None:
+    """Twist . wrench = qd . tau with tau = J^T wrench, in base axes and in tool axes."""
+    rng = np.random.default_rng(4)
+    q, qd, wrench = rng.normal(size=chain.n), rng.normal(size=chain.n), rng.normal(size=6)
+    R = chain.forward(q)[:3, :3]
+    wrench_tool = np.concatenate([R.T @ wrench[:3], R.T @ wrench[3:]])
+    J, J_tool = chain.jacobian(q), chain.jacobian(q, tool=True)
+    power = (J @ qd) @ wrench
+    assert qd @ (J.T @ wrench) == pytest.approx(power, abs=1e-12)
+    assert qd @ (J_tool.T @ wrench_tool) == pytest.approx(power, abs=1e-12)
+
+
+def test_nearly_parallel_axes(from_dh: Callable[..., Chain]) -> None:
+    """Common normals far away or undefined do no harm."""
+    for alpha in (0.0, 1e-15, 1e-9, 1e-5, np.pi - 1e-9, np.pi):
+        frames = from_dh([alpha] * 4, [0.3] * 4, [0.1] * 4, [0.2, -2.0, 3.0, 1.0], np.eye(4)).frames
+        frames[:, 1, 3] += 0.05  # not a DH frame any more
+        chain = Chain(frames, [False] * 4)
+        q = np.array([0.4, -1.0, 2.0, 3.0])
+        np.testing.assert_allclose(chain.forward(q), product_of_exponentials(chain, q), rtol=0, atol=1e-14)
+
+
+def test_chain_is_immutable_and_pickles(chain: Chain) -> None:
+    frames = chain.frames
+    frames[:] = 0.0
+    assert chain.frames[0, 3, 3] == 1.0
+    with pytest.raises(AttributeError):
+        chain.n = 3  # type: ignore[misc]
+    copy = pickle.loads(pickle.dumps(chain))
+    q = np.ones(chain.n)
+    np.testing.assert_array_equal(copy.forward(q), chain.forward(q))
+
+
+@pytest.fixture
+def patient_threads() -> Iterator[None]:
+    """No thread asks another for the interpreter: it runs on until it lets go by itself."""
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(100.0)
+    yield
+    sys.setswitchinterval(interval)
+
+
+@pytest.mark.usefixtures("patient_threads")
+def test_batches_let_other_threads_run() -> None:
+    chain = Chain(np.tile(np.eye(4), (8, 1, 1)), np.zeros(7))
+    q, done = np.zeros((50_000, 7)), []
+
+    def work() -> None:
+        for _ in range(40):
+            chain.jacobian(q)
+        done.append(True)
+
+    thread = Thread(target=work)
+    thread.start()  # returns when the worker lets go of the interpreter
+    assert not done
+    thread.join()
+    assert done

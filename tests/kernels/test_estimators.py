@@ -1,0 +1,442 @@
+"""Contact wrench sample by sample, with accelerations and by the momentum: against their oracles, and laws."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+from armlab import kernels, robots
+from armlab.errors import ShapeError
+from armlab.kernels import momentum_step, solve_wrench
+from armlab.log import Table
+from armlab.models import FORCE_RATES, PRIOR, TorqueModel
+
+from .. import oracles
+from ..oracles.momentum import leak_integrals
+from ..oracles.wrench import METHODS
+
+NAMES = ("F", "P", "observability", "error", "variance", "flags", "active", "interval")
+
+
+def twins(
+    model: TorqueModel, method: int = 0, point: np.ndarray | None = None, extra: tuple[object, ...] = ()
+) -> tuple[object, object]:
+    """The same estimator in both backends."""
+    made = []
+    for module in (kernels, oracles):
+        c = model.covariance
+        chain = module.Chain(model.frames, model.prismatic)
+        made.append(
+            module.WrenchEstimator(
+                chain,
+                model.gravity,
+                model.link_parameters,
+                model.rotor,
+                module.Drive(model.friction.rows, model.ripple.rows, *extra),
+                np.linspace(0.95, 1.05, 7),
+                0.03**2,
+                np.stack([c.C0, c.Cinf, c.shape, np.arange(7) % 3]),
+                np.stack([model.bound.torque, model.bound.speed, model.bound.floor]),
+                np.array([400.0, 400, 400, 4, 4, 4]),
+                10.0,
+                method,
+                point,
+            )
+        )
+    return made[0], made[1]
+
+
+# Torque error and its variance to 1e-12 of their scale; what passes a solution of equations to 1e-11, without a prior
+# to 1e-8; HiGHS, which the reference asks for intervals, is exact to 1e-7.
+ACCURACY = {"map": 1e-11, "bounded": 1e-9, "interval": 1e-9, "ls": 1e-8, "lund": 1e-11}
+
+
+@pytest.mark.parametrize("point", [None, np.array([0.02, -0.01, 0.1])], ids=["wrench", "point"])
+@pytest.mark.parametrize("method", sorted(ACCURACY))
+def test_estimators_agree(model: TorqueModel, excited: Table, method: str, point: np.ndarray | None) -> None:
+    log = excited.between(0.0, 0.4 if method == "interval" else 0.5)
+    dt = np.array(log.dt)
+    dt[50] = 0.02  # a long step
+    dt[60] = 0.5  # a gap
+    tau = np.array(log["tau"])
+    tau[70, 2] = np.nan  # a broken sample
+    tau[90, 1] = 1e200  # one that would stay in the filter for ever
+    compiled, plain = twins(model, METHODS.index(method), point)
+    arguments = log["q"], log["qd"], tau, dt
+    outputs = compiled.run(*arguments), plain.run(*arguments)
+    for name, a, b in zip(NAMES, *outputs):
+        if name == "interval" and b is None:
+            assert a is None
+            continue
+        if name in ("flags", "active"):
+            infeasible = (outputs[0][5] & 8) > 0  # then each names joints by its own proof of the contradiction
+            assert np.array_equal(a[~infeasible], b[~infeasible]), name
+            continue
+        accuracy = {"error": 1e-12, "variance": 1e-12, "interval": 1e-7}.get(name, ACCURACY[method])
+        np.testing.assert_allclose(a, b, rtol=0.0, atol=accuracy * max(np.nanmax(np.abs(b)), 1e-3), err_msg=name)
+        assert np.isnan(a[[70, 90]]).all()
+        assert np.isfinite(a[91]).all()
+
+
+@pytest.mark.parametrize("method", ["map", "bounded"])
+def test_estimators_agree_on_every_part_of_the_drives(model: TorqueModel, excited: Table, method: str) -> None:
+    log, rng = excited.between(0.0, 0.6), np.random.default_rng(0)
+    speeds, widths = np.tile(np.linspace(0.1, 2.0, 8), (7, 1)), np.full((7, 8), 0.3)
+    positions = np.tile(np.linspace(-2, 2, 5), (7, 1))
+    lines = np.arange(7.0), rng.uniform(50, 200, 7), speeds, widths, rng.standard_normal((7, 2, 8, 2))
+    table = positions, 0.5 + 0 * positions, speeds, widths, rng.standard_normal((7, 2, 5, 8))
+    compiled, plain = twins(model, METHODS.index(method), extra=(lines, table, rng.uniform(0.1, 0.5, (5, 7))))
+    a, b = (estimator.run(log["q"], log["qd"], log["tau"], log.dt) for estimator in (compiled, plain))
+    np.testing.assert_allclose(a[3], b[3], rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(a[4], b[4], rtol=1e-11)
+
+
+@pytest.mark.parametrize("method", sorted(ACCURACY))
+def test_step_returns_what_run_stacks(model: TorqueModel, excited: Table, method: str) -> None:
+    log = excited.between(0.0, 0.1)
+    for estimator in twins(model, METHODS.index(method)):
+        stacked = estimator.run(log["q"], log["qd"], log["tau"], log.dt)
+        estimator.reset()
+        for k in range(len(log)):
+            for one, all_rows in zip(estimator.step(log["q"][k], log["qd"][k], log["tau"][k], log.dt[k]), stacked):
+                assert (one is None and all_rows is None) or np.array_equal(one, all_rows[k])
+
+
+def test_reset_forgets_everything(model: TorqueModel, excited: Table) -> None:
+    log = excited.between(0.0, 0.2)
+    for estimator in twins(model):
+        first = estimator.run(log["q"], log["qd"], log["tau"], log.dt)
+        estimator.reset()
+        for a, b in zip(first[:7], estimator.run(log["q"], log["qd"], log["tau"], log.dt)[:7]):
+            assert np.array_equal(a, b)
+
+
+def test_wrong_shapes_are_refused(model: TorqueModel) -> None:
+    errors = import_module("armlab.errors")
+    for estimator in twins(model)[:1]:
+        with pytest.raises(errors.ShapeError, match="qd"):
+            estimator.step(np.zeros(7), np.zeros(6), np.zeros(7), 0.004)
+        with pytest.raises(errors.ShapeError, match="tau"):
+            estimator.step(np.zeros(7), np.zeros(7), 0.0, 0.004)
+        for name in ("q", "qd", "tau"):
+            with pytest.raises(errors.ShapeError, match=f"^Expected {name} to be an array of real numbers, got None"):
+                estimator.step(**{"q": np.zeros(7), "qd": np.zeros(7), "tau": np.zeros(7), "dt": 0.004, name: None})
+        with pytest.raises(errors.ShapeError, match="tau"):
+            estimator.run(np.zeros((5, 7)), np.zeros((5, 7)), np.zeros((4, 7)), np.zeros(5))
+    chain = kernels.Chain(model.frames, model.prismatic)
+    with pytest.raises(errors.ShapeError, match="drive of 7 joints"):
+        kernels.WrenchEstimator(
+            chain, model.gravity, model.link_parameters, model.rotor,
+            kernels.Drive(np.ones((10, 6)), np.ones((3, 6))), np.ones(7), 0.0, np.ones((4, 7)), np.ones((3, 7)),
+            np.ones(6), 10.0,
+        )  # fmt: skip
+
+
+def test_both_refuse_numbers_that_are_no_variances(model: TorqueModel) -> None:
+    errors = import_module("armlab.errors")
+    names = ("gains", "gain_variance", "covariance", "bound", "prior", "cutoff")
+    chain, drive = kernels.Chain(model.frames, model.prismatic), kernels.Drive(np.ones((10, 7)), np.ones((3, 7)))
+    good = dict(zip(names, (np.ones(7), 1.0, np.ones((4, 7)), np.ones((3, 7)), np.ones(6), 10.0)))
+    for name, wrong in ((name, number * good[name]) for name in names for number in (-1.0, np.nan, np.inf)):
+        with pytest.raises(errors.ShapeError, match=f"^Expected finite {name}"):
+            kernels.WrenchEstimator(chain, [0.0] * 3, np.zeros((7, 10)), np.ones(7), drive, **{**good, name: wrong})
+    with pytest.raises(errors.ShapeError, match="finite point"):
+        kernels.WrenchEstimator(
+            chain, [0.0] * 3, np.zeros((7, 10)), np.ones(7), drive, **good, point=[0.0, np.nan, 0.0]
+        )
+
+
+ARGUMENTS = ("F", "P", "observability", "error", "variance", "flags", "active")
+POINT = np.array([0.02, -0.01, 0.1])
+WAYS = {"observer": (False, False), "kf": (True, False), "kf with bias": (True, True)}
+
+
+def momentum_twins(model: TorqueModel, way: str, point: np.ndarray | None = None) -> tuple[Any, Any]:
+    """The same estimator in both backends, with warm-up and every kind of covariance."""
+    rate, prior = np.square(FORCE_RATES["normal"]), np.square(PRIOR)
+    c = model.covariance
+    warm_up = np.tile([[0.2], [-0.3], [60.0], [1.0], [0.1]], 7)
+    made = []
+    for module in (kernels, oracles):
+        made.append(
+            module.MomentumEstimator(
+                module.Chain(model.frames, model.prismatic),
+                model.gravity,
+                model.link_parameters,
+                model.rotor,
+                module.Drive(model.friction.rows, model.ripple.rows, None, None, warm_up),
+                np.linspace(0.95, 1.05, 7),
+                0.03**2,
+                np.stack([c.C0, c.Cinf, c.shape, np.arange(7) % 3]),
+                prior,
+                np.linspace(0.02, 0.05, 7),
+                np.linspace(1e-3, 2e-3, 7),
+                rate,
+                np.linspace(0, 0.5, 6),
+                30.0,
+                *WAYS[way],
+                point,
+            )
+        )
+    return made[0], made[1]
+
+
+@pytest.mark.parametrize("point", [None, POINT], ids=["wrench", "point"])
+@pytest.mark.parametrize("way", sorted(WAYS))
+def test_momentum_estimators_agree(model: TorqueModel, excited: Table, way: str, point: np.ndarray | None) -> None:
+    """In motion, at rest, over a lost sample, over a gap, over samples that are broken, and after a tare."""
+    log = excited.between(0.0, 0.36)
+    q, qd, tau, dt = (np.array(a) for a in (log["q"], log["qd"], log["tau"], log.dt))
+    dt[20], dt[35] = 0.008, 0.5
+    tau[30, 2], tau[45, 1] = np.nan, 1e200
+    q[55:], qd[55:], dt[55:] = q[55], 0.0, 0.016
+    compiled, plain = momentum_twins(model, way, point)
+    for part in (slice(0, 86), slice(86, 90)):
+        outputs = (
+            compiled.run(q[part], qd[part], tau[part], dt[part]),
+            plain.run(q[part], qd[part], tau[part], dt[part]),
+        )
+        for name, a, b in zip(ARGUMENTS, *outputs):
+            if name in ("flags", "active"):
+                assert np.array_equal(a, b), name
+                continue
+            accuracy = 1e-12 if name == "variance" else 1e-10
+            np.testing.assert_allclose(a, b, rtol=0.0, atol=accuracy * np.nanmax(np.abs(b)), err_msg=name)
+        assert outputs[0][7] is outputs[1][7] is None
+        if part.start == 0:
+            assert np.isnan(outputs[0][0][[30, 45]]).all()
+            assert np.isfinite(outputs[0][0][[29, 31, 46]]).all()
+            assert compiled.tare() is plain.tare() is (way == "kf with bias")
+    assert np.all((outputs[0][5] & 32 > 0) == (way == "kf with bias"))
+
+
+@pytest.mark.parametrize("way", sorted(WAYS))
+def test_step_returns_what_run_stacks_and_reset_forgets(model: TorqueModel, excited: Table, way: str) -> None:
+    log = excited.between(0.0, 0.1)
+    for estimator in momentum_twins(model, way):
+        stacked = estimator.run(log["q"], log["qd"], log["tau"], log.dt)
+        estimator.reset()
+        for k in range(len(log)):
+            found = estimator.step(log["q"][k], log["qd"][k], log["tau"][k], log.dt[k])
+            for one, all_rows in zip(found[:7], stacked):
+                assert np.array_equal(one, all_rows[k])
+            assert found[7] is None
+        empty = np.zeros((0, 7))
+        assert [np.shape(a) for a in estimator.run(empty, empty, empty, np.zeros(0))[:2]] == [(0, 6), (0, 6, 6)]
+
+
+def test_wrong_shapes_of_momentum_are_refused(model: TorqueModel) -> None:
+    errors = import_module("armlab.errors")
+    for estimator in momentum_twins(model, "kf")[:1]:
+        with pytest.raises(errors.ShapeError, match="qd"):
+            estimator.step(np.zeros(7), np.zeros(6), np.zeros(7), 0.004)
+        with pytest.raises(errors.ShapeError, match="tau"):
+            estimator.run(np.zeros((5, 7)), np.zeros((5, 7)), np.zeros((4, 7)), np.zeros(5))
+    names = (
+        "gravity",
+        "links",
+        "rotor",
+        "drive",
+        "gains",
+        "gain_variance",
+        "covariance",
+        "prior",
+        "memory",
+        "qd_noise",
+        "rate",
+        "leak",
+    )
+    good = dict(
+        zip(names, ([0.0] * 3, np.zeros((7, 10)), np.ones(7), kernels.Drive(np.ones((10, 7)), np.ones((3, 7))),
+                    np.ones(7), 0.0, np.ones((4, 7)), np.ones(6), np.ones(7), np.ones(7), np.ones(6), np.ones(6)))
+    )  # fmt: skip
+    chain = kernels.Chain(model.frames, model.prismatic)
+    for name in (name for name in names if name != "gain_variance"):
+        wrong = kernels.Drive(np.ones((10, 6)), np.ones((3, 6))) if name == "drive" else np.zeros(5)
+        with pytest.raises(errors.ShapeError, match=name):
+            kernels.MomentumEstimator(chain, *{**good, name: wrong}.values(), 30.0, True, False)
+    with pytest.raises(errors.ShapeError, match="point"):
+        kernels.MomentumEstimator(chain, *good.values(), 30.0, True, False, np.zeros(2))
+
+
+def test_numbers_that_are_no_noise_are_refused(model: TorqueModel) -> None:
+    errors = import_module("armlab.errors")
+    names = ("gains", "gain_variance", "covariance", "prior", "memory", "qd_noise", "rate", "leak", "gain")
+    chain, drive = kernels.Chain(model.frames, model.prismatic), kernels.Drive(np.ones((10, 7)), np.ones((3, 7)))
+    good = dict(zip(names, (np.ones(7), 1.0, np.ones((4, 7)), *(np.ones(k) for k in (6, 7, 7, 6, 6)), 30.0)))
+    for name, wrong in ((name, number * good[name]) for name in names for number in (-1.0, np.nan, np.inf)):
+        with pytest.raises(errors.ShapeError, match=f"^Expected finite {name}"):
+            kernels.MomentumEstimator(
+                chain, [0.0] * 3, np.zeros((7, 10)), np.ones(7), drive, **{**good, name: wrong}, filters=True,
+                biased=False,
+            )  # fmt: skip
+
+
+@pytest.mark.parametrize(("n", "m"), [(1, 1), (2, 6), (6, 6), (7, 6), (7, 13), (9, 15)])
+def test_steps_agree(n: int, m: int) -> None:
+    rng = np.random.default_rng(n + 100 * m)
+    x, root = rng.standard_normal(n + m), rng.standard_normal((n + m, n + m))
+    P, G = root @ root.T, rng.standard_normal((n, m))
+    for _ in range(30):
+        u, y, spread = *rng.standard_normal((2, n)), rng.standard_normal((n, n))
+        a = np.where(rng.random(m) < 0.3, 0.0, rng.uniform(0, 30, m))
+        arguments = (x, P, G, u, y, 1e-3 * spread @ spread.T, 0.004, rng.uniform(0.1, 1, n), rng.uniform(0.1, 1, m), a)
+        ours, wanted = kernels.momentum_step(*arguments), oracles.momentum_step(*arguments)
+        for a_, b in zip(ours, wanted):
+            np.testing.assert_allclose(a_, b, rtol=0, atol=1e-12 * np.abs(b).max())
+        x, P = wanted
+
+
+H = 0.004
+
+
+def van_loan(G: np.ndarray, Qp: np.ndarray, q: np.ndarray, a: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """Transition and noise of a step by the block exponential (Van Loan 1978)."""
+    n, m = G.shape
+    A = np.block([[np.zeros((n, n)), G], [np.zeros((m, n)), -np.diag(a)]])
+    Q = np.diag(np.r_[Qp, q])
+    block = expm(np.block([[-A, Q], [np.zeros_like(A), A.T]]) * h)
+    Phi = block[n + m :, n + m :].T
+    return Phi, Phi @ block[: n + m, n + m :]
+
+
+@given(st.integers(0, 2**32), st.sampled_from([0.0, 1e-9, 1e-3, 0.5, 4.9, 5.1, 80.0, 900.0]), st.booleans())
+@settings(max_examples=60)
+def test_a_step_without_information_is_van_loans(seed: int, leak: float, mixed: bool) -> None:
+    """A measurement that says nothing leaves the prediction: transition and noise to 1e-12 of their scale."""
+    rng = np.random.default_rng(seed)
+    n, m = 4, 3
+    G, Qp, q = rng.standard_normal((n, m)), rng.uniform(0.1, 1, n), rng.uniform(0.1, 1, m)
+    a = np.where(rng.random(m) < 0.5, 0.0, leak) if mixed else np.full(m, leak)
+    x, root = rng.standard_normal(n + m), rng.standard_normal((n + m, n + m))
+    P, u = root @ root.T, rng.standard_normal(n)
+    Phi, Q = van_loan(G, Qp, q, a, H)
+    moved = Phi @ x
+    moved[:n] += H * u
+    new_x, new_P = momentum_step(x, P, G, u, moved[:n], np.eye(n) * 1e15, H, Qp, q, a)
+    np.testing.assert_allclose(new_x, moved, rtol=0, atol=1e-12 * np.abs(moved).max())
+    np.testing.assert_allclose(new_P, Phi @ P @ Phi.T + Q, rtol=0, atol=1e-12 * np.abs(new_P).max())
+    quiet = oracles.momentum_step(x, 0 * P, G, u, moved[:n], np.eye(n) * 1e15, H, Qp, q, a)[1]
+    np.testing.assert_allclose(quiet, Q, rtol=1e-9, atol=1e-18)
+
+
+def test_the_series_meets_the_closed_form() -> None:
+    below, above = (leak_integrals(np.array([a]), 1.0)[4][0] for a in (0.02 * (1 - 1e-9), 0.02 * (1 + 1e-9)))
+    assert below == pytest.approx(above, rel=1e-9)
+
+
+@pytest.mark.parametrize("intensity", [2.0, 20.0, 200.0])
+def test_held_torques_give_weighted_least_squares(intensity: float) -> None:
+    """No leak, a constant torque error, velocity known: the steady wrench is prior-free least squares, weights 1/Qp.
+
+    The velocity is known exactly, R = 0: with R = 1e-12 (N m s)^2 the wrench is off by 1e-6.
+    """
+    robot = robots.load("yumi_left")
+    rng = np.random.default_rng(1)
+    J = robot.chain.jacobian(robot.q_home)
+    tau_e, Qp = rng.standard_normal(7), rng.uniform(0.5, 2, 7) * 1e-3
+    x, P = np.zeros(13), np.diag(np.r_[np.zeros(7), [400.0] * 3, [4.0] * 3])
+    p = np.zeros(7)
+    for _ in range(1500):  # the slowest mode, of the smallest intensity, keeps 0.980 per step
+        p = p + H * tau_e
+        x, P = momentum_step(
+            x, P, J.T, np.zeros(7), p, np.zeros((7, 7)), H, Qp, intensity**2 * np.array([1, 1, 1, 0.01, 0.01, 0.01]),
+            np.zeros(6),
+        )  # fmt: skip
+    weighted = J / Qp
+    expected = np.linalg.solve(weighted @ J.T, weighted @ tau_e)
+    np.testing.assert_allclose(x[7:], expected, rtol=1e-8)
+
+
+def test_a_wrench_held_over_one_step_is_the_static_estimate() -> None:
+    """Momentum known, R -> 0, a fresh wrench N(0, C_F) acting during the step: MAP with C_tau = Qp / h, to 1e-9."""
+    robot, rng = robots.load("yumi_left"), np.random.default_rng(4)
+    prior, scale = np.r_[[400.0] * 3, [4.0] * 3], np.r_[[20.0] * 3, [2.0] * 3]
+    for q in rng.uniform(robot.q_min, robot.q_max, (20, 7)):
+        J, Qp = robot.chain.jacobian(q), rng.uniform(0.5, 2, 7) * 1e-3
+        u, tau_e = rng.standard_normal((2, 7))
+        p = H * (u + tau_e)
+        x, P = momentum_step(
+            np.zeros(13), np.diag(np.r_[np.zeros(7), np.ones(6)]), J.T * scale, u, p, np.zeros((7, 7)), H, Qp,
+            np.zeros(6), np.zeros(6),
+        )  # fmt: skip
+        F, cov, *_ = solve_wrench(J, tau_e, Qp / H, np.zeros(7), prior, 0)
+        np.testing.assert_allclose(scale * x[7:], F, rtol=0, atol=1e-9 * np.abs(F).max())
+        np.testing.assert_allclose(np.outer(scale, scale) * P[7:, 7:], cov, rtol=0, atol=1e-9 * cov.max())
+
+
+def test_external_torques_in_place_of_the_wrench_make_the_observer() -> None:
+    """With G = 1 and the gain of the steady state, ``z <- z + k ((p - p_before) - h (u + z))``, to 1e-9."""
+    rng = np.random.default_rng(5)
+    n, R = 3, np.zeros((3, 3))
+    arguments = np.eye(n), H, np.full(n, 1e-2), np.full(n, 20.0), np.zeros(n)
+    x, P = np.zeros(2 * n), np.eye(2 * n)
+
+    def step(x: np.ndarray, P: np.ndarray, u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        G, h, Qp, q, a = arguments
+        return momentum_step(x, P, G, u, y, R, h, Qp, q, a)
+
+    for _ in range(2000):
+        x, P = step(x, P, np.zeros(n), np.zeros(n))
+    gain = step(np.zeros(2 * n), P, np.zeros(n), np.ones(n))[0][n:]
+    p, r = np.zeros(n), np.zeros(n)
+    x = np.zeros(2 * n)
+    for _ in range(200):
+        u, y = rng.standard_normal((2, n))
+        x, P = step(x, P, u, y)
+        r, p = r + gain * ((y - p) - H * (u + r)), y
+        np.testing.assert_allclose(x[n:], r, rtol=0, atol=1e-9 * np.abs(r).max())
+
+
+def test_its_covariance_is_that_of_its_errors() -> None:
+    """NEES of a wrench that walks at random, torque and velocity noise being what the filter is told: 0.95 to 1.05."""
+    robot = robots.load("yumi_left")
+    rng = np.random.default_rng(2)
+    J = robot.chain.jacobian(robot.q_home)
+    Qp, R, q = np.full(7, 4e-3), 1e-6 * np.eye(7), np.r_[np.full(3, 25.0), np.full(3, 0.25)]
+    Phi, Q = van_loan(J.T, Qp, q, np.zeros(6), H)
+    root, start = np.linalg.cholesky(Q + 1e-18 * np.eye(13)), np.r_[np.full(7, 1e-6), [400.0] * 3, [4.0] * 3]
+    nees = []
+    for _ in range(300):
+        x, P, true = np.zeros(13), np.diag(start), np.sqrt(start) * rng.standard_normal(13)
+        for k in range(1, 121):
+            true = Phi @ true + root @ rng.standard_normal(13)
+            y = true[:7] + 1e-3 * rng.standard_normal(7)
+            x, P = momentum_step(x, P, J.T, np.zeros(7), y, R, H, Qp, q, np.zeros(6))
+            if k % 60 == 0:
+                error = x[7:] - true[7:]
+                nees.append(error @ np.linalg.solve(P[7:, 7:], error) / 6)
+    assert abs(np.mean(nees) - 1) < (0.05)
+
+
+def test_the_covariance_stays_symmetric_and_positive() -> None:
+    rng = np.random.default_rng(3)
+    x, P = np.zeros(13), np.diag(np.r_[np.full(7, 1e-8), [400.0] * 3, [4.0] * 3])
+    for _ in range(20_000):
+        G = rng.standard_normal((7, 6))
+        x, P = momentum_step(
+            x, P, G, rng.standard_normal(7), rng.standard_normal(7), 1e-10 * np.eye(7), H, np.full(7, 1e-3),
+            np.full(6, 25.0), np.full(6, 0.5),
+        )  # fmt: skip
+    assert np.array_equal(P, P.T)
+    assert np.linalg.eigvalsh(P).min() > 0
+
+
+def test_wrong_shapes_and_no_noise_are_refused() -> None:
+    good = {
+        "x": np.zeros(3), "P": np.zeros((3, 3)), "G": np.ones((2, 1)), "u": np.zeros(2), "y": np.zeros(2),
+        "R": np.zeros((2, 2)), "h": H, "Qp": np.zeros(2), "q": np.zeros(1), "a": np.zeros(1),
+    }  # fmt: skip
+    with pytest.raises(ShapeError, match="positive covariance"):
+        momentum_step(**good)
+    for name in ("x", "P", "u", "y", "R", "Qp", "q", "a"):
+        with pytest.raises(ShapeError, match=name):
+            momentum_step(**{**good, name: np.zeros(9)})
+        with pytest.raises(ShapeError, match=f"^Expected {name} to be an array of real numbers, got NoneType"):
+            momentum_step(**{**good, name: None})

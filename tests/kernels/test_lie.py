@@ -1,0 +1,303 @@
+"""The Lie groups: against their oracles, batches, broadcasting, and refusals."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armlab import kernels
+from armlab.errors import ShapeError
+
+from .. import oracles
+
+FUNCTIONS = {  # name, with what is chosen beside the arrays: kinds of the arguments
+    "so3_exp": ("w",),
+    "so3_log": ("R",),
+    "so3_angle": ("R", "R2"),
+    "so3_left_jacobian": ("w",),
+    "so3_left_jacobian_inv": ("w",),
+    "se3_exp": ("xi",),
+    "se3_log": ("T",),
+    "se3_inv": ("T",),
+    "se3_adjoint": ("T",),
+    "se3_left_jacobian": ("xi",),
+    "se3_left_jacobian_inv": ("xi",),
+    "so3_interpolate": ("R", "R2", "s"),
+    "se3_interpolate": ("T", "T2", "s"),
+    "se3_interpolate screw": ("T", "T2", "s"),
+    "se3_transform_wrench": ("T", "xi"),
+    "euler_from_rpy zyx": ("w",),
+    "euler_from_rpy zyz": ("w",),
+    "euler_to_rpy zyx": ("R",),
+    "euler_to_rpy xyz": ("R",),
+    "euler_to_rpy zyz": ("R",),
+    "quaternion_from_matrix": ("R",),
+    "quaternion_to_matrix": ("q",),
+    "quaternion_multiply": ("q", "q2"),
+    "quaternion_slerp": ("q", "q2", "s"),
+}
+BROADCAST = [name for name, kinds in FUNCTIONS.items() if len(kinds) > 1]
+TAILS = {"R": 2, "R2": 2, "T": 2, "T2": 2, "s": 0, "q": 1, "q2": 1, "xi": 1}
+BATCHES = [(), (1,), (3,), (4,), (9,), (2, 3), (0,), (5, 0), (1, 2, 1)]
+TURN = st.one_of(
+    st.sampled_from([0.0, 1e-300, 1e-155, 1e-12, 1e-6, 0.4999, 0.5, np.pi - 1e-9, np.pi]),
+    st.floats(0.0, np.pi),
+)
+
+
+def inputs(batch: tuple[int, ...], turns: np.ndarray, seed: int) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal((*batch, 3))
+    w = turns[..., None] * u / np.linalg.norm(u, axis=-1, keepdims=True)
+    xi = np.concatenate([rng.standard_normal((*batch, 3)), w], axis=-1)
+    R, R2 = (oracles.so3_exp(v) for v in (w, rng.standard_normal((*batch, 3))))
+    q, q2 = (oracles.quaternion_from_matrix(M) for M in (R, R2))
+    T = oracles.se3_exp(xi)
+    T2 = T.copy()
+    T2[..., :3, :3], T2[..., :3, 3] = R2, w
+    return {"w": w, "xi": xi, "R": R, "R2": R2, "T": T, "T2": T2, "q": q, "q2": -q2, "s": turns / 3}
+
+
+def function(module: Any, name: str) -> Callable[..., np.ndarray]:
+    """The function of a name in `FUNCTIONS`."""
+    name, _, chosen = name.partition(" ")
+    if chosen == "screw":
+        return partial(getattr(module, name), screw=True)
+    if chosen:
+        first, middle, last = ("xyz".index(letter) for letter in chosen)
+        return partial(getattr(module, name), first=first, middle=middle, last=last)
+    return getattr(module, name)
+
+
+@st.composite
+def cases(draw: st.DrawFn) -> dict[str, np.ndarray]:
+    batch = draw(st.sampled_from(BATCHES))
+    count = int(np.prod(batch))
+    turns = np.array(draw(st.lists(TURN, min_size=count, max_size=count)), dtype=float).reshape(batch)
+    return inputs(batch, turns, draw(st.integers(0, 2**32)))
+
+
+@pytest.fixture
+def batch() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(1)
+    return inputs((2, 35), rng.uniform(0, np.pi, (2, 35)) * rng.integers(0, 2, (2, 35)), 2)
+
+
+@given(cases())
+@settings(max_examples=80)
+def test_native_is_the_reference(case: dict[str, np.ndarray]) -> None:
+    for name, kinds in FUNCTIONS.items():
+        arguments = [case[kind] for kind in kinds]
+        ours, wanted = (function(module, name)(*arguments) for module in (kernels, oracles))
+        assert ours.shape == wanted.shape
+        assert ours.dtype == wanted.dtype == np.float64
+        if name == "se3_log":
+            continue
+        if name in ("so3_log", "quaternion_from_matrix"):  # at a half turn rounding decides which of two
+            ours = np.where((ours * wanted).sum(axis=-1, keepdims=True) < 0, -ours, ours)
+        np.testing.assert_allclose(ours, wanted, rtol=0.0, atol=1e-12 * max(1.0, np.abs(wanted).max(initial=0.0)))
+
+
+@pytest.mark.parametrize("name", ["euler_to_rpy zyx", "euler_to_rpy xyz", "euler_to_rpy zyz"])
+def test_angles_of_half_turns_agree(name: str) -> None:
+    """Whatever the signs of zeros: a half turn is +π."""
+    signs = np.array([(-1.0, -1, 1), (-1, 1, -1), (1, -1, -1), (1, 1, 1)])
+    R = np.eye(3) * signs[:, None, None, :]
+    R = np.concatenate([R, np.where(R == 0, -0.0, R), np.where(R == 0, 0.0, R)]).reshape(-1, 3, 3)
+    ours, wanted = (function(module, name)(R) for module in (kernels, oracles))
+    np.testing.assert_array_equal(ours, wanted)
+    assert (ours > -np.pi).all()
+
+
+@given(cases())
+@settings(max_examples=50)
+def test_logarithms_of_poses_agree(case: dict[str, np.ndarray]) -> None:
+    """Apart from the sign at a half turn: both lead back to the same pose."""
+    T = case["T"]
+    for log in (kernels.se3_log, oracles.se3_log):
+        np.testing.assert_allclose(oracles.se3_exp(log(T)), T, rtol=0.0, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_every_kind_of_input_gives_the_same(batch: dict[str, np.ndarray], name: str) -> None:
+    """Read-only, non-contiguous, big-endian and lists; and no input is changed."""
+    call, plain = function(kernels, name), [batch[kind] for kind in FUNCTIONS[name]]
+    before = [array.copy() for array in plain]
+    wanted = call(*plain)
+    for array in plain:
+        array.flags.writeable = False
+    strided = [np.repeat(array, 2, axis=-1)[..., ::2] for array in plain]
+    transposed = [np.asfortranarray(array) for array in plain]
+    swapped = [array.astype(">f8") for array in plain]
+    lists = [array.tolist() for array in plain]
+    for arguments in (plain, strided, transposed, swapped, lists):
+        np.testing.assert_array_equal(call(*arguments), wanted)
+    for array, saved in zip(plain, before, strict=True):
+        np.testing.assert_array_equal(array, saved)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_out_is_filled_and_returned(batch: dict[str, np.ndarray], name: str) -> None:
+    call, arguments = function(kernels, name), [batch[kind] for kind in FUNCTIONS[name]]
+    wanted = call(*arguments)
+    out = np.full(wanted.shape, np.nan)
+    assert call(*arguments, out=out) is out
+    np.testing.assert_array_equal(out, wanted)
+    with pytest.raises(ShapeError, match="writable C-contiguous float64"):
+        call(*arguments, out=np.empty(wanted.shape, dtype=np.float32))
+    for k, argument in enumerate(arguments):
+        memory = np.zeros(argument.size + wanted.size)
+        memory[: argument.size] = argument.ravel()
+        shared = [*arguments[:k], memory[: argument.size].reshape(argument.shape), *arguments[k + 1 :]]
+        into = memory[argument.size - 1 :][: wanted.size].reshape(wanted.shape)
+        if not argument.size:
+            continue
+        with pytest.raises(ShapeError, match="got one that shares memory with"):
+            call(*shared, out=into)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_batch_is_a_loop(batch: dict[str, np.ndarray], name: str) -> None:
+    """Bit for bit, for whole groups of four samples and for the rest."""
+    call, arguments = function(kernels, name), [batch[kind] for kind in FUNCTIONS[name]]
+    whole = call(*arguments)
+    for index in np.ndindex(2, 35):
+        np.testing.assert_array_equal(call(*[array[index] for array in arguments]), whole[index])
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_nan_stays_in_its_sample(batch: dict[str, np.ndarray], name: str) -> None:
+    call, arguments = function(kernels, name), [batch[kind].copy() for kind in FUNCTIONS[name]]
+    clean = call(*arguments)
+    arguments[0][1, 2] = np.nan
+    dirty = call(*arguments)
+    assert np.isnan(dirty[1, 2]).any()
+    dirty[1, 2] = clean[1, 2]
+    np.testing.assert_array_equal(dirty, clean)
+
+
+@pytest.mark.parametrize("name", BROADCAST)
+def test_leading_axes_broadcast(batch: dict[str, np.ndarray], name: str) -> None:
+    call, arguments = function(kernels, name), [batch[kind] for kind in FUNCTIONS[name]]
+    arguments[0] = arguments[0][:, :1]
+    arguments[1] = arguments[1][0]
+    tails = [TAILS[kind] for kind in FUNCTIONS[name]]
+    full = [np.broadcast_to(a, (2, 35, *a.shape[a.ndim - t :])) for a, t in zip(arguments, tails)]
+    np.testing.assert_array_equal(call(*arguments), call(*full))
+    if len(arguments) == 3:
+        arguments[2], full[2] = arguments[2][0], arguments[2]
+    arguments[0], full[0] = arguments[0][0, 0], np.broadcast_to(full[0][0, 0], full[0].shape)
+    np.testing.assert_array_equal(call(*arguments), call(*[array[0] for array in full]))
+
+
+@given(cases(), st.sampled_from([0.0, 1e-12, 0.1, 1.0]), st.sampled_from([1e-200, 1.0, 3e5]))
+@settings(max_examples=100)
+def test_nearest_rotations_agree(case: dict[str, np.ndarray], noise: float, scale: float) -> None:
+    """To 1e-12, and where the rotation is hardly determined to that over how well it is."""
+    R = case["R"]
+    M = scale * (R + noise * np.random.default_rng(0).standard_normal(R.shape))
+    before = M.copy()
+    (ours, sigma), (wanted, expected) = (module.so3_nearest(M) for module in (kernels, oracles))
+    np.testing.assert_array_equal(M, before)
+    np.testing.assert_allclose(sigma, expected, rtol=0, atol=1e-13 * np.abs(expected).max(initial=0.0))
+    determined = (expected[..., 1] + expected[..., 2]) / expected[..., 0]
+    off = np.abs(ours - wanted).max(axis=(-1, -2), initial=0.0)
+    assert (off[determined > 1e-6] <= 1e-12 / np.minimum(determined, 1.0)[determined > 1e-6]).all()
+
+
+def test_nearest_rotation() -> None:
+    M = np.array([np.eye(3), np.diag([1.0, 1.0, -0.5]), np.full((3, 3), np.nan), np.diag([3.0, 2.0, np.inf])])
+    M = np.concatenate([M, np.zeros((1, 3, 3)), np.diag([2.0, 0.0, 0.0])[None]])
+    out = np.empty(M.shape)
+    R, sigma = kernels.so3_nearest(M, out)
+    assert R is out
+    np.testing.assert_allclose(R[:2], np.broadcast_to(np.eye(3), (2, 3, 3)), rtol=0, atol=1e-16)
+    np.testing.assert_allclose(sigma[[0, 1, 4, 5]], [[1, 1, 1], [1, 1, -0.5], [0, 0, 0], [2, 0, 0]], rtol=0, atol=1e-15)
+    assert np.isnan(R[2:4]).all()
+    assert np.isnan(sigma[2:4]).all()
+    assert kernels.so3_nearest(np.zeros((0, 3, 3)))[0].shape == (0, 3, 3)
+    one = [kernels.so3_nearest(m)[0] for m in M[:2]]
+    np.testing.assert_array_equal(one, R[:2])
+    with pytest.raises(ShapeError, match=r"M of shape \(\.\.\., 3, 3\)"):
+        kernels.so3_nearest(np.eye(4))
+
+
+def test_rotations_and_poses_are_returned_as_they_are(batch: dict[str, np.ndarray]) -> None:
+    assert kernels.rotations(batch["R"], "R") is batch["R"]
+    assert kernels.poses(batch["T"], "T") is batch["T"]
+    assert kernels.rotations(np.eye(3, dtype=int).tolist(), "R").dtype == np.float64
+
+
+def matrices(*changes: tuple[tuple[int, ...], float]) -> np.ndarray:
+    return poses(*changes)[..., :3, :3]
+
+
+def poses(*changes: tuple[tuple[int, ...], float]) -> np.ndarray:
+    T = np.tile(np.eye(4), (5, 3, 1, 1))
+    for index, value in changes:
+        T[index] = value
+    return T
+
+
+EYES = np.tile(np.eye(3), (3, 1, 1))
+NO_ROTATION = "Expected R{} to be a rotation within 1e-06, got {}. Project it first"
+NOT_UNIT = "Expected {} of length 1 within 0.001 (wxyz), got length {}."
+LAST_ROW = "Expected (0, 0, 0, 1) as the last row of T{}, got one off by {}."
+REFUSED = [
+    ("rotations", (np.zeros((2, 3)), "R_x"), "Expected R_x of shape (..., 3, 3), got (2, 3)."),
+    ("rotations", ("north", "R"), "Expected R to be an array of real numbers, got str"),
+    ("rotations", (1j * np.eye(3), "R"), "Expected R to be an array of real numbers, got "),
+    ("rotations", (2 * np.eye(3), "R"), NO_ROTATION.format("", "max|R^T R - I| = 3")),
+    ("rotations", (-np.eye(3), "R"), NO_ROTATION.format("", "determinant = -1")),
+    ("rotations", (matrices(((3, 1, 0, 0), np.inf)), "R"), NO_ROTATION.format("[3, 1]", "max|R| = inf")),
+    (
+        "rotations",
+        (matrices(((1, 1, 0, 1), np.nan), ((4, 2, 0, 1), 1.1e-6)), "R"),
+        NO_ROTATION.format("[4, 2]", "max|R^T R - I| = 1.1e-06"),
+    ),
+    ("poses", (poses(((4, 0, 1, 1), 1.1)), "T"), "Expected the rotation of T[4, 0] to be a rotation within"),
+    ("poses", (poses(((2, 2, 3, 1), 0.5)), "T"), LAST_ROW.format("[2, 2]", "0.5")),
+    ("poses", (poses(((2, 1, 3, 3), np.nan)), "T"), LAST_ROW.format("[2, 1]", "nan")),
+    ("se3_log", (np.eye(3),), "Expected T of shape (..., 4, 4), got (3, 3)."),
+    ("se3_adjoint", (2 * np.eye(4),), "Expected the rotation of T_a_b to be a rotation"),
+    ("se3_exp", (np.zeros(3),), "Expected xi of shape (..., 6), got (3,)."),
+    ("so3_exp", (1.0,), "Expected w of shape (..., 3), got ()."),
+    ("so3_angle", (np.eye(3), np.zeros((3, 3))), "Expected R_b to be a rotation"),
+    (
+        "so3_angle",
+        (EYES, EYES[:2]),
+        "Expected leading axes that broadcast, got R_a of shape (3, 3, 3), R_b of shape (2, 3, 3).",
+    ),
+    ("quaternion_to_matrix", ([[1, 0, 0, 0], [1, 0.1, 0, 0]],), NOT_UNIT.format("quaternion[1]", "1.00499")),
+    ("quaternion_slerp", ([1, 0, 0, 0], [3, 0, 0, 0], 0.5), NOT_UNIT.format("b", "3")),
+    ("quaternion_multiply", (np.zeros((2, 4)), np.zeros((3, 4))), "Expected leading axes that broadcast, got p of"),
+]
+
+
+@pytest.mark.parametrize(("name", "arguments", "sentence"), REFUSED)
+def test_refusals(name: str, arguments: tuple[Any, ...], sentence: str) -> None:
+    with pytest.raises(ShapeError, match="^.*" + re.escape(sentence)):
+        getattr(kernels, name)(*arguments)
+
+
+def test_a_missing_number_passes_and_hides_nothing_else() -> None:
+    T = poses(((1, 1, 0, 1), np.nan), ((1, 1, 3, 1), np.nan), ((0, 2, 0, 3), np.nan))
+    assert np.isnan(kernels.se3_inv(T)[1, 1]).any()
+    assert np.isfinite(kernels.se3_inv(T)[2:]).all()
+
+
+@pytest.mark.parametrize("name", ["so3_exp", "so3_left_jacobian"])
+def test_far_turns_have_values(name: str) -> None:
+    """Beyond the range of a square, lengths come from the C library."""
+    w = np.array([[1e200, 0, 0], [3e-170, 4e-170, 0], [0, 0, -1e8], [0.1, 0.2, 0.3]])
+    values = getattr(kernels, name)(w)
+    assert np.isfinite(values).all()
+    np.testing.assert_allclose(values[1:], getattr(oracles, name)(w[1:]), rtol=0, atol=1e-8)
+    assert np.isnan(kernels.so3_exp([np.inf, 0, 0])).any()
