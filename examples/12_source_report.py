@@ -18,7 +18,7 @@ def measure(side: str) -> tuple[log.Table, log.Table]:
         return sum(np.outer(np.interp(t, s + corners, [0, f, f, 0]), np.eye(6)[axis]) for s, axis, f in presses)
 
     arm = sim.SimulatedArm(robot, sim.synthetic_truth(robot), seed=1)
-    excited = sim.record(arm, identify.excitation(robot, 24.0))
+    excited = sim.record(arm, identify.design_excitation(robot, 24.0))
     estimator = contact.Estimator(identify.fit_dynamics(excited, robot).value, robot)
     return estimator.run(excited), estimator.run(sim.record(arm, identify.dither(robot.q_home, 27.0), hand))
 

@@ -12,7 +12,7 @@ from armlab.models import FrictionMap, RadialBasis
 # -- made
 robot = robots.load("yumi_right")
 arm = sim.SimulatedArm(robot, sim.synthetic_truth(robot), seed=1)
-excited = sim.record(arm, identify.excitation(robot, 20.0))  # q, qd, tau
+excited = sim.record(arm, identify.design_excitation(robot, 20.0))  # q, qd, tau
 fit = identify.fit_dynamics(excited, robot)
 
 

@@ -6,7 +6,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from armlab.motion import fit_dmp, retimed, shortest_duration
-from armlab.plots.style import AXIS_COLORS, MODEL, look
+from armlab._palette import AXIS_COLORS
+from armlab.plots.style import MODEL, look
 
 LIMITS = (1.0, 8.0)
 

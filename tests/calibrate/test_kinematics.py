@@ -21,7 +21,7 @@ from armlab.lie import se3, so3
 from armlab.models import KinematicCorrection
 from armlab.robots import Robot
 from armlab.sim import cell
-from armlab.sim._cell_kinematics import ANCHOR, DEGREE, NOISE, KinematicRun, as_robot, dh_arm, sliding_robot, spoilt
+from armlab.sim.experiments.kinematics import ANCHOR, DEGREE, KinematicRun, NOISE, as_robot, dh_arm, sliding_robot, spoilt
 
 
 @pytest.fixture(scope="module")
@@ -492,7 +492,7 @@ class TestGeometry:
         """A torque model of the corrected arm runs it, and refuses the arm before."""
         robot, _, fit = yumi
         found = fit.value.robot
-        log = replace(truth, robot=found).log(identify.excitation(found, seconds=30, seed=1), seed=1)
+        log = replace(truth, robot=found).log(identify.design_excitation(found, seconds=30, seed=1), seed=1)
         model = identify.fit_dynamics(log, found).value
         free = contact.Estimator(model, found).run(log)
         assert np.median(np.linalg.norm(free["wrench_hat"][100:, :3], axis=1)) < 5.0
@@ -561,7 +561,7 @@ class TestJointErrors:
             lambda value, q: sim.Arm(value, sim.synthetic_truth(robots.load("irb2400"))),
             lambda value, q: bridge.connect("sim://irb2400", value),
             lambda value, q: identify.base_parameters(value),
-            lambda value, q: identify.excitation(value),
+            lambda value, q: identify.design_excitation(value),
             lambda value, q: fit_kinematics(value, q, pose=np.tile(np.eye(4), (20, 1, 1))),
         ],
     )

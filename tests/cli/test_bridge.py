@@ -20,14 +20,14 @@ import pytest
 from rich.console import Console
 
 from armlab import robots
-from armlab.bridge.feed import OPERATOR, Exchange
-from armlab.bridge.local import LocalFeed, socket_path
-from armlab.bridge.local_server import LocalServer
-from armlab.bridge.messages import Subscribe, parameter_message
-from armlab.bridge.parameters import Parameter, Parameters
-from armlab.bridge.row import RowWriter, read_row
-from armlab.bridge.row_schema import RowSchema
-from armlab.bridge.watch import Watch
+from armlab.bridge.servers.hub import Exchange, OPERATOR
+from armlab.bridge.servers.local import LocalFeed, socket_path
+from armlab.bridge.servers.local_server import LocalServer
+from armlab.bridge.servers.messages import Subscribe, parameter_message
+from armlab.bridge.inputs.parameters import Parameter, Parameters
+from armlab.bridge.servers.row import RowWriter, read_row
+from armlab.bridge.servers.row import RowSchema
+from armlab.bridge.servers.watch import Watch
 from armlab.cli import main
 from armlab.cli.bridge import (
     USERS,

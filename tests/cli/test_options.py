@@ -14,7 +14,7 @@ from armlab.bridge.urls import addresses
 from armlab.cli import main
 from armlab.cli.support.options import as_given, known_ports, links_to, ports_in, require_positive, simulated
 from armlab.errors import ConfigError, LogError, ShapeError, UnknownName
-from armlab.sim.scara import scara
+from armlab.sim.arm.arm import scara
 
 
 def test_what_was_not_given_or_is_positive_passes() -> None:

@@ -18,9 +18,9 @@ import pytest
 from armlab import cli, robots
 from armlab.cli.sim import Around, Content, FaultOptions, Written, pair, read_hand, read_operator, sim
 from armlab.errors import ConfigError, LogError, UnknownName
-from armlab.sim.fault_rates import FaultRates
-from armlab.sim.scara import scara
-from armlab.sim.settings import Settings
+from armlab.sim.controller.settings import FaultRates
+from armlab.sim.arm.arm import scara
+from armlab.sim.controller.settings import ControllerSettings
 from armlab.wire.egm import EgmCodec, Packet, Reference
 
 HEADER = "t,fx,fy,fz,mx,my,mz\n"
@@ -112,9 +112,9 @@ def test_each_robot_may_have_a_seed_of_its_own() -> None:
 
 
 def test_abb_defaults_do_not_replace_what_was_given(holding_peer: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[Settings] = []
-    original = Settings.__post_init__
-    monkeypatch.setattr(Settings, "__post_init__", lambda self: (original(self), seen.append(self))[0])
+    seen: list[ControllerSettings] = []
+    original = ControllerSettings.__post_init__
+    monkeypatch.setattr(ControllerSettings, "__post_init__", lambda self: (original(self), seen.append(self))[0])
     assert cli.main(arguments(holding_peer, "--abb-defaults", "--window", "0.2")) == 0
     assert (seen[-1].window, seen[-1].max_speed) == (0.2, np.radians(1.0))
 

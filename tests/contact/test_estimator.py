@@ -17,7 +17,7 @@ from armlab.errors import ConcurrentUse, ModelMismatchError, NotExcited, ShapeEr
 from armlab.kernels import backend
 from armlab.log import Table
 from armlab.models import velocity_covariance
-from armlab.robots.outline import arm_length
+from armlab.robots.robot import arm_length
 from armlab.state import State
 
 PRIOR_SD = np.array([20.0, 20, 20, 2, 2, 2])

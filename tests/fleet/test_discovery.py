@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from armlab import robots
-from armlab.bridge.row_schema import RowSchema
-from armlab.bridge.zenoh import EVERY, Place, Security, close_session
-from armlab.cli.certificates import write_certificates
+from armlab.bridge.servers.row import RowSchema
+from armlab.bridge.servers.zenoh import EVERY, Place, Security, close_session
+from armlab.cli.bridge import write_certificates
 from armlab.errors import ConfigError, LinkError
 from armlab.fleet import FleetRobot, Router, list_robots
 from armlab.fleet.discovery import _Seen

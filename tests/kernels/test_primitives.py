@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from armlab import kernels
 from armlab.errors import ShapeError
 from armlab.lie import quaternion, so3
-from armlab.motion._basis import placed
+from armlab.motion.primitive.equation import placed
 
 from .. import oracles
 from ..oracles.primitive import PHASES

@@ -14,9 +14,10 @@ import pytest
 
 from armlab import kernels, lie, robots
 from armlab.errors import ShapeError
-from armlab.log import Column, Tick, rows
-from armlab.log.messages import plan, topics
-from armlab.log.rows import RowLayout
+from armlab.log import Column, Tick
+from armlab.log.recording import rows
+from armlab.log.recording.ros_messages import plan, topics
+from armlab.log.recording.rows import RowLayout
 from armlab.state import Command, State
 
 N = 7

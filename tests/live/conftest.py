@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 
 from armlab import live
-from armlab.bridge.feed import OPERATOR, Exchange
-from armlab.bridge.local import socket_path
-from armlab.bridge.local_server import LocalServer
+from armlab.bridge.servers.hub import Exchange, OPERATOR
+from armlab.bridge.servers.local import socket_path
+from armlab.bridge.servers.local_server import LocalServer
 from armlab.live.live_bridge import Running
 from armlab.live.server import HOST
 from armlab.log import Tick

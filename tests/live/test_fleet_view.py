@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.row_schema import RowSchema
-from armlab.bridge.zenoh import EVERY, Place
+from armlab.bridge.servers.row import RowSchema
+from armlab.bridge.servers.zenoh import EVERY, Place
 from armlab.errors import LinkError
 from armlab.kinematics import forward
 from armlab.lie import quaternion, se3

@@ -41,14 +41,7 @@ from armlab.calibrate.orientation_conventions import (
     readings_of_robot,
 )
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
-from armlab.estimation import (
-    Fit,
-    Measurement,
-    NonlinearSolution,
-    Problem,
-    check_spread,
-    nonlinear_least_squares,
-)
+from armlab.estimation import Fit, Measurement, NonlinearProblem, NonlinearSolution, check_spread, nonlinear_least_squares
 from armlab.lie import so3
 from armlab.models import HandEye
 from armlab.models.hand_eye import FRAMES
@@ -267,9 +260,9 @@ class HandEyeEquation:
         G[:, 3:, 3:] = -pair.RX.T
         return G @ full(self.noise_A) @ G.transpose(0, 2, 1)
 
-    def problem(self) -> Problem[Pair]:
+    def problem(self) -> NonlinearProblem[Pair]:
         """Return what the solver needs."""
-        return Problem(self.evaluate, Pair.plus, what="hand-eye calibration")
+        return NonlinearProblem(self.evaluate, Pair.plus, what="hand-eye calibration")
 
 
 def full(noise: np.ndarray) -> np.ndarray:

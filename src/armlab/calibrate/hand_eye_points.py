@@ -35,8 +35,8 @@ from armlab.calibrate.hand_eye import (
 from armlab.calibrate.inputs import point_noise, pose_noise, poses
 from armlab.calibrate.orientation_conventions import FITS, MUCH_BETTER, ROBOT, SUSPECT, readings_of_robot
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
-from armlab.estimation import Fit, Measurement, Problem, check_spread, nonlinear_least_squares
-from armlab.estimation.factors import triangle
+from armlab.estimation import Fit, Measurement, NonlinearProblem, check_spread, nonlinear_least_squares
+from armlab.estimation.tsqr import triangle
 from armlab.frames import marker_pose
 from armlab.frames.inputs import marker_points, sightings
 from armlab.lie import se3, so3
@@ -261,7 +261,7 @@ class PointModel:
         """Return measured minus predicted (m, 3) in camera axes [m]."""
         return self.p - self.seen(np.asarray(value.points), value.Y[:3, :3], value.Y[:3, 3])[1]
 
-    def free(self) -> Problem[Points]:
+    def free(self) -> NonlinearProblem[Points]:
         """Return the problem of points of unknown place."""
 
         def evaluate(value: Points) -> list[Measurement]:
@@ -271,9 +271,9 @@ class PointModel:
             J[:, :, -6:] = JY
             return self._measured(ph, J, C, value.s, value.RY)
 
-        return Problem(evaluate, Points.plus, what="hand-eye calibration from points")
+        return NonlinearProblem(evaluate, Points.plus, what="hand-eye calibration from points")
 
-    def marked(self, marker: np.ndarray) -> Problem[Pair]:
+    def marked(self, marker: np.ndarray) -> NonlinearProblem[Pair]:
         """Return the problem of a marker whose points (K, 3) are known."""
         body = so3.hat(marker)
 
@@ -285,7 +285,7 @@ class PointModel:
             J[:, :, 6:] = JY
             return self._measured(ph, J, C, s, value.RY)
 
-        return Problem(evaluate, Pair.plus, what="hand-eye calibration from points")
+        return NonlinearProblem(evaluate, Pair.plus, what="hand-eye calibration from points")
 
     def _measured(
         self, ph: np.ndarray, J: np.ndarray, C: np.ndarray, s: np.ndarray, RY: np.ndarray

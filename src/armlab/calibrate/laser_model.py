@@ -21,7 +21,7 @@ import numpy as np
 from armlab.calibrate.diagnostics import ALIGNED, UNSEEN, axis_text, require_two_axes
 from armlab.calibrate.inputs import rows_text
 from armlab.errors import NotConverged, NotExcited, ShapeError
-from armlab.estimation import Measurement, Problem
+from armlab.estimation import Measurement, NonlinearProblem
 from armlab.lie import quaternion, so3
 
 TINY = 1e-12
@@ -166,9 +166,9 @@ class Scans:
         r[:, 1] = np.arcsin(np.minimum(np.maximum(sine, -1.0), 1.0))
         return r
 
-    def problem(self) -> Problem[Scene]:
+    def problem(self) -> NonlinearProblem[Scene]:
         """Return what the solver needs."""
-        return Problem(self.evaluate, Scene.plus, what="laser scanner")
+        return NonlinearProblem(self.evaluate, Scene.plus, what="laser scanner")
 
     def base_points(self, scene: Scene) -> np.ndarray:
         """Return the points (N, 3) of the lines in base axes."""

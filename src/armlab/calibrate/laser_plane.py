@@ -42,7 +42,7 @@ from armlab.calibrate.laser_model import (
 )
 from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation import Fit, NonlinearSolution, check_spread, nonlinear_least_squares
-from armlab.estimation.descent import descend
+from armlab.estimation.nonlinear import descend
 from armlab.estimation.robust import mad
 from armlab.lie import se3, so3
 from armlab.models import LaserSensor

@@ -18,7 +18,7 @@ from armlab._toml import TomlError, parsed
 from armlab.errors import ConfigError
 
 if TYPE_CHECKING:
-    from armlab.bridge.messages import Request
+    from armlab.bridge.servers.messages import Request
 
 
 _WHOLE = re.compile(r"[-+]?[1-9][0-9]*(_[0-9]+)*")
@@ -68,8 +68,8 @@ def set_parameters(*setting: str, cell: str = "") -> None:
     cell
         Name of the cell; needed when several run.
     """
-    from armlab.bridge.local import LocalFeed
-    from armlab.bridge.messages import SetRequest, Subscribe
+    from armlab.bridge.servers.local import LocalFeed
+    from armlab.bridge.servers.messages import SetRequest, Subscribe
     from armlab.cli.support.output import aligned, result
 
     values = dict(_setting(word) for word in setting)
@@ -95,7 +95,7 @@ def stop(*, cell: str = "") -> None:
     cell
         Name of the cell; needed when several run.
     """
-    from armlab.bridge.messages import Stop
+    from armlab.bridge.servers.messages import Stop
 
     _operate(Stop(), cell)
 
@@ -109,7 +109,7 @@ def release(*, cell: str = "") -> None:
     cell
         Name of the cell; needed when several run.
     """
-    from armlab.bridge.messages import Release
+    from armlab.bridge.servers.messages import Release
 
     _operate(Release(), cell)
 
@@ -123,7 +123,7 @@ def resume(*, cell: str = "") -> None:
     cell
         Name of the cell; needed when several run.
     """
-    from armlab.bridge.messages import Resume
+    from armlab.bridge.servers.messages import Resume
 
     _operate(Resume(), cell)
 
@@ -145,7 +145,7 @@ def certificates(folder: Path, *, host: list[str] | None = None) -> None:
 
 
 def _operate(request: Request, cell: str) -> None:
-    from armlab.bridge.local import LocalFeed
+    from armlab.bridge.servers.local import LocalFeed
     from armlab.cli.support.output import result
 
     with LocalFeed(cell) as feed:
@@ -188,7 +188,7 @@ def _setting(word: str) -> tuple[str, Any]:
         return name, value  # a text without quotes
 
 
-USERS = ("commander", "bridge", "viewer")  # the first two as `armlab.bridge.zenoh.security` names them
+USERS = ("commander", "bridge", "viewer")  # the first two as `armlab.bridge.servers.zenoh.security` names them
 """Users that get a password each."""
 
 _DAYS = "3650"

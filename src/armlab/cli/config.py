@@ -28,7 +28,7 @@ def show(*, config: Path | None = None, origin: bool = False, json: bool = False
     json
         Print JSON for scripts: name, value, origin.
     """
-    from armlab.bridge.cell_values import cell_values
+    from armlab.bridge.cell import cell_values
     from armlab.cli.support.output import aligned, print_json, result
     from armlab.cli.support.settings import load_settings, read_text
 

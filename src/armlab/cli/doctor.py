@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from armlab.bridge.findings import Finding
+    from armlab.bridge.doctor.findings import Finding
 
 __all__ = ["disk", "doctor"]
 
@@ -46,7 +46,7 @@ def doctor(
         Print JSON for scripts.
     """
     from armlab import robots
-    from armlab.bridge.doctor import LONGEST, examine
+    from armlab.bridge.doctor.report import LONGEST, examine
     from armlab.cli import FAILED, SKIPPED
     from armlab.cli.support.options import known_ports, ports_in
     from armlab.cli.support.output import note, print_json, result
@@ -72,7 +72,7 @@ def disk(
     free: Callable[[Path], int] = lambda folder: shutil.disk_usage(folder).free,
 ) -> Finding:
     """Measure the disk on which a log would be written: speed, how long a sync takes, hours of room."""
-    from armlab.bridge.findings import Finding
+    from armlab.bridge.doctor.findings import Finding
 
     syncs: list[float] = []
     try:

@@ -1,4 +1,4 @@
-"""``armlab excite``: design an excitation trajectory and run it."""
+"""``armlab excite``: design an excite trajectory and run it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cyclopts import Parameter
 if TYPE_CHECKING:
     import numpy as np
 
-    from armlab.identify import Expectation, Trajectory
+    from armlab.identify import PredictedUncertainty, Trajectory
     from armlab.log import Table
     from armlab.robots import Robot
 
@@ -106,7 +106,7 @@ def excite(
     from armlab.cli.support.output import FIGURES, check_output, note, print_json, progress, result, save_figure
     from armlab.cli.support.settings import load_settings, log_folder
     from armlab.errors import ConfigError
-    from armlab.identify import Trajectory, expectation
+    from armlab.identify import Trajectory, excite
 
     if output is None and run is None:
         raise ConfigError("Expected a file for the motion (-o motion.csv) or a link to run it on (--run), got neither.")
@@ -128,7 +128,7 @@ def excite(
             tell(0, 2, f"reading {saved.name}")
             trajectory = Trajectory.from_table(logs.read(saved))
         tell(9, 10, "what it will tell")
-        expected = expectation(trajectory, arm, noise) if joint is None else None
+        expected = excite(trajectory, arm, noise) if joint is None else None
         tell(1, 1, "done")
     if json:
         told = {} if expected is None else _plain(expected)
@@ -156,12 +156,12 @@ def _design(
 ) -> Trajectory:
     """Design a motion of all joints, or of one."""
     from armlab.cli.support.figure_options import joints_in
-    from armlab.identify import excitation, friction_run
+    from armlab.identify import excite, friction_run
 
     if joint is not None:
         return friction_run(robot, joints_in(joint, robot.n)[0] if joint.isdecimal() else joint)
     shape = motion.seconds, motion.f0, motion.harmonics, speed, motion.acceleration
-    return excitation(
+    return excite(
         robot,
         *shape,
         seed=motion.seed,
@@ -170,13 +170,13 @@ def _design(
     )
 
 
-def _text(expected: Expectation) -> str:
+def _text(expected: PredictedUncertainty) -> str:
     from armlab.cli.support.output import aligned
 
     return f"{aligned(expected.rows(), right=(2, 3, 4))}\n{expected.excitation.text()}"
 
 
-def _plain(expected: Expectation) -> dict[str, Any]:
+def _plain(expected: PredictedUncertainty) -> dict[str, Any]:
     parameters = zip(expected.names, expected.units, expected.groups, expected.sd, strict=True)
     keys = ("name", "unit", "group", "sd")
     found = {"condition": expected.excitation.condition, "weakest": expected.excitation.weakest}

@@ -17,7 +17,7 @@ from armlab.errors import ConfigError
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from armlab.bridge.zenoh import Place
+    from armlab.bridge.servers.zenoh import Place
     from armlab.robots import Robot
 
 
@@ -56,7 +56,7 @@ def router(
     seconds
         Time after which to end [s].
     """
-    from armlab.bridge.zenoh import Security
+    from armlab.bridge.servers.zenoh import Security
     from armlab.cli.support.output import note
     from armlab.fleet import Router
 
@@ -173,7 +173,7 @@ fleet.command(
 
 
 def _place(lab: str, router: str, ca: Path | None, secret: Path | None) -> Place:
-    from armlab.bridge.zenoh import EVERY, Place, Security
+    from armlab.bridge.servers.zenoh import EVERY, Place, Security
 
     return Place.read(f"zenoh://{router}/{lab}")._replace(lab=lab or EVERY, security=Security(ca=ca, secret=secret))
 
@@ -236,7 +236,7 @@ class Job:
     def work(self, title: str) -> Iterator[tuple[Executor | None, Callable[[int, int, str], None]]]:
         """Yield the executor of the block, and what shows its progress."""
         from armlab.cli.support.output import progress
-        from armlab.fleet.workers import workers
+        from armlab.fleet.mapping import workers
 
         with workers(self.workers, self.dask) as executor, progress(title) as tell:
             yield executor, tell
@@ -267,7 +267,7 @@ def identify(
     from armlab import fleet
     from armlab.cli import SKIPPED
     from armlab.cli.support.output import check_output, note, print_json, result
-    from armlab.fleet.cache import default_folder
+    from armlab.fleet.identification import default_folder
 
     check_output(output, job.force, [".toml"])
     arm = job.arm(logs)

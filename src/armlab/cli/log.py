@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from armlab.log import Table
-    from armlab.log.inspection import Inspection
+    from armlab.log.recording.inspection import Inspection
     from armlab.robots import Robot
 
 
@@ -46,8 +46,8 @@ def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
     from armlab.cli.support.log_input import reading_bar
     from armlab.cli.support.output import print_json, result
     from armlab.errors import LogError
-    from armlab.log.formats import format_at
-    from armlab.log.topic_reading import is_foreign
+    from armlab.log.file_formats.opening import format_at
+    from armlab.log.topics.reader import is_foreign
 
     kind = format_at(file)
     held = logs.inspect(file) if kind in ("MCAP", "") else None  # of no file it says why
@@ -105,9 +105,9 @@ def export(
     """
     from armlab import log as logs
     from armlab.cli.support.output import check_output, note, progress, refuse_overwrite, result
-    from armlab.log.mat_table import matlab_names
+    from armlab.log.file_formats.mat import matlab_names
     from armlab.log.reading import names_robots
-    from armlab.log.sidecar import sidecar_path
+    from armlab.log.file_formats.delimited import sidecar_path
     from armlab.log.writing import ENDINGS
 
     check_output(output, force, ENDINGS, [file])
@@ -144,9 +144,9 @@ def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
     """
     from armlab import log as logs
     from armlab import robots
-    from armlab.log.formats import format_at
-    from armlab.log.recording_metadata import described
-    from armlab.log.topic_reading import is_foreign
+    from armlab.log.file_formats.opening import format_at
+    from armlab.log.recording.metadata import described
+    from armlab.log.topics.reader import is_foreign
 
     if ending not in (".mcap", ".rosbag2") or (ending == ".rosbag2" and is_foreign(file)):
         return None
@@ -215,9 +215,9 @@ def cut(
     from armlab import log as logs
     from armlab.cli.support.output import check_output, progress, result
     from armlab.errors import ConfigError, LogError
-    from armlab.log.formats import format_at
+    from armlab.log.file_formats.opening import format_at
     from armlab.log.reading import names_robots
-    from armlab.log.topic_reading import is_foreign
+    from armlab.log.topics.reader import is_foreign
     from armlab.log.writing import ENDINGS
 
     start, stop = (-float("inf") if from_ is None else from_), (float("inf") if to is None else to)
@@ -335,7 +335,7 @@ def parameters_data(held: Inspection) -> dict[str, Any]:
 
 def _table_data(table: Table) -> dict[str, Any]:
     """Return what is shown of any log, for scripts."""
-    from armlab.log.text import component_names, statistics, timing
+    from armlab.log.table import component_names, statistics, timing
 
     holes = table.missing()
     columns = {}
@@ -382,7 +382,7 @@ def _exchanged_text(file: Path, kind: str, tables: Mapping[str, Table]) -> str:
 def _table_texts(tables: Mapping[str, Table]) -> list[str]:
     """Return rows, notes and columns of each table, with its name where there are several."""
     from armlab.cli.support.output import aligned
-    from armlab.log.text import table_text
+    from armlab.log.table import table_text
 
     blocks = [] if tables else ["no topic with numbers"]
     for name, table in tables.items():
@@ -431,7 +431,7 @@ def _column_rows(table: Table) -> list[tuple[str, ...]]:
     """Return one row per column: shape of a row, unit, frame, missing, minimum and maximum over its components."""
     import numpy as np
 
-    from armlab.log.text import statistics
+    from armlab.log.table import statistics
 
     holes = table.missing()
     rows: list[tuple[str, ...]] = [("column", "shape", "unit", "frame", "missing", "min", "max")]

@@ -47,7 +47,7 @@ def record(
         Replace existing logs.
     """
     from armlab import bridge, robots
-    from armlab.bridge.recording import paths
+    from armlab.bridge.control.recording import paths
     from armlab.cli.support.options import require_positive
     from armlab.cli.support.output import Narrator, check_output, note
     from armlab.errors import NoRobot, SessionEnded

@@ -197,7 +197,7 @@ def _tell_files(link: Link) -> None:
 def _report_of_logs(link: Link) -> None:
     """Print the report of a run that was interrupted: its numbers are the summary of the log."""
     from armlab import log as logs
-    from armlab.bridge.run import Run
+    from armlab.bridge.control.run import Run
     from armlab.cli.support.output import result
 
     for path in _files(link):

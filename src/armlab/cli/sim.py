@@ -17,22 +17,22 @@ from cyclopts import Parameter
 from armlab._interrupts import deferred
 from armlab.cli import FAILED, INTERRUPTED
 from armlab.errors import ConfigError, LogError
-from armlab.sim.fault_rates import FaultRates
-from armlab.sim.mismatch import Mismatch
-from armlab.sim.settings import Settings
+from armlab.sim.controller.settings import FaultRates
+from armlab.sim.arm.mismatch import Mismatch
+from armlab.sim.controller.settings import ControllerSettings
 
 if TYPE_CHECKING:
     import numpy as np
 
     from armlab.robots import Robot
-    from armlab.sim import Scene
-    from armlab.sim.arm import Arm
-    from armlab.sim.channel import Channel
-    from armlab.sim.controller import Controller
-    from armlab.sim.hand import HandPath
-    from armlab.sim.lagging import LaggingArm
-    from armlab.sim.operator import Operator
-    from armlab.sim.statistics import Event
+    from armlab.sim import Surroundings
+    from armlab.sim.arm.arm import SimulatedArm
+    from armlab.sim.controller.channel import UdpClient
+    from armlab.sim.controller.controller import SimulatedController
+    from armlab.sim.events import HandPath
+    from armlab.sim.arm.arm import LaggingArm
+    from armlab.sim.events import AppliedWrench
+    from armlab.sim.controller.statistics import ControllerEvent
 
 
 _AXES = {"6": "irb1200", "7": "yumi_right", "scara": "scara"}
@@ -139,14 +139,14 @@ class Around:
     motors: str = "on"
     rapid: str = "running"
 
-    def scene(self, robot: Robot, index: int, seed: list[int], external: int) -> Scene:
+    def scene(self, robot: Robot, index: int, seed: list[int], external: int) -> Surroundings:
         """Return what happens around one robot."""
-        from armlab.sim import MOTORS, RAPID, Grip, HandPath, Operator, Scene, Script
+        from armlab.sim import AppliedWrench, Grip, HandPath, MOTORS, RAPID, StateScript, Surroundings
 
-        operator = Operator.idle() if self.operator is None or index else read_operator(self.operator)
+        operator = AppliedWrench.idle() if self.operator is None or index else read_operator(self.operator)
         hand = HandPath.random(robot, seed) if self.hand is None or index else read_hand(self.hand, robot.n)
         grip = None if self.grip is None or index else Grip(*pair("grip", self.grip))
-        return Scene(operator, hand, Script(self.motors, MOTORS), Script(self.rapid, RAPID), external, grip)
+        return Surroundings(operator, hand, StateScript(self.motors, MOTORS), StateScript(self.rapid, RAPID), external, grip)
 
 
 def pair(name: str, text: str) -> tuple[float, float]:
@@ -163,17 +163,17 @@ _OPERATOR = ("t", "fx", "fy", "fz", "mx", "my", "mz")
 _SHOWN = 80  # characters of a wrong line that a message quotes
 
 
-def read_operator(path: Path) -> Operator:
+def read_operator(path: Path) -> AppliedWrench:
     """Return the operator described by a CSV file with the header ``t,fx,fy,fz,mx,my,mz``."""
-    from armlab.sim.operator import Operator
+    from armlab.sim.events import AppliedWrench
 
     table = _read(path, _OPERATOR, "an operator file")
-    return Operator(table[:, 0], table[:, 1:])
+    return AppliedWrench(table[:, 0], table[:, 1:])
 
 
 def read_hand(path: Path, n: int) -> HandPath:
     """Return the path of a hand described by a CSV file with the header ``t,q1,q2,...``."""
-    from armlab.sim.hand import HandPath
+    from armlab.sim.events import HandPath
 
     table = _read(path, ("t", *(f"q{i + 1}" for i in range(n))), "a hand path")
     if len(table) < 2:
@@ -244,7 +244,7 @@ class Written:
                 ) from None
 
 
-def truth_writer(file: Written, controller: Controller) -> Callable[[Channel], None]:
+def truth_writer(file: Written, controller: SimulatedController) -> Callable[[UdpClient], None]:
     """Write the header of the truth file and return what writes a row per packet."""
     import numpy as np
 
@@ -255,7 +255,7 @@ def truth_writer(file: Written, controller: Controller) -> Callable[[Channel], N
     header += [f"{name}{i + 1} [{unit}]" for name, unit in joints.items() for i in range(n)]
     file.write(",".join(header) + "\n")
 
-    def write(_: Channel) -> None:
+    def write(_: UdpClient) -> None:
         sample = controller.arm.sample
         numbers = np.concatenate([sample.wrench, *(getattr(sample, name) for name in joints)])
         stamp = f"{controller.robot_ns},{controller.session},{controller.seq - 1},{controller.guidance_time:.6f}"
@@ -282,7 +282,7 @@ def sim(
     abb_defaults: bool = False,
     content: Annotated[Content, _flat] = Content(),
     around: Annotated[Around, _flat] = Around(),
-    settings: Annotated[Settings, _flat] = Settings(),  # noqa: B008 - frozen
+    settings: Annotated[ControllerSettings, _flat] = ControllerSettings(),  # noqa: B008 - frozen
     faults: Annotated[FaultOptions, _flat] = FaultOptions(),
     outgoing: FaultOptions | None = None,
     incoming: FaultOptions | None = None,
@@ -322,7 +322,7 @@ def sim(
         Of the packets.
     around : Around
         The arms.
-    settings : Settings
+    settings : ControllerSettings
         Of the controller.
     faults : FaultOptions
         In both directions.
@@ -336,11 +336,11 @@ def sim(
         Process with which to end; the one that started this one by default.
     """
     from armlab.cli.support.output import note
-    from armlab.sim.loop import Pace, run
+    from armlab.sim.controller.cycles import Timing, run
 
     os.environ.setdefault("MUJOCO_GL", "disable")  # nothing is drawn: MuJoCo need not load what opens windows
     parent = os.getppid() if parent is None else parent  # now, before anything takes time in which it could end
-    pace = Pace(lockstep, seconds, patience)
+    pace = Timing(lockstep, seconds, patience)
     if not 0.0 <= phase < math.inf:
         raise ConfigError(f"Expected a phase of at least 0 s, got {phase:g}.")
     if abb_defaults:
@@ -355,7 +355,7 @@ def sim(
         raise ConfigError(f"Expected one robot together with --truth, got {len(names)}. Start one simulator per robot.")
     seeds = _seeds(seed, len(names))
     with ExitStack() as opened:
-        channels: list[Channel] = []
+        channels: list[UdpClient] = []
         for i, (name, address) in enumerate(zip(names, addresses)):
             with deferred():  # MuJoCo loads here
                 channels.append(cell.channel(name, address, i, [seeds[i], i]))
@@ -378,10 +378,10 @@ def sim(
     return code
 
 
-def _with_abb_defaults(settings: Settings) -> Settings:
+def _with_abb_defaults(settings: ControllerSettings) -> ControllerSettings:
     """Return the settings with ABB's defaults where the user gave nothing."""
-    ours, careless = Settings(), Settings.abb_defaults()
-    names = [field.name for field in fields(Settings)]
+    ours, careless = ControllerSettings(), ControllerSettings.abb_defaults()
+    names = [field.name for field in fields(ControllerSettings)]
     return replace(
         settings, **{name: getattr(careless, name) for name in names if getattr(settings, name) == getattr(ours, name)}
     )
@@ -412,20 +412,20 @@ class _Cell:
 
     content: Content
     around: Around
-    settings: Settings
+    settings: ControllerSettings
     faults: tuple[FaultOptions, FaultOptions]
     mismatch: Mismatch
     extension: bool
     phase: float
-    tell: Callable[[Event], None]
+    tell: Callable[[ControllerEvent], None]
 
-    def channel(self, name: str, address: tuple[str, int], index: int, seed: list[int]) -> Channel:
+    def channel(self, name: str, address: tuple[str, int], index: int, seed: list[int]) -> UdpClient:
         """Return one simulated robot with its socket."""
         from armlab.cli.support.options import simulated
-        from armlab.sim.channel import Channel
-        from armlab.sim.controller import Controller
-        from armlab.sim.faults import Faults
-        from armlab.sim.packets import Packets
+        from armlab.sim.controller.channel import UdpClient
+        from armlab.sim.controller.controller import SimulatedController
+        from armlab.sim.controller.channel import Faults
+        from armlab.sim.controller.packets import PacketBuilder
         from armlab.wire.egm import RobotSideCodec
 
         content, settings = self.content, self.settings
@@ -439,7 +439,7 @@ class _Cell:
             external=content.external,
             data=content.rapid_data,
         )
-        packets = Packets(
+        packets = PacketBuilder(
             codec,
             settings.period,
             fields=content.left_out,
@@ -449,17 +449,17 @@ class _Cell:
             data=content.rapid_data,
         )
         scene = self.around.scene(robot, index, [*seed, 3], content.external)
-        controller = Controller(self._arm(robot, seed), packets, settings, scene, self.tell)
+        controller = SimulatedController(self._arm(robot, seed), packets, settings, scene, self.tell)
         both = [options.rates() for options in self.faults]
         ways = [Faults(rates, [*seed, i], settings.period) if rates.any else None for i, rates in enumerate(both, 1)]
-        return Channel(controller, *address, *ways, phase=index * self.phase)
+        return UdpClient(controller, *address, *ways, phase=index * self.phase)
 
-    def _arm(self, robot: Robot, seed: list[int]) -> Arm | LaggingArm:
-        from armlab.sim.arm import Arm
-        from armlab.sim.lagging import LaggingArm
-        from armlab.sim.truth import synthetic_truth, truth_names
+    def _arm(self, robot: Robot, seed: list[int]) -> SimulatedArm | LaggingArm:
+        from armlab.sim.arm.arm import SimulatedArm
+        from armlab.sim.arm.arm import LaggingArm
+        from armlab.sim.arm.truth import synthetic_truth, truth_names
 
         period = self.settings.period
         if self.content.lagging or robot.name not in truth_names():
             return LaggingArm(robot, period)
-        return Arm(robot, synthetic_truth(robot), period=period, seed=seed, mismatch=self.mismatch)
+        return SimulatedArm(robot, synthetic_truth(robot), period=period, seed=seed, mismatch=self.mismatch)

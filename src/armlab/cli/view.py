@@ -95,7 +95,7 @@ def _watch(arm: str | None, cell: str, zenoh: str, models: Sequence[TorqueModel]
 
 def _watch_fleet(url: str, port: int | None) -> None:
     """Show all robots at a router."""
-    from armlab.bridge.zenoh import EVERY, Place
+    from armlab.bridge.servers.zenoh import EVERY, Place
     from armlab.cli.support.output import note
     from armlab.live import watch_fleet
 

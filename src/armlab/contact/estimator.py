@@ -44,7 +44,7 @@ from armlab.log import Table
 from armlab.log.units_check import check_known
 from armlab.models import FORCE_RATES, PRIOR, TorqueModel
 from armlab.robots import Robot
-from armlab.robots.outline import arm_length
+from armlab.robots.robot import arm_length
 from armlab.state import State
 
 # `Wrench`: an estimated contact wrench with its covariance and what could be seen at all.

@@ -10,22 +10,11 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, NamedTuple
 
-from armlab.bridge.listening import is_here
-from armlab.bridge.row import read_row
-from armlab.bridge.row_schema import RowSchema
-from armlab.bridge.zenoh import (
-    EVERY,
-    Place,
-    Security,
-    close_session,
-    key,
-    open_session,
-    queried,
-    robot_of,
-    robots_at,
-    undamaged,
-)
-from armlab.bridge.zenoh.texts import read_about
+from armlab.bridge.net.sockets import is_here
+from armlab.bridge.servers.row import read_row
+from armlab.bridge.servers.row import RowSchema
+from armlab.bridge.servers.zenoh import EVERY, Place, Security, close_session, key, open_session, queried, robot_of, robots_at, undamaged
+from armlab.bridge.servers.zenoh.messages import read_about
 from armlab.errors import ArmlabError, ConfigError
 
 

@@ -24,13 +24,13 @@ import numpy as np
 from armlab import __version__
 from armlab.errors import LogError, NotExcited, ShapeError
 from armlab.estimation import Fit
-from armlab.estimation.factors import Factors
+from armlab.estimation.tsqr import Factors
 from armlab.fleet.logs import Log, as_table, named
 from armlab.fleet.mapping import Progress, map_logs
-from armlab.identify.drafting import Draft
+from armlab.identify.dynamics import FitProblem
 from armlab.identify.many import LogSums, Pattern, fit_draft, fit_sums, log_sums, same_rate
-from armlab.identify.preparation import prepare_share
-from armlab.identify.shapes import Choice, Chooser, Shapes, choose
+from armlab.identify.record import prepare_share
+from armlab.identify.friction_structure import Choice, Chooser, FrictionStructure, choose
 from armlab.log import Table
 from armlab.models import TorqueModel, Training
 from armlab.robots import Robot
@@ -115,7 +115,7 @@ def identify(
 
 def _draft(
     jobs: Mapping[str, Log], robot: Robot, executor: Executor | None, tell: Progress
-) -> tuple[Draft, Pattern, list[str], Mapping[str, str]]:
+) -> tuple[FitProblem, Pattern, list[str], Mapping[str, str]]:
     """Fit the first logs that can be used, more of them while they do not tell enough.
 
     Returns the names of these, and the reason by name of those before and between them that cannot be used. Logs are
@@ -208,7 +208,7 @@ def _try(log: Log, robot: Robot) -> tuple[float, float, str]:
 def _chooser(executor: Executor | None, tell: Progress) -> Chooser:
     """Return what chooses the shapes of friction of the joints on an executor."""
 
-    def choose_all(choices: Iterable[Choice]) -> list[Shapes]:
+    def choose_all(choices: Iterable[Choice]) -> list[FrictionStructure]:
         joints = {f"joint {number + 1}": choice for number, choice in enumerate(choices)}
         done = map_logs(
             choose, joints, executor=executor, kind="joint",

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab.errors import NotExcited, ShapeError
-from armlab.estimation import Fit, Measurement, NonlinearSolution, Problem, check_spread, nonlinear_least_squares
+from armlab.estimation import Fit, Measurement, NonlinearProblem, NonlinearSolution, check_spread, nonlinear_least_squares
 from armlab.frames import inputs, ransac
 from armlab.frames.feature_fit import LIMIT, SURE, Cloud, result, text, upward
 from armlab.frames.features import Line, Plane
@@ -260,7 +260,7 @@ def weighted_plane(p: np.ndarray, cov: np.ndarray, start: Plane, robust: bool) -
         c = value.centroid + x[2] * value.n
         return Plane(n, float(n @ c), c, axes)
 
-    return nonlinear_least_squares(Problem(evaluate, step, what="plane"), start, robust=robust)
+    return nonlinear_least_squares(NonlinearProblem(evaluate, step, what="plane"), start, robust=robust)
 
 
 def weighted_line(p: np.ndarray, cov: np.ndarray, start: Line, robust: bool) -> NonlinearSolution[Line]:
@@ -279,7 +279,7 @@ def weighted_line(p: np.ndarray, cov: np.ndarray, start: Line, robust: bool) -> 
         c = value.centroid + x[2:] @ value.axes
         return Line(v, c - v * (v @ c), c, axes)
 
-    return nonlinear_least_squares(Problem(evaluate, step, what="line"), start, robust=robust)
+    return nonlinear_least_squares(NonlinearProblem(evaluate, step, what="line"), start, robust=robust)
 
 
 def _likely(away: np.ndarray, D: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

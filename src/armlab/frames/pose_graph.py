@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 
 from armlab._numbers import still
 from armlab.errors import FrameError
-from armlab.estimation import Fit, Measurement, Problem, check_spread, nonlinear_least_squares
+from armlab.estimation import Fit, Measurement, NonlinearProblem, check_spread, nonlinear_least_squares
 from armlab.frames import inputs
 from armlab.lie import se3, so3
 
@@ -392,7 +392,7 @@ def _start(edges: Sequence[Edge], names: Sequence[str]) -> np.ndarray:
     return start
 
 
-def _problem(edges: Sequence[Edge], names: Sequence[str]) -> Problem[np.ndarray]:
+def _problem(edges: Sequence[Edge], names: Sequence[str]) -> NonlinearProblem[np.ndarray]:
     """Return residuals with their Jacobian, and the retraction."""
     index = {name: k for k, name in enumerate(names)}
     first, second = np.array([index[edge.a] for edge in edges]), np.array([index[edge.b] for edge in edges])
@@ -424,7 +424,7 @@ def _problem(edges: Sequence[Edge], names: Sequence[str]) -> Problem[np.ndarray]
         moved[1:, :3, :3] = T[1:, :3, :3] @ so3.exp(step[:, 3:])
         return moved
 
-    return Problem(evaluate, retract, what="frames")
+    return NonlinearProblem(evaluate, retract, what="frames")
 
 
 def _report(fit: Fit[FrameSet], words: Sequence[str]) -> str:

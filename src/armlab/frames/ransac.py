@@ -18,7 +18,7 @@ from math import comb
 import numpy as np
 
 from armlab.errors import NotExcited
-from armlab.estimation.measurements import median_norm
+from armlab.estimation.nonlinear import median_norm
 
 ALL_SETS = comb(60, 3)  # up to here every set is tried
 SOME_SETS = 500

@@ -12,7 +12,7 @@ import numpy as np
 from armlab.errors import NotExcited, ShapeError
 from armlab.identify.base_parameters import measured_joints
 from armlab.log import Table
-from armlab.log.plausibility import check_position, check_torque, check_velocity
+from armlab.log.units_check import check_position, check_torque, check_velocity
 from armlab.models import TorqueModel
 from armlab.robots import Robot
 from armlab.signals import central_diff, lowpass_offline

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from armlab.bridge.local import LocalFeed
-from armlab.bridge.messages import Subscribe
-from armlab.bridge.row import Row
-from armlab.bridge.watch import Watch
-from armlab.bridge.zenoh import Place, ZenohFeed
+from armlab.bridge.servers.local import LocalFeed
+from armlab.bridge.servers.messages import Subscribe
+from armlab.bridge.servers.row import Row
+from armlab.bridge.servers.watch import Watch
+from armlab.bridge.servers.zenoh import Place, ZenohFeed
 from armlab.contact import Estimator
 from armlab.errors import LinkError, ModelMismatchError, UnknownName
 from armlab.kinematics import forward

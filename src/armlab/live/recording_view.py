@@ -19,19 +19,19 @@ from armlab import log as logs
 from armlab import robots as library
 from armlab._numbers import number
 from armlab._palette import BLUE, ORANGE
-from armlab.bridge.readiness import obstacle
+from armlab.bridge.control.feedback import not_ready_reason
 from armlab.errors import LogError, ModelMismatchError, RobotError, ShapeError, UnknownName
 from armlab.kinematics import forward
 from armlab.live.curves import ArmPanel, Curves, envelope
 from armlab.live.scene import Scene
-from armlab.log.recording_metadata import described
+from armlab.log.recording.metadata import described
 from armlab.robots import Robot
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
     from armlab.log import Table
-    from armlab.log.inspection import Event
+    from armlab.log.recording.inspection import Event
     from armlab.models import TorqueModel
 
 
@@ -127,7 +127,7 @@ class Recorded:
             return "not begun" if age < 0.0 else f"no packet for {age:.1f} s"
         if not {"motors", "rapid", "mci"} <= set(self.table.names):
             return "recorded"
-        why = obstacle(self.table["motors"][k], self.table["rapid"][k], self.table["mci"][k])
+        why = not_ready_reason(self.table["motors"][k], self.table["rapid"][k], self.table["mci"][k])
         if why:
             return why
         if "seq_sent" in self.table and not self.table["seq_sent"][k] >= 0:
@@ -221,8 +221,8 @@ def _tables(
     path: Path, given: Mapping[str, Robot], waiting: Sequence[Robot]
 ) -> Iterable[tuple[str | None, Table, tuple[Event, ...], Mapping[str, bytes]]]:
     """Yield name, table, events and attachments of each arm in a file; the name is None where it tells none."""
-    from armlab.log.formats import format_at
-    from armlab.log.topic_reading import is_foreign, read_joints
+    from armlab.log.file_formats.opening import format_at
+    from armlab.log.topics.reader import is_foreign, read_joints
 
     if waiting and is_foreign(path):
         named = [name for name in _arms_in(path) if name in given] if format_at(path) == "MCAP" else []

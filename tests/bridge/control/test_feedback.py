@@ -225,3 +225,21 @@ def test_one_or_two_packets_without_a_state_end_no_motion(packets: Any) -> None:
     assert "motors are off" in readiness.not_ready_reason(packet(packets, motors=2))
     readiness.begin()
     assert "motors" in readiness.not_ready_reason(packet(packets, motors=None)), "of a new session nothing is known"
+
+
+def test_a_robot_that_reports_no_states_for_a_while_comes_to_rest_and_goes_on_from_there(bench: Bench) -> None:
+    bench.moving()
+    late = bench.q - 0.05
+    sent = [bench(q=late), *[bench(q=late, motors=None) for _ in range(30)], *[bench(q=late) for _ in range(3)]]
+    q = np.array([reply.q for reply in sent if reply is not None])
+    assert len(q) == 34
+    assert np.abs(np.diff(q, axis=0)).max() <= 0.2 * T + 1e-12, "no step to the feedback, which is behind"
+    assert bench.guide.ready
+    assert bench.feed.events[-1] == "The states of the robot are back."
+
+
+def test_a_packet_that_has_its_reply_is_answered_with_the_same_one(bench: Bench) -> None:
+    bench.moving()
+    reply = bench(Command(qd=np.full(7, 0.2)))
+    assert bench.guide.answer(None, T) is reply
+    assert bench.guide.hold(T) is reply

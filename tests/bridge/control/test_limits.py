@@ -15,7 +15,7 @@ from armlab.errors import ConfigError
 from armlab.kernels import _reference
 from armlab.robots import Robot, from_links
 from armlab.state import Command, State
-from armlab.wire.egm.linkage import Linkage
+from armlab.wire.egm.axes import Linkage
 
 T = 0.004
 

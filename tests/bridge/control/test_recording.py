@@ -16,7 +16,7 @@ from armlab.bridge.control.recording import Feed, Recording, paths
 from armlab.bridge.control.run import served, statistics, together
 from armlab.bridge.inputs.parameters import Change
 from armlab.log import Column, Table, Tick
-from armlab.log.inspection import Setting
+from armlab.log.recording.inspection import Setting
 from armlab.robots import Robot
 from armlab.state import Command, State
 
@@ -120,7 +120,7 @@ def test_a_full_disk_is_told_at_once_and_once(robot: Robot, tmp_path: Path, monk
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("armlab.log.recording_file.RecordingFile.write", full)
+    monkeypatch.setattr("armlab.log.recording.file.RecordingFile.write", full)
     recording = Recording(robot, tmp_path / "run.mcap", None, wait=False, clock=lambda: 0)
     deadline = time.monotonic() + 10.0
     asked = 0

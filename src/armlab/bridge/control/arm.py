@@ -22,7 +22,7 @@ from armlab.log import Tick
 from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import Codec, Reference
-from armlab.wire.egm.standing_queue import StandingQueue
+from armlab.wire.egm.types import StandingQueue
 
 __all__ = ["Arm", "Latency", "Surplus", "PendingPacket"]
 

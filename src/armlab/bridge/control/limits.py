@@ -12,7 +12,7 @@ from armlab import kernels
 from armlab.errors import ConfigError
 from armlab.robots import Robot
 from armlab.wire.egm import Beside
-from armlab.wire.egm.linkage import Linkage
+from armlab.wire.egm.axes import Linkage
 
 __all__ = ["Limiter", "Limits", "LinkedLimiter", "Reply", "axes_of", "limiter_of"]
 

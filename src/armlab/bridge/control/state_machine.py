@@ -151,6 +151,11 @@ class Guide:
         return self.ready and not self._doubtful and self.mode in _ASKED
 
     @property
+    def _may_be_guided(self) -> bool:
+        """Whether a robot that was ready no longer reports its states: it holds, without a step to the feedback."""
+        return not self.ready and self.guided and self._readiness.is_unknown
+
+    @property
     def _memory(self) -> tuple[float, float, Reply, Any, Any, Any]:
         return self._dt, self._rested, self._last, self._limiter.memory, self._torques.memory, self._aside.memory
 
@@ -183,10 +188,13 @@ class Guide:
         if self.mode is Mode.WAITING:
             self.mode = Mode.HOLDING
         self._check_feedback(sample)
+        was_unknown = self._may_be_guided
         why = self._readiness.not_ready_reason(packet)
         ready = not why and (self.ready or self._feedback.plausible >= READY_AFTER)
         if ready and self.ready:
             self.elapsed += sample.dt
+        elif ready and was_unknown:
+            self._on_event("The states of the robot are back.")
         elif ready:
             self._become_ready(packet)
         elif self.ready:
@@ -215,8 +223,8 @@ class Guide:
         self._longest = _GAP * period
         if self._dt == 0.0:  # this packet has its reply
             return self._last
-        if not self.ready and self._readiness.is_unknown and self.guided:
-            self._last = self._held()  # it may be guided still: no step to the feedback
+        if self._may_be_guided:
+            self._last = self._held()
         elif not self.ready:
             self._rest()
             q = self._feedback.q
@@ -243,7 +251,7 @@ class Guide:
 
         period : cycle time of the robot [s].
         """
-        if not self.calls:
+        if not self.calls or self._dt == 0.0:
             return self.answer(None, period)
         self._before, self._longest = self._memory, _GAP * period
         self._last, self._dt = self._held(), 0.0

@@ -137,10 +137,10 @@ def read_samples(path: Path) -> Samples:
     """Return the columns of a CSV file, a MAT file, or a recording."""
     from armlab import log as logs
     from armlab.cli.support.output import note
-    from armlab.log.formats import is_text
-    from armlab.log.mat_file import read_mat
-    from armlab.log.provenance import file_hash
-    from armlab.log.topic_reading import is_foreign
+    from armlab.log.file_formats.opening import is_text
+    from armlab.log.file_formats.mat import read_mat
+    from armlab.log.file_formats.opening import file_hash
+    from armlab.log.topics.reader import is_foreign
 
     source = f"{path.name} sha256 {file_hash(path)}" if path.is_file() else ""
     if path.suffix.lower() == ".mat":

@@ -34,7 +34,7 @@ def simulated(word: str) -> Robot:
     from armlab import robots
 
     if word == "scara":
-        from armlab.sim.scara import scara
+        from armlab.sim.arm.arm import scara
 
         return scara()
     return robots.load(word)
@@ -45,7 +45,7 @@ def links_to(robot: str, arms: Sequence[Robot], link: str | None) -> list[str]:
 
     `link`: urls with commas between; None simulates what was typed.
     """
-    from armlab.bridge.address import addresses
+    from armlab.bridge.urls import addresses
 
     same = f"sim://{'+'.join(quote(word) for word in robot.split('+'))}"
     urls = [same] if link is None else link.split(",")

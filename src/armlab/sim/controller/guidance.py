@@ -20,7 +20,7 @@ import numpy as np
 from armlab.errors import ConfigError
 from armlab.robots import Robot
 from armlab.sim.controller.settings import ControllerSettings
-from armlab.wire.egm.linkage import Linkage
+from armlab.wire.egm.axes import Linkage
 
 _OVERSHOOT = 0.02  # rad: the filters may carry a reference that stops at a limit this far beyond it
 

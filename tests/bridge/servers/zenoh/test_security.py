@@ -17,7 +17,7 @@ from armlab.bridge.servers.zenoh import Attached, Place, Security, close_session
 from armlab.bridge.servers.zenoh.process import ZenohProcess
 from armlab.bridge.servers.zenoh.security import BRIDGE, COMMANDER
 from armlab.bridge.servers.zenoh.session import open_near, wait_for_router
-from armlab.cli.certificates import write_certificates
+from armlab.cli.bridge import write_certificates
 from armlab.errors import ConfigError, LinkError
 from armlab.robots import Robot
 
