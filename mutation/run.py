@@ -37,7 +37,7 @@ import compiled  # noqa: E402
 from mutants import Mutant, codes, is_same, loaded, mutants, transplant  # noqa: E402
 
 EXPLAINED, LAST = ROOT / "mutation" / "survivors.toml", ROOT / "build" / "mutation.json"
-BRIDGE, KERNELS = "src/armlab/bridge", "src/armlab/kernels/_reference"
+BRIDGE = "src/armlab/bridge"
 FILES = {  # each with the tests that hold it
     f"{BRIDGE}/control/limits.py": ["bridge/control/limits", "bridge/control/state_machine", "bridge/control/torque"],
     f"{BRIDGE}/control/torque.py": ["bridge/control/torque", "bridge/control/limits", "bridge/control/state_machine"],
@@ -50,11 +50,9 @@ FILES = {  # each with the tests that hold it
     f"{BRIDGE}/control/supervision.py": ["bridge/control/supervision"],
     f"{BRIDGE}/control/arm.py": ["bridge/control/arm", "bridge/control/multi_arm_by_hand"],
     f"{BRIDGE}/control/multi_arm.py": ["bridge/control/multi_arm"],
-    f"{KERNELS}/limits.py": ["kernels/_reference/limits"],
-    "native/limits.cpp": ["kernels/_reference/limits"],
+    "native/math/motion/limits.cpp": ["kernels/limits"],
 }
 MARKED, NAMED = "not slow", "not (simulated or follows[)"  # not tests of whole simulated runs, which are slow
-AGREE = "native_is"  # that the kernels agree holds the compiled ones only: it would spare a law for both
 NONE, FAILED = ("same", "no program"), "harness failed"  # what is no mutant, and what is no judgement of one
 KINDS = "killed", "survived", "not reached", FAILED
 CRASHES = -signal.SIGSEGV, -signal.SIGABRT, -signal.SIGBUS, -signal.SIGFPE, -signal.SIGILL
@@ -97,8 +95,6 @@ class Runner:
                 same = compiled.prepare(ROOT / file, file)
                 if forked(lambda one=same, at=module, of=items: self.outcome(one, at, of, calls))[0] != "survived":
                     raise SystemExit("Expected tests that pass with the file compiled alone, got one that fails.")
-            else:
-                items = [item for item in items if AGREE not in item.name]
             for mutant in (compiled.mutants if is_compiled else mutants)(ROOT / file, file):
                 if self.only is None or key(mutant) in self.only:
                     self.judge(mutant, module, items, calls)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 
-from armlab.motion import fit_dmp, retimed, shortest_duration
 from armlab._palette import AXIS_COLORS
+from armlab.motion import fit_dmp, retimed, shortest_duration
 from armlab.plots.style import MODEL, look
 
 LIMITS = (1.0, 8.0)

@@ -20,7 +20,16 @@ from armlab.kinematics import forward
 from armlab.lie import se3, so3
 from armlab.models import KinematicCorrection
 from armlab.sim import cell
-from armlab.sim.experiments.kinematics import ANCHOR, DEGREE, KinematicRun, NOISE, as_robot, dh_arm, sliding_robot, spoilt
+from armlab.sim.experiments.kinematics import (
+    ANCHOR,
+    DEGREE,
+    NOISE,
+    KinematicRun,
+    as_robot,
+    dh_arm,
+    sliding_robot,
+    spoilt,
+)
 
 DATA = Path(__file__).resolve().parents[3] / "shared/data/calib/ur5_wam"
 

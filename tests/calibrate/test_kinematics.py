@@ -21,7 +21,16 @@ from armlab.lie import se3, so3
 from armlab.models import KinematicCorrection
 from armlab.robots import Robot
 from armlab.sim import cell
-from armlab.sim.experiments.kinematics import ANCHOR, DEGREE, KinematicRun, NOISE, as_robot, dh_arm, sliding_robot, spoilt
+from armlab.sim.experiments.kinematics import (
+    ANCHOR,
+    DEGREE,
+    NOISE,
+    KinematicRun,
+    as_robot,
+    dh_arm,
+    sliding_robot,
+    spoilt,
+)
 
 
 @pytest.fixture(scope="module")

@@ -20,13 +20,12 @@ import pytest
 from rich.console import Console
 
 from armlab import robots
-from armlab.bridge.servers.hub import Exchange, OPERATOR
+from armlab.bridge.inputs.parameters import Parameter, Parameters
+from armlab.bridge.servers.hub import OPERATOR, Exchange
 from armlab.bridge.servers.local import LocalFeed, socket_path
 from armlab.bridge.servers.local_server import LocalServer
 from armlab.bridge.servers.messages import Subscribe, parameter_message
-from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.servers.row import RowWriter, read_row
-from armlab.bridge.servers.row import RowSchema
+from armlab.bridge.servers.row import RowSchema, RowWriter, read_row
 from armlab.bridge.servers.watch import Watch
 from armlab.cli import main
 from armlab.cli.bridge import (

@@ -18,9 +18,8 @@ import pytest
 from armlab import cli, robots
 from armlab.cli.sim import Around, Content, FaultOptions, Written, pair, read_hand, read_operator, sim
 from armlab.errors import ConfigError, LogError, UnknownName
-from armlab.sim.controller.settings import FaultRates
 from armlab.sim.arm.arm import scara
-from armlab.sim.controller.settings import ControllerSettings
+from armlab.sim.controller.settings import ControllerSettings, FaultRates
 from armlab.wire.egm import EgmCodec, Packet, Reference
 
 HEADER = "t,fx,fy,fz,mx,my,mz\n"

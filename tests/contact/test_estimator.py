@@ -14,7 +14,6 @@ from armlab import identify, robots
 from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, TARED, WEAK, Estimator, Wrench, hypotheses
 from armlab.contact.estimator import check_distance, contact_point
 from armlab.errors import ConcurrentUse, ModelMismatchError, NotExcited, ShapeError, UnknownName
-from armlab.kernels import backend
 from armlab.log import Table
 from armlab.models import velocity_covariance
 from armlab.robots.robot import arm_length
@@ -318,9 +317,6 @@ def at_rest(truth, force: np.ndarray, seed: int, seconds: float = 2.0) -> Table:
     return Table(t, {"q": q, "qd": zero, "tau": tau + truth.noise * rng.standard_normal(q.shape)})
 
 
-@pytest.mark.skipif(
-    backend == "reference", reason="HiGHS takes minutes for 10000 samples; the contract test holds one to the other"
-)
 def test_at_rest_the_interval_holds_the_truth_and_no_contact_is_claimed_without_one(truth, model) -> None:
     """500 g along -z and x: inside the interval in 100 %, half width 2 to 60 N; without a force STUCK and exactly 0."""
     for axis, size in ((2, -4.905), (0, 4.905)):

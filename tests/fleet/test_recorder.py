@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from armlab import log
-from armlab.bridge.servers.row import RowWriter
-from armlab.bridge.servers.row import LARGEST, RowSchema
+from armlab.bridge.servers.row import LARGEST, RowSchema, RowWriter
 from armlab.bridge.servers.zenoh import EVERY, Place, close_session, open_session, rows
 from armlab.fleet import FleetRecorder, Router, recorder
 from armlab.fleet.recorder import RobotRecord

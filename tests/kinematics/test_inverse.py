@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armlab import kernels, kinematics, lie, robots
+from armlab import kinematics, lie, robots
 from armlab.errors import ConfigError, NotConverged, ShapeError, UnknownName
 from armlab.kinematics import (
     IkSolution,
@@ -25,12 +25,11 @@ from armlab.lie import so3
 from armlab.robots import Robot
 
 ARMS = ["yumi_left", "yumi_right", "irb2400", "irb7600", "ur5e"]
-NATIVE = kernels.backend == "native"
 TASKS = ("pose", "position", "axis", "direction")
 FIELDS = ("q", "success", "position_error", "rotation_error", "iterations", "starts", "reason", "slope")
 ARMS_LIBRARY = [name for name in robots.names() if name != "dh_test"]
-COUNT = 2000 if kernels.backend == "native" else 10
-COUNT_OBJECTIVES = 300 if kernels.backend == "native" else 15
+COUNT = 2000
+COUNT_OBJECTIVES = 300
 OBJECTIVES = ("posture", "mid_range", "limits", "manipulability")
 ROWS = {"pose": slice(0, 6), "position": slice(0, 3)}
 YUMI = "yumi_left"
@@ -73,11 +72,10 @@ def part_solved(robot: Robot, count: int, seed: int) -> float:
 
 @pytest.mark.parametrize("name", ARMS)
 def test_random_reachable_poses_are_solved_from_random_starts(name: str) -> None:
-    assert part_solved(robots.load(name), 500 if NATIVE else 50, seed=1) >= 0.998  # at most one of 500
+    assert part_solved(robots.load(name), 500, seed=1) >= 0.998  # at most one of 500
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not NATIVE, reason="10 000 poses take minutes in NumPy")
 @pytest.mark.parametrize("name", ARMS)
 def test_ten_thousand_reachable_poses(name: str) -> None:
     """The bar is 99.9 %. 0.3 s per arm."""
@@ -101,7 +99,7 @@ def test_numeric_example_of_the_ancestor() -> None:
 def test_convergence_is_quadratic(name: str) -> None:
     """From within 0.1 rad of regular postures the error falls below 1e-11 in at most 6 iterations, mostly in 4."""
     robot, rng = robots.load(name), np.random.default_rng(4)
-    q, T = reachable(robot, 1000 if NATIVE else 100, seed=4)
+    q, T = reachable(robot, 1000, seed=4)
     away = rng.normal(size=q.shape)
     start = np.clip(q + 0.1 * away / np.linalg.norm(away, axis=1, keepdims=True), robot.q_min, robot.q_max)
     regular = singular_values(robot, q)[:, -1] > 0.03
@@ -272,7 +270,7 @@ def chains(draw: st.DrawFn) -> tuple[Robot, np.ndarray]:
 
 
 @given(chains(), st.sampled_from(TASKS), st.booleans())
-@settings(max_examples=60 if NATIVE else 15)
+@settings(max_examples=60)
 def test_any_chain(case: tuple[Robot, np.ndarray], task: str, moved: bool) -> None:
     """The result is finite, inside the limits and tells the truth; the posture itself is found again."""
     robot, q = case
@@ -384,7 +382,7 @@ def test_every_joint_at_a_limit(name: str) -> None:
     """2^n corners of the box of limits; within 100 starts all were found, but 1 of 128 on the YuMi of the URDF."""
     robot = robots.load(name)
     corners = np.array(list(itertools.product(*zip(robot.q_min, robot.q_max))))
-    assert solved(robot, corners[:: 1 if kernels.backend == "native" else 16]).mean() >= 0.98
+    assert solved(robot, corners).mean() >= 0.98
 
 
 @pytest.mark.parametrize("name", ARMS_LIBRARY)
@@ -573,7 +571,7 @@ def test_objectives_are_better_than_the_plain_solution() -> None:
 def test_limits_are_avoided(name: str) -> None:
     """On 99 % of the poses the smallest distance to a limit, over the range, is at least that of the plain solution."""
     robot = robots.load(name)
-    T = goals(robot, 1000 if kernels.backend == "native" else 30, seed=3)
+    T = goals(robot, 1000, seed=3)
     near = [np.abs(scaled(robot, inverse(robot, T, objective=o).q)).max(axis=1) for o in ("limits", None)]
     assert np.mean(near[0] <= near[1] + 1e-9) >= 0.99
     assert np.median(near[1] - near[0]) > 0.02

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from armlab import live
-from armlab.bridge.servers.hub import Exchange, OPERATOR
+from armlab.bridge.servers.hub import OPERATOR, Exchange
 from armlab.bridge.servers.local import socket_path
 from armlab.bridge.servers.local_server import LocalServer
 from armlab.live.live_bridge import Running

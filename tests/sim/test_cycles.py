@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from armlab import bridge, robots
-from armlab.bridge.net.sockets import Arrival, Port
 from armlab.bridge.control.arm import Surplus
 from armlab.bridge.control.realtime import Waiting
+from armlab.bridge.net.sockets import Arrival, Port
 from armlab.sim.arm.arm import LaggingArm, SimulatedArm
 from armlab.sim.arm.truth import synthetic_truth
 from armlab.sim.controller.channel import Faults, UdpClient

@@ -41,7 +41,14 @@ from armlab.calibrate.orientation_conventions import (
     readings_of_robot,
 )
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
-from armlab.estimation import Fit, Measurement, NonlinearProblem, NonlinearSolution, check_spread, nonlinear_least_squares
+from armlab.estimation import (
+    Fit,
+    Measurement,
+    NonlinearProblem,
+    NonlinearSolution,
+    check_spread,
+    nonlinear_least_squares,
+)
 from armlab.lie import so3
 from armlab.models import HandEye
 from armlab.models.hand_eye import FRAMES

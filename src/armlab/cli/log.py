@@ -105,9 +105,9 @@ def export(
     """
     from armlab import log as logs
     from armlab.cli.support.output import check_output, note, progress, refuse_overwrite, result
+    from armlab.log.file_formats.delimited import sidecar_path
     from armlab.log.file_formats.mat import matlab_names
     from armlab.log.reading import names_robots
-    from armlab.log.file_formats.delimited import sidecar_path
     from armlab.log.writing import ENDINGS
 
     check_output(output, force, ENDINGS, [file])

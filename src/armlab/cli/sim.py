@@ -17,22 +17,19 @@ from cyclopts import Parameter
 from armlab._interrupts import deferred
 from armlab.cli import FAILED, INTERRUPTED
 from armlab.errors import ConfigError, LogError
-from armlab.sim.controller.settings import FaultRates
 from armlab.sim.arm.mismatch import Mismatch
-from armlab.sim.controller.settings import ControllerSettings
+from armlab.sim.controller.settings import ControllerSettings, FaultRates
 
 if TYPE_CHECKING:
     import numpy as np
 
     from armlab.robots import Robot
     from armlab.sim import Surroundings
-    from armlab.sim.arm.arm import SimulatedArm
+    from armlab.sim.arm.arm import LaggingArm, SimulatedArm
     from armlab.sim.controller.channel import UdpClient
     from armlab.sim.controller.controller import SimulatedController
-    from armlab.sim.events import HandPath
-    from armlab.sim.arm.arm import LaggingArm
-    from armlab.sim.events import AppliedWrench
     from armlab.sim.controller.statistics import ControllerEvent
+    from armlab.sim.events import AppliedWrench, HandPath
 
 
 _AXES = {"6": "irb1200", "7": "yumi_right", "scara": "scara"}
@@ -141,12 +138,14 @@ class Around:
 
     def scene(self, robot: Robot, index: int, seed: list[int], external: int) -> Surroundings:
         """Return what happens around one robot."""
-        from armlab.sim import AppliedWrench, Grip, HandPath, MOTORS, RAPID, StateScript, Surroundings
+        from armlab.sim import MOTORS, RAPID, AppliedWrench, Grip, HandPath, StateScript, Surroundings
 
         operator = AppliedWrench.idle() if self.operator is None or index else read_operator(self.operator)
         hand = HandPath.random(robot, seed) if self.hand is None or index else read_hand(self.hand, robot.n)
         grip = None if self.grip is None or index else Grip(*pair("grip", self.grip))
-        return Surroundings(operator, hand, StateScript(self.motors, MOTORS), StateScript(self.rapid, RAPID), external, grip)
+        return Surroundings(
+            operator, hand, StateScript(self.motors, MOTORS), StateScript(self.rapid, RAPID), external, grip
+        )
 
 
 def pair(name: str, text: str) -> tuple[float, float]:
@@ -422,9 +421,8 @@ class _Cell:
     def channel(self, name: str, address: tuple[str, int], index: int, seed: list[int]) -> UdpClient:
         """Return one simulated robot with its socket."""
         from armlab.cli.support.options import simulated
-        from armlab.sim.controller.channel import UdpClient
+        from armlab.sim.controller.channel import Faults, UdpClient
         from armlab.sim.controller.controller import SimulatedController
-        from armlab.sim.controller.channel import Faults
         from armlab.sim.controller.packets import PacketBuilder
         from armlab.wire.egm import RobotSideCodec
 
@@ -455,8 +453,7 @@ class _Cell:
         return UdpClient(controller, *address, *ways, phase=index * self.phase)
 
     def _arm(self, robot: Robot, seed: list[int]) -> SimulatedArm | LaggingArm:
-        from armlab.sim.arm.arm import SimulatedArm
-        from armlab.sim.arm.arm import LaggingArm
+        from armlab.sim.arm.arm import LaggingArm, SimulatedArm
         from armlab.sim.arm.truth import synthetic_truth, truth_names
 
         period = self.settings.period

@@ -11,9 +11,19 @@ from types import TracebackType
 from typing import Any, NamedTuple
 
 from armlab.bridge.net.sockets import is_here
-from armlab.bridge.servers.row import read_row
-from armlab.bridge.servers.row import RowSchema
-from armlab.bridge.servers.zenoh import EVERY, Place, Security, close_session, key, open_session, queried, robot_of, robots_at, undamaged
+from armlab.bridge.servers.row import RowSchema, read_row
+from armlab.bridge.servers.zenoh import (
+    EVERY,
+    Place,
+    Security,
+    close_session,
+    key,
+    open_session,
+    queried,
+    robot_of,
+    robots_at,
+    undamaged,
+)
 from armlab.bridge.servers.zenoh.messages import read_about
 from armlab.errors import ArmlabError, ConfigError
 

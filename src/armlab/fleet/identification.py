@@ -28,9 +28,9 @@ from armlab.estimation.tsqr import Factors
 from armlab.fleet.logs import Log, as_table, named
 from armlab.fleet.mapping import Progress, map_logs
 from armlab.identify.dynamics import FitProblem
+from armlab.identify.friction_structure import Choice, Chooser, FrictionStructure, choose
 from armlab.identify.many import LogSums, Pattern, fit_draft, fit_sums, log_sums, same_rate
 from armlab.identify.record import prepare_share
-from armlab.identify.friction_structure import Choice, Chooser, FrictionStructure, choose
 from armlab.log import Table
 from armlab.models import TorqueModel, Training
 from armlab.robots import Robot

@@ -14,16 +14,15 @@ from types import TracebackType
 from typing import Any
 
 from armlab.bridge.servers.row import MAGIC
-from armlab.bridge.servers.zenoh import Asking, EVERY, Place, close_session, key, robot_of, undamaged
+from armlab.bridge.servers.zenoh import EVERY, Asking, Place, close_session, key, robot_of, undamaged
+from armlab.bridge.servers.zenoh.messages import read_about
 from armlab.bridge.servers.zenoh.rows import Inbox
 from armlab.bridge.servers.zenoh.session import zenoh
-from armlab.bridge.servers.zenoh.messages import read_about
 from armlab.errors import ArmlabError, LinkError
 from armlab.fleet.row_columns import RowColumns, stamp_of, tick_of
-from armlab.log.recording.recorder import FLUSH_PERIOD, WRITE_PERIOD
 from armlab.log.recording.file import RecordingFile
+from armlab.log.recording.recorder import FLUSH_PERIOD, WRITE_PERIOD, Syncing
 from armlab.log.recording.rows import RowLayout
-from armlab.log.recording.recorder import Syncing
 
 _INBOX = 50_000  # messages: 20 s of ten robots; what does not fit is a hole in the ticks
 _ROBOTS = 1000

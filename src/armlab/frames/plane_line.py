@@ -25,7 +25,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab.errors import NotExcited, ShapeError
-from armlab.estimation import Fit, Measurement, NonlinearProblem, NonlinearSolution, check_spread, nonlinear_least_squares
+from armlab.estimation import (
+    Fit,
+    Measurement,
+    NonlinearProblem,
+    NonlinearSolution,
+    check_spread,
+    nonlinear_least_squares,
+)
 from armlab.frames import inputs, ransac
 from armlab.frames.feature_fit import LIMIT, SURE, Cloud, result, text, upward
 from armlab.frames.features import Line, Plane

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armlab.bridge.servers.row import Row, read_row
-from armlab.bridge.servers.row import RowSchema
-from armlab.bridge.servers.zenoh import Asking, EVERY, Place, close_session, key, robot_of, undamaged
+from armlab.bridge.servers.row import Row, RowSchema, read_row
+from armlab.bridge.servers.zenoh import EVERY, Asking, Place, close_session, key, robot_of, undamaged
+from armlab.bridge.servers.zenoh.messages import read_about, read_message
 from armlab.bridge.servers.zenoh.rows import Inbox
 from armlab.bridge.servers.zenoh.session import zenoh
-from armlab.bridge.servers.zenoh.messages import read_about, read_message
 from armlab.errors import ArmlabError, LinkError
 from armlab.live.curves import Lines, Markup
 from armlab.live.scene import Scene

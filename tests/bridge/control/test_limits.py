@@ -1,4 +1,4 @@
-"""`Limits` and `Limiter`; the law of the kernel is tested in kernels/_reference/test_limits.py."""
+"""`Limits` and `Limiter`; the law of the kernel is tested in tests/kernels/test_limits.py."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from armlab.bridge.control.feedback import outside_range
 from armlab.bridge.control.limits import Limiter, Limits, LinkedLimiter, Reply, axes_of, limiter_of
 from armlab.bridge.control.torque import Torques
 from armlab.errors import ConfigError
-from armlab.kernels import _reference
 from armlab.robots import Robot, from_links
 from armlab.state import Command, State
 from armlab.wire.egm.axes import Linkage
+from tests.oracles import limit_reference
 
 T = 0.004
 
@@ -109,10 +109,10 @@ def test_a_limiter_knows_what_was_asked_before(robot: Robot) -> None:
         begin(robot.q_home)
         sent, asked = np.stack((robot.q_home, np.zeros(7), np.zeros(7))), None
         for q in path:
-            sent = _reference.limit_reference(sent, rows, T, q, asked)[0]
+            sent = limit_reference(sent, rows, T, q, asked)[0]
             asked = q
             np.testing.assert_allclose(limiter.step(q, None, T).q, sent[0], rtol=0.0, atol=1e-12)
-        assert not np.allclose(sent, _reference.limit_reference(sent, rows, T, q + 0.05)[0])
+        assert not np.allclose(sent, limit_reference(sent, rows, T, q + 0.05)[0])
 
 
 def test_an_arm_is_at_rest_when_position_and_speed_are(robot: Robot) -> None:

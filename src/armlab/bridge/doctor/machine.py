@@ -16,14 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from armlab import kernels
 from armlab.bridge.control.realtime import LOOP_PRIORITY, priority
 from armlab.bridge.doctor.findings import Finding
 
 __all__ = [
     "blas",
     "clock",
-    "compiled_kernels",
     "garbage",
     "governor",
     "machine",
@@ -52,7 +50,6 @@ def machine(seconds: float = 2.0) -> list[Finding]:
     """Return all checks of this computer."""
     return [
         python(),
-        compiled_kernels(),
         packages(),
         ros_on_path(os.environ, sys.path),
         ros_nodes(os.environ),
@@ -73,15 +70,6 @@ def python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
 
     value = f"{'.'.join(map(str, version))} ({sys.executable}), armlab {__version__}"
     return Finding.judged("Python", "failure", version[:2] < _OLDEST, value, "Install Python 3.11 or newer.")
-
-
-def compiled_kernels(backend: str = kernels.backend) -> Finding:
-    """Check that the compiled kernels are in use."""
-    advice = (
-        "Install armlab where a C++ compiler is, and unset ARMLAB_KERNELS: without it a force estimate takes longer "
-        "than a cycle."
-    )
-    return Finding.judged("kernels", "warning", backend != "native", backend, advice)
 
 
 def packages(version: Callable[[str], str] = importlib.metadata.version) -> Finding:

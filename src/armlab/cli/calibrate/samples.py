@@ -137,9 +137,8 @@ def read_samples(path: Path) -> Samples:
     """Return the columns of a CSV file, a MAT file, or a recording."""
     from armlab import log as logs
     from armlab.cli.support.output import note
-    from armlab.log.file_formats.opening import is_text
     from armlab.log.file_formats.mat import read_mat
-    from armlab.log.file_formats.opening import file_hash
+    from armlab.log.file_formats.opening import file_hash, is_text
     from armlab.log.topics.reader import is_foreign
 
     source = f"{path.name} sha256 {file_hash(path)}" if path.is_file() else ""
