@@ -13,7 +13,7 @@ import pytest
 from armlab import cli
 from armlab._interrupts import deferred
 from armlab.cli import main
-from armlab.cli.shell import WrappedHelp, unwrapped
+from armlab.cli.support.help import WrappedHelp, unwrapped
 from armlab.errors import LogError
 
 
@@ -35,7 +35,10 @@ def test_help_imports_no_command() -> None:
         "print([m for m in sys.modules if m.startswith(('armlab.', 'numpy')) and m != 'armlab.cli'], file=sys.stderr)"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert result.stderr.strip() == "['armlab.errors', 'armlab._interrupts', 'armlab.cli.shell']"
+    assert (
+        result.stderr.strip()
+        == "['armlab.errors', 'armlab._interrupts', 'armlab.cli.support', 'armlab.cli.support.help']"
+    )
 
 
 def test_wrong_use_is_2_and_an_error_1_each_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from .house import GOALS, Goal, measured, table
 
-MET: set[str] = set()
+MET = {"widest folder, modules", "import circles"}
 """Names of goals that are met, each held from then on."""
 
 

@@ -45,7 +45,7 @@ _COMMANDS = {
     "fleet": ("fleet:fleet", "Many robots at once: a router, recordings of all, one list of them."),
     "log": ("log:log", "Show, export, cut, merge, open and repair logs."),
     "config": ("config:config", "Show settings: of files, of the environment, of a cell. Writes nothing."),
-    "completion": ("shell:completion", "Print what lets bash, zsh or fish complete the words of armlab."),
+    "completion": ("completion:completion", "Print what lets bash, zsh or fish complete the words of armlab."),
     "robot": ("robot:robot", "List, show and convert robot descriptions."),
 }
 
@@ -76,7 +76,7 @@ def build_app(verb: str = "") -> App:
     from cyclopts import App, Parameter
 
     from armlab import __version__
-    from armlab.cli.shell import WrappedHelp
+    from armlab.cli.support.help import WrappedHelp
 
     app = App(
         name="armlab",

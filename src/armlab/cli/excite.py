@@ -106,7 +106,7 @@ def excite(
     from armlab.cli.support.output import FIGURES, check_output, note, print_json, progress, result, save_figure
     from armlab.cli.support.settings import load_settings, log_folder
     from armlab.errors import ConfigError
-    from armlab.identify import Trajectory, excite
+    from armlab.identify import Trajectory, predicted_uncertainty
 
     if output is None and run is None:
         raise ConfigError("Expected a file for the motion (-o motion.csv) or a link to run it on (--run), got neither.")
@@ -128,7 +128,7 @@ def excite(
             tell(0, 2, f"reading {saved.name}")
             trajectory = Trajectory.from_table(logs.read(saved))
         tell(9, 10, "what it will tell")
-        expected = excite(trajectory, arm, noise) if joint is None else None
+        expected = predicted_uncertainty(trajectory, arm, noise) if joint is None else None
         tell(1, 1, "done")
     if json:
         told = {} if expected is None else _plain(expected)
@@ -156,12 +156,12 @@ def _design(
 ) -> Trajectory:
     """Design a motion of all joints, or of one."""
     from armlab.cli.support.figure_options import joints_in
-    from armlab.identify import excite, friction_run
+    from armlab.identify import design_excitation, friction_run
 
     if joint is not None:
         return friction_run(robot, joints_in(joint, robot.n)[0] if joint.isdecimal() else joint)
     shape = motion.seconds, motion.f0, motion.harmonics, speed, motion.acceleration
-    return excite(
+    return design_excitation(
         robot,
         *shape,
         seed=motion.seed,

@@ -1,9 +1,9 @@
-"""The shell: help wrapped to the terminal, and ``armlab completion``."""
+"""Help of commands, wrapped to the terminal."""
 
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from cyclopts.help import HelpPanel
@@ -51,21 +51,3 @@ def _wrapped(shown: Any) -> Any:
     if isinstance(text, Text):
         shown.primary_renderable = Text(unwrapped(text.plain), end=text.end)
     return shown
-
-
-def completion(shell: Literal["bash", "fish", "zsh"]) -> None:
-    """Print a script that lets a shell complete commands, options and their values; install it with one line.
-
-    - bash: armlab completion bash > ~/.local/share/bash-completion/completions/armlab
-    - zsh: armlab completion zsh > DIR/_armlab, where DIR is a folder of $fpath
-    - fish: armlab completion fish > ~/.config/fish/completions/armlab.fish
-
-    Parameters
-    ----------
-    shell : str
-        Which one.
-    """
-    from armlab.cli import build_app
-    from armlab.cli.support.output import result
-
-    result(build_app().generate_completion(shell=shell))
