@@ -23,7 +23,7 @@ SETTINGS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 def fingerprint() -> str:
     """Return a hash over everything that decides what is installed."""
     files = [REQUIREMENTS, NO_DEPS, CONSTRAINTS, ROOT / "pyproject.toml", ROOT / "CMakeLists.txt"]
-    files += sorted((ROOT / "native").iterdir())
+    files += sorted(path for path in (ROOT / "native").rglob("*") if path.is_file())
     files += sorted(p for p in (ROOT / "src").rglob("*") if p.is_file() and p.suffix not in (".pyc", ".so"))
     digest = hashlib.sha256(sys.version.encode())
     for file in files:

@@ -254,7 +254,7 @@ class TestValue:
         robots.save(robot, tmp_path / "arm.urdf")
         np.testing.assert_allclose(forward(robots.load(tmp_path / "arm.urdf"), q), goals, rtol=0, atol=1e-9)
         assert robot.hash != case.robot.hash
-        assert sim.Arm(robot, sim.synthetic_truth(robot), seed=1).robot == robot
+        assert sim.SimulatedArm(robot, sim.synthetic_truth(robot), seed=1).robot == robot
 
     def test_gravity_turns_with_the_foot(self, case) -> None:
         frame = se3.from_rp(so3.exp([1.0, 0.0, 0.0]), [3.0, 0.0, 0.0])
@@ -523,7 +523,7 @@ class TestGeometry:
         """The simulated controller is the library's arm; the loop knows the corrected one, and drives its joints."""
         robot, _, fit = yumi
         found = fit.value.robot
-        arm = sim.Arm(found, sim.synthetic_truth(found), seed=1)
+        arm = sim.SimulatedArm(found, sim.synthetic_truth(found), seed=1)
         assert arm.robot == found
         arm.place(found.q_home)
         seen = []
@@ -567,7 +567,7 @@ class TestJointErrors:
             lambda value, q: kinematics.parameter_jacobian(value, q),
             lambda value, q: robots.save(value, "arm.toml"),
             lambda value, q: sim.synthetic_truth(value),
-            lambda value, q: sim.Arm(value, sim.synthetic_truth(robots.load("irb2400"))),
+            lambda value, q: sim.SimulatedArm(value, sim.synthetic_truth(robots.load("irb2400"))),
             lambda value, q: bridge.connect("sim://irb2400", value),
             lambda value, q: identify.base_parameters(value),
             lambda value, q: identify.design_excitation(value),

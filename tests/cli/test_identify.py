@@ -30,7 +30,7 @@ class Outcome(NamedTuple):
 
 @pytest.fixture(scope="module")
 def logs(excited: Table, truth) -> dict[str, Table]:
-    free = truth.log(identification.excitation(truth.robot, seconds=12, seed=4, speed=0.4), seed=4)
+    free = truth.log(identification.design_excitation(truth.robot, seconds=12, seed=4, speed=0.4), seed=4)
     return {"run.mcap": excited, "short.mcap": excited.between(0, 2), "free.mcap": free}
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from armlab import log
 from armlab.bridge.servers.row import LARGEST, RowSchema, RowWriter
-from armlab.bridge.servers.zenoh import EVERY, Place, close_session, open_session, rows
+from armlab.bridge.servers.zenoh import EVERY, Place, checksum, close_session, open_session
 from armlab.fleet import FleetRecorder, Router, recorder
 from armlab.fleet.recorder import RobotRecord
 from armlab.log import Tick
@@ -46,8 +46,8 @@ def test_messages_of_no_robot_are_counted_and_leave_no_file(tmp_path: Path, monk
 
         def sent() -> bool:
             for name, data in (("nobody", ROW), ("other", b"hello"), (".hidden", ROW), ("\u8a9e" * 80, ROW)):
-                session.put(f"armlab/lab1/{name}/state", data, attachment=rows(data))
-            session.put("armlab/lab1/damaged/state", ROW, attachment=rows(ROW[:-1] + b"x"))
+                session.put(f"armlab/lab1/{name}/state", data, attachment=checksum(data))
+            session.put("armlab/lab1/damaged/state", ROW, attachment=checksum(ROW[:-1] + b"x"))
             session.put("armlab/lab1/damaged/state", ROW)
             known = fleet.robots
             return fleet.strangers > 3 and "lab1/other" in known and known["lab1/other"].refused > 3
@@ -80,7 +80,7 @@ def test_what_goes_wrong_with_one_robot_ends_its_recording_alone(
         session = open_session("client", connect=[f"127.0.0.1:{port}"])
 
         def sent(name: str) -> int:
-            session.put(f"armlab/lab1/{name}/state", b"hello", attachment=rows(b"hello"))
+            session.put(f"armlab/lab1/{name}/state", b"hello", attachment=checksum(b"hello"))
             return fleet.robots[f"lab1/{name}"].refused if f"lab1/{name}" in fleet.robots else 0
 
         until(lambda: sent("bad") or any("lab1/bad" in text for text in told))
@@ -100,7 +100,7 @@ def test_what_waits_takes_bounded_memory(tmp_path: Path, monkeypatch: pytest.Mon
 
         def refused() -> int:
             for name, data in (("first", ROW), ("second", ROW), ("second", large), ("other", b"hello")):
-                session.put(f"armlab/lab1/{name}/state", data, attachment=rows(data))
+                session.put(f"armlab/lab1/{name}/state", data, attachment=checksum(data))
             return fleet.robots["lab1/other"].refused if "lab1/other" in fleet.robots else 0
 
         until(lambda: refused() > 5)

@@ -67,7 +67,7 @@ def imports(node: ast.AST, answers: str = "") -> Iterator[tuple[str, int, str]]:
     elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("import_module", "needed"):
         names = [arg.value for arg in node.args[:1] if isinstance(arg, ast.Constant)]
         if node.func.id == "needed":  # type: ignore[attr-defined]
-            answers = (SOURCE / "log" / "extras.py").read_text(encoding="utf-8")
+            answers = (SOURCE / "log" / "file_formats" / "opening.py").read_text(encoding="utf-8")
     yield from ((name.partition(".")[0], getattr(node, "lineno", 0), answers) for name in names)
     for child in ast.iter_child_nodes(node):
         inside = isinstance(node, ast.Try) and child in node.body

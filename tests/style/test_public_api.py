@@ -21,6 +21,7 @@ from typing import Any, is_typeddict
 import pytest
 
 import armlab
+import armlab.kernels
 
 LIST = Path(__file__).with_name("public_api.txt")
 
@@ -78,7 +79,7 @@ def members(cls: type) -> Iterator[str]:
 @cache
 def stub() -> ModuleType:
     """Signatures of the compiled kernels."""
-    path = Path(armlab.__path__[0]) / "kernels" / "_native.pyi"
+    path = Path(armlab.kernels.__file__).with_name("_native.pyi")
     loader = SourceFileLoader("armlab.kernels._native", str(path))
     module = module_from_spec(spec_from_loader(loader.name, loader))
     loader.exec_module(module)

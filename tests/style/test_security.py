@@ -30,13 +30,13 @@ ATTRIBUTES = re.compile(
 """What runs a program or a text, as it is written, however it is used."""
 
 STARTS_PROGRAMS = {  # file: which
-    "bridge/ros1/process.py": "the Python that has rospy, of the system or named in the cell",
-    "bridge/servers.py": "armlab: a server of the cell",
-    "bridge/simulator.py": "armlab: the simulated robot",
+    "bridge/servers/ros1/process.py": "the Python that has rospy, of the system or named in the cell",
+    "bridge/servers/supervisor.py": "armlab: a server of the cell",
+    "bridge/link.py": "armlab: the simulated robot",
     "cli/bridge.py": "openssl",
     "cli/view.py": "armlab: the demo that is viewed",
     "cli/log.py": "the viewer that the user names, or the first that is installed",
-    "log/recording_metadata.py": "git",
+    "log/recording/metadata.py": "git",
 }
 
 RUNS_THE_USERS_CODE = {  # file: what the user names on the command line is the user's own program
@@ -44,10 +44,10 @@ RUNS_THE_USERS_CODE = {  # file: what the user names on the command line is the 
 }
 
 WIDE = {  # file: why "every address" stands there
-    "bridge/listening.py": "named by --listen",
-    "bridge/network.py": "armlab doctor listens where robots send, and answers nobody",
-    "bridge/ros/dds_domain.py": "recognises Cyclone's sockets to narrow them",
-    "bridge/zenoh/session.py": "recognises routers that anybody reaches, to refuse them",
+    "bridge/listen.py": "named by --listen",
+    "bridge/doctor/network.py": "armlab doctor listens where robots send, and answers nobody",
+    "bridge/servers/ros/dds.py": "recognises Cyclone's sockets to narrow them",
+    "bridge/servers/zenoh/session.py": "recognises routers that anybody reaches, to refuse them",
     "cli/record.py": "armlab record listens where robots send, and answers nobody",
     "cli/__init__.py": "an example of a command",
 }
