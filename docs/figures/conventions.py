@@ -12,6 +12,7 @@ from armlab import kinematics, plots, robots
 from armlab._palette import AXIS_COLORS, GREY
 from armlab.lie import se3, so3
 from armlab.plots import space
+from armlab.plots.arm import stick as stick_of
 from armlab.plots.style import MODEL, look
 from armlab.robots import Robot
 
@@ -206,7 +207,7 @@ def jacobians() -> None:
     T = kinematics.forward(arm, Q)
     v = np.array([0.16, 0.1, 0.14])
     figure, axes = canvas(('frame="base"', 'frame="tool"'), 9.0, 3.8)
-    stick = plots.arms.stick(arm, Q)[-2:]
+    stick = stick_of(arm, Q)[-2:]
     for ax, R, name in zip(axes, (np.eye(3), T[:3, :3]), ("base axes", "tool"), strict=True):
         ax.plot(*stick.T, **STICK)
         space.frame(ax, se3.from_rp(R, T[:3, 3] if name == "tool" else stick[0] - (0.0, 0, 0.3)), 0.1, name)

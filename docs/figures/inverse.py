@@ -9,6 +9,7 @@ from armlab import kinematics, plots, robots
 from armlab.plots import space
 from armlab.plots.style import look
 from armlab.robots import Robot
+from armlab.robots.robot import arm_length
 
 
 def branches(robot: Robot, T_base_tool: np.ndarray) -> np.ndarray:
@@ -34,7 +35,7 @@ def main() -> None:
     plots.robot(yumi, np.concatenate([back.q[::-1], walk.q])[::3], frames=False, ax=right)
     for ax, robot, title in ((left, arm, "one pose, several branches"), (right, yumi, "one pose, a whole self-motion")):
         q = T_base_tool if robot is arm else kinematics.forward(yumi, yumi.q_home)
-        plots.scene({"tool": q}, frames=0.15 * plots.arms.arm_length(robot), ax=ax)
+        plots.scene({"tool": q}, frames=0.15 * arm_length(robot), ax=ax)
         ax.set_axis_off()
         ax.set_title(title, fontsize=9.5)
         space.equal_scale(ax, 1.05)

@@ -8,6 +8,7 @@ import numpy as np
 from armlab import plots, robots
 from armlab.plots import space
 from armlab.plots.style import look
+from armlab.robots.robot import arm_length
 
 COLUMNS = 4
 
@@ -22,7 +23,7 @@ def main() -> None:
     for ax, name in zip(axes.flat, names):
         arm = robots.load(name)
         plots.robot(arm, frames=False, ax=ax)
-        space.frame(ax, np.eye(4), 0.1 * plots.arms.arm_length(arm), letters=False)
+        space.frame(ax, np.eye(4), 0.1 * arm_length(arm), letters=False)
         space.equal_scale(ax, 1.05)
         ax.set_title(name, fontsize=9.5, pad=0.0)
     figure.savefig("library.svg")
