@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "bridge" / "ros" / "peers"))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "bridge" / "servers" / "ros" / "peers"))
 
 import cyclone
 from cyclonedds.core import Policy, Qos

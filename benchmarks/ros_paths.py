@@ -31,7 +31,7 @@ from armlab.bridge.servers.ros import store
 from armlab.bridge.servers.row import MAGIC, RowSchema
 
 HERE = Path(__file__).resolve().parent
-PEERS = HERE.parent / "tests" / "bridge" / "ros" / "peers"
+PEERS = HERE.parent / "tests" / "bridge" / "servers" / "ros" / "peers"
 SYSTEM = "/usr/bin/python3"
 PATIENCE = 30.0  # s
 
