@@ -13,8 +13,10 @@ import pytest
 
 from armlab import bridge, robots
 from armlab.bridge.control.arm import Surplus
+from armlab.bridge.control.limits import Limits
 from armlab.bridge.control.realtime import Waiting
 from armlab.bridge.net.sockets import Arrival, Port
+from armlab.errors import LinkError
 from armlab.sim.arm.arm import LaggingArm, SimulatedArm
 from armlab.sim.arm.truth import synthetic_truth
 from armlab.sim.controller.channel import Faults, UdpClient
@@ -314,7 +316,9 @@ def play(monkeypatch: pytest.MonkeyPatch) -> Any:
 
     leaves_out = Surplus.leaves_out
 
-    def run(outgoing: FaultRates, incoming: FaultRates, seconds: float) -> tuple[Any, SimulatedController]:
+    def run(
+        outgoing: FaultRates, incoming: FaultRates, seconds: float, limits: Limits | None = None
+    ) -> tuple[Any, SimulatedController]:
         wire = Wire(outgoing, incoming)
         monkeypatch.setattr(Waiting, "next", lambda waiting, seconds: wire.next())
         monkeypatch.setattr(Port, "receive", lambda port: wire.receive())
@@ -326,7 +330,7 @@ def play(monkeypatch: pytest.MonkeyPatch) -> Any:
 
         monkeypatch.setattr(Surplus, "leaves_out", with_wire)
         with bridge.connect("egm://127.0.0.1:0", ROBOT, extension=True, clock="robot") as link:
-            return link.run(sway, seconds=seconds, wait="block"), wire.controller
+            return link.run(sway, seconds=seconds, wait="block", limits=limits), wire.controller
 
     return run
 
@@ -356,6 +360,18 @@ def test_a_reference_is_one_cycle_old_again_after_faults(play: Any, fault: str, 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS)
 def test_every_fault_for_a_minute(play: Any, fault: str) -> None:
-    """1, 10 and 50 % of the datagrams in both directions; all seven faults together take half a minute."""
+    """1, 10 and 50 % of the datagrams in both directions; all seven faults together take half a minute.
+
+    When half of all replies is lost ten at a time, the arm goes on with its last speed for up to a second: the
+    following error that is allowed says so.
+    """
     for share in SHARES:
-        check(*play(FAULTS[fault](share), FAULTS[fault](share), SECONDS))
+        limits = Limits.of(ROBOT, following_error=0.5) if (fault, share) == ("burst", 0.5) else None
+        check(*play(FAULTS[fault](share), FAULTS[fault](share), SECONDS, limits))
+
+
+def test_an_arm_that_goes_on_while_replies_are_lost_is_stopped(play: Any) -> None:
+    """What the bridge sees is an arm far from its reference, whether or not the network is why."""
+    faults = FAULTS["burst"](0.5)
+    with pytest.raises(LinkError, match="a following error of 0.1"):
+        play(faults, faults, SECONDS)
