@@ -373,5 +373,5 @@ def test_every_fault_for_a_minute(play: Any, fault: str) -> None:
 def test_an_arm_that_goes_on_while_replies_are_lost_is_stopped(play: Any) -> None:
     """What the bridge sees is an arm far from its reference, whether or not the network is why."""
     faults = FAULTS["burst"](0.5)
-    with pytest.raises(LinkError, match="a following error of 0.1"):
+    with pytest.raises(LinkError, match="a following error"):
         play(faults, faults, SECONDS)
