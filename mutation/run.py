@@ -45,7 +45,7 @@ FILES = {  # each with the tests that hold it
     f"{BRIDGE}/control/realtime.py": ["bridge/control/realtime"],
     f"{BRIDGE}/control/session.py": ["bridge/control/session"],
     f"{BRIDGE}/control/state_machine.py": ["bridge/control/state_machine", "bridge/control/torque"],
-    f"{BRIDGE}/command/arbiter.py": ["bridge/command/arbiter"],
+    f"{BRIDGE}/arbiter.py": ["bridge/arbiter"],
     f"{BRIDGE}/control/loop.py": ["bridge/control/loop_by_hand", "bridge/control/multi_arm_by_hand"],
     f"{BRIDGE}/control/supervision.py": ["bridge/control/supervision"],
     f"{BRIDGE}/control/arm.py": ["bridge/control/arm", "bridge/control/multi_arm_by_hand"],

@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 
 from armlab import log, models, robots
+from armlab.bridge.arbiter import Arbiter
 from armlab.bridge.cell import Cell, cell_values, parse_cell, run_cell
-from armlab.bridge.command.arbiter import Arbiter
 from armlab.bridge.inputs.parameters import Parameters
 from armlab.bridge.servers.labcomm import LabCommSource
 from armlab.bridge.servers.local import LocalFeed, socket_path

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from armlab.bridge.arbiter import LEASE, Arbiter
 from armlab.bridge.cell import parse_cell, run_cell
-from armlab.bridge.command.arbiter import LEASE, Arbiter
 from armlab.bridge.servers.hub import Exchange
 from armlab.state import Command
 

@@ -486,18 +486,11 @@ def test_an_object_of_ones_own(robot: Robot) -> None:
         assert link.robot is robot
 
 
-def test_each_arm_has_its_own_and_one_for_each_rehearsal(robot: Robot) -> None:
-    [(own, spares)] = codecs_of("egm", [robot], extension=False, spares=2)
-    assert len({id(own), *map(id, spares)}) == 3
-    mine = EgmCodec(robot)
-    assert codecs_of(mine, [robot], extension=False, spares=2) == [(mine, ())]
-
-
 def test_an_object_that_is_no_codec_is_refused(robot: Robot) -> None:
     with pytest.raises(ConfigError, match=r"wire\.egm\.Codec, got 5\."):
         connect("egm://127.0.0.1:0", robot, codec=5)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="one codec per arm"):
-        codecs_of(EgmCodec(robot), [robot, robot], extension=False, spares=0)
+        codecs_of(EgmCodec(robot), [robot, robot], extension=False)
 
 
 BROKEN = r"^Expected a cycle without errors, got ZeroDivisionError: division by zero\.$"

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 from armlab import log, robots
+from armlab.bridge.arbiter import LEASE, Arbiter
 from armlab.bridge.cell import parse_cell, run_cell
-from armlab.bridge.command.arbiter import LEASE, Arbiter
 from armlab.bridge.control.limits import Limits
 from armlab.bridge.servers.hub import Exchange
 from armlab.state import Command

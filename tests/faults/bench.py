@@ -19,7 +19,7 @@ import pytest
 
 from armlab import robots
 from armlab.bridge import Link, Run
-from armlab.bridge.assembly import End
+from armlab.bridge.control.run import End
 from armlab.bridge.control.supervision import Settings
 from armlab.bridge.net.sockets import Arrival
 from armlab.errors import LinkError
@@ -44,7 +44,7 @@ WALL_NS = 1_700_000_000_000_000_000
 PATIENCE = 5.0  # s of the bridge
 MODULES = (
     "control.arm",
-    "assembly",
+    "control.run",
     "control.loop",
     "control.recording",
     "control.supervision",
@@ -174,7 +174,7 @@ class Bench:
             close=lambda: None,
         )  # fmt: skip
         settings = Settings(patience=PATIENCE)
-        self.link = Link([End(ROBOT, port, EgmCodec(ROBOT, extension=True), ())], True, settings)
+        self.link = Link([End(ROBOT, port, EgmCodec(ROBOT, extension=True))], True, settings)
 
     def run(self, script: Script | None, **options: Any) -> Outcome:
         """Run the bridge; `script` is its controller."""

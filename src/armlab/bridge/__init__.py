@@ -1,7 +1,6 @@
 """The real-time loop between a controller in Python and a robot."""
 
-from armlab.bridge.command.arbiter import Arbiter
-from armlab.bridge.command.order import Order
+from armlab.bridge.arbiter import Arbiter, Order
 from armlab.bridge.control.limits import Limits
 from armlab.bridge.control.run import Run
 from armlab.bridge.inputs.fusion import Fusion, Held

@@ -17,7 +17,6 @@ from typing import Any, Literal
 import numpy as np
 
 from armlab._descriptors import Descriptor
-from armlab.bridge.assembly import End, assemble, checked_limits, finished
 from armlab.bridge.control.limits import Limits
 from armlab.bridge.control.loop import Controller, Loop
 from armlab.bridge.control.realtime import (
@@ -31,7 +30,7 @@ from armlab.bridge.control.realtime import (
     short_switches,
 )
 from armlab.bridge.control.recording import Feed
-from armlab.bridge.control.run import Run, together
+from armlab.bridge.control.run import End, Run, assemble, checked_limits, finished, together
 from armlab.bridge.control.supervision import Settings
 from armlab.bridge.control.torque import TorqueModel, admittances
 from armlab.bridge.inputs.sources import Source
@@ -83,27 +82,22 @@ def codec_named(name: str, robot: Robot, extension: bool = False) -> Codec:
     return codec
 
 
-def codecs_of(
-    codec: str | Codec | Sequence[Codec], robots: Sequence[Robot], extension: bool, spares: int
-) -> list[tuple[Codec, tuple[Codec, ...]]]:
-    """Return the codec of each arm and those of its rehearsals, which an object of the user's does not have.
-
-    codec : name of a codec, made once for an arm and once for each rehearsal; or an object for each arm.
+def codecs_of(codec: str | Codec | Sequence[Codec], robots: Sequence[Robot], extension: bool) -> list[Codec]:
+    """Return the codec of each arm: made by name, or the user's objects.
 
     Raises
     ------
     UnknownName, ConfigError : as of `codec_named`; objects that are no codecs, or not one for each arm.
     """
     if isinstance(codec, str):
-        made = [[codec_named(codec, robot, extension) for _ in range(1 + spares)] for robot in robots]
-        return [(own, tuple(others)) for own, *others in made]
+        return [codec_named(codec, robot, extension) for robot in robots]
     given = list(codec) if isinstance(codec, Sequence) else [codec]
     for one in given:
         if not all(hasattr(one, method) for method in _METHODS):
             raise ConfigError(f"Expected the name of a codec, or one like wire.egm.Codec, got {one!r}.")
     if len(given) != len(robots):
         raise ConfigError(f"Expected one codec per arm, since each follows one session, got {len(given)}.")
-    return [(one, ()) for one in given]
+    return given
 
 
 _KEPT_LINES = 20
@@ -175,9 +169,6 @@ class Simulator:
                 self.lines.append(line.strip())
 
 
-_REHEARSALS = 2  # before a packet, when there is time: the first fills the caches, the second finds them warm
-
-
 def connect(
     url: str | Sequence[str],
     robot: Robot | Sequence[Robot],
@@ -221,24 +212,22 @@ def connect(
     if not patience > 0.0:
         raise ConfigError(f"Expected patience above 0 s, got {patience}.")
     is_simulated = where[0].scheme == "sim"
-    codecs = codecs_of(codec, robots, extension or is_simulated, _REHEARSALS)
+    codecs = codecs_of(codec, robots, extension or is_simulated)
     in_lockstep = is_simulated and where[0].options.get("lockstep", "false").lower() in ("", "true")
     settings = Settings(clock="robot" if in_lockstep else clock, patience=patience)
     with ExitStack() as opened:
         ends: list[End] = []
-        for one, address, wires in zip(robots, where, codecs, strict=True):
+        for one, address, wire in zip(robots, where, codecs, strict=True):
             if address.scheme in ("labcomm", "zenoh"):
                 if address.scheme == "labcomm":
                     from armlab.bridge.servers.labcomm.link import far_end
                 else:
                     from armlab.bridge.servers.zenoh.link import far_end
 
-                ends.append(End(one, *far_end(one, address.host, address.port, address.options), (), None))
+                ends.append(End(one, *far_end(one, address.host, address.port, address.options)))
             else:
-                port = Port(address.host, address.port)
-                opened.callback(port.close)
-                ends.append(End(one, port, *wires, None if not wires[1] else Port("127.0.0.1", 0, to_itself=True)))
-            opened.callback(ends[-1].close)
+                ends.append(End(one, Port(address.host, address.port), wire))
+            opened.callback(ends[-1].port.close)
         simulator = None
         if is_simulated:
             simulator = Simulator(
@@ -298,7 +287,7 @@ class Link:
         """Close the ports and stop the simulated robots."""
         self._closed = True
         for end in self._ends:
-            end.close()
+            end.port.close()
         if self._simulator is not None:
             self._simulator.stop()
         if self._offering is not None:
@@ -395,8 +384,6 @@ class Link:
             mode: Wait = "block" if in_lockstep else wait
             waiting = Waiting([arm.port for arm in arms], [arm.prediction for arm in arms], mode)
             loop = Loop(arms, waiting, controller, settings, paced)
-        rehearsals = [arm.rehearse for arm in arms]
-        waiting.rehearse = lambda index: rehearsals[index]()
         arms.insert(0, arms.pop(paced))
         try:
             with ExitStack() as stack:

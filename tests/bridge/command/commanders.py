@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from armlab import robots
-from armlab.bridge.command.arbiter import Arbiter
-from armlab.bridge.command.order import Order
+from armlab.bridge.arbiter import Arbiter, Order
 from armlab.state import Command, State
 
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")

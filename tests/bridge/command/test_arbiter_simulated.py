@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from armlab import bridge, robots
-from armlab.bridge.command.arbiter import Arbiter
-from armlab.bridge.command.order import Order
+from armlab.bridge.arbiter import Arbiter, Order
 from armlab.state import State
 
 LEFT = robots.load("yumi_left")

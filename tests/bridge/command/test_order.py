@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.command.order import Order, called, read_order
+from armlab.bridge.arbiter import Order, read_order
+from armlab.bridge.control.command_checks import joint_name
 
 LEFT = robots.load("yumi_left")
 HOME = np.array(LEFT.q_home)
@@ -45,7 +46,7 @@ def test_one_bad_number_refuses_all(fields: dict[str, Any], words: str) -> None:
 def test_a_joint_is_called_as_its_client_knows_it() -> None:
     """ABB calls the third joint of a YuMi the seventh; in ROS they count from the base."""
     yumi = robots.load("yumi_right")
-    assert called(yumi, 2, None) == f"joint 3 ({yumi.joint_names[2]})"
-    assert called(yumi, 2, 7) == "yumi_robr_joint_3 (number 10 of the message)"
-    assert called(yumi, 2, by_axis=True) == "axis_7 (number 7 of the vector)"
-    assert called(yumi, 3, by_axis=True) == "axis_3 (number 3 of the vector)"
+    assert joint_name(yumi, 2, None) == f"joint 3 ({yumi.joint_names[2]})"
+    assert joint_name(yumi, 2, 7) == "yumi_robr_joint_3 (number 10 of the message)"
+    assert joint_name(yumi, 2, by_axis=True) == "axis_7 (number 7 of the vector)"
+    assert joint_name(yumi, 3, by_axis=True) == "axis_3 (number 3 of the vector)"

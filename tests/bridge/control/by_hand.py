@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from armlab.bridge import Limits
-from armlab.bridge.assembly import End, assemble
-from armlab.bridge.control.arm import Arm
+from armlab.bridge.control.arm import ArmSession
 from armlab.bridge.control.loop import Loop
+from armlab.bridge.control.run import End, assemble
 from armlab.bridge.control.supervision import Settings
 from armlab.bridge.net.sockets import Arrival
 from armlab.log import Tick
@@ -24,7 +24,7 @@ from ..conftest import PERIOD_NS, Packets
 
 MODULES = (
     "control.arm",
-    "assembly",
+    "control.run",
     "control.loop",
     "control.recording",
     "control.supervision",
@@ -94,10 +94,10 @@ class Hands:
         extension, answer_stream = options.pop("extension", False), options.pop("answer_stream", True)
         self.settings = Settings(**options)
         ends: Any = [
-            End(robot, port, EgmCodec(robot, extension), ())  # type: ignore[arg-type]
+            End(robot, port, EgmCodec(robot, extension))  # type: ignore[arg-type]
             for robot, port in zip(robots, self.ports, strict=True)
         ]
-        self.arms: list[Arm] = assemble(
+        self.arms: list[ArmSession] = assemble(
             ends,
             [Limits.of(robot) for robot in robots],
             self.settings,

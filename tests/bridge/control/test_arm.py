@@ -16,8 +16,8 @@ import pytest
 
 from armlab import robots
 from armlab.bridge import Limits, connect
-from armlab.bridge.assembly import End, assemble
-from armlab.bridge.control.arm import Arm, Latency, PendingPacket, Surplus
+from armlab.bridge.control.arm import ArmSession, Latency, PendingPacket, QueueTrimming
+from armlab.bridge.control.run import End, assemble
 from armlab.bridge.control.state_machine import Mode
 from armlab.bridge.control.supervision import Settings
 from armlab.bridge.net.sockets import Arrival, Port
@@ -31,7 +31,7 @@ PERIOD_NS = 4_000_000
 
 
 @pytest.fixture
-def arm(robot: Robot) -> Iterator[Arm]:
+def arm(robot: Robot) -> Iterator[ArmSession]:
     port = Port("127.0.0.1", 0)
     options: dict[str, Any] = {
         "commands": True,
@@ -42,36 +42,36 @@ def arm(robot: Robot) -> Iterator[Arm]:
         "feeds": (),
         "sources": (),
     }
-    [made] = assemble([End(robot, port, EgmCodec(robot), ())], [Limits.of(robot)], Settings(), **options)
+    [made] = assemble([End(robot, port, EgmCodec(robot))], [Limits.of(robot)], Settings(), **options)
     yield made
     port.close()
 
 
-def take(arm: Arm, packets: Any, k: int) -> PendingPacket:
-    turn = arm.take(Arrival(packets(), ("127.0.0.1", arm.port.port), arm.stamp_ns + k * PERIOD_NS))
-    assert turn is not None
-    return turn
+def take(arm: ArmSession, packets: Any, k: int) -> PendingPacket:
+    pending = arm.receive(Arrival(packets(), ("127.0.0.1", arm.port.port), arm.stamp_ns + k * PERIOD_NS))
+    assert pending is not None
+    return pending
 
 
-def test_how_long_a_packet_waited_for_the_loop_is_recorded(arm: Arm, packets: Any) -> None:
+def test_how_long_a_packet_waited_for_the_loop_is_recorded(arm: ArmSession, packets: Any) -> None:
     came = time.monotonic_ns() - 3_000_000
-    turn = arm.take(Arrival(packets(), ("127.0.0.1", arm.port.port), came))
-    assert turn is not None
-    assert 3_000_000 <= turn.wake_ns <= time.monotonic_ns() - came
-    later = arm.take(Arrival(packets(), ("127.0.0.1", arm.port.port), came + 10**12))  # while the loop ran
+    pending = arm.receive(Arrival(packets(), ("127.0.0.1", arm.port.port), came))
+    assert pending is not None
+    assert 3_000_000 <= pending.wake_ns <= time.monotonic_ns() - came
+    later = arm.receive(Arrival(packets(), ("127.0.0.1", arm.port.port), came + 10**12))  # while the loop ran
     assert later is not None
     assert later.wake_ns == 0
-    arm.reply(turn, None, arm.guide.answer(None, arm.period))
+    arm.reply(pending, None, arm.machine.answer(None, arm.period))
     arm.record()
-    assert arm.recording.table()["wake_ns"][0] == turn.wake_ns
+    assert arm.recording.table()["wake_ns"][0] == pending.wake_ns
 
 
-def test_the_newest_is_answered_and_both_are_recorded(arm: Arm, packets: Any) -> None:
+def test_the_newest_is_answered_and_both_are_recorded(arm: ArmSession, packets: Any) -> None:
     first = take(arm, packets, 0)
-    second = arm.take(Arrival(packets(), ("127.0.0.1", arm.port.port), first.sample.arrival_ns + PERIOD_NS), first)
+    second = arm.receive(Arrival(packets(), ("127.0.0.1", arm.port.port), first.sample.arrival_ns + PERIOD_NS), first)
     assert second is not None
     assert arm.newest is second
-    arm.reply(second, None, arm.guide.answer(None, arm.period))
+    arm.reply(second, None, arm.machine.answer(None, arm.period))
     assert (arm.replies, arm.overtaken) == (1, 1)
     assert len(arm.recording.table()) == 0
     arm.record()
@@ -81,44 +81,30 @@ def test_the_newest_is_answered_and_both_are_recorded(arm: Arm, packets: Any) ->
     assert arm.deadline(second.sample) == second.sample.arrival_ns + 0.75 * PERIOD_NS
 
 
-def test_a_command_that_was_given_serves_for_a_time(arm: Arm, packets: Any) -> None:
+def test_a_command_that_was_given_serves_for_a_time(arm: ArmSession, packets: Any) -> None:
     command = Command(qd=np.ones(7))
     take(arm, packets, 0)
-    arm.give(command)
-    served = [arm.given(take(arm, packets, k).sample, 0.0101) is not None for k in range(1, 5)]
+    arm.set_command(command)
+    served = [arm.kept_command(take(arm, packets, k).sample, 0.0101) is not None for k in range(1, 5)]
     assert served == [True, True, False, False]
-    arm.give(command)
-    assert arm.given(take(arm, packets, 5).sample, 0.0101) is not None
-    arm.give(None)
-    assert arm.given(take(arm, packets, 6).sample, 0.0101) is None
+    arm.set_command(command)
+    assert arm.kept_command(take(arm, packets, 5).sample, 0.0101) is not None
+    arm.set_command(None)
+    assert arm.kept_command(take(arm, packets, 6).sample, 0.0101) is None
 
 
-def test_what_the_controller_writes_later_is_not_commanded(arm: Arm, packets: Any) -> None:
+def test_what_the_controller_writes_later_is_not_commanded(arm: ArmSession, packets: Any) -> None:
     sample, qd = take(arm, packets, 0).sample, np.zeros(7)
-    arm.give(Command(qd=qd))
+    arm.set_command(Command(qd=qd))
     qd[2] = 1.0
-    command = arm.given(sample, 1.0)
+    command = arm.kept_command(sample, 1.0)
     assert command is not None
     assert command.qd is not None
     assert not command.qd.any()
 
 
-@pytest.mark.parametrize(("ahead_ns", "times"), [(PERIOD_NS // 2, 2), (50_000, 1)])
-def test_another_rehearsal_needs_time_before_the_packet(arm: Arm, packets: Any, ahead_ns: int, times: int) -> None:
-    rehearsed: list[Arrival] = []
-    arm._rehearsals = [lambda arrival, _: rehearsed.append(arrival)] * 2
-    arm.rehearse()
-    assert not rehearsed  # nothing has come
-    turn = take(arm, packets, 0)
-    arm.prediction.add(time.monotonic_ns() - PERIOD_NS + ahead_ns, 1, 1e-9 * PERIOD_NS)
-    arm.rehearse()
-    assert [one.ns for one in rehearsed] == [turn.sample.arrival_ns] * times
-    arm.rehearse()
-    assert len(rehearsed) == times  # once for each packet
-
-
 def test_a_reply_that_the_system_refuses_is_told_and_is_no_step(
-    arm: Arm, packets: Any, monkeypatch: pytest.MonkeyPatch
+    arm: ArmSession, packets: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fast = Command(qd=np.full(7, 0.5))
     for k in range(60):
@@ -126,8 +112,8 @@ def test_a_reply_that_the_system_refuses_is_told_and_is_no_step(
             monkeypatch.setattr(arm.port, "send", lambda data, to: False)
         if k == 50:
             monkeypatch.undo()
-        turn = take(arm, packets, k)
-        arm.reply(turn, fast, arm.guide.answer(fast, arm.period))
+        pending = take(arm, packets, k)
+        arm.reply(pending, fast, arm.machine.answer(fast, arm.period))
         arm.record()
     table = arm.recording.table()
     answered = np.isfinite(np.asarray(table["seq_sent"], dtype=float))
@@ -178,7 +164,7 @@ def test_the_histogram_has_every_time_once() -> None:
 PERIOD = 0.004032
 
 
-def controller(surplus: Surplus, extra: dict[int, int], cycles: int) -> tuple[list[int], int]:
+def controller(trimming: QueueTrimming, extra: dict[int, int], cycles: int) -> tuple[list[int], int]:
     """Ages of the references that act, and cycles without one: sends, takes one message, then the reply arrives."""
     queue: deque[int] = deque()
     ages, starved, left = [], 0, 0
@@ -189,75 +175,75 @@ def controller(surplus: Surplus, extra: dict[int, int], cycles: int) -> tuple[li
         else:
             starved += k > 0
         left = len(queue)
-        if not surplus.leaves_out(depth, PERIOD):
+        if not trimming.leaves_out(depth, PERIOD):
             queue.append(k)
         queue.extend([k] * extra.get(k, 0))
     return ages, starved
 
 
 def test_nothing_is_left_out_of_a_queue_that_empties() -> None:
-    surplus = Surplus()
-    ages, starved = controller(surplus, {}, 100)
-    assert (set(ages), starved, surplus.left_out) == ({1}, 0, 0)
+    trimming = QueueTrimming()
+    ages, starved = controller(trimming, {}, 100)
+    assert (set(ages), starved, trimming.left_out) == ({1}, 0, 0)
 
 
 @pytest.mark.parametrize("many", [1, 2, 5, 20])
 def test_surplus_messages_cost_no_lag_in_the_end(many: int) -> None:
     """Without the rule the age would stay at 1 + many for ever."""
-    surplus = Surplus()
-    ages, starved = controller(surplus, {20: many}, 120)
+    trimming = QueueTrimming()
+    ages, starved = controller(trimming, {20: many}, 120)
     assert max(ages) == 1 + many
     assert set(ages[-60:]) == {1}
-    assert surplus.left_out == many
+    assert trimming.left_out == many
     assert starved == 0
 
 
 def test_two_cycles_are_not_enough_and_unknown_depth_never_acts() -> None:
-    surplus = Surplus()
-    assert not any(surplus.leaves_out(depth, PERIOD) for depth in [1, 1, 0, 2, 2, 0, -1, -1, -1, -1, -1])
-    assert [surplus.leaves_out(depth, PERIOD) for depth in [3, 1, 2, 2]] == [False, False, True, False]
-    assert surplus.left_out == 1
+    trimming = QueueTrimming()
+    assert not any(trimming.leaves_out(depth, PERIOD) for depth in [1, 1, 0, 2, 2, 0, -1, -1, -1, -1, -1])
+    assert [trimming.leaves_out(depth, PERIOD) for depth in [3, 1, 2, 2]] == [False, False, True, False]
+    assert trimming.left_out == 1
 
 
 def test_a_queue_that_has_become_shorter_owes_no_more() -> None:
     """A new session has an empty queue: its packets are answered at once, and looked at anew."""
-    surplus = Surplus()
-    told = [surplus.leaves_out(depth, PERIOD) for depth in [9, 9, 9, 8, 2, 1, 0, 9, 9]]
+    trimming = QueueTrimming()
+    told = [trimming.leaves_out(depth, PERIOD) for depth in [9, 9, 9, 8, 2, 1, 0, 9, 9]]
     assert told == [False] * 2 + [True] * 4 + [False] * 3
-    assert surplus.leaves_out(9, PERIOD)
-    assert not surplus.leaves_out(-1, PERIOD), "it tells no longer"
-    assert surplus.left_out == 5
+    assert trimming.leaves_out(9, PERIOD)
+    assert not trimming.leaves_out(-1, PERIOD), "it tells no longer"
+    assert trimming.left_out == 5
 
 
 def test_whatever_the_robot_tells_it_is_answered() -> None:
-    surplus = Surplus()
-    told = [surplus.leaves_out(2**32 - 1, PERIOD) for _ in range(38)]
+    trimming = QueueTrimming()
+    told = [trimming.leaves_out(2**32 - 1, PERIOD) for _ in range(38)]
     assert told == ([False] * 2 + [True] * 16) * 2 + [False] * 2
 
 
 def test_a_queue_that_is_not_emptied_within_a_second_is_one_event() -> None:
     """As when another program sends to the robot, too."""
     told: list[tuple[str, bool]] = []
-    surplus = Surplus(lambda text, warn=False, each=False: told.append((text, warn)))
+    trimming = QueueTrimming(lambda text, warn=False, each=False: told.append((text, warn)))
     for depth in [44] * 200 + [0] + [44] * 247:
-        surplus.leaves_out(depth, PERIOD)
+        trimming.leaves_out(depth, PERIOD)
     assert not told, "200 and 247 cycles are less than 1 s"
     for depth in [45] * 1000:
-        surplus.leaves_out(depth, PERIOD)
+        trimming.leaves_out(depth, PERIOD)
     [(text, warn)] = told
     assert warn
     assert "44 messages have waited" in text
     assert "each reference acts 177 ms late" in text
-    surplus.leaves_out(0, PERIOD)
+    trimming.leaves_out(0, PERIOD)
     for _ in range(249):
-        surplus.leaves_out(1, PERIOD)
+        trimming.leaves_out(1, PERIOD)
     assert "1 message has waited" in told[1][0], "after it was empty, another one counts"
 
 
 def test_a_queue_that_trimming_empties_is_no_event() -> None:
     told: list[str] = []
-    surplus = Surplus(lambda text, warn=False, each=False: told.append(text))
-    ages, _ = controller(surplus, {20: 63}, 500)
+    trimming = QueueTrimming(lambda text, warn=False, each=False: told.append(text))
+    ages, _ = controller(trimming, {20: 63}, 500)
     assert max(ages) == 64
     assert ages[-1] == 1
     assert not told
@@ -427,12 +413,12 @@ def test_a_robot_that_begins_anew_ends_a_run_that_does_not_resume(make: Make, re
     hands = make(lambda state: Command(), resume=resume)
     for _ in range(3):
         hands.cycle()
-    guide = hands.arms[0].guide
-    assert guide.mode is Mode.HOLDING
+    machine = hands.arms[0].guide
+    assert machine.mode is Mode.HOLDING
     hands.robots[0].seq = 0
     hands.cycle()
-    assert guide.mode is mode
-    assert guide.reason == ("" if resume else hands.arms[0].session.reason)
+    assert machine.mode is mode
+    assert machine.reason == ("" if resume else hands.arms[0].session.reason)
 
 
 @pytest.mark.parametrize("clock", ["wall", "robot"])
@@ -457,14 +443,14 @@ def test_a_look_tells_what_waited(make: Make, monkeypatch: pytest.MonkeyPatch) -
 def test_silence_counts_from_the_newest_packet(make: Make) -> None:
     hands = make(patience=1.0)
     hands.clock.now += 10**9
-    hands.arms[0].look()
-    assert hands.arms[0].guide.mode is Mode.WAITING
+    hands.arms[0].check_silence()
+    assert hands.arms[0].machine.mode is Mode.WAITING
     hands.cycle()
     hands.clock.now += 10**9
-    hands.arms[0].look()
-    assert hands.arms[0].guide.mode is not Mode.ENDED
+    hands.arms[0].check_silence()
+    assert hands.arms[0].machine.mode is not Mode.ENDED
     hands.clock.now += 1000
-    hands.arms[0].look()
+    hands.arms[0].check_silence()
     assert hands.loop.failure is not None
 
 
@@ -476,7 +462,7 @@ def test_a_reply_is_left_out_for_a_message_that_stays_in_the_queue(make: Make, c
     for _ in range(3):
         hands.cycle(queue_depth=1)
     arm = hands.arms[0]
-    assert arm.surplus.left_out == left_out
+    assert arm.trimming.left_out == left_out
     assert len(hands.ports[0].sent) == 13 - left_out
     _, command, tick = hands.rows[-1]
     assert command is not None
@@ -567,31 +553,6 @@ def test_a_reply_that_the_system_refuses_is_told_as_a_warning(make: Make) -> Non
     assert (hands.rows[0][2].seq_sent, hands.rows[0][2].send_ns) == (-1, -1)
 
 
-@pytest.mark.parametrize(("ahead", "times"), [(200_000, 2), (199_999, 1)])
-def test_no_other_rehearsal_begins_a_fifth_of_a_millisecond_before_a_packet(make: Make, ahead: int, times: int) -> None:
-    rehearsed: list[Any] = []
-    hands = make()
-    arm = hands.arms[0]
-    arm._rehearsals = [lambda *what: rehearsed.append(what)] * 2
-    hands.put()
-    arrival = hands.ports[0].waiting[0]
-    hands.loop.cycle()
-    hands.clock.now += hands.step - ahead
-    arm.rehearse()
-    assert rehearsed == [(arrival, hands.rows[0][1])] * times
-
-
-def test_before_the_first_prediction_one_rehearsal_is_enough(make: Make) -> None:
-    rehearsed: list[Any] = []
-    hands = make()
-    arm = hands.arms[0]
-    arm._rehearsals = [lambda *what: rehearsed.append(what)] * 2
-    hands.put()
-    arm.take(hands.ports[0].receive())
-    arm.rehearse()
-    assert len(rehearsed) == 1
-
-
 def test_a_prediction_counts_the_packets_that_were_missed(make: Make) -> None:
     hands = make()
     hands.cycle()
@@ -607,11 +568,11 @@ def test_a_torque_that_went_out_is_written_down(make: Make) -> None:
     hands = make(extension=True)
     arm, tau = hands.arms[0], np.arange(7.0)
     hands.put()
-    turn = arm.take(hands.ports[0].receive())
-    reply = arm.guide.answer(None, arm.period)
-    assert turn is not None
+    pending = arm.receive(hands.ports[0].receive())
+    reply = arm.machine.answer(None, arm.period)
+    assert pending is not None
     assert reply is not None
-    arm.reply(turn, None, reply._replace(tau=tau))
+    arm.reply(pending, None, reply._replace(tau=tau))
     arm.record()
     assert hands.rows[0][2].tau_sent is tau
 
@@ -633,6 +594,6 @@ def test_a_command_serves_for_exactly_its_time(make: Make) -> None:
     arm = hands.arms[0]
     assert arm.newest is not None
     sample = arm.newest.sample._replace(dt=0.25)
-    assert arm.given(sample, 1.0) is None
-    arm.give(Command())
-    assert [arm.given(sample, 0.5) is not None for _ in range(3)] == [True, True, False]
+    assert arm.kept_command(sample, 1.0) is None
+    arm.set_command(Command())
+    assert [arm.kept_command(sample, 0.5) is not None for _ in range(3)] == [True, True, False]

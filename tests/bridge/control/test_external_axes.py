@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from armlab import bridge, robots
-from armlab.bridge.control.external_axes import Aside, joined
+from armlab.bridge.control.external_axes import ExternalReferences, joined
 from armlab.bridge.control.limits import Limiter, Limits
-from armlab.bridge.control.state_machine import Guide, Mode
+from armlab.bridge.control.state_machine import Mode, StateMachine
 from armlab.errors import CommandRefused
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -32,31 +32,31 @@ def packet(robot: Robot, q_ext: Any = (0.3, -0.2), robotware: str = "7") -> Pack
 
 def seen(
     limits: Limits | None, robot: Robot, capabilities: frozenset[str] = ABLE, **fields: Any
-) -> tuple[Aside, Packet]:
+) -> tuple[ExternalReferences, Packet]:
     """Return external axes whose feedback was plausible three times, and the packet."""
-    aside, here = Aside(limits, capabilities), packet(robot, **fields)
+    external, here = ExternalReferences(limits, capabilities), packet(robot, **fields)
     for _ in range(3):
-        assert aside.observe(here, T) == ""
-    return aside, here
+        assert external.observe(here, T) == ""
+    return external, here
 
 
 def test_axes_move_within_their_limits_and_come_to_rest(robot: Robot) -> None:
     """Half a radian per second after 0.1 s, its speed with each position, and a ramp down in the end."""
-    aside, here = seen(AXES, robot)
-    assert aside.hold(T, T) is None, "nobody asked for a motion"
+    external, here = seen(AXES, robot)
+    assert external.hold(T, T) is None, "nobody asked for a motion"
     goal = here.q_ext.copy()
     found: list[Beside] = []
     for _ in range(60):
         goal = goal + 0.0025
-        found.append(aside.follow(Command(q_ext=goal), here, T, T) or Beside())
+        found.append(external.follow(Command(q_ext=goal), here, T, T) or Beside())
     q = np.array([one.q_ext for one in found])
     steps = np.diff(np.vstack((here.q_ext, q)), axis=0)
     assert steps.max() == pytest.approx(0.5 * T, rel=1e-6)
     assert np.diff(steps, axis=0).max() <= 5.0 * T**2 + 1e-12
     np.testing.assert_allclose(found[-1].qd_ext, steps[-1] / T, rtol=1e-6)
-    assert not aside.at_rest
-    rest = [aside.hold(T, T) for _ in range(40)]
-    assert aside.at_rest
+    assert not external.at_rest
+    rest = [external.hold(T, T) for _ in range(40)]
+    assert external.at_rest
     assert rest[-1] is not None
     assert rest[-1].qd_ext is not None
     assert not rest[-1].qd_ext.any()
@@ -64,20 +64,20 @@ def test_axes_move_within_their_limits_and_come_to_rest(robot: Robot) -> None:
     reply = Limiter(Limits.of(robot)).rest(robot.q_home)
     assert joined(reply, None) is reply
     assert joined(reply, rest[-1]).beside is rest[-1]
-    where = aside.rest(here)
+    where = external.rest(here)
     assert where is not None
     np.testing.assert_array_equal(where.q_ext, here.q_ext)
-    aside.begin()
-    assert aside.rest(here) is None
+    external.begin()
+    assert external.rest(here) is None
 
 
 def test_values_for_rapid_go_out_once(robot: Robot) -> None:
-    aside, here = Aside(None, ABLE), packet(robot)
-    found = aside.follow(Command(rapid_data=[1.0, 2.5], rapid_digital=True), here, T, T)
+    external, here = ExternalReferences(None, ABLE), packet(robot)
+    found = external.follow(Command(rapid_data=[1.0, 2.5], rapid_digital=True), here, T, T)
     assert found is not None
     assert (found.rapid_data.tolist(), found.rapid_digital, found.q_ext) == ([1.0, 2.5], True, None)  # type: ignore[union-attr]
-    assert aside.follow(Command(robot.q_home), here, T, T) is None
-    assert aside.follow(Command(rapid_digital=False), here, T, T) == Beside(rapid_digital=False)
+    assert external.follow(Command(robot.q_home), here, T, T) is None
+    assert external.follow(Command(rapid_digital=False), here, T, T) == Beside(rapid_digital=False)
 
 
 @pytest.mark.parametrize(
@@ -101,52 +101,52 @@ def test_what_is_refused(robot: Robot, command: Command, words: str) -> None:
 
 
 def test_jumps_missing_limits_and_robots_that_cannot_are_refused(robot: Robot) -> None:
-    aside, here = seen(AXES, robot)
-    aside.follow(Command(q_ext=here.q_ext), here, T, T)
+    external, here = seen(AXES, robot)
+    external.follow(Command(q_ext=here.q_ext), here, T, T)
     with pytest.raises(CommandRefused, match=r"axis 2 near the last one sent, -0.2000, got 0.8000"):
-        aside.follow(Command(q_ext=here.q_ext + np.array([0.0, 1.0])), here, T, T)
-    aside.begin()
+        external.follow(Command(q_ext=here.q_ext + np.array([0.0, 1.0])), here, T, T)
+    external.begin()
     with pytest.raises(CommandRefused, match=r"three times in a row before they are moved"):
-        aside.follow(Command(q_ext=here.q_ext), here, T, T)
+        external.follow(Command(q_ext=here.q_ext), here, T, T)
     for _ in range(3):
-        aside.observe(here, T)
+        external.observe(here, T)
     with pytest.raises(CommandRefused, match=r"first position of external axis 1 within 0.05"):
-        aside.follow(Command(q_ext=here.q_ext + 0.08), here, T, T)
+        external.follow(Command(q_ext=here.q_ext + 0.08), here, T, T)
     with pytest.raises(CommandRefused, match=r"external=Limits.of_axes"):
-        Aside(None, ABLE).follow(Command(q_ext=here.q_ext), here, T, T)
+        ExternalReferences(None, ABLE).follow(Command(q_ext=here.q_ext), here, T, T)
     with pytest.raises(CommandRefused, match="cannot send external axes"):
-        Aside(AXES, frozenset(("position",))).follow(Command(q_ext=here.q_ext), here, T, T)
+        ExternalReferences(AXES, frozenset(("position",))).follow(Command(q_ext=here.q_ext), here, T, T)
     with pytest.raises(CommandRefused, match=r"need RobotWare 7, this is RobotWare 6.10"):
-        aside.follow(Command(rapid_digital=True), packet(robot, robotware="6.10"), T, T)
+        external.follow(Command(rapid_digital=True), packet(robot, robotware="6.10"), T, T)
     with pytest.raises(CommandRefused, match="a codec that cannot send it"):
-        Aside(AXES, frozenset(("position",))).follow(Command(rapid_data=[1.0]), here, T, T)
+        ExternalReferences(AXES, frozenset(("position",))).follow(Command(rapid_data=[1.0]), here, T, T)
     with pytest.raises(CommandRefused, match="external axes, 0, got"):
-        aside.follow(Command(q_ext=here.q_ext), packet(robot, ()), T, T)
+        external.follow(Command(q_ext=here.q_ext), packet(robot, ()), T, T)
 
 
 def test_a_refusal_stops_the_run_and_every_reply_says_where_the_axes_stay(feed: Any, robot: Robot) -> None:
     feed.packets.codec = RobotSideCodec(robot, "7", external=2)
-    guide = Guide(robot, Limits.of(robot, external=AXES), capabilities=ABLE, on_event=feed.tell)
+    machine = StateMachine(robot, Limits.of(robot, external=AXES), capabilities=ABLE, on_event=feed.tell)
     here = np.array([0.3, -0.2])
 
     def cycle(command: Command | None, **fields: Any) -> Beside | None:
-        guide.observe(feed.sample(q_ext=here, rapid_digital=False, **fields))
-        reply = guide.answer(command, T)
+        machine.observe(feed.sample(q_ext=here, rapid_digital=False, **fields))
+        reply = machine.answer(command, T)
         assert reply is not None
         return reply.beside
 
     assert cycle(None) is None
     assert cycle(Command(q_ext=here)) is not None
-    guide.take_back()
+    machine.take_back()
     assert cycle(None) is None, "the first reference of the axes did not go out"
     for k in range(20):
         moving = cycle(Command(q_ext=here + 0.002 * k))
     assert moving is not None
     assert moving.qd_ext is not None
     assert moving.qd_ext.min() > 0.1
-    assert guide.mode is Mode.HOLDING, "the joints hold"
-    guide.observe(feed.sample(q_ext=here, rapid_digital=False))
-    late = guide.hold(T)
+    assert machine.mode is Mode.HOLDING, "the joints hold"
+    machine.observe(feed.sample(q_ext=here, rapid_digital=False))
+    late = machine.hold(T)
     assert late is not None
     assert late.beside is not None
     away = cycle(None, motors=2)
@@ -154,21 +154,21 @@ def test_a_refusal_stops_the_run_and_every_reply_says_where_the_axes_stay(feed: 
     np.testing.assert_allclose(away.q_ext, here)
     cycle(Command(q_ext=here))
     last = cycle(Command(q_ext=here + 1.0))
-    assert guide.mode is Mode.STOPPING
-    assert isinstance(guide.failure, CommandRefused)
+    assert machine.mode is Mode.STOPPING
+    assert isinstance(machine.failure, CommandRefused)
     assert last is not None
     np.testing.assert_allclose(last.q_ext, here, atol=0.01)
 
 
-def moving(feed: Any, robot: Robot) -> tuple[Guide, Callable[..., Beside | None]]:
-    """Return a guide whose external axes move at full speed, and what answers its next packet."""
+def moving(feed: Any, robot: Robot) -> tuple[StateMachine, Callable[..., Beside | None]]:
+    """Return a machine whose external axes move at full speed, and what answers its next packet."""
     feed.packets.codec = RobotSideCodec(robot, "7", external=2)
-    guide = Guide(robot, Limits.of(robot, external=AXES), capabilities=ABLE, on_event=feed.tell)
+    machine = StateMachine(robot, Limits.of(robot, external=AXES), capabilities=ABLE, on_event=feed.tell)
     here = np.array([0.3, -0.2])
 
     def cycle(command: Command | None = None, answered: bool = True, q_ext: Any = here, **fields: Any) -> Beside | None:
-        guide.observe(feed.sample(q_ext=q_ext, **fields))
-        reply = guide.answer(command, T) if answered else None
+        machine.observe(feed.sample(q_ext=q_ext, **fields))
+        reply = machine.answer(command, T) if answered else None
         return None if reply is None else reply.beside
 
     cycle()
@@ -176,42 +176,42 @@ def moving(feed: Any, robot: Robot) -> tuple[Guide, Callable[..., Beside | None]
         found = cycle(Command(q_ext=here + 0.002 * k))
     assert found is not None
     np.testing.assert_allclose(found.qd_ext, 0.5)
-    return guide, cycle
+    return machine, cycle
 
 
 @pytest.mark.parametrize("away", ["overtaken", "not sent", "answered"])
 def test_axes_begin_anew_where_they_are_when_the_robot_is_ready_again(feed: Any, robot: Robot, away: str) -> None:
     """Whether or not a packet that said so was answered: RAPID or a hand moved them meanwhile."""
-    guide, cycle = moving(feed, robot)
+    machine, cycle = moving(feed, robot)
     there = np.array([-0.6, 0.4])
     for _ in range(300):  # it takes them more than a second
         cycle(answered=away != "overtaken", q_ext=there, motors=2)
         if away == "not sent":
-            guide.take_back()
+            machine.take_back()
     for k in range(3):
         found = cycle(q_ext=there + 0.001 * k)
         assert found is not None
         np.testing.assert_allclose(found.q_ext, there, rtol=1e-14)
         assert not np.any(found.qd_ext)
-    assert guide.mode is Mode.HOLDING
+    assert machine.mode is Mode.HOLDING
 
 
 @pytest.mark.parametrize(("off", "mode"), [(0.049, Mode.HOLDING), (0.051, Mode.STOPPING)])
 def test_axes_begin_near_where_they_are_held_after_each_loss_of_readiness(
     feed: Any, robot: Robot, off: float, mode: Mode
 ) -> None:
-    guide, cycle = moving(feed, robot)
+    machine, cycle = moving(feed, robot)
     there = np.array([-0.6, 0.4])
     for _ in range(300):  # it takes them more than a second
         cycle(q_ext=there, motors=2)
     cycle(q_ext=there)
     cycle(Command(q_ext=there - off), q_ext=there + 0.01)
-    assert guide.mode is mode
-    if guide.failure is None:
-        guide.take_back()
+    assert machine.mode is mode
+    if machine.failure is None:
+        machine.take_back()
         cycle(Command(q_ext=there - 0.08), q_ext=there)
-        assert guide.mode is Mode.STOPPING, "the first one did not go out"
-    assert "first position of external axis 1 within 0.05" in str(guide.failure)
+        assert machine.mode is Mode.STOPPING, "the first one did not go out"
+    assert "first position of external axis 1 within 0.05" in str(machine.failure)
 
 
 def test_axes_that_are_others_after_a_loss_of_readiness_do_not_move(feed: Any, robot: Robot) -> None:
@@ -223,10 +223,10 @@ def test_axes_that_are_others_after_a_loss_of_readiness_do_not_move(feed: Any, r
 
 
 def test_a_refused_jump_is_one_step_of_the_brake(feed: Any, robot: Robot) -> None:
-    guide, cycle = moving(feed, robot)
-    before = guide._last.beside
+    machine, cycle = moving(feed, robot)
+    before = machine._last.beside
     after = cycle(Command(q_ext=np.array([1.4, -0.2])))
-    assert guide.mode is Mode.STOPPING
+    assert machine.mode is Mode.STOPPING
     assert before is not None
     assert after is not None
     assert before.q_ext is not None
@@ -294,7 +294,7 @@ def test_a_run_with_the_simulated_controller(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("false", [100.0, 0.5])
 def test_a_false_feedback_of_external_axes_is_never_a_reference(feed: Any, robot: Robot, false: float) -> None:
-    guide, cycle = moving(feed, robot)
+    machine, cycle = moving(feed, robot)
     here = np.array([0.3, -0.2])
     cycle(motors=2)
     for q_ext in (here + false, here + false, here):
@@ -302,4 +302,4 @@ def test_a_false_feedback_of_external_axes_is_never_a_reference(feed: Any, robot
         assert beside is not None
         np.testing.assert_allclose(beside.q_ext, here)
     assert len([text for text in feed.warnings if "external axes" in text]) == 1
-    assert guide.ready
+    assert machine.ready

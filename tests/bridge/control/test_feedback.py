@@ -18,7 +18,7 @@ from armlab.bridge.control.feedback import (
     outside_range,
 )
 from armlab.bridge.control.limits import Limiter, Limits, Reply
-from armlab.bridge.control.state_machine import Guide, Mode
+from armlab.bridge.control.state_machine import Mode, StateMachine
 from armlab.robots import Robot
 from armlab.state import Command
 from armlab.wire.egm import EgmCodec, Packet
@@ -29,21 +29,21 @@ T = 0.004
 
 
 class Bench:
-    """A guide with its real rule of three packets, and an arm that follows unless a feedback is given."""
+    """A machine with its real rule of three packets, and an arm that follows unless a feedback is given."""
 
     def __init__(self, robot: Robot, limits: Limits | None = None) -> None:
         self.feed, self.robot, self.q = Feed(robot), robot, np.array(robot.q_home)
-        self.guide = Guide(robot, limits or Limits.of(robot), on_event=self.feed.tell)
+        self.machine = StateMachine(robot, limits or Limits.of(robot), on_event=self.feed.tell)
 
     def __call__(self, command: Command | None = None, **fields: Any) -> Reply | None:
-        self.guide.observe(self.feed.sample(**{"q": self.q, **fields}))
-        reply = self.guide.answer(command if self.guide.calls else None, T)
-        if reply is not None and self.guide.ready and "q" not in fields:
+        self.machine.observe(self.feed.sample(**{"q": self.q, **fields}))
+        reply = self.machine.answer(command if self.machine.calls else None, T)
+        if reply is not None and self.machine.ready and "q" not in fields:
             self.q = reply.q
         return reply
 
     def ready(self) -> Bench:
-        while not self.guide.ready:
+        while not self.machine.ready:
             self()
         return self
 
@@ -51,12 +51,12 @@ class Bench:
         self.ready()
         for _ in range(300):
             self(Command(qd=np.full(self.robot.n, 0.2)))
-        assert self.guide.mode is Mode.RUNNING
+        assert self.machine.mode is Mode.RUNNING
         return self
 
     @property
     def reason(self) -> str:
-        return str(self.guide.failure)
+        return str(self.machine.failure)
 
 
 @pytest.fixture
@@ -70,7 +70,7 @@ def test_the_third_plausible_packet_makes_the_robot_ready(bench: Bench) -> None:
         reply = bench()
         assert reply is not None
         np.testing.assert_allclose(reply.q, bench.robot.q_home, rtol=1e-14)
-        ready.append(bench.guide.ready)
+        ready.append(bench.machine.ready)
     assert ready == [False, False, True, True]
 
 
@@ -86,9 +86,9 @@ def test_two_false_packets_at_readiness_are_never_a_reference(bench: Bench, fals
         np.testing.assert_allclose(sent, np.broadcast_to(home, np.shape(sent)), rtol=1e-14)
     else:  # nothing contradicts the first packets of all: each is answered with its own feedback
         np.testing.assert_allclose(sent[2:], np.broadcast_to(home, np.shape(sent[2:])), rtol=1e-14)
-        np.testing.assert_allclose(bench.guide.q_start, home, rtol=1e-14)
-    assert bench.guide.ready
-    assert bench.guide.mode is Mode.HOLDING
+        np.testing.assert_allclose(bench.machine.q_start, home, rtol=1e-14)
+    assert bench.machine.ready
+    assert bench.machine.mode is Mode.HOLDING
     assert len(bench.feed.warnings) == 1, "told once"
     assert "joint" in bench.feed.warnings[0]
 
@@ -99,16 +99,16 @@ def test_one_false_packet_in_motion_is_a_hold_and_three_stop_the_run(bench: Benc
     held = bench(q=bench.q + 0.5)
     assert before is not None
     assert held is not None
-    assert not bench.guide.calls
+    assert not bench.machine.calls
     assert np.abs(held.q - before.q).max() < 0.2 * T
     assert "no faster than the arm can" in bench.feed.warnings[0]
     bench(Command(qd=np.zeros(7)))
-    assert (bench.guide.mode, bench.guide.calls) == (Mode.RUNNING, True)
+    assert (bench.machine.mode, bench.machine.calls) == (Mode.RUNNING, True)
     for k in range(int(STOP_AFTER)):
-        assert bench.guide.mode is Mode.RUNNING, k
+        assert bench.machine.mode is Mode.RUNNING, k
         bench(q=bench.q + 0.5)
-    assert bench.guide.mode is Mode.STOPPING
-    assert bench.guide.reason == "the feedback is not plausible"
+    assert bench.machine.mode is Mode.STOPPING
+    assert bench.machine.reason == "the feedback is not plausible"
 
 
 def test_an_arm_that_does_not_follow_stops_the_run(bench: Bench) -> None:
@@ -116,7 +116,7 @@ def test_an_arm_that_does_not_follow_stops_the_run(bench: Bench) -> None:
     stuck = bench.q
     for k in range(400):
         bench(Command(qd=np.full(7, 0.2)), q=stuck + 1e-4 * (k % 2))
-    assert bench.guide.mode is Mode.ENDED
+    assert bench.machine.mode is Mode.ENDED
     assert "a following error of 0.1" in bench.reason
     assert "MaxSpeedDeviation" in bench.reason
 
@@ -126,7 +126,7 @@ def test_a_frozen_feedback_is_named(bench: Bench) -> None:
     stuck = bench.q
     for _ in range(400):
         bench(Command(qd=np.full(7, 0.2)), q=stuck)
-    assert bench.guide.mode is Mode.ENDED
+    assert bench.machine.mode is Mode.ENDED
     assert "it is frozen" in bench.reason
 
 
@@ -136,7 +136,7 @@ def test_the_following_error_allowed_is_an_option(robot: Robot) -> None:
         stuck = bench.q
         for k in range(260):  # 0.2 rad
             bench(Command(qd=np.full(7, 0.2)), q=stuck + 1e-4 * (k % 2))
-        assert (bench.guide.mode is not Mode.RUNNING) is stops
+        assert (bench.machine.mode is not Mode.RUNNING) is stops
 
 
 def test_an_arm_that_follows_late_at_first_may_catch_up(robot: Robot) -> None:
@@ -158,7 +158,7 @@ def test_an_arm_slightly_outside_is_held_at_its_limit_and_led_back(robot: Robot)
     bench.q = np.array(robot.q_home)
     bench.q[1] = robot.q_max[1] + 0.06
     outside = np.array(bench.q)
-    while not bench.guide.ready:
+    while not bench.machine.ready:
         reply = bench(q=outside)
         assert reply is not None
         assert (reply.q <= robot.q_max).all()
@@ -167,7 +167,7 @@ def test_an_arm_slightly_outside_is_held_at_its_limit_and_led_back(robot: Robot)
         reply = bench(Command(qd=np.eye(7)[1] * -0.2))
     assert reply is not None
     assert reply.q[1] < robot.q_max[1] - 0.1
-    assert bench.guide.mode is Mode.RUNNING
+    assert bench.machine.mode is Mode.RUNNING
 
 
 def test_feedback_outside_the_range(robot: Robot) -> None:
@@ -234,12 +234,12 @@ def test_a_robot_that_reports_no_states_for_a_while_comes_to_rest_and_goes_on_fr
     q = np.array([reply.q for reply in sent if reply is not None])
     assert len(q) == 34
     assert np.abs(np.diff(q, axis=0)).max() <= 0.2 * T + 1e-12, "no step to the feedback, which is behind"
-    assert bench.guide.ready
+    assert bench.machine.ready
     assert bench.feed.events[-1] == "The states of the robot are back."
 
 
 def test_a_packet_that_has_its_reply_is_answered_with_the_same_one(bench: Bench) -> None:
     bench.moving()
     reply = bench(Command(qd=np.full(7, 0.2)))
-    assert bench.guide.answer(None, T) is reply
-    assert bench.guide.hold(T) is reply
+    assert bench.machine.answer(None, T) is reply
+    assert bench.machine.hold(T) is reply

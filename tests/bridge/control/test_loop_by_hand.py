@@ -31,7 +31,7 @@ def test_an_interrupt_stops_at_the_next_packet_and_the_second_at_once(one: Make)
     assert hands.loop.reason == ""
     hands.cycle()
     assert hands.loop.reason == "interrupted"
-    assert hands.arms[0].guide.mode is Mode.STOPPING
+    assert hands.arms[0].machine.mode is Mode.STOPPING
     with pytest.raises(KeyboardInterrupt):
         hands.loop.interrupt()
 
@@ -66,7 +66,7 @@ def test_an_interrupt_breaks_off_a_call_that_hangs_and_the_arm_comes_to_rest(
     hands.run()
     assert raised == [11 if clock == "wall" else 10]
     assert hands.speed() == 0.0
-    assert hands.arms[0].guide.mode is Mode.ENDED
+    assert hands.arms[0].machine.mode is Mode.ENDED
     assert hands.loop.interrupted
     if clock == "wall":
         assert isinstance(hands.loop.failure, ControllerLate)
@@ -294,7 +294,7 @@ def test_a_run_that_has_ended_waits_for_nothing(one: Make) -> None:
     hands = one(drift)
     hands.loop.interrupt()
     hands.loop.cycle()
-    assert hands.arms[0].guide.mode is Mode.ENDED
+    assert hands.arms[0].machine.mode is Mode.ENDED
     hands.loop.run()
     assert len(hands.waits) == 1
 

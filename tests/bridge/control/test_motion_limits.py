@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from armlab import robots
 from armlab.bridge.control.limits import Limits
 from armlab.bridge.control.session import Session
-from armlab.bridge.control.state_machine import Guide
+from armlab.bridge.control.state_machine import StateMachine
 from armlab.bridge.net.sockets import Arrival
 from armlab.state import Command
 from armlab.wire.egm import EgmCodec
@@ -39,7 +39,7 @@ class Robot:
         self.packets, self.events = Packets(ROBOT), list[str]()
         self.packets.q = self.target = MIDDLE
         self.session = Session(EgmCodec(ROBOT), on_event=self.tell)
-        self.guide = Guide(ROBOT, LIMITS, on_event=self.tell)
+        self.machine = StateMachine(ROBOT, LIMITS, on_event=self.tell)
         self.now_ns, self.arrival_ns = 10**12, 0
         self.sent: tuple[int, np.ndarray, np.ndarray] | None = None  # robot ns, position, velocity
         self.replies, self.apart, self.fastest = 0, 0.0, np.zeros(7)
@@ -59,17 +59,17 @@ class Robot:
         sample = self.session.accept(Arrival(data, ("127.0.0.1", 5000), self.arrival_ns))
         assert sample is not None
         told = len(self.events)
-        self.guide.observe(sample)
+        self.machine.observe(sample)
         if "The robot is ready and holds." in self.events[told:]:  # a reference begins where the arm is
             self.sent = self.now_ns - round(1e9 * sample.step), self.packets.q, np.zeros(7)
-        asked = command(self.guide.state(sample, 0)) if self.guide.calls else None
-        reply = self.guide.answer(asked, self.session.period.seconds)
+        asked = command(self.machine.state(sample, 0)) if self.machine.calls else None
+        reply = self.machine.answer(asked, self.session.period.seconds)
         assert reply is not None, "one reply a packet"
         if not goes_out:
-            self.guide.take_back()
+            self.machine.take_back()
             return
         self.replies += 1
-        if not self.guide.ready and np.abs(reply.q - self.packets.q).max() <= EXACT and not reply.qd.any():
+        if not self.machine.ready and np.abs(reply.q - self.packets.q).max() <= EXACT and not reply.qd.any():
             self.sent = self.now_ns, reply.q, np.zeros(7)
         else:  # guided, or of a robot that no longer says whether it follows
             self.judge(reply, agrees=asked is None or asked.q is None or asked.qd is None)

@@ -72,17 +72,17 @@ def test_a_command_that_is_none_for_two_arms_holds_both_and_is_the_reason(two: M
     assert hands.loop.reason == "a command was refused"
     assert isinstance(hands.loop.failure, CommandRefused)
     assert [len(port.sent) for port in hands.ports] == [2, 2]
-    assert [arm.guide.mode for arm in hands.arms] == [Mode.STOPPING] * 2
+    assert [arm.machine.mode for arm in hands.arms] == [Mode.STOPPING] * 2
 
 
 def test_an_arm_that_stops_stops_the_other(two: Make) -> None:
     hands = two(drift)
     for _ in range(20):
         hands.cycle(0, 1)
-    hands.arms[1].guide.stop("enough of this arm")
+    hands.arms[1].machine.stop("enough of this arm")
     hands.run(0, 1)
     assert (hands.loop.reason, hands.loop.failure) == ("enough of this arm", None)
-    assert [arm.guide.mode for arm in hands.arms] == [Mode.ENDED] * 2
+    assert [arm.machine.mode for arm in hands.arms] == [Mode.ENDED] * 2
     assert hands.speed(0) == hands.speed(1) == 0.0
 
 

@@ -29,7 +29,7 @@ def row(robot: Robot, k: int) -> tuple[State, Tick]:
 
 def keep(recording: Recording, state: State, command: Command | None, tick: Tick) -> None:
     """Do what the loop does with a row."""
-    recording.pass_on(state, recording.keep(state, command, tick), tick)
+    recording.publish(state, recording.keep(state, command, tick), tick)
 
 
 @pytest.mark.parametrize("in_file", [False, True])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from armlab.bridge.control.limits import Limits
-from armlab.bridge.control.state_machine import Guide, Mode
+from armlab.bridge.control.state_machine import Mode, StateMachine
 from armlab.bridge.control.supervision import Settings, Supervisor, check_list
 from armlab.bridge.net.sockets import Port
 from armlab.errors import LinkError, NoRobot, SessionEnded
@@ -23,23 +23,23 @@ class Bench:
 
     def __init__(self, feed: Any, robot: Robot, **settings: Any) -> None:
         self.port = Port("127.0.0.1", 0)
-        self.guide = Guide(robot, Limits.of(robot))
+        self.machine = StateMachine(robot, Limits.of(robot))
         self.told: list[tuple[str, bool]] = []
         self.feed, feed.now = feed, time.monotonic_ns()
-        self.supervisor = Supervisor(self.port, feed.session, self.guide, Settings(**settings), self.tell)
+        self.supervisor = Supervisor(self.port, feed.session, self.machine, Settings(**settings), self.tell)
 
     def tell(self, text: str, warn: bool = False, each: bool = False) -> None:
         self.told.append((text, warn))
 
     def packet(self) -> None:
-        self.guide.observe(self.feed.sample(after=0))
+        self.machine.observe(self.feed.sample(after=0))
 
-    def look(self, silent_for: float) -> None:
+    def check_silence(self, silent_for: float) -> None:
         """Look as if the last packet had come so many seconds ago."""
         heard = time.monotonic_ns() - int(1e9 * silent_for)
         if self.feed.session._last is not None:
             self.feed.session._last = self.feed.session._last._replace(arrival_ns=heard)
-        self.supervisor.look(heard)
+        self.supervisor.check_silence(heard)
         self.port.close()
 
 
@@ -51,9 +51,9 @@ def test_a_run_without_settings_goes_on_and_waits_for_its_robot_half_a_minute() 
 def test_patience_ends_with_no_robot_and_a_check_list(feed: Any, robot: Robot) -> None:
     bench = Bench(feed, robot, patience=7.0)
     feed.raw(b"noise", after=0)
-    bench.look(7.1)
-    assert bench.guide.mode is Mode.ENDED
-    failure = bench.guide.failure
+    bench.check_silence(7.1)
+    assert bench.machine.mode is Mode.ENDED
+    failure = bench.machine.failure
     assert isinstance(failure, NoRobot)
     for words in ("within 7 s", "1 unparsable", f"127.0.0.1:{bench.port.port}", "this computer only", "firewall"):
         assert words in str(failure)
@@ -61,8 +61,8 @@ def test_patience_ends_with_no_robot_and_a_check_list(feed: Any, robot: Robot) -
 
 def test_without_any_datagram_none_is_spoken_of(feed: Any, robot: Robot) -> None:
     bench = Bench(feed, robot, patience=7.0)
-    bench.look(7.1)
-    assert "but none came. Listening on" in str(bench.guide.failure)
+    bench.check_silence(7.1)
+    assert "but none came. Listening on" in str(bench.machine.failure)
 
 
 def test_exactly_the_patience_is_not_too_long(feed: Any, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -72,19 +72,19 @@ def test_exactly_the_patience_is_not_too_long(feed: Any, robot: Robot, monkeypat
     monkeypatch.setattr("armlab.bridge.control.supervision.time", SimpleNamespace(monotonic_ns=lambda: next(now)))
     told, ended = [], []
     for _ in range(4):
-        bench.supervisor.look(0)
+        bench.supervisor.check_silence(0)
         told.append(len(bench.told))
-        ended.append(bench.guide.mode is Mode.ENDED)
+        ended.append(bench.machine.mode is Mode.ENDED)
     assert told == [0, 1, 1, 1]
     assert ended == [False, False, False, True]
 
 
 def test_the_check_list_is_told_before(feed: Any, robot: Robot) -> None:
     bench = Bench(feed, robot, patience=30.0)
-    bench.look(5.5)
-    bench.look(5.6)
+    bench.check_silence(5.5)
+    bench.check_silence(5.6)
     assert bench.told == [(f"No packet yet. {check_list(bench.port)}", True)]
-    assert bench.guide.mode is Mode.WAITING
+    assert bench.machine.mode is Mode.WAITING
 
 
 def test_the_check_list_says_who_can_be_heard() -> None:
@@ -96,34 +96,34 @@ def test_the_check_list_says_who_can_be_heard() -> None:
 def test_silence_ends_the_session_and_waits(feed: Any, robot: Robot) -> None:
     bench = Bench(feed, robot)
     bench.packet()
-    bench.look(0.4)
+    bench.check_silence(0.4)
     assert feed.session.active
-    bench.look(0.6)
+    bench.check_silence(0.6)
     assert not feed.session.active
-    assert bench.guide.mode is Mode.WAITING
+    assert bench.machine.mode is Mode.WAITING
 
 
 def test_silence_ends_the_run_when_asked(feed: Any, robot: Robot) -> None:
     bench = Bench(feed, robot, resume=False)
     bench.packet()
-    bench.look(0.6)
-    assert (bench.guide.mode, bench.guide.reason) == (Mode.ENDED, "the controller stopped sending")
+    bench.check_silence(0.6)
+    assert (bench.machine.mode, bench.machine.reason) == (Mode.ENDED, "the controller stopped sending")
 
 
 def test_no_other_session_is_an_error(feed: Any, robot: Robot) -> None:
     bench = Bench(feed, robot, patience=3.0)
     bench.packet()
-    bench.look(3.5)
-    assert isinstance(bench.guide.failure, SessionEnded)
-    assert "the controller stopped sending" in str(bench.guide.failure)
+    bench.check_silence(3.5)
+    assert isinstance(bench.machine.failure, SessionEnded)
+    assert "the controller stopped sending" in str(bench.machine.failure)
 
 
 def test_a_robot_that_ended_ends_the_run(feed: Any, robot: Robot) -> None:
     bench = Bench(feed, robot, alive=lambda: "the simulated robot ended")
     bench.packet()
-    bench.look(0.0)
-    assert (bench.guide.mode, bench.guide.reason) == (Mode.ENDED, "the simulated robot ended")
-    assert bench.guide.failure is None
+    bench.check_silence(0.0)
+    assert (bench.machine.mode, bench.machine.reason) == (Mode.ENDED, "the simulated robot ended")
+    assert bench.machine.failure is None
     assert not feed.session.active
 
 
@@ -132,9 +132,9 @@ def test_a_robot_that_died_is_an_error(feed: Any, robot: Robot) -> None:
         raise LinkError("Expected the simulator to go on, but it ended with status 2.")
 
     bench = Bench(feed, robot, alive=alive)
-    bench.look(0.0)
-    assert "status 2" in str(bench.guide.failure)
-    assert bench.guide.mode is Mode.ENDED
+    bench.check_silence(0.0)
+    assert "status 2" in str(bench.machine.failure)
+    assert bench.machine.mode is Mode.ENDED
 
 
 def sessions(bench: Bench, count: int, packets: int, **fields: Any) -> None:
@@ -145,7 +145,7 @@ def sessions(bench: Bench, count: int, packets: int, **fields: Any) -> None:
             sample = bench.feed.sample(**fields)
             if k == 0 and sample.session > 1:
                 bench.supervisor.judge()
-            bench.guide.observe(sample)
+            bench.machine.observe(sample)
     bench.port.close()
 
 
@@ -165,9 +165,9 @@ def test_ten_sessions_in_a_row_that_end_at_once_end_the_run(
 ) -> None:
     bench = Bench(feed, robot, **settings)
     sessions(bench, 10, packets, **fields)
-    assert bench.guide.failure is None
+    assert bench.machine.failure is None
     sessions(bench, 1, 1)
-    assert ("a session with guidance for" in str(bench.guide.failure)) == ends
+    assert ("a session with guidance for" in str(bench.machine.failure)) == ends
 
 
 def test_a_session_that_moves_on_starts_the_count_again(feed: Any, robot: Robot) -> None:
@@ -175,16 +175,16 @@ def test_a_session_that_moves_on_starts_the_count_again(feed: Any, robot: Robot)
     for _ in range(3):
         sessions(bench, 9, 2)
         sessions(bench, 1, 30)
-    assert bench.guide.failure is None
+    assert bench.machine.failure is None
     sessions(bench, 11, 2)
-    assert bench.guide.reason == "sessions ended at once"
+    assert bench.machine.reason == "sessions ended at once"
 
 
 def test_a_first_session_that_moves_on_does_not_count(feed: Any, robot: Robot) -> None:
     bench = Bench(feed, robot)
     sessions(bench, 1, 30)
     sessions(bench, 10, 2)
-    assert bench.guide.failure is None
+    assert bench.machine.failure is None
 
 
 def test_a_robot_that_reports_an_error_in_each_session_ends_the_run(play: Any) -> None:

@@ -10,7 +10,7 @@ import pytest
 from armlab import robots
 from armlab.bridge import Limits, connect
 from armlab.bridge.control.limits import Limiter
-from armlab.bridge.control.state_machine import Guide, Mode
+from armlab.bridge.control.state_machine import Mode, StateMachine
 from armlab.bridge.control.torque import Admittance, TorqueModel, Torques, admittances
 from armlab.errors import CommandRefused, ConfigError
 from armlab.robots import Robot
@@ -125,13 +125,13 @@ def test_admittances_of_each_arm() -> None:
 
 
 def test_a_torque_alone_follows_the_arm_and_ends_in_a_hold(feed: Any, robot: Robot, limits: Limits) -> None:
-    guide = Guide(robot, limits, capabilities=ABLE, on_event=feed.tell)
+    machine = StateMachine(robot, limits, capabilities=ABLE, on_event=feed.tell)
     home, push = robot.q_home, np.zeros(7)
     push[1] = 4.0
 
     def see(q: np.ndarray, command: Command | None) -> Any:
-        guide.observe(feed.sample(q=q))
-        return guide.answer(command, T)
+        machine.observe(feed.sample(q=q))
+        return machine.answer(command, T)
 
     see(home, None)
     for k in range(5):
@@ -139,29 +139,29 @@ def test_a_torque_alone_follows_the_arm_and_ends_in_a_hold(feed: Any, robot: Rob
         assert reply.free
         np.testing.assert_allclose(reply.q, home + 1e-3 * k)
         assert reply.tau[1] == pytest.approx(0.4 * (k + 1))
-    assert guide.mode is Mode.RUNNING
-    guide.take_back()
+    assert machine.mode is Mode.RUNNING
+    machine.take_back()
     assert see(home, Command(tau=push)).tau[1] == pytest.approx(0.4 * 6), "what did not go out counts as time only"
     held = see(home + 5e-3, None)
     assert not held.free
-    assert guide.mode is Mode.HOLDING
+    assert machine.mode is Mode.HOLDING
     np.testing.assert_allclose(held.q, home + 4e-3, atol=0.02)
 
 
 def test_a_torque_alone_is_refused_beyond_the_limits_of_the_arm(feed: Any, robot: Robot, limits: Limits) -> None:
-    guide = Guide(robot, limits, capabilities=ABLE, on_event=feed.tell)
+    machine = StateMachine(robot, limits, capabilities=ABLE, on_event=feed.tell)
     q = robot.q_home.copy()
     q[3] = limits.q_max[3] - 0.005
-    guide.observe(feed.sample(q=q))
+    machine.observe(feed.sample(q=q))
     q[3] = limits.q_max[3] + 0.005
     for _ in range(3):
-        guide.observe(feed.sample(q=q))
-        reply: Any = guide.answer(Command(tau=np.ones(7)), T)
+        machine.observe(feed.sample(q=q))
+        reply: Any = machine.answer(Command(tau=np.ones(7)), T)
         assert not reply.free
-    assert guide.mode is Mode.STOPPING
+    assert machine.mode is Mode.STOPPING
     low, high = limits.q_min[3], limits.q_max[3]
     assert f"joint 4 ({robot.joint_names[3]}) is at {q[3]:.4f}, allowed is from {low:.4f} to {high:.4f}." in str(
-        guide.failure
+        machine.failure
     )
     outside, fast = Torques(robot, limits, ABLE).outside, np.array([0, 99.0, 0, 0, 0, 0, 0])
     words = f"joint 2 ({robot.joint_names[1]}) is moving at 99.0000, allowed is up to {limits.qd_max[1]:.4f}."

@@ -15,8 +15,8 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.doctor import network
-from armlab.bridge.doctor.egm_listener import Heard
-from armlab.bridge.doctor.findings import Finding
+from armlab.bridge.doctor.egm_listener import EgmListener
+from armlab.bridge.doctor.machine import Finding
 from armlab.bridge.doctor.network import addresses, firewall, listen, local_addresses, route_to
 from armlab.bridge.net.sockets import Arrival
 from armlab.robots import Robot
@@ -144,7 +144,7 @@ SOURCE = ("192.0.2.7", 40_000)
 class Line:
     """Packets of a robot at the times of the test."""
 
-    def __init__(self, robot: Robot, heard: Heard, robotware: Any = "6.10") -> None:
+    def __init__(self, robot: Robot, heard: EgmListener, robotware: Any = "6.10") -> None:
         self.robot, self.heard = robot, heard
         self.codec = RobotSideCodec(robot, robotware=robotware)
         self.now = 10**9
@@ -157,21 +157,21 @@ class Line:
         self.heard.add(Arrival(self.codec.encode_robot(message), source, self.now))
 
 
-def judged(heard: Heard) -> dict[str, Finding]:
+def judged(heard: EgmListener) -> dict[str, Finding]:
     return {finding.name.partition(", ")[2]: finding for finding in heard.findings(1.0)}
 
 
 @pytest.fixture
-def heard(robot: Robot) -> Heard:
-    return Heard(6510, robot)
+def heard(robot: Robot) -> EgmListener:
+    return EgmListener(6510, robot)
 
 
 @pytest.fixture
-def line(robot: Robot, heard: Heard) -> Line:
+def line(robot: Robot, heard: EgmListener) -> Line:
     return Line(robot, heard)
 
 
-def test_a_robot_that_is_ready(heard: Heard, line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_robot_that_is_ready(heard: EgmListener, line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
     for k in range(100):
         line(k)
     monkeypatch.setattr("armlab.bridge.doctor.egm_listener.time.monotonic_ns", lambda: line.now)
@@ -186,14 +186,14 @@ def test_a_robot_that_is_ready(heard: Heard, line: Line, monkeypatch: pytest.Mon
     assert "absent" in found["extension"].value
 
 
-def test_silence(heard: Heard) -> None:
+def test_silence(heard: EgmListener) -> None:
     (finding,) = heard.findings(5.0)
     assert (finding.verdict, finding.value) == ("warning", "none in 5 s")
     for word in ("UDPUC", "EGMRunJoint", "ufw allow 6510/udp"):
         assert word in finding.advice
 
 
-def test_two_senders(heard: Heard, line: Line) -> None:
+def test_two_senders(heard: EgmListener, line: Line) -> None:
     for k in range(10):
         line(k)
         line(k + 70, source=("192.0.2.8", 50_000))
@@ -203,14 +203,14 @@ def test_two_senders(heard: Heard, line: Line) -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"hello", b"\xff" * 40])
-def test_something_else(heard: Heard, data: bytes) -> None:
+def test_something_else(heard: EgmListener, data: bytes) -> None:
     heard.add(Arrival(data, SOURCE, 1))
     found = judged(heard)["first packet"]
     assert found.verdict == "failure"
     assert "no packet of a robot: 1 " in found.value
 
 
-def test_wrong_axes(heard: Heard) -> None:
+def test_wrong_axes(heard: EgmListener) -> None:
     Line(robots.load("irb120"), heard)(0)
     found = judged(heard)["first packet"]
     assert found.verdict == "failure"
@@ -220,7 +220,7 @@ def test_wrong_axes(heard: Heard) -> None:
 
 @pytest.mark.parametrize(("name", "words"), [("irb120", "6 axes"), ("yumi_left", "6 axes and 1 external, a YuMi's")])
 def test_any_robot(name: str, words: str) -> None:
-    heard = Heard(6510)
+    heard = EgmListener(6510)
     Line(robots.load(name), heard)(0)
     found = judged(heard)
     assert words in found["first packet"].value
@@ -228,7 +228,7 @@ def test_any_robot(name: str, words: str) -> None:
 
 
 @pytest.mark.parametrize(("robotware", "advice"), [("6.06", "radians"), ("6.07", "6.07.01")])
-def test_old_robotware(robot: Robot, heard: Heard, robotware: str, advice: str) -> None:
+def test_old_robotware(robot: Robot, heard: EgmListener, robotware: str, advice: str) -> None:
     Line(robot, heard, robotware)(0)
     found = judged(heard)["first packet"]
     assert found.verdict == "warning"
@@ -236,7 +236,7 @@ def test_old_robotware(robot: Robot, heard: Heard, robotware: str, advice: str) 
     assert advice in found.advice
 
 
-def test_a_posture_that_cannot_be(robot: Robot, heard: Heard, line: Line) -> None:
+def test_a_posture_that_cannot_be(robot: Robot, heard: EgmListener, line: Line) -> None:
     line(0, q=robot.q_max + 1.0)
     found = judged(heard)["posture"]
     assert found.verdict == "failure"
@@ -251,7 +251,7 @@ def test_a_posture_that_cannot_be(robot: Robot, heard: Heard, line: Line) -> Non
         ({"mci": 2}, "guidance has not begun", "EGMRunJoint"),
     ],
 )
-def test_not_ready(heard: Heard, line: Line, fields: dict[str, Any], words: str, advice: str) -> None:
+def test_not_ready(heard: EgmListener, line: Line, fields: dict[str, Any], words: str, advice: str) -> None:
     line(0, **fields)
     found = judged(heard)["guidance"]
     assert found.verdict == "warning"
@@ -259,7 +259,7 @@ def test_not_ready(heard: Heard, line: Line, fields: dict[str, Any], words: str,
     assert advice in found.advice
 
 
-def test_lost_and_repeated_packets(heard: Heard, line: Line) -> None:
+def test_lost_and_repeated_packets(heard: EgmListener, line: Line) -> None:
     for k in (0, 1, 1, 4, 5):
         line(k)
     found = judged(heard)["timing"]
@@ -267,13 +267,13 @@ def test_lost_and_repeated_packets(heard: Heard, line: Line) -> None:
     assert "2 lost, 1 repeated" in found.value
 
 
-def test_an_uneven_network(heard: Heard, line: Line) -> None:
+def test_an_uneven_network(heard: EgmListener, line: Line) -> None:
     for k in range(50):
         line(k, after=PERIOD_NS + (3_000_000 if k % 10 == 9 else 0))
     assert judged(heard)["timing"].verdict == "warning"
 
 
-def test_why_a_session_ended(heard: Heard, line: Line) -> None:
+def test_why_a_session_ended(heard: EgmListener, line: Line) -> None:
     line(0)
     line(1, motors=2)
     line(0, after=10**9)
@@ -282,7 +282,7 @@ def test_why_a_session_ended(heard: Heard, line: Line) -> None:
     assert "the controller stopped sending" in found.value or "motors were switched off" in found.value
 
 
-def test_the_extension(robot: Robot, heard: Heard) -> None:
+def test_the_extension(robot: Robot, heard: EgmListener) -> None:
     line = Line(robot, heard)
     line.codec = RobotSideCodec(robot, extension=True)
     line(0, qd=np.zeros(7), tau=np.zeros(7))

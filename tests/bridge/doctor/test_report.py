@@ -10,8 +10,9 @@ from typing import get_args
 
 import pytest
 
-from armlab.bridge.doctor.findings import Finding, Verdict
 from armlab.bridge.doctor.machine import (
+    Finding,
+    Verdict,
     blas,
     clock,
     garbage,

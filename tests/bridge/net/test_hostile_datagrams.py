@@ -13,7 +13,7 @@ import pytest
 
 from armlab.bridge.control.limits import Limits
 from armlab.bridge.control.session import Session
-from armlab.bridge.control.state_machine import Guide
+from armlab.bridge.control.state_machine import StateMachine
 from armlab.bridge.net.sockets import Arrival
 from armlab.robots import Robot
 from armlab.wire.egm import EgmCodec, Reference, RobotMessage, RobotSideCodec
@@ -64,15 +64,15 @@ class Reader:
     def __init__(self, robot: Robot, told: list[str]) -> None:
         self.codec = EgmCodec(robot, extension=True)
         self.session = Session(self.codec, on_event=lambda text, warn=False: told.append(text))
-        self.guide = Guide(robot, Limits.of(robot), capabilities=self.codec.capabilities)
+        self.machine = StateMachine(robot, Limits.of(robot), capabilities=self.codec.capabilities)
         self.replies = 0
 
     def hear(self, data: bytes, now_ns: int) -> Any:
         sample = self.session.accept(Arrival(data, SOURCE, now_ns))
         if sample is None:
             return None
-        self.guide.observe(sample)
-        reply: Any = self.guide.answer(None, 0.004)
+        self.machine.observe(sample)
+        reply: Any = self.machine.answer(None, 0.004)
         if reply is not None:
             self.replies += 1
             self.codec.encode(Reference(reply.q, reply.qd, reply.tau, self.session.seq, 0))

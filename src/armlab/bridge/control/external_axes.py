@@ -1,4 +1,4 @@
-"""`Aside`: the part of a command that is not for the joints: external axes within their limits, values for RAPID."""
+"""`ExternalReferences`: the part of a command for external axes, within their limits, and for RAPID."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from armlab.errors import CommandRefused
 from armlab.state import Command
 from armlab.wire.egm import Beside, Packet
 
-__all__ = ["Aside", "joined"]
+__all__ = ["ExternalReferences", "joined"]
 
 _MOST_DATA = 40  # numbers that EgmRAPIDdata holds
 _OUTSIDE, _STEP, _FASTER = 0.1, 0.02, 2.0  # as those of the joints, see `feedback`
 _KNOWS_DATA = "7"  # RobotWare
 
 
-class Aside:
+class ExternalReferences:
     """References of the external axes beyond the robot's joints, and what goes to RAPID, packet by packet.
 
     External axes are asked for by the first `Command.q_ext` of a session. From then on each reply says where they

@@ -14,7 +14,10 @@ from armlab.robots import Robot
 from armlab.wire.egm import Beside
 from armlab.wire.egm.axes import Linkage
 
-__all__ = ["Limiter", "Limits", "LinkedLimiter", "Reply", "axes_of", "limiter_of"]
+__all__ = ["ENTRY", "Limiter", "Limits", "LinkedLimiter", "Reply", "axes_of", "limiter_of"]
+
+ENTRY = 0.05
+"""How far the first position may be from where the arm holds, when nothing else is said [rad or m]."""
 
 _TORQUE_RISE = 0.1  # s from no torque to the largest
 _SPEED_RISE = 0.1  # s from rest to full speed, of axes of which no acceleration is known
@@ -85,7 +88,7 @@ class Limits:
         *,
         margin: float = 0.01,
         speed: float = 1.0,
-        entry: float = 0.05,
+        entry: float = ENTRY,
         tau_max: float | np.ndarray | None = None,
         external: Limits | None = None,
         following_error: float | np.ndarray | None = None,
@@ -140,7 +143,7 @@ class Limits:
         ConfigError : as `Limits`.
         """
         low, high, fastest = (np.asarray(values, dtype=np.float64) for values in (q_min, q_max, qd_max))
-        return cls(low, high, fastest, fastest / _SPEED_RISE, np.full(low.shape, 0.1), np.full(low.shape, 0.05))
+        return cls(low, high, fastest, fastest / _SPEED_RISE, np.full(low.shape, 0.1), np.full(low.shape, ENTRY))
 
 
 class Reply(NamedTuple):

@@ -63,7 +63,7 @@ def collect_if_due() -> None:
 
 @contextmanager
 def short_switches() -> Iterator[None]:
-    """Let threads take turns every half millisecond, so that the guard comes in time against a busy controller."""
+    """let threads take turns every half millisecond, so that the guard comes in time against a busy controller."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(min(before, _SWITCH_INTERVAL))
     try:
@@ -117,7 +117,7 @@ def interrupts(stop: Callable[[], None]) -> Iterator[None]:
 Wait = Literal["block", "ahead", "spin"]
 """Ways of waiting."""
 
-_AHEAD = 400_000  # ns before the predicted arrival at which rehearsing and polling begin
+_AHEAD = 400_000  # ns before the predicted arrival at which polling begins
 _AFTER = 600_000  # ns after it at which blocking begins
 _LATE_SHARE = 0.02  # of a late arrival that moves the prediction
 _LOST = 5  # periods: a prediction further off than this starts anew
@@ -159,14 +159,12 @@ class Prediction:
 class Waiting:
     """Waits for datagrams on the ports of a link.
 
-    ports : where they arrive; each is asked first in turn, so that a flood on one does not shut out the others.
-    rehearse : called with the index of the port shortly before an arrival is predicted there; must change nothing.
+    ports : where they arrive; each is asked first in pending, so that a flood on one does not shut out the others.
     """
 
     def __init__(self, ports: Sequence[Port], predictions: Sequence[Prediction], mode: Wait) -> None:
         self._ports, self._predictions, self._mode = tuple(enumerate(ports)), predictions, mode
         self._poller, self._numbers = select.poll(), set[int]()
-        self.rehearse: Callable[[int], None] = lambda index: None
 
     def next(self, seconds: float) -> tuple[int, Arrival] | None:
         """Return the next datagram with the index of its port, or None when none came in the time."""
@@ -177,15 +175,13 @@ class Waiting:
         while self._mode != "block":
             now = time.monotonic_ns()
             soonest = self._soonest(now)
-            if soonest is None or soonest[0] + _AFTER >= end:
+            if soonest is None or soonest + _AFTER >= end:
                 break
-            predicted, index = soonest
-            if now < predicted - _AHEAD:
-                found = self._idle(predicted - _AHEAD)
+            if now < soonest - _AHEAD:
+                found = self._idle(soonest - _AHEAD)
                 if found is not None:
                     return found
-                self.rehearse(index)
-            found = self._poll(predicted + _AFTER)
+            found = self._poll(soonest + _AFTER)
             if found is not None:
                 return found
         if self._mode == "spin":
@@ -202,10 +198,10 @@ class Waiting:
                 self._poller.register(number, select.POLLIN)
         return bool(self._poller.poll(milliseconds))
 
-    def _soonest(self, now: int) -> tuple[float, int] | None:
-        """Return the first predicted arrival that is not over, and the index of its port."""
-        times = [(p.next_ns, index) for index, p in enumerate(self._predictions) if p.next_ns is not None]
-        return min(((ns, index) for ns, index in times if now < ns + _AFTER), default=None)
+    def _soonest(self, now: int) -> float | None:
+        """Return the first predicted arrival that is not over."""
+        times = [prediction.next_ns for prediction in self._predictions]
+        return min((ns for ns in times if ns is not None and now < ns + _AFTER), default=None)
 
     def _receive(self) -> tuple[int, Arrival] | None:
         for index, port in self._ports:

@@ -120,7 +120,7 @@ class Recording:
             self.event(f"A row was kept without what the controller recorded: {error}", warn=True)
         return command
 
-    def pass_on(self, state: State, command: Command | None, tick: Tick) -> None:
+    def publish(self, state: State, command: Command | None, tick: Tick) -> None:
         """Give a row that was kept to the file and the feeds."""
         if self._recorder is not None and not self._recorder.row(state, command, tick):
             self._tell_stop(self._recorder)

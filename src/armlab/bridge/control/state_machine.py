@@ -1,4 +1,4 @@
-"""The state machine of a run: `Mode`, and `Guide`, which says what is sent for each packet.
+"""The state machine of a run: `Mode`, and `StateMachine`, which says what is sent for each packet.
 
 WAITING -> HOLDING (not ready: feedback is sent back; ready: a frozen position) -> RUNNING -> STOPPING -> ENDED.
 LISTENING sends nothing, ever. *Hold* means everywhere: the sent velocity ramps to zero within the acceleration limits,
@@ -21,7 +21,7 @@ import numpy as np
 
 from armlab import kernels
 from armlab.bridge.control.command_checks import entry_refusal, refusal
-from armlab.bridge.control.external_axes import Aside, joined
+from armlab.bridge.control.external_axes import ExternalReferences, joined
 from armlab.bridge.control.feedback import MCI_RUNNING, READY_AFTER, STOP_AFTER, FeedbackCheck, Readiness
 from armlab.bridge.control.limits import Limits, Reply, limiter_of
 from armlab.bridge.control.session import Sample
@@ -32,7 +32,7 @@ from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import Packet
 
-__all__ = ["Guide", "Mode"]
+__all__ = ["StateMachine", "Mode"]
 
 _NAMES = (
     "t", "dt", "q", "qd", "tau", "seq", "missed", "session", "qd_source", "tau_source", "q_start", "q_planned",
@@ -100,7 +100,7 @@ _ASKED, _UNANSWERED = (Mode.HOLDING, Mode.RUNNING), (Mode.WAITING, Mode.LISTENIN
 _LAST = (Mode.STOPPING, Mode.ENDED)
 
 
-class Guide:
+class StateMachine:
     """Decides, packet by packet, whether the controller is asked and what is sent.
 
     commands : False when there is no controller: LISTENING.
@@ -126,7 +126,7 @@ class Guide:
         self._robot, self._limits = robot, limits
         self._torques = Torques(robot, limits, capabilities, admittance)
         self._answer_stream, self._on_event = answer_stream, on_event
-        self._limiter, self._aside = limiter_of(limits, robot), Aside(limits.external, capabilities)
+        self._limiter, self._external = limiter_of(limits, robot), ExternalReferences(limits.external, capabilities)
         self._last = self._limiter.rest(np.full(robot.n, np.nan))
         self.mode = Mode.WAITING if commands else Mode.LISTENING
         self.ready = False
@@ -157,7 +157,7 @@ class Guide:
 
     @property
     def _memory(self) -> tuple[float, float, Reply, Any, Any, Any]:
-        return self._dt, self._rested, self._last, self._limiter.memory, self._torques.memory, self._aside.memory
+        return self._dt, self._rested, self._last, self._limiter.memory, self._torques.memory, self._external.memory
 
     @property
     def _is_silent(self) -> bool:
@@ -170,7 +170,7 @@ class Guide:
         self._packet = packet
         if sample.fresh:
             self.t, self._dt, self.guided, self.ready = 0.0, 0.0, False, False
-            self._aside.begin()
+            self._external.begin()
             self._feedback.begin()
             self._readiness.begin()
             if self.mode is Mode.RUNNING:
@@ -179,7 +179,7 @@ class Guide:
             self.t += sample.dt if self.guided or self.mode is Mode.LISTENING else 0.0
         self._passed = sample.step
         self._dt += sample.step
-        problem = self._aside.observe(packet, sample.dt)
+        problem = self._external.observe(packet, sample.dt)
         if problem:
             self._on_event(problem, warn=True)
         if self.mode is Mode.LISTENING:
@@ -230,10 +230,10 @@ class Guide:
             q = self._feedback.q
             if q is None or not (self._answer_stream or packet.mci == MCI_RUNNING):
                 return None
-            self._last = joined(self._limiter.rest(q), self._aside.rest(packet))
+            self._last = joined(self._limiter.rest(q), self._external.rest(packet))
         elif self.mode in _LAST:
             self._last = self._held()
-            if self._limiter.at_rest and self._aside.at_rest:
+            if self._limiter.at_rest and self._external.at_rest:
                 self._rest()
         elif self._doubtful:
             self._last = self._held()
@@ -262,7 +262,7 @@ class Guide:
 
         waits : a reference waits in the robot's queue for this cycle, so that no time has passed since the last one.
         """
-        self._dt, rested, self._last, self._limiter.memory, self._torques.memory, self._aside.memory = self._before
+        self._dt, rested, self._last, self._limiter.memory, self._torques.memory, self._external.memory = self._before
         if waits:
             self._dt = max(0.0, self._dt - self._passed)
         if self.mode is not Mode.STOPPING:
@@ -301,7 +301,7 @@ class Guide:
             if command.ends:
                 self.stop("the controller ended the run")
                 return self._held()
-            beside = self._aside.follow(command, packet, self._dt, self._longest)
+            beside = self._external.follow(command, packet, self._dt, self._longest)
         except CommandRefused as error:
             self.stop("a command was refused", error)
             return self._held()
@@ -338,7 +338,7 @@ class Guide:
         return self._torques.limited(self._limiter.follow(packet.q, self._qd), tau, self._step)
 
     def _held(self) -> Reply:
-        return joined(self._still(), self._aside.hold(self._dt, self._longest))
+        return joined(self._still(), self._external.hold(self._dt, self._longest))
 
     def _still(self) -> Reply:
         return self._torques.limited(self._limiter.hold(self._dt, self._longest), None, self._step)
@@ -368,7 +368,7 @@ class Guide:
     def _become_ready(self, packet: Packet) -> None:
         self._torques.reset()
         self._dt = self._passed  # from this packet's feedback on
-        self._last = joined(self._limiter.rest(packet.q), self._aside.rest(packet))
+        self._last = joined(self._limiter.rest(packet.q), self._external.rest(packet))
         self._refused_in_a_row, self._waited, self._warned = 0, 0.0, False
         if not self.guided:
             self.guided, self.t, self.q_start = True, 0.0, packet.q

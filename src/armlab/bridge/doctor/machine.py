@@ -12,14 +12,17 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from armlab.bridge.control.realtime import LOOP_PRIORITY, priority
-from armlab.bridge.doctor.findings import Finding
 
 __all__ = [
+    "Finding",
+    "Verdict",
     "blas",
     "clock",
     "garbage",
@@ -34,6 +37,36 @@ __all__ = [
     "throttle",
     "wake_up",
 ]
+
+Verdict = Literal["ok", "warning", "failure"]
+"""How good a finding is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What one check found.
+
+    Attributes
+    ----------
+    name : of the check. verdict : "ok", "warning" (it works, with a risk) or "failure".
+    value : what was found, in words. advice : what to do, "" when nothing is.
+    """
+
+    name: str
+    verdict: Verdict
+    value: str
+    advice: str = ""
+
+    @classmethod
+    def judged(cls, name: str, problem: Verdict, is_bad: bool, value: str, advice: str) -> Finding:
+        """Return a finding that is `problem` with its advice when it is bad, else "ok" without.
+
+        Parameters
+        ----------
+        name, value : see `Finding`. problem : verdict when bad. is_bad : the outcome. advice : what to do when bad.
+        """
+        return cls(name, problem, value, advice) if is_bad else cls(name, "ok", value)
+
 
 _OLDEST = (3, 11)
 _CYCLE = 0.004  # s

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from armlab.bridge.doctor.findings import Finding
-from armlab.bridge.doctor.machine import machine
+from armlab.bridge.doctor.machine import Finding, machine
 from armlab.bridge.doctor.network import addresses, firewall, listen, local_addresses
 from armlab.errors import ConfigError
 from armlab.robots import Robot

@@ -80,13 +80,13 @@ class Limited:
     def due(self, now_ns: int) -> None:
         """Pass on what has waited for its turn."""
         if self._waiting:
-            self._pass_on(lambda kind: _is_over(kind, now_ns), now_ns)
+            self._publish(lambda kind: _is_over(kind, now_ns), now_ns)
 
     def close(self) -> None:
         """Pass on all that waits."""
-        self._pass_on(lambda kind: True, 0)
+        self._publish(lambda kind: True, 0)
 
-    def _pass_on(self, condition: Callable[[_Kind], bool], now_ns: int) -> None:
+    def _publish(self, condition: Callable[[_Kind], bool], now_ns: int) -> None:
         with self._lock:
             ready = [kind for kind in self._kinds.values() if kind.waits is not None and condition(kind)]
             for kind in sorted(ready, key=_stamp):

@@ -78,20 +78,19 @@ class Arrival(NamedTuple):
 class Port:
     """A bound UDP port that never blocks; socket errors are counted.
 
-    host, port : where to listen; port 0 lets the system choose. to_itself : send there, whatever the address.
+    host, port : where to listen; port 0 lets the system choose.
 
     Raises
     ------
     LinkError : the address cannot be bound, or not again; names who holds the port where that can be determined.
     """
 
-    def __init__(self, host: str, port: int, to_itself: bool = False) -> None:
+    def __init__(self, host: str, port: int) -> None:
         self._errors = self._seen = 0
         self._is_closed = False
         self.on_lost: Callable[[], None] = lambda: None
         self._bind(socket.socket(socket.AF_INET, socket.SOCK_DGRAM), host, port)
         self.host, self.port = self._socket.getsockname()
-        self._always_to = (self.host, self.port) if to_itself else None
 
     def _bind(self, opened: socket.socket, host: str, port: int) -> None:
         self._socket = opened
@@ -138,7 +137,6 @@ class Port:
 
     def send(self, data: bytes, to: tuple[str, int]) -> bool:
         """Send one datagram. Return whether the system took it."""
-        to = self._always_to or to
         return self._datagrams.send(data, to) or (self._was_lost() and self._datagrams.send(data, to))
 
     def _was_lost(self) -> bool:
