@@ -28,9 +28,10 @@ def cells() -> list[Any]:
         spec = ModuleSpec(PACKAGE, None, is_package=True)
         spec.submodule_search_locations = [str(FOLDER)]
         sys.modules[PACKAGE] = module_from_spec(spec)
-        for path in (*sorted(FOLDER.glob("test_*.py")), FOLDER / "elsewhere.py"):
+        for path in sorted(FOLDER.glob("test_*.py")):
             import_module(f"{PACKAGE}.{path.stem}")
-    return import_module(f"{PACKAGE}.matrix").CELLS
+    matrix = import_module(f"{PACKAGE}.matrix")
+    return [*matrix.CELLS, *matrix.elsewhere()]
 
 
 def rows(kind: str) -> list[tuple[str, ...]]:
@@ -66,7 +67,7 @@ class Faults(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Return the table."""
-        for path in FOLDER.glob("*.py"):
+        for path in FOLDER.iterdir():
             self.env.note_dependency(str(path))
         made = []
         for fault, states, happens, told, recovers, test in rows(self.arguments[0]):

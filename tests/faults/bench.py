@@ -6,10 +6,12 @@ called where its thread would wake. So a minute passes in a second, and each run
 
 from __future__ import annotations
 
+import heapq
 import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -30,9 +32,105 @@ from armlab.sim.controller.settings import ControllerSettings as RobotSettings
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec, RobotSideCodec, SensorMessage
 
-from .wire import GOOD, Bad, Way
+WIRE = 1e-4  # s that a datagram takes at best
+NEVER_VALID = 0x07  # a first byte that no protobuf message has
 
-__all__ = ["MIDDLE", "PERIOD", "ROBOT", "Bench", "Outcome", "Script", "Sent", "Station"]
+
+@dataclass(frozen=True)
+class Bad:
+    """How often datagrams are lost, late, doubled, overtaken or damaged.
+
+    Attributes
+    ----------
+    loss, duplicate, reorder, corrupt : shares of all datagrams. burst : losses come this many in a row.
+    delay, jitter : mean and standard deviation of the time that they take [s].
+    """
+
+    loss: float = 0.0
+    burst: int = 1
+    duplicate: float = 0.0
+    reorder: float = 0.0
+    corrupt: float = 0.0
+    delay: float = 0.0
+    jitter: float = 0.0
+
+
+GOOD = Bad()
+"""Nothing goes wrong."""
+
+FIRST = 6
+"""Datagrams of which one is lost, see `unlucky`: an arm that is to stop is not at rest yet."""
+
+
+class Way:
+    """One direction between a robot and the bridge.
+
+    Parameters
+    ----------
+    bad : what goes wrong. begin, end : virtual time in which it does [s]. seed : another one for each direction.
+    period : of the robot [s].
+
+    Attributes
+    ----------
+    lost : datagrams so far.
+    """
+
+    def __init__(self, bad: Bad, begin: float, end: float, seed: list[int], period: float) -> None:
+        self._bad, self._begin, self._end, self._period = bad, begin, end, period
+        self._random = np.random.default_rng(seed)
+        self._under_way: list[tuple[float, int, bytes]] = []
+        self._count = self._losing = self.lost = 0
+
+    @property
+    def due(self) -> float:
+        """When the next datagram arrives [s]."""
+        return self._under_way[0][0] if self._under_way else math.inf
+
+    def put(self, now: float, data: bytes) -> None:
+        """Send one datagram."""
+        if not self._begin <= now < self._end:  # nothing is drawn: a seed tells what happens from the beginning on
+            self._deliver(now + WIRE, data)
+            return
+        bad = self._bad
+        begins = bad.loss / (bad.burst - bad.loss * (bad.burst - 1))  # a burst, so often that `loss` is the share
+        lost, twice, behind, damaged = self._random.random(4) < (begins, bad.duplicate, bad.reorder, bad.corrupt)
+        late = WIRE + max(0.0, bad.delay + bad.jitter * self._random.standard_normal())
+        if self._losing or lost:
+            self._losing = (self._losing or bad.burst) - 1
+            self.lost += 1
+            return
+        for _ in range(1 + int(twice)):
+            spoiled = self._spoil(data) if damaged else data
+            self._deliver(now + late + 1.5 * self._period * behind, spoiled)
+
+    def _deliver(self, due: float, data: bytes) -> None:
+        self._count += 1
+        heapq.heappush(self._under_way, (due, self._count, data))
+
+    def take(self, now: float) -> bytes | None:
+        """Return the next datagram that has arrived, None when none has."""
+        return heapq.heappop(self._under_way)[2] if self.due <= now else None
+
+    def cut(self) -> None:
+        """Lose what is under way."""
+        self._under_way.clear()
+
+    def _spoil(self, data: bytes) -> bytes:
+        """Cut it somewhere, so that it can never be read."""
+        return bytes([NEVER_VALID]) + data[1 : int(self._random.integers(1, len(data)))]
+
+
+def unlucky(bad: Bad, period: float) -> int:
+    """Return the first seed with which both directions lose one of their first datagrams."""
+    for seed in range(10_000):
+        ways = [Way(bad, 0.0, math.inf, [seed, way], period) for way in (1, 2)]
+        for way in ways:
+            for k in range(FIRST):
+                way.put(k * period, b"..")
+        if all(way.lost for way in ways):
+            return seed
+    raise AssertionError(bad)
+
 
 ROBOT = robots.load("yumi_right")
 MIDDLE = (ROBOT.q_min + ROBOT.q_max) / 2
@@ -273,3 +371,40 @@ class Bench:
             assert isinstance(message, SensorMessage)
             self._heard.append(message)
         return self._heard
+
+
+@dataclass
+class Motion:
+    """Sways from where the last reference left the arm; positions, so that time that was lost would be a jump.
+
+    Attributes
+    ----------
+    holds : virtual time in which it holds, as (begin, end) [s]. stops : from when on it ends the run [s].
+    amplitude, rate : of the sway [rad, rad/s].
+    """
+
+    holds: tuple[float, float] = (0.0, 0.0)
+    stops: float = math.inf
+    amplitude: float = 0.1
+    rate: float = 4.0
+    _from: tuple[int, float, np.ndarray] | None = None
+
+    @classmethod
+    def that_stops(cls, at: float) -> Motion:
+        """Be fast at a time, and stop half a cycle before: the arm needs eight more to come to rest."""
+        return cls(stops=at - 0.002, amplitude=0.18, rate=6.0)
+
+    def begin_anew(self) -> None:
+        """Sway from where the arm is then: another controller was in charge."""
+        self._from = None
+
+    def __call__(self, t: float, state: State) -> Command | None:
+        if t >= self.stops:
+            return Command.stop()
+        if self.holds[0] <= t < self.holds[1]:
+            self.begin_anew()
+            return None
+        if self._from is None or self._from[0] != state.session:
+            self._from = state.session, state.t, state.q_sent
+        _, since, q = self._from
+        return Command(q + self.amplitude * (1.0 - math.cos(self.rate * (state.t - since))))

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any
 
 import pytest
 
-__all__ = ["CELLS", "KINDS", "NO_WORDS", "STATES", "Cell", "cells", "held_by", "shows"]
+__all__ = ["CELLS", "KINDS", "NO_WORDS", "STATES", "Cell", "cells", "elsewhere", "shows"]
 
 STATES = ("waiting", "listening", "holding", "running", "stopping")
 """Modes of the bridge when the fault begins, as in `docs/egm.md`."""
@@ -92,6 +93,7 @@ def shows(*groups: tuple[Cell, ...]) -> Callable[[Any], Any]:
     return decorate
 
 
-def held_by(node: str, *groups: tuple[Cell, ...]) -> None:
-    """Put cells on the page that a test elsewhere holds."""
-    CELLS.extend(replace(cell, test=node) for group in groups for cell in group)
+def elsewhere() -> list[Cell]:
+    """Return the cells that tests of other folders hold."""
+    text = Path(__file__).with_name("elsewhere.toml").read_text(encoding="utf-8")
+    return [Cell(**row) for row in tomllib.loads(text)["cell"]]

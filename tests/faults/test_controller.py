@@ -17,10 +17,9 @@ from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, Link
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec
 
-from .bench import PERIOD, ROBOT, Bench
+from .bench import PERIOD, ROBOT, Bench, Motion
 from .judge import judge
 from .matrix import Cell, cells, shows
-from .motion import Motion
 from .processes import PATIENCE, SimulatedRobot, free_port, is_whole, program
 
 BEGINS = {"holding": 0.0, "running": 0.3}

@@ -18,10 +18,9 @@ from armlab.errors import LogError
 from armlab.log import Table, inspect, read
 from armlab.log.recording import file as recording_file
 
-from .bench import Bench, Outcome
+from .bench import Bench, Motion, Outcome
 from .judge import log_is_what_was_sent, met_in_motion, within_limits
 from .matrix import Cell, cells, shows
-from .motion import Motion
 
 BEGUN = "holding, running, stopping"
 AT = {"holding": 0.3, "running": 0.3, "stopping": 0.3}

@@ -12,11 +12,9 @@ import pytest
 
 from armlab.errors import NoRobot, SessionEnded
 
-from .bench import PATIENCE, PERIOD, Bench, Outcome, Station
+from .bench import PATIENCE, PERIOD, Bad, Bench, Motion, Outcome, Station, unlucky
 from .judge import judge, met_in_motion
 from .matrix import Cell, cells, shows
-from .motion import Motion
-from .wire import Bad, unlucky
 
 ALL = "waiting, holding, running, stopping"
 BEGUN = "holding, running, stopping"

@@ -4,127 +4,23 @@ from __future__ import annotations
 
 import json
 import math
-import time
 from collections import deque
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
 import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge import Limits, connect
-from armlab.bridge.control.arm import ArmSession, Latency, PendingPacket, QueueTrimming
-from armlab.bridge.control.run import End, assemble
+from armlab.bridge import connect
+from armlab.bridge.control.arm import Latency, QueueTrimming
 from armlab.bridge.control.state_machine import Mode
-from armlab.bridge.control.supervision import Settings
-from armlab.bridge.net.sockets import Arrival, Port
-from armlab.robots import Robot
 from armlab.state import Command, State
-from armlab.wire.egm import EgmCodec, RobotSideCodec, SensorMessage
+from armlab.wire.egm import RobotSideCodec, SensorMessage
 
-from .by_hand import CONTROLLER, MS, Hands, Make, drift
+from .conftest import CONTROLLER, MS, Make, drift
 
 PERIOD_NS = 4_000_000
-
-
-@pytest.fixture
-def arm(robot: Robot) -> Iterator[ArmSession]:
-    port = Port("127.0.0.1", 0)
-    options: dict[str, Any] = {
-        "commands": True,
-        "answer_stream": True,
-        "record": None,
-        "extra": None,
-        "attachments": {},
-        "feeds": (),
-        "sources": (),
-    }
-    [made] = assemble([End(robot, port, EgmCodec(robot))], [Limits.of(robot)], Settings(), **options)
-    yield made
-    port.close()
-
-
-def take(arm: ArmSession, packets: Any, k: int) -> PendingPacket:
-    pending = arm.receive(Arrival(packets(), ("127.0.0.1", arm.port.port), arm.stamp_ns + k * PERIOD_NS))
-    assert pending is not None
-    return pending
-
-
-def test_how_long_a_packet_waited_for_the_loop_is_recorded(arm: ArmSession, packets: Any) -> None:
-    came = time.monotonic_ns() - 3_000_000
-    pending = arm.receive(Arrival(packets(), ("127.0.0.1", arm.port.port), came))
-    assert pending is not None
-    assert 3_000_000 <= pending.wake_ns <= time.monotonic_ns() - came
-    later = arm.receive(Arrival(packets(), ("127.0.0.1", arm.port.port), came + 10**12))  # while the loop ran
-    assert later is not None
-    assert later.wake_ns == 0
-    arm.reply(pending, None, arm.machine.answer(None, arm.period))
-    arm.record()
-    assert arm.recording.table()["wake_ns"][0] == pending.wake_ns
-
-
-def test_the_newest_is_answered_and_both_are_recorded(arm: ArmSession, packets: Any) -> None:
-    first = take(arm, packets, 0)
-    second = arm.receive(Arrival(packets(), ("127.0.0.1", arm.port.port), first.sample.arrival_ns + PERIOD_NS), first)
-    assert second is not None
-    assert arm.newest is second
-    arm.reply(second, None, arm.machine.answer(None, arm.period))
-    assert (arm.replies, arm.overtaken) == (1, 1)
-    assert len(arm.recording.table()) == 0
-    arm.record()
-    table = arm.recording.table()
-    np.testing.assert_array_equal(table["seq"], [0, 1])
-    np.testing.assert_array_equal(np.isfinite(table["seq_sent"].astype(float)), [False, True])
-    assert arm.deadline(second.sample) == second.sample.arrival_ns + 0.75 * PERIOD_NS
-
-
-def test_a_command_that_was_given_serves_for_a_time(arm: ArmSession, packets: Any) -> None:
-    command = Command(qd=np.ones(7))
-    take(arm, packets, 0)
-    arm.set_command(command)
-    served = [arm.kept_command(take(arm, packets, k).sample, 0.0101) is not None for k in range(1, 5)]
-    assert served == [True, True, False, False]
-    arm.set_command(command)
-    assert arm.kept_command(take(arm, packets, 5).sample, 0.0101) is not None
-    arm.set_command(None)
-    assert arm.kept_command(take(arm, packets, 6).sample, 0.0101) is None
-
-
-def test_what_the_controller_writes_later_is_not_commanded(arm: ArmSession, packets: Any) -> None:
-    sample, qd = take(arm, packets, 0).sample, np.zeros(7)
-    arm.set_command(Command(qd=qd))
-    qd[2] = 1.0
-    command = arm.kept_command(sample, 1.0)
-    assert command is not None
-    assert command.qd is not None
-    assert not command.qd.any()
-
-
-def test_a_reply_that_the_system_refuses_is_told_and_is_no_step(
-    arm: ArmSession, packets: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fast = Command(qd=np.full(7, 0.5))
-    for k in range(60):
-        if k == 30:
-            monkeypatch.setattr(arm.port, "send", lambda data, to: False)
-        if k == 50:
-            monkeypatch.undo()
-        pending = take(arm, packets, k)
-        arm.reply(pending, fast, arm.machine.answer(fast, arm.period))
-        arm.record()
-    table = arm.recording.table()
-    answered = np.isfinite(np.asarray(table["seq_sent"], dtype=float))
-    np.testing.assert_array_equal(np.flatnonzero(~answered), np.arange(30, 50))
-    steps = np.diff(table["q_sent"][answered], axis=0)[15:]
-    np.testing.assert_allclose(np.delete(steps, 14, axis=0), 0.5 * arm.period)
-    np.testing.assert_allclose(steps[14], 3 * arm.robot.qd_max.min() * arm.period, rtol=1e-6)
-    told = [text for _, text in arm.recording.events if "did not go out" in text]
-    assert told == [
-        f"A reply to 127.0.0.1:{arm.port.port} did not go out: the system refused it. The robot keeps the last one."
-    ]
 
 
 def test_percentiles_are_numpys_to_a_bin() -> None:
@@ -137,9 +33,6 @@ def test_percentiles_are_numpys_to_a_bin() -> None:
         assert summary[name] == pytest.approx(np.percentile(times, percent, method="inverted_cdf") / 1e3, abs=1.0)
     assert summary["max"] == pytest.approx(times.max() / 1e3)
     assert latency.count == len(times)
-
-
-def test_nothing_counted_is_nan() -> None:
     assert math.isnan(Latency().percentile(50.0))
 
 
@@ -181,19 +74,15 @@ def controller(trimming: QueueTrimming, extra: dict[int, int], cycles: int) -> t
     return ages, starved
 
 
-def test_nothing_is_left_out_of_a_queue_that_empties() -> None:
-    trimming = QueueTrimming()
-    ages, starved = controller(trimming, {}, 100)
-    assert (set(ages), starved, trimming.left_out) == ({1}, 0, 0)
-
-
-@pytest.mark.parametrize("many", [1, 2, 5, 20])
+@pytest.mark.parametrize("many", [0, 1, 5, 20, 63])
 def test_surplus_messages_cost_no_lag_in_the_end(many: int) -> None:
     """Without the rule the age would stay at 1 + many for ever."""
-    trimming = QueueTrimming()
-    ages, starved = controller(trimming, {20: many}, 120)
+    told: list[str] = []
+    trimming = QueueTrimming(lambda text, warn=False, each=False: told.append(text))
+    ages, starved = controller(trimming, {20: many}, 200)
     assert max(ages) == 1 + many
     assert set(ages[-60:]) == {1}
+    assert not told
     assert trimming.left_out == many
     assert starved == 0
 
@@ -240,15 +129,6 @@ def test_a_queue_that_is_not_emptied_within_a_second_is_one_event() -> None:
     assert "1 message has waited" in told[1][0], "after it was empty, another one counts"
 
 
-def test_a_queue_that_trimming_empties_is_no_event() -> None:
-    told: list[str] = []
-    trimming = QueueTrimming(lambda text, warn=False, each=False: told.append(text))
-    ages, _ = controller(trimming, {20: 63}, 500)
-    assert max(ages) == 64
-    assert ages[-1] == 1
-    assert not told
-
-
 @pytest.mark.slow
 def test_duplicated_replies_leave_no_lag(tmp_path: Path) -> None:
     """Real time, one reply in a hundred arrives twice: without the rule the references would be 10 cycles old. 6 s."""
@@ -262,22 +142,15 @@ def test_duplicated_replies_leave_no_lag(tmp_path: Path) -> None:
     assert sum(number for age, number in ages.items() if age <= 2) > 0.8 * sum(ages.values())
 
 
-RIGHT = robots.load("yumi_right")
 WALL_NS = 1_700_000_000_000_000_000
 
 
-@pytest.fixture
-def make(monkeypatch: pytest.MonkeyPatch) -> Make:
-    """Return what makes a loop of one arm."""
-    return lambda controller=None, **options: Hands(monkeypatch, [RIGHT], controller or drift, **options)
-
-
-def test_a_row_says_all_of_its_packet(make: Make) -> None:
+def test_a_row_says_all_of_its_packet(one: Make) -> None:
     def controller(state: State) -> Command:
         hands.clock.now += MS // 2
         return Command(qd=np.full(7, 5.0))
 
-    hands = make(controller)
+    hands = one(controller)
     arm = hands.arms[0]
     assert not arm.was_late
     hands.cycle(mci=2)
@@ -311,8 +184,8 @@ def test_a_row_says_all_of_its_packet(make: Make) -> None:
     assert arm.stamp_ns == WALL_NS + hands.clock.now
 
 
-def test_a_row_of_a_packet_that_was_overtaken_says_that_nothing_was_sent(make: Make) -> None:
-    hands = make()
+def test_a_row_of_a_packet_that_was_overtaken_says_that_nothing_was_sent(one: Make) -> None:
+    hands = one()
     for _ in range(3):
         hands.put(mci=2)
     hands.loop.cycle()
@@ -325,9 +198,28 @@ def test_a_row_of_a_packet_that_was_overtaken_says_that_nothing_was_sent(make: M
     assert hands.arms[0].overtaken == 2
 
 
+def test_rows_stay_in_the_order_of_arrival(one: Make) -> None:
+    """Packets wait before the controller is called, and more come while it computes: the newest is answered, once."""
+
+    def controller(state: State) -> Command:
+        if state.seq == 2:
+            hands.put()
+            hands.put()
+            hands.clock.now -= 10 * MS  # they came before the loop looked: none of them waited for it
+        return drift(state)
+
+    hands = one(controller)
+    for _ in range(3):
+        hands.put()
+    hands.loop.cycle()
+    assert [row[0].seq for row in hands.rows] == [0, 1, 2, 3, 4]
+    assert [row[2].seq_sent for row in hands.rows] == [-1, -1, -1, -1, 0]
+    assert hands.rows[-1][2].wake_ns == 0
+
+
 @pytest.mark.parametrize(("waited", "late"), [(3 * MS, False), (3 * MS + 1, True)])
-def test_a_reply_is_late_after_three_quarters_of_the_period(make: Make, waited: int, late: bool) -> None:
-    hands = make()
+def test_a_reply_is_late_after_three_quarters_of_the_period(one: Make, waited: int, late: bool) -> None:
+    hands = one()
     hands.put(mci=2)
     hands.clock.now += waited
     hands.loop.cycle()
@@ -338,8 +230,8 @@ def test_a_reply_is_late_after_three_quarters_of_the_period(make: Make, waited: 
     assert (hands.rows[1][2].late, arm.was_late, arm.late) == (False, False, int(late))
 
 
-def test_no_reply_is_late_in_lockstep_and_time_is_the_robots(make: Make) -> None:
-    hands = make(clock="robot")
+def test_no_reply_is_late_in_lockstep_and_time_is_the_robots(one: Make) -> None:
+    hands = one(clock="robot")
     arm = hands.arms[0]
     assert arm.stamp_ns == 0
     hands.put(mci=2, robot_ns=123_000_000_000)
@@ -352,28 +244,15 @@ def test_no_reply_is_late_in_lockstep_and_time_is_the_robots(make: Make) -> None
     assert (arm.stamp_ns, hands.rows[1][2].stamp_ns) == (WALL_NS + hands.clock.now, WALL_NS + hands.clock.now)
 
 
-def test_on_the_wall_clock_rows_are_stamped_by_ours(make: Make) -> None:
-    hands = make()
-    assert hands.arms[0].stamp_ns == WALL_NS + hands.clock.now
-    hands.cycle(mci=2, robot_ns=123_000_000_000)
-    assert hands.rows[0][2].stamp_ns == WALL_NS + hands.clock.now
-
-
-def test_a_packet_without_a_time_is_answered_with_none(make: Make) -> None:
-    reply = make().cycle(tm_ms=None, mci=2)
-    assert reply is not None
-    assert reply.tm_ms == 0
-
-
-def test_details_are_those_of_the_packet(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    hands = make()
+def test_details_are_those_of_the_packet(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    hands = one()
     monkeypatch.setattr(hands.arms[0], "_details", lambda data: data)
     hands.put()
     data = hands.ports[0].waiting[0].data
     hands.loop.cycle()
     assert hands.rows[0][0].details() == data
     monkeypatch.undo()
-    hands = make()
+    hands = one()
     hands.cycle()
     assert hands.rows[0][0].details() is not None
     hands.arms[0]._details = None  # a codec of the user's need not have it
@@ -381,9 +260,9 @@ def test_details_are_those_of_the_packet(make: Make, monkeypatch: pytest.MonkeyP
     assert hands.rows[1][0].details() is None
 
 
-def test_a_flood_does_not_hold_the_loop_up_and_none_of_it_is_lost(make: Make) -> None:
+def test_a_flood_does_not_hold_the_loop_up_and_none_of_it_is_lost(one: Make) -> None:
     """A thousand packets or 64 datagrams that are none end a wake-up; the next goes on where it ended."""
-    hands = make()
+    hands = one()
     for _ in range(1200):
         hands.put(after=0, mci=2)
     hands.loop.cycle()
@@ -400,17 +279,9 @@ def test_a_flood_does_not_hold_the_loop_up_and_none_of_it_is_lost(make: Make) ->
     assert hands.rows[-1][2].drops == 100
 
 
-def test_a_packet_that_waits_for_its_answer_gets_it_in_a_flood(make: Make) -> None:
-    hands = make()
-    hands.put()
-    hands.ports[0].waiting += [hands.garbage()] * 64
-    hands.loop.cycle()
-    assert len(hands.ports[0].sent) == 1
-
-
 @pytest.mark.parametrize(("resume", "mode"), [(True, Mode.HOLDING), (False, Mode.ENDED)])
-def test_a_robot_that_begins_anew_ends_a_run_that_does_not_resume(make: Make, resume: bool, mode: Mode) -> None:
-    hands = make(lambda state: Command(), resume=resume)
+def test_a_robot_that_begins_anew_ends_a_run_that_does_not_resume(one: Make, resume: bool, mode: Mode) -> None:
+    hands = one(lambda state: Command(), resume=resume)
     for _ in range(3):
         hands.cycle()
     machine = hands.arms[0].guide
@@ -422,8 +293,8 @@ def test_a_robot_that_begins_anew_ends_a_run_that_does_not_resume(make: Make, re
 
 
 @pytest.mark.parametrize("clock", ["wall", "robot"])
-def test_ten_sessions_that_end_at_once_end_the_run(make: Make, clock: str) -> None:
-    hands = make(clock=clock)
+def test_ten_sessions_that_end_at_once_end_the_run(one: Make, clock: str) -> None:
+    hands = one(clock=clock)
     for count in range(11):
         assert hands.loop.reason == "", count
         hands.robots[0].seq = 0
@@ -433,15 +304,8 @@ def test_ten_sessions_that_end_at_once_end_the_run(make: Make, clock: str) -> No
     assert hands.loop.reason == "sessions ended at once"
 
 
-def test_a_look_tells_what_waited(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    hands, caught = make(), []
-    monkeypatch.setattr(hands.arms[0].recording, "catch_up", lambda: caught.append(1))
-    hands.loop.cycle()
-    assert caught == [1]
-
-
-def test_silence_counts_from_the_newest_packet(make: Make) -> None:
-    hands = make(patience=1.0)
+def test_silence_counts_from_the_newest_packet(one: Make) -> None:
+    hands = one(patience=1.0)
     hands.clock.now += 10**9
     hands.arms[0].check_silence()
     assert hands.arms[0].machine.mode is Mode.WAITING
@@ -455,8 +319,8 @@ def test_silence_counts_from_the_newest_packet(make: Make) -> None:
 
 
 @pytest.mark.parametrize(("clock", "left_out"), [("wall", 1), ("robot", 0)])
-def test_a_reply_is_left_out_for_a_message_that_stays_in_the_queue(make: Make, clock: str, left_out: int) -> None:
-    hands = make(extension=True, clock=clock)
+def test_a_reply_is_left_out_for_a_message_that_stays_in_the_queue(one: Make, clock: str, left_out: int) -> None:
+    hands = one(extension=True, clock=clock)
     for _ in range(10):
         hands.cycle()
     for _ in range(3):
@@ -475,30 +339,23 @@ def test_a_reply_is_left_out_for_a_message_that_stays_in_the_queue(make: Make, c
     np.testing.assert_allclose(steps, 0.0004, atol=1e-12)
 
 
-def test_a_queue_that_stays_deep_is_in_the_events_of_the_run(make: Make) -> None:
-    hands = make(extension=True)
+def test_a_queue_that_stays_deep_is_in_the_events_of_the_run(one: Make) -> None:
+    hands = one(extension=True)
     for _ in range(300):
         hands.cycle(queue_depth=44)
     texts = [text for _, text in hands.arms[0].recording.events]
     assert sum("44 messages have waited in the controller's receive queue for 1 s" in text for text in texts) == 1
 
 
-def test_the_first_reply_is_a_step_like_the_others(make: Make) -> None:
-    hands = make()
-    for _ in range(3):
-        hands.cycle()
-    np.testing.assert_allclose(np.diff([np.asarray(row[2].q_sent) for row in hands.rows], axis=0), 0.0004, atol=1e-12)
-
-
-def test_a_packet_that_gets_no_reply_has_a_row(make: Make) -> None:
-    hands = make(answer_stream=False)
+def test_a_packet_that_gets_no_reply_has_a_row(one: Make) -> None:
+    hands = one(answer_stream=False)
     hands.cycle(mci=2)
     tick = hands.rows[0][2]
     assert (hands.reply(), tick.seq_sent, tick.send_ns, tick.q_sent) == (None, -1, -1, None)
 
 
-def test_a_row_that_could_not_be_recorded_is_the_next(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    hands = make()
+def test_a_row_that_could_not_be_recorded_is_the_next(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    hands = one()
     with monkeypatch.context() as patch:
         patch.setattr(hands.arms[0].recording, "keep", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
@@ -507,9 +364,9 @@ def test_a_row_that_could_not_be_recorded_is_the_next(make: Make, monkeypatch: p
     assert [(row[0].seq, row[2].number) for row in hands.rows] == [(0, 0), (1, 1)]
 
 
-def test_a_row_that_was_kept_is_not_kept_again(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_row_that_was_kept_is_not_kept_again(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     """What fails behind that, in the file or a feed, costs no second row."""
-    hands = make()
+    hands = one()
     recording = hands.arms[0].recording
     with monkeypatch.context() as patch:
         patch.setattr(recording, "catch_up", lambda: 1 / 0)
@@ -520,9 +377,9 @@ def test_a_row_that_was_kept_is_not_kept_again(make: Make, monkeypatch: pytest.M
     assert list(hands.table()["tick"]) == [0, 1]
 
 
-def test_a_reply_that_went_out_is_not_taken_back(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reply_that_went_out_is_not_taken_back(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever fails behind it: the next is one step from it, and it has its row."""
-    hands = make()
+    hands = one()
     for _ in range(5):
         hands.cycle()
     with monkeypatch.context() as patch:
@@ -542,8 +399,8 @@ def test_a_reply_that_went_out_is_not_taken_back(make: Make, monkeypatch: pytest
     assert [row[2].seq_sent for row in hands.rows] == [0, 1, 2, 3, 4, 5, 6, 7, 8]  # that of `replied` has no number
 
 
-def test_a_reply_that_the_system_refuses_is_told_as_a_warning(make: Make) -> None:
-    hands = make()
+def test_a_reply_that_the_system_refuses_is_told_as_a_warning(one: Make) -> None:
+    hands = one()
     hands.ports[0].works = False
     hands.cycle()
     host, port = CONTROLLER
@@ -553,8 +410,8 @@ def test_a_reply_that_the_system_refuses_is_told_as_a_warning(make: Make) -> Non
     assert (hands.rows[0][2].seq_sent, hands.rows[0][2].send_ns) == (-1, -1)
 
 
-def test_a_prediction_counts_the_packets_that_were_missed(make: Make) -> None:
-    hands = make()
+def test_a_prediction_counts_the_packets_that_were_missed(one: Make) -> None:
+    hands = one()
     hands.cycle()
     hands.robots[0].seq += 2
     hands.robots[0].cycle += 2
@@ -564,22 +421,9 @@ def test_a_prediction_counts_the_packets_that_were_missed(make: Make) -> None:
     assert hands.arms[0].prediction.next_ns == hands.clock.now - 0.98 * MS + hands.step
 
 
-def test_a_torque_that_went_out_is_written_down(make: Make) -> None:
-    hands = make(extension=True)
-    arm, tau = hands.arms[0], np.arange(7.0)
-    hands.put()
-    pending = arm.receive(hands.ports[0].receive())
-    reply = arm.machine.answer(None, arm.period)
-    assert pending is not None
-    assert reply is not None
-    arm.reply(pending, None, reply._replace(tau=tau))
-    arm.record()
-    assert hands.rows[0][2].tau_sent is tau
-
-
-def test_what_goes_beside_the_joints_is_written_down(make: Make) -> None:
-    hands = make(lambda state: Command(rapid_data=np.array([1.0, 2.0]), rapid_digital=True))
-    hands.robots[0].codec = RobotSideCodec(RIGHT, "7")
+def test_what_goes_beside_the_joints_is_written_down(one: Make) -> None:
+    hands = one(lambda state: Command(rapid_data=np.array([1.0, 2.0]), rapid_digital=True))
+    hands.robots[0].codec = RobotSideCodec(hands.robots[0].robot, "7")
     hands.cycle()
     tick = hands.rows[-1][2]
     assert tick.rapid_data_sent is not None
@@ -588,12 +432,18 @@ def test_what_goes_beside_the_joints_is_written_down(make: Make) -> None:
     assert tick.q_ext_sent is None
 
 
-def test_a_command_serves_for_exactly_its_time(make: Make) -> None:
-    hands = make()
+def test_a_command_serves_for_exactly_its_time(one: Make) -> None:
+    hands = one()
     hands.cycle()
     arm = hands.arms[0]
     assert arm.newest is not None
     sample = arm.newest.sample._replace(dt=0.25)
     assert arm.kept_command(sample, 1.0) is None
-    arm.set_command(Command())
-    assert [arm.kept_command(sample, 0.5) is not None for _ in range(3)] == [True, True, False]
+    qd = np.zeros(7)
+    arm.set_command(Command(qd=qd))
+    qd[2] = 1.0  # what the controller writes later is not commanded
+    served = [arm.kept_command(sample, 0.5) for _ in range(3)]
+    assert [one is not None for one in served] == [True, True, False]
+    assert not served[0].qd.any()  # type: ignore[union-attr]
+    arm.set_command(None)
+    assert arm.kept_command(sample, 0.5) is None

@@ -173,11 +173,7 @@ def test_what_is_there_is_returned_at_once(port: Port, mode: Wait) -> None:
     found = waiting.next(5.0)
     assert found is not None
     assert (found[0], found[1].data) == (0, b"x")
-
-
-@pytest.mark.parametrize("mode", get_args(Wait))
-def test_nothing_comes(port: Port, mode: Wait) -> None:
-    assert Waiting([port], [Prediction()], mode).next(0.001) is None
+    assert waiting.next(0.001) is None
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -59,13 +60,6 @@ def test_parameters(robot: Robot, tmp_path: Path) -> None:
         recording.parameter(Change(1, "gain", 3.0, "local 1"))
         recording.close({})
     assert log.inspect(tmp_path / "run.mcap").parameters == (Setting(5, 1, "gain", 3.0, "local 1"),)
-
-
-def test_the_robot_is_described_in_the_file(robot: Robot, tmp_path: Path) -> None:
-    recording = Recording(robot, tmp_path / "run.mcap", None, wait=True, clock=lambda: 5)
-    recording.close({})
-    text = log.inspect(tmp_path / "run.mcap").attachments["robot.toml"].decode()
-    assert robots.from_toml(text, "run.mcap") == robot
 
 
 def test_a_command_of_any_shape_does_not_stop_the_rows(robot: Robot) -> None:
@@ -138,13 +132,6 @@ def test_a_full_disk_is_told_at_once_and_once(robot: Robot, tmp_path: Path, monk
     assert problems == [told, f"The recording lost {asked + 1} rows: they came after it stopped."]
 
 
-def test_sentences_of_the_whole_run_have_no_label(robot: Robot) -> None:
-    recording = Recording(robot, None, None, wait=False, clock=lambda: 7, label="yumi_left")
-    recording.event("Late.")
-    recording.note("Stopped.")
-    assert list(recording.events) == [(7, "yumi_left: Late."), (7, "Stopped.")]
-
-
 @pytest.mark.parametrize("in_file", [False, True])
 def test_sentences_before_the_clock_is_known_get_the_stamp_of_the_first_row(
     robot: Robot, tmp_path: Path, in_file: bool
@@ -198,6 +185,11 @@ def test_report_and_table(play: Any, tmp_path: Path, in_file: bool) -> None:
     ):
         assert words in report
     assert run.table is run.table
+    assert "Left out" not in report
+    counted = {**run.statistics, "left_out": 3, "replies": 0, "latency_us": {"p50": float("nan")}}
+    other = replace(run, statistics=counted).report()
+    assert "Left out 3 replies: so many messages waited in the robot's queue." in other
+    assert "Arrival to reply" not in other
     assert len(run.table) == run.statistics["packets"]
     assert run.table.clock == "robot"
     np.testing.assert_allclose(np.diff(run.table.t), 0.004, atol=1e-9)
@@ -228,21 +220,6 @@ def test_who_was_served() -> None:
         "Parameters in force: gain = 2.0.",
     ]
     assert served({}) == []
-
-
-def test_replies_that_were_left_out_are_in_the_report(play: Any) -> None:
-    run = play(lambda peer: peer.rest(), rush, seconds=0.05)
-    assert "Left out" not in run.report()
-    run.statistics["left_out"] = 3
-    assert "Left out 3 replies: so many messages waited in the robot's queue." in run.report()
-
-
-def test_a_run_without_replies_reports_no_times_of_them(play: Any) -> None:
-    run = play(lambda peer: peer.rest(), rush, seconds=0.05)
-    assert "Arrival to reply" in run.report()
-    run.statistics["replies"], run.statistics["latency_us"] = 0, {"p50": float("nan")}
-    assert "Arrival to reply" not in run.report()
-    assert "nan" not in run.report()
 
 
 def test_the_table_and_the_wire_agree_on_clamps(play: Any) -> None:

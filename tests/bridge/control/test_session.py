@@ -68,13 +68,6 @@ def test_replies_to_another_port_that_took_over_begin_at_zero(feed: Any) -> None
     assert feed.session.drops == {"duplicate": 1, "foreign source": 2}
 
 
-def test_silence_begins_a_new_session(feed: Any) -> None:
-    feed(seqno=10)
-    sample = feed.sample(seqno=11, after=SILENCE)
-    assert sample.session == 2
-    assert feed.session.reason == "the controller stopped sending"
-
-
 def test_a_session_ends_once_after_half_a_second(feed: Any) -> None:
     assert feed.session.end() == ""
     assert feed.session.period.seconds == 0.004
@@ -117,6 +110,10 @@ def test_why_a_session_ended(feed: Any, fields: dict[str, int], words: str) -> N
 
 
 def test_our_own_silence_is_named(feed: Any) -> None:
+    feed()
+    feed(after=150_000_000)
+    assert "stopped sending" in feed.session.end()
+    feed(seqno=0)
     for _ in range(60):
         feed()
     assert "did not answer for 0.24 s (event 41822" in feed.session.end()
@@ -127,18 +124,15 @@ def test_our_own_silence_is_named(feed: Any) -> None:
     assert "stopped sending" in feed.session.end()
 
 
-def test_our_own_silence_is_longer_than_150_ms(feed: Any) -> None:
-    feed()
-    feed(after=150_000_000)
-    assert "stopped sending" in feed.session.end()
-
-
 def test_other_senders_are_foreign(feed: Any) -> None:
     feed()
     assert feed(port=5001) is None
     assert feed.raw(b"noise", host="10.0.0.9") is None
-    assert feed.session.drops == {"foreign source": 2}
+    assert feed(port=5001, seqno=9, after=30_000_000) is None, "after a while one that begins, only"
+    assert feed.session.drops == {"foreign source": 3}
     assert feed.session.source == ("127.0.0.1", 5000)
+    feed.session.end()
+    assert feed.sample(port=6000, seqno=40).session == 2
 
 
 def test_rapid_restarts_fast_from_another_port(feed: Any) -> None:
@@ -147,18 +141,6 @@ def test_rapid_restarts_fast_from_another_port(feed: Any) -> None:
     sample = feed.sample(port=5001, seqno=0, after=10_000_000)
     assert sample.session == 2
     assert feed.session.source == ("127.0.0.1", 5001)
-
-
-def test_another_port_without_number_zero_stays_foreign(feed: Any) -> None:
-    feed()
-    assert feed(port=5001, seqno=9, after=30_000_000) is None
-    assert feed.session.drops == {"foreign source": 1}
-
-
-def test_a_session_that_ended_takes_any_sender(feed: Any) -> None:
-    feed()
-    feed.session.end()
-    assert feed.sample(port=6000, seqno=40).session == 2
 
 
 def test_each_kind_of_drop_is_told_once_per_session(feed: Any) -> None:
@@ -179,13 +161,6 @@ def test_each_kind_of_drop_is_told_once_per_session(feed: Any) -> None:
     feed(seqno=0)
     feed.raw(b"\xff")
     assert "unparsable" in feed.events[-1]
-
-
-def test_garbage_begins_no_session(feed: Any) -> None:
-    for data in (b"", b"\x0a", b"\xff" * 100):
-        assert feed.raw(data) is None
-    assert not feed.session.active
-    assert feed.session.received == 0
 
 
 def test_velocity_from_differences_is_filtered_and_converges(feed: Any) -> None:
@@ -303,12 +278,11 @@ def test_a_gap_at_the_beginning_of_a_session_does_not_lengthen_the_step() -> Non
     for sample in (0.9, 0.9, 0.9, 0.004):
         period.add(sample)
         assert period.seconds <= 1.5 * NOMINAL_PERIOD
-
-
-def test_a_slower_sample_rate_is_believed_after_nine_samples() -> None:
     period = Period()
     for _ in range(9):
         period.add(0.024)
+    assert period.seconds == 0.024
+    assert not any(period.add(1e-6) for _ in range(100)), "bursts are no cycles"
     assert period.seconds == 0.024
 
 
@@ -365,13 +339,6 @@ def test_a_slow_clock_is_told(packets: Any) -> None:
     assert "runs behind ours" in told[0]
 
 
-def test_bursts_and_steps_that_are_not_believed_are_no_cycles() -> None:
-    period = Period()
-    for sample in [0.004] * 20 + [1e-6] * 100:
-        assert not period.add(sample)
-    assert period.seconds == pytest.approx(0.004)
-
-
 def test_in_lockstep_arrivals_keep_no_time(packets: Any) -> None:
     found, told = steps(packets, [24.0] * 50, [0.1] * 50, checks_arrival=False)
     assert found == pytest.approx([24.0] * 50)
@@ -407,10 +374,10 @@ def test_how_many_packets_may_be_lost(feed: Any, ahead: int, counts: bool) -> No
 
 
 def test_numbers_wrap(feed: Any) -> None:
-    feed(seqno=2**32 - 1)
-    sample = feed.sample(seqno=0)
+    feed(seqno=2**32 - 1, tm_ms=2**32 - 2)
+    sample = feed.sample(seqno=0, tm_ms=2)
     assert (sample.session, sample.missed) == (1, 0)
-    assert feed.sample(seqno=3).missed == 2
+    assert feed.sample(seqno=3, tm_ms=14).missed == 2
 
 
 def test_number_zero_is_a_new_session(feed: Any) -> None:
@@ -421,14 +388,6 @@ def test_number_zero_is_a_new_session(feed: Any) -> None:
     assert (sample.session, sample.fresh, sample.dt, feed.session.seq) == (2, True, 0.004, 0)
     assert feed.session.received == 6
     assert feed.warnings == ["Session 1 ended: the controller stopped sending."]
-
-
-def test_a_late_duplicate_of_the_first_packet_is_none(feed: Any) -> None:
-    feed(seqno=0, tm_ms=77)
-    feed()
-    assert feed(seqno=0, tm_ms=77) is None
-    assert feed.session.drops == {"duplicate": 1}
-    assert feed.session.number == 1
 
 
 def test_without_a_tm_the_number_tells(feed: Any) -> None:
@@ -448,24 +407,15 @@ def test_a_tm_half_a_turn_ahead_is_one_of_the_past(feed: Any) -> None:
     assert feed.sample(seqno=6, tm_ms=2**31 - 1).missed == 0
 
 
-@pytest.mark.parametrize("seqno", [3, 40])
-def test_a_late_packet_of_the_session_before_is_old(feed: Any, seqno: int) -> None:
+@pytest.mark.parametrize(("seqno", "tm"), [(3, 2000), (40, 2000), (0, 1000)])
+def test_a_late_packet_of_the_session_before_is_old(feed: Any, seqno: int, tm: int) -> None:
     """Its number may be ahead of ours: only its tm tells."""
     feed(seqno=0, tm_ms=1000)
     feed(seqno=0, tm_ms=3000)
     feed(seqno=1, tm_ms=3004)
-    assert feed(seqno=seqno, tm_ms=2000) is None
+    assert feed(seqno=seqno, tm_ms=tm) is None
     assert feed.session.drops == {"old": 1}
     assert feed.sample(seqno=2, tm_ms=3008).missed == 0
-    assert feed.session.number == 2
-
-
-def test_the_first_packet_of_the_session_before_is_old(feed: Any) -> None:
-    feed(seqno=0, tm_ms=1000)
-    feed(seqno=0, tm_ms=3000)
-    feed(seqno=1, tm_ms=3004)
-    assert feed(seqno=0, tm_ms=1000) is None
-    assert feed.session.drops == {"old": 1}
     assert feed.session.number == 2
 
 
@@ -498,14 +448,6 @@ def test_a_session_whose_first_packet_was_lost_begins_after_five_periods(feed: A
     assert found[5].fresh
     assert (found[6].missed, found[6].session) == (0, 2)
     assert feed.session.drops == {"old": 5}
-
-
-def test_the_third_packet_that_goes_on_begins_a_session(feed: Any) -> None:
-    for k in range(50):
-        feed(seqno=k, tm_ms=60_000 + 4 * k)
-    found = [feed(seqno=1 + k, tm_ms=200 + 4 * k, after=3 * PERIOD_NS) for k in range(3)]
-    assert found[:2] == [None, None]
-    assert found[2].session == 2
 
 
 @pytest.mark.parametrize(("step", "begins"), [(0, False), (-4, False), (1, True), (2**31 - 1, True), (2**31, False)])
@@ -549,11 +491,6 @@ def test_old_packets_in_a_row_do_not_take_over_from_a_session_that_goes_on(feed:
     assert feed.sample(seqno=51, tm_ms=60_204).session == 1
 
 
-def test_tm_wraps(feed: Any) -> None:
-    feed(seqno=5, tm_ms=2**32 - 2)
-    assert feed.sample(seqno=6, tm_ms=2).missed == 0
-
-
 def test_a_first_packet_that_was_overtaken_begins_no_session(feed: Any) -> None:
     assert feed(seqno=1, tm_ms=10_004) is not None
     assert feed(seqno=0, tm_ms=10_000) is None
@@ -561,10 +498,5 @@ def test_a_first_packet_that_was_overtaken_begins_no_session(feed: Any) -> None:
     for before in (1, 99):
         assert feed(seqno=0, tm_ms=10_004 - before) is None
     assert feed.session.number == 1
-    assert feed(seqno=0, tm_ms=500) is not None
-    assert feed.session.number == 2
-
-
-def test_a_first_packet_that_is_older_by_a_tenth_of_a_second_begins_one(feed: Any) -> None:
-    feed(seqno=1, tm_ms=10_004)
     assert feed.sample(seqno=0, tm_ms=10_004 - 100).session == 2
+    assert feed.sample(seqno=0, tm_ms=500).session == 3

@@ -214,14 +214,6 @@ def test_losing_readiness_holds_and_needs_entry_again(bench: Bench, fields: dict
     assert bench.mode is Mode.RUNNING
 
 
-def test_a_far_entry_after_a_motion_is_told_after_a_second_too(bench: Bench) -> None:
-    bench.run()
-    for _ in range(30):
-        bench.reply(None)
-    bench.reply(Command(bench.home - 1.0))
-    assert not bench.feed.warnings
-
-
 def test_stopping_ramps_rests_and_ends(bench: Bench) -> None:
     bench.run()
     bench.machine.stop("the time is up")
@@ -252,13 +244,6 @@ def test_an_arm_that_is_not_ready_while_it_stops_ends_after_the_same_time(bench:
     assert bench.machine.answer(None, T) is None, "to a packet of the session before"
 
 
-def test_the_first_reason_stays(bench: Bench) -> None:
-    bench.run()
-    bench.machine.stop("first")
-    bench.machine.stop("second", LinkError("Expected the first reason to stay, it did not."))
-    assert (bench.machine.reason, bench.machine.failure) == ("first", None)
-
-
 def test_the_controller_ends_the_run(bench: Bench) -> None:
     bench.run()
     bench.reply(Command.stop())
@@ -282,16 +267,11 @@ def test_a_lost_session_is_waited_for_or_ends(bench: Bench) -> None:
     assert bench.machine.reason == "the motors were switched off"
 
 
-def test_a_new_session_while_running_holds_first(bench: Bench) -> None:
-    bench.run()
-    state = bench.see(seqno=0, q=bench.home + 0.2)
-    assert (bench.mode, state.session) == (Mode.HOLDING, 2)
-    np.testing.assert_allclose(state.q_start, bench.home + 0.2, rtol=1e-14)
-
-
 def test_a_session_lost_while_stopping_ends(bench: Bench) -> None:
     bench.run()
     bench.machine.stop("interrupted")
+    bench.machine.stop("second", LinkError("Expected the first reason to stay, it did not."))
+    assert bench.machine.failure is None
     bench.machine.lose("the controller stopped sending", resume=True)
     assert (bench.mode, bench.machine.reason) == (Mode.ENDED, "interrupted")
 
@@ -303,15 +283,6 @@ def test_implausible_feedback_never_moves(bench: Bench) -> None:
         assert not bench.machine.calls
     assert bench.mode is Mode.ENDED
     assert "other units" in str(bench.machine.failure)
-
-
-def test_implausible_feedback_of_a_restarted_session_is_not_sent_back(bench: Bench) -> None:
-    """Radians taken for degrees one way only: the feedback sent back would be a jump."""
-    bench.run()
-    for k in range(3):
-        assert bench(Command(bench.home), seqno=k, tm_ms=99_000 + 4 * k, q=np.degrees(bench.home) + 100.0) is None
-    assert bench.mode is Mode.ENDED
-    assert isinstance(bench.machine.failure, LinkError)
 
 
 def test_the_overdue_hold_stays_in_its_mode(bench: Bench) -> None:
@@ -374,21 +345,12 @@ def test_three_commands_that_are_not_finite_end_the_run(bench: Bench, bad: float
     assert "finite" in str(bench.machine.failure)
 
 
-def test_a_hold_between_bad_ones_goes_on(bench: Bench) -> None:
+def test_a_hold_or_a_good_command_between_bad_ones_goes_on(bench: Bench) -> None:
     bench.run()
-    for command in (*[Command(np.full(7, np.nan))] * 2, None, *[Command(np.full(7, np.nan))] * 2):
+    for command in (BAD, BAD, None, BAD, BAD, Command(qd=np.zeros(7)), BAD, BAD):
         bench.reply(command)
     assert bench.machine.calls
-
-
-def test_a_good_command_between_bad_ones_goes_on(bench: Bench) -> None:
-    bench.run()
-    for _ in range(4):
-        for _ in range(2):
-            bench.reply(Command(bench.machine._limiter.q + 0.5))
-        bench.reply(Command(qd=np.zeros(7)))
-    assert bench.mode is Mode.RUNNING
-    assert bench.machine.refused == 8
+    assert bench.machine.refused == 6
 
 
 @pytest.mark.parametrize("command", [Command(np.zeros(6)), "up", Command(tau=np.zeros(7))])

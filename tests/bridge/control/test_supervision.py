@@ -6,7 +6,6 @@ import time
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from armlab.bridge.control.limits import Limits
@@ -15,7 +14,6 @@ from armlab.bridge.control.supervision import Settings, Supervisor, check_list
 from armlab.bridge.net.sockets import Port
 from armlab.errors import LinkError, NoRobot, SessionEnded
 from armlab.robots import Robot
-from armlab.state import Command
 
 
 class Bench:
@@ -43,11 +41,6 @@ class Bench:
         self.port.close()
 
 
-def test_a_run_without_settings_goes_on_and_waits_for_its_robot_half_a_minute() -> None:
-    one = Settings()
-    assert (one.seconds, one.resume, one.clock, one.patience, one.alive()) == (None, True, "wall", 30.0, "")
-
-
 def test_patience_ends_with_no_robot_and_a_check_list(feed: Any, robot: Robot) -> None:
     bench = Bench(feed, robot, patience=7.0)
     feed.raw(b"noise", after=0)
@@ -57,12 +50,6 @@ def test_patience_ends_with_no_robot_and_a_check_list(feed: Any, robot: Robot) -
     assert isinstance(failure, NoRobot)
     for words in ("within 7 s", "1 unparsable", f"127.0.0.1:{bench.port.port}", "this computer only", "firewall"):
         assert words in str(failure)
-
-
-def test_without_any_datagram_none_is_spoken_of(feed: Any, robot: Robot) -> None:
-    bench = Bench(feed, robot, patience=7.0)
-    bench.check_silence(7.1)
-    assert "but none came. Listening on" in str(bench.machine.failure)
 
 
 def test_exactly_the_patience_is_not_too_long(feed: Any, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -85,12 +72,6 @@ def test_the_check_list_is_told_before(feed: Any, robot: Robot) -> None:
     bench.check_silence(5.6)
     assert bench.told == [(f"No packet yet. {check_list(bench.port)}", True)]
     assert bench.machine.mode is Mode.WAITING
-
-
-def test_the_check_list_says_who_can_be_heard() -> None:
-    port = Port("0.0.0.0", 0)
-    port.close()
-    assert f"Listening on 0.0.0.0:{port.port}. Check" in check_list(port)
 
 
 def test_silence_ends_the_session_and_waits(feed: Any, robot: Robot) -> None:
@@ -178,52 +159,3 @@ def test_a_session_that_moves_on_starts_the_count_again(feed: Any, robot: Robot)
     assert bench.machine.failure is None
     sessions(bench, 11, 2)
     assert bench.machine.reason == "sessions ended at once"
-
-
-def test_a_first_session_that_moves_on_does_not_count(feed: Any, robot: Robot) -> None:
-    bench = Bench(feed, robot)
-    sessions(bench, 1, 30)
-    sessions(bench, 10, 2)
-    assert bench.machine.failure is None
-
-
-def test_a_robot_that_reports_an_error_in_each_session_ends_the_run(play: Any) -> None:
-    """Time under guidance never comes then, so that `seconds` alone would go on for ever."""
-
-    def script(peer: Any) -> None:
-        while not peer.over.is_set() and peer.packets.cycle < 1000:
-            for mci in (3, 1):
-                peer.send(mci=mci)
-                peer.answer_or_end(peer.over)
-            peer.packets.seq = 0
-
-    with pytest.raises(SessionEnded, match=r"10 in a row .* the controller reported an EGM error") as caught:
-        play(script, lambda state: Command(qd=np.full(7, 0.1)), seconds=6.0)
-    assert caught.value.table["mci"].tolist()[:4] == [3, 1, 3, 1]
-    assert play.peer.packets.cycle < 200  # ten sessions, and half a second at rest
-
-
-@pytest.mark.parametrize("failing", [0, 1])
-def test_one_arm_of_two_that_reports_errors_ends_the_run_of_both(pair: Any, failing: int) -> None:
-    def script(*peers: Any) -> None:
-        over = pair.peer.over
-        while not over.is_set() and peers[0].packets.cycle < 1000:
-            for mci in (3, 1):
-                for k, peer in enumerate(peers):
-                    peer.send(mci=mci if k == failing else 3)
-                    peer.answer_or_end(over)
-            peers[failing].packets.seq = 0
-
-    with pytest.raises(SessionEnded, match="10 in a row"):
-        pair(script, lambda state: None, seconds=6.0)
-
-
-def test_listening_to_sessions_of_one_packet_ends(play: Any) -> None:
-    def script(peer: Any) -> None:
-        while not peer.over.is_set() and peer.packets.cycle < 1000:
-            peer.send()
-            peer.packets.seq = 0
-            peer.over.wait(0.001)
-
-    with pytest.raises(SessionEnded, match="a session with packets for"):
-        play(script, None, play.link(clock="wall"), seconds=6.0)

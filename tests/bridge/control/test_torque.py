@@ -216,14 +216,3 @@ def test_a_torque_beside_a_position(pushed: Bench, robot: Robot) -> None:
         refused = pushed.reply(Command(pushed.home + 1.0, tau=np.full(7, 10.0)))
         assert refused.tau == pytest.approx(0.8)
         pushed.see(motors=2)
-
-
-def test_a_torque_alone_ends_a_row_of_refusals(pushed: Bench, robot: Robot) -> None:
-    pushed.run()
-    bad, push = Command(np.full(7, np.nan)), Command(tau=np.zeros(7))
-    for command in (bad, bad, push, bad, bad, push, None):
-        pushed.reply(command)
-    assert pushed.mode is Mode.HOLDING
-    warned = len(pushed.feed.warnings)
-    pushed.reply(Command(pushed.home + 1.0))
-    assert len(pushed.feed.warnings) == warned, "a far entry is told after a second"

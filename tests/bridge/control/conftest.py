@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from armlab import robots
 from armlab.bridge import Limits
 from armlab.bridge.control.arm import ArmSession
 from armlab.bridge.control.loop import Loop
@@ -31,6 +32,7 @@ MODULES = (
 )  # of the bridge, that read a clock
 CONTROLLER = ("127.0.0.1", 5000)
 MS = 1_000_000
+LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
 
 
 def drift(state: State) -> Command:
@@ -180,3 +182,15 @@ class Hands:
 
 
 Make = Callable[..., Hands]
+
+
+@pytest.fixture
+def one(monkeypatch: pytest.MonkeyPatch) -> Make:
+    """Return what makes a loop of one arm."""
+    return lambda controller=drift, **options: Hands(monkeypatch, [RIGHT], controller, **options)
+
+
+@pytest.fixture
+def two(monkeypatch: pytest.MonkeyPatch) -> Make:
+    """Return what makes a loop of two arms."""
+    return lambda controller, **options: Hands(monkeypatch, [LEFT, RIGHT], controller, **options)

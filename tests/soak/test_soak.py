@@ -1,20 +1,26 @@
-"""Leaks are found at the size that is claimed, scatter is not; each single fault of a run is found."""
+"""The soak: what processes hold is counted, the judge finds each fault and no more, and a short run ends whole."""
 
 from __future__ import annotations
 
+import json
+import os
+import signal
+import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-sys.path.append(str(Path(__file__).parents[2]))
-
+from armlab.errors import ArmlabError
 from soak import verdict
 from soak.judged import judged
+from soak.processes import HEAD, Watch, family, held, label
 from soak.series import Held, Recorded
+
+sys.path.append(str(Path(__file__).parents[2]))
 
 MIB = 2**20
 T = np.linspace(0.0, 1800.0, 300)  # s: half an hour at 250 Hz, as the soak in real time
@@ -216,3 +222,126 @@ def test_a_fault_is_found(fault: Callable[[dict[str, Any]], None]) -> None:
     failed = [one.what for one in judged(**run) if not one.is_met]
     assert any(what.startswith(FAULTS[fault]) for what in failed)
     assert len(failed) == 1 or fault.__name__ in ("unfinished", "row lost", "too slow"), failed
+
+
+sys.path.append(str(Path(__file__).parents[2]))
+
+
+def test_memory_and_descriptors_of_a_process_are_counted(tmp_path: Path) -> None:
+    """Fails when pages of files count, or when only what is resident at the start does."""
+    memory, descriptors, threads, cpu = held(os.getpid())
+    files = [(tmp_path / f"{k}").open("w") for k in range(5)]
+    try:
+        more = bytearray(os.urandom(1)) * 2**25
+        after = held(os.getpid())
+    finally:
+        for file in files:
+            file.close()
+    assert abs(after[0] - memory - len(more)) < 2**21
+    assert after[1] == descriptors + 5
+    assert after[2] == threads >= 1
+    assert after[3] >= cpu > 0.0
+    assert next(family(os.getpid())) == os.getpid()
+    assert label(os.getpid(), os.getpid()) == "loop and recorder"
+
+
+def test_what_a_process_started_belongs_to_it_until_it_ends() -> None:
+    words = [sys.executable, "-c", "print(flush=True); input()", "-m", "armlab.bridge.servers.serve", "zenoh"]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
+        try:
+            assert child.stdout is not None
+            child.stdout.readline()  # before, the kernel may not have its words yet
+            assert child.pid in family(os.getpid())
+            assert label(child.pid, os.getpid()) == "server zenoh"
+        finally:
+            child.communicate(b"\n")
+    assert child.pid not in family(os.getpid())
+    with pytest.raises(OSError, match=r"No such"):
+        held(child.pid)
+
+
+def test_the_last_look_is_at_the_end(tmp_path: Path) -> None:
+    with Watch(tmp_path / "held.csv", 1e3, lambda: iter([(os.getpid(), "me")])) as watch:
+        while not (tmp_path / "held.csv").exists() or "me" not in (tmp_path / "held.csv").read_text():
+            watch.pause(0.01)
+    head, *looks = (tmp_path / "held.csv").read_text().splitlines()
+    assert head == HEAD
+    assert [look.split(",")[1] for look in looks] == ["me", "me"], "at the begin, and when it was over"
+
+
+def test_who_waits_is_told_that_nobody_looks_any_more(tmp_path: Path) -> None:
+    """Fails when the thread only ends: the run would go on without it, and be judged by what it saw."""
+
+    def processes() -> Iterator[tuple[int, str]]:
+        yield os.getpid(), "me"
+        raise OSError(28, "No space left on device")
+
+    for seconds in (10.0, 0.0):  # who waits, and who comes to the end of the run
+        watch = Watch(tmp_path / "held.csv", 1e-3, processes)
+        with pytest.raises(ArmlabError, match=r"until the end, got OSError\(28, 'No space"), watch:
+            watch.pause(seconds)
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def soaked(part: str, seconds: float, folder: Path) -> dict[str, dict[str, object]]:
+    """Run a part. Return its findings that a short run can judge, by what they are of."""
+    words = [sys.executable, str(ROOT / "soak" / "run.py"), part, "--seconds", str(seconds), "--folder", str(folder)]
+    ended = subprocess.run(words, capture_output=True, text=True, timeout=500.0, check=False)
+    assert (folder / "result.json").exists(), ended.stdout + ended.stderr
+    result = json.loads((folder / "result.json").read_text())
+    assert (folder / "soak.png").stat().st_size > 10_000
+    judged = {one["what"]: one for one in result["judged"]}
+    assert all(one["what"] in ended.stdout for one in result["judged"])
+    assert ended.returncode == (not all(one["is_met"] for one in result["judged"])), ended.stderr
+    return judged
+
+
+def failed(judged: dict[str, dict[str, object]]) -> list[str]:
+    """What is beyond its bound, but for what some seconds on a busy machine cannot tell."""
+    short = ("memory, growth", "arrival to reply", "stamp to receipt", "packets left out", "last look")
+    return [what for what, one in judged.items() if not one["is_met"] and not any(word in what for word in short)]
+
+
+@pytest.mark.slow
+def test_all_servers_and_ten_clients_in_real_time(tmp_path: Path) -> None:
+    """Takes 30 s, more where the machine is busy."""
+    for extra in ("zenoh", "cyclonedds", "websockets", "xxhash"):
+        pytest.importorskip(extra)
+    judged = soaked("real_time", 6.0, tmp_path)
+    assert failed(judged) == []
+    servers = ("ros2", "rmw_zenoh", "rosbridge", "zenoh", "plotjuggler", "labcomm", "local")
+    assert all(f"server {name}: starts anew (0 of 0), difference" in judged for name in servers)
+    assert any(what.startswith("run-right: rows that can be read") for what in judged)
+    assert any(what.startswith("commander left: rows that can be read") for what in judged)
+
+
+@pytest.mark.slow
+def test_lockstep(tmp_path: Path) -> None:
+    """Takes 10 s."""
+    judged = soaked("lockstep", 20.0, tmp_path)
+    assert failed(judged) == []
+    assert any(what.startswith("run: rows that can be read, of packets (50") for what in judged)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["--most", "a signal"])
+def test_a_run_that_is_cut_off_is_judged_and_says_so(way: str, tmp_path: Path) -> None:
+    """Takes 5 s each."""
+    words = [sys.executable, str(ROOT / "soak" / "run.py"), "lockstep", "--folder", str(tmp_path)]
+    words += ["--most", "1"] if way == "--most" else []
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        said = ""
+        while "judged all the same" not in said:
+            line = child.stdout.readline()
+            assert line, said
+            said += line
+        if way != "--most":
+            child.send_signal(signal.SIGTERM)
+        said += child.stdout.read()
+    assert child.returncode == 1
+    assert f"FAIL cut off by {way}" in said
+    assert "FAIL length, short of what was wanted by" in said
+    assert "ok   run: recordings finished" in said
