@@ -12,7 +12,6 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from armlab.bridge.control.arm import ArmSession
 from armlab.bridge.control.recording import Recording
 from armlab.bridge.control.run import End, assemble, checked_limits, finished
 from armlab.bridge.control.supervision import Settings
-from armlab.bridge.link import GROUP, Link, Simulator, codec_named, codecs_of, connect
+from armlab.bridge.link import GROUP, Simulator, codec_named, codecs_of, connect
 from armlab.bridge.net.sockets import Port
 from armlab.bridge.urls import Address, addresses, simulator_options, split_url
 from armlab.errors import ConfigError, LinkError, LogError, NoRobot, RobotError, UnknownName
@@ -102,15 +101,50 @@ def sway(state: State) -> Command:
     return Command(state.q_start + 0.05 * np.sin(3.0 * state.t) * np.ones(7))
 
 
-def test_wrong_options(robot: Robot) -> None:
-    with pytest.raises(UnknownName, match="codec"):
-        connect("egm://127.0.0.1:0", robot, codec="egmri")
-    with pytest.raises(ConfigError, match="clock"):
-        connect("egm://127.0.0.1:0", robot, clock="atomic")  # type: ignore[arg-type]
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"controller": 5}, "controller to call"),
+        ({"limits": 3}, r"Expected Limits, .* got 3\. Use Limits\.of"),
+        ({"limits": Limits(*np.stack([-np.ones(6), *[np.ones(6)] * 5]))}, r"7 joints .* got 6"),
+        ({"extra": {"a": 3}}, r"extra=\{'a': Column"),
+        ({"seconds": -1.0}, "seconds of at least 0"),
+        ({"seconds": float("nan")}, "seconds of at least 0"),
+        ({"seconds": "3"}, "seconds of at least 0"),
+        ({"wait": "sleep"}, "wait"),
+        ({"reconnect": "never"}, "reconnect"),
+        ({"torque": "always"}, "torque"),
+    ],
+)
+def test_what_a_run_cannot_use_is_refused_before_it_begins(robot: Robot, options: Any, words: str) -> None:
     with connect("egm://127.0.0.1:0", robot) as link:
-        for options in ({"wait": "sleep"}, {"reconnect": "never"}, {"torque": "always"}):
-            with pytest.raises(ConfigError, match=next(iter(options))):
-                link.run(sway, **options)  # type: ignore[arg-type]
+        assert (link.host, link.port > 0) == ("127.0.0.1", True)
+        with pytest.raises(ConfigError, match=words):
+            link.run(**{"controller": sway, **options})
+    with pytest.raises(LinkError, match=r"closed\. Connect again"):
+        link.run(sway)
+
+
+@pytest.mark.parametrize(
+    ("url", "arms", "options", "words"),
+    [
+        ("http://x", 1, {}, "egm://127.0.0.1:6510 or sim://"),
+        ("egm://", 1, {}, "egm://127.0.0.1:6510 or sim://"),
+        ("egm://127.0.0.1:port", 1, {}, "port from 0 to 65535"),
+        ("egm://127.0.0.1:0?seed=1", 1, {}, "no options in an egm link, got seed"),
+        ("egm://127.0.0.1:0", 1, {"clock": "atomic"}, "clock"),
+        ("egm://127.0.0.1:0", 1, {"patience": 0.0}, "patience above 0 s"),
+        ("sim://yumi_left", 2, {}, "one url per robot, got 1 for 2"),
+        (["egm://127.0.0.1:6510"] * 2, 2, {}, "a port per arm"),
+        (["sim://yumi_left", "egm://127.0.0.1:0"], 2, {}, "of one kind"),
+        (["sim://yumi_left?seed=1&loss=0.1", "sim://yumi_right?seed=2"], 2, {}, "the same options"),
+        (["egm://127.0.0.1:0"] * 2, 0, {}, "different names"),
+    ],
+)
+def test_wrong_links(url: Any, arms: int, options: dict[str, Any], words: str) -> None:
+    robot: Any = {0: [RIGHT, RIGHT], 1: RIGHT, 2: [robots.load("yumi_left"), RIGHT]}[arms]
+    with pytest.raises(ConfigError, match=words):
+        connect(url, robot, **options)
 
 
 @pytest.mark.parametrize(("answer_stream", "controller"), [(True, None), (False, sway)])
@@ -128,13 +162,6 @@ def test_a_robot_in_lockstep_must_be_answered(robot: Robot, answer_stream: bool,
                 link.run(controller)
         with pytest.raises(NoRobot):
             in_real_time.run(controller)
-
-
-def test_the_default_port_is_on_this_computer_only(robot: Robot) -> None:
-    with connect("egm://127.0.0.1:0", robot) as link:
-        assert isinstance(link, Link)
-        assert link.host == "127.0.0.1"
-        assert link.port > 0
 
 
 def test_a_port_in_use(robot: Robot) -> None:
@@ -177,27 +204,6 @@ def test_another_codec(play: Any, robot: Robot) -> None:
     codec = Counting(robot)
     run = play(lambda peer: peer.rest(), sway, play.link(codec=codec), seconds=0.1)
     assert codec.decoded >= run.statistics["packets"]
-
-
-@pytest.mark.parametrize("seconds", [-1.0, float("nan"), "3"])
-def test_a_time_that_would_never_come_is_refused(robot: Robot, seconds: Any) -> None:
-    with connect("egm://127.0.0.1:0", robot) as link, pytest.raises(ConfigError, match="seconds of at least 0"):
-        link.run(sway, seconds=seconds)
-
-
-@pytest.mark.parametrize(
-    ("controller", "options", "words"),
-    [
-        (5, {}, "controller to call"),
-        (sway, {"limits": 3}, r"Expected Limits, .* got 3\. Use Limits\.of"),
-        (sway, {"extra": {"a": 3}}, r"extra=\{'a': Column"),
-    ],
-)
-def test_what_a_run_cannot_use_is_refused_before_it_begins(
-    robot: Robot, controller: Any, options: Any, words: str
-) -> None:
-    with connect("egm://127.0.0.1:0", robot) as link, pytest.raises(ConfigError, match=words):
-        link.run(controller, **options)
 
 
 def test_two_runs_on_one_link(play: Any) -> None:
@@ -342,7 +348,6 @@ def test_ctrl_c_in_real_time(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     command = [sys.executable, "-c", _PROGRAM, str(path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as program:
-        assert program.stdout is not None
         assert program.stdout.readline() == "running\n"
         program.send_signal(signal.SIGINT)
         assert program.stdout.readline() == "stopped\n"
@@ -457,12 +462,6 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "somesite", raising=False)
 
 
-def test_ours(robot: Robot) -> None:
-    codec = codec_named("egm", robot, extension=True)
-    assert isinstance(codec, EgmCodec)
-    assert "torque" in codec.capabilities
-
-
 @pytest.mark.usefixtures("package")
 def test_an_entry_point(robot: Robot) -> None:
     first, second = codec_named("good", robot), codec_named("good", robot)
@@ -487,15 +486,11 @@ def test_unknown_names_list_what_exists(robot: Robot) -> None:
         codec_named("egmri", robot)
 
 
-def test_an_object_of_ones_own(robot: Robot) -> None:
-    own: Any = SimpleNamespace(capabilities=frozenset(("position",)), reset=None, decode=None, encode=None)
-    with connect("egm://127.0.0.1:0", robot, codec=own) as link:
-        assert link.robot is robot
-
-
 def test_an_object_that_is_no_codec_is_refused(robot: Robot) -> None:
     with pytest.raises(ConfigError, match=r"wire\.egm\.Codec, got 5\."):
         connect("egm://127.0.0.1:0", robot, codec=5)  # type: ignore[arg-type]
+    with pytest.raises(UnknownName, match="codec"):
+        connect("egm://127.0.0.1:0", robot, codec="egmri")
     with pytest.raises(ConfigError, match="one codec per arm"):
         codecs_of(EgmCodec(robot), [robot, robot], extension=False)
 

@@ -61,7 +61,6 @@ def program(*words: str, errors: IO[str] | int = subprocess.PIPE) -> Iterator[su
 
 
 def line(file: IO[str] | None) -> str:
-    assert file is not None
     return file.readline()
 
 

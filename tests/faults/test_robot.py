@@ -9,9 +9,8 @@ import numpy as np
 
 from armlab.wire.egm import armlab_egm_pb2 as pb
 
-from .bench import PERIOD, Bench, Motion, Outcome
-from .judge import judge, met_in_motion
-from .matrix import Cell, cells, shows
+from .bench import PERIOD, Bench, Motion, Outcome, judge, met_in_motion
+from .matrix import Cell, shows
 
 AT = 0.3
 BEGINS = {"waiting": 0.0, "holding": AT, "running": AT, "stopping": AT}
@@ -66,55 +65,13 @@ def still(message: Any, first: Any) -> None:
     message.feedBack.time.CopyFrom(first.feedBack.time)
 
 
-@shows(
-    cells(
-        "robot",
-        "the feedback is 100 rad off in two packets",
-        "holding, running",
-        "hold; the false position is never a reference",
-        "Expected joint 1 (…) of yumi_right between … but the robot reports …",
-        "with the third plausible packet, or at once in motion",
-        (far, 2),
-    ),
-    cells(
-        "robot",
-        "the feedback is 0.3 rad off in one packet",
-        "running",
-        "hold for that packet",
-        "to move no faster than the arm can",
-        "at once",
-        (noisy, 1),
-    ),
-    cells(
-        "robot",
-        "two packets have no state of the motors",
-        "running",
-        "the last state holds",
-        "–",
-        "nothing to recover",
-        (without_states, 2),
-    ),
-    cells(
-        "robot",
-        "the robot's clock runs six times too fast",
-        "running",
-        "steps are limited to the time between arrivals",
-        "The robot's clock runs ahead of ours",
-        "nothing to recover",
-        (hurried, 10**9),
-    ),
-    cells(
-        "robot",
-        "the robot's clock stands still",
-        "running",
-        "steps are measured by the header's tm",
-        "The robot's clock stands still",
-        "nothing to recover",
-        (still, 10**9),
-    ),
-)
+CHANGES = {change.__name__: change for change in (far, frozen, noisy, without_states, hurried, still)}
+
+
+@shows
 def test_a_robot_that_cannot_be_right(bench: Bench, cell: Cell) -> None:
-    does, count = cell.given
+    name, count = cell.given
+    does = CHANGES[name]
     if cell.state == "holding":
         change(bench, does, count)
     else:
@@ -128,28 +85,9 @@ def test_a_robot_that_cannot_be_right(bench: Bench, cell: Cell) -> None:
     assert outcome.run.statistics["sessions"] == 1
 
 
-@shows(
-    cells(
-        "robot",
-        "the feedback is frozen",
-        "running",
-        "the arm comes to rest, and the run ends with `LinkError`",
-        "a following error of … it is frozen.",
-        "the next run",
-        frozen,
-    ),
-    cells(
-        "robot",
-        "the feedback stays 0.3 rad off",
-        "running",
-        "the arm comes to rest, and the run ends with `LinkError`",
-        "to move no faster than the arm can",
-        "the next run",
-        noisy,
-    ),
-)
+@shows
 def test_feedback_that_stays_false(bench: Bench, cell: Cell) -> None:
-    bench.at[AT] = lambda: change(bench, cell.given)
+    bench.at[AT] = lambda: change(bench, CHANGES[cell.given])
     outcome = bench.run(Motion(amplitude=0.3), seconds=3.0)
     assert outcome.failure is not None
     assert cell.is_told(outcome.told), outcome.told
@@ -157,7 +95,6 @@ def test_feedback_that_stays_false(bench: Bench, cell: Cell) -> None:
     assert not bench.heard()[-1].qd.any()
 
 
-ALL = "waiting, holding, running, stopping"
 HOUR = 3600
 
 
@@ -183,32 +120,10 @@ def robot_set_by(bench: Bench, hours: int) -> Callable[[], None]:
     return lambda: setattr(bench.stations[0], "change", change)
 
 
-SAME = "what is sent is the same, bit for bit, and the rows go on in time"
-SHORT = "one step is taken from the milliseconds of the packet's header"
-CLOCKS = (
-    ("computer", "on", SAME, set_by, 1),
-    ("computer", "back", SAME, set_by, -1),
-    ("robot", "on", SHORT, robot_set_by, 1),
-    ("robot", "back", SHORT, robot_set_by, -1),
-)
-
-
-@shows(
-    *(
-        cells(
-            "clock",
-            f"the {whose}'s clock is set {how} by an hour",
-            ALL,
-            happens,
-            "–",
-            "nothing to recover",
-            (does, hours),
-        )
-        for whose, how, happens, does, hours in CLOCKS
-    )
-)
+@shows
 def test_a_clock_that_is_set(bench: Bench, make_bench: Callable[[], Bench], cell: Cell) -> None:
-    does, hours = cell.given
+    whose, hours = cell.given
+    does = set_by if whose == "computer" else robot_set_by
     outcomes: list[Outcome] = []
     other = make_bench()
     for one in (other, bench):
@@ -229,35 +144,7 @@ def test_a_clock_that_is_set(bench: Bench, make_bench: Callable[[], Bench], cell
         np.testing.assert_allclose(disturbed["q_sent"], undisturbed["q_sent"], atol=1e-4)
 
 
-@shows(
-    cells(
-        "process",
-        "the bridge stands still for 0.2 s",
-        "holding, running, stopping",
-        "of the packets that wait the newest is answered, in a step no larger than others",
-        "overtaken 4",
-        "at once",
-        0.2,
-    ),
-    cells(
-        "process",
-        "the bridge stands still for 2 s",
-        "holding, running",
-        "the robot's time-out stops the arm; its next session is answered where the arm is",
-        "Session 1 ended: …",
-        "at once",
-        2.0,
-    ),
-    cells(
-        "process",
-        "the bridge stands still for 2 s",
-        "stopping",
-        "the robot's time-out stops the arm; the bridge goes on to the end of the run",
-        "Session 1 ended: …",
-        "the next run",
-        2.0,
-    ),
-)
+@shows
 def test_a_bridge_that_stands_still(bench: Bench, cell: Cell) -> None:
     """As by SIGSTOP, a computer that was suspended, or a disk from which memory comes back."""
     bench.at[BEGINS[cell.state]] = lambda: bench.pass_time(cell.given, guarded=False)

@@ -176,7 +176,6 @@ class Hands:
     def speed(self, index: int = 0) -> float:
         """Return the speed in the newest reply."""
         reply = self.reply(index)
-        assert reply is not None
         assert reply.qd is not None
         return float(np.abs(reply.qd).max())
 

@@ -161,7 +161,6 @@ def test_a_row_says_all_of_its_packet(one: Make) -> None:
     state, command, tick = hands.rows[1]
     assert command is not None
     reply = hands.reply()
-    assert reply is not None
     assert (tick.number, tick.seq_sent, tick.late, tick.drops) == (1, 1, False, 0)
     assert (tick.stamp_ns, tick.receive_ns, tick.send_ns) == (
         WALL_NS + came,
@@ -176,7 +175,6 @@ def test_a_row_says_all_of_its_packet(one: Make) -> None:
     assert reply.qd is not None
     np.testing.assert_allclose(tick.q_sent, reply.q)
     np.testing.assert_allclose(tick.qd_sent, reply.qd)
-    assert tick.clamped is not None
     assert tick.clamped.all()
     assert tick.tau_sent is None
     assert (reply.seqno, reply.tm_ms) == (1, 10_004)
@@ -333,7 +331,6 @@ def test_a_reply_is_left_out_for_a_message_that_stays_in_the_queue(one: Make, cl
     assert (tick.send_ns == -1) == (tick.seq_sent == -1) == (tick.q_sent is None) == bool(left_out)
     hands.cycle()
     reply = hands.reply()
-    assert reply is not None
     assert reply.seqno == 13 - left_out
     steps = np.diff([row[2].q_sent for row in hands.rows[5:] if row[2].q_sent is not None], axis=0)
     np.testing.assert_allclose(steps, 0.0004, atol=1e-12)
@@ -426,7 +423,6 @@ def test_what_goes_beside_the_joints_is_written_down(one: Make) -> None:
     hands.robots[0].codec = RobotSideCodec(hands.robots[0].robot, "7")
     hands.cycle()
     tick = hands.rows[-1][2]
-    assert tick.rapid_data_sent is not None
     assert tick.rapid_data_sent[:2].tolist() == [1.0, 2.0]
     assert tick.rapid_digital_sent is True
     assert tick.q_ext_sent is None
@@ -436,7 +432,6 @@ def test_a_command_serves_for_exactly_its_time(one: Make) -> None:
     hands = one()
     hands.cycle()
     arm = hands.arms[0]
-    assert arm.newest is not None
     sample = arm.newest.sample._replace(dt=0.25)
     assert arm.kept_command(sample, 1.0) is None
     qd = np.zeros(7)

@@ -1,16 +1,22 @@
-"""Sources, begin and end of sessions; the order of packets is in test_session_order.py."""
+"""Sessions: sources, beginning and end, order of packets, clocks, cycle times; and a million mutated datagrams."""
 
 from __future__ import annotations
 
+import random
+import struct
+import sys
+import time
 from typing import Any
 
 import numpy as np
 import pytest
 
+from armlab.bridge.control.limits import Limits
 from armlab.bridge.control.session import EGM_ERROR, NOMINAL_PERIOD, Period, RobotClock, Sample, Session
+from armlab.bridge.control.state_machine import StateMachine
 from armlab.bridge.net.sockets import Arrival
 from armlab.robots import Robot
-from armlab.wire.egm import Drop, EgmCodec, Packet, RobotMessage, RobotSideCodec
+from armlab.wire.egm import Drop, EgmCodec, Packet, Reference, RobotMessage, RobotSideCodec
 
 SILENCE = 600_000_000  # ns
 PERIOD_NS = 4_000_000
@@ -57,7 +63,6 @@ def test_replies_to_another_port_that_took_over_begin_at_zero(feed: Any) -> None
         feed.session.replied(feed.now)
     assert feed.session.seq == 5
     sample = feed(port=5001, after=6 * PERIOD_NS, seqno=0, tm_ms=4)
-    assert sample is not None
     assert (sample.session, feed.session.seq) == (2, 0)
     assert feed(port=5001, seqno=0, tm_ms=4) is None
     feed.session.replied(feed.now)
@@ -86,7 +91,6 @@ def test_a_robot_in_lockstep_may_be_silent(robot: Robot) -> None:
     for k in range(2):
         data = side.encode_robot(RobotMessage(k, k, robot.q_home))
         sample = session.accept(Arrival(data, ("127.0.0.1", 1), k * 10**12))
-    assert sample is not None
     assert sample.session == 1
     assert not session.silent(10**15)
 
@@ -500,3 +504,92 @@ def test_a_first_packet_that_was_overtaken_begins_no_session(feed: Any) -> None:
     assert feed.session.number == 1
     assert feed.sample(seqno=0, tm_ms=10_004 - 100).session == 2
     assert feed.sample(seqno=0, tm_ms=500).session == 3
+
+
+DATAGRAMS = 1_000_000
+BLOCK = 1000  # of which the slowest is timed
+WARM = 300  # blocks until everything that is kept has come up
+SOURCE = ("127.0.0.1", 50000)
+BAD = [struct.pack("<d", value) for value in (np.nan, np.inf, 1e308)]
+
+
+def good_packet(robot: Robot, codec: RobotSideCodec, k: int) -> bytes:
+    one = np.ones(robot.n)
+    return codec.encode_robot(
+        RobotMessage(
+            k, 10_000 + 4 * k, robot.q_home, robot.q_home, 10**18 + k * PERIOD_NS, T_frame_tool=np.eye(4),
+            wrench_raw=np.ones(6), rapid_data=(1.0, 2.0), rapid_digital=True, tau_reference=one, qd=0 * one, tau=one,
+            mono_ns=k * PERIOD_NS,
+        )
+    )  # fmt: skip
+
+
+def mutated(rng: random.Random, data: bytes) -> bytes:
+    """One of the ways in which a datagram goes wrong."""
+    kind, where = rng.randrange(8), rng.randrange(len(data))
+    if kind == 0:
+        return data[:where]
+    if kind == 1:
+        return rng.randbytes(where)
+    if kind == 2:
+        return data[:where] + b"\xff" * rng.randrange(12) + data[where:]
+    if kind == 3:
+        return data[:where] + data[rng.randrange(len(data)) :]
+    if kind == 4:
+        return data[:where] + BAD[rng.randrange(3)] + data[where + 8 :]
+    if kind == 5:
+        return data[:where] + rng.randbytes(rng.randrange(1, 9)) + data[where:]
+    flipped = bytearray(data)
+    for _ in range(kind - 5):
+        flipped[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+    return bytes(flipped)
+
+
+class Reader:
+    """What a bridge does with datagrams up to the answer, without the socket."""
+
+    def __init__(self, robot: Robot, told: list[str]) -> None:
+        self.codec = EgmCodec(robot, extension=True)
+        self.session = Session(self.codec, on_event=lambda text, warn=False: told.append(text))
+        self.machine = StateMachine(robot, Limits.of(robot), capabilities=self.codec.capabilities)
+        self.replies = 0
+
+    def hear(self, data: bytes, now_ns: int) -> Any:
+        sample = self.session.accept(Arrival(data, SOURCE, now_ns))
+        if sample is None:
+            return None
+        self.machine.observe(sample)
+        reply: Any = self.machine.answer(None, 0.004)
+        if reply is not None:
+            self.replies += 1
+            self.codec.encode(Reference(reply.q, reply.qd, reply.tau, self.session.seq, 0))
+        return reply
+
+
+@pytest.mark.slow
+def test_a_million_mutated_datagrams(robot: Robot) -> None:
+    rng, told = random.Random(1), []
+    robot_side = RobotSideCodec(robot, "7", ("qd", "tau"), force=True)
+    reader = Reader(robot, told)
+    first: Any = reader.hear(good_packet(robot, robot_side, 0), 0)
+    pool = [mutated(rng, good_packet(robot, robot_side, rng.randrange(1, 900))) for _ in range(20_000)]
+    blocks, slowest = 0, 0.0
+    for block in range(DATAGRAMS // BLOCK):
+        before = time.perf_counter()
+        for _ in range(BLOCK):
+            data = pool[rng.randrange(len(pool))]
+            at = rng.randrange(len(data) + 1)
+            reply = reader.hear(data[:at] + rng.randbytes(1) + data[at + 1 :], block * PERIOD_NS + 1)
+            assert reply is None or np.abs(reply.q - first.q).max() < 1e-9, "the reference moved"
+        slowest = max(slowest, time.perf_counter() - before)
+        if block == WARM:
+            blocks = sys.getallocatedblocks()
+    grown = sys.getallocatedblocks() - blocks
+    session = reader.session
+    assert session.total_drops + session.received == DATAGRAMS + 1
+    assert session.total_drops > 0.5 * DATAGRAMS
+    assert grown < 20_000  # objects of Python, bounded by the layouts and sentences of one session
+    assert slowest < 5.0  # s for a thousand: nothing hangs
+    assert len(told) < 200  # once per kind and session
+    assert any(text.startswith("Dropped a datagram from ") for text in told)
+    assert reader.replies == session.received

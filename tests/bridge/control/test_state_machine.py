@@ -110,7 +110,6 @@ def test_ready_freezes_the_position(bench: Bench) -> None:
     assert bench.machine.calls
     first = bench.machine.answer(None, T)
     moved = bench.reply(None, q=bench.home + 0.01)
-    assert first is not None
     np.testing.assert_allclose(first.q, bench.home, rtol=1e-14)
     np.testing.assert_array_equal(moved.q, first.q)
     assert not moved.qd.any()
@@ -289,12 +288,10 @@ def test_the_overdue_hold_stays_in_its_mode(bench: Bench) -> None:
     bench.run()
     bench.see()
     reply = bench.machine.hold(T)
-    assert reply is not None
     assert 0.0 < reply.qd.max() < 0.8
     assert bench.mode is Mode.RUNNING
     bench.see(motors=2, q=bench.home + 0.03)
     feedback = bench.machine.hold(T)
-    assert feedback is not None
     np.testing.assert_allclose(feedback.q, bench.home + 0.03, rtol=1e-14)
 
 
@@ -382,7 +379,6 @@ def test_a_reply_that_did_not_go_out_is_no_step(bench: Bench, late: bool) -> Non
     for _ in range(20):
         bench.see()
         unsent = bench.machine.hold(T) if late else bench.machine.answer(fast, T)
-        assert unsent is not None
         assert np.abs(unsent.q - sent.q).max() > 1e-3 or not unsent.qd.any()
         bench.machine.take_back()
         np.testing.assert_array_equal(bench.see().q_sent, sent.q)

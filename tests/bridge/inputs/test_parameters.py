@@ -192,7 +192,6 @@ def test_who_set_what_last_is_known_without_a_look_at_the_history() -> None:
         params.set("gain", value, "web")
         params.apply()
     last = params.last("gain")
-    assert last is not None
     assert (last.sequence, last.value, last.who) == (2, 4.0, "web")
     assert params.last("other") is None
     with pytest.raises(UnknownName, match="parameter"):

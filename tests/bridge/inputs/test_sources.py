@@ -127,10 +127,8 @@ def test_timer() -> None:
     timer = TimerSource("clock", 0.001)
     timer.start()
     first = timer.newest()
-    assert first is not None
     time.sleep(0.003)
     second = timer.newest()
-    assert second is not None
     assert second.seq - first.seq >= 2
     assert second.receive_ns - first.receive_ns == (second.seq - first.seq) * 1_000_000
     assert second.values["count"] == second.seq
@@ -222,7 +220,6 @@ def test_a_source_without_a_clock() -> None:
     source.newest()
     source.now_ns = 5 * MS
     reading = source.newest()
-    assert reading is not None
     assert (reading.seq, reading.source_ns) == (7, 0)
 
 
@@ -234,7 +231,6 @@ def test_a_source_without_numbers(absent: str) -> None:
     assert source.newest() is None
     source.now_ns = 16 * MS
     reading = source.newest()
-    assert reading is not None
     assert (reading.values["p"], reading.seq, reading.gaps) == (2.0, *((0, 3) if absent == "seq" else (11, 0)))
 
 
@@ -276,13 +272,11 @@ def test_the_newest_counts_and_gaps_are_counted(force: Sender) -> None:
     force.source.newest()
     force(*(PACK.pack(seq, 10 * seq, *np.arange(6.0) + seq) for seq in (3, 4, 7)))
     reading = force.source.newest()
-    assert reading is not None
     assert (reading.seq, reading.source_ns, reading.gaps) == (7, 70, 2)
     np.testing.assert_array_equal(reading.values["wrench"], np.arange(6.0) + 7)
     assert force.source.newest() is reading
     force(PACK.pack(0, 5, *np.zeros(6)))
     restarted = force.source.newest()
-    assert restarted is not None
     assert (restarted.seq, restarted.gaps) == (0, 2)
 
 
@@ -298,7 +292,6 @@ def test_numbers_beyond_64_bits_are_dropped(number: str) -> None:
     sender.source.newest()
     sender(b'{"p": 2.0, "seq": 18446744073709551615}')
     reading = sender.source.newest()
-    assert reading is not None
     assert reading.gaps == 2**53
     sender.close()
 
@@ -309,8 +302,6 @@ def test_json() -> None:
     first = sender.source.newest()
     sender(json.dumps({"wrench": [0] * 6, "seq": 5, "stamp_ns": 12}).encode(), b'{"torque": 1}', b"[1]", b"{")
     second = sender.source.newest()
-    assert first is not None
-    assert second is not None
     assert (first.seq, first.source_ns, second.seq, second.source_ns) == (0, 0, 5, 12)
     assert sender.source.drops == 3
     assert "could not be read" in sender.source.problem

@@ -52,7 +52,6 @@ def test_the_stamp_is_the_arrival_not_the_reading() -> None:
     reading = time.monotonic_ns()
     time.sleep(0.01)
     arrival = port.receive()
-    assert arrival is not None
     assert arrival.ns < reading + 1_000_000
     port.close()
 
@@ -87,7 +86,6 @@ def test_a_socket_that_other_code_closed_is_bound_again(is_replaced: bool, tmp_p
     assert port.send(b"abc", (peer.host, peer.port))
     assert arrived(peer, 5.0)
     arrival = peer.receive()
-    assert arrival is not None
     assert arrival.source == address
     assert port.errors == 1
     os.close(port.fileno())
@@ -119,7 +117,6 @@ def test_a_port_in_use_names_its_holder() -> None:
     )
     command = [sys.executable, "-c", code]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
-        assert other.stdout is not None
         number = int(other.stdout.readline())
         with pytest.raises(
             LinkError, match=rf"127.0.0.1:{number} .* in use by process {other.pid} \(.*python.*End that"
@@ -144,7 +141,6 @@ def test_the_holder_of_a_port_is_named(kind: str) -> None:
     )
     command = [sys.executable, "-S", "-c", code]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
-        assert other.stdout is not None
         number = int(other.stdout.readline())
         assert process_using_port(number, kind).startswith(f"process {other.pid} (")  # type: ignore[arg-type]
         assert process_using_port(number, "tcp" if kind == "udp" else "udp") == ""
