@@ -18,7 +18,7 @@ from armlab.bridge.control.limits import Limits
 from armlab.bridge.control.loop import Controller
 from armlab.bridge.control.run import Run
 from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.inputs.sources import Source, UdpSource
+from armlab.bridge.inputs.sources import Source, UdpSource, check_source
 from armlab.bridge.link import connect
 from armlab.bridge.listen import is_open, listening
 from armlab.bridge.servers.hub import OPERATOR, Exchange
@@ -274,7 +274,7 @@ def _cell(file: File) -> Cell:
         declared.append(Parameter(name, **fields))
     Parameters(declared)
     for name, source in file.sources.items():
-        _source(name, source).check(arms)
+        check_source(_source(name, source), arms)
     extension = any(one.extension for one in file.robots)
     limits = tuple(_limits(arm, one, extension) for arm, one in zip(arms, file.robots, strict=True))
     return Cell(

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from armlab import bridge, kinematics
-from armlab.bridge import CallableSource, Fusion, Held, Reading, ReplaySource, Source, TimerSource, UdpSource
-from armlab.bridge.inputs.fusion import ClockMap
+from armlab.bridge import CallableSource, Held, Reading, Source, UdpSource
+from armlab.bridge.inputs.fusion import ClockMap, Fusion
+from armlab.bridge.inputs.sources import ReplaySource, TimerSource
 from armlab.errors import ConfigError, UnknownName
 from armlab.log import Column
 from armlab.models import ForceSensor

@@ -18,8 +18,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab import robots
-from armlab.bridge import CallableSource, Reading, ReplaySource, Source, TimerSource, UdpSource
-from armlab.bridge.inputs.sources import TICK_COLUMNS, ThreadSource, whole
+from armlab.bridge import CallableSource, Reading, Source, UdpSource
+from armlab.bridge.inputs.sources import TICK_COLUMNS, ReplaySource, ThreadSource, TimerSource, check_source, whole
 from armlab.errors import ConfigError, LinkError, ModelMismatchError, ShapeError, UnknownName
 from armlab.log import Column, Table
 from armlab.models import ForceSensor
@@ -69,18 +69,18 @@ def test_wrong_calibrations(fields: dict[str, Column], calibration: Any) -> None
 
 def test_a_calibration_belongs_to_an_arm_of_the_run() -> None:
     arms = [robots.load("yumi_left"), robots.load("yumi_right")]
-    Source("tracker", FIELDS, 0.03).check(arms)
+    check_source(Source("tracker", FIELDS, 0.03), arms)
     own = replace(SENSOR, robot_name="yumi_left", robot_hash=arms[0].hash)
     source = Source("force", RAW, 0.004, calibration=own)
     assert source.robot == "yumi_left"
-    source.check(arms)
-    Source("force", RAW, 0.004, calibration=SENSOR).check(arms[:1])
+    check_source(source, arms)
+    check_source(Source("force", RAW, 0.004, calibration=SENSOR), arms[:1])
     with pytest.raises(ConfigError, match=r"robot= of the force sensor 'force', one of yumi_left, yumi_right"):
-        Source("force", RAW, 0.004, calibration=SENSOR).check(arms)
+        check_source(Source("force", RAW, 0.004, calibration=SENSOR), arms)
     with pytest.raises(ModelMismatchError, match="'force' to be of a robot of this run, got one of 'yumi_left'"):
-        source.check(arms[1:])
+        check_source(source, arms[1:])
     with pytest.raises(ModelMismatchError):
-        Source("force", RAW, 0.004, calibration=own, robot="yumi_right").check(arms)
+        check_source(Source("force", RAW, 0.004, calibration=own, robot="yumi_right"), arms)
 
 
 def test_values() -> None:
@@ -136,7 +136,7 @@ def test_timer() -> None:
 
 def test_a_source_with_a_thread_of_its_own_ends_it_and_starts_again() -> None:
     class Counting(ThreadSource):
-        def work(self) -> None:
+        def _work(self) -> None:
             seq = 0
             while not self._over.wait(0.001):
                 self._newest, seq = Reading(self.values({"grip": seq}), 0, time.monotonic_ns(), seq), seq + 1
@@ -155,7 +155,7 @@ def test_a_source_with_a_thread_of_its_own_ends_it_and_starts_again() -> None:
         time.sleep(0.01)
         assert source.newest() is kept
     with pytest.raises(NotImplementedError):
-        ThreadSource("none", FIELDS, 0.001).work()
+        ThreadSource("none", FIELDS, 0.001)._work()
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from armlab.bridge.control.supervision import Settings
 from armlab.bridge.control.torque import Admittance
 from armlab.bridge.inputs.fusion import Fusion
 from armlab.bridge.inputs.parameters import Change
-from armlab.bridge.inputs.sources import Source
+from armlab.bridge.inputs.sources import Source, check_source
 from armlab.bridge.net.events import nobody
 from armlab.bridge.net.sockets import Port
 from armlab.errors import ConfigError
@@ -96,7 +96,7 @@ def assemble(
     told = list(feeds)  # one list: a feed that fails is dropped for all arms
     columns = {**Fusion(sources).columns, **_columns(extra)}
     for source in sources:
-        source.check([end.robot for end in ends])
+        check_source(source, [end.robot for end in ends])
     files = paths(record, [end.robot for end in ends])
     arms: list[ArmSession] = []
     try:
@@ -183,7 +183,12 @@ def finished(arms: Sequence[ArmSession], reason: str, feeds: Sequence[Feed] = ()
         problems = refused + lost + arm.recording.close(counted)
         events = tuple(arm.recording.events)
         runs.append(Run(reason, {**counted, "problems": problems}, events, arm.recording.path, arm.recording))
-    return runs[0] if len(runs) == 1 else Run.of_several(reason, tuple(runs))
+    if len(runs) == 1:
+        return runs[0]
+    counted = {"arms": {run.statistics["robot"]: run.statistics for run in runs}, "reason": reason}
+    counted["problems"] = [problem for run in runs for problem in run.statistics["problems"]]
+    events = tuple(sorted(event for run in runs for event in run.events))
+    return Run(reason, counted, events, None, None, tuple(runs))
 
 
 _CLAMPS = ("position", "velocity", "acceleration", "braking", "torque", "torque rate")
@@ -207,18 +212,6 @@ class Run:
     path: Path | None
     _recording: Recording | None = field(repr=False)
     arms: tuple[Run, ...] = ()
-
-    @classmethod
-    def of_several(cls, reason: str, arms: tuple[Run, ...]) -> Run:
-        """Return the run of several arms.
-
-        Parameters
-        ----------
-        reason : why it ended. arms : each arm's, the pacing arm first.
-        """
-        counted = {"arms": {arm.statistics["robot"]: arm.statistics for arm in arms}, "reason": reason}
-        counted["problems"] = [problem for arm in arms for problem in arm.statistics["problems"]]
-        return cls(reason, counted, tuple(sorted(event for arm in arms for event in arm.events)), None, None, arms)
 
     @cached_property
     def table(self) -> Table:

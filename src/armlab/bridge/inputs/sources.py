@@ -32,6 +32,7 @@ __all__ = [
     "ThreadSource",
     "TimerSource",
     "UdpSource",
+    "check_source",
     "whole",
 ]
 
@@ -139,29 +140,6 @@ class Source:
     def close(self) -> None:
         """End; called after the run, also one that failed."""
 
-    def check(self, robots: Sequence[Robot]) -> None:
-        """Check that a calibrated force sensor belongs to one of the arms of a run.
-
-        Parameters
-        ----------
-        robots : the arms.
-
-        Raises
-        ------
-        ConfigError : it does not say to which of several. ModelMismatchError : it was fitted on another robot.
-        """
-        if self.calibration is None:
-            return
-        if not self.robot and len(robots) > 1:
-            names = ", ".join(robot.name for robot in robots)
-            raise ConfigError(f"Expected robot= of the force sensor {self.name!r}, one of {names}, got none.")
-        hashes = [robot.hash for robot in robots if self.robot in ("", robot.name)]
-        if self.calibration.robot_hash and self.calibration.robot_hash not in hashes:
-            raise ModelMismatchError(
-                f"Expected the calibration of the source {self.name!r} to be of a robot of this run, got one of "
-                f"{self.calibration.robot_name!r} ({self.calibration.robot_hash[:12]}). Calibrate on this robot."
-            )
-
     def newest(self) -> Reading | None:
         """Return the latest reading, None before the first. Never waits, never raises."""
         raise NotImplementedError
@@ -195,6 +173,30 @@ class Source:
         return MappingProxyType(checked)
 
 
+def check_source(source: Source, robots: Sequence[Robot]) -> None:
+    """Check that a calibrated force sensor belongs to one of the arms of a run.
+
+    Parameters
+    ----------
+    robots : the arms.
+
+    Raises
+    ------
+    ConfigError : it does not say to which of several. ModelMismatchError : it was fitted on another robot.
+    """
+    if source.calibration is None:
+        return
+    if not source.robot and len(robots) > 1:
+        names = ", ".join(robot.name for robot in robots)
+        raise ConfigError(f"Expected robot= of the force sensor {source.name!r}, one of {names}, got none.")
+    hashes = [robot.hash for robot in robots if source.robot in ("", robot.name)]
+    if source.calibration.robot_hash and source.calibration.robot_hash not in hashes:
+        raise ModelMismatchError(
+            f"Expected the calibration of the source {source.name!r} to be of a robot of this run, got one of "
+            f"{source.calibration.robot_name!r} ({source.calibration.robot_hash[:12]}). Calibrate on this robot."
+        )
+
+
 def _check_shapes(name: str, fields: Mapping[str, Column]) -> None:
     for field, column in fields.items():
         if any(size < 0 for size in column.shape) or math.prod(column.shape) * 8 > LARGEST:
@@ -215,7 +217,7 @@ def _check_calibration(name: str, fields: Mapping[str, Column], calibration: obj
 
 
 class ThreadSource(Source):
-    """A source with a thread of its own, which does `work` until `_over` is set and leaves what it has in `_newest`."""
+    """A source with a thread: `_work` runs until `_over` is set and leaves its readings in `_newest`."""
 
     def __init__(self, name: str, fields: Mapping[str, Column], period: float, **options: Any) -> None:
         super().__init__(name, fields, period, **options)
@@ -223,14 +225,14 @@ class ThreadSource(Source):
         self._over = threading.Event()
         self._thread: threading.Thread | None = None
 
-    def work(self) -> None:
+    def _work(self) -> None:
         """Receive; in the thread."""
         raise NotImplementedError
 
     def start(self) -> None:
         """Start the thread."""
         self._over.clear()
-        self._thread = threading.Thread(target=self.work, name=f"source {self.name}", daemon=True)
+        self._thread = threading.Thread(target=self._work, name=f"source {self.name}", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
@@ -265,7 +267,7 @@ class CallableSource(ThreadSource):
         super().__init__(name, fields, period, **options)
         self._function = function
 
-    def work(self) -> None:
+    def _work(self) -> None:
         """Call the function once per period."""
         due, seq = time.monotonic(), 0
         while not self._over.wait(max(due - time.monotonic(), 0.0)):
