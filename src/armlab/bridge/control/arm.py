@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from armlab.bridge.control.command_checks import kept
 from armlab.bridge.control.limits import Reply
@@ -166,6 +166,7 @@ class ArmSession:
         self.replies = self.overtaken = self.late = self._ticks = 0
         self.was_late = self._went_out = self._left_out = False
         self.newest: PendingPacket | None = None
+        self.period = session.period.seconds
         self._in_lockstep, self._resumes = settings.clock == "robot", settings.resume
         self._fusion = fusion
         self.trimming = QueueTrimming(recording.event)
@@ -181,11 +182,6 @@ class ArmSession:
     def may_call(self) -> bool:
         """Whether the controller may be asked: this arm is ready and no source that it requires is stale."""
         return self.machine.calls and not self._fusion.missing
-
-    @property
-    def period(self) -> float:
-        """Measured cycle time of the robot [s]."""
-        return self.session.period.seconds
 
     @property
     def stamp_ns(self) -> int:
@@ -260,7 +256,8 @@ class ArmSession:
         else:
             self.machine.observe(sample)
         self._arrived_ns, self._robot_ns = sample.arrival_ns, sample.packet.robot_ns
-        fused = self._fusion.fields(sample.arrival_ns, self.robot, sample.packet.q)
+        self.period = self.session.period.seconds
+        fused = self._fusion.fields(sample.arrival_ns, self.robot, sample.packet.q) if self._fusion.sources else {}
         if self._details is not None and self._arrival is not None:
             fused = {**fused, "details": partial(self._details, self._arrival.data)}
         state = self.machine.state(sample, self._wall_ns + sample.arrival_ns, **fused)
@@ -328,7 +325,8 @@ class ArmSession:
         """
         while self._rows:
             row = self._rows[0]
-            sample, reply, wall_ns = row.pending.sample, row.reply, self._wall_ns
+            sample, state, reply, wall_ns = row.pending.sample, row.pending.state, row.reply, self._wall_ns
+            beside = None if reply is None else reply.beside
             tick = Tick(
                 number=self._ticks,
                 seq_sent=row.seq,
@@ -342,24 +340,14 @@ class ArmSession:
                 qd_sent=None if reply is None else reply.qd,
                 tau_sent=None if reply is None else reply.tau,
                 clamped=None if reply is None else reply.clamped,
-                **_beside(reply),
+                q_ext_sent=None if beside is None else beside.q_ext,
+                rapid_data_sent=None if beside is None else beside.rapid_data,
+                rapid_digital_sent=None if beside is None else beside.rapid_digital,
                 wake_ns=row.pending.wake_ns,
-                record=self._fusion.record(row.pending.state.sources, sample.arrival_ns),
+                record=self._fusion.record(state.sources, sample.arrival_ns) if self._fusion.sources else {},
             )
-            command = self.recording.keep(row.pending.state, row.command, tick)
+            command = self.recording.keep(state, row.command, tick)
             self._ticks = tick.number + 1
             del self._rows[0]
             self.prediction.add(sample.arrival_ns, sample.missed + 1, self.period)
-            self.recording.publish(row.pending.state, command, tick)
-
-
-def _beside(reply: Reply | None) -> dict[str, Any]:
-    """Return what a reply said beside the joints, as fields of the Tick."""
-    if reply is None or reply.beside is None:
-        return {}
-    beside = reply.beside
-    return {
-        "q_ext_sent": beside.q_ext,
-        "rapid_data_sent": beside.rapid_data,
-        "rapid_digital_sent": beside.rapid_digital,
-    }
+            self.recording.publish(state, command, tick)

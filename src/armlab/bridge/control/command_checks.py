@@ -36,12 +36,15 @@ def wanted(command: Command, robot: Robot) -> tuple[np.ndarray | None, np.ndarra
             f"Expected the controller to return a Command or None, got {type(command).__name__}. "
             "Write Command(q) for positions, Command(qd=...) for velocities."
         )
-    return _vector("q", command.q, robot), _vector("qd", command.qd, robot), _vector("tau", command.tau, robot)
+    q, qd, tau = command.q, command.qd, command.tau
+    return (
+        None if q is None else _vector("q", q, robot),
+        None if qd is None else _vector("qd", qd, robot),
+        None if tau is None else _vector("tau", tau, robot),
+    )
 
 
-def _vector(name: str, values: Any, robot: Robot) -> np.ndarray | None:
-    if values is None:
-        return None
+def _vector(name: str, values: Any, robot: Robot) -> np.ndarray:
     if type(values) is np.ndarray and values.dtype == _DOUBLE and values.shape == (robot.n,):
         return np.ascontiguousarray(values)
     try:

@@ -102,7 +102,7 @@ class ExternalReferences:
         CommandRefused : values of another shape, no numbers, a jump, no limits, or a robot that cannot take them.
         """
         if command.rapid_data is None and command.rapid_digital is None and command.q_ext is None:
-            return self.hold(dt, longest)
+            return self.hold(dt, longest) if self._moves else None
         data = self._data(command, packet)
         q_ext = command.q_ext
         moved = self.hold(dt, longest) if q_ext is None else self._moved(q_ext, packet, dt, longest)

@@ -62,18 +62,18 @@ class FeedbackCheck:
             while it follows none.
         """
         self._since += dt
-        same = self._newest is not None and np.array_equal(q, self._newest)
+        same = self._newest is not None and q.tobytes() == self._newest.tobytes()
         self._frozen = self._frozen + dt if same else 0.0
         self._newest = q
         if sent is None:
             self._guided, self._ramps, self._fastest = 0.0, True, np.zeros(self._robot.n)
         self._guided += dt
-        problem = (
-            outside_range(q, self._robot) or self._too_fast(q) or ("" if sent is None else self._apart(q, dt, sent))
-        )
+        axes = self._axes(q)
+        outside = _outside_range(axes, self._robot)
+        problem = outside or self._too_fast(axes) or ("" if sent is None else self._apart(axes, dt, sent))
         if problem:
             self.plausible, self.implausible = 0, self.implausible + 1.0
-            if not self.confirmed and not outside_range(q, self._robot):
+            if not self.confirmed and not outside:
                 self.q, self._since = q, 0.0  # of two first ones that contradict each other neither is believed
         else:
             self.plausible, self.implausible = self.plausible + 1, max(0.0, self.implausible - _TAKES_OFF)
@@ -84,9 +84,9 @@ class FeedbackCheck:
     def _too_fast(self, q: np.ndarray) -> str:
         if self.q is None:
             return ""
-        q, before = self._axes(q), self._axes(self.q)
+        before = self._axes(self.q)
         excess = np.abs(q - before) - (_STEP + _FASTER * self._robot.qd_max * self._since)
-        i = int(np.argmax(excess))
+        i = int(excess.argmax())
         if excess[i] <= 0.0:
             return ""
         return (
@@ -95,7 +95,7 @@ class FeedbackCheck:
         )
 
     def _apart(self, q: np.ndarray, dt: float, sent: Reply) -> str:
-        q, reference, speed = self._axes(q), self._axes(sent.q), self._axes(sent.qd)
+        reference, speed = self._axes(sent.q), self._axes(sent.qd)
         error = np.abs(reference - q)
         kept = 1.0 if self._ramps else max(0.0, 1.0 - dt / _CATCHES_UP)
         self._fastest = np.maximum(kept * self._fastest, np.abs(speed))
@@ -104,7 +104,7 @@ class FeedbackCheck:
             self._ramps = False
         if self._ramps:
             allowed = self._allowed + _RAMP_LAG * self._fastest
-        i = int(np.argmax(error - allowed))
+        i = int((error - allowed).argmax())
         if error[i] <= allowed[i]:
             return ""
         if self._frozen > _FROZEN:
@@ -122,9 +122,12 @@ class FeedbackCheck:
 
 def outside_range(q: np.ndarray, robot: Robot) -> str:
     """Return the sentence for feedback (n,) far outside the range of a joint, "" when there is none."""
-    q = axes_of(robot)(q)
+    return _outside_range(axes_of(robot)(q), robot)
+
+
+def _outside_range(q: np.ndarray, robot: Robot) -> str:
     outside = np.maximum(robot.q_min - q, q - robot.q_max)
-    i = int(np.argmax(outside))
+    i = int(outside.argmax())
     if outside[i] <= _OUTSIDE:
         return ""
     return (
@@ -175,7 +178,8 @@ class Readiness:
         self._absent = self._absent + 1 if absent else 0
         if self._absent in range(1, _ABSENT):
             return not_ready_reason(packet.motors or self._motors, packet.rapid, packet.mci or self._mci)
-        was_ready = not not_ready_reason(self._motors, packet.rapid, self._mci)
-        self.is_unknown = absent and (self.is_unknown or was_ready)
+        self.is_unknown = absent and (
+            self.is_unknown or not not_ready_reason(self._motors, packet.rapid, self._mci)  # it was ready before
+        )
         self._motors, self._mci = packet.motors, packet.mci
         return not_ready_reason(packet.motors, packet.rapid, packet.mci)

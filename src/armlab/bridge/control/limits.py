@@ -170,7 +170,8 @@ class Reply(NamedTuple):
 class Limiter:
     """The last reference sent, and the next one within the limits (law: `kernels.limit_reference`).
 
-    limits : see `Limits`. reach : range of the robot (n,), to which a position at rest is clipped.
+    reach : range of the robot (n,), to which a position at rest is clipped.
+    memory : what the next reference depends on; set it back when the last one did not go out.
     """
 
     def __init__(self, limits: Limits, reach: tuple[Any, Any] = (-np.inf, np.inf)) -> None:
@@ -179,43 +180,32 @@ class Limiter:
         self._lag = limits.lag
         self._none = np.zeros(len(limits.q_min), dtype=np.uint8)
         self._none.flags.writeable = False
-        self._sent = np.zeros((3, len(limits.q_min)))
-        self._asked: np.ndarray | None = None
+        self.memory: tuple[np.ndarray, np.ndarray | None] = np.zeros((3, len(limits.q_min))), None
 
     @property
     def q(self) -> np.ndarray:
         """(n,) position sent last."""
-        return self._sent[0]
-
-    @property
-    def memory(self) -> tuple[np.ndarray, np.ndarray | None]:
-        """State on which the next reference depends. Restore it when the last one did not go out."""
-        return self._sent, self._asked
-
-    @memory.setter
-    def memory(self, memory: tuple[np.ndarray, np.ndarray | None]) -> None:
-        """Go on from what it was."""
-        self._sent, self._asked = memory
+        return self.memory[0][0]
 
     @property
     def at_rest(self) -> bool:
         """Whether the last reference stood still."""
-        return not self._sent[1:].any()
+        return not self.memory[0][1:].any()
 
     def rest(self, q: np.ndarray) -> Reply:
         """Stand still at `q` (n,), wherever the last reference was: for an arm that does not follow references."""
         q = np.minimum(np.maximum(q, self._reach[0]), self._reach[1])
-        self._sent = np.stack((q, np.zeros_like(q), np.zeros_like(q)))
-        self._sent.flags.writeable = False
-        self._asked = None
-        return Reply(self._sent[0], self._sent[1], self._none)
+        sent = np.stack((q, np.zeros_like(q), np.zeros_like(q)))
+        sent.flags.writeable = False
+        self.memory = sent, None
+        return Reply(sent[0], sent[1], self._none)
 
     def follow(self, q: np.ndarray, qd: np.ndarray) -> Reply:
         """Go along with an arm that moves freely: the next reference begins at its `q` and `qd` (n,)."""
-        self._sent = np.stack((q, qd, qd))
-        self._sent.flags.writeable = False
-        self._asked = None
-        return Reply(self._sent[0], self._sent[2], self._none, free=True)
+        sent = np.stack((q, qd, qd))
+        sent.flags.writeable = False
+        self.memory = sent, None
+        return Reply(sent[0], sent[2], self._none, free=True)
 
     def hold(self, dt: float, longest: float = np.inf) -> Reply:
         """Come to rest within the acceleration limits, then stay; see `step`."""
@@ -232,9 +222,9 @@ class Limiter:
         if dt > longest:
             bounds = bounds.copy()
             bounds[2] *= longest / dt
-        sent, clamped, ratio, refused = kernels.limit_reference(self._sent, bounds, dt, q, self._asked, qd, self._lag)
-        self._sent = sent
-        self._asked = None if q is None or refused else q.copy()
+        before, asked = self.memory
+        sent, clamped, ratio, refused = kernels.limit_reference(before, bounds, dt, q, asked, qd, self._lag)
+        self.memory = sent, None if q is None or refused else q.copy()
         return Reply(sent[0], sent[2], clamped, ratio, refused)
 
 

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from mmap import mmap
+from operator import attrgetter
 from typing import Any, Protocol
 
 from armlab.bridge.control.arm import ArmSession, PendingPacket
@@ -37,6 +38,7 @@ _SPARE = 1_000_000  # ns to the next packet that leave time to collect garbage
 _PROGRESS = 0.1  # s between two calls of progress
 _STALE_PERIODS, _STALE = 3.0, 0.02  # an arm unheard for longer, the larger of the two, holds the others
 _SERVES = 2.5  # periods of the pacing arm for which a command serves another arm
+_elapsed = attrgetter("machine.elapsed")  # robot time while an arm was ready [s]
 _RESERVE = 2**24  # bytes, given back by what ends the run: to bring the arms to rest and to tell why needs some
 
 
@@ -81,11 +83,6 @@ class Loop:
         self._calling = self._taken = self._told = False
         self._called_ns, self._deadline_ns = 0, 0.0
         self._pending: PendingPacket | None = None
-
-    @property
-    def elapsed(self) -> float:
-        """Robot time while all arms were ready [s]."""
-        return min(arm.machine.elapsed for arm in self._arms)
 
     @property
     def failure(self) -> LinkError | None:
@@ -155,12 +152,14 @@ class Loop:
                 pending = arm.receive(found[1])
                 if pending is not None and arm is self._pace and self._may_ask(pending):
                     asked = pending
-                    self._serve_others()
+                    if self._others:
+                        self._serve_others()
                 elif pending is not None:
                     self._answer(arm, pending)
         if asked is not None:
             self._call(asked)
-        self._record()
+        for arm in self._arms:
+            arm.record()
         self._look(pending is None)
         self._after()
 
@@ -230,7 +229,7 @@ class Loop:
     def _call(self, pending: PendingPacket) -> None:
         """Ask the controller and answer; when the guard has answered meanwhile, the result is discarded."""
         pace, controller, period_ns = self._pace, self._controller, 1e9 * self._pace.period
-        state = self._state(pending)
+        state = self._state(pending) if self._others else pending.state
         asked, failure = None, None
         self._pending, self._taken = pending, False
         start = self._called_ns = time.monotonic_ns()
@@ -258,9 +257,7 @@ class Loop:
             self._judge(call_ns, period_ns)
 
     def _state(self, pending: PendingPacket) -> State:
-        """Return what the controller sees: the state of the one arm, or all of them fused."""
-        if not self._others:
-            return pending.state
+        """Return the states of all arms as one."""
         pendings = [arm.newest or pending for arm in self._arms]
         sessions = tuple(one.sample.session for one in pendings)
         if sessions != self._sessions:
@@ -273,7 +270,7 @@ class Loop:
         """Answer the newest packet of the pacing arm with what the controller wants, keep the rest for the others."""
         pace = self._pace
         try:
-            commands = split_command(asked, self._robots, self._pace_index)
+            commands = split_command(asked, self._robots, self._pace_index) if self._others else (asked,)
         except CommandRefused as error:
             self._stop("a command was refused", error)
             commands = (None,) * len(self._arms)
@@ -306,7 +303,7 @@ class Loop:
 
     def _after(self) -> None:
         """After a reply: interrupts, ends, progress, garbage."""
-        settings, elapsed = self._settings, self.elapsed
+        settings, elapsed = self._settings, min(map(_elapsed, self._arms))
         if self.interrupted:
             self._stop("interrupted")
         if settings.seconds is not None and elapsed >= settings.seconds:

@@ -144,7 +144,8 @@ class Recording:
 
     def catch_up(self) -> None:
         """Keep sentences that waited, since others of their kind had come."""
-        self._limited.due(self._clock())
+        if self._limited.waiting:
+            self._limited.due(self._clock())
 
     def _keep(self, text: str, warn: bool, stamp: int) -> None:
         _logger.log(logging.WARNING if warn else logging.INFO, text)

@@ -206,7 +206,7 @@ class Session:
         self._codec, self._timeout_ns, self._on_event = codec, 1e9 * timeout, on_event
         self.number, self.active = 0, False
         self.source: tuple[str, int] | None = None
-        self.received = self.missed = self.seq = self._total_drops = 0
+        self.received = self.missed = self.seq = self.total_drops = 0
         self.drops: Counter[str] = Counter()
         self.period = Period()
         self.reason = ""
@@ -217,11 +217,6 @@ class Session:
         self._past_tms: deque[int | None] = deque(maxlen=_REMEMBERED)
         self._stray: tuple[Packet, int, int] | None = None  # newest packet out of order, how many in a row, since when
         self._begun_ns = self._replied_ns = 0
-
-    @property
-    def total_drops(self) -> int:
-        """Datagrams refused so far."""
-        return self._total_drops
 
     def accept(self, arrival: Arrival) -> Sample | None:
         """Return the sample of one datagram, or None when it does not count."""
@@ -355,7 +350,7 @@ class Session:
 
     def _drop(self, drop: Drop, arrival: Arrival) -> None:
         self.drops[drop.reason] += 1
-        self._total_drops += 1
+        self.total_drops += 1
         if drop.reason not in self._told:
             self._told.add(drop.reason)
             host, port = arrival.source

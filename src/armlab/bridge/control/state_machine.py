@@ -41,6 +41,7 @@ _NAMES = (
 )  # fmt: skip
 _PLAIN = State(0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros(0))
 _OTHERS = tuple((field.name, getattr(_PLAIN, field.name)) for field in fields(State) if field.name not in _NAMES)
+_PLAIN_OTHERS = tuple(plain for _, plain in _OTHERS)
 _make = kernels.RecordMaker(State, (*_NAMES, *(name for name, _ in _OTHERS))).make
 
 
@@ -64,7 +65,7 @@ def make_state(
             t, dt, q, qd, _missing(len(q)) if tau is None else tau, seqno, missed, session, qd_source, tau_source,
             q_start, q_planned, last.q, last.qd, last.clamped, T_frame_tool, wrench_raw, q_ext, motors, rapid, mci,
             converged, utilization, robotware, rapid_data, rapid_digital, robot_ns, t_receive, robot,
-            *[fused.get(name, plain) for name, plain in _OTHERS],
+            *([fused.get(name, plain) for name, plain in _OTHERS] if fused else _PLAIN_OTHERS),
         )
     )  # fmt: skip
 
@@ -152,17 +153,12 @@ class StateMachine:
 
     @property
     def _may_be_guided(self) -> bool:
-        """Whether a robot that was ready no longer reports its states: it holds, without a step to the feedback."""
-        return not self.ready and self.guided and self._readiness.is_unknown
+        """Whether a robot that is not ready only no longer reports its states: it holds, no step to the feedback."""
+        return self.guided and self._readiness.is_unknown
 
     @property
     def _memory(self) -> tuple[float, float, Reply, Any, Any, Any]:
         return self._dt, self._rested, self._last, self._limiter.memory, self._torques.memory, self._external.memory
-
-    @property
-    def _is_silent(self) -> bool:
-        """Whether it ended without coming to rest; one that rests is answered while another arm of the link stops."""
-        return self.mode is Mode.ENDED and self._rested < STOP_TIME
 
     def observe(self, sample: Sample) -> None:
         """Take one sample: readiness, time, transitions. The newest one observed is the one that `answer` answers."""
@@ -179,16 +175,17 @@ class StateMachine:
             self.t += sample.dt if self.guided or self.mode is Mode.LISTENING else 0.0
         self._passed = sample.step
         self._dt += sample.step
-        problem = self._external.observe(packet, sample.dt)
-        if problem:
-            self._on_event(problem, warn=True)
+        if self._limits.external is not None:
+            problem = self._external.observe(packet, sample.dt)
+            if problem:
+                self._on_event(problem, warn=True)
         if self.mode is Mode.LISTENING:
             self.elapsed += 0.0 if sample.fresh else sample.dt
             return
         if self.mode is Mode.WAITING:
             self.mode = Mode.HOLDING
         self._check_feedback(sample)
-        was_unknown = self._may_be_guided
+        was_unknown = not self.ready and self._may_be_guided
         why = self._readiness.not_ready_reason(packet)
         ready = not why and (self.ready or self._feedback.plausible >= READY_AFTER)
         if ready and self.ready:
@@ -218,12 +215,14 @@ class StateMachine:
         period : cycle time of the robot [s]; after a gap of more than three of them a reference moves on no further.
         """
         packet, self._before = self._packet, self._memory
-        if packet is None or self.mode in _UNANSWERED or self._is_silent:
+        if packet is None or self.mode in _UNANSWERED:
+            return None
+        if self.mode is Mode.ENDED and self._rested < STOP_TIME:  # one that rests is answered while other arms stop
             return None
         self._longest = _GAP * period
         if self._dt == 0.0:  # this packet has its reply
             return self._last
-        if self._may_be_guided:
+        if not self.ready and self._may_be_guided:
             self._last = self._held()
         elif not self.ready:
             self._rest()
@@ -305,7 +304,8 @@ class StateMachine:
         except CommandRefused as error:
             self.stop("a command was refused", error)
             return self._held()
-        return joined(self._moved(asked, packet), beside)
+        reply = self._moved(asked, packet)
+        return reply if beside is None else joined(reply, beside)
 
     def _moved(self, wanted: tuple[np.ndarray | None, ...], packet: Packet) -> Reply:
         """Return the reply for the joints to a command that is well formed."""
@@ -321,7 +321,7 @@ class StateMachine:
             if problem:
                 return self._refuse_entry(problem)
         reply = self._limiter.step(q, qd, self._dt, self._longest)
-        reply = self._torques.limited(reply, None if reply.refused else tau, self._step)
+        reply = self._torques.limited(reply, None if reply.refused else tau, self._dt, self._longest)
         if reply.refused:
             self._refuse(refusal(reply.refused, q, qd, before, self._robot))
         else:
@@ -335,13 +335,13 @@ class StateMachine:
             self._refuse(problem)
             return self._still()
         self.mode, self._refused_in_a_row, self._waited = Mode.RUNNING, 0, 0.0
-        return self._torques.limited(self._limiter.follow(packet.q, self._qd), tau, self._step)
+        return self._torques.limited(self._limiter.follow(packet.q, self._qd), tau, self._dt, self._longest)
 
     def _held(self) -> Reply:
         return joined(self._still(), self._external.hold(self._dt, self._longest))
 
     def _still(self) -> Reply:
-        return self._torques.limited(self._limiter.hold(self._dt, self._longest), None, self._step)
+        return self._torques.limited(self._limiter.hold(self._dt, self._longest), None, self._dt, self._longest)
 
     def _refuse(self, problem: str) -> None:
         self.refused, self.refusing = self.refused + 1, problem
@@ -373,11 +373,6 @@ class StateMachine:
         if not self.guided:
             self.guided, self.t, self.q_start = True, 0.0, packet.q
         self._on_event("The robot is ready and holds.")
-
-    @property
-    def _step(self) -> float:
-        """Time within which a torque may change [s]."""
-        return min(self._dt, self._longest)
 
     def _check_feedback(self, sample: Sample) -> None:
         """Doubt a feedback that is not plausible; three in a row stop the run."""

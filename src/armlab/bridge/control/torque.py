@@ -63,6 +63,7 @@ class Torques:
     to zero at the same rate.
 
     admittance : in place of torques, None where they are sent or refused.
+    memory : the last torque sent; set it back when one did not go out.
     """
 
     def __init__(
@@ -75,17 +76,7 @@ class Torques:
 
     def reset(self) -> None:
         """Forget what was sent: the arm does not follow references."""
-        self._sent: np.ndarray | None = None
-
-    @property
-    def memory(self) -> np.ndarray | None:
-        """What the next torque depends on. Set it back when the last one did not go out."""
-        return self._sent
-
-    @memory.setter
-    def memory(self, memory: np.ndarray | None) -> None:
-        """Go on from what it was."""
-        self._sent = memory
+        self.memory: np.ndarray | None = None
 
     def wanted(
         self, command: Command, q: np.ndarray, qd: np.ndarray
@@ -147,23 +138,20 @@ class Torques:
             f"({self._robot.joint_names[i]}) is {what}, allowed is {within}. The arm holds its position."
         )
 
-    def limited(self, reply: Reply, tau: np.ndarray | None, dt: float) -> Reply:
-        """Return the reply with the torque that may be sent.
-
-        reply : the position. tau : (n,) finite torque asked for, or None. dt : time in which it may change [s].
-        """
+    def limited(self, reply: Reply, tau: np.ndarray | None, dt: float, longest: float = np.inf) -> Reply:
+        """Return the reply with the torque that may be sent for `tau` (n,), which changes for `longest` at most [s]."""
         tau_max, tau_rate = self._limits.tau_max, self._limits.tau_rate
-        if (tau is None and self._sent is None) or tau_max is None or tau_rate is None:
+        if (tau is None and self.memory is None) or tau_max is None or tau_rate is None:
             return reply
-        last = np.zeros(self._robot.n) if self._sent is None else self._sent
+        last = np.zeros(self._robot.n) if self.memory is None else self.memory
         wanted = np.zeros(self._robot.n) if tau is None else tau
-        clipped, step = np.clip(wanted, -tau_max, tau_max), tau_rate * dt
+        clipped, step = np.clip(wanted, -tau_max, tau_max), tau_rate * min(dt, longest)
         sent = last + np.clip(clipped - last, -step, step)
         sent.flags.writeable = False
         bits = _CLIPPED * (np.abs(wanted) > tau_max + _SLACK) + _SLOWED * (np.abs(clipped - last) > step + _SLACK)
         clamped = reply.clamped | bits.astype(np.uint8)
         clamped.flags.writeable = False
-        self._sent = sent if tau is not None or sent.any() else None
+        self.memory = sent if tau is not None or sent.any() else None
         return reply._replace(tau=sent, clamped=clamped)
 
 
