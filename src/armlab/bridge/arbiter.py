@@ -24,15 +24,7 @@ __all__ = ["LEASE", "Arbiter", "Order"]
 
 
 class Order(NamedTuple):
-    """What a client wants an arm to do next.
-
-    Attributes
-    ----------
-    client : identity of the connection, first its server: "labcomm 127.0.0.1:40312". arm : name of the robot.
-    q, qd, tau : (n,) references, None for not commanded. seq : number in the client's order, None without one.
-    first : place of the first number in the ROS message, which may be for several arms; None when it came otherwise.
-    by_axis : the client's own vectors are in ABB's order of axes, for sentences to it; q, qd and tau never are.
-    """
+    """What a client wants an arm to do next."""
 
     client: str
     arm: str
@@ -106,18 +98,6 @@ class Arbiter:
     `lease` of silence, when it closes, or by `release`. The first position must lie within `entry` of the measured
     joints. A command that is refused changes nothing and keeps nothing. `stop` is for everybody, `resume` for
     operators.
-
-    Parameters
-    ----------
-    robots : the arms, in the order of the link. allowed : servers that may command.
-    poll : called first in each tick; it fetches what clients sent. tell : takes events.
-    answer : takes (client, sentence), at most once a second for each client.
-    lease : s. entry : rad or m. torque : names of arms that take torques. clock : monotonic [ns].
-
-    Attributes
-    ----------
-    poll : as given. refused : commands refused, by client. obeyed : commands taken, by arm and client.
-    stopped : who stopped all arms, "" when nobody has.
     """
 
     def __init__(
@@ -171,21 +151,11 @@ class Arbiter:
             self._inbox[order.arm, order.client] = (now, order)
 
     def reserve(self, who: str) -> None:
-        """Refuse the commands of all clients, since the arms have a controller of their own.
-
-        Parameters
-        ----------
-        who : the controller, in words.
-        """
+        """Refuse the commands of all clients, since the arms have a controller of their own."""
         self._reserved = who
 
     def stop(self, who: str) -> None:
-        """Hold all arms until an operator resumes. Everybody may.
-
-        Parameters
-        ----------
-        who : identity of the client, for the log.
-        """
+        """Hold all arms until an operator resumes. Everybody may."""
         if not self.stopped:
             self.stopped = who
             self._tell(f"Stopped by {who}. An operator ends this: armlab bridge resume.", warn=True)
@@ -193,12 +163,7 @@ class Arbiter:
             self._free(arm, "all arms were stopped")
 
     def resume(self, who: str) -> None:
-        """End a stop; every commander begins anew by the start rule. For operators.
-
-        Parameters
-        ----------
-        who : identity of the client, for the log.
-        """
+        """End a stop; every commander begins anew by the start rule. For operators."""
         if self.stopped:
             self.release(who)
             self._inbox.clear()
@@ -206,23 +171,13 @@ class Arbiter:
             self._tell(f"Resumed by {who}.")
 
     def release(self, who: str, client: str = "") -> None:
-        """Free the arms that a client holds; without one all arms.
-
-        Parameters
-        ----------
-        who : wants it, for the log. client : whose arms.
-        """
+        """Free the arms that a client holds; without one all arms."""
         for arm, holder in self._holders.items():
             if holder is not None and client in ("", holder.client):
                 self._free(arm, f"released by {who}")
 
     def leave(self, client: str) -> None:
-        """Take note that a client has gone: its arms are free.
-
-        Parameters
-        ----------
-        client : its identity.
-        """
+        """Take note that a client has gone: its arms are free."""
         for arm, holder in self._holders.items():
             self._inbox.pop((arm, client), None)
             if holder is not None and holder.client == client:
@@ -230,12 +185,7 @@ class Arbiter:
         self._answered.pop(client, None)
 
     def report(self, client: str, why: str) -> None:
-        """Count what a client sent and its server refused, and tell it, at most once a second for each client.
-
-        Parameters
-        ----------
-        client : its identity. why : a sentence.
-        """
+        """Count what a client sent and its server refused, and tell it, at most once a second for each client."""
         self._refuse(client, why, self._clock(), answer=False)
 
     def __call__(self, state: State) -> Command | tuple[Command | None, ...] | None:

@@ -17,6 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from armlab._descriptors import Descriptor
+from armlab.bridge.control.arm import ArmSession
 from armlab.bridge.control.limits import Limits
 from armlab.bridge.control.loop import Controller, Loop
 from armlab.bridge.control.realtime import (
@@ -52,12 +53,7 @@ _METHODS = ("capabilities", "reset", "decode", "encode")
 
 
 def codec_named(name: str, robot: Robot, extension: bool = False) -> Codec:
-    """Return a new codec for a robot.
-
-    Raises
-    ------
-    UnknownName : no such codec; lists those that exist. ConfigError : an entry point that gives none.
-    """
+    """Return a new codec for a robot."""
     if name == "egm":
         return EgmCodec(robot, extension)
     from importlib.metadata import entry_points
@@ -83,12 +79,7 @@ def codec_named(name: str, robot: Robot, extension: bool = False) -> Codec:
 
 
 def codecs_of(codec: str | Codec | Sequence[Codec], robots: Sequence[Robot], extension: bool) -> list[Codec]:
-    """Return the codec of each arm: made by name, or the user's objects.
-
-    Raises
-    ------
-    UnknownName, ConfigError : as of `codec_named`; objects that are no codecs, or not one for each arm.
-    """
+    """Return the codec of each arm: made by name, or the user's objects."""
     if isinstance(codec, str):
         return [codec_named(codec, robot, extension) for robot in robots]
     given = list(codec) if isinstance(codec, Sequence) else [codec]
@@ -108,9 +99,6 @@ class Simulator:
     """One ``python -m armlab sim`` process that sends to ports of this computer.
 
     It gets its own process group, so that Ctrl-C reaches the bridge alone, which brings the arm to rest first.
-
-    robots : names in the library, or robot files. ports : where each shall send.
-    options : further options by name: "seed" -> "1" becomes ``--seed 1``; "true" a bare ``--name``.
     """
 
     def __init__(self, robots: Sequence[str], ports: Sequence[int], options: Mapping[str, str]) -> None:
@@ -136,12 +124,7 @@ class Simulator:
         self._reader.start()
 
     def gone(self) -> str:
-        """Return why it has ended, "" while it runs.
-
-        Raises
-        ------
-        LinkError : it ended with an error; quotes what it wrote.
-        """
+        """Return why it has ended, "" while it runs."""
         status = self._process.poll()
         if status is None:
             return ""
@@ -355,9 +338,7 @@ class Link:
         UnknownName : `pace` is no arm of this link.
         NoRobot, SessionEnded, CommandRefused, ControllerLate, ControllerFailed : with the last ten seconds in `.table`.
         """
-        self._check(controller, wait, reconnect)
-        if seconds is not None and not (isinstance(seconds, int | float) and seconds >= 0.0):  # NaN would never end
-            raise ConfigError(f"Expected seconds of at least 0, or None for no end, got {seconds!r}.")
+        self._check(controller, seconds, wait, reconnect)
         paced = self._paced(pace)
         what = "listening" if controller is None else "moving"
         if self._offering is not None:
@@ -380,8 +361,7 @@ class Link:
                 feeds=feeds,
                 sources=sources,
             )
-            in_lockstep = settings.clock == "robot"
-            mode: Wait = "block" if in_lockstep else wait
+            mode: Wait = "block" if settings.clock == "robot" else wait
             waiting = Waiting([arm.port for arm in arms], [arm.prediction for arm in arms], mode)
             loop = Loop(arms, waiting, controller, settings, paced)
         arms.insert(0, arms.pop(paced))
@@ -394,19 +374,15 @@ class Link:
                     stack.callback(source.close)
                     source.start()
                 stack.enter_context(quiet_memory())
-                if not in_lockstep:
+                if settings.clock != "robot":
                     for arm in arms if controller is not None else ():  # a listener keeps what has come meanwhile
                         arm.port.flush()
                     _enter_real_time(stack, loop, arms[0].recording.event, wait)
                 loop.run()
         finally:
             self.last = run = finished(arms, loop.reason or "interrupted", feeds)
-        failure = loop.failure
-        if failure is not None:
-            with suppress(MemoryError):  # the reason is told in any case
-                tails = {arm.robot.name: arm.recording.tail() for arm in arms}
-                failure.table = together(tails) if len(tails) > 1 else tails[arms[0].robot.name]
-            raise failure
+        if loop.failure is not None:
+            raise _with_tail(loop.failure, arms)
         if loop.interrupted:
             raise KeyboardInterrupt
         return run
@@ -417,11 +393,13 @@ class Link:
             raise UnknownName.among("arm of this link", pace, names)
         return 0 if pace is None else names.index(pace)
 
-    def _check(self, controller: Controller | None, wait: str, reconnect: str) -> None:
+    def _check(self, controller: Controller | None, seconds: Any, wait: str, reconnect: str) -> None:
         if self._closed:
             raise LinkError("Expected an open link, got one that was closed. Connect again.")
         if controller is not None and not callable(controller):
             raise ConfigError(f"Expected a controller to call with each State, or None to listen, got {controller!r}.")
+        if seconds is not None and not (isinstance(seconds, int | float) and seconds >= 0.0):  # NaN would never end
+            raise ConfigError(f"Expected seconds of at least 0, or None for no end, got {seconds!r}.")
         for name, value, known in (
             ("wait", wait, ("ahead", "block", "spin")),
             ("reconnect", reconnect, ("resume", "stop")),
@@ -440,6 +418,14 @@ class Link:
                 f"Expected every packet to be answered, since a robot in lockstep waits for each reply, got {what}. "
                 'Leave out lockstep=true and clock="robot", or answer.'
             )
+
+
+def _with_tail(failure: LinkError, arms: Sequence[ArmSession]) -> LinkError:
+    """Return the error with the last ten seconds of all arms, where there is memory for them."""
+    with suppress(MemoryError):  # the reason is told in any case
+        tails = {arm.robot.name: arm.recording.tail() for arm in arms}
+        failure.table = together(tails) if len(tails) > 1 else tails[arms[0].robot.name]
+    return failure
 
 
 def _enter_real_time(stack: ExitStack, loop: Loop, on_event: Tell, wait: Wait) -> None:

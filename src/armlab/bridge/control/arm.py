@@ -29,10 +29,7 @@ _BINS = 20_000  # of one microsecond; the last one takes everything longer
 
 
 class Latency:
-    """Times from arrival to reply in bins of 1 us, in constant memory.
-
-    count : times counted. longest : the longest [us].
-    """
+    """Times from arrival to reply in bins of 1 us, in constant memory."""
 
     def __init__(self) -> None:
         self._bins = [0] * _BINS
@@ -46,10 +43,7 @@ class Latency:
         self.longest = max(self.longest, 1e-3 * nanoseconds)
 
     def percentile(self, percent: float) -> float:
-        """Return the time [us] that `percent` of the times do not exceed; NaN when nothing was counted.
-
-        percent : from 0 to 100.
-        """
+        """Return the time [us] that `percent` of the times do not exceed; NaN when nothing was counted."""
         if not self.count:
             return float("nan")
         wanted, seen = percent / 100.0 * self.count, 0
@@ -89,11 +83,7 @@ class QueueTrimming:
         self._depths: list[int] = []
 
     def leaves_out(self, depth: int, period: float) -> bool:
-        """Return whether the reply to this packet is left out: one for each message that was left in three cycles.
-
-        depth : messages left in the queue after the controller took one; not above 0 also when it is unknown.
-        period : cycle time of the robot [s].
-        """
+        """Return whether the reply to this packet is left out: one for each message that was left in three cycles."""
         if standing := self._standing.after(depth, period):
             self._on_event(f"{standing} Skipping {self.left_out} replies did not empty the queue. {_REMEDY}", warn=True)
         self._owed = min(self._owed, max(depth, 0))  # a queue that is shorter, or another session's, owes no more
@@ -134,19 +124,7 @@ class _Row(NamedTuple):
 
 
 class ArmSession:
-    """One arm of a loop: everything that concerns it alone. Its methods are called under the loop's lock.
-
-    Parameters
-    ----------
-    robot, port, codec, session, machine, recording : the parts.
-    settings : of the run. wall_ns : wall clock minus monotonic clock [ns]. fusion : of the sources.
-
-    Attributes
-    ----------
-    prediction : of the next packet. newest : the newest packet that counted. latency : arrival to reply.
-    trimming : replies left out, see `QueueTrimming`.
-    replies, overtaken, late : packets. was_late : the last reply was.
-    """
+    """One arm of a loop: everything that concerns it alone. Its methods are called under the loop's lock."""
 
     def __init__(
         self,
@@ -205,31 +183,16 @@ class ArmSession:
         self.recording.catch_up()
 
     def set_command(self, command: Command | None) -> None:
-        """Keep what the controller commands this arm, which does not pace it, for the next packets.
-
-        Parameters
-        ----------
-        command : None holds.
-        """
+        """Keep what the controller commands this arm, which does not pace it, for the next packets."""
         self._given, self._given_age = kept(command), 0.0
 
     def kept_command(self, sample: Sample, longest: float) -> Command | None:
-        """Return the command kept for this packet; None, hold, once it is too old.
-
-        Parameters
-        ----------
-        sample : the packet. longest : time for which a command serves [s].
-        """
+        """Return the command kept for this packet; None, hold, once it is too old."""
         self._given_age += sample.dt
         return self._given if self._given_age <= longest else None
 
     def receive(self, arrival: Arrival | None, unanswered: PendingPacket | None = None) -> PendingPacket | None:
-        """Drain the port as far as a flood allows. Return the newest packet that counts, or the unanswered one.
-
-        Parameters
-        ----------
-        arrival : the first datagram. unanswered : a packet that waits for its reply.
-        """
+        """Drain the port as far as a flood allows. Return the newest packet that counts, or the unanswered one."""
         pending, taken, refused, woken_ns = unanswered, 0, 0, time.monotonic_ns()
         while arrival is not None:
             taken += 1

@@ -25,12 +25,7 @@ _NUMBERS = "q", "qd", "tau", "q_ext", "rapid_data"
 
 
 def wanted(command: Command, robot: Robot) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
-    """Return the position, velocity and torque (n,) that a command asks for, None for what it does not.
-
-    Raises
-    ------
-    CommandRefused : not a Command, wrong shape, or no numbers.
-    """
+    """Return the position, velocity and torque (n,) that a command asks for, None for what it does not."""
     if not isinstance(command, Command):
         raise CommandRefused(
             f"Expected the controller to return a Command or None, got {type(command).__name__}. "
@@ -62,12 +57,7 @@ def _vector(name: str, values: Any, robot: Robot) -> np.ndarray:
 
 
 def numbers(values: Any) -> np.ndarray:
-    """Return what a controller gave as an array of real numbers.
-
-    Raises
-    ------
-    Exception : any that NumPy or the values raise. TypeError : texts, truth values, complex numbers or objects.
-    """
+    """Return what a controller gave as an array of real numbers."""
     array = np.asarray(values)
     if array.dtype.kind not in _REAL:
         raise TypeError(f"of type {array.dtype}")
@@ -89,10 +79,7 @@ def _copied(values: Any) -> Any:
 
 
 def refusal(refused: int, q: np.ndarray | None, qd: np.ndarray | None, sent: np.ndarray, robot: Robot) -> str:
-    """Return the sentence for a reference that the limits refused.
-
-    refused : i when joint i (from 1) is not finite, -i when it jumps. q, qd : asked for. sent : (n,) position before.
-    """
+    """Return the sentence for a reference that the limits refused."""
     i = abs(refused) - 1
     joint, axes = joint_name(robot, i), axes_of(robot)
     if refused > 0 or q is None:  # only a position can jump
@@ -120,10 +107,7 @@ def _jumped(q: np.ndarray, sent: np.ndarray, i: int, robot: Robot, joint: str) -
 def entry_refusal(
     q: np.ndarray, held: np.ndarray, entry: np.ndarray, robot: Robot, name: JointName | None = None
 ) -> str:
-    """Return the sentence for a first position too far from where the arm holds, "" when it is near enough.
-
-    q : (n,) asked for. held : (n,) where the arm holds. entry : (n,) distance allowed. name : of a joint by its index.
-    """
+    """Return the sentence for a first position too far from where the arm holds, "" when it is near enough."""
     axes = axes_of(robot)
     q, held = axes(q), axes(held)
     distance = np.abs(q - held)
@@ -139,11 +123,7 @@ def entry_refusal(
 
 
 def joint_name(robot: Robot, i: int, first: int | None = None, by_axis: bool = False) -> str:
-    """Return what a client calls joint i (from 0), with its place in what was sent.
-
-    first : place of the arm's first number in a ROS message, None for a command that was none.
-    by_axis : the numbers of a command that was none stood in ABB's order, axes 1 to n.
-    """
+    """Return what a client calls joint i (from 0), with its place in what was sent."""
     if first is not None:
         return f"{robot.ros_joint_names[i]} (number {first + i + 1} of the message)"
     if by_axis:

@@ -25,8 +25,6 @@ class ExternalReferences:
 
     External axes are asked for by the first `Command.q_ext` of a session. From then on each reply says where they
     shall be: a controller without a new reference keeps the last one, speed included. Values for RAPID go out once.
-
-    limits : of the external axes, None where commands to them are refused. capabilities : of the codec.
     """
 
     def __init__(self, limits: Limits | None, capabilities: frozenset[str]) -> None:
@@ -58,10 +56,7 @@ class ExternalReferences:
         self._q: np.ndarray | None = None
 
     def observe(self, packet: Packet, dt: float) -> str:
-        """Check the feedback of a packet: only a plausible one is ever a reference. Return the first problem in a row.
-
-        packet : the newest. dt : seconds since the packet before.
-        """
+        """Check the feedback: only a plausible one is ever a reference. Return the first problem in a row."""
         limits, q = self._limits, packet.q_ext
         if limits is None or q.shape != limits.q_min.shape:
             return ""
@@ -95,12 +90,7 @@ class ExternalReferences:
         return Beside(reply.q, reply.qd)
 
     def follow(self, command: Command, packet: Packet, dt: float, longest: float) -> Beside | None:
-        """Return what goes with the reply to a command.
-
-        Raises
-        ------
-        CommandRefused : values of another shape, no numbers, a jump, no limits, or a robot that cannot take them.
-        """
+        """Return what goes with the reply to a command."""
         if command.rapid_data is None and command.rapid_digital is None and command.q_ext is None:
             return self.hold(dt, longest) if self._moves else None
         data = self._data(command, packet)
@@ -177,10 +167,7 @@ class ExternalReferences:
 
 
 def joined(reply: Reply, beside: Beside | None) -> Reply:
-    """Return a reply for the joints with what goes beside.
-
-    reply : for the joints. beside : None for nothing.
-    """
+    """Return a reply for the joints with what goes beside."""
     return reply if beside is None else reply._replace(beside=beside)
 
 

@@ -37,8 +37,6 @@ class FeedbackCheck:
 
     A frozen feedback is found by the reference that moves away from it. On a robot whose axes are not its joints all
     of this is about the axes.
-
-    q : (n,) last plausible feedback of the session, None before. confirmed : three in a row were plausible.
     """
 
     def __init__(self, robot: Robot, limits: Limits) -> None:
@@ -56,11 +54,7 @@ class FeedbackCheck:
         self._guided, self._ramps, self._fastest = 0.0, True, np.zeros(self._robot.n)
 
     def check(self, q: np.ndarray, dt: float, sent: Reply | None) -> str:
-        """Return why a feedback is not plausible, "" when it is.
-
-        q : (n,) feedback. dt : seconds since the packet before. sent : the reference that the robot follows, None
-            while it follows none.
-        """
+        """Return why a feedback is not plausible, "" when it is."""
         self._since += dt
         same = self._newest is not None and q.tobytes() == self._newest.tobytes()
         self._frozen = self._frozen + dt if same else 0.0
@@ -159,10 +153,7 @@ def not_ready_reason(motors: int, rapid: int, mci: int) -> str:
 
 
 class Readiness:
-    """The states of the newest packets; one or two packets without a state do not end a motion.
-
-    is_unknown : packets without a state have followed a robot that was ready.
-    """
+    """The states of the newest packets; one or two packets without a state do not end a motion."""
 
     def __init__(self) -> None:
         self.begin()

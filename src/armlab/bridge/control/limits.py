@@ -147,15 +147,7 @@ class Limits:
 
 
 class Reply(NamedTuple):
-    """One reference after the limits.
-
-    q, qd : (n,) position and speed to send.
-    clamped : (n,) bits 1 position, 2 velocity, 4 acceleration, 8 braking, 16 torque, 32 torque rate.
-    ratio : of the velocity limit, 1 when it did not act.
-    refused : 0, or i when joint i (from 1) is not finite, -i when it jumps; the reply then holds.
-    tau : (n,) torque to send or None. free : the torque takes the place of the position loop.
-    beside : what goes to external axes and RAPID, None for nothing.
-    """
+    """One reference after the limits."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -168,11 +160,7 @@ class Reply(NamedTuple):
 
 
 class Limiter:
-    """The last reference sent, and the next one within the limits (law: `kernels.limit_reference`).
-
-    reach : range of the robot (n,), to which a position at rest is clipped.
-    memory : what the next reference depends on; set it back when the last one did not go out.
-    """
+    """The last reference sent, and the next one within the limits (law: `kernels.limit_reference`)."""
 
     def __init__(self, limits: Limits, reach: tuple[Any, Any] = (-np.inf, np.inf)) -> None:
         self._reach = reach
@@ -212,12 +200,7 @@ class Limiter:
         return self.step(None, None, dt, longest)
 
     def step(self, q: np.ndarray | None, qd: np.ndarray | None, dt: float, longest: float = np.inf) -> Reply:
-        """Return the reference for a position `q` (n,), a velocity `qd` (n,), both, or neither (hold).
-
-        q, qd : references or None. dt : measured time since the last reference that went out [s].
-        longest : time within which a reference may move on [s]: after a longer gap it moves no further, unless that
-            would brake too hard.
-        """
+        """Return the reference for a position `q` (n,), a velocity `qd` (n,), both, or neither (hold)."""
         bounds = self._bounds
         if dt > longest:
             bounds = bounds.copy()
@@ -255,23 +238,13 @@ class LinkedLimiter(Limiter):
 
 
 def limiter_of(limits: Limits, robot: Robot) -> Limiter:
-    """Return the limiter of a robot: of its joints, or of its axes where they differ.
-
-    Raises
-    ------
-    RobotError : see `Linkage.of`.
-    """
+    """Return the limiter of a robot: of its joints, or of its axes where they differ."""
     linkage, reach = Linkage.of(robot), (robot.q_min, robot.q_max)
     return Limiter(limits, reach) if linkage is None else LinkedLimiter(limits, linkage, reach)
 
 
 def axes_of(robot: Robot) -> Callable[[np.ndarray], np.ndarray]:
-    """Return what makes positions (n,) of a robot's joints those that its limits are about: of ABB's axes.
-
-    Raises
-    ------
-    RobotError : see `Linkage.of`.
-    """
+    """Return what makes positions (n,) of a robot's joints those that its limits are about: of ABB's axes."""
     linkage = Linkage.of(robot)
     return _same if linkage is None else linkage.axes
 

@@ -13,18 +13,17 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from mmap import mmap
 from operator import attrgetter
-from typing import Any, Protocol
+from typing import Any
 
 from armlab.bridge.control.arm import ArmSession, PendingPacket
 from armlab.bridge.control.multi_arm import merge_states, split_command
-from armlab.bridge.control.realtime import Lateness, collect_if_due
+from armlab.bridge.control.realtime import Lateness, Waiting, collect_if_due
 from armlab.bridge.control.state_machine import Mode
 from armlab.bridge.control.supervision import Settings
-from armlab.bridge.net.sockets import Arrival
 from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, LinkError
 from armlab.state import Command, State
 
-__all__ = ["Controller", "Loop", "Packets"]
+__all__ = ["Controller", "Loop"]
 
 Controller = Callable[[State], Command | Sequence[Command | None] | None]
 """What decides: called with each state, returns a command or None for hold; with several arms also one per arm."""
@@ -42,25 +41,13 @@ _elapsed = attrgetter("machine.elapsed")  # robot time while an arm was ready [s
 _RESERVE = 2**24  # bytes, given back by what ends the run: to bring the arms to rest and to tell why needs some
 
 
-class Packets(Protocol):
-    """Where packets come from: `Waiting`."""
-
-    def next(self, seconds: float) -> tuple[int, Arrival] | None:
-        """Return the next datagram with the index of its arm, or None when none came in the time."""
-        ...
-
-
 class Loop:
-    """Runs the arms of a link until all have ended.
-
-    pace : index of the arm on whose packets the controller is called; None as the controller only listens.
-    reason, failure : why the run ended. interrupted : set it to stop.
-    """
+    """Runs the arms of a link until all have ended."""
 
     def __init__(
         self,
         arms: Sequence[ArmSession],
-        waiting: Packets,
+        waiting: Waiting,
         controller: Controller | None,
         settings: Settings,
         pace: int = 0,
@@ -101,12 +88,7 @@ class Loop:
         return self._calling and time.monotonic_ns() - self._called_ns > _HANGS
 
     def run(self) -> None:
-        """Run until every machine has ended.
-
-        Raises
-        ------
-        LinkError : there is no memory to set aside for the end.
-        """
+        """Run until every machine has ended."""
         try:
             self._reserve = mmap(-1, _RESERVE)
         except OSError as error:

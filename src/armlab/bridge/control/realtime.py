@@ -74,10 +74,7 @@ def short_switches() -> Iterator[None]:
 
 @contextmanager
 def priority(level: int, on_event: Tell = nobody) -> Iterator[bool]:
-    """Run the calling thread under SCHED_FIFO where that is permitted; what it starts does not inherit that.
-
-    level : 1 to 99. on_event : told once, with the remedy, when it is not permitted.
-    """
+    """Run the calling thread under SCHED_FIFO where that is permitted; what it starts does not inherit that."""
     try:
         before, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(level))
@@ -134,11 +131,7 @@ class Prediction:
         self._period = 0.0
 
     def add(self, arrival_ns: int, periods: int, period: float) -> None:
-        """Take one arrival.
-
-        arrival_ns : kernel stamp on our monotonic clock. periods : cycles since the packet before.
-        period : cycle time of the robot [s].
-        """
+        """Take one arrival."""
         self._period = 1e9 * period
         if self._last is None:
             self._last = float(arrival_ns)
@@ -157,10 +150,7 @@ class Prediction:
 
 
 class Waiting:
-    """Waits for datagrams on the ports of a link.
-
-    ports : where they arrive; each is asked first in pending, so that a flood on one does not shut out the others.
-    """
+    """Waits for datagrams on the ports of a link."""
 
     def __init__(self, ports: Sequence[Port], predictions: Sequence[Prediction], mode: Wait) -> None:
         self._ports, self._predictions, self._mode = tuple(enumerate(ports)), predictions, mode
@@ -263,11 +253,7 @@ class Lateness:
 
 
 class Guard:
-    """Thread that wakes at the deadline of each cycle and acts only when the loop is overdue.
-
-    overdue : called without a lock; returns the seconds until the loop will be overdue, 0 or less when it is.
-    act : called when it is: answers for the loop.
-    """
+    """Thread that wakes at the deadline of each cycle and acts only when the loop is overdue."""
 
     def __init__(self, overdue: Callable[[], float], act: Callable[[], None]) -> None:
         self._overdue, self._act = overdue, act

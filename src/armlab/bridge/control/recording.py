@@ -41,10 +41,7 @@ class Feed(Protocol):
 
 
 def paths(record: str | Path | None, robots: Sequence[Robot]) -> list[Path | None]:
-    """Return the file of each arm: the name given, with the side (else the name) of the arm added when several.
-
-    record : ``run.mcap`` becomes ``runleft.mcap`` and ``runright.mcap`` for the arms of a YuMi. None: no files.
-    """
+    """Return the file of each arm: the name given, with the side (else the name) of the arm added when several."""
     if record is None:
         return [None] * len(robots)
     path = Path(record)
@@ -56,14 +53,7 @@ def paths(record: str | Path | None, robots: Sequence[Robot]) -> list[Path | Non
 
 
 class Recording:
-    """Where the rows of an arm go.
-
-    robot : the arm. path : file to write, None keeps the rows in memory. extra : the controller's own columns.
-    attachments : kept in the file. wait : never drop a row (a link in lockstep keeps no real time).
-    clock : stamps of events, wall clock [ns]; 0 while it is not known yet.
-    feeds : told too; a list that the recordings of a run share. label : put before each event when several arms run.
-    path : the file, None without one. events : the last sentences, with their stamps.
-    """
+    """Where the rows of an arm go."""
 
     def __init__(
         self,
@@ -89,12 +79,7 @@ class Recording:
         self._early: list[Callable[[int], None]] = []  # what waits for its stamp
 
     def keep(self, state: State, command: Command | None, tick: Tick) -> Command | None:
-        """Keep one row in memory. Return the command as it could be kept with it, None when it could not be.
-
-        Raises
-        ------
-        MemoryError : the row was not kept.
-        """
+        """Keep one row in memory. Return the command as it could be kept with it, None when it could not be."""
         if self._early:
             self._stamp_early(tick.stamp_ns)
         try:

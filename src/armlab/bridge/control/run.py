@@ -45,14 +45,7 @@ class End(NamedTuple):
 def checked_limits(
     limits: Limits | Sequence[Limits] | None, robots: Sequence[Robot], commands: bool = True
 ) -> list[Limits]:
-    """Return the limits of each arm.
-
-    limits : one per arm; None gives the robots' own. robots : the arms. commands : False when nothing is ever sent.
-
-    Raises
-    ------
-    ConfigError : another number of limits, limits for another number of joints, or none on speed or acceleration.
-    """
+    """Return the limits of each arm."""
     given: list[Any] = [Limits.of(robot) for robot in robots]
     if limits is not None:
         given = list(limits) if isinstance(limits, list | tuple) else [limits]
@@ -88,10 +81,7 @@ def assemble(
     feeds: Sequence[Feed],
     sources: Sequence[Source],
 ) -> list[ArmSession]:
-    """Return the arms of one run, on one clock.
-
-    ends : where they are heard. limits : of each. settings : of the run. commands : False when nothing is ever sent.
-    """
+    """Return the arms of one run, on one clock."""
     wall_ns = time.time_ns() - time.monotonic_ns()
     told = list(feeds)  # one list: a feed that fails is dropped for all arms
     columns = {**Fusion(sources).columns, **_columns(extra)}

@@ -102,16 +102,7 @@ _LAST = (Mode.STOPPING, Mode.ENDED)
 
 
 class StateMachine:
-    """Decides, packet by packet, whether the controller is asked and what is sent.
-
-    commands : False when there is no controller: LISTENING.
-    capabilities : of the codec. answer_stream : answer also before guidance. admittance : see `Torques`.
-    mode, ready : see the module. t : robot time since guidance began in this session [s].
-    elapsed : robot time while ready since the first readiness [s]. guided : the robot has been ready in this session.
-    q_start : (n,) where guidance began.
-    failure, reason : why the run stops. clamps : times each limit acted, (6, n). worst_ratio : of the velocity limit.
-    refused : commands refused. refusing : why the last one was, "" when it was not.
-    """
+    """Decides, packet by packet, whether the controller is asked and what is sent."""
 
     def __init__(
         self,
@@ -200,20 +191,12 @@ class StateMachine:
         self.ready = ready
 
     def state(self, sample: Sample, t_receive: int, **fused: Any) -> State:
-        """Return what the controller sees of a sample just observed.
-
-        sample : from the session. t_receive : arrival, wall clock [ns].
-        fused : `sources` and `wrench` of the State, where there are any.
-        """
+        """Return what the controller sees of a sample just observed."""
         q_start = self.q_start if self.guided else sample.packet.q
         return make_state(sample, self._last, self.t, q_start, t_receive, self._robot.name, fused)
 
     def answer(self, command: Command | None, period: float) -> Reply | None:
-        """Return the reply to the newest packet observed, or None when nothing is sent.
-
-        command : what the controller returned; None holds.
-        period : cycle time of the robot [s]; after a gap of more than three of them a reference moves on no further.
-        """
+        """Return the reply to the newest packet observed, or None when nothing is sent."""
         packet, self._before = self._packet, self._memory
         if packet is None or self.mode in _UNANSWERED:
             return None
@@ -246,10 +229,7 @@ class StateMachine:
         return self._last
 
     def hold(self, period: float) -> Reply | None:
-        """Return the reply to the newest packet when the controller is overdue: hold, and stay in the mode.
-
-        period : cycle time of the robot [s].
-        """
+        """Return the reply to the newest packet when the controller is overdue: hold, and stay in the mode."""
         if not self.calls or self._dt == 0.0:
             return self.answer(None, period)
         self._before, self._longest = self._memory, _GAP * period
@@ -257,10 +237,7 @@ class StateMachine:
         return self._last
 
     def take_back(self, waits: bool = False) -> None:
-        """Forget the last reply, which did not go out: the next one goes on from the reference that the robot has.
-
-        waits : a reference waits in the robot's queue for this cycle, so that no time has passed since the last one.
-        """
+        """Forget the last reply, which did not go out: the next one goes on from the reference that the robot has."""
         self._dt, rested, self._last, self._limiter.memory, self._torques.memory, self._external.memory = self._before
         if waits:
             self._dt = max(0.0, self._dt - self._passed)

@@ -25,15 +25,7 @@ _BRIEF_IN_A_ROW = 10  # end the run: `Settings.seconds` counts time under guidan
 
 @dataclass(frozen=True)
 class Settings:
-    """How a loop runs.
-
-    Attributes
-    ----------
-    seconds : robot time while ready after which to stop, None for never. resume : wait for the next session.
-    clock : "wall", or "robot" for a robot in lockstep: no deadline then. patience : seconds to wait for a robot.
-    alive : returns why nothing more can come, "" while something can; raises LinkError when that is a failure.
-    progress : told the robot time [s] ten times a second.
-    """
+    """How a loop runs."""
 
     seconds: float | None = None
     resume: bool = True
@@ -121,10 +113,7 @@ class Supervisor:
 
 
 def check_list(port: Port) -> str:
-    """Return what to check when no packet comes, in sentences.
-
-    port : where the packets were expected.
-    """
+    """Return what to check when no packet comes, in sentences."""
     loopback = " That address hears programs on this computer only." if port.host.startswith("127.") else ""
     return (
         f"Listening on {port.host}:{port.port}.{loopback} Check that the controller's UDPUC device has this computer's "

@@ -42,10 +42,7 @@ class _AnyArm:
 
 
 class EgmListener:
-    """Collects the datagrams of one port.
-
-    number : of the port. robot : the arm that is expected there, None for any.
-    """
+    """Collects the datagrams of one port."""
 
     def __init__(self, number: int, robot: Robot | None = None) -> None:
         self.number, self._robot = number, robot

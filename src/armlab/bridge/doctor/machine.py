@@ -154,10 +154,7 @@ def ros_nodes(environment: Mapping[str, str]) -> Finding:
 
 
 def clock(resolution: float = time.get_clock_info("monotonic").resolution) -> Finding:
-    """Check the resolution of the monotonic clock.
-
-    resolution : in seconds.
-    """
+    """Check the resolution of the monotonic clock."""
     value = f"{1e9 * resolution:.0f} ns"
     return Finding.judged("clock", "warning", resolution > _FINE, value, "Use a Linux with high-resolution timers.")
 
@@ -176,10 +173,7 @@ def real_time() -> Finding:
 
 
 def throttle(file: Path = _THROTTLE) -> Finding:
-    """Tell how much of its time a real-time thread may compute; wait="spin" never yields and needs all of it.
-
-    file : of the kernel: microseconds out of a second, -1 for all.
-    """
+    """Tell how much of its time a real-time thread may compute; wait="spin" never yields and needs all of it."""
     try:
         with file.open(encoding="ascii") as opened:
             runtime = int(opened.read())

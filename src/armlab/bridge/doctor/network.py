@@ -38,10 +38,7 @@ def local_addresses() -> dict[str, str]:
 
 
 def addresses(found: Mapping[str, str]) -> Finding:
-    """Check that other computers can reach this one at all.
-
-    found : interface -> IPv4 address.
-    """
+    """Check that other computers can reach this one at all."""
     value = ", ".join(f"{interface} {address}" for interface, address in found.items()) or "none"
     outside = [address for address in found.values() if not address.startswith("127.")]
     advice = "Only a simulated robot can reach this computer: plug in the cable to the controller, set an address."
@@ -101,11 +98,7 @@ class _PortListener:
 
 
 def listen(numbers: Sequence[int], seconds: float, robots: Sequence[Robot | None], asked: bool) -> list[Finding]:
-    """Bind ports, listen, and say what came. Nothing is sent but a token to this computer's own addresses.
-
-    numbers : UDP ports. seconds : how long to listen. robots : the arm expected at each, None for any.
-    asked : the user named these ports, so that a silent one is worth a word of its own.
-    """
+    """Bind ports, listen, and say what came. Nothing is sent but a token to this computer's own addresses."""
     found: list[Finding] = []
     listeners: list[_PortListener] = []
     for number, robot in zip(numbers, robots, strict=True):

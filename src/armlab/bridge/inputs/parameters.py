@@ -75,12 +75,7 @@ class Parameter:
         return int(match[1]) if match else 0
 
     def _checked(self, value: Any) -> Any:
-        """Return a value as it is kept: float, int, bool, str or a read-only array (k,).
-
-        Raises
-        ------
-        CommandRefused : wrong type or shape, not finite, or outside the bounds.
-        """
+        """Return a value as it is kept: float, int, bool, str or a read-only array (k,)."""
         if self.type == "bool":
             if not isinstance(value, (bool, np.bool_)):
                 raise self._refused("true or false", value)
@@ -126,10 +121,7 @@ class Parameter:
 
 
 class Change(NamedTuple):
-    """One value that came into force.
-
-    sequence : from 1. name, value : what. who : set it.
-    """
+    """One value that came into force."""
 
     sequence: int
     name: str

@@ -65,12 +65,7 @@ class Reading(NamedTuple):
 
 
 def whole(number: Any, unit: int = 1) -> int:
-    """Return a stamp or a number that somebody sent as an integer of a reading.
-
-    Raises
-    ------
-    ValueError : no number, one that is not finite, or one beyond 64 bits.
-    """
+    """Return a stamp or a number that somebody sent as an integer of a reading."""
     plain = number.item() if isinstance(number, np.generic) else number
     if isinstance(plain, int | float) and abs(plain * unit) < 1 << 64:
         return int(plain * unit)
@@ -174,16 +169,7 @@ class Source:
 
 
 def check_source(source: Source, robots: Sequence[Robot]) -> None:
-    """Check that a calibrated force sensor belongs to one of the arms of a run.
-
-    Parameters
-    ----------
-    robots : the arms.
-
-    Raises
-    ------
-    ConfigError : it does not say to which of several. ModelMismatchError : it was fitted on another robot.
-    """
+    """Check that a calibrated force sensor belongs to one of the arms of a run."""
     if source.calibration is None:
         return
     if not source.robot and len(robots) > 1:
@@ -282,12 +268,7 @@ class CallableSource(ThreadSource):
 
 
 class TimerSource(Source):
-    """Counts periods: the pace of rows where no robot gives one. Its field is ``count``.
-
-    Parameters
-    ----------
-    name, period, options : see `Source`.
-    """
+    """Counts periods: the pace of rows where no robot gives one. Its field is ``count``."""
 
     def __init__(self, name: str, period: float, **options: Any) -> None:
         super().__init__(name, {"count": Column(unit="1")}, period, **{"role": "pacing", **options})
@@ -305,16 +286,7 @@ class TimerSource(Source):
 
 
 class ReplaySource(Source):
-    """A source as it was recorded: the same readings at the same ticks, through the same fusion.
-
-    Parameters
-    ----------
-    name : of the recorded source. table : a recording with its columns. period, options : see `Source`.
-
-    Raises
-    ------
-    UnknownName : the table has no such source.
-    """
+    """A source as it was recorded: the same readings at the same ticks, through the same fusion."""
 
     def __init__(self, name: str, table: Table, period: float, **options: Any) -> None:
         prefix, own = f"{name}.", TICK_COLUMNS

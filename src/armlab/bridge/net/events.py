@@ -45,8 +45,6 @@ class Limited:
     waits for its turn, with its own stamp; it says how many it stands for. So something that flaps with every packet
     fills no disk, and its last state is always known.
     What must be told one by one is, up to fifty of a kind in a second; who sends more floods the log.
-
-    tell : takes (sentence, whether something is wrong, stamp [ns]).
     """
 
     def __init__(self, tell: Callable[[str, bool, int], None]) -> None:

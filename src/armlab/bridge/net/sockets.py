@@ -76,14 +76,7 @@ class Arrival(NamedTuple):
 
 
 class Port:
-    """A bound UDP port that never blocks; socket errors are counted.
-
-    host, port : where to listen; port 0 lets the system choose.
-
-    Raises
-    ------
-    LinkError : the address cannot be bound, or not again; names who holds the port where that can be determined.
-    """
+    """A bound UDP port that never blocks; socket errors are counted."""
 
     def __init__(self, host: str, port: int) -> None:
         self._errors = self._seen = 0
@@ -169,14 +162,7 @@ def _why_not(host: str, port: int, error: Exception) -> str:
 
 
 def listening_socket(host: str, port: int, name: str, backlog: int) -> socket.socket:
-    """Return a socket that listens and never blocks; what it accepts sends small messages at once.
-
-    host, port : where; port 0 lets the system choose. name : what for, in messages. backlog : connections that wait.
-
-    Raises
-    ------
-    LinkError : the port cannot be bound; names the process that has it where that can be told.
-    """
+    """Return a socket that listens and never blocks; what it accepts sends small messages at once."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else one waits up to 40 ms for an acknowledgement
@@ -212,11 +198,7 @@ def pair() -> tuple[socket.socket, socket.socket]:
 
 
 class Outlet:
-    """The way to one server process and back.
-
-    where : what the server listens on; None until it says so.
-    clients : rows sent to each of its clients and dropped for it; None until it says so.
-    """
+    """The way to one server process and back."""
 
     def __init__(self, name: str) -> None:
         self.name = name
