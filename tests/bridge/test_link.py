@@ -190,22 +190,6 @@ def test_a_linear_joint_without_a_unit_may_only_be_listened_to(robot: Robot) -> 
         link.run(sway)
 
 
-def test_another_codec(play: Any, robot: Robot) -> None:
-    """A site's own interface: an object with the methods of the protocol."""
-    from armlab.wire.egm import EgmCodec
-
-    class Counting(EgmCodec):
-        decoded = 0
-
-        def decode(self, data: bytes) -> Any:
-            self.decoded += 1
-            return super().decode(data)
-
-    codec = Counting(robot)
-    run = play(lambda peer: peer.rest(), sway, play.link(codec=codec), seconds=0.1)
-    assert codec.decoded >= run.statistics["packets"]
-
-
 def test_two_runs_on_one_link(play: Any) -> None:
     link = play.link()
     first = play(lambda peer: peer.rest(), sway, link, seconds=0.1)
@@ -221,37 +205,6 @@ def test_two_runs_on_one_link(play: Any) -> None:
     for run in (first, second):
         assert run.statistics["replies"] + run.statistics["overtaken"] == run.statistics["packets"]
         assert np.isfinite(run.table["q_ref"]).all(axis=1).sum() >= 25
-
-
-def test_own_limits(play: Any, robot: Robot) -> None:
-    limits = Limits.of(robot, speed=0.01)
-    run = play(lambda peer: peer.rest(), sway, limits=limits, seconds=0.2)
-    assert np.abs(run.table["qd_sent"]).max() <= 0.01 * robot.qd_max.max() + 1e-9
-    assert run.statistics["worst_ratio"] < 0.5
-
-
-def test_seconds_count_from_readiness(play: Any) -> None:
-    def script(peer: Any) -> None:
-        peer.cycles(100, mci=2)
-        peer.rest()
-
-    run = play(script, sway, seconds=0.2)
-    assert run.statistics["packets"] > 250
-    running = np.isfinite(run.table["q_ref"][:, 0])
-    assert not running[:100].any()
-    assert running.sum() == pytest.approx(51, abs=1)
-
-
-def test_a_session_that_ends_ends_the_run_when_asked(play: Any) -> None:
-    link = play.link(clock="wall")
-
-    def script(peer: Any) -> None:
-        peer.begin()
-        peer.cycles(20)
-        peer.cycle(motors=2)
-
-    run = play(script, sway, link, reconnect="stop", wait="block")
-    assert run.reason == "the motors were switched off"
 
 
 def test_a_session_that_begins_anew_at_once_ends_the_run_when_asked(play: Any) -> None:

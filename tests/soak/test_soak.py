@@ -26,8 +26,6 @@ from soak.programs import Program
 from soak.series import Held, Recorded
 from tests.processes import free_port, until
 
-sys.path.append(str(Path(__file__).parents[2]))
-
 MIB = 2**20
 T = np.linspace(0.0, 1800.0, 300)  # s: half an hour at 250 Hz, as the soak in real time
 TICKS = 250.0 * T
@@ -228,9 +226,6 @@ def test_a_fault_is_found(fault: Callable[[dict[str, Any]], None]) -> None:
     failed = [one.what for one in judged(**run) if not one.is_met]
     assert any(what.startswith(FAULTS[fault]) for what in failed)
     assert len(failed) == 1 or fault.__name__ in ("unfinished", "row lost", "too slow"), failed
-
-
-sys.path.append(str(Path(__file__).parents[2]))
 
 
 def test_memory_and_descriptors_of_a_process_are_counted(tmp_path: Path) -> None:

@@ -329,6 +329,7 @@ def test_a_rule_that_drops_packets(monkeypatch: pytest.MonkeyPatch) -> None:
 
 PERIOD_NS = 4_032_000
 SOURCE = ("192.0.2.7", 40_000)
+RIGHT = robots.load("yumi_right")
 
 
 class Line:
@@ -383,15 +384,6 @@ def test_silence(heard: EgmListener) -> None:
         assert word in finding.advice
 
 
-def test_two_senders(heard: EgmListener, line: Line) -> None:
-    for k in range(10):
-        line(k)
-        line(k + 70, source=("192.0.2.8", 50_000))
-    found = judged(heard)["senders"]
-    assert (found.verdict, found.value) == ("failure", "2")
-    assert "port of its own" in found.advice
-
-
 @pytest.mark.parametrize("data", [b"", b"hello", b"\xff" * 40])
 def test_something_else(heard: EgmListener, data: bytes) -> None:
     heard.add(Arrival(data, SOURCE, 1))
@@ -426,54 +418,37 @@ def test_old_robotware(robot: Robot, heard: EgmListener, robotware: str, advice:
     assert advice in found.advice
 
 
-def test_a_posture_that_cannot_be(robot: Robot, heard: EgmListener, line: Line) -> None:
-    line(0, q=robot.q_max + 1.0)
-    found = judged(heard)["posture"]
-    assert found.verdict == "failure"
-    assert "Usual causes" in found.advice
-
-
-@pytest.mark.parametrize(
-    ("fields", "words", "advice"),
-    [
-        ({"motors": 2}, "the motors are off", "enabling device"),
-        ({"rapid": 1}, "RAPID is stopped", "from main"),
-        ({"mci": 2}, "guidance has not begun", "EGMRunJoint"),
-    ],
-)
-def test_not_ready(heard: EgmListener, line: Line, fields: dict[str, Any], words: str, advice: str) -> None:
-    line(0, **fields)
-    found = judged(heard)["guidance"]
-    assert found.verdict == "warning"
-    assert words in found.value
-    assert advice in found.advice
-
-
-def test_lost_and_repeated_packets(heard: EgmListener, line: Line) -> None:
-    for k in (0, 1, 1, 4, 5):
-        line(k)
-    found = judged(heard)["timing"]
-    assert found.verdict == "warning"
-    assert "2 lost, 1 repeated" in found.value
-
-
-def test_an_uneven_network(heard: EgmListener, line: Line) -> None:
-    for k in range(50):
-        line(k, after=PERIOD_NS + (3_000_000 if k % 10 == 9 else 0))
-    assert judged(heard)["timing"].verdict == "warning"
-
-
-def test_why_a_session_ended(heard: EgmListener, line: Line) -> None:
-    line(0)
-    line(1, motors=2)
-    line(0, after=10**9)
-    found = judged(heard)["sessions"]
-    assert found.verdict == "warning"
-    assert "the controller stopped sending" in found.value or "motors were switched off" in found.value
-
-
 def test_the_extension(robot: Robot, heard: EgmListener) -> None:
     line = Line(robot, heard)
     line.codec = RobotSideCodec(robot, extension=True)
     line(0, qd=np.zeros(7), tau=np.zeros(7))
     assert "present" in judged(heard)["extension"].value
+
+
+OTHER = ("192.0.2.8", 50_000)
+UNEVEN = [{"seqno": k, "after": PERIOD_NS + 3_000_000 * (k % 10 == 9)} for k in range(50)]
+ENDED = [{"seqno": 0}, {"seqno": 1, "motors": 2}, {"seqno": 0, "after": 10**9}]
+
+
+@pytest.mark.parametrize(
+    ("packets", "name", "verdict", "value", "advice"),
+    [
+        ([{"seqno": 0}, {"seqno": 70, "source": OTHER}], "senders", "failure", "2", "port of its own"),
+        ([{"seqno": 0, "q": RIGHT.q_max + 1.0}], "posture", "failure", "q = ", "Usual causes"),
+        ([{"seqno": 0, "motors": 2}], "guidance", "warning", "the motors are off", "enabling device"),
+        ([{"seqno": 0, "rapid": 1}], "guidance", "warning", "RAPID is stopped", "from main"),
+        ([{"seqno": 0, "mci": 2}], "guidance", "warning", "guidance has not begun", "EGMRunJoint"),
+        ([{"seqno": k} for k in (0, 1, 1, 4, 5)], "timing", "warning", "2 lost, 1 repeated", "cable"),
+        (UNEVEN, "timing", "warning", "0 lost, 0 repeated", "cable"),
+        (ENDED, "sessions", "warning", "2, last end: the", "CommTimeout"),
+    ],
+)
+def test_what_packets_tell(
+    heard: EgmListener, line: Line, packets: Any, name: str, verdict: str, value: str, advice: str
+) -> None:
+    for packet in packets:
+        line(**packet)
+    found = judged(heard)[name]
+    assert found.verdict == verdict
+    assert value in found.value
+    assert advice in found.advice
