@@ -282,7 +282,7 @@ def test_a_robot_that_begins_anew_ends_a_run_that_does_not_resume(one: Make, res
     hands = one(lambda state: Command(), resume=resume)
     for _ in range(3):
         hands.cycle()
-    machine = hands.arms[0].guide
+    machine = hands.arms[0].machine
     assert machine.mode is Mode.HOLDING
     hands.robots[0].seq = 0
     hands.cycle()

@@ -151,24 +151,24 @@ def test_limits_of_axes_beyond_the_robot(robot: Robot) -> None:
         Limits.of_axes([-1.0], [1.0], [0.5, 0.5])
 
 
-ROBOT = robots.load("irb2400")
+LINKED = robots.load("irb2400")
 
 
 def test_which_robots_need_it() -> None:
     assert type(limiter_of(Limits.of(robots.load("irb120")), robots.load("irb120"))) is Limiter
-    assert isinstance(limiter_of(Limits.of(ROBOT), ROBOT), LinkedLimiter)
+    assert isinstance(limiter_of(Limits.of(LINKED), LINKED), LinkedLimiter)
 
 
 def test_positions_that_limits_are_about() -> None:
     q = np.array([0.1, 0.2, 0.4, 0.0, 0.3, 0.0])
-    np.testing.assert_allclose(axes_of(ROBOT)(q), [0.1, 0.2, 0.6, 0.0, 0.3, 0.0])
+    np.testing.assert_allclose(axes_of(LINKED)(q), [0.1, 0.2, 0.6, 0.0, 0.3, 0.0])
     assert axes_of(robots.load("irb120"))(q) is q
 
 
 def test_the_sum_of_two_joints_is_limited() -> None:
     """Joints 2 and 3 each stay within their numbers, their sum would reach 68 degrees, the axis ends at 65."""
-    limits = Limits.of(ROBOT)
-    limiter = limiter_of(limits, ROBOT)
+    limits = Limits.of(LINKED)
+    limiter = limiter_of(limits, LINKED)
     q = np.radians([0.0, 40, 20, 0, 30, 0])
     np.testing.assert_allclose(limiter.rest(q).q, q)
     np.testing.assert_allclose(limiter.q, q)
@@ -186,21 +186,21 @@ def test_the_sum_of_two_joints_is_limited() -> None:
 
 
 def test_refusals_name_the_axis() -> None:
-    limiter = limiter_of(Limits.of(ROBOT), ROBOT)
-    limiter.rest(ROBOT.q_home)
-    assert limiter.step(ROBOT.q_home + 0.5 * np.eye(6)[3], None, T).refused == -4
+    limiter = limiter_of(Limits.of(LINKED), LINKED)
+    limiter.rest(LINKED.q_home)
+    assert limiter.step(LINKED.q_home + 0.5 * np.eye(6)[3], None, T).refused == -4
     assert limiter.step(np.full(6, np.nan), None, T).refused == 1
 
 
 def test_feedback_is_plausible_where_the_axes_are_within_their_limits() -> None:
     """Lower arm forward by 60 degrees, upper arm level: joint 3 is at -60 - 50 degrees, and that is no mistake."""
-    assert outside_range(np.radians([0, 60.0, -110, 0, 30, 0]), ROBOT) == ""
-    assert "joint 3" in outside_range(np.radians([0, 60.0, 40, 0, 30, 0]), ROBOT)
+    assert outside_range(np.radians([0, 60.0, -110, 0, 30, 0]), LINKED) == ""
+    assert "joint 3" in outside_range(np.radians([0, 60.0, 40, 0, 30, 0]), LINKED)
 
 
 def test_a_torque_alone_is_judged_by_the_axes() -> None:
     """Joint 3 at -110 degrees is axis 3 at -50, within its limits; joints 2 and 3 together may be beyond theirs."""
-    torques = Torques(ROBOT, Limits.of(ROBOT, tau_max=1.0), frozenset(("torque",)))
+    torques = Torques(LINKED, Limits.of(LINKED, tau_max=1.0), frozenset(("torque",)))
     assert torques.outside(np.radians([0, 60.0, -110, 0, 30, 0]), np.zeros(6)) == ""
     assert "joint 3" in torques.outside(np.radians([0, 48.0, 20, 0, 30, 0]), np.zeros(6))
 
@@ -213,10 +213,10 @@ def test_an_irb_2400_follows(lagging: bool) -> None:
         sway = 0.2 * (1.0 - np.cos(2.0 * state.t))
         return Command(state.q_start + sway * np.array([0, 1, -1, 0, 0, 0]))
 
-    with bridge.connect(f"sim://irb2400?lockstep=true&lagging={str(lagging).lower()}", ROBOT) as link:
+    with bridge.connect(f"sim://irb2400?lockstep=true&lagging={str(lagging).lower()}", LINKED) as link:
         run = link.run(controller, seconds=3.0)
     table = run.table
-    linkage = Linkage.of(ROBOT)
+    linkage = Linkage.of(LINKED)
     assert linkage is not None
     moved = table["q"] - table["q"][0]
     assert moved[:, 1].max() == pytest.approx(0.4, abs=0.02)

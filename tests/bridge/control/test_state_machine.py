@@ -145,12 +145,12 @@ def test_entry_far_from_the_hold_is_refused_and_told_after_a_second(bench: Bench
         reply = bench.reply(Command(bench.home + 0.051))
         np.testing.assert_allclose(reply.q, bench.home, rtol=1e-14)
     assert bench.mode is Mode.HOLDING
-    assert not any("Begin at" in event for event in bench.events)
+    assert not any("the first position within" in event for event in bench.events)
     bench.reply(Command(bench.home + 0.051))
     bench.reply(Command(bench.home + 0.051))
-    assert sum("Begin at state.q_start" in event for event in bench.feed.warnings) == 1
+    assert sum("the first position within" in event for event in bench.feed.warnings) == 1
     assert bench.machine.refused == 251
-    assert "Begin at state.q_start" in bench.machine.refusing
+    assert "the first position within" in bench.machine.refusing
     bench.reply(None)
     assert bench.machine.refusing == ""
     bench.reply(Command(bench.home + 0.049))
