@@ -174,7 +174,7 @@ class Peer:
                 self.answer(0.02)
                 return
 
-    def trimming(self) -> int:
+    def surplus(self) -> int:
         """Datagrams that wait although everything was answered."""
         self.socket.setblocking(False)
         for count in range(1000):

@@ -324,7 +324,7 @@ def test_nobody_is_asked_before_all_arms_have_been_heard(two: Make) -> None:
 
 def test_an_arm_that_never_comes_ends_the_run(two: Make) -> None:
     hands = two(drift, patience=1.0)
-    for _ in range(251):
+    for _ in range(270):
         hands.cycle(0)
     hands.loop._have_ended()
     assert isinstance(hands.loop.failure, NoRobot)
