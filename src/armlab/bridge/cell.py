@@ -204,10 +204,16 @@ class Cell:
 
     Attributes
     ----------
-    name : of the cell. robots, links : the arms and their urls. extension : send the research extension.
-    limits : of each arm. torque : names of arms that clients may command by torque.
-    commands : servers that may command. pace, record : see `Link.run`.
-    parameters : declared. servers : options by name of the server. text : of the file, kept in recordings.
+    name : of the cell.
+    robots, links : the arms and their urls.
+    extension : send the research extension.
+    limits : of each arm.
+    torque : names of arms that clients may command by torque.
+    commands : servers that may command.
+    pace, record : see `Link.run`.
+    parameters : declared.
+    servers : options by name of the server.
+    text : of the file, kept in recordings.
     """
 
     name: str
@@ -234,7 +240,8 @@ def parse_cell(text: str, path: str = "cell.toml") -> Cell:
 
     Parameters
     ----------
-    text : of the file. path : its name, for messages.
+    text : of the file.
+    path : its name, for messages.
 
     Raises
     ------
@@ -357,8 +364,11 @@ def run_cell(
 
     Parameters
     ----------
-    cell : from `parse_cell`. listen : see `listening`. seconds : robot time under guidance after which to end.
-    patience : s to wait for a robot. ready : told one line, who listens where, before the first packet is taken.
+    cell : from `parse_cell`.
+    listen : see `listening`.
+    seconds : robot time under guidance after which to end.
+    patience : s to wait for a robot.
+    ready : told one line, who listens where, before the first packet is taken.
     ended : told the run that ended, also when it then raises.
     controller : commands the arms in place of the clients, which then only read, set parameters and stop the arms.
     parameters : that the controller reads, made of `Cell.parameters`.
@@ -422,7 +432,8 @@ def cell_values(text: str, path: str = "cell.toml") -> list[tuple[str, Any, bool
 
     Parameters
     ----------
-    text : of the file. path : its name, for messages.
+    text : of the file.
+    path : its name, for messages.
 
     Raises
     ------

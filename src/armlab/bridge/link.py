@@ -167,12 +167,12 @@ def connect(
     Parameters
     ----------
     url : ``egm://127.0.0.1:6510`` listens there for a robot's controller. ``sim://yumi_right`` starts that simulated
-        robot and stops it with the link; ``?seed=1&lockstep=true`` are options of ``armlab sim``. Several arms have
-        one url each, of which only the seeds may differ, or ``sim://yumi_left+yumi_right``; ``sim://mine.toml``
-        simulates what a file describes. Without a number the port is 6510, of several 6511, 6512, ...
-        ``labcomm://host:7511`` goes to a LabComm server whose bridge has the robot; ``?order=chain&dialect=2014`` say
-        how its port is set. ``zenoh://host:7447/lab`` goes to a bridge that serves Zenoh, or to a router that knows
-        it; ``?ca=lab.pem&secret=commander.secret`` are its certificate and our password.
+        robot and stops it with the link; ``?seed=1&lockstep=true`` are options of ``armlab sim``. Several arms have one
+        url each, of which only the seeds may differ, or ``sim://yumi_left+yumi_right``; ``sim://mine.toml`` simulates
+        what a file describes. Without a number the port is 6510, of several 6511, 6512, ... ``labcomm://host:7511``
+        goes to a LabComm server whose bridge has the robot; ``?order=chain&dialect=2014`` say how its port is set.
+        ``zenoh://host:7447/lab`` goes to a bridge that serves Zenoh, or to a router that knows it;
+        ``?ca=lab.pem&secret=commander.secret`` are its certificate and our password.
     robot : the arm, or several in the order of the urls.
     codec : "egm", the name of an entry point of the group ``armlab.bridge.codecs``, or an object with the methods of
         `wire.egm.Codec`; one per arm.
@@ -185,7 +185,8 @@ def connect(
 
     Raises
     ------
-    ConfigError, UnknownName : wrong url, codec or clock. RobotError : no robot, or one whose axes EGM does not give.
+    ConfigError, UnknownName : wrong url, codec or clock.
+    RobotError : no robot, or one whose axes EGM does not give.
     LinkError : a port cannot be bound, or a bridge of that name runs.
     """
     robots = _robots(robot)
@@ -239,7 +240,10 @@ class Link:
 
     Attributes
     ----------
-    robots : the arms. robot : the first. host, port : the address bound for the first. ports : of each arm.
+    robots : the arms.
+    robot : the first.
+    host, port : the address bound for the first.
+    ports : of each arm.
     last : what the last run left behind, also one that raised; None before the first.
     """
 
@@ -309,14 +313,14 @@ class Link:
 
         Parameters
         ----------
-        controller : callable State -> Command or None (hold). None only listens and never sends. With several arms
-            the Command has the joints of all, or there is one per arm in a tuple.
+        controller : callable State -> Command or None (hold). None only listens and never sends. With several arms the
+            Command has the joints of all, or there is one per arm in a tuple.
         seconds : robot time under guidance, counted from the first readiness (from the first packet when listening).
         wait : "ahead" polls just before the packet, "block" sleeps, "spin" polls always.
         limits : on what is sent, one per arm; `Limits.of(robot)` by default.
         reconnect : "resume" waits for the next session when the controller ends one, "stop" ends the run.
-        torque : what becomes of a torque command on a codec without the capability "torque": "refuse" ends the run
-            with `CommandRefused`, "admittance" moves at ``qd = (tau - torque_model(q, qd)) / damping``.
+        torque : what becomes of a torque command on a codec without the capability "torque": "refuse" ends the run with
+            `CommandRefused`, "admittance" moves at ``qd = (tau - torque_model(q, qd)) / damping``.
         record : file for the recording; without it the rows stay in memory. Several arms have a file each, see
             `recording.paths`.
         extra : columns of ``Command.record`` by name.

@@ -29,7 +29,8 @@ class Limits:
 
     Attributes
     ----------
-    q_min, q_max : positions [rad or m]. qd_max, qdd_max : speed and acceleration.
+    q_min, q_max : positions [rad or m].
+    qd_max, qdd_max : speed and acceleration.
     jump : how far a position may be from the last one sent, besides ``qd_max dt``.
     entry : how far the first position may be from where the arm holds; no further than `jump`.
     tau_max, tau_rate : torque [N m or N] and its change per second; None where torques are refused.
@@ -104,7 +105,8 @@ class Limits:
         tau_max : torque limits, one or (n,); the robot's own by default, none where it has none. The full torque is
             reached in 0.1 s at the earliest.
         external : of external axes, see `of_axes`.
-        following_error : one or (n,) [rad or m]; by default 0.1 rad, of prismatic joints 0.02 m. lag : see `Limits`.
+        following_error : one or (n,) [rad or m]; by default 0.1 rad, of prismatic joints 0.02 m.
+        lag : see `Limits`.
 
         Raises
         ------
@@ -136,7 +138,8 @@ class Limits:
 
         Parameters
         ----------
-        q_min, q_max : (k,) positions [rad or m]. qd_max : (k,) speed.
+        q_min, q_max : (k,) positions [rad or m].
+        qd_max : (k,) speed.
 
         Raises
         ------

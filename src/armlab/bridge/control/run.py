@@ -190,7 +190,8 @@ class Run:
 
     Attributes
     ----------
-    reason : why it ended, in words. path : the recording, None when rows were kept in memory or there are several arms.
+    reason : why it ended, in words.
+    path : the recording, None when rows were kept in memory or there are several arms.
     statistics : what was counted; also kept in the recording as its summary. With several arms: under "arms", by name.
     events : (wall clock ns, sentence).
     arms : the Run of each arm when there are several, the pacing arm first.

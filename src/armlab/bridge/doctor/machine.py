@@ -48,8 +48,10 @@ class Finding:
 
     Attributes
     ----------
-    name : of the check. verdict : "ok", "warning" (it works, with a risk) or "failure".
-    value : what was found, in words. advice : what to do, "" when nothing is.
+    name : of the check.
+    verdict : "ok", "warning" (it works, with a risk) or "failure".
+    value : what was found, in words.
+    advice : what to do, "" when nothing is.
     """
 
     name: str
@@ -63,7 +65,10 @@ class Finding:
 
         Parameters
         ----------
-        name, value : see `Finding`. problem : verdict when bad. is_bad : the outcome. advice : what to do when bad.
+        name, value : see `Finding`.
+        problem : verdict when bad.
+        is_bad : the outcome.
+        advice : what to do when bad.
         """
         return cls(name, problem, value, advice) if is_bad else cls(name, "ok", value)
 

@@ -28,7 +28,8 @@ def examine(
 
     Parameters
     ----------
-    ports : UDP ports to listen on; `DEFAULT_PORTS` when None. seconds : how long.
+    ports : UDP ports to listen on; `DEFAULT_PORTS` when None.
+    seconds : how long.
     robots : the arm at each port, to compare the number of axes and the posture with; none: any arm.
     wake_up : seconds for the histogram of wake-ups.
 

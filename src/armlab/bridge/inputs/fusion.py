@@ -97,10 +97,13 @@ class Held:
     Attributes
     ----------
     values : by field; NaN when stale or never seen. Also reached by ``held["field"]``.
-    kept : the last values whatever their age. age : seconds since they were received, infinite when never seen.
-    fresh : they are new in this tick. stale : older than the source's `max_age`. gaps : readings lost so far.
-    seq, source_ns, receive_ns : of the reading; 0 when never seen. mapped_ns : the source's stamp on our clock, 0
-        without one.
+    kept : the last values whatever their age.
+    age : seconds since they were received, infinite when never seen.
+    fresh : they are new in this tick.
+    stale : older than the source's `max_age`.
+    gaps : readings lost so far.
+    seq, source_ns, receive_ns : of the reading; 0 when never seen.
+    mapped_ns : the source's stamp on our clock, 0 without one.
     """
 
     values: Mapping[str, np.ndarray]

@@ -31,10 +31,14 @@ class Parameter:
 
     Attributes
     ----------
-    name : a word, as in ``params.gain``. default : its first value.
+    name : a word, as in ``params.gain``.
+    default : its first value.
     type : "float", "int", "bool", "text" or "float[k]" for k numbers.
-    unit : SI. minimum, maximum : bounds of each number. text : one sentence.
-    rights : who may set it: the "commander" of an arm, or "anyone". live : may be set during a run.
+    unit : SI.
+    minimum, maximum : bounds of each number.
+    text : one sentence.
+    rights : who may set it: the "commander" of an arm, or "anyone".
+    live : may be set during a run.
 
     Raises
     ------
@@ -147,7 +151,8 @@ class Parameters:
 
     Attributes
     ----------
-    declared : by name. running : while True, parameters that are not `live` cannot be set.
+    declared : by name.
+    running : while True, parameters that are not `live` cannot be set.
 
     Raises
     ------
@@ -204,7 +209,8 @@ class Parameters:
 
         Parameters
         ----------
-        name, value : what. who : sets it, for the log.
+        name, value : what.
+        who : sets it, for the log.
 
         Raises
         ------
@@ -217,7 +223,9 @@ class Parameters:
 
         Parameters
         ----------
-        values : by name. who : sets them, for the log. commander : whether he has the rights of a commander.
+        values : by name.
+        who : sets them, for the log.
+        commander : whether he has the rights of a commander.
 
         Raises
         ------

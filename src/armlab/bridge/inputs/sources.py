@@ -53,8 +53,11 @@ class Reading(NamedTuple):
 
     Attributes
     ----------
-    values : by field. source_ns : its own clock, 0 when it has none. receive_ns : our monotonic clock.
-    seq : its number. gaps : readings lost so far, by its numbers. Each of them has at most 64 bits.
+    values : by field.
+    source_ns : its own clock, 0 when it has none.
+    receive_ns : our monotonic clock.
+    seq : its number.
+    gaps : readings lost so far, by its numbers. Each of them has at most 64 bits.
     """
 
     values: Mapping[str, np.ndarray]
@@ -89,7 +92,8 @@ class Source:
 
     Attributes
     ----------
-    now_ns : time of the tick that asks, our monotonic clock. problem : what went wrong last, in words.
+    now_ns : time of the tick that asks, our monotonic clock.
+    problem : what went wrong last, in words.
 
     Raises
     ------
@@ -148,7 +152,8 @@ class Source:
 
         Raises
         ------
-        UnknownName : a name that is no field. ConfigError : no numbers, or another shape.
+        UnknownName : a name that is no field.
+        ConfigError : no numbers, or another shape.
         """
         for name in given:
             if name not in self.fields:
@@ -238,8 +243,8 @@ class CallableSource(ThreadSource):
     Parameters
     ----------
     name, fields, period, options : see `Source`.
-    function : called without arguments; returns values by field, or None when there is nothing new. When it raises,
-        the reading stays and grows old; `problem` says why.
+    function : called without arguments; returns values by field, or None when there is nothing new. When it raises, the
+        reading stays and grows old; `problem` says why.
     """
 
     def __init__(
