@@ -6,7 +6,6 @@ import contextlib
 import os
 import re
 import shutil
-import signal
 import socket
 import subprocess
 import threading
@@ -374,58 +373,6 @@ def test_a_controller_of_its_own_reads_parameters_and_listens_to_a_stop(
         assert np.abs(sent[-20:]).max() < 1e-9
         assert arm.statistics["parameters"]["gain"] == 7.0
     assert main(["log", "show", "--parameters", str(tmp_path / "runleft.mcap")]) == 0
-
-
-@pytest.mark.slow
-def test_a_controller_over_labcomm(cell_text: str, bench: Bench) -> None:
-    """A controller elsewhere, through the LabComm port of the arm. Takes 6 s."""
-    from armlab import bridge
-
-    seen: list[Any] = []
-
-    def script(ports: dict[str, int]) -> None:
-        url = f"labcomm://127.0.0.1:{ports['yumi_left']}"
-
-        def sway(state: Any) -> Any:
-            seen.append(state.q)
-            return Command(state.q_start + 0.02 * np.sin(3.0 * state.t))
-
-        with bridge.connect(url, robots.load("yumi_left"), patience=5.0) as link:
-            link.run(sway, seconds=0.8)
-
-    cell = parse_cell(cell_text.replace("?lockstep=true", "").replace('["local"]', '["labcomm"]'))
-    run = bench(cell, script, seconds=2.5)
-    assert len(seen) > 100
-    assert any("labcomm 127.0.0.1:" in text and "commands yumi_left." in text for _, text in run.events)
-    assert np.nanmax(run.table["q_sent"][:, 2]) - np.nanmin(run.table["q_sent"][:, 2]) > 0.005
-
-
-@pytest.mark.slow
-def test_ten_idle_clients_and_one_that_never_reads(cell_text: str, bench: Bench) -> None:
-    """Nor does the loop notice that the server of LabComm is killed; it starts again. Takes 5 s."""
-
-    def script(ports: dict[str, int]) -> None:
-        idle = [
-            socket.create_connection(("127.0.0.1", ports[name])) for name in ("yumi_left", "fused") for _ in range(5)
-        ]
-        with LocalFeed() as silent, LocalFeed() as feed:
-            silent.ask(Subscribe(rate=None))
-            feed.ask(Subscribe(rate=None))
-            numbers = []
-            for values in rows(feed):
-                numbers.append(values["yumi_left.tick"])
-                if len(numbers) == 200:
-                    os.kill(server_process("labcomm"), signal.SIGKILL)
-                if len(numbers) == 600:
-                    break
-            assert np.all(np.diff(numbers) > 0)
-        for one in idle:
-            one.close()
-
-    run = bench(parse_cell(cell_text.replace("?lockstep=true", "")), script, seconds=3.5)
-    assert run.statistics["missed"] == 0
-    told = [text for _, text in run.events]
-    assert any("The server labcomm ended with status -9. It starts again in 1 s." in text for text in told)
 
 
 @pytest.mark.slow
