@@ -123,15 +123,6 @@ def test_an_arm_that_does_not_follow_stops_the_run(bench: Follower) -> None:
     assert "MaxSpeedDeviation" in bench.reason
 
 
-def test_a_frozen_feedback_is_named(bench: Follower) -> None:
-    bench.moving()
-    stuck = bench.q
-    for _ in range(400):
-        bench(Command(qd=np.full(7, 0.2)), q=stuck)
-    assert bench.machine.mode is Mode.ENDED
-    assert "it is frozen" in bench.reason
-
-
 def test_the_following_error_allowed_is_an_option(robot: Robot) -> None:
     for allowed, stops in ((0.3, False), (0.05, True)):
         bench = Follower(robot, Limits.of(robot, following_error=allowed)).moving()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -108,28 +106,6 @@ def test_a_feed_that_raises_is_dropped(robot: Robot) -> None:
     assert not feeds
     assert next(text for _, text in recording.events).startswith("arm: A feed was dropped: it raised ValueError: full")
     assert len(recording.table()) == 1
-
-
-def test_a_full_disk_is_told_at_once_and_once(robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr("armlab.log.recording.file.RecordingFile.write", full)
-    recording = Recording(robot, tmp_path / "run.mcap", None, wait=False, clock=lambda: 0)
-    deadline = time.monotonic() + 10.0
-    asked = 0
-    while not recording.events and time.monotonic() < deadline:
-        state, tick = row(robot, asked)
-        keep(recording, state, None, tick)
-        asked += 1
-        time.sleep(0.001)
-    state, tick = row(robot, asked)
-    keep(recording, state, None, tick)
-    problems = recording.close({})
-    ((_, told),) = recording.events
-    assert told.startswith("The recording stopped: The log")
-    assert told.endswith("stopped after 0 rows: No space left on device.")
-    assert problems == [told, f"The recording lost {asked + 1} rows: they came after it stopped."]
 
 
 @pytest.mark.parametrize("in_file", [False, True])

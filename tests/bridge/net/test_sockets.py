@@ -110,20 +110,6 @@ def test_a_socket_whose_number_another_file_has_is_not_closed(tmp_path: Path) ->
     os.close(number)
 
 
-def test_a_port_in_use_names_its_holder() -> None:
-    code = (
-        "import socket, sys\ns = socket.socket(socket.AF_INET, socket.SOCK_DGRAM); s.bind(('127.0.0.1', 0)); "
-        "print(s.getsockname()[1], flush=True); sys.stdin.read()"
-    )
-    command = [sys.executable, "-c", code]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
-        number = int(other.stdout.readline())
-        with pytest.raises(
-            LinkError, match=rf"127.0.0.1:{number} .* in use by process {other.pid} \(.*python.*End that"
-        ):
-            Port("127.0.0.1", number)
-
-
 @pytest.mark.parametrize("host", ["203.0.113.7", "no such host"])
 def test_an_address_of_another_computer(host: str) -> None:
     with pytest.raises(LinkError, match=f"Expected a local address to listen on, got {host}:6510"):
