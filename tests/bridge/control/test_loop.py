@@ -471,19 +471,6 @@ def test_an_error_that_cannot_be_told_brings_the_arm_to_rest(one: Make, monkeypa
     assert str(hands.loop.failure) == "Expected a cycle without errors, got Mute: its text cannot be read."
 
 
-def test_a_run_ends_when_an_error_cannot_be_told_and_another_comes(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    def raises(*_: Any, **__: Any) -> None:
-        raise MemoryError
-
-    hands = one(drift)
-    hands.cycle()
-    monkeypatch.setattr(hands.arms[0].recording, "event", raises)
-    monkeypatch.setattr(hands, "next", raises)
-    hands.loop.run()
-    assert hands.loop.reason == "the bridge failed"
-    assert "MemoryError" in str(hands.loop.failure)
-
-
 def test_a_stop_of_which_the_system_sends_nothing_ends_the_run(one: Make) -> None:
     hands = one(drift)
     for _ in range(10):
