@@ -17,9 +17,8 @@ from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, Link
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec
 
-from .bench import PERIOD, ROBOT, Bench, Motion, judge
+from .bench import LONGEST, PERIOD, ROBOT, Bench, Motion, SimulatedRobot, free_port, is_whole, judge, program
 from .matrix import Cell, shows
-from .processes import PATIENCE, SimulatedRobot, free_port, is_whole, program
 
 BEGINS = {"holding": 0.0, "running": 0.3}
 AFTER = 0.5  # s of motion when it is over
@@ -138,7 +137,7 @@ def test_the_bridge_outlives_its_descriptors(cell: Cell, tmp_path: Path) -> None
     robot = SimulatedRobot(tmp_path, port)
     words = ("-c", CLOSES, str(port), str(path), cell.state, str(own))
     with robot.running(), program(*words) as bridge:
-        told, errors = bridge.communicate(timeout=PATIENCE)
+        told, errors = bridge.communicate(timeout=LONGEST)
         assert bridge.returncode == 0, errors
     first, counted, again = told.splitlines()
     assert cell.is_told(first)

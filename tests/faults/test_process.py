@@ -15,9 +15,8 @@ from armlab import bridge, log
 from armlab.errors import LinkError
 from armlab.state import Command, State
 
-from .bench import ROBOT
+from .bench import LONGEST, ROBOT, SimulatedRobot, free_port, is_whole, line, program, sway
 from .matrix import Cell, shows
-from .processes import PATIENCE, SimulatedRobot, free_port, is_whole, line, program, sway
 
 pytestmark = pytest.mark.slow
 
@@ -25,7 +24,7 @@ pytestmark = pytest.mark.slow
 @shows
 def test_a_simulator_is_killed(cell: Cell, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    with bridge.connect("sim://yumi_right", ROBOT, patience=PATIENCE) as link:
+    with bridge.connect("sim://yumi_right", ROBOT, patience=LONGEST) as link:
         process = link._simulator._process
 
         def controller(state: State) -> Command | None:
@@ -84,9 +83,9 @@ def test_a_bridge_is_killed(cell: Cell, tmp_path: Path) -> None:
             assert line(first.stdout) == "now\n", first.communicate()[1]
             before = robot.timeouts()
             first.kill()
-            first.wait(PATIENCE)
+            first.wait(LONGEST)
         robot.wait_for_timeout(before)
-        with bridge.connect(f"egm://127.0.0.1:{port}", ROBOT, patience=PATIENCE) as link:
+        with bridge.connect(f"egm://127.0.0.1:{port}", ROBOT, patience=LONGEST) as link:
             run = link.run(sway, seconds=0.3)
     assert run.reason == "the time is up"
     is_whole(run.table)
@@ -124,7 +123,7 @@ def test_a_view_is_killed(cell: Cell, tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     calls, over = [0], threading.Event()
     with contextlib.ExitStack() as stack:
-        link = stack.enter_context(bridge.connect("sim://yumi_right", ROBOT, offer="small", patience=PATIENCE))
+        link = stack.enter_context(bridge.connect("sim://yumi_right", ROBOT, offer="small", patience=LONGEST))
 
         def controller(state: State) -> Command | None:
             calls[0] += 1
@@ -133,7 +132,7 @@ def test_a_view_is_killed(cell: Cell, tmp_path: Path, monkeypatch: pytest.Monkey
         def watch() -> None:
             """Kill a view that shows the bridge, and let another one show it."""
             assert line(reader.stdout) == "row\n"
-            end = time.monotonic() + 2 * PATIENCE
+            end = time.monotonic() + 2 * LONGEST
             for _ in range(2):
                 with program("-m", "armlab", "view", "--live", "--port", "0") as view:
                     assert line(view.stderr) == "Cell small\n"
@@ -141,14 +140,14 @@ def test_a_view_is_killed(cell: Cell, tmp_path: Path, monkeypatch: pytest.Monkey
                     while calls[0] < enough and time.monotonic() < end:
                         time.sleep(0.01)
                     view.kill()
-                    view.wait(PATIENCE)
+                    view.wait(LONGEST)
             over.set()
 
         watching = threading.Thread(target=watch, daemon=True)
         reader = stack.enter_context(program("-c", READER))
         watching.start()
-        run = link.run(controller, record=tmp_path / "run.mcap", seconds=2 * PATIENCE)
-        watching.join(PATIENCE)
+        run = link.run(controller, record=tmp_path / "run.mcap", seconds=2 * LONGEST)
+        watching.join(LONGEST)
         assert run.reason == "the controller ended the run"
         got, of = map(int, line(reader.stdout).split())
     assert got == of > 2 * SHOWN, "another client lost rows"
@@ -207,11 +206,11 @@ def test_no_memory_is_left(cell: Cell, tmp_path: Path) -> None:
     command = "holds" if cell.state == "holding" else "sways"
     goes_on = "stops" if cell.state == "stopping" else cell.given
     file.write_text(f"{CONTROLLER}\ncommand, goes_on = {command}, {goes_on}\n{EXTRA if goes_on == 'records' else ''}")
-    link = ("--link", f"egm://127.0.0.1:{port}", "--log", str(tmp_path / "run"), "--seconds", str(PATIENCE))
+    link = ("--link", f"egm://127.0.0.1:{port}", "--log", str(tmp_path / "run"), "--seconds", str(LONGEST))
     with robot.running():
         with program("-m", "armlab", "run", "yumi_right", str(file), *link) as first:
-            report, said = first.communicate(timeout=2 * PATIENCE)
-        with bridge.connect(f"egm://127.0.0.1:{port}", ROBOT, patience=PATIENCE) as second:
+            report, said = first.communicate(timeout=2 * LONGEST)
+        with bridge.connect(f"egm://127.0.0.1:{port}", ROBOT, patience=LONGEST) as second:
             again = second.run(sway, seconds=0.3)
     robot.judge()
     assert again.reason == "the time is up"
