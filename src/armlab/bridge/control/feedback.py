@@ -7,6 +7,7 @@ import numpy as np
 from armlab.bridge.control.limits import Limits, Reply, axes_of
 from armlab.robots import Robot
 from armlab.wire.egm import Packet
+from armlab.wire.egm.axes import Linkage
 
 __all__ = [
     "FeedbackCheck",
@@ -40,7 +41,7 @@ class FeedbackCheck:
     """
 
     def __init__(self, robot: Robot, limits: Limits) -> None:
-        self._robot, self._axes = robot, axes_of(robot)
+        self._robot, self._linkage = robot, Linkage.of(robot)
         self._allowed = limits.jump if limits.following_error is None else limits.following_error
         self.begin()
 
@@ -62,7 +63,7 @@ class FeedbackCheck:
         if sent is None:
             self._guided, self._ramps, self._fastest = 0.0, True, np.zeros(self._robot.n)
         self._guided += dt
-        axes = self._axes(q)
+        axes = q if self._linkage is None else self._linkage.axes(q)
         outside = _outside_range(axes, self._robot)
         problem = outside or self._too_fast(axes) or ("" if sent is None else self._apart(axes, dt, sent))
         if problem:
@@ -78,7 +79,7 @@ class FeedbackCheck:
     def _too_fast(self, q: np.ndarray) -> str:
         if self.q is None:
             return ""
-        before = self._axes(self.q)
+        before = self.q if self._linkage is None else self._linkage.axes(self.q)
         excess = np.abs(q - before) - (_STEP + _FASTER * self._robot.qd_max * self._since)
         i = int(excess.argmax())
         if excess[i] <= 0.0:
@@ -89,7 +90,9 @@ class FeedbackCheck:
         )
 
     def _apart(self, q: np.ndarray, dt: float, sent: Reply) -> str:
-        reference, speed = self._axes(sent.q), self._axes(sent.qd)
+        reference, speed = sent.q, sent.qd
+        if self._linkage is not None:
+            reference, speed = self._linkage.axes(reference), self._linkage.axes(speed)
         error = np.abs(reference - q)
         kept = 1.0 if self._ramps else max(0.0, 1.0 - dt / _CATCHES_UP)
         self._fastest = np.maximum(kept * self._fastest, np.abs(speed))
