@@ -325,7 +325,7 @@ def test_a_client_of_ros_is_told_of_its_own_joints() -> None:
     q = np.array(RIGHT.q_home)
     q[2] += 1.0
     bench(Order("rosbridge a", RIGHT.name, q, first=7))
-    assert "for yumi_robr_joint_3 (number 10 of the message), which holds at" in bench.answers[0][1]
+    assert "for yumi_robr_joint_3 (number 10 of the message) of yumi_right, which holds at" in bench.answers[0][1]
     bench(Order("rosbridge b", RIGHT.name, np.where(np.arange(7) == 3, np.nan, 0.0), first=0))
     assert "but that of yumi_robr_joint_4 (number 4 of the message) is not" in bench.answers[1][1]
 
@@ -373,7 +373,7 @@ def test_distances_are_those_of_the_axes_where_these_are_not_the_joints() -> Non
     bench(away(0.0, 0.0))
     assert bench(away(0.095, 0.095)).q[1] == linked.q_home[1]
     axis = linked.q_home[1] + linked.q_home[2]
-    assert f"last one sent, {axis:.4f}, for joint 3 (axis_3), got {axis + 0.19:.4f}" in bench.answers[1][1]
+    assert f"last one sent, {axis:.4f}, for joint 3 (axis_3) of irb2400, got {axis + 0.19:.4f}" in bench.answers[1][1]
     assert "ABB's axes" in bench.answers[1][1]
     bench.q_sent[linked.name] = at(0.06, 0.06)  # held elsewhere meanwhile
     assert bench() is None

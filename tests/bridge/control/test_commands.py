@@ -87,7 +87,10 @@ def test_the_sentence_names_joint_and_values(robot: Robot) -> None:
     assert f"got q = nan, qd = 0.0 for joint 3 ({robot.joint_names[2]})" in refusal(3, q, np.zeros(7), q, robot)
     q[2] = 57.3
     sentence = refusal(-3, q, None, np.full(7, 0.3), robot)
-    assert f"sent, 0.3000, for joint 3 ({robot.joint_names[2]}), got 57.3000: a jump of 57.0000" in sentence
+    assert (
+        f"sent, 0.3000, for joint 3 ({robot.joint_names[2]}) of {robot.name}, got 57.3000: a jump of 57.0000"
+        in sentence
+    )
     assert "degrees" in sentence
 
 
@@ -107,9 +110,11 @@ def test_far_is_what_the_axes_are_where_they_are_not_the_joints(robot: Robot) ->
     linked, entry = robots.load("irb2400"), np.full(6, 0.05)
     q = np.array([0.0, 0.04, 0.04, 0.0, 0.0, 0.0])
     held = np.array([0.0, 0.0, 0.01, 0.0, 0.0, 0.0])
-    assert "got 0.0800 for joint 3 (axis_3), which holds at 0.0100" in entry_refusal(q, held, entry, linked)
+    assert "got 0.0800 for joint 3 (axis_3) of irb2400, which holds at 0.0100" in entry_refusal(q, held, entry, linked)
     assert entry_refusal(q * [1, 1, -1, 1, 1, 1], held, entry, linked) == ""
-    assert "sent, 0.0100, for joint 3 (axis_3), got 0.0800: a jump of 0.0700" in refusal(-3, q, None, held, linked)
+    assert "sent, 0.0100, for joint 3 (axis_3) of irb2400, got 0.0800: a jump of 0.0700" in refusal(
+        -3, q, None, held, linked
+    )
     for sentence in (entry_refusal(q, held, entry, linked), refusal(-3, q, None, held, linked)):
         assert "degrees instead of radians" in sentence
         assert "ABB's axes" in sentence

@@ -99,8 +99,8 @@ def jump_refusal(q: np.ndarray, sent: np.ndarray, jump: np.ndarray, robot: Robot
 
 def _jumped(q: np.ndarray, sent: np.ndarray, i: int, robot: Robot, joint: str) -> str:
     return (
-        f"Expected a position near the last one sent, {sent[i]:.4f}, for {joint}, got {q[i]:.4f}: a jump of "
-        f"{abs(q[i] - sent[i]):.4f}. Move there gradually. {causes(robot)}"
+        f"Expected a position near the last one sent, {sent[i]:.4f}, for {joint} of {robot.name}, got {q[i]:.4f}: a "
+        f"jump of {abs(q[i] - sent[i]):.4f}. Move there gradually. {causes(robot)}"
     )
 
 
@@ -117,8 +117,8 @@ def entry_refusal(
     i = int(np.argmax(np.where(far, distance / entry, 0.0)))
     joint = joint_name(robot, i) if name is None else name(i)
     return (
-        f"Expected the first position within {entry[i]:g} of where the arm holds, got {q[i]:.4f} for {joint}, which "
-        f"holds at {held[i]:.4f}. Begin there. {causes(robot)}"
+        f"Expected the first position within {entry[i]:g} of where the arm holds, got {q[i]:.4f} for {joint} of "
+        f"{robot.name}, which holds at {held[i]:.4f}. Begin there. {causes(robot)}"
     )
 
 
