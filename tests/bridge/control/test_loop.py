@@ -560,7 +560,7 @@ def test_listening_writes_nothing(play: Any) -> None:
             peer.send()
             time.sleep(0.001)
 
-    run = play(script, None, play.link(clock="wall"), seconds=0.004 * 40)
+    run = play(script, None, play.link(clock="wall"), wait="spin", seconds=0.004 * 40)
     assert play.peer.surplus() == 0
     assert run.statistics["replies"] == 0
     assert len(run.table) >= 40

@@ -212,13 +212,14 @@ def test_two_ports_take_turns(port: Port, other: Port, mode: Wait) -> None:
     )
 
 
-def test_a_packet_of_another_arm_ends_the_sleep(port: Port, other: Port) -> None:
+@pytest.mark.parametrize("mode", ["ahead", "spin"])
+def test_a_packet_of_another_arm_ends_the_sleep(port: Port, other: Port, mode: Wait) -> None:
     import threading
     import time
 
     prediction = Prediction()
     prediction.add(time.monotonic_ns(), 1, 0.4)
-    waiting = Waiting([port, other], [prediction, Prediction()], "ahead")
+    waiting = Waiting([port, other], [prediction, Prediction()], mode)
     threading.Timer(0.02, lambda: port.send(b"x", (other.host, other.port))).start()
     began = time.monotonic()
     found = waiting.next(5.0)

@@ -165,8 +165,6 @@ class Fusion:
 
     def fields(self, now_ns: int, robot: Robot, q: np.ndarray) -> dict[str, Any]:
         """Return the fields of a State at a tick: `sources`, and `wrench` where a source gives it calibrated or raw."""
-        if not self.sources:
-            return {}
         held = self.tick(now_ns)
         found: dict[str, Any] = {"sources": held}
         for source in self.sources:
