@@ -12,6 +12,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple
@@ -80,6 +81,7 @@ def imports(path: Path, known: dict[str, Path]) -> Iterator[str]:
                 yield inside if inside in known else node.module
 
 
+@cache
 def circles() -> list[list[str]]:
     """Return the groups of modules that import one another, each a strongly connected component (Tarjan)."""
     known = modules()
@@ -160,6 +162,7 @@ def datagram() -> tuple[int, int]:
     return len(set(calls)), len(calls)
 
 
+@cache
 def measured() -> dict[str, int]:
     """Return each figure by its name."""
     source = [path for path in SOURCE.rglob("*.py") if path not in GENERATED]
