@@ -39,16 +39,16 @@ from mutants import Mutant, codes, is_same, loaded, mutants, transplant  # noqa:
 EXPLAINED, LAST = ROOT / "mutation" / "survivors.toml", ROOT / "build" / "mutation.json"
 BRIDGE = "src/armlab/bridge"
 FILES = {  # each with the tests that hold it
-    f"{BRIDGE}/control/limits.py": ["bridge/control/limits", "bridge/control/state_machine", "bridge/control/torque"],
-    f"{BRIDGE}/control/torque.py": ["bridge/control/torque", "bridge/control/limits", "bridge/control/state_machine"],
-    f"{BRIDGE}/control/command_checks.py": ["bridge/control/command_checks", "bridge/control/state_machine"],
+    f"{BRIDGE}/control/limits.py": ["bridge/control/limits", "bridge/control/state_machine", "bridge/control/commands"],
+    f"{BRIDGE}/control/torque.py": ["bridge/control/commands", "bridge/control/limits", "bridge/control/state_machine"],
+    f"{BRIDGE}/control/command_checks.py": ["bridge/control/commands", "bridge/control/state_machine"],
     f"{BRIDGE}/control/realtime.py": ["bridge/control/realtime"],
     f"{BRIDGE}/control/session.py": ["bridge/control/session"],
-    f"{BRIDGE}/control/state_machine.py": ["bridge/control/state_machine", "bridge/control/torque"],
-    f"{BRIDGE}/command/arbiter.py": ["bridge/command/arbiter"],
-    f"{BRIDGE}/control/loop.py": ["bridge/control/loop_by_hand", "bridge/control/multi_arm_by_hand"],
-    f"{BRIDGE}/control/supervision.py": ["bridge/control/supervision"],
-    f"{BRIDGE}/control/arm.py": ["bridge/control/arm", "bridge/control/multi_arm_by_hand"],
+    f"{BRIDGE}/control/state_machine.py": ["bridge/control/state_machine", "bridge/control/commands"],
+    f"{BRIDGE}/arbiter.py": ["bridge/arbiter"],
+    f"{BRIDGE}/control/loop.py": ["bridge/control/loop", "bridge/control/multi_arm"],
+    f"{BRIDGE}/control/supervision.py": ["bridge/control/feedback"],
+    f"{BRIDGE}/control/arm.py": ["bridge/control/arm", "bridge/control/multi_arm"],
     f"{BRIDGE}/control/multi_arm.py": ["bridge/control/multi_arm"],
     "native/math/motion/limits.cpp": ["kernels/limits"],
 }

@@ -50,8 +50,8 @@ class State:
     tau_source : "measured", "reference" or "none".
     q_start : (n,) position when guidance began.
     q_planned : (n,) the controller's own reference.
-    q_sent, qd_sent, clamped : (n,) the previous reply and its clamps (bits: 1 position, 2 velocity,
-        4 acceleration, 8 braking, 16 torque, 32 torque rate).
+    q_sent, qd_sent, clamped : (n,) the previous reply and its clamps (bits: 1 position, 2 velocity, 4 acceleration, 8
+        braking, 16 torque, 32 torque rate).
     T_frame_tool : (4, 4) pose reported by the controller, in the frame that RAPID activated.
     wrench_raw : (6,) measuredForce as sent [N, N m], frame and sign not documented by ABB.
     wrench : (6,) calibrated force sensor, base axes, at the tool point.
@@ -123,11 +123,11 @@ class Command:
     Attributes
     ----------
     q, qd, tau : (n,) references [rad, rad/s, N m] or None for "not commanded".
-    q_ext : (k,) references of the external axes beyond the robot's joints [rad or m], in the order of `State.q_ext`,
-        or None. Needs limits of these axes, see `bridge.Limits`.
+    q_ext : (k,) references of the external axes beyond the robot's joints [rad or m], in the order of `State.q_ext`, or
+        None. Needs limits of these axes, see `bridge.Limits`.
     rapid_data : at most 40 numbers for RAPID, or None.
-    rapid_digital : the digital value for RAPID, or None. The
-        numbers go out with the one reply to this command (RobotWare 7).
+    rapid_digital : the digital value for RAPID, or None. The numbers go out with the one reply to this command
+        (RobotWare 7).
     record : values of the controller's own, by column name, written to the log.
     ends : True for the command that ends the run.
     """

@@ -1,4 +1,4 @@
-"""Cells: the file and its errors. Whole bridges are in `test_cell_runs`."""
+"""Cells: the file and its errors, where its servers listen, and whole bridges."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import contextlib
 import os
 import re
 import shutil
-import signal
 import socket
 import subprocess
 import threading
@@ -19,16 +18,18 @@ import numpy as np
 import pytest
 
 from armlab import log, models, robots
+from armlab.bridge.arbiter import Arbiter
 from armlab.bridge.cell import Cell, cell_values, parse_cell, run_cell
-from armlab.bridge.command.arbiter import Arbiter
 from armlab.bridge.inputs.parameters import Parameters
+from armlab.bridge.listen import is_open, listening
+from armlab.bridge.net.sockets import is_here
 from armlab.bridge.servers.labcomm import LabCommSource
 from armlab.bridge.servers.local import LocalFeed, socket_path
 from armlab.bridge.servers.local_server import _listen
 from armlab.bridge.servers.messages import CommandRequest, SetRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Row
 from armlab.cli import main
-from armlab.errors import ConfigError, LinkError
+from armlab.errors import ConfigError, LinkError, UnknownName
 from armlab.models import ForceSensor
 from armlab.state import Command
 from tests.processes import bound
@@ -71,7 +72,6 @@ def test_a_force_sensor_with_its_calibration(cell_text: str, tmp_path: Path) -> 
     models.save(sensor, path)
     text = f"{cell_text}[sources.force]\nperiod=0.004\nport=0\ncalibration='{path}'\nfields.wrench_raw.shape=[6]\n"
     (source,) = parse_cell(text).sources()
-    assert source.calibration is not None
     assert (source.calibration.mass, source.robot) == (0.8, "yumi_left")
     models.save(replace(sensor, robot_hash="other"), path)
     with pytest.raises(ConfigError, match=r"cell\.toml: .*to be of a robot of this run"):
@@ -221,7 +221,6 @@ def server_process(name: str) -> int:
 
 
 JOINT = np.eye(7)[3]
-
 ALL = """
 [servers.ros2]
 domain = {domain}
@@ -377,101 +376,6 @@ def test_a_controller_of_its_own_reads_parameters_and_listens_to_a_stop(
 
 
 @pytest.mark.slow
-def test_stop_holds_all_arms(cell_text: str, bench: Bench) -> None:
-    """Takes 4 s."""
-
-    def script(ports: dict[str, int]) -> None:
-        with LocalFeed() as feed, LocalFeed() as other:
-            feed.ask(Subscribe(rate=None))
-            for k, values in enumerate(rows(feed)):
-                if values["yumi_left.mci"] != 3:
-                    continue
-                feed.ask(CommandRequest(arm="yumi_left", qd=[0.02] * 7))
-                if values["yumi_left.commander"] and k > 50:
-                    other.ask(Stop())
-                    break
-            for values in rows(feed):
-                if not values["yumi_left.commander"]:
-                    return
-
-    run = bench(parse_cell(cell_text.replace("?lockstep=true", "")), script, seconds=1.0)
-    assert any("Stopped by local" in text for _, text in run.events)
-    sent = run.table.dropna("qd_sent")["qd_sent"]  # a tick that found no packet of the robot sends nothing
-    assert np.abs(sent[-20:]).max() < 1e-9
-
-
-@pytest.mark.slow
-def test_torques_of_a_client_reach_the_arm_within_the_bound(cell_text: str, bench: Bench) -> None:
-    """Torques are clipped at the bound. Takes 4 s."""
-
-    def push(ports: dict[str, int]) -> None:
-        with LocalFeed() as feed:
-            feed.ask(Subscribe(rate=None))
-            for values in rows(feed):
-                if values["yumi_left.mci"] == 3:
-                    feed.ask(CommandRequest(arm="yumi_left", tau=[9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
-                if values["yumi_left.tau_sent"][0] == 1.5:
-                    return
-
-    text = cell_text.replace("?lockstep=true", "").replace("speed = 0.5", "speed = 0.5\ntorque = 1.5")
-    run = bench(parse_cell(text), push, seconds=0.8)
-    assert np.nanmax(run.table["tau_sent"]) == 1.5
-    assert run.statistics["clamps"]["torque"][0] > 0
-
-
-@pytest.mark.slow
-def test_a_controller_over_labcomm(cell_text: str, bench: Bench) -> None:
-    """A controller elsewhere, through the LabComm port of the arm. Takes 6 s."""
-    from armlab import bridge
-
-    seen: list[Any] = []
-
-    def script(ports: dict[str, int]) -> None:
-        url = f"labcomm://127.0.0.1:{ports['yumi_left']}"
-
-        def sway(state: Any) -> Any:
-            seen.append(state.q)
-            return Command(state.q_start + 0.02 * np.sin(3.0 * state.t))
-
-        with bridge.connect(url, robots.load("yumi_left"), patience=5.0) as link:
-            link.run(sway, seconds=0.8)
-
-    cell = parse_cell(cell_text.replace("?lockstep=true", "").replace('["local"]', '["labcomm"]'))
-    run = bench(cell, script, seconds=2.5)
-    assert len(seen) > 100
-    assert any("labcomm 127.0.0.1:" in text and "commands yumi_left." in text for _, text in run.events)
-    assert np.nanmax(run.table["q_sent"][:, 2]) - np.nanmin(run.table["q_sent"][:, 2]) > 0.005
-
-
-@pytest.mark.slow
-def test_ten_idle_clients_and_one_that_never_reads(cell_text: str, bench: Bench) -> None:
-    """Nor does the loop notice that the server of LabComm is killed; it starts again. Takes 5 s."""
-
-    def script(ports: dict[str, int]) -> None:
-        idle = [
-            socket.create_connection(("127.0.0.1", ports[name])) for name in ("yumi_left", "fused") for _ in range(5)
-        ]
-        with LocalFeed() as silent, LocalFeed() as feed:
-            silent.ask(Subscribe(rate=None))
-            feed.ask(Subscribe(rate=None))
-            numbers = []
-            for values in rows(feed):
-                numbers.append(values["yumi_left.tick"])
-                if len(numbers) == 200:
-                    os.kill(server_process("labcomm"), signal.SIGKILL)
-                if len(numbers) == 600:
-                    break
-            assert np.all(np.diff(numbers) > 0)
-        for one in idle:
-            one.close()
-
-    run = bench(parse_cell(cell_text.replace("?lockstep=true", "")), script, seconds=3.5)
-    assert run.statistics["missed"] == 0
-    told = [text for _, text in run.events]
-    assert any("The server labcomm ended with status -9. It starts again in 1 s." in text for text in told)
-
-
-@pytest.mark.slow
 def test_a_full_run_with_every_server_listens_on_this_computer_only(cell_text: str, bench: Bench) -> None:
     """Cyclone DDS alone binds to all addresses, and is tied to loopback: see ros/test_dds_domain.py. Takes 10 s."""
     for module, extra in (("cyclonedds", "ros"), ("zenoh", "net"), ("websockets", "net"), ("xxhash", "net")):
@@ -493,3 +397,114 @@ def test_a_full_run_with_every_server_listens_on_this_computer_only(cell_text: s
     bench(parse_cell(text), script, seconds=1.0)
     for name in ("labcomm", "ros2", "rmw_zenoh", f"127.0.0.1:{zenoh}", "rosbridge", "plotjuggler", "local"):
         assert name in bench.line
+
+
+FILE = """
+commands = ["local"]
+[[robots]]
+name = "yumi_left"
+link = "sim://yumi_left"
+[servers.labcomm]
+"""
+
+
+def test_listening() -> None:
+    cell = parse_cell(FILE)
+    assert listening([], cell) == {"labcomm": "127.0.0.1"}
+    assert listening(["labcomm=0.0.0.0"], cell) == {"labcomm": "0.0.0.0"}
+    assert listening(["labcomm=lo"], cell) == {"labcomm": "127.0.0.1"}
+    with pytest.raises(UnknownName, match="enabled server"):
+        listening(["ros=0.0.0.0"], cell)
+    with pytest.raises(ConfigError, match="IPv4 address or one of the interfaces"):
+        listening(["labcomm=nowhere"], cell)
+    commanding = parse_cell(FILE.replace('["local"]', '["labcomm"]'))
+    assert listening(["labcomm=127.0.0.2"], commanding) == {"labcomm": "127.0.0.2"}
+    with pytest.raises(ConfigError, match="no place for a secret and no encryption"):
+        listening(["labcomm=0.0.0.0"], commanding)
+
+
+def test_who_commands_from_elsewhere_has_to_know_a_secret() -> None:
+    text = FILE.replace("labcomm", "rosbridge").replace('["local"]', '["rosbridge"]')
+    with pytest.raises(ConfigError, match="asks for no secret, or does not encrypt"):
+        listening(["rosbridge=0.0.0.0"], parse_cell(text))
+    with pytest.raises(ConfigError, match="asks for no secret, or does not encrypt"):
+        listening(["rosbridge=0.0.0.0"], parse_cell(text + 'token_file = "token"\ncertificate = "c.pem"'))
+    cell = parse_cell(text + 'token_file = "token"\ncertificate = "c.pem"\nkey = "k.pem"')
+    assert listening(["rosbridge=0.0.0.0"], cell) == {"rosbridge": "0.0.0.0"}
+
+
+@pytest.mark.parametrize(("commanding", "opened"), [("zenoh", "rmw_zenoh"), ("rmw_zenoh", "zenoh")])
+def test_no_commands_come_through_the_open_router_of_the_other_server(commanding: str, opened: str) -> None:
+    text = FILE.replace("labcomm", opened).replace('["local"]', f'["{commanding}"]')
+    with pytest.raises(ConfigError, match=f"shares the router at port 7447 with {commanding}"):
+        listening([f"{opened}=0.0.0.0"], parse_cell(f"{text}\n[servers.{commanding}]"))
+    through = parse_cell(f'{text}\nport = 7448\n[servers.{commanding}]\nrouter = "127.0.0.1:7448"')
+    with pytest.raises(ConfigError, match="shares the router at port 7448"):
+        listening([f"{opened}=0.0.0.0"], through)
+    apart = parse_cell(f"{text}\n[servers.{commanding}]\nport = 7448")
+    assert listening([f"{opened}=0.0.0.0"], apart) == {opened: "0.0.0.0", commanding: "127.0.0.1"}
+    together = parse_cell(f"{text}\n[servers.{commanding}]")
+    assert set(listening([], together).values()) == {"127.0.0.1"}
+
+
+def test_two_servers_with_one_router_are_at_the_same_address() -> None:
+    text = FILE.replace("labcomm", "zenoh") + "{}\n[servers.rmw_zenoh]\n"
+    everywhere = ["zenoh=0.0.0.0", "rmw_zenoh=0.0.0.0"]
+    with pytest.raises(ConfigError, match="zenoh and rmw_zenoh at the same address"):
+        listening(everywhere[:1], parse_cell(text.format("")))
+    assert set(listening(everywhere, parse_cell(text.format(""))).values()) == {"0.0.0.0"}
+    assert listening(everywhere[:1], parse_cell(text.format("port = 7448"))) == {
+        "zenoh": "0.0.0.0",
+        "rmw_zenoh": "127.0.0.1",
+    }
+
+
+@pytest.mark.parametrize("master", ["http://192.168.1.9:11311", "http://127.lab.example:11311", "http://[", "nothing"])
+def test_no_commands_come_from_the_network_of_a_master_elsewhere(master: str) -> None:
+    text = FILE.replace("labcomm", "ros1") + f'master = "{master}"'
+    assert listening([], parse_cell(text)) == {"ros1": "127.0.0.1"}
+    with pytest.raises(ConfigError, match="master of ROS 1 on this computer"):
+        listening([], parse_cell(text.replace('["local"]', '["ros1"]')))
+
+
+@pytest.mark.parametrize("master", ["http://127.0.0.1:11311", "http://localhost:11399"])
+def test_commands_come_by_a_master_of_this_computer(master: str) -> None:
+    text = FILE.replace("labcomm", "ros1").replace('["local"]', '["ros1"]')
+    assert listening([], parse_cell(f'{text}master = "{master}"')) == {"ros1": "127.0.0.1"}
+
+
+@pytest.mark.parametrize("server", ["zenoh", "rmw_zenoh"])
+def test_rows_go_to_a_router_elsewhere_only_when_that_is_asked_for(server: str) -> None:
+    text = FILE.replace("labcomm", server)
+    cell = parse_cell(f'{text}router = "192.168.1.9:7447"')
+    with pytest.raises(ConfigError, match=f"Expected --listen {server}=ADDRESS too"):
+        listening([], cell)
+    assert listening([f"{server}=192.168.1.5"], cell) == {server: "192.168.1.5"}
+    assert listening([], parse_cell(f'{text}router = "127.0.0.1:7448"')) == {server: "127.0.0.1"}
+
+
+@pytest.mark.parametrize("place", ["127.0.0.1:1", "[::1]:1", "localhost:1"])
+def test_routers_of_this_computer(place: str) -> None:
+    assert is_here(place)
+
+
+@pytest.mark.parametrize("place", ["192.168.1.9:7447", "127.lab.example:7447", "0.0.0.0:7447", "7447", ""])
+def test_routers_elsewhere(place: str) -> None:
+    assert not is_here(place)
+
+
+def test_addresses_that_are_no_place_to_listen_at() -> None:
+    for place in ("224.0.0.1", "239.255.0.1", "255.255.255.255"):
+        with pytest.raises(ConfigError, match="Expected the address of a network card"):
+            listening([f"labcomm={place}"], parse_cell(FILE))
+    ros = parse_cell(FILE.replace("labcomm", "ros1"))
+    with pytest.raises(ConfigError, match="address by which other nodes reach ros1"):
+        listening(["ros1=0.0.0.0"], ros)
+    assert listening(["ros1=127.0.0.2"], ros) == {"ros1": "127.0.0.2"}
+
+
+def test_who_proves_nothing_only_reads() -> None:
+    assert not is_open({}, "127.0.0.1")
+    assert is_open({}, "192.168.1.5")
+    assert is_open({"guarded": False}, "0.0.0.0")
+    assert not is_open({"guarded": True}, "0.0.0.0")

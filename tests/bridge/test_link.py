@@ -1,4 +1,4 @@
-"""`connect`, `Link`, and whole runs with the simulated robot."""
+"""`connect`, `Link`, their urls, and whole runs with the simulated robot."""
 
 from __future__ import annotations
 
@@ -7,14 +7,11 @@ import errno
 import os
 import select
 import signal
-import socket
 import subprocess
 import sys
-import threading
 import time
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,13 +19,82 @@ import pytest
 
 from armlab import bridge, log, robots
 from armlab.bridge import Limits
+from armlab.bridge.control.arm import ArmSession
 from armlab.bridge.control.recording import Recording
-from armlab.bridge.link import GROUP, Link, Simulator, codec_named, codecs_of, connect
+from armlab.bridge.control.run import End, assemble, checked_limits, finished
+from armlab.bridge.control.supervision import Settings
+from armlab.bridge.link import GROUP, Simulator, codec_named, codecs_of, connect
 from armlab.bridge.net.sockets import Port
-from armlab.errors import ConfigError, LinkError, NoRobot, RobotError, UnknownName
+from armlab.bridge.urls import Address, addresses, simulator_options, split_url
+from armlab.errors import ConfigError, LinkError, LogError, NoRobot, RobotError, UnknownName
 from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec
+
+RIGHT = robots.load("yumi_right")
+
+
+@pytest.mark.parametrize("port", ["65536", "0000001000000", "0" * 30 + "70000", "1" * 5000, "٦٥١٠", "-1", "x"])
+def test_ports_that_are_none(port: str) -> None:
+    with pytest.raises(ConfigError, match="a port from 0 to 65535"):
+        addresses([f"egm://127.0.0.1:{port}"], 1)
+    assert addresses([f"egm://127.0.0.1:{'0' * 5000}6510"], 1)[0].port == 6510
+
+
+def test_default_ports() -> None:
+    assert addresses(["egm://10.0.0.1"], 1) == [Address("egm", "10.0.0.1", 6510, "", {})]
+    assert [one.port for one in addresses(["egm://127.0.0.1", "egm://127.0.0.1"], 2)] == [6511, 6512]
+
+
+def test_labcomm() -> None:
+    assert addresses(["labcomm://lab?order=chain"], 1) == [Address("labcomm", "lab", 7511, "", {"order": "chain"})]
+    assert [one.port for one in addresses(["labcomm://lab", "labcomm://lab"], 2)] == [7511, 7512]
+    assert addresses(["labcomm://lab:99"], 1)[0].port == 99
+    with pytest.raises(ConfigError, match="labcomm://HOST:PORT"):
+        addresses(["labcomm://lab:x"], 1)
+
+
+def test_simulated() -> None:
+    both = addresses(["sim://yumi_left+yumi_right?seed=3"], 2)
+    assert [one.robot for one in both] == ["yumi_left", "yumi_right"]
+    assert both[0].options == both[1].options == {"seed": "3"}
+    assert addresses(["sim://a?seed=3", "sim://b?seed=3"], 2)[1].robot == "b"
+    files = addresses(["sim://mine/a.toml+/lab/b%3f%20c.toml?seed=3"], 2)
+    assert [(one.robot, one.options) for one in files] == [
+        ("mine/a.toml", {"seed": "3"}),
+        ("/lab/b? c.toml", {"seed": "3"}),
+    ]
+    assert addresses(["sim:///lab/b.toml"], 1)[0].robot == "/lab/b.toml"
+    with pytest.raises(ConfigError, match="Expected a link"):
+        addresses(["sim://"], 1)
+
+
+def test_only_seeds_of_simulated_robots_may_differ() -> None:
+    def options(*urls: str) -> dict[str, str]:
+        return simulator_options(addresses(urls, len(urls)))
+
+    assert options("sim://a?seed=3&loss=0.1", "sim://b?loss=0.1&seed=4") == {"seed": "3,4", "loss": "0.1"}
+    assert options("sim://a", "sim://b?seed=4", "sim://c") == {"seed": "0,4,0"}
+    assert options("sim://a?seed=4", "sim://b?seed=4") == {"seed": "4"}
+    for urls in (["sim://a?loss=0.1", "sim://b"], ["labcomm://a?seed=1", "labcomm://b?seed=2"]):
+        with pytest.raises(ConfigError, match="Only seeds of simulated robots may differ"):
+            addresses(urls, 2)
+
+
+def test_a_number_of_robots_that_is_not_that_of_the_urls() -> None:
+    with pytest.raises(ConfigError, match="one url per robot, got 2 for 1"):
+        addresses(["sim://a+b"], 1)
+    with pytest.raises(ConfigError, match="got None"):
+        addresses([None], 1)  # type: ignore[list-item]
+
+
+def test_half_a_bracket_is_no_address() -> None:
+    assert split_url("egm://[::1]:6510/a").port == 6510
+    for url in ("egm://[::1", "sim://a]"):
+        with pytest.raises(ConfigError, match="Expected a url like egm"):
+            split_url(url)
+        with pytest.raises(ConfigError, match="Expected a url like egm"):
+            addresses([url], 1)
 
 
 def sway(state: State) -> Command:
@@ -36,29 +102,49 @@ def sway(state: State) -> Command:
 
 
 @pytest.mark.parametrize(
-    ("url", "words"),
+    ("options", "words"),
     [
-        ("http://x", "egm://127.0.0.1:6510 or sim://"),
-        ("egm://", "egm://127.0.0.1:6510 or sim://"),
-        ("egm://127.0.0.1:port", "port from 0 to 65535"),
-        ("egm://127.0.0.1:99999", "port from 0 to 65535"),
-        ("egm://127.0.0.1:0?seed=1", "no options in an egm link, got seed"),
+        ({"controller": 5}, "controller to call"),
+        ({"limits": 3}, r"Expected Limits, .* got 3\. Use Limits\.of"),
+        ({"limits": Limits(*np.stack([-np.ones(6), *[np.ones(6)] * 5]))}, r"7 joints .* got 6"),
+        ({"extra": {"a": 3}}, r"extra=\{'a': Column"),
+        ({"seconds": -1.0}, "seconds of at least 0"),
+        ({"seconds": float("nan")}, "seconds of at least 0"),
+        ({"seconds": "3"}, "seconds of at least 0"),
+        ({"wait": "sleep"}, "wait"),
+        ({"reconnect": "never"}, "reconnect"),
+        ({"torque": "always"}, "torque"),
     ],
 )
-def test_wrong_links(robot: Robot, url: str, words: str) -> None:
-    with pytest.raises(ConfigError, match=words):
-        connect(url, robot)
-
-
-def test_wrong_options(robot: Robot) -> None:
-    with pytest.raises(UnknownName, match="codec"):
-        connect("egm://127.0.0.1:0", robot, codec="egmri")
-    with pytest.raises(ConfigError, match="clock"):
-        connect("egm://127.0.0.1:0", robot, clock="atomic")  # type: ignore[arg-type]
+def test_what_a_run_cannot_use_is_refused_before_it_begins(robot: Robot, options: Any, words: str) -> None:
     with connect("egm://127.0.0.1:0", robot) as link:
-        for options in ({"wait": "sleep"}, {"reconnect": "never"}, {"torque": "always"}):
-            with pytest.raises(ConfigError, match=next(iter(options))):
-                link.run(sway, **options)  # type: ignore[arg-type]
+        assert (link.host, link.port > 0) == ("127.0.0.1", True)
+        with pytest.raises(ConfigError, match=words):
+            link.run(**{"controller": sway, **options})
+    with pytest.raises(LinkError, match=r"closed\. Connect again"):
+        link.run(sway)
+
+
+@pytest.mark.parametrize(
+    ("url", "arms", "options", "words"),
+    [
+        ("http://x", 1, {}, "egm://127.0.0.1:6510 or sim://"),
+        ("egm://", 1, {}, "egm://127.0.0.1:6510 or sim://"),
+        ("egm://127.0.0.1:port", 1, {}, "port from 0 to 65535"),
+        ("egm://127.0.0.1:0?seed=1", 1, {}, "no options in an egm link, got seed"),
+        ("egm://127.0.0.1:0", 1, {"clock": "atomic"}, "clock"),
+        ("egm://127.0.0.1:0", 1, {"patience": 0.0}, "patience above 0 s"),
+        ("sim://yumi_left", 2, {}, "one url per robot, got 1 for 2"),
+        (["egm://127.0.0.1:6510"] * 2, 2, {}, "a port per arm"),
+        (["sim://yumi_left", "egm://127.0.0.1:0"], 2, {}, "of one kind"),
+        (["sim://yumi_left?seed=1&loss=0.1", "sim://yumi_right?seed=2"], 2, {}, "the same options"),
+        (["egm://127.0.0.1:0"] * 2, 0, {}, "different names"),
+    ],
+)
+def test_wrong_links(url: Any, arms: int, options: dict[str, Any], words: str) -> None:
+    robot: Any = {0: [RIGHT, RIGHT], 1: RIGHT, 2: [robots.load("yumi_left"), RIGHT]}[arms]
+    with pytest.raises(ConfigError, match=words):
+        connect(url, robot, **options)
 
 
 @pytest.mark.parametrize(("answer_stream", "controller"), [(True, None), (False, sway)])
@@ -78,19 +164,6 @@ def test_a_robot_in_lockstep_must_be_answered(robot: Robot, answer_stream: bool,
             in_real_time.run(controller)
 
 
-def test_limits_of_another_robot_are_refused(robot: Robot) -> None:
-    limits = Limits(*np.stack([-np.ones(6), *[np.ones(6)] * 5]))
-    with connect("egm://127.0.0.1:0", robot) as link, pytest.raises(ConfigError, match=r"7 joints .* got 6"):
-        link.run(sway, limits=limits)
-
-
-def test_the_default_port_is_on_this_computer_only(robot: Robot) -> None:
-    with connect("egm://127.0.0.1:0", robot) as link:
-        assert isinstance(link, Link)
-        assert link.host == "127.0.0.1"
-        assert link.port > 0
-
-
 def test_a_port_in_use(robot: Robot) -> None:
     with (
         connect("egm://127.0.0.1:0", robot) as first,
@@ -98,13 +171,6 @@ def test_a_port_in_use(robot: Robot) -> None:
     ):
         connect(f"egm://127.0.0.1:{first.port}", robot)
     assert str(os.getpid()) in str(e.value)
-
-
-def test_the_port_is_free_after_the_link(robot: Robot) -> None:
-    with connect("egm://127.0.0.1:0", robot) as link:
-        number = link.port
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as again:
-        again.bind(("127.0.0.1", number))
 
 
 def test_no_robot(robot: Robot) -> None:
@@ -124,50 +190,6 @@ def test_a_linear_joint_without_a_unit_may_only_be_listened_to(robot: Robot) -> 
         link.run(sway)
 
 
-def test_another_codec(play: Any, robot: Robot) -> None:
-    """A site's own interface: an object with the methods of the protocol."""
-    from armlab.wire.egm import EgmCodec
-
-    class Counting(EgmCodec):
-        decoded = 0
-
-        def decode(self, data: bytes) -> Any:
-            self.decoded += 1
-            return super().decode(data)
-
-    codec = Counting(robot)
-    run = play(lambda peer: peer.rest(), sway, play.link(codec=codec), seconds=0.1)
-    assert codec.decoded >= run.statistics["packets"]
-
-
-@pytest.mark.parametrize("seconds", [-1.0, float("nan"), "3"])
-def test_a_time_that_would_never_come_is_refused(robot: Robot, seconds: Any) -> None:
-    with connect("egm://127.0.0.1:0", robot) as link, pytest.raises(ConfigError, match="seconds of at least 0"):
-        link.run(sway, seconds=seconds)
-
-
-@pytest.mark.parametrize(
-    ("controller", "options", "words"),
-    [
-        (5, {}, "controller to call"),
-        (sway, {"limits": 3}, r"Expected Limits, .* got 3\. Use Limits\.of"),
-        (sway, {"extra": {"a": 3}}, r"extra=\{'a': Column"),
-    ],
-)
-def test_what_a_run_cannot_use_is_refused_before_it_begins(
-    robot: Robot, controller: Any, options: Any, words: str
-) -> None:
-    with connect("egm://127.0.0.1:0", robot) as link, pytest.raises(ConfigError, match=words):
-        link.run(controller, **options)
-
-
-def test_a_closed_link_does_not_run(robot: Robot) -> None:
-    with connect("egm://127.0.0.1:0", robot) as link:
-        pass
-    with pytest.raises(LinkError, match=r"closed\. Connect again"):
-        link.run(sway)
-
-
 def test_two_runs_on_one_link(play: Any) -> None:
     link = play.link()
     first = play(lambda peer: peer.rest(), sway, link, seconds=0.1)
@@ -183,37 +205,6 @@ def test_two_runs_on_one_link(play: Any) -> None:
     for run in (first, second):
         assert run.statistics["replies"] + run.statistics["overtaken"] == run.statistics["packets"]
         assert np.isfinite(run.table["q_ref"]).all(axis=1).sum() >= 25
-
-
-def test_own_limits(play: Any, robot: Robot) -> None:
-    limits = Limits.of(robot, speed=0.01)
-    run = play(lambda peer: peer.rest(), sway, limits=limits, seconds=0.2)
-    assert np.abs(run.table["qd_sent"]).max() <= 0.01 * robot.qd_max.max() + 1e-9
-    assert run.statistics["worst_ratio"] < 0.5
-
-
-def test_seconds_count_from_readiness(play: Any) -> None:
-    def script(peer: Any) -> None:
-        peer.cycles(100, mci=2)
-        peer.rest()
-
-    run = play(script, sway, seconds=0.2)
-    assert run.statistics["packets"] > 250
-    running = np.isfinite(run.table["q_ref"][:, 0])
-    assert not running[:100].any()
-    assert running.sum() == pytest.approx(51, abs=1)
-
-
-def test_a_session_that_ends_ends_the_run_when_asked(play: Any) -> None:
-    link = play.link(clock="wall")
-
-    def script(peer: Any) -> None:
-        peer.begin()
-        peer.cycles(20)
-        peer.cycle(motors=2)
-
-    run = play(script, sway, link, reconnect="stop", wait="block")
-    assert run.reason == "the motors were switched off"
 
 
 def test_a_session_that_begins_anew_at_once_ends_the_run_when_asked(play: Any) -> None:
@@ -275,30 +266,6 @@ def test_the_simulated_robot_in_lockstep_is_repeatable(robot: Robot) -> None:
     assert one["q"].std(axis=0).min() > 0.01
 
 
-def test_two_runs_of_the_simulated_robot(robot: Robot) -> None:
-    with bridge.connect("sim://yumi_right?lockstep=true", robot) as link:
-        first, second = (link.run(sway, seconds=0.5) for _ in range(2))
-    assert first.reason == second.reason
-    assert second.statistics["replies"] == second.statistics["packets"]
-
-
-def test_a_simulator_that_dies_early_is_quoted(robot: Robot) -> None:
-    url = "sim://yumi_right?operator=no_such_file.csv"
-    with bridge.connect(url, robot) as link, pytest.raises(LinkError, match=r"armlab sim.*status.*no_such_file.csv"):
-        link.run(sway, seconds=1.0)
-
-
-@pytest.mark.parametrize("fault", ["loss=0.1", "duplicate=0.5", "reorder=0.1", "corrupt=0.1"])
-def test_faults_on_the_way_leave_the_arm_within_limits(robot: Robot, fault: str) -> None:
-    with bridge.connect(f"sim://yumi_right?lockstep=true&seed=2&{fault}", robot) as link:
-        run = link.run(sway, seconds=1.0)
-    table = run.table
-    assert run.reason == "the time is up"
-    sent = table["q_sent"][np.isfinite(table["q_sent"]).all(axis=1)]
-    assert np.abs(np.diff(sent, axis=0)).max() <= robot.qd_max.max() * 1.5 * 0.004032
-    assert run.statistics["replies"] + run.statistics["overtaken"] == run.statistics["packets"] == len(table)
-
-
 _PROGRAM = """
 import sys
 from armlab import bridge, robots
@@ -323,7 +290,6 @@ def test_ctrl_c_in_real_time(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     command = [sys.executable, "-c", _PROGRAM, str(path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as program:
-        assert program.stdout is not None
         assert program.stdout.readline() == "running\n"
         program.send_signal(signal.SIGINT)
         assert program.stdout.readline() == "stopped\n"
@@ -364,18 +330,6 @@ def wait_until_gone(simulator: Simulator) -> str:
             return reason
         time.sleep(0.02)
     raise TimeoutError
-
-
-def test_it_sends_and_is_stopped() -> None:
-    port = Port("127.0.0.1", 0)
-    simulator = Simulator(["yumi_right"], [port.port], {"lockstep": "true", "seed": "3"})
-    try:
-        assert select.select([port], [], [], PATIENCE)[0]
-        assert simulator.gone() == ""
-    finally:
-        simulator.stop()
-        port.close()
-    assert "interrupted" in " ".join(simulator.lines)
 
 
 def test_an_end_in_time_is_no_error() -> None:
@@ -450,12 +404,6 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "somesite", raising=False)
 
 
-def test_ours(robot: Robot) -> None:
-    codec = codec_named("egm", robot, extension=True)
-    assert isinstance(codec, EgmCodec)
-    assert "torque" in codec.capabilities
-
-
 @pytest.mark.usefixtures("package")
 def test_an_entry_point(robot: Robot) -> None:
     first, second = codec_named("good", robot), codec_named("good", robot)
@@ -480,24 +428,13 @@ def test_unknown_names_list_what_exists(robot: Robot) -> None:
         codec_named("egmri", robot)
 
 
-def test_an_object_of_ones_own(robot: Robot) -> None:
-    own: Any = SimpleNamespace(capabilities=frozenset(("position",)), reset=None, decode=None, encode=None)
-    with connect("egm://127.0.0.1:0", robot, codec=own) as link:
-        assert link.robot is robot
-
-
-def test_each_arm_has_its_own_and_one_for_each_rehearsal(robot: Robot) -> None:
-    [(own, spares)] = codecs_of("egm", [robot], extension=False, spares=2)
-    assert len({id(own), *map(id, spares)}) == 3
-    mine = EgmCodec(robot)
-    assert codecs_of(mine, [robot], extension=False, spares=2) == [(mine, ())]
-
-
 def test_an_object_that_is_no_codec_is_refused(robot: Robot) -> None:
     with pytest.raises(ConfigError, match=r"wire\.egm\.Codec, got 5\."):
         connect("egm://127.0.0.1:0", robot, codec=5)  # type: ignore[arg-type]
+    with pytest.raises(UnknownName, match="codec"):
+        connect("egm://127.0.0.1:0", robot, codec="egmri")
     with pytest.raises(ConfigError, match="one codec per arm"):
-        codecs_of(EgmCodec(robot), [robot, robot], extension=False, spares=0)
+        codecs_of(EgmCodec(robot), [robot, robot], extension=False)
 
 
 BROKEN = r"^Expected a cycle without errors, got ZeroDivisionError: division by zero\.$"
@@ -528,36 +465,6 @@ def test_an_error_outside_the_controller_stops_the_arm_first(play: Any, robot: A
     assert not sent[-1].any()
 
 
-def test_an_error_in_the_guard_stops_the_arm(play: Any, robot: Any) -> None:
-    """While the guard answers for a controller that sleeps, the codec raises: the run ends and says so."""
-    asleep, raised = threading.Event(), threading.Event()
-
-    class Broken(EgmCodec):
-        def encode(self, reference: Any) -> bytes:
-            if asleep.is_set() and not raised.is_set():
-                raised.set()
-                raise ZeroDivisionError("division by zero")
-            return super().encode(reference)
-
-    def controller(state: State) -> Command:
-        if state.t > 0.05 and not asleep.is_set():
-            asleep.set()
-            assert raised.wait(5.0)
-        return Command(qd=np.full(7, 0.1))
-
-    def script(peer: Any) -> None:
-        peer.begin()
-        while not peer.over.is_set():  # one packet has no answer
-            peer.send()
-            with contextlib.suppress(TimeoutError):
-                peer.answer(0.02)
-
-    with pytest.raises(LinkError, match=BROKEN) as caught:
-        play(script, controller, play.link(clock="wall", codec=Broken(robot)))
-    sent = caught.value.table["qd_sent"]
-    assert not sent[-1].any()
-
-
 def answered(peer: Any) -> None:
     """Guided packets until the run has ended, which the loop under test sees to."""
     peer.begin()
@@ -567,47 +474,6 @@ def answered(peer: Any) -> None:
         peer.send()
         with contextlib.suppress(TimeoutError):
             peer.answer(0.05)
-
-
-def test_errors_while_the_arm_stops_end_the_run(play: Any, robot: Any) -> None:
-    """A codec that raises from then on: the loop must not go round for ever."""
-
-    class Broken(EgmCodec):
-        broken = False
-
-        def decode(self, data: bytes) -> Any:
-            if self.broken:
-                raise ZeroDivisionError("division by zero")
-            return super().decode(data)
-
-    codec = Broken(robot)
-
-    def controller(state: State) -> Command:
-        codec.broken = state.t > 0.1
-        return Command.stop() if codec.broken else Command(qd=np.full(7, 0.1))
-
-    with pytest.raises(LinkError, match=BROKEN) as caught:
-        play(answered, controller, play.link(codec=codec))
-    assert np.nanmax(caught.value.table["qd_sent"]) > 0.05
-
-
-def test_a_row_for_which_there_is_no_memory_is_recorded_later(play: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No hole and none twice: the table has a row for each packet."""
-    keep, failures = Recording.keep, [MemoryError()]
-
-    def fails_once(self: Recording, state: State, command: Command | None, tick: Any) -> Command | None:
-        if tick.number == 30 and failures:
-            raise failures.pop()
-        return keep(self, state, command, tick)
-
-    monkeypatch.setattr(Recording, "keep", fails_once)
-
-    with pytest.raises(LinkError, match=r"without errors, got MemoryError: no memory is left\.") as caught:
-        play(answered, lambda state: Command(qd=np.full(7, 0.1)))
-    table = caught.value.table
-    np.testing.assert_array_equal(table["tick"], np.arange(len(table)))
-    assert len(table) > 31
-    assert not table["qd_sent"][-1].any()
 
 
 def test_rows_for_which_there_is_never_memory_leave_the_reason_and_a_whole_file(
@@ -641,3 +507,61 @@ def test_a_run_without_memory_for_its_end_does_not_begin(
         play(lambda peer: None, lambda state: None, link, record=tmp_path / "run.mcap")
     assert log.inspect(tmp_path / "run.mcap").finished
     assert link.last.reason == "there is no memory for its end"
+
+
+def test_limits_of_each() -> None:
+    own = Limits.of(RIGHT, speed=0.5)
+    assert checked_limits(own, [RIGHT]) == [own]
+    np.testing.assert_array_equal(checked_limits(None, [RIGHT] * 2)[1].qd_max, RIGHT.qd_max)
+    with pytest.raises(ConfigError, match="Limits for each"):
+        checked_limits([own], [RIGHT, RIGHT])
+    with pytest.raises(ConfigError, match="7 joints of yumi_right, got 6"):
+        checked_limits(Limits(*np.stack([-np.ones(6), *[np.ones(6)] * 5])), [RIGHT])
+
+
+def test_a_robot_without_limits_of_speed_is_not_commanded() -> None:
+    """Any jump would pass the limits, since it may be as large as the speed allows."""
+    robot = robots.load("dh_test")
+    with pytest.raises(ConfigError, match=r"speed and acceleration.* of dh_test.*qd_max"):
+        checked_limits(None, [robot])
+    with pytest.raises(ConfigError, match="of dh_test"):
+        checked_limits(Limits.of(robot), [robot])
+    assert len(checked_limits(None, [robot], commands=False)) == 1
+    ones = np.ones(robot.n)
+    slow = Limits(-np.inf * ones, np.inf * ones, ones, ones, ones, ones)
+    assert checked_limits(slow, [robot]) == [slow]
+
+
+def ends(*arms: Robot) -> list[End]:
+    return [End(arm, Port("127.0.0.1", 0), EgmCodec(arm)) for arm in arms]
+
+
+OPTIONS: dict[str, Any] = {
+    "commands": True,
+    "answer_stream": True,
+    "extra": None,
+    "attachments": {},
+    "feeds": (),
+    "sources": (),
+}
+
+
+def test_one_clock_and_a_run_at_the_end(tmp_path: Path) -> None:
+    made = ends(robots.load("yumi_left"), RIGHT)
+    limits = checked_limits(None, [end.robot for end in made])
+    arms = assemble(made, limits, Settings(), record=tmp_path / "run.mcap", **OPTIONS)
+    assert all(isinstance(arm, ArmSession) for arm in arms)
+    assert abs(arms[0].stamp_ns - arms[1].stamp_ns) < 10**9
+    run = finished(arms, "the test is over")
+    assert [arm.path for arm in run.arms] == [tmp_path / "runleft.mcap", tmp_path / "runright.mcap"]
+    assert (run.reason, run.statistics["problems"]) == ("the test is over", [])
+    for end in made:
+        end.port.close()
+
+
+def test_a_file_that_cannot_be_written_is_an_error_before_anything_moves(tmp_path: Path) -> None:
+    made = ends(RIGHT)
+    (tmp_path / "file").touch()
+    with pytest.raises(LogError):
+        assemble(made, [Limits.of(RIGHT)], Settings(), record=tmp_path / "file" / "run.mcap", **OPTIONS)
+    made[0].port.close()

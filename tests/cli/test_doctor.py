@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from armlab.bridge.doctor.findings import Finding
+from armlab.bridge.doctor.machine import Finding
 from armlab.cli import main
 from armlab.cli.doctor import disk, doctor
 

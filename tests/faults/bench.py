@@ -1,25 +1,34 @@
 """A bridge and simulated controllers in one thread and in virtual time, with a bad network between them.
 
 The bridge runs as on a real robot: real-time clock, time-outs, guard, recorder. Only `time` is ours, and the guard is
-called where its thread would wake. So a minute passes in a second, and each run is the same as the last.
+called where its thread would wake. So a minute passes in a second, and each run is the same as the last. `judge` says
+what must hold in every run. Below: real processes in real time, and what their logs must be.
 """
 
 from __future__ import annotations
 
+import contextlib
+import heapq
+import json
 import math
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from armlab import robots
+from armlab import bridge, robots
 from armlab.bridge import Link, Run
-from armlab.bridge.assembly import End
+from armlab.bridge.control.feedback import READY_AFTER
+from armlab.bridge.control.limits import Limits
+from armlab.bridge.control.run import End
 from armlab.bridge.control.supervision import Settings
 from armlab.bridge.net.sockets import Arrival
 from armlab.errors import LinkError
@@ -28,11 +37,107 @@ from armlab.sim.arm.arm import LaggingArm
 from armlab.sim.controller.controller import SimulatedController
 from armlab.sim.controller.settings import ControllerSettings as RobotSettings
 from armlab.state import Command, State
-from armlab.wire.egm import EgmCodec, RobotSideCodec, SensorMessage
+from armlab.wire.egm import EgmCodec, Reference, RobotSideCodec, SensorMessage
 
-from .wire import GOOD, Bad, Way
+WIRE = 1e-4  # s that a datagram takes at best
+NEVER_VALID = 0x07  # a first byte that no protobuf message has
 
-__all__ = ["MIDDLE", "PERIOD", "ROBOT", "Bench", "Outcome", "Script", "Sent", "Station"]
+
+@dataclass(frozen=True)
+class Bad:
+    """How often datagrams are lost, late, doubled, overtaken or damaged.
+
+    Attributes
+    ----------
+    loss, duplicate, reorder, corrupt : shares of all datagrams. burst : losses come this many in a row.
+    delay, jitter : mean and standard deviation of the time that they take [s].
+    """
+
+    loss: float = 0.0
+    burst: int = 1
+    duplicate: float = 0.0
+    reorder: float = 0.0
+    corrupt: float = 0.0
+    delay: float = 0.0
+    jitter: float = 0.0
+
+
+GOOD = Bad()
+"""Nothing goes wrong."""
+
+FIRST = 6
+"""Datagrams of which one is lost, see `unlucky`: an arm that is to stop is not at rest yet."""
+
+
+class Way:
+    """One direction between a robot and the bridge.
+
+    Parameters
+    ----------
+    bad : what goes wrong. begin, end : virtual time in which it does [s]. seed : another one for each direction.
+    period : of the robot [s].
+
+    Attributes
+    ----------
+    lost : datagrams so far.
+    """
+
+    def __init__(self, bad: Bad, begin: float, end: float, seed: list[int], period: float) -> None:
+        self._bad, self._begin, self._end, self._period = bad, begin, end, period
+        self._random = np.random.default_rng(seed)
+        self._under_way: list[tuple[float, int, bytes]] = []
+        self._count = self._losing = self.lost = 0
+
+    @property
+    def due(self) -> float:
+        """When the next datagram arrives [s]."""
+        return self._under_way[0][0] if self._under_way else math.inf
+
+    def put(self, now: float, data: bytes) -> None:
+        """Send one datagram."""
+        if not self._begin <= now < self._end:  # nothing is drawn: a seed tells what happens from the beginning on
+            self._deliver(now + WIRE, data)
+            return
+        bad = self._bad
+        begins = bad.loss / (bad.burst - bad.loss * (bad.burst - 1))  # a burst, so often that `loss` is the share
+        lost, twice, behind, damaged = self._random.random(4) < (begins, bad.duplicate, bad.reorder, bad.corrupt)
+        late = WIRE + max(0.0, bad.delay + bad.jitter * self._random.standard_normal())
+        if self._losing or lost:
+            self._losing = (self._losing or bad.burst) - 1
+            self.lost += 1
+            return
+        for _ in range(1 + int(twice)):
+            spoiled = self._spoil(data) if damaged else data
+            self._deliver(now + late + 1.5 * self._period * behind, spoiled)
+
+    def _deliver(self, due: float, data: bytes) -> None:
+        self._count += 1
+        heapq.heappush(self._under_way, (due, self._count, data))
+
+    def take(self, now: float) -> bytes | None:
+        """Return the next datagram that has arrived, None when none has."""
+        return heapq.heappop(self._under_way)[2] if self.due <= now else None
+
+    def cut(self) -> None:
+        """Lose what is under way."""
+        self._under_way.clear()
+
+    def _spoil(self, data: bytes) -> bytes:
+        """Cut it somewhere, so that it can never be read."""
+        return bytes([NEVER_VALID]) + data[1 : int(self._random.integers(1, len(data)))]
+
+
+def unlucky(bad: Bad, period: float) -> int:
+    """Return the first seed with which both directions lose one of their first datagrams."""
+    for seed in range(10_000):
+        ways = [Way(bad, 0.0, math.inf, [seed, way], period) for way in (1, 2)]
+        for way in ways:
+            for k in range(FIRST):
+                way.put(k * period, b"..")
+        if all(way.lost for way in ways):
+            return seed
+    raise AssertionError(bad)
+
 
 ROBOT = robots.load("yumi_right")
 MIDDLE = (ROBOT.q_min + ROBOT.q_max) / 2
@@ -44,7 +149,7 @@ WALL_NS = 1_700_000_000_000_000_000
 PATIENCE = 5.0  # s of the bridge
 MODULES = (
     "control.arm",
-    "assembly",
+    "control.run",
     "control.loop",
     "control.recording",
     "control.supervision",
@@ -174,7 +279,7 @@ class Bench:
             close=lambda: None,
         )  # fmt: skip
         settings = Settings(patience=PATIENCE)
-        self.link = Link([End(ROBOT, port, EgmCodec(ROBOT, extension=True), ())], True, settings)
+        self.link = Link([End(ROBOT, port, EgmCodec(ROBOT, extension=True))], True, settings)
 
     def run(self, script: Script | None, **options: Any) -> Outcome:
         """Run the bridge; `script` is its controller."""
@@ -273,3 +378,220 @@ class Bench:
             assert isinstance(message, SensorMessage)
             self._heard.append(message)
         return self._heard
+
+
+@dataclass
+class Motion:
+    """Sways from where the last reference left the arm; positions, so that time that was lost would be a jump.
+
+    Attributes
+    ----------
+    holds : virtual time in which it holds, as (begin, end) [s]. stops : from when on it ends the run [s].
+    amplitude, rate : of the sway [rad, rad/s].
+    """
+
+    holds: tuple[float, float] = (0.0, 0.0)
+    stops: float = math.inf
+    amplitude: float = 0.1
+    rate: float = 4.0
+    _from: tuple[int, float, np.ndarray] | None = None
+
+    @classmethod
+    def that_stops(cls, at: float) -> Motion:
+        """Be fast at a time, and stop half a cycle before: the arm needs eight more to come to rest."""
+        return cls(stops=at - 0.002, amplitude=0.18, rate=6.0)
+
+    def begin_anew(self) -> None:
+        """Sway from where the arm is then: another controller was in charge."""
+        self._from = None
+
+    def __call__(self, t: float, state: State) -> Command | None:
+        if t >= self.stops:
+            return Command.stop()
+        if self.holds[0] <= t < self.holds[1]:
+            self.begin_anew()
+            return None
+        if self._from is None or self._from[0] != state.session:
+            self._from = state.session, state.t, state.q_sent
+        _, since, q = self._from
+        return Command(q + self.amplitude * (1.0 - math.cos(self.rate * (state.t - since))))
+
+
+LIMITS = Limits.of(ROBOT)
+GAP = 3 * PERIOD  # s that a reference may move on at most at full speed, however long nothing was sent
+SLACK = 1e-9  # of degrees on the wire
+
+
+def judge(bench: Bench, outcome: Outcome, since: int = 0, ahead: float = 0.0) -> None:
+    """Judge a run that sent the replies of the bench from number `since` on; `ahead` as in `within_limits`."""
+    within_limits(bench, since, ahead)
+    log_is_what_was_sent(bench, outcome.table, since)
+    for station in bench.stations:
+        q, qd = (np.array(values) for values in zip(*station.motion))
+        assert ((q >= ROBOT.q_min) & (q <= ROBOT.q_max)).all(), "the arm left its limits"
+        assert (np.abs(qd) <= ROBOT.qd_max).all(), "the arm was too fast"
+
+
+def met_in_motion(bench: Bench, at: float) -> None:
+    """What was sent last before a time had a speed."""
+    before = [reply.qd for reply, sent in zip(bench.heard(), bench.sent, strict=True) if sent.t <= at]
+    assert before[-1].any(), "the arm was at rest before anything failed"
+
+
+def within_limits(bench: Bench, since: int = 0, ahead: float = 0.0) -> None:
+    """Every reply is within the limits for the robot time since the one before, and a gap allows no larger step.
+
+    Parameters
+    ----------
+    since : first reply. ahead : time by which a clock of the robot may be believed beyond arrivals [s].
+    """
+    answered: set[tuple[int, int]] = set()
+    before: tuple[np.ndarray, np.ndarray, float] | None = None
+    echoes = READY_AFTER
+    stations = {source: station for station in bench.stations for source in station.sources}
+    for reply, sent in zip(bench.heard()[since:], bench.sent[since:], strict=True):
+        assert reply.q is not None
+        assert reply.tm_ms is not None
+        assert np.isfinite([reply.q, reply.qd]).all()
+        assert ((reply.q >= LIMITS.q_min - SLACK) & (reply.q <= LIMITS.q_max + SLACK)).all()
+        feedback, guides, now = stations[sent.to].packets[reply.tm_ms]
+        assert (sent.to[1], reply.tm_ms) not in answered, "two replies to one packet"
+        answered.add((sent.to[1], reply.tm_ms))
+        if not guides:
+            assert np.abs(reply.q - feedback).max() < SLACK, "before guidance, feedback goes back"
+            assert not reply.qd.any()
+            before = None
+            continue
+        if before is None or reply.seqno == 0:
+            before, echoes = (feedback, np.zeros_like(feedback), now - PERIOD), READY_AFTER
+        if echoes and np.abs(reply.q - feedback).max() < SLACK and not reply.qd.any():
+            before, echoes = (feedback, np.zeros_like(feedback), now), echoes - 1  # not ready yet
+            continue
+        echoes = 0
+        q, qd, then = before
+        longest = 1.01 * (now - then) + ahead
+        moved, step = reply.q - q, longest
+        if reply.qd.any():  # the time in which this speed makes this step
+            step = float(moved @ reply.qd / (reply.qd @ reply.qd))
+            assert 0.0 < step <= longest, f"a speed of another time at {sent.t:.3f} s"
+        assert np.abs(moved - reply.qd * step).max() <= SLACK, f"not as fast as said at {sent.t:.3f} s"
+        braked = np.maximum(np.abs(qd) - LIMITS.qdd_max * step, 0.0) * step
+        furthest = np.maximum(LIMITS.qd_max * min(step, 1.01 * GAP), braked)
+        assert (np.abs(moved) <= furthest + SLACK).all(), f"a jump at {sent.t:.3f} s"
+        assert (np.abs(reply.qd) <= LIMITS.qd_max + SLACK).all(), f"too fast at {sent.t:.3f} s"
+        assert (np.abs(reply.qd - qd) <= LIMITS.qdd_max * step + SLACK / PERIOD).all(), f"too sudden at {sent.t:.3f} s"
+        before = reply.q, reply.qd, now
+
+
+def log_is_what_was_sent(bench: Bench, table: Table, since: int = 0, end: int | None = None) -> None:
+    """Every reply has its row, and what the row says makes the same bytes again."""
+    codec = EgmCodec(ROBOT, extension=True)
+    heard, sent = bench.heard()[since:end], bench.sent[since:end]
+    if not sent:
+        assert "seq_sent" not in table or not np.isfinite(np.asarray(table["seq_sent"], dtype=float)).any()
+        return
+    rows = np.flatnonzero(np.isfinite(np.asarray(table["seq_sent"], dtype=float)))
+    assert len(rows) == len(sent), "every reply has its row"
+    q, qd, seqs = table["q_sent"][rows], table["qd_sent"][rows], np.asarray(table["seq_sent"], dtype=float)[rows]
+    for k, reply in enumerate(heard):
+        reference = Reference(
+            q[k], qd[k], None, int(seqs[k]), reply.tm_ms or 0, reply.echo_seq or 0, reply.echo_mono_ns or 0
+        )
+        assert codec.encode(reference) == sent[k].data, f"row {rows[k]} is not what was sent"
+
+
+LONGEST = 30.0  # s; only a test that fails waits so long
+NO_DATA = "41822 No data from the UdpUc device"
+REST = 0.01  # rad/s, of the true arm; its reference stands still
+
+
+def sway(state: State) -> Command:
+    return Command(state.q_start + 0.1 * (1.0 - np.cos(4.0 * state.t)))
+
+
+def is_whole(table: Table, lost: tuple[int, ...] = ()) -> None:
+    """Rows without a hole, but for the ticks that are said to be lost; references without a jump.
+
+    A packet that was overtaken has no reference.
+    """
+    if not len(table):
+        return
+    ticks = [tick for tick in range(len(table) + len(lost)) if tick not in lost]
+    np.testing.assert_array_equal(table["tick"], ticks)
+    step = 1.5 * max(PERIOD, table["dt"].max())  # on a busy machine the simulated robot leaves cycles out
+    for session in np.unique(table["session"]):
+        sent = table["q_sent"][table["session"] == session]
+        sent = sent[np.isfinite(sent).all(axis=1)]
+        assert (np.abs(np.diff(sent, axis=0)) <= LIMITS.qd_max * step).all()
+        assert ((sent >= LIMITS.q_min) & (sent <= LIMITS.q_max)).all()
+
+
+@contextlib.contextmanager
+def program(*words: str, errors: IO[str] | int = subprocess.PIPE) -> Iterator[subprocess.Popen[str]]:
+    """A program of ours, ended with the test."""
+    process = subprocess.Popen([sys.executable, *words], stdout=subprocess.PIPE, stderr=errors, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate(timeout=LONGEST)
+
+
+def line(file: IO[str] | None) -> str:
+    return file.readline()
+
+
+def free_port() -> int:
+    port = bridge.connect("egm://127.0.0.1:0", ROBOT)
+    port.close()
+    return port.port
+
+
+class SimulatedRobot:
+    """`armlab sim` as a process: what it says while it runs, and what it counted and knew when it has ended.
+
+    Parameters
+    ----------
+    folder : for its files. port : where it sends.
+    """
+
+    def __init__(self, folder: Path, port: int) -> None:
+        self._said, self._stats, self._truth = (folder / name for name in ("said.txt", "stats.json", "truth.csv"))
+        files = ("--stats", str(self._stats), "--truth", str(self._truth))
+        self._words = ("sim", "yumi_right", "--to", f"127.0.0.1:{port}", "--extension", "--comm-timeout", "0.2", *files)
+        self._process: Any = None
+
+    @contextlib.contextmanager
+    def running(self) -> Iterator[None]:
+        with self._said.open("w") as said, program("-m", "armlab", *self._words, errors=said) as self._process:
+            yield
+            self._process.terminate()
+            self._process.wait(LONGEST)
+
+    def timeouts(self) -> int:
+        """Return how many time-outs it has told so far; what it says is in the file before its next packet."""
+        return self._said.read_text().count(NO_DATA)
+
+    def wait_for_timeout(self, before: int) -> None:
+        """Wait until it has told one more."""
+        end = time.monotonic() + LONGEST
+        while self.timeouts() == before:
+            assert time.monotonic() < end, self._said.read_text()
+            time.sleep(0.01)
+
+    def judge(self) -> list[str]:
+        """Its arm stayed within the limits, and stood at the beginning of each session. Return its events."""
+        [counted] = json.loads(self._stats.read_text()).values()
+        events = [f"{event['number']} {event['text']}" for event in counted["events"]]
+        assert not any("out of bounds" in event for event in events), events
+        head, *rows = self._truth.read_text().splitlines()
+        names, truth = head.split(","), np.loadtxt(rows, delimiter=",")
+        q, qd = (truth[:, [names.index(f"{name}{i + 1} [{unit}]") for i in range(ROBOT.n)]] for name, unit in _COLUMNS)
+        assert ((q >= ROBOT.q_min) & (q <= ROBOT.q_max)).all(), "the arm left its limits"
+        assert (np.abs(qd) <= ROBOT.qd_max).all(), "the arm was too fast"
+        begins = np.flatnonzero(np.diff(truth[:, names.index("session")])) + 1
+        assert np.abs(qd[begins]).max(initial=0.0) < REST, "the arm did not stop"
+        return events
+
+
+_COLUMNS = (("q", "rad"), ("qd", "rad/s"))

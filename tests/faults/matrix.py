@@ -1,19 +1,17 @@
-"""The matrix of faults and states: each cell says what must happen, in words that its test looks for.
-
-`docs/faults.md` is made of the cells of these tests; see `docs/_ext/fault_table.py`.
-"""
+"""The matrix of faults and states, read from `matrix.toml`; `docs/_ext/fault_table.py` makes docs/faults.md of it."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-__all__ = ["CELLS", "KINDS", "NO_WORDS", "STATES", "Cell", "cells", "held_by", "shows"]
+__all__ = ["CELLS", "KINDS", "NO_WORDS", "STATES", "Cell", "shows"]
 
 STATES = ("waiting", "listening", "holding", "running", "stopping")
 """Modes of the bridge when the fault begins, as in `docs/egm.md`."""
@@ -45,8 +43,8 @@ class Cell:
     happens: str
     told: str
     recovers: str
-    given: Any = field(default=None, compare=False)
-    test: str = ""
+    test: str
+    given: Any = None
 
     def __str__(self) -> str:
         return f"{self.fault}, {self.state}"
@@ -58,40 +56,24 @@ class Cell:
         return self.told == NO_WORDS or re.search(words, text) is not None
 
 
-CELLS: list[Cell] = []
-"""Of all tests that were imported."""
+def _read() -> Iterator[Cell]:
+    text = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
+    for row in tomllib.loads(text)["cell"]:
+        yield from (Cell(state=state, **row) for state in row.pop("states").split(", "))
 
 
-def cells(
-    kind: str, fault: str, states: str, happens: str, told: str, recovers: str, given: Any = None
-) -> tuple[Cell, ...]:
-    """Return a cell for each of the `states`, names with commas between; the rest is as in `Cell`."""
-    found = tuple(Cell(kind, fault, state, happens, told, recovers, given) for state in states.split(", "))
-    assert kind in KINDS
-    assert {cell.state for cell in found} <= set(STATES)
-    return found
+CELLS = tuple(_read())
+"""Of all tests."""
 
 
-def shows(*groups: tuple[Cell, ...]) -> Callable[[Any], Any]:
-    """Run a test with each of its cells, and have them on the page.
+def shows(test: Any) -> Any:
+    """Run a test with each of its cells.
 
     In the default tests a fault meets a moving arm only, or its first state; the others are slow tests.
     """
-
-    def decorate(test: Any) -> Any:
-        node = f"{Path(test.__code__.co_filename).relative_to(TESTS.parent).as_posix()}::{test.__name__}"
-        own = [replace(cell, test=node) for group in groups for cell in group]
-        CELLS.extend(own)
-        quick = {cell.fault: cell.state for cell in reversed(own)}
-        quick |= {cell.fault: cell.state for cell in own if cell.state == "running"}
-        parameters = [
-            pytest.param(cell, marks=() if quick[cell.fault] == cell.state else pytest.mark.slow) for cell in own
-        ]
-        return pytest.mark.parametrize("cell", parameters, ids=str)(test)
-
-    return decorate
-
-
-def held_by(node: str, *groups: tuple[Cell, ...]) -> None:
-    """Put cells on the page that a test elsewhere holds."""
-    CELLS.extend(replace(cell, test=node) for group in groups for cell in group)
+    node = f"{Path(test.__code__.co_filename).relative_to(TESTS.parent).as_posix()}::{test.__name__}"
+    own = [cell for cell in CELLS if cell.test == node]
+    quick = {cell.fault: cell.state for cell in reversed(own)}
+    quick |= {cell.fault: cell.state for cell in own if cell.state == "running"}
+    parameters = [pytest.param(cell, marks=() if quick[cell.fault] == cell.state else pytest.mark.slow) for cell in own]
+    return pytest.mark.parametrize("cell", parameters, ids=str)(test)

@@ -17,14 +17,10 @@ from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, Link
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec
 
-from .bench import PERIOD, ROBOT, Bench
-from .judge import judge
-from .matrix import Cell, cells, shows
-from .motion import Motion
-from .processes import PATIENCE, SimulatedRobot, free_port, is_whole, program
+from .bench import LONGEST, PERIOD, ROBOT, Bench, Motion, SimulatedRobot, free_port, is_whole, judge, program
+from .matrix import Cell, shows
 
 BEGINS = {"holding": 0.0, "running": 0.3}
-CALLED = "holding, running"
 AFTER = 0.5  # s of motion when it is over
 
 
@@ -59,63 +55,30 @@ def nan(state: State) -> Command:
     return Command(np.full(7, np.nan))
 
 
-HOLDS = "the arm comes to rest, and the run ends"
-AGAIN = "the next run"
+JUMP = returns(lambda state: Command(state.q_start + 0.5))
+WRONG = {
+    "raises": Wrong(raises(ValueError("bad luck")), 1, ControllerFailed),
+    "exits": Wrong(raises(SystemExit(1)), 1, ControllerFailed),
+    "has no memory left": Wrong(raises(MemoryError()), 1, ControllerFailed),
+    "returns no Command": Wrong(returns(lambda state: "left"), 1, CommandRefused),
+    "returns a wrong shape": Wrong(returns(lambda state: Command(state.q[:6])), 1, CommandRefused),
+    "returns NaN again and again": Wrong(returns(nan), np.inf, CommandRefused),
+    "returns an infinite speed": Wrong(returns(lambda state: Command(qd=np.full(7, np.inf))), np.inf, CommandRefused),
+    "returns a jump again and again": Wrong(JUMP, np.inf, CommandRefused),
+    "is late again and again": Wrong(sleeps(0.0035), np.inf, ControllerLate),
+    "sleeps for seconds": Wrong(sleeps(3.0), 1, ControllerLate),
+    "returns nothing": Wrong(returns(lambda state: None), 50),
+    "returns NaN once": Wrong(returns(nan), 1),
+    "returns a jump once": Wrong(JUMP, 1),
+    "begins far from where the arm is": Wrong(returns(lambda state: Command(state.q_start + 0.06)), 300),
+    "is late once": Wrong(sleeps(0.0035), 1),
+    "takes half of the period": Wrong(sleeps(0.5 * PERIOD), 50),
+}
 
 
-def ends(fault: str, told: str, wrong: Wrong, states: str = CALLED) -> tuple[Cell, ...]:
-    return cells("controller", fault, states, HOLDS, told, AGAIN, wrong)
-
-
-@shows(
-    ends(
-        "raises",
-        "The controller raised ValueError: bad luck. …",
-        Wrong(raises(ValueError("bad luck")), 1, ControllerFailed),
-    ),
-    ends("exits", "The controller raised SystemExit: 1. …", Wrong(raises(SystemExit(1)), 1, ControllerFailed)),
-    ends(
-        "has no memory left", "The controller raised MemoryError: …", Wrong(raises(MemoryError()), 1, ControllerFailed)
-    ),
-    ends(
-        "returns no Command",
-        "Expected the controller to return a Command or None, got str.",
-        Wrong(returns(lambda state: "left"), 1, CommandRefused),
-    ),
-    ends(
-        "returns a wrong shape",
-        "Expected Command.q of shape (7,) for yumi_right, got (6,).",
-        Wrong(returns(lambda state: Command(state.q[:6])), 1, CommandRefused),
-    ),
-    ends(
-        "returns NaN again and again",
-        "Expected finite numbers in the Command, …",
-        Wrong(returns(nan), np.inf, CommandRefused),
-    ),
-    ends(
-        "returns an infinite speed",
-        "Expected finite numbers in the Command, …",
-        Wrong(returns(lambda state: Command(qd=np.full(7, np.inf))), np.inf, CommandRefused),
-    ),
-    ends(
-        "returns a jump again and again",
-        "Expected a position near the last one sent, …",
-        Wrong(returns(lambda state: Command(state.q_start + 0.5)), np.inf, CommandRefused),
-        "running",
-    ),
-    ends(
-        "is late again and again",
-        "The controller was too slow: … cycles … late. …",
-        Wrong(sleeps(0.0035), np.inf, ControllerLate),
-    ),
-    ends(
-        "sleeps for seconds",
-        "The controller was too slow: one call took 3.00 s, …",
-        Wrong(sleeps(3.0), 1, ControllerLate),
-    ),
-)
+@shows
 def test_the_run_ends(bench: Bench, cell: Cell) -> None:
-    wrong, good, at = cell.given, Motion(), BEGINS[cell.state]
+    wrong, good, at = WRONG[cell.fault], Motion(), BEGINS[cell.state]
     done = [0]
 
     def script(t: float, state: State) -> Any:
@@ -167,23 +130,14 @@ for file in files:
 """
 
 
-@shows(
-    cells(
-        "controller",
-        "closes file descriptors that it did not open",
-        CALLED,
-        "socket and log are opened again at once; the arm comes to rest, and the run ends",
-        "The controller, or other code in this process, closed file descriptors that it had not opened, …",
-        AGAIN,
-    )
-)
+@shows
 def test_the_bridge_outlives_its_descriptors(cell: Cell, tmp_path: Path) -> None:
     """The controller's own files, which took the numbers of the socket and the log, are left alone."""
     port, path, own = free_port(), tmp_path / "run.mcap", tmp_path / "own"
     robot = SimulatedRobot(tmp_path, port)
     words = ("-c", CLOSES, str(port), str(path), cell.state, str(own))
     with robot.running(), program(*words) as bridge:
-        told, errors = bridge.communicate(timeout=PATIENCE)
+        told, errors = bridge.communicate(timeout=LONGEST)
         assert bridge.returncode == 0, errors
     first, counted, again = told.splitlines()
     assert cell.is_told(first)
@@ -202,36 +156,9 @@ def test_the_bridge_outlives_its_descriptors(cell: Cell, tmp_path: Path) -> None
     robot.judge()
 
 
-@shows(
-    cells(
-        "controller", "returns nothing", CALLED, "the arm holds as long as that goes on", "–", "with the next command",
-        Wrong(returns(lambda state: None), 50),
-    ),
-    cells(
-        "controller", "returns NaN once", CALLED, "the arm holds for that packet",
-        "Expected finite numbers in the Command, …", "with the next command", Wrong(returns(nan), 1),
-    ),
-    cells(
-        "controller", "returns a jump once", "running", "the arm holds for that packet",
-        "Expected a position near the last one sent, …", "with the next command",
-        Wrong(returns(lambda state: Command(state.q_start + 0.5)), 1),
-    ),
-    cells(
-        "controller", "begins far from where the arm is", "holding", "the arm holds, as long as that goes on",
-        "Expected the first position within 0.05 of where the arm holds, …", "with a command near the arm",
-        Wrong(returns(lambda state: Command(state.q_start + 0.06)), 300),
-    ),
-    cells(
-        "controller", "is late once", CALLED, "the guard answers in its place: hold for that packet", "late 1,",
-        "with the next command", Wrong(sleeps(0.0035), 1),
-    ),
-    cells(
-        "controller", "takes half of the period", CALLED, "its commands are sent", "–", "nothing to recover",
-        Wrong(sleeps(0.5 * PERIOD), 50),
-    ),
-)  # fmt: skip
+@shows
 def test_the_run_goes_on(bench: Bench, cell: Cell) -> None:
-    wrong, good, at = cell.given, Motion(), BEGINS[cell.state]
+    wrong, good, at = WRONG[cell.fault], Motion(), BEGINS[cell.state]
     done, over = [0], [0.0]
 
     def script(t: float, state: State) -> Any:
@@ -255,16 +182,7 @@ def test_the_run_goes_on(bench: Bench, cell: Cell) -> None:
     assert np.ptp(moved, axis=0).min() > 0.01, "it moves again"
 
 
-@shows(
-    cells(
-        "controller",
-        "a codec of your own raises as it encodes",
-        "holding, running, stopping",
-        HOLDS,
-        "Expected a cycle without errors, got ZeroDivisionError: division by zero.",
-        AGAIN,
-    )
-)
+@shows
 def test_a_codec_raises(bench: Bench, cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
     """One packet has no reply; the next one is one step from the last that went out."""
     raised = [False]
@@ -290,11 +208,7 @@ def test_a_codec_raises(bench: Bench, cell: Cell, monkeypatch: pytest.MonkeyPatc
     assert again.run.reason == "the time is up"
 
 
-@shows(
-    cells(
-        "controller", "whatever it does", "waiting, stopping", "it is not called", "–", "nothing to recover"
-    )
-)  # fmt: skip
+@shows
 def test_it_is_not_called(bench: Bench, cell: Cell) -> None:
     robot, calls = bench.stations[0], [0]
     robot.alive = cell.state == "stopping"

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from armlab import bridge, robots
-from armlab.bridge.control.arm import Surplus
+from armlab.bridge.control.arm import QueueTrimming
 from armlab.bridge.control.limits import Limits
 from armlab.bridge.control.realtime import Waiting
 from armlab.bridge.net.sockets import Arrival, Port
@@ -314,7 +314,7 @@ def sway(state: State) -> Command:
 def play(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Give a function that runs bridge and controller against each other."""
 
-    leaves_out = Surplus.leaves_out
+    leaves_out = QueueTrimming.leaves_out
 
     def run(
         outgoing: FaultRates, incoming: FaultRates, seconds: float, limits: Limits | None = None
@@ -325,10 +325,10 @@ def play(monkeypatch: pytest.MonkeyPatch) -> Any:
         monkeypatch.setattr(Port, "send", lambda port, data, to: wire.send(data))
 
         # a bridge in lockstep never leaves out a reply, because a robot would wait for it; this one does not wait
-        def with_wire(surplus: Surplus, depth: int, period: float) -> bool:
-            return leaves_out(surplus, wire.depth, period)
+        def with_wire(trimming: QueueTrimming, depth: int, period: float) -> bool:
+            return leaves_out(trimming, wire.depth, period)
 
-        monkeypatch.setattr(Surplus, "leaves_out", with_wire)
+        monkeypatch.setattr(QueueTrimming, "leaves_out", with_wire)
         with bridge.connect("egm://127.0.0.1:0", ROBOT, extension=True, clock="robot") as link:
             return link.run(sway, seconds=seconds, wait="block", limits=limits), wire.controller
 

@@ -1,15 +1,31 @@
 """The size and shape of the code base: `make house` prints what is measured beside its goal.
 
-Everything is read from the sources. Import circles of any kind count: at import, inside functions, or for type hints.
+All but the path of one datagram is read from the sources. Import circles of any kind count: at import, inside
+functions, or for type hints.
 """
 
 from __future__ import annotations
 
 import ast
+import socket
+import sys
+import time
 from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from types import FrameType
+from typing import Any, NamedTuple
+
+from armlab import robots
+from armlab.bridge import Limits
+from armlab.bridge.control.loop import Loop
+from armlab.bridge.control.realtime import Waiting
+from armlab.bridge.control.run import End, assemble
+from armlab.bridge.control.supervision import Settings
+from armlab.bridge.net.sockets import Port
+from armlab.state import Command
+from armlab.wire.egm import EgmCodec, RobotMessage, RobotSideCodec
 
 __all__ = ["GOALS", "Goal", "circles", "measured", "table"]
 
@@ -35,6 +51,8 @@ GOALS = (
     Goal("widest folder, modules", 66, 15),
     Goal("import circles", 14, 0),
     Goal("public names", 1_435, 900),
+    Goal("one datagram: files", 26, 12),
+    Goal("one datagram: Python calls", 85, 45),
 )
 
 
@@ -63,6 +81,7 @@ def imports(path: Path, known: dict[str, Path]) -> Iterator[str]:
                 yield inside if inside in known else node.module
 
 
+@cache
 def circles() -> list[list[str]]:
     """Return the groups of modules that import one another, each a strongly connected component (Tarjan)."""
     known = modules()
@@ -109,6 +128,41 @@ def public_names() -> int:
     return len(listed)
 
 
+def datagram() -> tuple[int, int]:
+    """Return the files and calls of the package from a received datagram to its reply and row, in a steady cycle."""
+    robot, port, calls = robots.load("yumi_right"), Port("127.0.0.1", 0), list[str]()
+    quiet: dict[str, Any] = {"extra": None, "attachments": {}, "feeds": (), "sources": ()}
+    arms = assemble(
+        [End(robot, port, EgmCodec(robot))],
+        [Limits.of(robot)],
+        Settings(),
+        commands=True,
+        answer_stream=True,
+        record=None,
+        **quiet,
+    )
+    waiting = Waiting([port], [arms[0].prediction], "block")
+    loop = Loop(arms, waiting, lambda state: Command(state.q_start), Settings())
+
+    def count(frame: FrameType, event: str, _: object) -> None:
+        if event == "call" and frame.f_code.co_filename.startswith(str(SOURCE)):
+            calls.append(frame.f_code.co_filename)
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+        for number in range(50):
+            now = time.time_ns()
+            message = RobotMessage(number, now // 1_000_000 % 2**32, robot.q_home, robot.q_home, robot_ns=now)
+            peer.sendto(RobotSideCodec(robot).encode_robot(message), (port.host, port.port))
+            calls.clear()
+            sys.setprofile(count)
+            loop.cycle()
+            sys.setprofile(None)
+            time.sleep(2e-3)
+    port.close()
+    return len(set(calls)), len(calls)
+
+
+@cache
 def measured() -> dict[str, int]:
     """Return each figure by its name."""
     source = [path for path in SOURCE.rglob("*.py") if path not in GENERATED]
@@ -117,6 +171,7 @@ def measured() -> dict[str, int]:
     widest = Counter(path.parent for path in source).most_common(1)[0][1]
     figures = (
         lines(source), len(source), lines(tests), len(tests), lines(native), widest, len(circles()), public_names(),
+        *datagram(),
     )  # fmt: skip
     return dict(zip((goal.name for goal in GOALS), figures, strict=True))
 

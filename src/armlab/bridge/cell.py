@@ -7,19 +7,18 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 
 from armlab import models, robots
 from armlab._toml import TomlError, parsed
-from armlab.bridge.cell_file import File, LabCommTable, RobotTable, SourceTable
 from armlab.bridge.control.limits import Limits
 from armlab.bridge.control.loop import Controller
 from armlab.bridge.control.run import Run
 from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.inputs.sources import Source, UdpSource
+from armlab.bridge.inputs.sources import Source, UdpSource, check_source
 from armlab.bridge.link import connect
 from armlab.bridge.listen import is_open, listening
 from armlab.bridge.servers.hub import OPERATOR, Exchange
@@ -33,6 +32,169 @@ from armlab.robots import Robot
 
 __all__ = ["Cell", "cell_values", "parse_cell", "run_cell"]
 
+_Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_-]{1,40}$")]
+_Port = Annotated[int, msgspec.Meta(ge=0, le=65535)]
+
+
+class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A table of the file."""
+
+
+class RobotTable(_Table, frozen=True):
+    """A robot: a name of the library or a file, and the url of its link."""
+
+    name: str
+    link: str
+    extension: bool = False
+    speed: float = 1.0
+    torque: float | list[float] | None = None  # largest that is sent, of all joints or of each [N m]
+
+
+class FieldTable(_Table, frozen=True):
+    """A field of a source; what the glossary knows needs no unit."""
+
+    shape: tuple[int, ...] = ()
+    unit: str | None = None
+    frame: str | None = None
+
+
+class SourceTable(_Table, frozen=True):
+    """A source of values beside the arms: datagrams of another program, or a sample of a LabComm server."""
+
+    fields: dict[_Name, FieldTable]
+    period: float
+    port: _Port
+    kind: Literal["udp", "labcomm"] = "udp"
+    sample: str | None = None
+    host: str = "127.0.0.1"
+    layout: dict[str, str] | Literal["json"] = "json"
+    max_age: float | None = None
+    role: Literal["required", "optional"] = "optional"
+    robot: str = ""
+    calibration: str | None = None
+
+
+class ParameterTable(_Table, frozen=True):
+    """A parameter; see `Parameter`."""
+
+    default: bool | int | float | str | list[float]
+    type: str = "float"
+    unit: str = ""
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    text: str = ""
+    rights: Literal["commander", "anyone"] = "commander"
+    live: bool = True
+
+
+class LabCommTable(_Table, frozen=True):
+    """The LabComm server: a port per arm, for the parameters and for the fused rows."""
+
+    ports: dict[str, _Port] = {}
+    parameters: _Port = 7513
+    rows: _Port = 7514
+    order: Literal["abb", "chain"] = "abb"
+    dialect: str = "2014v1"
+    types: str | None = None
+    follows_client: bool = False
+
+
+class _Server(_Table, frozen=True):
+    """The table of a server."""
+
+    def options(self) -> dict[str, Any]:
+        """Return what the process of the server is told; "guarded" where it knows a secret (see `listening`)."""
+        return msgspec.to_builtins(self)
+
+
+class Ros2Table(_Server, frozen=True):
+    """ROS 2 over DDS; without a domain that of ROS_DOMAIN_ID."""
+
+    domain: Annotated[int, msgspec.Meta(ge=0, le=232)] | None = None
+
+
+class RosbridgeTable(_Server, frozen=True):
+    """The rosbridge server: its port, the dialect of clients that do not say, and what guards it."""
+
+    port: _Port = 9090
+    dialect: Literal["ros1", "ros2"] = "ros2"
+    origins: list[str] = []
+    token_file: str | None = None
+    token_variable: str | None = None
+    certificate: str | None = None
+    key: str | None = None
+
+    def options(self) -> dict[str, Any]:
+        """Return the options; it is guarded with a token, certificate and key."""
+        token = self.token_file or self.token_variable
+        return {**super().options(), "guarded": bool(token and self.certificate and self.key)}
+
+
+class ZenohTable(_Server, frozen=True):
+    """The Zenoh server: name of the lab, where it is found, and who may come; see `zenoh.security.Security`."""
+
+    lab: _Name = "lab"
+    port: _Port = 7447
+    router: str = ""
+    ca: str = ""
+    certificate: str = ""
+    key: str = ""
+    users: str = ""
+    secret: str = ""
+
+    def options(self) -> dict[str, Any]:
+        return {**super().options(), "guarded": bool(self.ca and self.certificate and self.key and self.users)}
+
+
+class RmwZenohTable(_Server, frozen=True):
+    """ROS 2 over Zenoh, as rmw_zenoh speaks it; without a domain that of ROS_DOMAIN_ID."""
+
+    domain: Annotated[int, msgspec.Meta(ge=0, le=232)] | None = None
+    distribution: Literal["humble", "jazzy", "kilted"] = "jazzy"
+    port: _Port = 7447
+    router: str = ""
+
+
+class Ros1Table(_Server, frozen=True):
+    """A node of ROS 1: its master, and the Python that has rospy."""
+
+    master: str = "http://127.0.0.1:11311"
+    python: str = "/usr/bin/python3"
+
+
+class PlotJugglerTable(_Server, frozen=True):
+    """Datagrams for PlotJuggler: where it runs, and which fields of a robot; None sends those that fit."""
+
+    to: str = "127.0.0.1"
+    port: _Port = 9870
+    fields: list[str] | None = None
+
+
+class ServersTable(_Table, frozen=True):
+    """Servers that are enabled besides the local one."""
+
+    labcomm: LabCommTable | None = None
+    ros2: Ros2Table | None = None
+    rosbridge: RosbridgeTable | None = None
+    zenoh: ZenohTable | None = None
+    rmw_zenoh: RmwZenohTable | None = None
+    ros1: Ros1Table | None = None
+    plotjuggler: PlotJugglerTable | None = None
+
+
+class File(_Table, frozen=True):
+    """The whole file."""
+
+    robots: Annotated[list[RobotTable], msgspec.Meta(min_length=1)]
+    name: _Name = "cell"
+    commands: list[Literal["labcomm", "local", "rmw_zenoh", "ros1", "ros2", "rosbridge", "zenoh"]] = []
+    pace: str | None = None
+    record: str | None = None
+    sources: dict[_Name, SourceTable] = {}
+    parameters: dict[str, ParameterTable] = {}
+    servers: ServersTable = ServersTable()
+
+
 _SIDES = {"left": 7511, "right": 7512}
 
 
@@ -42,10 +204,16 @@ class Cell:
 
     Attributes
     ----------
-    name : of the cell. robots, links : the arms and their urls. extension : send the research extension.
-    limits : of each arm. torque : names of arms that clients may command by torque.
-    commands : servers that may command. pace, record : see `Link.run`.
-    parameters : declared. servers : options by name of the server. text : of the file, kept in recordings.
+    name : of the cell.
+    robots, links : the arms and their urls.
+    extension : send the research extension.
+    limits : of each arm.
+    torque : names of arms that clients may command by torque.
+    commands : servers that may command.
+    pace, record : see `Link.run`.
+    parameters : declared.
+    servers : options by name of the server.
+    text : of the file, kept in recordings.
     """
 
     name: str
@@ -72,7 +240,8 @@ def parse_cell(text: str, path: str = "cell.toml") -> Cell:
 
     Parameters
     ----------
-    text : of the file. path : its name, for messages.
+    text : of the file.
+    path : its name, for messages.
 
     Raises
     ------
@@ -112,7 +281,7 @@ def _cell(file: File) -> Cell:
         declared.append(Parameter(name, **fields))
     Parameters(declared)
     for name, source in file.sources.items():
-        _source(name, source).check(arms)
+        check_source(_source(name, source), arms)
     extension = any(one.extension for one in file.robots)
     limits = tuple(_limits(arm, one, extension) for arm, one in zip(arms, file.robots, strict=True))
     return Cell(
@@ -195,8 +364,11 @@ def run_cell(
 
     Parameters
     ----------
-    cell : from `parse_cell`. listen : see `listening`. seconds : robot time under guidance after which to end.
-    patience : s to wait for a robot. ready : told one line, who listens where, before the first packet is taken.
+    cell : from `parse_cell`.
+    listen : see `listening`.
+    seconds : robot time under guidance after which to end.
+    patience : s to wait for a robot.
+    ready : told one line, who listens where, before the first packet is taken.
     ended : told the run that ended, also when it then raises.
     controller : commands the arms in place of the clients, which then only read, set parameters and stop the arms.
     parameters : that the controller reads, made of `Cell.parameters`.
@@ -260,7 +432,8 @@ def cell_values(text: str, path: str = "cell.toml") -> list[tuple[str, Any, bool
 
     Parameters
     ----------
-    text : of the file. path : its name, for messages.
+    text : of the file.
+    path : its name, for messages.
 
     Raises
     ------

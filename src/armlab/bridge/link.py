@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from armlab._descriptors import Descriptor
-from armlab.bridge.assembly import End, assemble, checked_limits, finished
+from armlab.bridge.control.arm import ArmSession
 from armlab.bridge.control.limits import Limits
 from armlab.bridge.control.loop import Controller, Loop
 from armlab.bridge.control.realtime import (
@@ -31,7 +31,7 @@ from armlab.bridge.control.realtime import (
     short_switches,
 )
 from armlab.bridge.control.recording import Feed
-from armlab.bridge.control.run import Run, together
+from armlab.bridge.control.run import End, Run, assemble, checked_limits, finished, together
 from armlab.bridge.control.supervision import Settings
 from armlab.bridge.control.torque import TorqueModel, admittances
 from armlab.bridge.inputs.sources import Source
@@ -53,12 +53,7 @@ _METHODS = ("capabilities", "reset", "decode", "encode")
 
 
 def codec_named(name: str, robot: Robot, extension: bool = False) -> Codec:
-    """Return a new codec for a robot.
-
-    Raises
-    ------
-    UnknownName : no such codec; lists those that exist. ConfigError : an entry point that gives none.
-    """
+    """Return a new codec for a robot."""
     if name == "egm":
         return EgmCodec(robot, extension)
     from importlib.metadata import entry_points
@@ -83,27 +78,17 @@ def codec_named(name: str, robot: Robot, extension: bool = False) -> Codec:
     return codec
 
 
-def codecs_of(
-    codec: str | Codec | Sequence[Codec], robots: Sequence[Robot], extension: bool, spares: int
-) -> list[tuple[Codec, tuple[Codec, ...]]]:
-    """Return the codec of each arm and those of its rehearsals, which an object of the user's does not have.
-
-    codec : name of a codec, made once for an arm and once for each rehearsal; or an object for each arm.
-
-    Raises
-    ------
-    UnknownName, ConfigError : as of `codec_named`; objects that are no codecs, or not one for each arm.
-    """
+def codecs_of(codec: str | Codec | Sequence[Codec], robots: Sequence[Robot], extension: bool) -> list[Codec]:
+    """Return the codec of each arm: made by name, or the user's objects."""
     if isinstance(codec, str):
-        made = [[codec_named(codec, robot, extension) for _ in range(1 + spares)] for robot in robots]
-        return [(own, tuple(others)) for own, *others in made]
+        return [codec_named(codec, robot, extension) for robot in robots]
     given = list(codec) if isinstance(codec, Sequence) else [codec]
     for one in given:
         if not all(hasattr(one, method) for method in _METHODS):
             raise ConfigError(f"Expected the name of a codec, or one like wire.egm.Codec, got {one!r}.")
     if len(given) != len(robots):
         raise ConfigError(f"Expected one codec per arm, since each follows one session, got {len(given)}.")
-    return [(one, ()) for one in given]
+    return given
 
 
 _KEPT_LINES = 20
@@ -114,9 +99,6 @@ class Simulator:
     """One ``python -m armlab sim`` process that sends to ports of this computer.
 
     It gets its own process group, so that Ctrl-C reaches the bridge alone, which brings the arm to rest first.
-
-    robots : names in the library, or robot files. ports : where each shall send.
-    options : further options by name: "seed" -> "1" becomes ``--seed 1``; "true" a bare ``--name``.
     """
 
     def __init__(self, robots: Sequence[str], ports: Sequence[int], options: Mapping[str, str]) -> None:
@@ -142,12 +124,7 @@ class Simulator:
         self._reader.start()
 
     def gone(self) -> str:
-        """Return why it has ended, "" while it runs.
-
-        Raises
-        ------
-        LinkError : it ended with an error; quotes what it wrote.
-        """
+        """Return why it has ended, "" while it runs."""
         status = self._process.poll()
         if status is None:
             return ""
@@ -175,9 +152,6 @@ class Simulator:
                 self.lines.append(line.strip())
 
 
-_REHEARSALS = 2  # before a packet, when there is time: the first fills the caches, the second finds them warm
-
-
 def connect(
     url: str | Sequence[str],
     robot: Robot | Sequence[Robot],
@@ -193,12 +167,12 @@ def connect(
     Parameters
     ----------
     url : ``egm://127.0.0.1:6510`` listens there for a robot's controller. ``sim://yumi_right`` starts that simulated
-        robot and stops it with the link; ``?seed=1&lockstep=true`` are options of ``armlab sim``. Several arms have
-        one url each, of which only the seeds may differ, or ``sim://yumi_left+yumi_right``; ``sim://mine.toml``
-        simulates what a file describes. Without a number the port is 6510, of several 6511, 6512, ...
-        ``labcomm://host:7511`` goes to a LabComm server whose bridge has the robot; ``?order=chain&dialect=2014`` say
-        how its port is set. ``zenoh://host:7447/lab`` goes to a bridge that serves Zenoh, or to a router that knows
-        it; ``?ca=lab.pem&secret=commander.secret`` are its certificate and our password.
+        robot and stops it with the link; ``?seed=1&lockstep=true`` are options of ``armlab sim``. Several arms have one
+        url each, of which only the seeds may differ, or ``sim://yumi_left+yumi_right``; ``sim://mine.toml`` simulates
+        what a file describes. Without a number the port is 6510, of several 6511, 6512, ... ``labcomm://host:7511``
+        goes to a LabComm server whose bridge has the robot; ``?order=chain&dialect=2014`` say how its port is set.
+        ``zenoh://host:7447/lab`` goes to a bridge that serves Zenoh, or to a router that knows it;
+        ``?ca=lab.pem&secret=commander.secret`` are its certificate and our password.
     robot : the arm, or several in the order of the urls.
     codec : "egm", the name of an entry point of the group ``armlab.bridge.codecs``, or an object with the methods of
         `wire.egm.Codec`; one per arm.
@@ -211,7 +185,8 @@ def connect(
 
     Raises
     ------
-    ConfigError, UnknownName : wrong url, codec or clock. RobotError : no robot, or one whose axes EGM does not give.
+    ConfigError, UnknownName : wrong url, codec or clock.
+    RobotError : no robot, or one whose axes EGM does not give.
     LinkError : a port cannot be bound, or a bridge of that name runs.
     """
     robots = _robots(robot)
@@ -221,24 +196,22 @@ def connect(
     if not patience > 0.0:
         raise ConfigError(f"Expected patience above 0 s, got {patience}.")
     is_simulated = where[0].scheme == "sim"
-    codecs = codecs_of(codec, robots, extension or is_simulated, _REHEARSALS)
+    codecs = codecs_of(codec, robots, extension or is_simulated)
     in_lockstep = is_simulated and where[0].options.get("lockstep", "false").lower() in ("", "true")
     settings = Settings(clock="robot" if in_lockstep else clock, patience=patience)
     with ExitStack() as opened:
         ends: list[End] = []
-        for one, address, wires in zip(robots, where, codecs, strict=True):
+        for one, address, wire in zip(robots, where, codecs, strict=True):
             if address.scheme in ("labcomm", "zenoh"):
                 if address.scheme == "labcomm":
                     from armlab.bridge.servers.labcomm.link import far_end
                 else:
                     from armlab.bridge.servers.zenoh.link import far_end
 
-                ends.append(End(one, *far_end(one, address.host, address.port, address.options), (), None))
+                ends.append(End(one, *far_end(one, address.host, address.port, address.options)))
             else:
-                port = Port(address.host, address.port)
-                opened.callback(port.close)
-                ends.append(End(one, port, *wires, None if not wires[1] else Port("127.0.0.1", 0, to_itself=True)))
-            opened.callback(ends[-1].close)
+                ends.append(End(one, Port(address.host, address.port), wire))
+            opened.callback(ends[-1].port.close)
         simulator = None
         if is_simulated:
             simulator = Simulator(
@@ -267,7 +240,10 @@ class Link:
 
     Attributes
     ----------
-    robots : the arms. robot : the first. host, port : the address bound for the first. ports : of each arm.
+    robots : the arms.
+    robot : the first.
+    host, port : the address bound for the first.
+    ports : of each arm.
     last : what the last run left behind, also one that raised; None before the first.
     """
 
@@ -298,7 +274,7 @@ class Link:
         """Close the ports and stop the simulated robots."""
         self._closed = True
         for end in self._ends:
-            end.close()
+            end.port.close()
         if self._simulator is not None:
             self._simulator.stop()
         if self._offering is not None:
@@ -337,14 +313,14 @@ class Link:
 
         Parameters
         ----------
-        controller : callable State -> Command or None (hold). None only listens and never sends. With several arms
-            the Command has the joints of all, or there is one per arm in a tuple.
+        controller : callable State -> Command or None (hold). None only listens and never sends. With several arms the
+            Command has the joints of all, or there is one per arm in a tuple.
         seconds : robot time under guidance, counted from the first readiness (from the first packet when listening).
         wait : "ahead" polls just before the packet, "block" sleeps, "spin" polls always.
         limits : on what is sent, one per arm; `Limits.of(robot)` by default.
         reconnect : "resume" waits for the next session when the controller ends one, "stop" ends the run.
-        torque : what becomes of a torque command on a codec without the capability "torque": "refuse" ends the run
-            with `CommandRefused`, "admittance" moves at ``qd = (tau - torque_model(q, qd)) / damping``.
+        torque : what becomes of a torque command on a codec without the capability "torque": "refuse" ends the run with
+            `CommandRefused`, "admittance" moves at ``qd = (tau - torque_model(q, qd)) / damping``.
         record : file for the recording; without it the rows stay in memory. Several arms have a file each, see
             `recording.paths`.
         extra : columns of ``Command.record`` by name.
@@ -366,9 +342,7 @@ class Link:
         UnknownName : `pace` is no arm of this link.
         NoRobot, SessionEnded, CommandRefused, ControllerLate, ControllerFailed : with the last ten seconds in `.table`.
         """
-        self._check(controller, wait, reconnect)
-        if seconds is not None and not (isinstance(seconds, int | float) and seconds >= 0.0):  # NaN would never end
-            raise ConfigError(f"Expected seconds of at least 0, or None for no end, got {seconds!r}.")
+        self._check(controller, seconds, wait, reconnect)
         paced = self._paced(pace)
         what = "listening" if controller is None else "moving"
         if self._offering is not None:
@@ -391,12 +365,9 @@ class Link:
                 feeds=feeds,
                 sources=sources,
             )
-            in_lockstep = settings.clock == "robot"
-            mode: Wait = "block" if in_lockstep else wait
+            mode: Wait = "block" if settings.clock == "robot" else wait
             waiting = Waiting([arm.port for arm in arms], [arm.prediction for arm in arms], mode)
             loop = Loop(arms, waiting, controller, settings, paced)
-        rehearsals = [arm.rehearse for arm in arms]
-        waiting.rehearse = lambda index: rehearsals[index]()
         arms.insert(0, arms.pop(paced))
         try:
             with ExitStack() as stack:
@@ -407,19 +378,15 @@ class Link:
                     stack.callback(source.close)
                     source.start()
                 stack.enter_context(quiet_memory())
-                if not in_lockstep:
+                if settings.clock != "robot":
                     for arm in arms if controller is not None else ():  # a listener keeps what has come meanwhile
                         arm.port.flush()
                     _enter_real_time(stack, loop, arms[0].recording.event, wait)
                 loop.run()
         finally:
             self.last = run = finished(arms, loop.reason or "interrupted", feeds)
-        failure = loop.failure
-        if failure is not None:
-            with suppress(MemoryError):  # the reason is told in any case
-                tails = {arm.robot.name: arm.recording.tail() for arm in arms}
-                failure.table = together(tails) if len(tails) > 1 else tails[arms[0].robot.name]
-            raise failure
+        if loop.failure is not None:
+            raise _with_tail(loop.failure, arms)
         if loop.interrupted:
             raise KeyboardInterrupt
         return run
@@ -430,11 +397,13 @@ class Link:
             raise UnknownName.among("arm of this link", pace, names)
         return 0 if pace is None else names.index(pace)
 
-    def _check(self, controller: Controller | None, wait: str, reconnect: str) -> None:
+    def _check(self, controller: Controller | None, seconds: Any, wait: str, reconnect: str) -> None:
         if self._closed:
             raise LinkError("Expected an open link, got one that was closed. Connect again.")
         if controller is not None and not callable(controller):
             raise ConfigError(f"Expected a controller to call with each State, or None to listen, got {controller!r}.")
+        if seconds is not None and not (isinstance(seconds, int | float) and seconds >= 0.0):  # NaN would never end
+            raise ConfigError(f"Expected seconds of at least 0, or None for no end, got {seconds!r}.")
         for name, value, known in (
             ("wait", wait, ("ahead", "block", "spin")),
             ("reconnect", reconnect, ("resume", "stop")),
@@ -453,6 +422,14 @@ class Link:
                 f"Expected every packet to be answered, since a robot in lockstep waits for each reply, got {what}. "
                 'Leave out lockstep=true and clock="robot", or answer.'
             )
+
+
+def _with_tail(failure: LinkError, arms: Sequence[ArmSession]) -> LinkError:
+    """Return the error with the last ten seconds of all arms, where there is memory for them."""
+    with suppress(MemoryError):  # the reason is told in any case
+        tails = {arm.robot.name: arm.recording.tail() for arm in arms}
+        failure.table = together(tails) if len(tails) > 1 else tails[arms[0].robot.name]
+    return failure
 
 
 def _enter_real_time(stack: ExitStack, loop: Loop, on_event: Tell, wait: Wait) -> None:

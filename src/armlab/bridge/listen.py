@@ -32,16 +32,7 @@ class _Cell(Protocol):
 
 
 def listening(listen: Iterable[str], cell: _Cell) -> dict[str, str]:
-    """Return the address of each network server: loopback, or what the user asked for.
-
-    listen : "labcomm=192.168.1.5", "labcomm=0.0.0.0" or "labcomm=eth0". cell : whose servers.
-
-    Raises
-    ------
-    ConfigError, UnknownName : another form, server or interface, or a server that may command beyond this computer
-        without secret and encryption, shares its router with one that is open, or has its ROS master elsewhere; or
-        one whose router is elsewhere and that is not asked for there, or two with one router at different addresses.
-    """
+    """Return the address of each network server: loopback, or what the user asked for."""
     found = {name: "127.0.0.1" for name in cell.servers if name != OPERATOR}
     for word in listen:
         server, _, place = word.partition("=")

@@ -17,10 +17,7 @@ _LABCOMM = 7511  # of the first arm of a LabComm server: 7511 left, 7512 right
 
 
 class Address(NamedTuple):
-    """Where one robot is heard.
-
-    scheme : "egm", "sim", "labcomm" or "zenoh". host, port : where to listen, or of the server.
-    """
+    """Where one robot is heard."""
 
     scheme: str
     host: str
@@ -30,15 +27,7 @@ class Address(NamedTuple):
 
 
 def addresses(urls: Sequence[str], count: int) -> list[Address]:
-    """Return the addresses of the robots of a link.
-
-    urls : ``egm://HOST:PORT``, ``labcomm://HOST:PORT`` or ``zenoh://HOST:PORT/LAB`` for each robot, or
-        ``sim://NAME?option=value``, also ``sim://NAME+NAME`` and ``sim://FOLDER/FILE.toml``. count : robots.
-
-    Raises
-    ------
-    ConfigError : another form, another number than that of the robots, or two that cannot be in one link.
-    """
+    """Return the addresses of the robots of a link."""
     ports = [_PORTS + index if count > 1 else _PORT for index in range(len(urls))]
     rows = [_LABCOMM + index for index in range(len(urls))]
     found = [one for url, *numbers in zip(urls, ports, rows, strict=True) for one in _taken_apart(url, *numbers)]
@@ -67,12 +56,7 @@ def _shared(address: Address) -> dict[str, str]:
 
 
 def split_url(url: str) -> SplitResult:
-    """Return the parts of a url.
-
-    Raises
-    ------
-    ConfigError : no url, or half a bracket of an IPv6 address.
-    """
+    """Return the parts of a url."""
     try:
         return urlsplit(url if isinstance(url, str) else "")
     except ValueError as error:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from armlab.bridge.doctor.findings import Finding
+    from armlab.bridge.doctor.machine import Finding
 
 __all__ = ["disk", "doctor"]
 
@@ -72,7 +72,7 @@ def disk(
     free: Callable[[Path], int] = lambda folder: shutil.disk_usage(folder).free,
 ) -> Finding:
     """Measure the disk on which a log would be written: speed, how long a sync takes, hours of room."""
-    from armlab.bridge.doctor.findings import Finding
+    from armlab.bridge.doctor.machine import Finding
 
     syncs: list[float] = []
     try:

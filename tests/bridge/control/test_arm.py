@@ -4,141 +4,23 @@ from __future__ import annotations
 
 import json
 import math
-import time
 from collections import deque
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
 import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge import Limits, connect
-from armlab.bridge.assembly import End, assemble
-from armlab.bridge.control.arm import Arm, Latency, PendingPacket, Surplus
+from armlab.bridge import connect
+from armlab.bridge.control.arm import Latency, QueueTrimming
 from armlab.bridge.control.state_machine import Mode
-from armlab.bridge.control.supervision import Settings
-from armlab.bridge.net.sockets import Arrival, Port
-from armlab.robots import Robot
 from armlab.state import Command, State
-from armlab.wire.egm import EgmCodec, RobotSideCodec, SensorMessage
+from armlab.wire.egm import RobotSideCodec, SensorMessage
 
-from .by_hand import CONTROLLER, MS, Hands, Make, drift
+from .conftest import CONTROLLER, MS, Make, drift
 
 PERIOD_NS = 4_000_000
-
-
-@pytest.fixture
-def arm(robot: Robot) -> Iterator[Arm]:
-    port = Port("127.0.0.1", 0)
-    options: dict[str, Any] = {
-        "commands": True,
-        "answer_stream": True,
-        "record": None,
-        "extra": None,
-        "attachments": {},
-        "feeds": (),
-        "sources": (),
-    }
-    [made] = assemble([End(robot, port, EgmCodec(robot), ())], [Limits.of(robot)], Settings(), **options)
-    yield made
-    port.close()
-
-
-def take(arm: Arm, packets: Any, k: int) -> PendingPacket:
-    turn = arm.take(Arrival(packets(), ("127.0.0.1", arm.port.port), arm.stamp_ns + k * PERIOD_NS))
-    assert turn is not None
-    return turn
-
-
-def test_how_long_a_packet_waited_for_the_loop_is_recorded(arm: Arm, packets: Any) -> None:
-    came = time.monotonic_ns() - 3_000_000
-    turn = arm.take(Arrival(packets(), ("127.0.0.1", arm.port.port), came))
-    assert turn is not None
-    assert 3_000_000 <= turn.wake_ns <= time.monotonic_ns() - came
-    later = arm.take(Arrival(packets(), ("127.0.0.1", arm.port.port), came + 10**12))  # while the loop ran
-    assert later is not None
-    assert later.wake_ns == 0
-    arm.reply(turn, None, arm.guide.answer(None, arm.period))
-    arm.record()
-    assert arm.recording.table()["wake_ns"][0] == turn.wake_ns
-
-
-def test_the_newest_is_answered_and_both_are_recorded(arm: Arm, packets: Any) -> None:
-    first = take(arm, packets, 0)
-    second = arm.take(Arrival(packets(), ("127.0.0.1", arm.port.port), first.sample.arrival_ns + PERIOD_NS), first)
-    assert second is not None
-    assert arm.newest is second
-    arm.reply(second, None, arm.guide.answer(None, arm.period))
-    assert (arm.replies, arm.overtaken) == (1, 1)
-    assert len(arm.recording.table()) == 0
-    arm.record()
-    table = arm.recording.table()
-    np.testing.assert_array_equal(table["seq"], [0, 1])
-    np.testing.assert_array_equal(np.isfinite(table["seq_sent"].astype(float)), [False, True])
-    assert arm.deadline(second.sample) == second.sample.arrival_ns + 0.75 * PERIOD_NS
-
-
-def test_a_command_that_was_given_serves_for_a_time(arm: Arm, packets: Any) -> None:
-    command = Command(qd=np.ones(7))
-    take(arm, packets, 0)
-    arm.give(command)
-    served = [arm.given(take(arm, packets, k).sample, 0.0101) is not None for k in range(1, 5)]
-    assert served == [True, True, False, False]
-    arm.give(command)
-    assert arm.given(take(arm, packets, 5).sample, 0.0101) is not None
-    arm.give(None)
-    assert arm.given(take(arm, packets, 6).sample, 0.0101) is None
-
-
-def test_what_the_controller_writes_later_is_not_commanded(arm: Arm, packets: Any) -> None:
-    sample, qd = take(arm, packets, 0).sample, np.zeros(7)
-    arm.give(Command(qd=qd))
-    qd[2] = 1.0
-    command = arm.given(sample, 1.0)
-    assert command is not None
-    assert command.qd is not None
-    assert not command.qd.any()
-
-
-@pytest.mark.parametrize(("ahead_ns", "times"), [(PERIOD_NS // 2, 2), (50_000, 1)])
-def test_another_rehearsal_needs_time_before_the_packet(arm: Arm, packets: Any, ahead_ns: int, times: int) -> None:
-    rehearsed: list[Arrival] = []
-    arm._rehearsals = [lambda arrival, _: rehearsed.append(arrival)] * 2
-    arm.rehearse()
-    assert not rehearsed  # nothing has come
-    turn = take(arm, packets, 0)
-    arm.prediction.add(time.monotonic_ns() - PERIOD_NS + ahead_ns, 1, 1e-9 * PERIOD_NS)
-    arm.rehearse()
-    assert [one.ns for one in rehearsed] == [turn.sample.arrival_ns] * times
-    arm.rehearse()
-    assert len(rehearsed) == times  # once for each packet
-
-
-def test_a_reply_that_the_system_refuses_is_told_and_is_no_step(
-    arm: Arm, packets: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fast = Command(qd=np.full(7, 0.5))
-    for k in range(60):
-        if k == 30:
-            monkeypatch.setattr(arm.port, "send", lambda data, to: False)
-        if k == 50:
-            monkeypatch.undo()
-        turn = take(arm, packets, k)
-        arm.reply(turn, fast, arm.guide.answer(fast, arm.period))
-        arm.record()
-    table = arm.recording.table()
-    answered = np.isfinite(np.asarray(table["seq_sent"], dtype=float))
-    np.testing.assert_array_equal(np.flatnonzero(~answered), np.arange(30, 50))
-    steps = np.diff(table["q_sent"][answered], axis=0)[15:]
-    np.testing.assert_allclose(np.delete(steps, 14, axis=0), 0.5 * arm.period)
-    np.testing.assert_allclose(steps[14], 3 * arm.robot.qd_max.min() * arm.period, rtol=1e-6)
-    told = [text for _, text in arm.recording.events if "did not go out" in text]
-    assert told == [
-        f"A reply to 127.0.0.1:{arm.port.port} did not go out: the system refused it. The robot keeps the last one."
-    ]
 
 
 def test_percentiles_are_numpys_to_a_bin() -> None:
@@ -151,9 +33,6 @@ def test_percentiles_are_numpys_to_a_bin() -> None:
         assert summary[name] == pytest.approx(np.percentile(times, percent, method="inverted_cdf") / 1e3, abs=1.0)
     assert summary["max"] == pytest.approx(times.max() / 1e3)
     assert latency.count == len(times)
-
-
-def test_nothing_counted_is_nan() -> None:
     assert math.isnan(Latency().percentile(50.0))
 
 
@@ -178,7 +57,7 @@ def test_the_histogram_has_every_time_once() -> None:
 PERIOD = 0.004032
 
 
-def controller(surplus: Surplus, extra: dict[int, int], cycles: int) -> tuple[list[int], int]:
+def controller(trimming: QueueTrimming, extra: dict[int, int], cycles: int) -> tuple[list[int], int]:
     """Ages of the references that act, and cycles without one: sends, takes one message, then the reply arrives."""
     queue: deque[int] = deque()
     ages, starved, left = [], 0, 0
@@ -189,78 +68,65 @@ def controller(surplus: Surplus, extra: dict[int, int], cycles: int) -> tuple[li
         else:
             starved += k > 0
         left = len(queue)
-        if not surplus.leaves_out(depth, PERIOD):
+        if not trimming.leaves_out(depth, PERIOD):
             queue.append(k)
         queue.extend([k] * extra.get(k, 0))
     return ages, starved
 
 
-def test_nothing_is_left_out_of_a_queue_that_empties() -> None:
-    surplus = Surplus()
-    ages, starved = controller(surplus, {}, 100)
-    assert (set(ages), starved, surplus.left_out) == ({1}, 0, 0)
-
-
-@pytest.mark.parametrize("many", [1, 2, 5, 20])
+@pytest.mark.parametrize("many", [0, 1, 5, 20, 63])
 def test_surplus_messages_cost_no_lag_in_the_end(many: int) -> None:
     """Without the rule the age would stay at 1 + many for ever."""
-    surplus = Surplus()
-    ages, starved = controller(surplus, {20: many}, 120)
+    told: list[str] = []
+    trimming = QueueTrimming(lambda text, warn=False, each=False: told.append(text))
+    ages, starved = controller(trimming, {20: many}, 200)
     assert max(ages) == 1 + many
     assert set(ages[-60:]) == {1}
-    assert surplus.left_out == many
+    assert not told
+    assert trimming.left_out == many
     assert starved == 0
 
 
 def test_two_cycles_are_not_enough_and_unknown_depth_never_acts() -> None:
-    surplus = Surplus()
-    assert not any(surplus.leaves_out(depth, PERIOD) for depth in [1, 1, 0, 2, 2, 0, -1, -1, -1, -1, -1])
-    assert [surplus.leaves_out(depth, PERIOD) for depth in [3, 1, 2, 2]] == [False, False, True, False]
-    assert surplus.left_out == 1
+    trimming = QueueTrimming()
+    assert not any(trimming.leaves_out(depth, PERIOD) for depth in [1, 1, 0, 2, 2, 0, -1, -1, -1, -1, -1])
+    assert [trimming.leaves_out(depth, PERIOD) for depth in [3, 1, 2, 2]] == [False, False, True, False]
+    assert trimming.left_out == 1
 
 
 def test_a_queue_that_has_become_shorter_owes_no_more() -> None:
     """A new session has an empty queue: its packets are answered at once, and looked at anew."""
-    surplus = Surplus()
-    told = [surplus.leaves_out(depth, PERIOD) for depth in [9, 9, 9, 8, 2, 1, 0, 9, 9]]
+    trimming = QueueTrimming()
+    told = [trimming.leaves_out(depth, PERIOD) for depth in [9, 9, 9, 8, 2, 1, 0, 9, 9]]
     assert told == [False] * 2 + [True] * 4 + [False] * 3
-    assert surplus.leaves_out(9, PERIOD)
-    assert not surplus.leaves_out(-1, PERIOD), "it tells no longer"
-    assert surplus.left_out == 5
+    assert trimming.leaves_out(9, PERIOD)
+    assert not trimming.leaves_out(-1, PERIOD), "it tells no longer"
+    assert trimming.left_out == 5
 
 
 def test_whatever_the_robot_tells_it_is_answered() -> None:
-    surplus = Surplus()
-    told = [surplus.leaves_out(2**32 - 1, PERIOD) for _ in range(38)]
+    trimming = QueueTrimming()
+    told = [trimming.leaves_out(2**32 - 1, PERIOD) for _ in range(38)]
     assert told == ([False] * 2 + [True] * 16) * 2 + [False] * 2
 
 
 def test_a_queue_that_is_not_emptied_within_a_second_is_one_event() -> None:
     """As when another program sends to the robot, too."""
     told: list[tuple[str, bool]] = []
-    surplus = Surplus(lambda text, warn=False, each=False: told.append((text, warn)))
+    trimming = QueueTrimming(lambda text, warn=False, each=False: told.append((text, warn)))
     for depth in [44] * 200 + [0] + [44] * 247:
-        surplus.leaves_out(depth, PERIOD)
+        trimming.leaves_out(depth, PERIOD)
     assert not told, "200 and 247 cycles are less than 1 s"
     for depth in [45] * 1000:
-        surplus.leaves_out(depth, PERIOD)
+        trimming.leaves_out(depth, PERIOD)
     [(text, warn)] = told
     assert warn
     assert "44 messages have waited" in text
     assert "each reference acts 177 ms late" in text
-    surplus.leaves_out(0, PERIOD)
+    trimming.leaves_out(0, PERIOD)
     for _ in range(249):
-        surplus.leaves_out(1, PERIOD)
+        trimming.leaves_out(1, PERIOD)
     assert "1 message has waited" in told[1][0], "after it was empty, another one counts"
-
-
-def test_a_queue_that_trimming_empties_is_no_event() -> None:
-    told: list[str] = []
-    surplus = Surplus(lambda text, warn=False, each=False: told.append(text))
-    ages, _ = controller(surplus, {20: 63}, 500)
-    assert max(ages) == 64
-    assert ages[-1] == 1
-    assert not told
 
 
 @pytest.mark.slow
@@ -276,22 +142,15 @@ def test_duplicated_replies_leave_no_lag(tmp_path: Path) -> None:
     assert sum(number for age, number in ages.items() if age <= 2) > 0.8 * sum(ages.values())
 
 
-RIGHT = robots.load("yumi_right")
 WALL_NS = 1_700_000_000_000_000_000
 
 
-@pytest.fixture
-def make(monkeypatch: pytest.MonkeyPatch) -> Make:
-    """Return what makes a loop of one arm."""
-    return lambda controller=None, **options: Hands(monkeypatch, [RIGHT], controller or drift, **options)
-
-
-def test_a_row_says_all_of_its_packet(make: Make) -> None:
+def test_a_row_says_all_of_its_packet(one: Make) -> None:
     def controller(state: State) -> Command:
         hands.clock.now += MS // 2
         return Command(qd=np.full(7, 5.0))
 
-    hands = make(controller)
+    hands = one(controller)
     arm = hands.arms[0]
     assert not arm.was_late
     hands.cycle(mci=2)
@@ -302,7 +161,6 @@ def test_a_row_says_all_of_its_packet(make: Make) -> None:
     state, command, tick = hands.rows[1]
     assert command is not None
     reply = hands.reply()
-    assert reply is not None
     assert (tick.number, tick.seq_sent, tick.late, tick.drops) == (1, 1, False, 0)
     assert (tick.stamp_ns, tick.receive_ns, tick.send_ns) == (
         WALL_NS + came,
@@ -317,7 +175,6 @@ def test_a_row_says_all_of_its_packet(make: Make) -> None:
     assert reply.qd is not None
     np.testing.assert_allclose(tick.q_sent, reply.q)
     np.testing.assert_allclose(tick.qd_sent, reply.qd)
-    assert tick.clamped is not None
     assert tick.clamped.all()
     assert tick.tau_sent is None
     assert (reply.seqno, reply.tm_ms) == (1, 10_004)
@@ -325,8 +182,8 @@ def test_a_row_says_all_of_its_packet(make: Make) -> None:
     assert arm.stamp_ns == WALL_NS + hands.clock.now
 
 
-def test_a_row_of_a_packet_that_was_overtaken_says_that_nothing_was_sent(make: Make) -> None:
-    hands = make()
+def test_a_row_of_a_packet_that_was_overtaken_says_that_nothing_was_sent(one: Make) -> None:
+    hands = one()
     for _ in range(3):
         hands.put(mci=2)
     hands.loop.cycle()
@@ -339,9 +196,28 @@ def test_a_row_of_a_packet_that_was_overtaken_says_that_nothing_was_sent(make: M
     assert hands.arms[0].overtaken == 2
 
 
+def test_rows_stay_in_the_order_of_arrival(one: Make) -> None:
+    """Packets wait before the controller is called, and more come while it computes: the newest is answered, once."""
+
+    def controller(state: State) -> Command:
+        if state.seq == 2:
+            hands.put()
+            hands.put()
+            hands.clock.now -= 10 * MS  # they came before the loop looked: none of them waited for it
+        return drift(state)
+
+    hands = one(controller)
+    for _ in range(3):
+        hands.put()
+    hands.loop.cycle()
+    assert [row[0].seq for row in hands.rows] == [0, 1, 2, 3, 4]
+    assert [row[2].seq_sent for row in hands.rows] == [-1, -1, -1, -1, 0]
+    assert hands.rows[-1][2].wake_ns == 0
+
+
 @pytest.mark.parametrize(("waited", "late"), [(3 * MS, False), (3 * MS + 1, True)])
-def test_a_reply_is_late_after_three_quarters_of_the_period(make: Make, waited: int, late: bool) -> None:
-    hands = make()
+def test_a_reply_is_late_after_three_quarters_of_the_period(one: Make, waited: int, late: bool) -> None:
+    hands = one()
     hands.put(mci=2)
     hands.clock.now += waited
     hands.loop.cycle()
@@ -352,8 +228,8 @@ def test_a_reply_is_late_after_three_quarters_of_the_period(make: Make, waited: 
     assert (hands.rows[1][2].late, arm.was_late, arm.late) == (False, False, int(late))
 
 
-def test_no_reply_is_late_in_lockstep_and_time_is_the_robots(make: Make) -> None:
-    hands = make(clock="robot")
+def test_no_reply_is_late_in_lockstep_and_time_is_the_robots(one: Make) -> None:
+    hands = one(clock="robot")
     arm = hands.arms[0]
     assert arm.stamp_ns == 0
     hands.put(mci=2, robot_ns=123_000_000_000)
@@ -366,28 +242,15 @@ def test_no_reply_is_late_in_lockstep_and_time_is_the_robots(make: Make) -> None
     assert (arm.stamp_ns, hands.rows[1][2].stamp_ns) == (WALL_NS + hands.clock.now, WALL_NS + hands.clock.now)
 
 
-def test_on_the_wall_clock_rows_are_stamped_by_ours(make: Make) -> None:
-    hands = make()
-    assert hands.arms[0].stamp_ns == WALL_NS + hands.clock.now
-    hands.cycle(mci=2, robot_ns=123_000_000_000)
-    assert hands.rows[0][2].stamp_ns == WALL_NS + hands.clock.now
-
-
-def test_a_packet_without_a_time_is_answered_with_none(make: Make) -> None:
-    reply = make().cycle(tm_ms=None, mci=2)
-    assert reply is not None
-    assert reply.tm_ms == 0
-
-
-def test_details_are_those_of_the_packet(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    hands = make()
+def test_details_are_those_of_the_packet(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    hands = one()
     monkeypatch.setattr(hands.arms[0], "_details", lambda data: data)
     hands.put()
     data = hands.ports[0].waiting[0].data
     hands.loop.cycle()
     assert hands.rows[0][0].details() == data
     monkeypatch.undo()
-    hands = make()
+    hands = one()
     hands.cycle()
     assert hands.rows[0][0].details() is not None
     hands.arms[0]._details = None  # a codec of the user's need not have it
@@ -395,9 +258,9 @@ def test_details_are_those_of_the_packet(make: Make, monkeypatch: pytest.MonkeyP
     assert hands.rows[1][0].details() is None
 
 
-def test_a_flood_does_not_hold_the_loop_up_and_none_of_it_is_lost(make: Make) -> None:
+def test_a_flood_does_not_hold_the_loop_up_and_none_of_it_is_lost(one: Make) -> None:
     """A thousand packets or 64 datagrams that are none end a wake-up; the next goes on where it ended."""
-    hands = make()
+    hands = one()
     for _ in range(1200):
         hands.put(after=0, mci=2)
     hands.loop.cycle()
@@ -414,30 +277,22 @@ def test_a_flood_does_not_hold_the_loop_up_and_none_of_it_is_lost(make: Make) ->
     assert hands.rows[-1][2].drops == 100
 
 
-def test_a_packet_that_waits_for_its_answer_gets_it_in_a_flood(make: Make) -> None:
-    hands = make()
-    hands.put()
-    hands.ports[0].waiting += [hands.garbage()] * 64
-    hands.loop.cycle()
-    assert len(hands.ports[0].sent) == 1
-
-
 @pytest.mark.parametrize(("resume", "mode"), [(True, Mode.HOLDING), (False, Mode.ENDED)])
-def test_a_robot_that_begins_anew_ends_a_run_that_does_not_resume(make: Make, resume: bool, mode: Mode) -> None:
-    hands = make(lambda state: Command(), resume=resume)
+def test_a_robot_that_begins_anew_ends_a_run_that_does_not_resume(one: Make, resume: bool, mode: Mode) -> None:
+    hands = one(lambda state: Command(), resume=resume)
     for _ in range(3):
         hands.cycle()
-    guide = hands.arms[0].guide
-    assert guide.mode is Mode.HOLDING
+    machine = hands.arms[0].machine
+    assert machine.mode is Mode.HOLDING
     hands.robots[0].seq = 0
     hands.cycle()
-    assert guide.mode is mode
-    assert guide.reason == ("" if resume else hands.arms[0].session.reason)
+    assert machine.mode is mode
+    assert machine.reason == ("" if resume else hands.arms[0].session.reason)
 
 
 @pytest.mark.parametrize("clock", ["wall", "robot"])
-def test_ten_sessions_that_end_at_once_end_the_run(make: Make, clock: str) -> None:
-    hands = make(clock=clock)
+def test_ten_sessions_that_end_at_once_end_the_run(one: Make, clock: str) -> None:
+    hands = one(clock=clock)
     for count in range(11):
         assert hands.loop.reason == "", count
         hands.robots[0].seq = 0
@@ -447,72 +302,57 @@ def test_ten_sessions_that_end_at_once_end_the_run(make: Make, clock: str) -> No
     assert hands.loop.reason == "sessions ended at once"
 
 
-def test_a_look_tells_what_waited(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    hands, caught = make(), []
-    monkeypatch.setattr(hands.arms[0].recording, "catch_up", lambda: caught.append(1))
-    hands.loop.cycle()
-    assert caught == [1]
-
-
-def test_silence_counts_from_the_newest_packet(make: Make) -> None:
-    hands = make(patience=1.0)
+def test_silence_counts_from_the_newest_packet(one: Make) -> None:
+    hands = one(patience=1.0)
     hands.clock.now += 10**9
-    hands.arms[0].look()
-    assert hands.arms[0].guide.mode is Mode.WAITING
+    hands.arms[0].check_silence()
+    assert hands.arms[0].machine.mode is Mode.WAITING
     hands.cycle()
     hands.clock.now += 10**9
-    hands.arms[0].look()
-    assert hands.arms[0].guide.mode is not Mode.ENDED
+    hands.arms[0].check_silence()
+    assert hands.arms[0].machine.mode is not Mode.ENDED
     hands.clock.now += 1000
-    hands.arms[0].look()
+    hands.arms[0].check_silence()
     assert hands.loop.failure is not None
 
 
 @pytest.mark.parametrize(("clock", "left_out"), [("wall", 1), ("robot", 0)])
-def test_a_reply_is_left_out_for_a_message_that_stays_in_the_queue(make: Make, clock: str, left_out: int) -> None:
-    hands = make(extension=True, clock=clock)
+def test_a_reply_is_left_out_for_a_message_that_stays_in_the_queue(one: Make, clock: str, left_out: int) -> None:
+    hands = one(extension=True, clock=clock)
     for _ in range(10):
         hands.cycle()
     for _ in range(3):
         hands.cycle(queue_depth=1)
     arm = hands.arms[0]
-    assert arm.surplus.left_out == left_out
+    assert arm.trimming.left_out == left_out
     assert len(hands.ports[0].sent) == 13 - left_out
     _, command, tick = hands.rows[-1]
     assert command is not None
     assert (tick.send_ns == -1) == (tick.seq_sent == -1) == (tick.q_sent is None) == bool(left_out)
     hands.cycle()
     reply = hands.reply()
-    assert reply is not None
     assert reply.seqno == 13 - left_out
     steps = np.diff([row[2].q_sent for row in hands.rows[5:] if row[2].q_sent is not None], axis=0)
     np.testing.assert_allclose(steps, 0.0004, atol=1e-12)
 
 
-def test_a_queue_that_stays_deep_is_in_the_events_of_the_run(make: Make) -> None:
-    hands = make(extension=True)
+def test_a_queue_that_stays_deep_is_in_the_events_of_the_run(one: Make) -> None:
+    hands = one(extension=True)
     for _ in range(300):
         hands.cycle(queue_depth=44)
     texts = [text for _, text in hands.arms[0].recording.events]
     assert sum("44 messages have waited in the controller's receive queue for 1 s" in text for text in texts) == 1
 
 
-def test_the_first_reply_is_a_step_like_the_others(make: Make) -> None:
-    hands = make()
-    for _ in range(3):
-        hands.cycle()
-    np.testing.assert_allclose(np.diff([np.asarray(row[2].q_sent) for row in hands.rows], axis=0), 0.0004, atol=1e-12)
-
-
-def test_a_packet_that_gets_no_reply_has_a_row(make: Make) -> None:
-    hands = make(answer_stream=False)
+def test_a_packet_that_gets_no_reply_has_a_row(one: Make) -> None:
+    hands = one(answer_stream=False)
     hands.cycle(mci=2)
     tick = hands.rows[0][2]
     assert (hands.reply(), tick.seq_sent, tick.send_ns, tick.q_sent) == (None, -1, -1, None)
 
 
-def test_a_row_that_could_not_be_recorded_is_the_next(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    hands = make()
+def test_a_row_that_could_not_be_recorded_is_the_next(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    hands = one()
     with monkeypatch.context() as patch:
         patch.setattr(hands.arms[0].recording, "keep", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
@@ -521,9 +361,9 @@ def test_a_row_that_could_not_be_recorded_is_the_next(make: Make, monkeypatch: p
     assert [(row[0].seq, row[2].number) for row in hands.rows] == [(0, 0), (1, 1)]
 
 
-def test_a_row_that_was_kept_is_not_kept_again(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_row_that_was_kept_is_not_kept_again(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     """What fails behind that, in the file or a feed, costs no second row."""
-    hands = make()
+    hands = one()
     recording = hands.arms[0].recording
     with monkeypatch.context() as patch:
         patch.setattr(recording, "catch_up", lambda: 1 / 0)
@@ -534,9 +374,9 @@ def test_a_row_that_was_kept_is_not_kept_again(make: Make, monkeypatch: pytest.M
     assert list(hands.table()["tick"]) == [0, 1]
 
 
-def test_a_reply_that_went_out_is_not_taken_back(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reply_that_went_out_is_not_taken_back(one: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever fails behind it: the next is one step from it, and it has its row."""
-    hands = make()
+    hands = one()
     for _ in range(5):
         hands.cycle()
     with monkeypatch.context() as patch:
@@ -556,8 +396,8 @@ def test_a_reply_that_went_out_is_not_taken_back(make: Make, monkeypatch: pytest
     assert [row[2].seq_sent for row in hands.rows] == [0, 1, 2, 3, 4, 5, 6, 7, 8]  # that of `replied` has no number
 
 
-def test_a_reply_that_the_system_refuses_is_told_as_a_warning(make: Make) -> None:
-    hands = make()
+def test_a_reply_that_the_system_refuses_is_told_as_a_warning(one: Make) -> None:
+    hands = one()
     hands.ports[0].works = False
     hands.cycle()
     host, port = CONTROLLER
@@ -567,33 +407,8 @@ def test_a_reply_that_the_system_refuses_is_told_as_a_warning(make: Make) -> Non
     assert (hands.rows[0][2].seq_sent, hands.rows[0][2].send_ns) == (-1, -1)
 
 
-@pytest.mark.parametrize(("ahead", "times"), [(200_000, 2), (199_999, 1)])
-def test_no_other_rehearsal_begins_a_fifth_of_a_millisecond_before_a_packet(make: Make, ahead: int, times: int) -> None:
-    rehearsed: list[Any] = []
-    hands = make()
-    arm = hands.arms[0]
-    arm._rehearsals = [lambda *what: rehearsed.append(what)] * 2
-    hands.put()
-    arrival = hands.ports[0].waiting[0]
-    hands.loop.cycle()
-    hands.clock.now += hands.step - ahead
-    arm.rehearse()
-    assert rehearsed == [(arrival, hands.rows[0][1])] * times
-
-
-def test_before_the_first_prediction_one_rehearsal_is_enough(make: Make) -> None:
-    rehearsed: list[Any] = []
-    hands = make()
-    arm = hands.arms[0]
-    arm._rehearsals = [lambda *what: rehearsed.append(what)] * 2
-    hands.put()
-    arm.take(hands.ports[0].receive())
-    arm.rehearse()
-    assert len(rehearsed) == 1
-
-
-def test_a_prediction_counts_the_packets_that_were_missed(make: Make) -> None:
-    hands = make()
+def test_a_prediction_counts_the_packets_that_were_missed(one: Make) -> None:
+    hands = one()
     hands.cycle()
     hands.robots[0].seq += 2
     hands.robots[0].cycle += 2
@@ -603,36 +418,27 @@ def test_a_prediction_counts_the_packets_that_were_missed(make: Make) -> None:
     assert hands.arms[0].prediction.next_ns == hands.clock.now - 0.98 * MS + hands.step
 
 
-def test_a_torque_that_went_out_is_written_down(make: Make) -> None:
-    hands = make(extension=True)
-    arm, tau = hands.arms[0], np.arange(7.0)
-    hands.put()
-    turn = arm.take(hands.ports[0].receive())
-    reply = arm.guide.answer(None, arm.period)
-    assert turn is not None
-    assert reply is not None
-    arm.reply(turn, None, reply._replace(tau=tau))
-    arm.record()
-    assert hands.rows[0][2].tau_sent is tau
-
-
-def test_what_goes_beside_the_joints_is_written_down(make: Make) -> None:
-    hands = make(lambda state: Command(rapid_data=np.array([1.0, 2.0]), rapid_digital=True))
-    hands.robots[0].codec = RobotSideCodec(RIGHT, "7")
+def test_what_goes_beside_the_joints_is_written_down(one: Make) -> None:
+    hands = one(lambda state: Command(rapid_data=np.array([1.0, 2.0]), rapid_digital=True))
+    hands.robots[0].codec = RobotSideCodec(hands.robots[0].robot, "7")
     hands.cycle()
     tick = hands.rows[-1][2]
-    assert tick.rapid_data_sent is not None
     assert tick.rapid_data_sent[:2].tolist() == [1.0, 2.0]
     assert tick.rapid_digital_sent is True
     assert tick.q_ext_sent is None
 
 
-def test_a_command_serves_for_exactly_its_time(make: Make) -> None:
-    hands = make()
+def test_a_command_serves_for_exactly_its_time(one: Make) -> None:
+    hands = one()
     hands.cycle()
     arm = hands.arms[0]
-    assert arm.newest is not None
     sample = arm.newest.sample._replace(dt=0.25)
-    assert arm.given(sample, 1.0) is None
-    arm.give(Command())
-    assert [arm.given(sample, 0.5) is not None for _ in range(3)] == [True, True, False]
+    assert arm.kept_command(sample, 1.0) is None
+    qd = np.zeros(7)
+    arm.set_command(Command(qd=qd))
+    qd[2] = 1.0  # what the controller writes later is not commanded
+    served = [arm.kept_command(sample, 0.5) for _ in range(3)]
+    assert [one is not None for one in served] == [True, True, False]
+    assert not served[0].qd.any()  # type: ignore[union-attr]
+    arm.set_command(None)
+    assert arm.kept_command(sample, 0.5) is None

@@ -1,7 +1,9 @@
-"""Plausible feedback: what makes a robot ready, what is doubted, and what stops the run."""
+"""Plausible feedback and what ends a run from outside the controller: doubts, silence, sessions that end at once."""
 
 from __future__ import annotations
 
+import time
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,7 +20,10 @@ from armlab.bridge.control.feedback import (
     outside_range,
 )
 from armlab.bridge.control.limits import Limiter, Limits, Reply
-from armlab.bridge.control.state_machine import Guide, Mode
+from armlab.bridge.control.state_machine import Mode, StateMachine
+from armlab.bridge.control.supervision import Settings, Supervisor, check_list
+from armlab.bridge.net.sockets import Port
+from armlab.errors import LinkError, NoRobot, SessionEnded
 from armlab.robots import Robot
 from armlab.state import Command
 from armlab.wire.egm import EgmCodec, Packet
@@ -28,55 +33,54 @@ from ..conftest import Feed
 T = 0.004
 
 
-class Bench:
-    """A guide with its real rule of three packets, and an arm that follows unless a feedback is given."""
+class Follower:
+    """A machine with its real rule of three packets, and an arm that follows unless a feedback is given."""
 
     def __init__(self, robot: Robot, limits: Limits | None = None) -> None:
         self.feed, self.robot, self.q = Feed(robot), robot, np.array(robot.q_home)
-        self.guide = Guide(robot, limits or Limits.of(robot), on_event=self.feed.tell)
+        self.machine = StateMachine(robot, limits or Limits.of(robot), on_event=self.feed.tell)
 
     def __call__(self, command: Command | None = None, **fields: Any) -> Reply | None:
-        self.guide.observe(self.feed.sample(**{"q": self.q, **fields}))
-        reply = self.guide.answer(command if self.guide.calls else None, T)
-        if reply is not None and self.guide.ready and "q" not in fields:
+        self.machine.observe(self.feed.sample(**{"q": self.q, **fields}))
+        reply = self.machine.answer(command if self.machine.calls else None, T)
+        if reply is not None and self.machine.ready and "q" not in fields:
             self.q = reply.q
         return reply
 
-    def ready(self) -> Bench:
-        while not self.guide.ready:
+    def ready(self) -> Follower:
+        while not self.machine.ready:
             self()
         return self
 
-    def moving(self) -> Bench:
+    def moving(self) -> Follower:
         self.ready()
         for _ in range(300):
             self(Command(qd=np.full(self.robot.n, 0.2)))
-        assert self.guide.mode is Mode.RUNNING
+        assert self.machine.mode is Mode.RUNNING
         return self
 
     @property
     def reason(self) -> str:
-        return str(self.guide.failure)
+        return str(self.machine.failure)
 
 
 @pytest.fixture
-def bench(robot: Robot) -> Bench:
-    return Bench(robot)
+def bench(robot: Robot) -> Follower:
+    return Follower(robot)
 
 
-def test_the_third_plausible_packet_makes_the_robot_ready(bench: Bench) -> None:
+def test_the_third_plausible_packet_makes_the_robot_ready(bench: Follower) -> None:
     ready = []
     for _ in range(READY_AFTER + 1):
         reply = bench()
-        assert reply is not None
         np.testing.assert_allclose(reply.q, bench.robot.q_home, rtol=1e-14)
-        ready.append(bench.guide.ready)
+        ready.append(bench.machine.ready)
     assert ready == [False, False, True, True]
 
 
 @pytest.mark.parametrize("false", [100.0, 1.0, -0.3])
 @pytest.mark.parametrize("before", [0, 1, 5])
-def test_two_false_packets_at_readiness_are_never_a_reference(bench: Bench, false: float, before: int) -> None:
+def test_two_false_packets_at_readiness_are_never_a_reference(bench: Follower, false: float, before: int) -> None:
     for _ in range(before):
         bench(mci=2)
     home = bench.robot.q_home
@@ -86,57 +90,46 @@ def test_two_false_packets_at_readiness_are_never_a_reference(bench: Bench, fals
         np.testing.assert_allclose(sent, np.broadcast_to(home, np.shape(sent)), rtol=1e-14)
     else:  # nothing contradicts the first packets of all: each is answered with its own feedback
         np.testing.assert_allclose(sent[2:], np.broadcast_to(home, np.shape(sent[2:])), rtol=1e-14)
-        np.testing.assert_allclose(bench.guide.q_start, home, rtol=1e-14)
-    assert bench.guide.ready
-    assert bench.guide.mode is Mode.HOLDING
+        np.testing.assert_allclose(bench.machine.q_start, home, rtol=1e-14)
+    assert bench.machine.ready
+    assert bench.machine.mode is Mode.HOLDING
     assert len(bench.feed.warnings) == 1, "told once"
     assert "joint" in bench.feed.warnings[0]
 
 
-def test_one_false_packet_in_motion_is_a_hold_and_three_stop_the_run(bench: Bench) -> None:
+def test_one_false_packet_in_motion_is_a_hold_and_three_stop_the_run(bench: Follower) -> None:
     bench.moving()
     before = bench()
     held = bench(q=bench.q + 0.5)
-    assert before is not None
-    assert held is not None
-    assert not bench.guide.calls
+    assert not bench.machine.calls
     assert np.abs(held.q - before.q).max() < 0.2 * T
     assert "no faster than the arm can" in bench.feed.warnings[0]
     bench(Command(qd=np.zeros(7)))
-    assert (bench.guide.mode, bench.guide.calls) == (Mode.RUNNING, True)
+    assert (bench.machine.mode, bench.machine.calls) == (Mode.RUNNING, True)
     for k in range(int(STOP_AFTER)):
-        assert bench.guide.mode is Mode.RUNNING, k
+        assert bench.machine.mode is Mode.RUNNING, k
         bench(q=bench.q + 0.5)
-    assert bench.guide.mode is Mode.STOPPING
-    assert bench.guide.reason == "the feedback is not plausible"
+    assert bench.machine.mode is Mode.STOPPING
+    assert bench.machine.reason == "the feedback is not plausible"
 
 
-def test_an_arm_that_does_not_follow_stops_the_run(bench: Bench) -> None:
+def test_an_arm_that_does_not_follow_stops_the_run(bench: Follower) -> None:
     bench.moving()
     stuck = bench.q
     for k in range(400):
         bench(Command(qd=np.full(7, 0.2)), q=stuck + 1e-4 * (k % 2))
-    assert bench.guide.mode is Mode.ENDED
+    assert bench.machine.mode is Mode.ENDED
     assert "a following error of 0.1" in bench.reason
     assert "MaxSpeedDeviation" in bench.reason
 
 
-def test_a_frozen_feedback_is_named(bench: Bench) -> None:
-    bench.moving()
-    stuck = bench.q
-    for _ in range(400):
-        bench(Command(qd=np.full(7, 0.2)), q=stuck)
-    assert bench.guide.mode is Mode.ENDED
-    assert "it is frozen" in bench.reason
-
-
 def test_the_following_error_allowed_is_an_option(robot: Robot) -> None:
     for allowed, stops in ((0.3, False), (0.05, True)):
-        bench = Bench(robot, Limits.of(robot, following_error=allowed)).moving()
+        bench = Follower(robot, Limits.of(robot, following_error=allowed)).moving()
         stuck = bench.q
         for k in range(260):  # 0.2 rad
             bench(Command(qd=np.full(7, 0.2)), q=stuck + 1e-4 * (k % 2))
-        assert (bench.guide.mode is not Mode.RUNNING) is stops
+        assert (bench.machine.mode is not Mode.RUNNING) is stops
 
 
 def test_an_arm_that_follows_late_at_first_may_catch_up(robot: Robot) -> None:
@@ -154,20 +147,18 @@ def test_an_arm_that_follows_late_at_first_may_catch_up(robot: Robot) -> None:
 
 
 def test_an_arm_slightly_outside_is_held_at_its_limit_and_led_back(robot: Robot) -> None:
-    bench = Bench(robot)
+    bench = Follower(robot)
     bench.q = np.array(robot.q_home)
     bench.q[1] = robot.q_max[1] + 0.06
     outside = np.array(bench.q)
-    while not bench.guide.ready:
+    while not bench.machine.ready:
         reply = bench(q=outside)
-        assert reply is not None
         assert (reply.q <= robot.q_max).all()
     bench.q = np.minimum(outside, robot.q_max)
     for _ in range(200):
         reply = bench(Command(qd=np.eye(7)[1] * -0.2))
-    assert reply is not None
     assert reply.q[1] < robot.q_max[1] - 0.1
-    assert bench.guide.mode is Mode.RUNNING
+    assert bench.machine.mode is Mode.RUNNING
 
 
 def test_feedback_outside_the_range(robot: Robot) -> None:
@@ -227,19 +218,164 @@ def test_one_or_two_packets_without_a_state_end_no_motion(packets: Any) -> None:
     assert "motors" in readiness.not_ready_reason(packet(packets, motors=None)), "of a new session nothing is known"
 
 
-def test_a_robot_that_reports_no_states_for_a_while_comes_to_rest_and_goes_on_from_there(bench: Bench) -> None:
+def test_a_robot_that_reports_no_states_for_a_while_comes_to_rest_and_goes_on_from_there(bench: Follower) -> None:
     bench.moving()
     late = bench.q - 0.05
     sent = [bench(q=late), *[bench(q=late, motors=None) for _ in range(30)], *[bench(q=late) for _ in range(3)]]
     q = np.array([reply.q for reply in sent if reply is not None])
     assert len(q) == 34
     assert np.abs(np.diff(q, axis=0)).max() <= 0.2 * T + 1e-12, "no step to the feedback, which is behind"
-    assert bench.guide.ready
+    assert bench.machine.ready
     assert bench.feed.events[-1] == "The states of the robot are back."
 
 
-def test_a_packet_that_has_its_reply_is_answered_with_the_same_one(bench: Bench) -> None:
+def test_a_packet_that_has_its_reply_is_answered_with_the_same_one(bench: Follower) -> None:
     bench.moving()
     reply = bench(Command(qd=np.full(7, 0.2)))
-    assert bench.guide.answer(None, T) is reply
-    assert bench.guide.hold(T) is reply
+    assert bench.machine.answer(None, T) is reply
+    assert bench.machine.hold(T) is reply
+
+
+class Supervised:
+    """A supervisor over a session that can be given packets."""
+
+    def __init__(self, feed: Any, robot: Robot, **settings: Any) -> None:
+        self.port = Port("127.0.0.1", 0)
+        self.machine = StateMachine(robot, Limits.of(robot))
+        self.told: list[tuple[str, bool]] = []
+        self.feed, feed.now = feed, time.monotonic_ns()
+        self.supervisor = Supervisor(self.port, feed.session, self.machine, Settings(**settings), self.tell)
+
+    def tell(self, text: str, warn: bool = False, each: bool = False) -> None:
+        self.told.append((text, warn))
+
+    def packet(self) -> None:
+        self.machine.observe(self.feed.sample(after=0))
+
+    def check_silence(self, silent_for: float) -> None:
+        """Look as if the last packet had come so many seconds ago."""
+        heard = time.monotonic_ns() - int(1e9 * silent_for)
+        if self.feed.session._last is not None:
+            self.feed.session._last = self.feed.session._last._replace(arrival_ns=heard)
+        self.supervisor.check_silence(heard)
+        self.port.close()
+
+
+def test_patience_ends_with_no_robot_and_a_check_list(feed: Any, robot: Robot) -> None:
+    bench = Supervised(feed, robot, patience=7.0)
+    feed.raw(b"noise", after=0)
+    bench.check_silence(7.1)
+    assert bench.machine.mode is Mode.ENDED
+    failure = bench.machine.failure
+    assert isinstance(failure, NoRobot)
+    for words in ("within 7 s", "1 unparsable", f"127.0.0.1:{bench.port.port}", "this computer only", "firewall"):
+        assert words in str(failure)
+
+
+def test_exactly_the_patience_is_not_too_long(feed: Any, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Supervised(feed, robot, patience=8.0)
+    bench.port.close()
+    now = iter([5_000_000_000, 5_000_000_001, 8_000_000_000, 8_000_000_100])
+    monkeypatch.setattr("armlab.bridge.control.supervision.time", SimpleNamespace(monotonic_ns=lambda: next(now)))
+    told, ended = [], []
+    for _ in range(4):
+        bench.supervisor.check_silence(0)
+        told.append(len(bench.told))
+        ended.append(bench.machine.mode is Mode.ENDED)
+    assert told == [0, 1, 1, 1]
+    assert ended == [False, False, False, True]
+
+
+def test_the_check_list_is_told_before(feed: Any, robot: Robot) -> None:
+    bench = Supervised(feed, robot, patience=30.0)
+    bench.check_silence(5.5)
+    bench.check_silence(5.6)
+    assert bench.told == [(f"No packet yet. {check_list(bench.port)}", True)]
+    assert bench.machine.mode is Mode.WAITING
+
+
+def test_silence_ends_the_session_and_waits(feed: Any, robot: Robot) -> None:
+    bench = Supervised(feed, robot)
+    bench.packet()
+    bench.check_silence(0.4)
+    assert feed.session.active
+    bench.check_silence(0.6)
+    assert not feed.session.active
+    assert bench.machine.mode is Mode.WAITING
+
+
+def test_silence_ends_the_run_when_asked(feed: Any, robot: Robot) -> None:
+    bench = Supervised(feed, robot, resume=False)
+    bench.packet()
+    bench.check_silence(0.6)
+    assert (bench.machine.mode, bench.machine.reason) == (Mode.ENDED, "the controller stopped sending")
+
+
+def test_no_other_session_is_an_error(feed: Any, robot: Robot) -> None:
+    bench = Supervised(feed, robot, patience=3.0)
+    bench.packet()
+    bench.check_silence(3.5)
+    assert isinstance(bench.machine.failure, SessionEnded)
+    assert "the controller stopped sending" in str(bench.machine.failure)
+
+
+def test_a_robot_that_ended_ends_the_run(feed: Any, robot: Robot) -> None:
+    bench = Supervised(feed, robot, alive=lambda: "the simulated robot ended")
+    bench.packet()
+    bench.check_silence(0.0)
+    assert (bench.machine.mode, bench.machine.reason) == (Mode.ENDED, "the simulated robot ended")
+    assert bench.machine.failure is None
+    assert not feed.session.active
+
+
+def test_a_robot_that_died_is_an_error(feed: Any, robot: Robot) -> None:
+    def alive() -> str:
+        raise LinkError("Expected the simulator to go on, but it ended with status 2.")
+
+    bench = Supervised(feed, robot, alive=alive)
+    bench.check_silence(0.0)
+    assert "status 2" in str(bench.machine.failure)
+    assert bench.machine.mode is Mode.ENDED
+
+
+def sessions(bench: Supervised, count: int, packets: int, **fields: Any) -> None:
+    """Sessions of so many packets each, one right after another."""
+    for _ in range(count):
+        bench.feed.packets.seq = 0
+        for k in range(packets):
+            sample = bench.feed.sample(**fields)
+            if k == 0 and sample.session > 1:
+                bench.supervisor.judge()
+            bench.machine.observe(sample)
+    bench.port.close()
+
+
+@pytest.mark.parametrize(
+    ("packets", "fields", "settings", "ends"),
+    [
+        (2, {}, {}, True),
+        (25, {}, {}, True),  # 24 periods: 0.096 s
+        (27, {}, {}, False),
+        (1, {"mci": 1}, {}, True),
+        (1, {"mci": 2}, {}, False),  # the robot waits for its operator
+        (1, {"mci": 2}, {"clock": "robot"}, True),
+    ],
+)
+def test_ten_sessions_in_a_row_that_end_at_once_end_the_run(
+    feed: Any, robot: Robot, packets: int, fields: dict[str, Any], settings: dict[str, Any], ends: bool
+) -> None:
+    bench = Supervised(feed, robot, **settings)
+    sessions(bench, 10, packets, **fields)
+    assert bench.machine.failure is None
+    sessions(bench, 1, 1)
+    assert ("a session with guidance for" in str(bench.machine.failure)) == ends
+
+
+def test_a_session_that_moves_on_starts_the_count_again(feed: Any, robot: Robot) -> None:
+    bench = Supervised(feed, robot)
+    for _ in range(3):
+        sessions(bench, 9, 2)
+        sessions(bench, 1, 30)
+    assert bench.machine.failure is None
+    sessions(bench, 11, 2)
+    assert bench.machine.reason == "sessions ended at once"

@@ -1,21 +1,30 @@
-"""`Limits` and `Limiter`; the law of the kernel is tested in tests/kernels/test_limits.py."""
+"""`Limits` and `Limiter`: no reference leaves that is faster, accelerates more or is further out than allowed."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from armlab import bridge, robots
 from armlab.bridge.control.feedback import outside_range
 from armlab.bridge.control.limits import Limiter, Limits, LinkedLimiter, Reply, axes_of, limiter_of
+from armlab.bridge.control.session import Session
+from armlab.bridge.control.state_machine import StateMachine
 from armlab.bridge.control.torque import Torques
+from armlab.bridge.net.sockets import Arrival
 from armlab.errors import ConfigError
 from armlab.robots import Robot, from_links
 from armlab.state import Command, State
+from armlab.wire.egm import EgmCodec
 from armlab.wire.egm.axes import Linkage
 from tests.oracles import limit_reference
+
+from ..conftest import Packets
 
 T = 0.004
 
@@ -142,24 +151,24 @@ def test_limits_of_axes_beyond_the_robot(robot: Robot) -> None:
         Limits.of_axes([-1.0], [1.0], [0.5, 0.5])
 
 
-ROBOT = robots.load("irb2400")
+LINKED = robots.load("irb2400")
 
 
 def test_which_robots_need_it() -> None:
     assert type(limiter_of(Limits.of(robots.load("irb120")), robots.load("irb120"))) is Limiter
-    assert isinstance(limiter_of(Limits.of(ROBOT), ROBOT), LinkedLimiter)
+    assert isinstance(limiter_of(Limits.of(LINKED), LINKED), LinkedLimiter)
 
 
 def test_positions_that_limits_are_about() -> None:
     q = np.array([0.1, 0.2, 0.4, 0.0, 0.3, 0.0])
-    np.testing.assert_allclose(axes_of(ROBOT)(q), [0.1, 0.2, 0.6, 0.0, 0.3, 0.0])
+    np.testing.assert_allclose(axes_of(LINKED)(q), [0.1, 0.2, 0.6, 0.0, 0.3, 0.0])
     assert axes_of(robots.load("irb120"))(q) is q
 
 
 def test_the_sum_of_two_joints_is_limited() -> None:
     """Joints 2 and 3 each stay within their numbers, their sum would reach 68 degrees, the axis ends at 65."""
-    limits = Limits.of(ROBOT)
-    limiter = limiter_of(limits, ROBOT)
+    limits = Limits.of(LINKED)
+    limiter = limiter_of(limits, LINKED)
     q = np.radians([0.0, 40, 20, 0, 30, 0])
     np.testing.assert_allclose(limiter.rest(q).q, q)
     np.testing.assert_allclose(limiter.q, q)
@@ -177,21 +186,21 @@ def test_the_sum_of_two_joints_is_limited() -> None:
 
 
 def test_refusals_name_the_axis() -> None:
-    limiter = limiter_of(Limits.of(ROBOT), ROBOT)
-    limiter.rest(ROBOT.q_home)
-    assert limiter.step(ROBOT.q_home + 0.5 * np.eye(6)[3], None, T).refused == -4
+    limiter = limiter_of(Limits.of(LINKED), LINKED)
+    limiter.rest(LINKED.q_home)
+    assert limiter.step(LINKED.q_home + 0.5 * np.eye(6)[3], None, T).refused == -4
     assert limiter.step(np.full(6, np.nan), None, T).refused == 1
 
 
 def test_feedback_is_plausible_where_the_axes_are_within_their_limits() -> None:
     """Lower arm forward by 60 degrees, upper arm level: joint 3 is at -60 - 50 degrees, and that is no mistake."""
-    assert outside_range(np.radians([0, 60.0, -110, 0, 30, 0]), ROBOT) == ""
-    assert "joint 3" in outside_range(np.radians([0, 60.0, 40, 0, 30, 0]), ROBOT)
+    assert outside_range(np.radians([0, 60.0, -110, 0, 30, 0]), LINKED) == ""
+    assert "joint 3" in outside_range(np.radians([0, 60.0, 40, 0, 30, 0]), LINKED)
 
 
 def test_a_torque_alone_is_judged_by_the_axes() -> None:
     """Joint 3 at -110 degrees is axis 3 at -50, within its limits; joints 2 and 3 together may be beyond theirs."""
-    torques = Torques(ROBOT, Limits.of(ROBOT, tau_max=1.0), frozenset(("torque",)))
+    torques = Torques(LINKED, Limits.of(LINKED, tau_max=1.0), frozenset(("torque",)))
     assert torques.outside(np.radians([0, 60.0, -110, 0, 30, 0]), np.zeros(6)) == ""
     assert "joint 3" in torques.outside(np.radians([0, 48.0, 20, 0, 30, 0]), np.zeros(6))
 
@@ -204,13 +213,167 @@ def test_an_irb_2400_follows(lagging: bool) -> None:
         sway = 0.2 * (1.0 - np.cos(2.0 * state.t))
         return Command(state.q_start + sway * np.array([0, 1, -1, 0, 0, 0]))
 
-    with bridge.connect(f"sim://irb2400?lockstep=true&lagging={str(lagging).lower()}", ROBOT) as link:
+    with bridge.connect(f"sim://irb2400?lockstep=true&lagging={str(lagging).lower()}", LINKED) as link:
         run = link.run(controller, seconds=3.0)
     table = run.table
-    linkage = Linkage.of(ROBOT)
+    linkage = Linkage.of(LINKED)
     assert linkage is not None
     moved = table["q"] - table["q"][0]
     assert moved[:, 1].max() == pytest.approx(0.4, abs=0.02)
     np.testing.assert_allclose(moved[:, 1] + moved[:, 2], 0.0, atol=1e-6 if lagging else 5e-3)
     assert not np.nan_to_num(table["clamped"][50:700]).any()
     np.testing.assert_allclose(table["q_planned"][-1], table["q_sent"][-1], atol=0.02)
+
+
+ROBOT = robots.load("yumi_right")
+LIMITS = Limits.of(ROBOT)
+MIDDLE = (ROBOT.q_min + ROBOT.q_max) / 2
+EXACT = 1e-9
+MS = 1_000_000
+CYCLES = (2, 3, 4, 5, 8, 12, 24, 48)  # ms
+
+
+class RobotOnNetwork:
+    """A robot whose cycle changes at any packet, on a network that loses and bunches; its arm follows."""
+
+    def __init__(self) -> None:
+        self.packets, self.events = Packets(ROBOT), list[str]()
+        self.packets.q = self.target = MIDDLE
+        self.session = Session(EgmCodec(ROBOT), on_event=self.tell)
+        self.machine = StateMachine(ROBOT, LIMITS, on_event=self.tell)
+        self.now_ns, self.arrival_ns = 10**12, 0
+        self.sent: tuple[int, np.ndarray, np.ndarray] | None = None  # robot ns, position, velocity
+        self.replies, self.apart, self.fastest = 0, 0.0, np.zeros(7)
+
+    def tell(self, text: str, warn: bool = False) -> None:
+        self.events.append(text)
+
+    def cycle(self, ms: int, command: Any, *, lost: bool, late_ms: int, goes_out: bool, **states: Any) -> None:
+        """Let one cycle pass; `command` is a Command or a function of the position sent last."""
+        self.now_ns += ms * MS
+        reach = 1e-3 * ms * ROBOT.qd_max
+        self.packets.q = self.packets.q + np.clip(self.target - self.packets.q, -reach, reach)
+        data = self.packets(robot_ns=self.now_ns, tm_ms=self.now_ns // MS % 2**32, **states)
+        if lost:
+            return
+        self.arrival_ns = max(self.now_ns + late_ms * MS, self.arrival_ns + 1000)
+        sample = self.session.accept(Arrival(data, ("127.0.0.1", 5000), self.arrival_ns))
+        told = len(self.events)
+        self.machine.observe(sample)
+        if "The robot is ready and holds." in self.events[told:]:  # a reference begins where the arm is
+            self.sent = self.now_ns - round(1e9 * sample.step), self.packets.q, np.zeros(7)
+        asked = command(self.machine.state(sample, 0)) if self.machine.calls else None
+        reply = self.machine.answer(asked, self.session.period.seconds)
+        assert reply is not None, "one reply a packet"
+        if not goes_out:
+            self.machine.take_back()
+            return
+        self.replies += 1
+        if not self.machine.ready and np.abs(reply.q - self.packets.q).max() <= EXACT and not reply.qd.any():
+            self.sent = self.now_ns, reply.q, np.zeros(7)
+        else:  # guided, or of a robot that no longer says whether it follows
+            self.judge(reply, agrees=asked is None or asked.q is None or asked.qd is None)
+        self.target = reply.q
+
+    def judge(self, reply: Any, agrees: bool) -> None:
+        assert self.sent is not None
+        then_ns, q, v = self.sent
+        dt = 1e-9 * (self.now_ns - then_ns)
+        v_now = (reply.q - q) / dt
+        self.fastest = np.maximum(self.fastest, np.abs(v_now))
+        assert (np.abs(reply.q - q) <= LIMITS.qd_max * dt + EXACT).all()
+        assert (np.abs(v_now - v) <= LIMITS.qdd_max * dt + EXACT / dt).all()
+        assert ((reply.q >= LIMITS.q_min - EXACT) & (reply.q <= LIMITS.q_max + EXACT)).all()
+        if not agrees:  # a speed of the controller's own: within one step of acceleration, of the longest so far
+            self.apart = max(dt, self.apart)
+        difference = np.abs(reply.qd - v_now)
+        assert (difference <= self.apart * LIMITS.qdd_max + EXACT / dt).all(), "the speed agrees with the positions"
+        if agrees and (difference <= EXACT / dt).all():
+            self.apart = 0.0
+        self.sent = self.now_ns, reply.q, v_now
+
+
+def commands(kind: str, rng: np.random.Generator) -> Any:
+    """Return what a controller does: a function of the state."""
+    goal, speed = rng.uniform(ROBOT.q_min - 0.1, ROBOT.q_max + 0.1), rng.uniform(-3.0, 3.0, 7) * ROBOT.qd_max
+    return {
+        "hold": lambda state: None,
+        "speed": lambda state: Command(qd=speed),
+        "near": lambda state: Command(state.q_sent + rng.uniform(-0.09, 0.09, 7)),
+        "towards": lambda state: Command(state.q_sent + np.clip(goal - state.q_sent, -0.05, 0.05)),
+        "both": lambda state: Command(state.q_sent + rng.uniform(-0.01, 0.01, 7), rng.uniform(-1.0, 1.0, 7)),
+        "jump": lambda state: Command(state.q_sent + rng.choice([-0.9, 0.0, 0.9], 7)),
+    }[kind]
+
+
+STATES = [{}] * 5 + [{"motors": 2}, {"mci": 2}, {"motors": None}, {"rapid": 1}]
+PIECES = st.tuples(
+    st.sampled_from(CYCLES),
+    st.booleans(),  # another cycle time at each packet
+    st.integers(1, 40),
+    st.sampled_from(["hold", "speed", "speed", "near", "towards", "both", "jump"]),
+    st.sampled_from(["good", "good", "loss", "burst", "unsent"]),
+    st.sampled_from(STATES),
+)
+
+
+@given(st.lists(PIECES, min_size=1, max_size=12), st.integers(0, 2**32))
+@settings(max_examples=150, deadline=None)
+def test_no_reference_is_faster_than_the_measured_time_allows(pieces: list[Any], seed: int) -> None:
+    rng, robot = np.random.default_rng(seed), RobotOnNetwork()
+    for _ in range(4):
+        robot.cycle(4, commands("hold", rng), lost=False, late_ms=0, goes_out=True)
+    for ms, varies, count, kind, network, states in pieces:
+        command = commands(kind, rng)
+        for k in range(count):
+            robot.cycle(
+                int(rng.choice(CYCLES)) if varies else ms,
+                command,
+                lost=network == "loss" and rng.random() < 0.3 and k < count - 1,
+                late_ms=int(rng.integers(0, 60)) if network == "burst" else 0,
+                goes_out=network != "unsent" or rng.random() < 0.5,
+                **states,
+            )
+    assert robot.replies > 0
+
+
+@pytest.mark.parametrize(("before", "then"), [(24, 4), (8, 4), (4, 24), (48, 2)])
+def test_a_robot_that_streams_slower_than_it_guides(before: int, then: int) -> None:
+    """A stream that is not ready, then guidance with another cycle time: an event, and the speed that was allowed."""
+    robot, rng = RobotOnNetwork(), np.random.default_rng(1)
+    options: Any = {"lost": False, "late_ms": 0, "goes_out": True}
+    for _ in range(50):
+        robot.cycle(before, commands("hold", rng), mci=2, **options)
+    for _ in range(200):
+        robot.cycle(then, lambda state: Command(qd=np.eye(7)[0] * ROBOT.qd_max), **options)
+    changes = [text for text in robot.events if "cycle time" in text]
+    assert changes == [f"The cycle time of the robot changed from {before:.2f} to {then:.2f} ms."]
+    assert robot.session.period.seconds == pytest.approx(1e-3 * then)
+    assert robot.fastest[0] == pytest.approx(ROBOT.qd_max[0], rel=1e-9)
+
+
+QUICK = ("irb1200", "irb120", "yumi_right")  # those whose simulated arms went through their limits once
+LIMITED = [name for name in robots.names() if np.isfinite(robots.load(name).q_max).all()]  # not the DH test
+ARMS = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in LIMITED]
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_full_speed_into_each_limit_stops_before_it(name: str) -> None:
+    robot = robots.load(name)
+    limits, axes = Limits.of(robot), axes_of(robot)
+    longest = float(((robot.q_max - robot.q_min) / robot.qd_max).max())
+    turn = longest + 2.0  # s in each direction
+
+    def controller(state: State) -> Command:
+        return Command(qd=robot.qd_max * (1.0 if state.t < turn else -1.0))
+
+    with bridge.connect(f"sim://{name}?lockstep=true&seed=1", robot) as link:
+        run = link.run(controller, seconds=2.0 * turn + 1.0, limits=limits)
+    assert run.statistics["sessions"] == 1
+    q, sent = np.array([axes(row) for row in run.table["q"]]), run.table["q_sent"]
+    sent = np.array([axes(row) for row in sent[np.isfinite(sent).all(axis=1)]])
+    assert ((sent >= limits.q_min - 1e-9) & (sent <= limits.q_max + 1e-9)).all(), "no reference outside the limits"
+    assert ((q >= robot.q_min) & (q <= robot.q_max)).all(), "the arm stays within its range"
+    if axes(robot.q_home) is robot.q_home:  # joints of a coupled robot hinder one another
+        assert (sent.max(axis=0) > limits.q_max - 0.01).all()
+        assert (sent.min(axis=0) < limits.q_min + 0.01).all()

@@ -1,8 +1,10 @@
-"""What the controller of two arms sees, and which part of its command is whose."""
+"""Several arms in one loop: states, commands, and replies while one of them is silent, not ready or begins anew."""
 
 from __future__ import annotations
 
-import threading
+import contextlib
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -10,10 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import bridge, log, robots
+from armlab import log, robots
 from armlab.bridge.control.multi_arm import merge_states, split_command
-from armlab.errors import CommandRefused, ConfigError, ControllerFailed, ControllerLate, NoRobot, UnknownName
+from armlab.bridge.control.state_machine import Mode
+from armlab.errors import CommandRefused, ControllerFailed, LinkError, NoRobot, UnknownName
 from armlab.state import Command, State
+from armlab.wire.egm import RobotSideCodec
+
+from .conftest import MS, Hands, Make, drift
 
 LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
 
@@ -36,18 +42,9 @@ def test_fuse() -> None:
     assert np.isnan(both.T_frame_tool).all()
 
 
-def test_an_arm_heard_after_the_one_that_paces_has_no_age() -> None:
-    both = state("a", 1.0), state("b", 2.0)
-    found = merge_states(both, [-0.001, 0.0], 1, 5.0)
-    assert found.arms[0] is both[0]
-    assert found.arms[1] is both[1]
-
-
 def test_shares_of_a_common_command() -> None:
     q = np.arange(14.0)
     left, right = split_command(Command(q, record={"x": 1.0}), [LEFT, RIGHT])
-    assert left is not None
-    assert right is not None
     np.testing.assert_array_equal(left.q, q[:7])
     np.testing.assert_array_equal(right.q, q[7:])
     assert (left.qd, right.qd) == (None, None)
@@ -57,11 +54,6 @@ def test_shares_of_a_common_command() -> None:
         {"x": 1.0},
     ]
     assert all(one is not None and one.ends for one in split_command(Command.stop(), [LEFT, RIGHT]))
-
-
-def test_shares_of_three() -> None:
-    parts = split_command(Command(np.arange(21.0)), [LEFT, RIGHT, LEFT])
-    np.testing.assert_array_equal([one.q for one in parts if one is not None], np.arange(21.0).reshape(3, 7))
 
 
 @pytest.mark.parametrize("name", ["q_ext", "rapid_data", "rapid_digital"])
@@ -149,35 +141,6 @@ def test_the_arm_that_paces_is_named(pair: Any) -> None:
     assert run.arms[0].statistics["robot"] == "yumi_right"
 
 
-def test_both_hold_while_one_is_not_ready(pair: Any) -> None:
-    calls: list[float] = []
-
-    def controller(now: State) -> Command:
-        calls.append(now.t)
-        return Command(qd=np.full(14, 0.1))
-
-    def script(left: Any, right: Any) -> None:
-        for _ in range(20):
-            left.cycle()
-            right.cycle(mci=2)
-        assert not calls
-        for _ in range(30):
-            left.cycle()
-            right.cycle()
-        assert min(left.replies[-1].qd.min(), right.replies[-1].qd.min()) > 0.05
-        for _ in range(60):
-            left.cycle()
-            right.cycle(motors=2)
-        assert len(calls) < 35
-        assert np.abs(left.replies[-1].qd).max() == 0.0
-        pair.rest(left, right)
-
-    run = pair(script, controller, seconds=0.3)
-    assert calls[0] == 0.0
-    assert run.reason == "the time is up"
-    assert any(text == "yumi_right: The robot is not ready: the motors are off." for _, text in run.events)
-
-
 def test_an_arm_that_falls_silent_holds_the_other(pair: Any) -> None:
     """Real time: the left arm paces and goes on, the right one stops sending; the run waits for it."""
     calls: list[int] = []
@@ -217,22 +180,6 @@ def test_an_arm_that_falls_silent_holds_the_other(pair: Any) -> None:
     assert run.reason == "the time is up"
 
 
-def test_a_command_of_another_arm_ages(pair: Any) -> None:
-    """When the pacing arm's packets stay away, a velocity does not go on acting on the other."""
-
-    def script(left: Any, right: Any) -> None:
-        for _ in range(30):
-            left.cycle()
-            right.cycle()
-        assert right.replies[-1].qd.min() > 0.05
-        speeds = [np.abs(right.cycle().qd).max() for _ in range(40)]
-        assert speeds[0] > 0.05
-        assert speeds[-1] == 0.0
-        pair.rest(left, right)
-
-    pair(script, lambda now: Command(qd=np.full(14, 0.1)), seconds=0.2)
-
-
 def test_an_error_stops_both(pair: Any) -> None:
     def controller(now: State) -> Command:
         if now.t > 0.1:
@@ -244,60 +191,6 @@ def test_an_error_stops_both(pair: Any) -> None:
     table = caught.value.table
     for name in ("yumi_left", "yumi_right"):
         np.testing.assert_array_equal(table[f"{name}.qd_sent"][-1], 0.0)
-    assert [peer.surplus() for peer in pair.peers] == [0, 0]
-
-
-def test_commands_refused_on_one_arm_stop_both(pair: Any) -> None:
-    def controller(now: State) -> Command:
-        q = now.q_start.copy()
-        q[13] = np.nan if now.t > 0.05 else q[13]
-        return Command(q)
-
-    with pytest.raises(CommandRefused, match="finite"):
-        pair(pair.rest, controller)
-    with pytest.raises(CommandRefused, match=r"shape \(14,\)"):
-        pair(pair.rest, lambda now: Command(now.q_start[:7]))
-
-
-def test_a_command_per_arm(pair: Any) -> None:
-    def controller(now: State) -> Any:
-        left, _ = now.arms
-        return Command(left.q_start + 0.02 * np.sin(3.0 * now.t)), None
-
-    run = pair(pair.rest, controller, seconds=0.3)
-    left, right = (arm.table["q_sent"] for arm in run.arms)
-    assert np.ptp(left[:, 0]) > 0.01
-    assert np.ptp(right[:, 0]) == 0.0
-
-
-def test_a_late_controller_stops_both_and_none_is_left_unanswered(pair: Any) -> None:
-    asleep, done = threading.Event(), threading.Event()
-
-    def controller(now: State) -> Command:
-        if now.t > 0.1 and not asleep.is_set():
-            asleep.set()
-            done.wait(5.0)
-        return Command(qd=np.full(14, 0.2))
-
-    def script(left: Any, right: Any) -> None:
-        left.begin()
-        right.begin()
-        while not asleep.is_set():
-            left.cycle()
-            if not asleep.is_set():
-                right.cycle()
-            time.sleep(0.003)
-        until = time.monotonic() + 0.3
-        while time.monotonic() < until:
-            left.cycle()
-            right.cycle()
-            time.sleep(0.003)
-        assert max(np.abs(peer.replies[-1].qd).max() for peer in (left, right)) == 0.0
-        done.set()
-        pair.rest(left, right)
-
-    with pytest.raises(ControllerLate, match=r"one call took 0.\d+ s"):
-        pair(script, controller, pair.link(clock="wall"), wait="block")
     assert [peer.surplus() for peer in pair.peers] == [0, 0]
 
 
@@ -331,20 +224,303 @@ def test_files_and_feeds(pair: Any, tmp_path: Path) -> None:
     assert np.nanmax(both["yumi_right.age"]) < 0.0081
 
 
-def test_wrong_pairs() -> None:
-    pair = [LEFT, RIGHT]
-    for url, robot, words in (
-        ("sim://yumi_left", pair, "one url per robot, got 1 for 2"),
-        (["egm://127.0.0.1:6510"] * 2, pair, "a port per arm"),
-        (["sim://yumi_left", "egm://127.0.0.1:0"], pair, "of one kind"),
-        (["sim://yumi_left?seed=1&loss=0.1", "sim://yumi_right?seed=2"], pair, "the same options"),
-        (["egm://127.0.0.1:0"] * 2, [LEFT, LEFT], "different names"),
-    ):
-        with pytest.raises(ConfigError, match=words):
-            bridge.connect(url, robot)
-    with bridge.connect(["egm://127.0.0.1:0"] * 2, pair, patience=0.1) as link:
-        limits = bridge.Limits.of(LEFT)
-        with pytest.raises(ConfigError, match="Limits for each of yumi_left, yumi_right, got 1"):
-            link.run(sway, limits=limits)
-        with pytest.raises(NoRobot):
-            link.run(sway)
+@pytest.mark.parametrize(("period", "longest"), [(4, 20), (8, 24)])
+def test_an_arm_unheard_for_three_periods_and_20_ms_holds_the_one_that_paces(
+    two: Make, period: int, longest: int
+) -> None:
+    called: list[int] = []
+
+    def controller(state: State) -> None:
+        called.append(hands.clock.now)
+
+    hands = two(controller, period_ns=period * MS)
+    for _ in range(20):
+        hands.cycle(1, 0)
+    before = len(called)
+    for _ in range(longest // period):
+        hands.cycle(0)
+    assert len(called) == before + longest // period
+    hands.cycle(0, after=1)
+    assert len(called) == before + longest // period
+    hands.cycle(1, 0)
+    assert len(called) == before + longest // period + 1
+
+
+def test_a_session_that_begins_while_the_controller_computes_is_not_sent_its_command(two: Make) -> None:
+    def controller(state: State) -> Command:
+        if state.seq == 20:
+            hands.robots[0].seq = 0
+            hands.put(0, q=hands.robots[0].q + 0.3)
+        return drift(state)
+
+    hands = two(controller)
+    for _ in range(20):
+        hands.cycle(0, 1)
+    assert hands.speed(1) == pytest.approx(0.1)
+    assert min(row[1] is not None for row in hands.rows[-2:])
+    hands.cycle(0)
+    first = hands.reply(0)
+    assert (first.seqno, hands.speed(0)) == (0, 0.0)
+    assert hands.rows[-1][1] is None
+    hands.cycle(1)
+    assert hands.speed(1) < 0.05
+
+
+def test_a_command_that_is_none_for_two_arms_holds_both_and_is_the_reason(two: Make) -> None:
+    hands = two(lambda state: Command(np.zeros(7)))
+    hands.cycle(1, 0)
+    hands.cycle(1, 0)
+    assert hands.loop.reason == "a command was refused"
+    assert isinstance(hands.loop.failure, CommandRefused)
+    assert [len(port.sent) for port in hands.ports] == [2, 2]
+    assert [arm.machine.mode for arm in hands.arms] == [Mode.STOPPING] * 2
+
+
+def test_an_arm_that_stops_stops_the_other(two: Make) -> None:
+    hands = two(drift)
+    for _ in range(20):
+        hands.cycle(0, 1)
+    hands.arms[1].machine.stop("enough of this arm")
+    hands.run(0, 1)
+    assert (hands.loop.reason, hands.loop.failure) == ("enough of this arm", None)
+    assert [arm.machine.mode for arm in hands.arms] == [Mode.ENDED] * 2
+    assert hands.speed(0) == hands.speed(1) == 0.0
+
+
+def test_the_guard_answers_the_other_arm_too(two: Make) -> None:
+    def controller(state: State) -> Command:
+        if state.seq == 5:
+            hands.put(1, after=4 * MS)
+            hands.loop.answer_for_controller()
+            assert [len(port.sent) for port in hands.ports] == [6, 6]
+        return drift(state)
+
+    hands = two(controller)
+    for _ in range(5):
+        hands.cycle(0, 1)
+    hands.cycle(0)
+    assert [len(port.sent) for port in hands.ports] == [6, 6]
+
+
+def test_in_lockstep_no_arm_is_stale(two: Make) -> None:
+    called: list[int] = []
+    hands = two(lambda state: called.append(state.seq), clock="robot")
+    hands.cycle(1, 0)
+    for _ in range(20):
+        hands.cycle(0)
+    assert len(called) == 21
+
+
+def test_nobody_is_asked_before_all_arms_have_been_heard(two: Make) -> None:
+    called: list[int] = []
+    hands = two(lambda state: called.append(state.seq))
+    hands.cycle(0)
+    hands.cycle(0)
+    assert not called
+    hands.cycle(1)
+    hands.cycle(0)
+    assert called == [2]
+
+
+def test_an_arm_that_never_comes_ends_the_run(two: Make) -> None:
+    hands = two(drift, patience=1.0)
+    for _ in range(270):
+        hands.cycle(0)
+    hands.loop._have_ended()
+    assert isinstance(hands.loop.failure, NoRobot)
+    assert hands.arms[0].machine.mode is Mode.STOPPING
+
+
+def test_a_command_serves_another_arm_for_two_and_a_half_periods(two: Make) -> None:
+    hands = two(drift)
+    for _ in range(20):
+        hands.cycle(0, 1)
+    assert hands.speed(1) == pytest.approx(0.1)
+    speeds = []
+    for _ in range(2):  # the second is the third packet of this command
+        hands.cycle(1)
+        speeds.append(hands.speed(1))
+    assert speeds[0] == pytest.approx(0.1)
+    assert speeds[1] < 0.05
+
+
+def test_a_command_of_a_session_serves_in_no_later_one(two: Make) -> None:
+    """Both arms begin anew after 0.3 s of silence, the one that does not pace first."""
+    hands = two(drift)
+    for _ in range(20):
+        hands.cycle(0, 1)
+    assert hands.speed(1) == pytest.approx(0.1)
+    hands.clock.now += 300 * MS
+    for packets in hands.robots:
+        packets.seq, packets.cycle = 0, packets.cycle + 75
+    hands.cycle(1)
+    np.testing.assert_allclose(hands.table(1)["q_sent"][-1], hands.robots[1].q, atol=1e-9)
+    assert (hands.arms[1].session.number, hands.speed(1), hands.rows[-1][1]) == (2, 0.0, None)
+
+
+def test_values_for_rapid_go_out_once(two: Make) -> None:
+    """With the first reply to their command that goes out; the rest of the command serves on."""
+
+    def controller(state: State) -> tuple[None, Command]:
+        return None, Command(qd=np.full(7, 0.1), rapid_data=[float(state.seq)], rapid_digital=True)
+
+    hands = two(controller)
+    hands.robots[1].codec = RobotSideCodec(RIGHT, "7")
+    for _ in range(20):
+        hands.cycle(0, 1)
+    hands.cycle(1)
+    hands.cycle(0)
+    hands.ports[1].works = False
+    hands.cycle(1)
+    hands.ports[1].works = True
+    hands.cycle(1)
+    hands.cycle(1)
+    table = hands.table(1)
+    np.testing.assert_array_equal(table["rapid_data_sent"][-6:, 0], [18.0, 19.0, np.nan, np.nan, 20.0, np.nan])
+    np.testing.assert_array_equal(np.isfinite(table["rapid_digital_sent"][-4:].astype(float)), [0, 0, 1, 0])
+    np.testing.assert_allclose(table["qd_sent"][[-4, -2], 0], 0.1)
+
+
+def test_the_pacing_arm_that_holds_takes_its_command_from_the_others(two: Make) -> None:
+    hands = two(drift)
+    for _ in range(20):
+        hands.cycle(0, 1)
+    hands.cycle(0, mci=2)
+    hands.cycle(1)
+    assert hands.speed(1) < 0.0999
+    assert np.isnan(hands.table(1)["qd_ref"][-1].astype(float)).all()
+
+
+def test_an_arm_that_is_not_ready_or_unheard_holds_the_third(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At once, not when the command that was given has served its time."""
+    for unready in (True, False):
+        hands = Hands(monkeypatch, [LEFT, RIGHT, RIGHT], drift)
+        for _ in range(20):
+            hands.cycle(0, 1, 2)
+        assert hands.speed(2) == pytest.approx(0.1)
+        if unready:
+            hands.cycle(1, mci=2)
+        else:
+            for _ in range(5):
+                hands.cycle(0, 2)
+            assert hands.speed(2) == pytest.approx(0.1)
+            hands.cycle(0)
+        hands.cycle(2)
+        assert hands.speed(2) < 0.05
+
+
+def test_others_that_wait_are_answered_before_the_controller_is_called(two: Make) -> None:
+    sent: list[int] = []
+
+    def controller(state: State) -> Command:
+        sent.append(len(hands.ports[1].sent))
+        return drift(state)
+
+    hands = two(controller)
+    for _ in range(3):
+        hands.cycle(1, 0)
+    hands.put(0)
+    hands.put(1, after=0)
+    hands.loop.cycle()
+    assert sent == [1, 2, 3, 4]
+
+
+def test_time_begins_with_the_newest_session_of_all_arms_and_ages_are_told(two: Make) -> None:
+    seen: list[State] = []
+    hands = two(lambda state: seen.append(state))
+    for _ in range(5):
+        hands.cycle(0)
+    hands.cycle(1)
+    for _ in range(3):
+        hands.cycle(0)
+    np.testing.assert_allclose([state.t for state in seen], [0.0, 0.004, 0.008], atol=1e-12)
+    np.testing.assert_allclose(
+        [[arm.age for arm in state.arms] for state in seen], [[0, 0.004], [0, 0.008], [0, 0.012]]
+    )
+    hands.robots[1].seq = 0
+    hands.cycle(1, 0)
+    hands.cycle(1, 0)
+    np.testing.assert_allclose([state.t for state in seen[3:]], [0.0, 0.004], atol=1e-12)
+
+
+START_NS = 1_700_000_000_000_000_000
+
+
+def test_an_implausible_arm_stops_the_other_too(pair: Any) -> None:
+    """The left arm reports degrees: nothing goes back to it, and the right one does not move."""
+
+    def script(left: Any, right: Any) -> None:
+        right.cycle()
+        while not pair.peer.over.is_set():
+            left.send(q=np.rad2deg(left.packets.q))
+            right.send()
+            time.sleep(0.001)
+
+    with pytest.raises(LinkError, match="Usual causes are another robot"):
+        pair(script, lambda now: Command(qd=np.full(14, 0.1)))
+    left, right = pair.peers
+    assert left.surplus() == 0
+    assert not any(reply.qd is not None and reply.qd.any() for reply in right.replies)
+
+
+def test_two_clocks_that_drift_through_each_other(pair: Any) -> None:
+    """Cycles of 4.032 and 4.000 ms: ages are exact, and what the other arm is sent is at most one period old."""
+    periods = (4_032_000, 4_000_000)
+    told: list[float] = []
+
+    def controller(now: State) -> Command:
+        left, right = now.arms
+        told.append(right.age)
+        assert abs(1e9 * right.age - (left.robot_ns - right.robot_ns)) < 1.0
+        return Command(now.q_start + 1e-9 * (now.robot_ns - START_NS) * 0.01)
+
+    def script(left: Any, right: Any) -> None:
+        peers, due = (left, right), [500_000, 0]
+        while not pair.peer.over.is_set():
+            k = int(due[1] <= due[0])
+            peers[k].send(robot_ns=START_NS + due[k])
+            while not pair.peer.over.is_set():
+                with contextlib.suppress(TimeoutError):
+                    peers[k].answer(0.02)
+                    break
+            due[k] += periods[k]
+
+    run = pair(script, controller, seconds=0.6)
+    assert 0.0 <= min(told) < 0.0001
+    assert 0.0039 < max(told) <= 0.004
+    right = run.arms[1].table
+    followed = np.flatnonzero(np.isfinite(right["q_ref"]).all(axis=1))[10:]
+    asked_at = (right["q_ref"][followed, 0] - right["q"][0, 0]) / 0.01
+    ages = 1e-9 * (right["robot_ns"][followed] - START_NS) - asked_at
+    assert ages.min() >= 0.0
+    assert ages.max() <= 0.004032 + 1e-6
+
+
+_PROGRAM = """
+import sys
+import numpy as np
+from armlab import bridge, robots
+from armlab.state import Command
+pair = [robots.load("yumi_left"), robots.load("yumi_right")]
+told = []
+def controller(state):
+    if state.t > 1.2 and not told:
+        told.append(print("running", flush=True))
+    return Command(state.q_start + 0.05 * np.sin(state.t))
+with bridge.connect("sim://yumi_left+yumi_right", pair) as link:
+    link.run(controller, record=sys.argv[1])
+"""
+
+
+@pytest.mark.slow  # 3 s
+def test_both_files_survive_a_kill(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", _PROGRAM, str(tmp_path / "run.mcap")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as program:
+        assert program.stdout.readline() == "running\n"
+        program.kill()
+    for name in ("runleft.mcap", "runright.mcap"):
+        with pytest.warns(UserWarning, match="was not finished"):
+            table = log.read(tmp_path / name)
+        assert table.t[-1] > 0.2
+        assert np.isfinite(table["q"]).all()
+        np.testing.assert_array_equal(np.diff(table["tick"]), 1)

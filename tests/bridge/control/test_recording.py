@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import errno
-import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,7 @@ def row(robot: Robot, k: int) -> tuple[State, Tick]:
 
 def keep(recording: Recording, state: State, command: Command | None, tick: Tick) -> None:
     """Do what the loop does with a row."""
-    recording.pass_on(state, recording.keep(state, command, tick), tick)
+    recording.publish(state, recording.keep(state, command, tick), tick)
 
 
 @pytest.mark.parametrize("in_file", [False, True])
@@ -59,13 +58,6 @@ def test_parameters(robot: Robot, tmp_path: Path) -> None:
         recording.parameter(Change(1, "gain", 3.0, "local 1"))
         recording.close({})
     assert log.inspect(tmp_path / "run.mcap").parameters == (Setting(5, 1, "gain", 3.0, "local 1"),)
-
-
-def test_the_robot_is_described_in_the_file(robot: Robot, tmp_path: Path) -> None:
-    recording = Recording(robot, tmp_path / "run.mcap", None, wait=True, clock=lambda: 5)
-    recording.close({})
-    text = log.inspect(tmp_path / "run.mcap").attachments["robot.toml"].decode()
-    assert robots.from_toml(text, "run.mcap") == robot
 
 
 def test_a_command_of_any_shape_does_not_stop_the_rows(robot: Robot) -> None:
@@ -114,35 +106,6 @@ def test_a_feed_that_raises_is_dropped(robot: Robot) -> None:
     assert not feeds
     assert next(text for _, text in recording.events).startswith("arm: A feed was dropped: it raised ValueError: full")
     assert len(recording.table()) == 1
-
-
-def test_a_full_disk_is_told_at_once_and_once(robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr("armlab.log.recording.file.RecordingFile.write", full)
-    recording = Recording(robot, tmp_path / "run.mcap", None, wait=False, clock=lambda: 0)
-    deadline = time.monotonic() + 10.0
-    asked = 0
-    while not recording.events and time.monotonic() < deadline:
-        state, tick = row(robot, asked)
-        keep(recording, state, None, tick)
-        asked += 1
-        time.sleep(0.001)
-    state, tick = row(robot, asked)
-    keep(recording, state, None, tick)
-    problems = recording.close({})
-    ((_, told),) = recording.events
-    assert told.startswith("The recording stopped: The log")
-    assert told.endswith("stopped after 0 rows: No space left on device.")
-    assert problems == [told, f"The recording lost {asked + 1} rows: they came after it stopped."]
-
-
-def test_sentences_of_the_whole_run_have_no_label(robot: Robot) -> None:
-    recording = Recording(robot, None, None, wait=False, clock=lambda: 7, label="yumi_left")
-    recording.event("Late.")
-    recording.note("Stopped.")
-    assert list(recording.events) == [(7, "yumi_left: Late."), (7, "Stopped.")]
 
 
 @pytest.mark.parametrize("in_file", [False, True])
@@ -198,6 +161,11 @@ def test_report_and_table(play: Any, tmp_path: Path, in_file: bool) -> None:
     ):
         assert words in report
     assert run.table is run.table
+    assert "Left out" not in report
+    counted = {**run.statistics, "left_out": 3, "replies": 0, "latency_us": {"p50": float("nan")}}
+    other = replace(run, statistics=counted).report()
+    assert "Left out 3 replies: so many messages waited in the robot's queue." in other
+    assert "Arrival to reply" not in other
     assert len(run.table) == run.statistics["packets"]
     assert run.table.clock == "robot"
     np.testing.assert_allclose(np.diff(run.table.t), 0.004, atol=1e-9)
@@ -228,21 +196,6 @@ def test_who_was_served() -> None:
         "Parameters in force: gain = 2.0.",
     ]
     assert served({}) == []
-
-
-def test_replies_that_were_left_out_are_in_the_report(play: Any) -> None:
-    run = play(lambda peer: peer.rest(), rush, seconds=0.05)
-    assert "Left out" not in run.report()
-    run.statistics["left_out"] = 3
-    assert "Left out 3 replies: so many messages waited in the robot's queue." in run.report()
-
-
-def test_a_run_without_replies_reports_no_times_of_them(play: Any) -> None:
-    run = play(lambda peer: peer.rest(), rush, seconds=0.05)
-    assert "Arrival to reply" in run.report()
-    run.statistics["replies"], run.statistics["latency_us"] = 0, {"p50": float("nan")}
-    assert "Arrival to reply" not in run.report()
-    assert "nan" not in run.report()
 
 
 def test_the_table_and_the_wire_agree_on_clamps(play: Any) -> None:

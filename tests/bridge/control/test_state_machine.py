@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab.bridge.control.limits import Limits, Reply
-from armlab.bridge.control.state_machine import STOP_TIME, Guide, Mode
+from armlab.bridge.control.state_machine import STOP_TIME, Mode, StateMachine
 from armlab.errors import CommandRefused, LinkError
 from armlab.robots import Robot
 from armlab.state import Command
@@ -18,20 +18,20 @@ NOT_READY = [{"motors": 2}, {"motors": None}, {"mci": 2}, {"mci": None}, {"rapid
 
 
 class Bench:
-    """A guide fed with packets."""
+    """A machine fed with packets."""
 
     def __init__(self, feed: Any, robot: Robot, limits: Limits | None = None, **options: Any) -> None:
         self.feed, self.robot, self.events = feed, robot, feed.events
-        self.guide = Guide(robot, limits or Limits.of(robot), on_event=feed.tell, **options)
+        self.machine = StateMachine(robot, limits or Limits.of(robot), on_event=feed.tell, **options)
 
     def see(self, **fields: Any) -> Any:
         sample = self.feed.sample(**fields)
-        self.guide.observe(sample)
-        return self.guide.state(sample, 0)
+        self.machine.observe(sample)
+        return self.machine.state(sample, 0)
 
     def __call__(self, command: Command | None = None, **fields: Any) -> Reply | None:
         self.see(**fields)
-        return self.guide.answer(command, T)
+        return self.machine.answer(command, T)
 
     def reply(self, command: Any = None, **fields: Any) -> Reply:
         reply = self(command, **fields)
@@ -40,7 +40,7 @@ class Bench:
 
     @property
     def mode(self) -> Mode:
-        return self.guide.mode
+        return self.machine.mode
 
     @property
     def home(self) -> np.ndarray:
@@ -60,10 +60,15 @@ def bench(feed: Any, robot: Robot) -> Bench:
 
 def test_waiting_sends_nothing(bench: Bench) -> None:
     assert bench.mode is Mode.WAITING
-    assert (bench.guide.ready, bench.guide.guided, bench.guide.reason, bench.guide.worst_ratio) == (False, False, "", 1)
-    assert np.isnan(bench.guide.q_start).all()
-    assert not bench.guide.calls
-    assert bench.guide.answer(Command(bench.home), T) is None
+    assert (bench.machine.ready, bench.machine.guided, bench.machine.reason, bench.machine.worst_ratio) == (
+        False,
+        False,
+        "",
+        1,
+    )
+    assert np.isnan(bench.machine.q_start).all()
+    assert not bench.machine.calls
+    assert bench.machine.answer(Command(bench.home), T) is None
 
 
 def test_listening_sends_nothing_ever(feed: Any, robot: Robot) -> None:
@@ -71,11 +76,11 @@ def test_listening_sends_nothing_ever(feed: Any, robot: Robot) -> None:
     for fields in [{}, {"mci": 2}, {}, {"motors": 2}]:
         assert bench(Command(robot.q_home), **fields) is None
         assert bench.mode is Mode.LISTENING
-    assert bench.guide.elapsed == pytest.approx(3 * T)
-    assert bench.guide.t == pytest.approx(3 * T)
-    bench.guide.lose("the motors were switched off", resume=True)
+    assert bench.machine.elapsed == pytest.approx(3 * T)
+    assert bench.machine.t == pytest.approx(3 * T)
+    bench.machine.lose("the motors were switched off", resume=True)
     assert bench.mode is Mode.LISTENING
-    bench.guide.stop("the time is up")
+    bench.machine.stop("the time is up")
     assert bench.mode is Mode.ENDED
     assert bench.events[-1] == "Stopping: the time is up."
 
@@ -85,10 +90,10 @@ def test_not_ready_sends_back_the_feedback_of_this_packet(bench: Bench, fields: 
     for k in range(200):
         q = bench.home + 1e-3 * k
         reply = bench.reply(Command(bench.home), q=q, **fields)
-        np.testing.assert_allclose(bench.guide.state(bench.feed.session._last, 0).q_start, q, rtol=1e-14)
+        np.testing.assert_allclose(bench.machine.state(bench.feed.session._last, 0).q_start, q, rtol=1e-14)
         np.testing.assert_allclose(reply.q, q, rtol=1e-14)
         assert not reply.qd.any()
-        assert not bench.guide.calls
+        assert not bench.machine.calls
     assert bench.mode is Mode.HOLDING
     assert not bench.feed.warnings, "it was not ready before"
 
@@ -102,10 +107,9 @@ def test_a_stream_may_stay_unanswered(feed: Any, robot: Robot) -> None:
 def test_ready_freezes_the_position(bench: Bench) -> None:
     bench.reply(None, mci=2, q=bench.home - 0.03)
     state = bench.see(rapid=0)  # RAPID stays undefined after a restart of the controller
-    assert bench.guide.calls
-    first = bench.guide.answer(None, T)
+    assert bench.machine.calls
+    first = bench.machine.answer(None, T)
     moved = bench.reply(None, q=bench.home + 0.01)
-    assert first is not None
     np.testing.assert_allclose(first.q, bench.home, rtol=1e-14)
     np.testing.assert_array_equal(moved.q, first.q)
     assert not moved.qd.any()
@@ -122,9 +126,9 @@ def test_time_counts_from_readiness(bench: Bench) -> None:
     assert bench.see().t == pytest.approx(T)
     assert bench.see(motors=2).t == pytest.approx(2 * T)
     assert bench.see().t == pytest.approx(3 * T)
-    assert bench.guide.elapsed == pytest.approx(T)
+    assert bench.machine.elapsed == pytest.approx(T)
     bench.see()
-    assert bench.guide.elapsed == pytest.approx(2 * T)
+    assert bench.machine.elapsed == pytest.approx(2 * T)
 
 
 def test_entry_near_the_hold_runs(bench: Bench) -> None:
@@ -136,23 +140,23 @@ def test_entry_near_the_hold_runs(bench: Bench) -> None:
 
 def test_entry_far_from_the_hold_is_refused_and_told_after_a_second(bench: Bench) -> None:
     bench.reply(None)
-    assert bench.guide.refusing == ""
+    assert bench.machine.refusing == ""
     for _ in range(249):
         reply = bench.reply(Command(bench.home + 0.051))
         np.testing.assert_allclose(reply.q, bench.home, rtol=1e-14)
     assert bench.mode is Mode.HOLDING
-    assert not any("Begin at" in event for event in bench.events)
+    assert not any("the first position within" in event for event in bench.events)
     bench.reply(Command(bench.home + 0.051))
     bench.reply(Command(bench.home + 0.051))
-    assert sum("Begin at state.q_start" in event for event in bench.feed.warnings) == 1
-    assert bench.guide.refused == 251
-    assert "Begin at state.q_start" in bench.guide.refusing
+    assert sum("the first position within" in event for event in bench.feed.warnings) == 1
+    assert bench.machine.refused == 251
+    assert "the first position within" in bench.machine.refusing
     bench.reply(None)
-    assert bench.guide.refusing == ""
+    assert bench.machine.refusing == ""
     bench.reply(Command(bench.home + 0.049))
-    assert bench.guide.refusing == ""
+    assert bench.machine.refusing == ""
     bench.reply(Command(bench.home + 1.0))
-    assert "a jump of" in bench.guide.refusing
+    assert "a jump of" in bench.machine.refusing
 
 
 def test_velocities_need_no_entry_and_are_integrated(bench: Bench) -> None:
@@ -209,18 +213,10 @@ def test_losing_readiness_holds_and_needs_entry_again(bench: Bench, fields: dict
     assert bench.mode is Mode.RUNNING
 
 
-def test_a_far_entry_after_a_motion_is_told_after_a_second_too(bench: Bench) -> None:
-    bench.run()
-    for _ in range(30):
-        bench.reply(None)
-    bench.reply(Command(bench.home - 1.0))
-    assert not bench.feed.warnings
-
-
 def test_stopping_ramps_rests_and_ends(bench: Bench) -> None:
     bench.run()
-    bench.guide.stop("the time is up")
-    assert not bench.guide.calls
+    bench.machine.stop("the time is up")
+    assert not bench.machine.calls
     speeds, cycles = [], 0
     while bench.mode is Mode.STOPPING:
         speeds.append(bench.reply(Command(bench.home + 1.0)).qd.max())
@@ -232,93 +228,70 @@ def test_stopping_ramps_rests_and_ends(bench: Bench) -> None:
     last = bench.reply(Command(bench.home))  # the other arm of a link may still be stopping
     assert bench.mode is Mode.ENDED
     assert not last.qd.any()
-    assert (bench.guide.reason, bench.guide.failure) == ("the time is up", None)
+    assert (bench.machine.reason, bench.machine.failure) == ("the time is up", None)
 
 
 def test_an_arm_that_is_not_ready_while_it_stops_ends_after_the_same_time(bench: Bench) -> None:
     bench.run()
-    bench.guide.stop("the time is up")
+    bench.machine.stop("the time is up")
     cycles = 0
     while bench.mode is Mode.STOPPING:
         bench.reply(None, mci=2)
         cycles += 1
     assert cycles == pytest.approx(STOP_TIME / T, abs=1)
-    bench.guide.lose("the controller stopped sending", resume=False)
-    assert bench.guide.answer(None, T) is None, "to a packet of the session before"
-
-
-def test_the_first_reason_stays(bench: Bench) -> None:
-    bench.run()
-    bench.guide.stop("first")
-    bench.guide.stop("second", LinkError("Expected the first reason to stay, it did not."))
-    assert (bench.guide.reason, bench.guide.failure) == ("first", None)
+    bench.machine.lose("the controller stopped sending", resume=False)
+    assert bench.machine.answer(None, T) is None, "to a packet of the session before"
 
 
 def test_the_controller_ends_the_run(bench: Bench) -> None:
     bench.run()
     bench.reply(Command.stop())
     assert bench.mode is Mode.STOPPING
-    assert bench.guide.reason == "the controller ended the run"
+    assert bench.machine.reason == "the controller ended the run"
 
 
 def test_a_lost_session_is_waited_for_or_ends(bench: Bench) -> None:
     bench.run()
     begun: list[str] = []
-    bench.guide._aside.begin = lambda: begun.append("again")  # type: ignore[method-assign]
-    bench.guide.lose("the motors were switched off", resume=True)
-    assert (bench.mode, bench.guide.ready, begun) == (Mode.WAITING, False, [])
-    assert bench.guide.answer(Command(bench.home), T) is None
+    bench.machine._external.begin = lambda: begun.append("again")  # type: ignore[method-assign]
+    bench.machine.lose("the motors were switched off", resume=True)
+    assert (bench.mode, bench.machine.ready, begun) == (Mode.WAITING, False, [])
+    assert bench.machine.answer(Command(bench.home), T) is None
     bench.reply(None, seqno=0, q=bench.home + 0.2)
-    assert bench.guide.t == 0.0
+    assert bench.machine.t == 0.0
     assert begun == ["again"], "external axes keep no reference of the session before"
-    np.testing.assert_allclose(bench.guide.q_start, bench.home + 0.2, rtol=1e-14)
-    bench.guide.lose("the motors were switched off", resume=False)
+    np.testing.assert_allclose(bench.machine.q_start, bench.home + 0.2, rtol=1e-14)
+    bench.machine.lose("the motors were switched off", resume=False)
     assert bench.mode is Mode.ENDED
-    assert bench.guide.reason == "the motors were switched off"
-
-
-def test_a_new_session_while_running_holds_first(bench: Bench) -> None:
-    bench.run()
-    state = bench.see(seqno=0, q=bench.home + 0.2)
-    assert (bench.mode, state.session) == (Mode.HOLDING, 2)
-    np.testing.assert_allclose(state.q_start, bench.home + 0.2, rtol=1e-14)
+    assert bench.machine.reason == "the motors were switched off"
 
 
 def test_a_session_lost_while_stopping_ends(bench: Bench) -> None:
     bench.run()
-    bench.guide.stop("interrupted")
-    bench.guide.lose("the controller stopped sending", resume=True)
-    assert (bench.mode, bench.guide.reason) == (Mode.ENDED, "interrupted")
+    bench.machine.stop("interrupted")
+    bench.machine.stop("second", LinkError("Expected the first reason to stay, it did not."))
+    assert bench.machine.failure is None
+    bench.machine.lose("the controller stopped sending", resume=True)
+    assert (bench.mode, bench.machine.reason) == (Mode.ENDED, "interrupted")
 
 
 def test_implausible_feedback_never_moves(bench: Bench) -> None:
     for _ in range(3):
         assert bench.mode is not Mode.ENDED
         assert bench(None, q=np.degrees(bench.home) + 100.0) is None
-        assert not bench.guide.calls
+        assert not bench.machine.calls
     assert bench.mode is Mode.ENDED
-    assert "other units" in str(bench.guide.failure)
-
-
-def test_implausible_feedback_of_a_restarted_session_is_not_sent_back(bench: Bench) -> None:
-    """Radians taken for degrees one way only: the feedback sent back would be a jump."""
-    bench.run()
-    for k in range(3):
-        assert bench(Command(bench.home), seqno=k, tm_ms=99_000 + 4 * k, q=np.degrees(bench.home) + 100.0) is None
-    assert bench.mode is Mode.ENDED
-    assert isinstance(bench.guide.failure, LinkError)
+    assert "other units" in str(bench.machine.failure)
 
 
 def test_the_overdue_hold_stays_in_its_mode(bench: Bench) -> None:
     bench.run()
     bench.see()
-    reply = bench.guide.hold(T)
-    assert reply is not None
+    reply = bench.machine.hold(T)
     assert 0.0 < reply.qd.max() < 0.8
     assert bench.mode is Mode.RUNNING
     bench.see(motors=2, q=bench.home + 0.03)
-    feedback = bench.guide.hold(T)
-    assert feedback is not None
+    feedback = bench.machine.hold(T)
     np.testing.assert_allclose(feedback.q, bench.home + 0.03, rtol=1e-14)
 
 
@@ -327,25 +300,25 @@ def test_clamps_are_counted_per_joint(bench: Bench) -> None:
     qd = np.zeros(7)
     qd[3] = 100.0
     bench.reply(Command(qd=qd))
-    assert bench.guide.clamps[:, 3].tolist() == [0, 1, 1, 0, 0, 0]
-    assert bench.guide.clamps.sum() == 2
-    assert 0.0 < bench.guide.worst_ratio < 0.1
+    assert bench.machine.clamps[:, 3].tolist() == [0, 1, 1, 0, 0, 0]
+    assert bench.machine.clamps.sum() == 2
+    assert 0.0 < bench.machine.worst_ratio < 0.1
 
 
 def test_each_limit_is_counted_in_its_row(bench: Bench) -> None:
     bench.reply(None)
-    still = bench.guide._limiter.hold(T)
+    still = bench.machine._limiter.hold(T)
     for k, bit in enumerate((1, 2, 4, 8, 16, 32)):
         clamped = still._replace(clamped=bit * np.eye(7, dtype=np.uint8)[k])
-        bench.guide._limiter.step = lambda *_, reply=clamped: reply  # type: ignore[method-assign]
+        bench.machine._limiter.step = lambda *_, reply=clamped: reply  # type: ignore[method-assign]
         bench.reply(Command(bench.home))
-    np.testing.assert_array_equal(bench.guide.clamps, np.eye(6, 7))
+    np.testing.assert_array_equal(bench.machine.clamps, np.eye(6, 7))
 
 
 def test_implausible_feedback_after_the_end_is_not_sent_back(bench: Bench) -> None:
     """The arm has ended and is answered while another one stops; then its controller comes back in other units."""
     bench.run()
-    bench.guide.stop("another arm failed")
+    bench.machine.stop("another arm failed")
     while bench.mode is not Mode.ENDED:
         bench.reply()
     assert bench() is not None
@@ -365,25 +338,16 @@ def test_three_commands_that_are_not_finite_end_the_run(bench: Bench, bad: float
         assert np.isfinite(reply.qd).all()
         assert sum("finite" in text for text in bench.feed.warnings) == 1, "the first of those in a row"
     assert bench.mode is Mode.STOPPING
-    assert isinstance(bench.guide.failure, CommandRefused)
-    assert "finite" in str(bench.guide.failure)
+    assert isinstance(bench.machine.failure, CommandRefused)
+    assert "finite" in str(bench.machine.failure)
 
 
-def test_a_hold_between_bad_ones_goes_on(bench: Bench) -> None:
+def test_a_hold_or_a_good_command_between_bad_ones_goes_on(bench: Bench) -> None:
     bench.run()
-    for command in (*[Command(np.full(7, np.nan))] * 2, None, *[Command(np.full(7, np.nan))] * 2):
+    for command in (BAD, BAD, None, BAD, BAD, Command(qd=np.zeros(7)), BAD, BAD):
         bench.reply(command)
-    assert bench.guide.calls
-
-
-def test_a_good_command_between_bad_ones_goes_on(bench: Bench) -> None:
-    bench.run()
-    for _ in range(4):
-        for _ in range(2):
-            bench.reply(Command(bench.guide._limiter.q + 0.5))
-        bench.reply(Command(qd=np.zeros(7)))
-    assert bench.mode is Mode.RUNNING
-    assert bench.guide.refused == 8
+    assert bench.machine.calls
+    assert bench.machine.refused == 6
 
 
 @pytest.mark.parametrize("command", [Command(np.zeros(6)), "up", Command(tau=np.zeros(7))])
@@ -391,7 +355,7 @@ def test_commands_of_the_wrong_kind_stop_at_once(bench: Bench, command: Any) -> 
     bench.run()
     bench.reply(command)
     assert bench.mode is Mode.STOPPING
-    assert isinstance(bench.guide.failure, CommandRefused)
+    assert isinstance(bench.machine.failure, CommandRefused)
 
 
 @pytest.mark.parametrize("fields", [{"motors": 2}, {"seqno": 0}])
@@ -414,10 +378,9 @@ def test_a_reply_that_did_not_go_out_is_no_step(bench: Bench, late: bool) -> Non
     sent = [bench.reply(fast) for _ in range(30)][-1]
     for _ in range(20):
         bench.see()
-        unsent = bench.guide.hold(T) if late else bench.guide.answer(fast, T)
-        assert unsent is not None
+        unsent = bench.machine.hold(T) if late else bench.machine.answer(fast, T)
         assert np.abs(unsent.q - sent.q).max() > 1e-3 or not unsent.qd.any()
-        bench.guide.take_back()
+        bench.machine.take_back()
         np.testing.assert_array_equal(bench.see().q_sent, sent.q)
     following = bench.reply(fast)
     gap = 41 * T  # each of the twenty was seen twice
@@ -430,29 +393,29 @@ def test_a_stop_of_which_nothing_goes_out_ends(bench: Bench) -> None:
     bench.run()
     for _ in range(600):
         bench.reply(Command(qd=np.full(7, 0.8)))
-        bench.guide.take_back()
-    bench.guide.stop("the time is up")
+        bench.machine.take_back()
+    bench.machine.stop("the time is up")
     for _ in range(500):
         assert bench.mode is Mode.STOPPING
         bench.reply()
-        bench.guide.take_back()
-    assert (bench.mode, bench.guide.reason) == (Mode.ENDED, "the time is up")
+        bench.machine.take_back()
+    assert (bench.mode, bench.machine.reason) == (Mode.ENDED, "the time is up")
     assert bench() is None, "nothing is known of where the arm is"
-    assert isinstance(bench.guide.failure, LinkError)
-    assert str(bench.guide.failure) == bench.feed.warnings[-1]
+    assert isinstance(bench.machine.failure, LinkError)
+    assert str(bench.machine.failure) == bench.feed.warnings[-1]
     assert "500 of them did not go out" in bench.feed.warnings[-1]
 
 
 def test_a_stop_of_which_some_goes_out_rests(bench: Bench) -> None:
     bench.run()
-    bench.guide.stop("the time is up")
+    bench.machine.stop("the time is up")
     for k in range(1000):
         bench.reply()
         if k % 3 and bench.mode is Mode.STOPPING:
-            bench.guide.take_back()
+            bench.machine.take_back()
     assert bench.mode is Mode.ENDED
     assert bench() is not None
-    assert bench.guide.failure is None
+    assert bench.machine.failure is None
 
 
 def test_the_first_failure_stays_when_nothing_goes_out(bench: Bench) -> None:
@@ -461,10 +424,10 @@ def test_the_first_failure_stays_when_nothing_goes_out(bench: Bench) -> None:
         bench.reply(BAD)
     for _ in range(499):
         bench.reply()
-        bench.guide.take_back()
+        bench.machine.take_back()
     assert bench.mode is Mode.STOPPING
     bench.reply()
-    bench.guide.take_back()
+    bench.machine.take_back()
     assert bench.mode is Mode.ENDED
-    assert isinstance(bench.guide.failure, CommandRefused)
+    assert isinstance(bench.machine.failure, CommandRefused)
     assert len(bench.feed.warnings) == 2

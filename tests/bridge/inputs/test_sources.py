@@ -1,8 +1,9 @@
-"""Kinds of sources."""
+"""Values from other programs: kinds of sources; parameters, their types, bounds and rights."""
 
 from __future__ import annotations
 
 import json
+import math
 import select
 import socket
 import struct
@@ -18,9 +19,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab import robots
-from armlab.bridge import CallableSource, Reading, ReplaySource, Source, TimerSource, UdpSource
-from armlab.bridge.inputs.sources import TICK_COLUMNS, ThreadSource, whole
-from armlab.errors import ConfigError, LinkError, ModelMismatchError, ShapeError, UnknownName
+from armlab.bridge import CallableSource, Reading, Source, UdpSource
+from armlab.bridge.inputs.parameters import Change, Parameter, Parameters
+from armlab.bridge.inputs.sources import TICK_COLUMNS, ReplaySource, ThreadSource, TimerSource, check_source, whole
+from armlab.errors import CommandRefused, ConfigError, LinkError, ModelMismatchError, ShapeError, UnknownName
 from armlab.log import Column, Table
 from armlab.models import ForceSensor
 
@@ -69,18 +71,18 @@ def test_wrong_calibrations(fields: dict[str, Column], calibration: Any) -> None
 
 def test_a_calibration_belongs_to_an_arm_of_the_run() -> None:
     arms = [robots.load("yumi_left"), robots.load("yumi_right")]
-    Source("tracker", FIELDS, 0.03).check(arms)
+    check_source(Source("tracker", FIELDS, 0.03), arms)
     own = replace(SENSOR, robot_name="yumi_left", robot_hash=arms[0].hash)
     source = Source("force", RAW, 0.004, calibration=own)
     assert source.robot == "yumi_left"
-    source.check(arms)
-    Source("force", RAW, 0.004, calibration=SENSOR).check(arms[:1])
+    check_source(source, arms)
+    check_source(Source("force", RAW, 0.004, calibration=SENSOR), arms[:1])
     with pytest.raises(ConfigError, match=r"robot= of the force sensor 'force', one of yumi_left, yumi_right"):
-        Source("force", RAW, 0.004, calibration=SENSOR).check(arms)
+        check_source(Source("force", RAW, 0.004, calibration=SENSOR), arms)
     with pytest.raises(ModelMismatchError, match="'force' to be of a robot of this run, got one of 'yumi_left'"):
-        source.check(arms[1:])
+        check_source(source, arms[1:])
     with pytest.raises(ModelMismatchError):
-        Source("force", RAW, 0.004, calibration=own, robot="yumi_right").check(arms)
+        check_source(Source("force", RAW, 0.004, calibration=own, robot="yumi_right"), arms)
 
 
 def test_values() -> None:
@@ -127,10 +129,8 @@ def test_timer() -> None:
     timer = TimerSource("clock", 0.001)
     timer.start()
     first = timer.newest()
-    assert first is not None
     time.sleep(0.003)
     second = timer.newest()
-    assert second is not None
     assert second.seq - first.seq >= 2
     assert second.receive_ns - first.receive_ns == (second.seq - first.seq) * 1_000_000
     assert second.values["count"] == second.seq
@@ -138,7 +138,7 @@ def test_timer() -> None:
 
 def test_a_source_with_a_thread_of_its_own_ends_it_and_starts_again() -> None:
     class Counting(ThreadSource):
-        def work(self) -> None:
+        def _work(self) -> None:
             seq = 0
             while not self._over.wait(0.001):
                 self._newest, seq = Reading(self.values({"grip": seq}), 0, time.monotonic_ns(), seq), seq + 1
@@ -157,7 +157,7 @@ def test_a_source_with_a_thread_of_its_own_ends_it_and_starts_again() -> None:
         time.sleep(0.01)
         assert source.newest() is kept
     with pytest.raises(NotImplementedError):
-        ThreadSource("none", FIELDS, 0.001).work()
+        ThreadSource("none", FIELDS, 0.001)._work()
 
 
 @pytest.mark.parametrize(
@@ -222,7 +222,6 @@ def test_a_source_without_a_clock() -> None:
     source.newest()
     source.now_ns = 5 * MS
     reading = source.newest()
-    assert reading is not None
     assert (reading.seq, reading.source_ns) == (7, 0)
 
 
@@ -234,7 +233,6 @@ def test_a_source_without_numbers(absent: str) -> None:
     assert source.newest() is None
     source.now_ns = 16 * MS
     reading = source.newest()
-    assert reading is not None
     assert (reading.values["p"], reading.seq, reading.gaps) == (2.0, *((0, 3) if absent == "seq" else (11, 0)))
 
 
@@ -276,13 +274,11 @@ def test_the_newest_counts_and_gaps_are_counted(force: Sender) -> None:
     force.source.newest()
     force(*(PACK.pack(seq, 10 * seq, *np.arange(6.0) + seq) for seq in (3, 4, 7)))
     reading = force.source.newest()
-    assert reading is not None
     assert (reading.seq, reading.source_ns, reading.gaps) == (7, 70, 2)
     np.testing.assert_array_equal(reading.values["wrench"], np.arange(6.0) + 7)
     assert force.source.newest() is reading
     force(PACK.pack(0, 5, *np.zeros(6)))
     restarted = force.source.newest()
-    assert restarted is not None
     assert (restarted.seq, restarted.gaps) == (0, 2)
 
 
@@ -298,7 +294,6 @@ def test_numbers_beyond_64_bits_are_dropped(number: str) -> None:
     sender.source.newest()
     sender(b'{"p": 2.0, "seq": 18446744073709551615}')
     reading = sender.source.newest()
-    assert reading is not None
     assert reading.gaps == 2**53
     sender.close()
 
@@ -309,8 +304,6 @@ def test_json() -> None:
     first = sender.source.newest()
     sender(json.dumps({"wrench": [0] * 6, "seq": 5, "stamp_ns": 12}).encode(), b'{"torque": 1}', b"[1]", b"{")
     second = sender.source.newest()
-    assert first is not None
-    assert second is not None
     assert (first.seq, first.source_ns, second.seq, second.source_ns) == (0, 0, 5, 12)
     assert sender.source.drops == 3
     assert "could not be read" in sender.source.problem
@@ -345,3 +338,186 @@ def test_wrong_layouts(layout: dict[str, Any]) -> None:
 def test_a_port_in_use(force: Sender) -> None:
     with pytest.raises(LinkError, match="in use"):
         UdpSource("other", UDP_FIELDS, 0.001, force.source.port).start()
+
+
+def cell() -> Parameters:
+    return Parameters(
+        [
+            Parameter("gain", 2.0, unit="N/m", minimum=0.0, maximum=10.0, text="Stiffness."),
+            Parameter("count", 3, "int", minimum=0, maximum=5),
+            Parameter("gentle", True, "bool", rights="anyone"),
+            Parameter("label", "a", "text"),
+            Parameter("force", [0.0, 0.0, 1.0], "float[3]", minimum=-5.0, maximum=5.0),
+            Parameter("mass", 1.0, live=False),
+        ]
+    )
+
+
+def test_a_value_comes_into_force_between_ticks() -> None:
+    params = cell()
+    params.set("gain", 3)
+    assert params.gain == 2.0
+    assert params.apply() == (Change(1, "gain", 3.0, "controller"),)
+    assert params.gain == 3.0
+    assert isinstance(params.gain, float)
+    assert params.apply() == ()
+
+
+def test_two_setters_in_one_tick_are_both_applied_in_order() -> None:
+    params = cell()
+    params.set("gain", 1.0, "one")
+    params.set_together({"gain": 4.0, "count": 5}, "two")
+    changes = params.apply()
+    assert [(c.sequence, c.name, c.value, c.who) for c in changes] == [
+        (1, "gain", 1.0, "one"),
+        (2, "gain", 4.0, "two"),
+        (3, "count", 5, "two"),
+    ]
+    assert params.values()["gain"] == 4.0
+    assert changes[0].sentence == "Parameter gain = 1.0, set by one (setting 1)."
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("gain", math.nan, "finite number for the parameter gain \\[N/m\\], got nan"),
+        ("gain", 11, "from 0 to 10"),
+        ("gain", "3", "finite number"),
+        ("gain", True, "finite number"),
+        ("gain", 10**400, "from 0 to 10"),
+        ("count", 2.5, "whole number"),
+        ("count", 6, "from 0 to 5"),
+        ("gentle", 1, "true or false"),
+        ("label", 1, "a text"),
+        ("label", "x" * 1001, "at most 1000"),
+        ("force", [1.0, 2.0], "3 finite numbers"),
+        ("force", [1.0, 2.0, math.inf], "3 finite numbers"),
+        ("force", [1.0, 2.0, 6.0], "from -5 to 5"),
+        ("force", [[1.0], [2.0, 3.0]], "3 finite numbers"),
+        ("force", "abc", "3 finite numbers"),
+        ("force", [True, False, True], "3 finite numbers"),
+        ("force", 1.0, "3 finite numbers"),
+    ],
+)
+def test_refused_values(name: str, value: Any, words: str) -> None:
+    params = cell()
+    with pytest.raises(CommandRefused, match=words):
+        params.set_together({"gentle": False, name: value})
+    assert params.apply() == ()
+    assert params.gentle is True
+
+
+def test_rights_and_live() -> None:
+    params = cell()
+    with pytest.raises(CommandRefused, match="commander of an arm to set gain, got web"):
+        params.set_together({"gain": 1.0}, "web", commander=False)
+    params.set_together({"gentle": False}, "web", commander=False)
+    params.set("mass", 2.0)
+    params.running = True
+    with pytest.raises(CommandRefused, match="before a run"):
+        params.set("mass", 3.0)
+    params.apply()
+    assert (params.gentle, params.mass) == (False, 2.0)
+
+
+def test_unknown_names() -> None:
+    params = cell()
+    with pytest.raises(UnknownName, match=r"'gan'.*gain"):
+        params.set("gan", 1.0)
+    with pytest.raises(AttributeError, match=r"'gan'.*gain"):
+        params.gan
+    assert not hasattr(params, "__deepcopy__")
+
+
+def test_a_flood_of_settings_ends() -> None:
+    params = cell()
+    for _ in range(256):
+        params.set("gain", 1.0)
+    with pytest.raises(CommandRefused, match="at most 256 settings"):
+        params.set("gain", 1.0)
+    assert len(params.apply()) == 256
+
+
+def test_vectors_are_read_only() -> None:
+    given_array = np.ones(3)
+    params = cell()
+    params.set("force", given_array)
+    given_array[0] = 4.0
+    params.apply()
+    np.testing.assert_array_equal(params.force, np.ones(3))
+    assert not params.force.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"name": "2x"}, "a word"),
+        ({"name": "set"}, "free"),
+        ({"name": None}, "a word"),
+        ({"type": "double"}, "type float, int"),
+        ({"type": "float[0]"}, "type float, int"),
+        ({"rights": "all"}, "rights"),
+        ({"minimum": 1.0, "maximum": 0.0}, "bounds in order"),
+        ({"minimum": math.nan}, "bounds in order"),
+        ({"default": "a"}, "default that may be set"),
+        ({"minimum": 3.0}, "from 3 to inf"),
+    ],
+)
+def test_wrong_declarations(fields: dict[str, Any], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        Parameter(**{"name": "x", "default": 1.0, **fields})
+
+
+def test_declared_twice() -> None:
+    with pytest.raises(ConfigError, match="each parameter once"):
+        Parameters([Parameter("a", 1.0), Parameter("a", 2.0)])
+
+
+anything = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-9, 9),
+    st.floats(),
+    st.sampled_from(["", "up", 10**400]),
+    st.lists(st.floats(), max_size=4),
+)
+
+
+@given(st.dictionaries(st.sampled_from(["gain", "count", "gentle", "label", "force", "x"]), anything, max_size=3))
+def test_what_is_in_force_is_always_valid(values: dict[str, Any]) -> None:
+    params = cell()
+    before = params.values()
+    try:
+        params.set_together(values)
+        accepted = True
+    except (CommandRefused, UnknownName):
+        accepted = False
+    params.apply()
+    for name, parameter in params.declared.items():
+        parameter._checked(getattr(params, name))
+        if not accepted:
+            assert np.array_equal(getattr(params, name), before[name])
+
+
+@pytest.mark.parametrize("value", [10**400, -(10**400), 10**5000], ids=["big", "small", "unprintable"])
+@pytest.mark.parametrize("kind", ["float", "int", "float[2]"])
+def test_integers_that_no_float_holds_are_refused(kind: str, value: int) -> None:
+    """JSON has them: a client must not end the run with one."""
+    is_vector = kind == "float[2]"
+    params = Parameters([Parameter("gain", [0.0, 0.0] if is_vector else 0, type=kind)])
+    with pytest.raises(CommandRefused, match=r"Expected .* for the parameter gain.*Its value stays\.$"):
+        params.set("gain", [value, 1] if is_vector else value)
+    assert params.apply() == ()
+
+
+def test_who_set_what_last_is_known_without_a_look_at_the_history() -> None:
+    params = Parameters([Parameter("gain", 2.0), Parameter("other", 1.0)])
+    assert params.last("gain") is None
+    for value in (3.0, 4.0):
+        params.set("gain", value, "web")
+        params.apply()
+    last = params.last("gain")
+    assert (last.sequence, last.value, last.who) == (2, 4.0, "web")
+    assert params.last("other") is None
+    with pytest.raises(UnknownName, match="parameter"):
+        params.last("nothing")

@@ -1,19 +1,18 @@
-"""`Arm`: one arm during a run. It takes packets from its port, sends the one reply to each, and records both."""
+"""`ArmSession`: one arm during a run. It takes packets from its port, sends the one reply to each, and records both."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from armlab.bridge.control.command_checks import kept
 from armlab.bridge.control.limits import Reply
 from armlab.bridge.control.realtime import Prediction
 from armlab.bridge.control.recording import Recording
 from armlab.bridge.control.session import Sample, Session
-from armlab.bridge.control.state_machine import Guide
+from armlab.bridge.control.state_machine import StateMachine
 from armlab.bridge.control.supervision import Settings, Supervisor
 from armlab.bridge.inputs.fusion import Fusion
 from armlab.bridge.net.events import Tell, nobody
@@ -24,16 +23,13 @@ from armlab.state import Command, State
 from armlab.wire.egm import Codec, Reference
 from armlab.wire.egm.types import StandingQueue
 
-__all__ = ["Arm", "Latency", "Surplus", "PendingPacket"]
+__all__ = ["ArmSession", "Latency", "QueueTrimming", "PendingPacket"]
 
 _BINS = 20_000  # of one microsecond; the last one takes everything longer
 
 
 class Latency:
-    """Times from arrival to reply in bins of 1 us, in constant memory.
-
-    count : times counted. longest : the longest [us].
-    """
+    """Times from arrival to reply in bins of 1 us, in constant memory."""
 
     def __init__(self) -> None:
         self._bins = [0] * _BINS
@@ -47,10 +43,7 @@ class Latency:
         self.longest = max(self.longest, 1e-3 * nanoseconds)
 
     def percentile(self, percent: float) -> float:
-        """Return the time [us] that `percent` of the times do not exceed; NaN when nothing was counted.
-
-        percent : from 0 to 100.
-        """
+        """Return the time [us] that `percent` of the times do not exceed; NaN when nothing was counted."""
         if not self.count:
             return float("nan")
         wanted, seen = percent / 100.0 * self.count, 0
@@ -80,7 +73,7 @@ _REMEDY = "End other programs that send to this robot, then restart its EGM sess
 _MOST = 16  # replies left out in a row: whatever it tells, a robot gets one long before its time-out
 
 
-class Surplus:
+class QueueTrimming:
     """Decides packet by packet whether its reply is left out. A queue that stays deep all the same is an event."""
 
     def __init__(self, on_event: Tell = nobody) -> None:
@@ -90,11 +83,7 @@ class Surplus:
         self._depths: list[int] = []
 
     def leaves_out(self, depth: int, period: float) -> bool:
-        """Return whether the reply to this packet is left out: one for each message that was left in three cycles.
-
-        depth : messages left in the queue after the controller took one; not above 0 also when it is unknown.
-        period : cycle time of the robot [s].
-        """
+        """Return whether the reply to this packet is left out: one for each message that was left in three cycles."""
         if standing := self._standing.after(depth, period):
             self._on_event(f"{standing} Skipping {self.left_out} replies did not empty the queue. {_REMEDY}", warn=True)
         self._owed = min(self._owed, max(depth, 0))  # a queue that is shorter, or another session's, owes no more
@@ -111,7 +100,6 @@ class Surplus:
 
 _DROPS = 64  # refused datagrams per wake-up: a flood cannot hold the loop up
 _BACKLOG = 1000  # datagrams per wake-up, more than wait after any stall: all but the newest packet are overtaken
-_REHEARSED = 200_000  # ns before the next packet at which no rehearsal begins but the first
 _DEADLINE = 0.75  # of a period, from arrival to reply
 
 
@@ -126,7 +114,7 @@ class PendingPacket(NamedTuple):
 class _Row(NamedTuple):
     """What is recorded of a packet: by default one that was overtaken."""
 
-    turn: PendingPacket
+    pending: PendingPacket
     command: Command | None = None
     reply: Reply | None = None
     seq: int = -1
@@ -135,21 +123,8 @@ class _Row(NamedTuple):
     late: bool = False
 
 
-class Arm:
-    """One arm of a loop: everything that concerns it alone. Its methods are called under the loop's lock.
-
-    Parameters
-    ----------
-    robot, port, codec, session, guide, recording : the parts.
-    settings : of the run. wall_ns : wall clock minus monotonic clock [ns]. fusion : of the sources.
-    rehearsals : called with the last packet and its command, each when there is time; see `rehearsal`.
-
-    Attributes
-    ----------
-    prediction : of the next packet. newest : the newest packet that counted. latency : arrival to reply.
-    surplus : replies left out, see `Surplus`.
-    replies, overtaken, late : packets. was_late : the last reply was.
-    """
+class ArmSession:
+    """One arm of a loop: everything that concerns it alone. Its methods are called under the loop's lock."""
 
     def __init__(
         self,
@@ -157,40 +132,34 @@ class Arm:
         port: Port,
         codec: Codec,
         session: Session,
-        guide: Guide,
+        machine: StateMachine,
         recording: Recording,
         settings: Settings,
         wall_ns: int,
         fusion: Fusion,
-        rehearsals: Sequence[Callable[[Arrival, Command | None], None]] = (),
     ) -> None:
         self.robot, self.port, self.codec, self.session = robot, port, codec, session
-        self.guide, self.recording = guide, recording
+        self.machine, self.recording = machine, recording
         self.latency, self.prediction = Latency(), Prediction()
         self.replies = self.overtaken = self.late = self._ticks = 0
         self.was_late = self._went_out = self._left_out = False
         self.newest: PendingPacket | None = None
+        self.period = session.period.seconds
         self._in_lockstep, self._resumes = settings.clock == "robot", settings.resume
         self._fusion = fusion
-        self.surplus = Surplus(recording.event)
-        self._supervisor = Supervisor(port, session, guide, settings, recording.event)
-        self._wall_ns, self._heard_ns, self._robot_ns = wall_ns, time.monotonic_ns(), 0
+        self.trimming = QueueTrimming(recording.event)
+        self._supervisor = Supervisor(port, session, machine, settings, recording.event)
+        self._wall_ns, self._arrived_ns, self._robot_ns = wall_ns, time.monotonic_ns(), 0
         self._surpassed: list[PendingPacket] = []
         self._rows: list[_Row] = []
-        self._rehearsals, self._arrival = rehearsals, None
+        self._arrival: Arrival | None = None
         self._details = getattr(codec, "details", None)  # a codec of the user's need not have it
-        self._answered: Command | None = None
-        self.give(None)
+        self.set_command(None)
 
     @property
     def may_call(self) -> bool:
         """Whether the controller may be asked: this arm is ready and no source that it requires is stale."""
-        return self.guide.calls and not self._fusion.missing
-
-    @property
-    def period(self) -> float:
-        """Measured cycle time of the robot [s]."""
-        return self.session.period.seconds
+        return self.machine.calls and not self._fusion.missing
 
     @property
     def stamp_ns(self) -> int:
@@ -208,109 +177,94 @@ class Arm:
         """Return when the reply to a packet is late, on our monotonic clock [ns]."""
         return sample.arrival_ns + _DEADLINE * 1e9 * self.period
 
-    def look(self) -> None:
+    def check_silence(self) -> None:
         """See whether the session or the run is over; see `Supervisor`."""
-        self._supervisor.look(self._heard_ns)
+        self._supervisor.check_silence(self._arrived_ns)
         self.recording.catch_up()
 
-    def give(self, command: Command | None) -> None:
-        """Keep what the controller commands this arm, which does not pace it, for the next packets.
-
-        Parameters
-        ----------
-        command : None holds.
-        """
+    def set_command(self, command: Command | None) -> None:
+        """Keep what the controller commands this arm, which does not pace it, for the next packets."""
         self._given, self._given_age = kept(command), 0.0
 
-    def given(self, sample: Sample, longest: float) -> Command | None:
-        """Return the command kept for this packet; None, hold, once it is too old.
-
-        Parameters
-        ----------
-        sample : the packet. longest : time for which a command serves [s].
-        """
+    def kept_command(self, sample: Sample, longest: float) -> Command | None:
+        """Return the command kept for this packet; None, hold, once it is too old."""
         self._given_age += sample.dt
         return self._given if self._given_age <= longest else None
 
-    def take(self, arrival: Arrival | None, unanswered: PendingPacket | None = None) -> PendingPacket | None:
-        """Drain the port as far as a flood allows. Return the newest packet that counts, or the unanswered one.
-
-        Parameters
-        ----------
-        arrival : the first datagram. unanswered : a packet that waits for its reply.
-        """
-        turn, taken, refused, woken_ns = unanswered, 0, 0, time.monotonic_ns()
+    def receive(self, arrival: Arrival | None, unanswered: PendingPacket | None = None) -> PendingPacket | None:
+        """Drain the port as far as a flood allows. Return the newest packet that counts, or the unanswered one."""
+        pending, taken, refused, woken_ns = unanswered, 0, 0, time.monotonic_ns()
         while arrival is not None:
             taken += 1
             sample = self.session.accept(arrival)
             if sample is None:
                 refused += 1
             else:
-                if turn is not None:
-                    self._surpassed.append(turn)
+                if pending is not None:
+                    self._surpassed.append(pending)
                 self._arrival = arrival
-                turn = self._observe(sample, woken_ns)
+                pending = self._observe(sample, woken_ns)
             if refused == _DROPS or taken == _BACKLOG:
                 break  # before the next is taken from the port: it would be lost
             arrival = self.port.receive()
-        return turn
+        return pending
 
     def _observe(self, sample: Sample, woken_ns: int) -> PendingPacket:
         if sample.fresh:
-            self.give(None)  # what it was told in another session: its age counts the packets, not the silence
+            self.set_command(None)  # what it was told in another session: its age counts the packets, not the silence
         if sample.fresh and sample.session > 1:
             self._supervisor.judge()
         if sample.fresh and sample.session > 1 and not self._resumes:  # restarted before anyone saw the silence
-            self.guide.lose(self.session.reason, resume=False)
+            self.machine.lose(self.session.reason, resume=False)
         else:
-            self.guide.observe(sample)
-        self._heard_ns, self._robot_ns = sample.arrival_ns, sample.packet.robot_ns
-        fused = self._fusion.fields(sample.arrival_ns, self.robot, sample.packet.q)
+            self.machine.observe(sample)
+        self._arrived_ns, self._robot_ns = sample.arrival_ns, sample.packet.robot_ns
+        self.period = self.session.period.seconds
+        fused = self._fusion.fields(sample.arrival_ns, self.robot, sample.packet.q) if self._fusion.sources else {}
         if self._details is not None and self._arrival is not None:
             fused = {**fused, "details": partial(self._details, self._arrival.data)}
-        state = self.guide.state(sample, self._wall_ns + sample.arrival_ns, **fused)
+        state = self.machine.state(sample, self._wall_ns + sample.arrival_ns, **fused)
         waited_ns = max(0, woken_ns - sample.arrival_ns)  # one that came while the loop ran did not wait for it
         self.newest = PendingPacket(sample, state, waited_ns)
         return self.newest
 
     def reply(
-        self, turn: PendingPacket, command: Command | None, reply: Reply | None, *, call_ns: int = 0, late: bool = False
+        self,
+        pending: PendingPacket,
+        command: Command | None,
+        reply: Reply | None,
+        *,
+        call_ns: int = 0,
+        late: bool = False,
     ) -> None:
-        """Send the one reply to a packet; `record` later records it and those it has overtaken.
-
-        Parameters
-        ----------
-        turn : the packet. command : what the controller wanted. reply : what the guide makes of it, None for nothing.
-        call_ns : time spent in the controller. late : the controller missed its deadline.
-        """
+        """Send the one reply to a packet; `record` later records it and those it has overtaken."""
         seq = send_ns = -1
         self._went_out = self._left_out = False
         try:
             if reply is not None:
-                seq, send_ns = self._send(turn.sample, reply)
+                seq, send_ns = self._send(pending.sample, reply)
         finally:  # also when the codec raises: the robot has not got it
             if reply is not None and not self._went_out:
-                self.guide.take_back(self._left_out)
+                self.machine.take_back(self._left_out)
         if self._went_out and command is self._given and isinstance(command, Command):
             self._given = replace(command, rapid_data=None, rapid_digital=None)  # these go out once
-        late = late or (not self._in_lockstep and send_ns > self.deadline(turn.sample))
-        self._answered = command
+        late = late or (not self._in_lockstep and send_ns > self.deadline(pending.sample))
         self.was_late = late
         self.late += late
         for older in self._surpassed:
             self.overtaken += 1
             self._rows.append(_Row(older))
         self._surpassed.clear()
-        self._rows.append(_Row(turn, command, reply if seq >= 0 else None, seq, send_ns, call_ns, late))
+        self._rows.append(_Row(pending, command, reply if seq >= 0 else None, seq, send_ns, call_ns, late))
         if seq >= 0:
             self.replies += 1
-            self.latency.add(send_ns - turn.sample.arrival_ns)
+            self.latency.add(send_ns - pending.sample.arrival_ns)
 
     def _send(self, sample: Sample, reply: Reply) -> tuple[int, int]:
         """Send a reply. Return its number and when [ns], -1 and -1 when nothing went out."""
         session, packet = self.session, sample.packet
         depth = -1 if self._in_lockstep else packet.queue_depth  # lockstep waits for every reply
-        self._left_out = self.surplus.leaves_out(depth, self.period)
+        self._left_out = self.trimming.leaves_out(depth, self.period)
         if session.source is None or self._left_out:
             return -1, -1
         tm_ms = 0 if packet.tm_ms is None else packet.tm_ms
@@ -327,16 +281,6 @@ class Arm:
         session.replied(now)
         return seq, now
 
-    def rehearse(self) -> None:
-        """Do the work of the last packet once more; see `rehearsal`."""
-        arrival, self._arrival = self._arrival, None
-        if arrival is None:
-            return
-        for rehearsal in self._rehearsals:
-            rehearsal(arrival, self._answered)
-            if time.monotonic_ns() > (self.prediction.next_ns or 0.0) - _REHEARSED:
-                break
-
     def record(self) -> None:
         """Record what was answered or overtaken since the last call: when no reply has to wait for that.
 
@@ -344,7 +288,8 @@ class Arm:
         """
         while self._rows:
             row = self._rows[0]
-            sample, reply, wall_ns = row.turn.sample, row.reply, self._wall_ns
+            sample, state, reply, wall_ns = row.pending.sample, row.pending.state, row.reply, self._wall_ns
+            beside = None if reply is None else reply.beside
             tick = Tick(
                 number=self._ticks,
                 seq_sent=row.seq,
@@ -358,24 +303,14 @@ class Arm:
                 qd_sent=None if reply is None else reply.qd,
                 tau_sent=None if reply is None else reply.tau,
                 clamped=None if reply is None else reply.clamped,
-                **_beside(reply),
-                wake_ns=row.turn.wake_ns,
-                record=self._fusion.record(row.turn.state.sources, sample.arrival_ns),
+                q_ext_sent=None if beside is None else beside.q_ext,
+                rapid_data_sent=None if beside is None else beside.rapid_data,
+                rapid_digital_sent=None if beside is None else beside.rapid_digital,
+                wake_ns=row.pending.wake_ns,
+                record=self._fusion.record(state.sources, sample.arrival_ns) if self._fusion.sources else {},
             )
-            command = self.recording.keep(row.turn.state, row.command, tick)
+            command = self.recording.keep(state, row.command, tick)
             self._ticks = tick.number + 1
             del self._rows[0]
             self.prediction.add(sample.arrival_ns, sample.missed + 1, self.period)
-            self.recording.pass_on(row.turn.state, command, tick)
-
-
-def _beside(reply: Reply | None) -> dict[str, Any]:
-    """Return what a reply said beside the joints, as fields of the Tick."""
-    if reply is None or reply.beside is None:
-        return {}
-    beside = reply.beside
-    return {
-        "q_ext_sent": beside.q_ext,
-        "rapid_data_sent": beside.rapid_data,
-        "rapid_digital_sent": beside.rapid_digital,
-    }
+            self.recording.publish(state, command, tick)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +14,10 @@ from armlab.robots import Robot
 from armlab.state import Command
 from armlab.wire.egm.axes import Linkage
 
-__all__ = ["causes", "entry_refusal", "kept", "numbers", "refusal", "wanted"]
+__all__ = ["entry_refusal", "joint_name", "jump_refusal", "kept", "numbers", "refusal", "wanted"]
+
+JointName = Callable[[int], str]
+"""Name of a joint by its index, from 0."""
 
 _DOUBLE = np.dtype(np.float64)
 _REAL = "f", "i", "u"  # kinds of numbers; of others a conversion would make some
@@ -21,23 +25,21 @@ _NUMBERS = "q", "qd", "tau", "q_ext", "rapid_data"
 
 
 def wanted(command: Command, robot: Robot) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
-    """Return the position, velocity and torque (n,) that a command asks for, None for what it does not.
-
-    Raises
-    ------
-    CommandRefused : not a Command, wrong shape, or no numbers.
-    """
+    """Return the position, velocity and torque (n,) that a command asks for, None for what it does not."""
     if not isinstance(command, Command):
         raise CommandRefused(
             f"Expected the controller to return a Command or None, got {type(command).__name__}. "
             "Write Command(q) for positions, Command(qd=...) for velocities."
         )
-    return _vector("q", command.q, robot), _vector("qd", command.qd, robot), _vector("tau", command.tau, robot)
+    q, qd, tau = command.q, command.qd, command.tau
+    return (
+        None if q is None else _vector("q", q, robot),
+        None if qd is None else _vector("qd", qd, robot),
+        None if tau is None else _vector("tau", tau, robot),
+    )
 
 
-def _vector(name: str, values: Any, robot: Robot) -> np.ndarray | None:
-    if values is None:
-        return None
+def _vector(name: str, values: Any, robot: Robot) -> np.ndarray:
     if type(values) is np.ndarray and values.dtype == _DOUBLE and values.shape == (robot.n,):
         return np.ascontiguousarray(values)
     try:
@@ -55,12 +57,7 @@ def _vector(name: str, values: Any, robot: Robot) -> np.ndarray | None:
 
 
 def numbers(values: Any) -> np.ndarray:
-    """Return what a controller gave as an array of real numbers.
-
-    Raises
-    ------
-    Exception : any that NumPy or the values raise. TypeError : texts, truth values, complex numbers or objects.
-    """
+    """Return what a controller gave as an array of real numbers."""
     array = np.asarray(values)
     if array.dtype.kind not in _REAL:
         raise TypeError(f"of type {array.dtype}")
@@ -82,27 +79,35 @@ def _copied(values: Any) -> Any:
 
 
 def refusal(refused: int, q: np.ndarray | None, qd: np.ndarray | None, sent: np.ndarray, robot: Robot) -> str:
-    """Return the sentence for a reference that the limits refused.
-
-    refused : i when joint i (from 1) is not finite, -i when it jumps. q, qd : asked for. sent : (n,) position before.
-    """
+    """Return the sentence for a reference that the limits refused."""
     i = abs(refused) - 1
-    joint, axes = f"joint {i + 1} ({robot.joint_names[i]})", axes_of(robot)
+    joint, axes = joint_name(robot, i), axes_of(robot)
     if refused > 0 or q is None:  # only a position can jump
         got = ", ".join(f"{name} = {values[i]}" for name, values in (("q", q), ("qd", qd)) if values is not None)
         return f"Expected finite numbers in the Command, got {got} for {joint}. NaN never goes to a robot."
-    before, asked = axes(sent)[i], axes(q)[i]
+    return _jumped(axes(q), axes(sent), i, robot, joint)
+
+
+def jump_refusal(q: np.ndarray, sent: np.ndarray, jump: np.ndarray, robot: Robot, name: JointName) -> str:
+    """Return the sentence for a position (n,) further than `jump` (n,) from the last one sent, "" when it is near."""
+    axes = axes_of(robot)
+    q, sent = axes(q), axes(sent)
+    excess = np.abs(q - sent) - jump
+    i = int(np.argmax(excess))
+    return _jumped(q, sent, i, robot, name(i)) if excess[i] > 0.0 else ""
+
+
+def _jumped(q: np.ndarray, sent: np.ndarray, i: int, robot: Robot, joint: str) -> str:
     return (
-        f"Expected a position near the last one sent, {before:.4f}, for {joint}, got {asked:.4f}: a jump of "
-        f"{abs(asked - before):.4f}. Move there gradually. {causes(robot)}"
+        f"Expected a position near the last one sent, {sent[i]:.4f}, for {joint} of {robot.name}, got {q[i]:.4f}: a "
+        f"jump of {abs(q[i] - sent[i]):.4f}. Move there gradually. {causes(robot)}"
     )
 
 
-def entry_refusal(q: np.ndarray, held: np.ndarray, entry: np.ndarray, robot: Robot) -> str:
-    """Return the sentence for a first position too far from where the arm holds, "" when it is near enough.
-
-    q : (n,) asked for. held : (n,) where the arm holds. entry : (n,) distance allowed. robot : names the joints.
-    """
+def entry_refusal(
+    q: np.ndarray, held: np.ndarray, entry: np.ndarray, robot: Robot, name: JointName | None = None
+) -> str:
+    """Return the sentence for a first position too far from where the arm holds, "" when it is near enough."""
     axes = axes_of(robot)
     q, held = axes(q), axes(held)
     distance = np.abs(q - held)
@@ -110,10 +115,20 @@ def entry_refusal(q: np.ndarray, held: np.ndarray, entry: np.ndarray, robot: Rob
     if not far.any():
         return ""
     i = int(np.argmax(np.where(far, distance / entry, 0.0)))
+    joint = joint_name(robot, i) if name is None else name(i)
     return (
-        f"Expected the first position within {entry[i]:g} of where the arm holds, got {q[i]:.4f} for joint {i + 1} "
-        f"({robot.joint_names[i]}), which holds at {held[i]:.4f}. Begin at state.q_start. {causes(robot)}"
+        f"Expected the first position within {entry[i]:g} of where the arm holds, got {q[i]:.4f} for {joint} of "
+        f"{robot.name}, which holds at {held[i]:.4f}. Begin there. {causes(robot)}"
     )
+
+
+def joint_name(robot: Robot, i: int, first: int | None = None, by_axis: bool = False) -> str:
+    """Return what a client calls joint i (from 0), with its place in what was sent."""
+    if first is not None:
+        return f"{robot.ros_joint_names[i]} (number {first + i + 1} of the message)"
+    if by_axis:
+        return f"{robot.joint_names[i]} (number {robot.abb_axes[i]} of the vector)"
+    return f"joint {i + 1} ({robot.joint_names[i]})"
 
 
 def causes(robot: Robot) -> str:

@@ -1,4 +1,4 @@
-"""`Aside`: the part of a command that is not for the joints: external axes within their limits, values for RAPID."""
+"""`ExternalReferences`: the part of a command for external axes, within their limits, and for RAPID."""
 
 from __future__ import annotations
 
@@ -13,20 +13,18 @@ from armlab.errors import CommandRefused
 from armlab.state import Command
 from armlab.wire.egm import Beside, Packet
 
-__all__ = ["Aside", "joined"]
+__all__ = ["ExternalReferences", "joined"]
 
 _MOST_DATA = 40  # numbers that EgmRAPIDdata holds
 _OUTSIDE, _STEP, _FASTER = 0.1, 0.02, 2.0  # as those of the joints, see `feedback`
 _KNOWS_DATA = "7"  # RobotWare
 
 
-class Aside:
+class ExternalReferences:
     """References of the external axes beyond the robot's joints, and what goes to RAPID, packet by packet.
 
     External axes are asked for by the first `Command.q_ext` of a session. From then on each reply says where they
     shall be: a controller without a new reference keeps the last one, speed included. Values for RAPID go out once.
-
-    limits : of the external axes, None where commands to them are refused. capabilities : of the codec.
     """
 
     def __init__(self, limits: Limits | None, capabilities: frozenset[str]) -> None:
@@ -58,10 +56,7 @@ class Aside:
         self._q: np.ndarray | None = None
 
     def observe(self, packet: Packet, dt: float) -> str:
-        """Check the feedback of a packet: only a plausible one is ever a reference. Return the first problem in a row.
-
-        packet : the newest. dt : seconds since the packet before.
-        """
+        """Check the feedback: only a plausible one is ever a reference. Return the first problem in a row."""
         limits, q = self._limits, packet.q_ext
         if limits is None or q.shape != limits.q_min.shape:
             return ""
@@ -95,14 +90,9 @@ class Aside:
         return Beside(reply.q, reply.qd)
 
     def follow(self, command: Command, packet: Packet, dt: float, longest: float) -> Beside | None:
-        """Return what goes with the reply to a command.
-
-        Raises
-        ------
-        CommandRefused : values of another shape, no numbers, a jump, no limits, or a robot that cannot take them.
-        """
+        """Return what goes with the reply to a command."""
         if command.rapid_data is None and command.rapid_digital is None and command.q_ext is None:
-            return self.hold(dt, longest)
+            return self.hold(dt, longest) if self._moves else None
         data = self._data(command, packet)
         q_ext = command.q_ext
         moved = self.hold(dt, longest) if q_ext is None else self._moved(q_ext, packet, dt, longest)
@@ -177,10 +167,7 @@ class Aside:
 
 
 def joined(reply: Reply, beside: Beside | None) -> Reply:
-    """Return a reply for the joints with what goes beside.
-
-    reply : for the joints. beside : None for nothing.
-    """
+    """Return a reply for the joints with what goes beside."""
     return reply if beside is None else reply._replace(beside=beside)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from armlab.bridge.control.limits import Limits, Reply, axes_of
 from armlab.robots import Robot
 from armlab.wire.egm import Packet
+from armlab.wire.egm.axes import Linkage
 
 __all__ = [
     "FeedbackCheck",
@@ -37,12 +38,10 @@ class FeedbackCheck:
 
     A frozen feedback is found by the reference that moves away from it. On a robot whose axes are not its joints all
     of this is about the axes.
-
-    q : (n,) last plausible feedback of the session, None before. confirmed : three in a row were plausible.
     """
 
     def __init__(self, robot: Robot, limits: Limits) -> None:
-        self._robot, self._axes = robot, axes_of(robot)
+        self._robot, self._linkage = robot, Linkage.of(robot)
         self._allowed = limits.jump if limits.following_error is None else limits.following_error
         self.begin()
 
@@ -56,24 +55,20 @@ class FeedbackCheck:
         self._guided, self._ramps, self._fastest = 0.0, True, np.zeros(self._robot.n)
 
     def check(self, q: np.ndarray, dt: float, sent: Reply | None) -> str:
-        """Return why a feedback is not plausible, "" when it is.
-
-        q : (n,) feedback. dt : seconds since the packet before. sent : the reference that the robot follows, None
-            while it follows none.
-        """
+        """Return why a feedback is not plausible, "" when it is."""
         self._since += dt
-        same = self._newest is not None and np.array_equal(q, self._newest)
+        same = self._newest is not None and q.tobytes() == self._newest.tobytes()
         self._frozen = self._frozen + dt if same else 0.0
         self._newest = q
         if sent is None:
             self._guided, self._ramps, self._fastest = 0.0, True, np.zeros(self._robot.n)
         self._guided += dt
-        problem = (
-            outside_range(q, self._robot) or self._too_fast(q) or ("" if sent is None else self._apart(q, dt, sent))
-        )
+        axes = q if self._linkage is None else self._linkage.axes(q)
+        outside = _outside_range(axes, self._robot)
+        problem = outside or self._too_fast(axes) or ("" if sent is None else self._apart(axes, dt, sent))
         if problem:
             self.plausible, self.implausible = 0, self.implausible + 1.0
-            if not self.confirmed and not outside_range(q, self._robot):
+            if not self.confirmed and not outside:
                 self.q, self._since = q, 0.0  # of two first ones that contradict each other neither is believed
         else:
             self.plausible, self.implausible = self.plausible + 1, max(0.0, self.implausible - _TAKES_OFF)
@@ -84,9 +79,9 @@ class FeedbackCheck:
     def _too_fast(self, q: np.ndarray) -> str:
         if self.q is None:
             return ""
-        q, before = self._axes(q), self._axes(self.q)
+        before = self.q if self._linkage is None else self._linkage.axes(self.q)
         excess = np.abs(q - before) - (_STEP + _FASTER * self._robot.qd_max * self._since)
-        i = int(np.argmax(excess))
+        i = int(excess.argmax())
         if excess[i] <= 0.0:
             return ""
         return (
@@ -95,7 +90,9 @@ class FeedbackCheck:
         )
 
     def _apart(self, q: np.ndarray, dt: float, sent: Reply) -> str:
-        q, reference, speed = self._axes(q), self._axes(sent.q), self._axes(sent.qd)
+        reference, speed = sent.q, sent.qd
+        if self._linkage is not None:
+            reference, speed = self._linkage.axes(reference), self._linkage.axes(speed)
         error = np.abs(reference - q)
         kept = 1.0 if self._ramps else max(0.0, 1.0 - dt / _CATCHES_UP)
         self._fastest = np.maximum(kept * self._fastest, np.abs(speed))
@@ -104,7 +101,7 @@ class FeedbackCheck:
             self._ramps = False
         if self._ramps:
             allowed = self._allowed + _RAMP_LAG * self._fastest
-        i = int(np.argmax(error - allowed))
+        i = int((error - allowed).argmax())
         if error[i] <= allowed[i]:
             return ""
         if self._frozen > _FROZEN:
@@ -122,9 +119,12 @@ class FeedbackCheck:
 
 def outside_range(q: np.ndarray, robot: Robot) -> str:
     """Return the sentence for feedback (n,) far outside the range of a joint, "" when there is none."""
-    q = axes_of(robot)(q)
+    return _outside_range(axes_of(robot)(q), robot)
+
+
+def _outside_range(q: np.ndarray, robot: Robot) -> str:
     outside = np.maximum(robot.q_min - q, q - robot.q_max)
-    i = int(np.argmax(outside))
+    i = int(outside.argmax())
     if outside[i] <= _OUTSIDE:
         return ""
     return (
@@ -156,10 +156,7 @@ def not_ready_reason(motors: int, rapid: int, mci: int) -> str:
 
 
 class Readiness:
-    """The states of the newest packets; one or two packets without a state do not end a motion.
-
-    is_unknown : packets without a state have followed a robot that was ready.
-    """
+    """The states of the newest packets; one or two packets without a state do not end a motion."""
 
     def __init__(self) -> None:
         self.begin()
@@ -175,7 +172,8 @@ class Readiness:
         self._absent = self._absent + 1 if absent else 0
         if self._absent in range(1, _ABSENT):
             return not_ready_reason(packet.motors or self._motors, packet.rapid, packet.mci or self._mci)
-        was_ready = not not_ready_reason(self._motors, packet.rapid, self._mci)
-        self.is_unknown = absent and (self.is_unknown or was_ready)
+        self.is_unknown = absent and (
+            self.is_unknown or not not_ready_reason(self._motors, packet.rapid, self._mci)  # it was ready before
+        )
         self._motors, self._mci = packet.motors, packet.mci
         return not_ready_reason(packet.motors, packet.rapid, packet.mci)

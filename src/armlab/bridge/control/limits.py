@@ -14,7 +14,10 @@ from armlab.robots import Robot
 from armlab.wire.egm import Beside
 from armlab.wire.egm.axes import Linkage
 
-__all__ = ["Limiter", "Limits", "LinkedLimiter", "Reply", "axes_of", "limiter_of"]
+__all__ = ["ENTRY", "Limiter", "Limits", "LinkedLimiter", "Reply", "axes_of", "limiter_of"]
+
+ENTRY = 0.05
+"""How far the first position may be from where the arm holds, when nothing else is said [rad or m]."""
 
 _TORQUE_RISE = 0.1  # s from no torque to the largest
 _SPEED_RISE = 0.1  # s from rest to full speed, of axes of which no acceleration is known
@@ -26,7 +29,8 @@ class Limits:
 
     Attributes
     ----------
-    q_min, q_max : positions [rad or m]. qd_max, qdd_max : speed and acceleration.
+    q_min, q_max : positions [rad or m].
+    qd_max, qdd_max : speed and acceleration.
     jump : how far a position may be from the last one sent, besides ``qd_max dt``.
     entry : how far the first position may be from where the arm holds; no further than `jump`.
     tau_max, tau_rate : torque [N m or N] and its change per second; None where torques are refused.
@@ -85,7 +89,7 @@ class Limits:
         *,
         margin: float = 0.01,
         speed: float = 1.0,
-        entry: float = 0.05,
+        entry: float = ENTRY,
         tau_max: float | np.ndarray | None = None,
         external: Limits | None = None,
         following_error: float | np.ndarray | None = None,
@@ -101,7 +105,8 @@ class Limits:
         tau_max : torque limits, one or (n,); the robot's own by default, none where it has none. The full torque is
             reached in 0.1 s at the earliest.
         external : of external axes, see `of_axes`.
-        following_error : one or (n,) [rad or m]; by default 0.1 rad, of prismatic joints 0.02 m. lag : see `Limits`.
+        following_error : one or (n,) [rad or m]; by default 0.1 rad, of prismatic joints 0.02 m.
+        lag : see `Limits`.
 
         Raises
         ------
@@ -133,26 +138,19 @@ class Limits:
 
         Parameters
         ----------
-        q_min, q_max : (k,) positions [rad or m]. qd_max : (k,) speed.
+        q_min, q_max : (k,) positions [rad or m].
+        qd_max : (k,) speed.
 
         Raises
         ------
         ConfigError : as `Limits`.
         """
         low, high, fastest = (np.asarray(values, dtype=np.float64) for values in (q_min, q_max, qd_max))
-        return cls(low, high, fastest, fastest / _SPEED_RISE, np.full(low.shape, 0.1), np.full(low.shape, 0.05))
+        return cls(low, high, fastest, fastest / _SPEED_RISE, np.full(low.shape, 0.1), np.full(low.shape, ENTRY))
 
 
 class Reply(NamedTuple):
-    """One reference after the limits.
-
-    q, qd : (n,) position and speed to send.
-    clamped : (n,) bits 1 position, 2 velocity, 4 acceleration, 8 braking, 16 torque, 32 torque rate.
-    ratio : of the velocity limit, 1 when it did not act.
-    refused : 0, or i when joint i (from 1) is not finite, -i when it jumps; the reply then holds.
-    tau : (n,) torque to send or None. free : the torque takes the place of the position loop.
-    beside : what goes to external axes and RAPID, None for nothing.
-    """
+    """One reference after the limits."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -165,10 +163,7 @@ class Reply(NamedTuple):
 
 
 class Limiter:
-    """The last reference sent, and the next one within the limits (law: `kernels.limit_reference`).
-
-    limits : see `Limits`. reach : range of the robot (n,), to which a position at rest is clipped.
-    """
+    """The last reference sent, and the next one within the limits (law: `kernels.limit_reference`)."""
 
     def __init__(self, limits: Limits, reach: tuple[Any, Any] = (-np.inf, np.inf)) -> None:
         self._reach = reach
@@ -176,62 +171,46 @@ class Limiter:
         self._lag = limits.lag
         self._none = np.zeros(len(limits.q_min), dtype=np.uint8)
         self._none.flags.writeable = False
-        self._sent = np.zeros((3, len(limits.q_min)))
-        self._asked: np.ndarray | None = None
+        self.memory: tuple[np.ndarray, np.ndarray | None] = np.zeros((3, len(limits.q_min))), None
 
     @property
     def q(self) -> np.ndarray:
         """(n,) position sent last."""
-        return self._sent[0]
-
-    @property
-    def memory(self) -> tuple[np.ndarray, np.ndarray | None]:
-        """State on which the next reference depends. Restore it when the last one did not go out."""
-        return self._sent, self._asked
-
-    @memory.setter
-    def memory(self, memory: tuple[np.ndarray, np.ndarray | None]) -> None:
-        """Go on from what it was."""
-        self._sent, self._asked = memory
+        return self.memory[0][0]
 
     @property
     def at_rest(self) -> bool:
         """Whether the last reference stood still."""
-        return not self._sent[1:].any()
+        return not self.memory[0][1:].any()
 
     def rest(self, q: np.ndarray) -> Reply:
         """Stand still at `q` (n,), wherever the last reference was: for an arm that does not follow references."""
         q = np.minimum(np.maximum(q, self._reach[0]), self._reach[1])
-        self._sent = np.stack((q, np.zeros_like(q), np.zeros_like(q)))
-        self._sent.flags.writeable = False
-        self._asked = None
-        return Reply(self._sent[0], self._sent[1], self._none)
+        sent = np.stack((q, np.zeros_like(q), np.zeros_like(q)))
+        sent.flags.writeable = False
+        self.memory = sent, None
+        return Reply(sent[0], sent[1], self._none)
 
     def follow(self, q: np.ndarray, qd: np.ndarray) -> Reply:
         """Go along with an arm that moves freely: the next reference begins at its `q` and `qd` (n,)."""
-        self._sent = np.stack((q, qd, qd))
-        self._sent.flags.writeable = False
-        self._asked = None
-        return Reply(self._sent[0], self._sent[2], self._none, free=True)
+        sent = np.stack((q, qd, qd))
+        sent.flags.writeable = False
+        self.memory = sent, None
+        return Reply(sent[0], sent[2], self._none, free=True)
 
     def hold(self, dt: float, longest: float = np.inf) -> Reply:
         """Come to rest within the acceleration limits, then stay; see `step`."""
         return self.step(None, None, dt, longest)
 
     def step(self, q: np.ndarray | None, qd: np.ndarray | None, dt: float, longest: float = np.inf) -> Reply:
-        """Return the reference for a position `q` (n,), a velocity `qd` (n,), both, or neither (hold).
-
-        q, qd : references or None. dt : measured time since the last reference that went out [s].
-        longest : time within which a reference may move on [s]: after a longer gap it moves no further, unless that
-            would brake too hard.
-        """
+        """Return the reference for a position `q` (n,), a velocity `qd` (n,), both, or neither (hold)."""
         bounds = self._bounds
         if dt > longest:
             bounds = bounds.copy()
             bounds[2] *= longest / dt
-        sent, clamped, ratio, refused = kernels.limit_reference(self._sent, bounds, dt, q, self._asked, qd, self._lag)
-        self._sent = sent
-        self._asked = None if q is None or refused else q.copy()
+        before, asked = self.memory
+        sent, clamped, ratio, refused = kernels.limit_reference(before, bounds, dt, q, asked, qd, self._lag)
+        self.memory = sent, None if q is None or refused else q.copy()
         return Reply(sent[0], sent[2], clamped, ratio, refused)
 
 
@@ -262,23 +241,13 @@ class LinkedLimiter(Limiter):
 
 
 def limiter_of(limits: Limits, robot: Robot) -> Limiter:
-    """Return the limiter of a robot: of its joints, or of its axes where they differ.
-
-    Raises
-    ------
-    RobotError : see `Linkage.of`.
-    """
+    """Return the limiter of a robot: of its joints, or of its axes where they differ."""
     linkage, reach = Linkage.of(robot), (robot.q_min, robot.q_max)
     return Limiter(limits, reach) if linkage is None else LinkedLimiter(limits, linkage, reach)
 
 
 def axes_of(robot: Robot) -> Callable[[np.ndarray], np.ndarray]:
-    """Return what makes positions (n,) of a robot's joints those that its limits are about: of ABB's axes.
-
-    Raises
-    ------
-    RobotError : see `Linkage.of`.
-    """
+    """Return what makes positions (n,) of a robot's joints those that its limits are about: of ABB's axes."""
     linkage = Linkage.of(robot)
     return _same if linkage is None else linkage.axes
 

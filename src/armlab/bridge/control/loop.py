@@ -12,18 +12,18 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from mmap import mmap
-from typing import Any, Protocol
+from operator import attrgetter
+from typing import Any
 
-from armlab.bridge.control.arm import Arm, PendingPacket
+from armlab.bridge.control.arm import ArmSession, PendingPacket
 from armlab.bridge.control.multi_arm import merge_states, split_command
-from armlab.bridge.control.realtime import Lateness, collect_if_due
+from armlab.bridge.control.realtime import Lateness, Waiting, collect_if_due
 from armlab.bridge.control.state_machine import Mode
 from armlab.bridge.control.supervision import Settings
-from armlab.bridge.net.sockets import Arrival
 from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, LinkError
 from armlab.state import Command, State
 
-__all__ = ["Controller", "Loop", "Packets"]
+__all__ = ["Controller", "Loop"]
 
 Controller = Callable[[State], Command | Sequence[Command | None] | None]
 """What decides: called with each state, returns a command or None for hold; with several arms also one per arm."""
@@ -37,32 +37,20 @@ _SPARE = 1_000_000  # ns to the next packet that leave time to collect garbage
 _PROGRESS = 0.1  # s between two calls of progress
 _STALE_PERIODS, _STALE = 3.0, 0.02  # an arm unheard for longer, the larger of the two, holds the others
 _SERVES = 2.5  # periods of the pacing arm for which a command serves another arm
+_elapsed = attrgetter("machine.elapsed")  # robot time while an arm was ready [s]
 _RESERVE = 2**24  # bytes, given back by what ends the run: to bring the arms to rest and to tell why needs some
 
 
-class Packets(Protocol):
-    """Where packets come from: `Waiting`."""
-
-    def next(self, seconds: float) -> tuple[int, Arrival] | None:
-        """Return the next datagram with the index of its arm, or None when none came in the time."""
-        ...
-
-
 class Loop:
-    """Runs the arms of a link until all have ended.
-
-    Parameters
-    ----------
-    arms : see `Arm`. waiting : gives their packets, see `Packets`. controller : see `Controller`; None listens only.
-    settings : see `Settings`. pace : index of the arm on whose packets the controller is called.
-
-    Attributes
-    ----------
-    reason, failure : why the run ended. interrupted : set it to stop.
-    """
+    """Runs the arms of a link until all have ended."""
 
     def __init__(
-        self, arms: Sequence[Arm], waiting: Packets, controller: Controller | None, settings: Settings, pace: int = 0
+        self,
+        arms: Sequence[ArmSession],
+        waiting: Waiting,
+        controller: Controller | None,
+        settings: Settings,
+        pace: int = 0,
     ) -> None:
         self._arms, self._pace, self._waiting = tuple(arms), arms[pace], waiting
         self._others = tuple(arm for arm in arms if arm is not self._pace)
@@ -78,20 +66,15 @@ class Loop:
         self._looked_ns = time.monotonic_ns()
         self._sessions: tuple[int, ...] = ()
         self._t0 = 0.0
-        # Shared with the guard. `_calling` becomes False only under the lock, `_turn` does not change while it is True.
+        # Shared with the guard. `_calling` becomes False only under the lock; `_pending` stays while it is True.
         self._calling = self._taken = self._told = False
         self._called_ns, self._deadline_ns = 0, 0.0
-        self._turn: PendingPacket | None = None
-
-    @property
-    def elapsed(self) -> float:
-        """Robot time while all arms were ready [s]."""
-        return min(arm.guide.elapsed for arm in self._arms)
+        self._pending: PendingPacket | None = None
 
     @property
     def failure(self) -> LinkError | None:
         """What `run` of the link raises."""
-        return next((arm.guide.failure for arm in self._arms if arm.guide.failure is not None), None)
+        return next((arm.machine.failure for arm in self._arms if arm.machine.failure is not None), None)
 
     def interrupt(self) -> None:
         """Stop at the next packet; the second time, or to break off a call that hangs, raise KeyboardInterrupt."""
@@ -105,12 +88,7 @@ class Loop:
         return self._calling and time.monotonic_ns() - self._called_ns > _HANGS
 
     def run(self) -> None:
-        """Run until every guide has ended.
-
-        Raises
-        ------
-        LinkError : there is no memory to set aside for the end.
-        """
+        """Run until every machine has ended."""
         try:
             self._reserve = mmap(-1, _RESERVE)
         except OSError as error:
@@ -142,27 +120,29 @@ class Loop:
         failure = _broken(error)
         with suppress(Exception):  # the arms come to rest, whoever cannot be told
             self._stop("the bridge failed", failure)
-        self._pace.guide.failure = self.failure or failure  # also when the arms were to stop already
+        self._pace.machine.failure = self.failure or failure  # also when the arms were to stop already
         with suppress(Exception):
             self._pace.recording.event(str(failure), warn=True)
 
     def cycle(self) -> None:
         """Wait for one packet, answer it, record it."""
         found = self._waiting.next(_LOOK)
-        turn = asked = None
+        pending = asked = None
         with self._lock:
             if found is not None:
                 arm = self._arms[found[0]]
-                turn = arm.take(found[1])
-                if turn is not None and arm is self._pace and self._may_ask(turn):
-                    asked = turn
-                    self._serve_others()
-                elif turn is not None:
-                    self._answer(arm, turn)
+                pending = arm.receive(found[1])
+                if pending is not None and arm is self._pace and self._may_ask(pending):
+                    asked = pending
+                    if self._others:
+                        self._serve_others()
+                elif pending is not None:
+                    self._answer(arm, pending)
         if asked is not None:
             self._call(asked)
-        self._record()
-        self._look(turn is None)
+        for arm in self._arms:
+            arm.record()
+        self._look(pending is None)
         self._after()
 
     def overdue(self) -> float:
@@ -186,10 +166,10 @@ class Loop:
 
     def _hold_for_controller(self) -> None:
         pace = self._pace
-        turn = pace.take(pace.port.receive(), None if self._taken else self._turn)
+        pending = pace.receive(pace.port.receive(), None if self._taken else self._pending)
         self._taken = True
-        if turn is not None:
-            pace.reply(turn, None, pace.guide.hold(pace.period), late=True)
+        if pending is not None:
+            pace.reply(pending, None, pace.machine.hold(pace.period), late=True)
         self._serve_others()
         if self._hangs and not self._told:
             self._told = True
@@ -201,41 +181,41 @@ class Loop:
         for arm in self._arms:
             arm.record()
 
-    def _may_ask(self, turn: PendingPacket) -> bool:
+    def _may_ask(self, pending: PendingPacket) -> bool:
         """Whether the controller is called for this packet: all arms are ready and nothing that it needs is stale."""
         for arm in self._arms:
             if not arm.may_call:
                 return False
         for arm in () if self._in_lockstep else self._others:
             longest = max(_STALE_PERIODS * arm.period, _STALE)
-            if arm.newest is None or turn.sample.arrival_ns - arm.newest.sample.arrival_ns > 1e9 * longest:
+            if arm.newest is None or pending.sample.arrival_ns - arm.newest.sample.arrival_ns > 1e9 * longest:
                 return False
         return True
 
-    def _answer(self, arm: Arm, turn: PendingPacket) -> None:
+    def _answer(self, arm: ArmSession, pending: PendingPacket) -> None:
         """Answer without the controller: with the newest command for an arm that does not pace, else hold."""
         command = None
         if arm is self._pace:
             for other in self._others:
-                other.give(None)
+                other.set_command(None)
         elif all(one.may_call for one in self._arms):
-            command = arm.given(turn.sample, _SERVES * self._pace.period)
-        arm.reply(turn, command, arm.guide.answer(command, arm.period))
+            command = arm.kept_command(pending.sample, _SERVES * self._pace.period)
+        arm.reply(pending, command, arm.machine.answer(command, arm.period))
 
     def _serve_others(self) -> None:
         for arm in self._others:
-            turn = arm.take(arm.port.receive())
-            if turn is not None:
-                self._answer(arm, turn)
+            pending = arm.receive(arm.port.receive())
+            if pending is not None:
+                self._answer(arm, pending)
 
-    def _call(self, turn: PendingPacket) -> None:
+    def _call(self, pending: PendingPacket) -> None:
         """Ask the controller and answer; when the guard has answered meanwhile, the result is discarded."""
         pace, controller, period_ns = self._pace, self._controller, 1e9 * self._pace.period
-        state = self._state(turn)
+        state = self._state(pending) if self._others else pending.state
         asked, failure = None, None
-        self._turn, self._taken = turn, False
+        self._pending, self._taken = pending, False
         start = self._called_ns = time.monotonic_ns()
-        self._deadline_ns = max(pace.deadline(turn.sample), start + _GRACE * period_ns)
+        self._deadline_ns = max(pace.deadline(pending.sample), start + _GRACE * period_ns)
         self._calling = True
         try:
             asked = controller(state) if controller is not None else None
@@ -255,37 +235,35 @@ class Loop:
             if failure is not None:
                 self._stop("the controller failed", failure)
             if not self._taken:
-                self._obey(turn, asked, call_ns)
+                self._obey(pending, asked, call_ns)
             self._judge(call_ns, period_ns)
 
-    def _state(self, turn: PendingPacket) -> State:
-        """Return what the controller sees: the state of the one arm, or all of them fused."""
-        if not self._others:
-            return turn.state
-        turns = [arm.newest or turn for arm in self._arms]
-        sessions = tuple(one.sample.session for one in turns)
+    def _state(self, pending: PendingPacket) -> State:
+        """Return the states of all arms as one."""
+        pendings = [arm.newest or pending for arm in self._arms]
+        sessions = tuple(one.sample.session for one in pendings)
         if sessions != self._sessions:
-            self._sessions, self._t0 = sessions, turn.state.t
-        now_ns = self._pace.stamp(turn.sample)
-        ages = [1e-9 * (now_ns - arm.stamp(one.sample)) for arm, one in zip(self._arms, turns, strict=True)]
-        return merge_states([one.state for one in turns], ages, self._pace_index, turn.state.t - self._t0)
+            self._sessions, self._t0 = sessions, pending.state.t
+        now_ns = self._pace.stamp(pending.sample)
+        ages = [1e-9 * (now_ns - arm.stamp(one.sample)) for arm, one in zip(self._arms, pendings, strict=True)]
+        return merge_states([one.state for one in pendings], ages, self._pace_index, pending.state.t - self._t0)
 
-    def _obey(self, turn: PendingPacket, asked: Any, call_ns: int) -> None:
+    def _obey(self, pending: PendingPacket, asked: Any, call_ns: int) -> None:
         """Answer the newest packet of the pacing arm with what the controller wants, keep the rest for the others."""
         pace = self._pace
         try:
-            commands = split_command(asked, self._robots, self._pace_index)
+            commands = split_command(asked, self._robots, self._pace_index) if self._others else (asked,)
         except CommandRefused as error:
             self._stop("a command was refused", error)
             commands = (None,) * len(self._arms)
-        newest = pace.take(pace.port.receive(), turn) or turn
-        is_same = newest.sample.session == turn.sample.session
+        newest = pace.receive(pace.port.receive(), pending) or pending
+        is_same = newest.sample.session == pending.sample.session
         for arm, command in zip(self._arms, commands, strict=True):
             if arm is pace:
                 command = command if is_same else None
-                pace.reply(newest, command, pace.guide.answer(command, pace.period), call_ns=call_ns)
+                pace.reply(newest, command, pace.machine.answer(command, pace.period), call_ns=call_ns)
             else:
-                arm.give(command if is_same else None)
+                arm.set_command(command if is_same else None)
 
     def _judge(self, call_ns: int, period_ns: float) -> None:
         """Stop when the controller, not the computer, makes too many cycles late."""
@@ -303,11 +281,11 @@ class Loop:
         if now or now_ns - self._looked_ns > 1e9 * _LOOK:
             self._looked_ns = now_ns
             for arm in self._arms:
-                arm.look()
+                arm.check_silence()
 
     def _after(self) -> None:
         """After a reply: interrupts, ends, progress, garbage."""
-        settings, elapsed = self._settings, self.elapsed
+        settings, elapsed = self._settings, min(map(_elapsed, self._arms))
         if self.interrupted:
             self._stop("interrupted")
         if settings.seconds is not None and elapsed >= settings.seconds:
@@ -332,18 +310,18 @@ class Loop:
         """Whether all arms have ended; one that stops or has ended stops the others."""
         ended = True
         for arm in self._arms:
-            mode = arm.guide.mode
+            mode = arm.machine.mode
             if mode is Mode.STOPPING or mode is Mode.ENDED:
-                self._stop(arm.guide.reason)
+                self._stop(arm.machine.reason)
             ended = ended and mode is Mode.ENDED
         return ended
 
     def _stop(self, reason: str, failure: LinkError | None = None) -> None:
         """Bring all arms to rest and end; the first reason stays. The pacing arm carries the failure."""
         self.reason = self.reason or reason
-        self._pace.guide.stop(reason, failure)
+        self._pace.machine.stop(reason, failure)
         for arm in self._others:
-            arm.guide.stop(reason)
+            arm.machine.stop(reason)
 
 
 def _broken(error: Exception) -> LinkError:

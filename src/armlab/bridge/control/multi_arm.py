@@ -21,9 +21,6 @@ def merge_states(states: Sequence[State], ages: Sequence[float], pace: int, t: f
 
     Time, sequence and state numbers are those of the pacing arm. What a fused state cannot say (poses, wrenches) is
     NaN: look into `arms`.
-
-    states : newest of each arm. ages : seconds since each was received. pace : index of the pacing arm.
-    t : seconds since the guidance of all arms began.
     """
     first = states[pace]
     clamped = np.concatenate([state.clamped for state in states])
@@ -75,15 +72,7 @@ def _aged(state: State, age: float) -> State:
 
 
 def split_command(asked: Any, robots: Sequence[Robot], pace: int = 0) -> Sequence[Command | None]:
-    """Return the part of each arm in what a controller returned.
-
-    asked : None, a Command with the joints of all arms one after another, or one Command (or None) per arm. The values
-        to record of a common Command go with the arm that paces. robots : the arms. pace : index of that arm.
-
-    Raises
-    ------
-    CommandRefused : another number of joints or of commands, or something else.
-    """
+    """Return the part of each arm in what a controller returned."""
     if len(robots) == 1:
         return (asked,)
     if asked is None:

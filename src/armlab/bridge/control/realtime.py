@@ -63,7 +63,7 @@ def collect_if_due() -> None:
 
 @contextmanager
 def short_switches() -> Iterator[None]:
-    """Let threads take turns every half millisecond, so that the guard comes in time against a busy controller."""
+    """let threads take turns every half millisecond, so that the guard comes in time against a busy controller."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(min(before, _SWITCH_INTERVAL))
     try:
@@ -74,10 +74,7 @@ def short_switches() -> Iterator[None]:
 
 @contextmanager
 def priority(level: int, on_event: Tell = nobody) -> Iterator[bool]:
-    """Run the calling thread under SCHED_FIFO where that is permitted; what it starts does not inherit that.
-
-    level : 1 to 99. on_event : told once, with the remedy, when it is not permitted.
-    """
+    """Run the calling thread under SCHED_FIFO where that is permitted; what it starts does not inherit that."""
     try:
         before, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(level))
@@ -117,7 +114,7 @@ def interrupts(stop: Callable[[], None]) -> Iterator[None]:
 Wait = Literal["block", "ahead", "spin"]
 """Ways of waiting."""
 
-_AHEAD = 400_000  # ns before the predicted arrival at which rehearsing and polling begin
+_AHEAD = 400_000  # ns before the predicted arrival at which polling begins
 _AFTER = 600_000  # ns after it at which blocking begins
 _LATE_SHARE = 0.02  # of a late arrival that moves the prediction
 _LOST = 5  # periods: a prediction further off than this starts anew
@@ -134,11 +131,7 @@ class Prediction:
         self._period = 0.0
 
     def add(self, arrival_ns: int, periods: int, period: float) -> None:
-        """Take one arrival.
-
-        arrival_ns : kernel stamp on our monotonic clock. periods : cycles since the packet before.
-        period : cycle time of the robot [s].
-        """
+        """Take one arrival."""
         self._period = 1e9 * period
         if self._last is None:
             self._last = float(arrival_ns)
@@ -157,16 +150,11 @@ class Prediction:
 
 
 class Waiting:
-    """Waits for datagrams on the ports of a link.
-
-    ports : where they arrive; each is asked first in turn, so that a flood on one does not shut out the others.
-    rehearse : called with the index of the port shortly before an arrival is predicted there; must change nothing.
-    """
+    """Waits for datagrams on the ports of a link."""
 
     def __init__(self, ports: Sequence[Port], predictions: Sequence[Prediction], mode: Wait) -> None:
         self._ports, self._predictions, self._mode = tuple(enumerate(ports)), predictions, mode
         self._poller, self._numbers = select.poll(), set[int]()
-        self.rehearse: Callable[[int], None] = lambda index: None
 
     def next(self, seconds: float) -> tuple[int, Arrival] | None:
         """Return the next datagram with the index of its port, or None when none came in the time."""
@@ -177,15 +165,13 @@ class Waiting:
         while self._mode != "block":
             now = time.monotonic_ns()
             soonest = self._soonest(now)
-            if soonest is None or soonest[0] + _AFTER >= end:
+            if soonest is None or soonest + _AFTER >= end:
                 break
-            predicted, index = soonest
-            if now < predicted - _AHEAD:
-                found = self._idle(predicted - _AHEAD)
+            if now < soonest - _AHEAD:
+                found = self._idle(soonest - _AHEAD)
                 if found is not None:
                     return found
-                self.rehearse(index)
-            found = self._poll(predicted + _AFTER)
+            found = self._poll(soonest + _AFTER)
             if found is not None:
                 return found
         if self._mode == "spin":
@@ -202,10 +188,10 @@ class Waiting:
                 self._poller.register(number, select.POLLIN)
         return bool(self._poller.poll(milliseconds))
 
-    def _soonest(self, now: int) -> tuple[float, int] | None:
-        """Return the first predicted arrival that is not over, and the index of its port."""
-        times = [(p.next_ns, index) for index, p in enumerate(self._predictions) if p.next_ns is not None]
-        return min(((ns, index) for ns, index in times if now < ns + _AFTER), default=None)
+    def _soonest(self, now: int) -> float | None:
+        """Return the first predicted arrival that is not over."""
+        times = [prediction.next_ns for prediction in self._predictions]
+        return min((ns for ns in times if ns is not None and now < ns + _AFTER), default=None)
 
     def _receive(self) -> tuple[int, Arrival] | None:
         for index, port in self._ports:
@@ -267,11 +253,7 @@ class Lateness:
 
 
 class Guard:
-    """Thread that wakes at the deadline of each cycle and acts only when the loop is overdue.
-
-    overdue : called without a lock; returns the seconds until the loop will be overdue, 0 or less when it is.
-    act : called when it is: answers for the loop.
-    """
+    """Thread that wakes at the deadline of each cycle and acts only when the loop is overdue."""
 
     def __init__(self, overdue: Callable[[], float], act: Callable[[], None]) -> None:
         self._overdue, self._act = overdue, act

@@ -41,10 +41,7 @@ class Feed(Protocol):
 
 
 def paths(record: str | Path | None, robots: Sequence[Robot]) -> list[Path | None]:
-    """Return the file of each arm: the name given, with the side (else the name) of the arm added when several.
-
-    record : ``run.mcap`` becomes ``runleft.mcap`` and ``runright.mcap`` for the arms of a YuMi. None: no files.
-    """
+    """Return the file of each arm: the name given, with the side (else the name) of the arm added when several."""
     if record is None:
         return [None] * len(robots)
     path = Path(record)
@@ -56,14 +53,7 @@ def paths(record: str | Path | None, robots: Sequence[Robot]) -> list[Path | Non
 
 
 class Recording:
-    """Where the rows of an arm go.
-
-    robot : the arm. path : file to write, None keeps the rows in memory. extra : the controller's own columns.
-    attachments : kept in the file. wait : never drop a row (a link in lockstep keeps no real time).
-    clock : stamps of events, wall clock [ns]; 0 while it is not known yet.
-    feeds : told too; a list that the recordings of a run share. label : put before each event when several arms run.
-    path : the file, None without one. events : the last sentences, with their stamps.
-    """
+    """Where the rows of an arm go."""
 
     def __init__(
         self,
@@ -89,12 +79,7 @@ class Recording:
         self._early: list[Callable[[int], None]] = []  # what waits for its stamp
 
     def keep(self, state: State, command: Command | None, tick: Tick) -> Command | None:
-        """Keep one row in memory. Return the command as it could be kept with it, None when it could not be.
-
-        Raises
-        ------
-        MemoryError : the row was not kept.
-        """
+        """Keep one row in memory. Return the command as it could be kept with it, None when it could not be."""
         if self._early:
             self._stamp_early(tick.stamp_ns)
         try:
@@ -120,7 +105,7 @@ class Recording:
             self.event(f"A row was kept without what the controller recorded: {error}", warn=True)
         return command
 
-    def pass_on(self, state: State, command: Command | None, tick: Tick) -> None:
+    def publish(self, state: State, command: Command | None, tick: Tick) -> None:
         """Give a row that was kept to the file and the feeds."""
         if self._recorder is not None and not self._recorder.row(state, command, tick):
             self._tell_stop(self._recorder)
@@ -144,7 +129,8 @@ class Recording:
 
     def catch_up(self) -> None:
         """Keep sentences that waited, since others of their kind had come."""
-        self._limited.due(self._clock())
+        if self._limited.waiting:
+            self._limited.due(self._clock())
 
     def _keep(self, text: str, warn: bool, stamp: int) -> None:
         _logger.log(logging.WARNING if warn else logging.INFO, text)

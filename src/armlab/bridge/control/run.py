@@ -1,18 +1,185 @@
-"""`Run`: what a run left behind, and its report; `statistics` of one arm."""
+"""A run: its arms put together (`assemble`), and what it left behind (`finished`, `Run`, `statistics`)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from armlab.bridge.control.arm import Arm
-from armlab.bridge.control.recording import Recording
-from armlab.log import Table
+import numpy as np
 
-__all__ = ["Run", "served", "statistics", "together"]
+from armlab.bridge.control.arm import ArmSession
+from armlab.bridge.control.limits import Limits
+from armlab.bridge.control.recording import Feed, Recording, paths
+from armlab.bridge.control.session import Session
+from armlab.bridge.control.state_machine import StateMachine
+from armlab.bridge.control.supervision import Settings
+from armlab.bridge.control.torque import Admittance
+from armlab.bridge.inputs.fusion import Fusion
+from armlab.bridge.inputs.parameters import Change
+from armlab.bridge.inputs.sources import Source, check_source
+from armlab.bridge.net.events import nobody
+from armlab.bridge.net.sockets import Port
+from armlab.errors import ConfigError
+from armlab.log import Column, Table
+from armlab.robots import Robot
+from armlab.wire.egm import Codec
+
+__all__ = ["End", "Run", "assemble", "checked_limits", "finished", "served", "statistics", "together"]
+
+_SILENCE = 0.5  # s that end a session
+
+
+class End(NamedTuple):
+    """The port and codec of an arm; `admittance` makes velocities of torques, None where they are sent or refused."""
+
+    robot: Robot
+    port: Port
+    codec: Codec
+    admittance: Admittance | None = None
+
+
+def checked_limits(
+    limits: Limits | Sequence[Limits] | None, robots: Sequence[Robot], commands: bool = True
+) -> list[Limits]:
+    """Return the limits of each arm."""
+    given: list[Any] = [Limits.of(robot) for robot in robots]
+    if limits is not None:
+        given = list(limits) if isinstance(limits, list | tuple) else [limits]
+    for one in given:
+        if not isinstance(one, Limits):
+            raise ConfigError(f"Expected Limits, or one per arm in a list, got {one!r}. Use Limits.of(robot).")
+    if len(given) != len(robots):
+        names = ", ".join(robot.name for robot in robots)
+        raise ConfigError(f"Expected Limits for each of {names}, got {len(given)}. Use Limits.of(robot) for each.")
+    for one, robot in zip(given, robots, strict=True):
+        if len(one.q_min) != robot.n:
+            raise ConfigError(
+                f"Expected limits for the {robot.n} joints of {robot.name}, got {len(one.q_min)}. Use Limits.of(robot)."
+            )
+        if commands and not np.isfinite([one.qd_max, one.qdd_max, one.jump]).all():
+            raise ConfigError(
+                f"Expected limits on speed and acceleration of each joint of {robot.name}, got qd_max = {one.qd_max} "
+                f"and qdd_max = {one.qdd_max}: any jump would pass. Write them in the robot's file, or give `limits`."
+            )
+    return given
+
+
+def assemble(
+    ends: Sequence[End],
+    limits: Sequence[Limits],
+    settings: Settings,
+    *,
+    commands: bool,
+    answer_stream: bool,
+    record: str | Path | None,
+    extra: Mapping[str, Column] | None,
+    attachments: Mapping[str, bytes],
+    feeds: Sequence[Feed],
+    sources: Sequence[Source],
+) -> list[ArmSession]:
+    """Return the arms of one run, on one clock."""
+    wall_ns = time.time_ns() - time.monotonic_ns()
+    told = list(feeds)  # one list: a feed that fails is dropped for all arms
+    columns = {**Fusion(sources).columns, **_columns(extra)}
+    for source in sources:
+        check_source(source, [end.robot for end in ends])
+    files = paths(record, [end.robot for end in ends])
+    arms: list[ArmSession] = []
+    try:
+        for end, one, file in zip(ends, limits, files, strict=True):
+            recording = Recording(
+                end.robot,
+                file,
+                columns,
+                attachments=attachments,
+                wait=settings.clock == "robot",
+                clock=_clock(arms, len(arms)),
+                feeds=told,
+                label=end.robot.name if len(ends) > 1 else "",
+            )
+            fusion = Fusion(sources, recording.event if not arms else nobody)
+            arms.append(_arm(end, one, settings, wall_ns, recording, fusion, commands, answer_stream))
+    except BaseException:
+        for arm in arms:
+            arm.recording.close({})
+        raise
+    for feed in feeds:
+        begin = getattr(feed, "begin", None)
+        if begin is not None:
+            files = [arm.recording.path for arm in arms if arm.recording.path is not None]
+            begin(arms[0].recording.note, files, lambda change: _keep(arms, change))
+    return arms
+
+
+def _columns(extra: Mapping[str, Column] | None) -> Mapping[str, Column]:
+    for name, column in (extra or {}).items():
+        if not isinstance(column, Column):
+            raise ConfigError(f"Expected `extra` to name columns, as extra={{'{name}': Column('N')}}, got {column!r}.")
+    return extra or {}
+
+
+def _keep(arms: Sequence[ArmSession], change: Change) -> None:
+    for arm in arms:
+        arm.recording.parameter(change)
+
+
+def _clock(arms: Sequence[ArmSession], index: int) -> Callable[[], int]:
+    return lambda: arms[index].stamp_ns
+
+
+def _arm(
+    end: End,
+    limits: Limits,
+    settings: Settings,
+    wall_ns: int,
+    recording: Recording,
+    fusion: Fusion,
+    commands: bool,
+    answer_stream: bool,
+) -> ArmSession:
+    robot = end.robot
+    machine = StateMachine(
+        robot,
+        limits,
+        commands=commands,
+        capabilities=end.codec.capabilities,
+        answer_stream=answer_stream,
+        on_event=recording.event,
+        admittance=end.admittance,
+    )
+    session = Session(end.codec, float("inf") if settings.clock == "robot" else _SILENCE, recording.event)
+    return ArmSession(robot, end.port, end.codec, session, machine, recording, settings, wall_ns, fusion)
+
+
+def finished(arms: Sequence[ArmSession], reason: str, feeds: Sequence[Feed] = ()) -> Run:
+    """Close the recordings and return what the run left behind."""
+    runs = []
+    told = {}
+    for feed in feeds:
+        told |= getattr(feed, "summary", dict)()
+    for arm in arms:
+        try:
+            arm.record()
+            lost = []
+        except Exception as error:  # the recording is finished all the same
+            lost = [f"The last rows were not recorded: {type(error).__name__}."]
+        counted = {**statistics(arm, reason), **told}
+        why = arm.machine.refusing
+        refused = [f"The last command to {arm.robot.name} was refused. {why}"] if why else []
+        problems = refused + lost + arm.recording.close(counted)
+        events = tuple(arm.recording.events)
+        runs.append(Run(reason, {**counted, "problems": problems}, events, arm.recording.path, arm.recording))
+    if len(runs) == 1:
+        return runs[0]
+    counted = {"arms": {run.statistics["robot"]: run.statistics for run in runs}, "reason": reason}
+    counted["problems"] = [problem for run in runs for problem in run.statistics["problems"]]
+    events = tuple(sorted(event for run in runs for event in run.events))
+    return Run(reason, counted, events, None, None, tuple(runs))
+
 
 _CLAMPS = ("position", "velocity", "acceleration", "braking", "torque", "torque rate")
 
@@ -23,7 +190,8 @@ class Run:
 
     Attributes
     ----------
-    reason : why it ended, in words. path : the recording, None when rows were kept in memory or there are several arms.
+    reason : why it ended, in words.
+    path : the recording, None when rows were kept in memory or there are several arms.
     statistics : what was counted; also kept in the recording as its summary. With several arms: under "arms", by name.
     events : (wall clock ns, sentence).
     arms : the Run of each arm when there are several, the pacing arm first.
@@ -35,18 +203,6 @@ class Run:
     path: Path | None
     _recording: Recording | None = field(repr=False)
     arms: tuple[Run, ...] = ()
-
-    @classmethod
-    def of_several(cls, reason: str, arms: tuple[Run, ...]) -> Run:
-        """Return the run of several arms.
-
-        Parameters
-        ----------
-        reason : why it ended. arms : each arm's, the pacing arm first.
-        """
-        counted = {"arms": {arm.statistics["robot"]: arm.statistics for arm in arms}, "reason": reason}
-        counted["problems"] = [problem for arm in arms for problem in arm.statistics["problems"]]
-        return cls(reason, counted, tuple(sorted(event for arm in arms for event in arm.events)), None, None, arms)
 
     @cached_property
     def table(self) -> Table:
@@ -84,28 +240,28 @@ class Run:
         return lines + s["problems"]
 
 
-def statistics(arm: Arm, reason: str) -> dict[str, Any]:
+def statistics(arm: ArmSession, reason: str) -> dict[str, Any]:
     """Return what was counted of one arm."""
-    session, guide = arm.session, arm.guide
+    session, machine = arm.session, arm.machine
     return {
         "robot": arm.robot.name,
         "robotware": getattr(arm.codec, "robotware", ""),
         "sessions": session.number,
         "period_s": session.period.seconds,
-        "seconds": guide.elapsed,
+        "seconds": machine.elapsed,
         "packets": session.received,
         "replies": arm.replies,
         "overtaken": arm.overtaken,
-        "left_out": arm.surplus.left_out,
+        "left_out": arm.trimming.left_out,
         "missed": session.missed,
         "late": arm.late,
-        "refused": guide.refused,
+        "refused": machine.refused,
         "drops": dict(session.drops),
         "socket_errors": arm.port.errors,
         "latency_us": arm.latency.summary(),
         "latency_histogram": arm.latency.histogram(),
-        "clamps": dict(zip(_CLAMPS, guide.clamps.tolist(), strict=True)),
-        "worst_ratio": guide.worst_ratio,
+        "clamps": dict(zip(_CLAMPS, machine.clamps.tolist(), strict=True)),
+        "worst_ratio": machine.worst_ratio,
         "reason": reason,
     }
 

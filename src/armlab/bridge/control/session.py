@@ -32,10 +32,7 @@ _WRONG, _WRONG_SHARE = 0.02, 0.01  # s, and of the time, that were not believed:
 
 
 class Period:
-    """The robot's cycle time: the median of nine samples, then a slow average; relearnt when it changes.
-
-    seconds : the estimate, `NOMINAL_PERIOD` before the first sample.
-    """
+    """The robot's cycle time: the median of nine samples, then a slow average; relearnt when it changes."""
 
     def __init__(self) -> None:
         self.seconds = NOMINAL_PERIOD
@@ -74,10 +71,6 @@ class RobotClock:
     two packets is too coarse for the cycle, below 1 ms, and is not used again: its next step would count twice.
     A reference may move on by no more than `believed`: robot time may lead arrival times, those of the fastest packets,
     by 1 ms, and trail them by 0.5 s, in which a network that stood delivers what waited.
-
-    on_event : called once for each kind of fault.
-    exact : the last step is of feedBack.time; tm counts milliseconds, and arrivals jitter.
-    believed : the last step, cut off where the robot's clock runs ahead of arrivals [s].
     """
 
     def __init__(self, checks_arrival: bool = True, on_event: Tell = nobody) -> None:
@@ -166,17 +159,7 @@ _MOTORS_OFF, _RAPID_STOPPED, _MCI_ERROR, _MCI_RUNNING = 2, 1, 1, 3
 
 
 class Sample(NamedTuple):
-    """One packet that counts.
-
-    Attributes
-    ----------
-    packet : as decoded. arrival_ns : on our monotonic clock.
-    dt : seconds of robot time since the sample before (the period for the first of a session).
-    missed : packets lost before this one. session : number of the session from 1. fresh : first of its session.
-    qd : (n,) velocities; qd_source : "measured" (extension) or "difference".
-    step : seconds by which a reference may move on: dt as far as it is believed, see `RobotClock`, and no more than the
-        cycles passed where the clock is coarse.
-    """
+    """One packet that counts."""
 
     packet: Packet
     arrival_ns: int
@@ -197,16 +180,13 @@ class Session:
     first packet of all and the first after a silence. Packets that go on from each other but lie before the newest one
     are a session whose beginning was lost: it begins with the third of them, once the others are silent for five
     periods. Each session has replies from number 0, also when another port took over.
-
-    timeout : silence that ends a session [s], infinite for a robot in lockstep.
-    number : sessions so far. active : one is running. source : address of the robot, None before the first packet.
     """
 
     def __init__(self, codec: Codec, timeout: float = 0.5, on_event: Tell = nobody) -> None:
         self._codec, self._timeout_ns, self._on_event = codec, 1e9 * timeout, on_event
         self.number, self.active = 0, False
         self.source: tuple[str, int] | None = None
-        self.received = self.missed = self.seq = self._total_drops = 0
+        self.received = self.missed = self.seq = self.total_drops = 0
         self.drops: Counter[str] = Counter()
         self.period = Period()
         self.reason = ""
@@ -217,11 +197,6 @@ class Session:
         self._past_tms: deque[int | None] = deque(maxlen=_REMEMBERED)
         self._stray: tuple[Packet, int, int] | None = None  # newest packet out of order, how many in a row, since when
         self._begun_ns = self._replied_ns = 0
-
-    @property
-    def total_drops(self) -> int:
-        """Datagrams refused so far."""
-        return self._total_drops
 
     def accept(self, arrival: Arrival) -> Sample | None:
         """Return the sample of one datagram, or None when it does not count."""
@@ -355,7 +330,7 @@ class Session:
 
     def _drop(self, drop: Drop, arrival: Arrival) -> None:
         self.drops[drop.reason] += 1
-        self._total_drops += 1
+        self.total_drops += 1
         if drop.reason not in self._told:
             self._told.add(drop.reason)
             host, port = arrival.source

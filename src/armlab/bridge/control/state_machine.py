@@ -1,4 +1,4 @@
-"""The state machine of a run: `Mode`, and `Guide`, which says what is sent for each packet.
+"""The state machine of a run: `Mode`, and `StateMachine`, which says what is sent for each packet.
 
 WAITING -> HOLDING (not ready: feedback is sent back; ready: a frozen position) -> RUNNING -> STOPPING -> ENDED.
 LISTENING sends nothing, ever. *Hold* means everywhere: the sent velocity ramps to zero within the acceleration limits,
@@ -21,7 +21,7 @@ import numpy as np
 
 from armlab import kernels
 from armlab.bridge.control.command_checks import entry_refusal, refusal
-from armlab.bridge.control.external_axes import Aside, joined
+from armlab.bridge.control.external_axes import ExternalReferences, joined
 from armlab.bridge.control.feedback import MCI_RUNNING, READY_AFTER, STOP_AFTER, FeedbackCheck, Readiness
 from armlab.bridge.control.limits import Limits, Reply, limiter_of
 from armlab.bridge.control.session import Sample
@@ -32,7 +32,7 @@ from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import Packet
 
-__all__ = ["Guide", "Mode"]
+__all__ = ["StateMachine", "Mode"]
 
 _NAMES = (
     "t", "dt", "q", "qd", "tau", "seq", "missed", "session", "qd_source", "tau_source", "q_start", "q_planned",
@@ -41,6 +41,7 @@ _NAMES = (
 )  # fmt: skip
 _PLAIN = State(0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros(0))
 _OTHERS = tuple((field.name, getattr(_PLAIN, field.name)) for field in fields(State) if field.name not in _NAMES)
+_PLAIN_OTHERS = tuple(plain for _, plain in _OTHERS)
 _make = kernels.RecordMaker(State, (*_NAMES, *(name for name, _ in _OTHERS))).make
 
 
@@ -64,7 +65,7 @@ def make_state(
             t, dt, q, qd, _missing(len(q)) if tau is None else tau, seqno, missed, session, qd_source, tau_source,
             q_start, q_planned, last.q, last.qd, last.clamped, T_frame_tool, wrench_raw, q_ext, motors, rapid, mci,
             converged, utilization, robotware, rapid_data, rapid_digital, robot_ns, t_receive, robot,
-            *[fused.get(name, plain) for name, plain in _OTHERS],
+            *([fused.get(name, plain) for name, plain in _OTHERS] if fused else _PLAIN_OTHERS),
         )
     )  # fmt: skip
 
@@ -100,17 +101,8 @@ _ASKED, _UNANSWERED = (Mode.HOLDING, Mode.RUNNING), (Mode.WAITING, Mode.LISTENIN
 _LAST = (Mode.STOPPING, Mode.ENDED)
 
 
-class Guide:
-    """Decides, packet by packet, whether the controller is asked and what is sent.
-
-    commands : False when there is no controller: LISTENING.
-    capabilities : of the codec. answer_stream : answer also before guidance. admittance : see `Torques`.
-    mode, ready : see the module. t : robot time since guidance began in this session [s].
-    elapsed : robot time while ready since the first readiness [s]. guided : the robot has been ready in this session.
-    q_start : (n,) where guidance began.
-    failure, reason : why the run stops. clamps : times each limit acted, (6, n). worst_ratio : of the velocity limit.
-    refused : commands refused. refusing : why the last one was, "" when it was not.
-    """
+class StateMachine:
+    """Decides, packet by packet, whether the controller is asked and what is sent."""
 
     def __init__(
         self,
@@ -126,7 +118,7 @@ class Guide:
         self._robot, self._limits = robot, limits
         self._torques = Torques(robot, limits, capabilities, admittance)
         self._answer_stream, self._on_event = answer_stream, on_event
-        self._limiter, self._aside = limiter_of(limits, robot), Aside(limits.external, capabilities)
+        self._limiter, self._external = limiter_of(limits, robot), ExternalReferences(limits.external, capabilities)
         self._last = self._limiter.rest(np.full(robot.n, np.nan))
         self.mode = Mode.WAITING if commands else Mode.LISTENING
         self.ready = False
@@ -152,17 +144,12 @@ class Guide:
 
     @property
     def _may_be_guided(self) -> bool:
-        """Whether a robot that was ready no longer reports its states: it holds, without a step to the feedback."""
-        return not self.ready and self.guided and self._readiness.is_unknown
+        """Whether a robot that is not ready only no longer reports its states: it holds, no step to the feedback."""
+        return self.guided and self._readiness.is_unknown
 
     @property
     def _memory(self) -> tuple[float, float, Reply, Any, Any, Any]:
-        return self._dt, self._rested, self._last, self._limiter.memory, self._torques.memory, self._aside.memory
-
-    @property
-    def _is_silent(self) -> bool:
-        """Whether it ended without coming to rest; one that rests is answered while another arm of the link stops."""
-        return self.mode is Mode.ENDED and self._rested < STOP_TIME
+        return self._dt, self._rested, self._last, self._limiter.memory, self._torques.memory, self._external.memory
 
     def observe(self, sample: Sample) -> None:
         """Take one sample: readiness, time, transitions. The newest one observed is the one that `answer` answers."""
@@ -170,7 +157,7 @@ class Guide:
         self._packet = packet
         if sample.fresh:
             self.t, self._dt, self.guided, self.ready = 0.0, 0.0, False, False
-            self._aside.begin()
+            self._external.begin()
             self._feedback.begin()
             self._readiness.begin()
             if self.mode is Mode.RUNNING:
@@ -179,16 +166,17 @@ class Guide:
             self.t += sample.dt if self.guided or self.mode is Mode.LISTENING else 0.0
         self._passed = sample.step
         self._dt += sample.step
-        problem = self._aside.observe(packet, sample.dt)
-        if problem:
-            self._on_event(problem, warn=True)
+        if self._limits.external is not None:
+            problem = self._external.observe(packet, sample.dt)
+            if problem:
+                self._on_event(problem, warn=True)
         if self.mode is Mode.LISTENING:
             self.elapsed += 0.0 if sample.fresh else sample.dt
             return
         if self.mode is Mode.WAITING:
             self.mode = Mode.HOLDING
         self._check_feedback(sample)
-        was_unknown = self._may_be_guided
+        was_unknown = not self.ready and self._may_be_guided
         why = self._readiness.not_ready_reason(packet)
         ready = not why and (self.ready or self._feedback.plausible >= READY_AFTER)
         if ready and self.ready:
@@ -203,37 +191,31 @@ class Guide:
         self.ready = ready
 
     def state(self, sample: Sample, t_receive: int, **fused: Any) -> State:
-        """Return what the controller sees of a sample just observed.
-
-        sample : from the session. t_receive : arrival, wall clock [ns].
-        fused : `sources` and `wrench` of the State, where there are any.
-        """
+        """Return what the controller sees of a sample just observed."""
         q_start = self.q_start if self.guided else sample.packet.q
         return make_state(sample, self._last, self.t, q_start, t_receive, self._robot.name, fused)
 
     def answer(self, command: Command | None, period: float) -> Reply | None:
-        """Return the reply to the newest packet observed, or None when nothing is sent.
-
-        command : what the controller returned; None holds.
-        period : cycle time of the robot [s]; after a gap of more than three of them a reference moves on no further.
-        """
+        """Return the reply to the newest packet observed, or None when nothing is sent."""
         packet, self._before = self._packet, self._memory
-        if packet is None or self.mode in _UNANSWERED or self._is_silent:
+        if packet is None or self.mode in _UNANSWERED:
+            return None
+        if self.mode is Mode.ENDED and self._rested < STOP_TIME:  # one that rests is answered while other arms stop
             return None
         self._longest = _GAP * period
         if self._dt == 0.0:  # this packet has its reply
             return self._last
-        if self._may_be_guided:
+        if not self.ready and self._may_be_guided:
             self._last = self._held()
         elif not self.ready:
             self._rest()
             q = self._feedback.q
             if q is None or not (self._answer_stream or packet.mci == MCI_RUNNING):
                 return None
-            self._last = joined(self._limiter.rest(q), self._aside.rest(packet))
+            self._last = joined(self._limiter.rest(q), self._external.rest(packet))
         elif self.mode in _LAST:
             self._last = self._held()
-            if self._limiter.at_rest and self._aside.at_rest:
+            if self._limiter.at_rest and self._external.at_rest:
                 self._rest()
         elif self._doubtful:
             self._last = self._held()
@@ -247,10 +229,7 @@ class Guide:
         return self._last
 
     def hold(self, period: float) -> Reply | None:
-        """Return the reply to the newest packet when the controller is overdue: hold, and stay in the mode.
-
-        period : cycle time of the robot [s].
-        """
+        """Return the reply to the newest packet when the controller is overdue: hold, and stay in the mode."""
         if not self.calls or self._dt == 0.0:
             return self.answer(None, period)
         self._before, self._longest = self._memory, _GAP * period
@@ -258,11 +237,8 @@ class Guide:
         return self._last
 
     def take_back(self, waits: bool = False) -> None:
-        """Forget the last reply, which did not go out: the next one goes on from the reference that the robot has.
-
-        waits : a reference waits in the robot's queue for this cycle, so that no time has passed since the last one.
-        """
-        self._dt, rested, self._last, self._limiter.memory, self._torques.memory, self._aside.memory = self._before
+        """Forget the last reply, which did not go out: the next one goes on from the reference that the robot has."""
+        self._dt, rested, self._last, self._limiter.memory, self._torques.memory, self._external.memory = self._before
         if waits:
             self._dt = max(0.0, self._dt - self._passed)
         if self.mode is not Mode.STOPPING:
@@ -301,11 +277,12 @@ class Guide:
             if command.ends:
                 self.stop("the controller ended the run")
                 return self._held()
-            beside = self._aside.follow(command, packet, self._dt, self._longest)
+            beside = self._external.follow(command, packet, self._dt, self._longest)
         except CommandRefused as error:
             self.stop("a command was refused", error)
             return self._held()
-        return joined(self._moved(asked, packet), beside)
+        reply = self._moved(asked, packet)
+        return reply if beside is None else joined(reply, beside)
 
     def _moved(self, wanted: tuple[np.ndarray | None, ...], packet: Packet) -> Reply:
         """Return the reply for the joints to a command that is well formed."""
@@ -321,7 +298,7 @@ class Guide:
             if problem:
                 return self._refuse_entry(problem)
         reply = self._limiter.step(q, qd, self._dt, self._longest)
-        reply = self._torques.limited(reply, None if reply.refused else tau, self._step)
+        reply = self._torques.limited(reply, None if reply.refused else tau, self._dt, self._longest)
         if reply.refused:
             self._refuse(refusal(reply.refused, q, qd, before, self._robot))
         else:
@@ -335,13 +312,13 @@ class Guide:
             self._refuse(problem)
             return self._still()
         self.mode, self._refused_in_a_row, self._waited = Mode.RUNNING, 0, 0.0
-        return self._torques.limited(self._limiter.follow(packet.q, self._qd), tau, self._step)
+        return self._torques.limited(self._limiter.follow(packet.q, self._qd), tau, self._dt, self._longest)
 
     def _held(self) -> Reply:
-        return joined(self._still(), self._aside.hold(self._dt, self._longest))
+        return joined(self._still(), self._external.hold(self._dt, self._longest))
 
     def _still(self) -> Reply:
-        return self._torques.limited(self._limiter.hold(self._dt, self._longest), None, self._step)
+        return self._torques.limited(self._limiter.hold(self._dt, self._longest), None, self._dt, self._longest)
 
     def _refuse(self, problem: str) -> None:
         self.refused, self.refusing = self.refused + 1, problem
@@ -368,16 +345,11 @@ class Guide:
     def _become_ready(self, packet: Packet) -> None:
         self._torques.reset()
         self._dt = self._passed  # from this packet's feedback on
-        self._last = joined(self._limiter.rest(packet.q), self._aside.rest(packet))
+        self._last = joined(self._limiter.rest(packet.q), self._external.rest(packet))
         self._refused_in_a_row, self._waited, self._warned = 0, 0.0, False
         if not self.guided:
             self.guided, self.t, self.q_start = True, 0.0, packet.q
         self._on_event("The robot is ready and holds.")
-
-    @property
-    def _step(self) -> float:
-        """Time within which a torque may change [s]."""
-        return min(self._dt, self._longest)
 
     def _check_feedback(self, sample: Sample) -> None:
         """Doubt a feedback that is not plausible; three in a row stop the run."""

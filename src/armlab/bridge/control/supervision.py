@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from armlab.bridge.control.session import EGM_ERROR, Session
-from armlab.bridge.control.state_machine import Guide, Mode
+from armlab.bridge.control.state_machine import Mode, StateMachine
 from armlab.bridge.net.events import Tell
 from armlab.bridge.net.sockets import Port
 from armlab.errors import ControllerFailed, LinkError, NoRobot, SessionEnded
@@ -25,15 +25,7 @@ _BRIEF_IN_A_ROW = 10  # end the run: `Settings.seconds` counts time under guidan
 
 @dataclass(frozen=True)
 class Settings:
-    """How a loop runs.
-
-    Attributes
-    ----------
-    seconds : robot time while ready after which to stop, None for never. resume : wait for the next session.
-    clock : "wall", or "robot" for a robot in lockstep: no deadline then. patience : seconds to wait for a robot.
-    alive : returns why nothing more can come, "" while something can; raises LinkError when that is a failure.
-    progress : told the robot time [s] ten times a second.
-    """
+    """How a loop runs."""
 
     seconds: float | None = None
     resume: bool = True
@@ -46,18 +38,18 @@ class Settings:
 class Supervisor:
     """Looks, whenever no packet came or a session begins, whether the session or the run is over."""
 
-    def __init__(self, port: Port, session: Session, guide: Guide, settings: Settings, on_event: Tell) -> None:
-        self._port, self._session, self._guide, self._settings = port, session, guide, settings
+    def __init__(self, port: Port, session: Session, machine: StateMachine, settings: Settings, on_event: Tell) -> None:
+        self._port, self._session, self._machine, self._settings = port, session, machine, settings
         self._on_event = on_event
         port.on_lost = self._stop_without_descriptors
         self._told = False
         self._elapsed, self._brief = 0.0, 0
 
-    def look(self, heard_ns: int) -> None:
+    def check_silence(self, heard_ns: int) -> None:
         """End the session after silence, and the run when nothing more can come."""
-        guide, session, now = self._guide, self._session, time.monotonic_ns()
+        machine, session, now = self._machine, self._session, time.monotonic_ns()
         if session.silent(now):
-            guide.lose(session.end(), self._settings.resume)
+            machine.lose(session.end(), self._settings.resume)
         failure = None
         try:
             gone = self._settings.alive()
@@ -67,41 +59,41 @@ class Supervisor:
         if not gone and quiet > self._settings.patience:
             gone, failure = "no packet came", self._silence()
         if gone:
-            guide.stop(gone, failure)
+            machine.stop(gone, failure)
             session.end()
-            guide.lose(gone, resume=False)
+            machine.lose(gone, resume=False)
         elif quiet > _CHECKLIST_AFTER and not session.number and not self._told:
             self._told = True
             self._on_event(f"No packet yet. {check_list(self._port)}", warn=True)
 
     def judge(self) -> None:
-        """End the run when too many sessions in a row ended at once. Called before the guide observes another one.
+        """End the run when too many sessions in a row ended at once. Called before the machine observes another one.
 
         Without guidance a robot may wait for its operator, and such a session does not count; in lockstep nobody comes.
         """
-        guide, session = self._guide, self._session
-        gained, self._elapsed = guide.elapsed - self._elapsed, guide.elapsed
+        machine, session = self._machine, self._session
+        gained, self._elapsed = machine.elapsed - self._elapsed, machine.elapsed
         if gained >= _BRIEF:
             self._brief = 0
         elif (
-            guide.guided
-            or guide.mode is Mode.LISTENING
+            machine.guided
+            or machine.mode is Mode.LISTENING
             or session.reason == EGM_ERROR
             or self._settings.clock == "robot"
         ):
             self._brief += 1
         if self._brief >= _BRIEF_IN_A_ROW:
-            kind = "packets" if guide.mode is Mode.LISTENING else "guidance"
+            kind = "packets" if machine.mode is Mode.LISTENING else "guidance"
             failure = SessionEnded(
                 f"Expected a session with {kind} for {_BRIEF:g} s or more, but {self._brief} in a row ended sooner, "
                 f"the last because {session.reason}. The event log of the robot's controller says more; a usual cause "
                 "is a reference that it refuses, too far away or too fast."
             )
-            guide.stop("sessions ended at once", failure)
+            machine.stop("sessions ended at once", failure)
 
     def _stop_without_descriptors(self) -> None:
         """Bring the arm to rest over the socket that was bound again."""
-        self._guide.stop(
+        self._machine.stop(
             "file descriptors were closed",
             ControllerFailed(
                 "The controller, or other code in this process, closed file descriptors that it had not opened, the "
@@ -121,10 +113,7 @@ class Supervisor:
 
 
 def check_list(port: Port) -> str:
-    """Return what to check when no packet comes, in sentences.
-
-    port : where the packets were expected.
-    """
+    """Return what to check when no packet comes, in sentences."""
     loopback = " That address hears programs on this computer only." if port.host.startswith("127.") else ""
     return (
         f"Listening on {port.host}:{port.port}.{loopback} Check that the controller's UDPUC device has this computer's "

@@ -29,15 +29,7 @@ _SLACK = 1e-9  # N m: rounding is not a clamp
 
 @dataclass(frozen=True, eq=False)
 class Admittance:
-    """Velocities in place of torques: ``qd_ref = (tau_ref - tau_model(q, qd)) / D``.
-
-    damping : (n,) D of each joint, positive [N m s/rad or N s/m].
-    model : torque of a free motion; None means zero, the command then is the torque beyond it.
-
-    Raises
-    ------
-    ConfigError : damping that is not positive for each joint.
-    """
+    """Velocities in place of torques: ``qd_ref = (tau_ref - tau_model(q, qd)) / D``."""
 
     damping: np.ndarray
     model: TorqueModel | None = None
@@ -49,10 +41,7 @@ class Admittance:
         object.__setattr__(self, "damping", damping)
 
     def velocity(self, tau: np.ndarray, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        """Return the velocity (n,) asked for.
-
-        tau : (n,) torque asked for. q, qd : (n,) measured.
-        """
+        """Return the velocity (n,) asked for."""
         return (tau if self.model is None else tau - self.model(q, qd)) / self.damping
 
 
@@ -61,8 +50,6 @@ class Torques:
 
     ``tau = tau_last + clip(clip(tau_ref, +-tau_max) - tau_last, +-tau_rate T)``; without a reference the torque returns
     to zero at the same rate.
-
-    admittance : in place of torques, None where they are sent or refused.
     """
 
     def __init__(
@@ -75,29 +62,12 @@ class Torques:
 
     def reset(self) -> None:
         """Forget what was sent: the arm does not follow references."""
-        self._sent: np.ndarray | None = None
-
-    @property
-    def memory(self) -> np.ndarray | None:
-        """What the next torque depends on. Set it back when the last one did not go out."""
-        return self._sent
-
-    @memory.setter
-    def memory(self, memory: np.ndarray | None) -> None:
-        """Go on from what it was."""
-        self._sent = memory
+        self.memory: np.ndarray | None = None
 
     def wanted(
         self, command: Command, q: np.ndarray, qd: np.ndarray
     ) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
-        """Return the position, velocity and torque (n,) asked for; an admittance makes a velocity of the torque.
-
-        command : what the controller returned. q, qd : (n,) measured.
-
-        Raises
-        ------
-        CommandRefused : not a Command, wrong shape, no numbers, or a torque that this link cannot send.
-        """
+        """Return the position, velocity and torque (n,) asked for; an admittance makes a velocity of the torque."""
         q_ref, qd_ref, tau = wanted(command, self._robot)
         if tau is None:
             return q_ref, qd_ref, None
@@ -128,10 +98,7 @@ class Torques:
             )
 
     def outside(self, q: np.ndarray, qd: np.ndarray) -> str:
-        """Return the sentence why a torque alone is not sent: the arm is beyond its limits; "" when it is not.
-
-        q, qd : (n,) measured.
-        """
+        """Return the sentence why a torque alone is not sent: the arm is beyond its limits; "" when it is not."""
         limits = self._limits
         if self._linkage is not None:  # limits are those of axes
             q, qd = self._linkage.axes(q), self._linkage.axes(qd)
@@ -147,37 +114,27 @@ class Torques:
             f"({self._robot.joint_names[i]}) is {what}, allowed is {within}. The arm holds its position."
         )
 
-    def limited(self, reply: Reply, tau: np.ndarray | None, dt: float) -> Reply:
-        """Return the reply with the torque that may be sent.
-
-        reply : the position. tau : (n,) finite torque asked for, or None. dt : time in which it may change [s].
-        """
+    def limited(self, reply: Reply, tau: np.ndarray | None, dt: float, longest: float = np.inf) -> Reply:
+        """Return the reply with the torque that may be sent for `tau` (n,), which changes for `longest` at most [s]."""
         tau_max, tau_rate = self._limits.tau_max, self._limits.tau_rate
-        if (tau is None and self._sent is None) or tau_max is None or tau_rate is None:
+        if (tau is None and self.memory is None) or tau_max is None or tau_rate is None:
             return reply
-        last = np.zeros(self._robot.n) if self._sent is None else self._sent
+        last = np.zeros(self._robot.n) if self.memory is None else self.memory
         wanted = np.zeros(self._robot.n) if tau is None else tau
-        clipped, step = np.clip(wanted, -tau_max, tau_max), tau_rate * dt
+        clipped, step = np.clip(wanted, -tau_max, tau_max), tau_rate * min(dt, longest)
         sent = last + np.clip(clipped - last, -step, step)
         sent.flags.writeable = False
         bits = _CLIPPED * (np.abs(wanted) > tau_max + _SLACK) + _SLOWED * (np.abs(clipped - last) > step + _SLACK)
         clamped = reply.clamped | bits.astype(np.uint8)
         clamped.flags.writeable = False
-        self._sent = sent if tau is not None or sent.any() else None
+        self.memory = sent if tau is not None or sent.any() else None
         return reply._replace(tau=sent, clamped=clamped)
 
 
 def admittances(
     torque: str, damping: np.ndarray | None, model: TorqueModel | Sequence[TorqueModel] | None, robots: Sequence[Robot]
 ) -> list[Admittance | None]:
-    """Return the admittance of each arm, None where torques are sent or refused.
-
-    torque : "refuse" or "admittance". damping : (n,) joints of all arms one after another, for the admittance.
-
-    Raises
-    ------
-    ConfigError : an unknown word, an admittance without damping for each joint, or damping without an admittance.
-    """
+    """Return the admittance of each arm, None where torques are sent or refused."""
     if torque not in ("refuse", "admittance"):
         raise ConfigError(f"Expected torque to be one of refuse, admittance, got {torque!r}.")
     if torque == "refuse":

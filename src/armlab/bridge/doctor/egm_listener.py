@@ -1,4 +1,4 @@
-"""`Heard`: what came to one port while only listening, judged for `armlab doctor`."""
+"""`EgmListener`: what came to one port while only listening, judged for `armlab doctor`."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 
 from armlab.bridge.control.feedback import not_ready_reason, outside_range
 from armlab.bridge.control.session import Sample, Session
-from armlab.bridge.doctor.findings import Finding
+from armlab.bridge.doctor.machine import Finding
 from armlab.bridge.net.sockets import Arrival
 from armlab.robots import Robot
 from armlab.wire.egm import EgmCodec
 
-__all__ = ["Heard"]
+__all__ = ["EgmListener"]
 
 _SPREAD = 2e-3  # s between the median and the 99th percentile of the time between packets
 _REMEDY = {
@@ -41,11 +41,8 @@ class _AnyArm:
     coupling: np.ndarray = field(default_factory=lambda: np.eye(6))
 
 
-class Heard:
-    """Collects the datagrams of one port.
-
-    number : of the port. robot : the arm that is expected there, None for any.
-    """
+class EgmListener:
+    """Collects the datagrams of one port."""
 
     def __init__(self, number: int, robot: Robot | None = None) -> None:
         self.number, self._robot = number, robot

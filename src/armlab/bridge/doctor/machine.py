@@ -12,14 +12,17 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from armlab.bridge.control.realtime import LOOP_PRIORITY, priority
-from armlab.bridge.doctor.findings import Finding
 
 __all__ = [
+    "Finding",
+    "Verdict",
     "blas",
     "clock",
     "garbage",
@@ -34,6 +37,41 @@ __all__ = [
     "throttle",
     "wake_up",
 ]
+
+Verdict = Literal["ok", "warning", "failure"]
+"""How good a finding is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What one check found.
+
+    Attributes
+    ----------
+    name : of the check.
+    verdict : "ok", "warning" (it works, with a risk) or "failure".
+    value : what was found, in words.
+    advice : what to do, "" when nothing is.
+    """
+
+    name: str
+    verdict: Verdict
+    value: str
+    advice: str = ""
+
+    @classmethod
+    def judged(cls, name: str, problem: Verdict, is_bad: bool, value: str, advice: str) -> Finding:
+        """Return a finding that is `problem` with its advice when it is bad, else "ok" without.
+
+        Parameters
+        ----------
+        name, value : see `Finding`.
+        problem : verdict when bad.
+        is_bad : the outcome.
+        advice : what to do when bad.
+        """
+        return cls(name, problem, value, advice) if is_bad else cls(name, "ok", value)
+
 
 _OLDEST = (3, 11)
 _CYCLE = 0.004  # s
@@ -121,10 +159,7 @@ def ros_nodes(environment: Mapping[str, str]) -> Finding:
 
 
 def clock(resolution: float = time.get_clock_info("monotonic").resolution) -> Finding:
-    """Check the resolution of the monotonic clock.
-
-    resolution : in seconds.
-    """
+    """Check the resolution of the monotonic clock."""
     value = f"{1e9 * resolution:.0f} ns"
     return Finding.judged("clock", "warning", resolution > _FINE, value, "Use a Linux with high-resolution timers.")
 
@@ -143,10 +178,7 @@ def real_time() -> Finding:
 
 
 def throttle(file: Path = _THROTTLE) -> Finding:
-    """Tell how much of its time a real-time thread may compute; wait="spin" never yields and needs all of it.
-
-    file : of the kernel: microseconds out of a second, -1 for all.
-    """
+    """Tell how much of its time a real-time thread may compute; wait="spin" never yields and needs all of it."""
     try:
         with file.open(encoding="ascii") as opened:
             runtime = int(opened.read())

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from armlab.bridge.doctor.egm_listener import Heard
-from armlab.bridge.doctor.findings import Finding
+from armlab.bridge.doctor.egm_listener import EgmListener
+from armlab.bridge.doctor.machine import Finding
 from armlab.bridge.net.sockets import Arrival, Port
 from armlab.errors import LinkError
 from armlab.robots import Robot
@@ -38,10 +38,7 @@ def local_addresses() -> dict[str, str]:
 
 
 def addresses(found: Mapping[str, str]) -> Finding:
-    """Check that other computers can reach this one at all.
-
-    found : interface -> IPv4 address.
-    """
+    """Check that other computers can reach this one at all."""
     value = ", ".join(f"{interface} {address}" for interface, address in found.items()) or "none"
     outside = [address for address in found.values() if not address.startswith("127.")]
     advice = "Only a simulated robot can reach this computer: plug in the cable to the controller, set an address."
@@ -67,11 +64,11 @@ def firewall(file: Path = _FIREWALL) -> Finding:
     return Finding.judged("firewall", "warning", is_on, value, "Let packets of robots in: sudo ufw allow 6510:6512/udp")
 
 
-class _Ear:
+class _PortListener:
     """One bound port, a token that it sends to itself, and what others send."""
 
     def __init__(self, port: Port, robot: Robot | None) -> None:
-        self.port, self.heard = port, Heard(port.port, robot)
+        self.port, self.heard = port, EgmListener(port.port, robot)
         self.token, self.came = secrets.token_bytes(16), set[str]()
         self.addresses = ["127.0.0.1", *(a for a in local_addresses().values() if a != "127.0.0.1")]
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
@@ -101,13 +98,9 @@ class _Ear:
 
 
 def listen(numbers: Sequence[int], seconds: float, robots: Sequence[Robot | None], asked: bool) -> list[Finding]:
-    """Bind ports, listen, and say what came. Nothing is sent but a token to this computer's own addresses.
-
-    numbers : UDP ports. seconds : how long to listen. robots : the arm expected at each, None for any.
-    asked : the user named these ports, so that a silent one is worth a word of its own.
-    """
+    """Bind ports, listen, and say what came. Nothing is sent but a token to this computer's own addresses."""
     found: list[Finding] = []
-    ears: list[_Ear] = []
+    listeners: list[_PortListener] = []
     for number, robot in zip(numbers, robots, strict=True):
         try:
             port = Port("0.0.0.0", number)
@@ -115,35 +108,35 @@ def listen(numbers: Sequence[int], seconds: float, robots: Sequence[Robot | None
             found.append(Finding(f"port {number}", "failure", "cannot be listened on", str(error)))
             continue
         found.append(Finding(f"port {port.port}", "ok", "free"))
-        ears.append(_Ear(port, robot))
+        listeners.append(_PortListener(port, robot))
     try:
-        _wait(ears, max(seconds, _SELF_TEST))
+        _wait(listeners, max(seconds, _SELF_TEST))
     finally:
-        for ear in ears:
-            ear.port.close()
-    found += [ear.self_test() for ear in ears]
-    silent = not any(ear.heard.senders for ear in ears)
-    for ear in ears:
-        if ear.heard.senders or asked or (silent and ear is ears[0]):
-            found += ear.heard.findings(max(seconds, _SELF_TEST))
-            found += _routes(ear)
+        for listener in listeners:
+            listener.port.close()
+    found += [listener.self_test() for listener in listeners]
+    silent = not any(listener.heard.senders for listener in listeners)
+    for listener in listeners:
+        if listener.heard.senders or asked or (silent and listener is listeners[0]):
+            found += listener.heard.findings(max(seconds, _SELF_TEST))
+            found += _routes(listener)
     return found
 
 
-def _wait(ears: Sequence[_Ear], seconds: float) -> None:
+def _wait(listeners: Sequence[_PortListener], seconds: float) -> None:
     poller = select.poll()
-    for ear in ears:
-        poller.register(ear.port.fileno(), select.POLLIN)
+    for listener in listeners:
+        poller.register(listener.port.fileno(), select.POLLIN)
     end = time.monotonic() + seconds
     while (left := end - time.monotonic()) > 0.0:
         poller.poll(1e3 * min(left, 0.1))
-        for ear in ears:
-            ear.take()
+        for listener in listeners:
+            listener.take()
 
 
-def _routes(ear: _Ear) -> list[Finding]:
-    name = f"port {ear.port.port}, route"
-    hosts = sorted({host for host, _ in ear.heard.senders})
+def _routes(listener: _PortListener) -> list[Finding]:
+    name = f"port {listener.port.port}, route"
+    hosts = sorted({host for host, _ in listener.heard.senders})
     routes = {host: route_to(host) for host in hosts}
     lost = [host for host, own in routes.items() if not own]
     value = ", ".join(f"replies to {host} leave from {own or 'nowhere'}" for host, own in routes.items())

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from armlab.bridge.doctor.findings import Finding
-from armlab.bridge.doctor.machine import machine
+from armlab.bridge.doctor.machine import Finding, machine
 from armlab.bridge.doctor.network import addresses, firewall, listen, local_addresses
 from armlab.errors import ConfigError
 from armlab.robots import Robot
@@ -29,7 +28,8 @@ def examine(
 
     Parameters
     ----------
-    ports : UDP ports to listen on; `DEFAULT_PORTS` when None. seconds : how long.
+    ports : UDP ports to listen on; `DEFAULT_PORTS` when None.
+    seconds : how long.
     robots : the arm at each port, to compare the number of axes and the posture with; none: any arm.
     wake_up : seconds for the histogram of wake-ups.
 

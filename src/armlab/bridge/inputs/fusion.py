@@ -97,10 +97,13 @@ class Held:
     Attributes
     ----------
     values : by field; NaN when stale or never seen. Also reached by ``held["field"]``.
-    kept : the last values whatever their age. age : seconds since they were received, infinite when never seen.
-    fresh : they are new in this tick. stale : older than the source's `max_age`. gaps : readings lost so far.
-    seq, source_ns, receive_ns : of the reading; 0 when never seen. mapped_ns : the source's stamp on our clock, 0
-        without one.
+    kept : the last values whatever their age.
+    age : seconds since they were received, infinite when never seen.
+    fresh : they are new in this tick.
+    stale : older than the source's `max_age`.
+    gaps : readings lost so far.
+    seq, source_ns, receive_ns : of the reading; 0 when never seen.
+    mapped_ns : the source's stamp on our clock, 0 without one.
     """
 
     values: Mapping[str, np.ndarray]
@@ -119,21 +122,7 @@ class Held:
 
 
 class Fusion:
-    """Several sources, looked at together.
-
-    Parameters
-    ----------
-    sources : with different names; see `Source`. on_event : told when one is stale, comes back, or its clock was set.
-
-    Attributes
-    ----------
-    sources : as given. columns : of the log, ``<source>.<field>`` and what `sources.TICK_COLUMNS` says.
-    missing : name of a required source that was stale in the last tick, "" when there is none.
-
-    Raises
-    ------
-    ConfigError : two sources with one name, two that pace, or something that is no source.
-    """
+    """Several sources, looked at together."""
 
     def __init__(self, sources: Sequence[Source], on_event: Tell = nobody) -> None:
         for source in sources:
@@ -155,27 +144,13 @@ class Fusion:
         self._told: dict[str, str] = {}
 
     def tick(self, now_ns: int) -> Mapping[str, Held]:
-        """Return what each source has at a tick, by name.
-
-        Parameters
-        ----------
-        now_ns : of the tick, on our monotonic clock.
-        """
+        """Return what each source has at a tick, by name."""
         held = {source.name: self._look(source, now_ns) for source in self.sources}
         self.missing = next((s.name for s in self.sources if s.role == "required" and held[s.name].stale), "")
         return MappingProxyType(held)
 
     def ticks(self, seconds: float) -> Iterator[Mapping[str, Held]]:
-        """Yield what each source has whenever the pacing one has something new: rows without a robot.
-
-        Parameters
-        ----------
-        seconds : for which to go on.
-
-        Raises
-        ------
-        ConfigError : none of the sources paces.
-        """
+        """Yield what each source has whenever the pacing one has something new: rows without a robot."""
         pacing = next((source for source in self.sources if source.role == "pacing"), None)
         if pacing is None:
             raise ConfigError("Expected one source with the role pacing, got none. A TimerSource is one.")
@@ -189,14 +164,7 @@ class Fusion:
                 time.sleep(0.1 * pacing.period)
 
     def fields(self, now_ns: int, robot: Robot, q: np.ndarray) -> dict[str, Any]:
-        """Return the fields of a State at a tick: `sources`, and `wrench` where a source gives it calibrated or raw.
-
-        Parameters
-        ----------
-        now_ns : of the tick. robot : the arm. q : (n,) its joints, for the weight on a force sensor [rad].
-        """
-        if not self.sources:
-            return {}
+        """Return the fields of a State at a tick: `sources`, and `wrench` where a source gives it calibrated or raw."""
         held = self.tick(now_ns)
         found: dict[str, Any] = {"sources": held}
         for source in self.sources:
@@ -211,12 +179,7 @@ class Fusion:
         return found
 
     def record(self, held: Mapping[str, Held], now_ns: int) -> dict[str, Any]:
-        """Return the values of the log's columns: what was kept, whatever its age.
-
-        Parameters
-        ----------
-        held : of this tick. now_ns : of the tick.
-        """
+        """Return the values of the log's columns: what was kept, whatever its age."""
         row: dict[str, Any] = {}
         for name, one in held.items():
             if not one.receive_ns:

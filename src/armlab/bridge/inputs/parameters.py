@@ -21,7 +21,6 @@ _VECTOR = re.compile(r"float\[([1-9]\d{0,2})\]")
 _NAME = re.compile(r"[a-zA-Z][a-zA-Z0-9_]{0,63}")
 _LONGEST = 1000  # characters of a text
 _WAITING = 256  # settings that wait for the next tick
-_HISTORY = 10_000
 _LARGEST = sys.float_info.max
 _INTEGERS = 2**53  # beyond it a JSON reader may round
 
@@ -32,10 +31,14 @@ class Parameter:
 
     Attributes
     ----------
-    name : a word, as in ``params.gain``. default : its first value.
+    name : a word, as in ``params.gain``.
+    default : its first value.
     type : "float", "int", "bool", "text" or "float[k]" for k numbers.
-    unit : SI. minimum, maximum : bounds of each number. text : one sentence.
-    rights : who may set it: the "commander" of an arm, or "anyone". live : may be set during a run.
+    unit : SI.
+    minimum, maximum : bounds of each number.
+    text : one sentence.
+    rights : who may set it: the "commander" of an arm, or "anyone".
+    live : may be set during a run.
 
     Raises
     ------
@@ -65,23 +68,18 @@ class Parameter:
         if not self.minimum <= self.maximum:  # also NaN
             raise ConfigError(f"Expected bounds in order of {self.name}, got {self.minimum} and {self.maximum}.")
         try:
-            object.__setattr__(self, "default", self.checked(self.default))
+            object.__setattr__(self, "default", self._checked(self.default))
         except CommandRefused as error:
             raise ConfigError(f"Expected a default that may be set. {error}") from None
 
     @property
-    def size(self) -> int:
+    def _size(self) -> int:
         """Numbers of a "float[k]", else 0."""
         match = _VECTOR.fullmatch(self.type)
         return int(match[1]) if match else 0
 
-    def checked(self, value: Any) -> Any:
-        """Return a value as it is kept: float, int, bool, str or a read-only array (k,).
-
-        Raises
-        ------
-        CommandRefused : wrong type or shape, not finite, or outside the bounds.
-        """
+    def _checked(self, value: Any) -> Any:
+        """Return a value as it is kept: float, int, bool, str or a read-only array (k,)."""
         if self.type == "bool":
             if not isinstance(value, (bool, np.bool_)):
                 raise self._refused("true or false", value)
@@ -90,7 +88,7 @@ class Parameter:
             if not isinstance(value, str) or len(value) > _LONGEST:
                 raise self._refused(f"a text of at most {_LONGEST} characters", value)
             return value
-        return self._number(value) if not self.size else self._vector(value)
+        return self._number(value) if not self._size else self._vector(value)
 
     def _number(self, value: Any) -> float | int:
         is_number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
@@ -110,8 +108,8 @@ class Parameter:
             array = np.array(value, dtype=np.float64) if is_plain else np.empty(0)
         except (ValueError, TypeError, OverflowError):
             array = np.empty(0)
-        if array.shape != (self.size,) or not np.isfinite(array).all():
-            raise self._refused(f"{self.size} finite numbers", value)
+        if array.shape != (self._size,) or not np.isfinite(array).all():
+            raise self._refused(f"{self._size} finite numbers", value)
         if not (np.all(array >= self.minimum) and np.all(array <= self.maximum)):
             raise self._refused(f"numbers from {self.minimum:g} to {self.maximum:g}", value)
         array.flags.writeable = False
@@ -127,10 +125,7 @@ class Parameter:
 
 
 class Change(NamedTuple):
-    """One value that came into force.
-
-    sequence : from 1. name, value : what. who : set it.
-    """
+    """One value that came into force."""
 
     sequence: int
     name: str
@@ -156,7 +151,8 @@ class Parameters:
 
     Attributes
     ----------
-    declared : by name. running : while True, parameters that are not `live` cannot be set.
+    declared : by name.
+    running : while True, parameters that are not `live` cannot be set.
 
     Raises
     ------
@@ -180,7 +176,6 @@ class Parameters:
         self.running = False
         self._values = {parameter.name: parameter.default for parameter in found}
         self._waiting: deque[tuple[dict[str, Any], str]] = deque()
-        self._history: deque[Change] = deque(maxlen=_HISTORY)
         self._last: dict[str, Change] = {}
         self._sequence = 0
 
@@ -193,10 +188,6 @@ class Parameters:
     def values(self) -> dict[str, Any]:
         """Return the values in force by name."""
         return dict(self._values)
-
-    def history(self) -> tuple[Change, ...]:
-        """Return what came into force so far, the oldest first."""
-        return tuple(self._history)
 
     def last(self, name: str) -> Change | None:
         """Return the last change of a parameter, None while it has its default.
@@ -218,7 +209,8 @@ class Parameters:
 
         Parameters
         ----------
-        name, value : what. who : sets it, for the log.
+        name, value : what.
+        who : sets it, for the log.
 
         Raises
         ------
@@ -231,7 +223,9 @@ class Parameters:
 
         Parameters
         ----------
-        values : by name. who : sets them, for the log. commander : whether he has the rights of a commander.
+        values : by name.
+        who : sets them, for the log.
+        commander : whether he has the rights of a commander.
 
         Raises
         ------
@@ -248,7 +242,7 @@ class Parameters:
                 raise CommandRefused(f"Expected the commander of an arm to set {name}, got {who}. Its value stays.")
             if self.running and not parameter.live:
                 raise CommandRefused(f"Expected {name} to be set before a run, got it from {who} during one.")
-            checked[name] = parameter.checked(value)
+            checked[name] = parameter._checked(value)
         if len(self._waiting) >= _WAITING:
             raise CommandRefused(f"Expected at most {_WAITING} settings in one tick, got more from {who}. Send fewer.")
         self._waiting.append((checked, who))
@@ -265,5 +259,4 @@ class Parameters:
                 self._values[name] = value
                 self._last[name] = Change(self._sequence, name, value, who)
                 changes.append(self._last[name])
-        self._history.extend(changes)
         return tuple(changes)

@@ -32,6 +32,7 @@ __all__ = [
     "ThreadSource",
     "TimerSource",
     "UdpSource",
+    "check_source",
     "whole",
 ]
 
@@ -52,8 +53,11 @@ class Reading(NamedTuple):
 
     Attributes
     ----------
-    values : by field. source_ns : its own clock, 0 when it has none. receive_ns : our monotonic clock.
-    seq : its number. gaps : readings lost so far, by its numbers. Each of them has at most 64 bits.
+    values : by field.
+    source_ns : its own clock, 0 when it has none.
+    receive_ns : our monotonic clock.
+    seq : its number.
+    gaps : readings lost so far, by its numbers. Each of them has at most 64 bits.
     """
 
     values: Mapping[str, np.ndarray]
@@ -64,12 +68,7 @@ class Reading(NamedTuple):
 
 
 def whole(number: Any, unit: int = 1) -> int:
-    """Return a stamp or a number that somebody sent as an integer of a reading.
-
-    Raises
-    ------
-    ValueError : no number, one that is not finite, or one beyond 64 bits.
-    """
+    """Return a stamp or a number that somebody sent as an integer of a reading."""
     plain = number.item() if isinstance(number, np.generic) else number
     if isinstance(plain, int | float) and abs(plain * unit) < 1 << 64:
         return int(plain * unit)
@@ -93,7 +92,8 @@ class Source:
 
     Attributes
     ----------
-    now_ns : time of the tick that asks, our monotonic clock. problem : what went wrong last, in words.
+    now_ns : time of the tick that asks, our monotonic clock.
+    problem : what went wrong last, in words.
 
     Raises
     ------
@@ -139,29 +139,6 @@ class Source:
     def close(self) -> None:
         """End; called after the run, also one that failed."""
 
-    def check(self, robots: Sequence[Robot]) -> None:
-        """Check that a calibrated force sensor belongs to one of the arms of a run.
-
-        Parameters
-        ----------
-        robots : the arms.
-
-        Raises
-        ------
-        ConfigError : it does not say to which of several. ModelMismatchError : it was fitted on another robot.
-        """
-        if self.calibration is None:
-            return
-        if not self.robot and len(robots) > 1:
-            names = ", ".join(robot.name for robot in robots)
-            raise ConfigError(f"Expected robot= of the force sensor {self.name!r}, one of {names}, got none.")
-        hashes = [robot.hash for robot in robots if self.robot in ("", robot.name)]
-        if self.calibration.robot_hash and self.calibration.robot_hash not in hashes:
-            raise ModelMismatchError(
-                f"Expected the calibration of the source {self.name!r} to be of a robot of this run, got one of "
-                f"{self.calibration.robot_name!r} ({self.calibration.robot_hash[:12]}). Calibrate on this robot."
-            )
-
     def newest(self) -> Reading | None:
         """Return the latest reading, None before the first. Never waits, never raises."""
         raise NotImplementedError
@@ -175,7 +152,8 @@ class Source:
 
         Raises
         ------
-        UnknownName : a name that is no field. ConfigError : no numbers, or another shape.
+        UnknownName : a name that is no field.
+        ConfigError : no numbers, or another shape.
         """
         for name in given:
             if name not in self.fields:
@@ -193,6 +171,21 @@ class Source:
             array.flags.writeable = False
             checked[name] = array
         return MappingProxyType(checked)
+
+
+def check_source(source: Source, robots: Sequence[Robot]) -> None:
+    """Check that a calibrated force sensor belongs to one of the arms of a run."""
+    if source.calibration is None:
+        return
+    if not source.robot and len(robots) > 1:
+        names = ", ".join(robot.name for robot in robots)
+        raise ConfigError(f"Expected robot= of the force sensor {source.name!r}, one of {names}, got none.")
+    hashes = [robot.hash for robot in robots if source.robot in ("", robot.name)]
+    if source.calibration.robot_hash and source.calibration.robot_hash not in hashes:
+        raise ModelMismatchError(
+            f"Expected the calibration of the source {source.name!r} to be of a robot of this run, got one of "
+            f"{source.calibration.robot_name!r} ({source.calibration.robot_hash[:12]}). Calibrate on this robot."
+        )
 
 
 def _check_shapes(name: str, fields: Mapping[str, Column]) -> None:
@@ -215,7 +208,7 @@ def _check_calibration(name: str, fields: Mapping[str, Column], calibration: obj
 
 
 class ThreadSource(Source):
-    """A source with a thread of its own, which does `work` until `_over` is set and leaves what it has in `_newest`."""
+    """A source with a thread: `_work` runs until `_over` is set and leaves its readings in `_newest`."""
 
     def __init__(self, name: str, fields: Mapping[str, Column], period: float, **options: Any) -> None:
         super().__init__(name, fields, period, **options)
@@ -223,14 +216,14 @@ class ThreadSource(Source):
         self._over = threading.Event()
         self._thread: threading.Thread | None = None
 
-    def work(self) -> None:
+    def _work(self) -> None:
         """Receive; in the thread."""
         raise NotImplementedError
 
     def start(self) -> None:
         """Start the thread."""
         self._over.clear()
-        self._thread = threading.Thread(target=self.work, name=f"source {self.name}", daemon=True)
+        self._thread = threading.Thread(target=self._work, name=f"source {self.name}", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
@@ -250,8 +243,8 @@ class CallableSource(ThreadSource):
     Parameters
     ----------
     name, fields, period, options : see `Source`.
-    function : called without arguments; returns values by field, or None when there is nothing new. When it raises,
-        the reading stays and grows old; `problem` says why.
+    function : called without arguments; returns values by field, or None when there is nothing new. When it raises, the
+        reading stays and grows old; `problem` says why.
     """
 
     def __init__(
@@ -265,7 +258,7 @@ class CallableSource(ThreadSource):
         super().__init__(name, fields, period, **options)
         self._function = function
 
-    def work(self) -> None:
+    def _work(self) -> None:
         """Call the function once per period."""
         due, seq = time.monotonic(), 0
         while not self._over.wait(max(due - time.monotonic(), 0.0)):
@@ -280,12 +273,7 @@ class CallableSource(ThreadSource):
 
 
 class TimerSource(Source):
-    """Counts periods: the pace of rows where no robot gives one. Its field is ``count``.
-
-    Parameters
-    ----------
-    name, period, options : see `Source`.
-    """
+    """Counts periods: the pace of rows where no robot gives one. Its field is ``count``."""
 
     def __init__(self, name: str, period: float, **options: Any) -> None:
         super().__init__(name, {"count": Column(unit="1")}, period, **{"role": "pacing", **options})
@@ -303,16 +291,7 @@ class TimerSource(Source):
 
 
 class ReplaySource(Source):
-    """A source as it was recorded: the same readings at the same ticks, through the same fusion.
-
-    Parameters
-    ----------
-    name : of the recorded source. table : a recording with its columns. period, options : see `Source`.
-
-    Raises
-    ------
-    UnknownName : the table has no such source.
-    """
+    """A source as it was recorded: the same readings at the same ticks, through the same fusion."""
 
     def __init__(self, name: str, table: Table, period: float, **options: Any) -> None:
         prefix, own = f"{name}.", TICK_COLUMNS

@@ -45,14 +45,12 @@ class Limited:
     waits for its turn, with its own stamp; it says how many it stands for. So something that flaps with every packet
     fills no disk, and its last state is always known.
     What must be told one by one is, up to fifty of a kind in a second; who sends more floods the log.
-
-    tell : takes (sentence, whether something is wrong, stamp [ns]).
     """
 
     def __init__(self, tell: Callable[[str, bool, int], None]) -> None:
         self._tell = tell
         self._kinds: dict[str, _Kind] = {}
-        self._waiting = 0
+        self.waiting = 0
         self._lock = threading.RLock()  # to tell may lead to another sentence
 
     def __call__(self, text: str, warn: bool, stamp_ns: int, each: bool = False) -> None:
@@ -71,7 +69,7 @@ class Limited:
             elif each and kind.told < _EACH:
                 kind.told += 1
             else:
-                self._waiting += kind.waits is None
+                self.waiting += kind.waits is None
                 kind.left_out += kind.waits is not None
                 kind.waits = (text, warn, stamp_ns)
                 return
@@ -79,21 +77,21 @@ class Limited:
 
     def due(self, now_ns: int) -> None:
         """Pass on what has waited for its turn."""
-        if self._waiting:
-            self._pass_on(lambda kind: _is_over(kind, now_ns), now_ns)
+        if self.waiting:
+            self._publish(lambda kind: _is_over(kind, now_ns), now_ns)
 
     def close(self) -> None:
         """Pass on all that waits."""
-        self._pass_on(lambda kind: True, 0)
+        self._publish(lambda kind: True, 0)
 
-    def _pass_on(self, condition: Callable[[_Kind], bool], now_ns: int) -> None:
+    def _publish(self, condition: Callable[[_Kind], bool], now_ns: int) -> None:
         with self._lock:
             ready = [kind for kind in self._kinds.values() if kind.waits is not None and condition(kind)]
             for kind in sorted(ready, key=_stamp):
                 if kind.waits is not None:
                     (text, warn, stamp_ns), left_out = kind.waits, kind.left_out
                     kind.told_ns, kind.told, kind.waits, kind.left_out = now_ns, 1, None, 0
-                    self._waiting -= 1
+                    self.waiting -= 1
                     self._tell(f"{text} ({left_out} like it left out.)" if left_out else text, warn, stamp_ns)
 
     def _forget(self, now_ns: int) -> None:

@@ -76,22 +76,14 @@ class Arrival(NamedTuple):
 
 
 class Port:
-    """A bound UDP port that never blocks; socket errors are counted.
+    """A bound UDP port that never blocks; socket errors are counted."""
 
-    host, port : where to listen; port 0 lets the system choose. to_itself : send there, whatever the address.
-
-    Raises
-    ------
-    LinkError : the address cannot be bound, or not again; names who holds the port where that can be determined.
-    """
-
-    def __init__(self, host: str, port: int, to_itself: bool = False) -> None:
+    def __init__(self, host: str, port: int) -> None:
         self._errors = self._seen = 0
         self._is_closed = False
         self.on_lost: Callable[[], None] = lambda: None
         self._bind(socket.socket(socket.AF_INET, socket.SOCK_DGRAM), host, port)
         self.host, self.port = self._socket.getsockname()
-        self._always_to = (self.host, self.port) if to_itself else None
 
     def _bind(self, opened: socket.socket, host: str, port: int) -> None:
         self._socket = opened
@@ -138,7 +130,6 @@ class Port:
 
     def send(self, data: bytes, to: tuple[str, int]) -> bool:
         """Send one datagram. Return whether the system took it."""
-        to = self._always_to or to
         return self._datagrams.send(data, to) or (self._was_lost() and self._datagrams.send(data, to))
 
     def _was_lost(self) -> bool:
@@ -171,14 +162,7 @@ def _why_not(host: str, port: int, error: Exception) -> str:
 
 
 def listening_socket(host: str, port: int, name: str, backlog: int) -> socket.socket:
-    """Return a socket that listens and never blocks; what it accepts sends small messages at once.
-
-    host, port : where; port 0 lets the system choose. name : what for, in messages. backlog : connections that wait.
-
-    Raises
-    ------
-    LinkError : the port cannot be bound; names the process that has it where that can be told.
-    """
+    """Return a socket that listens and never blocks; what it accepts sends small messages at once."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else one waits up to 40 ms for an acknowledgement
@@ -214,11 +198,7 @@ def pair() -> tuple[socket.socket, socket.socket]:
 
 
 class Outlet:
-    """The way to one server process and back.
-
-    where : what the server listens on; None until it says so.
-    clients : rows sent to each of its clients and dropped for it; None until it says so.
-    """
+    """The way to one server process and back."""
 
     def __init__(self, name: str) -> None:
         self.name = name

@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from armlab.bridge.command.arbiter import Arbiter
-from armlab.bridge.command.order import Order
+from armlab.bridge.arbiter import Arbiter, Order
 from armlab.bridge.inputs.parameters import Change, Parameters
 from armlab.bridge.net.events import Tell
 from armlab.bridge.net.sockets import Outlet

@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Any
 
 from armlab._descriptors import Descriptor
-from armlab.bridge.command.arbiter import Arbiter
+from armlab.bridge.arbiter import Arbiter
 from armlab.bridge.control.loop import Controller
 from armlab.bridge.servers.hub import OPERATOR, Exchange
 from armlab.bridge.servers.local import socket_path

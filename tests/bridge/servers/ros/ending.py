@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from armlab.bridge.arbiter import Arbiter
 from armlab.bridge.cell import Cell, run_cell
-from armlab.bridge.command.arbiter import Arbiter
 from armlab.state import Command, State
 
 LONGEST = 120.0  # s; only a test that fails runs so long

@@ -276,7 +276,7 @@ class LabCommSource(ThreadSource):
         super().__init__(name, fields, period, **options)
         self.host, self.port, self._sample, self._dialect = host, port, sample, dialect
 
-    def work(self) -> None:
+    def _work(self) -> None:
         """Connect and read, again and again."""
         while not self._over.is_set():
             try:

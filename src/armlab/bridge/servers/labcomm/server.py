@@ -14,8 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Literal
 
-from armlab.bridge.command.arbiter import Arbiter
-from armlab.bridge.command.order import Order
+from armlab.bridge.arbiter import Arbiter, Order
 from armlab.bridge.net.events import Tell, nobody
 from armlab.bridge.servers.labcomm.channels import Channel, FusedArm, FusedSource, OnCommand, Value
 from armlab.bridge.servers.labcomm.rows import Row

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from armlab.bridge.command.order import called
+from armlab.bridge.control.command_checks import joint_name
 from armlab.bridge.servers.messages import CommandRequest, Request, SetRequest, Stop
 from armlab.errors import CommandRefused
 from armlab.robots import Robot
@@ -95,7 +95,7 @@ def _numbers(topic: str, content: Any, arms: Sequence[Robot]) -> list[float]:
     bad = [k for k, value in enumerate(values) if not math.isfinite(value)]
     if bad:
         firsts = np.cumsum([0, *(arm.n for arm in arms)]).tolist()
-        joints = [called(arm, i, first) for arm, first in zip(arms, firsts, strict=False) for i in range(arm.n)]
+        joints = [joint_name(arm, i, first) for arm, first in zip(arms, firsts, strict=False) for i in range(arm.n)]
         raise CommandRefused(f"Expected finite numbers on {topic}, got {values[bad[0]]} for {joints[bad[0]]}.")
     return values
 

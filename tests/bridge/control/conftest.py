@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from armlab import robots
 from armlab.bridge import Limits
-from armlab.bridge.assembly import End, assemble
-from armlab.bridge.control.arm import Arm
+from armlab.bridge.control.arm import ArmSession
 from armlab.bridge.control.loop import Loop
+from armlab.bridge.control.run import End, assemble
 from armlab.bridge.control.supervision import Settings
 from armlab.bridge.net.sockets import Arrival
 from armlab.log import Tick
@@ -24,13 +25,14 @@ from ..conftest import PERIOD_NS, Packets
 
 MODULES = (
     "control.arm",
-    "assembly",
+    "control.run",
     "control.loop",
     "control.recording",
     "control.supervision",
 )  # of the bridge, that read a clock
 CONTROLLER = ("127.0.0.1", 5000)
 MS = 1_000_000
+LEFT, RIGHT = robots.load("yumi_left"), robots.load("yumi_right")
 
 
 def drift(state: State) -> Command:
@@ -94,10 +96,10 @@ class Hands:
         extension, answer_stream = options.pop("extension", False), options.pop("answer_stream", True)
         self.settings = Settings(**options)
         ends: Any = [
-            End(robot, port, EgmCodec(robot, extension), ())  # type: ignore[arg-type]
+            End(robot, port, EgmCodec(robot, extension))  # type: ignore[arg-type]
             for robot, port in zip(robots, self.ports, strict=True)
         ]
-        self.arms: list[Arm] = assemble(
+        self.arms: list[ArmSession] = assemble(
             ends,
             [Limits.of(robot) for robot in robots],
             self.settings,
@@ -174,9 +176,20 @@ class Hands:
     def speed(self, index: int = 0) -> float:
         """Return the speed in the newest reply."""
         reply = self.reply(index)
-        assert reply is not None
         assert reply.qd is not None
         return float(np.abs(reply.qd).max())
 
 
 Make = Callable[..., Hands]
+
+
+@pytest.fixture
+def one(monkeypatch: pytest.MonkeyPatch) -> Make:
+    """Return what makes a loop of one arm."""
+    return lambda controller=drift, **options: Hands(monkeypatch, [RIGHT], controller, **options)
+
+
+@pytest.fixture
+def two(monkeypatch: pytest.MonkeyPatch) -> Make:
+    """Return what makes a loop of two arms."""
+    return lambda controller, **options: Hands(monkeypatch, [LEFT, RIGHT], controller, **options)

@@ -1,4 +1,4 @@
-"""Who may command: one commander per arm with a lease, all others read. `Arbiter` is a controller.
+"""Who may command: `Arbiter`, a controller that obeys one client per arm; `Order`, what a client wants an arm to do.
 
 Not a safety function: emergency stop and the robot's own supervision stay in charge.
 """
@@ -9,17 +9,70 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from armlab.bridge.command.order import Order, called, read_order
-from armlab.bridge.control.command_checks import causes
-from armlab.bridge.control.limits import Limits, axes_of
+from armlab.bridge.control.command_checks import entry_refusal, joint_name, jump_refusal
+from armlab.bridge.control.limits import ENTRY, Limits, axes_of
 from armlab.bridge.net.events import Tell, nobody
 from armlab.robots import Robot
 from armlab.state import Command, State
 
-__all__ = ["LEASE", "Arbiter"]
+__all__ = ["LEASE", "Arbiter", "Order"]
+
+
+class Order(NamedTuple):
+    """What a client wants an arm to do next."""
+
+    client: str
+    arm: str
+    q: Any = None
+    qd: Any = None
+    tau: Any = None
+    seq: int | None = None
+    first: int | None = None
+    by_axis: bool = False
+
+    @property
+    def server(self) -> str:
+        """Name of the server it came through."""
+        return self.client.partition(" ")[0]
+
+
+def read_order(order: Order, robot: Robot, has_torque: bool = False) -> tuple[Command, str]:
+    """Return the command of an order, and what is wrong with it, "" when nothing is; one bad number refuses it."""
+    values: dict[str, np.ndarray | None] = {}
+    for name in ("q", "qd", "tau"):
+        values[name], problem = _vector(order, name, robot)
+        if problem:
+            return Command(), problem
+    if values["tau"] is not None and not has_torque:
+        problem = f"Expected no torque: {robot.name} takes none here. A cell allows it by `torque` of the robot."
+        return Command(), problem
+    if all(value is None for value in values.values()):
+        return Command(), f"Expected a position, a velocity or a torque for {robot.name}, got none."
+    return Command(values["q"], values["qd"], values["tau"]), ""
+
+
+def _vector(order: Order, name: str, robot: Robot) -> tuple[np.ndarray | None, str]:
+    """Return the (n,) numbers of a command, and what is wrong with them."""
+    values = getattr(order, name)
+    if values is None:
+        return None, ""
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (ValueError, TypeError, OverflowError):
+        array = np.empty(0)
+    if array.shape != (robot.n,):
+        return None, f"Expected {robot.n} numbers in {name} for {robot.name}, got {np.shape(array)}."
+    if not np.isfinite(array).all():
+        joint = joint_name(robot, int(np.argmin(np.isfinite(array))), order.first, order.by_axis)
+        return None, f"Expected finite numbers in {name} for {robot.name}, but that of {joint} is not."
+    array.flags.writeable = False
+    return array, ""
+
 
 LEASE = 0.1
 """Seconds of silence after which an arm is free again, the same for all servers."""
@@ -45,18 +98,6 @@ class Arbiter:
     `lease` of silence, when it closes, or by `release`. The first position must lie within `entry` of the measured
     joints. A command that is refused changes nothing and keeps nothing. `stop` is for everybody, `resume` for
     operators.
-
-    Parameters
-    ----------
-    robots : the arms, in the order of the link. allowed : servers that may command.
-    poll : called first in each tick; it fetches what clients sent. tell : takes events.
-    answer : takes (client, sentence), at most once a second for each client.
-    lease : s. entry : rad or m. torque : names of arms that take torques. clock : monotonic [ns].
-
-    Attributes
-    ----------
-    poll : as given. refused : commands refused, by client. obeyed : commands taken, by arm and client.
-    stopped : who stopped all arms, "" when nobody has.
     """
 
     def __init__(
@@ -68,14 +109,14 @@ class Arbiter:
         tell: Tell = nobody,
         answer: Callable[[str, str], None] = lambda client, text: None,
         lease: float = LEASE,
-        entry: float = 0.05,
+        entry: float = ENTRY,
         torque: Iterable[str] = (),
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._robots, self._allowed = tuple(robots), frozenset(allowed)
         self.poll, self._tell, self._answer, self._clock = poll, tell, answer, clock
-        self._lease_ns, self._entry, self._torque = int(1e9 * lease), entry, frozenset(torque)
-        self._jumps = {robot.name: Limits.of(robot).jump for robot in robots}
+        self._lease_ns, self._torque = int(1e9 * lease), frozenset(torque)
+        self._limits = {robot.name: Limits.of(robot, entry=entry) for robot in robots}
         self._axes = {robot.name: axes_of(robot) for robot in robots}
         self._holders: dict[str, _Holder | None] = {robot.name: None for robot in robots}
         self._inbox: dict[tuple[str, str], tuple[int, Order]] = {}
@@ -110,21 +151,11 @@ class Arbiter:
             self._inbox[order.arm, order.client] = (now, order)
 
     def reserve(self, who: str) -> None:
-        """Refuse the commands of all clients, since the arms have a controller of their own.
-
-        Parameters
-        ----------
-        who : the controller, in words.
-        """
+        """Refuse the commands of all clients, since the arms have a controller of their own."""
         self._reserved = who
 
     def stop(self, who: str) -> None:
-        """Hold all arms until an operator resumes. Everybody may.
-
-        Parameters
-        ----------
-        who : identity of the client, for the log.
-        """
+        """Hold all arms until an operator resumes. Everybody may."""
         if not self.stopped:
             self.stopped = who
             self._tell(f"Stopped by {who}. An operator ends this: armlab bridge resume.", warn=True)
@@ -132,12 +163,7 @@ class Arbiter:
             self._free(arm, "all arms were stopped")
 
     def resume(self, who: str) -> None:
-        """End a stop; every commander begins anew by the start rule. For operators.
-
-        Parameters
-        ----------
-        who : identity of the client, for the log.
-        """
+        """End a stop; every commander begins anew by the start rule. For operators."""
         if self.stopped:
             self.release(who)
             self._inbox.clear()
@@ -145,23 +171,13 @@ class Arbiter:
             self._tell(f"Resumed by {who}.")
 
     def release(self, who: str, client: str = "") -> None:
-        """Free the arms that a client holds; without one all arms.
-
-        Parameters
-        ----------
-        who : wants it, for the log. client : whose arms.
-        """
+        """Free the arms that a client holds; without one all arms."""
         for arm, holder in self._holders.items():
             if holder is not None and client in ("", holder.client):
                 self._free(arm, f"released by {who}")
 
     def leave(self, client: str) -> None:
-        """Take note that a client has gone: its arms are free.
-
-        Parameters
-        ----------
-        client : its identity.
-        """
+        """Take note that a client has gone: its arms are free."""
         for arm, holder in self._holders.items():
             self._inbox.pop((arm, client), None)
             if holder is not None and holder.client == client:
@@ -169,12 +185,7 @@ class Arbiter:
         self._answered.pop(client, None)
 
     def report(self, client: str, why: str) -> None:
-        """Count what a client sent and its server refused, and tell it, at most once a second for each client.
-
-        Parameters
-        ----------
-        client : its identity. why : a sentence.
-        """
+        """Count what a client sent and its server refused, and tell it, at most once a second for each client."""
         self._refuse(client, why, self._clock(), answer=False)
 
     def __call__(self, state: State) -> Command | tuple[Command | None, ...] | None:
@@ -215,14 +226,11 @@ class Arbiter:
             return False
         command, problem = read_order(order, robot, order.arm in self._torque)
         if command.q is not None and not problem:
-            axes = self._axes[order.arm]
-            q = axes(command.q)
+            limits, name = self._limits[order.arm], partial(joint_name, robot, first=order.first, by_axis=order.by_axis)
             if holder is None:
-                most = np.minimum(self._entry, self._jumps[order.arm])  # as of `Limits.of`: sliding joints jump less
-                problem = _distance(q, axes(state.q), most, "first position", "measured", robot, order)
+                problem = entry_refusal(command.q, state.q, limits.entry, robot, name)
             else:
-                most = self._jumps[order.arm]
-                problem = _distance(q, axes(_sent(state)), most, "position", "last sent", robot, order)
+                problem = jump_refusal(command.q, _sent(state), limits.jump, robot, name)
         if problem:
             return self._refuse(order.client, problem, came_ns)
         if holder is None:
@@ -235,8 +243,8 @@ class Arbiter:
         holder = self._holders[robot.name]
         if holder is None or self.stopped:  # another thread may have taken the stop while a command came into force
             return None
-        q, axes = holder.command.q, self._axes[robot.name]
-        if not is_fresh and q is not None and np.any(np.abs(axes(q) - axes(_sent(state))) > self._jumps[robot.name]):
+        q, axes, jump = holder.command.q, self._axes[robot.name], self._limits[robot.name].jump
+        if not is_fresh and q is not None and np.any(np.abs(axes(q) - axes(_sent(state))) > jump):
             return None  # the arm was held meanwhile: to go on would be a jump, which ends runs
         return holder.command
 
@@ -273,17 +281,3 @@ def _sent(state: State) -> np.ndarray:
     """Return the position that was sent last, the measured one before anything was."""
     q = state.q_sent
     return q if len(q) and not np.isnan(q).any() else state.q
-
-
-def _distance(
-    q: np.ndarray, near: np.ndarray, most: np.ndarray, what: str, where: str, robot: Robot, order: Order
-) -> str:
-    """Return the sentence for a position, of the axes, too far from another, "" when it is near enough."""
-    excess = np.abs(q - near) - most
-    i = int(np.argmax(excess))
-    if excess[i] <= 0.0:
-        return ""
-    return (
-        f"Expected the {what} within {most[i]:g} of the one {where}, got {q[i]:.4f} for "
-        f"{called(robot, i, order.first, order.by_axis)} of {robot.name}, {where} {near[i]:.4f}. {causes(robot)}"
-    )

@@ -1,3 +1,0 @@
-"""Who may command an arm, and what a command is."""
-
-__all__ = []

@@ -1,0 +1,560 @@
+"""Commands: what a controller may return, torques, external axes and values for RAPID; what is refused by sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab import bridge, robots
+from armlab.bridge import connect
+from armlab.bridge.control.command_checks import entry_refusal, kept, numbers, refusal, wanted
+from armlab.bridge.control.external_axes import ExternalReferences, joined
+from armlab.bridge.control.limits import Limiter, Limits
+from armlab.bridge.control.state_machine import Mode, StateMachine
+from armlab.bridge.control.torque import Admittance, TorqueModel, Torques, admittances
+from armlab.errors import CommandRefused, ConfigError
+from armlab.robots import Robot
+from armlab.state import Command, State
+from armlab.wire.egm import Beside, EgmCodec, Packet, RobotMessage, RobotSideCodec
+
+from .test_state_machine import Bench
+
+
+def test_references_pass(robot: Robot) -> None:
+    q, qd, tau = wanted(Command([0.0] * 7, np.ones(7, dtype=np.float32), [1] * 7), robot)  # type: ignore[arg-type]
+    assert (tau.dtype, tau.sum()) == (np.float64, 7.0)
+    assert (q.dtype, qd.dtype) == (np.float64, np.float64)
+    assert wanted(Command(), robot) == (None, None, None)
+    [halves, whole, _] = wanted(Command(np.full(14, 0.5)[::2], np.ones(7, dtype=np.uint8)), robot)
+    assert (halves.sum(), halves.flags.c_contiguous, whole.sum(), whole.dtype) == (3.5, True, 7.0, np.float64)
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ([0.0] * 7, "got list"),
+        (Command(np.zeros(6)), r"shape \(7,\).*got \(6,\)"),
+        (Command(qd=np.zeros((1, 7))), r"Command.qd.*got \(1, 7\)"),
+        (Command(0.5), r"got \(\)"),  # type: ignore[arg-type]
+        (Command(["a"] * 7), "7 numbers in Command.q"),  # type: ignore[arg-type]
+        (Command({}), "7 numbers"),  # type: ignore[arg-type]
+        (Command(["0.1"] * 7), "7 numbers in Command.q.*of type <U3"),  # type: ignore[arg-type]
+        (Command(np.zeros(7, dtype=complex)), "7 numbers in Command.q.*of type complex128"),
+        (Command(qd=np.zeros(7) > 0), "7 numbers in Command.qd.*of type bool"),
+        (Command(tau=np.array(["0.1"] * 7, dtype=object)), "7 numbers in Command.tau.*of type object"),
+        (Command([10**400] * 7), "7 numbers"),  # type: ignore[arg-type]
+        (Command(tau=np.zeros(6)), r"Command.tau.*got \(6,\)"),
+    ],
+)
+def test_what_is_no_reference_is_refused(robot: Robot, command: Any, words: str) -> None:
+    with pytest.raises(CommandRefused, match=words):
+        wanted(command, robot)
+
+
+@pytest.mark.parametrize("name", ["q", "qd", "tau", "q_ext", "rapid_data"])
+def test_what_is_kept_does_not_change(name: str) -> None:
+    for values in (np.zeros(7), [0.0] * 7):
+        given: dict[str, Any] = {name: values, "rapid_digital": True, "record": {"x": 1.0}, "ends": True}
+        command = kept(Command(**given))
+        values[2] = 1.0
+        np.testing.assert_array_equal(getattr(command, name), np.zeros(7))
+        assert (command.rapid_digital, command.record, command.ends) == (True, {"x": 1.0}, True)
+        assert sum(getattr(command, one) is not None for one in ("q", "qd", "tau", "q_ext", "rapid_data")) == 1
+
+
+def test_what_is_no_command_is_kept_to_be_refused(robot: Robot) -> None:
+    assert kept(None) is None
+    for odd in (3, Command([[1.0], [2.0, 3.0]])):  # type: ignore[list-item]
+        with pytest.raises(CommandRefused):
+            wanted(kept(odd), robot)  # type: ignore[arg-type]
+
+
+def test_real_numbers() -> None:
+    assert [numbers(values).dtype for values in ([1], [0.5], np.ones(1, "u1"))] == [np.int64, np.float64, np.uint8]
+    for odd in (1j, "1", True, None, np.datetime64(1, "s")):
+        with pytest.raises(TypeError, match="of type "):
+            numbers([odd])
+
+
+def test_the_sentence_names_joint_and_values(robot: Robot) -> None:
+    q = np.zeros(7)
+    q[2] = np.nan
+    assert f"q = nan for joint 3 ({robot.joint_names[2]})" in refusal(3, q, None, np.zeros(7), robot)
+    assert f"got q = nan, qd = 0.0 for joint 3 ({robot.joint_names[2]})" in refusal(3, q, np.zeros(7), q, robot)
+    q[2] = 57.3
+    sentence = refusal(-3, q, None, np.full(7, 0.3), robot)
+    assert (
+        f"sent, 0.3000, for joint 3 ({robot.joint_names[2]}) of {robot.name}, got 57.3000: a jump of 57.0000"
+        in sentence
+    )
+    assert "degrees" in sentence
+
+
+def test_entry(robot: Robot) -> None:
+    held, entry = np.zeros(7), np.full(7, 0.05)
+    assert entry_refusal(held + 0.05, held, entry, robot) == ""
+    far = held.copy()
+    far[[1, 4]] = [0.06, -0.5]
+    assert f"-0.5000 for joint 5 ({robot.joint_names[4]})" in entry_refusal(far, held, entry, robot)
+    wide = np.where(np.arange(7) == 4, 0.4, 0.05)
+    far[1] = 0.1
+    assert "joint 2" in entry_refusal(far, held, wide, robot), "twice what is allowed is more than 1.25 times"
+
+
+def test_far_is_what_the_axes_are_where_they_are_not_the_joints(robot: Robot) -> None:
+    """Of an IRB 2400 axis 3 is the sum of joints 2 and 3: both by 0.04 is far, one against the other is not."""
+    linked, entry = robots.load("irb2400"), np.full(6, 0.05)
+    q = np.array([0.0, 0.04, 0.04, 0.0, 0.0, 0.0])
+    held = np.array([0.0, 0.0, 0.01, 0.0, 0.0, 0.0])
+    assert "got 0.0800 for joint 3 (axis_3) of irb2400, which holds at 0.0100" in entry_refusal(q, held, entry, linked)
+    assert entry_refusal(q * [1, 1, -1, 1, 1, 1], held, entry, linked) == ""
+    assert "sent, 0.0100, for joint 3 (axis_3) of irb2400, got 0.0800: a jump of 0.0700" in refusal(
+        -3, q, None, held, linked
+    )
+    for sentence in (entry_refusal(q, held, entry, linked), refusal(-3, q, None, held, linked)):
+        assert "degrees instead of radians" in sentence
+        assert "ABB's axes" in sentence
+
+
+TORQUES = frozenset(("position", "velocity", "torque"))
+T = 0.004
+
+
+@pytest.fixture
+def limits(robot: Robot) -> Limits:
+    return Limits.of(robot, tau_max=10.0)
+
+
+def test_a_torque_is_clipped_and_rises_slowly(robot: Robot, limits: Limits) -> None:
+    """10 N m in 0.1 s are 0.4 N m in a period of 4 ms; then it stays at the limit, and returns as slowly."""
+    torques, limiter = Torques(robot, limits, TORQUES), Limiter(limits)
+    reply = limiter.rest(robot.q_home)
+    assert torques.limited(reply, None, T) is reply
+    wanted = np.zeros(7)
+    wanted[0], wanted[1] = 50.0, 0.3
+    found = [torques.limited(reply, wanted, T) for _ in range(30)]
+    sent = np.array([one.tau for one in found])
+    np.testing.assert_allclose(sent[:3, 0], [0.4, 0.8, 1.2])
+    np.testing.assert_allclose(sent[-1, :2], [10.0, 0.3])
+    assert found[0].clamped.tolist() == [48, 0, 0, 0, 0, 0, 0]
+    assert found[-1].clamped[0] == 16
+    assert not found[-1].tau.flags.writeable  # type: ignore[union-attr]
+    assert not found[-1].clamped.flags.writeable
+    back = [torques.limited(reply, None, T) for _ in range(30)]
+    assert np.abs(np.diff([one.tau[0] for one in back if one.tau is not None])).max() <= 0.4 + 1e-12
+    assert back[-1].tau is None
+
+
+def test_rounding_is_not_a_clamp(robot: Robot, limits: Limits) -> None:
+    """What is asked for exactly at a limit is sent, and no bit tells of it; a millionth more is told."""
+    reply = Limiter(limits).rest(robot.q_home)
+    for more, slowed, clipped in ((0.0, 0, 0), (1e-6, 32, 16)):
+        torques = Torques(robot, limits, TORQUES)
+        assert torques.limited(reply, np.full(7, 0.4 + more), T).clamped.tolist() == [slowed] * 7
+        for k in range(1, 25):
+            torques.limited(reply, np.full(7, 0.4 * (k + 1)), T)
+        assert torques.limited(reply, np.full(7, 10.0 + more), T).clamped.tolist() == [clipped] * 7
+
+
+def test_without_the_capability_a_torque_is_refused_by_name(robot: Robot, limits: Limits) -> None:
+    plain = Torques(robot, limits, frozenset(("position", "velocity")))
+    with pytest.raises(CommandRefused, match=r'can carry position, velocity only.*torque="admittance"'):
+        plain.wanted(Command(tau=np.zeros(7)), robot.q_home, np.zeros(7))
+    with pytest.raises(CommandRefused, match="can carry nothing only"):
+        Torques(robot, limits, frozenset()).wanted(Command(tau=np.zeros(7)), robot.q_home, np.zeros(7))
+    with pytest.raises(CommandRefused, match=r"no torque limits.*tau_max"):
+        Torques(robot, Limits.of(robot), TORQUES).wanted(Command(tau=np.zeros(7)), robot.q_home, np.zeros(7))
+
+
+@pytest.mark.parametrize(
+    ("tau", "words"), [(np.full(7, np.nan), "NaN never"), (np.zeros(6), r"\(6,\)"), (["a"] * 7, "7 numbers")]
+)
+def test_what_is_no_torque_is_refused(robot: Robot, limits: Limits, tau: Any, words: str) -> None:
+    with pytest.raises(CommandRefused, match=words):
+        Torques(robot, limits, TORQUES).wanted(Command(tau=tau), robot.q_home, np.zeros(7))
+
+
+def test_admittance_by_hand(robot: Robot, limits: Limits) -> None:
+    """qd = (tau - tau_model) / D."""
+    model: TorqueModel = lambda q, qd: q + 2.0 * qd  # noqa: E731
+    unit = Admittance(np.full(7, 5.0), model)
+    torques = Torques(robot, limits, frozenset(("position", "velocity")), unit)
+    q, qd = np.arange(7.0), np.ones(7)
+    assert torques.wanted(Command(), q, qd) == (None, None, None)
+    asked, speed, tau = torques.wanted(Command(tau=np.full(7, 12.0)), q, qd)
+    assert (asked, tau) == (None, None)
+    assert speed is not None
+    np.testing.assert_allclose(speed, (12.0 - (q + 2.0)) / 5.0)
+    with pytest.raises(CommandRefused, match="tau alone"):
+        torques.wanted(Command(q, tau=q), q, qd)
+    plain = Admittance([5.0] * 7)  # type: ignore[arg-type]
+    assert isinstance(plain.damping, np.ndarray)
+    np.testing.assert_allclose(plain.velocity(q, q, qd), q / 5.0)
+
+
+@pytest.mark.parametrize("damping", [[0.0] * 7, [-1.0] * 7, [np.nan] * 7, 3.0])
+def test_damping_must_be_positive(damping: Any) -> None:
+    with pytest.raises(ConfigError, match="positive damping"):
+        Admittance(damping)
+
+
+def test_admittances_of_each_arm() -> None:
+    arms = [robots.load("yumi_left"), robots.load("ur5e")]
+    assert admittances("refuse", None, None, arms) == [None, None]
+    first, second = admittances("admittance", np.arange(1.0, 14.0), None, arms)
+    assert (len(first.damping), second.damping[0]) == (7, 8.0)
+    models: list[TorqueModel] = [lambda q, qd: q, lambda q, qd: qd, lambda q, qd: q + qd]
+    three = admittances("admittance", np.arange(1.0, 21.0), models, [*arms, arms[0]])
+    assert [(one.damping[0], one.model) for one in three if one] == list(zip((1.0, 8.0, 14.0), models, strict=True))
+    (alone,) = admittances("admittance", np.ones(7), models[0], arms[:1])
+    assert alone.model is models[0]
+    for torque, damping, model, words in (
+        ("always", None, None, "refuse, admittance"),
+        ("admittance", None, None, "13 joints"),
+        ("admittance", np.ones(7), None, "13 joints"),
+        ("refuse", np.ones(13), None, "only"),
+        ("admittance", np.ones(13), lambda q, qd: q, "one torque_model per arm"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            admittances(torque, damping, model, arms)
+
+
+def test_a_torque_alone_follows_the_arm_and_ends_in_a_hold(feed: Any, robot: Robot, limits: Limits) -> None:
+    machine = StateMachine(robot, limits, capabilities=TORQUES, on_event=feed.tell)
+    home, push = robot.q_home, np.zeros(7)
+    push[1] = 4.0
+
+    def see(q: np.ndarray, command: Command | None) -> Any:
+        machine.observe(feed.sample(q=q))
+        return machine.answer(command, T)
+
+    see(home, None)
+    for k in range(5):
+        reply = see(home + 1e-3 * k, Command(tau=push))
+        assert reply.free
+        np.testing.assert_allclose(reply.q, home + 1e-3 * k)
+        assert reply.tau[1] == pytest.approx(0.4 * (k + 1))
+    assert machine.mode is Mode.RUNNING
+    machine.take_back()
+    assert see(home, Command(tau=push)).tau[1] == pytest.approx(0.4 * 6), "what did not go out counts as time only"
+    held = see(home + 5e-3, None)
+    assert not held.free
+    assert machine.mode is Mode.HOLDING
+    np.testing.assert_allclose(held.q, home + 4e-3, atol=0.02)
+
+
+def test_a_torque_alone_is_refused_beyond_the_limits_of_the_arm(feed: Any, robot: Robot, limits: Limits) -> None:
+    machine = StateMachine(robot, limits, capabilities=TORQUES, on_event=feed.tell)
+    q = robot.q_home.copy()
+    q[3] = limits.q_max[3] - 0.005
+    machine.observe(feed.sample(q=q))
+    q[3] = limits.q_max[3] + 0.005
+    for _ in range(3):
+        machine.observe(feed.sample(q=q))
+        reply: Any = machine.answer(Command(tau=np.ones(7)), T)
+        assert not reply.free
+    assert machine.mode is Mode.STOPPING
+    low, high = limits.q_min[3], limits.q_max[3]
+    assert f"joint 4 ({robot.joint_names[3]}) is at {q[3]:.4f}, allowed is from {low:.4f} to {high:.4f}." in str(
+        machine.failure
+    )
+    outside, fast = Torques(robot, limits, TORQUES).outside, np.array([0, 99.0, 0, 0, 0, 0, 0])
+    words = f"joint 2 ({robot.joint_names[1]}) is moving at 99.0000, allowed is up to {limits.qd_max[1]:.4f}."
+    assert words in outside(robot.q_home, fast)
+    for end, sign in ((limits.q_min, 1.0), (limits.q_max, -1.0)):
+        assert outside(end, sign * limits.qd_max) == "", "the limits themselves are within"
+
+
+def test_a_simulated_arm_moves_as_it_is_pushed() -> None:
+    """A torque beyond its friction turns joint 1 the way it pushes; then the arm holds where it is."""
+    robot = robots.load("yumi_right")
+    push = np.zeros(7)
+
+    def controller(state: State) -> Command | None:
+        push[0] = 5.0 if state.t < 0.3 else 0.0
+        return Command(tau=push.copy()) if state.t < 0.5 else None
+
+    with connect("sim://yumi_right?lockstep=true&seed=3", robot) as link:
+        run = link.run(controller, seconds=1.5, limits=Limits.of(robot, tau_max=40.0))
+    q, qd, t = (np.asarray(run.table[name]) for name in ("q", "qd", "t"))
+    tau = np.asarray(run.table["tau_sent"])
+    assert np.nanmax(tau[:, 0]) == pytest.approx(5.0)
+    assert q[-1, 0] - q[0, 0] > 0.02
+    assert np.abs(qd[t > 1.3]).max() < 0.02
+    assert run.reason == "the time is up"
+
+
+def test_torque_limits_of_a_robot(robot: Robot) -> None:
+    """A robot without torque limits gets none; ur5e has 150 N m and 28 N m."""
+    assert Limits.of(robot).tau_max is None
+    limits = Limits.of(robots.load("ur5e"))
+    assert limits.tau_max is not None
+    assert limits.tau_rate is not None
+    np.testing.assert_allclose(limits.tau_rate, [1500.0] * 3 + [280.0] * 3)
+    with pytest.raises(ConfigError, match="together"):
+        Limits(*np.stack([-np.ones(6), *[np.ones(6)] * 5]), tau_max=np.ones(6))
+    with pytest.raises(ConfigError, match="tau_max above 0"):
+        Limits.of(robot, tau_max=-1.0)
+
+
+@pytest.fixture
+def pushed(feed: Any, robot: Robot, limits: Limits) -> Bench:
+    return Bench(feed, robot, limits, capabilities=TORQUES)
+
+
+def test_a_torque_beside_a_position(pushed: Bench, robot: Robot) -> None:
+    """It rises from zero whenever the robot becomes ready, and goes when the position is refused."""
+    for _ in range(2):
+        pushed.reply(None)
+        for k in range(3):
+            assert pushed.reply(Command(pushed.home, tau=np.full(7, 10.0))).tau == pytest.approx(0.4 * (k + 1))
+        refused = pushed.reply(Command(pushed.home + 1.0, tau=np.full(7, 10.0)))
+        assert refused.tau == pytest.approx(0.8)
+        pushed.see(motors=2)
+
+
+ABLE = frozenset(("position", "velocity", "external_axes", "rapid_data"))
+AXES = Limits.of_axes([-1.0, -2.0], [1.0, 2.0], [0.5, 0.5])
+
+
+def packet(robot: Robot, q_ext: Any = (0.3, -0.2), robotware: str = "7") -> Packet:
+    message = RobotMessage(1, 10, robot.q_home, robot.q_home, q_ext=q_ext, rapid_digital=False)
+    found = EgmCodec(robot).decode(RobotSideCodec(robot, robotware, external=2).encode_robot(message))
+    assert isinstance(found, Packet)
+    return found
+
+
+def seen(
+    limits: Limits | None, robot: Robot, capabilities: frozenset[str] = ABLE, **fields: Any
+) -> tuple[ExternalReferences, Packet]:
+    """Return external axes whose feedback was plausible three times, and the packet."""
+    external, here = ExternalReferences(limits, capabilities), packet(robot, **fields)
+    for _ in range(3):
+        assert external.observe(here, T) == ""
+    return external, here
+
+
+def test_axes_move_within_their_limits_and_come_to_rest(robot: Robot) -> None:
+    """Half a radian per second after 0.1 s, its speed with each position, and a ramp down in the end."""
+    external, here = seen(AXES, robot)
+    assert external.hold(T, T) is None, "nobody asked for a motion"
+    goal = here.q_ext.copy()
+    found: list[Beside] = []
+    for _ in range(60):
+        goal = goal + 0.0025
+        found.append(external.follow(Command(q_ext=goal), here, T, T) or Beside())
+    q = np.array([one.q_ext for one in found])
+    steps = np.diff(np.vstack((here.q_ext, q)), axis=0)
+    assert steps.max() == pytest.approx(0.5 * T, rel=1e-6)
+    assert np.diff(steps, axis=0).max() <= 5.0 * T**2 + 1e-12
+    np.testing.assert_allclose(found[-1].qd_ext, steps[-1] / T, rtol=1e-6)
+    assert not external.at_rest
+    rest = [external.hold(T, T) for _ in range(40)]
+    assert external.at_rest
+    assert rest[-1] is not None
+    assert rest[-1].qd_ext is not None
+    assert not rest[-1].qd_ext.any()
+    assert rest[-1].rapid_data is None
+    reply = Limiter(Limits.of(robot)).rest(robot.q_home)
+    assert joined(reply, None) is reply
+    assert joined(reply, rest[-1]).beside is rest[-1]
+    where = external.rest(here)
+    np.testing.assert_array_equal(where.q_ext, here.q_ext)
+    external.begin()
+    assert external.rest(here) is None
+
+
+def test_values_for_rapid_go_out_once(robot: Robot) -> None:
+    external, here = ExternalReferences(None, ABLE), packet(robot)
+    found = external.follow(Command(rapid_data=[1.0, 2.5], rapid_digital=True), here, T, T)
+    assert (found.rapid_data.tolist(), found.rapid_digital, found.q_ext) == ([1.0, 2.5], True, None)  # type: ignore[union-attr]
+    assert external.follow(Command(robot.q_home), here, T, T) is None
+    assert external.follow(Command(rapid_digital=False), here, T, T) == Beside(rapid_digital=False)
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (Command(q_ext=np.array([0.3])), r"external axes, 2, got shape \(1,\)"),
+        (Command(q_ext=np.array([0.3, np.nan])), "finite numbers in Command.q_ext"),
+        (Command(q_ext=np.array([17.0, -0.2])), r"axis 1 within 0.05 of where it is, 0.3000, got 17.0000"),
+        (Command(q_ext=np.array(["a", "b"])), "numbers in Command.q_ext"),
+        (Command(q_ext=np.array([0.3, 1.0 + 1j])), "numbers in Command.q_ext.*of type complex128"),
+        (Command(rapid_data=["1.0"]), "numbers in Command.rapid_data.*of type <U3"),  # type: ignore[list-item]
+        (Command(rapid_data=[1.0] * 41), r"at most 40 numbers in a row in Command.rapid_data, got shape \(41,\)"),
+        (Command(rapid_data=[[1.0]]), r"shape \(1, 1\)"),
+        (Command(rapid_data=[np.inf]), "finite numbers in Command.rapid_data"),
+        (Command(rapid_digital=1), "True, False or None in Command.rapid_digital, got 1"),  # type: ignore[arg-type]
+    ],
+)
+def test_what_is_refused(robot: Robot, command: Command, words: str) -> None:
+    with pytest.raises(CommandRefused, match=words):
+        seen(AXES, robot)[0].follow(command, packet(robot), T, T)
+
+
+def test_jumps_missing_limits_and_robots_that_cannot_are_refused(robot: Robot) -> None:
+    external, here = seen(AXES, robot)
+    external.follow(Command(q_ext=here.q_ext), here, T, T)
+    with pytest.raises(CommandRefused, match=r"axis 2 near the last one sent, -0.2000, got 0.8000"):
+        external.follow(Command(q_ext=here.q_ext + np.array([0.0, 1.0])), here, T, T)
+    external.begin()
+    with pytest.raises(CommandRefused, match=r"three times in a row before they are moved"):
+        external.follow(Command(q_ext=here.q_ext), here, T, T)
+    for _ in range(3):
+        external.observe(here, T)
+    with pytest.raises(CommandRefused, match=r"first position of external axis 1 within 0.05"):
+        external.follow(Command(q_ext=here.q_ext + 0.08), here, T, T)
+    with pytest.raises(CommandRefused, match=r"external=Limits.of_axes"):
+        ExternalReferences(None, ABLE).follow(Command(q_ext=here.q_ext), here, T, T)
+    with pytest.raises(CommandRefused, match="cannot send external axes"):
+        ExternalReferences(AXES, frozenset(("position",))).follow(Command(q_ext=here.q_ext), here, T, T)
+    with pytest.raises(CommandRefused, match=r"need RobotWare 7, this is RobotWare 6.10"):
+        external.follow(Command(rapid_digital=True), packet(robot, robotware="6.10"), T, T)
+    with pytest.raises(CommandRefused, match="a codec that cannot send it"):
+        ExternalReferences(AXES, frozenset(("position",))).follow(Command(rapid_data=[1.0]), here, T, T)
+    with pytest.raises(CommandRefused, match="external axes, 0, got"):
+        external.follow(Command(q_ext=here.q_ext), packet(robot, ()), T, T)
+
+
+def test_a_refusal_stops_the_run_and_every_reply_says_where_the_axes_stay(feed: Any, robot: Robot) -> None:
+    feed.packets.codec = RobotSideCodec(robot, "7", external=2)
+    machine = StateMachine(robot, Limits.of(robot, external=AXES), capabilities=ABLE, on_event=feed.tell)
+    here = np.array([0.3, -0.2])
+
+    def cycle(command: Command | None, **fields: Any) -> Beside | None:
+        machine.observe(feed.sample(q_ext=here, rapid_digital=False, **fields))
+        reply = machine.answer(command, T)
+        return reply.beside
+
+    assert cycle(None) is None
+    assert cycle(Command(q_ext=here)) is not None
+    machine.take_back()
+    assert cycle(None) is None, "the first reference of the axes did not go out"
+    for k in range(20):
+        moving = cycle(Command(q_ext=here + 0.002 * k))
+    assert moving.qd_ext.min() > 0.1
+    assert machine.mode is Mode.HOLDING, "the joints hold"
+    machine.observe(feed.sample(q_ext=here, rapid_digital=False))
+    late = machine.hold(T)
+    assert late.beside is not None
+    away = cycle(None, motors=2)
+    np.testing.assert_allclose(away.q_ext, here)
+    cycle(Command(q_ext=here))
+    last = cycle(Command(q_ext=here + 1.0))
+    assert machine.mode is Mode.STOPPING
+    assert isinstance(machine.failure, CommandRefused)
+    np.testing.assert_allclose(last.q_ext, here, atol=0.01)
+
+
+def moving(feed: Any, robot: Robot) -> tuple[StateMachine, Callable[..., Beside | None]]:
+    """Return a machine whose external axes move at full speed, and what answers its next packet."""
+    feed.packets.codec = RobotSideCodec(robot, "7", external=2)
+    machine = StateMachine(robot, Limits.of(robot, external=AXES), capabilities=ABLE, on_event=feed.tell)
+    here = np.array([0.3, -0.2])
+
+    def cycle(command: Command | None = None, answered: bool = True, q_ext: Any = here, **fields: Any) -> Beside | None:
+        machine.observe(feed.sample(q_ext=q_ext, **fields))
+        reply = machine.answer(command, T) if answered else None
+        return None if reply is None else reply.beside
+
+    cycle()
+    for k in range(60):
+        found = cycle(Command(q_ext=here + 0.002 * k))
+    np.testing.assert_allclose(found.qd_ext, 0.5)
+    return machine, cycle
+
+
+@pytest.mark.parametrize("away", ["overtaken", "not sent", "answered"])
+def test_axes_begin_anew_where_they_are_when_the_robot_is_ready_again(feed: Any, robot: Robot, away: str) -> None:
+    """Whether or not a packet that said so was answered: RAPID or a hand moved them meanwhile."""
+    machine, cycle = moving(feed, robot)
+    there = np.array([-0.6, 0.4])
+    for _ in range(300):  # it takes them more than a second
+        cycle(answered=away != "overtaken", q_ext=there, motors=2)
+        if away == "not sent":
+            machine.take_back()
+    for k in range(3):
+        found = cycle(q_ext=there + 0.001 * k)
+        np.testing.assert_allclose(found.q_ext, there, rtol=1e-14)
+        assert not np.any(found.qd_ext)
+    assert machine.mode is Mode.HOLDING
+
+
+@pytest.mark.parametrize(("off", "mode"), [(0.049, Mode.HOLDING), (0.051, Mode.STOPPING)])
+def test_axes_begin_near_where_they_are_held_after_each_loss_of_readiness(
+    feed: Any, robot: Robot, off: float, mode: Mode
+) -> None:
+    machine, cycle = moving(feed, robot)
+    there = np.array([-0.6, 0.4])
+    for _ in range(300):  # it takes them more than a second
+        cycle(q_ext=there, motors=2)
+    cycle(q_ext=there)
+    cycle(Command(q_ext=there - off), q_ext=there + 0.01)
+    assert machine.mode is mode
+    if machine.failure is None:
+        machine.take_back()
+        cycle(Command(q_ext=there - 0.08), q_ext=there)
+        assert machine.mode is Mode.STOPPING, "the first one did not go out"
+    assert "first position of external axis 1 within 0.05" in str(machine.failure)
+
+
+def test_axes_that_are_others_after_a_loss_of_readiness_do_not_move(feed: Any, robot: Robot) -> None:
+    _, cycle = moving(feed, robot)
+    cycle(motors=2)
+    feed.packets.codec = RobotSideCodec(robot, "7", external=1)
+    assert cycle(q_ext=[0.1]) is None
+    assert cycle(q_ext=[0.1]) is None
+
+
+def test_a_refused_jump_is_one_step_of_the_brake(feed: Any, robot: Robot) -> None:
+    machine, cycle = moving(feed, robot)
+    before = machine._last.beside
+    after = cycle(Command(q_ext=np.array([1.4, -0.2])))
+    assert machine.mode is Mode.STOPPING
+    assert before.q_ext is not None
+    np.testing.assert_allclose(after.qd_ext, 0.5 - 5.0 * T)
+    np.testing.assert_allclose(after.q_ext, before.q_ext + (0.5 - 5.0 * T) * T, rtol=1e-12)
+
+
+def test_a_run_with_the_simulated_controller(tmp_path: Path) -> None:
+    """Two external axes move, RAPID sends back what it hears, the log holds all of it."""
+    robot = robots.load("irb120")
+    limits = Limits.of(robot, external=Limits.of_axes([-1, -1], [1, 1], [0.5, 0.5]))
+    first: dict[str, float] = {}
+
+    def controller(state: State) -> Command:
+        start = first.setdefault("t", state.t)
+        q_ext = np.array([0.2, -0.1]) * min(1.0, (state.t - start) / 0.8)
+        return Command(q_ext=q_ext, rapid_data=[state.t, 7.0], rapid_digital=state.t > 0.5)
+
+    options = "lockstep=true&robotware=7&external=2&rapid-data=2&lagging=true"
+    with bridge.connect(f"sim://irb120?{options}", robot) as link:
+        run = link.run(controller, seconds=2.0, limits=limits, record=tmp_path / "run.mcap")
+    table = run.table
+    np.testing.assert_allclose(table["q_ext"][-1], [0.2, -0.1], atol=2e-3)
+    np.testing.assert_allclose(table["q_ext_ref"][250:300], [[0.2, -0.1]] * 50)
+    assert np.nanmax(np.abs(np.diff(table["q_ext_sent"], axis=0))) <= 0.5 * 0.00404
+    sent, back = table["rapid_data_sent"], table["rapid_data"]
+    assert sent.shape[1] == back.shape[1] == 2
+    np.testing.assert_array_equal(back[100:200], sent[98:198])
+    assert table["rapid_digital_sent"][50] == 0.0
+    assert table["rapid_digital"][400] == 1.0
+    states = list(table.states())
+    np.testing.assert_array_equal(states[300].rapid_data, back[300])
+    assert states[300].rapid_digital is True
+
+
+@pytest.mark.parametrize("false", [100.0, 0.5])
+def test_a_false_feedback_of_external_axes_is_never_a_reference(feed: Any, robot: Robot, false: float) -> None:
+    machine, cycle = moving(feed, robot)
+    here = np.array([0.3, -0.2])
+    cycle(motors=2)
+    for q_ext in (here + false, here + false, here):
+        beside = cycle(q_ext=q_ext, motors=2 if q_ext is not here else 1)
+        np.testing.assert_allclose(beside.q_ext, here)
+    assert len([text for text in feed.warnings if "external axes" in text]) == 1
+    assert machine.ready
