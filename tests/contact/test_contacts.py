@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from armlab.contact import Comparison, Contact, compare, contacts
-from armlab.errors import UnknownName
 from armlab.log import Table
 
 
@@ -76,12 +75,3 @@ def test_else_against_the_sensor(table: Table) -> None:
     found = compare(table.without("wrench_true"))
     assert found.against == "the force sensor"
     assert not found.rms.any()
-
-
-def test_what_is_missing_is_named(table: Table) -> None:
-    with pytest.raises(UnknownName, match="wrench_true or wrench"):
-        compare(table.without("wrench_true", "wrench"))
-    with pytest.raises(UnknownName, match="wrench_hat_cov"):
-        compare(table.without("wrench_hat_cov"))
-    with pytest.raises(UnknownName, match="none among 5000"):
-        compare(table.with_column("wrench_true", np.full((N, 6), np.nan)))

@@ -10,13 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import identify, robots
-from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, TARED, WEAK, Estimator, Wrench, hypotheses
-from armlab.contact.estimator import check_distance, contact_point
-from armlab.errors import ConcurrentUse, ModelMismatchError, NotExcited, ShapeError, UnknownName
+from armlab import identify
+from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, TARED, WEAK, Estimator, Wrench
+from armlab.errors import ConcurrentUse
 from armlab.log import Table
-from armlab.models import velocity_covariance
-from armlab.robots.robot import arm_length
 from armlab.state import State
 
 PRIOR_SD = np.array([20.0, 20, 20, 2, 2, 2])
@@ -96,29 +93,6 @@ def test_a_press_along_an_axis_appears_with_its_sign(truth, perfect, axis: int, 
     np.testing.assert_allclose(tail[:3], force[:3], atol=0.3)
 
 
-def test_a_load_that_the_model_does_not_know_pulls_down(truth, perfect) -> None:
-    """1 kg at the tool point: f_z = -9.81 N in motion through many poses."""
-    motion = identify.design_excitation(truth.robot, seconds=12, speed=0.2, acceleration=1.0, seed=4)
-    weight = np.array([0, 0, -9.80665, 0, 0, 0])
-    table = Estimator(perfect, truth.robot).run(
-        truth.log(motion, noise=0.0, wrench=lambda t: np.tile(weight, (len(t), 1)))
-    )
-    seen = table["observability"][:, 2] > 0.9
-    assert seen.mean() > 0.5
-    assert np.mean(table["wrench_hat"][seen, 2]) == pytest.approx(-9.80665, rel=0.05)
-
-
-def test_the_posterior_is_the_information_form(truth, perfect, excited) -> None:
-    """P = (J C^-1 J^T + C_F^-1)^-1 and F = P J C^-1 tau_e, to 1e-9 where both exist."""
-    table = Estimator(perfect, truth.robot).run(excited.between(3.0, 6.0))
-    for k in range(100, len(table), 100):
-        J = truth.robot.chain.jacobian(table["q"][k])
-        weight = J / table["tau_variance"][k]
-        P = np.linalg.inv(weight @ J.T + np.diag(1 / PRIOR_SD**2))
-        np.testing.assert_allclose(table["wrench_hat_cov"][k], P, rtol=1e-7, atol=1e-10)
-        np.testing.assert_allclose(table["wrench_hat"][k], P @ weight @ table["tau_error"][k], rtol=1e-7, atol=1e-9)
-
-
 def test_a_singular_pose_gives_a_finite_estimate_and_a_hidden_direction(truth, perfect) -> None:
     """Seven axes on one line: five directions of the wrench stay as the prior has them."""
     q, zero = np.zeros(7), np.zeros(7)
@@ -153,45 +127,6 @@ def test_the_posterior_is_as_wide_as_the_errors(truth, perfect) -> None:
         error = wrench.wrench - F[k]
         nees.append(error @ np.linalg.solve(wrench.cov, error) / 6)
     assert 0.97 < np.mean(nees) < 1.03
-
-
-def test_a_noisier_joint_is_trusted_less(truth, perfect) -> None:
-    log = truth.log(identify.dither(truth.robot.q_home, seconds=2.0), noise=0.0)
-
-    def gain(scale: float) -> float:
-        sd = np.sqrt(perfect.covariance.C0) * np.where(np.arange(7) == 1, scale, 1.0)
-        noisy = replace(perfect, covariance=velocity_covariance("const", sd**2, sd**2))
-        changed = log.with_column("tau", log["tau"] + 0.1 * (np.arange(7) == 1))
-        difference = (
-            Estimator(noisy, truth.robot).run(changed)["wrench_hat"]
-            - Estimator(noisy, truth.robot).run(log)["wrench_hat"]
-        )
-        return float(np.linalg.norm(difference[-1] / PRIOR_SD))
-
-    assert gain(2.0) < gain(1.0)
-
-
-def test_newtons_or_kilonewtons_it_is_the_same_wrench(truth, perfect, excited) -> None:
-    """Torques, masses, friction and prior in thousands: the wrench is a thousandth, to 1e-9."""
-    log = excited.between(3.0, 4.0)
-    f, s = perfect.friction, 1e-3
-    small = replace(
-        perfect,
-        link_parameters=perfect.link_parameters * s,
-        rotor=perfect.rotor * s,
-        friction=replace(
-            f,
-            viscous=f.viscous * s,
-            coulomb_pos=f.coulomb_pos * s,
-            coulomb_neg=f.coulomb_neg * s,
-            offset=f.offset * s,
-            stribeck=f.stribeck * s,
-        ),
-        covariance=velocity_covariance("const", perfect.covariance.C0 * s**2, perfect.covariance.Cinf * s**2),
-    )
-    newtons = Estimator(perfect, truth.robot).run(log)["wrench_hat"]
-    kilo = Estimator(small, truth.robot, prior=PRIOR_SD * s).run(log.with_column("tau", log["tau"] * s))["wrench_hat"]
-    np.testing.assert_allclose(kilo / s, newtons, rtol=1e-9, atol=1e-12)
 
 
 def test_at_rest_the_band_is_wide_and_holds_the_truth(truth, model) -> None:
@@ -235,34 +170,6 @@ def test_a_broken_sample_gives_nan_and_leaves_the_state_alone(truth, model, exci
             assert disturbed.step(replace(state, dt=0.0)).flags == INVALID
             assert disturbed.step(replace(state, qd=np.full(7, 1e200))).flags == INVALID  # its torque overflows
         assert np.array_equal(good.step(state).wrench, disturbed.step(state).wrench)
-
-
-def test_weak_axes_are_flagged(truth, model, excited) -> None:
-    table = Estimator(model, truth.robot, prior=np.full(6, 1e-4)).run(excited.between(0.0, 0.5))
-    assert np.all(table["wrench_flags"] == WEAK)
-
-
-def test_wrong_use_is_refused(truth, model, excited) -> None:
-    with pytest.raises(ModelMismatchError, match=r"yumi_left.*yumi_right"):
-        Estimator(model, robots.load("yumi_right"))
-    with pytest.raises(ShapeError, match="six positive"):
-        Estimator(model, truth.robot, prior=np.zeros(6))
-    with pytest.raises(UnknownName, match="interval"):
-        Estimator(model, truth.robot, method="best")
-    with pytest.raises(ShapeError, match="three finite"):
-        Estimator(model, truth.robot, point=[0.0, np.nan, 0.1])
-    six = Table(excited.t, {name: excited[name][:, :6] for name in ("q", "qd", "tau")})
-    with pytest.raises(ShapeError, match="belongs to"):
-        Estimator(model, truth.robot).run(six)
-
-
-def test_a_log_in_degrees_or_without_measured_torques_is_refused(truth, model, excited) -> None:
-    log, estimator = excited.between(0.0, 4.0), Estimator(model, truth.robot)
-    degrees = log.with_column("q", np.rad2deg(log["q"])).with_column("qd", np.rad2deg(log["qd"]))
-    with pytest.raises(ShapeError, match="degrees"):
-        estimator.run(degrees)
-    with pytest.raises(NotExcited, match="Expected measured torques"):
-        estimator.run(log.with_column("tau", np.zeros_like(log["tau"])))
 
 
 def elsewhere(call: Callable[..., Any], *args: Any) -> Any:
@@ -388,34 +295,6 @@ def test_without_a_prior_a_singular_pose_is_said_and_not_guessed(truth, perfect)
 
 
 # Places of contact: in metres, and no further off than the arm is long.
-
-
-def test_a_point_is_three_finite_numbers_of_its_own() -> None:
-    robot, given = robots.load("ur5e"), np.array([0.0, 0.0, 0.12])
-    point = contact_point(given, robot)
-    np.testing.assert_array_equal(point, given)
-    assert not np.shares_memory(point, given)
-    for wrong in ((0.0, 0.0), (0.0, np.inf, 0.0)):
-        with pytest.raises(ShapeError, match="three finite numbers"):
-            contact_point(wrong, robot)
-
-
-def test_millimetres_are_refused_and_a_tool_as_long_as_the_arm_is_not() -> None:
-    robot = robots.load("ur5e")
-    check_distance(np.array([[0.0, 0.0, 0.999 * arm_length(robot)], [0.1, 0.0, 0.0]]), robot)
-    check_distance(np.zeros((0, 3)), robot)
-    with pytest.raises(ShapeError, match=r"within \S+ m of the tool.*'ur5e', got one 120 m away.*millimetres by 1000"):
-        check_distance(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 120.0]]), robot)
-
-
-def test_estimators_and_hypotheses_ask_for_it(truth, model, excited) -> None:
-    table = Estimator(model, truth.robot, point=(0.0, 0.0, 0.12)).run(excited.between(3.0, 6.0))
-    with pytest.raises(ShapeError, match="120 m away"):
-        Estimator(model, truth.robot, point=(0.0, 0.0, 120.0))
-    with pytest.raises(ShapeError, match="120 m away"):
-        hypotheses(table, truth.robot, point=(0.0, 0.0, 120.0))
-    with pytest.raises(ShapeError, match="100 m away"):
-        hypotheses(table, truth.robot, segment=[(0.0, 0.0, 0.0), (100.0, 0.0, 0.0)])
 
 
 # Wrench: sigma, condition, observability per direction, hidden direction.

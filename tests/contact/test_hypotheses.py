@@ -11,7 +11,6 @@ from scipy.signal import lfilter
 
 from armlab import identify, robots
 from armlab.contact import Estimator, Hypotheses, hypotheses
-from armlab.errors import ShapeError, UnknownName
 from armlab.estimation import correlation_time
 from armlab.log import Column, Table
 
@@ -134,12 +133,6 @@ def test_no_contact() -> None:
     assert re.match(r"none \d+ %", quiet.during(0.0, 1.0))
 
 
-def test_at_rest_a_window_is_one_sample() -> None:
-    made = pushes("point", 2, seed=1)
-    still = made.table.with_column("qd", 0 * made.table["qd"])
-    assert np.all(hypotheses(still, ROBOT, memory=MEMORY).samples == 1.0)
-
-
 def test_evidence_is_the_density_of_the_torque_error() -> None:
     """One row, one sample: log N(tau_e; 0, J^T C J + C_tau) as scipy has it."""
     from scipy.stats import multivariate_normal
@@ -166,23 +159,3 @@ def test_an_estimated_log(truth, perfect) -> None:
     assert re.match(r"point \d+ %( \(wrench|$|;)", found.during(6.0, 8.0))
     assert found.during(3.0, 5.0).startswith("none")
     assert "point" in found.text()
-
-
-def test_bad_input_is_refused_by_a_sentence() -> None:
-    table = pushes("none", 2, seed=0).table
-    with pytest.raises(UnknownName, match="tau_error"):
-        hypotheses(Table(table.t, {"q": table["q"], "qd": table["qd"]}), ROBOT)
-    with pytest.raises(ShapeError, match="irb2400"):
-        hypotheses(table, robots.load("irb2400"))
-    with pytest.raises(ShapeError, match="three finite"):
-        hypotheses(table, ROBOT, point=(0, 0))
-    with pytest.raises(ShapeError, match="two different points"):
-        hypotheses(table, ROBOT, segment=[[0, 0, 0.1]])
-    with pytest.raises(ShapeError, match="six positive"):
-        hypotheses(table, ROBOT, prior=np.zeros(6))
-    with pytest.raises(ShapeError, match="memory"):
-        hypotheses(table, ROBOT, memory=0.0)
-    with pytest.raises(ShapeError, match="at least one window"):
-        hypotheses(table, ROBOT, window=100.0)
-    with pytest.raises(ShapeError, match="missing"):
-        hypotheses(table.with_column("tau_error", np.full(table["q"].shape, np.nan), unit="N m"), ROBOT)

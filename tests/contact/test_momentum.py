@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from armlab import identify
-from armlab.contact import INVALID, TARED, WEAK, Estimator
-from armlab.errors import ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
+from armlab.contact import TARED, WEAK, Estimator
+from armlab.errors import ConfigError, NotExcited
 from armlab.log import Table
 from armlab.state import State
 
@@ -79,31 +79,6 @@ def test_a_press_along_an_axis_appears_with_its_sign(truth, model, way, axis: in
     table = Estimator(model, truth.robot, **way).run(log)
     found = table["wrench_hat"][500:].mean(axis=0)
     np.testing.assert_allclose(found[:3], force[:3], atol=1.0)
-
-
-def test_friction_as_a_state_steps_as_it_runs(truth, model, excited) -> None:
-    log, estimator = excited.between(0.0, 1.0), Estimator(model, truth.robot, "kf", bias=True, force_rate="fast")
-    table = estimator.run(log)
-    estimator.reset()
-    for k, state in enumerate(log.states()):
-        wrench = estimator.step(state)
-        assert np.array_equal(wrench.wrench, table["wrench_hat"][k])
-        assert np.array_equal(wrench.cov, table["wrench_hat_cov"][k])
-
-
-def test_a_broken_sample_gives_nan_and_leaves_the_state_alone(truth, model, excited, way) -> None:
-    log = excited.between(0.0, 1.0)
-    good, disturbed = Estimator(model, truth.robot, **way), Estimator(model, truth.robot, **way)
-    for k, state in enumerate(log.states()):
-        if k == 100:
-            for bad in (
-                replace(state, tau=np.full(7, np.nan)), replace(state, dt=0.0), replace(state, qd=np.full(7, 1e200)),
-            ):  # fmt: skip
-                wrench = disturbed.step(bad)
-                assert wrench.flags == INVALID
-                assert np.isnan(wrench.wrench).all()
-                assert np.isnan(wrench.cov).all()
-        assert np.array_equal(good.step(state).wrench, disturbed.step(state).wrench)
 
 
 def test_rows_that_are_missing_take_their_time_with_them(truth, model, excited, way) -> None:
@@ -221,25 +196,3 @@ def test_a_contact_at_a_known_point_has_the_moment_of_its_force(truth, model, ex
         np.testing.assert_allclose(known.wrench[3:], np.cross(r, known.wrench[:3]), atol=1e-12)
     assert known.at_point
     assert np.all(known.sigma[:3] < free.sigma[:3])
-
-
-def test_wrong_options_are_refused(truth, model) -> None:
-    robot = truth.robot
-    with pytest.raises(ConfigError, match=r"force_rate, bias with method='kf' only, got method='map'"):
-        Estimator(model, robot, force_rate="fast", bias=True)
-    with pytest.raises(ConfigError, match="gain with method='observer' only"):
-        Estimator(model, robot, "kf", gain=10.0)
-    with pytest.raises(UnknownName, match="fast, normal, smooth"):
-        Estimator(model, robot, "kf", force_rate="quick")
-    for rate in (5.0, [1, 1, 1, 1, 1, 0], [1, 1, 1, 1, 1, np.nan]):
-        with pytest.raises(ShapeError, match="six positive rates"):
-            Estimator(model, robot, "kf", force_rate=rate)
-    for leak in (-1.0, [0.1, 0.2], np.inf):
-        with pytest.raises(ShapeError, match="leak"):
-            Estimator(model, robot, "kf", leak=leak)
-    for gain in (0.0, np.nan, [1.0, 2.0]):
-        with pytest.raises(ShapeError, match="gain"):
-            Estimator(model, robot, "observer", gain=gain)
-    with pytest.raises(ModelMismatchError, match="Identify again"):
-        Estimator(replace(model, momentum=None), robot, "kf")
-    assert Estimator(model, robot, "kf", force_rate=np.ones(6), leak=0.0).method == "kf"

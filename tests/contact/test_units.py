@@ -94,7 +94,3 @@ def test_a_joint_that_is_said_to_be_noisier_is_trusted_less(truth, model, log, w
     assert tell.sum() >= 2
     for joint in np.flatnonzero(tell)[:2]:
         assert sensitivity(way, model, truth, log, joint, 2.0) < sensitivity(way, model, truth, log, joint, 1.0)
-
-
-def test_by_the_printed_formula_the_noisier_joint_speaks_louder(truth, model, log) -> None:
-    assert sensitivity("lund", model, truth, log, 1, 2.0) > sensitivity("lund", model, truth, log, 1, 1.0)

@@ -20,7 +20,6 @@ from armlab.estimation import (
     Limits,
     Property,
     check_estimator,
-    difference,
 )
 from armlab.estimation.contract import PROPERTIES
 
@@ -271,9 +270,3 @@ def test_errors_may_be_those_of_validation_where_the_covariance_has_not_full_ran
     found = check_estimator(doubled, experiment, 200, n=60, error=error, skip=skip)
     assert found.passed, found.text()
     assert "NEES/3" in found["honest"].text
-
-
-def test_difference_is_that_of_the_parameters() -> None:
-    case = experiment(0, 60)
-    fit = fit_curve(**case.data)
-    np.testing.assert_array_equal(difference(fit, case.truth), fit.parameters - TRUTH)

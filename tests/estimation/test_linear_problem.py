@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from armlab.errors import NotExcited, ShapeError
+from armlab.errors import NotExcited
 from armlab.estimation import (
     ActiveBound,
     LinearProblem,
@@ -77,14 +77,6 @@ def test_one_pass_serves_any_weights(problems) -> None:
     assert not found.kept[4]
 
 
-def test_a_question_checks_its_bounds() -> None:
-    question = LinearProblem.of(["a", "b"], "model", upper=np.array([1.0, 2.0]))
-    assert question.names == ("a", "b")
-    assert question.lower.tolist() == [-np.inf, -np.inf]
-    with pytest.raises(ShapeError, match="2 lower bounds below 2 upper bounds"):
-        LinearProblem.of(["a", "b"], "model", np.ones(2), np.ones(2))
-
-
 # Bounds: the same point as a reference solver, on the bound exactly.
 
 
@@ -105,14 +97,3 @@ def test_within_bounds_agrees_with_bounded_least_squares(seed: int) -> None:
     reference = lsq_linear(R / scale, R @ x, (lower * scale, upper * scale), method="bvls", tol=1e-14).x / scale
     assert np.all((found >= lower) & (found <= upper))
     np.testing.assert_allclose(found * scale, reference * scale, atol=1e-7)
-
-
-def test_a_point_inside_is_returned_as_it_is() -> None:
-    x = np.array([0.1, 0.2])
-    np.testing.assert_array_equal(within_bounds(x, np.eye(2), np.zeros(2), np.ones(2)), x)
-
-
-def test_the_others_follow_their_correlation() -> None:
-    cov = np.array([[1.0, 0.5], [0.5, 1.0]])
-    found = within_bounds(np.array([-1.0, 3.0]), cov, np.array([0.0, -np.inf]), np.full(2, np.inf))
-    np.testing.assert_allclose(found, [0.0, 3.5])

@@ -5,29 +5,17 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armlab.errors import ShapeError
 from armlab.estimation import Factors, Rows, factorise
-from armlab.estimation.tsqr import stack, triangle
+from armlab.estimation.tsqr import triangle
 
 RNG = np.random.default_rng(0)
 A = RNG.standard_normal((90, 2, 4))
 A[:, 0, 3] = 0.0  # class 0 has no fourth column
 Y = RNG.standard_normal((90, 2))
 BLOCK = np.arange(90) // 30
-
-
-def test_rows_of_dense_arrays_leave_out_columns_that_a_class_does_not_have() -> None:
-    first, second = Rows.of(A, Y, BLOCK)
-    assert first.columns is not None
-    assert second.columns is not None
-    assert (first.group, first.columns.tolist()) == (0, [0, 1, 2])
-    assert (second.group, second.columns.tolist()) == (1, [0, 1, 2, 3])
-    with pytest.raises(ShapeError, match=r"Expected A \(N, k, p\)"):
-        list(Rows.of(A[:, 0], Y, BLOCK))
 
 
 def test_factors_tell_the_residual_of_any_parameters_per_block_and_class() -> None:
@@ -66,61 +54,10 @@ def _pieces(a: int, b: int) -> list[Rows]:
     return [Rows(A[a:b, g][:, columns[g]], Y[a:b, g], BLOCK[a:b], g, columns[g]) for g in range(2)]
 
 
-def test_long_blocks_are_reflected_in_chunks() -> None:
-    rng = np.random.default_rng(1)
-    long = Rows(rng.standard_normal((5000, 3)), rng.standard_normal(5000), np.zeros(5000, dtype=int))
-    R = factorise([long], 3).R[0][0]
-    dense = np.c_[long.A, long.y]
-    np.testing.assert_allclose(R.T @ R, dense.T @ dense, rtol=1e-11, atol=1e-10)
-    np.testing.assert_array_equal(np.tril(R, -1), 0.0)
-
-
 def test_blocks_without_rows_are_empty() -> None:
     factors = factorise([Rows(np.ones((2, 1)), np.ones(2), np.array([0, 3]))], 1)
     assert factors.rows.tolist() == [[1], [0], [0], [1]]
     np.testing.assert_array_equal(factors.R[0][1:3], 0.0)
-
-
-def test_inputs_are_not_changed() -> None:
-    before, y = A.copy(), Y.copy()
-    factorise(Rows.of(A, Y, BLOCK), 4)
-    np.testing.assert_array_equal(A, before)
-    np.testing.assert_array_equal(Y, y)
-
-
-@pytest.mark.parametrize(
-    ("rows", "sentence"),
-    [
-        ([], "got none"),
-        ([Rows(np.ones((3, 2)), np.ones(2), np.zeros(3, dtype=int))], r"got \(3, 2\), \(2,\)"),
-        ([Rows(np.ones((3, 2)), np.ones(3), np.array([1, 0, 0]))], "Sort the samples by time"),
-        ([Rows(np.ones((3, 2)), np.ones(3), np.zeros(3, dtype=int))], "2 different columns from 0 to 2"),
-        ([Rows(np.ones((3, 2)), np.ones(3), np.zeros(3, dtype=int), 0, np.array([0, 3]))], "from 0 to 2"),
-        ([Rows(np.ones((3, 2)), np.ones(3), np.zeros(3, dtype=int), 0, np.array([1, 1]))], "Name each column once"),
-        (
-            [Rows(np.ones((1, 1)), np.ones(1), np.zeros(1, dtype=int), 2, np.array([i])) for i in range(2)],
-            "same columns in all rows of class 2",
-        ),
-    ],
-)
-def test_rows_that_do_not_fit_are_refused(rows: list[Rows], sentence: str) -> None:
-    with pytest.raises(ShapeError, match=sentence):
-        factorise(rows, 3)
-
-
-def test_rows_that_are_not_finite_are_refused_by_number() -> None:
-    bad = A[:, 1].copy()
-    bad[40, 2] = np.nan
-    with pytest.raises(ShapeError, match=r"NaN or Inf in 1 rows of class 0, first \[40\]"):
-        factorise([Rows(bad, Y[:, 1], BLOCK)], 4)
-    y = Y[:, 1].copy()
-    y[[3, 5]] = np.inf
-    with pytest.raises(ShapeError, match=r"2 rows of class 0, first \[3, 5\]"):
-        factorise([Rows(A[:, 1], y, BLOCK)], 4)
-
-
-def test_stack_of_nothing_is_empty() -> None:
-    assert stack([]).shape == (0, 0)
 
 
 def test_the_triangle_of_many_rows_has_their_gram_matrix() -> None:

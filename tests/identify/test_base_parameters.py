@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.errors import RobotError, UnknownName
 from armlab.identify import BaseParameters, base_parameters
-from armlab.identify.base_parameters import measured_joints
 from armlab.lie import se3
 
 
@@ -113,14 +111,3 @@ def test_joints_without_measured_torque_show_fewer_combinations() -> None:
     assert len(some.names) < 50
     assert not some.seen[:4].any()
     assert some.seen[4:].any(axis=1).all()
-
-
-def test_joints_are_counted_from_zero_and_a_name_is_no_robot() -> None:
-    robot = robots.load("yumi_left")
-    assert measured_joints(robot) == list(range(7))
-    assert measured_joints(robot, np.array([2, 0])) == [0, 2]
-    for joints in ([7], [-1], [], [1, 1], ["axis_1"], [1.5], 3):
-        with pytest.raises(UnknownName, match="from 0 to 6"):
-            base_parameters(robot, joints=joints)  # type: ignore[arg-type]
-    with pytest.raises(RobotError, match="Load it first"):
-        base_parameters("yumi_left")  # type: ignore[arg-type]

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from armlab.identify import base_parameters, prepare
-from armlab.identify.columns import SMOOTH, Bell, Columns, Decimation, FrictionColumns, Piece
+from armlab.identify.columns import SMOOTH, Columns, Decimation, FrictionColumns
 from armlab.kernels import presliding
 
 
@@ -89,21 +88,6 @@ def test_without_a_filter_rows_are_picked(data) -> None:
     np.testing.assert_array_equal(got, data.tau[thinning.rows])
 
 
-def test_pieces_ask_for_no_row_beyond_their_segment(data) -> None:
-    thinning = Decimation.of(data, 25.0, 4)
-    pieces = list(thinning.pieces())
-    assert all(isinstance(piece, Piece) for piece in pieces)
-    assert pieces[0].first == 0
-    assert pieces[-1].last == len(thinning.rows)
-    assert all(one.last == other.first for one, other in pairwise(pieces))
-    assert all(any(a <= piece.start < piece.stop <= b for a, b in data.segments) for piece in pieces)
-    x = np.random.default_rng(0).standard_normal((len(data.t), 2))
-    first = pieces[0]
-    got = np.empty((first.last, 2))
-    thinning.thin(first, x[first.start : first.stop], got)
-    np.testing.assert_allclose(got, thinning.run(lambda a, b: x[a:b], 2)[: first.last], rtol=1e-13)
-
-
 @pytest.mark.parametrize("rows", [100, 5000])
 def test_ends_are_continued_by_point_reflection(data, rows: int) -> None:
     """Also where the filter reaches beyond the other end of the piece."""
@@ -140,38 +124,3 @@ def test_the_sign_is_the_presliding_state_of_each_segment_or_smooth(motion: Fric
         z = presliding(motion.q[a:b], DELTA, motion.resolution)
         np.testing.assert_array_equal(s[a:b, [0, 2]], z[:, [0, 2]])
     np.testing.assert_array_equal(s[:, 1], np.tanh(motion.qd[:, 1] / 0.02))
-
-
-def test_columns_are_filtered_products_of_the_sign(motion: FrictionColumns) -> None:
-    s, bell = motion.sign(DELTA, TANH), motion.bell(SPEED)
-    assert isinstance(bell, Bell)
-    np.testing.assert_array_equal(bell[:], np.exp(-((motion.qd / SPEED) ** 2)))
-    parts = [
-        np.maximum(s, 0),
-        np.minimum(s, 0),
-        s * np.sqrt(np.abs(motion.qd)),
-        s * np.exp(-((motion.qd / SPEED) ** 2)),
-    ]
-    got = motion.columns(s, [bell])
-    assert got.shape == (450, 3, 4)
-    inside = np.arange(2, 398, 2)
-    for k, part in enumerate(parts):
-        expected = sum(tap * part[inside + j - 2] for j, tap in enumerate(motion.thinning.taps))
-        np.testing.assert_allclose(got[inside // 2, :, k], expected, atol=1e-14)
-
-
-def test_a_bell_alone_and_as_an_array_gives_the_same_column(motion: FrictionColumns) -> None:
-    s, bell = motion.sign(DELTA, TANH), motion.bell(SPEED)
-    whole = motion.columns(s, [bell])
-    np.testing.assert_array_equal(motion.columns(s, [bell[:]]), whole)
-    np.testing.assert_allclose(motion.columns(s, [bell], signs=False), whole[:, :, 3:], atol=1e-15)
-
-
-@pytest.mark.parametrize("i", range(3))
-def test_of_one_joint_they_are_those_among_all(motion: FrictionColumns, i: int) -> None:
-    one = motion.of(i)
-    here = slice(i, i + 1)
-    s = one.sign(DELTA[here], TANH[here])
-    np.testing.assert_array_equal(s, motion.sign(DELTA, TANH)[:, here])
-    whole = motion.columns(motion.sign(DELTA, TANH), [motion.bell(SPEED)])
-    np.testing.assert_allclose(one.columns(s, [one.bell(SPEED[here])]), whole[:, here], atol=1e-15)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armlab import identify, robots, sim
-from armlab.errors import ConfigError, MissingExtra, ModelMismatchError, ShapeError, UnknownName
+from armlab.errors import ConfigError, ShapeError
 from armlab.estimation import Fit
 from armlab.identify import (
     PhysicallyConsistent,
@@ -130,26 +130,3 @@ def test_a_load_becomes_a_body(truth, model) -> None:
     assert "deviations to a body" in body.report()
     with pytest.raises(ConfigError, match="dynamic"):
         physically_consistent_load(fit_payload(truth.log(motion, seed=3), model, robot))
-
-
-def test_bad_input_is_refused_by_a_sentence(truth, fitted, tmp_path, monkeypatch) -> None:
-    robot = truth.robot
-    with pytest.raises(ModelMismatchError, match="yumi_right"):
-        physically_consistent(fitted, robots.load("yumi_right"))
-    with pytest.raises(UnknownName, match="log-det"):
-        physically_consistent(fitted, robot, pull="strong")
-    with pytest.raises(ShapeError, match="strength"):
-        physically_consistent(fitted, robot, strength=0.0)
-    with pytest.raises(ShapeError, match=r"\(7, 10\)"):
-        physically_consistent(fitted, robot, prior=np.zeros((6, 10)))
-    with pytest.raises(ShapeError, match="link 1, link 2"):
-        physically_consistent(fitted, robot, prior=np.zeros((7, 10)))
-    with pytest.raises(ConfigError, match="Identify again"):
-        physically_consistent(Fit.load(fitted.save(tmp_path / "model.toml")), robot)
-    with pytest.raises(ConfigError, match="fit_dynamics"):
-        physically_consistent(
-            replace(fitted, value=replace(fitted.value, base_names=("m",) * len(fitted.value.base_names))), robot
-        )
-    monkeypatch.setitem(__import__("sys").modules, "cvxpy", None)
-    with pytest.raises(MissingExtra, match=r"armlab\[sdp\]"):
-        physically_consistent(fitted, robot)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from armlab import identify
-from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Experiment, check_estimator
 from armlab.identify import (
     GroupLasso,
@@ -21,7 +20,7 @@ from armlab.identify import (
     ripple_regressor,
     select_groups,
 )
-from armlab.identify.drives.regularised import held_out_error, refit, ridge_solution, scattered
+from armlab.identify.drives.regularised import held_out_error, refit, ridge_solution
 from armlab.identify.drives.ripple import (
     highest_seen,
     refine_lines,
@@ -115,18 +114,6 @@ def test_noise_adds_nothing(model: TorqueModel) -> None:
     np.testing.assert_allclose(fit.sigma, 0.05, rtol=0.05)
 
 
-def test_bad_logs_are_refused(model: TorqueModel) -> None:
-    table = log(model, 10, seed=1)
-    with pytest.raises(NotExcited, match="5 s"):
-        fit_friction(table.between(0.0, 3.0), model)
-    with pytest.raises(ShapeError, match="derivative of q"):
-        fit_friction(table.with_column("qd", -table["qd"]), model)
-    tau = np.array(table["tau"])
-    tau[7] = np.nan
-    with pytest.raises(ShapeError, match="first"):
-        fit_friction(table.with_column("tau", tau), model)
-
-
 def test_lines_that_the_sampling_hides_are_told_by_joint(model: TorqueModel) -> None:
     """At 50 Hz ripple at twice the gear ratio folds back above 0.7 rad/s or so; the search says for whom."""
     t = np.arange(0, 8, 0.02)
@@ -171,19 +158,6 @@ class Drives:
 @pytest.fixture(scope="module")
 def drives(short_arm) -> Drives:
     return Drives(fit_dynamics(short_arm.log(0, 3000), short_arm.robot).value)
-
-
-@pytest.mark.slow  # 2 s
-def test_a_weak_line_is_found_beside_friction_over_position(drives: Drives) -> None:
-    """A tenth of the power of the noise: under friction over position at most 4 of 20 logs told it."""
-    weak = replace(drives.lines, coefficients=0.12 * np.asarray(drives.lines.coefficients))
-    over = replace(drives.map, coefficients=np.asarray(drives.map.coefficients)[::-1])
-    truth = replace(drives.base, lines=weak, friction_map=over)
-    for seed in range(2):
-        found = fit_friction(drives.log(truth, seed, 4000), drives.base).value
-        assert found.lines is not None
-        np.testing.assert_allclose(found.lines.cycles, [100.0], atol=0.5)
-        assert found.friction_map is not None
 
 
 @pytest.mark.slow  # 2 s
@@ -288,25 +262,6 @@ def test_a_map_of_coulomb_friction_over_position_is_recovered() -> None:
     assert np.sqrt(np.mean(error**2)) < 0.05 * np.sqrt(np.mean((level * z) ** 2))
 
 
-def test_bad_records_are_refused() -> None:
-    q, qd = motion()
-    basis = rbf_centres(q, qd)
-    with pytest.raises(NotExcited, match="joint 2"):
-        rbf_centres(q * [1, 0], qd * [1, 0])
-    with pytest.raises(ShapeError, match="at least 2"):
-        rbf_centres(q, qd, speeds=1)
-    with pytest.raises(ShapeError, match="one shape"):
-        rbf_centres(q, qd[:-1])
-    with pytest.raises(ShapeError, match="2 joints"):
-        rbf_regressor(q[:, :1], qd[:, :1], basis)
-    with pytest.raises(ShapeError, match="finite q, qd and z"):
-        rbf_regressor(q, qd, basis, z=np.full(q.shape, np.nan))
-    q = q.copy()
-    q[3, 0] = np.nan
-    with pytest.raises(ShapeError, match="finite q"):
-        rbf_regressor(q, qd, basis)
-
-
 # Lines of torque ripple: found where they are, and only there.
 
 
@@ -379,18 +334,6 @@ def test_only_lines_that_pay_on_held_out_blocks_stay() -> None:
     assert not select_lines(A, rng.standard_normal(len(q)), 32, block).any()
 
 
-def test_wrong_shapes_are_refused() -> None:
-    _, q, qd = motion_of_ripple(1.0)
-    with pytest.raises(ShapeError, match="one shape"):
-        ripple_lines(q, qd, q[:-1], RATE, 250.0)
-    for rate, highest in ((0.0, 250.0), (np.nan, 250.0), (RATE, np.inf)):
-        with pytest.raises(ShapeError, match="rate above 0 Hz and finite ends"):
-            ripple_lines(q, qd, q, rate, highest)
-    assert len(ripple_lines(q[:0], q[:0], q[:0], RATE, 250.0)) == 0
-    with pytest.raises(ShapeError, match="finite"):
-        ripple_lines(q, qd, np.full(len(q), np.nan), RATE, 250.0)
-
-
 def test_a_line_is_refined_with_all_its_amplitudes_and_its_error_is_told() -> None:
     """Amplitudes over speed and direction, a search 0.1 off, 20 logs: errors are as large as stated."""
     t, q, qd = motion_of_ripple(20.0)
@@ -439,15 +382,6 @@ def test_the_objective_is_that_of_an_independent_solver(seed: int, penalty: floa
     assert found.objective == pytest.approx(least, rel=1e-5)
 
 
-def test_a_large_penalty_leaves_nothing_and_a_tiny_one_is_least_squares() -> None:
-    A, y = problem(0)
-    largest = np.linalg.norm((A.T @ y).reshape(-1, 3), axis=1).max() / np.sqrt(3)
-    assert not group_lasso(A, y, 3, 1.001 * largest).x.any()
-    assert group_lasso(A, y, 3, 0.98 * largest).x.any()
-    x = group_lasso(A, y, 3, 1e-7).x
-    np.testing.assert_allclose(x, np.linalg.lstsq(A, y, rcond=None)[0], atol=1e-3)
-
-
 @pytest.mark.slow  # 20 s
 def test_three_lines_of_twelve_are_found() -> None:
     """The example of LPVSpectral.jl: amplitudes that grow, pass through a peak, and jump."""
@@ -469,16 +403,6 @@ def test_noise_selects_no_group() -> None:
     A, y = rng.standard_normal((300, 24)), rng.standard_normal(300)
     assert not select_groups(A, y, 4, np.arange(300) // 10).any()
     assert not select_groups(A, np.zeros(300), 4, np.arange(300) // 10).any()
-
-
-def test_wrong_arguments_are_refused() -> None:
-    A, y = problem(0)
-    for wrong in ((A, y[:-1], 3, 1.0), (A, y, 4, 1.0), (A, y, 3, 0.0)):
-        with pytest.raises(ShapeError, match="groups of equal size"):
-            group_lasso(*wrong)
-    y[3] = np.nan
-    with pytest.raises(ShapeError, match="finite"):
-        group_lasso(A, y, 3, 1.0)
 
 
 # Ridge regression on coloured residuals: the covariance is as large as the errors are.
@@ -510,23 +434,3 @@ def test_few_blocks_leave_no_direction_without_spread() -> None:
         nees.append(x @ np.linalg.solve(cov, x) / 32)
     assert np.linalg.matrix_rank(cov) == 32
     assert 0.7 < np.mean(nees) < 1.4
-
-
-def test_the_scatter_of_many_stretches_is_that_of_least_squares_in_any_unit() -> None:
-    """White residuals: the sandwich is the formal covariance; a parameter in thousandths has a thousandth deviation."""
-    rng = np.random.default_rng(4)
-    A, noise = rng.standard_normal((20000, 3)), rng.standard_normal(20000)
-    cov = scattered(A.T @ A, A * noise[:, None])
-    np.testing.assert_allclose(cov, np.linalg.inv(A.T @ A), atol=0.05 / 20000)
-    unit = np.array([1.0, 1e3, 1e-3])
-    B = A * unit
-    np.testing.assert_allclose(scattered(B.T @ B, B * noise[:, None]), cov / np.outer(unit, unit), rtol=1e-6)
-
-
-def test_the_ridge_solves_its_equations_and_is_relative() -> None:
-    rng = np.random.default_rng(6)
-    A, y = rng.standard_normal((50, 4)), rng.standard_normal(50)
-    x, H = ridge_solution(A, y, 0.1)
-    np.testing.assert_allclose(H, A.T @ A + 0.1 * np.mean(np.sum(A**2, axis=0)) * np.eye(4), rtol=1e-12)
-    np.testing.assert_allclose(H @ x, A.T @ y, rtol=1e-12)
-    np.testing.assert_allclose(ridge_solution(1e3 * A, 1e3 * y, 0.1)[0], x, rtol=1e-12)

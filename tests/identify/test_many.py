@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.errors import NotExcited, ShapeError
-from armlab.identify.many import LogSums, Pattern, fit_draft, fit_sums, log_sums, same_rate
+from armlab.identify.many import LogSums, Pattern, fit_draft, fit_sums, log_sums
 from armlab.identify.record import prepare_share
 from armlab.identify.regression import Design
 from armlab.log import Table
@@ -69,19 +68,3 @@ def test_the_draft_decides_on_ripple_for_every_log(short_arm) -> None:
     assert pattern.design(data).geared
     one, other = (log_sums(table, pattern).factors for table in (slow, fast))
     assert [R.shape for R in one.R] == [R.shape for R in other.R]
-
-
-def test_logs_that_do_not_fit_are_refused(short_arm) -> None:
-    table = short_arm.log(0, 3000)
-    draft, pattern = fit_draft([table], short_arm.robot, 1)
-    with pytest.raises(ShapeError, match="100 Hz, got 50 Hz"):
-        log_sums(table.rows(slice(None, None, 2)), pattern)
-    sums = log_sums(table, replace(pattern, blocks=4))
-    with pytest.raises(NotExcited, match="at least 8 stretches"):
-        fit_sums(draft, replace(pattern, blocks=4), [sums], [0])
-
-
-def test_one_filter_serves_rates_within_a_tenth() -> None:
-    assert same_rate(250.0, 240.0)
-    assert not same_rate(250.0, 220.0)
-    assert not same_rate(220.0, 250.0)

@@ -8,15 +8,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import median_filter
 
-from armlab.errors import NotExcited, RobotError, ShapeError, UnknownName
+from armlab.errors import NotExcited, ShapeError
 from armlab.identify import Record, fit_dynamics, prepare, with_velocity
 from armlab.identify.record import (
     AT_ONCE,
-    MIN_RATE,
     SLOW_SHARE,
-    check_once,
-    check_rate,
-    log_name,
     pieces,
     prepare_share,
     slow_enough,
@@ -58,45 +54,6 @@ def test_filter_and_differentiate_do_not_reach_across_a_gap(truth, excited) -> N
         np.testing.assert_array_equal(result[:N], result[N:])
 
 
-def test_a_log_that_comes_twice_is_refused_under_any_name(truth, excited) -> None:
-    """A copy says nothing new, and the deviations would shrink."""
-    copy = replace(excited, source=("copy of it.mcap sha256 0123", "select(q, qd, tau)"))
-    with pytest.raises(ShapeError, match=r"once, got the rows of log 1 again as copy of it\.mcap\. Leave one out"):
-        prepare([excited, copy], truth.robot)
-    prepare([excited.between(0, 10), excited.between(10.001, 20)], truth.robot)
-    assert (log_name(copy, 2), log_name(excited, 2)) == ("copy of it.mcap", "log 2")
-    check_once([("a", "1"), ("b", "2")])
-    with pytest.raises(ShapeError, match="rows of b again as c"):
-        check_once([("a", "1"), ("b", "2"), ("c", "2")])
-
-
-def test_refusals_name_what_is_missing(truth, excited) -> None:
-    robot = truth.robot
-    still = excited["q"].copy()
-    still[:, 3] = still[0, 3]
-    speed = excited["qd"].copy()
-    speed[:, 3] = 0.0
-    with pytest.raises(NotExcited, match=robot.joint_names[3]) as caught:
-        prepare(changed(excited, q=still, qd=speed), robot)
-    assert caught.value.directions == (robot.joint_names[3],)
-    torque = excited["tau"].copy()
-    torque[:, 5] = 1.0
-    with pytest.raises(NotExcited, match=f"constant for {robot.joint_names[5]}"):
-        prepare(changed(excited, tau=torque), robot)
-    with pytest.raises(NotExcited, match="at least 5 s"):
-        prepare(excited.between(0.0, 3.0), robot)
-    with pytest.raises(ShapeError, match="at least one log"):
-        prepare([], robot)
-
-
-def test_gaps_everywhere_and_logs_of_two_rates_are_refused(truth, excited) -> None:
-    often = excited.rows(np.arange(len(excited)) % 60 != 0)
-    with pytest.raises(ShapeError, match=r"without a gap.*59 samples"):
-        prepare(often, truth.robot)
-    with pytest.raises(ShapeError, match=r"250 Hz, 125 Hz"):
-        prepare([excited, excited.rows(slice(None, None, 2))], truth.robot)
-
-
 def test_pieces_between_gaps_have_a_hundred_rows() -> None:
     t = np.delete(0.004 * np.arange(500), np.r_[120:130, 180, 300:320])
     assert pieces(t) == [(0, 120), (170, 289), (289, 469)]
@@ -118,32 +75,6 @@ def test_a_sliding_joint_moves_when_it_moves_by_millimetres(truth) -> None:
     assert prepare(log(0.03), robot).seconds == pytest.approx(9.996)
     with pytest.raises(NotExcited, match=r"10\.0 mm"):
         prepare(log(0.01), robot)
-
-
-def test_bad_columns_are_refused(truth, excited) -> None:
-    robot = truth.robot
-    holes = excited["tau"].copy()
-    holes[[7, 9]] = np.nan
-    with pytest.raises(ShapeError, match=r"NaN or Inf in 2 rows, first \[7, 9\]"):
-        prepare(changed(excited, tau=holes), robot)
-    with pytest.raises(ShapeError, match="derivative of q"):
-        prepare(changed(excited, qd=-excited["qd"]), robot)
-    with pytest.raises(ShapeError, match=r"57.3 times"):
-        prepare(changed(excited, qd=np.rad2deg(excited["qd"])), robot)
-    six = Table(excited.t, {name: excited[name][:, :6] for name in ("q", "qd", "tau")})
-    with pytest.raises(ShapeError, match="Name the robot that was logged"):
-        prepare(six, robot)
-
-
-def test_what_is_no_log_no_robot_or_no_joint_is_refused(truth, excited) -> None:
-    for wrong in ("log.csv", ["log.csv"], None, excited["q"]):
-        with pytest.raises(ShapeError, match=r"Expected a Table.*log\.read"):
-            prepare(wrong, truth.robot)
-    with pytest.raises(RobotError, match=r"robots\.load\('yumi_left'\)"):
-        prepare(excited, "yumi_left")  # type: ignore[arg-type]
-    for joints in ([7], [-1], [], ["axis_1"], [0.5]):
-        with pytest.raises(UnknownName, match="numbers of joints from 0 to 6"):
-            prepare(excited, truth.robot, joints=joints)
 
 
 def test_positions_without_velocity_are_refused_by_row_and_too_few_have_none(excited) -> None:
@@ -182,16 +113,6 @@ def test_of_a_share_joints_may_rest_but_what_is_there_is_checked(short_arm) -> N
 
 
 # Logs that are sampled too slowly are refused; lines of ripple that fold back are not used.
-
-
-def test_slow_sampling_is_refused(truth, excited) -> None:
-    check_rate(np.arange(0, 1, 1 / MIN_RATE))
-    with pytest.raises(ShapeError, match=r"at least 40 Hz, got 10 Hz.*Record faster"):
-        check_rate(np.arange(0, 60, 0.1))
-    with pytest.raises(ShapeError, match=r"got 0\.25 Hz.*If t is in milliseconds, divide it by 1000"):
-        prepare(Table(1000 * excited.t, dict(excited.values)), truth.robot)
-    with pytest.raises(ShapeError, match=r"at least 40 Hz, got 10 Hz"):
-        prepare(excited.rows(slice(None, None, 25)), truth.robot)
 
 
 def test_ripple_that_folds_back_is_not_used() -> None:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.identify import base_parameters, design_excitation, prepare, regression
+from armlab.identify import base_parameters, design_excitation, prepare
 from armlab.identify.friction_structure import DELTAS, STRIBECK_SPEEDS
-from armlab.identify.regression import Design, DesignRows, Layout
+from armlab.identify.regression import Design, Layout
 from armlab.identify.solve import alternate
 
 
@@ -122,14 +122,6 @@ def test_slopes_are_the_derivatives_of_the_torque_over_the_logarithms(short_arm)
     assert only.layout.slopes.sum() == 1
 
 
-def test_another_torque_takes_the_place_of_the_first(short_arm) -> None:
-    robot = short_arm.robot
-    design = Design.build(prepare(short_arm.log(0, 2000), robot), robot, base_parameters(robot))
-    twice = design.with_torque(2.0 * design.data.tau)
-    np.testing.assert_allclose(twice.tau, 2.0 * design.tau, rtol=1e-12, atol=1e-12)
-    np.testing.assert_array_equal(twice.data.tau, 2.0 * design.data.tau)
-
-
 # Names, units, bounds and places of the parameters.
 
 
@@ -152,23 +144,3 @@ def test_every_parameter_has_one_name_unit_bound_and_place(short_arm) -> None:
 
 
 # Rows of a design in pieces: together they are all of it, once for each reading.
-
-
-def test_pieces_are_all_rows_of_all_joints_and_come_again(monkeypatch) -> None:
-    monkeypatch.setattr(regression, "AT_ONCE", 4)
-    rng = np.random.default_rng(0)
-    tau, trust, block = rng.standard_normal((10, 2)), rng.uniform(0, 1, (10, 2)), np.arange(10) // 3
-    rigid, local = [rng.standard_normal((10, w)) for w in (3, 2)], [rng.standard_normal((10, k)) for k in (1, 2)]
-    columns = [np.array([0, 1, 2, 4]), np.array([1, 2, 5, 6])]
-    rows = DesignRows(tau, rigid, local, columns, block, trust)
-    for found in (list(rows), list(rows)):
-        assert [piece.group for piece in found] == [0, 0, 0, 1, 1, 1]
-        for joint in range(2):
-            own = [piece for piece in found if piece.group == joint]
-            whole = np.hstack([rigid[joint], local[joint]])
-            np.testing.assert_array_equal(np.vstack([piece.A for piece in own]), whole * trust[:, joint, None])
-            np.testing.assert_array_equal(np.concatenate([piece.y for piece in own]), (tau * trust)[:, joint])
-            np.testing.assert_array_equal(np.concatenate([piece.block for piece in own]), block)
-            assert all(piece.columns is columns[joint] for piece in own)
-    plain = list(DesignRows(tau, rigid, local, columns, block, None))
-    np.testing.assert_array_equal(np.concatenate([piece.y for piece in plain]), tau.T.ravel())

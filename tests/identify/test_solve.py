@@ -19,7 +19,6 @@ from armlab.identify.solve import (
     calibrated,
     gain_share,
     linearised,
-    short_blocks,
     solved,
 )
 
@@ -63,12 +62,6 @@ def test_numbers_that_the_log_does_not_tell_have_no_slope(short_arm) -> None:
     assert not linearised(design, theta, "wls").free.any()
 
 
-def test_blocks_are_short_but_not_too_many(short_arm) -> None:
-    data = prepare(short_arm.log(0, 3000), short_arm.robot)
-    assert short_blocks(data) == 0.25
-    assert short_blocks(replace(data, t=data.t * 100.0, dt=data.dt * 100.0)) > 0.25
-
-
 # Least squares with a gain per joint: the minimum, its response, and drawing blocks again.
 
 
@@ -84,15 +77,6 @@ def problem(gains: np.ndarray, gain_sd: float = 0.05, seed: int = 0, noise: floa
     found = least_squares(list(Rows.of(A, y, np.arange(N) // 20)), NAMES)
     made = GainProblem.of(found, y - A @ found.x, np.zeros(n), gain_sd)
     return A, y, found, made
-
-
-def test_without_gains_it_is_least_squares() -> None:
-    A, y, _, made = problem(np.zeros(4), gain_sd=0.0)
-    x, g = made.solve()
-    root = np.sqrt(made.weights)
-    expected = np.linalg.lstsq((A * root[:, None]).reshape(-1, 3), (y * root).ravel(), rcond=None)[0]
-    np.testing.assert_allclose(x, expected, atol=1e-9)
-    np.testing.assert_array_equal(g, 0.0)
 
 
 def test_it_is_the_minimum_of_the_cost() -> None:
@@ -139,16 +123,6 @@ def test_the_covariance_is_that_of_the_errors() -> None:
     assert np.mean(nees) == pytest.approx(1.0, abs=3 * np.sqrt(2 / (3 * 60)))
 
 
-def test_the_gains_err_as_their_covariance_says() -> None:
-    nees = []
-    for seed in range(60):
-        gains = 0.05 * np.random.default_rng([1, seed]).standard_normal(4)
-        made = problem(gains, seed=seed, noise=0.3)[3]
-        x, g = made.solve()
-        nees.append((g - gains) @ np.linalg.solve(made.gain_covariance(x, g), g - gains) / 4)
-    assert np.mean(nees) == pytest.approx(1.0, abs=3 * np.sqrt(2 / (4 * 60)))
-
-
 def test_exact_measurements_are_solved() -> None:
     """Without noise a joint would seem to know its gain infinitely well."""
     _, _, _, made = problem(np.array([0.04, -0.03, 0.02, -0.05]), noise=0.0)
@@ -189,13 +163,6 @@ def test_what_all_have_in_common_is_left_to_the_prior(misread) -> None:
     one = calibrated(misread, "wls")[0].gains
     other = calibrated(misread.with_torque(1.03 * misread.data.tau), "wls")[0].gains
     np.testing.assert_allclose(other, one, atol=2e-3)
-
-
-def test_gains_that_are_known_stay(misread) -> None:
-    cov = 0.01**2 * np.eye(7)
-    design, _, known = calibrated(misread, "wls", (GAINS, cov))
-    np.testing.assert_array_equal(design.gains, GAINS)
-    np.testing.assert_array_equal(known, cov)
 
 
 def test_the_share_of_the_gains_is_the_derivative(misread) -> None:

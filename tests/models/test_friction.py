@@ -12,9 +12,7 @@ from armlab.kernels import presliding
 from armlab.models import (
     Friction,
     FrictionBound,
-    FrictionMap,
     RadialBasis,
-    Ripple,
     RippleLines,
     WarmUp,
     load,
@@ -39,43 +37,12 @@ def test_friction_torque_is_the_formula() -> None:
     assert f.static[0] == pytest.approx(4.5)
 
 
-def test_the_root_term_grows_with_the_root_of_speed() -> None:
-    f, plain = friction(root=[0.7]), friction()
-    assert f.torque([4.0], [1.0])[0] - plain.torque([4.0], [1.0])[0] == pytest.approx(1.4)
-    assert f.torque([-4.0], [-1.0])[0] - plain.torque([-4.0], [-1.0])[0] == pytest.approx(-1.4)
-    assert f.torque([0.0], [1.0])[0] == plain.torque([0.0], [1.0])[0]
-    assert np.array_equal(plain.root, [0.0])
-    assert np.array_equal(plain.smooth_speed, [0.0])
-    assert f.rows.shape == (10, 1)
-    assert f.rows[8, 0] == 0.7
-
-
-def test_a_smooth_sign_takes_the_place_of_presliding() -> None:
-    f = friction(smooth_speed=[0.05], stribeck=[0.0])
-    for z in (-1.0, 0.0, 1.0):
-        assert f.torque([0.05], [z])[0] == pytest.approx(2 * 0.05 + 3 * np.tanh(1.0) + 0.5)
-        assert f.torque([-0.05], [z])[0] == pytest.approx(-2 * 0.05 - 4 * np.tanh(1.0) + 0.5)
-
-
-def test_presliding_is_exact_for_constant_direction_and_holds_at_rest() -> None:
-    q = np.concatenate([np.linspace(0, 2e-3, 50), np.full(20, 2e-3), np.linspace(2e-3, 1e-3, 7)])[:, None]
-    z = presliding(q, np.array([1e-3]), np.array([0.0]))[:, 0]
-    assert z[49] == pytest.approx(1 - np.exp(-2.0), abs=1e-12)
-    assert np.all(z[50:70] == z[49])
-    assert z[-1] == pytest.approx(-1 + (z[49] + 1) * np.exp(-1.0), abs=1e-12)
-
-
 def test_the_last_digit_of_an_encoder_does_not_wear_the_state_down() -> None:
     q = np.concatenate([np.linspace(0, 1e-2, 50), 1e-2 - 1e-5 * (np.arange(1000) % 2)])[:, None]
     held = presliding(q, np.array([1e-4]), np.array([0.5e-5]))
     worn = presliding(q, np.array([1e-4]), np.array([0.0]))
     assert held[-1, 0] > 0.99
     assert abs(worn[-1, 0]) < 0.2
-
-
-def test_ripple_torque() -> None:
-    r = Ripple(cycles=[200.0], cosine=[0.3], sine=[0.4])
-    assert r.torque([np.pi / 400])[0] == pytest.approx(0.4)
 
 
 def test_the_bound_near_rest_is_static_friction_and_fades_with_speed() -> None:
@@ -87,17 +54,6 @@ def test_the_bound_near_rest_is_static_friction_and_fades_with_speed() -> None:
     for wrong in ({"torque": [-1.0]}, {"speed": [0.0]}, {"floor": [-0.1]}):
         with pytest.raises(ShapeError, match="friction bound"):
             FrictionBound(**{"torque": [1.0], "speed": [0.02], "floor": [0.0], **wrong})
-
-
-def test_bad_fields_are_refused() -> None:
-    with pytest.raises(ShapeError, match="finite viscous"):
-        friction(viscous=[np.nan])
-    with pytest.raises(ShapeError, match="delta > 0"):
-        friction(delta=[0.0])
-    with pytest.raises(ShapeError, match="smooth_speed >= 0"):
-        friction(smooth_speed=[-0.1])
-    with pytest.raises(ShapeError, match="like the other fields"):
-        friction(offset=[1.0, 2.0])
 
 
 # Friction over position and speed.
@@ -133,36 +89,6 @@ def test_outside_is_told() -> None:
     ]
 
 
-def test_torque_is_functions_times_coefficients() -> None:
-    rng = np.random.default_rng(1)
-    b, k = basis(), rng.standard_normal((2, 2, 8, 5))
-    q, qd, z = rng.uniform(-1, 1, (3, 60, 2))
-    expected = np.stack([b.functions(i, q[:, i], qd[:, i], z[:, i]) @ k[i].ravel() for i in range(2)], axis=1)
-    np.testing.assert_allclose(FrictionMap(b, k).torque(q, qd, z), expected, rtol=0, atol=1e-12)
-
-
-def test_a_model_keeps_its_map(tmp_path, model) -> None:
-    part = FrictionMap(basis(7), np.random.default_rng(0).standard_normal((7, 2, 8, 5)))
-    more = replace(model, friction_map=part)
-    again = load(save(more, tmp_path / "model.toml"))
-    q, qd = np.random.default_rng(1).standard_normal((2, 40, 7))
-    assert np.array_equal(again.torque(q, qd), more.torque(q, qd))
-    with pytest.raises(ShapeError, match="map positions"):
-        replace(model, friction_map=FrictionMap(basis(2), np.zeros((2, 2, 8, 5))))
-
-
-def test_wrong_centres_are_refused() -> None:
-    b = basis()
-    with pytest.raises(ShapeError, match="speeds above 0"):
-        replace(b, speeds=b.speeds - 0.05)
-    with pytest.raises(ShapeError, match="positive widths"):
-        replace(b, position_widths=0 * b.position_widths)
-    with pytest.raises(ShapeError, match="shape"):
-        replace(b, speeds=b.speeds[:1])
-    with pytest.raises(ShapeError, match="coefficients"):
-        FrictionMap(b, np.zeros((2, 2, 8, 4)))
-
-
 # Torque ripple over position and speed.
 
 
@@ -195,48 +121,12 @@ def test_each_direction_may_have_its_own_amplitude() -> None:
     np.testing.assert_allclose(part.torque(q, 0 * q - 0.3, 0 * q - 1), 3 * np.sin(50 * q), rtol=0, atol=1e-12)
 
 
-def test_a_model_keeps_its_lines(tmp_path, model) -> None:
-    from dataclasses import replace
-
-    speeds, widths = speed_basis(0.0, 2.0)
-    part = RippleLines([0, 6], [100.0, 202.0], np.tile(speeds, (7, 1)), np.tile(widths, (7, 1)),
-                       np.random.default_rng(0).standard_normal((2, 2, 8, 2)))  # fmt: skip
-    more = replace(model, lines=part)
-    again = load(save(more, tmp_path / "model.toml"))
-    q, qd = np.random.default_rng(1).standard_normal((2, 40, 7))
-    assert np.array_equal(again.torque(q, qd), more.torque(q, qd))
-    assert not np.allclose(more.torque(q, qd), model.torque(q, qd))
-    with pytest.raises(ShapeError, match="line speeds"):
-        replace(model, lines=lines())
-
-
-def test_wrong_lines_are_refused() -> None:
-    with pytest.raises(ShapeError, match="joint by joint"):
-        lines(joint=[1, 0])
-    with pytest.raises(ShapeError, match="ascending speeds"):
-        lines(widths=np.zeros((2, 8)))
-    with pytest.raises(ShapeError, match="finite cycles"):
-        lines(cycles=[1.0, np.nan])
-    with pytest.raises(ShapeError, match="coefficients"):
-        lines(coefficients=np.ones((2, 3, 8, 2)))
-    with pytest.raises(ShapeError, match="2 Gaussians"):
-        speed_basis(1.0, 1.0)
-
-
 # Friction that changes with its own heat.
 
 
 def warm_up(n: int = 1, **change: object) -> WarmUp:
     fields = {"of_coulomb": -0.1, "of_viscous": -0.4, "time": 100.0, "power": 2.0, "start": 0.0}
     return WarmUp(**{name: np.full(n, change.get(name, value)) for name, value in fields.items()})  # type: ignore[arg-type]
-
-
-def test_warmth_settles_at_one_under_the_reference_power() -> None:
-    x = warm_up().warmth(np.full((1001, 1), 2.0), np.ones(1001))
-    assert x[0, 0] == 0.0
-    assert x[100, 0] == pytest.approx(1 - np.exp(-1.0))
-    assert x[-1, 0] == pytest.approx(1.0, abs=1e-4)
-    assert np.all(warm_up(time=0.0, start=0.3).warmth(np.ones((5, 1)), np.ones(5)) == 0.3)
 
 
 def test_a_model_warms_up_along_a_record(tmp_path, model) -> None:
@@ -254,12 +144,3 @@ def test_a_model_warms_up_along_a_record(tmp_path, model) -> None:
     rubbing = rubbing + f.stribeck * np.exp(-((0.3 / f.stribeck_speed) ** 2))
     np.testing.assert_allclose(settled, np.abs(rubbing * 0.3) / 2.0, rtol=1e-2)
     assert np.array_equal(warm.torque(q, qd), model.torque(q, qd))  # without steps it stays cold
-
-
-def test_wrong_warm_up_is_refused() -> None:
-    with pytest.raises(ShapeError, match="power > 0"):
-        warm_up(power=0.0)
-    with pytest.raises(ShapeError, match="finite time"):
-        warm_up(time=np.nan)
-    with pytest.raises(ShapeError, match="one number per joint"):
-        replace(warm_up(), start=np.zeros(2))

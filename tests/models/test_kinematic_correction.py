@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from armlab import models, robots
-from armlab.errors import ModelMismatchError, RobotError, ShapeError
+from armlab.errors import ModelMismatchError, ShapeError
 from armlab.kinematics import forward
 from armlab.lie import se3, so3
 from armlab.models import DualArmCorrection, KinematicCorrection, harmonic_basis
@@ -28,12 +28,6 @@ def value() -> KinematicCorrection:
 @pytest.fixture
 def q() -> np.ndarray:
     return np.random.default_rng(1).uniform(-2, 2, (4, 6))
-
-
-def test_harmonics_are_cosine_and_sine_of_each_order(q) -> None:
-    basis = harmonic_basis(q, ORDERS)
-    np.testing.assert_array_equal(basis, np.stack([np.cos(q), np.sin(q), np.cos(3 * q), np.sin(3 * q)], axis=-1))
-    assert harmonic_basis(q, ()).shape == (4, 6, 0)
 
 
 def test_joints_and_their_inverse(value, q) -> None:
@@ -118,21 +112,3 @@ def shifted(arm: KinematicCorrection, x: np.ndarray) -> KinematicCorrection:
     robot = robots.from_local_poe("arm", frames, np.tile([0.0, 0, 0, 0, 0, 1], (6, 1)))
     amplitudes = arm.amplitudes + x[42:66].reshape(6, 4)
     return replace(arm, robot=robot, amplitudes=amplitudes, coefficients=arm.coefficients + x[66:])
-
-
-def test_sentences(value, q) -> None:
-    value.check_robot(robots.load("irb2400"))
-    with pytest.raises(ModelMismatchError, match="got 'irb120'"):
-        value.check_robot(robots.load("irb120"))
-    with pytest.raises(RobotError, match="Load it first"):
-        value.check_robot("irb2400")
-    with pytest.raises(RobotError, match="Load it first"):
-        replace(value, robot="irb2400")
-    with pytest.raises(ShapeError, match=r"amplitudes of shape \(6, 4\)"):
-        replace(value, amplitudes=np.zeros((6, 2)))
-    with pytest.raises(ShapeError, match=r"q of shape \(..., 6\)"):
-        value.joints(q[:, :5])
-    with pytest.raises(ShapeError, match="was fitted with 2 of them"):
-        value.joints(q)
-    with pytest.raises(ValueError, match="read-only"):
-        value.cov[0, 0] = 1.0

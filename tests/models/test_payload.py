@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from armlab.errors import ModelMismatchError, ShapeError
-from armlab.models import Payload, load, save
+from armlab.models import Payload
 from armlab.robots import inertia
 
 CENTRE = np.array([0.03, -0.01, 0.06])
@@ -41,19 +38,3 @@ def test_a_model_that_carries_it_feels_its_weight(payload: Payload, truth, model
     wrench = np.concatenate([weight, np.cross(arm, weight)])
     np.testing.assert_allclose(change, -robot.chain.jacobian(q).T @ wrench, atol=1e-12)
     np.testing.assert_array_equal(loaded.base_values, model.base_values)
-
-
-def test_another_robot_and_bad_numbers_are_refused(payload: Payload, model) -> None:
-    with pytest.raises(ModelMismatchError, match="yumi_left"):
-        replace(payload, robot_hash="other").added_to(model)
-    with pytest.raises(ShapeError, match=r"pi of shape \(10,\)"):
-        replace(payload, pi=np.zeros(4))
-    with pytest.raises(ShapeError, match="finite"):
-        replace(payload, pi=np.full(10, np.nan))
-
-
-def test_its_file_is_bit_equal(payload: Payload, tmp_path) -> None:
-    again = load(save(payload, tmp_path / "load.toml"), kind="payload")
-    assert np.array_equal(again.pi, payload.pi)
-    assert np.array_equal(again.T_last_flange, payload.T_last_flange)
-    assert (again.robot_hash, again.sources) == (payload.robot_hash, payload.sources)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from armlab import contact, identify, robots
-from armlab.errors import ModelMismatchError, ShapeError
+from armlab.errors import ShapeError
 from armlab.kernels import presliding
 from armlab.log import Table
-from armlab.models import SPEED_EDGES, Quality, TorqueModel, Training, load, save
+from armlab.models import TorqueModel
 
 
 def test_torque_is_rigid_plus_friction_plus_ripple(model: TorqueModel) -> None:
@@ -35,38 +35,6 @@ def test_a_row_with_nan_gives_nan_and_leaves_the_state(model: TorqueModel) -> No
     torque = model.torque(q, broken, qdd)
     assert np.isnan(torque[100]).all()
     np.testing.assert_array_equal(torque[kept], model.torque(q[kept], qd[kept], qdd[kept]))
-
-
-def test_the_drive_of_a_model_is_friction_and_ripple(model: TorqueModel) -> None:
-    rng = np.random.default_rng(0)
-    q, qd, z = rng.standard_normal((3, 20, 7))
-    np.testing.assert_allclose(
-        model.drive.torque(q, qd, z), model.friction.torque(qd, z) + model.ripple.torque(q), rtol=0, atol=1e-12
-    )
-
-
-def test_gravity_alone_is_the_torque_at_rest(model: TorqueModel, truth) -> None:
-    """Gravity is what the base parameters say: the same as the truth's to 5 % of the largest torque."""
-    q = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 7)) + truth.robot.q_home * [0, 0.5, 0, 0, 0, 0, 0]
-    zero = np.zeros_like(q)
-    mine = model.rigid_torque(q, zero, zero)
-    true = truth.robot.chain.rnea(q, zero, zero, truth.robot.gravity, truth.links)
-    assert np.abs(mine - true).max() < 0.05 * np.abs(true).max()
-
-
-def test_another_robot_is_refused(model: TorqueModel) -> None:
-    with pytest.raises(ModelMismatchError, match="yumi_right"):
-        model.check_robot(robots.load("yumi_right"))
-    model.check_robot(robots.load("yumi_left"))
-
-
-def test_the_kernel_of_a_model_is_fresh(model: TorqueModel) -> None:
-    prior = np.ones(6)
-    one, two = model.estimator_kernel(prior), model.estimator_kernel(prior)
-    zero = np.zeros(7)
-    one.step(zero, zero, zero, 0.004)
-    a, b = one.step(zero + 1e-3, zero, zero, 0.004)[0], two.step(zero + 1e-3, zero, zero, 0.004)[0]
-    assert not np.array_equal(a, b)
 
 
 GAINS = np.array([1.04, 0.97, 1.02, 0.95, 1.0, 1.03, 0.98])
@@ -128,61 +96,7 @@ def test_joints_without_torque_do_not_make_the_gains_of_the_others_surer(model) 
     np.testing.assert_allclose(one, two, rtol=1e-12, atol=1e-12)
 
 
-def test_a_file_keeps_the_gains(calibrated, tmp_path) -> None:
-    again = load(save(calibrated, tmp_path / "model.toml"))
-    assert np.array_equal(again.gains, GAINS)
-    assert np.array_equal(again.gain_cov, calibrated.gain_cov)
-    q = np.zeros((1, 7))
-    np.testing.assert_array_equal(again.torque(q, q), calibrated.torque(q, q))
-
-
-def test_gains_that_are_none_are_refused(model) -> None:
-    with pytest.raises(ShapeError, match="gains above 0"):
-        replace(model, gains=-GAINS)
-    with pytest.raises(ShapeError, match=r"gains of shape \(7,\)"):
-        replace(model, gains=GAINS[:3])
-
-
 # Quality figures: one per joint, read-only.
 
 
-def test_figures_are_one_per_joint_and_read_only() -> None:
-    found = Quality([1.0, 2.0], [0.1, np.nan], [0.2, np.nan], [0.95, np.nan], 60.0)
-    assert not any(getattr(found, name).flags.writeable for name in ("torque_sd", "rms", "rms_cv", "coverage"))
-    assert np.isnan(found.rms[1]), "a joint that could not be judged"
-    with pytest.raises(ShapeError, match=r"coverage of one number per joint, got shape \(1,\)"):
-        Quality(np.ones(2), np.ones(2), np.ones(2), np.ones(1), 60.0)
-
-
 # The ranges of the training data are checked and frozen.
-
-
-def ranges(**changes) -> Training:
-    bins = 2 * len(SPEED_EDGES)
-    fields = {
-        "q_min": -np.ones(2),
-        "q_max": np.ones(2),
-        "qd_peak": np.ones(2),
-        "speed_share": np.ones((2, bins)) / bins,
-    }
-    return Training(**{**fields, "rest_share": 0.1, "longest_rest": 0.5, **changes})
-
-
-def test_ranges_are_frozen() -> None:
-    with pytest.raises(ValueError, match="read-only"):
-        ranges().qd_peak[0] = 2.0
-    np.testing.assert_array_equal(np.diff(SPEED_EDGES) > 0, True)
-
-
-@pytest.mark.parametrize(
-    ("changes", "sentence"),
-    [
-        ({"speed_share": np.ones((2, 4))}, r"speed_share of shape \(2, 12\) of the training, got \(2, 4\)"),
-        ({"q_max": np.array([1.0, np.nan])}, "finite q_max"),
-        ({"rest_share": 1.5}, "share of rest from 0 to 1"),
-        ({"longest_rest": np.nan}, "length from 0 s"),
-    ],
-)
-def test_others_are_refused(changes: dict, sentence: str) -> None:
-    with pytest.raises(ShapeError, match=sentence):
-        ranges(**changes)
