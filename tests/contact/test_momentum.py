@@ -71,16 +71,6 @@ def test_pushes_in_motion_are_found_and_two_sigma_holds(truth, model, way) -> No
     assert np.mean(inside[seen]) > 0.88
 
 
-@pytest.mark.parametrize("axis", range(3))
-def test_a_press_along_an_axis_appears_with_its_sign(truth, model, way, axis: int) -> None:
-    force = np.where(np.arange(6) == axis, 5.0, 0.0)
-    motion = identify.dither(truth.robot.q_home, seconds=4.0)
-    log = truth.log(motion, noise=0.1, wrench=lambda t: np.outer(np.clip(t / 0.5, 0, 1), force))
-    table = Estimator(model, truth.robot, **way).run(log)
-    found = table["wrench_hat"][500:].mean(axis=0)
-    np.testing.assert_allclose(found[:3], force[:3], atol=1.0)
-
-
 def test_rows_that_are_missing_take_their_time_with_them(truth, model, excited, way) -> None:
     """Five rows without torque, and the log without these rows, give one estimate; so do `step` and `run`."""
     log = excited.between(0.0, 2.0)
