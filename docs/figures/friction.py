@@ -7,7 +7,7 @@ import numpy as np
 
 from armlab._palette import GREY
 from armlab.kernels import presliding
-from armlab.models import Friction, RippleLines, WarmUp, speed_basis
+from armlab.models.friction import Friction, RippleLines, WarmUp, speed_basis
 from armlab.plots.style import MODEL, look
 
 

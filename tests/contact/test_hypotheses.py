@@ -10,8 +10,10 @@ import pytest
 from scipy.signal import lfilter
 
 from armlab import identify, robots
-from armlab.contact import Comparison, Contact, Estimator, Hypotheses, compare, contacts, hypotheses
-from armlab.estimation import correlation_time
+from armlab.contact import Estimator, compare, contacts, hypotheses
+from armlab.contact.contacts import Comparison, Contact
+from armlab.contact.hypotheses import Hypotheses
+from armlab.estimation.bootstrap import correlation_time
 from armlab.log import Column, Table
 
 ROBOT = robots.load("yumi_left")

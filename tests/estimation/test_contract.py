@@ -11,17 +11,8 @@ import pytest
 
 from armlab import models
 from armlab.errors import ConfigError, NotExcited, ShapeError, UnknownName
-from armlab.estimation import (
-    Contract,
-    Excitation,
-    Experiment,
-    Fit,
-    Gauge,
-    Limits,
-    Property,
-    check_estimator,
-)
-from armlab.estimation.contract import PROPERTIES
+from armlab.estimation import Contract, Excitation, Experiment, Fit, Gauge, Limits, check_estimator
+from armlab.estimation.contract import PROPERTIES, Property
 
 TRUTH = np.array([2.0, -1.0, 0.5])
 NAMES = ("slope", "bend", "offset")
@@ -147,10 +138,9 @@ def test_less_than_half_of_the_samples_is_not_efficient() -> None:
     def half(x: np.ndarray, y: np.ndarray, noise: float) -> Fit[Curve]:
         return replace(fit_curve(x[::2], y[::2], noise), n=len(x))
 
-    found = check(half, 1000, skip=dict.fromkeys(("order-free", "robust", "refuses", "clean"), "not under test"))
-    assert found.failed == ("efficient",)
-    found = check(half, 200, skip=dict.fromkeys(("order-free", "robust", "refuses", "clean"), "not under test"))
-    assert found.passed
+    others = ("consistent", "order-free", "robust", "refuses", "clean")
+    assert check(half, 1000, skip=dict.fromkeys(others, "not under test")).failed == ("efficient",)
+    assert check(half, 50, skip=dict.fromkeys(others, "not under test")).passed
 
 
 def test_the_order_of_the_samples_must_not_matter() -> None:

@@ -11,23 +11,10 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from armlab.errors import NotExcited
-from armlab.estimation import (
-    ActiveBound,
-    Factors,
-    LinearProblem,
-    LinearSolution,
-    Prior,
-    Rows,
-    factorise,
-    huber,
-    least_squares,
-    least_trimmed_squares,
-    mad,
-    solve,
-    within_bounds,
-)
-from armlab.estimation.robust import METHODS
-from armlab.estimation.tsqr import triangle
+from armlab.estimation import Prior, Rows, least_squares
+from armlab.estimation.linear_problem import ActiveBound, LinearProblem, LinearSolution, solve, within_bounds
+from armlab.estimation.robust import METHODS, huber, least_trimmed_squares, mad
+from armlab.estimation.tsqr import Factors, factorise, triangle
 
 BLOCKS = 30
 

@@ -6,15 +6,9 @@ import numpy as np
 import pytest
 
 from armlab.errors import NotConverged, NotExcited, ShapeError
-from armlab.estimation import (
-    Measurement,
-    NonlinearProblem,
-    NonlinearSolution,
-    TotalSolution,
-    nonlinear_least_squares,
-    total_least_squares,
-)
-from armlab.estimation.nonlinear import Descent, Whitened, cost, descend, whiten
+from armlab.estimation import Measurement, NonlinearProblem, nonlinear_least_squares, total_least_squares
+from armlab.estimation.errors_in_variables import TotalSolution
+from armlab.estimation.nonlinear import Descent, NonlinearSolution, Whitened, cost, descend, whiten
 from armlab.lie import so3
 
 SIGMA = 0.01

@@ -10,14 +10,8 @@ import pytest
 from armlab import identify, robots, sim
 from armlab.errors import ConfigError, ShapeError
 from armlab.estimation import Fit
-from armlab.identify import (
-    PhysicallyConsistent,
-    fit_payload,
-    physically_consistent,
-    physically_consistent_load,
-    pseudo_inertia,
-)
-from armlab.identify.consistency import LEAST
+from armlab.identify import fit_payload, physically_consistent, physically_consistent_load
+from armlab.identify.consistency import LEAST, PhysicallyConsistent, pseudo_inertia
 from armlab.identify.residuals import model_residuals
 from armlab.robots import inertia
 

@@ -9,23 +9,20 @@ import pytest
 
 from armlab import identify
 from armlab.estimation import Experiment, Fit, check_estimator
-from armlab.identify import (
+from armlab.identify import fit_dynamics, fit_friction, fit_warm_up, rbf_centres, rbf_regressor, ripple_lines
+from armlab.identify.drives.regularised import (
     GroupLasso,
-    fit_dynamics,
-    fit_friction,
-    fit_warm_up,
     group_lasso,
-    rbf_centres,
-    rbf_regressor,
-    ripple_lines,
-    ripple_regressor,
+    held_out_error,
+    refit,
+    ridge_solution,
     select_groups,
 )
-from armlab.identify.drives.regularised import held_out_error, refit, ridge_solution
 from armlab.identify.drives.ripple import (
     highest_seen,
     refine_lines,
     ripple_amplitudes,
+    ripple_regressor,
     select_lines,
     warn_of_fast_lines,
 )
@@ -34,7 +31,8 @@ from armlab.identify.residuals import model_residuals
 from armlab.identify.validation import held_out
 from armlab.kernels import basis_weights, presliding
 from armlab.log import Table
-from armlab.models import FrictionMap, RippleLines, TorqueModel, WarmUp, load, save, speed_basis
+from armlab.models import TorqueModel, load, save
+from armlab.models.friction import FrictionMap, RippleLines, WarmUp, speed_basis
 from armlab.robots import from_links
 
 

@@ -9,15 +9,8 @@ import pytest
 
 from armlab import identify, log, robots
 from armlab.errors import NotConverged, ShapeError
-from armlab.identify import (
-    PredictedUncertainty,
-    Trajectory,
-    design_excitation,
-    dither,
-    friction_run,
-    predicted_uncertainty,
-    sequence,
-)
+from armlab.identify import Trajectory, design_excitation, dither, friction_run, sequence
+from armlab.identify.excite import PredictedUncertainty, predicted_uncertainty
 from armlab.state import Command, State
 
 

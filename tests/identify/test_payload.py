@@ -14,7 +14,8 @@ from armlab.identify import fit_payload
 from armlab.identify.payload import LoadRecord, ModelError, _possible
 from armlab.kernels import presliding
 from armlab.log import Table
-from armlab.models import Friction, Payload, TorqueModel
+from armlab.models import Payload, TorqueModel
+from armlab.models.friction import Friction
 from armlab.robots import Robot, from_links, inertia, load
 
 MASS, CENTRE = 0.5, np.array([0.03, 0.0, 0.052])  # 60 mm from the flange

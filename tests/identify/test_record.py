@@ -9,10 +9,11 @@ import pytest
 from scipy.ndimage import median_filter
 
 from armlab.errors import NotExcited, ShapeError
-from armlab.identify import Record, fit_dynamics, prepare, with_velocity
+from armlab.identify import fit_dynamics, prepare, with_velocity
 from armlab.identify.record import (
     AT_ONCE,
     SLOW_SHARE,
+    Record,
     pieces,
     prepare_share,
     slow_enough,

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.identify import BaseParameters, base_parameters, design_excitation, prepare
+from armlab.identify import base_parameters, design_excitation, prepare
+from armlab.identify.base_parameters import BaseParameters
 from armlab.identify.columns import SMOOTH, Columns, Decimation, FrictionColumns
 from armlab.identify.friction_structure import (
     COLUMNS,

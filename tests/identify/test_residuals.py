@@ -27,7 +27,9 @@ from armlab.identify.residuals import (
 from armlab.identify.validation import held_out
 from armlab.kernels import presliding
 from armlab.log import Table
-from armlab.models import FORCE_RATES, PRIOR, TorqueModel, WarmUp, velocity_covariance
+from armlab.models import TorqueModel, velocity_covariance
+from armlab.models.friction import WarmUp
+from armlab.models.noise import FORCE_RATES, PRIOR
 
 
 def test_residuals_are_measured_minus_modelled_torque(model: TorqueModel, excited: Table) -> None:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from armlab import identify
-from armlab.estimation import LinearSolution, Rows, least_squares
+from armlab.estimation import Rows, least_squares
+from armlab.estimation.linear_problem import LinearSolution
 from armlab.identify import base_parameters, prepare
 from armlab.identify.regression import Design
 from armlab.identify.solve import (

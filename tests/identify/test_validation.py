@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from armlab.errors import NotExcited, ShapeError
-from armlab.identify import Extrapolation, design_excitation, dither, extrapolation, predict, prepare
+from armlab.identify import design_excitation, dither, extrapolation, predict, prepare
 from armlab.identify.validation import (
     FIFTHS,
+    Extrapolation,
     assess,
     assess_again,
     held_out,

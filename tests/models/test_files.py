@@ -12,8 +12,8 @@ import pytest
 from armlab import models
 from armlab.errors import ConfigError, ModelMismatchError
 from armlab.lie import se3, so3
-from armlab.models import Accelerometer, ForceSensor, HandEye, LaserSensor, Payload, load, load_statistics, save
-from armlab.models.files import kind_of, provenance, read_value, register, value_file
+from armlab.models import Accelerometer, ForceSensor, HandEye, LaserSensor, Payload, load, save
+from armlab.models.files import kind_of, load_statistics, provenance, read_value, register, value_file
 from armlab.models.friction import FrictionMap, RadialBasis, RippleLines, speed_basis
 
 

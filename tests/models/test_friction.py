@@ -10,20 +10,10 @@ import pytest
 from armlab import models
 from armlab.errors import ShapeError
 from armlab.kernels import presliding
-from armlab.models import (
-    CoupledMotors,
-    Friction,
-    FrictionBound,
-    RadialBasis,
-    RippleLines,
-    VelocityCovariance,
-    WarmUp,
-    load,
-    save,
-    speed_basis,
-    velocity_covariance,
-)
-from armlab.models.torque import CoupledKernel
+from armlab.models import load, save, velocity_covariance
+from armlab.models.friction import Friction, FrictionBound, RadialBasis, RippleLines, WarmUp, speed_basis
+from armlab.models.noise import VelocityCovariance
+from armlab.models.torque import CoupledKernel, CoupledMotors
 
 
 def friction(**change: object) -> Friction:

@@ -159,6 +159,14 @@ def test_parts_of_another_robot(model) -> None:
 
 def test_arrays_are_read_only(model) -> None:
     assert np.isnan(replace(QUALITY, rms=[1.0, np.nan]).rms[1]), "a joint that could not be judged"
-    for array in (NOISE.memory, TRAINING.qd_peak, QUALITY.rms, CORRECTION.cov, FORCE.bias, HAND_EYE.X, model.gains):
+    for array in (
+        NOISE.memory,
+        TRAINING.qd_peak,
+        QUALITY.rms,
+        CORRECTION.cov,
+        FORCE.bias,
+        HAND_EYE.X,
+        replace(model).gains,
+    ):
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 1.0

@@ -20,9 +20,9 @@ from armlab.models import (
     KinematicCorrection,
     LaserSensor,
     Payload,
-    harmonic_basis,
 )
 from armlab.models.hand_eye import FRAMES
+from armlab.models.kinematic_correction import harmonic_basis
 from armlab.robots import inertia
 
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # about z
@@ -234,7 +234,7 @@ def test_the_covariance_of_a_pose_is_that_of_draws(value, q) -> None:
     """Numbers drawn from `cov`, put into frames and joints: the scatter of the pose, v in base axes, w in tool axes."""
     rng, terms = np.random.default_rng(3), np.random.default_rng(2).standard_normal((4, 6, 2))
     root = np.linalg.svd(value.cov)
-    draws = rng.standard_normal((4000, 20)) @ (root.U[:, :20] * np.sqrt(root.S[:20])).T
+    draws = rng.standard_normal((500, 20)) @ (root.U[:, :20] * np.sqrt(root.S[:20])).T
     T, e = value.forward(q, terms), []
     for x in draws:
         frames = value.frames @ se3.exp(x[:42].reshape(7, 6))
@@ -243,8 +243,6 @@ def test_the_covariance_of_a_pose_is_that_of_draws(value, q) -> None:
         there = replace(other, coefficients=value.coefficients + x[66:]).forward(q[:1], terms[:1])
         turn = so3.log(np.swapaxes(T[:1, :3, :3], 1, 2) @ there[:, :3, :3])
         e.append(np.concatenate([there[0, :3, 3] - T[0, :3, 3], turn[0]]))
-        if len(e) == 800:
-            break
     C = value.pose_cov(q, terms)
     assert C.shape == (4, 6, 6)
     sd = np.sqrt(np.diag(C[0]))

@@ -1,8 +1,8 @@
 """Contact: the wrench of the environment on the robot, estimated from joint torques."""
 
-from armlab.contact.contacts import Comparison, Contact, compare, contacts
+from armlab.contact.contacts import compare, contacts
 from armlab.contact.estimator import INFEASIBLE, INVALID, SINGULAR, STUCK, TARED, WEAK, Estimator, Wrench
-from armlab.contact.hypotheses import Hypotheses, hypotheses
+from armlab.contact.hypotheses import hypotheses
 
 __all__ = [
     "INFEASIBLE",
@@ -11,10 +11,7 @@ __all__ = [
     "STUCK",
     "TARED",
     "WEAK",
-    "Comparison",
-    "Contact",
     "Estimator",
-    "Hypotheses",
     "Wrench",
     "compare",
     "contacts",

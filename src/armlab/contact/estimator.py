@@ -33,7 +33,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from threading import get_ident
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,7 +42,8 @@ from armlab._numbers import numbers
 from armlab.errors import ConcurrentUse, ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.log import Table
 from armlab.log.units_check import check_known
-from armlab.models import FORCE_RATES, PRIOR, TorqueModel
+from armlab.models import TorqueModel
+from armlab.models.noise import FORCE_RATES, PRIOR
 from armlab.robots import Robot
 from armlab.robots.robot import arm_length
 from armlab.state import State
@@ -161,8 +162,8 @@ def check_distance(places: np.ndarray, robot: Robot) -> None:
 
 
 Method = Literal["map", "bounded", "clip", "interval", "ls", "lund", "observer", "kf"]
-STATIC = ("map", "bounded", "clip", "interval", "ls", "lund")  # the kernel knows them by number
-METHODS = (*STATIC, "observer", "kf")
+METHODS = get_args(Method)
+STATIC = METHODS[: METHODS.index("observer")]  # in the order of the kernel's `WrenchMethod`
 GAIN = 30.0  # 1/s, of the observer
 PARTS = 100  # of a log whose progress is told
 

@@ -27,7 +27,7 @@ from armlab._numbers import make_read_only, number, numbers
 from armlab.contact.estimator import check_distance, contact_point
 from armlab.errors import RobotError, ShapeError
 from armlab.log import Table
-from armlab.models import PRIOR
+from armlab.models.noise import PRIOR
 from armlab.robots import Robot
 
 DECISIVE = 3.0  # log Bayes factor
@@ -123,7 +123,7 @@ def hypotheses(
     segment : (M, 3) corners of a line on the tool, tool axes [m]; without it the hypothesis is not weighed.
     prior : (6,) standard deviations of the wrench [N, N m], at the tool and on links; 20 N and 2 N m when left out.
     window : [s]; a shorter contact is diluted.
-    memory : correlation time of the torque error [s], see `estimation.correlation_time`: of window / (2 memory) samples
+    memory : correlation time of the torque error [s], see `correlation_time`: of window / (2 memory) samples
         the window tells as much. What an identified model and the 10 Hz filter leave of a YuMi remembers 0.02 to 0.06 s
         in motion. 0.1 s gives up a few decisions for false ones; more than 0.2 s leaves free motion undecided.
 

@@ -252,31 +252,6 @@ def check_spread(
     return Excitation(rank, p - fixed.shape[1], singular, weakest, *known)
 
 
-def unhurried(
-    judge: Callable[[], Excitation], cov: np.ndarray, limits: np.ndarray, unseen: int = 0
-) -> Excitation | Callable[[], Excitation]:
-    """Put off a judgement that a covariance proves to be good: a `Fit` makes it when it is asked for.
-
-    The variance along any direction, in units of the limits, is at most ``sum_i cov_ii / limits_i^2``.
-
-    Parameters
-    ----------
-    judge : makes the excitation, or refuses: `check_spread` of the same data.
-    cov : (p, p) covariance that these data give, without priors.
-    limits : (p,) of `check_spread`.
-    unseen : number of directions that the data do not see; `cov` is zero along them.
-
-    Returns
-    -------
-    `judge` where that sum is below 1 and nothing is unseen, otherwise what it returns.
-
-    Raises
-    ------
-    NotExcited : what `judge` raises.
-    """
-    return judge if not unseen and (cov.diagonal() / limits**2).sum() < 1.0 else judge()
-
-
 def _largest(reach: np.ndarray, vector: np.ndarray, units: Sequence[str]) -> str:
     i = int(np.argmax(np.abs(vector)))
     return f"({abs(reach[i]):.2g} {units[i]})"

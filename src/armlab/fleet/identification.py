@@ -32,7 +32,8 @@ from armlab.identify.friction_structure import Choice, Chooser, FrictionStructur
 from armlab.identify.many import LogSums, Pattern, fit_draft, fit_sums, log_sums, same_rate
 from armlab.identify.record import prepare_share
 from armlab.log import Table
-from armlab.models import TorqueModel, Training
+from armlab.models import TorqueModel
+from armlab.models.torque import Training
 from armlab.robots import Robot
 
 DRAFT_SECONDS = 200.0  # of the first logs: ten of 20 s

@@ -16,6 +16,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from armlab.identify.base_parameters import BaseParameters
 from armlab.identify.record import Record, slow_enough
 from armlab.kernels import presliding
+from armlab.models.friction import FRICTION_TERMS
 from armlab.robots import Robot
 
 # Zero-phase low-pass and decimation of a long record in one pass, block by block.
@@ -150,7 +151,17 @@ def _taps(corner: float) -> np.ndarray:
     return taps / taps.sum()
 
 
-# Columns of a regression over joint torque that depend on the shape of friction, filtered and thinned.
+# Columns of a regression over joint torque that depend on the structure of friction, filtered and decimated.
+
+
+FIXED = (
+    "viscous",
+    "offset",
+    "ripple cos",
+    "ripple sin",
+)  # columns without structure, the last two where gears are known
+SIGNED = ("coulomb+", "coulomb-", "root")  # columns of the sign alone
+SHAPED = (*SIGNED, "stribeck")
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,18 +220,17 @@ class FrictionColumns:
         return Bell(self.qd, speed)
 
     def columns(self, s: np.ndarray, bells: Sequence[Bell | np.ndarray], signs: bool = True) -> np.ndarray:
-        """Return the columns (M, J, 3 + S) of a sign: s+, s-, root, then Stribeck of each bell.
+        """Return the columns (M, J, 3 + S) of a sign: SIGNED, then Stribeck of each bell.
 
-        `s`: (N, J) from `sign`. `bells`: S from `bell`, or their arrays (N, J). `signs`: whether the first three are
-        wanted.
+        `s`: (N, J) from `sign`. `bells`: S from `bell`, or their arrays (N, J). `signs`: whether SIGNED are wanted.
         """
+        made_of = [FRICTION_TERMS[name].column for name in SIGNED] if signs else []
 
         def made(a: int, b: int) -> np.ndarray:
-            z = s[a:b]
-            own = [np.maximum(z, 0.0), np.minimum(z, 0.0), z * np.sqrt(np.abs(self.qd[a:b]))] if signs else []
-            return np.concatenate([*own, *(z * bell[a:b] for bell in bells)], axis=1)
+            own = [column(self.qd[a:b], s[a:b]) for column in made_of if column]
+            return np.concatenate([*own, *(s[a:b] * bell[a:b] for bell in bells)], axis=1)
 
-        J, count = self.q.shape[1], 3 * signs + len(bells)
+        J, count = self.q.shape[1], len(made_of) + len(bells)
         return np.moveaxis(self.thinning.run(made, J * count).reshape(-1, count, J), 1, 2)
 
 
@@ -276,7 +286,7 @@ class Columns:
                 parts += [np.where(slow, np.cos(angle), 0.0), np.where(slow, np.sin(angle), 0.0)]
             return np.concatenate([*parts, qdd[a:b] @ self.motors.T, data.qd[a:b] @ self.motors.T], axis=1)
 
-        fixed = 4 if geared else 2
+        fixed = len(FIXED) if geared else len(FIXED) - 2
         thin = self.thinning.run(columns, J * (1 + fixed) + 2 * K)
         tau, own, coupled = np.split(thin, [J, J * (fixed + 1)], axis=1)
         own = np.moveaxis(own.reshape(len(thin), fixed, J), 1, 2)

@@ -37,7 +37,10 @@ import numpy as np
 
 from armlab._numbers import check_name
 from armlab.errors import ModelMismatchError, NotExcited, ShapeError
-from armlab.estimation import BlockSums, Fit, LinearSolution, Prior, block_bootstrap, block_seconds, least_squares
+from armlab.estimation import BlockSums, Fit, Prior, block_bootstrap, least_squares
+from armlab.estimation.bootstrap import block_seconds
+from armlab.estimation.linear_problem import LinearSolution
+from armlab.estimation.robust import METHODS
 from armlab.identify.base_parameters import BaseParameters, base_parameters, measured_joints
 from armlab.identify.friction_structure import Chooser, choose_here
 from armlab.identify.record import Record, prepare, torque_outliers, without_outliers
@@ -46,13 +49,14 @@ from armlab.identify.solve import ROBUST, alternate, calibrated, gain_share, lin
 from armlab.identify.threads import one_thread
 from armlab.identify.validation import assess, report, training
 from armlab.log import Table
-from armlab.models import FrictionBound, Quality, TorqueModel, velocity_covariance
+from armlab.models import TorqueModel, velocity_covariance
+from armlab.models.friction import FrictionBound
+from armlab.models.torque import Quality
 from armlab.robots import Robot
 
 CUTOFF = 10.0  # Hz, corner of the estimator's causal filter
 FEWEST = 8.0  # independent segments that identify a number of the friction structure
 UNKNOWN = 1e3  # deviation of a parameter that the prior does not contain
-METHODS = ("irls", "lts", "wls", "ols")
 FOLDS = 5
 BAND, SLOW, QUANTILE = 5.0, 1.0, 0.99  # Hz; rad/s^2, m/s^2: a log for `fit_gravity` stays below it, in this share
 

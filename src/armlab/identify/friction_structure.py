@@ -11,12 +11,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from itertools import compress, pairwise
+from itertools import pairwise
 
 import numpy as np
 
-from armlab.identify.columns import FrictionColumns
+from armlab.identify.columns import FIXED, SIGNED, FrictionColumns
 from armlab.identify.threads import one_thread
+from armlab.models.friction import FRICTION_TERMS
 
 DELTAS = np.geomspace(1e-4, 1e-2, 7)  # rad
 SMOOTH_SPEEDS = np.array([0.005, 0.01, 0.02, 0.05, 0.1])  # rad/s
@@ -27,8 +28,9 @@ GAIN = 0.01  # of the squared held-out error: a term that wins less is left out
 DEFAULT_SPEED = 2  # of STRIBECK_SPEEDS, for joints without that term
 TOLD = 1e-6  # squared, of what each fold must tell of every direction: no term rests on one event
 EXACT = 1e-12  # squared error, relative to the torque, that is rounding
-# All columns of a joint, in their order; the last two where the gears are known.
-COLUMNS = ("viscous", "coulomb+", "coulomb-", "offset", "stribeck", "root", "ripple cos", "ripple sin")
+# All columns of a joint, in their order: terms of FRICTION_TERMS, then ripple where the gears are known.
+FRICTION = ("viscous", "coulomb+", "coulomb-", "offset", "stribeck", "root")
+COLUMNS = (*FRICTION, "ripple cos", "ripple sin")
 # Which of asymmetry, Stribeck and root a joint may have, fewest first.
 TERMS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 1, 1]], dtype=bool)
 
@@ -87,9 +89,10 @@ class FrictionStructure:
 def term_names(terms: np.ndarray, ripple: bool) -> tuple[str, ...]:
     """Return the names of the columns that a joint with these terms (3,) has; `ripple` where the gears are known."""
     asymmetric, stribeck, root = terms
-    coulomb = COLUMNS[1:3] if asymmetric else ("coulomb",)
-    rest = compress(COLUMNS[4:6], (stribeck, root))
-    return (COLUMNS[0], *coulomb, COLUMNS[3], *rest, *(COLUMNS[6:] if ripple else ()))
+    present = {"coulomb-": asymmetric, "stribeck": stribeck, "root": root}
+    one = {} if asymmetric else {"coulomb+": "coulomb"}  # for both directions
+    own = tuple(one.get(name, name) for name in FRICTION if present.get(name, True))
+    return own + COLUMNS[len(FRICTION) :] if ripple else own
 
 
 def mixing(terms: np.ndarray, width: int) -> np.ndarray:
@@ -97,11 +100,11 @@ def mixing(terms: np.ndarray, width: int) -> np.ndarray:
 
     `terms`: (3,) asymmetry, Stribeck, root.
     """
-    asymmetric, stribeck, root = terms
-    eye = np.eye(width)
-    coulomb = eye[:, 1:3] if asymmetric else eye[:, 1:3].sum(axis=1, keepdims=True)
-    rest = [eye[:, 4 + k : 5 + k] for k, present in enumerate((stribeck, root)) if present]
-    return np.hstack([eye[:, :1], coulomb, eye[:, 3:4], *rest, eye[:, 6:]])
+    fields = [{*FRICTION_TERMS[name].fields} for name in term_names(terms, ripple=False)]
+    own = [[{*FRICTION_TERMS[column].fields} <= of for of in fields] for column in FRICTION]
+    rest = width - len(FRICTION)
+    return np.block([[np.array(own, dtype=float), np.zeros((len(FRICTION), rest))],
+                     [np.zeros((rest, len(fields))), np.eye(rest)]])  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,12 +140,13 @@ class _Search:
 
         `columns`: (M, 1, 3 + S) from `FrictionColumns.columns`. `speeds`: (S,) of its bells.
         """
-        fixed, S = self._fixed, len(speeds)
-        shaped = columns[:, 0][self._order] * self._trust
-        A = np.column_stack([fixed[:, :1], shaped[:, :2], fixed[:, 1:2], shaped[:, 2:], fixed[:, 2:]])
+        A = np.column_stack([columns[:, 0][self._order] * self._trust, self._fixed])
         sums = [_sums(A[a:b], self._target[a:b]) for a, b in pairwise(self._edges)]
-        ripple = list(range(5 + S, A.shape[1]))
-        picks = np.array([[0, 1, 2, 3, 5 + s, 4, *ripple] for s in range(S)])
+        fixed = columns.shape[2]
+        at = dict(zip((*SIGNED, *FIXED), (*range(len(SIGNED)), *range(fixed, A.shape[1]))))
+        rest = range(fixed + 2, A.shape[1])  # neither viscous nor offset
+        kinds_of = ({**at, "stribeck": len(SIGNED) + s} for s in range(len(speeds)))
+        picks = np.array([[*(place[name] for name in FRICTION), *rest] for place in kinds_of])
         out = _held_out(sums, picks, _mixings(picks.shape[1])[kinds])
         wide = speeds > self._fastest  # beyond the log's speeds it is one more viscous term
         out[np.ix_(wide, TERMS[kinds, 1])] = np.inf
@@ -253,7 +257,10 @@ def _refine(search: _Search, shape: FrictionStructure, best: float) -> FrictionS
                 z = motion.sign(trial.delta, trial.smooth)
                 tried = motion.columns(z, bells)
             else:  # the columns of the sign stay
-                z, tried = s, np.concatenate([columns[:, :, :3], motion.columns(s, bells, signs=False)], axis=2)
+                z, tried = (
+                    s,
+                    np.concatenate([columns[:, :, : len(SIGNED)], motion.columns(s, bells, signs=False)], axis=2),
+                )
             score = float(search.scores(tried, trial.speed, slice(kind, kind + 1))[0, 0])
             if score < best:
                 best, shape, s, columns = score, trial, z, tried

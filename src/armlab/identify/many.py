@@ -32,7 +32,8 @@ from armlab.identify.solve import gain_share
 from armlab.identify.threads import one_thread
 from armlab.identify.validation import assess, training
 from armlab.log import Table
-from armlab.models import TorqueModel, Training
+from armlab.models import TorqueModel
+from armlab.models.torque import Training
 from armlab.robots import Robot
 
 HUBER = 1.345

@@ -24,14 +24,18 @@ import numpy as np
 
 from armlab._numbers import number
 from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
-from armlab.estimation import Fit, LinearSolution, Rows, block_seconds, check_spread, least_squares
+from armlab.estimation import Fit, Rows, least_squares
+from armlab.estimation.bootstrap import block_seconds
+from armlab.estimation.excitation import check_spread
+from armlab.estimation.linear_problem import LinearSolution
 from armlab.identify.base_parameters import LINK_SYMBOLS, BaseParameters, base_parameters
 from armlab.identify.record import MIN_SECONDS, MIN_SLIDE, MIN_TURN, Record, check_once, log_name
 from armlab.identify.residuals import model_residuals
 from armlab.identify.solve import GainProblem
 from armlab.kernels import presliding
 from armlab.log import Table
-from armlab.models import Friction, Payload, TorqueModel
+from armlab.models import Payload, TorqueModel
+from armlab.models.friction import FRICTION_TERMS, Friction
 from armlab.robots import Robot, inertia
 
 # What is uncertain in an identified model, and what fits that rely on the model make of it.
@@ -42,19 +46,6 @@ from armlab.robots import Robot, inertia
 
 CHUNK = 4096  # rows whose whole regressor is held at once
 STEP = 1e-3  # of the logarithm of what the torque is not linear in
-FIELDS = {
-    "viscous": ("viscous",),
-    "coulomb": ("coulomb_pos", "coulomb_neg"),
-    "coulomb+": ("coulomb_pos",),
-    "coulomb-": ("coulomb_neg",),
-    "offset": ("offset",),
-    "stribeck": ("stribeck",),
-    "root": ("root",),
-    "delta": ("delta",),
-    "tanh-speed": ("smooth_speed",),
-    "stribeck-speed": ("stribeck_speed",),
-}
-CURVED = ("delta", "tanh-speed", "stribeck-speed")
 RIPPLE = {"ripple cos": np.cos, "ripple sin": np.sin}
 
 
@@ -115,14 +106,14 @@ class ModelError:
             if term in RIPPLE:
                 yield names, RIPPLE[term](ripple.cycles * data.q)
                 continue
-            ends = []
+            known, ends = FRICTION_TERMS[term], []
             for sign in (1.0, -1.0):
-                fields = {name: getattr(friction, name) for name in FIELDS[term]}
-                moved = {k: x * np.exp(sign * STEP) if term in CURVED else x + sign for k, x in fields.items()}
+                fields = {name: getattr(friction, name) for name in known.fields}
+                moved = {k: x + sign if known.column else x * np.exp(sign * STEP) for k, x in fields.items()}
                 ends.append(_friction(replace(friction, **moved), data))
             width = 2.0
-            if term in CURVED:
-                value = getattr(friction, FIELDS[term][0])
+            if not known.column:
+                value = getattr(friction, known.fields[0])
                 width = 2.0 * np.sinh(STEP) * np.where(value > 0, value, 1.0)
             yield names, (ends[0] - ends[1]) / width
 
@@ -138,13 +129,14 @@ def _apart(fit: Fit[TorqueModel]) -> np.ndarray:
         return fit.cov
     ones = np.ones(len(told))
     common = 1.0 / (ones @ np.linalg.solve(gain_cov[np.ix_(told, told)], ones))
-    scaled = np.array([0.0 if name.split()[0] in CURVED else x for name, x in zip(fit.names, fit.parameters)])
+    curved = [term.name for term in FRICTION_TERMS.values() if not term.column]
+    scaled = np.array([0.0 if name.split()[0] in curved else x for name, x in zip(fit.names, fit.parameters)])
     return fit.cov - common * np.outer(scaled, scaled)
 
 
 def _own_names(robot: Robot, base: BaseParameters | None) -> dict[str, tuple[str, ...]]:
     """Return the names (n,) of each term that joints have of their own."""
-    names = {term: tuple(f"{term} {joint}" for joint in robot.joint_names) for term in (*FIELDS, *RIPPLE)}
+    names = {term: tuple(f"{term} {joint}" for joint in robot.joint_names) for term in (*FRICTION_TERMS, *RIPPLE)}
     return names if base is None else {**names, "offset": tuple(base.offset_names)}
 
 

@@ -20,10 +20,11 @@ import numpy as np
 
 from armlab.estimation import Rows
 from armlab.identify.base_parameters import BaseParameters
-from armlab.identify.columns import SMOOTH, Columns, Decimation
+from armlab.identify.columns import FIXED, SHAPED, SMOOTH, Columns, Decimation
 from armlab.identify.friction_structure import (
     COLUMNS,
     FOLDS,
+    FRICTION,
     Choice,
     Chooser,
     FrictionStructure,
@@ -32,15 +33,14 @@ from armlab.identify.friction_structure import (
     term_names,
 )
 from armlab.identify.record import Record
-from armlab.models import CoupledMotors, Friction, Ripple
+from armlab.models.friction import FRICTION_TERMS, Friction, Ripple
+from armlab.models.torque import CoupledMotors
 from armlab.robots import Robot
 
 # Where the parameters of `fit_dynamics` stand: base, then each joint's own, then those of coupled motors.
 
 
-BOUNDED = ("viscous", "coulomb", "coulomb+", "coulomb-", "rotor")  # not negative
-COUPLED = ("rotor", "viscous", "coulomb")  # of a motor that moves several joints
-SLOPES = ("delta", "tanh-speed", "stribeck-speed")  # numbers of the shape of friction
+COUPLED = {"rotor": "kg m^2", "viscous": "N m s/rad", "coulomb": "N m"}  # of a motor that moves several joints
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,23 +90,26 @@ class Layout:
         """Units of all parameters."""
         own = []
         for i, terms in zip(self.joints, self.terms):
-            force, length = ("N", "m") if self.robot.prismatic[i] else ("N m", "rad")
-            special = {"viscous": f"{force} s/{length}", "root": f"{force} sqrt(s/{length})", "delta": length}
-            special |= {"tanh-speed": f"{length}/s", "stribeck-speed": f"{length}/s"}
-            own += [special.get(term, force) for term in terms]
-        return (*self.base.units, *own, *("kg m^2", "N m s/rad", "N m") * len(self.motors))
+            force = "N" if self.robot.prismatic[i] else "N m"
+            known = {
+                term: FRICTION_TERMS[term].units(self.robot.prismatic[i]) for term in terms if term in FRICTION_TERMS
+            }
+            own += [known.get(term, force) for term in terms]
+        return (*self.base.units, *own, *[*COUPLED.values()] * len(self.motors))
 
     @property
     def lower(self) -> np.ndarray:
         """Lower bounds of all parameters: 0 for inertia, viscous and Coulomb friction, else -inf."""
-        own = [term for terms in self.terms for term in terms] + list(COUPLED) * len(self.motors)
-        return np.concatenate([self.base.lower, [0.0 if term in BOUNDED else -np.inf for term in own]])
+        own = [
+            FRICTION_TERMS[term].least if term in FRICTION_TERMS else -np.inf for terms in self.terms for term in terms
+        ]
+        return np.concatenate([self.base.lower, own, np.zeros(len(COUPLED) * len(self.motors))])
 
     @property
     def slopes(self) -> np.ndarray:
         """Which parameters (p,) are steps of the logarithm of a number of the shape of friction."""
-        own = [term in SLOPES for terms in self.terms for term in terms]
-        return np.array([False] * len(self.base.names) + own + [False] * 3 * len(self.motors))
+        own = [term in FRICTION_TERMS and FRICTION_TERMS[term].column is None for terms in self.terms for term in terms]
+        return np.array([False] * len(self.base.names) + own + [False] * len(COUPLED) * len(self.motors))
 
 
 # Rows of a regression over joint torque for the solver, joint by joint and in pieces of bounded size.
@@ -245,7 +248,7 @@ class Design:
     @property
     def geared(self) -> bool:
         """True when the ripple columns are among the columns of each joint."""
-        return self.fixed.shape[2] == 4
+        return self.fixed.shape[2] == len(FIXED)
 
     @property
     def terms(self) -> list[tuple[str, ...]]:
@@ -261,10 +264,9 @@ class Design:
     def with_shapes(self, shapes: FrictionStructure) -> Design:
         """Return it with the columns of other shapes of friction."""
         shaped = self.made.shaped(shapes.delta, shapes.smooth, shapes.speed[None])
-        local = []
+        local, at = [], [(*FIXED[: self.fixed.shape[2]], *SHAPED).index(name) for name in COLUMNS[: self._width]]
         for i, joint in enumerate(self.joints):
-            own = [self.fixed[:, i, :1], shaped[:, i, :2], self.fixed[:, i, 1:2], shaped[:, i, [3, 2]]]
-            own = np.concatenate([*own, self.fixed[:, i, 2:]], axis=1) @ mixing(shapes.terms[i], self._width)
+            own = np.concatenate([self.fixed[:, i], shaped[:, i]], axis=1)[:, at] @ mixing(shapes.terms[i], self._width)
             moved = np.flatnonzero(self.made.motors[:, joint])
             theirs = (self.made.motors[m, joint] * self.coupled_motors[:, m] for m in moved)
             local.append(np.hstack([own, *theirs]) if len(moved) else own)
@@ -297,7 +299,7 @@ class Design:
 
     def _slopes(self, theta: np.ndarray) -> np.ndarray:
         """Return the derivatives (M, J, 2) by central differences."""
-        c = self._own(theta)[[1, 2, 5, 4]].T  # in the order of `Columns.shaped`
+        c = self._own(theta)[[COLUMNS.index(name) for name in SHAPED]].T
         up, down, wide, narrow = (
             self.shapes.moved(np.tile(step, (len(self.joints), 1)))
             for step in STEP * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
@@ -306,7 +308,7 @@ class Design:
         more, less = (self.made.shaped(one.delta, one.smooth, one.speed[None]) for one in (up, down))
         bumps = self.made.shaped(self.shapes.delta, self.shapes.smooth, np.stack([wide.speed, narrow.speed]))
         signs = np.einsum("mjk,jk->mj", more - less, c / apart[:, None])
-        return np.stack([signs, (bumps[:, :, 3] - bumps[:, :, 4]) * (c[:, 3] / bump)], axis=2)
+        return np.stack([signs, (bumps[:, :, -2] - bumps[:, :, -1]) * (c[:, -1] / bump)], axis=2)
 
     def moved(self, theta: np.ndarray) -> FrictionStructure:
         """Return the shapes with the steps among parameters theta (p,) taken, each by half at most."""
@@ -344,11 +346,10 @@ class Design:
         found = self.moved(theta)
         shapes = np.tile([[1e-3], [0.0], [0.1], [2.0]], self.robot.n)
         shapes[:, self.joints] = found.delta, found.smooth, found.speed, self.made.cycles
-        viscous, positive, negative, offset, stribeck, root, cosine, sine = values
-        delta, smooth, speed, cycles = shapes
-        state = speed, delta, self.data.resolution
-        friction = Friction(viscous, positive, negative, offset, stribeck, *state, root, smooth)
-        return friction, Ripple(cycles, cosine, sine)
+        *numbers, cycles = shapes
+        fields = {FRICTION_TERMS[name].fields[0]: own for name, own in zip(FRICTION, values)}
+        fields |= dict(zip(("delta", "smooth_speed", "stribeck_speed"), numbers))
+        return Friction(resolution=self.data.resolution, **fields), Ripple(cycles, *values[len(FRICTION) :])
 
     def _own(self, theta: np.ndarray) -> np.ndarray:
         """Return the parameters of all COLUMNS of each joint (8, J); zero for those that it has not."""
@@ -368,7 +369,7 @@ class Design:
 
     @property
     def _width(self) -> int:
-        return len(COLUMNS) if self.geared else len(COLUMNS) - 2
+        return len(COLUMNS if self.geared else FRICTION)
 
     def choose_shapes(
         self, theta: np.ndarray, trust: np.ndarray | None = None, chooser: Chooser = choose_here

@@ -10,11 +10,13 @@ import numpy as np
 
 from armlab._numbers import numbers
 from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
-from armlab.estimation import Excitation, Fit, correlation_time, effective_samples
+from armlab.estimation import Excitation, Fit
+from armlab.estimation.bootstrap import correlation_time, effective_samples
 from armlab.identify.record import Record, prepare
 from armlab.kernels import presliding
 from armlab.log import Table
-from armlab.models import FORCE_RATES, PRIOR, MomentumNoise, TorqueModel, VelocityCovariance, velocity_covariance
+from armlab.models import TorqueModel, velocity_covariance
+from armlab.models.noise import FORCE_RATES, PRIOR, MomentumNoise, VelocityCovariance
 from armlab.robots import Robot, from_links
 
 
@@ -65,7 +67,7 @@ def friction_signs(model: TorqueModel, data: Record) -> np.ndarray:
     return np.where(smooth > 0, np.tanh(data.qd / np.where(smooth > 0, smooth, 1.0)), s)
 
 
-# How warm the drives of a model are along a record, second by second (models.WarmUp has the law).
+# How warm the drives of a model are along a record, second by second (models.friction.WarmUp has the law).
 #
 # Warmth is taken as constant over a second, so that sums over seconds are all that is kept of a record.
 
@@ -192,7 +194,7 @@ def fit_velocity_covariance(residuals: np.ndarray, qd: np.ndarray, kind: str = "
 
     Returns
     -------
-    Fit of `models.VelocityCovariance`; parameters are log Cinf, log(C0 / Cinf), log shape per joint.
+    Fit of `models.noise.VelocityCovariance`; parameters are log Cinf, log(C0 / Cinf), log shape per joint.
 
     Raises
     ------

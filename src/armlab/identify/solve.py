@@ -13,7 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armlab.estimation import LinearSolution, effective_samples, least_squares, shrinkage
+from armlab.estimation import least_squares
+from armlab.estimation.bootstrap import effective_samples, shrinkage
+from armlab.estimation.linear_problem import LinearSolution
 from armlab.identify.friction_structure import Chooser, choose_here
 from armlab.identify.record import Record
 from armlab.identify.regression import Design

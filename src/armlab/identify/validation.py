@@ -9,11 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armlab.errors import ModelMismatchError, NotExcited, ShapeError
-from armlab.estimation import Fit, LinearSolution
+from armlab.estimation import Fit
+from armlab.estimation.linear_problem import LinearSolution
 from armlab.identify.record import Record, pieces, torque_outliers, with_velocity, without_outliers
 from armlab.identify.residuals import begun, fit_velocity_covariance, momentum_noise, stretches
 from armlab.log import Table
-from armlab.models import SPEED_EDGES, FrictionBound, TorqueModel, Training, VelocityCovariance
+from armlab.models import TorqueModel
+from armlab.models.friction import FrictionBound
+from armlab.models.noise import VelocityCovariance
+from armlab.models.torque import SPEED_EDGES, Training
 from armlab.signals import central_diff, lowpass_offline
 
 if TYPE_CHECKING:

@@ -194,8 +194,8 @@ def decode(item: Any) -> Any:
 KIND = "torque_model"
 TORQUE_FORMAT = 5
 FRICTION = tuple(entry.name for entry in fields(Friction))
-RIPPLE = ("cycles", "cosine", "sine")
-BOUND = ("torque", "speed", "floor")
+RIPPLE = tuple(entry.name for entry in fields(Ripple))
+BOUND = tuple(entry.name for entry in fields(FrictionBound))
 PARTS = ("lines", "friction_map", "warm_up", "momentum", "coupled")  # where there are any
 QUALITY = ("torque_sd", "rms", "rms_cv", "coverage")
 LIMITS = ("q_min", "q_max", "qd_peak", "speed_share")  # of the training

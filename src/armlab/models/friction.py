@@ -17,7 +17,9 @@ It keeps its value at rest, where a sign function would be 0.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +28,43 @@ from armlab.errors import ShapeError
 from armlab.kernels import Drive, basis_weights
 
 SLOW = 0.02  # rad/s, m/s: below it friction is known only to lie inside a bound
+
+
+class FrictionTerm(NamedTuple):
+    """A parameter of the friction of one joint, as fits have it.
+
+    `name`: in fits and reports. `fields`: of `Friction`. `unit`: with the {force} and {length} of the joint. `column`:
+    its regressor over velocity and sign; None where the torque is not linear in it. `least`: lower bound.
+    """
+
+    name: str
+    fields: tuple[str, ...]
+    unit: str
+    column: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+    least: float = -np.inf
+
+    def units(self, prismatic: bool) -> str:
+        """Return the unit for a revolute or a prismatic joint."""
+        force, length = ("N", "m") if prismatic else ("N m", "rad")
+        return self.unit.format(force=force, length=length)
+
+
+FRICTION_TERMS = {
+    term.name: term
+    for term in (
+        FrictionTerm("viscous", ("viscous",), "{force} s/{length}", lambda qd, s: qd, 0.0),
+        FrictionTerm("coulomb", ("coulomb_pos", "coulomb_neg"), "{force}", lambda qd, s: s, 0.0),
+        FrictionTerm("coulomb+", ("coulomb_pos",), "{force}", lambda qd, s: np.maximum(s, 0.0), 0.0),
+        FrictionTerm("coulomb-", ("coulomb_neg",), "{force}", lambda qd, s: np.minimum(s, 0.0), 0.0),
+        FrictionTerm("offset", ("offset",), "{force}", lambda qd, s: np.ones_like(s)),
+        FrictionTerm("stribeck", ("stribeck",), "{force}", lambda qd, s: s),  # times exp(-(qd / stribeck-speed)^2)
+        FrictionTerm("root", ("root",), "{force} sqrt(s/{length})", lambda qd, s: s * np.sqrt(np.abs(qd))),
+        FrictionTerm("delta", ("delta",), "{length}"),
+        FrictionTerm("tanh-speed", ("smooth_speed",), "{length}/s"),
+        FrictionTerm("stribeck-speed", ("stribeck_speed",), "{length}/s"),
+    )
+}
+"""Every term of friction once: names, units, regressors and bounds elsewhere derive from this table."""
 
 
 def _zeros() -> np.ndarray:
@@ -84,15 +123,21 @@ class Friction:
         if np.any(self.smooth_speed < 0) or np.any(self.resolution < 0):
             raise ShapeError("Expected smooth_speed >= 0 and resolution >= 0, got a negative value. Make it positive.")
 
+    @classmethod
+    def none(cls, n: int) -> Friction:
+        """Return n joints without friction; widths of terms that are zero are 1."""
+        widths = ("stribeck_speed", "delta")
+        return cls(**{entry.name: np.full(n, float(entry.name in widths)) for entry in fields(cls)})
+
     @property
     def rows(self) -> np.ndarray:
-        """All fields in their order, one row each (10, n), as `kernels.Drive` takes them."""
+        """Fields in their order, one row each, as `kernels.Drive` takes them."""
         return np.stack([getattr(self, entry.name) for entry in fields(self)])
 
     def torque(self, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the friction torque (..., n) [N m] at velocity `qd` (..., n) and presliding state `z` (..., n)."""
         qd = np.asarray(qd, dtype=float)
-        return Drive(self.rows, np.zeros((3, len(self.delta)))).torque(np.zeros(qd.shape), qd, z)
+        return Drive(self.rows, Ripple.none(len(self.delta)).rows).torque(np.zeros(qd.shape), qd, z)
 
     @property
     def static(self) -> np.ndarray:
@@ -154,17 +199,20 @@ class Ripple:
         """Check shapes and freeze."""
         _freeze(self)
 
+    @classmethod
+    def none(cls, n: int) -> Ripple:
+        """Return n joints without ripple."""
+        return cls(*np.zeros((len(fields(cls)), n)))
+
     def torque(self, q: np.ndarray) -> np.ndarray:
         """Return the ripple torque (..., n) [N m] at `q` (..., n)."""
         zero = np.zeros(np.shape(q))
-        friction = np.zeros((10, len(self.cycles)))
-        friction[5:7] = 1.0  # widths of terms that are zero
-        return Drive(friction, self.rows).torque(q, zero, zero)
+        return Drive(Friction.none(len(self.cycles)).rows, self.rows).torque(q, zero, zero)
 
     @property
     def rows(self) -> np.ndarray:
-        """cycles, cosine, sine, one row each (3, n), as `kernels.Drive` takes them."""
-        return np.stack([self.cycles, self.cosine, self.sine])
+        """Fields in their order, one row each, as `kernels.Drive` takes them."""
+        return np.stack([getattr(self, entry.name) for entry in fields(self)])
 
 
 # Friction over position and speed by normalised radial basis functions, one set for each direction.
@@ -275,9 +323,8 @@ class FrictionMap:
         ----------
         q, qd : (..., n) [rad], [rad/s]. z : (..., n) presliding state.
         """
-        friction = np.zeros((10, self.basis.n))
-        friction[5:7] = 1.0  # widths of terms that are zero
-        return Drive(friction, np.zeros((3, self.basis.n)), map=self.kernel_rows()).torque(q, qd, z)
+        n = self.basis.n
+        return Drive(Friction.none(n).rows, Ripple.none(n).rows, map=self.kernel_rows()).torque(q, qd, z)
 
 
 # Torque ripple as lines over position whose amplitude and phase depend on speed.
@@ -340,7 +387,7 @@ class RippleLines:
         self.joint.flags.writeable = False
         if np.any(self.widths <= 0) or self.speeds.ndim != 2 or np.any(np.diff(self.speeds, axis=-1) <= 0):
             raise ShapeError("Expected ascending speeds and positive widths of the ripple lines, got others.")
-        Drive(np.ones((10, len(self.speeds))), np.zeros((3, len(self.speeds))), lines=self.kernel_rows())
+        self._drive()  # refuses shapes that do not fit
 
     @property
     def n(self) -> int:
@@ -358,9 +405,10 @@ class RippleLines:
         ----------
         q, qd : (..., n) [rad], [rad/s]. z : (..., n) presliding state.
         """
-        friction = np.zeros((10, self.n))
-        friction[5:7] = 1.0  # widths of terms that are zero
-        return Drive(friction, np.zeros((3, self.n)), lines=self.kernel_rows()).torque(q, qd, z)
+        return self._drive().torque(q, qd, z)
+
+    def _drive(self) -> Drive:
+        return Drive(Friction.none(self.n).rows, Ripple.none(self.n).rows, lines=self.kernel_rows())
 
 
 # Friction that changes as a drive warms up by its own friction, without a temperature sensor.
@@ -401,7 +449,7 @@ class WarmUp:
             raise ShapeError("Expected time >= 0, power > 0 and start >= 0 of the warm-up, got others.")
 
     def kernel_rows(self) -> np.ndarray:
-        """Return the rows (5, n) as `kernels.Drive` takes them."""
+        """Fields in their order, one row each, as `kernels.Drive` takes them."""
         return np.stack([getattr(self, entry.name) for entry in fields(self)])
 
     def warmth(self, power: np.ndarray, dt: np.ndarray) -> np.ndarray:

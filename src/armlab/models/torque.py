@@ -362,7 +362,7 @@ class TorqueModel:
         Parameters
         ----------
         prior : (6,) prior variances of the wrench [N^2, (N m)^2].
-        method : 0 map, 1 bounded, 2 clip, 3 interval, 4 ls, 5 lund.
+        method : number of a static method of `contact.Estimator`, in their order; 0 is "map".
         point : (3,) known contact in tool axes [m], or None.
         """
         b = self.bound

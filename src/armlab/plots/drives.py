@@ -17,7 +17,8 @@ from armlab.estimation import Fit
 from armlab.glossary import lookup
 from armlab.identify.residuals import model_residuals
 from armlab.kernels import Drive
-from armlab.models import Ripple, TorqueModel
+from armlab.models import TorqueModel
+from armlab.models.friction import Ripple
 from armlab.plots.model import value_of
 from armlab.plots.style import JOINT_STYLES, MODEL, band, cloud, expect, legend, look, panels
 
@@ -153,7 +154,7 @@ def friction_map(
 
     Parameters
     ----------
-    model : with or without `models.FrictionMap`, or the fit that has it.
+    model : with or without `models.friction.FrictionMap`, or the fit that has it.
     joint : number, from 0.
     table : with q, qd (N, n), what the map was fitted to.
     slices : (k,) positions of the cuts [rad]; three, evenly spaced, when None.

@@ -18,7 +18,8 @@ import numpy as np
 
 from armlab._numbers import numbers
 from armlab.errors import NotExcited, ShapeError
-from armlab.estimation import Excitation, Fit, block_seconds
+from armlab.estimation import Excitation, Fit
+from armlab.estimation.bootstrap import block_seconds
 from armlab.identify.drives.regularised import RIDGE as LINE_RIDGE
 from armlab.identify.drives.regularised import held_out_error, refit, ridge_solution
 from armlab.identify.drives.ripple import (
@@ -35,13 +36,14 @@ from armlab.identify.drives.warm_up import MIN_SECONDS, fit_warm_up
 from armlab.identify.residuals import Residuals, model_residuals
 from armlab.identify.validation import FIFTHS, assess_again, fold_of
 from armlab.log import Table
-from armlab.models import FrictionMap, RadialBasis, RippleLines, TorqueModel, speed_basis
+from armlab.models import TorqueModel
+from armlab.models.friction import FrictionMap, RadialBasis, RippleLines, speed_basis
 
 # Centres and regressor of friction over position and speed: the ancestor's `getcenters` and `frictionRBFN`, corrected.
 #
 # Against Robotlib.jl: widths belong to a joint; centres have speeds above 0 and stand for both directions; at rest the
 # presliding state blends both; the functions sum to 1 everywhere, without a constant in the denominator, and beyond the
-# centres the nearest edge counts, which `models.RadialBasis.outside` tells.
+# centres the nearest edge counts, which `models.friction.RadialBasis.outside` tells.
 
 
 SLOWEST = 0.02  # of the peak speed: slower samples do not place centres

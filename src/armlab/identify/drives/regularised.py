@@ -14,7 +14,7 @@ import numpy as np
 
 from armlab._numbers import number, numbers
 from armlab.errors import NotConverged, ShapeError
-from armlab.estimation import shrinkage
+from armlab.estimation.bootstrap import shrinkage
 
 # Ridge regression on coloured residuals: coefficients, a covariance that takes no model of the noise, held-out errors.
 #
@@ -45,7 +45,7 @@ def refit(
 
     ``H = A^T A + r 1, r = ridge mean(diag)``, ``cov = H^-1 (S + r^2 v 1) H^-1`` with S the scatter ``sum_b g_b g_b^T``
     of the moments g_b of the residuals in a block: residuals that remember make it larger than the formal one. Where
-    blocks are few for the coefficients S is shrunk towards a multiple of H (`estimation.shrinkage`): it would have no
+    blocks are few for the coefficients S is shrunk towards a multiple of H (`shrinkage`): it would have no
     spread in most directions. v is the mean square of the coefficients: so far the ridge pulls what is hardly told.
 
     `A`: (N, p). `y`: (N,). `block`: (N,) numbers. `beside`: (N, m) columns of parameters known so far that they leave

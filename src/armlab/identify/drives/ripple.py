@@ -1,4 +1,4 @@
-"""Search and fit of torque ripple lines on the residuals of one joint (models.RippleLines has the law).
+"""Search and fit of torque ripple lines on the residuals of one joint (models.friction.RippleLines has the law).
 
 1. Least-squares periodogram over position: for each c the share of the residual that cos(c q) and sin(c q) explain. A
    peak counts when noise with the local median would give one like it anywhere with p < 1e-3; the strongest is taken,
@@ -19,7 +19,7 @@ import numpy as np
 
 from armlab._numbers import numbers
 from armlab.errors import ShapeError
-from armlab.estimation import mad
+from armlab.estimation.robust import mad
 from armlab.identify.drives.regularised import RIDGE, held_out_error, ridge_solution, select_groups
 from armlab.identify.record import SLOW_SHARE, slow_enough
 from armlab.kernels import basis_weights
