@@ -189,9 +189,9 @@ def test_what_the_data_do_not_tell_is_refused_by_name_or_held_by_a_prior(problem
 def test_one_pass_serves_any_weights(problems) -> None:
     A, y = problems.draw(6, 300, k=2)
     factors = factorise(iter(rows(A, y)), 3)
-    question = LinearProblem.of(problems.names, "model")
-    assert isinstance(solve(question, factors), LinearSolution)
-    found = solve(question, factors, np.array([3.0, 1.0]), kept=np.arange(BLOCKS) != 4)
+    problem = LinearProblem.of(problems.names, "model")
+    assert isinstance(solve(problem, factors), LinearSolution)
+    found = solve(problem, factors, np.array([3.0, 1.0]), kept=np.arange(BLOCKS) != 4)
     keep = np.arange(300) * BLOCKS // 300 != 4
     w = np.tile([3.0, 1.0], keep.sum())[:, None]
     dense = np.linalg.lstsq(A[keep].reshape(-1, 3) * w, y[keep].ravel() * w[:, 0], rcond=None)[0]

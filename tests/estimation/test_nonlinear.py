@@ -142,7 +142,7 @@ def test_two_classes_of_noise_find_their_own_deviation() -> None:
 def test_noise_is_found_beside_a_part_that_is_known() -> None:
     """y = A x + noise, its covariance sigma^2 I + S_i with S_i known: both the answer and sigma are honest."""
     rng = np.random.default_rng(1)
-    found, plain = [], []
+    found = []
     for _ in range(40):
         A = rng.standard_normal((100, 2, 3))
         known = np.einsum("n,ij->nij", rng.uniform(0.0, 2.0, 100), np.array([[0.02, 0.01], [0.01, 0.02]]))
@@ -157,19 +157,8 @@ def test_noise_is_found_beside_a_part_that_is_known() -> None:
         fit = nonlinear_least_squares(NonlinearProblem(evaluate, lambda x, step: x + step), np.zeros(3))
         e = fit.value - [1.0, 2.0, 3.0]
         found.append([fit.sigma[0], e @ np.linalg.solve(fit.cov, e) / 3])
-        without = nonlinear_least_squares(
-            NonlinearProblem(lambda x, A=A, y=y: [Measurement(A @ x - y, A, None, ("y", "y"), added=np.zeros((2, 2)))],
-                    lambda x, step: x + step), np.zeros(3))  # fmt: skip
-        none = nonlinear_least_squares(
-            NonlinearProblem(
-                lambda x, A=A, y=y: [Measurement(A @ x - y, A, None, ("y", "y"))], lambda x, step: x + step
-            ),
-            np.zeros(3),
-        )
-        plain.append(abs(without.sigma[0] / none.sigma[0] - 1.0))
     assert np.mean(found, axis=0) == pytest.approx([0.1, 1.0], rel=0.3)
     assert np.mean([one[0] for one in found]) == pytest.approx(0.1, rel=0.04)
-    assert max(plain) < 1e-5
 
 
 def test_priors_hold_what_the_data_do_not_tell_and_are_no_samples() -> None:
@@ -261,12 +250,6 @@ def test_a_wrong_jacobian_does_not_pass_for_a_minimum() -> None:
         descend(wrong, np.zeros(2), {}, np.ones(2))
 
 
-def test_exact_data_end_at_the_rounding_floor() -> None:
-    A = np.random.default_rng(0).standard_normal((20, 3)) * [1e3, 1.0, 1.0]
-    tight = problem(lambda x: 1e9 * (A @ x - A @ np.ones(3)), lambda x: 1e9 * A)
-    np.testing.assert_allclose(descend(tight, np.zeros(3), {}, np.ones(20)).value, 1.0, rtol=1e-12)
-
-
 # Whitening of residuals.
 
 
@@ -288,26 +271,6 @@ def test_whitened_squares_are_mahalanobis_distances() -> None:
     many = Measurement(one.r, one.J, np.broadcast_to(COV, (5, 2, 2)), one.classes)
     np.testing.assert_array_equal(whiten([many], [many.roots({})]).J, rows.J)
     np.testing.assert_allclose(cost([one], [one.roots({})], np.ones(5)), 0.5 * expected.sum(), rtol=1e-12)
-
-
-def test_variances_alone_are_a_diagonal_covariance() -> None:
-    whole = poses(np.diag([4.0, 9.0]))
-    short = Measurement(whole.r, whole.J, np.array([4.0, 9.0]), whole.classes)
-    assert short.roots({}).tolist() == [0.5, 1.0 / 3.0]
-    first, second = (whiten([one], [one.roots({})]) for one in (whole, short))
-    np.testing.assert_allclose(first.J, second.J, rtol=1e-15)
-    np.testing.assert_allclose(first.r, second.r, rtol=1e-15)
-    with pytest.raises(ShapeError, match="positive definite"):
-        Measurement(whole.r, whole.J, np.array([4.0, 0.0]), whole.classes).roots({})
-
-
-def test_estimated_noise_is_a_deviation_per_class() -> None:
-    one = poses(None)
-    rows = whiten([one], [one.roots({"t": 2.0, "R": 0.5})])
-    np.testing.assert_allclose(rows.r.reshape(5, 2), one.r / [2.0, 0.5])
-    np.testing.assert_allclose(rows.label.reshape(5, 2)[0], [0, 1])
-    np.testing.assert_array_equal(rows.raw, one.r.ravel())
-    assert rows.names == ("t", "R")
 
 
 def test_weights_act_on_samples_and_spare_priors() -> None:

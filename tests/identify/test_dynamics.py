@@ -268,21 +268,6 @@ def test_it_is_saved_and_estimates(truth, gravity, slow, tmp_path) -> None:
     assert np.all(np.sqrt(np.mean(force**2, axis=0)) < 2.0), "free motion: no force"
 
 
-@pytest.mark.slow  # 18 s
-def test_errors_halve_with_four_times_the_data_and_match_the_covariance_of_gravity(short_arm) -> None:
-    """The statistical contract on a short arm."""
-    for law, gain_sd in (("consistent", 0.0), ("honest", 0.05)):  # as for fit_dynamics
-        found = check_estimator(
-            lambda table, robot: short_arm.of_base(fit_gravity(table, robot)),
-            short_arm.experiment(slow=True, gain_sd=gain_sd),
-            runs=16,
-            n=3000,
-            noise_given=False,
-            skip=dict.fromkeys(set(PROPERTIES) - {law}, "as fit_dynamics, whose machinery it shares"),
-        )
-        assert found.passed, found.text()
-
-
 # Sums of logs: each of one log alone, the fit to all of them that of all rows.
 
 
@@ -362,8 +347,7 @@ def test_one_thread_inside_and_as_many_as_before_after() -> None:
         assert threads() == before
 
 
-@pytest.mark.parametrize("fit", [identify.fit_dynamics, identify.fit_gravity])
-def test_a_fit_has_one_thread(fit, excited: Table, truth) -> None:
+def test_a_fit_has_one_thread(excited: Table, truth) -> None:
     robot: Robot = truth.robot
     seen: list[dict[str, int]] = []
 
@@ -374,7 +358,7 @@ def test_a_fit_has_one_thread(fit, excited: Table, truth) -> None:
     with threadpool_limits(2, "blas"):
         before = threads()
         with pytest.raises(Stopped):
-            fit(excited, robot, progress=look)
+            identify.fit_dynamics(excited, robot, progress=look)
         assert [set(one.values()) for one in seen] == [{1}]
         assert threads() == before
 

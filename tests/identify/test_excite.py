@@ -46,7 +46,7 @@ def test_dither_sways_every_joint_about_its_centre() -> None:
     np.testing.assert_allclose(np.abs(qd).max(axis=0), 0.03 * np.pi, rtol=1e-3)
 
 
-@pytest.mark.parametrize("seconds", [0.7, 2.0, 3.3])
+@pytest.mark.parametrize("seconds", [0.7, 3.3])
 def test_a_short_sway_has_no_jump_either(seconds: float) -> None:
     t = np.linspace(0, seconds, 20001)
     q, qd, qdd = dither(np.zeros(3), seconds, amplitude=1.0).sample(t)

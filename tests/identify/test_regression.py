@@ -10,7 +10,7 @@ import pytest
 from armlab import robots
 from armlab.identify import base_parameters, design_excitation, prepare
 from armlab.identify.base_parameters import BaseParameters
-from armlab.identify.columns import SMOOTH, Columns, Decimation, FrictionColumns
+from armlab.identify.columns import Columns, Decimation, FrictionColumns
 from armlab.identify.friction_structure import (
     COLUMNS,
     DELTAS,
@@ -127,14 +127,6 @@ def test_gravity_alone_has_masses_and_first_moments() -> None:
     assert set(base.units) <= {"kg", "kg m"}
 
 
-def test_joints_without_measured_torque_show_fewer_combinations() -> None:
-    robot = robots.load("yumi_left")
-    some = base_parameters(robot, joints=[4, 5, 6])
-    assert len(some.names) < 50
-    assert not some.seen[:4].any()
-    assert some.seen[4:].any(axis=1).all()
-
-
 # Columns of the regression: decimation, friction, rigid body and motors.
 
 
@@ -145,33 +137,8 @@ def columns(truth, excited) -> Columns:
     return Columns(data, Decimation.of(data, np.inf, 7), truth.robot, np.array([1, 4, 6]), motors)
 
 
-def test_plain_columns_are_torque_velocity_offset_ripple_and_motors(columns) -> None:
-    data, rows, joints = columns.data, columns.thinning.rows, columns.joints
-    qdd = data.differentiate(data.qd)
-    tau, fixed, coupled = columns.plain(qdd)
-    np.testing.assert_array_equal(tau, data.tau[rows][:, joints])
-    np.testing.assert_array_equal(fixed[:, :, 0], data.qd[rows][:, joints])
-    np.testing.assert_array_equal(fixed[:, :, 1], 1.0)
-    angle = columns.cycles * data.q[rows][:, joints]
-    seen = fixed[:, :, 2] != 0
-    np.testing.assert_allclose(fixed[:, :, 2][seen], np.cos(angle)[seen], rtol=1e-12)
-    np.testing.assert_allclose(coupled[:, 0, 1], data.qd[rows, 5] + data.qd[rows, 6], rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(columns.coupled_sign(), np.tanh(coupled[:, :, 1] / SMOOTH), rtol=1e-12, atol=1e-12)
-
-
-def test_rigid_columns_are_those_of_the_regressor(columns) -> None:
-    data, rows, robot = columns.data, columns.thinning.rows, columns.robot
-    base, qdd = base_parameters(robot, joints=columns.joints.tolist()), data.differentiate(data.qd)
-    Y = robot.chain.rigid_regressor(data.q[rows], data.qd[rows], qdd[rows], robot.gravity)
-    for joint, found in zip(columns.joints, columns.rigid(qdd, base)):
-        kept = base.kept[base.seen[joint]]
-        links = kept < 70
-        np.testing.assert_allclose(found[:, links], Y[:, joint, kept[links]], atol=1e-12)
-        np.testing.assert_array_equal(found[:, ~links], qdd[rows][:, kept[~links] - 70])
-
-
 def test_shaped_columns_have_presliding_or_a_smooth_sign(columns) -> None:
-    data, rows, joints = columns.data, columns.thinning.rows, columns.joints
+    data, rows, joints = columns.data, columns.decimation.rows, columns.joints
     delta, smooth, speeds = np.full(3, 1e-3), np.array([0.0, 0.02, 0.0]), np.array([[0.1] * 3, [0.3] * 3])
     z = presliding(np.ascontiguousarray(data.q[:, joints]), delta, data.resolution[joints])
     z[:, 1] = np.tanh(data.qd[:, 4] / 0.02)
@@ -192,9 +159,9 @@ def data(truth, excited):
 
 
 def test_thinning_is_the_zero_phase_filter_at_the_rows_that_are_kept(data) -> None:
-    thinning = Decimation.of(data, 25.0, 4)
-    got = thinning.run(lambda a, b: data.tau[a:b], data.tau.shape[1])
-    expected = data.filter(data.tau, 25.0)[thinning.rows]
+    decimation = Decimation.of(data, 25.0, 4)
+    got = decimation.run(lambda a, b: data.tau[a:b], data.tau.shape[1])
+    expected = data.filter(data.tau, 25.0)[decimation.rows]
     inside = np.concatenate([np.arange(50, 1200), np.arange(1300, len(got) - 50)])
     scale = np.std(expected, axis=0)
     assert np.max(np.abs(got - expected)[inside] / scale) < 1e-5
@@ -203,53 +170,27 @@ def test_thinning_is_the_zero_phase_filter_at_the_rows_that_are_kept(data) -> No
 
 def test_a_constant_and_a_slope_pass_unchanged(data) -> None:
     for every in (1, 3, 7):
-        thinning = Decimation.of(data, 10.0, every)
+        decimation = Decimation.of(data, 10.0, every)
         x = np.column_stack([np.ones(len(data.t)), np.arange(len(data.t))])
-        np.testing.assert_allclose(thinning.run(lambda a, b, x=x: x[a:b], 2), x[thinning.rows], rtol=1e-9, atol=1e-6)
-
-
-def test_without_a_filter_rows_are_picked(data) -> None:
-    thinning = Decimation.of(data, np.inf, 50)
-    got = thinning.run(lambda a, b: data.tau[a:b], data.tau.shape[1])
-    np.testing.assert_array_equal(got, data.tau[thinning.rows])
+        np.testing.assert_allclose(
+            decimation.run(lambda a, b, x=x: x[a:b], 2), x[decimation.rows], rtol=1e-9, atol=1e-6
+        )
 
 
 @pytest.mark.parametrize("rows", [100, 5000])
 def test_ends_are_continued_by_point_reflection(data, rows: int) -> None:
     """Also where the filter reaches beyond the other end of the piece."""
     short = replace(data, rate=2500.0, segments=((0, rows),))
-    thinning = Decimation.of(short, 25.0, 10)
-    reach = len(thinning.taps) // 2
+    decimation = Decimation.of(short, 25.0, 10)
+    reach = len(decimation.taps) // 2
     assert reach > 200
     x = data.tau[:rows]
     wide = np.pad(x, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
-    expected = [thinning.taps @ wide[k : k + 2 * reach + 1] for k in thinning.rows]
-    np.testing.assert_allclose(thinning.run(lambda a, b: x[a:b], x.shape[1]), expected, rtol=1e-9, atol=1e-9)
+    expected = [decimation.taps @ wide[k : k + 2 * reach + 1] for k in decimation.rows]
+    np.testing.assert_allclose(decimation.run(lambda a, b: x[a:b], x.shape[1]), expected, rtol=1e-9, atol=1e-9)
 
 
-# Columns of friction: of one joint the same as among all, filtered and thinned.
-
-
-DELTA, TANH, SPEED = np.array([1e-3, 2e-3, 3e-3]), np.array([0.0, 0.02, 0.0]), np.array([0.1, 0.2, 0.3])
-
-
-@pytest.fixture(scope="module")
-def motion() -> FrictionColumns:
-    """Three joints over two segments, every second row kept, a filter of five taps."""
-    rng = np.random.default_rng(0)
-    qd = np.cumsum(0.01 * rng.standard_normal((900, 3)), axis=0)
-    segments = ((0, 400), (400, 900))
-    rows = np.concatenate([np.arange(0, 400, 2), np.arange(400, 900, 2)])
-    taps = np.array([0.1, 0.2, 0.4, 0.2, 0.1])
-    return FrictionColumns(Decimation(segments, 2, taps, rows), np.cumsum(0.004 * qd, axis=0), qd, np.full(3, 1e-5))
-
-
-def test_the_sign_is_the_presliding_state_of_each_segment_or_smooth(motion: FrictionColumns) -> None:
-    s = motion.sign(DELTA, TANH)
-    for a, b in motion.thinning.segments:
-        z = presliding(motion.q[a:b], DELTA, motion.resolution)
-        np.testing.assert_array_equal(s[a:b, [0, 2]], z[:, [0, 2]])
-    np.testing.assert_array_equal(s[:, 1], np.tanh(motion.qd[:, 1] / 0.02))
+# Columns of friction: of one joint the same as among all, filtered and decimated.
 
 
 # The regression problem of a record: columns, places of the parameters, rows for the solver.
@@ -262,10 +203,10 @@ def test_design_finds_the_shape_of_friction_and_the_parameters_of_a_clean_log(tr
     data = prepare(truth.log(design_excitation(robot, seconds=20, seed=2), noise=0.0), robot)
     design, theta = alternate(Design.build(data, robot, base_parameters(robot)), "wls")
     assert truth.friction.delta[0] not in DELTAS
-    assert not design.shapes.smooth.any()
-    np.testing.assert_allclose(design.shapes.delta, truth.friction.delta, rtol=0.15)
-    np.testing.assert_allclose(design.shapes.speed, STRIBECK_SPEEDS[1], rtol=0.15)
-    assert design.shapes.terms[:, :2].all()
+    assert not design.structure.smooth.any()
+    np.testing.assert_allclose(design.structure.delta, truth.friction.delta, rtol=0.15)
+    np.testing.assert_allclose(design.structure.speed, STRIBECK_SPEEDS[1], rtol=0.15)
+    assert design.structure.terms[:, :2].all()
     relative = np.sqrt(np.mean(design.residuals(theta) ** 2, axis=0)) / np.std(design.tau, axis=0)
     assert np.all(relative < 5e-3)
     assert len(design.layout.units) == len(design.layout.names) == len(design.layout.lower) == len(theta)
@@ -321,7 +262,7 @@ def test_a_motor_that_moves_two_joints_brings_shared_columns(truth, excited) -> 
     speed = data.qd[:, 5] + data.qd[:, 6]
     torque = 0.02 * data.differentiate(speed) + 0.3 * speed + 0.5 * np.tanh(speed / 0.02)
     expected = np.zeros_like(design.tau)
-    expected[:, 5:] = design.thinning.run(lambda a, b: torque[a:b, None], 1)
+    expected[:, 5:] = design.decimation.run(lambda a, b: torque[a:b, None], 1)
     np.testing.assert_allclose(design.model(theta), expected, atol=1e-9)
 
 
@@ -353,10 +294,10 @@ def test_slopes_are_the_derivatives_of_the_torque_over_the_logarithms(short_arm)
     for k, step in zip(at, (1e-3, -1e-3, 2e-3, 1e-3)):
         moved = x.copy()
         moved[k] = step
-        change = design.with_shapes(sloped.moved(moved)).model(theta) - design.model(theta)
+        change = design.with_structure(sloped.moved(moved)).model(theta) - design.model(theta)
         np.testing.assert_allclose(sloped.model(moved) - sloped.model(x), change, atol=3e-3 * np.abs(change).max())
         found, cov = sloped.in_units(moved, np.eye(len(x)))
-        assert found[k] == pytest.approx(sloped.shapes.numbers.ravel()[list(at).index(k)] * np.exp(step))
+        assert found[k] == pytest.approx(sloped.structure.numbers.ravel()[list(at).index(k)] * np.exp(step))
         assert cov[k, k] == pytest.approx(found[k] ** 2)
     assert sloped.drives(moved)[0].stribeck_speed[1] == pytest.approx(0.1 * np.exp(1e-3))
     only = design.with_slopes(theta, np.array([[True, False], [False, False]]))

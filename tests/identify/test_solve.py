@@ -49,8 +49,8 @@ def test_where_all_has_settled_there_is_no_step_left(short_arm, method) -> None:
     sloped = linearised(design, theta, method)
     assert sloped.layout.slopes.sum() == sloped.free.sum() == 2
     again = linearised(*alternate(design, method), method)
-    np.testing.assert_allclose(again.shapes.delta, design.shapes.delta, rtol=0.01)
-    np.testing.assert_allclose(design.shapes.delta, 1e-3, rtol=0.15)
+    np.testing.assert_allclose(again.structure.delta, design.structure.delta, rtol=0.01)
+    np.testing.assert_allclose(design.structure.delta, 1e-3, rtol=0.15)
 
 
 def test_numbers_that_the_log_does_not_tell_have_no_slope(short_arm) -> None:

@@ -13,7 +13,7 @@ from armlab import models
 from armlab.errors import ConfigError, ModelMismatchError
 from armlab.lie import se3, so3
 from armlab.models import Accelerometer, ForceSensor, HandEye, LaserSensor, Payload, load, save
-from armlab.models.files import kind_of, load_statistics, provenance, read_value, register, value_file
+from armlab.models.files import kind_of, load_statistics, provenance, read_value, register, torque_tables, value_file
 from armlab.models.friction import FrictionMap, RadialBasis, RippleLines, speed_basis
 
 
@@ -109,28 +109,6 @@ def test_sources_that_no_file_could_name_are_refused(sources: str, said: str, tm
 # Model files: exact, bound to a robot, refused when they are something else.
 
 
-def test_save_and_load_give_the_same_numbers(tmp_path, model) -> None:
-    path = save(model, tmp_path / "model.toml")
-    again = load(path)
-    for name in ("frames", "prismatic", "gravity", "link_parameters", "rotor", "base_values", "base_cov"):
-        assert np.array_equal(getattr(again, name), getattr(model, name)), name
-    for part, names in (
-        ("friction", vars(model.friction)),
-        ("ripple", vars(model.ripple)),
-        ("bound", vars(model.bound)),
-        ("quality", vars(model.quality)),
-    ):
-        for name in names:
-            assert np.array_equal(getattr(getattr(again, part), name), getattr(getattr(model, part), name)), name
-    for name in ("kind", "alpha2"):
-        assert getattr(again.covariance, name) == getattr(model.covariance, name)
-    assert np.array_equal(again.covariance.C0, model.covariance.C0)
-    assert (again.robot_hash, again.base_names, again.sources, again.cutoff) == (
-        model.robot_hash, model.base_names, model.sources, model.cutoff
-    )  # fmt: skip
-    assert path.stat().st_size < 1_000_000
-
-
 @pytest.mark.parametrize(
     ("old", "new", "error", "sentence"),
     [
@@ -154,14 +132,6 @@ def test_other_files_are_refused(tmp_path, model, old: str, new: str, error: typ
     path.write_text(path.read_text().replace(old, new, 1))
     with pytest.raises(error, match=sentence):
         load(path)
-
-
-def test_the_noise_of_the_momentum_estimators_is_kept_where_there_is_any(tmp_path, model) -> None:
-    path = save(model, tmp_path / "model.toml")
-    again = load(path)
-    for name, value in vars(model.momentum).items():
-        assert np.array_equal(getattr(again.momentum, name), value), name
-    assert load(save(replace(model, momentum=None), tmp_path / "without.toml")).momentum is None
 
 
 def test_missing_and_misnamed_files(tmp_path, model) -> None:
@@ -215,6 +185,17 @@ def test_every_value_comes_back_bit_equal_and_read_only(truth, tmp_path: Path, k
             assert not other.flags.writeable, name
         elif not is_dataclass(one):
             assert one == other, name
+
+
+def test_a_model_comes_back_bit_equal(tmp_path: Path, model) -> None:
+    path = save(model, tmp_path / "model.toml")
+    for one in (model, replace(model, momentum=None)):
+        again = load(save(one, path))
+        tables = [torque_tables(value) for value in (one, again)]
+        for table in tables:
+            del table["meta"]["created"]
+        assert tables[0] == tables[1]
+    assert path.stat().st_size < 1_000_000
 
 
 def test_a_model_keeps_the_parts_of_its_drives(truth, tmp_path: Path, model) -> None:

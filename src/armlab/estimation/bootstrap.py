@@ -158,7 +158,7 @@ class BlockSums:
             pivots = np.zeros((1, 1))
         if not np.all(pivots.min(axis=1, initial=np.inf) > SMALLEST * weights.max(axis=1)):
             raise NotExcited(
-                f"Expected parameters of the {found.question.what} that many blocks of time determine, got one that "
+                f"Expected parameters of the {found.problem.what} that many blocks of time determine, got one that "
                 f"some part of the {np.count_nonzero(self.rows)} blocks does not. Let every joint move for the whole "
                 "record.",
                 ["a parameter that few blocks see"],
@@ -166,7 +166,7 @@ class BlockSums:
             )
         z = np.linalg.solve(gram, (weights @ self.moment)[:, :, None])[:, :, 0]
         x = found.x + z @ found.basis.T
-        lower, upper = found.question.lower, found.question.upper
+        lower, upper = found.problem.lower, found.problem.upper
         for i in np.flatnonzero(np.any((x < lower) | (x > upper), axis=1)):
             cov = found.scale**2 * found.basis @ np.linalg.solve(gram[i], found.basis.T)
             x[i] = within_bounds(x[i], cov + found.held_cov, lower, upper)

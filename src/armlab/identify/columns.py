@@ -1,4 +1,4 @@
-"""Filtered and thinned columns of a regression over joint torque, made piece by piece from a record.
+"""Filtered and decimated columns of a regression over joint torque, made piece by piece from a record.
 
 No column exists at the full rate for the whole record: a long one would not fit into memory beside its filtered copy.
 """
@@ -77,7 +77,7 @@ class Decimation:
         """
         out = np.empty((len(self.rows), width))
         for piece in self.pieces(AT_ONCE * max(1, WIDE // max(width, 1))):
-            self.thin(piece, columns(piece.start, piece.stop), out[piece.first : piece.last])
+            self.decimate(piece, columns(piece.start, piece.stop), out[piece.first : piece.last])
         return out
 
     def pieces(self, rows: int = AT_ONCE) -> Iterator[Piece]:
@@ -93,7 +93,7 @@ class Decimation:
                 yield Piece(*inside, inside[0] - start, stop - inside[1], first + k, first + last)
             first += kept
 
-    def thin(self, piece: Piece, x: np.ndarray, out: np.ndarray) -> None:
+    def decimate(self, piece: Piece, x: np.ndarray, out: np.ndarray) -> None:
         """Write the kept rows of one piece; ends of a segment are continued by point reflection.
 
         `x`: (stop - start, C) its rows. `out`: (last - first, C) where they go.
@@ -183,11 +183,11 @@ class Bell:
 class FrictionColumns:
     """Makes the columns of friction of J joints from their motion.
 
-    `thinning`: filter of the record, with the (M,) rows that are kept. `q`, `qd`: (N, J) positions and velocities.
+    `decimation`: filter of the record, with the (M,) rows that are kept. `q`, `qd`: (N, J) positions and velocities.
     `resolution`: (J,) half the smallest step of the encoder [rad].
     """
 
-    thinning: Decimation
+    decimation: Decimation
     q: np.ndarray
     qd: np.ndarray
     resolution: np.ndarray
@@ -196,7 +196,7 @@ class FrictionColumns:
         """Return those of one joint, i from 0."""
         one = slice(i, i + 1)
         q, qd = np.ascontiguousarray(self.q[:, one]), np.ascontiguousarray(self.qd[:, one])
-        return FrictionColumns(self.thinning, q, qd, self.resolution[one])
+        return FrictionColumns(self.decimation, q, qd, self.resolution[one])
 
     def sign(self, delta: np.ndarray, smooth: np.ndarray) -> np.ndarray:
         """Return s (N, J) along the record: presliding state, or smooth sign.
@@ -206,7 +206,7 @@ class FrictionColumns:
         soft = smooth > 0
         z = np.empty(self.q.shape)
         if not soft.all():
-            for a, b in self.thinning.segments:
+            for a, b in self.decimation.segments:
                 z[a:b] = presliding(np.ascontiguousarray(self.q[a:b]), delta, self.resolution)
         for i in np.flatnonzero(soft):
             z[:, i] = np.tanh(self.qd[:, i] / smooth[i])
@@ -231,7 +231,7 @@ class FrictionColumns:
             return np.concatenate([*own, *(s[a:b] * bell[a:b] for bell in bells)], axis=1)
 
         J, count = self.q.shape[1], len(made_of) + len(bells)
-        return np.moveaxis(self.thinning.run(made, J * count).reshape(-1, count, J), 1, 2)
+        return np.moveaxis(self.decimation.run(made, J * count).reshape(-1, count, J), 1, 2)
 
 
 MIN_CYCLES = 20.0  # rad/rad; a slower ripple line is a harmonic of gravity
@@ -243,13 +243,13 @@ SMOOTH = 0.02  # rad/s, of the sign of coupled motors
 class Columns:
     """Makes the columns of J joints of a record.
 
-    `thinning`: its filter, with the (M,) rows that are kept. `joints`: (J,) those whose torque counts. `motors`: (K, n)
+    `decimation`: of its rows; (M,) are kept. `joints`: (J,) those whose torque counts. `motors`: (K, n)
     angles theta = c q of motors that move several joints. `geared`: whether there are columns of ripple; where gears
     are known and ripple is seen in this record, when None.
     """
 
     data: Record
-    thinning: Decimation
+    decimation: Decimation
     robot: Robot
     joints: np.ndarray
     motors: np.ndarray
@@ -262,9 +262,9 @@ class Columns:
 
     @property
     def friction(self) -> FrictionColumns:
-        """What makes the columns that depend on the shape of friction."""
+        """What makes the columns that depend on the structure of friction."""
         data, joints = self.data, self.joints
-        return FrictionColumns(self.thinning, data.q[:, joints], data.qd[:, joints], data.resolution[joints])
+        return FrictionColumns(self.decimation, data.q[:, joints], data.qd[:, joints], data.resolution[joints])
 
     def plain(self, qdd: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return what has neither shape nor base parameters.
@@ -287,7 +287,7 @@ class Columns:
             return np.concatenate([*parts, qdd[a:b] @ self.motors.T, data.qd[a:b] @ self.motors.T], axis=1)
 
         fixed = len(FIXED) if geared else len(FIXED) - 2
-        thin = self.thinning.run(columns, J * (1 + fixed) + 2 * K)
+        thin = self.decimation.run(columns, J * (1 + fixed) + 2 * K)
         tau, own, coupled = np.split(thin, [J, J * (fixed + 1)], axis=1)
         own = np.moveaxis(own.reshape(len(thin), fixed, J), 1, 2)
         return tau, own, np.moveaxis(coupled.reshape(len(thin), 2, K), 1, 2)
@@ -312,11 +312,11 @@ class Columns:
                 X[:, position] = qdd[a:b, joint]
             return X
 
-        thin = self.thinning.run(columns, int(edges[-1]))
+        thin = self.decimation.run(columns, int(edges[-1]))
         return tuple(thin[:, edges[i] : edges[i + 1]] for i in range(len(self.joints)))
 
     def shaped(self, delta: np.ndarray, smooth: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-        """Return the columns (M, J, 3 + S) that depend on the shape of friction: s+, s-, root, Stribeck of each speed.
+        """Return the columns (M, J, 3 + S) of the structure of friction: SIGNED, then Stribeck of each speed.
 
         `delta`, `smooth`: (J,) shape of the sign. `speeds`: (S, J) of Stribeck's term.
         """
@@ -325,7 +325,7 @@ class Columns:
 
     def coupled_sign(self) -> np.ndarray:
         """Return the smooth sign (M, K) of the coupled motors' velocity."""
-        return self.thinning.run(lambda a, b: np.tanh(self.data.qd[a:b] @ self.motors.T / SMOOTH), len(self.motors))
+        return self.decimation.run(lambda a, b: np.tanh(self.data.qd[a:b] @ self.motors.T / SMOOTH), len(self.motors))
 
     def _lines_are_seen(self) -> bool:
         """Tell whether ripple passes slowly enough for the sampling in most samples; warn where it does not."""

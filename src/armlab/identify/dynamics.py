@@ -189,8 +189,8 @@ def fit_model(
 class FitSettings:
     """How to fit.
 
-    `tell`: called with (done, total, what). `joints`: whose torque is measured; None for all. `chooser`: of the shapes
-    of friction, see `Design.choose_shapes`.
+    `tell`: called with (done, total, what). `joints`: whose torque is measured; None for all. `chooser`: of the
+    structure of friction, see `Design.choose_structure`.
     """
 
     what: str
@@ -254,7 +254,7 @@ def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: F
     settings.tell(1, 5, "building the regressor")
     design = calibrated(Design.build(first, robot, base, joints=settings.joints), method, known)[0]
 
-    settings.tell(2, 5, "choosing the shape of friction")
+    settings.tell(2, 5, "choosing the structure of friction")
     design, theta = alternate(design, method, settings.seed, chooser=settings.chooser)
     if outliers.any():
         model = model_of(design, theta, np.zeros((len(theta), len(theta))))
@@ -309,7 +309,7 @@ def _blocks(design: Design, theta: np.ndarray, method: str) -> tuple[np.ndarray,
 
 
 def model_of(design: Design, theta: np.ndarray, cov: np.ndarray, gain_cov: np.ndarray | None = None) -> TorqueModel:
-    """Turn linear parameters and friction shapes into a model; covariance and quality are provisional.
+    """Turn linear parameters and the structure of friction into a model; covariance and quality are provisional.
 
     `theta`, `cov`: (p,) and (p, p). `gain_cov`: (J, J) of the gains; zero when left out.
     """

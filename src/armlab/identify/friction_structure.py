@@ -1,4 +1,4 @@
-"""The shape of friction: what is not linear in it, and which terms each joint has, chosen on held-out blocks.
+"""The structure of friction: what is not linear in it, and which terms each joint has, chosen on held-out blocks.
 
     F_f = viscous qd + coulomb s + offset [+ asymmetry |s|] [+ stribeck s exp(-(qd / v_s)^2)] [+ root s sqrt(|qd|)]
 
@@ -55,7 +55,7 @@ class FrictionStructure:
 
     @classmethod
     def joined(cls, parts: Iterable[FrictionStructure]) -> FrictionStructure:
-        """Return the shapes of all joints of some shapes, in their order."""
+        """Return the structures of some joints as one, in their order."""
         listed = list(parts)
         return cls(*(np.concatenate([getattr(part, field.name) for part in listed]) for field in fields(cls)))
 
@@ -124,7 +124,7 @@ class Choice:
 
 
 class _Search:
-    """Held-out errors of shapes of one joint, tried one after the other."""
+    """Held-out errors of structure of one joint, tried one after the other."""
 
     def __init__(self, choice: Choice) -> None:
         self.motion = choice.motion

@@ -164,7 +164,7 @@ def _rigid(
     return total
 
 
-# What a load adds to the torques of a log, as a linear regression: filtered, thinned, and less a log without it.
+# What a load adds to the torques of a log, as a linear regression: filtered, decimated, and less a log without it.
 
 
 EVERY = 4  # rows apart that are kept; the filter's corner is at a tenth of the rate

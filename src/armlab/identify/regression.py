@@ -1,4 +1,4 @@
-"""The linear regression behind `fit_dynamics`: filtered, thinned columns of each joint, made in blocks.
+"""The linear regression behind `fit_dynamics`: filtered, decimated columns of each joint, made in blocks.
 
 Base-parameter columns are shared by all joints; each joint has its own: viscous, Coulomb, offset, Stribeck and root
 where they win (`armlab.identify.friction_structure`), and, where the gears are known, cosine and sine of the ripple
@@ -107,7 +107,7 @@ class Layout:
 
     @property
     def slopes(self) -> np.ndarray:
-        """Which parameters (p,) are steps of the logarithm of a number of the shape of friction."""
+        """Which parameters (p,) are steps of the logarithm of a number of the structure of friction."""
         own = [term in FRICTION_TERMS and FRICTION_TERMS[term].column is None for terms in self.terms for term in terms]
         return np.array([False] * len(self.base.names) + own + [False] * len(COUPLED) * len(self.motors))
 
@@ -146,7 +146,7 @@ class DesignRows:
 
 
 CUTOFF = 25.0  # Hz, the most; a tenth of the rate where that is less
-BLOCK = 0.5  # s, blocks that go to the folds in turn for the choice of shape
+BLOCK = 0.5  # s, blocks that go to the folds in turn for the choice of the structure
 STEP = 0.01  # of the logarithm of a number of the shape, for its derivative
 LONGEST = 0.5  # step of such a logarithm
 NOTHING = 1e-12  # of the power of the torque: a slope without effect
@@ -154,7 +154,7 @@ NOTHING = 1e-12  # of the power of the torque: a slope without effect
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Filtered and thinned regression problem of J joints.
+    """Filtered and decimated regression problem of J joints.
 
     `owners`: (K,) the joint that each coupled motor belongs to. `gains`: (J,) torque as it is read over true torque.
     `tau`: (M, J) filtered torque, divided by them. `rigid`: of each joint (M, w), columns of the base parameters that
@@ -173,7 +173,7 @@ class Design:
     rigid: tuple[np.ndarray, ...]
     fixed: np.ndarray
     coupled_motors: np.ndarray
-    shapes: FrictionStructure
+    structure: FrictionStructure
     free: np.ndarray
     local: tuple[np.ndarray, ...] = ()
 
@@ -187,14 +187,14 @@ class Design:
         cutoff: float | None = None,
         every: int | None = None,
         joints: Sequence[int] | None = None,
-        shapes: FrictionStructure | None = None,
+        structure: FrictionStructure | None = None,
         geared: bool | None = None,
     ) -> Design:
         """Filter and thin all columns.
 
         `base`: base parameters of the robot, for the same joints. `cutoff`: of the zero-phase filter [Hz]; a tenth of
         the rate, at most 25 Hz, when left out; infinite for none. `every`: rows from one kept row to the next; 2.5 kept
-        rows per period of the cut-off when left out. `joints`: whose torque counts; all when left out. `shapes`: of
+        rows per period of the cut-off when left out. `joints`: whose torque counts; all when left out. `structure`: of
         friction; presliding over 1e-3 rad when left out. `geared`: whether there are columns of ripple, see `Columns`.
         """
         corner = min(data.rate / 10.0, CUTOFF) if cutoff is None else cutoff
@@ -215,10 +215,10 @@ class Design:
             rigid=columns.rigid(qdd, base),
             fixed=fixed,
             coupled_motors=np.concatenate([inertial, columns.coupled_sign()[:, :, None]], axis=2),
-            shapes=shapes or FrictionStructure.start(len(measured)),
+            structure=structure or FrictionStructure.start(len(measured)),
             free=np.zeros((len(measured), 2), dtype=bool),
         )
-        return design.with_shapes(design.shapes)
+        return design.with_structure(design.structure)
 
     @property
     def data(self) -> Record:
@@ -226,9 +226,9 @@ class Design:
         return self.made.data
 
     @property
-    def thinning(self) -> Decimation:
+    def decimation(self) -> Decimation:
         """Its filter, with the rows that are kept."""
-        return self.made.thinning
+        return self.made.decimation
 
     @property
     def robot(self) -> Robot:
@@ -243,7 +243,7 @@ class Design:
     @property
     def rows(self) -> np.ndarray:
         """Rows of the record that are kept (M,)."""
-        return self.thinning.rows
+        return self.decimation.rows
 
     @property
     def geared(self) -> bool:
@@ -253,7 +253,7 @@ class Design:
     @property
     def terms(self) -> list[tuple[str, ...]]:
         """Names of the columns of each joint's own."""
-        kinds = zip(self.shapes.terms, self.shapes.names, self.free)
+        kinds = zip(self.structure.terms, self.structure.names, self.free)
         return [(*term_names(terms, self.geared), *compress(names, free)) for terms, names, free in kinds]
 
     @property
@@ -261,20 +261,23 @@ class Design:
         """Names, units, bounds and places of all parameters."""
         return Layout(self.robot, self.base, self.joints, self.made.motors, self.owners, tuple(self.terms))
 
-    def with_shapes(self, shapes: FrictionStructure) -> Design:
-        """Return it with the columns of other shapes of friction."""
-        shaped = self.made.shaped(shapes.delta, shapes.smooth, shapes.speed[None])
-        local, at = [], [(*FIXED[: self.fixed.shape[2]], *SHAPED).index(name) for name in COLUMNS[: self._width]]
+    def with_structure(self, structure: FrictionStructure) -> Design:
+        """Return it with the columns of another structure of friction."""
+        shaped = self.made.shaped(structure.delta, structure.smooth, structure.speed[None])
+        made_of = (*FIXED[: self.fixed.shape[2]], *SHAPED)
+        at = [made_of.index(name) for name in COLUMNS[: self._width]]
+        local = []
         for i, joint in enumerate(self.joints):
-            own = np.concatenate([self.fixed[:, i], shaped[:, i]], axis=1)[:, at] @ mixing(shapes.terms[i], self._width)
+            own = np.concatenate([self.fixed[:, i], shaped[:, i]], axis=1)[:, at]
+            own = own @ mixing(structure.terms[i], self._width)
             moved = np.flatnonzero(self.made.motors[:, joint])
             theirs = (self.made.motors[m, joint] * self.coupled_motors[:, m] for m in moved)
             local.append(np.hstack([own, *theirs]) if len(moved) else own)
-        return replace(self, shapes=shapes, free=np.zeros_like(self.free), local=tuple(local))
+        return replace(self, structure=structure, free=np.zeros_like(self.free), local=tuple(local))
 
     def with_torque(self, tau: np.ndarray) -> Design:
         """Return it with another torque (N, n) that was read."""
-        thin = self.thinning.run(lambda a, b: tau[a:b, self.joints], len(self.joints))
+        thin = self.decimation.run(lambda a, b: tau[a:b, self.joints], len(self.joints))
         made = replace(self.made, data=replace(self.data, tau=tau))
         return replace(self, made=made, tau=thin / self.gains)
 
@@ -283,7 +286,7 @@ class Design:
         return replace(self, gains=gains, tau=self.tau * self.gains / gains)
 
     def with_slopes(self, theta: np.ndarray, free: np.ndarray | None = None) -> Design:
-        """Return it with the derivatives of the torque over the logarithms of the numbers that make the shapes.
+        """Return it with the derivatives of the torque over the logarithms of the numbers that make the structure.
 
         `theta`: (p,) parameters of this design, without slopes, at which they are taken. `free`: (J, 2) bool, which
         numbers; those that matter to the torque when left out.
@@ -301,23 +304,23 @@ class Design:
         """Return the derivatives (M, J, 2) by central differences."""
         c = self._own(theta)[[COLUMNS.index(name) for name in SHAPED]].T
         up, down, wide, narrow = (
-            self.shapes.moved(np.tile(step, (len(self.joints), 1)))
+            self.structure.moved(np.tile(step, (len(self.joints), 1)))
             for step in STEP * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
         )
         apart, bump = (np.log(a.numbers / b.numbers).sum(axis=1) for a, b in ((up, down), (wide, narrow)))
         more, less = (self.made.shaped(one.delta, one.smooth, one.speed[None]) for one in (up, down))
-        bumps = self.made.shaped(self.shapes.delta, self.shapes.smooth, np.stack([wide.speed, narrow.speed]))
+        bumps = self.made.shaped(self.structure.delta, self.structure.smooth, np.stack([wide.speed, narrow.speed]))
         signs = np.einsum("mjk,jk->mj", more - less, c / apart[:, None])
         return np.stack([signs, (bumps[:, :, -2] - bumps[:, :, -1]) * (c[:, -1] / bump)], axis=2)
 
     def moved(self, theta: np.ndarray) -> FrictionStructure:
-        """Return the shapes with the steps among parameters theta (p,) taken, each by half at most."""
+        """Return the structure with the steps among parameters theta (p,) taken, each by half at most."""
         steps = np.zeros(self.free.shape)
         steps[self.free] = np.clip(theta[self.layout.slopes], -LONGEST, LONGEST)
-        return self.shapes.moved(steps)
+        return self.structure.moved(steps)
 
     def in_units(self, theta: np.ndarray, *covs: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return parameters (p,) and covariances (p, p) with the numbers of the shapes in place of their steps."""
+        """Return parameters (p,) and covariances (p, p) with the numbers of the structure in place of their steps."""
         x, scale, at = theta.copy(), np.ones(len(theta)), self.layout.slopes
         x[at] = scale[at] = self.moved(theta).numbers[self.free]
         return x, *(cov * np.outer(scale, scale) for cov in covs)
@@ -344,9 +347,9 @@ class Design:
         values = np.zeros((len(COLUMNS), self.robot.n))
         values[:, self.joints] = self._own(theta)
         found = self.moved(theta)
-        shapes = np.tile([[1e-3], [0.0], [0.1], [2.0]], self.robot.n)
-        shapes[:, self.joints] = found.delta, found.smooth, found.speed, self.made.cycles
-        *numbers, cycles = shapes
+        filled = np.tile([[1e-3], [0.0], [0.1], [2.0]], self.robot.n)
+        filled[:, self.joints] = found.delta, found.smooth, found.speed, self.made.cycles
+        *numbers, cycles = filled
         fields = {FRICTION_TERMS[name].fields[0]: own for name, own in zip(FRICTION, values)}
         fields |= dict(zip(("delta", "smooth_speed", "stribeck_speed"), numbers))
         return Friction(resolution=self.data.resolution, **fields), Ripple(cycles, *values[len(FRICTION) :])
@@ -355,7 +358,7 @@ class Design:
         """Return the parameters of all COLUMNS of each joint (8, J); zero for those that it has not."""
         values = np.zeros((len(COLUMNS), len(self.joints)))
         for i, (columns, A) in enumerate(zip(self.layout.columns, self.rigid)):
-            T = mixing(self.shapes.terms[i], self._width)
+            T = mixing(self.structure.terms[i], self._width)
             values[: self._width, i] = T @ theta[columns[A.shape[1] :][: T.shape[1]]]
         return values
 
@@ -371,17 +374,17 @@ class Design:
     def _width(self) -> int:
         return len(COLUMNS if self.geared else FRICTION)
 
-    def choose_shapes(
+    def choose_structure(
         self, theta: np.ndarray, trust: np.ndarray | None = None, chooser: Chooser = choose_here
     ) -> Design:
-        """Choose the shape of friction of each joint on held-out blocks of half a second.
+        """Choose the structure of friction of each joint on held-out blocks of half a second.
 
         `theta`: (p,) parameters, of which the base parameters are held. `trust`: (M, J) weights of the rows; 0 leaves
         one out.
         """
         weights = np.ones_like(self.tau) if trust is None else np.asarray(trust, dtype=float)
         used = np.cumsum(weights.any(axis=1))  # blocks of what is used: all folds have as much
-        fold = used // max(1, round(BLOCK * self.data.rate / self.thinning.every)) % FOLDS
+        fold = used // max(1, round(BLOCK * self.data.rate / self.decimation.every)) % FOLDS
         motion = self.made.friction
 
         def choice(i: int) -> Choice:
@@ -393,4 +396,4 @@ class Design:
             fixed = np.concatenate([self.fixed[:, i], free], axis=1)
             return Choice(motion.of(i), fixed, target, fold, weights[:, i])
 
-        return self.with_shapes(FrictionStructure.joined(chooser(map(choice, range(len(self.joints))))))
+        return self.with_structure(FrictionStructure.joined(chooser(map(choice, range(len(self.joints))))))

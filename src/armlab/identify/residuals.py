@@ -88,12 +88,12 @@ def begun(
     if model.warm_up is None:
         yield from ((model, a, b) for a, b in listed)
         return
-    warmth = _warmth_at(model, data, np.array([a for a, _ in listed], dtype=int))
-    for (a, b), start in zip(listed, warmth):
+    states = _thermal_state_at(model, data, np.array([a for a, _ in listed], dtype=int))
+    for (a, b), start in zip(listed, states):
         yield replace(model, warm_up=replace(model.warm_up, start=start)), a, b
 
 
-def _warmth_at(model: TorqueModel, data: Record, rows: np.ndarray) -> np.ndarray:
+def _thermal_state_at(model: TorqueModel, data: Record, rows: np.ndarray) -> np.ndarray:
     """Return the warmth (M, n) at rows (M,) of a record; every log in it begins with that of the model."""
     warm, f, s = model.warm_up, model.friction, friction_signs(model, data)
     if warm is None:

@@ -1,4 +1,4 @@
-"""Alternation between the linear parameters of a design and the shape of friction, until both stay.
+"""Alternation between the linear parameters of a design and the structure of friction, until both stay.
 
 The shape comes from a grid, judged on held-out blocks; its numbers then by Gauss-Newton steps on all rows,
 
@@ -164,7 +164,7 @@ ROBUST = ("irls", "lts")
 def alternate(
     design: Design, method: str, seed: int = 0, use: np.ndarray | None = None, chooser: Chooser = choose_here
 ) -> tuple[Design, np.ndarray]:
-    """Alternate between the linear parameters and the shape of friction until the shape stays; return both.
+    """Alternate between the linear parameters and the structure of friction until the shape stays; return both.
 
     Directions that the log does not tell are no fault here: the last fit judges.
 
@@ -177,8 +177,8 @@ def alternate(
     for _ in range(ROUNDS):
         if method in ROBUST:
             trust = _trust(design, theta, block, method, seed) * use[:, None]
-        shaped = design.choose_shapes(theta, trust, chooser)
-        settled = shaped.shapes.same(design.shapes)
+        shaped = design.choose_structure(theta, trust, chooser)
+        settled = shaped.structure.same(design.structure)
         design, theta = shaped, solved(shaped, trust, method).x
         if settled:
             break
@@ -186,13 +186,13 @@ def alternate(
 
 
 def _refined(design: Design, theta: np.ndarray, trust: np.ndarray, method: str) -> tuple[Design, np.ndarray]:
-    """Take Gauss-Newton steps of the numbers of the shapes while they lower the residual."""
+    """Take Gauss-Newton steps of the numbers of the structure while they lower the residual."""
     cost = _cost(design, theta, trust)
     for _ in range(SHAPE_STEPS):
         sloped = linearised(design, theta, method, trust)
         step = np.where(sloped.layout.slopes, solved(sloped, trust, method).x, 0.0)
         for share in SHARES:
-            trial = design.with_shapes(sloped.moved(share * step))
+            trial = design.with_structure(sloped.moved(share * step))
             found = solved(trial, trust, method).x
             lower = _cost(trial, found, trust)
             if lower < cost:
@@ -212,7 +212,7 @@ def _cost(design: Design, theta: np.ndarray, trust: np.ndarray) -> float:
 
 
 def linearised(design: Design, theta: np.ndarray, method: str, trust: np.ndarray | None = None) -> Design:
-    """Return the design with slopes of those numbers of the shapes that the log tells.
+    """Return the design with slopes of those numbers of the structure that the log tells.
 
     `design`: without slopes, at its parameters theta (p,). `trust`: (M, J) weights of the rows; 1 when left out.
     """

@@ -422,14 +422,14 @@ class RippleLines:
 
 @dataclass(frozen=True, eq=False)
 class WarmUp:
-    """How warmth changes friction; every field has shape (n,).
+    """How thermal state changes friction; every field has shape (n,).
 
     Attributes
     ----------
-    of_coulomb, of_viscous : relative change of Coulomb and viscous friction at warmth 1.
+    of_coulomb, of_viscous : relative change of Coulomb and viscous friction at thermal state 1.
     time : time constant [s]; 0 for a drive that does not change.
-    power : friction power at which warmth settles at 1 [W]; above 0.
-    start : warmth at the beginning of a record; 0 is cold.
+    power : friction power at which thermal state settles at 1 [W]; above 0.
+    start : thermal state at the beginning of a record; 0 is cold.
     """
 
     of_coulomb: np.ndarray
@@ -452,8 +452,8 @@ class WarmUp:
         """Fields in their order, one row each, as `kernels.Drive` takes them."""
         return np.stack([getattr(self, entry.name) for entry in fields(self)])
 
-    def warmth(self, power: np.ndarray, dt: np.ndarray) -> np.ndarray:
-        """Return the warmth (N, n) before each row, for friction power (N, n) [W] held over steps dt (N,) [s].
+    def thermal_state(self, power: np.ndarray, dt: np.ndarray) -> np.ndarray:
+        """Return the thermal state (N, n) before each row, for friction power (N, n) [W] held over steps dt (N,) [s].
 
         Parameters
         ----------

@@ -120,7 +120,7 @@ def _record(q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 RIDGE = 1e-3  # of the friction map, relative to the mean diagonal
 SHORTEST = 0.5  # s, of a block
 MOST_OF = 20  # blocks at least
-ROWS = 20000  # that a joint is fitted to: more are thinned
+ROWS = 20000  # that a joint is fitted to: more are decimated
 SPEEDS = 8
 HIGHEST = 1.25  # times the ripple line of the model, which is at twice the gear ratio
 
@@ -155,7 +155,7 @@ class _Rows:
     half: np.ndarray
     fifth: np.ndarray
     rate: float  # of the log
-    step: float  # s, between thinned rows
+    step: float  # s, between decimated rows
 
     def of(self, use: np.ndarray) -> _Rows:
         """Return the rows that are used (M,)."""
