@@ -15,7 +15,7 @@ from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, TARED, WEAK, Es
 from armlab.errors import ConcurrentUse
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance
-from armlab.models.noise import FORCE_RATES, PRIOR
+from armlab.models.torque import FORCE_RATES, PRIOR
 from armlab.state import State
 
 PRIOR_SD = np.array([20.0, 20, 20, 2, 2, 2])

@@ -11,8 +11,7 @@ from scipy.signal import lfilter
 
 from armlab import identify, robots
 from armlab.contact import Estimator, compare, contacts, hypotheses
-from armlab.contact.contacts import Comparison, Contact
-from armlab.contact.hypotheses import Hypotheses
+from armlab.contact.contacts import Comparison, Contact, Hypotheses
 from armlab.estimation.bootstrap import correlation_time
 from armlab.log import Column, Table
 

@@ -15,11 +15,11 @@ from armlab.contact import Estimator
 from armlab.errors import ModelMismatchError, NotExcited, UnknownName
 from armlab.estimation import Limits, check_estimator
 from armlab.estimation.contract import PROPERTIES
+from armlab.estimation.tsqr import one_thread
 from armlab.identify import fit_dynamics, fit_gravity
 from armlab.identify.many import LogSums, Pattern, fit_draft, fit_sums, log_sums
 from armlab.identify.record import prepare_share
 from armlab.identify.regression import Design
-from armlab.identify.threads import one_thread
 from armlab.identify.validation import assess
 from armlab.log import Table
 from armlab.robots import Robot

@@ -29,7 +29,7 @@ from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance
 from armlab.models.friction import WarmUp
-from armlab.models.noise import FORCE_RATES, PRIOR
+from armlab.models.torque import FORCE_RATES, PRIOR
 
 
 def test_residuals_are_measured_minus_modelled_torque(model: TorqueModel, excited: Table) -> None:

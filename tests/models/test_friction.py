@@ -12,8 +12,7 @@ from armlab.errors import ShapeError
 from armlab.kernels import presliding
 from armlab.models import load, save, velocity_covariance
 from armlab.models.friction import Friction, FrictionBound, RadialBasis, RippleLines, WarmUp, speed_basis
-from armlab.models.noise import VelocityCovariance
-from armlab.models.torque import CoupledKernel, CoupledMotors
+from armlab.models.torque import CoupledKernel, CoupledMotors, VelocityCovariance
 
 
 def friction(**change: object) -> Friction:

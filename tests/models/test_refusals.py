@@ -24,8 +24,7 @@ from armlab.models.friction import (
     speed_basis,
 )
 from armlab.models.kinematic_correction import KinematicCorrection
-from armlab.models.noise import MomentumNoise
-from armlab.models.torque import SPEED_EDGES, CoupledMotors, Quality, Training
+from armlab.models.torque import SPEED_EDGES, CoupledMotors, MomentumNoise, Quality, Training
 
 ONE, TWO = np.ones(1), np.ones(2)
 NAN = np.array([np.nan])

@@ -21,8 +21,8 @@ from armlab.models import (
     LaserSensor,
     Payload,
 )
-from armlab.models.hand_eye import FRAMES
 from armlab.models.kinematic_correction import harmonic_basis
+from armlab.models.sensors import FRAMES
 from armlab.robots import inertia
 
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # about z

@@ -46,7 +46,7 @@ from armlab.estimation.excitation import check_spread
 from armlab.estimation.nonlinear import NonlinearSolution
 from armlab.lie import so3
 from armlab.models import HandEye
-from armlab.models.hand_eye import FRAMES
+from armlab.models.sensors import FRAMES
 
 LIMITS = (0.2, 0.2)
 CLASSES = ("position [m]", "rotation [rad]")

@@ -42,7 +42,7 @@ from armlab.frames import marker_pose
 from armlab.frames.inputs import marker_points, sightings
 from armlab.lie import se3, so3
 from armlab.models import HandEye
-from armlab.models.hand_eye import FRAMES
+from armlab.models.sensors import FRAMES
 
 TURNED = 1e-3  # rad: orientations of robots are no better; a turn that they could make by that is none
 APART = 0.5  # residual over spread beyond which two records do not belong together

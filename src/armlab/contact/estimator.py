@@ -43,7 +43,7 @@ from armlab.errors import ConcurrentUse, ConfigError, ModelMismatchError, NotExc
 from armlab.log import Table
 from armlab.log.units_check import check_known
 from armlab.models import TorqueModel
-from armlab.models.noise import FORCE_RATES, PRIOR
+from armlab.models.torque import FORCE_RATES, PRIOR
 from armlab.robots import Robot
 from armlab.robots.robot import arm_length
 from armlab.state import State

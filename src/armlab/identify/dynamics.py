@@ -41,12 +41,12 @@ from armlab.estimation import BlockSums, Fit, Prior, block_bootstrap, least_squa
 from armlab.estimation.bootstrap import block_seconds
 from armlab.estimation.linear_problem import LinearSolution
 from armlab.estimation.robust import METHODS
+from armlab.estimation.tsqr import one_thread
 from armlab.identify.base_parameters import BaseParameters, base_parameters, measured_joints
 from armlab.identify.friction_structure import Chooser, choose_here
 from armlab.identify.record import Record, prepare, torque_outliers, without_outliers
 from armlab.identify.regression import Design
 from armlab.identify.solve import ROBUST, alternate, calibrated, gain_share, linearised, short_blocks
-from armlab.identify.threads import one_thread
 from armlab.identify.validation import assess, report, training
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance

@@ -15,8 +15,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from armlab.estimation.tsqr import one_thread
 from armlab.identify.columns import FIXED, SIGNED, FrictionColumns
-from armlab.identify.threads import one_thread
 from armlab.models.friction import FRICTION_TERMS
 
 DELTAS = np.geomspace(1e-4, 1e-2, 7)  # rad

@@ -22,14 +22,13 @@ import numpy as np
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import BlockSums, Fit, block_bootstrap
 from armlab.estimation.linear_problem import LinearProblem, LinearSolution, solve
-from armlab.estimation.tsqr import Factors, factorise
+from armlab.estimation.tsqr import Factors, factorise, one_thread
 from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.identify.dynamics import FitProblem, FitSettings, Progress, fit_of, fold_models, make_problem, model_of
 from armlab.identify.friction_structure import Chooser, FrictionStructure, choose_here
 from armlab.identify.record import Record, prepare, prepare_share, torque_outliers, without_outliers
 from armlab.identify.regression import Design
 from armlab.identify.solve import gain_share
-from armlab.identify.threads import one_thread
 from armlab.identify.validation import assess, training
 from armlab.log import Table
 from armlab.models import TorqueModel

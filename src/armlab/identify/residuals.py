@@ -16,7 +16,7 @@ from armlab.identify.record import Record, prepare
 from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance
-from armlab.models.noise import FORCE_RATES, PRIOR, MomentumNoise, VelocityCovariance
+from armlab.models.torque import FORCE_RATES, PRIOR, MomentumNoise, VelocityCovariance
 from armlab.robots import Robot, from_links
 
 
@@ -194,7 +194,7 @@ def fit_velocity_covariance(residuals: np.ndarray, qd: np.ndarray, kind: str = "
 
     Returns
     -------
-    Fit of `models.noise.VelocityCovariance`; parameters are log Cinf, log(C0 / Cinf), log shape per joint.
+    Fit of `models.torque.VelocityCovariance`; parameters are log Cinf, log(C0 / Cinf), log shape per joint.
 
     Raises
     ------

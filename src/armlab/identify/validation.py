@@ -16,8 +16,7 @@ from armlab.identify.residuals import begun, fit_velocity_covariance, momentum_n
 from armlab.log import Table
 from armlab.models import TorqueModel
 from armlab.models.friction import FrictionBound
-from armlab.models.noise import VelocityCovariance
-from armlab.models.torque import SPEED_EDGES, Training
+from armlab.models.torque import SPEED_EDGES, Training, VelocityCovariance
 from armlab.signals import central_diff, lowpass_offline
 
 if TYPE_CHECKING:

@@ -2,12 +2,16 @@
 
 from armlab.models.files import load, register, save
 from armlab.models.friction import FrictionMap, RadialBasis, RippleLines, WarmUp
-from armlab.models.hand_eye import HandEye
 from armlab.models.kinematic_correction import DualArmCorrection, KinematicCorrection
-from armlab.models.noise import MomentumNoise, VelocityCovariance, velocity_covariance
-from armlab.models.payload import Payload
-from armlab.models.sensors import Accelerometer, ForceSensor, LaserSensor
-from armlab.models.torque import CoupledMotors, TorqueModel
+from armlab.models.sensors import Accelerometer, ForceSensor, HandEye, LaserSensor
+from armlab.models.torque import (
+    CoupledMotors,
+    MomentumNoise,
+    Payload,
+    TorqueModel,
+    VelocityCovariance,
+    velocity_covariance,
+)
 from armlab.robots import Mesh, Robot
 
 __all__ = [

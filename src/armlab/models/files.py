@@ -23,8 +23,7 @@ from armlab._toml import TomlError, parsed
 from armlab._whole_files import whole_file
 from armlab.errors import ConfigError, ModelMismatchError, UnknownName
 from armlab.models.friction import Friction, FrictionBound, Ripple
-from armlab.models.noise import VelocityCovariance
-from armlab.models.torque import SIGN, Quality, TorqueModel, Training
+from armlab.models.torque import SIGN, Quality, TorqueModel, Training, VelocityCovariance
 
 # Values that have a file format: any frozen dataclass of numbers, texts and arrays, once it is registered.
 #

@@ -10,7 +10,7 @@ import numpy as np
 
 from armlab._palette import AXIS_COLORS, GREY
 from armlab.contact import contacts
-from armlab.contact.hypotheses import Hypotheses
+from armlab.contact.contacts import Hypotheses
 from armlab.errors import ShapeError, UnknownName, shortened
 from armlab.glossary import label, lookup
 from armlab.log import Table
