@@ -6,12 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.ndimage import median_filter
 
 from armlab.errors import NotExcited, ShapeError
 from armlab.identify import fit_dynamics, prepare, with_velocity
 from armlab.identify.record import (
-    AT_ONCE,
     SLOW_SHARE,
     Record,
     pieces,
@@ -146,11 +144,3 @@ def test_spikes_are_found_and_replaced_better_by_a_model(short_arm) -> None:
 
 def test_a_clean_record_has_no_spikes(short_arm) -> None:
     assert not torque_outliers(prepare(short_arm.log(1, 3000), short_arm.robot)).any()
-
-
-def test_what_replaces_a_spike_without_a_model_is_the_median_of_nine(short_arm) -> None:
-    data = prepare(short_arm.log(2, AT_ONCE + 900), short_arm.robot)
-    data = replace(data, segments=((0, AT_ONCE + 500), (AT_ONCE + 500, AT_ONCE + 900)))
-    expected = [median_filter(data.tau[a:b], size=(9, 1), mode="nearest") for a, b in data.segments]
-    got = without_outliers(data, np.ones(data.tau.shape, dtype=bool))
-    np.testing.assert_array_equal(got, np.concatenate(expected))

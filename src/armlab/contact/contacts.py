@@ -45,15 +45,11 @@ UNDECIDED = "undecided"
 class Hypotheses:
     """What is believed of the contact, window by window.
 
-    Attributes
-    ----------
-    t : (K,) middle of each window [s]. names : of the H hypotheses.
-    log_evidence : (K, H). posterior : (K, H) probabilities for equal odds before; rows sum to 1.
-    decision : K names; "undecided" where the best is less than 20 times as likely as the second.
-    link : (K,) True where there is a contact and some hypothesis "link k" is not excluded, 400 to 1: a force that is
-        reported at the tool may then be one on a link.
-    place : (K,) where on the segment [m from its start], the most likely; NaN without a segment.
-    samples : (K,) how many independent samples the window is worth.
+    `t`: (K,) middle of each window [s]. `log_evidence`: (K, H). `posterior`: (K, H) probabilities for equal odds
+    before; rows sum to 1. `decision`: K names; "undecided" where the best is less than 20 times as likely as the
+    second. `link`: (K,) True where there is a contact and some hypothesis "link k" is not excluded, 400 to 1: a force
+    that is reported at the tool may then be one on a link. `place`: (K,) where on the segment [m from its start], the
+    most likely; NaN without a segment. `samples`: (K,) how many independent samples the window is worth.
     """
 
     t: np.ndarray
@@ -72,9 +68,7 @@ class Hypotheses:
     def during(self, start: float, end: float) -> str:
         """Return what is believed of the contact from `start` to `end` [s], in words.
 
-        Parameters
-        ----------
-        start, end : of the contact; the windows inside count, or the nearest one.
+        `start`, `end`: of the contact; the windows inside count, or the nearest one.
         """
         inside = (self.t >= start) & (self.t <= end)
         if not inside.any():
@@ -275,11 +269,7 @@ HOLE = 0.1  # s; shorter returns do not end a contact
 class Contact:
     """One interval of contact.
 
-    Attributes
-    ----------
-    start, end : seconds of the table's clock.
-    force : mean force (fx, fy, fz) [N], base axes.
-    band : mean 2-sigma of the least certain axis [N].
+    `force`: mean force (fx, fy, fz) [N], base axes. `band`: mean 2-sigma of the least certain axis [N].
     """
 
     start: float
@@ -339,10 +329,7 @@ SOURCES = {"wrench_true": "the true wrench", "wrench": "the force sensor"}
 class Comparison:
     """How far an estimate is from what it should be.
 
-    Attributes
-    ----------
-    against : what it was compared with. rows : rows in which both are known.
-    rms : (6,) error per axis [N, N m]. inside : (6,) share of the errors inside two sigma.
+    `rms`: (6,) error per axis [N, N m]. `inside`: (6,) share of the errors inside two sigma.
     """
 
     against: str

@@ -32,13 +32,7 @@ def correlation_time(x: np.ndarray, dt: float) -> float:
     The variance of a mean over T >> correlation_time is ``2 s^2 correlation_time / T`` (Geyer's initial positive
     sequence).
 
-    Parameters
-    ----------
-    x : (N,) evenly sampled record. dt : time between samples [s].
-
-    Raises
-    ------
-    ShapeError : fewer than two samples, NaN.
+    `x`: (N,) evenly sampled record. `dt`: time between samples [s].
     """
     x = numbers(x, "a record", ShapeError)
     if x.ndim != 1 or len(x) < 2 or not np.isfinite(x).all():
@@ -66,9 +60,7 @@ def effective_samples(x: np.ndarray) -> float:
 def block_seconds(residuals: np.ndarray, dt: float) -> float:
     """Return how long a block is to last so that blocks are independent: ``max(0.5 s, 4 t_int)`` of the worst column.
 
-    Parameters
-    ----------
-    residuals : (N, k) evenly sampled, finite. dt : time between samples [s].
+    `residuals`: (N, k) evenly sampled, finite. `dt`: time between samples [s].
     """
     residuals, dt = numbers(residuals, "residuals", ShapeError), number(dt, "the time between samples [s]")
     return max([SHORTEST, *(MEMORIES * correlation_time(column, dt) for column in np.transpose(residuals))])
@@ -177,11 +169,8 @@ class BlockSums:
 class Bootstrap:
     """Solutions for data drawn again.
 
-    Attributes
-    ----------
-    draws : (D, p) solutions.
-    cov : (p, p) their covariance, which is that of the estimate, shrunk towards a multiple of the formal one.
-    shrinkage : how far, from 0 to 1; near 1 where there are few blocks for many parameters.
+    `draws`: (D, p) solutions. `cov`: (p, p) their covariance, which is that of the estimate, shrunk towards a multiple
+    of the formal one. `shrinkage`: how far, from 0 to 1; near 1 where there are few blocks for many parameters.
     """
 
     draws: np.ndarray
@@ -189,12 +178,7 @@ class Bootstrap:
     shrinkage: float
 
     def interval(self, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-        """Return the percentile interval, lower and upper ends (p,).
-
-        Parameters
-        ----------
-        level : share of the draws inside.
-        """
+        """Return the percentile interval, lower and upper ends (p,)."""
         tail = 50.0 * (1.0 - level)
         low, high = np.percentile(self.draws, [tail, 100.0 - tail], axis=0)
         return low, high
@@ -257,9 +241,7 @@ def shrinkage(scores: np.ndarray) -> float:
 
     ``(1 - d) S + d trace(S) / p`` is then nearer to the truth than S (Ledoit and Wolf 2004, lemma 3.2).
 
-    Parameters
-    ----------
-    scores : (B, p) gradients of B independent stretches, in coordinates in which the formal covariance is 1.
+    `scores`: (B, p) gradients of B independent stretches, in coordinates in which the formal covariance is 1.
     """
     scores = numbers(scores, "gradients of blocks", ShapeError)
     if scores.ndim != 2:
@@ -275,11 +257,8 @@ def shrinkage(scores: np.ndarray) -> float:
 class CrossValidation:
     """Errors on blocks that a solution was not fitted to.
 
-    Attributes
-    ----------
-    fold : (B,) fold of each block; -1 for blocks that the solution leaves out.
-    solutions : (k, p) fitted without that fold.
-    rms : (k, G) held-out residual of each fold and class of measurement, in its unit.
+    `fold`: (B,) fold of each block; -1 for blocks that the solution leaves out. `solutions`: (k, p) fitted without that
+    fold. `rms`: (k, G) held-out residual of each fold and class of measurement, in its unit.
     """
 
     fold: np.ndarray

@@ -465,9 +465,7 @@ class Limits:
 class Property:
     """One property of the contract.
 
-    Attributes
-    ----------
-    name : one of PROPERTIES. passed : None where it was not judged. text : what was measured and needed, or why not.
+    `passed`: None where it was not judged.
     """
 
     name: str

@@ -25,18 +25,9 @@ def within_bounds(x: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.n
     follow their correlations. A is right when every free z is inside and every m pushes inwards; block principal
     pivoting mends all faults at once, and after ten rounds without progress the first one only, which always ends.
 
-    Parameters
-    ----------
-    x : (p,) solution without bounds. cov : (p, p) its covariance, up to a factor.
-    lower, upper : (p,) bounds, lower < upper.
-
-    Returns
-    -------
-    (p,) solution within the bounds; exactly at those that hold.
-
-    References
-    ----------
-    Portugal, Judice and Vicente (1994), A comparison of block pivoting and interior-point algorithms.
+    `x`: (p,) solution without bounds. `cov`: (p, p) its covariance, up to a factor. `lower`, `upper`: (p,) bounds,
+    lower < upper. Returns: (p,) solution within the bounds; exactly at those that hold. After Portugal, Judice and
+    Vicente (1994), A comparison of block pivoting and interior-point algorithms.
     """
     x, cov, lower, upper = (
         numbers(one, "solution, covariance and bounds", ShapeError) for one in (x, cov, lower, upper)
@@ -82,13 +73,8 @@ EXACT = 1e-12  # residuals below this share of the measurements are rounding
 class LinearProblem:
     """What is asked of the data.
 
-    Attributes
-    ----------
-    names : of the p parameters.
-    what : what is fitted, for messages.
-    lower, upper : (p,) bounds; -inf and inf where there is none.
-    prior : keeps directions that the data do not tell.
-    max_condition : of the column-scaled, weighted regressor.
+    `lower`, `upper`: (p,) bounds; -inf and inf where there is none. `max_condition`: of the column-scaled, weighted
+    regressor.
     """
 
     names: tuple[str, ...]
@@ -110,10 +96,7 @@ class LinearProblem:
     ) -> LinearProblem:
         """Check the bounds and fill in those that are left out.
 
-        Parameters
-        ----------
-        names, what, prior, max_condition : as the attributes.
-        lower, upper : (p,) bounds, or None.
+        `lower`, `upper`: (p,) bounds, or None.
         """
         p = len(names)
         low = np.full(p, -np.inf) if lower is None else numbers(lower, "lower bounds", ShapeError)
@@ -144,21 +127,12 @@ class ActiveBound:
 class LinearSolution:
     """Parameters of a linear problem with what is needed to judge and to resample them.
 
-    Attributes
-    ----------
-    problem : what was asked.
-    x : (p,) parameters. cov : (p, p) formal covariance: right only for white residuals; bounds do not narrow it.
-    weights : (G,) of the classes, 1 / sd. sigma : (G,) deviation of their residuals, degrees of freedom subtracted.
-    scale : deviation of the weighted residuals; 1 when the weights are right.
-    R : (p, p) triangle of the weighted regressor.
-    basis : (p, r) directions that the data tell, ``R @ basis`` orthonormal.
-    excitation : what the data could tell.
-    active : bounds that hold a parameter. growth : relative growth of the residual RMS by them.
-    factors : what it was computed from, rows reweighted. measured : the same without reweighting.
-    kept : (B,) blocks of time that count.
-    stretch : how much further than the weighted solution a robust one moves, 1 without reweighting.
-    row_weights : (M,) weights of the rows in the order they came in; empty without reweighting.
-    rounds : of the iteration. converged : False when it stopped at its limit.
+    `x`: (p,) parameters. `cov`: (p, p) formal covariance: right only for white residuals; bounds do not narrow it.
+    `weights`: (G,) of the classes, 1 / sd. `sigma`: (G,) deviation of their residuals, degrees of freedom subtracted.
+    `scale`: deviation of the weighted residuals; 1 when the weights are right. `R`: (p, p) triangle of the weighted
+    regressor. `basis`: (p, r) directions that the data tell, ``R @ basis`` orthonormal. `kept`: (B,) blocks of time
+    that count. `stretch`: how much further than the weighted solution a robust one moves, 1 without reweighting.
+    `row_weights`: (M,) weights of the rows in the order they came in; empty without reweighting.
     """
 
     problem: LinearProblem
@@ -203,16 +177,8 @@ def solve(
 ) -> LinearSolution:
     """Solve a linear problem by its triangular factors.
 
-    Parameters
-    ----------
-    problem : names, bounds, prior.
-    factors : of the rows.
-    weights : (G,) of the classes; when left out 1 / sd of their own residuals, found in rounds.
-    kept : (B,) blocks of time that count; all when left out.
-
-    Raises
-    ------
-    NotExcited : fewer rows than parameters, or directions that the data do not tell and no prior holds, by name.
+    `weights`: (G,) of the classes; when left out 1 / sd of their own residuals, found in rounds. `kept`: (B,) blocks of
+    time that count; all when left out.
     """
     kept = np.ones(len(factors.rows), dtype=bool) if kept is None else kept
     groups = factors.of_groups(kept)

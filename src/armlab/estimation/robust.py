@@ -38,18 +38,9 @@ def mad(x: np.ndarray) -> float:
 def huber(rows: Iterable[Rows], start: LinearSolution) -> LinearSolution:
     """Reweight rows by Huber's loss until the solution stays.
 
-    Parameters
-    ----------
-    rows : of the problem, not a generator: they are read once per round.
-    start : least-squares solution of the same rows.
-
-    Returns
-    -------
-    LinearSolution whose formal covariance is that of the M-estimator; `converged` is False after 30 rounds.
-
-    References
-    ----------
-    Huber and Ronchetti (2009), Robust Statistics, equations 7.8 and 7.84.
+    `rows`: of the problem, not a generator: they are read once per round. Returns: LinearSolution whose formal
+    covariance is that of the M-estimator; `converged` is False after 30 rounds. After Huber and Ronchetti (2009),
+    Robust Statistics, equations 7.8 and 7.84.
     """
     found, x, sigma, used, step = start, start.x, start.sigma, start.sigma, np.inf
     residuals: dict[int, list[np.ndarray]] = {}
@@ -124,14 +115,7 @@ def least_trimmed_squares(start: LinearSolution, seed: int = 0) -> LinearSolutio
     smallest mean square, which can only lower their sum. Of the best one, the blocks whose log RMS lies within three
     robust deviations of the median are kept for the final weighted fit.
 
-    Parameters
-    ----------
-    start : least-squares solution of all blocks.
-    seed : of the random sets.
-
-    References
-    ----------
-    Rousseeuw (1984), Least median of squares regression; Rousseeuw and van Driessen (2006), FAST-LTS.
+    After Rousseeuw (1984), Least median of squares regression; Rousseeuw and van Driessen (2006), FAST-LTS.
     """
     kept = start.kept
     for _ in range(2):  # the second time with weights of the classes that the outliers did not make

@@ -71,12 +71,8 @@ class Rows:
 class Factors:
     """Triangular factors of every class of measurement in every block of time.
 
-    Attributes
-    ----------
-    size : number p of parameters.
-    columns : of each class, (w,) the parameters that it has.
-    R : of each class, (B, w + 1, w + 1) factors of its rows ``[A y]`` per block.
-    rows : (B, G) number of rows per block and class.
+    `columns`: of each class, (w,) the parameters that it has. `R`: of each class, (B, w + 1, w + 1) factors of its rows
+    ``[A y]`` per block. `rows`: (B, G) number of rows per block and class.
     """
 
     size: int
@@ -92,10 +88,7 @@ class Factors:
     def merge(self, groups: list[np.ndarray], weights: np.ndarray) -> np.ndarray:
         """Return the factor (p + 1, p + 1) of all classes, each with its weight (G,).
 
-        Parameters
-        ----------
-        groups : from `of_groups`.
-        weights : multiply the rows of each class, 1 / sd.
+        `weights`: multiply the rows of each class, 1 / sd.
         """
         p = self.size
         wide = []
@@ -114,18 +107,8 @@ class Factors:
 def factorise(rows: Iterable[Rows], size: int) -> Factors:
     """Reduce rows to triangular factors, one pass, whatever their number.
 
-    Parameters
-    ----------
-    rows : of all classes, in any order of classes; blocks and classes may come in several pieces.
-    size : number p of parameters.
-
-    Raises
-    ------
-    ShapeError : shapes differ, a column is out of range or differs within a class, values are not finite.
-
-    References
-    ----------
-    Demmel, Grigori, Hoemmen and Langou (2012), Communication-optimal parallel and sequential QR.
+    `rows`: of all classes, in any order of classes; blocks and classes may come in several pieces. After Demmel,
+    Grigori, Hoemmen and Langou (2012), Communication-optimal parallel and sequential QR.
     """
     columns: dict[int, np.ndarray] = {}
     found: dict[tuple[int, int], np.ndarray] = {}

@@ -578,12 +578,8 @@ GROUPS = (*GROUPS, ("offset", "N m"))
 class PredictedUncertainty:
     """What a motion will tell.
 
-    Attributes
-    ----------
-    names, units : of the d parameters: base parameters, then viscous, coulomb+, coulomb-, offset of each joint.
-    groups : (d,) the group of each.
-    sd : (d,) expected standard deviations for white torque noise.
-    excitation : what the motion tells apart.
+    `names`, `units`: of the d parameters: base parameters, then viscous, coulomb+, coulomb-, offset of each joint.
+    `groups`: (d,) the group of each. `sd`: (d,) expected standard deviations for white torque noise.
     """
 
     names: tuple[str, ...]
@@ -613,15 +609,7 @@ def predicted_uncertainty(trajectory: Trajectory, robot: Robot, noise: float = 0
     The covariance is ``s^2 (A^T A)^-1`` with the regressor A of base parameters and friction along the motion,
     logged at 250 Hz. Real residuals are coloured: expect deviations a few times larger, in the same order.
 
-    Parameters
-    ----------
-    trajectory : of `design_excitation`. robot : its arm.
-    noise : standard deviation of each torque sample [N m]; the expected deviations are in proportion to it.
-
-    Raises
-    ------
-    ShapeError : noise that is not above zero, something else than a motion, or one of another number of joints.
-    RobotError : something else than a robot.
+    `noise`: standard deviation of each torque sample [N m]; the expected deviations are in proportion to it.
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)

@@ -42,14 +42,10 @@ REST = 0.01  # of the peak speed; all joints below it are at rest
 class Extrapolation:
     """How a log differs from the data that a model was fitted to.
 
-    Attributes
-    ----------
-    joint_names : for messages.
-    outside : (n,) share of samples more than 2 % of the trained range outside it.
-    unseen_speed : (n,) share of samples at speeds that hold less than 0.5 % of the training data.
-    rest_share, longest_rest : share of rest and its longest stretch [s] in this log.
-    trained_rest_share, trained_longest_rest : the same in training.
-    warnings : sentences; empty when the model may be used on this log.
+    `outside`: (n,) share of samples more than 2 % of the trained range outside it. `unseen_speed`: (n,) share of
+    samples at speeds that hold less than 0.5 % of the training data. `rest_share`, `longest_rest`: share of rest and
+    its longest stretch [s] in this log. `trained_rest_share`, `trained_longest_rest`: the same in training. `warnings`:
+    sentences; empty when the model may be used on this log.
     """
 
     joint_names: tuple[str, ...]

@@ -459,16 +459,7 @@ def load(path: str | Path, kind: str | None = None) -> Any:
 
 
 def load_statistics(path: str | Path) -> dict[str, Any]:
-    """Read the table [fit] of a model file; empty where the value was saved without its fit.
-
-    Parameters
-    ----------
-    path : file written by `save`.
-
-    Raises
-    ------
-    ConfigError : the file cannot be read.
-    """
+    """Read the table [fit] of a model file; empty where the value was saved without its fit."""
     fit = _tables(Path(path)).get("fit", {})
     try:
         return {name: decode(part) for name, part in fit.items()}

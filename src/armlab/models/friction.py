@@ -92,16 +92,12 @@ def _freeze(instance: Friction | FrictionBound | Ripple) -> None:
 class Friction:
     """Friction of all joints; every field has shape (n,).
 
-    Attributes
-    ----------
-    viscous : [N m s/rad].
-    coulomb_pos, coulomb_neg : Coulomb torque for positive and negative motion, both counted positive [N m].
-    offset : [N m].
-    stribeck : extra torque near zero speed [N m]. stribeck_speed : its width [rad/s].
-    delta : presliding distance [rad].
-    resolution : displacement that the encoder can tell from noise [rad]; smaller changes leave the state alone.
-    root : torque that grows with the root of speed [N m/sqrt(rad/s)]; zero when left out.
-    smooth_speed : v_t [rad/s] of tanh(qd / v_t) in place of the presliding state; 0, or left out: presliding.
+    `viscous`: [N m s/rad]. `coulomb_pos`, `coulomb_neg`: Coulomb torque for positive and negative motion, both counted
+    positive [N m]. `offset`: [N m]. `stribeck`: extra torque near zero speed [N m]. `stribeck_speed`: its width
+    [rad/s]. `delta`: presliding distance [rad]. `resolution`: displacement that the encoder can tell from noise [rad];
+    smaller changes leave the state alone. `root`: torque that grows with the root of speed [N m/sqrt(rad/s)]; zero when
+    left out. `smooth_speed`: v_t [rad/s] of tanh(qd / v_t) in place of the presliding state; 0, or left out:
+    presliding.
     """
 
     viscous: np.ndarray
@@ -152,10 +148,8 @@ class FrictionBound:
     Near zero speed friction is not random but unknown inside bounds, constant for as long as the joint rests
     (Linderoth, Stolt, Robertsson and Johansson, IROS 2013). Every field has shape (n,).
 
-    Attributes
-    ----------
-    torque : largest friction at rest [N m]. speed : [rad/s].
-    floor : what is left of the model's error in motion [N m].
+    `torque`: largest friction at rest [N m]. `speed`: [rad/s]. `floor`: what is left of the model's error in motion [N
+    m].
     """
 
     torque: np.ndarray
@@ -185,10 +179,8 @@ class FrictionBound:
 class Ripple:
     """One torque ripple line per joint: ``cosine cos(cycles q) + sine sin(cycles q)``; every field has shape (n,).
 
-    Attributes
-    ----------
-    cycles : angular frequency over the joint angle [rad/rad], 2 |gear| for strain-wave gears.
-    cosine, sine : amplitudes [N m].
+    `cycles`: angular frequency over the joint angle [rad/rad], 2 |gear| for strain-wave gears. `cosine`, `sine`:
+    amplitudes [N m].
     """
 
     cycles: np.ndarray
@@ -231,10 +223,8 @@ class Ripple:
 class RadialBasis:
     """Centres of all n joints on a grid of positions and speeds; speeds are positive and stand for both directions.
 
-    Attributes
-    ----------
-    positions, position_widths : (n, P) [rad], ascending; positive.
-    speeds, speed_widths : (n, S) [rad/s], ascending and above 0; positive.
+    `positions`, `position_widths`: (n, P) [rad], ascending; positive. `speeds`, `speed_widths`: (n, S) [rad/s],
+    ascending and above 0; positive.
     """
 
     positions: np.ndarray
@@ -274,10 +264,7 @@ class RadialBasis:
     def functions(self, i: int, q: np.ndarray, qd: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Return the functions (N, 2 P S) of joint i, positive direction first; their sum is 1.
 
-        Parameters
-        ----------
-        i : joint.
-        q, qd, s : (N,) position [rad], velocity [rad/s] and sign in [-1, 1].
+        `q`, `qd`, `s`: (N,) position [rad], velocity [rad/s] and sign in [-1, 1].
         """
         at = basis_weights(q, self.positions[i], self.position_widths[i])
         along = basis_weights(np.abs(qd), self.speeds[i], self.speed_widths[i])
@@ -295,9 +282,7 @@ class RadialBasis:
 class FrictionMap:
     """Friction over position and speed, in addition to `Friction`.
 
-    Attributes
-    ----------
-    basis : centres and widths. coefficients : (n, 2, P, S) [N m], positive direction first; zero for joints without.
+    `coefficients`: (n, 2, P, S) [N m], positive direction first; zero for joints without.
     """
 
     basis: RadialBasis
@@ -319,9 +304,7 @@ class FrictionMap:
     def torque(self, q: np.ndarray, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the torque (..., n) [N m].
 
-        Parameters
-        ----------
-        q, qd : (..., n) [rad], [rad/s]. z : (..., n) presliding state.
+        `q`, `qd`: (..., n) [rad], [rad/s]. `z`: (..., n) presliding state.
         """
         n = self.basis.n
         return Drive(Friction.none(n).rows, Ripple.none(n).rows, map=self.kernel_rows()).torque(q, qd, z)
@@ -346,11 +329,8 @@ LARGEST = 1e15  # of the numbers of ripple lines, joint numbers among them
 def speed_basis(slowest: float, fastest: float, count: int = SPEEDS) -> tuple[np.ndarray, np.ndarray]:
     """Return centres and widths (count,) [rad/s] of Gaussians spread evenly from one speed to another.
 
-    Parameters
-    ----------
-    slowest, fastest : ends of the range; 0 and the peak speed for lines with two directions, minus and plus the peak
-        speed for others.
-    count : of Gaussians, at least 2.
+    `slowest`, `fastest`: ends of the range; 0 and the peak speed for lines with two directions, minus and plus the peak
+    speed for others. `count`: of Gaussians, at least 2.
     """
     slowest, fastest = number(slowest, "the slowest speed [rad/s]"), number(fastest, "the fastest speed [rad/s]")
     if count < 2 or not fastest > slowest:
@@ -364,11 +344,9 @@ def speed_basis(slowest: float, fastest: float, count: int = SPEEDS) -> tuple[np
 class RippleLines:
     """Lines of torque ripple of n joints, L in all.
 
-    Attributes
-    ----------
-    joint : (L,) number of the joint from 0, in ascending order. cycles : (L,) cycles per revolution.
-    speeds, widths : (n, S) centres and widths of the Gaussians [rad/s].
-    coefficients : (L, D, S, 2) amplitudes of cosine and sine [N m] for D = 1 or 2 directions, positive first.
+    `joint`: (L,) number of the joint from 0, in ascending order. `cycles`: (L,) cycles per revolution. `speeds`,
+    `widths`: (n, S) centres and widths of the Gaussians [rad/s]. `coefficients`: (L, D, S, 2) amplitudes of cosine and
+    sine [N m] for D = 1 or 2 directions, positive first.
     """
 
     joint: np.ndarray
@@ -401,9 +379,7 @@ class RippleLines:
     def torque(self, q: np.ndarray, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the ripple torque (..., n) [N m].
 
-        Parameters
-        ----------
-        q, qd : (..., n) [rad], [rad/s]. z : (..., n) presliding state.
+        `q`, `qd`: (..., n) [rad], [rad/s]. `z`: (..., n) presliding state.
         """
         return self._drive().torque(q, qd, z)
 
@@ -424,12 +400,9 @@ class RippleLines:
 class WarmUp:
     """How thermal state changes friction; every field has shape (n,).
 
-    Attributes
-    ----------
-    of_coulomb, of_viscous : relative change of Coulomb and viscous friction at thermal state 1.
-    time : time constant [s]; 0 for a drive that does not change.
-    power : friction power at which thermal state settles at 1 [W]; above 0.
-    start : thermal state at the beginning of a record; 0 is cold.
+    `of_coulomb`, `of_viscous`: relative change of Coulomb and viscous friction at thermal state 1. `time`: time
+    constant [s]; 0 for a drive that does not change. `power`: friction power at which thermal state settles at 1 [W];
+    above 0. `start`: thermal state at the beginning of a record; 0 is cold.
     """
 
     of_coulomb: np.ndarray
@@ -455,9 +428,7 @@ class WarmUp:
     def thermal_state(self, power: np.ndarray, dt: np.ndarray) -> np.ndarray:
         """Return the thermal state (N, n) before each row, for friction power (N, n) [W] held over steps dt (N,) [s].
 
-        Parameters
-        ----------
-        power : (N, n) |F_f qd|. dt : (N,).
+        `power`: (N, n) |F_f qd|. `dt`: (N,).
         """
         x = np.empty(np.shape(power))
         now = self.start

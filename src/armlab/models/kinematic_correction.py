@@ -19,9 +19,7 @@ COMMAND_ROUNDS = 50
 def harmonic_basis(q: np.ndarray, harmonics: tuple[int, ...]) -> np.ndarray:
     """Return ``cos k q_j, sin k q_j`` for each k of `harmonics`: (..., n, 2 m).
 
-    Parameters
-    ----------
-    q : (..., n) joint positions [rad]. harmonics : m orders.
+    `q`: (..., n) joint positions [rad].
     """
     q, orders = numbers(q, "joint positions [rad]", ShapeError), numbers(harmonics, "orders of harmonics", ShapeError)
     if not q.ndim or orders.ndim != 1:

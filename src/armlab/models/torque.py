@@ -35,12 +35,9 @@ KINDS = ("exp", "step", "const")
 class VelocityCovariance:
     """Diagonal torque covariance as a function of joint velocity; arrays have shape (n,).
 
-    Attributes
-    ----------
-    kind : "exp", "step" or "const".
-    C0, Cinf : variance at rest and at speed [(N m)^2], C0 >= Cinf > 0.
-    shape : "exp": decay rate [s/rad]; "step": threshold speed [rad/s]; "const": zeros.
-    alpha2 : factor on both, set so that 2-sigma coverage on held-out data is 95.4 %.
+    `C0`, `Cinf`: variance at rest and at speed [(N m)^2], C0 >= Cinf > 0. `shape`: "exp": decay rate [s/rad]; "step":
+    threshold speed [rad/s]; "const": zeros. `alpha2`: factor on both, set so that 2-sigma coverage on held-out data is
+    95.4 %.
     """
 
     kind: str
@@ -118,12 +115,10 @@ FORCE_RATES = {
 class MomentumNoise:
     """Noise of torque and velocity as the momentum estimators see it.
 
-    Attributes
-    ----------
-    memory : (n,) correlation time of the torque error [s]; its intensity is ``2 s^2 memory``.
-    qd_noise : (n,) deviation of the measured velocity [rad/s].
-    alpha2_observer, alpha2_kf : factors on the torque covariance, set so that 2-sigma coverage on held-out data is
-        95.4 %: of the residual of the observer, and of the wrench of the Kalman filter in free motion.
+    `memory`: (n,) correlation time of the torque error [s]; its intensity is ``2 s^2 memory``. `qd_noise`: (n,)
+    deviation of the measured velocity [rad/s]. `alpha2_observer`, `alpha2_kf`: factors on the torque covariance, set so
+    that 2-sigma coverage on held-out data is 95.4 %: of the residual of the observer, and of the wrench of the Kalman
+    filter in free motion.
     """
 
     memory: np.ndarray
@@ -159,10 +154,8 @@ class MomentumNoise:
 class CoupledMotors:
     """K motors of an arm of n joints.
 
-    Attributes
-    ----------
-    ratios : (K, n) rows c_k.
-    inertia : (K,) [kg m^2]. viscous : (K,) [N m s/rad]. coulomb : (K,) [N m]. smooth_speed : (K,) [rad/s].
+    `ratios`: (K, n) rows c_k. `inertia`: (K,) [kg m^2]. `viscous`: (K,) [N m s/rad]. `coulomb`: (K,) [N m].
+    `smooth_speed`: (K,) [rad/s].
     """
 
     ratios: np.ndarray
@@ -259,13 +252,9 @@ class CoupledKernel:
 class Quality:
     """How well the model fits, per joint (n,).
 
-    Attributes
-    ----------
-    torque_sd : standard deviation of the measured torque [N m].
-    rms : residual in the data it was fitted to [N m]; rms_cv : in held-out blocks [N m]; both in motion, after the
-        causal filter of the estimator.
-    coverage : share of held-out causal residuals inside 2 sigma.
-    seconds : length of the training data.
+    `torque_sd`: standard deviation of the measured torque [N m]. `rms`: residual in the data it was fitted to [N m];.
+    `rms_cv`: in held-out blocks [N m]; both in motion, after the causal filter of the estimator. `coverage`: share of
+    held-out causal residuals inside 2 sigma.
     """
 
     torque_sd: np.ndarray
@@ -295,13 +284,10 @@ SPEED_EDGES.flags.writeable = False
 class Training:
     """Limits of the data behind a model; outside them its quality figures say nothing.
 
-    Attributes
-    ----------
-    q_min, q_max : (n,) range of position [rad]. qd_peak : (n,) largest speed [rad/s].
-    speed_share : (n, 12) share of samples per bin of `SPEED_EDGES`: six of negative velocity, then six of positive,
-        slowest first.
-    rest_share : share of samples at which every joint is slower than 1 % of its peak.
-    longest_rest : longest stretch of such samples [s].
+    `q_min`, `q_max`: (n,) range of position [rad]. `qd_peak`: (n,) largest speed [rad/s]. `speed_share`: (n, 12) share
+    of samples per bin of `SPEED_EDGES`: six of negative velocity, then six of positive, slowest first. `rest_share`:
+    share of samples at which every joint is slower than 1 % of its peak. `longest_rest`: longest stretch of such
+    samples [s].
     """
 
     q_min: np.ndarray

@@ -169,10 +169,8 @@ def ripple_regressor(
 ) -> np.ndarray:
     """Return the columns (N, L 2 S 2) of lines with amplitudes for both directions, in the order of the coefficients.
 
-    Parameters
-    ----------
-    q, qd, z : (N,) position [rad], velocity [rad/s], presliding state.
-    cycles : (L,) lines. speeds, widths : (S,) of the Gaussians [rad/s].
+    `q`, `qd`, `z`: (N,) position [rad], velocity [rad/s], presliding state. `cycles`: (L,) lines. `speeds`, `widths`:
+    (S,) of the Gaussians [rad/s].
     """
     return _waves(q, ripple_amplitudes(qd, z, speeds, widths), cycles)[0]
 
