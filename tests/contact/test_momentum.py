@@ -26,17 +26,6 @@ def way(request: pytest.FixtureRequest) -> dict[str, Any]:
     return WAYS[request.param]
 
 
-def resting(truth, force: np.ndarray, seconds: float = 3.0, seed: int = 0) -> Table:
-    """The arm rests at home with friction somewhere inside its limits, and `force` comes in the last half."""
-    robot, rng = truth.robot, np.random.default_rng(seed)
-    t = np.arange(0, seconds, 0.004)
-    q, zero = np.tile(robot.q_home, (len(t), 1)), np.zeros((len(t), 7))
-    z = np.tile(rng.uniform(-1, 1, 7), (len(t), 1))
-    pressed = np.outer(t > 0.5 * seconds, force)
-    tau = truth.torque(q, zero, zero, z) - pressed @ robot.chain.jacobian(robot.q_home)
-    return Table(t, {"q": q, "qd": zero, "tau": tau + truth.noise * rng.standard_normal(q.shape)})
-
-
 def pushed(truth, seconds: float, seed: int) -> tuple[Table, np.ndarray]:
     """Motion with a push of 5 N for 1 s every 3 s, ramps of 0.1 s; the log and the force (N, 3)."""
     motion = identify.design_excitation(truth.robot, seconds=seconds, f0=0.07, harmonics=6, speed=0.4, seed=77)
@@ -99,11 +88,11 @@ def test_over_a_gap_nothing_is_made_up(truth, model, way) -> None:
     assert np.abs(F[after][:, :, :3]).max() < 6.0
 
 
-def test_a_tare_at_rest_tells_friction_from_contact(truth, model) -> None:
+def test_a_tare_at_rest_tells_friction_from_contact(truth, model, resting) -> None:
     """Before it a press is lost in friction and the band says so; after it the press is there, with a narrow band."""
     force = np.array([3.0, -2.0, 4.0, 0.0, 0.0, 0.0])
     estimator = Estimator(model, truth.robot, "kf", bias=True)
-    states = list(resting(truth, force, seconds=4.0).states())
+    states = list(resting(force, seconds=4.0).states())
     half = len(states) // 2
     before = [estimator.step(state) for state in states[:half]][-1]
     assert before.tared_at is None
@@ -119,9 +108,9 @@ def test_a_tare_at_rest_tells_friction_from_contact(truth, model) -> None:
     assert np.all(np.abs(last.wrench - force) < 3.0 * last.sigma)
 
 
-def test_a_tare_ends_when_a_joint_has_moved_its_presliding_distance(truth, model) -> None:
+def test_a_tare_ends_when_a_joint_has_moved_its_presliding_distance(truth, model, resting) -> None:
     estimator = Estimator(model, truth.robot, "kf", bias=True)
-    states = list(resting(truth, np.zeros(6)).states())
+    states = list(resting(np.zeros(6)).states())
     for state in states:
         estimator.step(state)
     estimator.tare()
@@ -150,13 +139,13 @@ def test_a_tare_is_refused_in_motion_and_where_there_is_nothing_to_set(truth, mo
         estimator.tare()
 
 
-@pytest.mark.parametrize("bias", [False, True])
-def test_at_rest_the_band_holds_whatever_friction_does(truth, model, bias: bool) -> None:
+@pytest.mark.parametrize("options", [{"method": "map"}, {"method": "kf"}, {"method": "kf", "bias": True}])
+def test_at_rest_the_band_holds_whatever_friction_does(truth, model, resting, options: dict[str, Any]) -> None:
     inside = []
     for seed in range(12):
         rng = np.random.default_rng(seed)
         force = np.r_[4.9 * rng.standard_normal(3) / np.sqrt(3), 0, 0, 0]
-        table = Estimator(model, truth.robot, "kf", bias=bias).run(resting(truth, force, 2.0, seed))
+        table = Estimator(model, truth.robot, **options).run(resting(force, 2.0, seed))
         sigma = np.sqrt(np.diag(table["wrench_hat_cov"][-1]))
         inside.append(np.abs(table["wrench_hat"][-1] - force) < 2.0 * sigma)
     assert np.mean(inside) > 0.95

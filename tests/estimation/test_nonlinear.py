@@ -368,14 +368,6 @@ def test_weighted_rows_of_their_own_covariance() -> None:
     assert np.sqrt(np.mean(errors) / np.mean(plain)) < 0.7
 
 
-def test_a_line_is_that_of_the_principal_direction() -> None:
-    rng = np.random.default_rng(5)
-    p = np.outer(rng.standard_normal(30), [0.6, 0.8]) + 0.01 * rng.standard_normal((30, 2))
-    q = p - p.mean(axis=0)
-    v = np.linalg.svd(q)[2][0]
-    assert total_least_squares(q[:, :1], q[:, 1]).x[0] == pytest.approx(v[1] / v[0], rel=1e-12)
-
-
 def test_outliers_are_found() -> None:
     A, y = rows(6, sigma=0.01)
     y[[3, 50]] += 2.0

@@ -29,7 +29,7 @@ from armlab.identify.drives.ripple import (
 from armlab.identify.record import prepare
 from armlab.identify.residuals import model_residuals
 from armlab.identify.validation import held_out
-from armlab.kernels import basis_weights, presliding
+from armlab.kernels import basis_weights
 from armlab.log import Table
 from armlab.models import TorqueModel, load, save
 from armlab.models.friction import FrictionMap, RippleLines, WarmUp, speed_basis
@@ -211,16 +211,6 @@ def motion(n: int = 2, N: int = 4000) -> tuple[np.ndarray, np.ndarray]:
     return np.sin(f * t) + 0.5 * np.sin(2.3 * f * t), f * np.cos(f * t) + 1.15 * f * np.cos(2.3 * f * t)
 
 
-def test_the_functions_sum_to_one_on_the_hull() -> None:
-    q, qd = motion()
-    basis = rbf_centres(q, qd)
-    Y = rbf_regressor(q, qd, basis)
-    moving = qd != 0
-    np.testing.assert_allclose(Y.sum(axis=2)[moving], 1.0, rtol=0, atol=1e-12)
-    assert Y.shape == (len(q), 2, 80)
-    assert not basis.outside(q, qd).any()
-
-
 def test_centres_are_mirrored_speeds_of_each_joint() -> None:
     q, qd = motion()
     basis = rbf_centres(q, qd * [1.0, 3.0])
@@ -246,19 +236,6 @@ def test_it_equals_the_ancestors_formula_between_the_centres() -> None:
     phi *= np.sign(centres[:, 1]) == np.sign(v)[:, None]
     phi /= phi.sum(axis=1, keepdims=True)
     np.testing.assert_allclose(rbf_regressor(q, qd, basis)[inside, 0], phi, rtol=0, atol=1e-6)
-
-
-def test_a_map_of_coulomb_friction_over_position_is_recovered() -> None:
-    q, qd = motion(1, 20000)
-    z = presliding(q, np.array([1e-3]), np.array([0.0]))
-    level = np.where(z > 0, 2.0 + 0.6 * np.sin(1.5 * q), 1.5 + 0.4 * np.cos(2 * q))
-    y = (level * z + 0.05 * np.random.default_rng(0).standard_normal(q.shape))[:, 0]
-    basis = rbf_centres(q, qd)
-    Y = rbf_regressor(q, qd, basis, z)[:, 0]
-    k = np.linalg.solve(Y.T @ Y + 1e-3 * np.trace(Y.T @ Y) / Y.shape[1] * np.eye(Y.shape[1]), Y.T @ y)
-    moving = np.abs(z[:, 0]) > 0.99
-    error = (Y @ k - (level * z)[:, 0])[moving]
-    assert np.sqrt(np.mean(error**2)) < 0.05 * np.sqrt(np.mean((level * z) ** 2))
 
 
 # Lines of torque ripple: found where they are, and only there.
@@ -308,18 +285,6 @@ def test_a_short_range_or_no_gear_has_no_lines() -> None:
     _, q, qd = motion_of_ripple()
     assert len(ripple_lines(1e-3 * q, 1e-3 * qd, np.cos(100 * q), RATE, 250.0)) == 0
     assert len(ripple_lines(q, qd, np.cos(100 * q), RATE, 1.0)) == 0
-
-
-def test_the_regressor_is_linear_in_the_coefficients_of_the_model() -> None:
-    _, q, qd = motion_of_ripple(4.0)
-    z, rng = np.sin(3 * q), np.random.default_rng(0)
-    speeds, widths = speed_basis(0.0, np.abs(qd).max())
-    k = rng.standard_normal((2, 2, 8, 2))
-    torque = RippleLines([0, 0], [100.0, 202.0], speeds[None], widths[None], k).torque(
-        q[:, None], qd[:, None], z[:, None]
-    )
-    A = ripple_regressor(q, qd, z, np.array([100.0, 202.0]), speeds, widths)
-    np.testing.assert_allclose(A @ k.ravel(), torque[:, 0], rtol=0, atol=1e-12)
 
 
 def test_only_lines_that_pay_on_held_out_blocks_stay() -> None:

@@ -156,14 +156,6 @@ def test_held_out_rows_of_several_logs_are_held_out(short_arm, monkeypatch) -> N
     assert np.all(fit.value.quality.rms_cv > fit.value.quality.rms)
 
 
-def test_a_model_without_known_gears_is_identified(short_arm) -> None:
-    assert np.array_equal(short_arm.robot.coupling, np.eye(2))
-    fit = fit_dynamics(short_arm.log(0, 2000), short_arm.robot)
-    assert not any("ripple" in name for name in fit.names)
-    assert not fit.value.ripple.cosine.any()
-    assert "held-out" in fit.report()
-
-
 def test_same_log_same_bits_and_progress_changes_nothing(short_arm) -> None:
     said: list[str] = []
     log, robot = short_arm.log(0, 3000), short_arm.robot

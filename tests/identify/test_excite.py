@@ -38,14 +38,6 @@ def test_a_joint_with_a_short_stroke_moves_inside_it() -> None:
     assert 0.005 < q.min() < 0.02 < 0.04 < q.max() < 0.055
 
 
-def test_dither_sways_every_joint_about_its_centre() -> None:
-    centre = np.array([0.1, -0.2])
-    q, qd, _ = dither(centre, seconds=10.0, amplitude=0.03, frequency=0.5).sample(np.linspace(2, 8, 3001))
-    np.testing.assert_allclose(q.mean(axis=0), centre, atol=1e-3)
-    np.testing.assert_allclose(np.ptp(q, axis=0), 0.06, rtol=1e-3)
-    np.testing.assert_allclose(np.abs(qd).max(axis=0), 0.03 * np.pi, rtol=1e-3)
-
-
 @pytest.mark.parametrize("seconds", [0.7, 3.3])
 def test_a_short_sway_has_no_jump_either(seconds: float) -> None:
     t = np.linspace(0, seconds, 20001)

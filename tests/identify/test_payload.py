@@ -9,12 +9,12 @@ import pytest
 
 from armlab import identify, sim
 from armlab.errors import NotExcited
-from armlab.estimation import Experiment, Fit, check_estimator
+from armlab.estimation import Experiment, check_estimator
 from armlab.identify import fit_payload
 from armlab.identify.payload import LoadRecord, ModelError, _possible
 from armlab.kernels import presliding
 from armlab.log import Table
-from armlab.models import Payload, TorqueModel
+from armlab.models import TorqueModel
 from armlab.models.friction import Friction
 from armlab.robots import Robot, from_links, inertia, load
 
@@ -275,15 +275,6 @@ def test_of_a_model_without_its_fit_friction_is_said_to_be_unknown(truth, fitted
     assert words not in fit_payload(table, fitted, truth.robot).report()
 
 
-def test_value_and_file(truth, model, table, tmp_path) -> None:
-    fit = fit_payload(table, model, truth.robot)
-    assert isinstance(fit.value, Payload)
-    again = Fit.load(fit.save(tmp_path / "load.toml"), kind="payload")
-    assert np.array_equal(again.value.pi, fit.value.pi)
-    assert np.array_equal(again.cov, fit.cov)
-    assert again.names == fit.names
-
-
 # The regression of a load: exact without noise; two logs of one motion are brought together.
 
 
@@ -291,26 +282,17 @@ PI = inertia.from_body(0.5, [0.03, -0.01, 0.06], np.diag([1e-3, 2e-3, 1.5e-3]))
 
 
 @pytest.fixture(scope="module")
-def motion_of_load_record(truth):
-    return identify.design_excitation(truth.robot, seconds=12, speed=0.4, seed=3)
-
-
-@pytest.fixture(scope="module")
 def loaded(truth):
-    links = truth.links.copy()
-    links[-1] += inertia.transform(truth.robot.links[-1], PI)
-    return replace(truth, links=links)
+    return carrying(truth, PI)
 
 
-def test_the_load_explains_the_difference(truth, model, loaded, motion_of_load_record) -> None:
+def test_the_load_explains_the_difference(truth, model, loaded, motion) -> None:
     """Without noise the difference of the logs is the load, to the step from one sample to the next."""
-    record = LoadRecord.of(
-        loaded.log(motion_of_load_record, noise=0.0), model, truth.robot, truth.log(motion_of_load_record, noise=0.0)
-    )
+    record = LoadRecord.of(loaded.log(motion, noise=0.0), model, truth.robot, truth.log(motion, noise=0.0))
     assert record.A.shape == (*record.y.shape, 10)
     np.testing.assert_allclose(model.gains * record.y, record.A @ PI, atol=2e-3)
     assert record.against.shape == (7, 10, len(model.base_names))
-    scale = np.abs(LoadRecord.of(loaded.log(motion_of_load_record, noise=0.0), model, truth.robot).against).max()
+    scale = np.abs(LoadRecord.of(loaded.log(motion, noise=0.0), model, truth.robot).against).max()
     assert np.abs(record.against).max() < 1e-6 * scale
     assert len(record.sources) == 2
     block = record.blocks(1.0)
@@ -319,8 +301,8 @@ def test_the_load_explains_the_difference(truth, model, loaded, motion_of_load_r
 
 
 @pytest.mark.parametrize("late", [300, -300])
-def test_a_log_that_began_at_another_time(truth, model, loaded, motion_of_load_record, late: int) -> None:
-    one, two = loaded.log(motion_of_load_record, noise=0.0), truth.log(motion_of_load_record, noise=0.0)
+def test_a_log_that_began_at_another_time(truth, model, loaded, motion, late: int) -> None:
+    one, two = loaded.log(motion, noise=0.0), truth.log(motion, noise=0.0)
     if late > 0:
         two = two.rows(slice(late, None))
     else:
@@ -332,17 +314,12 @@ def test_a_log_that_began_at_another_time(truth, model, loaded, motion_of_load_r
 # What is uncertain in a model: the slopes of its torque, and which parameters are known by name.
 
 
-@pytest.fixture(scope="module")
-def table_of_model_error(truth) -> Table:
-    return truth.log(identify.design_excitation(truth.robot, seconds=10, speed=0.4, acceleration=8.0, seed=3), seed=3)
-
-
 STEPS = {"viscous": 0.1, "coulomb_pos": 0.1, "coulomb_neg": 0.1, "offset": 0.1, "stribeck": 0.1, "delta": 1e-6}
 TERMS = {"coulomb_pos": "coulomb+", "coulomb_neg": "coulomb-"}
 
 
 @pytest.mark.parametrize("field", STEPS)
-def test_a_changed_model_changes_the_sums_as_said(truth, fitted, table_of_model_error, field: str) -> None:
+def test_a_changed_model_changes_the_sums_as_said(truth, fitted, excited, field: str) -> None:
     """A_i^T (y of the changed model - y) is minus the sums times the change, for every joint."""
     robot, model, step = truth.robot, fitted.value, STEPS[field]
     joint = 2
@@ -353,8 +330,8 @@ def test_a_changed_model_changes_the_sums_as_said(truth, fitted, table_of_model_
     names, p = (*model.base_names, name), len(model.base_names)
     known = replace(fitted, names=names, units=("1",) * (p + 1), parameters=np.zeros(p + 1), cov=np.eye(p + 1))
     record, other = (
-        LoadRecord.of(table_of_model_error, known, robot),
-        LoadRecord.of(table_of_model_error, changed, robot),
+        LoadRecord.of(excited, known, robot),
+        LoadRecord.of(excited, changed, robot),
     )
     sums = np.einsum("kia,ki->ia", record.A, other.y - record.y)
     np.testing.assert_allclose(sums, -step * record.against[:, :, p], atol=2e-3 * np.abs(sums).max())

@@ -92,7 +92,9 @@ class Layout:
         for i, terms in zip(self.joints, self.terms):
             force = "N" if self.robot.prismatic[i] else "N m"
             known = {
-                term: FRICTION_TERMS[term].units(self.robot.prismatic[i]) for term in terms if term in FRICTION_TERMS
+                term: FRICTION_TERMS[term].units(bool(self.robot.prismatic[i]))
+                for term in terms
+                if term in FRICTION_TERMS
             }
             own += [known.get(term, force) for term in terms]
         return (*self.base.units, *own, *[*COUPLED.values()] * len(self.motors))

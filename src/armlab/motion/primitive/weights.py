@@ -32,7 +32,7 @@ class Learned:
     ends: np.ndarray
     unit: np.ndarray
     sigma: np.ndarray
-    residuals: np.ndarray | Callable[[], np.ndarray]
+    residuals: np.ndarray
     triangle: np.ndarray
     unknowns: tuple[int, ...]
     of_position: bool
@@ -287,13 +287,13 @@ class Forced:
 
 @dataclass(frozen=True)
 class Regression:
-    """Weights (m, n), their covariances (n, m, m) for noise of unit variance, noise of the forcing (n,), what makes the
+    """Weights (m, n), their covariances (n, m, m) for noise of unit variance, noise of the forcing (n,),
     residuals (N, n), and triangle (m, m) of the first coordinate."""
 
     weights: np.ndarray
     unit: np.ndarray
     sigma: np.ndarray
-    residuals: Callable[[], np.ndarray]
+    residuals: np.ndarray
     triangle: np.ndarray
 
 
