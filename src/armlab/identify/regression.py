@@ -33,7 +33,7 @@ from armlab.identify.friction_structure import (
     term_names,
 )
 from armlab.identify.record import Record
-from armlab.models.friction import FRICTION_TERMS, Friction, Ripple
+from armlab.models.friction import FRICTION_TERMS, Friction, FrictionTerm, Ripple
 from armlab.models.torque import CoupledMotors
 from armlab.robots import Robot
 
@@ -90,28 +90,25 @@ class Layout:
         """Units of all parameters."""
         own = []
         for i, terms in zip(self.joints, self.terms):
-            force = "N" if self.robot.prismatic[i] else "N m"
-            known = {
-                term: FRICTION_TERMS[term].units(bool(self.robot.prismatic[i]))
-                for term in terms
-                if term in FRICTION_TERMS
-            }
-            own += [known.get(term, force) for term in terms]
+            own += [_term(term).units(bool(self.robot.prismatic[i])) for term in terms]
         return (*self.base.units, *own, *[*COUPLED.values()] * len(self.motors))
 
     @property
     def lower(self) -> np.ndarray:
         """Lower bounds of all parameters: 0 for inertia, viscous and Coulomb friction, else -inf."""
-        own = [
-            FRICTION_TERMS[term].least if term in FRICTION_TERMS else -np.inf for terms in self.terms for term in terms
-        ]
+        own = [_term(term).least for terms in self.terms for term in terms]
         return np.concatenate([self.base.lower, own, np.zeros(len(COUPLED) * len(self.motors))])
 
     @property
     def slopes(self) -> np.ndarray:
         """Which parameters (p,) are steps of the logarithm of a number of the structure of friction."""
-        own = [term in FRICTION_TERMS and FRICTION_TERMS[term].column is None for terms in self.terms for term in terms]
+        own = [_term(term).column is None for terms in self.terms for term in terms]
         return np.array([False] * len(self.base.names) + own + [False] * len(COUPLED) * len(self.motors))
+
+
+def _term(name: str) -> FrictionTerm:
+    """Return the term of a column; amplitudes of ripple have the unit and the bound of an offset."""
+    return FRICTION_TERMS.get(name, FRICTION_TERMS["offset"])
 
 
 # Rows of a regression over joint torque for the solver, joint by joint and in pieces of bounded size.
