@@ -1,4 +1,4 @@
-"""The torque model, its quality figures and training data."""
+"""The torque model and its parts: friction, ripple, warm-up, coupled motors, noise."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armlab import contact, identify, robots
+from armlab import contact, identify, models, robots
 from armlab.errors import ShapeError
 from armlab.kernels import presliding
 from armlab.log import Table
-from armlab.models import TorqueModel
+from armlab.models import TorqueModel, load, save, velocity_covariance
+from armlab.models.friction import Friction, FrictionBound, RadialBasis, RippleLines, WarmUp, speed_basis
+from armlab.models.torque import CoupledKernel, CoupledMotors, VelocityCovariance
 
 
 def test_torque_is_rigid_plus_friction_plus_ripple(model: TorqueModel) -> None:
@@ -100,3 +102,201 @@ def test_joints_without_torque_do_not_make_the_gains_of_the_others_surer(model) 
 
 
 # The ranges of the training data are checked and frozen.
+
+
+# Friction, torque ripple, warm-up, coupled motors and noise models.
+
+
+def friction(**change: object) -> Friction:
+    fields = {
+        "viscous": [2.0], "coulomb_pos": [3.0], "coulomb_neg": [4.0], "offset": [0.5], "stribeck": [1.0],
+        "stribeck_speed": [0.05], "delta": [1e-3], "resolution": [0.0],
+    }  # fmt: skip
+    return Friction(**{**fields, **change})  # type: ignore[arg-type]
+
+
+def test_friction_torque_is_the_formula() -> None:
+    f = friction()
+    assert f.torque([1.0], [1.0])[0] == pytest.approx(2 + 3 + 0.5 + np.exp(-400))
+    assert f.torque([-1.0], [-1.0])[0] == pytest.approx(-2 - 4 + 0.5 - np.exp(-400))
+    assert f.torque([0.0], [0.5])[0] == pytest.approx(1.5 + 0.5 + 0.5)
+    assert f.static[0] == pytest.approx(4.5)
+
+
+def test_the_last_digit_of_an_encoder_does_not_wear_the_state_down() -> None:
+    q = np.concatenate([np.linspace(0, 1e-2, 50), 1e-2 - 1e-5 * (np.arange(1000) % 2)])[:, None]
+    held = presliding(q, np.array([1e-4]), np.array([0.5e-5]))
+    worn = presliding(q, np.array([1e-4]), np.array([0.0]))
+    assert held[-1, 0] > 0.99
+    assert abs(worn[-1, 0]) < 0.2
+
+
+def test_the_bound_near_rest_is_static_friction_and_fades_with_speed() -> None:
+    bound = FrictionBound.of(friction(), floor=np.array([0.1]))
+    assert bound.torque_at([0.0])[0] == pytest.approx(4.5 + 0.1)
+    assert bound.torque_at([[0.02], [-0.02]])[:, 0] == pytest.approx(4.5 * np.exp(-1) + 0.1)
+    assert bound.torque_at([1.0])[0] == pytest.approx(0.1)
+    assert FrictionBound.of(friction()).floor[0] == 0.0
+    for wrong in ({"torque": [-1.0]}, {"speed": [0.0]}, {"floor": [-0.1]}):
+        with pytest.raises(ShapeError, match="friction bound"):
+            FrictionBound(**{"torque": [1.0], "speed": [0.02], "floor": [0.0], **wrong})
+
+
+# Friction over position and speed.
+
+
+def basis(n: int = 2) -> RadialBasis:
+    positions, speeds = np.linspace(-2, 2, 8), np.geomspace(0.05, 1.0, 5)
+    return RadialBasis(*(np.tile(x, (n, 1)) for x in (positions, np.full(8, 0.5), speeds, np.gradient(speeds))))
+
+
+def test_the_functions_sum_to_one_inside_and_outside() -> None:
+    rng = np.random.default_rng(0)
+    q, qd = rng.uniform(-3, 3, 500), rng.uniform(-2, 2, 500)
+    phi = basis().functions(1, q, qd, rng.uniform(-1, 1, 500))
+    np.testing.assert_allclose(phi.sum(axis=1), 1.0, rtol=0, atol=1e-12)
+    assert phi.shape == (500, basis().size)
+    assert np.isfinite(basis().functions(0, np.array([1e6]), np.array([-1e6]), np.array([-1.0]))).all()
+
+
+def test_only_the_side_of_the_motion_counts_and_rest_blends_both() -> None:
+    b = basis()
+    forward, rest = (
+        b.functions(0, np.array([0.3]), np.array([v]), np.array([s]))[0] for v, s in ((0.2, 1.0), (0.0, 0.0))
+    )
+    assert not forward[40:].any()
+    np.testing.assert_allclose(rest[:40], rest[40:], rtol=0, atol=1e-15)
+
+
+def test_outside_is_told() -> None:
+    assert basis().outside([[0.0, 0.0], [2.5, 0.0]], [[0.0, 2.0], [0.1, -0.5]]).tolist() == [
+        [False, True],
+        [True, False],
+    ]
+
+
+# Torque ripple over position and speed.
+
+
+def lines(**change: object) -> RippleLines:
+    """Two joints, the second with two lines of one direction."""
+    speeds, widths = speed_basis(-1.0, 1.0)
+    fields = {
+        "joint": [1, 1], "cycles": [100.0, 200.0], "speeds": np.stack([speeds, speeds]),
+        "widths": np.stack([widths, widths]), "coefficients": np.ones((2, 1, 8, 2)),
+    }  # fmt: skip
+    return RippleLines(**{**fields, **change})  # type: ignore[arg-type]
+
+
+def test_equal_amplitudes_are_a_plain_line() -> None:
+    q, qd = np.random.default_rng(0).uniform(-2, 2, (2, 50, 2))
+    torque = lines().torque(q, qd, np.sign(qd))
+    expected = sum(np.cos(c * q[:, 1]) + np.sin(c * q[:, 1]) for c in (100.0, 200.0))
+    np.testing.assert_allclose(torque[:, 1], expected, rtol=0, atol=1e-12)
+    assert not torque[:, 0].any()
+    assert lines().n == 2
+
+
+def test_each_direction_may_have_its_own_amplitude() -> None:
+    speeds, widths = speed_basis(0.0, 1.0)
+    both = np.zeros((1, 2, 8, 2))
+    both[0, 0, :, 0], both[0, 1, :, 1] = 2.0, 3.0
+    part = RippleLines([0], [50.0], speeds[None], widths[None], both)
+    q = np.linspace(0, 1, 30)[:, None]
+    np.testing.assert_allclose(part.torque(q, 0 * q + 0.3, 0 * q + 1), 2 * np.cos(50 * q), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(part.torque(q, 0 * q - 0.3, 0 * q - 1), 3 * np.sin(50 * q), rtol=0, atol=1e-12)
+
+
+# Friction that changes with its own heat.
+
+
+def warm_up(n: int = 1, **change: object) -> WarmUp:
+    fields = {"of_coulomb": -0.1, "of_viscous": -0.4, "time": 100.0, "power": 2.0, "start": 0.0}
+    return WarmUp(**{name: np.full(n, change.get(name, value)) for name, value in fields.items()})  # type: ignore[arg-type]
+
+
+def test_a_model_warms_up_along_a_record(tmp_path, model) -> None:
+    """At constant velocity the viscous and Coulomb torque go with the warmth, which goes with their power."""
+    part = warm_up(7, time=5.0)
+    warm = load(save(replace(model, warm_up=part), tmp_path / "model.toml"))
+    t = np.arange(0, 40, 0.01)
+    qd = np.full((len(t), 7), 0.3)
+    q, dt = np.cumsum(qd, axis=0) * 0.01, np.full(len(t), 0.01)
+    change = (warm.torque(q, qd, dt=dt) - model.torque(q, qd)) / model.gains
+    f = model.friction
+    x = (change / -(0.4 * f.viscous * 0.3 + 0.1 * f.coulomb_pos))[200:]
+    settled = x[-1]
+    rubbing = f.viscous * (1 - 0.4 * settled) * 0.3 + f.coulomb_pos * (1 - 0.1 * settled)
+    rubbing = rubbing + f.stribeck * np.exp(-((0.3 / f.stribeck_speed) ** 2))
+    np.testing.assert_allclose(settled, np.abs(rubbing * 0.3) / 2.0, rtol=1e-2)
+    assert np.array_equal(warm.torque(q, qd), model.torque(q, qd))  # without steps it stays cold
+
+
+# Motors that move several joints: power is kept, and estimators see past them.
+
+
+WRIST = CoupledMotors(np.array([[0, 0, 0, 0, 0, 0.5, 1.0]]), [0.02], [0.3], [0.4], [0.02])
+
+
+def test_one_motor_of_two_joints() -> None:
+    """Row and column: what it takes of one joint for the other's motion it takes of the other for the one's."""
+    qd, qdd = np.zeros(7), np.zeros(7)
+    qdd[5] = 2.0
+    np.testing.assert_allclose(WRIST.torque(qd, qdd)[5:], 0.02 * 2.0 * 0.5 * np.array([0.5, 1.0]))
+    np.testing.assert_allclose(WRIST.inertial(qdd), WRIST.torque(qd, qdd))
+    qd[6] = 3.0
+    speed = 3.0
+    own = 0.3 * speed + 0.4 * np.tanh(speed / 0.02)
+    np.testing.assert_allclose(WRIST.torque(qd, 0 * qdd)[5:], own * np.array([0.5, 1.0]))
+    assert not WRIST.torque(qd, qdd)[:5].any()
+
+
+def test_a_model_with_them_predicts_and_estimates_past_them(model, excited, tmp_path) -> None:
+    """The log of an arm with a coupled wrist: the model without the wrist sees forces, the one with it none."""
+    wrist = replace(model, coupled=WRIST)
+    q, qd, dt = (np.ascontiguousarray(x[:500]) for x in (excited["q"], excited["qd"], excited.dt))
+    qdd = np.diff(qd, axis=0, prepend=qd[:1]) / dt[:, None]
+    tau = model.torque(q, qd, qdd) + model.gains * WRIST.torque(qd, qdd)
+    np.testing.assert_allclose(wrist.torque(q, qd, qdd), tau, atol=1e-12)
+    zero = np.zeros_like(q)
+    np.testing.assert_allclose(wrist.rigid_torque(q, zero, qdd) - model.rigid_torque(q, zero, qdd), WRIST.inertial(qdd))
+    plain, relieved = model.estimator_kernel(np.ones(6)), wrist.estimator_kernel(np.ones(6))
+    without, found = plain.run(q, qd, tau, dt)[0], relieved.run(q, qd, tau, dt)[0]
+    true = replace(model, gains=np.ones(7), gain_cov=np.zeros((7, 7)))
+    by_hand = CoupledKernel(true.estimator_kernel(np.ones(6)), WRIST, np.ones(7))
+    np.testing.assert_allclose(by_hand.run(q, qd, tau / model.gains, dt)[0], found, rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(found, 0.0, atol=1e-9)
+    assert np.abs(without).max() > 1e-3
+    again = models.load(models.save(wrist, tmp_path / "wrist.toml"))
+    np.testing.assert_array_equal(again.coupled.ratios, WRIST.ratios)
+    np.testing.assert_array_equal(again.torque(q, qd, qdd), wrist.torque(q, qd, qdd))
+
+
+def test_step_and_run_are_equal_bit_for_bit_also_past_holes(model, excited) -> None:
+    wrist = replace(model, coupled=WRIST)
+    q, qd, tau = (np.array(excited[name][:300]) for name in ("q", "qd", "tau"))
+    dt = np.array(excited.dt[:300])
+    qd[40:43, 2], tau[100, 0], dt[150] = np.nan, np.inf, 0.0
+    stepped, run = wrist.estimator_kernel(np.ones(6)), wrist.estimator_kernel(np.ones(6))
+    one_by_one = [stepped.step(q[k], qd[k], tau[k], float(dt[k])) for k in range(300)]
+    halves = [run.run(q[a:b], qd[a:b], tau[a:b], dt[a:b]) for a, b in ((0, 170), (170, 300))]
+    np.testing.assert_array_equal([s[0] for s in one_by_one], np.concatenate([h[0] for h in halves]))
+    run.reset()
+    np.testing.assert_array_equal(run.run(q[:170], qd[:170], tau[:170], dt[:170])[0], halves[0][0])
+
+
+# Noise models: torque covariance over velocity, momentum estimators.
+
+
+def test_velocity_covariance_kinds() -> None:
+    C0, Cinf = [4.0, 1.0], [1.0, 1.0]
+    exp = velocity_covariance("exp", C0, Cinf, [10.0, 10.0], alpha2=2.0)
+    assert isinstance(exp, VelocityCovariance)
+    np.testing.assert_allclose(exp.variance([0.0, 0.0]), [8.0, 2.0])
+    np.testing.assert_allclose(exp.variance([-0.1, 5.0]), [2 * (1 + 3 * np.exp(-1.0)), 2.0])
+    step = velocity_covariance("step", C0, Cinf, [0.1, 0.1])
+    np.testing.assert_allclose(step.variance([[0.05, 0.05], [0.2, -0.2]]), [[4.0, 1.0], [1.0, 1.0]])
+    np.testing.assert_allclose(velocity_covariance("const", C0, Cinf).variance([0.0, 0.0]), [1.0, 1.0])
+
+
+# Noise of torque and velocity for the momentum estimators.
