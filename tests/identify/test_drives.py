@@ -373,11 +373,11 @@ def test_noise_selects_no_group() -> None:
 
 
 def test_the_covariance_of_a_refit_is_true() -> None:
-    """Scatter of 200 refits of one problem with residuals that remember."""
+    """Scatter of 100 refits of one problem with residuals that remember."""
     rng = np.random.default_rng(3)
     A, truth, block = rng.standard_normal((2000, 3)), np.array([1.0, -2.0, 0.5]), np.arange(2000) // 20
     found = []
-    for _ in range(200):
+    for _ in range(100):
         e = np.repeat(rng.standard_normal(200), 10) + 0.1 * rng.standard_normal(2000)
         found.append(refit(A, A @ truth + e, block))
     errors = np.array([x - truth for x, _ in found])
