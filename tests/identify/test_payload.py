@@ -304,7 +304,8 @@ def test_the_load_explains_the_difference(truth, model, loaded, motion) -> None:
 
 
 @pytest.mark.parametrize("late", [300, -300])
-def test_a_log_that_began_at_another_time(truth, model, loaded, motion, late: int) -> None:
+def test_a_log_that_began_at_another_time(truth, model, loaded, late: int) -> None:
+    motion = identify.design_excitation(truth.robot, seconds=12, speed=0.4, seed=3)
     one, two = loaded.log(motion, noise=0.0), truth.log(motion, noise=0.0)
     if late > 0:
         two = two.rows(slice(late, None))
