@@ -11,7 +11,7 @@ import pytest
 
 from armlab import models
 from armlab.errors import ConfigError, NotExcited, ShapeError, UnknownName
-from armlab.estimation import Contract, Excitation, Experiment, Fit, Gauge, Limits, check_estimator
+from armlab.estimation import Contract, ContractLimits, Excitation, Experiment, Fit, Gauge, check_estimator
 from armlab.estimation.contract import PROPERTIES, Property
 
 TRUTH = np.array([2.0, -1.0, 0.5])
@@ -117,9 +117,9 @@ def test_the_benchmark_has_narrower_limits() -> None:
     found = check(fit_curve, 1000, skip={"gauge-free": "tested above", "robust": "tested above"})
     assert found.passed, found.text()
     assert found["efficient"].passed is True
-    assert Limits.of(2000, True).honest == (0.95, 1.05)
-    assert Limits.of(2000, False).honest == (0.95, 1.10)
-    assert Limits.of(200, True) == Limits()
+    assert ContractLimits.of(2000, True).honest == (0.95, 1.05)
+    assert ContractLimits.of(2000, False).honest == (0.95, 1.10)
+    assert ContractLimits.of(200, True) == ContractLimits()
 
 
 def trusting(x: np.ndarray, y: np.ndarray, noise: float, robust: bool = False) -> Fit[Curve]:

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from armlab import identify, models, robots
 from armlab.contact import Estimator
 from armlab.errors import ModelMismatchError, NotExcited, UnknownName
-from armlab.estimation import Limits, check_estimator
+from armlab.estimation import ContractLimits, check_estimator
 from armlab.estimation.contract import PROPERTIES
 from armlab.estimation.tsqr import one_thread
 from armlab.identify import fit_dynamics, fit_gravity
@@ -44,7 +44,7 @@ def test_errors_halve_with_four_times_the_data_and_match_the_covariance(short_ar
 
     What gains have in common no length of a log tells: errors halve where there is none, and are judged where there is.
     """
-    limits = Limits(consistent=(0.45, 0.55), honest=(0.80, 1.25))
+    limits = ContractLimits(consistent=(0.45, 0.55), honest=(0.80, 1.25))
     for law, gain_sd in (("consistent", 0.0), ("honest", 0.05)):
         found = check_estimator(
             lambda table, robot: short_arm.of_base(fit_dynamics(table, robot)),

@@ -21,7 +21,7 @@ from armlab.identify.record import (
 )
 from armlab.identify.residuals import (
     BIN,
-    Residuals,
+    ModelResiduals,
     begun,
     dry_torques,
     friction_signs,
@@ -172,7 +172,7 @@ def test_a_clean_record_has_no_spikes(short_arm) -> None:
 
 def test_residuals_are_measured_minus_modelled_torque(model: TorqueModel, excited: Table) -> None:
     found = model_residuals(excited, model)
-    assert isinstance(found, Residuals)
+    assert isinstance(found, ModelResiduals)
     assert np.all(np.std(found.y, axis=0) < 0.3 * np.std(excited["tau"], axis=0))
     z = presliding(excited["q"], model.friction.delta, model.friction.resolution)
     assert np.array_equal(found.s, z)

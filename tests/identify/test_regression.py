@@ -10,7 +10,7 @@ import pytest
 from armlab import robots
 from armlab.identify import base_parameters, design_excitation, prepare
 from armlab.identify.base_parameters import BaseParameters
-from armlab.identify.columns import Columns, Decimation, FrictionColumns
+from armlab.identify.columns import Decimation, FrictionColumns, RegressionColumns
 from armlab.identify.friction_structure import (
     COLUMNS,
     DELTAS,
@@ -18,15 +18,15 @@ from armlab.identify.friction_structure import (
     SMOOTH_SPEEDS,
     STRIBECK_SPEEDS,
     TERMS,
-    Choice,
     Chooser,
     FrictionStructure,
+    StructureChoice,
     choose,
     choose_here,
     mixing,
     term_names,
 )
-from armlab.identify.regression import Design, Layout
+from armlab.identify.regression import Design, ParameterLayout
 from armlab.identify.solve import alternate
 from armlab.kernels import presliding
 from armlab.lie import se3
@@ -131,10 +131,10 @@ def test_gravity_alone_has_masses_and_first_moments() -> None:
 
 
 @pytest.fixture(scope="module")
-def columns(truth, excited) -> Columns:
+def columns(truth, excited) -> RegressionColumns:
     data = prepare(excited, truth.robot)
     motors = np.array([[0, 0, 0, 0, 0, 1.0, 1.0]])
-    return Columns(data, Decimation.of(data, np.inf, 7), truth.robot, np.array([1, 4, 6]), motors)
+    return RegressionColumns(data, Decimation.of(data, np.inf, 7), truth.robot, np.array([1, 4, 6]), motors)
 
 
 def test_shaped_columns_have_presliding_or_a_smooth_sign(columns) -> None:
@@ -312,7 +312,7 @@ def test_every_parameter_has_one_name_unit_bound_and_place(short_arm) -> None:
     base = base_parameters(robot)
     p, motors = len(base.names), np.array([[1.0, 1.0]])
     terms = (("viscous", "coulomb", "offset", "delta"), ("viscous", "coulomb+", "coulomb-", "offset", "root"))
-    layout = Layout(robot, base, np.arange(2), motors, np.array([1]), terms)
+    layout = ParameterLayout(robot, base, np.arange(2), motors, np.array([1]), terms)
     assert len(layout.names) == len(layout.units) == len(layout.lower) == len(layout.slopes) == p + 4 + 5 + 3
     assert len(set(layout.names)) == len(layout.names)
     np.testing.assert_array_equal(np.flatnonzero(layout.slopes), [p + 3])
@@ -340,12 +340,12 @@ def record(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     return (0.05 * np.sin(wave)).sum(axis=1)[:, None], (0.05 * 2 * np.pi * f * np.cos(wave)).sum(axis=1)[:, None]
 
 
-def choice(q: np.ndarray, qd: np.ndarray, y: np.ndarray, trust: np.ndarray) -> Choice:
+def choice(q: np.ndarray, qd: np.ndarray, y: np.ndarray, trust: np.ndarray) -> StructureChoice:
     """All rows of a record without a filter, in folds of half a second."""
     rows = np.arange(len(q))
     motion = FrictionColumns(Decimation(((0, len(q)),), 1, np.ones(1), rows), q, qd, np.zeros(1))
     fixed = np.column_stack([qd, np.ones_like(qd)])
-    return Choice(motion, fixed, y[:, 0], rows // 50 % FOLDS, trust)
+    return StructureChoice(motion, fixed, y[:, 0], rows // 50 % FOLDS, trust)
 
 
 def chosen(torque, noise: float = 0.02) -> FrictionStructure:

@@ -1,7 +1,7 @@
 """Estimation for the whole package: `Fit`, streaming and robust least squares, excitation, block bootstrap."""
 
 from armlab.estimation.bootstrap import BlockSums, block_bootstrap, block_cv
-from armlab.estimation.contract import Contract, Experiment, Gauge, Limits, check_estimator
+from armlab.estimation.contract import Contract, ContractLimits, Experiment, Gauge, check_estimator
 from armlab.estimation.errors_in_variables import total_least_squares
 from armlab.estimation.excitation import Excitation, Prior
 from armlab.estimation.fit import Fit
@@ -16,7 +16,7 @@ __all__ = [
     "Experiment",
     "Fit",
     "Gauge",
-    "Limits",
+    "ContractLimits",
     "Measurement",
     "NonlinearProblem",
     "Prior",

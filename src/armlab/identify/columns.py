@@ -240,7 +240,7 @@ SMOOTH = 0.02  # rad/s, of the sign of coupled motors
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class RegressionColumns:
     """Makes the columns of J joints of a record.
 
     `decimation`: of its rows; (M,) are kept. `joints`: (J,) those whose torque counts. `motors`: (K, n)

@@ -108,7 +108,7 @@ def mixing(terms: np.ndarray, width: int) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class StructureChoice:
     """What the shape of one joint's friction is chosen by; it may travel to a worker.
 
     `fixed`: (M, 2 or more) columns viscous, offset, and whatever else has no shape. `target`: (M,) torque that friction
@@ -123,10 +123,10 @@ class Choice:
     trust: np.ndarray
 
 
-class _Search:
+class _StructureSearch:
     """Held-out errors of structure of one joint, tried one after the other."""
 
-    def __init__(self, choice: Choice) -> None:
+    def __init__(self, choice: StructureChoice) -> None:
         self.motion = choice.motion
         self._order = np.argsort(choice.fold, kind="stable")
         self._edges = np.searchsorted(choice.fold[self._order], np.arange(FOLDS + 1)).tolist()
@@ -197,14 +197,14 @@ def _scaled(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @one_thread()
-def choose(choice: Choice) -> FrictionStructure:
+def choose(choice: StructureChoice) -> FrictionStructure:
     """Choose the shape of one joint's friction: fitted to all folds of the data but one, judged on that one, in turn.
 
     Presliding distance or v_t, the speed of Stribeck's term, and which terms there are come from a grid; of all that
     come within 1 % of the smallest squared error the one with the fewest terms wins, with presliding before tanh. Its
     numbers are then refined.
     """
-    search, motion = _Search(choice), choice.motion
+    search, motion = _StructureSearch(choice), choice.motion
     trials = [(delta, 0.0) for delta in DELTAS] + [(DELTAS[3], smooth) for smooth in SMOOTH_SPEEDS]
     bells = [motion.bell(np.array([speed]))[:] for speed in STRIBECK_SPEEDS]
     scores = []
@@ -222,10 +222,10 @@ def choose(choice: Choice) -> FrictionStructure:
     return _refine(search, shape, errors[simplest])
 
 
-Chooser = Callable[[Iterable[Choice]], Iterable[FrictionStructure]]
+Chooser = Callable[[Iterable[StructureChoice]], Iterable[FrictionStructure]]
 
 
-def choose_here(choices: Iterable[Choice]) -> list[FrictionStructure]:
+def choose_here(choices: Iterable[StructureChoice]) -> list[FrictionStructure]:
     """Return what `choose` says of joints, one after the other."""
     return list(map(choose, choices))
 
@@ -243,7 +243,7 @@ def _pick(scores: np.ndarray) -> tuple[int, int, int]:
     return next(choice for score, choice in choices if score <= limit)
 
 
-def _refine(search: _Search, shape: FrictionStructure, best: float) -> FrictionStructure:
+def _refine(search: _StructureSearch, shape: FrictionStructure, best: float) -> FrictionStructure:
     """Try factors on distance or speed of the sign and on Stribeck's speed; keep what lowers the held-out error."""
     motion, kind = search.motion, int(np.flatnonzero((shape.terms == TERMS).all(axis=1))[0])
     ways = ((1.0, 0.0), (0.0, 1.0)) if shape.terms[0, 1] else ((1.0, 0.0),)

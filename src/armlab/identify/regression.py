@@ -20,14 +20,14 @@ import numpy as np
 
 from armlab.estimation import Rows
 from armlab.identify.base_parameters import BaseParameters
-from armlab.identify.columns import FIXED, SHAPED, SMOOTH, Columns, Decimation
+from armlab.identify.columns import FIXED, SHAPED, SMOOTH, Decimation, RegressionColumns
 from armlab.identify.friction_structure import (
     COLUMNS,
     FOLDS,
     FRICTION,
-    Choice,
     Chooser,
     FrictionStructure,
+    StructureChoice,
     choose_here,
     mixing,
     term_names,
@@ -44,7 +44,7 @@ COUPLED = {"rotor": "kg m^2", "viscous": "N m s/rad", "coulomb": "N m"}  # of a 
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class ParameterLayout:
     """Names, units, bounds and places of p parameters.
 
     `joints`: (J,) those whose torque counts. `motors`: (K, n) angles theta = c q of motors that move several joints.
@@ -164,7 +164,7 @@ class Design:
     last, then of the motors that move it.
     """
 
-    made: Columns
+    made: RegressionColumns
     base: BaseParameters
     owners: np.ndarray
     gains: np.ndarray
@@ -194,7 +194,7 @@ class Design:
         `base`: base parameters of the robot, for the same joints. `cutoff`: of the zero-phase filter [Hz]; a tenth of
         the rate, at most 25 Hz, when left out; infinite for none. `every`: rows from one kept row to the next; 2.5 kept
         rows per period of the cut-off when left out. `joints`: whose torque counts; all when left out. `structure`: of
-        friction; presliding over 1e-3 rad when left out. `geared`: whether there are columns of ripple, see `Columns`.
+        friction; presliding over 1e-3 rad when left out. `geared`: whether there are ripple columns.
         """
         corner = min(data.rate / 10.0, CUTOFF) if cutoff is None else cutoff
         step = max(1, int(data.rate / (2.5 * corner))) if every is None else every
@@ -202,7 +202,7 @@ class Design:
         ratios = np.linalg.inv(robot.coupling)
         turning = ratios / np.diag(ratios)[:, None]
         owners = np.flatnonzero(np.count_nonzero(turning, axis=1) > 1)
-        columns = Columns(data, Decimation.of(data, corner, step), robot, measured, turning[owners], geared)
+        columns = RegressionColumns(data, Decimation.of(data, corner, step), robot, measured, turning[owners], geared)
         qdd = data.differentiate(data.qd)
         tau, fixed, inertial = columns.plain(qdd)
         design = cls(
@@ -256,9 +256,9 @@ class Design:
         return [(*term_names(terms, self.geared), *compress(names, free)) for terms, names, free in kinds]
 
     @property
-    def layout(self) -> Layout:
+    def layout(self) -> ParameterLayout:
         """Names, units, bounds and places of all parameters."""
-        return Layout(self.robot, self.base, self.joints, self.made.motors, self.owners, tuple(self.terms))
+        return ParameterLayout(self.robot, self.base, self.joints, self.made.motors, self.owners, tuple(self.terms))
 
     def with_structure(self, structure: FrictionStructure) -> Design:
         """Return it with the columns of another structure of friction."""
@@ -386,13 +386,13 @@ class Design:
         fold = used // max(1, round(BLOCK * self.data.rate / self.decimation.every)) % FOLDS
         motion = self.made.friction
 
-        def choice(i: int) -> Choice:
+        def choice(i: int) -> StructureChoice:
             A, L, c = self.rigid[i], self.local[i], self.layout.columns[i]
             coupled = L[:, len(self.terms[i]) :]
             free = np.zeros((len(L), 3 * len(self.made.motors)))
             free[:, : coupled.shape[1]] = coupled
             target = self.tau[:, i] - A @ theta[c[: A.shape[1]]]
             fixed = np.concatenate([self.fixed[:, i], free], axis=1)
-            return Choice(motion.of(i), fixed, target, fold, weights[:, i])
+            return StructureChoice(motion.of(i), fixed, target, fold, weights[:, i])
 
         return self.with_structure(FrictionStructure.joined(chooser(map(choice, range(len(self.joints))))))

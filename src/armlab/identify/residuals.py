@@ -21,7 +21,7 @@ from armlab.robots import Robot, from_links
 
 
 @dataclass(frozen=True, eq=False)
-class Residuals:
+class ModelResiduals:
     """Residuals of a model along logs.
 
     `y`: (N, n) measured minus modelled torque [N m], over the gains, unfiltered. `s`: (N, n) the sign that friction
@@ -38,7 +38,7 @@ def model_residuals(
     model: TorqueModel,
     joints: Sequence[int] | None = None,
     robot: Robot | None = None,
-) -> Residuals:
+) -> ModelResiduals:
     """Return measured minus modelled torque of every row; the acceleration is low-passed at a tenth of the rate.
 
     `table`: one log or several, of free motion, with columns q, qd, tau. `joints`: numbers, from 0, of those that must
@@ -56,7 +56,7 @@ def model_residuals(
     for a, b in data.segments:
         left = data.tau[a:b] - model.torque(data.q[a:b], data.qd[a:b], qdd[a:b], data.dt[a:b])
         y[a:b] = left / model.gains
-    return Residuals(data, y, friction_signs(model, data))
+    return ModelResiduals(data, y, friction_signs(model, data))
 
 
 def friction_signs(model: TorqueModel, data: Record) -> np.ndarray:

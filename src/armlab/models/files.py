@@ -266,7 +266,7 @@ class _Validation(_Strict):
     seconds: float
 
 
-class _Limits(_Strict):
+class _Ranges(_Strict):
     q_min: list[float]
     q_max: list[float]
     qd_peak: list[float]
@@ -275,7 +275,7 @@ class _Limits(_Strict):
     longest_rest: float
 
 
-class _File(_Strict):
+class _ModelFile(_Strict):
     meta: _Meta
     robot: _RobotPart
     dynamics: _Dynamics
@@ -283,7 +283,7 @@ class _File(_Strict):
     ripple: dict[str, dict[str, float]]
     ctau: _Covariance
     bound: dict[str, dict[str, float]]
-    limits: _Limits
+    limits: _Ranges
     validation: _Validation
     lines: dict[str, Any] | None = None
     friction_map: dict[str, Any] | None = None
@@ -360,7 +360,7 @@ def read_torque_model(raw: dict[str, Any], path: Path) -> TorqueModel:
             "Identify again with this version of armlab."
         )
     try:
-        return _model(msgspec.convert(raw, _File), path)
+        return _model(msgspec.convert(raw, _ModelFile), path)
     except ConfigError:
         raise
     except (msgspec.ValidationError, UnknownName, KeyError, TypeError, ValueError) as error:
@@ -368,7 +368,7 @@ def read_torque_model(raw: dict[str, Any], path: Path) -> TorqueModel:
         raise ConfigError(f"Expected a complete model file at {path}, got: {what}. Identify again.") from None
 
 
-def _model(file: _File, path: Path) -> TorqueModel:
+def _model(file: _ModelFile, path: Path) -> TorqueModel:
     d = file.dynamics
     p = len(d.base_names)
     if len(d.base_values) != p or len(d.base_cov_lower) != p * (p + 1) // 2:

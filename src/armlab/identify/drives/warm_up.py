@@ -20,7 +20,7 @@ from armlab.estimation.bootstrap import block_seconds
 from armlab.identify.drives.regularised import scattered
 from armlab.identify.residuals import (
     BIN,
-    Residuals,
+    ModelResiduals,
     dry_torques,
     mean_power,
     model_residuals,
@@ -56,7 +56,7 @@ class _Seconds:
     rows: np.ndarray  # (B,)
 
     @classmethod
-    def of(cls, found: Residuals, model: TorqueModel, i: int) -> _Seconds:
+    def of(cls, found: ModelResiduals, model: TorqueModel, i: int) -> _Seconds:
         f, data = model.friction, found.data
         qd, s, number = data.qd[:, i], found.s[:, i], seconds(data.t)
         c, _ = dry_torques(model, i, qd, s)
