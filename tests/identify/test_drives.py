@@ -350,7 +350,7 @@ def test_the_objective_is_that_of_an_independent_solver(seed: int, penalty: floa
 def test_three_lines_of_twelve_are_found() -> None:
     """The example of LPVSpectral.jl: amplitudes that grow, pass through a peak, and jump."""
     rng = np.random.default_rng(0)
-    N, speeds = 500, 50
+    N, speeds = 500, 20
     X, v = np.sort(rng.uniform(0, 10, N)), np.linspace(0, 1, N)
     lines = np.arange(2.0, 26.0, 2.0)
     y = v**2 * np.cos(2 * np.pi * 2 * X) + 2 * np.exp(-5 * np.abs(v - 0.5)) * np.cos(2 * np.pi * 10 * X)

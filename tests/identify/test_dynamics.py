@@ -84,7 +84,7 @@ def test_the_numbers_of_the_shape_are_parameters_with_deviations(short_arm) -> N
 
 def _error(short_arm, method: str, **bad) -> float:
     truth = short_arm.experiment()(0, 3000).truth
-    fits = (fit_dynamics(short_arm.log(k, 3000, **bad), short_arm.robot, method=method) for k in range(10))
+    fits = (fit_dynamics(short_arm.log(k, 3000, **bad), short_arm.robot, method=method) for k in range(6))
     relative = [(short_arm.of_base(fit).parameters - truth) / np.sqrt(np.abs(truth) + 0.1) for fit in fits]
     return float(np.sqrt(np.mean(np.square(relative))))
 

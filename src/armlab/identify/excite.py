@@ -258,21 +258,34 @@ def design_excitation(
             return None
         return motion, (_varied(robot, motion), _information(robot, base, motion, f0, weights))
 
-    tell, total = progress or (lambda done, total, what: None), CANDIDATES + int(rounds)
-    found = []
+    best = _search(judged, draws, int(rounds), rng, progress or (lambda done, total, what: None))
+    if best is None:
+        raise NotConverged(
+            f"Expected a motion without collision and within the torque limits of {robot.name!r}, got none among "
+            f"{CANDIDATES} candidates. Move the centre, or lower speed and acceleration."
+        )
+    return best
+
+
+def _search(
+    judged: Callable[[np.ndarray], tuple[Trajectory, tuple[bool, float]] | None],
+    draws: np.ndarray,
+    rounds: int,
+    rng: np.random.Generator,
+    tell: Callable[[int, int, str], None],
+) -> Trajectory | None:
+    """Return the best of some candidates and of steps around it (1 + 1 evolution strategy); None without a good one."""
+    total, found = len(draws) + rounds, []
     for k, draw in enumerate(draws):
         tell(k, total, "choosing among candidates")
         if (result := judged(draw)) is not None:
             found.append((draw, *result))
     if not found:
-        raise NotConverged(
-            f"Expected a motion without collision and within the torque limits of {robot.name!r}, got none among "
-            f"{CANDIDATES} candidates. Move the centre, or lower speed and acceleration."
-        )
+        return None
     draw, best, value = max(found, key=lambda candidate: candidate[2])
     width = WIDTH
-    for k in range(int(rounds)):
-        tell(CANDIDATES + k, total, "searching around the best")
+    for k in range(rounds):
+        tell(len(draws) + k, total, "searching around the best")
         trial = draw + width * rng.standard_normal(draw.shape)
         result = judged(trial)
         if result is not None and result[1] > value:
