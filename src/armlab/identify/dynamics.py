@@ -47,7 +47,7 @@ from armlab.identify.friction_structure import Chooser, choose_here
 from armlab.identify.record import Record, prepare, torque_outliers, without_outliers
 from armlab.identify.regression import Design
 from armlab.identify.solve import ROBUST, alternate, calibrated, gain_share, linearised, short_blocks
-from armlab.identify.validation import assess, report, training
+from armlab.identify.validation import FIFTHS, assess, report, training
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance
 from armlab.models.friction import FrictionBound
@@ -57,7 +57,6 @@ from armlab.robots import Robot
 CUTOFF = 10.0  # Hz, corner of the estimator's causal filter
 FEWEST = 8.0  # independent segments that identify a number of the friction structure
 UNKNOWN = 1e3  # deviation of a parameter that the prior does not contain
-FOLDS = 5
 BAND, SLOW, QUANTILE = 5.0, 1.0, 0.99  # Hz; rad/s^2, m/s^2: a log for `fit_gravity` stays below it, in this share
 
 Progress = Callable[[int, int, str], None]
@@ -357,8 +356,8 @@ def fold_models(
     `block`: (N,) number of the block of each sample of the record that will judge.
     """
     folds = []
-    for k in range(FOLDS):
-        kept = np.arange(len(sums.rows)) // length % FOLDS != k
+    for k in range(FIFTHS):
+        kept = np.arange(len(sums.rows)) // length % FIFTHS != k
         theta = sums.solve(kept.astype(float))
         folds.append((replace(model_of(design, theta, sums.solution.cov), base_cov=model.base_cov), ~kept[block]))
     return folds

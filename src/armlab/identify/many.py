@@ -22,6 +22,7 @@ import numpy as np
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import BlockSums, Fit, block_bootstrap
 from armlab.estimation.linear_problem import LinearProblem, LinearSolution, solve
+from armlab.estimation.robust import HUBER, NORMAL_MAD
 from armlab.estimation.tsqr import Factors, factorise, one_thread
 from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.identify.dynamics import FitProblem, FitSettings, Progress, fit_of, fold_models, make_problem, model_of
@@ -35,8 +36,6 @@ from armlab.models import TorqueModel
 from armlab.models.torque import Training
 from armlab.robots import Robot
 
-HUBER = 1.345
-NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
 SAME_RATE = 1.1
 FEWEST_BLOCKS = 60  # in all, for a covariance
 BIN = 1e-9  # share of a sample

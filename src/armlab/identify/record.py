@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from armlab.errors import NotExcited, ShapeError
+from armlab.estimation.robust import NORMAL_MAD
 from armlab.identify.base_parameters import measured_joints
 from armlab.log import Table
 from armlab.log.units_check import check_position, check_torque, check_velocity
@@ -331,7 +332,6 @@ def _check_motion(q: np.ndarray, robot: Robot, still: np.ndarray) -> None:
 
 
 SPIKE, WINDOW = 6.0, 9  # robust deviations from the median of so many samples
-NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
 
 
 def torque_outliers(data: Record) -> np.ndarray:

@@ -16,6 +16,7 @@ import numpy as np
 from armlab.estimation import least_squares
 from armlab.estimation.bootstrap import effective_samples, shrinkage
 from armlab.estimation.linear_problem import LinearSolution
+from armlab.estimation.robust import HUBER, NORMAL_MAD
 from armlab.identify.friction_structure import Chooser, choose_here
 from armlab.identify.record import Record
 from armlab.identify.regression import Design
@@ -156,8 +157,6 @@ STAYS = 1e-3  # sum of the squared logarithmic steps
 VAGUE = 0.3  # formal deviation of the logarithm of a number beyond which a straight line tells nothing of it
 TRIMMED = 0.25  # s, blocks of which the method "lts" leaves some out
 MOST_BLOCKS = 1000.0  # of them: a triangle is kept for each
-HUBER = 1.345
-NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
 ROBUST = ("irls", "lts")
 
 
