@@ -181,27 +181,39 @@ class Estimator:
 
     Parameters
     ----------
-    model : identified torque model.
-    robot : the arm; must be the one the model belongs to.
-    method : see the module; "map" and "kf" are for motion, "bounded" and "interval" for an arm that may rest.
-    prior : (6,) standard deviations of the wrench before any measurement [N, N m]; 20 N and 2 N m when left out. At a
-        known point the first three are those of the force.
-    point : (3,) where the contact is, in tool axes [m], when that is known: three unknowns instead of six, about half
-        the error, and a wrong point about doubles it.
-    force_rate : of "kf": how fast the wrench wanders, (6,) [N/sqrt(s), N m/sqrt(s)], or "smooth" (2 and 0.2), "normal"
-        (5 and 0.5; when left out) or "fast" (20 and 2).
-    leak : of "kf": rate at which a wrench is forgotten [1/s], a number or (6,); when left out the
-        one by which what the torques do not show stays as uncertain as the prior says. 0: a random walk.
-    gain : of "observer" [1/s]; 30 when left out.
-    bias : of "kf": a friction error per joint as a state, which keeps what it is while the joint rests.
+    model : TorqueModel
+        Identified torque model.
+    robot : Robot
+        The arm that the model belongs to.
+    method : str
+        See the module; "map" and "kf" are for motion, "bounded" and "interval" for an arm that may rest.
+    prior : array_like, shape (6,), optional
+        Standard deviations of the wrench before any measurement [N, N m]. Default: 20 N and 2 N m. At a known point the
+        first three are those of the force.
+    point : array_like, shape (3,), optional
+        Known point of contact in tool axes [m]: three unknowns instead of six. It halves the error; a wrong point
+        doubles it.
+    force_rate : {"smooth", "normal", "fast"} or array_like, shape (6,), optional
+        Of "kf": random walk of the wrench [N/sqrt(s), N m/sqrt(s)]; "smooth" is 2 and 0.2, "normal" (default) 5 and
+        0.5, "fast" 20 and 2.
+    leak : float or array_like, shape (6,), optional
+        Of "kf": rate at which a wrench is forgotten [1/s]. Default: unobserved directions keep the prior's uncertainty.
+        0: a random walk.
+    gain : float, optional
+        Of "observer" [1/s]. Default: 30.
+    bias : bool
+        Of "kf": a friction error per joint as a state, constant while the joint rests.
 
     Raises
     ------
-    ModelMismatchError : when the model belongs to another robot, or lacks what a momentum method needs.
-    UnknownName : for another method or name of a rate.
-    ShapeError : when prior, rate, leak or gain is not of positive numbers, or the point not three finite ones, within
-        the length of the arm.
-    ConfigError : for an option of another method.
+    ModelMismatchError
+        The model belongs to another robot, or lacks the noise that momentum methods need.
+    UnknownName
+        Another method or name of a rate.
+    ShapeError
+        Prior, rate, leak or gain not positive, or a point not finite or farther away than the length of the arm.
+    ConfigError
+        An option of another method.
 
     Examples
     --------

@@ -77,29 +77,42 @@ def fit_dynamics(
 
     Parameters
     ----------
-    table : logs with columns q, qd, tau (N, n) over the robot's clock, without contact.
-    robot : the arm that was logged.
-    method : "irls": joints weighted by 1 / their deviation, rows by Huber's loss, single spikes of torque replaced.
-        "lts": the same with weights of 1 for the blocks of a quarter of a second that agree, 0 for the others. "wls",
-        "ols": every sample as it is; with weights per joint, or without.
-    seed : of the block bootstrap and of the random starts of "lts".
-    progress : called with (done, total, what).
-    prior : an earlier fit of the same robot; where the log does not tell a direction of the parameters, its values
-        stay, and the report lists the direction. Without it such a log is refused.
-    joints : numbers, from 0, of those whose torque is measured; all when left out. All joints may move. Estimators do
-        not listen to the others, and momentum methods have none of such a model.
+    table : Table or sequence of Table
+        Logs with columns q, qd, tau (N, n) over the robot's clock, without contact.
+    robot : Robot
+        The arm that was logged.
+    method : {"irls", "lts", "wls", "ols"}
+        "irls": joints weighted by 1 / their deviation, rows by Huber's loss, single torque outliers replaced. "lts":
+        the same, but least trimmed squares over blocks of a quarter of a second. "wls", "ols": every sample as it is,
+        with weights per joint or without.
+    seed : int
+        Of the block bootstrap and of the random starts of "lts".
+    progress : callable, optional
+        Called with (done, total, what).
+    prior : Fit of TorqueModel, optional
+        Earlier fit of the same robot: its values are kept along directions the log does not excite, and the report
+        lists these. Default: such a log is refused.
+    joints : sequence of int, optional
+        Numbers, from 0, of the joints whose torque is measured; all joints may move. Default: all. Estimators ignore
+        the other joints; momentum methods are unavailable for such a model.
 
     Returns
     -------
-    Fit of `models.TorqueModel`; its parameters are the base parameters, then of each joint viscous and Coulomb friction
-    (one number, or one for each direction), offset, and stribeck, root and two ripple amplitudes where the joint has
-    them. No inertia of a rotor, viscous or Coulomb friction is negative.
+    Fit of TorqueModel
+        Parameters: the base parameters, then per joint viscous and Coulomb friction (one number, or one for each
+        direction), offset, and stribeck, root and two ripple amplitudes where the joint has them. Rotor inertia,
+        viscous and Coulomb friction are not negative.
 
     Raises
     ------
-    ShapeError : NaN rows, wrong joint count, velocity that is not the derivative of position.
-    NotExcited : joints or directions that the log does not determine, by name. UnknownName : another method.
-    ModelMismatchError : a prior of another robot.
+    ShapeError
+        NaN rows, wrong joint count, velocity that is not the derivative of position.
+    NotExcited
+        Joints or directions that the log does not determine, by name.
+    UnknownName
+        Another method.
+    ModelMismatchError
+        A prior of another robot.
 
     References
     ----------

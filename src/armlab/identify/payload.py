@@ -290,28 +290,40 @@ def fit_payload(
     *,
     gain_sd: float = 0.05,
 ) -> Fit[Payload]:
-    """Estimate mass, centre and, if asked, inertia of a load at the flange.
+    """Estimate mass, centre and, in mode "dynamic", inertia of a load at the flange.
 
     Parameters
     ----------
-    table : log or logs with the load, columns q, qd, tau (N, n), without contact.
-    model : of the arm without the load, as `identify.fit_dynamics` returns it: what is uncertain in its masses and in
-        its friction is in the covariance. Of a model alone, `fit.value`, that of the friction is not known.
-    robot : the arm.
-    mode : "static": mass and first moment; "dynamic": all ten parameters, which needs fast motion of the wrist.
-    without : log of the same motion without the load: what the model has wrong falls out of the difference.
-    gain_sd : how well the torque constants are known, as a share; 0 for exactly.
+    table : Table or sequence of Table
+        Logs with the load, columns q, qd, tau (N, n), without contact.
+    model : TorqueModel or Fit of TorqueModel
+        Model of the arm without the load. Of a fit, the uncertainty of masses and friction enters the covariance; of a
+        model alone, only that of its masses.
+    robot : Robot
+        The arm.
+    mode : {"static", "dynamic"}
+        "static": mass and first moment. "dynamic": all ten parameters, which needs fast motion of the wrist.
+    without : Table, optional
+        Log of the same motion without the load; errors of the model cancel in the difference.
+    gain_sd : float
+        Standard deviation of the torque constants as a share; 0 where they are known exactly.
 
     Returns
     -------
-    Fit of `models.Payload`; its parameters are m, m c (and I about the flange's origin) in flange axes. m >= 0 and
-    a centre within 0.5 m hold; the covariance is that without these bounds.
+    Fit of Payload
+        Parameters m [kg], m c [kg m] and I [kg m^2] about the flange's origin, in flange axes. Bounds: m >= 0 and a
+        centre within 0.5 m; the covariance is the one without these bounds.
 
     Raises
     ------
-    ModelMismatchError : a model of another robot. UnknownName : another mode.
-    NotExcited : motion that does not tell the parameters apart, by name; too short a log.
-    ShapeError : NaN rows, wrong joint count, a motion without the load that is another one, `gain_sd` out of range.
+    ModelMismatchError
+        A model of another robot.
+    UnknownName
+        Another mode.
+    NotExcited
+        Motion that does not determine the parameters, by name; too short a log.
+    ShapeError
+        NaN rows, wrong joint count, another motion without the load, `gain_sd` out of range.
     """
     value = model.value if isinstance(model, Fit) else model
     if not isinstance(value, TorqueModel):
