@@ -200,7 +200,7 @@ def test_a_run_is_the_only_user(truth, model, excited) -> None:
     elsewhere(estimator.run, log)
 
 
-# The estimator at rest and in motion with bounded errors, with a known point, and without a prior.
+# Bounded errors, known points, no prior.
 
 
 def test_at_rest_the_interval_holds_the_truth_and_no_contact_is_claimed_without_one(truth, model, resting) -> None:
@@ -273,9 +273,6 @@ def test_without_a_prior_a_singular_pose_is_said_and_not_guessed(truth, perfect)
     assert np.isnan(wrench.cond)
 
 
-# Places of contact: in metres, and no further off than the arm is long.
-
-
 # Wrench: sigma, condition, observability per direction, hidden direction.
 
 
@@ -328,7 +325,7 @@ def test_an_estimate_that_is_missing_has_no_direction() -> None:
         assert np.isnan(missing.directions[0]).all()
 
 
-# Units: no method depends on them, except the printed formula; a noisier joint is trusted less.
+# Units and weights.
 
 
 CHECKED = [name for name in WAYS if name != "lund"]
@@ -409,7 +406,7 @@ def test_a_joint_that_is_said_to_be_noisier_is_trusted_less(truth, model, log, w
         assert sensitivity(way, model, truth, log, joint, 2.0) < sensitivity(way, model, truth, log, joint, 1.0)
 
 
-# The momentum methods: sign, gaps, tare, known point, options, coverage.
+# Momentum methods.
 
 
 @pytest.fixture(params=["observer", "kf", "kf with bias"])

@@ -162,7 +162,7 @@ def test_an_estimated_log(truth, perfect) -> None:
     assert "point" in found.text()
 
 
-# Intervals of contact, and estimates compared with measurements.
+# Contact intervals and comparison.
 
 
 def estimate(force: np.ndarray) -> Table:
@@ -196,9 +196,6 @@ def test_a_chain_of_short_excursions_is_no_contact() -> None:
     for start in range(300, 600, 20):
         force[start : start + 5] = 5.0
     assert contacts(estimate(force)) == []
-
-
-# `contact.compare`: errors and coverage against truth or sensor.
 
 
 N = 5000

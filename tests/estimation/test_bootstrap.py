@@ -142,7 +142,7 @@ def test_blocks_that_are_trimmed_are_not_drawn(problems) -> None:
     assert np.max(np.abs(block_bootstrap(found, 200).draws[:, 1] + 2.0)) < 0.05
 
 
-# How many samples a coloured record is worth.
+# Residual autocorrelation.
 
 
 RHO = 0.95  # of the AR(1) records of conftest

@@ -88,7 +88,7 @@ def test_a_saved_fit_names_its_sources(tmp_path) -> None:
     assert tomllib.loads(path.read_text(encoding="utf-8"))["meta"]["sources"] == ["run.csv sha256 00"]
 
 
-# Excitation: unit-free judgement, and refusal by name.
+# Excitation.
 
 
 NAMES = ("mass", "offset", "viscous")

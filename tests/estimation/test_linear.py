@@ -110,7 +110,7 @@ def test_exact_data_and_silent_classes_do_no_harm(problems) -> None:
     np.testing.assert_allclose(least_squares(rows(A, y), problems.names).x, problems.theta, rtol=1e-11)
 
 
-# Robust least squares: its parts; the methods themselves are in test_linear.py.
+# Robust methods.
 
 
 def test_huber_is_a_stationary_point_of_its_loss(problems) -> None:
@@ -145,7 +145,7 @@ def test_trimming_needs_blocks_that_determine_the_model_together(problems) -> No
         least_trimmed_squares(least_squares(rows, problems.names))
 
 
-# Solving a linear problem: priors, bounds, unidentified directions.
+# Priors, bounds, unidentified directions.
 
 
 def test_bounds_hold_and_say_what_they_cost(problems) -> None:
@@ -197,9 +197,6 @@ def test_one_pass_serves_any_weights(problems) -> None:
     dense = np.linalg.lstsq(A[keep].reshape(-1, 3) * w, y[keep].ravel() * w[:, 0], rcond=None)[0]
     np.testing.assert_allclose(found.x, dense, rtol=1e-12)
     assert not found.kept[4]
-
-
-# Bounds: the same point as a reference solver, on the bound exactly.
 
 
 @pytest.mark.parametrize("seed", range(60))

@@ -201,7 +201,7 @@ def test_a_start_that_is_near_is_not_left() -> None:
     assert narrow.outliers[:60].all()
 
 
-# Gauss-Newton with damping: textbook problems, and what it does at the end of its means.
+# Damped Gauss-Newton.
 
 
 def problem(residual, jacobian, **options) -> NonlinearProblem[np.ndarray]:
@@ -248,9 +248,6 @@ def test_a_wrong_jacobian_does_not_pass_for_a_minimum() -> None:
     wrong = problem(lambda x: np.array([x[0] - 3.0, x[1]]), lambda x: -np.eye(2))
     with pytest.raises(NotConverged):
         descend(wrong, np.zeros(2), {}, np.ones(2))
-
-
-# Whitening of residuals.
 
 
 RNG = np.random.default_rng(0)

@@ -202,7 +202,7 @@ def test_the_statistical_contract(drives: Drives) -> None:
     assert contract.passed, contract.text()
 
 
-# Centres and regressor of friction over position and speed.
+# Friction over position and speed.
 
 
 def motion(n: int = 2, N: int = 4000) -> tuple[np.ndarray, np.ndarray]:
@@ -238,7 +238,7 @@ def test_it_equals_the_ancestors_formula_between_the_centres() -> None:
     np.testing.assert_allclose(rbf_regressor(q, qd, basis)[inside, 0], phi, rtol=0, atol=1e-6)
 
 
-# Lines of torque ripple: found where they are, and only there.
+# Torque ripple lines.
 
 
 RATE = 250.0
@@ -317,7 +317,7 @@ def test_a_line_is_refined_with_all_its_amplitudes_and_its_error_is_told() -> No
     np.testing.assert_allclose(ridge_solution(A, A @ truth)[0], truth, atol=1e-4)
 
 
-# Group lasso: the optimum, and the groups that matter.
+# Group lasso.
 
 
 def problem(seed: int, N: int = 60, groups: int = 5, size: int = 3) -> tuple[np.ndarray, np.ndarray]:
@@ -369,7 +369,7 @@ def test_noise_selects_no_group() -> None:
     assert not select_groups(A, np.zeros(300), 4, np.arange(300) // 10).any()
 
 
-# Ridge regression on coloured residuals: the covariance is as large as the errors are.
+# Ridge regression on coloured residuals.
 
 
 def test_the_covariance_of_a_refit_is_true() -> None:
@@ -400,7 +400,7 @@ def test_few_blocks_leave_no_direction_without_spread() -> None:
     assert 0.7 < np.mean(nees) < 1.4
 
 
-# Warm-up without a temperature sensor.
+# Warm-up.
 
 
 OWN = ("viscous", "coulomb_pos", "coulomb_neg", "offset")

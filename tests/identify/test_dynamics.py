@@ -216,9 +216,6 @@ def test_joints_without_torque_are_left_out_of_the_model(truth, excited) -> None
             fit_dynamics(excited, robot, joints=wrong)
 
 
-# A draft: what is not linear is settled, the rest are sums of blocks that can be left out.
-
-
 # Gravity, friction and offsets from slow motion.
 
 
@@ -260,7 +257,7 @@ def test_it_is_saved_and_estimates(truth, gravity, slow, tmp_path) -> None:
     assert np.all(np.sqrt(np.mean(force**2, axis=0)) < 2.0), "free motion: no force"
 
 
-# Sums of logs: each of one log alone, the fit to all of them that of all rows.
+# Sums of many logs.
 
 
 def test_the_fit_to_sums_is_the_draft_where_there_are_no_other_logs(short_arm) -> None:
@@ -314,7 +311,7 @@ def test_the_draft_decides_on_ripple_for_every_log(short_arm) -> None:
     assert [R.shape for R in one.R] == [R.shape for R in other.R]
 
 
-# A fit runs on one thread of BLAS and leaves the setting as it was.
+# BLAS threads.
 
 
 def threads() -> dict[str, int]:

@@ -105,9 +105,6 @@ def test_progress_is_told_and_changes_nothing() -> None:
     assert [done for done, *_ in heard] == list(range(66))
 
 
-# Motions are joined, saved, read back and run without a jump.
-
-
 def test_sequence_walks_between_its_parts_without_a_jump() -> None:
     a, b = dither(np.zeros(2), 5.0), dither(np.array([0.5, -0.5]), 5.0)
     motion = sequence([a, b], walk=2.0)
@@ -162,7 +159,7 @@ def test_a_motion_is_saved_and_run_again(tmp_path) -> None:
     np.testing.assert_allclose(again.q_first, motion.q_first, atol=1e-12)
 
 
-# Ten constant speeds, both ways, with holds between them: on every robot, inside every limit.
+# Friction runs.
 
 
 @pytest.mark.parametrize(("name", "joint"), [("yumi_left", 0), ("yumi_right", 5), ("irb2400", 2), ("ur5e", 1)])
@@ -213,7 +210,7 @@ def test_a_short_joint_runs_less_fast_or_not_at_all() -> None:
         friction_run(replace(robot, q_min=low, q_max=high, q_home=home), 0)
 
 
-# What a motion will tell, before the robot has moved.
+# Predicted parameter uncertainty.
 
 
 @pytest.fixture(scope="module")

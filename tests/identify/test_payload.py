@@ -278,7 +278,7 @@ def test_of_a_model_without_its_fit_friction_is_said_to_be_unknown(truth, fitted
     assert words not in fit_payload(table, fitted, truth.robot).report()
 
 
-# The regression of a load: exact without noise; two logs of one motion are brought together.
+# Load regression.
 
 
 PI = inertia.from_body(0.5, [0.03, -0.01, 0.06], np.diag([1e-3, 2e-3, 1.5e-3]))
@@ -315,7 +315,7 @@ def test_a_log_that_began_at_another_time(truth, model, loaded, late: int) -> No
     np.testing.assert_allclose(record.y[20:-20], (record.A @ PI)[20:-20], atol=0.02)
 
 
-# What is uncertain in a model: the slopes of its torque, and which parameters are known by name.
+# Uncertainty of the model of the arm.
 
 
 STEPS = {"viscous": 0.1, "coulomb_pos": 0.1, "coulomb_neg": 0.1, "offset": 0.1, "stribeck": 0.1, "delta": 1e-6}
@@ -377,7 +377,7 @@ def test_what_gains_have_in_common_is_no_error_of_the_torque_that_is_read(fitted
     assert model.base_values @ apart @ model.base_values - held < 0.2 * (whole - held)
 
 
-# Links that are bodies: true ones stay, impossible ones become possible at the cost that is stated.
+# Physical consistency.
 
 
 needs_cvxpy = pytest.mark.skipif(find_spec("cvxpy") is None, reason="the extra sdp is not installed")

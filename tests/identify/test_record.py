@@ -132,7 +132,7 @@ def test_of_a_share_joints_may_rest_but_what_is_there_is_checked(short_arm) -> N
         prepare_share(logs[0].with_column("qd", -logs[0]["qd"]), short_arm.robot)
 
 
-# Logs that are sampled too slowly are refused; lines of ripple that fold back are not used.
+# Sampling rate and torque outliers.
 
 
 def test_ripple_that_folds_back_is_not_used() -> None:
@@ -141,9 +141,6 @@ def test_ripple_that_folds_back_is_not_used() -> None:
     speed = np.array([[0.0, 0.0], [1.9, 1.9], [-2.0, -2.0]])
     expected = [[True, True], [True, True], [False, True]]
     np.testing.assert_array_equal(slow_enough(speed, 250.0, np.array([200.0, 100.0])), expected)
-
-
-# Spikes of torque, found and replaced.
 
 
 def test_spikes_are_found_and_replaced_better_by_a_model(short_arm) -> None:
@@ -167,7 +164,7 @@ def test_a_clean_record_has_no_spikes(short_arm) -> None:
     assert not torque_outliers(prepare(short_arm.log(1, 3000), short_arm.robot)).any()
 
 
-# Residuals of a model along a record, its thermal state, and the noise models fitted to them.
+# Residuals and thermal state.
 
 
 def test_residuals_are_measured_minus_modelled_torque(model: TorqueModel, excited: Table) -> None:
@@ -179,9 +176,6 @@ def test_residuals_are_measured_minus_modelled_torque(model: TorqueModel, excite
     assert np.array_equal(friction_signs(model, found.data), z)
     smooth = replace(model, friction=replace(model.friction, smooth_speed=np.full(7, 0.05)))
     np.testing.assert_allclose(model_residuals(excited, smooth).s, np.tanh(excited["qd"] / 0.05))
-
-
-# How warm drives are along a record: as the kernels have it.
 
 
 def test_constant_power_warms_as_the_law_says() -> None:
@@ -226,7 +220,7 @@ def test_the_power_of_friction_is_its_torque_times_speed(truth, excited, model) 
     np.testing.assert_allclose(means[1, 1], np.mean((c * qd)[number == 1]), rtol=1e-12)
 
 
-# Torque covariance over velocity: recovered from synthetic residuals, within its own formal deviation.
+# Torque covariance over velocity.
 
 
 C0, CINF, RATE = 0.25, 0.01, 30.0
@@ -316,7 +310,7 @@ def test_what_the_data_do_not_tell_is_uncertain_and_never_exact() -> None:
     assert np.all(fit_velocity_covariance(e, qd, "step").sd > 0.01)
 
 
-# What the momentum estimators need: memory, velocity noise, factors that make their 2 sigma hold.
+# Noise of the momentum estimators.
 
 
 def test_velocity_noise_is_found_under_the_motion(truth, excited) -> None:

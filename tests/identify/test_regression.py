@@ -127,7 +127,7 @@ def test_gravity_alone_has_masses_and_first_moments() -> None:
     assert set(base.units) <= {"kg", "kg m"}
 
 
-# Columns of the regression: decimation, friction, rigid body and motors.
+# Regression columns and decimation.
 
 
 @pytest.fixture(scope="module")
@@ -146,9 +146,6 @@ def test_shaped_columns_have_presliding_or_a_smooth_sign(columns) -> None:
     expected = [np.maximum(z, 0), np.minimum(z, 0), z * np.sqrt(np.abs(qd))]
     expected += [z * np.exp(-((qd / speed) ** 2)) for speed in speeds]
     np.testing.assert_allclose(columns.shaped(delta, smooth, speeds), np.stack(expected, axis=2), atol=1e-12)
-
-
-# Filter and decimation in one pass.
 
 
 @pytest.fixture(scope="module")
@@ -188,9 +185,6 @@ def test_ends_are_continued_by_point_reflection(data, rows: int) -> None:
     wide = np.pad(x, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
     expected = [decimation.taps @ wide[k : k + 2 * reach + 1] for k in decimation.rows]
     np.testing.assert_allclose(decimation.run(lambda a, b: x[a:b], x.shape[1]), expected, rtol=1e-9, atol=1e-9)
-
-
-# Columns of friction: of one joint the same as among all, filtered and decimated.
 
 
 # The regression problem of a record: columns, places of the parameters, rows for the solver.
@@ -304,9 +298,6 @@ def test_slopes_are_the_derivatives_of_the_torque_over_the_logarithms(short_arm)
     assert only.layout.slopes.sum() == 1
 
 
-# Names, units, bounds and places of the parameters.
-
-
 def test_every_parameter_has_one_name_unit_bound_and_place(short_arm) -> None:
     robot = short_arm.robot
     base = base_parameters(robot)
@@ -323,9 +314,6 @@ def test_every_parameter_has_one_name_unit_bound_and_place(short_arm) -> None:
     for i, (columns, own) in enumerate(zip(layout.columns, ([*range(p, p + 4)], [*range(p + 4, p + 9)]))):
         motor = [p + 9, p + 10, p + 11]
         np.testing.assert_array_equal(columns, [*np.flatnonzero(base.seen[i]), *own, *motor])
-
-
-# Rows of a design in pieces: together they are all of it, once for each reading.
 
 
 # The structure of friction, chosen on held-out blocks.

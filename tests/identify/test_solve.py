@@ -63,7 +63,7 @@ def test_numbers_that_the_log_does_not_tell_have_no_slope(short_arm) -> None:
     assert not linearised(design, theta, "wls").free.any()
 
 
-# Least squares with a gain per joint: the minimum, its response, and drawing blocks again.
+# Least squares with a gain per joint.
 
 
 X = np.array([2.0, -1.0, 0.5])
@@ -134,7 +134,7 @@ def test_exact_measurements_are_solved() -> None:
     assert x @ information @ x == pytest.approx(4 / 0.05**2, rel=0.1)  # its length is known by four gains of 5 %
 
 
-# Gains of the torques: told apart as well as is said, and part of the covariance.
+# Torque gains.
 
 
 GAINS = np.array([1.05, 0.96, 1.02, 1.03, 1.05, 0.99, 0.99])

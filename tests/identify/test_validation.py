@@ -114,7 +114,7 @@ def test_report_has_one_line_per_joint_and_the_bounds_that_hold(truth, fitted) -
     assert fit.report().endswith(lines[-1])
 
 
-# A log that leaves the training data is told so: position, speed, rest.
+# Training domain.
 
 
 def test_the_training_log_itself_needs_no_warning(model, excited) -> None:
@@ -170,6 +170,3 @@ def test_training_counts_bins_and_rest() -> None:
     assert found.longest_rest == pytest.approx(1.99)
     cut = training(t, np.cumsum(qd, axis=0), qd, ((0, 900), (900, 1000)))
     assert cut.longest_rest == pytest.approx(0.99)
-
-
-# Every parameter with value, deviation, unit and name.

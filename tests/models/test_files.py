@@ -106,7 +106,7 @@ def test_sources_that_no_file_could_name_are_refused(sources: str, said: str, tm
         models.load(path)
 
 
-# Model files: exact, bound to a robot, refused when they are something else.
+# Files of torque models.
 
 
 @pytest.mark.parametrize(

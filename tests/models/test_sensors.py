@@ -97,7 +97,7 @@ def test_nan_stays_and_moments_that_were_not_calibrated_are_nan() -> None:
     assert np.isnan(forces.wrench(np.ones(6), np.eye(4))[3:]).all()
 
 
-# An accelerometer at rest reads g upwards; what is left of its reading is motion.
+# Accelerometer.
 
 
 def test_by_hand() -> None:
@@ -120,7 +120,7 @@ def test_batches_and_nan() -> None:
     assert np.isfinite(found[0]).all()
 
 
-# A scanner on a tool: where its points are.
+# Laser sensor.
 
 
 def some_of_laser_sensor() -> LaserSensor:
@@ -136,7 +136,7 @@ def test_points_by_hand() -> None:
     assert np.isnan(found[1]).any()
 
 
-# The two poses of a camera and a marker: names by setup, file, refusals.
+# Hand-eye calibration.
 
 
 X = se3.exp(np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6]))
@@ -166,7 +166,7 @@ def test_a_marker_of_unknown_shape_has_points_and_no_pose() -> None:
         seen.T_tool_marker
 
 
-# A load: what it is, its file, and the model of the arm that carries it.
+# Payload.
 
 
 CENTRE = np.array([0.03, -0.01, 0.06])
@@ -201,7 +201,7 @@ def test_a_model_that_carries_it_feels_its_weight(payload: Payload, truth, model
     np.testing.assert_array_equal(loaded.base_values, model.base_values)
 
 
-# The value of a kinematic calibration: joints, poses, their covariance, and its file.
+# Kinematic correction.
 
 
 ORDERS = (1, 3)

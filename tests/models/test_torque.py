@@ -98,12 +98,6 @@ def test_joints_without_torque_do_not_make_the_gains_of_the_others_surer(model) 
     np.testing.assert_allclose(one, two, rtol=1e-12, atol=1e-12)
 
 
-# Quality figures: one per joint, read-only.
-
-
-# The ranges of the training data are checked and frozen.
-
-
 # Friction, torque ripple, warm-up, coupled motors and noise models.
 
 
@@ -207,7 +201,7 @@ def test_each_direction_may_have_its_own_amplitude() -> None:
     np.testing.assert_allclose(part.torque(q, 0 * q - 0.3, 0 * q - 1), 3 * np.sin(50 * q), rtol=0, atol=1e-12)
 
 
-# Friction that changes with its own heat.
+# Warm-up.
 
 
 def warm_up(n: int = 1, **change: object) -> WarmUp:
@@ -232,7 +226,7 @@ def test_a_model_warms_up_along_a_record(tmp_path, model) -> None:
     assert np.array_equal(warm.torque(q, qd), model.torque(q, qd))  # without steps it stays cold
 
 
-# Motors that move several joints: power is kept, and estimators see past them.
+# Coupled motors.
 
 
 WRIST = CoupledMotors(np.array([[0, 0, 0, 0, 0, 0.5, 1.0]]), [0.02], [0.3], [0.4], [0.02])
@@ -285,7 +279,7 @@ def test_step_and_run_are_equal_bit_for_bit_also_past_holes(model, excited) -> N
     np.testing.assert_array_equal(run.run(q[:170], qd[:170], tau[:170], dt[:170])[0], halves[0][0])
 
 
-# Noise models: torque covariance over velocity, momentum estimators.
+# Noise models.
 
 
 def test_velocity_covariance_kinds() -> None:
@@ -297,6 +291,3 @@ def test_velocity_covariance_kinds() -> None:
     step = velocity_covariance("step", C0, Cinf, [0.1, 0.1])
     np.testing.assert_allclose(step.variance([[0.05, 0.05], [0.2, -0.2]]), [[4.0, 1.0], [1.0, 1.0]])
     np.testing.assert_allclose(velocity_covariance("const", C0, Cinf).variance([0.0, 0.0]), [1.0, 1.0])
-
-
-# Noise of torque and velocity for the momentum estimators.
