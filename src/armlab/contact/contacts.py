@@ -120,7 +120,7 @@ def hypotheses(
     prior : (6,) standard deviations of the wrench [N, N m], at the tool and on links; 20 N and 2 N m when left out.
     window : [s]; a shorter contact is diluted.
     memory : correlation time of the torque error [s], see `correlation_time`: of window / (2 memory) samples
-        the window tells as much. What an identified model and the 10 Hz filter leave of a YuMi remembers 0.02 to 0.06 s
+        the window counts as many. The residual of an identified YuMi model behind the 10 Hz filter has 0.02 to 0.06 s
         in motion. 0.1 s gives up a few decisions for false ones; more than 0.2 s leaves free motion undecided.
 
     Raises

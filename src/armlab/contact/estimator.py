@@ -62,7 +62,7 @@ INFEASIBLE = 8
 SINGULAR = 16
 """Without a prior this pose does not determine the wrench; the estimate is NaN."""
 TARED = 32
-"""Friction was told apart from contact by `Estimator.tare`, and no joint has moved away since."""
+"""Friction was separated from contact by `Estimator.tare`, and no joint has moved away since."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +165,7 @@ Method = Literal["map", "bounded", "clip", "interval", "ls", "lund", "observer",
 METHODS = get_args(Method)
 STATIC = METHODS[: METHODS.index("observer")]  # in the order of the kernel's `WrenchMethod`
 GAIN = 30.0  # 1/s, of the observer
-PARTS = 100  # of a log whose progress is told
+PARTS = 100  # of a log whose progress is reported
 
 
 class Estimator:
@@ -386,7 +386,7 @@ class Estimator:
         dt: np.ndarray,
         tell: Callable[[int, int, str], None] | None,
     ) -> tuple[Any, ...]:
-        """Return what the kernel makes of all rows; in parts, from one to the next as it is, when progress is told."""
+        """Return what the kernel makes of all rows; in parts when progress is reported."""
         self.reset()
         self._take_over()
         self._running = True  # the kernel lets other threads run meanwhile

@@ -129,17 +129,17 @@ class BlockSums:
         """Return over how many stretches of blocks the knowledge of each parameter (p,) is spread, 1 / sum_s h_s^2.
 
         h_s is the share of a stretch in the information on the parameter, b^T G_s b / b^T b with b its row of basis:
-        1 where one stretch tells it alone, their number where all tell the same. inf for a parameter that is held.
+        1 where one stretch alone identifies it, their number where all contribute alike; inf for a held parameter.
 
         Parameters
         ----------
         length : blocks in a stretch.
         """
         b = self.solution.basis
-        told = np.einsum("pi,kij,pj->kp", b, self.gram, b, optimize=True)
-        told = np.add.reduceat(told, np.arange(0, len(told), length), axis=0)
-        squares = np.sum(told**2, axis=0)
-        return np.divide(told.sum(axis=0) ** 2, squares, out=np.full(len(b), np.inf), where=squares > 0.0)
+        shares = np.einsum("pi,kij,pj->kp", b, self.gram, b, optimize=True)
+        shares = np.add.reduceat(shares, np.arange(0, len(shares), length), axis=0)
+        squares = np.sum(shares**2, axis=0)
+        return np.divide(shares.sum(axis=0) ** 2, squares, out=np.full(len(b), np.inf), where=squares > 0.0)
 
     def _solve(self, weights: np.ndarray) -> np.ndarray:
         found, r = self.solution, self.gram.shape[1]
@@ -224,8 +224,8 @@ def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, le
     weights = np.zeros((number, len(sums.rows)))
     np.add.at(weights, (np.arange(number)[:, None], blocks[chosen]), 1.0)
     solved = found.x + found.stretch * (sums.solve(weights) - found.x)
-    told = (solved - solved.mean(axis=0)) @ np.linalg.pinv(found.basis).T  # coordinates of basis
-    shrinkage, S = _shrinkage(sums, blocks, length), told.T @ told / (number - 1)
+    coordinates = (solved - solved.mean(axis=0)) @ np.linalg.pinv(found.basis).T  # of basis
+    shrinkage, S = _shrinkage(sums, blocks, length), coordinates.T @ coordinates / (number - 1)
     S = (1.0 - shrinkage) * S + shrinkage * np.trace(S) / len(S) * np.eye(len(S))
     cov = found.basis @ S @ found.basis.T + found.held_cov
     return Bootstrap(solved, 0.5 * (cov + cov.T), shrinkage)  # symmetric to the last bit, as files keep it

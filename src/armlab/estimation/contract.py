@@ -70,8 +70,8 @@ class FitRun:
         sd = np.where(sd > 0, sd, 1.0)
         values, vectors = np.linalg.eigh(self.C / np.outer(sd, sd))
         along = vectors.T @ (self.e / sd)
-        told = slice(len(values) - self.rank, None)
-        return float(np.sum(along[told] ** 2 / values[told]))
+        identified = slice(len(values) - self.rank, None)
+        return float(np.sum(along[identified] ** 2 / values[identified]))
 
 
 def error_of(trial: ContractTrial, fit: Fit[Any], truth: Any) -> tuple[np.ndarray, np.ndarray]:

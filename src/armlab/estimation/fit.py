@@ -23,7 +23,7 @@ EXCITATION = ("expected", "singular_values", "weakest", "held", "null_names")
 
 
 def _frozen(values: Any, kind: type = float) -> np.ndarray:
-    """Return a read-only array; a copy unless nobody else can write to it."""
+    """Return a read-only array; a copy unless it owns read-only data."""
     if type(values) is np.ndarray and values.dtype == kind and values.flags.owndata and not values.flags.writeable:
         return values
     values = np.array(values, dtype=kind)

@@ -247,7 +247,7 @@ def _solve_once(
 def _free_solution(
     R: np.ndarray, y: np.ndarray, basis: np.ndarray, excitation: Excitation, prior: Prior | None
 ) -> np.ndarray:
-    """Return the solution without bounds; the prior alone tells the directions that are held."""
+    """Return the solution without bounds; the prior alone determines the held directions."""
     if prior is None or excitation.rank == excitation.expected:
         return np.linalg.lstsq(R / excitation.scale, y, rcond=None)[0] / excitation.scale
     held = excitation.vectors[:, excitation.rank :]

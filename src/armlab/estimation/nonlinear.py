@@ -37,7 +37,7 @@ class Measurement:
     classes : name of the noise class of each of the k numbers, for example ("t", "t", "t", "R", "R", "R").
     sample : (m,) number of the sample (pose, scan, point) that each measurement belongs to; 0 to m - 1 when left out.
         Outliers are found by samples.
-    prior : True for what was known before: it is no sample, cannot be an outlier and tells nothing of the noise.
+    prior : True for what was known before: it is no sample, cannot be an outlier and does not enter the noise estimate.
     added : (k, k) or (m, k, k) covariance of a part of the noise that is known, beside the part that is to be
         estimated; None for none.
     """
@@ -399,7 +399,7 @@ FLAG_ROUNDS = 3
 class NonlinearSolution(Generic[Value]):
     """A fitted value with its uncertainty.
 
-    `cov`: (d, d) covariance of a step away from it, zero along what nothing tells. `sigma`: their deviations found,
+    `cov`: (d, d) covariance of a step away from it, zero along unidentified directions. `sigma`: their deviations,
     degrees of freedom subtracted. `outliers`: (N,) samples that were left out. `squares`: (N,) whitened squared
     residual of every sample. `null`: (d, m) orthonormal directions, in units of the scale, that neither data nor prior
     tell. `history`: cost after each iteration of the last descent.

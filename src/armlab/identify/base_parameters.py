@@ -7,7 +7,7 @@ them:
     Y pi = Y[:, kept] B pi + D pi,      B = [I, K] in the order of the columns
 
 so ``B pi`` are the base parameters, and ``lift @ base`` is the smallest pi with the same torque. D pi is the constant
-torque of each joint that no motion tells from the offset of its sensor: the weight of what a vertical slide carries,
+torque of each joint that looks like the offset of its sensor: the weight of what a vertical slide carries,
 and nothing for arms that turn.
 """
 

@@ -43,7 +43,7 @@ class PhysicallyConsistent:
     """A torque model whose links are bodies.
 
     `links`: (n, 10) m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz in link frames, about their origins: what MuJoCo, URDF and
-    `Robot.inertias` take. Where the log tells nothing they are those of the prior. `rotor`: (n,) rotor inertia [kg
+    `Robot.inertias` take. Along unidentified directions they are those of the prior. `rotor`: (n,) rotor inertia [kg
     m^2]. `distance`: of the base parameters from those of the fit, in deviations of white noise: the root of the first
     term.
     """

@@ -217,7 +217,7 @@ def design_excitation(
         that is less).
     seed : of the candidates.
     sigma : (n,) deviation of the torque noise [N m], that weighs the joints; all alike when left out.
-    collides : tells whether a pose (n,) must be avoided; asked ten times a second along each candidate.
+    collides : whether a pose (n,) must be avoided; asked ten times a second along each candidate.
     rounds : of a search around the best candidate, 5 ms each; 300 make the expected deviations about a fifth smaller.
     progress : called with (done, total, what).
 

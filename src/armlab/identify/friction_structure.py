@@ -3,7 +3,7 @@
     F_f = viscous qd + coulomb s + offset [+ asymmetry |s|] [+ stribeck s exp(-(qd / v_s)^2)] [+ root s sqrt(|qd|)]
 
 s is the presliding state z of distance delta, or tanh(qd / v_t). Terms in brackets are there where they win; asymmetry
-is told as two Coulomb torques, one for each direction.
+is reported as two Coulomb torques, one for each direction.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ REFINEMENTS = (1.5, 1.25, 1.12, 1.06, 1.03, 1.015)  # factors tried both ways af
 FOLDS = 4
 GAIN = 0.01  # of the squared held-out error: a term that wins less is left out
 DEFAULT_SPEED = 2  # of STRIBECK_SPEEDS, for joints without that term
-TOLD = 1e-6  # squared, of what each fold must tell of every direction: no term rests on one event
+IDENTIFIED = 1e-6  # smallest eigenvalue of each fold's scaled Gram matrix: no term rests on one event
 EXACT = 1e-12  # squared error, relative to the torque, that is rounding
 # All columns of a joint, in their order: terms of FRICTION_TERMS, then ripple where the gears are known.
 FRICTION = ("viscous", "coulomb+", "coulomb-", "offset", "stribeck", "root")
@@ -163,16 +163,16 @@ def _held_out(sums: list[tuple[np.ndarray, np.ndarray, float]], picks: np.ndarra
     `picks`: (S, w) columns of A that each speed of Stribeck has. `T`: (k, w, w) of `_mixings`.
     """
     grams = [(G[picks[:, :, None], picks[:, None, :]][:, None], v[picks][:, None, :, None]) for G, v, _ in sums]
-    error, told = np.zeros((len(picks), len(T))), np.ones((len(picks), len(T)), dtype=bool)
+    error, identified = np.zeros((len(picks), len(T))), np.ones((len(picks), len(T)), dtype=bool)
     G, v = sum(G for G, _ in grams), sum(v for _, v in grams)
     for (H, u), (_, _, power) in zip(grams, sums):
         A, scale = _scaled(T.transpose(0, 2, 1) @ (G - H) @ T)
         x = T @ (np.linalg.solve(A, T.transpose(0, 2, 1) @ (v - u) / scale) / scale)
         error += (power - 2.0 * np.swapaxes(u, 2, 3) @ x + np.swapaxes(x, 2, 3) @ H @ x)[..., 0, 0]
         if H.any():
-            told &= np.linalg.eigvalsh(_scaled(T.transpose(0, 2, 1) @ H @ T)[0])[..., 0] > TOLD
+            identified &= np.linalg.eigvalsh(_scaled(T.transpose(0, 2, 1) @ H @ T)[0])[..., 0] > IDENTIFIED
     total = sum(power for _, _, power in sums)
-    return np.where(told, np.maximum(error / total if total > 0 else error, EXACT), np.inf)
+    return np.where(identified, np.maximum(error / total if total > 0 else error, EXACT), np.inf)
 
 
 @cache

@@ -124,11 +124,11 @@ def _apart(fit: Fit[TorqueModel]) -> np.ndarray:
     Gains that are all c too large leave parameters that are all c too small, and the torque that is read the same.
     """
     gain_cov = fit.value.gain_cov
-    told = np.flatnonzero(np.diag(gain_cov) > 0)
-    if not len(told):
+    measured = np.flatnonzero(np.diag(gain_cov) > 0)
+    if not len(measured):
         return fit.cov
-    ones = np.ones(len(told))
-    common = 1.0 / (ones @ np.linalg.solve(gain_cov[np.ix_(told, told)], ones))
+    ones = np.ones(len(measured))
+    common = 1.0 / (ones @ np.linalg.solve(gain_cov[np.ix_(measured, measured)], ones))
     curved = [term.name for term in FRICTION_TERMS.values() if not term.column]
     scaled = np.array([0.0 if name.split()[0] in curved else x for name, x in zip(fit.names, fit.parameters)])
     return fit.cov - common * np.outer(scaled, scaled)

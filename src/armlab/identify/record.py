@@ -318,7 +318,7 @@ def _check_motion(q: np.ndarray, robot: Robot, still: np.ndarray) -> None:
     listed = ", ".join(f"{a} ({b})" for a, b in zip(names, spread))
     raise NotExcited(
         f"Expected every joint to move by at least 5 deg (20 mm), got less for {listed}: their inertia, "
-        "gravity and friction cannot be told apart. Record a motion of all joints, as of identify.design_excitation.",
+        "gravity and friction look alike. Record a motion of all joints, as of identify.design_excitation.",
         names,
         spread,
     )

@@ -360,8 +360,8 @@ def momentum_noise(
     ]
     noise = replace(noise, alpha2_observer=_factor(ratios))
     moving = np.isfinite(errors)
-    told = moving.any(axis=0)
-    judged: np.ndarray = np.all(moving[:, told], axis=1) if told.any() else np.zeros(len(errors), dtype=bool)
+    measured = moving.any(axis=0)
+    judged: np.ndarray = np.all(moving[:, measured], axis=1) if measured.any() else np.zeros(len(errors), dtype=bool)
     ratios = [
         _normalised(*(values[judged[rows]] for values in found[:3]))
         for found, rows in _runs(held, noise, data, filters=True)

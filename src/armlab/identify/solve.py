@@ -105,8 +105,8 @@ class GainProblem:
         _, u, d = self._normal(G, x, k)
         H = np.tensordot(k * k, G, 1)
         scale = np.sqrt(np.where(np.diag(H) > 0, np.diag(H), 1.0))
-        told = np.linalg.solve(H / np.outer(scale, scale), (u / scale).T)
-        cov = np.linalg.inv(np.diag(d) - (u / scale) @ told)
+        projected = np.linalg.solve(H / np.outer(scale, scale), (u / scale).T)
+        cov = np.linalg.inv(np.diag(d) - (u / scale) @ projected)
         return 0.5 * (cov + cov.T)
 
     def response(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
@@ -154,7 +154,7 @@ ROUNDS = 4
 SHAPE_STEPS = 6  # of Gauss and Newton
 SHARES = (1.0, 0.5, 0.25)  # of a step that are tried
 STAYS = 1e-3  # sum of the squared logarithmic steps
-VAGUE = 0.3  # formal deviation of the logarithm of a number beyond which a straight line tells nothing of it
+VAGUE = 0.3  # formal deviation of the logarithm of a number beyond which a linearisation does not identify it
 TRIMMED = 0.25  # s, blocks of which the method "lts" leaves some out
 MOST_BLOCKS = 1000.0  # of them: a triangle is kept for each
 ROBUST = ("irls", "lts")
@@ -211,7 +211,7 @@ def _cost(design: Design, theta: np.ndarray, trust: np.ndarray) -> float:
 
 
 def linearised(design: Design, theta: np.ndarray, method: str, trust: np.ndarray | None = None) -> Design:
-    """Return the design with slopes of those numbers of the structure that the log tells.
+    """Return the design with slopes of those numbers of the structure that the log identifies.
 
     `design`: without slopes, at its parameters theta (p,). `trust`: (M, J) weights of the rows; 1 when left out.
     """
@@ -256,7 +256,7 @@ def _trust(design: Design, theta: np.ndarray, block: np.ndarray, method: str, se
 
 GAIN_SD = 0.05
 GAIN_ROUNDS = 2  # weights of the joints follow their gains
-MAX_CONDITION = 1e4  # of a log that tells the parameters
+MAX_CONDITION = 1e4  # of a log that identifies the parameters
 
 
 def calibrated(

@@ -192,7 +192,7 @@ FIFTHS, STRETCHES = 5, 20
 SETTLED = 0.01  # variance of the presliding state below which friction is known from motion
 ALPHA2_BOUNDS = (0.25, 25.0)
 HALF = 1.0  # s, stretches of the two halves on which the coverage is judged
-UNMEASURED = 1e12  # (N m)^2 of a joint whose torque is not measured: it tells nothing
+UNMEASURED = 1e12  # (N m)^2 of a joint whose torque is not measured
 FEWEST = 100  # rows of sliding in either half
 FAST = 0.1  # rad/s: above it the bound on friction holds the model's error in motion
 
@@ -308,7 +308,7 @@ def _check_sliding(measured: np.ndarray, rows: np.ndarray) -> None:
         listed = ", ".join(f"{name} ({got})" for name, got in zip(names, spread))
         raise NotExcited(
             f"Expected every joint to slide, past its presliding, in {2 * FEWEST} rows at least, evenly over the log, "
-            f"got less for {listed}: how large its errors in motion are cannot be told. Let it move further between "
+            f"got less for {listed}: its errors in motion cannot be judged. Let it move further between "
             "its reversals.",
             names,
             spread,

@@ -147,7 +147,7 @@ class MomentumNoise:
 #
 #     tau = sum_k c_k^T (inertia_k c_k qdd + viscous_k c_k qd + coulomb_k tanh(c_k qd / smooth_speed_k))
 #
-# No set of links and joint friction has these torques: they must be told apart.
+# No set of links and joint friction has these torques: they are terms of their own.
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,7 +43,7 @@ from armlab.models.friction import FrictionMap, RadialBasis, RippleLines, speed_
 #
 # Against Robotlib.jl: widths belong to a joint; centres have speeds above 0 and stand for both directions; at rest the
 # presliding state blends both; the functions sum to 1 everywhere, without a constant in the denominator, and beyond the
-# centres the nearest edge counts, which `models.friction.RadialBasis.outside` tells.
+# centres the nearest edge counts, see `RadialBasis.outside`.
 
 
 SLOWEST = 0.02  # of the peak speed: slower samples do not place centres

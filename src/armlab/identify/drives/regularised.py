@@ -46,7 +46,7 @@ def refit(
     ``H = A^T A + r 1, r = ridge mean(diag)``, ``cov = H^-1 (S + r^2 v 1) H^-1`` with S the scatter ``sum_b g_b g_b^T``
     of the moments g_b of the residuals in a block: residuals that remember make it larger than the formal one. Where
     blocks are few for the coefficients S is shrunk towards a multiple of H (`shrinkage`): it would have no
-    spread in most directions. v is the mean square of the coefficients: so far the ridge pulls what is hardly told.
+    spread in most directions. v is the mean square of the coefficients: the ridge pulls weak ones that far.
 
     `A`: (N, p). `y`: (N,). `block`: (N,) numbers. `beside`: (N, m) columns of parameters known so far that they leave
     nothing, free in the covariance, which is then (p + m, p + m).
@@ -64,7 +64,7 @@ def refit(
 def _moments(A: np.ndarray, left: np.ndarray, H: np.ndarray, block: np.ndarray) -> np.ndarray:
     """Return the moments (B, p) of stretches, each as large as that of the noise.
 
-    A stretch that tells a coefficient nearly alone leaves nothing of its own noise: with M its share of H, the moment
+    A stretch that identifies a coefficient nearly alone leaves none of its own noise: with M its share of H, the moment
     is ``(1 - M)^(-1/2)`` times that of the residuals, in coordinates in which H is 1 (Bell and McCaffrey 2002).
     """
     number = np.asarray(block) // (1 + int(np.max(block)) // MOST_STRETCHES)

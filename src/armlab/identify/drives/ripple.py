@@ -7,7 +7,7 @@
 3. A line stays when without it the error on held-out blocks grows by more than 2 %.
 
 A line passes with the frequency c |qd| / (2 pi): only samples below a quarter of the sampling rate are used, and a line
-that loses more than half of the samples is refused; what cannot be searched for that reason is told by a warning.
+that loses more than half of the samples is refused; a warning names the lines that cannot be searched for that reason.
 """
 
 from __future__ import annotations
