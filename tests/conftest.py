@@ -272,7 +272,7 @@ def slow(truth: Truth) -> Table:
 @pytest.fixture(scope="session")
 def gravity(truth: Truth, slow: Table, run_folder: Path) -> Fit[TorqueModel]:
     """The model of slow motion identified from it: gravity, friction and offsets."""
-    return _once(run_folder, "gravity", lambda: identify.fit_gravity(slow, truth.robot, method="wls"))
+    return _once(run_folder, "gravity", lambda: identify.fit_gravity(slow, truth.robot))
 
 
 @contextmanager

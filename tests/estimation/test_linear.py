@@ -6,15 +6,17 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import scipy.linalg  # noqa: F401  its BLAS is one of those that count
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from armlab.errors import NotExcited
 from armlab.estimation import Prior, Rows, least_squares
 from armlab.estimation.linear_problem import ActiveBound, LinearProblem, LinearSolution, solve, within_bounds
 from armlab.estimation.robust import METHODS, huber, least_trimmed_squares, mad
-from armlab.estimation.tsqr import Factors, factorise, triangle
+from armlab.estimation.tsqr import Factors, factorise, one_thread, triangle
 
 BLOCKS = 30
 
@@ -277,3 +279,30 @@ def test_the_triangle_of_many_rows_has_their_gram_matrix() -> None:
     np.testing.assert_allclose(R.T @ R, A.T @ A, rtol=1e-12, atol=1e-10)
     np.testing.assert_allclose(both[:, 4] @ both[:, 4], y @ y, rtol=1e-12)
     assert triangle(A[:2]).shape == (4, 4)
+
+
+def threads() -> dict[str, int]:
+    """Threads of each BLAS that is loaded; one that was built for a single thread always has one."""
+    return {pool["filepath"]: pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+
+def test_one_thread_inside_and_as_many_as_before_after() -> None:
+    with threadpool_limits(2, "blas"):
+        before = threads()
+        assert 2 in before.values()
+        with one_thread():
+            assert set(threads().values()) == {1}
+        assert threads() == before
+
+
+def test_the_last_of_two_that_overlap_gives_the_threads_back() -> None:
+    """As in threads of a pool: the first to begin is the first to end."""
+    with threadpool_limits(2, "blas"):
+        before = threads()
+        first, second = one_thread(), one_thread()
+        first.__enter__()
+        second.__enter__()
+        first.__exit__(None, None, None)
+        assert set(threads().values()) == {1}
+        second.__exit__(None, None, None)
+        assert threads() == before

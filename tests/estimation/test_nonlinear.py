@@ -270,6 +270,11 @@ def test_whitened_squares_are_mahalanobis_distances() -> None:
     np.testing.assert_allclose(cost([one], [one.roots({})], np.ones(5)), 0.5 * expected.sum(), rtol=1e-12)
 
 
+def test_several_measurements_may_belong_to_one_sample() -> None:
+    points = Measurement(np.ones((4, 1)), np.zeros((4, 1, 2)), np.eye(1), ("p",), np.array([0, 0, 1, 1]))
+    assert whiten([points], [points.roots({})]).squares(2).tolist() == [2.0, 2.0]
+
+
 def test_weights_act_on_samples_and_spare_priors() -> None:
     one = poses(COV)
     known = Measurement(np.ones((1, 1)), np.ones((1, 1, 3)), np.eye(1) * 4.0, ("p",), prior=True)

@@ -15,7 +15,6 @@ from armlab.contact import Estimator
 from armlab.errors import ModelMismatchError, NotExcited, UnknownName
 from armlab.estimation import ContractLimits, check_estimator
 from armlab.estimation.contract import PROPERTIES
-from armlab.estimation.tsqr import one_thread
 from armlab.identify import fit_dynamics, fit_gravity
 from armlab.identify.many import LogSums, Pattern, fit_draft, fit_sums, log_sums
 from armlab.identify.record import prepare_share
@@ -323,15 +322,6 @@ class Stopped(Exception):
     """Ends a fit that has told what it was run for."""
 
 
-def test_one_thread_inside_and_as_many_as_before_after() -> None:
-    with threadpool_limits(2, "blas"):
-        before = threads()
-        assert 2 in before.values()
-        with one_thread():
-            assert set(threads().values()) == {1}
-        assert threads() == before
-
-
 def test_a_fit_has_one_thread(excited: Table, truth) -> None:
     robot: Robot = truth.robot
     seen: list[dict[str, int]] = []
@@ -345,17 +335,4 @@ def test_a_fit_has_one_thread(excited: Table, truth) -> None:
         with pytest.raises(Stopped):
             identify.fit_dynamics(excited, robot, progress=look)
         assert [set(one.values()) for one in seen] == [{1}]
-        assert threads() == before
-
-
-def test_the_last_of_two_that_overlap_gives_the_threads_back() -> None:
-    """As in threads of a pool: the first to begin is the first to end."""
-    with threadpool_limits(2, "blas"):
-        before = threads()
-        first, second = one_thread(), one_thread()
-        first.__enter__()
-        second.__enter__()
-        first.__exit__(None, None, None)
-        assert set(threads().values()) == {1}
-        second.__exit__(None, None, None)
         assert threads() == before

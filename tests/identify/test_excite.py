@@ -165,7 +165,7 @@ def test_a_motion_is_saved_and_run_again(tmp_path) -> None:
 @pytest.mark.parametrize(("name", "joint"), [("yumi_left", 0), ("yumi_right", 5), ("irb2400", 2), ("ur5e", 1)])
 def test_constant_speeds_both_ways_with_holds(name: str, joint: int) -> None:
     robot = robots.load(name)
-    run = friction_run(robot, joint)
+    run = friction_run(robot, robot.joint_names[joint] if joint else joint)
     t = np.arange(0, run.seconds, 0.004)
     q, qd, qdd = run.sample(t)
     assert np.all(q >= robot.q_min)

@@ -287,6 +287,12 @@ def test_a_slow_motion_is_no_memory_of_the_noise() -> None:
     assert np.all(fit_velocity_covariance(held, qd).sd > 2.5 * sd)
 
 
+def test_constant_is_the_mean_square() -> None:
+    residuals, qd = sample(0, "exp")
+    fit = fit_velocity_covariance(residuals, qd, "const")
+    np.testing.assert_allclose(fit.value.variance(qd)[0], np.mean(residuals**2, axis=0))
+
+
 def test_a_step_is_found_between_two_samples_of_speed() -> None:
     """The threshold has no grid: it lies within samples of where the variance jumps; without a jump it is not known."""
     rng = np.random.default_rng(3)

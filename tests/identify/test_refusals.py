@@ -113,6 +113,7 @@ MOTIONS: list[tuple[type[Exception], str, Callable[[SimpleNamespace], Any]]] = [
       for wrong in ({"centre": [np.nan]}, {"centre": 0.0}, {"amplitude": np.inf}, {"frequency": 0.0})),
     (ShapeError, "above 0 s", lambda s: OPTIONS["dither"](seconds=0.0)),
     (ShapeError, "at least one motion", lambda s: identify.sequence([])),
+    (ShapeError, "a list of motions, got NoneType", lambda s: identify.sequence(None)),
     (ShapeError, "walk above 0", lambda s: identify.sequence([MOTION], walk=0.0)),
     (ShapeError, r"rest at both ends, got 0\.\d+ rad/s",
      lambda s: excite.Trajectory.from_table(MOTION.table().between(0, 0.6))),
