@@ -37,7 +37,7 @@ def resting(truth) -> Callable[..., Table]:
         t = np.arange(0, seconds, 0.004)
         q, zero = np.tile(robot.q_home, (len(t), 1)), np.zeros((len(t), 7))
         z = np.tile(rng.uniform(-1, 1, 7), (len(t), 1))
-        pressed = np.outer(t >= begins * seconds, force)
+        pressed = np.outer(t > begins * seconds, force)
         tau = truth.torque(q, zero, zero, z) - pressed @ robot.chain.jacobian(robot.q_home)
         return Table(t, {"q": q, "qd": zero, "tau": tau + truth.noise * rng.standard_normal(q.shape)})
 

@@ -209,7 +209,7 @@ def test_at_rest_the_interval_holds_the_truth_and_no_contact_is_claimed_without_
         force = np.zeros(6)
         force[axis] = size
         for seed in range(10):
-            table = Estimator(model, truth.robot, "interval").run(resting(force, 0.6, seed, begins=0.0))
+            table = Estimator(model, truth.robot, "interval").run(resting(force, 0.6, seed, begins=-1.0))
             ends = table["wrench_interval"][100:]
             assert not np.any(table["wrench_flags"] & INFEASIBLE)
             assert np.all((ends[:, :, 0] <= force) & (force <= ends[:, :, 1]))
