@@ -142,7 +142,9 @@ def test_calls_that_are_wrong(error: type[Exception], words: str, call: Callable
 
 
 def test_parts_of_another_robot(model) -> None:
-    seven = replace(PAYLOAD, robot_hash="other")
+    CORRECTION.check_robot(ROBOT)
+    seven, wrist = replace(PAYLOAD, robot_hash="other"), CoupledMotors(np.eye(7)[:1], *[ONE] * 4)
+    kernel, zero, rows = replace(model, coupled=wrist).estimator_kernel(np.ones(6)), np.zeros(7), np.zeros((5, 7))
     for error, words, call in (
         (ModelMismatchError, "arm", lambda: seven.added_to(model)),
         (ModelMismatchError, "yumi_right", lambda: model.check_robot(robots.load("yumi_right"))),
@@ -150,6 +152,8 @@ def test_parts_of_another_robot(model) -> None:
         (ShapeError, r"gains of shape \(7,\)", lambda: replace(model, gains=np.ones(3))),
         (ShapeError, "line speeds", lambda: replace(model, lines=LINES)),
         (ShapeError, "map positions", lambda: replace(model, friction_map=FrictionMap(BASIS, np.zeros((2, 2, 2, 2))))),
+        (ShapeError, "tau", lambda: kernel.step(zero, zero, zero[:6], 0.004)),
+        (ShapeError, "qd", lambda: kernel.run(rows, rows[:, :1], rows, np.full(5, 0.004))),
         (ShapeError, "coupled motors of 7 joints", lambda: replace(model, coupled=MOTORS)),
     ):
         with pytest.raises(error, match=words):

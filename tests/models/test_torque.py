@@ -12,7 +12,7 @@ from armlab.errors import ShapeError
 from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import TorqueModel, load, save, velocity_covariance
-from armlab.models.friction import Friction, FrictionBound, RadialBasis, RippleLines, WarmUp, speed_basis
+from armlab.models.friction import Friction, FrictionBound, FrictionMap, RadialBasis, RippleLines, WarmUp, speed_basis
 from armlab.models.torque import CoupledKernel, CoupledMotors, VelocityCovariance
 
 
@@ -162,6 +162,14 @@ def test_only_the_side_of_the_motion_counts_and_rest_blends_both() -> None:
     np.testing.assert_allclose(rest[:40], rest[40:], rtol=0, atol=1e-15)
 
 
+def test_the_torque_of_a_map_is_functions_times_coefficients() -> None:
+    rng = np.random.default_rng(1)
+    b, k = basis(), rng.standard_normal((2, 2, 8, 5))
+    q, qd, z = rng.uniform(-1, 1, (3, 60, 2))
+    expected = np.stack([b.functions(i, q[:, i], qd[:, i], z[:, i]) @ k[i].ravel() for i in range(2)], axis=1)
+    np.testing.assert_allclose(FrictionMap(b, k).torque(q, qd, z), expected, rtol=0, atol=1e-12)
+
+
 def test_outside_is_told() -> None:
     assert basis().outside([[0.0, 0.0], [2.5, 0.0]], [[0.0, 2.0], [0.1, -0.5]]).tolist() == [
         [False, True],
@@ -207,6 +215,14 @@ def test_each_direction_may_have_its_own_amplitude() -> None:
 def warm_up(n: int = 1, **change: object) -> WarmUp:
     fields = {"of_coulomb": -0.1, "of_viscous": -0.4, "time": 100.0, "power": 2.0, "start": 0.0}
     return WarmUp(**{name: np.full(n, change.get(name, value)) for name, value in fields.items()})  # type: ignore[arg-type]
+
+
+def test_a_drive_settles_at_thermal_state_one_under_the_reference_power() -> None:
+    x = warm_up().thermal_state(np.full((1001, 1), 2.0), np.ones(1001))
+    assert x[0, 0] == 0.0
+    assert x[100, 0] == pytest.approx(1 - np.exp(-1.0))
+    assert x[-1, 0] == pytest.approx(1.0, abs=1e-4)
+    assert np.all(warm_up(time=0.0, start=0.3).thermal_state(np.ones((5, 1)), np.ones(5)) == 0.3)
 
 
 def test_a_model_warms_up_along_a_record(tmp_path, model) -> None:
