@@ -20,6 +20,7 @@ from armlab.errors import NotConverged, RobotError, ShapeError, UnknownName
 from armlab.estimation import Excitation
 from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.log import Table
+from armlab.models.friction import FRICTION_TERMS
 from armlab.robots import Robot
 from armlab.state import Command, State
 
@@ -617,7 +618,7 @@ class PredictedUncertainty:
 
 
 def predicted_uncertainty(trajectory: Trajectory, robot: Robot, noise: float = 0.1) -> PredictedUncertainty:
-    """Return how well a motion will tell the parameters of the torque model.
+    """Predict the uncertainty of the torque model's parameters from a motion.
 
     The covariance is ``s^2 (A^T A)^-1`` with the regressor A of base parameters and friction along the motion,
     logged at 250 Hz. Real residuals are coloured: expect deviations a few times larger, in the same order.
@@ -638,17 +639,16 @@ def predicted_uncertainty(trajectory: Trajectory, robot: Robot, noise: float = 0
         )
     q, qd, qdd = trajectory.sample(np.arange(0.0, trajectory.seconds, 1.0 / THINNED))
     base = base_parameters(robot)
-    rotor = np.zeros((len(q), n, n))
-    rotor[:, range(n), range(n)] = qdd
-    rigid = np.concatenate([robot.chain.rigid_regressor(q, qd, qdd, robot.gravity), rotor], axis=2)[:, :, base.kept]
-    p = len(base.names)
-    A = np.zeros((len(q), n, p + 4 * n))
-    A[:, :, :p] = rigid
+    p, terms = len(base.names), [FRICTION_TERMS[name] for name in ("viscous", "coulomb+", "coulomb-", "offset")]
+    A = np.zeros((len(q), n, p + len(terms) * n))
+    A[:, :, :p] = _regressor(robot, base, q, qd, qdd)
     for i in range(n):
-        local = [qd[:, i], np.maximum(np.sign(qd[:, i]), 0.0), np.minimum(np.sign(qd[:, i]), 0.0), np.ones(len(q))]
-        A[:, i, p + 4 * i : p + 4 * i + 4] = np.stack(local, axis=1)
-    kinds = (("viscous", "N m s/rad"), ("coulomb+", "N m"), ("coulomb-", "N m"), ("offset", "N m"))
-    joints = [(f"{kind} {joint}", unit) for joint in robot.joint_names for kind, unit in kinds]
+        own = [term.column(qd[:, i], np.sign(qd[:, i])) for term in terms if term.column]
+        A[:, i, p + len(terms) * i : p + len(terms) * (i + 1)] = np.stack(own, axis=1)
+    slides = [bool(prismatic) for prismatic in robot.prismatic]
+    joints = [
+        (f"{term.name} {name}", term.units(slide)) for name, slide in zip(robot.joint_names, slides) for term in terms
+    ]
     names = (*base.names, *(name for name, _ in joints))
     units = (*base.units, *(unit for _, unit in joints))
     R = np.linalg.qr(A.reshape(-1, len(names)), mode="r") * np.sqrt(RATE / THINNED) / noise
