@@ -645,10 +645,8 @@ def predicted_uncertainty(trajectory: Trajectory, robot: Robot, noise: float = 0
     for i in range(n):
         own = [term.column(qd[:, i], np.sign(qd[:, i])) for term in terms if term.column]
         A[:, i, p + len(terms) * i : p + len(terms) * (i + 1)] = np.stack(own, axis=1)
-    slides = [bool(prismatic) for prismatic in robot.prismatic]
-    joints = [
-        (f"{term.name} {name}", term.units(slide)) for name, slide in zip(robot.joint_names, slides) for term in terms
-    ]
+    own_joints = [(name, bool(slide)) for name, slide in zip(robot.joint_names, robot.prismatic)]
+    joints = [(f"{term.name} {name}", term.units(slide)) for name, slide in own_joints for term in terms]
     names = (*base.names, *(name for name, _ in joints))
     units = (*base.units, *(unit for _, unit in joints))
     R = np.linalg.qr(A.reshape(-1, len(names)), mode="r") * np.sqrt(RATE / THINNED) / noise
