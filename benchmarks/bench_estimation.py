@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from blocks import Contender, Table, agree, once, table
 
-from armlab.estimation import Rows, factorise, least_squares
+from armlab.estimation import Rows, least_squares
+from armlab.estimation.tsqr import factorise
 
 JOINTS, SHARED, OWN = 7, 45, 7  # base parameters that joints share, and friction of each
 SIZE = SHARED + JOINTS * OWN

@@ -16,7 +16,7 @@ from peers import Pinocchio
 
 from armlab import identify, robots
 from armlab.estimation import Rows, least_squares
-from armlab.identify.base_parameters import base_parameters
+from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.identify.record import Record
 from armlab.identify.regression import Design
 from armlab.robots import Robot
@@ -89,7 +89,7 @@ def _beside_figaroh(robot: Robot, rounds: int) -> Table:
     return Table(found.title, text, found.unit, found.figures, found.rounds)
 
 
-def _plain(data: Record, qdd: np.ndarray, robot: Robot, base: identify.BaseParameters) -> np.ndarray:
+def _plain(data: Record, qdd: np.ndarray, robot: Robot, base: BaseParameters) -> np.ndarray:
     """Return the parameters of ordinary least squares without filter."""
     block = np.arange(len(data.t)) // BLOCK
     parts = [slice(a, a + BLOCK) for a in range(0, len(data.t), BLOCK)]
@@ -99,7 +99,7 @@ def _plain(data: Record, qdd: np.ndarray, robot: Robot, base: identify.BaseParam
     return least_squares(rows, names, method="ols").x
 
 
-def _columns(data: Record, qdd: np.ndarray, robot: Robot, base: identify.BaseParameters, rows: slice) -> np.ndarray:
+def _columns(data: Record, qdd: np.ndarray, robot: Robot, base: BaseParameters, rows: slice) -> np.ndarray:
     """Return the columns (N, n, p): base parameters, then viscous and Coulomb friction and offset of each joint."""
     q, qd, joints = data.q[rows], data.qd[rows], range(robot.n)
     own = np.zeros((4, len(q), robot.n, robot.n))
@@ -119,7 +119,7 @@ def _record(robot: Robot, samples: int) -> Record:
     return Record(t, dt, q, qd, tau, ((0, samples),), RATE, np.zeros(robot.n), ())
 
 
-def _fit(data: Record, robot: Robot, base: identify.BaseParameters) -> np.ndarray:
+def _fit(data: Record, robot: Robot, base: BaseParameters) -> np.ndarray:
     design = Design.build(data, robot, base)
     block = data.blocks(20.0)[design.rows]
     return least_squares(design.stream(block), design.layout.names, method="wls").x

@@ -7,7 +7,8 @@ import numpy as np
 from armlab import identify, sim
 from armlab.kernels import presliding
 from armlab.log import Table
-from armlab.models import Friction, TorqueModel
+from armlab.models import TorqueModel
+from armlab.models.friction import Friction
 from armlab.robots import Robot
 
 PERIOD = 0.004

@@ -10,7 +10,8 @@ from peers import WORLD_AXES
 from pinocchio_estimator import PinocchioEstimator
 from scipy.linalg.lapack import dposv
 
-from armlab.models import FORCE_RATES, TorqueModel
+from armlab.models import TorqueModel
+from armlab.models.torque import FORCE_RATES
 from armlab.robots import Robot
 from armlab.state import State
 

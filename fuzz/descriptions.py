@@ -12,7 +12,7 @@ from armlab.bridge.cell import parse_cell
 from armlab.bridge.servers.zenoh.address import Place
 from armlab.bridge.urls import addresses
 from armlab.errors import ArmlabError
-from armlab.models.files import encode
+from armlab.models.files import encode, load_statistics
 from armlab.robots import urdf
 
 _FOLDER = tempfile.TemporaryDirectory(prefix="armlab-fuzz-")
@@ -60,7 +60,7 @@ def model(data: bytes) -> None:
     path, again = Path(_FOLDER.name) / "a.toml", Path(_FOLDER.name) / "b.toml"
     path.write_bytes(data)
     with contextlib.suppress(ArmlabError):
-        models.load_statistics(path)
+        load_statistics(path)
     try:
         value = models.load(path)
         models.save(value, again)

@@ -23,6 +23,8 @@ from armlab.bridge.servers.ros.types import store  # noqa: E402
 from armlab.bridge.servers.row import RowSchema, RowWriter  # noqa: E402
 from armlab.bridge.servers.zenoh.keys import Attached  # noqa: E402
 from armlab.log import Tick  # noqa: E402
+from armlab.models.friction import Friction, FrictionBound, Ripple  # noqa: E402
+from armlab.models.torque import Quality, Training  # noqa: E402
 from armlab.robots.urdf.writing import write_urdf  # noqa: E402
 from armlab.state import State  # noqa: E402
 from armlab.wire.egm import EgmCodec, Reference, RobotMessage, RobotSideCodec  # noqa: E402
@@ -221,7 +223,7 @@ def torque_model() -> models.TorqueModel:
     """Return a torque model that nothing was fitted for."""
     arm = robots.load("irb120")
     some = np.full(arm.n, 0.1)
-    friction = models.Friction(*[some] * 7, np.zeros(arm.n))
+    friction = Friction(*[some] * 7, np.zeros(arm.n))
     return models.TorqueModel(
         robot_name=arm.name,
         robot_hash=arm.hash,
@@ -231,15 +233,15 @@ def torque_model() -> models.TorqueModel:
         link_parameters=np.zeros((arm.n, 10)),
         rotor=some,
         friction=friction,
-        ripple=models.Ripple(*[np.zeros(arm.n)] * 3),
+        ripple=Ripple(*[np.zeros(arm.n)] * 3),
         covariance=models.velocity_covariance("const", some, some),
-        bound=models.FrictionBound.of(friction),
+        bound=FrictionBound.of(friction),
         cutoff=10.0,
         base_names=("a",),
         base_values=np.ones(1),
         base_cov=np.eye(1),
-        quality=models.Quality(some, some, some, some, 30.0),
-        training=models.Training(-some, some, some, np.full((arm.n, 12), 1 / 12), 0.1, 0.5),
+        quality=Quality(some, some, some, some, 30.0),
+        training=Training(-some, some, some, np.full((arm.n, 12), 1 / 12), 0.1, 0.5),
     )
 
 

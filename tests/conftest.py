@@ -22,7 +22,8 @@ from armlab.estimation import Experiment, Fit
 from armlab.identify import base_parameters
 from armlab.kernels import presliding
 from armlab.log import Table
-from armlab.models import Friction, TorqueModel
+from armlab.models import TorqueModel
+from armlab.models.friction import Friction
 from armlab.robots import Robot
 
 from .processes import processes  # noqa: F401  a fixture

@@ -7,7 +7,7 @@ import numpy as np
 
 from armlab._palette import GREY
 from armlab.kernels import presliding
-from armlab.models import Friction, RippleLines, WarmUp, speed_basis
+from armlab.models.friction import Friction, RippleLines, WarmUp, speed_basis
 from armlab.plots.style import MODEL, look
 
 
@@ -52,7 +52,7 @@ def main() -> None:
     t = np.arange(0.0, 3600.0, 10.0)
     power = np.where(t < 2400.0, 1.0, 0.0)[:, None]
     ax = axes[1, 1]
-    ax.plot(t / 60.0, 1.0 - 0.4 * part.warmth(power, np.full(len(t), 10.0))[:, 0], color=MODEL)
+    ax.plot(t / 60.0, 1.0 - 0.4 * part.thermal_state(power, np.full(len(t), 10.0))[:, 0], color=MODEL)
     ax.axvline(40.0, color=GREY, linewidth=0.6)
     ax.set(title="40 min of work, then rest", xlabel="time [min]", ylabel="viscous friction, relative")
     figure.savefig("friction.svg")

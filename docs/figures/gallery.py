@@ -7,7 +7,7 @@ import numpy as np
 
 from armlab import contact, identify, plots, robots, sim
 from armlab.log import Table
-from armlab.models import FrictionMap, RadialBasis
+from armlab.models.friction import FrictionMap, RadialBasis
 
 # -- made
 robot = robots.load("yumi_right")

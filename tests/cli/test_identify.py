@@ -18,6 +18,7 @@ from armlab.cli.identify.report import Trial, judge, numbers, try_out, write
 from armlab.estimation import Fit
 from armlab.log import Table
 from armlab.models import TorqueModel
+from armlab.models.friction import RippleLines
 
 
 class Outcome(NamedTuple):
@@ -95,9 +96,7 @@ def test_the_page_has_a_row_per_joint_the_verdict_and_all_figures(outcome: Outco
 def with_lines(fit: Fit[TorqueModel]) -> Fit[TorqueModel]:
     """A fit whose model has a line of ripple at joint 2, and leaves half of what it left before."""
     speeds = np.tile(np.linspace(0, 1, 3), (7, 1))
-    lines = models.RippleLines(
-        np.array([1]), np.array([200.0]), speeds, np.full((7, 3), 0.5), np.full((1, 2, 3, 2), 0.01)
-    )
+    lines = RippleLines(np.array([1]), np.array([200.0]), speeds, np.full((7, 3), 0.5), np.full((1, 2, 3, 2), 0.01))
     quality = replace(fit.value.quality, rms_cv=0.5 * fit.value.quality.rms_cv)
     return replace(fit, value=replace(fit.value, lines=lines, quality=quality))
 

@@ -5,21 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armlab.errors import NotExcited, ShapeError, UnknownName
-from armlab.estimation import (
-    BlockSums,
-    Bootstrap,
-    CrossValidation,
-    Prior,
-    Rows,
-    block_bootstrap,
-    block_cv,
-    block_seconds,
-    correlation_time,
-    effective_samples,
-    least_squares,
-    shrinkage,
-)
+from armlab.errors import NotExcited
+from armlab.estimation import BlockSums, Prior, Rows, block_bootstrap, block_cv, least_squares
+from armlab.estimation.bootstrap import Bootstrap, CrossValidation, block_seconds, correlation_time, effective_samples
 
 
 def sums(A: np.ndarray, y: np.ndarray, names, blocks: int, **options) -> BlockSums:
@@ -154,29 +142,7 @@ def test_blocks_that_are_trimmed_are_not_drawn(problems) -> None:
     assert np.max(np.abs(block_bootstrap(found, 200).draws[:, 1] + 2.0)) < 0.05
 
 
-def test_bad_input_is_refused(problems) -> None:
-    A, y = problems.draw(1, 100)
-    few = sums(A, y, problems.names, 7)
-    with pytest.raises(ShapeError, match="at least 8 stretches of 1 blocks to draw from, got 7"):
-        block_bootstrap(few)
-    enough = sums(A, y, problems.names, 10)
-    for draws in (0, 1):
-        with pytest.raises(ShapeError, match=f"at least 2 draws for a covariance, got {draws}"):
-            block_bootstrap(enough, draws)
-    with pytest.raises(ShapeError, match="2 to 7 folds"):
-        block_cv(few, folds=8)
-    with pytest.raises(UnknownName, match="mode of cross-validation, got 'random'"):
-        block_cv(few, mode="random")
-
-
-def test_shrinkage_is_large_where_the_scatter_is_chance_and_small_where_it_is_not() -> None:
-    rng = np.random.default_rng(0)
-    assert shrinkage(rng.standard_normal((20, 5))) > 0.5
-    assert shrinkage(rng.standard_normal((2000, 5)) * [1, 1, 1, 1, 10]) < 0.05
-    assert shrinkage(np.zeros((20, 5))) == 1.0
-
-
-# How many samples a coloured record is worth.
+# Residual autocorrelation.
 
 
 RHO = 0.95  # of the AR(1) records of conftest
@@ -213,11 +179,3 @@ def test_effective_samples_make_the_band_of_a_mean_true() -> None:
     assert 0.90 < np.mean(np.abs(means) < 2.0 * honest) < 0.97
     assert np.mean(np.abs(means) < 2.0 * white) < 0.60
     assert honest == pytest.approx(np.sqrt(variance / (effective_samples(training) * seconds / (dt * len(training)))))
-
-
-def test_records_that_tell_nothing_are_refused() -> None:
-    for wrong, words in ((np.zeros(0), r"\(0,\)"), (np.zeros(1), r"\(1,\)"), (np.array([1.0, np.nan, 2.0]), "1 NaN")):
-        for function in (effective_samples, lambda x: correlation_time(x, 0.1), lambda x: block_seconds(x[:, None], 1)):
-            with pytest.raises(ShapeError, match=words):
-                function(wrong)
-    assert block_seconds(np.zeros((10, 0)), 0.1) == 0.5

@@ -1,4 +1,4 @@
-"""Fit: a value with its covariance, frozen, with a report and a file."""
+"""Fit and excitation: a value with its covariance, its report and its file; refusal of unseen directions by name."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from armlab import models
-from armlab.errors import ConfigError, ModelMismatchError, ShapeError
-from armlab.estimation import Excitation, Fit
+from armlab.errors import NotExcited, ShapeError
+from armlab.estimation import Excitation, Fit, Prior
+from armlab.estimation.excitation import check_excitation, check_spread
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,74 +53,10 @@ def test_fit_is_frozen_and_reports_value_deviation_and_unit() -> None:
         result.outliers[0] = True
 
 
-def test_an_excitation_is_made_once_when_it_is_asked_for() -> None:
-    calls: list[int] = []
-
-    def make() -> Excitation:
-        calls.append(1)
-        return Excitation(2, 2, np.array([2.0, 1.0]), "b")
-
-    result = replace(fit(np.eye(2)), excitation=make)
-    assert not calls
-    assert result.excitation is result.excitation
-    assert result.excitation.weakest == "b"
-    assert len(calls) == 1
-    with pytest.raises(AttributeError):
-        result.excitation = make  # pyright: ignore
-
-
-def test_a_covariance_is_made_once_and_checked_when_it_is_asked_for() -> None:
-    calls: list[int] = []
-
-    def make(cov: np.ndarray) -> np.ndarray:
-        calls.append(1)
-        return cov
-
-    result = replace(fit(np.eye(2)), cov=lambda: make(np.diag([4.0, 9.0])))
-    assert not calls
-    assert result.cov is result.cov
-    np.testing.assert_array_equal(result.sd, [2.0, 3.0])
-    assert len(calls) == 1
-    with pytest.raises(ValueError, match="read-only"):
-        result.cov[0, 0] = 1.0
-    for bad, words in ((np.eye(3), r"cov of shape \(2, 2\)"), (np.diag([1.0, np.nan]), "finite covariance")):
-        with pytest.raises(ShapeError, match=words):
-            _ = replace(result, cov=lambda bad=bad: bad).cov
-
-
-def test_residuals_are_made_once_when_they_are_asked_for() -> None:
-    calls: list[int] = []
-
-    def make() -> np.ndarray:
-        calls.append(1)
-        return np.ones((5, 2))
-
-    result = replace(fit(np.eye(2)), residuals=make)
-    assert not calls
-    assert result.residuals is result.residuals
-    assert result.residuals.tolist() == np.ones((5, 2)).tolist()
-    assert len(calls) == 1
-    with pytest.raises(ValueError, match="read-only"):
-        result.residuals[0] = 1.0
-
-
-def test_many_outliers_are_not_all_listed() -> None:
-    assert "19 and 10 more" in fit(np.eye(2), np.ones(30, dtype=bool)).table()
-
-
 def test_rank_of_a_covariance_with_a_direction_that_nothing_tells() -> None:
     assert fit(np.diag([1e-12, 1e6])).rank == 2
     assert fit(np.array([[1.0, -2.0], [-2.0, 4.0]])).rank == 1
     assert fit(np.zeros((2, 2))).rank == 0
-
-
-def test_fit_refuses_a_covariance_of_another_size_or_none() -> None:
-    with pytest.raises(ShapeError, match=r"cov of shape \(2, 2\)"):
-        fit(np.eye(3))
-    with pytest.raises(ShapeError, match="finite covariance"):
-        fit(np.diag([1.0, np.nan]))
-    with pytest.raises(ShapeError, match="not negative"):
-        fit(np.diag([1.0, -1.0]))
 
 
 def test_a_saved_fit_comes_back_bit_equal(tmp_path: Path) -> None:
@@ -137,14 +74,8 @@ def test_a_saved_fit_comes_back_bit_equal(tmp_path: Path) -> None:
 
 def test_a_fit_goes_to_other_processes() -> None:
     made = fit(np.eye(2))
-    lazy = replace(
-        made,
-        cov=lambda: np.eye(2),  # type: ignore[arg-type]
-        residuals=lambda: np.arange(5.0),  # type: ignore[arg-type]
-        excitation=lambda: made.excitation,  # type: ignore[arg-type]
-        summary=lambda it: f"{it.n} samples, told",
-    )
-    for again in (pickle.loads(pickle.dumps(lazy)), copy.deepcopy(lazy)):
+    told = replace(made, residuals=np.arange(5.0), summary=lambda it: f"{it.n} samples, told")
+    for again in (pickle.loads(pickle.dumps(told)), copy.deepcopy(told)):
         np.testing.assert_array_equal(again.cov, np.eye(2))
         np.testing.assert_array_equal(again.residuals, np.arange(5.0))
         assert not any(part.flags.writeable for part in (again.cov, again.residuals, again.sigma))
@@ -152,22 +83,117 @@ def test_a_fit_goes_to_other_processes() -> None:
         assert again.excitation.text() == made.excitation.text()
 
 
-def test_another_kind_or_a_bare_value_is_refused(tmp_path: Path) -> None:
-    path = fit(np.eye(2)).save(tmp_path / "pair.toml")
-    with pytest.raises(ModelMismatchError, match="kind 'hand_eye'"):
-        Fit.load(path, kind="hand_eye")
-    with pytest.raises(ConfigError, match="saved without"):
-        Fit.load(models.save(Pair(np.zeros(2)), tmp_path / "bare.toml"))
-
-
-def test_a_value_without_a_file_format_is_not_saved(tmp_path: Path) -> None:
-    excitation = Excitation(1, 1, np.ones(1), "a")
-    bare = Fit(1.0, ("a",), ("m",), np.ones(1), np.eye(1), np.ones(1), np.zeros(3), 3, excitation)
-    with pytest.raises(ConfigError, match="float"):
-        bare.save(tmp_path / "x.toml")
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_saved_fit_names_its_sources(tmp_path) -> None:
     path = fit(np.eye(2)).save(tmp_path / "a.toml", ("run.csv sha256 00",))
     assert tomllib.loads(path.read_text(encoding="utf-8"))["meta"]["sources"] == ["run.csv sha256 00"]
+
+
+# Excitation.
+
+
+NAMES = ("mass", "offset", "viscous")
+
+
+def design(scale: np.ndarray | float = 1.0) -> np.ndarray:
+    return np.random.default_rng(0).standard_normal((100, 3)) * scale
+
+
+def test_check_excitation_is_free_of_units() -> None:
+    plain, scaled = (
+        check_excitation(design(), NAMES, "model"),
+        check_excitation(design([1e6, 1.0, 1e-9]), NAMES, "model"),
+    )
+    assert isinstance(plain, Excitation)
+    np.testing.assert_allclose(plain.singular_values, scaled.singular_values, rtol=1e-6)
+    assert plain.rank == plain.expected == 3
+    assert plain.condition < 2
+    assert "good" in plain.text()
+
+
+def test_a_column_without_signal_is_named() -> None:
+    dead = design([1.0, 0.0, 1.0])
+    with pytest.raises(NotExcited, match="none at all for: offset") as caught:
+        check_excitation(dead, NAMES, "model")
+    assert caught.value.directions == ("offset",)
+
+
+def test_a_direction_that_two_parameters_share_is_named() -> None:
+    A = np.random.default_rng(0).standard_normal((100, 3))
+    A[:, 2] = A[:, 0] + 1e-7 * A[:, 1]
+    with pytest.raises(NotExcited, match=r"mass and viscous|viscous and mass") as caught:
+        check_excitation(A, NAMES, "model")
+    assert len(caught.value.directions) == len(caught.value.spread) == 1
+
+
+def test_the_triangle_of_qr_tells_the_same_and_nothing_is_squared() -> None:
+    A = design()
+    A[:, 2] = A[:, 0] + 1e-10 * A[:, 2]  # a normal matrix would call it singular
+    whole, triangle = Excitation.of(A, NAMES), Excitation.of(np.linalg.qr(A, mode="r"), NAMES)
+    np.testing.assert_allclose(whole.singular_values, triangle.singular_values, rtol=1e-4)
+    assert 1e9 < whole.condition < 1e11
+    assert check_excitation(A, NAMES, "model", max_condition=1e12).rank == 3
+
+
+def test_a_prior_holds_what_would_be_refused_and_says_so() -> None:
+    A = design([1.0, 0.0, 1.0])
+    found = check_excitation(A, NAMES, "model", Prior(np.zeros(3), np.ones(3)))
+    assert found.held == ("offset",)
+    assert found.text().endswith("held by the prior: offset")
+    with pytest.raises(ShapeError, match="a prior of 3 finite values with positive deviations"):
+        check_excitation(A, NAMES, "model", Prior(np.zeros(2), np.ones(2)))
+
+
+LIMITS = np.array([0.3, 0.2, 0.05])
+UNITS = ("kg", "rad", "m")
+
+
+def test_check_spread_judges_the_deviation_and_not_the_rank() -> None:
+    J = np.diag([100.0, 100.0, 100.0])
+    good = check_spread(J, NAMES, UNITS, LIMITS, "model")
+    assert (good.rank, good.expected, good.held, good.null_names) == (3, 3, (), ())
+    np.testing.assert_allclose(good.spread, 0.01 / LIMITS)
+    assert good.weakest == "viscous (0.01 m)"
+    assert "good" in good.text()
+    J[2, 2] = 10.0  # full rank, but a deviation of 0.1 m
+    with pytest.raises(NotExcited, match=r"exceeds its limit: viscous \(0.1 m\)") as caught:
+        check_spread(J, NAMES, UNITS, LIMITS, "model")
+    assert caught.value.spread == ("2 times the limit",)
+    held = check_spread(J, NAMES, UNITS, LIMITS, "model", hold=True)
+    assert held.held == ("viscous (0.1 m)",)
+    assert "weak" in held.text()
+
+
+def test_unseen_directions_are_missing_unless_they_are_gauge() -> None:
+    J = np.array([[100.0, 0.0, 0.0], [0.0, 100.0, 100.0]]) / LIMITS
+    with pytest.raises(NotExcited, match=r"offset and viscous|viscous and offset") as caught:
+        check_spread(J, NAMES, UNITS, LIMITS, "model")
+    assert caught.value.spread == ("unseen",)
+    gauge = np.array([[0.0], [1.0], [-1.0]])
+    found = check_spread(J, NAMES, UNITS, LIMITS, "model", gauge=gauge)
+    assert (found.rank, found.expected) == (2, 2)
+    assert found.null_names[0].startswith("gauge: ")
+    np.testing.assert_allclose(J * LIMITS @ found.null_space, 0.0, atol=1e-12)
+    missing = check_spread(J, NAMES, UNITS, LIMITS, "model", hold=True)
+    assert "not seen: " in missing.text()
+    assert missing.null_space.shape == (3, 1)
+
+
+def test_directions_are_put_into_the_words_of_the_caller() -> None:
+    def words(step: np.ndarray) -> str:
+        return f"along tool axis {'xyz'[int(np.argmax(np.abs(step)))]}, {np.linalg.norm(step):.3g} m"
+
+    with pytest.raises(NotExcited, match=r"along tool axis z, 1 m"):
+        check_spread(np.diag([1e3, 1e3, 1.0]), NAMES, UNITS, LIMITS, "model", describe=words)
+    with pytest.raises(NotExcited, match=rf"along tool axis z, {LIMITS[2]:.3g} m"):
+        check_spread(np.diag([1e3, 1e3, 0.0]), NAMES, UNITS, LIMITS, "model", describe=words)
+
+
+def test_an_estimate_without_a_design_matrix_tells_the_same_by_its_covariance() -> None:
+    A, names = np.random.default_rng(0).standard_normal((40, 3)) * [1.0, 1e3, 1e-3], ("a", "b", "c")
+    found = Excitation.of_covariance(np.linalg.inv(A.T @ A), names)
+    expected = Excitation.of(A, names)
+    np.testing.assert_allclose(found.singular_values, expected.singular_values, rtol=1e-6)
+    assert (found.rank, found.weakest) == (3, expected.weakest)
+    nothing = Excitation.of_covariance(np.zeros((0, 0)), ())
+    assert nothing.condition == 1.0
+    assert "rank 0 of 0" in nothing.text()

@@ -1,20 +1,24 @@
-"""Payload identification: the fit, its records, and errors of the model of the arm."""
+"""Loads and links as bodies: payload identification, errors of the model of the arm, physical consistency."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
 
-from armlab import identify, sim
-from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
+from armlab import identify, robots, sim
+from armlab.errors import ConfigError, NotExcited, ShapeError
 from armlab.estimation import Experiment, Fit, check_estimator
-from armlab.identify import fit_payload
-from armlab.identify.payload import LoadRecord, ModelError, _possible, moving_joints
+from armlab.identify import fit_payload, physically_consistent, physically_consistent_load
+from armlab.identify.consistency import LEAST, PhysicallyConsistent, pseudo_inertia
+from armlab.identify.payload import LoadRecord, ModelError, _possible
+from armlab.identify.residuals import model_residuals
 from armlab.kernels import presliding
 from armlab.log import Table
-from armlab.models import Friction, Payload, TorqueModel
+from armlab.models import TorqueModel
+from armlab.models.friction import Friction
 from armlab.robots import Robot, from_links, inertia, load
 
 MASS, CENTRE = 0.5, np.array([0.03, 0.0, 0.052])  # 60 mm from the flange
@@ -118,24 +122,6 @@ def test_bounds() -> None:
             assert (other - [0.1, 0, 0, 0.08]) ** 2 @ (1 / np.diag(cov)) > distance
 
 
-def test_bad_input_is_refused_by_a_sentence(truth, model, motion, table) -> None:
-    robot = truth.robot
-    with pytest.raises(ModelMismatchError, match="yumi_right"):
-        fit_payload(table, model, load("yumi_right"))
-    with pytest.raises(UnknownName, match="static"):
-        fit_payload(table, model, robot, "fast")
-    with pytest.raises(ShapeError, match="gains"):
-        fit_payload(table, model, robot, gain_sd=-0.1)
-    with pytest.raises(NotExcited, match="5 s"):
-        fit_payload(table.between(0, 3), model, robot)
-    tau = np.array(table["tau"])
-    tau[11] = np.nan
-    with pytest.raises(ShapeError, match=r"\[11\]"):
-        fit_payload(table.with_column("tau", tau), model, robot)
-    with pytest.raises(ShapeError, match=r"\(3500, 7\)"):
-        fit_payload(Table(table.t, {name: table[name][:, :6] for name in ("q", "qd", "tau")}), model, robot)
-
-
 def test_a_load_that_the_log_cannot_weigh_is_refused_by_name(truth, model) -> None:
     with pytest.raises(NotExcited, match="payload") as caught:
         fit_payload(**weightless(truth, model))
@@ -198,64 +184,26 @@ def noisy(table: Table, truth: sim.Truth, gains: np.ndarray, rng: np.random.Gene
 
 @pytest.fixture(scope="module")
 def experiment(truth, fitted):
-    """Free motion at 100 Hz of an arm that the model knows, but for what `gain_sd` and the covariance of its fit allow.
-
-    `wrong` times the deviations, of masses and friction together, as they are correlated.
-    """
-    robot, scale, model = truth.robot, fitted.sd, replace(fitted.value, gain_cov=np.zeros((7, 7)))
-    error = ModelError.of(fitted, robot).cov  # with the gains of the model, whatever they have in common
-    values, vectors = np.linalg.eigh(error / np.outer(scale, scale))
-    root = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    """Free motion at 100 Hz of an arm that the model knows exactly."""
+    robot, model = truth.robot, replace(fitted.value, gain_cov=np.zeros((7, 7)))
     motion = identify.design_excitation(robot, seconds=70, speed=0.4, acceleration=8.0, seed=9)
+    known = replace(fitted, value=model, cov=np.zeros_like(fitted.cov))
 
-    def make(gain_sd: float, wrong: float, seed: int, n: int) -> Experiment:
+    def make(seed: int, n: int) -> Experiment:
         rng = np.random.default_rng([7, seed])
         t = 0.01 * np.arange(1, n + 1)
         q, qd, qdd = motion.sample(t)
-        true = moved(fitted, wrong * root @ rng.standard_normal(len(scale)), robot)
-        known = replace(fitted, value=model, cov=wrong**2 * error)
         pi = np.zeros((7, 10))
         pi[-1] = inertia.transform(robot.links[-1], POINT)
         carried = robot.chain.rnea(q, qd, qdd, robot.gravity, pi)
-        gains = model.gains * (1.0 + gain_sd * rng.standard_normal(7))
-        tau = true.torque(q, qd, qdd) + gains * carried + truth.noise * rng.standard_normal(q.shape)
+        noise = truth.noise * rng.standard_normal(q.shape)
+        tau = model.torque(q, qd, qdd) + model.gains * carried + noise
         table = Table(t, {"q": q, "qd": qd, "tau": tau})
-        return Experiment({"table": table, "model": known, "robot": robot, "gain_sd": gain_sd}, POINT[:4])
+        return Experiment({"table": table, "model": known, "robot": robot, "gain_sd": 0.0}, POINT[:4])
 
     return make
 
 
-def moved(fit: Fit[TorqueModel], shift: np.ndarray, robot: Robot) -> TorqueModel:
-    """The model of a fit whose parameters are others by `shift` (P,)."""
-    model, base = fit.value, identify.base_parameters(robot)
-    p = len(base.names)
-    rigid, own = base.lift @ shift[:p], dict(zip(fit.names[p:], shift[p:]))
-    friction = {name: np.array(getattr(model.friction, name)) for name in (*FRICTION.values(), "coulomb_neg")}
-    ripple = {name: np.array(getattr(model.ripple, name)) for name in ("cosine", "sine")}
-    for i, joint in enumerate(robot.joint_names):
-        ripple["cosine"][i] += own.pop(f"ripple cos {joint}")
-        ripple["sine"][i] += own.pop(f"ripple sin {joint}")
-        friction["offset"][i] += own.pop(base.offset_names[i])
-        both = own.pop(f"coulomb {joint}", 0.0)
-        friction["coulomb_pos"][i] += both
-        friction["coulomb_neg"][i] += both + own.pop(f"coulomb- {joint}", 0.0)
-        for term, name in FRICTION.items():
-            if name != "offset":
-                friction[name][i] += own.pop(f"{term} {joint}", 0.0)
-    assert not own
-    return replace(
-        model,
-        link_parameters=model.link_parameters + rigid[: 10 * robot.n].reshape(-1, 10),
-        rotor=model.rotor + rigid[10 * robot.n :],
-        friction=replace(model.friction, **friction),
-        ripple=replace(model.ripple, **ripple),
-    )
-
-
-FRICTION = {
-    "viscous": "viscous", "coulomb+": "coulomb_pos", "stribeck": "stribeck", "root": "root", "offset": "offset",
-    "delta": "delta", "stribeck-speed": "stribeck_speed", "tanh-speed": "smooth_speed",
-}  # fmt: skip
 REASONS = {
     "order-free": "friction remembers: the rows of a log have an order",
     "gauge-free": "tested in the frames' own tests; the flange is the only frame here",
@@ -279,23 +227,12 @@ def test_the_statistical_contract(experiment, truth, model) -> None:
     """Gains known and a perfect model: errors shrink with the record."""
     contract = check_estimator(
         fit_payload,
-        lambda seed, n: experiment(0.0, 0.0, seed, n),
+        experiment,
         20,
         n=1400,
         refusals={"m": weightless(truth, model)},
         noise_given=False,
         skip=REASONS,
-    )
-    assert contract.passed, contract.text()
-
-
-@pytest.mark.slow  # 7 s
-def test_gains_and_model_are_in_the_covariance(experiment) -> None:
-    """Gains of 5 %, masses and friction inside their covariance: NEES stays 1, though errors do not shrink with the
-    record."""
-    reasons = {**REASONS, "consistent": "the gains do not average out", "refuses": "see above"}
-    contract = check_estimator(
-        fit_payload, lambda seed, n: experiment(0.05, 1.0, seed, n), 30, n=1600, noise_given=False, skip=reasons
     )
     assert contract.passed, contract.text()
 
@@ -341,42 +278,24 @@ def test_of_a_model_without_its_fit_friction_is_said_to_be_unknown(truth, fitted
     assert words not in fit_payload(table, fitted, truth.robot).report()
 
 
-def test_value_and_file(truth, model, table, tmp_path) -> None:
-    fit = fit_payload(table, model, truth.robot)
-    assert isinstance(fit.value, Payload)
-    again = Fit.load(fit.save(tmp_path / "load.toml"), kind="payload")
-    assert np.array_equal(again.value.pi, fit.value.pi)
-    assert np.array_equal(again.cov, fit.cov)
-    assert again.names == fit.names
-
-
-# The regression of a load: exact without noise; two logs of one motion are brought together.
+# Load regression.
 
 
 PI = inertia.from_body(0.5, [0.03, -0.01, 0.06], np.diag([1e-3, 2e-3, 1.5e-3]))
 
 
 @pytest.fixture(scope="module")
-def motion_of_load_record(truth):
-    return identify.design_excitation(truth.robot, seconds=12, speed=0.4, seed=3)
-
-
-@pytest.fixture(scope="module")
 def loaded(truth):
-    links = truth.links.copy()
-    links[-1] += inertia.transform(truth.robot.links[-1], PI)
-    return replace(truth, links=links)
+    return carrying(truth, PI)
 
 
-def test_the_load_explains_the_difference(truth, model, loaded, motion_of_load_record) -> None:
+def test_the_load_explains_the_difference(truth, model, loaded, motion) -> None:
     """Without noise the difference of the logs is the load, to the step from one sample to the next."""
-    record = LoadRecord.of(
-        loaded.log(motion_of_load_record, noise=0.0), model, truth.robot, truth.log(motion_of_load_record, noise=0.0)
-    )
+    record = LoadRecord.of(loaded.log(motion, noise=0.0), model, truth.robot, truth.log(motion, noise=0.0))
     assert record.A.shape == (*record.y.shape, 10)
     np.testing.assert_allclose(model.gains * record.y, record.A @ PI, atol=2e-3)
     assert record.against.shape == (7, 10, len(model.base_names))
-    scale = np.abs(LoadRecord.of(loaded.log(motion_of_load_record, noise=0.0), model, truth.robot).against).max()
+    scale = np.abs(LoadRecord.of(loaded.log(motion, noise=0.0), model, truth.robot).against).max()
     assert np.abs(record.against).max() < 1e-6 * scale
     assert len(record.sources) == 2
     block = record.blocks(1.0)
@@ -385,8 +304,9 @@ def test_the_load_explains_the_difference(truth, model, loaded, motion_of_load_r
 
 
 @pytest.mark.parametrize("late", [300, -300])
-def test_a_log_that_began_at_another_time(truth, model, loaded, motion_of_load_record, late: int) -> None:
-    one, two = loaded.log(motion_of_load_record, noise=0.0), truth.log(motion_of_load_record, noise=0.0)
+def test_a_log_that_began_at_another_time(truth, model, loaded, late: int) -> None:
+    motion = identify.design_excitation(truth.robot, seconds=12, speed=0.4, seed=3)
+    one, two = loaded.log(motion, noise=0.0), truth.log(motion, noise=0.0)
     if late > 0:
         two = two.rows(slice(late, None))
     else:
@@ -395,44 +315,7 @@ def test_a_log_that_began_at_another_time(truth, model, loaded, motion_of_load_r
     np.testing.assert_allclose(record.y[20:-20], (record.A @ PI)[20:-20], atol=0.02)
 
 
-def test_another_motion_is_refused(truth, model, loaded, motion_of_load_record) -> None:
-    other = identify.design_excitation(truth.robot, seconds=12, speed=0.4, seed=4)
-    with pytest.raises(ShapeError, match="same motion"):
-        LoadRecord.of(loaded.log(motion_of_load_record), model, truth.robot, truth.log(other))
-    thin = truth.log(motion_of_load_record).rows(slice(None, None, 2))
-    with pytest.raises(ShapeError, match="one rate"):
-        LoadRecord.of(loaded.log(motion_of_load_record), model, truth.robot, thin)
-
-
-def test_degrees_are_refused_by_the_limits_of_the_arm(truth, model, loaded, motion_of_load_record) -> None:
-    """The model alone knows no limits."""
-    log = truth.log(motion_of_load_record)
-    degrees = log.with_column("q", np.rad2deg(log["q"])).with_column("qd", np.rad2deg(log["qd"]))
-    for pair in ((degrees, None), (loaded.log(motion_of_load_record), degrees)):
-        with pytest.raises(ShapeError, match=r"axis_1 \(\S+, limit 2\.941: degrees"):
-            LoadRecord.of(pair[0], model, truth.robot, pair[1])
-
-
-def test_joints_that_move(truth, motion_of_load_record) -> None:
-    log = truth.log(motion_of_load_record)
-    held = log.with_column("q", np.where(np.arange(7) < 3, 0.1, log["q"]))
-    assert moving_joints([held], truth.robot).tolist() == [3, 4, 5, 6]
-    assert moving_joints([held, log], truth.robot).tolist() == list(range(7))
-    assert moving_joints([log.with_column("q", 0.0 * log["q"])], truth.robot).tolist() == list(range(7))
-
-
-def test_the_log_with_the_load_is_not_the_one_without(truth, model, loaded, motion_of_load_record) -> None:
-    log = loaded.log(motion_of_load_record)
-    with pytest.raises(ShapeError, match="rows of log 1 again as log 2"):
-        LoadRecord.of(log, model, truth.robot, log)
-
-
-# What is uncertain in a model: the slopes of its torque, and which parameters are known by name.
-
-
-@pytest.fixture(scope="module")
-def table_of_model_error(truth) -> Table:
-    return truth.log(identify.design_excitation(truth.robot, seconds=10, speed=0.4, acceleration=8.0, seed=3), seed=3)
+# Uncertainty of the model of the arm.
 
 
 STEPS = {"viscous": 0.1, "coulomb_pos": 0.1, "coulomb_neg": 0.1, "offset": 0.1, "stribeck": 0.1, "delta": 1e-6}
@@ -440,7 +323,7 @@ TERMS = {"coulomb_pos": "coulomb+", "coulomb_neg": "coulomb-"}
 
 
 @pytest.mark.parametrize("field", STEPS)
-def test_a_changed_model_changes_the_sums_as_said(truth, fitted, table_of_model_error, field: str) -> None:
+def test_a_changed_model_changes_the_sums_as_said(truth, fitted, excited, field: str) -> None:
     """A_i^T (y of the changed model - y) is minus the sums times the change, for every joint."""
     robot, model, step = truth.robot, fitted.value, STEPS[field]
     joint = 2
@@ -451,8 +334,8 @@ def test_a_changed_model_changes_the_sums_as_said(truth, fitted, table_of_model_
     names, p = (*model.base_names, name), len(model.base_names)
     known = replace(fitted, names=names, units=("1",) * (p + 1), parameters=np.zeros(p + 1), cov=np.eye(p + 1))
     record, other = (
-        LoadRecord.of(table_of_model_error, known, robot),
-        LoadRecord.of(table_of_model_error, changed, robot),
+        LoadRecord.of(excited, known, robot),
+        LoadRecord.of(excited, changed, robot),
     )
     sums = np.einsum("kia,ki->ia", record.A, other.y - record.y)
     np.testing.assert_allclose(sums, -step * record.against[:, :, p], atol=2e-3 * np.abs(sums).max())
@@ -492,3 +375,120 @@ def test_what_gains_have_in_common_is_no_error_of_the_torque_that_is_read(fitted
     weight = float(model.base_values @ model.base_values)
     assert whole - held > 0.015**2 * weight**2
     assert model.base_values @ apart @ model.base_values - held < 0.2 * (whole - held)
+
+
+# Physical consistency.
+
+
+needs_cvxpy = pytest.mark.skipif(find_spec("cvxpy") is None, reason="the extra sdp is not installed")
+
+
+def shifted(fit: Fit, base_values: np.ndarray, robot) -> Fit:
+    """The fit with other base parameters, as another record would have given."""
+    base = identify.base_parameters(robot)
+    links, rotor = base.links_and_rotors(base_values)
+    parameters = np.concatenate([base_values, fit.parameters[len(base_values) :]])
+    value = replace(fit.value, link_parameters=links, rotor=rotor, base_values=base_values)
+    return replace(fit, value=value, parameters=parameters)
+
+
+def test_pseudo_inertia_is_made_of_moments() -> None:
+    """Of points: the sum of m [x; 1] [x; 1]^T."""
+    rng = np.random.default_rng(0)
+    masses, points = rng.uniform(0.1, 1.0, 5), rng.standard_normal((5, 3))
+    pi = sum(inertia.from_body(m, x, np.zeros((3, 3))) for m, x in zip(masses, points))
+    lifted = np.column_stack([points, np.ones(5)])
+    np.testing.assert_allclose(pseudo_inertia(pi), (masses[:, None] * lifted).T @ lifted, atol=1e-12)
+    assert pseudo_inertia(np.zeros((2, 3, 10))).shape == (2, 3, 4, 4)
+    with pytest.raises(ShapeError, match="10"):
+        pseudo_inertia(np.zeros(4))
+
+
+@needs_cvxpy
+@pytest.mark.parametrize("pull", ["log-det", "euclidean"])
+def test_true_bodies_stay(truth, fitted, pull: str) -> None:
+    """Base parameters of real bodies, with these bodies as the prior: nothing is to be done."""
+    robot = truth.robot
+    bodies = sim.synthetic_truth(robot).pi
+    values = identify.base_parameters(robot).B @ np.concatenate([bodies.ravel(), truth.rotor])
+    found = physically_consistent(shifted(fitted, values, robot), robot, prior=bodies, pull=pull)
+    assert isinstance(found, PhysicallyConsistent)
+    np.testing.assert_allclose(found.links, bodies, atol=1e-4)
+    np.testing.assert_allclose(found.rotor, truth.rotor, atol=1e-4)
+    assert found.distance < 0.1
+    assert found.growth < 1e-6
+
+
+@needs_cvxpy
+def test_an_identified_model_gets_bodies_without_a_prior(truth, fitted) -> None:
+    assert np.linalg.eigvalsh(pseudo_inertia(fitted.value.link_parameters)).min() < 0
+    found = physically_consistent(fitted, truth.robot)
+    assert np.linalg.eigvalsh(pseudo_inertia(found.links)).min() > LEAST * (1 - 1e-6)
+    assert np.all(found.rotor >= 0)
+    assert found.growth < 0.01
+    moments = inertia.principal_moments(found.links)
+    assert np.all(moments[:, 0] + moments[:, 1] >= moments[:, 2])
+    assert "residual grows" in found.text()
+    q = np.random.default_rng(1).uniform(-1, 1, (50, 7))
+    zero = np.zeros_like(q)
+    np.testing.assert_allclose(
+        found.model.rigid_torque(q, zero, zero), fitted.value.rigid_torque(q, zero, zero), atol=0.1
+    )
+
+
+@needs_cvxpy
+def test_an_impossible_fit_becomes_possible(truth, fitted) -> None:
+    """A last link whose inertia is too small by far more than the log allows."""
+    base = identify.base_parameters(truth.robot)
+    wrong = np.array(fitted.value.base_values)
+    wrong[[name.startswith("I_xx7") for name in base.names]] -= 0.02
+    found = physically_consistent(shifted(fitted, wrong, truth.robot), truth.robot)
+    assert np.linalg.eigvalsh(pseudo_inertia(found.links)).min() > LEAST * (1 - 1e-6)
+    assert found.growth > physically_consistent(fitted, truth.robot).growth
+    assert found.distance > 3.0
+
+
+@needs_cvxpy
+def test_the_residual_of_the_log_grows_as_stated(truth, fitted, excited) -> None:
+    """Pulled hard to bodies that are too heavy: what the log's own residual, filtered, says of it."""
+    heavy = 3.0 * sim.synthetic_truth(truth.robot).pi
+    found = physically_consistent(fitted, truth.robot, prior=heavy, pull="euclidean", strength=3e4)
+
+    def rms(model) -> float:
+        left = model_residuals(excited, model)
+        return float(np.sqrt(np.mean((left.data.filter(left.y, left.data.rate / 10) / fitted.sigma) ** 2)))
+
+    growth = rms(found.model) / rms(fitted.value) - 1
+    assert growth > 0.005
+    assert found.growth == pytest.approx(growth, rel=0.25)
+
+
+@needs_cvxpy
+def test_simulator_and_urdf_take_the_links(truth, fitted, tmp_path) -> None:
+    found = physically_consistent(fitted, truth.robot)
+    robot = replace(truth.robot, inertias=found.links)
+    robots.save(robot, tmp_path / "arm.urdf")
+    again = robots.load(tmp_path / "arm.urdf", tip="tool")
+    np.testing.assert_allclose(again.inertias, found.links, atol=1e-9)
+    template = sim.synthetic_truth(robot)
+    arm = sim.SimulatedArm(robot, replace(template, pi=found.links, rotor=found.rotor))
+    arm.step(robot.q_home, np.zeros(7), None)
+    assert np.isfinite(arm.sample.tau).all()
+
+
+@needs_cvxpy
+def test_a_load_becomes_a_body(truth, model) -> None:
+    """A point has no inertia about itself: half of the fits of one are no body, and a body is near."""
+    robot = truth.robot
+    point = inertia.from_body(0.5, [0.03, 0.0, 0.052], np.zeros((3, 3)))
+    links = truth.links.copy()
+    links[-1] += inertia.transform(robot.links[-1], point)
+    motion = identify.design_excitation(robot, seconds=12, speed=0.4, seed=3)
+    fit = fit_payload(replace(truth, links=links).log(motion, seed=3), model, robot, "dynamic")
+    assert np.linalg.eigvalsh(pseudo_inertia(fit.value.pi)).min() < 0
+    body = physically_consistent_load(fit)
+    assert np.linalg.eigvalsh(pseudo_inertia(body.value.pi)).min() > -1e-12
+    assert np.all(np.abs(body.parameters - point) < 4 * fit.sd)
+    assert "deviations to a body" in body.report()
+    with pytest.raises(ConfigError, match="dynamic"):
+        physically_consistent_load(fit_payload(truth.log(motion, seed=3), model, robot))

@@ -1,4 +1,4 @@
-"""The regression problem of a record: columns, places of the parameters, rows for the solver."""
+"""The regression problem of a record: base parameters, columns, friction structure, places of the parameters."""
 
 from __future__ import annotations
 
@@ -8,10 +8,186 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.identify import base_parameters, design_excitation, prepare, regression
-from armlab.identify.friction_structure import DELTAS, STRIBECK_SPEEDS
-from armlab.identify.regression import Design, DesignRows, Layout
+from armlab.identify import base_parameters, design_excitation, prepare
+from armlab.identify.base_parameters import BaseParameters
+from armlab.identify.columns import Decimation, FrictionColumns, RegressionColumns
+from armlab.identify.friction_structure import (
+    COLUMNS,
+    DELTAS,
+    FOLDS,
+    SMOOTH_SPEEDS,
+    STRIBECK_SPEEDS,
+    TERMS,
+    Chooser,
+    FrictionStructure,
+    StructureChoice,
+    choose,
+    choose_here,
+    mixing,
+    term_names,
+)
+from armlab.identify.regression import Design, ParameterLayout
 from armlab.identify.solve import alternate
+from armlab.kernels import presliding
+from armlab.lie import se3
+
+
+def test_ranks_of_the_yumi_arm_are_the_published_ones() -> None:
+    """14 for gravity, 45 rigid, 50 with rotor inertia (specification, section 4.2)."""
+    robot = robots.load("yumi_left")
+    base = base_parameters(robot)
+    assert isinstance(base, BaseParameters)
+    assert len(base.names) == len(base.kept) == 50
+    rng = np.random.default_rng(0)
+    q, qd, qdd = rng.uniform(-2, 2, (3, 400, 7))
+    Y = robot.chain.rigid_regressor(q, qd, qdd, robot.gravity).reshape(-1, 70)
+    G = robot.chain.gravity_regressor(q, robot.gravity).reshape(-1, 28)
+    assert np.linalg.matrix_rank(Y) == 45
+    assert np.linalg.matrix_rank(G) == 14
+
+
+@pytest.mark.parametrize("name", ["yumi_left", "irb2400", "ur5e"])
+def test_axes_that_are_a_little_off_do_not_count_as_others(name: str) -> None:
+    """A calibrated arm: 1 mm and 1 mrad make no columns that nearly depend on others; torques keep to a thousandth."""
+    robot, rng = robots.load(name), np.random.default_rng(1)
+    frames = robot.frames @ se3.exp(1e-3 * rng.standard_normal((robot.n + 1, 6)))
+    frames[0] = robot.frames[0]
+    arm = robots.from_local_poe(name, frames, np.tile([0.0, 0, 0, 0, 0, 1], (robot.n, 1)))
+    base, pi = base_parameters(arm), rng.standard_normal(11 * robot.n)
+    q, qd, qdd = rng.uniform(-3, 3, (3, 50, robot.n))
+    Y = arm.chain.rigid_regressor(q, qd, qdd, arm.gravity)
+    own = np.eye(robot.n) * qdd[:, :, None]
+    A = np.concatenate([Y, own], axis=2).reshape(-1, 11 * robot.n)
+    kept = A[:, base.kept] / np.linalg.norm(A[:, base.kept], axis=0)
+    assert np.linalg.cond(kept) < 1e3
+    expected = A @ pi
+    np.testing.assert_allclose(A @ base.lift @ base.B @ pi, expected, rtol=0, atol=5e-3 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("name", ["yumi_left", "yumi_right", "irb2400", "irb7600"])
+def test_base_parameters_give_the_torque_of_any_link_parameters(name: str) -> None:
+    robot = robots.load(name)
+    base = base_parameters(robot)
+    rng = np.random.default_rng(1)
+    pi = rng.standard_normal(11 * robot.n)
+    links, rotor = base.links_and_rotors(base.B @ pi)
+    q, qd, qdd = rng.uniform(-3, 3, (3, 50, robot.n))
+
+    def torque(links: np.ndarray, rotor: np.ndarray) -> np.ndarray:
+        return robot.chain.rnea(q, qd, qdd, robot.gravity, links) + rotor * qdd
+
+    expected = torque(pi[: 10 * robot.n].reshape(-1, 10), pi[10 * robot.n :])
+    np.testing.assert_allclose(torque(links, rotor), expected, atol=1e-9 * np.abs(expected).max())
+    assert np.linalg.norm([*links.ravel(), *rotor]) <= np.linalg.norm(pi) * (1 + 1e-9)
+
+
+def test_names_say_what_moves_with_what() -> None:
+    names = base_parameters(robots.load("yumi_left")).names
+    assert "m c_y1 + m c_z2" in names
+    assert "rotor7" in names
+    assert any(name.startswith("I_zz1") and name.endswith("rotor1") for name in names)
+
+
+def lift() -> robots.Robot:
+    """A vertical slide that carries a turning link."""
+    turned = np.eye(4)
+    turned[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    return robots.from_links("lift", [np.eye(4), turned, np.eye(4)], prismatic=[True, False])
+
+
+def test_weight_on_a_vertical_slide_counts_as_its_offset() -> None:
+    """Gravity of all that a lift carries is constant: only its inertia is a base parameter."""
+    robot = lift()
+    base = base_parameters(robot)
+    assert base.offset_names[0].startswith("offset")
+    assert "9.80665 m1 + 9.80665 m2" in base.offset_names[0]
+    assert base.offset_names[1] == f"offset {robot.joint_names[1]}"
+    assert not any(name.startswith("m1") for name in base.names)
+    rng = np.random.default_rng(2)
+    pi = rng.uniform(0.5, 1.0, 22)
+    links, rotor = base.links_and_rotors(base.B @ pi)
+    q, qd, qdd = rng.uniform(-1, 1, (3, 40, 2))
+    expected = robot.chain.rnea(q, qd, qdd, robot.gravity, pi[:20].reshape(2, 10)) + pi[20:] * qdd
+    found = robot.chain.rnea(q, qd, qdd, robot.gravity, links) + rotor * qdd
+    np.testing.assert_allclose(found + base.D @ pi, expected, atol=1e-10)
+
+
+def test_sums_of_masses_inertias_and_rotors_are_not_negative() -> None:
+    base = base_parameters(robots.load("yumi_left"))
+    bounded = [name for name, low in zip(base.names, base.lower) if low == 0]
+    assert "rotor7" in bounded
+    assert any("rotor1" in name for name in bounded)
+    assert not any(name.startswith("m c_") or " - " in name for name in bounded)
+
+
+def test_gravity_alone_has_masses_and_first_moments() -> None:
+    base = base_parameters(robots.load("yumi_left"), quasi_static=True)
+    assert base.quasi_static
+    assert len(base.names) == 14
+    assert set(base.units) <= {"kg", "kg m"}
+
+
+# Regression columns and decimation.
+
+
+@pytest.fixture(scope="module")
+def columns(truth, excited) -> RegressionColumns:
+    data = prepare(excited, truth.robot)
+    motors = np.array([[0, 0, 0, 0, 0, 1.0, 1.0]])
+    return RegressionColumns(data, Decimation.of(data, np.inf, 7), truth.robot, np.array([1, 4, 6]), motors)
+
+
+def test_shaped_columns_have_presliding_or_a_smooth_sign(columns) -> None:
+    data, rows, joints = columns.data, columns.decimation.rows, columns.joints
+    delta, smooth, speeds = np.full(3, 1e-3), np.array([0.0, 0.02, 0.0]), np.array([[0.1] * 3, [0.3] * 3])
+    z = presliding(np.ascontiguousarray(data.q[:, joints]), delta, data.resolution[joints])
+    z[:, 1] = np.tanh(data.qd[:, 4] / 0.02)
+    z, qd = z[rows], data.qd[rows][:, joints]
+    expected = [np.maximum(z, 0), np.minimum(z, 0), z * np.sqrt(np.abs(qd))]
+    expected += [z * np.exp(-((qd / speed) ** 2)) for speed in speeds]
+    np.testing.assert_allclose(columns.shaped(delta, smooth, speeds), np.stack(expected, axis=2), atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def data(truth, excited):
+    """A record of two segments."""
+    whole = prepare(excited, truth.robot)
+    return replace(whole, segments=((0, 5000), (5000, len(whole.t))))
+
+
+def test_thinning_is_the_zero_phase_filter_at_the_rows_that_are_kept(data) -> None:
+    decimation = Decimation.of(data, 25.0, 4)
+    got = decimation.run(lambda a, b: data.tau[a:b], data.tau.shape[1])
+    expected = data.filter(data.tau, 25.0)[decimation.rows]
+    inside = np.concatenate([np.arange(50, 1200), np.arange(1300, len(got) - 50)])
+    scale = np.std(expected, axis=0)
+    assert np.max(np.abs(got - expected)[inside] / scale) < 1e-5
+    assert np.max(np.abs(got - expected) / scale) < 0.1, "ends are continued in another way"
+
+
+def test_a_constant_and_a_slope_pass_unchanged(data) -> None:
+    for every in (1, 3, 7):
+        decimation = Decimation.of(data, 10.0, every)
+        x = np.column_stack([np.ones(len(data.t)), np.arange(len(data.t))])
+        np.testing.assert_allclose(
+            decimation.run(lambda a, b, x=x: x[a:b], 2), x[decimation.rows], rtol=1e-9, atol=1e-6
+        )
+
+
+@pytest.mark.parametrize("rows", [100, 5000])
+def test_ends_are_continued_by_point_reflection(data, rows: int) -> None:
+    """Also where the filter reaches beyond the other end of the piece."""
+    short = replace(data, rate=2500.0, segments=((0, rows),))
+    decimation = Decimation.of(short, 25.0, 10)
+    reach = len(decimation.taps) // 2
+    assert reach > 200
+    x = data.tau[:rows]
+    wide = np.pad(x, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
+    expected = [decimation.taps @ wide[k : k + 2 * reach + 1] for k in decimation.rows]
+    np.testing.assert_allclose(decimation.run(lambda a, b: x[a:b], x.shape[1]), expected, rtol=1e-9, atol=1e-9)
+
+
+# The regression problem of a record: columns, places of the parameters, rows for the solver.
 
 
 @pytest.mark.slow  # 5 s beside other work
@@ -21,10 +197,10 @@ def test_design_finds_the_shape_of_friction_and_the_parameters_of_a_clean_log(tr
     data = prepare(truth.log(design_excitation(robot, seconds=20, seed=2), noise=0.0), robot)
     design, theta = alternate(Design.build(data, robot, base_parameters(robot)), "wls")
     assert truth.friction.delta[0] not in DELTAS
-    assert not design.shapes.smooth.any()
-    np.testing.assert_allclose(design.shapes.delta, truth.friction.delta, rtol=0.15)
-    np.testing.assert_allclose(design.shapes.speed, STRIBECK_SPEEDS[1], rtol=0.15)
-    assert design.shapes.terms[:, :2].all()
+    assert not design.structure.smooth.any()
+    np.testing.assert_allclose(design.structure.delta, truth.friction.delta, rtol=0.15)
+    np.testing.assert_allclose(design.structure.speed, STRIBECK_SPEEDS[1], rtol=0.15)
+    assert design.structure.terms[:, :2].all()
     relative = np.sqrt(np.mean(design.residuals(theta) ** 2, axis=0)) / np.std(design.tau, axis=0)
     assert np.all(relative < 5e-3)
     assert len(design.layout.units) == len(design.layout.names) == len(design.layout.lower) == len(theta)
@@ -80,7 +256,7 @@ def test_a_motor_that_moves_two_joints_brings_shared_columns(truth, excited) -> 
     speed = data.qd[:, 5] + data.qd[:, 6]
     torque = 0.02 * data.differentiate(speed) + 0.3 * speed + 0.5 * np.tanh(speed / 0.02)
     expected = np.zeros_like(design.tau)
-    expected[:, 5:] = design.thinning.run(lambda a, b: torque[a:b, None], 1)
+    expected[:, 5:] = design.decimation.run(lambda a, b: torque[a:b, None], 1)
     np.testing.assert_allclose(design.model(theta), expected, atol=1e-9)
 
 
@@ -112,25 +288,14 @@ def test_slopes_are_the_derivatives_of_the_torque_over_the_logarithms(short_arm)
     for k, step in zip(at, (1e-3, -1e-3, 2e-3, 1e-3)):
         moved = x.copy()
         moved[k] = step
-        change = design.with_shapes(sloped.moved(moved)).model(theta) - design.model(theta)
+        change = design.with_structure(sloped.moved(moved)).model(theta) - design.model(theta)
         np.testing.assert_allclose(sloped.model(moved) - sloped.model(x), change, atol=3e-3 * np.abs(change).max())
         found, cov = sloped.in_units(moved, np.eye(len(x)))
-        assert found[k] == pytest.approx(sloped.shapes.numbers.ravel()[list(at).index(k)] * np.exp(step))
+        assert found[k] == pytest.approx(sloped.structure.numbers.ravel()[list(at).index(k)] * np.exp(step))
         assert cov[k, k] == pytest.approx(found[k] ** 2)
     assert sloped.drives(moved)[0].stribeck_speed[1] == pytest.approx(0.1 * np.exp(1e-3))
     only = design.with_slopes(theta, np.array([[True, False], [False, False]]))
     assert only.layout.slopes.sum() == 1
-
-
-def test_another_torque_takes_the_place_of_the_first(short_arm) -> None:
-    robot = short_arm.robot
-    design = Design.build(prepare(short_arm.log(0, 2000), robot), robot, base_parameters(robot))
-    twice = design.with_torque(2.0 * design.data.tau)
-    np.testing.assert_allclose(twice.tau, 2.0 * design.tau, rtol=1e-12, atol=1e-12)
-    np.testing.assert_array_equal(twice.data.tau, 2.0 * design.data.tau)
-
-
-# Names, units, bounds and places of the parameters.
 
 
 def test_every_parameter_has_one_name_unit_bound_and_place(short_arm) -> None:
@@ -138,7 +303,7 @@ def test_every_parameter_has_one_name_unit_bound_and_place(short_arm) -> None:
     base = base_parameters(robot)
     p, motors = len(base.names), np.array([[1.0, 1.0]])
     terms = (("viscous", "coulomb", "offset", "delta"), ("viscous", "coulomb+", "coulomb-", "offset", "root"))
-    layout = Layout(robot, base, np.arange(2), motors, np.array([1]), terms)
+    layout = ParameterLayout(robot, base, np.arange(2), motors, np.array([1]), terms)
     assert len(layout.names) == len(layout.units) == len(layout.lower) == len(layout.slopes) == p + 4 + 5 + 3
     assert len(set(layout.names)) == len(layout.names)
     np.testing.assert_array_equal(np.flatnonzero(layout.slopes), [p + 3])
@@ -151,24 +316,109 @@ def test_every_parameter_has_one_name_unit_bound_and_place(short_arm) -> None:
         np.testing.assert_array_equal(columns, [*np.flatnonzero(base.seen[i]), *own, *motor])
 
 
-# Rows of a design in pieces: together they are all of it, once for each reading.
+# The structure of friction, chosen on held-out blocks.
 
 
-def test_pieces_are_all_rows_of_all_joints_and_come_again(monkeypatch) -> None:
-    monkeypatch.setattr(regression, "AT_ONCE", 4)
-    rng = np.random.default_rng(0)
-    tau, trust, block = rng.standard_normal((10, 2)), rng.uniform(0, 1, (10, 2)), np.arange(10) // 3
-    rigid, local = [rng.standard_normal((10, w)) for w in (3, 2)], [rng.standard_normal((10, k)) for k in (1, 2)]
-    columns = [np.array([0, 1, 2, 4]), np.array([1, 2, 5, 6])]
-    rows = DesignRows(tau, rigid, local, columns, block, trust)
-    for found in (list(rows), list(rows)):
-        assert [piece.group for piece in found] == [0, 0, 0, 1, 1, 1]
-        for joint in range(2):
-            own = [piece for piece in found if piece.group == joint]
-            whole = np.hstack([rigid[joint], local[joint]])
-            np.testing.assert_array_equal(np.vstack([piece.A for piece in own]), whole * trust[:, joint, None])
-            np.testing.assert_array_equal(np.concatenate([piece.y for piece in own]), (tau * trust)[:, joint])
-            np.testing.assert_array_equal(np.concatenate([piece.block for piece in own]), block)
-            assert all(piece.columns is columns[joint] for piece in own)
-    plain = list(DesignRows(tau, rigid, local, columns, block, None))
-    np.testing.assert_array_equal(np.concatenate([piece.y for piece in plain]), tau.T.ravel())
+def record(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """A joint that goes to and fro at many speeds: q and qd (N, 1), 100 Hz."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(6000) * 0.01
+    f, phase = rng.uniform(0.1, 0.8, 8), rng.uniform(0, 6, 8)
+    wave = 2 * np.pi * f * t[:, None] + phase
+    return (0.05 * np.sin(wave)).sum(axis=1)[:, None], (0.05 * 2 * np.pi * f * np.cos(wave)).sum(axis=1)[:, None]
+
+
+def choice(q: np.ndarray, qd: np.ndarray, y: np.ndarray, trust: np.ndarray) -> StructureChoice:
+    """All rows of a record without a filter, in folds of half a second."""
+    rows = np.arange(len(q))
+    motion = FrictionColumns(Decimation(((0, len(q)),), 1, np.ones(1), rows), q, qd, np.zeros(1))
+    fixed = np.column_stack([qd, np.ones_like(qd)])
+    return StructureChoice(motion, fixed, y[:, 0], rows // 50 % FOLDS, trust)
+
+
+def chosen(torque, noise: float = 0.02) -> FrictionStructure:
+    q, qd = record()
+    y = torque(q, qd) + noise * np.random.default_rng(1).standard_normal(q.shape)
+    return choose(choice(q, qd, y, np.ones(len(q))))
+
+
+def test_presliding_friction_is_told_from_a_smooth_sign_and_refined() -> None:
+    delta = 1.3 * DELTAS[4]
+    found = chosen(lambda q, qd: presliding(q, np.array([delta]), np.zeros(1)) + 0.3 * qd)
+    assert found.smooth[0] == 0
+    assert found.delta[0] == pytest.approx(delta, rel=0.1)
+    assert not found.terms.any()
+
+
+def test_a_smooth_sign_with_root_and_asymmetry_is_found() -> None:
+    v = 0.7 * SMOOTH_SPEEDS[3]
+
+    def torque(q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        s = np.tanh(qd / v)
+        return 1.3 * np.maximum(s, 0) + 0.7 * np.minimum(s, 0) + s * np.sqrt(np.abs(qd))
+
+    found = chosen(torque)
+    assert found.smooth[0] == pytest.approx(v, rel=0.15)
+    np.testing.assert_array_equal(found.terms[0], [True, False, True])
+
+
+def test_stribeck_is_found_with_its_speed() -> None:
+    speed = 1.2 * STRIBECK_SPEEDS[1]
+
+    def torque(q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        z = presliding(q, np.array([1e-3]), np.zeros(1))
+        return z * (1.0 + 0.5 * np.exp(-((qd / speed) ** 2)))
+
+    found = chosen(torque)
+    assert found.terms[0, 1]
+    assert found.speed[0] == pytest.approx(speed, rel=0.15)
+
+
+def test_rows_without_trust_do_not_count() -> None:
+    q, qd = record()
+    y = presliding(q, np.array([1e-3]), np.zeros(1))
+    bad = np.arange(len(q)) % 20 == 0
+    y = np.where(bad[:, None], 50.0, y)
+    found = choose(choice(q, qd, y, 1.0 - bad))
+    assert found.delta[0] == pytest.approx(1e-3, rel=0.1)
+
+
+def test_joints_are_chosen_one_after_the_other_and_joined() -> None:
+    q, qd = record()
+    y = presliding(q, np.array([1e-3]), np.zeros(1))
+    one = choice(q, qd, y, np.ones(len(q)))
+    chooser: Chooser = choose_here
+    both = FrictionStructure.joined(chooser([one, replace(one, target=np.tanh(qd[:, 0] / 0.05))]))
+    assert both.delta.shape == both.smooth.shape == both.speed.shape == (2,)
+    assert both.terms.shape == (2, 3)
+    assert both.smooth[0] == 0.0 < both.smooth[1]
+    assert [bool(soft) for soft in choose(one).smooth] == [False]
+
+
+@pytest.mark.parametrize("terms", TERMS)
+def test_mixing_gives_the_columns_that_have_names(terms: np.ndarray) -> None:
+    width = len(COLUMNS)
+    names, T = term_names(terms, ripple=True), mixing(terms, width)
+    assert T.shape == (width, len(names)) == (width, 5 + terms.sum())
+    assert ("coulomb" in names) != terms[0]
+    assert ("stribeck" in names, "root" in names) == tuple(terms[1:])
+    np.testing.assert_array_equal(T.sum(axis=0) > 1, [name == "coulomb" for name in names])
+    assert term_names(terms, ripple=False) == names[:-2]
+
+
+def test_same_shapes_agree_to_ten_per_cent() -> None:
+    one = FrictionStructure.start(3)
+    assert one.same(FrictionStructure(one.delta * 1.05, one.smooth, one.speed, one.terms))
+    assert not one.same(FrictionStructure(one.delta * 1.3, one.smooth, one.speed, one.terms))
+    assert not one.same(FrictionStructure(one.delta, one.smooth + 0.02, one.speed, one.terms))
+    assert not one.same(FrictionStructure(one.delta, one.smooth, one.speed, ~one.terms))
+
+
+def test_numbers_move_by_factors_within_the_range_of_the_search() -> None:
+    shapes = FrictionStructure(np.full(2, 1e-3), np.array([0.0, 0.02]), np.array([0.1, 0.5]), TERMS[[2, 3]])
+    np.testing.assert_array_equal(shapes.numbers, [[1e-3, 0.1], [0.02, 0.5]])
+    assert shapes.names == [("delta", "stribeck-speed"), ("tanh-speed", "stribeck-speed")]
+    moved = shapes.moved(np.log([[2.0, 0.5], [3.0, 4.0]]))
+    np.testing.assert_allclose(moved.numbers, [[2e-3, 0.05], [0.06, 2 * STRIBECK_SPEEDS[-1]]])
+    assert moved.delta[1] == shapes.delta[1]
+    assert moved.smooth[0] == 0.0

@@ -8,21 +8,18 @@ import numpy as np
 import pytest
 
 from armlab.errors import NotExcited, ShapeError
-from armlab.estimation import Fit
-from armlab.identify import Extrapolation, design_excitation, dither, extrapolation, predict, prepare
+from armlab.identify import design_excitation, dither, extrapolation, predict, prepare
 from armlab.identify.validation import (
     FIFTHS,
+    Extrapolation,
     assess,
     assess_again,
-    fold_of,
     held_out,
-    parameter_rows,
     parameter_text,
     report,
     training,
 )
 from armlab.log import Table
-from armlab.models import TorqueModel
 
 
 def test_held_out_residuals_cover_the_log_and_assess_calibrates(truth, excited, model) -> None:
@@ -41,12 +38,6 @@ def test_held_out_residuals_cover_the_log_and_assess_calibrates(truth, excited, 
     assert np.mean(judged.quality.coverage) != pytest.approx(np.mean(ratio < 4.0), abs=1e-9)
     # these folds saw every row: in-sample and held-out figures are of one kind and therefore equal
     np.testing.assert_allclose(judged.quality.rms, judged.quality.rms_cv, rtol=1e-12)
-
-
-def test_fifths_are_stretches_all_over_the_log(truth, excited) -> None:
-    fold = fold_of(prepare(excited, truth.robot))
-    assert np.bincount(fold).min() > 0.9 * len(fold) / FIFTHS == 0.9 * len(fold) / 5
-    assert np.count_nonzero(np.diff(fold)) == 19
 
 
 @pytest.mark.slow  # 5 s
@@ -123,7 +114,7 @@ def test_report_has_one_line_per_joint_and_the_bounds_that_hold(truth, fitted) -
     assert fit.report().endswith(lines[-1])
 
 
-# A log that leaves the training data is told so: position, speed, rest.
+# Training domain.
 
 
 def test_the_training_log_itself_needs_no_warning(model, excited) -> None:
@@ -179,38 +170,3 @@ def test_training_counts_bins_and_rest() -> None:
     assert found.longest_rest == pytest.approx(1.99)
     cut = training(t, np.cumsum(qd, axis=0), qd, ((0, 900), (900, 1000)))
     assert cut.longest_rest == pytest.approx(0.99)
-
-
-def test_bad_logs_are_refused(model, excited) -> None:
-    with pytest.raises(ShapeError, match="7 joints in at least two rows"):
-        extrapolation(model, Table(excited.t, {"q": excited["q"][:, :6], "qd": excited["qd"][:, :6]}))
-    q = excited["q"].copy()
-    q[5, 2] = np.nan
-    with pytest.raises(ShapeError, match=r"1 rows, first \[5\]"):
-        extrapolation(model, excited.with_column("q", q))
-    with pytest.raises(ShapeError, match="share of rest"):
-        replace(model.training, rest_share=2.0)
-    few = Table(excited.t[:50], {"q": excited["q"][:50]})
-    with pytest.raises(ShapeError, match="100 rows without a gap"):
-        extrapolation(model, few)
-    with pytest.raises(ShapeError, match="at least two rows"):
-        extrapolation(model, few.rows(slice(0, 1)))
-
-
-# Every parameter with value, deviation, unit and name.
-
-
-def test_every_parameter_has_its_line(fitted: Fit[TorqueModel]) -> None:
-    rows = parameter_rows(fitted)
-    assert len(rows) == len(fitted.names)
-    for row, x, sd, unit, name in zip(rows, fitted.parameters, fitted.sd, fitted.units, fitted.names):
-        assert float(row[0]) == pytest.approx(x, rel=1e-3)
-        assert float(row[1]) == pytest.approx(sd, rel=0.1)
-        assert row[2:] == (unit, name)
-
-
-def test_the_text_has_aligned_columns(fitted: Fit[TorqueModel]) -> None:
-    head, *lines = parameter_text(fitted).splitlines()
-    at = head.index("parameter")
-    assert [line[at:] for line in lines] == list(fitted.names)
-    assert {line.index("+-") for line in lines} == {head.index("sd") - 3}

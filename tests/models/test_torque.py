@@ -1,4 +1,4 @@
-"""The torque model, its quality figures and training data."""
+"""The torque model and its parts: friction, ripple, warm-up, coupled motors, noise."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armlab import contact, identify, robots
-from armlab.errors import ModelMismatchError, ShapeError
+from armlab import contact, identify, models, robots
+from armlab.errors import ShapeError
 from armlab.kernels import presliding
 from armlab.log import Table
-from armlab.models import SPEED_EDGES, Quality, TorqueModel, Training, load, save
+from armlab.models import TorqueModel, load, save, velocity_covariance
+from armlab.models.friction import Friction, FrictionBound, FrictionMap, RadialBasis, RippleLines, WarmUp, speed_basis
+from armlab.models.torque import CoupledKernel, CoupledMotors, VelocityCovariance
 
 
 def test_torque_is_rigid_plus_friction_plus_ripple(model: TorqueModel) -> None:
@@ -35,38 +37,6 @@ def test_a_row_with_nan_gives_nan_and_leaves_the_state(model: TorqueModel) -> No
     torque = model.torque(q, broken, qdd)
     assert np.isnan(torque[100]).all()
     np.testing.assert_array_equal(torque[kept], model.torque(q[kept], qd[kept], qdd[kept]))
-
-
-def test_the_drive_of_a_model_is_friction_and_ripple(model: TorqueModel) -> None:
-    rng = np.random.default_rng(0)
-    q, qd, z = rng.standard_normal((3, 20, 7))
-    np.testing.assert_allclose(
-        model.drive.torque(q, qd, z), model.friction.torque(qd, z) + model.ripple.torque(q), rtol=0, atol=1e-12
-    )
-
-
-def test_gravity_alone_is_the_torque_at_rest(model: TorqueModel, truth) -> None:
-    """Gravity is what the base parameters say: the same as the truth's to 5 % of the largest torque."""
-    q = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 7)) + truth.robot.q_home * [0, 0.5, 0, 0, 0, 0, 0]
-    zero = np.zeros_like(q)
-    mine = model.rigid_torque(q, zero, zero)
-    true = truth.robot.chain.rnea(q, zero, zero, truth.robot.gravity, truth.links)
-    assert np.abs(mine - true).max() < 0.05 * np.abs(true).max()
-
-
-def test_another_robot_is_refused(model: TorqueModel) -> None:
-    with pytest.raises(ModelMismatchError, match="yumi_right"):
-        model.check_robot(robots.load("yumi_right"))
-    model.check_robot(robots.load("yumi_left"))
-
-
-def test_the_kernel_of_a_model_is_fresh(model: TorqueModel) -> None:
-    prior = np.ones(6)
-    one, two = model.estimator_kernel(prior), model.estimator_kernel(prior)
-    zero = np.zeros(7)
-    one.step(zero, zero, zero, 0.004)
-    a, b = one.step(zero + 1e-3, zero, zero, 0.004)[0], two.step(zero + 1e-3, zero, zero, 0.004)[0]
-    assert not np.array_equal(a, b)
 
 
 GAINS = np.array([1.04, 0.97, 1.02, 0.95, 1.0, 1.03, 0.98])
@@ -128,61 +98,212 @@ def test_joints_without_torque_do_not_make_the_gains_of_the_others_surer(model) 
     np.testing.assert_allclose(one, two, rtol=1e-12, atol=1e-12)
 
 
-def test_a_file_keeps_the_gains(calibrated, tmp_path) -> None:
-    again = load(save(calibrated, tmp_path / "model.toml"))
-    assert np.array_equal(again.gains, GAINS)
-    assert np.array_equal(again.gain_cov, calibrated.gain_cov)
-    q = np.zeros((1, 7))
-    np.testing.assert_array_equal(again.torque(q, q), calibrated.torque(q, q))
+# Friction, torque ripple, warm-up, coupled motors and noise models.
 
 
-def test_gains_that_are_none_are_refused(model) -> None:
-    with pytest.raises(ShapeError, match="gains above 0"):
-        replace(model, gains=-GAINS)
-    with pytest.raises(ShapeError, match=r"gains of shape \(7,\)"):
-        replace(model, gains=GAINS[:3])
-
-
-# Quality figures: one per joint, read-only.
-
-
-def test_figures_are_one_per_joint_and_read_only() -> None:
-    found = Quality([1.0, 2.0], [0.1, np.nan], [0.2, np.nan], [0.95, np.nan], 60.0)
-    assert not any(getattr(found, name).flags.writeable for name in ("torque_sd", "rms", "rms_cv", "coverage"))
-    assert np.isnan(found.rms[1]), "a joint that could not be judged"
-    with pytest.raises(ShapeError, match=r"coverage of one number per joint, got shape \(1,\)"):
-        Quality(np.ones(2), np.ones(2), np.ones(2), np.ones(1), 60.0)
-
-
-# The ranges of the training data are checked and frozen.
-
-
-def ranges(**changes) -> Training:
-    bins = 2 * len(SPEED_EDGES)
+def friction(**change: object) -> Friction:
     fields = {
-        "q_min": -np.ones(2),
-        "q_max": np.ones(2),
-        "qd_peak": np.ones(2),
-        "speed_share": np.ones((2, bins)) / bins,
-    }
-    return Training(**{**fields, "rest_share": 0.1, "longest_rest": 0.5, **changes})
+        "viscous": [2.0], "coulomb_pos": [3.0], "coulomb_neg": [4.0], "offset": [0.5], "stribeck": [1.0],
+        "stribeck_speed": [0.05], "delta": [1e-3], "resolution": [0.0],
+    }  # fmt: skip
+    return Friction(**{**fields, **change})  # type: ignore[arg-type]
 
 
-def test_ranges_are_frozen() -> None:
-    with pytest.raises(ValueError, match="read-only"):
-        ranges().qd_peak[0] = 2.0
-    np.testing.assert_array_equal(np.diff(SPEED_EDGES) > 0, True)
+def test_friction_torque_is_the_formula() -> None:
+    f = friction()
+    assert f.torque([1.0], [1.0])[0] == pytest.approx(2 + 3 + 0.5 + np.exp(-400))
+    assert f.torque([-1.0], [-1.0])[0] == pytest.approx(-2 - 4 + 0.5 - np.exp(-400))
+    assert f.torque([0.0], [0.5])[0] == pytest.approx(1.5 + 0.5 + 0.5)
+    assert f.static[0] == pytest.approx(4.5)
 
 
-@pytest.mark.parametrize(
-    ("changes", "sentence"),
-    [
-        ({"speed_share": np.ones((2, 4))}, r"speed_share of shape \(2, 12\) of the training, got \(2, 4\)"),
-        ({"q_max": np.array([1.0, np.nan])}, "finite q_max"),
-        ({"rest_share": 1.5}, "share of rest from 0 to 1"),
-        ({"longest_rest": np.nan}, "length from 0 s"),
-    ],
-)
-def test_others_are_refused(changes: dict, sentence: str) -> None:
-    with pytest.raises(ShapeError, match=sentence):
-        ranges(**changes)
+def test_the_last_digit_of_an_encoder_does_not_wear_the_state_down() -> None:
+    q = np.concatenate([np.linspace(0, 1e-2, 50), 1e-2 - 1e-5 * (np.arange(1000) % 2)])[:, None]
+    held = presliding(q, np.array([1e-4]), np.array([0.5e-5]))
+    worn = presliding(q, np.array([1e-4]), np.array([0.0]))
+    assert held[-1, 0] > 0.99
+    assert abs(worn[-1, 0]) < 0.2
+
+
+def test_the_bound_near_rest_is_static_friction_and_fades_with_speed() -> None:
+    bound = FrictionBound.of(friction(), floor=np.array([0.1]))
+    assert bound.torque_at([0.0])[0] == pytest.approx(4.5 + 0.1)
+    assert bound.torque_at([[0.02], [-0.02]])[:, 0] == pytest.approx(4.5 * np.exp(-1) + 0.1)
+    assert bound.torque_at([1.0])[0] == pytest.approx(0.1)
+    assert FrictionBound.of(friction()).floor[0] == 0.0
+    for wrong in ({"torque": [-1.0]}, {"speed": [0.0]}, {"floor": [-0.1]}):
+        with pytest.raises(ShapeError, match="friction bound"):
+            FrictionBound(**{"torque": [1.0], "speed": [0.02], "floor": [0.0], **wrong})
+
+
+# Friction over position and speed.
+
+
+def basis(n: int = 2) -> RadialBasis:
+    positions, speeds = np.linspace(-2, 2, 8), np.geomspace(0.05, 1.0, 5)
+    return RadialBasis(*(np.tile(x, (n, 1)) for x in (positions, np.full(8, 0.5), speeds, np.gradient(speeds))))
+
+
+def test_the_functions_sum_to_one_inside_and_outside() -> None:
+    rng = np.random.default_rng(0)
+    q, qd = rng.uniform(-3, 3, 500), rng.uniform(-2, 2, 500)
+    phi = basis().functions(1, q, qd, rng.uniform(-1, 1, 500))
+    np.testing.assert_allclose(phi.sum(axis=1), 1.0, rtol=0, atol=1e-12)
+    assert phi.shape == (500, basis().size)
+    assert np.isfinite(basis().functions(0, np.array([1e6]), np.array([-1e6]), np.array([-1.0]))).all()
+
+
+def test_only_the_side_of_the_motion_counts_and_rest_blends_both() -> None:
+    b = basis()
+    forward, rest = (
+        b.functions(0, np.array([0.3]), np.array([v]), np.array([s]))[0] for v, s in ((0.2, 1.0), (0.0, 0.0))
+    )
+    assert not forward[40:].any()
+    np.testing.assert_allclose(rest[:40], rest[40:], rtol=0, atol=1e-15)
+
+
+def test_the_torque_of_a_map_is_functions_times_coefficients() -> None:
+    rng = np.random.default_rng(1)
+    b, k = basis(), rng.standard_normal((2, 2, 8, 5))
+    q, qd, z = rng.uniform(-1, 1, (3, 60, 2))
+    expected = np.stack([b.functions(i, q[:, i], qd[:, i], z[:, i]) @ k[i].ravel() for i in range(2)], axis=1)
+    np.testing.assert_allclose(FrictionMap(b, k).torque(q, qd, z), expected, rtol=0, atol=1e-12)
+
+
+def test_outside_is_told() -> None:
+    assert basis().outside([[0.0, 0.0], [2.5, 0.0]], [[0.0, 2.0], [0.1, -0.5]]).tolist() == [
+        [False, True],
+        [True, False],
+    ]
+
+
+# Torque ripple over position and speed.
+
+
+def lines(**change: object) -> RippleLines:
+    """Two joints, the second with two lines of one direction."""
+    speeds, widths = speed_basis(-1.0, 1.0)
+    fields = {
+        "joint": [1, 1], "cycles": [100.0, 200.0], "speeds": np.stack([speeds, speeds]),
+        "widths": np.stack([widths, widths]), "coefficients": np.ones((2, 1, 8, 2)),
+    }  # fmt: skip
+    return RippleLines(**{**fields, **change})  # type: ignore[arg-type]
+
+
+def test_equal_amplitudes_are_a_plain_line() -> None:
+    q, qd = np.random.default_rng(0).uniform(-2, 2, (2, 50, 2))
+    torque = lines().torque(q, qd, np.sign(qd))
+    expected = sum(np.cos(c * q[:, 1]) + np.sin(c * q[:, 1]) for c in (100.0, 200.0))
+    np.testing.assert_allclose(torque[:, 1], expected, rtol=0, atol=1e-12)
+    assert not torque[:, 0].any()
+    assert lines().n == 2
+
+
+def test_each_direction_may_have_its_own_amplitude() -> None:
+    speeds, widths = speed_basis(0.0, 1.0)
+    both = np.zeros((1, 2, 8, 2))
+    both[0, 0, :, 0], both[0, 1, :, 1] = 2.0, 3.0
+    part = RippleLines([0], [50.0], speeds[None], widths[None], both)
+    q = np.linspace(0, 1, 30)[:, None]
+    np.testing.assert_allclose(part.torque(q, 0 * q + 0.3, 0 * q + 1), 2 * np.cos(50 * q), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(part.torque(q, 0 * q - 0.3, 0 * q - 1), 3 * np.sin(50 * q), rtol=0, atol=1e-12)
+
+
+# Warm-up.
+
+
+def warm_up(n: int = 1, **change: object) -> WarmUp:
+    fields = {"of_coulomb": -0.1, "of_viscous": -0.4, "time": 100.0, "power": 2.0, "start": 0.0}
+    return WarmUp(**{name: np.full(n, change.get(name, value)) for name, value in fields.items()})  # type: ignore[arg-type]
+
+
+def test_a_drive_settles_at_thermal_state_one_under_the_reference_power() -> None:
+    x = warm_up().thermal_state(np.full((1001, 1), 2.0), np.ones(1001))
+    assert x[0, 0] == 0.0
+    assert x[100, 0] == pytest.approx(1 - np.exp(-1.0))
+    assert x[-1, 0] == pytest.approx(1.0, abs=1e-4)
+    assert np.all(warm_up(time=0.0, start=0.3).thermal_state(np.ones((5, 1)), np.ones(5)) == 0.3)
+
+
+def test_a_model_warms_up_along_a_record(tmp_path, model) -> None:
+    """At constant velocity the viscous and Coulomb torque go with the warmth, which goes with their power."""
+    part = warm_up(7, time=5.0)
+    warm = load(save(replace(model, warm_up=part), tmp_path / "model.toml"))
+    t = np.arange(0, 40, 0.01)
+    qd = np.full((len(t), 7), 0.3)
+    q, dt = np.cumsum(qd, axis=0) * 0.01, np.full(len(t), 0.01)
+    change = (warm.torque(q, qd, dt=dt) - model.torque(q, qd)) / model.gains
+    f = model.friction
+    x = (change / -(0.4 * f.viscous * 0.3 + 0.1 * f.coulomb_pos))[200:]
+    settled = x[-1]
+    rubbing = f.viscous * (1 - 0.4 * settled) * 0.3 + f.coulomb_pos * (1 - 0.1 * settled)
+    rubbing = rubbing + f.stribeck * np.exp(-((0.3 / f.stribeck_speed) ** 2))
+    np.testing.assert_allclose(settled, np.abs(rubbing * 0.3) / 2.0, rtol=1e-2)
+    assert np.array_equal(warm.torque(q, qd), model.torque(q, qd))  # without steps it stays cold
+
+
+# Coupled motors.
+
+
+WRIST = CoupledMotors(np.array([[0, 0, 0, 0, 0, 0.5, 1.0]]), [0.02], [0.3], [0.4], [0.02])
+
+
+def test_one_motor_of_two_joints() -> None:
+    """Row and column: what it takes of one joint for the other's motion it takes of the other for the one's."""
+    qd, qdd = np.zeros(7), np.zeros(7)
+    qdd[5] = 2.0
+    np.testing.assert_allclose(WRIST.torque(qd, qdd)[5:], 0.02 * 2.0 * 0.5 * np.array([0.5, 1.0]))
+    np.testing.assert_allclose(WRIST.inertial(qdd), WRIST.torque(qd, qdd))
+    qd[6] = 3.0
+    speed = 3.0
+    own = 0.3 * speed + 0.4 * np.tanh(speed / 0.02)
+    np.testing.assert_allclose(WRIST.torque(qd, 0 * qdd)[5:], own * np.array([0.5, 1.0]))
+    assert not WRIST.torque(qd, qdd)[:5].any()
+
+
+def test_a_model_with_them_predicts_and_estimates_past_them(model, excited, tmp_path) -> None:
+    """The log of an arm with a coupled wrist: the model without the wrist sees forces, the one with it none."""
+    wrist = replace(model, coupled=WRIST)
+    q, qd, dt = (np.ascontiguousarray(x[:500]) for x in (excited["q"], excited["qd"], excited.dt))
+    qdd = np.diff(qd, axis=0, prepend=qd[:1]) / dt[:, None]
+    tau = model.torque(q, qd, qdd) + model.gains * WRIST.torque(qd, qdd)
+    np.testing.assert_allclose(wrist.torque(q, qd, qdd), tau, atol=1e-12)
+    zero = np.zeros_like(q)
+    np.testing.assert_allclose(wrist.rigid_torque(q, zero, qdd) - model.rigid_torque(q, zero, qdd), WRIST.inertial(qdd))
+    plain, relieved = model.estimator_kernel(np.ones(6)), wrist.estimator_kernel(np.ones(6))
+    without, found = plain.run(q, qd, tau, dt)[0], relieved.run(q, qd, tau, dt)[0]
+    true = replace(model, gains=np.ones(7), gain_cov=np.zeros((7, 7)))
+    by_hand = CoupledKernel(true.estimator_kernel(np.ones(6)), WRIST, np.ones(7))
+    np.testing.assert_allclose(by_hand.run(q, qd, tau / model.gains, dt)[0], found, rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(found, 0.0, atol=1e-9)
+    assert np.abs(without).max() > 1e-3
+    again = models.load(models.save(wrist, tmp_path / "wrist.toml"))
+    np.testing.assert_array_equal(again.coupled.ratios, WRIST.ratios)
+    np.testing.assert_array_equal(again.torque(q, qd, qdd), wrist.torque(q, qd, qdd))
+
+
+def test_step_and_run_are_equal_bit_for_bit_also_past_holes(model, excited) -> None:
+    wrist = replace(model, coupled=WRIST)
+    q, qd, tau = (np.array(excited[name][:300]) for name in ("q", "qd", "tau"))
+    dt = np.array(excited.dt[:300])
+    qd[40:43, 2], tau[100, 0], dt[150] = np.nan, np.inf, 0.0
+    stepped, run = wrist.estimator_kernel(np.ones(6)), wrist.estimator_kernel(np.ones(6))
+    one_by_one = [stepped.step(q[k], qd[k], tau[k], float(dt[k])) for k in range(300)]
+    halves = [run.run(q[a:b], qd[a:b], tau[a:b], dt[a:b]) for a, b in ((0, 170), (170, 300))]
+    np.testing.assert_array_equal([s[0] for s in one_by_one], np.concatenate([h[0] for h in halves]))
+    run.reset()
+    np.testing.assert_array_equal(run.run(q[:170], qd[:170], tau[:170], dt[:170])[0], halves[0][0])
+
+
+# Noise models.
+
+
+def test_velocity_covariance_kinds() -> None:
+    C0, Cinf = [4.0, 1.0], [1.0, 1.0]
+    exp = velocity_covariance("exp", C0, Cinf, [10.0, 10.0], alpha2=2.0)
+    assert isinstance(exp, VelocityCovariance)
+    np.testing.assert_allclose(exp.variance([0.0, 0.0]), [8.0, 2.0])
+    np.testing.assert_allclose(exp.variance([-0.1, 5.0]), [2 * (1 + 3 * np.exp(-1.0)), 2.0])
+    step = velocity_covariance("step", C0, Cinf, [0.1, 0.1])
+    np.testing.assert_allclose(step.variance([[0.05, 0.05], [0.2, -0.2]]), [[4.0, 1.0], [1.0, 1.0]])
+    np.testing.assert_allclose(velocity_covariance("const", C0, Cinf).variance([0.0, 0.0]), [1.0, 1.0])

@@ -14,7 +14,8 @@ from matplotlib.axes import Axes
 from armlab import identify, robots
 from armlab.estimation import Fit
 from armlab.log import Table
-from armlab.models import Friction, TorqueModel
+from armlab.models import TorqueModel
+from armlab.models.friction import Friction
 
 Spans = Callable[[Axes], list[tuple[float, float]]]
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from armlab._palette import AXIS_COLORS
-from armlab.contact import Hypotheses, contacts
+from armlab.contact import contacts
+from armlab.contact.contacts import Hypotheses
 from armlab.errors import ShapeError, UnknownName
 from armlab.log import Column, Table
 from armlab.plots import hypotheses

@@ -11,7 +11,8 @@ from armlab import contact
 from armlab.errors import ShapeError
 from armlab.estimation import Fit
 from armlab.log import Table
-from armlab.models import FrictionMap, RadialBasis, TorqueModel
+from armlab.models import TorqueModel
+from armlab.models.friction import FrictionMap, RadialBasis
 from armlab.plots.drives import friction, friction_map, own_parameters, spectrum
 
 

@@ -8,7 +8,8 @@ import pytest
 
 from armlab import identify
 from armlab.errors import ModelMismatchError, ShapeError, UnknownName
-from armlab.estimation import Excitation, Fit, correlation_time
+from armlab.estimation import Excitation, Fit
+from armlab.estimation.bootstrap import correlation_time
 from armlab.log import Column, Table
 from armlab.models import TorqueModel, velocity_covariance
 from armlab.plots import model as covariances

@@ -1,7 +1,7 @@
 """The size and shape of the code base: `make house` prints what is measured beside its goal.
 
-All but the path of one datagram is read from the sources. Import circles of any kind count: at import, inside
-functions, or for type hints.
+All but the walks of one datagram and of `fit_dynamics` is read from the sources. Import circles of any kind count: at
+import, inside functions, or for type hints.
 """
 
 from __future__ import annotations
@@ -13,17 +13,21 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple
 
-from armlab import robots
+import numpy as np
+
+from armlab import log, robots
 from armlab.bridge import Limits
 from armlab.bridge.control.loop import Loop
 from armlab.bridge.control.realtime import Waiting
 from armlab.bridge.control.run import End, assemble
 from armlab.bridge.control.supervision import Settings
 from armlab.bridge.net.sockets import Port
+from armlab.identify import fit_dynamics
 from armlab.state import Command
 from armlab.wire.egm import EgmCodec, RobotMessage, RobotSideCodec
 
@@ -53,6 +57,8 @@ GOALS = (
     Goal("public names", 1_435, 900),
     Goal("one datagram: files", 26, 12),
     Goal("one datagram: Python calls", 85, 45),
+    Goal("fit_dynamics, files visited", 43, 14),
+    Goal("fit_dynamics, files deep", 16, 9),
 )
 
 
@@ -162,7 +168,47 @@ def datagram() -> tuple[int, int]:
     return len(set(calls)), len(calls)
 
 
+def short_log() -> tuple[Any, Any]:
+    """Return an arm of two joints and 20 s of its free motion."""
+    turned, beside = np.eye(4), np.eye(4)
+    turned[:3, :3], beside[0, 3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]], 0.3
+    robot = robots.from_links("short", [np.eye(4), turned, beside])
+    rng = np.random.default_rng(99)
+    t, w = np.arange(2000) / 100.0, 2 * np.pi * np.array([0.11, 0.23, 0.37, 0.61, 0.83])[:, None, None]
+    a, x = rng.uniform(0.1, 0.3, (5, 1, 2)) / w, w * t[:, None] + rng.uniform(0, 6, (5, 1, 2))
+    q, qd, qdd = (y.sum(axis=0) for y in (a * np.sin(x), a * w * np.cos(x), -a * w**2 * np.sin(x)))
+    links = np.tile([1.5, 0.25, 0.05, 0.02, 0.05, 0.01, 0.2, 0, 0.01, 0.22], (2, 1))
+    tau = robot.chain.rnea(q, qd, qdd, robot.gravity, links) + 0.2 * qdd + qd + 2 * np.tanh(qd / 0.02)
+    return robot, log.Table(t, {"q": q, "qd": qd, "tau": tau + 0.2 * rng.standard_normal(q.shape)})
+
+
 @cache
+def fit_walk() -> tuple[int, int]:
+    """Return how many files `fit_dynamics` visits, and through how many at most its calls nest."""
+    robot, table = short_log()
+    fit_dynamics(table, robot)  # lazy imports are no part of the walk
+    files: set[str] = set()
+    stack: list[str] = []
+    deepest = 0
+
+    def look(frame: FrameType, event: str, _: object) -> None:
+        nonlocal deepest
+        name = frame.f_code.co_filename
+        if event == "call" and name.startswith(str(SOURCE)):
+            stack.append(name)
+            files.add(name)
+            deepest = max(deepest, 1 + sum(one != other for one, other in pairwise(stack)))
+        elif event == "return" and name.startswith(str(SOURCE)) and stack:
+            stack.pop()
+
+    sys.setprofile(look)
+    try:
+        fit_dynamics(table, robot)
+    finally:
+        sys.setprofile(None)
+    return len(files), deepest
+
+
 def measured() -> dict[str, int]:
     """Return each figure by its name."""
     source = [path for path in SOURCE.rglob("*.py") if path not in GENERATED]
@@ -172,6 +218,7 @@ def measured() -> dict[str, int]:
     figures = (
         lines(source), len(source), lines(tests), len(tests), lines(native), widest, len(circles()), public_names(),
         *datagram(),
+        *fit_walk(),
     )  # fmt: skip
     return dict(zip((goal.name for goal in GOALS), figures, strict=True))
 

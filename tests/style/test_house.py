@@ -6,7 +6,7 @@ import pytest
 
 from .house import GOALS, Goal, measured, table
 
-MET = {"widest folder, modules", "import circles"}
+MET = {"widest folder, modules", "import circles", "fit_dynamics, files deep"}
 """Names of goals that are met, each held from then on."""
 
 

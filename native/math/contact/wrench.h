@@ -10,6 +10,7 @@
 namespace armlab {
 
 enum class WrenchMethod { map, bounded, clip, interval, ls, lund };
+constexpr int wrench_methods = static_cast<int>(WrenchMethod::lund) + 1;
 
 struct WrenchProblem {
   int n, k;

@@ -41,17 +41,12 @@ from armlab.calibrate.orientation_conventions import (
     readings_of_robot,
 )
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
-from armlab.estimation import (
-    Fit,
-    Measurement,
-    NonlinearProblem,
-    NonlinearSolution,
-    check_spread,
-    nonlinear_least_squares,
-)
+from armlab.estimation import Fit, Measurement, NonlinearProblem, nonlinear_least_squares
+from armlab.estimation.excitation import check_spread
+from armlab.estimation.nonlinear import NonlinearSolution
 from armlab.lie import so3
 from armlab.models import HandEye
-from armlab.models.hand_eye import FRAMES
+from armlab.models.sensors import FRAMES
 
 LIMITS = (0.2, 0.2)
 CLASSES = ("position [m]", "rotation [rad]")
@@ -329,7 +324,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class PoseUnknowns:
-    """Names, units and limits of the unknowns; puts a direction of them into words, see `estimation.check_spread`."""
+    """Names, units and limits of the unknowns; puts a direction of them into words, see `check_spread`."""
 
     parts: Sequence[Part]  # of the unknowns, three each
     spread: float  # of the measured positions [m]

@@ -35,13 +35,14 @@ from armlab.calibrate.hand_eye import (
 from armlab.calibrate.inputs import point_noise, pose_noise, poses
 from armlab.calibrate.orientation_conventions import FITS, MUCH_BETTER, ROBOT, SUSPECT, readings_of_robot
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
-from armlab.estimation import Fit, Measurement, NonlinearProblem, check_spread, nonlinear_least_squares
+from armlab.estimation import Fit, Measurement, NonlinearProblem, nonlinear_least_squares
+from armlab.estimation.excitation import check_spread
 from armlab.estimation.tsqr import triangle
 from armlab.frames import marker_pose
 from armlab.frames.inputs import marker_points, sightings
 from armlab.lie import se3, so3
 from armlab.models import HandEye
-from armlab.models.hand_eye import FRAMES
+from armlab.models.sensors import FRAMES
 
 TURNED = 1e-3  # rad: orientations of robots are no better; a turn that they could make by that is none
 APART = 0.5  # residual over spread beyond which two records do not belong together

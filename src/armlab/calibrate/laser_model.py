@@ -264,7 +264,7 @@ def scene_of(scans: Scans, R: np.ndarray) -> Scene:
 
 @dataclass(frozen=True, eq=False)
 class SceneUnknowns:
-    """Names, units and limits of the unknowns; puts a direction of them into words, see `estimation.check_spread`."""
+    """Names, units and limits of the unknowns; puts a direction of them into words, see `check_spread`."""
 
     scans: Scans  # scans, scene: of the fit
     scene: Scene

@@ -41,8 +41,9 @@ from armlab.calibrate.laser_model import (
     starts,
 )
 from armlab.errors import NotConverged, NotExcited, ShapeError
-from armlab.estimation import Fit, NonlinearSolution, check_spread, nonlinear_least_squares
-from armlab.estimation.nonlinear import descend
+from armlab.estimation import Fit, nonlinear_least_squares
+from armlab.estimation.excitation import check_spread
+from armlab.estimation.nonlinear import NonlinearSolution, descend
 from armlab.estimation.robust import mad
 from armlab.lie import se3, so3
 from armlab.models import LaserSensor

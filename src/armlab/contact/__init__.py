@@ -1,8 +1,7 @@
 """Contact: the wrench of the environment on the robot, estimated from joint torques."""
 
-from armlab.contact.contacts import Comparison, Contact, compare, contacts
+from armlab.contact.contacts import compare, contacts, hypotheses
 from armlab.contact.estimator import INFEASIBLE, INVALID, SINGULAR, STUCK, TARED, WEAK, Estimator, Wrench
-from armlab.contact.hypotheses import Hypotheses, hypotheses
 
 __all__ = [
     "INFEASIBLE",
@@ -11,10 +10,7 @@ __all__ = [
     "STUCK",
     "TARED",
     "WEAK",
-    "Comparison",
-    "Contact",
     "Estimator",
-    "Hypotheses",
     "Wrench",
     "compare",
     "contacts",

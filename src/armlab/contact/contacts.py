@@ -1,13 +1,264 @@
-"""Intervals of contact, and the comparison of estimated with measured wrenches."""
+"""Contacts in an estimated log: where they are, when, and how large; comparison with a measured wrench.
+
+Where is the contact? Hypotheses about it, weighed by how well each explains the torques without more than it needs.
+
+    none     no contact
+    point    a force at a known point of the tool: 3 unknowns
+    segment  a force at an unknown point of a line on the tool: 3 + 1
+    wrench   force and moment at the tool: 6
+    link k   a force somewhere on link k: torques of the joints beyond are silent
+
+Each says how the torque error is distributed before anything is measured; its score over a window is the log evidence
+
+    sum log N(tau_e; 0, J_h^T C_h J_h + C_tau),
+
+summed over as many samples as are independent of each other. A hypothesis with more unknowns spreads its bets: of two
+that fit, the simpler one wins. Equal odds before give the posterior; a decision needs a log Bayes factor above 3 (odds
+of 20 to 1) over the second best, else it is "undecided".
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from armlab.errors import ShapeError, UnknownName
+from armlab._numbers import make_read_only, number, numbers
+from armlab.contact.estimator import check_distance, contact_point
+from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.log import Table
+from armlab.models.torque import PRIOR
+from armlab.robots import Robot
+
+DECISIVE = 3.0  # log Bayes factor
+EXCLUDED = 6.0  # log Bayes factor against links, 400 to 1: who trusts a force at the tool stands beside the link
+GRID = 50  # places along a segment
+ROWS_PER_MEMORY = 2  # of a window that are used
+SLOW = 0.02  # rad/s; slower than that in all joints friction errs by one and the same amount: one sample
+CHUNK = 64  # windows at once
+UNDECIDED = "undecided"
+
+
+@dataclass(frozen=True, eq=False)
+class Hypotheses:
+    """What is believed of the contact, window by window.
+
+    `t`: (K,) middle of each window [s]. `log_evidence`: (K, H). `posterior`: (K, H) probabilities for equal odds
+    before; rows sum to 1. `decision`: K names; "undecided" where the best is less than 20 times as likely as the
+    second. `link`: (K,) True where there is a contact and some hypothesis "link k" is not excluded, 400 to 1: a force
+    that is reported at the tool may then be one on a link. `place`: (K,) where on the segment [m from its start], the
+    most likely; NaN without a segment. `samples`: (K,) how many independent samples the window is worth.
+    """
+
+    t: np.ndarray
+    names: tuple[str, ...]
+    log_evidence: np.ndarray
+    posterior: np.ndarray
+    decision: tuple[str, ...]
+    link: np.ndarray
+    place: np.ndarray
+    samples: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        make_read_only(self, "t", "log_evidence", "posterior", "link", "place", "samples")
+
+    def during(self, start: float, end: float) -> str:
+        """Return what is believed of the contact from `start` to `end` [s], in words.
+
+        `start`, `end`: of the contact; the windows inside count, or the nearest one.
+        """
+        inside = (self.t >= start) & (self.t <= end)
+        if not inside.any():
+            inside[np.argmin(np.abs(self.t - 0.5 * (start + end)))] = True
+        evidence = self.log_evidence[inside].mean(axis=0)
+        best = np.argsort(-evidence)
+        odds = np.exp(evidence - evidence[best[0]])
+        shares = odds / odds.sum()
+        said = [f"{self.names[i]} {100 * shares[i]:.0f} %" for i in best[:3] if shares[i] >= 0.005]
+        sure = evidence[best[0]] - evidence[best[1]] > DECISIVE
+        name = self.names[best[0]] if sure else UNDECIDED
+        place = f", {1e3 * np.median(self.place[inside]):.0f} mm along" if name == "segment" else ""
+        doubt = (
+            "; maybe on a link" if self.link[inside].any() and not name.startswith("link") and name != "none" else ""
+        )
+        first, *others = said if sure else (f"{UNDECIDED}: {', '.join(said)}",)
+        beside = f" ({', '.join(others)})" if others else ""
+        return f"{first}{place}{beside}{doubt}"
+
+    def text(self) -> str:
+        """Return one line per stretch of time with one decision, but for those without contact."""
+        lines, at = [], 0
+        for decision, group in groupby(self.decision):
+            start, at = at, at + len(list(group))
+            if decision != "none":
+                span = float(self.t[start]), float(self.t[at - 1])
+                lines.append(f"{span[0]:7.2f} to {span[1]:7.2f} s  {self.during(*span)}")
+        return "\n".join(lines or ["no contact in any window"])
+
+
+def hypotheses(
+    table: Table,
+    robot: Robot,
+    *,
+    point: ArrayLike | None = None,
+    segment: ArrayLike | None = None,
+    prior: ArrayLike | None = None,
+    window: float = 1.0,
+    memory: float = 0.1,
+) -> Hypotheses:
+    """Weigh where the contact is, in windows that overlap by half.
+
+    Parameters
+    ----------
+    table : with q, qd, tau_error and tau_variance (N, n), from `Estimator.run` of a static method.
+    robot : the arm.
+    point : (3,) of the hypothesis "point", tool axes [m]; when left out the tool point, unless there is a segment.
+    segment : (M, 3) corners of a line on the tool, tool axes [m]; without it the hypothesis is not weighed.
+    prior : (6,) standard deviations of the wrench [N, N m], at the tool and on links; 20 N and 2 N m when left out.
+    window : [s]; a shorter contact is diluted.
+    memory : correlation time of the torque error [s], see `correlation_time`: of window / (2 memory) samples
+        the window counts as many. The residual of an identified YuMi model behind the 10 Hz filter has 0.02 to 0.06 s
+        in motion. 0.1 s gives up a few decisions for false ones; more than 0.2 s leaves free motion undecided.
+
+    Raises
+    ------
+    UnknownName : the table was not estimated. ShapeError : another joint count, a point, segment, prior or time of
+    wrong shape or value, places further away than the arm is long, a table shorter than a window, no window without
+    missing rows.
+
+    References
+    ----------
+    Kass and Raftery (1995), Bayes factors, for the scale of evidence.
+    """
+    q, qd, error, variance = _columns(table, robot)
+    at, line, sd = _places(point, segment, prior, robot)
+    window, memory = number(window, "the window [s]"), number(memory, "the memory [s]")
+    if not 0 < memory < np.inf or not 0 < window < np.inf:
+        raise ShapeError(f"Expected a window and a memory above 0 s, got {window} s and {memory} s.")
+    rows = _windows(table, error, window, memory)
+    links = [f"link {k + 1}" for k in range(robot.n - 1)]
+    names = ("none", *["point"] * len(at), *["segment"] * bool(len(line)), "wrench", *links)
+    samples = np.maximum(1.0, np.where(np.abs(qd[rows]).max(axis=(1, 2)) < SLOW, 1.0, window / (2.0 * memory)))
+    evidence, place = np.empty((len(rows), len(names))), np.full(len(rows), np.nan)
+    for a in range(0, len(rows), CHUNK):
+        part = slice(a, a + CHUNK)
+        score = _scores(robot, q[rows[part]], error[rows[part]], variance[rows[part]], np.vstack([at, line]), sd)
+        score = score.sum(axis=1) * (samples[part] / rows.shape[1])[:, None]
+        simple, along, rest = np.split(score, np.cumsum([1 + len(at), len(line)]), axis=1)
+        if len(line):
+            place[part] = _peak(along) * _length(segment) / (GRID - 1)
+            top = along.max(axis=1, keepdims=True)
+            along = top + np.log(np.mean(np.exp(along - top), axis=1, keepdims=True))
+        evidence[part] = np.hstack([simple, along, rest])
+    return _decided(table.t[rows].mean(axis=1), names, evidence, place, samples)
+
+
+def _columns(table: Table, robot: Robot) -> list[np.ndarray]:
+    if not isinstance(table, Table):
+        raise ShapeError.no_table(table)
+    if not isinstance(robot, Robot):
+        raise RobotError.no_robot(robot)
+    columns = [table[name] for name in ("q", "qd", "tau_error", "tau_variance")]
+    if any(values.shape != (len(table), robot.n) for values in columns):
+        raise ShapeError(
+            f"Expected columns of shape ({len(table)}, {robot.n}) for {robot.name!r}, got {columns[0].shape}. "
+            "Name the robot that was logged."
+        )
+    return columns
+
+
+def _places(
+    point: ArrayLike | None, segment: ArrayLike | None, prior: ArrayLike | None, robot: Robot
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the point (1 or 0, 3), the places on the segment (GRID or 0, 3), and the deviations (6,)."""
+    at = np.zeros(3) if point is None else contact_point(point, robot)
+    sd = numbers(PRIOR if prior is None else prior, "the prior", ShapeError)
+    corners = np.zeros((0, 3)) if segment is None else numbers(segment, "the segment", ShapeError)
+    if sd.shape != (6,) or not np.isfinite(sd).all() or not np.all(sd > 0):
+        raise ShapeError(f"Expected six positive standard deviations [N, N m] as prior, got {prior!r}.")
+    if segment is None:
+        return at[None], corners, sd
+    if corners.ndim != 2 or corners.shape[1] != 3 or not np.isfinite(corners).all() or not _length(corners) > 0:
+        raise ShapeError(f"Expected a segment of at least two different points (M, 3) [m], got shape {corners.shape}.")
+    check_distance(corners, robot)
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    grid = np.linspace(0.0, way[-1], GRID)
+    known = at[None] if point is not None else np.zeros((0, 3))
+    return known, np.stack([np.interp(grid, way, c) for c in corners.T], axis=1), sd
+
+
+def _length(corners: ArrayLike | None) -> float:
+    return float(np.linalg.norm(np.diff(np.asarray(corners, dtype=float), axis=0), axis=1).sum())
+
+
+def _windows(table: Table, error: np.ndarray, window: float, memory: float) -> np.ndarray:
+    """Return the rows (K, m) that each window uses, evenly over it; windows with missing rows are left out."""
+    step = float(np.median(np.diff(table.t))) if len(table) > 1 else np.inf
+    width = round(window / step)
+    if not 1 <= width <= len(table):
+        raise ShapeError(f"Expected a table of at least one window of {window} s, got {len(table)} rows.")
+    count = max(1, min(width, round(ROWS_PER_MEMORY * window / memory)))
+    inside = ((np.arange(count) + 0.5) * width / count).astype(int)
+    rows = np.arange(0, len(table) - width + 1, max(1, width // 2))[:, None] + inside
+    whole = np.isfinite(error[rows]).all(axis=(1, 2)) & (np.ptp(table.t[rows], axis=1) <= 1.1 * window)
+    if not whole.any():
+        raise ShapeError(f"Expected windows of {window} s without missing rows, got none. Give a whole record.")
+    return rows[whole]
+
+
+def _scores(
+    robot: Robot, q: np.ndarray, error: np.ndarray, variance: np.ndarray, places: np.ndarray, sd: np.ndarray
+) -> np.ndarray:
+    """Return log N of every row (K, m, 1 + places + 1 + links): none, each place, wrench, links."""
+    T_base_tool, J = robot.chain.forward_jacobian(q)
+    linear, angular = np.swapaxes(J[..., :3, :], -1, -2), np.swapaxes(J[..., 3:, :], -1, -2)  # (..., n, 3)
+    arms = np.einsum("...ab,pb->...pa", T_base_tool[..., :3, :3], places)
+    at = linear[..., None, :, :] + np.cross(angular[..., None, :, :], arms[..., :, None, :])
+    spread = [np.zeros((*q.shape[:-1], 1, robot.n, robot.n)), sd[0] * sd[0] * at @ np.swapaxes(at, -1, -2)]
+    whole = np.concatenate([linear * sd[:3], angular * sd[3:]], axis=-1)
+    spread.append((whole @ np.swapaxes(whole, -1, -2))[..., None, :, :])
+    T_base_link = robot.chain.link_transforms(q)
+    origins = np.concatenate([T_base_link[..., :3, 3], T_base_tool[..., None, :3, 3]], axis=-2)
+    for k in range(robot.n - 1):
+        middle = 0.5 * (origins[..., k, :] + origins[..., k + 1, :])
+        moved = linear + np.cross(angular, (middle - T_base_tool[..., :3, 3])[..., None, :])
+        held = np.concatenate([moved * sd[:3], angular * sd[3:]], axis=-1) * (np.arange(robot.n) <= k)[:, None]
+        spread.append((held @ np.swapaxes(held, -1, -2))[..., None, :, :])
+    S = np.concatenate(spread, axis=-3) + (variance[..., None, :, None] * np.eye(robot.n))
+    root = np.linalg.cholesky(S)
+    white = np.linalg.solve(root, np.broadcast_to(error[..., None, :, None], (*S.shape[:-1], 1)))[..., 0]
+    return -0.5 * np.sum(white**2, axis=-1) - np.sum(np.log(np.einsum("...ii->...i", root)), axis=-1)
+
+
+def _peak(score: np.ndarray) -> np.ndarray:
+    """Return where on the grid (K,) the score (K, GRID) is largest, by a parabola through three points."""
+    k = np.clip(np.argmax(score, axis=1), 1, score.shape[1] - 2)
+    left, middle, right = (np.take_along_axis(score, (k + i)[:, None], 1)[:, 0] for i in (-1, 0, 1))
+    bend = left - 2.0 * middle + right
+    shift = np.divide(0.5 * (left - right), bend, out=np.zeros_like(bend), where=bend < 0)
+    return k + np.clip(shift, -1.0, 1.0)
+
+
+def _decided(
+    t: np.ndarray, names: tuple[str, ...], evidence: np.ndarray, place: np.ndarray, samples: np.ndarray
+) -> Hypotheses:
+    order = np.sort(evidence, axis=1)
+    best = np.argmax(evidence, axis=1)
+    clear = order[:, -1] - order[:, -2] > DECISIVE
+    decision = tuple(names[i] if sure else UNDECIDED for i, sure in zip(best, clear))
+    odds = np.exp(evidence - order[:, -1:])
+    links = [i for i, name in enumerate(names) if name.startswith("link")]
+    possible = order[:, -1] - evidence[:, links].max(axis=1, initial=-np.inf) <= EXCLUDED
+    contact = np.array([name != "none" for name in decision])
+    posterior = odds / odds.sum(axis=1, keepdims=True)
+    return Hypotheses(t, names, evidence, posterior, decision, possible & contact, place, samples)
+
+
+# Intervals of contact, and the comparison of estimated with measured wrenches.
+
 
 CHI2_95 = 7.81  # 95 % of a chi-squared variable with three degrees of freedom
 SHORTEST = 0.2  # s; shorter excursions are what 5 % of the samples do without contact
@@ -18,11 +269,7 @@ HOLE = 0.1  # s; shorter returns do not end a contact
 class Contact:
     """One interval of contact.
 
-    Attributes
-    ----------
-    start, end : seconds of the table's clock.
-    force : mean force (fx, fy, fz) [N], base axes.
-    band : mean 2-sigma of the least certain axis [N].
+    `force`: mean force (fx, fy, fz) [N], base axes. `band`: mean 2-sigma of the least certain axis [N].
     """
 
     start: float
@@ -82,10 +329,7 @@ SOURCES = {"wrench_true": "the true wrench", "wrench": "the force sensor"}
 class Comparison:
     """How far an estimate is from what it should be.
 
-    Attributes
-    ----------
-    against : what it was compared with. rows : rows in which both are known.
-    rms : (6,) error per axis [N, N m]. inside : (6,) share of the errors inside two sigma.
+    `rms`: (6,) error per axis [N, N m]. `inside`: (6,) share of the errors inside two sigma.
     """
 
     against: str

@@ -33,7 +33,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from threading import get_ident
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,7 +42,8 @@ from armlab._numbers import numbers
 from armlab.errors import ConcurrentUse, ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.log import Table
 from armlab.log.units_check import check_known
-from armlab.models import FORCE_RATES, PRIOR, TorqueModel
+from armlab.models import TorqueModel
+from armlab.models.torque import FORCE_RATES, PRIOR
 from armlab.robots import Robot
 from armlab.robots.robot import arm_length
 from armlab.state import State
@@ -61,7 +62,7 @@ INFEASIBLE = 8
 SINGULAR = 16
 """Without a prior this pose does not determine the wrench; the estimate is NaN."""
 TARED = 32
-"""Friction was told apart from contact by `Estimator.tare`, and no joint has moved away since."""
+"""Friction was separated from contact by `Estimator.tare`, and no joint has moved away since."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,10 +162,10 @@ def check_distance(places: np.ndarray, robot: Robot) -> None:
 
 
 Method = Literal["map", "bounded", "clip", "interval", "ls", "lund", "observer", "kf"]
-STATIC = ("map", "bounded", "clip", "interval", "ls", "lund")  # the kernel knows them by number
-METHODS = (*STATIC, "observer", "kf")
+METHODS = get_args(Method)
+STATIC = METHODS[: METHODS.index("observer")]  # in the order of the kernel's `WrenchMethod`
 GAIN = 30.0  # 1/s, of the observer
-PARTS = 100  # of a log whose progress is told
+PARTS = 100  # of a log whose progress is reported
 
 
 class Estimator:
@@ -180,27 +181,39 @@ class Estimator:
 
     Parameters
     ----------
-    model : identified torque model.
-    robot : the arm; must be the one the model belongs to.
-    method : see the module; "map" and "kf" are for motion, "bounded" and "interval" for an arm that may rest.
-    prior : (6,) standard deviations of the wrench before any measurement [N, N m]; 20 N and 2 N m when left out. At a
-        known point the first three are those of the force.
-    point : (3,) where the contact is, in tool axes [m], when that is known: three unknowns instead of six, about half
-        the error, and a wrong point about doubles it.
-    force_rate : of "kf": how fast the wrench wanders, (6,) [N/sqrt(s), N m/sqrt(s)], or "smooth" (2 and 0.2), "normal"
-        (5 and 0.5; when left out) or "fast" (20 and 2).
-    leak : of "kf": rate at which a wrench is forgotten [1/s], a number or (6,); when left out the
-        one by which what the torques do not show stays as uncertain as the prior says. 0: a random walk.
-    gain : of "observer" [1/s]; 30 when left out.
-    bias : of "kf": a friction error per joint as a state, which keeps what it is while the joint rests.
+    model : TorqueModel
+        Identified torque model.
+    robot : Robot
+        The arm that the model belongs to.
+    method : str
+        See the module; "map" and "kf" are for motion, "bounded" and "interval" for an arm that may rest.
+    prior : array_like, shape (6,), optional
+        Standard deviations of the wrench before any measurement [N, N m]. Default: 20 N and 2 N m. At a known point the
+        first three are those of the force.
+    point : array_like, shape (3,), optional
+        Known point of contact in tool axes [m]: three unknowns instead of six. It halves the error; a wrong point
+        doubles it.
+    force_rate : {"smooth", "normal", "fast"} or array_like, shape (6,), optional
+        Of "kf": random walk of the wrench [N/sqrt(s), N m/sqrt(s)]; "smooth" is 2 and 0.2, "normal" (default) 5 and
+        0.5, "fast" 20 and 2.
+    leak : float or array_like, shape (6,), optional
+        Of "kf": rate at which a wrench is forgotten [1/s]. Default: unobserved directions keep the prior's uncertainty.
+        0: a random walk.
+    gain : float, optional
+        Of "observer" [1/s]. Default: 30.
+    bias : bool
+        Of "kf": a friction error per joint as a state, constant while the joint rests.
 
     Raises
     ------
-    ModelMismatchError : when the model belongs to another robot, or lacks what a momentum method needs.
-    UnknownName : for another method or name of a rate.
-    ShapeError : when prior, rate, leak or gain is not of positive numbers, or the point not three finite ones, within
-        the length of the arm.
-    ConfigError : for an option of another method.
+    ModelMismatchError
+        The model belongs to another robot, or lacks the noise that momentum methods need.
+    UnknownName
+        Another method or name of a rate.
+    ShapeError
+        Prior, rate, leak or gain not positive, or a point not finite or farther away than the length of the arm.
+    ConfigError
+        An option of another method.
 
     Examples
     --------
@@ -373,7 +386,7 @@ class Estimator:
         dt: np.ndarray,
         tell: Callable[[int, int, str], None] | None,
     ) -> tuple[Any, ...]:
-        """Return what the kernel makes of all rows; in parts, from one to the next as it is, when progress is told."""
+        """Return what the kernel makes of all rows; in parts when progress is reported."""
         self.reset()
         self._take_over()
         self._running = True  # the kernel lets other threads run meanwhile

@@ -32,13 +32,7 @@ def correlation_time(x: np.ndarray, dt: float) -> float:
     The variance of a mean over T >> correlation_time is ``2 s^2 correlation_time / T`` (Geyer's initial positive
     sequence).
 
-    Parameters
-    ----------
-    x : (N,) evenly sampled record. dt : time between samples [s].
-
-    Raises
-    ------
-    ShapeError : fewer than two samples, NaN.
+    `x`: (N,) evenly sampled record. `dt`: time between samples [s].
     """
     x = numbers(x, "a record", ShapeError)
     if x.ndim != 1 or len(x) < 2 or not np.isfinite(x).all():
@@ -66,9 +60,7 @@ def effective_samples(x: np.ndarray) -> float:
 def block_seconds(residuals: np.ndarray, dt: float) -> float:
     """Return how long a block is to last so that blocks are independent: ``max(0.5 s, 4 t_int)`` of the worst column.
 
-    Parameters
-    ----------
-    residuals : (N, k) evenly sampled, finite. dt : time between samples [s].
+    `residuals`: (N, k) evenly sampled, finite. `dt`: time between samples [s].
     """
     residuals, dt = numbers(residuals, "residuals", ShapeError), number(dt, "the time between samples [s]")
     return max([SHORTEST, *(MEMORIES * correlation_time(column, dt) for column in np.transpose(residuals))])
@@ -137,17 +129,17 @@ class BlockSums:
         """Return over how many stretches of blocks the knowledge of each parameter (p,) is spread, 1 / sum_s h_s^2.
 
         h_s is the share of a stretch in the information on the parameter, b^T G_s b / b^T b with b its row of basis:
-        1 where one stretch tells it alone, their number where all tell the same. inf for a parameter that is held.
+        1 where one stretch alone identifies it, their number where all contribute alike; inf for a held parameter.
 
         Parameters
         ----------
         length : blocks in a stretch.
         """
         b = self.solution.basis
-        told = np.einsum("pi,kij,pj->kp", b, self.gram, b, optimize=True)
-        told = np.add.reduceat(told, np.arange(0, len(told), length), axis=0)
-        squares = np.sum(told**2, axis=0)
-        return np.divide(told.sum(axis=0) ** 2, squares, out=np.full(len(b), np.inf), where=squares > 0.0)
+        shares = np.einsum("pi,kij,pj->kp", b, self.gram, b, optimize=True)
+        shares = np.add.reduceat(shares, np.arange(0, len(shares), length), axis=0)
+        squares = np.sum(shares**2, axis=0)
+        return np.divide(shares.sum(axis=0) ** 2, squares, out=np.full(len(b), np.inf), where=squares > 0.0)
 
     def _solve(self, weights: np.ndarray) -> np.ndarray:
         found, r = self.solution, self.gram.shape[1]
@@ -158,7 +150,7 @@ class BlockSums:
             pivots = np.zeros((1, 1))
         if not np.all(pivots.min(axis=1, initial=np.inf) > SMALLEST * weights.max(axis=1)):
             raise NotExcited(
-                f"Expected parameters of the {found.question.what} that many blocks of time determine, got one that "
+                f"Expected parameters of the {found.problem.what} that many blocks of time determine, got one that "
                 f"some part of the {np.count_nonzero(self.rows)} blocks does not. Let every joint move for the whole "
                 "record.",
                 ["a parameter that few blocks see"],
@@ -166,7 +158,7 @@ class BlockSums:
             )
         z = np.linalg.solve(gram, (weights @ self.moment)[:, :, None])[:, :, 0]
         x = found.x + z @ found.basis.T
-        lower, upper = found.question.lower, found.question.upper
+        lower, upper = found.problem.lower, found.problem.upper
         for i in np.flatnonzero(np.any((x < lower) | (x > upper), axis=1)):
             cov = found.scale**2 * found.basis @ np.linalg.solve(gram[i], found.basis.T)
             x[i] = within_bounds(x[i], cov + found.held_cov, lower, upper)
@@ -177,11 +169,8 @@ class BlockSums:
 class Bootstrap:
     """Solutions for data drawn again.
 
-    Attributes
-    ----------
-    draws : (D, p) solutions.
-    cov : (p, p) their covariance, which is that of the estimate, shrunk towards a multiple of the formal one.
-    shrinkage : how far, from 0 to 1; near 1 where there are few blocks for many parameters.
+    `draws`: (D, p) solutions. `cov`: (p, p) their covariance, which is that of the estimate, shrunk towards a multiple
+    of the formal one. `shrinkage`: how far, from 0 to 1; near 1 where there are few blocks for many parameters.
     """
 
     draws: np.ndarray
@@ -189,12 +178,7 @@ class Bootstrap:
     shrinkage: float
 
     def interval(self, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-        """Return the percentile interval, lower and upper ends (p,).
-
-        Parameters
-        ----------
-        level : share of the draws inside.
-        """
+        """Return the percentile interval, lower and upper ends (p,)."""
         tail = 50.0 * (1.0 - level)
         low, high = np.percentile(self.draws, [tail, 100.0 - tail], axis=0)
         return low, high
@@ -240,8 +224,8 @@ def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, le
     weights = np.zeros((number, len(sums.rows)))
     np.add.at(weights, (np.arange(number)[:, None], blocks[chosen]), 1.0)
     solved = found.x + found.stretch * (sums.solve(weights) - found.x)
-    told = (solved - solved.mean(axis=0)) @ np.linalg.pinv(found.basis).T  # coordinates of basis
-    shrinkage, S = _shrinkage(sums, blocks, length), told.T @ told / (number - 1)
+    coordinates = (solved - solved.mean(axis=0)) @ np.linalg.pinv(found.basis).T  # of basis
+    shrinkage, S = _shrinkage(sums, blocks, length), coordinates.T @ coordinates / (number - 1)
     S = (1.0 - shrinkage) * S + shrinkage * np.trace(S) / len(S) * np.eye(len(S))
     cov = found.basis @ S @ found.basis.T + found.held_cov
     return Bootstrap(solved, 0.5 * (cov + cov.T), shrinkage)  # symmetric to the last bit, as files keep it
@@ -257,9 +241,7 @@ def shrinkage(scores: np.ndarray) -> float:
 
     ``(1 - d) S + d trace(S) / p`` is then nearer to the truth than S (Ledoit and Wolf 2004, lemma 3.2).
 
-    Parameters
-    ----------
-    scores : (B, p) gradients of B independent stretches, in coordinates in which the formal covariance is 1.
+    `scores`: (B, p) gradients of B independent stretches, in coordinates in which the formal covariance is 1.
     """
     scores = numbers(scores, "gradients of blocks", ShapeError)
     if scores.ndim != 2:
@@ -275,11 +257,8 @@ def shrinkage(scores: np.ndarray) -> float:
 class CrossValidation:
     """Errors on blocks that a solution was not fitted to.
 
-    Attributes
-    ----------
-    fold : (B,) fold of each block; -1 for blocks that the solution leaves out.
-    solutions : (k, p) fitted without that fold.
-    rms : (k, G) held-out residual of each fold and class of measurement, in its unit.
+    `fold`: (B,) fold of each block; -1 for blocks that the solution leaves out. `solutions`: (k, p) fitted without that
+    fold. `rms`: (k, G) held-out residual of each fold and class of measurement, in its unit.
     """
 
     fold: np.ndarray

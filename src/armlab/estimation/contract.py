@@ -37,7 +37,7 @@ STANDARD_ERRORS = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class ContractTrial:
     """What is checked, and on what: the arguments of `check_estimator`; `done` keeps runs that several judges need."""
 
     fit: Callable[..., Fit[Any]]
@@ -50,12 +50,12 @@ class Trial:
     gauges: Sequence[Gauge]
     refusals: Mapping[str, Mapping[str, Any]]
     spoil: Spoil | None
-    limits: Limits
-    done: dict[str, list[Run]] = field(default_factory=dict)
+    limits: ContractLimits
+    done: dict[str, list[FitRun]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class FitRun:
     """Error of one run with its stated covariance; both in the same coordinates."""
 
     e: np.ndarray
@@ -70,25 +70,25 @@ class Run:
         sd = np.where(sd > 0, sd, 1.0)
         values, vectors = np.linalg.eigh(self.C / np.outer(sd, sd))
         along = vectors.T @ (self.e / sd)
-        told = slice(len(values) - self.rank, None)
-        return float(np.sum(along[told] ** 2 / values[told]))
+        identified = slice(len(values) - self.rank, None)
+        return float(np.sum(along[identified] ** 2 / values[identified]))
 
 
-def error_of(trial: Trial, fit: Fit[Any], truth: Any) -> tuple[np.ndarray, np.ndarray]:
+def error_of(trial: ContractTrial, fit: Fit[Any], truth: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return the error of a fit and its covariance."""
     found = trial.error(fit, truth)
     e, C = found if isinstance(found, tuple) else (found, fit.cov)
     return np.atleast_1d(np.asarray(e, dtype=float)), np.asarray(C, dtype=float)
 
 
-def run(trial: Trial, case: Experiment) -> Run:
+def run(trial: ContractTrial, case: Experiment) -> FitRun:
     """Fit one experiment."""
     fit = trial.fit(**case.data)
     e, C = error_of(trial, fit, case.truth)
-    return Run(e, C, fit.rank, case.bound)
+    return FitRun(e, C, fit.rank, case.bound)
 
 
-def _runs(trial: Trial, times: int) -> list[Run]:
+def _runs(trial: ContractTrial, times: int) -> list[FitRun]:
     """Return the runs with n times as many samples, made once."""
     key = f"runs {times}"
     if key not in trial.done:
@@ -97,7 +97,7 @@ def _runs(trial: Trial, times: int) -> list[Run]:
     return trial.done[key]
 
 
-def _weight(runs: list[Run]) -> np.ndarray:
+def _weight(runs: list[FitRun]) -> np.ndarray:
     """Return the inverse of the mean stated covariance: it makes errors of many units one number."""
     C = np.mean([r.C for r in runs], axis=0)
     sd = np.sqrt(np.diag(C))
@@ -105,20 +105,20 @@ def _weight(runs: list[Run]) -> np.ndarray:
     return np.linalg.pinv(C / np.outer(sd, sd), rcond=1e-9, hermitian=True) / np.outer(sd, sd)
 
 
-def _rms(runs: list[Run], W: np.ndarray) -> float:
+def _rms(runs: list[FitRun], W: np.ndarray) -> float:
     return float(np.sqrt(np.mean([r.e @ W @ r.e for r in runs])))
 
 
-def _bound(runs: list[Run], W: np.ndarray) -> float:
+def _bound(runs: list[FitRun], W: np.ndarray) -> float:
     return float(np.mean([np.vdot(W, r.bound) for r in runs if r.bound is not None]))
 
 
-def _se(runs: list[Run]) -> float:
+def _se(runs: list[FitRun]) -> float:
     """Return the relative standard error of an RMS over these runs."""
     return 1.0 / np.sqrt(2.0 * runs[0].rank * len(runs))
 
 
-def consistent(trial: Trial) -> Verdict:
+def consistent(trial: ContractTrial) -> Verdict:
     """Four times the samples must halve the error; of experiments drawn at random, as far as it halves the bound."""
     few, many = _runs(trial, 1), _runs(trial, 4)
     W = _weight(few)
@@ -133,7 +133,7 @@ def consistent(trial: Trial) -> Verdict:
     return bool(low <= ratio <= high), text
 
 
-def honest(trial: Trial) -> Verdict:
+def honest(trial: ContractTrial) -> Verdict:
     """The mean NEES must be its dimension; intervals of 95 % must hold 95 %."""
     runs = _runs(trial, 1)
     dim = runs[0].rank
@@ -151,7 +151,7 @@ def honest(trial: Trial) -> Verdict:
     return bool(passed), text
 
 
-def efficient(trial: Trial) -> Verdict:
+def efficient(trial: ContractTrial) -> Verdict:
     """The error must be that of the Cramer-Rao bound."""
     runs = _runs(trial, 1)
     bounds = [r.bound for r in runs if r.bound is not None]
@@ -172,7 +172,7 @@ def efficient(trial: Trial) -> Verdict:
     return (bool(passed), text) if len(runs) >= ENOUGH else (None, text + f"; judged from {ENOUGH} runs on")
 
 
-def robust(trial: Trial) -> Verdict:
+def robust(trial: ContractTrial) -> Verdict:
     """Five per cent of gross outliers must be flagged and do little harm."""
     if trial.spoil is None:
         return False, "no outliers to test with: give spoil, or skip with the reason"
@@ -185,7 +185,7 @@ def robust(trial: Trial) -> Verdict:
         data, bad = trial.spoil(dict(case.data), np.random.default_rng([seed, 1]))
         fit = trial.fit(**data)
         e, C = error_of(trial, fit, case.truth)
-        spoilt.append(Run(e, C, fit.rank, case.bound))
+        spoilt.append(FitRun(e, C, fit.rank, case.bound))
         if bad is not None:
             flags = fit.outliers if fit.outliers.size else np.zeros(len(bad), dtype=bool)
             missed += int(np.sum(bad & ~flags))
@@ -210,7 +210,7 @@ SEEDS = 3
 EXACT = ("parameters", "cov", "sigma", "outliers")
 
 
-def order_free(trial: Trial) -> Verdict:
+def order_free(trial: ContractTrial) -> Verdict:
     """Samples in another order must give the same answer and flags."""
     worst = 0.0
     for seed in range(trial.seed, trial.seed + SEEDS):
@@ -230,7 +230,7 @@ def order_free(trial: Trial) -> Verdict:
     return worst <= SAME, f"permuted samples move the answer by {worst:.1e} deviations, accepted {SAME:.0e}"
 
 
-def _apart(trial: Trial, first: Fit[Any], second: Fit[Any], truth: Any) -> float:
+def _apart(trial: ContractTrial, first: Fit[Any], second: Fit[Any], truth: Any) -> float:
     """Return the step between two fits, in deviations of the estimate."""
     (a, C), (b, _) = error_of(trial, first, truth), error_of(trial, second, truth)
     return _length(b - a, C)
@@ -243,7 +243,7 @@ def _length(e: np.ndarray, C: np.ndarray) -> float:
     return float(np.sqrt(max((e / sd) @ inverse @ (e / sd), 0.0)))
 
 
-def gauge_free(trial: Trial) -> Verdict:
+def gauge_free(trial: ContractTrial) -> Verdict:
     """Another frame or unit must change the answer as it must."""
     if not trial.gauges:
         return False, "no change of frame or unit to test with: give gauges, or skip with the reason"
@@ -267,7 +267,7 @@ def _relative(e: np.ndarray, fit: Fit[Any]) -> float:
     return float(np.max(np.abs(e) / np.maximum(np.abs(fit.parameters), fit.sd)))
 
 
-def refuses(trial: Trial) -> Verdict:
+def refuses(trial: ContractTrial) -> Verdict:
     """Data that do not tell a direction must be refused with its name."""
     if not trial.refusals:
         return False, "nothing that must be refused: give refusals, or skip with the reason"
@@ -284,7 +284,7 @@ def refuses(trial: Trial) -> Verdict:
     return not wrong, "; ".join(wrong) or f"{len(trial.refusals)} cases refused by name"
 
 
-def saves(trial: Trial) -> Verdict:
+def saves(trial: ContractTrial) -> Verdict:
     """A saved fit must come back bit-equal, and not as something else."""
     fit = trial.fit(**trial.experiment(trial.seed, trial.n).data)
     with tempfile.TemporaryDirectory() as folder:
@@ -302,7 +302,7 @@ def saves(trial: Trial) -> Verdict:
     return False, "a file of another kind was accepted"
 
 
-def explains(trial: Trial) -> Verdict:
+def explains(trial: ContractTrial) -> Verdict:
     """The report must have unit and deviation of every value."""
     fit = trial.fit(**trial.experiment(trial.seed, trial.n).data)
     text = fit.report()
@@ -314,7 +314,7 @@ def explains(trial: Trial) -> Verdict:
     return deviations >= len(fit.names), f"{deviations} deviations for {len(fit.names)} values in the report"
 
 
-def clean(trial: Trial) -> Verdict:
+def clean(trial: ContractTrial) -> Verdict:
     """Inputs stay, outputs are read-only, the same input gives the same bits, NaN is refused with its row."""
     data = dict(trial.experiment(trial.seed, trial.n).data)
     before = [(name, array.tobytes()) for name, array in _arrays(data)]
@@ -327,7 +327,7 @@ def clean(trial: Trial) -> Verdict:
     return not faults, "; ".join(faults) or "inputs unchanged, outputs read-only, same bits twice, NaN refused by row"
 
 
-def _nan_faults(trial: Trial) -> list[str]:
+def _nan_faults(trial: ContractTrial) -> list[str]:
     """Return what is wrong with the refusal of NaN in any array of samples."""
     row, faults, tried = trial.n // 2, [], 0
     for name, data in _with_nan(dict(trial.experiment(trial.seed, trial.n).data), trial.n, row):
@@ -428,7 +428,7 @@ class Gauge:
 
 
 @dataclass(frozen=True)
-class Limits:
+class ContractLimits:
     """What is accepted.
 
     Two-sided limits give way to three standard errors where few runs make these wider; one-sided ones grow by them.
@@ -448,7 +448,7 @@ class Limits:
     false: float = 0.005
 
     @classmethod
-    def of(cls, runs: int, noise_given: bool) -> Limits:
+    def of(cls, runs: int, noise_given: bool) -> ContractLimits:
         """Return the limits of the test suite, or those of the benchmark from 1000 runs on.
 
         Parameters
@@ -465,9 +465,7 @@ class Limits:
 class Property:
     """One property of the contract.
 
-    Attributes
-    ----------
-    name : one of PROPERTIES. passed : None where it was not judged. text : what was measured and needed, or why not.
+    `passed`: None where it was not judged.
     """
 
     name: str
@@ -528,7 +526,7 @@ def check_estimator(
     refusals: Mapping[str, Mapping[str, Any]] | None = None,
     spoil: Spoil | None = None,
     noise_given: bool = True,
-    limits: Limits | None = None,
+    limits: ContractLimits | None = None,
     skip: Mapping[str, str] | None = None,
     seed: int = 0,
 ) -> Contract:
@@ -564,12 +562,12 @@ def check_estimator(
             raise ConfigError(
                 f"Expected the reason why {name!r} is skipped, got none. Say why this fit cannot have it."
             )
-    accepted = limits or Limits.of(runs, noise_given)
-    trial = Trial(fit, experiment, runs, n, seed, error, blocks or {}, gauges, refusals or {}, spoil, accepted)
+    accepted = limits or ContractLimits.of(runs, noise_given)
+    trial = ContractTrial(fit, experiment, runs, n, seed, error, blocks or {}, gauges, refusals or {}, spoil, accepted)
     return Contract(tuple(_properties(trial, reasons)), runs)
 
 
-def _properties(trial: Trial, reasons: dict[str, str]) -> Iterator[Property]:
+def _properties(trial: ContractTrial, reasons: dict[str, str]) -> Iterator[Property]:
     judges = {
         "consistent": consistent,
         "honest": honest,

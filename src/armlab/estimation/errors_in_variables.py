@@ -28,13 +28,9 @@ WHAT = "total least squares"
 class TotalSolution:
     """Parameters of a linear problem whose regressor has errors too.
 
-    Attributes
-    ----------
-    x : (p,) parameters. cov : (p, p) their covariance, to first order in the errors.
-    sigma : deviation of the errors that was found, 1 when their covariance was given and right.
-    corrections : (N, p + 1) errors of [A y] that were found; taken away, the rows agree with x.
-    outliers : (N,) rows that were left out.
-    excitation : what the corrected rows could tell.
+    `x`: (p,) parameters. `cov`: (p, p) their covariance, to first order in the errors. `sigma`: deviation of the errors
+    that was found, 1 when their covariance was given and right. `corrections`: (N, p + 1) errors of [A y] that were
+    found; taken away, the rows agree with x. `outliers`: (N,) rows that were left out.
     """
 
     x: np.ndarray

@@ -136,23 +136,10 @@ def check_excitation(
 ) -> Excitation:
     """Judge whether data determine all parameters.
 
-    Parameters
-    ----------
-    A : (m, p) whitened design matrix, or its triangle R (p, p).
-    names : of the p parameters.
-    what : what is fitted, for the message.
-    prior : when given, directions that the data do not tell keep its values, and are listed in `held`; without one they
-        are refused.
-    max_condition : strongest over weakest singular value of the column-scaled A that is accepted.
-
-    Returns
-    -------
-    Excitation with the singular values of the column-scaled A.
-
-    Raises
-    ------
-    NotExcited : when the condition number exceeds the limit, with every direction beyond it by the names of its
-        parameters.
+    `A`: (m, p) whitened design matrix, or its triangle R (p, p). `prior`: when given, directions that the data do not
+    tell keep its values, and are listed in `held`; without one they are refused. `max_condition`: strongest over
+    weakest singular value of the column-scaled A that is accepted. Returns: Excitation with the singular values of the
+    column-scaled A.
     """
     A = numbers(A, "a design matrix", ShapeError)
     found = Excitation.of(A, names, max_condition)
@@ -196,20 +183,11 @@ def check_spread(
 
     The standard deviation along the direction v (in units of the limits) is ``1 / |J diag(limits) v|``.
 
-    Parameters
-    ----------
-    J : (m, p) whitened Jacobian of the data without priors, or its triangle.
-    names, units : of the p parameters.
-    limits : (p,) standard deviation of each parameter that is the most accepted.
-    what : what is fitted, for the message.
-    gauge : (p, g) directions, in units of the limits, that no data of this kind tell; they are not judged.
-    describe : puts a direction (p,) of the parameters into words: one standard deviation long, or as long as the limits
-        where nothing is seen. The names of the largest components otherwise.
-    hold : list what exceeds its limit in `held`, because a prior holds it, and do not refuse it.
-
-    Raises
-    ------
-    NotExcited : a direction whose standard deviation exceeds its limit, with the deviation in words.
+    `J`: (m, p) whitened Jacobian of the data without priors, or its triangle. `limits`: (p,) standard deviation of each
+    parameter that is the most accepted. `gauge`: (p, g) directions, in units of the limits, that no data of this kind
+    tell; they are not judged. `describe`: puts a direction (p,) of the parameters into words: one standard deviation
+    long, or as long as the limits where nothing is seen. The names of the largest components otherwise. `hold`: list
+    what exceeds its limit in `held`, because a prior holds it, and do not refuse it.
     """
     p, J, limits = len(names), numbers(J, "a Jacobian", ShapeError), numbers(limits, "limits", ShapeError)
     if J.ndim != 2 or J.shape[1] != p or limits.shape != (p,) or not np.all(limits > 0) or not np.isfinite(J).all():
@@ -250,31 +228,6 @@ def check_spread(
     weakest = words(len(singular) - 1) if len(singular) else "none"
     known = (1.0 / limits, vectors, tuple(weak), null, tuple(null_names), spread)
     return Excitation(rank, p - fixed.shape[1], singular, weakest, *known)
-
-
-def unhurried(
-    judge: Callable[[], Excitation], cov: np.ndarray, limits: np.ndarray, unseen: int = 0
-) -> Excitation | Callable[[], Excitation]:
-    """Put off a judgement that a covariance proves to be good: a `Fit` makes it when it is asked for.
-
-    The variance along any direction, in units of the limits, is at most ``sum_i cov_ii / limits_i^2``.
-
-    Parameters
-    ----------
-    judge : makes the excitation, or refuses: `check_spread` of the same data.
-    cov : (p, p) covariance that these data give, without priors.
-    limits : (p,) of `check_spread`.
-    unseen : number of directions that the data do not see; `cov` is zero along them.
-
-    Returns
-    -------
-    `judge` where that sum is below 1 and nothing is unseen, otherwise what it returns.
-
-    Raises
-    ------
-    NotExcited : what `judge` raises.
-    """
-    return judge if not unseen and (cov.diagonal() / limits**2).sum() < 1.0 else judge()
 
 
 def _largest(reach: np.ndarray, vector: np.ndarray, units: Sequence[str]) -> str:

@@ -13,55 +13,22 @@ import numpy as np
 from armlab import models
 from armlab.errors import ConfigError, ShapeError
 from armlab.estimation.excitation import Excitation
+from armlab.models.files import load_statistics
 
 Value = TypeVar("Value")
 
-READ_ONLY = ("parameters", "sigma", "outliers", "formal_cov")
+READ_ONLY = ("parameters", "sigma", "residuals", "outliers", "formal_cov")
 SAVED = ("names", "units", "parameters", "cov", "classes", "sigma", "outliers", "n", "rank")
 EXCITATION = ("expected", "singular_values", "weakest", "held", "null_names")
 
 
-class _WhenAsked(Generic[Value]):
-    """A field that may hold what makes its value; that is made and checked once, when it is first asked for."""
-
-    def __init__(self, name: str, check: Callable[[Any, Value], Value]) -> None:
-        self.name, self._check = name, check
-
-    def __get__(self, fit: Any, owner: type) -> Value:
-        held: Any = fit.__dict__[self.name]
-        if not callable(held):
-            return held
-        made: Any = held()
-        fit.__dict__[self.name] = self._check(fit, made)
-        return fit.__dict__[self.name]
-
-    def __set__(self, fit: Any, value: Value | Callable[[], Value]) -> None:
-        fit.__dict__[self.name] = value if callable(value) else self._check(fit, value)
-
-
 def _frozen(values: Any, kind: type = float) -> np.ndarray:
-    """Return a read-only array; a copy unless nobody else can write to it."""
+    """Return a read-only array; a copy unless it owns read-only data."""
     if type(values) is np.ndarray and values.dtype == kind and values.flags.owndata and not values.flags.writeable:
         return values
     values = np.array(values, dtype=kind)
     values.flags.writeable = False
     return values
-
-
-def _covariance(fit: Any, cov: np.ndarray) -> np.ndarray:
-    """Return the covariance of a fit frozen, or refuse it."""
-    d = len(fit.names)
-    if np.shape(cov) != (d, d):
-        raise ShapeError(
-            f"Expected cov of shape ({d}, {d}) for {d} names, got {np.shape(cov)}. This is a fault of the fit."
-        )
-    cov = _frozen(cov)
-    if not np.isfinite(cov).all() or (d and cov.diagonal().min() < 0):
-        raise ShapeError(
-            "Expected a finite covariance with a diagonal that is not negative, got another one. "
-            "This is a fault of the fit."
-        )
-    return cov
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,31 +37,42 @@ class Fit(Generic[Value]):
 
     Attributes
     ----------
-    value : what was fitted; what a robot loads.
-    names, units : of the d parameters.
-    parameters : (d,) their values. cov : (d, d) their covariance, of rank `rank`: zero along directions that no data
-        could tell.
-    sigma : noise found per class of measurement, in its unit.
-    residuals : (N, ...) in SI, unwhitened; empty when the fit was read from a file.
-    n : number of samples used.
-    excitation : what the data could tell. This, `cov` and `residuals` may be given as what makes them, and are made
-        when they are first asked for.
-    summary : makes the text of `report`.
-    outliers : (N,) samples that were left out; empty for fits that look for none.
-    classes : names of the classes of measurement, with their units: "position [m]".
-    formal_cov : (d, d) where `cov` is from drawing blocks again: what white residuals would give, too small by far when
-        they are coloured. None where `cov` is formal itself, and when the fit was read from a file.
+    value : Value
+        What was fitted; a robot loads it.
+    names, units : tuple of str
+        Of the d parameters.
+    parameters : ndarray, shape (d,)
+        Values of the parameters.
+    cov : ndarray, shape (d, d)
+        Their covariance, of rank `rank`: zero along unidentified directions.
+    sigma : ndarray
+        Noise found per class of measurement, in its unit.
+    residuals : ndarray, shape (N, ...)
+        In SI units, not whitened; empty when the fit was read from a file.
+    n : int
+        Number of samples used.
+    excitation : Excitation
+        Which directions the data identify, and how well.
+    summary : callable, optional
+        Makes the text of `report`.
+    outliers : ndarray of bool, shape (N,)
+        Samples left out; empty for fits that look for none.
+    classes : tuple of str
+        Names of the classes of measurement with their units: "position [m]".
+    formal_cov : ndarray, shape (d, d), optional
+        Where `cov` is from a block bootstrap: the covariance for white residuals, far too small for coloured ones. None
+        where `cov` is formal itself, and when the fit was read from a file.
     """
 
     value: Value
     names: tuple[str, ...]
     units: tuple[str, ...]
     parameters: np.ndarray
-    cov: _WhenAsked[np.ndarray]
+    cov: np.ndarray
     sigma: np.ndarray
-    residuals: _WhenAsked[np.ndarray]
+    residuals: np.ndarray
     n: int
-    excitation: _WhenAsked[Excitation]
+    excitation: Excitation
     summary: Callable[[Fit[Value]], str] | None = field(default=None, repr=False)
     outliers: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     classes: tuple[str, ...] = ()
@@ -108,6 +86,17 @@ class Fit(Generic[Value]):
                 f"Expected {d} units and parameters of shape ({d},) for {d} names, got {len(self.units)} and "
                 f"{np.shape(self.parameters)}. This is a fault of the fit."
             )
+        cov = _frozen(self.cov)
+        if cov.shape != (d, d):
+            raise ShapeError(
+                f"Expected cov of shape ({d}, {d}) for {d} names, got {cov.shape}. This is a fault of the fit."
+            )
+        if not np.isfinite(cov).all() or (d and cov.diagonal().min() < 0):
+            raise ShapeError(
+                "Expected a finite covariance with a diagonal that is not negative, got another one. "
+                "This is a fault of the fit."
+            )
+        object.__setattr__(self, "cov", cov)
         object.__setattr__(self, "names", tuple(self.names))
         object.__setattr__(self, "units", tuple(self.units))
         for name in READ_ONLY:
@@ -116,7 +105,7 @@ class Fit(Generic[Value]):
             object.__setattr__(self, name, _frozen(getattr(self, name), bool if name == "outliers" else float))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copy and pickle what is made when asked for as it is then, and the report as its text."""
+        """Copy and pickle the report as its text."""
         kept = {f.name: getattr(self, f.name) for f in fields(self)}
         if self.summary is not None:
             kept["summary"] = partial(_said, self.report())
@@ -129,7 +118,7 @@ class Fit(Generic[Value]):
 
     @property
     def rank(self) -> int:
-        """Rank of the covariance scaled to a unit diagonal: how many directions are told."""
+        """Rank of the covariance scaled to a unit diagonal: how many directions are identified."""
         sd = np.where(self.sd > 0, self.sd, 1.0)
         return int(np.linalg.matrix_rank(self.cov / np.outer(sd, sd), tol=1e-9, hermitian=True)) if len(sd) else 0
 
@@ -173,7 +162,7 @@ class Fit(Generic[Value]):
         ConfigError : the file is damaged, or holds a value without its fit.
         ModelMismatchError : another kind.
         """
-        value, known = models.load(path, kind), models.load_statistics(path)
+        value, known = models.load(path, kind), load_statistics(path)
         try:
             excitation = Excitation(
                 known["excitation_rank"], **{name: known[f"excitation_{name}"] for name in EXCITATION}
@@ -184,14 +173,6 @@ class Fit(Generic[Value]):
                 f"Expected the fit of a value in {path}, got no {error}. It was saved without: use armlab.models.load."
             ) from None
         return cls(value=value, residuals=np.zeros(0), excitation=excitation, **parts)
-
-
-for _lazy in (
-    _WhenAsked("cov", _covariance),
-    _WhenAsked("residuals", lambda fit, found: _frozen(found)),
-    _WhenAsked("excitation", lambda fit, found: found),
-):
-    setattr(Fit, _lazy.name, _lazy)  # afterwards, for in the class it would be read as a default
 
 
 def _said(text: str, fit: Fit[Any]) -> str:

@@ -25,18 +25,9 @@ def within_bounds(x: np.ndarray, cov: np.ndarray, lower: np.ndarray, upper: np.n
     follow their correlations. A is right when every free z is inside and every m pushes inwards; block principal
     pivoting mends all faults at once, and after ten rounds without progress the first one only, which always ends.
 
-    Parameters
-    ----------
-    x : (p,) solution without bounds. cov : (p, p) its covariance, up to a factor.
-    lower, upper : (p,) bounds, lower < upper.
-
-    Returns
-    -------
-    (p,) solution within the bounds; exactly at those that hold.
-
-    References
-    ----------
-    Portugal, Judice and Vicente (1994), A comparison of block pivoting and interior-point algorithms.
+    `x`: (p,) solution without bounds. `cov`: (p, p) its covariance, up to a factor. `lower`, `upper`: (p,) bounds,
+    lower < upper. Returns: (p,) solution within the bounds; exactly at those that hold. After Portugal, Judice and
+    Vicente (1994), A comparison of block pivoting and interior-point algorithms.
     """
     x, cov, lower, upper = (
         numbers(one, "solution, covariance and bounds", ShapeError) for one in (x, cov, lower, upper)
@@ -82,13 +73,8 @@ EXACT = 1e-12  # residuals below this share of the measurements are rounding
 class LinearProblem:
     """What is asked of the data.
 
-    Attributes
-    ----------
-    names : of the p parameters.
-    what : what is fitted, for messages.
-    lower, upper : (p,) bounds; -inf and inf where there is none.
-    prior : keeps directions that the data do not tell.
-    max_condition : of the column-scaled, weighted regressor.
+    `lower`, `upper`: (p,) bounds; -inf and inf where there is none. `max_condition`: of the column-scaled, weighted
+    regressor.
     """
 
     names: tuple[str, ...]
@@ -110,10 +96,7 @@ class LinearProblem:
     ) -> LinearProblem:
         """Check the bounds and fill in those that are left out.
 
-        Parameters
-        ----------
-        names, what, prior, max_condition : as the attributes.
-        lower, upper : (p,) bounds, or None.
+        `lower`, `upper`: (p,) bounds, or None.
         """
         p = len(names)
         low = np.full(p, -np.inf) if lower is None else numbers(lower, "lower bounds", ShapeError)
@@ -144,24 +127,15 @@ class ActiveBound:
 class LinearSolution:
     """Parameters of a linear problem with what is needed to judge and to resample them.
 
-    Attributes
-    ----------
-    question : what was asked.
-    x : (p,) parameters. cov : (p, p) formal covariance: right only for white residuals; bounds do not narrow it.
-    weights : (G,) of the classes, 1 / sd. sigma : (G,) deviation of their residuals, degrees of freedom subtracted.
-    scale : deviation of the weighted residuals; 1 when the weights are right.
-    R : (p, p) triangle of the weighted regressor.
-    basis : (p, r) directions that the data tell, ``R @ basis`` orthonormal.
-    excitation : what the data could tell.
-    active : bounds that hold a parameter. growth : relative growth of the residual RMS by them.
-    factors : what it was computed from, rows reweighted. measured : the same without reweighting.
-    kept : (B,) blocks of time that count.
-    stretch : how much further than the weighted solution a robust one moves, 1 without reweighting.
-    row_weights : (M,) weights of the rows in the order they came in; empty without reweighting.
-    rounds : of the iteration. converged : False when it stopped at its limit.
+    `x`: (p,) parameters. `cov`: (p, p) formal covariance: right only for white residuals; bounds do not narrow it.
+    `weights`: (G,) of the classes, 1 / sd. `sigma`: (G,) deviation of their residuals, degrees of freedom subtracted.
+    `scale`: deviation of the weighted residuals; 1 when the weights are right. `R`: (p, p) triangle of the weighted
+    regressor. `basis`: (p, r) directions that the data tell, ``R @ basis`` orthonormal. `kept`: (B,) blocks of time
+    that count. `stretch`: how much further than the weighted solution a robust one moves, 1 without reweighting.
+    `row_weights`: (M,) weights of the rows in the order they came in; empty without reweighting.
     """
 
-    question: LinearProblem
+    problem: LinearProblem
     x: np.ndarray
     cov: np.ndarray
     weights: np.ndarray
@@ -195,37 +169,29 @@ class LinearSolution:
     @property
     def held_cov(self) -> np.ndarray:
         """Covariance (p, p) of the prior along the directions that it holds; zero without a prior."""
-        return _held_covariance(self.excitation, self.question.prior)
+        return _held_covariance(self.excitation, self.problem.prior)
 
 
 def solve(
-    question: LinearProblem, factors: Factors, weights: np.ndarray | None = None, kept: np.ndarray | None = None
+    problem: LinearProblem, factors: Factors, weights: np.ndarray | None = None, kept: np.ndarray | None = None
 ) -> LinearSolution:
     """Solve a linear problem by its triangular factors.
 
-    Parameters
-    ----------
-    question : names, bounds, prior.
-    factors : of the rows.
-    weights : (G,) of the classes; when left out 1 / sd of their own residuals, found in rounds.
-    kept : (B,) blocks of time that count; all when left out.
-
-    Raises
-    ------
-    NotExcited : fewer rows than parameters, or directions that the data do not tell and no prior holds, by name.
+    `weights`: (G,) of the classes; when left out 1 / sd of their own residuals, found in rounds. `kept`: (B,) blocks of
+    time that count; all when left out.
     """
     kept = np.ones(len(factors.rows), dtype=bool) if kept is None else kept
     groups = factors.of_groups(kept)
     if weights is not None:
-        return _solve_once(question, factors, groups, kept, weights)
+        return _solve_once(problem, factors, groups, kept, weights)
     spread = np.array([np.linalg.norm(R[:, -1]) for R in groups]) / np.sqrt(np.maximum(factors.rows[kept].sum(0), 1))
     weights = _inverse(spread, spread)
     for _ in range(ROUNDS):
-        sigma = _solve_once(question, factors, groups, kept, weights).sigma
+        sigma = _solve_once(problem, factors, groups, kept, weights).sigma
         before, weights = weights, _inverse(sigma, spread)
         if np.allclose(weights, before, rtol=TOLERANCE, atol=0.0):
             break
-    return _solve_once(question, factors, groups, kept, weights)
+    return _solve_once(problem, factors, groups, kept, weights)
 
 
 def _inverse(sigma: np.ndarray, spread: np.ndarray) -> np.ndarray:
@@ -235,34 +201,33 @@ def _inverse(sigma: np.ndarray, spread: np.ndarray) -> np.ndarray:
 
 
 def _solve_once(
-    question: LinearProblem, factors: Factors, groups: list[np.ndarray], kept: np.ndarray, weights: np.ndarray
+    problem: LinearProblem, factors: Factors, groups: list[np.ndarray], kept: np.ndarray, weights: np.ndarray
 ) -> LinearSolution:
     """Return the solution for given weights."""
     p = factors.size
     whole = factors.merge(groups, weights)
     R, y = whole[:p, :p], whole[:p, p]
-    excitation = check_excitation(R, question.names, question.what, question.prior, question.max_condition)
+    excitation = check_excitation(R, problem.names, problem.what, problem.prior, problem.max_condition)
     basis = excitation.vectors[:, : excitation.rank] / excitation.singular_values[: excitation.rank]
     basis = basis / excitation.scale[:, None]
     rows = factors.rows[kept].sum(axis=0)
     free = int(rows.sum()) - excitation.rank
     if free < 1:
         raise NotExcited(
-            f"Expected more than {excitation.rank} rows for the {question.what}, got {rows.sum()}. "
-            "Record more samples.",
+            f"Expected more than {excitation.rank} rows for the {problem.what}, got {rows.sum()}. Record more samples.",
             ["covariance"],
             [f"{rows.sum()} rows"],
         )
-    loose = _free_solution(R, y, basis, excitation, question.prior)
+    loose = _free_solution(R, y, basis, excitation, problem.prior)
     least = np.linalg.norm(whole @ np.append(loose, -1.0))
-    cov = least**2 / free * basis @ basis.T + _held_covariance(excitation, question.prior)
-    x = within_bounds(loose, cov, question.lower, question.upper)
-    active = _active(question, x, loose, np.sqrt(np.diag(cov)))
+    cov = least**2 / free * basis @ basis.T + _held_covariance(excitation, problem.prior)
+    x = within_bounds(loose, cov, problem.lower, problem.upper)
+    active = _active(problem, x, loose, np.sqrt(np.diag(cov)))
     reached = np.linalg.norm(whole @ np.append(x, -1.0))
     own = [np.sum((w * g[:, :-1] @ basis[c]) ** 2) for g, c, w in zip(groups, factors.columns, weights)]
     power = np.array([np.sum((g @ np.append(x[c], -1.0)) ** 2) for g, c in zip(groups, factors.columns)])
     return LinearSolution(
-        question=question,
+        problem=problem,
         x=x,
         cov=cov,
         weights=weights,
@@ -282,7 +247,7 @@ def _solve_once(
 def _free_solution(
     R: np.ndarray, y: np.ndarray, basis: np.ndarray, excitation: Excitation, prior: Prior | None
 ) -> np.ndarray:
-    """Return the solution without bounds; the prior alone tells the directions that are held."""
+    """Return the solution without bounds; the prior alone determines the held directions."""
     if prior is None or excitation.rank == excitation.expected:
         return np.linalg.lstsq(R / excitation.scale, y, rcond=None)[0] / excitation.scale
     held = excitation.vectors[:, excitation.rank :]
@@ -300,6 +265,6 @@ def _held_covariance(excitation: Excitation, prior: Prior | None) -> np.ndarray:
     return sides @ across @ sides.T
 
 
-def _active(question: LinearProblem, x: np.ndarray, loose: np.ndarray, sd: np.ndarray) -> tuple[ActiveBound, ...]:
-    at = np.flatnonzero((x <= question.lower) | (x >= question.upper))
-    return tuple(ActiveBound(question.names[i], float(x[i]), float(loose[i]), float(sd[i])) for i in at)
+def _active(problem: LinearProblem, x: np.ndarray, loose: np.ndarray, sd: np.ndarray) -> tuple[ActiveBound, ...]:
+    at = np.flatnonzero((x <= problem.lower) | (x >= problem.upper))
+    return tuple(ActiveBound(problem.names[i], float(x[i]), float(loose[i]), float(sd[i])) for i in at)

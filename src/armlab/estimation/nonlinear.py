@@ -37,7 +37,7 @@ class Measurement:
     classes : name of the noise class of each of the k numbers, for example ("t", "t", "t", "R", "R", "R").
     sample : (m,) number of the sample (pose, scan, point) that each measurement belongs to; 0 to m - 1 when left out.
         Outliers are found by samples.
-    prior : True for what was known before: it is no sample, cannot be an outlier and tells nothing of the noise.
+    prior : True for what was known before: it is no sample, cannot be an outlier and does not enter the noise estimate.
     added : (k, k) or (m, k, k) covariance of a part of the noise that is known, beside the part that is to be
         estimated; None for none.
     """
@@ -270,21 +270,8 @@ def descend(
     The covariance of the residuals is that at the start of each step: a step is judged by the cost it promised to
     lower. Converged when the step is below 1e-9 deviations of the estimate, or the cost at its rounding floor.
 
-    Parameters
-    ----------
-    problem : residuals and retraction.
-    start : first value.
-    sigma : deviation of each noise class that is estimated.
-    weight : (N,) weight of each sample, 0 to leave it out.
-    iterations : the most that are taken.
-    strict : raise when that many did not converge; otherwise rows and basis are those before the last step.
-
-    Raises
-    ------
-    NotConverged : after that many iterations, with the best value and the cost after each.
-
-    References
-    ----------
+    `sigma`: deviation of each noise class that is estimated. `weight`: (N,) weight of each sample, 0 to leave it out.
+    `strict`: raise when that many did not converge; otherwise rows and basis are those before the last step. After
     Madsen, Nielsen and Tingleff (2004), Methods for non-linear least squares problems, algorithm 3.16.
     """
     value, now = start, problem.evaluate(start)
@@ -412,15 +399,10 @@ FLAG_ROUNDS = 3
 class NonlinearSolution(Generic[Value]):
     """A fitted value with its uncertainty.
 
-    Attributes
-    ----------
-    value : the most likely one. cov : (d, d) covariance of a step away from it, zero along what nothing tells.
-    classes : names of the noise classes. sigma : their deviations found, degrees of freedom subtracted.
-    outliers : (N,) samples that were left out. squares : (N,) whitened squared residual of every sample.
-    rows : whitened rows of the samples kept, at the value.
-    null : (d, m) orthonormal directions, in units of the scale, that neither data nor prior tell.
-    cost : half the whitened sum of squares. freedom : rows minus rank.
-    history : cost after each iteration of the last descent.
+    `cov`: (d, d) covariance of a step away from it, zero along unidentified directions. `sigma`: their deviations,
+    degrees of freedom subtracted. `outliers`: (N,) samples that were left out. `squares`: (N,) whitened squared
+    residual of every sample. `null`: (d, m) orthonormal directions, in units of the scale, that neither data nor prior
+    tell. `history`: cost after each iteration of the last descent.
     """
 
     value: Value

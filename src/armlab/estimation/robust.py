@@ -38,18 +38,9 @@ def mad(x: np.ndarray) -> float:
 def huber(rows: Iterable[Rows], start: LinearSolution) -> LinearSolution:
     """Reweight rows by Huber's loss until the solution stays.
 
-    Parameters
-    ----------
-    rows : of the problem, not a generator: they are read once per round.
-    start : least-squares solution of the same rows.
-
-    Returns
-    -------
-    LinearSolution whose formal covariance is that of the M-estimator; `converged` is False after 30 rounds.
-
-    References
-    ----------
-    Huber and Ronchetti (2009), Robust Statistics, equations 7.8 and 7.84.
+    `rows`: of the problem, not a generator: they are read once per round. Returns: LinearSolution whose formal
+    covariance is that of the M-estimator; `converged` is False after 30 rounds. After Huber and Ronchetti (2009),
+    Robust Statistics, equations 7.8 and 7.84.
     """
     found, x, sigma, used, step = start, start.x, start.sigma, start.sigma, np.inf
     residuals: dict[int, list[np.ndarray]] = {}
@@ -61,12 +52,12 @@ def huber(rows: Iterable[Rows], start: LinearSolution) -> LinearSolution:
         residuals, weights = {}, []
         pieces = _reweighted(rows, x, used, residuals, weights)
         whole = (replace(piece, block=np.zeros_like(piece.block)) for piece in pieces)
-        found = solve(start.question, factorise(whole, len(x)), 1.0 / used)
+        found = solve(start.problem, factorise(whole, len(x)), 1.0 / used)
         step = np.linalg.norm(found.R @ (found.x - x)) / (max(found.scale, 1e-300) * np.sqrt(len(x)))
         sigma = np.array([mad(np.concatenate(residuals[g])) if g in residuals else s for g, s in enumerate(used)])
         sigma = np.maximum(sigma, EXACT * start.sigma)
     # Blocks of time are kept apart only now: a triangle for each costs more than its rows.
-    found = solve(start.question, factorise(_reweighted(rows, x, used, {}, []), len(x)), 1.0 / used)
+    found = solve(start.problem, factorise(_reweighted(rows, x, used, {}, []), len(x)), 1.0 / used)
     scaled = np.concatenate([np.concatenate(r) / used[g] for g, r in residuals.items()])
     return _finish(start, found, scaled, used, np.concatenate(weights), rounds, bool(step <= HUBER_STEP))
 
@@ -103,7 +94,7 @@ def _finish(
     inside = float(np.mean(np.abs(scaled) <= HUBER))
     psi2 = float(np.sum(np.minimum(np.abs(scaled), HUBER) ** 2) / max(N - p, 1))
     small_sample = 1.0 + p / N * (1.0 - inside) / inside
-    plain = solve(start.question, start.factors, 1.0 / sigma)
+    plain = solve(start.problem, start.factors, 1.0 / sigma)
     variance = (small_sample**2 * psi2 / inside**2) / plain.scale**2
     return replace(
         found,
@@ -124,21 +115,14 @@ def least_trimmed_squares(start: LinearSolution, seed: int = 0) -> LinearSolutio
     smallest mean square, which can only lower their sum. Of the best one, the blocks whose log RMS lies within three
     robust deviations of the median are kept for the final weighted fit.
 
-    Parameters
-    ----------
-    start : least-squares solution of all blocks.
-    seed : of the random sets.
-
-    References
-    ----------
-    Rousseeuw (1984), Least median of squares regression; Rousseeuw and van Driessen (2006), FAST-LTS.
+    After Rousseeuw (1984), Least median of squares regression; Rousseeuw and van Driessen (2006), FAST-LTS.
     """
     kept = start.kept
     for _ in range(2):  # the second time with weights of the classes that the outliers did not make
-        current = start if kept.all() else solve(start.question, start.factors, kept=kept)
+        current = start if kept.all() else solve(start.problem, start.factors, kept=kept)
         whole = replace(current, kept=start.kept)
         kept = _agreeing(BlockSums.of(whole), generator(seed))
-    return solve(start.question, start.factors, kept=kept)
+    return solve(start.problem, start.factors, kept=kept)
 
 
 def _agreeing(sums: BlockSums, rng: np.random.Generator) -> np.ndarray:
@@ -166,7 +150,7 @@ def _random_start(sums: BlockSums, blocks: np.ndarray, rng: np.random.Generator)
             return np.linalg.solve(gram, sums.moment[order[:count]].sum(axis=0))
         count += 1 + count // 4
     raise NotExcited(
-        f"Expected blocks of time that determine the {sums.solution.question.what} together, got {len(order)} that do "
+        f"Expected blocks of time that determine the {sums.solution.problem.what} together, got {len(order)} that do "
         "not. Let every joint move for the whole record.",
         ["blocks"],
         [f"{len(order)} blocks"],
@@ -240,9 +224,9 @@ def least_squares(
         raise UnknownName.among("method of least squares", method, METHODS)
     if method == "irls" and iter(rows) is rows:
         raise ShapeError("Expected rows that can be read again in every round, got a generator. Give a list of Rows.")
-    question = LinearProblem.of(names, what, lower, upper, prior, max_condition)
+    problem = LinearProblem.of(names, what, lower, upper, prior, max_condition)
     factors = factorise(rows, len(names))
-    found = solve(question, factors, np.ones(len(factors.columns)) if method == "ols" else None)
+    found = solve(problem, factors, np.ones(len(factors.columns)) if method == "ols" else None)
     if method == "irls":
         return huber(rows, found)
     return least_trimmed_squares(found, seed) if method == "lts" else found

@@ -12,8 +12,13 @@ own: `Rows.columns` says which, and the others are never stored or multiplied.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
 from itertools import pairwise
+from threading import Lock
+from typing import Any
 
 import numpy as np
 
@@ -66,12 +71,8 @@ class Rows:
 class Factors:
     """Triangular factors of every class of measurement in every block of time.
 
-    Attributes
-    ----------
-    size : number p of parameters.
-    columns : of each class, (w,) the parameters that it has.
-    R : of each class, (B, w + 1, w + 1) factors of its rows ``[A y]`` per block.
-    rows : (B, G) number of rows per block and class.
+    `columns`: of each class, (w,) the parameters that it has. `R`: of each class, (B, w + 1, w + 1) factors of its rows
+    ``[A y]`` per block. `rows`: (B, G) number of rows per block and class.
     """
 
     size: int
@@ -87,10 +88,7 @@ class Factors:
     def merge(self, groups: list[np.ndarray], weights: np.ndarray) -> np.ndarray:
         """Return the factor (p + 1, p + 1) of all classes, each with its weight (G,).
 
-        Parameters
-        ----------
-        groups : from `of_groups`.
-        weights : multiply the rows of each class, 1 / sd.
+        `weights`: multiply the rows of each class, 1 / sd.
         """
         p = self.size
         wide = []
@@ -109,18 +107,8 @@ class Factors:
 def factorise(rows: Iterable[Rows], size: int) -> Factors:
     """Reduce rows to triangular factors, one pass, whatever their number.
 
-    Parameters
-    ----------
-    rows : of all classes, in any order of classes; blocks and classes may come in several pieces.
-    size : number p of parameters.
-
-    Raises
-    ------
-    ShapeError : shapes differ, a column is out of range or differs within a class, values are not finite.
-
-    References
-    ----------
-    Demmel, Grigori, Hoemmen and Langou (2012), Communication-optimal parallel and sequential QR.
+    `rows`: of all classes, in any order of classes; blocks and classes may come in several pieces. After Demmel,
+    Grigori, Hoemmen and Langou (2012), Communication-optimal parallel and sequential QR.
     """
     columns: dict[int, np.ndarray] = {}
     found: dict[tuple[int, int], np.ndarray] = {}
@@ -211,3 +199,43 @@ def _check(piece: Rows, size: int, known: dict[int, np.ndarray]) -> None:
         raise ShapeError(
             f"Expected the same columns in all rows of class {piece.group}, got others. Use another class."
         )
+
+
+# Fits run on one thread of BLAS: the same bits on every machine, and no waiting.
+#
+# The matrices are tall and thin. Several threads spend their time on waiting for each other, all the more on a machine
+# that does other work: a fit took five times the processor time, and summed in another order.
+
+
+_lock = Lock()
+_inside = 0
+_limits = ExitStack()
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Give BLAS one thread in a `with` block or a decorated function, and as many as before after it.
+
+    The number of threads belongs to the process: of blocks that overlap, in several threads, the last gives it back.
+    """
+    global _inside
+    with _lock:
+        if not _inside:
+            _limits.enter_context(_libraries().limit(limits=1, user_api="blas"))
+        _inside += 1
+    try:
+        yield
+    finally:
+        with _lock:
+            _inside -= 1
+            if not _inside:
+                _limits.close()
+
+
+@cache
+def _libraries() -> Any:
+    """Return what limits the threads of the libraries of this process; to look for them takes milliseconds."""
+    from threadpoolctl import ThreadpoolController
+
+    import_module("scipy.linalg")  # only libraries that are loaded can be limited
+    return ThreadpoolController()

@@ -28,11 +28,12 @@ from armlab.estimation.tsqr import Factors
 from armlab.fleet.logs import Log, as_table, named
 from armlab.fleet.mapping import Progress, map_logs
 from armlab.identify.dynamics import FitProblem
-from armlab.identify.friction_structure import Choice, Chooser, FrictionStructure, choose
+from armlab.identify.friction_structure import Chooser, FrictionStructure, StructureChoice, choose
 from armlab.identify.many import LogSums, Pattern, fit_draft, fit_sums, log_sums, same_rate
 from armlab.identify.record import prepare_share
 from armlab.log import Table
-from armlab.models import TorqueModel, Training
+from armlab.models import TorqueModel
+from armlab.models.torque import Training
 from armlab.robots import Robot
 
 DRAFT_SECONDS = 200.0  # of the first logs: ten of 20 s
@@ -208,7 +209,7 @@ def _try(log: Log, robot: Robot) -> tuple[float, float, str]:
 def _chooser(executor: Executor | None, tell: Progress) -> Chooser:
     """Return what chooses the shapes of friction of the joints on an executor."""
 
-    def choose_all(choices: Iterable[Choice]) -> list[FrictionStructure]:
+    def choose_all(choices: Iterable[StructureChoice]) -> list[FrictionStructure]:
         joints = {f"joint {number + 1}": choice for number, choice in enumerate(choices)}
         done = map_logs(
             choose, joints, executor=executor, kind="joint",

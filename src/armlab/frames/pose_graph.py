@@ -28,7 +28,8 @@ from numpy.typing import ArrayLike
 
 from armlab._numbers import still
 from armlab.errors import FrameError
-from armlab.estimation import Fit, Measurement, NonlinearProblem, check_spread, nonlinear_least_squares
+from armlab.estimation import Fit, Measurement, NonlinearProblem, nonlinear_least_squares
+from armlab.estimation.excitation import check_spread
 from armlab.frames import inputs
 from armlab.lie import se3, so3
 

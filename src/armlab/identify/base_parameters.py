@@ -7,7 +7,7 @@ them:
     Y pi = Y[:, kept] B pi + D pi,      B = [I, K] in the order of the columns
 
 so ``B pi`` are the base parameters, and ``lift @ base`` is the smallest pi with the same torque. D pi is the constant
-torque of each joint that no motion tells from the offset of its sensor: the weight of what a vertical slide carries,
+torque of each joint that looks like the offset of its sensor: the weight of what a vertical slide carries,
 and nothing for arms that turn.
 """
 
@@ -33,15 +33,11 @@ SEED = 20170101
 class BaseParameters:
     """The identifiable combinations of one robot.
 
-    Attributes
-    ----------
-    names : of the p base parameters, with the combination they stand for.
-    units : kg, kg m or kg m^2 each.
-    kept : (p,) columns of the regressor [links (10 n), rotors (n)] that carry them.
-    B : (p, 11 n) base = B @ pi. lift : (11 n, p) the smallest pi for given base parameters, with D pi = 0.
-    D : (n, 11 n) constant torque of each joint that counts as its offset.
-    offset_names : (n,) of the offsets, with the masses that count there.
-    seen : (n, p) which base parameters act on which joint. quasi_static : of gravity alone.
+    `names`: of the p base parameters, with the combination they stand for. `units`: kg, kg m or kg m^2 each. `kept`:
+    (p,) columns of the regressor [links (10 n), rotors (n)] that carry them. `B`: (p, 11 n) base = B @ pi. `lift`: (11
+    n, p) the smallest pi for given base parameters, with D pi = 0. `D`: (n, 11 n) constant torque of each joint that
+    counts as its offset. `offset_names`: (n,) of the offsets, with the masses that count there. `seen`: (n, p) which
+    base parameters act on which joint.
     """
 
     names: tuple[str, ...]

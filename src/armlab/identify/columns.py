@@ -1,4 +1,4 @@
-"""Filtered and thinned columns of a regression over joint torque, made piece by piece from a record.
+"""Filtered and decimated columns of a regression over joint torque, made piece by piece from a record.
 
 No column exists at the full rate for the whole record: a long one would not fit into memory beside its filtered copy.
 """
@@ -16,6 +16,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from armlab.identify.base_parameters import BaseParameters
 from armlab.identify.record import Record, slow_enough
 from armlab.kernels import presliding
+from armlab.models.friction import FRICTION_TERMS
 from armlab.robots import Robot
 
 # Zero-phase low-pass and decimation of a long record in one pass, block by block.
@@ -76,7 +77,7 @@ class Decimation:
         """
         out = np.empty((len(self.rows), width))
         for piece in self.pieces(AT_ONCE * max(1, WIDE // max(width, 1))):
-            self.thin(piece, columns(piece.start, piece.stop), out[piece.first : piece.last])
+            self.decimate(piece, columns(piece.start, piece.stop), out[piece.first : piece.last])
         return out
 
     def pieces(self, rows: int = AT_ONCE) -> Iterator[Piece]:
@@ -92,7 +93,7 @@ class Decimation:
                 yield Piece(*inside, inside[0] - start, stop - inside[1], first + k, first + last)
             first += kept
 
-    def thin(self, piece: Piece, x: np.ndarray, out: np.ndarray) -> None:
+    def decimate(self, piece: Piece, x: np.ndarray, out: np.ndarray) -> None:
         """Write the kept rows of one piece; ends of a segment are continued by point reflection.
 
         `x`: (stop - start, C) its rows. `out`: (last - first, C) where they go.
@@ -150,7 +151,17 @@ def _taps(corner: float) -> np.ndarray:
     return taps / taps.sum()
 
 
-# Columns of a regression over joint torque that depend on the shape of friction, filtered and thinned.
+# Columns of a regression over joint torque that depend on the structure of friction, filtered and decimated.
+
+
+FIXED = (
+    "viscous",
+    "offset",
+    "ripple cos",
+    "ripple sin",
+)  # columns without structure, the last two where gears are known
+SIGNED = ("coulomb+", "coulomb-", "root")  # columns of the sign alone
+SHAPED = (*SIGNED, "stribeck")
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,11 +183,11 @@ class Bell:
 class FrictionColumns:
     """Makes the columns of friction of J joints from their motion.
 
-    `thinning`: filter of the record, with the (M,) rows that are kept. `q`, `qd`: (N, J) positions and velocities.
+    `decimation`: filter of the record, with the (M,) rows that are kept. `q`, `qd`: (N, J) positions and velocities.
     `resolution`: (J,) half the smallest step of the encoder [rad].
     """
 
-    thinning: Decimation
+    decimation: Decimation
     q: np.ndarray
     qd: np.ndarray
     resolution: np.ndarray
@@ -185,7 +196,7 @@ class FrictionColumns:
         """Return those of one joint, i from 0."""
         one = slice(i, i + 1)
         q, qd = np.ascontiguousarray(self.q[:, one]), np.ascontiguousarray(self.qd[:, one])
-        return FrictionColumns(self.thinning, q, qd, self.resolution[one])
+        return FrictionColumns(self.decimation, q, qd, self.resolution[one])
 
     def sign(self, delta: np.ndarray, smooth: np.ndarray) -> np.ndarray:
         """Return s (N, J) along the record: presliding state, or smooth sign.
@@ -195,7 +206,7 @@ class FrictionColumns:
         soft = smooth > 0
         z = np.empty(self.q.shape)
         if not soft.all():
-            for a, b in self.thinning.segments:
+            for a, b in self.decimation.segments:
                 z[a:b] = presliding(np.ascontiguousarray(self.q[a:b]), delta, self.resolution)
         for i in np.flatnonzero(soft):
             z[:, i] = np.tanh(self.qd[:, i] / smooth[i])
@@ -209,19 +220,18 @@ class FrictionColumns:
         return Bell(self.qd, speed)
 
     def columns(self, s: np.ndarray, bells: Sequence[Bell | np.ndarray], signs: bool = True) -> np.ndarray:
-        """Return the columns (M, J, 3 + S) of a sign: s+, s-, root, then Stribeck of each bell.
+        """Return the columns (M, J, 3 + S) of a sign: SIGNED, then Stribeck of each bell.
 
-        `s`: (N, J) from `sign`. `bells`: S from `bell`, or their arrays (N, J). `signs`: whether the first three are
-        wanted.
+        `s`: (N, J) from `sign`. `bells`: S from `bell`, or their arrays (N, J). `signs`: whether SIGNED are wanted.
         """
+        made_of = [FRICTION_TERMS[name].column for name in SIGNED] if signs else []
 
         def made(a: int, b: int) -> np.ndarray:
-            z = s[a:b]
-            own = [np.maximum(z, 0.0), np.minimum(z, 0.0), z * np.sqrt(np.abs(self.qd[a:b]))] if signs else []
-            return np.concatenate([*own, *(z * bell[a:b] for bell in bells)], axis=1)
+            own = [column(self.qd[a:b], s[a:b]) for column in made_of if column]
+            return np.concatenate([*own, *(s[a:b] * bell[a:b] for bell in bells)], axis=1)
 
-        J, count = self.q.shape[1], 3 * signs + len(bells)
-        return np.moveaxis(self.thinning.run(made, J * count).reshape(-1, count, J), 1, 2)
+        J, count = self.q.shape[1], len(made_of) + len(bells)
+        return np.moveaxis(self.decimation.run(made, J * count).reshape(-1, count, J), 1, 2)
 
 
 MIN_CYCLES = 20.0  # rad/rad; a slower ripple line is a harmonic of gravity
@@ -230,16 +240,16 @@ SMOOTH = 0.02  # rad/s, of the sign of coupled motors
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class RegressionColumns:
     """Makes the columns of J joints of a record.
 
-    `thinning`: its filter, with the (M,) rows that are kept. `joints`: (J,) those whose torque counts. `motors`: (K, n)
+    `decimation`: of its rows; (M,) are kept. `joints`: (J,) those whose torque counts. `motors`: (K, n)
     angles theta = c q of motors that move several joints. `geared`: whether there are columns of ripple; where gears
     are known and ripple is seen in this record, when None.
     """
 
     data: Record
-    thinning: Decimation
+    decimation: Decimation
     robot: Robot
     joints: np.ndarray
     motors: np.ndarray
@@ -252,9 +262,9 @@ class Columns:
 
     @property
     def friction(self) -> FrictionColumns:
-        """What makes the columns that depend on the shape of friction."""
+        """What makes the columns that depend on the structure of friction."""
         data, joints = self.data, self.joints
-        return FrictionColumns(self.thinning, data.q[:, joints], data.qd[:, joints], data.resolution[joints])
+        return FrictionColumns(self.decimation, data.q[:, joints], data.qd[:, joints], data.resolution[joints])
 
     def plain(self, qdd: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return what has neither shape nor base parameters.
@@ -276,8 +286,8 @@ class Columns:
                 parts += [np.where(slow, np.cos(angle), 0.0), np.where(slow, np.sin(angle), 0.0)]
             return np.concatenate([*parts, qdd[a:b] @ self.motors.T, data.qd[a:b] @ self.motors.T], axis=1)
 
-        fixed = 4 if geared else 2
-        thin = self.thinning.run(columns, J * (1 + fixed) + 2 * K)
+        fixed = len(FIXED) if geared else len(FIXED) - 2
+        thin = self.decimation.run(columns, J * (1 + fixed) + 2 * K)
         tau, own, coupled = np.split(thin, [J, J * (fixed + 1)], axis=1)
         own = np.moveaxis(own.reshape(len(thin), fixed, J), 1, 2)
         return tau, own, np.moveaxis(coupled.reshape(len(thin), 2, K), 1, 2)
@@ -302,11 +312,11 @@ class Columns:
                 X[:, position] = qdd[a:b, joint]
             return X
 
-        thin = self.thinning.run(columns, int(edges[-1]))
+        thin = self.decimation.run(columns, int(edges[-1]))
         return tuple(thin[:, edges[i] : edges[i + 1]] for i in range(len(self.joints)))
 
     def shaped(self, delta: np.ndarray, smooth: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-        """Return the columns (M, J, 3 + S) that depend on the shape of friction: s+, s-, root, Stribeck of each speed.
+        """Return the columns (M, J, 3 + S) of the structure of friction: SIGNED, then Stribeck of each speed.
 
         `delta`, `smooth`: (J,) shape of the sign. `speeds`: (S, J) of Stribeck's term.
         """
@@ -315,7 +325,7 @@ class Columns:
 
     def coupled_sign(self) -> np.ndarray:
         """Return the smooth sign (M, K) of the coupled motors' velocity."""
-        return self.thinning.run(lambda a, b: np.tanh(self.data.qd[a:b] @ self.motors.T / SMOOTH), len(self.motors))
+        return self.decimation.run(lambda a, b: np.tanh(self.data.qd[a:b] @ self.motors.T / SMOOTH), len(self.motors))
 
     def _lines_are_seen(self) -> bool:
         """Tell whether ripple passes slowly enough for the sampling in most samples; warn where it does not."""

@@ -42,14 +42,10 @@ WIDTH = 0.05  # radius of gyration of a default prior, as a share of the reach
 class PhysicallyConsistent:
     """A torque model whose links are bodies.
 
-    Attributes
-    ----------
-    model : the same torque model with these links.
-    links : (n, 10) m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz in link frames, about their origins: what MuJoCo, URDF and
-        `Robot.inertias` take. Where the log tells nothing they are those of the prior.
-    rotor : (n,) rotor inertia [kg m^2].
-    growth : relative growth of the weighted RMS residual.
-    distance : of the base parameters from those of the fit, in deviations of white noise: the root of the first term.
+    `links`: (n, 10) m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz in link frames, about their origins: what MuJoCo, URDF and
+    `Robot.inertias` take. Along unidentified directions they are those of the prior. `rotor`: (n,) rotor inertia [kg
+    m^2]. `distance`: of the base parameters from those of the fit, in deviations of white noise: the root of the first
+    term.
     """
 
     model: TorqueModel
@@ -79,13 +75,7 @@ class PhysicallyConsistent:
 def pseudo_inertia(pi: np.ndarray) -> np.ndarray:
     """Return the pseudo-inertia (..., 4, 4): second, first and zeroth moments of the mass about the frame's origin.
 
-    Parameters
-    ----------
-    pi : (..., 10) inertial parameters.
-
-    Raises
-    ------
-    ShapeError : another shape.
+    `pi`: (..., 10) inertial parameters.
     """
     pi = numbers(pi, "inertial parameters", ShapeError)
     if pi.shape[-1:] != (10,):

@@ -37,23 +37,26 @@ import numpy as np
 
 from armlab._numbers import check_name
 from armlab.errors import ModelMismatchError, NotExcited, ShapeError
-from armlab.estimation import BlockSums, Fit, LinearSolution, Prior, block_bootstrap, block_seconds, least_squares
+from armlab.estimation import BlockSums, Fit, Prior, block_bootstrap, least_squares
+from armlab.estimation.bootstrap import block_seconds
+from armlab.estimation.linear_problem import LinearSolution
+from armlab.estimation.robust import METHODS
+from armlab.estimation.tsqr import one_thread
 from armlab.identify.base_parameters import BaseParameters, base_parameters, measured_joints
 from armlab.identify.friction_structure import Chooser, choose_here
 from armlab.identify.record import Record, prepare, torque_outliers, without_outliers
 from armlab.identify.regression import Design
 from armlab.identify.solve import ROBUST, alternate, calibrated, gain_share, linearised, short_blocks
-from armlab.identify.threads import one_thread
-from armlab.identify.validation import assess, report, training
+from armlab.identify.validation import FIFTHS, assess, report, training
 from armlab.log import Table
-from armlab.models import FrictionBound, Quality, TorqueModel, velocity_covariance
+from armlab.models import TorqueModel, velocity_covariance
+from armlab.models.friction import FrictionBound
+from armlab.models.torque import Quality
 from armlab.robots import Robot
 
 CUTOFF = 10.0  # Hz, corner of the estimator's causal filter
 FEWEST = 8.0  # independent segments that identify a number of the friction structure
 UNKNOWN = 1e3  # deviation of a parameter that the prior does not contain
-METHODS = ("irls", "lts", "wls", "ols")
-FOLDS = 5
 BAND, SLOW, QUANTILE = 5.0, 1.0, 0.99  # Hz; rad/s^2, m/s^2: a log for `fit_gravity` stays below it, in this share
 
 Progress = Callable[[int, int, str], None]
@@ -74,29 +77,42 @@ def fit_dynamics(
 
     Parameters
     ----------
-    table : logs with columns q, qd, tau (N, n) over the robot's clock, without contact.
-    robot : the arm that was logged.
-    method : "irls": joints weighted by 1 / their deviation, rows by Huber's loss, single spikes of torque replaced.
-        "lts": the same with weights of 1 for the blocks of a quarter of a second that agree, 0 for the others. "wls",
-        "ols": every sample as it is; with weights per joint, or without.
-    seed : of the block bootstrap and of the random starts of "lts".
-    progress : called with (done, total, what).
-    prior : an earlier fit of the same robot; where the log does not tell a direction of the parameters, its values
-        stay, and the report lists the direction. Without it such a log is refused.
-    joints : numbers, from 0, of those whose torque is measured; all when left out. All joints may move. Estimators do
-        not listen to the others, and momentum methods have none of such a model.
+    table : Table or sequence of Table
+        Logs with columns q, qd, tau (N, n) over the robot's clock, without contact.
+    robot : Robot
+        The arm that was logged.
+    method : {"irls", "lts", "wls", "ols"}
+        "irls": joints weighted by 1 / their deviation, rows by Huber's loss, single torque outliers replaced. "lts":
+        the same, but least trimmed squares over blocks of a quarter of a second. "wls", "ols": every sample as it is,
+        with weights per joint or without.
+    seed : int
+        Of the block bootstrap and of the random starts of "lts".
+    progress : callable, optional
+        Called with (done, total, what).
+    prior : Fit of TorqueModel, optional
+        Earlier fit of the same robot: its values are kept along directions the log does not excite, and the report
+        lists these. Default: such a log is refused.
+    joints : sequence of int, optional
+        Numbers, from 0, of the joints whose torque is measured; all joints may move. Default: all. Estimators ignore
+        the other joints; momentum methods are unavailable for such a model.
 
     Returns
     -------
-    Fit of `models.TorqueModel`; its parameters are the base parameters, then of each joint viscous and Coulomb friction
-    (one number, or one for each direction), offset, and stribeck, root and two ripple amplitudes where the joint has
-    them. No inertia of a rotor, viscous or Coulomb friction is negative.
+    Fit of TorqueModel
+        Parameters: the base parameters, then per joint viscous and Coulomb friction (one number, or one for each
+        direction), offset, and stribeck, root and two ripple amplitudes where the joint has them. Rotor inertia,
+        viscous and Coulomb friction are not negative.
 
     Raises
     ------
-    ShapeError : NaN rows, wrong joint count, velocity that is not the derivative of position.
-    NotExcited : joints or directions that the log does not determine, by name. UnknownName : another method.
-    ModelMismatchError : a prior of another robot.
+    ShapeError
+        NaN rows, wrong joint count, velocity that is not the derivative of position.
+    NotExcited
+        Joints or directions that the log does not determine, by name.
+    UnknownName
+        Another method.
+    ModelMismatchError
+        A prior of another robot.
 
     References
     ----------
@@ -185,8 +201,8 @@ def fit_model(
 class FitSettings:
     """How to fit.
 
-    `tell`: called with (done, total, what). `joints`: whose torque is measured; None for all. `chooser`: of the shapes
-    of friction, see `Design.choose_shapes`.
+    `tell`: called with (done, total, what). `joints`: whose torque is measured; None for all. `chooser`: of the
+    structure of friction, see `Design.choose_structure`.
     """
 
     what: str
@@ -250,7 +266,7 @@ def make_problem(record: Record, robot: Robot, base: BaseParameters, settings: F
     settings.tell(1, 5, "building the regressor")
     design = calibrated(Design.build(first, robot, base, joints=settings.joints), method, known)[0]
 
-    settings.tell(2, 5, "choosing the shape of friction")
+    settings.tell(2, 5, "choosing the structure of friction")
     design, theta = alternate(design, method, settings.seed, chooser=settings.chooser)
     if outliers.any():
         model = model_of(design, theta, np.zeros((len(theta), len(theta))))
@@ -305,7 +321,7 @@ def _blocks(design: Design, theta: np.ndarray, method: str) -> tuple[np.ndarray,
 
 
 def model_of(design: Design, theta: np.ndarray, cov: np.ndarray, gain_cov: np.ndarray | None = None) -> TorqueModel:
-    """Turn linear parameters and friction shapes into a model; covariance and quality are provisional.
+    """Turn linear parameters and the structure of friction into a model; covariance and quality are provisional.
 
     `theta`, `cov`: (p,) and (p, p). `gain_cov`: (J, J) of the gains; zero when left out.
     """
@@ -353,8 +369,8 @@ def fold_models(
     `block`: (N,) number of the block of each sample of the record that will judge.
     """
     folds = []
-    for k in range(FOLDS):
-        kept = np.arange(len(sums.rows)) // length % FOLDS != k
+    for k in range(FIFTHS):
+        kept = np.arange(len(sums.rows)) // length % FIFTHS != k
         theta = sums.solve(kept.astype(float))
         folds.append((replace(model_of(design, theta, sums.solution.cov), base_cov=model.base_cov), ~kept[block]))
     return folds

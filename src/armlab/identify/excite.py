@@ -20,6 +20,7 @@ from armlab.errors import NotConverged, RobotError, ShapeError, UnknownName
 from armlab.estimation import Excitation
 from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.log import Table
+from armlab.models.friction import FRICTION_TERMS
 from armlab.robots import Robot
 from armlab.state import Command, State
 
@@ -217,7 +218,7 @@ def design_excitation(
         that is less).
     seed : of the candidates.
     sigma : (n,) deviation of the torque noise [N m], that weighs the joints; all alike when left out.
-    collides : tells whether a pose (n,) must be avoided; asked ten times a second along each candidate.
+    collides : whether a pose (n,) must be avoided; asked ten times a second along each candidate.
     rounds : of a search around the best candidate, 5 ms each; 300 make the expected deviations about a fifth smaller.
     progress : called with (done, total, what).
 
@@ -258,21 +259,34 @@ def design_excitation(
             return None
         return motion, (_varied(robot, motion), _information(robot, base, motion, f0, weights))
 
-    tell, total = progress or (lambda done, total, what: None), CANDIDATES + int(rounds)
-    found = []
+    best = _search(judged, draws, int(rounds), rng, progress or (lambda done, total, what: None))
+    if best is None:
+        raise NotConverged(
+            f"Expected a motion without collision and within the torque limits of {robot.name!r}, got none among "
+            f"{CANDIDATES} candidates. Move the centre, or lower speed and acceleration."
+        )
+    return best
+
+
+def _search(
+    judged: Callable[[np.ndarray], tuple[Trajectory, tuple[bool, float]] | None],
+    draws: np.ndarray,
+    rounds: int,
+    rng: np.random.Generator,
+    tell: Callable[[int, int, str], None],
+) -> Trajectory | None:
+    """Return the best of some candidates and of steps around it (1 + 1 evolution strategy); None without a good one."""
+    total, found = len(draws) + rounds, []
     for k, draw in enumerate(draws):
         tell(k, total, "choosing among candidates")
         if (result := judged(draw)) is not None:
             found.append((draw, *result))
     if not found:
-        raise NotConverged(
-            f"Expected a motion without collision and within the torque limits of {robot.name!r}, got none among "
-            f"{CANDIDATES} candidates. Move the centre, or lower speed and acceleration."
-        )
+        return None
     draw, best, value = max(found, key=lambda candidate: candidate[2])
     width = WIDTH
-    for k in range(int(rounds)):
-        tell(CANDIDATES + k, total, "searching around the best")
+    for k in range(rounds):
+        tell(len(draws) + k, total, "searching around the best")
         trial = draw + width * rng.standard_normal(draw.shape)
         result = judged(trial)
         if result is not None and result[1] > value:
@@ -578,12 +592,8 @@ GROUPS = (*GROUPS, ("offset", "N m"))
 class PredictedUncertainty:
     """What a motion will tell.
 
-    Attributes
-    ----------
-    names, units : of the d parameters: base parameters, then viscous, coulomb+, coulomb-, offset of each joint.
-    groups : (d,) the group of each.
-    sd : (d,) expected standard deviations for white torque noise.
-    excitation : what the motion tells apart.
+    `names`, `units`: of the d parameters: base parameters, then viscous, coulomb+, coulomb-, offset of each joint.
+    `groups`: (d,) the group of each. `sd`: (d,) expected standard deviations for white torque noise.
     """
 
     names: tuple[str, ...]
@@ -608,20 +618,12 @@ class PredictedUncertainty:
 
 
 def predicted_uncertainty(trajectory: Trajectory, robot: Robot, noise: float = 0.1) -> PredictedUncertainty:
-    """Return how well a motion will tell the parameters of the torque model.
+    """Predict the uncertainty of the torque model's parameters from a motion.
 
     The covariance is ``s^2 (A^T A)^-1`` with the regressor A of base parameters and friction along the motion,
     logged at 250 Hz. Real residuals are coloured: expect deviations a few times larger, in the same order.
 
-    Parameters
-    ----------
-    trajectory : of `design_excitation`. robot : its arm.
-    noise : standard deviation of each torque sample [N m]; the expected deviations are in proportion to it.
-
-    Raises
-    ------
-    ShapeError : noise that is not above zero, something else than a motion, or one of another number of joints.
-    RobotError : something else than a robot.
+    `noise`: standard deviation of each torque sample [N m]; the expected deviations are in proportion to it.
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
@@ -637,17 +639,14 @@ def predicted_uncertainty(trajectory: Trajectory, robot: Robot, noise: float = 0
         )
     q, qd, qdd = trajectory.sample(np.arange(0.0, trajectory.seconds, 1.0 / THINNED))
     base = base_parameters(robot)
-    rotor = np.zeros((len(q), n, n))
-    rotor[:, range(n), range(n)] = qdd
-    rigid = np.concatenate([robot.chain.rigid_regressor(q, qd, qdd, robot.gravity), rotor], axis=2)[:, :, base.kept]
-    p = len(base.names)
-    A = np.zeros((len(q), n, p + 4 * n))
-    A[:, :, :p] = rigid
+    p, terms = len(base.names), [FRICTION_TERMS[name] for name in ("viscous", "coulomb+", "coulomb-", "offset")]
+    A = np.zeros((len(q), n, p + len(terms) * n))
+    A[:, :, :p] = _regressor(robot, base, q, qd, qdd)
     for i in range(n):
-        local = [qd[:, i], np.maximum(np.sign(qd[:, i]), 0.0), np.minimum(np.sign(qd[:, i]), 0.0), np.ones(len(q))]
-        A[:, i, p + 4 * i : p + 4 * i + 4] = np.stack(local, axis=1)
-    kinds = (("viscous", "N m s/rad"), ("coulomb+", "N m"), ("coulomb-", "N m"), ("offset", "N m"))
-    joints = [(f"{kind} {joint}", unit) for joint in robot.joint_names for kind, unit in kinds]
+        own = [term.column(qd[:, i], np.sign(qd[:, i])) for term in terms if term.column]
+        A[:, i, p + len(terms) * i : p + len(terms) * (i + 1)] = np.stack(own, axis=1)
+    own_joints = [(name, bool(slide)) for name, slide in zip(robot.joint_names, robot.prismatic)]
+    joints = [(f"{term.name} {name}", term.units(slide)) for name, slide in own_joints for term in terms]
     names = (*base.names, *(name for name, _ in joints))
     units = (*base.units, *(unit for _, unit in joints))
     R = np.linalg.qr(A.reshape(-1, len(names)), mode="r") * np.sqrt(RATE / THINNED) / noise

@@ -1,9 +1,9 @@
-"""The shape of friction: what is not linear in it, and which terms each joint has, chosen on held-out blocks.
+"""The structure of friction: what is not linear in it, and which terms each joint has, chosen on held-out blocks.
 
     F_f = viscous qd + coulomb s + offset [+ asymmetry |s|] [+ stribeck s exp(-(qd / v_s)^2)] [+ root s sqrt(|qd|)]
 
 s is the presliding state z of distance delta, or tanh(qd / v_t). Terms in brackets are there where they win; asymmetry
-is told as two Coulomb torques, one for each direction.
+is reported as two Coulomb torques, one for each direction.
 """
 
 from __future__ import annotations
@@ -11,12 +11,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from itertools import compress, pairwise
+from itertools import pairwise
 
 import numpy as np
 
-from armlab.identify.columns import FrictionColumns
-from armlab.identify.threads import one_thread
+from armlab.estimation.tsqr import one_thread
+from armlab.identify.columns import FIXED, SIGNED, FrictionColumns
+from armlab.models.friction import FRICTION_TERMS
 
 DELTAS = np.geomspace(1e-4, 1e-2, 7)  # rad
 SMOOTH_SPEEDS = np.array([0.005, 0.01, 0.02, 0.05, 0.1])  # rad/s
@@ -25,10 +26,11 @@ REFINEMENTS = (1.5, 1.25, 1.12, 1.06, 1.03, 1.015)  # factors tried both ways af
 FOLDS = 4
 GAIN = 0.01  # of the squared held-out error: a term that wins less is left out
 DEFAULT_SPEED = 2  # of STRIBECK_SPEEDS, for joints without that term
-TOLD = 1e-6  # squared, of what each fold must tell of every direction: no term rests on one event
+IDENTIFIED = 1e-6  # smallest eigenvalue of each fold's scaled Gram matrix: no term rests on one event
 EXACT = 1e-12  # squared error, relative to the torque, that is rounding
-# All columns of a joint, in their order; the last two where the gears are known.
-COLUMNS = ("viscous", "coulomb+", "coulomb-", "offset", "stribeck", "root", "ripple cos", "ripple sin")
+# All columns of a joint, in their order: terms of FRICTION_TERMS, then ripple where the gears are known.
+FRICTION = ("viscous", "coulomb+", "coulomb-", "offset", "stribeck", "root")
+COLUMNS = (*FRICTION, "ripple cos", "ripple sin")
 # Which of asymmetry, Stribeck and root a joint may have, fewest first.
 TERMS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 1, 1]], dtype=bool)
 
@@ -53,7 +55,7 @@ class FrictionStructure:
 
     @classmethod
     def joined(cls, parts: Iterable[FrictionStructure]) -> FrictionStructure:
-        """Return the shapes of all joints of some shapes, in their order."""
+        """Return the structures of some joints as one, in their order."""
         listed = list(parts)
         return cls(*(np.concatenate([getattr(part, field.name) for part in listed]) for field in fields(cls)))
 
@@ -87,9 +89,10 @@ class FrictionStructure:
 def term_names(terms: np.ndarray, ripple: bool) -> tuple[str, ...]:
     """Return the names of the columns that a joint with these terms (3,) has; `ripple` where the gears are known."""
     asymmetric, stribeck, root = terms
-    coulomb = COLUMNS[1:3] if asymmetric else ("coulomb",)
-    rest = compress(COLUMNS[4:6], (stribeck, root))
-    return (COLUMNS[0], *coulomb, COLUMNS[3], *rest, *(COLUMNS[6:] if ripple else ()))
+    present = {"coulomb-": asymmetric, "stribeck": stribeck, "root": root}
+    one = {} if asymmetric else {"coulomb+": "coulomb"}  # for both directions
+    own = tuple(one.get(name, name) for name in FRICTION if present.get(name, True))
+    return own + COLUMNS[len(FRICTION) :] if ripple else own
 
 
 def mixing(terms: np.ndarray, width: int) -> np.ndarray:
@@ -97,15 +100,15 @@ def mixing(terms: np.ndarray, width: int) -> np.ndarray:
 
     `terms`: (3,) asymmetry, Stribeck, root.
     """
-    asymmetric, stribeck, root = terms
-    eye = np.eye(width)
-    coulomb = eye[:, 1:3] if asymmetric else eye[:, 1:3].sum(axis=1, keepdims=True)
-    rest = [eye[:, 4 + k : 5 + k] for k, present in enumerate((stribeck, root)) if present]
-    return np.hstack([eye[:, :1], coulomb, eye[:, 3:4], *rest, eye[:, 6:]])
+    fields = [{*FRICTION_TERMS[name].fields} for name in term_names(terms, ripple=False)]
+    own = [[{*FRICTION_TERMS[column].fields} <= of for of in fields] for column in FRICTION]
+    rest = width - len(FRICTION)
+    return np.block([[np.array(own, dtype=float), np.zeros((len(FRICTION), rest))],
+                     [np.zeros((rest, len(fields))), np.eye(rest)]])  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class StructureChoice:
     """What the shape of one joint's friction is chosen by; it may travel to a worker.
 
     `fixed`: (M, 2 or more) columns viscous, offset, and whatever else has no shape. `target`: (M,) torque that friction
@@ -120,10 +123,10 @@ class Choice:
     trust: np.ndarray
 
 
-class _Search:
-    """Held-out errors of shapes of one joint, tried one after the other."""
+class _StructureSearch:
+    """Held-out errors of structure of one joint, tried one after the other."""
 
-    def __init__(self, choice: Choice) -> None:
+    def __init__(self, choice: StructureChoice) -> None:
         self.motion = choice.motion
         self._order = np.argsort(choice.fold, kind="stable")
         self._edges = np.searchsorted(choice.fold[self._order], np.arange(FOLDS + 1)).tolist()
@@ -137,12 +140,13 @@ class _Search:
 
         `columns`: (M, 1, 3 + S) from `FrictionColumns.columns`. `speeds`: (S,) of its bells.
         """
-        fixed, S = self._fixed, len(speeds)
-        shaped = columns[:, 0][self._order] * self._trust
-        A = np.column_stack([fixed[:, :1], shaped[:, :2], fixed[:, 1:2], shaped[:, 2:], fixed[:, 2:]])
+        A = np.column_stack([columns[:, 0][self._order] * self._trust, self._fixed])
         sums = [_sums(A[a:b], self._target[a:b]) for a, b in pairwise(self._edges)]
-        ripple = list(range(5 + S, A.shape[1]))
-        picks = np.array([[0, 1, 2, 3, 5 + s, 4, *ripple] for s in range(S)])
+        fixed = columns.shape[2]
+        at = dict(zip((*SIGNED, *FIXED), (*range(len(SIGNED)), *range(fixed, A.shape[1]))))
+        rest = range(fixed + 2, A.shape[1])  # neither viscous nor offset
+        kinds_of = ({**at, "stribeck": len(SIGNED) + s} for s in range(len(speeds)))
+        picks = np.array([[*(place[name] for name in FRICTION), *rest] for place in kinds_of])
         out = _held_out(sums, picks, _mixings(picks.shape[1])[kinds])
         wide = speeds > self._fastest  # beyond the log's speeds it is one more viscous term
         out[np.ix_(wide, TERMS[kinds, 1])] = np.inf
@@ -159,16 +163,16 @@ def _held_out(sums: list[tuple[np.ndarray, np.ndarray, float]], picks: np.ndarra
     `picks`: (S, w) columns of A that each speed of Stribeck has. `T`: (k, w, w) of `_mixings`.
     """
     grams = [(G[picks[:, :, None], picks[:, None, :]][:, None], v[picks][:, None, :, None]) for G, v, _ in sums]
-    error, told = np.zeros((len(picks), len(T))), np.ones((len(picks), len(T)), dtype=bool)
+    error, identified = np.zeros((len(picks), len(T))), np.ones((len(picks), len(T)), dtype=bool)
     G, v = sum(G for G, _ in grams), sum(v for _, v in grams)
     for (H, u), (_, _, power) in zip(grams, sums):
         A, scale = _scaled(T.transpose(0, 2, 1) @ (G - H) @ T)
         x = T @ (np.linalg.solve(A, T.transpose(0, 2, 1) @ (v - u) / scale) / scale)
         error += (power - 2.0 * np.swapaxes(u, 2, 3) @ x + np.swapaxes(x, 2, 3) @ H @ x)[..., 0, 0]
         if H.any():
-            told &= np.linalg.eigvalsh(_scaled(T.transpose(0, 2, 1) @ H @ T)[0])[..., 0] > TOLD
+            identified &= np.linalg.eigvalsh(_scaled(T.transpose(0, 2, 1) @ H @ T)[0])[..., 0] > IDENTIFIED
     total = sum(power for _, _, power in sums)
-    return np.where(told, np.maximum(error / total if total > 0 else error, EXACT), np.inf)
+    return np.where(identified, np.maximum(error / total if total > 0 else error, EXACT), np.inf)
 
 
 @cache
@@ -193,14 +197,14 @@ def _scaled(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @one_thread()
-def choose(choice: Choice) -> FrictionStructure:
+def choose(choice: StructureChoice) -> FrictionStructure:
     """Choose the shape of one joint's friction: fitted to all folds of the data but one, judged on that one, in turn.
 
     Presliding distance or v_t, the speed of Stribeck's term, and which terms there are come from a grid; of all that
     come within 1 % of the smallest squared error the one with the fewest terms wins, with presliding before tanh. Its
     numbers are then refined.
     """
-    search, motion = _Search(choice), choice.motion
+    search, motion = _StructureSearch(choice), choice.motion
     trials = [(delta, 0.0) for delta in DELTAS] + [(DELTAS[3], smooth) for smooth in SMOOTH_SPEEDS]
     bells = [motion.bell(np.array([speed]))[:] for speed in STRIBECK_SPEEDS]
     scores = []
@@ -218,10 +222,10 @@ def choose(choice: Choice) -> FrictionStructure:
     return _refine(search, shape, errors[simplest])
 
 
-Chooser = Callable[[Iterable[Choice]], Iterable[FrictionStructure]]
+Chooser = Callable[[Iterable[StructureChoice]], Iterable[FrictionStructure]]
 
 
-def choose_here(choices: Iterable[Choice]) -> list[FrictionStructure]:
+def choose_here(choices: Iterable[StructureChoice]) -> list[FrictionStructure]:
     """Return what `choose` says of joints, one after the other."""
     return list(map(choose, choices))
 
@@ -239,7 +243,7 @@ def _pick(scores: np.ndarray) -> tuple[int, int, int]:
     return next(choice for score, choice in choices if score <= limit)
 
 
-def _refine(search: _Search, shape: FrictionStructure, best: float) -> FrictionStructure:
+def _refine(search: _StructureSearch, shape: FrictionStructure, best: float) -> FrictionStructure:
     """Try factors on distance or speed of the sign and on Stribeck's speed; keep what lowers the held-out error."""
     motion, kind = search.motion, int(np.flatnonzero((shape.terms == TERMS).all(axis=1))[0])
     ways = ((1.0, 0.0), (0.0, 1.0)) if shape.terms[0, 1] else ((1.0, 0.0),)
@@ -253,7 +257,10 @@ def _refine(search: _Search, shape: FrictionStructure, best: float) -> FrictionS
                 z = motion.sign(trial.delta, trial.smooth)
                 tried = motion.columns(z, bells)
             else:  # the columns of the sign stay
-                z, tried = s, np.concatenate([columns[:, :, :3], motion.columns(s, bells, signs=False)], axis=2)
+                z, tried = (
+                    s,
+                    np.concatenate([columns[:, :, : len(SIGNED)], motion.columns(s, bells, signs=False)], axis=2),
+                )
             score = float(search.scores(tried, trial.speed, slice(kind, kind + 1))[0, 0])
             if score < best:
                 best, shape, s, columns = score, trial, z, tried

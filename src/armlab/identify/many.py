@@ -1,9 +1,9 @@
 """One model from any number of logs: a draft from the first minutes, sums of each log, and the fit to their sum.
 
 1. `fit_draft` fits the first few minutes as `fit_dynamics` does: that fixes what is not linear, which spikes of torque
-   are replaced, the gains, the shape of friction, and at which residual Huber's loss begins.
+   are replaced, the gains, the structure of friction, and at which residual Huber's loss begins.
 2. `log_sums` reduces one log to triangular factors of its rows, weighted by their residuals to the draft, with the
-   slopes of the shape of friction among its columns. It needs nothing of the other logs, so that sums can be made
+   slopes of the structure of friction among its columns. It needs nothing of the other logs, so that sums can be made
    anywhere, in any order, and kept: ten logs more cost ten logs.
 3. `fit_sums` solves for the sum of all, in the order of the logs: the same bits whoever made the sums.
 
@@ -22,21 +22,20 @@ import numpy as np
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import BlockSums, Fit, block_bootstrap
 from armlab.estimation.linear_problem import LinearProblem, LinearSolution, solve
-from armlab.estimation.tsqr import Factors, factorise
+from armlab.estimation.robust import HUBER, NORMAL_MAD
+from armlab.estimation.tsqr import Factors, factorise, one_thread
 from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.identify.dynamics import FitProblem, FitSettings, Progress, fit_of, fold_models, make_problem, model_of
 from armlab.identify.friction_structure import Chooser, FrictionStructure, choose_here
 from armlab.identify.record import Record, prepare, prepare_share, torque_outliers, without_outliers
 from armlab.identify.regression import Design
 from armlab.identify.solve import gain_share
-from armlab.identify.threads import one_thread
 from armlab.identify.validation import assess, training
 from armlab.log import Table
-from armlab.models import TorqueModel, Training
+from armlab.models import TorqueModel
+from armlab.models.torque import Training
 from armlab.robots import Robot
 
-HUBER = 1.345
-NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
 SAME_RATE = 1.1
 FEWEST_BLOCKS = 60  # in all, for a covariance
 BIN = 1e-9  # share of a sample
@@ -53,7 +52,7 @@ class Pattern:
 
     robot: Robot
     base: BaseParameters
-    shapes: FrictionStructure
+    structure: FrictionStructure
     free: np.ndarray
     geared: bool
     gains: np.ndarray
@@ -67,17 +66,17 @@ class Pattern:
     @property
     def sha256(self) -> str:
         """Hash of all that the sums of a log depend on besides the log."""
-        shapes = [np.asarray(getattr(self.shapes, field.name)) for field in fields(self.shapes)]
+        parts = [np.asarray(getattr(self.structure, field.name)) for field in fields(self.structure)]
         peak = self.model.training.qd_peak
         numbers = (self.free, self.geared, self.gains, self.theta, self.x, self.limit, self.rate, self.blocks, peak)
         digest = hashlib.sha256(self.robot.hash.encode())
-        for values in (*shapes, *map(np.asarray, numbers)):
+        for values in (*parts, *map(np.asarray, numbers)):
             digest.update(f"{values.dtype} {values.shape} {values.tolist()}".encode())
         return digest.hexdigest()
 
     def design(self, data: Record) -> Design:
-        """Return the regression problem of a record, with the draft's gains, shapes and slopes."""
-        built = Design.build(data, self.robot, self.base, shapes=self.shapes, geared=self.geared)
+        """Return the regression problem of a record, with the draft's gains, structure and slopes."""
+        built = Design.build(data, self.robot, self.base, structure=self.structure, geared=self.geared)
         return built.with_gains(self.gains).with_slopes(self.theta, self.free)
 
 
@@ -107,7 +106,7 @@ def fit_draft(
 ) -> tuple[FitProblem, Pattern]:
     """Fit the first logs, which fix what is not linear.
 
-    `progress`: called with (done, total, what). `chooser`: of the shapes of friction, see `Design.choose_shapes`.
+    `progress`: called with (done, total, what). `chooser`: of the structure of friction, see `Design.choose_structure`.
     """
     job = FitSettings("torque model", "irls", 0, progress, chooser=chooser)
     base = base_parameters(robot)
@@ -116,7 +115,7 @@ def fit_draft(
     pattern = Pattern(
         robot=robot,
         base=base,
-        shapes=design.shapes,
+        structure=design.structure,
         free=design.free,
         geared=design.geared,
         gains=design.gains,

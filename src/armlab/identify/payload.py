@@ -24,14 +24,18 @@ import numpy as np
 
 from armlab._numbers import number
 from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
-from armlab.estimation import Fit, LinearSolution, Rows, block_seconds, check_spread, least_squares
+from armlab.estimation import Fit, Rows, least_squares
+from armlab.estimation.bootstrap import block_seconds
+from armlab.estimation.excitation import check_spread
+from armlab.estimation.linear_problem import LinearSolution
 from armlab.identify.base_parameters import LINK_SYMBOLS, BaseParameters, base_parameters
 from armlab.identify.record import MIN_SECONDS, MIN_SLIDE, MIN_TURN, Record, check_once, log_name
 from armlab.identify.residuals import model_residuals
 from armlab.identify.solve import GainProblem
 from armlab.kernels import presliding
 from armlab.log import Table
-from armlab.models import Friction, Payload, TorqueModel
+from armlab.models import Payload, TorqueModel
+from armlab.models.friction import FRICTION_TERMS, Friction
 from armlab.robots import Robot, inertia
 
 # What is uncertain in an identified model, and what fits that rely on the model make of it.
@@ -42,19 +46,6 @@ from armlab.robots import Robot, inertia
 
 CHUNK = 4096  # rows whose whole regressor is held at once
 STEP = 1e-3  # of the logarithm of what the torque is not linear in
-FIELDS = {
-    "viscous": ("viscous",),
-    "coulomb": ("coulomb_pos", "coulomb_neg"),
-    "coulomb+": ("coulomb_pos",),
-    "coulomb-": ("coulomb_neg",),
-    "offset": ("offset",),
-    "stribeck": ("stribeck",),
-    "root": ("root",),
-    "delta": ("delta",),
-    "tanh-speed": ("smooth_speed",),
-    "stribeck-speed": ("stribeck_speed",),
-}
-CURVED = ("delta", "tanh-speed", "stribeck-speed")
 RIPPLE = {"ripple cos": np.cos, "ripple sin": np.sin}
 
 
@@ -115,14 +106,14 @@ class ModelError:
             if term in RIPPLE:
                 yield names, RIPPLE[term](ripple.cycles * data.q)
                 continue
-            ends = []
+            known, ends = FRICTION_TERMS[term], []
             for sign in (1.0, -1.0):
-                fields = {name: getattr(friction, name) for name in FIELDS[term]}
-                moved = {k: x * np.exp(sign * STEP) if term in CURVED else x + sign for k, x in fields.items()}
+                fields = {name: getattr(friction, name) for name in known.fields}
+                moved = {k: x + sign if known.column else x * np.exp(sign * STEP) for k, x in fields.items()}
                 ends.append(_friction(replace(friction, **moved), data))
             width = 2.0
-            if term in CURVED:
-                value = getattr(friction, FIELDS[term][0])
+            if not known.column:
+                value = getattr(friction, known.fields[0])
                 width = 2.0 * np.sinh(STEP) * np.where(value > 0, value, 1.0)
             yield names, (ends[0] - ends[1]) / width
 
@@ -133,18 +124,19 @@ def _apart(fit: Fit[TorqueModel]) -> np.ndarray:
     Gains that are all c too large leave parameters that are all c too small, and the torque that is read the same.
     """
     gain_cov = fit.value.gain_cov
-    told = np.flatnonzero(np.diag(gain_cov) > 0)
-    if not len(told):
+    measured = np.flatnonzero(np.diag(gain_cov) > 0)
+    if not len(measured):
         return fit.cov
-    ones = np.ones(len(told))
-    common = 1.0 / (ones @ np.linalg.solve(gain_cov[np.ix_(told, told)], ones))
-    scaled = np.array([0.0 if name.split()[0] in CURVED else x for name, x in zip(fit.names, fit.parameters)])
+    ones = np.ones(len(measured))
+    common = 1.0 / (ones @ np.linalg.solve(gain_cov[np.ix_(measured, measured)], ones))
+    curved = [term.name for term in FRICTION_TERMS.values() if not term.column]
+    scaled = np.array([0.0 if name.split()[0] in curved else x for name, x in zip(fit.names, fit.parameters)])
     return fit.cov - common * np.outer(scaled, scaled)
 
 
 def _own_names(robot: Robot, base: BaseParameters | None) -> dict[str, tuple[str, ...]]:
     """Return the names (n,) of each term that joints have of their own."""
-    names = {term: tuple(f"{term} {joint}" for joint in robot.joint_names) for term in (*FIELDS, *RIPPLE)}
+    names = {term: tuple(f"{term} {joint}" for joint in robot.joint_names) for term in (*FRICTION_TERMS, *RIPPLE)}
     return names if base is None else {**names, "offset": tuple(base.offset_names)}
 
 
@@ -172,7 +164,7 @@ def _rigid(
     return total
 
 
-# What a load adds to the torques of a log, as a linear regression: filtered, thinned, and less a log without it.
+# What a load adds to the torques of a log, as a linear regression: filtered, decimated, and less a log without it.
 
 
 EVERY = 4  # rows apart that are kept; the filter's corner is at a tenth of the rate
@@ -298,28 +290,40 @@ def fit_payload(
     *,
     gain_sd: float = 0.05,
 ) -> Fit[Payload]:
-    """Estimate mass, centre and, if asked, inertia of a load at the flange.
+    """Estimate mass, centre and, in mode "dynamic", inertia of a load at the flange.
 
     Parameters
     ----------
-    table : log or logs with the load, columns q, qd, tau (N, n), without contact.
-    model : of the arm without the load, as `identify.fit_dynamics` returns it: what is uncertain in its masses and in
-        its friction is in the covariance. Of a model alone, `fit.value`, that of the friction is not known.
-    robot : the arm.
-    mode : "static": mass and first moment; "dynamic": all ten parameters, which needs fast motion of the wrist.
-    without : log of the same motion without the load: what the model has wrong falls out of the difference.
-    gain_sd : how well the torque constants are known, as a share; 0 for exactly.
+    table : Table or sequence of Table
+        Logs with the load, columns q, qd, tau (N, n), without contact.
+    model : TorqueModel or Fit of TorqueModel
+        Model of the arm without the load. Of a fit, the uncertainty of masses and friction enters the covariance; of a
+        model alone, only that of its masses.
+    robot : Robot
+        The arm.
+    mode : {"static", "dynamic"}
+        "static": mass and first moment. "dynamic": all ten parameters, which needs fast motion of the wrist.
+    without : Table, optional
+        Log of the same motion without the load; errors of the model cancel in the difference.
+    gain_sd : float
+        Standard deviation of the torque constants as a share; 0 where they are known exactly.
 
     Returns
     -------
-    Fit of `models.Payload`; its parameters are m, m c (and I about the flange's origin) in flange axes. m >= 0 and
-    a centre within 0.5 m hold; the covariance is that without these bounds.
+    Fit of Payload
+        Parameters m [kg], m c [kg m] and I [kg m^2] about the flange's origin, in flange axes. Bounds: m >= 0 and a
+        centre within 0.5 m; the covariance is the one without these bounds.
 
     Raises
     ------
-    ModelMismatchError : a model of another robot. UnknownName : another mode.
-    NotExcited : motion that does not tell the parameters apart, by name; too short a log.
-    ShapeError : NaN rows, wrong joint count, a motion without the load that is another one, `gain_sd` out of range.
+    ModelMismatchError
+        A model of another robot.
+    UnknownName
+        Another mode.
+    NotExcited
+        Motion that does not determine the parameters, by name; too short a log.
+    ShapeError
+        NaN rows, wrong joint count, another motion without the load, `gain_sd` out of range.
     """
     value = model.value if isinstance(model, Fit) else model
     if not isinstance(value, TorqueModel):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from armlab.errors import NotExcited, ShapeError
+from armlab.estimation.robust import NORMAL_MAD
 from armlab.identify.base_parameters import measured_joints
 from armlab.log import Table
 from armlab.log.units_check import check_position, check_torque, check_velocity
@@ -59,13 +60,9 @@ KEPT, MARGIN = 0.99, 10.0  # share of the power of motion, and how far above its
 class Record:
     """One or several logs as one record of segments without gaps.
 
-    Attributes
-    ----------
-    t : (N,) time [s], increasing inside a segment. q, qd, tau : (N, n).
-    dt : (N,) step to the previous sample [s]; the period at the start of a segment.
-    segments : (start, stop) rows of each piece without a gap.
-    rate : [Hz]. resolution : (n,) half the smallest step of the encoder [rad].
-    sources : name and SHA-256 of each log.
+    `t`: (N,) time [s], increasing inside a segment. `q`, `qd`, `tau`: (N, n). `dt`: (N,) step to the previous sample
+    [s]; the period at the start of a segment. `segments`: (start, stop) rows of each piece without a gap. `rate`: [Hz].
+    `resolution`: (n,) half the smallest step of the encoder [rad]. `sources`: name and SHA-256 of each log.
     """
 
     t: np.ndarray
@@ -321,7 +318,7 @@ def _check_motion(q: np.ndarray, robot: Robot, still: np.ndarray) -> None:
     listed = ", ".join(f"{a} ({b})" for a, b in zip(names, spread))
     raise NotExcited(
         f"Expected every joint to move by at least 5 deg (20 mm), got less for {listed}: their inertia, "
-        "gravity and friction cannot be told apart. Record a motion of all joints, as of identify.design_excitation.",
+        "gravity and friction look alike. Record a motion of all joints, as of identify.design_excitation.",
         names,
         spread,
     )
@@ -335,10 +332,6 @@ def _check_motion(q: np.ndarray, robot: Robot, still: np.ndarray) -> None:
 
 
 SPIKE, WINDOW = 6.0, 9  # robust deviations from the median of so many samples
-AT_ONCE = 4096  # rows: nine copies of them stay in the cache
-# Exchanges after which the fifth of nine values is their median (Smith 1996, Implementing median filters in XC4000E).
-EXCHANGES = "12 45 78 01 34 67 12 45 78 03 58 47 36 14 25 47 42 64 42"
-NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
 
 
 def torque_outliers(data: Record) -> np.ndarray:
@@ -362,16 +355,9 @@ def without_outliers(data: Record, found: np.ndarray, model: TorqueModel | None 
 
 def _median(x: np.ndarray, data: Record) -> np.ndarray:
     """Return the median (N, n) of nine samples around each, the first and last of a segment repeated."""
-    out, reach = np.empty_like(x), WINDOW // 2
-    for a, b in data.segments:
-        wide = np.concatenate([np.repeat(x[a : a + 1], reach, axis=0), x[a:b], np.repeat(x[b - 1 : b], reach, axis=0)])
-        for k in range(0, b - a, AT_ONCE):
-            stop = min(k + AT_ONCE, b - a)
-            around = [wide[k + j : stop + j] for j in range(WINDOW)]
-            for i, j in (map(int, pair) for pair in EXCHANGES.split()):
-                around[i], around[j] = np.minimum(around[i], around[j]), np.maximum(around[i], around[j])
-            out[a + k : a + stop] = around[reach]
-    return out
+    from scipy.ndimage import median_filter
+
+    return np.concatenate([median_filter(x[a:b], size=(WINDOW, 1), mode="nearest") for a, b in data.segments])
 
 
 def _modelled(model: TorqueModel, data: Record) -> np.ndarray:

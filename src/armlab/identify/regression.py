@@ -1,4 +1,4 @@
-"""The linear regression behind `fit_dynamics`: filtered, thinned columns of each joint, made in blocks.
+"""The linear regression behind `fit_dynamics`: filtered, decimated columns of each joint, made in blocks.
 
 Base-parameter columns are shared by all joints; each joint has its own: viscous, Coulomb, offset, Stribeck and root
 where they win (`armlab.identify.friction_structure`), and, where the gears are known, cosine and sine of the ripple
@@ -20,31 +20,31 @@ import numpy as np
 
 from armlab.estimation import Rows
 from armlab.identify.base_parameters import BaseParameters
-from armlab.identify.columns import SMOOTH, Columns, Decimation
+from armlab.identify.columns import FIXED, SHAPED, SMOOTH, Decimation, RegressionColumns
 from armlab.identify.friction_structure import (
     COLUMNS,
     FOLDS,
-    Choice,
+    FRICTION,
     Chooser,
     FrictionStructure,
+    StructureChoice,
     choose_here,
     mixing,
     term_names,
 )
 from armlab.identify.record import Record
-from armlab.models import CoupledMotors, Friction, Ripple
+from armlab.models.friction import FRICTION_TERMS, Friction, FrictionTerm, Ripple
+from armlab.models.torque import CoupledMotors
 from armlab.robots import Robot
 
 # Where the parameters of `fit_dynamics` stand: base, then each joint's own, then those of coupled motors.
 
 
-BOUNDED = ("viscous", "coulomb", "coulomb+", "coulomb-", "rotor")  # not negative
-COUPLED = ("rotor", "viscous", "coulomb")  # of a motor that moves several joints
-SLOPES = ("delta", "tanh-speed", "stribeck-speed")  # numbers of the shape of friction
+COUPLED = {"rotor": "kg m^2", "viscous": "N m s/rad", "coulomb": "N m"}  # of a motor that moves several joints
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class ParameterLayout:
     """Names, units, bounds and places of p parameters.
 
     `joints`: (J,) those whose torque counts. `motors`: (K, n) angles theta = c q of motors that move several joints.
@@ -90,23 +90,25 @@ class Layout:
         """Units of all parameters."""
         own = []
         for i, terms in zip(self.joints, self.terms):
-            force, length = ("N", "m") if self.robot.prismatic[i] else ("N m", "rad")
-            special = {"viscous": f"{force} s/{length}", "root": f"{force} sqrt(s/{length})", "delta": length}
-            special |= {"tanh-speed": f"{length}/s", "stribeck-speed": f"{length}/s"}
-            own += [special.get(term, force) for term in terms]
-        return (*self.base.units, *own, *("kg m^2", "N m s/rad", "N m") * len(self.motors))
+            own += [_term(term).units(bool(self.robot.prismatic[i])) for term in terms]
+        return (*self.base.units, *own, *[*COUPLED.values()] * len(self.motors))
 
     @property
     def lower(self) -> np.ndarray:
         """Lower bounds of all parameters: 0 for inertia, viscous and Coulomb friction, else -inf."""
-        own = [term for terms in self.terms for term in terms] + list(COUPLED) * len(self.motors)
-        return np.concatenate([self.base.lower, [0.0 if term in BOUNDED else -np.inf for term in own]])
+        own = [_term(term).least for terms in self.terms for term in terms]
+        return np.concatenate([self.base.lower, own, np.zeros(len(COUPLED) * len(self.motors))])
 
     @property
     def slopes(self) -> np.ndarray:
-        """Which parameters (p,) are steps of the logarithm of a number of the shape of friction."""
-        own = [term in SLOPES for terms in self.terms for term in terms]
-        return np.array([False] * len(self.base.names) + own + [False] * 3 * len(self.motors))
+        """Which parameters (p,) are steps of the logarithm of a number of the structure of friction."""
+        own = [_term(term).column is None for terms in self.terms for term in terms]
+        return np.array([False] * len(self.base.names) + own + [False] * len(COUPLED) * len(self.motors))
+
+
+def _term(name: str) -> FrictionTerm:
+    """Return the term of a column; amplitudes of ripple have the unit and the bound of an offset."""
+    return FRICTION_TERMS.get(name, FRICTION_TERMS["offset"])
 
 
 # Rows of a regression over joint torque for the solver, joint by joint and in pieces of bounded size.
@@ -143,7 +145,7 @@ class DesignRows:
 
 
 CUTOFF = 25.0  # Hz, the most; a tenth of the rate where that is less
-BLOCK = 0.5  # s, blocks that go to the folds in turn for the choice of shape
+BLOCK = 0.5  # s, blocks that go to the folds in turn for the choice of the structure
 STEP = 0.01  # of the logarithm of a number of the shape, for its derivative
 LONGEST = 0.5  # step of such a logarithm
 NOTHING = 1e-12  # of the power of the torque: a slope without effect
@@ -151,7 +153,7 @@ NOTHING = 1e-12  # of the power of the torque: a slope without effect
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Filtered and thinned regression problem of J joints.
+    """Filtered and decimated regression problem of J joints.
 
     `owners`: (K,) the joint that each coupled motor belongs to. `gains`: (J,) torque as it is read over true torque.
     `tau`: (M, J) filtered torque, divided by them. `rigid`: of each joint (M, w), columns of the base parameters that
@@ -162,7 +164,7 @@ class Design:
     last, then of the motors that move it.
     """
 
-    made: Columns
+    made: RegressionColumns
     base: BaseParameters
     owners: np.ndarray
     gains: np.ndarray
@@ -170,7 +172,7 @@ class Design:
     rigid: tuple[np.ndarray, ...]
     fixed: np.ndarray
     coupled_motors: np.ndarray
-    shapes: FrictionStructure
+    structure: FrictionStructure
     free: np.ndarray
     local: tuple[np.ndarray, ...] = ()
 
@@ -184,15 +186,15 @@ class Design:
         cutoff: float | None = None,
         every: int | None = None,
         joints: Sequence[int] | None = None,
-        shapes: FrictionStructure | None = None,
+        structure: FrictionStructure | None = None,
         geared: bool | None = None,
     ) -> Design:
         """Filter and thin all columns.
 
         `base`: base parameters of the robot, for the same joints. `cutoff`: of the zero-phase filter [Hz]; a tenth of
         the rate, at most 25 Hz, when left out; infinite for none. `every`: rows from one kept row to the next; 2.5 kept
-        rows per period of the cut-off when left out. `joints`: whose torque counts; all when left out. `shapes`: of
-        friction; presliding over 1e-3 rad when left out. `geared`: whether there are columns of ripple, see `Columns`.
+        rows per period of the cut-off when left out. `joints`: whose torque counts; all when left out. `structure`: of
+        friction; presliding over 1e-3 rad when left out. `geared`: whether there are ripple columns.
         """
         corner = min(data.rate / 10.0, CUTOFF) if cutoff is None else cutoff
         step = max(1, int(data.rate / (2.5 * corner))) if every is None else every
@@ -200,7 +202,7 @@ class Design:
         ratios = np.linalg.inv(robot.coupling)
         turning = ratios / np.diag(ratios)[:, None]
         owners = np.flatnonzero(np.count_nonzero(turning, axis=1) > 1)
-        columns = Columns(data, Decimation.of(data, corner, step), robot, measured, turning[owners], geared)
+        columns = RegressionColumns(data, Decimation.of(data, corner, step), robot, measured, turning[owners], geared)
         qdd = data.differentiate(data.qd)
         tau, fixed, inertial = columns.plain(qdd)
         design = cls(
@@ -212,10 +214,10 @@ class Design:
             rigid=columns.rigid(qdd, base),
             fixed=fixed,
             coupled_motors=np.concatenate([inertial, columns.coupled_sign()[:, :, None]], axis=2),
-            shapes=shapes or FrictionStructure.start(len(measured)),
+            structure=structure or FrictionStructure.start(len(measured)),
             free=np.zeros((len(measured), 2), dtype=bool),
         )
-        return design.with_shapes(design.shapes)
+        return design.with_structure(design.structure)
 
     @property
     def data(self) -> Record:
@@ -223,9 +225,9 @@ class Design:
         return self.made.data
 
     @property
-    def thinning(self) -> Decimation:
+    def decimation(self) -> Decimation:
         """Its filter, with the rows that are kept."""
-        return self.made.thinning
+        return self.made.decimation
 
     @property
     def robot(self) -> Robot:
@@ -240,39 +242,41 @@ class Design:
     @property
     def rows(self) -> np.ndarray:
         """Rows of the record that are kept (M,)."""
-        return self.thinning.rows
+        return self.decimation.rows
 
     @property
     def geared(self) -> bool:
         """True when the ripple columns are among the columns of each joint."""
-        return self.fixed.shape[2] == 4
+        return self.fixed.shape[2] == len(FIXED)
 
     @property
     def terms(self) -> list[tuple[str, ...]]:
         """Names of the columns of each joint's own."""
-        kinds = zip(self.shapes.terms, self.shapes.names, self.free)
+        kinds = zip(self.structure.terms, self.structure.names, self.free)
         return [(*term_names(terms, self.geared), *compress(names, free)) for terms, names, free in kinds]
 
     @property
-    def layout(self) -> Layout:
+    def layout(self) -> ParameterLayout:
         """Names, units, bounds and places of all parameters."""
-        return Layout(self.robot, self.base, self.joints, self.made.motors, self.owners, tuple(self.terms))
+        return ParameterLayout(self.robot, self.base, self.joints, self.made.motors, self.owners, tuple(self.terms))
 
-    def with_shapes(self, shapes: FrictionStructure) -> Design:
-        """Return it with the columns of other shapes of friction."""
-        shaped = self.made.shaped(shapes.delta, shapes.smooth, shapes.speed[None])
+    def with_structure(self, structure: FrictionStructure) -> Design:
+        """Return it with the columns of another structure of friction."""
+        shaped = self.made.shaped(structure.delta, structure.smooth, structure.speed[None])
+        made_of = (*FIXED[: self.fixed.shape[2]], *SHAPED)
+        at = [made_of.index(name) for name in COLUMNS[: self._width]]
         local = []
         for i, joint in enumerate(self.joints):
-            own = [self.fixed[:, i, :1], shaped[:, i, :2], self.fixed[:, i, 1:2], shaped[:, i, [3, 2]]]
-            own = np.concatenate([*own, self.fixed[:, i, 2:]], axis=1) @ mixing(shapes.terms[i], self._width)
+            own = np.concatenate([self.fixed[:, i], shaped[:, i]], axis=1)[:, at]
+            own = own @ mixing(structure.terms[i], self._width)
             moved = np.flatnonzero(self.made.motors[:, joint])
             theirs = (self.made.motors[m, joint] * self.coupled_motors[:, m] for m in moved)
             local.append(np.hstack([own, *theirs]) if len(moved) else own)
-        return replace(self, shapes=shapes, free=np.zeros_like(self.free), local=tuple(local))
+        return replace(self, structure=structure, free=np.zeros_like(self.free), local=tuple(local))
 
     def with_torque(self, tau: np.ndarray) -> Design:
         """Return it with another torque (N, n) that was read."""
-        thin = self.thinning.run(lambda a, b: tau[a:b, self.joints], len(self.joints))
+        thin = self.decimation.run(lambda a, b: tau[a:b, self.joints], len(self.joints))
         made = replace(self.made, data=replace(self.data, tau=tau))
         return replace(self, made=made, tau=thin / self.gains)
 
@@ -281,7 +285,7 @@ class Design:
         return replace(self, gains=gains, tau=self.tau * self.gains / gains)
 
     def with_slopes(self, theta: np.ndarray, free: np.ndarray | None = None) -> Design:
-        """Return it with the derivatives of the torque over the logarithms of the numbers that make the shapes.
+        """Return it with the derivatives of the torque over the logarithms of the numbers that make the structure.
 
         `theta`: (p,) parameters of this design, without slopes, at which they are taken. `free`: (J, 2) bool, which
         numbers; those that matter to the torque when left out.
@@ -297,25 +301,25 @@ class Design:
 
     def _slopes(self, theta: np.ndarray) -> np.ndarray:
         """Return the derivatives (M, J, 2) by central differences."""
-        c = self._own(theta)[[1, 2, 5, 4]].T  # in the order of `Columns.shaped`
+        c = self._own(theta)[[COLUMNS.index(name) for name in SHAPED]].T
         up, down, wide, narrow = (
-            self.shapes.moved(np.tile(step, (len(self.joints), 1)))
+            self.structure.moved(np.tile(step, (len(self.joints), 1)))
             for step in STEP * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
         )
         apart, bump = (np.log(a.numbers / b.numbers).sum(axis=1) for a, b in ((up, down), (wide, narrow)))
         more, less = (self.made.shaped(one.delta, one.smooth, one.speed[None]) for one in (up, down))
-        bumps = self.made.shaped(self.shapes.delta, self.shapes.smooth, np.stack([wide.speed, narrow.speed]))
+        bumps = self.made.shaped(self.structure.delta, self.structure.smooth, np.stack([wide.speed, narrow.speed]))
         signs = np.einsum("mjk,jk->mj", more - less, c / apart[:, None])
-        return np.stack([signs, (bumps[:, :, 3] - bumps[:, :, 4]) * (c[:, 3] / bump)], axis=2)
+        return np.stack([signs, (bumps[:, :, -2] - bumps[:, :, -1]) * (c[:, -1] / bump)], axis=2)
 
     def moved(self, theta: np.ndarray) -> FrictionStructure:
-        """Return the shapes with the steps among parameters theta (p,) taken, each by half at most."""
+        """Return the structure with the steps among parameters theta (p,) taken, each by half at most."""
         steps = np.zeros(self.free.shape)
         steps[self.free] = np.clip(theta[self.layout.slopes], -LONGEST, LONGEST)
-        return self.shapes.moved(steps)
+        return self.structure.moved(steps)
 
     def in_units(self, theta: np.ndarray, *covs: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return parameters (p,) and covariances (p, p) with the numbers of the shapes in place of their steps."""
+        """Return parameters (p,) and covariances (p, p) with the numbers of the structure in place of their steps."""
         x, scale, at = theta.copy(), np.ones(len(theta)), self.layout.slopes
         x[at] = scale[at] = self.moved(theta).numbers[self.free]
         return x, *(cov * np.outer(scale, scale) for cov in covs)
@@ -342,19 +346,18 @@ class Design:
         values = np.zeros((len(COLUMNS), self.robot.n))
         values[:, self.joints] = self._own(theta)
         found = self.moved(theta)
-        shapes = np.tile([[1e-3], [0.0], [0.1], [2.0]], self.robot.n)
-        shapes[:, self.joints] = found.delta, found.smooth, found.speed, self.made.cycles
-        viscous, positive, negative, offset, stribeck, root, cosine, sine = values
-        delta, smooth, speed, cycles = shapes
-        state = speed, delta, self.data.resolution
-        friction = Friction(viscous, positive, negative, offset, stribeck, *state, root, smooth)
-        return friction, Ripple(cycles, cosine, sine)
+        filled = np.tile([[1e-3], [0.0], [0.1], [2.0]], self.robot.n)
+        filled[:, self.joints] = found.delta, found.smooth, found.speed, self.made.cycles
+        *numbers, cycles = filled
+        fields = {FRICTION_TERMS[name].fields[0]: own for name, own in zip(FRICTION, values)}
+        fields |= dict(zip(("delta", "smooth_speed", "stribeck_speed"), numbers))
+        return Friction(resolution=self.data.resolution, **fields), Ripple(cycles, *values[len(FRICTION) :])
 
     def _own(self, theta: np.ndarray) -> np.ndarray:
         """Return the parameters of all COLUMNS of each joint (8, J); zero for those that it has not."""
         values = np.zeros((len(COLUMNS), len(self.joints)))
         for i, (columns, A) in enumerate(zip(self.layout.columns, self.rigid)):
-            T = mixing(self.shapes.terms[i], self._width)
+            T = mixing(self.structure.terms[i], self._width)
             values[: self._width, i] = T @ theta[columns[A.shape[1] :][: T.shape[1]]]
         return values
 
@@ -368,28 +371,28 @@ class Design:
 
     @property
     def _width(self) -> int:
-        return len(COLUMNS) if self.geared else len(COLUMNS) - 2
+        return len(COLUMNS if self.geared else FRICTION)
 
-    def choose_shapes(
+    def choose_structure(
         self, theta: np.ndarray, trust: np.ndarray | None = None, chooser: Chooser = choose_here
     ) -> Design:
-        """Choose the shape of friction of each joint on held-out blocks of half a second.
+        """Choose the structure of friction of each joint on held-out blocks of half a second.
 
         `theta`: (p,) parameters, of which the base parameters are held. `trust`: (M, J) weights of the rows; 0 leaves
         one out.
         """
         weights = np.ones_like(self.tau) if trust is None else np.asarray(trust, dtype=float)
         used = np.cumsum(weights.any(axis=1))  # blocks of what is used: all folds have as much
-        fold = used // max(1, round(BLOCK * self.data.rate / self.thinning.every)) % FOLDS
+        fold = used // max(1, round(BLOCK * self.data.rate / self.decimation.every)) % FOLDS
         motion = self.made.friction
 
-        def choice(i: int) -> Choice:
+        def choice(i: int) -> StructureChoice:
             A, L, c = self.rigid[i], self.local[i], self.layout.columns[i]
             coupled = L[:, len(self.terms[i]) :]
             free = np.zeros((len(L), 3 * len(self.made.motors)))
             free[:, : coupled.shape[1]] = coupled
             target = self.tau[:, i] - A @ theta[c[: A.shape[1]]]
             fixed = np.concatenate([self.fixed[:, i], free], axis=1)
-            return Choice(motion.of(i), fixed, target, fold, weights[:, i])
+            return StructureChoice(motion.of(i), fixed, target, fold, weights[:, i])
 
-        return self.with_shapes(FrictionStructure.joined(chooser(map(choice, range(len(self.joints))))))
+        return self.with_structure(FrictionStructure.joined(chooser(map(choice, range(len(self.joints))))))

@@ -10,16 +10,18 @@ import numpy as np
 
 from armlab._numbers import numbers
 from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
-from armlab.estimation import Excitation, Fit, correlation_time, effective_samples
+from armlab.estimation import Excitation, Fit
+from armlab.estimation.bootstrap import correlation_time, effective_samples
 from armlab.identify.record import Record, prepare
 from armlab.kernels import presliding
 from armlab.log import Table
-from armlab.models import FORCE_RATES, PRIOR, MomentumNoise, TorqueModel, VelocityCovariance, velocity_covariance
+from armlab.models import TorqueModel, velocity_covariance
+from armlab.models.torque import FORCE_RATES, PRIOR, MomentumNoise, VelocityCovariance
 from armlab.robots import Robot, from_links
 
 
 @dataclass(frozen=True, eq=False)
-class Residuals:
+class ModelResiduals:
     """Residuals of a model along logs.
 
     `y`: (N, n) measured minus modelled torque [N m], over the gains, unfiltered. `s`: (N, n) the sign that friction
@@ -36,7 +38,7 @@ def model_residuals(
     model: TorqueModel,
     joints: Sequence[int] | None = None,
     robot: Robot | None = None,
-) -> Residuals:
+) -> ModelResiduals:
     """Return measured minus modelled torque of every row; the acceleration is low-passed at a tenth of the rate.
 
     `table`: one log or several, of free motion, with columns q, qd, tau. `joints`: numbers, from 0, of those that must
@@ -54,7 +56,7 @@ def model_residuals(
     for a, b in data.segments:
         left = data.tau[a:b] - model.torque(data.q[a:b], data.qd[a:b], qdd[a:b], data.dt[a:b])
         y[a:b] = left / model.gains
-    return Residuals(data, y, friction_signs(model, data))
+    return ModelResiduals(data, y, friction_signs(model, data))
 
 
 def friction_signs(model: TorqueModel, data: Record) -> np.ndarray:
@@ -65,7 +67,7 @@ def friction_signs(model: TorqueModel, data: Record) -> np.ndarray:
     return np.where(smooth > 0, np.tanh(data.qd / np.where(smooth > 0, smooth, 1.0)), s)
 
 
-# How warm the drives of a model are along a record, second by second (models.WarmUp has the law).
+# How warm the drives of a model are along a record, second by second (models.friction.WarmUp has the law).
 #
 # Warmth is taken as constant over a second, so that sums over seconds are all that is kept of a record.
 
@@ -86,12 +88,12 @@ def begun(
     if model.warm_up is None:
         yield from ((model, a, b) for a, b in listed)
         return
-    warmth = _warmth_at(model, data, np.array([a for a, _ in listed], dtype=int))
-    for (a, b), start in zip(listed, warmth):
+    states = _thermal_state_at(model, data, np.array([a for a, _ in listed], dtype=int))
+    for (a, b), start in zip(listed, states):
         yield replace(model, warm_up=replace(model.warm_up, start=start)), a, b
 
 
-def _warmth_at(model: TorqueModel, data: Record, rows: np.ndarray) -> np.ndarray:
+def _thermal_state_at(model: TorqueModel, data: Record, rows: np.ndarray) -> np.ndarray:
     """Return the warmth (M, n) at rows (M,) of a record; every log in it begins with that of the model."""
     warm, f, s = model.warm_up, model.friction, friction_signs(model, data)
     if warm is None:
@@ -192,7 +194,7 @@ def fit_velocity_covariance(residuals: np.ndarray, qd: np.ndarray, kind: str = "
 
     Returns
     -------
-    Fit of `models.VelocityCovariance`; parameters are log Cinf, log(C0 / Cinf), log shape per joint.
+    Fit of `models.torque.VelocityCovariance`; parameters are log Cinf, log(C0 / Cinf), log shape per joint.
 
     Raises
     ------
@@ -358,8 +360,8 @@ def momentum_noise(
     ]
     noise = replace(noise, alpha2_observer=_factor(ratios))
     moving = np.isfinite(errors)
-    told = moving.any(axis=0)
-    judged: np.ndarray = np.all(moving[:, told], axis=1) if told.any() else np.zeros(len(errors), dtype=bool)
+    measured = moving.any(axis=0)
+    judged: np.ndarray = np.all(moving[:, measured], axis=1) if measured.any() else np.zeros(len(errors), dtype=bool)
     ratios = [
         _normalised(*(values[judged[rows]] for values in found[:3]))
         for found, rows in _runs(held, noise, data, filters=True)

@@ -1,4 +1,4 @@
-"""Alternation between the linear parameters of a design and the shape of friction, until both stay.
+"""Alternation between the linear parameters of a design and the structure of friction, until both stay.
 
 The shape comes from a grid, judged on held-out blocks; its numbers then by Gauss-Newton steps on all rows,
 
@@ -13,7 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armlab.estimation import LinearSolution, effective_samples, least_squares, shrinkage
+from armlab.estimation import least_squares
+from armlab.estimation.bootstrap import effective_samples, shrinkage
+from armlab.estimation.linear_problem import LinearSolution
+from armlab.estimation.robust import HUBER, NORMAL_MAD
 from armlab.identify.friction_structure import Chooser, choose_here
 from armlab.identify.record import Record
 from armlab.identify.regression import Design
@@ -102,8 +105,8 @@ class GainProblem:
         _, u, d = self._normal(G, x, k)
         H = np.tensordot(k * k, G, 1)
         scale = np.sqrt(np.where(np.diag(H) > 0, np.diag(H), 1.0))
-        told = np.linalg.solve(H / np.outer(scale, scale), (u / scale).T)
-        cov = np.linalg.inv(np.diag(d) - (u / scale) @ told)
+        projected = np.linalg.solve(H / np.outer(scale, scale), (u / scale).T)
+        cov = np.linalg.inv(np.diag(d) - (u / scale) @ projected)
         return 0.5 * (cov + cov.T)
 
     def response(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
@@ -151,18 +154,16 @@ ROUNDS = 4
 SHAPE_STEPS = 6  # of Gauss and Newton
 SHARES = (1.0, 0.5, 0.25)  # of a step that are tried
 STAYS = 1e-3  # sum of the squared logarithmic steps
-VAGUE = 0.3  # formal deviation of the logarithm of a number beyond which a straight line tells nothing of it
+VAGUE = 0.3  # formal deviation of the logarithm of a number beyond which a linearisation does not identify it
 TRIMMED = 0.25  # s, blocks of which the method "lts" leaves some out
 MOST_BLOCKS = 1000.0  # of them: a triangle is kept for each
-HUBER = 1.345
-NORMAL_MAD = 0.6744897501960817  # median of |x| for x ~ N(0, 1)
 ROBUST = ("irls", "lts")
 
 
 def alternate(
     design: Design, method: str, seed: int = 0, use: np.ndarray | None = None, chooser: Chooser = choose_here
 ) -> tuple[Design, np.ndarray]:
-    """Alternate between the linear parameters and the shape of friction until the shape stays; return both.
+    """Alternate between the linear parameters and the structure of friction until the shape stays; return both.
 
     Directions that the log does not tell are no fault here: the last fit judges.
 
@@ -175,8 +176,8 @@ def alternate(
     for _ in range(ROUNDS):
         if method in ROBUST:
             trust = _trust(design, theta, block, method, seed) * use[:, None]
-        shaped = design.choose_shapes(theta, trust, chooser)
-        settled = shaped.shapes.same(design.shapes)
+        shaped = design.choose_structure(theta, trust, chooser)
+        settled = shaped.structure.same(design.structure)
         design, theta = shaped, solved(shaped, trust, method).x
         if settled:
             break
@@ -184,13 +185,13 @@ def alternate(
 
 
 def _refined(design: Design, theta: np.ndarray, trust: np.ndarray, method: str) -> tuple[Design, np.ndarray]:
-    """Take Gauss-Newton steps of the numbers of the shapes while they lower the residual."""
+    """Take Gauss-Newton steps of the numbers of the structure while they lower the residual."""
     cost = _cost(design, theta, trust)
     for _ in range(SHAPE_STEPS):
         sloped = linearised(design, theta, method, trust)
         step = np.where(sloped.layout.slopes, solved(sloped, trust, method).x, 0.0)
         for share in SHARES:
-            trial = design.with_shapes(sloped.moved(share * step))
+            trial = design.with_structure(sloped.moved(share * step))
             found = solved(trial, trust, method).x
             lower = _cost(trial, found, trust)
             if lower < cost:
@@ -210,7 +211,7 @@ def _cost(design: Design, theta: np.ndarray, trust: np.ndarray) -> float:
 
 
 def linearised(design: Design, theta: np.ndarray, method: str, trust: np.ndarray | None = None) -> Design:
-    """Return the design with slopes of those numbers of the shapes that the log tells.
+    """Return the design with slopes of those numbers of the structure that the log identifies.
 
     `design`: without slopes, at its parameters theta (p,). `trust`: (M, J) weights of the rows; 1 when left out.
     """
@@ -255,7 +256,7 @@ def _trust(design: Design, theta: np.ndarray, block: np.ndarray, method: str, se
 
 GAIN_SD = 0.05
 GAIN_ROUNDS = 2  # weights of the joints follow their gains
-MAX_CONDITION = 1e4  # of a log that tells the parameters
+MAX_CONDITION = 1e4  # of a log that identifies the parameters
 
 
 def calibrated(

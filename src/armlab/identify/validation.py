@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armlab.errors import ModelMismatchError, NotExcited, ShapeError
-from armlab.estimation import Fit, LinearSolution
+from armlab.estimation import Fit
+from armlab.estimation.linear_problem import LinearSolution
 from armlab.identify.record import Record, pieces, torque_outliers, with_velocity, without_outliers
 from armlab.identify.residuals import begun, fit_velocity_covariance, momentum_noise, stretches
 from armlab.log import Table
-from armlab.models import SPEED_EDGES, FrictionBound, TorqueModel, Training, VelocityCovariance
+from armlab.models import TorqueModel
+from armlab.models.friction import FrictionBound
+from armlab.models.torque import SPEED_EDGES, Training, VelocityCovariance
 from armlab.signals import central_diff, lowpass_offline
 
 if TYPE_CHECKING:
@@ -39,14 +42,10 @@ REST = 0.01  # of the peak speed; all joints below it are at rest
 class Extrapolation:
     """How a log differs from the data that a model was fitted to.
 
-    Attributes
-    ----------
-    joint_names : for messages.
-    outside : (n,) share of samples more than 2 % of the trained range outside it.
-    unseen_speed : (n,) share of samples at speeds that hold less than 0.5 % of the training data.
-    rest_share, longest_rest : share of rest and its longest stretch [s] in this log.
-    trained_rest_share, trained_longest_rest : the same in training.
-    warnings : sentences; empty when the model may be used on this log.
+    `outside`: (n,) share of samples more than 2 % of the trained range outside it. `unseen_speed`: (n,) share of
+    samples at speeds that hold less than 0.5 % of the training data. `rest_share`, `longest_rest`: share of rest and
+    its longest stretch [s] in this log. `trained_rest_share`, `trained_longest_rest`: the same in training. `warnings`:
+    sentences; empty when the model may be used on this log.
     """
 
     joint_names: tuple[str, ...]
@@ -193,7 +192,7 @@ FIFTHS, STRETCHES = 5, 20
 SETTLED = 0.01  # variance of the presliding state below which friction is known from motion
 ALPHA2_BOUNDS = (0.25, 25.0)
 HALF = 1.0  # s, stretches of the two halves on which the coverage is judged
-UNMEASURED = 1e12  # (N m)^2 of a joint whose torque is not measured: it tells nothing
+UNMEASURED = 1e12  # (N m)^2 of a joint whose torque is not measured
 FEWEST = 100  # rows of sliding in either half
 FAST = 0.1  # rad/s: above it the bound on friction holds the model's error in motion
 
@@ -309,7 +308,7 @@ def _check_sliding(measured: np.ndarray, rows: np.ndarray) -> None:
         listed = ", ".join(f"{name} ({got})" for name, got in zip(names, spread))
         raise NotExcited(
             f"Expected every joint to slide, past its presliding, in {2 * FEWEST} rows at least, evenly over the log, "
-            f"got less for {listed}: how large its errors in motion are cannot be told. Let it move further between "
+            f"got less for {listed}: its errors in motion cannot be judged. Let it move further between "
             "its reversals.",
             names,
             spread,

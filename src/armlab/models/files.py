@@ -23,8 +23,7 @@ from armlab._toml import TomlError, parsed
 from armlab._whole_files import whole_file
 from armlab.errors import ConfigError, ModelMismatchError, UnknownName
 from armlab.models.friction import Friction, FrictionBound, Ripple
-from armlab.models.noise import VelocityCovariance
-from armlab.models.torque import SIGN, Quality, TorqueModel, Training
+from armlab.models.torque import SIGN, Quality, TorqueModel, Training, VelocityCovariance
 
 # Values that have a file format: any frozen dataclass of numbers, texts and arrays, once it is registered.
 #
@@ -194,8 +193,8 @@ def decode(item: Any) -> Any:
 KIND = "torque_model"
 TORQUE_FORMAT = 5
 FRICTION = tuple(entry.name for entry in fields(Friction))
-RIPPLE = ("cycles", "cosine", "sine")
-BOUND = ("torque", "speed", "floor")
+RIPPLE = tuple(entry.name for entry in fields(Ripple))
+BOUND = tuple(entry.name for entry in fields(FrictionBound))
 PARTS = ("lines", "friction_map", "warm_up", "momentum", "coupled")  # where there are any
 QUALITY = ("torque_sd", "rms", "rms_cv", "coverage")
 LIMITS = ("q_min", "q_max", "qd_peak", "speed_share")  # of the training
@@ -267,7 +266,7 @@ class _Validation(_Strict):
     seconds: float
 
 
-class _Limits(_Strict):
+class _Ranges(_Strict):
     q_min: list[float]
     q_max: list[float]
     qd_peak: list[float]
@@ -276,7 +275,7 @@ class _Limits(_Strict):
     longest_rest: float
 
 
-class _File(_Strict):
+class _ModelFile(_Strict):
     meta: _Meta
     robot: _RobotPart
     dynamics: _Dynamics
@@ -284,7 +283,7 @@ class _File(_Strict):
     ripple: dict[str, dict[str, float]]
     ctau: _Covariance
     bound: dict[str, dict[str, float]]
-    limits: _Limits
+    limits: _Ranges
     validation: _Validation
     lines: dict[str, Any] | None = None
     friction_map: dict[str, Any] | None = None
@@ -361,7 +360,7 @@ def read_torque_model(raw: dict[str, Any], path: Path) -> TorqueModel:
             "Identify again with this version of armlab."
         )
     try:
-        return _model(msgspec.convert(raw, _File), path)
+        return _model(msgspec.convert(raw, _ModelFile), path)
     except ConfigError:
         raise
     except (msgspec.ValidationError, UnknownName, KeyError, TypeError, ValueError) as error:
@@ -369,7 +368,7 @@ def read_torque_model(raw: dict[str, Any], path: Path) -> TorqueModel:
         raise ConfigError(f"Expected a complete model file at {path}, got: {what}. Identify again.") from None
 
 
-def _model(file: _File, path: Path) -> TorqueModel:
+def _model(file: _ModelFile, path: Path) -> TorqueModel:
     d = file.dynamics
     p = len(d.base_names)
     if len(d.base_values) != p or len(d.base_cov_lower) != p * (p + 1) // 2:
@@ -460,16 +459,7 @@ def load(path: str | Path, kind: str | None = None) -> Any:
 
 
 def load_statistics(path: str | Path) -> dict[str, Any]:
-    """Read the table [fit] of a model file; empty where the value was saved without its fit.
-
-    Parameters
-    ----------
-    path : file written by `save`.
-
-    Raises
-    ------
-    ConfigError : the file cannot be read.
-    """
+    """Read the table [fit] of a model file; empty where the value was saved without its fit."""
     fit = _tables(Path(path)).get("fit", {})
     try:
         return {name: decode(part) for name, part in fit.items()}

@@ -17,7 +17,9 @@ It keeps its value at rest, where a sign function would be 0.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +28,43 @@ from armlab.errors import ShapeError
 from armlab.kernels import Drive, basis_weights
 
 SLOW = 0.02  # rad/s, m/s: below it friction is known only to lie inside a bound
+
+
+class FrictionTerm(NamedTuple):
+    """A parameter of the friction of one joint, as fits have it.
+
+    `name`: in fits and reports. `fields`: of `Friction`. `unit`: with the {force} and {length} of the joint. `column`:
+    its regressor over velocity and sign; None where the torque is not linear in it. `least`: lower bound.
+    """
+
+    name: str
+    fields: tuple[str, ...]
+    unit: str
+    column: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+    least: float = -np.inf
+
+    def units(self, prismatic: bool) -> str:
+        """Return the unit for a revolute or a prismatic joint."""
+        force, length = ("N", "m") if prismatic else ("N m", "rad")
+        return self.unit.format(force=force, length=length)
+
+
+FRICTION_TERMS = {
+    term.name: term
+    for term in (
+        FrictionTerm("viscous", ("viscous",), "{force} s/{length}", lambda qd, s: qd, 0.0),
+        FrictionTerm("coulomb", ("coulomb_pos", "coulomb_neg"), "{force}", lambda qd, s: s, 0.0),
+        FrictionTerm("coulomb+", ("coulomb_pos",), "{force}", lambda qd, s: np.maximum(s, 0.0), 0.0),
+        FrictionTerm("coulomb-", ("coulomb_neg",), "{force}", lambda qd, s: np.minimum(s, 0.0), 0.0),
+        FrictionTerm("offset", ("offset",), "{force}", lambda qd, s: np.ones_like(s)),
+        FrictionTerm("stribeck", ("stribeck",), "{force}", lambda qd, s: s),  # times exp(-(qd / stribeck-speed)^2)
+        FrictionTerm("root", ("root",), "{force} sqrt(s/{length})", lambda qd, s: s * np.sqrt(np.abs(qd))),
+        FrictionTerm("delta", ("delta",), "{length}"),
+        FrictionTerm("tanh-speed", ("smooth_speed",), "{length}/s"),
+        FrictionTerm("stribeck-speed", ("stribeck_speed",), "{length}/s"),
+    )
+}
+"""Every term of friction once: names, units, regressors and bounds elsewhere derive from this table."""
 
 
 def _zeros() -> np.ndarray:
@@ -53,16 +92,12 @@ def _freeze(instance: Friction | FrictionBound | Ripple) -> None:
 class Friction:
     """Friction of all joints; every field has shape (n,).
 
-    Attributes
-    ----------
-    viscous : [N m s/rad].
-    coulomb_pos, coulomb_neg : Coulomb torque for positive and negative motion, both counted positive [N m].
-    offset : [N m].
-    stribeck : extra torque near zero speed [N m]. stribeck_speed : its width [rad/s].
-    delta : presliding distance [rad].
-    resolution : displacement that the encoder can tell from noise [rad]; smaller changes leave the state alone.
-    root : torque that grows with the root of speed [N m/sqrt(rad/s)]; zero when left out.
-    smooth_speed : v_t [rad/s] of tanh(qd / v_t) in place of the presliding state; 0, or left out: presliding.
+    `viscous`: [N m s/rad]. `coulomb_pos`, `coulomb_neg`: Coulomb torque for positive and negative motion, both counted
+    positive [N m]. `offset`: [N m]. `stribeck`: extra torque near zero speed [N m]. `stribeck_speed`: its width
+    [rad/s]. `delta`: presliding distance [rad]. `resolution`: displacement that the encoder can tell from noise [rad];
+    smaller changes leave the state alone. `root`: torque that grows with the root of speed [N m/sqrt(rad/s)]; zero when
+    left out. `smooth_speed`: v_t [rad/s] of tanh(qd / v_t) in place of the presliding state; 0, or left out:
+    presliding.
     """
 
     viscous: np.ndarray
@@ -84,15 +119,21 @@ class Friction:
         if np.any(self.smooth_speed < 0) or np.any(self.resolution < 0):
             raise ShapeError("Expected smooth_speed >= 0 and resolution >= 0, got a negative value. Make it positive.")
 
+    @classmethod
+    def none(cls, n: int) -> Friction:
+        """Return n joints without friction; widths of terms that are zero are 1."""
+        widths = ("stribeck_speed", "delta")
+        return cls(**{entry.name: np.full(n, float(entry.name in widths)) for entry in fields(cls)})
+
     @property
     def rows(self) -> np.ndarray:
-        """All fields in their order, one row each (10, n), as `kernels.Drive` takes them."""
+        """Fields in their order, one row each, as `kernels.Drive` takes them."""
         return np.stack([getattr(self, entry.name) for entry in fields(self)])
 
     def torque(self, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the friction torque (..., n) [N m] at velocity `qd` (..., n) and presliding state `z` (..., n)."""
         qd = np.asarray(qd, dtype=float)
-        return Drive(self.rows, np.zeros((3, len(self.delta)))).torque(np.zeros(qd.shape), qd, z)
+        return Drive(self.rows, Ripple.none(len(self.delta)).rows).torque(np.zeros(qd.shape), qd, z)
 
     @property
     def static(self) -> np.ndarray:
@@ -107,10 +148,8 @@ class FrictionBound:
     Near zero speed friction is not random but unknown inside bounds, constant for as long as the joint rests
     (Linderoth, Stolt, Robertsson and Johansson, IROS 2013). Every field has shape (n,).
 
-    Attributes
-    ----------
-    torque : largest friction at rest [N m]. speed : [rad/s].
-    floor : what is left of the model's error in motion [N m].
+    `torque`: largest friction at rest [N m]. `speed`: [rad/s]. `floor`: what is left of the model's error in motion [N
+    m].
     """
 
     torque: np.ndarray
@@ -140,10 +179,8 @@ class FrictionBound:
 class Ripple:
     """One torque ripple line per joint: ``cosine cos(cycles q) + sine sin(cycles q)``; every field has shape (n,).
 
-    Attributes
-    ----------
-    cycles : angular frequency over the joint angle [rad/rad], 2 |gear| for strain-wave gears.
-    cosine, sine : amplitudes [N m].
+    `cycles`: angular frequency over the joint angle [rad/rad], 2 |gear| for strain-wave gears. `cosine`, `sine`:
+    amplitudes [N m].
     """
 
     cycles: np.ndarray
@@ -154,17 +191,20 @@ class Ripple:
         """Check shapes and freeze."""
         _freeze(self)
 
+    @classmethod
+    def none(cls, n: int) -> Ripple:
+        """Return n joints without ripple."""
+        return cls(*np.zeros((len(fields(cls)), n)))
+
     def torque(self, q: np.ndarray) -> np.ndarray:
         """Return the ripple torque (..., n) [N m] at `q` (..., n)."""
         zero = np.zeros(np.shape(q))
-        friction = np.zeros((10, len(self.cycles)))
-        friction[5:7] = 1.0  # widths of terms that are zero
-        return Drive(friction, self.rows).torque(q, zero, zero)
+        return Drive(Friction.none(len(self.cycles)).rows, self.rows).torque(q, zero, zero)
 
     @property
     def rows(self) -> np.ndarray:
-        """cycles, cosine, sine, one row each (3, n), as `kernels.Drive` takes them."""
-        return np.stack([self.cycles, self.cosine, self.sine])
+        """Fields in their order, one row each, as `kernels.Drive` takes them."""
+        return np.stack([getattr(self, entry.name) for entry in fields(self)])
 
 
 # Friction over position and speed by normalised radial basis functions, one set for each direction.
@@ -183,10 +223,8 @@ class Ripple:
 class RadialBasis:
     """Centres of all n joints on a grid of positions and speeds; speeds are positive and stand for both directions.
 
-    Attributes
-    ----------
-    positions, position_widths : (n, P) [rad], ascending; positive.
-    speeds, speed_widths : (n, S) [rad/s], ascending and above 0; positive.
+    `positions`, `position_widths`: (n, P) [rad], ascending; positive. `speeds`, `speed_widths`: (n, S) [rad/s],
+    ascending and above 0; positive.
     """
 
     positions: np.ndarray
@@ -226,10 +264,7 @@ class RadialBasis:
     def functions(self, i: int, q: np.ndarray, qd: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Return the functions (N, 2 P S) of joint i, positive direction first; their sum is 1.
 
-        Parameters
-        ----------
-        i : joint.
-        q, qd, s : (N,) position [rad], velocity [rad/s] and sign in [-1, 1].
+        `q`, `qd`, `s`: (N,) position [rad], velocity [rad/s] and sign in [-1, 1].
         """
         at = basis_weights(q, self.positions[i], self.position_widths[i])
         along = basis_weights(np.abs(qd), self.speeds[i], self.speed_widths[i])
@@ -247,9 +282,7 @@ class RadialBasis:
 class FrictionMap:
     """Friction over position and speed, in addition to `Friction`.
 
-    Attributes
-    ----------
-    basis : centres and widths. coefficients : (n, 2, P, S) [N m], positive direction first; zero for joints without.
+    `coefficients`: (n, 2, P, S) [N m], positive direction first; zero for joints without.
     """
 
     basis: RadialBasis
@@ -271,13 +304,10 @@ class FrictionMap:
     def torque(self, q: np.ndarray, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the torque (..., n) [N m].
 
-        Parameters
-        ----------
-        q, qd : (..., n) [rad], [rad/s]. z : (..., n) presliding state.
+        `q`, `qd`: (..., n) [rad], [rad/s]. `z`: (..., n) presliding state.
         """
-        friction = np.zeros((10, self.basis.n))
-        friction[5:7] = 1.0  # widths of terms that are zero
-        return Drive(friction, np.zeros((3, self.basis.n)), map=self.kernel_rows()).torque(q, qd, z)
+        n = self.basis.n
+        return Drive(Friction.none(n).rows, Ripple.none(n).rows, map=self.kernel_rows()).torque(q, qd, z)
 
 
 # Torque ripple as lines over position whose amplitude and phase depend on speed.
@@ -299,11 +329,8 @@ LARGEST = 1e15  # of the numbers of ripple lines, joint numbers among them
 def speed_basis(slowest: float, fastest: float, count: int = SPEEDS) -> tuple[np.ndarray, np.ndarray]:
     """Return centres and widths (count,) [rad/s] of Gaussians spread evenly from one speed to another.
 
-    Parameters
-    ----------
-    slowest, fastest : ends of the range; 0 and the peak speed for lines with two directions, minus and plus the peak
-        speed for others.
-    count : of Gaussians, at least 2.
+    `slowest`, `fastest`: ends of the range; 0 and the peak speed for lines with two directions, minus and plus the peak
+    speed for others. `count`: of Gaussians, at least 2.
     """
     slowest, fastest = number(slowest, "the slowest speed [rad/s]"), number(fastest, "the fastest speed [rad/s]")
     if count < 2 or not fastest > slowest:
@@ -317,11 +344,9 @@ def speed_basis(slowest: float, fastest: float, count: int = SPEEDS) -> tuple[np
 class RippleLines:
     """Lines of torque ripple of n joints, L in all.
 
-    Attributes
-    ----------
-    joint : (L,) number of the joint from 0, in ascending order. cycles : (L,) cycles per revolution.
-    speeds, widths : (n, S) centres and widths of the Gaussians [rad/s].
-    coefficients : (L, D, S, 2) amplitudes of cosine and sine [N m] for D = 1 or 2 directions, positive first.
+    `joint`: (L,) number of the joint from 0, in ascending order. `cycles`: (L,) cycles per revolution. `speeds`,
+    `widths`: (n, S) centres and widths of the Gaussians [rad/s]. `coefficients`: (L, D, S, 2) amplitudes of cosine and
+    sine [N m] for D = 1 or 2 directions, positive first.
     """
 
     joint: np.ndarray
@@ -340,7 +365,7 @@ class RippleLines:
         self.joint.flags.writeable = False
         if np.any(self.widths <= 0) or self.speeds.ndim != 2 or np.any(np.diff(self.speeds, axis=-1) <= 0):
             raise ShapeError("Expected ascending speeds and positive widths of the ripple lines, got others.")
-        Drive(np.ones((10, len(self.speeds))), np.zeros((3, len(self.speeds))), lines=self.kernel_rows())
+        self._drive()  # refuses shapes that do not fit
 
     @property
     def n(self) -> int:
@@ -354,13 +379,12 @@ class RippleLines:
     def torque(self, q: np.ndarray, qd: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the ripple torque (..., n) [N m].
 
-        Parameters
-        ----------
-        q, qd : (..., n) [rad], [rad/s]. z : (..., n) presliding state.
+        `q`, `qd`: (..., n) [rad], [rad/s]. `z`: (..., n) presliding state.
         """
-        friction = np.zeros((10, self.n))
-        friction[5:7] = 1.0  # widths of terms that are zero
-        return Drive(friction, np.zeros((3, self.n)), lines=self.kernel_rows()).torque(q, qd, z)
+        return self._drive().torque(q, qd, z)
+
+    def _drive(self) -> Drive:
+        return Drive(Friction.none(self.n).rows, Ripple.none(self.n).rows, lines=self.kernel_rows())
 
 
 # Friction that changes as a drive warms up by its own friction, without a temperature sensor.
@@ -374,14 +398,11 @@ class RippleLines:
 
 @dataclass(frozen=True, eq=False)
 class WarmUp:
-    """How warmth changes friction; every field has shape (n,).
+    """How thermal state changes friction; every field has shape (n,).
 
-    Attributes
-    ----------
-    of_coulomb, of_viscous : relative change of Coulomb and viscous friction at warmth 1.
-    time : time constant [s]; 0 for a drive that does not change.
-    power : friction power at which warmth settles at 1 [W]; above 0.
-    start : warmth at the beginning of a record; 0 is cold.
+    `of_coulomb`, `of_viscous`: relative change of Coulomb and viscous friction at thermal state 1. `time`: time
+    constant [s]; 0 for a drive that does not change. `power`: friction power at which thermal state settles at 1 [W];
+    above 0. `start`: thermal state at the beginning of a record; 0 is cold.
     """
 
     of_coulomb: np.ndarray
@@ -401,15 +422,13 @@ class WarmUp:
             raise ShapeError("Expected time >= 0, power > 0 and start >= 0 of the warm-up, got others.")
 
     def kernel_rows(self) -> np.ndarray:
-        """Return the rows (5, n) as `kernels.Drive` takes them."""
+        """Fields in their order, one row each, as `kernels.Drive` takes them."""
         return np.stack([getattr(self, entry.name) for entry in fields(self)])
 
-    def warmth(self, power: np.ndarray, dt: np.ndarray) -> np.ndarray:
-        """Return the warmth (N, n) before each row, for friction power (N, n) [W] held over steps dt (N,) [s].
+    def thermal_state(self, power: np.ndarray, dt: np.ndarray) -> np.ndarray:
+        """Return the thermal state (N, n) before each row, for friction power (N, n) [W] held over steps dt (N,) [s].
 
-        Parameters
-        ----------
-        power : (N, n) |F_f qd|. dt : (N,).
+        `power`: (N, n) |F_f qd|. `dt`: (N,).
         """
         x = np.empty(np.shape(power))
         now = self.start

@@ -19,9 +19,7 @@ COMMAND_ROUNDS = 50
 def harmonic_basis(q: np.ndarray, harmonics: tuple[int, ...]) -> np.ndarray:
     """Return ``cos k q_j, sin k q_j`` for each k of `harmonics`: (..., n, 2 m).
 
-    Parameters
-    ----------
-    q : (..., n) joint positions [rad]. harmonics : m orders.
+    `q`: (..., n) joint positions [rad].
     """
     q, orders = numbers(q, "joint positions [rad]", ShapeError), numbers(harmonics, "orders of harmonics", ShapeError)
     if not q.ndim or orders.ndim != 1:
@@ -115,7 +113,7 @@ class KinematicCorrection:
 
         Parameters
         ----------
-        q : (..., n) joint positions that the robot tells [rad or m].
+        q : (..., n) joint positions that the robot reports [rad or m].
         joint_terms : phi (..., n, L), where the fit had some.
 
         Raises
@@ -161,7 +159,7 @@ class KinematicCorrection:
 
         Parameters
         ----------
-        q : (..., n) joint positions that the robot tells [rad or m].
+        q : (..., n) joint positions that the robot reports [rad or m].
         joint_terms : phi (..., n, L), where the fit had some.
         """
         return forward(self.robot, self.joints(q, joint_terms))
@@ -169,11 +167,11 @@ class KinematicCorrection:
     def pose_cov(self, q: ArrayLike, joint_terms: ArrayLike | None = None) -> np.ndarray:
         """Return the covariance (..., 6, 6) of `forward`, [v; w]: v in base axes, w in tool axes [m, rad].
 
-        ``C(q) = J(q) cov J(q)^T``. Directions that nothing told count as exactly known.
+        ``C(q) = J(q) cov J(q)^T``. Unidentified directions count as exactly known.
 
         Parameters
         ----------
-        q : (..., n) joint positions that the robot tells [rad or m].
+        q : (..., n) joint positions that the robot reports [rad or m].
         joint_terms : phi (..., n, L), where the fit had some.
         """
         J = self.pose_jacobian(q, joint_terms)
@@ -184,7 +182,7 @@ class KinematicCorrection:
 
         Parameters
         ----------
-        q : (..., n) joint positions that the robot tells [rad or m].
+        q : (..., n) joint positions that the robot reports [rad or m].
         joint_terms : phi (..., n, L), where the fit had some.
         """
         q = np.asarray(q, dtype=float)
@@ -255,7 +253,7 @@ class DualArmCorrection:
     ) -> np.ndarray:
         """Return the covariance (..., 6, 6) of `forward`, [v; w]: v in axes of tool a, w in axes of tool b [m, rad].
 
-        ``C = J cov J^T``. Directions that nothing told count as exactly known.
+        ``C = J cov J^T``. Unidentified directions count as exactly known.
 
         Parameters
         ----------

@@ -10,18 +10,136 @@ exactly and is not a set of masses.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from armlab._numbers import still
+from armlab._numbers import check_name, numbers, still
 from armlab.errors import ModelMismatchError, RobotError, ShapeError
 from armlab.kernels import Chain, Drive, MomentumEstimator, WrenchEstimator, model_torque
 from armlab.models.friction import Friction, FrictionBound, FrictionMap, Ripple, RippleLines, WarmUp
-from armlab.models.noise import KINDS, MomentumNoise, VelocityCovariance
-from armlab.robots import Robot
+from armlab.robots import Robot, inertia
+
+# Noise: torque covariance over velocity, and the noise of momentum estimators.
+#
+#     exponential:  s_i^2(qd) = (C0_i - Cinf_i) exp(-rate_i |qd_i|) + Cinf_i
+#     step:         s_i^2(qd) = C0_i where |qd_i| < threshold_i, else Cinf_i
+
+
+KINDS = ("exp", "step", "const")
+
+
+@dataclass(frozen=True, eq=False)
+class VelocityCovariance:
+    """Diagonal torque covariance as a function of joint velocity; arrays have shape (n,).
+
+    `C0`, `Cinf`: variance at rest and at speed [(N m)^2], C0 >= Cinf > 0. `shape`: "exp": decay rate [s/rad]; "step":
+    threshold speed [rad/s]; "const": zeros. `alpha2`: factor on both, set so that 2-sigma coverage on held-out data is
+    95.4 %.
+    """
+
+    kind: str
+    C0: np.ndarray
+    Cinf: np.ndarray
+    shape: np.ndarray
+    alpha2: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Check and freeze."""
+        check_name(self.kind, "covariance kind", KINDS)
+        for name in ("C0", "Cinf", "shape"):
+            values = still(getattr(self, name), f"{name} of a covariance")
+            object.__setattr__(self, name, values)
+            if not np.isfinite(values).all():
+                raise ShapeError(f"Expected finite {name} of a torque covariance, got NaN or Inf. Correct it.")
+        if np.any(self.shape < 0) or not 0 < self.alpha2 < np.inf:
+            raise ShapeError(
+                "Expected a decay rate or threshold not below zero and a finite alpha2 above zero, got others or "
+                f"alpha2 {self.alpha2:g}. Correct it."
+            )
+        regular = self.C0.ndim == 1 and self.C0.shape == self.Cinf.shape == self.shape.shape
+        if not regular or not np.all(self.Cinf > 0) or not np.all(self.Cinf <= self.C0):
+            raise ShapeError(
+                f"Expected C0 >= Cinf > 0, both of shape (n,) in (N m)^2, got shapes {self.C0.shape} and "
+                f"{self.Cinf.shape}. Give variances, one per joint."
+            )
+
+    def variance(self, qd: np.ndarray) -> np.ndarray:
+        """Return s^2 (..., n) [(N m)^2] at `qd` (..., n) [rad/s]."""
+        speed = np.abs(np.asarray(qd, dtype=float))
+        if self.kind == "exp":
+            weight = np.exp(-self.shape * speed)
+        elif self.kind == "step":
+            weight = (speed < self.shape).astype(float)
+        else:
+            weight = np.zeros_like(speed)
+        return self.alpha2 * ((self.C0 - self.Cinf) * weight + self.Cinf)
+
+
+def velocity_covariance(
+    kind: str, C0: np.ndarray, Cinf: np.ndarray, shape: np.ndarray | None = None, alpha2: float = 1.0
+) -> VelocityCovariance:
+    """Make a torque covariance over velocity.
+
+    Parameters
+    ----------
+    kind : "exp", "step" or "const".
+    C0, Cinf : (n,) variance at rest and at speed [(N m)^2].
+    shape : (n,) decay rate [s/rad] or threshold [rad/s]; not used by "const".
+    alpha2 : common factor.
+
+    Raises
+    ------
+    UnknownName : for another kind. ShapeError : when C0 >= Cinf > 0 does not hold, or a number is not finite.
+    """
+    zeros = np.zeros_like(numbers(C0, "C0 of a covariance", ShapeError))
+    return VelocityCovariance(kind, C0, Cinf, zeros if shape is None else shape, alpha2)
+
+
+# What the momentum estimators of the contact wrench need to know of a robot's torques and velocities.
+
+
+PRIOR = (20.0, 20.0, 20.0, 2.0, 2.0, 2.0)
+"""Standard deviations of a contact wrench before any measurement [N, N m]."""
+FORCE_RATES = {
+    "smooth": (2.0, 2.0, 2.0, 0.2, 0.2, 0.2),
+    "normal": (5.0, 5.0, 5.0, 0.5, 0.5, 0.5),
+    "fast": (20.0, 20.0, 20.0, 2.0, 2.0, 2.0),
+}
+"""How fast a contact wrench wanders, by name [N/sqrt(s), N m/sqrt(s)]."""
+
+
+@dataclass(frozen=True, eq=False)
+class MomentumNoise:
+    """Noise of torque and velocity as the momentum estimators see it.
+
+    `memory`: (n,) correlation time of the torque error [s]; its intensity is ``2 s^2 memory``. `qd_noise`: (n,)
+    deviation of the measured velocity [rad/s]. `alpha2_observer`, `alpha2_kf`: factors on the torque covariance, set so
+    that 2-sigma coverage on held-out data is 95.4 %: of the residual of the observer, and of the wrench of the Kalman
+    filter in free motion.
+    """
+
+    memory: np.ndarray
+    qd_noise: np.ndarray
+    alpha2_observer: float = 1.0
+    alpha2_kf: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Check and freeze."""
+        for name in ("memory", "qd_noise"):
+            values = still(getattr(self, name), f"{name} of the momentum noise")
+            object.__setattr__(self, name, values)
+        memory, noise = self.memory, self.qd_noise
+        regular = memory.ndim == 1 and memory.shape == noise.shape and np.isfinite([memory, noise]).all()
+        factors = (self.alpha2_observer, self.alpha2_kf)
+        if not regular or np.any(memory <= 0) or np.any(noise < 0) or not all(0 < a < np.inf for a in factors):
+            raise ShapeError(
+                "Expected memory > 0 and qd_noise >= 0, finite and both of shape (n,), and positive factors, got "
+                f"shapes {memory.shape} and {noise.shape}, factors {factors}. Give one number per joint."
+            )
+
 
 # Motors that move several joints, as in wrists: their inertia and friction act on all of these.
 #
@@ -29,17 +147,15 @@ from armlab.robots import Robot
 #
 #     tau = sum_k c_k^T (inertia_k c_k qdd + viscous_k c_k qd + coulomb_k tanh(c_k qd / smooth_speed_k))
 #
-# No set of links and joint friction has these torques: they must be told apart.
+# No set of links and joint friction has these torques: they are terms of their own.
 
 
 @dataclass(frozen=True, eq=False)
 class CoupledMotors:
     """K motors of an arm of n joints.
 
-    Attributes
-    ----------
-    ratios : (K, n) rows c_k.
-    inertia : (K,) [kg m^2]. viscous : (K,) [N m s/rad]. coulomb : (K,) [N m]. smooth_speed : (K,) [rad/s].
+    `ratios`: (K, n) rows c_k. `inertia`: (K,) [kg m^2]. `viscous`: (K,) [N m s/rad]. `coulomb`: (K,) [N m].
+    `smooth_speed`: (K,) [rad/s].
     """
 
     ratios: np.ndarray
@@ -136,13 +252,9 @@ class CoupledKernel:
 class Quality:
     """How well the model fits, per joint (n,).
 
-    Attributes
-    ----------
-    torque_sd : standard deviation of the measured torque [N m].
-    rms : residual in the data it was fitted to [N m]; rms_cv : in held-out blocks [N m]; both in motion, after the
-        causal filter of the estimator.
-    coverage : share of held-out causal residuals inside 2 sigma.
-    seconds : length of the training data.
+    `torque_sd`: standard deviation of the measured torque [N m]. `rms`: residual in the data it was fitted to [N m];.
+    `rms_cv`: in held-out blocks [N m]; both in motion, after the causal filter of the estimator. `coverage`: share of
+    held-out causal residuals inside 2 sigma.
     """
 
     torque_sd: np.ndarray
@@ -172,13 +284,10 @@ SPEED_EDGES.flags.writeable = False
 class Training:
     """Limits of the data behind a model; outside them its quality figures say nothing.
 
-    Attributes
-    ----------
-    q_min, q_max : (n,) range of position [rad]. qd_peak : (n,) largest speed [rad/s].
-    speed_share : (n, 12) share of samples per bin of `SPEED_EDGES`: six of negative velocity, then six of positive,
-        slowest first.
-    rest_share : share of samples at which every joint is slower than 1 % of its peak.
-    longest_rest : longest stretch of such samples [s].
+    `q_min`, `q_max`: (n,) range of position [rad]. `qd_peak`: (n,) largest speed [rad/s]. `speed_share`: (n, 12) share
+    of samples per bin of `SPEED_EDGES`: six of negative velocity, then six of positive, slowest first. `rest_share`:
+    share of samples at which every joint is slower than 1 % of its peak. `longest_rest`: longest stretch of such
+    samples [s].
     """
 
     q_min: np.ndarray
@@ -362,7 +471,7 @@ class TorqueModel:
         Parameters
         ----------
         prior : (6,) prior variances of the wrench [N^2, (N m)^2].
-        method : 0 map, 1 bounded, 2 clip, 3 interval, 4 ls, 5 lund.
+        method : number of a static method of `contact.Estimator`, in their order; 0 is "map".
         point : (3,) known contact in tool axes [m], or None.
         """
         b = self.bound
@@ -452,3 +561,70 @@ class TorqueModel:
         c = self.covariance
         kind = float(KINDS.index(c.kind))
         return np.stack([alpha2 * c.C0, alpha2 * c.Cinf, c.shape, np.full(self.n, kind)])
+
+
+# A load at the flange: its mass, its centre, its inertia, and what it adds to a torque model.
+
+
+@dataclass(frozen=True, eq=False)
+class Payload:
+    """A load fixed rigidly to the flange of one robot.
+
+    Attributes
+    ----------
+    robot_name, robot_hash : the robot that carried it.
+    pi : (10,) m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the flange's origin, flange axes [kg, kg m, kg m^2].
+    T_last_flange : (4, 4) the flange in the last link's frame.
+    sources : SHA-256 and name of each log.
+    """
+
+    robot_name: str
+    robot_hash: str
+    pi: np.ndarray
+    T_last_flange: np.ndarray
+    sources: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        """Check shapes and freeze the arrays."""
+        for name, shape in (("pi", (10,)), ("T_last_flange", (4, 4))):
+            values = still(getattr(self, name), f"{name} of a payload")
+            if values.shape != shape or not np.isfinite(values).all():
+                raise ShapeError(f"Expected finite {name} of shape {shape} of a payload, got shape {values.shape}.")
+            object.__setattr__(self, name, values)
+
+    @property
+    def mass(self) -> float:
+        """Mass [kg]."""
+        return float(self.pi[0])
+
+    @property
+    def centre(self) -> np.ndarray:
+        """Centre of mass (3,) in flange axes [m]; zero without mass."""
+        return inertia.to_body(self.pi).centre
+
+    @property
+    def inertia(self) -> np.ndarray:
+        """Inertia (3, 3) about the centre of mass, flange axes [kg m^2]."""
+        return inertia.to_body(self.pi).inertia
+
+    def added_to(self, model: TorqueModel) -> TorqueModel:
+        """Return the torque model of the arm that carries this load: only its last link differs.
+
+        The identified base parameters and their covariance stay those of the arm alone.
+
+        Parameters
+        ----------
+        model : of the arm without the load.
+
+        Raises
+        ------
+        ModelMismatchError : when the model belongs to another robot.
+        """
+        if model.robot_hash != self.robot_hash:
+            raise ModelMismatchError(
+                f"Expected a model of robot {self.robot_name!r} ({self.robot_hash[:12]}), got one of "
+                f"{model.robot_name!r} ({model.robot_hash[:12]}). Fit the load again with this robot."
+            )
+        links = model.link_parameters.copy()
+        links[-1] += inertia.transform(self.T_last_flange, self.pi)
+        return replace(model, link_parameters=links)

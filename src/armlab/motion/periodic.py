@@ -458,10 +458,10 @@ def _fit(blank: PeriodicDmp, A: np.ndarray, off: np.ndarray, found: Any, ridge: 
         names=tuple(name if n == 1 else f"{name} of coordinate {i}" for i in range(n) for name in names),
         units=("unit of y",) * (m * n),
         parameters=found.x.T.ravel(),
-        cov=lambda: block_covariance(unit, sigma),
+        cov=block_covariance(unit, sigma),
         sigma=sigma,
         residuals=residuals,
         n=len(off),
-        excitation=lambda: Excitation.of(found.triangle, names, MAX_CONDITION),
+        excitation=Excitation.of(found.triangle, names, MAX_CONDITION),
         classes=tuple(f"position of coordinate {i} [unit of y]" for i in range(n)),
     )

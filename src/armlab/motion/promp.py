@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from armlab._numbers import generator, members, number, numbers, positive, still
 from armlab.errors import ConfigError, NotExcited, ShapeError
-from armlab.estimation import Excitation, Fit, check_excitation
+from armlab.estimation import Excitation, Fit
+from armlab.estimation.excitation import check_excitation
 from armlab.motion.arguments import clock
 from armlab.motion.primitive.demonstrations import Demo, read_demos
 from armlab.motion.primitive.equation import normalised

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armlab._palette import AXIS_COLORS, GREY
-from armlab.contact import Hypotheses, contacts
+from armlab.contact import contacts
+from armlab.contact.contacts import Hypotheses
 from armlab.errors import ShapeError, UnknownName, shortened
 from armlab.glossary import label, lookup
 from armlab.log import Table

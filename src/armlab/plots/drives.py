@@ -17,7 +17,8 @@ from armlab.estimation import Fit
 from armlab.glossary import lookup
 from armlab.identify.residuals import model_residuals
 from armlab.kernels import Drive
-from armlab.models import Ripple, TorqueModel
+from armlab.models import TorqueModel
+from armlab.models.friction import FRICTION_TERMS, Ripple
 from armlab.plots.model import value_of
 from armlab.plots.style import JOINT_STYLES, MODEL, band, cloud, expect, legend, look, panels
 
@@ -100,15 +101,8 @@ def _parameter_variance(fit: Fit[TorqueModel], i: int, qd: np.ndarray) -> np.nda
     """Return the variance (N,) of the friction curve of joint i from the covariance of its parameters."""
     friction = fit.value.friction
     s = _sign(fit.value, np.repeat(qd[:, None], fit.value.n, axis=1))[:, i]
-    slopes = {
-        "viscous": qd,
-        "coulomb": s,
-        "coulomb+": np.maximum(s, 0.0),
-        "coulomb-": np.minimum(s, 0.0),
-        "offset": np.ones_like(qd),
-        "stribeck": s * np.exp(-((qd / friction.stribeck_speed[i]) ** 2)),
-        "root": s * np.sqrt(np.abs(qd)),
-    }
+    slopes = {name: term.column(qd, s) for name, term in FRICTION_TERMS.items() if term.column}
+    slopes["stribeck"] = slopes["stribeck"] * np.exp(-((qd / friction.stribeck_speed[i]) ** 2))
     own = own_parameters(fit)[i]
     found = [(own[kind], slope) for kind, slope in slopes.items() if kind in own]
     if not found:
@@ -153,7 +147,7 @@ def friction_map(
 
     Parameters
     ----------
-    model : with or without `models.FrictionMap`, or the fit that has it.
+    model : with or without `models.friction.FrictionMap`, or the fit that has it.
     joint : number, from 0.
     table : with q, qd (N, n), what the map was fitted to.
     slices : (k,) positions of the cuts [rad]; three, evenly spaced, when None.

@@ -9,11 +9,13 @@ import numpy as np
 
 from armlab._palette import GREY
 from armlab.errors import ModelMismatchError, ShapeError, UnknownName
-from armlab.estimation import Excitation, Fit, correlation_time
+from armlab.estimation import Excitation, Fit
+from armlab.estimation.bootstrap import correlation_time
 from armlab.glossary import label, lookup
 from armlab.identify import predict
 from armlab.log import Table
-from armlab.models import TorqueModel, VelocityCovariance
+from armlab.models import TorqueModel
+from armlab.models.torque import VelocityCovariance
 from armlab.plots.style import JOINT_STYLES, MODEL, band, cloud, expect, legend, line, look, panels
 
 if TYPE_CHECKING:
@@ -111,7 +113,7 @@ def residual_speed(
     Parameters
     ----------
     table : of free motion, with qd and tau_error (N, n), from `contact.Estimator.run`.
-    covariances : name -> `models.VelocityCovariance`, drawn as curves at two sigma.
+    covariances : name -> `models.torque.VelocityCovariance`, drawn as curves at two sigma.
     joints : numbers of the joints to draw, from 0; all when None.
     ax : as many Axes as joints; a new figure when None.
 

@@ -32,7 +32,7 @@ STANDARD = 9.80665
 
 @dataclass(frozen=True, eq=False)
 class LoadUnknowns:
-    """Names, units and limits of the unknowns; puts a direction of them into words, see `estimation.check_spread`."""
+    """Names, units and limits of the unknowns; puts a direction of them into words, see `check_spread`."""
 
     equation: WeightEquation  # of the fit
     load: Load  # that was found

@@ -39,7 +39,9 @@ from armlab.calibrate.gravity_load.model import (
 )
 from armlab.calibrate.inputs import covariance, finite, gravity_of, orientations, point_noise
 from armlab.errors import NotConverged, NotExcited, ShapeError
-from armlab.estimation import Fit, NonlinearSolution, check_spread, nonlinear_least_squares
+from armlab.estimation import Fit, nonlinear_least_squares
+from armlab.estimation.excitation import check_spread
+from armlab.estimation.nonlinear import NonlinearSolution
 from armlab.models import Accelerometer, ForceSensor
 
 LIMITS = (0.2, 0.3, 0.1)

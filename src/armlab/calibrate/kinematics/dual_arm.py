@@ -24,7 +24,8 @@ from armlab.calibrate.kinematics.model import Arm, ArmState, amplitude_prior, ch
 from armlab.calibrate.kinematics.solve import Question, check_misfit, check_weak, length_angle, spread_of
 from armlab.calibrate.kinematics.start import check_scale, hand_eye, kabsch
 from armlab.errors import ConfigError, NotExcited, ShapeError
-from armlab.estimation import Fit, Measurement, NonlinearSolution
+from armlab.estimation import Fit, Measurement
+from armlab.estimation.nonlinear import NonlinearSolution
 from armlab.kinematics import twist_jacobian
 from armlab.lie import se3
 from armlab.models import DualArmCorrection, KinematicCorrection

@@ -22,7 +22,8 @@ from armlab.calibrate.kinematics.model import Arm, KinematicProblem, State
 from armlab.calibrate.kinematics.solve import Question, check_misfit, check_weak, length_angle, never_moves, spread_of
 from armlab.calibrate.kinematics.start import check_scale, start_arm
 from armlab.errors import ConfigError, NotExcited, ShapeError, UnknownName
-from armlab.estimation import Fit, Measurement, NonlinearSolution
+from armlab.estimation import Fit, Measurement
+from armlab.estimation.nonlinear import NonlinearSolution
 from armlab.models import KinematicCorrection
 from armlab.robots import Robot
 

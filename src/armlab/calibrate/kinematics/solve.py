@@ -13,7 +13,8 @@ from armlab._numbers import numbers
 from armlab.calibrate.kinematics.identifiability import Judgement, UnobservableDirection, spread_covariance
 from armlab.calibrate.kinematics.measurements import Kind
 from armlab.errors import ConfigError, NotConverged, NotExcited, UnknownName
-from armlab.estimation import Excitation, Measurement, NonlinearProblem, NonlinearSolution, nonlinear_least_squares
+from armlab.estimation import Excitation, Measurement, NonlinearProblem, nonlinear_least_squares
+from armlab.estimation.nonlinear import NonlinearSolution
 
 SCHEDULE = (1000.0, 300.0, 100.0, 30.0, 10.0)
 UNIT = 1e-3  # 1 mm and 1 mrad: of equal steps the smallest is taken

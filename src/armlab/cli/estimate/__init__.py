@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 if TYPE_CHECKING:
     from armlab.cli.support.html_report import Verdict
-    from armlab.contact import Contact, Hypotheses
+    from armlab.contact.contacts import Contact, Hypotheses
     from armlab.log import Table
     from armlab.robots import Robot
 

@@ -12,7 +12,7 @@ from armlab.cli.support.html_report import HtmlReport, Verdict
 from armlab.cli.support.log_input import gaps, left_out
 
 if TYPE_CHECKING:
-    from armlab.contact import Contact, Hypotheses
+    from armlab.contact.contacts import Contact, Hypotheses
     from armlab.log import Table
     from armlab.models import TorqueModel
 

@@ -67,12 +67,13 @@ def payload(
     from armlab.cli.support.output import FIGURES, check_output, note, print_json, progress, result, save_figure
     from armlab.estimation import Fit
     from armlab.identify import fit_payload
+    from armlab.models.files import load_statistics
 
     for path, endings in ((output, (".toml",)), (report, (".html",)), (figure, FIGURES)):
         if path is not None:
             check_output(path, force, endings)
     arm, known = robots.load(robot), models.load(model, "torque_model")
-    told = Fit.load(model) if models.load_statistics(model) else known  # the fit knows what is uncertain in friction
+    told = Fit.load(model) if load_statistics(model) else known  # the fit knows what is uncertain in friction
     table = read_log(log, arm)
     empty = None if without is None else read_log(without, arm)
     with progress("payload") as tell:

@@ -18,7 +18,8 @@ import numpy as np
 
 from armlab._numbers import numbers
 from armlab.errors import NotExcited, ShapeError
-from armlab.estimation import Excitation, Fit, block_seconds
+from armlab.estimation import Excitation, Fit
+from armlab.estimation.bootstrap import block_seconds
 from armlab.identify.drives.regularised import RIDGE as LINE_RIDGE
 from armlab.identify.drives.regularised import held_out_error, refit, ridge_solution
 from armlab.identify.drives.ripple import (
@@ -32,16 +33,17 @@ from armlab.identify.drives.ripple import (
     warn_of_fast_lines,
 )
 from armlab.identify.drives.warm_up import MIN_SECONDS, fit_warm_up
-from armlab.identify.residuals import Residuals, model_residuals
+from armlab.identify.residuals import ModelResiduals, model_residuals
 from armlab.identify.validation import FIFTHS, assess_again, fold_of
 from armlab.log import Table
-from armlab.models import FrictionMap, RadialBasis, RippleLines, TorqueModel, speed_basis
+from armlab.models import TorqueModel
+from armlab.models.friction import FrictionMap, RadialBasis, RippleLines, speed_basis
 
 # Centres and regressor of friction over position and speed: the ancestor's `getcenters` and `frictionRBFN`, corrected.
 #
 # Against Robotlib.jl: widths belong to a joint; centres have speeds above 0 and stand for both directions; at rest the
 # presliding state blends both; the functions sum to 1 everywhere, without a constant in the denominator, and beyond the
-# centres the nearest edge counts, which `models.RadialBasis.outside` tells.
+# centres the nearest edge counts, see `RadialBasis.outside`.
 
 
 SLOWEST = 0.02  # of the peak speed: slower samples do not place centres
@@ -118,13 +120,13 @@ def _record(q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 RIDGE = 1e-3  # of the friction map, relative to the mean diagonal
 SHORTEST = 0.5  # s, of a block
 MOST_OF = 20  # blocks at least
-ROWS = 20000  # that a joint is fitted to: more are thinned
+ROWS = 20000  # that a joint is fitted to: more are decimated
 SPEEDS = 8
 HIGHEST = 1.25  # times the ripple line of the model, which is at twice the gear ratio
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
+class _DrivePart:
     """Coefficients (p,) of one joint, lines (L,), covariance of both, and coefficients (5, p) without each fifth."""
 
     name: str
@@ -144,7 +146,7 @@ class _Part:
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows:
+class _JointRows:
     """Thinned rows of one joint, with the number of the half second and of the fifth that they are in."""
 
     q: np.ndarray
@@ -153,12 +155,12 @@ class _Rows:
     half: np.ndarray
     fifth: np.ndarray
     rate: float  # of the log
-    step: float  # s, between thinned rows
+    step: float  # s, between decimated rows
 
-    def of(self, use: np.ndarray) -> _Rows:
+    def of(self, use: np.ndarray) -> _JointRows:
         """Return the rows that are used (M,)."""
         parts = self.q[use], self.qd[use], self.s[use], self.half[use], self.fifth[use]
-        return _Rows(*parts, self.rate, self.step)
+        return _JointRows(*parts, self.rate, self.step)
 
     def blocks(self, left: np.ndarray) -> np.ndarray:
         """Return block numbers (M,): blocks last longer than the residuals (M,) remember, and there are 20 or more."""
@@ -211,13 +213,13 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torq
     basis, fifth = rbf_centres(data.q, data.qd), fold_of(data)
     peaks = np.abs(data.qd).max(axis=0)
     spread = [speed_basis(0.0, float(peak), SPEEDS) for peak in peaks]
-    lines: dict[int, _Part] = {}
-    maps: dict[int, _Part] = {}
+    lines: dict[int, _DrivePart] = {}
+    maps: dict[int, _DrivePart] = {}
     every = max(1, len(data.t) // ROWS)
     highest = _highest(model, data.qd[::every], data.rate)
     for i in range(model.n):
         q, qd, s, y = (np.ascontiguousarray(x[::every, i]) for x in (data.q, data.qd, found.s, found.y))
-        rows = _Rows(q, qd, s, half[::every], fifth[::every], data.rate, every / data.rate)
+        rows = _JointRows(q, qd, s, half[::every], fifth[::every], data.rate, every / data.rate)
         lowest = np.pi / float(basis.position_widths[i, 0])
         others = np.tile(y, (FIFTHS, 1))
         over = basis.functions(i, q, qd, s)
@@ -231,9 +233,9 @@ def fit_friction(table: Table | Sequence[Table], model: TorqueModel) -> Fit[Torq
         block = rows.blocks(y)
         if held_out_error(over, y, block, RIDGE) < (1.0 - GAIN) * held_out_error(over[:, :0], y, block):
             k, cov = rows.refit(over, y, RIDGE)
-            maps[i] = _Part(f"map joint {i + 1}", k, np.zeros(0), cov, rows.folds(over, others, RIDGE))
+            maps[i] = _DrivePart(f"map joint {i + 1}", k, np.zeros(0), cov, rows.folds(over, others, RIDGE))
 
-    def with_parts(pick: Callable[[_Part], np.ndarray]) -> TorqueModel:
+    def with_parts(pick: Callable[[_DrivePart], np.ndarray]) -> TorqueModel:
         of_lines = {i: (part.cycles, pick(part)) for i, part in lines.items()}
         own_map = _map(basis, {i: pick(part) for i, part in maps.items()}) if maps else model.friction_map
         return replace(model, lines=_lines(of_lines, spread) if lines else model.lines, friction_map=own_map)
@@ -256,13 +258,13 @@ def _highest(model: TorqueModel, qd: np.ndarray, rate: float) -> np.ndarray:
 
 
 def _ripple(
-    rows: _Rows,
+    rows: _JointRows,
     y: np.ndarray,
     clean: np.ndarray,
     ends: tuple[float, float],
     peak: float,
     name: str,
-) -> tuple[_Part, tuple[np.ndarray, np.ndarray]] | None:
+) -> tuple[_DrivePart, tuple[np.ndarray, np.ndarray]] | None:
     """Return the lines of one joint that stay with their coefficients, and the Gaussians in speed of these.
 
     They are fitted to the rows on which all of them are slow, and so far the Gaussians reach: beyond, the amplitude is
@@ -284,7 +286,7 @@ def _ripple(
         return None
     cycles, A, slopes = refine_lines(rows.q, amplitudes, y, cycles[kept])
     k, cov = rows.refit(A, y, LINE_RIDGE, slopes)
-    return _Part(name, k, cycles, cov, rows.folds(A, np.tile(y, (FIFTHS, 1)), LINE_RIDGE)), spread
+    return _DrivePart(name, k, cycles, cov, rows.folds(A, np.tile(y, (FIFTHS, 1)), LINE_RIDGE)), spread
 
 
 def _lines(
@@ -306,7 +308,9 @@ def _map(basis: RadialBasis, maps: dict[int, np.ndarray]) -> FrictionMap:
     return FrictionMap(basis, coefficients)
 
 
-def _fit(table: Table | Sequence[Table], model: TorqueModel, parts: list[_Part], before: Residuals) -> Fit[TorqueModel]:
+def _fit(
+    table: Table | Sequence[Table], model: TorqueModel, parts: list[_DrivePart], before: ModelResiduals
+) -> Fit[TorqueModel]:
     names = tuple(name for part in parts for name in part.names)
     cov, at = np.zeros((len(names), len(names))), 0
     for part in parts:

@@ -14,7 +14,7 @@ import numpy as np
 
 from armlab._numbers import number, numbers
 from armlab.errors import NotConverged, ShapeError
-from armlab.estimation import shrinkage
+from armlab.estimation.bootstrap import shrinkage
 
 # Ridge regression on coloured residuals: coefficients, a covariance that takes no model of the noise, held-out errors.
 #
@@ -45,8 +45,8 @@ def refit(
 
     ``H = A^T A + r 1, r = ridge mean(diag)``, ``cov = H^-1 (S + r^2 v 1) H^-1`` with S the scatter ``sum_b g_b g_b^T``
     of the moments g_b of the residuals in a block: residuals that remember make it larger than the formal one. Where
-    blocks are few for the coefficients S is shrunk towards a multiple of H (`estimation.shrinkage`): it would have no
-    spread in most directions. v is the mean square of the coefficients: so far the ridge pulls what is hardly told.
+    blocks are few for the coefficients S is shrunk towards a multiple of H (`shrinkage`): it would have no
+    spread in most directions. v is the mean square of the coefficients: the ridge pulls weak ones that far.
 
     `A`: (N, p). `y`: (N,). `block`: (N,) numbers. `beside`: (N, m) columns of parameters known so far that they leave
     nothing, free in the covariance, which is then (p + m, p + m).
@@ -64,7 +64,7 @@ def refit(
 def _moments(A: np.ndarray, left: np.ndarray, H: np.ndarray, block: np.ndarray) -> np.ndarray:
     """Return the moments (B, p) of stretches, each as large as that of the noise.
 
-    A stretch that tells a coefficient nearly alone leaves nothing of its own noise: with M its share of H, the moment
+    A stretch that identifies a coefficient nearly alone leaves none of its own noise: with M its share of H, the moment
     is ``(1 - M)^(-1/2)`` times that of the residuals, in coordinates in which H is 1 (Bell and McCaffrey 2002).
     """
     number = np.asarray(block) // (1 + int(np.max(block)) // MOST_STRETCHES)
@@ -81,13 +81,8 @@ def _moments(A: np.ndarray, left: np.ndarray, H: np.ndarray, block: np.ndarray) 
 def scattered(H: np.ndarray, moments: np.ndarray) -> np.ndarray:
     """Return ``H^-1 S H^-1`` (p, p), S the scatter of the moments, shrunk towards a multiple of H where they are few.
 
-    Parameters
-    ----------
-    H : (p, p) of the normal equations. moments : (B, p) gradients of independent stretches, of sum 0 or nearly so.
-
-    References
-    ----------
-    Huber (1967), The behavior of maximum likelihood estimates under nonstandard conditions, for the sandwich.
+    `H`: (p, p) of the normal equations. `moments`: (B, p) gradients of independent stretches, of sum 0 or nearly so.
+    After Huber (1967), The behavior of maximum likelihood estimates under nonstandard conditions, for the sandwich.
     """
     scale = np.sqrt(np.diag(H))  # parameters of many units
     root = np.linalg.cholesky(H / np.outer(scale, scale))
@@ -121,10 +116,7 @@ SHORTEST = 1e-3  # of the largest penalty
 class GroupLasso:
     """A solution.
 
-    Attributes
-    ----------
-    x : (p,) coefficients. objective : of the problem. gap : objective minus a lower bound of the least, relative to it.
-    rounds : of the iteration.
+    `x`: (p,) coefficients. `gap`: objective minus a lower bound of the least, relative to it.
     """
 
     x: np.ndarray
@@ -161,17 +153,8 @@ class _Sums:
 def group_lasso(A: np.ndarray, y: np.ndarray, size: int, penalty: float) -> GroupLasso:
     """Solve the group lasso by FISTA with adaptive restart.
 
-    Parameters
-    ----------
-    A : (N, p) columns, group by group. y : (N,). size : columns in a group. penalty : above 0.
-
-    Raises
-    ------
-    ShapeError : other shapes, NaN, a penalty that is not positive. NotConverged : the gap stays above 1e-6.
-
-    References
-    ----------
-    Yuan and Lin (2006); Beck and Teboulle (2009); O'Donoghue and Candes (2015), Adaptive restart.
+    `A`: (N, p) columns, group by group. `y`: (N,). `penalty`: above 0. After Yuan and Lin (2006); Beck and Teboulle
+    (2009); O'Donoghue and Candes (2015), Adaptive restart.
     """
     A, y, penalty = numbers(A, "A", ShapeError), numbers(y, "y", ShapeError), number(penalty, "penalty")
     if A.ndim != 2 or y.shape != A.shape[:1] or size < 1 or A.shape[1] % size or not penalty > 0:
@@ -227,11 +210,7 @@ def select_groups(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray, fo
 
     The penalty is the largest of 20 whose held-out error is within one standard deviation of the least.
 
-    Parameters
-    ----------
-    A : (N, p) columns, group by group. y : (N,). size : columns in a group.
-    block : (N,) block number of each row; whole blocks are held out.
-    folds : of the cross-validation.
+    `A`: (N, p) columns, group by group. `y`: (N,). `block`: (N,) block number of each row; whole blocks are held out.
     """
     A, y, block = (numbers(one, "columns, values and blocks", ShapeError) for one in (A, y, block))
     if A.ndim != 2 or not y.shape == block.shape == A.shape[:1]:

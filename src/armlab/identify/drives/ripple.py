@@ -1,4 +1,4 @@
-"""Search and fit of torque ripple lines on the residuals of one joint (models.RippleLines has the law).
+"""Search and fit of torque ripple lines on the residuals of one joint (models.friction.RippleLines has the law).
 
 1. Least-squares periodogram over position: for each c the share of the residual that cos(c q) and sin(c q) explain. A
    peak counts when noise with the local median would give one like it anywhere with p < 1e-3; the strongest is taken,
@@ -7,7 +7,7 @@
 3. A line stays when without it the error on held-out blocks grows by more than 2 %.
 
 A line passes with the frequency c |qd| / (2 pi): only samples below a quarter of the sampling rate are used, and a line
-that loses more than half of the samples is refused; what cannot be searched for that reason is told by a warning.
+that loses more than half of the samples is refused; a warning names the lines that cannot be searched for that reason.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 from armlab._numbers import numbers
 from armlab.errors import ShapeError
-from armlab.estimation import mad
+from armlab.estimation.robust import mad
 from armlab.identify.drives.regularised import RIDGE, held_out_error, ridge_solution, select_groups
 from armlab.identify.record import SLOW_SHARE, slow_enough
 from armlab.kernels import basis_weights
@@ -33,7 +33,7 @@ CHUNK = 2**22  # numbers held at once
 
 
 @dataclass(frozen=True, eq=False)
-class _Search:
+class _LineSearch:
     """Rows of one joint that may be used for a line: those on which it passes slowly enough."""
 
     q: np.ndarray
@@ -81,12 +81,12 @@ def ripple_lines(
     seen = highest_seen(qd, rate)
     if seen < highest:
         warn_of_fast_lines({"this joint": seen}, rate)
-    search = _Search(q, qd, y - np.mean(y), rate)
+    search = _LineSearch(q, qd, y - np.mean(y), rate)
     grid = np.arange(lowest, highest, 0.25 / turns)
     grid = grid[[np.mean(search.slow(c)) >= 0.5 for c in grid]]
     found: list[float] = []
     while len(found) < MAX_LINES and len(grid):
-        rest = _Search(q, qd, _left(search, found), rate)
+        rest = _LineSearch(q, qd, _left(search, found), rate)
         power = _periodogram(rest, grid)
         floor = np.array([np.median(power[max(k - NEIGHBOURS, 0) : k + NEIGHBOURS + 1]) for k in range(len(grid))])
         ratio = power / np.maximum(floor, 1e-300)
@@ -123,7 +123,7 @@ def warn_of_fast_lines(seen: dict[str, float], rate: float) -> None:
     )
 
 
-def _left(search: _Search, lines: list[float]) -> np.ndarray:
+def _left(search: _LineSearch, lines: list[float]) -> np.ndarray:
     """Return the residual without lines whose amplitude and phase are constant in either direction."""
     if not lines:
         return search.y
@@ -133,7 +133,7 @@ def _left(search: _Search, lines: list[float]) -> np.ndarray:
     return search.y - A @ np.linalg.lstsq(A, search.y, rcond=None)[0]
 
 
-def _periodogram(search: _Search, grid: np.ndarray) -> np.ndarray:
+def _periodogram(search: _LineSearch, grid: np.ndarray) -> np.ndarray:
     """Return the sum of squares per sample (len(grid),) that each line explains."""
     power = np.empty(len(grid))
     step = max(1, CHUNK // len(search.q))
@@ -149,12 +149,12 @@ def _periodogram(search: _Search, grid: np.ndarray) -> np.ndarray:
     return power
 
 
-def _refined(search: _Search, c: float, width: float) -> float:
+def _refined(search: _LineSearch, c: float, width: float) -> float:
     """Return the line near c that leaves least: phases of the two directions may differ."""
     from scipy.optimize import minimize_scalar
 
     slow = search.slow(c)
-    rows = _Search(search.q[slow], search.qd[slow], search.y[slow], search.rate)
+    rows = _LineSearch(search.q[slow], search.qd[slow], search.y[slow], search.rate)
     best = minimize_scalar(
         lambda x: np.sum(_left(rows, [x]) ** 2),
         bounds=(max(c - width, 1.0), c + width),
@@ -169,10 +169,8 @@ def ripple_regressor(
 ) -> np.ndarray:
     """Return the columns (N, L 2 S 2) of lines with amplitudes for both directions, in the order of the coefficients.
 
-    Parameters
-    ----------
-    q, qd, z : (N,) position [rad], velocity [rad/s], presliding state.
-    cycles : (L,) lines. speeds, widths : (S,) of the Gaussians [rad/s].
+    `q`, `qd`, `z`: (N,) position [rad], velocity [rad/s], presliding state. `cycles`: (L,) lines. `speeds`, `widths`:
+    (S,) of the Gaussians [rad/s].
     """
     return _waves(q, ripple_amplitudes(qd, z, speeds, widths), cycles)[0]
 

@@ -1,4 +1,4 @@
-"""Friction that changes as drives warm up, from a long log without a temperature sensor (models.WarmUp has the law).
+"""Friction that changes as drives warm up, from a long log without a temperature sensor (law: `WarmUp`).
 
     y = viscous qd + (of_viscous viscous) x qd + coulomb+ max(s, 0) + coulomb- min(s, 0) + offset + of_coulomb x c
 
@@ -15,11 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armlab.errors import NotExcited
-from armlab.estimation import Excitation, Fit, block_seconds
+from armlab.estimation import Excitation, Fit
+from armlab.estimation.bootstrap import block_seconds
 from armlab.identify.drives.regularised import scattered
 from armlab.identify.residuals import (
     BIN,
-    Residuals,
+    ModelResiduals,
     dry_torques,
     mean_power,
     model_residuals,
@@ -29,7 +30,8 @@ from armlab.identify.residuals import (
 )
 from armlab.identify.validation import FIFTHS, assess_again, fold_of
 from armlab.log import Table
-from armlab.models import TorqueModel, WarmUp
+from armlab.models import TorqueModel
+from armlab.models.friction import WarmUp
 
 MIN_SECONDS = 20 * 60.0
 TIMES = 60.0 * np.geomspace(2.0, 60.0, 12)  # s
@@ -54,7 +56,7 @@ class _Seconds:
     rows: np.ndarray  # (B,)
 
     @classmethod
-    def of(cls, found: Residuals, model: TorqueModel, i: int) -> _Seconds:
+    def of(cls, found: ModelResiduals, model: TorqueModel, i: int) -> _Seconds:
         f, data = model.friction, found.data
         qd, s, number = data.qd[:, i], found.s[:, i], seconds(data.t)
         c, _ = dry_torques(model, i, qd, s)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,7 @@ class Learned:
     ends: np.ndarray
     unit: np.ndarray
     sigma: np.ndarray
-    residuals: np.ndarray | Callable[[], np.ndarray]
+    residuals: np.ndarray
     triangle: np.ndarray
     unknowns: tuple[int, ...]
     of_position: bool
@@ -288,13 +287,13 @@ class Forced:
 
 @dataclass(frozen=True)
 class Regression:
-    """Weights (m, n), their covariances (n, m, m) for noise of unit variance, noise of the forcing (n,), what makes the
+    """Weights (m, n), their covariances (n, m, m) for noise of unit variance, noise of the forcing (n,),
     residuals (N, n), and triangle (m, m) of the first coordinate."""
 
     weights: np.ndarray
     unit: np.ndarray
     sigma: np.ndarray
-    residuals: Callable[[], np.ndarray]
+    residuals: np.ndarray
     triangle: np.ndarray
 
 
@@ -323,14 +322,14 @@ def fit_regression(
         weights = _joined([demo.weights for demo in demos])
         one = _least_squares(rows, weights, ridge) if bells is None else _kernel_by_kernel(rows, weights, *bells)
         found.append(one)
-        left.append(partial(rows.residuals, one[0]))
+        left.append(rows.residuals(one[0]))
     w, squares = (np.concatenate([one[k] for one in found], axis=-1) for k in (0, 3))
     N = sum(len(demo.f) for demo in demos)
     return Regression(
         w,
         np.concatenate([np.broadcast_to(one[1], (one[0].shape[1], m, m)) for one in found]),
         np.sqrt(squares / max(N - m, 1)),
-        lambda: np.concatenate([one() for one in left], axis=-1),
+        np.concatenate(left, axis=-1),
         found[0][2],
     )
 
