@@ -9,8 +9,8 @@ import pytest
 
 from armlab import models
 from armlab.calibrate import fit_hand_eye
-from armlab.calibrate.hand_eye import LIMITS, HandEyeEquation, Pair, inverse_noise
-from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
+from armlab.calibrate.hand_eye import LIMITS, HandEyeEquation, Pair
+from armlab.errors import NotExcited
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.lie import se3, so3
 
@@ -66,13 +66,6 @@ def test_jacobian_is_the_derivative_of_the_residual(hand_eye) -> None:
         np.testing.assert_allclose(found.J[:, :, k], (up - down) / (2 * h), atol=1e-6)
 
 
-def test_the_closed_form_start_is_exact_on_exact_data(hand_eye) -> None:
-    data = hand_eye.draw(2, 30, np.radians(5.0), camera=(0.0, 0.0))
-    start = equation_of(data).start()
-    for pose, truth in zip(start.poses(), (data.X, data.Y)):
-        np.testing.assert_allclose(pose, truth, atol=1e-10)
-
-
 def test_both_setups_are_one_equation(hand_eye) -> None:
     data = hand_eye.draw(4)
     still = fit_hand_eye(**data.given, noise=CAMERA)
@@ -81,19 +74,6 @@ def test_both_setups_are_one_equation(hand_eye) -> None:
     np.testing.assert_allclose(held.value.T_tool_cam, still.value.T_base_cam, atol=1e-13)
     assert held.names[0] == "T_base_marker x"
     assert still.names[-1] == "T_base_cam rz"
-
-
-def test_noise_of_an_inverse_pose(hand_eye) -> None:
-    """The covariance of T^-1 by its first-order formula, against differences."""
-    T = hand_eye.draw(0, 1).A[0]
-    columns = []
-    for step in np.eye(6) * 1e-6:
-        moved = T.copy()
-        moved[:3, 3] += step[:3]
-        moved[ROTATION] = T[ROTATION] @ so3.exp(step[3:])
-        columns.append(pose_error(se3.inv(moved), se3.inv(T)) / 1e-6)
-    M, S = np.array(columns).T, np.diag(np.arange(1.0, 7.0))
-    np.testing.assert_allclose(inverse_noise(S, T[None, :3, :3], T[None, :3, 3])[0], M @ S @ M.T, rtol=1e-4, atol=1e-4)
 
 
 def test_a_robot_without_noise_is_the_same_as_none_told(hand_eye) -> None:
@@ -117,7 +97,7 @@ def test_noise_in_three_forms_is_the_same_noise(hand_eye) -> None:
 def test_noise_of_the_robot_makes_the_covariance_honest(hand_eye, setup, told) -> None:
     """Section 1.3: without it NEES/12 is between 1.24 and 2.06."""
     nees = []
-    for run in range(60):
+    for run in range(40):
         data = hand_eye.draw([1100, run], robot=ROBOT)
         A = data.A
         if setup == "eye_in_hand":  # the robot reads the inverse of A, with noise of its own
@@ -153,7 +133,7 @@ def test_two_deviations_of_noise_are_found(hand_eye) -> None:
 
 def test_noise_of_the_camera_is_found_beside_that_of_the_robot(hand_eye) -> None:
     sigma, nees = [], []
-    for run in range(30):
+    for run in range(12):
         data = hand_eye.draw([1100, run], robot=ROBOT)
         fit = fit_hand_eye(**data.given, noise_robot=ROBOT)
         e = error(fit, (data.X, data.Y))
@@ -252,7 +232,7 @@ def contract(hand_eye, runs: int, robot: tuple[float, float] | None = None, tilt
 
 
 def test_the_statistical_contract_in_short(hand_eye) -> None:
-    found = contract(hand_eye, 20)
+    found = contract(hand_eye, 10)
     assert found.passed, found.text()
 
 
@@ -260,7 +240,7 @@ def test_the_statistical_contract_in_short(hand_eye) -> None:
 @pytest.mark.parametrize(("robot", "tilt"), [(None, None), (ROBOT, None), (None, np.radians(30.0))],
                          ids=["uniform", "noise of the robot", "tilt 30 degrees"])  # fmt: skip
 def test_the_statistical_contract(hand_eye, robot, tilt) -> None:
-    found = contract(hand_eye, 200, robot, tilt)
+    found = contract(hand_eye, 100, robot, tilt)
     assert found.passed, found.text()
 
 
@@ -288,85 +268,6 @@ def test_weak_directions_are_refused_by_their_deviation(hand_eye) -> None:
     assert "weakest: " in fit.report()
 
 
-def test_records_that_do_not_belong_together_are_refused_with_the_cause(hand_eye) -> None:
-    data = hand_eye.draw(11)
-    longer = data.B.copy()
-    longer[:, :3, 3] *= 1000.0
-    robot = data.A.copy()
-    robot[:, :3, 3] *= 1000.0
-    mixed = np.random.default_rng(0).permutation(30)
-    cases = {
-        r"times 0\.001 would fit: perhaps millimetres were given as metres": (data.A, longer),
-        r"times 1e\+03 would fit: perhaps millimetres were given as metres": (robot, data.B),
-        "shifted by 1 samples": (data.A[1:], data.B[:-1]),
-        "shifted by 2 samples": (data.A[:-2], data.B[2:]),
-        "reverse order": (data.A, data.B[::-1]),
-        "the setup is the other one": (se3.inv(data.A), data.B),
-        "holds the inverse": (data.A, se3.inv(data.B)),
-        "sample i of both is the same moment": (data.A, data.B[mixed]),
-    }
-    for words, (A, B) in cases.items():
-        for robust in (False, True):
-            with pytest.raises(NotConverged, match=words) as caught:
-                fit_hand_eye(A, B, robust=robust)
-            assert "Expected two records of poses that belong together" in str(caught.value)
-            assert caught.value.best is not None
-        with pytest.raises(NotConverged, match=words):
-            fit_hand_eye(A, B, noise=CAMERA)
-
-
-def test_millimetres_in_both_records_are_suspected_in_the_report(hand_eye) -> None:
-    data = hand_eye.draw(12)
-    A, B = data.A.copy(), data.B.copy()
-    A[:, :3, 3] *= 1000.0
-    B[:, :3, 3] *= 1000.0
-    assert "millimetres given as metres?" in fit_hand_eye(A, B).report()
-    assert "millimetres" not in fit_hand_eye(**data.given).report()
-
-
-def test_bad_input_is_refused_by_name(hand_eye) -> None:
-    data = hand_eye.draw(13)
-
-    def changed(T: np.ndarray, rows: list[int], change: Any) -> np.ndarray:
-        T = T.copy()
-        T[rows] = change(T[rows])
-        return T
-
-    def mirrored(T: np.ndarray) -> np.ndarray:
-        return T @ np.diag([1.0, 1.0, -1.0, 1.0])
-
-    cases = [
-        (data.A[:29], data.B, {}, "as many poses of the robot as of the marker, got 29 and 30"),
-        (data.A[0], data.B, {}, r"T_base_tool of shape \(N, 4, 4\), got \(4, 4\)"),
-        (data.A, data.B[:, :3], {}, r"T_cam_marker of shape"),
-        ("robot", data.B, {}, "T_base_tool to be real numbers"),
-        (changed(data.A, [3, 7], lambda T: T * np.nan), data.B, {}, "NaN or Inf in 2 rows: 3, 7"),
-        (data.A, changed(data.B, [5], lambda T: 1.01 * T), {}, "last row of every pose of T_cam_marker"),
-        (data.A, np.swapaxes(data.B, 1, 2), {}, "transposed"),
-        (data.A, changed(data.B, [5], lambda T: T @ np.diag([1.001, 1, 1, 1])), {}, "off by up to 0.002 in rows 5"),
-        (changed(data.A, [2, 9], mirrored), data.B, {}, "left-handed axes in rows 2, 9"),
-        (mirrored(data.A), mirrored(data.B), {}, "One axis of that frame is reversed"),
-        (data.A, data.B, {"noise": 0.001}, "Metres and radians need a number each"),
-        (data.A, data.B, {"noise": (0.0, 0.001)}, "noise above zero"),
-        (data.A, data.B, {"noise": (np.nan, 0.001)}, "Metres and radians"),
-        (data.A, data.B, {"noise": -np.eye(6)}, "without negative eigenvalues"),
-        (data.A, data.B, {"noise_robot": 0.001}, "noise_robot of poses as"),
-    ]  # fmt: skip
-    for A, B, more, words in cases:
-        with pytest.raises(ShapeError, match=words):
-            fit_hand_eye(A, B, **more)
-    with pytest.raises(UnknownName, match="eye_in_hand"):
-        fit_hand_eye(**data.given, setup="eye_on_hand")  # type: ignore[arg-type]
-
-
-def test_rotations_with_few_digits_are_projected_and_reported(hand_eye) -> None:
-    data = hand_eye.draw(14)
-    rounded = data.A.round(6)
-    fit = fit_hand_eye(rounded, data.B)
-    assert "rotations of T_base_tool were projected, off by up to" in fit.report()
-    assert "projected" not in fit_hand_eye(**data.given).report()
-
-
 def test_report_and_file(hand_eye, tmp_path) -> None:
     fit = fit_hand_eye(**hand_eye.draw(15).given, noise=CAMERA, robust=True)
     text = fit.report()
@@ -375,23 +276,3 @@ def test_report_and_file(hand_eye, tmp_path) -> None:
         assert words in text
     again = models.load(fit.save(tmp_path / "camera.toml"), kind="hand_eye")
     assert again.T_base_cam.tobytes() == fit.value.T_base_cam.tobytes()
-
-
-def test_large_deviations_are_called_first_order(hand_eye) -> None:
-    data = hand_eye.draw(16, 8, camera=(0.02, 0.3))
-    assert "first-order" in fit_hand_eye(**data.given, noise=(0.02, 0.3), limits=(9.0, 9.0)).report()
-
-
-def test_the_ancestors_refinement_does_not_return(hand_eye, capsys) -> None:
-    """calibAXYB refined position norms only: Y 1.8 times worse than the bound, results no rotations, text printed."""
-    squares = []
-    experiment = experiment_of(hand_eye)
-    for run in range(60):
-        case = experiment(run, 30)
-        fit = fit_hand_eye(**case.data)
-        e, bound = error(fit, case.truth), np.diag(case.bound)
-        squares.append([np.mean(e[k : k + 3] ** 2) / np.mean(bound[k : k + 3]) for k in (0, 3, 6, 9)])
-        for T in (fit.value.X, fit.value.Y):
-            assert np.abs(T[ROTATION].T @ T[ROTATION] - np.eye(3)).max() < 1e-14
-    assert np.sqrt(np.mean(squares, axis=0)).max() < 1.2
-    assert capsys.readouterr().out == ""

@@ -236,7 +236,7 @@ def test_fit_plane_keeps_the_contract(uniform_rotation: Draw) -> None:
     contract = check_estimator(
         fit_plane,
         plane_experiment(uniform_rotation),
-        100,
+        40,
         n=20,
         error=plane_error,
         gauges=[
@@ -255,7 +255,7 @@ def test_fit_line_keeps_the_contract(uniform_rotation: Draw) -> None:
     contract = check_estimator(
         fit_line,
         line_experiment(uniform_rotation),
-        100,
+        40,
         n=20,
         error=line_error,
         gauges=[
@@ -289,7 +289,7 @@ def test_points_of_their_own_covariance(what: str) -> None:
         if what == "plane"
         else (fit_line, line_error, [1, 0, 0], (np.eye(3)[0], np.array([0.0, 0, 1])), {"along": [1, 0, 0]})
     )
-    for seed in range(100):
+    for seed in range(50):
         p, e, cov = uneven(seed)
         p = p * mask + [0, 0, 1.0] + e
         found = fit(p, noise=cov, **hint)
@@ -317,14 +317,14 @@ def test_outliers_among_points_of_their_own_covariance() -> None:
         fit_line(p, noise=np.where(np.arange(20)[:, None, None] == 2, -cov, cov))
 
 
-def test_a_hundred_thousand_points() -> None:
+def test_many_points() -> None:
     """No square of their number is ever stored."""
-    p = sheet(100_000)
-    p[:20_000, 2] += 0.01
+    p = sheet(40_000)
+    p[:8_000, 2] += 0.01
     fit = fit_plane(p, robust=True)
-    assert fit.outliers[:20_000].all()
-    assert fit.n > 79_000
-    assert fit_line(rod(100_000), robust=True).n > 99_000
+    assert fit.outliers[:8_000].all()
+    assert fit.n > 31_600
+    assert fit_line(rod(40_000), robust=True).n > 39_600
 
 
 def test_the_side_of_a_plane_is_as_sure_as_its_tilt_far_away() -> None:
@@ -340,7 +340,7 @@ def test_the_side_of_a_plane_is_as_sure_as_its_tilt_far_away() -> None:
 @pytest.mark.parametrize(("fit", "draw", "n"), [(fit_line, rod, 4), (fit_plane, sheet, 5)])
 def test_noise_of_few_points_is_not_flattered(fit: Callable[..., Fit], draw: Callable[..., np.ndarray], n: int) -> None:
     """The mean of its square is the variance: degrees of freedom that the fit took do not count."""
-    squares = [fit(draw(n, seed)).sigma[0] ** 2 for seed in range(300)]
+    squares = [fit(draw(n, seed)).sigma[0] ** 2 for seed in range(200)]
     assert np.mean(squares) == pytest.approx(SIGMA**2, rel=0.15)
 
 

@@ -22,6 +22,7 @@ OF_BATCHES: dict[str, Callable[[Robot, Any], Any]] = {
     "pose of forward_jacobian": lambda robot, q: kinematics.forward_jacobian(robot, q)[0],
     "jacobian in tool axes": lambda robot, q: kinematics.jacobian(robot, q, frame="tool"),
     "jacobian_derivative": lambda robot, q: kinematics.jacobian_derivative(robot, q, np.ones_like(q)),
+    "parameter_jacobian": kinematics.parameter_jacobian,
     "singular_values": kinematics.singular_values,
     "manipulability": kinematics.manipulability,
     "manipulability_gradient": kinematics.manipulability_gradient,
@@ -36,22 +37,24 @@ INTO = {  # functions that write into an array, and the shape of one result
 }
 
 
+def goal(**changes: float) -> np.ndarray:
+    """The tool's pose at home with entries changed: goal(a03=2) has 2 in row 0, column 3."""
+    T = kinematics.forward(ROBOT, HOME).copy()
+    for key, value in changes.items():
+        T[int(key[1]), int(key[2])] = value
+    return T
+
+
 def named(*tables: dict[str, Any]) -> pytest.MarkDecorator:
     cases = {name: value for table in tables for name, value in table.items()}
     return pytest.mark.parametrize("function", cases.values(), ids=cases.keys())
 
 
 @named(OF_BATCHES, OF_ONE)
-@pytest.mark.parametrize("shape", [(6,), (8,), (1,), (0,), (3, 6)])
+@pytest.mark.parametrize("shape", [(6,), (8,), (1,), (0,), (3, 6), ()])
 def test_wrong_joint_count(function: Callable, shape: tuple[int, ...]) -> None:
     with pytest.raises(ShapeError, match=r"Expected q .*7.*, got .*\.$"):
         function(ROBOT, np.zeros(shape))
-
-
-@named(OF_BATCHES, OF_ONE)
-def test_a_number_is_no_posture(function: Callable) -> None:
-    with pytest.raises(ShapeError, match=r"Expected q .*7.*, got .*\.$"):
-        function(ROBOT, 0.0)
 
 
 @named(OF_BATCHES)
@@ -59,15 +62,6 @@ def test_the_transposed_batch_is_refused(function: Callable) -> None:
     """Time on the last axis is the commonest mistake; for 7 samples of a 7-joint arm nobody can tell."""
     with pytest.raises(ShapeError, match=r"shape \(\.\.\., 7\), got \(7, 100\)"):
         function(ROBOT, np.zeros((7, 100)))
-
-
-@pytest.mark.parametrize(
-    "q", ["home", ["a"] * 7, np.zeros(7, complex), [[0] * 7, [0] * 6], {"q": 0}, np.zeros(7, object)]
-)
-@pytest.mark.parametrize("name", ["forward", "link_transforms", "jacobian", "singular_values", "manipulability"])
-def test_what_is_no_number(name: str, q: Any) -> None:
-    with pytest.raises(ShapeError, match=r"Expected q to be an array of real numbers, got .*\.$"):
-        OF_BATCHES[name](ROBOT, q)
 
 
 @named(OF_BATCHES)
@@ -80,6 +74,8 @@ def test_nan_stays_in_its_sample(function: Callable, bad: float) -> None:
     whole, holed = function(ROBOT, q), function(ROBOT, broken)
     others = np.arange(9) != 4
     np.testing.assert_array_equal(holed[others], whole[others])
+    np.testing.assert_array_equal(function(ROBOT, q[3]), whole[3])
+    assert len(function(ROBOT, q[:0])) == 0
     assert np.isnan(holed[4]).any()
 
 
@@ -194,6 +190,45 @@ def test_numbers_of_a_search_that_are_none(name: str) -> None:
                 function(ROBOT, T, **{name: value})
 
 
+WRONG = [  # arguments of the inverse
+    ({"T_base_tool": np.eye(3)}, ShapeError, r"T_base_tool of shape \(\.\.\., 4, 4\), got \(3, 3\)"),
+    ({"T_base_tool": np.zeros(4)}, ShapeError, r"T_base_tool of shape \(\.\.\., 4, 4\), got \(4,\)"),
+    ({"T_base_tool": np.zeros((5, 3, 4))}, ShapeError, r"T_base_tool of shape \(\.\.\., 4, 4\), got \(5, 3, 4\)"),
+    ({"q0": np.zeros(5)}, ShapeError, r"q0 of shape \(7,\) or one posture per goal of T_base_tool \(4, 4\), got"),
+    ({"q0": np.zeros((2, 7))}, ShapeError, r"q0 of shape \(7,\) or one posture per goal"),
+    ({"q0": np.full(7, np.inf)}, ShapeError, "finite joint positions, got others in q0"),
+    ({"q0": "home"}, ShapeError, "q0"),
+    ({"posture": np.zeros(6), "objective": "posture"}, ShapeError, r"Expected posture of shape \(7,\)"),
+    ({"task": "axis", "axis": (0, 0, 0)}, ShapeError, "axis to be a direction"),
+    ({"task": "axis", "axis": (0, np.nan, 1)}, ShapeError, "axis to be a direction"),
+    ({"axis": (0, 0)}, ShapeError, r"axis of shape \(3,\), got \(2,\)"),
+    ({"axis": None}, ShapeError, "axis to be an array of real numbers, got NoneType"),
+    ({"seed": None}, ConfigError, "seed to be an integer"),
+    ({"seed": -1}, ConfigError, r"seed to be an integer from 0 to 2\^64 - 1, got -1"),
+    ({"threads": 1.5}, ConfigError, "threads to be an integer from 1 to 256"),
+    *(
+        ({"T_base_tool": np.stack([goal(), goal(), T])}, ShapeError, r"finite .* T_base_tool\[2\] that is not")
+        for T in (1.001 * goal(a33=1 / 1.001), goal() @ np.diag([1.0, 1, -1, 1]), goal(a30=0.1), goal(a33=0),
+                  goal(a03=np.nan), goal(a12=np.nan), goal(a23=np.inf), np.zeros((4, 4)))
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("arguments", "error", "words"), WRONG)
+def test_arguments_of_the_inverse(arguments: dict[str, Any], error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words):
+        kinematics.inverse(ROBOT, **({"T_base_tool": goal()} | arguments))
+
+
+@pytest.mark.parametrize("threads", [0, 2.5])
+def test_threads_and_pairs_of_outputs(threads: Any) -> None:
+    for function in (kinematics.forward, kinematics.jacobian):
+        with pytest.raises(ConfigError, match="threads to be an integer from 1 to 256"):
+            function(ROBOT, HOME, threads=threads)
+    with pytest.raises(ShapeError, match=r"out to be a pair of arrays \(T, J\)"):
+        kinematics.forward_jacobian(ROBOT, HOME, out=np.empty((4, 4)))  # type: ignore[arg-type]
+
+
 def test_a_posture_without_its_objective() -> None:
     """It would do nothing."""
     objectives: tuple[Any, ...] = (None, "limits", "mid_range", "manipulability")
@@ -203,57 +238,10 @@ def test_a_posture_without_its_objective() -> None:
                 function(ROBOT, T, objective=objective, posture=HOME)
 
 
-@pytest.mark.parametrize("threads", [None, 0, 1.5, "two"])
-def test_threads_of_the_inverse(threads: Any) -> None:
-    with pytest.raises(ConfigError, match="threads to be an integer from 1 to 256"):
-        kinematics.inverse(ROBOT, goal(), threads=threads)
-
-
 def test_velocities_of_another_shape() -> None:
     for qd in (np.zeros(6), np.zeros((2, 7)), 0.0):
         with pytest.raises(ShapeError, match=r"Expected qd of .*7.*, got"):
             kinematics.jacobian_derivative(ROBOT, HOME, qd)
-
-
-def goal(**changes: float) -> np.ndarray:
-    """The tool's pose at home with entries changed: goal(a03=2) has 2 in row 0, column 3."""
-    T = kinematics.forward(ROBOT, HOME).copy()
-    for key, value in changes.items():
-        T[int(key[1]), int(key[2])] = value
-    return T
-
-
-@pytest.mark.parametrize(
-    "T",
-    [
-        1.001 * goal(a33=1 / 1.001),
-        goal() @ np.diag([1.0, 1, -1, 1]),
-        goal(a30=0.1),
-        goal(a33=0),
-        goal(a03=np.nan),
-        goal(a12=np.nan),
-        goal(a23=np.inf),
-        np.zeros((4, 4)),
-    ],
-    ids=["scaled", "mirror", "projection", "no 1", "NaN in p", "NaN in R", "infinite", "zero"],
-)
-def test_goals_that_are_no_poses(T: np.ndarray) -> None:
-    with pytest.raises(ShapeError, match=r"Expected finite poses .* got T_base_tool that is not\. Project it"):
-        kinematics.inverse(ROBOT, T)
-    with pytest.raises(ShapeError, match=r"got T_base_tool\[2\] that is not"):
-        kinematics.inverse(ROBOT, np.stack([goal(), goal(), T]))
-
-
-@pytest.mark.parametrize("shape", [(3, 3), (3, 4), (4,), (16,), (4, 4, 1), (5, 3, 4)])
-def test_goals_of_another_shape(shape: tuple[int, ...]) -> None:
-    with pytest.raises(ShapeError, match=r"Expected T_base_tool of shape \(\.\.\., 4, 4\), got"):
-        kinematics.inverse(ROBOT, np.zeros(shape))
-
-
-@pytest.mark.parametrize("q0", [np.zeros(6), np.zeros((3, 7)), np.full(7, np.nan), np.full(7, np.inf), "home", 0.0])
-def test_starts_that_are_no_postures(q0: Any) -> None:
-    with pytest.raises(ShapeError, match=r"Expected .*q0.*\."):
-        kinematics.inverse(ROBOT, goal(), q0)
 
 
 @named(

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab import kinematics, lie, robots
-from armlab.errors import ConfigError, NotConverged, ShapeError, UnknownName
+from armlab.errors import NotConverged
 from armlab.kinematics import (
     IkSolution,
     forward,
@@ -73,13 +73,6 @@ def part_solved(robot: Robot, count: int, seed: int) -> float:
 @pytest.mark.parametrize("name", ARMS)
 def test_random_reachable_poses_are_solved_from_random_starts(name: str) -> None:
     assert part_solved(robots.load(name), 500, seed=1) >= 0.998  # at most one of 500
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ARMS)
-def test_ten_thousand_reachable_poses(name: str) -> None:
-    """The bar is 99.9 %. 0.3 s per arm."""
-    assert part_solved(robots.load(name), 10_000, seed=5) >= 0.999
 
 
 def test_numeric_example_of_the_ancestor() -> None:
@@ -289,64 +282,6 @@ def test_any_chain(case: tuple[Robot, np.ndarray], task: str, moved: bool) -> No
     assert result.reason in ("solved", "out of reach", "limits", "iterations")
 
 
-def spoilt(entry: tuple[int, ...], value: float) -> np.ndarray:
-    T = np.tile(np.eye(4), (2, 3, 1, 1))
-    T[entry] = value
-    return T
-
-
-@pytest.mark.parametrize(
-    ("arguments", "error", "sentence"),
-    [
-        ({"T_base_tool": np.eye(3)}, ShapeError, r"T_base_tool of shape \(\.\.\., 4, 4\), got \(3, 3\)"),
-        ({"T_base_tool": np.zeros(4)}, ShapeError, r"T_base_tool of shape \(\.\.\., 4, 4\), got \(4,\)"),
-        ({"T_base_tool": "home"}, ShapeError, "T_base_tool to be an array of real numbers"),
-        ({"T_base_tool": spoilt((1, 2, 0, 3), np.nan)}, ShapeError, r"finite poses .* got T_base_tool\[1, 2\] that is"),
-        ({"T_base_tool": spoilt((0, 1, 2, 3), np.inf)}, ShapeError, r"finite poses .* got T_base_tool\[0, 1\] that is"),
-        ({"T_base_tool": spoilt((1, 0, 0, 0), 1.1)}, ShapeError, r"orthonormal .* got T_base_tool\[1, 0\] that is not"),
-        ({"T_base_tool": spoilt((1, 0, 2, 2), -1)}, ShapeError, r"orthonormal .* got T_base_tool\[1, 0\] that is not"),
-        ({"T_base_tool": spoilt((1, 0, 3, 0), 1)}, ShapeError, r"last row 0 0 0 1, got T_base_tool\[1, 0\]"),
-        ({"T_base_tool": 2.0 * np.eye(4)}, ShapeError, "got T_base_tool that is not"),
-        ({"q0": np.zeros(5)}, ShapeError, r"q0 of shape \(6,\) or one posture per goal of T_base_tool \(4, 4\), got"),
-        ({"q0": np.zeros((2, 6))}, ShapeError, r"q0 of shape \(6,\) or one posture per goal"),
-        ({"q0": np.full(6, np.nan)}, ShapeError, "finite joint positions, got others in q0"),
-        ({"posture": np.zeros(7), "objective": "posture"}, ShapeError, r"Expected posture of shape \(6,\)"),
-        ({"task": "axis", "axis": (0, 0, 0)}, ShapeError, "axis to be a direction"),
-        ({"task": "axis", "axis": (0, np.nan, 1)}, ShapeError, "axis to be a direction"),
-        ({"axis": (0, 0)}, ShapeError, r"axis of shape \(3,\), got \(2,\)"),
-        ({"maxiter": -1}, ConfigError, r"maxiter to be an integer from 0 to 1000000, got -1\."),
-        ({"maxiter": 1.5}, ConfigError, "maxiter to be an integer"),
-        ({"starts": 0}, ConfigError, "starts to be an integer of at least 1, got 0"),
-        ({"starts": 2**40}, ConfigError, "starts to be an integer"),
-        ({"tol": -1e-9}, ConfigError, r"tol to be a number of at least 0, or \(position, rotation\), got -1e-09"),
-        ({"tol": (1e-9, np.nan)}, ConfigError, "tol to be a number"),
-        ({"tol": (1e-9, 1e-9, 1e-9)}, ConfigError, "tol to be a number"),
-        ({"tol": "small"}, ConfigError, "tol to be a number"),
-        ({"damping": 0.0}, ConfigError, r"damping to be a number above 0, got 0\.0"),
-        ({"damping": None}, ConfigError, "damping to be a number"),
-        ({"axis": None}, ShapeError, "axis to be an array of real numbers, got NoneType"),
-        ({"seed": None}, ConfigError, "seed to be an integer"),
-        ({"seed": ""}, ConfigError, "seed to be an integer"),
-        ({"seed": -1}, ConfigError, r"seed to be an integer from 0 to 2\^64 - 1, got -1"),
-        ({"seed": 1.5}, ConfigError, "seed to be an integer"),
-        ({"threads": 0}, ConfigError, "threads to be an integer from 1 to 256, got 0"),
-        (
-            {"task": "wrist"},
-            UnknownName,
-            r"task of inverse kinematics, got 'wrist'\. Known: axis, direction, pose, position",
-        ),
-        (
-            {"objective": "speed"},
-            UnknownName,
-            r"an objective of inverse kinematics, got 'speed'\. Known: limits, manipulability, mid_range",
-        ),
-    ],
-)
-def test_wrong_arguments(arguments: dict, error: type[Exception], sentence: str) -> None:
-    with pytest.raises(error, match=sentence):
-        inverse(robots.load("irb2400"), **({"T_base_tool": np.eye(4)} | arguments))
-
-
 def solved(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Which of these postures' poses are reached again, inside the limits and to 1e-9, by any posture."""
     T_base_tool = kinematics.forward(robot, q)
@@ -383,14 +318,6 @@ def test_every_joint_at_a_limit(name: str) -> None:
     robot = robots.load(name)
     corners = np.array(list(itertools.product(*zip(robot.q_min, robot.q_max))))
     assert solved(robot, corners).mean() >= 0.98
-
-
-@pytest.mark.parametrize("name", ARMS_LIBRARY)
-def test_home_is_found_without_a_step(name: str) -> None:
-    robot = robots.load(name)
-    solution = kinematics.inverse(robot, kinematics.forward(robot, robot.q_home))
-    assert solution.success
-    np.testing.assert_array_equal(solution.q, robot.q_home)
 
 
 def moved_poses(robot: Robot, count: int, seed: int) -> np.ndarray:

@@ -131,14 +131,6 @@ def test_batches_keep_their_shape_and_nan_stays_in_its_sample() -> None:
         assert np.isnan(value[1]).all()
 
 
-def test_results_are_frozen() -> None:
-    body = ellipsoid(robots.load("irb2400"), np.ones(6))
-    with pytest.raises(ValueError, match="read-only"):
-        body.axes[0, 0] = 1.0
-    with pytest.raises(AttributeError):
-        body.lengths = np.ones(3)  # type: ignore[misc]
-
-
 def test_refusals() -> None:
     robot: Robot = robots.load("irb2400")
     unknown: Any = "speed"

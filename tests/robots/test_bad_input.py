@@ -83,6 +83,10 @@ BAD: dict[str, tuple[Callable[[], object], type[ArmlabError], str]] = {
     "no angle": (lambda: robots.from_dh("r", None, [1, 2], 0), RobotError, "Expected alpha in the DH table of 'r' to"),
     "a word": (lambda: robots.from_dh("r", "pi", [1, 2], 0), RobotError, "real numbers, got 'pi'"),
     "columns of two lengths": (lambda: robots.from_dh("r", 0, [1, 2], [1, 2, 3]), RobotError, "of one length"),
+    "NaN in a table": (
+        lambda: robots.from_dh("r", [0.0, np.nan], 1.0, 0.0), RobotError,
+        r"Expected finite alpha in the DH table of 'r', got nan at joint 2\.",
+    ),
     "empty table": (lambda: robots.from_dh("r", [], [], []), RobotError, "Expected at least one joint"),
     "screws of five": (lambda: robots.from_poe("r", np.ones((2, 5)), ONE), RobotError, r"screws of shape \(n, 6\)"),
     "one screw flat": (lambda: robots.from_poe("r", TURN[0], ONE), RobotError, r"screws of shape \(n, 6\)"),

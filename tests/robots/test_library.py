@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pinocchio
 import pytest
@@ -92,6 +90,8 @@ REFERENCE = [  # robot, q, flange position, quaternion, Jacobian times ones; no 
 ]
 LIMITS = {  # degrees; rounded as a URDF in rad prints them
     "irb120": ((-165, -110, -110, -160, -120, -400), (165, 110, 70, 160, 120, 400), (250, 250, 250, 320, 320, 420)),
+    "irb2400": ((-180, -100, -60, -200, -120, -400), (180, 110, 65, 200, 120, 400), (150, 150, 150, 360, 360, 450)),
+    "irb7600": ((-180, -60, -180, -300, -100, -360), (180, 85, 60, 300, 100, 360), (100, 60, 60, 100, 100, 190)),
     "irb1200": ((-170, -100, -200, -270, -130, -360), (170, 130, 70, 270, 130, 360), (288, 240, 300, 400, 405, 600)),
     "irb1200_7_70": (
         (-170, -100, -200, -270, -130, -360),
@@ -232,19 +232,6 @@ def test_yumi_limits_gears_and_order() -> None:
     np.testing.assert_array_equal(robot.coupling, np.diag(gears))
     assert robot.abb_axes == (1, 2, 7, 3, 4, 5, 6)
     assert (robot.side, robots.load("yumi_right").side) == ("left", "right")
-
-
-@pytest.mark.parametrize(
-    ("name", "low", "high", "speed"),
-    [
-        ("irb2400", (-180, -100, -60, -200, -120, -400), (180, 110, 65, 200, 120, 400), (150, 150, 150, 360, 360, 450)),
-        ("irb7600", (-180, -60, -180, -300, -100, -360), (180, 85, 60, 300, 100, 360), (100, 60, 60, 100, 100, 190)),
-    ],
-)
-def test_irb_limits(name: str, low: tuple, high: tuple, speed: tuple) -> None:
-    robot = robots.load(name)
-    for field, degrees in ((robot.q_min, low), (robot.q_max, high), (robot.qd_max, speed)):
-        np.testing.assert_allclose(np.rad2deg(field), degrees)
 
 
 @pytest.mark.parametrize("name", robots.names())
@@ -492,27 +479,6 @@ def test_the_two_yumis(side: str) -> None:
     half_turn = np.diag([-1.0, -1.0, 1.0])
     turned = so3.angle(T_a[:, :3, :3], T_b[:, :3, :3] @ half_turn)
     np.testing.assert_allclose(np.rad2deg(turned), {"left": 0.163, "right": 0.067}[side], rtol=0, atol=1e-3)
-
-
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_axis_1_of_the_two_yumis_is_one_line(side: str) -> None:
-    """Their mounts lie on it, 7 to 10 mm apart."""
-    T_a, T_b = (robots.load(name).T_base_mount for name in (f"yumi_{side}", f"yumi_{side}_urdf"))
-    T = se3.inv(T_a) @ T_b
-    assert abs(T[2, 3]) == pytest.approx(0.0073, abs=5e-4)
-    assert np.linalg.norm(T[:2, 3]) < 3e-4
-    assert np.rad2deg(np.arccos(T[2, 2])) < 0.2
-
-
-def test_without_the_second_length_of_the_wrist_the_yumis_nearly_agree() -> None:
-    """Most of the distance is the 13.5 mm between axes 4 and 5: 0.027 m in the URDF, half of it in Robotlib.jl."""
-    urdf_set = robots.load("yumi_left_urdf")
-    links = urdf_set.links.copy()
-    links[5, 0, 3] = -0.0135
-    q = inside(urdf_set, 2000)
-    T_a = kinematics.forward(robots.load("yumi_left"), q)
-    T_b = kinematics.forward(replace(urdf_set, links=links), q)
-    assert np.linalg.norm(T_a[:, :3, 3] - T_b[:, :3, 3], axis=1).max() < 0.011
 
 
 @pytest.mark.parametrize("name", BODIES)

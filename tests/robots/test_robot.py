@@ -12,8 +12,8 @@ import pytest
 from armlab import kinematics, robots
 from armlab.errors import RobotError, ShapeError
 from armlab.lie import euler, quaternion, se3
-from armlab.robots import GRAVITY, POSE_TOLERANCE, RAMP_TIME, SCREW_TOLERANCE, Details, LocalPoe, Mesh, Robot, inertia
-from armlab.robots.robot import arm_length, bends
+from armlab.robots import GRAVITY, POSE_TOLERANCE, RAMP_TIME, SCREW_TOLERANCE, LocalPoe, Mesh, Robot, inertia
+from armlab.robots.robot import arm_length
 
 FILE = "package://maker/link_1.stl"
 GOOD = {"kind": "visual", "file": FILE, "T_link_mesh": np.eye(4), "scale": (1, 1, 1)}
@@ -65,23 +65,6 @@ def test_with_tool_replaces_the_tool(yumi: Robot) -> None:
     twice = yumi.with_tool(se3.exp([1, 1, 1, 1, 1, 1])).with_tool(T_flange_tool)
     assert twice == yumi.with_tool(T_flange_tool)
     assert twice.with_tool(np.eye(4)) == yumi
-
-
-def test_screws_and_home_are_the_product_of_exponentials(yumi: Robot) -> None:
-    q = np.random.default_rng(0).uniform(-1, 1, yumi.n)
-    lift = robots.from_dh("lift", [0.3, 0.1], 0.2, 0.1, prismatic=[True, False])
-    for robot, position in ((yumi, q), (lift, q[:2])):
-        T = np.eye(4)
-        for xi, angle in zip(robot.screws, position):
-            T = T @ se3.exp(xi * angle)
-        np.testing.assert_allclose(T @ robot.T_home, forward(robot, position), rtol=0, atol=1e-14)
-    np.testing.assert_array_equal(lift.screws[0], [0, 0, 1, 0, 0, 0])
-
-
-def test_chain_is_made_once_and_agrees(yumi: Robot) -> None:
-    assert yumi.chain is yumi.chain
-    np.testing.assert_allclose(yumi.chain.forward(yumi.q_home), forward(yumi, yumi.q_home), rtol=0, atol=1e-15)
-    assert yumi.chain.n == yumi.n == 7
 
 
 def test_equality_is_by_content(yumi: Robot) -> None:
@@ -136,10 +119,6 @@ def test_pickle_and_copy(yumi: Robot) -> None:
         assert not twin.links.flags.writeable
 
 
-def test_repr(yumi: Robot) -> None:
-    assert repr(yumi) == "Robot('yumi_left', 7 joints)"
-
-
 def test_optional_numbers_count_in_the_hash_where_there_are_any(yumi: Robot) -> None:
     """Model files are bound to the hash: a robot that says nothing of torques and masses keeps the one it had."""
     assert yumi.hash == "dabb698bc5f5565c350e713f803600a5ebf2206271f2684ab6e7963726dd1029"
@@ -181,26 +160,14 @@ LIMITS = {"q_min": [-1.0, -1.0], "q_max": [1.0, 1.0], "qd_max": [1.0, 1.0]}
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [
-        (
-            {"q_max": [1, -2]},
-            r"Expected q_min below q_max at joint 2 \(joint_2\) of robot 'r', got q_min -1, q_max -2",
-        ),
-        ({"q_min": [-1, np.nan]}, r"Expected numbers in q_min of robot 'r', got NaN at joint 2 \(joint_2\)\."),
-        (
-            {"q_home": [0, 3]},
-            r"inside the limits at joint 2 \(joint_2\) of robot 'r', got q_home 3, q_min -1",
-        ),
+        ({"q_max": [1, -2]}, r"Expected q_min below q_max at joint 2 \(joint_2\) of robot 'r', got q_min -1, q_max"),
+        ({"q_home": [0, 3]}, r"inside the limits at joint 2 \(joint_2\) of robot 'r', got q_home 3, q_min -1"),
         ({"q_home": [np.inf, 0], "q_max": [np.inf, 1]}, "Expected a finite home position at joint 1"),
         ({"qd_max": [0, 1]}, "Expected a positive speed limit at joint 1"),
         ({"qdd_max": [1, -1]}, "Expected a positive acceleration limit at joint 2"),
         ({"tau_max": [1, 0]}, r"Expected a positive torque limit at joint 2 \(joint_2\) of robot 'r', got tau_max 0"),
-        ({"tau_max": [1, np.nan]}, "Expected numbers in tau_max of robot 'r', got NaN at joint 2"),
-        ({"inertias": [BODY]}, r"Expected inertias of robot 'r' \(2 joints\) to have shape \(2, 10\), got \(1, 10\)"),
         ({"inertias": [BODY, np.full(10, np.nan)]}, "Expected numbers in inertias of robot 'r', got NaN at index"),
-        (
-            {"inertias": [BODY, [np.inf] * 10]},
-            "Expected the inertia of a body for link 2 of robot 'r', got .* not finite",
-        ),
+        ({"inertias": [BODY, [np.inf] * 10]}, "Expected the inertia of a body for link 2 of robot 'r', got .* not"),
         ({"inertias": [BODY, -BODY]}, "Expected the inertia of a body for link 2 of robot 'r', got a mass of -1 kg"),
         ({"inertias": [[0, 1] + [0] * 8, BODY]}, "body for link 1 of robot 'r', got moments without a mass"),
         (
@@ -209,17 +176,9 @@ LIMITS = {"q_min": [-1.0, -1.0], "q_max": [1.0, 1.0], "qd_max": [1.0, 1.0]}
         ),
         ({"meshes": [["link.stl"], [], []]}, "Expected a robots.Mesh in meshes of robot 'r', got 'link.stl'"),
         ({"meshes": [[MESH], []]}, "Expected meshes in robot 'r' of the mount and 2 links, got 2 tuples"),
-        ({"q_min": [0, 0, 0]}, r"Expected q_min of robot 'r' \(2 joints\) to have shape \(2,\), got \(3,\)\."),
-        ({"gravity": [0, 0]}, r"to have shape \(3,\), got \(2,\)"),
         ({"gravity": [0, 0, np.inf]}, "Expected a finite gravity"),
         ({"gravity": [0, 0, np.nan]}, r"Expected numbers in gravity of robot 'r', got NaN at index \(2,\)\."),
         ({"coupling": np.ones((2, 2))}, "Expected a coupling of robot 'r' that can be inverted"),
-        (
-            {"T_base_mount": 2 * np.eye(4)},
-            "Expected T_base_mount of robot 'r' to be a pose with a rotation",
-        ),
-        ({"T_flange_tool": np.zeros((4, 4))}, "Expected T_flange_tool of robot 'r' to be a pose"),
-        ({"T_flange_tool": np.eye(3)}, r"to have shape \(4, 4\), got \(3, 3\)"),
         ({"joint_names": ["a"]}, r"Expected 2 different joint_names of robot 'r', got \['a'\]\."),
         ({"joint_names": ["a", "a"]}, "Expected 2 different joint_names"),
         ({"abb_axes": [1, 3]}, r"Expected abb_axes of robot 'r' to hold 1 to 2 once each, got \[1, 3\]\."),
@@ -248,11 +207,6 @@ def test_an_inertia_that_no_body_has_but_that_moves_is_accepted() -> None:
     assert robots.from_dh("r", [0.0, 0.0], 1.0, 0.0, inertias=[flat, rounded]).inertias is not None
 
 
-def test_no_joints_are_refused() -> None:
-    with pytest.raises(RobotError, match="Expected at least one joint for robot 'r'"):
-        robots.from_links("r", np.eye(4)[None])
-
-
 def dh_matrix(theta: float, d: float, a: float, alpha: float) -> np.ndarray:
     """The matrix of the textbooks, entry by entry."""
     ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
@@ -277,7 +231,7 @@ def test_from_dh_equals_the_textbook_product(modified: bool) -> None:
     """Random robots of 2 to 9 joints, revolute and prismatic; tests/laws has a thousand of them in all forms."""
     rng = np.random.default_rng(0)
     matrix = craig_matrix if modified else dh_matrix
-    for _ in range(300):
+    for _ in range(100):
         n = int(rng.integers(2, 10))
         table = rng.uniform(-np.pi, np.pi, (4, n)) * [[1], [0.3], [0.3], [1]]
         prismatic = rng.random(n) < 0.3
@@ -301,12 +255,6 @@ def test_link_frames_are_dh_frames_before_the_shift() -> None:
         np.testing.assert_allclose(links[i] @ dh_matrix(0.0, d, a, alpha), expected, rtol=0, atol=1e-14)
 
 
-def test_a_number_stands_for_all_rows() -> None:
-    robot = robots.from_dh("planar", 0.0, [0.5, 0.4], 0.0)
-    np.testing.assert_allclose(robot.T_home[:3, 3], [0.9, 0, 0])
-    assert robot.n == 2
-
-
 def test_defaults_of_details() -> None:
     robot = robots.from_dh("r", 0.0, [1.0, 1.0], 0.0)
     assert (robot.q_max == np.inf).all()
@@ -328,10 +276,6 @@ def test_a_misspelt_detail_is_refused() -> None:
         robots.from_dh("r", 0.0, [1.0, 1.0], 0.0, q_maxx=[1.0, 1.0])  # type: ignore[call-arg]
 
 
-def test_details_name_fields_of_robot() -> None:
-    assert set(Details.__annotations__) < set(Robot.__dataclass_fields__)
-
-
 def test_from_links() -> None:
     rng = np.random.default_rng(2)
     q = rng.standard_normal((3, 4))
@@ -340,28 +284,6 @@ def test_from_links() -> None:
     robot = robots.from_links("r", links, [False, True])
     np.testing.assert_array_equal(robot.frames, links)
     np.testing.assert_allclose(robot.T_home, links[0] @ links[1] @ links[2], rtol=0, atol=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("columns", "sentence"),
-    [
-        (
-            ([0.0, 0.0], [1.0, 1, 1], 0.0),
-            "Expected DH columns of one length for robot 'r', got alpha 2, a 3, d 1, offset 1.",
-        ),
-        (([0.0, np.nan], 1.0, 0.0), "Expected finite alpha in the DH table of 'r', got nan at joint 2."),
-        (([0.0, 0.0], 1.0, [0.0, np.inf]), "Expected finite d in the DH table of 'r', got inf at joint 2."),
-    ],
-)
-def test_bad_tables_are_refused_with_a_sentence(columns: tuple, sentence: str) -> None:
-    with pytest.raises(RobotError) as caught:
-        robots.from_dh("r", *columns)
-    assert str(caught.value) == sentence
-
-
-def test_a_prismatic_flag_per_joint() -> None:
-    with pytest.raises(RobotError, match="of robot 'r'"):
-        robots.from_dh("r", 0.0, [1.0, 1.0], 0.0, prismatic=[True])
 
 
 def test_limits_that_look_like_degrees_are_doubted() -> None:
@@ -402,7 +324,7 @@ def random_robot(rng: np.random.Generator, n: int) -> Robot:
 
 def test_from_poe_is_the_product_of_exponentials() -> None:
     rng = np.random.default_rng(0)
-    for _ in range(300):
+    for _ in range(100):
         n = int(rng.integers(2, 10))
         screws, T_home, q = random_screws(rng, n), se3.exp(rng.standard_normal(6)), rng.uniform(-2, 2, n)
         robot = robots.from_poe("random", screws, T_home)
@@ -413,20 +335,6 @@ def test_from_poe_is_the_product_of_exponentials() -> None:
         np.testing.assert_allclose(robot.screws, screws, rtol=0, atol=1e-14)
         np.testing.assert_allclose(robot.T_home, T_home, rtol=0, atol=1e-13)
         np.testing.assert_array_equal(robot.prismatic, ~screws[:, 3:].any(axis=1))
-
-
-def test_the_three_forms_agree_on_random_robots() -> None:
-    """Robots of 2 to 9 joints, revolute and prismatic, with mount and tool; tests/laws has a thousand of them."""
-    rng = np.random.default_rng(1)
-    for _ in range(100):
-        robot = random_robot(rng, int(rng.integers(2, 10)))
-        q = rng.uniform(-2, 2, robot.n)
-        T = kinematics.forward(robot, q)
-        for other in (
-            robots.from_poe("poe", robot.screws, robot.T_home),
-            robots.from_local_poe("local", *robots.to_local_poe(robot)),
-        ):
-            np.testing.assert_allclose(kinematics.forward(other, q), T, atol=1e-12, rtol=0)
 
 
 def test_local_poe_of_a_robot() -> None:
@@ -490,16 +398,8 @@ def test_normalise_screw_refuses(screw: list, sentence: str) -> None:
 @pytest.mark.parametrize(
     ("screws", "T_home", "sentence"),
     [
-        (
-            [[0, 0, 0, 0, 0, 2.0]],
-            np.eye(4),
-            "for joint 1 of robot 'r', got length 2 and pitch 0 m/rad. Use robots",
-        ),
+        ([[0, 0, 0, 0, 0, 2.0]], np.eye(4), "for joint 1 of robot 'r', got length 2 and pitch 0 m/rad. Use robots"),
         ([[0, 0, 1, 0, 0, 1]], np.eye(4), "got length 1 and pitch 1 m/rad"),
-        ([[0, 0, 0, 0, 0, 0]], np.eye(4), "got length 0"),
-        ([[0, 0, 0, 0, 0, np.nan]], np.eye(4), "got length nan"),
-        ([[0, 0, 1, 0, 0]], np.eye(4), r"Expected screws of shape \(n, 6\)"),
-        ([[0, 0, 0, 0, 0, 1]], 2 * np.eye(4), "Expected T_home of robot 'r' to be a pose"),
         ([[0, 0, 0, 0, 0, 1]], np.eye(3), "Expected T_home of robot 'r' to be a pose"),
     ],
 )
@@ -549,16 +449,3 @@ def test_a_stretched_arm_is_as_long_as_its_links_and_strokes_together() -> None:
     alpha, a, d = [0, np.pi, 0, 0], [0.4, 0.3, 0, 0], [0.5, 0, 0, 0.05]
     scara = robots.from_dh("scara", alpha, a, d, prismatic=[0, 0, 1, 0], **limits)
     assert arm_length(scara) == pytest.approx(np.hypot(0.5, 0.4) + 0.3 + 0.3 + 0.05)
-
-
-def test_a_link_follows_the_common_normal_of_its_axes() -> None:
-    """Axis z through the origin, axis y through (0.3, 0.1, 0.5): they are nearest at x = 0 and 0.3, height 0.5."""
-    z, y = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
-    found = bends(np.zeros(3), z, np.array([0.3, 0.1, 0.5]), y)
-    np.testing.assert_allclose(found, [[0.0, 0.0, 0.5], [0.3, 0.0, 0.5]], atol=1e-15, rtol=0)
-
-
-def test_parallel_axes_have_one_bend() -> None:
-    z = np.array([0.0, 0.0, 1.0])
-    found = bends(np.zeros(3), z, np.array([0.3, 0.1, 0.5]), z)
-    np.testing.assert_allclose(found, [[0.0, 0.0, 0.5]], atol=1e-15, rtol=0)

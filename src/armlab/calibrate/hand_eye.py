@@ -20,7 +20,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab import kernels
 from armlab.calibrate.diagnostics import (
     ROUGH,
     SPREAD_AND_ANGLE,
@@ -239,7 +238,7 @@ class HandEyeEquation:
         """Return rotations by the singular vectors of K, positions by least squares: no units, no guess."""
         U, _, V = np.linalg.svd(self.product())
         RX, RY = V[0].reshape(3, 3), U[:, 0].reshape(3, 3)
-        (RX, RY), _ = kernels.so3_nearest(np.sign(np.linalg.det(RX)) * np.stack([RX, RY]))
+        (RX, RY), _ = so3.nearest(np.sign(np.linalg.det(RX)) * np.stack([RX, RY]))
         M, c = self.mean, self.tB @ RY.T - self.tA
         middle = c.sum(axis=0) / self.N
         pulled = c.ravel() @ self.RA.reshape(-1, 3) / self.N - M.T @ middle
@@ -248,8 +247,15 @@ class HandEyeEquation:
 
     def evaluate(self, pair: Pair) -> list[Measurement]:
         """Return r_t = t_B - t_h in camera axes and r_R = Log(R_h^T R_B) in marker axes, where h = Y^-1 A X."""
-        r, J = kernels.hand_eye_rows(self.RA, self.tA, self.RB, self.tB, *pair)
-        of_A = self._noise_of_A(pair, -J[:, :3, :3])
+        C = pair.RY.T @ self.RA
+        t = C @ pair.tX + (self.tA - pair.tY) @ pair.RY
+        back = (C @ pair.RX).transpose(0, 2, 1)
+        w = so3.log(back @ self.RB)
+        bent = so3.left_jacobian_inv(w)
+        r, J = np.concatenate([self.tB - t, w], axis=1), np.zeros((self.N, 6, 12))
+        J[:, :3, :3], J[:, :3, 6:9], J[:, :3, 9:] = -C, pair.RY.T, -so3.hat(t)
+        J[:, 3:, 3:6], J[:, 3:, 9:] = -bent, bent @ back
+        of_A = self._noise_of_A(pair, C)
         if self.noise is None:
             return [Measurement(r, J, None, COMPONENTS, self._sample, added=of_A)]
         return [Measurement(r, J, self.noise if of_A is None else full(self.noise) + of_A, COMPONENTS, self._sample)]
