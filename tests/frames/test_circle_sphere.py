@@ -9,8 +9,9 @@ import pytest
 
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
-from armlab.frames import Circle, Sphere, fit_circle, fit_sphere
+from armlab.frames import fit_circle, fit_sphere
 from armlab.frames.circle_sphere import _circle_residuals, _circle_step
+from armlab.frames.features import Circle, Sphere
 from armlab.lie import se3, so3
 
 SIGMA = 5e-5

@@ -11,20 +11,9 @@ import pytest
 
 from armlab import models
 from armlab.errors import ArmlabError, FrameError, ShapeError
-from armlab.frames import (
-    BuiltFrame,
-    Circle,
-    Graph,
-    Line,
-    Plane,
-    Sphere,
-    build,
-    distance,
-    fit_line,
-    fit_plane,
-    intersect,
-    project,
-)
+from armlab.frames import Graph, Line, Plane, build, distance, fit_line, fit_plane, intersect, project
+from armlab.frames.construction import BuiltFrame
+from armlab.frames.features import Circle, Sphere
 from armlab.lie import se3, so3
 
 T_A_B = se3.from_rp(so3.exp([0.3, -1.2, 0.7]), [0.4, -2.0, 1.5])

@@ -9,8 +9,9 @@ import pytest
 
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
-from armlab.frames import Line, OffsetCheck, Plane, check_offset, fit_line, fit_plane
+from armlab.frames import Line, Plane, check_offset, fit_line, fit_plane
 from armlab.frames.feature_fit import LIMIT, upward
+from armlab.frames.plane_line import OffsetCheck
 from armlab.lie import se3, so3
 
 SIGMA = 5e-5

@@ -8,8 +8,8 @@ import pytest
 from armlab import models
 from armlab.errors import FrameError, NotExcited, ShapeError
 from armlab.estimation import Experiment, Fit, check_estimator
-from armlab.frames import FrameSet, Graph
-from armlab.frames.pose_graph import Edge, Loop, LoopCheck, check_loops, solve_poses
+from armlab.frames import Graph
+from armlab.frames.pose_graph import Edge, FrameSet, Loop, LoopCheck, check_loops, solve_poses
 from armlab.lie import se3, so3
 
 COV = np.diag([1e-4] * 3 + [1e-3] * 3) ** 2

@@ -12,13 +12,12 @@ from armlab import lie, robots
 from armlab.kinematics import (
     forward,
     forward_jacobian,
-    frame_poses,
     jacobian,
     jacobian_derivative,
     link_transforms,
     parameter_jacobian,
-    twist_jacobian,
 )
+from armlab.kinematics.forward import frame_poses, twist_jacobian
 from armlab.lie import se3, so3
 from armlab.robots import Robot
 

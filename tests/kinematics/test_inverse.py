@@ -12,15 +12,9 @@ from hypothesis import strategies as st
 
 from armlab import kinematics, lie, robots
 from armlab.errors import NotConverged
-from armlab.kinematics import (
-    IkSolution,
-    forward,
-    inverse,
-    jacobian,
-    manipulability,
-    manipulability_gradient,
-    singular_values,
-)
+from armlab.kinematics import forward, inverse, jacobian, manipulability, singular_values
+from armlab.kinematics.dexterity import manipulability_gradient
+from armlab.kinematics.inverse import IkSolution
 from armlab.lie import so3
 from armlab.robots import Robot
 

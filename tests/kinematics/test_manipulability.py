@@ -9,14 +9,8 @@ import pytest
 
 from armlab import robots
 from armlab.errors import ShapeError, UnknownName
-from armlab.kinematics import (
-    Ellipsoid,
-    ellipsoid,
-    jacobian,
-    manipulability,
-    manipulability_gradient,
-    singular_values,
-)
+from armlab.kinematics import ellipsoid, jacobian, manipulability, singular_values
+from armlab.kinematics.dexterity import Ellipsoid, manipulability_gradient
 from armlab.robots import Robot
 
 ROWS = {"pose": slice(0, 6), "position": slice(0, 3), "rotation": slice(3, 6)}

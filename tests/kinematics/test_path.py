@@ -14,7 +14,6 @@ import pytest
 from armlab import kernels, lie, robots
 from armlab.errors import NotConverged, ShapeError
 from armlab.kinematics import (
-    IkPath,
     forward,
     inverse,
     inverse_path,
@@ -23,6 +22,7 @@ from armlab.kinematics import (
     link_transforms,
     singular_values,
 )
+from armlab.kinematics.path import IkPath
 from armlab.robots import Robot
 
 ROWS = 500

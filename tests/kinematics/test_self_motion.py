@@ -8,10 +8,12 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from armlab.kinematics.redundancy import SelfMotion
 
 from armlab import lie, robots
 from armlab.errors import RobotError, ShapeError, SingularPoseError, UnknownName
-from armlab.kinematics import SelfMotion, forward, jacobian, manipulability_gradient, self_motion
+from armlab.kinematics import forward, jacobian, self_motion
+from armlab.kinematics.dexterity import manipulability_gradient
 from armlab.robots import Robot
 
 YUMI = robots.load("yumi_left")

@@ -14,6 +14,7 @@ from armlab import robots
 from armlab.errors import RobotError, UnknownName
 from armlab.lie import quaternion, se3
 from armlab.robots import Mesh, Robot, inertia
+from armlab.robots.build import Details
 
 MINIMAL = """
 name = "mine"
@@ -171,7 +172,7 @@ def any_robot(draw: st.DrawFn) -> Robot:
     rng = np.random.default_rng(seed)
     low = np.array(draw(st.lists(finite | st.just(-np.inf), min_size=n, max_size=n)))
     prismatic = np.array(draw(st.lists(st.booleans(), min_size=n, max_size=n)))
-    details: robots.Details = {
+    details: Details = {
         "q_min": low,
         "q_max": np.where(np.isfinite(low), low, 0.0) + draw(st.lists(positive, min_size=n, max_size=n)),
         "qd_max": draw(st.lists(positive, min_size=n, max_size=n)),

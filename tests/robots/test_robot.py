@@ -12,8 +12,9 @@ import pytest
 from armlab import kinematics, robots
 from armlab.errors import RobotError, ShapeError
 from armlab.lie import euler, quaternion, se3
-from armlab.robots import GRAVITY, POSE_TOLERANCE, RAMP_TIME, SCREW_TOLERANCE, LocalPoe, Mesh, Robot, inertia
-from armlab.robots.robot import arm_length
+from armlab.robots import Mesh, Robot, inertia
+from armlab.robots.build import GRAVITY, RAMP_TIME, SCREW_TOLERANCE, LocalPoe
+from armlab.robots.robot import POSE_TOLERANCE, arm_length
 
 FILE = "package://maker/link_1.stl"
 GOOD = {"kind": "visual", "file": FILE, "T_link_mesh": np.eye(4), "scale": (1, 1, 1)}

@@ -13,8 +13,10 @@ import pytest
 from armlab import kinematics, robots
 from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.lie import euler, se3
-from armlab.robots import GRAVITY, Mesh, Robot, inertia, urdf
-from armlab.robots.urdf import Follow, Joint, Link, Mimic, Tree
+from armlab.robots import Mesh, Robot, inertia, urdf
+from armlab.robots.build import GRAVITY, Details
+from armlab.robots.urdf import Mimic, Tree
+from armlab.robots.urdf.tree import Follow, Joint, Link
 
 TWO_ARMS = """<?xml version="1.0"?>
 <robot name="two arms" xmlns:xacro="somewhere">
@@ -433,7 +435,7 @@ def test_mujoco_reads_it(tmp_path: Path) -> None:
 
 def test_limits_that_are_none_written(tmp_path: Path) -> None:
     """Turning without end is `continuous`; every other missing limit becomes 1e9, and a comment says so."""
-    limits: robots.Details = {
+    limits: Details = {
         "q_min": [-np.inf, -np.inf, -np.inf],
         "q_max": [np.inf, np.inf, 1.0],
         "tau_max": [5, 6, 7],

@@ -18,13 +18,13 @@ from armlab.signals import (
     Integrator,
     LowPass2,
     Notch,
-    Operator,
     central_diff,
     decimate,
     filtfilt,
     lowpass_offline,
     smooth_diff,
 )
+from armlab.signals.streaming import Operator
 
 DT = 0.004
 MAKERS: dict[str, Callable[[], Operator]] = {

@@ -19,7 +19,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import rows_text
-from armlab.calibrate.diagnostics import SPREAD_AND_ANGLE, limits_of, require_two_axes
+from armlab.calibrate.diagnostics import (
+    FITS,
+    MUCH_BETTER,
+    ROBOT,
+    SPREAD_AND_ANGLE,
+    SUSPECT,
+    limits_of,
+    readings_of_robot,
+    require_two_axes,
+)
 from armlab.calibrate.hand_eye import (
     LIMITS,
     WHAT,
@@ -33,7 +42,6 @@ from armlab.calibrate.hand_eye import (
     rotation_sd,
 )
 from armlab.calibrate.inputs import point_noise, pose_noise, poses
-from armlab.calibrate.orientation_conventions import FITS, MUCH_BETTER, ROBOT, SUSPECT, readings_of_robot
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Fit, Measurement, NonlinearProblem, check_spread, nonlinear_least_squares
 from armlab.estimation.tsqr import triangle

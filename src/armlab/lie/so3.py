@@ -16,7 +16,6 @@ from armlab.errors import NotConverged, ShapeError
 from armlab.lie import arguments
 
 __all__ = [
-    "ROTATION_TOLERANCE",
     "angle",
     "angle_about",
     "exp",
@@ -24,8 +23,6 @@ __all__ = [
     "hat",
     "interpolate",
     "is_rotation",
-    "left_jacobian",
-    "left_jacobian_inv",
     "log",
     "mean",
     "project",

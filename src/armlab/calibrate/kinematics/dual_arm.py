@@ -21,11 +21,19 @@ from numpy.typing import ArrayLike
 from armlab.calibrate.kinematics.identifiability import UnobservableDirection, arm_scale, far_links, joints_at_rest
 from armlab.calibrate.kinematics.measurements import Kind, check_harmonics, check_joints, check_terms, measured_kinds
 from armlab.calibrate.kinematics.model import Arm, ArmState, amplitude_prior, chosen, link_prior, pose_residual
-from armlab.calibrate.kinematics.solve import Question, check_misfit, check_weak, length_angle, spread_of
-from armlab.calibrate.kinematics.start import check_scale, hand_eye, kabsch
+from armlab.calibrate.kinematics.solve import (
+    Question,
+    check_misfit,
+    check_scale,
+    check_weak,
+    hand_eye,
+    kabsch,
+    length_angle,
+    spread_of,
+)
 from armlab.errors import ConfigError, NotExcited, ShapeError
 from armlab.estimation import Fit, Measurement, NonlinearSolution
-from armlab.kinematics import twist_jacobian
+from armlab.kinematics.forward import twist_jacobian
 from armlab.lie import se3
 from armlab.models import DualArmCorrection, KinematicCorrection
 from armlab.robots import Robot

@@ -19,8 +19,16 @@ from armlab._numbers import numbers
 from armlab.calibrate.kinematics.identifiability import UnobservableDirection, far_links, may_be_missing, never_seen
 from armlab.calibrate.kinematics.measurements import check_harmonics, check_joints, check_terms, measured_kinds
 from armlab.calibrate.kinematics.model import Arm, KinematicProblem, State
-from armlab.calibrate.kinematics.solve import Question, check_misfit, check_weak, length_angle, never_moves, spread_of
-from armlab.calibrate.kinematics.start import check_scale, start_arm
+from armlab.calibrate.kinematics.solve import (
+    Question,
+    check_misfit,
+    check_scale,
+    check_weak,
+    length_angle,
+    never_moves,
+    spread_of,
+    start_arm,
+)
 from armlab.errors import ConfigError, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Fit, Measurement, NonlinearSolution
 from armlab.models import KinematicCorrection

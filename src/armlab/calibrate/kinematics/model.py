@@ -16,7 +16,7 @@ import numpy as np
 from armlab.calibrate.kinematics.measurements import Kind
 from armlab.estimation import Measurement
 from armlab.kernels import Chain
-from armlab.kinematics import frame_poses, twist_jacobian
+from armlab.kinematics.forward import frame_poses, twist_jacobian
 from armlab.lie import se3, so3
 from armlab.models.kinematic_correction import harmonic_basis
 from armlab.robots import Robot
