@@ -32,7 +32,7 @@ def test_hat_and_vee() -> None:
 
 
 def test_exp_equals_the_matrix_exponential() -> None:
-    """To 5e-14, which is how exact the general function is: `test_million` holds ours to 1e-15."""
+    """To 5e-14, which is how exact the general function is: `test_digits` holds ours to 1e-15."""
     for xi in [*random_twists(50), np.array([1.0, 2, 3, 0, 0, 0]), np.array([1.0, 2, 3, 1e-9, 0, 0])]:
         np.testing.assert_allclose(se3.exp(xi), expm(se3.hat(xi)), rtol=0, atol=5e-14)
 
