@@ -72,8 +72,8 @@ def test_ranks(case: DualRun) -> None:
         assert len(fit.names) == 90
     lost = [name for name in position.excitation.null_names if name.startswith("missing")]
     assert lost == [f"missing: orientation of the tool of arm b about {axis}" for axis in "xyz"]
-    assert sum("foot of arm" in name for name in pose.excitation.null_names) == 12
-    assert sum("foot of arm" in name for name in absolute.excitation.null_names) == 6
+    assert sum("base of arm" in name for name in pose.excitation.null_names) == 12
+    assert sum("base of arm" in name for name in absolute.excitation.null_names) == 6
     away = absolute.value.arm_a.forward(case.q_valid_a) - case.truth_a.forward(case.q_valid_a)
     assert 1e3 * np.sqrt(np.mean(np.sum(away[:, :3, 3] ** 2, axis=1))) < 0.1
     assert absolute.residuals.shape == (60, 12)

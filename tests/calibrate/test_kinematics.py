@@ -338,24 +338,12 @@ class TestBadInput:
         rough = case.pose.copy()
         rough[4, :3, :3] *= 1.0 + 3e-6
         fit = fit_kinematics(case.robot, case.q, pose=rough, noise=NOISE)
-        assert "1 rotations were projected, off by up to 6e-06" in fit.report()
+        assert "1 rotations of pose were projected, off by up to 6e-06" in fit.report()
 
 
 def holed(values: np.ndarray, row: int) -> np.ndarray:
     found = values.copy()
     found[row] = np.nan
-    return found
-
-
-def in_millimetres(pose: np.ndarray) -> np.ndarray:
-    found = pose.copy()
-    found[:, :3, 3] *= 1000.0
-    return found
-
-
-def mirrored(pose: np.ndarray, row: int) -> np.ndarray:
-    found = pose.copy()
-    found[row, :3, 0] *= -1.0
     return found
 
 

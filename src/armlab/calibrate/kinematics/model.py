@@ -269,6 +269,16 @@ class KinematicProblem:
         return self.arm.size + 3 * self.points + 5
 
     @property
+    def n(self) -> int:
+        """Number of samples."""
+        return len(self.arm.q)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of the residuals: samples, then pairs."""
+        return self.first_pair + max((len(kind.values) for kind in self.kinds if kind.pairs is not None), default=0)
+
+    @property
     def waves(self) -> int:
         """Number of amplitudes."""
         return self.arm.waves[0].size

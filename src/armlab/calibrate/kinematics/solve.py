@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
 from armlab._numbers import numbers
-from armlab.calibrate.kinematics.identifiability import Judgement, UnobservableDirection, spread_covariance
+from armlab.calibrate.kinematics.identifiability import IdentifiabilityTest, UnobservableDirection, spread_covariance
 from armlab.calibrate.kinematics.measurements import Kind
 from armlab.calibrate.kinematics.model import Arm
 from armlab.errors import ConfigError, NotConverged, NotExcited, ShapeError, UnknownName
-from armlab.estimation import Excitation, Measurement, NonlinearProblem, NonlinearSolution, nonlinear_least_squares
+from armlab.estimation import Excitation, Fit, Measurement, NonlinearProblem, NonlinearSolution, nonlinear_least_squares
 from armlab.lie import se3, so3
 
 SCHEDULE = (1000.0, 300.0, 100.0, 30.0, 10.0)
@@ -29,6 +29,7 @@ MILLIMETRES = 30.0  # times too large: no arm is that far from its description
 STILL = 1e-4  # times: no other unit of length, but what did not move
 
 S = TypeVar("S")
+Value = TypeVar("Value")
 
 
 def start_arm(arm: Arm, kinds: tuple[Kind, ...]) -> tuple[Arm, np.ndarray]:
@@ -180,6 +181,11 @@ class Residuals(Protocol[S]):
     def units(self) -> tuple[str, ...]: ...
     @property
     def waves(self) -> int: ...
+    @property
+    def n(self) -> int: ...
+    @property
+    def rows(self) -> int: ...
+    def values(self, state: S) -> np.ndarray: ...
     def sizes(self, length: float, angle: float) -> np.ndarray: ...
     def gauge(self, state: S, used: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]: ...
     def evaluate(self, state: S) -> list[Measurement]: ...
@@ -189,7 +195,7 @@ class Residuals(Protocol[S]):
 
 
 @dataclass(frozen=True, eq=False)
-class Question(ABC, Generic[S]):
+class KinematicEstimation(ABC, Generic[S]):
     """One estimation problem: descent, identifiability and covariance."""
 
     problem: Residuals[S]  # residuals
@@ -202,7 +208,7 @@ class Question(ABC, Generic[S]):
         """Return directions that these kinds of measurement may never see."""
 
     @abstractmethod
-    def suspects(self, state: S) -> list[UnobservableDirection]:
+    def candidates(self, state: S) -> list[UnobservableDirection]:
         """Return directions that the data may fail to see."""
 
     @abstractmethod
@@ -259,6 +265,36 @@ class Question(ABC, Generic[S]):
                 [f"{got} of {needed} numbers"],
             )
 
+    def result(
+        self, found: NonlinearSolution[S], state: S, value: Callable[[S, np.ndarray], Value], notes: Sequence[str]
+    ) -> Fit[Value]:
+        """Return the fit at a state that measures the same as the solution; `value` takes it and the covariance."""
+        problem, used = self.problem, self.used
+        sigma, outside = dict(zip(found.classes, found.sigma.tolist())), np.flatnonzero(found.outliers)
+        data = problem.measurements(state, local=True)
+        check_misfit(data, self.spaces(), found.value, outside)
+        excitation = self.judge(data, state, sigma, outside)
+        cov = self.covariance(data, state, sigma, outside, excitation)
+        lines = [*notes, *self.match(found), *self.doubts(state)]
+        return Fit(
+            value=value(state, cov),
+            names=tuple(name for name, mine in zip(problem.names, used) if mine),
+            units=tuple(unit for unit, mine in zip(problem.units, used) if mine),
+            parameters=problem.values(state)[used],
+            cov=cov,
+            sigma=found.sigma,
+            residuals=_table(data, problem.rows),
+            n=problem.n,
+            excitation=excitation,
+            summary=lambda fit: "\n".join([fit.table(), *lines]),
+            outliers=found.outliers,
+            classes=found.classes,
+        )
+
+    @abstractmethod
+    def doubts(self, state: S) -> list[str]:
+        """Return what a report says of links far from their description."""
+
     def match(self, found: NonlinearSolution[S]) -> list[str]:
         """Return what a report says of the noise that was given, if it was."""
         if any(kind.cov is None for kind in self.problem.kinds) or not found.freedom:
@@ -272,17 +308,17 @@ class Question(ABC, Generic[S]):
         problem, used = self.problem, self.used
         sigma = {name: max(size, NO_NOISE) for name, size in sigma.items()}
         G, gauge_names = problem.gauge(state, used)
-        judgement = Judgement(
+        test = IdentifiabilityTest(
             names=[name for name, mine in zip(problem.names, used) if mine],
             units=[unit for unit, mine in zip(problem.units, used) if mine],
             limits=problem.sizes(*self.limits)[used],
             gauge=G[used],
             gauge_names=gauge_names,
             nature=_inside(self.nature(state), used),
-            suspects=lambda: _inside(self.suspects(state), used),
+            candidates=lambda: _inside(self.candidates(state), used),
             what="arm",
         )
-        return judgement.excitation(np.concatenate(list(_whitened(data, sigma, outside)))[:, used], self.hold)
+        return test.excitation(np.concatenate(list(_whitened(data, sigma, outside)))[:, used], self.hold)
 
     def covariance(
         self,
@@ -308,9 +344,9 @@ def _classes(problem: Residuals[Any]) -> list[str]:
     return [name for kind in problem.kinds for name in kind.classes]
 
 
-def _inside(suspects: Sequence[UnobservableDirection], used: np.ndarray) -> list[UnobservableDirection]:
+def _inside(candidates: Sequence[UnobservableDirection], used: np.ndarray) -> list[UnobservableDirection]:
     """Return directions that move something that is used, cut to it."""
-    found = [UnobservableDirection(one.name, one.directions[used], one.advice) for one in suspects]
+    found = [UnobservableDirection(one.name, one.directions[used], one.advice) for one in candidates]
     return [one for one in found if np.abs(one.directions).max(initial=0.0) > 0]
 
 
@@ -342,11 +378,13 @@ def spread_of(points: np.ndarray) -> float:
     return spread if spread > ROUNDING * float(np.abs(points).max()) else 0.0
 
 
-def never_moves(suspects: Sequence[UnobservableDirection], data: Sequence[Measurement], used: np.ndarray) -> list[bool]:
+def never_moves(
+    candidates: Sequence[UnobservableDirection], data: Sequence[Measurement], used: np.ndarray
+) -> list[bool]:
     """Tell of the first direction of each whether, cut to what is used, it is one that moves nothing measured."""
-    if not suspects:
+    if not candidates:
         return []
-    V = np.stack([one.directions[:, 0] * used for one in suspects], axis=1)
+    V = np.stack([one.directions[:, 0] * used for one in candidates], axis=1)
     moved = [np.abs(one.J.reshape(-1, len(V)) @ V).max(axis=0, initial=0.0) for one in data]
     return (V.any(axis=0) & (np.max(moved, axis=0) < 1e-9)).tolist()
 
@@ -377,3 +415,13 @@ def length_angle(value: Any, what: str) -> tuple[float, float]:
         raise ConfigError(f"Expected {what} as one or two numbers above zero [m, rad], got {value!r}.")
     length, angle = np.broadcast_to(pair, (2,))
     return float(length), float(angle)
+
+
+def _table(data: Sequence[Measurement], rows: int) -> np.ndarray:
+    """Return residuals, a row per sample and then per pair, NaN where nothing was measured."""
+    table = np.full((rows, sum(one.r.shape[1] for one in data)), np.nan)
+    first = 0
+    for one in data:
+        table[one.sample, first : first + one.r.shape[1]] = one.r
+        first += one.r.shape[1]
+    return table
