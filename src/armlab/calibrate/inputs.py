@@ -110,12 +110,7 @@ def point_noise(noise: Any, shape: tuple[int, ...]) -> np.ndarray | None:
 
 
 def noise_of(
-    noise: Any,
-    groups: int,
-    batch: tuple[int, ...],
-    name: str,
-    wanted: str,
-    advice: str = "Correct it.",
+    noise: Any, groups: int, batch: tuple[int, ...], name: str, wanted: str, advice: str = "Correct it.",
     zero: bool = False,
 ) -> np.ndarray | None:  # fmt: skip
     """Return variances (k,), or covariance (k, k) or (*batch, k, k), of groups of three axes; None for None."""

@@ -104,11 +104,7 @@ def fit_force_sensor(
         )
     known = None if mass is None else float(mass)
     classes, groups = CLASSES[: y.shape[1]], y.shape[1] // 3
-    wanted = (
-        "forces as one standard deviation above zero [N]"
-        if groups == 1
-        else "wrenches as (sd of force [N], of torque [N m])"
-    )
+    sds = "forces as one standard deviation above zero [N]", "wrenches as (sd of force [N], sd of torque [N m])"
     cov = noise_of(noise, groups, (len(y),), "noise", sds[groups - 1])
     equation = WeightEquation(RA, y, pull, bool(bias), known, cov, classes, "force sensor")
 
