@@ -292,7 +292,7 @@ def error_points(fit: Fit[Any], truth: tuple[np.ndarray, np.ndarray, np.ndarray]
     return np.concatenate([first, pose_error(fit.value.Y, Y)])
 
 
-def sight_of(data: Any, seen: np.ndarray, noise: np.ndarray | None = None) -> PointModel:
+def model_of(data: Any, seen: np.ndarray, noise: np.ndarray | None = None) -> PointModel:
     sample, point = np.nonzero(seen)
     return PointModel(data.A[:, :3, :3], data.A[:, :3, 3], data.p[seen], sample, point, seen.shape[1], noise)
 
@@ -354,9 +354,9 @@ def test_from_points_both_setups_are_one_equation(leds) -> None:
 @pytest.mark.parametrize("known", [True, False], ids=["known marker", "unknown marker"])
 def test_from_points_jacobian_is_the_derivative_of_the_residual(leds, known) -> None:
     data = leds.draw(4, 5)
-    sight = sight_of(data, data.visible)
+    model = model_of(data, data.visible)
     X, Y = data.X, data.Y
-    problem = sight.marked(leds.marker) if known else sight.free()
+    problem = model.marked(leds.marker) if known else model.free()
     free = Points(leds.marker @ X[:3, :3].T + X[:3, 3], Y[:3, :3], Y[:3, 3])
     value = free
     if known:
@@ -401,14 +401,14 @@ def experiment_of_points(leds, known: bool, missing: bool):
         points = leds.marker @ data.X[:3, :3].T + data.X[:3, 3]
         seen = data.visible if missing else np.ones((n, 3), dtype=bool)
         clean = leds.draw([1500, seed], n, sigma=0.0)
-        sight, Y = sight_of(clean, seen), data.Y
+        model, Y = model_of(clean, seen), data.Y
         free = Points(points, Y[:3, :3], Y[:3, 3])
         if known:
             from armlab.calibrate.hand_eye_points import marked_start
 
-            (truth,) = sight.marked(leds.marker).evaluate(marked_start(free, leds.marker))
+            (truth,) = model.marked(leds.marker).evaluate(marked_start(free, leds.marker))
         else:
-            (truth,) = sight.free().evaluate(free)
+            (truth,) = model.free().evaluate(free)
         J = truth.J.reshape(-1, truth.J.shape[2])
         given = {**data.given, "noise": SIGMA, **({"marker": leds.marker} if known else {})}
         given |= {"visible": seen} if missing else {}

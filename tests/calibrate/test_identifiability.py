@@ -77,25 +77,6 @@ class TestRank:
             (51, 3, lambda run: {"position": run.pose[:, :3, 3], "noise": 1e-4, "harmonics": (1, 2)}),
             (36, 0, lambda run: {"pose": run.pose, "noise": NOISE, "joint_terms": run.q[:, :, None] * np.eye(6)}),
         ],
-        ids=[
-            "pose",
-            "1 point",
-            "2 points",
-            "3 points",
-            "x y",
-            "z",
-            "orientation",
-            "distance",
-            "and offset",
-            "pairs",
-            "order 1",
-            "order 2",
-            "order 3",
-            "1 2",
-            "1 2 3",
-            "both",
-            "gear",
-        ],
     )
     @pytest.mark.parametrize("model", ["local_poe", "poe"])
     def test_six_joints_that_turn(self, case, rank: int, unseen: int, options: Callable, model: str) -> None:

@@ -17,7 +17,6 @@ from armlab.kinematics import (
     link_transforms,
     parameter_jacobian,
 )
-from armlab.kinematics.forward import frame_poses, twist_jacobian
 from armlab.lie import se3, so3
 from armlab.robots import Robot
 
@@ -169,27 +168,3 @@ def test_joints_are_the_z_axes_of_the_frames(robot_parameters: robots.Robot) -> 
     q = np.random.default_rng(1).uniform(-1, 1, (5, 6))
     own = parameter_jacobian(robot_parameters, q)[..., np.arange(6), np.where(robot_parameters.prismatic, 2, 5)]
     np.testing.assert_allclose(own, jacobian(robot_parameters, q), rtol=0, atol=1e-14)
-
-
-def test_poses_are_links_before_their_joints_turn(robot_parameters: robots.Robot) -> None:
-    q = np.random.default_rng(2).uniform(-1, 1, (5, 6))
-    P = frame_poses(robot_parameters.chain, robot_parameters.frames, q)
-    np.testing.assert_allclose(P[:, -1], forward(robot_parameters, q), rtol=0, atol=1e-14)
-    first = np.zeros_like(q)
-    first[:, 1:] = q[:, 1:]
-    np.testing.assert_allclose(P[:, 0], link_transforms(robot_parameters, first)[:, 0], rtol=0, atol=1e-14)
-
-
-def test_any_point_moves_with_a_frame() -> None:
-    rng = np.random.default_rng(3)
-    P, point, twist = (
-        se3.exp(rng.standard_normal((4, 2, 6))),
-        rng.standard_normal((4, 3)),
-        1e-6 * rng.standard_normal(6),
-    )
-    J = twist_jacobian(P, point)
-    for j in range(2):
-        step = P[:, j] @ se3.exp(twist) @ se3.inv(P[:, j])
-        after = np.einsum("iab,ib->ia", step[:, :3, :3], point) + step[:, :3, 3]
-        np.testing.assert_allclose(J[:, :3, j] @ twist, after - point, rtol=0, atol=1e-11)
-        np.testing.assert_allclose(J[:, 3:, j] @ twist, so3.log(step[:, :3, :3]), rtol=0, atol=1e-11)

@@ -16,7 +16,7 @@ from armlab import kinematics, robots
 from armlab.errors import ArmlabError, RobotError, ShapeError, UnknownName
 from armlab.lie import euler, quaternion, se3
 from armlab.robots import Mesh, Robot, inertia
-from armlab.robots.build import GRAVITY, RAMP_TIME, SCREW_TOLERANCE, LocalPoe
+from armlab.robots.build import GRAVITY, RAMP_TIME, SCREW_TOLERANCE
 from armlab.robots.robot import POSE_TOLERANCE, arm_length
 
 FILE = "package://maker/link_1.stl"
@@ -62,13 +62,6 @@ def test_frames_hold_mount_and_tool(yumi: Robot) -> None:
     np.testing.assert_allclose(moved.T_home, T_base_mount @ bare.T_home @ T_flange_tool, rtol=0, atol=1e-15)
     np.testing.assert_array_equal(moved.frames[1:-1], yumi.frames[1:-1])
     np.testing.assert_array_equal(moved.gravity, yumi.gravity)
-
-
-def test_with_tool_replaces_the_tool(yumi: Robot) -> None:
-    T_flange_tool = se3.exp([0, 0, 0.1, 0, 0, 0.5])
-    twice = yumi.with_tool(se3.exp([1, 1, 1, 1, 1, 1])).with_tool(T_flange_tool)
-    assert twice == yumi.with_tool(T_flange_tool)
-    assert twice.with_tool(np.eye(4)) == yumi
 
 
 def test_equality_is_by_content(yumi: Robot) -> None:
@@ -339,19 +332,6 @@ def test_from_poe_is_the_product_of_exponentials() -> None:
         np.testing.assert_allclose(robot.screws, screws, rtol=0, atol=1e-14)
         np.testing.assert_allclose(robot.T_home, T_home, rtol=0, atol=1e-13)
         np.testing.assert_array_equal(robot.prismatic, ~screws[:, 3:].any(axis=1))
-
-
-def test_local_poe_of_a_robot() -> None:
-    """``T = A_1 exp(xi_1 q_1) ... A_n exp(xi_n q_n) A_tool``, typed in."""
-    rng = np.random.default_rng(2)
-    robot = random_robot(rng, 5)
-    local = robots.to_local_poe(robot)
-    assert isinstance(local, LocalPoe)
-    q = rng.standard_normal(5)
-    T = np.eye(4)
-    for pose, xi, position in zip(local.poses, local.screws, q):
-        T = T @ pose @ se3.exp(xi * position)
-    np.testing.assert_allclose(T @ local.poses[-1], kinematics.forward(robot, q), rtol=0, atol=1e-13)
 
 
 def test_the_ancestors_test_robot() -> None:

@@ -271,12 +271,6 @@ def test_there_and_back(tmp_path: Path, tree: Tree) -> None:
     np.testing.assert_allclose(again.meshes[0][0].T_link_mesh, T_base_mesh, rtol=0, atol=1e-15)
 
 
-def test_axes_along_coordinates_cost_no_digit() -> None:
-    for xyz, R in (("0 0 1", np.eye(3)), ("0 0 -1", np.diag([1, -1, -1])), ("1 0 0", np.eye(3)[:, [1, 2, 0]])):
-        robot = urdf.parse(TWO_ARMS.replace("0 0 2", xyz)).chain("left_base", "left_1")
-        np.testing.assert_array_equal(robot.links[0][:3, :3], R)
-
-
 def test_several_branches_are_listed(tmp_path: Path) -> None:
     path = written(tmp_path, TWO_ARMS)
     with pytest.raises(
