@@ -31,34 +31,6 @@ def test_from_matrix_of_half_turns() -> None:
     np.testing.assert_array_equal(quaternion.from_matrix(np.diag([-1.0, -1, 1])), [0, 0, 0, 1])
 
 
-def test_from_matrix_with_six_decimals() -> None:
-    q = random_quaternions(1000)
-    q[q[:, 0] < 0] *= -1
-    rounded = np.round(quaternion.to_matrix(q), 7)
-    again = quaternion.from_matrix(rounded)
-    np.testing.assert_allclose(np.linalg.norm(again, axis=1), 1, rtol=1e-15)
-    np.testing.assert_allclose(again, q, rtol=0, atol=1e-6)
-
-
-def test_multiply_is_the_product_of_rotations() -> None:
-    p, q = random_quaternions(1000), random_quaternions(1000, seed=1)
-    product = quaternion.to_matrix(p) @ quaternion.to_matrix(q)
-    np.testing.assert_allclose(quaternion.to_matrix(quaternion.multiply(p, q)), product, rtol=0, atol=2e-15)
-    i, j, k = np.eye(4)[1:]
-    np.testing.assert_array_equal(quaternion.multiply(i, j), k)
-    assert quaternion.multiply(p, i).shape == p.shape
-
-
-def test_slerp_ends_and_middle() -> None:
-    a, b = random_quaternions(500), random_quaternions(500, seed=1)
-    R_a, R_b = quaternion.to_matrix(a), quaternion.to_matrix(b)
-    np.testing.assert_allclose(quaternion.slerp(a, b, 0.0), a, rtol=0, atol=1e-15)
-    assert so3.angle(quaternion.to_matrix(quaternion.slerp(a, b, 1.0)), R_b).max() <= 3e-15
-    middle = quaternion.to_matrix(quaternion.slerp(a, b, 0.5))
-    np.testing.assert_allclose(so3.angle(R_a, middle), so3.angle(R_a, R_b) / 2, rtol=0, atol=3e-15)
-    np.testing.assert_allclose(quaternion.slerp(a, -b, 0.3), quaternion.slerp(a, b, 0.3), rtol=0, atol=1e-15)
-
-
 def test_continuous_chooses_signs_along_time() -> None:
     t = np.linspace(0, 4 * np.pi, 400)
     smooth = np.stack([np.cos(t), 0 * t, 0.6 * np.sin(t), 0.8 * np.sin(t)], axis=-1)

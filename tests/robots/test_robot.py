@@ -14,7 +14,7 @@ import pytest
 
 from armlab import kinematics, robots
 from armlab.errors import ArmlabError, RobotError, ShapeError, UnknownName
-from armlab.lie import euler, quaternion, se3
+from armlab.lie import euler, se3
 from armlab.robots import Mesh, Robot, inertia
 from armlab.robots.build import GRAVITY, RAMP_TIME, SCREW_TOLERANCE
 from armlab.robots.robot import POSE_TOLERANCE, arm_length
@@ -197,13 +197,6 @@ def test_a_rotation_that_is_off_is_refused() -> None:
     assert robots.from_links("r", links).n == 1
 
 
-def test_an_inertia_that_no_body_has_but_that_moves_is_accepted() -> None:
-    """Published descriptions break the triangle inequality; every mass matrix is positive all the same."""
-    flat = inertia.from_body(1.0, [0, 0, 0], np.diag([1.0, 1.0, 3.0]))
-    rounded = inertia.from_body(1.0, [0, 0, 0], np.diag([-1e-7, 1.0, 1.0]))
-    assert robots.from_dh("r", [0.0, 0.0], 1.0, 0.0, inertias=[flat, rounded]).inertias is not None
-
-
 def dh_matrix(theta: float, d: float, a: float, alpha: float) -> np.ndarray:
     """The matrix of the textbooks, entry by entry."""
     ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
@@ -271,16 +264,6 @@ def test_a_misspelt_detail_is_refused() -> None:
     """Limits that are not taken would be infinite."""
     with pytest.raises(RobotError, match="got 'q_maxx'"):
         robots.from_dh("r", 0.0, [1.0, 1.0], 0.0, q_maxx=[1.0, 1.0])  # type: ignore[call-arg]
-
-
-def test_from_links() -> None:
-    rng = np.random.default_rng(2)
-    q = rng.standard_normal((3, 4))
-    links = np.tile(np.eye(4), (3, 1, 1))
-    links[:, :3, :3] = quaternion.to_matrix(q / np.linalg.norm(q, axis=1, keepdims=True))
-    robot = robots.from_links("r", links, [False, True])
-    np.testing.assert_array_equal(robot.frames, links)
-    np.testing.assert_allclose(robot.T_home, links[0] @ links[1] @ links[2], rtol=0, atol=1e-15)
 
 
 def test_limits_that_look_like_degrees_are_doubted() -> None:
