@@ -54,13 +54,6 @@ def errors(fit: Fit[DualArmCorrection], run: DualRun) -> tuple[float, float]:
     return 1e6 * float(np.mean(np.sum((Z - truth)[:, :3, 3] ** 2, axis=1))), float(np.mean(turn**2))
 
 
-def test_exact_poses_and_positions(exact: DualRun) -> None:
-    truth = exact.relative(exact.q_valid_a, exact.q_valid_b)
-    for data in ({"pose": exact.pose, "noise": NOISE}, {"position": exact.pose[:, :3, 3], "noise": 1e-4}):
-        Z = fit_of(exact, **data).value.forward(exact.q_valid_a, exact.q_valid_b)
-        np.testing.assert_allclose(Z[:, :3, 3], truth[:, :3, 3], rtol=0, atol=1e-9)
-
-
 def test_ranks(case: DualRun) -> None:
     """With 6 + 6 joints: 4 R + 6, 4 R + 3, 4 R + 12."""
     outside = noisy(case.truth_a.forward(case.q_a), np.random.default_rng(1))

@@ -440,17 +440,11 @@ NO_POSES = [
     (pose(a00=-1), "to be a pose"),  # a mirror
     (pose(a01=1e-6), "orthonormal to 1e-09.*Project it first"),
     (pose(a30=1), "to be a pose"),
-    (pose(a33=0), "to be a pose"),
     (pose(a03=np.nan), r"got NaN at index \(0, 3\)"),
     (pose(a03=np.inf), "to be a pose"),
-    (np.full((4, 4), np.nan), r"got NaN at index \(0, 0\)"),
     (np.eye(3), r"to have shape \(4, 4\), got \(3, 3\)"),
-    (ONE[None], r"to have shape \(4, 4\), got \(1, 4, 4\)"),
-    (np.zeros(16), r"to have shape \(4, 4\), got \(16,\)"),
     (1j * ONE, "to be real numbers"),
     ("up", "to be real numbers, got 'up'"),
-    (None, "to be real numbers, got None"),
-    ([[1, 0], [0]], r"to be real numbers, got \[\[1, 0\], \[0\]\]"),
 ]
 
 
@@ -463,58 +457,37 @@ def test_tools_and_bases_that_are_no_poses(yumi: Robot, T: Any, sentence: str) -
 
 
 BAD: dict[str, tuple[Callable[[], object], type[ArmlabError], str]] = {
-    "no links": (lambda: robots.from_links("r", None), RobotError, "Expected links of robot 'r' to be real numbers"),
     "one pose": (lambda: robots.from_links("r", ONE), RobotError, "Expected links of robot 'r' .* got"),
-    "a number": (lambda: robots.from_links("r", 3.0), RobotError, "Expected at least one joint for robot 'r'"),
-    "3x3 links": (lambda: robots.from_links("r", LINKS[:, :3, :3]), RobotError, "got .3, 3, 3."),
     "NaN in a link": (lambda: robots.from_links("r", LINKS * np.nan), RobotError, "Expected numbers in links"),
     "scaled link": (lambda: robots.from_links("r", 2 * LINKS), RobotError, r"Expected links\[0\] of robot 'r'"),
     "one flag for two joints": (
         lambda: robots.from_links("r", LINKS, [True]), RobotError,
         r"Expected prismatic of robot 'r' \(2 joints\) to have shape \(2,\), got \(1,\)\.",
     ),
-    "words for flags": (lambda: robots.from_links("r", LINKS, ["a", "b"]), RobotError, "Expected prismatic of robot"),
     "a matrix of angles": (
         lambda: robots.from_dh("r", np.zeros((2, 2)), 0, 0), RobotError,
         r"Expected alpha in the DH table of 'r' as one column \(n,\), got shape \(2, 2\)\.",
     ),
-    "no angle": (lambda: robots.from_dh("r", None, [1, 2], 0), RobotError, "Expected alpha in the DH table of 'r' to"),
-    "a word": (lambda: robots.from_dh("r", "pi", [1, 2], 0), RobotError, "real numbers, got 'pi'"),
     "columns of two lengths": (lambda: robots.from_dh("r", 0, [1, 2], [1, 2, 3]), RobotError, "of one length"),
     "NaN in a table": (
         lambda: robots.from_dh("r", [0.0, np.nan], 1.0, 0.0), RobotError,
         r"Expected finite alpha in the DH table of 'r', got nan at joint 2\.",
     ),
-    "empty table": (lambda: robots.from_dh("r", [], [], []), RobotError, "Expected at least one joint"),
     "screws of five": (lambda: robots.from_poe("r", np.ones((2, 5)), ONE), RobotError, r"screws of shape \(n, 6\)"),
-    "one screw flat": (lambda: robots.from_poe("r", TURN[0], ONE), RobotError, r"screws of shape \(n, 6\)"),
-    "a screw": (lambda: robots.from_poe("r", 1.0, ONE), RobotError, r"screws of shape \(n, 6\)"),
     "NaN in a screw": (lambda: robots.from_poe("r", np.full((1, 6), np.nan), ONE), RobotError, "for joint 1"),
     "a home that is none": (lambda: robots.from_poe("r", TURN, 2 * ONE), RobotError, "Expected T_home of robot 'r'"),
-    "a home with holes": (lambda: robots.from_poe("r", TURN, [[1], []]), RobotError, "Expected T_home of robot 'r'"),
     "poses missing": (lambda: robots.from_local_poe("r", ONE[None], TURN), RobotError, r"\(n\+1, 4, 4\)"),
-    "a word as screw": (lambda: robots.normalise_screw("x"), ShapeError, "Expected screw to be real numbers"),
     "limits reversed": (
         lambda: two(q_min=[-1, 1], q_max=[1, -1]), RobotError,
         r"Expected q_min below q_max at joint 2 \(joint_2\) of robot 'r', got q_min 1, q_max -1\.",
     ),
-    "limits equal": (lambda: two(q_min=[1, 1], q_max=[1, 2]), RobotError, "Expected q_min below q_max at joint 1"),
     "no limits": (lambda: two(q_min=None), RobotError, "Expected q_min of robot 'r' to be real numbers, got None"),
-    "gravity in words": (lambda: two(gravity="down"), RobotError, "Expected gravity of robot 'r' to be real numbers"),
-    "names that are numbers": (lambda: two(joint_names=[1, 2]), RobotError, "Expected text in joint_names"),
     "no source": (lambda: two(source=None), RobotError, "Expected text in source of robot 'r', got None"),
     "nine inertial numbers": (lambda: two(inertias=np.zeros((2, 9))), RobotError, r"shape \(2, 10\), got \(2, 9\)"),
-    "inertias of one link": (lambda: two(inertias=np.zeros((1, 10))), RobotError, r"shape \(2, 10\), got \(1, 10\)"),
-    "torque limits of none": (lambda: replace(two(), tau_max=None), RobotError, "Expected tau_max of robot 'r'"),
-    "a text for names": (lambda: two(joint_names="ab"), RobotError, "Expected joint_names of .* as a list or tuple"),
     "no names": (lambda: two(joint_names=None), RobotError, "Expected joint_names of robot 'r' as a list or tuple"),
-    "no axes": (lambda: two(abb_axes=None), RobotError, "Expected abb_axes of robot 'r' as a list or tuple"),
     "axes that are no counts": (lambda: two(abb_axes=[1.0, 2.0]), RobotError, r"as whole numbers, got \[1\.0, 2\.0\]"),
-    "axes of two kinds": (lambda: two(abb_axes=["1", 2]), RobotError, "as whole numbers, got"),
-    "no meshes": (lambda: two(meshes=None), RobotError, "Expected meshes of robot 'r' as a list or tuple"),
     "meshes not by link": (lambda: two(meshes=[1, 2, 3]), RobotError, "Expected meshes of one link of robot 'r'"),
     "half a flag": (lambda: robots.from_links("r", LINKS, [1, 0.5]), RobotError, "Expected prismatic .* as True and"),
-    "NaN for a flag": (lambda: robots.from_links("r", LINKS, [1, np.nan]), RobotError, "Expected prismatic .* as True"),
     "a convention by name": (
         lambda: robots.from_dh("r", 0, [1, 2], 0, modified="standard"), RobotError,  # type: ignore[arg-type]
         "Expected modified of robot 'r' to be True or False, got 'standard'",
