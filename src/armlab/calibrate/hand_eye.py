@@ -243,8 +243,10 @@ class HandEyeEquation:
     def start(self) -> Pair:
         """Return rotations by the singular vectors of K, positions by least squares: no units, no guess."""
         U, _, V = np.linalg.svd(self.product())
-        RX, RY = V[0].reshape(3, 3), U[:, 0].reshape(3, 3)
-        (RX, RY), _ = so3.nearest(np.sign(np.linalg.det(RX)) * np.stack([RX, RY]))
+        pair = np.stack([V[0], U[:, 0]]).reshape(2, 3, 3)
+        U, _, V = np.linalg.svd(np.sign(np.linalg.det(pair[0])) * pair)
+        U[:, :, 2] *= np.linalg.det(U @ V)[:, None]
+        RX, RY = U @ V
         M, c = self.mean, self.tB @ RY.T - self.tA
         middle = c.sum(axis=0) / self.N
         pulled = c.ravel() @ self.RA.reshape(-1, 3) / self.N - M.T @ middle
@@ -259,7 +261,9 @@ class HandEyeEquation:
         w = so3.log(back @ self.RB)
         bent = so3.left_jacobian_inv(w)
         r, J = np.concatenate([self.tB - t, w], axis=1), np.zeros((self.N, 6, 12))
-        J[:, :3, :3], J[:, :3, 6:9], J[:, :3, 9:] = -C, pair.RY.T, -so3.hat(t)
+        J[:, :3, :3], J[:, :3, 6:9] = -C, pair.RY.T
+        J[:, 0, 10], J[:, 1, 11], J[:, 2, 9] = t[:, 2], t[:, 0], t[:, 1]  # -hat(t)
+        J[:, 0, 11], J[:, 1, 9], J[:, 2, 10] = -t[:, 1], -t[:, 2], -t[:, 0]
         J[:, 3:, 3:6], J[:, 3:, 9:] = -bent, bent @ back
         of_A = self._noise_of_A(pair, C)
         if self.noise is None:
