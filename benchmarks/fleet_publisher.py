@@ -16,7 +16,7 @@ from armlab import robots
 from armlab.bridge.servers.row import MAGIC, RowSchema
 from armlab.bridge.servers.zenoh import checksum, close_session, key, open_session
 from armlab.bridge.servers.zenoh.publisher import Waiting
-from armlab.robots.files import to_toml
+from armlab.robots import to_toml
 
 PERIOD = 0.004
 HEAD = struct.Struct("<4sI8sQqq")

@@ -26,7 +26,7 @@ from armlab.bridge.servers.server_end import encoded
 from armlab.bridge.servers.zenoh.process import ZenohProcess
 from armlab.errors import ArmlabError, CommandRefused, LabCommError
 from armlab.log import Column
-from armlab.robots.files import to_toml
+from armlab.robots import to_toml
 from armlab.wire.labcomm import Encoder
 
 _NOW = 10**12

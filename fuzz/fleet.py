@@ -26,8 +26,7 @@ from armlab.fleet.recorder import RobotRecord
 from armlab.live import Running, SeenRobot
 from armlab.live.fleet_view import _words
 from armlab.log import Tick
-from armlab.robots import Robot
-from armlab.robots.files import to_toml
+from armlab.robots import Robot, to_toml
 from armlab.state import State
 from armlab.wire.egm import Packet
 

@@ -15,8 +15,7 @@ from armlab.bridge.servers.zenoh import EVERY, Place, checksum, close_session, o
 from armlab.fleet import FleetRecorder, Router, recorder
 from armlab.fleet.recorder import RobotRecord
 from armlab.log import Tick
-from armlab.robots import Robot
-from armlab.robots.files import to_toml
+from armlab.robots import Robot, to_toml
 from armlab.state import State
 
 from ..processes import Started, free_port, until

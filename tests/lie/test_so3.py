@@ -299,3 +299,10 @@ def test_an_iteration_that_does_not_end_is_an_error(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("armlab.lie.so3.ITERATIONS", 1)
     with pytest.raises(NotConverged, match="Take the chordal mean"):
         so3.mean(scattered(10, 0.6)[1], method="geodesic")
+
+
+def test_left_jacobian_of_a_quarter_turn() -> None:
+    """By hand: sin θ/θ and (1 - cos θ)/θ."""
+    s = c = 2 / np.pi
+    wanted = [[s, -c, 0], [c, s, 0], [0, 0, 1]]
+    np.testing.assert_allclose(so3.left_jacobian([0, 0, np.pi / 2]), wanted, rtol=0, atol=2e-16)

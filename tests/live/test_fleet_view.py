@@ -16,8 +16,7 @@ from armlab.errors import LinkError
 from armlab.kinematics import forward
 from armlab.lie import quaternion, se3
 from armlab.live import FleetRows, FleetView, SeenRobot, watch_fleet
-from armlab.robots import Robot
-from armlab.robots.files import to_toml
+from armlab.robots import Robot, to_toml
 
 from .fleet_bridges import Fleet, hear_fleet
 

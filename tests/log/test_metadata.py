@@ -19,8 +19,7 @@ from ruamel.yaml import YAML
 
 from armlab.errors import RobotError
 from armlab.log.recording.metadata import SECRET, attached, described, metadata, redacted, revision
-from armlab.robots import Robot, from_toml, load
-from armlab.robots.files import to_toml
+from armlab.robots import Robot, from_toml, load, to_toml
 
 MARKER = "q7Zw"
 LETTERS = st.text("abcxyz", min_size=1, max_size=5)  # of which no name of a secret can be made

@@ -114,3 +114,9 @@ def test_coupling_in_batches(wrist: Robot) -> None:
 def test_a_name_is_no_robot(function: Any) -> None:
     with pytest.raises(RobotError, match=r"Expected a Robot, got 'irb120'\. Load it first"):
         function("irb120", np.zeros(6))
+
+
+@pytest.mark.parametrize("name", couplings.__all__)
+def test_a_wrong_count_is_refused(yumi: Robot, name: str) -> None:
+    with pytest.raises(ShapeError, match=r"Expected values of shape \(\.\.\., 7\) for robot 'yumi_left', got \(6,\)\."):
+        getattr(couplings, name)(yumi, np.zeros(6))

@@ -17,7 +17,7 @@ from armlab.errors import ArmlabError, RobotError, ShapeError, UnknownName
 from armlab.lie import euler, se3
 from armlab.robots import Mesh, Robot, inertia
 from armlab.robots.build import GRAVITY, RAMP_TIME, SCREW_TOLERANCE
-from armlab.robots.robot import POSE_TOLERANCE, arm_length
+from armlab.robots.robot import POSE_TOLERANCE, arm_length, bends
 
 FILE = "package://maker/link_1.stl"
 GOOD = {"kind": "visual", "file": FILE, "T_link_mesh": np.eye(4), "scale": (1, 1, 1)}
@@ -457,6 +457,7 @@ def test_tools_and_bases_that_are_no_poses(yumi: Robot, T: Any, sentence: str) -
 
 
 BAD: dict[str, tuple[Callable[[], object], type[ArmlabError], str]] = {
+    "a number": (lambda: robots.from_links("r", 3.0), RobotError, "Expected at least one joint for robot 'r'"),
     "one pose": (lambda: robots.from_links("r", ONE), RobotError, "Expected links of robot 'r' .* got"),
     "NaN in a link": (lambda: robots.from_links("r", LINKS * np.nan), RobotError, "Expected numbers in links"),
     "scaled link": (lambda: robots.from_links("r", 2 * LINKS), RobotError, r"Expected links\[0\] of robot 'r'"),
@@ -538,3 +539,14 @@ def test_every_vector_of_the_wrong_length_or_with_nan(field: str) -> None:
         replace(two(**LIMITS), **{field: [0.5, np.nan]})
     with pytest.raises(RobotError, match=f"Expected {field} of robot 'r' to be real numbers, got 'many'"):
         replace(two(**LIMITS), **{field: "many"})
+
+
+def test_bends_of_a_link() -> None:
+    """Axis z through the origin: an axis y through (0.3, 0.1, 0.5) has a common normal with it, a parallel one a foot."""
+    z, y, b = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), np.array([0.3, 0.1, 0.5])
+    np.testing.assert_allclose(bends(np.zeros(3), z, b, y), [[0.0, 0.0, 0.5], [0.3, 0.0, 0.5]], atol=1e-15, rtol=0)
+    np.testing.assert_allclose(bends(np.zeros(3), z, b, z), [[0.0, 0.0, 0.5]], atol=1e-15, rtol=0)
+
+
+def test_repr(yumi: Robot) -> None:
+    assert repr(yumi) == "Robot('yumi_left', 7 joints)"

@@ -15,7 +15,7 @@ from armlab.robots.build import (
     normalise_screw,
     to_local_poe,
 )
-from armlab.robots.files import from_toml, load, names, save
+from armlab.robots.files import from_toml, load, names, save, to_toml
 from armlab.robots.robot import Mesh, Robot
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ __all__ = [
     "normalise_screw",
     "save",
     "to_local_poe",
+    "to_toml",
     "urdf",
 ]
 

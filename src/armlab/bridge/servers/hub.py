@@ -40,8 +40,7 @@ from armlab.bridge.servers.messages import (
 from armlab.bridge.servers.row import RowSchema, RowWriter
 from armlab.errors import ArmlabError, LinkError
 from armlab.log import Column, Tick
-from armlab.robots import Robot
-from armlab.robots.files import to_toml
+from armlab.robots import Robot, to_toml
 from armlab.state import Command, State
 
 __all__ = ["OPERATOR", "Exchange"]

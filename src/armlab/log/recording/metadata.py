@@ -166,7 +166,7 @@ def attached(robot: Robot, attachments: Mapping[str, bytes]) -> dict[str, bytes]
 
     `attachments`: name -> bytes; of settings (TOML, JSON, YAML, INI) the values of secret keys go.
     """
-    from armlab.robots.files import to_toml
+    from armlab.robots import to_toml
 
     found: dict[str, bytes] = {}
     with contextlib.suppress(RobotError):  # a name that cannot stand in a file must not cost the recording

@@ -15,7 +15,7 @@ from armlab.bridge.servers.rosbridge import Engine
 from armlab.bridge.servers.rosbridge.session import Session
 from armlab.bridge.servers.row import RowSchema, RowWriter
 from armlab.log import Tick
-from armlab.robots.files import to_toml
+from armlab.robots import to_toml
 from armlab.state import State
 
 MS = 1_000_000  # ns

@@ -22,7 +22,7 @@ from armlab.bridge.servers.zenoh.publisher import Output, Waiting
 from armlab.bridge.servers.zenoh.security import Security
 from armlab.bridge.servers.zenoh.session import close_session, open_session
 from armlab.errors import ArmlabError, CommandRefused, ConfigError, LinkError
-from armlab.robots.files import to_toml
+from armlab.robots import to_toml
 
 from .conftest import free_port, until
 
