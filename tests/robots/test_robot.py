@@ -542,7 +542,7 @@ def test_every_vector_of_the_wrong_length_or_with_nan(field: str) -> None:
 
 
 def test_bends_of_a_link() -> None:
-    """Axis z through the origin: an axis y through (0.3, 0.1, 0.5) has a common normal with it, a parallel one a foot."""
+    """Axis z through the origin and an axis y have a common normal, parallel axes the foot of a perpendicular."""
     z, y, b = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), np.array([0.3, 0.1, 0.5])
     np.testing.assert_allclose(bends(np.zeros(3), z, b, y), [[0.0, 0.0, 0.5], [0.3, 0.0, 0.5]], atol=1e-15, rtol=0)
     np.testing.assert_allclose(bends(np.zeros(3), z, b, z), [[0.0, 0.0, 0.5]], atol=1e-15, rtol=0)
