@@ -128,10 +128,10 @@ def _points(arm: Arm, T: np.ndarray, kind: Kind | None) -> np.ndarray:
     """Return where the tool points (K, 3) are when poses say where the tool is."""
     if kind is None or kind.values.shape[1] == 1:
         return np.zeros((0, 3))
-    return np.stack([_inside(T, kind.values[:, k], kind.visible[:, k]) for k in range(kind.values.shape[1])])
+    return np.stack([_in_tool(T, kind.values[:, k], kind.visible[:, k]) for k in range(kind.values.shape[1])])
 
 
-def _inside(T: np.ndarray, p: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def _in_tool(T: np.ndarray, p: np.ndarray, seen: np.ndarray) -> np.ndarray:
     rows = np.flatnonzero(seen)
     if not len(rows):
         return np.zeros(3)
@@ -141,7 +141,7 @@ def _inside(T: np.ndarray, p: np.ndarray, seen: np.ndarray) -> np.ndarray:
 def _from_points(arm: Arm, T: np.ndarray, kind: Kind) -> tuple[Arm, np.ndarray]:
     """Solve ``R_i s_k + t_i = R' p_ik + t'`` for all s_k, R' and t', then move the base by the inverse."""
     K, blocks, known = kind.values.shape[1], [], []
-    at_nominal = np.stack([_inside(T, kind.values[:, k], kind.visible[:, k]) for k in range(K)])
+    at_nominal = np.stack([_in_tool(T, kind.values[:, k], kind.visible[:, k]) for k in range(K)])
     if np.sqrt(np.mean([_misfit(T, kind, k, at_nominal[k]) for k in range(K)])) < FAR**2 or len(kind.kept) < 3:
         return arm, at_nominal
     for k in range(K):
@@ -314,8 +314,8 @@ class KinematicEstimation(ABC, Generic[S]):
             limits=problem.sizes(*self.limits)[used],
             gauge=G[used],
             gauge_names=gauge_names,
-            nature=_inside(self.nature(state), used),
-            candidates=lambda: _inside(self.candidates(state), used),
+            nature=_cut_to(self.nature(state), used),
+            candidates=lambda: _cut_to(self.candidates(state), used),
             what="arm",
         )
         return test.excitation(np.concatenate(list(_whitened(data, sigma, outside)))[:, used], self.hold)
@@ -344,7 +344,7 @@ def _classes(problem: Residuals[Any]) -> list[str]:
     return [name for kind in problem.kinds for name in kind.classes]
 
 
-def _inside(candidates: Sequence[UnobservableDirection], used: np.ndarray) -> list[UnobservableDirection]:
+def _cut_to(candidates: Sequence[UnobservableDirection], used: np.ndarray) -> list[UnobservableDirection]:
     """Return directions that move something that is used, cut to it."""
     found = [UnobservableDirection(one.name, one.directions[used], one.advice) for one in candidates]
     return [one for one in found if np.abs(one.directions).max(initial=0.0) > 0]
