@@ -10,7 +10,6 @@ import pytest
 
 from armlab import kinematics, robots
 from armlab.errors import ConfigError, RobotError, ShapeError, UnknownName
-from armlab.kinematics import dexterity
 from armlab.robots import Robot
 
 ROBOT = robots.load("yumi_left")
@@ -26,7 +25,7 @@ OF_BATCHES: dict[str, Callable[[Robot, Any], Any]] = {
     "parameter_jacobian": kinematics.parameter_jacobian,
     "singular_values": kinematics.singular_values,
     "manipulability": kinematics.manipulability,
-    "manipulability_gradient": dexterity.manipulability_gradient,
+    "manipulability_gradient": kinematics.manipulability_gradient,
     "axes of ellipsoid": lambda robot, q: kinematics.ellipsoid(robot, q).axes,
 }
 OF_ONE: dict[str, Callable[[Robot, Any], Any]] = {"self_motion": kinematics.self_motion}
@@ -74,7 +73,7 @@ def test_nothing_is_known_of_a_posture_that_is_not(part: Any, prismatic: bool) -
     robot = robots.from_dh("one", 0.0, [0.0], 0.0, prismatic=[prismatic], q_min=[-1.0], q_max=[1.0])
     q = np.array([[0.5], [np.nan]])
     values = [kinematics.manipulability(robot, q, part), kinematics.singular_values(robot, q, part)]
-    values += [dexterity.manipulability_gradient(robot, q, part), kinematics.jacobian(robot, q)]
+    values += [kinematics.manipulability_gradient(robot, q, part), kinematics.jacobian(robot, q)]
     for value in values:
         assert np.isfinite(value[0]).all()
         assert np.isnan(value[1]).any()

@@ -11,8 +11,16 @@ import pytest
 
 from armlab import lie, robots
 from armlab.errors import RobotError, ShapeError, SingularPoseError, UnknownName
-from armlab.kinematics import ellipsoid, forward, jacobian, manipulability, self_motion, singular_values
-from armlab.kinematics.dexterity import Ellipsoid, SelfMotion, manipulability_gradient
+from armlab.kinematics import (
+    ellipsoid,
+    forward,
+    jacobian,
+    manipulability,
+    manipulability_gradient,
+    self_motion,
+    singular_values,
+)
+from armlab.kinematics.dexterity import Ellipsoid, SelfMotion
 from armlab.robots import Robot
 
 ROWS = {"pose": slice(0, 6), "position": slice(0, 3), "rotation": slice(3, 6)}

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from armlab.kinematics.dexterity import ellipsoid, manipulability, self_motion, singular_values
+from armlab.kinematics.dexterity import (
+    ellipsoid,
+    manipulability,
+    manipulability_gradient,
+    self_motion,
+    singular_values,
+)
 from armlab.kinematics.forward import (
     forward,
     forward_jacobian,
@@ -24,6 +30,7 @@ __all__ = [
     "jacobian_derivative",
     "link_transforms",
     "manipulability",
+    "manipulability_gradient",
     "parameter_jacobian",
     "self_motion",
     "singular_values",

@@ -25,6 +25,8 @@ __all__ = [
     "interpolate",
     "inv",
     "is_pose",
+    "left_jacobian",
+    "left_jacobian_inv",
     "log",
     "project",
     "to_angular_first",
