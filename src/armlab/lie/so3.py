@@ -196,8 +196,8 @@ def nearest(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     ``σ₂ + d σ₃`` says how well the rotation is determined; where it is 0 the rotation is one of many.
     """
-    missing = ~np.isfinite(M).all(axis=(-1, -2))[..., None]
-    M = np.where(missing[..., None], np.eye(3), M)
+    missing = ~np.isfinite(M).all(axis=(-1, -2), keepdims=True)
+    M = np.where(missing, np.eye(3), M)
     U, sigma, Vt = np.linalg.svd(M)
     d = np.sign(np.linalg.det(U @ Vt))
     U[..., 2] *= d[..., None]
@@ -211,7 +211,7 @@ def nearest(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     one = sigma[..., 1:].sum(axis=-1) > ONE_NEAREST * sigma[..., 0]
     H = np.where(one[..., None, None], H, np.eye(3))
     R = np.where(one[..., None, None], R @ kernels.so3_exp(np.linalg.solve(H, off[..., None])[..., 0]), R)
-    return np.where(missing[..., None], np.nan, R), np.where(missing, np.nan, sigma)
+    return np.where(missing, np.nan, R), np.where(missing[..., 0], np.nan, sigma)
 
 
 def left_jacobian(w: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
