@@ -125,6 +125,30 @@ def test_dh_poe_and_local_poe_agree(name: str) -> None:
         np.testing.assert_allclose(T, expected, atol=1e-12, rtol=0, err_msg=way)
 
 
+# Flange at q = 0.1, 0.2, ... without base and tool: position, quaternion, Jacobian times ones; by a port of the ancestor.
+REFERENCE = {
+    "irb2400": ((1.008172909263, 0.117103629855, 0.993752325411),
+                (0.211028318172, 0.368777489968, 0.876431648514, 0.226578413148),
+                (-0.118314250945, 1.074968536053, -1.716423864621, 1.304361026368, 3.254234528159, 0.054062664636)),
+    "irb7600": ((1.755516164724, 0.223047761078, 1.270034689313),
+                (0.211028318172, 0.368777489968, 0.876431648514, 0.226578413148),
+                (-0.494523405289, 1.925092727513, -2.583373807096, 1.304361026368, 3.254234528159, 0.054062664636)),
+    "yumi_right": ((0.331411094284, 0.137184725458, 0.194369240091),
+                   (0.045721044770, 0.321374739775, 0.907606846868, 0.266228612697),
+                   (-0.349855990704, 0.628741526053, -0.652366329789, 0.641429313372, 3.629494786012, 1.077111066362)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFERENCE)
+def test_reference_numbers(name: str) -> None:
+    robot, (p, wxyz, J_ones) = robots.load(name).with_base(np.eye(4)), REFERENCE[name]
+    q = 0.1 * np.arange(1, robot.n + 1)
+    T = kinematics.forward(robot, q)
+    np.testing.assert_allclose(T[:3, 3], p, rtol=0, atol=1e-12)
+    assert so3.angle(T[:3, :3], quaternion.to_matrix(wxyz)) < 5e-12
+    np.testing.assert_allclose(kinematics.jacobian(robot, q) @ np.ones(robot.n), J_ones, rtol=0, atol=2e-12)
+
+
 def test_yumi_at_home() -> None:
     """The golden flange of the force specification; the right arm mirrors the left."""
     left, right = (robots.load(name) for name in ("yumi_left", "yumi_right"))
