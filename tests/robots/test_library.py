@@ -125,7 +125,7 @@ def test_dh_poe_and_local_poe_agree(name: str) -> None:
         np.testing.assert_allclose(T, expected, atol=1e-12, rtol=0, err_msg=way)
 
 
-# Flange at q = 0.1, 0.2, ... without base and tool: position, quaternion, Jacobian times ones; by a port of the ancestor.
+# Flange at q = 0.1, 0.2, ... without base and tool: position, quaternion, Jacobian times ones; from the ancestor
 REFERENCE = {
     "irb2400": ((1.008172909263, 0.117103629855, 0.993752325411),
                 (0.211028318172, 0.368777489968, 0.876431648514, 0.226578413148),
