@@ -30,6 +30,7 @@ G = np.array([0.0, 0.0, -9.82])
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 HALF_TURN = se3.from_rp(so3.exp([0.0, 0.0, np.pi]), [0.3, 0.0, 0.2])
 
+EYE_0 = sim.cell(0).hand_eye()
 EYE, SEEN = CELL.hand_eye(), CELL.marker_points(N=40, missing=0.0)
 WEIGHED, MOVED = CELL.force(N=60, torque=0.005), CELL.accelerometer()
 TABLE, PAIR, SCANS = CELL.kinematics(), CELL.two_arms(), CELL.laser()
@@ -165,6 +166,7 @@ UNEXCITED = [
 ]  # fmt: skip
 UNITS = [
     (lambda: eye(B=millimetres(EYE.B)), NotConverged, r"times 0\.001 would fit: perhaps millimetres"),
+    (lambda: eye(EYE_0.A, millimetres(EYE_0.B), noise=CAMERA), NotConverged, r"times 0\.001 would fit: perhaps milli"),
     (lambda: eye(A=millimetres(EYE.A)), NotConverged, r"times 1e\+03 would fit: perhaps millimetres"),
     (lambda: points(p=1e3 * SEEN.p), NotConverged, r"Points times 0\.001 would fit: perhaps millimetres"),
     (lambda: points(A=millimetres(SEEN.A)), NotConverged, r"Points times 1e\+03 would fit: perhaps millimetres"),
