@@ -196,7 +196,7 @@ def nearest(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     ``σ₂ + d σ₃`` says how well the rotation is determined; where it is 0 the rotation is one of many.
     """
-    missing = ~np.isfinite(M).all(axis=(-1, -2), keepdims=True)
+    missing = np.asarray(~np.isfinite(M).all(axis=(-1, -2), keepdims=True))
     M = np.where(missing, np.eye(3), M)
     U, sigma, Vt = np.linalg.svd(M)
     d = np.sign(np.linalg.det(U @ Vt))
