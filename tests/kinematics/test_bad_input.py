@@ -91,6 +91,8 @@ def test_a_walk_from_nowhere_is_refused(function: Callable, bad: float) -> None:
 )
 def test_unknown_words(word: Any) -> None:
     with pytest.raises(UnknownName, match="Known: base, tool"):
+        kinematics.forward_jacobian(ROBOT, HOME, frame=word)
+    with pytest.raises(UnknownName, match="Known: base, tool"):
         kinematics.jacobian(ROBOT, HOME, frame=word)
     with pytest.raises(UnknownName, match="Known: base, tool"):
         kinematics.jacobian_derivative(ROBOT, HOME, HOME, frame=word)
@@ -172,6 +174,13 @@ def test_a_posture_without_its_objective() -> None:
         for function, T in ((kinematics.inverse, goal()), (kinematics.inverse_path, goal()[None])):
             with pytest.raises(ConfigError, match=r'^Expected objective="posture" with a posture, got objective='):
                 function(ROBOT, T, objective=objective, posture=HOME)
+
+
+@pytest.mark.parametrize("value", [None, "home", ["a"] * 7, 1j * HOME, [[1, 2], [3]], {}])
+def test_nothing_or_words_for_numbers(value: Any) -> None:
+    for function in (kinematics.forward, kinematics.self_motion, kinematics.inverse, kinematics.inverse_path):
+        with pytest.raises(ShapeError, match=r"^Expected (q|T_base_tool) [^\n]*\.$"):
+            function(ROBOT, value)
 
 
 def test_velocities_of_another_shape() -> None:
