@@ -76,6 +76,8 @@ def test_both_setups_are_one_equation(hand_eye) -> None:
     np.testing.assert_allclose(held.value.T_tool_cam, still.value.T_base_cam, atol=1e-13)
     assert held.names[0] == "T_base_marker x"
     assert still.names[-1] == "T_base_cam rz"
+    with pytest.raises(UnknownName, match="eye_in_hand"):
+        fit_hand_eye(**data.given, setup="eye_on_hand")  # type: ignore[arg-type]
 
 
 def test_a_robot_without_noise_is_the_same_as_none_told(hand_eye) -> None:
