@@ -14,16 +14,18 @@ from armlab.kinematics import (
     forward_jacobian,
     jacobian,
     jacobian_derivative,
+    link_transforms,
     parameter_jacobian,
 )
 from armlab.lie import se3, so3
 from armlab.robots import Robot
 
-RAMP = np.arange(1, 8) / 10
-S = 0.707106781187
 
-# Flange, without mount and tool: robot, q, p [m], quaternion wxyz (parity numbers of the ancestor, 12 digits).
-# Flange, without mount and tool: robot, q, J times a vector of ones (base axes, tool point).
+def test_link_transforms_lead_to_the_tool() -> None:
+    robot, q = robots.load("yumi_right"), np.arange(1, 8) / 10
+    T_base_link = link_transforms(robot, q)
+    assert T_base_link.shape == (7, 4, 4)
+    np.testing.assert_allclose(T_base_link[-1] @ robot.frames[-1], forward(robot, q), rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize("frame", ["base", "tool"])
