@@ -6,7 +6,6 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from armlab.errors import ShapeError, UnknownName
 from armlab.lie import euler, quaternion, so3
@@ -15,10 +14,6 @@ from armlab.lie import euler, quaternion, so3
 def random_quaternions(*shape: int, seed: int = 0) -> np.ndarray:
     q = np.random.default_rng(seed).standard_normal((*shape, 4))
     return q / np.linalg.norm(q, axis=-1, keepdims=True)
-
-
-def to_scipy(q: np.ndarray) -> Rotation:
-    return Rotation.from_quat(q[..., [1, 2, 3, 0]])
 
 
 def test_from_matrix_of_half_turns() -> None:
@@ -85,11 +80,6 @@ def test_missing_stays_missing() -> None:
 
 
 LOCKED = {"zyx": (-np.pi / 2, np.pi / 2), "xyz": (-np.pi / 2, np.pi / 2), "zyz": (0.0, np.pi)}
-
-
-def random_rotations(count: int) -> np.ndarray:
-    q = np.random.default_rng(0).standard_normal((count, 4))
-    return quaternion.to_matrix(q / np.linalg.norm(q, axis=1, keepdims=True))
 
 
 @pytest.mark.parametrize(

@@ -291,17 +291,6 @@ def random_screws(rng: np.random.Generator, n: int) -> np.ndarray:
     return np.where(slides, np.hstack([axis, 0 * axis]), np.hstack([np.cross(rng.standard_normal((n, 3)), axis), axis]))
 
 
-def random_robot(rng: np.random.Generator, n: int) -> Robot:
-    """Random links, kinds, mount and tool."""
-    return robots.from_links(
-        "random",
-        se3.exp(rng.standard_normal((n + 1, 6))),
-        rng.random(n) < 0.3,
-        T_base_mount=se3.exp(rng.standard_normal(6)),
-        T_flange_tool=se3.exp(rng.standard_normal(6)),
-    )
-
-
 def test_from_poe_is_the_product_of_exponentials() -> None:
     rng = np.random.default_rng(0)
     for _ in range(100):
