@@ -18,7 +18,7 @@ from armlab.calibrate import fit_hand_eye, fit_hand_eye_points
 from armlab.lie import se3, so3
 from armlab.sim.experiments.hand_eye import MARKER
 
-BAR, BAR_MANY, BAR_ROBUST = 1.0e-3, 10.0e-3, 6.0e-3  # s
+BAR, BAR_MANY, BAR_ROBUST = 1.0e-3, 20.0e-3, 6.0e-3  # s
 BOTH = {"SHAH": cv2.CALIB_ROBOT_WORLD_HAND_EYE_SHAH, "LI": cv2.CALIB_ROBOT_WORLD_HAND_EYE_LI}
 HAND = {
     "HORAUD": cv2.CALIB_HAND_EYE_HORAUD,

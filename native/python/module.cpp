@@ -10,10 +10,8 @@ void bind_datagrams(nb::module_ &m);
 void bind_drive(nb::module_ &m);
 void bind_egm(nb::module_ &m);
 void bind_estimator(nb::module_ &m);
-void bind_hand_eye(nb::module_ &m);
 void bind_inverse(nb::module_ &m);
 void bind_lie(nb::module_ &m);
-void bind_nearest(nb::module_ &m);
 void bind_limits(nb::module_ &m);
 void bind_messages(nb::module_ &m);
 void bind_momentum(nb::module_ &m);
@@ -28,7 +26,6 @@ void bind_row_messages(nb::module_ &m);
 void bind_row_packer(nb::module_ &m);
 void bind_signals(nb::module_ &m);
 void bind_two_dof(nb::module_ &m);
-void bind_weight(nb::module_ &m);
 void bind_wrench(nb::module_ &m);
 
 NB_MODULE(_native, m) {
@@ -47,10 +44,8 @@ NB_MODULE(_native, m) {
   bind_drive(m);
   bind_egm(m);
   bind_estimator(m);
-  bind_hand_eye(m);
   bind_inverse(m);
   bind_lie(m);
-  bind_nearest(m);
   bind_limits(m);
   bind_messages(m);
   bind_momentum(m);
@@ -65,6 +60,5 @@ NB_MODULE(_native, m) {
   bind_row_packer(m);
   bind_signals(m);
   bind_two_dof(m);
-  bind_weight(m);
   bind_wrench(m);
 }

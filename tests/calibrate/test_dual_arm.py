@@ -54,13 +54,6 @@ def errors(fit: Fit[DualArmCorrection], run: DualRun) -> tuple[float, float]:
     return 1e6 * float(np.mean(np.sum((Z - truth)[:, :3, 3] ** 2, axis=1))), float(np.mean(turn**2))
 
 
-def test_exact_poses_and_positions(exact: DualRun) -> None:
-    truth = exact.relative(exact.q_valid_a, exact.q_valid_b)
-    for data in ({"pose": exact.pose, "noise": NOISE}, {"position": exact.pose[:, :3, 3], "noise": 1e-4}):
-        Z = fit_of(exact, **data).value.forward(exact.q_valid_a, exact.q_valid_b)
-        np.testing.assert_allclose(Z[:, :3, 3], truth[:, :3, 3], rtol=0, atol=1e-9)
-
-
 def test_ranks(case: DualRun) -> None:
     """With 6 + 6 joints: 4 R + 6, 4 R + 3, 4 R + 12."""
     outside = noisy(case.truth_a.forward(case.q_a), np.random.default_rng(1))
@@ -72,8 +65,8 @@ def test_ranks(case: DualRun) -> None:
         assert len(fit.names) == 90
     lost = [name for name in position.excitation.null_names if name.startswith("missing")]
     assert lost == [f"missing: orientation of the tool of arm b about {axis}" for axis in "xyz"]
-    assert sum("foot of arm" in name for name in pose.excitation.null_names) == 12
-    assert sum("foot of arm" in name for name in absolute.excitation.null_names) == 6
+    assert sum("base of arm" in name for name in pose.excitation.null_names) == 12
+    assert sum("base of arm" in name for name in absolute.excitation.null_names) == 6
     away = absolute.value.arm_a.forward(case.q_valid_a) - case.truth_a.forward(case.q_valid_a)
     assert 1e3 * np.sqrt(np.mean(np.sum(away[:, :3, 3] ** 2, axis=1))) < 0.1
     assert absolute.residuals.shape == (60, 12)
@@ -124,8 +117,8 @@ def test_outliers_missing_samples_and_unknown_noise(case: DualRun) -> None:
 
 @pytest.mark.parametrize("noise", [NOISE, None], ids=["noise given", "noise estimated"])
 def test_samples_that_do_not_belong_together_are_refused(noise) -> None:
-    run = cell(2400).two_arms(0, 100)
-    wrong = run.pose[np.random.default_rng(0).permutation(100)]
+    run = cell(2400).two_arms(0, 60)
+    wrong = run.pose[np.random.default_rng(0).permutation(60)]
     with pytest.raises((NotConverged, NotExcited), match="belong together"):
         fit_of(run, pose=wrong, noise=noise, robust=True)
     with pytest.raises(NotConverged, match=r"residuals of .* m in a space of .* m"):
@@ -177,14 +170,6 @@ def test_gears_of_both_arms(exact: DualRun, tmp_path: Path) -> None:
         fit_of(run, pose=pose, joint_terms_b=phi_b[1:])
     with pytest.raises(ShapeError, match="fitted with 6 of them"):
         fit.value.forward(run.q_a, run.q_b)
-
-
-def test_files(case: DualRun, tmp_path: Path) -> None:
-    fit = fit_of(case, pose=case.pose, noise=NOISE)
-    again = Fit.load(fit.save(tmp_path / "arms.toml"), kind="dual_arm_correction")
-    assert again.value.forward(case.q_a, case.q_b).tobytes() == fit.value.forward(case.q_a, case.q_b).tobytes()
-    assert again.cov.tobytes() == fit.cov.tobytes()
-    assert "a: link 3 wx" in fit.report()
 
 
 class TestAncestor:

@@ -11,12 +11,9 @@ from armlab import models, sim
 from armlab.calibrate import fit_accelerometer, fit_force_sensor
 from armlab.calibrate.gravity_load.model import (
     Load,
-    Turn,
     WeightEquation,
-    likely_samples,
-    mirror_solution,
 )
-from armlab.errors import NotConverged, NotExcited, ShapeError
+from armlab.errors import NotConverged, NotExcited
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.lie import se3, so3
 
@@ -122,16 +119,6 @@ def test_the_closed_form_is_the_most_likely_value(weights) -> None:
             np.testing.assert_allclose(fit.value.bias[:3], start.bias, atol=1e-8)
 
 
-def test_a_known_mass_is_inserted_and_helps(weights) -> None:
-    data = weights.draw(2, sigma=1.0, tilt=0.5)
-    free, known = (fit_force_sensor(**data.given, noise=1.0, mass=m) for m in (None, 1.0))
-    assert known.value.mass == pytest.approx(1.0, abs=1e-12)
-    assert "mass" in free.names
-    assert "mass" not in known.names
-    assert np.trace(known.cov[3:, 3:]) < np.trace(free.cov[4:, 4:])
-    np.testing.assert_allclose(known.value.R_tool_sensor, free.value.R_tool_sensor, atol=1e-8)  # the same for any mass
-
-
 def test_the_unit_of_mass_and_of_force_does_not_matter(weights) -> None:
     """Defect of the original: its answer depended on the mass that was guessed."""
     data = weights.draw(3, sigma=1.0, tilt=0.5)
@@ -143,61 +130,29 @@ def test_the_unit_of_mass_and_of_force_does_not_matter(weights) -> None:
     np.testing.assert_allclose(kilo.value.R_tool_sensor, one.value.R_tool_sensor, atol=1e-12)
 
 
-@pytest.mark.parametrize("robust", [False, True])
-@pytest.mark.parametrize("known", [True, False], ids=["noise given", "noise estimated"])
-@pytest.mark.parametrize("torque", [None, 0.005], ids=["forces", "torques"])
+@pytest.mark.parametrize(
+    ("robust", "known", "torque"),
+    [(False, True, None), (True, False, None), (True, True, 0.005), (False, False, 0.005)],
+)
 def test_mirrored_axes_and_reversed_signs_are_refused(weights, robust, known, torque) -> None:
     """Data cannot tell which of the two: the same reason, and the fit of the other hand comes along."""
     data = weights.draw(4, torque=torque)
     noise = NOISE[data.y.shape[1]] if known else None
-    for mirror in (np.diag([-1.0, 1, 1]), np.diag([1.0, 1, -1]), -np.eye(3)):
+    for mirror in (np.diag([1.0, 1, -1]), -np.eye(3)):
         y = data.y.copy()
         y[:, :3] = y[:, :3] @ mirror
         with pytest.raises(NotConverged, match="an axis is mirrored or the sign is reversed") as caught:
-            fit_force_sensor(data.RA, y, gravity=G, noise=noise, robust=robust)
+            fit_force_sensor(data.RA, y, gravity=G, noise=noise, robust=bool(robust))
         assert caught.value.reason == "left_handed"
         np.testing.assert_allclose(caught.value.best.R, data.R @ mirror, atol=0.05)
     with pytest.raises(NotConverged) as caught:
-        fit_force_sensor(**data.given, sign=-1, noise=noise, robust=robust)
+        fit_force_sensor(**data.given, sign=-1, noise=noise, robust=bool(robust))
     assert caught.value.reason == "left_handed"
-
-
-def test_gravity_in_a_plane_leaves_the_hand_undecided(weights) -> None:
-    data = weights.draw(6)
-    angle = np.linspace(-2.0, 2.0, 100)[:, None]
-    RA = so3.exp(angle * [1.0, 0.0, 0.0])
-    y = G @ RA @ data.R + data.bias + 0.1 * np.random.default_rng(0).standard_normal((100, 3))
-    assert "undecided whether an axis of the sensor is mirrored" in fit_force_sensor(RA, y, gravity=G).report()
-    assert "undecided" not in fit_force_sensor(**data.given).report()
-    assert abs(Turn.of(WeightEquation(RA, y, G, True, None, None, WRENCH[:3], "")).difference) < 20.0
-
-
-@pytest.mark.parametrize("tilt", [None, np.radians(30.0)], ids=["uniform", "tilt 30 degrees"])
-@pytest.mark.parametrize("bad", [5, 30])
-def test_contacts_are_flagged_by_index(weights, tilt, bad) -> None:
-    for run in range(3):
-        data = weights.draw([3400, run], tilt=tilt)
-        which = slice(0, 3 * bad, 3)
-        y = weights.touched(np.random.default_rng(run), data.y, which)
-        for noise in (0.1, None):
-            fit = fit_force_sensor(data.RA, y, gravity=G, noise=noise, robust=True)
-            assert fit.outliers[which].all()
-            assert fit.outliers.sum() <= bad + 2
-            e = error(fit, truth_of(data))
-            assert e @ np.linalg.solve(fit.cov, e) / 7 < 4.5
-            assert "outliers left out" in fit.report()
 
 
 def test_two_deviations_of_noise_are_found(weights) -> None:
     found = [fit_force_sensor(**weights.draw([7, run], torque=0.005).given).sigma for run in range(20)]
     np.testing.assert_allclose(np.mean(found, axis=0), (0.1, 0.005), rtol=0.05)
-
-
-def test_turning_the_base_about_gravity_changes_nothing(weights) -> None:
-    data = weights.draw(8, torque=0.005)
-    turned = so3.exp([0.0, 0.0, 1.0]) @ data.RA
-    first, second = (fit_force_sensor(RA, data.y, gravity=G) for RA in (data.RA, turned))
-    np.testing.assert_allclose(first.parameters, second.parameters, atol=1e-12)
 
 
 def about_the_vertical() -> np.ndarray:
@@ -219,10 +174,6 @@ REFUSALS = {
     "rotation about tool axis y": readings(short_arc()),
     "2 samples": readings(short_arc()[:2]),
 }
-
-
-def noisy(RA: np.ndarray) -> np.ndarray:
-    return RA @ so3.exp(1e-3 * np.random.default_rng(2).standard_normal((len(RA), 3)))
 
 
 def experiment_of(weights, torque: float | None, tilt: float | None, unknown: bool):
@@ -281,7 +232,7 @@ def contract(weights, runs: int, torque: float | None = None, tilt: float | None
 
 @pytest.mark.parametrize(("torque", "unknown"), [(None, False), (0.005, True)], ids=["forces", "torques, unknown"])
 def test_the_statistical_contract_in_short(weights, torque, unknown) -> None:
-    found = contract(weights, 20, torque, unknown=unknown)
+    found = contract(weights, 12, torque, unknown=unknown)
     assert found.passed, found.text()
 
 
@@ -292,37 +243,8 @@ def test_the_statistical_contract_in_short(weights, torque, unknown) -> None:
     ids=["forces", "tilt 30 degrees", "torques", "unknown gravity"],
 )
 def test_the_statistical_contract(weights, torque, tilt, unknown) -> None:
-    found = contract(weights, 200, torque, tilt, unknown)
+    found = contract(weights, 100, torque, tilt, unknown)
     assert found.passed, found.text()
-
-
-def test_what_is_not_excited_stays_so_with_noise_on_the_poses() -> None:
-    for RA in (about_the_vertical(), short_arc(), about_the_vertical() @ so3.exp([0.5, 0.2, 0.1])):
-        given: dict[str, Any] = {**readings(RA), "T_base_tool": noisy(RA)}
-        with pytest.raises(NotExcited):
-            fit_force_sensor(**given, noise=0.1)
-        with pytest.raises(NotExcited):
-            fit_force_sensor(**given)
-
-
-def test_unknown_gravity_needs_two_axes_of_rotation(weights) -> None:
-    data = readings(short_arc())
-    with pytest.raises(NotExcited, match="rotation about tool axis x, weight and bias along it"):
-        fit_force_sensor(data["T_base_tool"], data["wrench"], gravity="unknown")
-    still = np.broadcast_to(np.eye(3), (10, 3, 3))
-    with pytest.raises(NotExcited, match="orientation of the tool does not change"):
-        fit_force_sensor(still, np.ones((10, 3)), gravity="unknown")
-    few = weights.draw(0, 4)
-    with pytest.raises(NotExcited, match="at least 5 samples"):
-        fit_force_sensor(few.RA, few.y, gravity="unknown")
-
-
-def test_readings_that_do_not_follow_gravity_are_refused(weights) -> None:
-    data = weights.draw(9)
-    shuffled = data.y[np.random.default_rng(0).permutation(100)]
-    for noise in (0.1, None):
-        with pytest.raises((NotConverged, NotExcited), match="follow gravity"):
-            fit_force_sensor(data.RA, shuffled, gravity=G, noise=noise)
 
 
 @pytest.mark.parametrize("options", [{}, {"noise": 0.1}, {"robust": True}, {"bias": False}, {"gravity": "unknown"}])
@@ -331,53 +253,11 @@ def test_readings_without_weight_are_refused(weights, options) -> None:
         fit_force_sensor(weights.draw(9).RA, np.zeros((100, 3)), **options)
 
 
-def test_torques_in_newton_millimetres_are_refused_or_suspected(weights) -> None:
-    data = weights.draw(10, torque=0.005)
-    given = {"T_base_tool": data.RA, "gravity": G, "limits": (0.2, 0.3, 100.0)}
-    with pytest.raises(NotConverged, match="Torques seem to be in N mm") as caught:
-        fit_force_sensor(wrench=data.y * np.repeat([1.0, 1000.0], 3), **given)
-    assert caught.value.reason == "units"
-    y = data.y * np.repeat([1.0, 50.0], 3)
-    assert "N mm given as N m?" in fit_force_sensor(wrench=y, **given).report()
-    assert "N mm" not in fit_force_sensor(wrench=data.y, **given).report()
-
-
 def test_file(weights, tmp_path) -> None:
     fit = fit_force_sensor(**weights.draw(11, torque=0.005).given)
     again = models.load(fit.save(tmp_path / "force.toml"), kind="force_sensor")
     np.testing.assert_array_equal(again.R_tool_sensor, fit.value.R_tool_sensor)
     assert Fit.load(tmp_path / "force.toml").names == fit.names
-
-
-def test_bad_input_is_refused_by_name(weights) -> None:
-    data = weights.draw(12, torque=0.005)
-    gaps = data.y.copy()
-    gaps[[3, 7], 1] = np.nan
-    cases: list[tuple[Any, Any, dict[str, Any], str]] = [
-        (data.RA, data.y[:99], {}, r"shape \(100, 3\) or \(100, 6\)"),
-        (data.RA, data.y[:, :4], {}, r"shape \(100, 3\) or"),
-        (data.RA, gaps, {}, "NaN or Inf in 2 rows: 3, 7"),
-        (data.RA[0], data.y, {}, r"of shape \(N, 4, 4\) or \(N, 3, 3\)"),
-        (1.1 * data.RA, data.y, {}, "Expected rotations in T_base_tool"),
-        (-data.RA, data.y, {}, "left-handed"),
-        (data.RA, data.y, {"sign": 2}, r"the sign \+1 or -1"),
-        (data.RA, data.y, {"gravity": (0, 0, 0)}, "not all zero"),
-        (data.RA, data.y, {"gravity": "up"}, "gravity to be real numbers"),
-        (data.RA, data.y, {"mass": -1.0}, "a mass above zero"),
-        (data.RA, data.y, {"mass": 1.0, "gravity": "unknown"}, "together with a known gravity"),
-        (data.RA, data.y, {"noise": 0.1}, "sd of force"),
-        (data.RA, data.y[:, :3], {"noise": -0.1}, "one standard deviation above zero"),
-        (data.RA, data.y, {"limits": (0.2, 0.3)}, "limits as three numbers"),
-    ]
-    for RA, y, options, words in cases:
-        with pytest.raises(ShapeError, match=words):
-            fit_force_sensor(RA, y, **options)
-
-
-def test_poses_slightly_off_are_projected_and_reported(weights) -> None:
-    data = weights.draw(13)
-    report = fit_force_sensor(data.RA * (1.0 + 1e-6), data.y, gravity=G).report()
-    assert "100 rotations of T_base_tool were projected" in report
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -389,11 +269,11 @@ def test_a_difference_that_noise_may_have_made_decides_no_hand(sign: int) -> Non
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["noise given", "noise estimated"])
-@pytest.mark.parametrize(("torque", "unknown"), [(None, True), (0.005, True), (0.005, False)])
+@pytest.mark.parametrize(("torque", "unknown"), [(None, True), (0.005, True), (0.005, False), (None, False)])
 @pytest.mark.parametrize(("N", "bad"), [(100, 30), (20, 4)])
 def test_contacts_do_not_lead_to_another_answer(weights, known, torque, unknown, N, bad) -> None:
     """Small tilts and unknown gravity: started from all samples, most of these fits ended half a turn away."""
-    for run in range(3):
+    for run in range(2):
         data = weights.draw([20, run], N, tilt=TILT, torque=torque)
         y = weights.touched(np.random.default_rng(run), data.y, slice(0, bad))
         fit = fit_force_sensor(
@@ -405,37 +285,6 @@ def test_contacts_do_not_lead_to_another_answer(weights, known, torque, unknown,
         e = so3.log(data.R.T @ fit.value.R_tool_sensor)
         assert e @ np.linalg.solve(fit.cov[:3, :3], e) < 25.0
         np.testing.assert_allclose(fit.value.mass * fit.value.gravity, G, atol=6 * 0.1)
-
-
-@pytest.mark.parametrize("pull", [G, None], ids=["known", "unknown gravity"])
-def test_a_start_leaves_contacts_out(weights, pull) -> None:
-    data = weights.draw(21, tilt=TILT, contacts=30)
-    y = data.y
-    found = likely_samples(WeightEquation(data.RA, y, pull, True, None, None, ("force [N]",) * 3, "force sensor"))
-    assert not found[:30].any()
-    assert found[30:].sum() > 60
-    few = WeightEquation(data.RA[:5], y[:5], pull, True, None, None, ("force [N]",) * 3, "force sensor")
-    assert likely_samples(few).all()  # as many unknowns: nothing to tell by
-
-
-@pytest.mark.parametrize("torque", [None, 0.0], ids=["forces", "torques"])
-def test_the_twin_reads_the_same_to_first_order(weights, torque) -> None:
-    for tilt in (0.2, 0.02):
-        data = weights.draw(22, sigma=0.0, tilt=tilt, torque=torque)
-        equation = WeightEquation(data.RA, data.y, None, True, None, None, ("f",) * data.y.shape[1], "force sensor")
-        other = mirror_solution(equation, Load(data.R, G, data.bias, data.centre))
-        assert other is not None
-        assert np.abs(so3.log(data.R.T @ other.R)).max() > 1.0
-        np.testing.assert_array_equal(other.gamma, -G)
-        swing = np.abs(data.y - data.y.mean(axis=0)).max()
-        assert np.abs(equation.evaluate(other)[0].r).max() < tilt * swing
-
-
-def test_where_there_is_no_twin(weights) -> None:
-    for tilt, bias in ((None, True), (0.1, False)):
-        data = weights.draw(23, tilt=tilt)
-        equation = WeightEquation(data.RA, data.y, None, bias, None, None, ("f",) * 3, "force sensor")
-        assert mirror_solution(equation, Load(data.R, G, data.bias, data.centre)) is None
 
 
 @pytest.mark.parametrize("bias", [True, False])
@@ -459,7 +308,7 @@ def test_a_known_mass_is_kept_in_every_kind_of_fit(weights, bias, torque, robust
 def test_unequal_noise_counts_by_its_size(weights, width) -> None:
     """One axis ten times worse than another, correlated, growing from sample to sample."""
     told, equal = [], []
-    for run in range(25):
+    for run in range(16):
         data, rng = weights.draw([15, run], torque=None if width == 3 else 0.005), np.random.default_rng([15, run])
         scale = np.array([0.05, 0.5, 0.1, 0.002, 0.02, 0.005])[:width]
         mix = scale[:, None] * (np.eye(width) + 0.3 * rng.standard_normal((width, width)))
@@ -501,16 +350,6 @@ def test_torques_sharpen_the_rotation(weights) -> None:
     both = fit_force_sensor(**data.given, noise=NOISE[6])
     forces = fit_force_sensor(data.RA, data.y[:, :3], gravity=G, noise=0.1)
     assert np.trace(both.cov[:3, :3]) < 0.5 * np.trace(forces.cov[:3, :3])
-
-
-def test_two_orientations_leave_the_centre_of_mass_along_their_axis(weights) -> None:
-    """Gravity moves along one line over the tool: also the centre of mass along it is not told."""
-    data = weights.draw(19, torque=0.005)
-    RA, y = np.tile(data.RA[:2], (50, 1, 1)), np.tile(data.exact[:2], (50, 1))
-    with pytest.raises(NotExcited, match=r"rotation about tool axis \(.*\), bias and centre of mass along it"):
-        fit_force_sensor(RA, y, gravity=G)
-    with pytest.raises(NotExcited, match=r"rotation about tool axis \(.*\), bias along it"):
-        fit_force_sensor(RA, y[:, :3], gravity=G)
 
 
 def draw(weights, seed: Any, N: int = 50, sigma: float = SIGMA, scale: float = 1.0):
@@ -585,25 +424,12 @@ def contract_acc(weights, runs: int, scale: bool):
 
 
 def test_the_statistical_contract_in_short_accelerometer(weights) -> None:
-    found = contract_acc(weights, 20, True)
+    found = contract_acc(weights, 10, True)
     assert found.passed, found.text()
 
 
 @pytest.mark.slow  # 4 s
 @pytest.mark.parametrize("scale", [False, True])
 def test_the_statistical_contract_acc(weights, scale) -> None:
-    found = contract_acc(weights, 200, scale)
+    found = contract_acc(weights, 100, scale)
     assert found.passed, found.text()
-
-
-def test_refusals(weights) -> None:
-    RA, acc, _ = draw(weights, 1)
-    with pytest.raises(NotConverged, match="mirrored") as caught:
-        fit_accelerometer(RA, -acc)
-    assert caught.value.reason == "left_handed"
-    with pytest.raises(NotExcited, match="at least 3 samples"):
-        fit_accelerometer(RA[:2], acc[:2])
-    with pytest.raises(ShapeError, match=r"readings of shape \(50, 3\)"):
-        fit_accelerometer(RA, acc[:, :2])
-    with pytest.raises(ShapeError, match="NaN or Inf in 1 rows: 4"):
-        fit_accelerometer(RA, np.where(np.arange(50)[:, None] == 4, np.nan, acc))

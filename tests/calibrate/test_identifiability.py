@@ -77,25 +77,6 @@ class TestRank:
             (51, 3, lambda run: {"position": run.pose[:, :3, 3], "noise": 1e-4, "harmonics": (1, 2)}),
             (36, 0, lambda run: {"pose": run.pose, "noise": NOISE, "joint_terms": run.q[:, :, None] * np.eye(6)}),
         ],
-        ids=[
-            "pose",
-            "1 point",
-            "2 points",
-            "3 points",
-            "x y",
-            "z",
-            "orientation",
-            "distance",
-            "and offset",
-            "pairs",
-            "order 1",
-            "order 2",
-            "order 3",
-            "1 2",
-            "1 2 3",
-            "both",
-            "gear",
-        ],
     )
     @pytest.mark.parametrize("model", ["local_poe", "poe"])
     def test_six_joints_that_turn(self, case, rank: int, unseen: int, options: Callable, model: str) -> None:
@@ -222,7 +203,7 @@ class TestUncertainty:
     def test_the_covariance_of_a_pose_is_that_of_its_errors(self) -> None:
         """NEES of six validation poses over 40 runs, and with unknown noise."""
         total, free = [], []
-        for run in range(40):
+        for run in range(24):
             data = cell(2000).kinematics(run)
             for noise, found in ((NOISE, total), (None, free)):
                 fit = fit_kinematics(data.robot, data.q, pose=data.pose, noise=noise)
@@ -279,13 +260,6 @@ class TestAncestor:
         a, b = metres.value.forward(case.q_valid), millimetres.value.forward(case.q_valid)
         np.testing.assert_allclose(b[:, :3, 3] / 1000.0, a[:, :3, 3], rtol=0, atol=1e-9)
         np.testing.assert_allclose(b[:, :3, :3], a[:, :3, :3], rtol=0, atol=1e-9)
-
-    def test_it_stops_when_it_has_converged_not_after_ten_steps(self, case) -> None:
-        """Links wrong by 3 deg and 30 mm: the cost falls to the noise, and a second fit from there changes nothing."""
-        rng = np.random.default_rng(0)
-        arm = replace(dh_arm(tool=True), frames=dh_arm(tool=True).frames @ se3.exp(0.03 * rng.standard_normal((7, 6))))
-        fit = fit_kinematics(case.robot, case.q, pose=arm.forward(case.q), noise=NOISE)
-        np.testing.assert_allclose(fit.value.forward(case.q_valid), arm.forward(case.q_valid), rtol=0, atol=1e-9)
 
     def test_it_does_not_print(self, case, capsys: pytest.CaptureFixture[str]) -> None:
         fit_kinematics(case.robot, case.q, pose=case.pose)

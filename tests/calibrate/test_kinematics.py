@@ -13,10 +13,10 @@ import pytest
 from armlab import Command, bridge, contact, identify, kinematics, models, robots, sim
 from armlab.calibrate import fit_dual_arm, fit_kinematics
 from armlab.calibrate.kinematics.measurements import measured_kinds
-from armlab.calibrate.kinematics.model import Arm, KinematicProblem, State, pose_residual
+from armlab.calibrate.kinematics.model import Arm, KinematicProblem, State
 from armlab.errors import ConfigError, ModelMismatchError, NotConverged, NotExcited, RobotError, ShapeError, UnknownName
 from armlab.estimation import Fit
-from armlab.kinematics import forward, inverse, jacobian
+from armlab.kinematics import forward
 from armlab.lie import se3, so3
 from armlab.models import KinematicCorrection
 from armlab.robots import Robot
@@ -239,43 +239,10 @@ class TestValue:
         assert again.value.pose_cov(case.q).tobytes() == fit.value.pose_cov(case.q).tobytes()
         assert models.load(tmp_path / "arm.toml").robot_hash == case.robot.hash
 
-    def test_the_robot_goes_everywhere(self, case, tmp_path: Path) -> None:
-        """Kinematics, inverse, files, URDF, and the simulated arm take the corrected robot."""
-        from armlab import sim
-
-        fit = fit_kinematics(case.robot, case.q, pose=case.pose, noise=NOISE)
-        robot, q = fit.value.robot, case.q_valid[:5]
-        np.testing.assert_allclose(forward(robot, q), fit.value.forward(q), rtol=0, atol=1e-14)
-        goals = forward(robot, q)
-        np.testing.assert_allclose(forward(robot, inverse(robot, goals).q), goals, rtol=0, atol=1e-8)
-        assert jacobian(robot, q).shape == (5, 6, 6)
-        robots.save(robot, tmp_path / "arm.toml")
-        assert robots.load(tmp_path / "arm.toml") == robot
-        robots.save(robot, tmp_path / "arm.urdf")
-        np.testing.assert_allclose(forward(robots.load(tmp_path / "arm.urdf"), q), goals, rtol=0, atol=1e-9)
-        assert robot.hash != case.robot.hash
-        assert sim.SimulatedArm(robot, sim.synthetic_truth(robot), seed=1).robot == robot
-
     def test_gravity_turns_with_the_foot(self, case) -> None:
         frame = se3.from_rp(so3.exp([1.0, 0.0, 0.0]), [3.0, 0.0, 0.0])
         fit = fit_kinematics(case.robot, case.q, pose=frame @ case.pose, noise=NOISE)
         np.testing.assert_allclose(fit.value.robot.gravity, frame[:3, :3] @ case.robot.gravity, rtol=0, atol=0.05)
-
-
-def test_derivatives_of_a_pose_that_is_far_from_the_measured_one() -> None:
-    """Against differences, half a radian away: the logarithm bends."""
-    rng = np.random.default_rng(6)
-    T = se3.exp(rng.standard_normal((3, 6)))
-    measured = T @ se3.exp(0.3 * rng.standard_normal((3, 6)))
-    motion = rng.standard_normal((3, 6, 2))  # of the tool point and of its axes, base axes
-
-    def residual(x: np.ndarray) -> np.ndarray:
-        step = motion @ x
-        moved = se3.from_rp(so3.exp(step[:, 3:]) @ T[:, :3, :3], T[:, :3, 3] + step[:, :3])
-        return pose_residual(moved, measured, motion)[0]
-
-    found = np.stack([(residual(x) - residual(-x)) / 2e-6 for x in np.eye(2) * 1e-6], axis=2)
-    np.testing.assert_allclose(pose_residual(T, measured, motion)[1], found, atol=1e-8)
 
 
 @pytest.mark.parametrize("model", ["local_poe", "poe"])
@@ -308,30 +275,14 @@ def test_derivatives_are_those_of_the_residuals(robot: robots.Robot, model: str)
                 np.testing.assert_allclose(here.J[:, :, k], (up.r - down.r) / 2e-6, rtol=0, atol=1e-6)
 
 
-def test_local_derivatives_are_those_of_the_frames_in_both_models() -> None:
-    robot, q = as_robot(dh_arm(tool=True)), np.random.default_rng(3).uniform(-2, 2, (4, 6))
-    kinds, _ = measured_kinds(4, {"pose": forward(robot, q)}, None, None)
-    both = []
-    for model in ("local_poe", "poe"):
-        arm = Arm.of(robot, q, (), np.zeros((4, 6, 0)), model)
-        problem = KinematicProblem(arm, tuple(kinds), np.zeros(0, dtype=bool), 0, None)
-        state = State(arm.first(), np.zeros((0, 3)), np.zeros(3), np.array([0.0, 1.0]))
-        both.append(problem.measurements(state, local=True)[0].J)
-    np.testing.assert_array_equal(*both)
-
-
 class TestBadInput:
     @pytest.mark.parametrize(
         ("error", "words", "change"),
         [
             (ShapeError, r"q of shape \(N, 6\)", lambda d: {**d, "q": d["q"][:, :5]}),
             (ShapeError, r"pose of shape \(150, 4, 4\)", lambda d: {**d, "pose": d["pose"][:-1]}),
-            (ShapeError, r"NaN or Inf in 1 rows: 7", lambda d: {**d, "q": holed(d["q"], 7)}),
             (ShapeError, r"finite pose, .* 7.*visible", lambda d: {**d, "pose": holed(d["pose"], 7)}),
-            (ShapeError, "rotations in pose, got others in rows 3", lambda d: {**d, "pose": mirrored(d["pose"], 3)}),
             (ShapeError, "transposed", lambda d: {**d, "pose": d["pose"].swapaxes(1, 2)}),
-            (ShapeError, "millimetres", lambda d: {**d, "pose": in_millimetres(d["pose"])}),
-            (ShapeError, "degrees", lambda d: {**d, "q": np.degrees(d["q"])}),
             (NotConverged, "belong together|better start", lambda d: {**d, "pose": np.roll(d["pose"], 1, axis=0)}),
             (ShapeError, "noise of pose", lambda d: {**d, "noise": 1e-4}),
             (ShapeError, "noise of pose", lambda d: {**d, "noise": (0.0, 1.0)}),
@@ -383,36 +334,16 @@ class TestBadInput:
         with pytest.raises(NotConverged, match="noise that was given is not too small"):
             fit_kinematics(case.robot, case.q, pose=case.pose, noise=(1e-6, 1e-6), robust=True)
 
-    def test_another_order_of_the_joints(self, case) -> None:
-        with pytest.raises((NotConverged, NotExcited), match=r"order of the joints|better start|more different"):
-            fit_kinematics(case.robot, case.q[:, ::-1], pose=case.pose, noise=NOISE)
-
-    def test_no_robot(self, case) -> None:
-        with pytest.raises(RobotError, match="Load it first"):
-            fit_kinematics("irb2400", case.q, pose=case.pose)  # type: ignore[arg-type]
-
     def test_rotations_that_are_nearly_right_are_projected_and_told(self, case) -> None:
         rough = case.pose.copy()
         rough[4, :3, :3] *= 1.0 + 3e-6
         fit = fit_kinematics(case.robot, case.q, pose=rough, noise=NOISE)
-        assert "1 rotations were projected, off by up to 6e-06" in fit.report()
+        assert "1 rotations of pose were projected, off by up to 6e-06" in fit.report()
 
 
 def holed(values: np.ndarray, row: int) -> np.ndarray:
     found = values.copy()
     found[row] = np.nan
-    return found
-
-
-def in_millimetres(pose: np.ndarray) -> np.ndarray:
-    found = pose.copy()
-    found[:, :3, 3] *= 1000.0
-    return found
-
-
-def mirrored(pose: np.ndarray, row: int) -> np.ndarray:
-    found = pose.copy()
-    found[row, :3, 0] *= -1.0
     return found
 
 
@@ -486,15 +417,6 @@ class TestGeometry:
         assert models.load(tmp_path / "kinematics.toml").robot == found
         with pytest.raises(RobotError, match=r"kinematic_correction.*models.load\(path\).robot"):
             robots.load(tmp_path / "kinematics.toml")
-
-    def test_a_torque_model_is_of_one_of_them(self, yumi, model) -> None:
-        """A model that was identified with the description is refused by the corrected arm: identify again."""
-        robot, _, fit = yumi
-        with pytest.raises(ModelMismatchError, match="yumi_left"):
-            contact.Estimator(model, fit.value.robot)
-        assert contact.Estimator(model, robot) is not None
-        bases = [identify.base_parameters(one) for one in (robot, fit.value.robot)]
-        assert [len(base.B) for base in bases] == [50, 50]  # what axes 0.06 deg off perpendicular add is no parameter
 
     @pytest.mark.slow  # 6 s
     def test_identification_and_contact_force(self, yumi, truth) -> None:
@@ -578,7 +500,3 @@ class TestJointErrors:
         _, _, fit = waved
         with pytest.raises(RobotError, match=r"its attribute robot; .* its joints\(\), .* its command\(\)"):
             part(fit.value, postures(fit.value.robot))
-
-    def test_contact_force_wants_the_robot_too(self, waved, model) -> None:
-        with pytest.raises(RobotError, match="its attribute robot"):
-            contact.Estimator(model, waved[2].value)

@@ -217,21 +217,14 @@ def contract(laser, runs: int):
 
 
 def test_the_statistical_contract_in_short(laser) -> None:
-    found = contract(laser, 8)
+    found = contract(laser, 4)
     assert found.passed, found.text()
 
 
 @pytest.mark.slow  # 15 s
 def test_the_statistical_contract(laser) -> None:
-    found = contract(laser, 100)
+    found = contract(laser, 60)
     assert found.passed, found.text()
-
-
-def test_what_does_not_belong_together_is_refused(laser) -> None:
-    data = laser.draw(13)
-    short = data.scans * [1000.0, 1000.0, 1.0, 1.0]
-    with pytest.raises(NotConverged, match=r"times 0\.001 would fit: perhaps millimetres"):
-        fit_laser_plane(data.A, short, data.plane, noise=NOISE)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from armlab.errors import NotExcited, ShapeError
-from armlab.frames import MarkerPoses, Plane, build, check_offset, fit_line, fit_plane, marker_pose, project
+from armlab.frames import Plane, build, check_offset, fit_line, fit_plane, marker_pose, project
+from armlab.frames.marker import MarkerPoses
 from armlab.lie import se3, so3
 from armlab.log.nikon import read_cloud, read_matrix, read_plane
 

@@ -8,8 +8,8 @@ import pytest
 from armlab import models
 from armlab.errors import FrameError, NotExcited, ShapeError
 from armlab.estimation import Experiment, Fit, check_estimator
-from armlab.frames import FrameSet, Graph
-from armlab.frames.pose_graph import Edge, Loop, LoopCheck, check_loops, path, solve_poses, spanning
+from armlab.frames import Graph
+from armlab.frames.pose_graph import Edge, FrameSet, Loop, LoopCheck, check_loops, solve_poses
 from armlab.lie import se3, so3
 
 COV = np.diag([1e-4] * 3 + [1e-3] * 3) ** 2
@@ -140,21 +140,13 @@ def loop_of(rng: np.random.Generator, scale: float = 1.0) -> list[Edge]:
     return edges
 
 
-def test_path_and_spanning() -> None:
-    edges = loop_of(np.random.default_rng(0))
-    assert spanning(edges) == [0, 1, 2]
-    assert path(edges, "a", "c") in ([(0, 1), (1, -1)], [(3, -1), (2, -1)])
-    assert path(edges[:2], "a", "d") is None
-    assert path(edges, "a", "a") == []
-
-
 def test_closure_errors_are_as_large_as_the_covariances_say() -> None:
     """The mean of chi2 is 6, its 99.9 % are passed once in a thousand."""
-    found = [check_loops(loop_of(np.random.default_rng(seed))) for seed in range(300)]
+    found = [check_loops(loop_of(np.random.default_rng(seed))) for seed in range(150)]
     assert isinstance(found[0], LoopCheck)
     assert isinstance(found[0].loops[0], Loop)
     chi2 = np.array([one.loops[0].chi2 for one in found])
-    assert abs(chi2.mean() - 6.0) < 3 * np.sqrt(12 / 300)
+    assert abs(chi2.mean() - 6.0) < 3 * np.sqrt(12 / 150)
     assert sum(not one.passed for one in found) <= 3
     assert not check_loops(loop_of(np.random.default_rng(1), scale=5.0)).passed
 
@@ -231,7 +223,7 @@ def test_the_covariance_is_honest(tmp_path) -> None:
     contract = check_estimator(
         solve_poses,
         experiment,
-        60,
+        30,
         n=1,
         error=error,
         skip={

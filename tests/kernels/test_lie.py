@@ -197,38 +197,6 @@ def test_leading_axes_broadcast(batch: dict[str, np.ndarray], name: str) -> None
     np.testing.assert_array_equal(call(*arguments), call(*[array[0] for array in full]))
 
 
-@given(cases(), st.sampled_from([0.0, 1e-12, 0.1, 1.0]), st.sampled_from([1e-200, 1.0, 3e5]))
-@settings(max_examples=100)
-def test_nearest_rotations_agree(case: dict[str, np.ndarray], noise: float, scale: float) -> None:
-    """To 1e-12, and where the rotation is hardly determined to that over how well it is."""
-    R = case["R"]
-    M = scale * (R + noise * np.random.default_rng(0).standard_normal(R.shape))
-    before = M.copy()
-    (ours, sigma), (wanted, expected) = (module.so3_nearest(M) for module in (kernels, oracles))
-    np.testing.assert_array_equal(M, before)
-    np.testing.assert_allclose(sigma, expected, rtol=0, atol=1e-13 * np.abs(expected).max(initial=0.0))
-    determined = (expected[..., 1] + expected[..., 2]) / expected[..., 0]
-    off = np.abs(ours - wanted).max(axis=(-1, -2), initial=0.0)
-    assert (off[determined > 1e-6] <= 1e-12 / np.minimum(determined, 1.0)[determined > 1e-6]).all()
-
-
-def test_nearest_rotation() -> None:
-    M = np.array([np.eye(3), np.diag([1.0, 1.0, -0.5]), np.full((3, 3), np.nan), np.diag([3.0, 2.0, np.inf])])
-    M = np.concatenate([M, np.zeros((1, 3, 3)), np.diag([2.0, 0.0, 0.0])[None]])
-    out = np.empty(M.shape)
-    R, sigma = kernels.so3_nearest(M, out)
-    assert R is out
-    np.testing.assert_allclose(R[:2], np.broadcast_to(np.eye(3), (2, 3, 3)), rtol=0, atol=1e-16)
-    np.testing.assert_allclose(sigma[[0, 1, 4, 5]], [[1, 1, 1], [1, 1, -0.5], [0, 0, 0], [2, 0, 0]], rtol=0, atol=1e-15)
-    assert np.isnan(R[2:4]).all()
-    assert np.isnan(sigma[2:4]).all()
-    assert kernels.so3_nearest(np.zeros((0, 3, 3)))[0].shape == (0, 3, 3)
-    one = [kernels.so3_nearest(m)[0] for m in M[:2]]
-    np.testing.assert_array_equal(one, R[:2])
-    with pytest.raises(ShapeError, match=r"M of shape \(\.\.\., 3, 3\)"):
-        kernels.so3_nearest(np.eye(4))
-
-
 def test_rotations_and_poses_are_returned_as_they_are(batch: dict[str, np.ndarray]) -> None:
     assert kernels.rotations(batch["R"], "R") is batch["R"]
     assert kernels.poses(batch["T"], "T") is batch["T"]

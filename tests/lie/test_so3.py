@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from armlab.errors import NotConverged, ShapeError, UnknownName
-from armlab.lie import quaternion, se3, so3
+from armlab.lie import se3, so3
 
 HALF_TURNS = [np.diag(d) for d in ([1.0, -1, -1], [-1.0, 1, -1], [-1.0, -1, 1])]
 
@@ -40,24 +40,6 @@ def test_skew_part() -> None:
     np.testing.assert_allclose(so3.skew_part(S + np.eye(3)), S, rtol=0, atol=1e-16)
 
 
-def test_exp_equals_scipy() -> None:
-    w = rotation_vectors(10_000, longest=3 * np.pi)
-    np.testing.assert_allclose(so3.exp(w), Rotation.from_rotvec(w).as_matrix(), rtol=0, atol=5e-15)
-
-
-def test_exp_of_known_vectors() -> None:
-    np.testing.assert_allclose(
-        so3.exp([0, 0, np.pi / 2]), [[0, -1, 0], [1, 0, 0], [0, 0, 1]], rtol=0, atol=np.spacing(1.0)
-    )
-    np.testing.assert_array_equal(so3.exp([0, 0, 0]), np.eye(3))
-    np.testing.assert_array_equal(so3.exp([1e-300, 0, 0])[2, 1], 1e-300)
-
-
-def test_log_equals_scipy() -> None:
-    w = rotation_vectors(10_000, longest=np.pi - 1e-3)
-    np.testing.assert_allclose(so3.log(so3.exp(w)), Rotation.from_matrix(so3.exp(w)).as_rotvec(), rtol=0, atol=1e-14)
-
-
 def test_log_of_half_turns() -> None:
     """Numbers of Robotlib.jl's tests; the sign rule: the first component that is not zero is positive."""
     np.testing.assert_array_equal(so3.log(np.diag([-1.0, -1, 1])), [0, 0, np.pi])
@@ -65,24 +47,6 @@ def test_log_of_half_turns() -> None:
     np.testing.assert_allclose(so3.log([[-1, 0, 0], [0, 0, 1], [0, 1, 0]]), [0, r, r], rtol=1e-15)
     np.testing.assert_allclose(so3.log([[-1, 0, 0], [0, 0, -1], [0, -1, 0]]), [0, r, -r], rtol=1e-15)
     np.testing.assert_array_equal(so3.log(HALF_TURNS), np.pi * np.eye(3))
-
-
-def test_log_survives_rounded_half_turns() -> None:
-    """Rounding pushes the trace below -1, where acos has no value; R is never off by more than the last digits."""
-    u = rotation_vectors(100_000)
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    R = 2 * u[:, :, None] * u[:, None, :] - np.eye(3)
-    assert (np.trace(R, axis1=1, axis2=2) < -1).any()
-    w = so3.log(R)
-    assert np.isfinite(w).all()
-    np.testing.assert_allclose(np.linalg.norm(w, axis=1), np.pi, rtol=1e-15)
-    np.testing.assert_allclose(np.abs((w * u).sum(axis=1)), np.pi, rtol=1e-14)
-
-
-@pytest.mark.parametrize("w", [(1e-13, 0, 0), (1e-14, -1e-15, 2e-15), (3e-300, 4e-300, 0)])
-def test_log_of_tiny_rotations(w: tuple[float, float, float]) -> None:
-    np.testing.assert_allclose(so3.log(so3.exp(w)), w, rtol=1e-14)
-    np.testing.assert_allclose(so3.log(so3.exp(123 * np.array(w))), 123 * np.array(w), rtol=1e-14)
 
 
 @pytest.mark.parametrize("angle", [1e-8, 1e-4, 0.5, 2.0, np.pi - 1e-4, np.pi - 1e-5, np.pi - 1e-9])
@@ -126,50 +90,12 @@ def test_project_is_the_nearest_rotation() -> None:
     assert (np.linalg.norm(nearby - M, axis=(-1, -2)) > distance).all()
 
 
-def test_project_is_idempotent_and_leaves_its_input() -> None:
-    M = so3.exp(rotation_vectors(1000)) * 1.1
-    before = M.copy()
-    once, distance = so3.project(M)
-    np.testing.assert_array_equal(M, before)
-    np.testing.assert_allclose(distance, 0.1 * np.sqrt(3), rtol=1e-13)
-    twice, moved = so3.project(once)
-    assert np.abs(twice - once).max() <= 2e-15
-    assert moved.max() <= 5e-15
-
-
 def test_project_of_a_reflection_and_of_nothing() -> None:
     R, _ = so3.project(np.diag([1.0, 1.0, -0.5]))
     np.testing.assert_allclose(R, np.eye(3), rtol=0, atol=1e-15)
     for M in (np.diag([1.0, 0.0, 0.0]), np.zeros((3, 3)), -np.eye(3)):
         with pytest.raises(ShapeError, match="one nearest rotation"):
             so3.project(M)
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.499, 0.501, 2.0, 3.1, np.pi, 5.0])
-def test_left_jacobian(angle: float) -> None:
-    """exp(w + dw) = exp(J dw) exp(w), by central differences; both sides of the border of the series."""
-    w = rotation_vectors(20)
-    w *= angle / np.linalg.norm(w, axis=1, keepdims=True)
-    step = 1e-5
-    columns = [so3.log(so3.exp(w + e) @ np.swapaxes(so3.exp(w - e), -1, -2)) / (2 * step) for e in step * np.eye(3)]
-    J = so3.left_jacobian(w)
-    np.testing.assert_allclose(J, np.stack(columns, axis=-1), rtol=0, atol=1e-8)
-    np.testing.assert_allclose(so3.left_jacobian_inv(w) @ J, np.broadcast_to(np.eye(3), J.shape), rtol=0, atol=1e-13)
-
-
-def test_left_jacobian_series_meets_the_closed_form() -> None:
-    u = np.array([0.6, 0.0, 0.8])
-    below, above = u * np.nextafter(0.5, 0), u * (0.5 + 1e-15)
-    for function in (so3.left_jacobian, so3.left_jacobian_inv):
-        np.testing.assert_allclose(function(below), function(above), rtol=0, atol=5e-15)
-
-
-def test_left_jacobian_of_a_turn() -> None:
-    """V of a full quarter turn about z, by hand: sin θ/θ and (1 - cos θ)/θ."""
-    s, c = 2 / np.pi, 2 / np.pi
-    np.testing.assert_allclose(
-        so3.left_jacobian([0, 0, np.pi / 2]), [[s, -c, 0], [c, s, 0], [0, 0, 1]], rtol=0, atol=2e-16
-    )
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-300, 1e-12, 1e-6, 0.3, 2.0, np.pi - 1e-9, np.pi])
@@ -230,20 +156,6 @@ def test_angle_about_is_the_twist() -> None:
     assert np.isnan(so3.angle_about(np.eye(3), HALF_TURNS[0], [0, 0, 1.0]))
 
 
-def test_interpolate_ends_exactly_and_halves() -> None:
-    R_a, R_b = so3.exp(rotation_vectors(500)), so3.exp(rotation_vectors(500, seed=1))
-    np.testing.assert_array_equal(so3.interpolate(R_a, R_b, 0.0), R_a)
-    np.testing.assert_array_equal(so3.interpolate(R_a, R_b, 1.0), R_b)
-    middle = so3.interpolate(R_a, R_b, 0.5)
-    np.testing.assert_allclose(so3.angle(R_a, middle), so3.angle(R_a, R_b) / 2, rtol=0, atol=2e-15)
-    np.testing.assert_allclose(so3.angle(middle, R_b), so3.angle(R_a, R_b) / 2, rtol=0, atol=2e-15)
-    s = np.linspace(-0.5, 1.5, 9)
-    steps = so3.interpolate(R_a[0], R_b[0], s)
-    q = quaternion.slerp(quaternion.from_matrix(R_a[0]), quaternion.from_matrix(R_b[0]), s)
-    np.testing.assert_allclose(steps, quaternion.to_matrix(q), rtol=0, atol=3e-15)
-    np.testing.assert_allclose(so3.interpolate(np.eye(3), so3.exp([0, 0, 1e-200]), 0.25)[1, 0], 2.5e-201)
-
-
 @pytest.mark.parametrize("method", ["chordal", "geodesic"])
 def test_mean_of_a_symmetric_pair(method) -> None:
     """Of R exp(w) and R exp(-w): R, to the last digits, up to a quarter turn each way."""
@@ -264,10 +176,7 @@ def test_mean_of_a_symmetric_pair(method) -> None:
         (lambda: so3.xy_angle(np.eye(4), np.eye(3)), "Expected R_a of shape"),
         (lambda: so3.angle_about(np.eye(3), np.eye(3), np.zeros(3)), r"Expected an axis with a direction, got \[0\."),
         (lambda: so3.from_axis_angle([[1, 0, 0], [0, 0, 0]], 1.0), "Expected an axis with a direction"),
-        (
-            lambda: so3.from_axis_angle(np.ones((3, 3)), np.ones(4)),
-            r"leading axes that broadcast, got axis of shape \(3, 3\), angle of shape \(4,\)\.",
-        ),
+        (lambda: so3.from_axis_angle(np.ones((3, 3)), np.ones(4)), r"leading axes that broadcast, got axis of"),
         (
             lambda: so3.xy_angle(np.tile(np.eye(3), (2, 1, 1)), np.tile(np.eye(3), (5, 1, 1))),
             r"leading axes that broadcast, got R_a of shape \(2, 3, 3\), R_b of shape \(5, 3, 3\)\.",
@@ -298,15 +207,6 @@ def test_missing_stays_missing() -> None:
         assert np.isnan(result[1]).any()
 
 
-def test_read_only_input_is_accepted_and_kept() -> None:
-    w = np.array([0.1, 0.2, 0.3])
-    w.flags.writeable = False
-    R = so3.exp(w)
-    R.flags.writeable = False
-    np.testing.assert_allclose(so3.log(R), w, rtol=1e-15)
-    so3.project(R)
-
-
 def scattered(count: int, spread: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     R = so3.exp(rng.standard_normal(3))
@@ -332,13 +232,6 @@ def test_geodesic_mean_has_no_gradient(spread: float) -> None:
         assert (weights * so3.angle(mean @ so3.exp(step), R) ** 2).sum() > cost
 
 
-def test_noise_is_averaged_out() -> None:
-    """A thousand measurements of 0.1 rad: the mean is about 0.1 / sqrt(1000) rad off."""
-    truth, R = scattered(1000, 0.1)
-    for method in ("chordal", "geodesic"):
-        assert so3.angle(truth, so3.mean(R, method=method)) < 3 * 0.1 * np.sqrt(3 / 1000)
-
-
 def test_weights_and_batches() -> None:
     _, R = scattered(60, 0.3)
     sets = R.reshape(20, 3, 3, 3)
@@ -352,16 +245,6 @@ def test_weights_and_batches() -> None:
         so3.mean(sets, np.arange(20), "geodesic")[2], so3.mean(sets[:, 2], np.arange(20), "geodesic")
     )
     np.testing.assert_allclose(so3.mean(np.tile(sets[0, 0], (7, 1, 1))), sets[0, 0], rtol=0, atol=2e-15)
-
-
-def test_a_missing_rotation_leaves_its_mean_missing() -> None:
-    _, R = scattered(20, 0.3)
-    sets = R.reshape(10, 2, 3, 3).copy()
-    sets[3, 1] = np.nan
-    for method in ("chordal", "geodesic"):
-        mean = so3.mean(sets, method=method)
-        assert np.isfinite(mean[0]).all()
-        assert np.isnan(mean[1]).all()
 
 
 @pytest.mark.parametrize("method", ["chordal", "geodesic"])
@@ -416,3 +299,10 @@ def test_an_iteration_that_does_not_end_is_an_error(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("armlab.lie.so3.ITERATIONS", 1)
     with pytest.raises(NotConverged, match="Take the chordal mean"):
         so3.mean(scattered(10, 0.6)[1], method="geodesic")
+
+
+def test_left_jacobian_of_a_quarter_turn() -> None:
+    """By hand: sin θ/θ and (1 - cos θ)/θ."""
+    s = c = 2 / np.pi
+    wanted = [[s, -c, 0], [c, s, 0], [0, 0, 1]]
+    np.testing.assert_allclose(so3.left_jacobian([0, 0, np.pi / 2]), wanted, rtol=0, atol=2e-16)

@@ -177,23 +177,13 @@ def of_wrench(module: Any, name: str, given: dict[str, np.ndarray], _: dict[str,
 
 
 def of_contact(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:
-    words = name.split()
-    match words[0]:
-        case "model_torque":
-            drive = driven(module, fixed)
-            gravity, links, rotor, *motion = given.values()
-            return module.model_torque(
-                module.Chain(fixed["frames"], fixed["prismatic"]), gravity, links, rotor, drive, *motion
-            )
-        case "wrench_interval":
-            return module.wrench_interval(*given.values())[0]
-        case "turned_weight":
-            mass = 1.25 if "mass" in words else None
-            found = module.turned_weight(*given.values(), mass=mass, biased="unbiased" not in words)
-            k = ("R", "bias", "residuals", "cov", "products", "numbers").index(words[1])
-            return found[k][[0, 2, 4, 5, 6, 7]] if words[1] == "numbers" else found[k]
-    r, J = module.hand_eye_rows(*given.values(), *fixed.values())
-    return r if words[1] == "r" else J.reshape(-1, 3, 12)
+    if name.split()[0] == "model_torque":
+        drive = driven(module, fixed)
+        gravity, links, rotor, *motion = given.values()
+        return module.model_torque(
+            module.Chain(fixed["frames"], fixed["prismatic"]), gravity, links, rotor, drive, *motion
+        )
+    return module.wrench_interval(*given.values())[0]
 
 
 def of_obstacles(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:

@@ -6,7 +6,6 @@ slower; they check no arguments and have neither `out` nor `threads`.
 
 from __future__ import annotations
 
-from .calibration import hand_eye_rows, turned_weight
 from .chain import Chain
 from .drive import Drive, basis_weights, model_torque, presliding
 from .estimator import WrenchEstimator
@@ -32,7 +31,6 @@ from .lie import (
     so3_left_jacobian,
     so3_left_jacobian_inv,
     so3_log,
-    so3_nearest,
 )
 from .limits import limit_reference
 from .momentum import MomentumEstimator, momentum_step
@@ -59,7 +57,6 @@ __all__ = [
     "euler_from_rpy",
     "euler_to_rpy",
     "follow_path",
-    "hand_eye_rows",
     "limit_reference",
     "model_torque",
     "momentum_step",
@@ -83,8 +80,6 @@ __all__ = [
     "so3_left_jacobian",
     "so3_left_jacobian_inv",
     "so3_log",
-    "so3_nearest",
     "solve_wrench",
-    "turned_weight",
     "wrench_interval",
 ]

@@ -10,7 +10,8 @@ from matplotlib.colors import to_hex
 from armlab import kinematics, robots
 from armlab._palette import AXIS_COLORS
 from armlab.errors import ShapeError
-from armlab.frames import Circle, Line, Plane, Sphere
+from armlab.frames import Line, Plane
+from armlab.frames.features import Circle, Sphere
 from armlab.lie import se3
 from armlab.plots.space import (
     AHEAD,

@@ -1,19 +1,23 @@
-"""Robots: fields, builders, products of exponentials, meshes, outline."""
+"""Robots: fields, builders, products of exponentials, meshes, outline, refusals."""
 
 from __future__ import annotations
 
 import copy
 import pickle
+from collections.abc import Callable
 from dataclasses import FrozenInstanceError, fields, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from armlab import kinematics, robots
-from armlab.errors import RobotError, ShapeError
-from armlab.lie import euler, quaternion, se3
-from armlab.robots import GRAVITY, POSE_TOLERANCE, RAMP_TIME, SCREW_TOLERANCE, Details, LocalPoe, Mesh, Robot, inertia
-from armlab.robots.robot import arm_length, bends
+from armlab.errors import ArmlabError, RobotError, ShapeError, UnknownName
+from armlab.lie import euler, se3
+from armlab.robots import Mesh, Robot, inertia
+from armlab.robots.build import GRAVITY, RAMP_TIME, SCREW_TOLERANCE
+from armlab.robots.robot import POSE_TOLERANCE, arm_length, bends
 
 FILE = "package://maker/link_1.stl"
 GOOD = {"kind": "visual", "file": FILE, "T_link_mesh": np.eye(4), "scale": (1, 1, 1)}
@@ -58,30 +62,6 @@ def test_frames_hold_mount_and_tool(yumi: Robot) -> None:
     np.testing.assert_allclose(moved.T_home, T_base_mount @ bare.T_home @ T_flange_tool, rtol=0, atol=1e-15)
     np.testing.assert_array_equal(moved.frames[1:-1], yumi.frames[1:-1])
     np.testing.assert_array_equal(moved.gravity, yumi.gravity)
-
-
-def test_with_tool_replaces_the_tool(yumi: Robot) -> None:
-    T_flange_tool = se3.exp([0, 0, 0.1, 0, 0, 0.5])
-    twice = yumi.with_tool(se3.exp([1, 1, 1, 1, 1, 1])).with_tool(T_flange_tool)
-    assert twice == yumi.with_tool(T_flange_tool)
-    assert twice.with_tool(np.eye(4)) == yumi
-
-
-def test_screws_and_home_are_the_product_of_exponentials(yumi: Robot) -> None:
-    q = np.random.default_rng(0).uniform(-1, 1, yumi.n)
-    lift = robots.from_dh("lift", [0.3, 0.1], 0.2, 0.1, prismatic=[True, False])
-    for robot, position in ((yumi, q), (lift, q[:2])):
-        T = np.eye(4)
-        for xi, angle in zip(robot.screws, position):
-            T = T @ se3.exp(xi * angle)
-        np.testing.assert_allclose(T @ robot.T_home, forward(robot, position), rtol=0, atol=1e-14)
-    np.testing.assert_array_equal(lift.screws[0], [0, 0, 1, 0, 0, 0])
-
-
-def test_chain_is_made_once_and_agrees(yumi: Robot) -> None:
-    assert yumi.chain is yumi.chain
-    np.testing.assert_allclose(yumi.chain.forward(yumi.q_home), forward(yumi, yumi.q_home), rtol=0, atol=1e-15)
-    assert yumi.chain.n == yumi.n == 7
 
 
 def test_equality_is_by_content(yumi: Robot) -> None:
@@ -136,10 +116,6 @@ def test_pickle_and_copy(yumi: Robot) -> None:
         assert not twin.links.flags.writeable
 
 
-def test_repr(yumi: Robot) -> None:
-    assert repr(yumi) == "Robot('yumi_left', 7 joints)"
-
-
 def test_optional_numbers_count_in_the_hash_where_there_are_any(yumi: Robot) -> None:
     """Model files are bound to the hash: a robot that says nothing of torques and masses keeps the one it had."""
     assert yumi.hash == "dabb698bc5f5565c350e713f803600a5ebf2206271f2684ab6e7963726dd1029"
@@ -181,26 +157,14 @@ LIMITS = {"q_min": [-1.0, -1.0], "q_max": [1.0, 1.0], "qd_max": [1.0, 1.0]}
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [
-        (
-            {"q_max": [1, -2]},
-            r"Expected q_min below q_max at joint 2 \(joint_2\) of robot 'r', got q_min -1, q_max -2",
-        ),
-        ({"q_min": [-1, np.nan]}, r"Expected numbers in q_min of robot 'r', got NaN at joint 2 \(joint_2\)\."),
-        (
-            {"q_home": [0, 3]},
-            r"inside the limits at joint 2 \(joint_2\) of robot 'r', got q_home 3, q_min -1",
-        ),
+        ({"q_max": [1, -2]}, r"Expected q_min below q_max at joint 2 \(joint_2\) of robot 'r', got q_min -1, q_max"),
+        ({"q_home": [0, 3]}, r"inside the limits at joint 2 \(joint_2\) of robot 'r', got q_home 3, q_min -1"),
         ({"q_home": [np.inf, 0], "q_max": [np.inf, 1]}, "Expected a finite home position at joint 1"),
         ({"qd_max": [0, 1]}, "Expected a positive speed limit at joint 1"),
         ({"qdd_max": [1, -1]}, "Expected a positive acceleration limit at joint 2"),
         ({"tau_max": [1, 0]}, r"Expected a positive torque limit at joint 2 \(joint_2\) of robot 'r', got tau_max 0"),
-        ({"tau_max": [1, np.nan]}, "Expected numbers in tau_max of robot 'r', got NaN at joint 2"),
-        ({"inertias": [BODY]}, r"Expected inertias of robot 'r' \(2 joints\) to have shape \(2, 10\), got \(1, 10\)"),
         ({"inertias": [BODY, np.full(10, np.nan)]}, "Expected numbers in inertias of robot 'r', got NaN at index"),
-        (
-            {"inertias": [BODY, [np.inf] * 10]},
-            "Expected the inertia of a body for link 2 of robot 'r', got .* not finite",
-        ),
+        ({"inertias": [BODY, [np.inf] * 10]}, "Expected the inertia of a body for link 2 of robot 'r', got .* not"),
         ({"inertias": [BODY, -BODY]}, "Expected the inertia of a body for link 2 of robot 'r', got a mass of -1 kg"),
         ({"inertias": [[0, 1] + [0] * 8, BODY]}, "body for link 1 of robot 'r', got moments without a mass"),
         (
@@ -209,17 +173,9 @@ LIMITS = {"q_min": [-1.0, -1.0], "q_max": [1.0, 1.0], "qd_max": [1.0, 1.0]}
         ),
         ({"meshes": [["link.stl"], [], []]}, "Expected a robots.Mesh in meshes of robot 'r', got 'link.stl'"),
         ({"meshes": [[MESH], []]}, "Expected meshes in robot 'r' of the mount and 2 links, got 2 tuples"),
-        ({"q_min": [0, 0, 0]}, r"Expected q_min of robot 'r' \(2 joints\) to have shape \(2,\), got \(3,\)\."),
-        ({"gravity": [0, 0]}, r"to have shape \(3,\), got \(2,\)"),
         ({"gravity": [0, 0, np.inf]}, "Expected a finite gravity"),
         ({"gravity": [0, 0, np.nan]}, r"Expected numbers in gravity of robot 'r', got NaN at index \(2,\)\."),
         ({"coupling": np.ones((2, 2))}, "Expected a coupling of robot 'r' that can be inverted"),
-        (
-            {"T_base_mount": 2 * np.eye(4)},
-            "Expected T_base_mount of robot 'r' to be a pose with a rotation",
-        ),
-        ({"T_flange_tool": np.zeros((4, 4))}, "Expected T_flange_tool of robot 'r' to be a pose"),
-        ({"T_flange_tool": np.eye(3)}, r"to have shape \(4, 4\), got \(3, 3\)"),
         ({"joint_names": ["a"]}, r"Expected 2 different joint_names of robot 'r', got \['a'\]\."),
         ({"joint_names": ["a", "a"]}, "Expected 2 different joint_names"),
         ({"abb_axes": [1, 3]}, r"Expected abb_axes of robot 'r' to hold 1 to 2 once each, got \[1, 3\]\."),
@@ -239,18 +195,6 @@ def test_a_rotation_that_is_off_is_refused() -> None:
         robots.from_links("r", links)
     links[1, 0, 1] = POSE_TOLERANCE / 2
     assert robots.from_links("r", links).n == 1
-
-
-def test_an_inertia_that_no_body_has_but_that_moves_is_accepted() -> None:
-    """Published descriptions break the triangle inequality; every mass matrix is positive all the same."""
-    flat = inertia.from_body(1.0, [0, 0, 0], np.diag([1.0, 1.0, 3.0]))
-    rounded = inertia.from_body(1.0, [0, 0, 0], np.diag([-1e-7, 1.0, 1.0]))
-    assert robots.from_dh("r", [0.0, 0.0], 1.0, 0.0, inertias=[flat, rounded]).inertias is not None
-
-
-def test_no_joints_are_refused() -> None:
-    with pytest.raises(RobotError, match="Expected at least one joint for robot 'r'"):
-        robots.from_links("r", np.eye(4)[None])
 
 
 def dh_matrix(theta: float, d: float, a: float, alpha: float) -> np.ndarray:
@@ -277,7 +221,7 @@ def test_from_dh_equals_the_textbook_product(modified: bool) -> None:
     """Random robots of 2 to 9 joints, revolute and prismatic; tests/laws has a thousand of them in all forms."""
     rng = np.random.default_rng(0)
     matrix = craig_matrix if modified else dh_matrix
-    for _ in range(300):
+    for _ in range(100):
         n = int(rng.integers(2, 10))
         table = rng.uniform(-np.pi, np.pi, (4, n)) * [[1], [0.3], [0.3], [1]]
         prismatic = rng.random(n) < 0.3
@@ -301,12 +245,6 @@ def test_link_frames_are_dh_frames_before_the_shift() -> None:
         np.testing.assert_allclose(links[i] @ dh_matrix(0.0, d, a, alpha), expected, rtol=0, atol=1e-14)
 
 
-def test_a_number_stands_for_all_rows() -> None:
-    robot = robots.from_dh("planar", 0.0, [0.5, 0.4], 0.0)
-    np.testing.assert_allclose(robot.T_home[:3, 3], [0.9, 0, 0])
-    assert robot.n == 2
-
-
 def test_defaults_of_details() -> None:
     robot = robots.from_dh("r", 0.0, [1.0, 1.0], 0.0)
     assert (robot.q_max == np.inf).all()
@@ -326,42 +264,6 @@ def test_a_misspelt_detail_is_refused() -> None:
     """Limits that are not taken would be infinite."""
     with pytest.raises(RobotError, match="got 'q_maxx'"):
         robots.from_dh("r", 0.0, [1.0, 1.0], 0.0, q_maxx=[1.0, 1.0])  # type: ignore[call-arg]
-
-
-def test_details_name_fields_of_robot() -> None:
-    assert set(Details.__annotations__) < set(Robot.__dataclass_fields__)
-
-
-def test_from_links() -> None:
-    rng = np.random.default_rng(2)
-    q = rng.standard_normal((3, 4))
-    links = np.tile(np.eye(4), (3, 1, 1))
-    links[:, :3, :3] = quaternion.to_matrix(q / np.linalg.norm(q, axis=1, keepdims=True))
-    robot = robots.from_links("r", links, [False, True])
-    np.testing.assert_array_equal(robot.frames, links)
-    np.testing.assert_allclose(robot.T_home, links[0] @ links[1] @ links[2], rtol=0, atol=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("columns", "sentence"),
-    [
-        (
-            ([0.0, 0.0], [1.0, 1, 1], 0.0),
-            "Expected DH columns of one length for robot 'r', got alpha 2, a 3, d 1, offset 1.",
-        ),
-        (([0.0, np.nan], 1.0, 0.0), "Expected finite alpha in the DH table of 'r', got nan at joint 2."),
-        (([0.0, 0.0], 1.0, [0.0, np.inf]), "Expected finite d in the DH table of 'r', got inf at joint 2."),
-    ],
-)
-def test_bad_tables_are_refused_with_a_sentence(columns: tuple, sentence: str) -> None:
-    with pytest.raises(RobotError) as caught:
-        robots.from_dh("r", *columns)
-    assert str(caught.value) == sentence
-
-
-def test_a_prismatic_flag_per_joint() -> None:
-    with pytest.raises(RobotError, match="of robot 'r'"):
-        robots.from_dh("r", 0.0, [1.0, 1.0], 0.0, prismatic=[True])
 
 
 def test_limits_that_look_like_degrees_are_doubted() -> None:
@@ -389,20 +291,9 @@ def random_screws(rng: np.random.Generator, n: int) -> np.ndarray:
     return np.where(slides, np.hstack([axis, 0 * axis]), np.hstack([np.cross(rng.standard_normal((n, 3)), axis), axis]))
 
 
-def random_robot(rng: np.random.Generator, n: int) -> Robot:
-    """Random links, kinds, mount and tool."""
-    return robots.from_links(
-        "random",
-        se3.exp(rng.standard_normal((n + 1, 6))),
-        rng.random(n) < 0.3,
-        T_base_mount=se3.exp(rng.standard_normal(6)),
-        T_flange_tool=se3.exp(rng.standard_normal(6)),
-    )
-
-
 def test_from_poe_is_the_product_of_exponentials() -> None:
     rng = np.random.default_rng(0)
-    for _ in range(300):
+    for _ in range(100):
         n = int(rng.integers(2, 10))
         screws, T_home, q = random_screws(rng, n), se3.exp(rng.standard_normal(6)), rng.uniform(-2, 2, n)
         robot = robots.from_poe("random", screws, T_home)
@@ -413,33 +304,6 @@ def test_from_poe_is_the_product_of_exponentials() -> None:
         np.testing.assert_allclose(robot.screws, screws, rtol=0, atol=1e-14)
         np.testing.assert_allclose(robot.T_home, T_home, rtol=0, atol=1e-13)
         np.testing.assert_array_equal(robot.prismatic, ~screws[:, 3:].any(axis=1))
-
-
-def test_the_three_forms_agree_on_random_robots() -> None:
-    """Robots of 2 to 9 joints, revolute and prismatic, with mount and tool; tests/laws has a thousand of them."""
-    rng = np.random.default_rng(1)
-    for _ in range(100):
-        robot = random_robot(rng, int(rng.integers(2, 10)))
-        q = rng.uniform(-2, 2, robot.n)
-        T = kinematics.forward(robot, q)
-        for other in (
-            robots.from_poe("poe", robot.screws, robot.T_home),
-            robots.from_local_poe("local", *robots.to_local_poe(robot)),
-        ):
-            np.testing.assert_allclose(kinematics.forward(other, q), T, atol=1e-12, rtol=0)
-
-
-def test_local_poe_of_a_robot() -> None:
-    """``T = A_1 exp(xi_1 q_1) ... A_n exp(xi_n q_n) A_tool``, typed in."""
-    rng = np.random.default_rng(2)
-    robot = random_robot(rng, 5)
-    local = robots.to_local_poe(robot)
-    assert isinstance(local, LocalPoe)
-    q = rng.standard_normal(5)
-    T = np.eye(4)
-    for pose, xi, position in zip(local.poses, local.screws, q):
-        T = T @ pose @ se3.exp(xi * position)
-    np.testing.assert_allclose(T @ local.poses[-1], kinematics.forward(robot, q), rtol=0, atol=1e-13)
 
 
 def test_the_ancestors_test_robot() -> None:
@@ -490,16 +354,8 @@ def test_normalise_screw_refuses(screw: list, sentence: str) -> None:
 @pytest.mark.parametrize(
     ("screws", "T_home", "sentence"),
     [
-        (
-            [[0, 0, 0, 0, 0, 2.0]],
-            np.eye(4),
-            "for joint 1 of robot 'r', got length 2 and pitch 0 m/rad. Use robots",
-        ),
+        ([[0, 0, 0, 0, 0, 2.0]], np.eye(4), "for joint 1 of robot 'r', got length 2 and pitch 0 m/rad. Use robots"),
         ([[0, 0, 1, 0, 0, 1]], np.eye(4), "got length 1 and pitch 1 m/rad"),
-        ([[0, 0, 0, 0, 0, 0]], np.eye(4), "got length 0"),
-        ([[0, 0, 0, 0, 0, np.nan]], np.eye(4), "got length nan"),
-        ([[0, 0, 1, 0, 0]], np.eye(4), r"Expected screws of shape \(n, 6\)"),
-        ([[0, 0, 0, 0, 0, 1]], 2 * np.eye(4), "Expected T_home of robot 'r' to be a pose"),
         ([[0, 0, 0, 0, 0, 1]], np.eye(3), "Expected T_home of robot 'r' to be a pose"),
     ],
 )
@@ -551,14 +407,135 @@ def test_a_stretched_arm_is_as_long_as_its_links_and_strokes_together() -> None:
     assert arm_length(scara) == pytest.approx(np.hypot(0.5, 0.4) + 0.3 + 0.3 + 0.05)
 
 
-def test_a_link_follows_the_common_normal_of_its_axes() -> None:
-    """Axis z through the origin, axis y through (0.3, 0.1, 0.5): they are nearest at x = 0 and 0.3, height 0.5."""
-    z, y = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
-    found = bends(np.zeros(3), z, np.array([0.3, 0.1, 0.5]), y)
-    np.testing.assert_allclose(found, [[0.0, 0.0, 0.5], [0.3, 0.0, 0.5]], atol=1e-15, rtol=0)
+ONE = np.eye(4)
+LINKS = np.tile(ONE, (3, 1, 1))
+TURN = [[0, 0, 0, 0, 0, 1]]
 
 
-def test_parallel_axes_have_one_bend() -> None:
-    z = np.array([0.0, 0.0, 1.0])
-    found = bends(np.zeros(3), z, np.array([0.3, 0.1, 0.5]), z)
-    np.testing.assert_allclose(found, [[0.0, 0.0, 0.5]], atol=1e-15, rtol=0)
+def two(**details: Any) -> Robot:
+    return robots.from_dh("r", 0.0, [1.0, 1.0], 0.0, **details)
+
+
+def pose(**changes: float) -> np.ndarray:
+    """The identity with entries changed: pose(a01=2) has 2 in row 0, column 1."""
+    T = np.eye(4)
+    for key, value in changes.items():
+        T[int(key[1]), int(key[2])] = value
+    return T
+
+
+NO_POSES = [
+    (2 * ONE, "to be a pose"),
+    (pose(a00=-1), "to be a pose"),  # a mirror
+    (pose(a01=1e-6), "orthonormal to 1e-09.*Project it first"),
+    (pose(a30=1), "to be a pose"),
+    (pose(a03=np.nan), r"got NaN at index \(0, 3\)"),
+    (pose(a03=np.inf), "to be a pose"),
+    (np.eye(3), r"to have shape \(4, 4\), got \(3, 3\)"),
+    (1j * ONE, "to be real numbers"),
+    ("up", "to be real numbers, got 'up'"),
+]
+
+
+@pytest.mark.parametrize(("T", "sentence"), NO_POSES)
+def test_tools_and_bases_that_are_no_poses(yumi: Robot, T: Any, sentence: str) -> None:
+    for change, field in ((yumi.with_tool, "T_flange_tool"), (yumi.with_base, "T_base_mount")):
+        with pytest.raises(RobotError, match=rf"Expected .*{field} of robot 'yumi_left'.*{sentence}") as caught:
+            change(T)
+        assert str(caught.value).endswith(".")
+
+
+BAD: dict[str, tuple[Callable[[], object], type[ArmlabError], str]] = {
+    "a number": (lambda: robots.from_links("r", 3.0), RobotError, "Expected at least one joint for robot 'r'"),
+    "one pose": (lambda: robots.from_links("r", ONE), RobotError, "Expected links of robot 'r' .* got"),
+    "NaN in a link": (lambda: robots.from_links("r", LINKS * np.nan), RobotError, "Expected numbers in links"),
+    "scaled link": (lambda: robots.from_links("r", 2 * LINKS), RobotError, r"Expected links\[0\] of robot 'r'"),
+    "one flag for two joints": (
+        lambda: robots.from_links("r", LINKS, [True]), RobotError,
+        r"Expected prismatic of robot 'r' \(2 joints\) to have shape \(2,\), got \(1,\)\.",
+    ),
+    "a matrix of angles": (
+        lambda: robots.from_dh("r", np.zeros((2, 2)), 0, 0), RobotError,
+        r"Expected alpha in the DH table of 'r' as one column \(n,\), got shape \(2, 2\)\.",
+    ),
+    "columns of two lengths": (lambda: robots.from_dh("r", 0, [1, 2], [1, 2, 3]), RobotError, "of one length"),
+    "NaN in a table": (
+        lambda: robots.from_dh("r", [0.0, np.nan], 1.0, 0.0), RobotError,
+        r"Expected finite alpha in the DH table of 'r', got nan at joint 2\.",
+    ),
+    "screws of five": (lambda: robots.from_poe("r", np.ones((2, 5)), ONE), RobotError, r"screws of shape \(n, 6\)"),
+    "NaN in a screw": (lambda: robots.from_poe("r", np.full((1, 6), np.nan), ONE), RobotError, "for joint 1"),
+    "a home that is none": (lambda: robots.from_poe("r", TURN, 2 * ONE), RobotError, "Expected T_home of robot 'r'"),
+    "poses missing": (lambda: robots.from_local_poe("r", ONE[None], TURN), RobotError, r"\(n\+1, 4, 4\)"),
+    "limits reversed": (
+        lambda: two(q_min=[-1, 1], q_max=[1, -1]), RobotError,
+        r"Expected q_min below q_max at joint 2 \(joint_2\) of robot 'r', got q_min 1, q_max -1\.",
+    ),
+    "no limits": (lambda: two(q_min=None), RobotError, "Expected q_min of robot 'r' to be real numbers, got None"),
+    "no source": (lambda: two(source=None), RobotError, "Expected text in source of robot 'r', got None"),
+    "nine inertial numbers": (lambda: two(inertias=np.zeros((2, 9))), RobotError, r"shape \(2, 10\), got \(2, 9\)"),
+    "no names": (lambda: two(joint_names=None), RobotError, "Expected joint_names of robot 'r' as a list or tuple"),
+    "axes that are no counts": (lambda: two(abb_axes=[1.0, 2.0]), RobotError, r"as whole numbers, got \[1\.0, 2\.0\]"),
+    "meshes not by link": (lambda: two(meshes=[1, 2, 3]), RobotError, "Expected meshes of one link of robot 'r'"),
+    "half a flag": (lambda: robots.from_links("r", LINKS, [1, 0.5]), RobotError, "Expected prismatic .* as True and"),
+    "a convention by name": (
+        lambda: robots.from_dh("r", 0, [1, 2], 0, modified="standard"), RobotError,  # type: ignore[arg-type]
+        "Expected modified of robot 'r' to be True or False, got 'standard'",
+    ),
+    "33 joints": (lambda: robots.from_dh("r", 0, np.ones(33), 0), RobotError, "Expected at most 32 joints for robot"),
+    "one scale": (
+        lambda: robots.Mesh("visual", "a.stl", ONE, 2.0), RobotError,  # type: ignore[arg-type]
+        "Expected 3 finite factors of mesh 'a.stl'",
+    ),
+    "a name for a robot": (
+        lambda: robots.to_local_poe("irb120"), RobotError,  # type: ignore[arg-type]
+        r"Expected a Robot, got 'irb120'\. Load it first: robots\.load\('irb120'\)\.",
+    ),
+    "nothing to save": (lambda: robots.save(None, "r.toml"), RobotError, "Expected a Robot, got None"),  # type: ignore[arg-type]
+    "nowhere to save": (lambda: robots.save(two(), None), RobotError, "Expected the path of a file"),  # type: ignore[arg-type]
+    "no path at all": (lambda: robots.urdf.read(None), RobotError, "Expected a URDF file at None"),  # type: ignore[arg-type]
+    "a path for a text": (
+        lambda: robots.urdf.parse(Path("a.urdf")), RobotError,  # type: ignore[arg-type]
+        "Expected the text of a URDF, got .*Of a file: urdf.read",
+    ),
+    "no robot": (lambda: robots.load("irb121"), UnknownName, "Did you mean"),
+    "a number for a name": (lambda: robots.load(3), UnknownName, "got '3'. Known: dh_test"),  # type: ignore[arg-type]
+    "no file": (lambda: robots.load("absent.toml"), RobotError, "Expected a robot file at absent.toml"),
+    "no URDF": (lambda: robots.load("absent.urdf"), RobotError, "Expected a URDF file at absent.urdf"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_one_sentence(case: str) -> None:
+    make, error, sentence = BAD[case]
+    with pytest.raises(error, match=sentence) as caught:
+        make()
+    message = str(caught.value)
+    assert message.endswith((".", "?"))  # "Did you mean ...?"
+    assert "\n" not in message
+    assert len(message) < 500
+
+
+@pytest.mark.parametrize("field", ["q_min", "q_max", "qd_max", "qdd_max", "q_home", "tau_max"])
+def test_every_vector_of_the_wrong_length_or_with_nan(field: str) -> None:
+    with pytest.raises(
+        RobotError, match=rf"Expected {field} of robot 'r' \(2 joints\) to have shape \(2,\), got \(3,\)"
+    ):
+        replace(two(**LIMITS), **{field: [1.0, 2.0, 3.0]})
+    with pytest.raises(
+        RobotError, match=rf"Expected numbers in {field} of robot 'r', got NaN at joint 2 \(joint_2\)\."
+    ):
+        replace(two(**LIMITS), **{field: [0.5, np.nan]})
+    with pytest.raises(RobotError, match=f"Expected {field} of robot 'r' to be real numbers, got 'many'"):
+        replace(two(**LIMITS), **{field: "many"})
+
+
+def test_bends_of_a_link() -> None:
+    """Axis z through the origin and an axis y have a common normal, parallel axes the foot of a perpendicular."""
+    z, y, b = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), np.array([0.3, 0.1, 0.5])
+    np.testing.assert_allclose(bends(np.zeros(3), z, b, y), [[0.0, 0.0, 0.5], [0.3, 0.0, 0.5]], atol=1e-15, rtol=0)
+    np.testing.assert_allclose(bends(np.zeros(3), z, b, z), [[0.0, 0.0, 0.5]], atol=1e-15, rtol=0)
+
+
+def test_repr(yumi: Robot) -> None:
+    assert repr(yumi) == "Robot('yumi_left', 7 joints)"

@@ -1,15 +1,16 @@
-"""Diagnostics shared by all calibrations: limits, axes in words, rotations about one axis, disagreeing samples."""
+"""Diagnostics shared by all calibrations: limits, axes in words, unexciting rotations, misread orientations."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from math import hypot
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from armlab._numbers import numbers
 from armlab.errors import NotConverged, NotExcited, ShapeError
+from armlab.lie import quaternion
 
 Limits = TypeVar("Limits", tuple[float, float], tuple[float, float, float])
 FIXED = 1e-6  # rad: an orientation that moves less does not move
@@ -21,6 +22,10 @@ ROUGH = 0.05  # rad: a larger residual is no noise of a sensor
 COUNTS = {2: "two", 3: "three"}
 SPREAD_AND_ANGLE = "a share of the spread of the positions and an angle [rad]"
 ANGLE_WEIGHT_LENGTH = "an angle [rad], a share of the weight and a length [m]"
+SUSPECT = 0.02  # residual, of the spread or rad, from which other readings are tried
+MUCH_BETTER = 0.3  # share of the residual that the right reading leaves at most
+FITS = 0.1  # of the spread, that it leaves at most
+ROBOT, MARKER = "T_base_tool", "T_cam_marker"
 
 
 def axis_text(u: np.ndarray, axes: str) -> str:
@@ -88,3 +93,38 @@ def require_most(outliers: np.ndarray, what: str, best: Any) -> None:
         best=best,
         reason="mismatch",
     )
+
+
+class Reading(NamedTuple):
+    """What orientations may have been, in words, and the poses (N, 3, 3), (N, 3) that they then are."""
+
+    text: str
+    R: np.ndarray
+    t: np.ndarray
+
+
+def readings(R: np.ndarray, t: np.ndarray) -> list[Reading]:
+    """Return the other readings of poses; what is wrong is said of "{}".
+
+    Both records with the wrong order of quaternions keep the rotations of ``A X = Y B`` true: ``q_A = q_Y q_B q_X^-1``
+    is a rotation of four numbers, and whatever order these have it stays one. Only positions show it.
+    """
+    q = quaternion.from_matrix(R)
+    return [
+        Reading(
+            "The quaternions of {} are x, y, z, w taken as w, x, y, z.", quaternion.to_matrix(np.roll(q, 1, -1)), t
+        ),
+        Reading(
+            "The quaternions of {} are w, x, y, z taken as x, y, z, w.", quaternion.to_matrix(np.roll(q, -1, -1)), t
+        ),
+        Reading("The rotations of {} are transposed: those of the inverse.", R.transpose(0, 2, 1), t),
+    ]
+
+
+def readings_of_robot(R: np.ndarray, t: np.ndarray) -> Iterator[Reading]:
+    """Yield readings of the poses of the robot, and of their inverses, which they are where the eye is in the hand."""
+    yield from readings(R, t)
+    back = R.transpose(0, 2, 1)
+    for one in readings(back, -(back @ t[:, :, None])[:, :, 0]):
+        again = np.ascontiguousarray(one.R.transpose(0, 2, 1))
+        yield Reading(one.text, again, -(again @ one.t[:, :, None])[:, :, 0])

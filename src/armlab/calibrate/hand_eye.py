@@ -20,26 +20,23 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab import kernels
 from armlab.calibrate.diagnostics import (
-    ROUGH,
-    SPREAD_AND_ANGLE,
-    UNSEEN,
-    axis_text,
-    largest_rotation,
-    limits_of,
-    require_two_axes,
-)
-from armlab.calibrate.inputs import pose_noise, poses
-from armlab.calibrate.orientation_conventions import (
     FITS,
     MARKER,
     MUCH_BETTER,
     ROBOT,
+    ROUGH,
+    SPREAD_AND_ANGLE,
     SUSPECT,
+    UNSEEN,
+    axis_text,
+    largest_rotation,
+    limits_of,
     readings,
     readings_of_robot,
+    require_two_axes,
 )
+from armlab.calibrate.inputs import pose_noise, poses
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Fit, Measurement, NonlinearProblem, nonlinear_least_squares
 from armlab.estimation.excitation import check_spread
@@ -104,43 +101,23 @@ def fit_hand_eye(
     ----------
     Shah, J. Mech. Robotics 5(3), 2013 (start); Strobl and Hirzinger, IROS 2006 (weights).
     """
-    if setup not in FRAMES:
-        raise UnknownName.among("setup", setup, FRAMES)
-    equation, notes = _equation(T_base_tool, T_cam_marker, setup, noise, noise_robot)
-    names = FRAMES[setup]
-    carrier = names[0].split("_")[1]
+    equation, notes = _inputs(T_base_tool, T_cam_marker, setup, noise, noise_robot)
+    widths = limits_of(limits, SPREAD_AND_ANGLE, LIMITS)
     require_samples(equation.N, 3, "poses")
-    require_two_axes(equation.RA, _rotation_noise(equation, robust), carrier, names)
-    try:
-        found = nonlinear_least_squares(equation.problem(), equation.start(), robust=robust)
-    except NotConverged as error:
-        rest = equation.evaluate(error.best)[0].r
-        require_order(equation, rest, np.ones(equation.N, dtype=bool))
-        require_match(equation, rest, np.ones(equation.N, dtype=bool), error.best)
-        raise
-    residuals = equation.evaluate(found.value)[0].r if found.outliers.any() else found.rows.raw.reshape(-1, 6)
-    value = HandEye(setup, *found.value.poses())
-    require_order(equation, residuals, ~found.outliers)
-    require_match(equation, residuals, ~found.outliers, value)
+    _require_excitation(equation, _rotation_noise(equation, robust), setup)
+    found, residuals = _solve(equation, robust)
+    _require_agreement(equation, residuals, ~found.outliers, HandEye(setup, *found.value.poses()))
     if equation.noise is None:
-        require_two_axes(equation.RA, float(np.hypot(found.sigma[1], rotation_sd(equation.noise_A))), carrier, names)
-    words = PoseUnknowns(Part.of(names), equation.spread, limits_of(limits, SPREAD_AND_ANGLE, LIMITS))
-    excitation = check_spread(found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
-
-    def summary(fit: Fit[HandEye]) -> str:
-        given, turns = equation.noise is not None, fit.sd.reshape(4, 3)[1::2]
-        return "\n".join([fit.table(), *notes, *remarks(equation.RA, equation.spread, given, found, turns)])
-
-    return Fit(
-        value, words.names, words.units, found.value.parameters(), found.cov, found.sigma, residuals, equation.N,
-        excitation, summary, found.outliers, CLASSES,
-    )  # fmt: skip
+        _require_excitation(equation, float(np.hypot(found.sigma[1], rotation_sd(equation.noise_A))), setup)
+    return _result(equation, found, residuals, setup, widths, notes)
 
 
-def _equation(
+def _inputs(
     T_base_tool: ArrayLike, T_cam_marker: ArrayLike, setup: str, noise: Any, noise_robot: Any
 ) -> tuple[HandEyeEquation, list[str]]:
     """Return the checked equation, and what must be reported of its poses."""
+    if setup not in FRAMES:
+        raise UnknownName.among("setup", setup, FRAMES)
     RA, tA, first = poses(T_base_tool, "T_base_tool")
     RB, tB, second = poses(T_cam_marker, "T_cam_marker")
     if len(RA) != len(RB):
@@ -156,13 +133,41 @@ def _equation(
     return HandEyeEquation(RA, tA, RB, tB, of_camera, of_robot), [note for note in (first, second) if note]
 
 
-def _rotation_noise(equation: HandEyeEquation, robust: bool) -> float:
-    """Return what is known of the deviation of rotations before the fit [rad]."""
-    if equation.noise is not None:
-        return float(np.hypot(rotation_sd(equation.noise), rotation_sd(equation.noise_A)))
-    if robust:
-        return rotation_sd(equation.noise_A)
-    return float(np.sqrt(max(1.0 - np.linalg.svd(equation.product(), compute_uv=False)[0], 0.0)))
+def robot_side(
+    R: np.ndarray, t: np.ndarray, noise: np.ndarray | None, setup: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Return rotations, positions and noise of A: the robot's poses, or their inverses with the eye in the hand."""
+    noise = noise if noise is not None and noise.any() else None
+    if setup == "eye_to_hand":
+        return R, t, noise
+    inverse = np.ascontiguousarray(R.transpose(0, 2, 1))
+    return inverse, -(inverse @ t[:, :, None])[:, :, 0], None if noise is None else inverse_noise(noise, R, t)
+
+
+def inverse_noise(noise: np.ndarray, R: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Return the covariance (N, 6, 6) of the inverses of noisy poses: v' = hat(p') w - R^T v, w' = -R w.
+
+    R and t are those of the poses; p' = -R^T t.
+    """
+    M = np.zeros((len(R), 6, 6))
+    Rt = R.transpose(0, 2, 1)
+    M[:, :3, :3] = -Rt
+    M[:, :3, 3:] = so3.hat(-(Rt @ t[:, :, None])[:, :, 0])
+    M[:, 3:, 3:] = -R
+    return M @ full(noise) @ M.transpose(0, 2, 1)
+
+
+def full(noise: np.ndarray) -> np.ndarray:
+    """Return variances (k,) as a covariance (k, k); a covariance as it is."""
+    return np.diag(noise) if noise.ndim == 1 else noise
+
+
+def rotation_sd(noise: np.ndarray | None) -> float:
+    """Return the deviation of one component of a rotation [rad] of a covariance of poses; 0 for None."""
+    if noise is None:
+        return 0.0
+    variance = noise if noise.ndim == 1 else np.diagonal(noise, axis1=-2, axis2=-1)
+    return float(np.sqrt(np.mean(variance[..., 3:])))
 
 
 class Pair(NamedTuple):
@@ -233,8 +238,10 @@ class HandEyeEquation:
     def start(self) -> Pair:
         """Return rotations by the singular vectors of K, positions by least squares: no units, no guess."""
         U, _, V = np.linalg.svd(self.product())
-        RX, RY = V[0].reshape(3, 3), U[:, 0].reshape(3, 3)
-        (RX, RY), _ = kernels.so3_nearest(np.sign(np.linalg.det(RX)) * np.stack([RX, RY]))
+        pair = np.stack([V[0], U[:, 0]]).reshape(2, 3, 3)
+        U, _, V = np.linalg.svd(np.sign(np.linalg.det(pair[0])) * pair)
+        U[:, :, 2] *= np.linalg.det(U @ V)[:, None]
+        RX, RY = U @ V
         M, c = self.mean, self.tB @ RY.T - self.tA
         middle = c.sum(axis=0) / self.N
         pulled = c.ravel() @ self.RA.reshape(-1, 3) / self.N - M.T @ middle
@@ -243,8 +250,17 @@ class HandEyeEquation:
 
     def evaluate(self, pair: Pair) -> list[Measurement]:
         """Return r_t = t_B - t_h in camera axes and r_R = Log(R_h^T R_B) in marker axes, where h = Y^-1 A X."""
-        r, J = kernels.hand_eye_rows(self.RA, self.tA, self.RB, self.tB, *pair)
-        of_A = self._noise_of_A(pair, -J[:, :3, :3])
+        C = pair.RY.T @ self.RA
+        t = C @ pair.tX + (self.tA - pair.tY) @ pair.RY
+        back = (C @ pair.RX).transpose(0, 2, 1)
+        w = so3.log(back @ self.RB)
+        bent = so3.left_jacobian_inv(w)
+        r, J = np.concatenate([self.tB - t, w], axis=1), np.zeros((self.N, 6, 12))
+        J[:, :3, :3], J[:, :3, 6:9] = -C, pair.RY.T
+        J[:, 0, 10], J[:, 1, 11], J[:, 2, 9] = t[:, 2], t[:, 0], t[:, 1]  # -hat(t)
+        J[:, 0, 11], J[:, 1, 9], J[:, 2, 10] = -t[:, 1], -t[:, 2], -t[:, 0]
+        J[:, 3:, 3:6], J[:, 3:, 9:] = -bent, bent @ back
+        of_A = self._noise_of_A(pair, C)
         if self.noise is None:
             return [Measurement(r, J, None, COMPONENTS, self._sample, added=of_A)]
         return [Measurement(r, J, self.noise if of_A is None else full(self.noise) + of_A, COMPONENTS, self._sample)]
@@ -267,41 +283,74 @@ class HandEyeEquation:
         return NonlinearProblem(self.evaluate, Pair.plus, what="hand-eye calibration")
 
 
-def full(noise: np.ndarray) -> np.ndarray:
-    """Return variances (k,) as a covariance (k, k); a covariance as it is."""
-    return np.diag(noise) if noise.ndim == 1 else noise
+def _solve(equation: HandEyeEquation, robust: bool) -> tuple[NonlinearSolution[Pair], np.ndarray]:
+    """Return the most likely poses, and residuals (N, 6) of all samples; where none are found, say why."""
+    try:
+        found = nonlinear_least_squares(equation.problem(), equation.start(), robust=robust)
+    except NotConverged as error:
+        everything = np.ones(equation.N, dtype=bool)
+        _require_agreement(equation, equation.evaluate(error.best)[0].r, everything, error.best)
+        raise
+    if found.outliers.any():
+        return found, equation.evaluate(found.value)[0].r
+    return found, found.rows.raw.reshape(-1, 6)
 
 
-def rotation_sd(noise: np.ndarray | None) -> float:
-    """Return the deviation of one component of a rotation [rad] of a covariance of poses; 0 for None."""
-    if noise is None:
-        return 0.0
-    variance = noise if noise.ndim == 1 else np.diagonal(noise, axis1=-2, axis2=-1)
-    return float(np.sqrt(np.mean(variance[..., 3:])))
+def _require_excitation(equation: HandEyeEquation, noise: float, setup: str) -> None:
+    """Refuse poses that do not turn the tool about two axes; noise is the deviation of a rotation [rad]."""
+    names = FRAMES[setup]
+    require_two_axes(equation.RA, noise, names[0].split("_")[1], names)
 
 
-def robot_side(
-    R: np.ndarray, t: np.ndarray, noise: np.ndarray | None, setup: str
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Return rotations, positions and noise of A: the robot's poses, or their inverses with the eye in the hand."""
-    noise = noise if noise is not None and noise.any() else None
-    if setup == "eye_to_hand":
-        return R, t, noise
-    inverse = np.ascontiguousarray(R.transpose(0, 2, 1))
-    return inverse, -(inverse @ t[:, :, None])[:, :, 0], None if noise is None else inverse_noise(noise, R, t)
+def _rotation_noise(equation: HandEyeEquation, robust: bool) -> float:
+    """Return what is known of the deviation of rotations before the fit [rad]."""
+    if equation.noise is not None:
+        return float(np.hypot(rotation_sd(equation.noise), rotation_sd(equation.noise_A)))
+    if robust:
+        return rotation_sd(equation.noise_A)
+    return float(np.sqrt(max(1.0 - np.linalg.svd(equation.product(), compute_uv=False)[0], 0.0)))
 
 
-def inverse_noise(noise: np.ndarray, R: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return the covariance (N, 6, 6) of the inverses of noisy poses: v' = hat(p') w - R^T v, w' = -R w.
+def _require_agreement(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray, best: Any) -> None:
+    """Refuse records that do not belong together, residuals r (N, 6), by the likeliest cause."""
+    require_order(equation, r, kept)
+    require_match(equation, r, kept, best)
 
-    R and t are those of the poses; p' = -R^T t.
-    """
-    M = np.zeros((len(R), 6, 6))
-    Rt = R.transpose(0, 2, 1)
-    M[:, :3, :3] = -Rt
-    M[:, :3, 3:] = so3.hat(-(Rt @ t[:, :, None])[:, :, 0])
-    M[:, 3:, 3:] = -R
-    return M @ full(noise) @ M.transpose(0, 2, 1)
+
+def require_order(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray) -> None:
+    """Refuse two records of poses that fit much better when orientations are read in another way."""
+    now = _sizes(r[kept])
+    if now[0] < SUSPECT * equation.spread and now[1] < SUSPECT:
+        return
+    for text, other in _equations(equation):
+        position, rotation = _sizes(other.evaluate(other.start())[0].r)
+        fits = position < min(max(MUCH_BETTER * now[0], SUSPECT * equation.spread), FITS * equation.spread)
+        if fits and rotation < max(MUCH_BETTER * now[1], SUSPECT):
+            raise NotConverged(
+                f"Expected two records of poses that belong together, got {now[0]:.3g} m and {now[1]:.3g} rad between "
+                f"them (RMS). {text}",
+                best=other.start(),
+                reason="mismatch",
+            )
+
+
+def require_match(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray, best: Any) -> None:
+    """Refuse records that do not belong together, with what would make them fit where that can be said."""
+    turned, moved = np.sqrt(3.0 - np.vdot(equation.mean, equation.mean)), equation.spread
+    squares, count = (r[kept] ** 2).sum(axis=0), np.count_nonzero(kept)
+    position, rotation = np.sqrt(squares.reshape(2, 3).sum(axis=1) / count)
+    few = 2 * count <= len(kept)
+    if (rotation <= APART * turned or rotation < ROUGH) and position <= APART * moved and not few:
+        cause = _other_reading(equation) if rotation > SUSPECT else ""
+        if not cause:
+            return
+    left_out = f", {np.count_nonzero(~kept)} of {len(kept)} left out" if few else ""
+    raise NotConverged(
+        f"Expected two records of poses that belong together, got {position:.3g} m and {rotation:.3g} rad between them "
+        f"(RMS{left_out}) where the poses spread over {moved:.3g} m and {turned:.3g} rad. {_cause(equation)}",
+        best=best,
+        reason="mismatch",
+    )
 
 
 @dataclass(frozen=True)
@@ -373,25 +422,6 @@ def require_samples(N: int, least: int, what: str) -> None:
         )
 
 
-def require_match(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray, best: Any) -> None:
-    """Refuse records that do not belong together, with what would make them fit where that can be said."""
-    turned, moved = np.sqrt(3.0 - np.vdot(equation.mean, equation.mean)), equation.spread
-    squares, count = (r[kept] ** 2).sum(axis=0), np.count_nonzero(kept)
-    position, rotation = np.sqrt(squares.reshape(2, 3).sum(axis=1) / count)
-    few = 2 * count <= len(kept)
-    if (rotation <= APART * turned or rotation < ROUGH) and position <= APART * moved and not few:
-        cause = _other_reading(equation) if rotation > SUSPECT else ""
-        if not cause:
-            return
-    left_out = f", {np.count_nonzero(~kept)} of {len(kept)} left out" if few else ""
-    raise NotConverged(
-        f"Expected two records of poses that belong together, got {position:.3g} m and {rotation:.3g} rad between them "
-        f"(RMS{left_out}) where the poses spread over {moved:.3g} m and {turned:.3g} rad. {_cause(equation)}",
-        best=best,
-        reason="mismatch",
-    )
-
-
 def _cause(equation: HandEyeEquation) -> str:
     """Return what is wrong with the records, as far as another reading of them fits much better."""
     cause = _other_reading(equation)
@@ -456,23 +486,6 @@ def remarks(RA: np.ndarray, spread: float, given: bool, found: NonlinearSolution
     return lines
 
 
-def require_order(equation: HandEyeEquation, r: np.ndarray, kept: np.ndarray) -> None:
-    """Refuse two records of poses that fit much better when orientations are read in another way."""
-    now = _sizes(r[kept])
-    if now[0] < SUSPECT * equation.spread and now[1] < SUSPECT:
-        return
-    for text, other in _equations(equation):
-        position, rotation = _sizes(other.evaluate(other.start())[0].r)
-        fits = position < min(max(MUCH_BETTER * now[0], SUSPECT * equation.spread), FITS * equation.spread)
-        if fits and rotation < max(MUCH_BETTER * now[1], SUSPECT):
-            raise NotConverged(
-                f"Expected two records of poses that belong together, got {now[0]:.3g} m and {now[1]:.3g} rad between "
-                f"them (RMS). {text}",
-                best=other.start(),
-                reason="mismatch",
-            )
-
-
 def _equations(equation: HandEyeEquation) -> Iterator[tuple[str, HandEyeEquation]]:
     """Yield the equation with the robot, the marker, or both read in another way."""
     RA, tA, RB, tB = equation.RA, equation.tA, equation.RB, equation.tB
@@ -490,3 +503,21 @@ def _sizes(r: np.ndarray) -> tuple[float, float]:
     """Return the RMS length of the residuals (N, 6): of positions [m], of rotations [rad]."""
     position, rotation = np.sqrt((r**2).sum(axis=0).reshape(2, 3).sum(axis=1) / max(len(r), 1))
     return float(position), float(rotation)
+
+
+def _result(
+    equation: HandEyeEquation, found: NonlinearSolution[Pair], residuals: np.ndarray, setup: str,
+    limits: tuple[float, float], notes: list[str],
+) -> Fit[HandEye]:  # fmt: skip
+    """Return the fit, refusing directions of the unknowns that are not identifiable within the limits."""
+    words = PoseUnknowns(Part.of(FRAMES[setup]), equation.spread, limits)
+    excitation = check_spread(found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
+
+    def summary(fit: Fit[HandEye]) -> str:
+        given, turns = equation.noise is not None, fit.sd.reshape(4, 3)[1::2]
+        return "\n".join([fit.table(), *notes, *remarks(equation.RA, equation.spread, given, found, turns)])
+
+    return Fit(
+        HandEye(setup, *found.value.poses()), words.names, words.units, found.value.parameters(), found.cov,
+        found.sigma, residuals, equation.N, excitation, summary, found.outliers, CLASSES,
+    )  # fmt: skip

@@ -19,7 +19,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import rows_text
-from armlab.calibrate.diagnostics import SPREAD_AND_ANGLE, limits_of, require_two_axes
+from armlab.calibrate.diagnostics import (
+    FITS,
+    MUCH_BETTER,
+    ROBOT,
+    SPREAD_AND_ANGLE,
+    SUSPECT,
+    limits_of,
+    readings_of_robot,
+    require_two_axes,
+)
 from armlab.calibrate.hand_eye import (
     LIMITS,
     WHAT,
@@ -33,7 +42,6 @@ from armlab.calibrate.hand_eye import (
     rotation_sd,
 )
 from armlab.calibrate.inputs import point_noise, pose_noise, poses
-from armlab.calibrate.orientation_conventions import FITS, MUCH_BETTER, ROBOT, SUSPECT, readings_of_robot
 from armlab.errors import NotConverged, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Fit, Measurement, NonlinearProblem, nonlinear_least_squares
 from armlab.estimation.excitation import check_spread
@@ -93,41 +101,41 @@ def fit_hand_eye_points(
     """
     if setup not in FRAMES:
         raise UnknownName.among("setup", setup, FRAMES)
-    sight, seen, notes = _point_model(T_base_tool, p_cam, visible, setup, noise, noise_robot)
-    body = None if marker is None else marker_points(marker, sight.K, "p_cam")
+    model, seen, notes = _point_model(T_base_tool, p_cam, visible, setup, noise, noise_robot)
+    body = None if marker is None else marker_points(marker, model.K, "p_cam")
     names, carrier = FRAMES[setup], FRAMES[setup][0].split("_")[1]
-    require_samples(len(np.unique(sight.sample)), 3 if sight.K >= 3 else 5, "poses with points that were seen")
+    require_samples(len(np.unique(model.sample)), 3 if model.K >= 3 else 5, "poses with points that were seen")
     held = "the points" if body is None else names[0]
-    require_two_axes(sight.RA, max(TURNED, rotation_sd(sight.noise_A)), carrier, (held, names[1]))
-    require_agreement(sight)
-    require_order_of_robot(sight)
-    start = sight.start()
+    require_two_axes(model.RA, max(TURNED, rotation_sd(model.noise_A)), carrier, (held, names[1]))
+    require_agreement(model)
+    require_order_of_robot(model)
+    start = model.start()
     try:
         if body is None:
-            found = nonlinear_least_squares(sight.free(), start, robust=robust)
+            found = nonlinear_least_squares(model.free(), start, robust=robust)
             value = HandEye(setup, None, se3.from_rp(found.value.RY, found.value.tY), found.value.s)
-            parts = (*(Part(f"translation of point{k}", carrier, False) for k in range(sight.K)), *Part.of(names[1:]))
+            parts = (*(Part(f"translation of point{k}", carrier, False) for k in range(model.K)), *Part.of(names[1:]))
         else:
             begin = marked_start(start, body)
-            require_marker(sight, start.s, body)
-            found = nonlinear_least_squares(sight.marked(body), begin, robust=robust)
+            require_marker(model, start.s, body)
+            found = nonlinear_least_squares(model.marked(body), begin, robust=robust)
             X, Y = found.value.poses()
             value, parts = HandEye(setup, X, Y, body @ X[:3, :3].T + X[:3, 3]), Part.of(names)
     except NotConverged as error:
         if not error.reason:
-            require_agreement(sight, sight.solution.misfit)
+            require_agreement(model, model.solution.misfit)
         raise
     residuals = np.full((*seen.shape, 3), np.nan)
-    residuals[seen] = sight.residuals(value)
+    residuals[seen] = model.residuals(value)
     outliers = np.zeros(len(seen), dtype=bool)
     outliers[: len(found.outliers)] = found.outliers
-    require_agreement(sight, float(np.sqrt(3.0 * np.nanmean(residuals[~outliers] ** 2))), float(np.mean(outliers)))
-    words = PoseUnknowns(parts, sight.spread, limits_of(limits, SPREAD_AND_ANGLE, LIMITS))
+    require_agreement(model, float(np.sqrt(3.0 * np.nanmean(residuals[~outliers] ** 2))), float(np.mean(outliers)))
+    words = PoseUnknowns(parts, model.spread, limits_of(limits, SPREAD_AND_ANGLE, LIMITS))
     excitation = check_spread(found.rows.J, words.names, words.units, words.widths, WHAT, describe=words)
 
     def summary(fit: Fit[HandEye]) -> str:
         turns = fit.sd[[unit == "rad" for unit in fit.units]]
-        return "\n".join([fit.table(), *notes, *remarks(sight.RA, sight.spread, noise is not None, found, turns)])
+        return "\n".join([fit.table(), *notes, *remarks(model.RA, model.spread, noise is not None, found, turns)])
 
     return Fit(
         value, words.names, words.units, found.value.parameters(), found.cov, found.sigma, residuals, len(seen),
@@ -333,17 +341,17 @@ def marked_start(free: Points, marker: np.ndarray) -> Pair:
     return Pair(X[:3, :3], X[:3, 3], free.RY, free.tY)
 
 
-def require_agreement(sight: PointModel, rms: float | None = None, left_out: float = 0.0) -> None:
+def require_agreement(model: PointModel, rms: float | None = None, left_out: float = 0.0) -> None:
     """Refuse records that do not belong together, with what would make them fit where that can be said.
 
     `rms` is that of the residuals without outliers [m], None before the fit.
     """
-    found = sight.solution
+    found = model.solution
     if rms is None:
-        cause = _unit_or_hand(sight, found)
+        cause = _unit_or_hand(model, found)
     else:
-        bad = rms > APART * sight.spread or left_out >= 0.5
-        cause = _other_reading(sight, found.misfit) if bad or rms > SUSPECT * sight.spread else ""
+        bad = rms > APART * model.spread or left_out >= 0.5
+        cause = _other_reading(model, found.misfit) if bad or rms > SUSPECT * model.spread else ""
         cause = cause or ("Check that sample i of both is the same moment, and which frame each is in." if bad else "")
     if cause:
         share = f", with {100 * left_out:.0f} % of the samples left out" if left_out else ""
@@ -355,14 +363,14 @@ def require_agreement(sight: PointModel, rms: float | None = None, left_out: flo
         )
 
 
-def require_marker(sight: PointModel, s: np.ndarray, marker: np.ndarray) -> None:
+def require_marker(model: PointModel, s: np.ndarray, marker: np.ndarray) -> None:
     """Refuse a marker whose points are not arranged as those that were seen."""
     a, b = s - s.mean(axis=0), marker - marker.mean(axis=0)
     U, sizes, V = np.linalg.svd(a.T @ b)
     hand = np.sign(np.linalg.det(U @ V))
     seen, given = np.linalg.norm(a), np.linalg.norm(b)
     apart = float(np.linalg.norm(a - b @ (U * [1.0, 1.0, hand] @ V).T))
-    unsure = CLEAR * sight.solution.misfit * np.sqrt(sight.K / len(sight.p))
+    unsure = CLEAR * model.solution.misfit * np.sqrt(model.K / len(model.p))
     if apart < max(SHAPED * seen, unsure):
         return
     turned, times = float(sizes.sum()), seen / given
@@ -372,17 +380,17 @@ def require_marker(sight: PointModel, s: np.ndarray, marker: np.ndarray) -> None
     elif hand < 0 and turned > (1.0 - SHAPED**2) * seen * given:
         cause = "Its mirror image would fit: one axis of the marker is reversed."
     raise NotConverged(
-        f"Expected a marker arranged as its points were seen, got {apart / np.sqrt(sight.K):.3g} m between them (RMS) "
-        f"where they spread over {seen / np.sqrt(sight.K):.3g} m. {cause}",
+        f"Expected a marker arranged as its points were seen, got {apart / np.sqrt(model.K):.3g} m between them (RMS) "
+        f"where they spread over {seen / np.sqrt(model.K):.3g} m. {cause}",
         best=s,
         reason="mismatch",
     )
 
 
-def _unit_or_hand(sight: PointModel, found: Linear) -> str:
+def _unit_or_hand(model: PointModel, found: Linear) -> str:
     """Return what is wrong with a linear solution whose matrix is not nearly a rotation though it fits."""
     size = np.linalg.svd(found.M, compute_uv=False)
-    if size[2] < ROUND * size[0] or found.misfit > 0.1 * float(np.cbrt(np.prod(size))) * sight.spread:
+    if size[2] < ROUND * size[0] or found.misfit > 0.1 * float(np.cbrt(np.prod(size))) * model.spread:
         return ""
     scale = float(np.cbrt(np.prod(size)))
     if np.linalg.det(found.M) < 0:
@@ -392,34 +400,34 @@ def _unit_or_hand(sight: PointModel, found: Linear) -> str:
     return ""
 
 
-def _other_reading(sight: PointModel, now: float) -> str:
+def _other_reading(model: PointModel, now: float) -> str:
     """Return the reading of the poses that fits much better, "" where none does."""
-    N = len(sight.tA)
-    inverse = sight.RA.transpose(0, 2, 1)
+    N = len(model.tA)
+    inverse = model.RA.transpose(0, 2, 1)
     other = {
-        "The poses of the robot are the inverse of what was expected, or the setup is the other one.": sight.linear(
-            inverse, -(inverse @ sight.tA[:, :, None])[:, :, 0]
+        "The poses of the robot are the inverse of what was expected, or the setup is the other one.": model.linear(
+            inverse, -(inverse @ model.tA[:, :, None])[:, :, 0]
         ).misfit,
-        "One of the records is in reverse order.": sight.linear(sight.RA[::-1], sight.tA[::-1]).misfit,
+        "One of the records is in reverse order.": model.linear(model.RA[::-1], model.tA[::-1]).misfit,
     }
     for k in (1, 2, 3):
         text = f"The records are shifted by {k} samples against each other."
         for move in (k, -k):
-            keep = (sight.sample + move >= 0) & (sight.sample + move < N)
-            misfit = sight.only(keep).linear(np.roll(sight.RA, -move, axis=0), np.roll(sight.tA, -move, axis=0)).misfit
+            keep = (model.sample + move >= 0) & (model.sample + move < N)
+            misfit = model.only(keep).linear(np.roll(model.RA, -move, axis=0), np.roll(model.tA, -move, axis=0)).misfit
             other[text] = min(misfit, other.get(text, np.inf))
     cause = min(other, key=lambda text: other[text])
     return cause if other[cause] < MUCH_BETTER * now else ""
 
 
-def require_order_of_robot(sight: PointModel) -> None:
+def require_order_of_robot(model: PointModel) -> None:
     """Refuse poses that fit the points of a marker much better when orientations are read in another way."""
-    rms = sight.solution.misfit
-    if rms < SUSPECT * sight.spread:
+    rms = model.solution.misfit
+    if rms < SUSPECT * model.spread:
         return
-    for one in readings_of_robot(sight.RA, sight.tA):
-        other = sight.linear(one.R, one.t)
-        if other.misfit < min(MUCH_BETTER * rms, FITS * sight.spread):
+    for one in readings_of_robot(model.RA, model.tA):
+        other = model.linear(one.R, one.t)
+        if other.misfit < min(MUCH_BETTER * rms, FITS * model.spread):
             raise NotConverged(
                 f"Expected poses and points that belong together, got {rms:.3g} m between them (RMS). "
                 f"{one.text.format(ROBOT)}",

@@ -99,35 +99,33 @@ def gravity_of(gravity: Any) -> np.ndarray:
 
 
 def pose_noise(noise: Any, N: int, name: str = "noise") -> np.ndarray | None:
-    """Return variances (6,) or covariance (6, 6) or (N, 6, 6) of poses; None for None."""
-    if noise is None:
-        return None
-    values = numbers(noise, name, ShapeError)
-    if values.ndim == 0 and values == 0.0:
-        return np.zeros(6)
-    if values.shape == (2,) and np.all(values >= 0) and np.isfinite(values).all():
-        return np.repeat(values**2, 3)
-    if values.shape not in ((6, 6), (N, 6, 6)) or not np.isfinite(values).all():
-        raise ShapeError(
-            f"Expected {name} of poses as (sd of position [m], sd of rotation [rad]) or as a covariance (6, 6) or "
-            f"({N}, 6, 6), got shape {values.shape}. Metres and radians need a number each."
-        )
-    return covariance(values, name)
+    """Return variances (6,) or covariance (6, 6) or (N, 6, 6) of poses; None for None. Zero is allowed."""
+    wanted = "poses as (sd of position [m], sd of rotation [rad])"
+    return noise_of(noise, 2, (N,), name, wanted, "Metres and radians need a number each.", zero=True)
 
 
-def point_noise(noise: Any, shape: tuple[int, ...], name: str = "noise") -> np.ndarray | None:
+def point_noise(noise: Any, shape: tuple[int, ...]) -> np.ndarray | None:
     """Return variances (3,), or covariance (3, 3) or (*shape, 3, 3), of points; None for None."""
+    return noise_of(noise, 1, shape, "noise", "points as one standard deviation above zero [m]")
+
+
+def noise_of(
+    noise: Any, groups: int, batch: tuple[int, ...], name: str, wanted: str, advice: str = "Correct it.",
+    zero: bool = False,
+) -> np.ndarray | None:  # fmt: skip
+    """Return variances (k,), or covariance (k, k) or (*batch, k, k), of groups of three axes; None for None."""
     if noise is None:
         return None
-    values = numbers(noise, name, ShapeError)
-    if values.ndim == 0 and 0 < values < np.inf:
-        return np.full(3, float(values) ** 2)
-    if values.shape not in ((3, 3), (*shape, 3, 3)) or not np.isfinite(values).all():
-        wide = ", ".join(str(n) for n in (*shape, 3, 3))
-        raise ShapeError(
-            f"Expected {name} of points as one standard deviation above zero [m] or as a covariance (3, 3) or "
-            f"({wide}), got shape {values.shape}. Correct it."
-        )
+    values, k = numbers(noise, name, ShapeError), 3 * groups
+    if zero and values.ndim == 0 and values == 0.0:
+        return np.zeros(k)
+    sds = values[None] if groups == 1 and values.ndim == 0 else values
+    if sds.shape == (groups,) and np.isfinite(sds).all() and np.all(sds >= 0 if zero else sds > 0):
+        return np.repeat(sds**2, 3)
+    if values.shape not in ((k, k), (*batch, k, k)) or not np.isfinite(values).all():
+        wide = ", ".join(str(n) for n in (*batch, k, k))
+        got = repr(noise) if values.size <= k else f"shape {values.shape}"
+        raise ShapeError(f"Expected {name} of {wanted} or as a covariance ({k}, {k}) or ({wide}), got {got}. {advice}")
     return covariance(values, name)
 
 

@@ -15,14 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab.errors import NotConverged, NotExcited
-from armlab.estimation import Excitation, Fit, Measurement, NonlinearProblem
+from armlab.estimation import Excitation, Fit, Measurement, NonlinearProblem, NonlinearSolution, check_spread
 from armlab.estimation import nonlinear_least_squares as solve
-from armlab.estimation.excitation import check_spread
-from armlab.estimation.nonlinear import NonlinearSolution
-from armlab.frames import inputs, ransac
-from armlab.frames.feature_fit import LIMIT, Cloud, result, text, upward
+from armlab.frames import inputs
+from armlab.frames.feature_fit import LIMIT, Cloud, circles, principal, result, rounding, spheres, text, upward
 from armlab.frames.features import Circle, Sphere
-from armlab.frames.ransac import principal, rounding
 from armlab.lie import so3
 
 SCALE = 0.3  # of the radius: the largest deviation of centre and radius that is accepted
@@ -65,7 +62,7 @@ def fit_circle(
         return _descend(cloud, which, _circle_start(cloud.p[which]), _circle_residuals, _circle_step)
 
     if robust:
-        cloud.choose(3, 2, ransac.circles, lambda which: _refit(cloud, 4, fit, _circle_residuals, which))
+        cloud.choose(3, 2, circles, lambda which: _refit(cloud, 4, fit, _circle_residuals, which))
     found = fit(cloud.kept)
     value = found.value
     excitation = _judge(found, value)
@@ -103,7 +100,7 @@ def fit_sphere(p: ArrayLike, *, noise: ArrayLike | None = None, robust: bool = F
         return _descend(cloud, which, start, _sphere_residuals, _sphere_step)
 
     if robust:
-        cloud.choose(4, 1, ransac.spheres, lambda which: _refit(cloud, 5, fit, _sphere_residuals, which))
+        cloud.choose(4, 1, spheres, lambda which: _refit(cloud, 5, fit, _sphere_residuals, which))
     found = fit(cloud.kept)
     excitation = _judge(found, found.value)
     value = Sphere(found.value.centre, found.value.radius, found.cov)

@@ -1,8 +1,19 @@
-"""Parts shared by the fits of all features: checked points and noise, inliers, the sign of a normal, the result."""
+"""Fits of features to points: checked points and noise, outliers by minimal sets, the sign of a normal, the result.
+
+Each minimal set of points makes a feature; its scale is the h-th smallest distance of all points from it,
+``h = (N + size + 1) / 2``, so that nearly half of the points may be anywhere (Rousseeuw 1984, least median of squares).
+The h points nearest to the feature of smallest scale are refitted; flags then follow the refit.
+
+Squared distances from minimal sets are computed for many sets at once; sets that make no feature, as three points in a
+line, give NaN or infinity.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
+from itertools import combinations
+from math import comb
 from typing import Any, TypeVar
 
 import numpy as np
@@ -10,14 +21,25 @@ from numpy.typing import ArrayLike
 
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Excitation, Fit
+from armlab.estimation.nonlinear import median_norm
 from armlab.frames import inputs
 from armlab.frames.features import Circle, Line, Plane, Sphere
-from armlab.frames.ransac import Refit, Squares, inliers
 
 Feature = TypeVar("Feature", Plane, Line, Circle, Sphere)
 
 LIMIT = 0.2  # rad, the largest standard deviation of a tilt that is accepted
 SURE = 3.0  # deviations from which a side is sure
+
+ALL_SETS = comb(60, 3)  # up to here every set is tried
+SOME_SETS = 500
+FLAGGED = 0.999  # quantile of chi^2 beyond which a point is an outlier
+ROUNDS = 3
+JURY = 1000  # points that judge the sets, where there are more
+ROOM = 2.0  # for points at first: the half that was refitted leans towards its own noise
+AT_ONCE = 200_000  # distances that are held at once
+
+Squares = Callable[[np.ndarray, np.ndarray], np.ndarray]
+Refit = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
 
 class Cloud:
@@ -31,7 +53,7 @@ class Cloud:
         inputs.enough(len(self.p), self._needed, what)
 
     def choose(self, size: int, numbers: int, through: Squares, refit: Refit) -> None:
-        """Keep the points that belong to the feature, see `ransac.inliers`."""
+        """Keep the points that belong to the feature, see `inliers`."""
         self.kept = inliers(self.p, size, numbers, through, refit, self.sigma, self._what)
         inputs.enough(int(self.kept.sum()), self._needed, self._what)
 
@@ -95,3 +117,120 @@ def upward(
 def text(v: np.ndarray) -> str:
     """Return a vector (3,) as a report shows it."""
     return "(" + ", ".join(f"{x:.4f}" for x in v) + ")"
+
+
+def inliers(
+    p: np.ndarray, size: int, numbers: int, through: Squares, refit: Refit, sigma: float | None, what: str
+) -> np.ndarray:
+    """Return which points (N,) belong to the feature.
+
+    `size` is that of a minimal set, `numbers` the residuals per point, `sigma` the noise of a coordinate if known.
+    """
+    from scipy.special import chdtri
+
+    if len(p) < size + 2:
+        raise NotExcited(
+            f"Expected at least {size + 2} points to find outliers of a {what}, got {len(p)}. Measure more points.",
+            ["outliers"],
+            [f"{len(p)} points"],
+        )
+    jury = np.arange(len(p))
+    if len(p) > JURY:
+        jury = np.sort(np.random.default_rng([len(p), size]).choice(len(p), JURY, replace=False))
+    height = (len(jury) + size + 1) // 2
+    scale, squares = _best(p[jury], size, height, through)
+    limit = float(chdtri(numbers, 1.0 - FLAGGED))
+    spread = (1.0 + 5.0 / (len(p) - size)) * np.sqrt(scale) / median_norm(numbers)
+    half = np.zeros(len(p), dtype=bool)
+    half[jury[np.argsort(squares, kind="stable")[:height]]] = True
+    kept = half
+    with suppress(NotExcited):  # half of the points may be too few
+        kept = refit(half)[1] <= limit * (ROOM * max(sigma or spread, rounding(p))) ** 2
+    for _ in range(ROUNDS):
+        noise, squares = refit(kept)
+        fresh = squares <= limit * max(sigma or noise, rounding(p)) ** 2
+        if np.array_equal(fresh, kept):
+            break
+        kept = fresh
+    return kept
+
+
+def _best(p: np.ndarray, size: int, height: int, through: Squares) -> tuple[float, np.ndarray]:
+    """Return the scale of the best feature through a minimal set, and squared distances (N,) from it."""
+    scale, squares = np.inf, np.zeros(len(p))
+    sets = _sets(len(p), size)
+    some = 1 + AT_ONCE // len(p)
+    for a in range(0, len(sets), some):
+        found = np.nan_to_num(through(p[sets[a : a + some]], p), nan=np.inf)
+        level = np.partition(found, height - 1, axis=1)[:, height - 1]
+        best = int(np.argmin(level))
+        if level[best] < scale:
+            scale, squares = float(level[best]), found[best]
+    return scale, squares
+
+
+def _sets(count: int, size: int) -> np.ndarray:
+    """Return all sets (S, size) of numbers below count, or 500 seeded ones where there are too many."""
+    if comb(count, size) <= ALL_SETS:
+        return np.array(list(combinations(range(count), size)))
+    rng = np.random.default_rng([count, size])
+    return np.stack([rng.choice(count, size, replace=False) for _ in range(SOME_SETS)])
+
+
+def planes(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return squared distances (S, N) from the planes through sets (S, 3, 3)."""
+    n = np.cross(sets[:, 1] - sets[:, 0], sets[:, 2] - sets[:, 0])
+    length = np.linalg.norm(n, axis=1, keepdims=True)
+    n = np.divide(n, length, out=np.full_like(n, np.nan), where=length > 0)
+    return (n @ p.T - np.sum(n * sets[:, 0], axis=1)[:, None]) ** 2
+
+
+def lines(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return squared distances (S, N) from the lines through sets (S, 2, 3)."""
+    v = sets[:, 1] - sets[:, 0]
+    length = np.linalg.norm(v, axis=1, keepdims=True)
+    v = np.divide(v, length, out=np.full_like(v, np.nan), where=length > 0)
+    away = p - sets[:, :1]
+    return np.sum(np.cross(away, v[:, None]) ** 2, axis=2)
+
+
+def circles(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return squared distances (S, N) from the circles through sets (S, 3, 3)."""
+    a, b = sets[:, 1] - sets[:, 0], sets[:, 2] - sets[:, 0]
+    n = np.cross(a, b)
+    twice = np.sum(n**2, axis=1, keepdims=True)
+    aa, bb = np.sum(a**2, axis=1, keepdims=True), np.sum(b**2, axis=1, keepdims=True)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        to_centre = (np.cross(n, a) * bb + np.cross(b, n) * aa) / (2.0 * twice)
+        unit = n / np.sqrt(twice)
+        away = p - (sets[:, 0] + to_centre)[:, None]
+        z = np.einsum("snk,sk->sn", away, unit)
+        rho = np.sqrt(np.maximum(np.sum(away**2, axis=2) - z**2, 0.0))
+        return (rho - np.linalg.norm(to_centre, axis=1)[:, None]) ** 2 + z**2
+
+
+def spheres(sets: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return squared distances (S, N) from the spheres through sets (S, 4, 3)."""
+    edges = sets[:, 1:] - sets[:, :1]
+    volume = np.abs(np.linalg.det(edges)) > 1e-12 * np.linalg.norm(edges, axis=2).prod(axis=1)
+    squares = np.full((len(sets), len(p)), np.nan)
+    to_centre = np.linalg.solve(edges[volume], 0.5 * np.sum(edges[volume] ** 2, axis=2)[..., None])[..., 0]
+    away = p - (sets[volume, 0] + to_centre)[:, None]
+    squares[volume] = (np.linalg.norm(away, axis=2) - np.linalg.norm(to_centre, axis=1)[:, None]) ** 2
+    return squares
+
+
+def rounding(p: np.ndarray) -> float:
+    """Return the size of rounding in points (N, 3): no deviation is known to be smaller."""
+    return 1e-14 * max(float(np.abs(p).max(initial=0.0)), 1e-300)
+
+
+def principal(p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return centroid, principal directions (3, 3) as rows, strongest first, and sums of squares (3,) along them.
+
+    Their signs are chosen, not left to the decomposition: the largest component is positive.
+    """
+    c = p.mean(axis=0)
+    R = np.linalg.qr(p - c, mode="r")  # a million points have the directions of three
+    _, singular, axes = np.linalg.svd(np.vstack([R, np.zeros((3 - len(R), 3))]))
+    return c, axes * np.where(axes[np.arange(3), np.abs(axes).argmax(axis=1)] < 0, -1.0, 1.0)[:, None], singular**2

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab import kernels
 from armlab._numbers import make_read_only, number
 from armlab.errors import NotExcited, ShapeError
 from armlab.frames.inputs import marker_points, sightings
@@ -90,7 +89,7 @@ def marker_pose(
     there, here = share[:, None, :] @ p, share @ shape  # centres (N, 1, 3) and (N, 3)
     weighted = np.where(seen[:, :, None], p - there, 0.0)
     body = shape - here[:, None, :]
-    R, sigma = kernels.so3_nearest(np.swapaxes(weighted, 1, 2) @ body)
+    R, sigma = so3.nearest(np.swapaxes(weighted, 1, 2) @ body)
     turned = seen[:, :, None] * (body @ np.swapaxes(R, 1, 2))
     spread = np.einsum("nki,nki->n", seen[:, :, None] * body, body)
     valid = (count >= FEWEST) & (sigma[:, 1] + sigma[:, 2] > LINE * np.maximum(spread, np.finfo(float).tiny))

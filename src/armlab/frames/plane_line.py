@@ -25,13 +25,29 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab.errors import NotExcited, ShapeError
-from armlab.estimation import Fit, Measurement, NonlinearProblem, nonlinear_least_squares
-from armlab.estimation.excitation import check_spread
-from armlab.estimation.nonlinear import NonlinearSolution
-from armlab.frames import inputs, ransac
-from armlab.frames.feature_fit import LIMIT, SURE, Cloud, result, text, upward
+from armlab.estimation import (
+    Fit,
+    Measurement,
+    NonlinearProblem,
+    NonlinearSolution,
+    check_spread,
+    nonlinear_least_squares,
+)
+from armlab.frames import inputs
+from armlab.frames.feature_fit import (
+    LIMIT,
+    SURE,
+    Cloud,
+    inliers,
+    lines,
+    planes,
+    principal,
+    result,
+    rounding,
+    text,
+    upward,
+)
 from armlab.frames.features import Line, Plane
-from armlab.frames.ransac import inliers, principal, rounding
 from armlab.lie import so3
 
 Flat = TypeVar("Flat", Plane, Line)
@@ -76,7 +92,7 @@ def fit_plane(
     limit, cloud = inputs.limit_of(limit), Cloud(p, noise, 3, "plane")
     p, sigma = cloud.p, cloud.sigma
     if robust:
-        cloud.choose(3, 1, ransac.planes, lambda which: _plane_distances(cloud.p, which))
+        cloud.choose(3, 1, planes, lambda which: _plane_distances(cloud.p, which))
     kept = cloud.kept
     c, axes, squares = principal(p[kept])
     freedom = int(kept.sum()) - 3
@@ -127,7 +143,7 @@ def fit_line(
     """
     limit, cloud = inputs.limit_of(limit), Cloud(p, noise, 2, "line")
     if robust:
-        cloud.choose(2, 2, ransac.lines, lambda which: _line_distances(cloud.p, which))
+        cloud.choose(2, 2, lines, lambda which: _line_distances(cloud.p, which))
     p, sigma = cloud.p[cloud.kept], cloud.sigma
     c, axes, squares = principal(p)
     freedom = 2 * len(p) - 4

@@ -34,7 +34,6 @@ try:
         euler_from_rpy,
         euler_to_rpy,
         follow_path,
-        hand_eye_rows,
         limit_reference,
         model_torque,
         momentum_step,
@@ -60,9 +59,7 @@ try:
         so3_left_jacobian,
         so3_left_jacobian_inv,
         so3_log,
-        so3_nearest,
         solve_wrench,
-        turned_weight,
         wrench_interval,
     )
 except ImportError as error:
@@ -96,7 +93,6 @@ __all__ = [
     "euler_from_rpy",
     "euler_to_rpy",
     "follow_path",
-    "hand_eye_rows",
     "limit_reference",
     "model_torque",
     "momentum_step",
@@ -122,8 +118,6 @@ __all__ = [
     "so3_left_jacobian",
     "so3_left_jacobian_inv",
     "so3_log",
-    "so3_nearest",
     "solve_wrench",
-    "turned_weight",
     "wrench_interval",
 ]

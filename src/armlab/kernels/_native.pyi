@@ -996,20 +996,6 @@ def follow_path(
     reference : (n,) or (N, n), as there.
     """
 
-def hand_eye_rows(
-    R_A: Any, t_A: Any, R_B: Any, t_B: Any, R_X: Any, t_X: Any, R_Y: Any, t_Y: Any
-) -> tuple[np.ndarray, np.ndarray]:
-    """``r_t = t_B - t_h`` and ``r_R = log(R_hᵀ R_B)`` with ``h = Y⁻¹ A X``, and their derivatives by X and Y.
-
-    Parameters
-    ----------
-    R_A, R_B : (..., 3, 3). t_A, t_B : (..., 3). R_X, R_Y : (3, 3). t_X, t_Y : (3,).
-
-    Returns
-    -------
-    r (..., 6); J (..., 6, 12) by the step (v_X, w_X, v_Y, w_Y) of ``(R Exp(w), t + v)``.
-    """
-
 def limit_reference(
     sent: np.ndarray,
     bounds: np.ndarray,
@@ -1209,13 +1195,6 @@ def so3_left_jacobian_inv(w: Any, out: Any = None) -> np.ndarray:
 def so3_log(R: Any, out: Any = None) -> np.ndarray:
     """``2 atan2(abs(v), w) v/abs(v)`` of the quaternion (w, v)."""
 
-def so3_nearest(M: Any, out: Any = None) -> tuple[np.ndarray, np.ndarray]:
-    """``U diag(1, 1, d) Vᵀ`` of ``M = U S Vᵀ``, d = det UVᵀ, and (..., 3) ``σ₁, σ₂, d σ₃``.
-
-    ``σ₂ + d σ₃`` says how well the rotation is determined; where it is 0 the rotation is one of many. Where an entry of
-    M is not finite everything is NaN.
-    """
-
 def solve_wrench(
     A: np.ndarray, error: np.ndarray, variance: np.ndarray, bound: np.ndarray, prior: np.ndarray, method: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, float, bool]:
@@ -1229,29 +1208,6 @@ def solve_wrench(
     error, variance, bound : (n,) torque errors [N m], variances [(N m)^2] above zero, bounds [N m] not below it.
     prior : (k,) prior variances of the unknowns, above zero.
     method : 0 map, 1 bounded, 2 clip, 3 interval, 4 ls, 5 lund.
-    """
-
-def turned_weight(
-    R_base_tool: Any, force: Any, pull: Any, weight: Any = None, mass: float | None = None, biased: bool = True
-) -> tuple[np.ndarray, ...]:
-    """Minimise ``sum w_i |f_i - m Rᵀ h_i - b|²`` with ``h_i = R_base_tool,iᵀ pull``, in closed form (Umeyama 1991).
-
-    With weighted means taken off where there is a bias, ``S = sum w h fᵀ``, ``H = sum w h hᵀ`` and the singular values
-    of `so3_nearest`: R is the rotation nearest to S, ``m = (s1 + s2 + d s3) / tr H``, ``b = mean(f) - m Rᵀ mean(h)``.
-
-    Parameters
-    ----------
-    R_base_tool : (..., N, 3, 3) orientations of the tool. force : (..., N, 3), sensor axes.
-    pull : (3,) what one unit of mass weighs, base axes. weight : (..., N) of the samples; ones when None.
-    mass : known mass; sought when None. biased : whether there is a bias.
-
-    Returns
-    -------
-    R (..., 3, 3); bias (..., 3); residuals (..., N, 3);
-    cov (..., d, d) of rotation ``R Exp(x)``, mass and bias, as far as they are sought, where w is one over a variance;
-    products (..., 2, 3, 3): H and S;
-    numbers (..., 8): m, that of the best reflection, ``sum w |r|²`` of both, ``sum w |f - mean(f)|²``, and the roots of
-    the eigenvalues of ``H / sum w / |pull|²``, ascending: by which share of itself the pull moves over the tool.
     """
 
 def wrench_interval(

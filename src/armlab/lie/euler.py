@@ -14,7 +14,7 @@ from armlab import kernels
 from armlab.errors import UnknownName
 from armlab.lie import arguments
 
-__all__ = ["CONVENTIONS", "Convention", "from_rpy", "rot_x", "rot_y", "rot_z", "to_rpy"]
+__all__ = ["from_rpy", "rot_x", "rot_y", "rot_z", "to_rpy"]
 
 Convention = Literal["zyx", "xyz", "zyz"]
 CONVENTIONS = ("zyx", "xyz", "zyz")

@@ -16,7 +16,6 @@ from armlab.errors import ShapeError
 from armlab.lie import arguments, so3
 
 __all__ = [
-    "ad",
     "adjoint",
     "adjoint_inv",
     "exp",
@@ -29,7 +28,6 @@ __all__ = [
     "left_jacobian",
     "left_jacobian_inv",
     "log",
-    "mean",
     "project",
     "to_angular_first",
     "transform_wrench",

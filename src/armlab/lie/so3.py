@@ -16,7 +16,6 @@ from armlab.errors import NotConverged, ShapeError
 from armlab.lie import arguments
 
 __all__ = [
-    "ROTATION_TOLERANCE",
     "angle",
     "angle_about",
     "exp",
@@ -24,8 +23,6 @@ __all__ = [
     "hat",
     "interpolate",
     "is_rotation",
-    "left_jacobian",
-    "left_jacobian_inv",
     "log",
     "mean",
     "project",
@@ -183,7 +180,7 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     ShapeError : when no rotation is nearest (rank below 2, a reflection of equal axes, an infinite entry).
     """
     M = arguments.array(M, (3, 3), "M")
-    R, sigma = kernels.so3_nearest(M)
+    R, sigma = nearest(M)
     ambiguous = sigma[..., 1] + sigma[..., 2] <= ONE_NEAREST * sigma[..., 0]
     if ambiguous.any():
         raise ShapeError(
@@ -192,6 +189,29 @@ def project(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     if (np.isinf(M).any(axis=(-1, -2)) & ~np.isnan(M).any(axis=(-1, -2))).any():
         raise ShapeError("Expected matrices with one nearest rotation, got one with an infinite entry.")
     return R, np.linalg.norm(R - M, axis=(-1, -2))
+
+
+def nearest(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rotation nearest to M = U S Vᵀ, and ``σ₁, σ₂, d σ₃`` with d = det UVᵀ; NaN where M is not finite.
+
+    ``σ₂ + d σ₃`` says how well the rotation is determined; where it is 0 the rotation is one of many.
+    """
+    missing = np.asarray(~np.isfinite(M).all(axis=(-1, -2), keepdims=True))
+    M = np.where(missing, np.eye(3), M)
+    U, sigma, Vt = np.linalg.svd(M)
+    d = np.sign(np.linalg.det(U @ Vt))
+    U[..., 2] *= d[..., None]
+    sigma[..., 2] *= d
+    R = U @ Vt
+    R = R @ (1.5 * np.eye(3) - 0.5 * np.swapaxes(R, -1, -2) @ R)
+    # A Newton step removes the rounding of the decomposition: (tr S I - S) w = vee(A - A^T), A = R^T M, S = sym A.
+    A = np.swapaxes(R, -1, -2) @ M
+    H = np.trace(A, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - (A + np.swapaxes(A, -1, -2)) / 2
+    off = np.stack([A[..., 2, 1] - A[..., 1, 2], A[..., 0, 2] - A[..., 2, 0], A[..., 1, 0] - A[..., 0, 1]], axis=-1)
+    one = sigma[..., 1:].sum(axis=-1) > ONE_NEAREST * sigma[..., 0]
+    H = np.where(one[..., None, None], H, np.eye(3))
+    R = np.where(one[..., None, None], R @ kernels.so3_exp(np.linalg.solve(H, off[..., None])[..., 0]), R)
+    return np.where(missing, np.nan, R), np.where(missing[..., 0], np.nan, sigma)
 
 
 def left_jacobian(w: ArrayLike, out: np.ndarray | None = None) -> np.ndarray:
@@ -409,7 +429,7 @@ def mean(
     R = kernels.rotations(R, "R")
     share = shares(weights, R.shape[:-2])
     R = np.where(share[..., None, None] > 0, R, np.eye(3))
-    start, sigma = kernels.so3_nearest((share[..., None, None] * R).sum(axis=0))
+    start, sigma = nearest((share[..., None, None] * R).sum(axis=0))
     agreement = sigma[..., 1] + sigma[..., 2]
     if (agreement < AGREEMENT).any():
         raise ShapeError(

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from armlab._numbers import numbers
 from armlab._palette import AXIS_COLORS, GREY
 from armlab.errors import ShapeError
-from armlab.frames import Circle, Line, Plane, Sphere
+from armlab.frames import Line, Plane
+from armlab.frames.features import Circle, Sphere
 from armlab.lie import se3
 from armlab.plots.style import JOINT_STYLES, look
 
@@ -204,8 +205,8 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
     ----------
     *items : each is a mapping {name: T_a_x (4, 4)} of named frames; or poses (N, 4, 4), drawn as a path from a dot to
         a square; or points (N, 3), coloured from first to last, with other marks in each set; or a `frames.Line` with
-        its foot where that is near, a `frames.Plane` as a patch with its normal, a `frames.Circle` or a
-        `frames.Sphere`. All in the same frame a. NaN leaves a gap.
+        its foot where that is near, a `frames.Plane` as a patch with its normal, a circle or a
+        sphere. All in the same frame a. NaN leaves a gap.
     frames : length [m] of the frames along paths (at most 12 of each, evenly spaced) and of the named ones. With 0
         paths have none, and the named ones a length that fits.
     ax : three-dimensional Axes to draw into, for example those of `robot`; a new figure when None.

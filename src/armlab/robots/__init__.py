@@ -8,11 +8,6 @@ from typing import TYPE_CHECKING
 
 from armlab.robots import couplings, inertia
 from armlab.robots.build import (
-    GRAVITY,
-    RAMP_TIME,
-    SCREW_TOLERANCE,
-    Details,
-    LocalPoe,
     from_dh,
     from_links,
     from_local_poe,
@@ -21,18 +16,12 @@ from armlab.robots.build import (
     to_local_poe,
 )
 from armlab.robots.files import from_toml, load, names, save, to_toml
-from armlab.robots.robot import POSE_TOLERANCE, Mesh, Robot
+from armlab.robots.robot import Mesh, Robot
 
 if TYPE_CHECKING:
     from armlab.robots import urdf
 
 __all__ = [
-    "GRAVITY",
-    "POSE_TOLERANCE",
-    "RAMP_TIME",
-    "SCREW_TOLERANCE",
-    "Details",
-    "LocalPoe",
     "Mesh",
     "Robot",
     "couplings",

@@ -15,7 +15,7 @@ from armlab._numbers import numbers
 from armlab.errors import ShapeError
 from armlab.lie import se3
 
-__all__ = ["Body", "from_body", "principal_moments", "to_body", "transform"]
+__all__ = ["from_body", "transform"]
 
 _ROWS, _COLUMNS = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])  # xx xy yy xz yz zz
 

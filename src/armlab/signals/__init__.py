@@ -1,7 +1,7 @@
 """Signals: streaming operators for the control loop, zero-phase filters and derivatives for records."""
 
 from armlab.signals.offline import central_diff, decimate, filtfilt, lowpass_offline, smooth_diff
-from armlab.signals.streaming import CausalDiff, Differentiator, ExpFilter, Integrator, LowPass2, Notch, Operator
+from armlab.signals.streaming import CausalDiff, Differentiator, ExpFilter, Integrator, LowPass2, Notch
 
 __all__ = [
     "CausalDiff",
@@ -10,7 +10,6 @@ __all__ = [
     "Integrator",
     "LowPass2",
     "Notch",
-    "Operator",
     "central_diff",
     "decimate",
     "filtfilt",

@@ -1,23 +1,19 @@
-"""Tables of what torques and forces say: model torques, intervals of a wrench, a weight on a sensor, hand and eye.
+"""Tables of what torques and forces say: model torques, intervals of a wrench.
 
-Torques follow from Lagrange's equations, an interval from the corner of its polytope with multipliers that prove it,
-fits from their normal equations, derivatives are differences of what they derive.
+Torques follow from Lagrange's equations, an interval from the corner of its polytope with multipliers that prove it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 from chains import GRAVITY, Motion, arm, rnea
 from mpmath import mp
-from rigid import array, chosen, each, exact, filled, hat, logarithm, nearest, part, series
+from rigid import array, chosen, exact, filled
 
 Table = dict[str, Any]
-SMALL = mp.mpf(10) ** -26
 Vector = Any
 
 
@@ -159,113 +155,6 @@ def intervals() -> dict[str, Table]:
     return found
 
 
-def weights() -> dict[str, Table]:
-    """Return tables of a weight on a sensor: its turn, and from normal equations mass, bias, residuals, covariance."""
-    rng, N = np.random.default_rng(43), 12
-    turns = [array(series(hat(exact(w)))) for w in rng.uniform(-2, 2, (N + 1, 3))]
-    R_BT, pull = np.array(turns[:N]), np.array([0.3, -0.2, -9.80665])
-    w = rng.uniform(0.1, 3.0, N)
-    weighed = np.array([array(exact(turns[N]).T * exact(R).T * exact(pull)) for R in R_BT])
-    force = 1.3 * weighed + rng.normal(size=3) + 0.05 * rng.normal(size=(N, 3))
-    given = {"R_base_tool": R_BT, "force": force, "pull": pull, "weight": w}
-    found: dict[str, Table] = {}
-    for name, biased, mass in (("", True, None), ("unbiased", False, None), ("known mass", True, 1.25)):
-        parts = fitted(*(exact(value) if value.ndim < 3 else value for value in given.values()), biased, mass)
-        for part_name, wanted in parts.items():
-            found[f"turned_weight {part_name} {name}".rstrip()] = {"given": given, "wanted": wanted[None]}
-    return found
-
-
-def fitted(
-    R_BT: np.ndarray, f: Vector, g: Vector, w: Vector, biased: bool, mass: float | None
-) -> dict[str, np.ndarray]:
-    N, total = len(R_BT), mp.fsum(w)
-    h = [exact(R).T * g for R in R_BT]
-    force = [f[i, :].T for i in range(N)]
-    zero = mp.zeros(3, 1)
-    means = [sum((x * c for x, c in zip(rows, w)), zero) / total * biased for rows in (h, force)]
-    S = sum(((a - means[0]) * (b - means[1]).T * c for a, b, c in zip(h, force, w)), mp.zeros(3))
-    H = sum(((a - means[0]) * (a - means[0]).T * c for a, c in zip(h, w)), mp.zeros(3))
-    R = S / mp.norm(S)
-    if mp.det(R) <= 0:
-        raise ValueError("the nearest orthonormal matrix is no rotation")
-    for _ in range(4):
-        R = nearest(R)
-    known = [mp.mpf(mass)] if mass else []
-
-    def residual(x: Vector) -> list[Any]:  # of a turn R Exp(x), then the mass, and the bias
-        free = list(x[3:])
-        m, b = (known or [free.pop(0)])[0], mp.matrix(free) if biased else zero
-        Q = R * series(hat(x[:3]))
-        return [value for i in range(N) for value in mp.sqrt(w[i]) * (force[i] - m * (Q.T * h[i]) - b)]
-
-    d = 3 + (mass is None) + 3 * biased
-    x = mp.zeros(d, 1)
-    J = slopes(residual, x)[:, 3:]
-    if J.cols:
-        rest = -mp.lu_solve(J.T * J, J.T * mp.matrix(residual(x)))
-        x = mp.matrix([0, 0, 0, *rest])
-    J = slopes(residual, x)
-    if mp.norm(J.T * mp.matrix(residual(x))) > mp.mpf(10) ** -20:
-        raise ValueError("no minimum")
-    r = mp.matrix(residual(x))
-    plain = [[r[3 * i + k] / mp.sqrt(w[i]) for k in range(3)] for i in range(N)]
-    m = known[0] if known else x[3]
-    spread = sum((c * ((b - means[1]).T * (b - means[1]))[0] for b, c in zip(force, w)), mp.zero)
-    moved = mp.eigsy(H / total / (g.T * g)[0], eigvals_only=True)
-    return {
-        "R": array(R), "bias": array(x[d - 3 :] if biased else zero), "residuals": array(mp.matrix(plain)),
-        "cov": array(mp.inverse(J.T * J)), "products": np.stack([array(H), array(S)]),
-        "numbers": array([m, (r.T * r)[0], spread, *(mp.sqrt(e) for e in sorted(moved))]),
-    }  # fmt: skip
-
-
-def slopes(call: Callable[[Vector], list[Any]], x: Vector) -> mp.matrix:
-    columns = []
-    for k in range(len(x)):
-        step = mp.zeros(len(x), 1)
-        step[k] = SMALL
-        columns.append([(a - b) / (2 * SMALL) for a, b in zip(call(x + step), call(x - step))])
-    return mp.matrix(columns).T
-
-
-def hand_eye() -> dict[str, Table]:
-    rng, count = np.random.default_rng(47), 6
-    w = rng.uniform(-1.5, 1.5, (2 * count + 2, 3))
-    w[count - 1] *= 1e-9
-    R, t = np.array([array(series(hat(exact(v)))) for v in w]), rng.normal(size=(2 * count + 2, 3))
-    t[:3] *= 1e6
-    R_X, t_X, R_Y, t_Y = R[-2], t[-2], R[-1], t[-1]
-    R_B, t_B = R[count : 2 * count].copy(), t[count : 2 * count].copy()
-    for k, turn in ((3, 1e-9), (4, 3.1)):  # two residuals next to no turn and to a half one
-        off = series(hat(exact(turn * np.array([0.6, -0.48, 0.64]))))
-        R_B[k] = array(exact(R_Y).T * exact(R[k]) * exact(R_X) * off)
-    given = {"R_A": R[:count], "t_A": t[:count], "R_B": R_B, "t_B": t_B}
-    fixed = {"R_X": R_X, "t_X": t_X, "R_Y": R_Y, "t_Y": t_Y}
-
-    def made(*row: np.ndarray) -> np.ndarray:
-        call, still = partial(apart, [exact(v) for v in row], [exact(v) for v in fixed.values()]), mp.zeros(12, 1)
-        J = slopes(call, still)
-        blocks = [array(part(J, rows, range(12))) for rows in (range(3), range(3, 6))]
-        return np.column_stack([array(call(still)), np.concatenate(blocks)])
-
-    whole = each(made, *given.values())
-    residuals, derivatives = whole[:, :, 0].copy(), whole[:, :, 1:].reshape(-1, 3, 12)
-    return {
-        "hand_eye_rows r": {"fixed": fixed, "given": given, "wanted": residuals},
-        "hand_eye_rows J": {"fixed": fixed, "given": given, "wanted": derivatives},
-    }
-
-
-def apart(readings: list[Vector], poses: list[Vector], step: Vector) -> list[Any]:
-    """Return by how much ``Y^-1 A X`` and B differ, X and Y moved by a step."""
-    (R_A, t_A, R_B, t_B), (X, x, Y, y) = readings, poses
-    v_x, w_x, v_y, w_y = (mp.matrix(list(step[k : k + 3])) for k in (0, 3, 6, 9))
-    R_X, R_Y = nearest(X) * series(hat(w_x)), nearest(Y) * series(hat(w_y))
-    position = R_Y.T * (nearest(R_A) * (x + v_x) + t_A - y - v_y)
-    return [*(t_B - position), *logarithm((R_Y.T * nearest(R_A) * R_X).T * nearest(R_B))]
-
-
 def tables() -> dict[str, Table]:
     """Return all of them."""
-    return torques() | intervals() | weights() | hand_eye()
+    return torques() | intervals()

@@ -146,7 +146,6 @@ def tables() -> dict[str, Table]:
     R, R2, T, T2 = rotations(TURNS, 3), rotations(TURNS[::-1], 4), motions(TURNS, 5), motions(TURNS[::-1], 6)
     s = np.resize([0.0, 0.3, 0.5, 0.7, 1.0, 1e-9], len(TURNS))[:, None]
     q, q2 = (np.array([array(quaternion(exact(M))) for M in matrices]) for matrices in (R, R2))
-    rough = R[::2] * 3.0 + np.random.default_rng(8).normal(scale=0.3, size=R[::2].shape)
     return {
         "so3_exp": table(lambda w: series(hat(w)), w=w),
         "so3_exp small": table(lambda w: series(hat(w)), w=vectors(SMALL, 1)),
@@ -154,7 +153,6 @@ def tables() -> dict[str, Table]:
         "so3_angle": table(lambda a, b: [mp.norm(logarithm(nearest(a).T * nearest(b)))], R_a=R, R_b=R2),
         "so3_left_jacobian": table(lambda w: series(hat(w), 1), w=w),
         "so3_left_jacobian_inv": table(lambda w: mp.inverse(series(hat(w), 1)), w=w[:-2]),
-        "so3_nearest": table(nearest, M=rough),
         "so3_interpolate": table(along, R_a=R, R_b=R2, s=s),
         "se3_exp": table(lambda xi: series(twist_hat(xi)), xi=xi),
         "se3_log": table(twist, T=T),

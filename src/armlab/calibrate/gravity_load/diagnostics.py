@@ -8,9 +8,8 @@ from math import hypot
 
 import numpy as np
 
-from armlab.calibrate.diagnostics import UNSEEN, axis_text
+from armlab.calibrate.diagnostics import MUCH_BETTER, ROBOT, UNSEEN, axis_text, readings
 from armlab.calibrate.gravity_load.model import Load, Turn, WeightEquation
-from armlab.calibrate.orientation_conventions import MUCH_BETTER, ROBOT, readings
 from armlab.errors import NotConverged, NotExcited
 from armlab.lie import so3
 

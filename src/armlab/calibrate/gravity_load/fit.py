@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from math import hypot
-from typing import Any, Literal, TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,7 +37,7 @@ from armlab.calibrate.gravity_load.model import (
     likely_samples,
     mirror_solution,
 )
-from armlab.calibrate.inputs import covariance, finite, gravity_of, orientations, point_noise
+from armlab.calibrate.inputs import finite, gravity_of, noise_of, orientations, point_noise
 from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation import Fit, nonlinear_least_squares
 from armlab.estimation.excitation import check_spread
@@ -105,8 +105,10 @@ def fit_force_sensor(
             "Leave one of them out."
         )
     known = None if mass is None else float(mass)
-    classes = CLASSES[: y.shape[1]]
-    equation = WeightEquation(RA, y, pull, bool(bias), known, _wrench_noise(noise, y.shape), classes, "force sensor")
+    classes, groups = CLASSES[: y.shape[1]], y.shape[1] // 3
+    sds = "forces as one standard deviation above zero [N]", "wrenches as (sd of force [N], sd of torque [N m])"
+    cov = noise_of(noise, groups, (len(y),), "noise", sds[groups - 1])
+    equation = WeightEquation(RA, y, pull, bool(bias), known, cov, classes, "force sensor")
 
     def value(load: Load) -> ForceSensor:
         weight = hypot(*load.gamma.tolist())
@@ -127,24 +129,6 @@ def _readings(wrench: ArrayLike, N: int) -> np.ndarray:
         )
     finite(y, "wrench")
     return y
-
-
-def _wrench_noise(noise: Any, shape: tuple[int, ...]) -> np.ndarray | None:
-    """Return variances (k,), or covariance (k, k) or (N, k, k); None for None."""
-    if noise is None:
-        return None
-    N, k = shape
-    values = numbers(noise, "noise", ShapeError)
-    if values.ndim == 0 and k == 3 and 0 < values < np.inf:
-        return np.full(3, float(values) ** 2)
-    if values.shape == (2,) and k == 6 and np.all(values > 0) and np.isfinite(values).all():
-        return np.repeat(values**2, 3)
-    if values.shape not in ((k, k), (N, k, k)) or not np.isfinite(values).all():
-        usual = "one standard deviation above zero [N]" if k == 3 else "(sd of force [N], sd of torque [N m])"
-        raise ShapeError(
-            f"Expected noise as {usual}, or as a covariance ({k}, {k}) or ({N}, {k}, {k}), got {noise!r}. Correct it."
-        )
-    return covariance(values, "noise")
 
 
 def fit_accelerometer(

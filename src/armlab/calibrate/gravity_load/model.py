@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armlab import kernels
 from armlab.estimation import Measurement, NonlinearProblem
 from armlab.lie import so3
 
@@ -189,12 +188,14 @@ class WeightEquation:
 
 
 class Turn(NamedTuple):
-    """The rotation and the mass that turn gravity into forces, known gravity: see `kernels.turned_weight`."""
+    """The rotation, mass and bias that minimise ``sum w_i |f_i - m R^T h_i - b|^2``, ``h_i = R_base_tool,i^T pull``.
+
+    In closed form (Umeyama 1991): with weighted means taken off where there is a bias, ``H = sum w h h^T``,
+    ``S = sum w h f^T`` with the signed singular values s, R is the rotation nearest to S and
+    ``m = (s1 + s2 + s3) / tr H``. The best of the other hand has -s3 in the place of s3.
+    """
 
     R: np.ndarray  # (3, 3)
-    bias: np.ndarray  # (3,)
-    residuals: np.ndarray  # (N, 3) of the forces
-    cov: np.ndarray  # (d, d), times a variance where noise is even
     H: np.ndarray  # H, S: (3, 3) products of gravity over the tool with itself and with the forces
     S: np.ndarray
     m: float  # mass
@@ -214,21 +215,29 @@ class Turn(NamedTuple):
     @classmethod
     def of(cls, equation: WeightEquation, kept: np.ndarray | None = None) -> Turn:
         """Solve for the samples (N,) that are kept; all when None."""
-        weight = None if equation.even else equation.weights
-        if kept is not None:
-            weight = kept.astype(float) if weight is None else weight * kept
+        w = np.ones(equation.N) if equation.even else equation.weights
+        w = (w if kept is None else w * kept)[:, None]
         pull = np.zeros(3) if equation.pull is None else equation.pull
-        R, bias, residuals, cov, (H, S), numbers = kernels.turned_weight(
-            equation.RA, equation.y[:, :3], pull, weight, equation.mass, equation.bias
-        )
-        m, other_m, power, other_power, signal, *moved = numbers.tolist()
+        h, f = pull @ equation.RA, equation.y[:, :3]
+        weights = float(w.sum())
+        h_mean, f_mean = ((w * rows).sum(axis=0) / weights * equation.bias for rows in (h, f))
+        h, f = h - h_mean, f - f_mean
+        H, S = (w * h).T @ h, (w * h).T @ f
+        R, sigma = so3.nearest(S)
+        size, s1, s2, s3 = float(np.trace(H)), *sigma.tolist()
+        along, other = s1 + s2 + s3, s1 + s2 - s3
+        m, other_m = (along / size, other / size) if equation.mass is None else (equation.mass, equation.mass)
+        residuals = f - m * (h @ R)
+        power, signal = (float(np.vdot(w * rows, rows)) for rows in (residuals, f))
+        other_power = max(signal - 2.0 * other_m * other + other_m**2 * size, 0.0)
+        moved = np.sqrt(np.maximum(np.linalg.eigvalsh(H / (weights * (pull @ pull))), 0.0)).tolist()
         if equation.noise is None:
             N = equation.N if kept is None else int(np.count_nonzero(kept))
             floor = max(FLOOR**2 * signal / N, np.finfo(float).tiny)  # of exact readings; of none
             scale = max(min(power, other_power) / max(3 * N - 7, 1), floor)
         else:
             scale = equation.variance if equation.even else 1.0
-        return cls(R, bias, residuals, cov, H, S, m, other_m, power, signal, moved, (other_power - power) / scale)
+        return cls(R, H, S, m, other_m, power, signal, moved, (other_power - power) / scale)
 
 
 def likely_samples(equation: WeightEquation) -> np.ndarray:

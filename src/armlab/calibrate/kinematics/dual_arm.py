@@ -21,12 +21,18 @@ from numpy.typing import ArrayLike
 from armlab.calibrate.kinematics.identifiability import UnobservableDirection, arm_scale, far_links, joints_at_rest
 from armlab.calibrate.kinematics.measurements import Kind, check_harmonics, check_joints, check_terms, measured_kinds
 from armlab.calibrate.kinematics.model import Arm, ArmState, amplitude_prior, chosen, link_prior, pose_residual
-from armlab.calibrate.kinematics.solve import Question, check_misfit, check_weak, length_angle, spread_of
-from armlab.calibrate.kinematics.start import check_scale, hand_eye, kabsch
+from armlab.calibrate.kinematics.solve import (
+    KinematicEstimation,
+    check_scale,
+    check_weak,
+    hand_eye,
+    kabsch,
+    length_angle,
+    spread_of,
+)
 from armlab.errors import ConfigError, NotExcited, ShapeError
-from armlab.estimation import Fit, Measurement
-from armlab.estimation.nonlinear import NonlinearSolution
-from armlab.kinematics import twist_jacobian
+from armlab.estimation import Fit, Measurement, NonlinearSolution
+from armlab.kinematics.forward import twist_jacobian
 from armlab.lie import se3
 from armlab.models import DualArmCorrection, KinematicCorrection
 from armlab.robots import Robot
@@ -111,12 +117,12 @@ def fit_dual_arm(
     problem = DualProblem(arms[0], arms[1], tuple(kinds), absolute_a is not None, closed, np.zeros(0, dtype=bool), held)
     used = np.concatenate([arms[0].existing, arms[1].existing, np.ones(6, dtype=bool)])
     problem = replace(problem, active=used if held is not None else _without_bases(problem))
-    question = DualQuestion(problem, used, length_angle(limits, "limits"), weak == "prior")
-    return question.fit(question.solve(DualState(arms[0].first(), arms[1].first(), T), robust))
+    estimation = DualArmEstimation(problem, used, length_angle(limits, "limits"), weak == "prior")
+    return estimation.fit(estimation.solve(DualState(arms[0].first(), arms[1].first(), T), robust))
 
 
 def _without_bases(problem: DualProblem) -> np.ndarray:
-    """Return the unknowns that remain when gauge and feet are left out; T_basea_baseb says where the feet are."""
+    """Return the unknowns that remain when gauge and bases are left out; T_basea_baseb says where the bases are."""
     a, b = problem.arm_a.unbound.copy(), problem.arm_b.unbound.copy()
     b[:6] = False
     a[:6] &= problem.absolute
@@ -194,6 +200,16 @@ class DualProblem:
         return self.arm_a.size + self.arm_b.size + 6
 
     @property
+    def n(self) -> int:
+        """Number of samples."""
+        return len(self.arm_a.q)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of the residuals."""
+        return self.n
+
+    @property
     def waves(self) -> int:
         """Number of amplitudes."""
         return self.arm_a.waves[0].size + self.arm_b.waves[0].size
@@ -222,7 +238,7 @@ class DualProblem:
         return np.concatenate([*parts, np.zeros(6)])
 
     def gauge(self, state: DualState, used: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-        """Return directions (d, g) that nothing sees, and their names: joints, and where the foot of each arm is."""
+        """Return directions (d, g) that nothing sees, and their names: joints, and where the base of each arm is."""
         a, b = self.arm_a.size, self.arm_a.size + self.arm_b.size
         columns, names = [], []
         for arm, one, at, letter in ((self.arm_a, state.a, 0, "a"), (self.arm_b, state.b, a, "b")):
@@ -238,7 +254,7 @@ class DualProblem:
             else:
                 G[a : a + 6], G[b:] = -se3.adjoint_inv(state.b.frames[0]), np.eye(6)
             columns.append(G)
-            names += [f"foot of arm {letter} {name}" for name in TWIST]
+            names += [f"base of arm {letter} {name}" for name in TWIST]
         return np.hstack(columns), tuple(names)
 
     def retract(self, state: DualState, y: np.ndarray) -> DualState:
@@ -322,8 +338,8 @@ def _relative(kind: Kind, T: np.ndarray, J: np.ndarray) -> Measurement:
 
 
 @dataclass(frozen=True, eq=False)
-class DualQuestion(Question[DualState]):
-    """What is asked of the data of two arms."""
+class DualArmEstimation(KinematicEstimation[DualState]):
+    """Estimation of two arms that measure each other."""
 
     problem: DualProblem
 
@@ -331,7 +347,7 @@ class DualQuestion(Question[DualState]):
         """Return directions that these kinds of measurement may never see."""
         return self.problem.never_seen()
 
-    def suspects(self, state: DualState) -> list[UnobservableDirection]:
+    def candidates(self, state: DualState) -> list[UnobservableDirection]:
         """Return directions that the data may fail to see."""
         return self.problem.may_be_missing(state)
 
@@ -342,29 +358,7 @@ class DualQuestion(Question[DualState]):
         a, _ = problem.arm_a.smallest(state.a.frames, np.zeros((6, 0)), np.zeros((6, 0)))
         b, _ = problem.arm_b.smallest(state.b.frames, np.zeros((6, 0)), tool)
         state = DualState(state.a._replace(frames=a), state.b._replace(frames=b), se3.project(state.T)[0])
-        sigma, outside = dict(zip(found.classes, found.sigma.tolist())), np.flatnonzero(found.outliers)
-        data = problem.measurements(state)
-        check_misfit(data, self.spaces(), found.value, np.flatnonzero(found.outliers))
-        excitation = self.judge(data, state, sigma, outside)
-        cov = self.covariance(data, state, sigma, outside, excitation)
-        residuals = np.full((len(problem.arm_a.q), sum(one.r.shape[1] for one in data)), np.nan)
-        for i, one in enumerate(data):
-            first = data[0].r.shape[1] * i
-            residuals[one.sample, first : first + one.r.shape[1]] = one.r
-        return Fit(
-            value=self._value(state, cov),
-            names=tuple(name for name, mine in zip(problem.names, self.used) if mine),
-            units=tuple(unit for unit, mine in zip(problem.units, self.used) if mine),
-            parameters=problem.values(state)[self.used],
-            cov=cov,
-            sigma=found.sigma,
-            residuals=residuals,
-            n=len(residuals),
-            excitation=excitation,
-            summary=lambda fit: "\n".join([fit.table(), *self.match(found), *self._far(state)]),
-            outliers=found.outliers,
-            classes=found.classes,
-        )
+        return self.result(found, state, self._value, ())
 
     def spaces(self) -> list[float]:
         """Return the size [m] of the space in which each measurement was made; of a closed chain, in which a moved."""
@@ -374,7 +368,8 @@ class DualQuestion(Question[DualState]):
             places[0] = problem.arm_a.move(problem.arm_a.first()).T
         return [spread_of(seen[:, 0] if seen.shape[1:] == (1, 3) else seen[:, :3, 3]) for seen in places]
 
-    def _far(self, state: DualState) -> list[str]:
+    def doubts(self, state: DualState) -> list[str]:
+        """Return what a report says of links far from their description."""
         a, b = self.problem.arm_a, self.problem.arm_b
         return far_links(a, state.a.frames, " of arm a") + far_links(b, state.b.frames, " of arm b")
 

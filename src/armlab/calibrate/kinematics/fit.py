@@ -19,11 +19,17 @@ from armlab._numbers import numbers
 from armlab.calibrate.kinematics.identifiability import UnobservableDirection, far_links, may_be_missing, never_seen
 from armlab.calibrate.kinematics.measurements import check_harmonics, check_joints, check_terms, measured_kinds
 from armlab.calibrate.kinematics.model import Arm, KinematicProblem, State
-from armlab.calibrate.kinematics.solve import Question, check_misfit, check_weak, length_angle, never_moves, spread_of
-from armlab.calibrate.kinematics.start import check_scale, start_arm
+from armlab.calibrate.kinematics.solve import (
+    KinematicEstimation,
+    check_scale,
+    check_weak,
+    length_angle,
+    never_moves,
+    spread_of,
+    start_arm,
+)
 from armlab.errors import ConfigError, NotExcited, ShapeError, UnknownName
-from armlab.estimation import Fit, Measurement
-from armlab.estimation.nonlinear import NonlinearSolution
+from armlab.estimation import Fit, NonlinearSolution
 from armlab.models import KinematicCorrection
 from armlab.robots import Robot
 
@@ -115,9 +121,9 @@ def fit_kinematics(
     if reduced and not problem.points and not any(kind.name == "pose" for kind in problem.kinds):
         active[6 * arm.n + 3 : 6 * arm.n + 6] = False  # one point does not determine the rotation of the tool
     problem = KinematicProblem(arm, tuple(kinds), active, len(points), held)
-    question = ArmQuestion(problem, used, length_angle(limits, "limits"), weak == "prior")
-    solution = question.solve(start, robust)
-    return question.fit(solution, isinstance(free, str) and free == "all", notes)
+    estimation = ArmEstimation(problem, used, length_angle(limits, "limits"), weak == "prior")
+    solution = estimation.solve(start, robust)
+    return estimation.fit(solution, isinstance(free, str) and free == "all", notes)
 
 
 def _check_options(model: str, free: Any, weak: str) -> None:
@@ -191,8 +197,8 @@ def _free_frames(arm: Arm, free: Any) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class ArmQuestion(Question[State]):
-    """What is asked of the data of one arm."""
+class ArmEstimation(KinematicEstimation[State]):
+    """Estimation of one arm."""
 
     problem: KinematicProblem
 
@@ -200,38 +206,20 @@ class ArmQuestion(Question[State]):
         """Return directions that these kinds of measurement may never see."""
         return never_seen(self.problem, state)
 
-    def suspects(self, state: State) -> list[UnobservableDirection]:
+    def candidates(self, state: State) -> list[UnobservableDirection]:
         """Return directions that the data may fail to see."""
         return may_be_missing(self.problem, state)
 
     def fit(self, found: NonlinearSolution[State], smallest: bool, notes: Sequence[str]) -> Fit[KinematicCorrection]:
         """Return value, covariance and excitation; of equal fits the one nearest to the start."""
-        problem, state = self.problem, found.value
+        state = found.value
         if smallest:
             state = self._smallest(state)
-        sigma = dict(zip(found.classes, found.sigma.tolist()))
-        data = problem.measurements(state, local=True)
-        outside = np.flatnonzero(found.outliers)
-        check_misfit(data, self.spaces(), found.value, outside)
-        excitation = self.judge(data, state, sigma, outside)
-        cov = self.covariance(data, state, sigma, outside, excitation)
-        names = tuple(name for name, mine in zip(problem.names, self.used) if mine)
-        return Fit(
-            value=self._value(state, cov),
-            names=names,
-            units=tuple(unit for unit, mine in zip(problem.units, self.used) if mine),
-            parameters=problem.values(state)[self.used],
-            cov=cov,
-            sigma=found.sigma,
-            residuals=_table(data, problem),
-            n=len(problem.arm.q),
-            excitation=excitation,
-            summary=lambda fit: "\n".join(
-                [fit.table(), *notes, *self.match(found), *far_links(problem.arm, state.arm.frames)]
-            ),
-            outliers=found.outliers,
-            classes=found.classes,
-        )
+        return self.result(found, state, self._value, notes)
+
+    def doubts(self, state: State) -> list[str]:
+        """Return what a report says of links far from their description."""
+        return far_links(self.problem.arm, state.arm.frames)
 
     def _smallest(self, state: State) -> State:
         """Return the state, of those with the same measurements, that is nearest to the start."""
@@ -274,14 +262,3 @@ class ArmQuestion(Question[State]):
             length_offset=float(state.length[0]),
             length_scale=float(state.length[1]),
         )
-
-
-def _table(data: Sequence[Measurement], problem: KinematicProblem) -> np.ndarray:
-    """Return residuals, a row per sample and then per pair, NaN where nothing was measured."""
-    rows = problem.first_pair + max((len(kind.values) for kind in problem.kinds if kind.pairs is not None), default=0)
-    table = np.full((rows, sum(one.r.shape[1] for one in data)), np.nan)
-    first = 0
-    for one in data:
-        table[one.sample, first : first + one.r.shape[1]] = one.r
-        first += one.r.shape[1]
-    return table

@@ -38,7 +38,7 @@ class UnobservableDirection:
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class IdentifiabilityTest:
     """Unknowns whose excitation is judged."""
 
     names: Sequence[str]  # names, units: of the d unknowns
@@ -48,7 +48,7 @@ class Judgement:
     gauge_names: Sequence[str]
     nature: Sequence[UnobservableDirection]  # what this kind of data may never see
     # returns what data may fail to see; asked where something is weak
-    suspects: Callable[[], Sequence[UnobservableDirection]]
+    candidates: Callable[[], Sequence[UnobservableDirection]]
     what: str  # is fitted
 
     def excitation(self, J: np.ndarray, hold: bool) -> Excitation:
@@ -56,14 +56,14 @@ class Judgement:
         A = np.asarray(np.linalg.qr(J, mode="r")) * self.limits if len(J) > J.shape[1] else J * self.limits
         fixed, names = _independent(self.gauge / self.limits[:, None]), [f"gauge: {name}" for name in self.gauge_names]
         largest = float(np.linalg.norm(A))
-        for suspect in self.nature if self._may_be_dark(A, fixed, largest) else ():
-            for v in (suspect.directions / self.limits[:, None]).T:
+        for candidate in self.nature if self._may_be_dark(A, fixed, largest) else ():
+            for v in (candidate.directions / self.limits[:, None]).T:
                 v = v - fixed @ (fixed.T @ v)
                 length = np.linalg.norm(v)
                 if length > SEEN and np.linalg.norm(A @ v) <= SEEN * largest * length:
                     v = v / length
                     fixed = np.column_stack([fixed, v - fixed @ (fixed.T @ v)])
-                    names.append(f"missing: {suspect.name}")
+                    names.append(f"missing: {candidate.name}")
         whole = np.linalg.svd(fixed, full_matrices=True)[0] if fixed.shape[1] else np.eye(len(self.limits))
         rest = whole[:, fixed.shape[1] :]
         _, found, rows = np.linalg.svd(A @ rest, full_matrices=len(A) < rest.shape[1])
@@ -92,7 +92,7 @@ class Judgement:
         """Tell whether any direction of `nature` is unseen: all at once, as few ever are."""
         if not self.nature:
             return False
-        V = np.concatenate([suspect.directions for suspect in self.nature], axis=1) / self.limits[:, None]
+        V = np.concatenate([candidate.directions for candidate in self.nature], axis=1) / self.limits[:, None]
         V = V - fixed @ (fixed.T @ V)
         lengths, seen = np.linalg.norm(V, axis=0), np.linalg.norm(A @ V, axis=0)
         return bool(np.any((lengths > SEEN) & (seen <= SEEN * largest * lengths)))
@@ -125,13 +125,13 @@ class _Named:
     vectors: np.ndarray
 
     @classmethod
-    def of(cls, W: np.ndarray, spread: np.ndarray, judgement: Judgement, fixed: np.ndarray) -> _Named:
+    def of(cls, W: np.ndarray, spread: np.ndarray, test: IdentifiabilityTest, fixed: np.ndarray) -> _Named:
         words, spreads, advice, each = [], [], [], []
         if not W.shape[1]:
             return cls(words, spreads, advice, each, W)
         parts, left, worst = [], W, float(np.max(spread))
-        for suspect in judgement.suspects():
-            D = suspect.directions / judgement.limits[:, None]
+        for candidate in test.candidates():
+            D = candidate.directions / test.limits[:, None]
             known = np.column_stack([fixed, *parts])
             Q = _independent(D - known @ (known.T @ D))
             if not Q.shape[1] or not left.shape[1]:
@@ -141,13 +141,13 @@ class _Named:
             if k:
                 parts.append(left @ turn[:k].T)
                 left = left @ turn[k:].T
-                words.append(suspect.name)
+                words.append(candidate.name)
                 spreads.append(_spread_text(worst))
-                advice.append(suspect.advice)
-                each += [suspect.name] * k
+                advice.append(candidate.advice)
+                each += [candidate.name] * k
         for v in left.T:
             near = spread[np.argmax(np.abs(W.T @ v))]
-            words.append(judgement.words(v, near))
+            words.append(test.words(v, near))
             spreads.append(_spread_text(near))
             each.append(words[-1])
         return cls(words, spreads, advice, each, np.column_stack([*parts, left]))

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from armlab._numbers import numbers
-from armlab.calibrate.inputs import are_rotations, rows_text
+from armlab.calibrate.inputs import poses, rows_text
 from armlab.errors import ConfigError, RobotError, ShapeError, UnknownName
-from armlab.lie import so3
+from armlab.lie import se3
 from armlab.robots import Robot
 
 KINDS = ("pose", "position", "distance", "pair_distance")
-NO_ROTATION, ROUNDING = 1e-5, 1e-9  # largest entry of |R^T R - I| that is projected; that is left as it is
 DEGREES = 20.0  # rad that no joint turns
 CLASSES = {
     "pose": (*("pose position [m]",) * 3, *("pose rotation [rad]",) * 3),
@@ -101,7 +100,8 @@ def measured_kinds(N: int, given: Mapping[str, Any], visible: Any, noise: Any) -
         seen = _mask(masks.get(name), values, name)
         _finite(values, seen, name)
         if name == "pose":
-            values, note = _poses(values, seen)
+            R, t, note = poses(np.where(seen[:, None, None], values, np.eye(4)), name)
+            values = se3.from_rp(R, t)
             notes += [note] * bool(note)
         kept, cov = _noise(noises.get(name), name, values.shape)
         kinds.append(Kind(name, values, seen, kept, cov, pairs))
@@ -168,32 +168,6 @@ def _finite(values: np.ndarray, seen: np.ndarray, name: str) -> None:
             f"Expected finite {name}, got NaN or Inf in {len(bad)} rows: {rows_text(bad)}. Leave these samples out, or "
             "mark what is missing by visible."
         )
-
-
-def _poses(T: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, str]:
-    """Return poses whose rotations are rotations, and a note where they were not quite."""
-    T = np.where(seen[:, None, None], T, np.eye(4))
-    bad = np.flatnonzero((T[:, 3] != (0.0, 0.0, 0.0, 1.0)).any(axis=1))
-    if len(bad):
-        raise ShapeError(
-            f"Expected (0, 0, 0, 1) as the last row of every pose, got others in rows {rows_text(bad)}. "
-            "The matrices seem to be transposed."
-        )
-    R = T[:, :3, :3]
-    if are_rotations(R):
-        return T, ""
-    off = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).reshape(len(R), 9).max(axis=1)
-    wrong = np.flatnonzero((off > NO_ROTATION) | (np.linalg.det(R) < 0))
-    if len(wrong):
-        raise ShapeError(
-            f"Expected rotations in pose, got others in rows {rows_text(wrong)}: not orthonormal, or left-handed axes. "
-            "Project them (lie.so3.project) if they are nearly right."
-        )
-    near = off > ROUNDING
-    if not near.any():
-        return T, ""
-    T[near, :3, :3] = so3.project(R[near])[0]
-    return T, f"{np.count_nonzero(near)} rotations were projected, off by up to {off.max():.2g}"
 
 
 def _noise(value: Any, name: str, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray | None]:

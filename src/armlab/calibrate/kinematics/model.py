@@ -16,7 +16,7 @@ import numpy as np
 from armlab.calibrate.kinematics.measurements import Kind
 from armlab.estimation import Measurement
 from armlab.kernels import Chain
-from armlab.kinematics import frame_poses, twist_jacobian
+from armlab.kinematics.forward import frame_poses, twist_jacobian
 from armlab.lie import se3, so3
 from armlab.models.kinematic_correction import harmonic_basis
 from armlab.robots import Robot
@@ -267,6 +267,16 @@ class KinematicProblem:
     def size(self) -> int:
         """Number of unknowns, gauge included: arm, points, anchor, offset and scale of lengths."""
         return self.arm.size + 3 * self.points + 5
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return len(self.arm.q)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of the residuals: samples, then pairs."""
+        return self.first_pair + max((len(kind.values) for kind in self.kinds if kind.pairs is not None), default=0)
 
     @property
     def waves(self) -> int:

@@ -1,20 +1,21 @@
-"""Solution shared by one arm and two: descent, identifiability, covariance without the gauge."""
+"""Solution shared by one arm and two: start, descent, identifiability, covariance without the gauge."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
 from armlab._numbers import numbers
-from armlab.calibrate.kinematics.identifiability import Judgement, UnobservableDirection, spread_covariance
+from armlab.calibrate.kinematics.identifiability import IdentifiabilityTest, UnobservableDirection, spread_covariance
 from armlab.calibrate.kinematics.measurements import Kind
-from armlab.errors import ConfigError, NotConverged, NotExcited, UnknownName
-from armlab.estimation import Excitation, Measurement, NonlinearProblem, nonlinear_least_squares
-from armlab.estimation.nonlinear import NonlinearSolution
+from armlab.calibrate.kinematics.model import Arm
+from armlab.errors import ConfigError, NotConverged, NotExcited, ShapeError, UnknownName
+from armlab.estimation import Excitation, Fit, Measurement, NonlinearProblem, NonlinearSolution, nonlinear_least_squares
+from armlab.lie import se3, so3
 
 SCHEDULE = (1000.0, 300.0, 100.0, 30.0, 10.0)
 UNIT = 1e-3  # 1 mm and 1 mrad: of equal steps the smallest is taken
@@ -23,8 +24,148 @@ MISFIT = 0.1  # of the size of what was measured, or of half a turn: these sampl
 NO_NOISE = 1e-12  # m or rad: records that repeat themselves have none
 ROUNDING = 1e-9  # of the largest coordinate: what moves less does not move
 NOBODY = np.zeros(0, dtype=int)
+FAR = 0.1  # m or rad from the nominal robot: another measurement frame
+MILLIMETRES = 30.0  # times too large: no arm is that far from its description
+STILL = 1e-4  # times: no other unit of length, but what did not move
 
 S = TypeVar("S")
+Value = TypeVar("Value")
+
+
+def start_arm(arm: Arm, kinds: tuple[Kind, ...]) -> tuple[Arm, np.ndarray]:
+    """Return the arm at its start and tool points (K, 3), where several are unknown."""
+    by_name = {kind.name: kind for kind in kinds}
+    T = arm.move(arm.first()).T
+    points = np.zeros((0, 3))
+    if "pose" in by_name and by_name["pose"].kept.max() >= 3:
+        return _from_poses(arm, T, by_name["pose"]), _points(arm, T, by_name.get("position"))
+    if "position" in by_name:
+        kind = by_name["position"]
+        if kind.values.shape[1] > 1:
+            return _from_points(arm, T, kind)
+        rows = np.flatnonzero(kind.visible[:, 0])
+        return _from_positions(arm, T[rows, :3, 3], kind.values[rows, 0], len(kind.kept) == 3), points
+    if "pose" in by_name:
+        kind = by_name["pose"]
+        rows = np.flatnonzero(kind.visible)
+        return _from_positions(arm, T[rows, :3, 3], kind.values[rows, :3, 3], len(kind.kept) == 3), points
+    return arm, points
+
+
+def kabsch(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the pose (4, 4) with ``b = R a + p`` in the least squares of points (N, 3)."""
+    U, _, V = np.linalg.svd((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
+    return se3.from_rp(R, b.mean(axis=0) - R @ a.mean(axis=0))
+
+
+def check_scale(nominal: float, measured: float, what: str) -> None:
+    """Refuse lengths that are a thousand times what they should be, or a thousandth of it."""
+    if measured > MILLIMETRES * nominal > 0:
+        raise ShapeError(
+            f"Expected {what} in metres, got numbers {measured / nominal:.3g} times as large as those of the nominal "
+            "robot. These seem to be millimetres: divide by 1000."
+        )
+    if nominal > MILLIMETRES * measured > STILL * nominal:
+        raise ShapeError(
+            f"Expected {what} and the robot in metres, got numbers {measured / nominal:.3g} times as large as those of "
+            "the nominal robot. Its description, or the first guess of a fixed point, seems to be in millimetres."
+        )
+
+
+def _size(points: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=-1)))) if len(points) else 0.0
+
+
+def _moved(arm: Arm, pose: np.ndarray) -> Arm:
+    start = np.array(arm.start)
+    start[0] = se3.project(pose @ start[0])[0]
+    return replace(arm, start=start)
+
+
+def _from_positions(arm: Arm, nominal: np.ndarray, measured: np.ndarray, whole: bool) -> Arm:
+    if len(nominal) < 3 or not whole:
+        return arm
+    check_scale(_size(nominal), _size(measured), "positions")
+    if np.sqrt(np.mean(np.sum((measured - nominal) ** 2, axis=1))) < FAR:
+        return arm
+    return _moved(arm, kabsch(nominal, measured))
+
+
+def _from_poses(arm: Arm, T: np.ndarray, kind: Kind) -> Arm:
+    rows = np.flatnonzero(kind.visible)
+    nominal, measured = T[rows], kind.values[rows]
+    if len(rows) < 3:
+        return arm
+    positions = kind.kept.min() < 3
+    if positions:
+        check_scale(_size(nominal[:, :3, 3]), _size(measured[:, :3, 3]), "positions of poses")
+    turn = so3.angle(nominal[:, :3, :3], measured[:, :3, :3])
+    away = np.linalg.norm(nominal[:, :3, 3] - measured[:, :3, 3], axis=1) * positions
+    if np.sqrt(np.mean(turn**2)) < FAR and np.sqrt(np.mean(away**2)) < FAR:
+        return arm
+    RX, tX, RY, tY = hand_eye(nominal, measured)
+    moved = _moved(arm, se3.from_rp(RY, tY if positions else arm.start[0, :3, 3] - RY @ arm.start[0, :3, 3]))
+    start = np.array(moved.start)
+    start[-1] = se3.project(start[-1] @ se3.from_rp(RX, tX if positions else np.zeros(3)))[0]
+    return replace(moved, start=start)
+
+
+def hand_eye(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return X and Y of ``B_i = Y A_i X``: rotations from the mean of ``R_A (x) R_B``, translations linear."""
+    RA, RB = A[:, :3, :3], B[:, :3, :3]
+    K = np.einsum("iab,icd->acbd", RA, RB).reshape(9, 9) / len(A)
+    U, _, V = np.linalg.svd(K)
+    RY, RX = U[:, 0].reshape(3, 3), V[0].reshape(3, 3)
+    RY, RX = (so3.project(R * np.sign(np.linalg.det(R)))[0] for R in (RY.T, RX))
+    rows = np.concatenate([RY @ RA, np.broadcast_to(np.eye(3), RA.shape)], axis=2).reshape(-1, 6)
+    known = (B[:, :3, 3] - A[:, :3, 3] @ RY.T).ravel()
+    x = np.linalg.lstsq(rows, known, rcond=None)[0]
+    return RX, x[:3], RY, x[3:]
+
+
+def _points(arm: Arm, T: np.ndarray, kind: Kind | None) -> np.ndarray:
+    """Return where the tool points (K, 3) are when poses say where the tool is."""
+    if kind is None or kind.values.shape[1] == 1:
+        return np.zeros((0, 3))
+    return np.stack([_in_tool(T, kind.values[:, k], kind.visible[:, k]) for k in range(kind.values.shape[1])])
+
+
+def _in_tool(T: np.ndarray, p: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    rows = np.flatnonzero(seen)
+    if not len(rows):
+        return np.zeros(3)
+    return np.mean(np.einsum("iba,ib->ia", T[rows, :3, :3], p[rows] - T[rows, :3, 3]), axis=0)
+
+
+def _from_points(arm: Arm, T: np.ndarray, kind: Kind) -> tuple[Arm, np.ndarray]:
+    """Solve ``R_i s_k + t_i = R' p_ik + t'`` for all s_k, R' and t', then move the base by the inverse."""
+    K, blocks, known = kind.values.shape[1], [], []
+    at_nominal = np.stack([_in_tool(T, kind.values[:, k], kind.visible[:, k]) for k in range(K)])
+    if np.sqrt(np.mean([_misfit(T, kind, k, at_nominal[k]) for k in range(K)])) < FAR**2 or len(kind.kept) < 3:
+        return arm, at_nominal
+    for k in range(K):
+        rows = np.flatnonzero(kind.visible[:, k])
+        block = np.zeros((len(rows), 3, 3 * K + 12))
+        block[:, :, 3 * k : 3 * k + 3] = T[rows, :3, :3]
+        for a in range(3):
+            block[:, a, 3 * K + 3 * a : 3 * K + 3 * a + 3] = -kind.values[rows, k]
+            block[:, a, 3 * K + 9 + a] = -1.0
+        blocks.append(block.reshape(-1, 3 * K + 12))
+        known.append(-T[rows, :3, 3].ravel())
+    x = np.linalg.lstsq(np.concatenate(blocks), np.concatenate(known), rcond=None)[0]
+    R = so3.project(x[3 * K : 3 * K + 9].reshape(3, 3))[0]
+    points, wide = x[: 3 * K].reshape(K, 3), kind.values[kind.visible]
+    check_scale(_size(T[:, :3, 3]) + _size(points), _size(wide), "positions")
+    at = [T[:, :3, :3] @ s + T[:, :3, 3] - p @ R.T for s, p in zip(points, np.moveaxis(kind.values, 1, 0))]
+    t = np.mean(np.concatenate([a[seen] for a, seen in zip(at, kind.visible.T)]), axis=0)
+    return _moved(arm, se3.inv(se3.from_rp(R, t))), points
+
+
+def _misfit(T: np.ndarray, kind: Kind, k: int, point: np.ndarray) -> float:
+    rows = np.flatnonzero(kind.visible[:, k])
+    away = kind.values[rows, k] - T[rows, :3, 3] - T[rows, :3, :3] @ point
+    return float(np.mean(np.sum(away**2, axis=1))) if len(rows) else 0.0
 
 
 class Residuals(Protocol[S]):
@@ -40,6 +181,11 @@ class Residuals(Protocol[S]):
     def units(self) -> tuple[str, ...]: ...
     @property
     def waves(self) -> int: ...
+    @property
+    def n(self) -> int: ...
+    @property
+    def rows(self) -> int: ...
+    def values(self, state: S) -> np.ndarray: ...
     def sizes(self, length: float, angle: float) -> np.ndarray: ...
     def gauge(self, state: S, used: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]: ...
     def evaluate(self, state: S) -> list[Measurement]: ...
@@ -49,7 +195,7 @@ class Residuals(Protocol[S]):
 
 
 @dataclass(frozen=True, eq=False)
-class Question(ABC, Generic[S]):
+class KinematicEstimation(ABC, Generic[S]):
     """One estimation problem: descent, identifiability and covariance."""
 
     problem: Residuals[S]  # residuals
@@ -62,7 +208,7 @@ class Question(ABC, Generic[S]):
         """Return directions that these kinds of measurement may never see."""
 
     @abstractmethod
-    def suspects(self, state: S) -> list[UnobservableDirection]:
+    def candidates(self, state: S) -> list[UnobservableDirection]:
         """Return directions that the data may fail to see."""
 
     @abstractmethod
@@ -119,6 +265,36 @@ class Question(ABC, Generic[S]):
                 [f"{got} of {needed} numbers"],
             )
 
+    def result(
+        self, found: NonlinearSolution[S], state: S, value: Callable[[S, np.ndarray], Value], notes: Sequence[str]
+    ) -> Fit[Value]:
+        """Return the fit at a state that measures the same as the solution; `value` takes it and the covariance."""
+        problem, used = self.problem, self.used
+        sigma, outside = dict(zip(found.classes, found.sigma.tolist())), np.flatnonzero(found.outliers)
+        data = problem.measurements(state, local=True)
+        check_misfit(data, self.spaces(), found.value, outside)
+        excitation = self.judge(data, state, sigma, outside)
+        cov = self.covariance(data, state, sigma, outside, excitation)
+        lines = [*notes, *self.match(found), *self.doubts(state)]
+        return Fit(
+            value=value(state, cov),
+            names=tuple(name for name, mine in zip(problem.names, used) if mine),
+            units=tuple(unit for unit, mine in zip(problem.units, used) if mine),
+            parameters=problem.values(state)[used],
+            cov=cov,
+            sigma=found.sigma,
+            residuals=_table(data, problem.rows),
+            n=problem.n,
+            excitation=excitation,
+            summary=lambda fit: "\n".join([fit.table(), *lines]),
+            outliers=found.outliers,
+            classes=found.classes,
+        )
+
+    @abstractmethod
+    def doubts(self, state: S) -> list[str]:
+        """Return what a report says of links far from their description."""
+
     def match(self, found: NonlinearSolution[S]) -> list[str]:
         """Return what a report says of the noise that was given, if it was."""
         if any(kind.cov is None for kind in self.problem.kinds) or not found.freedom:
@@ -132,17 +308,17 @@ class Question(ABC, Generic[S]):
         problem, used = self.problem, self.used
         sigma = {name: max(size, NO_NOISE) for name, size in sigma.items()}
         G, gauge_names = problem.gauge(state, used)
-        judgement = Judgement(
+        test = IdentifiabilityTest(
             names=[name for name, mine in zip(problem.names, used) if mine],
             units=[unit for unit, mine in zip(problem.units, used) if mine],
             limits=problem.sizes(*self.limits)[used],
             gauge=G[used],
             gauge_names=gauge_names,
-            nature=_inside(self.nature(state), used),
-            suspects=lambda: _inside(self.suspects(state), used),
+            nature=_cut_to(self.nature(state), used),
+            candidates=lambda: _cut_to(self.candidates(state), used),
             what="arm",
         )
-        return judgement.excitation(np.concatenate(list(_whitened(data, sigma, outside)))[:, used], self.hold)
+        return test.excitation(np.concatenate(list(_whitened(data, sigma, outside)))[:, used], self.hold)
 
     def covariance(
         self,
@@ -168,9 +344,9 @@ def _classes(problem: Residuals[Any]) -> list[str]:
     return [name for kind in problem.kinds for name in kind.classes]
 
 
-def _inside(suspects: Sequence[UnobservableDirection], used: np.ndarray) -> list[UnobservableDirection]:
+def _cut_to(candidates: Sequence[UnobservableDirection], used: np.ndarray) -> list[UnobservableDirection]:
     """Return directions that move something that is used, cut to it."""
-    found = [UnobservableDirection(one.name, one.directions[used], one.advice) for one in suspects]
+    found = [UnobservableDirection(one.name, one.directions[used], one.advice) for one in candidates]
     return [one for one in found if np.abs(one.directions).max(initial=0.0) > 0]
 
 
@@ -202,11 +378,13 @@ def spread_of(points: np.ndarray) -> float:
     return spread if spread > ROUNDING * float(np.abs(points).max()) else 0.0
 
 
-def never_moves(suspects: Sequence[UnobservableDirection], data: Sequence[Measurement], used: np.ndarray) -> list[bool]:
+def never_moves(
+    candidates: Sequence[UnobservableDirection], data: Sequence[Measurement], used: np.ndarray
+) -> list[bool]:
     """Tell of the first direction of each whether, cut to what is used, it is one that moves nothing measured."""
-    if not suspects:
+    if not candidates:
         return []
-    V = np.stack([one.directions[:, 0] * used for one in suspects], axis=1)
+    V = np.stack([one.directions[:, 0] * used for one in candidates], axis=1)
     moved = [np.abs(one.J.reshape(-1, len(V)) @ V).max(axis=0, initial=0.0) for one in data]
     return (V.any(axis=0) & (np.max(moved, axis=0) < 1e-9)).tolist()
 
@@ -237,3 +415,13 @@ def length_angle(value: Any, what: str) -> tuple[float, float]:
         raise ConfigError(f"Expected {what} as one or two numbers above zero [m, rad], got {value!r}.")
     length, angle = np.broadcast_to(pair, (2,))
     return float(length), float(angle)
+
+
+def _table(data: Sequence[Measurement], rows: int) -> np.ndarray:
+    """Return residuals, a row per sample and then per pair, NaN where nothing was measured."""
+    table = np.full((rows, sum(one.r.shape[1] for one in data)), np.nan)
+    first = 0
+    for one in data:
+        table[one.sample, first : first + one.r.shape[1]] = one.r
+        first += one.r.shape[1]
+    return table

@@ -1,6 +1,6 @@
 """URDF: reading a file or text, the tree of links and joints, and every serial arm in it."""
 
 from armlab.robots.urdf.reading import parse, read
-from armlab.robots.urdf.tree import Follow, Joint, Link, Mimic, Tree
+from armlab.robots.urdf.tree import Mimic, Tree
 
-__all__ = ["Follow", "Joint", "Link", "Mimic", "Tree", "parse", "read"]
+__all__ = ["Mimic", "Tree", "parse", "read"]

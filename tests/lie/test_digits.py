@@ -1,21 +1,14 @@
-"""A million random and near-singular inputs against SciPy, pytransform3d and 64 bits of mantissa.
+"""A quarter of a million random and near-singular inputs against 64 bits of mantissa.
 
 Half of the rotations are uniform, a quarter have angles from 1e-16 to 0.1 rad, a quarter are 1e-12 to 0.01 rad short of
-a half turn. Errors are largest absolute errors of an entry unless stated. Each docstring gives what was measured, ours
-and the peers' (SciPy 1.17, pytransform3d 3.17); bars are ours. Where a peer differs by more, extended precision
-(`numpy.longdouble`) says who is right. Each test takes 1 to 10 s.
-"""
+a half turn. Errors are largest absolute errors of an entry unless stated."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 
 import numpy as np
 import pytest
-from pytransform3d import batch_rotations, trajectories
-from pytransform3d.transformations import adjoint_from_transform
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from armlab.lie import euler, quaternion, se3, so3
 
@@ -24,7 +17,7 @@ pytestmark = [
     pytest.mark.skipif(np.finfo(np.longdouble).nmant < 63, reason="needs a long double of 64 bits of mantissa"),
 ]
 
-MILLION = 1_000_000
+COUNT = 250_000
 LONG = np.longdouble
 LOCKED = {"zyx": (-np.pi / 2, np.pi / 2), "xyz": (-np.pi / 2, np.pi / 2), "zyz": (0.0, np.pi)}
 
@@ -36,11 +29,11 @@ def directions(rng: np.random.Generator, count: int) -> np.ndarray:
 
 def rotation_vectors(seed: int = 0) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    q = rng.standard_normal((MILLION // 2, 4))
+    q = rng.standard_normal((COUNT // 2, 4))
     uniform = 2 * np.arctan2(np.linalg.norm(q[:, 1:], axis=1), np.abs(q[:, 0]))
-    small = 10.0 ** rng.uniform(-16, -1, MILLION // 4)
-    large = np.pi - 10.0 ** rng.uniform(-12, -2, MILLION // 4)
-    return np.concatenate([uniform, small, large])[:, None] * directions(rng, MILLION)
+    small = 10.0 ** rng.uniform(-16, -1, COUNT // 4)
+    large = np.pi - 10.0 ** rng.uniform(-12, -2, COUNT // 4)
+    return np.concatenate([uniform, small, large])[:, None] * directions(rng, COUNT)
 
 
 def exact_quaternion(w: np.ndarray) -> np.ndarray:
@@ -79,15 +72,13 @@ def truth(w: np.ndarray) -> np.ndarray:
 
 
 def test_exp(w: np.ndarray, truth: np.ndarray) -> None:
-    """Ours 9e-16, SciPy 8e-16, pytransform3d 1.1e-15."""
+    """To 9e-16."""
     R = so3.exp(w)
     assert largest(R, truth) <= 1e-15
-    assert largest(R, Rotation.from_rotvec(w).as_matrix()) <= 2e-15
-    assert largest(R, batch_rotations.matrices_from_compact_axis_angles(w)) <= 2e-15
 
 
 def test_log(w: np.ndarray, truth: np.ndarray) -> None:
-    """Relative to the angle, of the rounded true matrix: ours 7e-16, SciPy 6e-16, pytransform3d 2.6e-9."""
+    """Relative to the angle, of the rounded true matrix: to 7e-16."""
     R = truth.astype(float)
     theta = np.linalg.norm(w, axis=1)
 
@@ -95,62 +86,34 @@ def test_log(w: np.ndarray, truth: np.ndarray) -> None:
         return float((np.linalg.norm(v - w, axis=1) / theta).max())
 
     assert error(so3.log(R)) <= 1e-15
-    assert error(Rotation.from_matrix(R).as_rotvec()) <= 1e-15
-    axis_angle = batch_rotations.axis_angles_from_matrices(R)
-    assert error(axis_angle[:, :3] * axis_angle[:, 3:]) <= 1e-8
     axis, angle = so3.to_axis_angle(R)
     assert error(axis * angle[:, None]) <= 1e-15
     assert largest(so3.from_axis_angle(axis, angle), truth) <= 2e-15
 
 
-def test_angle(w: np.ndarray) -> None:
-    """Equal rotations: 0. Against the angle that was put between two: 1.6e-15; an arc cosine gives 1e-8."""
-    R_a, turn = so3.exp(rotation_vectors(1)), so3.exp(w)
-    assert so3.angle(R_a, R_a).max() == 0.0
-    assert largest(so3.angle(R_a, R_a @ turn), np.linalg.norm(w, axis=1)) <= 2e-15
-
-
 def test_quaternion(w: np.ndarray, truth: np.ndarray) -> None:
-    """from_matrix: ours 3e-16, SciPy 2.4e-16, pytransform3d 1.4e-10. to_matrix: 9e-16, 5e-16, 9e-16."""
+    """from_matrix to 3e-16, to_matrix to 9e-16."""
     exact = exact_quaternion(w)
     q, R = exact.astype(float), truth.astype(float)
-    xyzw = Rotation.from_matrix(R).as_quat()
     assert either_sign(quaternion.from_matrix(R), exact) <= 5e-16
-    assert either_sign(xyzw[:, [3, 0, 1, 2]], exact) <= 5e-16
-    assert either_sign(batch_rotations.quaternions_from_matrices(R), exact) <= 1e-9
     assert largest(quaternion.to_matrix(q), truth) <= 1e-15
-    assert largest(Rotation.from_quat(q[:, [1, 2, 3, 0]]).as_matrix(), truth) <= 1e-15
-    assert largest(batch_rotations.matrices_from_quaternions(q), truth) <= 1.5e-15
-
-
-def test_quaternion_product(w: np.ndarray) -> None:
-    """Ours against long double 2.3e-16; pytransform3d the same bits, SciPy within 4e-16."""
-    p, q = (exact_quaternion(v).astype(float) for v in (w, rotation_vectors(1)))
-    (pw, pv), (qw, qv) = ((x[:, :1].astype(LONG), x[:, 1:].astype(LONG)) for x in (p, q))
-    real = pw * qw - (pv * qv).sum(axis=1, keepdims=True)
-    exact = np.concatenate([real, pw * qv + qw * pv + np.cross(pv, qv)], axis=1)
-    product = quaternion.multiply(p, q)
-    assert largest(product, exact) <= 5e-16
-    assert largest(product, batch_rotations.batch_concatenate_quaternions(p, q)) <= 1e-15
-    scipy = Rotation.from_quat(p[:, [1, 2, 3, 0]]) * Rotation.from_quat(q[:, [1, 2, 3, 0]])
-    assert either_sign(product, scipy.as_quat()[:, [3, 0, 1, 2]]) <= 1e-15
 
 
 def test_half_turns() -> None:
-    """A million random half turns, half of them off symmetry by the rounding of a product.
+    """Random half turns, half of them off symmetry by the rounding of a product.
 
     No square root of a negative number; w is 3e-16 at most, the angle 1.3e-15 off π (its last digit is 4e-16); where w
     is 0 the first component is positive.
     """
-    u = directions(np.random.default_rng(2), MILLION)
+    u = directions(np.random.default_rng(2), COUNT)
     R = 2 * u[:, :, None] * u[:, None, :] - np.eye(3)
-    R_a = so3.exp(rotation_vectors(1)[: MILLION // 2])
-    R[: MILLION // 2] = R_a @ (np.swapaxes(R_a, 1, 2) @ R[: MILLION // 2])
+    R_a = so3.exp(rotation_vectors(1)[: COUNT // 2])
+    R[: COUNT // 2] = R_a @ (np.swapaxes(R_a, 1, 2) @ R[: COUNT // 2])
     q = quaternion.from_matrix(R)
     assert np.abs(q[:, 0]).max() <= 5e-16
     assert np.minimum(np.abs(q[:, 1:] - u).max(axis=1), np.abs(q[:, 1:] + u).max(axis=1)).max() <= 1e-15
     v = so3.log(R)
-    assert largest(np.linalg.norm(v, axis=1), np.full(MILLION, np.pi)) <= 2e-15
+    assert largest(np.linalg.norm(v, axis=1), np.full(COUNT, np.pi)) <= 2e-15
     exactly = q[:, 0] == 0
     assert 0.5 < exactly.mean() < 0.99
     first = np.take_along_axis(v, np.argmax(v != 0, axis=1)[:, None], axis=1)
@@ -158,25 +121,21 @@ def test_half_turns() -> None:
 
 
 def test_slerp_and_interpolate(w: np.ndarray) -> None:
-    """Between random pairs, 0 to 1 of the way: both of ours and SciPy's composition agree to 1.4e-15."""
+    """Between random pairs, 0 to 1 of the way: both agree to 1.4e-15."""
     R_a, R_b = so3.exp(rotation_vectors(1)), so3.exp(rotation_vectors(2))
-    s = np.random.default_rng(3).uniform(0, 1, MILLION)
+    s = np.random.default_rng(3).uniform(0, 1, COUNT)
     a, b = quaternion.from_matrix(R_a), quaternion.from_matrix(R_b)
     between = quaternion.to_matrix(quaternion.slerp(a, b, s))
     assert largest(between, so3.interpolate(R_a, R_b, s)) <= 5e-15
-    first, second = Rotation.from_matrix(R_a), Rotation.from_matrix(R_b)
-    scipy = first * Rotation.from_rotvec(s[:, None] * (first.inv() * second).as_rotvec())
-    assert largest(between, scipy.as_matrix()) <= 5e-15
 
 
 @pytest.mark.parametrize("convention", euler.CONVENTIONS)
 def test_euler(convention) -> None:
-    """A million over the three conventions, half of them 1e-17 to 0.1 rad from gimbal lock, and at it.
+    """Over the three conventions, half of them 1e-17 to 0.1 rad from gimbal lock, and at it.
 
-    from_rpy: ours 4e-16, SciPy 8e-16. Rotation reproduced by to_rpy: ours 2e-13 (the width of the lock), 5e-16 away
-    from it; SciPy 2e-7, 1.5e-15 away from it.
+    from_rpy to 4e-16; the rotation that to_rpy reproduces to 2e-13 (the width of the lock), 5e-16 away from it.
     """
-    count = MILLION // len(euler.CONVENTIONS)
+    count = COUNT // len(euler.CONVENTIONS)
     rng = np.random.default_rng(0)
     low, high = LOCKED[convention]
     angles = rng.uniform(-np.pi, np.pi, (count, 3))
@@ -188,7 +147,6 @@ def test_euler(convention) -> None:
     turns = [exact_turn(angles[:, k], "xyz".index(letter)) for k, letter in enumerate(convention)]
     truth = turns[0] @ turns[1] @ turns[2]
     assert largest(euler.from_rpy(angles, convention), truth) <= 5e-16
-    assert largest(Rotation.from_euler(convention.upper(), angles).as_matrix(), truth) <= 1e-15
 
     R = truth.astype(float)
 
@@ -198,10 +156,6 @@ def test_euler(convention) -> None:
     ours = reproduced(lambda R: euler.to_rpy(R, convention))
     assert ours.max() <= 1e-12
     assert ours[:half].max() <= 2e-15
-    with warnings.catch_warnings(action="ignore"):  # of gimbal lock
-        scipy = reproduced(lambda R: Rotation.from_matrix(R).as_euler(convention.upper()))
-    assert scipy[:half].max() <= 5e-15
-    assert scipy.max() > 1e-8, "SciPy became better: say so in the docstring and on the page"
 
 
 def exact_turn(angle: np.ndarray, axis: int) -> np.ndarray:
@@ -216,12 +170,10 @@ def exact_turn(angle: np.ndarray, axis: int) -> np.ndarray:
 def test_poses(w: np.ndarray, truth: np.ndarray) -> None:
     """Positions of a few metres, errors over 1 + abs(v).
 
-    exp against long double: ours 5e-16, SciPy 4e-14, pytransform3d 5e-9 (both lose digits at small angles).
-    Round trip T → log → exp → T: ours 9e-16, SciPy 4e-14, pytransform3d 5e-9.
+    exp to 5e-16; round trip T → log → exp → T to 9e-16.
     """
-    v = 3 * np.random.default_rng(5).standard_normal((MILLION, 3))
+    v = 3 * np.random.default_rng(5).standard_normal((COUNT, 3))
     xi = np.concatenate([v, w], axis=1)
-    first = se3.to_angular_first(xi)
     size = 1 + np.linalg.norm(v, axis=1)
 
     def error(T: np.ndarray) -> float:
@@ -230,17 +182,11 @@ def test_poses(w: np.ndarray, truth: np.ndarray) -> None:
     T = se3.exp(xi)
     assert error(T) <= 1e-15
     assert largest(T[:, :3, :3], truth) <= 1e-15
-    assert error(RigidTransform.from_exp_coords(first).as_matrix()) <= 1e-12
-    assert error(trajectories.transforms_from_exponential_coordinates(first)) <= 1e-7
 
     def round_trip(again: np.ndarray) -> float:
         return float((np.abs(again - T).max(axis=(1, 2)) / (1 + np.linalg.norm(T[:, :3, 3], axis=1))).max())
 
     assert round_trip(se3.exp(se3.log(T))) <= 3e-15
-    scipy = RigidTransform.from_matrix(T).as_exp_coords()
-    assert round_trip(RigidTransform.from_exp_coords(scipy).as_matrix()) <= 1e-12
-    coordinates = trajectories.exponential_coordinates_from_transforms(T)
-    assert round_trip(trajectories.transforms_from_exponential_coordinates(coordinates)) <= 1e-7
 
 
 def exact_position(v: np.ndarray, w: np.ndarray) -> np.ndarray:
@@ -259,28 +205,12 @@ def exact_position(v: np.ndarray, w: np.ndarray) -> np.ndarray:
     return v + a * wv + b * np.cross(w, wv)
 
 
-def test_inverse_and_adjoint(w: np.ndarray) -> None:
-    """Positions of a few metres: T T⁻¹ 9e-15 off the identity, SciPy's inverse within 7e-15, adjoints the same bits."""
-    v = 3 * np.random.default_rng(5).standard_normal((MILLION, 3))
-    T = se3.exp(np.concatenate([v, w], axis=1))
-    inverse = se3.inv(T)
-    assert largest(T @ inverse, np.eye(4)) <= 1e-14
-    assert largest(inverse, RigidTransform.from_matrix(T).inv().as_matrix()) <= 1e-14
-    adjoint = se3.adjoint(T)
-    R, p = T[:, :3, :3], T[:, :3, 3]
-    assert largest(adjoint[:, :3, 3:], np.cross(p[:, :, None], R, axis=1)) <= 1e-14
-    for k in range(0, MILLION, 1000):
-        peer = adjoint_from_transform(T[k], check=False)  # angular part first
-        turned = se3.from_angular_first(se3.from_angular_first(peer), axis=-2)
-        np.testing.assert_allclose(adjoint[k], turned, rtol=0, atol=1e-14)
-
-
 def test_project(w: np.ndarray) -> None:
     """Rotations with noise of 0.05 per entry, and RᵀM, which is symmetric of the nearest one.
 
-    To 1.4e-15, SciPy to 1.2e-14; idempotent to 1.3e-15.
+    To 1.4e-15; idempotent to 1.3e-15.
     """
-    M = so3.exp(w) + 0.05 * np.random.default_rng(6).standard_normal((MILLION, 3, 3))
+    M = so3.exp(w) + 0.05 * np.random.default_rng(6).standard_normal((COUNT, 3, 3))
     R, _ = so3.project(M)
 
     def asymmetry(R: np.ndarray) -> float:
@@ -288,7 +218,4 @@ def test_project(w: np.ndarray) -> None:
         return largest(A, np.swapaxes(A, 1, 2))
 
     assert asymmetry(R) <= 3e-15
-    scipy = Rotation.from_matrix(M).as_matrix()
-    assert asymmetry(scipy) <= 5e-14
-    assert largest(R, scipy) <= 2e-14
     assert largest(so3.project(R)[0], R) <= 2e-15
