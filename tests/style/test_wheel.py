@@ -68,15 +68,8 @@ def wheel(unpacked: Path) -> Path:
     """The wheel of the unpacked sdist; not optimised: that takes the compiler eight times as long."""
     for tool in ("ziglang", "auditwheel"):
         pytest.importorskip(tool, reason=f"needs {tool}: make zig")
-    command = [
-        "make",
-        "-C",
-        str(ROOT),
-        "wheel",
-        f"WHEEL_OF={unpacked}",
-        f"WHEEL_TO={unpacked.parent}",
-        "WHEEL_FLAGS=-O0",
-    ]
+    options = [f"WHEEL_OF={unpacked}", f"WHEEL_TO={unpacked.parent}", "WHEEL_FLAGS=-O0"]
+    command = ["make", "-C", str(ROOT), "wheel", *options]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stdout + result.stderr
     return next(unpacked.parent.glob("armlab-*.whl"))
