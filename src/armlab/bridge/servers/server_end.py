@@ -18,6 +18,7 @@ import msgspec
 from armlab.bridge.servers.messages import CommandRequest, Counted, Report, Request, SetRequest
 from armlab.bridge.servers.row import MAGIC, RowSchema
 from armlab.errors import CommandRefused, LinkError
+from armlab.robots import Robot, from_toml
 
 __all__ = ["LoopEnd", "encoded"]
 
@@ -64,6 +65,10 @@ class LoopEnd:
     def fileno(self) -> int:
         """Return the number of the socket, for `select` and for event loops."""
         return self._feed.fileno()
+
+    def robots(self) -> dict[str, Robot]:
+        """Return the arms of the cell by name."""
+        return {name: from_toml(text, f"the bridge of {name}") for name, text in self.about["robots"].items()}
 
     def receive(self, patience: float | None = 0.0) -> list[bytes | dict[str, Any]] | None:
         """Return what has come, up to the first row: rows as bytes, texts as they say, by their "kind".

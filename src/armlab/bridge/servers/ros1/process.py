@@ -10,17 +10,18 @@ import socket
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import IO, Any
 
 from armlab.bridge.net.sockets import pair
 from armlab.bridge.servers.messages import Listening, Report
-from armlab.bridge.servers.ros import Commands, Encoded, Published, Topics, store
+from armlab.bridge.servers.ros.requests import Commands
+from armlab.bridge.servers.ros.topics import Messages, Topics
+from armlab.bridge.servers.ros.types import store
 from armlab.bridge.servers.ros1 import relay
 from armlab.bridge.servers.ros1.subscribers import Subscribers
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import CommandRefused, LinkError
-from armlab.robots import from_toml
 
 __all__ = ["Ros1Process", "serve"]
 
@@ -50,10 +51,8 @@ class Ros1Process:
         self._looks = select.poll()
         self._subscribers = Subscribers(self._looks)
         self._loop = LoopEnd(feed, lambda: self._subscribers.counts)
-        about = self._loop.about
-        robots = {name: from_toml(text, name) for name, text in about["robots"].items()}
-        self._topics, self._commands = Topics(robots, self._loop.schema), Commands(about["cell"], robots)
-        self._encoded = Encoded(self._topics, _encoded)
+        robots = self._loop.robots()
+        self._topics, self._commands = Topics(robots, self._loop.schema), Commands(self._loop.about["cell"], robots)
         self._spoken: dict[str, float] = {}
 
     def run(self) -> None:
@@ -81,7 +80,7 @@ class Ros1Process:
                 for message in messages:
                     self._pass_on(node, message)
                 if not messages:
-                    self._send(self._encoded.of_silence(time.monotonic_ns(), self._subscribers.wanted))
+                    self._send(self._topics.of_silence(time.monotonic_ns(), self._subscribers.wanted))
 
     @contextlib.contextmanager
     def _relay(self, home: str, log: IO[bytes]) -> Iterator[socket.socket]:
@@ -179,7 +178,9 @@ class Ros1Process:
         if not message["connections"]:
             return "Expected room for the connection in the server's process, got none. Raise `ulimit -n`."
         topic = message["topic"]
-        known = [raw for _, raw in self._encoded.of_parameters(self._loop.parameters, {topic})]
+        known = [
+            _ros1(message, one.type) for one, message in self._topics.of_parameters(self._loop.parameters, {topic})
+        ]
         return self._subscribers.add(topic, socket.socket(fileno=message["connections"][0]), known)
 
     def _refuse(self, node: socket.socket, client: str, text: str) -> None:
@@ -188,9 +189,9 @@ class Ros1Process:
 
     def _pass_on(self, node: socket.socket, message: bytes | dict[str, Any]) -> None:
         if isinstance(message, bytes):
-            self._send(self._encoded.of_row(message, self._subscribers.wanted))
+            self._send(self._topics.of_row(message, self._subscribers.wanted))
         elif message["kind"] == "parameters":
-            self._send(self._encoded.of_parameters(self._loop.parameters, self._subscribers.wanted))
+            self._send(self._topics.of_parameters(self._loop.parameters, self._subscribers.wanted))
         elif message["kind"] == "answer":
             self._answer(node, message["client"], message["text"])
 
@@ -205,9 +206,9 @@ class Ros1Process:
             with contextlib.suppress(OSError):
                 node.send(json.dumps({"text": f"{client}: {text}"[:_SENTENCE]}).encode())
 
-    def _send(self, messages: Iterable[tuple[Published, bytes]]) -> None:
-        for published, raw in messages:
-            self._subscribers.send(published, raw)
+    def _send(self, messages: Messages) -> None:
+        for topic, message in messages:
+            self._subscribers.send(topic, _ros1(message, topic.type))
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
@@ -222,8 +223,8 @@ def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
     Ros1Process(feed, options).run()
 
 
-def _encoded(message: Any, type_: str) -> bytes:
-    """Return a message as ROS 1 has it."""
+def _ros1(message: Any, type_: str) -> bytes:
+    """Return a message as ROS 1 has it on the wire."""
     return bytes(store().cdr_to_ros1(store().serialize_cdr(message, type_), type_))
 
 

@@ -10,7 +10,8 @@ from collections import Counter, deque
 from collections.abc import Iterable
 from dataclasses import fields
 
-from armlab.bridge.servers.ros import Published, store
+from armlab.bridge.servers.ros.topics import Topic
+from armlab.bridge.servers.ros.types import store
 
 __all__ = ["Subscribers"]
 
@@ -54,7 +55,7 @@ class Subscribers:
             self._put(one, _SIZE.pack(len(raw)) + raw)
         return ""
 
-    def send(self, topic: Published, raw: bytes) -> None:
+    def send(self, topic: Topic, raw: bytes) -> None:
         """Send a message to all nodes that read it; their connections that have ended are let go.
 
         topic : of the message. raw : the message as ROS 1 has it; its number is set here.

@@ -10,8 +10,9 @@ from typing import Any, Protocol
 import msgspec
 
 from armlab.bridge.servers.messages import CommandRequest, Leave, Report, Request, SetRequest
-from armlab.bridge.servers.ros import Commands, Encoded, Published, Topics
-from armlab.bridge.servers.rosbridge.dialect import Dialect, fields, flat, publish, read_type, type_name
+from armlab.bridge.servers.ros.requests import Commands
+from armlab.bridge.servers.ros.topics import Messages, Topic, Topics
+from armlab.bridge.servers.rosbridge.dialect import Dialect, fields, publish, read_type, type_name
 from armlab.bridge.servers.rosbridge.operations import (
     Advertise,
     CallService,
@@ -31,7 +32,7 @@ from armlab.bridge.servers.rosbridge.rosapi import SET_PARAM, Rosapi, parameter_
 from armlab.bridge.servers.rosbridge.session import Session, Setting, Subscription
 from armlab.bridge.servers.row import RowSchema
 from armlab.errors import CommandRefused, UnknownName
-from armlab.robots import from_toml
+from armlab.robots import Robot
 
 __all__ = ["Engine"]
 
@@ -47,6 +48,7 @@ class _Loop(Protocol):
     about: dict[str, Any]
     parameters: dict[str, dict[str, Any]]
 
+    def robots(self) -> dict[str, Robot]: ...
     def ask(self, request: Request) -> bool: ...
 
 
@@ -64,11 +66,11 @@ class Engine:
     """
 
     def __init__(self, loop: _Loop, server: str = "rosbridge", dialect: Dialect = "ros2") -> None:
-        robots = {name: from_toml(text, name) for name, text in loop.about["robots"].items()}
+        robots = loop.robots()
         self._dialect: Dialect = dialect
         self._loop, self._server = loop, server
         self._topics, self._commands = Topics(robots, loop.schema), Commands(loop.about["cell"], robots)
-        self._encoded, self._published = Encoded(self._topics, flat), self._topics.published
+        self._published = self._topics.published
         types = {name: one.type for name, one in self._published.items()} | self._commands.types
         self._rosapi = Rosapi(loop.about["cell"], types, lambda: self._loop.parameters)
         self._numbers: Counter[str] = Counter()
@@ -116,7 +118,7 @@ class Engine:
         ----------
         data : one row of the loop. now_ns : monotonic clock.
         """
-        self._publish(lambda wanted: self._encoded.of_row(data, wanted.keys()), now_ns)
+        self._publish(lambda wanted: self._topics.of_row(data, wanted.keys()), now_ns)
 
     def text(self, message: Mapping[str, Any], now_ns: int) -> None:
         """Take what the loop says besides rows.
@@ -126,7 +128,7 @@ class Engine:
         message : see `messages`. now_ns : monotonic clock.
         """
         if message["kind"] == "parameters":
-            self._publish(lambda wanted: self._encoded.of_parameters(self._loop.parameters, wanted), now_ns)
+            self._publish(lambda wanted: self._topics.of_parameters(self._loop.parameters, wanted), now_ns)
             for session in self.sessions.values():
                 self._confirm(session, now_ns)
         elif message["kind"] == "answer" and message["client"] in self.sessions:
@@ -139,7 +141,7 @@ class Engine:
         ----------
         now_ns : monotonic clock.
         """
-        self._publish(lambda wanted: self._encoded.of_silence(now_ns, wanted.keys()), now_ns)
+        self._publish(lambda wanted: self._topics.of_silence(now_ns, wanted.keys()), now_ns)
         for session in self.sessions.values():
             late = [one for one in session.settings if now_ns > one.until_ns]
             session.settings = [one for one in session.settings if one not in late]
@@ -188,7 +190,7 @@ class Engine:
         if known is None or known.dialect != dialect:
             known = session.subscriptions[name] = Subscription(name, session.outbox, dialect)
         known.add(_id(operation) or "", operation.throttle_rate or 0.0, operation.queue_length or 0)
-        for published, message in self._encoded.of_parameters(self._loop.parameters, {known.full_name}):
+        for published, message in self._topics.of_parameters(self._loop.parameters, {known.full_name}):
             self._send(published, message, [known], now_ns)
 
     def _known(self, topic: str, type_: str | None, types: Mapping[str, str], what: str) -> Dialect:
@@ -278,7 +280,7 @@ class Engine:
         else:
             session.status("info" if text == "Done." else "error", text, now_ns)
 
-    def _publish(self, made: Callable[[Mapping[str, Any]], Any], now_ns: int) -> None:
+    def _publish(self, made: Callable[[Mapping[str, Any]], Messages], now_ns: int) -> None:
         wanted: dict[str, list[Subscription]] = {}
         for session in self.sessions.values():
             for one in session.subscriptions.values():
@@ -287,14 +289,14 @@ class Engine:
         for published, message in made(wanted):
             self._send(published, message, wanted[published.name], now_ns)
 
-    def _send(self, published: Published, message: bytes, to: Iterable[Subscription], now_ns: int) -> None:
-        """Send a message (see `flat`) as text, made once for all clients of one dialect and spelling."""
-        self._numbers[published.name] += 1
+    def _send(self, topic: Topic, message: Any, to: Iterable[Subscription], now_ns: int) -> None:
+        """Send a message as JSON, made once for all clients of one dialect and spelling."""
+        self._numbers[topic.name] += 1
         texts: dict[tuple[str, Dialect], bytes] = {}
         for one in to:
             kind = one.topic, one.dialect
             if kind not in texts:
-                texts[kind] = publish(one.topic, message, one.dialect, self._numbers[published.name])
+                texts[kind] = publish(one.topic, message, topic.type, one.dialect, self._numbers[topic.name])
             one.offer(texts[kind], now_ns)
 
 
