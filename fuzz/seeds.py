@@ -16,10 +16,11 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from armlab import log, models, robots  # noqa: E402
 from armlab.bridge.servers.ros.message_template import cdr  # noqa: E402
+
+from armlab import log, models, robots  # noqa: E402
 from armlab.bridge.servers.ros.rmw_zenoh import Names, Origin  # noqa: E402
-from armlab.bridge.servers.ros.types import store  # noqa: E402
+from armlab.bridge.servers.ros.topics import store  # noqa: E402
 from armlab.bridge.servers.row import RowSchema, RowWriter  # noqa: E402
 from armlab.bridge.servers.zenoh.keys import Attached  # noqa: E402
 from armlab.log import Tick  # noqa: E402

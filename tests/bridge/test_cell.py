@@ -22,9 +22,8 @@ from armlab import log, models, robots
 from armlab.bridge.cell import Cell, cell_values, parse_cell, run_cell
 from armlab.bridge.command.arbiter import Arbiter
 from armlab.bridge.inputs.parameters import Parameters
-from armlab.bridge.servers.labcomm import LabCommSource
-from armlab.bridge.servers.local import LocalFeed, socket_path
-from armlab.bridge.servers.local_server import _listen
+from armlab.bridge.servers.labcomm.client import LabCommSource
+from armlab.bridge.servers.local import LocalFeed, _listen, socket_path
 from armlab.bridge.servers.messages import CommandRequest, SetRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Row
 from armlab.cli import main

@@ -21,7 +21,7 @@ from armlab import log, robots
 from armlab.bridge.cell import parse_cell, run_cell
 from armlab.bridge.command.arbiter import LEASE, Arbiter
 from armlab.bridge.control.limits import Limits
-from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.hub import Hub
 from armlab.state import Command
 
 from .beside import PATIENCE, WINDOW, Watch, more_missed
@@ -97,7 +97,7 @@ class Bench:
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    made, obey, tell = Bench(), Arbiter.__call__, Exchange.tell
+    made, obey, tell = Bench(), Arbiter.__call__, Hub.tell
 
     def obey_and_keep(arbiter: Arbiter, state: Any) -> Any:
         now = time.monotonic_ns()  # before the arbiter looks at the clock
@@ -110,12 +110,12 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
         made.refused = {**arbiter.refused}
         return Command.stop() if made.over.is_set() else command
 
-    def keep_and_tell(exchange: Exchange, text: str, warn: bool = False, each: bool = False) -> None:
+    def keep_and_tell(exchange: Hub, text: str, warn: bool = False, each: bool = False) -> None:
         made.told.append(text)
         tell(exchange, text, warn, each)
 
     monkeypatch.setattr(Arbiter, "__call__", obey_and_keep)
-    monkeypatch.setattr(Exchange, "tell", keep_and_tell)
+    monkeypatch.setattr(Hub, "tell", keep_and_tell)
     yield made
     made.told_why()
 

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from armlab.bridge.servers.ros import store
 from armlab.bridge.servers.ros.rmw_zenoh import Names, Origin
-from armlab.bridge.servers.zenoh import Attached, Place, key
+from armlab.bridge.servers.ros.topics import store
+from armlab.bridge.servers.zenoh.keys import Attached, key
+from armlab.bridge.servers.zenoh.session import Address
 
 ARRAY, JOINTS = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState"
 VELOCITY = "/yumi_left/joint_group_velocity_controller/commands"
@@ -70,7 +71,7 @@ def read(session: Any, dialect: str) -> None:
 
 def main() -> None:
     dialect, port, role, letter = sys.argv[1:]
-    session = Place("127.0.0.1", int(port)).open(20.0)
+    session = Address("127.0.0.1", int(port)).open(20.0)
     if role == "command":
         command(session, dialect, 16 * letter.encode())
     else:

@@ -262,5 +262,3 @@ def test_topics_that_contradict_themselves_are_refused() -> None:
     ):
         with pytest.raises(ShapeError, match=message):
             kernels.RowEncoder([(1, True, columns, variants, is_pose)])
-
-

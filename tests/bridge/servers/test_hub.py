@@ -10,7 +10,7 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.servers.hub import OPERATOR, Exchange
+from armlab.bridge.servers.hub import OPERATOR, Hub
 from armlab.bridge.servers.row import MAGIC, RowSchema, read_row
 from armlab.log import Tick
 from armlab.state import Command, State
@@ -25,7 +25,7 @@ class Cell:
 
     def __init__(self, allowed: Any = ("labcomm",)) -> None:
         self.params = Parameters([Parameter("gain", 2.0, minimum=0.0), Parameter("open", 1.0, rights="anyone")])
-        self.exchange = Exchange([LEFT], SERVERS, self.params, allowed, about={"cell": "test"})
+        self.exchange = Hub([LEFT], SERVERS, self.params, allowed, about={"cell": "test"})
         self.far = {name: self.exchange.open(name) for name in SERVERS}
         for far in self.far.values():
             far.settimeout(5.0)
@@ -136,7 +136,7 @@ def test_rights_of_settings() -> None:
 
 def test_beyond_this_computer_clients_only_read_and_stop() -> None:
     params = Parameters([Parameter("open", 1.0, rights="anyone")])
-    exchange = Exchange([LEFT], ["labcomm"], params, read_only=["labcomm"])
+    exchange = Hub([LEFT], ["labcomm"], params, read_only=["labcomm"])
     with exchange.open("labcomm") as far:
         for kind in ({"kind": "set", "values": {"open": 2.0}}, {"kind": "stop"}):
             far.send(json.dumps({"client": "1", **kind}).encode())

@@ -17,9 +17,8 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.servers.hub import OPERATOR, Exchange
-from armlab.bridge.servers.local import LocalFeed, cells, socket_path
-from armlab.bridge.servers.local_server import LocalServer, serve
+from armlab.bridge.servers.hub import OPERATOR, Hub
+from armlab.bridge.servers.local import LocalFeed, LocalServer, cells, serve, socket_path
 from armlab.bridge.servers.messages import CommandRequest, Release, Resume, SetRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Row
 from armlab.errors import ConfigError, LinkError
@@ -35,7 +34,7 @@ class Bench:
 
     def __init__(self, cell: str = "test") -> None:
         parameters = Parameters([Parameter("gain", 2.0, minimum=0.0)])
-        self.exchange = Exchange([LEFT], [OPERATOR], parameters, about={"cell": cell})
+        self.exchange = Hub([LEFT], [OPERATOR], parameters, about={"cell": cell})
         self.far = self.exchange.open(OPERATOR)
         self.path = socket_path(cell)
         self.server = LocalServer(self.far, self.path)

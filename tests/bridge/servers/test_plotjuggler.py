@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.plotjuggler import Datagrams, serve
 from armlab.bridge.servers.row import RowSchema, RowWriter
 from armlab.bridge.servers.supervisor import Servers, server_command
@@ -64,7 +64,7 @@ def test_whatever_the_numbers_are_a_datagram_fits_one_packet() -> None:
 
 
 def test_one_datagram_per_row() -> None:
-    exchange = Exchange(ARMS, ["plotjuggler"])
+    exchange = Hub(ARMS, ["plotjuggler"])
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reader:
         reader.bind(("127.0.0.1", 0))
         reader.settimeout(PATIENCE)
@@ -81,7 +81,7 @@ def test_one_datagram_per_row() -> None:
 
 
 def test_nobody_who_listens_is_no_error() -> None:
-    exchange = Exchange(ARMS, ["plotjuggler"])
+    exchange = Hub(ARMS, ["plotjuggler"])
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as closed:
         closed.bind(("127.0.0.1", 0))
         port = closed.getsockname()[1]

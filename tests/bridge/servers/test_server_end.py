@@ -13,7 +13,7 @@ import pytest
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.net.sockets import pair
-from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.messages import CommandRequest, Report, SetRequest, Stop
 from armlab.bridge.servers.row import read_row
 from armlab.bridge.servers.server_end import LoopEnd, encoded
@@ -32,14 +32,14 @@ def _nested(depth: int) -> list[Any]:
 
 
 @pytest.fixture
-def exchange() -> Iterator[Exchange]:
+def exchange() -> Iterator[Hub]:
     declared = Parameters([Parameter("gain", 0.5, rights="anyone")])
-    one = Exchange([robots.load("yumi_left")], [SERVER], declared, [SERVER], about={"cell": "test"})
+    one = Hub([robots.load("yumi_left")], [SERVER], declared, [SERVER], about={"cell": "test"})
     yield one
     one.close()
 
 
-def test_the_loop_says_what_it_is_then_rows_come(exchange: Exchange) -> None:
+def test_the_loop_says_what_it_is_then_rows_come(exchange: Hub) -> None:
     with exchange.open(SERVER) as feed:
         end = LoopEnd(feed)
         assert end.about["cell"] == "test"
@@ -57,7 +57,7 @@ def test_the_loop_says_what_it_is_then_rows_come(exchange: Exchange) -> None:
         assert end.receive(None) is None
 
 
-def test_rows_come_one_by_one_and_texts_before_them_with_them(exchange: Exchange) -> None:
+def test_rows_come_one_by_one_and_texts_before_them_with_them(exchange: Hub) -> None:
     with exchange.open(SERVER) as feed:
         end = LoopEnd(feed)
         q = np.arange(7.0)
@@ -73,7 +73,7 @@ def test_rows_come_one_by_one_and_texts_before_them_with_them(exchange: Exchange
         assert end.receive(0.01) == end.receive() == []  # it waits no longer than it is told
 
 
-def test_parameters_and_counts_are_kept_up_to_date(exchange: Exchange) -> None:
+def test_parameters_and_counts_are_kept_up_to_date(exchange: Hub) -> None:
     with exchange.open(SERVER) as feed:
         end = LoopEnd(feed, lambda: {"10.0.0.1:5": (3, 1)})
         exchange.parameters.set_together({"gain": 2.0}, "somebody", commander=True)
@@ -92,7 +92,7 @@ def test_parameters_and_counts_are_kept_up_to_date(exchange: Exchange) -> None:
 
 
 @pytest.mark.parametrize("value", ["\ud800", {"\ud800": 1.0}, _nested(5000)], ids=range(3))
-def test_what_no_json_can_say_is_refused_and_the_next_goes_out(exchange: Exchange, value: Any) -> None:
+def test_what_no_json_can_say_is_refused_and_the_next_goes_out(exchange: Hub, value: Any) -> None:
     with exchange.open(SERVER) as feed:
         end = LoopEnd(feed)
         with pytest.raises(CommandRefused, match="Expected what JSON in UTF-8 can say"):

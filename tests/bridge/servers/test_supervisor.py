@@ -18,7 +18,7 @@ import pytest
 
 from armlab import robots
 from armlab.bridge import connect
-from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.local import LocalFeed, cells
 from armlab.bridge.servers.messages import CommandRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Row
@@ -47,7 +47,7 @@ def until(condition: Callable[[], bool]) -> None:
 
 
 def test_a_server_listens_and_ends_with_the_bridge() -> None:
-    exchange = Exchange([LEFT], ["a"])
+    exchange = Hub([LEFT], ["a"])
     with Servers(exchange, {"a": command(WAITS)}) as servers:
         assert servers.ready() == ["here"]
         pid = servers.processes()["a"]
@@ -57,7 +57,7 @@ def test_a_server_listens_and_ends_with_the_bridge() -> None:
 
 
 def test_a_killed_server_starts_again() -> None:
-    exchange = Exchange([LEFT], ["a"])
+    exchange = Hub([LEFT], ["a"])
     told: list[str] = []
     exchange.begin(lambda text, *_: told.append(text))
     with Servers(exchange, {"a": command(WAITS)}, restarts=(0.01, 0.01)) as servers:
@@ -71,7 +71,7 @@ def test_a_killed_server_starts_again() -> None:
 
 
 def test_a_server_that_fails_is_left_dead() -> None:
-    exchange = Exchange([LEFT], ["a"])
+    exchange = Hub([LEFT], ["a"])
     told: list[str] = []
     exchange.begin(lambda text, *_: told.append(text))
     program = QUIET + "while b'Now.' not in s.recv(100000): pass\n" + FAILS
@@ -87,7 +87,7 @@ def test_a_server_that_fails_is_left_dead() -> None:
 @pytest.mark.parametrize(("well", "outcome"), [(0.0, "It starts again in 0.01 s."), (1e6, "It stays dead")])
 def test_a_server_that_ran_well_begins_a_new_series(well: float, outcome: str) -> None:
     """One that ends once a day is never left dead; one that ends whenever it has started is."""
-    exchange = Exchange([LEFT], ["a"])
+    exchange = Hub([LEFT], ["a"])
     told: list[str] = []
     exchange.begin(lambda text, *_: told.append(text))
     with Servers(exchange, {"a": command(WAITS)}, restarts=(0.01, 0.02), well=well) as servers:
@@ -108,7 +108,7 @@ def test_a_server_that_ran_well_begins_a_new_series(well: float, outcome: str) -
     ],
 )
 def test_a_server_that_never_listens_refuses_at_once(words: list[str], said: str) -> None:
-    with Servers(Exchange([LEFT], ["a"]), {"a": words}) as servers:
+    with Servers(Hub([LEFT], ["a"]), {"a": words}) as servers:
         began = time.monotonic()
         with pytest.raises(LinkError, match=re.escape(f"Expected the server a to listen, but it {said}")):
             servers.ready(60.0)
@@ -116,7 +116,7 @@ def test_a_server_that_never_listens_refuses_at_once(words: list[str], said: str
 
 
 def test_a_server_that_says_nothing() -> None:
-    with Servers(Exchange([LEFT], ["a"]), {"a": command("import time; time.sleep(60)")}) as servers:
+    with Servers(Hub([LEFT], ["a"]), {"a": command("import time; time.sleep(60)")}) as servers:
         with pytest.raises(LinkError, match=r"Expected a to listen within 0.2 s"):
             servers.ready(0.2)
         os.kill(servers.processes()["a"], signal.SIGKILL)
@@ -124,7 +124,7 @@ def test_a_server_that_says_nothing() -> None:
 
 def test_an_error_of_the_watch_does_not_end_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """A server that cannot be watched starts again as one that ended, as often and no oftener."""
-    exchange = Exchange([LEFT], ["a", "b"])
+    exchange = Hub([LEFT], ["a", "b"])
     told: list[str] = []
     exchange.begin(lambda text, *_: told.append(text))
     look, idle, broken = Servers._look, exchange.idle, [False]
@@ -167,11 +167,11 @@ def test_no_server_outlives_a_bridge_that_is_killed(tmp_path: Path) -> None:
     program = f"""
 import time
 from armlab import robots
-from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.supervisor import Servers, server_command
 
 command = server_command("local", {{"path": "{path}"}})
-with Servers(Exchange([robots.load("ur5e")], ["local"]), {{"local": command}}) as servers:
+with Servers(Hub([robots.load("ur5e")], ["local"]), {{"local": command}}) as servers:
     print(*servers.ready(60.0), flush=True)
     time.sleep(60.0)
 """

@@ -32,7 +32,7 @@ Clients = Mapping[str, tuple[int, int]]
 
 
 class LoopEnd:
-    """A server process's end of its socket to the loop (the other is `feed.Exchange`).
+    """A server process's end of its socket to the loop (the other is `hub.Hub`).
 
     Raises
     ------

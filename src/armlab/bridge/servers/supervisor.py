@@ -16,7 +16,7 @@ from typing import Any
 from armlab._descriptors import Descriptor
 from armlab.bridge.command.arbiter import Arbiter
 from armlab.bridge.control.loop import Controller
-from armlab.bridge.servers.hub import OPERATOR, Exchange
+from armlab.bridge.servers.hub import OPERATOR, Hub
 from armlab.bridge.servers.local import socket_path
 from armlab.errors import LinkError
 from armlab.robots import Robot
@@ -77,7 +77,7 @@ class Servers:
 
     def __init__(
         self,
-        exchange: Exchange,
+        exchange: Hub,
         commands: Mapping[str, Sequence[str]],
         restarts: Sequence[float] = RESTARTS,
         well: float = WELL,
@@ -239,7 +239,7 @@ class Offering:
     """
 
     def __init__(self, robots: Sequence[Robot], cell: str) -> None:
-        self.exchange = Exchange(robots, [OPERATOR], about={"cell": cell})
+        self.exchange = Hub(robots, [OPERATOR], about={"cell": cell})
         self.exchange.arbiter.reserve("the controller of the run")
         self._servers = Servers(self.exchange, {OPERATOR: server_command(OPERATOR, {"path": str(socket_path(cell))})})
         self._servers.__enter__()

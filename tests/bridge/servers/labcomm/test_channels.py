@@ -10,14 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.bridge.servers.labcomm.channels import (
-    ArmChannel,
-    Channel,
-    FusedArm,
-    FusedChannel,
-    FusedSource,
-    OnCommand,
-)
+from armlab.bridge.servers.labcomm.channels import ArmChannel, Channel, FusedArm, FusedChannel, FusedSource, OnCommand
 from armlab.bridge.servers.labcomm.rows import Row
 from armlab.errors import ConfigError, LabCommError, UnknownName
 from armlab.wire.labcomm import PRIMS, Decoder, Definition, Encoder, Sample, Unknown, Version, idl

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.bridge.servers.labcomm import ArmChannel, LabCommServer, ParameterChannel, Row, RowTypes
+from armlab.bridge.servers.labcomm import ArmChannel, LabCommServer, Row
+from armlab.bridge.servers.labcomm.channels import ParameterChannel
 from armlab.bridge.servers.labcomm.client import LabCommClient, LabCommSource, connected
+from armlab.bridge.servers.labcomm.rows import RowTypes
 from armlab.errors import ConfigError, LabCommError, LinkError, UnknownName
 from armlab.log import Column
 from armlab.wire.labcomm import Definition, Prim, Sample, Version, parse_lc

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from armlab import bridge, robots
-from armlab.bridge.servers.labcomm import ArmChannel, LabCommServer, Row, RowFeed, RowTypes, to_arbiter
+from armlab.bridge.servers.labcomm import ArmChannel, LabCommServer, Row, RowFeed, to_arbiter
 from armlab.bridge.servers.labcomm.link import RowCodec, RowPort, far_end
+from armlab.bridge.servers.labcomm.rows import RowTypes
 from armlab.errors import ConfigError, LinkError, UnknownName
 from armlab.robots import Robot
 from armlab.state import Command, State

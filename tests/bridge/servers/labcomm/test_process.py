@@ -13,9 +13,10 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.servers.hub import Exchange
-from armlab.bridge.servers.labcomm import LabCommClient, Row, RowTypes
+from armlab.bridge.servers.hub import Hub
+from armlab.bridge.servers.labcomm import LabCommClient, Row
 from armlab.bridge.servers.labcomm.process import ArmPlaces, Held, LabCommProcess, SourcePlaces, labcomm_options, serve
+from armlab.bridge.servers.labcomm.rows import RowTypes
 from armlab.bridge.servers.row import RowField, RowSchema, RowWriter, read_row
 from armlab.bridge.servers.supervisor import Servers, server_command
 from armlab.errors import ConfigError, LabCommError, LinkError, UnknownName
@@ -50,7 +51,7 @@ class Running:
         ]
         declared += [Parameter("gentle", True, "bool", rights="anyone"), Parameter("n", 2, "int", rights="anyone")]
         declared.append(Parameter("push", [0.0, 1.0, 2.0], "float[3]", rights="anyone"))
-        self.exchange = Exchange(
+        self.exchange = Hub(
             [robot], ["labcomm"], Parameters(declared), ["labcomm"], sources={"force": {"f": Column((3,), "N")}}
         )
         options = labcomm_options([robot], ports=[0], parameters=0, fused=0)
@@ -188,8 +189,8 @@ def flood(kind: str) -> tuple[bytes, bytes]:
 @pytest.mark.parametrize("kind", ["commands", "wrong"])
 def test_who_sends_without_pause_holds_up_no_row(robot: Robot, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
     """Three rows come before each turn and are out before the next; the loop is asked little, whatever comes."""
-    monkeypatch.setattr("armlab.bridge.servers.labcomm.selector_server._EVERY", 1e6)
-    exchange = Exchange([robot], ["labcomm"])
+    monkeypatch.setattr("armlab.bridge.servers.labcomm.server._EVERY", 1e6)
+    exchange = Hub([robot], ["labcomm"])
     feed = exchange.open("labcomm")
     process = LabCommProcess(feed, labcomm_options([robot], ports=[0], parameters=None, fused=None))
     ports, real_turn, ask = process._ports, process._ports.turn, process._loop.ask
@@ -275,7 +276,7 @@ def test_options() -> None:
 
 
 def test_a_loop_that_has_gone_ends_the_process(robot: Robot) -> None:
-    exchange = Exchange([robot], ["labcomm"])
+    exchange = Hub([robot], ["labcomm"])
     feed = exchange.open("labcomm")
     feed.recv(2**17)
     exchange.close()
@@ -284,7 +285,7 @@ def test_a_loop_that_has_gone_ends_the_process(robot: Robot) -> None:
 
 
 def test_it_is_one_of_the_bridge_s_servers(robot: Robot) -> None:
-    exchange = Exchange([robot], ["labcomm"])
+    exchange = Hub([robot], ["labcomm"])
     text = "sample struct { long tm; float pos[_]; } where; sample struct { float pos[7]; } there;"
     options = labcomm_options([robot], ports=[0], parameters=0, fused=None, types=text)
     with Servers(exchange, {"labcomm": server_command("labcomm", options)}) as servers:

@@ -12,7 +12,7 @@ import pytest
 from armlab.bridge.net.events import nobody
 from armlab.bridge.servers.labcomm import ArmChannel
 from armlab.bridge.servers.labcomm.rows import STOP
-from armlab.bridge.servers.labcomm.selector_server import Ports
+from armlab.bridge.servers.labcomm.server import Ports
 from armlab.errors import LinkError
 from armlab.wire.labcomm import Encoder, Sample, SampleType, parse_lc
 
@@ -134,7 +134,7 @@ def test_what_was_not_taken_is_told_once_and_counted(bench: Bench, monkeypatch: 
     bench.until(lambda: bench.ports.counts["left"].get("other type") == 1500)
     assert sum("was not taken (1 so far), LabCommError" in text for text in bench.said) == 1
     assert len(bench.said) == 2
-    monkeypatch.setattr("armlab.bridge.servers.labcomm.selector_server._EVERY", 0.0)
+    monkeypatch.setattr("armlab.bridge.servers.labcomm.server._EVERY", 0.0)
     client.socket.sendall(encoder.data(nothing, {}))
     bench.until(lambda: any("was not taken (1501 so far)" in text for text in bench.said))
     client.socket.close()

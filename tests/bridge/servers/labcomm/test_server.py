@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from armlab import bridge, robots
-from armlab.bridge.servers.labcomm import ArmChannel, FusedChannel, LabCommServer, ParameterChannel, Row, RowTypes
-from armlab.bridge.servers.labcomm.channels import FusedArm
+from armlab.bridge.servers.labcomm import ArmChannel, LabCommServer, Row
+from armlab.bridge.servers.labcomm.channels import FusedArm, FusedChannel, ParameterChannel
+from armlab.bridge.servers.labcomm.rows import RowTypes
 from armlab.bridge.servers.labcomm.server import RowFeed, to_arbiter
 from armlab.errors import LinkError, UnknownName
 from armlab.state import Command, State

@@ -13,7 +13,6 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
 
-from armlab.bridge.servers.ros import store
 from armlab.bridge.servers.ros.dds import (
     DataReader,
     DataWriter,
@@ -24,6 +23,7 @@ from armlab.bridge.servers.ros.dds import (
     carrier,
     topic_name,
 )
+from armlab.bridge.servers.ros.topics import store
 
 PATIENCE = 20.0  # s; only a test that fails waits so long
 RELIABLE = Qos(Policy.Reliability.Reliable(0), Policy.History.KeepLast(10))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armlab import kinematics, robots
-from armlab.bridge.servers.ros.mapping import Arm, header
+from armlab.bridge.servers.ros.topics import Arm, header
 from armlab.bridge.servers.row import RowSchema, RowWriter, places
 from armlab.log import Tick
 from armlab.state import State

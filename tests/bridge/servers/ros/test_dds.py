@@ -16,11 +16,12 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
+from armlab.bridge.servers.ros.message_template import cdr
 
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.servers.hub import Exchange
-from armlab.bridge.servers.ros import Commands, Published, Topics, dds, store
+from armlab.bridge.servers.hub import Hub
+from armlab.bridge.servers.ros import dds
 from armlab.bridge.servers.ros.dds import (
     DataReader,
     DdsServer,
@@ -34,8 +35,8 @@ from armlab.bridge.servers.ros.dds import (
     tie_to_loopback,
     topic_name,
 )
-from armlab.bridge.servers.ros.message_template import cdr
-from armlab.bridge.servers.ros.types import type_name
+from armlab.bridge.servers.ros.requests import Commands
+from armlab.bridge.servers.ros.topics import Topic, Topics, store, type_name
 from armlab.bridge.servers.row import RowSchema
 from armlab.errors import LinkError
 from armlab.log import Tick
@@ -57,7 +58,7 @@ class Running:
 
     def __init__(self, rights: Literal["anyone", "commander"] = "anyone", **options: Any) -> None:
         declared = Parameters([Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights=rights)])
-        self.exchange = Exchange([ARM], ["ros2"], declared, ["ros2"], about={"cell": "yumi"}, **options)
+        self.exchange = Hub([ARM], ["ros2"], declared, ["ros2"], about={"cell": "yumi"}, **options)
         self.feed = self.exchange.open("ros2")
         domain = free_domain()
         self.server = DdsServer(self.feed, {"domain": domain, "host": "127.0.0.1"})
@@ -274,7 +275,7 @@ def test_a_server_that_listens_beyond_this_computer_is_for_reading() -> None:
 
 
 def test_a_loop_that_has_gone_ends_the_process() -> None:
-    exchange = Exchange([ARM], ["ros2"], about={"cell": "yumi"})
+    exchange = Hub([ARM], ["ros2"], about={"cell": "yumi"})
     feed = exchange.open("ros2")
     feed.recv(2**17)
     exchange.close()
@@ -298,7 +299,7 @@ def node() -> Iterator[Node]:
 
 
 def test_a_topic_is_wanted_while_it_has_a_reader(node: Node) -> None:
-    topics = {name: Published(name, STRING) for name in ("/a", "/b")}
+    topics = {name: Topic(name, STRING) for name in ("/a", "/b")}
     writers = Writers(node.participant, topics)
     assert writers.wanted == frozenset()
     readers = [node.reader("/b", STRING), node.reader("/b", STRING)]
@@ -319,7 +320,7 @@ def test_a_topic_is_wanted_while_it_has_a_reader(node: Node) -> None:
 
 
 def test_of_what_a_reader_has_not_read_the_last_ten_are_kept(node: Node) -> None:
-    topic = Published("/a", STRING)
+    topic = Topic("/a", STRING)
     writers = Writers(node.participant, {"/a": topic})
     reader = node.reader("/a", STRING)
     for k in range(500):

@@ -21,7 +21,7 @@ import pytest
 
 from armlab import kinematics, robots
 from armlab.bridge.cell import parse_cell
-from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.supervisor import Servers, server_command
 from armlab.log import Tick
 from armlab.state import Command, State
@@ -104,7 +104,7 @@ class Stream:
 
     def __init__(self) -> None:
         self.domain = free_domain()
-        self.exchange = Exchange([ARM], ["ros2"], allowed=["ros2"], about={"cell": "yumi"})
+        self.exchange = Hub([ARM], ["ros2"], allowed=["ros2"], about={"cell": "yumi"})
         options = {"domain": self.domain, "host": "127.0.0.1"}
         self.servers = Servers(self.exchange, {"ros2": server_command("ros2", options)})
         self.sent: dict[int, dict[str, np.ndarray]] = {}

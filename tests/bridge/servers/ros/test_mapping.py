@@ -7,11 +7,10 @@ import struct
 
 import numpy as np
 import pytest
+from armlab.bridge.servers.ros.message_template import Encode, cdr, plan
 
 from armlab import robots
-from armlab.bridge.servers.ros import store
-from armlab.bridge.servers.ros.mapping import FORMS, Arm, Columns, Form, Kind, diagnostics
-from armlab.bridge.servers.ros.message_template import Encode, cdr, plan
+from armlab.bridge.servers.ros.topics import FORMS, Arm, Columns, Form, Kind, diagnostics, store
 from armlab.bridge.servers.row import RowSchema, RowWriter, places
 from armlab.log import Tick
 from armlab.state import Command, State

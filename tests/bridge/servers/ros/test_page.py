@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from armlab import robots
-from armlab.bridge.servers.ros import Commands, Topics
+from armlab.bridge.servers.ros.requests import Commands
+from armlab.bridge.servers.ros.topics import Topics
 from armlab.bridge.servers.row import RowSchema
 
 from .test_containers import JOB, ROOT

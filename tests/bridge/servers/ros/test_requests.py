@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from armlab import robots
 from armlab.bridge.servers.messages import CommandRequest, SetRequest, Stop
-from armlab.bridge.servers.ros import Commands
+from armlab.bridge.servers.ros.requests import Commands
 from armlab.errors import CommandRefused
 
 ARMS = {name: robots.load(name) for name in ("yumi_right", "yumi_left")}

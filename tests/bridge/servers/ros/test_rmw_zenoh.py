@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.servers.hub import Exchange
-from armlab.bridge.servers.ros import store
+from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.ros.rmw_zenoh import ANY, Distribution, Names, Nodes, Origin, RmwZenohServer, Writer, serve
-from armlab.bridge.servers.zenoh import Place, close_session
+from armlab.bridge.servers.ros.topics import store
+from armlab.bridge.servers.zenoh.session import Address, close_session
 from armlab.errors import ConfigError, LinkError, MissingExtra
 from armlab.log import Tick
 from armlab.state import Command, State
@@ -42,7 +42,7 @@ class Running:
     def __init__(self) -> None:
         declared = Parameters([Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone")])
         about = {"cell": "yumi", "commands": ["rmw_zenoh"]}
-        self.exchange = Exchange([ARM], ["rmw_zenoh"], declared, ["rmw_zenoh"], about=about)
+        self.exchange = Hub([ARM], ["rmw_zenoh"], declared, ["rmw_zenoh"], about=about)
         self.feed, port = self.exchange.open("rmw_zenoh"), free_port()
         options = {"domain": 0, "host": "127.0.0.1", "port": port, "router": "", "distribution": "jazzy"}
         self.server = RmwZenohServer(self.feed, options)
@@ -50,7 +50,7 @@ class Running:
         self.thread.start()
         self.ticks = 0
         until(lambda: self.exchange.poll() or self.exchange.outlets["rmw_zenoh"].where)
-        self.node = Place("127.0.0.1", port).open()
+        self.node = Address("127.0.0.1", port).open()
         self.names = Names(0, str(self.node.zid()), node="theirs")
         self.sent = 0
 
@@ -281,7 +281,7 @@ def test_parameters_and_stop(running: Running) -> None:
 def test_it_ends_with_the_loop_and_refuses_commands_from_elsewhere() -> None:
     about = {"cell": "yumi", "commands": ["rmw_zenoh"]}
     options = {"domain": 0, "host": "127.0.0.1", "port": free_port(), "router": "192.168.1.9:7447"}
-    exchange = Exchange([ARM], ["rmw_zenoh"], about=about)
+    exchange = Hub([ARM], ["rmw_zenoh"], about=about)
     with exchange.open("rmw_zenoh") as feed, pytest.raises(ConfigError, match="through a router elsewhere"):
         serve(feed, {**options, "distribution": "jazzy"})
     gone = exchange.open("rmw_zenoh")

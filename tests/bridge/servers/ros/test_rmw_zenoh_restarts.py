@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.ros.rmw_zenoh import Names, Origin
 
 from ....processes import Started, free_port, until
@@ -18,7 +18,7 @@ pytest.importorskip("zenoh", reason="the extra net is not installed")
 pytest.importorskip("xxhash", reason="the extra net is not installed")
 
 from armlab.bridge.servers.ros.rmw_zenoh import RmwZenohServer
-from armlab.bridge.servers.zenoh import Place, close_session
+from armlab.bridge.servers.zenoh.session import Address, close_session
 from armlab.log import Tick
 from armlab.state import State
 
@@ -36,7 +36,7 @@ class Cell:
     """A loop with a row every 4 ms, the server, and a node that has no way to it but the router."""
 
     def __init__(self, router: int) -> None:
-        self.exchange = Exchange(
+        self.exchange = Hub(
             [ARM], ["rmw_zenoh"], None, ["rmw_zenoh"], about={"cell": "yumi", "commands": ["rmw_zenoh"]}
         )
         self.feed = self.exchange.open("rmw_zenoh")
@@ -44,7 +44,7 @@ class Cell:
         self.server = RmwZenohServer(self.feed, {"domain": 0, "distribution": "jazzy", **place})
         self.over = threading.Event()
         self.threads = [threading.Thread(target=one) for one in (self.server.run, self._loop, self._command)]
-        self.node = Place("127.0.0.1", router).open_behind()
+        self.node = Address("127.0.0.1", router).open_behind()
         self.names = Names(0, str(self.node.zid()), node="theirs")
         self.came: list[tuple[int, int, int]] = []  # of each message its number, its tick, and when it was written [ns]
         self.node.declare_subscriber(self.names.data("/yumi_left/joint_states", JOINTS), self._take)

@@ -17,7 +17,8 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.cell import parse_cell
-from armlab.bridge.servers.ros import Commands, Topics, store
+from armlab.bridge.servers.ros.requests import Commands
+from armlab.bridge.servers.ros.topics import Topics, store
 from armlab.bridge.servers.row import RowSchema
 
 from ..zenoh.conftest import free_port

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from armlab.bridge.servers.ros.message_template import cdr
 from hypothesis import given
 from hypothesis import strategies as st
 
 from armlab import kinematics, robots
-from armlab.bridge.servers.ros import Encoded, Published, Topics, store
-from armlab.bridge.servers.ros.message_template import cdr
+from armlab.bridge.servers.ros.topics import Encoded, Topic, Topics, store
 from armlab.bridge.servers.row import RowSchema, RowWriter
 from armlab.errors import LinkError
 from armlab.log import Tick
@@ -141,7 +141,7 @@ def test_only_what_is_read_is_made_and_everything_has_a_codec() -> None:
 
 def test_parameters_are_told_as_text() -> None:
     topics = Topics(ARMS, SCHEMA)
-    assert topics.published["/yumi_right/parameters"] == Published("/yumi_right/parameters", "std_msgs/msg/String")
+    assert topics.published["/yumi_right/parameters"] == Topic("/yumi_right/parameters", "std_msgs/msg/String")
     known = {"gain": {"value": 2.0}, "gentle": {"value": True}}
     told = list(topics.of_parameters(known, {"/yumi_right/parameters"}))
     assert [(topic.name, message.data) for topic, message in told] == [

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from armlab import robots
-from armlab.bridge.servers.ros import Commands, Topics, store
-from armlab.bridge.servers.ros.types import content, domain_number, type_name
+from armlab.bridge.servers.ros.requests import Commands
+from armlab.bridge.servers.ros.topics import Topics, content, domain_number, store, type_name
 from armlab.bridge.servers.row import RowSchema
 from armlab.errors import CommandRefused, ConfigError
 

@@ -23,7 +23,7 @@ from armlab import robots
 from armlab.bridge.cell import parse_cell, run_cell
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.net.sockets import pair
-from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.ros1.process import Ros1Process, serve
 from armlab.bridge.servers.supervisor import Servers, server_command
 from armlab.errors import LinkError
@@ -94,7 +94,7 @@ class Running:
     def __init__(self, stack: contextlib.ExitStack, uri: str, host: str = "127.0.0.1") -> None:
         self.robot = robots.load("yumi_right")
         parameters = Parameters([Parameter("gain", 0.5)])
-        self.exchange = Exchange([self.robot], ["ros1"], parameters, ["ros1"], about={"cell": "yumi"})
+        self.exchange = Hub([self.robot], ["ros1"], parameters, ["ros1"], about={"cell": "yumi"})
         self.told: list[str] = []
         self.exchange.begin(lambda text, *_: self.told.append(text))
         command = server_command("ros1", options(uri, host=host))
@@ -179,7 +179,7 @@ class Alone:
     """The server's object between an exchange and a node that the test plays."""
 
     def __init__(self, stack: contextlib.ExitStack) -> None:
-        self.exchange = Exchange(
+        self.exchange = Hub(
             [robots.load("yumi_right")], ["ros1"], Parameters([Parameter("gain", 0.5)]), about={"cell": "yumi"}
         )
         stack.callback(self.exchange.close)
@@ -252,7 +252,7 @@ def test_a_connection_without_room_is_ended_and_the_reason_told(
     alone: Alone, came: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """There are too many connections; or the process may have no more files, and none came with the message."""
-    monkeypatch.setattr("armlab.bridge.servers.ros1.subscribers._MOST", 0)
+    monkeypatch.setattr("armlab.bridge.servers.ros1.process._MOST", 0)
     ours, theirs = socket.socketpair()
     with ours, theirs:
         numbers = [ours.fileno()] if came else []
@@ -300,7 +300,7 @@ def test_a_relay_that_is_killed_ends_the_server_which_starts_again(ros: Ros, run
 
 
 def test_what_is_missing_is_told_in_one_sentence(tmp_path: Path) -> None:
-    exchange = Exchange([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
+    exchange = Hub([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
     with exchange.open("ros1") as feed, pytest.raises(LinkError, match="Expected a Python with rospy at /none"):
         serve(feed, options("http://127.0.0.1:1", "/none"))
     without = tmp_path / "python"
@@ -314,7 +314,7 @@ def test_what_is_missing_is_told_in_one_sentence(tmp_path: Path) -> None:
 def test_no_master_or_another_address_is_told_in_one_sentence() -> None:
     if subprocess.run([PYTHON, "-c", "import rospy"], capture_output=True, check=False).returncode:
         pytest.skip(f"rospy is not installed for {PYTHON} (Debian: python3-rospy)")
-    exchange = Exchange([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
+    exchange = Hub([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
     uri = f"http://127.0.0.1:{free_port()}"
     with exchange.open("ros1") as feed, pytest.raises(LinkError, match=f"master at {uri}.*Start roscore"):
         serve(feed, options(uri))

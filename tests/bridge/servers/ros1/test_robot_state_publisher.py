@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from armlab import cli, kinematics, robots
-from armlab.bridge.servers.ros.mapping import FORMS
+from armlab.bridge.servers.ros.topics import FORMS
 from armlab.lie import quaternion, se3
 from armlab.log import Recorder, Tick
 from armlab.state import State

@@ -9,11 +9,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from armlab.bridge.servers.ros import Published
-from armlab.bridge.servers.ros1.subscribers import Subscribers
+from armlab.bridge.servers.ros.topics import Topic
+from armlab.bridge.servers.ros1.process import Subscribers
 
-STATES = Published("/arm/joint_states", "sensor_msgs/msg/JointState")
-TEXTS = Published("/arm/parameters", "std_msgs/msg/String")
+STATES = Topic("/arm/joint_states", "sensor_msgs/msg/JointState")
+TEXTS = Topic("/arm/parameters", "std_msgs/msg/String")
 PATIENCE = 20.0  # s; only a test that fails waits so long
 
 
@@ -25,7 +25,7 @@ class Nodes:
         self.subscribers = Subscribers(self.looks)
         self.ends: list[socket.socket] = []
 
-    def node(self, topic: Published, *known: bytes) -> socket.socket:
+    def node(self, topic: Topic, *known: bytes) -> socket.socket:
         """Return the end of a node that reads a topic; the other end is ours, and rospy's as well."""
         with socket.create_server(("127.0.0.1", 0)) as server:
             theirs = socket.create_connection(server.getsockname())

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.bridge.servers.ros import store
-from armlab.bridge.servers.ros.mapping import header
-from armlab.bridge.servers.rosbridge.dialect import HEADER, TIME, Dialect, fields, flat, publish, read_type, type_name
+from armlab.bridge.servers.ros.topics import header, store
+from armlab.bridge.servers.rosbridge.protocol import HEADER, TIME, Dialect, fields, flat, publish, read_type, type_name
 from armlab.errors import CommandRefused
 
 TYPES = store().types

@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab.bridge.servers.messages import CommandRequest, Leave, SetRequest, Stop, read_request
-from armlab.bridge.servers.rosbridge import Engine
-from armlab.bridge.servers.rosbridge.operations import (
+from armlab.bridge.servers.rosbridge.engine import Engine
+from armlab.bridge.servers.rosbridge.protocol import (
     LARGEST,
     Advertise,
     CallService,

@@ -24,7 +24,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.rosbridge.server import Access, RosbridgeServer, _head, read_access, serve
 from armlab.bridge.servers.supervisor import Servers, server_command
 from armlab.errors import ConfigError, LinkError
@@ -47,7 +47,7 @@ class Running:
     def __init__(self, stack: contextlib.ExitStack, **options: Any) -> None:
         self.robot = robots.load("yumi_right")
         parameters = Parameters([Parameter("gain", 0.5, minimum=0.0, maximum=1.0)])
-        self.exchange = Exchange([self.robot], ["rosbridge"], parameters, ["rosbridge"], about={"cell": "yumi"})
+        self.exchange = Hub([self.robot], ["rosbridge"], parameters, ["rosbridge"], about={"cell": "yumi"})
         command = server_command("rosbridge", {**OPTIONS, **options})
         self.stack = stack
         (self.where,) = stack.enter_context(Servers(self.exchange, {"rosbridge": command})).ready(PATIENCE)
@@ -281,7 +281,7 @@ def test_a_token_over_tls(start: Callable[..., Running], tmp_path: Path) -> None
 
 
 def test_a_loop_that_has_gone_ends_it_and_no_port_stays_open() -> None:
-    exchange = Exchange([robots.load("yumi_right")], ["rosbridge"], about={"cell": "yumi"})
+    exchange = Hub([robots.load("yumi_right")], ["rosbridge"], about={"cell": "yumi"})
     with exchange.open("rosbridge") as feed:
         feed.recv(2**17)
         exchange.close()

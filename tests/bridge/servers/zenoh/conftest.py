@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.servers.hub import Exchange
-from armlab.bridge.servers.zenoh import Place, close_session
+from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.zenoh.process import ZenohProcess
+from armlab.bridge.servers.zenoh.session import Address, close_session
 from armlab.log import Tick
 from armlab.robots import Robot
 from armlab.state import State
@@ -76,7 +76,7 @@ class Running:
 
     def __init__(self, robot: Robot, port: int, **options: Any) -> None:
         declared = [Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone"), Parameter("n", 2, "int")]
-        self.robot, self.exchange = robot, Exchange([robot], ["zenoh"], Parameters(declared), ["zenoh"], about=ABOUT)
+        self.robot, self.exchange = robot, Hub([robot], ["zenoh"], Parameters(declared), ["zenoh"], about=ABOUT)
         self.options = {"lab": "lab1", "host": "127.0.0.1", "port": port, **options}
         self.feed = self.exchange.open("zenoh")
         self.process = ZenohProcess(self.feed, self.options)
@@ -139,7 +139,7 @@ def session() -> Iterator[Callable[..., Any]]:
     made: list[Any] = []
 
     def begin(port: int, **options: str) -> Any:
-        made.append(Place.of("127.0.0.1", port, options).open())
+        made.append(Address.of("127.0.0.1", port, options).open())
         return made[-1]
 
     yield begin

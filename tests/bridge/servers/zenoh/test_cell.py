@@ -14,7 +14,8 @@ import pytest
 
 from armlab.bridge.cell import parse_cell
 from armlab.bridge.servers.row import RowSchema, read_row
-from armlab.bridge.servers.zenoh import Attached, Place, close_session, key, queried
+from armlab.bridge.servers.zenoh.keys import Attached, key
+from armlab.bridge.servers.zenoh.session import Address, close_session, queried
 
 from ..ros.ending import play
 from .conftest import PATIENCE, free_port, until
@@ -33,7 +34,7 @@ class Client:
     """Rows of the arm as they come, and commands to it."""
 
     def __init__(self, port: int, sender: bytes) -> None:
-        self.session, self.sender, self.seq = Place("127.0.0.1", port).open(), sender, 0
+        self.session, self.sender, self.seq = Address("127.0.0.1", port).open(), sender, 0
         ((_, text),) = queried(self.session, key("lab", "yumi_left", "schema"), PATIENCE)
         self.schema, self.rows, self.answers = RowSchema.read(text), [], []
         for name, found in (("live", self.rows), ("answer/*", self.answers)):
@@ -84,8 +85,9 @@ def test_a_client_moves_the_arm_and_another_may_only_read(tmp_path: Path, monkey
 
 STOPPED = """
 import sys, time
-from armlab.bridge.servers.zenoh import Place, key
-session = Place("127.0.0.1", int(sys.argv[1])).open()
+from armlab.bridge.servers.zenoh.session import Address
+from armlab.bridge.servers.zenoh.keys import key
+session = Address("127.0.0.1", int(sys.argv[1])).open()
 session.declare_subscriber(key("lab", "yumi_left", "*"), lambda sample: print("row", flush=True))
 time.sleep(600)
 """

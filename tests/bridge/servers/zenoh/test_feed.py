@@ -12,8 +12,11 @@ import pytest
 from armlab import robots
 from armlab.bridge.servers.messages import CommandRequest, SetRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Row
-from armlab.bridge.servers.watch import Watch
-from armlab.bridge.servers.zenoh import Place, ZenohFeed, checksum, close_session, key, robots_at
+from armlab.bridge.servers.status import Watch
+from armlab.bridge.servers.zenoh.feed import ZenohFeed, robots_at
+from armlab.bridge.servers.zenoh.keys import key
+from armlab.bridge.servers.zenoh.rows import checksum
+from armlab.bridge.servers.zenoh.session import Address, close_session
 from armlab.errors import ConfigError, LinkError
 from armlab.robots import Robot
 
@@ -191,7 +194,7 @@ def test_nothing_to_view(start: Start, robot: Robot) -> None:
     with pytest.raises(LinkError, match="Expected a robot in the lab 'lab2'"):
         ZenohFeed(f"zenoh://127.0.0.1:{port}/lab2")
     start(port, robot=robots.load("yumi_left"))
-    session = Place("127.0.0.1", port).open()
+    session = Address("127.0.0.1", port).open()
     until(lambda: robots_at(session) == [("lab1", "yumi_left"), ("lab1", robot.name)])
     assert robots_at(session, "lab2") == []
     close_session(session)

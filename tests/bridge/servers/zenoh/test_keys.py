@@ -15,12 +15,18 @@ from armlab import robots
 from armlab.bridge.servers.messages import text_message
 from armlab.bridge.servers.row import RowField, RowSchema
 from armlab.bridge.servers.status import Status
-from armlab.bridge.servers.zenoh.address import LAB, PORT, Place
 from armlab.bridge.servers.zenoh.keys import COMMANDS, EVERY, Attached, key, robot_of
 from armlab.bridge.servers.zenoh.messages import About, read_about, read_message
-from armlab.bridge.servers.zenoh.publisher import Output, Waiting
 from armlab.bridge.servers.zenoh.security import Security
-from armlab.bridge.servers.zenoh.session import close_session, open_session
+from armlab.bridge.servers.zenoh.session import (
+    LAB,
+    PORT,
+    Address,
+    BlockingPublisher,
+    Publisher,
+    close_session,
+    open_session,
+)
 from armlab.errors import ArmlabError, CommandRefused, ConfigError, LinkError
 from armlab.robots import to_toml
 
@@ -58,25 +64,25 @@ def test_no_attachment() -> None:
 
 def test_urls(tmp_path: Path) -> None:
     (tmp_path / "lab.pem").write_text("")
-    assert Place.read("zenoh://host") == Place("host", PORT, LAB)
-    assert Place.read("zenoh://host:1/a") == Place("host", 1, "a", Security())
-    assert Place.read(f"zenoh://host/a?ca={tmp_path}/lab.pem").security == Security(ca=tmp_path / "lab.pem")
+    assert Address.read("zenoh://host") == Address("host", PORT, LAB)
+    assert Address.read("zenoh://host:1/a") == Address("host", 1, "a", Security())
+    assert Address.read(f"zenoh://host/a?ca={tmp_path}/lab.pem").security == Security(ca=tmp_path / "lab.pem")
     for url in ("http://host", "zenoh://", "zenoh://host/a/b", "zenoh://host/*", "zenoh://host:x", "zenoh"):
         with pytest.raises(ConfigError, match="Expected a place like"):
-            Place.read(url)
+            Address.read(url)
     with pytest.raises(ConfigError, match="Invalid IPv6"):
-        Place.read("zenoh://[::1/a")
+        Address.read("zenoh://[::1/a")
     with pytest.raises(ConfigError, match="only ca and secret"):
-        Place.read("zenoh://host?seed=1")
+        Address.read("zenoh://host?seed=1")
     with pytest.raises(ConfigError, match="there is none"):
-        Place.read(f"zenoh://host?secret={tmp_path}/none")
+        Address.read(f"zenoh://host?secret={tmp_path}/none")
 
 
 def test_nobody_there() -> None:
     with pytest.raises(LinkError, match="See whether it runs"):
-        Place("127.0.0.1", free_port()).open(0.3)
+        Address("127.0.0.1", free_port()).open(0.3)
     with pytest.raises(LinkError, match="Expected a Zenoh router"):
-        Place(port=free_port()).open_behind(0.2)
+        Address(port=free_port()).open_behind(0.2)
 
 
 ARM = robots.load("ur5e")
@@ -148,7 +154,7 @@ def test_nothing_is_sent_to_nobody_and_a_waiting_output_counts_what_found_no_roo
     router = open_session("router", [f"127.0.0.1:{port}"])
     reader = open_session("peer", ["127.0.0.1:0"], [f"127.0.0.1:{port}"])
     seen: list[int] = []
-    outputs = [Output(router, "a", lambda: seen.append(len(seen))), Waiting(router, "b")]
+    outputs = [Publisher(router, "a", lambda: seen.append(len(seen))), BlockingPublisher(router, "b")]
     for one in outputs:
         one.put(b"nobody")
         assert (one.wanted, one.sent, one.dropped) == (False, 0, 0)
@@ -164,7 +170,7 @@ def test_nothing_is_sent_to_nobody_and_a_waiting_output_counts_what_found_no_roo
         one.undeclare()
     until(lambda: not any(one.wanted for one in outputs) and seen == [0, 1])
     waiting = outputs[1]
-    assert isinstance(waiting, Waiting)
+    assert isinstance(waiting, BlockingPublisher)
     waiting.close()
     waiting.wanted = True
     for _ in range(2501):

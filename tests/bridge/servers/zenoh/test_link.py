@@ -13,9 +13,10 @@ import pytest
 
 from armlab import bridge, robots
 from armlab.bridge.servers.row import RowSchema, beginning
-from armlab.bridge.servers.zenoh import checksum, key
-from armlab.bridge.servers.zenoh.address import Place
-from armlab.bridge.servers.zenoh.link import FarCodec, FarPort, far_end
+from armlab.bridge.servers.zenoh.keys import key
+from armlab.bridge.servers.zenoh.link import ZenohCodec, ZenohPort, far_end
+from armlab.bridge.servers.zenoh.rows import checksum
+from armlab.bridge.servers.zenoh.session import Address
 from armlab.errors import ConfigError, LinkError, UnknownName
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -77,8 +78,8 @@ def test_a_controller_moves_an_arm_over_zenoh(start: Start, robot: Robot) -> Non
 def test_the_port_gives_rows_as_packets_also_after_a_restart(start: Start, robot: Robot) -> None:
     number = free_port()
     one = start(number)
-    port = FarPort(robot, Place("127.0.0.1", number, "lab1"))
-    codec: Codec = FarCodec(robot, port.schema)
+    port = ZenohPort(robot, Address("127.0.0.1", number, "lab1"))
+    codec: Codec = ZenohCodec(robot, port.schema)
     codec.reset()
     assert codec.capabilities == {"position", "velocity"}
     assert packet(one, port, codec).seqno == 0
@@ -105,7 +106,7 @@ def test_the_port_gives_rows_as_packets_also_after_a_restart(start: Start, robot
     assert port.errors == 1
 
 
-def packet(one: Running, port: FarPort, codec: Codec) -> Packet:
+def packet(one: Running, port: ZenohPort, codec: Codec) -> Packet:
     arrivals: list[Any] = []
 
     def came() -> bool:
@@ -124,8 +125,8 @@ def packet(one: Running, port: FarPort, codec: Codec) -> Packet:
 
 def test_a_damaged_row_is_dropped_and_counted_as_such(start: Start, robot: Robot) -> None:
     one = start()
-    port = FarPort(robot, Place("127.0.0.1", one.options["port"], "lab1"))
-    codec = FarCodec(robot, port.schema)
+    port = ZenohPort(robot, Address("127.0.0.1", one.options["port"], "lab1"))
+    codec = ZenohCodec(robot, port.schema)
     session, whole = one.process._session, bytes(port.schema.size)
     where, got = key("lab1", robot.name, "live"), list[Any]()
 
@@ -143,20 +144,20 @@ def test_a_damaged_row_is_dropped_and_counted_as_such(start: Start, robot: Robot
 
 def test_what_is_no_row_is_dropped(robot: Robot, start: Start) -> None:
     one = start()
-    codec = FarCodec(robot, one.exchange.schema)
+    codec = ZenohCodec(robot, one.exchange.schema)
     assert isinstance(codec.decode(b"short"), Drop)
     with pytest.raises(UnknownName, match="robot of the bridge"):
-        FarCodec(robots.load("yumi_left"), one.exchange.schema)
+        ZenohCodec(robots.load("yumi_left"), one.exchange.schema)
     other = RowSchema.read(RowSchema.of([robots.load("irb2400")]).text.replace(b"irb2400", b"yumi_right"))
     with pytest.raises(
         LinkError, match=r"Expected rows with yumi_right.q, float64 of shape \(7,\), got float64 of shape \(6,\)"
     ):
-        FarCodec(robot, other)
+        ZenohCodec(robot, other)
 
 
 def test_a_time_beyond_all_clocks_is_dropped(robot: Robot) -> None:
     schema = RowSchema.of([robot])
-    codec, data = FarCodec(robot, schema), bytearray(beginning(schema) + bytes(schema.size - 16))
+    codec, data = ZenohCodec(robot, schema), bytearray(beginning(schema) + bytes(schema.size - 16))
     for time, wanted in ((1.5, None), (1.7e308, "not finite"), (np.nan, "not finite")):
         struct.pack_into("<d", data, schema.fields[f"{robot.name}.session_t"].offset, time)
         assert getattr(codec.decode(bytes(data)), "reason", None) == wanted
@@ -164,7 +165,7 @@ def test_a_time_beyond_all_clocks_is_dropped(robot: Robot) -> None:
 
 def test_a_row_that_is_too_short_is_handed_over_and_not_counted(start: Start, robot: Robot) -> None:
     one = start()
-    port = FarPort(robot, Place("127.0.0.1", one.options["port"], "lab1"))
+    port = ZenohPort(robot, Address("127.0.0.1", one.options["port"], "lab1"))
     short = beginning(port.schema)
     port._take(SimpleNamespace(payload=Bytes(short), attachment=Bytes(checksum(short))))
     arrival = port.receive()

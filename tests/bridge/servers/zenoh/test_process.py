@@ -13,11 +13,13 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.row import RowSchema, read_row
 from armlab.bridge.servers.supervisor import Servers, server_command
-from armlab.bridge.servers.zenoh import Attached, key, queried, robots_at
+from armlab.bridge.servers.zenoh.feed import robots_at
+from armlab.bridge.servers.zenoh.keys import Attached, key
 from armlab.bridge.servers.zenoh.process import ZenohProcess, serve
+from armlab.bridge.servers.zenoh.session import queried
 from armlab.errors import LinkError
 from armlab.robots import Robot
 
@@ -181,7 +183,7 @@ def test_a_port_that_something_else_holds(robot: Robot) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        exchange = Exchange([robot], ["zenoh"])
+        exchange = Hub([robot], ["zenoh"])
         options = {"lab": "lab", "host": "127.0.0.1", "port": taken.getsockname()[1]}
         with (
             pytest.raises(LinkError, match="something else holds it"),
@@ -192,7 +194,7 @@ def test_a_port_that_something_else_holds(robot: Robot) -> None:
 
 def test_it_is_one_of_the_bridge_s_servers(robot: Robot) -> None:
     """As a process, which ends with the loop."""
-    exchange = Exchange([robot], ["zenoh"])
+    exchange = Hub([robot], ["zenoh"])
     port = free_port()
     options = {"lab": "lab", "host": "127.0.0.1", "port": port}
     with Servers(exchange, {"zenoh": server_command("zenoh", options)}) as servers:
@@ -204,7 +206,7 @@ def test_it_is_one_of_the_bridge_s_servers(robot: Robot) -> None:
 
 
 def test_a_loop_that_has_gone_ends_it(robot: Robot) -> None:
-    exchange = Exchange([robot], ["zenoh"])
+    exchange = Hub([robot], ["zenoh"])
     feed = exchange.open("zenoh")
     feed.recv(2**17)
     exchange.close()

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from armlab import robots
 from armlab.bridge.servers.row import LARGEST, RowSchema, RowWriter
-from armlab.bridge.servers.zenoh import Gaps, checksum, undamaged
-from armlab.bridge.servers.zenoh.rows import Inbox
+from armlab.bridge.servers.zenoh.rows import Gaps, Inbox, checksum, undamaged
 from armlab.log import Tick
 from armlab.state import State
 

@@ -12,11 +12,12 @@ import pytest
 
 from armlab.bridge.cell import parse_cell
 from armlab.bridge.listen import listening
-from armlab.bridge.servers.hub import Exchange
-from armlab.bridge.servers.zenoh import Attached, Place, Security, close_session, key, queried, robots_at
+from armlab.bridge.servers.hub import Hub
+from armlab.bridge.servers.zenoh.feed import robots_at
+from armlab.bridge.servers.zenoh.keys import Attached, key
 from armlab.bridge.servers.zenoh.process import ZenohProcess
-from armlab.bridge.servers.zenoh.security import BRIDGE, COMMANDER
-from armlab.bridge.servers.zenoh.session import open_near, wait_for_router
+from armlab.bridge.servers.zenoh.security import BRIDGE, COMMANDER, Security
+from armlab.bridge.servers.zenoh.session import Address, close_session, open_near, queried, wait_for_router
 from armlab.cli.bridge import write_certificates
 from armlab.errors import ConfigError, LinkError
 from armlab.robots import Robot
@@ -97,7 +98,7 @@ def test_who_is_not_let_in(start: Start, lab: Path, tmp_path: Path, robot: Robot
         {**right, "ca": ""},
     ):
         with pytest.raises(LinkError, match="none let us in"):
-            Place.of("127.0.0.1", one.options["port"], options).open(0.7)
+            Address.of("127.0.0.1", one.options["port"], options).open(0.7)
     one.row()
     assert not one.exchange.arbiter.refused
     assert not one.exchange.arbiter.obeyed[robot.name]
@@ -139,7 +140,7 @@ def test_commands_beyond_this_computer_need_both(lab: Path) -> None:
 
 
 def test_commands_through_a_router_elsewhere_need_both(robot: Robot) -> None:
-    exchange = Exchange([robot], ["zenoh"], about={"commands": ["zenoh"]})
+    exchange = Hub([robot], ["zenoh"], about={"commands": ["zenoh"]})
     options = {"lab": "lab", "host": "127.0.0.1", "port": free_port(), "router": "192.168.1.9:7447"}
     with (
         exchange.open("zenoh") as feed,
@@ -159,7 +160,7 @@ def test_a_bridge_comes_to_a_router_with_passwords(lab: Path) -> None:
     assert wait_for_router(reading, 20.0)
     commanded, where = open_near("127.0.0.1", own, place, Security.of({**files, **secret}), commands=True)
     assert where == f"tls/127.0.0.1:{own} (zenoh, through the router at {place})"
-    commander = Place.of("127.0.0.1", own, user(lab, "commander")).open(20.0)
+    commander = Address.of("127.0.0.1", own, user(lab, "commander")).open(20.0)
     for session in (commander, commanded, reading, router):
         close_session(session)
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from armlab.bridge.servers.zenoh import Asking
 from armlab.bridge.servers.zenoh.session import (
+    Discovery,
     close_session,
     data_of,
     open_near,
@@ -25,7 +25,7 @@ from armlab.errors import ConfigError, LinkError, MissingExtra
 from .conftest import free_port, until
 
 FORGOTTEN = """
-from armlab.bridge.servers.zenoh import open_session
+from armlab.bridge.servers.zenoh.session import open_session
 session = open_session("peer", ["127.0.0.1:0"])
 session.declare_subscriber("a", print)
 {last}
@@ -167,7 +167,7 @@ def test_the_answer_comes_and_a_question_is_not_repeated_at_once(session: Callab
 
     answering = router.declare_queryable("armlab/lab1/*/about", answer)
     told: list[tuple[str, str, bytes]] = []
-    asking = Asking(session(port), lambda *words: told.append(words))
+    asking = Discovery(session(port), lambda *words: told.append(words))
     until(lambda: asking.ask("lab1", "arm") or told)  # it does not know at once of who can answer
     assert told[0] == ("lab1", "arm", b"here")
     before = len(asked)

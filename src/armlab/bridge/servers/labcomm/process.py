@@ -24,7 +24,7 @@ from armlab.bridge.servers.labcomm.channels import (
     Value,
 )
 from armlab.bridge.servers.labcomm.rows import Order, Row
-from armlab.bridge.servers.labcomm.selector_server import Ports
+from armlab.bridge.servers.labcomm.server import Ports
 from armlab.bridge.servers.messages import CommandRequest, Leave, Listening, Report, SetRequest, Stop
 from armlab.bridge.servers.row import RowField, RowSchema, clock_ms, read_head
 from armlab.bridge.servers.server_end import LoopEnd

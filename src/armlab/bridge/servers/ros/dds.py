@@ -17,8 +17,7 @@ from rosbags.interfaces import Nodetype
 
 from armlab.bridge.servers.messages import Listening
 from armlab.bridge.servers.ros.server import RosServer
-from armlab.bridge.servers.ros.topics import Topic
-from armlab.bridge.servers.ros.types import domain_number, store, type_name
+from armlab.bridge.servers.ros.topics import Topic, domain_number, store, type_name
 from armlab.errors import LinkError, MissingExtra
 
 __all__ = [

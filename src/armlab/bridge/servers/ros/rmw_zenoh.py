@@ -13,10 +13,8 @@ from typing import Any, Literal, NamedTuple
 from armlab.bridge.net.sockets import is_here
 from armlab.bridge.servers.messages import Listening
 from armlab.bridge.servers.ros.server import RosServer
-from armlab.bridge.servers.ros.topics import Topic
-from armlab.bridge.servers.ros.types import domain_number, store, type_name
-from armlab.bridge.servers.zenoh.publisher import Output
-from armlab.bridge.servers.zenoh.session import close_session, data_of, open_near, zenoh
+from armlab.bridge.servers.ros.topics import Topic, domain_number, store, type_name
+from armlab.bridge.servers.zenoh.session import Publisher, close_session, data_of, open_near, zenoh
 from armlab.errors import ConfigError, MissingExtra
 
 __all__ = ["ANY", "Distribution", "Names", "Nodes", "Origin", "RmwZenohServer", "Writer", "serve"]
@@ -179,7 +177,7 @@ class RmwZenohServer(RosServer):
     """
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
-        self._outputs: dict[str, Output] = {}
+        self._outputs: dict[str, Publisher] = {}
         self._writers: dict[str, Writer] = {}
         self._wanted: frozenset[str] = frozenset()
         self._read_until: dict[str, float] = {}
@@ -232,7 +230,7 @@ class RmwZenohServer(RosServer):
         for number, one in enumerate(self._topics.published.values(), 1):
             token = names.writer(number, one.name, one.type)
             self._writers[one.name] = Writer(token)
-            self._outputs[one.name] = Output(session, names.data(one.name, one.type), self._read)
+            self._outputs[one.name] = Publisher(session, names.data(one.name, one.type), self._read)
             tokens.append(token)
         self._read()
         lives = session.liveliness()

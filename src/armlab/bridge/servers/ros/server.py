@@ -8,8 +8,7 @@ from collections.abc import Callable
 
 from armlab.bridge.servers.messages import Leave, Report
 from armlab.bridge.servers.ros.requests import Commands
-from armlab.bridge.servers.ros.topics import Messages, Topic, Topics
-from armlab.bridge.servers.ros.types import content, store
+from armlab.bridge.servers.ros.topics import Messages, Topic, Topics, content, store
 from armlab.bridge.servers.server_end import Clients, LoopEnd
 from armlab.errors import CommandRefused
 

@@ -12,10 +12,10 @@ import msgspec
 from armlab.bridge.servers.messages import CommandRequest, Leave, Report, Request, SetRequest
 from armlab.bridge.servers.ros.requests import Commands
 from armlab.bridge.servers.ros.topics import Messages, Topic, Topics
-from armlab.bridge.servers.rosbridge.dialect import Dialect, fields, publish, read_type, type_name
-from armlab.bridge.servers.rosbridge.operations import (
+from armlab.bridge.servers.rosbridge.protocol import (
     Advertise,
     CallService,
+    Dialect,
     Operation,
     Publish,
     ServiceResponse,
@@ -24,9 +24,13 @@ from armlab.bridge.servers.rosbridge.operations import (
     Subscribe,
     Unadvertise,
     Unsubscribe,
+    fields,
     full_name,
     id_of,
+    publish,
     read_operation,
+    read_type,
+    type_name,
 )
 from armlab.bridge.servers.rosbridge.rosapi import SET_PARAM, Rosapi, parameter_name
 from armlab.bridge.servers.rosbridge.session import Session, Setting, Subscription

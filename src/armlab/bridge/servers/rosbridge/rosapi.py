@@ -7,9 +7,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from armlab.bridge.servers.ros.types import store
-from armlab.bridge.servers.rosbridge.dialect import HEADER, TIME, Dialect, fields, read_type, type_name
-from armlab.bridge.servers.rosbridge.operations import full_name
+from armlab.bridge.servers.ros.topics import store
+from armlab.bridge.servers.rosbridge.protocol import HEADER, TIME, Dialect, fields, full_name, read_type, type_name
 from armlab.errors import CommandRefused, UnknownName
 
 __all__ = ["SET_PARAM", "Rosapi", "parameter_name"]

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 from armlab.bridge.net.sockets import listening_socket
 from armlab.bridge.servers.messages import Listening
 from armlab.bridge.servers.rosbridge.engine import Engine
-from armlab.bridge.servers.rosbridge.operations import LARGEST
+from armlab.bridge.servers.rosbridge.protocol import LARGEST
 from armlab.bridge.servers.rosbridge.session import Session
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import ConfigError, MissingExtra

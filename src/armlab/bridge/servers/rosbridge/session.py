@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from armlab.bridge.servers.rosbridge.dialect import Dialect
-from armlab.bridge.servers.rosbridge.operations import Level, full_name
+from armlab.bridge.servers.rosbridge.protocol import Dialect, Level, full_name
 
 __all__ = ["Outbox", "Session", "Setting", "Subscription"]
 

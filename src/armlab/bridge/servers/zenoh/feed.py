@@ -9,11 +9,10 @@ from typing import Any
 
 from armlab.bridge.servers.messages import Request, SetRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Pace, Row, RowSchema, read_row
-from armlab.bridge.servers.zenoh.address import Place
 from armlab.bridge.servers.zenoh.keys import EVERY, key, robot_of
 from armlab.bridge.servers.zenoh.messages import About, read_about, read_message
 from armlab.bridge.servers.zenoh.rows import Gaps, Inbox, undamaged
-from armlab.bridge.servers.zenoh.session import Asking, close_session, zenoh
+from armlab.bridge.servers.zenoh.session import Address, Discovery, close_session, zenoh
 from armlab.errors import ArmlabError, ConfigError, LinkError
 
 __all__ = ["ZenohFeed", "robots_at"]
@@ -40,7 +39,7 @@ class ZenohFeed:
 
     Parameters
     ----------
-    url : see `Place.read`. robot : an arm of the cell; "" when one cell serves that lab. patience : s to wait, also
+    url : see `Address.read`. robot : an arm of the cell; "" when one cell serves that lab. patience : s to wait, also
         for a bridge that has gone to come again: it may be the way to it, and what comes again another run.
 
     Attributes
@@ -56,7 +55,7 @@ class ZenohFeed:
     """
 
     def __init__(self, url: str, robot: str = "", patience: float = 5.0) -> None:
-        self._place, self._patience = Place.read(url), patience
+        self._place, self._patience = Address.read(url), patience
         self._messages: Inbox[bytes | dict[str, Any]] = Inbox(_KEPT)
         self._next: bytes | dict[str, Any] | None = None
         self._rows: list[Any] = []
@@ -80,7 +79,7 @@ class ZenohFeed:
         self.cell = about.cell
         self._arm, self._run = arm, about.run
         self._take(*about.said)
-        self._asking = Asking(self._session, self._answered)
+        self._asking = Discovery(self._session, self._answered)
         declare, lab = self._session.declare_subscriber, self._place.lab
         self._texts = [declare(key(lab, arm, what), self._take_text) for what in ("events", "status", "parameters")]
         self._alive = self._session.liveliness().declare_subscriber(

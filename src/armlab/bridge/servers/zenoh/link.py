@@ -1,4 +1,4 @@
-"""`zenoh://host:7447/lab` as a link: `FarPort` and `FarCodec` let the loop run on another computer than the bridge.
+"""`zenoh://host:7447/lab` as a link: `ZenohPort` and `ZenohCodec` let the loop run on another computer than the bridge.
 
 The loop sees rows of the bridge as it sees packets of EGM; each is answered by one command.
 """
@@ -13,15 +13,14 @@ import numpy as np
 
 from armlab.bridge.net.sockets import Arrival, Port, pair
 from armlab.bridge.servers.row import RowSchema, clock_ms, read_row
-from armlab.bridge.servers.zenoh.address import Place
 from armlab.bridge.servers.zenoh.keys import Attached, key
 from armlab.bridge.servers.zenoh.rows import Gaps, undamaged
-from armlab.bridge.servers.zenoh.session import close_session, zenoh
+from armlab.bridge.servers.zenoh.session import Address, close_session, zenoh
 from armlab.errors import ArmlabError, LinkError, UnknownName
 from armlab.robots import Robot
 from armlab.wire.egm import Codec, Drop, Packet, Reference
 
-__all__ = ["FarCodec", "FarPort", "far_end"]
+__all__ = ["ZenohCodec", "ZenohPort", "far_end"]
 
 _LARGEST = 2**14
 _DAMAGED = b"damaged"  # in place of a row that was
@@ -35,11 +34,11 @@ def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tupl
     ConfigError : other options. UnknownName : the bridge has another arm.
     LinkError : nobody is there, or no bridge of that arm. MissingExtra : no Zenoh.
     """
-    end = FarPort(robot, Place.of(host, port, options))
-    return cast(Port, end), FarCodec(robot, end.schema)
+    end = ZenohPort(robot, Address.of(host, port, options))
+    return cast(Port, end), ZenohCodec(robot, end.schema)
 
 
-class FarPort:
+class ZenohPort:
     """Rows of an arm in place of datagrams; never blocks and never raises after construction.
 
     Zenoh connects again by itself. Rows come in a thread of Zenoh's, which hands them over by a socket.
@@ -49,7 +48,7 @@ class FarPort:
     LinkError, UnknownName, MissingExtra : see `far_end`.
     """
 
-    def __init__(self, robot: Robot, place: Place) -> None:
+    def __init__(self, robot: Robot, place: Address) -> None:
         self.host, self.port, self.errors = place.host, place.port, 0
         self._session = place.open()
         self._seq, self._sender = 0, secrets.token_bytes(16)
@@ -117,7 +116,7 @@ class FarPort:
             self.errors += 1
 
 
-class FarCodec:
+class ZenohCodec:
     """Rows as packets of the loop: see `wire.egm.Codec`.
 
     Raises

@@ -17,10 +17,9 @@ from armlab.bridge.servers.messages import CommandRequest, Listening, Report, Re
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.bridge.servers.status import Status
 from armlab.bridge.servers.zenoh.keys import COMMANDS, Attached, key
-from armlab.bridge.servers.zenoh.publisher import Output, Waiting
 from armlab.bridge.servers.zenoh.rows import checksum
 from armlab.bridge.servers.zenoh.security import Security
-from armlab.bridge.servers.zenoh.session import close_session, data_of, open_near
+from armlab.bridge.servers.zenoh.session import BlockingPublisher, Publisher, close_session, data_of, open_near
 from armlab.errors import CommandRefused
 
 __all__ = ["ZenohProcess", "serve"]
@@ -180,19 +179,21 @@ class _Arm:
     def __init__(self, loop: LoopEnd, name: str) -> None:
         self.name, self._schema = name, loop.schema
         self._fresh = loop.schema.fields[f"{name}.fresh"].offset
-        self.rows: dict[str, Output] = {}
-        self.texts: dict[str, Output] = {}
+        self.rows: dict[str, Publisher] = {}
+        self.texts: dict[str, Publisher] = {}
         self._status: Status | None = None
         self._due = {"view": 0, "status": 0}
 
     def open(self, session: Any, lab: str) -> None:
-        kinds = {"state": Waiting, "live": Output, "view": Output}
+        kinds = {"state": BlockingPublisher, "live": Publisher, "view": Publisher}
         self.rows = {what: kind(session, key(lab, self.name, what)) for what, kind in kinds.items()}
-        self.texts = {what: Output(session, key(lab, self.name, what)) for what in ("events", "status", "parameters")}
+        self.texts = {
+            what: Publisher(session, key(lab, self.name, what)) for what in ("events", "status", "parameters")
+        }
 
     def close(self) -> None:
         for one in self.rows.values():
-            if isinstance(one, Waiting):
+            if isinstance(one, BlockingPublisher):
                 one.close()
 
     def row(self, data: bytes) -> None:

@@ -1,21 +1,38 @@
-"""Zenoh sessions as armlab has them everywhere: no multicast, quick to connect again, and always closed."""
+"""Zenoh sessions without multicast, quick to connect again, always closed; addresses of labs, and publishers."""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import queue
 import socket
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
+from urllib.parse import parse_qsl
 
 from armlab.bridge.net.sockets import is_here
 from armlab.bridge.servers.zenoh.keys import key
 from armlab.bridge.servers.zenoh.security import Security
+from armlab.bridge.urls import split_url
 from armlab.errors import ConfigError, LinkError, MissingExtra
 
-__all__ = ["Asking", "close_session", "data_of", "open_near", "open_session", "queried", "wait_for_router", "zenoh"]
+__all__ = [
+    "Discovery",
+    "LAB",
+    "Publisher",
+    "PORT",
+    "Address",
+    "BlockingPublisher",
+    "close_session",
+    "data_of",
+    "open_near",
+    "open_session",
+    "queried",
+    "wait_for_router",
+    "zenoh",
+]
 
 _RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
 _OPENED = 1500  # ms for the other end to answer a connection
@@ -273,7 +290,7 @@ _PERIOD = 0.5  # s between two questions to a bridge
 _ANSWER = 2.0  # s for an answer
 
 
-class Asking:
+class Discovery:
     """Asks "about" of bridges, each at most twice a second.
 
     Parameters
@@ -303,3 +320,211 @@ class Asking:
 
         with contextlib.suppress(zenoh().ZError):  # the session is being closed
             self._session.get(key(lab, robot, "about"), take, timeout=_ANSWER)
+
+
+LAB = "lab"
+"""Name of a lab that was given none."""
+
+PORT = 7447
+"""Where Zenoh's routers listen."""
+
+_PATIENCE = 5.0  # s for the first connection
+_TRIED = 0.1  # s between two tries to reach a router
+_ANSWER = 2.0  # s for an answer
+_AGAIN = 0.1  # s until it is asked again: who has just connected does not know all of those who could answer
+_OPTIONS = ("ca", "secret")
+
+
+class Address(NamedTuple):
+    """Where a lab is found.
+
+    Attributes
+    ----------
+    host, port : of a bridge or of a router. lab : its name. security : certificates and passwords.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = PORT
+    lab: str = LAB
+    security: Security = Security()
+
+    @classmethod
+    def read(cls, url: str) -> Address:
+        """Return the place of a url.
+
+        Parameters
+        ----------
+        url : ``zenoh://HOST:PORT/LAB?ca=FILE&secret=FILE``; all but the host may be left out.
+
+        Raises
+        ------
+        ConfigError : another form, other options, or see `Security`.
+        """
+        parts = split_url(url)
+        try:
+            host, port = parts.hostname, parts.port
+        except ValueError:
+            host, port = None, None
+        lab = parts.path.strip("/")
+        if parts.scheme != "zenoh" or not host or "/" in lab or "*" in lab:
+            raise ConfigError(f"Expected a place like zenoh://192.168.1.5:7447/lab1, got {url!r}.")
+        options = dict(parse_qsl(parts.query, keep_blank_values=True))
+        return cls.of(host, PORT if port is None else port, {"lab": lab, **options})
+
+    @classmethod
+    def of(cls, host: str, port: int, options: dict[str, str]) -> Address:
+        """Return the place of a url that was taken apart.
+
+        Parameters
+        ----------
+        host, port : of a bridge or a router. options : "lab", "ca" and "secret", or some of them.
+
+        Raises
+        ------
+        ConfigError : other options, or see `Security`.
+        """
+        unknown = sorted(set(options) - {"lab", *_OPTIONS})
+        if unknown:
+            raise ConfigError(f"Expected only ca and secret as options of a zenoh link, got {', '.join(unknown)}.")
+        return cls(host, port, options.get("lab") or LAB, Security.of(options))
+
+    def open(self, patience: float = _PATIENCE) -> Any:
+        """Return a session there; see `session.close_session`.
+
+        Parameters
+        ----------
+        patience : s to wait for whoever is there.
+
+        Raises
+        ------
+        LinkError : nobody answers, or our certificate or password is not accepted. MissingExtra : no Zenoh.
+        """
+        where = f"{self.host}:{self.port}"
+        listen = ["127.0.0.1:0"] if self.security.ca is None and self.host.startswith("127.") else []
+        session = open_session("peer", listen, [where], self.security)
+        if not wait_for_router(session, patience):
+            close_session(session)
+            secrets = "its certificates and passwords fit" if self.security.ca or self.security.secret else "it runs"
+            raise LinkError(
+                f"Expected a bridge or a Zenoh router at {where} within {patience:g} s, but none let us in. "
+                f"See whether {secrets}."
+            )
+        return session
+
+    def open_behind(self, patience: float = _PATIENCE) -> Any:
+        """Return a session all of whose messages go through the router, however many robots there are.
+
+        Parameters
+        ----------
+        patience : s to wait for it.
+
+        Raises
+        ------
+        LinkError : nobody is there. MissingExtra : no Zenoh.
+        """
+        where, until = f"{self.host}:{self.port}", time.monotonic() + patience
+        while True:
+            try:
+                return open_session("client", [], [where], self.security)
+            except LinkError:
+                if time.monotonic() > until:
+                    raise LinkError(
+                        f"Expected a Zenoh router at {where} within {patience:g} s, but none let us in. Start it: "
+                        "armlab fleet router; or see whether certificates and password fit."
+                    ) from None
+                time.sleep(_TRIED)
+
+    def ask(self, session: Any, selector: str, patience: float = _ANSWER) -> bytes:
+        """Return the one answer to a query.
+
+        Parameters
+        ----------
+        session : of `open`. selector : key. patience : s to wait.
+
+        Raises
+        ------
+        LinkError : nobody answered.
+        """
+        until = time.monotonic() + patience
+        while not (found := queried(session, selector, patience)):
+            if time.monotonic() > until:
+                raise LinkError(
+                    f"Expected an answer to {selector} at {self.host}:{self.port}, but none came. See whether the "
+                    "bridge of that robot runs and serves this lab."
+                )
+            time.sleep(_AGAIN)
+        return found[0][1]
+
+
+_WAITING = 2500  # rows of a recorder that is slow: 10 s of one arm
+_LAST = 1.0  # s for what waits at the end
+
+
+class Publisher:
+    """One key. Nothing is sent while nobody reads it; for a slow reader it is dropped."""
+
+    def __init__(self, session: Any, key: str, changed: Callable[[], None] = lambda: None) -> None:
+        self.wanted, self.sent, self.dropped = False, 0, 0
+        self._changed = changed
+        self._publisher = self._declared(session, key)
+        self._listener = self._publisher.declare_matching_listener(self._matched)
+        self.wanted = self.wanted or self._publisher.matching_status.matching
+
+    def put(self, data: bytes, attachment: bytes | None = None) -> None:
+        """Send when it is wanted."""
+        if self.wanted:
+            self._publisher.put(data, attachment=attachment)
+            self.sent += 1
+
+    def _declared(self, session: Any, key: str) -> Any:
+        control = zenoh().CongestionControl.DROP
+        return session.declare_publisher(key, congestion_control=control, express=True)
+
+    def _matched(self, status: Any) -> None:
+        self.wanted = status.matching
+        self._changed()
+
+
+class BlockingPublisher(Publisher):
+    """The same for readers that must have everything: a thread of its own waits for the slow one.
+
+    A reader that stands still loses its connection when the buffers on the way are full, after some seconds; it gets
+    rows again when it has connected again, and the hole shows in their numbers.
+    """
+
+    def __init__(self, session: Any, key: str) -> None:
+        self._queue: queue.Queue[tuple[bytes, bytes | None] | None] = queue.Queue(_WAITING)
+        self._thread = threading.Thread(target=self._send, name=key, daemon=True)
+        super().__init__(session, key)
+        self._thread.start()
+
+    def put(self, data: bytes, attachment: bytes | None = None) -> None:
+        """Queue what is wanted."""
+        if self.wanted:
+            try:
+                self._queue.put_nowait((data, attachment))
+            except queue.Full:
+                self.dropped += 1
+
+    def close(self) -> None:
+        """Send what waits, and end; call it before the session is closed."""
+        with contextlib.suppress(queue.Full):
+            self._queue.put(None, timeout=_LAST)
+        self._thread.join(_LAST)
+
+    def _declared(self, session: Any, key: str) -> Any:
+        module = zenoh()
+        return session.declare_publisher(
+            key,
+            congestion_control=module.CongestionControl.BLOCK,
+            priority=module.Priority.DATA_LOW,  # a queue of its own: what others read goes on meanwhile
+            express=True,
+        )
+
+    def _send(self) -> None:
+        while (message := self._queue.get()) is not None:
+            try:
+                self._publisher.put(message[0], attachment=message[1])
+                self.sent += 1
+            except zenoh().ZError:  # the session is closed
+                self.dropped += 1
