@@ -42,16 +42,7 @@ _LARGEST = 2**17
 
 
 def socket_path(cell: str) -> Path:
-    """Return where the local feed of a cell is, in a folder of the user's own.
-
-    Parameters
-    ----------
-    cell : its name.
-
-    Raises
-    ------
-    LinkError : the folder belongs to somebody else or is open to others.
-    """
+    """Return where the local feed of a cell is, in a folder of the user's own."""
     given = os.environ.get("XDG_RUNTIME_DIR")
     folder = Path(given) / "armlab" if given else Path(tempfile.gettempdir()) / f"armlab-{os.getuid()}"
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -167,7 +158,6 @@ class LocalFeed:
 
 
 _CLIENTS = 8
-_LARGEST = 2**17
 _STATUS = 0.5  # s between two reports
 _EVENTS = 20  # that a new client gets
 _KEPT = 100  # clients that have left, of which is known what they got
@@ -199,12 +189,7 @@ class _Client:
 
 
 class LocalServer:
-    """Passes rows and events on to at most 8 clients of this user, and their requests to the loop.
-
-    Raises
-    ------
-    LinkError : another bridge serves there.
-    """
+    """Passes rows and events on to at most 8 clients of this user, and their requests to the loop."""
 
     def __init__(self, feed: socket.socket, path: Path) -> None:
         self._feed, self._path = feed, path
@@ -372,12 +357,7 @@ class LocalServer:
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed.
-
-    Raises
-    ------
-    LinkError : another bridge serves there.
-    """
+    """Serve until the loop closes the feed."""
     LocalServer(feed, Path(options["path"])).run()
 
 

@@ -31,10 +31,6 @@ class Datagrams:
 
     fields : names without the robot, of what every robot has, most useful first; as attribute those that fit.
     largest : bytes of a datagram, whatever the numbers are.
-
-    Raises
-    ------
-    UnknownName : a field that rows do not have. ConfigError : the fields asked for do not fit.
     """
 
     def __init__(self, schema: RowSchema, fields: Sequence[str] | None = None, largest: int = _LARGEST) -> None:
@@ -66,12 +62,7 @@ class Datagrams:
         self._fresh = [(robot, schema.fields[f"{robot}.fresh"].offset) for robot in schema.robots]
 
     def datagram(self, data: bytes) -> bytes:
-        """Return the datagram of a row: of the arm whose row it is, and of all sources besides.
-
-        Raises
-        ------
-        LinkError : no row of the schema.
-        """
+        """Return the datagram of a row: of the arm whose row it is, and of all sources besides."""
         _, _, wall_ns = read_head(self._schema, data)
         found: dict[str, Any] = {"timestamp": 1e-9 * wall_ns}
         for robot, place in self._fresh:
@@ -110,11 +101,6 @@ def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
     """Send until the loop closes the feed.
 
     feed : connected to the loop. options : "to" and "port", where PlotJuggler is; "fields"; "host", to send from.
-
-    Raises
-    ------
-    ConfigError : an address elsewhere that the cell was not opened to, or fields that do not fit. LinkError : the loop
-        has gone.
     """
     to, port = options["to"], options["port"]
     try:

@@ -34,12 +34,6 @@ Clients = Mapping[str, tuple[int, int]]
 class LoopEnd:
     """A server process's end of its socket to the loop (the other is `hub.Hub`).
 
-    Raises
-    ------
-    LinkError : the loop has gone before it said what its rows hold.
-
-    Notes
-    -----
     `ask` may be called from any thread, everything else from one.
     """
 
@@ -101,10 +95,6 @@ class LoopEnd:
 
         A command, a setting or a report is lost then, as newer ones follow; a stop or a release waits, and goes out by
         `receive`.
-
-        Raises
-        ------
-        CommandRefused : it holds what no JSON in UTF-8 can say, for example half of a surrogate pair.
         """
         data = encoded(request)
         with self._lock:
@@ -159,12 +149,7 @@ class LoopEnd:
 
 
 def encoded(request: Request) -> bytes:
-    """Return a request as it is sent to the loop.
-
-    Raises
-    ------
-    CommandRefused : values of a client that JSON or the loop cannot take.
-    """
+    """Return a request as it is sent to the loop."""
     try:
         return msgspec.json.encode(request)
     except (ValueError, TypeError, OverflowError, RecursionError, msgspec.MsgspecError) as error:

@@ -141,12 +141,7 @@ class Watch:
         return self._status.get("lost", 0)
 
     def take(self, message: Row | dict[str, Any]) -> None:
-        """Take one message of the local feed.
-
-        Raises
-        ------
-        UnknownName : the arm to show is not in this cell.
-        """
+        """Take one message of the local feed."""
         if not isinstance(message, dict):
             self._row = message
             if self._robot is not None and f"{self._robot}.q" not in message.values:

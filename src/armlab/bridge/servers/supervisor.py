@@ -108,12 +108,7 @@ class Servers:
             child.errors.close()
 
     def ready(self, patience: float = 30.0) -> list[str]:
-        """Wait until every server listens, and return who listens where.
-
-        Raises
-        ------
-        LinkError : a server ended before it listened, with what it said; or one does not listen in time.
-        """
+        """Wait until every server listens, and return who listens where."""
         until = time.monotonic() + patience
         while silent := [child.name for child in self._children if self._exchange.outlets[child.name].where is None]:
             failed = next((child for child in self._children if child.failure), None)
@@ -232,10 +227,6 @@ class Offering:
     """Offers the rows of runs to `armlab monitor` and views until it is closed.
 
     Clients may stop the arms where the controller is made `stoppable`, and nothing else.
-
-    Raises
-    ------
-    LinkError : another bridge has this name, or the server of the feed cannot be started.
     """
 
     def __init__(self, robots: Sequence[Robot], cell: str) -> None:

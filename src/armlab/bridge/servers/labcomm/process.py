@@ -38,12 +38,7 @@ _WANTED = ("fresh", "age", "receive_ns", "robot_ns", "session_t", "q", "qd", "ta
 
 
 class Held(NamedTuple):
-    """What a row of the loop holds of an arm.
-
-    Attributes
-    ----------
-    is_fresh : the row is one of this arm. arm : its newest values.
-    """
+    """What a row of the loop holds of an arm."""
 
     is_fresh: bool
     arm: FusedArm
@@ -116,11 +111,6 @@ def labcomm_options(
     robots : the arms. host : address to listen on, this computer only by default.
     ports : of the arms; None gives 7511 to a left or only arm, 7512 to a right one.
     parameters, fused : ports, None for none. Fused rows are for arms of 7 joints.
-
-    Raises
-    ------
-    ConfigError, UnknownName : another number of ports than of arms, an order or a dialect that does not exist.
-    LabCommError : `types` that do not parse or that are no rows.
     """
     for robot in robots:
         ArmChannel(robot.name, 0, None, robot.abb_axes, order, types, dialect)  # a mistake shows before any process
@@ -145,12 +135,7 @@ def labcomm_options(
 
 
 class LabCommProcess:
-    """Serves until the loop closes the feed.
-
-    Raises
-    ------
-    LinkError : the loop has gone before it said what rows hold.
-    """
+    """Serves until the loop closes the feed."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._options = options
@@ -269,10 +254,5 @@ class LabCommProcess:
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed.
-
-    Raises
-    ------
-    LinkError : the loop has gone, or a port is taken.
-    """
+    """Serve until the loop closes the feed."""
     LabCommProcess(feed, options).run()

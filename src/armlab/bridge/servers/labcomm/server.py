@@ -43,12 +43,6 @@ class Ports:
 
     on_stop : called with the address of a client that sent the sample ``void stop``, on any port.
 
-    Raises
-    ------
-    LinkError : a port cannot be bound.
-
-    Notes
-    -----
     `counts` and `clients` may be read from any thread, everything else is for one.
     """
 

@@ -105,10 +105,6 @@ def joined(domain: int, host: str) -> Iterator[DomainParticipant]:
     """Be a participant of a domain while the block runs.
 
     domain : its number. host : see `configuration`; 127.0.0.1 for this computer only.
-
-    Raises
-    ------
-    LinkError : there is no such interface, or the sockets cannot be kept to this computer.
     """
     try:
         settings = Domain(domain, configuration(host))
@@ -130,10 +126,6 @@ def tie_to_loopback() -> int:
     """Keep what comes from other computers off the sockets of this process, and return of how many.
 
     Cyclone DDS binds what it receives by to every address, whatever the interface (its `ddsi_udp.c`).
-
-    Raises
-    ------
-    LinkError : the system does not do that.
     """
     count = 0
     for entry in Path("/proc/self/fd").iterdir():
@@ -354,10 +346,6 @@ class DdsServer(RosServer):
     """Serves until the loop closes the feed.
 
     options : "domain", None for that of ROS_DOMAIN_ID, and "host", IPv4 address of the interface.
-
-    Raises
-    ------
-    LinkError : see `RosServer`. ConfigError : ROS_DOMAIN_ID is no number.
     """
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
@@ -388,10 +376,5 @@ class DdsServer(RosServer):
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed.
-
-    Raises
-    ------
-    LinkError : the loop has gone, or the sockets cannot be kept to this computer.
-    """
+    """Serve until the loop closes the feed."""
     DdsServer(feed, options).run()

@@ -102,12 +102,7 @@ class Origin(NamedTuple):
 
 
 class Writer:
-    """Numbers the messages of one writer.
-
-    Raises
-    ------
-    MissingExtra : xxhash is not installed; says how to.
-    """
+    """Numbers the messages of one writer."""
 
     def __init__(self, token: str) -> None:
         self.id = _hashed(token)
@@ -168,12 +163,6 @@ class RmwZenohServer(RosServer):
     """Serves until the loop closes the feed.
 
     options : "domain", None for that of ROS_DOMAIN_ID, "host", "port", "router" and "distribution".
-
-    Raises
-    ------
-    LinkError : the loop has gone, or the port is taken. ConfigError : ROS_DOMAIN_ID is no number, or commands
-        could come through a router elsewhere.
-    MissingExtra : Zenoh or xxhash is not installed.
     """
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
@@ -267,10 +256,5 @@ class RmwZenohServer(RosServer):
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed.
-
-    Raises
-    ------
-    LinkError, ConfigError, MissingExtra : see `RmwZenohServer`.
-    """
+    """Serve until the loop closes the feed."""
     RmwZenohServer(feed, options).run()

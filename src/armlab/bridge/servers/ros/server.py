@@ -18,12 +18,7 @@ _AGAIN = 1.0  # s after which the parameters are published again, for readers th
 
 
 class RosServer:
-    """Messages of rows to a transport, and requests of nodes to the loop. `write` and `wanted` are the transport's.
-
-    Raises
-    ------
-    LinkError : the loop ended before it described its rows.
-    """
+    """Messages of rows to a transport, and requests of nodes to the loop. `write` and `wanted` are the transport's."""
 
     def __init__(self, feed: socket.socket, clients: Callable[[], Clients]) -> None:
         self._loop = LoopEnd(feed, clients)

@@ -60,12 +60,7 @@ _LARGEST = 2**17  # bytes of a message to us
 
 
 def domain_number(given: int | None, environment: Mapping[str, str] = os.environ) -> int:
-    """Return the number of the domain: as given, else that of ROS_DOMAIN_ID, else 0.
-
-    Raises
-    ------
-    ConfigError : ROS_DOMAIN_ID is no such number.
-    """
+    """Return the number of the domain: as given, else that of ROS_DOMAIN_ID, else 0."""
     text = environment.get("ROS_DOMAIN_ID", "") or "0"
     if given is not None:
         return given
@@ -81,12 +76,7 @@ def type_name(name: str) -> str:
 
 
 def content(name: str, cdr: bytes) -> Any:
-    """Return what a command says: numbers, a text, or None of an empty one.
-
-    Raises
-    ------
-    CommandRefused : too many bytes, or such that are no message of this type.
-    """
+    """Return what a command says: numbers, a text, or None of an empty one."""
     if len(cdr) > _LARGEST:
         raise CommandRefused(f"Expected a {name} of at most {_LARGEST} bytes, got {len(cdr)}.")
     try:
@@ -249,12 +239,7 @@ class Topics:
         self.published = {name: Topic(name, type_) for name, type_ in found.items()}
 
     def of_row(self, data: bytes, wanted: Collection[str]) -> Iterator[tuple[Topic, Any]]:
-        """Yield the wanted messages of a row: those of the arm whose row it is, then those due once a second.
-
-        Raises
-        ------
-        LinkError : no row of this schema.
-        """
+        """Yield the wanted messages of a row: those of the arm whose row it is, then those due once a second."""
         _, mono_ns, wall_ns = read_head(self._schema, data)
         arms: dict[str, ArmRow] = {}
         for name, robot in self._robots.items():

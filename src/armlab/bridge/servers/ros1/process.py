@@ -175,17 +175,7 @@ _SENTENCE = 1000  # characters of an answer
 
 
 class Ros1Process:
-    """Serves until the loop closes the feed.
-
-    Parameters
-    ----------
-    feed : connected to the loop.
-    options : "master", its URI; "python", which has rospy; "host", the address it listens at and others reach.
-
-    Raises
-    ------
-    LinkError : the loop has gone.
-    """
+    """Serves until the loop closes the feed."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._options = options
@@ -197,12 +187,7 @@ class Ros1Process:
         self._spoken: dict[str, float] = {}
 
     def run(self) -> None:
-        """Serve until the loop closes the feed.
-
-        Raises
-        ------
-        LinkError : no rospy, no master, or it has gone.
-        """
+        """Serve until the loop closes the feed."""
         own = tempfile.TemporaryDirectory(prefix="armlab-ros-", ignore_cleanup_errors=True)
         held = contextlib.closing(self._subscribers)
         with own as home, tempfile.TemporaryFile() as log, self._relay(home, log) as node, held:
@@ -356,10 +341,6 @@ def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
     """Serve until the loop closes the feed.
 
     feed : connected to the loop. options : see `Ros1Process`.
-
-    Raises
-    ------
-    LinkError : see `Ros1Process.run`.
     """
     Ros1Process(feed, options).run()
 

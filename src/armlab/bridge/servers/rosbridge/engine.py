@@ -57,17 +57,7 @@ class _Loop(Protocol):
 
 
 class Engine:
-    """All clients of one server.
-
-    Parameters
-    ----------
-    loop : the server's end of the feed. server : its name, the first word of its clients' identities in the loop.
-    dialect : of clients whose texts do not tell.
-
-    Attributes
-    ----------
-    sessions : by identity.
-    """
+    """All clients of one server."""
 
     def __init__(self, loop: _Loop, server: str = "rosbridge", dialect: Dialect = "ros2") -> None:
         robots = loop.robots()
@@ -81,32 +71,17 @@ class Engine:
         self.sessions: dict[str, Session] = {}
 
     def join(self, name: str, may_ask: bool = True) -> Session:
-        """Return the session of a new client.
-
-        Parameters
-        ----------
-        name, may_ask : see `Session`.
-        """
+        """Return the session of a new client."""
         session = self.sessions[name] = Session(name, may_ask)
         return session
 
     def leave(self, session: Session) -> None:
-        """Forget a client that has gone.
-
-        Parameters
-        ----------
-        session : of the client.
-        """
+        """Forget a client that has gone."""
         del self.sessions[session.name]
         self._loop.ask(Leave(session.name))
 
     def take(self, session: Session, data: bytes | str, now_ns: int) -> None:
-        """Do what a client asks for; what cannot be done is told it by a status.
-
-        Parameters
-        ----------
-        session : of the client. data : one message of it. now_ns : monotonic clock.
-        """
+        """Do what a client asks for; what cannot be done is told it by a status."""
         operation = None
         try:
             operation = read_operation(data)
@@ -116,21 +91,11 @@ class Engine:
             self._loop.ask(Report(session.name, str(error)))
 
     def row(self, data: bytes, now_ns: int) -> None:
-        """Send a row to those who want it.
-
-        Parameters
-        ----------
-        data : one row of the loop. now_ns : monotonic clock.
-        """
+        """Send a row to those who want it."""
         self._publish(lambda wanted: self._topics.of_row(data, wanted.keys()), now_ns)
 
     def text(self, message: Mapping[str, Any], now_ns: int) -> None:
-        """Take what the loop says besides rows.
-
-        Parameters
-        ----------
-        message : see `messages`. now_ns : monotonic clock.
-        """
+        """Take what the loop says besides rows."""
         if message["kind"] == "parameters":
             self._publish(lambda wanted: self._topics.of_parameters(self._loop.parameters, wanted), now_ns)
             for session in self.sessions.values():
@@ -139,12 +104,7 @@ class Engine:
             self._answer(self.sessions[message["client"]], message, now_ns)
 
     def turn(self, now_ns: int) -> None:
-        """Do what is due without anybody saying anything; a few times a second.
-
-        Parameters
-        ----------
-        now_ns : monotonic clock.
-        """
+        """Do what is due without anybody saying anything; a few times a second."""
         self._publish(lambda wanted: self._topics.of_silence(now_ns, wanted.keys()), now_ns)
         for session in self.sessions.values():
             late = [one for one in session.settings if now_ns > one.until_ns]

@@ -48,12 +48,7 @@ _FILLER = "structure_needs_at_least_one_member"  # of types without a field, in 
 
 
 def read_type(text: str) -> tuple[str, Dialect]:
-    """Return the ROS 2 name of a type, and the dialect that its text speaks.
-
-    Raises
-    ------
-    CommandRefused : no name of a type; a sentence for the client.
-    """
+    """Return the ROS 2 name of a type, and the dialect that its text speaks."""
     found = _TYPE.fullmatch(text)
     if found is None:
         raise CommandRefused(
@@ -212,12 +207,7 @@ _WRONG = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
 def read_operation(data: bytes | str) -> Operation:
-    """Return the operation in a message of a client.
-
-    Raises
-    ------
-    CommandRefused : no operation, an unknown or refused one, or one that is too long; a sentence for the client.
-    """
+    """Return the operation in a message of a client."""
     if isinstance(data, bytes):
         raise CommandRefused(f"Expected a text message with JSON, got a binary one of {len(data)} bytes.")
     if len(data) > LARGEST:

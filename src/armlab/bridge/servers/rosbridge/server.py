@@ -67,10 +67,6 @@ def read_access(options: Mapping[str, Any], environment: Mapping[str, str] | Non
     """Return what the options of the server say.
 
     environment : variables; those of the process by default.
-
-    Raises
-    ------
-    ConfigError : files or variables that are missing, open to others, or hold something else.
     """
     token = _token(options, os.environ if environment is None else environment)
     context = _context(options.get("certificate"), options.get("key"))
@@ -134,17 +130,7 @@ _PING, _PONG = 5.0, 10.0  # s between two pings, and for the answer: whose compu
 
 
 class RosbridgeServer:
-    """Serves until the loop closes the feed.
-
-    Parameters
-    ----------
-    feed : connected to the loop. options : "host", "port", "dialect", and what `read_access` reads.
-
-    Raises
-    ------
-    ConfigError : see `read_access`. LinkError : the port is taken, or the loop has gone.
-    MissingExtra : websockets is not installed.
-    """
+    """Serves until the loop closes the feed."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._websockets = _websockets()
@@ -260,12 +246,7 @@ def _head(size: int) -> bytes:
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed.
-
-    Raises
-    ------
-    ConfigError, LinkError, MissingExtra : see `RosbridgeServer`.
-    """
+    """Serve until the loop closes the feed."""
     asyncio.run(_run(feed, options))
 
 

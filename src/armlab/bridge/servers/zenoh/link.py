@@ -27,13 +27,7 @@ _DAMAGED = b"damaged"  # in place of a row that was
 
 
 def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tuple[Port, Codec]:
-    """Return the port and codec of an arm behind a Zenoh server.
-
-    Raises
-    ------
-    ConfigError : other options. UnknownName : the bridge has another arm.
-    LinkError : nobody is there, or no bridge of that arm. MissingExtra : no Zenoh.
-    """
+    """Return the port and codec of an arm behind a Zenoh server."""
     end = ZenohPort(robot, Address.of(host, port, options))
     return cast(Port, end), ZenohCodec(robot, end.schema)
 
@@ -42,10 +36,6 @@ class ZenohPort:
     """Rows of an arm in place of datagrams; never blocks and never raises after construction.
 
     Zenoh connects again by itself. Rows come in a thread of Zenoh's, which hands them over by a socket.
-
-    Raises
-    ------
-    LinkError, UnknownName, MissingExtra : see `far_end`.
     """
 
     def __init__(self, robot: Robot, place: Address) -> None:
@@ -117,12 +107,7 @@ class ZenohPort:
 
 
 class ZenohCodec:
-    """Rows as packets of the loop: see `wire.egm.Codec`.
-
-    Raises
-    ------
-    UnknownName : the arm is not in these rows. LinkError : they have other fields of it, as of other joints.
-    """
+    """Rows as packets of the loop: see `wire.egm.Codec`."""
 
     def __init__(self, robot: Robot, schema: RowSchema) -> None:
         _check(schema, robot)

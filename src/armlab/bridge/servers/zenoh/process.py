@@ -34,12 +34,7 @@ _NOBODY = "unknown"
 
 
 class ZenohProcess:
-    """Serves until the loop closes the feed.
-
-    Raises
-    ------
-    LinkError, ConfigError : the loop has gone, or see `open_near` and `Security`. MissingExtra : see `zenoh`.
-    """
+    """Serves until the loop closes the feed."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._loop = LoopEnd(feed, self._counts)
@@ -251,10 +246,5 @@ def _setting(name: str, data: bytes) -> Any:
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed.
-
-    Raises
-    ------
-    LinkError, ConfigError, MissingExtra : see `ZenohProcess`.
-    """
+    """Serve until the loop closes the feed."""
     ZenohProcess(feed, options).run()

@@ -54,12 +54,7 @@ _watcher: list[threading.Thread] = []
 
 
 def zenoh() -> Any:
-    """Return the module.
-
-    Raises
-    ------
-    MissingExtra : it is not installed; says how to.
-    """
+    """Return the module."""
     try:
         import zenoh as module
     except ImportError:
@@ -77,15 +72,8 @@ def open_session(
 ) -> Any:
     """Return a session; `close_session` ends it. One that is forgotten is closed when the program ends.
 
-    Parameters
-    ----------
-    mode : "router" is found by others at its address; "peer" finds them through a router; "client" stays behind it.
-    listen, connect : "HOST:PORT"; port 0 lets the system choose. Connections that fail are tried again for ever.
-    security : certificates and passwords; None for neither.
-
-    Raises
-    ------
-    LinkError : an address cannot be bound, or a file of `security` cannot be used. MissingExtra : see `zenoh`.
+    A "router" is found by others at its address; a "peer" finds them through a router; a "client" stays behind it.
+    Addresses are "HOST:PORT"; connections that fail are tried again for ever.
     """
     module, safe = zenoh(), security or Security()
     protocol = "tls" if safe.ca is not None else "tcp"
@@ -126,11 +114,6 @@ def open_near(
 
     host, port : where others find it. When the port is taken, by the router of another server, that one is used, and
         the session is found directly at a port that the system chooses. router : "HOST:PORT" of a router elsewhere.
-
-    Raises
-    ------
-    ConfigError : the router at the port is reached from other computers, and commands would come by it from anybody.
-    LinkError : the port is taken by something else than a router, or by one that is not found where `host` says.
     """
     safe = security or Security()
     protocol = "tls" if safe.ca is not None else "tcp"
@@ -238,12 +221,7 @@ def wait_for_router(session: Any, patience: float) -> bool:
 
 
 def close_session(session: Any) -> None:
-    """Close a session; again is no mistake.
-
-    Parameters
-    ----------
-    session : of `open_session`.
-    """
+    """Close a session; again is no mistake."""
     with _lock:
         known = session in _open
         _open.discard(session)
@@ -257,12 +235,7 @@ def data_of(part: Any) -> bytes | None:
 
 
 def queried(session: Any, selector: str, patience: float) -> list[tuple[str, bytes]]:
-    """Return what was answered to a query: keys and bytes; what is more than 64 MiB together is left out.
-
-    Parameters
-    ----------
-    session : open. selector : key. patience : s to wait at most.
-    """
+    """Return what was answered to a query: keys and bytes; what is more than 64 MiB together is left out."""
     found, room = [], _ANSWERS
     for reply in session.get(selector, timeout=patience):
         if reply.ok is not None:
@@ -291,24 +264,14 @@ _ANSWER = 2.0  # s for an answer
 
 
 class Discovery:
-    """Asks "about" of bridges, each at most twice a second.
-
-    Parameters
-    ----------
-    session : open. answered : told lab, robot and what was said, in a thread of Zenoh's.
-    """
+    """Asks "about" of bridges, each at most twice a second."""
 
     def __init__(self, session: Any, answered: Callable[[str, str, bytes], None]) -> None:
         self._session, self._answered = session, answered
         self._due: dict[tuple[str, str], float] = {}
 
     def ask(self, lab: str, robot: str) -> None:
-        """Ask when it is time to.
-
-        Parameters
-        ----------
-        lab, robot : names.
-        """
+        """Ask when it is time to."""
         now = time.monotonic()
         if now < self._due.get((lab, robot), 0.0):
             return
@@ -330,18 +293,12 @@ PORT = 7447
 
 _PATIENCE = 5.0  # s for the first connection
 _TRIED = 0.1  # s between two tries to reach a router
-_ANSWER = 2.0  # s for an answer
 _AGAIN = 0.1  # s until it is asked again: who has just connected does not know all of those who could answer
 _OPTIONS = ("ca", "secret")
 
 
 class Address(NamedTuple):
-    """Where a lab is found.
-
-    Attributes
-    ----------
-    host, port : of a bridge or of a router. lab : its name. security : certificates and passwords.
-    """
+    """Where a lab is found."""
 
     host: str = "127.0.0.1"
     port: int = PORT
@@ -350,16 +307,7 @@ class Address(NamedTuple):
 
     @classmethod
     def read(cls, url: str) -> Address:
-        """Return the place of a url.
-
-        Parameters
-        ----------
-        url : ``zenoh://HOST:PORT/LAB?ca=FILE&secret=FILE``; all but the host may be left out.
-
-        Raises
-        ------
-        ConfigError : another form, other options, or see `Security`.
-        """
+        """Return the address in ``zenoh://HOST:PORT/LAB?ca=FILE&secret=FILE``; only the host is needed."""
         parts = split_url(url)
         try:
             host, port = parts.hostname, parts.port
@@ -373,32 +321,14 @@ class Address(NamedTuple):
 
     @classmethod
     def of(cls, host: str, port: int, options: dict[str, str]) -> Address:
-        """Return the place of a url that was taken apart.
-
-        Parameters
-        ----------
-        host, port : of a bridge or a router. options : "lab", "ca" and "secret", or some of them.
-
-        Raises
-        ------
-        ConfigError : other options, or see `Security`.
-        """
+        """Return the place of a url that was taken apart."""
         unknown = sorted(set(options) - {"lab", *_OPTIONS})
         if unknown:
             raise ConfigError(f"Expected only ca and secret as options of a zenoh link, got {', '.join(unknown)}.")
         return cls(host, port, options.get("lab") or LAB, Security.of(options))
 
     def open(self, patience: float = _PATIENCE) -> Any:
-        """Return a session there; see `session.close_session`.
-
-        Parameters
-        ----------
-        patience : s to wait for whoever is there.
-
-        Raises
-        ------
-        LinkError : nobody answers, or our certificate or password is not accepted. MissingExtra : no Zenoh.
-        """
+        """Return a session there; see `session.close_session`."""
         where = f"{self.host}:{self.port}"
         listen = ["127.0.0.1:0"] if self.security.ca is None and self.host.startswith("127.") else []
         session = open_session("peer", listen, [where], self.security)
@@ -412,16 +342,7 @@ class Address(NamedTuple):
         return session
 
     def open_behind(self, patience: float = _PATIENCE) -> Any:
-        """Return a session all of whose messages go through the router, however many robots there are.
-
-        Parameters
-        ----------
-        patience : s to wait for it.
-
-        Raises
-        ------
-        LinkError : nobody is there. MissingExtra : no Zenoh.
-        """
+        """Return a session all of whose messages go through the router, however many robots there are."""
         where, until = f"{self.host}:{self.port}", time.monotonic() + patience
         while True:
             try:
@@ -435,16 +356,7 @@ class Address(NamedTuple):
                 time.sleep(_TRIED)
 
     def ask(self, session: Any, selector: str, patience: float = _ANSWER) -> bytes:
-        """Return the one answer to a query.
-
-        Parameters
-        ----------
-        session : of `open`. selector : key. patience : s to wait.
-
-        Raises
-        ------
-        LinkError : nobody answered.
-        """
+        """Return the one answer to a query."""
         until = time.monotonic() + patience
         while not (found := queried(session, selector, patience)):
             if time.monotonic() > until:
