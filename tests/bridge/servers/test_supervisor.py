@@ -22,28 +22,26 @@ from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.local import LocalFeed, cells
 from armlab.bridge.servers.messages import CommandRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Row
-from armlab.bridge.servers.supervisor import PLACE, RESTARTS, WELL, Offering, Servers, server_command, stoppable
+from armlab.bridge.servers.supervisor import PLACE, Offering, Servers, stoppable
 from armlab.errors import LinkError
 from armlab.robots import Robot
 from armlab.state import Command, State
 
+from .conftest import until
+
 LEFT = robots.load("yumi_left")
+
 QUIET = (
     'import socket,sys; s=socket.socket(fileno=int(sys.argv[1])); s.send(b\'{"kind":"listening","where":["here"]}\')\n'
 )
+
 WAITS = QUIET + "while s.recv(100000): pass"
+
 FAILS = "import sys; sys.stderr.write('no luck'); sys.exit(3)"
 
 
 def command(program: str) -> list[str]:
     return [sys.executable, "-S", "-c", program, PLACE]
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def test_a_server_listens_and_ends_with_the_bridge() -> None:
@@ -54,20 +52,6 @@ def test_a_server_listens_and_ends_with_the_bridge() -> None:
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
     servers.close()
-
-
-def test_a_killed_server_starts_again() -> None:
-    exchange = Hub([LEFT], ["a"])
-    told: list[str] = []
-    exchange.begin(lambda text, *_: told.append(text))
-    with Servers(exchange, {"a": command(WAITS)}, restarts=(0.01, 0.01)) as servers:
-        servers.ready()
-        first = servers.processes()["a"]
-        os.kill(first, signal.SIGKILL)
-        until(lambda: servers.processes().get("a", first) != first)
-        assert servers.ready() == ["here"]
-        until(lambda: bool(told))
-    assert told[0] == "The server a ended with status -9. It starts again in 0.01 s. It said: nothing"
 
 
 def test_a_server_that_fails_is_left_dead() -> None:
@@ -153,12 +137,6 @@ def test_an_error_of_the_watch_does_not_end_it(monkeypatch: pytest.MonkeyPatch) 
     assert "The server a could not be watched. It starts again in 0.01 s. It said: RuntimeError: odd" in told
     assert sum("The server a" in text for text in told) == 2
     assert any("Requests of clients were not taken, ValueError: also odd" in text for text in told)
-
-
-def test_times_and_command() -> None:
-    assert RESTARTS == (1.0, 5.0, 30.0)
-    assert WELL == 300.0
-    assert server_command("local", {"path": "x"})[-3:] == ["local", PLACE, '{"path": "x"}']
 
 
 def test_no_server_outlives_a_bridge_that_is_killed(tmp_path: Path) -> None:

@@ -107,23 +107,6 @@ def test_rows_go_out_and_commands_come_back(running: Running, robot: Robot) -> N
     until(lambda: running.exchange.poll() or not running.exchange.arbiter.commander(robot.name))
 
 
-def test_a_refusal_names_the_number_that_the_client_sent(running: Running, robot: Robot) -> None:
-    """In the log, since LabComm has no place for it: the third joint from the base is the last number of `pos`."""
-    told: list[str] = []
-    running.exchange.begin(lambda text, *_: told.append(text))
-    now, far = state(robot), np.array(robot.q_home)
-    far[2] += 0.5
-
-    def refused() -> bool:
-        running.exchange.row(now, None, TICK)
-        running.exchange.arbiter(now)
-        return any("axis_7 (number 7 of the vector) of yumi_right" in text for text in told)
-
-    with LabCommClient(port=running.where[robot.name], types=RowTypes(robot.abb_axes)) as client:
-        client.command(Row(9, far))
-        until(refused)
-
-
 def test_fused_rows_have_sources_that_were_heard(running: Running, robot: Robot) -> None:
     with LabCommClient(port=running.where["fused"]) as client:
         events: list[Any] = []

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import count
 from typing import Any
 
@@ -25,17 +24,7 @@ from armlab.bridge.servers.ros.dds import (
 )
 from armlab.bridge.servers.ros.topics import store
 
-PATIENCE = 20.0  # s; only a test that fails waits so long
 RELIABLE = Qos(Policy.Reliability.Reliable(0), Policy.History.KeepLast(10))
-
-
-def until(condition: Callable[[], Any], what: str = "it") -> Any:
-    """Wait for what another thread or process does, and return it."""
-    end = time.monotonic() + PATIENCE
-    while not (found := condition()):
-        assert time.monotonic() < end, f"{what} did not happen"
-        time.sleep(0.002)
-    return found
 
 
 def _domains() -> Iterator[int]:

@@ -1,4 +1,4 @@
-"""The server of ROS 2 at the other end of an exchange; a participant of the same process plays the nodes."""
+"""The server of ROS 2 over DDS at the other end of a hub; a participant of the same process plays the nodes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-from armlab.bridge.servers.ros.message_template import cdr
 
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
@@ -42,14 +41,17 @@ from armlab.errors import LinkError
 from armlab.log import Tick
 from armlab.state import Command, State
 
-from .dds_peers import Node, free_domain, numbers, taken, until, write
+from ..conftest import until
+from .dds_peers import Node, free_domain, numbers, taken, write
 
 pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
 
-
 ARM = robots.load("yumi_left")
+
 JOINTS, ARRAY, TEXT = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String"
+
 WALL = 1_700_000_000_000_000_000
+
 VELOCITY = "/yumi_left/joint_group_velocity_controller/commands"
 
 
@@ -128,7 +130,7 @@ def test_rows_become_messages_of_what_is_read(running: Running) -> None:
     assert len(found) <= written <= running.ticks
     assert full == 0
     readers.clear()
-    until(lambda: running.row() is None and running.server.wanted == frozenset(), "nobody reading")
+    until(lambda: running.row() is None and running.server.wanted() == frozenset(), "nobody reading")
 
 
 def test_commands_take_the_arm_until_the_writer_leaves(running: Running) -> None:
@@ -164,31 +166,6 @@ def test_a_second_commander_is_refused_by_a_sentence(running: Running) -> None:
 
     said = f"{client(second)}: yumi_left is commanded by ros2 {client(first)}. You may read."
     assert until(told).startswith(said)
-
-
-def test_who_commands_with_one_topic_sets_parameters_and_commands_with_another() -> None:
-    running = Running(rights="commander")
-    velocity = running.node.writer(VELOCITY, ARRAY)
-    writers = [running.node.writer("/yumi_left/joint_group_position_controller/command", ARRAY)]
-    setter = running.node.writer("/yumi_left/set_parameter", TEXT)
-
-    def is_set() -> bool:
-        write(velocity, ARRAY, *numbers(*[0.01] * 7))
-        write(setter, TEXT, '{"gain": 0.75}')
-        running.row()
-        return running.exchange.parameters.gain == 0.75 and running.exchange.arbiter.commander(ARM.name) != ""
-
-    def moves() -> bool:
-        write(writers[0], ARRAY, *numbers(*ARM.q_home))
-        command = running.row()
-        return command is not None and command.q is not None
-
-    until(is_set)
-    running.exchange.arbiter._lease_ns = 10**12  # silence frees nothing
-    until(moves)
-    writers.clear()
-    assert until(lambda: running.row() and running.exchange.arbiter.commander(ARM.name)) == f"ros2 {client(velocity)}"
-    running.close()
 
 
 @pytest.mark.parametrize(
@@ -260,20 +237,6 @@ def test_any_node_may_stop_the_arms(running: Running) -> None:
     assert running.exchange.arbiter.stopped == f"ros2 {client(writer)}"
 
 
-def test_a_server_that_listens_beyond_this_computer_is_for_reading() -> None:
-    running = Running(read_only=["ros2"])
-    writer = running.node.writer(VELOCITY, ARRAY)
-    diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
-
-    def told() -> str:
-        write(writer, ARRAY, *numbers(*[0.01] * 7))
-        return answer(running, diagnostics)
-
-    assert "it listens beyond this computer. Read." in until(told)
-    assert running.exchange.arbiter.commander("yumi_left") == ""
-    running.close()
-
-
 def test_a_loop_that_has_gone_ends_the_process() -> None:
     exchange = Hub([ARM], ["ros2"], about={"cell": "yumi"})
     feed = exchange.open("ros2")
@@ -288,7 +251,7 @@ STRING, NUMBERS = "std_msgs/msg/String", "std_msgs/msg/Float64MultiArray"
 
 def text(words: str) -> bytes:
     """A message of any number of bytes, also such that are no multiple of 4."""
-    return cdr(store().types[STRING](words), STRING)
+    return bytes(store().serialize_cdr(store().types[STRING](words), STRING))
 
 
 @pytest.fixture
@@ -423,7 +386,9 @@ def test_what_fails_is_told_and_the_next_message_comes(node: Node, caplog: pytes
 
 
 PUBLISHED = {one.type for one in Topics({ARM.name: ARM}, RowSchema.of([ARM])).published.values()}
+
 TAKEN = set(Commands("cell", {ARM.name: ARM}).types.values())
+
 BYTES = bytes.fromhex(  # JointState of 1.000000002 s, frame "f", joints a and b, by hand
     "00010000 01000000 02000000 02000000 66000000 02000000 02000000 61000000 02000000 62000000 02000000"
     "0000000000000000 000000000000f03f 00000000 02000000 000000000000f03f 0000000000000040"
@@ -477,7 +442,7 @@ def test_golden_bytes() -> None:
 
 @pytest.mark.parametrize("name", sorted(PUBLISHED | TAKEN))
 def test_both_codecs_agree(name: str) -> None:
-    for seed in range(9):
+    for seed in range(3):
         ours = message(name, seed)
         expected = bytes(store().serialize_cdr(ours, name))
         assert plain(ours).serialize(use_version_2=False) == expected

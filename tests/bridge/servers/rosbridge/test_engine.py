@@ -1,11 +1,11 @@
-"""The protocol without sockets: what a client says, what it hears, what the loop is asked for."""
+"""rosbridge without sockets: what a client says and hears in either dialect, what the loop is asked for, what waits."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
-from typing import Any, get_args
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -14,12 +14,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab.bridge.servers.messages import CommandRequest, Leave, SetRequest, Stop, read_request
+from armlab.bridge.servers.ros.topics import header, store
 from armlab.bridge.servers.rosbridge.engine import Engine
 from armlab.bridge.servers.rosbridge.protocol import (
+    HEADER,
     LARGEST,
+    TIME,
     Advertise,
     CallService,
-    Level,
+    Dialect,
     Operation,
     Publish,
     ServiceResponse,
@@ -28,17 +31,23 @@ from armlab.bridge.servers.rosbridge.protocol import (
     Subscribe,
     Unadvertise,
     Unsubscribe,
-    full_name,
+    fields,
     id_of,
+    publish,
     read_operation,
+    read_type,
+    type_name,
 )
 from armlab.bridge.servers.rosbridge.rosapi import SET_PARAM, Rosapi, parameter_name
+from armlab.bridge.servers.rosbridge.session import Outbox, Session, Subscription
 from armlab.errors import CommandRefused
 
 from .conftest import Bench
 
 POSITION = "/yumi_left/joint_group_position_controller/command"
+
 STATES = "/yumi_left/joint_states"
+
 SEVEN = [0.1 * k for k in range(7)]
 
 
@@ -322,12 +331,17 @@ def test_a_setting_that_the_loop_does_not_answer(bench: Bench) -> None:
 _JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
     lambda inner: st.lists(inner, max_size=8) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
-    max_leaves=12,
+    max_leaves=6,
 )
+
 _OPS = ["subscribe", "unsubscribe", "advertise", "unadvertise", "publish", "call_service", "service_response", "png"]
+
 _OPS += ["set_level", "status", "fragment"]
+
 _NAMES = [STATES, POSITION, "/yumi_left/parameters", "/yumi_left/set_parameter", "/yumi_left/stop"]
+
 FUZZED = Bench()
+
 _VALUES = {
     "op": st.sampled_from(_OPS),
     "topic": st.sampled_from(_NAMES),
@@ -342,10 +356,11 @@ _VALUES = {
     "throttle_rate": st.integers(-1, 100),
     "queue_length": st.integers(-1, 100),
 }
+
 _OPERATION = st.fixed_dictionaries({}, optional={name: value | _JSON for name, value in _VALUES.items()})
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(said=st.lists(_OPERATION | _JSON | st.text() | st.binary(), max_size=8))
 def test_whatever_a_client_says_is_done_or_answered(said: list[Any]) -> None:
     """Any JSON, any text, any bytes: no exception; what goes out is JSON, what is asked is a request."""
@@ -387,16 +402,6 @@ GOLDEN: dict[str, Operation] = {
 def test_golden_operations(text: str, operation: Operation) -> None:
     assert read_operation(text) == operation
     assert id_of(text) == operation.id
-
-
-def test_levels() -> None:
-    for level in get_args(Level):
-        assert read_operation(json.dumps({"op": "set_level", "level": level})) == SetLevel(level=level)
-
-
-def test_a_missing_leading_slash_is_added() -> None:
-    assert full_name("a/b") == full_name("/a/b") == "/a/b"
-    assert full_name("//a") == "//a", "no other spelling is understood"
 
 
 def test_too_long_and_ids_that_are_none() -> None:
@@ -477,3 +482,194 @@ def test_parameters(bench: Bench) -> None:
     assert "declared and stay" in bench.ask(client, "/rosapi/delete_param", args=["gain"])
     assert "as JSON text" in bench.ask(client, "/rosapi/set_param", args=["gain", "{"])
     assert "gain" in bench.ask(client, "/rosapi/set_param", args=["none", "1"])
+
+
+TYPES = store().types
+
+
+def encoded(topic: str, message: Any, dialect: Dialect, seq: int) -> bytes:
+    return publish(topic, message, message.__msgtype__, dialect, seq)
+
+
+def test_the_text_of_a_type_tells_the_dialect() -> None:
+    assert read_type("sensor_msgs/JointState") == ("sensor_msgs/msg/JointState", "ros1")
+    assert read_type("sensor_msgs/msg/JointState") == ("sensor_msgs/msg/JointState", "ros2")
+    assert type_name("sensor_msgs/msg/JointState", "ros1") == "sensor_msgs/JointState"
+    assert type_name("sensor_msgs/msg/JointState", "ros2") == "sensor_msgs/msg/JointState"
+
+
+@pytest.mark.parametrize(
+    "text", ["", "JointState", "a/b/c", "a/msg/", "/a", "a/srv/B", "a/" + "b" * 300, "1/A", "a/B\n"]
+)
+def test_what_is_no_type_is_refused(text: str) -> None:
+    with pytest.raises(CommandRefused, match="such as sensor_msgs/JointState"):
+        read_type(text)
+
+
+def test_golden_joint_state_in_both_dialects() -> None:
+    numbers = np.array([0.5, np.nan, np.inf])
+    message = TYPES["sensor_msgs/msg/JointState"](
+        header(5_000_000_250, "base"), ["a"], numbers, numbers[:0], numbers[:1]
+    )
+    assert encoded("/yumi/joint_states", message, "ros2", 7) == (
+        b'{"op":"publish","topic":"/yumi/joint_states","msg":{"header":{"stamp":{"sec":5,"nanosec":250},'
+        b'"frame_id":"base"},"name":["a"],"position":[0.5,null,null],"velocity":[],"effort":[0.5]}}'
+    )
+    assert encoded("/yumi/joint_states", message, "ros1", 7) == (
+        b'{"op":"publish","topic":"/yumi/joint_states","msg":{"header":{"seq":7,"stamp":{"secs":5,"nsecs":250},'
+        b'"frame_id":"base"},"name":["a"],"position":[0.5,null,null],"velocity":[],"effort":[0.5]}}'
+    )
+
+
+def test_messages_in_messages() -> None:
+    pair = TYPES["diagnostic_msgs/msg/KeyValue"]("rate", "250")
+    status = TYPES["diagnostic_msgs/msg/DiagnosticStatus"](
+        level=1, name="n", message="m", hardware_id="h", values=[pair]
+    )
+    message = TYPES["diagnostic_msgs/msg/DiagnosticArray"](header(1), [status])
+    found = json.loads(encoded("/d", message, "ros2", 1))["msg"]["status"]
+    assert found == [
+        {"level": 1, "name": "n", "message": "m", "hardware_id": "h", "values": [{"key": "rate", "value": "250"}]}
+    ]
+
+
+@pytest.mark.parametrize(("dialect", "names"), [("ros1", {"secs", "nsecs"}), ("ros2", {"sec", "nanosec"})])
+def test_stamps_wherever_they_are(dialect: Dialect, names: set[str]) -> None:
+    stamp = TYPES[TIME](1, 2)
+    assert json.loads(encoded("/t", stamp, dialect, 1))["msg"].keys() == names
+    assert json.loads(encoded("/t", TYPES[HEADER](stamp, "a"), dialect, 1))["msg"]["stamp"].keys() == names
+
+
+def test_fields_are_those_of_the_definition() -> None:
+    assert fields("std_msgs/msg/Float64MultiArray") == ("layout", "data")
+    assert fields("std_msgs/msg/Empty") == ()
+
+
+def heard(session: Session) -> list[dict[str, object]]:
+    return [json.loads(one) for one in session.outbox.take(10**6)]
+
+
+def test_errors_by_default_and_the_rest_as_asked() -> None:
+    session = Session("me", may_ask=True)
+
+    def levels() -> list[object]:
+        for level in ("info", "warning", "error"):
+            session.status(level, "text", 0)
+        return [one["level"] for one in heard(session)]
+
+    assert levels() == ["error"]
+    session.level = "info"
+    assert levels() == ["info", "warning", "error"]
+    session.level = "none"
+    assert levels() == []
+
+
+def test_ids_come_back_when_there_were_any() -> None:
+    session = Session("me", may_ask=True)
+    session.status("error", "why", 0, "7")
+    session.response("/s", None, {"a": 1}, True, 0)
+    session.response("/s", 8, "why", False, 0)
+    assert heard(session) == [
+        {"op": "status", "id": "7", "level": "error", "msg": "why"},
+        {"op": "service_response", "service": "/s", "values": {"a": 1}, "result": True},
+        {"op": "service_response", "id": 8, "service": "/s", "values": "why", "result": False},
+    ]
+
+
+MS = 1_000_000
+
+
+def played(subscription: Subscription, outbox: Outbox, count: int) -> list[tuple[int, int]]:
+    """Offer a message every 4 ms; return the time [ms] and the number of those that were sent."""
+    found = []
+    for k in range(count):
+        now = 4 * k * MS
+        if subscription.is_due(now):
+            subscription.offer(b"%d" % k, now)
+        found += [(4 * k, int(one)) for one in outbox.take(1000)]
+    return found
+
+
+def made(throttle_ms: float, queue_length: int) -> tuple[Subscription, Outbox]:
+    outbox = Outbox()
+    subscription = Subscription("/a", outbox, "ros2")
+    subscription.add("", throttle_ms, queue_length)
+    return subscription, outbox
+
+
+def test_everything_without_a_throttle() -> None:
+    assert played(*made(0.0, 0), 5) == [(4 * k, k) for k in range(5)]
+
+
+def test_a_throttle_is_the_least_time_between_two_and_the_newest_is_sent() -> None:
+    assert played(*made(10.0, 0), 10) == [(0, 0), (12, 3), (24, 6), (36, 9)]
+
+
+def test_a_queue_keeps_what_came_too_early_and_drops_the_oldest() -> None:
+    subscription, outbox = made(12.0, 2)
+    assert played(subscription, outbox, 10) == [(0, 0), (12, 1), (24, 4), (36, 7)]
+    assert outbox.dropped == 4  # 2, 3, 5 and 6; 8 and 9 wait
+
+
+def test_of_several_ids_the_most_eager_counts() -> None:
+    subscription, outbox = made(1000.0, 0)
+    subscription.add("fast", 0.0, 0)
+    assert len(played(subscription, outbox, 5)) == 5
+    assert not subscription.remove("fast")
+    assert not subscription.remove("unknown")
+    assert [number for _, number in played(subscription, outbox, 500)] == [4, 254]
+    assert subscription.remove(None)
+
+
+def test_a_queue_without_a_throttle_bounds_what_waits_for_a_slow_client() -> None:
+    subscription, outbox = made(0.0, 2)
+    for k in range(5):
+        subscription.offer(b"%d" % k, 0)
+    assert outbox.take(1000) == [b"3", b"4"]
+
+
+def test_in_order_and_counted() -> None:
+    box = Outbox()
+    for k in range(4):
+        box.put(b"%d" % k, k * MS)
+    assert box.take(2) == [b"0", b"1"]
+    assert box.take(100) == [b"2", b"3"]
+    assert box.take(100) == []
+    assert (box.sent, box.dropped) == (4, 0)
+
+
+def test_the_oldest_goes_after_a_second() -> None:
+    box = Outbox()
+    for k in range(500):
+        box.put(b"%d" % k, 4 * k * MS)
+    assert box.dropped == 249
+    assert box.take(2**20) == [b"%d" % k for k in range(249, 500)]
+
+
+def test_four_megabytes_wait_at_most() -> None:
+    box = Outbox()
+    for _ in range(100):
+        box.put(bytes(2**16), 0)
+    assert len(box.take(2**30)) == 64
+    assert box.dropped == 36
+
+
+def test_a_topic_with_a_queue_of_its_own_keeps_its_newest() -> None:
+    box = Outbox()
+    for k in range(5):
+        box.put(b"a%d" % k, 0, "/a", 2)
+        box.put(b"b%d" % k, 0, "/b")
+    assert box.take(1000) == [b"b0", b"b1", b"b2", b"a3", b"b3", b"a4", b"b4"]
+    assert box.dropped == 3
+
+
+def test_a_client_is_stuck_when_it_takes_nothing_for_ten_seconds() -> None:
+    box = Outbox()
+    assert not box.is_stuck(10**15)
+    for k in range(2501):
+        box.put(b"", 4 * k * MS)
+        assert not box.is_stuck(4 * k * MS)
+    box.put(b"", 10_004 * MS)
+    assert box.is_stuck(10_004 * MS)
+    box.take(1)
+    assert not box.is_stuck(10_004 * MS)
