@@ -9,8 +9,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,10 +19,12 @@ import pytest
 from armlab import robots
 from armlab.bridge import connect
 from armlab.bridge.servers.hub import Hub
+from armlab.bridge.servers.labcomm.process import labcomm_options
 from armlab.bridge.servers.local import LocalFeed, cells
 from armlab.bridge.servers.messages import CommandRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Row
-from armlab.bridge.servers.supervisor import PLACE, Offering, Servers, stoppable
+from armlab.bridge.servers.serve import _SERVERS
+from armlab.bridge.servers.supervisor import PLACE, Offering, Servers
 from armlab.errors import LinkError
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -99,6 +101,25 @@ def test_a_server_that_never_listens_refuses_at_once(words: list[str], said: str
         assert time.monotonic() - began < 30.0
 
 
+@pytest.mark.parametrize("name", [name for name in _SERVERS if name != "local"])
+def test_a_loop_that_has_gone_before_it_described_its_rows_ends_a_server(name: str) -> None:
+    where = {"host": "127.0.0.1", "port": 0, "to": "127.0.0.1", "domain": 0, "distribution": "jazzy", "router": ""}
+    options = {
+        **where,
+        "lab": "lab",
+        "dialect": "ros2",
+        "fields": None,
+        "master": "http://127.0.0.1:1",
+        "python": "python",
+    }
+    hub = Hub([LEFT], [name], about={"cell": "yumi"})
+    feed = hub.open(name)
+    feed.recv(2**17)
+    hub.close()
+    with feed, pytest.raises(LinkError, match="Start it again"):
+        import_module(_SERVERS[name]).serve(feed, {**labcomm_options([LEFT]), **options})
+
+
 def test_a_server_that_says_nothing() -> None:
     with Servers(Hub([LEFT], ["a"]), {"a": command("import time; time.sleep(60)")}) as servers:
         with pytest.raises(LinkError, match=r"Expected a to listen within 0.2 s"):
@@ -144,8 +165,11 @@ def test_no_server_outlives_a_bridge_that_is_killed(tmp_path: Path) -> None:
     path = tmp_path / "x"
     program = f"""
 import time
+from importlib import import_module
 from armlab import robots
 from armlab.bridge.servers.hub import Hub
+from armlab.bridge.servers.labcomm.process import labcomm_options
+from armlab.bridge.servers.serve import _SERVERS
 from armlab.bridge.servers.supervisor import Servers, server_command
 
 command = server_command("local", {{"path": "{path}"}})
@@ -225,14 +249,3 @@ def test_who_only_listens_offers_what_it_hears(robot: Robot, tmp_path: Path, mon
                     break
             else:
                 pytest.fail("no row came")
-
-
-def test_a_controller_holds_while_somebody_has_stopped_the_arms() -> None:
-    arbiter = SimpleNamespace(stopped=False, polled=0)
-    arbiter.poll = lambda: setattr(arbiter, "polled", arbiter.polled + 1)
-    controlled = stoppable(lambda state: Command(qd=np.ones(7)), arbiter)  # type: ignore[arg-type]
-    state: Any = None
-    assert controlled(state) is not None
-    arbiter.stopped = True
-    assert controlled(state) is None
-    assert arbiter.polled == 2

@@ -19,7 +19,6 @@ from armlab.bridge.servers.labcomm.channels import (
     FusedArm,
     FusedChannel,
     FusedSource,
-    OnCommand,
     OnSet,
     ParameterChannel,
     Value,
@@ -68,19 +67,6 @@ def fakes(*names: str) -> Sequence[Any]:
     return [Fake(name) for name in names]
 
 
-def test_every_valid_command_is_passed_on() -> None:
-    """Who may command is decided in one place, which is not here."""
-    taken, gone = [], []
-    on_command: OnCommand = lambda name, row, client: taken.append((name, row.tm, client))  # noqa: E731
-    channel, (a, b) = ArmChannel("left", 0, on_command, on_left=gone.append), fakes("a", "b")
-    for peer in (a, b, a):
-        channel.take(peer, sample(), [a, b])
-    channel.left(b)
-    assert taken == [("left", 1, "a"), ("left", 1, "b"), ("left", 1, "a")]
-    assert gone == ["b"]
-    assert channel.counts == {"commands": 3}
-
-
 def test_what_is_no_command_is_counted() -> None:
     taken: list[Any] = []
     channel, (a,) = ArmChannel("left", 0, lambda *args: taken.append(args)), fakes("a")
@@ -91,17 +77,6 @@ def test_what_is_no_command_is_counted() -> None:
     for event in (Version("x"), Definition("sample", 0x40, "command_row", COMMAND.type), Unknown(0x41, b"")):
         channel.take(a, event, [a])
     assert (taken, channel.counts) == ([], {"refused": 1, "other type": 1})
-
-
-def test_a_row_is_sent_in_the_dialect_of_each_client() -> None:
-    channel, (a, b) = ArmChannel("left", 0), fakes("a", "b")
-    b.encoder = Encoder("2006")
-    for peer in (a, b):
-        channel.greet(peer)
-    channel.put(Row(7, np.zeros(7)), [a, b])
-    assert [type(event) for event in a.events()] == [Version, Definition, Sample]
-    assert [type(event) for event in b.events()] == [Definition, Sample]
-    assert b.events()[-1].value["tm"] == 7
 
 
 def test_fused_rows() -> None:

@@ -16,12 +16,12 @@ from armlab.bridge.servers.labcomm.channels import ParameterChannel
 from armlab.bridge.servers.labcomm.client import LabCommClient, LabCommSource, connected
 from armlab.bridge.servers.labcomm.link import RowCodec, RowPort, far_end
 from armlab.bridge.servers.labcomm.rows import RowTypes
-from armlab.errors import ConfigError, LabCommError, LinkError, UnknownName
+from armlab.errors import ConfigError, LinkError, UnknownName
 from armlab.log import Column
 from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import Codec, Drop, Packet, Reference
-from armlab.wire.labcomm import Decoder, Definition, Encoder, Prim, Sample, Version, parse_lc
+from armlab.wire.labcomm import Decoder, Encoder, Prim, Sample
 
 from .conftest import PATIENCE, Started, row, until
 
@@ -76,21 +76,6 @@ def test_a_client_connects_again(start: Start) -> None:
         again.server.row("left", row(2))
         assert [got.tm for got in client.rows(PATIENCE)] == [2]
     assert calls == []
-
-
-def test_parameters_by_name(start: Start) -> None:
-    one = start(ParameterChannel({"gain": 0.5}, 0))
-    (gain,) = parse_lc("sample double gain;")
-    with LabCommClient(port=one.server.ports["parameters"], dialect="2014") as client:
-        client.define(gain)
-        events = []
-        while len(events) < 3:
-            events += client.events(PATIENCE)
-        assert [type(event) for event in events] == [Version, Definition, Sample]
-        client.send(gain, 0.25)
-        assert client.events(PATIENCE)[0].value == 0.25
-        with pytest.raises(LabCommError, match="gain: a double expected"):
-            client.send(gain, "much")
 
 
 def test_what_goes_wrong_is_a_link_error() -> None:

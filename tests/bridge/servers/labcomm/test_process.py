@@ -15,11 +15,11 @@ from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.labcomm import LabCommClient, Row
-from armlab.bridge.servers.labcomm.process import ArmPlaces, Held, LabCommProcess, SourcePlaces, labcomm_options, serve
+from armlab.bridge.servers.labcomm.process import ArmPlaces, Held, LabCommProcess, SourcePlaces, labcomm_options
 from armlab.bridge.servers.labcomm.rows import RowTypes
 from armlab.bridge.servers.row import RowField, RowSchema, RowWriter, read_row
 from armlab.bridge.servers.supervisor import Servers, server_command
-from armlab.errors import ConfigError, LabCommError, LinkError, UnknownName
+from armlab.errors import ConfigError, LabCommError, UnknownName
 from armlab.log import Column, Tick
 from armlab.robots import Robot
 from armlab.state import State
@@ -221,25 +221,6 @@ def test_stop_from_any_client_on_any_port(running: Running, port: str) -> None:
     assert running.exchange.arbiter.stopped.startswith("labcomm 127.0.0.1:")
 
 
-def test_what_is_no_command_and_what_is_no_labcomm_are_events(running: Running, robot: Robot) -> None:
-    told: list[str] = []
-    running.exchange.begin(lambda text, *_: told.append(text))
-
-    def said(words: str) -> bool:
-        running.exchange.arbiter._answered.clear()  # each is told at once
-        running.exchange.poll()
-        return any(text.startswith("labcomm: ") and words in text for text in told)
-
-    with socket.create_connection(("127.0.0.1", running.where[robot.name])) as one:
-        types, encoder = RowTypes(robot.abb_axes), Encoder("2014v1")
-        value = {name: 7 * [0.0] for name in ("pos", "vel", "trq")}
-        one.sendall(encoder.version() + encoder.define(types.sent) + encoder.data(types.sent, {"tm": 1, **value}))
-        until(lambda: said("got a sample 'robot_row'"))
-        one.sendall(64 * b"\xff")
-        until(lambda: said("was closed, offset"))
-    assert not running.exchange.arbiter.obeyed[robot.name]
-
-
 def test_options() -> None:
     left, right = robots.load("yumi_left"), robots.load("yumi_right")
     options = labcomm_options([left, right])
@@ -256,15 +237,6 @@ def test_options() -> None:
         labcomm_options([left], dialect="2015")
     with pytest.raises(ConfigError, match="each of 1 arms"):
         labcomm_options([left], ports=[1, 2])
-
-
-def test_a_loop_that_has_gone_ends_the_process(robot: Robot) -> None:
-    exchange = Hub([robot], ["labcomm"])
-    feed = exchange.open("labcomm")
-    feed.recv(2**17)
-    exchange.close()
-    with pytest.raises(LinkError, match="Start it again"), feed:
-        serve(feed, labcomm_options([robot]))
 
 
 def test_it_is_one_of_the_bridge_s_servers(robot: Robot) -> None:

@@ -142,18 +142,6 @@ def test_parameters_are_set_and_echoed(start: Start) -> None:
         assert sorted(values) == [0.5, 0.5, 0.5, 0.75]
 
 
-def test_a_callback_that_raises_stops_nobody(start: Start) -> None:
-    def broken(name: str, row: Row, client: str) -> None:
-        raise RuntimeError("broken")
-
-    one = start(ArmChannel("left", 0, broken))
-    client = one.client("left")
-    client.socket.sendall(command(1))
-    until(lambda: any("RuntimeError: broken" in text for text in one.said))
-    one.server.row("left", row(1))
-    client.read(3)
-
-
 def test_a_row_of_another_shape_stops_nobody(start: Start) -> None:
     one = start(ArmChannel("left", 0))
     client = one.client("left")

@@ -29,7 +29,6 @@ from armlab.bridge.servers.ros.dds import (
     carrier,
     configuration,
     joined,
-    serve,
     struct,
     tie_to_loopback,
     topic_name,
@@ -152,22 +151,6 @@ def test_commands_take_the_arm_until_the_writer_leaves(running: Running) -> None
     until(lambda: running.row() is None and f"{who} no longer commands yumi_left: it closed. The arm holds." in events)
 
 
-def test_a_second_commander_is_refused_by_a_sentence(running: Running) -> None:
-    first = running.node.writer(VELOCITY, ARRAY)
-    until(lambda: write(first, ARRAY, *numbers(*[0.01] * 7)) or running.row())
-    other = Node(running.domain)
-    second = other.writer("/yumi_left/joint_group_position_controller/command", ARRAY)
-    diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
-
-    def told() -> str:
-        write(first, ARRAY, *numbers(*[0.01] * 7))
-        write(second, ARRAY, *numbers(*ARM.q_home))
-        return answer(running, diagnostics)
-
-    said = f"{client(second)}: yumi_left is commanded by ros2 {client(first)}. You may read."
-    assert until(told).startswith(said)
-
-
 @pytest.mark.parametrize(
     ("type_", "fields", "sentence"),
     [
@@ -235,15 +218,6 @@ def test_any_node_may_stop_the_arms(running: Running) -> None:
     writer = running.node.writer("/yumi_left/stop", "std_msgs/msg/Empty")
     until(lambda: write(writer, "std_msgs/msg/Empty") or running.row() or running.exchange.arbiter.stopped)
     assert running.exchange.arbiter.stopped == f"ros2 {client(writer)}"
-
-
-def test_a_loop_that_has_gone_ends_the_process() -> None:
-    exchange = Hub([ARM], ["ros2"], about={"cell": "yumi"})
-    feed = exchange.open("ros2")
-    feed.recv(2**17)
-    exchange.close()
-    with pytest.raises(LinkError, match="Start it again"), feed:
-        serve(feed, {"domain": 0, "host": "127.0.0.1"})
 
 
 STRING, NUMBERS = "std_msgs/msg/String", "std_msgs/msg/Float64MultiArray"

@@ -82,21 +82,6 @@ def test_names_without_a_leading_slash_are_resolved_and_echoed_as_asked(bench: B
     assert "Expected the name of a topic" in bench.heard(client)[0]["msg"], "two slashes are no other spelling"
 
 
-def test_services_without_a_leading_slash_are_answered_as_asked(bench: Bench) -> None:
-    client = bench.client()
-    assert bench.ask(client, "rosapi/topics") == bench.ask(client, "/rosapi/topics")
-    assert bench.ask(client, "rosapi/topic_type", args={"topic": STATES[1:]})["type"] == "sensor_msgs/msg/JointState"
-    asked = {"service": "rosapi/get_time"}
-    assert bench.ask(client, "rosapi/service_type", args=asked)["type"] == "rosapi_msgs/srv/GetTime"
-    call = {"op": "call_service", "service": "rosapi/set_param"}
-    bench.say(client, **call, id="late", args=["gain", "1.0"])
-    bench.engine.turn(bench.now + 10**10)
-    (answer,) = bench.heard(client)
-    assert (answer["service"], answer["id"], answer["result"]) == ("rosapi/set_param", "late", False)
-    bench.say(client, **call, id="wrong", args=["gain", "{"])
-    assert bench.heard(client)[0]["service"] == "rosapi/set_param"
-
-
 def test_what_nobody_says_comes_from_the_configuration(bench: Bench) -> None:
     engine = Engine(bench.loop, dialect="ros1")
     client = engine.join("me")
@@ -549,33 +534,6 @@ def heard(session: Session) -> list[dict[str, object]]:
     return [json.loads(one) for one in session.outbox.take(10**6)]
 
 
-def test_errors_by_default_and_the_rest_as_asked() -> None:
-    session = Session("me", may_ask=True)
-
-    def levels() -> list[object]:
-        for level in ("info", "warning", "error"):
-            session.status(level, "text", 0)
-        return [one["level"] for one in heard(session)]
-
-    assert levels() == ["error"]
-    session.level = "info"
-    assert levels() == ["info", "warning", "error"]
-    session.level = "none"
-    assert levels() == []
-
-
-def test_ids_come_back_when_there_were_any() -> None:
-    session = Session("me", may_ask=True)
-    session.status("error", "why", 0, "7")
-    session.response("/s", None, {"a": 1}, True, 0)
-    session.response("/s", 8, "why", False, 0)
-    assert heard(session) == [
-        {"op": "status", "id": "7", "level": "error", "msg": "why"},
-        {"op": "service_response", "service": "/s", "values": {"a": 1}, "result": True},
-        {"op": "service_response", "id": 8, "service": "/s", "values": "why", "result": False},
-    ]
-
-
 MS = 1_000_000
 
 
@@ -595,10 +553,6 @@ def made(throttle_ms: float, queue_length: int) -> tuple[Subscription, Outbox]:
     subscription = Subscription("/a", outbox, "ros2")
     subscription.add("", throttle_ms, queue_length)
     return subscription, outbox
-
-
-def test_everything_without_a_throttle() -> None:
-    assert played(*made(0.0, 0), 5) == [(4 * k, k) for k in range(5)]
 
 
 def test_a_throttle_is_the_least_time_between_two_and_the_newest_is_sent() -> None:
@@ -626,16 +580,6 @@ def test_a_queue_without_a_throttle_bounds_what_waits_for_a_slow_client() -> Non
     for k in range(5):
         subscription.offer(b"%d" % k, 0)
     assert outbox.take(1000) == [b"3", b"4"]
-
-
-def test_in_order_and_counted() -> None:
-    box = Outbox()
-    for k in range(4):
-        box.put(b"%d" % k, k * MS)
-    assert box.take(2) == [b"0", b"1"]
-    assert box.take(100) == [b"2", b"3"]
-    assert box.take(100) == []
-    assert (box.sent, box.dropped) == (4, 0)
 
 
 def test_the_oldest_goes_after_a_second() -> None:

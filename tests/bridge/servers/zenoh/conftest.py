@@ -25,13 +25,6 @@ from ....processes import free_port, until
 PATIENCE = 15.0  # s; only a test that fails waits so long
 
 
-class Bytes(bytes):
-    """As a payload of Zenoh's has them."""
-
-    def to_bytes(self) -> bytes:
-        return bytes(self)
-
-
 class Wire:
     """A way to a port that can be cut and mended."""
 

@@ -6,7 +6,6 @@ import struct
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,7 @@ from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import Codec, Drop, Packet, Reference
 
-from .conftest import PATIENCE, Bytes, Running, Wire, free_port, until
+from .conftest import PATIENCE, Running, Wire, free_port, until
 
 Start = Callable[..., Running]
 
@@ -167,17 +166,6 @@ def test_a_time_beyond_all_clocks_is_dropped(robot: Robot) -> None:
         assert getattr(codec.decode(bytes(data)), "reason", None) == wanted
 
 
-def test_a_row_that_is_too_short_is_handed_over_and_not_counted(start: Start, robot: Robot) -> None:
-    one = start()
-    port = ZenohPort(robot, Address("127.0.0.1", one.options["port"], "lab1"))
-    short = beginning(port.schema)
-    port._take(SimpleNamespace(payload=Bytes(short), attachment=Bytes(checksum(short))))
-    arrival = port.receive()
-    assert arrival is not None
-    assert (arrival.data, port.gaps.rows) == (short, 0)
-    port.close()
-
-
 def test_urls(robot: Robot, start: Start) -> None:
     one = start()
     number = one.options["port"]
@@ -230,17 +218,6 @@ def all_of(feed: ZenohFeed) -> None:
     """Read until it ends."""
     for _ in range(10_000):
         feed.receive()
-
-
-def test_who_does_not_read_loses_the_oldest_messages(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("armlab.bridge.servers.zenoh.feed._KEPT", 5)
-    one = start()
-    with ZenohFeed(f"zenoh://127.0.0.1:{one.options['port']}/lab1") as feed:
-        for number in range(20):
-            feed._take({"kind": "event", "text": str(number)})
-        found: list[Any] = [feed.receive() for _ in range(5)]
-        assert [each.get("text") for each in found] == ["15", "16", "17", "18", "19"]
-        assert not feed.wait(0.0)
 
 
 def test_damaged_rows_are_dropped_and_told(start: Start, robot: Robot) -> None:
