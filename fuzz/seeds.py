@@ -16,7 +16,6 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from armlab.bridge.servers.ros.message_template import cdr  # noqa: E402
 
 from armlab import log, models, robots  # noqa: E402
 from armlab.bridge.servers.ros.rmw_zenoh import Names, Origin  # noqa: E402
@@ -257,10 +256,10 @@ def client() -> Seeds:
     array = types["std_msgs/msg/Float64MultiArray"](
         layout=types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0), data=SEVEN
     )
-    yield "ros_command", "numbers", b"\0" + cdr(array, "std_msgs/msg/Float64MultiArray")
+    yield "ros_command", "numbers", b"\0" + bytes(store().serialize_cdr(array, "std_msgs/msg/Float64MultiArray"))
     yield "ros_command", "json", b"\0" + json.dumps([0.1] * 7).encode()
     setting = types["std_msgs/msg/String"](data='{"gain": 0.5}')
-    yield "ros_command", "setting", bytes([18]) + cdr(setting, "std_msgs/msg/String")
+    yield "ros_command", "setting", bytes([18]) + bytes(store().serialize_cdr(setting, "std_msgs/msg/String"))
     names = Names(0, "a1b2")
     token = names.writer(1, "/yumi_left/stop", "std_msgs/msg/Empty")
     yield "zenoh", "token", token.encode() + b"\n" + Origin(1, 10**18, b"0123456789abcdef").pack()

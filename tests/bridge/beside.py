@@ -15,7 +15,7 @@ from armlab.bridge.servers.row import Row
 from armlab.errors import LinkError
 from armlab.log import Table
 
-from .servers.zenoh.conftest import until
+from ..processes import until
 
 PATIENCE = 60.0  # s; only a test that fails waits so long
 WINDOW = 100  # ticks before and after what happened, in which packets without an answer are compared

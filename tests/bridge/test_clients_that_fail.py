@@ -22,8 +22,8 @@ from armlab.bridge.command.arbiter import LEASE, Arbiter
 from armlab.bridge.servers.hub import Hub
 from armlab.state import Command
 
+from ..processes import free_port
 from .beside import PATIENCE, WINDOW, Watch, more_missed
-from .servers.zenoh.conftest import free_port
 
 pytest.importorskip("zenoh", reason="the extra net is not installed")
 

@@ -24,9 +24,9 @@ from armlab.bridge.control.limits import Limits
 from armlab.bridge.servers.hub import Hub
 from armlab.state import Command
 
+from ..processes import free_port
 from .beside import PATIENCE, WINDOW, Watch, more_missed
 from .labcomm_client import SPEED as DOWN
-from .servers.zenoh.conftest import free_port
 
 pytest.importorskip("zenoh", reason="the extra net is not installed")
 

@@ -137,7 +137,7 @@ held_by(
     ),
 )
 held_by(
-    "tests/bridge/servers/rosbridge/test_lost_clients.py::test_one_client_reads_while_the_others_are_lost",
+    "tests/bridge/servers/rosbridge/test_clients.py::test_one_client_reads_while_the_others_are_lost",
     cells(
         "process",
         "web clients stopped, killed, or cut off",

@@ -54,11 +54,11 @@ class Datagrams:
                     "does not any more. Choose fewer."
                 )
         self._parts = {
-            robot: _Part([field for name in self.fields if (field := schema.fields.get(f"{robot}.{name}"))])
+            robot: _FieldGroup([field for name in self.fields if (field := schema.fields.get(f"{robot}.{name}"))])
             for robot in schema.robots
         }
         sources = dict.fromkeys(one.source for one in others)
-        self._sources = {source: _Part([one for one in others if one.source == source]) for source in sources}
+        self._sources = {source: _FieldGroup([one for one in others if one.source == source]) for source in sources}
         self._fresh = [(robot, schema.fields[f"{robot}.fresh"].offset) for robot in schema.robots]
 
     def datagram(self, data: bytes) -> bytes:
@@ -73,7 +73,7 @@ class Datagrams:
         return msgspec.json.encode(found)
 
 
-class _Part:
+class _FieldGroup:
     """The fields of an arm or of a source in a datagram: joints and axes are numbered from 1."""
 
     def __init__(self, fields: Sequence[RowField]) -> None:

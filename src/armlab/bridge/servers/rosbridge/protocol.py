@@ -68,17 +68,14 @@ def type_name(type_: str, dialect: Dialect) -> str:
 
 @cache
 def fields(type_: str) -> tuple[str, ...]:
-    """Return the names of the fields of a message.
-
-    type_ : its ROS 2 name, of `ros.store`.
-    """
+    """Return the names of the fields of a message."""
     return tuple(name for name, _ in store().fielddefs[type_][1] if name != _FILLER)
 
 
 def publish(topic: str, message: Any, type_: str, dialect: Dialect, seq: int) -> bytes:
     """Return the operation "publish" of a message as JSON; a number that is not finite is null.
 
-    message : of `ros.store`. type_ : its ROS 2 name. seq : number of the message, which the headers of ROS 1 carry.
+    The number of the message, `seq`, is in the headers of ROS 1.
     """
     return msgspec.json.encode({"op": "publish", "topic": topic, "msg": _plain(message, type_, dialect, seq)})
 

@@ -92,6 +92,6 @@ def checksum(data: bytes) -> bytes:
 
 
 def undamaged(sample: Any) -> bytes | None:
-    """Return the row of a sample, None when the sum attached is another one or there is none, or it is no row's size."""
+    """Return the row of a sample, None when its checksum is wrong or missing, or when it is too large."""
     data = sample.payload.to_bytes()
     return data if len(data) <= LARGEST and data_of(sample.attachment) == checksum(data) else None
