@@ -21,7 +21,7 @@ from armlab import log, models, robots  # noqa: E402
 from armlab.bridge.servers.ros.rmw_zenoh import Names, Origin  # noqa: E402
 from armlab.bridge.servers.ros.topics import store  # noqa: E402
 from armlab.bridge.servers.row import RowSchema, RowWriter  # noqa: E402
-from armlab.bridge.servers.zenoh.keys import Attached  # noqa: E402
+from armlab.bridge.servers.zenoh.keys import Attachment  # noqa: E402
 from armlab.log import Tick  # noqa: E402
 from armlab.robots.urdf.writing import write_urdf  # noqa: E402
 from armlab.state import State  # noqa: E402
@@ -263,7 +263,7 @@ def client() -> Seeds:
     names = Names(0, "a1b2")
     token = names.writer(1, "/yumi_left/stop", "std_msgs/msg/Empty")
     yield "zenoh", "token", token.encode() + b"\n" + Origin(1, 10**18, b"0123456789abcdef").pack()
-    attached = Attached(b"0123456789abcdef", 1, 10**18).pack()
+    attached = Attachment(b"0123456789abcdef", 1, 10**18).pack()
     numbers = struct.pack("<7d", *SEVEN)
     yield "zenoh", "position", bytes([8]) + b"position" + bytes([len(attached)]) + attached + numbers
     yield "zenoh", "setting", bytes([4]) + b"gain" + bytes([0]) + b"0.5"

@@ -15,7 +15,7 @@ import pytest
 from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.zenoh.keys import EVERY
 from armlab.bridge.servers.zenoh.process import ZenohProcess
-from armlab.bridge.servers.zenoh.session import Address, close_session, open_session
+from armlab.bridge.servers.zenoh.session import LabAddress, close_session, open_session
 from armlab.live import FleetRows
 from armlab.log import Tick
 from armlab.robots import Robot
@@ -76,7 +76,7 @@ class Fleet:
         return self._bridges[-1]
 
     def rows(self, lab: str = EVERY) -> FleetRows:
-        self._heard.append(FleetRows(Address(port=self.port, lab=lab)))
+        self._heard.append(FleetRows(LabAddress(port=self.port, lab=lab)))
         return self._heard[-1]
 
     def put(self, where: str, data: bytes) -> None:

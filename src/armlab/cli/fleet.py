@@ -17,7 +17,7 @@ from armlab.errors import ConfigError
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from armlab.bridge.servers.zenoh.session import Address
+    from armlab.bridge.servers.zenoh.session import LabAddress
     from armlab.robots import Robot
 
 
@@ -172,12 +172,14 @@ fleet.command(
 )
 
 
-def _place(lab: str, router: str, ca: Path | None, secret: Path | None) -> Address:
+def _place(lab: str, router: str, ca: Path | None, secret: Path | None) -> LabAddress:
     from armlab.bridge.servers.zenoh.keys import EVERY
     from armlab.bridge.servers.zenoh.security import Security
-    from armlab.bridge.servers.zenoh.session import Address
+    from armlab.bridge.servers.zenoh.session import LabAddress
 
-    return Address.read(f"zenoh://{router}/{lab}")._replace(lab=lab or EVERY, security=Security(ca=ca, secret=secret))
+    return LabAddress.read(f"zenoh://{router}/{lab}")._replace(
+        lab=lab or EVERY, security=Security(ca=ca, secret=secret)
+    )
 
 
 def _check(seconds: float | None) -> None:

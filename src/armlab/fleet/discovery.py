@@ -17,7 +17,7 @@ from armlab.bridge.servers.zenoh.keys import EVERY, key, robot_of
 from armlab.bridge.servers.zenoh.messages import read_about
 from armlab.bridge.servers.zenoh.rows import undamaged
 from armlab.bridge.servers.zenoh.security import Security
-from armlab.bridge.servers.zenoh.session import Address, close_session, open_session, queried
+from armlab.bridge.servers.zenoh.session import LabAddress, close_session, open_session, queried
 from armlab.errors import ArmlabError, ConfigError
 
 
@@ -43,7 +43,7 @@ class FleetRobot(NamedTuple):
     commander: str
 
 
-def list_robots(place: Address, seconds: float = 2.0) -> list[FleetRobot]:
+def list_robots(place: LabAddress, seconds: float = 2.0) -> list[FleetRobot]:
     """Return the robots whose bridges are alive, after listening to all their rows for a while.
 
     Parameters

@@ -17,7 +17,7 @@ from armlab.bridge.servers.row import MAGIC
 from armlab.bridge.servers.zenoh.keys import EVERY, key, robot_of
 from armlab.bridge.servers.zenoh.messages import read_about
 from armlab.bridge.servers.zenoh.rows import Inbox, undamaged
-from armlab.bridge.servers.zenoh.session import Address, Discovery, close_session, zenoh
+from armlab.bridge.servers.zenoh.session import Discovery, LabAddress, close_session, zenoh
 from armlab.errors import ArmlabError, LinkError
 from armlab.fleet.row_columns import RowColumns, stamp_of, tick_of
 from armlab.log.recording.file import RecordingFile
@@ -56,7 +56,7 @@ class FleetRecorder:
     LinkError : no router. MissingExtra : no Zenoh.
     """
 
-    def __init__(self, place: Address, folder: str | Path, tell: Callable[[str], None] = lambda text: None) -> None:
+    def __init__(self, place: LabAddress, folder: str | Path, tell: Callable[[str], None] = lambda text: None) -> None:
         self._folder, self._tell = Path(folder), tell
         self._robots: dict[str, RobotRecord] = {}
         self._ended: set[str] = set()  # robots of whom nothing more is recorded

@@ -15,7 +15,7 @@ from armlab.bridge.servers.row import Row, RowSchema, read_row
 from armlab.bridge.servers.zenoh.keys import EVERY, key, robot_of
 from armlab.bridge.servers.zenoh.messages import read_about, read_message
 from armlab.bridge.servers.zenoh.rows import Inbox, undamaged
-from armlab.bridge.servers.zenoh.session import Address, Discovery, close_session, zenoh
+from armlab.bridge.servers.zenoh.session import Discovery, LabAddress, close_session, zenoh
 from armlab.errors import ArmlabError, LinkError
 from armlab.live.curves import Lines, Markup
 from armlab.live.scene import Scene
@@ -181,7 +181,7 @@ class FleetRows:
     LinkError : no router. MissingExtra : no Zenoh.
     """
 
-    def __init__(self, place: Address, patience: float = 5.0) -> None:
+    def __init__(self, place: LabAddress, patience: float = 5.0) -> None:
         self.place, self.robots = place, dict[str, SeenRobot]()
         self._inbox: Inbox[tuple[str, str, Any]] = Inbox(_INBOX)
         self._looked = time.monotonic()
@@ -247,7 +247,7 @@ _HEADINGS = ("robot", "state", "rate [Hz]", "missed", "damaged", "age [s]", "com
 
 
 def watch_fleet(
-    place: Address,
+    place: LabAddress,
     *,
     port: int | None = None,
     opened: Callable[[str], None] = lambda url: None,

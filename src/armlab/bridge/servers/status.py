@@ -27,7 +27,7 @@ _TOGETHER = 64  # rows: one alone takes eight times as long, as nothing of this 
 _BITS = {"position": 1, "velocity": 2, "acceleration": 4, "braking": 8}
 
 
-class _Arm:
+class _ArmCounts:
     """What is counted of one arm."""
 
     def __init__(self, schema: RowSchema, name: str) -> None:
@@ -48,7 +48,7 @@ class Status:
     """Counts rows as they come."""
 
     def __init__(self, schema: RowSchema) -> None:
-        self._arms = {name: _Arm(schema, name) for name in schema.robots}
+        self._arms = {name: _ArmCounts(schema, name) for name in schema.robots}
         self._seq = self._first = self._rows = 0
         self._waiting: list[bytes] = []
 

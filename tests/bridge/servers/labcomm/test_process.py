@@ -15,7 +15,7 @@ from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.labcomm import LabCommClient, Row
-from armlab.bridge.servers.labcomm.process import ArmPlaces, Held, LabCommProcess, SourcePlaces, labcomm_options
+from armlab.bridge.servers.labcomm.process import ArmPlaces, HeldArm, LabCommProcess, SourcePlaces, labcomm_options
 from armlab.bridge.servers.labcomm.rows import RowTypes
 from armlab.bridge.servers.row import RowField, RowSchema, RowWriter, read_row
 from armlab.bridge.servers.supervisor import Servers, server_command
@@ -264,7 +264,7 @@ def test_an_arm_is_taken_as_it_stands_in_the_row(robot_ns: int) -> None:
     state = State(t=1.5, dt=0.004, q=q, qd=-q, tau=np.full(7, np.nan), robot=LEFT.name, robot_ns=robot_ns)
     data = RowWriter(SCHEMA).row(state, None, VIEW_TICK, 1)
     held = ArmPlaces(SCHEMA, LEFT.name).held(data)
-    assert isinstance(held, Held)
+    assert isinstance(held, HeldArm)
     assert held.is_fresh
     assert (held.arm.name, held.arm.t_us) == (LEFT.name, 4_999_000)
     values = read_row(SCHEMA, data).values

@@ -34,7 +34,7 @@ from armlab.bridge.servers.ros.dds import (
     topic_name,
 )
 from armlab.bridge.servers.ros.requests import Commands
-from armlab.bridge.servers.ros.topics import Topic, Topics, store, type_name
+from armlab.bridge.servers.ros.topics import RosTopic, Topics, store, type_name
 from armlab.bridge.servers.row import RowSchema
 from armlab.errors import LinkError
 from armlab.log import Tick
@@ -236,7 +236,7 @@ def node() -> Iterator[Node]:
 
 
 def test_a_topic_is_wanted_while_it_has_a_reader(node: Node) -> None:
-    topics = {name: Topic(name, STRING) for name in ("/a", "/b")}
+    topics = {name: RosTopic(name, STRING) for name in ("/a", "/b")}
     writers = Writers(node.participant, topics)
     assert writers.wanted == frozenset()
     readers = [node.reader("/b", STRING), node.reader("/b", STRING)]
@@ -257,7 +257,7 @@ def test_a_topic_is_wanted_while_it_has_a_reader(node: Node) -> None:
 
 
 def test_of_what_a_reader_has_not_read_the_last_ten_are_kept(node: Node) -> None:
-    topic = Topic("/a", STRING)
+    topic = RosTopic("/a", STRING)
     writers = Writers(node.participant, {"/a": topic})
     reader = node.reader("/a", STRING)
     for k in range(500):

@@ -18,7 +18,7 @@ from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.ros.rmw_zenoh import ANY, Distribution, Names, Nodes, Origin, RmwZenohServer, Writer, serve
 from armlab.bridge.servers.ros.topics import store
-from armlab.bridge.servers.zenoh.session import Address, close_session
+from armlab.bridge.servers.zenoh.session import LabAddress, close_session
 from armlab.errors import ConfigError, MissingExtra
 from armlab.log import Tick
 from armlab.state import Command, State
@@ -55,7 +55,7 @@ class Running:
         self.thread.start()
         self.ticks = 0
         until(lambda: self.exchange.poll() or self.exchange.outlets["rmw_zenoh"].where)
-        self.node = Address("127.0.0.1", port).open()
+        self.node = LabAddress("127.0.0.1", port).open()
         self.names = Names(0, str(self.node.zid()), node="theirs")
         self.sent = 0
 
@@ -341,7 +341,7 @@ class Cell:
         self.server = RmwZenohServer(self.feed, {"domain": 0, "distribution": "jazzy", **place})
         self.over = threading.Event()
         self.threads = [threading.Thread(target=one) for one in (self.server.run, self._loop, self._command)]
-        self.node = Address("127.0.0.1", router).open_behind()
+        self.node = LabAddress("127.0.0.1", router).open_behind()
         self.names = Names(0, str(self.node.zid()), node="theirs")
         self.came: list[tuple[int, int, int]] = []  # of each message its number, its tick, and when it was written [ns]
         self.node.declare_subscriber(self.names.data("/yumi_left/joint_states", JOINTS), self._take)

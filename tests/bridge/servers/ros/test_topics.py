@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from armlab import kinematics, robots
 from armlab.bridge.servers.messages import CommandRequest, SetRequest, Stop
 from armlab.bridge.servers.ros.requests import Commands
-from armlab.bridge.servers.ros.topics import Topic, Topics, content, diagnostics, domain_number, store, type_name
+from armlab.bridge.servers.ros.topics import RosTopic, Topics, content, diagnostics, domain_number, store, type_name
 from armlab.bridge.servers.row import RowSchema, RowWriter
 from armlab.errors import CommandRefused, ConfigError, LinkError
 from armlab.log import Tick
@@ -207,7 +207,9 @@ def test_parameters_are_told_as_text() -> None:
     topics = Topics(ARMS, SCHEMA)
     known = {"gain": {"value": 2.0}, "gentle": {"value": True}}
     ((topic, message),) = topics.of_parameters(known, {"/yumi_right/parameters"})
-    assert topic == topics.published["/yumi_right/parameters"] == Topic("/yumi_right/parameters", "std_msgs/msg/String")
+    assert (
+        topic == topics.published["/yumi_right/parameters"] == RosTopic("/yumi_right/parameters", "std_msgs/msg/String")
+    )
     assert message.data == '{"gain": 2.0, "gentle": true}'
 
 

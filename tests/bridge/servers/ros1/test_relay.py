@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from armlab.bridge.servers.ros.topics import Topic
+from armlab.bridge.servers.ros.topics import RosTopic
 from armlab.bridge.servers.ros1 import relay
 from armlab.bridge.servers.ros1.process import Subscribers
 
@@ -135,9 +135,9 @@ def test_run_writes_sentences_into_the_log_and_ends_connections(played: Played) 
         assert not select.select([stays], [], [], 0.0)[0]
 
 
-STATES = Topic("/arm/joint_states", "sensor_msgs/msg/JointState")
+STATES = RosTopic("/arm/joint_states", "sensor_msgs/msg/JointState")
 
-TEXTS = Topic("/arm/parameters", "std_msgs/msg/String")
+TEXTS = RosTopic("/arm/parameters", "std_msgs/msg/String")
 
 PATIENCE = 20.0  # s; only a test that fails waits so long
 
@@ -150,7 +150,7 @@ class Nodes:
         self.subscribers = Subscribers(self.looks)
         self.ends: list[socket.socket] = []
 
-    def node(self, topic: Topic, *known: bytes) -> socket.socket:
+    def node(self, topic: RosTopic, *known: bytes) -> socket.socket:
         """Return the end of a node that reads a topic; the other end is ours, and rospy's as well."""
         with socket.create_server(("127.0.0.1", 0)) as server:
             theirs = socket.create_connection(server.getsockname())

@@ -27,8 +27,8 @@ from armlab.bridge.servers.rosbridge.protocol import (
     Publish,
     ServiceResponse,
     SetLevel,
-    Status,
-    Subscribe,
+    StatusOperation,
+    SubscribeOperation,
     Unadvertise,
     Unsubscribe,
     fields,
@@ -39,7 +39,7 @@ from armlab.bridge.servers.rosbridge.protocol import (
     type_name,
 )
 from armlab.bridge.servers.rosbridge.rosapi import SET_PARAM, Rosapi, parameter_name
-from armlab.bridge.servers.rosbridge.session import Outbox, Session, Subscription
+from armlab.bridge.servers.rosbridge.session import ClientSession, Outbox, Subscription
 from armlab.errors import CommandRefused
 
 from .conftest import Bench
@@ -366,10 +366,10 @@ def test_whatever_a_client_says_is_done_or_answered(said: list[Any]) -> None:
 
 GOLDEN: dict[str, Operation] = {
     '{"op":"subscribe","id":"s:1","type":"a/B","topic":"/a","compression":"none","throttle_rate":5,"queue_length":2}': (
-        Subscribe(id="s:1", topic="/a", type="a/B", compression="none", throttle_rate=5.0, queue_length=2)
+        SubscribeOperation(id="s:1", topic="/a", type="a/B", compression="none", throttle_rate=5.0, queue_length=2)
     ),
     '{"op":"subscribe","topic":"/a","throttle_rate":null,"queue_length":null,"type":null,"more":[{}]}': (
-        Subscribe(topic="/a", throttle_rate=None, queue_length=None)
+        SubscribeOperation(topic="/a", throttle_rate=None, queue_length=None)
     ),
     '{"op":"unsubscribe","id":3,"topic":"/a"}': Unsubscribe(id=3, topic="/a"),
     '{"op":"advertise","type":"a/B","topic":"/a","latch":false,"queue_size":100}': Advertise(topic="/a", type="a/B"),
@@ -379,7 +379,7 @@ GOLDEN: dict[str, Operation] = {
     '{"op":"call_service","id":"c","service":"/s","args":[1]}': CallService(id="c", service="/s", args=[1]),
     '{"op":"service_response","service":"/s","values":{},"result":true}': ServiceResponse(service="/s"),
     '{"op":"set_level","level":"warning"}': SetLevel(level="warning"),
-    '{"op":"status","level":"error","msg":"a"}': Status(),
+    '{"op":"status","level":"error","msg":"a"}': StatusOperation(),
 }
 
 
@@ -530,7 +530,7 @@ def test_fields_are_those_of_the_definition() -> None:
     assert fields("std_msgs/msg/Empty") == ()
 
 
-def heard(session: Session) -> list[dict[str, object]]:
+def heard(session: ClientSession) -> list[dict[str, object]]:
     return [json.loads(one) for one in session.outbox.take(10**6)]
 
 

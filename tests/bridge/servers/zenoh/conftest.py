@@ -15,7 +15,7 @@ import pytest
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.zenoh.process import ZenohProcess
-from armlab.bridge.servers.zenoh.session import Address, close_session
+from armlab.bridge.servers.zenoh.session import LabAddress, close_session
 from armlab.log import Tick
 from armlab.robots import Robot
 from armlab.state import State
@@ -132,7 +132,7 @@ def session() -> Iterator[Callable[..., Any]]:
     made: list[Any] = []
 
     def begin(port: int, **options: str) -> Any:
-        made.append(Address.of("127.0.0.1", port, options).open())
+        made.append(LabAddress.of("127.0.0.1", port, options).open())
         return made[-1]
 
     yield begin

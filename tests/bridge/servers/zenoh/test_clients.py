@@ -19,7 +19,7 @@ from armlab.bridge.servers.zenoh.feed import ZenohFeed, robots_at
 from armlab.bridge.servers.zenoh.keys import key
 from armlab.bridge.servers.zenoh.link import ZenohCodec, ZenohPort, far_end
 from armlab.bridge.servers.zenoh.rows import checksum
-from armlab.bridge.servers.zenoh.session import Address, close_session
+from armlab.bridge.servers.zenoh.session import LabAddress, close_session
 from armlab.errors import ConfigError, LinkError, UnknownName
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -81,7 +81,7 @@ def test_a_controller_moves_an_arm_over_zenoh(start: Start, robot: Robot) -> Non
 def test_the_port_gives_rows_as_packets_also_after_a_restart(start: Start, robot: Robot) -> None:
     number = free_port()
     one = start(number)
-    port = ZenohPort(robot, Address("127.0.0.1", number, "lab1"))
+    port = ZenohPort(robot, LabAddress("127.0.0.1", number, "lab1"))
     codec: Codec = ZenohCodec(robot, port.schema)
     codec.reset()
     assert codec.capabilities == {"position", "velocity"}
@@ -128,7 +128,7 @@ def packet(one: Running, port: ZenohPort, codec: Codec) -> Packet:
 
 def test_a_damaged_row_is_dropped_and_counted_as_such(start: Start, robot: Robot) -> None:
     one = start()
-    port = ZenohPort(robot, Address("127.0.0.1", one.options["port"], "lab1"))
+    port = ZenohPort(robot, LabAddress("127.0.0.1", one.options["port"], "lab1"))
     codec = ZenohCodec(robot, port.schema)
     session, whole = one.process._session, bytes(port.schema.size)
     where, got = key("lab1", robot.name, "live"), list[Any]()
@@ -335,7 +335,7 @@ def test_nothing_to_view(start: Start, robot: Robot) -> None:
     with pytest.raises(LinkError, match="Expected a robot in the lab 'lab2'"):
         ZenohFeed(f"zenoh://127.0.0.1:{port}/lab2")
     start(port, robot=robots.load("yumi_left"))
-    session = Address("127.0.0.1", port).open()
+    session = LabAddress("127.0.0.1", port).open()
     until(lambda: robots_at(session) == [("lab1", "yumi_left"), ("lab1", robot.name)])
     assert robots_at(session, "lab2") == []
     close_session(session)

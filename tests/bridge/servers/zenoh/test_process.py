@@ -23,8 +23,8 @@ from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.row import RowSchema, read_row
 from armlab.bridge.servers.supervisor import Servers, server_command
 from armlab.bridge.servers.zenoh.feed import robots_at
-from armlab.bridge.servers.zenoh.keys import Attached, key
-from armlab.bridge.servers.zenoh.session import Address, close_session, queried
+from armlab.bridge.servers.zenoh.keys import Attachment, key
+from armlab.bridge.servers.zenoh.session import LabAddress, close_session, queried
 from armlab.errors import LinkError
 from armlab.robots import Robot
 
@@ -39,7 +39,7 @@ Open = Callable[..., Any]
 
 
 def attached(seq: int, sender: bytes = ME) -> bytes:
-    return Attached(sender, seq, 5).pack()
+    return Attachment(sender, seq, 5).pack()
 
 
 def heard(session: Any, name: str) -> list[Any]:
@@ -227,7 +227,7 @@ class Client:
     """Rows of the arm as they come, and commands to it."""
 
     def __init__(self, port: int, sender: bytes) -> None:
-        self.session, self.sender, self.seq = Address("127.0.0.1", port).open(), sender, 0
+        self.session, self.sender, self.seq = LabAddress("127.0.0.1", port).open(), sender, 0
         ((_, text),) = queried(self.session, key("lab", "yumi_left", "schema"), PATIENCE)
         self.schema, self.rows, self.answers = RowSchema.read(text), [], []
         for name, found in (("live", self.rows), ("answer/*", self.answers)):
@@ -238,15 +238,15 @@ class Client:
 
     def command(self, q: np.ndarray) -> None:
         self.seq += 1
-        attached = Attached(self.sender, self.seq, 0).pack()
+        attached = Attachment(self.sender, self.seq, 0).pack()
         self.session.put(key("lab", "yumi_left", "command/position"), q.tobytes(), attachment=attached)
 
 
 STOPPED = """
 import sys, time
-from armlab.bridge.servers.zenoh.session import Address
+from armlab.bridge.servers.zenoh.session import LabAddress
 from armlab.bridge.servers.zenoh.keys import key
-session = Address("127.0.0.1", int(sys.argv[1])).open()
+session = LabAddress("127.0.0.1", int(sys.argv[1])).open()
 session.declare_subscriber(key("lab", "yumi_left", "*"), lambda sample: print("row", flush=True))
 time.sleep(600)
 """

@@ -22,16 +22,16 @@ from armlab import robots
 from armlab.bridge.servers.messages import text_message
 from armlab.bridge.servers.row import LARGEST, RowField, RowSchema, RowWriter
 from armlab.bridge.servers.status import Status
-from armlab.bridge.servers.zenoh.keys import COMMANDS, EVERY, Attached, key, robot_of
+from armlab.bridge.servers.zenoh.keys import COMMANDS, EVERY, Attachment, key, robot_of
 from armlab.bridge.servers.zenoh.messages import About, read_about, read_message
 from armlab.bridge.servers.zenoh.rows import Gaps, Inbox, checksum, undamaged
 from armlab.bridge.servers.zenoh.security import Security
 from armlab.bridge.servers.zenoh.session import (
     LAB,
     PORT,
-    Address,
     BlockingPublisher,
     Discovery,
+    LabAddress,
     Publisher,
     close_session,
     data_of,
@@ -214,48 +214,48 @@ def test_names() -> None:
 
 
 def test_golden_attachment() -> None:
-    one = Attached(bytes(range(16)), 1, -2)
+    one = Attachment(bytes(range(16)), 1, -2)
     assert one.pack().hex() == "000102030405060708090a0b0c0d0e0f0100000000000000feffffffffffffff"
     assert one.client == "000102030405060708090a0b0c0d0e0f"
-    assert Attached(b"labpc-" + b"A" * 10, 1, 0).client != Attached(b"labpc-" + b"B" * 10, 1, 0).client
+    assert Attachment(b"labpc-" + b"A" * 10, 1, 0).client != Attachment(b"labpc-" + b"B" * 10, 1, 0).client
 
 
 @given(st.binary(max_size=80))
 def test_attachments_are_read_or_refused(data: bytes) -> None:
     if len(data) == 32:
-        assert Attached.read(data) == Attached(data[:16], *struct.unpack("<qq", data[16:]))
-        assert Attached.read(data).pack() == data
+        assert Attachment.read(data) == Attachment(data[:16], *struct.unpack("<qq", data[16:]))
+        assert Attachment.read(data).pack() == data
     else:
         with pytest.raises(CommandRefused, match=f"got {len(data)} bytes"):
-            Attached.read(data)
+            Attachment.read(data)
 
 
 def test_no_attachment() -> None:
     with pytest.raises(CommandRefused, match="got none"):
-        Attached.read(None)
+        Attachment.read(None)
 
 
 def test_urls(tmp_path: Path) -> None:
     (tmp_path / "lab.pem").write_text("")
-    assert Address.read("zenoh://host") == Address("host", PORT, LAB)
-    assert Address.read("zenoh://host:1/a") == Address("host", 1, "a", Security())
-    assert Address.read(f"zenoh://host/a?ca={tmp_path}/lab.pem").security == Security(ca=tmp_path / "lab.pem")
+    assert LabAddress.read("zenoh://host") == LabAddress("host", PORT, LAB)
+    assert LabAddress.read("zenoh://host:1/a") == LabAddress("host", 1, "a", Security())
+    assert LabAddress.read(f"zenoh://host/a?ca={tmp_path}/lab.pem").security == Security(ca=tmp_path / "lab.pem")
     for url in ("http://host", "zenoh://", "zenoh://host/a/b", "zenoh://host/*", "zenoh://host:x", "zenoh"):
         with pytest.raises(ConfigError, match="Expected a place like"):
-            Address.read(url)
+            LabAddress.read(url)
     with pytest.raises(ConfigError, match="Invalid IPv6"):
-        Address.read("zenoh://[::1/a")
+        LabAddress.read("zenoh://[::1/a")
     with pytest.raises(ConfigError, match="only ca and secret"):
-        Address.read("zenoh://host?seed=1")
+        LabAddress.read("zenoh://host?seed=1")
     with pytest.raises(ConfigError, match="there is none"):
-        Address.read(f"zenoh://host?secret={tmp_path}/none")
+        LabAddress.read(f"zenoh://host?secret={tmp_path}/none")
 
 
 def test_nobody_there() -> None:
     with pytest.raises(LinkError, match="See whether it runs"):
-        Address("127.0.0.1", free_port()).open(0.3)
+        LabAddress("127.0.0.1", free_port()).open(0.3)
     with pytest.raises(LinkError, match="Expected a Zenoh router"):
-        Address(port=free_port()).open_behind(0.2)
+        LabAddress(port=free_port()).open_behind(0.2)
 
 
 ARM = robots.load("ur5e")

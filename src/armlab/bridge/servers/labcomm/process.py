@@ -31,13 +31,13 @@ from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import ConfigError
 from armlab.robots import Robot
 
-__all__ = ["ArmPlaces", "Held", "LabCommProcess", "SourcePlaces", "labcomm_options", "serve"]
+__all__ = ["ArmPlaces", "HeldArm", "LabCommProcess", "SourcePlaces", "labcomm_options", "serve"]
 
 _LETTERS = {"float64": "d", "int64": "q"}  # of `struct`
 _WANTED = ("fresh", "age", "receive_ns", "robot_ns", "session_t", "q", "qd", "tau")
 
 
-class Held(NamedTuple):
+class HeldArm(NamedTuple):
     """What a row of the loop holds of an arm."""
 
     is_fresh: bool
@@ -51,14 +51,14 @@ class ArmPlaces:
         self._name = robot
         self._form, self._wanted = _together([schema.fields[f"{robot}.{name}"] for name in _WANTED])
 
-    def held(self, data: bytes) -> Held | None:
+    def held(self, data: bytes) -> HeldArm | None:
         """Return what a row holds of the arm, None before its first."""
         values: Any = self._form.unpack_from(data)
         fresh, age, receive_ns, robot_ns, session_t, q, qd, tau = [values[place] for place in self._wanted]
         tm = clock_ms(robot_ns, session_t)
         if tm is None or not math.isfinite(age):
             return None
-        return Held(bool(fresh), FusedArm(self._name, receive_ns // 1000, Row(tm, q, qd, tau)))
+        return HeldArm(bool(fresh), FusedArm(self._name, receive_ns // 1000, Row(tm, q, qd, tau)))
 
 
 class SourcePlaces:

@@ -17,7 +17,7 @@ from rosbags.interfaces import Nodetype
 
 from armlab.bridge.servers.messages import Listening
 from armlab.bridge.servers.ros.server import RosServer
-from armlab.bridge.servers.ros.topics import Topic, domain_number, store, type_name
+from armlab.bridge.servers.ros.topics import RosTopic, domain_number, store, type_name
 from armlab.errors import LinkError, MissingExtra
 
 __all__ = [
@@ -227,7 +227,7 @@ _logger = logging.getLogger("armlab.bridge")
 class Writers:
     """Writes topics that somebody reads."""
 
-    def __init__(self, participant: DomainParticipant, published: Mapping[str, Topic]) -> None:
+    def __init__(self, participant: DomainParticipant, published: Mapping[str, RosTopic]) -> None:
         self.wanted: frozenset[str] = frozenset()
         self.counts: dict[str, tuple[int, int]] = {}
         self._lock = threading.Lock()
@@ -237,7 +237,7 @@ class Writers:
             made = DdsTopic(participant, topic_name(name), carrier(topic.type))
             self._writers[name] = DataWriter(participant, made, _STATE, listener)
 
-    def write(self, topic: Topic, cdr: bytes) -> None:
+    def write(self, topic: RosTopic, cdr: bytes) -> None:
         """Send one message.
 
         topic : where. cdr : a message, CDR.
@@ -357,7 +357,7 @@ class DdsServer(RosServer):
         """Return the names of the topics that somebody reads."""
         return frozenset() if self._writers is None else self._writers.wanted
 
-    def write(self, topic: Topic, cdr: bytes) -> None:
+    def write(self, topic: RosTopic, cdr: bytes) -> None:
         """Send one message."""
         if self._writers is not None:
             self._writers.write(topic, cdr)

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 from armlab.bridge.net.sockets import is_here
 from armlab.bridge.servers.messages import Listening
 from armlab.bridge.servers.ros.server import RosServer
-from armlab.bridge.servers.ros.topics import Topic, domain_number, store, type_name
+from armlab.bridge.servers.ros.topics import RosTopic, domain_number, store, type_name
 from armlab.bridge.servers.zenoh.session import Publisher, close_session, data_of, open_near, zenoh
 from armlab.errors import ConfigError, MissingExtra
 
@@ -197,7 +197,7 @@ class RmwZenohServer(RosServer):
         """Return the names of the topics that somebody reads, or has read a moment ago."""
         return self._wanted
 
-    def write(self, topic: Topic, cdr: bytes) -> None:
+    def write(self, topic: RosTopic, cdr: bytes) -> None:
         """Send one message."""
         self._outputs[topic.name].put(cdr, self._writers[topic.name].next(time.time_ns()))
 

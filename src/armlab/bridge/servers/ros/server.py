@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from armlab.bridge.servers.messages import Leave, Report
 from armlab.bridge.servers.ros.requests import Commands
-from armlab.bridge.servers.ros.topics import Messages, Topic, Topics, content, store
+from armlab.bridge.servers.ros.topics import Messages, RosTopic, Topics, content, store
 from armlab.bridge.servers.server_end import Clients, LoopEnd
 from armlab.errors import CommandRefused
 
@@ -30,7 +30,7 @@ class RosServer:
         """Return the names of the topics that somebody reads."""
         raise NotImplementedError
 
-    def write(self, topic: Topic, cdr: bytes) -> None:
+    def write(self, topic: RosTopic, cdr: bytes) -> None:
         """Send one message."""
         raise NotImplementedError
 

@@ -24,7 +24,7 @@ from armlab.robots import Robot
 __all__ = [
     "ArmRow",
     "TOPICS",
-    "Topic",
+    "RosTopic",
     "Topics",
     "content",
     "diagnostics",
@@ -86,7 +86,7 @@ def content(name: str, cdr: bytes) -> Any:
 
 
 @dataclass(frozen=True)
-class Topic:
+class RosTopic:
     """A published topic: its full name and its ROS 2 type, for example "sensor_msgs/msg/JointState"."""
 
     name: str
@@ -216,7 +216,7 @@ _ONCE_A_SECOND = {"diagnostics": "diagnostic_msgs/msg/DiagnosticArray", "paramet
 _PERIOD_NS = 1_000_000_000  # between two messages of those topics
 _MONO = Struct("<q")
 
-Messages = Iterable[tuple[Topic, Any]]
+Messages = Iterable[tuple[RosTopic, Any]]
 """Topics with a message of `types.store` each."""
 
 
@@ -236,9 +236,9 @@ class Topics:
         self._makers = {f"/{robot}/{name}": (robot, make) for robot in robots for name, (_, make) in TOPICS.items()}
         types = {name: type_ for name, (type_, _) in TOPICS.items()} | _ONCE_A_SECOND
         found = {f"/{robot}/{name}": type_ for robot in robots for name, type_ in types.items()}
-        self.published = {name: Topic(name, type_) for name, type_ in found.items()}
+        self.published = {name: RosTopic(name, type_) for name, type_ in found.items()}
 
-    def of_row(self, data: bytes, wanted: Collection[str]) -> Iterator[tuple[Topic, Any]]:
+    def of_row(self, data: bytes, wanted: Collection[str]) -> Iterator[tuple[RosTopic, Any]]:
         """Yield the wanted messages of a row: those of the arm whose row it is, then those due once a second."""
         _, mono_ns, wall_ns = read_head(self._schema, data)
         arms: dict[str, ArmRow] = {}

@@ -19,7 +19,7 @@ from typing import IO, Any
 from armlab.bridge.net.sockets import pair
 from armlab.bridge.servers.messages import Listening, Report
 from armlab.bridge.servers.ros.requests import Commands
-from armlab.bridge.servers.ros.topics import Messages, Topic, Topics, store
+from armlab.bridge.servers.ros.topics import Messages, RosTopic, Topics, store
 from armlab.bridge.servers.ros1 import relay
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import CommandRefused, LinkError
@@ -66,7 +66,7 @@ class Subscribers:
             self._put(one, _SIZE.pack(len(raw)) + raw)
         return ""
 
-    def send(self, topic: Topic, raw: bytes) -> None:
+    def send(self, topic: RosTopic, raw: bytes) -> None:
         """Send a message to all nodes that read it; their connections that have ended are let go.
 
         topic : of the message. raw : the message as ROS 1 has it; its number is set here.

@@ -11,7 +11,7 @@ import msgspec
 
 from armlab.bridge.servers.messages import CommandRequest, Leave, Report, Request, SetRequest
 from armlab.bridge.servers.ros.requests import Commands
-from armlab.bridge.servers.ros.topics import Messages, Topic, Topics
+from armlab.bridge.servers.ros.topics import Messages, RosTopic, Topics
 from armlab.bridge.servers.rosbridge.protocol import (
     Advertise,
     CallService,
@@ -20,8 +20,8 @@ from armlab.bridge.servers.rosbridge.protocol import (
     Publish,
     ServiceResponse,
     SetLevel,
-    Status,
-    Subscribe,
+    StatusOperation,
+    SubscribeOperation,
     Unadvertise,
     Unsubscribe,
     fields,
@@ -33,7 +33,7 @@ from armlab.bridge.servers.rosbridge.protocol import (
     type_name,
 )
 from armlab.bridge.servers.rosbridge.rosapi import SET_PARAM, Rosapi, parameter_name
-from armlab.bridge.servers.rosbridge.session import Session, Setting, Subscription
+from armlab.bridge.servers.rosbridge.session import ClientSession, PendingSetting, Subscription
 from armlab.bridge.servers.row import RowSchema
 from armlab.errors import CommandRefused, UnknownName
 from armlab.robots import Robot
@@ -68,19 +68,19 @@ class Engine:
         types = {name: one.type for name, one in self._published.items()} | self._commands.types
         self._rosapi = Rosapi(loop.about["cell"], types, lambda: self._loop.parameters)
         self._numbers: Counter[str] = Counter()
-        self.sessions: dict[str, Session] = {}
+        self.sessions: dict[str, ClientSession] = {}
 
-    def join(self, name: str, may_ask: bool = True) -> Session:
+    def join(self, name: str, may_ask: bool = True) -> ClientSession:
         """Return the session of a new client."""
-        session = self.sessions[name] = Session(name, may_ask)
+        session = self.sessions[name] = ClientSession(name, may_ask)
         return session
 
-    def leave(self, session: Session) -> None:
+    def leave(self, session: ClientSession) -> None:
         """Forget a client that has gone."""
         del self.sessions[session.name]
         self._loop.ask(Leave(session.name))
 
-    def take(self, session: Session, data: bytes | str, now_ns: int) -> None:
+    def take(self, session: ClientSession, data: bytes | str, now_ns: int) -> None:
         """Do what a client asks for; what cannot be done is told it by a status."""
         operation = None
         try:
@@ -117,11 +117,11 @@ class Engine:
                 )
                 session.response(one.service, one.id, why, False, now_ns)
 
-    def _do(self, session: Session, operation: Operation, now_ns: int) -> None:
+    def _do(self, session: ClientSession, operation: Operation, now_ns: int) -> None:
         match operation:
             case Publish():
                 self._take_message(session, operation, now_ns)
-            case Subscribe():
+            case SubscribeOperation():
                 self._subscribe(session, operation, now_ns)
             case Unsubscribe():
                 name = operation.topic
@@ -139,10 +139,10 @@ class Engine:
                 session.level = operation.level
             case ServiceResponse():
                 raise CommandRefused("Expected no answer: services of clients are never called.")
-            case Status():
+            case StatusOperation():
                 pass
 
-    def _subscribe(self, session: Session, operation: Subscribe, now_ns: int) -> None:
+    def _subscribe(self, session: ClientSession, operation: SubscribeOperation, now_ns: int) -> None:
         name = operation.topic
         types = {topic: one.type for topic, one in self._published.items()}
         dialect = self._known(full_name(name), operation.type, types, "topic")
@@ -168,7 +168,7 @@ class Engine:
             raise CommandRefused(f"Expected {type_name(types[topic], dialect)} for {topic}, got {type_}.")
         return dialect
 
-    def _take_message(self, session: Session, operation: Publish, now_ns: int) -> None:
+    def _take_message(self, session: ClientSession, operation: Publish, now_ns: int) -> None:
         name, types = full_name(operation.topic), self._commands.types
         if name not in types:
             raise UnknownName.among("topic that this cell takes", name, types)
@@ -183,7 +183,7 @@ class Engine:
                 _check_rights(session)
             self._loop.ask(request)
 
-    def _call(self, session: Session, call: CallService, now_ns: int) -> None:
+    def _call(self, session: ClientSession, call: CallService, now_ns: int) -> None:
         dialect: Dialect = self._dialect
         if call.type:
             dialect = "ros2" if call.type.count("/") == 2 else "ros1"
@@ -197,7 +197,7 @@ class Engine:
             values, is_done = str(error), False
         session.response(call.service, call.id, values, is_done, now_ns)
 
-    def _set(self, session: Session, call: CallService, given: Mapping[str, Any], now_ns: int) -> None:
+    def _set(self, session: ClientSession, call: CallService, given: Mapping[str, Any], now_ns: int) -> None:
         """Ask the loop for a value; its answer comes later."""
         _check_rights(session)
         name = parameter_name(given, self._loop.parameters)
@@ -207,10 +207,10 @@ class Engine:
             raise CommandRefused(f"Expected the value of {name} as JSON text, but {error}.") from None
         if len(session.settings) >= _SETTINGS:
             raise CommandRefused(f"Expected at most {_SETTINGS} settings that wait for the loop. Send fewer.")
-        session.settings.append(Setting(call.service, call.id, name, value, now_ns + _PATIENCE))
+        session.settings.append(PendingSetting(call.service, call.id, name, value, now_ns + _PATIENCE))
         self._ask_next(session, name, now_ns)
 
-    def _ask_next(self, session: Session, parameter: str, now_ns: int) -> None:
+    def _ask_next(self, session: ClientSession, parameter: str, now_ns: int) -> None:
         """Ask the loop for a client's first setting of a parameter, unless it has been asked for it."""
         for k, one in enumerate(session.settings):
             if one.parameter == parameter:
@@ -223,19 +223,19 @@ class Engine:
                         self._settle(session, one, str(error), False, now_ns)
                 return
 
-    def _settle(self, session: Session, one: Setting, values: Any, is_done: bool, now_ns: int) -> None:
+    def _settle(self, session: ClientSession, one: PendingSetting, values: Any, is_done: bool, now_ns: int) -> None:
         session.settings.remove(one)
         session.response(one.service, one.id, values, is_done, now_ns)
         self._ask_next(session, one.parameter, now_ns)
 
-    def _confirm(self, session: Session, now_ns: int) -> None:
+    def _confirm(self, session: ClientSession, now_ns: int) -> None:
         """Answer the settings of a client that are in force now."""
         for one in [one for one in session.settings if one.sequence is not None]:
             about = self._loop.parameters[one.parameter]
             if about["sequence"] > one.sequence and about["who"] == f"{self._server} {session.name}":
                 self._settle(session, one, {}, True, now_ns)
 
-    def _answer(self, session: Session, message: Mapping[str, Any], now_ns: int) -> None:
+    def _answer(self, session: ClientSession, message: Mapping[str, Any], now_ns: int) -> None:
         """Pass on what the loop says to a client: as the answer to its setting, or as a status."""
         text, refused = message["text"], message["refused"]
         one = next((one for one in session.settings if one.parameter in refused), None)
@@ -253,7 +253,7 @@ class Engine:
         for published, message in made(wanted):
             self._send(published, message, wanted[published.name], now_ns)
 
-    def _send(self, topic: Topic, message: Any, to: Iterable[Subscription], now_ns: int) -> None:
+    def _send(self, topic: RosTopic, message: Any, to: Iterable[Subscription], now_ns: int) -> None:
         """Send a message as JSON, made once for all clients of one dialect and spelling."""
         self._numbers[topic.name] += 1
         texts: dict[tuple[str, Dialect], bytes] = {}
@@ -264,10 +264,10 @@ class Engine:
             one.offer(texts[kind], now_ns)
 
 
-def _id(operation: Subscribe | Unsubscribe) -> str | None:
+def _id(operation: SubscribeOperation | Unsubscribe) -> str | None:
     return None if operation.id is None else str(operation.id)
 
 
-def _check_rights(session: Session) -> None:
+def _check_rights(session: ClientSession) -> None:
     if not session.may_ask:
         raise CommandRefused("Expected a token from who commands or sets: send Authorization: Bearer. You may read.")

@@ -26,8 +26,8 @@ __all__ = [
     "Publish",
     "ServiceResponse",
     "SetLevel",
-    "Status",
-    "Subscribe",
+    "StatusOperation",
+    "SubscribeOperation",
     "TIME",
     "Unadvertise",
     "Unsubscribe",
@@ -120,7 +120,7 @@ class _Operation(msgspec.Struct, frozen=True, tag_field="op"):
     id: _Name | int | None = None
 
 
-class Subscribe(_Operation, tag="subscribe", frozen=True, kw_only=True):
+class SubscribeOperation(_Operation, tag="subscribe", frozen=True, kw_only=True):
     """The client wants a topic."""
 
     topic: _Name
@@ -177,12 +177,20 @@ class SetLevel(_Operation, tag="set_level", frozen=True, kw_only=True):
     level: Level
 
 
-class Status(_Operation, tag="status", frozen=True):
+class StatusOperation(_Operation, tag="status", frozen=True):
     """What happened at the client's side."""
 
 
 Operation = (
-    Subscribe | Unsubscribe | Advertise | Unadvertise | Publish | CallService | ServiceResponse | SetLevel | Status
+    SubscribeOperation
+    | Unsubscribe
+    | Advertise
+    | Unadvertise
+    | Publish
+    | CallService
+    | ServiceResponse
+    | SetLevel
+    | StatusOperation
 )
 
 

@@ -23,7 +23,7 @@ from armlab.bridge.net.sockets import listening_socket
 from armlab.bridge.servers.messages import Listening
 from armlab.bridge.servers.rosbridge.engine import Engine
 from armlab.bridge.servers.rosbridge.protocol import LARGEST
-from armlab.bridge.servers.rosbridge.session import Session
+from armlab.bridge.servers.rosbridge.session import ClientSession
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import ConfigError, MissingExtra
 
@@ -195,7 +195,7 @@ class RosbridgeServer:
             if session.outbox.is_stuck(now):
                 self._connections[name].transport.abort()
 
-    def _send(self, connection: ServerConnection, session: Session) -> None:
+    def _send(self, connection: ServerConnection, session: ClientSession) -> None:
         """Send a client what waits for it, in one piece, unless it has not taken what was sent before."""
         transport = connection.transport
         if transport.get_write_buffer_size() > _WRITE_LIMIT or connection.state is not self._open:

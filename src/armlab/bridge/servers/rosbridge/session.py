@@ -1,4 +1,4 @@
-"""`Session`: what is known of one client, and what it is told."""
+"""`ClientSession`: what is known of one client, and what it is told."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import msgspec
 
 from armlab.bridge.servers.rosbridge.protocol import Dialect, Level, full_name
 
-__all__ = ["Outbox", "Session", "Setting", "Subscription"]
+__all__ = ["Outbox", "ClientSession", "PendingSetting", "Subscription"]
 
 _KEPT = 1_000_000_000  # ns that a message waits at most
 _PATIENCE = 10_000_000_000  # ns without progress after which a client is given up
@@ -136,7 +136,7 @@ _LEVELS = ("info", "warning", "error", "none")
 
 
 @dataclass(frozen=True)
-class Setting:
+class PendingSetting:
     """A parameter that a client has set by a service, until the loop has answered.
 
     sequence : of the parameter's last change when the loop was asked; None while an earlier setting of it waits, as
@@ -151,7 +151,7 @@ class Setting:
     sequence: int | None = None
 
 
-class Session:
+class ClientSession:
     """One client."""
 
     def __init__(self, name: str, may_ask: bool) -> None:
@@ -160,7 +160,7 @@ class Session:
         self.subscriptions: dict[str, Subscription] = {}
         self.advertised: set[str] = set()
         self.warned: set[str] = set()
-        self.settings: list[Setting] = []
+        self.settings: list[PendingSetting] = []
         self.level: Level = "error"  # of the protocol
 
     def status(self, level: Level, text: str, now_ns: int, id_: str | int | None = None) -> None:

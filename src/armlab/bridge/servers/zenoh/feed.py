@@ -12,7 +12,7 @@ from armlab.bridge.servers.row import Pace, Row, RowSchema, read_row
 from armlab.bridge.servers.zenoh.keys import EVERY, key, robot_of
 from armlab.bridge.servers.zenoh.messages import About, read_about, read_message
 from armlab.bridge.servers.zenoh.rows import Gaps, Inbox, undamaged
-from armlab.bridge.servers.zenoh.session import Address, Discovery, close_session, zenoh
+from armlab.bridge.servers.zenoh.session import Discovery, LabAddress, close_session, zenoh
 from armlab.errors import ArmlabError, ConfigError, LinkError
 
 __all__ = ["ZenohFeed", "robots_at"]
@@ -33,7 +33,7 @@ class ZenohFeed:
     """A client of a bridge elsewhere; a context manager with the methods of `LocalFeed`."""
 
     def __init__(self, url: str, robot: str = "", patience: float = 5.0) -> None:
-        self._place, self._patience = Address.read(url), patience
+        self._place, self._patience = LabAddress.read(url), patience
         self._messages: Inbox[bytes | dict[str, Any]] = Inbox(_KEPT)
         self._next: bytes | dict[str, Any] | None = None
         self._rows: list[Any] = []

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from armlab.errors import CommandRefused
 
-__all__ = ["COMMANDS", "EVERY", "Attached", "key", "robot_of"]
+__all__ = ["COMMANDS", "EVERY", "Attachment", "key", "robot_of"]
 
 EVERY = "*"
 """Stands for every lab or every robot in a key."""
@@ -29,7 +29,7 @@ def robot_of(name: str) -> tuple[str, str]:
     return lab, robot
 
 
-class Attached(NamedTuple):
+class Attachment(NamedTuple):
     """What is attached to a command or a setting: 32 bytes, little-endian."""
 
     sender: bytes
@@ -41,7 +41,7 @@ class Attached(NamedTuple):
         return _ATTACHED.pack(*self)
 
     @classmethod
-    def read(cls, data: bytes | None) -> Attached:
+    def read(cls, data: bytes | None) -> Attachment:
         """Return what the bytes say."""
         if data is None or len(data) != _ATTACHED.size:
             got = "none" if data is None else f"{len(data)} bytes"

@@ -13,9 +13,9 @@ import numpy as np
 
 from armlab.bridge.net.sockets import Arrival, Port, pair
 from armlab.bridge.servers.row import RowSchema, clock_ms, read_row
-from armlab.bridge.servers.zenoh.keys import Attached, key
+from armlab.bridge.servers.zenoh.keys import Attachment, key
 from armlab.bridge.servers.zenoh.rows import Gaps, undamaged
-from armlab.bridge.servers.zenoh.session import Address, close_session, zenoh
+from armlab.bridge.servers.zenoh.session import LabAddress, close_session, zenoh
 from armlab.errors import ArmlabError, LinkError, UnknownName
 from armlab.robots import Robot
 from armlab.wire.egm import Codec, Drop, Packet, Reference
@@ -28,7 +28,7 @@ _DAMAGED = b"damaged"  # in place of a row that was
 
 def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tuple[Port, Codec]:
     """Return the port and codec of an arm behind a Zenoh server."""
-    end = ZenohPort(robot, Address.of(host, port, options))
+    end = ZenohPort(robot, LabAddress.of(host, port, options))
     return cast(Port, end), ZenohCodec(robot, end.schema)
 
 
@@ -38,7 +38,7 @@ class ZenohPort:
     Zenoh connects again by itself. Rows come in a thread of Zenoh's, which hands them over by a socket.
     """
 
-    def __init__(self, robot: Robot, place: Address) -> None:
+    def __init__(self, robot: Robot, place: LabAddress) -> None:
         self.host, self.port, self.errors = place.host, place.port, 0
         self._session = place.open()
         self._seq, self._sender = 0, secrets.token_bytes(16)
@@ -90,7 +90,7 @@ class ZenohPort:
         self._seq += 1
         kind = "position" if len(data) == 8 * self._n else "motion"
         try:
-            self._commands[kind].put(data, attachment=Attached(self._sender, self._seq, time.time_ns()).pack())
+            self._commands[kind].put(data, attachment=Attachment(self._sender, self._seq, time.time_ns()).pack())
         except zenoh().ZError:
             self.errors += 1
             return False

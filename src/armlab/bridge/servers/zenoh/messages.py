@@ -38,7 +38,7 @@ class _Event(msgspec.Struct, tag_field="kind", tag="event"):
     text: str
 
 
-class _Arm(msgspec.Struct):
+class _ArmStatus(msgspec.Struct):
     rate: float | None = None
     p50: float | None = None
     p99: float | None = None
@@ -50,7 +50,7 @@ class _Arm(msgspec.Struct):
 
 
 class _Status(msgspec.Struct, tag_field="kind", tag="status"):
-    arms: dict[str, _Arm]
+    arms: dict[str, _ArmStatus]
     lost: _Count = 0
 
 

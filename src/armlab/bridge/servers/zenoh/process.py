@@ -16,7 +16,7 @@ import numpy as np
 from armlab.bridge.servers.messages import CommandRequest, Listening, Report, Request, SetRequest, Stop
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.bridge.servers.status import Status
-from armlab.bridge.servers.zenoh.keys import COMMANDS, Attached, key
+from armlab.bridge.servers.zenoh.keys import COMMANDS, Attachment, key
 from armlab.bridge.servers.zenoh.rows import checksum
 from armlab.bridge.servers.zenoh.security import Security
 from armlab.bridge.servers.zenoh.session import BlockingPublisher, Publisher, close_session, data_of, open_near
@@ -39,7 +39,7 @@ class ZenohProcess:
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._loop = LoopEnd(feed, self._counts)
         self._lab = options["lab"]
-        self._arms = {name: _Arm(self._loop, name) for name in self._loop.schema.robots}
+        self._arms = {name: _ArmOutput(self._loop, name) for name in self._loop.schema.robots}
         self._recording: dict[str, Any] = {}
         self._answers: dict[str, str] = {}  # client -> robot under which it is answered
         self._declared: list[Any] = []  # they go with the last that holds them
@@ -67,10 +67,10 @@ class ZenohProcess:
 
     def _counts(self) -> dict[str, tuple[int, int]]:
         """Return rows sent and dropped by key: who reads them is not known here."""
-        rows = {f"{name} {what}": arm.rows.get(what) for name, arm in self._arms.items() for what in _Arm.KINDS}
+        rows = {f"{name} {what}": arm.rows.get(what) for name, arm in self._arms.items() for what in _ArmOutput.KINDS}
         return {name: (one.sent, one.dropped) for name, one in rows.items() if one is not None and one.sent}
 
-    def _declare(self, arm: _Arm) -> None:
+    def _declare(self, arm: _ArmOutput) -> None:
         session, lab = self._session, self._lab
         arm.open(session, lab)
         self._declared += [
@@ -106,7 +106,7 @@ class ZenohProcess:
         """Take a command; of one that cannot be read the sender gets a sentence."""
         kind, client = str(sample.key_expr).rpartition("/")[2], _NOBODY
         try:
-            attached = Attached.read(data_of(sample.attachment))
+            attached = Attachment.read(data_of(sample.attachment))
             client = attached.client
             self._ask(robot, _order(robot, kind, sample.payload.to_bytes(), attached))
         except CommandRefused as error:
@@ -116,7 +116,7 @@ class ZenohProcess:
         name, client = str(sample.key_expr).rpartition("/")[2], _NOBODY
         try:
             attachment = data_of(sample.attachment)
-            client = _NOBODY if attachment is None else Attached.read(attachment).client
+            client = _NOBODY if attachment is None else Attachment.read(attachment).client
             self._ask(robot, SetRequest(client, {name: _setting(name, sample.payload.to_bytes())}))
         except CommandRefused as error:
             self._refuse(robot, client, str(error))
@@ -124,7 +124,7 @@ class ZenohProcess:
     def _stop(self, robot: str, sample: Any) -> None:
         attachment = data_of(sample.attachment)
         try:
-            client = _NOBODY if attachment is None else Attached.read(attachment).client
+            client = _NOBODY if attachment is None else Attachment.read(attachment).client
         except CommandRefused:
             client = _NOBODY  # a stop counts, whoever it is from
         self._ask(robot, Stop(client))
@@ -166,7 +166,7 @@ class ZenohProcess:
                     query.reply(where, msgspec.json.encode(about))
 
 
-class _Arm:
+class _ArmOutput:
     """What goes out of one arm."""
 
     KINDS = ("state", "live", "view")
@@ -220,7 +220,7 @@ class _Arm:
         return True
 
 
-def _order(robot: str, kind: str, data: bytes, attached: Attached) -> CommandRequest:
+def _order(robot: str, kind: str, data: bytes, attached: Attachment) -> CommandRequest:
     if kind not in COMMANDS:
         known = ", ".join(COMMANDS)
         raise CommandRefused(f"Expected the last word of a command's key to be one of {known}, got {kind!r}.")

@@ -23,7 +23,7 @@ __all__ = [
     "LAB",
     "Publisher",
     "PORT",
-    "Address",
+    "LabAddress",
     "BlockingPublisher",
     "close_session",
     "data_of",
@@ -297,7 +297,7 @@ _AGAIN = 0.1  # s until it is asked again: who has just connected does not know 
 _OPTIONS = ("ca", "secret")
 
 
-class Address(NamedTuple):
+class LabAddress(NamedTuple):
     """Where a lab is found."""
 
     host: str = "127.0.0.1"
@@ -306,7 +306,7 @@ class Address(NamedTuple):
     security: Security = Security()
 
     @classmethod
-    def read(cls, url: str) -> Address:
+    def read(cls, url: str) -> LabAddress:
         """Return the address in ``zenoh://HOST:PORT/LAB?ca=FILE&secret=FILE``; only the host is needed."""
         parts = split_url(url)
         try:
@@ -320,7 +320,7 @@ class Address(NamedTuple):
         return cls.of(host, PORT if port is None else port, {"lab": lab, **options})
 
     @classmethod
-    def of(cls, host: str, port: int, options: dict[str, str]) -> Address:
+    def of(cls, host: str, port: int, options: dict[str, str]) -> LabAddress:
         """Return the place of a url that was taken apart."""
         unknown = sorted(set(options) - {"lab", *_OPTIONS})
         if unknown:
