@@ -52,6 +52,9 @@ class _Loop:
         said = json.loads(parameter_message(declared))
         self.parameters = {one["name"]: one for one in said["parameters"]}
 
+    def robots(self) -> dict[str, robots.Robot]:
+        return _arms()
+
     def ask(self, request: Any) -> bool:
         """Take a request."""
         text = encoded(request)

@@ -15,10 +15,10 @@ pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
 from armlab.bridge.servers.ros.dds import (
     DataReader,
     DataWriter,
+    DdsTopic,
     DomainParticipant,
     Policy,
     Qos,
-    Topic,
     carrier,
     topic_name,
 )
@@ -61,10 +61,10 @@ class Node:
         self.domain, self.participant = domain, DomainParticipant(domain)
 
     def reader(self, name: str, type_: str) -> DataReader[Any]:
-        return DataReader(self.participant, Topic(self.participant, topic_name(name), carrier(type_)), RELIABLE)
+        return DataReader(self.participant, DdsTopic(self.participant, topic_name(name), carrier(type_)), RELIABLE)
 
     def writer(self, name: str, type_: str) -> DataWriter[Any]:
-        return DataWriter(self.participant, Topic(self.participant, topic_name(name), carrier(type_)), RELIABLE)
+        return DataWriter(self.participant, DdsTopic(self.participant, topic_name(name), carrier(type_)), RELIABLE)
 
 
 def taken(reader: DataReader[Any], type_: str) -> list[Any]:

@@ -15,7 +15,7 @@ from armlab.bridge.servers.rosbridge.engine import Engine
 from armlab.bridge.servers.rosbridge.session import ClientSession
 from armlab.bridge.servers.row import RowSchema, RowWriter
 from armlab.log import Tick
-from armlab.robots import to_toml
+from armlab.robots import Robot, to_toml
 from armlab.state import State
 
 MS = 1_000_000  # ns
@@ -37,6 +37,9 @@ class Loop:
         self.asked: list[Request] = []
         self.reports: list[str] = []
         self.tell()
+
+    def robots(self) -> dict[str, Robot]:
+        return {arm.name: arm for arm in ARMS}
 
     def ask(self, request: Request) -> bool:
         if isinstance(request, Report):
