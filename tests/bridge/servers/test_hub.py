@@ -42,9 +42,7 @@ from armlab.state import Command, State
 from .conftest import nested
 
 LEFT = robots.load("yumi_left")
-
 HOME = np.array(LEFT.q_home)
-
 SERVERS = ("labcomm", OPERATOR)
 
 

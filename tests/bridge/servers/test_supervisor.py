@@ -32,13 +32,10 @@ from armlab.state import Command, State
 from .conftest import until
 
 LEFT = robots.load("yumi_left")
-
 QUIET = (
     'import socket,sys; s=socket.socket(fileno=int(sys.argv[1])); s.send(b\'{"kind":"listening","where":["here"]}\')\n'
 )
-
 WAITS = QUIET + "while s.recv(100000): pass"
-
 FAILS = "import sys; sys.stderr.write('no luck'); sys.exit(3)"
 
 

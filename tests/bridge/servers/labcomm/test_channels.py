@@ -42,7 +42,6 @@ from armlab.wire.labcomm import (
 )
 
 COMMAND = idl.samples("armlab")["command_row"]
-
 VALUE = {"tm": 1, "pos": [0.5] * 7, "vel": [0.0] * 7, "trq": [0.0] * 7}
 
 

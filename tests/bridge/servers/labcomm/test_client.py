@@ -23,7 +23,8 @@ from armlab.state import Command, State
 from armlab.wire.egm import Codec, Drop, Packet, Reference
 from armlab.wire.labcomm import Decoder, Encoder, Prim, Sample
 
-from .conftest import PATIENCE, Started, row, until
+from ..conftest import PATIENCE, until
+from .conftest import Started, row
 
 Start = Callable[..., Started]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import select
 import socket
-import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.inputs.parameters import Parameter, Parameters
+from armlab.bridge.inputs.parameters import Parameter
 from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.labcomm import LabCommClient, Row
 from armlab.bridge.servers.labcomm.process import ArmPlaces, HeldArm, LabCommProcess, SourcePlaces, labcomm_options
@@ -25,7 +24,8 @@ from armlab.robots import Robot
 from armlab.state import State
 from armlab.wire.labcomm import Encoder, Sample, SampleType, parse_lc
 
-from .conftest import PATIENCE, Plain, until
+from ..conftest import PATIENCE, Served, until
+from .conftest import Plain
 
 TURNS = 60
 TICK = Tick(0, -1, 5_000_000_000, 4_999_000_000, -1, 0)
@@ -41,38 +41,19 @@ def state(robot: Robot, **fields: Any) -> State:
     return State(t=1.5, dt=0.004, q=q, qd=np.zeros(7), tau=np.full(7, np.nan), robot=robot.name, q_start=q, **fields)
 
 
-class Running:
-    """The process's work in a thread, at the other end of an exchange."""
+class Running(Served):
+    """The process's work in a thread, and the port of each of its channels."""
 
     def __init__(self, robot: Robot) -> None:
-        declared = [
-            Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone"),
-            Parameter("note", "a", "text", rights="anyone"),
-        ]
-        declared += [Parameter("gentle", True, "bool", rights="anyone"), Parameter("n", 2, "int", rights="anyone")]
-        declared.append(Parameter("push", [0.0, 1.0, 2.0], "float[3]", rights="anyone"))
-        self.exchange = Hub(
-            [robot], ["labcomm"], Parameters(declared), ["labcomm"], sources={"force": {"f": Column((3,), "N")}}
-        )
+        values = {"note": "a", "gentle": True, "n": 2, "push": [0.0, 1.0, 2.0]}
+        types = {"note": "text", "gentle": "bool", "n": "int", "push": "float[3]"}
+        declared = [Parameter(name, value, types[name], rights="anyone") for name, value in values.items()]
+        declared.append(Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone"))
         options = labcomm_options([robot], ports=[0], parameters=0, fused=0)
-        self.feed = self.exchange.open("labcomm")
-        self.process = LabCommProcess(self.feed, options)
-        self.thread = threading.Thread(target=self.process.run)
-        self.thread.start()
-        self.where: dict[str, int] = {}
-        until(self.listens)
-
-    def listens(self) -> bool:
-        self.exchange.poll()
-        for text in self.exchange.outlets["labcomm"].where or ():
-            address, _, name = text.partition(" (labcomm, ")
-            self.where[name.rstrip(")")] = int(address.rpartition(":")[2])
-        return bool(self.where)
-
-    def close(self) -> None:
-        self.exchange.close()
-        self.thread.join()
-        self.feed.close()
+        sources = {"force": {"f": Column((3,), "N")}}
+        super().__init__("labcomm", robot, lambda feed: LabCommProcess(feed, options), declared, sources=sources)
+        found = [text.partition(" (labcomm, ") for text in self.where]
+        self.ports = {name.rstrip(")"): int(address.rpartition(":")[2]) for address, _, name in found}
 
 
 @pytest.fixture
@@ -84,7 +65,7 @@ def running(robot: Robot) -> Iterator[Running]:
 
 def test_rows_go_out_and_commands_come_back(running: Running, robot: Robot) -> None:
     now = state(robot, robot_ns=9_000_000)
-    with LabCommClient(port=running.where[robot.name], types=RowTypes(robot.abb_axes)) as client:
+    with LabCommClient(port=running.ports[robot.name], types=RowTypes(robot.abb_axes)) as client:
         until(lambda: running.exchange.row(now, None, TICK) or client.rows(0.0))
         client.command(Row(9, robot.q_home + 0.01))
         counted = running.exchange.summary()["servers"]["labcomm"]
@@ -108,7 +89,7 @@ def test_rows_go_out_and_commands_come_back(running: Running, robot: Robot) -> N
 
 
 def test_fused_rows_have_sources_that_were_heard(running: Running, robot: Robot) -> None:
-    with LabCommClient(port=running.where["fused"]) as client:
+    with LabCommClient(port=running.ports["fused"]) as client:
         events: list[Any] = []
 
         def heard() -> list[Any]:
@@ -124,7 +105,7 @@ def test_fused_rows_have_sources_that_were_heard(running: Running, robot: Robot)
 
 def test_parameters_are_echoed_as_the_loop_decides(running: Running) -> None:
     (gain,) = parse_lc("sample double gain;")
-    with LabCommClient(port=running.where["parameters"]) as client:
+    with LabCommClient(port=running.ports["parameters"]) as client:
         values: list[float] = []
 
         def told(count: int) -> bool:
@@ -144,7 +125,7 @@ def test_parameters_are_echoed_as_the_loop_decides(running: Running) -> None:
 
 def test_parameters_of_every_type(running: Running) -> None:
     text = "sample boolean gentle; sample string note; sample double n; sample double push[3];"
-    with LabCommClient(port=running.where["parameters"]) as client:
+    with LabCommClient(port=running.ports["parameters"]) as client:
         for one, value in zip(parse_lc(text), (False, "h\u00e9", 5.0, [3.0, 4.0, 5.0]), strict=True):
             client.send(one, value)  # type: ignore[arg-type]
         params = running.exchange.parameters
@@ -215,7 +196,7 @@ def test_who_sends_without_pause_holds_up_no_row(robot: Robot, monkeypatch: pyte
 
 @pytest.mark.parametrize("port", ["yumi_right", "parameters", "fused"])
 def test_stop_from_any_client_on_any_port(running: Running, port: str) -> None:
-    with LabCommClient(port=running.where[port]) as client:
+    with LabCommClient(port=running.ports[port]) as client:
         client.stop()
         until(lambda: running.exchange.poll() or running.exchange.arbiter.stopped)
     assert running.exchange.arbiter.stopped.startswith("labcomm 127.0.0.1:")

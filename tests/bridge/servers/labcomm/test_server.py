@@ -21,12 +21,11 @@ from armlab.errors import LinkError, UnknownName
 from armlab.state import Command, State
 from armlab.wire.labcomm import Decoder, Definition, Encoder, Sample, SampleType, Version, parse_lc
 
-from .conftest import Plain, Started, row, until
+from ..conftest import until
+from .conftest import Plain, Started, row
 
 COMMAND = RowTypes().accepted
-
 VECTORS = Path(__file__).parents[5] / "shared/data/labcomm_vectors"
-
 Start = Callable[..., Started]
 
 

@@ -7,19 +7,17 @@ import os
 import socket
 import subprocess
 import sys
-import threading
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.servers.hub import Hub
+from armlab.bridge.inputs.parameters import Parameter
 from armlab.bridge.servers.ros import dds
 from armlab.bridge.servers.ros.dds import (
     DataReader,
@@ -37,55 +35,30 @@ from armlab.bridge.servers.ros.requests import Commands
 from armlab.bridge.servers.ros.topics import RosTopic, Topics, store, type_name
 from armlab.bridge.servers.row import RowSchema
 from armlab.errors import LinkError
-from armlab.log import Tick
-from armlab.state import Command, State
 
-from ..conftest import until
+from ..conftest import WALL, Served, until
 from .dds_peers import Node, free_domain, numbers, taken, write
 
 pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
-
 ARM = robots.load("yumi_left")
-
 JOINTS, ARRAY, TEXT = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String"
 
-WALL = 1_700_000_000_000_000_000
 
 VELOCITY = "/yumi_left/joint_group_velocity_controller/commands"
 
 
-class Running:
-    """The server's work in a thread, a loop that gives rows, and a node."""
+class Running(Served):
+    """The server's work in a thread, and a node: a participant, so one client."""
 
-    def __init__(self, rights: Literal["anyone", "commander"] = "anyone", **options: Any) -> None:
-        declared = Parameters([Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights=rights)])
-        self.exchange = Hub([ARM], ["ros2"], declared, ["ros2"], about={"cell": "yumi"}, **options)
-        self.feed = self.exchange.open("ros2")
-        domain = free_domain()
-        self.server = DdsServer(self.feed, {"domain": domain, "host": "127.0.0.1"})
-        self.thread = threading.Thread(target=self.server.run)
-        self.thread.start()
-        self.ticks = 0
-        until(lambda: self.exchange.poll() or self.exchange.outlets["ros2"].where, "the server listening")
-        self.where = self.exchange.outlets["ros2"].where
-        self.domain, self.node = domain, Node(domain)  # a participant, so one client
-
-    def row(self, q: np.ndarray = ARM.q_home) -> Command | None:
-        """One tick of the loop; what the arm is told."""
-        self.ticks += 1
-        nothing = np.full(7, np.nan)
-        state = State(t=1.0, dt=0.004, q=q, qd=nothing, tau=nothing, robot=ARM.name, q_start=np.array(ARM.q_home))
-        command = self.exchange.arbiter(state)
-        tick = Tick(self.ticks, self.ticks, WALL + 4_000_000 * self.ticks, 1_000, 2_000, 3)
-        self.exchange.row(state, command, tick)
-        assert not isinstance(command, tuple)
-        return command
+    def __init__(self) -> None:
+        self.domain, gain = free_domain(), Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone")
+        options = {"domain": self.domain, "host": "127.0.0.1"}
+        super().__init__("ros2", ARM, lambda feed: DdsServer(feed, options), [gain])
+        self.node = Node(self.domain)
 
     def close(self) -> None:
         del self.node
-        self.exchange.close()
-        self.thread.join()
-        self.feed.close()
+        super().close()
 
 
 @pytest.fixture
@@ -101,8 +74,8 @@ def client(writer: Any) -> str:
 
 def answer(running: Running, diagnostics: Any) -> str:
     """What the newest diagnostics say to clients, "" while none has come."""
-    running.ticks += 250  # a second later
-    running.row()
+    running.tick += 250  # a second later
+    running.commanded()
     found = taken(diagnostics, "diagnostic_msgs/msg/DiagnosticArray")
     values = {one.key: one.value for message in found for one in message.status[0].values}
     return values.get("last answer", "none").replace("none", "")
@@ -114,22 +87,22 @@ def test_rows_become_messages_of_what_is_read(running: Running) -> None:
     found: list[Any] = []
 
     def came() -> bool:
-        running.row(ARM.q_home + 1e-3 * running.ticks)
+        running.row(q=ARM.q_home + 1e-3 * running.tick)
         found.extend(taken(readers[0], JOINTS))
         return len(found) >= 10
 
     until(came)
     for message in found:
         k = (message.header.stamp.sec * 10**9 + message.header.stamp.nanosec - WALL) // 4_000_000
-        assert np.array_equal(message.position, ARM.q_home + 1e-3 * (k - 1))
-        assert len(message.velocity) == len(message.effort) == 0
+        assert np.array_equal(message.position, ARM.q_home + 1e-3 * k)
+        assert (len(message.velocity), len(message.effort)) == (7, 0)
     counts = running.exchange.summary()["servers"]["ros2"]["clients"]
     assert list(counts) == ["/yumi_left/joint_states"]
     written, full = counts["/yumi_left/joint_states"]
-    assert len(found) <= written <= running.ticks
+    assert len(found) <= written <= running.tick
     assert full == 0
     readers.clear()
-    until(lambda: running.row() is None and running.server.wanted() == frozenset(), "nobody reading")
+    until(lambda: running.commanded() is None and running.server.wanted() == frozenset(), "nobody reading")
 
 
 def test_commands_take_the_arm_until_the_writer_leaves(running: Running) -> None:
@@ -138,7 +111,7 @@ def test_commands_take_the_arm_until_the_writer_leaves(running: Running) -> None
 
     def obeyed() -> bool:
         write(writers["velocity"], ARRAY, *numbers(*qd))
-        command = running.row()
+        command = running.commanded()
         return command is not None and command.qd is not None and np.array_equal(command.qd, qd)
 
     until(obeyed)
@@ -148,7 +121,11 @@ def test_commands_take_the_arm_until_the_writer_leaves(running: Running) -> None
     running.exchange.begin(lambda text, *_: events.append(text))
     running.exchange.arbiter._lease_ns = 10**12  # what ends it is that the writer leaves
     writers.clear()
-    until(lambda: running.row() is None and f"{who} no longer commands yumi_left: it closed. The arm holds." in events)
+    until(
+        lambda: (
+            running.commanded() is None and f"{who} no longer commands yumi_left: it closed. The arm holds." in events
+        )
+    )
 
 
 @pytest.mark.parametrize(
@@ -175,7 +152,7 @@ def test_wrong_numbers_are_answered_in_the_diagnostics(
         return answer(running, diagnostics)
 
     found = until(told)
-    until(lambda: running.row() or f"ros2 {found}" in events, "an event of the log")
+    until(lambda: running.commanded() or f"ros2 {found}" in events, "an event of the log")
     assert found == f"{client(writer)}: {sentence.format(VELOCITY)}"
     assert running.exchange.arbiter.commander("yumi_left") == ""
 
@@ -189,7 +166,7 @@ def test_diagnostics_come_and_say_so_when_no_row_comes(running: Running) -> None
         return found[-1].status[0].message if found else ""
 
     until(lambda: words() == "no packet yet")
-    running.row()
+    running.commanded()
     until(lambda: "no packet for" in words())
     assert found[-1].status[0].level == 2
 
@@ -207,7 +184,9 @@ def test_half_a_surrogate_pair_is_answered(running: Running) -> None:
 
 def test_parameters_are_set_and_told_again_to_who_comes_later(running: Running) -> None:
     writer = running.node.writer("/yumi_left/set_parameter", TEXT)
-    until(lambda: write(writer, TEXT, '{"gain": 0.75}') or running.row() or running.exchange.parameters.gain == 0.75)
+    until(
+        lambda: write(writer, TEXT, '{"gain": 0.75}') or running.commanded() or running.exchange.parameters.gain == 0.75
+    )
     reader = running.node.reader("/yumi_left/parameters", TEXT)
     found: list[Any] = []
     until(lambda: found.extend(taken(reader, TEXT)) or found)
@@ -216,7 +195,7 @@ def test_parameters_are_set_and_told_again_to_who_comes_later(running: Running) 
 
 def test_any_node_may_stop_the_arms(running: Running) -> None:
     writer = running.node.writer("/yumi_left/stop", "std_msgs/msg/Empty")
-    until(lambda: write(writer, "std_msgs/msg/Empty") or running.row() or running.exchange.arbiter.stopped)
+    until(lambda: write(writer, "std_msgs/msg/Empty") or running.commanded() or running.exchange.arbiter.stopped)
     assert running.exchange.arbiter.stopped == f"ros2 {client(writer)}"
 
 
@@ -360,9 +339,7 @@ def test_what_fails_is_told_and_the_next_message_comes(node: Node, caplog: pytes
 
 
 PUBLISHED = {one.type for one in Topics({ARM.name: ARM}, RowSchema.of([ARM])).published.values()}
-
 TAKEN = set(Commands("cell", {ARM.name: ARM}).types.values())
-
 BYTES = bytes.fromhex(  # JointState of 1.000000002 s, frame "f", joints a and b, by hand
     "00010000 01000000 02000000 02000000 66000000 02000000 02000000 61000000 02000000 62000000 02000000"
     "0000000000000000 000000000000f03f 00000000 02000000 000000000000f03f 0000000000000040"

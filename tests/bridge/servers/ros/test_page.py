@@ -24,7 +24,6 @@ from armlab.bridge.servers.row import RowSchema
 from .test_peers import PEERS, RELEASES, SDK
 
 ROOT = Path(__file__).parents[4]
-
 SCRIPT, CHECKS = ROOT / ".ci" / "ros2.py", ROOT / ".ci" / "ros2_checks.sh"
 
 
@@ -38,7 +37,6 @@ def _loaded() -> ModuleType:
 
 
 JOB = _loaded()
-
 HZ = "average rate: 247.013\n\tmin: 0.003s max: 0.006s std dev: 0.00031s window: 249\n"
 
 INFO = """Type: sensor_msgs/msg/JointState
@@ -78,7 +76,6 @@ SAID = {
 }
 
 OUTPUT = "".join(f"== {name}\n{text}" for name, text in {**SAID, "pub": "publisher: beginning loop\n"}.items())
-
 GOOD = dict.fromkeys(("echo", "hz", "info -v", "parameter", "command", "stop"), "")
 
 
@@ -218,9 +215,7 @@ def test_the_script_starts() -> None:
 
 
 PAGE = (ROOT / "docs" / "ros.md").read_text(encoding="utf-8")
-
 RUNS = json.loads(JOB.RESULTS.read_text(encoding="utf-8")) if JOB.RESULTS.exists() else []
-
 ARM = robots.load("yumi_left")
 
 

@@ -38,17 +38,11 @@ from ..conftest import play, until
 from .dds_peers import free_domain
 
 pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
-
 pytestmark = pytest.mark.slow
-
 SOURCES = Path(__file__).parent / "peers"
-
 ARM = robots.load("yumi_left")
-
 PERIOD = 0.004
-
 SETTLED = 2_000_000_000  # ns after the first sample, from which on none may be missing
-
 SYSTEM = "/usr/bin:/bin:/usr/local/bin"  # the idlc of the wheel beside our Python makes code for another version
 
 
@@ -242,17 +236,11 @@ def test_a_node_moves_the_simulated_arm(node: list[str], runtime: Path, monkeypa
 
 
 pytest.importorskip("zenoh", reason="the extra net is not installed")
-
 pytest.importorskip("xxhash", reason="the extra net is not installed")
-
 JOINTS, ARRAY = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
-
 STATES, COMMANDS = "/yumi_left/joint_states", "/yumi_left/joint_group_velocity_controller/commands"
-
 PROGRAM = Path(__file__).parent / "peers" / "sdk.py"
-
 OUT, IN = ["RELIABLE", "VOLATILE", "KEEP_LAST", 10], ["BEST_EFFORT", "VOLATILE", "KEEP_LAST", 1]
-
 CELL = """
 commands = ["rmw_zenoh"]
 [[robots]]
@@ -302,7 +290,6 @@ with zenoh.open(config) as session:
 """
 
 RELEASES = ("1.5", "1.7", "1.9")
-
 SDK = "0.1.8"
 
 

@@ -14,61 +14,36 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armlab import robots
-from armlab.bridge.inputs.parameters import Parameter, Parameters
+from armlab.bridge.inputs.parameters import Parameter
 from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.ros.rmw_zenoh import ANY, Distribution, Names, Nodes, Origin, RmwZenohServer, Writer, serve
 from armlab.bridge.servers.ros.topics import store
 from armlab.bridge.servers.zenoh.session import LabAddress, close_session
 from armlab.errors import ConfigError, MissingExtra
 from armlab.log import Tick
-from armlab.state import Command, State
+from armlab.state import State
 
 from ....processes import Started, free_port
-from ..conftest import until
+from ..conftest import WALL, Served, until
 
 pytest.importorskip("zenoh", reason="the extra net is not installed")
-
 pytest.importorskip("xxhash", reason="the extra net is not installed")
-
 ARM = robots.load("yumi_left")
-
 JOINTS, ARRAY, TEXT = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String"
-
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
-
 VELOCITY = "/yumi_left/joint_group_velocity_controller/commands"
 
-WALL = 1_700_000_000_000_000_000
 
-
-class Running:
-    """The server in a thread, a loop that gives rows, and a session of a node."""
+class Running(Served):
+    """The server in a thread, and a session of a node."""
 
     def __init__(self) -> None:
-        declared = Parameters([Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone")])
-        about = {"cell": "yumi", "commands": ["rmw_zenoh"]}
-        self.exchange = Hub([ARM], ["rmw_zenoh"], declared, ["rmw_zenoh"], about=about)
-        self.feed, port = self.exchange.open("rmw_zenoh"), free_port()
+        gain, port = Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone"), free_port()
         options = {"domain": 0, "host": "127.0.0.1", "port": port, "router": "", "distribution": "jazzy"}
-        self.server = RmwZenohServer(self.feed, options)
-        self.thread = threading.Thread(target=self.server.run)
-        self.thread.start()
-        self.ticks = 0
-        until(lambda: self.exchange.poll() or self.exchange.outlets["rmw_zenoh"].where)
+        super().__init__("rmw_zenoh", ARM, lambda feed: RmwZenohServer(feed, options), [gain])
         self.node = LabAddress("127.0.0.1", port).open()
         self.names = Names(0, str(self.node.zid()), node="theirs")
         self.sent = 0
-
-    def row(self) -> Command | None:
-        """One tick of the loop; what the arm is told."""
-        self.ticks += 1
-        nothing = np.full(7, np.nan)
-        q = np.array(ARM.q_home)
-        state = State(t=1.0, dt=0.004, q=q, qd=nothing, tau=nothing, robot=ARM.name, q_start=q)
-        command = self.exchange.arbiter(state)
-        assert not isinstance(command, tuple)
-        self.exchange.row(state, command, Tick(self.ticks, 0, WALL + 4_000_000 * self.ticks, 1_000, 2_000, 3))
-        return command
 
     def read(self, topic: str, type_: str) -> list[Any]:
         """Return a list that fills with the samples of a topic."""
@@ -82,9 +57,7 @@ class Running:
 
     def close(self) -> None:
         close_session(self.node)
-        self.exchange.close()
-        self.thread.join()
-        self.feed.close()
+        super().close()
 
 
 @pytest.fixture
@@ -106,24 +79,24 @@ def numbers(values: Any) -> bytes:
 
 def answer(running: Running, diagnostics: list[Any]) -> str:
     """What the newest diagnostics say to clients, "" while none has come."""
-    running.ticks += 250
-    running.row()
+    running.tick += 250
+    running.commanded()
     found = [message(sample, DIAGNOSTICS) for sample in diagnostics]
     values = {one.key: one.value for each in found for one in each.status[0].values}
     return values.get("last answer", "none").replace("none", "")
 
 
 def test_joint_states_reach_a_node_that_reads_them(running: Running) -> None:
-    running.row()
+    running.commanded()
     assert running.server.wanted() == frozenset()
     samples = running.read("/yumi_left/joint_states", JOINTS)
     until(lambda: running.server.wanted() == {"/yumi_left/joint_states"})
     for _ in range(5):
-        running.row()
+        running.commanded()
     until(lambda: len(samples) == 5)
     found = message(samples[0], JOINTS)
     assert np.array_equal(found.position, ARM.q_home)
-    assert (list(found.name), len(found.velocity)) == (list(ARM.ros_joint_names), 0)
+    assert (list(found.name), len(found.effort)) == (list(ARM.ros_joint_names), 0)
     origins = [Origin.read(sample.attachment.to_bytes()) for sample in samples]
     assert [origin.seq for origin in origins if origin] == [1, 2, 3, 4, 5]
     assert samples[0].payload.to_bytes()[:4] == b"\0\1\0\0"
@@ -156,7 +129,7 @@ def test_all_writers_of_a_node_are_one_client_until_the_last_goes(running: Runni
 
     def commanded(k: int) -> bool:
         running.write(VELOCITY, ARRAY, numbers([0.0] * 7), ids[k])
-        return running.row() is not None
+        return running.commanded() is not None
 
     until(lambda: commanded(0))
     running.exchange.arbiter._lease_ns = 10**12  # silence frees nothing
@@ -168,10 +141,10 @@ def test_all_writers_of_a_node_are_one_client_until_the_last_goes(running: Runni
     assert not refused
     lives[0].undeclare()
     until(lambda: ids[0] not in running.server._nodes._clients)
-    running.row()
+    running.commanded()
     assert running.exchange.arbiter.commander(ARM.name) == who
     lives[1].undeclare()
-    until(lambda: running.row() is None and running.exchange.arbiter.commander(ARM.name) == "")
+    until(lambda: running.commanded() is None and running.exchange.arbiter.commander(ARM.name) == "")
 
 
 def test_what_is_no_command_is_told(running: Running) -> None:
@@ -215,7 +188,7 @@ def test_writers_of_every_distribution_are_heard(running: Running) -> None:
         running.sent += 1
         attached = Origin(running.sent, 0, b"h" * 16).pack()
         running.node.put(humble.data(VELOCITY, ARRAY), numbers([0.0] * 7), attachment=attached)
-        return running.row() is not None
+        return running.commanded() is not None
 
     until(commanded)
 
@@ -223,11 +196,13 @@ def test_writers_of_every_distribution_are_heard(running: Running) -> None:
 def test_parameters_and_stop(running: Running) -> None:
     echoes = running.read("/yumi_left/parameters", TEXT)
     raw = bytes(store().serialize_cdr(store().types[TEXT]('{"gain": 0.75}'), TEXT))
-    until(lambda: running.write("/yumi_left/set_parameter", TEXT, raw) or running.row() or echoes)
-    until(lambda: running.row() or message(echoes[-1], TEXT).data == '{"gain": 0.75}')
+    until(lambda: running.write("/yumi_left/set_parameter", TEXT, raw) or running.commanded() or echoes)
+    until(lambda: running.commanded() or message(echoes[-1], TEXT).data == '{"gain": 0.75}')
     empty = b"\0\1\0\0\0"
     stop = "std_msgs/msg/Empty"
-    until(lambda: running.write("/yumi_left/stop", stop, empty) or running.row() or running.exchange.arbiter.stopped)
+    until(
+        lambda: running.write("/yumi_left/stop", stop, empty) or running.commanded() or running.exchange.arbiter.stopped
+    )
 
 
 def test_it_ends_with_the_loop_and_refuses_commands_from_elsewhere() -> None:
@@ -240,7 +215,6 @@ def test_it_ends_with_the_loop_and_refuses_commands_from_elsewhere() -> None:
 
 
 HASH = "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"
-
 NAMES = Names(0, "aac3178e146ba6f1fc6e6a4085e77f21")
 
 
@@ -317,15 +291,10 @@ def test_a_flood_of_writers_is_not_kept() -> None:
 
 
 pytest.importorskip("zenoh", reason="the extra net is not installed")
-
 pytest.importorskip("xxhash", reason="the extra net is not installed")
-
 SENDER = b"s" * 16
-
 STAMP, PERIOD_NS = struct.Struct("<iI"), 4_000_000
-
 AGAIN_NS = 5e9  # of the specification; of ten restarts beside a load of 20 on two cores the longest took 0.4 s
-
 RESTART = 60.0  # s; only a test that fails waits so long
 
 

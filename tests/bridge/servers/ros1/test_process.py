@@ -353,9 +353,7 @@ def test_a_node_moves_the_arm_of_a_cell(ros: Ros, tmp_path: Path, monkeypatch: p
 
 
 PUBLISHER = Path("/usr/lib/robot_state_publisher/robot_state_publisher")
-
 ARM = robots.load("yumi_left")
-
 Q = ARM.q_home + np.linspace(-0.2, 0.2, 7)
 
 PLAYER = """

@@ -136,9 +136,7 @@ def test_run_writes_sentences_into_the_log_and_ends_connections(played: Played) 
 
 
 STATES = RosTopic("/arm/joint_states", "sensor_msgs/msg/JointState")
-
 TEXTS = RosTopic("/arm/parameters", "std_msgs/msg/String")
-
 PATIENCE = 20.0  # s; only a test that fails waits so long
 
 

@@ -45,7 +45,6 @@ with connect(f"ws://127.0.0.1:{port}", compression=None, max_queue=None) as clie
 """
 
 MANY = ("joint_states", "joint_states_sent", "tcp_pose", "egm_states", "wrench_hat", "joint_states_ref")
-
 LOST_CELL = """
 commands = ["rosbridge"]
 [[robots]]
@@ -258,7 +257,6 @@ def test_roslibpy_reads_sets_and_commands_while_another_client_is_stopped(
 
 
 SCRIPT = Path(__file__).with_name("roslib_client.mjs")
-
 CELL = """
 [[robots]]
 name = "yumi_left"

@@ -45,9 +45,7 @@ from armlab.errors import CommandRefused
 from .conftest import Bench
 
 POSITION = "/yumi_left/joint_group_position_controller/command"
-
 STATES = "/yumi_left/joint_states"
-
 SEVEN = [0.1 * k for k in range(7)]
 
 
@@ -324,7 +322,6 @@ _OPS = ["subscribe", "unsubscribe", "advertise", "unadvertise", "publish", "call
 _OPS += ["set_level", "status", "fragment"]
 
 _NAMES = [STATES, POSITION, "/yumi_left/parameters", "/yumi_left/set_parameter", "/yumi_left/stop"]
-
 FUZZED = Bench()
 
 _VALUES = {

@@ -25,7 +25,9 @@ from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import Codec, Drop, Packet, Reference
 
-from .conftest import PATIENCE, Running, Wire, free_port, until
+from ....processes import free_port
+from ..conftest import PATIENCE, until
+from .conftest import Running, Wire
 
 Start = Callable[..., Running]
 
@@ -114,7 +116,7 @@ def packet(one: Running, port: ZenohPort, codec: Codec) -> Packet:
 
     def came() -> bool:
         arrivals.append(port.receive())
-        if arrivals[-1] is None and not one.process._arms[one.robot.name].rows["live"].wanted:
+        if arrivals[-1] is None and not one.server._arms[one.robot.name].rows["live"].wanted:
             return False
         if arrivals[-1] is None:
             one.row()
@@ -130,7 +132,7 @@ def test_a_damaged_row_is_dropped_and_counted_as_such(start: Start, robot: Robot
     one = start()
     port = ZenohPort(robot, LabAddress("127.0.0.1", one.options["port"], "lab1"))
     codec = ZenohCodec(robot, port.schema)
-    session, whole = one.process._session, bytes(port.schema.size)
+    session, whole = one.server._session, bytes(port.schema.size)
     where, got = key("lab1", robot.name, "live"), list[Any]()
 
     def dropped(**attached: bytes) -> bool:
@@ -224,7 +226,7 @@ def test_damaged_rows_are_dropped_and_told(start: Start, robot: Robot) -> None:
     one = start()
     with ZenohFeed(f"zenoh://127.0.0.1:{one.options['port']}/lab1") as feed:
         feed.ask(Subscribe(rate=None))
-        session, where, data = one.process._session, key("lab1", robot.name, "live"), bytes(feed._schema.size)
+        session, where, data = one.server._session, key("lab1", robot.name, "live"), bytes(feed._schema.size)
         until(lambda: session.put(where, data, attachment=checksum(data[1:])) or feed.damaged > 2)
         until(lambda: session.put(where, data) or feed.damaged > 10)
         said: list[Any] = []
@@ -236,7 +238,7 @@ def test_damaged_rows_are_dropped_and_told(start: Start, robot: Robot) -> None:
 def test_texts_that_are_none_are_dropped_and_told(start: Start, robot: Robot) -> None:
     one = start()
     with ZenohFeed(f"zenoh://127.0.0.1:{one.options['port']}/lab1") as feed:
-        session, watch, said = one.process._session, Watch(), list[Any]()
+        session, watch, said = one.server._session, Watch(), list[Any]()
         bad = (b"[1", b"5", b"{}", b'{"kind": "event"}', b'{"kind": "about", "schema": "{}"}', b"[" * 100_000)
 
         def told(text: str) -> bool:

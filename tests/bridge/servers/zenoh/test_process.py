@@ -28,13 +28,12 @@ from armlab.bridge.servers.zenoh.session import LabAddress, close_session, queri
 from armlab.errors import LinkError
 from armlab.robots import Robot
 
-from ..conftest import play
-from .conftest import PATIENCE, Running, free_port, until
+from ....processes import free_port
+from ..conftest import PATIENCE, play, until
+from .conftest import Running
 
 ME, OTHER = bytes(range(16)), bytes(range(100, 116))
-
 Start = Callable[..., Running]
-
 Open = Callable[..., Any]
 
 

@@ -20,7 +20,9 @@ from armlab.cli.bridge import write_certificates
 from armlab.errors import ConfigError, LinkError
 from armlab.robots import Robot
 
-from .conftest import Running, free_port, until
+from ....processes import free_port
+from ..conftest import until
+from .conftest import Running
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
 Start = Callable[..., Running]

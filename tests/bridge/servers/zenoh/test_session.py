@@ -46,7 +46,8 @@ from armlab.log import Tick
 from armlab.robots import to_toml
 from armlab.state import State
 
-from .conftest import PATIENCE, free_port, until
+from ....processes import free_port
+from ..conftest import PATIENCE, until
 
 FORGOTTEN = """
 from armlab.bridge.servers.zenoh.session import open_session
@@ -259,7 +260,6 @@ def test_nobody_there() -> None:
 
 
 ARM = robots.load("ur5e")
-
 SCHEMA = RowSchema.of([ARM])
 
 
@@ -379,7 +379,6 @@ def test_who_waits_is_woken() -> None:
 
 
 ARMS = [robots.load(name) for name in ("yumi_left", "yumi_right")]
-
 BOTH = RowSchema.of(ARMS)
 
 
