@@ -177,10 +177,10 @@ def test_a_stop_is_not_lost_when_the_way_to_the_loop_is_full(bench: Bench) -> No
     """Somebody floods the loop, which takes 16 requests per tick; the stop waits for its turn."""
     until = time.monotonic() + 30.0
     with LocalFeed("test") as feed:
-        feed.receive()  # it serves: its socket no longer blocks
+        feed.receive()  # it serves
         with contextlib.suppress(BlockingIOError):
             while True:
-                bench.far.send(b'{"kind":"set","values":{"gain":1.0}}')
+                bench.far.send(b'{"kind":"set","values":{"gain":1.0}}', socket.MSG_DONTWAIT)
         feed.ask(Stop())
         feed._socket.send(b"noise")
         while (message := feed.receive())["kind"] != "answer":  # type: ignore[index]

@@ -21,20 +21,19 @@ import msgspec
 
 from armlab.bridge.net.sockets import program
 from armlab.bridge.servers.messages import (
-    CommandRequest,
     Counted,
     Leave,
     Listening,
     Report,
     Request,
-    SetRequest,
     Subscribe,
     read_request,
     text_message,
 )
 from armlab.bridge.servers.row import MAGIC, Pace, Row, RowSchema, read_row
+from armlab.bridge.servers.server_end import LoopEnd
 from armlab.bridge.servers.status import Status
-from armlab.errors import ConfigError, LinkError
+from armlab.errors import CommandRefused, ConfigError, LinkError
 
 __all__ = ["LocalFeed", "LocalServer", "cells", "serve", "socket_path"]
 
@@ -161,8 +160,7 @@ _CLIENTS = 8
 _STATUS = 0.5  # s between two reports
 _EVENTS = 20  # that a new client gets
 _KEPT = 100  # clients that have left, of which is known what they got
-_URGENT = 256  # requests that wait when the way to the loop is full
-_RETRY = 0.005  # s until they are tried again
+_RETRY = 0.005  # s until requests that wait are tried again
 _FRESH = struct.Struct("<q")
 _TAKEN = 16  # messages of a client before the others have their turn
 
@@ -189,100 +187,90 @@ class _Client:
 
 
 class LocalServer:
-    """Passes rows and events on to at most 8 clients of this user, and their requests to the loop."""
+    """Passes rows and events on to at most 8 clients of this user, and their requests to the loop.
+
+    Raises LinkError when another bridge serves there, or when the loop has gone.
+    """
 
     def __init__(self, feed: socket.socket, path: Path) -> None:
-        self._feed, self._path = feed, path
-        self._selector = selectors.DefaultSelector()
-        self._listener = _listen(path)
+        self._path, self._listener = path, _listen(path)
         self._clients: dict[socket.socket, _Client] = {}
-        self._first: dict[str, bytes] = {}
         self._events: deque[bytes] = deque(maxlen=_EVENTS)
-        self._urgent: deque[Request] = deque(maxlen=_URGENT)
-        self._status: Status | None = None
-        self._fresh: list[int] = []  # where a row says for which arms it is fresh
-        self._gone: dict[str, tuple[int, int]] = {}  # what clients got that have left, the last of them
+        self._gone: dict[str, tuple[int, int]] = {}  # rows sent to clients that have left, and dropped for them
         self._count = 0
         self._reported = 0.0
+        try:
+            self._loop = LoopEnd(feed, self._counts)
+        except LinkError:
+            self._close()
+            raise
+        parameters = {"kind": "parameters", "parameters": list(self._loop.parameters.values())}
+        self._first = {one["kind"]: msgspec.json.encode(one) for one in (self._loop.about, parameters)}
+        schema = self._loop.schema
+        self._status = Status(schema)
+        self._fresh = [schema.fields[f"{robot}.fresh"].offset for robot in schema.robots]
+        self._selector = selectors.DefaultSelector()
 
     def run(self) -> None:
         """Serve until the loop closes the feed."""
-        self._feed.setblocking(False)
         self._listener.setblocking(False)
-        for one in (self._feed, self._listener):
+        for one in (self._loop, self._listener):
             self._selector.register(one, selectors.EVENT_READ)
-        self._ask(Listening(where=[f"{self._path} (local)"]))
+        self._loop.ask(Listening(where=[f"{self._path} (local)"]))
         try:
             while self._turn():
                 pass
         finally:
-            for one in (*self._clients, self._listener):
-                one.close()
+            self._close()
             self._selector.close()
-            self._path.unlink(missing_ok=True)
+
+    def _close(self) -> None:
+        for one in (*self._clients, self._listener):
+            one.close()
+        self._path.unlink(missing_ok=True)
 
     def _turn(self) -> bool:
-        while self._urgent and self._sent(self._urgent[0]):
-            self._urgent.popleft()
-        for key, _ in self._selector.select(_RETRY if self._urgent else _STATUS):
-            if key.fileobj is self._feed:
-                if not self._hear():
-                    return False
-            elif key.fileobj is self._listener:
+        """Serve whoever has something; False when the loop has gone."""
+        for key, _ in self._selector.select(_RETRY if self._loop.is_behind else _STATUS):
+            if key.fileobj is self._listener:
                 self._accept()
             elif key.fileobj in self._clients:
                 self._take(self._clients[key.fileobj])  # type: ignore[index]
-        return True
+        while messages := self._loop.receive():
+            for message in messages:
+                if isinstance(message, bytes):
+                    self._row(message)
+                else:
+                    self._text(message)
+        return messages is not None
 
-    def _hear(self) -> bool:
-        """Pass on what the loop sent; False when it has gone."""
-        while True:
-            try:
-                data = self._feed.recv(_LARGEST)
-            except BlockingIOError:
-                return True
-            except OSError:
-                return False
-            if not data:
-                return False
-            if data[:4] == MAGIC:
-                self._row(data)
-            else:
-                self._text(data)
+    def _counts(self) -> dict[str, tuple[int, int]]:
+        here = {client.name: (client.rows, client.dropped) for client in self._clients.values()}
+        return {**self._gone, **here}
 
     def _row(self, data: bytes) -> None:
         now = time.monotonic()
-        if self._status is not None:
-            self._status.add(data)
-            if now - self._reported > _STATUS:
-                self._reported = now
-                self._tell_all(text_message("status", **self._status.summary()))
+        self._status.add(data)
+        if now - self._reported > _STATUS:
+            self._reported = now
+            self._tell_all(text_message("status", **self._status.summary()))
         arms = [offset for offset in self._fresh if _FRESH.unpack_from(data, offset)[0]]
         for client in self._clients.values():
             if client.pace is not None and client.pace.takes(arms, now):
                 client.row(data)
 
-    def _text(self, data: bytes) -> None:
-        message = msgspec.json.decode(data)
-        kind = message["kind"]
-        if kind == "count":
-            here = {client.name: (client.rows, client.dropped) for client in self._clients.values()}
-            self._ask(Counted(clients={**self._gone, **here}))
-            return
+    def _text(self, message: Mapping[str, Any]) -> None:
+        kind, data = message["kind"], msgspec.json.encode(message)
         if kind == "answer":
             for client in self._clients.values():
                 if client.name == message["client"]:
                     client.send(data)
-            return
-        if kind == "about":
-            schema = RowSchema.read(message["schema"].encode())
-            self._status = Status(schema)
-            self._fresh = [schema.fields[f"{robot}.fresh"].offset for robot in schema.robots]
-        if kind == "event":
+        elif kind == "event":
             self._events.append(data)
-        else:
+            self._tell_all(data)
+        elif kind != "count":
             self._first[kind] = data
-        self._tell_all(data)
+            self._tell_all(data)
 
     def _tell_all(self, data: bytes) -> None:
         for client in self._clients.values():
@@ -319,14 +307,13 @@ class LocalServer:
                 return
             try:
                 request = read_request(data)
-            except LinkError as error:
+                if isinstance(request, Subscribe):
+                    self._subscribe(client, request)
+                elif not isinstance(request, Listening | Counted | Report):
+                    self._loop.ask(msgspec.structs.replace(request, client=client.name))
+            except (LinkError, CommandRefused) as error:
                 client.send(text_message("answer", client=client.name, text=str(error)))
-                self._ask(Report(client.name, str(error)))
-                continue
-            if isinstance(request, Subscribe):
-                self._subscribe(client, request)
-            elif not isinstance(request, Listening | Counted | Report):
-                self._ask(msgspec.structs.replace(request, client=client.name))
+                self._loop.ask(Report(client.name, str(error)))
 
     def _subscribe(self, client: _Client, request: Subscribe) -> None:
         rate = request.rate
@@ -339,21 +326,7 @@ class LocalServer:
         self._gone[client.name] = (client.rows, client.dropped)
         if len(self._gone) > _KEPT:
             del self._gone[next(iter(self._gone))]
-        self._ask(Leave(client.name))
-
-    def _ask(self, request: Request) -> None:
-        """Pass a request on. When the way is full, commands and settings are lost, but no stop and no release."""
-        if self._urgent or not self._sent(request):
-            lost = isinstance(request, CommandRequest | SetRequest | Report) or request in self._urgent
-            if not lost:
-                self._urgent.append(request)
-
-    def _sent(self, request: Request) -> bool:
-        try:
-            self._feed.send(msgspec.json.encode(request))
-        except OSError:
-            return False
-        return True
+        self._loop.ask(Leave(client.name))
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:

@@ -60,6 +60,11 @@ class LoopEnd:
         """Return the number of the socket, for `select` and for event loops."""
         return self._feed.fileno()
 
+    @property
+    def is_behind(self) -> bool:
+        """Whether requests wait until the loop has room for them."""
+        return bool(self._urgent)
+
     def robots(self) -> dict[str, Robot]:
         """Return the arms of the cell by name."""
         return {name: from_toml(text, f"the bridge of {name}") for name, text in self.about["robots"].items()}
