@@ -39,7 +39,7 @@ from armlab.bridge.servers.rosbridge.protocol import (
     type_name,
 )
 from armlab.bridge.servers.rosbridge.rosapi import SET_PARAM, Rosapi, parameter_name
-from armlab.bridge.servers.rosbridge.session import ClientSession, Outbox, Subscription
+from armlab.bridge.servers.rosbridge.session import Outbox, Subscription
 from armlab.errors import CommandRefused
 
 from .conftest import Bench
@@ -527,22 +527,7 @@ def test_fields_are_those_of_the_definition() -> None:
     assert fields("std_msgs/msg/Empty") == ()
 
 
-def heard(session: ClientSession) -> list[dict[str, object]]:
-    return [json.loads(one) for one in session.outbox.take(10**6)]
-
-
 MS = 1_000_000
-
-
-def played(subscription: Subscription, outbox: Outbox, count: int) -> list[tuple[int, int]]:
-    """Offer a message every 4 ms; return the time [ms] and the number of those that were sent."""
-    found = []
-    for k in range(count):
-        now = 4 * k * MS
-        if subscription.is_due(now):
-            subscription.offer(b"%d" % k, now)
-        found += [(4 * k, int(one)) for one in outbox.take(1000)]
-    return found
 
 
 def made(throttle_ms: float, queue_length: int) -> tuple[Subscription, Outbox]:
@@ -552,14 +537,27 @@ def made(throttle_ms: float, queue_length: int) -> tuple[Subscription, Outbox]:
     return subscription, outbox
 
 
-def test_a_throttle_is_the_least_time_between_two_and_the_newest_is_sent() -> None:
-    assert played(*made(10.0, 0), 10) == [(0, 0), (12, 3), (24, 6), (36, 9)]
+def played(subscription: Subscription, outbox: Outbox, count: int) -> list[tuple[int, int]]:
+    """Offer a message every 4 ms; return the time [ms] and the number of those that were sent."""
+    found = []
+    for k in range(count):
+        if subscription.is_due(4 * k * MS):
+            subscription.offer(b"%d" % k, 4 * k * MS)
+        found += [(4 * k, int(one)) for one in outbox.take(1000)]
+    return found
 
 
-def test_a_queue_keeps_what_came_too_early_and_drops_the_oldest() -> None:
-    subscription, outbox = made(12.0, 2)
-    assert played(subscription, outbox, 10) == [(0, 0), (12, 1), (24, 4), (36, 7)]
-    assert outbox.dropped == 4  # 2, 3, 5 and 6; 8 and 9 wait
+@pytest.mark.parametrize(
+    ("throttle_ms", "queue_length", "sent", "dropped"),
+    [
+        (10.0, 0, [(0, 0), (12, 3), (24, 6), (36, 9)], 0),  # the newest
+        (12.0, 2, [(0, 0), (12, 1), (24, 4), (36, 7)], 4),  # 2, 3, 5 and 6; 8 and 9 wait
+    ],
+)
+def test_throttled_topics(throttle_ms: float, queue_length: int, sent: list[tuple[int, int]], dropped: int) -> None:
+    subscription, outbox = made(throttle_ms, queue_length)
+    assert played(subscription, outbox, 10) == sent
+    assert outbox.dropped == dropped
 
 
 def test_of_several_ids_the_most_eager_counts() -> None:
@@ -572,36 +570,20 @@ def test_of_several_ids_the_most_eager_counts() -> None:
     assert subscription.remove(None)
 
 
-def test_a_queue_without_a_throttle_bounds_what_waits_for_a_slow_client() -> None:
-    subscription, outbox = made(0.0, 2)
+def test_what_waits_for_a_slow_client_is_bounded_in_number_time_and_bytes() -> None:
+    subscription, queue = made(0.0, 2)
     for k in range(5):
         subscription.offer(b"%d" % k, 0)
-    assert outbox.take(1000) == [b"3", b"4"]
-
-
-def test_the_oldest_goes_after_a_second() -> None:
-    box = Outbox()
+        queue.put(b"b%d" % k, 0, "/b")
+    assert queue.take(1000) == [b"b0", b"b1", b"b2", b"3", b"b3", b"4", b"b4"]
+    old, large = Outbox(), Outbox()
     for k in range(500):
-        box.put(b"%d" % k, 4 * k * MS)
-    assert box.dropped == 249
-    assert box.take(2**20) == [b"%d" % k for k in range(249, 500)]
-
-
-def test_four_megabytes_wait_at_most() -> None:
-    box = Outbox()
-    for _ in range(100):
-        box.put(bytes(2**16), 0)
-    assert len(box.take(2**30)) == 64
-    assert box.dropped == 36
-
-
-def test_a_topic_with_a_queue_of_its_own_keeps_its_newest() -> None:
-    box = Outbox()
-    for k in range(5):
-        box.put(b"a%d" % k, 0, "/a", 2)
-        box.put(b"b%d" % k, 0, "/b")
-    assert box.take(1000) == [b"b0", b"b1", b"b2", b"a3", b"b3", b"a4", b"b4"]
-    assert box.dropped == 3
+        old.put(b"%d" % k, 4 * k * MS)
+        large.put(bytes(2**16), 0)
+    assert (queue.dropped, old.dropped, large.dropped) == (3, 249, 436)
+    assert old.take(4) == [b"249", b"250"], "a second of them"
+    assert old.take(2**20) == [b"%d" % k for k in range(251, 500)]
+    assert len(large.take(2**30)) == 64, "four megabytes"
 
 
 def test_a_client_is_stuck_when_it_takes_nothing_for_ten_seconds() -> None:
