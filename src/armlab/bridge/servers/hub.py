@@ -55,10 +55,7 @@ _SENTENCE = 1000  # characters of a report: what clients send may be quoted in i
 
 
 class Hub:
-    """A feed (see `recording.Feed`) for processes: rows and events to all, their requests to arbiter and parameters.
-
-    mistakes : requests that were none.
-    """
+    """A feed (see `recording.Feed`) for processes: rows and events to all, their requests to arbiter and parameters."""
 
     def __init__(
         self,
@@ -169,10 +166,7 @@ class Hub:
             outlet.send(data)
 
     def idle(self, longer_ns: int) -> None:
-        """See what came back when no packet of a robot made the loop look; for another thread.
-
-        longer_ns : time without a look.
-        """
+        """See what came back when no packet of a robot made the loop look; for another thread."""
         if time.monotonic_ns() - self._polled_ns > longer_ns:
             self.poll()
 

@@ -98,10 +98,7 @@ class _FieldGroup:
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Send until the loop closes the feed.
-
-    feed : connected to the loop. options : "to" and "port", where PlotJuggler is; "fields"; "host", to send from.
-    """
+    """Send until the loop closes the feed."""
     to, port = options["to"], options["port"]
     try:
         is_here = ipaddress.IPv4Address(to).is_loopback

@@ -73,8 +73,6 @@ class LoopEnd:
         """Return what has come, up to the first row: rows as bytes, texts as they say, by their "kind".
 
         None when the loop has gone. Rows come one by one: to look whether there is a second one costs what a row costs.
-
-        patience : s to wait for the first message; None waits until one comes.
         """
         flags = self._wait(patience)
         found: list[bytes | dict[str, Any]] = []

@@ -120,10 +120,7 @@ _USED = ("motors", "rapid", "mci", "receive_ns", "seq_sent", "q_ref", "qd_ref", 
 
 
 class Watch:
-    """What is known of a bridge from its messages, in words.
-
-    robot : show this arm only; None shows all.
-    """
+    """What is known of a bridge from its messages, in words."""
 
     def __init__(self, robot: str | None = None) -> None:
         self._robot = robot

@@ -20,10 +20,7 @@ __all__ = ["LabCommClient", "LabCommSource", "connected"]
 
 
 def connected(host: str, port: int, patience: float) -> socket.socket:
-    """Return a connected socket.
-
-    host, port : of the server. patience : seconds to wait.
-    """
+    """Return a connected socket."""
     try:
         return socket.create_connection((host, port), timeout=patience)
     except (OSError, OverflowError) as error:

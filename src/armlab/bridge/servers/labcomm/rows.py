@@ -45,10 +45,7 @@ class Row(NamedTuple):
 
 
 def signed(tm: int) -> int:
-    """Return a time stamp modulo 2**32 as the signed number that LabComm's int holds.
-
-    tm : milliseconds.
-    """
+    """Return a time stamp modulo 2**32 as the signed number that LabComm's int holds."""
     return (tm + 2**31) % 2**32 - 2**31
 
 

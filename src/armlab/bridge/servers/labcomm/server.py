@@ -41,8 +41,6 @@ _SNIFF = 0.2  # s that a port which follows its client waits for the first packe
 class Ports:
     """Serves channels, a turn at a time.
 
-    on_stop : called with the address of a client that sent the sample ``void stop``, on any port.
-
     `counts` and `clients` may be read from any thread, everything else is for one.
     """
 

@@ -65,8 +65,6 @@ def write_cdr(writer: DataWriter[Any], data: bytes) -> bool:
     """Send the bytes of a message; False when there is no room.
 
     `DataWriter.write` ends in this call. What it does before, for objects, would be a third of the time of a message.
-
-    writer : of the message. data : CDR with its 4 bytes, filled up to a multiple of 4.
     """
     return _write(writer._ref, data) >= 0
 
@@ -81,8 +79,6 @@ def configuration(host: str) -> str:
     On this computer the bridge announces itself to each port of 127.0.0.1 every 2 s, so that a node with multicast
     discovery also finds it. Cyclone DDS would drop ports that do not answer for 30 s, and with them every node started
     later. On a network participants are found by multicast.
-
-    host : IPv4 address of the interface.
     """
     if _is_local(host):
         found = (
@@ -102,10 +98,7 @@ def configuration(host: str) -> str:
 
 @contextlib.contextmanager
 def joined(domain: int, host: str) -> Iterator[DomainParticipant]:
-    """Be a participant of a domain while the block runs.
-
-    domain : its number. host : see `configuration`; 127.0.0.1 for this computer only.
-    """
+    """Be a participant of a domain while the block runs."""
     try:
         settings = Domain(domain, configuration(host))
         participant = DomainParticipant(domain)
@@ -238,10 +231,7 @@ class Writers:
             self._writers[name] = DataWriter(participant, made, _STATE, listener)
 
     def write(self, topic: RosTopic, cdr: bytes) -> None:
-        """Send one message.
-
-        topic : where. cdr : a message, CDR.
-        """
+        """Send one message."""
         written, full = self.counts.get(topic.name, (0, 0))
         went = write_cdr(self._writers[topic.name], cdr + bytes(-len(cdr) % 4))
         self.counts[topic.name] = (written + 1, full) if went else (written, full + 1)
@@ -256,10 +246,7 @@ class Writers:
 
 
 class Readers:
-    """Reads topics; calls from threads of DDS.
-
-    participant : that they belong to. types : ROS 2 message type by full name of the topic.
-    """
+    """Reads topics; calls from threads of DDS."""
 
     def __init__(
         self,

@@ -43,10 +43,7 @@ class Names:
         return store().hash_rihs01(type) if self._has_hashes else _NO_HASH
 
     def data(self, topic: str, type: str, hash: str = "") -> str:
-        """Return the key of a topic's messages.
-
-        topic : full name. type : of its messages. hash : `ANY` for a reader; that of the type by default.
-        """
+        """Return the key of a topic's messages."""
         return f"{self._domain}/{topic.strip('/')}/{type_name(type)}/{hash or self.hash(type)}"
 
     def node(self) -> str:
@@ -58,10 +55,7 @@ class Names:
         return f"@ros2_lv/{self._domain}/*/*/*/MP/**"
 
     def writer(self, number: int, topic: str, type: str) -> str:
-        """Return the token of a reliable writer that keeps the last ten.
-
-        number : of the endpoint in the node, from 1. topic, type : as of `data`.
-        """
+        """Return the token of a reliable writer that keeps the last ten."""
         return self._endpoint(number, "MP", topic, type, _RELIABLE)
 
     def reader(self, number: int, topic: str, type: str) -> str:
@@ -86,10 +80,7 @@ class Origin(NamedTuple):
 
     @classmethod
     def read(cls, data: bytes | None) -> Origin | None:
-        """Return what the bytes say; None for others, whose message is dropped as rmw_zenoh drops it.
-
-        data : of the attachment, None without one.
-        """
+        """Return what the bytes say; None for others, whose message is dropped as rmw_zenoh drops it."""
         if data is None or len(data) != _ORIGIN.size:
             return None
         seq, stamp_ns, size, writer = _ORIGIN.unpack(data)

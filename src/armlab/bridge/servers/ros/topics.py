@@ -221,11 +221,7 @@ Messages = Iterable[tuple[RosTopic, Any]]
 
 
 class Topics:
-    """The topics of a cell.
-
-    published : by full name. answer : to a client that has no other way to learn why it was refused; part of the
-    diagnostics.
-    """
+    """The topics of a cell."""
 
     def __init__(self, robots: Mapping[str, Robot], schema: RowSchema) -> None:
         self.answer = ""

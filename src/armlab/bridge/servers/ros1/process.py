@@ -49,8 +49,6 @@ class Subscribers:
         """Take a connection over, on which the header of ROS has gone out.
 
         Returns why it was ended instead, a sentence; nothing when it was taken.
-
-        topic : full name. connection : of TCP. known : messages without a header that only this node gets.
         """
         one = _Connection(topic, connection)
         if len(self._connections) >= _MOST:
@@ -67,10 +65,7 @@ class Subscribers:
         return ""
 
     def send(self, topic: RosTopic, raw: bytes) -> None:
-        """Send a message to all nodes that read it; their connections that have ended are let go.
-
-        topic : of the message. raw : the message as ROS 1 has it; its number is set here.
-        """
+        """Send a message to all nodes that read it; their connections that have ended are let go."""
         name = topic.name
         headed = self._headed.get(name)
         if headed is None:
@@ -338,10 +333,7 @@ class Ros1Process:
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed.
-
-    feed : connected to the loop. options : see `Ros1Process`.
-    """
+    """Serve until the loop closes the feed."""
     Ros1Process(feed, options).run()
 
 

@@ -59,10 +59,7 @@ def read_type(text: str) -> tuple[str, Dialect]:
 
 
 def type_name(type_: str, dialect: Dialect) -> str:
-    """Return the name of a type in a dialect.
-
-    type_ : its ROS 2 name. dialect : of the client.
-    """
+    """Return the name of a type in a dialect."""
     return type_.replace("/msg/", "/") if dialect == "ros1" else type_
 
 

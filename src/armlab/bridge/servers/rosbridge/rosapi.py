@@ -28,10 +28,7 @@ def parameter_name(arguments: Arguments, known: Mapping[str, Any]) -> str:
 
 
 class Rosapi:
-    """Answers at once whatever needs no loop.
-
-    cell : its name. topics : ROS 2 type by full name, those that go out and those that are taken.
-    """
+    """Answers at once whatever needs no loop."""
 
     def __init__(
         self, cell: str, topics: Mapping[str, str], parameters: Callable[[], Mapping[str, Mapping[str, Any]]]

@@ -64,10 +64,7 @@ class Access:
 
 
 def read_access(options: Mapping[str, Any], environment: Mapping[str, str] | None = None) -> Access:
-    """Return what the options of the server say.
-
-    environment : variables; those of the process by default.
-    """
+    """Return what the options of the server say."""
     token = _token(options, os.environ if environment is None else environment)
     context = _context(options.get("certificate"), options.get("key"))
     return Access(token, context, (None, _LOCAL_PAGES, *options.get("origins", ())))

@@ -36,10 +36,7 @@ class Outbox:
         self.sent = self.dropped = 0
 
     def put(self, data: bytes, now_ns: int, topic: str = "", most: int = 0) -> None:
-        """Let a message wait; what has waited for more than 1 s goes.
-
-        most : messages of this topic that wait at most, 0 for any number; the oldest of them goes.
-        """
+        """Let a message wait; what has waited for more than 1 s goes."""
         if self._since_ns is None:
             self._since_ns = now_ns
         while self._waiting and (now_ns - self._waiting[0].ns > _KEPT or self._bytes + len(data) > _LARGEST):
@@ -90,10 +87,7 @@ class Subscription:
         self._every_ns = self._most = self._due_ns = 0
 
     def add(self, id_: str, throttle_ms: float, queue_length: int) -> None:
-        """Take what one id wants.
-
-        queue_length : messages that wait at most; 0 throws away what comes too early.
-        """
+        """Take what one id wants."""
         self._ids[id_] = (int(1e6 * throttle_ms), queue_length)
         while len(self._ids) > _IDS:
             del self._ids[next(iter(self._ids))]

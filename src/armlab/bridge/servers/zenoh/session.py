@@ -185,10 +185,7 @@ def _check_router(router: str, is_open: bool) -> None:
 
 
 def _check_holder(host: str, port: int, is_open: bool) -> None:
-    """Refuse to use the router that holds our port: commands come by it from anybody, or it is not where we would be.
-
-    host, port : of the server, "" where it need not be found. is_open : whether it takes commands from whoever comes.
-    """
+    """Refuse to use the router that holds our port: commands come by it from anybody, or it is not where we would be."""
     with socket.socket() as probe:
         try:
             probe.bind((_UNUSED, port))
@@ -208,10 +205,7 @@ def _check_holder(host: str, port: int, is_open: bool) -> None:
 
 
 def wait_for_router(session: Any, patience: float) -> bool:
-    """Return whether a peer has found a router, or another peer.
-
-    session : of the peer. patience : s to wait.
-    """
+    """Return whether a peer has found a router, or another peer."""
     until = time.monotonic() + patience
     while not (session.info.routers_zid() or session.info.peers_zid()):
         if time.monotonic() > until:
