@@ -129,7 +129,7 @@ def open_near(
             session = _opened("router", [f"{host}:{port}"], [], safe)
             if session is not None:
                 return session, f"{protocol}/{host}:{port} (zenoh router)"
-            _check_holder(host, port, is_open)
+            _check_router_here(host, port, is_open)
         can_listen = safe.ca is None or safe.certificate is not None
         for own in (port if router and port else _free_port(host), _free_port(host)):
             session = _opened("peer", [f"{host}:{own}"] if can_listen else [], [place], safe)
@@ -181,11 +181,11 @@ def _check_router(router: str, is_open: bool) -> None:
             "this computer: whoever reaches it could command. Write them: armlab bridge certificates; or take the "
             "server out of `commands`."
         )
-    _check_holder("", int(port), is_open)
+    _check_router_here("", int(port), is_open)
 
 
-def _check_holder(host: str, port: int, is_open: bool) -> None:
-    """Refuse to use the router that holds our port: commands come by it from anybody, or it is not where we would be."""
+def _check_router_here(host: str, port: int, is_open: bool) -> None:
+    """Refuse a router at our port that lets anybody command, or that is not found where we would be."""
     with socket.socket() as probe:
         try:
             probe.bind((_UNUSED, port))
