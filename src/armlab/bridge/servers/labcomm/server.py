@@ -45,12 +45,7 @@ class Ports:
     """
 
     def __init__(
-        self,
-        channels: Sequence[Channel],
-        host: str,
-        on_event: Tell,
-        on_stop: Callable[[str], None],
-        beside: Any,
+        self, channels: Sequence[Channel], host: str, on_event: Tell, on_stop: Callable[[str], None], beside: Any
     ) -> None:
         self._channels = {channel.name: channel for channel in channels}
         self._peers: dict[str, list[Peer]] = {name: [] for name in self._channels}

@@ -152,10 +152,7 @@ class ZenohProcess:
         said = [self._loop.about, {"kind": "parameters", "parameters": list(self._loop.parameters.values())}]
         said += [self._recording] if self._recording else []
         with query:
-            query.reply(
-                key(self._lab, robot, "about"),
-                msgspec.json.encode(said),
-            )
+            query.reply(key(self._lab, robot, "about"), msgspec.json.encode(said))
 
     def _value(self, robot: str, query: Any) -> None:
         """Answer with all that is known of the parameters that are asked for."""
