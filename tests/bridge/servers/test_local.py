@@ -93,6 +93,8 @@ def test_rows_events_status(bench: Bench) -> None:
         assert bench.until(feed, "status")["arms"]["yumi_left"]["rows"] > 0
         bench.exchange.event("After.")
         assert bench.until(feed, "event")["text"] == "After."
+        clients = bench.exchange.summary()["servers"][OPERATOR]["clients"]
+        assert max(rows for rows, _ in clients.values()) > 0
 
 
 def test_requests(bench: Bench) -> None:

@@ -98,8 +98,8 @@ def test_a_server_that_never_listens_refuses_at_once(words: list[str], said: str
         assert time.monotonic() - began < 30.0
 
 
-@pytest.mark.parametrize("name", [name for name in _SERVERS if name != "local"])
-def test_a_loop_that_has_gone_before_it_described_its_rows_ends_a_server(name: str) -> None:
+@pytest.mark.parametrize("name", _SERVERS)
+def test_a_loop_that_has_gone_before_it_described_its_rows_ends_a_server(name: str, tmp_path: Path) -> None:
     where = {"host": "127.0.0.1", "port": 0, "to": "127.0.0.1", "domain": 0, "distribution": "jazzy", "router": ""}
     options = {
         **where,
@@ -114,7 +114,8 @@ def test_a_loop_that_has_gone_before_it_described_its_rows_ends_a_server(name: s
     feed.recv(2**17)
     hub.close()
     with feed, pytest.raises(LinkError, match="Start it again"):
-        import_module(_SERVERS[name]).serve(feed, {**labcomm_options([LEFT]), **options})
+        import_module(_SERVERS[name]).serve(feed, {**labcomm_options([LEFT]), **options, "path": tmp_path / "x"})
+    assert not (tmp_path / "x").exists()
 
 
 def test_a_server_that_says_nothing() -> None:

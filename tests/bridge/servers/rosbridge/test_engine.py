@@ -178,6 +178,7 @@ def test_commands_carry_the_identity_of_the_connection(bench: Bench) -> None:
     bench.say(client, op="publish", topic="/yumi/joint_group_velocity_controller/commands", msg={"data": [0.0] * 14})
     bench.say(client, op="publish", topic="/yumi_left/set_parameter", msg={"data": '{"gain": 1.0}'})
     bench.say(client, op="publish", topic="/yumi_left/stop", msg={})
+    bench.say(client, op="status", level="error", msg="of the client")
     bench.engine.leave(client)
     assert bench.heard(client) == []
     me = "127.0.0.1:4711"
@@ -525,6 +526,7 @@ def test_stamps_wherever_they_are(dialect: Dialect, names: set[str]) -> None:
 def test_fields_are_those_of_the_definition() -> None:
     assert fields("std_msgs/msg/Float64MultiArray") == ("layout", "data")
     assert fields("std_msgs/msg/Empty") == ()
+    assert json.loads(encoded("/e", TYPES["std_msgs/msg/Empty"](), "ros2", 1))["msg"] == {}
 
 
 MS = 1_000_000
