@@ -1,3 +1,3 @@
 """ROS topics, messages and commands, whichever transport carries them (docs/ros.md)."""
 
-__all__: list[str] = []
+__all__ = []

@@ -1,3 +1,3 @@
 """ROS 1 through rospy, which lives under the system's Python: `relay` runs there (docs/ros.md)."""
 
-__all__: list[str] = []
+__all__ = []

@@ -1,3 +1,3 @@
 """rosbridge v2 over WebSocket, for roslibpy, roslibjs and web pages (docs/ros.md)."""
 
-__all__: list[str] = []
+__all__ = []

@@ -1,3 +1,3 @@
 """Zenoh: rows, parameters, events and commands of a cell under ``armlab/<lab>/<robot>/`` (docs/how_to/zenoh.md)."""
 
-__all__: list[str] = []
+__all__ = []
