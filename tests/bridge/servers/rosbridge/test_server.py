@@ -1,4 +1,4 @@
-"""The server as a process, with clients on WebSockets: who may, who waits, who does not read."""
+"""`RosbridgeServer` as a process, with clients on WebSockets: who may, who waits, who does not read."""
 
 from __future__ import annotations
 
