@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from blocks import Contender, Table, figures
 
-from armlab.bridge.servers.zenoh import EVERY, Place
+from armlab.bridge.servers.zenoh.keys import EVERY
+from armlab.bridge.servers.zenoh.session import LabAddress
 from armlab.errors import ArmlabError
 from armlab.fleet import FleetRecorder
 
@@ -88,7 +89,7 @@ def _measured(count: int, seconds: float) -> dict[str, float]:
         port = _free_port()
         router = _started(opened, "-m", "armlab", "fleet", "router", "--port", str(port))
         folder = opened.enter_context(tempfile.TemporaryDirectory())
-        recorder = _Timed(Place(port=port, lab=EVERY), folder)
+        recorder = _Timed(LabAddress(port=port, lab=EVERY), folder)
         opened.callback(recorder.close)
         publishers = [
             _started(opened, str(PUBLISHER), str(port), str(first), str(min(TOGETHER, count - first)))

@@ -11,7 +11,7 @@ import numpy as np
 from blocks import Contender, Table, agree, each, loop, table
 
 from armlab import robots
-from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.labcomm import LabCommClient
 from armlab.bridge.servers.labcomm.process import labcomm_options
 from armlab.bridge.servers.supervisor import Servers, server_command
@@ -82,7 +82,7 @@ def _publishing(rounds: int) -> Table:
     with ExitStack() as stack:
         exchanges, clients = [], []
         for count in (0, 10):
-            exchange = Exchange([robot], ["labcomm"])
+            exchange = Hub([robot], ["labcomm"])
             options = labcomm_options([robot], ports=[0], parameters=0, fused=0)
             servers = stack.enter_context(Servers(exchange, {"labcomm": server_command("labcomm", options)}))
             ports = [int(where.partition(" ")[0].rpartition(":")[2]) for where in servers.ready()]
@@ -107,7 +107,7 @@ def _publishing(rounds: int) -> Table:
             Contender("armlab row, ten idle clients and one that never reads", publish(1), "armlab"),
         ]
         text = (
-            "`Exchange.row`, which the loop calls after each reply, 250 times a second, with `LabCommProcess` at the "
+            "`Hub.row`, which the loop calls after each reply, 250 times a second, with `LabCommProcess` at the "
             "other end. The row is written and handed to that process; what its clients do is not the loop's time."
         )
         return table("LabComm server, one row published", text, "µs", contenders, rounds)

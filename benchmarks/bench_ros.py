@@ -14,7 +14,7 @@ from path_runs import PATIENCE, SETTLED, Reader, Received, Writer, usage
 from ros_paths import WAYS, Way
 
 from armlab import robots
-from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.supervisor import Servers, server_command
 from armlab.errors import ArmlabError
 from armlab.log import Tick
@@ -93,7 +93,7 @@ def _plain(one: Found, value: str) -> float:
 
 def _served(way: Way, seconds: float) -> Found:
     about = {"cell": "cell"}
-    exchange, over = Exchange([robots.load(ROBOT)], [way.server], about=about), threading.Event()
+    exchange, over = Hub([robots.load(ROBOT)], [way.server], about=about), threading.Event()
     sent: list[int] = []
     command = {way.server: server_command(way.server, way.options())}
     with Servers(exchange, command) as servers:
@@ -126,7 +126,7 @@ def _received(way: Way, reader: Reader, sent: np.ndarray) -> Received:
     return reader.received(sent, way.kinds)
 
 
-def _loop(exchange: Exchange, over: threading.Event, sent: list[int]) -> None:
+def _loop(exchange: Hub, over: threading.Event, sent: list[int]) -> None:
     """Give a row every period until it is over."""
     arm, due = robots.load(ROBOT), time.monotonic()
     q = np.array(arm.q_home)

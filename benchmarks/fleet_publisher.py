@@ -14,8 +14,9 @@ from typing import Any
 
 from armlab import robots
 from armlab.bridge.servers.row import MAGIC, RowSchema
-from armlab.bridge.servers.zenoh import checksum, close_session, key, open_session
-from armlab.bridge.servers.zenoh.publisher import Waiting
+from armlab.bridge.servers.zenoh.keys import key
+from armlab.bridge.servers.zenoh.rows import checksum
+from armlab.bridge.servers.zenoh.session import BlockingPublisher, close_session, open_session
 from armlab.robots import to_toml
 
 PERIOD = 0.004
@@ -52,7 +53,7 @@ class _Arm:
         self.about = session.declare_queryable(
             key("lab1", name, "about"), partial(_answer, key("lab1", name, "about"), json.dumps(said))
         )
-        self.output = Waiting(session, key("lab1", name, "state"))
+        self.output = BlockingPublisher(session, key("lab1", name, "state"))
 
     def send(self, tick: int) -> None:
         schema = self.schema

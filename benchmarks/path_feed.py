@@ -36,7 +36,7 @@ def _labcomm(port: int, lines: Lines) -> None:
 
 def _feed(kind: str, where: str, lines: Lines) -> None:
     if kind == "zenoh":
-        from armlab.bridge.servers.zenoh import ZenohFeed
+        from armlab.bridge.servers.zenoh.feed import ZenohFeed
 
         feed = ZenohFeed(where, patience=PATIENCE)
     else:

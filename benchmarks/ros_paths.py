@@ -27,7 +27,7 @@ from path_zenoh import Key
 
 from armlab import robots
 from armlab.bridge.cell import parse_cell
-from armlab.bridge.servers.ros import store
+from armlab.bridge.servers.ros.topics import store
 from armlab.bridge.servers.row import MAGIC, RowSchema
 
 HERE = Path(__file__).resolve().parent

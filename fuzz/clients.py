@@ -17,10 +17,10 @@ from armlab.bridge.inputs.sources import UdpSource
 from armlab.bridge.servers.labcomm.channels import ArmChannel, ParameterChannel
 from armlab.bridge.servers.labcomm.connection import Peer
 from armlab.bridge.servers.messages import parameter_message, read_request
-from armlab.bridge.servers.ros import Commands
+from armlab.bridge.servers.ros.requests import Commands
 from armlab.bridge.servers.ros.rmw_zenoh import Names, Nodes, Origin
-from armlab.bridge.servers.ros.types import content
-from armlab.bridge.servers.rosbridge import Engine
+from armlab.bridge.servers.ros.topics import content
+from armlab.bridge.servers.rosbridge.engine import Engine
 from armlab.bridge.servers.row import RowSchema, read_row
 from armlab.bridge.servers.server_end import encoded
 from armlab.bridge.servers.zenoh.process import ZenohProcess
@@ -51,6 +51,9 @@ class _Loop:
         declared = Parameters([Parameter("gain", 0.5, minimum=0.0, maximum=1.0), Parameter("note", "a", "text")])
         said = json.loads(parameter_message(declared))
         self.parameters = {one["name"]: one for one in said["parameters"]}
+
+    def robots(self) -> dict[str, robots.Robot]:
+        return _arms()
 
     def ask(self, request: Any) -> bool:
         """Take a request."""

@@ -9,7 +9,7 @@ from typing import Any
 
 from armlab import models, robots
 from armlab.bridge.cell import parse_cell
-from armlab.bridge.servers.zenoh.address import Place
+from armlab.bridge.servers.zenoh.session import LabAddress
 from armlab.bridge.urls import addresses
 from armlab.errors import ArmlabError
 from armlab.models.files import encode, load_statistics
@@ -50,7 +50,7 @@ def robot_toml(data: bytes) -> None:
 
 def cell(data: bytes) -> None:
     """A cell file, or the url of a link."""
-    for read in (parse_cell, Place.read, lambda url: addresses([url], 1)):
+    for read in (parse_cell, LabAddress.read, lambda url: addresses([url], 1)):
         with contextlib.suppress(ArmlabError):
             read(_text(data))
 

@@ -16,10 +16,10 @@ import numpy as np
 
 from armlab import robots
 from armlab.bridge.servers.row import RowSchema, RowWriter, beginning
-from armlab.bridge.servers.zenoh import Gaps, ZenohFeed, checksum
-from armlab.bridge.servers.zenoh.link import FarCodec, FarPort
+from armlab.bridge.servers.zenoh.feed import ZenohFeed
+from armlab.bridge.servers.zenoh.link import ZenohCodec, ZenohPort
 from armlab.bridge.servers.zenoh.messages import read_about
-from armlab.bridge.servers.zenoh.rows import Inbox
+from armlab.bridge.servers.zenoh.rows import Gaps, Inbox, checksum
 from armlab.errors import ArmlabError, LinkError
 from armlab.fleet.discovery import _Seen
 from armlab.fleet.recorder import RobotRecord
@@ -129,10 +129,10 @@ def _monitored(about: bytes, text: bytes, rows: list[bytes]) -> None:
 
 def _driven(schema: RowSchema, rows: list[bytes]) -> None:
     try:
-        codec = FarCodec(_arm(), schema)
+        codec = ZenohCodec(_arm(), schema)
     except ArmlabError:
         return
-    port = object.__new__(FarPort)
+    port = object.__new__(ZenohPort)
     port.schema, port.gaps, port.errors = schema, Gaps(schema, _NAME), 0
     port._inner = SimpleNamespace(send=lambda data: None)  # type: ignore[assignment]
     for row in rows:

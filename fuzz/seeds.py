@@ -16,12 +16,12 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+
 from armlab import log, models, robots  # noqa: E402
-from armlab.bridge.servers.ros.message_template import cdr  # noqa: E402
 from armlab.bridge.servers.ros.rmw_zenoh import Names, Origin  # noqa: E402
-from armlab.bridge.servers.ros.types import store  # noqa: E402
+from armlab.bridge.servers.ros.topics import store  # noqa: E402
 from armlab.bridge.servers.row import RowSchema, RowWriter  # noqa: E402
-from armlab.bridge.servers.zenoh.keys import Attached  # noqa: E402
+from armlab.bridge.servers.zenoh.keys import Attachment  # noqa: E402
 from armlab.log import Tick  # noqa: E402
 from armlab.models.friction import Friction, FrictionBound, Ripple  # noqa: E402
 from armlab.models.torque import Quality, Training  # noqa: E402
@@ -258,14 +258,14 @@ def client() -> Seeds:
     array = types["std_msgs/msg/Float64MultiArray"](
         layout=types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0), data=SEVEN
     )
-    yield "ros_command", "numbers", b"\0" + cdr(array, "std_msgs/msg/Float64MultiArray")
+    yield "ros_command", "numbers", b"\0" + bytes(store().serialize_cdr(array, "std_msgs/msg/Float64MultiArray"))
     yield "ros_command", "json", b"\0" + json.dumps([0.1] * 7).encode()
     setting = types["std_msgs/msg/String"](data='{"gain": 0.5}')
-    yield "ros_command", "setting", bytes([18]) + cdr(setting, "std_msgs/msg/String")
+    yield "ros_command", "setting", bytes([18]) + bytes(store().serialize_cdr(setting, "std_msgs/msg/String"))
     names = Names(0, "a1b2")
     token = names.writer(1, "/yumi_left/stop", "std_msgs/msg/Empty")
     yield "zenoh", "token", token.encode() + b"\n" + Origin(1, 10**18, b"0123456789abcdef").pack()
-    attached = Attached(b"0123456789abcdef", 1, 10**18).pack()
+    attached = Attachment(b"0123456789abcdef", 1, 10**18).pack()
     numbers = struct.pack("<7d", *SEVEN)
     yield "zenoh", "position", bytes([8]) + b"position" + bytes([len(attached)]) + attached + numbers
     yield "zenoh", "setting", bytes([4]) + b"gain" + bytes([0]) + b"0.5"

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from armlab import robots
-from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.zenoh.process import ZenohProcess
 from armlab.fleet import Router
 from armlab.log import Tick
@@ -29,7 +29,7 @@ def main() -> None:
         return
     model, name, period, first = [*words, *(words[0], "0.004", "0")[len(words) - 1 :]]
     robot, period, tick = replace(robots.load(model), name=name), float(period), int(first)
-    exchange = Exchange([robot], ["zenoh"], about={"cell": robot.name})
+    exchange = Hub([robot], ["zenoh"], about={"cell": robot.name})
     options = {"lab": "lab1", "host": "127.0.0.1", "port": 0, "router": f"127.0.0.1:{port}"}
     process = ZenohProcess(exchange.open("zenoh"), options)
     serving = threading.Thread(target=process.run)

@@ -21,8 +21,6 @@ void bind_primitive(nb::module_ &m);
 void bind_records(nb::module_ &m);
 void bind_rotation_primitive(nb::module_ &m);
 void bind_row_encoder(nb::module_ &m);
-void bind_json_text(nb::module_ &m);
-void bind_row_messages(nb::module_ &m);
 void bind_row_packer(nb::module_ &m);
 void bind_signals(nb::module_ &m);
 void bind_two_dof(nb::module_ &m);
@@ -55,8 +53,6 @@ NB_MODULE(_native, m) {
   bind_records(m);
   bind_rotation_primitive(m);
   bind_row_encoder(m);
-  bind_json_text(m);
-  bind_row_messages(m);
   bind_row_packer(m);
   bind_signals(m);
   bind_two_dof(m);

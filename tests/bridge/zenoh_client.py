@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from armlab.bridge.servers.ros import store
 from armlab.bridge.servers.ros.rmw_zenoh import Names, Origin
-from armlab.bridge.servers.zenoh import Attached, Place, key
+from armlab.bridge.servers.ros.topics import store
+from armlab.bridge.servers.zenoh.keys import Attachment, key
+from armlab.bridge.servers.zenoh.session import LabAddress
 
 ARRAY, JOINTS = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState"
 VELOCITY = "/yumi_left/joint_group_velocity_controller/commands"
@@ -36,7 +37,7 @@ def command(session: Any, dialect: str, sender: bytes) -> None:
     for k in range(1, 10**6):
         if dialect == "zenoh":
             place = key("lab", "yumi_left", "command/velocity")
-            session.put(place, qd.tobytes(), attachment=Attached(sender, k, 0).pack())
+            session.put(place, qd.tobytes(), attachment=Attachment(sender, k, 0).pack())
         else:
             session.put(names.data(VELOCITY, ARRAY), cdr, attachment=Origin(k, 0, sender).pack())
         due = max(due + PERIOD, time.monotonic() - PERIOD)
@@ -70,7 +71,7 @@ def read(session: Any, dialect: str) -> None:
 
 def main() -> None:
     dialect, port, role, letter = sys.argv[1:]
-    session = Place("127.0.0.1", int(port)).open(20.0)
+    session = LabAddress("127.0.0.1", int(port)).open(20.0)
     if role == "command":
         command(session, dialect, 16 * letter.encode())
     else:

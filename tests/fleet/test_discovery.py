@@ -11,7 +11,9 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.servers.row import RowSchema
-from armlab.bridge.servers.zenoh import EVERY, Place, Security, close_session
+from armlab.bridge.servers.zenoh.keys import EVERY
+from armlab.bridge.servers.zenoh.security import Security
+from armlab.bridge.servers.zenoh.session import LabAddress, close_session
 from armlab.cli.bridge import write_certificates
 from armlab.errors import ConfigError, LinkError
 from armlab.fleet import FleetRobot, Router, list_robots
@@ -22,7 +24,7 @@ from ..processes import PATIENCE, Started, free_port, until
 
 def test_nobody_is_there() -> None:
     with Router(port=(port := free_port())):
-        assert list_robots(Place(port=port, lab=EVERY)) == []
+        assert list_robots(LabAddress(port=port, lab=EVERY)) == []
 
 
 RATES = {"ur5e": 20.0, "yumi_left": 100.0, "yumi_right": 250.0}
@@ -38,7 +40,7 @@ def test_robots_and_how_they_do(processes: Callable[..., Started]) -> None:
 
         def rates_are_right() -> bool:
             """A publisher that was not run for a while catches up: the next look sees its rate."""
-            found[:] = list_robots(Place(port=port, lab="lab1"), 2.0)
+            found[:] = list_robots(LabAddress(port=port, lab="lab1"), 2.0)
             return {one.robot for one in found} == set(RATES) and all(
                 0.9 * RATES[one.robot] < one.rate < 1.1 * RATES[one.robot] for one in found
             )
@@ -49,7 +51,7 @@ def test_robots_and_how_they_do(processes: Callable[..., Started]) -> None:
             assert one.loss >= 0
             assert math.isfinite(one.age)
             assert one.age < 5.0
-        assert list_robots(Place(port=port, lab="another"), 1.0) == []
+        assert list_robots(LabAddress(port=port, lab="another"), 1.0) == []
 
 
 def test_damaged_rows_are_counted_and_not_read() -> None:
@@ -89,16 +91,16 @@ def test_who_has_no_password_is_not_let_in(tmp_path: Path) -> None:
     with Router(port=(port := free_port()), security=safe) as router:
         assert router.where == f"tls/127.0.0.1:{port}"
         viewer = Security(ca=tmp_path / "lab.pem", secret=tmp_path / "viewer.secret")
-        close_session(Place(port=port, security=viewer).open_behind())
+        close_session(LabAddress(port=port, security=viewer).open_behind())
         for stranger in (Security(ca=tmp_path / "lab.pem"), Security()):
             with pytest.raises(LinkError, match="certificates and password"):
-                Place(port=port, security=stranger).open_behind(0.3)
+                LabAddress(port=port, security=stranger).open_behind(0.3)
 
 
 def test_routers_that_are_connected_pass_on_what_is_read() -> None:
     near, far = free_port(), free_port()
     with Router(port=far), Router(port=near, connect=[f"127.0.0.1:{far}"]):
-        reader, writer, came = Place(port=near).open_behind(), Place(port=far).open_behind(), []
+        reader, writer, came = LabAddress(port=near).open_behind(), LabAddress(port=far).open_behind(), []
         rows = reader.declare_subscriber("armlab/*/*/state", lambda sample: came.append(sample.payload.to_bytes()))
 
         def has_come() -> bool:

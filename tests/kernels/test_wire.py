@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import json
 import socket
 import struct
 import sys
@@ -218,53 +217,6 @@ def test_errors_are_counted(pair: Any) -> None:
     sender, _, address = pair
     assert not sender.send(b"x" * 70_000, address)
     assert sender.errors == 1
-
-
-FORMS = "bBhHiIqQfd"
-
-
-def text_of(parts: list[bytes], slots: list[tuple[int, bytes]], data: bytes) -> bytes:
-    return kernels.JsonText(parts, slots).of(data)
-
-
-def test_golden_text() -> None:
-    data = struct.pack("<dq?2d", -0.5, 1_700_000_000_250_000_000, True, np.nan, 3.0)
-    slots = [(0, b"d"), (8, b"t"), (16, b"?"), (17, b"d"), (25, b"d")]
-    text = text_of([b'{"a":[', b",", b'],"b":', b',"c":[', b",", b"]}"], slots, data)
-    assert text == b'{"a":[-0.5,1700000000.25],"b":true,"c":[null,3.0]}'
-    assert text_of([b"{}"], [], b"") == b"{}"
-
-
-def test_random_bytes_are_the_same_values() -> None:
-    """Every form, at any place, in any order, for any bits; reals keep all theirs, and stay reals."""
-    rng = np.random.default_rng(1)
-    for _ in range(300):
-        forms, data = rng.choice(list(FORMS + "t"), 12), rng.bytes(96)
-        slots = [(int(at), str(form).encode()) for at, form in zip(rng.integers(0, 89, 12), forms, strict=True)]
-        found = json.loads(text_of([b"[", *[b","] * 11, b"]"], slots, data))
-        for value, (at, form) in zip(found, slots, strict=True):
-            (true,) = struct.unpack_from("<" + form.decode().replace("t", "q"), data, at)
-            true = 1e-9 * true if form == b"t" else true
-            assert type(value) is (type(true) if np.isfinite(true) else type(None))
-            if value is not None:
-                assert struct.pack("<d", value) == struct.pack("<d", true)
-
-
-@pytest.mark.parametrize("value", [0.0, -0.0, 1.0, 1e16, 1e22, 123456789.0, 5e-324, -2.2250738585072014e-308, 1e-5])
-def test_reals_keep_their_bits_and_are_no_integers(value: float) -> None:
-    found = json.loads(text_of([b"", b""], [(0, b"d")], struct.pack("<d", value)))
-    assert isinstance(found, float)
-    assert struct.pack("<d", found) == struct.pack("<d", value)
-
-
-def test_refusals() -> None:
-    with pytest.raises(ShapeError, match="one part of text more than slots"):
-        kernels.JsonText([b""], [(0, b"d")])
-    for slot in [(-1, b"d"), (1 << 32, b"d"), (0, b"x"), (0, b"dd"), (0, b"")]:
-        with pytest.raises(ShapeError, match=r"Expected slots \(place, form\)"):
-            kernels.JsonText([b"", b""], [slot])
-    with pytest.raises(ShapeError, match="Expected at least 12 bytes, got 11"):
-        kernels.JsonText([b"", b""], [(4, b"d")]).of(bytes(11))
 
 
 EXAMPLES = {3: b"name" + bytes(24) + b"\1\2", 700: b"x" + bytes(4)}

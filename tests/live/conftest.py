@@ -13,9 +13,8 @@ from typing import Any
 import pytest
 
 from armlab import live
-from armlab.bridge.servers.hub import OPERATOR, Exchange
-from armlab.bridge.servers.local import socket_path
-from armlab.bridge.servers.local_server import LocalServer
+from armlab.bridge.servers.hub import OPERATOR, Hub
+from armlab.bridge.servers.local import LocalServer, socket_path
 from armlab.live.live_bridge import Running
 from armlab.live.server import HOST
 from armlab.log import Tick
@@ -69,7 +68,7 @@ class Bridge:
     """What a bridge shows on its local feed, without robots and processes."""
 
     def __init__(self, arms: list[Robot], cell: str = "small") -> None:
-        self._exchange = Exchange(arms, [OPERATOR], about={"cell": cell})
+        self._exchange = Hub(arms, [OPERATOR], about={"cell": cell})
         self._far = self._exchange.open(OPERATOR)
         self._server = threading.Thread(target=LocalServer(self._far, socket_path(cell)).run, daemon=True)
         self._server.start()

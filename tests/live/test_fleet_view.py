@@ -11,7 +11,8 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.servers.row import RowSchema
-from armlab.bridge.servers.zenoh import EVERY, Place
+from armlab.bridge.servers.zenoh.keys import EVERY
+from armlab.bridge.servers.zenoh.session import LabAddress
 from armlab.errors import LinkError
 from armlab.kinematics import forward
 from armlab.lie import quaternion, se3
@@ -66,7 +67,7 @@ def test_one_lab_alone_and_damaged_rows(fleet: Fleet) -> None:
 
 def test_without_a_router() -> None:
     with pytest.raises(LinkError, match="Expected a Zenoh router"):
-        FleetRows(Place(port=1), patience=0.1)
+        FleetRows(LabAddress(port=1), patience=0.1)
 
 
 WRONG = [
@@ -202,7 +203,7 @@ def test_it_tells_who_comes_and_who_goes(fleet: Fleet) -> None:
             one.close()
         return {"lab1/ur5e is gone", "lab1/strange says what cannot be understood"} <= set(told)
 
-    watch_fleet(Place(port=fleet.port, lab=EVERY), port=0, opened=told.append, tell=told.append, over=over)
+    watch_fleet(LabAddress(port=fleet.port, lab=EVERY), port=0, opened=told.append, tell=told.append, over=over)
     assert told[0].startswith("http://127.0.0.1:")
     assert told.count("lab1/strange says what cannot be understood") == 1
 
@@ -210,5 +211,5 @@ def test_it_tells_who_comes_and_who_goes(fleet: Fleet) -> None:
 def test_without_a_router_nothing_is_opened() -> None:
     told: list[str] = []
     with pytest.raises(LinkError, match="Expected a Zenoh router"):
-        watch_fleet(Place(port=1), opened=told.append)
+        watch_fleet(LabAddress(port=1), opened=told.append)
     assert not told

@@ -21,8 +21,8 @@ from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.inputs.sources import Source, UdpSource, check_source
 from armlab.bridge.link import connect
 from armlab.bridge.listen import is_open, listening
-from armlab.bridge.servers.hub import OPERATOR, Exchange
-from armlab.bridge.servers.labcomm import LabCommSource
+from armlab.bridge.servers.hub import OPERATOR, Hub
+from armlab.bridge.servers.labcomm.client import LabCommSource
 from armlab.bridge.servers.labcomm.process import labcomm_options
 from armlab.bridge.servers.local import socket_path
 from armlab.bridge.servers.supervisor import Servers, server_command, stoppable
@@ -385,7 +385,7 @@ def run_cell(
     addresses = listening(listen, cell)
     sources = cell.sources()
     about = {"cell": cell.name, "links": cell.links, "commands": cell.commands, "record": cell.record}
-    exchange = Exchange(
+    exchange = Hub(
         cell.robots,
         cell.servers,
         Parameters(cell.parameters) if parameters is None else parameters,

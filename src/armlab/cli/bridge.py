@@ -188,9 +188,6 @@ def _setting(word: str) -> tuple[str, Any]:
         return name, value  # a text without quotes
 
 
-USERS = ("commander", "bridge", "viewer")  # the first two as `armlab.bridge.servers.zenoh.security` names them
-"""Users that get a password each."""
-
 _DAYS = "3650"
 _CURVE = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
 
@@ -244,6 +241,8 @@ def _bridge(folder: Path, names: Sequence[str]) -> list[Path]:
 
 
 def _users(folder: Path) -> list[Path]:
+    from armlab.bridge.servers.zenoh.security import USERS
+
     path = folder / "users.txt"
     if path.exists():
         return []

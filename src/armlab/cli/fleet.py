@@ -17,7 +17,7 @@ from armlab.errors import ConfigError
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from armlab.bridge.servers.zenoh import Place
+    from armlab.bridge.servers.zenoh.session import LabAddress
     from armlab.robots import Robot
 
 
@@ -56,7 +56,7 @@ def router(
     seconds
         Time after which to end [s].
     """
-    from armlab.bridge.servers.zenoh import Security
+    from armlab.bridge.servers.zenoh.security import Security
     from armlab.cli.support.output import note
     from armlab.fleet import Router
 
@@ -172,10 +172,14 @@ fleet.command(
 )
 
 
-def _place(lab: str, router: str, ca: Path | None, secret: Path | None) -> Place:
-    from armlab.bridge.servers.zenoh import EVERY, Place, Security
+def _place(lab: str, router: str, ca: Path | None, secret: Path | None) -> LabAddress:
+    from armlab.bridge.servers.zenoh.keys import EVERY
+    from armlab.bridge.servers.zenoh.security import Security
+    from armlab.bridge.servers.zenoh.session import LabAddress
 
-    return Place.read(f"zenoh://{router}/{lab}")._replace(lab=lab or EVERY, security=Security(ca=ca, secret=secret))
+    return LabAddress.read(f"zenoh://{router}/{lab}")._replace(
+        lab=lab or EVERY, security=Security(ca=ca, secret=secret)
+    )
 
 
 def _check(seconds: float | None) -> None:

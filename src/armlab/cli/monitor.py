@@ -11,7 +11,7 @@ from armlab.errors import ConfigError, LinkError
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from armlab.bridge.servers.watch import Watch
+    from armlab.bridge.servers.status import Watch
 
 __all__ = ["monitor", "table"]
 
@@ -37,8 +37,8 @@ def monitor(robot: str | None = None, *, cell: str = "", zenoh: str = "", second
 
     from armlab.bridge.servers.local import LocalFeed
     from armlab.bridge.servers.messages import Subscribe
-    from armlab.bridge.servers.watch import Watch
-    from armlab.bridge.servers.zenoh import ZenohFeed
+    from armlab.bridge.servers.status import Watch
+    from armlab.bridge.servers.zenoh.feed import ZenohFeed
     from armlab.cli.support.output import note, result
 
     if seconds is not None and not seconds >= 0.0:

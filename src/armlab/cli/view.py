@@ -95,11 +95,12 @@ def _watch(arm: str | None, cell: str, zenoh: str, models: Sequence[TorqueModel]
 
 def _watch_fleet(url: str, port: int | None) -> None:
     """Show all robots at a router."""
-    from armlab.bridge.servers.zenoh import EVERY, Place
+    from armlab.bridge.servers.zenoh.keys import EVERY
+    from armlab.bridge.servers.zenoh.session import LabAddress
     from armlab.cli.support.output import note
     from armlab.live import watch_fleet
 
-    place = Place.read(url or "zenoh://127.0.0.1")
+    place = LabAddress.read(url or "zenoh://127.0.0.1")
     has_lab = urlsplit(url).path.strip("/") != ""
     watch_fleet(place if has_lab else place._replace(lab=EVERY), port=port, opened=_open, tell=note)
 

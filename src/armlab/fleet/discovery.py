@@ -12,19 +12,12 @@ from typing import Any, NamedTuple
 
 from armlab.bridge.net.sockets import is_here
 from armlab.bridge.servers.row import RowSchema, read_row
-from armlab.bridge.servers.zenoh import (
-    EVERY,
-    Place,
-    Security,
-    close_session,
-    key,
-    open_session,
-    queried,
-    robot_of,
-    robots_at,
-    undamaged,
-)
+from armlab.bridge.servers.zenoh.feed import robots_at
+from armlab.bridge.servers.zenoh.keys import EVERY, key, robot_of
 from armlab.bridge.servers.zenoh.messages import read_about
+from armlab.bridge.servers.zenoh.rows import undamaged
+from armlab.bridge.servers.zenoh.security import Security
+from armlab.bridge.servers.zenoh.session import LabAddress, close_session, open_session, queried
 from armlab.errors import ArmlabError, ConfigError
 
 
@@ -50,7 +43,7 @@ class FleetRobot(NamedTuple):
     commander: str
 
 
-def list_robots(place: Place, seconds: float = 2.0) -> list[FleetRobot]:
+def list_robots(place: LabAddress, seconds: float = 2.0) -> list[FleetRobot]:
     """Return the robots whose bridges are alive, after listening to all their rows for a while.
 
     Parameters

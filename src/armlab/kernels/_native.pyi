@@ -338,35 +338,6 @@ class InverseSolver:
         it; damping bounds the steps near singular postures. `q` is the posture with the least error within the bound.
         """
 
-class JsonText:
-    """A text with slots for numbers, which come from packed bytes; a number that is not finite is null.
-
-    A real number has the fewest digits that tell it from all others, and a point or an exponent.
-
-    Parameters
-    ----------
-    parts : of the text, before the first slot, between slots, and after the last.
-    slots : (place, form) each: where the number begins in the bytes, and what it is, as `struct` calls it (one of
-        ?bBhHiIqQfd, little-endian); t is an int64 of nanoseconds that is written as seconds.
-
-    Raises
-    ------
-    ShapeError : parts and slots do not fit together, or there is no such form.
-    """
-
-    def __init__(self, parts: Sequence[bytes], slots: Sequence[tuple[int, bytes]]) -> None: ...
-    def of(self, data: bytes) -> bytes:
-        """Return the text with numbers.
-
-        Parameters
-        ----------
-        data : bytes that hold them, with more after them or not.
-
-        Raises
-        ------
-        ShapeError : fewer bytes than the places need.
-        """
-
 class MessageCopier:
     """Copies the numbers of messages into the rows of arrays, channel by channel, where all are laid out as expected.
 
@@ -713,40 +684,6 @@ class RowEncoder:
         Raises
         ------
         ShapeError : no row, or one that is too short for its columns.
-        """
-
-class RowMessages:
-    """Makes messages of a row by patching templates.
-
-    Parameters
-    ----------
-    head : that every row begins with. size : bytes of a row. clock : place of its stamp (int64, ns).
-    topics : (fresh, columns, variants, kind, chain, joints) each.
-        fresh : place of an int64; where it is 0, the row has no such message.
-        columns : (place in the row, count) each, of float64. One of them is there when none of its numbers is NaN.
-        variants : for each set of columns that are there, the first of them the lowest bit: None for no message, or
-        (message, stamp, copies). stamp : place of seconds (int32) and nanoseconds (uint32). copies : (place in the
-        message, place in the row, count of float64) each.
-        kind : 0, the numbers are copied; 1, they are vectors of three in base axes and are turned into axes of the
-        tool; 2, the one copy is position xyz and quaternion xyzw of the tool in the base.
-        chain, joints : of kinds 1 and 2, the arm and the place of its joints in the row.
-
-    Raises
-    ------
-    ShapeError : topics that contradict themselves.
-    """
-
-    def __init__(self, head: bytes, size: int, clock: int, topics: Sequence[tuple[Any, ...]]) -> None: ...
-    def of_row(self, row: bytes, wanted: Sequence[int]) -> list[bytes | None]:
-        """Return the messages of a row, None for each that it has not.
-
-        Parameters
-        ----------
-        row : one row. wanted : numbers of topics, from 0.
-
-        Raises
-        ------
-        ShapeError : a row of another size or with another head, or no such topic.
         """
 
 class RowPacker:

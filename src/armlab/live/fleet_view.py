@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armlab.bridge.servers.row import Row, RowSchema, read_row
-from armlab.bridge.servers.zenoh import EVERY, Asking, Place, close_session, key, robot_of, undamaged
+from armlab.bridge.servers.zenoh.keys import EVERY, key, robot_of
 from armlab.bridge.servers.zenoh.messages import read_about, read_message
-from armlab.bridge.servers.zenoh.rows import Inbox
-from armlab.bridge.servers.zenoh.session import zenoh
+from armlab.bridge.servers.zenoh.rows import Inbox, undamaged
+from armlab.bridge.servers.zenoh.session import Discovery, LabAddress, close_session, zenoh
 from armlab.errors import ArmlabError, LinkError
 from armlab.live.curves import Lines, Markup
 from armlab.live.scene import Scene
@@ -181,12 +181,14 @@ class FleetRows:
     LinkError : no router. MissingExtra : no Zenoh.
     """
 
-    def __init__(self, place: Place, patience: float = 5.0) -> None:
+    def __init__(self, place: LabAddress, patience: float = 5.0) -> None:
         self.place, self.robots = place, dict[str, SeenRobot]()
         self._inbox: Inbox[tuple[str, str, Any]] = Inbox(_INBOX)
         self._looked = time.monotonic()
         self._session = place.open_behind(patience)
-        self._asking = Asking(self._session, lambda lab, robot, data: self._put("describe", key(lab, robot, ""), data))
+        self._asking = Discovery(
+            self._session, lambda lab, robot, data: self._put("describe", key(lab, robot, ""), data)
+        )
         declare, alive = self._session.declare_subscriber, key(place.lab, EVERY, "alive")
         self._declared = [
             declare(
@@ -245,7 +247,7 @@ _HEADINGS = ("robot", "state", "rate [Hz]", "missed", "damaged", "age [s]", "com
 
 
 def watch_fleet(
-    place: Place,
+    place: LabAddress,
     *,
     port: int | None = None,
     opened: Callable[[str], None] = lambda url: None,

@@ -12,8 +12,9 @@ import numpy as np
 from armlab.bridge.servers.local import LocalFeed
 from armlab.bridge.servers.messages import Subscribe
 from armlab.bridge.servers.row import Row
-from armlab.bridge.servers.watch import Watch
-from armlab.bridge.servers.zenoh import Place, ZenohFeed
+from armlab.bridge.servers.status import Watch
+from armlab.bridge.servers.zenoh.feed import ZenohFeed
+from armlab.bridge.servers.zenoh.session import LabAddress
 from armlab.contact import Estimator
 from armlab.errors import LinkError, ModelMismatchError, UnknownName
 from armlab.kinematics import forward
@@ -54,7 +55,7 @@ class Running:
     Parameters
     ----------
     robot : this arm only; None for all.
-    cell : name of the cell; "" when only one runs. zenoh : of a bridge elsewhere, see `bridge.zenoh.Place.read`.
+    cell : name of the cell; "" when only one runs. zenoh : of a bridge elsewhere, see `bridge.zenoh.Address.read`.
     rate : rows per second to ask for; with models every row is.
     models : torque models, each for the arm that it was identified on, for a bridge that sends no estimate.
 
@@ -74,7 +75,7 @@ class Running:
         models: Sequence[TorqueModel] = (),
     ) -> None:
         if zenoh:
-            Place.read(zenoh)
+            LabAddress.read(zenoh)
         self._robot, self._cell, self._zenoh, self._models = robot, cell, zenoh, tuple(models)
         self._rate = None if models else rate
         self._feed: LocalFeed | ZenohFeed | None = None
@@ -253,7 +254,7 @@ def watch(
     ----------
     robot : this arm only; None for all.
     cell : name of the cell; "" when only one runs.
-    zenoh : where a bridge elsewhere is, see `bridge.zenoh.Place.read`; "" for one of this user.
+    zenoh : where a bridge elsewhere is, see `bridge.zenoh.Address.read`; "" for one of this user.
     models : torque models for a bridge that sends no estimate of the force.
     port : of the view on this computer; from 8080 on the first that is free when None.
     opened : told the address to open. tell : told what becomes of the connection.

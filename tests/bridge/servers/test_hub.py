@@ -1,19 +1,45 @@
-"""The feed of server processes: it never blocks, counts what it drops, and takes requests between ticks."""
+"""The hub of server processes and a server's end: neither blocks, both count what they drop, and no stop is lost."""
 
 from __future__ import annotations
 
 import json
+import socket
+import threading
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.servers.hub import OPERATOR, Exchange
+from armlab.bridge.net.sockets import pair
+from armlab.bridge.servers.hub import OPERATOR, Hub
+from armlab.bridge.servers.messages import (
+    CommandRequest,
+    Counted,
+    Leave,
+    Listening,
+    Release,
+    Report,
+    Request,
+    Resume,
+    SetRequest,
+    Stop,
+    Subscribe,
+    parameter_message,
+    read_request,
+    text_message,
+)
 from armlab.bridge.servers.row import MAGIC, RowSchema, read_row
+from armlab.bridge.servers.server_end import LoopEnd, encoded
+from armlab.errors import CommandRefused, LinkError
 from armlab.log import Tick
 from armlab.state import Command, State
+
+from .conftest import nested
 
 LEFT = robots.load("yumi_left")
 HOME = np.array(LEFT.q_home)
@@ -25,7 +51,7 @@ class Cell:
 
     def __init__(self, allowed: Any = ("labcomm",)) -> None:
         self.params = Parameters([Parameter("gain", 2.0, minimum=0.0), Parameter("open", 1.0, rights="anyone")])
-        self.exchange = Exchange([LEFT], SERVERS, self.params, allowed, about={"cell": "test"})
+        self.exchange = Hub([LEFT], SERVERS, self.params, allowed, about={"cell": "test"})
         self.far = {name: self.exchange.open(name) for name in SERVERS}
         for far in self.far.values():
             far.settimeout(5.0)
@@ -93,12 +119,6 @@ def test_a_command_becomes_the_controllers(cell: Cell) -> None:
     assert read_row(cell.exchange.schema, rows[-1]).values["yumi_left.commander"] == "labcomm 1"
 
 
-def test_null_is_not_a_number(cell: Cell) -> None:
-    cell.say("labcomm", "command", arm="yumi_left", q=[None, *HOME[1:]])
-    assert cell.exchange.arbiter(cell.state()) is None
-    assert "finite numbers in q" in cell.texts("labcomm", "answer")[0]
-
-
 def test_parameters_are_set_between_ticks_echoed_and_told(cell: Cell) -> None:
     cell.exchange.begin(lambda text, *_: cell.told.append(text))
     cell.say("labcomm", "set", values={"gain": 3.0})
@@ -136,7 +156,7 @@ def test_rights_of_settings() -> None:
 
 def test_beyond_this_computer_clients_only_read_and_stop() -> None:
     params = Parameters([Parameter("open", 1.0, rights="anyone")])
-    exchange = Exchange([LEFT], ["labcomm"], params, read_only=["labcomm"])
+    exchange = Hub([LEFT], ["labcomm"], params, read_only=["labcomm"])
     with exchange.open("labcomm") as far:
         for kind in ({"kind": "set", "values": {"open": 2.0}}, {"kind": "stop"}):
             far.send(json.dumps({"client": "1", **kind}).encode())
@@ -221,17 +241,6 @@ def test_a_server_that_is_gone_holds_nothing_up(cell: Cell) -> None:
     assert len(cell.heard("labcomm")) == 3
 
 
-def test_events_reach_every_server(cell: Cell) -> None:
-    cell.exchange.event("Something.", warn=True)
-    assert cell.texts("labcomm", "event") == cell.texts(OPERATOR, "event") == ["Something."]
-
-
-def test_listening(cell: Cell) -> None:
-    cell.say(OPERATOR, "listening", where=["a"])
-    cell.row()
-    assert cell.exchange.outlets[OPERATOR].where == ["a"]
-
-
 def test_the_summary_of_a_run(cell: Cell) -> None:
     kept: list[Any] = []
     cell.exchange.begin(lambda text, *_: cell.told.append(text), (), kept.append)
@@ -258,3 +267,188 @@ def test_the_summary_of_a_run(cell: Cell) -> None:
         (1, "gain", 4.0, f"{OPERATOR} 1"),
     ]
     assert not cell.params.running
+
+
+SERVER = "rosbridge"
+
+
+@pytest.fixture
+def exchange() -> Iterator[Hub]:
+    declared = Parameters([Parameter("gain", 0.5, rights="anyone")])
+    one = Hub([robots.load("yumi_left")], [SERVER], declared, [SERVER], about={"cell": "test"})
+    yield one
+    one.close()
+
+
+def test_the_loop_says_what_it_is_then_rows_come(exchange: Hub) -> None:
+    with exchange.open(SERVER) as feed:
+        end = LoopEnd(feed)
+        assert end.about["cell"] == "test"
+        assert end.parameters["gain"]["value"] == 0.5
+        assert end.schema.id == exchange.schema.id
+        assert end.fileno() == feed.fileno()
+        assert end.receive() == []
+        q = np.arange(7.0)
+        state = State(t=0.0, dt=0.004, q=q, qd=q, tau=q, robot="yumi_left")
+        exchange.row(state, None, Tick(1, -1, 2_000, 1_000, -1, 0))
+        (row,) = end.receive(None) or []
+        assert isinstance(row, bytes)
+        assert read_row(end.schema, row).values["yumi_left.q"].tolist() == q.tolist()
+        exchange.close()
+        assert end.receive(None) is None
+
+
+def test_rows_come_one_by_one_and_texts_before_them_with_them(exchange: Hub) -> None:
+    with exchange.open(SERVER) as feed:
+        end = LoopEnd(feed)
+        q = np.arange(7.0)
+        state = State(t=0.0, dt=0.004, q=q, qd=q, tau=q, robot="yumi_left")
+        exchange.event("first")
+        for k in range(3):
+            exchange.row(state, None, Tick(k, -1, 2_000, 1_000, -1, 0))
+        kinds = []
+        for patience in (None, 0.0, 20.0):
+            came = end.receive(patience) or []
+            kinds.append([one["kind"] if isinstance(one, dict) else "row" for one in came])
+        assert kinds == [["event", "row"], ["row"], ["row"]]
+        assert end.receive(0.01) == end.receive() == []  # it waits no longer than it is told
+
+
+def test_parameters_and_counts_are_kept_up_to_date(exchange: Hub) -> None:
+    with exchange.open(SERVER) as feed:
+        end = LoopEnd(feed, lambda: {"10.0.0.1:5": (3, 1)})
+        exchange.parameters.set_together({"gain": 2.0}, "somebody", commander=True)
+        exchange.poll()
+        came = end.receive(None) or []
+        assert [message["kind"] for message in came if isinstance(message, dict)] == ["parameters", "event"]
+        assert end.parameters["gain"]["value"] == 2.0
+
+        def answer() -> None:
+            end.receive(None)
+
+        waiting = threading.Thread(target=answer)
+        waiting.start()
+        assert exchange.summary()["servers"][SERVER]["clients"] == {"10.0.0.1:5": (3, 1)}
+        waiting.join()
+
+
+@pytest.mark.parametrize("value", ["\ud800", {"\ud800": 1.0}, nested(5000)], ids=range(3))
+def test_what_no_json_can_say_is_refused_and_the_next_goes_out(exchange: Hub, value: Any) -> None:
+    with exchange.open(SERVER) as feed:
+        end = LoopEnd(feed)
+        with pytest.raises(CommandRefused, match="Expected what JSON in UTF-8 can say"):
+            end.ask(SetRequest("a", {"gain": value}))
+        with pytest.raises(CommandRefused, match="armlab can read"):
+            encoded(SetRequest("a", {"gain": value}))
+        assert end.ask(SetRequest("a", {"gain": 2.0}))
+        exchange.poll()
+        assert exchange.parameters.gain == 2.0
+
+
+def test_a_full_way_loses_commands_and_keeps_a_stop() -> None:
+    loop, feed = pair()
+    loop.send(b'{"kind":"about","schema":"' + _schema() + b'"}')
+    loop.send(b'{"kind":"parameters","parameters":[]}')
+    with loop, feed:
+        end = LoopEnd(feed)
+        command = CommandRequest("a", "yumi_left", qd=None)
+        while end.ask(command):
+            pass
+        assert end.lost == 1
+        assert not end.ask(Report("a", "Expected 7 numbers, got 6."))
+        assert end.lost == 2
+        assert not end.ask(Stop("a"))
+        assert not end.ask(command)  # behind a stop that waits
+        while _received(loop):
+            pass
+        assert end.receive() == []
+        assert b'"stop"' in _received(loop)
+
+
+def test_who_asks_for_counts_before_the_server_is_there_gets_none() -> None:
+    """A server that begins when a run ends: what counts its clients is made after its end of the feed."""
+    loop, feed = pair()
+    loop.send(b'{"kind":"about","schema":"' + _schema() + b'"}')
+    loop.send(b'{"kind":"parameters","parameters":[]}')
+    loop.send(b'{"kind":"count"}')
+    with loop, feed:
+        LoopEnd(feed, lambda: pytest.fail("nobody can count yet"))
+        assert b'"clients":{}' in _received(loop)
+
+
+def test_a_loop_that_has_gone_is_said() -> None:
+    loop, feed = pair()
+    loop.close()
+    with feed, pytest.raises(LinkError, match="closed the feed"):
+        LoopEnd(feed)
+
+
+def _schema() -> bytes:
+    from armlab.bridge.servers.row import RowSchema
+
+    return RowSchema.of([robots.load("yumi_left")]).text.replace(b'"', b'\\"')
+
+
+def _received(loop: socket.socket) -> bytes:
+    try:
+        return loop.recv(2**17)
+    except BlockingIOError:
+        return b""
+
+
+@pytest.mark.parametrize(
+    ("text", "request_"),
+    [
+        (b'{"kind":"stop","client":"a"}', Stop("a")),
+        (b'{"kind":"resume"}', Resume()),
+        (b'{"kind":"release"}', Release()),
+        (b'{"kind":"leave","client":"a"}', Leave("a")),
+        (b'{"kind":"report","client":"a","text":"no"}', Report("a", "no")),
+        (b'{"kind":"listening","where":["x"]}', Listening(where=["x"])),
+        (b'{"kind":"subscribe","rate":null}', Subscribe(rate=None)),
+        (b'{"kind":"counted","clients":{"a":[7,2]}}', Counted(clients={"a": (7, 2)})),
+        (b'{"kind":"set","client":"a","values":{"gain":2.5}}', SetRequest("a", {"gain": 2.5})),
+        (b'{"kind":"command","client":"a","arm":"b","q":[1,null]}', CommandRequest("a", "b", [1.0, None])),
+    ],
+)
+def test_requests(text: bytes, request_: Request) -> None:
+    assert read_request(text) == request_
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"1", b'{"kind":"go"}', b'{"kind":"stop","x":1}', b'{"kind":"set","values":[]}', b"[" * 60000, b" " * 70000],
+)
+def test_what_is_no_request(data: bytes) -> None:
+    with pytest.raises(LinkError, match="Expected a request"):
+        read_request(data)
+
+
+@given(st.binary(max_size=100))
+def test_noise(data: bytes) -> None:
+    for text in (data, b'{"kind":"set","values":{"a":' + data + b"}}", b'{"kind":"command","q":[' + data + b"]}"):
+        try:
+            found = read_request(text)
+        except LinkError:
+            continue
+        assert isinstance(found, Request)
+
+
+def test_texts() -> None:
+    data = text_message("status", late=np.int64(3), q=np.array([1.0, np.nan]))
+    assert json.loads(data) == {"kind": "status", "late": 3, "q": [1.0, None]}
+
+
+def test_parameters() -> None:
+    parameters = Parameters([Parameter("gain", 2.0, minimum=0.0), Parameter("f", [1.0, 2.0], "float[2]")])
+    parameters.set("gain", 3.0, "a")
+    parameters.apply()
+    gain, force = json.loads(parameter_message(parameters))["parameters"]
+    assert (gain["value"], gain["default"], gain["who"], gain["sequence"], gain["maximum"]) == (3.0, 2.0, "a", 1, None)
+    assert (force["value"], force["who"]) == ([1.0, 2.0], "")
+
+
+def test_a_command_is_no_longer_than_any_arm() -> None:
+    assert read_request(json.dumps({"kind": "command", "q": [0.0] * 64}).encode()) == CommandRequest(q=[0.0] * 64)
+    with pytest.raises(LinkError, match=r"Expected a request in JSON, but .*length <= 64"):
+        read_request(json.dumps({"kind": "command", "q": [0.0] * 65}).encode())

@@ -17,9 +17,8 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.servers.hub import OPERATOR, Exchange
-from armlab.bridge.servers.local import LocalFeed, cells, socket_path
-from armlab.bridge.servers.local_server import LocalServer, serve
+from armlab.bridge.servers.hub import OPERATOR, Hub
+from armlab.bridge.servers.local import LocalFeed, LocalServer, cells, serve, socket_path
 from armlab.bridge.servers.messages import CommandRequest, Release, Resume, SetRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Row
 from armlab.errors import ConfigError, LinkError
@@ -35,7 +34,7 @@ class Bench:
 
     def __init__(self, cell: str = "test") -> None:
         parameters = Parameters([Parameter("gain", 2.0, minimum=0.0)])
-        self.exchange = Exchange([LEFT], [OPERATOR], parameters, about={"cell": cell})
+        self.exchange = Hub([LEFT], [OPERATOR], parameters, about={"cell": cell})
         self.far = self.exchange.open(OPERATOR)
         self.path = socket_path(cell)
         self.server = LocalServer(self.far, self.path)
@@ -94,6 +93,8 @@ def test_rows_events_status(bench: Bench) -> None:
         assert bench.until(feed, "status")["arms"]["yumi_left"]["rows"] > 0
         bench.exchange.event("After.")
         assert bench.until(feed, "event")["text"] == "After."
+        clients = bench.exchange.summary()["servers"][OPERATOR]["clients"]
+        assert max(rows for rows, _ in clients.values()) > 0
 
 
 def test_requests(bench: Bench) -> None:
@@ -178,10 +179,10 @@ def test_a_stop_is_not_lost_when_the_way_to_the_loop_is_full(bench: Bench) -> No
     """Somebody floods the loop, which takes 16 requests per tick; the stop waits for its turn."""
     until = time.monotonic() + 30.0
     with LocalFeed("test") as feed:
-        feed.receive()  # it serves: its socket no longer blocks
+        feed.receive()  # it serves
         with contextlib.suppress(BlockingIOError):
             while True:
-                bench.far.send(b'{"kind":"set","values":{"gain":1.0}}')
+                bench.far.send(b'{"kind":"set","values":{"gain":1.0}}', socket.MSG_DONTWAIT)
         feed.ask(Stop())
         feed._socket.send(b"noise")
         while (message := feed.receive())["kind"] != "answer":  # type: ignore[index]

@@ -11,8 +11,7 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.servers.row import RowSchema, RowWriter, read_row
-from armlab.bridge.servers.status import Status
-from armlab.bridge.servers.watch import Watch
+from armlab.bridge.servers.status import Status, Watch
 from armlab.errors import UnknownName
 from armlab.log import Column, Tick
 from armlab.state import Command, State

@@ -9,8 +9,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,14 +18,18 @@ import pytest
 
 from armlab import robots
 from armlab.bridge import connect
-from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.hub import Hub
+from armlab.bridge.servers.labcomm.process import labcomm_options
 from armlab.bridge.servers.local import LocalFeed, cells
 from armlab.bridge.servers.messages import CommandRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Row
-from armlab.bridge.servers.supervisor import PLACE, RESTARTS, WELL, Offering, Servers, server_command, stoppable
+from armlab.bridge.servers.serve import _SERVERS
+from armlab.bridge.servers.supervisor import PLACE, Offering, Servers
 from armlab.errors import LinkError
 from armlab.robots import Robot
 from armlab.state import Command, State
+
+from .conftest import until
 
 LEFT = robots.load("yumi_left")
 QUIET = (
@@ -39,15 +43,8 @@ def command(program: str) -> list[str]:
     return [sys.executable, "-S", "-c", program, PLACE]
 
 
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
 def test_a_server_listens_and_ends_with_the_bridge() -> None:
-    exchange = Exchange([LEFT], ["a"])
+    exchange = Hub([LEFT], ["a"])
     with Servers(exchange, {"a": command(WAITS)}) as servers:
         assert servers.ready() == ["here"]
         pid = servers.processes()["a"]
@@ -56,22 +53,8 @@ def test_a_server_listens_and_ends_with_the_bridge() -> None:
     servers.close()
 
 
-def test_a_killed_server_starts_again() -> None:
-    exchange = Exchange([LEFT], ["a"])
-    told: list[str] = []
-    exchange.begin(lambda text, *_: told.append(text))
-    with Servers(exchange, {"a": command(WAITS)}, restarts=(0.01, 0.01)) as servers:
-        servers.ready()
-        first = servers.processes()["a"]
-        os.kill(first, signal.SIGKILL)
-        until(lambda: servers.processes().get("a", first) != first)
-        assert servers.ready() == ["here"]
-        until(lambda: bool(told))
-    assert told[0] == "The server a ended with status -9. It starts again in 0.01 s. It said: nothing"
-
-
 def test_a_server_that_fails_is_left_dead() -> None:
-    exchange = Exchange([LEFT], ["a"])
+    exchange = Hub([LEFT], ["a"])
     told: list[str] = []
     exchange.begin(lambda text, *_: told.append(text))
     program = QUIET + "while b'Now.' not in s.recv(100000): pass\n" + FAILS
@@ -87,7 +70,7 @@ def test_a_server_that_fails_is_left_dead() -> None:
 @pytest.mark.parametrize(("well", "outcome"), [(0.0, "It starts again in 0.01 s."), (1e6, "It stays dead")])
 def test_a_server_that_ran_well_begins_a_new_series(well: float, outcome: str) -> None:
     """One that ends once a day is never left dead; one that ends whenever it has started is."""
-    exchange = Exchange([LEFT], ["a"])
+    exchange = Hub([LEFT], ["a"])
     told: list[str] = []
     exchange.begin(lambda text, *_: told.append(text))
     with Servers(exchange, {"a": command(WAITS)}, restarts=(0.01, 0.02), well=well) as servers:
@@ -108,15 +91,35 @@ def test_a_server_that_ran_well_begins_a_new_series(well: float, outcome: str) -
     ],
 )
 def test_a_server_that_never_listens_refuses_at_once(words: list[str], said: str) -> None:
-    with Servers(Exchange([LEFT], ["a"]), {"a": words}) as servers:
+    with Servers(Hub([LEFT], ["a"]), {"a": words}) as servers:
         began = time.monotonic()
         with pytest.raises(LinkError, match=re.escape(f"Expected the server a to listen, but it {said}")):
             servers.ready(60.0)
         assert time.monotonic() - began < 30.0
 
 
+@pytest.mark.parametrize("name", _SERVERS)
+def test_a_loop_that_has_gone_before_it_described_its_rows_ends_a_server(name: str, tmp_path: Path) -> None:
+    where = {"host": "127.0.0.1", "port": 0, "to": "127.0.0.1", "domain": 0, "distribution": "jazzy", "router": ""}
+    options = {
+        **where,
+        "lab": "lab",
+        "dialect": "ros2",
+        "fields": None,
+        "master": "http://127.0.0.1:1",
+        "python": "python",
+    }
+    hub = Hub([LEFT], [name], about={"cell": "yumi"})
+    feed = hub.open(name)
+    feed.recv(2**17)
+    hub.close()
+    with feed, pytest.raises(LinkError, match="Start it again"):
+        import_module(_SERVERS[name]).serve(feed, {**labcomm_options([LEFT]), **options, "path": tmp_path / "x"})
+    assert not (tmp_path / "x").exists()
+
+
 def test_a_server_that_says_nothing() -> None:
-    with Servers(Exchange([LEFT], ["a"]), {"a": command("import time; time.sleep(60)")}) as servers:
+    with Servers(Hub([LEFT], ["a"]), {"a": command("import time; time.sleep(60)")}) as servers:
         with pytest.raises(LinkError, match=r"Expected a to listen within 0.2 s"):
             servers.ready(0.2)
         os.kill(servers.processes()["a"], signal.SIGKILL)
@@ -124,7 +127,7 @@ def test_a_server_that_says_nothing() -> None:
 
 def test_an_error_of_the_watch_does_not_end_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """A server that cannot be watched starts again as one that ended, as often and no oftener."""
-    exchange = Exchange([LEFT], ["a", "b"])
+    exchange = Hub([LEFT], ["a", "b"])
     told: list[str] = []
     exchange.begin(lambda text, *_: told.append(text))
     look, idle, broken = Servers._look, exchange.idle, [False]
@@ -155,23 +158,20 @@ def test_an_error_of_the_watch_does_not_end_it(monkeypatch: pytest.MonkeyPatch) 
     assert any("Requests of clients were not taken, ValueError: also odd" in text for text in told)
 
 
-def test_times_and_command() -> None:
-    assert RESTARTS == (1.0, 5.0, 30.0)
-    assert WELL == 300.0
-    assert server_command("local", {"path": "x"})[-3:] == ["local", PLACE, '{"path": "x"}']
-
-
 def test_no_server_outlives_a_bridge_that_is_killed(tmp_path: Path) -> None:
     """The system closes its end of the socket; the server removes its own socket when it ends."""
     path = tmp_path / "x"
     program = f"""
 import time
+from importlib import import_module
 from armlab import robots
-from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.hub import Hub
+from armlab.bridge.servers.labcomm.process import labcomm_options
+from armlab.bridge.servers.serve import _SERVERS
 from armlab.bridge.servers.supervisor import Servers, server_command
 
 command = server_command("local", {{"path": "{path}"}})
-with Servers(Exchange([robots.load("ur5e")], ["local"]), {{"local": command}}) as servers:
+with Servers(Hub([robots.load("ur5e")], ["local"]), {{"local": command}}) as servers:
     print(*servers.ready(60.0), flush=True)
     time.sleep(60.0)
 """
@@ -247,14 +247,3 @@ def test_who_only_listens_offers_what_it_hears(robot: Robot, tmp_path: Path, mon
                     break
             else:
                 pytest.fail("no row came")
-
-
-def test_a_controller_holds_while_somebody_has_stopped_the_arms() -> None:
-    arbiter = SimpleNamespace(stopped=False, polled=0)
-    arbiter.poll = lambda: setattr(arbiter, "polled", arbiter.polled + 1)
-    controlled = stoppable(lambda state: Command(qd=np.ones(7)), arbiter)  # type: ignore[arg-type]
-    state: Any = None
-    assert controlled(state) is not None
-    arbiter.stopped = True
-    assert controlled(state) is None
-    assert arbiter.polled == 2

@@ -17,8 +17,8 @@ import pytest
 from armlab import robots
 from armlab.bridge.cell import parse_cell
 
-from ...bridge.servers.ros.ending import play
-from ...bridge.servers.zenoh.conftest import free_port
+from ...bridge.servers.conftest import play
+from ...processes import free_port
 
 pytest.importorskip("websockets", reason="the extra net is not installed")
 pytestmark = pytest.mark.slow

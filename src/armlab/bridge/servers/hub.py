@@ -1,4 +1,4 @@
-"""`Exchange`: between the loop and the server processes; it is a feed of the loop.
+"""`Hub`: between the loop and the server processes; it is a feed of the loop.
 
 Rows and events go out; commands and settings of parameters come back by the same sockets. A server that does not read
 loses rows, which are counted; it never holds the loop up.
@@ -42,7 +42,7 @@ from armlab.log import Column, Tick
 from armlab.robots import Robot, to_toml
 from armlab.state import Command, State
 
-__all__ = ["OPERATOR", "Exchange"]
+__all__ = ["OPERATOR", "Hub"]
 
 OPERATOR = "local"
 """The server whose clients are operators: its socket is the user's own."""
@@ -53,11 +53,8 @@ _EVENTS = 1000  # that wait for a run to begin
 _SENTENCE = 1000  # characters of a report: what clients send may be quoted in it
 
 
-class Exchange:
-    """A feed (see `recording.Feed`) for processes: rows and events to all, their requests to arbiter and parameters.
-
-    mistakes : requests that were none.
-    """
+class Hub:
+    """A feed (see `recording.Feed`) for processes: rows and events to all, their requests to arbiter and parameters."""
 
     def __init__(
         self,
@@ -168,10 +165,7 @@ class Exchange:
             outlet.send(data)
 
     def idle(self, longer_ns: int) -> None:
-        """See what came back when no packet of a robot made the loop look; for another thread.
-
-        longer_ns : time without a look.
-        """
+        """See what came back when no packet of a robot made the loop look; for another thread."""
         if time.monotonic_ns() - self._polled_ns > longer_ns:
             self.poll()
 

@@ -1,39 +1,47 @@
-"""The local feed: a Unix socket of the user's own, for `armlab monitor`, `armlab bridge set` and live views."""
+"""The local feed, a Unix socket of the user's own: `LocalFeed`, its client, and `LocalServer`, a process."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import select
+import selectors
 import socket
 import stat
+import struct
 import tempfile
+import time
+from collections import deque
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import msgspec
 
-from armlab.bridge.servers.messages import Request
-from armlab.bridge.servers.row import MAGIC, Row, RowSchema, read_row
-from armlab.errors import ConfigError, LinkError
+from armlab.bridge.net.sockets import program
+from armlab.bridge.servers.messages import (
+    Counted,
+    Leave,
+    Listening,
+    Report,
+    Request,
+    Subscribe,
+    read_request,
+    text_message,
+)
+from armlab.bridge.servers.row import MAGIC, Pace, Row, RowSchema, read_row
+from armlab.bridge.servers.server_end import LoopEnd
+from armlab.bridge.servers.status import Status
+from armlab.errors import CommandRefused, ConfigError, LinkError
 
-__all__ = ["LocalFeed", "cells", "socket_path"]
+__all__ = ["LocalFeed", "LocalServer", "cells", "serve", "socket_path"]
 
 _LARGEST = 2**17
 
 
 def socket_path(cell: str) -> Path:
-    """Return where the local feed of a cell is, in a folder of the user's own.
-
-    Parameters
-    ----------
-    cell : its name.
-
-    Raises
-    ------
-    LinkError : the folder belongs to somebody else or is open to others.
-    """
+    """Return where the local feed of a cell is, in a folder of the user's own."""
     given = os.environ.get("XDG_RUNTIME_DIR")
     folder = Path(given) / "armlab" if given else Path(tempfile.gettempdir()) / f"armlab-{os.getuid()}"
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -146,3 +154,203 @@ class LocalFeed:
                 return message
             if self._schema is not None:
                 return read_row(self._schema, data)
+
+
+_CLIENTS = 8
+_STATUS = 0.5  # s between two reports
+_EVENTS = 20  # that a new client gets
+_KEPT = 100  # clients that have left, of which is known what they got
+_RETRY = 0.005  # s until requests that wait are tried again
+_FRESH = struct.Struct("<q")
+_TAKEN = 16  # messages of a client before the others have their turn
+
+
+class _Client:
+    """One connection: its name, and how often it wants rows, None for never."""
+
+    def __init__(self, connection: socket.socket, name: str) -> None:
+        self.connection, self.name = connection, name
+        self.pace: Pace | None = None
+        self.rows = self.dropped = 0
+
+    def send(self, data: bytes) -> bool:
+        try:
+            return self.connection.send(data) > 0
+        except OSError:  # full or gone: the next read tells which
+            return False
+
+    def row(self, data: bytes) -> None:
+        if self.send(data):
+            self.rows += 1
+        else:
+            self.dropped += 1
+
+
+class LocalServer:
+    """Passes rows and events on to at most 8 clients of this user, and their requests to the loop.
+
+    Raises LinkError when another bridge serves there, or when the loop has gone.
+    """
+
+    def __init__(self, feed: socket.socket, path: Path) -> None:
+        self._path, self._listener = path, _listen(path)
+        self._clients: dict[socket.socket, _Client] = {}
+        self._events: deque[bytes] = deque(maxlen=_EVENTS)
+        self._gone: dict[str, tuple[int, int]] = {}  # rows sent to clients that have left, and dropped for them
+        self._count = 0
+        self._reported = 0.0
+        try:
+            self._loop = LoopEnd(feed, self._counts)
+        except LinkError:
+            self._close()
+            raise
+        parameters = {"kind": "parameters", "parameters": list(self._loop.parameters.values())}
+        self._first = {one["kind"]: msgspec.json.encode(one) for one in (self._loop.about, parameters)}
+        schema = self._loop.schema
+        self._status = Status(schema)
+        self._fresh = [schema.fields[f"{robot}.fresh"].offset for robot in schema.robots]
+        self._selector = selectors.DefaultSelector()
+
+    def run(self) -> None:
+        """Serve until the loop closes the feed."""
+        self._listener.setblocking(False)
+        for one in (self._loop, self._listener):
+            self._selector.register(one, selectors.EVENT_READ)
+        self._loop.ask(Listening(where=[f"{self._path} (local)"]))
+        try:
+            while self._turn():
+                pass
+        finally:
+            self._close()
+            self._selector.close()
+
+    def _close(self) -> None:
+        for one in (*self._clients, self._listener):
+            one.close()
+        self._path.unlink(missing_ok=True)
+
+    def _turn(self) -> bool:
+        """Serve whoever has something; False when the loop has gone."""
+        for key, _ in self._selector.select(_RETRY if self._loop.is_behind else _STATUS):
+            if key.fileobj is self._listener:
+                self._accept()
+            elif key.fileobj in self._clients:
+                self._take(self._clients[key.fileobj])  # type: ignore[index]
+        while messages := self._loop.receive():
+            for message in messages:
+                if isinstance(message, bytes):
+                    self._row(message)
+                else:
+                    self._text(message)
+        return messages is not None
+
+    def _counts(self) -> dict[str, tuple[int, int]]:
+        here = {client.name: (client.rows, client.dropped) for client in self._clients.values()}
+        return {**self._gone, **here}
+
+    def _row(self, data: bytes) -> None:
+        now = time.monotonic()
+        self._status.add(data)
+        if now - self._reported > _STATUS:
+            self._reported = now
+            self._tell_all(text_message("status", **self._status.summary()))
+        arms = [offset for offset in self._fresh if _FRESH.unpack_from(data, offset)[0]]
+        for client in self._clients.values():
+            if client.pace is not None and client.pace.takes(arms, now):
+                client.row(data)
+
+    def _text(self, message: Mapping[str, Any]) -> None:
+        kind, data = message["kind"], msgspec.json.encode(message)
+        if kind == "answer":
+            for client in self._clients.values():
+                if client.name == message["client"]:
+                    client.send(data)
+        elif kind == "event":
+            self._events.append(data)
+            self._tell_all(data)
+        elif kind != "count":
+            self._first[kind] = data
+            self._tell_all(data)
+
+    def _tell_all(self, data: bytes) -> None:
+        for client in self._clients.values():
+            client.send(data)
+
+    def _accept(self) -> None:
+        try:
+            connection, _ = self._listener.accept()
+        except OSError:  # gone already, or too many files are open: the others are served
+            return
+        connection.setblocking(False)
+        if len(self._clients) >= _CLIENTS:
+            text = f"Expected at most {_CLIENTS} clients of the local feed. Close one."
+            with contextlib.suppress(OSError):
+                connection.send(text_message("answer", client="", text=text))
+            connection.close()
+            return
+        self._count += 1
+        client = self._clients[connection] = _Client(connection, str(self._count))
+        self._selector.register(connection, selectors.EVENT_READ)
+        for data in (*self._first.values(), *self._events):
+            client.send(data)
+
+    def _take(self, client: _Client) -> None:
+        for _ in range(_TAKEN):
+            try:
+                data = client.connection.recv(_LARGEST)
+            except BlockingIOError:
+                return
+            except OSError:
+                data = b""
+            if not data:
+                self._leave(client)
+                return
+            try:
+                request = read_request(data)
+                if isinstance(request, Subscribe):
+                    self._subscribe(client, request)
+                elif not isinstance(request, Listening | Counted | Report):
+                    self._loop.ask(msgspec.structs.replace(request, client=client.name))
+            except (LinkError, CommandRefused) as error:
+                client.send(text_message("answer", client=client.name, text=str(error)))
+                self._loop.ask(Report(client.name, str(error)))
+
+    def _subscribe(self, client: _Client, request: Subscribe) -> None:
+        rate = request.rate
+        client.pace = Pace(0.0 if rate is None else 1.0 / rate) if rate is None or rate > 0.0 else None
+
+    def _leave(self, client: _Client) -> None:
+        self._selector.unregister(client.connection)
+        del self._clients[client.connection]
+        client.connection.close()
+        self._gone[client.name] = (client.rows, client.dropped)
+        if len(self._gone) > _KEPT:
+            del self._gone[next(iter(self._gone))]
+        self._loop.ask(Leave(client.name))
+
+
+def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
+    """Serve until the loop closes the feed."""
+    LocalServer(feed, Path(options["path"])).run()
+
+
+def _listen(path: Path) -> socket.socket:
+    """Return the listening socket, which only this user may open."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
+        try:
+            probe.connect(str(path))
+        except OSError:
+            path.unlink(missing_ok=True)  # nobody listens there any more
+        else:
+            process, _, _ = struct.unpack("3i", probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+            raise LinkError(
+                f"Expected no other bridge at {path}, but one runs: {program(process)}. Give the cell another name."
+            )
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    before = os.umask(0o177)
+    try:
+        listener.bind(str(path))
+    finally:
+        os.umask(before)
+    listener.listen(_CLIENTS)
+    return listener

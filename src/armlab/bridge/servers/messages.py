@@ -105,16 +105,7 @@ _DECODER = msgspec.json.Decoder(Request)
 
 
 def read_request(data: bytes) -> Request:
-    """Return the request in `data`.
-
-    Parameters
-    ----------
-    data : one message.
-
-    Raises
-    ------
-    LinkError : no request, or one that is too long.
-    """
+    """Return the request in `data`."""
     if len(data) > _LARGEST:
         raise LinkError(f"Expected a request of at most {_LARGEST} bytes, got {len(data)}. Send less at once.")
     try:
@@ -124,23 +115,12 @@ def read_request(data: bytes) -> Request:
 
 
 def text_message(kind: str, **fields: Any) -> bytes:
-    """Return a message of the loop as JSON.
-
-    Parameters
-    ----------
-    kind : "event", "answer", "about", "parameters", "recording", "status" or "count".
-    fields : what it says; arrays become lists, numbers that are not finite null.
-    """
+    """Return a message of the loop as JSON."""
     return msgspec.json.encode({"kind": kind, **fields}, enc_hook=_plain)
 
 
 def parameter_message(parameters: Parameters) -> bytes:
-    """Return all declarations and values in force, and the last who set each, as one message.
-
-    Parameters
-    ----------
-    parameters : of the run.
-    """
+    """Return all declarations and values in force, and the last who set each, as one message."""
     about = []
     for name, value in parameters.values().items():
         declared = parameters.declared[name]

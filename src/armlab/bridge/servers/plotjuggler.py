@@ -5,16 +5,16 @@ from __future__ import annotations
 import ipaddress
 import math
 import socket
+import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
 
 from armlab.bridge.servers.messages import Listening
-from armlab.bridge.servers.row import WALL, RowField, RowSchema, read_head
+from armlab.bridge.servers.row import RowField, RowSchema, read_head
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import ConfigError, UnknownName
-from armlab.kernels import JsonText
 
 __all__ = ["Datagrams", "serve"]
 
@@ -22,26 +22,15 @@ _FIELDS = ("q", "qd", "tau", "wrench", "wrench_hat", "q_sent", "qd_sent", "tau_s
 _LARGEST = 1400  # bytes towards other computers: one packet of a network
 _LARGEST_HERE = 65507
 _NUMBER = len("-1234567890123456789012.0")  # the longest; "-1.2345678901234567e-308" is shorter by one
-_SLOT = b"\0"  # JSON has no such byte
-_FORMS = {"float64": b"d", "int64": b"q"}
+_FORMS = {"float64": "d", "int64": "q"}  # of `struct`
 _STAMP = len('{"timestamp":1700000000.1234567}')
 
 
 class Datagrams:
     """Makes datagrams of rows: {"timestamp": s, "yumi_left": {"q": {"1": ...}}}, a number that is not finite as null.
 
-    Parameters
-    ----------
-    schema : of the rows. fields : names without the robot, of what every robot has, in the order of their worth.
+    fields : names without the robot, of what every robot has, most useful first; as attribute those that fit.
     largest : bytes of a datagram, whatever the numbers are.
-
-    Attributes
-    ----------
-    fields : those that fit, or all that were asked for.
-
-    Raises
-    ------
-    UnknownName : a field that rows do not have. ConfigError : the fields asked for do not fit.
     """
 
     def __init__(self, schema: RowSchema, fields: Sequence[str] | None = None, largest: int = _LARGEST) -> None:
@@ -65,55 +54,51 @@ class Datagrams:
                     "does not any more. Choose fewer."
                 )
         self._parts = {
-            robot: [field for name in self.fields if (field := schema.fields.get(f"{robot}.{name}"))]
+            robot: _FieldGroup([field for name in self.fields if (field := schema.fields.get(f"{robot}.{name}"))])
             for robot in schema.robots
         }
-        self._others = [one for one in others if one.type in _FORMS]
+        sources = dict.fromkeys(one.source for one in others)
+        self._sources = {source: _FieldGroup([one for one in others if one.source == source]) for source in sources}
         self._fresh = [(robot, schema.fields[f"{robot}.fresh"].offset) for robot in schema.robots]
-        self._texts: dict[tuple[str, ...], JsonText] = {}
 
     def datagram(self, data: bytes) -> bytes:
-        """Return the datagram of a row: of the arm that it is the row of, and of all sources besides.
+        """Return the datagram of a row: of the arm whose row it is, and of all sources besides."""
+        _, _, wall_ns = read_head(self._schema, data)
+        found: dict[str, Any] = {"timestamp": 1e-9 * wall_ns}
+        for robot, place in self._fresh:
+            if any(data[place : place + 8]):
+                found[robot] = self._parts[robot].values(data)
+        for source, part in self._sources.items():
+            found[source] = part.values(data)
+        return msgspec.json.encode(found)
 
-        Parameters
-        ----------
-        data : one row.
 
-        Raises
-        ------
-        LinkError : no row of the schema.
-        """
-        read_head(self._schema, data)
-        robots = tuple([robot for robot, place in self._fresh if any(data[place : place + 8])])
-        text = self._texts.get(robots)
-        if text is None:
-            text = self._texts[robots] = self._text(robots)
-        return text.of(data)
+class _FieldGroup:
+    """The fields of an arm or of a source in a datagram: joints and axes are numbered from 1."""
 
-    def _text(self, robots: Sequence[str]) -> JsonText:
-        """Return the text of rows of these arms."""
-        slots = [(WALL, b"t")]
-        found: dict[str, Any] = {"timestamp": msgspec.Raw(_SLOT), **{robot: {} for robot in robots}}
-        for field in [one for robot in robots for one in self._parts[robot]] + self._others:
-            count = math.prod(field.shape)
-            slots += [(field.offset + 8 * k, _FORMS[field.type]) for k in range(count)]
-            many = {str(k): msgspec.Raw(_SLOT) for k in range(1, count + 1)}
-            found.setdefault(field.source, {})[field.name.partition(".")[2]] = (
-                many if field.shape else msgspec.Raw(_SLOT)
+    def __init__(self, fields: Sequence[RowField]) -> None:
+        self._fields = [
+            (
+                one.name.partition(".")[2],
+                struct.Struct(f"<{math.prod(one.shape)}{_FORMS[one.type]}"),
+                one.offset,
+                [str(k) for k in range(1, math.prod(one.shape) + 1)] if one.shape else None,
             )
-        return JsonText(msgspec.json.encode(found).split(_SLOT), slots)
+            for one in fields
+            if one.type in _FORMS
+        ]
+
+    def values(self, data: bytes) -> dict[str, Any]:
+        """Return the numbers of a row by name."""
+        found: dict[str, Any] = {}
+        for name, form, offset, keys in self._fields:
+            values = form.unpack_from(data, offset)
+            found[name] = values[0] if keys is None else dict(zip(keys, values))
+        return found
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Send until the loop closes the feed.
-
-    feed : connected to the loop. options : "to" and "port", where PlotJuggler is; "fields"; "host", to send from.
-
-    Raises
-    ------
-    ConfigError : an address elsewhere that the cell was not opened to, or fields that do not fit. LinkError : the loop
-        has gone.
-    """
+    """Send until the loop closes the feed."""
     to, port = options["to"], options["port"]
     try:
         is_here = ipaddress.IPv4Address(to).is_loopback

@@ -10,7 +10,7 @@ from importlib import import_module
 from armlab.errors import ArmlabError
 
 _SERVERS = {
-    "local": "armlab.bridge.servers.local_server",
+    "local": "armlab.bridge.servers.local",
     "labcomm": "armlab.bridge.servers.labcomm.process",
     "ros2": "armlab.bridge.servers.ros.dds",
     "rosbridge": "armlab.bridge.servers.rosbridge.server",

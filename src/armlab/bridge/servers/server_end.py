@@ -18,6 +18,7 @@ import msgspec
 from armlab.bridge.servers.messages import CommandRequest, Counted, Report, Request, SetRequest
 from armlab.bridge.servers.row import MAGIC, RowSchema
 from armlab.errors import CommandRefused, LinkError
+from armlab.robots import Robot, from_toml
 
 __all__ = ["LoopEnd", "encoded"]
 
@@ -31,14 +32,8 @@ Clients = Mapping[str, tuple[int, int]]
 
 
 class LoopEnd:
-    """A server process's end of its socket to the loop (the other is `feed.Exchange`).
+    """A server process's end of its socket to the loop (the other is `hub.Hub`).
 
-    Raises
-    ------
-    LinkError : the loop has gone before it said what its rows hold.
-
-    Notes
-    -----
     `ask` may be called from any thread, everything else from one.
     """
 
@@ -65,12 +60,19 @@ class LoopEnd:
         """Return the number of the socket, for `select` and for event loops."""
         return self._feed.fileno()
 
+    @property
+    def is_behind(self) -> bool:
+        """Whether requests wait until the loop has room for them."""
+        return bool(self._urgent)
+
+    def robots(self) -> dict[str, Robot]:
+        """Return the arms of the cell by name."""
+        return {name: from_toml(text, f"the bridge of {name}") for name, text in self.about["robots"].items()}
+
     def receive(self, patience: float | None = 0.0) -> list[bytes | dict[str, Any]] | None:
         """Return what has come, up to the first row: rows as bytes, texts as they say, by their "kind".
 
         None when the loop has gone. Rows come one by one: to look whether there is a second one costs what a row costs.
-
-        patience : s to wait for the first message; None waits until one comes.
         """
         flags = self._wait(patience)
         found: list[bytes | dict[str, Any]] = []
@@ -96,10 +98,6 @@ class LoopEnd:
 
         A command, a setting or a report is lost then, as newer ones follow; a stop or a release waits, and goes out by
         `receive`.
-
-        Raises
-        ------
-        CommandRefused : it holds what no JSON in UTF-8 can say, for example half of a surrogate pair.
         """
         data = encoded(request)
         with self._lock:
@@ -154,12 +152,7 @@ class LoopEnd:
 
 
 def encoded(request: Request) -> bytes:
-    """Return a request as it is sent to the loop.
-
-    Raises
-    ------
-    CommandRefused : values of a client that JSON or the loop cannot take.
-    """
+    """Return a request as it is sent to the loop."""
     try:
         return msgspec.json.encode(request)
     except (ValueError, TypeError, OverflowError, RecursionError, msgspec.MsgspecError) as error:

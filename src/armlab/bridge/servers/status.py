@@ -1,17 +1,25 @@
-"""`Status`: how the arms do, counted from the rows: rate, round trips, lost and late packets, clamps."""
+"""State of the arms of a running bridge: `Status` counts it from rows, `Watch` puts it into words."""
 
 from __future__ import annotations
 
 import math
+import shutil
 import struct
+import time
 from collections import deque
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from armlab.bridge.control.feedback import not_ready_reason
 from armlab.bridge.servers.row import RowSchema
+from armlab.errors import UnknownName
 
-__all__ = ["Status"]
+if TYPE_CHECKING:
+    from armlab.bridge.servers.row import Row
+
+__all__ = ["Status", "Watch"]
 
 _KEPT = 2500  # round trips: 10 s at 250 Hz
 _HEAD_SEQ, _HEAD_MONO = 16, 24  # bytes from the beginning of a row
@@ -19,7 +27,7 @@ _TOGETHER = 64  # rows: one alone takes eight times as long, as nothing of this 
 _BITS = {"position": 1, "velocity": 2, "acceleration": 4, "braking": 8}
 
 
-class _Arm:
+class _ArmCounts:
     """What is counted of one arm."""
 
     def __init__(self, schema: RowSchema, name: str) -> None:
@@ -40,7 +48,7 @@ class Status:
     """Counts rows as they come."""
 
     def __init__(self, schema: RowSchema) -> None:
-        self._arms = {name: _Arm(schema, name) for name in schema.robots}
+        self._arms = {name: _ArmCounts(schema, name) for name in schema.robots}
         self._seq = self._first = self._rows = 0
         self._waiting: list[bytes] = []
 
@@ -104,3 +112,128 @@ class Status:
 
 def _integer(data: bytes, offset: int) -> int:
     return struct.unpack_from("<q", data, offset)[0]
+
+
+_SILENT = 0.5  # s after which an arm sends no packets
+_EVENTS = 8
+_USED = ("motors", "rapid", "mci", "receive_ns", "seq_sent", "q_ref", "qd_ref", "wrench", "wrench_hat", "commander")
+
+
+class Watch:
+    """What is known of a bridge from its messages, in words."""
+
+    def __init__(self, robot: str | None = None) -> None:
+        self._robot = robot
+        self._status: dict[str, Any] = {}
+        self._row: Row | None = None
+        self._files: list[Path] = []
+        self._sizes: tuple[float, int] | None = None
+        self.cell = ""
+        self.events: deque[str] = deque(maxlen=_EVENTS)
+        self.told = 0
+
+    @property
+    def lost(self) -> int:
+        """Rows that the feed lost."""
+        return self._status.get("lost", 0)
+
+    def take(self, message: Row | dict[str, Any]) -> None:
+        """Take one message of the local feed."""
+        if not isinstance(message, dict):
+            self._row = message
+            if self._robot is not None and f"{self._robot}.q" not in message.values:
+                raise UnknownName.among("robot of this cell", self._robot, _names(message))
+        elif message["kind"] == "about":
+            self.cell = message.get("cell", "")
+        elif message["kind"] == "status":
+            self._status = message
+        elif message["kind"] == "recording":
+            self._files, self._sizes = [Path(file) for file in message["files"]], None
+        elif message["kind"] == "event":
+            stamp = time.strftime("%H:%M:%S", time.localtime(1e-9 * message["stamp_ns"]))
+            self.events.append(f"{stamp} {message['text']}")
+            self.told += 1
+
+    def arms(self, now_ns: int) -> list[dict[str, str]]:
+        """Return what there is to say of each arm, by heading."""
+        if self._row is None:
+            return []
+        return [self._arm(self._row, name, now_ns) for name in _names(self._row) if self._robot in (None, name)]
+
+    def _arm(self, row: Row, name: str, now_ns: int) -> dict[str, str]:
+        values = {key: row.values[f"{name}.{key}"] for key in _USED}
+        status = self._status.get("arms", {}).get(name, {})
+        trips = " / ".join(_number(status.get(key), "{:.0f}") for key in ("p50", "p99", "longest"))
+        wrench = values["wrench"] if math.isfinite(values["wrench"][0]) else values["wrench_hat"]
+        has_wrench = math.isfinite(wrench[0])
+        clamps = [f"{kind} {' '.join(map(str, n))}" for kind, n in status.get("clamps", {}).items() if any(n)]
+        return {
+            "arm": name,
+            "state": _state(values, now_ns),
+            "rate [Hz]": _number(status.get("rate"), "{:.1f}"),
+            "p50 / p99 / max [us]": trips,
+            "missed": str(status.get("missed", "-")),
+            "late": str(status.get("late", "-")),
+            "refused packets": str(status.get("drops", "-")),
+            "force [N]": " ".join(f"{one:.1f}" for one in wrench[:3]) if has_wrench else "-",
+            "moment [N m]": " ".join(f"{one:.2f}" for one in wrench[3:]) if has_wrench else "-",
+            "clamps per joint": "; ".join(clamps) or "none",
+            "commander": values["commander"] or "nobody",
+        }
+
+    def recording(self) -> str:
+        """Return the files of the recording, their size, and for how long the disk has room."""
+        found = {file: size for file in self._files if (size := _size(file)) is not None}
+        sizes = list(found.values())
+        if not sizes:
+            return "none"
+        total, now = sum(sizes), time.monotonic()
+        if self._sizes is None:
+            self._sizes = (now, total)
+        seconds, grown = now - self._sizes[0], total - self._sizes[1]
+        room = shutil.disk_usage(next(iter(found)).parent).free
+        hours = f", room for {room / grown * seconds / 3600.0:.0f} h" if grown > 0 else ""
+        return f"{', '.join(str(file) for file in self._files)}: {1e-6 * total:.1f} MB{hours}"
+
+    def lines(self, now_ns: int) -> list[str]:
+        """Return one line per arm."""
+        return [
+            ", ".join(value if key == "arm" else f"{key} {value}" for key, value in arm.items())
+            for arm in self.arms(now_ns)
+        ] or ["No row yet: no packet of a robot has come."]
+
+    def notes(self) -> list[str]:
+        """Return what there is to say beside the arms: the recording, rows that were lost, the last events."""
+        lost = [f"Rows lost by this feed: {self.lost}"] if self.lost else []
+        return [f"Recording: {self.recording()}", *lost, *self.events]
+
+
+def _names(row: Row) -> list[str]:
+    commanders = [name for name in row.values if name.endswith(".commander") and isinstance(row.values[name], str)]
+    return [name.removesuffix(".commander") for name in commanders]
+
+
+def _size(file: Path) -> int | None:
+    """Return the bytes of a file, None when it is not on this computer, or not for us."""
+    try:
+        return file.stat().st_size
+    except (OSError, ValueError):  # no path at all
+        return None
+
+
+def _state(values: dict[str, Any], now_ns: int) -> str:
+    """Return what the arm does, or why it cannot move."""
+    age = 1e-9 * (now_ns - values["receive_ns"])
+    if age > _SILENT:
+        return f"no packet for {age:.1f} s"
+    why = not_ready_reason(values["motors"], values["rapid"], values["mci"])
+    if why:
+        return why
+    if values["seq_sent"] < 0:
+        return "listening"
+    asked = math.isfinite(values["q_ref"][0]) or math.isfinite(values["qd_ref"][0])
+    return "running" if asked else "holding"
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None or not math.isfinite(value) else form.format(value)

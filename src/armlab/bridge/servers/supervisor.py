@@ -16,7 +16,7 @@ from typing import Any
 from armlab._descriptors import Descriptor
 from armlab.bridge.arbiter import Arbiter
 from armlab.bridge.control.loop import Controller
-from armlab.bridge.servers.hub import OPERATOR, Exchange
+from armlab.bridge.servers.hub import OPERATOR, Hub
 from armlab.bridge.servers.local import socket_path
 from armlab.errors import LinkError
 from armlab.robots import Robot
@@ -77,7 +77,7 @@ class Servers:
 
     def __init__(
         self,
-        exchange: Exchange,
+        exchange: Hub,
         commands: Mapping[str, Sequence[str]],
         restarts: Sequence[float] = RESTARTS,
         well: float = WELL,
@@ -108,12 +108,7 @@ class Servers:
             child.errors.close()
 
     def ready(self, patience: float = 30.0) -> list[str]:
-        """Wait until every server listens, and return who listens where.
-
-        Raises
-        ------
-        LinkError : a server ended before it listened, with what it said; or one does not listen in time.
-        """
+        """Wait until every server listens, and return who listens where."""
         until = time.monotonic() + patience
         while silent := [child.name for child in self._children if self._exchange.outlets[child.name].where is None]:
             failed = next((child for child in self._children if child.failure), None)
@@ -232,14 +227,10 @@ class Offering:
     """Offers the rows of runs to `armlab monitor` and views until it is closed.
 
     Clients may stop the arms where the controller is made `stoppable`, and nothing else.
-
-    Raises
-    ------
-    LinkError : another bridge has this name, or the server of the feed cannot be started.
     """
 
     def __init__(self, robots: Sequence[Robot], cell: str) -> None:
-        self.exchange = Exchange(robots, [OPERATOR], about={"cell": cell})
+        self.exchange = Hub(robots, [OPERATOR], about={"cell": cell})
         self.exchange.arbiter.reserve("the controller of the run")
         self._servers = Servers(self.exchange, {OPERATOR: server_command(OPERATOR, {"path": str(socket_path(cell))})})
         self._servers.__enter__()

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import socket
-import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,20 +12,12 @@ from armlab.bridge.servers.labcomm import LabCommServer, Row
 from armlab.bridge.servers.labcomm.channels import Channel
 from armlab.wire.labcomm import Decoder, Event
 
-PATIENCE = 10.0  # s; only a test that fails waits so long
+from ..conftest import PATIENCE, until
 
 
 def row(tm: int) -> Row:
     """A row whose numbers tell which it is."""
     return Row(tm, np.arange(7.0) + tm, np.arange(7.0) / 8, np.arange(7.0) - tm)
-
-
-def until(condition: Callable[[], Any]) -> None:
-    """Wait for what another thread does."""
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.001)
 
 
 class Plain:

@@ -1,21 +1,30 @@
-"""A client: rows, commands, parameters, and a server that goes."""
+"""A client of LabComm: rows, commands, parameters, a server that goes, and a controller that runs over it."""
 
 from __future__ import annotations
 
 import socket
+import threading
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
-from armlab.bridge.servers.labcomm import ArmChannel, LabCommServer, ParameterChannel, Row, RowTypes
+from armlab import bridge, robots
+from armlab.bridge.servers.labcomm import ArmChannel, LabCommServer, Row, RowFeed, to_arbiter
+from armlab.bridge.servers.labcomm.channels import ParameterChannel
 from armlab.bridge.servers.labcomm.client import LabCommClient, LabCommSource, connected
-from armlab.errors import ConfigError, LabCommError, LinkError, UnknownName
+from armlab.bridge.servers.labcomm.link import RowCodec, RowPort, far_end
+from armlab.bridge.servers.labcomm.rows import RowTypes
+from armlab.errors import ConfigError, LinkError, UnknownName
 from armlab.log import Column
-from armlab.wire.labcomm import Definition, Prim, Sample, Version, parse_lc
+from armlab.robots import Robot
+from armlab.state import Command, State
+from armlab.wire.egm import Codec, Drop, Packet, Reference
+from armlab.wire.labcomm import Decoder, Encoder, Prim, Sample
 
-from .conftest import PATIENCE, Started, row, until
+from ..conftest import PATIENCE, until
+from .conftest import Started, row
 
 Start = Callable[..., Started]
 
@@ -68,21 +77,6 @@ def test_a_client_connects_again(start: Start) -> None:
         again.server.row("left", row(2))
         assert [got.tm for got in client.rows(PATIENCE)] == [2]
     assert calls == []
-
-
-def test_parameters_by_name(start: Start) -> None:
-    one = start(ParameterChannel({"gain": 0.5}, 0))
-    (gain,) = parse_lc("sample double gain;")
-    with LabCommClient(port=one.server.ports["parameters"], dialect="2014") as client:
-        client.define(gain)
-        events = []
-        while len(events) < 3:
-            events += client.events(PATIENCE)
-        assert [type(event) for event in events] == [Version, Definition, Sample]
-        client.send(gain, 0.25)
-        assert client.events(PATIENCE)[0].value == 0.25
-        with pytest.raises(LabCommError, match="gain: a double expected"):
-            client.send(gain, "much")
 
 
 def test_what_goes_wrong_is_a_link_error() -> None:
@@ -176,3 +170,152 @@ def test_numbers_and_other_samples(start: Start) -> None:
     assert "trq" in missing.problem
     with pytest.raises(ConfigError, match="without dots"):
         LabCommSource("a.b", FIELDS, 0.01, port)
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return robots.load("yumi_right")
+
+
+@pytest.mark.slow
+def test_a_controller_far_away_moves_a_simulated_robot_over_egm(robot: Robot) -> None:
+    """Simulated controller, EGM, bridge, LabComm, a second loop, and back. About 5 s."""
+    arbiter, far_runs = bridge.Arbiter([robot], ["labcomm"]), []
+
+    def controller(state: State) -> Command:
+        q = state.q_start.copy()
+        q[0] += 0.05 * (1.0 - np.cos(np.pi * state.t))
+        return Command(q)
+
+    def far_away(port: int) -> None:
+        with bridge.connect(f"labcomm://127.0.0.1:{port}", robot) as link:
+            far_runs.append(link.run(controller, seconds=2.0, wait="block"))
+
+    channel = ArmChannel("right", 0, to_arbiter(arbiter, robot.name), robot.abb_axes)
+    with LabCommServer([channel]) as server, bridge.connect("sim://yumi_right", robot) as link:
+        thread = threading.Thread(target=far_away, args=(server.ports["right"],))
+
+        def obey(state: State) -> Command | None:
+            return arbiter(state) if thread.is_alive() else Command.stop()
+
+        thread.start()
+        run = link.run(obey, seconds=60.0, feeds=[RowFeed(server, {"yumi_right": "right"})], wait="block")
+        thread.join()
+    assert far_runs[0].reason == "the time is up"
+    assert run.reason == "the controller ended the run"
+    moved, told = run.table["q"][:, 0], far_runs[0].table["q"][:, 0]
+    assert np.ptp(moved) == pytest.approx(0.1, abs=0.02)
+    assert np.ptp(told) == pytest.approx(0.1, abs=0.02)
+    assert server.counts["right"]["commands"] > 100
+
+
+class Arm:
+    """An arm behind a LabComm server, in lockstep: it follows each command and sends the next row then."""
+
+    def __init__(self, robot: Robot, port: int = 0) -> None:
+        self.q, self.tm, self.commands = np.array(robot.q_home), 10_000, []
+        self.server = LabCommServer([ArmChannel("right", port, self.take, robot.abb_axes)])
+        self.port = self.server.ports["right"]
+
+    def send(self) -> None:
+        self.server.row("right", Row(self.tm, self.q, np.zeros(7), np.zeros(7)))
+
+    def take(self, name: str, command: Row, client: str) -> None:
+        if command.tm != self.tm or command.q is None:
+            return
+        self.commands.append(command)
+        self.q, self.tm = command.q, self.tm + 4
+        self.send()
+
+
+def test_a_controller_moves_an_arm_over_labcomm(robot: Robot) -> None:
+    arm = Arm(robot)
+    seen: list[State] = []
+
+    def controller(state: State) -> Command:
+        seen.append(state)
+        q = state.q_start.copy()
+        q[0] += 0.05 * (1.0 - np.cos(2.0 * np.pi * state.t))
+        return Command(q)
+
+    with bridge.connect(f"labcomm://127.0.0.1:{arm.port}", robot, clock="robot") as link:
+        until(lambda: arm.server.counts["right"]["clients"] == 1)
+        arm.send()
+        run = link.run(controller, seconds=0.5)
+    arm.server.close()
+    assert run.reason == "the time is up"
+    assert max(np.abs(command.q - robot.q_home).max() for command in arm.commands) == pytest.approx(0.1, abs=0.01)
+    assert np.allclose([state.dt for state in seen], 0.004, rtol=0, atol=1e-9)
+    assert run.table["q"].shape[1] == 7
+    assert seen[-1].tau_source == "measured"
+
+
+def test_the_port_gives_rows_as_packets_and_connects_again(robot: Robot, start: Start) -> None:
+    types = RowTypes(robot.abb_axes)
+    one = start(ArmChannel("right", 0, axes=robot.abb_axes))
+    number = one.server.ports["right"]
+    port, codec = RowPort("127.0.0.1", number, types), RowCodec(robot, types)
+    until(lambda: one.server.counts["right"]["clients"] == 1)
+    for tm in (1, 2):
+        one.server.row("right", row(tm))
+    packets = [packet(port, codec) for _ in range(2)]
+    assert [(got.seqno, got.tm_ms) for got in packets] == [(0, 1), (1, 2)]
+    assert np.array_equal(packets[0].q, row(1).q)
+    assert np.array_equal(packets[0].tau, row(1).tau)
+    descriptor = port.fileno()
+    one.server.close()
+    until(lambda: port.receive() is None and port.errors)
+    assert not port.send(b"x", ("127.0.0.1", number))
+    again = LabCommServer([ArmChannel("right", number, axes=robot.abb_axes)])
+    until(lambda: port.receive() is None and again.counts["right"]["clients"] == 1)
+    again.row("right", row(3))
+    got = packet(port, codec)
+    assert (got.seqno, got.tm_ms, port.fileno()) == (0, 3, descriptor)
+    again.row("right", row(4))
+    again.row("right", row(5))
+    until(lambda: again.lost == 0 and not again._published)
+    port.flush()
+    port.close()
+    again.close()
+
+
+def packet(port: RowPort, codec: RowCodec) -> Packet:
+    arrivals: list[Any] = []
+    until(lambda: arrivals.append(port.receive()) or arrivals[-1] is not None)
+    got = codec.decode(arrivals[-1].data)
+    assert isinstance(got, Packet)
+    return got
+
+
+def test_commands_are_rows_of_the_wire(robot: Robot) -> None:
+    codec: Codec = RowCodec(robot, RowTypes(robot.abb_axes))
+    codec.reset()
+    assert codec.capabilities == {"position", "velocity"}
+    raw = codec.encode(Reference(np.arange(7.0), None, None, 3, 2**32 - 1))
+    decoder = Decoder("2014v1", require_version=False)
+    types = RowTypes(robot.abb_axes)
+    event = decoder.feed(Encoder().define(types.accepted) + raw)[-1]
+    assert isinstance(event, Sample)
+    assert (event.value["tm"], event.value["pos"]) == (-1, [0.0, 1.0, 3.0, 4.0, 5.0, 6.0, 2.0])
+    assert isinstance(codec.decode(b"short"), Drop)
+    assert isinstance(codec.decode(bytes(8) + b"\xff" * 168), Drop)
+
+
+def test_urls(robot: Robot, start: Start) -> None:
+    one = start(ArmChannel("right", 0))
+    number = one.server.ports["right"]
+    port, codec = far_end(robot, "127.0.0.1", number, {"order": "chain", "dialect": "2014"})
+    assert isinstance(codec, RowCodec)
+    port.close()
+    for options, error in (
+        ({"seed": "1"}, ConfigError),
+        ({"order": "up"}, ConfigError),
+        ({"dialect": "1"}, UnknownName),
+    ):
+        with pytest.raises(error):
+            far_end(robot, "127.0.0.1", number, options)
+    with pytest.raises(ConfigError, match="labcomm://HOST:PORT"):
+        bridge.connect("labcomm://host:port", robot)
+    one.server.close()
+    with pytest.raises(LinkError, match="Start it"):
+        bridge.connect(f"labcomm://127.0.0.1:{number}", robot)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import select
 import socket
-import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -12,19 +11,21 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.servers.hub import Exchange
-from armlab.bridge.servers.labcomm import LabCommClient, Row, RowTypes
-from armlab.bridge.servers.labcomm.process import ArmPlaces, Held, LabCommProcess, SourcePlaces, labcomm_options, serve
+from armlab.bridge.inputs.parameters import Parameter
+from armlab.bridge.servers.hub import Hub
+from armlab.bridge.servers.labcomm import LabCommClient, Row
+from armlab.bridge.servers.labcomm.process import ArmPlaces, HeldArm, LabCommProcess, SourcePlaces, labcomm_options
+from armlab.bridge.servers.labcomm.rows import RowTypes
 from armlab.bridge.servers.row import RowField, RowSchema, RowWriter, read_row
 from armlab.bridge.servers.supervisor import Servers, server_command
-from armlab.errors import ConfigError, LabCommError, LinkError, UnknownName
+from armlab.errors import ConfigError, LabCommError, UnknownName
 from armlab.log import Column, Tick
 from armlab.robots import Robot
 from armlab.state import State
 from armlab.wire.labcomm import Encoder, Sample, SampleType, parse_lc
 
-from .conftest import PATIENCE, Plain, until
+from ..conftest import PATIENCE, Served, until
+from .conftest import Plain
 
 TURNS = 60
 TICK = Tick(0, -1, 5_000_000_000, 4_999_000_000, -1, 0)
@@ -40,38 +41,19 @@ def state(robot: Robot, **fields: Any) -> State:
     return State(t=1.5, dt=0.004, q=q, qd=np.zeros(7), tau=np.full(7, np.nan), robot=robot.name, q_start=q, **fields)
 
 
-class Running:
-    """The process's work in a thread, at the other end of an exchange."""
+class Running(Served):
+    """The process's work in a thread, and the port of each of its channels."""
 
     def __init__(self, robot: Robot) -> None:
-        declared = [
-            Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone"),
-            Parameter("note", "a", "text", rights="anyone"),
-        ]
-        declared += [Parameter("gentle", True, "bool", rights="anyone"), Parameter("n", 2, "int", rights="anyone")]
-        declared.append(Parameter("push", [0.0, 1.0, 2.0], "float[3]", rights="anyone"))
-        self.exchange = Exchange(
-            [robot], ["labcomm"], Parameters(declared), ["labcomm"], sources={"force": {"f": Column((3,), "N")}}
-        )
+        values = {"note": "a", "gentle": True, "n": 2, "push": [0.0, 1.0, 2.0]}
+        types = {"note": "text", "gentle": "bool", "n": "int", "push": "float[3]"}
+        declared = [Parameter(name, value, types[name], rights="anyone") for name, value in values.items()]
+        declared.append(Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone"))
         options = labcomm_options([robot], ports=[0], parameters=0, fused=0)
-        self.feed = self.exchange.open("labcomm")
-        self.process = LabCommProcess(self.feed, options)
-        self.thread = threading.Thread(target=self.process.run)
-        self.thread.start()
-        self.where: dict[str, int] = {}
-        until(self.listens)
-
-    def listens(self) -> bool:
-        self.exchange.poll()
-        for text in self.exchange.outlets["labcomm"].where or ():
-            address, _, name = text.partition(" (labcomm, ")
-            self.where[name.rstrip(")")] = int(address.rpartition(":")[2])
-        return bool(self.where)
-
-    def close(self) -> None:
-        self.exchange.close()
-        self.thread.join()
-        self.feed.close()
+        sources = {"force": {"f": Column((3,), "N")}}
+        super().__init__("labcomm", robot, lambda feed: LabCommProcess(feed, options), declared, sources=sources)
+        found = [text.partition(" (labcomm, ") for text in self.where]
+        self.ports = {name.rstrip(")"): int(address.rpartition(":")[2]) for address, _, name in found}
 
 
 @pytest.fixture
@@ -83,7 +65,7 @@ def running(robot: Robot) -> Iterator[Running]:
 
 def test_rows_go_out_and_commands_come_back(running: Running, robot: Robot) -> None:
     now = state(robot, robot_ns=9_000_000)
-    with LabCommClient(port=running.where[robot.name], types=RowTypes(robot.abb_axes)) as client:
+    with LabCommClient(port=running.ports[robot.name], types=RowTypes(robot.abb_axes)) as client:
         until(lambda: running.exchange.row(now, None, TICK) or client.rows(0.0))
         client.command(Row(9, robot.q_home + 0.01))
         counted = running.exchange.summary()["servers"]["labcomm"]
@@ -106,25 +88,8 @@ def test_rows_go_out_and_commands_come_back(running: Running, robot: Robot) -> N
     until(lambda: running.exchange.poll() or not running.exchange.arbiter.commander(robot.name))
 
 
-def test_a_refusal_names_the_number_that_the_client_sent(running: Running, robot: Robot) -> None:
-    """In the log, since LabComm has no place for it: the third joint from the base is the last number of `pos`."""
-    told: list[str] = []
-    running.exchange.begin(lambda text, *_: told.append(text))
-    now, far = state(robot), np.array(robot.q_home)
-    far[2] += 0.5
-
-    def refused() -> bool:
-        running.exchange.row(now, None, TICK)
-        running.exchange.arbiter(now)
-        return any("axis_7 (number 7 of the vector) of yumi_right" in text for text in told)
-
-    with LabCommClient(port=running.where[robot.name], types=RowTypes(robot.abb_axes)) as client:
-        client.command(Row(9, far))
-        until(refused)
-
-
 def test_fused_rows_have_sources_that_were_heard(running: Running, robot: Robot) -> None:
-    with LabCommClient(port=running.where["fused"]) as client:
+    with LabCommClient(port=running.ports["fused"]) as client:
         events: list[Any] = []
 
         def heard() -> list[Any]:
@@ -140,7 +105,7 @@ def test_fused_rows_have_sources_that_were_heard(running: Running, robot: Robot)
 
 def test_parameters_are_echoed_as_the_loop_decides(running: Running) -> None:
     (gain,) = parse_lc("sample double gain;")
-    with LabCommClient(port=running.where["parameters"]) as client:
+    with LabCommClient(port=running.ports["parameters"]) as client:
         values: list[float] = []
 
         def told(count: int) -> bool:
@@ -160,7 +125,7 @@ def test_parameters_are_echoed_as_the_loop_decides(running: Running) -> None:
 
 def test_parameters_of_every_type(running: Running) -> None:
     text = "sample boolean gentle; sample string note; sample double n; sample double push[3];"
-    with LabCommClient(port=running.where["parameters"]) as client:
+    with LabCommClient(port=running.ports["parameters"]) as client:
         for one, value in zip(parse_lc(text), (False, "h\u00e9", 5.0, [3.0, 4.0, 5.0]), strict=True):
             client.send(one, value)  # type: ignore[arg-type]
         params = running.exchange.parameters
@@ -188,8 +153,8 @@ def flood(kind: str) -> tuple[bytes, bytes]:
 @pytest.mark.parametrize("kind", ["commands", "wrong"])
 def test_who_sends_without_pause_holds_up_no_row(robot: Robot, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
     """Three rows come before each turn and are out before the next; the loop is asked little, whatever comes."""
-    monkeypatch.setattr("armlab.bridge.servers.labcomm.selector_server._EVERY", 1e6)
-    exchange = Exchange([robot], ["labcomm"])
+    monkeypatch.setattr("armlab.bridge.servers.labcomm.server._EVERY", 1e6)
+    exchange = Hub([robot], ["labcomm"])
     feed = exchange.open("labcomm")
     process = LabCommProcess(feed, labcomm_options([robot], ports=[0], parameters=None, fused=None))
     ports, real_turn, ask = process._ports, process._ports.turn, process._loop.ask
@@ -231,29 +196,10 @@ def test_who_sends_without_pause_holds_up_no_row(robot: Robot, monkeypatch: pyte
 
 @pytest.mark.parametrize("port", ["yumi_right", "parameters", "fused"])
 def test_stop_from_any_client_on_any_port(running: Running, port: str) -> None:
-    with LabCommClient(port=running.where[port]) as client:
+    with LabCommClient(port=running.ports[port]) as client:
         client.stop()
         until(lambda: running.exchange.poll() or running.exchange.arbiter.stopped)
     assert running.exchange.arbiter.stopped.startswith("labcomm 127.0.0.1:")
-
-
-def test_what_is_no_command_and_what_is_no_labcomm_are_events(running: Running, robot: Robot) -> None:
-    told: list[str] = []
-    running.exchange.begin(lambda text, *_: told.append(text))
-
-    def said(words: str) -> bool:
-        running.exchange.arbiter._answered.clear()  # each is told at once
-        running.exchange.poll()
-        return any(text.startswith("labcomm: ") and words in text for text in told)
-
-    with socket.create_connection(("127.0.0.1", running.where[robot.name])) as one:
-        types, encoder = RowTypes(robot.abb_axes), Encoder("2014v1")
-        value = {name: 7 * [0.0] for name in ("pos", "vel", "trq")}
-        one.sendall(encoder.version() + encoder.define(types.sent) + encoder.data(types.sent, {"tm": 1, **value}))
-        until(lambda: said("got a sample 'robot_row'"))
-        one.sendall(64 * b"\xff")
-        until(lambda: said("was closed, offset"))
-    assert not running.exchange.arbiter.obeyed[robot.name]
 
 
 def test_options() -> None:
@@ -274,17 +220,8 @@ def test_options() -> None:
         labcomm_options([left], ports=[1, 2])
 
 
-def test_a_loop_that_has_gone_ends_the_process(robot: Robot) -> None:
-    exchange = Exchange([robot], ["labcomm"])
-    feed = exchange.open("labcomm")
-    feed.recv(2**17)
-    exchange.close()
-    with pytest.raises(LinkError, match="Start it again"), feed:
-        serve(feed, labcomm_options([robot]))
-
-
 def test_it_is_one_of_the_bridge_s_servers(robot: Robot) -> None:
-    exchange = Exchange([robot], ["labcomm"])
+    exchange = Hub([robot], ["labcomm"])
     text = "sample struct { long tm; float pos[_]; } where; sample struct { float pos[7]; } there;"
     options = labcomm_options([robot], ports=[0], parameters=0, fused=None, types=text)
     with Servers(exchange, {"labcomm": server_command("labcomm", options)}) as servers:
@@ -308,7 +245,7 @@ def test_an_arm_is_taken_as_it_stands_in_the_row(robot_ns: int) -> None:
     state = State(t=1.5, dt=0.004, q=q, qd=-q, tau=np.full(7, np.nan), robot=LEFT.name, robot_ns=robot_ns)
     data = RowWriter(SCHEMA).row(state, None, VIEW_TICK, 1)
     held = ArmPlaces(SCHEMA, LEFT.name).held(data)
-    assert isinstance(held, Held)
+    assert isinstance(held, HeldArm)
     assert held.is_fresh
     assert (held.arm.name, held.arm.t_us) == (LEFT.name, 4_999_000)
     values = read_row(SCHEMA, data).values

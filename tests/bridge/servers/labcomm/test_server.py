@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
+import select
+import socket
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from armlab import robots
-from armlab.bridge.arbiter import Arbiter
-from armlab.bridge.servers.labcomm import ArmChannel, FusedChannel, LabCommServer, ParameterChannel, Row, RowTypes
-from armlab.bridge.servers.labcomm.channels import FusedArm
-from armlab.bridge.servers.labcomm.server import RowFeed, to_arbiter
+from armlab import bridge, robots
+from armlab.bridge.servers.labcomm import ArmChannel, LabCommServer, Row
+from armlab.bridge.servers.labcomm.channels import FusedArm, FusedChannel, ParameterChannel
+from armlab.bridge.servers.labcomm.rows import STOP, RowTypes
+from armlab.bridge.servers.labcomm.server import Ports, RowFeed, to_arbiter
 from armlab.errors import LinkError, UnknownName
 from armlab.state import Command, State
 from armlab.wire.labcomm import Decoder, Definition, Encoder, Sample, SampleType, Version, parse_lc
 
-from .conftest import Plain, Started, row, until
+from ..conftest import until
+from .conftest import Plain, Started, row
 
 COMMAND = RowTypes().accepted
 VECTORS = Path(__file__).parents[5] / "shared/data/labcomm_vectors"
@@ -93,19 +96,6 @@ def test_commands_come_whole_from_any_cut(start: Start) -> None:
     assert any("the end after" in text for text in one.said)
 
 
-def test_the_second_commander_waits_for_the_first_to_leave(start: Start) -> None:
-    taken: list[str] = []
-    one = start(ArmChannel("left", 0, lambda name, row, client: taken.append(client)))
-    first, second = one.client("left"), one.client("left")
-    a, b = (f"127.0.0.1:{client.socket.getsockname()[1]}" for client in (first, second))
-    first.socket.sendall(command(1))
-    until(lambda: taken == [a])
-    first.socket.close()
-    until(lambda: one.server.counts["left"]["clients"] == 1)
-    second.socket.sendall(command(2))
-    until(lambda: taken == [a, b])
-
-
 @pytest.mark.parametrize("dialect", ["2014v1", "2014", "2014i", "2013", "2006"])
 def test_a_port_follows_its_client(start: Start, dialect: str) -> None:
     taken: list[int] = []
@@ -149,18 +139,6 @@ def test_parameters_are_set_and_echoed(start: Start) -> None:
     for client in (a, b):
         values = [event.value for event in client.read(6) if isinstance(event, Sample)]
         assert sorted(values) == [0.5, 0.5, 0.5, 0.75]
-
-
-def test_a_callback_that_raises_stops_nobody(start: Start) -> None:
-    def broken(name: str, row: Row, client: str) -> None:
-        raise RuntimeError("broken")
-
-    one = start(ArmChannel("left", 0, broken))
-    client = one.client("left")
-    client.socket.sendall(command(1))
-    until(lambda: any("RuntimeError: broken" in text for text in one.said))
-    one.server.row("left", row(1))
-    client.read(3)
 
 
 def test_a_row_of_another_shape_stops_nobody(start: Start) -> None:
@@ -240,7 +218,7 @@ def test_rows_of_a_run_are_published(start: Callable[..., Started]) -> None:
 
 def test_commands_pass_the_rights_of_an_arbiter() -> None:
     arm = robots.load("yumi_left")
-    arbiter, home = Arbiter([arm], ["labcomm"]), np.array(arm.q_home)
+    arbiter, home = bridge.Arbiter([arm], ["labcomm"]), np.array(arm.q_home)
     here = State(0.0, 0.004, home, 0 * home, 0 * home, robot=arm.name)
     take = to_arbiter(arbiter, arm.name)
     assert arbiter(here) is None
@@ -262,7 +240,7 @@ def test_a_refusal_names_the_number_that_the_client_sent(order: Any, called: str
     """The third joint from the base is ABB's axis 7: where its number stands depends on the order of the port."""
     arm = robots.load("yumi_left")
     said: list[str] = []
-    arbiter = Arbiter([arm], ["labcomm"], answer=lambda client, text: said.append(text))
+    arbiter = bridge.Arbiter([arm], ["labcomm"], answer=lambda client, text: said.append(text))
     home, types = np.array(arm.q_home), RowTypes(arm.abb_axes, order)
     far = home.copy()
     far[2] += 0.5
@@ -272,3 +250,101 @@ def test_a_refusal_names_the_number_that_the_client_sent(order: Any, called: str
     (text,) = said
     assert f"got {far[2]:.4f} for {called} of yumi_left" in text
     assert sent[6 if order == "abb" else 2] == far[2]
+
+
+TURNS = 200  # of 50 ms at most; only a test that fails waits so long
+
+
+class Bench:
+    """Ports of one channel, and what they said."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+        self.stops: list[str] = []
+        self.clients: list[Plain] = []
+        self.ours, self.beside = socket.socketpair()
+        told: Callable[..., Any] = lambda text, warn=False: self.said.append(text)  # noqa: E731
+        self.ports = Ports([ArmChannel("left", 0)], "127.0.0.1", told, self.stops.append, self.beside)
+
+    def until(self, condition: Callable[[], Any]) -> None:
+        for _ in range(TURNS):
+            if condition():
+                return
+            self.ports.turn()
+        raise AssertionError("it did not happen")
+
+    def client(self) -> Plain:
+        client = Plain(self.ports.numbers["left"])
+        self.clients.append(client)
+        address = "{}:{}".format(*client.socket.getsockname())
+        self.until(lambda: any(address in text for text in self.said))
+        return client
+
+    def close(self) -> None:
+        for client in self.clients:
+            client.socket.close()
+        self.ports.close()
+        self.ours.close()
+        self.beside.close()
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    one = Bench()
+    yield one
+    one.close()
+
+
+def test_a_client_that_reads_again_gets_what_waited(bench: Bench) -> None:
+    """The rest goes out when the system takes it, with no row to push it."""
+    client = bench.client()
+    (peer,) = bench.ports._peers["left"]
+    sent = 0
+    while not peer.is_stuck:
+        bench.ports.put("left", row(sent))
+        sent += 1
+        assert sent < 10**6
+    numbers: list[int] = []
+    client.socket.setblocking(False)
+
+    def reads() -> bool:
+        try:
+            data = client.socket.recv(2**20)
+        except BlockingIOError:
+            return False
+        numbers.extend(event.value["tm"] for event in client.decoder.feed(data) if isinstance(event, Sample))
+        return numbers[-1:] == [sent - 1]
+
+    bench.until(reads)
+    assert numbers == list(range(sent))
+    assert not peer.is_waiting
+    assert not bench.ports._full
+
+
+def test_clients_share_what_a_turn_reads(bench: Bench) -> None:
+    encoder = Encoder()
+    raw = encoder.version() + encoder.define(STOP) + 30_000 * encoder.data(STOP, {})
+    clients = [bench.client() for _ in range(4)]
+    for client in clients:
+        client.socket.sendall(raw)
+    peers = bench.ports._peers["left"]
+    until(lambda: len(select.select([peer.socket for peer in peers], [], [], 0.0)[0]) == 4)
+    for k in range(1, 20):
+        assert bench.ports.turn()
+        read = [peer.decoder.offset + peer.decoder.pending for peer in peers]
+        assert read == 4 * [1024 * k]
+        assert len(bench.stops) == 4 * k, "one stop of a read is enough"
+
+
+def test_what_was_not_taken_is_told_once_and_counted(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    client, encoder, (nothing,) = bench.client(), Encoder(), parse_lc("sample void x;")
+    assert isinstance(nothing, SampleType)
+    client.socket.sendall(encoder.version() + encoder.define(nothing) + 1500 * encoder.data(nothing, {}))
+    bench.until(lambda: bench.ports.counts["left"].get("other type") == 1500)
+    assert sum("was not taken (1 so far), LabCommError" in text for text in bench.said) == 1
+    assert len(bench.said) == 2
+    monkeypatch.setattr("armlab.bridge.servers.labcomm.server._EVERY", 0.0)
+    client.socket.sendall(encoder.data(nothing, {}))
+    bench.until(lambda: any("was not taken (1501 so far)" in text for text in bench.said))
+    client.socket.close()
+    bench.until(lambda: bench.said[-1].endswith("left; 1501 samples of it were not taken."))

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import count
 from typing import Any
 
@@ -13,29 +12,19 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
 
-from armlab.bridge.servers.ros import store
 from armlab.bridge.servers.ros.dds import (
     DataReader,
     DataWriter,
+    DdsTopic,
     DomainParticipant,
     Policy,
     Qos,
-    Topic,
     carrier,
     topic_name,
 )
+from armlab.bridge.servers.ros.topics import store
 
-PATIENCE = 20.0  # s; only a test that fails waits so long
 RELIABLE = Qos(Policy.Reliability.Reliable(0), Policy.History.KeepLast(10))
-
-
-def until(condition: Callable[[], Any], what: str = "it") -> Any:
-    """Wait for what another thread or process does, and return it."""
-    end = time.monotonic() + PATIENCE
-    while not (found := condition()):
-        assert time.monotonic() < end, f"{what} did not happen"
-        time.sleep(0.002)
-    return found
 
 
 def _domains() -> Iterator[int]:
@@ -72,10 +61,10 @@ class Node:
         self.domain, self.participant = domain, DomainParticipant(domain)
 
     def reader(self, name: str, type_: str) -> DataReader[Any]:
-        return DataReader(self.participant, Topic(self.participant, topic_name(name), carrier(type_)), RELIABLE)
+        return DataReader(self.participant, DdsTopic(self.participant, topic_name(name), carrier(type_)), RELIABLE)
 
     def writer(self, name: str, type_: str) -> DataWriter[Any]:
-        return DataWriter(self.participant, Topic(self.participant, topic_name(name), carrier(type_)), RELIABLE)
+        return DataWriter(self.participant, DdsTopic(self.participant, topic_name(name), carrier(type_)), RELIABLE)
 
 
 def taken(reader: DataReader[Any], type_: str) -> list[Any]:

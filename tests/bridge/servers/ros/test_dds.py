@@ -1,4 +1,4 @@
-"""The server of ROS 2 at the other end of an exchange; a participant of the same process plays the nodes."""
+"""The server of ROS 2 over DDS at the other end of a hub; a participant of the same process plays the nodes."""
 
 from __future__ import annotations
 
@@ -7,20 +7,18 @@ import os
 import socket
 import subprocess
 import sys
-import threading
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.servers.hub import Exchange
-from armlab.bridge.servers.ros import Commands, Published, Topics, dds, store
+from armlab.bridge.inputs.parameters import Parameter
+from armlab.bridge.servers.ros import dds
 from armlab.bridge.servers.ros.dds import (
     DataReader,
     DdsServer,
@@ -29,61 +27,38 @@ from armlab.bridge.servers.ros.dds import (
     carrier,
     configuration,
     joined,
-    serve,
     struct,
     tie_to_loopback,
     topic_name,
 )
-from armlab.bridge.servers.ros.message_template import cdr
-from armlab.bridge.servers.ros.types import type_name
+from armlab.bridge.servers.ros.requests import Commands
+from armlab.bridge.servers.ros.topics import RosTopic, Topics, store, type_name
 from armlab.bridge.servers.row import RowSchema
 from armlab.errors import LinkError
-from armlab.log import Tick
-from armlab.state import Command, State
 
-from .dds_peers import Node, free_domain, numbers, taken, until, write
+from ..conftest import WALL, Served, until
+from .dds_peers import Node, free_domain, numbers, taken, write
 
 pytest.importorskip("cyclonedds", reason="the extra ros is not installed")
-
-
 ARM = robots.load("yumi_left")
 JOINTS, ARRAY, TEXT = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String"
-WALL = 1_700_000_000_000_000_000
+
+
 VELOCITY = "/yumi_left/joint_group_velocity_controller/commands"
 
 
-class Running:
-    """The server's work in a thread, a loop that gives rows, and a node."""
+class Running(Served):
+    """The server's work in a thread, and a node: a participant, so one client."""
 
-    def __init__(self, rights: Literal["anyone", "commander"] = "anyone", **options: Any) -> None:
-        declared = Parameters([Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights=rights)])
-        self.exchange = Exchange([ARM], ["ros2"], declared, ["ros2"], about={"cell": "yumi"}, **options)
-        self.feed = self.exchange.open("ros2")
-        domain = free_domain()
-        self.server = DdsServer(self.feed, {"domain": domain, "host": "127.0.0.1"})
-        self.thread = threading.Thread(target=self.server.run)
-        self.thread.start()
-        self.ticks = 0
-        until(lambda: self.exchange.poll() or self.exchange.outlets["ros2"].where, "the server listening")
-        self.where = self.exchange.outlets["ros2"].where
-        self.domain, self.node = domain, Node(domain)  # a participant, so one client
-
-    def row(self, q: np.ndarray = ARM.q_home) -> Command | None:
-        """One tick of the loop; what the arm is told."""
-        self.ticks += 1
-        nothing = np.full(7, np.nan)
-        state = State(t=1.0, dt=0.004, q=q, qd=nothing, tau=nothing, robot=ARM.name, q_start=np.array(ARM.q_home))
-        command = self.exchange.arbiter(state)
-        tick = Tick(self.ticks, self.ticks, WALL + 4_000_000 * self.ticks, 1_000, 2_000, 3)
-        self.exchange.row(state, command, tick)
-        assert not isinstance(command, tuple)
-        return command
+    def __init__(self) -> None:
+        self.domain, gain = free_domain(), Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone")
+        options = {"domain": self.domain, "host": "127.0.0.1"}
+        super().__init__("ros2", ARM, lambda feed: DdsServer(feed, options), [gain])
+        self.node = Node(self.domain)
 
     def close(self) -> None:
         del self.node
-        self.exchange.close()
-        self.thread.join()
-        self.feed.close()
+        super().close()
 
 
 @pytest.fixture
@@ -99,8 +74,8 @@ def client(writer: Any) -> str:
 
 def answer(running: Running, diagnostics: Any) -> str:
     """What the newest diagnostics say to clients, "" while none has come."""
-    running.ticks += 250  # a second later
-    running.row()
+    running.tick += 250  # a second later
+    running.commanded()
     found = taken(diagnostics, "diagnostic_msgs/msg/DiagnosticArray")
     values = {one.key: one.value for message in found for one in message.status[0].values}
     return values.get("last answer", "none").replace("none", "")
@@ -112,22 +87,22 @@ def test_rows_become_messages_of_what_is_read(running: Running) -> None:
     found: list[Any] = []
 
     def came() -> bool:
-        running.row(ARM.q_home + 1e-3 * running.ticks)
+        running.row(q=ARM.q_home + 1e-3 * running.tick)
         found.extend(taken(readers[0], JOINTS))
         return len(found) >= 10
 
     until(came)
     for message in found:
         k = (message.header.stamp.sec * 10**9 + message.header.stamp.nanosec - WALL) // 4_000_000
-        assert np.array_equal(message.position, ARM.q_home + 1e-3 * (k - 1))
-        assert len(message.velocity) == len(message.effort) == 0
+        assert np.array_equal(message.position, ARM.q_home + 1e-3 * k)
+        assert (len(message.velocity), len(message.effort)) == (7, 0)
     counts = running.exchange.summary()["servers"]["ros2"]["clients"]
     assert list(counts) == ["/yumi_left/joint_states"]
     written, full = counts["/yumi_left/joint_states"]
-    assert len(found) <= written <= running.ticks
+    assert len(found) <= written <= running.tick
     assert full == 0
     readers.clear()
-    until(lambda: running.row() is None and running.server.wanted == frozenset(), "nobody reading")
+    until(lambda: running.commanded() is None and running.server.wanted() == frozenset(), "nobody reading")
 
 
 def test_commands_take_the_arm_until_the_writer_leaves(running: Running) -> None:
@@ -136,7 +111,7 @@ def test_commands_take_the_arm_until_the_writer_leaves(running: Running) -> None
 
     def obeyed() -> bool:
         write(writers["velocity"], ARRAY, *numbers(*qd))
-        command = running.row()
+        command = running.commanded()
         return command is not None and command.qd is not None and np.array_equal(command.qd, qd)
 
     until(obeyed)
@@ -146,48 +121,11 @@ def test_commands_take_the_arm_until_the_writer_leaves(running: Running) -> None
     running.exchange.begin(lambda text, *_: events.append(text))
     running.exchange.arbiter._lease_ns = 10**12  # what ends it is that the writer leaves
     writers.clear()
-    until(lambda: running.row() is None and f"{who} no longer commands yumi_left: it closed. The arm holds." in events)
-
-
-def test_a_second_commander_is_refused_by_a_sentence(running: Running) -> None:
-    first = running.node.writer(VELOCITY, ARRAY)
-    until(lambda: write(first, ARRAY, *numbers(*[0.01] * 7)) or running.row())
-    other = Node(running.domain)
-    second = other.writer("/yumi_left/joint_group_position_controller/command", ARRAY)
-    diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
-
-    def told() -> str:
-        write(first, ARRAY, *numbers(*[0.01] * 7))
-        write(second, ARRAY, *numbers(*ARM.q_home))
-        return answer(running, diagnostics)
-
-    said = f"{client(second)}: yumi_left is commanded by ros2 {client(first)}. You may read."
-    assert until(told).startswith(said)
-
-
-def test_who_commands_with_one_topic_sets_parameters_and_commands_with_another() -> None:
-    running = Running(rights="commander")
-    velocity = running.node.writer(VELOCITY, ARRAY)
-    writers = [running.node.writer("/yumi_left/joint_group_position_controller/command", ARRAY)]
-    setter = running.node.writer("/yumi_left/set_parameter", TEXT)
-
-    def is_set() -> bool:
-        write(velocity, ARRAY, *numbers(*[0.01] * 7))
-        write(setter, TEXT, '{"gain": 0.75}')
-        running.row()
-        return running.exchange.parameters.gain == 0.75 and running.exchange.arbiter.commander(ARM.name) != ""
-
-    def moves() -> bool:
-        write(writers[0], ARRAY, *numbers(*ARM.q_home))
-        command = running.row()
-        return command is not None and command.q is not None
-
-    until(is_set)
-    running.exchange.arbiter._lease_ns = 10**12  # silence frees nothing
-    until(moves)
-    writers.clear()
-    assert until(lambda: running.row() and running.exchange.arbiter.commander(ARM.name)) == f"ros2 {client(velocity)}"
-    running.close()
+    until(
+        lambda: (
+            running.commanded() is None and f"{who} no longer commands yumi_left: it closed. The arm holds." in events
+        )
+    )
 
 
 @pytest.mark.parametrize(
@@ -214,7 +152,7 @@ def test_wrong_numbers_are_answered_in_the_diagnostics(
         return answer(running, diagnostics)
 
     found = until(told)
-    until(lambda: running.row() or f"ros2 {found}" in events, "an event of the log")
+    until(lambda: running.commanded() or f"ros2 {found}" in events, "an event of the log")
     assert found == f"{client(writer)}: {sentence.format(VELOCITY)}"
     assert running.exchange.arbiter.commander("yumi_left") == ""
 
@@ -228,7 +166,7 @@ def test_diagnostics_come_and_say_so_when_no_row_comes(running: Running) -> None
         return found[-1].status[0].message if found else ""
 
     until(lambda: words() == "no packet yet")
-    running.row()
+    running.commanded()
     until(lambda: "no packet for" in words())
     assert found[-1].status[0].level == 2
 
@@ -246,7 +184,9 @@ def test_half_a_surrogate_pair_is_answered(running: Running) -> None:
 
 def test_parameters_are_set_and_told_again_to_who_comes_later(running: Running) -> None:
     writer = running.node.writer("/yumi_left/set_parameter", TEXT)
-    until(lambda: write(writer, TEXT, '{"gain": 0.75}') or running.row() or running.exchange.parameters.gain == 0.75)
+    until(
+        lambda: write(writer, TEXT, '{"gain": 0.75}') or running.commanded() or running.exchange.parameters.gain == 0.75
+    )
     reader = running.node.reader("/yumi_left/parameters", TEXT)
     found: list[Any] = []
     until(lambda: found.extend(taken(reader, TEXT)) or found)
@@ -255,31 +195,8 @@ def test_parameters_are_set_and_told_again_to_who_comes_later(running: Running) 
 
 def test_any_node_may_stop_the_arms(running: Running) -> None:
     writer = running.node.writer("/yumi_left/stop", "std_msgs/msg/Empty")
-    until(lambda: write(writer, "std_msgs/msg/Empty") or running.row() or running.exchange.arbiter.stopped)
+    until(lambda: write(writer, "std_msgs/msg/Empty") or running.commanded() or running.exchange.arbiter.stopped)
     assert running.exchange.arbiter.stopped == f"ros2 {client(writer)}"
-
-
-def test_a_server_that_listens_beyond_this_computer_is_for_reading() -> None:
-    running = Running(read_only=["ros2"])
-    writer = running.node.writer(VELOCITY, ARRAY)
-    diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
-
-    def told() -> str:
-        write(writer, ARRAY, *numbers(*[0.01] * 7))
-        return answer(running, diagnostics)
-
-    assert "it listens beyond this computer. Read." in until(told)
-    assert running.exchange.arbiter.commander("yumi_left") == ""
-    running.close()
-
-
-def test_a_loop_that_has_gone_ends_the_process() -> None:
-    exchange = Exchange([ARM], ["ros2"], about={"cell": "yumi"})
-    feed = exchange.open("ros2")
-    feed.recv(2**17)
-    exchange.close()
-    with pytest.raises(LinkError, match="Start it again"), feed:
-        serve(feed, {"domain": 0, "host": "127.0.0.1"})
 
 
 STRING, NUMBERS = "std_msgs/msg/String", "std_msgs/msg/Float64MultiArray"
@@ -287,7 +204,7 @@ STRING, NUMBERS = "std_msgs/msg/String", "std_msgs/msg/Float64MultiArray"
 
 def text(words: str) -> bytes:
     """A message of any number of bytes, also such that are no multiple of 4."""
-    return cdr(store().types[STRING](words), STRING)
+    return bytes(store().serialize_cdr(store().types[STRING](words), STRING))
 
 
 @pytest.fixture
@@ -298,7 +215,7 @@ def node() -> Iterator[Node]:
 
 
 def test_a_topic_is_wanted_while_it_has_a_reader(node: Node) -> None:
-    topics = {name: Published(name, STRING) for name in ("/a", "/b")}
+    topics = {name: RosTopic(name, STRING) for name in ("/a", "/b")}
     writers = Writers(node.participant, topics)
     assert writers.wanted == frozenset()
     readers = [node.reader("/b", STRING), node.reader("/b", STRING)]
@@ -319,7 +236,7 @@ def test_a_topic_is_wanted_while_it_has_a_reader(node: Node) -> None:
 
 
 def test_of_what_a_reader_has_not_read_the_last_ten_are_kept(node: Node) -> None:
-    topic = Published("/a", STRING)
+    topic = RosTopic("/a", STRING)
     writers = Writers(node.participant, {"/a": topic})
     reader = node.reader("/a", STRING)
     for k in range(500):
@@ -476,7 +393,7 @@ def test_golden_bytes() -> None:
 
 @pytest.mark.parametrize("name", sorted(PUBLISHED | TAKEN))
 def test_both_codecs_agree(name: str) -> None:
-    for seed in range(9):
+    for seed in range(3):
         ours = message(name, seed)
         expected = bytes(store().serialize_cdr(ours, name))
         assert plain(ours).serialize(use_version_2=False) == expected

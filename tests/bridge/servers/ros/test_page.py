@@ -1,22 +1,218 @@
-"""docs/ros.md says what is so: every topic with its type, and as checked what the tests with peers check."""
+"""docs/ros.md says what the tests check; the job that checks real ROS 2 in containers, without containers."""
 
 from __future__ import annotations
 
+import importlib.util
 import json
+import os
 import re
 import subprocess
+import sys
 from importlib.metadata import version
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import pytest
 
 from armlab import robots
-from armlab.bridge.servers.ros import Commands, Topics
+from armlab.bridge.cell import parse_cell
+from armlab.bridge.servers.ros.requests import Commands
+from armlab.bridge.servers.ros.topics import Topics
 from armlab.bridge.servers.row import RowSchema
 
-from .test_containers import JOB, ROOT
-from .test_dds_with_peers import PEERS
-from .test_rmw_zenoh_with_peers import RELEASES, SDK
+from .test_peers import PEERS, RELEASES, SDK
+
+ROOT = Path(__file__).parents[4]
+SCRIPT, CHECKS = ROOT / ".ci" / "ros2.py", ROOT / ".ci" / "ros2_checks.sh"
+
+
+def _loaded() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("ci_ros2", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    made = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(made)
+    return made
+
+
+JOB = _loaded()
+HZ = "average rate: 247.013\n\tmin: 0.003s max: 0.006s std dev: 0.00031s window: 249\n"
+
+INFO = """Type: sensor_msgs/msg/JointState
+
+Publisher count: 1
+
+Node name: armlab
+Node namespace: /
+Topic type: sensor_msgs/msg/JointState
+Topic type hash: RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e
+Endpoint type: PUBLISHER
+QoS profile:
+  Reliability: RELIABLE
+  History (Depth): KEEP_LAST (10)
+  Durability: VOLATILE
+
+Subscription count: 0
+"""
+
+
+def echoed(angle: float) -> str:
+    """One message as `ros2 topic echo` writes it."""
+    names = "".join(f"- yumi_robl_joint_{k}\n" for k in range(1, 8))
+    q = "".join(f"- {value}\n" for value in (0.0, -2.2, 1e-05, 0.5, 0.0, 0.7, angle))
+    head = "header:\n  stamp:\n    sec: 1795371167\n    nanosec: 174991857\n  frame_id: ''\n"
+    return f"{head}name:\n{names}position:\n{q}velocity: []\neffort: []\n---\n"
+
+
+SAID = {
+    "echo": echoed(0.0),
+    "hz": "average rate: 12.000\n\tmin: 0.1s\n" + HZ,
+    "info": INFO,
+    "parameters": "data: '{\"gain\": 3.0}'\n---\n",
+    "moved": echoed(0.3),
+    "stopped": echoed(0.31),
+    "held": echoed(0.3101),
+}
+
+OUTPUT = "".join(f"== {name}\n{text}" for name, text in {**SAID, "pub": "publisher: beginning loop\n"}.items())
+GOOD = dict.fromkeys(("echo", "hz", "info -v", "parameter", "command", "stop"), "")
+
+
+def test_what_ros2_says_is_read() -> None:
+    said = JOB.sections(OUTPUT)
+    assert {name: said[name] for name in SAID} == SAID
+    assert JOB.rate(said["hz"]) == 247.013
+    assert JOB.rate("no new messages\n") == 0.0
+    assert JOB.numbers(said["moved"], "position") == [0.0, -2.2, 1e-05, 0.5, 0.0, 0.7, 0.3]
+    assert JOB.numbers(said["moved"], "velocity") == []
+    for middleware in JOB.MIDDLEWARE:
+        assert JOB.judge(said, "jazzy", middleware) == GOOD
+
+
+@pytest.mark.parametrize(
+    ("part", "text", "check", "words"),
+    [
+        ("echo", "Could not determine the type for the passed topic\n", "echo", "no joint states"),
+        ("echo", echoed(0.0).replace("yumi_robl_", ""), "echo", "without names"),
+        ("hz", HZ.replace("247", "31"), "hz", "31.013 Hz"),
+        ("info", INFO.replace("RIHS01_a13e", "RIHS01_b13e"), "info -v", "RIHS01_a13e"),
+        ("info", INFO.replace("armlab", "_NODE_NAME_UNKNOWN_"), "info -v", "Node name: armlab"),
+        ("parameters", "data: '{\"gain\": 2.0}'\n", "parameter", "2.0"),
+        ("moved", echoed(0.01), "command", "turned by 0.0100 rad"),
+        ("moved", "", "command", "no joint states"),
+        ("held", echoed(0.5), "stop", "turned 0.1900"),
+    ],
+)
+def test_what_does_not_hold_is_told(part: str, text: str, check: str, words: str) -> None:
+    found = JOB.judge({**SAID, part: text}, "jazzy", "rmw_zenoh_cpp")
+    assert words in found[check]
+
+
+def test_nodes_that_say_nothing_pass_nothing() -> None:
+    assert all(JOB.judge({}, "humble", "rmw_fastrtps_cpp").values())
+
+
+def run_of(distribution: str, middleware: str, **wrong: str) -> dict[str, Any]:
+    return {"distribution": distribution, "middleware": middleware, "checks": {**GOOD, **wrong}}
+
+
+def test_the_sentence_says_what_passed_and_what_did_not() -> None:
+    assert JOB.clause([]) == "not yet against a running ROS 2 node"
+    fast, zenoh, bad = run_of("jazzy", "f"), run_of("jazzy", "z"), run_of("humble", "z", hz="31 Hz")
+    assert JOB.clause([bad]) == "not yet against a running ROS 2 node"
+    assert JOB.clause([fast, zenoh]) == "nodes of ROS 2 Jazzy (f, z) read and command"
+    assert JOB.clause([bad, fast]) == "nodes of ROS 2 Jazzy (f) read and command, not those of Humble (z)"
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    changed = JOB.stated(readme, [fast])
+    assert "; nodes of ROS 2 Jazzy (f) read and command. ROS 1: " in changed
+    assert JOB.stated(changed, []) == JOB.stated(readme, [])
+
+
+def test_cells_and_settings_are_those_of_the_page() -> None:
+    page = (ROOT / "docs" / "ros.md").read_text(encoding="utf-8")
+    for server in set(JOB.MIDDLEWARE.values()):
+        assert server in parse_cell(JOB.CELL.format(server, JOB.DOMAIN)).servers
+    assert JOB.settings("humble", "rmw_cyclonedds_cpp")["CYCLONEDDS_URI"] in page
+    assert "=".join(list(JOB.settings("jazzy", "rmw_cyclonedds_cpp").items())[-1]) in page
+    assert set(JOB.settings("jazzy", "rmw_fastrtps_cpp")) == {"RMW_IMPLEMENTATION", "ROS_DOMAIN_ID"}
+
+
+def test_the_script_in_the_container_parses() -> None:
+    done = subprocess.run(["bash", "-n", str(CHECKS)], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.fixture
+def programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with what is found of docker and armlab: nothing, until a test writes something."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    monkeypatch.setenv("PATH", f"{folder}:/usr/bin:/bin")
+    monkeypatch.setattr(sys, "executable", str(folder / "python"))
+    monkeypatch.setattr(JOB.shutil, "which", lambda name: str(folder / name) if (folder / name).exists() else None)
+    return folder
+
+
+def program(folder: Path, name: str, text: str) -> None:
+    (folder / name).write_text(f"#!/bin/bash\n{text}\n")
+    (folder / name).chmod(0o755)
+
+
+def ask(folder: Path, *wanted: str) -> tuple[int, Path, Path]:
+    results, readme = folder / "ros2.json", folder / "README.md"
+    readme.write_text("Checked against others; not yet against a running ROS 2 node. ROS 1: with a roscore.\n")
+    return JOB.main(list(wanted), results, (readme,)), results, readme
+
+
+def test_without_docker_it_refuses(programs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, results, _ = ask(programs)
+    assert status == 2
+    assert "Expected docker, got none" in capsys.readouterr().err
+    assert not results.exists()
+    assert ask(programs, "noetic")[0] == 2
+    assert "Expected some of humble, jazzy, kilted, got noetic." in capsys.readouterr().err
+
+
+def test_an_image_that_is_not_built_writes_nothing(programs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    program(programs, "docker", "exit 1")
+    status, results, _ = ask(programs)
+    assert status == 2
+    assert "ros:humble was not built" in capsys.readouterr().err
+    assert not results.exists()
+
+
+def test_a_run_makes_a_table_a_file_and_a_sentence(programs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With a docker that says what ROS 2 would, except to Cyclone DDS; and a bridge that only listens."""
+    (programs / "said.txt").write_text(OUTPUT)
+    seen = f'echo "$*" >> {programs}/asked.txt'
+    program(programs, "docker", f'{seen}; case "$*" in build*|*cyclone*) ;; *) cat {programs}/said.txt;; esac')
+    program(programs, "armlab", "echo listens >&2; trap 'exit 0' INT; while true; do sleep 0.05; done")
+    status, results, readme = ask(programs, "jazzy")
+    assert status == 1
+    runs = json.loads(results.read_text())
+    assert [(one["middleware"], any(one["checks"].values())) for one in runs] == [
+        ("rmw_fastrtps_cpp", False),
+        ("rmw_cyclonedds_cpp", True),
+        ("rmw_zenoh_cpp", False),
+    ]
+    said = "nodes of ROS 2 Jazzy (rmw_fastrtps_cpp, rmw_zenoh_cpp) read and command, not those of Jazzy"
+    assert said in readme.read_text()
+    out = capsys.readouterr().out
+    assert "jazzy  rmw_zenoh_cpp       yes   yes  yes" in out
+    assert "jazzy, rmw_cyclonedds_cpp, hz: 0 Hz" in out
+    asked = (programs / "asked.txt").read_text()
+    assert "build --pull -t armlab-ros2-jazzy -" in asked
+    assert "run --rm --network host -e RMW_IMPLEMENTATION=rmw_fastrtps_cpp -e ROS_DOMAIN_ID=77 " in asked
+
+
+def test_the_script_starts() -> None:
+    environment = {**os.environ, "PATH": "/nowhere"}
+    command = [sys.executable, str(SCRIPT)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "Install Docker." in done.stderr
+
 
 PAGE = (ROOT / "docs" / "ros.md").read_text(encoding="utf-8")
 RUNS = json.loads(JOB.RESULTS.read_text(encoding="utf-8")) if JOB.RESULTS.exists() else []

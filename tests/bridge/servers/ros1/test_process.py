@@ -19,15 +19,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import robots
+from armlab import cli, kinematics, robots
 from armlab.bridge.cell import parse_cell, run_cell
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.net.sockets import pair
-from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.ros1.process import Ros1Process, serve
 from armlab.bridge.servers.supervisor import Servers, server_command
 from armlab.errors import LinkError
-from armlab.log import Tick
+from armlab.lie import quaternion, se3
+from armlab.log import Recorder, Tick
 from armlab.state import State
 from tests.processes import bound
 
@@ -72,7 +73,6 @@ while rospy.get_time() < end and not rospy.is_shutdown():
     rospy.sleep(0.004)
 """
 
-
 LONG = ",".join(["0.123456"] * 8000), "Expected at most 65536 bytes of JSON"
 
 
@@ -94,7 +94,7 @@ class Running:
     def __init__(self, stack: contextlib.ExitStack, uri: str, host: str = "127.0.0.1") -> None:
         self.robot = robots.load("yumi_right")
         parameters = Parameters([Parameter("gain", 0.5)])
-        self.exchange = Exchange([self.robot], ["ros1"], parameters, ["ros1"], about={"cell": "yumi"})
+        self.exchange = Hub([self.robot], ["ros1"], parameters, ["ros1"], about={"cell": "yumi"})
         self.told: list[str] = []
         self.exchange.begin(lambda text, *_: self.told.append(text))
         command = server_command("ros1", options(uri, host=host))
@@ -179,7 +179,7 @@ class Alone:
     """The server's object between an exchange and a node that the test plays."""
 
     def __init__(self, stack: contextlib.ExitStack) -> None:
-        self.exchange = Exchange(
+        self.exchange = Hub(
             [robots.load("yumi_right")], ["ros1"], Parameters([Parameter("gain", 0.5)]), about={"cell": "yumi"}
         )
         stack.callback(self.exchange.close)
@@ -252,7 +252,7 @@ def test_a_connection_without_room_is_ended_and_the_reason_told(
     alone: Alone, came: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """There are too many connections; or the process may have no more files, and none came with the message."""
-    monkeypatch.setattr("armlab.bridge.servers.ros1.subscribers._MOST", 0)
+    monkeypatch.setattr("armlab.bridge.servers.ros1.process._MOST", 0)
     ours, theirs = socket.socketpair()
     with ours, theirs:
         numbers = [ours.fileno()] if came else []
@@ -300,7 +300,7 @@ def test_a_relay_that_is_killed_ends_the_server_which_starts_again(ros: Ros, run
 
 
 def test_what_is_missing_is_told_in_one_sentence(tmp_path: Path) -> None:
-    exchange = Exchange([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
+    exchange = Hub([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
     with exchange.open("ros1") as feed, pytest.raises(LinkError, match="Expected a Python with rospy at /none"):
         serve(feed, options("http://127.0.0.1:1", "/none"))
     without = tmp_path / "python"
@@ -314,7 +314,7 @@ def test_what_is_missing_is_told_in_one_sentence(tmp_path: Path) -> None:
 def test_no_master_or_another_address_is_told_in_one_sentence() -> None:
     if subprocess.run([PYTHON, "-c", "import rospy"], capture_output=True, check=False).returncode:
         pytest.skip(f"rospy is not installed for {PYTHON} (Debian: python3-rospy)")
-    exchange = Exchange([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
+    exchange = Hub([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
     uri = f"http://127.0.0.1:{free_port()}"
     with exchange.open("ros1") as feed, pytest.raises(LinkError, match=f"master at {uri}.*Start roscore"):
         serve(feed, options(uri))
@@ -350,3 +350,75 @@ def test_a_node_moves_the_arm_of_a_cell(ros: Ros, tmp_path: Path, monkeypatch: p
     moved = run.table["q"][-1] - run.table["q"][0]
     assert moved[3] > 0.05
     assert np.abs(np.delete(moved, 3)).max() < 0.01
+
+
+PUBLISHER = Path("/usr/lib/robot_state_publisher/robot_state_publisher")
+ARM = robots.load("yumi_left")
+Q = ARM.q_home + np.linspace(-0.2, 0.2, 7)
+
+PLAYER = """
+import json, subprocess, sys, rospy
+from sensor_msgs.msg import JointState
+from tf2_msgs.msg import TFMessage
+names, positions, urdf, publisher = json.load(open(sys.argv[1]))
+rospy.init_node("player")
+rospy.set_param("robot_description", urdf)
+found = {}
+def take(message):
+    for one in message.transforms:
+        t, r = one.transform.translation, one.transform.rotation
+        found[one.child_frame_id] = [one.header.frame_id, [t.x, t.y, t.z], [r.w, r.x, r.y, r.z]]
+readers = [rospy.Subscriber(name, TFMessage, take) for name in ("/tf", "/tf_static")]
+states = rospy.Publisher("/joint_states", JointState, queue_size=10)
+process = subprocess.Popen([publisher])
+end = rospy.get_time() + float(sys.argv[2])
+while rospy.get_time() < end and not {"link_1", "link_7", "tool"} <= set(found):
+    message = JointState(name=names, position=positions)
+    message.header.stamp = rospy.Time.now()
+    states.publish(message)
+    rospy.sleep(0.02)
+rospy.sleep(0.5)
+process.terminate()
+process.wait()
+print(json.dumps(found))
+"""
+
+
+def played(path: Path, topic: str) -> tuple[list[str], list[float]]:
+    """Return names and positions in the last message of a topic."""
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([path]) as reader:
+        connections = [one for one in reader.connections if one.topic == topic]
+        messages: list[Any] = [reader.deserialize(raw, one.msgtype) for one, _, raw in reader.messages(connections)]
+    return messages[-1].name, messages[-1].position.tolist()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["recording", "exported bag"])
+def test_a_played_recording_drives_robot_state_publisher(ros: Ros, tmp_path: Path, kind: str) -> None:
+    """Each link is where the arm's kinematics have it. Takes 5 s each."""
+    imports = subprocess.run([PYTHON, "-c", "import tf2_msgs.msg"], capture_output=True, check=False)
+    if not PUBLISHER.exists() or imports.returncode:
+        pytest.skip("robot_state_publisher is missing (Debian: ros-robot-state-publisher python3-tf2-msgs)")
+    with Recorder(tmp_path / "run.mcap", ARM) as recorder:
+        for k in range(5):
+            state = State(k * 0.004, 0.004, Q, np.zeros(7), np.zeros(7), seq=k, robot_ns=k * 4_000_000)
+            recorder.row(state, None, Tick(k, k, 10**18 + k * 4_000_000, 0, -1, 0))
+    path, topic = recorder.path, "/yumi_left/joint_states"
+    if kind == "exported bag":
+        path, topic = tmp_path / "run.rosbag2", "/joint_states"
+        assert cli.main(["log", "export", str(recorder.path), str(path)]) == 0
+    names, positions = played(path, topic)
+    assert names == list(ARM.ros_joint_names), "those of the live topic"
+    robots.save(ARM, tmp_path / "arm.urdf")
+    told = tmp_path / "told.json"
+    told.write_text(json.dumps([names, positions, (tmp_path / "arm.urdf").read_text(), str(PUBLISHER)]))
+    player = ros.program(PLAYER, str(told), "20")
+    output, _ = player.communicate(timeout=PATIENCE)
+    found = json.loads(output)
+    frame, T_base_tool = "tool", np.eye(4)
+    while frame != "base":
+        frame, position, rotation = found[frame]
+        T_base_tool = se3.from_rp(quaternion.to_matrix(np.array(rotation)), position) @ T_base_tool
+    np.testing.assert_allclose(T_base_tool, kinematics.forward(ARM, Q), rtol=0, atol=1e-9)

@@ -11,11 +11,11 @@ import pytest
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.servers.messages import Report, Request, parameter_message
-from armlab.bridge.servers.rosbridge import Engine
-from armlab.bridge.servers.rosbridge.session import Session
+from armlab.bridge.servers.rosbridge.engine import Engine
+from armlab.bridge.servers.rosbridge.session import ClientSession
 from armlab.bridge.servers.row import RowSchema, RowWriter
 from armlab.log import Tick
-from armlab.robots import to_toml
+from armlab.robots import Robot, to_toml
 from armlab.state import State
 
 MS = 1_000_000  # ns
@@ -37,6 +37,9 @@ class Loop:
         self.asked: list[Request] = []
         self.reports: list[str] = []
         self.tell()
+
+    def robots(self) -> dict[str, Robot]:
+        return {arm.name: arm for arm in ARMS}
 
     def ask(self, request: Request) -> bool:
         if isinstance(request, Report):
@@ -61,13 +64,13 @@ class Bench:
         self.writer = RowWriter(self.loop.schema)
         self.now = 10**12
 
-    def client(self, name: str = "127.0.0.1:5000", may_ask: bool = True) -> Session:
+    def client(self, name: str = "127.0.0.1:5000", may_ask: bool = True) -> ClientSession:
         return self.engine.join(name, may_ask)
 
-    def say(self, client: Session, text: str | bytes | None = None, **operation: Any) -> None:
+    def say(self, client: ClientSession, text: str | bytes | None = None, **operation: Any) -> None:
         self.engine.take(client, json.dumps(operation) if text is None else text, self.now)
 
-    def ask(self, client: Session, service: str, **fields: Any) -> Any:
+    def ask(self, client: ClientSession, service: str, **fields: Any) -> Any:
         """Return the values of an answer, or the sentence why not."""
         self.say(client, op="call_service", service=service, **fields)
         (answer,) = self.heard(client)
@@ -75,7 +78,7 @@ class Bench:
         assert isinstance(answer["values"], dict if answer["result"] else str)
         return answer["values"]
 
-    def heard(self, client: Session) -> list[Any]:
+    def heard(self, client: ClientSession) -> list[Any]:
         """Return what waits for a client."""
         return [json.loads(one) for one in client.outbox.take(2**30)]
 

@@ -1,11 +1,11 @@
-"""The protocol without sockets: what a client says, what it hears, what the loop is asked for."""
+"""rosbridge without sockets: what a client says and hears in either dialect, what the loop is asked for, what waits."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
-from typing import Any, get_args
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -14,25 +14,32 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab.bridge.servers.messages import CommandRequest, Leave, SetRequest, Stop, read_request
-from armlab.bridge.servers.rosbridge import Engine
-from armlab.bridge.servers.rosbridge.operations import (
+from armlab.bridge.servers.ros.topics import header, store
+from armlab.bridge.servers.rosbridge.engine import Engine
+from armlab.bridge.servers.rosbridge.protocol import (
+    HEADER,
     LARGEST,
+    TIME,
     Advertise,
     CallService,
-    Level,
+    Dialect,
     Operation,
     Publish,
     ServiceResponse,
     SetLevel,
-    Status,
-    Subscribe,
+    StatusOperation,
+    SubscribeOperation,
     Unadvertise,
     Unsubscribe,
-    full_name,
+    fields,
     id_of,
+    publish,
     read_operation,
+    read_type,
+    type_name,
 )
 from armlab.bridge.servers.rosbridge.rosapi import SET_PARAM, Rosapi, parameter_name
+from armlab.bridge.servers.rosbridge.session import Outbox, Subscription
 from armlab.errors import CommandRefused
 
 from .conftest import Bench
@@ -71,21 +78,6 @@ def test_names_without_a_leading_slash_are_resolved_and_echoed_as_asked(bench: B
     assert [one["topic"] for one in bench.heard(client)] == ["yumi_left/parameters"]
     bench.say(client, op="subscribe", topic=f"/{STATES}")
     assert "Expected the name of a topic" in bench.heard(client)[0]["msg"], "two slashes are no other spelling"
-
-
-def test_services_without_a_leading_slash_are_answered_as_asked(bench: Bench) -> None:
-    client = bench.client()
-    assert bench.ask(client, "rosapi/topics") == bench.ask(client, "/rosapi/topics")
-    assert bench.ask(client, "rosapi/topic_type", args={"topic": STATES[1:]})["type"] == "sensor_msgs/msg/JointState"
-    asked = {"service": "rosapi/get_time"}
-    assert bench.ask(client, "rosapi/service_type", args=asked)["type"] == "rosapi_msgs/srv/GetTime"
-    call = {"op": "call_service", "service": "rosapi/set_param"}
-    bench.say(client, **call, id="late", args=["gain", "1.0"])
-    bench.engine.turn(bench.now + 10**10)
-    (answer,) = bench.heard(client)
-    assert (answer["service"], answer["id"], answer["result"]) == ("rosapi/set_param", "late", False)
-    bench.say(client, **call, id="wrong", args=["gain", "{"])
-    assert bench.heard(client)[0]["service"] == "rosapi/set_param"
 
 
 def test_what_nobody_says_comes_from_the_configuration(bench: Bench) -> None:
@@ -186,6 +178,7 @@ def test_commands_carry_the_identity_of_the_connection(bench: Bench) -> None:
     bench.say(client, op="publish", topic="/yumi/joint_group_velocity_controller/commands", msg={"data": [0.0] * 14})
     bench.say(client, op="publish", topic="/yumi_left/set_parameter", msg={"data": '{"gain": 1.0}'})
     bench.say(client, op="publish", topic="/yumi_left/stop", msg={})
+    bench.say(client, op="status", level="error", msg="of the client")
     bench.engine.leave(client)
     assert bench.heard(client) == []
     me = "127.0.0.1:4711"
@@ -322,12 +315,16 @@ def test_a_setting_that_the_loop_does_not_answer(bench: Bench) -> None:
 _JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
     lambda inner: st.lists(inner, max_size=8) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
-    max_leaves=12,
+    max_leaves=6,
 )
+
 _OPS = ["subscribe", "unsubscribe", "advertise", "unadvertise", "publish", "call_service", "service_response", "png"]
+
 _OPS += ["set_level", "status", "fragment"]
+
 _NAMES = [STATES, POSITION, "/yumi_left/parameters", "/yumi_left/set_parameter", "/yumi_left/stop"]
 FUZZED = Bench()
+
 _VALUES = {
     "op": st.sampled_from(_OPS),
     "topic": st.sampled_from(_NAMES),
@@ -342,10 +339,11 @@ _VALUES = {
     "throttle_rate": st.integers(-1, 100),
     "queue_length": st.integers(-1, 100),
 }
+
 _OPERATION = st.fixed_dictionaries({}, optional={name: value | _JSON for name, value in _VALUES.items()})
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(said=st.lists(_OPERATION | _JSON | st.text() | st.binary(), max_size=8))
 def test_whatever_a_client_says_is_done_or_answered(said: list[Any]) -> None:
     """Any JSON, any text, any bytes: no exception; what goes out is JSON, what is asked is a request."""
@@ -366,10 +364,10 @@ def test_whatever_a_client_says_is_done_or_answered(said: list[Any]) -> None:
 
 GOLDEN: dict[str, Operation] = {
     '{"op":"subscribe","id":"s:1","type":"a/B","topic":"/a","compression":"none","throttle_rate":5,"queue_length":2}': (
-        Subscribe(id="s:1", topic="/a", type="a/B", compression="none", throttle_rate=5.0, queue_length=2)
+        SubscribeOperation(id="s:1", topic="/a", type="a/B", compression="none", throttle_rate=5.0, queue_length=2)
     ),
     '{"op":"subscribe","topic":"/a","throttle_rate":null,"queue_length":null,"type":null,"more":[{}]}': (
-        Subscribe(topic="/a", throttle_rate=None, queue_length=None)
+        SubscribeOperation(topic="/a", throttle_rate=None, queue_length=None)
     ),
     '{"op":"unsubscribe","id":3,"topic":"/a"}': Unsubscribe(id=3, topic="/a"),
     '{"op":"advertise","type":"a/B","topic":"/a","latch":false,"queue_size":100}': Advertise(topic="/a", type="a/B"),
@@ -379,7 +377,7 @@ GOLDEN: dict[str, Operation] = {
     '{"op":"call_service","id":"c","service":"/s","args":[1]}': CallService(id="c", service="/s", args=[1]),
     '{"op":"service_response","service":"/s","values":{},"result":true}': ServiceResponse(service="/s"),
     '{"op":"set_level","level":"warning"}': SetLevel(level="warning"),
-    '{"op":"status","level":"error","msg":"a"}': Status(),
+    '{"op":"status","level":"error","msg":"a"}': StatusOperation(),
 }
 
 
@@ -387,16 +385,6 @@ GOLDEN: dict[str, Operation] = {
 def test_golden_operations(text: str, operation: Operation) -> None:
     assert read_operation(text) == operation
     assert id_of(text) == operation.id
-
-
-def test_levels() -> None:
-    for level in get_args(Level):
-        assert read_operation(json.dumps({"op": "set_level", "level": level})) == SetLevel(level=level)
-
-
-def test_a_missing_leading_slash_is_added() -> None:
-    assert full_name("a/b") == full_name("/a/b") == "/a/b"
-    assert full_name("//a") == "//a", "no other spelling is understood"
 
 
 def test_too_long_and_ids_that_are_none() -> None:
@@ -477,3 +465,136 @@ def test_parameters(bench: Bench) -> None:
     assert "declared and stay" in bench.ask(client, "/rosapi/delete_param", args=["gain"])
     assert "as JSON text" in bench.ask(client, "/rosapi/set_param", args=["gain", "{"])
     assert "gain" in bench.ask(client, "/rosapi/set_param", args=["none", "1"])
+
+
+TYPES = store().types
+
+
+def encoded(topic: str, message: Any, dialect: Dialect, seq: int) -> bytes:
+    return publish(topic, message, message.__msgtype__, dialect, seq)
+
+
+def test_the_text_of_a_type_tells_the_dialect() -> None:
+    assert read_type("sensor_msgs/JointState") == ("sensor_msgs/msg/JointState", "ros1")
+    assert read_type("sensor_msgs/msg/JointState") == ("sensor_msgs/msg/JointState", "ros2")
+    assert type_name("sensor_msgs/msg/JointState", "ros1") == "sensor_msgs/JointState"
+    assert type_name("sensor_msgs/msg/JointState", "ros2") == "sensor_msgs/msg/JointState"
+
+
+@pytest.mark.parametrize(
+    "text", ["", "JointState", "a/b/c", "a/msg/", "/a", "a/srv/B", "a/" + "b" * 300, "1/A", "a/B\n"]
+)
+def test_what_is_no_type_is_refused(text: str) -> None:
+    with pytest.raises(CommandRefused, match="such as sensor_msgs/JointState"):
+        read_type(text)
+
+
+def test_golden_joint_state_in_both_dialects() -> None:
+    numbers = np.array([0.5, np.nan, np.inf])
+    message = TYPES["sensor_msgs/msg/JointState"](
+        header(5_000_000_250, "base"), ["a"], numbers, numbers[:0], numbers[:1]
+    )
+    assert encoded("/yumi/joint_states", message, "ros2", 7) == (
+        b'{"op":"publish","topic":"/yumi/joint_states","msg":{"header":{"stamp":{"sec":5,"nanosec":250},'
+        b'"frame_id":"base"},"name":["a"],"position":[0.5,null,null],"velocity":[],"effort":[0.5]}}'
+    )
+    assert encoded("/yumi/joint_states", message, "ros1", 7) == (
+        b'{"op":"publish","topic":"/yumi/joint_states","msg":{"header":{"seq":7,"stamp":{"secs":5,"nsecs":250},'
+        b'"frame_id":"base"},"name":["a"],"position":[0.5,null,null],"velocity":[],"effort":[0.5]}}'
+    )
+
+
+def test_messages_in_messages() -> None:
+    pair = TYPES["diagnostic_msgs/msg/KeyValue"]("rate", "250")
+    status = TYPES["diagnostic_msgs/msg/DiagnosticStatus"](
+        level=1, name="n", message="m", hardware_id="h", values=[pair]
+    )
+    message = TYPES["diagnostic_msgs/msg/DiagnosticArray"](header(1), [status])
+    found = json.loads(encoded("/d", message, "ros2", 1))["msg"]["status"]
+    assert found == [
+        {"level": 1, "name": "n", "message": "m", "hardware_id": "h", "values": [{"key": "rate", "value": "250"}]}
+    ]
+
+
+@pytest.mark.parametrize(("dialect", "names"), [("ros1", {"secs", "nsecs"}), ("ros2", {"sec", "nanosec"})])
+def test_stamps_wherever_they_are(dialect: Dialect, names: set[str]) -> None:
+    stamp = TYPES[TIME](1, 2)
+    assert json.loads(encoded("/t", stamp, dialect, 1))["msg"].keys() == names
+    assert json.loads(encoded("/t", TYPES[HEADER](stamp, "a"), dialect, 1))["msg"]["stamp"].keys() == names
+
+
+def test_fields_are_those_of_the_definition() -> None:
+    assert fields("std_msgs/msg/Float64MultiArray") == ("layout", "data")
+    assert fields("std_msgs/msg/Empty") == ()
+    assert json.loads(encoded("/e", TYPES["std_msgs/msg/Empty"](), "ros2", 1))["msg"] == {}
+
+
+MS = 1_000_000
+
+
+def made(throttle_ms: float, queue_length: int) -> tuple[Subscription, Outbox]:
+    outbox = Outbox()
+    subscription = Subscription("/a", outbox, "ros2")
+    subscription.add("", throttle_ms, queue_length)
+    return subscription, outbox
+
+
+def played(subscription: Subscription, outbox: Outbox, count: int) -> list[tuple[int, int]]:
+    """Offer a message every 4 ms; return the time [ms] and the number of those that were sent."""
+    found = []
+    for k in range(count):
+        if subscription.is_due(4 * k * MS):
+            subscription.offer(b"%d" % k, 4 * k * MS)
+        found += [(4 * k, int(one)) for one in outbox.take(1000)]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("throttle_ms", "queue_length", "sent", "dropped"),
+    [
+        (10.0, 0, [(0, 0), (12, 3), (24, 6), (36, 9)], 0),  # the newest
+        (12.0, 2, [(0, 0), (12, 1), (24, 4), (36, 7)], 4),  # 2, 3, 5 and 6; 8 and 9 wait
+    ],
+)
+def test_throttled_topics(throttle_ms: float, queue_length: int, sent: list[tuple[int, int]], dropped: int) -> None:
+    subscription, outbox = made(throttle_ms, queue_length)
+    assert played(subscription, outbox, 10) == sent
+    assert outbox.dropped == dropped
+
+
+def test_of_several_ids_the_most_eager_counts() -> None:
+    subscription, outbox = made(1000.0, 0)
+    subscription.add("fast", 0.0, 0)
+    assert len(played(subscription, outbox, 5)) == 5
+    assert not subscription.remove("fast")
+    assert not subscription.remove("unknown")
+    assert [number for _, number in played(subscription, outbox, 500)] == [4, 254]
+    assert subscription.remove(None)
+
+
+def test_what_waits_for_a_slow_client_is_bounded_in_number_time_and_bytes() -> None:
+    subscription, queue = made(0.0, 2)
+    for k in range(5):
+        subscription.offer(b"%d" % k, 0)
+        queue.put(b"b%d" % k, 0, "/b")
+    assert queue.take(1000) == [b"b0", b"b1", b"b2", b"3", b"b3", b"4", b"b4"]
+    old, large = Outbox(), Outbox()
+    for k in range(500):
+        old.put(b"%d" % k, 4 * k * MS)
+        large.put(bytes(2**16), 0)
+    assert (queue.dropped, old.dropped, large.dropped) == (3, 249, 436)
+    assert old.take(4) == [b"249", b"250"], "a second of them"
+    assert old.take(2**20) == [b"%d" % k for k in range(251, 500)]
+    assert len(large.take(2**30)) == 64, "four megabytes"
+
+
+def test_a_client_is_stuck_when_it_takes_nothing_for_ten_seconds() -> None:
+    box = Outbox()
+    assert not box.is_stuck(10**15)
+    for k in range(2501):
+        box.put(b"", 4 * k * MS)
+        assert not box.is_stuck(4 * k * MS)
+    box.put(b"", 10_004 * MS)
+    assert box.is_stuck(10_004 * MS)
+    box.take(1)
+    assert not box.is_stuck(10_004 * MS)

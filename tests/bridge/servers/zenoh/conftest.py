@@ -5,31 +5,18 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import numpy as np
 import pytest
 
-from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.servers.hub import Exchange
-from armlab.bridge.servers.zenoh import Place, close_session
+from armlab.bridge.inputs.parameters import Parameter
 from armlab.bridge.servers.zenoh.process import ZenohProcess
-from armlab.log import Tick
+from armlab.bridge.servers.zenoh.session import LabAddress, close_session
 from armlab.robots import Robot
-from armlab.state import State
 
-from ....processes import free_port, until
-
-PATIENCE = 15.0  # s; only a test that fails waits so long
-
-
-class Bytes(bytes):
-    """As a payload of Zenoh's has them."""
-
-    def to_bytes(self) -> bytes:
-        return bytes(self)
+from ....processes import free_port
+from ..conftest import Served
 
 
 class Wire:
@@ -71,52 +58,13 @@ class Wire:
                 one.shutdown(socket.SHUT_RDWR)
 
 
-class Running:
-    """A Zenoh server in a thread, at the other end of an exchange."""
+class Running(Served):
+    """A Zenoh server in a thread."""
 
     def __init__(self, robot: Robot, port: int, **options: Any) -> None:
         declared = [Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone"), Parameter("n", 2, "int")]
-        self.robot, self.exchange = robot, Exchange([robot], ["zenoh"], Parameters(declared), ["zenoh"], about=ABOUT)
         self.options = {"lab": "lab1", "host": "127.0.0.1", "port": port, **options}
-        self.feed = self.exchange.open("zenoh")
-        self.process = ZenohProcess(self.feed, self.options)
-        self.thread = threading.Thread(target=self.process.run)
-        self.thread.start()
-        self.tick = 0
-        until(lambda: self.exchange.poll() or self.exchange.outlets["zenoh"].where)
-
-    def state(self, **fields: Any) -> State:
-        q = np.array(self.robot.q_home)
-        nan = np.full(self.robot.n, np.nan)
-        known = {
-            "t": 0.004 * self.tick,
-            "dt": 0.004,
-            "q": q,
-            "qd": np.zeros(self.robot.n),
-            "tau": nan,
-            "seq": self.tick,
-        }
-        return State(robot=self.robot.name, q_start=q, **{**known, **fields})
-
-    def row(self, **fields: Any) -> State:
-        """Let the loop send one row, and see what came back."""
-        state = self.state(**fields)
-        self.exchange.row(state, None, Tick(self.tick, -1, time.time_ns(), time.time_ns(), -1, 0))
-        self.tick += 1
-        return state
-
-    def commanded(self) -> Any:
-        """One tick of the loop: what the arbiter commands."""
-        return self.exchange.arbiter(self.row())
-
-    def close(self) -> None:
-        self.exchange.close()
-        self.thread.join(PATIENCE)
-        assert not self.thread.is_alive()
-        self.feed.close()
-
-
-ABOUT = {"cell": "yumi", "commands": ["zenoh"]}
+        super().__init__("zenoh", robot, lambda feed: ZenohProcess(feed, self.options), declared)
 
 
 @pytest.fixture
@@ -139,7 +87,7 @@ def session() -> Iterator[Callable[..., Any]]:
     made: list[Any] = []
 
     def begin(port: int, **options: str) -> Any:
-        made.append(Place.of("127.0.0.1", port, options).open())
+        made.append(LabAddress.of("127.0.0.1", port, options).open())
         return made[-1]
 
     yield begin

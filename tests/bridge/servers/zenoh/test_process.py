@@ -1,27 +1,36 @@
-"""The Zenoh server: rows and events go out, commands, parameters and stops of clients come back to the loop."""
+"""The Zenoh server: rows and events go out, commands, parameters and stops come back; and in whole cells."""
 
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
 import socket
 import struct
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.cell import parse_cell
+from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.row import RowSchema, read_row
 from armlab.bridge.servers.supervisor import Servers, server_command
-from armlab.bridge.servers.zenoh import Attached, key, queried, robots_at
-from armlab.bridge.servers.zenoh.process import ZenohProcess, serve
+from armlab.bridge.servers.zenoh.feed import robots_at
+from armlab.bridge.servers.zenoh.keys import Attachment, key
+from armlab.bridge.servers.zenoh.session import LabAddress, close_session, queried
 from armlab.errors import LinkError
 from armlab.robots import Robot
 
-from .conftest import Running, free_port, until
+from ....processes import free_port
+from ..conftest import PATIENCE, play, until
+from .conftest import Running
 
 ME, OTHER = bytes(range(16)), bytes(range(100, 116))
 Start = Callable[..., Running]
@@ -29,7 +38,7 @@ Open = Callable[..., Any]
 
 
 def attached(seq: int, sender: bytes = ME) -> bytes:
-    return Attached(sender, seq, 5).pack()
+    return Attachment(sender, seq, 5).pack()
 
 
 def heard(session: Any, name: str) -> list[Any]:
@@ -181,7 +190,7 @@ def test_a_port_that_something_else_holds(robot: Robot) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        exchange = Exchange([robot], ["zenoh"])
+        exchange = Hub([robot], ["zenoh"])
         options = {"lab": "lab", "host": "127.0.0.1", "port": taken.getsockname()[1]}
         with (
             pytest.raises(LinkError, match="something else holds it"),
@@ -192,7 +201,7 @@ def test_a_port_that_something_else_holds(robot: Robot) -> None:
 
 def test_it_is_one_of_the_bridge_s_servers(robot: Robot) -> None:
     """As a process, which ends with the loop."""
-    exchange = Exchange([robot], ["zenoh"])
+    exchange = Hub([robot], ["zenoh"])
     port = free_port()
     options = {"lab": "lab", "host": "127.0.0.1", "port": port}
     with Servers(exchange, {"zenoh": server_command("zenoh", options)}) as servers:
@@ -203,12 +212,73 @@ def test_it_is_one_of_the_bridge_s_servers(robot: Robot) -> None:
     assert running.returncode == 0
 
 
-def test_a_loop_that_has_gone_ends_it(robot: Robot) -> None:
-    exchange = Exchange([robot], ["zenoh"])
-    feed = exchange.open("zenoh")
-    feed.recv(2**17)
-    exchange.close()
-    with feed:
-        for run in (serve, ZenohProcess):
-            with pytest.raises(LinkError, match="Start it again"):
-                run(feed, {})
+CELL = """
+commands = ["zenoh"]
+[[robots]]
+name = "yumi_left"
+link = "sim://yumi_left"
+[servers.zenoh]
+port = {port}
+"""
+
+
+class Client:
+    """Rows of the arm as they come, and commands to it."""
+
+    def __init__(self, port: int, sender: bytes) -> None:
+        self.session, self.sender, self.seq = LabAddress("127.0.0.1", port).open(), sender, 0
+        ((_, text),) = queried(self.session, key("lab", "yumi_left", "schema"), PATIENCE)
+        self.schema, self.rows, self.answers = RowSchema.read(text), [], []
+        for name, found in (("live", self.rows), ("answer/*", self.answers)):
+            self.session.declare_subscriber(key("lab", "yumi_left", name), found.append)
+
+    def last(self) -> Any:
+        return read_row(self.schema, self.rows[-1].payload.to_bytes()).values
+
+    def command(self, q: np.ndarray) -> None:
+        self.seq += 1
+        attached = Attachment(self.sender, self.seq, 0).pack()
+        self.session.put(key("lab", "yumi_left", "command/position"), q.tobytes(), attachment=attached)
+
+
+STOPPED = """
+import sys, time
+from armlab.bridge.servers.zenoh.session import LabAddress
+from armlab.bridge.servers.zenoh.keys import key
+session = LabAddress("127.0.0.1", int(sys.argv[1])).open()
+session.declare_subscriber(key("lab", "yumi_left", "*"), lambda sample: print("row", flush=True))
+time.sleep(600)
+"""
+
+
+@pytest.mark.slow
+def test_a_reader_that_stands_still_disturbs_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It reads every key and is stopped by a signal for 15 s, longer than its buffers last; then it is killed."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    port, gaps = free_port(), []
+
+    def script() -> None:
+        client = Client(port, b"a" * 16)
+        until(lambda: client.rows)
+        reader = subprocess.Popen([sys.executable, "-c", STOPPED, str(port)], stdout=subprocess.PIPE)
+        assert reader.stdout is not None
+        assert reader.stdout.readline() == b"row\n"
+        os.kill(reader.pid, signal.SIGSTOP)
+        ticks = [client.last()["yumi_left.tick"]]
+        end = ticks[0] + 15 * 250
+        del client.rows[:]
+
+        until(lambda: client.rows and client.last()["yumi_left.tick"] >= end, patience=120.0)
+        numbers = [read_row(client.schema, row.payload.to_bytes()).values["yumi_left.tick"] for row in client.rows]
+        gaps.extend(np.diff(numbers).tolist())
+        os.kill(reader.pid, signal.SIGCONT)
+        reader.kill()
+        reader.wait()
+        reader.stdout.close()
+        close_session(client.session)
+
+    run = play(monkeypatch, parse_cell(CELL.format(port=port)), script)
+    received, lost = len(gaps) + 1, sum(gap - 1 for gap in gaps)
+    assert min(gaps) == 1, "in order"
+    assert lost <= 0.001 * (received + lost), f"{lost} of {received + lost} lost"
+    assert run.reason == "the controller ended the run"

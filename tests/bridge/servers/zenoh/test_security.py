@@ -12,16 +12,17 @@ import pytest
 
 from armlab.bridge.cell import parse_cell
 from armlab.bridge.listen import listening
-from armlab.bridge.servers.hub import Exchange
-from armlab.bridge.servers.zenoh import Attached, Place, Security, close_session, key, queried, robots_at
-from armlab.bridge.servers.zenoh.process import ZenohProcess
-from armlab.bridge.servers.zenoh.security import BRIDGE, COMMANDER
-from armlab.bridge.servers.zenoh.session import open_near, wait_for_router
+from armlab.bridge.servers.zenoh.feed import robots_at
+from armlab.bridge.servers.zenoh.keys import Attachment, key
+from armlab.bridge.servers.zenoh.security import BRIDGE, COMMANDER, Security
+from armlab.bridge.servers.zenoh.session import LabAddress, close_session, open_near, queried, wait_for_router
 from armlab.cli.bridge import write_certificates
 from armlab.errors import ConfigError, LinkError
 from armlab.robots import Robot
 
-from .conftest import Running, free_port, until
+from ....processes import free_port
+from ..conftest import until
+from .conftest import Running
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
 Start = Callable[..., Running]
@@ -64,7 +65,7 @@ def test_a_commander_commands_and_a_viewer_reads(start: Start, session: Open, la
     count = iter(range(10**6))
 
     def put(who: Any, sender: bytes) -> Any:
-        who.put(where, wanted.tobytes(), attachment=Attached(sender, next(count), 0).pack())
+        who.put(where, wanted.tobytes(), attachment=Attachment(sender, next(count), 0).pack())
         who.put(key("lab1", robot.name, "param/gain"), "0.75")
         return one.commanded()
 
@@ -97,7 +98,7 @@ def test_who_is_not_let_in(start: Start, lab: Path, tmp_path: Path, robot: Robot
         {**right, "ca": ""},
     ):
         with pytest.raises(LinkError, match="none let us in"):
-            Place.of("127.0.0.1", one.options["port"], options).open(0.7)
+            LabAddress.of("127.0.0.1", one.options["port"], options).open(0.7)
     one.row()
     assert not one.exchange.arbiter.refused
     assert not one.exchange.arbiter.obeyed[robot.name]
@@ -112,7 +113,7 @@ def test_passwords_alone_do_not_encrypt_but_keep_viewers_from_commanding(
 
     def read() -> bool:
         data = np.asarray(robot.q_home).tobytes()
-        viewer.put(key("lab1", robot.name, "command/position"), data, attachment=Attached(b"v" * 16, 1, 0).pack())
+        viewer.put(key("lab1", robot.name, "command/position"), data, attachment=Attachment(b"v" * 16, 1, 0).pack())
         return one.commanded() is None and len(rows) > 100
 
     until(read)
@@ -138,17 +139,6 @@ def test_commands_beyond_this_computer_need_both(lab: Path) -> None:
     assert listening(["zenoh=0.0.0.0"], cell) == {"zenoh": "0.0.0.0"}
 
 
-def test_commands_through_a_router_elsewhere_need_both(robot: Robot) -> None:
-    exchange = Exchange([robot], ["zenoh"], about={"commands": ["zenoh"]})
-    options = {"lab": "lab", "host": "127.0.0.1", "port": free_port(), "router": "192.168.1.9:7447"}
-    with (
-        exchange.open("zenoh") as feed,
-        pytest.raises(ConfigError, match="7447 is not on this computer"),
-    ):
-        ZenohProcess(feed, options)
-    exchange.close()
-
-
 def test_a_bridge_comes_to_a_router_with_passwords(lab: Path) -> None:
     files, far, own = bridge_files(lab), free_port(), free_port()
     router, _ = open_near("127.0.0.1", far, security=Security.of(files))
@@ -159,7 +149,7 @@ def test_a_bridge_comes_to_a_router_with_passwords(lab: Path) -> None:
     assert wait_for_router(reading, 20.0)
     commanded, where = open_near("127.0.0.1", own, place, Security.of({**files, **secret}), commands=True)
     assert where == f"tls/127.0.0.1:{own} (zenoh, through the router at {place})"
-    commander = Place.of("127.0.0.1", own, user(lab, "commander")).open(20.0)
+    commander = LabAddress.of("127.0.0.1", own, user(lab, "commander")).open(20.0)
     for session in (commander, commanded, reading, router):
         close_session(session)
 

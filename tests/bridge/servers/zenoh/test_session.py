@@ -1,17 +1,38 @@
-"""Sessions: their configuration, and that they are closed whatever happens."""
+"""Zenoh: sessions and their end, keys and attachments byte by byte, texts of bridges, rows that wait or are missing."""
 
 from __future__ import annotations
 
+import itertools
+import json
 import re
+import struct
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from armlab.bridge.servers.zenoh import Asking
+from armlab import robots
+from armlab.bridge.servers.messages import text_message
+from armlab.bridge.servers.row import LARGEST, RowField, RowSchema, RowWriter
+from armlab.bridge.servers.status import Status
+from armlab.bridge.servers.zenoh.keys import COMMANDS, EVERY, Attachment, key, robot_of
+from armlab.bridge.servers.zenoh.messages import About, read_about, read_message
+from armlab.bridge.servers.zenoh.rows import Gaps, Inbox, checksum, undamaged
+from armlab.bridge.servers.zenoh.security import Security
 from armlab.bridge.servers.zenoh.session import (
+    LAB,
+    PORT,
+    BlockingPublisher,
+    Discovery,
+    LabAddress,
+    Publisher,
     close_session,
     data_of,
     open_near,
@@ -20,12 +41,16 @@ from armlab.bridge.servers.zenoh.session import (
     wait_for_router,
     zenoh,
 )
-from armlab.errors import ConfigError, LinkError, MissingExtra
+from armlab.errors import ArmlabError, CommandRefused, ConfigError, LinkError, MissingExtra
+from armlab.log import Tick
+from armlab.robots import to_toml
+from armlab.state import State
 
-from .conftest import free_port, until
+from ....processes import free_port
+from ..conftest import PATIENCE, until
 
 FORGOTTEN = """
-from armlab.bridge.servers.zenoh import open_session
+from armlab.bridge.servers.zenoh.session import open_session
 session = open_session("peer", ["127.0.0.1:0"])
 session.declare_subscriber("a", print)
 {last}
@@ -167,7 +192,7 @@ def test_the_answer_comes_and_a_question_is_not_repeated_at_once(session: Callab
 
     answering = router.declare_queryable("armlab/lab1/*/about", answer)
     told: list[tuple[str, str, bytes]] = []
-    asking = Asking(session(port), lambda *words: told.append(words))
+    asking = Discovery(session(port), lambda *words: told.append(words))
     until(lambda: asking.ask("lab1", "arm") or told)  # it does not know at once of who can answer
     assert told[0] == ("lab1", "arm", b"here")
     before = len(asked)
@@ -180,3 +205,249 @@ def test_the_answer_comes_and_a_question_is_not_repeated_at_once(session: Callab
     close_session(router)
     asking._due.clear()
     asking.ask("lab1", "arm")  # nobody answers: nothing is raised
+
+
+def test_names() -> None:
+    assert key("lab1", "yumi_left", "state") == "armlab/lab1/yumi_left/state"
+    assert key("lab1", EVERY, "alive") == "armlab/lab1/*/alive"
+    assert robot_of("armlab/lab1/yumi_left/param/gain") == ("lab1", "yumi_left")
+    assert COMMANDS == {"position": "q", "velocity": "qd", "effort": "tau", "motion": "q qd"}
+
+
+def test_golden_attachment() -> None:
+    one = Attachment(bytes(range(16)), 1, -2)
+    assert one.pack().hex() == "000102030405060708090a0b0c0d0e0f0100000000000000feffffffffffffff"
+    assert one.client == "000102030405060708090a0b0c0d0e0f"
+    assert Attachment(b"labpc-" + b"A" * 10, 1, 0).client != Attachment(b"labpc-" + b"B" * 10, 1, 0).client
+
+
+@given(st.binary(max_size=80))
+def test_attachments_are_read_or_refused(data: bytes) -> None:
+    if len(data) == 32:
+        assert Attachment.read(data) == Attachment(data[:16], *struct.unpack("<qq", data[16:]))
+        assert Attachment.read(data).pack() == data
+    else:
+        with pytest.raises(CommandRefused, match=f"got {len(data)} bytes"):
+            Attachment.read(data)
+
+
+def test_no_attachment() -> None:
+    with pytest.raises(CommandRefused, match="got none"):
+        Attachment.read(None)
+
+
+def test_urls(tmp_path: Path) -> None:
+    (tmp_path / "lab.pem").write_text("")
+    assert LabAddress.read("zenoh://host") == LabAddress("host", PORT, LAB)
+    assert LabAddress.read("zenoh://host:1/a") == LabAddress("host", 1, "a", Security())
+    assert LabAddress.read(f"zenoh://host/a?ca={tmp_path}/lab.pem").security == Security(ca=tmp_path / "lab.pem")
+    for url in ("http://host", "zenoh://", "zenoh://host/a/b", "zenoh://host/*", "zenoh://host:x", "zenoh"):
+        with pytest.raises(ConfigError, match="Expected a place like"):
+            LabAddress.read(url)
+    with pytest.raises(ConfigError, match="Invalid IPv6"):
+        LabAddress.read("zenoh://[::1/a")
+    with pytest.raises(ConfigError, match="only ca and secret"):
+        LabAddress.read("zenoh://host?seed=1")
+    with pytest.raises(ConfigError, match="there is none"):
+        LabAddress.read(f"zenoh://host?secret={tmp_path}/none")
+
+
+def test_nobody_there() -> None:
+    with pytest.raises(LinkError, match="See whether it runs"):
+        LabAddress("127.0.0.1", free_port()).open(0.3)
+    with pytest.raises(LinkError, match="Expected a Zenoh router"):
+        LabAddress(port=free_port()).open_behind(0.2)
+
+
+ARM = robots.load("ur5e")
+SCHEMA = RowSchema.of([ARM])
+
+
+def about(**changed: Any) -> dict[str, Any]:
+    said = {"kind": "about", "run": "a", "cell": "c", "schema": SCHEMA.text.decode(), "robots": {"ur5e": to_toml(ARM)}}
+    return {**said, **changed}
+
+
+def test_what_a_bridge_says() -> None:
+    parameters = {"kind": "parameters", "parameters": [{"name": "gain", "value": 0.5}]}
+    found = read_about(json.dumps([about(), parameters]).encode())
+    assert isinstance(found, About)
+    assert found.said == [about(), parameters]
+    assert (found.run, found.cell, found.schema.id, found.robots["ur5e"].hash) == ("a", "c", SCHEMA.id, ARM.hash)
+    for text in (
+        text_message("event", stamp_ns=1, text="Hello.", warn=False),
+        text_message("recording", files=["a.mcap"]),
+        text_message("status", **Status(SCHEMA).summary()),
+        json.dumps(parameters).encode(),
+    ):
+        assert read_message(text) == json.loads(text)
+
+
+def test_a_few_fields_of_an_arm_are_enough_and_others_are_refused() -> None:
+    fields = [RowField("ur5e.q", "float64", (6,), "rad", "", (), "ur5e", 40)]
+    some = RowSchema(["ur5e"], fields).text.decode()
+    assert read_about(json.dumps([about(schema=some)]).encode()).schema.size == 88
+    with pytest.raises(LinkError, match=r"Expected rows with ur5e.q"):
+        read_about(json.dumps([about(schema=some.replace("[6]", "[5]"))]).encode())
+    fields.append(RowField("b.commander", "text", (8,), "1", "", (), "b", 88))
+    with pytest.raises(LinkError, match=r"only commanders of arms are texts, got b.commander"):
+        read_about(json.dumps([about(schema=RowSchema(["ur5e"], fields).text.decode())]).encode())
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        [], [1], {}, [about(schema="{}")], [about(schema=1)], [about(robots={})], [about(robots={"ur5e": "x"})],
+        [about(robots={"ur5e": to_toml(ARM), "other": to_toml(ARM)})], [about(run=[])], [about(), about()],
+        [about(), {"kind": "event"}], [about(), {}], [about(note="x" * 2**19)],
+    ],
+)  # fmt: skip
+def test_answers_that_are_none(said: Any) -> None:
+    with pytest.raises(ArmlabError, match=r"^Expected"):
+        read_about(json.dumps(said).encode())
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"", b"[1", b"5", b"{}", b"[" * 100_000, b"\xff", b'"event"', b'{"kind": []}', b'{"kind": "about"}',
+        b'{"kind": "event", "text": "a"}', b'{"kind": "event", "text": "a", "stamp_ns": 1%s}' % (b"0" * 400),
+        b'{"kind": "recording", "files": [5]}', b'{"kind": "parameters", "parameters": {}}',
+        b'{"kind": "status", "arms": {"a": {"rate": 1%s}}}' % (b"0" * 400),
+        b'{"kind": "status", "arms": {"a": {"missed": Infinity}}}', b'{"kind": "status", "arms": {"a": {"clamps": 1}}}',
+        b'{"kind": "event", "stamp_ns": 1, "text": "%s"}' % (b"x" * 2**17),
+    ],
+)  # fmt: skip
+def test_texts_that_are_none(data: bytes) -> None:
+    with pytest.raises(LinkError, match=r"^Expected a text of a bridge"):
+        read_message(data)
+
+
+def test_nothing_is_sent_to_nobody_and_a_waiting_output_counts_what_found_no_room() -> None:
+    port = free_port()
+    router = open_session("router", [f"127.0.0.1:{port}"])
+    reader = open_session("peer", ["127.0.0.1:0"], [f"127.0.0.1:{port}"])
+    seen: list[int] = []
+    outputs = [Publisher(router, "a", lambda: seen.append(len(seen))), BlockingPublisher(router, "b")]
+    for one in outputs:
+        one.put(b"nobody")
+        assert (one.wanted, one.sent, one.dropped) == (False, 0, 0)
+    samples: list[Any] = []
+    subscribers = [reader.declare_subscriber(name, samples.append) for name in "ab"]
+    until(lambda: all(one.wanted for one in outputs) and seen == [0])
+    for one in outputs:
+        one.put(b"1", b"attached")
+    until(lambda: len(samples) == 2)
+    assert [one.attachment.to_bytes() for one in samples] == [b"attached", b"attached"]
+    assert [one.sent for one in outputs] == [1, 1]
+    for one in subscribers:
+        one.undeclare()
+    until(lambda: not any(one.wanted for one in outputs) and seen == [0, 1])
+    waiting = outputs[1]
+    assert isinstance(waiting, BlockingPublisher)
+    waiting.close()
+    waiting.wanted = True
+    for _ in range(2501):
+        waiting.put(b"2")
+    assert (waiting.sent, waiting.dropped) == (1, 1)
+    close_session(reader)
+    close_session(router)
+
+
+def test_the_oldest_are_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("armlab.bridge.servers.zenoh.rows._LARGEST", 10_000)
+    inbox: Inbox[int] = Inbox(5)
+    for number in range(8):
+        inbox.put(number)
+    assert [inbox.get() for _ in range(6)] == [3, 4, 5, 6, 7, None]
+    for number in range(4):
+        inbox.put(number, 4000)
+    assert [inbox.get() for _ in range(3)] == [2, 3, None]
+    inbox.put(9, 10**9)  # one message is always kept
+    assert (len(inbox), inbox.get(), inbox._size) == (1, 9, 0)
+
+
+def test_who_waits_is_woken() -> None:
+    inbox: Inbox[str] = Inbox(5)
+    assert not inbox.wait(0.0)
+    assert inbox.get(0.01) is None
+    sender = threading.Timer(0.05, inbox.put, ["came"])
+    sender.start()
+    assert inbox.wait(PATIENCE)
+    assert inbox.get(PATIENCE) == "came"
+    sender.join()
+
+
+ARMS = [robots.load(name) for name in ("yumi_left", "yumi_right")]
+BOTH = RowSchema.of(ARMS)
+
+
+def rows(count: int) -> list[bytes]:
+    """Rows of the left arm, of a cell whose arms take turns."""
+    writer, found = RowWriter(BOTH), []
+    for number in range(count):
+        for arm in ARMS:
+            nothing: Any = np.full(7, np.nan)
+            state = State(0.0, 0.004, np.array(arm.q_home), nothing, nothing, robot=arm.name)
+            data = writer.row(state, None, Tick(number, -1, 0, 0, -1, 0), 0)
+            if arm is ARMS[0]:
+                found.append(data)
+    return found
+
+
+ROWS = rows(60)
+
+
+@given(st.sets(st.integers(0, 59), min_size=1))
+def test_what_is_missing_is_counted(kept: set[int]) -> None:
+    gaps = Gaps(BOTH, "yumi_left")
+    order = sorted(kept)
+    missing = [gaps.take(ROWS[k]) for k in order]
+    assert missing == [0, *(b - a - 1 for a, b in itertools.pairwise(order))]
+    assert (gaps.rows, gaps.lost, gaps.starts) == (len(order), order[-1] - order[0] + 1 - len(order), 1)
+
+
+def test_a_bridge_that_starts_again_is_no_loss() -> None:
+    gaps = Gaps(BOTH, "yumi_left")
+    for k in (10, 11, 13, 0, 1, 4):
+        gaps.take(ROWS[k])
+    assert (gaps.rows, gaps.lost, gaps.starts) == (6, 3, 2)
+
+
+class Bytes(NamedTuple):
+    data: bytes
+
+    def to_bytes(self) -> bytes:
+        return self.data
+
+
+class Sample(NamedTuple):
+    payload: Bytes
+    attachment: Any
+
+
+def test_the_check_value_of_the_polynomial() -> None:
+    """That of the catalogue of parametrised CRC algorithms: CRC-32 of "123456789", here little-endian."""
+    assert checksum(b"123456789") == bytes.fromhex("2639f4cb")
+
+
+@given(st.binary(min_size=1, max_size=400), st.data())
+def test_a_row_with_another_message_in_it_is_none(row: bytes, draw: st.DataObject) -> None:
+    """Up to 32 bits in a row are always noticed; here one byte."""
+    at = draw.draw(st.integers(0, len(row) - 1))
+    other = bytearray(row)
+    other[at] ^= draw.draw(st.integers(1, 255))
+    attached = Bytes(checksum(row))
+    assert undamaged(Sample(Bytes(row), attached)) == row
+    assert undamaged(Sample(Bytes(bytes(other)), attached)) is None
+
+
+def test_a_row_without_a_sum_is_none() -> None:
+    assert undamaged(Sample(Bytes(b"row"), None)) is None
+    assert undamaged(Sample(Bytes(b"row"), Bytes(b""))) is None
+    assert undamaged(Sample(Bytes(b"row"), Bytes(checksum(b"row") + b"\0"))) is None
+
+
+def test_a_row_that_is_larger_than_rows_are_is_none() -> None:
+    for row in (bytes(LARGEST), bytes(LARGEST + 1)):
+        assert (undamaged(Sample(Bytes(row), Bytes(checksum(row)))) is None) == (len(row) > LARGEST)

@@ -33,17 +33,7 @@ OnCommand = Callable[[str, Row, str], None]
 
 
 class Channel:
-    """One port.
-
-    Parameters
-    ----------
-    name, port : port 0 lets the system choose. dialect : that the server speaks.
-    follows_client : wait up to 200 ms for the client's first packets and speak their dialect.
-
-    Attributes
-    ----------
-    counts : what was ignored or refused, by reason.
-    """
+    """One port."""
 
     def __init__(self, name: str, port: int, dialect: str = "2014v1", follows_client: bool = False) -> None:
         self.name, self.port, self.follows_client = name, port, follows_client
@@ -51,39 +41,19 @@ class Channel:
         self.counts: Counter[str] = Counter()
 
     def greet(self, peer: Peer) -> None:
-        """Queue what a client gets on accept.
-
-        Parameters
-        ----------
-        peer : whose encoder is set.
-        """
+        """Queue what a client gets on accept."""
         if peer.encoder is not None:
             peer.push(peer.encoder.version(), may_drop=False)
 
     def take(self, peer: Peer, event: Event, peers: Iterable[Peer]) -> None:
-        """Take one event of a client; by default data is read and dropped.
-
-        Parameters
-        ----------
-        peer : the client. event : from its stream. peers : all of this channel.
-        """
+        """Take one event of a client; by default data is read and dropped."""
         self.counts["ignored"] += isinstance(event, Sample)
 
     def left(self, peer: Peer) -> None:
-        """Forget a client that is gone.
-
-        Parameters
-        ----------
-        peer : the client.
-        """
+        """Forget a client that is gone."""
 
     def put(self, item: Any, peers: Iterable[Peer]) -> None:
-        """Queue what the bridge publishes for all clients.
-
-        Parameters
-        ----------
-        item : what the channel's maker passes. peers : all of this channel.
-        """
+        """Queue what the bridge publishes for all clients."""
         raise NotImplementedError
 
 
@@ -179,12 +149,7 @@ class FusedSource(NamedTuple):
 
 
 class FusedChannel(Channel):
-    """Rows of all arms and sources out; what clients send is dropped.
-
-    Parameters
-    ----------
-    port : 7514 by default. axes, order, dialect, follows_client : as of `ArmChannel`.
-    """
+    """Rows of all arms and sources out; what clients send is dropped."""
 
     def __init__(
         self,
@@ -230,12 +195,6 @@ class ParameterChannel(Channel):
 
     A number is ``double name``, a list ``double name[_]`` or with its size, a truth value ``boolean name``, a text
     ``string name``.
-
-    Parameters
-    ----------
-    values : of each name, in force at the start. port : 7513 by default. on_set : asked before a value
-        is in force; None takes every finite one. mode : "asked" sends a parameter to a client that has defined or
-        referred to it, "all" sends all on accept. dialect, follows_client : see `Channel`.
     """
 
     def __init__(

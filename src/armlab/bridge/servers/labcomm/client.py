@@ -20,14 +20,7 @@ __all__ = ["LabCommClient", "LabCommSource", "connected"]
 
 
 def connected(host: str, port: int, patience: float) -> socket.socket:
-    """Return a connected socket.
-
-    host, port : of the server. patience : seconds to wait.
-
-    Raises
-    ------
-    LinkError : nobody listens there.
-    """
+    """Return a connected socket."""
     try:
         return socket.create_connection((host, port), timeout=patience)
     except (OSError, OverflowError) as error:
@@ -253,13 +246,6 @@ class LabCommSource(ThreadSource):
     """The newest value of one sample type, received in a thread of its own; it connects again by itself.
 
     The type need not be known: the stream defines it. A field ``t_us`` or ``tm`` of the sample is its clock.
-
-    Parameters
-    ----------
-    name, fields, period, options : see `Source`; fields of the sample by name, or one field for a sample that is no
-        struct. Other fields of the sample are left out.
-    host, port : of the server. sample : name of the sample; None takes every sample that has the fields.
-    dialect : of what is sent, which is only the announcement.
     """
 
     def __init__(

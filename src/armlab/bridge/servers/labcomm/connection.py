@@ -87,12 +87,7 @@ class Peer:
         return True
 
     def read(self, most: int = _AT_ONCE) -> list[Event] | None:
-        """Return the events of one read, None when the other side has closed.
-
-        Raises
-        ------
-        LabCommError : the stream is malformed, or ended within a packet; its `events` came before.
-        """
+        """Return the events of one read, None when the other side has closed."""
         try:
             data = self.socket.recv(most)
         except (BlockingIOError, InterruptedError):

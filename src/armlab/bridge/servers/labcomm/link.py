@@ -35,12 +35,7 @@ _NAN = np.full(7, math.nan)
 
 
 def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tuple[Port, Codec]:
-    """Return the port and codec of an arm behind a LabComm server.
-
-    Raises
-    ------
-    ConfigError : other options. UnknownName : no such dialect. LinkError : nobody listens there.
-    """
+    """Return the port and codec of an arm behind a LabComm server."""
     unknown = sorted(set(options) - {"order", "dialect"})
     if unknown:
         raise ConfigError(f"Expected only order and dialect as options of a labcomm link, got {', '.join(unknown)}.")
@@ -54,10 +49,6 @@ class RowPort:
     """A connection to a LabComm server in place of a bound UDP port; it connects again by itself.
 
     Never blocks and never raises after construction; what goes wrong is counted.
-
-    Raises
-    ------
-    LinkError : nobody listens there. UnknownName : no such dialect.
     """
 
     def __init__(self, host: str, port: int, types: RowTypes, dialect: str = "2014v1") -> None:

@@ -24,26 +24,21 @@ from armlab.bridge.servers.labcomm.channels import (
     Value,
 )
 from armlab.bridge.servers.labcomm.rows import Order, Row
-from armlab.bridge.servers.labcomm.selector_server import Ports
+from armlab.bridge.servers.labcomm.server import Ports
 from armlab.bridge.servers.messages import CommandRequest, Leave, Listening, Report, SetRequest, Stop
 from armlab.bridge.servers.row import RowField, RowSchema, clock_ms, read_head
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import ConfigError
 from armlab.robots import Robot
 
-__all__ = ["ArmPlaces", "Held", "LabCommProcess", "SourcePlaces", "labcomm_options", "serve"]
+__all__ = ["ArmPlaces", "HeldArm", "LabCommProcess", "SourcePlaces", "labcomm_options", "serve"]
 
 _LETTERS = {"float64": "d", "int64": "q"}  # of `struct`
 _WANTED = ("fresh", "age", "receive_ns", "robot_ns", "session_t", "q", "qd", "tau")
 
 
-class Held(NamedTuple):
-    """What a row of the loop holds of an arm.
-
-    Attributes
-    ----------
-    is_fresh : the row is one of this arm. arm : its newest values.
-    """
+class HeldArm(NamedTuple):
+    """What a row of the loop holds of an arm."""
 
     is_fresh: bool
     arm: FusedArm
@@ -56,14 +51,14 @@ class ArmPlaces:
         self._name = robot
         self._form, self._wanted = _together([schema.fields[f"{robot}.{name}"] for name in _WANTED])
 
-    def held(self, data: bytes) -> Held | None:
+    def held(self, data: bytes) -> HeldArm | None:
         """Return what a row holds of the arm, None before its first."""
         values: Any = self._form.unpack_from(data)
         fresh, age, receive_ns, robot_ns, session_t, q, qd, tau = [values[place] for place in self._wanted]
         tm = clock_ms(robot_ns, session_t)
         if tm is None or not math.isfinite(age):
             return None
-        return Held(bool(fresh), FusedArm(self._name, receive_ns // 1000, Row(tm, q, qd, tau)))
+        return HeldArm(bool(fresh), FusedArm(self._name, receive_ns // 1000, Row(tm, q, qd, tau)))
 
 
 class SourcePlaces:
@@ -116,11 +111,6 @@ def labcomm_options(
     robots : the arms. host : address to listen on, this computer only by default.
     ports : of the arms; None gives 7511 to a left or only arm, 7512 to a right one.
     parameters, fused : ports, None for none. Fused rows are for arms of 7 joints.
-
-    Raises
-    ------
-    ConfigError, UnknownName : another number of ports than of arms, an order or a dialect that does not exist.
-    LabCommError : `types` that do not parse or that are no rows.
     """
     for robot in robots:
         ArmChannel(robot.name, 0, None, robot.abb_axes, order, types, dialect)  # a mistake shows before any process
@@ -145,12 +135,7 @@ def labcomm_options(
 
 
 class LabCommProcess:
-    """Serves until the loop closes the feed.
-
-    Raises
-    ------
-    LinkError : the loop has gone before it said what rows hold.
-    """
+    """Serves until the loop closes the feed."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._options = options
@@ -269,10 +254,5 @@ class LabCommProcess:
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed.
-
-    Raises
-    ------
-    LinkError : the loop has gone, or a port is taken.
-    """
+    """Serve until the loop closes the feed."""
     LabCommProcess(feed, options).run()

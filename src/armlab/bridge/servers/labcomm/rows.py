@@ -45,30 +45,12 @@ class Row(NamedTuple):
 
 
 def signed(tm: int) -> int:
-    """Return a time stamp modulo 2**32 as the signed number that LabComm's int holds.
-
-    tm : milliseconds.
-    """
+    """Return a time stamp modulo 2**32 as the signed number that LabComm's int holds."""
     return (tm + 2**31) % 2**32 - 2**31
 
 
 class RowTypes:
-    """The sample types of a port for one arm, and the joints' order on it.
-
-    Parameters
-    ----------
-    axes : ABB's axis number of each joint in kinematic order (`Robot.abb_axes`). order : "abb" or "chain" on the wire.
-    text : an `.lc` text that replaces the types: its first sample is sent, its last is accepted. Each is a struct with
-        fields among tm (int, long), pos, vel and trq (float or double, one per joint or variable).
-
-    Attributes
-    ----------
-    sent, accepted : sample types. n : joints.
-
-    Raises
-    ------
-    ConfigError : wrong order or axes. LabCommError : a text that does not parse, or other fields.
-    """
+    """The sample types of a port for one arm, and the joints' order on it."""
 
     def __init__(self, axes: Sequence[int] = _YUMI, order: Order = "abb", text: str | None = None) -> None:
         self.n = len(axes)
@@ -91,69 +73,28 @@ class RowTypes:
         self._met: Type | None = None  # the newest type that was seen to be that of `sent`
 
     def accepts(self, sample: SampleType) -> bool:
-        """Return whether values of a client's type are commands: some fields of the accepted type, `pos` among them.
-
-        Parameters
-        ----------
-        sample : as the client defined it.
-        """
+        """Return whether values of a client's type are commands: some fields of the accepted type, `pos` among them."""
         ours, theirs = _fields(self.accepted), _fields(sample)
         fits = "pos" in theirs and all(ours.get(name) == node for name, node in theirs.items())
         return sample.name == self.accepted.name and fits
 
     def value(self, row: Row, sample: SampleType | None = None) -> dict[str, Any]:
-        """Return the value of a row on the wire, NaN where it has nothing.
-
-        Parameters
-        ----------
-        row : of the arm. sample : the type, `sent` by default.
-
-        Raises
-        ------
-        LabCommError : a wrong number of joints.
-        """
+        """Return the value of a row on the wire, NaN where it has nothing."""
         parts = {"pos": row.q, "vel": row.qd, "trq": row.tau}
         names = self._sent if sample is None else _fields(sample)
         return {name: signed(row.tm) if name == "tm" else self._wired(name, parts[name]) for name in names}
 
     def row(self, value: Mapping[str, Any]) -> Row:
-        """Return the row of a value from the wire; a vector that is NaN or zero throughout is not given, but for `pos`.
-
-        Parameters
-        ----------
-        value : of a type that `accepts` takes, or of `sent`.
-
-        Raises
-        ------
-        LabCommError : a wrong number of joints.
-        """
+        """Return the row of a value from the wire; fields that the value does not have are None."""
         parts = [self._chained(name, value.get(name)) for name in _VECTORS]
         return Row(value.get("tm", 0), *parts)
 
     def rows(self, events: Iterable[Event]) -> list[Row]:
-        """Return the rows among what came: samples of the type `sent`.
-
-        Parameters
-        ----------
-        events : of a decoder.
-
-        Raises
-        ------
-        LabCommError : a wrong number of joints.
-        """
+        """Return the rows among what came: samples of the type `sent`."""
         return [self.row(event.value) for event in events if isinstance(event, Sample) and self._is_sent(event)]
 
     def command(self, value: Mapping[str, Any]) -> Row:
-        """Return the command of a value from the wire; zeros and NaN in `vel` and `trq` ask for nothing.
-
-        Parameters
-        ----------
-        value : of a type that `accepts` takes.
-
-        Raises
-        ------
-        LabCommError : a position that is not finite, an infinite velocity or torque, a wrong number of joints.
-        """
+        """Return the command of a value from the wire; zeros and NaN in `vel` and `trq` ask for nothing."""
         row = self.row(value)
         if row.q is None or not all(map(math.isfinite, value["pos"])):
             raise LabCommError(f"Expected finite positions in a command, got {value.get('pos')}.")

@@ -8,7 +8,6 @@ import logging
 import os
 import socket
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
@@ -16,14 +15,10 @@ from typing import Any
 
 from rosbags.interfaces import Nodetype
 
-from armlab.bridge.servers.messages import Leave, Listening, Report
-from armlab.bridge.servers.ros.message_template import cdr
-from armlab.bridge.servers.ros.requests import Commands
-from armlab.bridge.servers.ros.topics import Encoded, Published, Topics
-from armlab.bridge.servers.ros.types import content, domain_number, store, type_name
-from armlab.bridge.servers.server_end import LoopEnd
-from armlab.errors import CommandRefused, LinkError, MissingExtra
-from armlab.robots import from_toml
+from armlab.bridge.servers.messages import Listening
+from armlab.bridge.servers.ros.server import RosServer
+from armlab.bridge.servers.ros.topics import RosTopic, domain_number, store, type_name
+from armlab.errors import LinkError, MissingExtra
 
 __all__ = [
     "DDSException",
@@ -36,7 +31,7 @@ __all__ = [
     "Policy",
     "Qos",
     "Readers",
-    "Topic",
+    "DdsTopic",
     "Writers",
     "carrier",
     "configuration",
@@ -57,7 +52,7 @@ try:
     from cyclonedds.idl import make_idl_struct, types
     from cyclonedds.pub import DataWriter
     from cyclonedds.sub import DataReader
-    from cyclonedds.topic import Topic
+    from cyclonedds.topic import Topic as DdsTopic
 except ImportError:
     raise MissingExtra(
         "Expected cyclonedds to speak with ROS 2 over DDS, got none. Install it: pip install 'armlab[ros]'."
@@ -70,8 +65,6 @@ def write_cdr(writer: DataWriter[Any], data: bytes) -> bool:
     """Send the bytes of a message; False when there is no room.
 
     `DataWriter.write` ends in this call. What it does before, for objects, would be a third of the time of a message.
-
-    writer : of the message. data : CDR with its 4 bytes, filled up to a multiple of 4.
     """
     return _write(writer._ref, data) >= 0
 
@@ -86,8 +79,6 @@ def configuration(host: str) -> str:
     On this computer the bridge announces itself to each port of 127.0.0.1 every 2 s, so that a node with multicast
     discovery also finds it. Cyclone DDS would drop ports that do not answer for 30 s, and with them every node started
     later. On a network participants are found by multicast.
-
-    host : IPv4 address of the interface.
     """
     if _is_local(host):
         found = (
@@ -107,14 +98,7 @@ def configuration(host: str) -> str:
 
 @contextlib.contextmanager
 def joined(domain: int, host: str) -> Iterator[DomainParticipant]:
-    """Be a participant of a domain while the block runs.
-
-    domain : its number. host : see `configuration`; 127.0.0.1 for this computer only.
-
-    Raises
-    ------
-    LinkError : there is no such interface, or the sockets cannot be kept to this computer.
-    """
+    """Be a participant of a domain while the block runs."""
     try:
         settings = Domain(domain, configuration(host))
         participant = DomainParticipant(domain)
@@ -135,10 +119,6 @@ def tie_to_loopback() -> int:
     """Keep what comes from other computers off the sockets of this process, and return of how many.
 
     Cyclone DDS binds what it receives by to every address, whatever the interface (its `ddsi_udp.c`).
-
-    Raises
-    ------
-    LinkError : the system does not do that.
     """
     count = 0
     for entry in Path("/proc/self/fd").iterdir():
@@ -240,21 +220,18 @@ _logger = logging.getLogger("armlab.bridge")
 class Writers:
     """Writes topics that somebody reads."""
 
-    def __init__(self, participant: DomainParticipant, published: Mapping[str, Published]) -> None:
+    def __init__(self, participant: DomainParticipant, published: Mapping[str, RosTopic]) -> None:
         self.wanted: frozenset[str] = frozenset()
         self.counts: dict[str, tuple[int, int]] = {}
         self._lock = threading.Lock()
         self._writers: dict[str, DataWriter[Any]] = {}
         for name, topic in published.items():
             listener = Listener(on_publication_matched=lambda _, status, name=name: self._matched(name, status))
-            made = Topic(participant, topic_name(name), carrier(topic.type))
+            made = DdsTopic(participant, topic_name(name), carrier(topic.type))
             self._writers[name] = DataWriter(participant, made, _STATE, listener)
 
-    def write(self, topic: Published, cdr: bytes) -> None:
-        """Send one message.
-
-        topic : where. cdr : a message, see `mould.cdr`.
-        """
+    def write(self, topic: RosTopic, cdr: bytes) -> None:
+        """Send one message."""
         written, full = self.counts.get(topic.name, (0, 0))
         went = write_cdr(self._writers[topic.name], cdr + bytes(-len(cdr) % 4))
         self.counts[topic.name] = (written + 1, full) if went else (written, full + 1)
@@ -269,10 +246,7 @@ class Writers:
 
 
 class Readers:
-    """Reads topics; calls from threads of DDS.
-
-    participant : that they belong to. types : ROS 2 message type by full name of the topic.
-    """
+    """Reads topics; calls from threads of DDS."""
 
     def __init__(
         self,
@@ -290,7 +264,7 @@ class Readers:
                 on_data_available=lambda reader, name=name: self._guarded(self._read, reader, name),
                 on_subscription_matched=lambda reader, status: self._guarded(self._matched, reader, status),
             )
-            made = Topic(participant, topic_name(name), carrier(type_))
+            made = DdsTopic(participant, topic_name(name), carrier(type_))
             reader = DataReader(participant, made, _COMMAND, listener)
             self._readers.append(reader)
             self._guarded(self._begin, reader, name)
@@ -355,94 +329,39 @@ def _handle(number: int) -> int:
     return (int(number) + 2**63) % 2**64 - 2**63
 
 
-_AGAIN = 1.0  # s after which the parameters are told again, for readers that came later
-
-
-class DdsServer:
+class DdsServer(RosServer):
     """Serves until the loop closes the feed.
 
     options : "domain", None for that of ROS_DOMAIN_ID, and "host", IPv4 address of the interface.
-
-    Raises
-    ------
-    LinkError : the loop has gone before it said what rows hold. ConfigError : ROS_DOMAIN_ID is no number.
     """
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._domain, self._host = domain_number(options["domain"]), options["host"]
         self._writers: Writers | None = None
-        self._loop = LoopEnd(feed, lambda: {} if self._writers is None else dict(self._writers.counts))
-        about = self._loop.about
-        robots = {name: from_toml(text, f"the bridge of {about['cell']}") for name, text in about["robots"].items()}
-        self._topics = Topics(robots, self._loop.schema)
-        self._encoded = Encoded(self._topics, cdr)
-        self._commands = Commands(about["cell"], robots)
-        self._told = 0.0
+        super().__init__(feed, lambda: {} if self._writers is None else dict(self._writers.counts))
 
-    @property
     def wanted(self) -> frozenset[str]:
-        """Names of the topics that somebody reads."""
+        """Return the names of the topics that somebody reads."""
         return frozenset() if self._writers is None else self._writers.wanted
+
+    def write(self, topic: RosTopic, cdr: bytes) -> None:
+        """Send one message."""
+        if self._writers is not None:
+            self._writers.write(topic, cdr)
 
     def run(self) -> None:
         """Serve until the loop closes the feed."""
         with joined(self._domain, self._host) as participant:
-            writers = Writers(participant, self._topics.published)
-            readers = Readers(participant, self._commands.types, self._take, self._left)
-            self._writers = writers
+            writers = self._writers = Writers(participant, self._topics.published)
+            readers = Readers(participant, self._commands.types, self.take, self.left)
             try:
                 self._loop.ask(Listening(where=[f"{self._host} (ros2, DDS domain {self._domain})"]))
-                self._serve(writers)
+                self.serve()
             finally:
                 readers.close()
                 writers.close()
 
-    def _serve(self, writers: Writers) -> None:
-        while (messages := self._loop.receive(_AGAIN)) is not None:
-            for message in messages:
-                if isinstance(message, bytes):
-                    for topic, made in self._encoded.of_row(message, writers.wanted):
-                        writers.write(topic, made)
-                else:
-                    self._text(message)
-            if time.monotonic() - self._told > _AGAIN:
-                self._tell_parameters(writers)
-
-    def _text(self, message: Mapping[str, Any]) -> None:
-        if message["kind"] == "parameters" and self._writers is not None:
-            self._tell_parameters(self._writers)
-        elif message["kind"] == "answer":
-            self._answer(message["client"], message["text"])
-
-    def _tell_parameters(self, writers: Writers) -> None:
-        self._told = time.monotonic()
-        for topic, made in self._encoded.of_parameters(self._loop.parameters, writers.wanted):
-            writers.write(topic, made)
-        for topic, made in self._encoded.of_silence(time.monotonic_ns(), writers.wanted):
-            writers.write(topic, made)
-
-    def _take(self, name: str, cdr: bytes, client: str) -> None:
-        """Pass what a node wants on to the loop; called by threads of DDS."""
-        try:
-            for request in self._commands.requests(name, content(self._commands.types[name], cdr), client):
-                self._loop.ask(request)
-        except CommandRefused as error:
-            self._answer(client, str(error))
-            self._loop.ask(Report(client, str(error)))
-
-    def _left(self, client: str) -> None:
-        self._loop.ask(Leave(client))
-
-    def _answer(self, client: str, text: str) -> None:
-        """Tell a node; nothing leads back to it but the diagnostics, which all read."""
-        self._topics.answer = f"{client}: {text}"
-
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed.
-
-    Raises
-    ------
-    LinkError : the loop has gone, or the sockets cannot be kept to this computer.
-    """
+    """Serve until the loop closes the feed."""
     DdsServer(feed, options).run()

@@ -26,16 +26,7 @@ _NUMERIC = {int, float, type(None)}  # not bool, which is an int; null is a numb
 
 
 class Commands:
-    """The topics that are listened to.
-
-    Parameters
-    ----------
-    cell : its name. robots : the arms by name.
-
-    Attributes
-    ----------
-    types : ROS 2 message type by full name of the topic.
-    """
+    """The topics that are listened to."""
 
     def __init__(self, cell: str, robots: Mapping[str, Robot]) -> None:
         self._robots = dict(robots)
@@ -54,17 +45,7 @@ class Commands:
         self.types |= dict.fromkeys(self._settings, _TEXT) | dict.fromkeys(self._stops, _EMPTY)
 
     def requests(self, topic: str, content: Any, client: str) -> list[Request]:
-        """Return what a message asks the loop for.
-
-        Parameters
-        ----------
-        topic : its full name, one of `types`. content : the numbers, the text, or None.
-        client : identity of the sender within its server.
-
-        Raises
-        ------
-        CommandRefused : wrong content; a sentence for the sender.
-        """
+        """Return what a message asks the loop for."""
         if topic in self._stops:
             return [Stop(client)]
         if topic in self._settings:

@@ -11,16 +11,11 @@ from functools import partial
 from typing import Any, Literal, NamedTuple
 
 from armlab.bridge.net.sockets import is_here
-from armlab.bridge.servers.messages import Leave, Listening, Report
-from armlab.bridge.servers.ros.message_template import cdr
-from armlab.bridge.servers.ros.requests import Commands
-from armlab.bridge.servers.ros.topics import Encoded, Published, Topics
-from armlab.bridge.servers.ros.types import content, domain_number, store, type_name
-from armlab.bridge.servers.server_end import LoopEnd
-from armlab.bridge.servers.zenoh.publisher import Output
-from armlab.bridge.servers.zenoh.session import close_session, data_of, open_near, zenoh
-from armlab.errors import CommandRefused, ConfigError, MissingExtra
-from armlab.robots import from_toml
+from armlab.bridge.servers.messages import Listening
+from armlab.bridge.servers.ros.server import RosServer
+from armlab.bridge.servers.ros.topics import RosTopic, domain_number, store, type_name
+from armlab.bridge.servers.zenoh.session import Publisher, close_session, data_of, open_near, zenoh
+from armlab.errors import ConfigError, MissingExtra
 
 __all__ = ["ANY", "Distribution", "Names", "Nodes", "Origin", "RmwZenohServer", "Writer", "serve"]
 
@@ -48,10 +43,7 @@ class Names:
         return store().hash_rihs01(type) if self._has_hashes else _NO_HASH
 
     def data(self, topic: str, type: str, hash: str = "") -> str:
-        """Return the key of a topic's messages.
-
-        topic : full name. type : of its messages. hash : `ANY` for a reader; that of the type by default.
-        """
+        """Return the key of a topic's messages."""
         return f"{self._domain}/{topic.strip('/')}/{type_name(type)}/{hash or self.hash(type)}"
 
     def node(self) -> str:
@@ -63,10 +55,7 @@ class Names:
         return f"@ros2_lv/{self._domain}/*/*/*/MP/**"
 
     def writer(self, number: int, topic: str, type: str) -> str:
-        """Return the token of a reliable writer that keeps the last ten.
-
-        number : of the endpoint in the node, from 1. topic, type : as of `data`.
-        """
+        """Return the token of a reliable writer that keeps the last ten."""
         return self._endpoint(number, "MP", topic, type, _RELIABLE)
 
     def reader(self, number: int, topic: str, type: str) -> str:
@@ -91,10 +80,7 @@ class Origin(NamedTuple):
 
     @classmethod
     def read(cls, data: bytes | None) -> Origin | None:
-        """Return what the bytes say; None for others, whose message is dropped as rmw_zenoh drops it.
-
-        data : of the attachment, None without one.
-        """
+        """Return what the bytes say; None for others, whose message is dropped as rmw_zenoh drops it."""
         if data is None or len(data) != _ORIGIN.size:
             return None
         seq, stamp_ns, size, writer = _ORIGIN.unpack(data)
@@ -107,12 +93,7 @@ class Origin(NamedTuple):
 
 
 class Writer:
-    """Numbers the messages of one writer.
-
-    Raises
-    ------
-    MissingExtra : xxhash is not installed; says how to.
-    """
+    """Numbers the messages of one writer."""
 
     def __init__(self, token: str) -> None:
         self.id = _hashed(token)
@@ -165,36 +146,25 @@ class Nodes:
         return self._clients.get(origin.writer, origin.client)
 
 
-_AGAIN = 1.0  # s after which the parameters are told again, for readers that came later
+_LOOK = 1.0  # s between two looks at who reads
 _MAY_COME_AGAIN = 30.0  # s after a reader: what it misses while its router starts anew must show in the numbers
 
 
-class RmwZenohServer:
+class RmwZenohServer(RosServer):
     """Serves until the loop closes the feed.
 
     options : "domain", None for that of ROS_DOMAIN_ID, "host", "port", "router" and "distribution".
-
-    Raises
-    ------
-    LinkError : the loop has gone, or the port is taken. ConfigError : ROS_DOMAIN_ID is no number, or commands
-        could come through a router elsewhere.
-    MissingExtra : Zenoh or xxhash is not installed.
     """
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
-        self._outputs: dict[str, Output] = {}
+        self._outputs: dict[str, Publisher] = {}
         self._writers: dict[str, Writer] = {}
-        self.wanted: frozenset[str] = frozenset()
+        self._wanted: frozenset[str] = frozenset()
         self._read_until: dict[str, float] = {}
         self._reading = threading.Lock()
-        self._loop = LoopEnd(feed, self._counts)
-        about = self._loop.about
-        robots = {name: from_toml(text, f"the bridge of {about['cell']}") for name, text in about["robots"].items()}
-        self._topics, self._commands = Topics(robots, self._loop.schema), Commands(about["cell"], robots)
-        self._encoded = Encoded(self._topics, cdr)
-        self._domain, self._told = domain_number(options["domain"]), 0.0
-        self._looked = 0.0
-        router, commands = options["router"], "rmw_zenoh" in about.get("commands", ())
+        super().__init__(feed, self._counts)
+        self._domain, self._looked = domain_number(options["domain"]), 0.0
+        router, commands = options["router"], "rmw_zenoh" in self._loop.about.get("commands", ())
         if router and commands and not is_here(router):
             raise ConfigError(
                 f"Expected no commands through a router elsewhere ({router}), since ROS nodes prove nothing. Take "
@@ -202,7 +172,7 @@ class RmwZenohServer:
             )
         self._session, self._where = open_near(options["host"], options["port"], router, commands=commands)
         self._names = Names(self._domain, str(self._session.zid()), options["distribution"])
-        self._nodes = Nodes(self._left)
+        self._nodes = Nodes(self.left)
         self._declared: list[Any] = []  # tokens and readers: they go with the last that holds them
 
     def run(self) -> None:
@@ -210,23 +180,24 @@ class RmwZenohServer:
         try:
             self._declare()
             self._loop.ask(Listening(where=[f"{self._where}, rmw_zenoh, domain {self._domain}"]))
-            while (messages := self._loop.receive(_AGAIN)) is not None:
-                for message in messages:
-                    if isinstance(message, bytes):
-                        for topic, made in self._encoded.of_row(message, self.wanted):
-                            self._write(topic, made)
-                    elif message["kind"] == "parameters":
-                        self._tell_parameters()
-                    elif message["kind"] == "answer":
-                        self._answer(message["client"], message["text"])
-                now = time.monotonic()
-                if now - self._looked > _AGAIN:  # also while parameters are told more often than that
-                    self._looked = now
-                    self._read()
-                if now - self._told > _AGAIN:
-                    self._tell_parameters()
+            self.serve(self._look)
         finally:
             close_session(self._session)
+
+    def wanted(self) -> frozenset[str]:
+        """Return the names of the topics that somebody reads, or has read a moment ago."""
+        return self._wanted
+
+    def write(self, topic: RosTopic, cdr: bytes) -> None:
+        """Send one message."""
+        self._outputs[topic.name].put(cdr, self._writers[topic.name].next(time.time_ns()))
+
+    def _look(self) -> None:
+        """Note who reads, also while parameters are published more often than that."""
+        now = time.monotonic()
+        if now - self._looked > _LOOK:
+            self._looked = now
+            self._read()
 
     def _counts(self) -> dict[str, tuple[int, int]]:
         """Return messages sent by topic: who reads them, and what is dropped for whom, is not known here."""
@@ -239,7 +210,7 @@ class RmwZenohServer:
         for number, one in enumerate(self._topics.published.values(), 1):
             token = names.writer(number, one.name, one.type)
             self._writers[one.name] = Writer(token)
-            self._outputs[one.name] = Output(session, names.data(one.name, one.type), self._read)
+            self._outputs[one.name] = Publisher(session, names.data(one.name, one.type), self._read)
             tokens.append(token)
         self._read()
         lives = session.liveliness()
@@ -247,11 +218,11 @@ class RmwZenohServer:
         for count, (topic, type_) in enumerate(self._commands.types.items(), number + 1):
             tokens.append(names.reader(count, topic, type_))
             key = names.data(topic, type_, ANY)
-            self._declared.append(session.declare_subscriber(key, partial(self._take, topic, type_)))
+            self._declared.append(session.declare_subscriber(key, partial(self._take, topic)))
         self._declared += [lives.declare_token(token) for token in tokens]
 
     def _read(self) -> None:
-        """Take note of what is read now: the same set until it changes, as `Encoded` likes it; by any thread.
+        """Take note of what is read now: the same set until it changes; by any thread.
 
         A reader whose way is cut is as one that has left. What it would have got is numbered still, for a while.
         """
@@ -260,52 +231,21 @@ class RmwZenohServer:
             read = [name for name, output in list(self._outputs.items()) if output.wanted]
             self._read_until.update(dict.fromkeys(read, now + _MAY_COME_AGAIN))
             wanted = frozenset([name for name, until in self._read_until.items() if until > now])
-            if wanted != self.wanted:
-                self.wanted = wanted
+            if wanted != self._wanted:
+                self._wanted = wanted
 
     def _token(self, sample: Any) -> None:
         self._nodes.token(str(sample.key_expr), sample.kind == zenoh().SampleKind.PUT)
 
-    def _left(self, client: str) -> None:
-        self._loop.ask(Leave(client))
-
-    def _write(self, topic: Published, data: bytes) -> None:
-        self._outputs[topic.name].put(data, self._writers[topic.name].next(time.time_ns()))
-
-    def _tell_parameters(self) -> None:
-        self._told = time.monotonic()
-        for topic, made in self._encoded.of_parameters(self._loop.parameters, self.wanted):
-            self._write(topic, made)
-        for topic, made in self._encoded.of_silence(time.monotonic_ns(), self.wanted):
-            self._write(topic, made)
-
-    def _take(self, topic: str, type: str, sample: Any) -> None:
-        """Pass what a node wants on to the loop; called by a thread of Zenoh's."""
+    def _take(self, topic: str, sample: Any) -> None:
+        """Take a message of a node; called by a thread of Zenoh's."""
         origin = Origin.read(data_of(sample.attachment))
         if origin is None:  # rmw_zenoh drops it, too: who sent it is not known
-            self._refuse("unknown", f"Expected 33 bytes attached on {topic}, as rmw_zenoh has them since June 2025.")
-            return
-        client = self._nodes.client(origin)
-        try:
-            for request in self._commands.requests(topic, content(type, sample.payload.to_bytes()), client):
-                self._loop.ask(request)
-        except CommandRefused as error:
-            self._refuse(client, str(error))
-
-    def _refuse(self, client: str, why: str) -> None:
-        self._answer(client, why)
-        self._loop.ask(Report(client, why))
-
-    def _answer(self, client: str, text: str) -> None:
-        """Tell a node; nothing leads back to it but the diagnostics, which all read."""
-        self._topics.answer = f"{client}: {text}"
+            self.refuse("unknown", f"Expected 33 bytes attached on {topic}, as rmw_zenoh has them since June 2025.")
+        else:
+            self.take(topic, sample.payload.to_bytes(), self._nodes.client(origin))
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed.
-
-    Raises
-    ------
-    LinkError, ConfigError, MissingExtra : see `RmwZenohServer`.
-    """
+    """Serve until the loop closes the feed."""
     RmwZenohServer(feed, options).run()

@@ -1,4 +1,4 @@
-"""`Ros1Process`: between the loop's feed and a node of ROS 1: a program under the system's Python."""
+"""`Ros1Process`: between the loop's feed and a node of ROS 1, a program under the system's Python."""
 
 from __future__ import annotations
 
@@ -7,22 +7,159 @@ import json
 import os
 import select
 import socket
+import struct
 import subprocess
 import tempfile
 import time
+from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import fields
 from typing import IO, Any
 
 from armlab.bridge.net.sockets import pair
 from armlab.bridge.servers.messages import Listening, Report
-from armlab.bridge.servers.ros import Commands, Encoded, Published, Topics, store
+from armlab.bridge.servers.ros.requests import Commands
+from armlab.bridge.servers.ros.topics import Messages, RosTopic, Topics, store
 from armlab.bridge.servers.ros1 import relay
-from armlab.bridge.servers.ros1.subscribers import Subscribers
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import CommandRefused, LinkError
-from armlab.robots import from_toml
 
-__all__ = ["Ros1Process", "serve"]
+__all__ = ["Ros1Process", "Subscribers", "serve"]
+
+_ROOM = 500  # messages that wait for a slow node: 2 s of one topic
+_SEND_BUFFER = 65536  # bytes; with the system's own a slow node would see data half a minute old
+_MOST = 64  # connections
+_SIZE = struct.Struct("<I")
+_SIZE_AND_SEQ = struct.Struct("<II")
+
+
+class Subscribers:
+    """Writes messages to whoever reads their topic; for a slow node they wait, and the oldest are dropped."""
+
+    def __init__(self, looks: select.poll) -> None:
+        self.wanted: frozenset[str] = frozenset()
+        self.counts: dict[str, tuple[int, int]] = {}
+        self._looks = looks
+        self._connections: dict[int, _Connection] = {}
+        self._readers: dict[str, tuple[_Connection, ...]] = {}
+        self._seq: Counter[str] = Counter()
+        self._headed: dict[str, bool] = {}
+
+    def add(self, topic: str, connection: socket.socket, known: Iterable[bytes] = ()) -> str:
+        """Take a connection over, on which the header of ROS has gone out.
+
+        Returns why it was ended instead, a sentence; nothing when it was taken.
+        """
+        one = _Connection(topic, connection)
+        if len(self._connections) >= _MOST:
+            one.close()
+            return f"Expected at most {_MOST} connections of nodes, got one more. End one that nobody needs."
+        with contextlib.suppress(OSError):  # it has gone, which the first look tells
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else messages wait for acknowledgements
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+        self._connections[connection.fileno()] = one
+        self._looks.register(connection, select.POLLIN)
+        self._sort()
+        for raw in known:
+            self._put(one, _SIZE.pack(len(raw)) + raw)
+        return ""
+
+    def send(self, topic: RosTopic, raw: bytes) -> None:
+        """Send a message to all nodes that read it; their connections that have ended are let go."""
+        name = topic.name
+        headed = self._headed.get(name)
+        if headed is None:
+            headed = self._headed[name] = fields(store().types[topic.type])[0].name == "header"
+        self._seq[name] = (self._seq[name] + 1) % 2**32
+        data = _SIZE_AND_SEQ.pack(len(raw), self._seq[name]) + raw[4:] if headed else _SIZE.pack(len(raw)) + raw
+        for one in self._readers.get(name, ()):
+            self._put(one, data)
+
+    def look(self, number: int) -> None:
+        """See what has become of a connection: there is room again, or it has ended, as nodes only read."""
+        one = self._connections.get(number)
+        if one is not None:
+            self._put(one, None)
+            if one.has_ended():
+                self._let_go(one)
+
+    def close(self) -> None:
+        """End all connections."""
+        for one in list(self._connections.values()):
+            self._let_go(one)
+
+    def _put(self, one: _Connection, data: bytes | None) -> None:
+        was_behind = bool(one.waiting)
+        if data is not None:
+            self._count(one, 1, one.add(data))
+        try:
+            one.write()
+        except OSError:
+            self._let_go(one)
+            return
+        if was_behind != bool(one.waiting):
+            self._looks.modify(one.socket, select.POLLIN | (select.POLLOUT if one.waiting else 0))
+
+    def _let_go(self, one: _Connection) -> None:
+        if self._connections.pop(one.socket.fileno(), None) is not None:
+            self._looks.unregister(one.socket)
+            if one.waiting:
+                self._count(one, 0, len(one.waiting))
+            one.close()
+            self._sort()
+
+    def _count(self, one: _Connection, added: int, dropped: int) -> None:
+        sent, lost = self.counts.get(one.topic, (0, 0))
+        self.counts[one.topic] = sent + added - dropped, lost + dropped
+
+    def _sort(self) -> None:
+        held = list(self._connections.values())
+        self.wanted = frozenset(one.topic for one in held)
+        self._readers = {name: tuple(one for one in held if one.topic == name) for name in self.wanted}
+
+
+class _Connection:
+    """The connection of one node, and what waits for it."""
+
+    def __init__(self, topic: str, connection: socket.socket) -> None:
+        self.topic, self.socket = topic, connection
+        self.waiting: deque[bytes] = deque()
+
+    def add(self, data: bytes) -> int:
+        """Let this wait; return how many messages were dropped."""
+        dropped = len(self.waiting) > _ROOM
+        if dropped:
+            del self.waiting[1]  # of the first one some may have gone out
+        self.waiting.append(data)
+        return int(dropped)
+
+    def write(self) -> None:
+        """Write what waits, as far as there is room. OSError when it has ended."""
+        while self.waiting:
+            data = self.waiting[0]
+            try:
+                written = self.socket.send(data, socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                break
+            if written < len(data):
+                self.waiting[0] = data[written:]
+                break
+            self.waiting.popleft()
+
+    def has_ended(self) -> bool:
+        try:
+            return not self.socket.recv(4096, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
+
+    def close(self) -> None:
+        """End the connection, of which rospy holds the same socket."""
+        with contextlib.suppress(OSError):  # it has ended
+            self.socket.shutdown(socket.SHUT_RDWR)
+        self.socket.close()
+
 
 _LOOK = 1000  # ms of one look
 _START = 8.0  # s for the relay to be a node
@@ -33,36 +170,19 @@ _SENTENCE = 1000  # characters of an answer
 
 
 class Ros1Process:
-    """Serves until the loop closes the feed.
-
-    Parameters
-    ----------
-    feed : connected to the loop.
-    options : "master", its URI; "python", which has rospy; "host", the address it listens at and others reach.
-
-    Raises
-    ------
-    LinkError : the loop has gone.
-    """
+    """Serves until the loop closes the feed."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._options = options
         self._looks = select.poll()
         self._subscribers = Subscribers(self._looks)
         self._loop = LoopEnd(feed, lambda: self._subscribers.counts)
-        about = self._loop.about
-        robots = {name: from_toml(text, name) for name, text in about["robots"].items()}
-        self._topics, self._commands = Topics(robots, self._loop.schema), Commands(about["cell"], robots)
-        self._encoded = Encoded(self._topics, _encoded)
+        robots = self._loop.robots()
+        self._topics, self._commands = Topics(robots, self._loop.schema), Commands(self._loop.about["cell"], robots)
         self._spoken: dict[str, float] = {}
 
     def run(self) -> None:
-        """Serve until the loop closes the feed.
-
-        Raises
-        ------
-        LinkError : no rospy, no master, or it has gone.
-        """
+        """Serve until the loop closes the feed."""
         own = tempfile.TemporaryDirectory(prefix="armlab-ros-", ignore_cleanup_errors=True)
         held = contextlib.closing(self._subscribers)
         with own as home, tempfile.TemporaryFile() as log, self._relay(home, log) as node, held:
@@ -81,7 +201,7 @@ class Ros1Process:
                 for message in messages:
                     self._pass_on(node, message)
                 if not messages:
-                    self._send(self._encoded.of_silence(time.monotonic_ns(), self._subscribers.wanted))
+                    self._send(self._topics.of_silence(time.monotonic_ns(), self._subscribers.wanted))
 
     @contextlib.contextmanager
     def _relay(self, home: str, log: IO[bytes]) -> Iterator[socket.socket]:
@@ -179,7 +299,9 @@ class Ros1Process:
         if not message["connections"]:
             return "Expected room for the connection in the server's process, got none. Raise `ulimit -n`."
         topic = message["topic"]
-        known = [raw for _, raw in self._encoded.of_parameters(self._loop.parameters, {topic})]
+        known = [
+            _ros1(message, one.type) for one, message in self._topics.of_parameters(self._loop.parameters, {topic})
+        ]
         return self._subscribers.add(topic, socket.socket(fileno=message["connections"][0]), known)
 
     def _refuse(self, node: socket.socket, client: str, text: str) -> None:
@@ -188,9 +310,9 @@ class Ros1Process:
 
     def _pass_on(self, node: socket.socket, message: bytes | dict[str, Any]) -> None:
         if isinstance(message, bytes):
-            self._send(self._encoded.of_row(message, self._subscribers.wanted))
+            self._send(self._topics.of_row(message, self._subscribers.wanted))
         elif message["kind"] == "parameters":
-            self._send(self._encoded.of_parameters(self._loop.parameters, self._subscribers.wanted))
+            self._send(self._topics.of_parameters(self._loop.parameters, self._subscribers.wanted))
         elif message["kind"] == "answer":
             self._answer(node, message["client"], message["text"])
 
@@ -205,25 +327,18 @@ class Ros1Process:
             with contextlib.suppress(OSError):
                 node.send(json.dumps({"text": f"{client}: {text}"[:_SENTENCE]}).encode())
 
-    def _send(self, messages: Iterable[tuple[Published, bytes]]) -> None:
-        for published, raw in messages:
-            self._subscribers.send(published, raw)
+    def _send(self, messages: Messages) -> None:
+        for topic, message in messages:
+            self._subscribers.send(topic, _ros1(message, topic.type))
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed.
-
-    feed : connected to the loop. options : see `Ros1Process`.
-
-    Raises
-    ------
-    LinkError : see `Ros1Process.run`.
-    """
+    """Serve until the loop closes the feed."""
     Ros1Process(feed, options).run()
 
 
-def _encoded(message: Any, type_: str) -> bytes:
-    """Return a message as ROS 1 has it."""
+def _ros1(message: Any, type_: str) -> bytes:
+    """Return a message as ROS 1 has it on the wire."""
     return bytes(store().cdr_to_ros1(store().serialize_cdr(message, type_), type_))
 
 

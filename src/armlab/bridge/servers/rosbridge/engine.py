@@ -10,28 +10,33 @@ from typing import Any, Protocol
 import msgspec
 
 from armlab.bridge.servers.messages import CommandRequest, Leave, Report, Request, SetRequest
-from armlab.bridge.servers.ros import Commands, Encoded, Published, Topics
-from armlab.bridge.servers.rosbridge.dialect import Dialect, fields, flat, publish, read_type, type_name
-from armlab.bridge.servers.rosbridge.operations import (
+from armlab.bridge.servers.ros.requests import Commands
+from armlab.bridge.servers.ros.topics import Messages, RosTopic, Topics
+from armlab.bridge.servers.rosbridge.protocol import (
     Advertise,
     CallService,
+    Dialect,
     Operation,
     Publish,
     ServiceResponse,
     SetLevel,
-    Status,
-    Subscribe,
+    StatusOperation,
+    SubscribeOperation,
     Unadvertise,
     Unsubscribe,
+    fields,
     full_name,
     id_of,
+    publish,
     read_operation,
+    read_type,
+    type_name,
 )
 from armlab.bridge.servers.rosbridge.rosapi import SET_PARAM, Rosapi, parameter_name
-from armlab.bridge.servers.rosbridge.session import Session, Setting, Subscription
+from armlab.bridge.servers.rosbridge.session import ClientSession, PendingSetting, Subscription
 from armlab.bridge.servers.row import RowSchema
 from armlab.errors import CommandRefused, UnknownName
-from armlab.robots import from_toml
+from armlab.robots import Robot
 
 __all__ = ["Engine"]
 
@@ -47,60 +52,36 @@ class _Loop(Protocol):
     about: dict[str, Any]
     parameters: dict[str, dict[str, Any]]
 
+    def robots(self) -> dict[str, Robot]: ...
     def ask(self, request: Request) -> bool: ...
 
 
 class Engine:
-    """All clients of one server.
-
-    Parameters
-    ----------
-    loop : the server's end of the feed. server : its name, the first word of its clients' identities in the loop.
-    dialect : of clients whose texts do not tell.
-
-    Attributes
-    ----------
-    sessions : by identity.
-    """
+    """All clients of one server."""
 
     def __init__(self, loop: _Loop, server: str = "rosbridge", dialect: Dialect = "ros2") -> None:
-        robots = {name: from_toml(text, name) for name, text in loop.about["robots"].items()}
+        robots = loop.robots()
         self._dialect: Dialect = dialect
         self._loop, self._server = loop, server
         self._topics, self._commands = Topics(robots, loop.schema), Commands(loop.about["cell"], robots)
-        self._encoded, self._published = Encoded(self._topics, flat), self._topics.published
+        self._published = self._topics.published
         types = {name: one.type for name, one in self._published.items()} | self._commands.types
         self._rosapi = Rosapi(loop.about["cell"], types, lambda: self._loop.parameters)
         self._numbers: Counter[str] = Counter()
-        self.sessions: dict[str, Session] = {}
+        self.sessions: dict[str, ClientSession] = {}
 
-    def join(self, name: str, may_ask: bool = True) -> Session:
-        """Return the session of a new client.
-
-        Parameters
-        ----------
-        name, may_ask : see `Session`.
-        """
-        session = self.sessions[name] = Session(name, may_ask)
+    def join(self, name: str, may_ask: bool = True) -> ClientSession:
+        """Return the session of a new client."""
+        session = self.sessions[name] = ClientSession(name, may_ask)
         return session
 
-    def leave(self, session: Session) -> None:
-        """Forget a client that has gone.
-
-        Parameters
-        ----------
-        session : of the client.
-        """
+    def leave(self, session: ClientSession) -> None:
+        """Forget a client that has gone."""
         del self.sessions[session.name]
         self._loop.ask(Leave(session.name))
 
-    def take(self, session: Session, data: bytes | str, now_ns: int) -> None:
-        """Do what a client asks for; what cannot be done is told it by a status.
-
-        Parameters
-        ----------
-        session : of the client. data : one message of it. now_ns : monotonic clock.
-        """
+    def take(self, session: ClientSession, data: bytes | str, now_ns: int) -> None:
+        """Do what a client asks for; what cannot be done is told it by a status."""
         operation = None
         try:
             operation = read_operation(data)
@@ -110,36 +91,21 @@ class Engine:
             self._loop.ask(Report(session.name, str(error)))
 
     def row(self, data: bytes, now_ns: int) -> None:
-        """Send a row to those who want it.
-
-        Parameters
-        ----------
-        data : one row of the loop. now_ns : monotonic clock.
-        """
-        self._publish(lambda wanted: self._encoded.of_row(data, wanted.keys()), now_ns)
+        """Send a row to those who want it."""
+        self._publish(lambda wanted: self._topics.of_row(data, wanted.keys()), now_ns)
 
     def text(self, message: Mapping[str, Any], now_ns: int) -> None:
-        """Take what the loop says besides rows.
-
-        Parameters
-        ----------
-        message : see `messages`. now_ns : monotonic clock.
-        """
+        """Take what the loop says besides rows."""
         if message["kind"] == "parameters":
-            self._publish(lambda wanted: self._encoded.of_parameters(self._loop.parameters, wanted), now_ns)
+            self._publish(lambda wanted: self._topics.of_parameters(self._loop.parameters, wanted), now_ns)
             for session in self.sessions.values():
                 self._confirm(session, now_ns)
         elif message["kind"] == "answer" and message["client"] in self.sessions:
             self._answer(self.sessions[message["client"]], message, now_ns)
 
     def turn(self, now_ns: int) -> None:
-        """Do what is due without anybody saying anything; a few times a second.
-
-        Parameters
-        ----------
-        now_ns : monotonic clock.
-        """
-        self._publish(lambda wanted: self._encoded.of_silence(now_ns, wanted.keys()), now_ns)
+        """Do what is due without anybody saying anything; a few times a second."""
+        self._publish(lambda wanted: self._topics.of_silence(now_ns, wanted.keys()), now_ns)
         for session in self.sessions.values():
             late = [one for one in session.settings if now_ns > one.until_ns]
             session.settings = [one for one in session.settings if one not in late]
@@ -151,11 +117,11 @@ class Engine:
                 )
                 session.response(one.service, one.id, why, False, now_ns)
 
-    def _do(self, session: Session, operation: Operation, now_ns: int) -> None:
+    def _do(self, session: ClientSession, operation: Operation, now_ns: int) -> None:
         match operation:
             case Publish():
                 self._take_message(session, operation, now_ns)
-            case Subscribe():
+            case SubscribeOperation():
                 self._subscribe(session, operation, now_ns)
             case Unsubscribe():
                 name = operation.topic
@@ -173,10 +139,10 @@ class Engine:
                 session.level = operation.level
             case ServiceResponse():
                 raise CommandRefused("Expected no answer: services of clients are never called.")
-            case Status():
+            case StatusOperation():
                 pass
 
-    def _subscribe(self, session: Session, operation: Subscribe, now_ns: int) -> None:
+    def _subscribe(self, session: ClientSession, operation: SubscribeOperation, now_ns: int) -> None:
         name = operation.topic
         types = {topic: one.type for topic, one in self._published.items()}
         dialect = self._known(full_name(name), operation.type, types, "topic")
@@ -188,7 +154,7 @@ class Engine:
         if known is None or known.dialect != dialect:
             known = session.subscriptions[name] = Subscription(name, session.outbox, dialect)
         known.add(_id(operation) or "", operation.throttle_rate or 0.0, operation.queue_length or 0)
-        for published, message in self._encoded.of_parameters(self._loop.parameters, {known.full_name}):
+        for published, message in self._topics.of_parameters(self._loop.parameters, {known.full_name}):
             self._send(published, message, [known], now_ns)
 
     def _known(self, topic: str, type_: str | None, types: Mapping[str, str], what: str) -> Dialect:
@@ -202,7 +168,7 @@ class Engine:
             raise CommandRefused(f"Expected {type_name(types[topic], dialect)} for {topic}, got {type_}.")
         return dialect
 
-    def _take_message(self, session: Session, operation: Publish, now_ns: int) -> None:
+    def _take_message(self, session: ClientSession, operation: Publish, now_ns: int) -> None:
         name, types = full_name(operation.topic), self._commands.types
         if name not in types:
             raise UnknownName.among("topic that this cell takes", name, types)
@@ -217,7 +183,7 @@ class Engine:
                 _check_rights(session)
             self._loop.ask(request)
 
-    def _call(self, session: Session, call: CallService, now_ns: int) -> None:
+    def _call(self, session: ClientSession, call: CallService, now_ns: int) -> None:
         dialect: Dialect = self._dialect
         if call.type:
             dialect = "ros2" if call.type.count("/") == 2 else "ros1"
@@ -231,7 +197,7 @@ class Engine:
             values, is_done = str(error), False
         session.response(call.service, call.id, values, is_done, now_ns)
 
-    def _set(self, session: Session, call: CallService, given: Mapping[str, Any], now_ns: int) -> None:
+    def _set(self, session: ClientSession, call: CallService, given: Mapping[str, Any], now_ns: int) -> None:
         """Ask the loop for a value; its answer comes later."""
         _check_rights(session)
         name = parameter_name(given, self._loop.parameters)
@@ -241,10 +207,10 @@ class Engine:
             raise CommandRefused(f"Expected the value of {name} as JSON text, but {error}.") from None
         if len(session.settings) >= _SETTINGS:
             raise CommandRefused(f"Expected at most {_SETTINGS} settings that wait for the loop. Send fewer.")
-        session.settings.append(Setting(call.service, call.id, name, value, now_ns + _PATIENCE))
+        session.settings.append(PendingSetting(call.service, call.id, name, value, now_ns + _PATIENCE))
         self._ask_next(session, name, now_ns)
 
-    def _ask_next(self, session: Session, parameter: str, now_ns: int) -> None:
+    def _ask_next(self, session: ClientSession, parameter: str, now_ns: int) -> None:
         """Ask the loop for a client's first setting of a parameter, unless it has been asked for it."""
         for k, one in enumerate(session.settings):
             if one.parameter == parameter:
@@ -257,19 +223,19 @@ class Engine:
                         self._settle(session, one, str(error), False, now_ns)
                 return
 
-    def _settle(self, session: Session, one: Setting, values: Any, is_done: bool, now_ns: int) -> None:
+    def _settle(self, session: ClientSession, one: PendingSetting, values: Any, is_done: bool, now_ns: int) -> None:
         session.settings.remove(one)
         session.response(one.service, one.id, values, is_done, now_ns)
         self._ask_next(session, one.parameter, now_ns)
 
-    def _confirm(self, session: Session, now_ns: int) -> None:
+    def _confirm(self, session: ClientSession, now_ns: int) -> None:
         """Answer the settings of a client that are in force now."""
         for one in [one for one in session.settings if one.sequence is not None]:
             about = self._loop.parameters[one.parameter]
             if about["sequence"] > one.sequence and about["who"] == f"{self._server} {session.name}":
                 self._settle(session, one, {}, True, now_ns)
 
-    def _answer(self, session: Session, message: Mapping[str, Any], now_ns: int) -> None:
+    def _answer(self, session: ClientSession, message: Mapping[str, Any], now_ns: int) -> None:
         """Pass on what the loop says to a client: as the answer to its setting, or as a status."""
         text, refused = message["text"], message["refused"]
         one = next((one for one in session.settings if one.parameter in refused), None)
@@ -278,7 +244,7 @@ class Engine:
         else:
             session.status("info" if text == "Done." else "error", text, now_ns)
 
-    def _publish(self, made: Callable[[Mapping[str, Any]], Any], now_ns: int) -> None:
+    def _publish(self, made: Callable[[Mapping[str, Any]], Messages], now_ns: int) -> None:
         wanted: dict[str, list[Subscription]] = {}
         for session in self.sessions.values():
             for one in session.subscriptions.values():
@@ -287,21 +253,21 @@ class Engine:
         for published, message in made(wanted):
             self._send(published, message, wanted[published.name], now_ns)
 
-    def _send(self, published: Published, message: bytes, to: Iterable[Subscription], now_ns: int) -> None:
-        """Send a message (see `flat`) as text, made once for all clients of one dialect and spelling."""
-        self._numbers[published.name] += 1
+    def _send(self, topic: RosTopic, message: Any, to: Iterable[Subscription], now_ns: int) -> None:
+        """Send a message as JSON, made once for all clients of one dialect and spelling."""
+        self._numbers[topic.name] += 1
         texts: dict[tuple[str, Dialect], bytes] = {}
         for one in to:
             kind = one.topic, one.dialect
             if kind not in texts:
-                texts[kind] = publish(one.topic, message, one.dialect, self._numbers[published.name])
+                texts[kind] = publish(one.topic, message, topic.type, one.dialect, self._numbers[topic.name])
             one.offer(texts[kind], now_ns)
 
 
-def _id(operation: Subscribe | Unsubscribe) -> str | None:
+def _id(operation: SubscribeOperation | Unsubscribe) -> str | None:
     return None if operation.id is None else str(operation.id)
 
 
-def _check_rights(session: Session) -> None:
+def _check_rights(session: ClientSession) -> None:
     if not session.may_ask:
         raise CommandRefused("Expected a token from who commands or sets: send Authorization: Bearer. You may read.")

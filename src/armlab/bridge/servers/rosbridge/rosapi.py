@@ -7,9 +7,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from armlab.bridge.servers.ros import store
-from armlab.bridge.servers.rosbridge.dialect import HEADER, TIME, Dialect, fields, read_type, type_name
-from armlab.bridge.servers.rosbridge.operations import full_name
+from armlab.bridge.servers.ros.topics import store
+from armlab.bridge.servers.rosbridge.protocol import HEADER, TIME, Dialect, fields, full_name, read_type, type_name
 from armlab.errors import CommandRefused, UnknownName
 
 __all__ = ["SET_PARAM", "Rosapi", "parameter_name"]
@@ -20,12 +19,7 @@ Arguments = Mapping[str, Any]
 
 
 def parameter_name(arguments: Arguments, known: Mapping[str, Any]) -> str:
-    """Return the parameter that a client means by "gain", "/gain" or "/node:gain".
-
-    Raises
-    ------
-    UnknownName : none of them; a sentence for the client.
-    """
+    """Return the parameter that a client means by "gain", "/gain" or "/node:gain"."""
     name = arguments.get("name")
     found = name.rpartition(":")[2].lstrip("/") if isinstance(name, str) else ""
     if found not in known:
@@ -34,10 +28,7 @@ def parameter_name(arguments: Arguments, known: Mapping[str, Any]) -> str:
 
 
 class Rosapi:
-    """Answers at once whatever needs no loop.
-
-    cell : its name. topics : ROS 2 type by full name, those that go out and those that are taken.
-    """
+    """Answers at once whatever needs no loop."""
 
     def __init__(
         self, cell: str, topics: Mapping[str, str], parameters: Callable[[], Mapping[str, Mapping[str, Any]]]
@@ -61,12 +52,7 @@ class Rosapi:
         self.services = tuple(f"/rosapi/{name}" for name in self._made)
 
     def arguments(self, service: str, given: dict[str, Any] | list[Any] | None) -> Arguments:
-        """Return the arguments of a call by name.
-
-        Raises
-        ------
-        UnknownName : no such service.
-        """
+        """Return the arguments of a call by name."""
         full = full_name(service)
         if full not in self.services:
             raise UnknownName.among("service", service[:80], self.services)
@@ -74,12 +60,7 @@ class Rosapi:
         return dict(zip(names, given)) if isinstance(given, list) else given or {}
 
     def answer(self, service: str, arguments: Arguments, dialect: Dialect) -> dict[str, Any]:
-        """Return the values that a service answers with.
-
-        Raises
-        ------
-        CommandRefused, UnknownName : wrong arguments; a sentence for the client.
-        """
+        """Return the values that a service answers with."""
         return self._made[full_name(service).removeprefix("/rosapi/")][2](arguments, dialect)
 
     def _all_topics(self, given: Arguments, dialect: Dialect) -> dict[str, Any]:

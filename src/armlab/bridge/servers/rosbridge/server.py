@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Any
 from armlab.bridge.net.sockets import listening_socket
 from armlab.bridge.servers.messages import Listening
 from armlab.bridge.servers.rosbridge.engine import Engine
-from armlab.bridge.servers.rosbridge.operations import LARGEST
-from armlab.bridge.servers.rosbridge.session import Session
+from armlab.bridge.servers.rosbridge.protocol import LARGEST
+from armlab.bridge.servers.rosbridge.session import ClientSession
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import ConfigError, MissingExtra
 
@@ -64,14 +64,7 @@ class Access:
 
 
 def read_access(options: Mapping[str, Any], environment: Mapping[str, str] | None = None) -> Access:
-    """Return what the options of the server say.
-
-    environment : variables; those of the process by default.
-
-    Raises
-    ------
-    ConfigError : files or variables that are missing, open to others, or hold something else.
-    """
+    """Return what the options of the server say."""
     token = _token(options, os.environ if environment is None else environment)
     context = _context(options.get("certificate"), options.get("key"))
     return Access(token, context, (None, _LOCAL_PAGES, *options.get("origins", ())))
@@ -134,17 +127,7 @@ _PING, _PONG = 5.0, 10.0  # s between two pings, and for the answer: whose compu
 
 
 class RosbridgeServer:
-    """Serves until the loop closes the feed.
-
-    Parameters
-    ----------
-    feed : connected to the loop. options : "host", "port", "dialect", and what `read_access` reads.
-
-    Raises
-    ------
-    ConfigError : see `read_access`. LinkError : the port is taken, or the loop has gone.
-    MissingExtra : websockets is not installed.
-    """
+    """Serves until the loop closes the feed."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._websockets = _websockets()
@@ -209,7 +192,7 @@ class RosbridgeServer:
             if session.outbox.is_stuck(now):
                 self._connections[name].transport.abort()
 
-    def _send(self, connection: ServerConnection, session: Session) -> None:
+    def _send(self, connection: ServerConnection, session: ClientSession) -> None:
         """Send a client what waits for it, in one piece, unless it has not taken what was sent before."""
         transport = connection.transport
         if transport.get_write_buffer_size() > _WRITE_LIMIT or connection.state is not self._open:
@@ -260,12 +243,7 @@ def _head(size: int) -> bytes:
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed.
-
-    Raises
-    ------
-    ConfigError, LinkError, MissingExtra : see `RosbridgeServer`.
-    """
+    """Serve until the loop closes the feed."""
     asyncio.run(_run(feed, options))
 
 

@@ -1,4 +1,4 @@
-"""`Session`: what is known of one client, and what it is told."""
+"""`ClientSession`: what is known of one client, and what it is told."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from armlab.bridge.servers.rosbridge.dialect import Dialect
-from armlab.bridge.servers.rosbridge.operations import Level, full_name
+from armlab.bridge.servers.rosbridge.protocol import Dialect, Level, full_name
 
-__all__ = ["Outbox", "Session", "Setting", "Subscription"]
+__all__ = ["Outbox", "ClientSession", "PendingSetting", "Subscription"]
 
 _KEPT = 1_000_000_000  # ns that a message waits at most
 _PATIENCE = 10_000_000_000  # ns without progress after which a client is given up
@@ -37,10 +36,7 @@ class Outbox:
         self.sent = self.dropped = 0
 
     def put(self, data: bytes, now_ns: int, topic: str = "", most: int = 0) -> None:
-        """Let a message wait; what has waited for more than 1 s goes.
-
-        most : messages of this topic that wait at most, 0 for any number; the oldest of them goes.
-        """
+        """Let a message wait; what has waited for more than 1 s goes."""
         if self._since_ns is None:
             self._since_ns = now_ns
         while self._waiting and (now_ns - self._waiting[0].ns > _KEPT or self._bytes + len(data) > _LARGEST):
@@ -91,10 +87,7 @@ class Subscription:
         self._every_ns = self._most = self._due_ns = 0
 
     def add(self, id_: str, throttle_ms: float, queue_length: int) -> None:
-        """Take what one id wants.
-
-        queue_length : messages that wait at most; 0 throws away what comes too early.
-        """
+        """Take what one id wants."""
         self._ids[id_] = (int(1e6 * throttle_ms), queue_length)
         while len(self._ids) > _IDS:
             del self._ids[next(iter(self._ids))]
@@ -137,7 +130,7 @@ _LEVELS = ("info", "warning", "error", "none")
 
 
 @dataclass(frozen=True)
-class Setting:
+class PendingSetting:
     """A parameter that a client has set by a service, until the loop has answered.
 
     sequence : of the parameter's last change when the loop was asked; None while an earlier setting of it waits, as
@@ -152,7 +145,7 @@ class Setting:
     sequence: int | None = None
 
 
-class Session:
+class ClientSession:
     """One client."""
 
     def __init__(self, name: str, may_ask: bool) -> None:
@@ -161,7 +154,7 @@ class Session:
         self.subscriptions: dict[str, Subscription] = {}
         self.advertised: set[str] = set()
         self.warned: set[str] = set()
-        self.settings: list[Setting] = []
+        self.settings: list[PendingSetting] = []
         self.level: Level = "error"  # of the protocol
 
     def status(self, level: Level, text: str, now_ns: int, id_: str | int | None = None) -> None:

@@ -9,11 +9,10 @@ from typing import Any
 
 from armlab.bridge.servers.messages import Request, SetRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Pace, Row, RowSchema, read_row
-from armlab.bridge.servers.zenoh.address import Place
 from armlab.bridge.servers.zenoh.keys import EVERY, key, robot_of
 from armlab.bridge.servers.zenoh.messages import About, read_about, read_message
 from armlab.bridge.servers.zenoh.rows import Gaps, Inbox, undamaged
-from armlab.bridge.servers.zenoh.session import Asking, close_session, zenoh
+from armlab.bridge.servers.zenoh.session import Discovery, LabAddress, close_session, zenoh
 from armlab.errors import ArmlabError, ConfigError, LinkError
 
 __all__ = ["ZenohFeed", "robots_at"]
@@ -25,38 +24,16 @@ _TEXT = 2**16  # bytes that a text is counted for, read as it is
 
 
 def robots_at(session: Any, lab: str = EVERY, patience: float = 1.0) -> list[tuple[str, str]]:
-    """Return lab and name of the robots whose bridges are alive.
-
-    Parameters
-    ----------
-    session : open. lab : its name; all of them by default. patience : s to wait for an answer.
-    """
+    """Return lab and name of the robots whose bridges are alive."""
     replies = session.liveliness().get(key(lab, EVERY, "alive"), timeout=patience)
     return sorted({robot_of(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None})
 
 
 class ZenohFeed:
-    """A client of a bridge elsewhere; a context manager with the methods of `LocalFeed`.
-
-    Parameters
-    ----------
-    url : see `Place.read`. robot : an arm of the cell; "" when one cell serves that lab. patience : s to wait, also
-        for a bridge that has gone to come again: it may be the way to it, and what comes again another run.
-
-    Attributes
-    ----------
-    cell : its name. damaged : rows whose checksum was another one; they were dropped.
-    refused : texts that were none, dropped too.
-    lost : rows that did not come, or not read in time, counted by their numbers while every row is asked for.
-
-    Raises
-    ------
-    LinkError : nobody is there, or what it says of itself cannot be read. ConfigError : the same, a wrong url, or
-        several cells and no robot named.
-    """
+    """A client of a bridge elsewhere; a context manager with the methods of `LocalFeed`."""
 
     def __init__(self, url: str, robot: str = "", patience: float = 5.0) -> None:
-        self._place, self._patience = Place.read(url), patience
+        self._place, self._patience = LabAddress.read(url), patience
         self._messages: Inbox[bytes | dict[str, Any]] = Inbox(_KEPT)
         self._next: bytes | dict[str, Any] | None = None
         self._rows: list[Any] = []
@@ -80,7 +57,7 @@ class ZenohFeed:
         self.cell = about.cell
         self._arm, self._run = arm, about.run
         self._take(*about.said)
-        self._asking = Asking(self._session, self._answered)
+        self._asking = Discovery(self._session, self._answered)
         declare, lab = self._session.declare_subscriber, self._place.lab
         self._texts = [declare(key(lab, arm, what), self._take_text) for what in ("events", "status", "parameters")]
         self._alive = self._session.liveliness().declare_subscriber(
@@ -100,27 +77,13 @@ class ZenohFeed:
         close_session(self._session)
 
     def wait(self, seconds: float) -> bool:
-        """Return whether a message comes within so many seconds.
-
-        Parameters
-        ----------
-        seconds : at most.
-        """
+        """Return whether a message comes within so many seconds."""
         if self._next is None:
             self._next = self._messages.get(0.0 if self._has_ended() else seconds)
         return self._next is not None or self._has_ended()
 
     def ask(self, request: Request) -> None:
-        """Send a request: `Subscribe`, `SetRequest` or `Stop`.
-
-        Parameters
-        ----------
-        request : see `messages`.
-
-        Raises
-        ------
-        ConfigError : another request: only operators at the bridge's own computer may do that.
-        """
+        """Send a request: `Subscribe`, `SetRequest` or `Stop`."""
         lab, robot = self._place.lab, self._schema.robots[0]
         if isinstance(request, Subscribe):
             self._subscribe(request.rate)
@@ -134,12 +97,7 @@ class ZenohFeed:
             raise ConfigError(f"Expected a request that goes over Zenoh, got {what}. Ask at the bridge's own computer.")
 
     def receive(self) -> Row | dict[str, Any]:
-        """Return the next message: a row, or what another message says, by name, with its "kind".
-
-        Raises
-        ------
-        LinkError : the bridge has ended, or nothing came in time.
-        """
+        """Return the next message: a row, or what another message says, by name, with its "kind"."""
         until = time.monotonic() + self._patience
         while self.wait(until - time.monotonic()):
             message, self._next = self._next, None

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from armlab.errors import CommandRefused
 
-__all__ = ["COMMANDS", "EVERY", "Attached", "key", "robot_of"]
+__all__ = ["COMMANDS", "EVERY", "Attachment", "key", "robot_of"]
 
 EVERY = "*"
 """Stands for every lab or every robot in a key."""
@@ -19,37 +19,18 @@ _ATTACHED = struct.Struct("<16sqq")
 
 
 def key(lab: str, robot: str, what: str) -> str:
-    """Return a key.
-
-    Parameters
-    ----------
-    lab, robot : names, or `EVERY`.
-    what : "state" (every row, for recorders: waits for a slow one), "live" (every row, for controllers: dropped for a
-        slow one), "view" (30 rows/s), each row with its `checksum` attached; "schema", "about", "parameters",
-        "param/NAME", "command/KIND", "events",
-        "answer/SENDER", "status", "stop" or "alive".
-    """
+    """Return a key."""
     return f"armlab/{lab}/{robot}/{what}"
 
 
 def robot_of(name: str) -> tuple[str, str]:
-    """Return lab and robot of a key.
-
-    Parameters
-    ----------
-    name : as of `key`.
-    """
+    """Return lab and robot of a key."""
     _, lab, robot, *_ = name.split("/")
     return lab, robot
 
 
-class Attached(NamedTuple):
-    """What is attached to a command or a setting: 32 bytes, little-endian.
-
-    Attributes
-    ----------
-    sender : 16 bytes that the sender chose at random. seq : increasing. stamp_ns : wall clock of the sender.
-    """
+class Attachment(NamedTuple):
+    """What is attached to a command or a setting: 32 bytes, little-endian."""
 
     sender: bytes
     seq: int
@@ -60,17 +41,8 @@ class Attached(NamedTuple):
         return _ATTACHED.pack(*self)
 
     @classmethod
-    def read(cls, data: bytes | None) -> Attached:
-        """Return what the bytes say.
-
-        Parameters
-        ----------
-        data : of the attachment, None without one.
-
-        Raises
-        ------
-        CommandRefused : none, or another length.
-        """
+    def read(cls, data: bytes | None) -> Attachment:
+        """Return what the bytes say."""
         if data is None or len(data) != _ATTACHED.size:
             got = "none" if data is None else f"{len(data)} bytes"
             raise CommandRefused(

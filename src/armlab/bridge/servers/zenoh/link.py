@@ -1,4 +1,4 @@
-"""`zenoh://host:7447/lab` as a link: `FarPort` and `FarCodec` let the loop run on another computer than the bridge.
+"""`zenoh://host:7447/lab` as a link: `ZenohPort` and `ZenohCodec` let the loop run on another computer than the bridge.
 
 The loop sees rows of the bridge as it sees packets of EGM; each is answered by one command.
 """
@@ -13,43 +13,32 @@ import numpy as np
 
 from armlab.bridge.net.sockets import Arrival, Port, pair
 from armlab.bridge.servers.row import RowSchema, clock_ms, read_row
-from armlab.bridge.servers.zenoh.address import Place
-from armlab.bridge.servers.zenoh.keys import Attached, key
+from armlab.bridge.servers.zenoh.keys import Attachment, key
 from armlab.bridge.servers.zenoh.rows import Gaps, undamaged
-from armlab.bridge.servers.zenoh.session import close_session, zenoh
+from armlab.bridge.servers.zenoh.session import LabAddress, close_session, zenoh
 from armlab.errors import ArmlabError, LinkError, UnknownName
 from armlab.robots import Robot
 from armlab.wire.egm import Codec, Drop, Packet, Reference
 
-__all__ = ["FarCodec", "FarPort", "far_end"]
+__all__ = ["ZenohCodec", "ZenohPort", "far_end"]
 
 _LARGEST = 2**14
 _DAMAGED = b"damaged"  # in place of a row that was
 
 
 def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tuple[Port, Codec]:
-    """Return the port and codec of an arm behind a Zenoh server.
-
-    Raises
-    ------
-    ConfigError : other options. UnknownName : the bridge has another arm.
-    LinkError : nobody is there, or no bridge of that arm. MissingExtra : no Zenoh.
-    """
-    end = FarPort(robot, Place.of(host, port, options))
-    return cast(Port, end), FarCodec(robot, end.schema)
+    """Return the port and codec of an arm behind a Zenoh server."""
+    end = ZenohPort(robot, LabAddress.of(host, port, options))
+    return cast(Port, end), ZenohCodec(robot, end.schema)
 
 
-class FarPort:
+class ZenohPort:
     """Rows of an arm in place of datagrams; never blocks and never raises after construction.
 
     Zenoh connects again by itself. Rows come in a thread of Zenoh's, which hands them over by a socket.
-
-    Raises
-    ------
-    LinkError, UnknownName, MissingExtra : see `far_end`.
     """
 
-    def __init__(self, robot: Robot, place: Place) -> None:
+    def __init__(self, robot: Robot, place: LabAddress) -> None:
         self.host, self.port, self.errors = place.host, place.port, 0
         self._session = place.open()
         self._seq, self._sender = 0, secrets.token_bytes(16)
@@ -101,7 +90,7 @@ class FarPort:
         self._seq += 1
         kind = "position" if len(data) == 8 * self._n else "motion"
         try:
-            self._commands[kind].put(data, attachment=Attached(self._sender, self._seq, time.time_ns()).pack())
+            self._commands[kind].put(data, attachment=Attachment(self._sender, self._seq, time.time_ns()).pack())
         except zenoh().ZError:
             self.errors += 1
             return False
@@ -117,13 +106,8 @@ class FarPort:
             self.errors += 1
 
 
-class FarCodec:
-    """Rows as packets of the loop: see `wire.egm.Codec`.
-
-    Raises
-    ------
-    UnknownName : the arm is not in these rows. LinkError : they have other fields of it, as of other joints.
-    """
+class ZenohCodec:
+    """Rows as packets of the loop: see `wire.egm.Codec`."""
 
     def __init__(self, robot: Robot, schema: RowSchema) -> None:
         _check(schema, robot)

@@ -38,7 +38,7 @@ class _Event(msgspec.Struct, tag_field="kind", tag="event"):
     text: str
 
 
-class _Arm(msgspec.Struct):
+class _ArmStatus(msgspec.Struct):
     rate: float | None = None
     p50: float | None = None
     p99: float | None = None
@@ -50,7 +50,7 @@ class _Arm(msgspec.Struct):
 
 
 class _Status(msgspec.Struct, tag_field="kind", tag="status"):
-    arms: dict[str, _Arm]
+    arms: dict[str, _ArmStatus]
     lost: _Count = 0
 
 
@@ -68,12 +68,7 @@ class About(NamedTuple):
 
 
 def read_about(data: bytes) -> About:
-    """Return what a bridge answers to the query "about".
-
-    Raises
-    ------
-    LinkError : it is none, or its rows are not of its arms. ConfigError : it describes rows or an arm that cannot be.
-    """
+    """Return what a bridge answers to the query "about"."""
     said = _converted(_decoded(data, 3 * _LARGEST), list[dict[str, Any]])
     about = _converted(said[0] if said else {}, _About)
     for one in said[1:]:
@@ -94,12 +89,7 @@ def read_about(data: bytes) -> About:
 
 
 def read_message(data: bytes) -> dict[str, Any]:
-    """Return a text of the keys "events", "status" and "parameters", as `LocalFeed.receive` gives it.
-
-    Raises
-    ------
-    LinkError : it is none.
-    """
+    """Return a text of the keys "events", "status" and "parameters", as `LocalFeed.receive` gives it."""
     message = _decoded(data, _LARGEST)
     _converted(message, _Text)
     return message

@@ -16,11 +16,10 @@ import numpy as np
 from armlab.bridge.servers.messages import CommandRequest, Listening, Report, Request, SetRequest, Stop
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.bridge.servers.status import Status
-from armlab.bridge.servers.zenoh.keys import COMMANDS, Attached, key
-from armlab.bridge.servers.zenoh.publisher import Output, Waiting
+from armlab.bridge.servers.zenoh.keys import COMMANDS, Attachment, key
 from armlab.bridge.servers.zenoh.rows import checksum
 from armlab.bridge.servers.zenoh.security import Security
-from armlab.bridge.servers.zenoh.session import close_session, data_of, open_near
+from armlab.bridge.servers.zenoh.session import BlockingPublisher, Publisher, close_session, data_of, open_near
 from armlab.errors import CommandRefused
 
 __all__ = ["ZenohProcess", "serve"]
@@ -35,17 +34,12 @@ _NOBODY = "unknown"
 
 
 class ZenohProcess:
-    """Serves until the loop closes the feed.
-
-    Raises
-    ------
-    LinkError, ConfigError : the loop has gone, or see `open_near` and `Security`. MissingExtra : see `zenoh`.
-    """
+    """Serves until the loop closes the feed."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._loop = LoopEnd(feed, self._counts)
         self._lab = options["lab"]
-        self._arms = {name: _Arm(self._loop, name) for name in self._loop.schema.robots}
+        self._arms = {name: _ArmOutput(self._loop, name) for name in self._loop.schema.robots}
         self._recording: dict[str, Any] = {}
         self._answers: dict[str, str] = {}  # client -> robot under which it is answered
         self._declared: list[Any] = []  # they go with the last that holds them
@@ -73,10 +67,10 @@ class ZenohProcess:
 
     def _counts(self) -> dict[str, tuple[int, int]]:
         """Return rows sent and dropped by key: who reads them is not known here."""
-        rows = {f"{name} {what}": arm.rows.get(what) for name, arm in self._arms.items() for what in _Arm.KINDS}
+        rows = {f"{name} {what}": arm.rows.get(what) for name, arm in self._arms.items() for what in _ArmOutput.KINDS}
         return {name: (one.sent, one.dropped) for name, one in rows.items() if one is not None and one.sent}
 
-    def _declare(self, arm: _Arm) -> None:
+    def _declare(self, arm: _ArmOutput) -> None:
         session, lab = self._session, self._lab
         arm.open(session, lab)
         self._declared += [
@@ -112,7 +106,7 @@ class ZenohProcess:
         """Take a command; of one that cannot be read the sender gets a sentence."""
         kind, client = str(sample.key_expr).rpartition("/")[2], _NOBODY
         try:
-            attached = Attached.read(data_of(sample.attachment))
+            attached = Attachment.read(data_of(sample.attachment))
             client = attached.client
             self._ask(robot, _order(robot, kind, sample.payload.to_bytes(), attached))
         except CommandRefused as error:
@@ -122,7 +116,7 @@ class ZenohProcess:
         name, client = str(sample.key_expr).rpartition("/")[2], _NOBODY
         try:
             attachment = data_of(sample.attachment)
-            client = _NOBODY if attachment is None else Attached.read(attachment).client
+            client = _NOBODY if attachment is None else Attachment.read(attachment).client
             self._ask(robot, SetRequest(client, {name: _setting(name, sample.payload.to_bytes())}))
         except CommandRefused as error:
             self._refuse(robot, client, str(error))
@@ -130,7 +124,7 @@ class ZenohProcess:
     def _stop(self, robot: str, sample: Any) -> None:
         attachment = data_of(sample.attachment)
         try:
-            client = _NOBODY if attachment is None else Attached.read(attachment).client
+            client = _NOBODY if attachment is None else Attachment.read(attachment).client
         except CommandRefused:
             client = _NOBODY  # a stop counts, whoever it is from
         self._ask(robot, Stop(client))
@@ -158,10 +152,7 @@ class ZenohProcess:
         said = [self._loop.about, {"kind": "parameters", "parameters": list(self._loop.parameters.values())}]
         said += [self._recording] if self._recording else []
         with query:
-            query.reply(
-                key(self._lab, robot, "about"),
-                msgspec.json.encode(said),
-            )
+            query.reply(key(self._lab, robot, "about"), msgspec.json.encode(said))
 
     def _value(self, robot: str, query: Any) -> None:
         """Answer with all that is known of the parameters that are asked for."""
@@ -172,7 +163,7 @@ class ZenohProcess:
                     query.reply(where, msgspec.json.encode(about))
 
 
-class _Arm:
+class _ArmOutput:
     """What goes out of one arm."""
 
     KINDS = ("state", "live", "view")
@@ -180,19 +171,21 @@ class _Arm:
     def __init__(self, loop: LoopEnd, name: str) -> None:
         self.name, self._schema = name, loop.schema
         self._fresh = loop.schema.fields[f"{name}.fresh"].offset
-        self.rows: dict[str, Output] = {}
-        self.texts: dict[str, Output] = {}
+        self.rows: dict[str, Publisher] = {}
+        self.texts: dict[str, Publisher] = {}
         self._status: Status | None = None
         self._due = {"view": 0, "status": 0}
 
     def open(self, session: Any, lab: str) -> None:
-        kinds = {"state": Waiting, "live": Output, "view": Output}
+        kinds = {"state": BlockingPublisher, "live": Publisher, "view": Publisher}
         self.rows = {what: kind(session, key(lab, self.name, what)) for what, kind in kinds.items()}
-        self.texts = {what: Output(session, key(lab, self.name, what)) for what in ("events", "status", "parameters")}
+        self.texts = {
+            what: Publisher(session, key(lab, self.name, what)) for what in ("events", "status", "parameters")
+        }
 
     def close(self) -> None:
         for one in self.rows.values():
-            if isinstance(one, Waiting):
+            if isinstance(one, BlockingPublisher):
                 one.close()
 
     def row(self, data: bytes) -> None:
@@ -224,7 +217,7 @@ class _Arm:
         return True
 
 
-def _order(robot: str, kind: str, data: bytes, attached: Attached) -> CommandRequest:
+def _order(robot: str, kind: str, data: bytes, attached: Attachment) -> CommandRequest:
     if kind not in COMMANDS:
         known = ", ".join(COMMANDS)
         raise CommandRefused(f"Expected the last word of a command's key to be one of {known}, got {kind!r}.")
@@ -250,10 +243,5 @@ def _setting(name: str, data: bytes) -> Any:
 
 
 def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed.
-
-    Raises
-    ------
-    LinkError, ConfigError, MissingExtra : see `ZenohProcess`.
-    """
+    """Serve until the loop closes the feed."""
     ZenohProcess(feed, options).run()

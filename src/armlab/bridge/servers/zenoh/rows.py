@@ -59,16 +59,7 @@ _NUMBER = struct.Struct("<q")
 
 
 class Gaps:
-    """Counts what a reader of every row of an arm ("state" or "live") misses.
-
-    Parameters
-    ----------
-    schema : of the rows. robot : the arm.
-
-    Attributes
-    ----------
-    rows, lost : that came, and that did not between those that did. starts : runs of the bridge that were heard.
-    """
+    """Counts what a reader of every row of an arm ("state" or "live") misses."""
 
     def __init__(self, schema: RowSchema, robot: str) -> None:
         self._at = schema.fields[f"{robot}.tick"].offset
@@ -76,12 +67,7 @@ class Gaps:
         self.rows = self.lost = self.starts = 0
 
     def take(self, data: bytes) -> int:
-        """Count a row; return how many are missing before it.
-
-        Parameters
-        ----------
-        data : a row of this schema, of this arm.
-        """
+        """Count a row; return how many are missing before it."""
         (number,) = _NUMBER.unpack_from(data, self._at)
         if number <= self._last or not self.rows:  # another run begins anew
             self.starts += 1
@@ -100,21 +86,12 @@ _SUM = struct.Struct("<I")
 def checksum(data: bytes) -> bytes:
     """Return the CRC-32 of a row, 4 bytes, little-endian.
 
-    Parameters
-    ----------
-    data : the row.
-
     Reference: ISO 3309, the CRC-32 of zlib and Ethernet.
     """
     return _SUM.pack(zlib.crc32(data))
 
 
 def undamaged(sample: Any) -> bytes | None:
-    """Return the row of a sample, None when the sum attached is another one or there is none, or it is no row's size.
-
-    Parameters
-    ----------
-    sample : of the key "state", "live" or "view".
-    """
+    """Return the row of a sample, None when its checksum is wrong or missing, or when it is too large."""
     data = sample.payload.to_bytes()
     return data if len(data) <= LARGEST and data_of(sample.attachment) == checksum(data) else None

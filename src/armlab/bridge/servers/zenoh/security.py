@@ -9,7 +9,7 @@ from typing import Any
 from armlab.bridge.servers.zenoh.keys import EVERY, key
 from armlab.errors import ConfigError
 
-__all__ = ["BRIDGE", "COMMANDER", "Security"]
+__all__ = ["BRIDGE", "COMMANDER", "USERS", "Security"]
 
 COMMANDER = "commander"
 """User who may command and set parameters."""
@@ -17,31 +17,22 @@ COMMANDER = "commander"
 BRIDGE = "bridge"
 """User as whom bridges come to a router elsewhere; they alone may publish there."""
 
+USERS = (COMMANDER, BRIDGE, "viewer")
+"""Users that get a password each."""
+
 _LARGEST = 2**20  # characters of a file of users
 _SERVED = ("state", "live", "view", "events", "status", "parameters", "answer/**", "alive")
 
 
 @dataclass(frozen=True)
 class Security:
-    """What one end knows of the others; paths of files.
+    """What one end knows of the others; paths of files."""
 
-    Parameters
-    ----------
-    ca : certificate of the lab's own authority; with it links are TLS.
-    certificate, key : of this end, when it listens; the key belongs to its user alone.
-    users : "user:password" lines of those who may come, when it listens; then `COMMANDER` alone commands.
-    secret : one line "user:password" as whom this end comes to others.
-
-    Raises
-    ------
-    ConfigError : no such file, one that others may read, a certificate without its key, or a line of another form.
-    """
-
-    ca: Path | None = None
-    certificate: Path | None = None
+    ca: Path | None = None  # certificate of the lab's own authority; with it links are TLS
+    certificate: Path | None = None  # of this end, when it listens
     key: Path | None = None
-    users: Path | None = None
-    secret: Path | None = None
+    users: Path | None = None  # lines "user:password" of those who may come; then `COMMANDER` alone commands
+    secret: Path | None = None  # one line "user:password" as whom this end comes to others
 
     def __post_init__(self) -> None:
         for path in (self.ca, self.certificate, self.key, self.users, self.secret):
@@ -59,16 +50,7 @@ class Security:
 
     @classmethod
     def of(cls, options: Any) -> Security:
-        """Return what a table or the options of a link name.
-
-        Parameters
-        ----------
-        options : mapping; names of other things are left alone.
-
-        Raises
-        ------
-        ConfigError : see `Security`.
-        """
+        """Return what a table or the options of a link name."""
         names = [name for name in cls.__dataclass_fields__ if options.get(name)]
         try:
             return cls(**{name: Path(options[name]).expanduser() for name in names})
@@ -83,12 +65,7 @@ class Security:
         return None not in (self.ca, self.certificate, self.key, self.users)
 
     def values(self, listens: bool) -> dict[str, Any]:
-        """Return the values of Zenoh's configuration by key.
-
-        Parameters
-        ----------
-        listens : whether others come to this end.
-        """
+        """Return the values of Zenoh's configuration by key."""
         found: dict[str, Any] = {}
         if self.ca is not None:
             found["transport/link/tls/root_ca_certificate"] = str(self.ca.absolute())

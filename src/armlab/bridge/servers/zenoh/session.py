@@ -1,21 +1,38 @@
-"""Zenoh sessions as armlab has them everywhere: no multicast, quick to connect again, and always closed."""
+"""Zenoh sessions without multicast, quick to connect again, always closed; addresses of labs, and publishers."""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import queue
 import socket
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
+from urllib.parse import parse_qsl
 
 from armlab.bridge.net.sockets import is_here
 from armlab.bridge.servers.zenoh.keys import key
 from armlab.bridge.servers.zenoh.security import Security
+from armlab.bridge.urls import split_url
 from armlab.errors import ConfigError, LinkError, MissingExtra
 
-__all__ = ["Asking", "close_session", "data_of", "open_near", "open_session", "queried", "wait_for_router", "zenoh"]
+__all__ = [
+    "Discovery",
+    "LAB",
+    "Publisher",
+    "PORT",
+    "LabAddress",
+    "BlockingPublisher",
+    "close_session",
+    "data_of",
+    "open_near",
+    "open_session",
+    "queried",
+    "wait_for_router",
+    "zenoh",
+]
 
 _RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
 _OPENED = 1500  # ms for the other end to answer a connection
@@ -37,12 +54,7 @@ _watcher: list[threading.Thread] = []
 
 
 def zenoh() -> Any:
-    """Return the module.
-
-    Raises
-    ------
-    MissingExtra : it is not installed; says how to.
-    """
+    """Return the module."""
     try:
         import zenoh as module
     except ImportError:
@@ -60,15 +72,8 @@ def open_session(
 ) -> Any:
     """Return a session; `close_session` ends it. One that is forgotten is closed when the program ends.
 
-    Parameters
-    ----------
-    mode : "router" is found by others at its address; "peer" finds them through a router; "client" stays behind it.
-    listen, connect : "HOST:PORT"; port 0 lets the system choose. Connections that fail are tried again for ever.
-    security : certificates and passwords; None for neither.
-
-    Raises
-    ------
-    LinkError : an address cannot be bound, or a file of `security` cannot be used. MissingExtra : see `zenoh`.
+    A "router" is found by others at its address; a "peer" finds them through a router; a "client" stays behind it.
+    Addresses are "HOST:PORT"; connections that fail are tried again for ever.
     """
     module, safe = zenoh(), security or Security()
     protocol = "tls" if safe.ca is not None else "tcp"
@@ -109,11 +114,6 @@ def open_near(
 
     host, port : where others find it. When the port is taken, by the router of another server, that one is used, and
         the session is found directly at a port that the system chooses. router : "HOST:PORT" of a router elsewhere.
-
-    Raises
-    ------
-    ConfigError : the router at the port is reached from other computers, and commands would come by it from anybody.
-    LinkError : the port is taken by something else than a router, or by one that is not found where `host` says.
     """
     safe = security or Security()
     protocol = "tls" if safe.ca is not None else "tcp"
@@ -129,7 +129,7 @@ def open_near(
             session = _opened("router", [f"{host}:{port}"], [], safe)
             if session is not None:
                 return session, f"{protocol}/{host}:{port} (zenoh router)"
-            _check_holder(host, port, is_open)
+            _check_router_here(host, port, is_open)
         can_listen = safe.ca is None or safe.certificate is not None
         for own in (port if router and port else _free_port(host), _free_port(host)):
             session = _opened("peer", [f"{host}:{own}"] if can_listen else [], [place], safe)
@@ -181,14 +181,11 @@ def _check_router(router: str, is_open: bool) -> None:
             "this computer: whoever reaches it could command. Write them: armlab bridge certificates; or take the "
             "server out of `commands`."
         )
-    _check_holder("", int(port), is_open)
+    _check_router_here("", int(port), is_open)
 
 
-def _check_holder(host: str, port: int, is_open: bool) -> None:
-    """Refuse to use the router that holds our port: commands come by it from anybody, or it is not where we would be.
-
-    host, port : of the server, "" where it need not be found. is_open : whether it takes commands from whoever comes.
-    """
+def _check_router_here(host: str, port: int, is_open: bool) -> None:
+    """Refuse a router at our port that lets anybody command, or that is not found where we would be."""
     with socket.socket() as probe:
         try:
             probe.bind((_UNUSED, port))
@@ -208,10 +205,7 @@ def _check_holder(host: str, port: int, is_open: bool) -> None:
 
 
 def wait_for_router(session: Any, patience: float) -> bool:
-    """Return whether a peer has found a router, or another peer.
-
-    session : of the peer. patience : s to wait.
-    """
+    """Return whether a peer has found a router, or another peer."""
     until = time.monotonic() + patience
     while not (session.info.routers_zid() or session.info.peers_zid()):
         if time.monotonic() > until:
@@ -221,12 +215,7 @@ def wait_for_router(session: Any, patience: float) -> bool:
 
 
 def close_session(session: Any) -> None:
-    """Close a session; again is no mistake.
-
-    Parameters
-    ----------
-    session : of `open_session`.
-    """
+    """Close a session; again is no mistake."""
     with _lock:
         known = session in _open
         _open.discard(session)
@@ -240,12 +229,7 @@ def data_of(part: Any) -> bytes | None:
 
 
 def queried(session: Any, selector: str, patience: float) -> list[tuple[str, bytes]]:
-    """Return what was answered to a query: keys and bytes; what is more than 64 MiB together is left out.
-
-    Parameters
-    ----------
-    session : open. selector : key. patience : s to wait at most.
-    """
+    """Return what was answered to a query: keys and bytes; what is more than 64 MiB together is left out."""
     found, room = [], _ANSWERS
     for reply in session.get(selector, timeout=patience):
         if reply.ok is not None:
@@ -273,25 +257,15 @@ _PERIOD = 0.5  # s between two questions to a bridge
 _ANSWER = 2.0  # s for an answer
 
 
-class Asking:
-    """Asks "about" of bridges, each at most twice a second.
-
-    Parameters
-    ----------
-    session : open. answered : told lab, robot and what was said, in a thread of Zenoh's.
-    """
+class Discovery:
+    """Asks "about" of bridges, each at most twice a second."""
 
     def __init__(self, session: Any, answered: Callable[[str, str, bytes], None]) -> None:
         self._session, self._answered = session, answered
         self._due: dict[tuple[str, str], float] = {}
 
     def ask(self, lab: str, robot: str) -> None:
-        """Ask when it is time to.
-
-        Parameters
-        ----------
-        lab, robot : names.
-        """
+        """Ask when it is time to."""
         now = time.monotonic()
         if now < self._due.get((lab, robot), 0.0):
             return
@@ -303,3 +277,160 @@ class Asking:
 
         with contextlib.suppress(zenoh().ZError):  # the session is being closed
             self._session.get(key(lab, robot, "about"), take, timeout=_ANSWER)
+
+
+LAB = "lab"
+"""Name of a lab that was given none."""
+
+PORT = 7447
+"""Where Zenoh's routers listen."""
+
+_PATIENCE = 5.0  # s for the first connection
+_TRIED = 0.1  # s between two tries to reach a router
+_AGAIN = 0.1  # s until it is asked again: who has just connected does not know all of those who could answer
+_OPTIONS = ("ca", "secret")
+
+
+class LabAddress(NamedTuple):
+    """Where a lab is found."""
+
+    host: str = "127.0.0.1"
+    port: int = PORT
+    lab: str = LAB
+    security: Security = Security()
+
+    @classmethod
+    def read(cls, url: str) -> LabAddress:
+        """Return the address in ``zenoh://HOST:PORT/LAB?ca=FILE&secret=FILE``; only the host is needed."""
+        parts = split_url(url)
+        try:
+            host, port = parts.hostname, parts.port
+        except ValueError:
+            host, port = None, None
+        lab = parts.path.strip("/")
+        if parts.scheme != "zenoh" or not host or "/" in lab or "*" in lab:
+            raise ConfigError(f"Expected a place like zenoh://192.168.1.5:7447/lab1, got {url!r}.")
+        options = dict(parse_qsl(parts.query, keep_blank_values=True))
+        return cls.of(host, PORT if port is None else port, {"lab": lab, **options})
+
+    @classmethod
+    def of(cls, host: str, port: int, options: dict[str, str]) -> LabAddress:
+        """Return the place of a url that was taken apart."""
+        unknown = sorted(set(options) - {"lab", *_OPTIONS})
+        if unknown:
+            raise ConfigError(f"Expected only ca and secret as options of a zenoh link, got {', '.join(unknown)}.")
+        return cls(host, port, options.get("lab") or LAB, Security.of(options))
+
+    def open(self, patience: float = _PATIENCE) -> Any:
+        """Return a session there; see `session.close_session`."""
+        where = f"{self.host}:{self.port}"
+        listen = ["127.0.0.1:0"] if self.security.ca is None and self.host.startswith("127.") else []
+        session = open_session("peer", listen, [where], self.security)
+        if not wait_for_router(session, patience):
+            close_session(session)
+            secrets = "its certificates and passwords fit" if self.security.ca or self.security.secret else "it runs"
+            raise LinkError(
+                f"Expected a bridge or a Zenoh router at {where} within {patience:g} s, but none let us in. "
+                f"See whether {secrets}."
+            )
+        return session
+
+    def open_behind(self, patience: float = _PATIENCE) -> Any:
+        """Return a session all of whose messages go through the router, however many robots there are."""
+        where, until = f"{self.host}:{self.port}", time.monotonic() + patience
+        while True:
+            try:
+                return open_session("client", [], [where], self.security)
+            except LinkError:
+                if time.monotonic() > until:
+                    raise LinkError(
+                        f"Expected a Zenoh router at {where} within {patience:g} s, but none let us in. Start it: "
+                        "armlab fleet router; or see whether certificates and password fit."
+                    ) from None
+                time.sleep(_TRIED)
+
+    def ask(self, session: Any, selector: str, patience: float = _ANSWER) -> bytes:
+        """Return the one answer to a query."""
+        until = time.monotonic() + patience
+        while not (found := queried(session, selector, patience)):
+            if time.monotonic() > until:
+                raise LinkError(
+                    f"Expected an answer to {selector} at {self.host}:{self.port}, but none came. See whether the "
+                    "bridge of that robot runs and serves this lab."
+                )
+            time.sleep(_AGAIN)
+        return found[0][1]
+
+
+_WAITING = 2500  # rows of a recorder that is slow: 10 s of one arm
+_LAST = 1.0  # s for what waits at the end
+
+
+class Publisher:
+    """One key. Nothing is sent while nobody reads it; for a slow reader it is dropped."""
+
+    def __init__(self, session: Any, key: str, changed: Callable[[], None] = lambda: None) -> None:
+        self.wanted, self.sent, self.dropped = False, 0, 0
+        self._changed = changed
+        self._publisher = self._declared(session, key)
+        self._listener = self._publisher.declare_matching_listener(self._matched)
+        self.wanted = self.wanted or self._publisher.matching_status.matching
+
+    def put(self, data: bytes, attachment: bytes | None = None) -> None:
+        """Send when it is wanted."""
+        if self.wanted:
+            self._publisher.put(data, attachment=attachment)
+            self.sent += 1
+
+    def _declared(self, session: Any, key: str) -> Any:
+        control = zenoh().CongestionControl.DROP
+        return session.declare_publisher(key, congestion_control=control, express=True)
+
+    def _matched(self, status: Any) -> None:
+        self.wanted = status.matching
+        self._changed()
+
+
+class BlockingPublisher(Publisher):
+    """The same for readers that must have everything: a thread of its own waits for the slow one.
+
+    A reader that stands still loses its connection when the buffers on the way are full, after some seconds; it gets
+    rows again when it has connected again, and the hole shows in their numbers.
+    """
+
+    def __init__(self, session: Any, key: str) -> None:
+        self._queue: queue.Queue[tuple[bytes, bytes | None] | None] = queue.Queue(_WAITING)
+        self._thread = threading.Thread(target=self._send, name=key, daemon=True)
+        super().__init__(session, key)
+        self._thread.start()
+
+    def put(self, data: bytes, attachment: bytes | None = None) -> None:
+        """Queue what is wanted."""
+        if self.wanted:
+            try:
+                self._queue.put_nowait((data, attachment))
+            except queue.Full:
+                self.dropped += 1
+
+    def close(self) -> None:
+        """Send what waits, and end; call it before the session is closed."""
+        with contextlib.suppress(queue.Full):
+            self._queue.put(None, timeout=_LAST)
+        self._thread.join(_LAST)
+
+    def _declared(self, session: Any, key: str) -> Any:
+        module = zenoh()
+        return session.declare_publisher(
+            key,
+            congestion_control=module.CongestionControl.BLOCK,
+            priority=module.Priority.DATA_LOW,  # a queue of its own: what others read goes on meanwhile
+            express=True,
+        )
+
+    def _send(self) -> None:
+        while (message := self._queue.get()) is not None:
+            try:
+                self._publisher.put(message[0], attachment=message[1])
+                self.sent += 1
+            except zenoh().ZError:  # the session is closed
+                self.dropped += 1

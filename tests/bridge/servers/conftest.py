@@ -1,0 +1,114 @@
+"""What tests of several servers share: how they wait, and content that clients should not send."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armlab.bridge.cell import Cell, run_cell
+from armlab.bridge.command.arbiter import Arbiter
+from armlab.bridge.inputs.parameters import Parameter, Parameters
+from armlab.bridge.servers.hub import Hub
+from armlab.log import Tick
+from armlab.robots import Robot
+from armlab.state import Command, State
+
+WALL = 1_700_000_000_000_000_000  # ns, of the first row
+PATIENCE = 20.0  # s; only a test that fails waits so long
+
+
+def until(condition: Callable[[], Any], what: str = "it", patience: float = PATIENCE) -> Any:
+    """Wait for what another thread or process does, and return it."""
+    end = time.monotonic() + patience
+    while not (found := condition()):
+        assert time.monotonic() < end, f"{what} did not happen"
+        time.sleep(0.001)
+    return found
+
+
+class Served:
+    """A server in a thread at the other end of a hub, and a loop that gives rows of one arm and obeys clients."""
+
+    def __init__(
+        self,
+        name: str,
+        robot: Robot,
+        make: Callable[[socket.socket], Any],
+        parameters: Sequence[Parameter] = (),
+        **options: Any,
+    ) -> None:
+        self.name, self.robot, self.tick = name, robot, 0
+        about = {"cell": "yumi", "commands": [name]}
+        self.exchange = Hub([robot], [name], Parameters(parameters), [name], about=about, **options)
+        self.feed = self.exchange.open(name)
+        self.server = make(self.feed)
+        self.thread = threading.Thread(target=self.server.run)
+        self.thread.start()
+        self.where = until(lambda: self.exchange.poll() or self.exchange.outlets[name].where, "the server listening")
+
+    def state(self, **fields: Any) -> State:
+        q, nothing = np.array(self.robot.q_home), np.full(self.robot.n, np.nan)
+        given = {"t": 0.004 * self.tick, "q": q, "qd": 0.0 * q, "tau": nothing, "seq": self.tick, **fields}
+        return State(dt=0.004, robot=self.robot.name, q_start=q, **given)
+
+    def row(self, **fields: Any) -> State:
+        """Let the loop send one row, and see what came back; its stamp tells the tick."""
+        state, stamp = self.state(**fields), WALL + 4_000_000 * self.tick
+        self.exchange.row(state, None, Tick(self.tick, -1, stamp, time.time_ns(), -1, 0))
+        self.tick += 1
+        return state
+
+    def commanded(self, **fields: Any) -> Command | None:
+        """One tick of the loop: what the arm is told."""
+        command = self.exchange.arbiter(self.row(**fields))
+        assert not isinstance(command, tuple)
+        return command
+
+    def close(self) -> None:
+        self.exchange.close()
+        self.thread.join(PATIENCE)
+        assert not self.thread.is_alive()
+        self.feed.close()
+
+
+def nested(depth: int) -> list[Any]:
+    """Lists in lists: more of them than a decoder takes."""
+    found: list[Any] = []
+    for _ in range(depth):
+        found = [found]
+    return found
+
+
+LONGEST = 120.0  # s; only a test that fails runs so long
+
+
+def play(monkeypatch: pytest.MonkeyPatch, cell: Cell, script: Callable[[], None]) -> Any:
+    """Run a cell in this thread while a script plays its clients in another; the end of the one ends the other."""
+    over, obey, failures = threading.Event(), Arbiter.__call__, list[BaseException]()
+
+    def obey_or_end(arbiter: Arbiter, state: State) -> Any:
+        command = obey(arbiter, state)
+        return Command.stop() if over.is_set() else command
+
+    def run() -> None:
+        try:
+            script()
+        except BaseException as error:
+            failures.append(error)
+        over.set()
+
+    monkeypatch.setattr(Arbiter, "__call__", obey_or_end)
+    thread = threading.Thread(target=run, daemon=True)
+    try:
+        return run_cell(cell, seconds=LONGEST, patience=20.0, ready=lambda line: thread.start())
+    finally:
+        thread.join(LONGEST)
+        assert not thread.is_alive()
+        if failures:
+            raise failures[0]
