@@ -25,8 +25,10 @@ from armlab.bridge.servers.zenoh.keys import Attached  # noqa: E402
 from armlab.log import Tick  # noqa: E402
 from armlab.robots.urdf.writing import write_urdf  # noqa: E402
 from armlab.state import State  # noqa: E402
-from armlab.wire.egm import EgmCodec, Reference, RobotMessage, RobotSideCodec  # noqa: E402
-from armlab.wire.labcomm import PRIMS, Array, Encoder, Field, SampleType, Struct, parse_lc  # noqa: E402
+from armlab.wire.egm import EgmCodec, Reference  # noqa: E402
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec  # noqa: E402
+from armlab.wire.labcomm import Encoder, SampleType, parse_lc  # noqa: E402
+from armlab.wire.labcomm.types import PRIMS, Array, Field, Struct  # noqa: E402
 from fuzz import fleet  # noqa: E402
 
 Seeds = Iterator[tuple[str, str, bytes]]

@@ -28,7 +28,8 @@ from armlab.sim.arm.arm import LaggingArm
 from armlab.sim.controller.controller import SimulatedController
 from armlab.sim.controller.settings import ControllerSettings as RobotSettings
 from armlab.state import Command, State
-from armlab.wire.egm import EgmCodec, RobotSideCodec, SensorMessage
+from armlab.wire.egm import EgmCodec
+from armlab.wire.egm.robot_side import RobotSideCodec, SensorMessage
 
 from .wire import GOOD, Bad, Way
 

@@ -23,7 +23,8 @@ from armlab.bridge.control.supervision import Settings
 from armlab.bridge.net.sockets import Arrival, Port
 from armlab.robots import Robot
 from armlab.state import Command, State
-from armlab.wire.egm import EgmCodec, RobotSideCodec, SensorMessage
+from armlab.wire.egm import EgmCodec
+from armlab.wire.egm.robot_side import RobotSideCodec, SensorMessage
 
 from .by_hand import CONTROLLER, MS, Hands, Make, drift
 

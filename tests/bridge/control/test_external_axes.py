@@ -16,7 +16,8 @@ from armlab.bridge.control.state_machine import Guide, Mode
 from armlab.errors import CommandRefused
 from armlab.robots import Robot
 from armlab.state import Command, State
-from armlab.wire.egm import Beside, EgmCodec, Packet, Reference, RobotMessage, RobotSideCodec, SensorMessage
+from armlab.wire.egm import Beside, EgmCodec, Packet, Reference
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec, SensorMessage
 
 ABLE = frozenset(("position", "velocity", "external_axes", "rapid_data"))
 AXES = Limits.of_axes([-1.0, -2.0], [1.0, 2.0], [0.5, 0.5])

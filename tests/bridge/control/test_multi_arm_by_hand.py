@@ -9,7 +9,7 @@ from armlab import robots
 from armlab.bridge.control.state_machine import Mode
 from armlab.errors import CommandRefused
 from armlab.state import Command, State
-from armlab.wire.egm import RobotSideCodec
+from armlab.wire.egm.robot_side import RobotSideCodec
 
 from .by_hand import MS, Hands, Make, drift
 

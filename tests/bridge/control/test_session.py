@@ -10,7 +10,8 @@ import pytest
 from armlab.bridge.control.session import EGM_ERROR, NOMINAL_PERIOD, Period, RobotClock, Sample, Session
 from armlab.bridge.net.sockets import Arrival
 from armlab.robots import Robot
-from armlab.wire.egm import Drop, EgmCodec, Packet, RobotMessage, RobotSideCodec
+from armlab.wire.egm import Drop, EgmCodec, Packet
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
 
 SILENCE = 600_000_000  # ns
 PERIOD_NS = 4_000_000

@@ -20,7 +20,7 @@ from armlab.bridge.doctor.findings import Finding
 from armlab.bridge.doctor.network import addresses, firewall, listen, local_addresses, route_to
 from armlab.bridge.net.sockets import Arrival
 from armlab.robots import Robot
-from armlab.wire.egm import RobotMessage, RobotSideCodec
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
 
 
 def free_port() -> int:

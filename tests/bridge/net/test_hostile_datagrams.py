@@ -16,7 +16,8 @@ from armlab.bridge.control.session import Session
 from armlab.bridge.control.state_machine import Guide
 from armlab.bridge.net.sockets import Arrival
 from armlab.robots import Robot
-from armlab.wire.egm import EgmCodec, Reference, RobotMessage, RobotSideCodec
+from armlab.wire.egm import EgmCodec, Reference
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
 
 DATAGRAMS = 1_000_000
 BLOCK = 1000  # of which the slowest is timed

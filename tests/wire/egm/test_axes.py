@@ -10,8 +10,9 @@ import pytest
 
 from armlab import robots
 from armlab.errors import ConfigError, RobotError
-from armlab.wire.egm import EgmCodec, Packet, Reference, RobotMessage, RobotSideCodec, SensorMessage
+from armlab.wire.egm import EgmCodec, Packet, Reference
 from armlab.wire.egm.axes import RADIAN, AxisMap, Linkage, Refused
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec, SensorMessage
 
 
 def test_yumi_order(yumi: Any) -> None:

@@ -14,26 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab.errors import LabCommError
-from armlab.wire.labcomm import (
-    DIALECTS,
-    PRIMS,
-    VOID,
-    Array,
-    Decoder,
-    Definition,
-    Encoder,
-    Field,
-    Limits,
-    Sample,
-    SampleType,
-    Struct,
-    Unknown,
-    Version,
-    parse_lc,
-    parse_signature,
-    to_lc,
-)
-from armlab.wire.labcomm.types import Prim, Type
+from armlab.wire.labcomm import Decoder, Encoder, Limits, Sample, SampleType, parse_lc, to_lc
+from armlab.wire.labcomm.dialects import DIALECTS
+from armlab.wire.labcomm.signature import parse_signature
+from armlab.wire.labcomm.types import PRIMS, VOID, Array, Definition, Field, Prim, Struct, Type, Unknown, Version
 
 NAMES = st.from_regex(r"\Af_[a-z0-9]{0,4}\Z")
 TEXTS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=6)

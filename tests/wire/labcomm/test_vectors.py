@@ -10,26 +10,22 @@ from typing import Any
 import pytest
 
 from armlab.errors import LabCommError
-from armlab.wire.labcomm import (
+from armlab.wire.labcomm import Decoder, Encoder, Limits, Sample, SampleType, parse_lc
+from armlab.wire.labcomm.encoder import write_packet
+from armlab.wire.labcomm.signature import parse_signature
+from armlab.wire.labcomm.types import (
     Array,
     Binding,
-    Decoder,
     Definition,
-    Encoder,
     Event,
-    Limits,
     Other,
     Pragma,
     Prim,
-    Sample,
-    SampleType,
+    Type,
+    TypeRef,
     Unknown,
     Version,
-    parse_lc,
-    parse_signature,
-    write_packet,
 )
-from armlab.wire.labcomm.types import Type, TypeRef
 
 DIALECTS = ["2014v1", "2014", "2014i", "2014old", "2013", "2006"]
 KINDS = {"sample": "sample_def", "ref": "sample_ref", "type": "type_def"}

@@ -12,7 +12,8 @@ import pytest
 
 from armlab.bridge.servers.labcomm import LabCommServer, Row
 from armlab.bridge.servers.labcomm.channels import Channel
-from armlab.wire.labcomm import Decoder, Event
+from armlab.wire.labcomm import Decoder
+from armlab.wire.labcomm.types import Event
 
 PATIENCE = 10.0  # s; only a test that fails waits so long
 

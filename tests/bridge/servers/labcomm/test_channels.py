@@ -20,7 +20,8 @@ from armlab.bridge.servers.labcomm.channels import (
 )
 from armlab.bridge.servers.labcomm.rows import Row
 from armlab.errors import ConfigError, LabCommError, UnknownName
-from armlab.wire.labcomm import PRIMS, Decoder, Definition, Encoder, Sample, Unknown, Version, idl
+from armlab.wire.labcomm import Decoder, Encoder, Sample, idl
+from armlab.wire.labcomm.types import PRIMS, Definition, Unknown, Version
 
 COMMAND = idl.samples("armlab")["command_row"]
 VALUE = {"tm": 1, "pos": [0.5] * 7, "vel": [0.0] * 7, "trq": [0.0] * 7}

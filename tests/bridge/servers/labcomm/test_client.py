@@ -13,7 +13,8 @@ from armlab.bridge.servers.labcomm import ArmChannel, LabCommServer, ParameterCh
 from armlab.bridge.servers.labcomm.client import LabCommClient, LabCommSource, connected
 from armlab.errors import ConfigError, LabCommError, LinkError, UnknownName
 from armlab.log import Column
-from armlab.wire.labcomm import Definition, Prim, Sample, Version, parse_lc
+from armlab.wire.labcomm import Sample, parse_lc
+from armlab.wire.labcomm.types import Definition, Prim, Version
 
 from .conftest import PATIENCE, Started, row, until
 

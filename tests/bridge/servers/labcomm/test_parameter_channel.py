@@ -9,7 +9,8 @@ import pytest
 
 from armlab.bridge.servers.labcomm.channels import OnSet, ParameterChannel, Value
 from armlab.errors import ConfigError
-from armlab.wire.labcomm import PRIMS, Array, Decoder, Definition, Encoder, Sample
+from armlab.wire.labcomm import Decoder, Encoder, Sample
+from armlab.wire.labcomm.types import PRIMS, Array, Definition
 
 
 class Fake:

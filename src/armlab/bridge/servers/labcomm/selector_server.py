@@ -19,7 +19,8 @@ from armlab.bridge.servers.labcomm.channels import Channel
 from armlab.bridge.servers.labcomm.connection import Peer
 from armlab.bridge.servers.labcomm.rows import STOP
 from armlab.errors import LabCommError, LinkError
-from armlab.wire.labcomm import Definition, Encoder, Event, Sample
+from armlab.wire.labcomm import Encoder, Sample
+from armlab.wire.labcomm.types import Definition, Event
 
 __all__ = ["Ports"]
 
