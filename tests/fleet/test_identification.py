@@ -20,7 +20,7 @@ import pytest
 from armlab import fleet, identify, log
 from armlab.errors import LogError, NotExcited
 from armlab.fleet import identification
-from armlab.fleet.identification import SumCache, default_folder
+from armlab.fleet.identification import default_folder
 from armlab.log import Table
 
 pytestmark = pytest.mark.usefixtures("early")
@@ -131,15 +131,6 @@ def test_shapes_of_friction_that_no_worker_can_choose_end_it(
     monkeypatch.setattr(identification, "choose", lambda choice: (_ for _ in ()).throw(MemoryError("too large")))
     with pytest.raises(LogError, match="shape of friction of joint 1, but: too large"):
         fleet.identify(folder, short_arm.robot)
-
-
-def test_it_tells_what_is_read_and_which_joints_are_done(folder: Path, short_arm) -> None:
-    told: list[str] = []
-    with ThreadPoolExecutor(2) as pool:
-        fleet.identify(folder, short_arm.robot, pool, progress=lambda done, total, what: told.append(what))
-    assert told[0] == "reading the first logs"
-    assert "choosing the shape of friction, 1 of 2 joints" in told
-    assert told[-1].startswith("6 of 6 logs")
 
 
 def test_all_skipped_is_an_error_with_a_reason(short_arm) -> None:
@@ -353,18 +344,6 @@ def test_nothing_in_them_is_a_pickle(folder: Path, short_arm, tmp_path: Path) ->
     for path in tmp_path.iterdir():
         with np.load(path, allow_pickle=False) as kept:
             assert {kept[name].dtype.kind for name in kept.files} <= set("fiubU")
-
-
-def test_another_log_or_pattern_has_another_file(folder: Path, tmp_path: Path) -> None:
-    class Pattern:
-        sha256 = "a"
-
-    class Other:
-        sha256 = "b"
-
-    first, second = sorted(folder.iterdir())[:2]
-    names = {SumCache(tmp_path, of()).path(path) for of in (Pattern, Other) for path in (first, second)}  # type: ignore
-    assert len(names) == 4
 
 
 def test_the_default_folder_is_the_users(monkeypatch: pytest.MonkeyPatch) -> None:

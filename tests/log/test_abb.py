@@ -226,25 +226,6 @@ def test_joints_of_both_arms(tmp_path: Path) -> None:
         assert found.source[-1] == f"from_orca(yumi_left, arm {arm})"
 
 
-def test_the_other_order_gives_something_else(tmp_path: Path) -> None:
-    """Gears before the order of axes, or G⁻¹ for torques: plausible, and wrong."""
-    robot, values = coupled(), signals(1)
-    found = from_orca(log.read_csv(write_log(tmp_path / "run.csv", [values]), rate=1 / PERIOD), robot, 0)
-    G = robot.coupling
-    wrong = (values["posRawAbs"] @ G.T)[:, ORDER]
-    assert np.abs(found["q"] - wrong).max() > 0.01
-    assert np.abs(wrong).max() < 2 * np.abs(found["q"]).max()
-    ancestor = values["trqRaw"][:, ORDER] @ np.linalg.inv(G).T
-    assert np.abs(found["tau"] - ancestor).max() > 10.0
-
-
-def test_the_gears_keep_the_power(tmp_path: Path) -> None:
-    robot, values = coupled(), signals(3)
-    found = from_orca(log.read_csv(write_log(tmp_path / "run.csv", [values]), rate=1 / PERIOD), robot, 0)
-    motors = (values["velFlt"] * values["trqRaw"]).sum(axis=1)
-    np.testing.assert_allclose((found["qd"] * found["tau"]).sum(axis=1), motors, rtol=1e-9)
-
-
 def test_names_of_the_old_exports_and_holes(tmp_path: Path) -> None:
     """Aliases, velocity that was not filtered, NaN before the first value: missing of the joints it moves."""
     robot, values = coupled(), signals(4)
@@ -260,15 +241,6 @@ def test_names_of_the_old_exports_and_holes(tmp_path: Path) -> None:
     assert np.isnan(found["q"][:3, 3]).all()  # ABB's axis 3 is joint 4
     assert np.isfinite(found["q"][:, [0, 1, 2, 4, 5, 6]]).all()
     assert np.isfinite(found["q"][3:]).all()
-
-
-def test_a_labcomm_stream_ends_in_the_same_function(tmp_path: Path) -> None:
-    """`read_labcomm` numbers structs in arrays and names their leaves alike."""
-    robot, values = coupled(), signals(5)
-    csv = from_orca(log.read_csv(write_log(tmp_path / "run.csv", [values]), rate=1 / PERIOD), robot, 0)
-    names = {f"irb2ext.robot[0].joint[{k}].{s}": array[:, k] for s, array in values.items() for k in range(7)}
-    stream = Table(np.arange(20) * PERIOD, names, dict.fromkeys(names, Column(unit="1")))
-    assert from_orca(stream, robot, 0).sha256 == Table(stream.t, csv.values, csv.columns).sha256
 
 
 def test_what_is_refused(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from armlab.errors import LogError, ShapeError, UnknownName
 from armlab.log import Column, Log, Tail, inspect, read
-from armlab.log.assembly import in_time_order, recording_clock, recording_table, rows_in_order, wall_at_zero
+from armlab.log.assembly import recording_clock
 from armlab.log.recording.file import RecordingFile
 from armlab.robots import Robot
 
@@ -49,46 +49,6 @@ def test_stamps_when_there_is_nothing_else() -> None:
     assert len(recording_clock({}, STAMPS[:0])[0]) == 0
 
 
-def test_time_order_counts_rows_that_do_not_advance() -> None:
-    keep, lost = in_time_order(np.array([0.0, 1.0, 1.0, 0.5, 2.0, np.nan, 3.0]))
-    assert keep.tolist() == [True, True, False, False, True, False, True]
-    assert lost == 3
-
-
-def test_rows_whose_time_does_not_advance_are_dropped_or_spread() -> None:
-    given = np.array([0.0, 1.0, 1.0, 0.5, 2.0])
-    t, kept, notes = rows_in_order(given, raw=True)
-    assert kept.all()
-    assert notes == ()
-    assert (np.diff(t) > 0).all()
-    np.testing.assert_allclose(t, [0.0, 1.0, 1.0, 1.0, 2.0], atol=1e-8)
-    with pytest.warns(UserWarning, match="raw=True keeps them"):
-        t, kept, notes = rows_in_order(given, raw=False, row="line {}".format, of=" of /x")
-    assert t[kept].tolist() == [0.0, 1.0, 2.0]
-    assert notes == ("2 rows of /x dropped: their time does not advance (line 2, line 3)",)
-    with pytest.warns(UserWarning, match=r"7 rows .* \(row 1, row 2, row 3, row 4, row 5, \.\.\.\)"):
-        rows_in_order(np.zeros(8), raw=False)
-    assert rows_in_order(given[[0, 1, 4]], raw=False)[2] == ()
-
-
-def test_empty_columns_and_unused_axes_are_left_out() -> None:
-    q_ext = np.full((6, 6), np.nan)
-    q_ext[:, :2] = 1.0
-    values = {"q": np.zeros((6, 3)), "tau": np.full((6, 3), np.nan), "q_ext": q_ext, "seq": np.arange(6)}
-    table = recording_table(values, dict.fromkeys(values, Column()), STAMPS)
-    assert table.names == ("q", "q_ext", "seq")
-    assert table["q_ext"].shape == (6, 2)
-    assert table.t0_ns == 10**18
-
-
-def test_the_wall_clock_of_zero_where_t_begins_later() -> None:
-    t = np.array([2.5, 3.0])
-    assert wall_at_zero(t, STAMPS[:2]) == STAMPS[0] - 2_500_000_000
-    assert wall_at_zero(t[:0], STAMPS[:0]) == 0
-    table = recording_table({"t": t, "q": np.zeros((2, 7))}, {"t": Column(), "q": Column()}, STAMPS[:2])
-    assert table.t0_ns == STAMPS[0] - 2_500_000_000
-
-
 def test_pushed_values_become_columns_and_nothing_else(robot: Robot) -> None:
     log = Log(robot, extra={"fext": Column(shape=(6,), unit="N", frame="base")})
     for i in range(20):
@@ -111,14 +71,6 @@ def test_the_table_stays_valid_while_pushing_goes_on(robot: Robot) -> None:
     assert len(before) == 1
     assert np.all(before["q"] == 0.0)
     assert len(log.table()) == 1000
-
-
-def test_field_names_of_the_old_logs(robot: Robot) -> None:
-    log = Log(robot)
-    log.push(timestamp=0.1, seqnum=4, pos=np.ones(7), vel=np.ones(7) * 2, trq=np.ones(7) * 3, pos_o=np.ones(7) * 4)
-    table = log.table()
-    assert (table.t[0], table["seq"][0]) == (0.1, 4)
-    assert [table[name][0, 0] for name in ("q", "qd", "tau", "q_ref")] == [1.0, 2.0, 3.0, 4.0]
 
 
 def test_wrong_values_are_refused_before_anything_is_stored(robot: Robot, extra: dict[str, Column]) -> None:

@@ -9,15 +9,12 @@ import pytest
 
 from armlab.errors import LogError
 from armlab.log import Column, Table
-from armlab.log.file_formats.column_labels import CLOCKS, foreign_table, labelled_table, names_of
 from armlab.log.file_formats.description import (
     Description,
-    Progress,
-    components,
     distinct,
-    headings,
+    foreign_table,
+    labelled_table,
     of_json,
-    put_together,
 )
 
 
@@ -25,40 +22,6 @@ from armlab.log.file_formats.description import (
 def path(tmp_path: Path) -> Path:
     (tmp_path / "run.x").write_text("anything")
     return tmp_path / "run.x"
-
-
-def test_names_and_units_of_headings(path: Path) -> None:
-    heads = ["t [ms]", "- q_1[deg]", "joint[2]", "a [b] [N]", "plain"]
-    assert names_of(path, heads) == [("t", "ms"), ("q_1", "deg"), ("joint[2]", ""), ("a [b]", "N"), ("plain", "")]
-    with pytest.raises(LogError, match=r"got 'q' twice"):
-        names_of(path, ["q", "q [rad]"])
-    with pytest.raises(LogError, match=r"a column without a name"):
-        names_of(path, ["[rad]x", ""])
-
-
-def test_units_arrays_and_kinds(path: Path) -> None:
-    arrays = {
-        "time": (np.array([10**18, 10**18 + 4_000_000]), "ns"),
-        "q": (np.full((2, 2), 180), "deg"),
-        "tau1": (np.array([1.0, 2.0]), ""),
-        "tau2": (np.array([3.0, 4.0]), "mN m"),
-        "id": (np.array([2**60 + 1, 2**60 + 2]), ""),
-        "on": (np.array([True, False]), ""),
-        "mode": (np.array(["a", "b"]), ""),
-    }
-    table = labelled_table(path, arrays, notes=["read"])
-    assert CLOCKS == ("t", "time")
-    assert table.t.tolist() == [0.0, 0.004]
-    np.testing.assert_allclose(table["q"], np.pi)
-    assert table["id"].tolist() == [2**60 + 1, 2**60 + 2]
-    kinds = {name: column.kind for name, column in table.columns.items()}
-    assert kinds == {"q": "angle", "tau": "real", "id": "count", "on": "flag", "mode": "text"}
-    np.testing.assert_allclose(table["tau"], [[1.0, 0.003], [2.0, 0.004]])
-    assert table.notes == ("read",)
-    back = {"t": (np.array([1.0, 0.0, 2.0]), ""), "x": (np.arange(3.0), "")}
-    with pytest.warns(UserWarning, match=r"1 rows dropped: their time does not advance \(row 1\)"):
-        assert labelled_table(path, back)["x"].tolist() == [0.0, 2.0]
-    assert labelled_table(path, back, raw=True)["x"].tolist() == [0.0, 1.0, 2.0]
 
 
 def test_a_number_that_is_too_large_for_a_joint_is_a_label(path: Path) -> None:
@@ -108,20 +71,12 @@ TABLE = Table(
 )
 
 
-def test_headings() -> None:
-    assert list(headings("q", Column((2,), "rad"))) == ["q1 [rad]", "q2 [rad]"]
-    assert list(headings("n", Column((), "1"))) == ["n"]
-    assert list(headings("f", Column((6,), "N, N m")))[2:4] == ["f3 [N]", "f4 [N m]"]
-    assert list(headings("c", Column((2, 2), "m")))[1] == "c1_2 [m]"
-
-
 def test_a_description_goes_through_json(tmp_path: Path) -> None:
     path = tmp_path / "run.x"
     path.write_text("anything")
     about = of_json(Description.of(TABLE).json(more=[1]), path)
     assert about == Description.of(TABLE)
     assert about.labels() == ["t [s]", "q1 [rad]", "q2 [rad]", "n"]
-    assert list(about.selected(["n", "q"]).columns) == ["q", "n"]
     assert (
         Description.made(about.described(), armlab="1", t0_ns=0, clock="", notes=(), source=()).columns == about.columns
     )
@@ -136,21 +91,8 @@ def test_a_description_goes_through_json(tmp_path: Path) -> None:
             of_json(text, path)
 
 
-def test_components_and_back() -> None:
-    parts = list(components(TABLE))
-    assert [(label, unit) for label, unit, _ in parts] == [("t", "s"), ("q1", "rad"), ("q2", "rad"), ("n", "1")]
-    values = put_together(Description.of(TABLE), [array for _, _, array in parts[1:]], 2)
-    assert [array.shape for array in values.values()] == [(2, 2), (2, 1), (2, 0)]
-    np.testing.assert_array_equal(values["q"], TABLE["q"])
-
-
 def test_distinct_names() -> None:
     """Those that need no change keep their names, whatever comes before them."""
     wanted = {"a.b": "a_b", "a:b": "a_b", "a_b": "a_b", "t": "t", "a_b_2": "a_b_2"}
     assert distinct(wanted, ["t"]) == {"a.b": "a_b_3", "a:b": "a_b_4", "a_b": "a_b", "t": "t_2", "a_b_2": "a_b_2"}
     assert list(distinct({0: "q1", 1: "q1"}).values()) == ["q1", "q1_2"]
-
-
-def test_progress_is_any_function_of_three() -> None:
-    tell: Progress = lambda done, total, what: None  # noqa: E731
-    tell(1, 2, "rows")

@@ -14,7 +14,7 @@ import pytest
 from armlab import log
 from armlab.errors import LogError, MissingExtra, UnknownName
 from armlab.log import Column, Table
-from armlab.log.file_formats.hdf5 import read_hdf5, stored_size, write_hdf5
+from armlab.log.file_formats.hdf5_parquet import read_hdf5, write_hdf5
 
 h5py = pytest.importorskip("h5py", reason="HDF5 needs the extra data")
 T = np.arange(4) * 0.004
@@ -26,13 +26,6 @@ def table() -> Table:
     columns = {"a/b": Column(unit="1", kind="count"), "q": Column(labels=("a", "b"))}
     columns["mode"] = Column(unit="1", kind="text")
     return Table(T, values, columns, t0_ns=7, clock="robot", notes=("noted",), source=("here",))
-
-
-def test_the_size_of_all_arrays_before_they_are_read(tmp_path: Path) -> None:
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file.create_dataset("t", shape=(1 << 30,), dtype="f8", chunks=(1024,))
-        file.create_group("in").create_dataset("q", shape=(10, 7), dtype="f4")
-        assert stored_size(h5py, file) == (8 << 30) + 280
 
 
 def test_what_another_program_sees(table: Table, tmp_path: Path) -> None:

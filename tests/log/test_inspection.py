@@ -11,20 +11,14 @@ import pytest
 from mcap.writer import Writer
 
 from armlab import log, robots
-from armlab.errors import LogError, UnknownName
+from armlab.errors import LogError
 from armlab.log.mcap.records import contents
 from armlab.log.recording.columns import (
-    CLOCK_COLUMNS,
-    Rows,
-    Source,
     clock_channel,
-    clocks,
-    columns_at,
     kept_clock,
-    rows_of,
     sources_of,
 )
-from armlab.log.recording.inspection import Event, Inspection, Setting, Topic, inspect
+from armlab.log.recording.metadata import Event, Inspection, Setting, Topic, inspect
 from armlab.log.recording.recorder import Recorder
 from armlab.log.recording.ros_messages import T0_KEY
 
@@ -101,36 +95,6 @@ def test_a_setting_in_the_other_byte_order(tmp_path: Path) -> None:
         writer.add_message(channel, 5, b"\0\0\0\0" + struct.pack(">q", 5) + b"".join(texts), 5, 5)
         writer.finish()
     assert inspect(path).parameters == (Setting(5, 5, "a", 7, "b"),)
-
-
-def test_the_rows_are_those_of_the_table(recording: Callable[..., Path]) -> None:
-    path = recording(30)
-    view, table = memoryview(path.read_bytes()), log.read(path)
-    found = contents(view)
-    rows = rows_of(view, found, path)
-    assert isinstance(rows, Rows)
-    assert rows.kept.all()
-    assert np.array_equal(rows.t, table.t)
-    assert (rows.t0_ns, rows.clock) == (table.t0_ns, table.clock)
-    assert rows.sequence.tolist() == list(range(30))
-    assert list(clocks(found).values()) == ["/yumi_right/tick"]
-    with pytest.raises(UnknownName, match="yumi_right"):
-        clock_channel(found, path, "yumi_left")
-
-
-def test_single_columns(recording: Callable[..., Path]) -> None:
-    path = recording(30)
-    view = memoryview(path.read_bytes())
-    found = contents(view)
-    clock = clock_channel(found, path, None)
-    sources = sources_of(found, clock)
-    assert isinstance(sources["q"], Source)
-    assert sources["q"].fields == ("position",)
-    assert set(CLOCK_COLUMNS) - set(sources) == {"t"}
-    values, rows, damage = columns_at(view, found, clock, {"q": sources["q"], "rapid_data": sources["rapid_data"]})
-    assert list(values) == ["q"]
-    assert np.array_equal(values["q"], log.read(path)["q"])
-    assert (len(rows.sequence), damage) == (30, [])
 
 
 def test_the_clock_that_is_written_beside_t(recording: Callable[..., Path], tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from scipy.io import loadmat, savemat
 from armlab import log
 from armlab.errors import LogError, MissingExtra, UnknownName
 from armlab.log import Column, Table, read_mat
-from armlab.log.file_formats.mat import matlab_names, read_mat_table, read_variables, variables_in, write_mat
+from armlab.log.file_formats.mat import matlab_names, read_mat_table, variables_in, write_mat
 
 ARRAYS = {"T": np.arange(12.0).reshape(3, 4), "few": np.array([[1, 2, 3]], dtype=np.int16)}
 
@@ -41,28 +41,11 @@ def test_read_mat_of_version_5(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found[name], array)
 
 
-def test_read_mat_of_version_73_transposes(tmp_path: Path) -> None:
-    found = read_mat(save_73(tmp_path / "a.mat", ARRAYS))
-    for name, array in ARRAYS.items():
-        np.testing.assert_array_equal(found[name], array)
-
-
 def test_one_variable(tmp_path: Path) -> None:
     savemat(tmp_path / "a.mat", ARRAYS)
     assert list(read_mat(tmp_path / "a.mat", "few")) == ["few"]
     with pytest.raises(UnknownName, match="few"):
         read_mat(tmp_path / "a.mat", "fewer")
-
-
-def test_variables_keep_their_types_and_text(tmp_path: Path) -> None:
-    cells = np.array([["a"], ["grå"], [""]], dtype=object)
-    mixed = np.array([[1.0], ["b"]], dtype=object)
-    savemat(tmp_path / "a.mat", {**ARRAYS, "text": "hello", "cells": cells, "mixed": mixed, "z": np.array([1j])})
-    found, left_out = read_variables(tmp_path / "a.mat")
-    assert found["few"].dtype == np.int16
-    assert found["text"].tolist() == [["hello"]]
-    assert found["cells"].tolist() == [["a"], ["grå"], [""]]
-    assert left_out == ["mixed", "z"]
 
 
 def test_what_is_no_mat_file(tmp_path: Path) -> None:
@@ -104,9 +87,9 @@ def test_version_5_cut_at_every_byte(tmp_path: Path) -> None:
 
 def test_version_73_cut_and_with_wrong_bytes(tmp_path: Path) -> None:
     data = save_73(tmp_path / "whole.mat", {"T": np.eye(4)}).read_bytes()
-    assert not any(attempt(tmp_path / "cut.mat", data[:n]) for n in range(0, len(data), 7))
+    assert not any(attempt(tmp_path / "cut.mat", data[:n]) for n in range(0, len(data), 29))
     rng = np.random.default_rng(0)
-    for _ in range(200):
+    for _ in range(80):
         spoilt = bytearray(data)
         spoilt[rng.integers(512, len(data))] = rng.integers(0, 256)
         attempt(tmp_path / "spoilt.mat", bytes(spoilt))

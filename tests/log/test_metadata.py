@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 from armlab.errors import RobotError
-from armlab.log.recording.metadata import SECRET, attached, described, metadata, redacted, revision
-from armlab.robots import Robot, from_toml, load, to_toml
+from armlab.log.recording.metadata import SECRET, described, metadata, redacted, revision
+from armlab.robots import Robot, load, to_toml
 
 MARKER = "q7Zw"
 LETTERS = st.text("abcxyz", min_size=1, max_size=5)  # of which no name of a secret can be made
@@ -207,14 +207,3 @@ def test_metadata_has_the_hashes_of_what_is_attached(robot: Robot, monkeypatch: 
     assert about["command"] == "armlab run --token *** --api-key=*** tokens.py --seed 3"
     assert (about["robot"], about["robot_hash"], about["note"]) == (robot.name, robot.hash, "mine")
     assert json.loads(about["attachments"]) == {"model.toml": hashlib.sha256(b"1").hexdigest()}
-
-
-def test_secrets_in_settings_are_replaced(robot: Robot) -> None:
-    found = attached(robot, {"cell.toml": b"[token]\nkey = 'abc'", "data.bin": b"token = 1"})
-    assert tomllib.loads(found["cell.toml"].decode()) == {"token": "***"}
-    assert found["data.bin"] == b"token = 1"
-
-
-def test_the_description_of_the_robot_is_there(robot: Robot) -> None:
-    assert from_toml(attached(robot, {})["robot.toml"].decode(), "it").hash == robot.hash
-    assert attached(robot, {"robot.toml": b"mine"}) == {"robot.toml": b"mine"}

@@ -12,7 +12,7 @@ import pytest
 from armlab import log
 from armlab.errors import LogError, MissingExtra, UnknownName
 from armlab.log import Column, Table
-from armlab.log.file_formats.parquet import read_parquet, write_parquet
+from armlab.log.file_formats.hdf5_parquet import read_parquet, write_parquet
 
 pa = pytest.importorskip("pyarrow", reason="Parquet needs the extra data")
 pq = pytest.importorskip("pyarrow.parquet")
@@ -51,7 +51,7 @@ def test_single_columns(table: Table, tmp_path: Path) -> None:
 
 
 def test_more_than_one_group_of_rows(table: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("armlab.log.file_formats.parquet.ROWS", 3)
+    monkeypatch.setattr("armlab.log.file_formats.hdf5_parquet.ROWS", 3)
     path = log.write(table, tmp_path / "run.parquet")
     assert pq.ParquetFile(path).num_row_groups == 2
     assert log.read(path).sha256 == table.sha256

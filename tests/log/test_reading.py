@@ -19,14 +19,13 @@ from armlab.log import Column, Recorder, Tick, inspect, read, read_topics, recov
 from armlab.log.file_formats.opening import naming, opened
 from armlab.log.mcap.records import MAGIC
 from armlab.log.recording import ros_messages as messages
-from armlab.log.recording.columns import earlier, summary_of, torn_sentence
 from armlab.log.topics.reader import is_foreign, names_robots
 from armlab.robots import Robot
 from armlab.state import Command, State
 
 
 def test_every_column_comes_back_bit_for_bit(recording: Callable[..., Path], rows: Callable) -> None:
-    count = 600  # more than two chunks
+    count = 300  # more than a chunk
     table = read(recording(count))
     samples = [rows(i) for i in range(count)]
     expected = {
@@ -286,37 +285,12 @@ def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
         pass
 
 
-def test_a_file_without_numbers_says_so(tmp_path: Path) -> None:
-    from mcap.writer import Writer
-
-    path = tmp_path / "other.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
-        channel = writer.register_channel("/chatter", "cdr", schema)
-        writer.add_message(channel, 1, b"\0\1\0\0\1\0\0\0\0", 1)
-        writer.finish()
-    with pytest.raises(LogError, match=r"Expected topics with numbers in .*other.mcap, got none.*/chatter \(std_msgs"):
-        read(path)
-
-
 def test_an_empty_recording_is_an_empty_table(tmp_path: Path, robot: Robot) -> None:
     with Recorder(tmp_path / "none.mcap", robot) as recorder:
         pass
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert len(read(recorder.path)) == 0
-
-
-def test_sources_and_sentences(recording: Callable[..., Path]) -> None:
-    from armlab.log.mcap.records import Contents
-
-    path = recording(3)
-    with opened(path) as view:
-        assert earlier(view, Contents()) == ()
-        assert summary_of(view, Contents()) == {}
-    assert "0 rows" in torn_sentence(path, Contents(torn=5), read(path).rows(slice(0, 0)))
 
 
 def test_one_value_that_does_not_fit_does_not_cost_the_recording(tmp_path: Path, robot: Robot, rows: Callable) -> None:

@@ -17,53 +17,16 @@ from armlab.log.mcap.recovery import messages_in
 from armlab.log.recording import ros_messages as messages
 from armlab.log.recording.ros_messages import (
     CLOCK_KEY,
-    CLOCK_NAME_KEY,
     COLUMN_KEY,
-    T0_KEY,
     Plan,
     Topic,
-    clock_metadata,
-    column_topic,
     definition,
-    event,
-    parameter,
     plan,
-    topic_name,
     topics,
 )
-from armlab.log.recording.rows import NO_CLOCK, NO_COUNT, NO_FLAG, SELDOM, RowLayout, Slot, with_holes
+from armlab.log.recording.rows import NO_COUNT, SELDOM, RowLayout
 from armlab.robots import Robot
 from armlab.state import Command, State
-
-
-def test_slots_cover_the_row_without_holes(robot: Robot) -> None:
-    layout = RowLayout(robot, {"fext": Column((6,), unit="N")})
-    at = 0
-    for slot in layout.slots.values():
-        assert isinstance(slot, Slot)
-        assert slot.start == at
-        assert len(slot.nothing) == slot.stop - slot.start
-        at = slot.stop
-    assert at == layout.size
-    assert next(iter(layout.slots)) == "stamp_ns"
-    assert set(layout.extra) == {"wrench_hat", "wrench_hat_cov", "fext"}
-
-
-def test_packing_and_unpacking(robot: Robot, rows: Callable) -> None:
-    layout = RowLayout(robot, {"fext": Column((6,), unit="N"), "mode": Column(unit="1", kind="count")})
-    found = layout.unpack([layout.pack(*rows(i)) for i in range(5)])
-    for i in range(5):
-        state, command, tick = rows(i)
-        assert np.array_equal(found["tau"][i], state.tau)
-        assert np.array_equal(found["qd_ref"][i], command.qd)
-        assert np.array_equal(found["clamped"][i], tick.clamped)
-        assert np.array_equal(found["T_frame_tool"][i], state.T_frame_tool)
-        assert np.array_equal(found["wrench_hat_cov"][i], command.record["wrench_hat_cov"])
-        assert found["stamp_ns"][i] == tick.stamp_ns
-        assert found["utilization"][i] == state.utilization
-        assert found["mode"][i] == command.record["mode"]
-    assert np.isnan(found["tau_ref"]).all()
-    assert np.isnan(found["q_ext"]).all()
 
 
 def test_what_is_not_there_is_missing(robot: Robot) -> None:
@@ -105,20 +68,6 @@ def test_packing_by_name(robot: Robot) -> None:
         layout.pack_values({"q": np.zeros(6)})
 
 
-def test_marks_become_nan_and_whole_columns_stay_whole(robot: Robot) -> None:
-    counts = np.array([3, NO_COUNT, 5])
-    assert np.array_equal(with_holes(counts, NO_COUNT), [3.0, np.nan, 5.0], equal_nan=True)
-    assert with_holes(counts, None) is counts
-    assert with_holes(np.arange(3), NO_COUNT).dtype.kind == "i"
-    slots = RowLayout(robot).slots
-    assert [slots[name].missing for name in ("robot_ns", "seq_sent", "late", "clamped")] == [
-        NO_CLOCK,
-        NO_COUNT,
-        NO_FLAG,
-        NO_FLAG,
-    ]
-
-
 def test_the_end_of_a_row_is_there_when_it_is_needed(robot: Robot) -> None:
     """Rows of both kinds in one table; what RAPID never said is missing, not False."""
     layout = RowLayout(robot)
@@ -142,7 +91,6 @@ def test_the_end_of_a_row_is_there_when_it_is_needed(robot: Robot) -> None:
 
 
 TYPES = ("Tick", "Column", "WrenchEstimate", "Parameter")
-PARAMETER = "armlab_msgs/msg/Parameter"
 
 
 def written(topic: Topic, layout: RowLayout, row: bytes, stamp_ns: int) -> bytes | None:
@@ -242,30 +190,3 @@ def test_absent_sequences_are_empty_and_absent_messages_none(robot: Robot, rows:
     tick = written(by_name["tick"], layout, row, 5)
     assert tick is not None
     assert store.deserialize_cdr(bytes(tick), "armlab_msgs/msg/Tick").clamped.size == 0
-
-
-def test_parameters(store) -> None:
-    decoded = store.deserialize_cdr(parameter(2_000_000_001, 7, "gain", np.array([1.0, 2.0]), "local 1"), PARAMETER)
-    assert (decoded.sequence, decoded.name, decoded.value, decoded.who) == (7, "gain", "[1.0, 2.0]", "local 1")
-    assert (decoded.stamp.sec, decoded.stamp.nanosec) == (2, 1)
-
-
-def test_events_and_names(store) -> None:
-    decoded = store.deserialize_cdr(event(2_000_000_001, "hé"), "rcl_interfaces/msg/Log")
-    assert (decoded.msg, decoded.stamp.sec, decoded.stamp.nanosec, decoded.level) == ("hé", 2, 1, 20)
-    assert topic_name("my arm-2") == "my_arm_2"
-    assert Topic("x", "y", {}).frame_id == ""
-
-
-def test_a_blank_message_is_zeros_and_empty_texts() -> None:
-    known = messages.store()
-    message = messages.blank("sensor_msgs/msg/JointState")
-    assert (message.name, len(message.position), message.header.frame_id) == ([], 0, "")
-    assert messages.blank("geometry_msgs/msg/WrenchStamped").wrench.torque.z == 0
-    raw = bytes(known.serialize_cdr(message, "sensor_msgs/msg/JointState"))
-    assert known.deserialize_cdr(raw, "sensor_msgs/msg/JointState").header.stamp.sec == 0
-
-
-def test_a_column_by_itself_and_the_clock_beside_t() -> None:
-    assert (column_topic("a b").name, column_topic("t").fields) == ("columns/a_b", {"t": ("values",)})
-    assert clock_metadata(5, "robot") == {T0_KEY: "5", CLOCK_NAME_KEY: "robot"}

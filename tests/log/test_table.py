@@ -13,9 +13,14 @@ from hypothesis import strategies as st
 from armlab import glossary
 from armlab.errors import LogError, ShapeError, UnknownName
 from armlab.log import Table
-from armlab.log.column import KINDS, OLD_NAMES, Column, alias, frozen, natural_key, refuse_ragged, stored
-from armlab.log.states import QD_SOURCES, TAU_SOURCES
-from armlab.log.table import component_names, describe_text, missing_rows, statistics, table_text, timing
+from armlab.log.column import Column, alias, frozen, refuse_ragged, stored
+from armlab.log.table import (
+    QD_SOURCES,
+    TAU_SOURCES,
+    component_names,
+    missing_rows,
+    statistics,
+)
 
 
 def example(rows: int = 50, joints: int = 7, seed: int = 1) -> Table:
@@ -93,11 +98,6 @@ def test_clock_must_be_finite_and_increase(t: list, message: str) -> None:
 def test_wrong_columns_are_refused(values: dict, columns: dict, message: str) -> None:
     with pytest.raises((ShapeError, UnknownName), match=message):
         Table([0.0, 1.0, 2.0], values, columns)
-
-
-def test_a_wrong_name_lists_the_columns() -> None:
-    with pytest.raises(UnknownName, match="Known: grip, q, qd, seq, tau"):
-        example()["torque"]
 
 
 def test_counts_with_holes_become_real_and_say_so() -> None:
@@ -263,27 +263,6 @@ def test_cutting_twice_is_cutting_once(a: int, b: int, c: int) -> None:
     assert np.array_equal(twice.t, table.between(first, min(second, third)).t)
 
 
-def test_known_names_are_filled_from_the_glossary() -> None:
-    column = Column(shape=(7,)).resolved("q")
-    assert (column.unit, column.frame, column.kind) == ("rad", "joint", "angle")
-
-
-def test_new_names_state_their_unit() -> None:
-    column = Column(shape=(6,), unit="N", frame="base").resolved("fext")
-    assert (column.unit, column.frame, column.kind) == ("N", "base", "real")
-    with pytest.raises(ShapeError, match="unit"):
-        Column(shape=(6,)).resolved("fext")
-
-
-def test_contradictions_are_refused() -> None:
-    with pytest.raises(ShapeError, match="Expected unit 'rad'"):
-        Column(shape=(7,), unit="deg").resolved("q")
-    with pytest.raises(ShapeError, match=r"\(N, 6, 6\)"):
-        Column(shape=(6,)).resolved("wrench_hat_cov")
-    with pytest.raises(UnknownName, match="real"):
-        Column(unit="1", kind="double").resolved("mine")
-
-
 def test_symbols_of_motion_leave_columns_alone() -> None:
     """x is the phase of a primitive in the glossary, and a coordinate in most files."""
     column = Column(shape=(), unit="m").resolved("x")
@@ -291,12 +270,6 @@ def test_symbols_of_motion_leave_columns_alone() -> None:
     assert glossary.lookup("x").unit == "1"
     assert "x" not in glossary.columns()
     assert glossary.columns()["q"] is glossary.lookup("q")
-
-
-def test_headings() -> None:
-    assert Column(unit="N m").heading("tau") == "tau [N m]"
-    assert Column(unit="1").heading("seq") == "seq"
-    assert set(KINDS) == {"real", "angle", "pose", "quaternion", "count", "flag", "text"}
 
 
 def test_stored_values_have_the_type_of_their_kind() -> None:
@@ -345,15 +318,6 @@ def test_the_clock_is_no_column() -> None:
 def test_aliases_are_those_of_the_old_tools() -> None:
     assert alias("irb2ext.robot[0].joint[2].posRawAbs") == "irb2ext_robot_0__joint_2__posRawAbs"
     assert alias("sample:value[3]") == "sample_value_3"
-
-
-def test_natural_order() -> None:
-    names = ["q10", "q9", "q1", "p2", "q", "2q"]
-    assert sorted(names, key=natural_key) == ["2q", "p2", "q", "q1", "q9", "q10"]
-
-
-def test_names_of_the_ancestors_logs() -> None:
-    assert (OLD_NAMES["pos"], OLD_NAMES["trq_o"], OLD_NAMES["timestamp"]) == ("q", "tau_ref", "t")
 
 
 @pytest.mark.parametrize(("rows", "held", "told"), [(2**21, 0, ""), (2**22, 2**20, ""), (2**22, 2**20 - 1, "alike")])
@@ -410,15 +374,6 @@ def test_statistics_leave_out_what_is_missing() -> None:
     assert np.isnan(words["min"]).all()
 
 
-def test_timing() -> None:
-    found = timing(Table([0.0, 0.1, 0.2, 0.6], {}))
-    assert found["rows"] == 4
-    assert found["duration"] == pytest.approx(0.6)
-    assert found["rate"] == pytest.approx(10.0)
-    assert found["gap"] == pytest.approx(0.4)
-    assert timing(Table([0.0], {}))["duration"] == 0.0
-
-
 def test_components_are_named_by_joint_or_number() -> None:
     table = Table(
         [0.0], {"q": [[1.0, 2.0]], "wrench_hat_cov": np.zeros((1, 6, 6)), "seq": [1]}, {"q": Column(labels=("a", "b"))}
@@ -426,10 +381,3 @@ def test_components_are_named_by_joint_or_number() -> None:
     assert component_names(table, "q") == ["q[a]", "q[b]"]
     assert component_names(table, "wrench_hat_cov")[7] == "wrench_hat_cov[2,2]"
     assert component_names(table, "seq") == ["seq"]
-
-
-def test_texts() -> None:
-    table = Table([0.0, 0.004], {"tau": [[1.0], [np.nan]]}, notes=("cut short",))
-    assert table_text(table).splitlines()[2].split() == ["tau", "(2,", "1)", "N", "m", "1", "rows", "from", "row", "1"]
-    assert table_text(table).endswith("note: cut short")
-    assert describe_text(table).splitlines()[1].split() == ["tau[1]", "N", "m", "1", "1", "1", "0", "1"]

@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from armlab import log, robots
 from armlab.errors import LogError, UnknownName
-from armlab.log.topics.reader import is_foreign, read_foreign, read_joints, read_topics
+from armlab.log.topics.reader import is_foreign, read_topics
 
 UR = ("elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 STEP = 2_000_000  # ns
@@ -228,7 +228,7 @@ def test_damaged_bags_of_others(ros: Any, tmp_path: Path, storage: str, read_spo
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for file in path.iterdir():
-            read_spoilt(path, file, 12)
+            read_spoilt(path, file, 6)
             with contextlib.suppress(LogError):
                 log.read(file)
 
@@ -246,29 +246,6 @@ def test_damaged_messages_of_others_are_left_out_alone(ros: Any, tmp_path: Path,
     assert [note.partition(" skipped")[0] for note in tables["/n1"].notes] == ["2 messages on /n0", "1 message on /n1"]
     assert tables["/n0"]["n0"].ravel().tolist() == [0, 2, 8, 10]
     assert tables["/n1"]["n1"].ravel().tolist() == [1, 3, 5, 9, 11]
-
-
-def test_the_functions_behind_read(ros: Any, tmp_path: Path) -> None:
-    from armlab.log.topics.tables import Choice
-
-    path = ros.bag(tmp_path / "bag", ur_bag(ros, 4))
-    told: list[tuple[float, float, str]] = []
-    table = read_foreign(path, Choice(["q"]), None, lambda *one: told.append(one))
-    assert told
-    assert all(0 < done <= total for done, total, _ in told)
-    assert log.read(path / "bag.mcap", ["q"]).sha256 == table.sha256
-    text = tmp_path / "x.sqlite"
-    text.write_bytes(b"SQLite format 3\0" + bytes(90))
-    with pytest.raises(LogError, match=r"a file in it that ends in \.db3, got .*x\.sqlite\. Rename it"):
-        log.read(text)
-
-
-def test_the_joints_of_an_arm_in_its_own_order(ros: Any, tmp_path: Path) -> None:
-    """What a driver logs beside the joints, at whatever rate, is no matter."""
-    arm = robots.load("ur5e")
-    table = read_joints(ros.bag(tmp_path / "bag", ur_bag(ros)), arm)
-    assert table.names == ("q", "qd", "tau")
-    np.testing.assert_array_equal(table["q"][0], [UR.index(name) for name in arm.joint_names])
 
 
 def test_topics_one_by_one(ros: Any, tmp_path: Path) -> None:

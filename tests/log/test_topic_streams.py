@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.errors import LogError
 from armlab.log.column import Column
-from armlab.log.mcap.decode import Decoded
-from armlab.log.mcap.message_layouts import MessageReader, assembled, read_blocks, split
+from armlab.log.mcap.decode import MessageReader, assembled, read_blocks, split
 from armlab.log.topics.messages import TopicMessages
-from armlab.log.topics.streams import JOINTS, Stream, TopicFields, columns_of_fields, rate_text, stem, streams_of
-from armlab.log.topics.tables import WRENCH, Choice, table_of_streams, tables_of_streams
+from armlab.log.topics.reader import WRENCH, Choice, table_of_streams
+from armlab.log.topics.streams import JOINTS, Stream, TopicFields, columns_of_fields, streams_of
 from armlab.wire import cdr
 
 ROBOT = """\
@@ -72,15 +70,6 @@ def test_a_state_of_one_message(ros: Any) -> None:
     assert (columns["count"].kind, columns["on"].kind, columns["gains"].kind) == ("real", "flag", "real")
 
 
-def test_joints_without_names_or_with_too_few(ros: Any) -> None:
-    types = cdr.definitions(JOINTS, ros.store.generate_msgdef(JOINTS, ros_version=2)[0])
-    for names in ((), ("a",), ("a", "a")):
-        topic = TopicFields(JOINTS, types)
-        values, columns, _ = columns_of_fields(topic, fields(ros, topic, ros.raw(ros.joints(1, names, [1.0, 2.0]))))
-        np.testing.assert_array_equal(values["q"], [[1.0, 2.0]])
-        assert columns["tau"].labels == ()
-
-
 def test_states_without_a_joint_or_without_an_effort(ros: Any) -> None:
     topic = TopicFields(JOINTS, cdr.definitions(JOINTS, ros.store.generate_msgdef(JOINTS, ros_version=2)[0]))
     bare, named = ros.joints(1, (), [1.0, 2.0], efforts=False), ros.joints(1, ("a", "b"), [3.0, 4.0], efforts=False)
@@ -121,18 +110,6 @@ def streams(ros: Any, topic: str, messages: list[tuple[int, Any]]) -> list[Strea
     into.add(topic, one)
     ((_, fields, decoded),) = into.decoded()
     return streams_of(topic, fields, decoded)[0]
-
-
-def test_names_and_rates() -> None:
-    assert stem("/ft/wrench") == "ft.wrench"
-    ns = np.arange(5) * 10_000_000
-    column = {"x": Column(unit="1")}
-    fast = Stream("/x", "", ns, None, {"x": np.zeros(5)}, column)
-    slow = Stream("/y", "", ns[:1], None, {"x": np.zeros(1)}, column)
-    assert (fast.rate, slow.rate) == (100.0, 0.0)
-    assert rate_text([slow, fast]) == "/x 100 Hz, /y 1 message"
-    assert fast.rows(ns > 0).log_ns[0] == 10_000_000
-    assert fast.joints == ()
 
 
 def test_messages_are_put_in_the_order_of_recording(ros: Any) -> None:
@@ -180,12 +157,6 @@ def test_joints_that_never_come_together_and_transforms_of_two_publishers(ros: A
     assert camera.values["tf.cam.m"][:, 0, 3].tolist() == [1, 3]
 
 
-def test_a_topic_without_numbers_is_none() -> None:
-    fields = TopicFields(JOINTS, {})
-    nothing = Decoded(np.zeros(1, np.uint32), np.zeros(1, np.int64), {})
-    assert streams_of("/x", fields, nothing) == ([], [])
-
-
 PATH = Path("run.mcap")
 ROWS = np.arange(10)
 
@@ -218,16 +189,6 @@ def test_a_header_of_another_clock_is_not_believed() -> None:
     np.testing.assert_allclose(by_log["q_age"], 1e-6, atol=1e-8)
 
 
-def test_rows_out_of_order() -> None:
-    times = np.array([0, 1, 2, 2, 1, 3]) * 10**6 + 1
-    arm = stream("/joint_states", np.arange(6), times, JOINTS)
-    with pytest.warns(UserWarning, match="2 rows of /joint_states dropped"):
-        table = table_of_streams(PATH, [arm], Choice(), ())
-    assert table["q"][:, 0].tolist() == [0, 1, 2, 5]
-    raw = table_of_streams(PATH, [arm], Choice(raw=True), ())
-    assert raw["q"][:, 0].tolist() == [0, 1, 2, 3, 4, 5]
-
-
 def test_names_that_the_glossary_has_and_names_that_meet() -> None:
     ns = ROWS * 10**6
     streams = [stream("/tau", ns), stream("/t", ns), stream("/a/b", ns, name="a.b"), stream("/a.b", ns, name="a.b")]
@@ -237,21 +198,3 @@ def test_names_that_the_glossary_has_and_names_that_meet() -> None:
     assert table_of_streams(PATH, two, Choice(), ()).columns["w1"].frame == "tool0"
     one = table_of_streams(PATH, two[:1], Choice(), ())
     assert one.notes == ("wrench_raw is /w1, in axes of tool0",)
-
-
-def test_several_rates_are_refused_and_equal_ones_are_not() -> None:
-    ns = ROWS * 10**6
-    arm = stream("/joint_states", ns, None, JOINTS)
-    with pytest.raises(LogError, match=r"of one rate in run\.mcap, got several: /n 2000 Hz, /joint_states 1000 Hz\."):
-        table_of_streams(PATH, [arm, stream("/n", ns // 2)], Choice(), ())
-    table = table_of_streams(PATH, [stream("/n", ns + 7), arm, stream("/once", ns[:1])], Choice(), ())
-    assert table.names == ("q", "n", "n_age", "once", "once_age")
-    with pytest.raises(LogError, match=r"topics with numbers in run\.mcap, got none; left out: /x\."):
-        table_of_streams(PATH, [], Choice(), ["left out: /x"])
-
-
-def test_each_stream_by_itself() -> None:
-    ns = ROWS * 10**6
-    streams = [stream("/tf", ns, name="tf.a.b"), stream("/tf", ns[:3], name="tf.c.d"), stream("/n", ns)]
-    tables = tables_of_streams(PATH, streams, Choice())
-    assert {name: len(table) for name, table in tables.items()} == {"/tf tf.a.b": 10, "/tf tf.c.d": 3, "/n": 10}

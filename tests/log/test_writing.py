@@ -108,79 +108,19 @@ def test_a_table_of_another_number_of_joints_and_what_is_no_table_or_robot(tmp_p
     assert not list(tmp_path.iterdir())
 
 
-def every_kind(seed: int = 0, rows: int = 40) -> Table:
-    """A column of every kind and shape, with what text can get wrong."""
-    rng = np.random.default_rng(seed)
-    stamps = 1_700_000_000_000_000_001 + np.cumsum(rng.integers(1, 10**7, rows))
-    real = rng.normal(size=rows) * 10.0 ** rng.integers(-300, 300, rows)
-    real[rng.integers(0, rows, 5)] = np.nan
-    real[:3] = [np.inf, -0.0, 5e-324]
-    clock = stamps.copy()
-    clock[3] = 0
-    words = np.array(["", "1", "nan", 'a "b", c', "line\nbreak", "ü"])[rng.integers(0, 6, rows)]
-    values = {
-        "q": rng.normal(size=(rows, 7)),
-        "T_frame_tool": rng.normal(size=(rows, 4, 4)),
-        "wrench": rng.normal(size=(rows, 6)),
-        "wrench_hat_cov": rng.normal(size=(rows, 6, 6)),
-        "robot_ns": clock,
-        "receive_ns": stamps - 10**18,
-        "seq": np.arange(rows),
-        "late": rng.integers(0, 2, rows).astype(bool),
-        "real": real,
-        "stamp": stamps,
-        "switches": rng.integers(0, 2, (rows, 3)).astype(bool),
-        "big": np.stack([stamps, -stamps], axis=1),
-        "word": words,
-        "turn": rng.normal(size=(rows, 4)),
-        "force.wrench_raw": rng.normal(size=(rows, 6)),
-    }
-    columns = {
-        "q": Column(labels=tuple("abcdefg")),
-        "real": Column(unit="m/s^2", frame="base"),
-        "stamp": Column(unit="ns", kind="count"),
-        "switches": Column(unit="1", kind="flag", labels=("x", "y", "z")),
-        "big": Column(unit="1", kind="count"),
-        "word": Column(unit="1", kind="text"),
-        "turn": Column(unit="1", kind="quaternion", frame="base"),
-        "force.wrench_raw": Column(unit="N, N m", frame="sensor"),
-    }
-    t = 5.0 + np.cumsum(rng.uniform(0.003, 0.005, rows))
-    return Table(t, values, columns, t0_ns=int(stamps[0]), clock="robot", notes=("a note",), source=("made here",))
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_csv_of_every_kind_reads_back_the_same(tmp_path, seed: int) -> None:
-    table = every_kind(seed)
-    path = write(table, tmp_path / "run.csv")
-    again = log.read(path)
-    assert again.sha256 == table.sha256
-    assert again.names == table.names
-    assert dict(again.columns) == dict(table.columns)
-    assert (again.t0_ns, again.clock, again.notes) == (table.t0_ns, "robot", ("a note",))
-    assert again.source[1:] == ("made here",)
-    np.testing.assert_array_equal(np.signbit(again["real"]), np.signbit(table["real"]))
-    half = log.read_csv(path, every=2)
-    np.testing.assert_array_equal(half["stamp"], table["stamp"][::2])
-    assert log.read(write(again, tmp_path / "again.csv")).sha256 == table.sha256
-
-
-def test_a_recording_goes_through_csv(tmp_path, recording) -> None:
-    table = log.read(recording(50))
-    again = log.read(write(table, tmp_path / "run.csv"))
-    assert again.sha256 == table.sha256
-    assert again["robot_ns"].dtype == np.int64
-
-
 def test_csv_alone_keeps_whole_nanoseconds(tmp_path) -> None:
     """Without the file beside it: what the glossary knows, and whole numbers that a float cannot hold."""
-    table = every_kind()
-    path = write(table.select("q", "wrench", "robot_ns", "stamp", "seq", "real"), tmp_path / "run.csv")
+    rng, stamps = np.random.default_rng(0), 1_700_000_000_000_000_001 + 4_000_001 * np.arange(40)
+    real = np.array([np.inf, -0.0, 5e-324, np.nan, *rng.normal(size=36)])
+    values = {"q": rng.normal(size=(40, 7)), "robot_ns": np.where(np.arange(40) == 3, 0, stamps), "real": real}
+    table = Table(5.0 + 0.004 * np.arange(40), values | {"seq": np.arange(40)}, {"real": Column(unit="m/s^2")})
+    path = write(table, tmp_path / "run.csv")
     (tmp_path / "run.csv.toml").unlink()
     again = log.read(path)
-    for name in ("q", "wrench", "robot_ns", "seq", "real"):
+    for name in table.names:
         np.testing.assert_array_equal(again[name], table[name])
         assert again[name].dtype == table[name].dtype
+    np.testing.assert_array_equal(np.signbit(again["real"]), np.signbit(real))
     np.testing.assert_allclose(again.t, table.t - table.t[0], atol=1e-12)
     other = tmp_path / "other.csv"
     other.write_text("t [ns],id\n1700000000000000001,9007199254740993\n1700000000000000003,9007199254740995\n")
@@ -375,7 +315,7 @@ def test_every_table_comes_back_the_same(ending: str, tmp_path: Path, table: Tab
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", FORMATS)
-@examples(400)
+@examples(150)
 @given(table=tables())
 def test_every_table_comes_back_the_same_often(ending: str, tmp_path: Path, table: Table) -> None:
     available(ending)
@@ -403,7 +343,7 @@ def test_every_table_comes_back_from_a_rosbag2(storage: str, tmp_path: Path, tab
 
 @pytest.mark.slow
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-@examples(200)
+@examples(80)
 @given(table=tables())
 def test_every_table_comes_back_from_a_rosbag2_often(storage: str, tmp_path: Path, table: Table) -> None:
     bag_and_back(table, tmp_path, storage)

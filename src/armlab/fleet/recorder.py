@@ -183,12 +183,6 @@ _MOST_HOLES = 10_000  # listed in a file; all are counted
 class RobotRecord:
     """The recordings of one robot; all methods belong to one thread.
 
-    Parameters
-    ----------
-    name : "lab1/yumi_left".
-    path : of its first file.
-    tell : told what a person should know.
-
     Attributes
     ----------
     rows, lost : rows written, and rows that never came or could not be written, by the ticks of the robot.
@@ -221,12 +215,7 @@ class RobotRecord:
         return sum(map(len, self._waiting))
 
     def take(self, data: bytes | None) -> None:
-        """Take a row; when too many wait it is lost, as its tick will show.
-
-        Parameters
-        ----------
-        data : as it came, None when it was damaged.
-        """
+        """Take a row; when too many wait it is lost, as its tick will show."""
         if data is None:
             self._damage()
         elif len(self._waiting) < _WAITING:
@@ -238,12 +227,7 @@ class RobotRecord:
         self._is_unsure = self._run is not None
 
     def describe(self, about: bytes) -> None:
-        """Take what a bridge says of itself and its robots; the rows that wait for it are of a new run.
-
-        Parameters
-        ----------
-        about : the answer to the query "about".
-        """
+        """Take what a bridge says of itself and its robots; the rows that wait for it are of a new run."""
         if not self.wants:
             return
         self.wants, self._since = False, None
@@ -313,12 +297,7 @@ class RobotRecord:
         self._finish()
 
     def end(self, why: str) -> None:
-        """Give the recording up; nothing more may be asked of it.
-
-        Parameters
-        ----------
-        why : a sentence.
-        """
+        """Give the recording up; nothing more may be asked of it."""
         file, self._file, self.wants, self.failed = self._file, None, False, why
         self._tell(f"{self.name}: its recording has ended: {why}")
         if file is not None:

@@ -67,11 +67,6 @@ def test_wrong_counts_are_refused_by_name(yumi: Any, joints: list[float], extern
     assert refused.value.drop.reason == reason
 
 
-def test_external_axes_may_follow(six: Any, yumi: Any) -> None:
-    assert AxisMap(six).joints([1, 2, 3, 4, 5, 6], [100, 200]) == (1, 2, 3, 4, 5, 6)
-    assert AxisMap(yumi).joints([1, 2, 3, 4, 5, 6], [7, 100])[2] == 7
-
-
 def test_extension_arrays_in_both_orders(yumi: Any) -> None:
     axes = AxisMap(yumi)
     assert axes.array([1.0, 2, 3, 4, 5, 6, 7], is_kinematic=False) == (1, 2, 7, 3, 4, 5, 6)

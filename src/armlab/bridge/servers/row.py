@@ -100,17 +100,9 @@ class RowField:
 class RowSchema:
     """What is in the rows of a run.
 
-    Parameters
-    ----------
-    robots : names of the robots. fields : see `RowField`.
-
     Attributes
     ----------
     robots, fields : as given, `fields` by name. text : canonical JSON, bytes. id : 8 bytes. size : bytes of a row.
-
-    Raises
-    ------
-    ConfigError : fields of one name, overlapping, of an unknown type, or more than `LARGEST` bytes.
     """
 
     def __init__(self, robots: Sequence[str], fields: Iterable[RowField]) -> None:
@@ -132,12 +124,7 @@ class RowSchema:
 
     @classmethod
     def of(cls, robots: Sequence[Robot], sources: Mapping[str, Mapping[str, Column]] | None = None) -> RowSchema:
-        """Return the schema of a cell: per robot the columns of its log, its age and its commander; then the sources.
-
-        Parameters
-        ----------
-        robots : the arms. sources : fields by name of the source.
-        """
+        """Return the schema of a cell: per robot the columns of its log, age and commander; then the sources."""
         fields: list[RowField] = []
         at = HEAD.size
 
@@ -169,16 +156,7 @@ class RowSchema:
         return cls([robot.name for robot in robots], fields)
 
     def require(self, robot: Robot, *, whole: bool = True) -> None:
-        """Refuse rows whose fields of an arm are not those of this one: who reads them takes them for granted.
-
-        Parameters
-        ----------
-        robot : the arm. whole : also refuse rows that do not have all of them.
-
-        Raises
-        ------
-        LinkError : a field is of another type or shape, or not there.
-        """
+        """Refuse rows whose fields of an arm are not those of this one: who reads them takes them for granted."""
         for name, wanted in RowSchema.of([robot]).fields.items():
             found = self.fields.get(name, None if whole else wanted)
             if found is None or (found.type, found.shape) != (wanted.type, wanted.shape):
@@ -190,16 +168,7 @@ class RowSchema:
 
     @classmethod
     def read(cls, text: bytes) -> RowSchema:
-        """Return the schema that was written as JSON.
-
-        Parameters
-        ----------
-        text : as in `RowSchema.text`.
-
-        Raises
-        ------
-        ConfigError : not such a text.
-        """
+        """Return the schema that was written as JSON."""
         import msgspec
 
         class Written(msgspec.Struct, forbid_unknown_fields=True):
@@ -266,30 +235,12 @@ class _Values(Mapping[str, Any]):
 
 
 def read_row(schema: RowSchema, data: bytes) -> Row:
-    """Return the row in `data`.
-
-    Parameters
-    ----------
-    schema : of the feed. data : one message.
-
-    Raises
-    ------
-    LinkError : no row, one of another schema, or of another length.
-    """
+    """Return the row in `data`."""
     return Row(*read_head(schema, data), _Values(schema.fields, data))
 
 
 def read_head(schema: RowSchema, data: bytes) -> tuple[int, int, int]:
-    """Return number, monotonic and wall clock [ns] of a row.
-
-    Parameters
-    ----------
-    schema, data : as of `read_row`.
-
-    Raises
-    ------
-    LinkError : as of `read_row`.
-    """
+    """Return number, monotonic and wall clock [ns] of a row."""
     if len(data) < HEAD.size or data[:4] != MAGIC:
         raise LinkError(f"Expected a row that begins with {MAGIC.decode()}, got {len(data)} bytes: {data[:8]!r}.")
     _, size, id_, seq, mono_ns, wall_ns = HEAD.unpack_from(data)
@@ -301,22 +252,12 @@ def read_head(schema: RowSchema, data: bytes) -> tuple[int, int, int]:
 
 
 def beginning(schema: RowSchema) -> bytes:
-    """Return what all rows of a schema begin with.
-
-    Parameters
-    ----------
-    schema : of the rows.
-    """
+    """Return what all rows of a schema begin with."""
     return HEAD.pack(MAGIC, schema.size, schema.id, 0, 0, 0)[:_BEGINNING]
 
 
 def clock_ms(robot_ns: int, session_t: float) -> int | None:
-    """Return the clock of a robot [ms], that of its session where it tells none; None where neither is a time.
-
-    Parameters
-    ----------
-    robot_ns, session_t : of a row [ns, s].
-    """
+    """Return the clock of a robot [ms], that of its session where it tells none; None where neither is a time."""
     if robot_ns:
         return robot_ns // 10**6
     ms = 1e3 * session_t
@@ -327,10 +268,6 @@ def places(schema: RowSchema, source: str) -> dict[str, tuple[struct.Struct, int
     """Return where the numbers of a source are in its rows: their form and their offset, by field without the source.
 
     Who wants the same few fields of every row reads them at a tenth of the time.
-
-    Parameters
-    ----------
-    schema : of the rows. source : robot or source.
     """
     return {
         field.name.removeprefix(f"{source}."): (
@@ -361,12 +298,7 @@ class _Part:
 
 
 class RowWriter:
-    """Fills the row of a run, arm by arm.
-
-    Parameters
-    ----------
-    schema : of the rows, made by `RowSchema.of`.
-    """
+    """Fills the row of a run, arm by arm."""
 
     def __init__(self, schema: RowSchema) -> None:
         self._schema, self._seq = schema, 0
@@ -381,16 +313,7 @@ class RowWriter:
         self._sources = [field for field in schema.fields.values() if field.source not in schema.robots]
 
     def row(self, state: State, command: Command | None, tick: Tick, mono_ns: int, commander: str = "") -> bytes:
-        """Return the row after a tick of one arm; what the others gave last is in it too, with its age.
-
-        Parameters
-        ----------
-        state, command, tick : see `recording.Feed`. mono_ns : our monotonic clock. commander : of this arm.
-
-        Raises
-        ------
-        UnknownName : the robot of the state is not in the schema.
-        """
+        """Return the row after a tick of one arm; what the others gave last is in it too, with its age."""
         part = self._parts.get(state.robot)
         if part is None:
             raise UnknownName.among("robot of these rows", state.robot, self._parts)
@@ -420,24 +343,14 @@ class RowWriter:
 
 
 class Pace:
-    """Takes a row when one of the arms that it is fresh for is due, so that no arm keeps another from its rows.
-
-    Parameters
-    ----------
-    every : s between two rows of an arm; 0 takes all.
-    """
+    """Takes a row when one of the arms that it is fresh for is due, so that no arm keeps another from its rows."""
 
     def __init__(self, every: float) -> None:
         self._every = every
         self._due: dict[Hashable, float] = {}
 
     def takes(self, arms: Iterable[Hashable], now: float) -> bool:
-        """Return whether a row is taken.
-
-        Parameters
-        ----------
-        arms : for which it is fresh. now : s, of a clock that never goes back.
-        """
+        """Return whether a row is taken."""
         due = [arm for arm in arms if now >= self._due.get(arm, now)]
         for arm in due:
             self._due[arm] = max(self._due.get(arm, now) + self._every, now)

@@ -12,7 +12,7 @@ import numpy as np
 from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.kernels import RowPacker
 from armlab.log.column import Column
-from armlab.log.states import QD_SOURCES, TAU_SOURCES
+from armlab.log.table import QD_SOURCES, TAU_SOURCES
 from armlab.state import Command, State
 
 if TYPE_CHECKING:

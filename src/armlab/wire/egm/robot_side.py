@@ -122,21 +122,7 @@ class SensorMessage(NamedTuple):
 
 
 class RobotSideCodec:
-    """`RobotMessage` to EgmRobot and EgmSensor to `SensorMessage`, for one arm.
-
-    Parameters
-    ----------
-    arm : the robot: number of joints, which are linear, ABB's axis numbers.
-    robotware : one of `ROBOTWARE`: which fields exist and whether feedback is in radians (6.06).
-    extension : names of `EXTENSION_ARRAYS` to send in field 101; True for `DEFAULT_ARRAYS`, False for none.
-    force : the messages will hold `wrench_raw`.
-    external : number of external axes beyond the robot's own. data : number of values of `rapid_data`.
-
-    Raises
-    ------
-    ConfigError : unknown flavour, or the largest message would exceed `MAX_BYTES`.
-    UnknownName : unknown array of the extension.
-    """
+    """`RobotMessage` to EgmRobot and EgmSensor to `SensorMessage`, for one arm."""
 
     def __init__(
         self,
@@ -160,12 +146,7 @@ class RobotSideCodec:
         self._check_size(force, external, data)
 
     def encode_robot(self, message: RobotMessage) -> bytes:
-        """Return the bytes of one EgmRobot. Fields that the flavour does not have are left out.
-
-        Parameters
-        ----------
-        message : SI values, kinematic order.
-        """
+        """Return the bytes of one EgmRobot. Fields that the flavour does not have are left out."""
         if self._linkage is not None:
             message = self._linkage.said(message)
         robot = pb.EgmRobot()
@@ -192,12 +173,7 @@ class RobotSideCodec:
         return robot.SerializeToString()
 
     def decode_sensor(self, data: bytes) -> SensorMessage | Drop:
-        """Return what the sensor asks for, or why it is dropped. Never raises. NaN is not refused here.
-
-        Parameters
-        ----------
-        data : one datagram: EgmSensor or EgmSensorPathCorr, told apart by the message type.
-        """
+        """Return what the sensor asks for, or why it is dropped. Never raises. NaN is not refused here."""
         try:
             sensor = pb.EgmSensor.FromString(data)
             header = sensor.header
