@@ -1,4 +1,4 @@
-"""Delimited text: reading, writing, long lines, packed files, and the description beside a CSV file."""
+"""Delimited text, and labels, units and descriptions of columns."""
 
 from __future__ import annotations
 
@@ -20,6 +20,13 @@ from armlab.log.file_formats.delimited import (
     _numbers_only,
     sidecar_path,
     write_csv,
+)
+from armlab.log.file_formats.description import (
+    Description,
+    distinct,
+    foreign_table,
+    labelled_table,
+    of_json,
 )
 
 ROWS = "t [ms],q1 [deg],q2 [deg],tau_1,tau_2,grip [N]\n0,180,0,1,2,0.5\n4,90,-90,1.5,,0.5\n8,0,0,2,4,0.5\n"
@@ -325,26 +332,11 @@ def test_more_lines_than_bytes_are_refused(tmp_path: Path, monkeypatch: pytest.M
         log.read_csv(path, rate=250.0)
 
 
-def test_an_arm_that_stands_still_is_no_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("armlab.log.file_formats.delimited._UNPACKED", SOME)
-    rows = [f"{0.004 * k:.3f}" + ",0.25" * 30 for k in range(2000)]
-    text = "\n".join(["t," + ",".join(f"c{k}" for k in range(30)), *rows])
-    assert len(text) > 4 * SOME
-    assert len(log.read_csv(put(tmp_path / "log", text.encode(), packed=True))) == 2000
-
-
 def test_one_long_text_among_short_ones_is_refused(tmp_path: Path) -> None:
     """180 kB, of which 7 GiB would be made."""
     path = put(tmp_path / "log", b"t,note\n" + b"0,a\n" * 20_000 + b"1," + b"a" * 100_000 + b"\n")
     with pytest.raises(LogError, match=r"values that are alike, got 20001 rows .* in log: note"):
         log.read_csv(path)
-
-
-@pytest.mark.parametrize("line", [b"a\n", b"ab\n"])
-def test_words_take_a_bounded_multiple_of_the_file(tmp_path: Path, line: bytes) -> None:
-    path = put(tmp_path / "log", b"x\n" + b"ab\n" + line * 40_000)
-    with memory(45.0 * path.stat().st_size):
-        log.read_csv(path, rate=250.0)
 
 
 @pytest.fixture
@@ -385,3 +377,83 @@ def test_cells_that_are_no_numbers(path: Path) -> None:
     path.write_text(path.read_text(encoding="utf-8").replace("0.2,1.0,1.0,2", "0.2,1.0,1.0,2.5"), encoding="utf-8")
     with pytest.raises(LogError, match=r"columns that are described in .*run\.csv, got others: .*'n' of kind count"):
         read(path)
+
+
+@pytest.fixture
+def path_described(tmp_path: Path) -> Path:
+    (tmp_path / "run.x").write_text("anything")
+    return tmp_path / "run.x"
+
+
+def test_a_number_that_is_too_large_for_a_joint_is_a_label(path_described: Path) -> None:
+    """Nobody lists all places up to it."""
+    arrays = {"t": (np.array([0.0, 1.0]), ""), "q999999999999": (np.array([0.0, 1.0]), "")}
+    assert labelled_table(path_described, arrays).names == ("q999999999999",)
+
+
+T = np.arange(5) * 0.004
+
+
+def test_a_log_of_the_ancestors(path_described: Path) -> None:
+    """Fields of Robotlab.jl, one sample per column, as its matrices are; what has another size is named."""
+    q = np.arange(35.0).reshape(5, 7)
+    arrays = {"timestamp": T[None], "pos": q.T, "trq_o": q.T, "seqnum": np.arange(5)[None], "GR": np.eye(7)}
+    table = foreign_table(path_described, {name: (array, "") for name, array in arrays.items()}, ["Log"])
+    np.testing.assert_array_equal(table.t, T)
+    np.testing.assert_array_equal(table["q"], q)
+    assert set(table.names) == {"q", "tau_ref", "seq"}
+    assert table["seq"].dtype == np.int64
+    assert table.notes == ("left out: Log, GR (7, 7)",)
+
+
+def test_samples_in_rows_stay(path_described: Path) -> None:
+    square = np.arange(25.0).reshape(5, 5)
+    arrays = {"t": (T[:, None], "s"), "q": (square, "deg"), "T": (np.zeros((5, 4, 4)), ""), "x": (T[:, None], "")}
+    table = foreign_table(path_described, arrays)
+    np.testing.assert_allclose(table["q"], np.deg2rad(square))
+    assert (table["T"].shape, table["x"].shape) == ((5, 4, 4), (5,))
+
+
+def test_without_a_clock(path_described: Path) -> None:
+    with pytest.raises(LogError, match=r"Expected times t, time or timestamp in .*, got q \(5, 7\), t \(2, 3\)\. Read"):
+        foreign_table(path_described, {"q": (np.zeros((5, 7)), ""), "t": (np.zeros((2, 3)), "")})
+    with pytest.raises(LogError, match=r"got none\."):
+        foreign_table(path_described, {})
+
+
+TABLE = Table(
+    [0.0, 0.5],
+    {"q": [[1.0, 2.0], [3.0, 4.0]], "n": [7, 8], "none": np.zeros((2, 0))},
+    {"n": Column(unit="1", kind="count"), "none": Column(unit="m"), "q": Column(labels=("a", "b"))},
+    t0_ns=5,
+    clock="robot",
+    notes=("a note",),
+    source=("here",),
+)
+
+
+def test_a_description_goes_through_json(tmp_path: Path) -> None:
+    path_described = tmp_path / "run.x"
+    path_described.write_text("anything")
+    about = of_json(Description.of(TABLE).json(more=[1]), path_described)
+    assert about == Description.of(TABLE)
+    assert about.labels() == ["t [s]", "q1 [rad]", "q2 [rad]", "n"]
+    assert (
+        Description.made(about.described(), armlab="1", t0_ns=0, clock="", notes=(), source=()).columns == about.columns
+    )
+    again = about.table(path_described, TABLE.t, dict(TABLE.values))
+    assert again.sha256 == TABLE.sha256
+    assert dict(again.columns) == dict(TABLE.columns)
+    assert again.source[1:] == ("here",)
+    with pytest.raises(LogError, match="columns that are described in"):
+        about.table(path_described, TABLE.t, {"q": np.zeros((2, 3))})
+    for text in ("", "[]", '{"armlab": 1}', '{"armlab": "1"}', b"\xff"):
+        with pytest.raises(LogError, match=r"a description of the columns in .*Export the log again\."):
+            of_json(text, path_described)
+
+
+def test_distinct_names() -> None:
+    """Those that need no change keep their names, whatever comes before them."""
+    wanted = {"a.b": "a_b", "a:b": "a_b", "a_b": "a_b", "t": "t", "a_b_2": "a_b_2"}
+    assert distinct(wanted, ["t"]) == {"a.b": "a_b_3", "a:b": "a_b_4", "a_b": "a_b", "t": "t_2", "a_b_2": "a_b_2"}
+    assert list(distinct({0: "q1", 1: "q1"}).values()) == ["q1", "q1_2"]

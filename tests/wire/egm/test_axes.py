@@ -15,15 +15,6 @@ from armlab.wire.egm.axes import RADIAN, AxisMap, Linkage, Refused
 from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec, SensorMessage
 
 
-def test_yumi_order(yumi: Any) -> None:
-    """ABB's axis 7 is the third joint: q = (1, 2, 7, 3, 4, 5, 6)."""
-    axes = AxisMap(yumi)
-    assert axes.joints([1, 2, 3, 4, 5, 6], [7]) == (1, 2, 7, 3, 4, 5, 6)
-    assert axes.wire(np.array([1.0, 2, 7, 3, 4, 5, 6]), np.ones(7)) == (1, 2, 3, 4, 5, 6, 7)
-    assert (axes.head, axes.tail) == (6, 1)
-    np.testing.assert_array_equal(axes.scale, np.full(7, np.pi / 180))
-
-
 @pytest.mark.parametrize("elbow", [135.0, -135.0])
 def test_both_signs_of_the_yumi_elbow(yumi: Any, elbow: float) -> None:
     """The start targets of ABB's templates: [0, -130, 30, 0, 40, 0], eax_a = 135 left, -135 right."""
