@@ -94,7 +94,7 @@ class Walk {
         return true;
       }
     }
-    return groups_.empty() ? false : fail();
+    return !groups_.empty() && fail();
   }
 
  private:
@@ -126,6 +126,10 @@ class Walk {
   }
 
   bool read_varint(std::uint64_t &value, int longest) {
+    if (at_ != end_ && static_cast<unsigned char>(*at_) < 0x80) {
+      value = static_cast<unsigned char>(*at_++);
+      return true;
+    }
     value = 0;
     for (int k = 0; k < longest && at_ != end_; ++k) {
       const auto byte = static_cast<unsigned char>(*at_++);
@@ -164,9 +168,15 @@ bool append(const Field &field, Doubles &to) {
   return true;
 }
 
-// A message whose repeated doubles are those of one field.
+// A message whose repeated doubles are those of one field. Controllers write nothing but these, unpacked.
 bool read_doubles(std::string_view data, std::uint32_t number, Doubles &to) {
-  return walk(data, [&](const Field &field) { return field.number != number || append(field, to); });
+  constexpr std::size_t step = 1 + sizeof(double);
+  while (data.size() >= step && data[0] == static_cast<char>(number << 3 | eight_bytes)) {
+    to.push_back(get<double>(data.data() + 1));
+    data.remove_prefix(step);
+  }
+  return data.empty() ||
+         walk(data, [&](const Field &field) { return field.number != number || append(field, to); });
 }
 
 // A message of single doubles, numbered from 1.
@@ -445,7 +455,7 @@ class EgmMessages {
     for (const Doubles *values : {&joints, &external, static_cast<const Doubles *>(&robot_.velocities)})
       if (!std::all_of(values->begin(), values->end(), is_sound))
         return drop("not finite", "a joint, a velocity or an external axis is no number, or beyond 1e9");
-    if (nb::len(robotware) == 0) robotware = nb::str(robot_.flavour());
+    if (PyUnicode_GET_LENGTH(robotware.ptr()) == 0) robotware = nb::str(robot_.flavour());
     return packet(robotware);
   }
 
