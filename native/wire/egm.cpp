@@ -1,6 +1,10 @@
 // EGM datagrams to packets and references to datagrams. Documented in armlab/kernels/_native.pyi.
 //
-// Numbers of fields are those of armlab_egm.proto; a datagram is accepted exactly when protobuf accepts it.
+// Numbers of fields are those of armlab_egm.proto; a datagram is accepted exactly when protobuf
+// accepts it.
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
 #include <array>
 #include <cmath>
 #include <cstdint>
@@ -10,15 +14,15 @@
 #include <string_view>
 #include <vector>
 
-#include <nanobind/stl/string.h>
-#include <nanobind/stl/vector.h>
-
 #include "array/arrays.h"
-#include "wire/bytes.h"
+#include "wire/protobuf.h"
 
 namespace armlab {
 namespace {
 
+using namespace protobuf;
+
+// clang-format off: a table
 namespace EgmHeader { enum { seqno = 1, tm = 2, mtype = 3 }; }
 namespace EgmCartesian { enum { x = 1, y = 2, z = 3 }; }
 namespace EgmQuaternion { enum { u0 = 1, u1 = 2, u2 = 3, u3 = 4 }; }
@@ -33,160 +37,28 @@ namespace EgmForceRw6 { enum { force = 1 }; }
 namespace EgmForceRw7 { enum { fcActive = 1, force = 2 }; }
 namespace EgmCollisionInfo { enum { collsionTriggered = 1, collDetQuota = 2 }; }
 namespace EgmRapidData { enum { digVal = 1, dnum = 2 }; }
-namespace EgmRIState {
-enum {
+namespace EgmRIState { enum {
   jointVel = 1, torqueMeas = 2, torqueRefTotal = 3, torqueGravity = 4, motorCurrent = 5, jointPosRef = 6,
   jointVelRef = 7, tNs = 8, overruns = 9, armId = 10, mode = 11, order = 12, usedSeqno = 13, queueDepth = 14
-};
-}
-namespace EgmRIRef {
-enum {
+}; }
+namespace EgmRIRef { enum {
   torqueFF = 1, velRef = 2, posRef = 3, posGainScale = 4, velGainScale = 5, echoTNs = 6, echoSeqno = 7,
   validMask = 8, order = 9
-};
-}
-namespace EgmRobot {
-enum {
+}; }
+namespace EgmRobot { enum {
   header = 1, feedBack = 2, planned = 3, motorState = 4, mciState = 5, mciConvergenceMet = 6, testSignals = 7,
   rapidExecState = 8, measuredForce = 9, utilizationRate = 10, moveIndex = 11, collisionInfo = 12,
   rapidFromRobot = 13, torqueRef = 14, researchState = 101
-};
-}
+}; }
 namespace EgmSensor { enum { header = 1, planned = 2, speedRef = 3, rapidToRobot = 4, researchRef = 101 }; }
-
-using Doubles = std::vector<double>;
+// clang-format on
 
 constexpr double nan = std::numeric_limits<double>::quiet_NaN();
-constexpr double most = 1e9;  // degrees or mm: no arm is there, and differences of larger ones would not be finite
+// Degrees or mm: no arm is there, and differences of larger numbers would not be finite.
+constexpr double most = 1e9;
 constexpr std::uint64_t max_seconds = 9'000'000'000, max_microseconds = 1'000'000'000;
-constexpr int joints_at_most = 6, matrix_numbers = 16, kinematic = 1, data_type = 2, correction_type = 3;
-constexpr std::size_t deepest = 100;  // groups in groups
-enum Kind { varint = 0, eight_bytes = 1, message = 2, group = 3, group_end = 4, four_bytes = 5 };
-
-struct Field {
-  std::uint32_t number;
-  int kind;
-  std::uint64_t integer;    // of a varint
-  std::string_view bytes;   // of other kinds
-
-  bool is_varint(std::uint32_t wanted) const { return number == wanted && kind == varint; }
-  bool is_message(std::uint32_t wanted) const { return number == wanted && kind == message; }
-};
-
-// The fields of one message, one after the other.
-class Walk {
- public:
-  explicit Walk(std::string_view data) : at_(data.data()), end_(at_ + data.size()) {}
-
-  bool is_malformed() const { return malformed_; }
-
-  // The next field; false at the end and where the message is malformed. Groups are skipped.
-  bool next(Field &field) {
-    while (at_ != end_) {
-      if (!read(field)) return false;
-      if (field.kind == group) {
-        groups_.push_back(field.number);
-        if (groups_.size() > deepest) return fail();
-      } else if (field.kind == group_end) {
-        if (groups_.empty() || groups_.back() != field.number) return fail();
-        groups_.pop_back();
-      } else if (groups_.empty()) {
-        return true;
-      }
-    }
-    return !groups_.empty() && fail();
-  }
-
- private:
-  bool fail() {
-    malformed_ = true;
-    return false;
-  }
-
-  bool read(Field &field) {
-    std::uint64_t tag;
-    if (!read_varint(tag, 5) || tag > 0xffffffff || tag >> 3 == 0) return fail();
-    field.number = static_cast<std::uint32_t>(tag >> 3);
-    field.kind = tag & 7;
-    std::uint64_t size = 0;
-    switch (field.kind) {
-      case varint: return read_varint(field.integer, 10) || fail();
-      case eight_bytes: size = 8; break;
-      case four_bytes: size = 4; break;
-      case message:
-        if (!read_varint(size, 10)) return fail();
-        break;
-      case group: case group_end: return true;
-      default: return fail();
-    }
-    if (size > static_cast<std::size_t>(end_ - at_)) return fail();
-    field.bytes = {at_, static_cast<std::size_t>(size)};
-    at_ += size;
-    return true;
-  }
-
-  bool read_varint(std::uint64_t &value, int longest) {
-    if (at_ != end_ && static_cast<unsigned char>(*at_) < 0x80) {
-      value = static_cast<unsigned char>(*at_++);
-      return true;
-    }
-    value = 0;
-    for (int k = 0; k < longest && at_ != end_; ++k) {
-      const auto byte = static_cast<unsigned char>(*at_++);
-      value |= static_cast<std::uint64_t>(byte & 0x7f) << 7 * k;
-      if (byte < 0x80) return true;
-    }
-    return false;
-  }
-
-  const char *at_, *end_;
-  std::vector<std::uint32_t> groups_;
-  bool malformed_ = false;
-};
-
-// Calls `take` with each field, which returns whether it is well formed.
-template <class Take>
-bool walk(std::string_view data, Take take) {
-  Walk fields(data);
-  Field field;
-  while (fields.next(field))
-    if (!take(field)) return false;
-  return !fields.is_malformed();
-}
-
-bool is_well_formed(std::string_view data) {
-  return walk(data, [](const Field &) { return true; });
-}
-
-// A repeated double, packed or not.
-bool append(const Field &field, Doubles &to) {
-  if (field.kind != eight_bytes && field.kind != message) return true;
-  if (field.bytes.size() % sizeof(double)) return false;
-  const std::size_t count = to.size();
-  to.resize(count + field.bytes.size() / sizeof(double));
-  if (!field.bytes.empty()) std::memcpy(to.data() + count, field.bytes.data(), field.bytes.size());
-  return true;
-}
-
-// A message whose repeated doubles are those of one field. Controllers write nothing but these, unpacked.
-bool read_doubles(std::string_view data, std::uint32_t number, Doubles &to) {
-  constexpr std::size_t step = 1 + sizeof(double);
-  while (data.size() >= step && data[0] == static_cast<char>(number << 3 | eight_bytes)) {
-    to.push_back(get<double>(data.data() + 1));
-    data.remove_prefix(step);
-  }
-  return data.empty() ||
-         walk(data, [&](const Field &field) { return field.number != number || append(field, to); });
-}
-
-// A message of single doubles, numbered from 1.
-bool read_numbers(std::string_view data, double *to, std::uint32_t count) {
-  return walk(data, [&](const Field &field) {
-    if (field.kind == eight_bytes && field.number <= count) to[field.number - 1] = get<double>(field.bytes.data());
-    return true;
-  });
-}
-
+constexpr int joints_at_most = 6, matrix_numbers = 16, kinematic = 1, data_type = 2,
+              correction_type = 3;
 struct Motion {
   Doubles joints, external;
   std::array<double, 7> pose;  // x, y, z [mm], u0 to u3
@@ -203,12 +75,20 @@ struct Motion {
     return walk(data, [this](const Field &field) {
       if (field.kind != message) return true;
       switch (field.number) {
-        case EgmMotion::joints: return read_doubles(field.bytes, EgmJoints::joints, joints);
-        case EgmMotion::cartesian: return read_pose(field.bytes);
-        case EgmMotion::externalJoints: return read_doubles(field.bytes, EgmJoints::joints, external);
-        case EgmMotion::time: has_time = true; return read_clock(field.bytes);
-        case EgmMotion::timeStamp: has_stamp = true; return is_well_formed(field.bytes);
-        default: return true;
+        case EgmMotion::joints:
+          return read_doubles(field.bytes, EgmJoints::joints, joints);
+        case EgmMotion::cartesian:
+          return read_pose(field.bytes);
+        case EgmMotion::externalJoints:
+          return read_doubles(field.bytes, EgmJoints::joints, external);
+        case EgmMotion::time:
+          has_time = true;
+          return read_clock(field.bytes);
+        case EgmMotion::timeStamp:
+          has_stamp = true;
+          return is_well_formed(field.bytes);
+        default:
+          return true;
       }
     });
   }
@@ -218,10 +98,16 @@ struct Motion {
     return walk(data, [this](const Field &field) {
       if (field.kind != message) return true;
       switch (field.number) {
-        case EgmPose::pos: has_position = true; return read_numbers(field.bytes, pose.data(), EgmCartesian::z);
-        case EgmPose::orient: has_orientation = true; return read_numbers(field.bytes, pose.data() + 3, EgmQuaternion::u3);
-        case EgmPose::euler: return is_well_formed(field.bytes);
-        default: return true;
+        case EgmPose::pos:
+          has_position = true;
+          return read_numbers(field.bytes, pose.data(), EgmCartesian::z);
+        case EgmPose::orient:
+          has_orientation = true;
+          return read_numbers(field.bytes, pose.data() + 3, EgmQuaternion::u3);
+        case EgmPose::euler:
+          return is_well_formed(field.bytes);
+        default:
+          return true;
       }
     });
   }
@@ -251,7 +137,8 @@ struct Robot {
     seqno = tm = order = queue_depth = 0, mtype = 0, states.fill(0), mono = 0, utilization = nan;
     has_seqno = has_tm = has_research = has_utilization = is_rw7 = converged = digital = false;
     feedback.clear(), planned.clear(), force_bytes = {};
-    for (Doubles *each : {&velocities, &torques, &torque_reference, &data, &force, &unused}) each->clear();
+    for (Doubles *each : {&velocities, &torques, &torque_reference, &data, &force, &unused})
+      each->clear();
     if (!walk(bytes, [this](const Field &field) { return take(field); })) return false;
     read_force();
     return true;
@@ -275,28 +162,46 @@ struct Robot {
 
   bool take_message(const Field &field) {
     switch (field.number) {
-      case EgmRobot::header: return read_header(field.bytes);
-      case EgmRobot::feedBack: return feedback.read(field.bytes);
-      case EgmRobot::planned: return planned.read(field.bytes);
-      case EgmRobot::motorState: return read_state(field.bytes, states[0]);
-      case EgmRobot::mciState: return read_state(field.bytes, states[1]);
-      case EgmRobot::rapidExecState: return read_state(field.bytes, states[2]);
-      case EgmRobot::testSignals: return read_doubles(field.bytes, EgmTestSignals::signals, unused);
-      case EgmRobot::measuredForce: force_bytes = field.bytes; return true;
+      case EgmRobot::header:
+        return read_header(field.bytes);
+      case EgmRobot::feedBack:
+        return feedback.read(field.bytes);
+      case EgmRobot::planned:
+        return planned.read(field.bytes);
+      case EgmRobot::motorState:
+        return read_state(field.bytes, states[0]);
+      case EgmRobot::mciState:
+        return read_state(field.bytes, states[1]);
+      case EgmRobot::rapidExecState:
+        return read_state(field.bytes, states[2]);
+      case EgmRobot::testSignals:
+        return read_doubles(field.bytes, EgmTestSignals::signals, unused);
+      case EgmRobot::measuredForce:
+        force_bytes = field.bytes;
+        return true;
       case EgmRobot::collisionInfo:
         is_rw7 = true;
         return read_doubles(field.bytes, EgmCollisionInfo::collDetQuota, unused);
-      case EgmRobot::rapidFromRobot: is_rw7 = true; return read_rapid(field.bytes);
-      case EgmRobot::torqueRef: is_rw7 = true; return read_doubles(field.bytes, EgmJoints::joints, torque_reference);
-      case EgmRobot::researchState: has_research = true; return read_research(field.bytes);
-      default: return true;
+      case EgmRobot::rapidFromRobot:
+        is_rw7 = true;
+        return read_rapid(field.bytes);
+      case EgmRobot::torqueRef:
+        is_rw7 = true;
+        return read_doubles(field.bytes, EgmJoints::joints, torque_reference);
+      case EgmRobot::researchState:
+        has_research = true;
+        return read_research(field.bytes);
+      default:
+        return true;
     }
   }
 
   bool read_header(std::string_view bytes) {
     return walk(bytes, [this](const Field &field) {
-      if (field.is_varint(EgmHeader::seqno)) seqno = static_cast<std::uint32_t>(field.integer), has_seqno = true;
-      if (field.is_varint(EgmHeader::tm)) tm = static_cast<std::uint32_t>(field.integer), has_tm = true;
+      if (field.is_varint(EgmHeader::seqno))
+        seqno = static_cast<std::uint32_t>(field.integer), has_seqno = true;
+      if (field.is_varint(EgmHeader::tm))
+        tm = static_cast<std::uint32_t>(field.integer), has_tm = true;
       if (field.is_varint(EgmHeader::mtype)) mtype = static_cast<std::int32_t>(field.integer);
       return true;
     });
@@ -320,7 +225,8 @@ struct Robot {
     return walk(bytes, [this](const Field &field) {
       if (field.is_varint(EgmRIState::tNs)) mono = field.integer;
       if (field.is_varint(EgmRIState::order)) order = static_cast<std::uint32_t>(field.integer);
-      if (field.is_varint(EgmRIState::queueDepth)) queue_depth = static_cast<std::uint32_t>(field.integer);
+      if (field.is_varint(EgmRIState::queueDepth))
+        queue_depth = static_cast<std::uint32_t>(field.integer);
       if (field.number == EgmRIState::jointVel) return append(field, velocities);
       if (field.number == EgmRIState::torqueMeas) return append(field, torques);
       return field.number > EgmRIState::jointVelRef || append(field, unused);
@@ -330,9 +236,11 @@ struct Robot {
   // Two layouts that the first tag tells apart; what is malformed counts as absent.
   void read_force() {
     const int tag = force_bytes.empty() ? 0 : force_bytes[0];
-    const bool newer = tag == 0x08 || tag == 0x11 || tag == 0x12, older = tag == 0x09 || tag == 0x0a;
+    const bool newer = tag == 0x08 || tag == 0x11 || tag == 0x12,
+               older = tag == 0x09 || tag == 0x0a;
     if (!newer && !older) return;
-    const int number = newer ? static_cast<int>(EgmForceRw7::force) : static_cast<int>(EgmForceRw6::force);
+    const int number =
+        newer ? static_cast<int>(EgmForceRw7::force) : static_cast<int>(EgmForceRw6::force);
     if (read_doubles(force_bytes, static_cast<std::uint32_t>(number), force))
       is_rw7 = is_rw7 || newer;
     else
@@ -340,7 +248,8 @@ struct Robot {
   }
 };
 
-// x, y, z [mm] and a quaternion to the rows of a matrix [m]; NaN for a quaternion without a usable norm.
+// x, y, z [mm] and a quaternion to the rows of a matrix [m]; NaN for a quaternion without a usable
+// norm.
 void matrix_of(const double *pose, double *out) {
   const double a = pose[3], b = pose[4], c = pose[5], d = pose[6];
   const double norm = a * a + b * b + c * c + d * d;
@@ -349,58 +258,16 @@ void matrix_of(const double *pose, double *out) {
     return;
   }
   const double s = 2.0 / norm;
-  const double b2 = s * b * b, c2 = s * c * c, d2 = s * d * d, bc = s * b * c, bd = s * b * d, cd = s * c * d;
+  const double b2 = s * b * b, c2 = s * c * c, d2 = s * d * d, bc = s * b * c, bd = s * b * d,
+               cd = s * c * d;
   const double ab = s * a * b, ac = s * a * c, ad = s * a * d;
-  const double rows[matrix_numbers] = {1.0 - c2 - d2, bc - ad, bd + ac, 1e-3 * pose[0],  //
-                                       bc + ad, 1.0 - b2 - d2, cd - ab, 1e-3 * pose[1],  //
-                                       bd - ac, cd + ab, 1.0 - b2 - c2, 1e-3 * pose[2],  //
-                                       0.0, 0.0, 0.0, 1.0};
+  const double rows[matrix_numbers] = {
+      1.0 - c2 - d2, bc - ad,       bd + ac,       1e-3 * pose[0],  //
+      bc + ad,       1.0 - b2 - d2, cd - ab,       1e-3 * pose[1],  //
+      bd - ac,       cd + ab,       1.0 - b2 - c2, 1e-3 * pose[2],  //
+      0.0,           0.0,           0.0,           1.0};
   std::copy_n(rows, matrix_numbers, out);
 }
-
-// Appends a message to a buffer.
-class Writing {
- public:
-  explicit Writing(std::string &to) : to_(to) {}
-
-  void integer(int number, std::uint64_t value) {
-    number_of(number << 3 | varint);
-    number_of(value);
-  }
-  void real(int number, double value) {
-    number_of(number << 3 | eight_bytes);
-    raw(&value, 1);
-  }
-  void packed(int number, const double *values, std::size_t count) {
-    if (count) nested(number, [&] { raw(values, count); });
-  }
-  template <class Body>
-  void nested(int number, Body body) {
-    number_of(number << 3 | message);
-    const std::size_t start = to_.size();
-    body();
-    std::uint64_t size = to_.size() - start;
-    char length[10];
-    to_.insert(start, length, put(size, length));
-  }
-
- private:
-  static std::size_t put(std::uint64_t value, char *to) {
-    std::size_t count = 0;
-    for (; value > 0x7f; value >>= 7) to[count++] = static_cast<char>(value | 0x80);
-    to[count++] = static_cast<char>(value);
-    return count;
-  }
-  void number_of(std::uint64_t value) {
-    char bytes[10];
-    to_.append(bytes, put(value, bytes));
-  }
-  void raw(const double *values, std::size_t count) {
-    to_.append(reinterpret_cast<const char *>(values), count * sizeof(double));
-  }
-
-  std::string &to_;
-};
 
 Doubles doubles_of(nb::handle values, const char *name) {
   const Input given(values, name);
@@ -415,16 +282,20 @@ std::uint64_t integer_of(nb::handle value) {
 
 class EgmMessages {
  public:
-  EgmMessages(nb::handle packet, nb::handle drop, std::vector<int> order, nb::handle scale, nb::handle external_scale,
-              bool extension)
-      : packet_(nb::borrow(packet)), drop_(nb::borrow(drop)), order_(std::move(order)), extension_(extension) {
+  EgmMessages(nb::handle packet, nb::handle drop, std::vector<int> order, nb::handle scale,
+              nb::handle external_scale, bool extension)
+      : packet_(nb::borrow(packet)),
+        drop_(nb::borrow(drop)),
+        order_(std::move(order)),
+        extension_(extension) {
     scale_ = doubles_of(scale, "scale"), beyond_ = doubles_of(external_scale, "external_scale");
     if (!PyType_Check(packet.ptr()) || !PyType_IsSubtype(type(), &PyTuple_Type) ||
         nb::len(nb::object(packet.attr("_fields"))) != fields)
       throw nb::type_error("Expected the named tuple of packets.");
     axes_.assign(order_.size(), -1);
     for (std::size_t k = 0; k < order_.size(); ++k)
-      if (order_[k] >= 0 && order_[k] < n()) axes_[static_cast<std::size_t>(order_[k])] = static_cast<int>(k);
+      if (order_[k] >= 0 && order_[k] < n())
+        axes_[static_cast<std::size_t>(order_[k])] = static_cast<int>(k);
     if (scale_.size() != order_.size() || std::find(axes_.begin(), axes_.end(), -1) != axes_.end())
       raise_shape_error("Expected each of " + std::to_string(n()) + " axes once, and its scale.");
     const npy_intp none = 0;
@@ -436,25 +307,32 @@ class EgmMessages {
   nb::object read(nb::handle data, nb::str robotware) {
     if (!PyBytes_Check(data.ptr())) throw nb::type_error("Expected the bytes of one datagram.");
     const std::string_view bytes = view(data);
-    if (!robot_.read(bytes)) return drop("unparsable", std::to_string(bytes.size()) + " bytes are no protobuf message");
-    if (!robot_.has_seqno) return drop("no header", "a message without a header that has a sequence number");
+    if (!robot_.read(bytes))
+      return drop("unparsable", std::to_string(bytes.size()) + " bytes are no protobuf message");
+    if (!robot_.has_seqno)
+      return drop("no header", "a message without a header that has a sequence number");
     if (robot_.mtype != data_type)
-      return drop("wrong type", "expected message type 2 (data from the robot), got " + std::to_string(robot_.mtype));
+      return drop("wrong type", "expected message type 2 (data from the robot), got " +
+                                    std::to_string(robot_.mtype));
     const Doubles &joints = robot_.feedback.joints, &external = robot_.feedback.external;
     if (joints.empty() && (head() || external.empty()))
       return drop("no joints", "the array of joints is absent or empty");
     if (!are_joints(robot_.feedback))
-      return drop("joint count", "expected " + std::to_string(head()) + " joints and at least " + std::to_string(tail()) +
-                                     " external, got " + std::to_string(joints.size()) + " and " +
+      return drop("joint count", "expected " + std::to_string(head()) + " joints and at least " +
+                                     std::to_string(tail()) + " external, got " +
+                                     std::to_string(joints.size()) + " and " +
                                      std::to_string(external.size()));
     for (const Doubles *values : {&robot_.velocities, &robot_.torques})
       if (!values->empty() && values->size() != order_.size())
-        return drop("joint count", "expected " + std::to_string(n()) + " values in each array of the extension, got " +
+        return drop("joint count", "expected " + std::to_string(n()) +
+                                       " values in each array of the extension, got " +
                                        std::to_string(values->size()));
     const auto is_sound = [](double value) { return std::abs(value) <= most; };
-    for (const Doubles *values : {&joints, &external, static_cast<const Doubles *>(&robot_.velocities)})
+    for (const Doubles *values :
+         {&joints, &external, static_cast<const Doubles *>(&robot_.velocities)})
       if (!std::all_of(values->begin(), values->end(), is_sound))
-        return drop("not finite", "a joint, a velocity or an external axis is no number, or beyond 1e9");
+        return drop("not finite",
+                    "a joint, a velocity or an external axis is no number, or beyond 1e9");
     if (PyUnicode_GET_LENGTH(robotware.ptr()) == 0) robotware = nb::str(robot_.flavour());
     return packet(robotware);
   }
@@ -462,7 +340,7 @@ class EgmMessages {
   nb::bytes write(nb::tuple ref) {
     if (ref.size() != 9) throw nb::type_error("Expected a reference.");
     out_.clear();
-    Writing out(out_);
+    FieldWriter out(out_);
     out.nested(EgmSensor::header, [&] {
       out.integer(EgmHeader::seqno, integer_of(ref[3]) & 0xffffffff);
       out.integer(EgmHeader::tm, integer_of(ref[4]) & 0xffffffff);
@@ -490,18 +368,21 @@ class EgmMessages {
   std::size_t tail() const { return order_.size() - head(); }
   double beyond(std::size_t k) const { return k < beyond_.size() ? beyond_[k] : M_PI / 180.0; }
 
-  nb::object drop(const char *reason, const std::string &detail) const { return drop_(reason, detail); }
+  nb::object drop(const char *reason, const std::string &detail) const {
+    return drop_(reason, detail);
+  }
 
   bool are_joints(const Motion &motion) const {
-    return (!motion.joints.empty() || (!head() && !motion.external.empty())) && motion.joints.size() == head() &&
-           motion.external.size() >= tail();
+    return (!motion.joints.empty() || (!head() && !motion.external.empty())) &&
+           motion.joints.size() == head() && motion.external.size() >= tail();
   }
 
   // The joints of a motion in kinematic order times a scale.
   void joints_of(const Motion &motion, bool in_radians, double *to) const {
     for (std::size_t k = 0; k < order_.size(); ++k) {
       const auto axis = static_cast<std::size_t>(order_[k]);
-      to[k] = (axis < head() ? motion.joints[axis] : motion.external[axis - head()]) * (in_radians ? 1.0 : scale_[k]);
+      to[k] = (axis < head() ? motion.joints[axis] : motion.external[axis - head()]) *
+              (in_radians ? 1.0 : scale_[k]);
     }
   }
 
@@ -516,12 +397,15 @@ class EgmMessages {
   nb::object packet(const nb::str &robotware) {
     const bool in_radians = PyUnicode_CompareWithASCIIString(robotware.ptr(), "6.06") == 0;
     const Motion &feedback = robot_.feedback;
-    const std::size_t joints = order_.size(), external = feedback.external.size() - tail(), count = robot_.data.size();
+    const std::size_t joints = order_.size(), external = feedback.external.size() - tail(),
+                      count = robot_.data.size();
     const auto length = static_cast<npy_intp>(4 * joints + 6 + external + count + matrix_numbers);
     const nb::object values = fresh_array(1, &length);
     auto *array = reinterpret_cast<PyArrayObject *>(values.ptr());
-    double *q = static_cast<double *>(PyArray_DATA(array)), *qd = q + joints, *planned = qd + joints;
-    double *tau = planned + joints, *force = tau + joints, *beyond_q = force + 6, *data = beyond_q + external;
+    double *q = static_cast<double *>(PyArray_DATA(array)), *qd = q + joints,
+           *planned = qd + joints;
+    double *tau = planned + joints, *force = tau + joints, *beyond_q = force + 6,
+           *data = beyond_q + external;
     double *pose = data + count;
     joints_of(feedback, in_radians, q);
     const bool is_kinematic = robot_.order == kinematic;
@@ -533,7 +417,8 @@ class EgmMessages {
       std::fill_n(planned, joints, nan);
     const bool has_torque = !robot_.torques.empty();
     const bool has_reference = !has_torque && head() && robot_.torque_reference.size() == head();
-    array_of(has_torque ? robot_.torques : robot_.torque_reference, has_torque && is_kinematic, tau);
+    array_of(has_torque ? robot_.torques : robot_.torque_reference, has_torque && is_kinematic,
+             tau);
     for (std::size_t k = 0; k < 6; ++k) force[k] = robot_.force.size() == 6 ? robot_.force[k] : nan;
     for (std::size_t k = 0; k < external; ++k)
       beyond_q[k] = feedback.external[tail() + k] * (in_radians ? 1.0 : beyond(k));
@@ -547,7 +432,9 @@ class EgmMessages {
     const nb::object made = nb::steal(type()->tp_alloc(type(), static_cast<Py_ssize_t>(fields)));
     if (!made.is_valid()) throw nb::python_error();
     Py_ssize_t field = 0;
-    const auto set = [&](nb::object value) { PyTuple_SET_ITEM(made.ptr(), field++, value.release().ptr()); };
+    const auto set = [&](nb::object value) {
+      PyTuple_SET_ITEM(made.ptr(), field++, value.release().ptr());
+    };
     const auto vector = [&](double *at, std::size_t size) {
       const auto shape = static_cast<npy_intp>(size);
       return part(values, at, 1, &shape);
@@ -582,13 +469,14 @@ class EgmMessages {
                                   NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_ALIGNED, nullptr);
     if (!array) throw nb::python_error();
     const nb::object owned = nb::steal(array);
-    if (PyArray_SetBaseObject(reinterpret_cast<PyArrayObject *>(array), nb::object(values).release().ptr()) < 0)
+    if (PyArray_SetBaseObject(reinterpret_cast<PyArrayObject *>(array),
+                              nb::object(values).release().ptr()) < 0)
       throw nb::python_error();
     return owned;
   }
 
   // The axes of the robot, the seventh and later ones as external joints, then the axes beyond.
-  void motion(Writing &out, int number, nb::handle values, const nb::object &external) const {
+  void motion(FieldWriter &out, int number, nb::handle values, const nb::object &external) const {
     const Input given(values, "joints");
     given.require_exactly({n()});
     const auto axis = [&](std::size_t k) {
@@ -603,21 +491,23 @@ class EgmMessages {
       if (!tail() && more.empty()) return;
       out.nested(EgmMotion::externalJoints, [&] {
         for (std::size_t k = head(); k < order_.size(); ++k) axis(k);
-        for (std::size_t k = 0; k < more.size(); ++k) out.real(EgmJoints::joints, more[k] / beyond(k));
+        for (std::size_t k = 0; k < more.size(); ++k)
+          out.real(EgmJoints::joints, more[k] / beyond(k));
       });
     });
   }
 
-  static void rapid(Writing &out, const nb::object &numbers, const nb::object &digital) {
+  static void rapid(FieldWriter &out, const nb::object &numbers, const nb::object &digital) {
     if (numbers.is_none() && digital.is_none()) return;
     out.nested(EgmSensor::rapidToRobot, [&] {
       if (!digital.is_none()) out.integer(EgmRapidData::digVal, nb::cast<bool>(nb::bool_(digital)));
       if (numbers.is_none()) return;
-      for (const double value : doubles_of(numbers, "rapid_data")) out.real(EgmRapidData::dnum, value);
+      for (const double value : doubles_of(numbers, "rapid_data"))
+        out.real(EgmRapidData::dnum, value);
     });
   }
 
-  void research(Writing &out, const nb::tuple &ref) const {
+  void research(FieldWriter &out, const nb::tuple &ref) const {
     const bool has_torque = !ref[2].is_none(), free = nb::cast<bool>(nb::bool_(ref[7]));
     out.nested(EgmSensor::researchRef, [&] {
       if (has_torque) {
@@ -630,7 +520,8 @@ class EgmMessages {
       out.packed(EgmRIRef::velGainScale, loosened.data(), loosened.size());
       out.integer(EgmRIRef::echoTNs, integer_of(ref[6]));
       out.integer(EgmRIRef::echoSeqno, integer_of(ref[5]) & 0xffffffff);
-      const unsigned gains = 1u << (EgmRIRef::posGainScale - 1) | 1u << (EgmRIRef::velGainScale - 1);
+      const unsigned gains =
+          1u << (EgmRIRef::posGainScale - 1) | 1u << (EgmRIRef::velGainScale - 1);
       out.integer(EgmRIRef::validMask, (has_torque ? 1u : 0u) | (free ? gains : 0u));
       out.integer(EgmRIRef::order, kinematic);
     });
@@ -651,8 +542,9 @@ void bind_egm(nb::module_ &m) {
   using armlab::array;
   using armlab::EgmMessages;
   nb::class_<EgmMessages>(m, "EgmMessages", "See _native.pyi.")
-      .def(nb::init<nb::handle, nb::handle, std::vector<int>, nb::handle, nb::handle, bool>(), nb::arg("packet"),
-           nb::arg("drop"), nb::arg("order"), array("scale"), array("external_scale"), nb::arg("extension"))
+      .def(nb::init<nb::handle, nb::handle, std::vector<int>, nb::handle, nb::handle, bool>(),
+           nb::arg("packet"), nb::arg("drop"), nb::arg("order"), array("scale"),
+           array("external_scale"), nb::arg("extension"))
       .def("read", &EgmMessages::read, nb::arg("data"), nb::arg("robotware"))
       .def("write", &EgmMessages::write, nb::arg("ref"));
 }

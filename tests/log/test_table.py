@@ -15,7 +15,7 @@ from armlab import glossary
 from armlab.errors import LogError, ShapeError, UnknownName
 from armlab.lie import quaternion, se3, so3
 from armlab.log import Column, Table, concat
-from armlab.log.column import alias, refuse_ragged, stored
+from armlab.log.column import alias, refuse_ragged, resolved, stored
 from armlab.log.table import (
     QD_SOURCES,
     TAU_SOURCES,
@@ -269,7 +269,7 @@ def test_cutting_twice_is_cutting_once(a: int, b: int, c: int) -> None:
 
 def test_symbols_of_motion_leave_columns_alone() -> None:
     """x is the phase of a primitive in the glossary, and a coordinate in most files."""
-    column = Column(shape=(), unit="m").resolved("x")
+    column = resolved(Column(shape=(), unit="m"), "x")
     assert (column.unit, column.kind) == ("m", "real")
     assert glossary.lookup("x").unit == "1"
     assert "x" not in glossary.columns()

@@ -20,6 +20,7 @@ import numpy as np
 from armlab.errors import ConfigError, LinkError, UnknownName
 from armlab.kernels import RowPacker
 from armlab.log import Column, Tick
+from armlab.log.column import resolved
 from armlab.log.recording.rows import COUNTS, ESTIMATE, FIXED, FLAGS, JOINTS, REALS
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -130,7 +131,7 @@ class RowSchema:
 
         def add(owner: str, name: str, type_: str, column: Column, unit: str | None = None) -> None:
             nonlocal at
-            known = column.resolved(name) if unit is None else column
+            known = resolved(column, name) if unit is None else column
             fields.append(
                 RowField(
                     f"{owner}.{name}",

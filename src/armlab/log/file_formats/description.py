@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,7 +17,7 @@ import armlab
 from armlab import glossary
 from armlab.errors import ArmlabError, LogError
 from armlab.log.assembly import rows_in_order
-from armlab.log.column import OLD_NAMES, Column
+from armlab.log.column import OLD_NAMES, Column, heading
 from armlab.log.file_formats.opening import origin
 from armlab.log.table import Table
 
@@ -63,6 +63,11 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def made(cls, columns: Mapping[str, Column], **about: Any) -> Description:
         """Return the description with these columns and everything else by name."""
         return cls(columns=_columns(columns), **about)
+
+    def selected(self, names: Collection[str]) -> Description:
+        """Return the description of some of the columns, in the same order."""
+        kept = {name: column for name, column in self.columns.items() if name in names}
+        return msgspec.structs.replace(self, columns=kept)
 
     def described(self) -> dict[str, Column]:
         """Return the columns in order."""
@@ -125,7 +130,7 @@ def of_json(text: str | bytes, path: Path) -> Description:
 
 def headings(name: str, column: Column) -> Sequence[str]:
     """Return the heading of each component of a column: "q2 [rad]", "wrench_hat_cov1_4 [N^2 m]"."""
-    return [replace(column, unit=unit).heading(label) for label, unit in _parts(name, column)]
+    return [heading(replace(column, unit=unit), label) for label, unit in _parts(name, column)]
 
 
 def components(table: Table) -> Iterator[tuple[str, str, np.ndarray]]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.kernels import RowPacker
-from armlab.log.column import Column
+from armlab.log.column import Column, resolved
 from armlab.log.table import QD_SOURCES, TAU_SOURCES
 from armlab.state import Command, State
 
@@ -132,7 +132,7 @@ class RowLayout:
         if not isinstance(robot, Robot):
             raise RobotError.no_robot(robot)
         self.n = robot.n
-        self.extra = {name: column.resolved(name) for name, column in {**ESTIMATE, **(extra or {})}.items()}
+        self.extra = {name: resolved(column, name) for name, column in {**ESTIMATE, **(extra or {})}.items()}
         self.slots: dict[str, Slot] = {}
         self.size = 0
         self._places: list[tuple[str, str, str, str, bytes, Any]] = []
@@ -169,7 +169,7 @@ class RowLayout:
     def _add(
         self, name: str, source: str, form: str, column: Column, missing: int | None = None, detail: Any = None
     ) -> None:
-        column, dtype = column.resolved(name), _DTYPES.get(form, "<f8")
+        column, dtype = resolved(column, name), _DTYPES.get(form, "<f8")
         stop = self.size + int(np.prod(column.shape, dtype=int)) * np.dtype(dtype).itemsize
         self.slots[name] = slot = Slot(column, self.size, stop, dtype, missing)
         owner, field = source.split(".", 1)
