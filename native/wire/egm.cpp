@@ -59,6 +59,7 @@ constexpr double most = 1e9;
 constexpr std::uint64_t max_seconds = 9'000'000'000, max_microseconds = 1'000'000'000;
 constexpr int joints_at_most = 6, matrix_numbers = 16, kinematic = 1, data_type = 2,
               correction_type = 3;
+
 struct Motion {
   Doubles joints, external;
   std::array<double, 7> pose;  // x, y, z [mm], u0 to u3

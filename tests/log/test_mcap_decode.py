@@ -264,13 +264,6 @@ def test_messages_go_to_where_they_stay(numbered, order: str) -> None:
     assert len(room.part(2, range(0)).sequence) == 0
 
 
-def test_other_layouts_are_not_taken(numbered) -> None:
-    view, found = numbered.written([numbered.message(row, [1.0] * (4 if row == 60 else 3)) for row in range(100)])
-    room = Room(view, found.chunks, numbered.readers())
-    taken = [1 in room.copy(place, unpacked(view, chunk)) for place, chunk in enumerate(found.chunks)]
-    assert taken.count(False) == 1
-
-
 def test_an_index_that_cannot_be_true_takes_no_room(numbered) -> None:
     view, found = numbered.written([numbered.message(row, [1.0]) for row in range(100)])
     chunks = list(found.chunks)

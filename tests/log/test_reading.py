@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import os
 import sys
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -294,14 +293,6 @@ def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
             read(path)
     with pytest.raises(LogError, match="Expected a log at"), opened(tmp_path / "none.mcap"):
         pass
-
-
-def test_an_empty_recording_is_an_empty_table(tmp_path: Path, robot: Robot) -> None:
-    with Recorder(tmp_path / "none.mcap", robot) as recorder:
-        pass
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert len(read(recorder.path)) == 0
 
 
 def test_one_value_that_does_not_fit_does_not_cost_the_recording(tmp_path: Path, robot: Robot, rows: Callable) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 import signal
 import subprocess
@@ -198,23 +199,6 @@ def test_poses_are_written_with_the_real_part_last(recording: Callable[..., Path
             )
 
 
-def test_a_force_sensor_of_its_own_is_a_stamped_wrench(tmp_path: Path, robot: Robot, rows: Callable) -> None:
-    from rosbags.highlevel import AnyReader
-
-    name = "force.wrench_raw"
-    with Recorder(tmp_path / "run.mcap", robot, extra={name: Column((6,), unit="N, N m", frame="sensor")}) as recorder:
-        for i in range(5):
-            state, _, tick = rows(i)
-            recorder.row(state, None, tick._replace(record={name: state.wrench_raw + 1.0}))
-    table = read(recorder.path)
-    assert np.array_equal(table[name], table["wrench_raw"] + 1.0)
-    assert (table.columns[name].unit, table.columns[name].frame) == ("N, N m", "sensor")
-    with AnyReader([recorder.path]) as reader:
-        topics = [c for c in reader.connections if c.topic == "/yumi_right/wrench/force"]
-        forces = [reader.deserialize(raw, c.msgtype).wrench.force.x for c, _, raw in reader.messages(topics)]
-    assert np.array_equal(forces, table[name][:, 0])
-
-
 def test_closing_twice_and_rows_after_closing(tmp_path: Path, robot: Robot, rows: Callable) -> None:
     recorder = Recorder(tmp_path / "run.mcap", robot)
     recorder.row(*rows(0))
@@ -227,36 +211,49 @@ def test_closing_twice_and_rows_after_closing(tmp_path: Path, robot: Robot, rows
     assert (held.events[-1].text, held.events[-1].stamp_ns) == ("hello", 5)
 
 
-INTERRUPTED = """
-import time
+PROGRAM = """
+import sys, time
 import numpy as np
 from armlab import robots
 from armlab.log import Recorder, Tick
-from armlab.state import State
-robot = robots.load("yumi_right")
-x = np.zeros(7)
+from armlab.state import Command, State
+
+path, period, most, closes = sys.argv[1], float(sys.argv[2]), float(sys.argv[3]), sys.argv[4] == "closes"
+robot, rng = robots.load("yumi_right"), np.random.default_rng(1)
+recorder = Recorder(path, robot, attachments={"robot.toml": b"the description"}, note="of a program")
+recorder.event("connected", time.time_ns())
+start, wall, i = time.monotonic(), time.time_ns(), 0
 try:
-    with Recorder({path!r}, robot) as recorder:
-        i = 0
-        while True:
-            recorder.row(State(i * 0.004, 0.004, x, x, x, robot_ns=1 + i), None, Tick(i, i, 10**18 + i, 1, 1, 0))
-            i += 1
-            if i == 300:
-                print("ready", flush=True)
-            time.sleep(0.001)
+    while i < most:
+        q, qd, tau, sent = rng.normal(size=(4, 7))
+        stamp = wall + i * 4_000_000
+        state = State(i * 0.004, 0.004, q, qd, tau, seq=i, robot_ns=stamp, q_planned=q, wrench_raw=tau[:6])
+        command = Command(q, qd, record={"wrench_hat": q[:6], "wrench_hat_cov": np.eye(6)})
+        recorder.row(state, command, Tick(i, i, stamp, stamp, stamp + 1000, 500, q_sent=sent, clamped=np.zeros(7)))
+        i += 1
+        print(i, flush=True)  # after the row was queued: the parent's count never runs ahead
+        time.sleep(max(0.0, start + i * period - time.monotonic()))
 except KeyboardInterrupt:
     print(i, flush=True)
+if closes:
+    recorder.close()
 """
+
+
+def program(path: Path, period: float, most: float, end: str) -> subprocess.Popen[str]:
+    """A process that records rows and prints how many."""
+    words = [sys.executable, "-c", PROGRAM, str(path), str(period), str(most), end]
+    return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
 
 
 def test_ctrl_c_leaves_a_complete_file(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    code = INTERRUPTED.format(path=str(path))
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as child:
+    with program(path, 0.001, math.inf, "closes") as child:
         assert child.stdout is not None
-        assert child.stdout.readline() == "ready\n"
+        while child.stdout.readline() != "300\n":
+            pass
         child.send_signal(signal.SIGINT)
-        rows = int(child.stdout.readline())
+        rows = int(child.stdout.read().split()[-1])
         assert child.wait(20) == 0
     assert inspect(path).finished
     assert abs(len(read(path)) - rows) <= 1  # the row in progress when the signal came
@@ -264,11 +261,8 @@ def test_ctrl_c_leaves_a_complete_file(tmp_path: Path) -> None:
 
 def test_a_recorder_that_nobody_closes_is_closed_at_exit(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    code = INTERRUPTED.format(path=str(path)).replace("while True", "while i < 300")
-    code = code.replace(
-        f"with Recorder({str(path)!r}, robot) as recorder", f"if recorder := Recorder({str(path)!r}, robot)"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    with program(path, 0.001, 300, "leaves") as child:
+        child.communicate(timeout=60)
     assert inspect(path).finished
     assert len(read(path)) == 300
 
@@ -585,34 +579,10 @@ def test_another_file_of_the_same_name_is_not_written(tmp_path: Path) -> None:
 
 MOST_ROWS = 25  # 0.1 s: written is every 0.04 s, and the thread that does it may wait for a core
 
-CHILD = """
-import sys, time
-import numpy as np
-from armlab import robots
-from armlab.log import Recorder, Tick
-from armlab.state import Command, State
-
-robot, rng = robots.load("yumi_right"), np.random.default_rng(1)
-recorder = Recorder(sys.argv[1], robot, attachments={"robot.toml": b"the description"}, note="kill test")
-recorder.event("connected", time.time_ns())
-period, start, wall = 0.004, time.monotonic(), time.time_ns()
-i = 0
-while True:
-    q, qd, tau, sent = rng.normal(size=(4, 7))
-    stamp = wall + i * 4_000_000
-    state = State(i * period, period, q, qd, tau, seq=i, robot_ns=stamp, q_planned=q, wrench_raw=tau[:6])
-    command = Command(q, qd, record={"wrench_hat": q[:6], "wrench_hat_cov": np.eye(6)})
-    recorder.row(state, command, Tick(i, i, stamp, stamp, stamp + 1000, 500, q_sent=sent, clamped=np.zeros(7)))
-    i += 1
-    sys.stdout.write(f"{i}\\n")  # written after the row was queued: the parent's count never runs ahead
-    sys.stdout.flush()
-    time.sleep(max(0.0, start + i * period - time.monotonic()))
-"""
-
 
 def kill_one(path: Path, seconds: float) -> tuple[int, int]:
     """Record in real time at 250 Hz, kill after some seconds; return rows recorded and rows lost."""
-    with subprocess.Popen([sys.executable, "-c", CHILD, str(path)], stdout=subprocess.PIPE, text=True) as child:
+    with program(path, 0.004, math.inf, "leaves") as child:
         assert child.stdout is not None
         count = int(child.stdout.readline())
         end = time.monotonic() + seconds
@@ -628,7 +598,7 @@ def kill_one(path: Path, seconds: float) -> tuple[int, int]:
     assert np.array_equal(table["seq"], np.arange(len(table)))
     held = inspect(path)
     assert not held.finished
-    assert held.metadata["armlab"]["note"] == "kill test"
+    assert held.metadata["armlab"]["note"] == "of a program"
     assert held.attachments["robot.toml"] == b"the description"
     assert "connected" in [event.text for event in held.events]
     repaired = recover(path)

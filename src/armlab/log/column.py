@@ -58,9 +58,8 @@ def resolved(column: Column, name: str) -> Column:
     if symbol:
         _check_row_shape(name, column.shape, symbol.shape)
     if column.labels and (not column.shape or len(column.labels) != column.shape[0]):
-        raise ShapeError(
-            f"Expected {column.shape[0] if column.shape else 0} labels for the column {name!r}, got {len(column.labels)}."
-        )
+        count = column.shape[0] if column.shape else 0
+        raise ShapeError(f"Expected {count} labels for the column {name!r}, got {len(column.labels)}.")
     unit = column.unit if column.unit is not None else (symbol.unit if symbol else "1")
     frame = column.frame if column.frame is not None else (symbol.frame if symbol else "")
     return replace(column, unit=unit, frame=frame, kind=kind, labels=tuple(column.labels))
