@@ -14,8 +14,8 @@ from armlab.bridge.servers.row import RowSchema
 from armlab.bridge.servers.zenoh import EVERY, Place, Security, close_session
 from armlab.cli.bridge import write_certificates
 from armlab.errors import ConfigError, LinkError
-from armlab.fleet import FleetRobot, Router, list_robots
-from armlab.fleet.discovery import _Seen
+from armlab.fleet import Router, list_robots
+from armlab.fleet.discovery import FleetRobot, _Seen
 
 from ..processes import PATIENCE, Started, free_port, until
 

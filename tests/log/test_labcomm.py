@@ -12,8 +12,8 @@ import pytest
 
 from armlab.errors import LogError, UnknownName
 from armlab.log import read, read_labcomm
-from armlab.wire.labcomm import Encoder, SampleType, parse_lc
-from armlab.wire.labcomm.types import DIALECTS
+from armlab.wire.labcomm import Encoder, parse_lc
+from armlab.wire.labcomm.types import DIALECTS, SampleType
 
 TYPES = """
 sample struct { int tm; double pos[7]; double vel[7]; double trq[7]; } robot_row;

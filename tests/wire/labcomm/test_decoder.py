@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab.errors import LabCommError
-from armlab.wire.labcomm import Decoder, Encoder, Limits, Sample, SampleType, parse_lc, to_lc
+from armlab.wire.labcomm import Decoder, Encoder, Limits, Sample, parse_lc, to_lc
 from armlab.wire.labcomm.decoder import parse_signature
 from armlab.wire.labcomm.types import (
     DIALECTS,
@@ -24,6 +24,7 @@ from armlab.wire.labcomm.types import (
     Definition,
     Field,
     Prim,
+    SampleType,
     Struct,
     Type,
     Unknown,

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from armlab.errors import LabCommError
-from armlab.wire.labcomm import Decoder, Encoder, Sample, SampleType, parse_lc
+from armlab.wire.labcomm import Decoder, Encoder, Sample, parse_lc
 from armlab.wire.labcomm.decoder import parse_signature
 from armlab.wire.labcomm.encoder import write_packet
 from armlab.wire.labcomm.types import (
@@ -21,6 +21,7 @@ from armlab.wire.labcomm.types import (
     Other,
     Pragma,
     Prim,
+    SampleType,
     Type,
     TypeRef,
     Unknown,

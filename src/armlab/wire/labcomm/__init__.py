@@ -8,7 +8,7 @@ no files.
 from armlab.wire.labcomm.decoder import Decoder
 from armlab.wire.labcomm.encoder import Encoder
 from armlab.wire.labcomm.idl import parse_lc, to_lc
-from armlab.wire.labcomm.types import Sample, SampleType
+from armlab.wire.labcomm.types import Sample
 from armlab.wire.labcomm.values import Limits
 
-__all__ = ["Decoder", "Encoder", "Limits", "Sample", "SampleType", "parse_lc", "to_lc"]
+__all__ = ["Decoder", "Encoder", "Limits", "Sample", "parse_lc", "to_lc"]

@@ -14,8 +14,8 @@ from armlab import robots
 from armlab.bridge.servers.labcomm.connection import QUEUE, Peer
 from armlab.bridge.servers.labcomm.rows import STOP, Order, Row, RowTypes, signed
 from armlab.errors import ConfigError, LabCommError
-from armlab.wire.labcomm import Decoder, Encoder, Sample, SampleType, parse_lc
-from armlab.wire.labcomm.types import VOID, Version
+from armlab.wire.labcomm import Decoder, Encoder, Sample, parse_lc
+from armlab.wire.labcomm.types import VOID, SampleType, Version
 
 CHAIN = np.array([1.0, 2.0, 7.0, 3.0, 4.0, 5.0, 6.0])  # number of each joint from base to tool
 

@@ -14,7 +14,8 @@ from armlab.bridge.servers.labcomm import ArmChannel
 from armlab.bridge.servers.labcomm.rows import STOP
 from armlab.bridge.servers.labcomm.selector_server import Ports
 from armlab.errors import LinkError
-from armlab.wire.labcomm import Encoder, Sample, SampleType, parse_lc
+from armlab.wire.labcomm import Encoder, Sample, parse_lc
+from armlab.wire.labcomm.types import SampleType
 
 from .conftest import Plain, row, until
 

@@ -16,8 +16,8 @@ from armlab.bridge.servers.labcomm.channels import FusedArm
 from armlab.bridge.servers.labcomm.server import RowFeed, to_arbiter
 from armlab.errors import LinkError, UnknownName
 from armlab.state import Command, State
-from armlab.wire.labcomm import Decoder, Encoder, Sample, SampleType, parse_lc
-from armlab.wire.labcomm.types import Definition, Version
+from armlab.wire.labcomm import Decoder, Encoder, Sample, parse_lc
+from armlab.wire.labcomm.types import Definition, SampleType, Version
 
 from .conftest import Plain, Started, row, until
 

@@ -12,8 +12,8 @@ import numpy as np
 from armlab.bridge.servers.labcomm.connection import Peer
 from armlab.bridge.servers.labcomm.rows import Order, Row, RowTypes
 from armlab.errors import ConfigError, LabCommError
-from armlab.wire.labcomm import Sample, SampleType, idl
-from armlab.wire.labcomm.types import PRIMS, Array, Definition, Event, Type, dialect_named
+from armlab.wire.labcomm import Sample, idl
+from armlab.wire.labcomm.types import PRIMS, Array, Definition, Event, SampleType, Type, dialect_named
 
 __all__ = [
     "ArmChannel",
