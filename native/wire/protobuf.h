@@ -159,11 +159,14 @@ class FieldWriter {
     number_of(value);
   }
   void real(int number, double value) {
-    number_of(number << 3 | eight_bytes);
-    raw(&value, 1);
+    char bytes[10 + sizeof value];
+    const std::size_t tag = put(static_cast<std::uint64_t>(number) << 3 | eight_bytes, bytes);
+    std::memcpy(bytes + tag, &value, sizeof value);
+    to_.append(bytes, tag + sizeof value);
   }
   void packed(int number, const double *values, std::size_t count) {
-    if (count) nested(number, [&] { raw(values, count); });
+    const auto *bytes = reinterpret_cast<const char *>(values);
+    if (count) nested(number, [&] { to_.append(bytes, count * sizeof(double)); });
   }
   template <class Body>
   void nested(int number, Body body) {
@@ -185,9 +188,6 @@ class FieldWriter {
   void number_of(std::uint64_t value) {
     char bytes[10];
     to_.append(bytes, put(value, bytes));
-  }
-  void raw(const double *values, std::size_t count) {
-    to_.append(reinterpret_cast<const char *>(values), count * sizeof(double));
   }
 
   std::string &to_;
