@@ -231,21 +231,21 @@ def test_a_second_run_makes_no_sums(folder: Path, short_arm, tmp_path: Path, mad
     assert len(made) == 6
 
 
-@pytest.mark.slow  # 60 logs
-def test_of_sixty_logs_and_more_ten_new_ones_cost_ten(short_arm, tmp_path: Path, made: list[int]) -> None:
+@pytest.mark.slow  # 35 logs
+def test_of_thirty_logs_and_more_five_new_ones_cost_five(short_arm, tmp_path: Path, made: list[int]) -> None:
     logs, cache = tmp_path / "logs", tmp_path / "cache"
     logs.mkdir()
-    for k in range(70):
+    for k in range(35):
         log.write(short_arm.log(k, 600), tmp_path / f"log{k:02d}.parquet")
-        if k < 60:
+        if k < 30:
             shutil.move(tmp_path / f"log{k:02d}.parquet", logs)
     fleet.identify(logs, short_arm.robot, cache=cache)
-    assert len(made) == 60
+    assert len(made) == 30
     for path in tmp_path.glob("*.parquet"):
         shutil.move(path, logs)
     found = fleet.identify(logs, short_arm.robot, cache=cache)
-    assert len(found.used) == 70
-    assert len(made) == 70
+    assert len(found.used) == 35
+    assert len(made) == 35
     assert same(found, fleet.identify(logs, short_arm.robot))
 
 

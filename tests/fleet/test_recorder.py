@@ -24,7 +24,7 @@ from armlab.state import Command, State
 from ..processes import Started, free_port, until
 
 NAMES = ("yumi_left", "yumi_right", "ur5e")
-PAST = 250  # rows that make a good start
+PAST = 120  # rows that make a good start
 AGAIN_NS = 5e9  # of the specification; of ten restarts beside a load of 20 on two cores the longest took 0.4 s
 ROW = b"ALR1" + bytes(60)
 
