@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from armlab.fleet.row_columns import RowColumns, stamp_of, tick_of
 
 from armlab import log, robots
 from armlab.bridge.servers.row import LARGEST, RowSchema, RowWriter
 from armlab.bridge.servers.zenoh import EVERY, Place, checksum, close_session, open_session
 from armlab.errors import LinkError
 from armlab.fleet import FleetRecorder, Router, recorder
-from armlab.fleet.recorder import RobotRecord
+from armlab.fleet.recorder import RobotRecord, RowColumns, stamp_of, tick_of
 from armlab.log import Tick
 from armlab.log.recording.rows import RowLayout
 from armlab.robots import Robot, to_toml
