@@ -19,6 +19,17 @@ from hypothesis import strategies as st
 
 from armlab import kernels
 from armlab.errors import ShapeError
+from armlab.wire.egm import Drop, Packet, Reference
+
+
+def test_egm_of_axes_that_are_none() -> None:
+    """What is read and written is compared with protobuf in tests/wire/egm."""
+    for order, scale in (([0, 0], np.ones(2)), ([0, 2], np.ones(2)), ([0], np.ones(2))):
+        with pytest.raises(ShapeError, match=r"each of \d axes once"):
+            kernels.EgmMessages(Packet, Drop, order, scale, np.zeros(0), False)
+    messages = kernels.EgmMessages(Packet, Drop, [0], np.ones(1), np.zeros(0), False)
+    with pytest.raises(ShapeError):
+        messages.write(Reference(np.zeros(2), None, None, 1, 2))
 
 
 class Datagram(NamedTuple):

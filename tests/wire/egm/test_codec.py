@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from armlab.wire.egm import Beside, Details, Drop, EgmCodec, Packet, Reference
+from armlab.wire.egm import Beside, Codec, Details, Drop, EgmCodec, Packet, Reference
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import AxisMap
 from armlab.wire.egm.robot_side import EXTENSION_ARRAYS, ROBOTWARE, RobotMessage, RobotSideCodec
@@ -173,7 +173,8 @@ def test_extension_reply_echoes(yumi: Any) -> None:
 
 
 def test_capabilities(six: Any, scara: Any) -> None:
-    assert EgmCodec(six).capabilities == MOVES
+    codec: Codec = EgmCodec(six)
+    assert codec.capabilities == MOVES
     assert EgmCodec(six, extension=True).capabilities == {*MOVES, "measured_torque", "torque"}
     assert EgmCodec(scara).capabilities == frozenset()
     assert EgmCodec(scara, extension=True).capabilities == {"measured_torque"}
