@@ -12,7 +12,8 @@ from egm_round_trips import round_trips
 
 from armlab import robots
 from armlab.robots import Robot
-from armlab.wire.egm import EgmCodec, Reference, RobotMessage, RobotSideCodec
+from armlab.wire.egm import EgmCodec, Reference
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
 
 ROBOT = "yumi_right"
 PACKETS = 500

@@ -27,8 +27,10 @@ from armlab.models.friction import Friction, FrictionBound, Ripple  # noqa: E402
 from armlab.models.torque import Quality, Training  # noqa: E402
 from armlab.robots.urdf.writing import write_urdf  # noqa: E402
 from armlab.state import State  # noqa: E402
-from armlab.wire.egm import EgmCodec, Reference, RobotMessage, RobotSideCodec  # noqa: E402
-from armlab.wire.labcomm import PRIMS, Array, Encoder, Field, SampleType, Struct, parse_lc  # noqa: E402
+from armlab.wire.egm import EgmCodec, Reference  # noqa: E402
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec  # noqa: E402
+from armlab.wire.labcomm import Encoder, parse_lc  # noqa: E402
+from armlab.wire.labcomm.types import PRIMS, Array, Field, SampleType, Struct  # noqa: E402
 from fuzz import fleet  # noqa: E402
 
 Seeds = Iterator[tuple[str, str, bytes]]

@@ -16,8 +16,10 @@ from armlab.bridge.control.session import Session
 from armlab.bridge.net.sockets import Arrival
 from armlab.errors import ArmlabError, LabCommError, LogError
 from armlab.wire import cdr
-from armlab.wire.egm import Drop, EgmCodec, Packet, Reference, RobotMessage, RobotSideCodec
-from armlab.wire.labcomm import Decoder, Sample, parse_lc, to_lc, write_packet
+from armlab.wire.egm import Drop, EgmCodec, Packet, Reference
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
+from armlab.wire.labcomm import Decoder, Sample, parse_lc, to_lc
+from armlab.wire.labcomm.encoder import write_packet
 
 _FOLDER = tempfile.TemporaryDirectory(prefix="armlab-fuzz-")
 _ARMS = ("yumi_left", "irb120", "irb2400")

@@ -1,257 +1,539 @@
-// EGM datagrams read and written where the numbers of one like them lay. Documented in armlab/kernels/_native.pyi.
+// EGM datagrams to packets and references to datagrams. Documented in armlab/kernels/_native.pyi.
+//
+// Numbers of fields are those of armlab_egm.proto; a datagram is accepted exactly when protobuf
+// accepts it.
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <cstring>
 #include <limits>
-#include <utility>
-#include <array>
 #include <string>
 #include <string_view>
-#include <tuple>
 #include <vector>
 
-#include <nanobind/stl/pair.h>
-#include <nanobind/stl/tuple.h>
-#include <nanobind/stl/vector.h>
-
 #include "array/arrays.h"
+#include "wire/protobuf.h"
 
 namespace armlab {
 namespace {
 
-using Span = std::pair<int, int>;
-using Cut = std::tuple<int, int, int>;
-using Integers = std::array<std::uint64_t, 6>;  // seqno, tm, seconds, microseconds, monotonic clock, queue depth
+using namespace protobuf;
 
-constexpr int pose_numbers = 7, matrix_numbers = 16, after_scaled = pose_numbers + 1;
-constexpr double most = 1e9;  // degrees or mm: no arm is there, and differences of larger ones would not be finite
-constexpr std::uint64_t low_32 = 0xffffffff, max_seconds = 9'000'000'000, max_microseconds = 1'000'000'000;
+// clang-format off: a table
+namespace EgmHeader { enum { seqno = 1, tm = 2, mtype = 3 }; }
+namespace EgmCartesian { enum { x = 1, y = 2, z = 3 }; }
+namespace EgmQuaternion { enum { u0 = 1, u1 = 2, u2 = 3, u3 = 4 }; }
+namespace EgmClock { enum { sec = 1, usec = 2 }; }
+namespace EgmPose { enum { pos = 1, orient = 2, euler = 3 }; }
+namespace EgmJoints { enum { joints = 1 }; }
+namespace EgmMotion { enum { joints = 1, cartesian = 2, externalJoints = 3, time = 4, timeStamp = 5 }; }
+namespace EgmSpeedRef { enum { joints = 1, cartesians = 2, externalJoints = 3 }; }
+namespace EgmState { enum { state = 1 }; }
+namespace EgmTestSignals { enum { signals = 1 }; }
+namespace EgmForceRw6 { enum { force = 1 }; }
+namespace EgmForceRw7 { enum { fcActive = 1, force = 2 }; }
+namespace EgmCollisionInfo { enum { collsionTriggered = 1, collDetQuota = 2 }; }
+namespace EgmRapidData { enum { digVal = 1, dnum = 2 }; }
+namespace EgmRIState { enum {
+  jointVel = 1, torqueMeas = 2, torqueRefTotal = 3, torqueGravity = 4, motorCurrent = 5, jointPosRef = 6,
+  jointVelRef = 7, tNs = 8, overruns = 9, armId = 10, mode = 11, order = 12, usedSeqno = 13, queueDepth = 14
+}; }
+namespace EgmRIRef { enum {
+  torqueFF = 1, velRef = 2, posRef = 3, posGainScale = 4, velGainScale = 5, echoTNs = 6, echoSeqno = 7,
+  validMask = 8, order = 9
+}; }
+namespace EgmRobot { enum {
+  header = 1, feedBack = 2, planned = 3, motorState = 4, mciState = 5, mciConvergenceMet = 6, testSignals = 7,
+  rapidExecState = 8, measuredForce = 9, utilizationRate = 10, moveIndex = 11, collisionInfo = 12,
+  rapidFromRobot = 13, torqueRef = 14, researchState = 101
+}; }
+namespace EgmSensor { enum { header = 1, planned = 2, speedRef = 3, rapidToRobot = 4, researchRef = 101 }; }
+// clang-format on
 
-// x, y, z [mm] and a quaternion to the rows of a matrix [m]; NaN for a quaternion without a usable norm.
+constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+// Degrees or mm: no arm is there, and differences of larger numbers would not be finite.
+constexpr double most = 1e9;
+constexpr std::uint64_t max_seconds = 9'000'000'000, max_microseconds = 1'000'000'000;
+constexpr int joints_at_most = 6, matrix_numbers = 16, kinematic = 1, data_type = 2,
+              correction_type = 3;
+
+struct Motion {
+  Doubles joints, external;
+  std::array<double, 7> pose;  // x, y, z [mm], u0 to u3
+  bool has_position, has_orientation, has_time, has_stamp;
+  std::uint64_t seconds, microseconds;
+
+  void clear() {
+    joints.clear(), external.clear(), pose.fill(0.0);
+    has_position = has_orientation = has_time = has_stamp = false;
+    seconds = microseconds = 0;
+  }
+
+  bool read(std::string_view data) {
+    return walk(data, [this](const Field &field) {
+      if (field.kind != message) return true;
+      switch (field.number) {
+        case EgmMotion::joints:
+          return read_doubles(field.bytes, EgmJoints::joints, joints);
+        case EgmMotion::cartesian:
+          return read_pose(field.bytes);
+        case EgmMotion::externalJoints:
+          return read_doubles(field.bytes, EgmJoints::joints, external);
+        case EgmMotion::time:
+          has_time = true;
+          return read_clock(field.bytes);
+        case EgmMotion::timeStamp:
+          has_stamp = true;
+          return is_well_formed(field.bytes);
+        default:
+          return true;
+      }
+    });
+  }
+
+ private:
+  bool read_pose(std::string_view data) {
+    return walk(data, [this](const Field &field) {
+      if (field.kind != message) return true;
+      switch (field.number) {
+        case EgmPose::pos:
+          has_position = true;
+          return read_numbers(field.bytes, pose.data(), EgmCartesian::z);
+        case EgmPose::orient:
+          has_orientation = true;
+          return read_numbers(field.bytes, pose.data() + 3, EgmQuaternion::u3);
+        case EgmPose::euler:
+          return is_well_formed(field.bytes);
+        default:
+          return true;
+      }
+    });
+  }
+
+  bool read_clock(std::string_view data) {
+    return walk(data, [this](const Field &field) {
+      if (field.is_varint(EgmClock::sec)) seconds = field.integer;
+      if (field.is_varint(EgmClock::usec)) microseconds = field.integer;
+      return true;
+    });
+  }
+};
+
+// An EgmRobot as it is on the wire.
+struct Robot {
+  std::uint32_t seqno, tm, order, queue_depth;
+  std::int32_t mtype;
+  std::array<std::int32_t, 3> states;  // motors, mci, rapid
+  std::uint64_t mono;
+  double utilization;
+  bool has_seqno, has_tm, has_research, has_utilization, is_rw7, converged, digital;
+  Motion feedback, planned;
+  Doubles velocities, torques, torque_reference, data, force, unused;
+  std::string_view force_bytes;
+
+  bool read(std::string_view bytes) {
+    seqno = tm = order = queue_depth = 0, mtype = 0, states.fill(0), mono = 0, utilization = nan;
+    has_seqno = has_tm = has_research = has_utilization = is_rw7 = converged = digital = false;
+    feedback.clear(), planned.clear(), force_bytes = {};
+    for (Doubles *each : {&velocities, &torques, &torque_reference, &data, &force, &unused})
+      each->clear();
+    if (!walk(bytes, [this](const Field &field) { return take(field); })) return false;
+    read_force();
+    return true;
+  }
+
+  const char *flavour() const {
+    if (is_rw7 || feedback.has_stamp) return "7";
+    if (has_utilization) return "6.10";
+    return feedback.has_time ? "6.07" : "6.06";
+  }
+
+ private:
+  bool take(const Field &field) {
+    if (field.kind == message) return take_message(field);
+    if (field.number == EgmRobot::utilizationRate && field.kind == eight_bytes)
+      utilization = get<double>(field.bytes.data()), has_utilization = true;
+    if (field.is_varint(EgmRobot::mciConvergenceMet)) converged = field.integer != 0;
+    if (field.is_varint(EgmRobot::moveIndex)) is_rw7 = true;
+    return true;
+  }
+
+  bool take_message(const Field &field) {
+    switch (field.number) {
+      case EgmRobot::header:
+        return read_header(field.bytes);
+      case EgmRobot::feedBack:
+        return feedback.read(field.bytes);
+      case EgmRobot::planned:
+        return planned.read(field.bytes);
+      case EgmRobot::motorState:
+        return read_state(field.bytes, states[0]);
+      case EgmRobot::mciState:
+        return read_state(field.bytes, states[1]);
+      case EgmRobot::rapidExecState:
+        return read_state(field.bytes, states[2]);
+      case EgmRobot::testSignals:
+        return read_doubles(field.bytes, EgmTestSignals::signals, unused);
+      case EgmRobot::measuredForce:
+        force_bytes = field.bytes;
+        return true;
+      case EgmRobot::collisionInfo:
+        is_rw7 = true;
+        return read_doubles(field.bytes, EgmCollisionInfo::collDetQuota, unused);
+      case EgmRobot::rapidFromRobot:
+        is_rw7 = true;
+        return read_rapid(field.bytes);
+      case EgmRobot::torqueRef:
+        is_rw7 = true;
+        return read_doubles(field.bytes, EgmJoints::joints, torque_reference);
+      case EgmRobot::researchState:
+        has_research = true;
+        return read_research(field.bytes);
+      default:
+        return true;
+    }
+  }
+
+  bool read_header(std::string_view bytes) {
+    return walk(bytes, [this](const Field &field) {
+      if (field.is_varint(EgmHeader::seqno))
+        seqno = static_cast<std::uint32_t>(field.integer), has_seqno = true;
+      if (field.is_varint(EgmHeader::tm))
+        tm = static_cast<std::uint32_t>(field.integer), has_tm = true;
+      if (field.is_varint(EgmHeader::mtype)) mtype = static_cast<std::int32_t>(field.integer);
+      return true;
+    });
+  }
+
+  static bool read_state(std::string_view bytes, std::int32_t &state) {
+    return walk(bytes, [&state](const Field &field) {
+      if (field.is_varint(EgmState::state)) state = static_cast<std::int32_t>(field.integer);
+      return true;
+    });
+  }
+
+  bool read_rapid(std::string_view bytes) {
+    return walk(bytes, [this](const Field &field) {
+      if (field.is_varint(EgmRapidData::digVal)) digital = field.integer != 0;
+      return field.number != EgmRapidData::dnum || append(field, data);
+    });
+  }
+
+  bool read_research(std::string_view bytes) {
+    return walk(bytes, [this](const Field &field) {
+      if (field.is_varint(EgmRIState::tNs)) mono = field.integer;
+      if (field.is_varint(EgmRIState::order)) order = static_cast<std::uint32_t>(field.integer);
+      if (field.is_varint(EgmRIState::queueDepth))
+        queue_depth = static_cast<std::uint32_t>(field.integer);
+      if (field.number == EgmRIState::jointVel) return append(field, velocities);
+      if (field.number == EgmRIState::torqueMeas) return append(field, torques);
+      return field.number > EgmRIState::jointVelRef || append(field, unused);
+    });
+  }
+
+  // Two layouts that the first tag tells apart; what is malformed counts as absent.
+  void read_force() {
+    const int tag = force_bytes.empty() ? 0 : force_bytes[0];
+    const bool newer = tag == 0x08 || tag == 0x11 || tag == 0x12,
+               older = tag == 0x09 || tag == 0x0a;
+    if (!newer && !older) return;
+    const int number =
+        newer ? static_cast<int>(EgmForceRw7::force) : static_cast<int>(EgmForceRw6::force);
+    if (read_doubles(force_bytes, static_cast<std::uint32_t>(number), force))
+      is_rw7 = is_rw7 || newer;
+    else
+      force.clear();
+  }
+};
+
+// x, y, z [mm] and a quaternion to the rows of a matrix [m]; NaN for a quaternion without a usable
+// norm.
 void matrix_of(const double *pose, double *out) {
   const double a = pose[3], b = pose[4], c = pose[5], d = pose[6];
   const double norm = a * a + b * b + c * c + d * d;
   if (!(1e-12 < norm && norm < 1e12)) {
-    std::fill_n(out, matrix_numbers, std::numeric_limits<double>::quiet_NaN());
+    std::fill_n(out, matrix_numbers, nan);
     return;
   }
   const double s = 2.0 / norm;
-  const double b2 = s * b * b, c2 = s * c * c, d2 = s * d * d, bc = s * b * c, bd = s * b * d, cd = s * c * d;
+  const double b2 = s * b * b, c2 = s * c * c, d2 = s * d * d, bc = s * b * c, bd = s * b * d,
+               cd = s * c * d;
   const double ab = s * a * b, ac = s * a * c, ad = s * a * d;
-  const double rows[matrix_numbers] = {1.0 - c2 - d2, bc - ad, bd + ac, 1e-3 * pose[0],  //
-                                       bc + ad, 1.0 - b2 - d2, cd - ab, 1e-3 * pose[1],  //
-                                       bd - ac, cd + ab, 1.0 - b2 - c2, 1e-3 * pose[2],  //
-                                       0.0, 0.0, 0.0, 1.0};
+  const double rows[matrix_numbers] = {
+      1.0 - c2 - d2, bc - ad,       bd + ac,       1e-3 * pose[0],  //
+      bc + ad,       1.0 - b2 - d2, cd - ab,       1e-3 * pose[1],  //
+      bd - ac,       cd + ab,       1.0 - b2 - c2, 1e-3 * pose[2],  //
+      0.0,           0.0,           0.0,           1.0};
   std::copy_n(rows, matrix_numbers, out);
 }
 
-std::string_view bytes_of(nb::handle value) {
-  if (!PyBytes_Check(value.ptr())) throw nb::type_error("Expected the bytes of one datagram.");
-  return {PyBytes_AS_STRING(value.ptr()), static_cast<std::size_t>(PyBytes_GET_SIZE(value.ptr()))};
+Doubles doubles_of(nb::handle values, const char *name) {
+  const Input given(values, name);
+  return {given.data(), given.data() + given.size()};
 }
 
-bool lies_within(const std::vector<Span> &spans, std::size_t size) {
-  return std::all_of(spans.begin(), spans.end(), [size](Span span) {
-    return 0 <= span.first && span.first <= span.second && static_cast<std::size_t>(span.second) <= size;
-  });
+std::uint64_t integer_of(nb::handle value) {
+  const std::uint64_t found = PyLong_AsUnsignedLongLongMask(value.ptr());
+  if (PyErr_Occurred()) throw nb::python_error();
+  return found;
 }
 
-bool lies_within(const std::vector<int> &offsets, std::size_t size) {
-  return std::all_of(offsets.begin(), offsets.end(),
-                     [size](int at) { return at == -1 || (at >= 0 && at + sizeof(double) <= size); });
-}
-
-[[noreturn]] void refuse_layout() { raise_shape_error("Expected numbers that lie within the datagram, got others."); }
-
-class EgmReader {
+class EgmMessages {
  public:
-  EgmReader(nb::handle kind, nb::tuple fixed, std::vector<Cut> arrays, int matrix, std::vector<int> scalars,
-            nb::handle scale, std::vector<Span> finite)
-      : kind_(nb::borrow(kind)), fixed_(fixed), arrays_(std::move(arrays)), matrix_(matrix), finite_(std::move(finite)) {
-    const Input factors(scale, "scale");
-    scale_.assign(factors.data(), factors.data() + factors.size());
-    const int fields = static_cast<int>(fixed.size());
-    const auto is_field = [fields](int field, int least) { return field >= least && field < fields; };
-    bool fits = PyType_Check(kind.ptr()) && PyType_IsSubtype(type(), &PyTuple_Type) && scalars.size() == scalars_.size() &&
-                is_field(matrix, 0) && count() >= pose_numbers + 1;
-    for (const auto &[field, start, stop] : arrays_)
-      fits = fits && is_field(field, 0) && 0 <= start && start <= stop && stop <= count() - after_scaled;
-    for (int field : scalars) fits = fits && is_field(field, -1);
-    if (!fits || !lies_within(finite_, static_cast<std::size_t>(count())))
-      raise_shape_error("Expected a named tuple, and fields and numbers of it, got others.");
-    std::copy(scalars.begin(), scalars.end(), scalars_.begin());
+  EgmMessages(nb::handle packet, nb::handle drop, std::vector<int> order, nb::handle scale,
+              nb::handle external_scale, bool extension)
+      : packet_(nb::borrow(packet)),
+        drop_(nb::borrow(drop)),
+        order_(std::move(order)),
+        extension_(extension) {
+    scale_ = doubles_of(scale, "scale"), beyond_ = doubles_of(external_scale, "external_scale");
+    if (!PyType_Check(packet.ptr()) || !PyType_IsSubtype(type(), &PyTuple_Type) ||
+        nb::len(nb::object(packet.attr("_fields"))) != fields)
+      throw nb::type_error("Expected the named tuple of packets.");
+    axes_.assign(order_.size(), -1);
+    for (std::size_t k = 0; k < order_.size(); ++k)
+      if (order_[k] >= 0 && order_[k] < n())
+        axes_[static_cast<std::size_t>(order_[k])] = static_cast<int>(k);
+    if (scale_.size() != order_.size() || std::find(axes_.begin(), axes_.end(), -1) != axes_.end())
+      raise_shape_error("Expected each of " + std::to_string(n()) + " axes once, and its scale.");
+    const npy_intp none = 0;
+    empty_ = fresh_array(1, &none);
+    PyArray_CLEARFLAGS(reinterpret_cast<PyArrayObject *>(empty_.ptr()), NPY_ARRAY_WRITEABLE);
+    measured_ = nb::str("measured"), reference_ = nb::str("reference"), none_ = nb::str("none");
   }
 
-  void learn(nb::handle data, nb::handle mask, std::vector<int> offsets, std::vector<Span> spans) {
-    const std::string_view bytes = bytes_of(data), bits = bytes_of(mask);
-    if (bits.size() != bytes.size() || static_cast<int>(offsets.size()) != count() ||
-        spans.size() != std::tuple_size_v<Integers> || !lies_within(offsets, bytes.size()) ||
-        !lies_within(spans, bytes.size()))
-      refuse_layout();
-    const std::size_t words = (bytes.size() + 7) / 8;
-    size_ = bytes.size();
-    masks_.assign(words, 0), shape_.assign(words, 0);
-    if (size_) {
-      std::memcpy(masks_.data(), bits.data(), size_);
-      std::memcpy(shape_.data(), bytes.data(), size_);
-    }
-    for (std::size_t k = 0; k < words; ++k) shape_[k] &= masks_[k];
-    offsets_ = std::move(offsets), spans_ = std::move(spans);
+  nb::object read(nb::handle data, nb::str robotware) {
+    if (!PyBytes_Check(data.ptr())) throw nb::type_error("Expected the bytes of one datagram.");
+    const std::string_view bytes = view(data);
+    if (!robot_.read(bytes))
+      return drop("unparsable", std::to_string(bytes.size()) + " bytes are no protobuf message");
+    if (!robot_.has_seqno)
+      return drop("no header", "a message without a header that has a sequence number");
+    if (robot_.mtype != data_type)
+      return drop("wrong type", "expected message type 2 (data from the robot), got " +
+                                    std::to_string(robot_.mtype));
+    const Doubles &joints = robot_.feedback.joints, &external = robot_.feedback.external;
+    if (joints.empty() && (head() || external.empty()))
+      return drop("no joints", "the array of joints is absent or empty");
+    if (!are_joints(robot_.feedback))
+      return drop("joint count", "expected " + std::to_string(head()) + " joints and at least " +
+                                     std::to_string(tail()) + " external, got " +
+                                     std::to_string(joints.size()) + " and " +
+                                     std::to_string(external.size()));
+    for (const Doubles *values : {&robot_.velocities, &robot_.torques})
+      if (!values->empty() && values->size() != order_.size())
+        return drop("joint count", "expected " + std::to_string(n()) +
+                                       " values in each array of the extension, got " +
+                                       std::to_string(values->size()));
+    const auto is_sound = [](double value) { return std::abs(value) <= most; };
+    for (const Doubles *values :
+         {&joints, &external, static_cast<const Doubles *>(&robot_.velocities)})
+      if (!std::all_of(values->begin(), values->end(), is_sound))
+        return drop("not finite",
+                    "a joint, a velocity or an external axis is no number, or beyond 1e9");
+    if (PyUnicode_GET_LENGTH(robotware.ptr()) == 0) robotware = nb::str(robot_.flavour());
+    return packet(robotware);
   }
 
-  nb::object read(nb::handle data) const {
-    const std::string_view bytes = bytes_of(data);
-    if (offsets_.empty() || bytes.size() != size_ || !looks_alike(bytes.data())) return nb::none();
-    std::vector<double> numbers(static_cast<std::size_t>(count()), 0.0);
-    for (int k = 0; k < count(); ++k)
-      if (offsets_[k] >= 0) std::memcpy(numbers.data() + k, bytes.data() + offsets_[k], sizeof(double));
-    Integers integers{};
-    for (std::size_t k = 0; k < spans_.size(); ++k)
-      for (int at = spans_[k].second - 1; at >= spans_[k].first; --at)
-        integers[k] = integers[k] << 7 | (static_cast<unsigned char>(bytes[at]) & 0x7f);
-    return made(numbers.data(), integers);
-  }
-
-  nb::object packet(const std::vector<double> &numbers, nb::sequence integers) const {
-    Integers values{};
-    if (static_cast<int>(numbers.size()) != count() || nb::len(integers) != values.size())
-      raise_shape_error("Expected " + std::to_string(count()) + " numbers and 6 integers, got " +
-                        std::to_string(numbers.size()) + " and " + std::to_string(nb::len(integers)) + ".");
-    for (std::size_t k = 0; k < values.size(); ++k) {
-      values[k] = PyLong_AsUnsignedLongLongMask(nb::object(integers[k]).ptr());
-      if (PyErr_Occurred()) throw nb::python_error();
-    }
-    return made(numbers.data(), values);
+  nb::bytes write(nb::tuple ref) {
+    if (ref.size() != 9) throw nb::type_error("Expected a reference.");
+    out_.clear();
+    FieldWriter out(out_);
+    out.nested(EgmSensor::header, [&] {
+      out.integer(EgmHeader::seqno, integer_of(ref[3]) & 0xffffffff);
+      out.integer(EgmHeader::tm, integer_of(ref[4]) & 0xffffffff);
+      out.integer(EgmHeader::mtype, correction_type);
+    });
+    const nb::object beside = ref[8];
+    const auto extra = [&beside](std::size_t k) {
+      return beside.is_none() ? nb::none() : nb::object(nb::borrow<nb::tuple>(beside)[k]);
+    };
+    if (!beside.is_none() && (!PyTuple_Check(beside.ptr()) || nb::len(beside) != 4))
+      throw nb::type_error("Expected the part of a reference beside the joints.");
+    motion(out, EgmSensor::planned, ref[0], extra(0));
+    if (!ref[1].is_none()) motion(out, EgmSensor::speedRef, ref[1], extra(1));
+    rapid(out, extra(2), extra(3));
+    if (extension_) research(out, ref);
+    return nb::bytes(out_.data(), out_.size());
   }
 
  private:
-  PyTypeObject *type() const { return reinterpret_cast<PyTypeObject *>(kind_.ptr()); }
-  int count() const { return static_cast<int>(scale_.size()) - matrix_numbers + after_scaled; }
+  static constexpr std::size_t fields = 21;  // of a packet
 
-  bool looks_alike(const char *data) const {
-    const std::size_t whole = size_ / 8;
-    std::uint64_t differs = 0, word = 0;
-    for (std::size_t k = 0; k < whole; ++k) {
-      std::memcpy(&word, data + 8 * k, 8);
-      differs |= (word & masks_[k]) ^ shape_[k];
-    }
-    if (whole < masks_.size()) {
-      word = 0;
-      std::memcpy(&word, data + 8 * whole, size_ - 8 * whole);
-      differs |= (word & masks_[whole]) ^ shape_[whole];
-    }
-    return !differs;
+  PyTypeObject *type() const { return reinterpret_cast<PyTypeObject *>(packet_.ptr()); }
+  int n() const { return static_cast<int>(order_.size()); }
+  std::size_t head() const { return std::min<std::size_t>(order_.size(), joints_at_most); }
+  std::size_t tail() const { return order_.size() - head(); }
+  double beyond(std::size_t k) const { return k < beyond_.size() ? beyond_[k] : M_PI / 180.0; }
+
+  nb::object drop(const char *reason, const std::string &detail) const {
+    return drop_(reason, detail);
   }
 
-  nb::object made(const double *numbers, const Integers &integers) const {
-    for (const auto &[start, stop] : finite_)
-      for (int k = start; k < stop; ++k)
-        if (!(std::abs(numbers[k]) <= most)) return nb::none();
-    const int scaled = count() - after_scaled;
-    const npy_intp length = scaled + matrix_numbers;
+  bool are_joints(const Motion &motion) const {
+    return (!motion.joints.empty() || (!head() && !motion.external.empty())) &&
+           motion.joints.size() == head() && motion.external.size() >= tail();
+  }
+
+  // The joints of a motion in kinematic order times a scale.
+  void joints_of(const Motion &motion, bool in_radians, double *to) const {
+    for (std::size_t k = 0; k < order_.size(); ++k) {
+      const auto axis = static_cast<std::size_t>(order_[k]);
+      to[k] = (axis < head() ? motion.joints[axis] : motion.external[axis - head()]) *
+              (in_radians ? 1.0 : scale_[k]);
+    }
+  }
+
+  // An array in kinematic order; NaN for what is absent.
+  void array_of(const Doubles &values, bool is_kinematic, double *to) const {
+    for (std::size_t k = 0; k < order_.size(); ++k) {
+      const std::size_t from = is_kinematic ? k : static_cast<std::size_t>(order_[k]);
+      to[k] = from < values.size() ? values[from] : nan;
+    }
+  }
+
+  nb::object packet(const nb::str &robotware) {
+    const bool in_radians = PyUnicode_CompareWithASCIIString(robotware.ptr(), "6.06") == 0;
+    const Motion &feedback = robot_.feedback;
+    const std::size_t joints = order_.size(), external = feedback.external.size() - tail(),
+                      count = robot_.data.size();
+    const auto length = static_cast<npy_intp>(4 * joints + 6 + external + count + matrix_numbers);
     const nb::object values = fresh_array(1, &length);
     auto *array = reinterpret_cast<PyArrayObject *>(values.ptr());
-    auto *data = static_cast<double *>(PyArray_DATA(array));
-    for (int k = 0; k < scaled; ++k) data[k] = numbers[k] * scale_[k];
-    matrix_of(numbers + scaled + 1, data + scaled);
+    double *q = static_cast<double *>(PyArray_DATA(array)), *qd = q + joints,
+           *planned = qd + joints;
+    double *tau = planned + joints, *force = tau + joints, *beyond_q = force + 6,
+           *data = beyond_q + external;
+    double *pose = data + count;
+    joints_of(feedback, in_radians, q);
+    const bool is_kinematic = robot_.order == kinematic;
+    array_of(robot_.velocities, is_kinematic, qd);
+    for (std::size_t k = 0; k < joints; ++k) qd[k] *= scale_[k];
+    if (are_joints(robot_.planned))
+      joints_of(robot_.planned, in_radians, planned);
+    else
+      std::fill_n(planned, joints, nan);
+    const bool has_torque = !robot_.torques.empty();
+    const bool has_reference = !has_torque && head() && robot_.torque_reference.size() == head();
+    array_of(has_torque ? robot_.torques : robot_.torque_reference, has_torque && is_kinematic,
+             tau);
+    for (std::size_t k = 0; k < 6; ++k) force[k] = robot_.force.size() == 6 ? robot_.force[k] : nan;
+    for (std::size_t k = 0; k < external; ++k)
+      beyond_q[k] = feedback.external[tail() + k] * (in_radians ? 1.0 : beyond(k));
+    std::copy_n(robot_.data.data(), count, data);
+    if (feedback.has_position && feedback.has_orientation)
+      matrix_of(feedback.pose.data(), pose);
+    else
+      std::fill_n(pose, matrix_numbers, nan);
     PyArray_CLEARFLAGS(array, NPY_ARRAY_WRITEABLE);
 
-    nb::object out = nb::steal(type()->tp_alloc(type(), static_cast<Py_ssize_t>(fixed_.size())));
-    if (!out.is_valid()) throw nb::python_error();
-    const auto set = [&out](int field, nb::object value) {
-      if (field >= 0) Py_XSETREF(reinterpret_cast<PyTupleObject *>(out.ptr())->ob_item[field], value.release().ptr());
+    const nb::object made = nb::steal(type()->tp_alloc(type(), static_cast<Py_ssize_t>(fields)));
+    if (!made.is_valid()) throw nb::python_error();
+    Py_ssize_t field = 0;
+    const auto set = [&](nb::object value) {
+      PyTuple_SET_ITEM(made.ptr(), field++, value.release().ptr());
     };
-    for (std::size_t k = 0; k < fixed_.size(); ++k) set(static_cast<int>(k), nb::object(fixed_[k]));
-    for (const auto &[field, start, stop] : arrays_) {
-      const npy_intp shape[1] = {stop - start};
-      set(field, part(values, data + start, 1, shape));
-    }
+    const auto vector = [&](double *at, std::size_t size) {
+      const auto shape = static_cast<npy_intp>(size);
+      return part(values, at, 1, &shape);
+    };
+    const bool counts = feedback.seconds < max_seconds && feedback.microseconds < max_microseconds;
     const npy_intp square[2] = {4, 4};
-    set(matrix_, part(values, data + scaled, 2, square));
-    const auto &[seqno, tm, seconds, microseconds, mono, queue] = integers;
-    const bool counts = seconds < max_seconds && microseconds < max_microseconds;
-    const std::uint64_t robot_ns = counts ? seconds * 1'000'000'000 + microseconds * 1000 : 0;
-    set(scalars_[0], nb::int_(seqno & low_32));
-    set(scalars_[1], nb::int_(tm & low_32));
-    set(scalars_[2], nb::int_(robot_ns));
-    set(scalars_[3], nb::float_(numbers[scaled]));
-    set(scalars_[4], nb::int_(mono));
-    set(scalars_[5], nb::int_(queue & low_32));
-    return out;
+    set(nb::int_(robot_.seqno));
+    set(robot_.has_tm ? nb::object(nb::int_(robot_.tm)) : nb::none());
+    set(nb::int_(counts ? feedback.seconds * 1'000'000'000 + feedback.microseconds * 1000 : 0));
+    set(vector(q, joints));
+    set(vector(planned, joints));
+    set(external ? vector(beyond_q, external) : empty_);
+    set(robot_.velocities.empty() ? nb::none() : vector(qd, joints));
+    set(has_torque || has_reference ? vector(tau, joints) : nb::none());
+    set(has_torque ? measured_ : has_reference ? reference_ : none_);
+    set(part(values, pose, 2, square));
+    set(vector(force, 6));
+    for (const std::int32_t state : robot_.states) set(nb::int_(state));
+    set(nb::bool_(robot_.converged));
+    set(nb::float_(robot_.utilization));
+    set(robotware);
+    set(count ? vector(data, count) : empty_);
+    set(nb::bool_(robot_.digital));
+    set(nb::int_(robot_.mono));
+    set(robot_.has_research ? nb::object(nb::int_(robot_.queue_depth)) : nb::object(nb::int_(-1)));
+    return made;
   }
 
   // A read-only view of some of the values.
   static nb::object part(const nb::object &values, double *data, int ndim, const npy_intp *shape) {
-    PyObject *view = PyArray_New(&PyArray_Type, ndim, shape, NPY_DOUBLE, nullptr, data, 0,
-                                 NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_ALIGNED, nullptr);
-    if (!view) throw nb::python_error();
-    const nb::object owned = nb::steal(view);
-    if (PyArray_SetBaseObject(reinterpret_cast<PyArrayObject *>(view), nb::object(values).release().ptr()) < 0)
+    PyObject *array = PyArray_New(&PyArray_Type, ndim, shape, NPY_DOUBLE, nullptr, data, 0,
+                                  NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_ALIGNED, nullptr);
+    if (!array) throw nb::python_error();
+    const nb::object owned = nb::steal(array);
+    if (PyArray_SetBaseObject(reinterpret_cast<PyArrayObject *>(array),
+                              nb::object(values).release().ptr()) < 0)
       throw nb::python_error();
     return owned;
   }
 
-  nb::object kind_;
-  nb::tuple fixed_;
-  std::vector<Cut> arrays_;
-  int matrix_;
-  std::array<int, 6> scalars_{};
-  std::vector<double> scale_;
-  std::vector<Span> finite_;
-  std::size_t size_ = 0;
-  std::vector<std::uint64_t> masks_, shape_;
-  std::vector<int> offsets_;
-  std::vector<Span> spans_;
-};
-
-class EgmWriter {
- public:
-  EgmWriter(nb::handle example, std::vector<int> offsets, nb::handle divisors, std::vector<Span> spans)
-      : example_(bytes_of(example)), offsets_(std::move(offsets)), spans_(std::move(spans)) {
-    const Input factors(divisors, "divisors");
-    factors.require_exactly({static_cast<npy_intp>(offsets_.size())});
-    divisors_.assign(factors.data(), factors.data() + factors.size());
-    if (!lies_within(offsets_, example_.size()) || !lies_within(spans_, example_.size())) refuse_layout();
+  // The axes of the robot, the seventh and later ones as external joints, then the axes beyond.
+  void motion(FieldWriter &out, int number, nb::handle values, const nb::object &external) const {
+    const Input given(values, "joints");
+    given.require_exactly({n()});
+    const auto axis = [&](std::size_t k) {
+      const auto joint = static_cast<std::size_t>(axes_[k]);
+      out.real(EgmJoints::joints, given.data()[joint] / scale_[joint]);
+    };
+    const Doubles more = external.is_none() ? Doubles() : doubles_of(external, "external axes");
+    out.nested(number, [&] {
+      out.nested(EgmMotion::joints, [&] {
+        for (std::size_t k = 0; k < head(); ++k) axis(k);
+      });
+      if (!tail() && more.empty()) return;
+      out.nested(EgmMotion::externalJoints, [&] {
+        for (std::size_t k = head(); k < order_.size(); ++k) axis(k);
+        for (std::size_t k = 0; k < more.size(); ++k)
+          out.real(EgmJoints::joints, more[k] / beyond(k));
+      });
+    });
   }
 
-  nb::object write(nb::tuple arrays, nb::tuple integers) const {
-    nb::object out = nb::steal(PyBytes_FromStringAndSize(example_.data(), static_cast<Py_ssize_t>(example_.size())));
-    if (!out.is_valid()) throw nb::python_error();
-    char *bytes = PyBytes_AS_STRING(out.ptr());
-    std::size_t k = 0;
-    for (nb::handle given : arrays) {
-      const Input values(given, "values");
-      const auto size = static_cast<std::size_t>(values.size());
-      if (k + size > offsets_.size()) refuse(arrays, integers);
-      for (std::size_t i = 0; i < size; ++i, ++k) {
-        const double wire = values.data()[i] / divisors_[k];
-        if (offsets_[k] >= 0) std::memcpy(bytes + offsets_[k], &wire, sizeof wire);
+  static void rapid(FieldWriter &out, const nb::object &numbers, const nb::object &digital) {
+    if (numbers.is_none() && digital.is_none()) return;
+    out.nested(EgmSensor::rapidToRobot, [&] {
+      if (!digital.is_none()) out.integer(EgmRapidData::digVal, nb::cast<bool>(nb::bool_(digital)));
+      if (numbers.is_none()) return;
+      for (const double value : doubles_of(numbers, "rapid_data"))
+        out.real(EgmRapidData::dnum, value);
+    });
+  }
+
+  void research(FieldWriter &out, const nb::tuple &ref) const {
+    const bool has_torque = !ref[2].is_none(), free = nb::cast<bool>(nb::bool_(ref[7]));
+    out.nested(EgmSensor::researchRef, [&] {
+      if (has_torque) {
+        const Input torque(ref[2], "torques");
+        torque.require_exactly({n()});
+        out.packed(EgmRIRef::torqueFF, torque.data(), order_.size());
       }
-    }
-    if (k != offsets_.size() || integers.size() != spans_.size()) refuse(arrays, integers);
-    for (k = 0; k < spans_.size(); ++k) {
-      std::uint64_t left = PyLong_AsUnsignedLongLongMask(integers[k].ptr());
-      if (PyErr_Occurred()) throw nb::python_error();
-      for (int at = spans_[k].first; at < spans_[k].second; ++at, left >>= 7) {
-        const bool last = at + 1 == spans_[k].second;
-        if (last ? left > 0x7f : left <= 0x7f) return nb::none();  // it takes another number of bytes
-        bytes[at] = static_cast<char>((left & 0x7f) | (last ? 0 : 0x80));
-      }
-    }
-    return out;
+      const Doubles loosened(free ? order_.size() : 0, 0.0);
+      out.packed(EgmRIRef::posGainScale, loosened.data(), loosened.size());
+      out.packed(EgmRIRef::velGainScale, loosened.data(), loosened.size());
+      out.integer(EgmRIRef::echoTNs, integer_of(ref[6]));
+      out.integer(EgmRIRef::echoSeqno, integer_of(ref[5]) & 0xffffffff);
+      const unsigned gains =
+          1u << (EgmRIRef::posGainScale - 1) | 1u << (EgmRIRef::velGainScale - 1);
+      out.integer(EgmRIRef::validMask, (has_torque ? 1u : 0u) | (free ? gains : 0u));
+      out.integer(EgmRIRef::order, kinematic);
+    });
   }
 
- private:
-  [[noreturn]] void refuse(const nb::tuple &arrays, const nb::tuple &integers) const {
-    raise_shape_error("Expected " + std::to_string(offsets_.size()) + " numbers and " + std::to_string(spans_.size()) +
-                      " integers, got others in " + std::to_string(arrays.size()) + " arrays and " +
-                      std::to_string(integers.size()) + " integers.");
-  }
-
-  std::string example_;
-  std::vector<int> offsets_;
-  std::vector<double> divisors_;
-  std::vector<Span> spans_;
+  nb::object packet_, drop_, empty_, measured_, reference_, none_;
+  std::vector<int> order_, axes_;  // the axis of each joint, the joint of each axis
+  Doubles scale_, beyond_;         // SI per wire unit
+  bool extension_;
+  Robot robot_;      // kept for its memory
+  std::string out_;  // likewise
 };
 
 }  // namespace
@@ -259,18 +541,11 @@ class EgmWriter {
 
 void bind_egm(nb::module_ &m) {
   using armlab::array;
-  using armlab::EgmReader;
-  using armlab::EgmWriter;
-  nb::class_<EgmReader>(m, "EgmReader", "See _native.pyi.")
-      .def(nb::init<nb::handle, nb::tuple, std::vector<armlab::Cut>, int, std::vector<int>, nb::handle,
-                    std::vector<armlab::Span>>(),
-           nb::arg("kind"), nb::arg("fixed"), nb::arg("arrays"), nb::arg("matrix"), nb::arg("scalars"), array("scale"),
-           nb::arg("finite"))
-      .def("learn", &EgmReader::learn, nb::arg("data"), nb::arg("mask"), nb::arg("offsets"), nb::arg("spans"))
-      .def("read", &EgmReader::read, nb::arg("data"))
-      .def("packet", &EgmReader::packet, nb::arg("numbers"), nb::arg("integers"));
-  nb::class_<EgmWriter>(m, "EgmWriter", "See _native.pyi.")
-      .def(nb::init<nb::handle, std::vector<int>, nb::handle, std::vector<armlab::Span>>(), nb::arg("example"),
-           nb::arg("offsets"), array("divisors"), nb::arg("spans"))
-      .def("write", &EgmWriter::write, nb::arg("arrays"), nb::arg("integers"));
+  using armlab::EgmMessages;
+  nb::class_<EgmMessages>(m, "EgmMessages", "See _native.pyi.")
+      .def(nb::init<nb::handle, nb::handle, std::vector<int>, nb::handle, nb::handle, bool>(),
+           nb::arg("packet"), nb::arg("drop"), nb::arg("order"), array("scale"),
+           array("external_scale"), nb::arg("extension"))
+      .def("read", &EgmMessages::read, nb::arg("data"), nb::arg("robotware"))
+      .def("write", &EgmMessages::write, nb::arg("ref"));
 }

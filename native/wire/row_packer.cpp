@@ -14,8 +14,9 @@
 namespace armlab {
 namespace {
 
-enum Form { kCount, kReal, kFlag, kCode, kDoubles, kPadded, kBits, kSaid, kHeard };
-constexpr const char *kForms[] = {"count", "real", "flag", "code", "doubles", "padded", "bits", "said", "heard"};
+enum Form { kCount, kReal, kFlag, kCode, kDoubles, kFitting, kPadded, kBits, kSaid, kHeard, kBlank };
+constexpr const char *kForms[] = {"count", "real", "flag",  "code", "doubles", "fitting",
+                                  "padded", "bits", "said", "heard", "blank"};
 
 // Where an object of a class keeps an attribute, if that is a slot or an item of a named tuple: bytes from its
 // beginning to a pointer. -1 for others, which are asked for.
@@ -122,6 +123,7 @@ class RowPacker {
     std::string row = empty_;
     for (std::size_t k = 0; k < places_.size(); ++k) {
       const Place &place = places_[k];
+      if (place.form == kBlank) continue;
       if (place.source == 3) {
         const nb::object value = recorded(records, abouts_[k].field);
         if (value.is_valid()) write(k, value, row);
@@ -172,11 +174,13 @@ class RowPacker {
     const auto origin = std::find(std::begin(kSources), std::end(kSources), source) - std::begin(kSources);
     Place place{-1, static_cast<std::uint32_t>(empty_.size()), static_cast<std::uint32_t>(nothing.size()), -1,
                 static_cast<std::uint8_t>(origin), static_cast<std::uint8_t>(found - std::begin(kForms))};
-    const bool is_array = place.form == kDoubles || place.form == kPadded || place.form == kBits;
-    if (place.source == 4 || (!is_array && place.size != (place.form == kFlag ? 1 : 8)) ||
+    const bool is_single = place.form == kCount || place.form == kReal || place.form == kCode ||
+                           place.form == kSaid || place.form == kHeard;
+    if (place.source == 4 || (is_single && place.size != 8) ||
+        (place.form == kFlag && place.size != 1 && place.size != 8) ||
         (place.form == kCode && !PyDict_Check(about.codes.ptr())))
       raise_shape_error("Expected a source, a size and codes that fit the form " + form + " for " + about.column + ".");
-    if (place.source < 3) place.offset = offset_of(kinds_[place.source], about.field);
+    if (place.source < 3 && place.form != kBlank) place.offset = offset_of(kinds_[place.source], about.field);
     if (place.form == kHeard) {
       const std::string data = nb::cast<nb::str>(given[5]).c_str();
       for (std::size_t k = 0; k < places_.size(); ++k)
@@ -194,7 +198,8 @@ class RowPacker {
     switch (place.form) {
       case kCount: return put(to, whole(value));
       case kReal: return put(to, real(value));
-      case kFlag: return put<char>(to, truth(value));
+      case kFlag:
+        return place.size == 1 ? put<char>(to, truth(value)) : put<std::int64_t>(to, truth(value));
       case kCode: return put(to, code(abouts_[k].codes, value));
       case kSaid: return value.is_none() ? void() : put(to, real(value));
       case kHeard: {
@@ -210,17 +215,42 @@ class RowPacker {
 
   void write_array(std::size_t k, nb::handle value, char *to) const {
     const Place &place = places_[k];
-    const nb::object held = plain(value, place.form == kBits ? NPY_UINT8 : NPY_DOUBLE);
+    if (place.form == kBits) return write_bits(k, value, to);
+    nb::object held;
+    try {
+      held = plain(value, NPY_DOUBLE);
+    } catch (nb::python_error &) {
+      if (place.form == kFitting) return;
+      throw;
+    }
     auto *array = reinterpret_cast<PyArrayObject *>(held.ptr());
     const std::size_t bytes = static_cast<std::size_t>(PyArray_NBYTES(array));
     if (place.form == kPadded) {
       std::memcpy(to, PyArray_DATA(array), std::min<std::size_t>(bytes, place.size));
     } else if (bytes == place.size) {
       std::memcpy(to, PyArray_DATA(array), bytes);
-    } else if (bytes != 0 || place.form == kBits) {
-      raise_shape_error("Expected " + std::to_string(place.size / (place.form == kBits ? 1 : 8)) + " values in " +
-                        abouts_[k].column + ", got " + std::to_string(PyArray_SIZE(array)) + ".");
+    } else if (bytes != 0 && place.form != kFitting) {
+      refuse(k, place.size / sizeof(double), array);
     }
+  }
+
+  // A byte for each value, or eight.
+  void write_bits(std::size_t k, nb::handle value, char *to) const {
+    const nb::object held = plain(value, NPY_UINT8);
+    auto *array = reinterpret_cast<PyArrayObject *>(held.ptr());
+    const auto count = static_cast<std::size_t>(PyArray_SIZE(array));
+    const auto *bits = static_cast<const std::uint8_t *>(PyArray_DATA(array));
+    if (count == places_[k].size)
+      std::memcpy(to, bits, count);
+    else if (8 * count == places_[k].size)
+      for (std::size_t i = 0; i < count; ++i) put<std::int64_t>(to + 8 * i, bits[i]);
+    else
+      refuse(k, places_[k].size, array);
+  }
+
+  [[noreturn]] void refuse(std::size_t k, std::size_t wanted, PyArrayObject *array) const {
+    raise_shape_error("Expected " + std::to_string(wanted) + " values in " + abouts_[k].column + ", got " +
+                      std::to_string(PyArray_SIZE(array)) + ".");
   }
 
   nb::str record_;

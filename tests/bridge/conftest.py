@@ -17,7 +17,8 @@ from armlab.bridge import Link, Run
 from armlab.bridge.control.session import Sample, Session
 from armlab.bridge.net.sockets import Arrival
 from armlab.robots import Robot
-from armlab.wire.egm import EgmCodec, RobotMessage, RobotSideCodec, SensorMessage
+from armlab.wire.egm import EgmCodec
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec, SensorMessage
 
 PERIOD_NS = 4_000_000
 START_NS = 1_700_000_000_000_000_000

@@ -22,7 +22,7 @@ from armlab import log, robots
 from armlab.cli import main
 from armlab.cli.record import record
 from armlab.errors import LogError
-from armlab.wire.egm import RobotMessage, RobotSideCodec
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
 
 START_NS = 1_700_000_000_000_000_000
 

@@ -16,8 +16,8 @@ from armlab.bridge.servers.zenoh.security import Security
 from armlab.bridge.servers.zenoh.session import LabAddress, close_session
 from armlab.cli.bridge import write_certificates
 from armlab.errors import ConfigError, LinkError
-from armlab.fleet import FleetRobot, Router, list_robots
-from armlab.fleet.discovery import _Seen
+from armlab.fleet import Router, list_robots
+from armlab.fleet.discovery import FleetRobot, _Seen
 
 from ..processes import PATIENCE, Started, free_port, until
 

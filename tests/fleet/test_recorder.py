@@ -9,21 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armlab import log
+from armlab import log, robots
 from armlab.bridge.servers.row import LARGEST, RowSchema, RowWriter
-from armlab.bridge.servers.zenoh.keys import EVERY
-from armlab.bridge.servers.zenoh.rows import checksum
-from armlab.bridge.servers.zenoh.session import LabAddress, close_session, open_session
+from armlab.bridge.servers.zenoh import EVERY, Place, checksum, close_session, open_session
+from armlab.errors import LinkError
 from armlab.fleet import FleetRecorder, Router, recorder
-from armlab.fleet.recorder import RobotRecord
+from armlab.fleet.recorder import RobotRecord, RowColumns, stamp_of, tick_of
 from armlab.log import Tick
+from armlab.log.recording.rows import RowLayout
 from armlab.robots import Robot, to_toml
-from armlab.state import State
+from armlab.state import Command, State
 
 from ..processes import Started, free_port, until
 
 NAMES = ("yumi_left", "yumi_right", "ur5e")
-PAST = 250  # rows that make a good start
+PAST = 120  # rows that make a good start
 AGAIN_NS = 5e9  # of the specification; of ten restarts beside a load of 20 on two cores the longest took 0.4 s
 ROW = b"ALR1" + bytes(60)
 
@@ -43,10 +43,7 @@ def check_ticks(path: Path, holes: int = 0) -> np.ndarray:
 def test_messages_of_no_robot_are_counted_and_leave_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorder, "_UNANSWERED", 0.3)
     told: list[str] = []
-    with (
-        Router(port=(port := free_port())),
-        FleetRecorder(LabAddress(port=port, lab=EVERY), tmp_path, told.append) as fleet,
-    ):
+    with Router(port=(port := free_port())), FleetRecorder(Place(port=port, lab=EVERY), tmp_path, told.append) as fleet:
         session = open_session("client", connect=[f"127.0.0.1:{port}"])
 
         def sent() -> bool:
@@ -81,10 +78,7 @@ def test_what_goes_wrong_with_one_robot_ends_its_recording_alone(
         whole(self)
 
     monkeypatch.setattr(RobotRecord, "write", wrong)
-    with (
-        Router(port=(port := free_port())),
-        FleetRecorder(LabAddress(port=port, lab=EVERY), tmp_path, told.append) as fleet,
-    ):
+    with Router(port=(port := free_port())), FleetRecorder(Place(port=port, lab=EVERY), tmp_path, told.append) as fleet:
         session = open_session("client", connect=[f"127.0.0.1:{port}"])
 
         def sent(name: str) -> int:
@@ -103,7 +97,7 @@ def test_what_waits_takes_bounded_memory(tmp_path: Path, monkeypatch: pytest.Mon
     """Rows of robots that nobody describes, and what is larger than rows are."""
     monkeypatch.setattr(recorder, "_ROOM", 100)
     large = b"ALR1" + bytes(LARGEST)
-    with Router(port=(port := free_port())), FleetRecorder(LabAddress(port=port, lab=EVERY), tmp_path) as fleet:
+    with Router(port=(port := free_port())), FleetRecorder(Place(port=port, lab=EVERY), tmp_path) as fleet:
         session = open_session("client", connect=[f"127.0.0.1:{port}"])
 
         def refused() -> int:
@@ -121,7 +115,7 @@ def test_what_waits_takes_bounded_memory(tmp_path: Path, monkeypatch: pytest.Mon
 def test_every_row_is_in_the_files(processes: Callable[..., Started], tmp_path: Path) -> None:
     port = free_port()
     processes("router", port)
-    with FleetRecorder(LabAddress(port=port, lab="lab1"), tmp_path) as fleet:
+    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path) as fleet:
         publishers = [processes("publisher", port, name) for name in NAMES]
         until(lambda: all(rows_of(fleet, f"lab1/{name}") > 4 * PAST for name in NAMES))
         published = [one.end() for one in publishers]
@@ -140,7 +134,7 @@ def test_a_router_that_dies_leaves_a_hole_that_is_counted(processes: Callable[..
     """By the stamps of the rows it ends within 5 s after the next router."""
     port, name = free_port(), "lab1/yumi_left"
     router = processes("router", port)
-    with FleetRecorder(LabAddress(port=port, lab="lab1"), tmp_path) as fleet:
+    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path) as fleet:
         publisher = processes("publisher", port, "yumi_left")
         until(lambda: rows_of(fleet, name) > PAST)
         router.kill()
@@ -164,7 +158,7 @@ def test_a_bridge_that_restarts_while_the_router_is_down_is_no_hole(
     """Also when its ticks are past those of the old one."""
     port, name, told = free_port(), "lab1/yumi_left", []
     router = processes("router", port)
-    with FleetRecorder(LabAddress(port=port, lab="lab1"), tmp_path, told.append) as fleet:
+    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path, told.append) as fleet:
         first = processes("publisher", port, "yumi_left")
         until(lambda: rows_of(fleet, name) > PAST)
         router.kill()
@@ -184,7 +178,7 @@ def test_a_bridge_that_restarts_while_the_router_is_down_is_no_hole(
 def test_a_robot_that_dies_and_comes_again_with_other_rows(processes: Callable[..., Started], tmp_path: Path) -> None:
     port, name = free_port(), "lab1/arm"
     processes("router", port)
-    with FleetRecorder(LabAddress(port=port, lab="lab1"), tmp_path) as fleet:
+    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path) as fleet:
         other = processes("publisher", port, "yumi_left")
         first = processes("publisher", port, "yumi_right", "arm")
         until(lambda: rows_of(fleet, name) > PAST)
@@ -219,7 +213,7 @@ def test_a_file_that_cannot_be_written_costs_its_robot_alone(
     monkeypatch.setattr(RecordingFile, "write", full)
     port = free_port()
     processes("router", port)
-    with FleetRecorder(LabAddress(port=port, lab="lab1"), tmp_path, told.append) as fleet:
+    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path, told.append) as fleet:
         publishers = [processes("publisher", port, name) for name in ("yumi_left", robot.name)]
         until(lambda: any("No space left on device" in text for text in told))
         seen = rows_of(fleet, f"lab1/{robot.name}")
@@ -422,3 +416,52 @@ def test_a_silent_robot_s_file_is_finished(record: RobotRecord, robot: Robot, mo
     fed(record, bridge, [(3, 3)])
     record.close()
     assert "2 rows were dropped while recording: ticks 1 to 2" in log.read(record.paths[1]).notes
+
+
+NOT_SENT = {"wake_ns", "qd_source", "tau_source"}  # which rows of the bridge do not have
+
+
+def made_up(robot: Robot, rng: np.random.Generator) -> tuple[State, Command, Tick]:
+    """Every number is random, so that a column in the wrong place shows; the flags change."""
+    n = robot.n
+    q, qd, tau, planned, sent = rng.normal(size=(5, n))
+    state = State(
+        t=1.5, dt=0.004, q=q, qd=qd, tau=tau, q_start=q, robot=robot.name, seq=11, session=2, missed=1,
+        q_planned=planned, robot_ns=77, motors=2, mci=3, rapid=1, converged=bool(rng.integers(2)),
+        T_frame_tool=rng.normal(size=(4, 4)), wrench_raw=rng.normal(size=6), wrench=rng.normal(size=6),
+        q_ext=rng.normal(size=2), utilization=4.5,
+    )  # fmt: skip
+    command = Command(q=q + 1.0, record={"wrench_hat": rng.normal(size=6)})
+    clamped = rng.integers(0, 16, n).astype("u1")
+    return state, command, Tick(8, 9, 10**18, 10**18 + 1, -1, 55, True, 4, q_sent=sent, clamped=clamped)
+
+
+def test_a_recording_of_rows_is_that_of_the_bridge() -> None:
+    rng = np.random.default_rng(3)
+    arms = [robots.load("yumi_left"), robots.load("ur5e")]
+    schema = RowSchema.of(arms)
+    writer = RowWriter(schema)
+    for robot in arms * 6:
+        layout = RowLayout(robot)
+        state, command, tick = made_up(robot, rng)
+        there = layout.unpack([layout.pack(state, command, tick)])
+        packed = RowColumns(schema, robot.name, layout).packed(writer.row(state, command, tick, 5))
+        here = layout.unpack([packed])
+        for name in here.keys() - NOT_SENT:
+            np.testing.assert_array_equal(here[name], there[name], err_msg=name)
+        assert all(np.isnan(here[name]).all() for name in NOT_SENT)
+        assert (stamp_of(packed), tick_of(packed)) == (10**18, 8)
+
+
+def test_rows_of_others_are_refused() -> None:
+    left, right = robots.load("yumi_left"), robots.load("yumi_right")
+    schema = RowSchema.of([left])
+    with pytest.raises(LinkError, match="rows with the ticks of yumi_right, got those of yumi_left"):
+        RowColumns(schema, right.name, RowLayout(right))
+    with pytest.raises(LinkError, match=r"yumi_left.q of shape \(6,\) in the rows, got \(7,\)"):
+        RowColumns(schema, left.name, RowLayout(robots.load("ur5e")))
+    columns = RowColumns(schema, left.name, RowLayout(left))
+    row = RowWriter(schema).row(*made_up(left, np.random.default_rng(0)), 5)
+    for wrong in (b"", row[:-1], b"X" + row[1:], row[:8] + bytes(8) + row[16:]):
+        with pytest.raises(LinkError, match="Expected a row of"):
+            columns.packed(wrong)

@@ -173,7 +173,7 @@ def test_places_that_contradict_themselves_are_refused() -> None:
         (("a", "state", "seq", "odd", eight, None), "Expected one of the forms count, .* for a, got odd"),
         (("a", "planet", "seq", "count", eight, None), "fit the form count for a"),
         (("a", "state", "seq", "count", bytes(4), None), "fit the form count for a"),
-        (("a", "state", "converged", "flag", eight, None), "fit the form flag for a"),
+        (("a", "state", "converged", "flag", bytes(4), None), "fit the form flag for a"),
         (("a", "state", "qd_source", "code", eight, None), "fit the form code for a"),
         (("a", "state", "rapid_digital", "heard", eight, "data"), "Expected the column of data before a"),
     ):

@@ -1,4 +1,4 @@
-"""Datagrams, EGM, texts of JSON, messages of MCAP, records."""
+"""Datagrams, texts of JSON, messages of MCAP, records."""
 
 from __future__ import annotations
 
@@ -13,163 +13,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import given
 from hypothesis import strategies as st
 
-from armlab import kernels, lie
+from armlab import kernels
 from armlab.errors import ShapeError
-
-PLAN = ([(3, 0, 2), (4, 2, 5)], 5, [0, 1, 2, 6, 7, 8])  # of `Kind`: 3 + 2 values, then utilization and pose
-SPANS = [(0, 2), (2, 4), (4, 9), (9, 12), (12, 22), (22, 23)]
-EXAMPLE = bytes(range(1, 129)) + bytes(10)
+from armlab.wire.egm import Drop, Packet, Reference
 
 
-class Kind(NamedTuple):
-    seqno: int
-    tm: Any
-    ns: int
-    q: Any
-    rest: Any
-    T: Any
-    utilization: Any
-    mono: int
-    depth: int
-    word: str
-
-
-def reader(scalars: list[int] = PLAN[2], finite: Any = ((0, 2),)) -> Any:
-    fixed = (0, None, 0, None, None, None, None, 0, -1, "word")
-    scale = np.concatenate(([2.0, 1e-3, np.nan, 1.0, 3.0], np.ones(16)))
-    return kernels.EgmReader(Kind, fixed, PLAN[0], PLAN[1], scalars, scale, list(finite))
-
-
-def alike(a: Any, b: Any) -> None:
-    assert type(a) is type(b)
-    if a is None:
-        return
-    assert type(a) is Kind
-    for x, y in zip(a, b, strict=True):
-        assert type(x) is type(y)
-        np.testing.assert_array_equal(x, y, strict=isinstance(y, np.ndarray))
-    for array in (a.q, a.rest, a.T):
-        assert not array.flags.writeable
-
-
-def expected(numbers: list[float], integers: list[int], scalars: list[int] = PLAN[2]) -> Any:
-    """The packet of numbers, written down again."""
-    if not all(abs(x) <= 1e9 for x in numbers[:2]):
-        return None
-    with np.errstate(all="ignore"):
-        scaled = np.array(numbers[:5]) * [2.0, 1e-3, np.nan, 1.0, 3.0]
-    seqno, tm, seconds, microseconds, mono, depth = (value % 2**64 for value in integers)
-    ns = seconds * 10**9 + microseconds * 1000 if seconds < 9 * 10**9 and microseconds < 10**9 else 0
-    made: list[Any] = [0, None, 0, scaled[:2], scaled[2:], transform(*numbers[6:]), None, 0, -1, "word"]
-    for field, value in zip(scalars, (seqno % 2**32, tm % 2**32, ns, numbers[5], mono, depth % 2**32), strict=True):
-        if field >= 0:
-            made[field] = value
-    for array in made[3:6]:
-        array.flags.writeable = False
-    return Kind(*made)
-
-
-def transform(x: float, y: float, z: float, a: float, b: float, c: float, d: float) -> np.ndarray:
-    """The matrix of a position [mm] and a quaternion."""
-    with np.errstate(all="ignore"):
-        norm = a * a + b * b + c * c + d * d
-    if not 1e-12 < norm < 1e12:
-        return np.full((4, 4), np.nan)
-    s = 2.0 / norm
-    ab, ac, ad, bc, bd, cd = s * a * b, s * a * c, s * a * d, s * b * c, s * b * d, s * c * d
-    b2, c2, d2 = s * b * b, s * c * c, s * d * d
-    rows = ((1.0 - c2 - d2, bc - ad, bd + ac), (bc + ad, 1.0 - b2 - d2, cd - ab), (bd - ac, cd + ab, 1.0 - b2 - c2))
-    return np.array([[*row, 1e-3 * p] for row, p in zip(rows, (x, y, z), strict=True)] + [[0.0, 0.0, 0.0, 1.0]])
-
-
-number = st.floats(allow_nan=True, allow_infinity=True)
-integer = st.integers(0, 2**64 - 1)
-
-
-@given(st.lists(number, min_size=13, max_size=13), st.lists(integer, min_size=6, max_size=6), st.booleans())
-@example([1e308] * 5 + [0.0] * 8, [0] * 6, False)  # scaled, it is too large
-def test_packets_of_numbers(numbers: list[float], integers: list[int], bare: bool) -> None:
-    scalars = [0, -1, 2, -1, 7, -1] if bare else PLAN[2]
-    alike(reader(scalars).packet(numbers, integers), expected(numbers, integers, scalars))
-
-
-@given(st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
-def test_matrices_of_quaternions(quaternion: list[float]) -> None:
-    T = reader().packet([0.0] * 6 + [1.0, 2.0, 3.0, *quaternion], [0] * 6).T
-    if np.linalg.norm(quaternion) < 1e-6:
-        assert np.isnan(T).all() or np.linalg.norm(quaternion) > 0.99e-6
-    else:
-        R = lie.quaternion.to_matrix(np.array(quaternion) / np.linalg.norm(quaternion))
-        np.testing.assert_allclose(T[:3, :3], R, rtol=0, atol=1e-12)
-        np.testing.assert_array_equal(T[:3, 3], [1e-3, 2e-3, 3e-3])
-
-
-@given(st.data())
-def test_packets_of_datagrams(data: st.DataObject) -> None:
-    mask = bytearray(b"\xff" * len(EXAMPLE))
-    offsets = data.draw(st.lists(st.sampled_from([-1, *range(23, len(EXAMPLE) - 8)]), min_size=13, max_size=13))
-    for at in offsets:
-        mask[at : at + 8 if at >= 0 else at] = bytes(8 if at >= 0 else 0)
-    for start, stop in SPANS:
-        mask[start:stop] = b"\x80" * (stop - start)
-    one = reader()
-    assert one.read(EXAMPLE) is None  # nothing learnt
-    one.learn(EXAMPLE, bytes(mask), offsets, SPANS)
-    mutated = bytearray(EXAMPLE)
-    for at in data.draw(st.lists(st.integers(0, len(EXAMPLE) - 1), max_size=4)):
-        mutated[at] ^= data.draw(st.integers(0, 255)) & ~mask[at] | data.draw(st.sampled_from([0, 0, 0, 255]))
-    is_like = all((a ^ b) & same == 0 for a, b, same in zip(mutated, EXAMPLE, mask, strict=True))
-    numbers = [struct.unpack_from("<d", mutated, at)[0] if at >= 0 else 0.0 for at in offsets]
-    integers = [sum((byte & 127) << 7 * k for k, byte in enumerate(mutated[a:b])) for a, b in SPANS]
-    alike(one.read(bytes(mutated)), expected(numbers, integers) if is_like else None)
-    assert one.read(bytes(mutated[:-1])) is None
-
-
-@given(
-    st.lists(st.integers(-1, 100).filter(lambda at: at < 0 or at >= 30), max_size=8),
-    st.integers(0, 2**70),
-    st.integers(0, 300),
-    st.randoms(use_true_random=False),
-)
-def test_replies(offsets: list[int], large: int, small: int, random: Any) -> None:
-    values = np.array([random.gauss(0.0, 1.0) for _ in offsets] + [1.0, 2.0])
-    offsets, divisors = [*offsets, 30, -1], np.arange(1.0, len(offsets) + 3.0)
-    writer = kernels.EgmWriter(EXAMPLE, offsets, divisors, [(0, 10), (10, 11)])
-    for integers in ((large, small), (2**63 + 5, small), (2**63, 5)):
-        wanted = bytearray(EXAMPLE)
-        for at, value in zip(offsets, values / divisors, strict=True):
-            if at >= 0:
-                struct.pack_into("<d", wanted, at, value)
-        first = integers[0] % 2**64
-        wanted[:10] = [first >> 7 * k & 127 | (128 if k < 9 else 0) for k in range(10)]
-        wanted[10] = integers[1] & 127
-        found = writer.write((values[:1], values[1:]), integers)
-        assert found == (bytes(wanted) if first >= 2**63 and integers[1] < 128 else None)
-    assert found is not None
-
-
-def test_what_does_not_fit_is_refused() -> None:
-    with pytest.raises(ShapeError, match=r"^Expected a named tuple, and fields"):
-        reader([0, 1, 2, 3, 4, 99])
-    with pytest.raises(ShapeError, match=r"^Expected a named tuple, and fields"):
-        reader(finite=[(0, 99)])
-    one = reader()
-    with pytest.raises(ShapeError, match=r"^Expected 13 numbers and 6 integers, got 2 and 1"):
-        one.packet([0.0] * 2, [0])
-    for offsets, spans in (([0] * 12, SPANS), ([131] * 13, SPANS), ([0] * 13, [(0, 999)] * 6), ([-2] * 13, SPANS)):
-        with pytest.raises(ShapeError, match=r"^Expected numbers that lie within the datagram"):
-            one.learn(EXAMPLE, EXAMPLE, offsets, spans)
-    with pytest.raises(ShapeError, match=r"^Expected numbers that lie within the datagram"):
-        kernels.EgmWriter(EXAMPLE, [131], np.ones(1), [])
+def test_egm_of_axes_that_are_none() -> None:
+    """What is read and written is compared with protobuf in tests/wire/egm."""
+    for order, scale in (([0, 0], np.ones(2)), ([0, 2], np.ones(2)), ([0], np.ones(2))):
+        with pytest.raises(ShapeError, match=r"each of \d axes once"):
+            kernels.EgmMessages(Packet, Drop, order, scale, np.zeros(0), False)
+    messages = kernels.EgmMessages(Packet, Drop, [0], np.ones(1), np.zeros(0), False)
     with pytest.raises(ShapeError):
-        kernels.EgmWriter(EXAMPLE, [0], np.ones(2), [])
-    writer = kernels.EgmWriter(EXAMPLE, [0, 8], np.ones(2), [(20, 21)])
-    for arrays, integers in (((np.ones(1),), (1,)), ((np.ones(3),), (1,)), ((np.ones(2),), ())):
-        with pytest.raises(ShapeError, match=r"^Expected 2 numbers and 1 integers"):
-            writer.write(arrays, integers)
+        messages.write(Reference(np.zeros(2), None, None, 1, 2))
 
 
 class Datagram(NamedTuple):

@@ -17,7 +17,7 @@ import armlab
 from armlab import robots
 from armlab.errors import LogError
 from armlab.log import Column, Recorder, Tick
-from armlab.log.mcap.message_layouts import MessageReader
+from armlab.log.mcap.decode import MessageReader
 from armlab.log.mcap.records import Contents, contents
 from armlab.robots import Robot
 from armlab.state import Command, State

@@ -1,10 +1,9 @@
-"""Delimited text: reading, writing, long lines, packed files, and the description beside a CSV file."""
+"""Delimited text, and labels, units and descriptions of columns."""
 
 from __future__ import annotations
 
 import gzip
 import io
-import re
 import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,9 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from armlab import log
 from armlab.errors import LogError
@@ -22,15 +18,16 @@ from armlab.log import Column, Table, read, read_csv, write
 from armlab.log.file_formats.delimited import (
     LONGEST,
     _numbers_only,
-    describe,
-    open_text,
-    read_sidecar,
-    rows_in,
-    rows_of,
     sidecar_path,
     write_csv,
 )
-from armlab.log.file_formats.description import Description
+from armlab.log.file_formats.description import (
+    Description,
+    distinct,
+    foreign_table,
+    labelled_table,
+    of_json,
+)
 
 ROWS = "t [ms],q1 [deg],q2 [deg],tau_1,tau_2,grip [N]\n0,180,0,1,2,0.5\n4,90,-90,1.5,,0.5\n8,0,0,2,4,0.5\n"
 
@@ -48,22 +45,6 @@ def test_units_are_converted_and_joints_put_together(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table["tau"], [[1, 2], [1.5, np.nan], [2, 4]])
     assert dict(table.units) == {"q": "rad", "tau": "N m", "grip": "N"}
     assert table.source[0].startswith("log.csv sha256 ")
-
-
-def test_coordinates_may_be_called_x_and_y(tmp_path: Path) -> None:
-    """Movement primitives have an x and a y of their own in the glossary."""
-    table = read_csv(written(tmp_path, "t [s],x [mm],y [mm]\n0,1,2\n0.1,3,4\n"))
-    assert dict(table.units) == {"x": "m", "y": "m"}
-    np.testing.assert_allclose(table["x"], [0.001, 0.003])
-
-
-def test_read_tells_text_from_recordings(tmp_path: Path) -> None:
-    path = written(tmp_path, ROWS)
-    assert read(path).sha256 == read_csv(path).sha256
-    assert read(path, ["grip"]).names == ("grip",)
-    packed = tmp_path / "log.csv.gz"
-    packed.write_bytes(gzip.compress(ROWS.encode()))
-    assert read(packed).sha256 == read_csv(path).sha256
 
 
 def test_files_without_a_clock_need_a_rate(tmp_path: Path) -> None:
@@ -92,23 +73,6 @@ def test_words_make_a_text_column_with_a_note(tmp_path: Path) -> None:
     assert any("mode: text, because of 'auto'" in note for note in table.notes)
 
 
-def test_rows_whose_time_does_not_advance_are_dropped_and_named_by_their_lines(tmp_path: Path) -> None:
-    path = written(tmp_path, "t,x\n0,1\n1,2\n1,3\n0.5,4\n2,5\n")
-    said = "2 rows dropped: their time does not advance (line 4, line 5)"
-    with pytest.warns(UserWarning, match=re.escape(f"{said}; raw=True keeps them")):
-        table = read_csv(path)
-    assert table["x"].tolist() == [1, 2, 5]
-    assert table.notes == (said,)
-    with pytest.warns(UserWarning, match="2 rows dropped"):
-        assert read_csv(path, every=2)["x"].tolist() == [1, 5]
-    whole = read_csv(path, raw=True)
-    assert whole["x"].tolist() == [1, 2, 3, 4, 5]
-    np.testing.assert_allclose(whole.t, [0, 1, 1, 1, 2], atol=1e-8)
-    assert whole.notes == ()
-    with pytest.raises(LogError, match=r"a time in every row.*none in line 3"):
-        read_csv(written(tmp_path, "t,x\n0,1\n,2\n"))
-
-
 def test_a_thousand_columns(tmp_path: Path) -> None:
     """With a byte-order mark, Windows line ends and empty fields; also with a column of words among them."""
     values = np.arange(3000.0).reshape(3, 1000)
@@ -133,6 +97,7 @@ def test_a_thousand_columns(tmp_path: Path) -> None:
         ("t,x,\n0,1,2\n", r"a column without a name"),
         ("t,x [furlong]\n0,1\n", r"unit that armlab knows for 'x' .*'furlong'.*Known: s, ms"),
         ("t [m],x\n0,1\n", r"times in s, ms, us or ns in the column 't'.*got m"),
+        ("t,x\n0,1\n,2\n", r"a time in every row.*none in line 3"),
         ("now,x\n0,1\n", r"Expected a column t \[s\]"),
         ("t,x\n", r"a header and rows of numbers .*got 1 lines"),
         ("t,q1 [N]\n0,1\n", r"columns that fit the glossary"),
@@ -156,10 +121,13 @@ def test_whole_numbers_beyond_every_float_are_infinite(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("last", "kind"), [("7", "i"), ("1e300", "f"), (f"{2**63}", "f"), ("0.5", "f")])
-def test_large_whole_numbers_stay_whole_where_all_blocks_are(tmp_path: Path, last: str, kind: str) -> None:
+def test_large_whole_numbers_stay_whole_where_all_blocks_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last: str, kind: str
+) -> None:
     """A block of the file that only a float holds makes the column real, and turns none of its numbers."""
     path = tmp_path / "log.csv"
-    rows = [f"{k},{2**62 + 1 if k < 40_000 else last}\n" for k in range(80_000)]
+    monkeypatch.setattr("armlab.log.file_formats.delimited.BLOCK", 1 << 13)
+    rows = [f"{k},{2**62 + 1 if k < 2000 else last}\n" for k in range(4000)]
     path.write_text("t,x [1]\n" + "".join(rows), encoding="utf-8")
     column = read_csv(path)["x"]
     assert column.dtype.kind == kind
@@ -184,24 +152,6 @@ def test_files_that_are_no_text(tmp_path: Path) -> None:
         read_csv(path)
     with pytest.raises(LogError, match="one character as separator"):
         read_csv(path, separator="tab")
-
-
-@settings(max_examples=20)
-@given(values=arrays(float, (5, 3), elements=st.floats(allow_infinity=False)), scalar=arrays(float, 5))
-def test_what_is_written_reads_back_to_the_last_bit(tmp_path_factory, values, scalar) -> None:
-    """Per joint, wrench with two units, covariance with three,and a column that the glossary does not know."""
-    table = Table(
-        np.arange(5) / 3,
-        {
-            "q": values,
-            "wrench_hat": np.tile(values, 2),
-            "wrench_hat_cov": np.tile(values[:, :1, None], (1, 6, 6)),
-            "grip": np.nan_to_num(scalar),
-        },
-        {"grip": Column(unit="N")},
-    )
-    again = read_csv(write(table, tmp_path_factory.mktemp("csv") / "log.csv"))
-    assert again.sha256 == table.sha256
 
 
 @pytest.mark.parametrize(
@@ -236,13 +186,6 @@ def test_words_that_json_or_python_take_for_numbers(tmp_path: Path, word: str) -
         assert found.tolist() == ["1", word]
 
 
-def test_empty_fields_wherever_they_are(tmp_path: Path) -> None:
-    table = read_csv(written(tmp_path, "x,t,q1,q2,n\n,0,,,\n1,1,2,3,\n,2,,,9007199254740993\n"))
-    np.testing.assert_array_equal(table["x"], [np.nan, 1, np.nan])
-    np.testing.assert_array_equal(table["q"], [[np.nan] * 2, [2, 3], [np.nan] * 2])
-    assert np.isnan(table["n"][:2]).all()
-
-
 @pytest.mark.parametrize("size", [1, 7, 1 << 18])
 def test_blocks_end_where_lines_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: int) -> None:
     monkeypatch.setattr("armlab.log.file_formats.delimited.BLOCK", size)
@@ -253,18 +196,6 @@ def test_blocks_end_where_lines_do(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert read_csv(path)["k"].tolist() == crossing
     path = written(tmp_path, "t,k\n" + "".join(f"{i},{k}\n" for i, k in enumerate([0.5, *crossing])))
     assert read_csv(path)["k"][0] == 0.5
-
-
-def test_the_fields_of_the_first_lines(tmp_path: Path) -> None:
-    path = written(tmp_path, '\ufeffa,"b\nc"\n1,2\n3,4\n')
-    assert rows_of(path, ",", 2) == [["a", "b\nc"], ["1", "2"]]
-    assert len(rows_of(path, ",")) == 3
-
-
-@pytest.mark.parametrize("large", [2**53 + 1, 2**63 - 512])
-def test_a_whole_number_that_no_float_holds_stays_whole_beside_a_small_one(large: int, tmp_path: Path) -> None:
-    table = Table([1.0], {"id": np.array([[large, 0]])}, {"id": Column(shape=(2,), unit="1", kind="count")})
-    assert read_csv(write(table, tmp_path / "run.csv"))["id"].tolist() == [[large, 0]]
 
 
 def test_spaces_that_only_python_knows_are_spaces(tmp_path: Path) -> None:
@@ -293,7 +224,7 @@ def table() -> Table:
     return Table(np.arange(n) / 3, found, {name: Column(unit="1", kind=kind) for name, kind in kinds.items()})
 
 
-@pytest.mark.parametrize("names", [("reals",), ("id", "on"), ("reals", "id", "on", "mode")])
+@pytest.mark.parametrize("names", [("id", "on"), ("reals", "id", "on", "mode")])
 def test_more_than_one_block_comes_back(table: Table, tmp_path: Path, names: tuple[str, ...]) -> None:
     kept = table.select(*names)
     assert log.read(log.write(kept, tmp_path / "run.csv")).sha256 == kept.sha256
@@ -349,14 +280,6 @@ def short(monkeypatch: pytest.MonkeyPatch) -> int:
 
 
 @pytest.mark.parametrize("packed", [False, True])
-def test_the_fields_and_bytes_of_text_packed_or_not(tmp_path: Path, packed: bool) -> None:
-    path = put(tmp_path / "log", b"t;x\r\n0;1\r1;2\n", packed)
-    assert list(rows_in(path, ";")) == [["t", "x"], ["0", "1"], ["1", "2"]]
-    with open_text(path) as file:
-        assert file.read() == b"t;x\r\n0;1\r1;2\n"
-
-
-@pytest.mark.parametrize("packed", [False, True])
 @pytest.mark.parametrize("block", [1, 7, 30])
 @pytest.mark.parametrize("digit", [b"1", b"a"])
 def test_a_line_is_as_long_as_is_allowed(
@@ -409,14 +332,6 @@ def test_more_lines_than_bytes_are_refused(tmp_path: Path, monkeypatch: pytest.M
         log.read_csv(path, rate=250.0)
 
 
-def test_an_arm_that_stands_still_is_no_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("armlab.log.file_formats.delimited._UNPACKED", SOME)
-    rows = [f"{0.004 * k:.3f}" + ",0.25" * 30 for k in range(2000)]
-    text = "\n".join(["t," + ",".join(f"c{k}" for k in range(30)), *rows])
-    assert len(text) > 4 * SOME
-    assert len(log.read_csv(put(tmp_path / "log", text.encode(), packed=True))) == 2000
-
-
 def test_one_long_text_among_short_ones_is_refused(tmp_path: Path) -> None:
     """180 kB, of which 7 GiB would be made."""
     path = put(tmp_path / "log", b"t,note\n" + b"0,a\n" * 20_000 + b"1," + b"a" * 100_000 + b"\n")
@@ -424,27 +339,10 @@ def test_one_long_text_among_short_ones_is_refused(tmp_path: Path) -> None:
         log.read_csv(path)
 
 
-@pytest.mark.parametrize("line", [b"a\n", b"ab\n"])
-def test_words_take_a_bounded_multiple_of_the_file(tmp_path: Path, line: bytes) -> None:
-    path = put(tmp_path / "log", b"x\n" + b"ab\n" + line * 40_000)
-    with memory(45.0 * path.stat().st_size):
-        log.read_csv(path, rate=250.0)
-
-
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     values = {"q": np.ones((3, 2)), "n": np.arange(3)}
     return write(Table([0.0, 0.1, 0.2], values, {"n": Column(unit="1", kind="count")}), tmp_path / "run.csv")
-
-
-def test_what_is_written_is_read(path: Path) -> None:
-    assert sidecar_path(path).name == "run.csv.toml"
-    beside = read_sidecar(path)
-    assert isinstance(beside, Description)
-    assert beside.labels() == ["t [s]", "q1 [rad]", "q2 [rad]", "n"]
-    assert beside.described()["n"].kind == "count"
-    assert describe(read(path)).startswith("armlab = ")
-    assert read_sidecar(path.with_name("other.csv")) is None
 
 
 def test_one_that_speaks_of_other_columns_is_not_used(path: Path) -> None:
@@ -479,3 +377,83 @@ def test_cells_that_are_no_numbers(path: Path) -> None:
     path.write_text(path.read_text(encoding="utf-8").replace("0.2,1.0,1.0,2", "0.2,1.0,1.0,2.5"), encoding="utf-8")
     with pytest.raises(LogError, match=r"columns that are described in .*run\.csv, got others: .*'n' of kind count"):
         read(path)
+
+
+@pytest.fixture
+def path_described(tmp_path: Path) -> Path:
+    (tmp_path / "run.x").write_text("anything")
+    return tmp_path / "run.x"
+
+
+def test_a_number_that_is_too_large_for_a_joint_is_a_label(path_described: Path) -> None:
+    """Nobody lists all places up to it."""
+    arrays = {"t": (np.array([0.0, 1.0]), ""), "q999999999999": (np.array([0.0, 1.0]), "")}
+    assert labelled_table(path_described, arrays).names == ("q999999999999",)
+
+
+T = np.arange(5) * 0.004
+
+
+def test_a_log_of_the_ancestors(path_described: Path) -> None:
+    """Fields of Robotlab.jl, one sample per column, as its matrices are; what has another size is named."""
+    q = np.arange(35.0).reshape(5, 7)
+    arrays = {"timestamp": T[None], "pos": q.T, "trq_o": q.T, "seqnum": np.arange(5)[None], "GR": np.eye(7)}
+    table = foreign_table(path_described, {name: (array, "") for name, array in arrays.items()}, ["Log"])
+    np.testing.assert_array_equal(table.t, T)
+    np.testing.assert_array_equal(table["q"], q)
+    assert set(table.names) == {"q", "tau_ref", "seq"}
+    assert table["seq"].dtype == np.int64
+    assert table.notes == ("left out: Log, GR (7, 7)",)
+
+
+def test_samples_in_rows_stay(path_described: Path) -> None:
+    square = np.arange(25.0).reshape(5, 5)
+    arrays = {"t": (T[:, None], "s"), "q": (square, "deg"), "T": (np.zeros((5, 4, 4)), ""), "x": (T[:, None], "")}
+    table = foreign_table(path_described, arrays)
+    np.testing.assert_allclose(table["q"], np.deg2rad(square))
+    assert (table["T"].shape, table["x"].shape) == ((5, 4, 4), (5,))
+
+
+def test_without_a_clock(path_described: Path) -> None:
+    with pytest.raises(LogError, match=r"Expected times t, time or timestamp in .*, got q \(5, 7\), t \(2, 3\)\. Read"):
+        foreign_table(path_described, {"q": (np.zeros((5, 7)), ""), "t": (np.zeros((2, 3)), "")})
+    with pytest.raises(LogError, match=r"got none\."):
+        foreign_table(path_described, {})
+
+
+TABLE = Table(
+    [0.0, 0.5],
+    {"q": [[1.0, 2.0], [3.0, 4.0]], "n": [7, 8], "none": np.zeros((2, 0))},
+    {"n": Column(unit="1", kind="count"), "none": Column(unit="m"), "q": Column(labels=("a", "b"))},
+    t0_ns=5,
+    clock="robot",
+    notes=("a note",),
+    source=("here",),
+)
+
+
+def test_a_description_goes_through_json(tmp_path: Path) -> None:
+    path_described = tmp_path / "run.x"
+    path_described.write_text("anything")
+    about = of_json(Description.of(TABLE).json(more=[1]), path_described)
+    assert about == Description.of(TABLE)
+    assert about.labels() == ["t [s]", "q1 [rad]", "q2 [rad]", "n"]
+    assert (
+        Description.made(about.described(), armlab="1", t0_ns=0, clock="", notes=(), source=()).columns == about.columns
+    )
+    again = about.table(path_described, TABLE.t, dict(TABLE.values))
+    assert again.sha256 == TABLE.sha256
+    assert dict(again.columns) == dict(TABLE.columns)
+    assert again.source[1:] == ("here",)
+    with pytest.raises(LogError, match="columns that are described in"):
+        about.table(path_described, TABLE.t, {"q": np.zeros((2, 3))})
+    for text in ("", "[]", '{"armlab": 1}', '{"armlab": "1"}', b"\xff"):
+        with pytest.raises(LogError, match=r"a description of the columns in .*Export the log again\."):
+            of_json(text, path_described)
+
+
+def test_distinct_names() -> None:
+    """Those that need no change keep their names, whatever comes before them."""
+    wanted = {"a.b": "a_b", "a:b": "a_b", "a_b": "a_b", "t": "t", "a_b_2": "a_b_2"}
+    assert distinct(wanted, ["t"]) == {"a.b": "a_b_3", "a:b": "a_b_4", "a_b": "a_b", "t": "t_2", "a_b_2": "a_b_2"}
+    assert list(distinct({0: "q1", 1: "q1"}).values()) == ["q1", "q1_2"]

@@ -1,9 +1,10 @@
-"""`read` and `read_arm`."""
+"""`read` and `read_arm`, and how files are told apart."""
 
 from __future__ import annotations
 
 import gzip
-import warnings
+import os
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,19 +15,27 @@ import pytest
 from scipy.io import savemat
 
 from armlab import identify, log, robots
-from armlab.errors import ConfigError, LogError, ModelMismatchError, UnknownName
-from armlab.log import Column, Recorder, Tick, inspect, read, read_topics, recover, write
-from armlab.log.file_formats.opening import naming, opened
+from armlab.errors import ConfigError, LogError, MissingExtra, ModelMismatchError, UnknownName
+from armlab.log import Column, Recorder, Table, Tick, inspect, read, read_topics, recover, write
+from armlab.log.file_formats.opening import (
+    check_readable,
+    check_unpacked_size,
+    format_of,
+    naming,
+    needed,
+    opened,
+    origin,
+)
 from armlab.log.mcap.records import MAGIC
 from armlab.log.recording import ros_messages as messages
-from armlab.log.recording.columns import earlier, summary_of, torn_sentence
+from armlab.log.table import table_hash
 from armlab.log.topics.reader import is_foreign, names_robots
 from armlab.robots import Robot
 from armlab.state import Command, State
 
 
 def test_every_column_comes_back_bit_for_bit(recording: Callable[..., Path], rows: Callable) -> None:
-    count = 600  # more than two chunks
+    count = 300  # more than a chunk
     table = read(recording(count))
     samples = [rows(i) for i in range(count)]
     expected = {
@@ -286,39 +295,6 @@ def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
         pass
 
 
-def test_a_file_without_numbers_says_so(tmp_path: Path) -> None:
-    from mcap.writer import Writer
-
-    path = tmp_path / "other.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
-        channel = writer.register_channel("/chatter", "cdr", schema)
-        writer.add_message(channel, 1, b"\0\1\0\0\1\0\0\0\0", 1)
-        writer.finish()
-    with pytest.raises(LogError, match=r"Expected topics with numbers in .*other.mcap, got none.*/chatter \(std_msgs"):
-        read(path)
-
-
-def test_an_empty_recording_is_an_empty_table(tmp_path: Path, robot: Robot) -> None:
-    with Recorder(tmp_path / "none.mcap", robot) as recorder:
-        pass
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert len(read(recorder.path)) == 0
-
-
-def test_sources_and_sentences(recording: Callable[..., Path]) -> None:
-    from armlab.log.mcap.records import Contents
-
-    path = recording(3)
-    with opened(path) as view:
-        assert earlier(view, Contents()) == ()
-        assert summary_of(view, Contents()) == {}
-    assert "0 rows" in torn_sentence(path, Contents(torn=5), read(path).rows(slice(0, 0)))
-
-
 def test_one_value_that_does_not_fit_does_not_cost_the_recording(tmp_path: Path, robot: Robot, rows: Callable) -> None:
     with Recorder(tmp_path / "run.mcap", robot, extra={"mode": Column(unit="1", kind="count")}) as recorder:
         for i in range(5):
@@ -383,3 +359,77 @@ def test_logs_that_are_not_of_the_arm_are_refused(truth, tmp_path: Path) -> None
             log.read_arm(mute, truth.robot)
     with pytest.raises(LogError, match=r"no\.mcap"):
         log.read_arm(tmp_path / "no.mcap", truth.robot)
+
+
+@pytest.mark.parametrize(
+    ("first", "name"),
+    [
+        (b"\x89MCAP0\r\nrest", "MCAP"),
+        (b"SQLite format 3\0", "SQLite (rosbag2)"),
+        (b"#ROSBAG V2.0\n", "ROS 1 bag"),
+        (b"PAR1....", "Parquet"),
+        (b"MATLAB 5.0 MAT-file", "MAT v5"),
+        (b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n", "MAT v7.3"),
+        (b"\x89HDF\r\n\x1a\n", "HDF5"),
+        (b"Julia data file (HDF5), version 0.1.1".ljust(512, b"\0") + b"\x89HDF\r\n\x1a\n", "HDF5"),
+        (b"t [s],mode\n0,\x01\n", "text"),
+        (b"\x1f\x8b\x08", "gzip"),
+        ("t [s],q1 [grå]\n".encode(), "text"),
+        (b"\x00\x00\x00\x02\x00\x00\x00\x40", "LabComm"),
+        (b"\x0bLabComm2013\x02", "LabComm"),
+        (b"\x01\x10\x0eLabComm2014.v1", "LabComm"),
+        (b"\x01LabComm", "unknown"),
+        (b"\x00\x01", "unknown"),
+        (b"", "empty"),
+    ],
+)
+def test_formats(first: bytes, name: str) -> None:
+    assert format_of(first) == name
+
+
+def test_a_pipe_is_refused_not_waited_for(tmp_path: Path) -> None:
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    with pytest.raises(LogError, match="got a pipe"):
+        check_readable(path)
+
+
+def test_the_hash_of_a_table_never_changes_between_versions() -> None:
+    """Model files refer to it: a new value here breaks every model file's link to its log."""
+    table = Table([0.0, 0.5], {"q": [[1.0], [np.nan]], "seq": [1, 2]}, {})
+    assert table_hash(table) == "164643750a016c3d86447c5228ca174c0140b35bf7485e8e5c888912c09129b0"
+
+
+def test_every_nan_is_the_same_nan_and_text_has_no_padding() -> None:
+    odd = np.array([0x7FF8000000000001, 0], dtype=np.uint64).view(float)
+    about = {"x": Column(unit="1"), "w": Column(unit="1", kind="text")}
+    a = Table([0.0, 1.0], {"x": odd, "w": np.array(["a", "b"], dtype="U9")}, about)
+    b = Table([0.0, 1.0], {"x": [np.nan, 0.0], "w": np.array(["a", "b"])}, about)
+    assert table_hash(a) == table_hash(b)
+    assert table_hash(a) != table_hash(b.with_column("w", np.array(["a", "c"]), unit="1", kind="text"))
+
+
+def test_the_hash_of_a_folder_counts_names_and_contents(tmp_path: Path) -> None:
+    found = set()
+    for name, text in (("a", "x"), ("a", "y"), ("b", "y")):
+        (tmp_path / name).write_text(text)
+        found.add(origin(tmp_path))
+        (tmp_path / name).unlink()
+    assert len(found) == 3
+    assert all(one.startswith(f"{tmp_path.name} sha256 ") for one in found)
+
+
+def test_what_is_missing_is_named_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    with pytest.raises(MissingExtra, match=r"Expected pyarrow for Parquet, got none\. Install it: pip install 'armlab"):
+        needed("pyarrow.parquet", "for Parquet")
+
+
+def test_a_thousand_times_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    path.write_bytes(bytes(100_000))
+    check_unpacked_size(path, 100_000_000)
+    with pytest.raises(LogError, match=r"at most 100000000 bytes in .*a\.h5, 1000 times its size, got 100000001"):
+        check_unpacked_size(path, 100_000_001)
+    path.write_bytes(b"")
+    check_unpacked_size(path, 1 << 26)

@@ -22,7 +22,6 @@ from armlab.log.recording.splice import (
     attachments,
     metadata,
     opened_source,
-    seconds_channel,
     summary,
 )
 from armlab.robots import Robot
@@ -213,14 +212,14 @@ def test_damaged_files_are_cut_or_refused_in_a_sentence(record: Callable[..., Pa
     path, after, to = record("run.mcap", 0, 20), record("after.mcap", 50, 60), tmp_path / "to.mcap"
     data, rng = path.read_bytes(), np.random.default_rng(1)
     done = 0
-    for place in rng.integers(8, len(data), 4):
+    for place in rng.integers(8, len(data), 3):
         for spoilt in (data[:place], data[:place] + bytes([data[place] ^ 64]) + data[place + 1 :]):
             path.write_bytes(spoilt)
             with contextlib.suppress(LogError):
                 done += len(read(cut(path, to, 0.0, 0.05))) > 0
             with contextlib.suppress(LogError):
                 done += len(read(merge([path, after], to))) > 0
-    assert done > 3
+    assert done > 2
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["after.mcap", "run.mcap", "to.mcap"]
 
 
@@ -277,41 +276,9 @@ def arm(numbers: list[int], t: list[float], t0_ns: int = 10**18) -> SplicedRows:
     )
 
 
-def test_rows_are_taken_between_the_first_and_the_last_of_the_cut() -> None:
-    one = arm([5, 6, 7, 8, 9], [0.0, 1.0, 1.0, 2.0, 3.0])
-    one.cut(1.0, 2.5)
-    assert (one.rows_left, one.ticks, one.inside) == (2, (6, 8), False)
-    taken = [one.arrive(number, 0) is not None for number in (5, 6, 7, 8, 9, 77)]
-    assert taken == [False, True, True, True, False, False]
-    assert one.is_over
-    one.cut(7.0, 8.0)
-    assert (one.rows_left, one.ticks) == (0, (0, -1))
-
-
-def test_a_following_recording_is_on_the_clock_of_the_first_and_numbered_on() -> None:
-    first, second = arm([0, 1, 2], [0.0, 1.0, 2.0]), arm([1, 2], [0.0, 1.0], 10**18 + 5 * 10**9)
-    second.follow(first, first)
-    assert second.t.tolist() == [5.0, 6.0]
-    assert [second.number(sequence) for sequence in (1, 2)] == [3, 4]
-    assert first.number(2) == 2
-    assert second.start_ns - first.end_ns == 3 * 10**9
-    with pytest.raises(LogError, match=r"to begin after run\.mcap has ended at 2 s, got 1 s"):
-        arm([7], [0.0], 10**18 + 10**9).follow(first, first)
-
-
 def test_numbers_that_come_again_are_refused() -> None:
     with pytest.raises(LogError, match="got 1 that come again"):
         arm([3, 3], [0.0, 1.0])
-
-
-def test_the_channel_of_the_seconds() -> None:
-    channel = seconds_channel("/a/", {"armlab.t0_ns": "5"})
-    assert (channel.topic, channel.type) == ("/a/columns/t", "armlab_msgs/msg/Column")
-    assert set(channel.metadata) == {"column.t", "armlab.t0_ns"}
-    one = arm([4], [0.25])
-    message = one.arrive(4, 10**9)
-    assert message is not None
-    assert np.frombuffer(message[-8:], "<f8")[0] == 0.25
 
 
 def test_holes_of_the_recorder_are_told_where_they_are(tmp_path: Path, robot: Robot, rows: Callable) -> None:

@@ -1,21 +1,30 @@
-"""`Table` and its columns: units, shapes, names, rows, hashes, states, text."""
+"""Table and its columns: units, shapes, rows, hashes, states; other clocks."""
 
 from __future__ import annotations
 
 import contextlib
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab import glossary
 from armlab.errors import LogError, ShapeError, UnknownName
-from armlab.log import Table
-from armlab.log.column import KINDS, OLD_NAMES, Column, alias, frozen, natural_key, refuse_ragged, stored
-from armlab.log.states import QD_SOURCES, TAU_SOURCES
-from armlab.log.table import component_names, describe_text, missing_rows, statistics, table_text, timing
+from armlab.lie import quaternion, se3, so3
+from armlab.log import Column, Table, concat
+from armlab.log.column import alias, refuse_ragged, resolved, stored
+from armlab.log.table import (
+    QD_SOURCES,
+    TAU_SOURCES,
+    component_names,
+    join,
+    missing_rows,
+    resample,
+    statistics,
+)
 
 
 def example(rows: int = 50, joints: int = 7, seed: int = 1) -> Table:
@@ -93,11 +102,6 @@ def test_clock_must_be_finite_and_increase(t: list, message: str) -> None:
 def test_wrong_columns_are_refused(values: dict, columns: dict, message: str) -> None:
     with pytest.raises((ShapeError, UnknownName), match=message):
         Table([0.0, 1.0, 2.0], values, columns)
-
-
-def test_a_wrong_name_lists_the_columns() -> None:
-    with pytest.raises(UnknownName, match="Known: grip, q, qd, seq, tau"):
-        example()["torque"]
 
 
 def test_counts_with_holes_become_real_and_say_so() -> None:
@@ -263,40 +267,13 @@ def test_cutting_twice_is_cutting_once(a: int, b: int, c: int) -> None:
     assert np.array_equal(twice.t, table.between(first, min(second, third)).t)
 
 
-def test_known_names_are_filled_from_the_glossary() -> None:
-    column = Column(shape=(7,)).resolved("q")
-    assert (column.unit, column.frame, column.kind) == ("rad", "joint", "angle")
-
-
-def test_new_names_state_their_unit() -> None:
-    column = Column(shape=(6,), unit="N", frame="base").resolved("fext")
-    assert (column.unit, column.frame, column.kind) == ("N", "base", "real")
-    with pytest.raises(ShapeError, match="unit"):
-        Column(shape=(6,)).resolved("fext")
-
-
-def test_contradictions_are_refused() -> None:
-    with pytest.raises(ShapeError, match="Expected unit 'rad'"):
-        Column(shape=(7,), unit="deg").resolved("q")
-    with pytest.raises(ShapeError, match=r"\(N, 6, 6\)"):
-        Column(shape=(6,)).resolved("wrench_hat_cov")
-    with pytest.raises(UnknownName, match="real"):
-        Column(unit="1", kind="double").resolved("mine")
-
-
 def test_symbols_of_motion_leave_columns_alone() -> None:
     """x is the phase of a primitive in the glossary, and a coordinate in most files."""
-    column = Column(shape=(), unit="m").resolved("x")
+    column = resolved(Column(shape=(), unit="m"), "x")
     assert (column.unit, column.kind) == ("m", "real")
     assert glossary.lookup("x").unit == "1"
     assert "x" not in glossary.columns()
     assert glossary.columns()["q"] is glossary.lookup("q")
-
-
-def test_headings() -> None:
-    assert Column(unit="N m").heading("tau") == "tau [N m]"
-    assert Column(unit="1").heading("seq") == "seq"
-    assert set(KINDS) == {"real", "angle", "pose", "quaternion", "count", "flag", "text"}
 
 
 def test_stored_values_have_the_type_of_their_kind() -> None:
@@ -320,23 +297,6 @@ def test_stored_values_have_the_type_of_their_kind() -> None:
             stored(name, values, None)
 
 
-def test_frozen_copies_only_what_someone_could_still_write_to() -> None:
-    mine = np.arange(6.0)
-    assert not np.shares_memory(frozen(mine), mine)
-    whole = frozen(mine)
-    assert frozen(whole) is whole
-    assert np.shares_memory(frozen(whole[2:4]), whole)
-    assert frozen(whole[::2]).flags.c_contiguous
-    fixed = np.frombuffer(b"12345678", dtype="<f8")
-    assert np.shares_memory(frozen(fixed), fixed)
-    buffer = bytearray(8)
-    view = np.frombuffer(buffer, dtype="<f8")
-    view.flags.writeable = False
-    kept = frozen(view)
-    buffer[:] = b"\xff" * 8
-    assert kept[0] == 0.0
-
-
 def test_the_clock_is_no_column() -> None:
     with pytest.raises(ShapeError, match="columns besides t, the clock"):
         stored("t", [0.0, 1.0], Column(unit="s"))
@@ -345,15 +305,6 @@ def test_the_clock_is_no_column() -> None:
 def test_aliases_are_those_of_the_old_tools() -> None:
     assert alias("irb2ext.robot[0].joint[2].posRawAbs") == "irb2ext_robot_0__joint_2__posRawAbs"
     assert alias("sample:value[3]") == "sample_value_3"
-
-
-def test_natural_order() -> None:
-    names = ["q10", "q9", "q1", "p2", "q", "2q"]
-    assert sorted(names, key=natural_key) == ["2q", "p2", "q", "q1", "q9", "q10"]
-
-
-def test_names_of_the_ancestors_logs() -> None:
-    assert (OLD_NAMES["pos"], OLD_NAMES["trq_o"], OLD_NAMES["timestamp"]) == ("q", "tau_ref", "t")
 
 
 @pytest.mark.parametrize(("rows", "held", "told"), [(2**21, 0, ""), (2**22, 2**20, ""), (2**22, 2**20 - 1, "alike")])
@@ -410,15 +361,6 @@ def test_statistics_leave_out_what_is_missing() -> None:
     assert np.isnan(words["min"]).all()
 
 
-def test_timing() -> None:
-    found = timing(Table([0.0, 0.1, 0.2, 0.6], {}))
-    assert found["rows"] == 4
-    assert found["duration"] == pytest.approx(0.6)
-    assert found["rate"] == pytest.approx(10.0)
-    assert found["gap"] == pytest.approx(0.4)
-    assert timing(Table([0.0], {}))["duration"] == 0.0
-
-
 def test_components_are_named_by_joint_or_number() -> None:
     table = Table(
         [0.0], {"q": [[1.0, 2.0]], "wrench_hat_cov": np.zeros((1, 6, 6)), "seq": [1]}, {"q": Column(labels=("a", "b"))}
@@ -428,8 +370,149 @@ def test_components_are_named_by_joint_or_number() -> None:
     assert component_names(table, "seq") == ["seq"]
 
 
-def test_texts() -> None:
-    table = Table([0.0, 0.004], {"tau": [[1.0], [np.nan]]}, notes=("cut short",))
-    assert table_text(table).splitlines()[2].split() == ["tau", "(2,", "1)", "N", "m", "1", "rows", "from", "row", "1"]
-    assert table_text(table).endswith("note: cut short")
-    assert describe_text(table).splitlines()[1].split() == ["tau[1]", "N", "m", "1", "1", "1", "0", "1"]
+WALL = 1_700_000_000_000_000_000
+
+
+def ramp(rows: int = 101, rate: float = 100.0, t0_ns: int = 0) -> Table:
+    """Everything moves at constant speed, so interpolation must be exact."""
+    t = np.arange(rows) / rate
+    w, v = np.array([0.3, -0.4, 0.5]), np.array([1.0, 2.0, 3.0])
+    T = se3.from_rp(so3.exp(t[:, None] * w), t[:, None] * v)
+    return Table(
+        t,
+        {
+            "q": np.stack([t, -2 * t], axis=1),
+            "T_base_tool": T,
+            "quat": quaternion.from_matrix(T[:, :3, :3]),
+            "seq": np.arange(rows),
+            "late": np.arange(rows) % 2 == 1,
+            "word": np.array([f"w{i}" for i in range(rows)]),
+        },
+        {"quat": Column(unit="1", kind="quaternion"), "word": Column(unit="1", kind="text")},
+        t0_ns=t0_ns,
+    )
+
+
+@settings(max_examples=40)
+@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30, unique=True))
+def test_motion_at_constant_speed_is_exact_at_any_time(times: list[float]) -> None:
+    t = np.sort(np.array(times))
+    table = ramp()
+    if len(t) > 1 and (np.diff(t) <= 0).any():
+        return
+    try:
+        found = resample(table, t)
+    except ShapeError as error:
+        assert "signals.lowpass_offline" in str(error)  # noqa: PT017
+        return
+    w, v = np.array([0.3, -0.4, 0.5]), np.array([1.0, 2.0, 3.0])
+    assert found["q"] == pytest.approx(np.stack([t, -2 * t], axis=1), abs=1e-12)
+    assert found["T_base_tool"] == pytest.approx(se3.from_rp(so3.exp(t[:, None] * w), t[:, None] * v), abs=1e-9)
+    turned = quaternion.to_matrix(found["quat"])
+    assert turned == pytest.approx(found["T_base_tool"][:, :3, :3], abs=1e-9)
+    last = np.searchsorted(table.t, t, side="right") - 1
+    assert np.array_equal(found["seq"], last)
+    assert np.array_equal(found["late"], last % 2 == 1)
+    assert found["word"].tolist() == [f"w{i}" for i in last]
+
+
+def test_resampling_at_the_same_times_changes_nothing() -> None:
+    table = ramp()
+    same = table.resample(table.t)
+    assert same.sha256 == table.sha256
+    assert "resample" in same.source[-1]
+
+
+def test_rates() -> None:
+    table = ramp()
+    assert len(table.resample(1000.0)) == 1001
+    assert table.resample(1000.0).t[-1] == table.t[-1]
+    with pytest.raises(ShapeError, match=r"at least 100 Hz, got 50 Hz.*signals\.lowpass_offline"):
+        table.resample(50.0)
+    for rate in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(ShapeError, match="rate above zero"):
+            table.resample(rate)
+    for rate in (1e9, 1e308):
+        with pytest.raises(ShapeError, match=r"got 1e\+\d+ Hz over 1 s: \S+ rows of 101\. Give the rate in hertz"):
+            table.resample(rate)
+    with pytest.raises(ShapeError, match="t in seconds"):
+        replace(table, t=1e9 * table.t).resample(100.0)
+
+
+def test_no_extrapolation() -> None:
+    with pytest.raises(ShapeError, match=r"between 0 and 1 s, got 1\.01 s in row 1: no extrapolation"):
+        ramp().resample(np.array([0.5, 1.01]))
+    with pytest.raises(ShapeError, match="two rows"):
+        ramp(1).resample(100.0)
+
+
+def test_gaps_are_not_bridged() -> None:
+    table = ramp().rows(np.array([*range(20), *range(40, 101)]))
+    found = table.resample(200.0)
+    gap = (found.t > 0.19 + 1e-9) & (found.t < 0.4 - 1e-9)
+    assert np.all(np.isnan(found["q"][gap]))
+    assert not np.isnan(found["q"][~gap]).any()
+    assert found.columns["seq"].kind == "real"
+    assert any("seq" in note for note in found.notes)
+    assert np.all(found["word"][gap] == "")
+    assert not np.isnan(table.resample(200.0, max_gap=0.5)["q"]).any()
+
+
+def test_nan_stays_nan_and_spoils_only_its_neighbours() -> None:
+    table = ramp()
+    q = table["q"].copy()
+    q[50] = np.nan
+    found = table.with_column("q", q).resample(200.0)
+    missing = np.flatnonzero(np.isnan(found["q"]).any(axis=1))
+    assert missing.tolist() == [99, 100, 101]
+
+
+def test_joining_holds_the_last_row_and_tells_its_age() -> None:
+    left = ramp(t0_ns=WALL)
+    right = Table(
+        [0.0, 0.1, 0.5], {"wrench": np.arange(18.0).reshape(3, 6), "tick": [5, 6, 7]}, t0_ns=WALL + 200_000_000
+    )
+    found = left.join(right)
+    early = left.t < 0.2 - 1e-9
+    assert np.all(np.isnan(found["wrench"][early]))
+    assert np.all(np.isnan(found["wrench_age"][early]))
+    row = 45  # 0.45 s on the left clock is 0.25 s on the right
+    assert np.array_equal(found["wrench"][row], right["wrench"][1])
+    assert found["wrench_age"][row] == pytest.approx(0.15)
+    assert found["tick"][row] == 6
+    assert found.columns["tick"].kind == "real"
+    assert found.units["wrench_age"] == "s"
+    old = left.join(right, max_age=0.1)
+    assert np.isnan(old["wrench"][row]).all()
+    assert np.array_equal(old["wrench"][35], right["wrench"][1])
+
+
+def test_joining_linearly() -> None:
+    left, right = ramp(), Table([0.0, 1.0], {"grip": [0.0, 10.0]}, {"grip": Column(unit="N")})
+    assert left.join(right, fill="linear")["grip"] == pytest.approx(10 * left.t)
+    assert np.isnan(left.join(right, fill="linear", max_age=0.5)["grip"][1:-1]).all()
+    with pytest.raises(UnknownName, match=r"'cubic'.*hold, linear"):
+        join(left, right, fill="cubic")
+    with pytest.raises(ShapeError, match="q in both"):
+        left.join(left.select("q"))
+
+
+def test_concatenation_keeps_the_gap() -> None:
+    first, second = ramp(t0_ns=WALL), ramp(t0_ns=WALL + 5_000_000_000)
+    both = concat(first, second)
+    assert len(both) == 202
+    assert both.t[101] == pytest.approx(5.0)
+    assert np.array_equal(both["q"][101:], second["q"])
+    assert concat(first).sha256 == first.sha256
+    by_hand = concat(ramp(), ramp().shifted(2.0))
+    assert by_hand.t[101] == pytest.approx(2.0)
+
+
+def test_concatenation_refuses_what_does_not_fit() -> None:
+    table = ramp()
+    with pytest.raises(ShapeError, match=r"begin after 1 s, got 0 s; use shifted"):
+        concat(table, table)
+    with pytest.raises(ShapeError, match="differ in q"):
+        concat(table, table.without("q").shifted(2.0))
+    with pytest.raises(ShapeError, match="at least one"):
+        concat()

@@ -18,21 +18,12 @@ from armlab.log.mcap.decode import Decoded
 from armlab.log.topics.messages import (
     TopicMessages,
     decode_one_by_one,
-    is_measurement,
     numbers_in_json,
     numbers_in_protobuf,
-    read_mcap_topics,
-    read_rosbags_topics,
 )
 from armlab.log.topics.streams import TopicFields
 
 NAMES = ("a", "b", "c")
-
-
-def test_what_is_a_measurement() -> None:
-    assert is_measurement("sensor_msgs/msg/JointState")
-    assert not is_measurement("rcl_interfaces/msg/Log")
-    assert not is_measurement("sensor_msgs/msg/Image")
 
 
 def ros2_file(path: Path, count: int, **options: Any) -> Path:
@@ -143,28 +134,6 @@ module lab_msgs { module msg {
     assert "left out: /bad (Expected a ros2msg definition of lab_msgs/msg/X" in table.notes[0]
 
 
-def test_the_functions_behind_read(ros: Any, tmp_path: Path) -> None:
-    from rosbags.rosbag2 import Reader
-
-    from armlab.log.mcap.records import contents
-
-    path = ros.bag(tmp_path / "bag", [("/n", 5 + i, ros.numbers([i])) for i in range(3)])
-    ours, theirs = TopicMessages(), TopicMessages()
-    view = memoryview((path / "bag.mcap").read_bytes())
-    read_mcap_topics(view, contents(view), lambda topic, _: topic == "/n", ours)
-    told: list[str] = []
-    with Reader(path) as bag:
-        read_rosbags_topics(bag, lambda topic, _: topic == "/n", theirs, lambda *one: told.append(one[2]))
-        read_rosbags_topics(bag, lambda *_: False, theirs)
-    assert told == ["messages"]
-    (one,), (two,) = ours.decoded(), theirs.decoded()
-    assert one[0] == two[0] == "/n"
-    np.testing.assert_array_equal(one[2].fields["data"], two[2].fields["data"])
-    theirs.add("/n", two[2])
-    ((_, _, twice),) = theirs.decoded()
-    assert twice.fields["data"].shape == (6, 1)
-
-
 def test_parts_of_a_topic_that_are_holes_together_are_left_out_alone() -> None:
     """Of two files, or two publishers."""
     into = TopicMessages(fields={name: TopicFields("t/msg/T", {}) for name in ("/ragged", "/good")})
@@ -216,20 +185,20 @@ def test_numbers_that_no_real_number_holds_and_endless_lists(raw: bytes) -> None
 
 
 def test_one_long_message_does_not_ask_for_memory_in_all_rows() -> None:
-    """Ten megabytes of messages, 480 GB of columns; and as many names as messages, just below what is refused."""
-    long = b"[%b]" % b",".join([b"1"] * 1_000_000)
+    """Half a megabyte of messages, 19 GB of columns; and as many names as messages, just below what is refused."""
+    long = b"[%b]" % b",".join([b"1"] * 200_000)
     decoded, bad, reason = decode_one_by_one(
-        ((k, k, raw) for k, raw in enumerate([long, b"no", *[b"[1]"] * 60_000])), numbers_in_json
+        ((k, k, raw) for k, raw in enumerate([long, b"no", *[b"[1]"] * 12_000])), numbers_in_json
     )
     assert decoded.fields == {}
     assert len(decoded.sequence) == 0
-    assert bad == 60_002
+    assert bad == 12_002
     assert reason.startswith(
-        "Expected values that are alike, got 60001 rows with 1060000 numbers, up to 1000000 in value"
+        "Expected values that are alike, got 12001 rows with 212000 numbers, up to 200000 in value"
     )
-    decoded, bad, _ = decode_one_by_one(((k, k, b'{"%d": %d}' % (k, k)) for k in range(5000)), numbers_in_json)
+    decoded, bad, _ = decode_one_by_one(((k, k, b'{"%d": %d}' % (k, k)) for k in range(2000)), numbers_in_json)
     assert bad == 0
-    assert [decoded.fields[str(k)][k, 0] for k in range(5000)] == list(range(5000))
+    assert [decoded.fields[str(k)][k, 0] for k in range(2000)] == list(range(2000))
     assert np.isfinite(decoded.fields["7"]).sum() == 1
 
 

@@ -11,22 +11,12 @@ from armlab import robots
 from armlab.errors import NotExcited, ShapeError
 from armlab.identify import dither, prepare
 from armlab.log import Table
-from armlab.log.units_check import check_known, check_position, check_torque, check_velocity, has_moved
+from armlab.log.units_check import check_known, check_position, check_torque, has_moved
 from armlab.robots.couplings import joint_to_motor, joint_torque_to_motor
 
 
 def changed(table: Table, **columns: np.ndarray) -> Table:
     return Table(table.t, {name: columns.get(name, table[name]) for name in ("q", "qd", "tau")})
-
-
-def test_time_that_runs_backwards_is_no_table(excited) -> None:
-    t = excited.t.copy()
-    t[4000] = t[3990]
-    with pytest.raises(ShapeError, match=r"strictly increasing times, got 15\.96 s in row 4000 after 15\.996 s"):
-        Table(t, dict(excited.values))
-    t[4000] = t[3999]
-    with pytest.raises(ShapeError, match=r"in row 4000 after.*drop these rows or sort by time"):
-        Table(t, dict(excited.values))
 
 
 def test_velocity_of_another_sign_unit_or_order(truth, excited) -> None:
@@ -43,15 +33,6 @@ def test_velocity_of_another_sign_unit_or_order(truth, excited) -> None:
     ]:
         with pytest.raises(ShapeError, match="derivative of q.*" + words + ".*Correct the column, or leave qd out"):
             prepare(changed(excited, qd=wrong), robot)
-
-
-def test_velocity_check_alone(truth) -> None:
-    rng = np.random.default_rng(0)
-    slope = rng.standard_normal((100, 7))
-    moved = np.ones(7, dtype=bool)
-    check_velocity(slope, 1.05 * slope, moved, truth.robot)
-    with pytest.raises(ShapeError, match=r"1\.2 times"):
-        check_velocity(slope, 1.2 * slope, moved, truth.robot)
 
 
 def test_a_locked_joint_that_is_not_fitted_has_no_velocity_to_compare(truth, excited) -> None:

@@ -14,6 +14,7 @@ import pytest
 from armlab import State, bridge, robots
 from armlab.errors import ShapeError
 from armlab.log import Column, Table
+from armlab.log.column import resolved
 from armlab.motion import Dmp, TwoDofDmp
 from armlab.motion.control import LONGEST_STEP, Arms, Controller, JointLimits, check_joints, robots_of, steps_in
 from armlab.motion.dmp import DmpController
@@ -210,7 +211,7 @@ def test_what_it_records_is_declared(arm: Callable[..., Any], reach: Dmp) -> Non
     assert record.keys() == columns.keys()
     for name, column in columns.items():
         assert isinstance(column, Column)
-        assert np.shape(record[name]) == column.resolved(name).shape
+        assert np.shape(record[name]) == resolved(column, name).shape
 
 
 def test_late_packets_are_made_in_short_steps() -> None:

@@ -91,8 +91,7 @@ BYTES = "bytes and texts, no numbers are computed: tests/kernels holds what come
 LEFT_OUT = {  # kernels without a table, and what holds them instead
     "Chain.forward_jacobian": "gives what forward and jacobian give, to the bit (tests/kernels/test_chain.py)",
     "Datagrams": BYTES,
-    "EgmReader": BYTES,
-    "EgmWriter": BYTES,
+    "EgmMessages": BYTES,
     "InverseSolver": "a search: tests/numerics/test_inverse.py holds the errors it tells to exact poses",
     "MessageCopier": BYTES,
     "MomentumEstimator.reset": "forgets, and computes nothing",

@@ -12,8 +12,9 @@ from armlab.sim.arm.arm import LaggingArm, SimulatedArm, build_model, record, sc
 from armlab.sim.arm.mismatch import Mismatch
 from armlab.sim.arm.sensors import SensorReading, Sensors, TrueState
 from armlab.sim.arm.truth import Truth, synthetic_truth
-from armlab.wire.egm import EgmCodec, Packet, RobotMessage, RobotSideCodec
+from armlab.wire.egm import EgmCodec, Packet
 from armlab.wire.egm import armlab_egm_pb2 as pb
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
 
 T = 0.004032
 

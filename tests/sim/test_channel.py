@@ -17,7 +17,7 @@ from armlab.sim.arm.truth import synthetic_truth
 from armlab.sim.controller.channel import CORRUPTED, Faults, UdpClient
 from armlab.sim.controller.controller import SimulatedController
 from armlab.sim.controller.settings import ControllerSettings, FaultRates
-from armlab.wire.egm import RobotSideCodec
+from armlab.wire.egm.robot_side import RobotSideCodec
 
 ROBOT = robots.load("yumi_right")
 MakePeer = Callable[..., Any]

@@ -15,7 +15,8 @@ from armlab.sim.controller.inbox import QUEUE_LENGTH
 from armlab.sim.controller.packets import EPOCH_NS
 from armlab.sim.controller.settings import ControllerSettings
 from armlab.sim.events import AppliedWrench
-from armlab.wire.egm import EgmCodec, Packet, Reference, RobotSideCodec
+from armlab.wire.egm import EgmCodec, Packet, Reference
+from armlab.wire.egm.robot_side import RobotSideCodec
 
 ROBOT = robots.load("yumi_right")
 TRUTH = synthetic_truth(ROBOT)

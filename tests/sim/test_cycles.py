@@ -24,7 +24,8 @@ from armlab.sim.controller.controller import SimulatedController
 from armlab.sim.controller.cycles import Timing, run
 from armlab.sim.controller.settings import ControllerSettings, FaultRates
 from armlab.state import Command, State
-from armlab.wire.egm import EgmCodec, Packet, RobotSideCodec
+from armlab.wire.egm import EgmCodec, Packet
+from armlab.wire.egm.robot_side import RobotSideCodec
 
 RIGHT, LEFT = robots.load("yumi_right"), robots.load("yumi_left")
 MakePeer = Callable[..., Any]

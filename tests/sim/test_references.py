@@ -11,7 +11,7 @@ from armlab.sim.arm.drive import JointDrives
 from armlab.sim.controller.guidance import ExternalAxes, Guidance
 from armlab.sim.controller.reference_decoder import ReferenceDecoder, has_numbers, is_number
 from armlab.sim.controller.settings import ControllerSettings
-from armlab.wire.egm import SensorMessage
+from armlab.wire.egm.robot_side import SensorMessage
 
 T = ControllerSettings().period
 

@@ -22,7 +22,7 @@ from armlab.sim.controller.settings import ControllerSettings, FaultRates
 from armlab.sim.events import MOTORS, RAPID, AppliedWrench, Grip, HandPath, StateScript, Surroundings
 from armlab.sim.experiments.cell import cell
 from armlab.sim.two_link import TwoLink, forward, inverse, inverse_dynamics, mass_matrix, rhs
-from armlab.wire.egm import RobotSideCodec
+from armlab.wire.egm.robot_side import RobotSideCodec
 
 ROBOT = robots.load("yumi_left")
 TRUTH = synthetic_truth(ROBOT)

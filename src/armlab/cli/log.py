@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from armlab.log import Table
-    from armlab.log.recording.inspection import Inspection
+    from armlab.log.recording.metadata import Inspection
     from armlab.robots import Robot
 
 

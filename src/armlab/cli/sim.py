@@ -424,7 +424,7 @@ class _Cell:
         from armlab.sim.controller.channel import Faults, UdpClient
         from armlab.sim.controller.controller import SimulatedController
         from armlab.sim.controller.packets import PacketBuilder
-        from armlab.wire.egm import RobotSideCodec
+        from armlab.wire.egm.robot_side import RobotSideCodec
 
         content, settings = self.content, self.settings
         robot = simulated(name)

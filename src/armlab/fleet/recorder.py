@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import re
+import struct
 import threading
 import time
 from collections import deque
@@ -13,21 +15,22 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from armlab.bridge.servers.row import MAGIC
-from armlab.bridge.servers.zenoh.keys import EVERY, key, robot_of
+from armlab.bridge.servers.row import MAGIC, RowField, RowSchema
+from armlab.bridge.servers.zenoh import EVERY, Asking, Place, close_session, key, robot_of, undamaged
 from armlab.bridge.servers.zenoh.messages import read_about
-from armlab.bridge.servers.zenoh.rows import Inbox, undamaged
-from armlab.bridge.servers.zenoh.session import Discovery, LabAddress, close_session, zenoh
+from armlab.bridge.servers.zenoh.rows import Inbox
+from armlab.bridge.servers.zenoh.session import zenoh
 from armlab.errors import ArmlabError, LinkError
-from armlab.fleet.row_columns import RowColumns, stamp_of, tick_of
 from armlab.log.recording.file import RecordingFile
 from armlab.log.recording.recorder import FLUSH_PERIOD, WRITE_PERIOD, Syncing
-from armlab.log.recording.rows import RowLayout
+from armlab.log.recording.rows import SELDOM, RowLayout, Slot
 
 _INBOX = 50_000  # messages: 20 s of ten robots; what does not fit is a hole in the ticks
 _ROBOTS = 1000
 _ROOM = 2**28  # bytes of rows that wait for descriptions, of all robots: ten seconds of fifty
 _NAME = re.compile(r"[\w+-][\w.+-]{0,99}")  # what can be the name of a file
+_WALL = slice(32, 40)  # of the head of a row
+_PAIR = struct.Struct("<qq")
 _NAMES = 220  # bytes of lab and robot together: a letter may take four, and systems allow 255 with number and ending
 
 
@@ -56,7 +59,7 @@ class FleetRecorder:
     LinkError : no router. MissingExtra : no Zenoh.
     """
 
-    def __init__(self, place: LabAddress, folder: str | Path, tell: Callable[[str], None] = lambda text: None) -> None:
+    def __init__(self, place: Place, folder: str | Path, tell: Callable[[str], None] = lambda text: None) -> None:
         self._folder, self._tell = Path(folder), tell
         self._robots: dict[str, RobotRecord] = {}
         self._ended: set[str] = set()  # robots of whom nothing more is recorded
@@ -65,7 +68,7 @@ class FleetRecorder:
         self._room = _ROOM
         self._wake, self._closed = threading.Event(), False
         self._session = place.open_behind()
-        self._asking = Discovery(self._session, self._answered)
+        self._asking = Asking(self._session, self._answered)
         declare, liveliness = self._session.declare_subscriber, self._session.liveliness()
         self._thread = threading.Thread(target=self._run, name="fleet recorder", daemon=True)
         self._thread.start()
@@ -180,12 +183,6 @@ _MOST_HOLES = 10_000  # listed in a file; all are counted
 class RobotRecord:
     """The recordings of one robot; all methods belong to one thread.
 
-    Parameters
-    ----------
-    name : "lab1/yumi_left".
-    path : of its first file.
-    tell : told what a person should know.
-
     Attributes
     ----------
     rows, lost : rows written, and rows that never came or could not be written, by the ticks of the robot.
@@ -218,12 +215,7 @@ class RobotRecord:
         return sum(map(len, self._waiting))
 
     def take(self, data: bytes | None) -> None:
-        """Take a row; when too many wait it is lost, as its tick will show.
-
-        Parameters
-        ----------
-        data : as it came, None when it was damaged.
-        """
+        """Take a row; when too many wait it is lost, as its tick will show."""
         if data is None:
             self._damage()
         elif len(self._waiting) < _WAITING:
@@ -235,12 +227,7 @@ class RobotRecord:
         self._is_unsure = self._run is not None
 
     def describe(self, about: bytes) -> None:
-        """Take what a bridge says of itself and its robots; the rows that wait for it are of a new run.
-
-        Parameters
-        ----------
-        about : the answer to the query "about".
-        """
+        """Take what a bridge says of itself and its robots; the rows that wait for it are of a new run."""
         if not self.wants:
             return
         self.wants, self._since = False, None
@@ -310,12 +297,7 @@ class RobotRecord:
         self._finish()
 
     def end(self, why: str) -> None:
-        """Give the recording up; nothing more may be asked of it.
-
-        Parameters
-        ----------
-        why : a sentence.
-        """
+        """Give the recording up; nothing more may be asked of it."""
         file, self._file, self.wants, self.failed = self._file, None, False, why
         self._tell(f"{self.name}: its recording has ended: {why}")
         if file is not None:
@@ -418,6 +400,64 @@ class RobotRecord:
         if self.refused == 0 and count:
             self._tell(f"{self.name}: messages are refused: {why}")
         self.refused += count
+
+
+class RowColumns:
+    """Positions of the columns of one robot's recording in the rows of its bridge.
+
+    Columns that the rows lack, such as commands to external axes, are missing in the recording.
+    """
+
+    def __init__(self, schema: RowSchema, robot: str, layout: RowLayout) -> None:
+        if f"{robot}.tick" not in schema.fields:
+            raise LinkError(f"Expected rows with the ticks of {robot}, got those of {', '.join(schema.robots)}.")
+        self._id, self._size = schema.id, schema.size
+        self._places: list[slice | bytes] = []
+        for name, slot in layout.slots.items():
+            if name == SELDOM[0]:
+                break  # from here on a row may end
+            if name == "stamp_ns":
+                self._add(_WALL)
+                continue
+            field = schema.fields.get(f"{robot}.{name}")
+            self._add(slot.nothing if field is None else _place(field, slot))
+
+    def packed(self, data: bytes) -> bytes:
+        """Return the recording's row for a row of the bridge; raise LinkError for another schema."""
+        if len(data) != self._size or data[:4] != MAGIC or data[8:16] != self._id:
+            raise LinkError(f"Expected a row of {self._size} bytes and schema {self._id.hex()}, got {len(data)} bytes.")
+        return b"".join([place if isinstance(place, bytes) else data[place] for place in self._places])
+
+    def _add(self, place: slice | bytes) -> None:
+        """Add a piece; what follows the last one in the row is one piece with it."""
+        last = self._places[-1] if self._places else b""
+        if isinstance(place, bytes) and isinstance(last, bytes) and self._places:
+            self._places[-1] = last + place
+        elif isinstance(place, slice) and isinstance(last, slice) and last.step is place.step is None:
+            if last.stop == place.start:
+                self._places[-1] = slice(last.start, place.stop)
+            else:
+                self._places.append(place)
+        else:
+            self._places.append(place)
+
+
+def stamp_of(packed: bytes) -> int:
+    """Return the wall clock of a row of a recording [ns]."""
+    return _PAIR.unpack_from(packed)[0]
+
+
+def tick_of(packed: bytes) -> int:
+    """Return the tick of a row of a recording."""
+    return _PAIR.unpack_from(packed)[1]
+
+
+def _place(field: RowField, slot: Slot) -> slice:
+    """Return where the values are; of a flag the lowest byte, -1 being the 255 that means missing."""
+    if field.shape != slot.column.shape or field.type == "text":
+        raise LinkError(f"Expected {field.name} of shape {slot.column.shape} in the rows, got {field.shape}.")
+    stop = field.offset + 8 * math.prod(field.shape)
+    return slice(field.offset, stop, 8 if slot.dtype == "u1" else None)
 
 
 class _BridgeRun:

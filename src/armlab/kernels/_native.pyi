@@ -163,97 +163,48 @@ class Drive:
 
     n: int
 
-class EgmReader:
-    """Makes a packet of the numbers of an EgmRobot, and finds them in datagrams that look like one that is known.
-
-    The numbers are in the order that `scale` has, then the utilization, then x, y, z [mm] and the quaternion u0 to u3
-    of the pose. The values are ``numbers * scale``, and the pose as the rows of a matrix [m], which is NaN for a
-    quaternion without a usable norm. The integers are the sequence number, tm, the seconds and microseconds of the
-    robot's clock, the monotonic clock and the depth of the queue.
+class EgmMessages:
+    """Datagrams of EGM for one arm: EgmRobot to packets, references to EgmSensor.
 
     Parameters
     ----------
-    kind : named tuple to make. fixed : its fields that do not change, None where another goes.
-    arrays : (field, start, stop) of each field that is a part of the values. matrix : field of the pose.
-    scalars : fields of the sequence number, tm, the robot's clock [ns], utilization, the monotonic clock and the depth
-        of the queue, -1 where the fixed one stays.
-    scale : SI per wire unit, NaN for what is absent; the last 16 stand for the matrix.
-    finite : (start, stop) of numbers without which there is no packet: finite, and no larger than 1e9.
+    packet, drop : named tuples to make, `wire.egm.Packet` and `wire.egm.Drop`.
+    order : axis of each joint, from 0. scale : (n,) SI per wire unit of each joint.
+    external_scale : SI per wire unit of the first external axes beyond the robot's own; further ones are in degrees.
+    extension : write the research extension.
 
     Raises
     ------
-    ShapeError : fields or numbers that do not exist.
+    ShapeError : an axis that is missing, or not (n,) scales.
     """
 
     def __init__(
         self,
-        kind: Any,
-        fixed: tuple[Any, ...],
-        arrays: Sequence[tuple[int, int, int]],
-        matrix: int,
-        scalars: Sequence[int],
+        packet: Any,
+        drop: Any,
+        order: Sequence[int],
         scale: np.ndarray,
-        finite: Sequence[tuple[int, int]],
+        external_scale: np.ndarray,
+        extension: bool,
     ) -> None: ...
-    def learn(self, data: bytes, mask: bytes, offsets: Sequence[int], spans: Sequence[tuple[int, int]]) -> None:
-        """Take a datagram as the example of those that `read` reads.
+    def read(self, data: bytes, robotware: str) -> Any:
+        """Return the packet, or the drop.
 
         Parameters
         ----------
-        data : the datagram. mask : 1 for each bit that is the same in all of them.
-        offsets : of the numbers, -1 for one that is absent. spans : (start, stop) of the integers, empty when absent.
+        data : one datagram. robotware : flavour of the session, "" to decide by the fields present.
+        """
+
+    def write(self, ref: Any) -> bytes:
+        """Return the bytes of an EgmSensor, as protobuf would write it.
+
+        Parameters
+        ----------
+        ref : a `wire.egm.Reference`.
 
         Raises
         ------
-        ShapeError : outside the datagram, or of another number.
-        """
-
-    def read(self, data: bytes) -> Any | None:
-        """Return the packet, None for a datagram that looks otherwise or lacks such a number.
-
-        Parameters
-        ----------
-        data : one datagram.
-        """
-
-    def packet(self, numbers: Sequence[float], integers: Sequence[int]) -> Any | None:
-        """Return the packet, None when a number that must be finite is not, or is too large.
-
-        Parameters
-        ----------
-        numbers, integers : see the class, 0 for what is absent.
-
-        Raises
-        ------
-        ShapeError : too few or too many.
-        """
-
-class EgmWriter:
-    """Writes a datagram by replacing the numbers of an example.
-
-    Parameters
-    ----------
-    example : the datagram. offsets : of each number, -1 for one that is not sent. divisors : SI per wire unit of each.
-    spans : (start, stop) of each integer.
-
-    Raises
-    ------
-    ShapeError : offsets outside the example, another number of divisors.
-    """
-
-    def __init__(
-        self, example: bytes, offsets: Sequence[int], divisors: np.ndarray, spans: Sequence[tuple[int, int]]
-    ) -> None: ...
-    def write(self, arrays: tuple[np.ndarray, ...], integers: tuple[int, ...]) -> bytes | None:
-        """Return the datagram, None when an integer takes another number of bytes than in the example.
-
-        Parameters
-        ----------
-        arrays : SI values, as many as there are offsets together. integers : one for each span.
-
-        Raises
-        ------
-        ShapeError : others.
+        ShapeError : another number of joints.
         """
 
 class InverseSolver:
@@ -696,10 +647,11 @@ class RowPacker:
     places : of the columns in the row, one behind the other: (column, source, field, form, nothing, detail).
         source, field : object and attribute; source "record" is the value by this name in the attribute `record` of
         the command, else of the tick.
-        form : "count" int64, "real" float64, "flag" one byte, "code" the number that the mapping `detail` gives a
-        text, 0 for others; "doubles" exactly as many as fit, none or None for missing; "padded" at most as many as fit;
-        "bits" exactly as many bytes as fit, None for missing; "said" one number or flag, None for missing; "heard" a
-        flag that is missing when it is False and the column `detail` is missing.
+        form : "count" int64, "real" float64, "flag" one byte or int64, "code" the number that the mapping `detail`
+        gives a text, 0 for others; "doubles" exactly as many as fit, none or None for missing; "fitting" the same, and
+        missing where others come; "padded" at most as many as fit; "bits" exactly as many bytes or int64 as fit, None
+        for missing; "said" one number or flag, None for missing; "heard" a flag that is missing when it is False and
+        the column `detail` is missing; "blank" what is written by somebody else.
         nothing : the bytes of a missing value; of "count", "real", "flag", "code" only their number counts.
     seldom : name of the first column of those at the end that a row leaves out when all of them are missing.
     """

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
     from armlab.log import Table
-    from armlab.log.recording.inspection import Event
+    from armlab.log.recording.metadata import Event
     from armlab.models import TorqueModel
 
 

@@ -10,7 +10,7 @@ from armlab.log.file_formats.labcomm import read_labcomm
 from armlab.log.file_formats.mat import read_mat
 from armlab.log.mcap.recovery import recover
 from armlab.log.reading import read, read_arm
-from armlab.log.recording.inspection import inspect
+from armlab.log.recording.metadata import inspect
 from armlab.log.recording.recorder import Recorder
 from armlab.log.recording.rows import Tick
 from armlab.log.recording.splice import cut, merge

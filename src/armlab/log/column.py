@@ -37,43 +37,37 @@ class Column:
     labels: tuple[str, ...] = ()
     kind: str | None = None
 
-    def resolved(self, name: str) -> Column:
-        """Return the description with everything that the glossary knows about `name` filled in.
 
-        Raises
-        ------
-        ShapeError : unit, frame or row shape contradict the glossary; the unit of a new name is missing;
-            labels do not count what they name.
-        UnknownName : the kind does not exist.
-        """
-        symbol = glossary.columns().get(name)
-        if symbol is None and self.unit is None:
+def resolved(column: Column, name: str) -> Column:
+    """Return the description with everything that the glossary knows about `name` filled in, or raise."""
+    symbol = glossary.columns().get(name)
+    if symbol is None and column.unit is None:
+        raise ShapeError(
+            f"Expected a unit for the column {name!r}, which the glossary does not know; give unit='1' for none."
+        )
+    for what, given in (("unit", column.unit), ("frame", column.frame)):
+        known = getattr(symbol, what, None)
+        if known is not None and given is not None and given != known:
             raise ShapeError(
-                f"Expected a unit for the column {name!r}, which the glossary does not know; give unit='1' for none."
+                f"Expected {what} {known!r} for the column {name!r} (glossary), got {given!r}; "
+                "convert the values or use another name."
             )
-        for what, given in (("unit", self.unit), ("frame", self.frame)):
-            known = getattr(symbol, what, None)
-            if known is not None and given is not None and given != known:
-                raise ShapeError(
-                    f"Expected {what} {known!r} for the column {name!r} (glossary), got {given!r}; "
-                    "convert the values or use another name."
-                )
-        kind = self.kind or (symbol.kind if symbol else "real")
-        if kind not in KINDS:
-            raise UnknownName.among("kind of column", kind, KINDS)
-        if symbol:
-            _check_row_shape(name, self.shape, symbol.shape)
-        if self.labels and (not self.shape or len(self.labels) != self.shape[0]):
-            raise ShapeError(
-                f"Expected {self.shape[0] if self.shape else 0} labels for the column {name!r}, got {len(self.labels)}."
-            )
-        unit = self.unit if self.unit is not None else (symbol.unit if symbol else "1")
-        frame = self.frame if self.frame is not None else (symbol.frame if symbol else "")
-        return replace(self, unit=unit, frame=frame, kind=kind, labels=tuple(self.labels))
+    kind = column.kind or (symbol.kind if symbol else "real")
+    if kind not in KINDS:
+        raise UnknownName.among("kind of column", kind, KINDS)
+    if symbol:
+        _check_row_shape(name, column.shape, symbol.shape)
+    if column.labels and (not column.shape or len(column.labels) != column.shape[0]):
+        count = column.shape[0] if column.shape else 0
+        raise ShapeError(f"Expected {count} labels for the column {name!r}, got {len(column.labels)}.")
+    unit = column.unit if column.unit is not None else (symbol.unit if symbol else "1")
+    frame = column.frame if column.frame is not None else (symbol.frame if symbol else "")
+    return replace(column, unit=unit, frame=frame, kind=kind, labels=tuple(column.labels))
 
-    def heading(self, name: str) -> str:
-        """Return the label of an axis or a header: ``"tau [N m]"``."""
-        return name if self.unit in (None, "", "1") else f"{name} [{self.unit}]"
+
+def heading(column: Column, name: str) -> str:
+    """Return the label of an axis or a header: ``"tau [N m]"``."""
+    return name if column.unit in (None, "", "1") else f"{name} [{column.unit}]"
 
 
 def _check_row_shape(name: str, shape: tuple[int, ...], words: str) -> None:
@@ -97,7 +91,7 @@ def stored(name: str, values: Any, column: Column | None) -> tuple[np.ndarray, C
         raise ShapeError("Expected columns besides t, the clock of the table, got one of that name. Rename it.")
     if raw.ndim == 0:
         raise ShapeError(f"Expected one value per row for the column {name!r}, got a single value.")
-    described = replace(column or Column(), shape=raw.shape[1:]).resolved(name)
+    described = resolved(replace(column or Column(), shape=raw.shape[1:]), name)
     note = ""
     if described.kind in ("count", "flag") and raw.dtype.kind == "f" and not np.isfinite(raw).all():
         note = f"{name}: {described.kind} with missing values, kept as real"

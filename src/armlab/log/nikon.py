@@ -23,7 +23,7 @@ from armlab.errors import LogError, ShapeError
 from armlab.lie import euler, se3, so3
 from armlab.log.file_formats.mat import read_mat
 
-__all__ = ["Cloud", "PlaneFile", "PoseFile", "read_cloud", "read_matrix", "read_plane"]
+__all__ = ["read_cloud", "read_matrix", "read_plane"]
 
 MM = 1e-3  # m
 NORMAL = 1e-4  # most that the length of a normal with a few decimals is off 1

@@ -13,11 +13,10 @@ from armlab.errors import ArmlabError, ConfigError, LogError, ModelMismatchError
 from armlab.log.assembly import recording_table
 from armlab.log.file_formats.delimited import read_csv
 from armlab.log.file_formats.description import Progress
-from armlab.log.file_formats.hdf5 import read_hdf5
+from armlab.log.file_formats.hdf5_parquet import read_hdf5, read_parquet
 from armlab.log.file_formats.labcomm import read_labcomm
 from armlab.log.file_formats.mat import read_mat_table
 from armlab.log.file_formats.opening import BAGS, check_readable, format_at, naming, opened
-from armlab.log.file_formats.parquet import read_parquet
 from armlab.log.file_formats.rosbag2 import read_rosbag2
 from armlab.log.mcap.records import DAMAGE, Contents, contents
 from armlab.log.recording.columns import (
@@ -31,11 +30,10 @@ from armlab.log.recording.columns import (
     summary_of,
     torn_sentence,
 )
-from armlab.log.recording.inspection import inspect
+from armlab.log.recording.metadata import inspect
 from armlab.log.recording.ros_messages import topic_name
 from armlab.log.table import Table
-from armlab.log.topics.reader import is_foreign, names_robots, read_foreign, read_joints
-from armlab.log.topics.tables import Choice
+from armlab.log.topics.reader import Choice, is_foreign, names_robots, read_foreign, read_joints
 from armlab.robots import Robot
 
 _READERS: dict[str, Callable[..., Table]] = {

@@ -14,9 +14,8 @@ from armlab.errors import ConfigError, LogError, ShapeError
 from armlab.log.column import Column
 from armlab.log.file_formats.delimited import describe, sidecar_path, write_csv
 from armlab.log.file_formats.description import Progress
-from armlab.log.file_formats.hdf5 import write_hdf5
+from armlab.log.file_formats.hdf5_parquet import write_hdf5, write_parquet
 from armlab.log.file_formats.mat import write_mat
-from armlab.log.file_formats.parquet import write_parquet
 from armlab.log.file_formats.rosbag2 import write_rosbag2
 from armlab.log.recording.file import RecordingFile
 from armlab.log.recording.rows import RowLayout

@@ -13,6 +13,7 @@ from armlab.errors import ShapeError, UnknownName
 from armlab.glossary import label
 from armlab.lie import quaternion
 from armlab.log import Table
+from armlab.log.column import heading
 from armlab.plots.space import pose_stack
 from armlab.plots.style import JOINT_STYLES, expect, legend, line, look, panels, shade
 
@@ -74,7 +75,7 @@ def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes
 
 def _draw(ax: Axes, data: Table, names: list[str], component: int | None) -> None:
     """Draw columns of one quantity, all components or one."""
-    ax.set_ylabel(data.columns[names[0]].heading(_quantity(names[0])))
+    ax.set_ylabel(heading(data.columns[names[0]], _quantity(names[0])))
     for name in names:
         flat = data[name].reshape(len(data), -1)
         dashes, word = next((_DASHES[end] for end in _DASHES if name.endswith(end)), (None, None))

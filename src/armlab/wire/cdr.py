@@ -81,18 +81,7 @@ class Layout:
 
 @lru_cache(maxsize=64)
 def definitions(name: str, text: str, encoding: str = "ros2msg") -> Definitions:
-    """Return the fields of a message type and of the types in it, from the text of its schema.
-
-    Parameters
-    ----------
-    name : type, for example "sensor_msgs/msg/JointState".
-    text : definition with those of the types it uses, separated by lines of ``=``.
-    encoding : of the schema, "ros2msg" or "ros2idl".
-
-    Raises
-    ------
-    LogError : the text is not a message definition, or one without bound.
-    """
+    """Return the fields of a message type and of the types in it, from the text of its schema."""
     from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
 
     if encoding not in ("ros2msg", "ros2idl"):
@@ -108,12 +97,7 @@ def definitions(name: str, text: str, encoding: str = "ros2msg") -> Definitions:
 
 
 def with_bytes(types: Definitions) -> Definitions:
-    """Return the definitions with the byte that CDR of ROS 2 gives to messages without fields.
-
-    Parameters
-    ----------
-    types : as messages are written; ROS 1 has no such byte.
-    """
+    """Return the definitions with the byte that CDR of ROS 2 gives to messages without fields."""
     return {name: fields or [(NO_MEMBER, _BYTE)] for name, fields in types.items()}
 
 
@@ -129,13 +113,7 @@ class _Size:
 
 
 def bounded(name: str, types: Definitions) -> Definitions:
-    """Return the definitions of a type as they are, where a few types do not hold each other times without end.
-
-    Raises
-    ------
-    LogError : a type that is not defined, too many fields, with those of all types in it, nested too deep, names too
-        long, or a sequence whose elements are hardly any bytes, so that a short message may say that it has many.
-    """
+    """Return the definitions of a type as they are, where a few types do not hold each other times without end."""
     known: dict[str, _Size] = {}
 
     def size(one: str, depth: int) -> _Size:
@@ -188,18 +166,7 @@ def held(description: Any) -> tuple[str, int, bool]:
 
 
 def layout(raw: bytes | memoryview, name: str, types: Definitions) -> Layout:
-    """Return where the numbers and texts of one message are.
-
-    Parameters
-    ----------
-    raw : message with its encapsulation header, either byte order.
-    name : its type.
-    types : from `definitions`.
-
-    Raises
-    ------
-    LogError : the bytes do not fit the type.
-    """
+    """Return where the numbers and texts of one message are."""
     if len(raw) < _HEADER or raw[0] != 0 or raw[1] not in (0, 1):
         raise LogError(f"Expected a {name} in plain CDR, got {bytes(raw[:4]).hex(' ') or 'nothing'} at its beginning.")
     walk = _Walk(raw, "<" if raw[1] else ">", types)

@@ -19,7 +19,8 @@ from armlab.bridge.net.sockets import Arrival
 from armlab.log import Tick
 from armlab.robots import Robot
 from armlab.state import Command, State
-from armlab.wire.egm import EgmCodec, RobotSideCodec, SensorMessage
+from armlab.wire.egm import EgmCodec
+from armlab.wire.egm.robot_side import RobotSideCodec, SensorMessage
 
 from ..conftest import PERIOD_NS, Packets
 

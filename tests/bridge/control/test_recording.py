@@ -15,7 +15,7 @@ from armlab.bridge.control.recording import Feed, Recording, paths
 from armlab.bridge.control.run import served, statistics, together
 from armlab.bridge.inputs.parameters import Change
 from armlab.log import Column, Table, Tick
-from armlab.log.recording.inspection import Setting
+from armlab.log.recording.metadata import Setting
 from armlab.robots import Robot
 from armlab.state import Command, State
 

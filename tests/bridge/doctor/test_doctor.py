@@ -39,7 +39,7 @@ from armlab.bridge.doctor.report import DEFAULT_PORTS, LONGEST, examine
 from armlab.bridge.net.sockets import Arrival
 from armlab.errors import ConfigError
 from armlab.robots import Robot
-from armlab.wire.egm import RobotMessage, RobotSideCodec
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
 
 
 def test_all_checks_of_this_computer_say_something() -> None:

@@ -10,17 +10,9 @@ import pytest
 
 from armlab import robots
 from armlab.errors import ConfigError, RobotError
-from armlab.wire.egm import EgmCodec, Packet, Reference, RobotMessage, RobotSideCodec, SensorMessage
+from armlab.wire.egm import EgmCodec, Packet, Reference
 from armlab.wire.egm.axes import RADIAN, AxisMap, Linkage, Refused
-
-
-def test_yumi_order(yumi: Any) -> None:
-    """ABB's axis 7 is the third joint: q = (1, 2, 7, 3, 4, 5, 6)."""
-    axes = AxisMap(yumi)
-    assert axes.joints([1, 2, 3, 4, 5, 6], [7]) == (1, 2, 7, 3, 4, 5, 6)
-    assert axes.wire(np.array([1.0, 2, 7, 3, 4, 5, 6]), np.ones(7)) == (1, 2, 3, 4, 5, 6, 7)
-    assert (axes.head, axes.tail) == (6, 1)
-    np.testing.assert_array_equal(axes.scale, np.full(7, np.pi / 180))
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec, SensorMessage
 
 
 @pytest.mark.parametrize("elbow", [135.0, -135.0])
@@ -64,11 +56,6 @@ def test_wrong_counts_are_refused_by_name(yumi: Any, joints: list[float], extern
     with pytest.raises(Refused) as refused:
         AxisMap(yumi).joints(joints, external)
     assert refused.value.drop.reason == reason
-
-
-def test_external_axes_may_follow(six: Any, yumi: Any) -> None:
-    assert AxisMap(six).joints([1, 2, 3, 4, 5, 6], [100, 200]) == (1, 2, 3, 4, 5, 6)
-    assert AxisMap(yumi).joints([1, 2, 3, 4, 5, 6], [7, 100])[2] == 7
 
 
 def test_extension_arrays_in_both_orders(yumi: Any) -> None:

@@ -11,8 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab.errors import ConfigError, UnknownName
-from armlab.wire.egm import Drop, EgmCodec, Packet, Reference, RobotMessage, RobotSideCodec, SensorMessage
-from armlab.wire.egm.robot_side import DEFAULT_ARRAYS, EXTENSION_ARRAYS, MAX_BYTES, ROBOTWARE
+from armlab.wire.egm import Drop, EgmCodec, Packet, Reference
+from armlab.wire.egm import armlab_egm_pb2 as pb
+from armlab.wire.egm.pose_force import NO_POSE, pose_from_matrix, pose_values, read_pose
+from armlab.wire.egm.robot_side import (
+    DEFAULT_ARRAYS,
+    EXTENSION_ARRAYS,
+    MAX_BYTES,
+    ROBOTWARE,
+    RobotMessage,
+    RobotSideCodec,
+    SensorMessage,
+)
 
 finite = st.floats(-1e3, 1e3)
 
@@ -44,7 +54,8 @@ def test_robot_to_bridge(yumi: Any, robotware: str, extension: bool, data: st.Da
     np.testing.assert_allclose(packet.q_ext, [0.5])
     np.testing.assert_allclose(packet.T_frame_tool, T, atol=1e-15)
     assert packet.robot_ns == (0 if robotware == "6.06" else 1_700_000_000_123_456_000)
-    assert np.isnan(packet.wrench_raw).all() == (robotware in ("6.06", "6.07"))
+    wrench = np.full(6, np.nan) if robotware in ("6.06", "6.07") else message.wrench_raw
+    np.testing.assert_array_equal(packet.wrench_raw, wrench)
     if extension:
         np.testing.assert_allclose(packet.qd, qd, rtol=1e-14)
         np.testing.assert_array_equal(packet.tau, tau)
@@ -158,3 +169,68 @@ def test_wrong_names(six: Any) -> None:
         RobotSideCodec(six, "5")
     with pytest.raises(UnknownName, match="tau_gravity"):
         RobotSideCodec(six, extension=("gravity",))
+
+
+def written(message: pb.EgmPose) -> np.ndarray:
+    where, turn = message.pos, message.orient
+    return np.reshape(pose_values((where.x, where.y, where.z, turn.u0, turn.u1, turn.u2, turn.u3)), (4, 4))
+
+
+def test_millimetres_and_scalar_first() -> None:
+    """A quarter turn about z is (cos 45, 0, 0, sin 45); x goes to y."""
+    half = np.sqrt(0.5)
+    T = np.reshape(pose_values((400.0, -50.0, 300.0, half, 0.0, 0.0, half)), (4, 4))
+    expected = [[0, -1, 0, 0.4], [1, 0, 0, -0.05], [0, 0, 1, 0.3], [0, 0, 0, 1]]
+    np.testing.assert_allclose(T, expected, atol=1e-15)
+
+
+unit = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda u: sum(x * x for x in u) > 1e-3)
+
+
+@given(unit, st.tuples(*[st.floats(-3, 3)] * 3))
+def test_round_trip(quaternion: tuple[float, ...], position: tuple[float, ...]) -> None:
+    T = np.reshape(pose_values((*(1e3 * x for x in position), *quaternion)), (4, 4))
+    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
+    message = pb.EgmPose()
+    pose_from_matrix(message, T)
+    assert message.orient.u0 >= 0.0
+    assert not message.HasField("euler")
+    np.testing.assert_allclose(written(message), T, atol=1e-12)
+
+
+@pytest.mark.parametrize("turn", [(0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)])
+def test_half_turns(turn: tuple[float, ...]) -> None:
+    T = np.reshape(pose_values((0, 0, 0, *turn)), (4, 4))
+    message = pb.EgmPose()
+    pose_from_matrix(message, T)
+    np.testing.assert_allclose(written(message), T, atol=1e-12)
+
+
+@pytest.mark.parametrize("quaternion", [(0, 0, 0, 0), (np.nan, 0, 0, 0), (np.inf, 0, 0, 0)])
+def test_an_unusable_quaternion_is_no_pose(quaternion: tuple[float, ...]) -> None:
+    assert pose_values((0, 0, 0, *quaternion)) is NO_POSE
+    assert np.isnan(NO_POSE).all()
+
+
+def test_euler_angles_win_where_the_controller_reads() -> None:
+    """A rotation about x, then y, then z of the frame; without them, or for us, the quaternion counts."""
+    pose = pb.EgmPose(
+        pos=pb.EgmCartesian(x=1.0, y=2.0, z=3.0),
+        orient=pb.EgmQuaternion(u0=1.0, u1=0.0, u2=0.0, u3=0.0),
+        euler=pb.EgmEuler(x=30.0, y=-50.0, z=110.0),
+    )
+    assert read_pose(pose) == (1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
+    assert read_pose(pb.EgmPose()) is None
+    (cx, sx), (cy, sy), (cz, sz) = ((np.cos(a), np.sin(a)) for a in np.radians([30.0, -50.0, 110.0]))
+    turn_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    turn_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    turn_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    found = read_pose(pose, euler_wins=True)
+    assert found is not None
+    np.testing.assert_allclose(np.reshape(pose_values(found), (4, 4))[:3, :3], turn_z @ turn_y @ turn_x, atol=1e-15)
+    pose.ClearField("orient")
+    assert read_pose(pose) is None
+    assert read_pose(pose, euler_wins=True) == found
+    pose.euler.x = np.inf
+    assert np.isnan(read_pose(pose, euler_wins=True)[3:]).all()  # type: ignore[index]

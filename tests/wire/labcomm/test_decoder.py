@@ -14,26 +14,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab.errors import LabCommError
-from armlab.wire.labcomm import (
+from armlab.wire.labcomm import Decoder, Encoder, Limits, Sample, parse_lc, to_lc
+from armlab.wire.labcomm.decoder import parse_signature
+from armlab.wire.labcomm.types import (
     DIALECTS,
     PRIMS,
     VOID,
     Array,
-    Decoder,
     Definition,
-    Encoder,
     Field,
-    Limits,
-    Sample,
+    Prim,
     SampleType,
     Struct,
+    Type,
     Unknown,
     Version,
-    parse_lc,
-    parse_signature,
-    to_lc,
 )
-from armlab.wire.labcomm.types import Prim, Type
 
 NAMES = st.from_regex(r"\Af_[a-z0-9]{0,4}\Z")
 TEXTS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=6)
@@ -91,7 +87,7 @@ def streams(draw: st.DrawFn) -> tuple[str, SampleType, Any]:
     return dialect, SampleType("it", node), draw(values(node))
 
 
-@settings(max_examples=100)
+@settings(max_examples=50)
 @given(streams(), st.lists(st.integers(1, 30), max_size=8))
 def test_decode_inverts_encode(stream: tuple[str, SampleType, Any], cuts: list[int]) -> None:
     dialect, sample, value = stream
@@ -301,14 +297,14 @@ def fuzz(count: int, seed: int, seeds: list[bytes]) -> int:
 
 
 def test_mutated_streams(seeds: list[bytes]) -> None:
-    assert fuzz(20_000, 1, seeds) > 5_000
+    assert fuzz(5_000, 1, seeds) > 1_250
 
 
-@pytest.mark.slow  # a quarter of a minute each, on a busy machine a whole one
-@pytest.mark.parametrize("seed", [2, 3, 4, 5])
-def test_a_million_mutated_streams(seed: int, seeds: list[bytes]) -> None:
-    """A million in four parts, which run beside each other; the target of fuzz/ looks for others."""
-    assert fuzz(250_000, seed, seeds) > 60_000
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2, 3])
+def test_many_mutated_streams(seed: int, seeds: list[bytes]) -> None:
+    """In parts, which run beside each other; the target of fuzz/ looks for others."""
+    assert fuzz(150_000, seed, seeds) > 36_000
 
 
 def test_the_memory_of_a_hostile_stream(seeds: list[bytes]) -> None:

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from armlab.errors import LabCommError, UnknownName
-from armlab.wire.labcomm import Decoder, Definition, Sample, SampleType, Unknown, Version, parse_lc
+from armlab.wire.labcomm import Decoder, Sample, parse_lc
 from armlab.wire.labcomm.encoder import Encoder, write_packet
+from armlab.wire.labcomm.types import Definition, SampleType, Unknown, Version
 
 ROW = parse_lc("sample struct { int tm; double pos[7]; double vel[7]; double trq[7]; } robot_row;")[0]
 VALUE = {"tm": 5, "pos": [0.5] * 7, "vel": [0.0] * 7, "trq": [-1.0] * 7}

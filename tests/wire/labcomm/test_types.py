@@ -1,37 +1,29 @@
-"""Types, signatures, dialects, events, limits and numbers of LabComm."""
+"""Types, signatures, dialects and the .lc language of LabComm."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from armlab.errors import LabCommError, UnknownName
-from armlab.wire.labcomm import Decoder, Encoder, Limits, parse_lc
-from armlab.wire.labcomm.dialects import DIALECTS, Dialect, decode_packed32, dialect_named, encode_packed32
-from armlab.wire.labcomm.signature import FIRST_INDEX, SignatureWalk, parse_signature
-from armlab.wire.labcomm.source import Source
+from armlab.wire.labcomm import Limits, idl, parse_lc
+from armlab.wire.labcomm.decoder import FIRST_INDEX, SignatureWalk, parse_signature
+from armlab.wire.labcomm.idl import Typedef, to_lc
 from armlab.wire.labcomm.types import (
     PRIMS,
     VOID,
     Array,
-    Binding,
-    Definition,
-    Event,
     Field,
-    Other,
-    Pragma,
     Prim,
-    Sample,
     SampleType,
     Struct,
     Type,
     TypeRef,
-    Unknown,
-    Version,
-    containers,
-    typename,
+    dialect_named,
+    encode_packed32,
 )
+from armlab.wire.labcomm.values import Source
 
 
 def one(text: str) -> Type:
@@ -67,20 +59,6 @@ def test_signatures_of_the_dialects() -> None:
     assert node.signature("2006").hex() == "00000011" + "00000001" + "00000003" + "76616c" + "00000023"
     with pytest.raises(LabCommError, match="reference"):
         PRIMS["sample"].signature("2013")
-
-
-def test_types_compare_by_what_they_are() -> None:
-    row = Struct((("tm", PRIMS["int"]), ("pos", Array((7,), PRIMS["double"]))))
-    assert row == Struct((Field("tm", Prim("int")), Field("pos", Array((7,), Prim("double")))))
-    assert SampleType("row", row).signature() == row.signature()
-    assert (row.depth, row.nodes) == (3, 4)
-    assert [typename(node) for node in (row, row.fields[1].type, VOID, TypeRef(64))] == [
-        "struct",
-        "double[7]",
-        "struct",
-        "type 64",
-    ]
-    assert containers((2, 3, 4)) == 9
 
 
 def test_what_is_no_type_is_refused() -> None:
@@ -147,13 +125,6 @@ def test_type_indices_are_for_type_defs_only() -> None:
         parse_signature(b"\x28", "2015")
 
 
-def test_six_dialects() -> None:
-    assert list(DIALECTS) == ["2014v1", "2014", "2014i", "2014old", "2013", "2006"]
-    assert dialect_named("2013") == Dialect("2013", "LabComm2013", lengths=False, references=False)
-    with pytest.raises(UnknownName, match="2014v1"):
-        dialect_named("2014v2")
-
-
 def test_numbers_names_and_packets() -> None:
     new, notes, old = (dialect_named(name) for name in ("2014v1", "2014i", "2006"))
     assert new.number(300).hex() == "822c"
@@ -169,51 +140,12 @@ def test_numbers_names_and_packets() -> None:
         old.number(2**32)
 
 
-def test_events_compare_by_value() -> None:
-    events: list[Event] = [
-        Version("LabComm2014.v1"),
-        Definition("sample", 0x40, "a", PRIMS["int"]),
-        Binding(0x40, 0),
-        Pragma("kind", b"x"),
-        Other(6, b""),
-        Sample(0x40, "a", 1, PRIMS["int"]),
-        Unknown(0x41, b""),
-    ]
-    assert len(set(events)) == 7
-    assert Sample(0x40, "a", 1, PRIMS["int"]) in events
-    assert "'a'" in repr(events[5])
-
-
-def test_presets() -> None:
-    server, file = Limits.server(), Limits.file()
-    assert (server.packet, server.values, server.definitions, server.nodes) == (65_536, 16_384, 1024, 65_536)
-    assert (file.packet, file.values, file.definitions, file.nodes) == (2**24, 2**21, 4096, 2**20)
-    assert (server.empty_rows, server.depth, server.name, server.dims, server.entries) == (256, 32, 255, 16, 64)
-
-
-def test_a_file_may_hold_what_a_peer_may_not_send() -> None:
-    (sample,) = parse_lc("sample float a[_];")
-    encoder = Encoder()
-    raw = encoder.version() + encoder.define(sample) + encoder.data(sample, [1.0] * 20_000)
-    *_, event = Decoder(limits=Limits.file()).feed(raw)
-    assert isinstance(event, Sample)
-    assert len(event.value) == 20_000
-
-
 @pytest.mark.parametrize(
     ("n", "raw"),
     [(0, "00"), (127, "7f"), (128, "8100"), (300, "822c"), (172, "812c"), (2**32 - 1, "8fffffff7f")],
 )
 def test_the_bytes_of_the_format(n: int, raw: str) -> None:
     assert encode_packed32(n).hex() == raw
-    assert decode_packed32(bytes.fromhex(raw), 0) == (n, len(raw) // 2)
-
-
-@given(st.integers(0, 2**32 - 1), st.binary(max_size=3), st.integers(0, 4))
-def test_decode_inverts_encode(n: int, before: bytes, zeros: int) -> None:
-    raw = encode_packed32(n)
-    longer = b"\x80" * min(zeros, 5 - len(raw)) + raw
-    assert decode_packed32(before + longer + b"x", len(before)) == (n, len(before) + len(longer))
 
 
 @pytest.mark.parametrize("n", [-1, 2**32])
@@ -222,8 +154,96 @@ def test_numbers_out_of_range_are_refused(n: int) -> None:
         encode_packed32(n)
 
 
-@pytest.mark.parametrize("raw", ["", "81", "808080808001", "9080808000"])
-def test_bytes_that_are_no_number_are_refused(raw: str) -> None:
-    with pytest.raises(LabCommError, match="at byte 2") as caught:
-        decode_packed32(b"\xff\xff" + bytes.fromhex(raw), 2)
-    assert caught.value.offset == 2
+def test_declarations() -> None:
+    text = """// a comment
+    typedef double vec[3]; /* and
+    another */ sample struct { vec a; int n[2][_], m[4]; } bad;"""
+    with pytest.raises(LabCommError, match="line 3"):
+        parse_lc(text)
+    got = parse_lc("typedef int n[_]; sample n x[3]; sample sample r; sample void v;")
+    assert got == [
+        Typedef("n", Array((0,), PRIMS["int"])),
+        SampleType("x", Array((3,), Array((0,), PRIMS["int"]))),
+        SampleType("r", PRIMS["sample"]),
+        SampleType("v", VOID),
+    ]
+    assert parse_lc("  // nothing") == []
+
+
+def test_notes_are_of_2014i() -> None:
+    text = 'sample (source:bridge) "docs" struct { (unit:rad)(b:"two words") double q; "docs" int n; } s;'
+    (sample,) = parse_lc(text, "2014i")
+    fields = (Field("q", PRIMS["double"], (("b", '"two words"'), ("unit", "rad"))), Field("n", PRIMS["int"]))
+    assert sample == SampleType("s", Struct(fields), (("source", "bridge"),))
+    assert parse_lc(to_lc([sample]), "2014i") == [sample]
+    with pytest.raises(LabCommError, match="no notes"):
+        parse_lc(text)
+
+
+def test_what_is_printed_is_read_again() -> None:
+    text = "typedef struct {\n  int a[2, _];\n  struct {\n    string s;\n  } b[_][3];\n} t;\nsample void v;\n"
+    assert to_lc(parse_lc(text)) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "column", "what"),
+    [
+        ("int a;", 1, 1, "typedef"),
+        ("sample int", 1, 11, "a name"),
+        ("sample int a", 1, 13, '";"'),
+        ("sample\n  foo a;", 2, 3, "declared before"),
+        ("sample int struct;", 1, 12, "a name"),
+        ("sample int _;", 1, 12, "a name"),
+        ("sample int a; typedef int a;", 1, 27, "not taken"),
+        ("sample struct { } a;", 1, 17, "declared before"),
+        ("sample struct { int a; int a; } b;", 1, 28, "not taken"),
+        ("sample struct { void a; } b;", 1, 17, "with a value"),
+        ("typedef void v; sample struct { v a; } b;", 1, 33, "with a value"),
+        ("sample void a[3];", 1, 8, "with a value"),
+        ("sample int a[0];", 1, 14, "a size"),
+        ("sample int a[007];", 1, 14, "a name, a number"),
+        ("sample int a[4294967296];", 1, 14, "a size"),
+        ("sample int a[3;", 1, 15, '"]"'),
+        ("sample int a; ?", 1, 15, "a name, a number"),
+        ("sample int a; /* open", 1, 15, "a name, a number"),
+        ("typedef (a:b) int a;", 1, 9, "no notes"),
+        ("sample " + "struct { " * 33 + "int a;", 1, 8 + 32 * 9, "32 levels"),
+        ("sample int a" + "[1]" * 33 + ";", 1, 8, "32 levels"),
+    ],
+)
+def test_errors_have_line_and_column(text: str, line: int, column: int, what: str) -> None:
+    with pytest.raises(LabCommError, match=what) as caught:
+        parse_lc(text)
+    assert (caught.value.line, caught.value.column) == (line, column)
+
+
+def test_what_cannot_be_read_or_printed() -> None:
+    with pytest.raises(LabCommError, match="1048576"):
+        parse_lc(" " * (2**20 + 1))
+    with pytest.raises(LabCommError, match="a type of LabComm 2013"):
+        parse_lc("sample sample r;", "2013")
+    with pytest.raises(LabCommError, match="without notes"):
+        parse_lc("typedef (a:b) int x;", "2014i")
+    with pytest.raises(LabCommError, match="a name"):
+        to_lc([SampleType("int", PRIMS["int"])])
+    with pytest.raises(LabCommError, match="a note"):
+        to_lc([SampleType("n", PRIMS["int"], (("a", "two words"),))])
+
+
+def test_files() -> None:
+    assert idl.FILES == ("armlab", "extctrl")
+    assert set(idl.samples("armlab")) == {"robot_row", "command_row", "fused_row", "stop"}
+    assert "force_torque_net" in idl.text("extctrl")
+    with pytest.raises(UnknownName, match="extctrl"):
+        idl.samples("orca")
+
+
+@pytest.mark.parametrize("name", ["armlab", "extctrl"])
+def test_signatures_are_those_of_the_vectors(name: str, folder: Path) -> None:
+    ours = idl.samples(name)
+    theirs = parse_lc((folder / "idl" / f"{name}.lc").read_text(encoding="utf-8"))
+    both = [one for one in theirs if one.name in ours]
+    assert len(both) == 3
+    for one in both:
+        assert one.type == ours[one.name].type
+    assert len(idl.samples("armlab")["fused_row"].signature()) == 91

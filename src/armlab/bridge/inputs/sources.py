@@ -20,6 +20,7 @@ from armlab.bridge.net.sockets import Arrival, Port
 from armlab.bridge.servers.row import LARGEST
 from armlab.errors import ConfigError, ModelMismatchError, UnknownName
 from armlab.log import Column, Table
+from armlab.log.column import resolved
 from armlab.models import ForceSensor
 from armlab.robots import Robot
 
@@ -128,7 +129,7 @@ class Source:
         if taken:
             raise ConfigError(f"Expected other names than those of the log's own columns, got {', '.join(taken)}.")
         _check_shapes(name, fields)
-        self.fields = {field: column.resolved(field) for field, column in fields.items()}
+        self.fields = {field: resolved(column, field) for field, column in fields.items()}
         self._missing = {field: np.full(column.shape, np.nan) for field, column in fields.items()}
         self.max_age = max(3.0 * period, _DEFAULT_AGE) if max_age is None else float(max_age)
         self.problem, self.now_ns = "", 0

@@ -18,7 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armlab.errors import ConfigError, LinkError, UnknownName
+from armlab.kernels import RowPacker
 from armlab.log import Column, Tick
+from armlab.log.column import resolved
+from armlab.log.recording.rows import COUNTS, ESTIMATE, FIXED, FLAGS, JOINTS, REALS
 from armlab.robots import Robot
 from armlab.state import Command, State
 
@@ -43,17 +46,25 @@ VERSION = 1
 HEAD = struct.Struct("<4sI8sQqq")
 TYPES = {"float64": "<f8", "int64": "<i8", "text": "S1"}
 WORDS = 48  # bytes of a commander's name: a server, a blank, 16 bytes in hexadecimal digits
-REALS = ("session_t", "dt", "utilization", "age")
-COUNTS = (
-    "tick", "seq", "seq_sent", "session", "missed", "drops", "robot_ns", "receive_ns", "send_ns", "step_ns", "motors",
-    "mci", "rapid", "converged", "late", "fresh",
-)  # fmt: skip
+NOT_SENT = ("stamp_ns", "wake_ns")  # the head of a row has the first
+
+
+def _arm_columns() -> Iterator[tuple[str, str, str, str, tuple[int, ...] | None]]:
+    """Yield name, type, source, form (see `kernels.RowPacker`) and shape, None per joint, of the fields of an arm."""
+    yield from ((name, "float64", source, "real", ()) for name, source in REALS.items())
+    yield "age", "float64", "", "blank", ()
+    yield from ((name, "float64", source, "fitting", None) for name, source in JOINTS.items())
+    for name, (source, form, shape) in FIXED.items():
+        yield name, "float64", source, "padded" if form == "padded" else "fitting", shape
+    yield from ((name, "float64", f"record.{name}", "fitting", column.shape) for name, column in ESTIMATE.items())
+    yield from ((name, "int64", source, "count", ()) for name, source in COUNTS.items() if name not in NOT_SENT)
+    yield from ((name, "int64", source, "flag", ()) for name, source in FLAGS.items())
+    yield "fresh", "int64", "", "blank", ()
+    yield "clamped", "int64", "tick.clamped", "bits", None
+    yield "commander", "text", "", "blank", (WORDS,)
+
+
 UNITS = {"age": "s", "fresh": "1", "commander": "1"}
-MEASURED = ("q", "qd", "tau", "q_planned")
-ASKED = {"q_ref": "q", "qd_ref": "qd", "tau_ref": "tau"}
-SENT = ("q_sent", "qd_sent", "tau_sent")
-FIXED = {"wrench_raw": (6,), "wrench": (6,), "T_frame_tool": (4, 4), "q_ext": (6,)}
-RECORDED = {"wrench_hat": (6,), "wrench_hat_cov": (6, 6)}
 
 
 LARGEST = 8192
@@ -90,17 +101,9 @@ class RowField:
 class RowSchema:
     """What is in the rows of a run.
 
-    Parameters
-    ----------
-    robots : names of the robots. fields : see `RowField`.
-
     Attributes
     ----------
     robots, fields : as given, `fields` by name. text : canonical JSON, bytes. id : 8 bytes. size : bytes of a row.
-
-    Raises
-    ------
-    ConfigError : fields of one name, overlapping, of an unknown type, or more than `LARGEST` bytes.
     """
 
     def __init__(self, robots: Sequence[str], fields: Iterable[RowField]) -> None:
@@ -122,18 +125,13 @@ class RowSchema:
 
     @classmethod
     def of(cls, robots: Sequence[Robot], sources: Mapping[str, Mapping[str, Column]] | None = None) -> RowSchema:
-        """Return the schema of a cell: per robot the columns of its log, its age and its commander; then the sources.
-
-        Parameters
-        ----------
-        robots : the arms. sources : fields by name of the source.
-        """
+        """Return the schema of a cell: per robot the columns of its log, age and commander; then the sources."""
         fields: list[RowField] = []
         at = HEAD.size
 
         def add(owner: str, name: str, type_: str, column: Column, unit: str | None = None) -> None:
             nonlocal at
-            known = column.resolved(name) if unit is None else column
+            known = resolved(column, name) if unit is None else column
             fields.append(
                 RowField(
                     f"{owner}.{name}",
@@ -149,16 +147,9 @@ class RowSchema:
             at += fields[-1].size
 
         for robot in robots:
-            for name in REALS:
-                add(robot.name, name, "float64", Column(), UNITS.get(name))
-            for name in (*MEASURED, *ASKED, *SENT):
-                add(robot.name, name, "float64", Column((robot.n,), labels=robot.joint_names))
-            for name, shape in {**FIXED, **RECORDED}.items():
-                add(robot.name, name, "float64", Column(shape))
-            for name in COUNTS:
-                add(robot.name, name, "int64", Column(), UNITS.get(name))
-            add(robot.name, "clamped", "int64", Column((robot.n,), labels=robot.joint_names))
-            add(robot.name, "commander", "text", Column((WORDS,)), "1")
+            for name, type_, _, _, shape in _arm_columns():
+                column = Column((robot.n,), labels=robot.joint_names) if shape is None else Column(shape)
+                add(robot.name, name, type_, column, UNITS.get(name))
         for source, columns in (sources or {}).items():
             for name, column in columns.items():
                 add(source, name, "float64", column)
@@ -166,16 +157,7 @@ class RowSchema:
         return cls([robot.name for robot in robots], fields)
 
     def require(self, robot: Robot, *, whole: bool = True) -> None:
-        """Refuse rows whose fields of an arm are not those of this one: who reads them takes them for granted.
-
-        Parameters
-        ----------
-        robot : the arm. whole : also refuse rows that do not have all of them.
-
-        Raises
-        ------
-        LinkError : a field is of another type or shape, or not there.
-        """
+        """Refuse rows whose fields of an arm are not those of this one: who reads them takes them for granted."""
         for name, wanted in RowSchema.of([robot]).fields.items():
             found = self.fields.get(name, None if whole else wanted)
             if found is None or (found.type, found.shape) != (wanted.type, wanted.shape):
@@ -187,16 +169,7 @@ class RowSchema:
 
     @classmethod
     def read(cls, text: bytes) -> RowSchema:
-        """Return the schema that was written as JSON.
-
-        Parameters
-        ----------
-        text : as in `RowSchema.text`.
-
-        Raises
-        ------
-        ConfigError : not such a text.
-        """
+        """Return the schema that was written as JSON."""
         import msgspec
 
         class Written(msgspec.Struct, forbid_unknown_fields=True):
@@ -263,30 +236,12 @@ class _Values(Mapping[str, Any]):
 
 
 def read_row(schema: RowSchema, data: bytes) -> Row:
-    """Return the row in `data`.
-
-    Parameters
-    ----------
-    schema : of the feed. data : one message.
-
-    Raises
-    ------
-    LinkError : no row, one of another schema, or of another length.
-    """
+    """Return the row in `data`."""
     return Row(*read_head(schema, data), _Values(schema.fields, data))
 
 
 def read_head(schema: RowSchema, data: bytes) -> tuple[int, int, int]:
-    """Return number, monotonic and wall clock [ns] of a row.
-
-    Parameters
-    ----------
-    schema, data : as of `read_row`.
-
-    Raises
-    ------
-    LinkError : as of `read_row`.
-    """
+    """Return number, monotonic and wall clock [ns] of a row."""
     if len(data) < HEAD.size or data[:4] != MAGIC:
         raise LinkError(f"Expected a row that begins with {MAGIC.decode()}, got {len(data)} bytes: {data[:8]!r}.")
     _, size, id_, seq, mono_ns, wall_ns = HEAD.unpack_from(data)
@@ -298,22 +253,12 @@ def read_head(schema: RowSchema, data: bytes) -> tuple[int, int, int]:
 
 
 def beginning(schema: RowSchema) -> bytes:
-    """Return what all rows of a schema begin with.
-
-    Parameters
-    ----------
-    schema : of the rows.
-    """
+    """Return what all rows of a schema begin with."""
     return HEAD.pack(MAGIC, schema.size, schema.id, 0, 0, 0)[:_BEGINNING]
 
 
 def clock_ms(robot_ns: int, session_t: float) -> int | None:
-    """Return the clock of a robot [ms], that of its session where it tells none; None where neither is a time.
-
-    Parameters
-    ----------
-    robot_ns, session_t : of a row [ns, s].
-    """
+    """Return the clock of a robot [ms], that of its session where it tells none; None where neither is a time."""
     if robot_ns:
         return robot_ns // 10**6
     ms = 1e3 * session_t
@@ -324,10 +269,6 @@ def places(schema: RowSchema, source: str) -> dict[str, tuple[struct.Struct, int
     """Return where the numbers of a source are in its rows: their form and their offset, by field without the source.
 
     Who wants the same few fields of every row reads them at a tenth of the time.
-
-    Parameters
-    ----------
-    schema : of the rows. source : robot or source.
     """
     return {
         field.name.removeprefix(f"{source}."): (
@@ -340,35 +281,25 @@ def places(schema: RowSchema, source: str) -> dict[str, tuple[struct.Struct, int
 
 
 class _Part:
-    """Where the values of one robot are in the row, as indices of 8 bytes."""
+    """The fields of one arm: where they are in the row, and what packs them."""
 
     def __init__(self, schema: RowSchema, robot: str) -> None:
-        def place(name: str) -> slice:
-            field = schema.fields[f"{robot}.{name}"]
-            start = (field.offset - HEAD.size) // 8
-            return slice(start, start + field.size // 8)
-
-        self.n = schema.fields[f"{robot}.q"].shape[0]
-        self.reals = schema.fields[f"{robot}.{REALS[0]}"].offset
-        self.counts = schema.fields[f"{robot}.{COUNTS[0]}"].offset
-        self.age, self.fresh = place("age").start, place("fresh").start
-        self.measured = [(name, place(name)) for name in MEASURED]
-        self.asked = [(place(name), attribute) for name, attribute in ASKED.items()]
-        self.sent = [(name, place(name)) for name in SENT]
-        self.fixed = [(name, place(name), math.prod(shape)) for name, shape in FIXED.items() if name != "q_ext"]
-        self.q_ext, self.clamped = place("q_ext"), place("clamped")
-        self.recorded = [(name, place(name), math.prod(shape)) for name, shape in RECORDED.items()]
-        self.commander = schema.fields[f"{robot}.commander"].offset
+        fields = {name: schema.fields[f"{robot}.{name}"] for name, *_ in _arm_columns()}
+        self.start, self.commander = fields["session_t"].offset, fields["commander"].offset
+        self.stop = self.commander + fields["commander"].size
+        self.age, self.fresh = ((fields[name].offset - HEAD.size) // 8 for name in ("age", "fresh"))
         self.heard_ns = 0
+        places = []
+        for name, type_, source, form, _ in _arm_columns():
+            value = {"age": 0.0, "fresh": 1}.get(name, np.nan if type_ == "float64" else 0)
+            nothing = np.full(fields[name].size // 8, value, TYPES.get(type_) if type_ != "text" else "<i8").tobytes()
+            owner, _, attribute = source.partition(".")
+            places.append((name, owner or "state", attribute, form, nothing, None))
+        self.pack = RowPacker((State, Command, Tick), places, "").pack
 
 
 class RowWriter:
-    """Fills the row of a run, arm by arm.
-
-    Parameters
-    ----------
-    schema : of the rows, made by `RowSchema.of`.
-    """
+    """Fills the row of a run, arm by arm."""
 
     def __init__(self, schema: RowSchema) -> None:
         self._schema, self._seq = schema, 0
@@ -383,29 +314,14 @@ class RowWriter:
         self._sources = [field for field in schema.fields.values() if field.source not in schema.robots]
 
     def row(self, state: State, command: Command | None, tick: Tick, mono_ns: int, commander: str = "") -> bytes:
-        """Return the row after a tick of one arm; what the others gave last is in it too, with its age.
-
-        Parameters
-        ----------
-        state, command, tick : see `recording.Feed`. mono_ns : our monotonic clock. commander : of this arm.
-
-        Raises
-        ------
-        UnknownName : the robot of the state is not in the schema.
-        """
+        """Return the row after a tick of one arm; what the others gave last is in it too, with its age."""
         part = self._parts.get(state.robot)
         if part is None:
             raise UnknownName.among("robot of these rows", state.robot, self._parts)
         self._seq += 1
         buffer = self._buffer
         HEAD.pack_into(buffer, 0, MAGIC, len(buffer), self._schema.id, self._seq, mono_ns, tick.stamp_ns)
-        struct.pack_into("<4d", buffer, part.reals, state.t, state.dt, state.utilization, 0.0)
-        struct.pack_into(
-            "<16q", buffer, part.counts, tick.number, state.seq, tick.seq_sent, state.session, state.missed, tick.drops,
-            state.robot_ns, tick.receive_ns, tick.send_ns, tick.step_ns, state.motors, state.mci, state.rapid,
-            state.converged, tick.late, 1,
-        )  # fmt: skip
-        self._fill(part, state, command, tick)
+        buffer[part.start : part.stop] = part.pack(state, command, tick)
         word = commander.encode(errors="replace")[:WORDS]
         buffer[part.commander : part.commander + WORDS] = word + bytes(WORDS - len(word))
         part.heard_ns = tick.receive_ns
@@ -426,49 +342,16 @@ class RowWriter:
                 values = held.age if name == "age" else held.kept[name]
                 self._numbers[start : start + field.size // 8] = np.ravel(values)
 
-    def _fill(self, part: _Part, state: State, command: Command | None, tick: Tick) -> None:
-        numbers, n = self._numbers, part.n
-        for name, place in part.measured:
-            values = getattr(state, name)
-            numbers[place] = values if len(values) == n else np.nan
-        for place, attribute in part.asked:
-            values = None if command is None else getattr(command, attribute)
-            numbers[place] = np.nan if values is None or np.shape(values) != (n,) else values
-        for name, place in part.sent:
-            values = getattr(tick, name)
-            numbers[place] = np.nan if values is None else values
-        for name, place, size in part.fixed:
-            values = getattr(state, name)
-            numbers[place] = values.ravel() if values.size == size else np.nan
-        numbers[part.q_ext] = np.nan
-        external = state.q_ext[: part.q_ext.stop - part.q_ext.start]
-        numbers[part.q_ext.start : part.q_ext.start + len(external)] = external
-        record = {} if command is None else command.record
-        for name, place, size in part.recorded:
-            values = record.get(name) if record else None
-            numbers[place] = np.nan if values is None or np.size(values) != size else np.ravel(values)
-        self._integers[part.clamped] = 0 if tick.clamped is None else tick.clamped
-
 
 class Pace:
-    """Takes a row when one of the arms that it is fresh for is due, so that no arm keeps another from its rows.
-
-    Parameters
-    ----------
-    every : s between two rows of an arm; 0 takes all.
-    """
+    """Takes a row when one of the arms that it is fresh for is due, so that no arm keeps another from its rows."""
 
     def __init__(self, every: float) -> None:
         self._every = every
         self._due: dict[Hashable, float] = {}
 
     def takes(self, arms: Iterable[Hashable], now: float) -> bool:
-        """Return whether a row is taken.
-
-        Parameters
-        ----------
-        arms : for which it is fresh. now : s, of a clock that never goes back.
-        """
+        """Return whether a row is taken."""
         due = [arm for arm in arms if now >= self._due.get(arm, now)]
         for arm in due:
             self._due[arm] = max(self._due.get(arm, now) + self._every, now)

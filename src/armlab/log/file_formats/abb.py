@@ -34,8 +34,8 @@ from armlab import glossary
 from armlab._toml import parsed
 from armlab.errors import ConfigError, LogError, RobotError, ShapeError, UnknownName
 from armlab.log.column import Column, alias
-from armlab.log.file_formats.column_labels import labelled_table
 from armlab.log.file_formats.delimited import rows_of
+from armlab.log.file_formats.description import labelled_table
 from armlab.log.file_formats.opening import is_text, origin
 from armlab.log.table import Table
 

@@ -26,8 +26,14 @@ from armlab._numbers import number
 from armlab._toml import parsed
 from armlab.errors import LogError
 from armlab.log.column import refuse_ragged
-from armlab.log.file_formats.column_labels import labelled_table, names_of
-from armlab.log.file_formats.description import Description, Progress, components, put_together
+from armlab.log.file_formats.description import (
+    Description,
+    Progress,
+    components,
+    labelled_table,
+    names_of,
+    put_together,
+)
 from armlab.log.file_formats.opening import FIRST, format_of
 from armlab.log.table import Table
 

@@ -21,7 +21,8 @@ from armlab.log.assembly import rows_in_order
 from armlab.log.column import Column, refuse_ragged
 from armlab.log.file_formats.opening import FIRST, file_hash, format_of
 from armlab.log.table import Table
-from armlab.wire.labcomm import Array, Decoder, Limits, Prim, Sample, Struct
+from armlab.wire.labcomm import Decoder, Limits, Sample
+from armlab.wire.labcomm.types import Array, Prim, Struct
 
 _PIECE = 1 << 20
 _CLOCKS = {"t_us": 1e-6, "tm": 1e-3, "t": 1.0, "time": 1.0}  # fields of a sample that are its clock, and their unit [s]

@@ -21,9 +21,8 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from armlab.errors import LogError, UnknownName
-from armlab.log.file_formats.column_labels import foreign_table
-from armlab.log.file_formats.description import Description, Progress, distinct, of_json
-from armlab.log.file_formats.hdf5 import stored_size
+from armlab.log.file_formats.description import Description, Progress, distinct, foreign_table, of_json
+from armlab.log.file_formats.hdf5_parquet import stored_size
 from armlab.log.file_formats.opening import check_unpacked_size, needed
 from armlab.log.table import Table
 

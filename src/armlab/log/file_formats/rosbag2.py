@@ -21,7 +21,7 @@ from armlab.errors import ArmlabError, LogError, UnknownName
 from armlab.lie import quaternion, se3
 from armlab.log.column import Column
 from armlab.log.file_formats.description import Description, Progress, distinct, of_json
-from armlab.log.mcap.message_layouts import MessageReader, assembled, read_blocks, split
+from armlab.log.mcap.decode import MessageReader, assembled, read_blocks, split
 from armlab.log.recording.ros_messages import blank, definition, store, topic_name
 from armlab.log.table import Table
 from armlab.wire import cdr

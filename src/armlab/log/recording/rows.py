@@ -11,8 +11,8 @@ import numpy as np
 
 from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.kernels import RowPacker
-from armlab.log.column import Column
-from armlab.log.states import QD_SOURCES, TAU_SOURCES
+from armlab.log.column import Column, resolved
+from armlab.log.table import QD_SOURCES, TAU_SOURCES
 from armlab.state import Command, State
 
 if TYPE_CHECKING:
@@ -21,24 +21,24 @@ if TYPE_CHECKING:
 # Marks of values that are not there, in counts and in flags. A clock that reads zero was not sent.
 NO_COUNT, NO_CLOCK, NO_FLAG = -1, 0, 255
 
-# column -> the object and its attribute that hold it
-_COUNTS = {
+# The columns of a tick, for recordings and for the rows of servers: column -> the object and attribute that hold it.
+COUNTS = {
     "stamp_ns": "tick.stamp_ns", "tick": "tick.number", "seq": "state.seq", "seq_sent": "tick.seq_sent",
     "session": "state.session", "missed": "state.missed", "drops": "tick.drops", "robot_ns": "state.robot_ns",
     "receive_ns": "tick.receive_ns", "send_ns": "tick.send_ns", "step_ns": "tick.step_ns", "wake_ns": "tick.wake_ns",
     "motors": "state.motors", "mci": "state.mci", "rapid": "state.rapid",
 }  # fmt: skip
 _CODES = {"qd_source": QD_SOURCES, "tau_source": TAU_SOURCES}
-_REALS = {"session_t": "state.t", "dt": "state.dt", "utilization": "state.utilization"}
-_FLAGS = {"converged": "state.converged", "late": "tick.late"}
-_JOINTS = {
+REALS = {"session_t": "state.t", "dt": "state.dt", "utilization": "state.utilization"}
+FLAGS = {"converged": "state.converged", "late": "tick.late"}
+JOINTS = {
     "q": "state.q", "qd": "state.qd", "tau": "state.tau", "q_planned": "state.q_planned", "q_ref": "command.q",
     "qd_ref": "command.qd", "tau_ref": "command.tau", "q_sent": "tick.q_sent", "qd_sent": "tick.qd_sent",
     "tau_sent": "tick.tau_sent",
 }  # fmt: skip
-_ESTIMATE = {"wrench_hat": Column((6,)), "wrench_hat_cov": Column((6, 6))}
+ESTIMATE = {"wrench_hat": Column((6,)), "wrench_hat_cov": Column((6, 6))}
 # column -> source, form (see `kernels.RowPacker`) and shape
-_FIXED = {
+FIXED = {
     "wrench_raw": ("state.wrench_raw", "doubles", (6,)),
     "wrench": ("state.wrench", "doubles", (6,)),
     "T_frame_tool": ("state.T_frame_tool", "doubles", (4, 4)),
@@ -132,12 +132,12 @@ class RowLayout:
         if not isinstance(robot, Robot):
             raise RobotError.no_robot(robot)
         self.n = robot.n
-        self.extra = {name: column.resolved(name) for name, column in {**_ESTIMATE, **(extra or {})}.items()}
+        self.extra = {name: resolved(column, name) for name, column in {**ESTIMATE, **(extra or {})}.items()}
         self.slots: dict[str, Slot] = {}
         self.size = 0
         self._places: list[tuple[str, str, str, str, bytes, Any]] = []
         self._add_standard(robot)
-        for name, (source, form, shape) in _FIXED.items():
+        for name, (source, form, shape) in FIXED.items():
             self._add(name, source, form, Column(shape))
         for name, column in self.extra.items():
             if name in self.slots or column.kind == "text":
@@ -152,24 +152,24 @@ class RowLayout:
         self.pack = RowPacker((State, Command, Tick), self._places, SELDOM[0]).pack
 
     def _add_standard(self, robot: Robot) -> None:
-        for name, source in _COUNTS.items():
+        for name, source in COUNTS.items():
             column = Column(unit="ns", kind="count") if name == "stamp_ns" else Column()
             missing = {"stamp_ns": None, "robot_ns": NO_CLOCK, "receive_ns": NO_CLOCK}.get(name, NO_COUNT)
             self._add(name, source, "count", column, missing)
         for name, words in _CODES.items():
             codes = {word: code for code, word in enumerate(words)}
             self._add(name, f"state.{name}", "code", Column(), NO_COUNT, codes)
-        for name, source in _REALS.items():
+        for name, source in REALS.items():
             self._add(name, source, "real", Column())
-        for name, source in _FLAGS.items():
+        for name, source in FLAGS.items():
             self._add(name, source, "flag", Column(), NO_FLAG)
-        for name, source in _JOINTS.items():
+        for name, source in JOINTS.items():
             self._add(name, source, "doubles", Column((robot.n,), labels=robot.joint_names))
 
     def _add(
         self, name: str, source: str, form: str, column: Column, missing: int | None = None, detail: Any = None
     ) -> None:
-        column, dtype = column.resolved(name), _DTYPES.get(form, "<f8")
+        column, dtype = resolved(column, name), _DTYPES.get(form, "<f8")
         stop = self.size + int(np.prod(column.shape, dtype=int)) * np.dtype(dtype).itemsize
         self.slots[name] = slot = Slot(column, self.size, stop, dtype, missing)
         owner, field = source.split(".", 1)

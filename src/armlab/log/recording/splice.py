@@ -16,7 +16,7 @@ import numpy as np
 
 from armlab.errors import ArmlabError, ConfigError, LogError
 from armlab.kernels import RowEncoder
-from armlab.log.column import Column
+from armlab.log.column import Column, resolved
 from armlab.log.file_formats.opening import check_readable, file_hash, naming, opened
 from armlab.log.mcap.records import DAMAGE, Channel, Contents, contents
 from armlab.log.mcap.recovery import Registry, messages_in, new_file, pieces, records_at
@@ -27,7 +27,7 @@ from armlab.log.recording.ros_messages import COLUMN_KEY, clock_metadata, column
 from armlab.log.recording.rows import Slot
 
 _ROW = struct.Struct("<qqd")  # stamp, number, t
-_SECONDS = {"t": Slot(Column().resolved("t"), _ROW.size - 8, _ROW.size, "<f8")}
+_SECONDS = {"t": Slot(resolved(Column(), "t"), _ROW.size - 8, _ROW.size, "<f8")}
 _NUMBERS = 1 << 32  # of MCAP's sequence
 _NEVER = (1 << 63) - 1
 

@@ -12,8 +12,17 @@ import numpy as np
 from armlab.errors import LogError
 from armlab.log.column import refuse_ragged
 from armlab.log.file_formats.description import Progress
-from armlab.log.mcap.decode import Decoded, decode_by, messages, skipped
-from armlab.log.mcap.message_layouts import MessageReader, assembled, of_length, read_blocks, split
+from armlab.log.mcap.decode import (
+    Decoded,
+    MessageReader,
+    assembled,
+    decode_by,
+    messages,
+    of_length,
+    read_blocks,
+    skipped,
+    split,
+)
 from armlab.log.mcap.records import Channel, Contents
 from armlab.log.topics.streams import TopicFields
 from armlab.wire import cdr

@@ -15,7 +15,7 @@ import numpy as np
 from armlab.errors import ConfigError, LinkError
 from armlab.sim.controller.controller import SimulatedController
 from armlab.sim.controller.settings import FaultRates
-from armlab.wire.egm import SensorMessage
+from armlab.wire.egm.robot_side import SensorMessage
 
 _LARGEST = 65535
 _DRAINED = 64  # datagrams read per cycle: a flood cannot hold the cycle up

@@ -23,7 +23,8 @@ from armlab.sim.controller.reference_decoder import ReferenceDecoder, has_number
 from armlab.sim.controller.settings import ControllerSettings
 from armlab.sim.controller.statistics import ControllerEvent, EventLog, Statistics
 from armlab.sim.events import AppliedWrench, Surroundings
-from armlab.wire.egm import Drop, RobotSideCodec, SensorMessage
+from armlab.wire.egm import Drop
+from armlab.wire.egm.robot_side import RobotSideCodec, SensorMessage
 
 _BEYOND = 1e6  # rad or m, and per s: packets have no numbers for more
 _FAILING_TIME = 0.1  # s

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 from armlab.sim.controller.settings import ControllerSettings
 from armlab.sim.controller.statistics import Statistics
-from armlab.wire.egm import Drop, RobotSideCodec, SensorMessage
+from armlab.wire.egm import Drop
+from armlab.wire.egm.robot_side import RobotSideCodec, SensorMessage
 from armlab.wire.egm.types import StandingQueue
 
 QUEUE_LENGTH = 64

@@ -11,7 +11,7 @@ import numpy as np
 from armlab.robots import Robot
 from armlab.sim.arm.drive import JointDrives
 from armlab.sim.controller.settings import ControllerSettings
-from armlab.wire.egm import SensorMessage
+from armlab.wire.egm.robot_side import SensorMessage
 
 _ABSURD = 1e9  # rad, rad/s, m
 _LARGEST_GAIN = 2.0

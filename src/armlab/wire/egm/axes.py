@@ -41,8 +41,9 @@ class AxisMap:
     in degrees unless `units` says otherwise. Where a motor moves two joints, q are the axes of `linkage`.
 
     `units`: "deg" or "mm", for each joint in kinematic order and then for each external axis; empty for the rule above.
-    `n`, `head`, `tail`: joints, those among ABB's first six, those beyond; `scale`: (n,) SI per wire unit; `can_move`:
-    the units of all commands are known.
+    `n`, `head`, `tail`: joints, those among ABB's first six, those beyond; `order`: axis of each joint, from 0;
+    `scale`, `beyond`: SI per wire unit of the joints (n,) and of the first external axes; `can_move`: the units of all
+    commands are known.
     """
 
     def __init__(self, arm: RobotAxes, units: Sequence[str] = ()) -> None:
@@ -52,16 +53,16 @@ class AxisMap:
         self.n = arm.n
         self.head = min(arm.n, _HEAD)
         self.tail = arm.n - self.head
-        order = tuple(axis - 1 for axis in axes)
+        self.order = order = tuple(axis - 1 for axis in axes)
         linear = np.asarray(arm.prismatic, dtype=bool)
         self.scale = np.where(linear & (np.array(order) >= self.head), _MILLIMETRE, RADIAN)
         self.can_move = bool(units) or not np.any(linear & (np.array(order) < self.head))
-        self._beyond = np.array([], dtype=np.float64)
+        self.beyond = np.array([], dtype=np.float64)
         if units:
             if not set(units) <= _UNITS.keys() or len(units) < arm.n:
                 raise ConfigError(f'Expected units of "deg" or "mm" for {arm.n} joints at least, got {tuple(units)}.')
             factors = np.array([_UNITS[unit] for unit in units])
-            self.scale, self._beyond = factors[: arm.n], factors[arm.n :]
+            self.scale, self.beyond = factors[: arm.n], factors[arm.n :]
         self.kinematic = _picker(order)
         self.abb = _picker(tuple(order.index(k) for k in range(arm.n)))
 
@@ -81,7 +82,7 @@ class AxisMap:
 
     def external_scale(self, count: int) -> np.ndarray:
         """Return SI per wire unit of the external axes beyond the robot's own, (count,)."""
-        known = self._beyond[:count]
+        known = self.beyond[:count]
         return np.concatenate((known, np.full(count - len(known), RADIAN)))
 
     def array(self, values: Sequence[float], is_kinematic: bool) -> tuple[float, ...] | None:

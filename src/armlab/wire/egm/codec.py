@@ -1,168 +1,93 @@
 """The bridge's side of EGM: decode EgmRobot, encode EgmSensor and EgmSensorPathCorr.
 
-The only place, with its neighbours in this package, where degrees, millimetres and milliseconds exist.
-`decode` never raises, whatever the bytes; what is wrong comes back as a `Drop`.
+The only place, with its neighbours in this package and `native/wire/egm.cpp`, where degrees, millimetres and
+milliseconds exist. `decode` never raises, whatever the bytes; what is wrong comes back as a `Drop`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from google.protobuf.message import DecodeError
 
 from armlab import kernels
-from armlab.errors import ShapeError
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import RADIAN, AxisMap, Linkage, Refused
-from armlab.wire.egm.details import Details, read_details
-from armlab.wire.egm.message_layout import INTEGERS, Numbers, Shape, find_places
-from armlab.wire.egm.pose_force import NO_WRENCH, decode_force, pose_from_matrix, read_pose
-from armlab.wire.egm.types import Beside, Drop, Packet, Reference, RobotAxes
+from armlab.wire.egm.pose_force import NO_POSE, is_layout_of_rw7, pose_from_matrix, pose_values, read_pose
+from armlab.wire.egm.types import Drop, Packet, Reference, RobotAxes
 
 _CORRECTION, _PATH_CORRECTION = 3, 4
+_UINT32 = 2**32 - 1
 _KINEMATIC = 1
-_GAINS = 0b11000  # posGainScale and velGainScale are valid
-_INTEGERS = ("header.seqno", "header.tm", "researchRef.echoSeqno", "researchRef.echoTNs")
-_UINT32, _UINT64 = 2**32 - 1, 2**64 - 1
+_MAX_SECONDS = 9_000_000_000  # a later clock does not fit int64 nanoseconds: it counts as absent
 _TWIST = np.array([1e-3, 1e-3, 1e-3, RADIAN, RADIAN, RADIAN])
 
 
-class Replies:
-    """Joint references as bytes: one template per kind of reply, with the numbers written into it."""
+class Details(NamedTuple):
+    """The rest of one EgmRobot, SI, kinematic joint order. Numbers that were not sent are NaN, others None.
 
-    def __init__(self, axes: AxisMap, extension: bool) -> None:
-        self._axes, self._extension = axes, extension
-        self._names = _INTEGERS if extension else _INTEGERS[:2]
-        self._writers: dict[tuple[bool, ...], kernels.EgmWriter] = {}
-
-    def encode(self, ref: Reference) -> bytes:
-        """Return the bytes of an EgmSensor.
-
-        `ref`: finite values.
-        """
-        q, qd, tau, seq, tm_ms, robot_seq, mono, free, beside = ref
-        if beside is not None:
-            return self._serialised(ref)
-        kind = qd is None, tau is None, free
-        sent = tau if self._extension else None
-        arrays = (q,) if qd is None else (q, qd)
-        arrays = arrays if sent is None else (*arrays, sent)
-        integers = (seq & _UINT32, tm_ms & _UINT32, robot_seq & _UINT32, mono & _UINT64)[: len(self._names)]
-        writer = self._writers.get(kind)
-        data = None if writer is None else writer.write(arrays, integers)
-        if data is None:
-            data = self._serialised(ref)
-            self._learn(kind, data, ref)
-        return data
-
-    def _learn(self, kind: tuple[bool, ...], data: bytes, ref: Reference) -> None:
-        """Keep the bytes of a reply as the example of those of its kind."""
-        places = find_places(data, pb.EgmSensor.DESCRIPTOR)
-        if places is None:
-            return
-        axes, doubles = self._axes, places.doubles
-        motions = ("planned", "speedRef")[: 1 if ref.qd is None else 2]
-        offsets = [
-            int(at)
-            for motion in motions
-            for at in axes.kinematic(
-                [*doubles.get(f"{motion}.joints.joints", ()), *doubles.get(f"{motion}.externalJoints.joints", ())]
-            )
-        ]
-        torques = doubles.get("researchRef.torqueFF", [])
-        divisors = np.concatenate((*[axes.scale] * len(motions), np.ones(len(torques))))
-        spans = [places.integers[name] for name in self._names]
-        self._writers[kind] = kernels.EgmWriter(data, [*offsets, *torques], divisors, spans)
-
-    def _serialised(self, ref: Reference) -> bytes:
-        axes, beside = self._axes, ref.beside or Beside()
-        sensor = pb.EgmSensor(header=_header(_CORRECTION, ref.seq, ref.tm_ms))
-        motions: list[tuple[Any, np.ndarray, np.ndarray | None]] = [(sensor.planned, ref.q, beside.q_ext)]
-        if ref.qd is not None:
-            motions.append((sensor.speedRef, ref.qd, beside.qd_ext))
-        for motion, values, beyond in motions:
-            wire = axes.wire(values, axes.scale)
-            external = () if beyond is None else (beyond / axes.external_scale(len(beyond))).tolist()
-            motion.joints.joints.extend(wire[: axes.head])
-            if axes.tail or external:
-                motion.externalJoints.joints.extend((*wire[axes.head :], *external))
-        if beside.rapid_data is not None:
-            sensor.rapidToRobot.dnum.extend(beside.rapid_data.tolist())
-        if beside.rapid_digital is not None:
-            sensor.rapidToRobot.digVal = beside.rapid_digital
-        if self._extension:
-            self._say_more(sensor.researchRef, ref)
-        return sensor.SerializeToString()
-
-    def _say_more(self, research: Any, ref: Reference) -> None:
-        research.order = _KINEMATIC
-        research.echoSeqno, research.echoTNs = ref.robot_seq & _UINT32, ref.robot_mono_ns & _UINT64
-        research.torqueFF.extend(() if ref.tau is None else ref.tau.tolist())
-        loosened = (0.0,) * self._axes.n if ref.free else ()
-        research.posGainScale.extend(loosened)
-        research.velGainScale.extend(loosened)
-        research.validMask = (ref.tau is not None) | (_GAINS if ref.free else 0)
-
-
-def encode_pose(T_frame_tool: np.ndarray, twist: np.ndarray | None, seq: int, tm_ms: int) -> bytes:
-    """Return the bytes of an EgmSensor that holds a pose; the quaternion, never Euler angles, which would win over it.
-
-    `T_frame_tool`: (4, 4); `twist`: (6,) [v; w] or None.
+    Attributes
+    ----------
+    q_ext_planned : (k,) the controller's reference of the external axes. T_frame_planned : (4, 4) its pose.
+    planned_ns : clock of the reference, nanoseconds since 1970. stamp_ns, planned_stamp_ns : of the IEEE 1588 clock.
+    move_index : of RAPID's movement. collision : it was triggered. collision_quota : (k,) as sent.
+    force_control : is active (RobotWare 7), else the force is that of the raw sensor. test_signals : (k,) as sent.
+    tau_total, tau_gravity : (n,) torque of the drives, and what they feed forward [N m]. current : (n,) of motors [A].
+    q_reference, qd_reference : (n,) references of the drives.
+    overruns : cycles that the controller missed. arm_id : its number. mode : 0 off, 1 position, 2 velocity, 3 torque.
+    used_seq : number of our reply that acts in this cycle. From `tau_total` on: the research extension.
     """
-    sensor = pb.EgmSensor(header=_header(_CORRECTION, seq, tm_ms))
-    pose_from_matrix(sensor.planned.cartesian, T_frame_tool)
-    if twist is not None:
-        sensor.speedRef.cartesians.value.extend((twist / _TWIST).tolist())
-    return sensor.SerializeToString()
 
-
-def encode_path_correction(yz: Sequence[float], age: float, seq: int, tm_ms: int) -> bytes:
-    """Return the bytes of an EgmSensorPathCorr.
-
-    `yz`: across the path [m]; `age`: of the measurement [s].
-    """
-    message = pb.EgmSensorPathCorr(header=_header(_PATH_CORRECTION, seq, tm_ms))
-    where = message.pathCorr.pos
-    where.x, where.y, where.z = 0.0, 1e3 * yz[0], 1e3 * yz[1]
-    message.pathCorr.age = round(1e3 * age) & _UINT32
-    return message.SerializeToString()
-
-
-def _header(mtype: int, seq: int, tm_ms: int) -> Any:
-    return pb.EgmHeader(seqno=seq & _UINT32, tm=tm_ms & _UINT32, mtype=mtype)
-
-
-_DATA = 2
-_PATIENCE = 1000  # layouts per session: a robot whose packets never look alike is parsed from then on
+    q_ext_planned: np.ndarray
+    T_frame_planned: np.ndarray
+    planned_ns: int | None
+    stamp_ns: int | None
+    planned_stamp_ns: int | None
+    move_index: int | None
+    collision: bool | None
+    collision_quota: np.ndarray
+    force_control: bool | None
+    test_signals: np.ndarray
+    tau_total: np.ndarray
+    tau_gravity: np.ndarray
+    current: np.ndarray
+    q_reference: np.ndarray
+    qd_reference: np.ndarray
+    overruns: int | None
+    arm_id: int | None
+    mode: int | None
+    used_seq: int | None
 
 
 class EgmCodec:
     """EgmRobot to `Packet` and `Reference` to EgmSensor, for one arm.
 
-    The RobotWare flavour is decided on the first packet of a session and kept until `reset`. Packets are read where
-    the numbers of the last ones like them lay (`layout`), and parsed when they look otherwise.
+    The RobotWare flavour is decided on the first packet of a session and kept until `reset`.
 
     Parameters
     ----------
-    arm : the robot: number of joints, which are linear, ABB's axis numbers.
-    extension : send the research extension (field 101). It is understood whenever it arrives.
-    units : "deg" or "mm" on the wire, for each joint in kinematic order and then for each external axis; see `AxisMap`.
+    arm : RobotAxes
+        The robot: number of joints, which are prismatic, ABB's axis numbers.
+    extension : bool
+        Send the research extension (field 101). It is understood whenever it arrives.
+    units : sequence of str
+        "deg" or "mm" on the wire, for each joint in kinematic order and then for each external axis; see `AxisMap`.
 
     Attributes
     ----------
-    capabilities : "position" and "velocity", unless a linear joint sits among ABB's first six axes and `units` does not
-        say how commands to it are measured; then "external_axes" and "rapid_data" too. "measured_torque" and "torque"
-        with the extension.
-    robotware : flavour of this session, "" before its first packet.
+    capabilities : frozenset of str
+        "position", "velocity", "external_axes" and "rapid_data", unless a prismatic joint is among ABB's first six axes
+        and `units` is empty. "measured_torque" and "torque" with the extension.
+    robotware : str
+        Flavour of this session, "" before its first packet.
     """
 
     def __init__(self, arm: RobotAxes, extension: bool = False, units: Sequence[str] = ()) -> None:
         self._axes, self._linkage = AxisMap(arm, units), Linkage.of(arm)
-        self._replies = Replies(self._axes, extension)
-        self._known: dict[int, kernels.EgmReader] = {}
-        self._learnt = 0
+        axes = self._axes
+        self._messages = kernels.EgmMessages(Packet, Drop, axes.order, axes.scale, axes.beyond, extension)
         self.robotware = ""
         moves = ("position", "velocity", "external_axes", "rapid_data") if self._axes.can_move else ()
         research = ("measured_torque", "torque") if extension and moves else ("measured_torque",) if extension else ()
@@ -171,142 +96,140 @@ class EgmCodec:
     def reset(self) -> None:
         """Forget the flavour: a new session begins."""
         self.robotware = ""
-        self._known.clear()
-        self._learnt = 0
 
     def decode(self, data: bytes) -> Packet | Drop:
         """Return the packet, or why it is dropped. Never raises.
 
         Parameters
         ----------
-        data : one datagram.
+        data : bytes
+            One datagram.
         """
-        known = self._known.get(len(data))
-        if known is not None:
-            packet = known.read(data)
-            if packet is not None:
-                return packet if self._linkage is None else self._linkage.heard(packet)
-        try:
-            message = pb.EgmRobot.FromString(data)
-            shape, numbers, integers = self._parsed(message)
-        except DecodeError:
-            return Drop("unparsable", f"{len(data)} bytes are no protobuf message")
-        except Refused as refused:
-            return refused.drop
-        packet = shape.reader.packet(numbers, integers)
-        if packet is None:
-            return Drop("not finite", "a joint, a velocity or an external axis is no number, or beyond 1e9")
-        self.robotware = packet.robotware
-        self._learn(data, shape, packet)
-        return packet if self._linkage is None else self._linkage.heard(packet)
+        found = self._messages.read(data, self.robotware)
+        if type(found) is Drop:
+            return found
+        self.robotware = found.robotware
+        return found if self._linkage is None else self._linkage.heard(found)
 
     def details(self, data: bytes) -> Details | None:
-        """Return what a datagram says beside its `Packet`, None for what is none of this robot. Never raises.
+        """Return the fields of a datagram that a `Packet` leaves out, None for invalid datagrams. Never raises.
 
         Parameters
         ----------
-        data : one datagram.
+        data : bytes
+            One datagram.
         """
-        found = read_details(self._axes, data, self.robotware)
-        return found if found is None or self._linkage is None else self._linkage.heard(found)
+        try:
+            found = _details(self._axes, pb.EgmRobot.FromString(data), self.robotware)
+        except (DecodeError, Refused):
+            return None
+        return found if self._linkage is None else self._linkage.heard(found)
 
     def encode(self, ref: Reference) -> bytes:
         """Return the bytes of an EgmSensor that holds a joint reference.
 
         Parameters
         ----------
-        ref : finite values; the bridge has checked them.
+        ref : Reference
+            Finite values; the bridge has checked them.
         """
-        return self._replies.encode(ref if self._linkage is None else self._linkage.said(ref))
+        return self._messages.write(ref if self._linkage is None else self._linkage.said(ref))
 
     def encode_pose(self, T_frame_tool: np.ndarray, twist: np.ndarray | None, seq: int, tm_ms: int) -> bytes:
-        """Return the bytes of an EgmSensor that holds a pose, for `EGMRunPose`. Never with Euler angles.
+        """Return the bytes of an EgmSensor that holds a pose, for `EGMRunPose`.
+
+        The orientation is a quaternion, never Euler angles, which would win over it.
 
         Parameters
         ----------
-        T_frame_tool : (4, 4) in the frame that RAPID activated. twist : (6,) its speed [v; w], or None.
-        seq, tm_ms : as in `Reference`.
+        T_frame_tool : ndarray, shape (4, 4), m
+            Pose in the frame that RAPID activated.
+        twist : ndarray, shape (6,), m/s and rad/s, or None
+            Its speed [v; w].
+        seq, tm_ms : int
+            As in `Reference`.
         """
-        return encode_pose(T_frame_tool, twist, seq, tm_ms)
+        sensor = pb.EgmSensor(header=_header(_CORRECTION, seq, tm_ms))
+        pose_from_matrix(sensor.planned.cartesian, T_frame_tool)
+        if twist is not None:
+            sensor.speedRef.cartesians.value.extend((twist / _TWIST).tolist())
+        return sensor.SerializeToString()
 
     def encode_path_correction(self, yz: Sequence[float], age: float, seq: int, tm_ms: int) -> bytes:
         """Return the bytes of an EgmSensorPathCorr, for `EGMMoveL` and `EGMMoveC`; at most one per 24 ms acts.
 
         Parameters
         ----------
-        yz : correction across the path in the sensor's tool frame [m]; along the path none acts.
-        age : of the measurement [s]. seq, tm_ms : as in `Reference`.
+        yz : sequence of 2 floats, m
+            Correction across the path in the sensor's tool frame; along the path none acts.
+        age : float, s
+            Age of the measurement.
+        seq, tm_ms : int
+            As in `Reference`.
         """
-        return encode_path_correction(yz, age, seq, tm_ms)
-
-    def _parsed(self, message: Any) -> tuple[Shape, Sequence[float], Sequence[int]]:
-        """Return the shape of a message, and its numbers in the order of `Numbers.arranged`."""
-        header, feedback, planned = message.header, message.feedBack, message.planned
-        if not header.HasField("seqno"):
-            raise Refused("no header", "a message without a header that has a sequence number")
-        if header.mtype != _DATA:
-            raise Refused("wrong type", f"expected message type {_DATA} (data from the robot), got {header.mtype}")
-        force, force_is_rw7 = decode_force(message.measuredForce)
-        research = message.researchState
-        numbers = Numbers(
-            tuple(feedback.joints.joints),
-            tuple(feedback.externalJoints.joints),
-            tuple(planned.joints.joints),
-            tuple(planned.externalJoints.joints),
-            tuple(research.jointVel),
-            tuple(research.torqueMeas),
-            tuple(message.torqueRef.joints),
-            () if force is NO_WRENCH else force,
-            tuple(message.rapidFromRobot.dnum),
-            (message.utilizationRate,) if message.HasField("utilizationRate") else (),
-            read_pose(feedback.cartesian) or (),
-        )
-        shape = Shape(
-            self._axes,
-            numbers,
-            research.order == _KINEMATIC,
-            has_tm=header.HasField("tm"),
-            has_research=message.HasField("researchState"),
-            states=(message.motorState.state, message.mciState.state, message.rapidExecState.state),
-            converged=message.mciConvergenceMet,
-            robotware=self.robotware or _flavour(message, force_is_rw7),
-            rapid_digital=message.rapidFromRobot.digVal,
-        )
-        time = feedback.time
-        integers = (header.seqno, header.tm, time.sec, time.usec, research.tNs, research.queueDepth)
-        return shape, shape.arranged(numbers, 0.0), integers
-
-    def _learn(self, data: bytes, shape: Shape, packet: Packet) -> None:
-        """Keep the layout of a packet, if reading by it gives what parsing gave."""
-        self._learnt += 1
-        places = find_places(data) if self._learnt <= _PATIENCE else None
-        if places is None:
-            return
-        reader, absent = shape.reader, (0, 0)
-        spans = [places.integers.get(name, absent) for name in INTEGERS]
-        try:
-            offsets = shape.arranged(Numbers.of_offsets(places.doubles), -1)
-            reader.learn(data, bytes(places.mask), offsets, spans)
-        except (Refused, ShapeError):  # a field in a form that the parser does not take for it
-            return
-        if _same(reader.read(data), packet):
-            self._known[len(data)] = reader
+        message = pb.EgmSensorPathCorr(header=_header(_PATH_CORRECTION, seq, tm_ms))
+        where = message.pathCorr.pos
+        where.x, where.y, where.z = 0.0, 1e3 * yz[0], 1e3 * yz[1]
+        message.pathCorr.age = round(1e3 * age) & _UINT32
+        return message.SerializeToString()
 
 
-def _same(a: Any, b: Any) -> bool:
-    """Return whether two packets are equal, NaN being equal to itself; False when the first is none."""
-    return a is not None and all(
-        np.array_equal(x, y, equal_nan=True) if isinstance(x, np.ndarray) else x == y or x != x
-        for x, y in zip(a, b, strict=True)
+def _header(mtype: int, seq: int, tm_ms: int) -> Any:
+    return pb.EgmHeader(seqno=seq & _UINT32, tm=tm_ms & _UINT32, mtype=mtype)
+
+
+def _details(axes: AxisMap, message: Any, robotware: str) -> Details:
+    planned, research, info = message.planned, message.researchState, message.collisionInfo
+    beyond = planned.externalJoints.joints[axes.tail :]
+    scale = np.ones(len(beyond)) if robotware == "6.06" else axes.external_scale(len(beyond))
+    is_kinematic = research.order == _KINEMATIC
+    pose = read_pose(planned.cartesian)
+
+    def array(values: Sequence[float], factor: Any = 1.0) -> np.ndarray:
+        found = axes.array(values[:], is_kinematic)
+        return _frozen(np.full(axes.n, np.nan) if found is None else np.array(found) * factor)
+
+    def count(name: str) -> int | None:
+        return getattr(research, name) if research.HasField(name) else None
+
+    return Details(
+        q_ext_planned=_frozen(np.array(beyond) * scale),
+        T_frame_planned=_frozen(np.reshape(NO_POSE if pose is None else pose_values(pose), (4, 4))),
+        planned_ns=_nanoseconds(planned.time.sec, 1000 * planned.time.usec) if planned.HasField("time") else None,
+        stamp_ns=_stamp(message.feedBack),
+        planned_stamp_ns=_stamp(planned),
+        move_index=message.moveIndex if message.HasField("moveIndex") else None,
+        collision=info.collsionTriggered if info.HasField("collsionTriggered") else None,
+        collision_quota=_frozen(np.array(info.collDetQuota)),
+        force_control=_force_control(message.measuredForce),
+        test_signals=_frozen(np.array(message.testSignals.signals)),
+        tau_total=array(research.torqueRefTotal),
+        tau_gravity=array(research.torqueGravity),
+        current=array(research.motorCurrent),
+        q_reference=array(research.jointPosRef, axes.scale),
+        qd_reference=array(research.jointVelRef, axes.scale),
+        overruns=count("overruns"),
+        arm_id=count("armId"),
+        mode=count("mode"),
+        used_seq=count("usedSeqno"),
     )
 
 
-def _flavour(message: Any, force_is_rw7: bool) -> str:
-    """Return the RobotWare flavour by the fields present (as abb_libegm does it)."""
-    feedback = message.feedBack
-    newer = ("moveIndex", "collisionInfo", "rapidFromRobot", "torqueRef")
-    if force_is_rw7 or feedback.HasField("timeStamp") or any(message.HasField(name) for name in newer):
-        return "7"
-    if message.HasField("utilizationRate"):
-        return "6.10"
-    return "6.07" if feedback.HasField("time") else "6.06"
+def _force_control(data: bytes) -> bool | None:
+    if not is_layout_of_rw7(data):
+        return None
+    force = pb.EgmForceRw7.FromString(data)
+    return force.fcActive if force.HasField("fcActive") else None
+
+
+def _stamp(motion: Any) -> int | None:
+    return _nanoseconds(motion.timeStamp.sec, motion.timeStamp.nsec) if motion.HasField("timeStamp") else None
+
+
+def _nanoseconds(seconds: int, nanoseconds: int) -> int | None:
+    return seconds * 10**9 + nanoseconds if seconds < _MAX_SECONDS and nanoseconds < 10**12 else None
+
+
+def _frozen(array: np.ndarray) -> np.ndarray:
+    array.flags.writeable = False
+    return array

@@ -7,7 +7,6 @@ from math import cos, isfinite, nan, sin, sqrt
 from typing import Any
 
 import numpy as np
-from google.protobuf.message import DecodeError
 
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import RADIAN
@@ -77,31 +76,12 @@ def pose_from_matrix(pose: Any, T_frame_tool: np.ndarray) -> None:
     orient.u0, orient.u1, orient.u2, orient.u3 = (factor * value for value in candidates[largest])
 
 
-NO_WRENCH = (nan,) * 6
-"""The values of a force that was not sent."""
-
-_RW6_TAGS = (b"\x09", b"\x0a")  # field 1 doubles, unpacked or packed
 _RW7_TAGS = (b"\x08", b"\x11", b"\x12")  # field 1 bool; field 2 doubles, unpacked or packed
 
 
 def is_layout_of_rw7(data: bytes) -> bool:
     """Return whether a measuredForce has the layout of RobotWare 7, by its first tag."""
     return data[:1] in _RW7_TAGS
-
-
-def decode_force(data: bytes) -> tuple[tuple[float, ...], bool]:
-    """Return the 6 values of the wrench [N, N m] and whether the layout is that of RobotWare 7.
-
-    `NO_WRENCH` when there is none. The first tag byte tells the layout. Frame and sign are not documented by ABB.
-    """
-    if data[:1] not in _RW6_TAGS + _RW7_TAGS:
-        return NO_WRENCH, False
-    is_rw7 = is_layout_of_rw7(data)
-    try:
-        force = (pb.EgmForceRw7 if is_rw7 else pb.EgmForceRw6).FromString(data).force[:]
-    except DecodeError:
-        return NO_WRENCH, False
-    return (tuple(force) if len(force) == 6 else NO_WRENCH), is_rw7
 
 
 def encode_force(wrench: np.ndarray, is_rw7: bool) -> bytes:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from google.protobuf.message import DecodeError
@@ -12,7 +12,7 @@ from armlab.errors import ConfigError, UnknownName
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.axes import RADIAN, AxisMap, Linkage, Refused
 from armlab.wire.egm.pose_force import encode_force, pose_from_matrix, pose_values, read_pose
-from armlab.wire.egm.types import Drop, RobotAxes, RobotMessage, SensorMessage
+from armlab.wire.egm.types import Drop, RobotAxes
 
 ROBOTWARE = ("6.06", "6.07", "6.10", "7")
 """The flavours of EgmRobot that exist."""
@@ -40,22 +40,89 @@ _UINT32 = 2**32 - 1
 _MILLIMETRE = 1e-3
 
 
-class RobotSideCodec:
-    """`RobotMessage` to EgmRobot and EgmSensor to `SensorMessage`, for one arm.
+class RobotMessage(NamedTuple):
+    """What a robot controller says in one EgmRobot, for the simulated controller. None leaves a field out.
 
-    Parameters
+    Attributes
     ----------
-    arm : the robot: number of joints, which are linear, ABB's axis numbers.
-    robotware : one of `ROBOTWARE`: which fields exist and whether feedback is in radians (6.06).
-    extension : names of `EXTENSION_ARRAYS` to send in field 101; True for `DEFAULT_ARRAYS`, False for none.
-    force : the messages will hold `wrench_raw`.
-    external : number of external axes beyond the robot's own. data : number of values of `rapid_data`.
-
-    Raises
-    ------
-    ConfigError : unknown flavour, or the largest message would exceed `MAX_BYTES`.
-    UnknownName : unknown array of the extension.
+    seqno, tm_ms : header. q, q_planned : (n,) measured and planned joints.
+    robot_ns : nanoseconds since 1970. q_ext : external axes [rad].
+    T_frame_tool : (4, 4). motors, mci, rapid : states as ABB numbers them. converged : the window of EGMAct is met.
+    utilization : percent. wrench_raw : (6,) N, N m. rapid_data, rapid_digital : RAPIDfromRobot.
+    tau_reference : (n,) the standard torqueRef field (RobotWare 7; ABB axes 1 to 6 only).
+    qd, tau, tau_total, tau_gravity, current, q_reference, qd_reference : (n,) arrays of the extension, in the order
+        of its fields 1 to 7; those that the codec was not configured for are left out.
+    mono_ns, overruns, mode, used_seq, queue_depth : scalars of the extension.
     """
+
+    seqno: int
+    tm_ms: int | None
+    q: np.ndarray
+    q_planned: np.ndarray | None = None
+    robot_ns: int | None = None
+    q_ext: Sequence[float] = ()
+    T_frame_tool: np.ndarray | None = None
+    motors: int | None = 1
+    mci: int | None = 3
+    rapid: int | None = 2
+    converged: bool | None = False
+    utilization: float | None = 0.0
+    wrench_raw: np.ndarray | None = None
+    rapid_data: Sequence[float] = ()
+    rapid_digital: bool | None = None
+    tau_reference: np.ndarray | None = None
+    qd: np.ndarray | None = None
+    tau: np.ndarray | None = None
+    tau_total: np.ndarray | None = None
+    tau_gravity: np.ndarray | None = None
+    current: np.ndarray | None = None
+    q_reference: np.ndarray | None = None
+    qd_reference: np.ndarray | None = None
+    mono_ns: int = 0
+    overruns: int = 0
+    mode: int = 1
+    used_seq: int = 0
+    queue_depth: int = 0
+
+
+class SensorMessage(NamedTuple):
+    """One decoded EgmSensor or EgmSensorPathCorr, as the robot controller sees it. NaN is let through.
+
+    Attributes
+    ----------
+    seqno, tm_ms : header, None when absent. mtype : 3 correction, 4 path correction.
+    q : (n,) planned joints or None. qd : (n,) speed reference or None.
+    T_frame_tool : (4, 4) planned pose or None. twist : (6,) speed reference of the pose, or None.
+    path_yz, path_age : path correction in the sensor's tool frame [m] and its age [s], or None.
+    rapid_data, rapid_digital : RAPIDtoRobot, None when absent.
+    tau, qd_reference, q_reference, gain_q, gain_qd : (n,) valid arrays of the extension, else None.
+    echo_mono_ns, echo_seq : echoes of the extension, None without it.
+    q_ext : references of external axes beyond the robot's own [rad], None without any.
+    """
+
+    seqno: int | None
+    tm_ms: int | None
+    mtype: int
+    q: np.ndarray | None = None
+    qd: np.ndarray | None = None
+    T_frame_tool: np.ndarray | None = None
+    twist: np.ndarray | None = None
+    path_yz: np.ndarray | None = None
+    path_age: float | None = None
+    rapid_data: np.ndarray | None = None
+    rapid_digital: bool | None = None
+    tau: np.ndarray | None = None
+    qd_reference: np.ndarray | None = None
+    q_reference: np.ndarray | None = None
+    gain_q: np.ndarray | None = None
+    gain_qd: np.ndarray | None = None
+    echo_mono_ns: int | None = None
+    echo_seq: int | None = None
+    q_ext: np.ndarray | None = None
+
+
+class RobotSideCodec:
+    """`RobotMessage` to EgmRobot and EgmSensor to `SensorMessage`, for one arm."""
 
     def __init__(
         self,
@@ -79,12 +146,7 @@ class RobotSideCodec:
         self._check_size(force, external, data)
 
     def encode_robot(self, message: RobotMessage) -> bytes:
-        """Return the bytes of one EgmRobot. Fields that the flavour does not have are left out.
-
-        Parameters
-        ----------
-        message : SI values, kinematic order.
-        """
+        """Return the bytes of one EgmRobot. Fields that the flavour does not have are left out."""
         if self._linkage is not None:
             message = self._linkage.said(message)
         robot = pb.EgmRobot()
@@ -111,12 +173,7 @@ class RobotSideCodec:
         return robot.SerializeToString()
 
     def decode_sensor(self, data: bytes) -> SensorMessage | Drop:
-        """Return what the sensor asks for, or why it is dropped. Never raises. NaN is not refused here.
-
-        Parameters
-        ----------
-        data : one datagram: EgmSensor or EgmSensorPathCorr, told apart by the message type.
-        """
+        """Return what the sensor asks for, or why it is dropped. Never raises. NaN is not refused here."""
         try:
             sensor = pb.EgmSensor.FromString(data)
             header = sensor.header

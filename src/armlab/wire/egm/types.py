@@ -1,4 +1,4 @@
-"""Inputs and outputs of the EGM codec: `Packet`, `Drop`, `Reference`, `Beside`, messages of both sides, `Codec`.
+"""Inputs and outputs of the EGM codec: `Packet`, `Drop`, `Reference`, `Beside`, `Codec`.
 
 All values are SI and radians in kinematic joint order. They are named tuples: immutable, and five times cheaper to make
 than frozen dataclasses, which counts at one of each per control cycle.
@@ -9,7 +9,6 @@ delays every later reference by one cycle.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -160,87 +159,6 @@ class Codec(Protocol):
     def encode(self, ref: Reference) -> bytes:
         """Return the bytes of one reply."""
         ...
-
-
-class RobotMessage(NamedTuple):
-    """What a robot controller says in one EgmRobot, for the simulated controller. None leaves a field out.
-
-    Attributes
-    ----------
-    seqno, tm_ms : header. q, q_planned : (n,) measured and planned joints.
-    robot_ns : nanoseconds since 1970. q_ext : external axes [rad].
-    T_frame_tool : (4, 4). motors, mci, rapid : states as ABB numbers them. converged : the window of EGMAct is met.
-    utilization : percent. wrench_raw : (6,) N, N m. rapid_data, rapid_digital : RAPIDfromRobot.
-    tau_reference : (n,) the standard torqueRef field (RobotWare 7; ABB axes 1 to 6 only).
-    qd, tau, tau_total, tau_gravity, current, q_reference, qd_reference : (n,) arrays of the extension, in the order
-        of its fields 1 to 7; those that the codec was not configured for are left out.
-    mono_ns, overruns, mode, used_seq, queue_depth : scalars of the extension.
-    """
-
-    seqno: int
-    tm_ms: int | None
-    q: np.ndarray
-    q_planned: np.ndarray | None = None
-    robot_ns: int | None = None
-    q_ext: Sequence[float] = ()
-    T_frame_tool: np.ndarray | None = None
-    motors: int | None = 1
-    mci: int | None = 3
-    rapid: int | None = 2
-    converged: bool | None = False
-    utilization: float | None = 0.0
-    wrench_raw: np.ndarray | None = None
-    rapid_data: Sequence[float] = ()
-    rapid_digital: bool | None = None
-    tau_reference: np.ndarray | None = None
-    qd: np.ndarray | None = None
-    tau: np.ndarray | None = None
-    tau_total: np.ndarray | None = None
-    tau_gravity: np.ndarray | None = None
-    current: np.ndarray | None = None
-    q_reference: np.ndarray | None = None
-    qd_reference: np.ndarray | None = None
-    mono_ns: int = 0
-    overruns: int = 0
-    mode: int = 1
-    used_seq: int = 0
-    queue_depth: int = 0
-
-
-class SensorMessage(NamedTuple):
-    """One decoded EgmSensor or EgmSensorPathCorr, as the robot controller sees it. NaN is let through.
-
-    Attributes
-    ----------
-    seqno, tm_ms : header, None when absent. mtype : 3 correction, 4 path correction.
-    q : (n,) planned joints or None. qd : (n,) speed reference or None.
-    T_frame_tool : (4, 4) planned pose or None. twist : (6,) speed reference of the pose, or None.
-    path_yz, path_age : path correction in the sensor's tool frame [m] and its age [s], or None.
-    rapid_data, rapid_digital : RAPIDtoRobot, None when absent.
-    tau, qd_reference, q_reference, gain_q, gain_qd : (n,) valid arrays of the extension, else None.
-    echo_mono_ns, echo_seq : echoes of the extension, None without it.
-    q_ext : references of external axes beyond the robot's own [rad], None without any.
-    """
-
-    seqno: int | None
-    tm_ms: int | None
-    mtype: int
-    q: np.ndarray | None = None
-    qd: np.ndarray | None = None
-    T_frame_tool: np.ndarray | None = None
-    twist: np.ndarray | None = None
-    path_yz: np.ndarray | None = None
-    path_age: float | None = None
-    rapid_data: np.ndarray | None = None
-    rapid_digital: bool | None = None
-    tau: np.ndarray | None = None
-    qd_reference: np.ndarray | None = None
-    q_reference: np.ndarray | None = None
-    gain_q: np.ndarray | None = None
-    gain_qd: np.ndarray | None = None
-    echo_mono_ns: int | None = None
-    echo_seq: int | None = None
-    q_ext: np.ndarray | None = None
 
 
 _SECONDS = 1.0  # shorter queues are replies on their way

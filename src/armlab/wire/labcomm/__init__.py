@@ -6,52 +6,9 @@ no files.
 """
 
 from armlab.wire.labcomm.decoder import Decoder
-from armlab.wire.labcomm.dialects import DIALECTS
-from armlab.wire.labcomm.encoder import Encoder, write_packet
-from armlab.wire.labcomm.idl import Typedef, parse_lc, to_lc
-from armlab.wire.labcomm.signature import parse_signature
-from armlab.wire.labcomm.source import Limits
-from armlab.wire.labcomm.types import (
-    PRIMS,
-    VOID,
-    Array,
-    Binding,
-    Definition,
-    Event,
-    Field,
-    Other,
-    Pragma,
-    Prim,
-    Sample,
-    SampleType,
-    Struct,
-    Unknown,
-    Version,
-)
+from armlab.wire.labcomm.encoder import Encoder
+from armlab.wire.labcomm.idl import parse_lc, to_lc
+from armlab.wire.labcomm.types import Sample
+from armlab.wire.labcomm.values import Limits
 
-__all__ = [
-    "DIALECTS",
-    "PRIMS",
-    "VOID",
-    "Array",
-    "Binding",
-    "Decoder",
-    "Definition",
-    "Encoder",
-    "Event",
-    "Field",
-    "Limits",
-    "Other",
-    "Pragma",
-    "Prim",
-    "Sample",
-    "SampleType",
-    "Struct",
-    "Typedef",
-    "Unknown",
-    "Version",
-    "parse_lc",
-    "parse_signature",
-    "to_lc",
-    "write_packet",
-]
+__all__ = ["Decoder", "Encoder", "Limits", "Sample", "parse_lc", "to_lc"]

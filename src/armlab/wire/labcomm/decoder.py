@@ -1,9 +1,4 @@
-"""`Decoder`: bytes to events, in pieces of any size.
-
-One generator walks the stream and waits where bytes are missing, so every cut of a stream gives the same events. A
-packet with a length is decoded once it has come whole; without one (2013, 2006, data of 2014old) a walk finds its end
-first. Faults are reported at the field where they are, before anything is built for them.
-"""
+"""Decoder of LabComm streams, and signatures of types."""
 
 from __future__ import annotations
 
@@ -12,26 +7,149 @@ from functools import cached_property
 from typing import NamedTuple
 
 from armlab.errors import LabCommError
-from armlab.wire.labcomm.dialects import DIALECTS, Dialect, Notes, dialect_named
 from armlab.wire.labcomm.encoder import PRAGMA, SAMPLE_DEF, SAMPLE_REF, TYPE_BINDING, TYPE_DEF, VERSION
-from armlab.wire.labcomm.signature import FIRST_INDEX, SignatureWalk
-from armlab.wire.labcomm.source import Cut, Limits, Source, Walk, label, number
 from armlab.wire.labcomm.types import (
+    ARRAY,
+    DIALECTS,
+    PRIMS,
+    SAMPLE,
+    STRUCT,
+    VOID,
     Array,
     Binding,
     Definition,
+    Dialect,
     Event,
+    Field,
     Kind,
+    Notes,
     Other,
     Pragma,
     Sample,
     SampleType,
     Struct,
     Type,
+    TypeRef,
     Unknown,
     Version,
+    dialect_named,
 )
-from armlab.wire.labcomm.values import Cursor, Reader, Size, checked_shape, decoded, reader
+from armlab.wire.labcomm.values import (
+    Cursor,
+    Cut,
+    Limits,
+    Number,
+    Reader,
+    Size,
+    Source,
+    Walk,
+    checked_shape,
+    decoded,
+    label,
+    number,
+    reader,
+)
+
+FIRST_INDEX = 0x40
+"""Smallest index of a sample or type; smaller numbers are tags and type codes."""
+
+_BY_CODE = {prim.code: prim for prim in PRIMS.values()}
+
+
+def parse_signature(data: bytes, dialect: str = "2014v1", limits: Limits | None = None) -> Type:
+    """Return the type of a flat signature; ``parse_signature(t.signature()) == t``."""
+    source = Source()
+    source.add(data)
+    walk = SignatureWalk(source, dialect_named(dialect), limits or Limits.file(), len(data))
+    try:
+        next(walk.tree(0))
+    except StopIteration as done:
+        tree, pos = done.value
+        if pos == len(data):
+            return tree
+        raise _bad_signature(pos, "the end of the signature", f"{len(data) - pos} more bytes") from None
+    except Cut:
+        pass
+    raise _bad_signature(len(data), "the rest of the signature", "its end")
+
+
+class SignatureWalk:
+    """Walks over one signature.
+
+    `end`: where the signature ends at the latest; `type_refs`: indices of types may stand for types (TYPE_DEF).
+    """
+
+    def __init__(self, source: Source, dialect: Dialect, limits: Limits, end: int, type_refs: bool = False) -> None:
+        self.source, self.dialect, self.limits, self.end, self.type_refs = source, dialect, limits, end, type_refs
+        self.nodes = 0
+
+    def number(self, pos: int) -> Number:
+        """Walk over a number."""
+        return number(self.source, pos, self.end, self.dialect.wide)
+
+    def tree(self, first: int, depth: int = 1) -> Generator[None, None, tuple[Type, int]]:
+        """Walk over one node and what is below it."""
+        code, pos = yield from self.number(first)
+        self.nodes += 1
+        if depth > self.limits.depth or self.nodes > self.limits.values:
+            raise _bad_signature(first, f"at most {self.limits.depth} levels and {self.limits.values} nodes", "more")
+        node: Type
+        if code == ARRAY:
+            node, pos = yield from self._array(pos, depth)
+        elif code == STRUCT:
+            node, pos = yield from self._struct(first, pos, depth)
+        elif code in _BY_CODE and (code != SAMPLE or self.dialect.references):
+            return _BY_CODE[code], pos
+        elif code >= FIRST_INDEX and self.type_refs:
+            return TypeRef(code), pos
+        else:
+            raise _bad_signature(first, "a type code", f"{code:#x}")
+        size = node.min_size(self.dialect.name)
+        if size > self.limits.packet or node.values > self.limits.values:
+            limits = f"a type of at most {self.limits.packet} bytes and {self.limits.values} values"
+            raise _bad_signature(first, limits, f"{size} bytes and {node.values} values")
+        return node, pos
+
+    def _array(self, pos: int, depth: int) -> Generator[None, None, tuple[Type, int]]:
+        count, after = yield from self.number(pos)
+        if not 1 <= count <= self.limits.dims:
+            raise _bad_signature(pos, f"an array of 1 to {self.limits.dims} dimensions", str(count))
+        dims, product = [], 1
+        for _ in range(count):
+            pos = after
+            size, after = yield from self.number(pos)
+            product *= size or 1
+            if product > self.limits.values:
+                raise _bad_signature(pos, f"sizes whose product is at most {self.limits.values}", str(product))
+            dims.append(size)
+        elem, pos = yield from self._part(after, depth)
+        return Array(tuple(dims), elem), pos
+
+    def _struct(self, first: int, pos: int, depth: int) -> Generator[None, None, tuple[Type, int]]:
+        count, pos = yield from self.number(pos)
+        if count > self.limits.values:
+            raise _bad_signature(first, f"at most {self.limits.values} nodes", f"{count} fields")
+        if not count:
+            return VOID, pos
+        fields: dict[str, Field] = {}
+        for _ in range(count):
+            where = pos
+            name, notes, pos = yield from label(self.source, pos, self.end, self.dialect, self.limits)
+            if name in fields:
+                raise _bad_signature(where, "different names for the fields of a struct", f"{name!r} again")
+            part, pos = yield from self._part(pos, depth)
+            fields[name] = Field(name, part, notes)
+        return Struct(tuple(fields.values())), pos
+
+    def _part(self, first: int, depth: int) -> Generator[None, None, tuple[Type, int]]:
+        node, pos = yield from self.tree(first, depth + 1)
+        if node == VOID:
+            raise _bad_signature(first, "a type with a value inside an array or struct", "void")
+        return node, pos
+
+
+def _bad_signature(offset: int, expected: str, got: str) -> LabCommError:
+    return LabCommError(f"Expected {expected} at byte {offset}, got {got}.", offset)
 
 
 class Head(NamedTuple):

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from typing import Any
 
 from armlab.errors import LabCommError
-from armlab.wire.labcomm.dialects import Dialect, dialect_named
 from armlab.wire.labcomm.types import (
     Binding,
     Definition,
+    Dialect,
     Event,
     Other,
     Pragma,
@@ -19,6 +19,7 @@ from armlab.wire.labcomm.types import (
     TypeRef,
     Unknown,
     Version,
+    dialect_named,
 )
 from armlab.wire.labcomm.values import Misfit, Wire, Writer, writer
 
@@ -129,16 +130,7 @@ class Encoder:
 
 
 def write_packet(event: Event, dialect: str, length: int | None = None) -> bytes:
-    """Return the bytes of one packet.
-
-    Parameters
-    ----------
-    event : from a decoder. dialect : to write. length : declared instead of the right one.
-
-    Raises
-    ------
-    LabCommError : the dialect cannot say it.
-    """
+    """Return the bytes of one packet."""
     kind = dialect_named(dialect)
     number = kind.number
     if isinstance(event, Version):

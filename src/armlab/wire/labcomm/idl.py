@@ -13,8 +13,20 @@ from functools import cache
 from typing import NamedTuple, NoReturn
 
 from armlab.errors import LabCommError, UnknownName
-from armlab.wire.labcomm.dialects import Dialect, Notes, dialect_named
-from armlab.wire.labcomm.types import PRIMS, VOID, Array, Field, Prim, SampleType, Struct, Type, TypeRef
+from armlab.wire.labcomm.types import (
+    PRIMS,
+    VOID,
+    Array,
+    Dialect,
+    Field,
+    Notes,
+    Prim,
+    SampleType,
+    Struct,
+    Type,
+    TypeRef,
+    dialect_named,
+)
 
 _LARGEST, _MAX_DEPTH = 2**20, 32
 _KEYWORDS = {"typedef", "struct", "void", *PRIMS}
@@ -263,16 +275,7 @@ FILES = ("armlab", "extctrl")
 
 @cache
 def text(name: str) -> str:
-    """Return a file that comes with armlab, to give to a LabComm compiler for instance.
-
-    Parameters
-    ----------
-    name : one of `FILES`.
-
-    Raises
-    ------
-    UnknownName : there is no such file.
-    """
+    """Return a file that comes with armlab, to give to a LabComm compiler for instance."""
     data = pkgutil.get_data("armlab.wire.labcomm", f"idl/{name}.lc") if name in FILES else None
     if data is None:
         raise UnknownName.among("file of LabComm declarations", name, FILES)
@@ -281,14 +284,5 @@ def text(name: str) -> str:
 
 @cache
 def samples(name: str) -> dict[str, SampleType]:
-    """Return the samples of a file that comes with armlab, by name.
-
-    Parameters
-    ----------
-    name : one of `FILES`.
-
-    Raises
-    ------
-    UnknownName : there is no such file.
-    """
+    """Return the samples of a file that comes with armlab, by name."""
     return {one.name: one for one in parse_lc(text(name)) if isinstance(one, SampleType)}

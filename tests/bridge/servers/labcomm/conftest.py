@@ -10,7 +10,8 @@ import pytest
 
 from armlab.bridge.servers.labcomm import LabCommServer, Row
 from armlab.bridge.servers.labcomm.channels import Channel
-from armlab.wire.labcomm import Decoder, Event
+from armlab.wire.labcomm import Decoder
+from armlab.wire.labcomm.types import Event
 
 from ..conftest import PATIENCE, until
 

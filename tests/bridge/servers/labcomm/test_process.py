@@ -22,7 +22,8 @@ from armlab.errors import ConfigError, LabCommError, UnknownName
 from armlab.log import Column, Tick
 from armlab.robots import Robot
 from armlab.state import State
-from armlab.wire.labcomm import Encoder, Sample, SampleType, parse_lc
+from armlab.wire.labcomm import Encoder, Sample, parse_lc
+from armlab.wire.labcomm.types import SampleType
 
 from ..conftest import PATIENCE, Served, until
 from .conftest import Plain

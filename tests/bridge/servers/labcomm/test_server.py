@@ -19,7 +19,8 @@ from armlab.bridge.servers.labcomm.rows import STOP, RowTypes
 from armlab.bridge.servers.labcomm.server import Ports, RowFeed, to_arbiter
 from armlab.errors import LinkError, UnknownName
 from armlab.state import Command, State
-from armlab.wire.labcomm import Decoder, Definition, Encoder, Sample, SampleType, Version, parse_lc
+from armlab.wire.labcomm import Decoder, Encoder, Sample, parse_lc
+from armlab.wire.labcomm.types import Definition, SampleType, Version
 
 from ..conftest import until
 from .conftest import Plain, Started, row

@@ -12,9 +12,8 @@ import numpy as np
 from armlab.bridge.servers.labcomm.connection import Peer
 from armlab.bridge.servers.labcomm.rows import Order, Row, RowTypes
 from armlab.errors import ConfigError, LabCommError
-from armlab.wire.labcomm import PRIMS, Array, Definition, Event, Sample, SampleType, idl
-from armlab.wire.labcomm.dialects import dialect_named
-from armlab.wire.labcomm.types import Type
+from armlab.wire.labcomm import Sample, idl
+from armlab.wire.labcomm.types import PRIMS, Array, Definition, Event, SampleType, Type, dialect_named
 
 __all__ = [
     "ArmChannel",

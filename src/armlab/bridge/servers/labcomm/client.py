@@ -14,7 +14,8 @@ from armlab.bridge.servers.labcomm.connection import Peer
 from armlab.bridge.servers.labcomm.rows import STOP, Row, RowTypes
 from armlab.errors import ArmlabError, LabCommError, LinkError
 from armlab.log import Column
-from armlab.wire.labcomm import Encoder, Event, Sample, SampleType
+from armlab.wire.labcomm import Encoder, Sample
+from armlab.wire.labcomm.types import Event, SampleType
 
 __all__ = ["LabCommClient", "LabCommSource", "connected"]
 

@@ -8,7 +8,8 @@ import socket
 import time
 from collections import deque
 
-from armlab.wire.labcomm import Decoder, Encoder, Event
+from armlab.wire.labcomm import Decoder, Encoder
+from armlab.wire.labcomm.types import Event
 
 __all__ = ["QUEUE", "Peer"]
 

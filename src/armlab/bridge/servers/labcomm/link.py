@@ -24,7 +24,8 @@ from armlab.bridge.servers.labcomm.rows import Row, RowTypes
 from armlab.errors import ConfigError, LabCommError
 from armlab.robots import Robot
 from armlab.wire.egm import Codec, Drop, Packet, Reference
-from armlab.wire.labcomm import Encoder, Event
+from armlab.wire.labcomm import Encoder
+from armlab.wire.labcomm.types import Event
 
 __all__ = ["RowCodec", "RowPort", "far_end"]
 

@@ -13,8 +13,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from armlab.errors import ConfigError, LabCommError
-from armlab.wire.labcomm import Array, Event, Prim, Sample, SampleType, Struct, idl, parse_lc
-from armlab.wire.labcomm.types import Type
+from armlab.wire.labcomm import Sample, idl, parse_lc
+from armlab.wire.labcomm.types import Array, Event, Prim, SampleType, Struct, Type
 
 __all__ = ["STOP", "Order", "Row", "RowTypes", "signed"]
 

@@ -1,0 +1,453 @@
+"""Tables in MAT files of all versions, HDF5 and Parquet."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import resource
+import struct
+import sys
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.io import loadmat, savemat
+
+from armlab import log
+from armlab.errors import LogError, MissingExtra, UnknownName
+from armlab.log import Column, Table, read_mat
+from armlab.log.file_formats.hdf5_parquet import read_hdf5, read_parquet, write_hdf5, write_parquet
+from armlab.log.file_formats.mat import matlab_names, read_mat_table, variables_in, write_mat
+
+pa = pytest.importorskip("pyarrow", reason="Parquet needs the extra data")
+pq = pytest.importorskip("pyarrow.parquet")
+T = np.arange(4) * 0.004
+
+
+@pytest.fixture
+def table() -> Table:
+    values = {"q": np.arange(8.0).reshape(4, 2), "wrench_hat": np.ones((4, 6)), "q1": np.arange(4) + 2**60}
+    values["mode"] = np.array(["on", "", "grå", "x"])
+    columns = {"q1": Column(unit="1", kind="count"), "mode": Column(unit="1", kind="text")}
+    return Table(T, values, columns, source=("here",))
+
+
+def test_what_another_program_sees(table: Table, tmp_path: Path) -> None:
+    path = log.write(table, tmp_path / "run.parquet")
+    found = pq.read_table(path)
+    assert found.column_names == ["t", "q1", "q2", *(f"wrench_hat{k}" for k in range(1, 7)), "q1_2", "mode"]
+    assert {found.field(name).metadata[b"unit"] for name in ("q1", "q2")} == {b"rad"}
+    assert found.field("wrench_hat4").metadata[b"unit"] == b"N m"
+    assert found.column("q1_2").to_pylist() == table["q1"].tolist()
+    assert found.column("mode").to_pylist() == ["on", "", "grå", "x"]
+    chunk = pq.ParquetFile(path).metadata.row_group(0).column(1)
+    assert chunk.compression == "ZSTD"
+    assert set(chunk.encodings) == {"RLE", "BYTE_STREAM_SPLIT"}  # RLE: levels, of which there is one
+    assert not chunk.has_dictionary_page
+    assert callable(write_parquet)
+
+
+def test_single_columns(table: Table, tmp_path: Path) -> None:
+    path = log.write(table, tmp_path / "run.parquet")
+    assert read_parquet(path, ["q1"])["q1"].tolist() == table["q1"].tolist()
+    assert log.read(path, ["mode", "q"]).names == ("mode", "q")
+    with pytest.raises(UnknownName, match="'qd'"):
+        log.read(path, ["qd"])
+
+
+def test_more_than_one_group_of_rows(table: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("armlab.log.file_formats.hdf5_parquet.ROWS", 3)
+    path = log.write(table, tmp_path / "run.parquet")
+    assert pq.ParquetFile(path).num_row_groups == 2
+    assert log.read(path).sha256 == table.sha256
+
+
+def test_a_table_of_another_program(tmp_path: Path) -> None:
+    path = tmp_path / "run.parquet"
+    found = pa.table(
+        {
+            "time": pa.array([10**18, 10**18 + 4 * 10**6], pa.timestamp("ns")),
+            "q1 [deg]": [180.0, None],
+            "q2 [deg]": [0.0, 90.0],
+            "count": [2**60 + 1, 2**60 + 2],
+            "on": [True, False],
+            "mode": ["a", None],
+            "list": [[1], [2]],
+        }
+    )
+    pq.write_table(found, path)
+    table = log.read(path)
+    assert table.t.tolist() == [0.0, 0.004]
+    np.testing.assert_allclose(table["q"], [[np.pi, 0.0], [np.nan, np.pi / 2]])
+    assert table["count"].tolist() == [2**60 + 1, 2**60 + 2]
+    assert table["mode"].tolist() == ["a", ""]
+    assert table["on"].tolist() == [1, 0]
+    assert table.notes == ("left out: list (list<element: int64>)",)
+    pq.write_table(found.select(["count"]), path)
+    with pytest.raises(LogError, match=r"Expected a column t \[s\] in .*got count"):
+        log.read(path)
+
+
+def test_damaged_files(table: Table, tmp_path: Path, read_spoilt: Callable[..., None]) -> None:
+    path = log.write(table, tmp_path / "run.parquet")
+    read_spoilt(path, path, 60)
+    path.write_bytes(path.read_bytes()[:50])
+    with pytest.raises(LogError, match="a whole Parquet file"):
+        log.read(path)
+
+
+def test_without_pyarrow(table: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = log.write(table, tmp_path / "run.parquet")
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    for job in (lambda: log.read(path), lambda: log.write(table, tmp_path / "again.parquet")):
+        with pytest.raises(MissingExtra, match=r"Expected pyarrow .*pip install 'armlab\[data\]'"):
+            job()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.parquet"]
+
+
+ARRAYS = {"T": np.arange(12.0).reshape(3, 4), "few": np.array([[1, 2, 3]], dtype=np.int16)}
+
+
+def save_73(path: Path, arrays: dict[str, np.ndarray]) -> Path:
+    """Write as MATLAB does: 512 bytes of text before HDF5, columns as rows."""
+    h5py = pytest.importorskip("h5py", reason="needs h5py: MAT files of version 7.3 are HDF5")
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, array in arrays.items():
+            file[name] = np.ascontiguousarray(array.T)
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64, HDF5 schema 1.00 .".ljust(124) + b"\0\2IM")
+    return path
+
+
+def test_read_mat_of_version_5(tmp_path: Path) -> None:
+    savemat(tmp_path / "a.mat", {**ARRAYS, "text": "hello", "nothing": {"a": 1}, "z": np.array([1j])})
+    found = read_mat(tmp_path / "a.mat")
+    assert set(found) == set(ARRAYS)
+    for name, array in ARRAYS.items():
+        np.testing.assert_array_equal(found[name], array)
+
+
+def test_one_variable(tmp_path: Path) -> None:
+    savemat(tmp_path / "a.mat", ARRAYS)
+    assert list(read_mat(tmp_path / "a.mat", "few")) == ["few"]
+    with pytest.raises(UnknownName, match="few"):
+        read_mat(tmp_path / "a.mat", "fewer")
+
+
+def test_what_is_no_mat_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    with pytest.raises(LogError, match="No such file"):
+        read_mat(path)
+    path.write_text("t,q\n1,2\n")
+    with pytest.raises(LogError, match="begins with"):
+        read_mat(path)
+    savemat(path, {"text": "hello"})
+    with pytest.raises(LogError, match="got none"):
+        read_mat(path)
+
+
+def test_without_h5py(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.mat"
+    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n")
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(MissingExtra, match=r"pip install 'armlab\[data\]', or save again"):
+        read_mat(path)
+
+
+def attempt(path: Path, data: bytes) -> bool:
+    path.write_bytes(data)
+    try:
+        read_mat(path)
+    except (LogError, UnknownName) as error:
+        assert str(error).endswith(".")  # noqa: PT017
+        return False
+    return True
+
+
+def test_version_5_cut_at_every_byte(tmp_path: Path) -> None:
+    savemat(tmp_path / "whole.mat", {"T": np.eye(4)})
+    data = (tmp_path / "whole.mat").read_bytes()
+    read = [attempt(tmp_path / "cut.mat", data[:n]) for n in range(len(data))]
+    assert not any(read)
+
+
+def test_version_73_cut_and_with_wrong_bytes(tmp_path: Path) -> None:
+    data = save_73(tmp_path / "whole.mat", {"T": np.eye(4)}).read_bytes()
+    assert not any(attempt(tmp_path / "cut.mat", data[:n]) for n in range(0, len(data), 29))
+    rng = np.random.default_rng(0)
+    for _ in range(80):
+        spoilt = bytearray(data)
+        spoilt[rng.integers(512, len(data))] = rng.integers(0, 256)
+        attempt(tmp_path / "spoilt.mat", bytes(spoilt))
+
+
+def saved(variables: dict[str, Any], packed: bool) -> bytes:
+    file = BytesIO()
+    savemat(file, variables, do_compression=packed)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_arrays_as_scipy_reads_them(packed: bool) -> None:
+    arrays = {
+        "few": np.array([[1, 2, 3]], np.int16),
+        "deep": np.arange(24.0).reshape(2, 3, 4),
+        "none": np.zeros((0, 3)),
+        "flags": np.array([[True], [False]]),
+        "large": np.array([[2**63]], np.uint64),
+        "single": np.array([[0.1]], np.float32),
+    }
+    data = saved(arrays, packed)
+    found, wanted = variables_in(data), loadmat(BytesIO(data))
+    assert set(found) == set(arrays)
+    for name, array in found.items():
+        assert array is not None
+        assert array.dtype == wanted[name].dtype
+        np.testing.assert_array_equal(array, wanted[name])
+
+
+def test_a_file_of_a_big_endian_computer() -> None:
+    flags, sizes = struct.pack(">IIII", 6, 8, 6, 0), struct.pack(">IIii", 5, 8, 2, 1)
+    body = flags + sizes + struct.pack(">HH4s", 1, 1, b"t") + struct.pack(">IIdd", 9, 16, 1.0, 2.0)
+    data = b"MATLAB 5.0".ljust(124) + b"\1\0MI" + struct.pack(">II", 14, len(body)) + body
+    np.testing.assert_array_equal(variables_in(data)["t"], [[1.0], [2.0]])
+
+
+def test_texts_cells_and_what_is_neither() -> None:
+    cells = np.array([["a"], ["grå"], [""]], dtype=object)
+    mixed = np.array([[1.0], ["b"]], dtype=object)
+    found = variables_in(saved({"text": "grå", "cells": cells, "mixed": mixed, "s": {"a": 1}, "z": 1j}, packed=False))
+    assert {k: None if v is None else v.tolist() for k, v in found.items()} == {
+        "text": [["grå"]],
+        "cells": [["a"], ["grå"], [""]],
+        "mixed": None,
+        "s": None,
+        "z": None,
+    }
+
+
+def test_a_bomb_is_refused_by_the_size_that_it_tells(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("armlab.log.file_formats.mat._UNPACKED", 1000)
+    monkeypatch.setattr("armlab.log.file_formats.mat._RATIO", 2)
+    data = saved({"t": np.zeros(1000)}, packed=True)
+    with pytest.raises(LogError, match="Expected variables of at most 1000 bytes in a file of this size, got 8"):
+        variables_in(data)
+
+
+@pytest.mark.parametrize("count", [150, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("packed", [False, True])
+def test_wrong_bytes(packed: bool, count: int) -> None:
+    """SciPy's reader ends the process on 3 % of those that are not packed."""
+    cells = np.array([["a"], ["grå"], [""]], dtype=object)
+    variables = {"t": np.arange(20.0), "text": "hello", "cells": cells, "s": {"a": 1.0}, "z": np.array([1j])}
+    data = saved(variables, packed)
+    rng = np.random.default_rng(0)
+    for _ in range(count):
+        spoilt = np.frombuffer(data, dtype=np.uint8).copy()
+        places = rng.integers(124, len(data), rng.integers(1, 6))
+        spoilt[places] = rng.choice(np.array([0, 1, 127, 128, 255, rng.integers(256)]), len(places))
+        with contextlib.suppress(LogError, ValueError, OverflowError):
+            variables_in(spoilt.tobytes())
+
+
+MAT_T = np.arange(4) * 0.004
+VALUES = {"q": np.arange(8.0).reshape(4, 2), "force.raw": np.arange(4.0), "end": np.arange(4) + 2**60}
+COLUMNS = {"force.raw": Column(unit="N"), "end": Column(unit="1", kind="count"), "q": Column(labels=("a", "b"))}
+
+
+@pytest.fixture
+def table_mat() -> Table:
+    mode = {"mode": np.array(["on", "", "grå", "off"])}
+    return Table(MAT_T, {**VALUES, **mode}, {**COLUMNS, "mode": Column(unit="1", kind="text")}, source=("here",))
+
+
+def test_names_that_matlab_allows() -> None:
+    names = ["q", "force.raw", "force_raw", "end", "2nd", "t", "units", "_x", "grå", "x" * 70, "x" * 71, ""]
+    found = matlab_names(names)
+    assert found["q"] == "q"
+    assert (found["force.raw"], found["force_raw"]) == ("force_raw_2", "force_raw")
+    assert (found["end"], found["2nd"], found["_x"], found["grå"], found[""]) == ("xend", "x2nd", "x_x", "gr_", "x")
+    assert (found["t"], found["units"]) == ("t_2", "units_2")
+    assert len(set(found.values())) == len(names)
+    assert all(len(name) <= 63 and name.isidentifier() for name in found.values())
+
+
+def test_what_matlab_sees(table_mat: Table, tmp_path: Path) -> None:
+    found = loadmat(log.write(table_mat, tmp_path / "run.mat"), simplify_cells=True)
+    np.testing.assert_array_equal(found["t"], MAT_T)
+    np.testing.assert_array_equal(found["q"], table_mat["q"])
+    assert found["xend"].tolist() == table_mat["end"].tolist()
+    assert found["mode"].tolist()[0] == "on"
+    assert found["units"] == {"t": "s", "q": "rad", "force_raw": "N", "xend": "1", "mode": "1"}
+    assert found["names"] == {"force_raw": "force.raw", "xend": "end"}
+    about = json.loads(found["armlab"])
+    assert about["source"] == ["here"]
+    assert about["columns"]["q"]["labels"] == ["a", "b"]
+
+
+def test_long_names_are_kept(tmp_path: Path) -> None:
+    name = "a_name_of_more_than_thirty_one_characters"
+    path = log.write(Table(MAT_T, {name: MAT_T}, {name: Column(unit="m")}), tmp_path / "run.mat")
+    assert loadmat(path, simplify_cells=True)["units"][name] == "m"
+
+
+def test_columns_of_two_gigabytes_are_refused(
+    table_mat: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("armlab.log.file_formats.mat.LARGEST", 63)
+    with pytest.raises(LogError, match=r"below 2 GB for a MAT file of version 5, got .* in 'q'\. Write HDF5.*\.h5"):
+        log.write(table_mat, tmp_path / "run.mat")
+    assert not list(tmp_path.iterdir())
+    assert callable(write_mat)
+
+
+def test_a_log_of_matlab_in_both_orientations(tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    for flip in (lambda a: a, np.transpose):
+        savemat(path, {"t": flip(MAT_T[:, None]), "pos": flip(VALUES["q"]), "gain": 3.0, "about": {"a": 1}})
+        found = log.read(path)
+        np.testing.assert_array_equal(found["q"], VALUES["q"])
+        np.testing.assert_array_equal(found.t, MAT_T)
+        assert found.notes == ("left out: about, gain (1, 1)",)
+    assert read_mat_table(path).sha256 == found.sha256
+
+
+def test_version_73(table_mat: Table, tmp_path: Path) -> None:
+    """What MATLAB makes of a file of ours by save -v7.3, and a log of its own."""
+    h5py = pytest.importorskip("h5py", reason="MAT files of version 7.3 are HDF5")
+    ours = loadmat(log.write(table_mat.without("mode"), tmp_path / "run.mat"))
+    path = tmp_path / "run73.mat"
+    for kept in (True, False):
+        with h5py.File(path, "w", userblock_size=512) as file:
+            for name in ("t", "q", "force_raw", "xend"):
+                file[name] = ours[name].T
+            if kept:
+                codes = np.frombuffer(str(ours["armlab"][0]).encode("utf-16-le"), "<u2")
+                file["armlab"] = codes[:, None]
+                file["armlab"].attrs["MATLAB_class"] = np.bytes_("char")
+            file.create_group("units")
+        with path.open("r+b") as raw:
+            raw.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\2IM")
+        found = log.read(path)
+        if kept:
+            assert found.sha256 == table_mat.without("mode").sha256
+        else:
+            np.testing.assert_array_equal(found["q"], table_mat["q"])
+            assert found["xend"].tolist() == table_mat["end"].tolist()
+            assert found.notes == ("left out: units",)
+
+
+def test_a_variable_that_was_deleted(table_mat: Table, tmp_path: Path) -> None:
+    found = loadmat(log.write(table_mat, tmp_path / "run.mat"))
+    del found["q"]
+    savemat(tmp_path / "less.mat", {name: value for name, value in found.items() if not name.startswith("__")})
+    with pytest.raises(LogError, match=r"variables that are described in .*less\.mat, got none for q"):
+        log.read(tmp_path / "less.mat")
+
+
+h5py = pytest.importorskip("h5py", reason="HDF5 needs the extra data")
+HDF5_T = np.arange(4) * 0.004
+
+
+@pytest.fixture
+def table_hdf5() -> Table:
+    values = {"q": np.arange(8.0).reshape(4, 2), "a/b": np.arange(4) + 2**60, "mode": np.array(["on", "", "grå", "x"])}
+    columns = {"a/b": Column(unit="1", kind="count"), "q": Column(labels=("a", "b"))}
+    columns["mode"] = Column(unit="1", kind="text")
+    return Table(HDF5_T, values, columns, t0_ns=7, clock="robot", notes=("noted",), source=("here",))
+
+
+def test_what_another_program_sees_hdf5(table_hdf5: Table, tmp_path: Path) -> None:
+    with h5py.File(log.write(table_hdf5, tmp_path / "run.h5")) as file:
+        assert set(file) == {"t", "q", "a_b", "mode"}
+        assert file["q"].shape == (4, 2)
+        assert (file["q"].compression, file["q"].compression_opts, file["q"].shuffle) == ("gzip", 1, True)
+        np.testing.assert_array_equal(file["q"], table_hdf5["q"])
+        assert {key: file["q"].attrs[key] for key in ("unit", "kind", "frame")} == {
+            "unit": "rad",
+            "kind": "angle",
+            "frame": "joint",
+        }
+        assert list(file["q"].attrs["labels"]) == ["a", "b"]
+        assert file["a_b"].attrs["name"] == "a/b"
+        assert file["mode"].asstr()[2] == "grå"
+        assert (file.attrs["t0_ns"], file.attrs["clock"], list(file.attrs["notes"])) == (7, "robot", ["noted"])
+    assert callable(write_hdf5)
+
+
+def test_single_columns_hdf5(table_hdf5: Table, tmp_path: Path) -> None:
+    path = log.write(table_hdf5, tmp_path / "run.hdf5")
+    assert read_hdf5(path, ["mode"]).names == ("mode",)
+    assert log.read(path, ["mode", "q"]).names == ("mode", "q")
+    with pytest.raises(UnknownName, match="'qd'"):
+        log.read(path, ["qd"])
+
+
+def test_an_old_jld_file(tmp_path: Path) -> None:
+    """HDF5 behind 512 bytes of text; matrices with one sample per column are (N, n) here. Objects are left out."""
+    path = tmp_path / "log.jld"
+    q = np.arange(8.0).reshape(4, 2)
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["log/pos"], file["timestamp"], file["pos"] = q, HDF5_T, q
+        file["controller"] = np.zeros(2, dtype=[("gain", "f8"), ("on", "i4")])
+        file["_types/00000001"] = np.zeros(1, dtype=[("a", "f8")])
+        file["name"] = "left"
+    with path.open("r+b") as raw:
+        raw.write(b"Julia data file (HDF5), version 0.1.1\n")
+    found = log.read(path)
+    np.testing.assert_array_equal(found["q"], q)
+    np.testing.assert_array_equal(found["log.pos"], q)
+    assert found.notes == ("left out: controller, name",)
+
+
+def test_a_log_of_another_program(tmp_path: Path) -> None:
+    path = tmp_path / "other.h5"
+    with h5py.File(path, "w") as file:
+        file["time"], file["q"] = np.array([0, 4, 8, 12]), np.full((4, 2), 180.0)
+        file["time"].attrs["units"], file["q"].attrs["unit"] = "ms", "deg"
+    found = log.read(path)
+    np.testing.assert_allclose(found.t, HDF5_T)
+    np.testing.assert_allclose(found["q"], np.pi)
+    with h5py.File(path, "w") as file:
+        file["q"] = np.zeros((4, 2))
+    with pytest.raises(LogError, match=r"Expected times t, time or timestamp in .*other\.h5, got q \(4, 2\)"):
+        log.read(path)
+
+
+def test_damaged_files_hdf5(table_hdf5: Table, tmp_path: Path, read_spoilt: Callable[..., None]) -> None:
+    path = log.write(table_hdf5, tmp_path / "run.h5")
+    read_spoilt(path, path, 40)
+    with h5py.File(path, "w") as file:
+        file.attrs["armlab"], file["t"] = "0.1.0", HDF5_T
+    with pytest.raises(LogError, match="a whole HDF5 file"):
+        log.read(path)
+
+
+def test_without_h5py_hdf5(table_hdf5: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = log.write(table_hdf5, tmp_path / "run.h5")
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    for job in (lambda: log.read(path), lambda: log.write(table_hdf5, tmp_path / "again.h5")):
+        with pytest.raises(MissingExtra, match=r"pip install 'armlab\[data\]'"):
+            job()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.h5"]
+
+
+@pytest.mark.parametrize("limit", [0, 100, 3000, 40_000, 120_000])
+def test_a_disk_that_is_full_at_any_moment(tmp_path: Path, limit: int) -> None:
+    """An error inside HDF5 would end the process: this test would not fail, it would take pytest with it."""
+    rng = np.random.default_rng(1)
+    table_hdf5 = Table(np.arange(900.0), {name: rng.normal(size=(900, 7)) for name in ("q", "qd", "tau")})
+    old = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, old[1]))
+    try:
+        with pytest.raises(LogError, match="File too large"):
+            log.write(table_hdf5, tmp_path / "run.h5")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, old)
+    gc.collect()
+    assert not list(tmp_path.iterdir())
+    assert log.read(log.write(table_hdf5, tmp_path / "run.h5")).sha256 == table_hdf5.sha256

@@ -1,0 +1,513 @@
+"""MCAP files: records and chunks, whole, torn and damaged; the writer; recovery."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import tracemalloc
+import warnings
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import lz4.frame
+import numpy as np
+import pytest
+import zstandard
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+from armlab.errors import LogError
+from armlab.log import inspect, read, recover
+from armlab.log.mcap import records as mcap_records
+from armlab.log.mcap.decode import messages
+from armlab.log.mcap.records import (
+    DAMAGE,
+    MAGIC,
+    OPEN,
+    Attached,
+    Channel,
+    Chunk,
+    Contents,
+    contents,
+    end_of_blocks,
+    records,
+    unpacked,
+)
+from armlab.log.mcap.recovery import Recovery, new_file
+from armlab.log.mcap.writer import McapWriter
+
+
+def test_summary_and_walk_agree(recording: Callable[..., Path]) -> None:
+    view = memoryview(recording(300).read_bytes())
+    quick, walked = contents(view), mcap_records._by_walking(view)
+    assert isinstance(quick, Contents)
+    assert quick.indexed
+    assert not walked.indexed
+    assert quick.finished
+    assert walked.finished
+    for name in ("profile", "library", "channels", "chunks", "attachments", "metadata"):
+        assert getattr(quick, name) == getattr(walked, name), name
+    assert isinstance(quick.channels[1], Channel)
+    assert isinstance(quick.attachments[0], Attached)
+    assert quick.profile == "ros2"
+
+
+def test_a_damaged_summary_is_not_believed(recording: Callable[..., Path]) -> None:
+    data = bytearray(recording(30).read_bytes())
+    good = contents(memoryview(bytes(data)))
+    place = data.rindex(b"/yumi_right/tick")  # in the summary: the channel again
+    data[place + 1] ^= 1
+    found = contents(memoryview(bytes(data)))
+    assert not found.indexed
+    assert found.channels == good.channels
+
+
+def test_other_bytes_are_refused() -> None:
+    with pytest.raises(LogError, match="Expected an MCAP file"):
+        contents(memoryview(b"not MCAP"))
+    with pytest.raises(LogError, match="Expected the header"):
+        contents(memoryview(MAGIC + bytes([5]) + (0).to_bytes(8, "little")))
+    assert LogError in DAMAGE
+
+
+def test_a_header_of_damaged_length_leaves_the_summary(recording: Callable[..., Path]) -> None:
+    data = bytearray(recording(30).read_bytes())
+    good = contents(memoryview(bytes(data)))
+    data[len(MAGIC) + 5] ^= 1
+    found = contents(memoryview(bytes(data)))
+    assert found.channels == good.channels
+    assert found.chunks == good.chunks
+
+
+@pytest.mark.parametrize("place", [-9, 28, 31])  # kind of the record; length of the name of the compression; that name
+def test_no_chunk_is_left_out_without_a_word(recording: Callable[..., Path], place: int) -> None:
+    data = bytearray(recording(700).read_bytes())
+    chunks = contents(memoryview(bytes(data))).chunks
+    whole, chunk = len(chunks), chunks[1]
+    data[chunk.start + 9 + place] ^= 0x40
+    found = mcap_records._by_walking(memoryview(bytes(data)))
+    ((kind, sentence),) = found.damaged
+    assert str(chunk.start) in sentence
+    assert kind == (6 ^ 0x40 if place == -9 else 6)
+    assert len(found.chunks) == whole - 1
+
+
+def test_a_chunk_that_was_never_finished_is_taken_as_far_as_it_goes(recording: Callable[..., Path]) -> None:
+    whole = recording(30).read_bytes()
+    chunk = contents(memoryview(whole)).chunks[-1]
+    begun = bytearray(whole[: chunk.stop])
+    begun[chunk.start + 1 : chunk.start + 45] = OPEN.to_bytes(8, "little") + bytes(28) + b"\4\0\0\0zstd"
+    begun[chunk.start + 45 : chunk.start + 53] = OPEN.to_bytes(8, "little")
+    found = contents(memoryview(bytes(begun)))
+    assert found.chunks[-1].is_open
+    assert (found.torn, found.chunks[-1].stop) == (0, chunk.stop)
+    cut = contents(memoryview(bytes(begun[:-5])))
+    assert cut.chunks[-1].stop + cut.torn == len(begun) - 5
+    begun[chunk.start + 41 : chunk.start + 45] = b"lz99"
+    assert not any(one.is_open for one in contents(memoryview(bytes(begun))).chunks)
+
+
+DATA = b"records " * 500
+
+
+def chunk(packed: bytes, compression: str, size: int = len(DATA), crc: int = zlib.crc32(DATA)) -> Chunk:
+    return Chunk(7, len(packed), 0, 1, size, crc, compression, (0, len(packed)))
+
+
+@pytest.mark.parametrize(
+    ("compression", "pack"), [("", bytes), ("zstd", zstandard.compress), ("lz4", lz4.frame.compress)]
+)
+def test_every_compression(compression: str, pack) -> None:
+    packed = pack(DATA)
+    assert unpacked(memoryview(packed), chunk(packed, compression)) == DATA
+    assert unpacked(memoryview(packed), chunk(packed, compression, crc=0)) == DATA
+    with pytest.raises(LogError, match="checksum"):
+        unpacked(memoryview(packed), chunk(packed, compression, crc=1))
+    with pytest.raises(LogError, match="bytes in the chunk at byte 7"):
+        unpacked(memoryview(packed), chunk(packed, compression, size=len(DATA) + 1))
+
+
+def test_sizes_are_checked_before_memory_is_taken() -> None:
+    bomb = zstandard.ZstdCompressor().compress(b"\0" * 10_000_000)
+    with pytest.raises(LogError, match="got 10000000"):
+        unpacked(memoryview(bomb), chunk(bomb, "zstd"))
+    with pytest.raises(LogError, match="at most"):
+        unpacked(memoryview(bomb), chunk(bomb, "zstd", size=1 << 60))
+
+
+def test_damage_and_unknown_compression() -> None:
+    with pytest.raises(LogError, match="zstd data"):
+        unpacked(memoryview(b"nonsense"), chunk(b"nonsense", "zstd"))
+    with pytest.raises(LogError, match="lz4 data"):
+        unpacked(memoryview(b"nonsense"), chunk(b"nonsense", "lz4"))
+    with pytest.raises(LogError, match="'brotli'"):
+        unpacked(memoryview(DATA), chunk(DATA, "brotli"))
+
+
+def test_blocks_of_an_unfinished_frame() -> None:
+    frame = zstandard.ZstdCompressor().compressobj()
+    records = bytes([5]) + (200).to_bytes(8, "little") + bytes(range(200))
+    first = frame.compress(records) + frame.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
+    both = first + frame.compress(records) + frame.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
+    view = memoryview(b"before" + both)
+    assert end_of_blocks(view, 6) == len(view)
+    assert end_of_blocks(view[:-1], 6) == 6 + len(first)
+    assert end_of_blocks(view[:12], 6) == 6
+    with pytest.raises(LogError, match="Expected zstd data at byte 0"):
+        end_of_blocks(view, 0)
+    for packed, count in ((both, 2), (first, 1), (both[:-1], 1), (first[:-1], 0)):
+        one = replace(chunk(packed, "zstd"), is_open=True)
+        assert unpacked(memoryview(packed), one) == records * count
+
+
+def test_an_unfinished_frame_takes_no_memory_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("armlab.log.mcap.records._MAX_OPEN", 1 << 20)
+    bomb = zstandard.ZstdCompressor().compress(b"\5" + (91).to_bytes(8, "little") + bytes(91) + b"\0" * 100_000_000)
+    assert len(unpacked(memoryview(bomb), replace(chunk(bomb, "zstd"), is_open=True))) <= 2 << 20
+
+
+@pytest.fixture
+def data(recording: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> bytes:
+    monkeypatch.setattr("armlab.log.recording.file.MAX_CHUNK_ROWS", 8)
+    return recording(30, name="whole.mcap").read_bytes()
+
+
+def check_sentence(error: LogError, path: Path) -> None:
+    assert str(error).endswith(".")
+    assert str(path) in str(error)
+
+
+def attempt(path: Path, data: bytes, whole: dict[int, np.ndarray]) -> int | None:
+    """Read, inspect and repair the bytes; return the number of rows, None when they were refused."""
+    path.write_bytes(data)
+    repaired = path.with_name("repaired.mcap")
+    repaired.unlink(missing_ok=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for look in (inspect, lambda p: recover(p, repaired)):
+            try:
+                look(path)
+            except LogError as error:
+                check_sentence(error, path)
+        try:
+            table = read(path)
+        except LogError as error:
+            check_sentence(error, path)
+            return None
+    for seq, q in zip(table["seq"].tolist(), table["q"], strict=True) if len(table) else ():
+        assert np.array_equal(whole[seq], q)  # what is read is what was written
+    return len(table)
+
+
+def reference(path: Path, data: bytes) -> dict[int, np.ndarray]:
+    path.write_bytes(data)
+    table = read(path)
+    return dict(zip(table["seq"].tolist(), table["q"], strict=True))
+
+
+def borders(data: bytes) -> Iterator[int]:
+    for _, start, stop in records(memoryview(data), len(MAGIC), len(data)):
+        yield from (start - 9, start, stop)
+
+
+@pytest.mark.parametrize(("number", "every"), [(25, 15), pytest.param(1000, 1, marks=pytest.mark.slow)])
+def test_cut_files(data: bytes, tmp_path: Path, number: int, every: int) -> None:
+    whole = reference(tmp_path / "whole.mcap", data)
+    places = sorted({place + d for place in borders(data) for d in (-1, 0, 1) if 0 <= place + d <= len(data)})[::every]
+    places += np.random.default_rng(3).integers(0, len(data), number).tolist()
+    found = {place: attempt(tmp_path / "cut.mcap", data[:place], whole) for place in places}
+    rows = [found[place] or 0 for place in sorted(found)]
+    assert rows == sorted(rows)  # more bytes never give fewer rows
+    assert max(rows) >= 24
+
+
+@pytest.mark.parametrize("number", [50, pytest.param(600, marks=pytest.mark.slow)])
+def test_flipped_bytes(data: bytes, tmp_path: Path, number: int) -> None:
+    whole = reference(tmp_path / "whole.mcap", data)
+    rng = np.random.default_rng(4)
+    rows = []
+    for place, value in zip(rng.integers(0, len(data), number), rng.integers(1, 256, number), strict=True):
+        damaged = bytearray(data)
+        damaged[place] ^= value
+        rows.append(attempt(tmp_path / "flip.mcap", bytes(damaged), whole))
+    read_at_all = [count for count in rows if count]
+    assert len(read_at_all) > 0.8 * number
+    assert np.median(read_at_all) >= 22
+
+
+def begun(file: io.BufferedIOBase) -> tuple[McapWriter, int, int]:
+    writer = McapWriter(file, "ros2", "test")  # type: ignore[arg-type]
+    writer.metadata("about", {"note": "ü"})
+    writer.attach(5, "a.bin", "application/octet-stream", b"attached")
+    schema = writer.schema("pkg/msg/T", "ros2msg", b"int64 a")
+    return writer, writer.channel("/a", "cdr", schema, {"k": "v"}), writer.channel("/b", "cdr", schema, {})
+
+
+def test_other_readers_find_everything() -> None:
+    file = io.BytesIO()
+    writer, a, b = begun(file)
+    for i in range(10):
+        writer.message(a, i, 100 - i, 200 + i, b"\0" * i)
+        if i % 2:
+            writer.message(b, i, 100 + i, 200 + i, bytearray(b"b"))
+        if i % 3 == 0:
+            writer.push()
+        if i == 6:
+            writer.close_chunk()
+    writer.close_chunk()
+    writer.close_chunk()  # nothing in it: nothing is written
+    writer.finish()
+    for validated in (False, True):
+        reader = make_reader(io.BytesIO(file.getvalue()), validate_crcs=validated)
+        found = list(reader.iter_messages(log_time_order=False))
+        assert [(c.topic, m.sequence) for _, c, m in found if c.topic == "/a"] == [("/a", i) for i in range(10)]
+        assert [m.data for _, c, m in found if c.topic == "/b"] == [b"b"] * 5
+        assert found[3][2].publish_time == 200 + found[3][2].sequence
+    assert [m.log_time for _, _, m in reader.iter_messages(topics="/a")] == list(range(91, 101))  # by the indexes
+    summary = reader.get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == 15
+    assert summary.statistics.channel_message_counts == {a: 10, b: 5}
+    assert summary.statistics.chunk_count == len(summary.chunk_indexes) == 2
+    assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (91, 109)
+    assert [(one.name, one.data) for one in reader.iter_attachments()] == [("a.bin", b"attached")]
+    assert [one.metadata for one in reader.iter_metadata()] == [{"note": "ü"}]
+    ours = contents(memoryview(file.getvalue()))
+    assert ours.finished
+    assert ours.indexed
+    assert not ours.damaged
+    assert ours.channels[a].metadata == {"k": "v"}
+
+
+def test_memory_does_not_grow_with_the_chunks_of_a_day(tmp_path: Path) -> None:
+    """Fails when the index of the chunks, which comes last, is kept in memory."""
+    count, path = 2000, tmp_path / "long.mcap"
+    with path.open("xb", buffering=0) as file:
+        writer, a, b = begun(file)
+        tracemalloc.start()
+        try:
+            for i in range(count):
+                writer.message(a, i, count - i, i, b"")
+                writer.message(b, i, i, i, b"")
+                writer.close_chunk()
+                if i == count // 2:
+                    before, _ = tracemalloc.get_traced_memory()
+            grown = tracemalloc.get_traced_memory()[0] - before
+        finally:
+            tracemalloc.stop()
+        assert grown < 2**17, "bytes; in memory it would be 2**18"
+        writer.finish()
+    assert [one.name for one in tmp_path.iterdir()] == ["long.mcap"]
+    with path.open("rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert len(summary.chunk_indexes) == summary.statistics.chunk_count == count
+    assert [len(one.message_index_offsets) for one in summary.chunk_indexes] == [2] * count
+    assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (0, count)
+
+
+def test_an_index_whose_descriptor_was_closed_costs_the_summary_and_no_message(tmp_path: Path) -> None:
+    """After five minutes the index is in a file without a name; nothing goes into the file that has its number then."""
+    count, path, other = 3000, tmp_path / "long.mcap", tmp_path / "other"
+    with path.open("xb", buffering=0) as file:
+        writer, a, _ = begun(file)
+        for i in range(count):
+            if i == count // 2:
+                assert writer._index._file is not None
+                number = writer._index._file.number
+                with other.open("wb") as theirs:
+                    os.dup2(theirs.fileno(), number)
+            writer.message(a, i, i, i, b"")
+            writer.close_chunk()
+        with pytest.raises(OSError, match="armlab log recover makes a new one"):
+            writer.finish()
+    os.close(number)
+    assert other.read_bytes() == b""
+    found = contents(memoryview(path.read_bytes()))
+    assert len(found.chunks) == count
+    assert not found.finished
+
+
+def test_cut_at_every_byte_the_messages_pushed_before_are_there() -> None:
+    file = io.BytesIO()
+    writer, a, _ = begun(file)
+    pushed = []
+    for i in range(12):
+        writer.message(a, i, i, i, bytes([i]) * 50 * i)
+        if i == 5:
+            writer.close_chunk()
+        writer.push()
+        pushed.append((len(file.getvalue()), i + 1))
+    data = file.getvalue()
+    closed = pushed[5][0]
+    for length in range(closed, len(data) + 1):
+        view = memoryview(data[:length])
+        found = contents(view)
+        numbers = [sequence for sequence, _, _ in messages(view, found, a)]
+        assert numbers == list(range(max(count for size, count in pushed if size <= length)))
+        assert 0 <= found.torn < length - closed + 1
+        assert not found.damaged
+    assert found.chunks[-1].is_open
+    assert len(unpacked(view, found.chunks[-1])) == sum(31 + 50 * i for i in range(6, 12))
+
+
+@pytest.mark.parametrize("noise", [b"\0" * 5000, b"\xff" * 5000, bytes(range(256)) * 20])
+def test_what_follows_an_open_chunk_costs_nothing_before_it(noise: bytes) -> None:
+    """After a loss of power the last blocks may be anything."""
+    file = io.BytesIO()
+    writer, a, _ = begun(file)
+    for i in range(5):
+        writer.message(a, i, i, i, b"x" * 90)
+        writer.push()
+    view = memoryview(file.getvalue() + noise)
+    assert [sequence for sequence, _, _ in messages(view, contents(view), a)] == list(range(5))
+
+
+def test_a_file_that_takes_less_than_given_gets_the_rest(tmp_path: Path) -> None:
+    class Slow(io.BytesIO):
+        def write(self, data) -> int:  # type: ignore[override]
+            return super().write(bytes(data)[:7])
+
+    files = Slow(), io.BytesIO()
+    for file in files:
+        writer, a, _ = begun(file)
+        writer.message(a, 1, 2, 3, b"data")
+        writer.finish()
+    assert files[0].getvalue() == files[1].getvalue()
+
+
+@pytest.mark.parametrize("taken", [0, 1, 9, 20, 57])
+def test_a_header_of_which_the_disk_takes_a_part_hides_no_message(taken: int) -> None:
+    """It is written over the open one in a file that is there already: that is what a failure must leave."""
+
+    class Failing(io.BytesIO):
+        failures = 1
+
+        def write(self, data) -> int:  # type: ignore[override]
+            if self.failures and self.tell() < len(self.getvalue()):
+                self.failures -= 1
+                super().write(bytes(data)[:taken])
+                raise OSError(errno.EIO, "Input/output error")
+            return super().write(data)
+
+    file = Failing()
+    writer, a, _ = begun(file)
+    for i in range(5):
+        writer.message(a, i, i, i, b"x" * 90)
+        writer.push()
+    with pytest.raises(OSError, match="Input/output error"):
+        writer.close_chunk()
+    view = memoryview(file.getvalue())
+    found = contents(view)
+    assert [sequence for sequence, _, _ in messages(view, found, a)] == list(range(5))
+    assert found.chunks[-1].is_open
+    assert not found.damaged
+
+
+@pytest.fixture
+def torn(recording: Callable[..., Path], tmp_path: Path) -> Path:
+    data = recording(700, name="whole.mcap").read_bytes()
+    path = tmp_path / "torn.mcap"
+    path.write_bytes(data[: int(0.8 * len(data))])
+    return path
+
+
+def test_the_copy_is_whole_and_holds_the_same(torn: Path) -> None:
+    before = torn.read_bytes()
+    told: list[tuple[int, int, str]] = []
+    done = recover(torn, progress=lambda *step: told.append(step))
+    assert isinstance(done, Recovery)
+    assert done.path.name == "torn.recovered.mcap"
+    with pytest.warns(UserWarning, match="not finished"):
+        table = read(torn)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert read(done.path).sha256 == table.sha256
+    assert torn.read_bytes() == before
+    held, original = inspect(done.path), inspect(torn)
+    assert held.finished
+    assert held.metadata == original.metadata
+    assert held.attachments == original.attachments
+    assert held.events == original.events
+    assert held.topics == original.topics
+    assert done.torn == original.torn > 0
+    assert done.messages == sum(topic.messages for topic in held.topics)
+    assert done.seconds == pytest.approx(table.t[-1], abs=1e-6)  # the events are on another clock here
+    assert told[-1][0] <= told[-1][1] == len(before)
+    with AnyReader([done.path]) as reader:
+        assert sum(1 for _ in reader.messages()) == done.messages
+    assert sorted(path.name for path in torn.parent.iterdir()) == ["torn.mcap", "torn.recovered.mcap", "whole.mcap"]
+
+
+def test_nothing_is_overwritten_and_nothing_half_is_left(torn: Path, tmp_path: Path) -> None:
+    done = recover(torn)
+    with pytest.raises(LogError, match="Expected no file at"):
+        recover(torn)
+    assert recover(torn, tmp_path / "other.mcap").messages == done.messages
+    with pytest.raises(LogError, match="Expected to create"):
+        recover(torn, tmp_path / "nowhere" / "other.mcap")
+    empty = tmp_path / "empty.mcap"
+    empty.write_bytes(torn.read_bytes()[:40])
+    with pytest.raises(LogError, match="Expected messages in"):
+        recover(empty)
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_the_original_is_safe_under_the_temporary_name(torn: Path, tmp_path: Path) -> None:
+    original = torn.rename(tmp_path / "run.mcap.part")
+    before = original.read_bytes()
+    with pytest.raises(LogError, match=r"Expected to create .*run\.mcap\.part, got: File exists"):
+        recover(original, tmp_path / "run.mcap")
+    assert original.read_bytes() == before
+
+
+def test_a_chunk_whose_header_is_damaged_is_counted(recording: Callable[..., Path]) -> None:
+    path = recording(700)
+    data = bytearray(path.read_bytes())
+    chunk = contents(memoryview(bytes(data))).chunks[1]
+    data[chunk.data[0] - 1] ^= 1  # its inner length
+    path.write_bytes(data)
+    with pytest.warns(UserWarning, match="record of kind 6 at byte"):
+        rows = len(read(path))
+    assert rows == 450
+    assert recover(path).lost_chunks == 1
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_a_file_that_comes_while_it_works_is_not_overwritten(
+    torn: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool
+) -> None:
+    def no_links(*_: object) -> None:
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    if not links:
+        monkeypatch.setattr("os.link", no_links)
+    other = tmp_path / "other.mcap"
+    with pytest.raises(LogError, match="File exists"):
+        recover(torn, other, progress=lambda *_: other.write_bytes(b"another's") and None)
+    assert other.read_bytes() == b"another's"
+    assert recover(torn).path.exists()
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_a_new_file_is_whole_or_not_there(tmp_path: Path) -> None:
+    target, part = tmp_path / "target", tmp_path / "part"
+    with pytest.raises(KeyboardInterrupt), new_file(target, part, replace=True):
+        raise KeyboardInterrupt
+    assert not list(tmp_path.iterdir())
+    with new_file(target, part, replace=True) as file:
+        file.write(b"1")
+    with new_file(target, part, replace=True) as file:
+        file.write(b"2")
+    with (
+        pytest.raises(LogError, match=r"Expected to write .*target, got: File exists"),
+        new_file(target, part, replace=False),
+    ):
+        pass
+    assert target.read_bytes() == b"2"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["target"]
