@@ -23,9 +23,9 @@ from armlab.bridge.cell import Cell, cell_values, parse_cell, run_cell
 from armlab.bridge.inputs.parameters import Parameters
 from armlab.bridge.listen import is_open, listening
 from armlab.bridge.net.sockets import is_here
-from armlab.bridge.servers.labcomm import LabCommSource
+from armlab.bridge.servers.labcomm.client import LabCommSource
 from armlab.bridge.servers.local import LocalFeed, socket_path
-from armlab.bridge.servers.local_server import _listen
+from armlab.bridge.servers.local import _listen
 from armlab.bridge.servers.messages import CommandRequest, SetRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Row
 from armlab.cli import main

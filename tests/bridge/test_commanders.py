@@ -19,7 +19,7 @@ import pytest
 
 from armlab.bridge.arbiter import LEASE, Arbiter
 from armlab.bridge.cell import parse_cell, run_cell
-from armlab.bridge.servers.hub import Exchange
+from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.local import LocalFeed
 from armlab.bridge.servers.messages import Subscribe
 from armlab.bridge.servers.row import Row
@@ -180,14 +180,14 @@ def bench(request: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iter
             made.oldest = max(made.oldest, now - holder.heard_ns)
         return Command.stop() if made.over.is_set() else command
 
-    tell = Exchange.tell
+    tell = Hub.tell
 
-    def keep_and_tell(exchange: Exchange, text: str, warn: bool = False, each: bool = False) -> None:
+    def keep_and_tell(exchange: Hub, text: str, warn: bool = False, each: bool = False) -> None:
         made.told.append(text)
         tell(exchange, text, warn, each)
 
     monkeypatch.setattr(Arbiter, "__call__", obey_or_end)
-    monkeypatch.setattr(Exchange, "tell", keep_and_tell)
+    monkeypatch.setattr(Hub, "tell", keep_and_tell)
     yield made
     made.close()
 

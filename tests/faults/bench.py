@@ -37,7 +37,8 @@ from armlab.sim.arm.arm import LaggingArm
 from armlab.sim.controller.controller import SimulatedController
 from armlab.sim.controller.settings import ControllerSettings as RobotSettings
 from armlab.state import Command, State
-from armlab.wire.egm import EgmCodec, Reference, RobotSideCodec, SensorMessage
+from armlab.wire.egm import EgmCodec, Reference
+from armlab.wire.egm.robot_side import RobotSideCodec, SensorMessage
 
 WIRE = 1e-4  # s that a datagram takes at best
 NEVER_VALID = 0x07  # a first byte that no protobuf message has

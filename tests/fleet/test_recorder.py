@@ -11,7 +11,9 @@ import pytest
 
 from armlab import log, robots
 from armlab.bridge.servers.row import LARGEST, RowSchema, RowWriter
-from armlab.bridge.servers.zenoh import EVERY, Place, checksum, close_session, open_session
+from armlab.bridge.servers.zenoh.keys import EVERY
+from armlab.bridge.servers.zenoh.rows import checksum
+from armlab.bridge.servers.zenoh.session import LabAddress, close_session, open_session
 from armlab.errors import LinkError
 from armlab.fleet import FleetRecorder, Router, recorder
 from armlab.fleet.recorder import RobotRecord, RowColumns, stamp_of, tick_of
@@ -43,7 +45,7 @@ def check_ticks(path: Path, holes: int = 0) -> np.ndarray:
 def test_messages_of_no_robot_are_counted_and_leave_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorder, "_UNANSWERED", 0.3)
     told: list[str] = []
-    with Router(port=(port := free_port())), FleetRecorder(Place(port=port, lab=EVERY), tmp_path, told.append) as fleet:
+    with Router(port=(port := free_port())), FleetRecorder(LabAddress(port=port, lab=EVERY), tmp_path, told.append) as fleet:
         session = open_session("client", connect=[f"127.0.0.1:{port}"])
 
         def sent() -> bool:
@@ -78,7 +80,7 @@ def test_what_goes_wrong_with_one_robot_ends_its_recording_alone(
         whole(self)
 
     monkeypatch.setattr(RobotRecord, "write", wrong)
-    with Router(port=(port := free_port())), FleetRecorder(Place(port=port, lab=EVERY), tmp_path, told.append) as fleet:
+    with Router(port=(port := free_port())), FleetRecorder(LabAddress(port=port, lab=EVERY), tmp_path, told.append) as fleet:
         session = open_session("client", connect=[f"127.0.0.1:{port}"])
 
         def sent(name: str) -> int:
@@ -97,7 +99,7 @@ def test_what_waits_takes_bounded_memory(tmp_path: Path, monkeypatch: pytest.Mon
     """Rows of robots that nobody describes, and what is larger than rows are."""
     monkeypatch.setattr(recorder, "_ROOM", 100)
     large = b"ALR1" + bytes(LARGEST)
-    with Router(port=(port := free_port())), FleetRecorder(Place(port=port, lab=EVERY), tmp_path) as fleet:
+    with Router(port=(port := free_port())), FleetRecorder(LabAddress(port=port, lab=EVERY), tmp_path) as fleet:
         session = open_session("client", connect=[f"127.0.0.1:{port}"])
 
         def refused() -> int:
@@ -115,7 +117,7 @@ def test_what_waits_takes_bounded_memory(tmp_path: Path, monkeypatch: pytest.Mon
 def test_every_row_is_in_the_files(processes: Callable[..., Started], tmp_path: Path) -> None:
     port = free_port()
     processes("router", port)
-    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path) as fleet:
+    with FleetRecorder(LabAddress(port=port, lab="lab1"), tmp_path) as fleet:
         publishers = [processes("publisher", port, name) for name in NAMES]
         until(lambda: all(rows_of(fleet, f"lab1/{name}") > 4 * PAST for name in NAMES))
         published = [one.end() for one in publishers]
@@ -134,7 +136,7 @@ def test_a_router_that_dies_leaves_a_hole_that_is_counted(processes: Callable[..
     """By the stamps of the rows it ends within 5 s after the next router."""
     port, name = free_port(), "lab1/yumi_left"
     router = processes("router", port)
-    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path) as fleet:
+    with FleetRecorder(LabAddress(port=port, lab="lab1"), tmp_path) as fleet:
         publisher = processes("publisher", port, "yumi_left")
         until(lambda: rows_of(fleet, name) > PAST)
         router.kill()
@@ -158,7 +160,7 @@ def test_a_bridge_that_restarts_while_the_router_is_down_is_no_hole(
     """Also when its ticks are past those of the old one."""
     port, name, told = free_port(), "lab1/yumi_left", []
     router = processes("router", port)
-    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path, told.append) as fleet:
+    with FleetRecorder(LabAddress(port=port, lab="lab1"), tmp_path, told.append) as fleet:
         first = processes("publisher", port, "yumi_left")
         until(lambda: rows_of(fleet, name) > PAST)
         router.kill()
@@ -178,7 +180,7 @@ def test_a_bridge_that_restarts_while_the_router_is_down_is_no_hole(
 def test_a_robot_that_dies_and_comes_again_with_other_rows(processes: Callable[..., Started], tmp_path: Path) -> None:
     port, name = free_port(), "lab1/arm"
     processes("router", port)
-    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path) as fleet:
+    with FleetRecorder(LabAddress(port=port, lab="lab1"), tmp_path) as fleet:
         other = processes("publisher", port, "yumi_left")
         first = processes("publisher", port, "yumi_right", "arm")
         until(lambda: rows_of(fleet, name) > PAST)
@@ -213,7 +215,7 @@ def test_a_file_that_cannot_be_written_costs_its_robot_alone(
     monkeypatch.setattr(RecordingFile, "write", full)
     port = free_port()
     processes("router", port)
-    with FleetRecorder(Place(port=port, lab="lab1"), tmp_path, told.append) as fleet:
+    with FleetRecorder(LabAddress(port=port, lab="lab1"), tmp_path, told.append) as fleet:
         publishers = [processes("publisher", port, name) for name in ("yumi_left", robot.name)]
         until(lambda: any("No space left on device" in text for text in told))
         seen = rows_of(fleet, f"lab1/{robot.name}")

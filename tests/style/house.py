@@ -29,7 +29,8 @@ from armlab.bridge.control.supervision import Settings
 from armlab.bridge.net.sockets import Port
 from armlab.identify import fit_dynamics
 from armlab.state import Command
-from armlab.wire.egm import EgmCodec, RobotMessage, RobotSideCodec
+from armlab.wire.egm import EgmCodec
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
 
 __all__ = ["GOALS", "Goal", "circles", "measured", "table"]
 

@@ -16,7 +16,9 @@ from types import TracebackType
 from typing import Any
 
 from armlab.bridge.servers.row import MAGIC, RowField, RowSchema
-from armlab.bridge.servers.zenoh import EVERY, Asking, Place, close_session, key, robot_of, undamaged
+from armlab.bridge.servers.zenoh.keys import EVERY, key, robot_of
+from armlab.bridge.servers.zenoh.rows import undamaged
+from armlab.bridge.servers.zenoh.session import Discovery, LabAddress, close_session
 from armlab.bridge.servers.zenoh.messages import read_about
 from armlab.bridge.servers.zenoh.rows import Inbox
 from armlab.bridge.servers.zenoh.session import zenoh
@@ -59,7 +61,7 @@ class FleetRecorder:
     LinkError : no router. MissingExtra : no Zenoh.
     """
 
-    def __init__(self, place: Place, folder: str | Path, tell: Callable[[str], None] = lambda text: None) -> None:
+    def __init__(self, place: LabAddress, folder: str | Path, tell: Callable[[str], None] = lambda text: None) -> None:
         self._folder, self._tell = Path(folder), tell
         self._robots: dict[str, RobotRecord] = {}
         self._ended: set[str] = set()  # robots of whom nothing more is recorded
@@ -68,7 +70,7 @@ class FleetRecorder:
         self._room = _ROOM
         self._wake, self._closed = threading.Event(), False
         self._session = place.open_behind()
-        self._asking = Asking(self._session, self._answered)
+        self._asking = Discovery(self._session, self._answered)
         declare, liveliness = self._session.declare_subscriber, self._session.liveliness()
         self._thread = threading.Thread(target=self._run, name="fleet recorder", daemon=True)
         self._thread.start()

@@ -16,7 +16,7 @@ from armlab.bridge import connect
 from armlab.bridge.control.arm import Latency, QueueTrimming
 from armlab.bridge.control.state_machine import Mode
 from armlab.state import Command, State
-from armlab.wire.egm import RobotSideCodec, SensorMessage
+from armlab.wire.egm.robot_side import RobotSideCodec, SensorMessage
 
 from .conftest import CONTROLLER, MS, Make, drift
 

@@ -19,7 +19,8 @@ from armlab.bridge.control.torque import Admittance, TorqueModel, Torques, admit
 from armlab.errors import CommandRefused, ConfigError
 from armlab.robots import Robot
 from armlab.state import Command, State
-from armlab.wire.egm import Beside, EgmCodec, Packet, RobotMessage, RobotSideCodec
+from armlab.wire.egm import Beside, EgmCodec, Packet
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
 
 from .test_state_machine import Bench
 

@@ -17,7 +17,7 @@ from armlab.bridge.control.multi_arm import merge_states, split_command
 from armlab.bridge.control.state_machine import Mode
 from armlab.errors import CommandRefused, ControllerFailed, LinkError, NoRobot, UnknownName
 from armlab.state import Command, State
-from armlab.wire.egm import RobotSideCodec
+from armlab.wire.egm.robot_side import RobotSideCodec
 
 from .conftest import MS, Hands, Make, drift
 

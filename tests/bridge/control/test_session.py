@@ -16,7 +16,8 @@ from armlab.bridge.control.session import EGM_ERROR, NOMINAL_PERIOD, Period, Rob
 from armlab.bridge.control.state_machine import StateMachine
 from armlab.bridge.net.sockets import Arrival
 from armlab.robots import Robot
-from armlab.wire.egm import Drop, EgmCodec, Packet, Reference, RobotMessage, RobotSideCodec
+from armlab.wire.egm import Drop, EgmCodec, Packet, Reference
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
 
 SILENCE = 600_000_000  # ns
 PERIOD_NS = 4_000_000

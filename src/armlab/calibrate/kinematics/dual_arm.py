@@ -31,7 +31,8 @@ from armlab.calibrate.kinematics.solve import (
     spread_of,
 )
 from armlab.errors import ConfigError, NotExcited, ShapeError
-from armlab.estimation import Fit, Measurement, NonlinearSolution
+from armlab.estimation import Fit, Measurement
+from armlab.estimation.nonlinear import NonlinearSolution
 from armlab.kinematics.forward import twist_jacobian
 from armlab.lie import se3
 from armlab.models import DualArmCorrection, KinematicCorrection

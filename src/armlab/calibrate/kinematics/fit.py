@@ -29,7 +29,8 @@ from armlab.calibrate.kinematics.solve import (
     start_arm,
 )
 from armlab.errors import ConfigError, NotExcited, ShapeError, UnknownName
-from armlab.estimation import Fit, NonlinearSolution
+from armlab.estimation import Fit
+from armlab.estimation.nonlinear import NonlinearSolution
 from armlab.models import KinematicCorrection
 from armlab.robots import Robot
 

@@ -14,7 +14,8 @@ from armlab.calibrate.kinematics.identifiability import IdentifiabilityTest, Uno
 from armlab.calibrate.kinematics.measurements import Kind
 from armlab.calibrate.kinematics.model import Arm
 from armlab.errors import ConfigError, NotConverged, NotExcited, ShapeError, UnknownName
-from armlab.estimation import Excitation, Fit, Measurement, NonlinearProblem, NonlinearSolution, nonlinear_least_squares
+from armlab.estimation import Excitation, Fit, Measurement, NonlinearProblem, nonlinear_least_squares
+from armlab.estimation.nonlinear import NonlinearSolution
 from armlab.lie import se3, so3
 
 SCHEDULE = (1000.0, 300.0, 100.0, 30.0, 10.0)

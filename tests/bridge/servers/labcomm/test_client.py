@@ -21,7 +21,8 @@ from armlab.log import Column
 from armlab.robots import Robot
 from armlab.state import Command, State
 from armlab.wire.egm import Codec, Drop, Packet, Reference
-from armlab.wire.labcomm import Decoder, Encoder, Prim, Sample
+from armlab.wire.labcomm import Decoder, Encoder, Sample
+from armlab.wire.labcomm.types import Prim
 
 from ..conftest import PATIENCE, until
 from .conftest import Started, row

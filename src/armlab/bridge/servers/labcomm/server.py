@@ -24,7 +24,8 @@ from armlab.bridge.servers.labcomm.rows import STOP, Row
 from armlab.errors import LabCommError, LinkError, UnknownName
 from armlab.log import Tick
 from armlab.state import Command, State
-from armlab.wire.labcomm import Definition, Encoder, Event, Sample
+from armlab.wire.labcomm import Encoder, Sample
+from armlab.wire.labcomm.types import Definition, Event
 
 __all__ = ["LabCommServer", "Ports", "RowFeed", "to_arbiter"]
 
