@@ -15,7 +15,7 @@ import pytest
 from armlab.bridge.servers.hub import Exchange
 from armlab.bridge.servers.zenoh import EVERY, Place, close_session, open_session
 from armlab.bridge.servers.zenoh.process import ZenohProcess
-from armlab.live import FleetRows
+from armlab.live.fleet_view import FleetRows
 from armlab.log import Tick
 from armlab.robots import Robot
 from armlab.state import State

@@ -35,12 +35,6 @@ def test_a_capsule_is_all_points_near_a_line(b: list[float]) -> None:
     assert 0.95 * ideal < volume(body) < ideal
 
 
-def test_a_rod_is_a_box() -> None:
-    body = box(np.array([0.0, 0.0, -0.2]), np.array([0.0, 0.0, 0.3]), 0.04)
-    assert volume(body) == pytest.approx(0.5 * 0.04**2)
-    np.testing.assert_allclose(body.moved(np.eye(4)).vertices[:, 2], [-0.2] * 4 + [0.3] * 4)
-
-
 def test_an_arrow_points_along_z_and_is_turned_anywhere() -> None:
     body = arrow()
     assert volume(body) > 0

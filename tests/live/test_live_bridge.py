@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-import sys
 import time
 from typing import Any
 
@@ -13,7 +12,7 @@ import pytest
 
 from armlab import robots
 from armlab.contact import Estimator
-from armlab.errors import ConfigError, LinkError, MissingExtra, ModelMismatchError, UnknownName
+from armlab.errors import ConfigError, LinkError, ModelMismatchError, UnknownName
 from armlab.kinematics import forward
 from armlab.lie import quaternion, se3
 from armlab.live.live_bridge import Force, RunningView, watch
@@ -63,8 +62,9 @@ def test_it_finds_the_bridge_again_that_started_again(bridge: Any, following: An
 
 
 def test_a_bridge_over_zenoh_is_waited_for_followed_and_found_again(
-    fleet: Fleet, following: Any, hear_until: Any
+    fleet: Fleet, following: Any, hear_until: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("armlab.live.live_bridge._PATIENCE", 0.5)
     running = following(zenoh=f"zenoh://127.0.0.1:{fleet.port}/lab1")
     assert running.state.startswith("Waiting for a bridge at zenoh://127.0.0.1:")
     assert not running.hear(0.0)
@@ -311,9 +311,3 @@ def test_nothing_is_drawn_while_nobody_looks(bridge: Any, page: Any, monkeypatch
     watch(opened=told.append, tell=told.append, port=0, over=over)
     pages[0].close()
     assert drawn[0] > 5
-
-
-def test_without_viser(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "viser", None)
-    with pytest.raises(MissingExtra, match=r"pip install 'armlab\[live\]'"):
-        watch()

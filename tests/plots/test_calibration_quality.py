@@ -17,8 +17,13 @@ def fit():
     return calibrate.fit_hand_eye(**sim.cell(1).hand_eye(wrong=2).given, robust=True)
 
 
-def test_residuals_are_in_sigma_and_wrong_samples_are_crosses(fit) -> None:
-    over = calibration(fit).axes[0]
+@pytest.fixture(scope="module")
+def drawn(fit):
+    return calibration(fit, truth=fit.parameters + fit.sd)
+
+
+def test_residuals_are_in_sigma_and_wrong_samples_are_crosses(fit, drawn) -> None:
+    over = drawn.axes[0]
     good, bad, *_ = over.lines
     size = np.sqrt(np.mean(fit.residuals[:, :3] ** 2, axis=1)) / fit.sigma[0]
     assert np.array_equal(good.get_xdata(), np.arange(2, 30))
@@ -28,15 +33,15 @@ def test_residuals_are_in_sigma_and_wrong_samples_are_crosses(fit) -> None:
     assert [text.get_text() for text in over.get_legend().get_texts()].count("left out") == 1
 
 
-def test_quantiles_of_normal_residuals_are_near_the_line(fit) -> None:
-    normal = calibration(fit).axes[1]
+def test_quantiles_of_normal_residuals_are_near_the_line(drawn) -> None:
+    normal = drawn.axes[1]
     x, y = normal.lines[0].get_data()
     assert len(np.asarray(x)) == 3 * 28
     assert np.corrcoef(np.asarray(x), np.asarray(y))[0, 1] > 0.97
 
 
-def test_ellipses_are_two_sigma_and_the_truth_is_a_cross(fit) -> None:
-    ellipses = calibration(fit, truth=fit.parameters + fit.sd).axes[2]
+def test_ellipses_are_two_sigma_and_the_truth_is_a_cross(fit, drawn) -> None:
+    ellipses = drawn.axes[2]
     outline, cross = ellipses.lines[:2]
     assert np.max(np.asarray(outline.get_xdata())) == pytest.approx(2 * fit.sd[0], rel=2e-3)
     assert np.asarray(cross.get_xdata()) == pytest.approx([fit.sd[0]])

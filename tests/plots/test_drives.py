@@ -53,20 +53,6 @@ def test_the_dark_band_is_the_covariance_of_the_parameters(fitted: Fit[TorqueMod
     assert top - curve[-1] == pytest.approx(2 * np.sqrt(g @ fitted.cov @ g), rel=1e-6)
 
 
-def test_both_bands_are_in_the_legend(fitted: Fit[TorqueModel]) -> None:
-    names = [text.get_text() for text in friction(fitted).legends[0].get_texts()]
-    assert names == ["± 2 sigma of the parameters", "with the torque error", "model"]
-
-
-def test_the_parameters_of_each_joint_are_found_by_kind(fitted: Fit[TorqueModel], truth) -> None:
-    found = own_parameters(fitted)
-    assert len(found) == 3
-    for own, joint in zip(found, truth.robot.joint_names, strict=True):
-        assert fitted.names[own["viscous"]] == f"viscous {joint}"
-        assert {"viscous", "offset"} < own.keys()
-        assert {"coulomb"} < own.keys() or {"coulomb+", "coulomb-"} < own.keys()
-
-
 JOINT, CYCLES, SIZE = 2, 200.0, 0.15
 
 

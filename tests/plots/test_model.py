@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from armlab import identify
-from armlab.errors import ModelMismatchError, ShapeError, UnknownName
+from armlab.errors import ShapeError, UnknownName
 from armlab.estimation import Excitation, Fit, correlation_time
 from armlab.log import Column, Table
 from armlab.models import TorqueModel, velocity_covariance
 from armlab.plots import model as covariances
-from armlab.plots.model import autocorrelation, excitation, residual_speed, torque_fit, value_of
+from armlab.plots.model import autocorrelation, excitation, residual_speed, torque_fit
 
 
 def test_each_joint_has_its_numbers(fitted: Fit[TorqueModel], excited: Table) -> None:
@@ -55,12 +55,6 @@ def test_a_piece_too_short_to_filter_is_a_gap(model: TorqueModel, excited: Table
     line = torque_fit(model, late).axes[0].lines[1]
     assert np.isnan(np.asarray(line.get_ydata())[1000:1050]).all()
     assert np.isfinite(np.asarray(line.get_ydata())[:1000]).all()
-
-
-def test_a_fit_or_its_value(fitted: Fit[TorqueModel], excited: Table) -> None:
-    assert value_of(fitted) is value_of(fitted.value) is fitted.value
-    with pytest.raises(ModelMismatchError, match=r"models\.load"):
-        torque_fit("model.toml", excited)  # type: ignore[arg-type]
 
 
 N = 3000
@@ -152,11 +146,6 @@ def test_lines_are_the_square_root_of_the_variance() -> None:
         assert np.asarray(line.get_ydata()) == pytest.approx(expected)
         assert line.get_label() == f"joint {i + 1}"
     assert len(ax.lines) == 2
-
-
-def test_a_torque_model_gives_its_covariance(model: TorqueModel) -> None:
-    lines = covariances.velocity_covariance(model).lines
-    assert len(lines) == len(model.covariance.C0)
 
 
 NAMES = ("mass", "offset", "gain")

@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 
 from armlab import identify, robots
-from armlab.errors import ConfigError
 from armlab.robots import Robot
 from armlab.sim.arm.arm import LaggingArm, SimulatedArm, build_model, record, scara
 from armlab.sim.arm.mismatch import Mismatch
-from armlab.sim.arm.sensors import SensorReading, Sensors, TrueState
+from armlab.sim.arm.sensors import SensorReading, TrueState
 from armlab.sim.arm.truth import Truth, synthetic_truth
-from armlab.wire.egm import EgmCodec, Packet, RobotMessage, RobotSideCodec
-from armlab.wire.egm import armlab_egm_pb2 as pb
 
 T = 0.004032
 
@@ -59,18 +56,6 @@ def test_samples_satisfy_the_equation_of_motion(name: str) -> None:
     for sample in drive_along(arm, robot, 1.0, wrench)[10::20]:
         np.testing.assert_allclose(sample.tau, equation(robot, truth, sample), atol=1e-11 * scale)
         np.testing.assert_allclose(sample.T_base_tool, robot.chain.forward(sample.q), atol=1e-12)
-
-
-def test_a_push_appears_with_the_sign_of_the_convention(robot: Robot, truth: Truth) -> None:
-    """tau_e = model without contact - tau = J^T F: +5 N along base x comes back as +5 N."""
-    arm, F = SimulatedArm(robot, truth), np.array([5.0, 0, 0, 0, 0, 0])
-    for _ in range(50):
-        arm.step(robot.q_home, np.zeros(7), F)
-    sample = arm.sample
-    free = TrueState(**{name: getattr(sample, name) for name in TrueState.__slots__} | {"wrench": np.zeros(6)})
-    tau_e = equation(robot, truth, free) - sample.tau
-    estimate = np.linalg.lstsq(robot.chain.jacobian(sample.q).T, tau_e, rcond=None)[0]
-    np.testing.assert_allclose(estimate, F, atol=1e-9)
 
 
 def test_a_payload_appears_as_its_weight(robot: Robot, truth: Truth) -> None:
@@ -139,16 +124,6 @@ def test_holding_against_a_push(robot: Robot, truth: Truth) -> None:
     np.testing.assert_allclose(late[strong], expected[strong], rtol=0.55)
 
 
-def test_it_comes_to_rest(robot: Robot, truth: Truth) -> None:
-    arm = SimulatedArm(robot, truth)
-    drive_along(arm, robot, 1.4)
-    q, _ = sway(robot, 1.4)
-    for _ in range(1500):
-        arm.step(q, np.zeros(7), None)
-    assert np.abs(arm.sample.qd).max() < 1e-5
-    assert np.abs(arm.sample.q - q).max() < 1e-4
-
-
 def test_noise_is_white_with_the_stated_size(robot: Robot, truth: Truth) -> None:
     arm = SimulatedArm(robot, truth, seed=7)
     errors_tau, errors_qd = [], []
@@ -184,27 +159,6 @@ def test_torque_saturates(robot: Robot, truth: Truth) -> None:
         arm.step(robot.q_home + 1.0, np.zeros(7), None)
         assert (np.abs(arm.sample.tau) <= truth.tau_max).all()
     assert arm.drive.saturated > 0
-
-
-def test_same_seed_same_numbers(robot: Robot, truth: Truth) -> None:
-    def numbers(seed: int) -> bytes:
-        arm = SimulatedArm(robot, truth, seed=seed)
-        rows = []
-        for k in range(1, 100):
-            arm.step(*sway(robot, k * T), None)
-            measured = arm.measure()
-            rows += [measured.q, measured.qd, measured.tau]
-        return np.array(rows).tobytes()
-
-    assert numbers(3) == numbers(3)
-    assert numbers(3) != numbers(4)
-
-
-def test_steps_follow_the_period(robot: Robot, truth: Truth) -> None:
-    assert SimulatedArm(robot, truth, period=0.004032).steps == 4
-    assert SimulatedArm(robot, truth, period=0.001).steps == 1
-    with pytest.raises(ConfigError, match="period"):
-        SimulatedArm(robot, truth, period=0.0)
 
 
 def test_build_model_keeps_inertias(robot: Robot, truth: Truth) -> None:
@@ -246,20 +200,6 @@ def test_an_elastic_gear_turns_by_what_it_carries() -> None:
         rows.append((measured.q, measured.qd))
     q, qd = np.array(rows).transpose(1, 0, 2)
     np.testing.assert_allclose(np.diff(q, axis=0)[20:] / T, 0.5 * (qd[1:] + qd[:-1])[20:], atol=2e-3)
-
-
-def test_nothing_seen_nothing_measured() -> None:
-    sensors = Sensors(NOISELESS, Mismatch(), T, 0)
-    with pytest.raises(ConfigError, match="instant"):
-        sensors.measure()
-    arm = SimulatedArm(YUMI, NOISELESS)
-    sensors.see(arm.sample)
-    measured = sensors.measure()
-    assert isinstance(measured, SensorReading)
-    np.testing.assert_array_equal(measured.tau, arm.sample.tau)
-    sensors.reset()
-    with pytest.raises(ConfigError, match="instant"):
-        sensors.measure()
 
 
 UR5E = robots.load("ur5e")
@@ -334,13 +274,3 @@ def test_the_slide_goes_down() -> None:
     T_base_tool = robot.chain.forward(robot.q_home)
     lower = robot.chain.forward(robot.q_home + np.array([0.0, 0.0, 0.05, 0.0]))
     np.testing.assert_allclose(lower[:3, 3] - T_base_tool[:3, 3], [0.0, 0.0, -0.05], atol=1e-12)
-
-
-def test_its_packets() -> None:
-    robot, q = scara(), np.array([0.1, 0.2, 0.09, 0.3])
-    data = RobotSideCodec(robot).encode_robot(RobotMessage(0, 1, q))
-    joints = pb.EgmRobot.FromString(data).feedBack.joints.joints[:]
-    np.testing.assert_allclose(joints, np.degrees(q))
-    packet = EgmCodec(robot).decode(data)
-    assert isinstance(packet, Packet)
-    np.testing.assert_allclose(packet.q, q)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -83,25 +85,6 @@ def test_packet_content() -> None:
     assert (np.abs(first.tau - peer.controller.arm.sample.tau) < 6 * TRUTH.tau_noise).all()
 
 
-def test_without_extension_no_torque() -> None:
-    packet = start(extension=False).cycle()
-    assert packet is not None
-    assert packet.tau is None
-    assert packet.qd is None
-
-
-def test_lag_of_the_planned_reference() -> None:
-    """10 deg/s without speed reference and k = 5: 2 degrees; with it none."""
-    for feedforward, expected in ((False, 2.0), (True, 0.0)):
-        peer, speed = start(), np.radians(10.0)
-        for k in range(750):
-            q = ROBOT.q_home + np.array([speed * k * 0.004032, 0, 0, 0, 0, 0, 0])
-            peer.cycle(q, np.array([speed, 0, 0, 0, 0, 0, 0]) if feedforward else None)
-        lag = q[0] - peer.controller.arm._q_ref[0]
-        assert np.degrees(lag) == pytest.approx(expected, abs=0.06)
-        assert np.degrees(q[0] - peer.packets[-1].q[0]) == pytest.approx(expected, abs=0.15)
-
-
 def test_the_answer_to_a_packet_acts_in_the_next_cycle() -> None:
     peer = start(ramp_in=0.005)
     peer.cycle(ROBOT.q_home + 0.1)
@@ -173,23 +156,6 @@ def test_comm_timeout_ends_the_session_and_the_next_begins() -> None:
     assert peer.controller.session == 2
     assert np.abs(peer.controller.arm.sample.qd).max() < 0.02, "the arm came to a stop"
     assert packet.robot_ns > peer.packets[-2].robot_ns + 100_000_000
-
-
-def test_session_time_out_is_said_once_without_a_peer() -> None:
-    peer = start(comm_timeout=0.05)
-    for _ in range(400):
-        peer.cycle()
-    assert peer.controller.session > 3
-    assert len(peer.events) == 1
-
-
-def test_program_once_ends() -> None:
-    peer = start(comm_timeout=0.05, program="once")
-    for _ in range(200):
-        peer.cycle()
-    assert peer.controller.phase == "over"
-    assert peer.controller.reason == "the program ran once"
-    assert peer.controller.session == 1
 
 
 def test_convergence_ends_the_session() -> None:
@@ -304,7 +270,7 @@ def test_same_seed_same_bytes() -> None:
     def stream(seed: int) -> list[bytes | None]:
         peer = start(seed=seed)
         packets = []
-        for k in range(100):
+        for k in range(30):
             peer.cycle(ROBOT.q_home + 0.001 * k)
             packets.append(peer.controller.packet())
         return packets
@@ -323,13 +289,18 @@ def test_losing_the_peer_ends_the_session_at_once() -> None:
 
 
 def planned_after(garbage: list[bytes]) -> np.ndarray:
-    """Run 30 cycles with garbage before each good reply; return what was planned."""
+    """Run 20 cycles with garbage before each good reply; return what was planned."""
     peer = start()
-    for k in range(30):
+    for k in range(20):
         for data in garbage:
             assert peer.controller.accept(data) is None
         peer.cycle(ROBOT.q_home + 0.002 * k, np.full(7, 0.1))
     return np.array([p.q_planned for p in peer.packets])
+
+
+@cache
+def undisturbed() -> np.ndarray:
+    return planned_after([])
 
 
 @settings(max_examples=10)
@@ -345,7 +316,7 @@ def test_garbage_never_moves_the_robot(noise: list[bytes]) -> None:
         for data in [b"", b"\0", good[:1], good[: len(good) // 2], good[:-3], bytes(65507), *noise]
         if type(robot_side.decode_sensor(data)).__name__ == "Drop" or robot_side.decode_sensor(data).q is None  # type: ignore[union-attr]
     ]
-    np.testing.assert_array_equal(planned_after(garbage), planned_after([]))
+    np.testing.assert_array_equal(planned_after(garbage), undisturbed())
 
 
 def test_garbage_is_counted_by_kind_and_said_once() -> None:

@@ -108,12 +108,6 @@ def test_motors_or_rapid_that_stop_interrupt_guidance(scene: Surroundings) -> No
     assert (last.mci, last.seqno, task.controller.session) == (RUNNING, 279, 1), "the same session goes on"
 
 
-def test_rapid_stuck_at_undefined_guides() -> None:
-    task = Task(Surroundings(rapid=StateScript("undefined", RAPID)))
-    last = task.run(50, task.position(ROBOT.q_home))
-    assert (last.mci, last.rapid) == (RUNNING, 0)
-
-
 def test_another_mode_than_activated_is_event_41826() -> None:
     task = Task(mode="joint", activated="pose", program="once")
     for _ in range(100):
@@ -198,21 +192,6 @@ def test_a_torque_that_is_no_number_kills() -> None:
     task.run(3, lambda p: research(p, np.full(7, np.nan), 1.0))
     assert task.controller.dead
     assert [event.number for event in task.events] == [10014]
-
-
-def test_torque_feedforward_changes_the_torque_of_the_drives_at_once() -> None:
-    quiet, pushed = Task(masses=True), Task(masses=True)
-    quiet.run(3, lambda p: research(p, np.zeros(7), 1.0))
-    pushed.run(3, lambda p: research(p, 0.5 * np.ones(7), 1.0))
-    difference = pushed.controller.arm.sample.tau - quiet.controller.arm.sample.tau
-    assert (difference > 0.05).all()
-
-
-def test_skipped_cycles_pass_without_motion() -> None:
-    task = Task()
-    task.run(10, task.position(ROBOT.q_home))
-    task.controller.skip(100)
-    assert task.run(1).robot_ns - task.packets[-2].robot_ns == 101 * 4_032_000
 
 
 def test_cycles_without_packets_are_not_the_peers_silence() -> None:

@@ -41,10 +41,12 @@ def channel(
 
 
 def lockstep(make_peer: MakePeer, seed: int, rates: FaultRates | None = None) -> tuple[str, bytes, UdpClient]:
-    """Two seconds of lockstep; return the digest of the packets, the final state of the arm, the channel."""
+    """A second of lockstep; return the digest of the packets, the final state of the arm, the channel."""
     peer = make_peer(RIGHT)
     client = channel(peer.port, seed, rates=rates)
-    assert run([client], Timing(lockstep=True, seconds=2.0)) == "the time is up"
+    assert run([client], Timing(lockstep=True, seconds=1.0)) == "the time is up"
+    steps = np.diff([p.robot_ns for p in peer.packets])
+    assert rates is not None or (len(peer.packets), *np.unique(steps)) == (249, 4_032_000), "robot time is exact"
     assert rates is not None or client.controller.statistics.counts["missed"] == 0
     digest = peer.digest.hexdigest()
     return digest, client.controller.arm.sample.q.tobytes(), client
@@ -58,15 +60,6 @@ def test_lockstep_same_seed_same_bytes(make_peer: MakePeer, rates: FaultRates | 
     if rates is None:
         assert first[0] == second[0]
         assert other[0] != first[0]
-
-
-def test_lockstep_counts_robot_time_exactly(make_peer: MakePeer) -> None:
-    peer = make_peer(RIGHT)
-    client = channel(peer.port)
-    run([client], Timing(lockstep=True, seconds=4.0))
-    assert len(peer.packets) == 993
-    steps = np.diff([p.robot_ns for p in peer.packets])
-    assert (steps == 4_032_000).all()
 
 
 def test_lockstep_gives_a_gone_peer_up(make_peer: MakePeer) -> None:
@@ -84,26 +77,13 @@ def test_a_pause_of_the_peer_does_not_move_robot_time(make_peer: MakePeer) -> No
     """Between two runs the peer is silent: robot time stands still and the session goes on."""
 
     def answer(k: int, packet: Any, reply: bytes) -> list[bytes]:
-        if k == 100:
-            time.sleep(0.4)
+        if k == 50:
+            time.sleep(0.2)
         return [reply]
 
     peer = make_peer(RIGHT, answer)
-    run([channel(peer.port)], Timing(lockstep=True, seconds=1.0))
+    run([channel(peer.port)], Timing(lockstep=True, seconds=0.4))
     assert [p.seqno for p in peer.packets] == list(range(len(peer.packets)))
-
-
-def test_lateness_counts_the_late_cycles_too(make_peer: MakePeer) -> None:
-    """The first second is not counted; a busy machine skips many of the 496 cycles, which are not numbered then."""
-    client, late = channel(make_peer(RIGHT).port), []
-
-    def observe(_: object) -> None:
-        if client.controller.seq >= 270 and not late:
-            late.append(client.controller.seq)
-            time.sleep(0.03)
-
-    run([client], Timing(seconds=2.0), observe=observe)
-    assert client.controller.statistics.as_dict()["wake_up_late_us"]["max"] > 20_000
 
 
 def test_it_ends_with_the_process_that_started_it(make_peer: MakePeer) -> None:
@@ -134,7 +114,7 @@ def test_two_arms_in_one_process(make_peer: MakePeer) -> None:
     peers = [make_peer(RIGHT), make_peer(LEFT)]
     clients = [channel(peers[0].port), channel(peers[1].port, 1, LEFT)]
     seen: list[UdpClient] = []
-    run(clients, Timing(lockstep=True, seconds=0.5), observe=seen.append)
+    run(clients, Timing(lockstep=True, seconds=0.2), observe=seen.append)
     assert seen[:4] == clients * 2
     times = [[p.robot_ns for p in peer.packets] for peer in peers]
     assert times[0] == times[1]
@@ -200,6 +180,7 @@ def test_what_the_machine_skips_is_told_from_what_the_simulator_skips(make_peer:
         run([client], Timing(seconds=2.0), observe=observe)
         found = client.controller.statistics.as_dict()
         counts.append((found["counts"].get("overruns", 0), found["counts"]["skipped"], found["work_us"]["max"]))
+        assert found["wake_up_late_us"]["max"] > 20_000, "also the cycles that were late count"
     waited, computed = counts
     assert waited[0] < 6  # none for the wait; a busy machine may make a cycle or two compute too long
     assert waited[1] >= 6
@@ -242,9 +223,9 @@ def test_lockstep_waits_for_no_packet_that_faults_hold_back(make_peer: MakePeer,
         client._outgoing = Faults(rates, 5) if outgoing else None
         client._incoming = Faults(rates, 6) if incoming else None
         begin = time.monotonic()
-        assert run([client], Timing(lockstep=True, seconds=1.0, patience=60.0)) == "the time is up"
+        assert run([client], Timing(lockstep=True, seconds=0.7, patience=60.0)) == "the time is up"
         assert time.monotonic() - begin < 50.0
-        assert client.controller.statistics.counts["replies"] > 100
+        assert client.controller.statistics.counts["replies"] > 70
 
 
 ROBOT = robots.load("yumi_right")

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from armlab.robots import Robot
-    from armlab.sim import Surroundings
+    from armlab.sim.events import Surroundings
     from armlab.sim.arm.arm import LaggingArm, SimulatedArm
     from armlab.sim.controller.channel import UdpClient
     from armlab.sim.controller.controller import SimulatedController
@@ -138,7 +138,7 @@ class Around:
 
     def scene(self, robot: Robot, index: int, seed: list[int], external: int) -> Surroundings:
         """Return what happens around one robot."""
-        from armlab.sim import MOTORS, RAPID, AppliedWrench, Grip, HandPath, StateScript, Surroundings
+        from armlab.sim.events import MOTORS, RAPID, AppliedWrench, Grip, HandPath, StateScript, Surroundings
 
         operator = AppliedWrench.idle() if self.operator is None or index else read_operator(self.operator)
         hand = HandPath.random(robot, seed) if self.hand is None or index else read_hand(self.hand, robot.n)

@@ -88,7 +88,7 @@ def view(
 def _watch(arm: str | None, cell: str, zenoh: str, models: Sequence[TorqueModel], port: int | None) -> None:
     """Show a bridge that runs."""
     from armlab.cli.support.output import note
-    from armlab.live import watch
+    from armlab.live.live_bridge import watch
 
     watch(arm, cell=cell, zenoh=zenoh, models=models, port=port, opened=_open, tell=note)
 
@@ -97,7 +97,7 @@ def _watch_fleet(url: str, port: int | None) -> None:
     """Show all robots at a router."""
     from armlab.bridge.servers.zenoh import EVERY, Place
     from armlab.cli.support.output import note
-    from armlab.live import watch_fleet
+    from armlab.live.fleet_view import watch_fleet
 
     place = Place.read(url or "zenoh://127.0.0.1")
     has_lab = urlsplit(url).path.strip("/") != ""

@@ -37,10 +37,8 @@ _ESTIMATE_GAP = 1.0  # s without a packet, after which an estimate begins anew
 class Force(NamedTuple):
     """The wrench on an arm.
 
-    Attributes
-    ----------
-    wrench : (6,) by the environment on the robot, base axes, at the tool point [N, N m].
-    covariance : (6, 6) of it; None where it is not known. origin : who says so.
+    `wrench`: (6,) by the environment on the robot, base axes, at the tool point [N, N m]. `covariance`: (6, 6) of it;
+    None where it is not known.
     """
 
     wrench: np.ndarray
@@ -51,17 +49,10 @@ class Force(NamedTuple):
 class Running:
     """The newest of a bridge that runs. It only reads; what it does not read in time the feed drops.
 
-    Parameters
-    ----------
-    robot : this arm only; None for all.
-    cell : name of the cell; "" when only one runs. zenoh : of a bridge elsewhere, see `bridge.zenoh.Place.read`.
-    rate : rows per second to ask for; with models every row is.
-    models : torque models, each for the arm that it was identified on, for a bridge that sends no estimate.
-
-    Attributes
-    ----------
-    robots : the arms by name, none before the first bridge was found; another object when they changed.
-    row : the newest, None without any. watch : what there is to say. state : a sentence on the connection.
+    `robot`: this arm only; None for all. `zenoh`: of a bridge elsewhere, see `bridge.zenoh.Place.read`. `rate`: rows
+    per second to ask for; with models every row is. `models`: torque models, each for the arm that it was identified
+    on, for a bridge that sends no estimate. `robots`: the arms by name, none before the first bridge was found; another
+    object when they changed. `row`: the newest, None without any.
     """
 
     def __init__(
@@ -96,15 +87,6 @@ class Running:
         """Wait for a message, take all that wait behind it, and return whether a row was among them.
 
         Without a bridge, look for one twice a second.
-
-        Parameters
-        ----------
-        seconds : to wait at most.
-
-        Raises
-        ------
-        ConfigError : several bridges run and neither cell nor arm was named. UnknownName : the arm is not in this cell.
-        ModelMismatchError : a model is of no arm of this cell.
         """
         if self._feed is None:
             self._look(seconds)
@@ -160,27 +142,13 @@ class Running:
             self.robots = shown
 
     def value(self, arm: str, name: str) -> Any:
-        """Return a value of an arm in the newest row.
-
-        Parameters
-        ----------
-        arm : whose. name : of the field, for example "q".
-
-        Raises
-        ------
-        LinkError : no row has come yet.
-        """
+        """Return a value of an arm in the newest row."""
         if self.row is None:
             raise LinkError("Expected a row of the bridge, but none has come yet. Hear first.")
         return self.row.values[f"{arm}.{name}"]
 
     def force(self, arm: str) -> Force | None:
-        """Return the force on an arm: as its controller estimated it, else a model, else the sensor; None without any.
-
-        Parameters
-        ----------
-        arm : its name.
-        """
+        """Return the force on an arm: as its controller estimated it, else a model, else the sensor; None without any."""
         recorded = self.value(arm, "wrench_hat")
         if np.isfinite(recorded).all():
             return Force(recorded, self.value(arm, "wrench_hat_cov"), "estimate of the controller")
@@ -249,20 +217,9 @@ def watch(
 
     The bridge notices nothing of it: rows come from its local feed or over Zenoh, and nothing is sent back.
 
-    Parameters
-    ----------
-    robot : this arm only; None for all.
-    cell : name of the cell; "" when only one runs.
-    zenoh : where a bridge elsewhere is, see `bridge.zenoh.Place.read`; "" for one of this user.
-    models : torque models for a bridge that sends no estimate of the force.
-    port : of the view on this computer; from 8080 on the first that is free when None.
-    opened : told the address to open. tell : told what becomes of the connection.
-    over : whether to end; asked at each frame.
-
-    Raises
-    ------
-    MissingExtra : viser is not installed. ConfigError : a wrong port, or several bridges run and no cell was named.
-    LinkError : the port is taken. UnknownName : the arm is not in the cell. ModelMismatchError : a model is of no arm.
+    `robot`: this arm only; None for all. `zenoh`: where a bridge elsewhere is, see `bridge.zenoh.Place.read`; "" for
+    one of this user. `models`: torque models for a bridge that sends no estimate of the force. `port`: of the view on
+    this computer; from 8080 on the first that is free when None. `over`: whether to end; asked at each frame.
     """
     server = start(port)
     running = Running(robot, cell, zenoh=zenoh, rate=1.0 / _FRAME, models=models)
@@ -286,12 +243,7 @@ def watch(
 
 
 class RunningView:
-    """Scene and panel of a bridge that runs, drawn frame by frame.
-
-    Parameters
-    ----------
-    server : of `start`. running : the bridge; somebody else lets it hear.
-    """
+    """Scene and panel of a bridge that runs, drawn frame by frame."""
 
     def __init__(self, server: ViserServer, running: Running) -> None:
         self._server, self._running = server, running

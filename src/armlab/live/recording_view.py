@@ -45,12 +45,8 @@ _LIMITS = {1: "position", 2: "velocity", 4: "acceleration", 8: "braking", 16: "t
 class Recorded:
     """The log of one arm.
 
-    Attributes
-    ----------
-    robot : its description.
-    table : with q (N, n); with tau, wrench_hat and wrench_hat_cov or wrench, what the bridge knew, where recorded.
-    t : (N,) time of each row since the view's beginning [s].
-    events : time and text, in order.
+    `table`: with q (N, n); with tau, wrench_hat and wrench_hat_cov or wrench, what the bridge knew, where recorded.
+    `t`: (N,) time of each row since the view's beginning [s].
     """
 
     robot: Robot
@@ -87,18 +83,14 @@ class Recorded:
     def row(self, t: float) -> int:
         """Return the last row at or before an instant; the first one before it.
 
-        Parameters
-        ----------
-        t : [s].
+        `t`: [s].
         """
         return max(int(np.searchsorted(self.t, t, side="right")) - 1, 0)
 
     def span(self, t: float, seconds: float) -> slice:
         """Return the rows of the last seconds before an instant, at least one.
 
-        Parameters
-        ----------
-        t : [s]. seconds : their length.
+        `t`: [s].
         """
         last = self.row(t)
         return slice(min(int(np.searchsorted(self.t, t - seconds)), last), last + 1)
@@ -106,9 +98,7 @@ class Recorded:
     def words(self, t: float) -> dict[str, str]:
         """Return what there is to say of the link at an instant: state, rate, round trips, limits, packets lost.
 
-        Parameters
-        ----------
-        t : [s].
+        `t`: [s].
         """
         k = self.row(t)
         times = self.t[self.span(t, _RATE_SPAN)]

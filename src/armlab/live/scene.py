@@ -143,22 +143,9 @@ class Scene:
     point is a ball with axes x, y, z. The arrow at it is the force by the environment on the robot, the ellipsoid at
     its tip that of two sigma; both are grey while zero lies inside the 95 % ellipsoid.
 
-    Parameters
-    ----------
-    server : of `start`.
-    robots : the arms, of different names.
-    T_world_base : (4, 4) pose of an arm's base in the world by its name; the world where none is given. The mount is
-        part of the robot.
-    meshes : folders of the files that the descriptions name as meshes; the current one when none is given.
-
-    Attributes
-    ----------
-    robots : by name. arrow : length of a force [m/N]; set it and show again.
-
-    Raises
-    ------
-    RobotError : no robot, something else, or two of one name.
-    UnknownName : a base of an arm that is not there.
+    `T_world_base`: (4, 4) pose of an arm's base in the world by its name; the world where none is given. The mount is
+    part of the robot. `meshes`: folders of the files that the descriptions name as meshes; the current one when none is
+    given. `arrow`: length of a force [m/N]; set it and show again.
     """
 
     def __init__(
@@ -193,9 +180,7 @@ class Scene:
     def add(self, robot: Robot, T_world_base: ArrayLike | None = None) -> None:
         """Add an arm; one of this name goes.
 
-        Parameters
-        ----------
-        robot : the arm. T_world_base : (4, 4) pose of its base; the world when None.
+        `T_world_base`: (4, 4) pose of its base; the world when None.
         """
         if robot.name in self.robots:
             self.remove(robot.name)
@@ -204,16 +189,7 @@ class Scene:
         self.robots[robot.name] = robot
 
     def remove(self, name: str) -> None:
-        """Take an arm away.
-
-        Parameters
-        ----------
-        name : of the arm.
-
-        Raises
-        ------
-        UnknownName : no such arm.
-        """
+        """Take an arm away."""
         self._robot(name)
         del self.robots[name]
         self._arms.pop(name).root.remove()
@@ -221,13 +197,7 @@ class Scene:
     def arrange(self, T_world_base: Mapping[str, ArrayLike]) -> None:
         """Put arms elsewhere, floor and camera about them all; who looks already keeps the camera.
 
-        Parameters
-        ----------
-        T_world_base : (4, 4) poses of bases by name of the arm.
-
-        Raises
-        ------
-        UnknownName : no such arm. ShapeError : no pose.
+        `T_world_base`: (4, 4) poses of bases by name of the arm.
         """
         for name, T in T_world_base.items():
             self._robot(name)
@@ -243,15 +213,8 @@ class Scene:
 
         Wrap the arms of one instant in ``with server.atomic():``.
 
-        Parameters
-        ----------
-        name : of the arm. q : (n,) joint positions [rad or m].
-        wrench : (6,), or (3,) its force, by the environment on the robot, base axes, at the tool point [N, N m].
-        covariance : (6, 6) or (3, 3) of it.
-
-        Raises
-        ------
-        UnknownName : no such arm. ShapeError : a shape does not fit.
+        `q`: (n,) joint positions [rad or m]. `wrench`: (6,), or (3,) its force, by the environment on the robot, base
+        axes, at the tool point [N, N m]. `covariance`: (6, 6) or (3, 3) of it.
         """
         robot = self._robot(name)
         q = _array(q, "q", ((robot.n,),))
@@ -262,9 +225,7 @@ class Scene:
     def trace(self, name: str, points: ArrayLike) -> None:
         """Draw the path of an arm's tool; fewer than two finite points hide it.
 
-        Parameters
-        ----------
-        name : of the arm. points : (K, 3) base axes [m]; long ones are thinned.
+        `points`: (K, 3) base axes [m]; long ones are thinned.
         """
         self._robot(name)
         points = numbers(points, "points of a path", ShapeError)
@@ -275,9 +236,7 @@ class Scene:
     def frame(self, name: str, T_world_x: ArrayLike | None, length: float = 0.1) -> None:
         """Draw a named frame, move it, or take it away.
 
-        Parameters
-        ----------
-        name : what is written beside it. T_world_x : (4, 4); None takes it away. length : of its axes [m].
+        `T_world_x`: (4, 4); None takes it away. `length`: of its axes [m].
         """
         if T_world_x is None:
             if name in self._frames:

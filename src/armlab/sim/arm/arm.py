@@ -252,17 +252,7 @@ _LAG = 8e-3  # s
 class LaggingArm:
     """The kinematic stand-in of `SimulatedArm`: same reports, no torques (NaN), no noise; nobody can push it.
 
-    Parameters
-    ----------
-    robot : the description.
-    period : time between two packets [s].
-    q : (n,) start; the home posture by default.
-
-    Attributes
-    ----------
-    robot, period : as given.
-    sample : the state.
-    has_torque : False.
+    `period`: time between two packets [s]. `q`: (n,) start; the home posture by default.
     """
 
     has_torque = False
@@ -278,9 +268,7 @@ class LaggingArm:
     def place(self, q: np.ndarray) -> None:
         """Put the arm at rest at `q`.
 
-        Parameters
-        ----------
-        q : (n,) posture.
+        `q`: (n,) posture.
         """
         self._q = np.array(q, dtype=np.float64)
         self._under_way = deque([self._q] * _DEAD_CYCLES)
@@ -289,10 +277,7 @@ class LaggingArm:
     def step(self, q_ref: np.ndarray, qd_ref: np.ndarray, wrench: np.ndarray | None) -> None:
         """Advance by one period.
 
-        Parameters
-        ----------
-        q_ref : (n,) reference.
-        qd_ref, wrench : as for `SimulatedArm`; without effect.
+        `q_ref`: (n,) reference.
         """
         self._under_way.append(np.array(q_ref))
         moved = self._share * (self._under_way.popleft() - self._q)

@@ -23,15 +23,10 @@ from armlab.sim.arm.truth import Truth
 class TrueState:
     """The exact state at one instant. Over the wire goes only what drives know of themselves: command, `tau_gravity`.
 
-    Attributes
-    ----------
-    q, qd, qdd : (n,) position, velocity, acceleration.
-    tau : (n,) torque of the drives, joint side.
-    tau_friction : (n,) friction and ripple, counted against motion.
-    tau_gravity : (n,) what the drives feed forward.
-    q_ref : (n,) reference of the drives.
-    wrench : (6,) by the environment on the robot, base axes, at the tool point.
-    T_base_tool : (4, 4) pose of the tool.
+    `q`, `qd`, `qdd`: (n,) position, velocity, acceleration. `tau`: (n,) torque of the drives, joint side.
+    `tau_friction`: (n,) friction and ripple, counted against motion. `tau_gravity`: (n,) what the drives feed forward.
+    `q_ref`: (n,) reference of the drives. `wrench`: (6,) by the environment on the robot, base axes, at the tool point.
+    `T_base_tool`: (4, 4) pose of the tool.
     """
 
     q: np.ndarray
@@ -49,9 +44,7 @@ class TrueState:
 class SensorReading:
     """What the sensors report of one instant: noise and quantisation included.
 
-    Attributes
-    ----------
-    q, qd, tau : (n,) position, velocity, torque.
+    `q`, `qd`, `tau`: (n,) position, velocity, torque.
     """
 
     q: np.ndarray

@@ -36,30 +36,10 @@ _SKIP = "Skip as many replies once and send one per packet, or take the newest m
 class SimulatedController:
     """One motion task: one session at a time, one sequence, one queue, one arm.
 
-    Parameters
-    ----------
-    arm : the simulated arm; its period is the controller's.
-    wire : the robot's side of the wire, or packets of chosen content on it.
-    settings : see `ControllerSettings`.
-    scene : see `Surroundings`; an operator alone is a scene too.
-    on_event : called with each event.
-
-    Attributes
-    ----------
-    phase : see the module.
-    reason : why it is over, "" before.
-    dead : over by a failure that only a restart ends.
-    session : number of the session from 1.
-    seq, cycle : number of the next packet, and of the cycle since the start.
-    uptime : robot time [s].
-    guidance_time : since guidance began [s], or the stream where there is none.
-    inbox : what has arrived.
-    packets : builds messages.
-    statistics : what was counted.
-
-    Raises
-    ------
-    ShapeError : a hand for another number of joints.
+    `arm`: the simulated arm; its period is the controller's. `wire`: the robot's side of the wire, or packets of chosen
+    content on it. `scene`: see `Surroundings`; an operator alone is a scene too. `session`: number of the session from
+    1. `seq`, `cycle`: number of the next packet, and of the cycle since the start. `uptime`: robot time [s].
+    `guidance_time`: since guidance began [s], or the stream where there is none.
     """
 
     def __init__(
@@ -126,10 +106,7 @@ class SimulatedController:
     def accept(self, data: bytes, arrival_ns: int = 0) -> SensorMessage | None:
         """Decode an arrived datagram and queue it. Return the message, or None for what is no message to us.
 
-        Parameters
-        ----------
-        data : one datagram, whatever it holds.
-        arrival_ns : wall clock of its arrival, for the round trip.
+        `arrival_ns`: wall clock of its arrival, for the round trip.
         """
         found = self.inbox.read(data)
         if isinstance(found, Drop):
@@ -148,9 +125,7 @@ class SimulatedController:
     def advance(self, takes: bool = True) -> None:
         """Take at most one message, move the reference and the arm by one period.
 
-        Parameters
-        ----------
-        takes : False for a cycle without a packet that this process missed: its peer is not to blame for silence then.
+        `takes`: False for a cycle without a packet that this process missed: its peer is not to blame for silence then.
         """
         self._in_phase += 1
         self._takes = takes
@@ -164,12 +139,7 @@ class SimulatedController:
             self._die(0, "the simulated arm was driven beyond all numbers; push it with less force")
 
     def skip(self, cycles: int) -> None:
-        """Let robot time pass without packets and without motion.
-
-        Parameters
-        ----------
-        cycles : how many periods.
-        """
+        """Let robot time pass without packets and without motion."""
         self.cycle += cycles
 
     def lose_peer(self) -> None:
@@ -178,12 +148,7 @@ class SimulatedController:
             self._no_data()
 
     def stop(self, reason: str) -> None:
-        """End for good.
-
-        Parameters
-        ----------
-        reason : why, in words.
-        """
+        """End for good."""
         if self.phase != "over":
             self.reason = reason
             self._enter("over")

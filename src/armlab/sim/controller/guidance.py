@@ -28,16 +28,8 @@ _OVERSHOOT = 0.02  # rad: the filters may carry a reference that stops at a limi
 class Guidance:
     """The reference generator between received references and the drives.
 
-    Parameters
-    ----------
-    robot : for limits.
-    settings : see `ControllerSettings`.
-    q : (n,) where it starts.
-
-    Attributes
-    ----------
-    q, qd : (n,) the reference that the drives follow; never written in place.
-    utilization : percent of the speed limits that the last reference needed.
+    `q`: (n,) where it starts. `q`, `qd`: (n,) the reference that the drives follow; never written in place.
+    `utilization`: percent of the speed limits that the last reference needed.
     """
 
     def __init__(self, robot: Robot, settings: ControllerSettings, q: np.ndarray) -> None:
@@ -58,10 +50,7 @@ class Guidance:
     def follow(self, q_ref: np.ndarray | None, qd_ref: np.ndarray | None) -> None:
         """Advance by one period towards a reference.
 
-        Parameters
-        ----------
-        q_ref : (n,) or None for "stay" (nothing was received yet).
-        qd_ref : (n,) or None for zero.
+        `q_ref`: (n,) or None for "stay" (nothing was received yet). `qd_ref`: (n,) or None for zero.
         """
         settings = self._settings
         self._time += settings.period
@@ -84,19 +73,14 @@ class Guidance:
     def lead(self, q: np.ndarray, qd: np.ndarray) -> None:
         """Be where a hand leads the arm.
 
-        Parameters
-        ----------
-        q, qd : (n,) position and velocity of the hand.
+        `q`, `qd`: (n,) position and velocity of the hand.
         """
         self.q, self.qd, self.utilization = q, qd, 0.0
 
     def let_go(self, q: np.ndarray, free: np.ndarray) -> None:
         """Follow the arm in joints whose position nobody controls, so that control can come back without a jump.
 
-        Parameters
-        ----------
-        q : (n,) where the arm is.
-        free : (n,) which joints.
+        `q`: (n,) where the arm is. `free`: (n,) which joints.
         """
         self.q = np.where(free, q, self.q)
 
@@ -119,9 +103,7 @@ class Guidance:
     def refusal(self, q_ref: np.ndarray) -> str:
         """Return in words which joint of a received reference is out of bounds, or nothing.
 
-        Parameters
-        ----------
-        q_ref : (n,).
+        `q_ref`: (n,).
         """
         outside = self._outside(q_ref, 0.0)
         return f"reference of {self._joint(outside)} out of bounds" if outside.any() else ""
@@ -138,9 +120,7 @@ class Guidance:
     def near(self, q_ref: np.ndarray | None) -> bool:
         """Return whether the reference has arrived within the convergence window of `q_ref` (n,).
 
-        Parameters
-        ----------
-        q_ref : (n,) or None.
+        `q_ref`: (n,) or None.
         """
         window = self._settings.window
         return window > 0 and q_ref is not None and bool((np.abs(q_ref - self.q) <= window).all())
