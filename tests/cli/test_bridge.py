@@ -30,13 +30,6 @@ from armlab.bridge.servers.watch import Watch
 from armlab.cli import main
 from armlab.cli.bridge import (
     USERS,
-    bridge,
-    certificates,
-    release,
-    resume,
-    set_parameters,
-    start,
-    stop,
     write_certificates,
 )
 from armlab.cli.monitor import monitor, table
@@ -162,11 +155,6 @@ def test_wrong_cells(tmp_path: Path, capsys: Any) -> None:
     assert f"{path}: Expected `array`, got `int` - at `$.robots`." in capsys.readouterr().err
 
 
-def test_the_functions_are_the_commands() -> None:
-    assert bridge.name == ("bridge",)
-    assert all(callable(one) for one in (start, stop, set_parameters, release, resume, certificates))
-
-
 def test_the_report_comes_also_with_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     """The code of the exit is that of the error."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
@@ -280,12 +268,6 @@ def test_the_table() -> None:
         "Rows lost by this feed: 4",
     ):
         assert word in text
-
-
-@pytest.mark.parametrize("seconds", ["-1", "nan"])
-def test_a_time_that_is_none(capsys: Any, seconds: str) -> None:
-    assert main(["monitor", "--seconds", seconds]) == 2
-    assert "seconds of at least 0" in capsys.readouterr().err
 
 
 def test_plain_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:

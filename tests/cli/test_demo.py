@@ -36,20 +36,6 @@ def test_the_free_motion_stays_below_half_speed(plan: Plan) -> None:
     assert np.all(np.abs(qd) <= 0.5 * robots.load("yumi_right").qd_max)
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--robot", "irb2400"], "yumi_left, yumi_right"),
-        (["--seed=-1"], "seed of 0 or more"),
-        ([], "new folder"),
-    ],
-)
-def test_refusals_come_before_the_work(tmp_path, capsys, words: list[str], sentence: str) -> None:
-    assert main(["demo", "--fast", "-o", str(tmp_path), *words]) == 2
-    assert sentence in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_busy_computer_is_told_of_the_fast_demo(tmp_path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
     def late(*_: object) -> None:
         raise ControllerLate("The controller was too slow.")

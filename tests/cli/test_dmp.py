@@ -11,7 +11,6 @@ import pytest
 
 from armlab import State, bridge, kinematics, log, robots
 from armlab.cli import main
-from armlab.cli.dmp import dmp, fit, play
 from armlab.cli.dmp.playing import (
     OPTIONS,
     SETTLES,
@@ -84,15 +83,6 @@ def test_a_motion_is_fitted_without_the_rest_around_it(
     assert "sha256" in primitive.read_text()
 
 
-def test_what_was_fitted_is_told(taught_csv: Path, tmp_path: Path, capsys) -> None:
-    words = ["dmp", "fit", str(taught_csv), "-o", str(tmp_path / "m.toml"), "--start", "0.4", "--end", "1.6"]
-    assert main([*words, "--basis", "20"]) == 0
-    said = capsys.readouterr().out
-    assert "1 demonstration with" in said
-    assert "20 kernels" in said
-    assert "RMS" in said
-
-
 def test_the_motion_is_written_to_a_file(primitive: Path, tmp_path: Path, capsys) -> None:
     path, words = tmp_path / "motion.csv", ["dmp", "play", str(primitive), "--json", "-o"]
     goal = Dmp.load(primitive).g + 0.01
@@ -131,36 +121,6 @@ def test_poses_are_played_on_the_simulated_arm(taught_csv: Path, tmp_path: Path,
     tool = kinematics.forward(robots.load("yumi_left"), log.read("pose.mcap")["q"][[0, -1]])
     shown = PoseDmp.load("pose.toml")
     np.testing.assert_allclose(tool, [shown.T_start, shown.T_goal], rtol=0, atol=0.01)
-
-
-def test_what_cannot_be_is_refused_before_anything_moves(
-    taught_csv: Path, primitive: Path, tmp_path: Path, capsys
-) -> None:
-    new, play_it = ("-o", str(tmp_path / "x.toml")), ("play", str(primitive))
-    for words, sentence in {
-        ("fit", *new): "log of a motion",
-        ("fit", str(taught_csv), "-o", str(tmp_path / "x.csv")): ".toml",
-        ("fit", str(taught_csv), "-o", str(primitive)): "--force",
-        ("fit", str(taught_csv), *new, "--column", "speed"): "speed",
-        ("fit", str(taught_csv), *new, "--end", "0.2"): "rest",
-        ("fit", str(taught_csv), *new, "--period", "2"): "--kind periodic",
-        ("fit", str(taught_csv), *new, "--kind", "pose"): "--robot",
-        play_it: "--robot NAME",
-        (*play_it, "--robot", "ur5e"): "6 joints",
-        (*play_it, "--robot", "yumi_left", "--goal", ",".join("9" * 7)): "within the limits",
-        (*play_it, "--robot", "yumi_left", "--goal", "-9,0,0,0,0,0,0"): "got -9 for joint 1",
-        (*play_it, "--robot", "yumi_left", "--duration", "-1"): "duration [s] above zero",
-        (*play_it, "-o", str(tmp_path / "x.csv"), "--goal", "here"): "numbers with commas",
-        ("play", str(tmp_path / "none.toml"), "-o", str(tmp_path / "x.csv")): "none.toml",
-        ("play", str(taught_csv), "-o", str(tmp_path / "x.csv")): "TOML",
-    }.items():
-        assert main(["dmp", *words]) == 2
-        assert sentence in capsys.readouterr().err
-    assert main(["dmp", "fit", str(taught_csv)]) == 2
-    assert not (tmp_path / "x.csv").exists()
-    assert dmp.name == ("dmp",)
-    assert fit.__doc__
-    assert play.__doc__
 
 
 @pytest.mark.slow  # 1 s

@@ -10,8 +10,8 @@ import pytest
 
 from armlab import identify, models
 from armlab.cli import main
-from armlab.cli.estimate import Prior, estimate
-from armlab.cli.estimate.report import AXES, axes, columns, contact_rows, judge, limits, places, rows, write
+from armlab.cli.estimate import Prior
+from armlab.cli.estimate.report import AXES, axes, columns, contact_rows, judge, limits, page, places, rows
 from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, Contact, Estimator, contacts, hypotheses
 from armlab.log import Table
 from armlab.log.reading import read
@@ -81,25 +81,12 @@ def test_rows_without_torque_are_counted_and_none_at_all_is_an_error(pushed: str
 
 
 def test_json(pushed: str, capsys) -> None:
-    assert estimate.__doc__
     assert main(["estimate", "yumi_left", "push.mcap", "--model", pushed, "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert len(data["contacts"]) == 1
     assert data["contacts"][0]["force"][0] == pytest.approx(8.0, abs=1.0)
     assert "point" in data["contacts"][0]["where"]
     assert [axis["axis"] for axis in data["axes"]] == ["f_x", "f_y", "f_z", "m_x", "m_y", "m_z"]
-
-
-def test_the_model_of_another_arm_is_refused(pushed: str, capsys) -> None:
-    assert main(["estimate", "yumi_right", "push.mcap", "--model", pushed]) == 2
-    assert "yumi_left" in capsys.readouterr().err
-
-
-def test_a_file_of_another_kind_is_named(pushed: str, truth, tmp_path, capsys) -> None:
-    other = models.save(truth.robot, tmp_path / "load.toml")
-    assert main(["estimate", "yumi_left", "push.mcap", "--model", str(other)]) == 2
-    said = capsys.readouterr().err
-    assert f"Expected a file of kind 'torque_model' at {other}, got 'robot'. Name the right file." in said
 
 
 def test_the_estimate_of_every_row_goes_to_a_file(pushed: str, tmp_path, capsys) -> None:
@@ -121,7 +108,8 @@ def test_the_estimate_of_every_row_goes_to_a_file(pushed: str, tmp_path, capsys)
     assert "--force" in capsys.readouterr().err
 
 
-def test_the_page_has_the_contact_and_its_figures(pushed: str, tmp_path) -> None:
+def test_the_page_has_the_contact_and_its_figures(pushed: str, monkeypatch, tmp_path) -> None:
+    monkeypatch.setattr("armlab.plots.png", lambda drawn: plt.close("all") or b"drawn")
     report = tmp_path / "est.html"
     assert main(["estimate", "yumi_left", "push.mcap", "--model", pushed, "--report", str(report)]) == 0
     page = report.read_text(encoding="utf-8")
@@ -165,6 +153,14 @@ def test_limits_of_the_method_interval_are_printed(pushed: str, capsys) -> None:
     assert "limit from  limit to  share beyond zero" in said
     if "contact " in said:
         assert "limits [N]" in said
+
+
+def test_the_model_of_another_arm_and_a_file_of_another_kind_are_refused(pushed: str, truth, tmp_path, capsys) -> None:
+    assert main(["estimate", "yumi_right", "push.mcap", "--model", pushed]) == 2
+    assert "yumi_left" in capsys.readouterr().err
+    other = models.save(truth.robot, tmp_path / "load.toml")
+    assert main(["estimate", "yumi_left", "push.mcap", "--model", str(other)]) == 2
+    assert f"Expected a file of kind 'torque_model' at {other}, got 'robot'." in capsys.readouterr().err
 
 
 def test_gaps_are_named(pushed: str, truth, monkeypatch, capsys) -> None:
@@ -269,24 +265,15 @@ def test_a_force_beyond_the_prior_and_a_truth_that_is_missed_are_bad(table: Tabl
     assert not any("against" in said for said in judge(silent, model, PRIOR, []).good)
 
 
-def test_the_page_has_coverage_where_there_is_a_truth(table: Table, model: TorqueModel, monkeypatch, tmp_path) -> None:
+def test_the_page_has_coverage_where_there_is_a_truth(table: Table, model: TorqueModel, monkeypatch) -> None:
     monkeypatch.setattr("armlab.plots.png", lambda drawn: plt.close("all") or b"drawn")
     heard: list[str] = []
     found = contacts(table)
     verdict = judge(table, model, PRIOR, found)
-    write(
-        tmp_path / "est.html",
-        table,
-        verdict,
-        found,
-        None,
-        "a log",
-        lambda done, total, what: heard.append(what),
-    )
+    html = page(table, verdict, found, None, "a log", lambda done, total, what: heard.append(what)).html()
     assert "drawing coverage by speed" in heard
-    page = (tmp_path / "est.html").read_text(encoding="utf-8")
-    assert page.count("data:image/png;base64,") == 4
-    assert f"{found[0].start:.2f}" in page
+    assert html.count("data:image/png;base64,") == 4
+    assert f"{found[0].start:.2f}" in html
 
 
 def test_the_verdict_leads_to_the_limits_that_are_there(table: Table, model: TorqueModel) -> None:
@@ -313,12 +300,8 @@ def test_gaps_and_rows_that_were_left_out_are_named(table: Table, model: TorqueM
 
 
 @pytest.fixture(scope="module")
-def plain_table(truth, model: TorqueModel) -> Table:
-    def hand(t: np.ndarray) -> np.ndarray:
-        return np.outer(8.0 * ((t > 2) & (t < 3)), np.eye(6)[0])
-
-    log = truth.log(identify.dither(truth.robot.q_home, 4.0), seed=5, wrench=hand)
-    return Estimator(model, truth.robot).run(log)
+def plain_table(table: Table) -> Table:
+    return table.without("wrench_true")
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,20 +11,9 @@ import pytest
 from armlab import log, robots
 from armlab.bridge.urls import addresses
 from armlab.cli import main
-from armlab.cli.support.options import as_given, known_ports, links_to, ports_in, require_positive, simulated
+from armlab.cli.support.options import as_given, known_ports, links_to, ports_in, simulated
 from armlab.errors import ConfigError, LogError, ShapeError, UnknownName
 from armlab.sim.arm.arm import scara
-
-
-def test_what_was_not_given_or_is_positive_passes() -> None:
-    for value in (None, 1e-300, 1, 1e300):
-        require_positive("noise", value)
-
-
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, -math.inf])
-def test_others_are_named(value: float) -> None:
-    with pytest.raises(ConfigError, match=rf"^Expected --seconds above 0 s and finite, got {value:g}\.$"):
-        require_positive("seconds", value, "s")
 
 
 def test_what_the_library_refuses_of_the_words_is_wrong_use() -> None:

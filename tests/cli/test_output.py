@@ -9,7 +9,6 @@ import subprocess
 import sys
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,27 +16,13 @@ import pytest
 from armlab.cli.support.html_report import HtmlReport, Verdict
 from armlab.cli.support.output import (
     FIGURES,
-    Narrator,
     aligned,
     check_output,
-    note,
     print_json,
     progress,
-    refuse_overwrite,
-    result,
     save_figure,
 )
 from armlab.errors import ConfigError
-from armlab.log import Tick
-from armlab.state import State
-
-
-def test_results_and_notes_go_to_their_streams(capsys: pytest.CaptureFixture[str]) -> None:
-    result("done")
-    note("careful")
-    captured = capsys.readouterr()
-    assert captured.out == "done\n"
-    assert captured.err == "careful\n"
 
 
 def test_json_has_arrays_as_lists_and_null_for_what_is_not_finite(capsys: pytest.CaptureFixture[str]) -> None:
@@ -48,15 +33,6 @@ def test_json_has_arrays_as_lists_and_null_for_what_is_not_finite(capsys: pytest
 def test_columns_line_up() -> None:
     assert aligned([("name", "n"), ("yumi", "7"), ("x", "12")], right=(1,)) == "name   n\nyumi   7\nx     12"
     assert aligned([]) == ""
-
-
-def test_refuse_overwrite_protects_what_exists(tmp_path) -> None:
-    path = tmp_path / "model.toml"
-    refuse_overwrite(path, force=False)
-    path.write_text("mine")
-    refuse_overwrite(path, force=True)
-    with pytest.raises(ConfigError, match="--force"):
-        refuse_overwrite(path, force=False)
 
 
 def test_check_output_speaks_before_the_work(tmp_path) -> None:
@@ -111,23 +87,6 @@ def test_what_is_read_is_never_replaced(tmp_path: Path) -> None:
     check_output(log, True, [".csv"], [bag, tmp_path / "none.csv"])
 
 
-TICK = Tick(number=0, seq_sent=-1, stamp_ns=0, receive_ns=0, send_ns=-1, step_ns=0)
-
-
-def state(q: list[float], mci: int = 2) -> State:
-    return State(t=0.0, dt=0.004, q=np.array(q), qd=np.zeros(2), tau=np.zeros(2), mci=mci, robot="arm")
-
-
-def test_events_become_messages(capsys: Any) -> None:
-    narrator = Narrator()
-    narrator.event("Session 1 began.")
-    narrator.event("The robot is not ready.", warn=True)
-    narrator.row(state([1.0, 2.0], mci=3), None, TICK)
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err == "Session 1 began.\nwarning: The robot is not ready.\n"
-
-
 def test_a_warning_is_written_once() -> None:
     """Python's handler of last resort would write it again: seen in a process of its own, without pytest's handlers."""
     program = (
@@ -136,21 +95,6 @@ def test_a_warning_is_written_once() -> None:
     )
     said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stderr
     assert said == "warning: Twice.\n"
-
-
-def test_what_a_listener_should_know_is_said_once(capsys: Any) -> None:
-    narrator = Narrator(listens=True, q_home={"arm": [0.0, 0.0]})
-    for _ in range(3):
-        narrator.row(state([0.01, -0.3], mci=3), None, TICK)
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 2
-    assert "waits for references" in lines[0]
-    assert "joint 2 is 0.30" in lines[1]
-
-
-def test_an_arm_at_home_is_not_worth_a_word(capsys: Any) -> None:
-    Narrator(listens=True, q_home={"arm": [0.0, 0.0]}).row(state([0.01, -0.03]), None, TICK)
-    assert not capsys.readouterr().err
 
 
 PIXEL = b"\x89PNG\r\n\x1a\n not really"
@@ -209,21 +153,3 @@ def test_long_tables_and_texts_open_with_a_click() -> None:
     page.verbatim("long", "A text")
     assert page.pieces[0].startswith("<details><summary>50 &lt;numbers&gt;</summary><table>")
     assert page.pieces[1] == "<details><summary>A text</summary><pre>long</pre></details>"
-
-
-def test_a_verdict_has_only_the_parts_that_there_are() -> None:
-    verdict = Verdict(good=("One.", "Two."), ahead=("Log more.",))
-    assert verdict.text().splitlines() == ["good: One.", "good: Two.", "next: Log more."]
-    assert [title for title, _ in verdict.parts] == ["Good", "Next"]
-    page = HtmlReport("t", "a")
-    page.verdict(verdict)
-    assert "care" not in page.pieces[0]
-    assert Verdict().text() == ""
-
-
-def test_writing_replaces_in_one_step(page: HtmlReport, tmp_path) -> None:
-    path = tmp_path / "report.html"
-    path.write_text("old")
-    page.write(path)
-    assert path.read_text(encoding="utf-8") == page.html()
-    assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]

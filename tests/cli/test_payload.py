@@ -11,7 +11,6 @@ import pytest
 
 from armlab import identify, models
 from armlab.cli import main
-from armlab.cli.identify.payload import payload
 from armlab.log import Table
 from armlab.robots import inertia
 
@@ -40,7 +39,6 @@ def words(monkeypatch, tables: dict[str, Table], model, tmp_path: Path) -> list[
 
 @pytest.mark.slow  # 5 s beside other work
 def test_a_load_is_weighed_saved_and_reported(words: list[str], tmp_path: Path, capsys) -> None:
-    assert payload.__doc__
     files = [tmp_path / name for name in ("load.toml", "load.html", "load.png")]
     options = [word for pair in zip(("-o", "--report", "--figure"), map(str, files)) for word in pair]
     assert main([*words, "--without", "empty.mcap", *options]) == 0

@@ -13,7 +13,7 @@ import pytest
 
 from armlab import log, robots
 from armlab.cli import main
-from armlab.cli.run import load_controller, run
+from armlab.cli.run import load_controller
 from armlab.errors import ConfigError
 
 SINE = """
@@ -59,7 +59,6 @@ def test_a_controller_of_a_file_moves_the_arm_and_is_recorded(folder: Path, caps
     held = log.inspect(path).attachments
     assert held["sine.v2.py"] == SINE.encode()
     assert robots.from_toml(held["robot.toml"].decode(), "it").name == "yumi_left"
-    assert run.__doc__
 
 
 def test_a_log_of_the_same_name_is_kept_and_the_new_name_is_told(
@@ -168,26 +167,6 @@ def test_files_that_are_no_controllers(folder: Path, place: str, words: str) -> 
     (folder / "wrong.py").write_text("def f(\n", encoding="utf-8")
     with pytest.raises(ConfigError, match=words):
         load_controller(place)
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--log", "a", "--no-log"], "either --log or --no-log"),
-        (["--log", "nowhere/a"], "folder that exists"),
-        (["--speed", "2"], "speed in (0, 1]"),
-        (["--link", "http://x"], "Expected a link"),
-        (["--link", "sim://yumi_right"], "Expected a link to yumi_left, got sim://yumi_right, another arm"),
-        (["--link", "sim://yumi_left+yumi_right"], "one url per robot"),
-    ],
-)
-def test_refusals(folder: Path, capsys: Any, words: list[str], sentence: str) -> None:
-    assert main(["run", "yumi_left", *words, "--seconds", "0.1"]) == 2
-    said = capsys.readouterr().err
-    assert sentence in said
-    assert "A real arm moves" not in said
-    assert not list(folder.glob("*.mcap"))
-    assert robots.load("yumi_left").n == 7
 
 
 def test_a_run_whose_last_command_was_refused_says_so_and_fails(folder: Path, capsys: Any) -> None:

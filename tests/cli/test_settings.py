@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from armlab.cli.support.settings import PREFIX, Settings, Told, load_settings, log_folder, read_text, user_file
+from armlab.cli.support.settings import PREFIX, Settings, load_settings, log_folder, read_text, user_file
 from armlab.errors import ConfigError
 
 
@@ -18,13 +18,6 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path / "work")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "own"))
     return tmp_path / "own" / "armlab"
-
-
-def test_defaults(home: Path) -> None:
-    told = load_settings({})
-    assert isinstance(told, Told)
-    assert told.settings == Settings()
-    assert set(told.origins.values()) == {"default"}
 
 
 def test_environment_before_folder_before_user(home: Path) -> None:
@@ -89,12 +82,3 @@ def test_the_user_file_follows_xdg() -> None:
 def test_text_with_or_without_a_byte_order_mark(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes("\ufeffspeed = 1 # µ".encode())
     assert read_text(tmp_path / "a", "settings") == "speed = 1 # µ"
-
-
-@pytest.mark.parametrize(
-    ("name", "said"), [("none", "No such file"), ("", "Is a directory"), ("junk", "no text in UTF-8")]
-)
-def test_what_cannot_be_read_is_named(name: str, said: str, tmp_path: Path) -> None:
-    (tmp_path / "junk").write_bytes(b"\xff\xfe\x00\xd8")
-    with pytest.raises(ConfigError, match=rf"^Expected a cell at {tmp_path}.*{said}.*\.$"):
-        read_text(tmp_path / name, "a cell")

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from armlab import cli, robots
-from armlab.cli.sim import Around, Content, FaultOptions, Written, pair, read_hand, read_operator, sim
+from armlab.cli.sim import Around, Content, FaultOptions, Written, read_hand, read_operator
 from armlab.errors import ConfigError, LogError, UnknownName
 from armlab.sim.arm.arm import scara
 from armlab.sim.controller.settings import ControllerSettings, FaultRates
@@ -119,43 +119,6 @@ def test_abb_defaults_do_not_replace_what_was_given(holding_peer: int, monkeypat
 
 
 @pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        (["sim", "yumi_rihgt", "--to", "127.0.0.1:6510"], "yumi_right"),
-        (["sim", "yumi_right", "--to", "127.0.0.1"], "HOST:PORT"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:99999"], "65535"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6511,127.0.0.1:6512"], "got 1 and 2"),
-        (["sim", "--to", "127.0.0.1:6511"], "got 0 and 1"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--period", "9"], "period"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--loss", "2"], "loss"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--delay", "5"], "two numbers"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--outgoing.loss", "2"], "loss"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--axes", "6"], "got both"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--robotware", "5"], "6.06"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--fields", "tim"], "planned"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--motors", "0:onn"], "onn"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--external", "9"], "external"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--hand", "missing.csv"], "missing.csv"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--mismatch.mass", "2"], "mismatch mass"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--seed", "-1"], "seed"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--seed", "1,2"], "--seed"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--seed", "9" * 5000], "--seed"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--seconds", "nan"], "seconds"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--patience", "-1"], "patience"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--stream", "inf"], "stream"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--stats", "missing/stats.json"], "missing/stats.json"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--truth", "missing/truth.csv"], "missing/truth.csv"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--operator", "missing.csv"], "missing.csv"),
-    ],
-)
-def test_wrong_arguments_are_one_line(words: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(words) in (cli.FAILED, cli.WRONG_USE)
-    said = capsys.readouterr().err
-    assert len(said.splitlines()) == 1
-    assert text in said
-
-
-@pytest.mark.parametrize(
     ("options", "robotware", "n"),
     [
         (["--axes", "6", "--robotware", "7", "--level", "0", "--force"], "7", 6),
@@ -228,7 +191,6 @@ def test_sim_ends_cleanly_when_terminated(tmp_path: Path) -> None:
     assert "interrupted" in said
     assert "Traceback" not in said
     assert json.loads(stats.read_text(encoding="utf-8"))["yumi_right"]["counts"]["packets"] >= 1
-    assert sim.__doc__
 
 
 ROBOT = robots.load("yumi_right")
@@ -238,22 +200,6 @@ def test_faults() -> None:
     rates = FaultOptions(loss=0.1, delay="0.01, 0.002", pause="5,0.5", burst=3).rates()
     assert (rates.loss, rates.delay, rates.pause, rates.burst) == (0.1, (0.01, 0.002), (5.0, 0.5), 3)
     assert not FaultOptions().rates().any
-
-
-@pytest.mark.parametrize("text", ["1", "1,2,3", "a,b", ""])
-def test_pairs_that_are_none(text: str) -> None:
-    with pytest.raises(ConfigError, match="--delay"):
-        pair("delay", text)
-    with pytest.raises(ConfigError, match="--delay"):
-        FaultOptions(delay=text).rates()
-
-
-def test_names_or_axes() -> None:
-    assert Content().names(["a", "b"], 2) == ("a", "b")
-    assert Content(axes="7").names([], 2) == ("yumi_right", "yumi_right")
-    assert Content(fields=" time,planned ").left_out == ["time", "planned"]
-    with pytest.raises(ConfigError, match="both"):
-        Content(axes="6").names(["yumi_left"], 1)
 
 
 def test_values_that_rapid_sends_back() -> None:
@@ -336,14 +282,6 @@ def test_read_hand_refuses(tmp_path: Path, text: str, what: str) -> None:
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match=what):
         read_hand(path, 2)
-
-
-def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"Expected to write .*none/x\.json, got: No such file"):
-        Written(tmp_path / "none" / "x.json")
-    with Written(tmp_path / "x.json") as file:
-        file.write("1\n")
-    assert (tmp_path / "x.json").read_text() == "1\n"
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no file that is always full")

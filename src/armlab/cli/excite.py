@@ -155,7 +155,7 @@ def _design(
     robot: Robot, motion: Motion, speed: float, joint: str | None, tell: Callable[[float, float, str], None]
 ) -> Trajectory:
     """Design a motion of all joints, or of one."""
-    from armlab.cli.support.figure_options import joints_in
+    from armlab.cli.support.options import joints_in
     from armlab.identify import design_excitation, friction_run
 
     if joint is not None:

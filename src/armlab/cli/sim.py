@@ -24,12 +24,11 @@ if TYPE_CHECKING:
     import numpy as np
 
     from armlab.robots import Robot
-    from armlab.sim.events import Surroundings
     from armlab.sim.arm.arm import LaggingArm, SimulatedArm
     from armlab.sim.controller.channel import UdpClient
     from armlab.sim.controller.controller import SimulatedController
     from armlab.sim.controller.statistics import ControllerEvent
-    from armlab.sim.events import AppliedWrench, HandPath
+    from armlab.sim.events import AppliedWrench, HandPath, Surroundings
 
 
 _AXES = {"6": "irb1200", "7": "yumi_right", "scara": "scara"}

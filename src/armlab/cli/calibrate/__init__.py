@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import App, Parameter
 
 from armlab.cli.calibrate.arms import dual_arm, kinematics
-from armlab.cli.calibrate.report import Wanted
+from armlab.cli.calibrate.report import NOTHING, Wanted
 from armlab.cli.calibrate.samples import measured_rows, noise_of, run_fit, tool_poses
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ calibrate.command(
     help_epilogue="Example: armlab calibrate dual-arm yumi_left yumi_right samples.csv -o arms.toml",
 )
 
-_flat = Parameter(name="*")
 _several = Parameter(consume_multiple=True)
 
 
@@ -45,7 +44,7 @@ def hand_eye(
     noise: Annotated[list[float] | None, _several] = None,
     noise_robot: tuple[float, float] | None = None,
     robust: bool = False,
-    wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
+    wanted: Wanted = NOTHING,
 ) -> int:
     """Find camera and marker from poses of the robot and of the marker, or from points of the marker.
 
@@ -71,8 +70,6 @@ def hand_eye(
         Deviations of the poses of the robot, m and rad, where it is not exact: samples cannot tell them.
     robust : bool
         Find wrong samples and leave them out.
-    wanted : Wanted
-        What to write.
     """
     import numpy as np
 
@@ -109,7 +106,7 @@ def force_sensor(
     no_bias: bool = False,
     noise: Annotated[list[float] | None, _several] = None,
     robust: bool = False,
-    wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
+    wanted: Wanted = NOTHING,
 ) -> int:
     """Find axes, load and bias of a force sensor from readings at rest in many orientations.
 
@@ -138,8 +135,6 @@ def force_sensor(
         Deviation of forces, N, and of torques, N m, where they are known.
     robust : bool
         Find samples with contact and leave them out.
-    wanted : Wanted
-        What to write.
     """
     from armlab.calibrate import fit_force_sensor
     from armlab.errors import ConfigError
@@ -169,7 +164,7 @@ def accelerometer(
     scale: bool = False,
     noise: float | None = None,
     robust: bool = False,
-    wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
+    wanted: Wanted = NOTHING,
 ) -> int:
     """Find axes and bias of an accelerometer on the tool from readings at rest in many orientations.
 
@@ -190,8 +185,6 @@ def accelerometer(
         Deviation of a reading, m/s^2, where it is known.
     robust : bool
         Find samples that were not at rest and leave them out.
-    wanted : Wanted
-        What to write.
     """
     from armlab.calibrate import fit_accelerometer
 
@@ -212,7 +205,7 @@ def laser(
     robot: str | None = None,
     noise: tuple[float, float] | None = None,
     robust: bool = False,
-    wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
+    wanted: Wanted = NOTHING,
 ) -> int:
     """Find a line scanner on the tool from scans of flat plates.
 
@@ -229,8 +222,6 @@ def laser(
         Deviations of a point, m, and of the angle of a line, rad, where they are known.
     robust : bool
         Find wrong scans and leave them out.
-    wanted : Wanted
-        What to write.
     """
     import numpy as np
 

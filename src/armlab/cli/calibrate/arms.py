@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from armlab.cli.calibrate.report import Wanted
+from armlab.cli.calibrate.report import NOTHING, Wanted
 from armlab.cli.calibrate.samples import measured_rows, run_fit
 
 if TYPE_CHECKING:
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from armlab.robots import Robot
 
 
-_flat = Parameter(name="*")
 _several = Parameter(consume_multiple=True)
 _NUMBERS = {"pose": 2, "position": 1, "distance": 1, "pair_distance": 1, "absolute_a": 2}
 
@@ -33,7 +32,7 @@ def kinematics(
     weak: Literal["refuse", "prior"] = "refuse",
     robust: bool = False,
     corrected: Path | None = None,
-    wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
+    wanted: Wanted = NOTHING,
 ) -> int:
     """Calibrate an arm from joint positions and what was measured of its tool: poses, positions, distances.
 
@@ -63,8 +62,6 @@ def kinematics(
         Find wrong samples and leave them out.
     corrected : Path
         Also write the corrected arm as a robot file, ends in .toml.
-    wanted : Wanted
-        What to write.
     """
     from armlab import robots
     from armlab.calibrate import fit_kinematics
@@ -108,7 +105,7 @@ def dual_arm(
     weak: Literal["refuse", "prior"] = "refuse",
     robust: bool = False,
     corrected: tuple[Path, Path] | None = None,
-    wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
+    wanted: Wanted = NOTHING,
 ) -> int:
     """Calibrate two arms from what one sees of the other, and where they stand.
 
@@ -136,8 +133,6 @@ def dual_arm(
         Find wrong samples and leave them out.
     corrected : tuple
         Also write the corrected arms as robot files, a and b, end in .toml.
-    wanted : Wanted
-        What to write.
     """
     from armlab import robots
     from armlab.calibrate import fit_dual_arm

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from armlab.cli.support.results import Results
+
 if TYPE_CHECKING:
     from armlab.cli.support.html_report import Verdict
     from armlab.estimation import Fit
@@ -18,57 +20,27 @@ _FEW = 1.5  # measurements per parameter
 _ROUGH = {"[m]": 0.01, "[rad]": 0.05}  # beyond it is no noise of a sensor, but records that do not fit
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
-class Wanted:
-    """What is wanted of a calibration.
+class Wanted(Results):
+    """What is wanted of a calibration."""
 
-    Attributes
-    ----------
-    output : Path
-        Save the result with its covariance, ends in .toml.
-    report : Path
-        Also write a page with tables and figures, ends in .html; everything is inside, it asks nobody for anything.
-    figure : Path
-        Also draw residuals, ellipses and excitation into this PNG, SVG or PDF.
-    json : bool
-        Print JSON for scripts.
-    force : bool
-        Replace existing files.
-    """
+    output: Annotated[
+        Path | None, Parameter(alias="-o", help="Save the result with its covariance, ends in .toml.")
+    ] = None
 
-    output: Annotated[Path | None, Parameter(alias="-o")] = None
-    report: Path | None = None
-    figure: Path | None = None
-    json: bool = False
-    force: bool = False
-
-    def check(self) -> None:
-        """Refuse names of files that cannot be written."""
-        from armlab.cli.support.output import FIGURES, check_output
-
-        for path, endings in ((self.output, (".toml",)), (self.report, (".html",)), (self.figure, FIGURES)):
-            if path is not None:
-                check_output(path, self.force, endings)
-
-    def write(self, job: str, fit: Fit[Any], sources: tuple[str, ...]) -> None:
+    def save(self, job: str, fit: Fit[Any], sources: tuple[str, ...]) -> None:
         """Print the fit and write the files that are wanted."""
-        from armlab.cli.support.output import note, print_json, result, save_figure
+        from armlab.cli.support.output import note
 
         verdict = judge(fit)
-        if self.json:
-            print_json({**numbers(fit), "sources": list(sources), "verdict": vars(verdict)})
-        else:
-            result(f"{fit.report()}\n\n{verdict.text()}")
+        self.say({**numbers(fit), "sources": list(sources)}, fit.report(), verdict)
         if self.output is not None:
             note(f"calibration: {fit.save(self.output, sources)}")
-        if self.figure is not None:
-            from armlab import plots
+        self.write(lambda plots: plots.calibration(fit), lambda _: _page(job, fit, verdict, sources))
 
-            save_figure(plots.calibration(fit), self.figure)
-            note(f"figure: {self.figure}")
-        if self.report is not None:
-            _page(job, fit, verdict, sources).write(self.report)
-            note(f"report: {self.report}")
+
+NOTHING = Wanted()
 
 
 def numbers(fit: Fit[Any]) -> dict[str, Any]:

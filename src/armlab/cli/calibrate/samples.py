@@ -222,7 +222,7 @@ def run_fit(
     """
     import numpy as np
 
-    wanted.check()
+    wanted.check(wanted.output, (".toml",))
     if not files:
         raise ConfigError("Expected files of samples, got none. Give one or more CSV, MAT or MCAP files.")
     read = [read_samples(path) for path in files]
@@ -237,7 +237,7 @@ def run_fit(
             shapes = ", ".join(f"{array.shape} in {one.path.name}" for one, array in zip(read, part, strict=True))
             raise LogError(f"Expected files that measured the same, got arrays of {shapes}. Calibrate them one by one.")
     joined = [np.concatenate(part) for part in zip(*found, strict=True)]
-    wanted.write(job, fit(*joined), (*(one.source for one in read), *sources))
+    wanted.save(job, fit(*joined), (*(one.source for one in read), *sources))
     return 0
 
 

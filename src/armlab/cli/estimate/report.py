@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from armlab.cli.support.html_report import HtmlReport, Verdict
 from armlab.cli.support.log_input import gaps, left_out
+from armlab.cli.support.results import Tell
 
 if TYPE_CHECKING:
     from armlab.contact import Contact, Hypotheses
@@ -109,8 +109,6 @@ SLOW = 0.01  # rad/s: an arm below it in all joints rests
 OFTEN = 0.05  # share of the rows that is worth a sentence
 HONEST = 0.90  # share inside 2 sigma
 NAMED = 3  # gaps, the longest, that are named
-
-Tell = Callable[[float, float, str], None]
 
 
 def judge(
@@ -239,19 +237,15 @@ def _truth(table: Table) -> Verdict:
     return Verdict((sentence,)) if np.mean(found.inside[:3]) >= HONEST else Verdict(bad=(sentence,))
 
 
-def write(
-    path: Path,
+def page(
     table: Table,
     verdict: Verdict,
     contacts: Sequence[Contact],
     believed: Hypotheses | None,
     about: str,
-    tell: Tell | None = None,
-) -> None:
-    """Write the page.
-
-    `believed`: of `contact.hypotheses`, or None. `tell`: called with (done, total, what).
-    """
+    tell: Tell,
+) -> HtmlReport:
+    """Return the page; `tell` is called with (done, total, what)."""
     page = HtmlReport("Contact wrench", about)
     page.verdict(verdict)
     words = "By the environment on the robot, base axes, at the tool point, in N and N m. Observability: 1 the torques "
@@ -265,11 +259,10 @@ def write(
         page.table(contact_rows(table, contacts, believed))
     drawings = _drawings(table, believed)
     for k, (title, caption, draw) in enumerate(drawings):
-        if tell is not None:
-            tell(k, len(drawings), f"drawing {title.lower()}")
+        tell(k, len(drawings), f"drawing {title.lower()}")
         page.section(title)
         page.figure(draw(), title, caption)
-    page.write(path)
+    return page
 
 
 def _drawings(table: Table, believed: Hypotheses | None) -> list[tuple[str, str, Any]]:

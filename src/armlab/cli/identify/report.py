@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from armlab.cli.support.html_report import HtmlReport, Verdict
+from armlab.cli.support.results import Tell
 
 if TYPE_CHECKING:
     from armlab.estimation import Fit
@@ -182,7 +182,6 @@ def _joints(which: np.ndarray) -> str:
     return f"joint{'s' if len(numbered) > 1 else ''} {', '.join(numbered)}"
 
 
-Tell = Callable[[float, float, str], None]
 Drawing = tuple[str, str, str, Callable[[], bytes]]  # title, what it shows, how to read it, what draws it
 
 
@@ -221,19 +220,8 @@ def numbers(fit: Fit[TorqueModel], trial: Trial) -> dict[str, Any]:
     }
 
 
-def write(
-    path: Path,
-    fit: Fit[TorqueModel],
-    verdict: Verdict,
-    trial: Trial,
-    log: Table,
-    about: str,
-    tell: Tell | None = None,
-) -> None:
-    """Write the page.
-
-    `tell`: called with (done, total, what).
-    """
+def page(fit: Fit[TorqueModel], verdict: Verdict, trial: Trial, log: Table, about: str, tell: Tell) -> HtmlReport:
+    """Return the page; `tell` is called with (done, total, what)."""
     from armlab.identify.validation import parameter_rows
 
     page = HtmlReport(f"Torque model of {fit.value.robot_name}", about)
@@ -249,8 +237,7 @@ def write(
     page.table(_friction_rows(fit, trial))
     drawings = _drawings(fit, trial, log)
     for k, (title, alt, caption, draw) in enumerate(drawings):
-        if tell is not None:
-            tell(k, len(drawings), f"drawing {title.lower()}")
+        tell(k, len(drawings), f"drawing {title.lower()}")
         page.section(title)
         page.figure(draw(), alt, caption)
     page.section("Parameters", "What the motion can tell: of the links only these combinations act on the torques.")
@@ -258,7 +245,7 @@ def write(
     page.table([head, *parameter_rows(fit)], f"{len(fit.names)} parameters with standard deviations")
     page.section("As printed")
     page.verbatim(fit.report(), "Report of the fit")
-    page.write(path)
+    return page
 
 
 def _residual_rows(fit: Fit[TorqueModel], trial: Trial) -> list[list[str]]:

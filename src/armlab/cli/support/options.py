@@ -57,6 +57,14 @@ def links_to(robot: str, arms: Sequence[Robot], link: str | None) -> list[str]:
     return urls
 
 
+def joints_in(words: str, n: int) -> list[int]:
+    """Return numbers of joints from 0."""
+    numbers = [int(word) if word.strip().isdecimal() else 0 for word in words.split(",")]
+    if not all(1 <= number <= n for number in numbers):
+        raise ConfigError(f"Expected joints as numbers from 1 to {n} with commas between, got {words!r}.")
+    return [number - 1 for number in numbers]
+
+
 _ONE, _FIRST = 6510, 6511  # of one arm, of the first of several
 
 

@@ -1,8 +1,9 @@
-"""Options shared by the commands of ``armlab plot``: output file, part of a log, joints."""
+"""Options of ``armlab plot``: output file, part of a log, joints, model."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,10 +20,15 @@ if TYPE_CHECKING:
 
 POSES = ("T_base_tool", "T_frame_tool")
 
-Joints = Annotated[str | None, Parameter(help="Numbers from 1 with commas between; all when not given.")]
-"""Which joints are drawn."""
+Model = Annotated[Path, Parameter(help="Model file of `armlab identify`.")]
+FreeMotion = Annotated[Path, Parameter(help="Recording of free motion, best one that was not fitted.")]
+Estimate = Annotated[Path, Parameter(help="Output of `armlab estimate`, or recording of a run that estimated.")]
+RobotName = Annotated[str, Parameter(help="Name in the library, or robot file.")]
+PoseRobot = Annotated[str | None, Parameter(help="Name in the library or robot file: computes the poses from q.")]
+PoseColumn = Annotated[str | None, Parameter(help="Column of poses; default: T_base_tool or T_frame_tool.")]
+Primitive = Annotated[Path, Parameter(help="File of `armlab dmp fit`.")]
+Joints = Annotated[str | None, Parameter(help="Numbers from 1 with commas between; default: all.")]
 OwnRobot = Annotated[str | None, Parameter(help="Robot file, where the robot of the model is not in the library.")]
-"""The robot of a model."""
 
 
 @Parameter(name="*")
@@ -33,7 +39,7 @@ class FigureFile:
     Attributes
     ----------
     output : Path
-        PNG, SVG or PDF; beside the input, with its name and that of the figure, when not given.
+        PNG, SVG or PDF; default: beside the input, with its name and that of the figure.
     show : bool
         Open a window too.
     force : bool
@@ -44,21 +50,18 @@ class FigureFile:
     show: bool = False
     force: bool = False
 
-    def path(self, source: Path | str, name: str) -> Path:
-        """Return the name of the file, refused before the work begins."""
-        from armlab.cli.support.output import FIGURES, check_output
+    def draw(self, source: Path | str, name: str, make: Callable[[Any], Any]) -> int:
+        """Write a figure of a source, print its path, open a window if asked; return the exit code.
+
+        `make` draws it with the module `armlab.plots`; a file that cannot be written is refused before.
+        """
+        from armlab import plots
+        from armlab.cli.support.output import FIGURES, check_output, result, save_figure
 
         beside = Path(source)
         path = beside.with_name(f"{beside.stem}_{name}.png") if self.output is None else self.output
         check_output(path, self.force, FIGURES)
-        return path
-
-    def save(self, drawn: Any, path: Path) -> int:
-        """Write the figure, print its path, open a window where one is wanted; return the exit code."""
-        from armlab import plots
-        from armlab.cli.support.output import result, save_figure
-
-        save_figure(drawn, path)
+        save_figure(make(plots), path)
         result(str(path))
         if self.show:
             plots.show()
@@ -67,17 +70,17 @@ class FigureFile:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Part:
+class LogPart:
     """Which part of a log.
 
     Attributes
     ----------
     start : float
-        Time from which it counts [s]; its beginning when not given.
+        First time [s]; default: the beginning.
     end : float
-        Time to which it counts [s]; its end when not given.
+        Last time [s]; default: the end.
     arm : str
-        Whose rows, of a recording of several arms.
+        Arm whose rows are read, of a recording of several.
     """
 
     start: float | None = None
@@ -102,11 +105,30 @@ class Part:
             raise LogError(f"Expected rows of {path} from {low:g} to {high:g} s, got none: it ends at {last:.3f} s.")
         return part
 
+    def estimated(self, path: Path, column: str = "wrench_hat") -> Table:
+        """Return that part of a log in which a wrench was estimated."""
+        from armlab.errors import LogError
 
-WHOLE = Part()
-"""All of a log."""
+        read = self.read(path)
+        if column not in read:
+            raise LogError(
+                f"Expected an estimated wrench in {path}, column {column}, got {', '.join(read.names)}. "
+                "Make one: armlab estimate ROBOT LOG --model MODEL -o force.mcap."
+            )
+        return read
+
+    def positions(self, path: Path | None, robot: str) -> np.ndarray | None:
+        """Return the joint positions (N, n) of that part, rows in which none is missing; None without a log."""
+        import numpy as np
+
+        if path is None:
+            return None
+        q = self.read(path, robot)["q"]
+        return q[np.isfinite(q).all(axis=1)]
+
+
+WHOLE = LogPart()
 BESIDE = FigureFile()
-"""A file beside the input."""
 
 
 def torque_model(path: Path) -> TorqueModel:
@@ -123,6 +145,20 @@ def arm_of(model: TorqueModel, robot: str | None) -> Robot:
     arm = robots.load(model.robot_name if robot is None else robot)
     model.check_robot(arm)
     return arm
+
+
+def log_of(model: TorqueModel, robot: str | None, log: Path, part: LogPart) -> Table:
+    """Return that part of a log, the joints of another program's in the order of the model's robot."""
+    if robot is not None:
+        arm_of(model, robot)  # refuses another
+    return part.read(log, robot or model.robot_name)
+
+
+def estimate(model: TorqueModel, robot: str | None, log: Path, part: LogPart) -> Table:
+    """Return that part of a log with the columns of the contact estimator."""
+    from armlab.contact import Estimator
+
+    return Estimator(model, arm_of(model, robot)).run(log_of(model, robot, log, part))
 
 
 def poses_in(table: Table, path: Path, column: str | None, robot: str | None) -> np.ndarray:
@@ -142,13 +178,3 @@ def poses_in(table: Table, path: Path, column: str | None, robot: str | None) ->
             "Add --robot NAME, whose kinematics make them of q, or name their --column."
         )
     return table[name]
-
-
-def joints_in(words: str, n: int) -> list[int]:
-    """Return numbers of joints from 0."""
-    from armlab.errors import ConfigError
-
-    numbers = [int(word) if word.strip().isdecimal() else 0 for word in words.split(",")]
-    if not all(1 <= number <= n for number in numbers):
-        raise ConfigError(f"Expected joints as numbers from 1 to {n} with commas between, got {words!r}.")
-    return [number - 1 for number in numbers]
