@@ -30,9 +30,10 @@ from armlab.bridge.servers.watch import Watch
 from armlab.cli import main
 from armlab.cli.bridge import (
     USERS,
+    monitor,
+    table,
     write_certificates,
 )
-from armlab.cli.monitor import monitor, table
 from armlab.errors import ConfigError
 from armlab.log import Tick
 from armlab.state import State

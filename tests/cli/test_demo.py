@@ -10,7 +10,7 @@ import pytest
 
 from armlab import robots
 from armlab.cli import main
-from armlab.cli.demo import PRESSES, Plan, Verdict, demo, figures, judge, latency_line, rehearse
+from armlab.cli.demo import PRESSES, DemoVerdict, Plan, demo, figures, judge, latency_line, rehearse
 from armlab.errors import ControllerLate, LogError
 from armlab.log import Table
 
@@ -150,7 +150,7 @@ def test_figures_and_summary_are_written(monkeypatch, plan: Plan, tmp_path, mode
     monkeypatch.setattr("armlab.log.read", lambda path, **_: excited.between(0.0, 4.0))
     table = pretend(plan, noise(plan, 0.5))
     verdict = judge(table, plan)
-    assert isinstance(verdict, Verdict)
+    assert isinstance(verdict, DemoVerdict)
     files = figures(tmp_path, {"plan": plan, "estimate": table, "fit": SimpleNamespace(value=model)}, verdict)
     assert [path.name for path in files] == ["summary.json", "torque.png", "wrench.png"]
     summary = json.loads((tmp_path / "summary.json").read_text())

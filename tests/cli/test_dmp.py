@@ -14,7 +14,7 @@ from armlab.cli import main
 from armlab.cli.dmp.playing import (
     OPTIONS,
     SETTLES,
-    Motion,
+    PlannedMotion,
     Walk,
     distance,
     motion_of,
@@ -26,12 +26,14 @@ from armlab.cli.dmp.playing import (
 from armlab.cli.dmp.teaching import (
     KINDS,
     Demonstration,
-    Window,
     check_options,
     numbers_of,
     read_demonstration,
     taught,
     text_of,
+)
+from armlab.cli.dmp.teaching import (
+    MotionWindow as Window,
 )
 from armlab.errors import ConfigError, UnknownName
 from armlab.log import Column, Table
@@ -163,7 +165,7 @@ def test_every_kind_leads_the_arm_and_makes_a_table(kind: str, made: dict[str, A
     assert table.names == (("T_base_tool",) if kind == "pose_dmp" else ("y", "yd", "ydd"))
     assert table.t[-1] == pytest.approx(4.0 if kind == "periodic_dmp" else 1.0, abs=0.005)
     motion = motion_of(primitive, run, ROBOT, LIMITS, firm=False)
-    assert isinstance(motion, Motion)
+    assert isinstance(motion, PlannedMotion)
     q = rehearsed(motion)["q"]
     assert np.abs(q[0] - motion.q_start).max() < 0.01
     assert np.abs(np.diff(q, axis=0)).max() / 0.004 <= LIMITS.qd_max.max() * (1 + 1e-9)

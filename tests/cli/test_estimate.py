@@ -10,7 +10,7 @@ import pytest
 
 from armlab import identify, models
 from armlab.cli import main
-from armlab.cli.estimate import Prior
+from armlab.cli.estimate import ContactPrior
 from armlab.cli.estimate.report import AXES, axes, columns, contact_rows, judge, limits, page, places, rows
 from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, Contact, Estimator, contacts, hypotheses
 from armlab.log import Table
@@ -143,7 +143,7 @@ def test_prior_and_point_reach_the_estimator(pushed: str, capsys) -> None:
     assert main([*words, "--bias"]) == 2
     assert "method='kf' only" in capsys.readouterr().err
     assert main([*words, "--method", "kf", "--bias", "--force-rate", "smooth"]) == 0
-    assert Prior(prior_force=5.0).deviations == [5.0] * 3 + [2.0] * 3
+    assert ContactPrior(prior_force=5.0).deviations == [5.0] * 3 + [2.0] * 3
 
 
 def test_limits_of_the_method_interval_are_printed(pushed: str, capsys) -> None:

@@ -13,7 +13,7 @@ import pytest
 from armlab import identify as identification
 from armlab import models
 from armlab.cli import main
-from armlab.cli.identify.report import Trial, judge, numbers, try_out
+from armlab.cli.identify.report import ModelTrial, judge, numbers, try_out
 from armlab.estimation import Fit
 from armlab.log import Table
 from armlab.models import TorqueModel
@@ -185,11 +185,11 @@ def test_a_log_that_comes_twice_is_refused(words: tuple[str, ...], tmp_path, cap
 
 
 @pytest.fixture(scope="module")
-def trial(fitted: Fit[TorqueModel], excited: Table, truth) -> Trial:
+def trial(fitted: Fit[TorqueModel], excited: Table, truth) -> ModelTrial:
     return try_out(fitted.value, truth.robot, excited, unseen=False)
 
 
-def test_numbers_are_those_of_the_model(fitted: Fit[TorqueModel], trial: Trial) -> None:
+def test_numbers_are_those_of_the_model(fitted: Fit[TorqueModel], trial: ModelTrial) -> None:
     found = numbers(fitted, trial)
     assert [joint["joint"] for joint in found["joints"]] == [1, 2, 3, 4, 5, 6, 7]
     third = found["joints"][2]
@@ -202,7 +202,7 @@ def changed(fitted: Fit[TorqueModel], **quality: np.ndarray) -> Fit[TorqueModel]
     return replace(fitted, value=replace(fitted.value, quality=replace(fitted.value.quality, **quality)))
 
 
-def test_a_good_model_is_called_good(fitted: Fit[TorqueModel], trial: Trial, excited: Table, truth) -> None:
+def test_a_good_model_is_called_good(fitted: Fit[TorqueModel], trial: ModelTrial, excited: Table, truth) -> None:
     verdict = judge(fitted, truth.robot, [excited], trial)
     assert any("leaves" in sentence for sentence in verdict.good)
     assert any("condition" in sentence for sentence in verdict.good)
@@ -210,7 +210,7 @@ def test_a_good_model_is_called_good(fitted: Fit[TorqueModel], trial: Trial, exc
     assert verdict.ahead
 
 
-def test_a_trial_is_the_estimate_of_no_force(trial: Trial, excited: Table) -> None:
+def test_a_trial_is_the_estimate_of_no_force(trial: ModelTrial, excited: Table) -> None:
     assert len(trial.estimate) == len(trial.log) == len(excited)
     assert not trial.estimate["wrench_true"].any()
     assert trial.share.shape == (7,)
@@ -232,7 +232,7 @@ def test_what_is_bad_is_said(fitted, trial, excited: Table, truth, change, sente
     assert any(sentence in said for said in judge(worse, truth.robot, [excited], trial).bad)
 
 
-def test_the_test_log_is_compared_with_held_out_blocks(fitted, trial: Trial, excited: Table, truth) -> None:
+def test_the_test_log_is_compared_with_held_out_blocks(fitted, trial: ModelTrial, excited: Table, truth) -> None:
     known = fitted.value.quality.rms_cv / fitted.value.quality.torque_sd
     alike = replace(trial, unseen=True, share=known)
     assert any("as in held-out blocks" in said for said in judge(fitted, truth.robot, [excited], alike).good)
@@ -242,7 +242,7 @@ def test_the_test_log_is_compared_with_held_out_blocks(fitted, trial: Trial, exc
     assert any("50 % inside 2 sigma" in said for said in judge(fitted, truth.robot, [excited], dishonest).bad)
 
 
-def test_stretched_negative_and_narrow_are_said(fitted, trial: Trial, excited: Table, truth) -> None:
+def test_stretched_negative_and_narrow_are_said(fitted, trial: ModelTrial, excited: Table, truth) -> None:
     model = fitted.value
     friction = replace(model.friction, viscous=np.where(np.arange(7) == 1, -0.1, model.friction.viscous))
     covariance = replace(model.covariance, alpha2=16.0)

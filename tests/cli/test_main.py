@@ -13,7 +13,6 @@ import pytest
 from armlab import cli
 from armlab._interrupts import deferred
 from armlab.cli import main
-from armlab.cli.support.help import WrappedHelp
 from armlab.errors import LogError
 
 
@@ -27,10 +26,9 @@ def test_help_imports_no_command() -> None:
         "print([m for m in sys.modules if m.startswith(('armlab.', 'numpy')) and m != 'armlab.cli'], file=sys.stderr)"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert (
-        result.stderr.strip()
-        == "['armlab.errors', 'armlab._interrupts', 'armlab.cli.support', 'armlab.cli.support.help']"
-    )
+    assert result.stderr == "['armlab.errors', 'armlab._interrupts']\n"
+    for name in ("demo", "sim", "doctor", "run", "record", "excite", "identify", "estimate", "payload", "log", "robot"):
+        assert name in result.stdout
 
 
 def test_wrong_use_is_2_and_an_error_1_each_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
@@ -132,10 +130,6 @@ def test_help_fills_the_terminal(
     assert max(map(len, lines)) <= columns
     first = next(line for line in lines if line.startswith("The file needs"))
     assert len(first) > columns - 15
-
-
-def test_the_look_is_that_of_cyclopts() -> None:
-    assert all(hasattr(WrappedHelp, name) for name in ("render_usage", "render_description", "__call__"))
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Settings: which of several sources counts, and what is said of wrong ones."""
+"""UserSettings: which of several sources counts, and what is said of wrong ones."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from armlab.cli.support.settings import PREFIX, Settings, load_settings, log_folder, read_text, user_file
+from armlab.cli.support.settings import PREFIX, UserSettings, load_settings, log_folder, read_text, user_file
 from armlab.errors import ConfigError
 
 
@@ -30,7 +30,7 @@ def test_environment_before_folder_before_user(home: Path) -> None:
         "HOME": "/nowhere",
     }
     told = load_settings(variables)
-    assert told.settings == Settings(
+    assert told.settings == UserSettings(
         "cell.toml", str(home / "logs"), {"yumi_left": 7001, "yumi_right": 7002}, 0.5, "block"
     )
     user = str(user_file(variables))

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from armlab import cli, robots
-from armlab.cli.sim import Around, Content, FaultOptions, Written, read_hand, read_operator
+from armlab.cli.sim import FaultOptions, PacketOptions, SurroundingOptions, TextFile, read_hand, read_operator
 from armlab.errors import ConfigError, LogError, UnknownName
 from armlab.sim.arm.arm import scara
 from armlab.sim.controller.settings import ControllerSettings, FaultRates
@@ -203,27 +203,27 @@ def test_faults() -> None:
 
 
 def test_values_that_rapid_sends_back() -> None:
-    assert Content(rapid_data=40, robotware="7").rapid_data == 40
+    assert PacketOptions(rapid_data=40, robotware="7").rapid_data == 40
     for content in ({"rapid_data": 1}, {"rapid_data": 41, "robotware": "7"}, {"rapid_data": -1, "robotware": "7"}):
         with pytest.raises(ConfigError, match="--rapid-data from 0 to 40"):
-            Content(**content)
+            PacketOptions(**content)
 
 
 def test_around_the_arms(tmp_path: Path) -> None:
     push = tmp_path / "push.csv"
     push.write_text("t,fx,fy,fz,mx,my,mz\n0,1,0,0,0,0,0\n9,1,0,0,0,0,0\n", encoding="utf-8")
-    around = Around(operator=push, motors="0:on,2:off", rapid="undefined")
+    around = SurroundingOptions(operator=push, motors="0:on,2:off", rapid="undefined")
     first, second = (around.scene(ROBOT, index, [0, index], 1) for index in (0, 1))
     assert first.operator.at(1.0) is not None
     assert second.operator.at(1.0) is None, "the files are for the first robot"
     assert first.hand is not None
     assert (first.motors.at(3.0), first.rapid.at(3.0), first.external) == (2, 0, 1)
     with pytest.raises(UnknownName, match="off"):
-        Around(motors="aus").scene(ROBOT, 0, [0], 0)
+        SurroundingOptions(motors="aus").scene(ROBOT, 0, [0], 0)
 
 
 def test_the_help_of_faults_is_that_of_the_rates() -> None:
-    """Written once, with the same defaults."""
+    """TextFile once, with the same defaults."""
     assert FaultOptions().rates() == FaultRates()
     assert [field.name for field in fields(FaultOptions)] == [field.name for field in fields(FaultRates)]
     text = FaultOptions.__doc__ or ""
@@ -234,11 +234,11 @@ def test_the_help_of_faults_is_that_of_the_rates() -> None:
 
 def test_a_grip_holds_the_first_robot_only() -> None:
     robot = robots.load("yumi_right")
-    first, second = (Around(grip="1,3").scene(robot, index, [0, index], 0) for index in (0, 1))
+    first, second = (SurroundingOptions(grip="1,3").scene(robot, index, [0, index], 0) for index in (0, 1))
     assert first.grip is not None
     assert second.grip is None
     with pytest.raises(ConfigError, match="--grip"):
-        Around(grip="soon").scene(robot, 0, [0, 0], 0)
+        SurroundingOptions(grip="soon").scene(robot, 0, [0, 0], 0)
 
 
 @pytest.mark.parametrize(
@@ -287,9 +287,9 @@ def test_read_hand_refuses(tmp_path: Path, text: str, what: str) -> None:
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no file that is always full")
 def test_a_full_disk_is_named_also_when_the_last_bytes_do_not_fit() -> None:
     full = Path("/dev/full")
-    with pytest.raises(LogError, match=r"Expected to write /dev/full, got: No space left"), Written(full) as file:
+    with pytest.raises(LogError, match=r"Expected to write /dev/full, got: No space left"), TextFile(full) as file:
         file.write("1\n")
-    with pytest.raises(LogError, match="/dev/full"), Written(full) as file:
+    with pytest.raises(LogError, match="/dev/full"), TextFile(full) as file:
         file.write("1" * 1_000_000)
-    with pytest.raises(KeyError), Written(full) as file:
+    with pytest.raises(KeyError), TextFile(full) as file:
         raise KeyError

@@ -11,11 +11,11 @@ import pytest
 
 from armlab import robots
 from armlab.kinematics import forward, link_transforms
-from armlab.live.bodies import Body, along, arrow, bodies, box, capsule, drums, mesh_bodies
+from armlab.live.bodies import Surface, along, arrow, bodies, box, capsule, drums, mesh_bodies
 from armlab.robots import Mesh, Robot
 
 
-def volume(body: Body) -> float:
+def volume(body: Surface) -> float:
     """Signed volume by the divergence theorem: positive when all faces look outside."""
     p = body.vertices[body.faces]
     return float(np.einsum("fi,fi->", p[:, 0], np.cross(p[:, 1], p[:, 2])) / 6.0)

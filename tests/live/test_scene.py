@@ -17,7 +17,7 @@ from armlab.live.scene import (
     LINK_COLORS,
     TOOL_COLOR,
     ForceArrow,
-    Scene,
+    RobotScene,
     _towards,
     ellipsoid_axes,
     is_significant,
@@ -51,7 +51,7 @@ def link(robot: Robot, number: int) -> str:
 
 def test_links_and_tool_stand_where_the_kinematics_put_them(server: Any) -> None:
     T_world_base = se3.from_rp(np.eye(3), [0.0, 1.0, 0.2])
-    scene = Scene(server, [LEFT, RIGHT], {"yumi_right": T_world_base})
+    scene = RobotScene(server, [LEFT, RIGHT], {"yumi_right": T_world_base})
     q = LEFT.q_home + 0.2
     for robot in (LEFT, RIGHT):
         scene.show(robot.name, q)
@@ -75,7 +75,7 @@ def test_links_and_tool_stand_where_the_kinematics_put_them(server: Any) -> None
 
 def test_arms_come_go_and_move(server: Any) -> None:
     """An arm of the same name takes the place of the old one; the floor is below all."""
-    scene = Scene(server, [LEFT])
+    scene = RobotScene(server, [LEFT])
     scene.add(RIGHT, se3.from_rp(np.eye(3), [0.0, 2.0, 0.0]))
     scene.show("yumi_right", RIGHT.q_home)
     far = se3.from_rp(np.eye(3), [-3.0, 4.0, 0.0])
@@ -99,7 +99,7 @@ def test_arms_come_go_and_move(server: Any) -> None:
 
 
 def test_arms_joints_and_tools_have_their_colours(server: Any) -> None:
-    Scene(server, [LEFT, RIGHT])
+    RobotScene(server, [LEFT, RIGHT])
     for robot, color in zip((LEFT, RIGHT), LINK_COLORS, strict=True):
         assert tuple(node(server, link(robot, 3)).color) == rgb(color)
         assert tuple(node(server, f"{link(robot, robot.n)}/tool/point").color) == rgb(TOOL_COLOR)
@@ -108,7 +108,7 @@ def test_arms_joints_and_tools_have_their_colours(server: Any) -> None:
 
 
 def test_a_force_is_an_arrow_at_the_tool_with_its_ellipsoid_at_the_tip(server: Any) -> None:
-    scene = Scene(server, [LEFT])
+    scene = RobotScene(server, [LEFT])
     force = np.array([10.0, -5.0, 20.0])
     scene.show("yumi_left", LEFT.q_home, [*force, 0, 0, 0], C)
     tool = forward(LEFT, LEFT.q_home)[:3, 3]
@@ -128,7 +128,7 @@ def test_a_force_is_an_arrow_at_the_tool_with_its_ellipsoid_at_the_tip(server: A
 
 
 def test_an_arm_whose_joints_are_not_known_is_hidden(server: Any) -> None:
-    scene = Scene(server, [LEFT])
+    scene = RobotScene(server, [LEFT])
     scene.show("yumi_left", np.full(7, np.nan), [1.0, 2.0, 3.0])
     assert not node(server, "/yumi_left/arm").visible
     assert not node(server, "/yumi_left/force").visible
@@ -137,7 +137,7 @@ def test_an_arm_whose_joints_are_not_known_is_hidden(server: Any) -> None:
 
 
 def test_the_path_is_thinned_and_gaps_are_bridged(server: Any) -> None:
-    scene = Scene(server, [LEFT])
+    scene = RobotScene(server, [LEFT])
     points = np.linspace([0.3, 0.0, 0.2], [0.5, 0.1, 0.2], 2500)
     points[100] = np.nan
     scene.trace("yumi_left", points)
@@ -151,7 +151,7 @@ def test_the_path_is_thinned_and_gaps_are_bridged(server: Any) -> None:
 
 
 def test_frames_come_move_and_go(server: Any) -> None:
-    scene = Scene(server, [LEFT])
+    scene = RobotScene(server, [LEFT])
     T = se3.exp([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
     for one in (np.eye(4), T):
         scene.frame("table", one)
@@ -164,16 +164,16 @@ def test_frames_come_move_and_go(server: Any) -> None:
 
 def test_wrong_input_gets_a_sentence(server: Any) -> None:
     with pytest.raises(RobotError, match="different names"):
-        Scene(server, [LEFT, LEFT])
+        RobotScene(server, [LEFT, LEFT])
     with pytest.raises(RobotError, match="different names to show, got none"):
-        Scene(server, [])
+        RobotScene(server, [])
     with pytest.raises(RobotError):
-        Scene(server, ["yumi_left"])  # type: ignore[list-item]
+        RobotScene(server, ["yumi_left"])  # type: ignore[list-item]
     with pytest.raises(UnknownName, match="yumi_left"):
-        Scene(server, [LEFT], {"ur5e": np.eye(4)})
+        RobotScene(server, [LEFT], {"ur5e": np.eye(4)})
     with pytest.raises(ShapeError, match="Expected a pose"):
-        Scene(server, [LEFT], {"yumi_left": np.zeros((4, 4))})
-    scene = Scene(server, [LEFT])
+        RobotScene(server, [LEFT], {"yumi_left": np.zeros((4, 4))})
+    scene = RobotScene(server, [LEFT])
     with pytest.raises(UnknownName, match="arm in this view"):
         scene.show("yumi_right", LEFT.q_home)
     for arguments in ([np.zeros(6)], [LEFT.q_home, np.zeros(4)], [LEFT.q_home, np.zeros(6), np.eye(4)]):

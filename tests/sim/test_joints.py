@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.sim.arm.drive import INTEGRAL_TIME, POSITION_GAIN, VELOCITY_GAIN, JointDrives
-from armlab.sim.arm.friction import WARM_TIME, JointFriction, WornFriction
+from armlab.sim.arm.joints import (
+    INTEGRAL_TIME,
+    POSITION_GAIN,
+    VELOCITY_GAIN,
+    WARM_TIME,
+    JointDrives,
+    JointFriction,
+    WornFriction,
+)
 from armlab.sim.arm.mismatch import Mismatch
 from armlab.sim.arm.truth import Truth, synthetic_truth
 

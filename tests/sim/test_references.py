@@ -7,9 +7,8 @@ import pytest
 
 from armlab import robots
 from armlab.robots import Robot
-from armlab.sim.arm.drive import JointDrives
-from armlab.sim.controller.guidance import ExternalAxes, Guidance
-from armlab.sim.controller.reference_decoder import ReferenceDecoder, has_numbers, is_number
+from armlab.sim.arm.joints import JointDrives
+from armlab.sim.controller.guidance import ExternalAxes, Guidance, ReferenceDecoder, has_numbers, is_number
 from armlab.sim.controller.settings import ControllerSettings
 from armlab.wire.egm import SensorMessage
 

@@ -8,6 +8,7 @@ Results go to standard output, messages to standard error. Exit codes: 0 done, 1
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import traceback
@@ -15,14 +16,16 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from armlab._interrupts import handling
 
 if TYPE_CHECKING:
     from cyclopts import App
+    from cyclopts.help import HelpPanel
+    from rich.console import Console, ConsoleOptions
 
-__all__ = ["FAILED", "INTERRUPTED", "SKIPPED", "WRONG_USE", "build_app", "main"]
+__all__ = ["main"]
 
 FAILED, WRONG_USE, SKIPPED, INTERRUPTED = 1, 2, 3, 130
 
@@ -40,12 +43,12 @@ _COMMANDS = {
     "dmp": ("dmp:dmp", "Movement primitives: fit one to logs of a motion, play it on a robot."),
     "plot": ("plot:plot", "Figures of logs, models, robots and movement primitives."),
     "bridge": ("bridge:bridge", "Run a cell: robots, LabComm and other clients, parameters, one commander."),
-    "monitor": ("monitor:monitor", "Watch a bridge that runs: rates, round trips, clamps, commander, events."),
+    "monitor": ("bridge:monitor", "Watch a bridge that runs: rates, round trips, clamps, commander, events."),
     "view": ("view:view", "Arms, forces and curves in the browser: of logs, or of a bridge that runs."),
     "fleet": ("fleet:fleet", "Many robots at once: a router, recordings of all, one list of them."),
     "log": ("log:log", "Show, export, cut, merge, open and repair logs."),
     "config": ("config:config", "Show settings: of files, of the environment, of a cell. Writes nothing."),
-    "completion": ("completion:completion", "Print what lets bash, zsh or fish complete the words of armlab."),
+    "completion": ("config:completion", "Print what lets bash, zsh or fish complete the words of armlab."),
     "robot": ("robot:robot", "List, show and convert robot descriptions."),
 }
 
@@ -76,7 +79,6 @@ def build_app(verb: str = "") -> App:
     from cyclopts import App, Parameter
 
     from armlab import __version__
-    from armlab.cli.support.help import WrappedHelp
 
     app = App(
         name="armlab",
@@ -180,3 +182,46 @@ def _interruptible() -> Iterator[list[int]]:
 
     with handling(interrupt):
         yield came
+
+
+_BREAK_IN_PARAGRAPH = re.compile(r"(?<=\S)[ \t]*\n(?![\s*-])")
+
+
+def unwrapped(text: str) -> str:
+    """Return a text whose paragraphs are one line each; empty lines, lists and indented lines stay."""
+    return _BREAK_IN_PARAGRAPH.sub(" ", text)
+
+
+class WrappedHelp:
+    """The default look of cyclopts for texts that keep the line breaks of their docstring."""
+
+    def render_usage(self, console: Console, options: ConsoleOptions, usage: Any) -> None:
+        """Print the line of usage."""
+        _default().render_usage(console, options, usage)
+
+    def render_description(self, console: Console, options: ConsoleOptions, description: Any) -> None:
+        """Print what the command does."""
+        _default().render_description(console, options, _wrapped(description))
+
+    def __call__(self, console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
+        """Print a panel of commands or parameters."""
+        from attrs import evolve
+
+        entries = [evolve(entry, description=_wrapped(entry.description)) for entry in panel.entries]
+        _default()(console, options, panel.copy(entries=entries))
+
+
+def _default() -> Any:
+    from cyclopts.help import DefaultFormatter
+
+    return DefaultFormatter()
+
+
+def _wrapped(shown: Any) -> Any:
+    """Unwrap the text of something that is shown; it is made anew for each print."""
+    from rich.text import Text
+
+    text = getattr(shown, "primary_renderable", None)
+    if isinstance(text, Text):
+        shown.primary_renderable = Text(unwrapped(text.plain), end=text.end)
+    return shown

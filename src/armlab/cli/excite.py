@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from armlab.cli.support.options import Force, Json
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
     from armlab.log import Table
     from armlab.robots import Robot
 
-__all__ = ["Motion", "excite"]
+__all__ = ["ExcitationOptions", "excite"]
 
 SPEED = 0.6  # of the limits
 _ROUNDING = 1e-6  # rad or m that a saved motion may be beyond the limits
@@ -25,7 +27,7 @@ ROUNDS = 300  # of the search for the motion that tells most
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Motion:
+class ExcitationOptions:
     """What the motion shall be like.
 
     Attributes
@@ -56,7 +58,7 @@ def excite(
     robot: str,
     *,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
-    motion: Motion = Motion(),
+    motion: ExcitationOptions = ExcitationOptions(),
     joint: str | None = None,
     saved: Path | None = None,
     noise: float = 0.1,
@@ -64,8 +66,8 @@ def excite(
     run: str | None = None,
     log: Path | None = None,
     approach: float = 4.0,
-    json: bool = False,
-    force: bool = False,
+    json: Json = False,
+    force: Force = False,
 ) -> int:
     """Design a motion that tells all parameters of a robot apart; run it and record a log if asked.
 
@@ -78,7 +80,7 @@ def excite(
         Name in the library, or a robot file.
     output : Path
         Write the motion to this CSV file: t, q, qd, qdd at 250 Hz.
-    motion : Motion
+    motion : ExcitationOptions
         What it shall be like.
     joint : str
         Instead, move this joint alone, by name or number from 1: ten constant speeds, both ways, to see its friction.
@@ -95,10 +97,6 @@ def excite(
         given.
     approach : float
         Seconds of the walk from where the arm stands to the start.
-    json : bool
-        Print JSON for scripts.
-    force : bool
-        Replace existing files.
     """
     from armlab import log as logs
     from armlab import robots
@@ -152,7 +150,7 @@ def excite(
 
 
 def _design(
-    robot: Robot, motion: Motion, speed: float, joint: str | None, tell: Callable[[float, float, str], None]
+    robot: Robot, motion: ExcitationOptions, speed: float, joint: str | None, tell: Callable[[float, float, str], None]
 ) -> Trajectory:
     """Design a motion of all joints, or of one."""
     from armlab.cli.support.options import joints_in

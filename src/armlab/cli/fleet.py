@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Parameter
 
+from armlab.cli.support.options import Json
 from armlab.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -122,7 +123,7 @@ def list_fleet(
     ca: Path | None = None,
     secret: Path | None = None,
     seconds: float = 2.0,
-    json: bool = False,
+    json: Json = False,
 ) -> None:
     """List the robots whose bridges are there: rate, rows that did not come, age of the newest row, commander.
 
@@ -136,8 +137,6 @@ def list_fleet(
         Files of armlab bridge certificates, for a router that asks for them: lab.pem, viewer.secret.
     seconds
         Time to listen [s].
-    json
-        Print JSON.
     """
     from armlab.cli.support.output import aligned, print_json, result
     from armlab.fleet import list_robots

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
+from armlab.cli.support.options import Force, Json
 from armlab.errors import ConfigError, LogError, MissingExtra
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ log = App(name="log", help="Show, export, cut, merge, open and repair logs.")
 
 
 @log.command(help_epilogue="Example: armlab log show run.mcap")
-def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
+def show(file: Path, *, json: Json = False, parameters: bool = False) -> None:
     """Show what a log holds: rows, rate, columns with units and ranges; of a recording also metadata and events.
 
     Of a log of another program, an MCAP file or a bag, it shows each topic by itself.
@@ -35,8 +36,6 @@ def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
     ----------
     file
         A recording, finished or not, or a log in another format.
-    json
-        Print JSON for scripts.
     parameters
         Show only the parameters of the run: who set what when, and what was in force at the end.
     """
@@ -80,7 +79,7 @@ def export(
     robot: str | None = None,
     clock: str | None = None,
     storage: Literal["mcap", "sqlite3"] = "mcap",
-    force: bool = False,
+    force: Force = False,
 ) -> None:
     """Write a log in another format, which the ending of the new name tells.
 
@@ -100,8 +99,6 @@ def export(
         Of a log of another program, the topic whose stamps are the rows, as armlab log show lists them.
     storage
         Of a rosbag2: sqlite3 for releases of ROS 2 that are older than Iron.
-    force
-        Replace an existing file.
     """
     from armlab import log as logs
     from armlab.cli.support.output import check_output, note, progress, refuse_overwrite, result
@@ -190,7 +187,7 @@ def cut(
     to: float | None = None,
     robot: str | None = None,
     output: Annotated[Path, Parameter(alias="-o")],
-    force: bool = False,
+    force: Force = False,
 ) -> None:
     """Write a stretch of a log: the rows with --from <= t < --to. The original stays as it is.
 
@@ -209,8 +206,6 @@ def cut(
         Which one, of a recording of several: all of them stay in .mcap when not given. Else as in armlab log export.
     output
         The new file: .mcap of a recording; else an ending that armlab log export knows.
-    force
-        Replace an existing file.
     """
     from armlab import log as logs
     from armlab.cli.support.output import check_output, progress, result
@@ -239,7 +234,7 @@ def cut(
 
 
 @log.command(help_epilogue="Example: armlab log merge first.mcap second.mcap -o both.mcap")
-def merge(*file: Path, output: Annotated[Path, Parameter(alias="-o")], force: bool = False) -> None:
+def merge(*file: Path, output: Annotated[Path, Parameter(alias="-o")], force: Force = False) -> None:
     """Write several recordings to one. The originals stay as they are.
 
     Recordings of one robot are put one after another by their wall clocks, and the gaps between them stay. Recordings
@@ -252,8 +247,6 @@ def merge(*file: Path, output: Annotated[Path, Parameter(alias="-o")], force: bo
         Two recordings or more, in any order.
     output
         The new file, .mcap.
-    force
-        Replace an existing file.
     """
     from armlab import log as logs
     from armlab.cli.support.output import check_output, progress, result

@@ -14,7 +14,7 @@ from armlab.lie import se3
 from armlab.robots import Mesh, Robot
 from armlab.robots.robot import arm_length, bends
 
-__all__ = ["Body", "along", "arrow", "bodies", "box", "capsule", "drums", "mesh_bodies"]
+__all__ = ["Surface", "along", "arrow", "bodies", "box", "capsule", "drums", "mesh_bodies"]
 
 _THICK = (0.042, 0.020)  # radius of the first and the last link over the length of the arm
 _DRUM = (1.25, 2.6)  # radius and length of a joint over the radius of its link
@@ -23,21 +23,21 @@ _SIDES = 20
 _SHAFT, _HEAD = 0.008, (0.02, 0.72)  # of an arrow: radius [m]; radius [m] and where it begins
 
 
-class Body(NamedTuple):
+class Surface(NamedTuple):
     """A closed surface: vertices (V, 3) [m] and faces (F, 3), corners counter-clockwise from outside."""
 
     vertices: np.ndarray
     faces: np.ndarray
 
-    def moved(self, T_a_b: np.ndarray) -> Body:
+    def moved(self, T_a_b: np.ndarray) -> Surface:
         """Return the body in frame a.
 
         `T_a_b`: (4, 4), where it is in b now.
         """
-        return Body(self.vertices @ T_a_b[:3, :3].T + T_a_b[:3, 3], self.faces)
+        return Surface(self.vertices @ T_a_b[:3, :3].T + T_a_b[:3, 3], self.faces)
 
 
-def capsule(a: np.ndarray, b: np.ndarray, radius: float) -> Body:
+def capsule(a: np.ndarray, b: np.ndarray, radius: float) -> Surface:
     """Return all points within a radius of the line from a to b: a cylinder and two half spheres.
 
     `a`, `b`: (3,) ends of the line; the same make a sphere. `radius`: [m].
@@ -49,13 +49,13 @@ def capsule(a: np.ndarray, b: np.ndarray, radius: float) -> Body:
     return _turned(profile).moved(along(a, b))
 
 
-def _drum(radius: float, length: float) -> Body:
+def _drum(radius: float, length: float) -> Surface:
     """Return a cylinder about the z axis, centred at the origin."""
     top = length / 2.0
     return _turned(np.array([[0.0, top], [radius, top], [radius, top], [radius, -top], [radius, -top], [0.0, -top]]))
 
 
-def box(a: np.ndarray, b: np.ndarray, width: float) -> Body:
+def box(a: np.ndarray, b: np.ndarray, width: float) -> Surface:
     """Return a rod of square section from a to b.
 
     `a`, `b`: (3,) middles of its ends. `width`: [m].
@@ -64,10 +64,10 @@ def box(a: np.ndarray, b: np.ndarray, width: float) -> Body:
     corners = np.array([[x, y, z] for z in (0.0, length) for y in (-h, h) for x in (-h, h)])
     squares = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
     faces = np.array([(p, *pair) for p, q, r, s in squares for pair in ((q, r), (r, s))])
-    return Body(corners, faces).moved(along(a, b))
+    return Surface(corners, faces).moved(along(a, b))
 
 
-def arrow() -> Body:
+def arrow() -> Surface:
     """Return an arrow from the origin to (0, 0, 1); scaled along z it has the length of a force."""
     return _turned(
         np.array(
@@ -76,7 +76,7 @@ def arrow() -> Body:
     )
 
 
-def bodies(robot: Robot) -> list[Body]:
+def bodies(robot: Robot) -> list[Surface]:
     """Return n + 1 shapes: that from base to joint 1 in base axes, then each link in its link frame, the tool included.
 
     A link runs along its joint axes and the common normal between them, as in `plots.robot`; it gets thinner towards
@@ -100,7 +100,7 @@ def bodies(robot: Robot) -> list[Body]:
     return shapes
 
 
-def drums(robot: Robot) -> list[Body]:
+def drums(robot: Robot) -> list[Surface]:
     """Return the n joints, each about the z axis of its link frame."""
     radii = arm_length(robot) * np.linspace(*_THICK, robot.n + 1)[1:]
     return [_drum(_DRUM[0] * radius, _DRUM[1] * radius) for radius in radii]
@@ -118,14 +118,14 @@ def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return se3.from_rp(np.stack([x, np.cross(z, x), z], axis=1), a)
 
 
-def mesh_bodies(robot: Robot, folders: Sequence[Path] = ()) -> list[Body | None]:
+def mesh_bodies(robot: Robot, folders: Sequence[Path] = ()) -> list[Surface | None]:
     """Return n + 1 shapes from the robot's visual meshes (base axes, link frames); None for a link without.
 
     One warning names all files that are missing or cannot be read. ``package://maker/a/b.stl`` is looked for as
     ``maker/a/b.stl`` and ``a/b.stl`` in each folder.
     """
     missing: list[str] = []
-    shapes: list[Body | None] = []
+    shapes: list[Surface | None] = []
     for i, link in enumerate(robot.meshes):
         visual = [mesh for mesh in link if mesh.kind == "visual"]
         found = [_read(mesh, folders or [Path()]) for mesh in visual]
@@ -138,7 +138,7 @@ def mesh_bodies(robot: Robot, folders: Sequence[Path] = ()) -> list[Body | None]
     return shapes or [None] * (robot.n + 1)
 
 
-def _read(mesh: Mesh, folders: Sequence[Path]) -> Body | None:
+def _read(mesh: Mesh, folders: Sequence[Path]) -> Surface | None:
     """Return what a file of a mesh holds, in its link frame."""
     import trimesh
 
@@ -154,13 +154,13 @@ def _read(mesh: Mesh, folders: Sequence[Path]) -> Body | None:
                 read = trimesh.load_mesh(path)
                 if not len(read.faces):
                     return None
-                return Body(np.asarray(read.vertices) * mesh.scale, np.asarray(read.faces)).moved(mesh.T_link_mesh)
+                return Surface(np.asarray(read.vertices) * mesh.scale, np.asarray(read.faces)).moved(mesh.T_link_mesh)
             except Exception:  # each reader of each format has errors of its own
                 return None
     return None
 
 
-def _turned(profile: np.ndarray) -> Body:
+def _turned(profile: np.ndarray) -> Surface:
     """Return the surface that a profile (K, 2) of radius and height, from the top down, makes about the z axis."""
     angle = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
     rings = [np.stack([r * np.cos(angle), r * np.sin(angle), np.full(_SIDES, z)], axis=1) for r, z in profile]
@@ -168,10 +168,10 @@ def _turned(profile: np.ndarray) -> Body:
     upper, lower = k * _SIDES + i, (k + 1) * _SIDES + i
     after = (i + 1) % _SIDES - i
     faces = np.stack([upper, lower, lower + after, upper, lower + after, upper + after], axis=-1).reshape(-1, 3)
-    return Body(np.concatenate(rings), faces)
+    return Surface(np.concatenate(rings), faces)
 
 
-def _together(parts: Sequence[Body]) -> Body:
+def _together(parts: Sequence[Surface]) -> Surface:
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
     faces = [part.faces + start for part, start in zip(parts, starts)]
-    return Body(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
+    return Surface(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))

@@ -18,7 +18,7 @@ from armlab.bridge.servers.zenoh.rows import Inbox
 from armlab.bridge.servers.zenoh.session import zenoh
 from armlab.errors import ArmlabError, LinkError
 from armlab.live.curves import Lines, Markup
-from armlab.live.scene import Scene
+from armlab.live.scene import RobotScene
 from armlab.live.server import address, start, stop
 from armlab.robots import Robot
 from armlab.robots.robot import arm_length
@@ -234,14 +234,14 @@ def watch_fleet(
 
 
 class FleetView:
-    """Scene and panel of all robots, drawn frame by frame.
+    """RobotScene and panel of all robots, drawn frame by frame.
 
     A robot whose bridge has gone, or that is silent, is not drawn: its place and its name stay, and say so.
     """
 
     def __init__(self, server: ViserServer, rows: FleetRows) -> None:
         self._server, self._rows = server, rows
-        self._scene: Scene | None = None
+        self._scene: RobotScene | None = None
         self._labels: dict[str, _Label] = {}
         self._drawn: dict[str, Robot] = {}
         self._due = 0.0
@@ -269,7 +269,7 @@ class FleetView:
         if robot is None:
             return
         if self._scene is None:
-            self._scene = Scene(self._server, [robot])
+            self._scene = RobotScene(self._server, [robot])
         else:
             self._scene.add(robot)
         self._drawn[one.name] = robot

@@ -18,7 +18,7 @@ from armlab.contact import Estimator
 from armlab.errors import LinkError, ModelMismatchError, UnknownName
 from armlab.kinematics import forward
 from armlab.live.curves import ArmPanel, Lines, RingBuffer, Window
-from armlab.live.scene import Scene
+from armlab.live.scene import RobotScene
 from armlab.live.server import address, start, stop
 from armlab.models import TorqueModel
 from armlab.robots import Robot, from_toml
@@ -243,7 +243,7 @@ def watch(
 
 
 class RunningView:
-    """Scene and panel of a bridge that runs, drawn frame by frame."""
+    """RobotScene and panel of a bridge that runs, drawn frame by frame."""
 
     def __init__(self, server: ViserServer, running: Running) -> None:
         self._server, self._running = server, running
@@ -284,15 +284,15 @@ class RunningView:
             part.remove()
         server.scene.reset()
         self._robots, self._row, self._drawn = running.robots, None, None
-        self._arms: dict[str, _Arm] = {}
+        self._arms: dict[str, _ArmView] = {}
         self._state = Lines(server.gui)
         self._parts = [self._state]
         if running.robots:
-            scene = Scene(server, running.robots.values())
+            scene = RobotScene(server, running.robots.values())
             self._parts += [_arrow(server.gui, scene), tabs := server.gui.add_tab_group()]
             for name, robot in running.robots.items():
                 with tabs.add_tab(name):
-                    self._arms[name] = _Arm(scene, ArmPanel(server.gui, robot), robot)
+                    self._arms[name] = _ArmView(scene, ArmPanel(server.gui, robot), robot)
         self._notes = Lines(server.gui)
         self._parts.append(self._notes)
 
@@ -317,10 +317,10 @@ class RunningView:
         self._notes.show("\n".join(watch.notes() if self._arms else []))
 
 
-class _Arm:
+class _ArmView:
     """What is shown of one arm."""
 
-    def __init__(self, scene: Scene, panel: ArmPanel, robot: Robot) -> None:
+    def __init__(self, scene: RobotScene, panel: ArmPanel, robot: Robot) -> None:
         self._scene, self._panel, self._robot = scene, panel, robot
         self._torque, self._force, self._moment = (Window(one) for one in (panel.torque, panel.force, panel.moment))
         self._path = RingBuffer(3, _PATH)
@@ -370,7 +370,7 @@ class _Arm:
         self._panel.say({**words, "force from": self._origin})
 
 
-def _arrow(gui: Any, scene: Scene) -> Any:
+def _arrow(gui: Any, scene: RobotScene) -> Any:
     """Return the slider for the length of a force."""
     slider = gui.add_slider("force [mm/N]", 1.0, 50.0, 1.0, 1e3 * scene.arrow)
 

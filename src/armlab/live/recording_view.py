@@ -23,7 +23,7 @@ from armlab.bridge.control.feedback import not_ready_reason
 from armlab.errors import LogError, ModelMismatchError, RobotError, ShapeError, UnknownName
 from armlab.kinematics import forward
 from armlab.live.curves import ArmPanel, Curves, envelope
-from armlab.live.scene import Scene
+from armlab.live.scene import RobotScene
 from armlab.log.recording.metadata import described
 from armlab.robots import Robot
 
@@ -303,16 +303,16 @@ class Player:
     ----------
     server : of `start`.
     arms : of `read_arms`.
-    T_world_base, meshes : as of `Scene`.
+    T_world_base, meshes : as of `RobotScene`.
 
     Attributes
     ----------
-    scene : its `Scene`. t : instant shown [s]. duration : end of the log [s]. playing : whether time goes on.
+    scene : its `RobotScene`. t : instant shown [s]. duration : end of the log [s]. playing : whether time goes on.
     speed : log seconds per second, 0.1 to 4.
 
     Raises
     ------
-    LogError : no arm. RobotError, UnknownName, ShapeError : as of `Scene`.
+    LogError : no arm. RobotError, UnknownName, ShapeError : as of `RobotScene`.
     """
 
     def __init__(
@@ -325,7 +325,7 @@ class Player:
     ) -> None:
         if not arms:
             raise LogError("Expected at least one recorded arm to play, got none. See read_arms.")
-        self.scene = Scene(server, [arm.robot for arm in arms], T_world_base, meshes=meshes)
+        self.scene = RobotScene(server, [arm.robot for arm in arms], T_world_base, meshes=meshes)
         self.t, self.playing, self.speed = 0.0, False, 1.0
         self.duration = max(float(arm.t[-1]) for arm in arms)
         self._server, self._arms = server, list(arms)

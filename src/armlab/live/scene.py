@@ -15,7 +15,7 @@ from armlab._palette import COLORS, GREY, VERMILION
 from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.kinematics import forward, link_transforms
 from armlab.lie import quaternion, se3
-from armlab.live.bodies import Body, arrow, bodies, drums, mesh_bodies
+from armlab.live.bodies import Surface, arrow, bodies, drums, mesh_bodies
 from armlab.robots import Robot
 from armlab.robots.robot import arm_length
 
@@ -37,7 +37,7 @@ class SceneNode:
                 self._set[name] = value
 
 
-def solid(scene: Any, name: str, body: Body, color: str) -> Any:
+def solid(scene: Any, name: str, body: Surface, color: str) -> Any:
     """Add a body and return viser's handle of it."""
     return scene.add_mesh_simple(name, body.vertices.astype(np.float32), body.faces.astype(np.uint32), color=rgb(color))
 
@@ -136,7 +136,7 @@ _TOOL, _AXES = 0.03, 0.1  # radius of the ball at the tool point, length of its 
 _MOST_POINTS = 300  # of a path
 
 
-class Scene:
+class RobotScene:
     """Arms in one world, drawn by `show`; everything else of viser's ``server.scene`` is free to use beside it.
 
     Links are capsules in the colour of their arm, joints drums in the colour that they have in all curves, the tool
@@ -171,7 +171,7 @@ class Scene:
             if name not in names:
                 raise UnknownName.among("arm in this view", name, names)
         self.robots: dict[str, Robot] = {}
-        self._arms: dict[str, _Arm] = {}
+        self._arms: dict[str, _ArmNodes] = {}
         for robot in arms:
             self.add(robot, bases.get(robot.name))
         self._frames: dict[str, Any] = {}
@@ -185,7 +185,7 @@ class Scene:
         if robot.name in self.robots:
             self.remove(robot.name)
         T = _pose(np.eye(4) if T_world_base is None else T_world_base)
-        self._arms[robot.name] = _Arm(self._server.scene, robot, T, LINK_COLORS[len(self._arms) % 2], self._meshes)
+        self._arms[robot.name] = _ArmNodes(self._server.scene, robot, T, LINK_COLORS[len(self._arms) % 2], self._meshes)
         self.robots[robot.name] = robot
 
     def remove(self, name: str) -> None:
@@ -273,7 +273,7 @@ class Scene:
         camera.fov = np.deg2rad(45.0)
 
 
-class _Arm:
+class _ArmNodes:
     """What is drawn of one arm: nodes below ``/<name>``, whose axes are those of its base."""
 
     def __init__(self, scene: Any, robot: Robot, T_world_base: np.ndarray, color: str, meshes: Sequence[Path]) -> None:

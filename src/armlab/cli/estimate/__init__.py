@@ -24,7 +24,7 @@ LEAST = 1.0  # s of a log in which the place of a contact is weighed
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Prior:
+class ContactPrior:
     """What was known of the contact before.
 
     Attributes
@@ -56,7 +56,7 @@ def estimate(
     force_rate: Literal["smooth", "normal", "fast"] | None = None,
     bias: bool = False,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
-    prior: Prior = Prior(),
+    prior: ContactPrior = ContactPrior(),
     wanted: Results = PLAIN,
 ) -> int:
     """Estimate the contact force in a log with a model.
@@ -83,7 +83,7 @@ def estimate(
         Of the method kf: friction that is unknown after a rest is a state of its own.
     output : Path
         Also write the estimate of every row, ends in .mcap or .csv.
-    prior : Prior
+    prior : ContactPrior
         Of the contact.
     """
     from armlab import log as logs
@@ -122,7 +122,7 @@ def estimate(
     return 0
 
 
-def _believed(table: Table, arm: Robot, method: str, prior: Prior) -> Hypotheses | None:
+def _believed(table: Table, arm: Robot, method: str, prior: ContactPrior) -> Hypotheses | None:
     """Return what is believed of the place of contacts; nothing of methods whose torque error is not static."""
     from armlab.contact import hypotheses
 

@@ -28,7 +28,7 @@ MOVING = 0.01  # of the peak speed
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class ModelTrial:
     """The model on a log of free motion, where the true wrench is zero."""
 
     unseen: bool  # the log was not part of the fit
@@ -39,7 +39,7 @@ class Trial:
     coverage: float  # share of the forces inside 2 sigma
 
 
-def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> Trial:
+def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> ModelTrial:
     """Run the model over a log of free motion."""
     from armlab.contact import Estimator
 
@@ -48,7 +48,7 @@ def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> Tri
     moving = (np.abs(qd) > MOVING * np.abs(qd).max(axis=0)).any(axis=1) & np.isfinite(error).all(axis=1)
     force = estimate["wrench_hat"][moving, :3]
     sigma = np.sqrt(np.einsum("kii->ki", estimate["wrench_hat_cov"]))[moving, :3]
-    return Trial(
+    return ModelTrial(
         unseen=unseen,
         estimate=estimate,
         log=table,
@@ -58,7 +58,7 @@ def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> Tri
     )
 
 
-def judge(fit: Fit[TorqueModel], robot: Robot, tables: Sequence[Table], trial: Trial) -> Verdict:
+def judge(fit: Fit[TorqueModel], robot: Robot, tables: Sequence[Table], trial: ModelTrial) -> Verdict:
     """Return what of the model can be relied on, what cannot, and what to log next."""
     found = _Sentences()
     _judge_fit(found, fit, trial)
@@ -74,7 +74,7 @@ class _Sentences:
         self.ahead: list[str] = []
 
 
-def _judge_fit(found: _Sentences, fit: Fit[TorqueModel], trial: Trial) -> None:
+def _judge_fit(found: _Sentences, fit: Fit[TorqueModel], trial: ModelTrial) -> None:
     quality = fit.value.quality
     held_out = quality.rms_cv / quality.torque_sd
     judged = np.isfinite(held_out)  # joints that did not move have no figures
@@ -125,7 +125,7 @@ def _kept(model: TorqueModel) -> list[str]:
     return kept
 
 
-def _judge_honesty(found: _Sentences, model: TorqueModel, trial: Trial) -> None:
+def _judge_honesty(found: _Sentences, model: TorqueModel, trial: ModelTrial) -> None:
     coverage, alpha = model.quality.coverage, float(np.sqrt(model.covariance.alpha2))
     honest = ~((coverage < HONEST[0]) | (coverage > HONEST[1]))
     where = "test log" if trial.unseen else "log"
@@ -185,7 +185,7 @@ def _joints(which: np.ndarray) -> str:
 Drawing = tuple[str, str, str, Callable[[], bytes]]  # title, what it shows, how to read it, what draws it
 
 
-def numbers(fit: Fit[TorqueModel], trial: Trial) -> dict[str, Any]:
+def numbers(fit: Fit[TorqueModel], trial: ModelTrial) -> dict[str, Any]:
     """Return the figures of the report for scripts: of the fit, and per joint."""
     model = fit.value
     quality, friction, covariance = model.quality, model.friction, model.covariance
@@ -220,7 +220,7 @@ def numbers(fit: Fit[TorqueModel], trial: Trial) -> dict[str, Any]:
     }
 
 
-def page(fit: Fit[TorqueModel], verdict: Verdict, trial: Trial, log: Table, about: str, tell: Tell) -> HtmlReport:
+def page(fit: Fit[TorqueModel], verdict: Verdict, trial: ModelTrial, log: Table, about: str, tell: Tell) -> HtmlReport:
     """Return the page; `tell` is called with (done, total, what)."""
     from armlab.identify.validation import parameter_rows
 
@@ -248,7 +248,7 @@ def page(fit: Fit[TorqueModel], verdict: Verdict, trial: Trial, log: Table, abou
     return page
 
 
-def _residual_rows(fit: Fit[TorqueModel], trial: Trial) -> list[list[str]]:
+def _residual_rows(fit: Fit[TorqueModel], trial: ModelTrial) -> list[list[str]]:
     rows = [["joint", "torque sd [N m]", "RMS [N m]", "fit [%]", "held-out [%]", "test [%]", "in 2 sigma [%]"]]
     rows[0] += ["sigma at rest [N m]", "in motion [N m]", "gamma [s/rad]"]
     for joint in numbers(fit, trial)["joints"]:
@@ -260,7 +260,7 @@ def _residual_rows(fit: Fit[TorqueModel], trial: Trial) -> list[list[str]]:
     return rows
 
 
-def _friction_rows(fit: Fit[TorqueModel], trial: Trial) -> list[list[str]]:
+def _friction_rows(fit: Fit[TorqueModel], trial: ModelTrial) -> list[list[str]]:
     from armlab.plots.drives import own_parameters
 
     columns = {
@@ -285,12 +285,12 @@ def _deviation(fit: Fit[TorqueModel], own: dict[str, int], kinds: tuple[str, ...
     return "" if place is None else f" ± {fit.sd[place]:.3f}"
 
 
-def _drawings(fit: Fit[TorqueModel], trial: Trial, log: Table) -> list[Drawing]:
+def _drawings(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list[Drawing]:
     """Return title, what it shows, how to read it, and what draws it, of each figure."""
     return [*_of_the_torque(fit, trial, log), *_of_the_force(fit, trial)]
 
 
-def _of_the_torque(fit: Fit[TorqueModel], trial: Trial, log: Table) -> list[Drawing]:
+def _of_the_torque(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list[Drawing]:
     from armlab import plots
 
     model, estimate = fit.value, trial.estimate
@@ -329,7 +329,7 @@ def _of_the_torque(fit: Fit[TorqueModel], trial: Trial, log: Table) -> list[Draw
     ]
 
 
-def _of_the_force(fit: Fit[TorqueModel], trial: Trial) -> list[Drawing]:
+def _of_the_force(fit: Fit[TorqueModel], trial: ModelTrial) -> list[Drawing]:
     from armlab import plots
 
     shown = "The test log" if trial.unseen else "The first log"

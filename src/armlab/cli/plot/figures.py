@@ -436,7 +436,7 @@ def dmp(
         Logs of the demonstrations, of the motion only; several for a distribution over motions.
     """
     from armlab import models
-    from armlab.cli.dmp.teaching import Window, read_demonstration
+    from armlab.cli.dmp.teaching import MotionWindow, read_demonstration
     from armlab.errors import ConfigError
     from armlab.motion import Dmp, PeriodicDmp, PoseDmp, ProMP, TwoDofDmp
 
@@ -449,7 +449,7 @@ def dmp(
             )
         kind = "pose" if isinstance(motion, PoseDmp) else "joints"
         columns = () if column is None else (column,)
-        taught = [read_demonstration(log, kind, columns, robot, Window()) for log in demos]
+        taught = [read_demonstration(log, kind, columns, robot, MotionWindow()) for log in demos]
         shown = [(demo.t, demo.y) for demo in taught]
         if isinstance(motion, ProMP):
             return plots.promp(motion, shown)

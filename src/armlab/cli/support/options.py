@@ -5,13 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 from urllib.parse import quote
+
+from cyclopts import Parameter
 
 from armlab.errors import ConfigError, ShapeError
 
 if TYPE_CHECKING:
     from armlab.robots import Robot
+
+Json = Annotated[bool, Parameter(help="Print JSON for scripts.")]
+Force = Annotated[bool, Parameter(help="Replace existing files.")]
+Cell = Annotated[str, Parameter(help="Name of the cell; needed when several run.")]
 
 
 @contextmanager

@@ -30,8 +30,7 @@ import numpy as np
 from armlab.errors import ConfigError, RobotError, ShapeError
 from armlab.robots import Robot, inertia
 from armlab.robots.build import from_dh
-from armlab.sim.arm.drive import JointDrives
-from armlab.sim.arm.friction import JointFriction, WornFriction
+from armlab.sim.arm.joints import JointDrives, JointFriction, WornFriction
 from armlab.sim.arm.mismatch import Mismatch
 from armlab.sim.arm.sensors import SensorReading, Sensors, TrueState
 from armlab.sim.arm.truth import Truth

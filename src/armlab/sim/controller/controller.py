@@ -16,10 +16,9 @@ from collections.abc import Callable
 import numpy as np
 
 from armlab.sim.arm.arm import LaggingArm, SimulatedArm
-from armlab.sim.controller.guidance import ExternalAxes, Guidance
+from armlab.sim.controller.guidance import ExternalAxes, Guidance, ReferenceDecoder, has_numbers
 from armlab.sim.controller.inbox import ReplyQueue, Sent
 from armlab.sim.controller.packets import Condition, PacketBuilder
-from armlab.sim.controller.reference_decoder import ReferenceDecoder, has_numbers
 from armlab.sim.controller.settings import ControllerSettings
 from armlab.sim.controller.statistics import ControllerEvent, EventLog, Statistics
 from armlab.sim.events import AppliedWrench, Surroundings

@@ -10,8 +10,7 @@ import numpy as np
 
 from armlab.errors import UnknownName
 from armlab.sim.arm.arm import LaggingArm, SimulatedArm
-from armlab.sim.controller.guidance import Guidance
-from armlab.sim.controller.reference_decoder import ReferenceDecoder
+from armlab.sim.controller.guidance import Guidance, ReferenceDecoder
 from armlab.wire.egm import RobotMessage, RobotSideCodec
 
 EPOCH_NS = 1_500_000_000_000_000_000
