@@ -112,13 +112,6 @@ def test_stop_release_and_resume(running: Exchange, capsys: Any) -> None:
     assert running.arbiter.stopped == ""
 
 
-def test_nothing_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    for words in (["set", "a=1"], ["stop"], ["release"], ["resume"]):
-        assert main(["bridge", *words]) == 1
-        assert "found none" in capsys.readouterr().err
-
-
 def test_others_may_set_parameters_meanwhile(running: Exchange, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     """What is shown is what this program set, not the first echo that comes."""
     taken = running._take
@@ -145,15 +138,6 @@ def test_a_request_without_an_answer(running: Exchange, monkeypatch: pytest.Monk
     assert main(["bridge", "resume"]) == 1
     assert "to answer within 0.05 s" in capsys.readouterr().err
     noise.join()
-
-
-def test_wrong_cells(tmp_path: Path, capsys: Any) -> None:
-    path = tmp_path / "cell.toml"
-    assert main(["bridge", "--config", str(path)]) == 2
-    assert "cannot be read" in capsys.readouterr().err
-    path.write_text("robots = 3")
-    assert main(["bridge", "--config", str(path)]) == 2
-    assert f"{path}: Expected `array`, got `int` - at `$.robots`." in capsys.readouterr().err
 
 
 def test_the_report_comes_also_with_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
@@ -302,8 +286,3 @@ def test_plain_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: An
     assert callable(monitor)
     assert main(["monitor"]) == 1
     assert "found none" in capsys.readouterr().err
-
-
-def test_a_bridge_elsewhere(capsys: Any) -> None:
-    assert main(["monitor", "--zenoh", "http://host"]) != 0
-    assert "zenoh://192.168.1.5:7447/lab1" in capsys.readouterr().err

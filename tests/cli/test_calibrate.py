@@ -17,7 +17,7 @@ from armlab import log as logs
 from armlab import models, robots, sim
 from armlab.cli import main
 from armlab.cli.calibrate import calibrate
-from armlab.cli.calibrate.report import judge, numbers
+from armlab.cli.calibrate.report import judge
 from armlab.estimation import Fit
 from armlab.kinematics import forward
 from armlab.lie import se3, so3
@@ -229,14 +229,6 @@ def test_plates_are_whole_numbers(tmp_path: Path, capsys) -> None:
 @pytest.fixture(scope="module")
 def fit():
     return calibration.fit_hand_eye(**sim.cell(1).hand_eye(wrong=2).given, robust=True)
-
-
-def test_numbers_are_those_of_the_fit(fit) -> None:
-    found = numbers(fit)
-    assert [entry["sd"] for entry in found["parameters"]] == fit.sd.tolist()
-    assert found["outliers"].tolist() == [0, 1]
-    assert found["noise"]["position [m]"] == fit.sigma[0]
-    assert found["excitation"]["rank"] == 12
 
 
 def test_the_verdict_names_what_is_wrong(fit) -> None:

@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from armlab import log as logs
 from armlab import models, robots, sim
 from armlab.cli import main
 from armlab.kinematics import forward, inverse
 from armlab.lie import se3, so3
-from armlab.log import Column, Table
 from armlab.sim.experiments.kinematics import DualRun, KinematicRun
 
 NOISE = ["1e-4", "1.75e-4"]
@@ -62,19 +60,6 @@ def test_an_arm_from_poses_makes_a_robot(nominal: str, tmp_path: Path, capsys) -
     assert "arm.mat sha256" in out.read_text(encoding="utf-8")
     assert main(words) == 2
     capsys.readouterr()
-
-
-def test_positions_are_the_same_from_every_format(nominal: str, tmp_path: Path, capsys) -> None:
-    arm = sim.cell(1).kinematics()
-    position = arm.pose[:, :3, 3]
-    savemat(tmp_path / "s.mat", {"q": arm.q, "position": position})
-    table = Table(0.1 * np.arange(50.0), {"q": arm.q, "position": position}, {"position": Column(unit="m")})
-    files = [written(tmp_path / "s.csv", {"q": arm.q, "position": position}), str(tmp_path / "s.mat"),
-             str(logs.write(table, tmp_path / "s.mcap", arm.robot))]  # fmt: skip
-    found = [run(["kinematics", nominal, path, "--noise", "1e-4"], capsys) for path in files]
-    assert [one["excitation"]["rank"] for one in found] == [27] * 3
-    values = [[parameter["value"] for parameter in one["parameters"]] for one in found]
-    np.testing.assert_allclose(values[1:], [values[0]] * 2, atol=1e-9)
 
 
 def test_distances_from_a_point_that_is_roughly_known(nominal: str, tmp_path: Path, capsys) -> None:

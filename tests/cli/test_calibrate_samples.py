@@ -126,13 +126,6 @@ def test_files_of_something_else_are_refused_by_a_sentence(content: bytes, endin
         read_samples(path)
 
 
-def test_missing_poses_stay_missing(T: np.ndarray) -> None:
-    holes = T.copy()
-    holes[[1, 4]] = np.nan
-    found = Samples(Path("x"), {"pose": holes}, "").poses("pose")
-    np.testing.assert_array_equal(found, holes)
-
-
 def test_a_row_without_a_quaternion_and_a_position_is_no_pose(T: np.ndarray, tmp_path: Path) -> None:
     columns = as_quaternions("pose", T)
     for values in columns.values():

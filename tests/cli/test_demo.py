@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from types import SimpleNamespace
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -148,6 +149,7 @@ def test_latency_line_takes_the_line_with_percentiles() -> None:
 
 def test_figures_and_summary_are_written(monkeypatch, plan: Plan, tmp_path, model, excited) -> None:
     monkeypatch.setattr("armlab.log.read", lambda path, **_: excited.between(0.0, 4.0))
+    monkeypatch.setattr("armlab.plots.torque_fit", lambda model, table: plt.figure(figsize=(1, 1)))
     table = pretend(plan, noise(plan, 0.5))
     verdict = judge(table, plan)
     assert isinstance(verdict, DemoVerdict)

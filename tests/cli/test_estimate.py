@@ -109,7 +109,7 @@ def test_the_estimate_of_every_row_goes_to_a_file(pushed: str, tmp_path, capsys)
 
 
 def test_the_page_has_the_contact_and_its_figures(pushed: str, monkeypatch, tmp_path) -> None:
-    monkeypatch.setattr("armlab.plots.png", lambda drawn: plt.close("all") or b"drawn")
+    monkeypatch.setattr("armlab.plots.style.png", lambda drawn: plt.close("all") or b"drawn")
     report = tmp_path / "est.html"
     assert main(["estimate", "yumi_left", "push.mcap", "--model", pushed, "--report", str(report)]) == 0
     page = report.read_text(encoding="utf-8")
@@ -266,7 +266,7 @@ def test_a_force_beyond_the_prior_and_a_truth_that_is_missed_are_bad(table: Tabl
 
 
 def test_the_page_has_coverage_where_there_is_a_truth(table: Table, model: TorqueModel, monkeypatch) -> None:
-    monkeypatch.setattr("armlab.plots.png", lambda drawn: plt.close("all") or b"drawn")
+    monkeypatch.setattr("armlab.plots.style.png", lambda drawn: plt.close("all") or b"drawn")
     heard: list[str] = []
     found = contacts(table)
     verdict = judge(table, model, PRIOR, found)

@@ -156,6 +156,10 @@ view --fleet run.mcap | Expected at most --zenoh and --port with --fleet
 view --fleet --zenoh host:7447 | Expected a place like zenoh://
 view --live --port 99999 | Expected a port from 0 to 65535
 demo --fast --robot irb2400 | yumi_left, yumi_right
+sim yumi_right --to 127.0.0.1:9 --rapid-data 1 | --rapid-data from 0 to 40
+sim yumi_right --to 127.0.0.1:9 --robotware 7 --rapid-data 41 | --rapid-data from 0 to 40
+monitor --zenoh http://host | zenoh://192.168.1.5:7447/lab1
+completion cmd | bash
 demo --fast -o folder | new folder
 fleet list --router nowhere:port | Expected a place like zenoh://
 fleet list --lab * | Expected a place like zenoh://
@@ -198,6 +202,10 @@ sim yumi_right --to 127.0.0.1:9 --stats missing/stats.json | missing/stats.json
 sim yumi_right --to 127.0.0.1:9 --truth missing/truth.csv | missing/truth.csv
 excite yumi_left --saved none.csv --run sim://yumi_left | none.csv
 view none.mcap | Expected a log at
+bridge set a=1 | found none
+bridge stop | found none
+bridge release | found none
+bridge resume | found none
 log show folder | Is a directory
 log cut good.mcap --from 9 -o to.mcap | got none; it has 0 s to 0.996 s
 log cut good.csv --from 9 -o to.csv | it has 0 s to 0.996 s

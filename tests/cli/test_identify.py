@@ -55,7 +55,9 @@ def outcome(logs: dict[str, Table], fitted: Fit[TorqueModel], tmp_path_factory) 
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setattr("armlab.log.reading.read", lambda path, **_: logs[path.name])
         patch.setattr("armlab.identify.fit_dynamics", told)
-        patch.setattr("armlab.plots.png", lambda drawn: plt.close("all") or b"drawn")  # test_excite has real pictures
+        patch.setattr(
+            "armlab.plots.style.png", lambda drawn: plt.close("all") or b"drawn"
+        )  # test_excite has real pictures
         assert main(["identify", "yumi_left", "run.mcap", *words, "--test", "free.mcap"]) == 0
     return Outcome(folder, out.getvalue(), err.getvalue())
 
@@ -129,7 +131,7 @@ def test_gravity_only_is_a_model_of_slow_motion(
     """The slow log goes to `fit_gravity`; its fit is that of the other tests."""
     tables = {"slow.mcap": slow, "fast.mcap": excited}
     monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: tables[path.name])
-    monkeypatch.setattr("armlab.plots.png", lambda drawn: plt.close("all") or b"drawn")
+    monkeypatch.setattr("armlab.plots.style.png", lambda drawn: plt.close("all") or b"drawn")
     output, report = tmp_path / "model.toml", tmp_path / "id.html"
     words = ["identify", "yumi_left", "--gravity-only", "-o", str(output), "--report", str(report)]
     assert main([*words, "fast.mcap"]) == 1
@@ -141,18 +143,6 @@ def test_gravity_only_is_a_model_of_slow_motion(
     assert not model.rotor.any()
     assert "gravity and friction only" in report.read_text(encoding="utf-8")
     assert "m c_x" in capsys.readouterr().out
-
-
-def test_nothing_is_overwritten_without_force(reading, tmp_path, capsys) -> None:
-    output, report = tmp_path / "model.toml", tmp_path / "id.html"
-    output.write_text("mine")
-    words = ["identify", "yumi_left", "run.mcap", "-o"]
-    assert main([*words, str(output)]) == 2
-    report.write_text("mine")
-    assert main([*words, str(tmp_path / "new.toml"), "--report", str(report)]) == 2
-    assert capsys.readouterr().err.count("--force") == 2
-    assert output.read_text() == report.read_text() == "mine"
-    assert len(list(tmp_path.iterdir())) == 2
 
 
 @pytest.mark.parametrize(

@@ -174,8 +174,3 @@ def test_other_shells(shell: str, capsys: pytest.CaptureFixture[str], tmp_path: 
     if program:
         (tmp_path / "script").write_text(text)
         subprocess.run([program, "-n", str(tmp_path / "script")], check=True, timeout=60)
-
-
-def test_another_shell_is_wrong_use(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["completion", "cmd"]) == 2
-    assert "bash" in capsys.readouterr().err

@@ -28,12 +28,11 @@ from armlab.motion import TwoDofDmp, fit_dmp, fit_periodic_dmp, fit_pose_dmp, fi
 from armlab.plots.arm import stick
 
 OF_ANOTHER_COMMAND = {"pose_dmp", "periodic_dmp", "promp"}  # `dmp` draws every kind of primitive
-NO_FIGURES = {"png", "show"}
 
 
 def test_every_figure_has_its_command() -> None:
     commands = {name for name in plot if not name.startswith("-")}
-    assert commands == set(plots.__all__) - OF_ANOTHER_COMMAND - NO_FIGURES
+    assert commands == set(plots.__all__) - OF_ANOTHER_COMMAND
 
 
 @pytest.mark.parametrize(

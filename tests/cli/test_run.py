@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -186,3 +188,40 @@ def test_a_run_whose_last_command_was_refused_says_so_and_fails(folder: Path, ca
         assert "The last command to yumi_left was refused. Expected the first position within" in said
     assert main(["run", "yumi_left", "once.py:once", *link]) == 0
     assert "The last command" not in capsys.readouterr().out
+
+
+CONTROLLER = """
+import numpy as np
+from armlab.state import Command
+def fast(state):
+    return Command(qd=3.0 * np.cos(3.0 * state.t) * np.ones(7))
+"""
+
+
+@pytest.fixture
+def busy() -> Iterator[None]:
+    spinning = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(os.cpu_count() or 1)]
+    yield
+    for one in spinning:
+        one.kill()
+        one.wait()
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("busy")
+def test_no_run_on_a_busy_computer_is_faster_than_allowed(tmp_path: Path) -> None:
+    robot, file = robots.load("yumi_right"), tmp_path / "fast.py"
+    file.write_text(CONTROLLER)
+    for k in range(5):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        command = f"run yumi_right {file}:fast --seconds 1.5 --speed 0.5 --log {folder}/"
+        subprocess.run([sys.executable, "-m", "armlab", *command.split()], check=True, capture_output=True, timeout=120)
+        (path,) = folder.glob("*.mcap")
+        table = log.read(path)
+        went = np.isfinite(table["q_sent"]).all(axis=1)
+        q, qd, dt = table["q_sent"][went], table["qd_sent"][went], 1e-9 * np.diff(table["robot_ns"][went])
+        moving = qd[1:].any(axis=1)
+        assert moving.sum() > 50
+        speed = np.abs(np.diff(q, axis=0) / dt[:, None])[moving]
+        assert (speed <= 0.5 * robot.qd_max * (1.0 + 1e-9)).all()

@@ -74,11 +74,6 @@ def test_the_folder_of_logs_is_made(home: Path, tmp_path: Path) -> None:
     assert (tmp_path / "work" / "of" / "today").is_dir()
 
 
-def test_the_user_file_follows_xdg() -> None:
-    assert user_file({"XDG_CONFIG_HOME": "/own"}) == Path("/own/armlab/armlab.toml")
-    assert user_file({}) == Path.home() / ".config" / "armlab" / "armlab.toml"
-
-
 def test_text_with_or_without_a_byte_order_mark(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes("\ufeffspeed = 1 # µ".encode())
     assert read_text(tmp_path / "a", "settings") == "speed = 1 # µ"

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from armlab import cli, robots
-from armlab.cli.sim import FaultOptions, PacketOptions, SurroundingOptions, TextFile, read_hand, read_operator
+from armlab.cli.sim import FaultOptions, SurroundingOptions, TextFile, read_hand, read_operator
 from armlab.errors import ConfigError, LogError, UnknownName
 from armlab.sim.arm.arm import scara
 from armlab.sim.controller.settings import ControllerSettings, FaultRates
@@ -202,13 +202,6 @@ def test_faults() -> None:
     assert not FaultOptions().rates().any
 
 
-def test_values_that_rapid_sends_back() -> None:
-    assert PacketOptions(rapid_data=40, robotware="7").rapid_data == 40
-    for content in ({"rapid_data": 1}, {"rapid_data": 41, "robotware": "7"}, {"rapid_data": -1, "robotware": "7"}):
-        with pytest.raises(ConfigError, match="--rapid-data from 0 to 40"):
-            PacketOptions(**content)
-
-
 def test_around_the_arms(tmp_path: Path) -> None:
     push = tmp_path / "push.csv"
     push.write_text("t,fx,fy,fz,mx,my,mz\n0,1,0,0,0,0,0\n9,1,0,0,0,0,0\n", encoding="utf-8")
@@ -258,14 +251,6 @@ def test_read_operator_names_file_and_line(tmp_path: Path, text: str, where: str
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match=rf"{where} of .*hand\.csv"):
         read_operator(path)
-
-
-def test_read_operator_reads(tmp_path: Path) -> None:
-    path = tmp_path / "hand.csv"
-    path.write_text("\ufeff" + HEADER + "0, 0,0,0,0,0,0\n2,10,0,0,0,0,1\n", encoding="utf-8")
-    np.testing.assert_allclose(read_operator(path).at(1.0), [5, 0, 0, 0, 0, 0.5])
-    path.write_text(HEADER, encoding="utf-8")
-    assert read_operator(path).at(0.0) is None
 
 
 def test_read_hand_reads(tmp_path: Path) -> None:

@@ -15,6 +15,9 @@ from pathlib import Path
 
 import pytest
 
+from armlab.motion import TwoDofDmp
+from armlab.sim import two_link
+
 ROOT = Path(__file__).parents[2]
 EXAMPLES = {path.name: path for path in sorted((ROOT / "examples").glob("*.py"))}
 NEEDS = {  # example -> the one whose files it reads, and one of these files
@@ -124,3 +127,14 @@ def test_example_is_on_a_page(name: str) -> None:
 def test_numbers_have_no_holes() -> None:
     numbers = [int(name[:2]) for name in EXAMPLES]
     assert numbers == list(range(1, len(EXAMPLES) + 1))
+
+
+def test_the_arm_repeats_is_pushed_and_arrives(capsys: pytest.CaptureFixture[str]) -> None:
+    program = runpy.run_path(str(EXAMPLES["28_two_link.py"]))
+    assert (program["motion"].TwoDofDmp, program["two_link"]) == (TwoDofDmp, two_link)
+    program["main"]()
+    repeated, pushed, end = (float(x) for x in re.findall(r"([\d.]+) mm", capsys.readouterr().out))
+    assert repeated < 1.0
+    assert pushed > 50.0
+    assert end < 0.1
+    np.testing.assert_allclose(two_link.forward(two_link.inverse(program["POINTS"])), program["POINTS"], atol=1e-12)

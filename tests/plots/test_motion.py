@@ -86,14 +86,6 @@ def test_goals_that_change_are_drawn_and_reached() -> None:
     assert "goal" in position.get_legend_handles_labels()[1]
 
 
-def test_weights_stand_where_their_kernels_are() -> None:
-    figure = plot_dmp(primitive())
-    kernels, weights = figure.axes[3:]
-    line = kernels.lines[5]
-    at = np.asarray(line.get_xdata())[np.argmax(line.get_ydata())]
-    assert np.asarray(weights.lines[0].get_xdata())[5] == pytest.approx(at, abs=0.1)
-
-
 def test_phase_plane_leads_from_start_to_goal(tmp_path: Path) -> None:
     panel = dmp_phase(primitive())
     path = primitive().rollout(np.linspace(0.0, 3.0, 501))

@@ -96,18 +96,6 @@ def test_names_of_axes_stay_clear_of_their_numbers(sides: tuple[float, float, fl
                 assert not name.contains((number.x0 + number.x1) / 2, (number.y0 + number.y1) / 2)
 
 
-def test_a_name_is_inside_the_axes() -> None:
-    """Alone in the scene, a frame has its name beside it, not beyond the edge of the paper."""
-    figure, ax = space()
-    frame(ax, np.eye(4), 0.15, "alone")
-    assert extent(ax)[0] == pytest.approx([-0.045, -0.045, 0])
-    equal_scale(ax)
-    figure.canvas.draw()
-    place = ax.texts[-1].get_window_extent()
-    assert figure.bbox.contains(place.x0, place.y0)
-    assert figure.bbox.contains(place.x1, place.y1)
-
-
 def part(ax, gid: str) -> list:
     return [artist for artist in ax.get_children() if artist.get_gid() == gid]
 

@@ -143,16 +143,6 @@ def test_noise_is_white_with_the_stated_size(robot: Robot, truth: Truth) -> None
         assert np.abs(rho).max() < 4 / np.sqrt(len(tau))
 
 
-def test_measurements_are_quantised(robot: Robot, truth: Truth) -> None:
-    arm = SimulatedArm(robot, truth, q=robot.q_home + 0.123456)
-    measured = arm.measure()
-    np.testing.assert_allclose(measured.tau / truth.tau_step, np.rint(measured.tau / truth.tau_step), atol=1e-9)
-    np.testing.assert_allclose(measured.q * 1e5, np.rint(measured.q * 1e5), atol=1e-6)
-    exact = SimulatedArm(robot, truth.without("noise"), q=robot.q_home + 0.123456)
-    np.testing.assert_array_equal(exact.measure().q, exact.sample.q)
-    np.testing.assert_array_equal(exact.measure().tau, exact.sample.tau)
-
-
 def test_torque_saturates(robot: Robot, truth: Truth) -> None:
     arm = SimulatedArm(robot, truth)
     for _ in range(20):
@@ -165,7 +155,7 @@ def test_build_model_keeps_inertias(robot: Robot, truth: Truth) -> None:
     model = build_model(robot, truth)
     np.testing.assert_allclose(model.body_mass[1:], truth.pi[:, 0], rtol=1e-12)
     np.testing.assert_allclose(model.dof_armature, truth.rotor)
-    diagonal = SimulatedArm(robot, truth).inertia(robot.q_home) - truth.rotor
+    diagonal = SimulatedArm(robot, truth)._inertia(robot.q_home) - truth.rotor
     np.testing.assert_allclose(diagonal, [0.1636, 0.1976, 0.1013, 0.0803, 0.0016, 0.0009, 0.0002], atol=6e-5)
 
 

@@ -169,18 +169,6 @@ def test_convergence_ends_the_session() -> None:
     assert any("convergence" in event for event in peer.events)
 
 
-def test_streaming_comes_before_guidance() -> None:
-    peer = start(stream=0.1, operator=AppliedWrench(np.array([0.0, 1.0]), np.tile([5.0, 0, 0, 0, 0, 0], (2, 1))))
-    for _ in range(60):
-        peer.cycle(ROBOT.q_home + 0.2)
-    states = [p.mci for p in peer.packets]
-    assert states == [STOPPED] * 25 + [RUNNING] * 35
-    for p in peer.packets[:26]:
-        np.testing.assert_allclose(p.q_planned, ROBOT.q_home, atol=1e-12)
-    assert peer.controller.statistics.drops["not guiding"] >= 24
-    assert peer.packets[25].robot_ns - EPOCH_NS == 25 * 4_032_000
-
-
 @pytest.mark.parametrize("stream", [0.0, 0.0975, 0.1])
 def test_guidance_time_is_zero_at_the_first_running_packet_of_each_session(stream: float) -> None:
     peer = start(stream=stream, comm_timeout=0.05)

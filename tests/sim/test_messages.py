@@ -191,19 +191,6 @@ def test_messages_must_hold_what_the_mode_needs(mode: str, reason: str | None) -
     assert dict(statistics.mtypes) == {3: 1}
 
 
-def test_the_newest_message_replaces_all_that_wait() -> None:
-    box, statistics = inbox(queue="newest")
-    for number in range(5):
-        box.put(SensorMessage(number, None, 3), number)
-    message = box.take(5)
-    assert message is not None
-    assert message.seqno == 4
-    assert len(box) == 0
-    assert box.take(6) is None
-    assert statistics.counts["overtaken"] == 4
-    assert statistics.age == {1: 1}
-
-
 def test_the_first_second_is_not_counted() -> None:
     statistics = Statistics()
     for uptime in (0.5, 0.999, 1.5, 2.5):

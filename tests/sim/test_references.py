@@ -7,7 +7,6 @@ import pytest
 
 from armlab import robots
 from armlab.robots import Robot
-from armlab.sim.arm.joints import JointDrives
 from armlab.sim.controller.guidance import ExternalAxes, Guidance, ReferenceDecoder, has_numbers, is_number
 from armlab.sim.controller.settings import ControllerSettings
 from armlab.wire.egm import SensorMessage
@@ -199,18 +198,6 @@ def test_modes_of_the_drives() -> None:
     assert ReferenceDecoder(ROBOT, ControllerSettings(position_gain=0.0)).drive_mode == 2
     target.accept(SensorMessage(0, 1, 3, gain_q=0 * ONES), HOME, None)
     assert target.drive_mode == 3
-
-
-def test_the_drives_get_their_part() -> None:
-    drive, target = JointDrives(ONES, 50.0 * ONES, 0.9 * ONES, 1e-3), ReferenceDecoder(ROBOT, ControllerSettings())
-    rest = (np.zeros(7),) * 6
-    target.accept(SensorMessage(0, 1, 3, tau=3.0 * ONES), HOME, None)
-    target.apply(drive)
-    np.testing.assert_array_equal(drive.torque(*rest, np.empty(7)), 3.0)
-    target.release()
-    target.apply(drive)
-    np.testing.assert_array_equal(drive.torque(*rest, np.empty(7)), 0.0)
-    target.apply(None)
 
 
 @pytest.mark.parametrize("field", ["tau", "gain_q", "gain_qd", "q_ext"])

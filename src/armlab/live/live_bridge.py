@@ -148,7 +148,7 @@ class Running:
         return self.row.values[f"{arm}.{name}"]
 
     def force(self, arm: str) -> Force | None:
-        """Return the force on an arm: as its controller estimated it, else a model, else the sensor; None without any."""
+        """Return the force on an arm: its controller's estimate, else that of a model, else the sensor."""
         recorded = self.value(arm, "wrench_hat")
         if np.isfinite(recorded).all():
             return Force(recorded, self.value(arm, "wrench_hat_cov"), "estimate of the controller")

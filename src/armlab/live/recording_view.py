@@ -335,7 +335,7 @@ class Player:
         self._controls = _Controls(server.gui, self)
         self._run, self._overview = self._whole_run(server.gui)
         self._panels = self._arm_panels(server.gui)
-        self.draw()
+        self._draw()
 
     def play(self) -> None:
         """Let time go on; from the beginning when it was at the end."""
@@ -384,7 +384,7 @@ class Player:
                 self.playing, self._stale = self.t < self.duration, True
             stale = self._stale
         if stale:
-            self.draw()
+            self._draw()
 
     def run(self, seconds: float | None = None) -> None:
         """Play for people: thirty pictures a second, until Ctrl-C.
@@ -401,7 +401,7 @@ class Player:
             self.advance(now - last)
             last = now
 
-    def draw(self) -> None:
+    def _draw(self) -> None:
         """Draw the arms at this instant; the panel at most ten times a second while playing."""
         with self._lock:
             t, playing, self._stale = self.t, self.playing, False

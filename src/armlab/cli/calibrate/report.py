@@ -93,11 +93,12 @@ def _page(job: str, fit: Fit[Any], verdict: Verdict, sources: tuple[str, ...]) -
     """Return the page: verdict, figure, parameters, and the text of the fit."""
     from armlab import plots
     from armlab.cli.support.html_report import HtmlReport
+    from armlab.plots.style import png
 
     page = HtmlReport(f"Calibration: {job}", f"From {'; '.join(sources)}.")
     page.verdict(verdict)
     page.section("Residuals, ellipses, excitation", "In standard deviations of the noise; a straight line is normal.")
-    page.figure(plots.png(plots.calibration(fit)), "residuals per sample, quantiles, ellipses, singular values")
+    page.figure(png(plots.calibration(fit)), "residuals per sample, quantiles, ellipses, singular values")
     page.section("Parameters")
     rows = zip(fit.names, fit.parameters, fit.sd, fit.units, strict=True)
     page.table([

@@ -246,6 +246,8 @@ def page(
     tell: Tell,
 ) -> HtmlReport:
     """Return the page; `tell` is called with (done, total, what)."""
+    from armlab.plots.style import png
+
     page = HtmlReport("Contact wrench", about)
     page.verdict(verdict)
     words = "By the environment on the robot, base axes, at the tool point, in N and N m. Observability: 1 the torques "
@@ -261,7 +263,7 @@ def page(
     for k, (title, caption, draw) in enumerate(drawings):
         tell(k, len(drawings), f"drawing {title.lower()}")
         page.section(title)
-        page.figure(draw(), title, caption)
+        page.figure(png(draw()), title, caption)
     return page
 
 
@@ -273,31 +275,31 @@ def _drawings(table: Table, believed: Hypotheses | None) -> list[tuple[str, str,
         (
             "Wrench over time",
             "Line: estimate. Band: two sigma. Shaded: contact, where zero lies outside the 95 % ellipsoid.",
-            lambda: plots.png(plots.wrench(table)),
+            lambda: plots.wrench(table),
         ),
         (
             "Observability over time",
             "What the pose and the friction of the joints let through. Shaded: some axis below 0.5.",
-            lambda: plots.png(plots.observability(table)),
+            lambda: plots.observability(table),
         ),
         (
             "Motion",
             "Positions, velocities and torques of the log.",
-            lambda: plots.png(plots.table(table, "q", "qd", "tau")),
+            lambda: plots.table(table, "q", "qd", "tau"),
         ),
     ]
     if believed is not None:
         where = (
             "Where the contact may be",
             "Probability of each place, in windows of one second. The bar on top: a link is not excluded, 400 to 1.",
-            lambda: plots.png(plots.hypotheses(believed)),
+            lambda: plots.hypotheses(believed),
         )
         shown.insert(1, where)
     if "wrench_true" in table or "wrench" in table:
         coverage = (
             "Coverage by speed",
             "Share of the axis's errors inside two sigma; a true uncertainty holds 95.4 % at every speed.",
-            lambda: plots.png(plots.coverage(table)),
+            lambda: plots.coverage(table),
         )
         shown.insert(-1, coverage)
     return shown

@@ -131,6 +131,7 @@ def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> V
 def _page(fit: Fit[Payload], model: TorqueModel, table: Table, verdict: Verdict, about: str) -> Any:
     from armlab import plots
     from armlab.cli.support.html_report import HtmlReport
+    from armlab.plots.style import png
 
     page = HtmlReport(f"Load of {1e3 * fit.value.mass:.0f} g", about)
     page.verdict(verdict)
@@ -140,7 +141,7 @@ def _page(fit: Fit[Payload], model: TorqueModel, table: Table, verdict: Verdict,
     page.table(rows)
     page.section("Torques", "Measured, and modelled with the load; the band is two sigma of the model.")
     drawn = plots.torque_fit(fit.value.added_to(model), table)
-    page.figure(plots.png(drawn), "measured and modelled torque of each joint")
+    page.figure(png(drawn), "measured and modelled torque of each joint")
     page.section("As printed")
     page.verbatim(fit.report())
     return page

@@ -182,7 +182,7 @@ def _joints(which: np.ndarray) -> str:
     return f"joint{'s' if len(numbered) > 1 else ''} {', '.join(numbered)}"
 
 
-Drawing = tuple[str, str, str, Callable[[], bytes]]  # title, what it shows, how to read it, what draws it
+Drawing = tuple[str, str, str, Callable[[], Any]]  # title, what it shows, how to read it, what draws it
 
 
 def numbers(fit: Fit[TorqueModel], trial: ModelTrial) -> dict[str, Any]:
@@ -223,6 +223,7 @@ def numbers(fit: Fit[TorqueModel], trial: ModelTrial) -> dict[str, Any]:
 def page(fit: Fit[TorqueModel], verdict: Verdict, trial: ModelTrial, log: Table, about: str, tell: Tell) -> HtmlReport:
     """Return the page; `tell` is called with (done, total, what)."""
     from armlab.identify.validation import parameter_rows
+    from armlab.plots.style import png
 
     page = HtmlReport(f"Torque model of {fit.value.robot_name}", about)
     page.verdict(verdict)
@@ -239,7 +240,7 @@ def page(fit: Fit[TorqueModel], verdict: Verdict, trial: ModelTrial, log: Table,
     for k, (title, alt, caption, draw) in enumerate(drawings):
         tell(k, len(drawings), f"drawing {title.lower()}")
         page.section(title)
-        page.figure(draw(), alt, caption)
+        page.figure(png(draw()), alt, caption)
     page.section("Parameters", "What the motion can tell: of the links only these combinations act on the torques.")
     head = ("value", "standard deviation", "unit", "parameter")
     page.table([head, *parameter_rows(fit)], f"{len(fit.names)} parameters with standard deviations")
@@ -300,31 +301,31 @@ def _of_the_torque(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list
             "Measured and modelled torque",
             "Torque of each joint over time, measured and modelled, and the residual",
             f"{shown}. What is left should look like noise inside the band.",
-            lambda: plots.png(plots.torque_fit(fit, trial.log)),
+            lambda: plots.torque_fit(fit, trial.log),
         ),
         (
             "Residual over speed",
             "Residual torque of each joint over its speed with two-sigma curves",
             "Curves follow the cloud where the covariance is right. A step at zero is Coulomb friction that is wrong.",
-            lambda: plots.png(plots.residual_speed(estimate, {"model": model.covariance})),
+            lambda: plots.residual_speed(estimate, {"model": model.covariance}),
         ),
         (
             "Friction",
             "Friction of each joint over its speed with uncertainty",
             "Dark: uncertainty of the parameters. Light: with the torque error at that speed, 95 % of the points.",
-            lambda: plots.png(plots.friction(fit, estimate)),
+            lambda: plots.friction(fit, estimate),
         ),
         (
             "Torque ripple",
             "Amplitude of the torque residual over cycles per turn",
             "Peaks that stand still over position are ripple of gears and motors; the dotted ones are in the model.",
-            lambda: plots.png(plots.spectrum(model, log)),
+            lambda: plots.spectrum(model, log),
         ),
         (
             "How long the residual remembers",
             "Autocorrelation of the residuals over the lag",
             "Coloured residuals make formal deviations too small; those of this report come from blocks.",
-            lambda: plots.png(plots.autocorrelation(estimate)),
+            lambda: plots.autocorrelation(estimate),
         ),
     ]
 
@@ -338,24 +339,24 @@ def _of_the_force(fit: Fit[TorqueModel], trial: ModelTrial) -> list[Drawing]:
             "Excitation",
             "Singular values of the regressor",
             "Each point is a direction of the parameters. Those below the upper line need a richer motion.",
-            lambda: plots.png(plots.excitation(fit.excitation)),
+            lambda: plots.excitation(fit.excitation),
         ),
         (
             "Force without contact",
             "Estimated wrench over time with two-sigma band; the truth is zero",
             f"{shown} through the estimator. The truth is zero: the band should hold it 95 % of the time.",
-            lambda: plots.png(plots.wrench(trial.estimate)),
+            lambda: plots.wrench(trial.estimate),
         ),
         (
             "Observability",
             "Observability per axis over time",
             "1: the torques determine the axis. 0: only the prior speaks.",
-            lambda: plots.png(plots.observability(trial.estimate)),
+            lambda: plots.observability(trial.estimate),
         ),
         (
             "Coverage by speed",
             "Share of forces inside two sigma per bin of speed",
             "A true uncertainty holds 95.4 % at every speed.",
-            lambda: plots.png(plots.coverage(trial.estimate)),
+            lambda: plots.coverage(trial.estimate),
         ),
     ]

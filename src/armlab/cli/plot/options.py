@@ -57,6 +57,7 @@ class FigureFile:
         """
         from armlab import plots
         from armlab.cli.support.output import FIGURES, check_output, result, save_figure
+        from armlab.plots.style import show
 
         beside = Path(source)
         path = beside.with_name(f"{beside.stem}_{name}.png") if self.output is None else self.output
@@ -64,7 +65,7 @@ class FigureFile:
         save_figure(make(plots), path)
         result(str(path))
         if self.show:
-            plots.show()
+            show()
         return 0
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from armlab.errors import ConfigError
-from armlab.sim.arm.mismatch import Mismatch
+from armlab.sim.arm.mismatch import Mismatch, position_gain, torque_gain
 from armlab.sim.arm.truth import Truth
 
 
@@ -62,7 +62,7 @@ class Sensors:
         self._torques: deque[np.ndarray] = deque(maxlen=int(mismatch.torque_delay) + 1)
         self._compliance = mismatch.elasticity / truth.tau_max if mismatch.elasticity else None
         self._stretch = self._stretching = np.zeros(n)
-        gains = mismatch.position_gain(n), mismatch.torque_gain(n)
+        gains = position_gain(mismatch, n), torque_gain(mismatch, n)
         self._gains = None if np.all(np.stack(gains) == 1.0) else gains
         self._sample: TrueState | None = None
 
