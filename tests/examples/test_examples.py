@@ -13,6 +13,7 @@ from contextlib import chdir, redirect_stdout
 from io import StringIO
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from armlab.motion import TwoDofDmp

@@ -307,7 +307,7 @@ class Player:
 
     Attributes
     ----------
-    scene : its `RobotScene`. t : instant shown [s]. duration : end of the log [s]. playing : whether time goes on.
+    scene : the drawn arms; `scene.frame(name, T_world_x)` adds a named frame. t : instant shown [s]. duration : end of the log [s]. playing : whether time goes on.
     speed : log seconds per second, 0.1 to 4.
 
     Raises
