@@ -112,6 +112,13 @@ def test_stop_release_and_resume(running: Exchange, capsys: Any) -> None:
     assert running.arbiter.stopped == ""
 
 
+def test_nothing_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    for words in (["set", "a=1"], ["stop"], ["release"], ["resume"]):
+        assert main(["bridge", *words]) == 1
+        assert "found none" in capsys.readouterr().err
+
+
 def test_others_may_set_parameters_meanwhile(running: Exchange, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     """What is shown is what this program set, not the first echo that comes."""
     taken = running._take

@@ -202,10 +202,6 @@ sim yumi_right --to 127.0.0.1:9 --stats missing/stats.json | missing/stats.json
 sim yumi_right --to 127.0.0.1:9 --truth missing/truth.csv | missing/truth.csv
 excite yumi_left --saved none.csv --run sim://yumi_left | none.csv
 view none.mcap | Expected a log at
-bridge set a=1 | found none
-bridge stop | found none
-bridge release | found none
-bridge resume | found none
 log show folder | Is a directory
 log cut good.mcap --from 9 -o to.mcap | got none; it has 0 s to 0.996 s
 log cut good.csv --from 9 -o to.csv | it has 0 s to 0.996 s

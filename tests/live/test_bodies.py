@@ -11,7 +11,7 @@ import pytest
 
 from armlab import robots
 from armlab.kinematics import forward, link_transforms
-from armlab.live.bodies import Surface, along, arrow, bodies, box, capsule, drums, mesh_bodies
+from armlab.live.scene import Surface, along, arrow, bodies, box, capsule, drums, mesh_bodies
 from armlab.robots import Mesh, Robot
 
 

@@ -301,18 +301,27 @@ class Player:
 
     Parameters
     ----------
-    server : of `start`.
-    arms : of `read_arms`.
-    T_world_base, meshes : as of `RobotScene`.
+    server : viser.ViserServer
+        Server of `start`.
+    arms : sequence
+        Recordings of `read_arms`.
+    T_world_base : mapping, optional
+        Pose (4, 4) of an arm's base in the world, by the name of the arm; default: the world.
+    meshes : sequence of Path, optional
+        Folders of the mesh files that the descriptions name; default: the current one.
 
     Attributes
     ----------
-    scene : the drawn arms; `scene.frame(name, T_world_x)` adds a named frame. t : instant shown [s]. duration : end of the log [s]. playing : whether time goes on.
+    scene : the drawn arms; ``scene.frame(name, T_world_x)`` adds a named frame.
+    t : instant shown [s].
+    duration : end of the log [s].
+    playing : whether time goes on.
     speed : log seconds per second, 0.1 to 4.
 
     Raises
     ------
-    LogError : no arm. RobotError, UnknownName, ShapeError : as of `RobotScene`.
+    LogError : no arm.
+    RobotError, UnknownName, ShapeError : robots of one name, a base of an unknown arm, no pose.
     """
 
     def __init__(

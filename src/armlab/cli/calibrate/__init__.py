@@ -9,7 +9,7 @@ from cyclopts import App, Parameter
 
 from armlab.cli.calibrate.arms import dual_arm, kinematics
 from armlab.cli.calibrate.report import NOTHING, Wanted
-from armlab.cli.calibrate.samples import measured_rows, noise_of, run_fit, tool_poses
+from armlab.cli.calibrate.samples import ArmOfPoses, SampleFile, measured_rows, noise_of, run_fit, tool_poses
 
 if TYPE_CHECKING:
     import numpy as np
@@ -37,10 +37,10 @@ _several = Parameter(consume_multiple=True)
     name="hand-eye", help_epilogue="Example: armlab calibrate hand-eye samples.csv --robust -o camera.toml"
 )
 def hand_eye(
-    *samples: Path,
+    *samples: SampleFile,
     marker: Path | None = None,
     setup: Literal["eye_to_hand", "eye_in_hand"] = "eye_to_hand",
-    robot: str | None = None,
+    robot: ArmOfPoses = None,
     noise: Annotated[list[float] | None, _several] = None,
     noise_robot: tuple[float, float] | None = None,
     robust: bool = False,
@@ -55,15 +55,11 @@ def hand_eye(
 
     Parameters
     ----------
-    samples : Path
-        CSV, MAT or MCAP; several are joined.
     marker : Path
         File with the places of the points on the marker, a row each: marker_x, marker_y, marker_z [m or mm in the
         header]. They are found when left out.
     setup : str
         eye_to_hand: the camera stands, the marker is on the tool. eye_in_hand: the other way round.
-    robot : str
-        Name or file of the arm: its joint positions q give T_base_tool.
     noise : list
         Deviations of the camera where they are known: m and rad of poses, m of points.
     noise_robot : tuple
@@ -96,8 +92,8 @@ def hand_eye(
 
 @calibrate.command(name="force-sensor", help_epilogue="Example: armlab calibrate force-sensor rest.csv -o sensor.toml")
 def force_sensor(
-    *samples: Path,
-    robot: str | None = None,
+    *samples: SampleFile,
+    robot: ArmOfPoses = None,
     wrench: str | None = None,
     gravity: tuple[float, float, float] | None = None,
     unknown_gravity: bool = False,
@@ -115,10 +111,6 @@ def force_sensor(
 
     Parameters
     ----------
-    samples : Path
-        CSV, MAT or MCAP; several are joined.
-    robot : str
-        Name or file of the arm: its joint positions q give T_base_tool.
     wrench : str
         Name of the readings in the file, where it is another one.
     gravity : tuple
@@ -158,8 +150,8 @@ def force_sensor(
 
 @calibrate.command(help_epilogue="Example: armlab calibrate accelerometer rest.csv --scale -o accelerometer.toml")
 def accelerometer(
-    *samples: Path,
-    robot: str | None = None,
+    *samples: SampleFile,
+    robot: ArmOfPoses = None,
     gravity: tuple[float, float, float] | None = None,
     scale: bool = False,
     noise: float | None = None,
@@ -173,10 +165,6 @@ def accelerometer(
 
     Parameters
     ----------
-    samples : Path
-        CSV, MAT or MCAP; several are joined.
-    robot : str
-        Name or file of the arm: its joint positions q give T_base_tool.
     gravity : tuple
         In base axes, m/s^2; downwards when left out.
     scale : bool
@@ -201,8 +189,8 @@ def accelerometer(
 
 @calibrate.command(help_epilogue="Example: armlab calibrate laser scans.csv --robust -o scanner.toml")
 def laser(
-    *samples: Path,
-    robot: str | None = None,
+    *samples: SampleFile,
+    robot: ArmOfPoses = None,
     noise: tuple[float, float] | None = None,
     robust: bool = False,
     wanted: Wanted = NOTHING,
@@ -214,10 +202,6 @@ def laser(
 
     Parameters
     ----------
-    samples : Path
-        CSV, MAT or MCAP; several are joined.
-    robot : str
-        Name or file of the arm: its joint positions q give T_base_tool.
     noise : tuple
         Deviations of a point, m, and of the angle of a line, rad, where they are known.
     robust : bool

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from armlab.cli.calibrate.report import NOTHING, Wanted
-from armlab.cli.calibrate.samples import measured_rows, run_fit
+from armlab.cli.calibrate.samples import SampleFile, measured_rows, run_fit
 
 if TYPE_CHECKING:
     import numpy as np
@@ -23,7 +23,7 @@ _NUMBERS = {"pose": 2, "position": 1, "distance": 1, "pair_distance": 1, "absolu
 
 def kinematics(
     robot: str,
-    *samples: Path,
+    *samples: SampleFile,
     anchor: tuple[float, float, float] | None = None,
     length_offset: bool = False,
     noise: Annotated[list[float] | None, _several] = None,
@@ -44,8 +44,6 @@ def kinematics(
     ----------
     robot : str
         Name in the library, or a robot file: the nominal arm.
-    samples : Path
-        CSV, MAT or MCAP; several are joined.
     anchor : tuple
         Roughly where the fixed point of distances is, m.
     length_offset : bool
@@ -98,7 +96,7 @@ def kinematics(
 def dual_arm(
     robot_a: str,
     robot_b: str,
-    *samples: Path,
+    *samples: SampleFile,
     closed: bool = False,
     noise: Annotated[list[float] | None, _several] = None,
     harmonics: Annotated[list[int] | None, _several] = None,
@@ -119,8 +117,6 @@ def dual_arm(
         Name in the library, or a robot file: the nominal arm that sees.
     robot_b : str
         The same of the arm that is seen.
-    samples : Path
-        CSV, MAT or MCAP; several are joined.
     closed : bool
         The tools are joined, and nothing else was measured.
     noise : list

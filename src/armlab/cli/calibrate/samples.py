@@ -8,7 +8,9 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
 
 from armlab.errors import ConfigError, LogError
 
@@ -17,7 +19,8 @@ if TYPE_CHECKING:
 
     from armlab.cli.calibrate.report import Wanted
 
-
+SampleFile = Annotated[Path, Parameter(help="CSV, MAT or MCAP; several are joined.")]
+ArmOfPoses = Annotated[str | None, Parameter(help="Name or file of the arm: its joint positions q give T_base_tool.")]
 _QUATERNION_LENGTH = 1e-3  # difference from one
 _CLOCKS = ("t", "time")
 _UNITS = {r"force\d*": "N", r"acc\d*": "m/s^2", r"(position|(pair_)?distance)\d*": "m", r"\w+_[xyz]": "m"}
