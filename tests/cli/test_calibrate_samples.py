@@ -126,15 +126,6 @@ def test_files_of_something_else_are_refused_by_a_sentence(content: bytes, endin
         read_samples(path)
 
 
-def test_a_row_without_a_quaternion_and_a_position_is_no_pose(T: np.ndarray, tmp_path: Path) -> None:
-    columns = as_quaternions("pose", T)
-    for values in columns.values():
-        values[2] = np.nan
-    found = read_samples(written(tmp_path / "a.csv", columns)).poses("pose")
-    assert np.isnan(found[2]).all()
-    np.testing.assert_allclose(np.delete(found, 2, axis=0), np.delete(T, 2, axis=0), atol=1e-12)
-
-
 def test_semicolons_and_tabs_are_seen(T: np.ndarray, tmp_path: Path) -> None:
     text = written(tmp_path / "a.csv", as_quaternions("pose", T, " [mm]")).read_text(encoding="utf-8")
     for mark in ";\t":

@@ -42,19 +42,6 @@ def test_the_press_is_found(pushed: str, tmp_path, capsys) -> None:
     assert figure.exists()
 
 
-def test_nothing_is_overwritten_and_wrong_names_are_refused_before_the_work(pushed: str, tmp_path, capsys) -> None:
-    figure = tmp_path / "mine.png"
-    figure.write_text("mine")
-    words = ["estimate", "yumi_left", "push.mcap", "--model", pushed, "--figure"]
-    assert main([*words, str(figure)]) == 2
-    assert main([*words, str(tmp_path / "fit.xyz")]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert "--force" in said.err
-    assert ".svg" in said.err
-    assert figure.read_text() == "mine"
-
-
 def test_rows_without_torque_are_counted_and_none_at_all_is_an_error(pushed: str, truth, monkeypatch, capsys) -> None:
     table = truth.log(identify.dither(truth.robot.q_home, 4.0), seed=5)
     rows = np.arange(len(table))[:, None]

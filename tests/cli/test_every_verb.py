@@ -158,6 +158,7 @@ view --live --port 99999 | Expected a port from 0 to 65535
 demo --fast --robot irb2400 | yumi_left, yumi_right
 sim yumi_right --to 127.0.0.1:9 --rapid-data 1 | --rapid-data from 0 to 40
 sim yumi_right --to 127.0.0.1:9 --robotware 7 --rapid-data 41 | --rapid-data from 0 to 40
+sim yumi_right --to 127.0.0.1:9 --grip soon | --grip
 monitor --zenoh http://host | zenoh://192.168.1.5:7447/lab1
 completion cmd | bash
 demo --fast -o folder | new folder

@@ -299,11 +299,6 @@ def test_json_and_mode(words: list[str], capsys) -> None:
     assert found["parameters"][0]["sd"] < 0.01
 
 
-def test_a_crumb_is_not_claimed(words: list[str], capsys) -> None:
-    assert main([*words[:2], "crumb.mcap", *words[3:], "--gain", "0"]) == 0
-    assert "not good" in capsys.readouterr().out
-
-
 def test_without_a_load_none_is_to_be_added(words: list[str], capsys) -> None:
     assert main([*words[:2], "empty.mcap", *words[3:]]) == 0
     said = capsys.readouterr().out

@@ -138,26 +138,6 @@ def test_figures_are_inside_and_nothing_is_asked_from_outside(page: HtmlReport) 
     assert "default-src 'none'; img-src data:" in html
 
 
-def test_a_table_fits_words_to_the_left_and_figures_whole() -> None:
-    page = HtmlReport("t", "a")
-    page.table([("joint", "friction [N m]", "where"), ("1", "0.5 ± 0.1", "point 100 %"), ("2", "nan", "-")])
-    (table,) = page.pieces
-    assert table.count("<th>") == 2
-    assert "friction [N\N{NO-BREAK SPACE}m]" in table
-    assert table.count('<th class="words">where</th>') == table.count('<td class="words">-</td>') == 1
-    assert "<td>0.5 ±\N{NO-BREAK SPACE}0.1</td>" in table
-    assert "overflow" not in page.html()
-    assert "nowrap" not in page.html()
-
-
-def test_long_tables_and_texts_open_with_a_click() -> None:
-    page = HtmlReport("t", "a")
-    page.table([("a",), ("1",)], "50 <numbers>")
-    page.verbatim("long", "A text")
-    assert page.pieces[0].startswith("<details><summary>50 &lt;numbers&gt;</summary><table>")
-    assert page.pieces[1] == "<details><summary>A text</summary><pre>long</pre></details>"
-
-
 def test_a_log_without_torques_or_of_another_robot_is_refused(truth, tmp_path: Path) -> None:
     table = truth.log(identify.dither(truth.robot.q_home, 1.0), seed=5).select("q", "tau")
     path = log.write(table, tmp_path / "swayed.mcap", truth.robot)

@@ -139,14 +139,6 @@ def test_a_log_in_a_folder_has_the_name_of_the_robot(folder: Path, capsys: Any) 
     assert "folder that exists" in capsys.readouterr().err
 
 
-def test_load_controller(folder: Path) -> None:
-    found, extra = load_controller("code/sine.py:sine")
-    assert found.__name__ == "sine"
-    assert extra is not None
-    assert set(extra) == {"wish"}
-    assert str(folder / "code") not in sys.path
-
-
 @pytest.mark.parametrize(
     ("place", "words"),
     [

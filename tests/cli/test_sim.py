@@ -9,7 +9,6 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,7 @@ from armlab import cli, robots
 from armlab.cli.sim import FaultOptions, SurroundingOptions, TextFile, read_hand, read_operator
 from armlab.errors import ConfigError, LogError, UnknownName
 from armlab.sim.arm.arm import scara
-from armlab.sim.controller.settings import ControllerSettings, FaultRates
+from armlab.sim.controller.settings import ControllerSettings
 from armlab.wire.egm import EgmCodec, Packet, Reference
 
 HEADER = "t,fx,fy,fz,mx,my,mz\n"
@@ -213,25 +212,6 @@ def test_around_the_arms(tmp_path: Path) -> None:
     assert (first.motors.at(3.0), first.rapid.at(3.0), first.external) == (2, 0, 1)
     with pytest.raises(UnknownName, match="off"):
         SurroundingOptions(motors="aus").scene(ROBOT, 0, [0], 0)
-
-
-def test_the_help_of_faults_is_that_of_the_rates() -> None:
-    """TextFile once, with the same defaults."""
-    assert FaultOptions().rates() == FaultRates()
-    assert [field.name for field in fields(FaultOptions)] == [field.name for field in fields(FaultRates)]
-    text = FaultOptions.__doc__ or ""
-    for field in fields(FaultRates):
-        assert f"    {field.name} : " in text
-    assert "Raises" not in text
-
-
-def test_a_grip_holds_the_first_robot_only() -> None:
-    robot = robots.load("yumi_right")
-    first, second = (SurroundingOptions(grip="1,3").scene(robot, index, [0, index], 0) for index in (0, 1))
-    assert first.grip is not None
-    assert second.grip is None
-    with pytest.raises(ConfigError, match="--grip"):
-        SurroundingOptions(grip="soon").scene(robot, 0, [0, 0], 0)
 
 
 @pytest.mark.parametrize(

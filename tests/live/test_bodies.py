@@ -11,7 +11,7 @@ import pytest
 
 from armlab import robots
 from armlab.kinematics import forward, link_transforms
-from armlab.live.scene import Surface, along, arrow, bodies, box, capsule, drums, mesh_bodies
+from armlab.live.scene import Surface, along, arrow, bodies, box, capsule, mesh_bodies
 from armlab.robots import Mesh, Robot
 
 
@@ -46,13 +46,6 @@ def test_an_arrow_points_along_z_and_is_turned_anywhere() -> None:
         np.testing.assert_allclose((T @ [0.0, 0.0, np.linalg.norm(end - a), 1.0])[:3], end, atol=1e-12, rtol=0)
         np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12, rtol=0)
     np.testing.assert_array_equal(along(a, a)[:3, 2], [0.0, 0.0, 1.0])
-
-
-def test_drums_stand_about_the_joint_axes() -> None:
-    for body in drums(robots.load("irb2400")):
-        assert volume(body) > 0
-        radius = np.linalg.norm(body.vertices[:, :2], axis=1)
-        assert radius.max() < 0.5 * np.ptp(body.vertices[:, 2]) * 1.1
 
 
 @pytest.mark.parametrize("name", robots.names())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import time
 from typing import Any
 
@@ -277,17 +276,6 @@ def test_the_words_of_a_bridge_are_no_markup(server: Any, bridge: Any, following
     hear_until(running, lambda: running.watch.told)
     view.draw()
     assert "&lt;script&gt;" in view._notes._html.content
-
-
-def test_watch_tells_address_and_connection(bridge: Any) -> None:
-    """Until it is over; then the port is free again."""
-    one, told = bridge(LEFT), []
-    watch(opened=told.append, tell=told.append, port=0, over=lambda: one.row(LEFT) or "Cell small" in told)
-    address, *rest = told
-    assert address.startswith("http://127.0.0.1:")
-    assert rest[-1] == "Cell small"
-    with socket.socket() as probe:
-        assert probe.connect_ex(("127.0.0.1", int(address.rpartition(":")[2]))) != 0
 
 
 def test_nothing_is_drawn_while_nobody_looks(bridge: Any, page: Any, monkeypatch: pytest.MonkeyPatch) -> None:

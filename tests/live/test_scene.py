@@ -14,8 +14,6 @@ from armlab.kinematics import forward, link_transforms
 from armlab.lie import quaternion, se3
 from armlab.live.scene import (
     ARROW,
-    LINK_COLORS,
-    TOOL_COLOR,
     ForceArrow,
     RobotScene,
     _towards,
@@ -96,15 +94,6 @@ def test_arms_come_go_and_move(server: Any) -> None:
     scene.add(six)
     scene.show("yumi_right", six.q_home)
     assert server.scene.get_handle_by_name(link(RIGHT, 7)) is None
-
-
-def test_arms_joints_and_tools_have_their_colours(server: Any) -> None:
-    RobotScene(server, [LEFT, RIGHT])
-    for robot, color in zip((LEFT, RIGHT), LINK_COLORS, strict=True):
-        assert tuple(node(server, link(robot, 3)).color) == rgb(color)
-        assert tuple(node(server, f"{link(robot, robot.n)}/tool/point").color) == rgb(TOOL_COLOR)
-    assert tuple(node(server, f"{link(LEFT, 2)}/joint").color) == rgb("#D55E00")
-    assert rgb("#0072B2") == (0, 114, 178)
 
 
 def test_a_force_is_an_arrow_at_the_tool_with_its_ellipsoid_at_the_tip(server: Any) -> None:

@@ -158,13 +158,6 @@ def test_rates() -> None:
     assert 0.05 < swapped < 0.1 + spread
 
 
-def test_reordered_come_behind_their_successor() -> None:
-    late = numbers(FaultRates(reorder=0.1))
-    assert sorted(late) == list(range(len(late)))
-    position = np.argsort(late)
-    assert np.abs(position - np.arange(len(late))).max() <= 2
-
-
 def waits(rates: FaultRates) -> np.ndarray:
     return np.array([k - number for k, cycle in enumerate(outcome(rates)) for number, _ in cycle])
 

@@ -257,19 +257,6 @@ def test_operator_acts_on_guidance_time() -> None:
     np.testing.assert_allclose(f, np.interp(t, times, wrench[:, 2]), atol=1e-9)
 
 
-def test_same_seed_same_bytes() -> None:
-    def stream(seed: int) -> list[bytes | None]:
-        peer = start(seed=seed)
-        packets = []
-        for k in range(30):
-            peer.cycle(ROBOT.q_home + 0.001 * k)
-            packets.append(peer.controller.packet())
-        return packets
-
-    assert stream(5) == stream(5)
-    assert stream(5) != stream(6)
-
-
 def test_losing_the_peer_ends_the_session_at_once() -> None:
     peer = start()
     peer.cycle(ROBOT.q_home)

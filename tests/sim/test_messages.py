@@ -227,11 +227,6 @@ def test_everything_is_plain_json_and_text() -> None:
     assert any("round trip us" in line and "nothing" in line for line in lines)
 
 
-def test_an_event_is_one_line() -> None:
-    assert str(ControllerEvent(1.25, "yumi_left", 41822, "No data")) == "1.250 s yumi_left 41822 No data"
-    assert str(ControllerEvent(1.25, "yumi_left", 0, "dropped")) == "1.250 s yumi_left - dropped"
-
-
 def test_what_was_heard_beside_the_joints() -> None:
     statistics = Statistics()
     statistics.heard(None, None, None)
