@@ -1,4 +1,4 @@
-"""armlab excite: a motion within the limits, what it will tell, and a log of it."""
+"""armlab excite: a motion within the limits, its predicted precision, and a log of it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_the_motion_is_written_and_what_it_tells_is_printed(tmp_path, capsys) ->
     assert "first moments" in said.out
     assert "Coulomb" in said.out
     assert "excitation " in said.out
-    for step in ("choosing among candidates", "searching around the best", "what it will tell"):
+    for step in ("choosing among candidates", "searching around the best", "predicting parameter precision"):
         assert f"design: {step}" in said.err
     found = columns(path)
     robot = robots.load("yumi_left")

@@ -69,7 +69,7 @@ def test_it_prints_a_table_per_joint_and_a_verdict_and_saves_the_model(
 ) -> None:
     assert "held-out" in outcome.out
     assert "excitation good" in outcome.out
-    assert "good: The motion tells all parameters apart" in outcome.out
+    assert "good: The motion identifies all parameters" in outcome.out
     assert "next: " in outcome.out
     assert "identify: checking the log" in outcome.err
     assert "report: drawing friction" in outcome.err

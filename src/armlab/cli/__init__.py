@@ -33,22 +33,22 @@ _COMMANDS = {
     "demo": ("demo:demo", "Simulated YuMi, from excitation to the estimated force of a hand. No robot needed."),
     "sim": ("sim:sim", "Simulated arms and a simulated controller that speaks EGM."),
     "doctor": ("doctor:doctor", "Check computer, network and robot before a run. Sends nothing to a robot."),
-    "run": ("run:run", "Run a controller of yours, from a file, against a robot; record a log."),
-    "record": ("record:record", "Record what robots send, also while led by hand. Sends nothing."),
-    "excite": ("excite:excite", "Design a motion that tells all parameters apart; run it and record a log."),
+    "run": ("run:run", "Run your controller from a file against a robot; record a log."),
+    "record": ("record:record", "Record the packets of robots, also in lead-through. Sends nothing."),
+    "excite": ("excite:excite", "Design an excitation trajectory; run it and record a log."),
     "identify": ("identify:identify", "Identify gravity, inertia and friction from logs; save the model."),
     "estimate": ("estimate:estimate", "Estimate the contact force in a log with a model."),
-    "payload": ("identify.payload:payload", "Weigh a load at the flange with the motors: mass, centre, inertia."),
+    "payload": ("identify.payload:payload", "Identify a payload from motor torques: mass, centre, inertia."),
     "calibrate": ("calibrate:calibrate", "Calibrate a camera, a force sensor, an arm or a line scanner from samples."),
     "dmp": ("dmp:dmp", "Movement primitives: fit one to logs of a motion, play it on a robot."),
     "plot": ("plot:plot", "Figures of logs, models, robots and movement primitives."),
     "bridge": ("bridge:bridge", "Run a cell: robots, LabComm and other clients, parameters, one commander."),
-    "monitor": ("bridge:monitor", "Watch a bridge that runs: rates, round trips, clamps, commander, events."),
-    "view": ("view:view", "Arms, forces and curves in the browser: of logs, or of a bridge that runs."),
+    "monitor": ("bridge:monitor", "Monitor a running bridge: rates, round trips, clamps, commander, events."),
+    "view": ("view:view", "Arms, forces and curves of logs or of a running bridge, in the browser."),
     "fleet": ("fleet:fleet", "Many robots at once: a router, recordings of all, one list of them."),
     "log": ("log:log", "Show, export, cut, merge, open and repair logs."),
     "config": ("config:config", "Show settings: of files, of the environment, of a cell. Writes nothing."),
-    "completion": ("config:completion", "Print what lets bash, zsh or fish complete the words of armlab."),
+    "completion": ("config:completion", "Print the completion script for bash, zsh or fish."),
     "robot": ("robot:robot", "List, show and convert robot descriptions."),
 }
 
@@ -74,7 +74,7 @@ def build_app(verb: str = "") -> App:
 
     Parameters
     ----------
-    verb : command that is asked for: its help is its own, longer than its line in the list of all.
+    verb : command of the user: its help is its own, longer than its line in the list of all.
     """
     from cyclopts import App, Parameter
 

@@ -64,7 +64,7 @@ def start(*, config: Path | None = None, listen: list[str] | None = None, second
 
 @bridge.command(name="set", help_epilogue="Example: armlab bridge set gain=2.5 force=[0,0,5]")
 def set_parameters(*setting: str, cell: Cell = "") -> None:
-    """Set parameters of a bridge that runs, together or none of them; shows what is in force.
+    """Set parameters of a running bridge, all or none; show the values in force.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def set_parameters(*setting: str, cell: Cell = "") -> None:
 
 @bridge.command(help_epilogue="Example: armlab bridge stop")
 def stop(*, cell: Cell = "") -> None:
-    """Let all arms come to rest and hold until somebody resumes. Not an emergency stop."""
+    """Stop all arms and hold until resumed. Not an emergency stop."""
     from armlab.bridge.servers.messages import Stop
 
     _operate(Stop(), cell)
@@ -99,7 +99,7 @@ def stop(*, cell: Cell = "") -> None:
 
 @bridge.command(help_epilogue="Example: armlab bridge release")
 def release(*, cell: Cell = "") -> None:
-    """Free the arms from whoever commands them; they hold."""
+    """Release control of all arms; they hold position."""
     from armlab.bridge.servers.messages import Release
 
     _operate(Release(), cell)
@@ -263,7 +263,7 @@ _LINES = 1.0  # s between two lines where there is no terminal
 
 
 def monitor(robot: str | None = None, *, cell: Cell = "", zenoh: str = "", seconds: float | None = None) -> None:
-    """Watch a bridge of this user that runs, until Ctrl-C or its end.
+    """Monitor a running bridge of this user, until Ctrl-C or its end.
 
     Parameters
     ----------

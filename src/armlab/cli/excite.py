@@ -1,4 +1,4 @@
-"""``armlab excite``: design an excite trajectory and run it."""
+"""``armlab excite``: design an excitation trajectory and run it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ROUNDS = 300  # of the search for the motion that tells most
 @Parameter(name="*")
 @dataclass(frozen=True)
 class ExcitationOptions:
-    """What the motion shall be like.
+    """Shape of the motion.
 
     Attributes
     ----------
@@ -69,9 +69,9 @@ def excite(
     json: Json = False,
     force: Force = False,
 ) -> int:
-    """Design a motion that tells all parameters of a robot apart; run it and record a log if asked.
+    """Design an excitation trajectory of a robot; run it and record a log if asked.
 
-    Prints how well the motion will tell each group of parameters. The motion stays within the limits of position,
+    Prints the predicted uncertainty of each group of parameters. The motion stays within the limits of position,
     speed and acceleration of the robot file; it knows nothing of obstacles: look at it before you run it.
 
     Parameters
@@ -125,7 +125,7 @@ def excite(
         else:
             tell(0, 2, f"reading {saved.name}")
             trajectory = Trajectory.from_table(logs.read(saved))
-        tell(9, 10, "what it will tell")
+        tell(9, 10, "predicting parameter precision")
         expected = predicted_uncertainty(trajectory, arm, noise) if joint is None else None
         tell(1, 1, "done")
     if json:

@@ -81,7 +81,7 @@ def export(
     storage: Literal["mcap", "sqlite3"] = "mcap",
     force: Force = False,
 ) -> None:
-    """Write a log in another format, which the ending of the new name tells.
+    """Convert a log; the output format follows the file extension.
 
     .csv for spreadsheets, .mat for MATLAB, .parquet for pandas and databases, .h5 for HDF5, .rosbag2 for ROS 2, .mcap
     for a recording of armlab. armlab reads all of them back as they were.
@@ -158,7 +158,7 @@ def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
 
 @log.command(help_epilogue="Example: armlab log recover run.mcap")
 def recover(file: Path, *, output: Path | None = None) -> None:
-    """Write a whole copy of a log that was cut off or damaged. The original stays as it is.
+    """Write a repaired copy of a truncated or damaged log. The original stays as it is.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def cut(
     output: Annotated[Path, Parameter(alias="-o")],
     force: Force = False,
 ) -> None:
-    """Write a stretch of a log: the rows with --from <= t < --to. The original stays as it is.
+    """Write a segment of a log: the rows with --from <= t < --to. The original stays as it is.
 
     A recording stays a whole recording: metadata, attachments, the parameters so far, and the events of the stretch.
     Its t is not shifted, so that 12.3 s is the same moment in both.

@@ -55,7 +55,7 @@ def kinematics(
     harmonics : list
         Orders of joint errors that repeat with the turn, such as 1 2.
     weak : str
-        What the samples do not tell: refuse, or hold it by a prior.
+        Unidentifiable directions: refuse, or fix them by a prior.
     robust : bool
         Find wrong samples and leave them out.
     corrected : Path
@@ -124,7 +124,7 @@ def dual_arm(
     harmonics : list
         Orders of joint errors that repeat with the turn, such as 1 2.
     weak : str
-        What the samples do not tell: refuse, or hold it by a prior.
+        Unidentifiable directions: refuse, or fix them by a prior.
     robust : bool
         Find wrong samples and leave them out.
     corrected : tuple

@@ -67,10 +67,10 @@ def judge(fit: Fit[Any]) -> Verdict:
 
     good, bad, ahead = [], [], []
     left, total = int(fit.outliers.sum()), len(fit.outliers)
-    good.append(f"{fit.n} samples tell all of the {fit.excitation.expected} directions that are asked.")
+    good.append(f"{fit.n} samples identify all {fit.excitation.expected} directions asked for.")
     if fit.excitation.held:
         good.clear()
-        bad.append(f"A prior holds what the samples do not tell: {'; '.join(fit.excitation.held)}.")
+        bad.append(f"A prior fixes what the samples do not identify: {'; '.join(fit.excitation.held)}.")
     if left > _MANY * total:
         bad.append(f"{left} of {total} samples were left out: these are not a few mistakes.")
         ahead.append("Look for the cause in pairing, clocks and units before you use the result.")
@@ -85,7 +85,7 @@ def judge(fit: Fit[Any]) -> Verdict:
     if np.isfinite(fit.residuals).sum() < _FEW * len(fit.names):
         bad.append("There are hardly more measurements than parameters: noise and deviations are guesses.")
         ahead.append("Take more samples.")
-    ahead.append(f"The worst direction is {fit.excitation.weakest}; samples that tell it improve most.")
+    ahead.append(f"The worst direction is {fit.excitation.weakest}; samples that excite it improve most.")
     return Verdict(tuple(good), tuple(bad), tuple(ahead))
 
 

@@ -298,7 +298,7 @@ def _drawings(table: Table, believed: Hypotheses | None) -> list[tuple[str, str,
     if "wrench_true" in table or "wrench" in table:
         coverage = (
             "Coverage by speed",
-            "Share of the axis's errors inside two sigma; a true uncertainty holds 95.4 % at every speed.",
+            "Share of the axis's errors inside two sigma; a calibrated uncertainty contains 95.4 % at every speed.",
             lambda: plots.coverage(table),
         )
         shown.insert(-1, coverage)

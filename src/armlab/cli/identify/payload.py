@@ -32,7 +32,7 @@ def payload(
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
     wanted: Results = PLAIN,
 ) -> int:
-    """Weigh a load at the flange with the motors: mass, centre and, if asked, inertia.
+    """Identify a payload at the flange from motor torques: mass, centre and, with --mode dynamic, inertia.
 
     Prints each with its deviation, in flange axes.
 

@@ -132,8 +132,8 @@ def _judge_honesty(found: _Sentences, model: TorqueModel, trial: ModelTrial) -> 
     force = " ".join(f"{value:.2f}" for value in trial.force_rms)
     if honest.all():
         found.good.append(
-            f"The stated uncertainty is true: {100 * np.nanmin(coverage):.0f} to {100 * np.nanmax(coverage):.0f} % of "
-            "the held-out torques lie inside 2 sigma."
+            f"The uncertainty is well calibrated: 2 sigma contains {100 * np.nanmin(coverage):.0f} to "
+            f"{100 * np.nanmax(coverage):.0f} % of the held-out torques."
         )
     else:
         shares = ", ".join(f"{100 * value:.0f} %" for value in coverage[~honest])
@@ -157,10 +157,10 @@ def _judge_motion(found: _Sentences, fit: Fit[TorqueModel], robot: Robot, tables
     excitation, training = fit.excitation, fit.value.training
     told = excitation.text().splitlines()[0]
     if told.startswith("excitation good"):
-        found.good.append(f"The motion tells all parameters apart (condition {excitation.condition:.0f}).")
+        found.good.append(f"The motion identifies all parameters (condition {excitation.condition:.0f}).")
     else:
-        found.bad.append(f"The motion tells some parameters badly (condition {excitation.condition:.0f}).")
-        found.ahead.append(f"Log a longer or richer motion, as of armlab excite; told least: {excitation.weakest}.")
+        found.bad.append(f"The motion identifies some parameters poorly (condition {excitation.condition:.0f}).")
+        found.ahead.append(f"Log a longer or richer motion, as of armlab excite; weakest: {excitation.weakest}.")
     used = (training.q_max - training.q_min) / (robot.q_max - robot.q_min)
     narrow = used < NARROW
     if narrow.any():
@@ -234,14 +234,14 @@ def page(fit: Fit[TorqueModel], verdict: Verdict, trial: ModelTrial, log: Table,
         "error; gamma is how fast it falls with speed.",
     )
     page.table(_residual_rows(fit, trial))
-    page.section("Friction per joint", "With standard deviations from drawing blocks of time again.")
+    page.section("Friction per joint", "With standard deviations from a block bootstrap.")
     page.table(_friction_rows(fit, trial))
     drawings = _drawings(fit, trial, log)
     for k, (title, alt, caption, draw) in enumerate(drawings):
         tell(k, len(drawings), f"drawing {title.lower()}")
         page.section(title)
         page.figure(png(draw()), alt, caption)
-    page.section("Parameters", "What the motion can tell: of the links only these combinations act on the torques.")
+    page.section("Parameters", "Identifiable parameters: of the links only these combinations act on the torques.")
     head = ("value", "standard deviation", "unit", "parameter")
     page.table([head, *parameter_rows(fit)], f"{len(fit.names)} parameters with standard deviations")
     page.section("As printed")
@@ -344,7 +344,7 @@ def _of_the_force(fit: Fit[TorqueModel], trial: ModelTrial) -> list[Drawing]:
         (
             "Force without contact",
             "Estimated wrench over time with two-sigma band; the truth is zero",
-            f"{shown} through the estimator. The truth is zero: the band should hold it 95 % of the time.",
+            f"{shown} through the estimator. The truth is zero: the band should contain it 95 % of the time.",
             lambda: plots.wrench(trial.estimate),
         ),
         (
@@ -356,7 +356,7 @@ def _of_the_force(fit: Fit[TorqueModel], trial: ModelTrial) -> list[Drawing]:
         (
             "Coverage by speed",
             "Share of forces inside two sigma per bin of speed",
-            "A true uncertainty holds 95.4 % at every speed.",
+            "A calibrated uncertainty contains 95.4 % at every speed.",
             lambda: plots.coverage(trial.estimate),
         ),
     ]

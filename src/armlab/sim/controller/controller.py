@@ -51,9 +51,9 @@ class SimulatedController:
     ) -> None:
         self.arm, self.statistics = arm, Statistics()
         self.packets = wire if isinstance(wire, PacketBuilder) else PacketBuilder(wire, settings.period)
-        self._settings, self._journal = settings, EventLog(arm.robot.name, self.statistics, on_event)
-        self._scene = scene if isinstance(scene, Surroundings) else Surroundings(scene or AppliedWrench.idle())
-        self._hand = self._scene.leads(settings.program, arm.robot.n)
+        self._settings, self._event_log = settings, EventLog(arm.robot.name, self.statistics, on_event)
+        self._surroundings = scene if isinstance(scene, Surroundings) else Surroundings(scene or AppliedWrench.idle())
+        self._hand = self._surroundings.leads(settings.program, arm.robot.n)
         if self._hand is not None:
             arm.place(self._hand.at(0.0)[0])
         self._guidance, self._target = (
@@ -61,7 +61,7 @@ class SimulatedController:
             ReferenceDecoder(arm.robot, settings),
         )
         self._drive = arm.drive if isinstance(arm, SimulatedArm) else None  # without masses there are no torques
-        self._external = ExternalAxes(self._scene.external, settings)
+        self._external = ExternalAxes(self._surroundings.external, settings)
         self.inbox = ReplyQueue(self.packets.codec, self.statistics, settings)
         self._cycles = {
             "streaming": self._stream,
@@ -93,7 +93,7 @@ class SimulatedController:
         """Return the bytes of this cycle's packet, or None while no session runs."""
         if self.phase not in _MCI:
             return None
-        scene, t, target = self._scene, self.uptime, self._target
+        scene, t, target = self._surroundings, self.uptime, self._target
         states = scene.motors.at(t), _MCI[self.phase], scene.rapid.at(t)
         condition = Condition(self.seq, *states, self._near, target.drive_mode, self._used_seq, self._left)
         self.inbox.note(Sent(self.seq, self.packets.tm_ms(self.cycle), self.cycle, self.phase == "guiding"))
@@ -109,7 +109,7 @@ class SimulatedController:
         """
         found = self.inbox.read(data)
         if isinstance(found, Drop):
-            self._journal.drop(self.uptime, found, data)
+            self._event_log.drop(self.uptime, found, data)
             return None
         self._answered = True
         self.statistics.counts["replies"] += 1
@@ -131,7 +131,7 @@ class SimulatedController:
         self._cycles[self.phase]()
         moves = self.phase == "guiding" or (self._settings.only_streams and self.phase == "streaming")
         self.cycle += 1
-        wrench = self._scene.wrench(self.guidance_time, self.arm.sample.T_base_tool) if moves else None
+        wrench = self._surroundings.wrench(self.guidance_time, self.arm.sample.T_base_tool) if moves else None
         self._external.follow(self._target.q_ext if self.phase == "guiding" else None)
         self.arm.step(self._guidance.q, self._guidance.qd, wrench)
         if self.phase != "over" and not (np.abs([self.arm.sample.q, self.arm.sample.qd]) < _BEYOND).all():  # NaN too
@@ -156,12 +156,12 @@ class SimulatedController:
         self.session += 1
         self.statistics.counts["sessions"] += 1
         self.seq = self._used_seq = self._left = 0
-        self._journal.begin()
+        self._event_log.begin()
         self.inbox.begin()
         self._target.begin(self._guidance.q)
         streamed = math.ceil(self._settings.stream / self._settings.period - 1e-9)
         self._guided_since = first_cycle + (0 if self._settings.only_streams else streamed)
-        ready = self._scene.is_ready(first_cycle * self._settings.period)
+        ready = self._surroundings.is_ready(first_cycle * self._settings.period)
         self._enter("guiding" if ready and not streamed and not self._settings.only_streams else "streaming")
 
     def _enter(self, phase: str) -> None:
@@ -185,12 +185,12 @@ class SimulatedController:
             return
         self._guidance.brake()
         begins = self.cycle + 1 >= self._guided_since and not self._settings.only_streams
-        if begins and self._scene.is_ready(self.uptime + self._settings.period):
+        if begins and self._surroundings.is_ready(self.uptime + self._settings.period):
             self._guided_since = self.cycle + 1
             self._enter("guiding")
 
     def _guide(self) -> None:
-        if not self._scene.is_ready(self.uptime):
+        if not self._surroundings.is_ready(self.uptime):
             self._guidance.brake()
             self._enter("streaming")
             return
@@ -267,4 +267,4 @@ class SimulatedController:
         self._enter("paused")
 
     def _event(self, number: int, text: str) -> None:
-        self._journal.tell(self.uptime, number, text)
+        self._event_log.tell(self.uptime, number, text)
