@@ -18,7 +18,7 @@ from armlab import log as logs
 from armlab import models, robots, sim
 from armlab.cli import main
 from armlab.cli.calibrate import calibrate
-from armlab.cli.calibrate.report import judge
+from armlab.cli.calibrate.samples import judge
 from armlab.estimation import Fit
 from armlab.kinematics import forward, inverse
 from armlab.lie import se3, so3

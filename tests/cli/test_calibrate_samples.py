@@ -12,8 +12,7 @@ from scipy.io import savemat
 from armlab import log as logs
 from armlab import models, robots, sim
 from armlab.cli import main
-from armlab.cli.calibrate.report import Wanted
-from armlab.cli.calibrate.samples import Samples, measured_rows, noise_of, read_samples, run_fit, tool_poses
+from armlab.cli.calibrate.samples import Samples, Wanted, measured_rows, noise_of, read_samples, run_fit, tool_poses
 from armlab.errors import ConfigError, LogError
 from armlab.kinematics import forward
 from armlab.lie import quaternion

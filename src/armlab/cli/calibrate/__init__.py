@@ -8,8 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import App, Parameter
 
 from armlab.cli.calibrate.arms import dual_arm, kinematics
-from armlab.cli.calibrate.report import NOTHING, Wanted
-from armlab.cli.calibrate.samples import ArmOfPoses, SampleFile, measured_rows, noise_of, run_fit, tool_poses
+from armlab.cli.calibrate.samples import (
+    NOTHING,
+    ArmOfPoses,
+    SampleFile,
+    Wanted,
+    measured_rows,
+    noise_of,
+    run_fit,
+    tool_poses,
+)
 
 if TYPE_CHECKING:
     import numpy as np

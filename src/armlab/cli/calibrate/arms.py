@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from armlab.cli.calibrate.report import NOTHING, Wanted
-from armlab.cli.calibrate.samples import SampleFile, measured_rows, run_fit
+from armlab.cli.calibrate.samples import NOTHING, SampleFile, Wanted, measured_rows, run_fit
 
 if TYPE_CHECKING:
     import numpy as np
