@@ -14,7 +14,6 @@ from armlab import calibrate, identify, kinematics, log, plots, robots, sim
 from armlab.cli import main
 from armlab.cli.plot import plot
 from armlab.cli.plot.options import (
-    WHOLE,
     FigureFile,
     LogPart,
     poses_in,
@@ -60,14 +59,14 @@ def test_the_file_stands_beside_its_source_and_the_ending_gives_the_format(
 
 def test_part_of_a_log(tmp_path: Path) -> None:
     path = log.write(Table(np.arange(10.0), {"q": np.zeros((10, 2))}), tmp_path / "run.csv")
-    assert len(WHOLE.read(path)) == 10
+    assert len(LogPart().read(path)) == 10
     assert LogPart(2.0, 5.0).read(path).t.tolist() == [2.0, 3.0, 4.0]
     assert len(LogPart(end=5.0).read(path)) == 5
     with pytest.raises(LogError, match=r"from 20 to inf s, got none: it ends at 9\.000 s"):
         LogPart(20.0).read(path)
     nothing = log.write(Table(np.zeros(0), {"q": np.zeros((0, 2))}), tmp_path / "none.csv")
     with pytest.raises(LogError, match=r"Expected rows in .*none\.csv, got a log without any"):
-        WHOLE.read(nothing)
+        LogPart().read(nothing)
 
 
 def test_one_arm_of_a_recording_of_both(tmp_path: Path) -> None:
@@ -78,7 +77,7 @@ def test_one_arm_of_a_recording_of_both(tmp_path: Path) -> None:
     both = log.merge(pieces, tmp_path / "both.mcap")
     assert LogPart(arm="yumi_right").read(both)["q"][0, 0] == 2.0
     with pytest.raises(LogError, match=r"--arm of commands.* which holds yumi_left, yumi_right"):
-        WHOLE.read(both)
+        LogPart().read(both)
 
 
 def test_poses_are_those_of_the_log_or_of_a_robot() -> None:

@@ -9,30 +9,30 @@ from cyclopts import Parameter
 
 from armlab.cli.plot.options import (
     BESIDE,
-    WHOLE,
+    OF_LOG,
+    OF_MODEL,
     Estimate,
     FigureFile,
     FreeMotion,
     Joints,
-    LogPart,
+    LogFigure,
     Model,
-    OwnRobot,
+    ModelFigure,
     PoseColumn,
     PoseRobot,
     Primitive,
     RobotName,
-    estimate,
-    log_of,
+    chosen,
     poses_in,
     torque_model,
 )
 from armlab.cli.support.options import joints_in
 
 if TYPE_CHECKING:
-    from armlab.log import Table
+    pass
 
 
-def table(log: Path, *columns: str, split: bool = False, part: LogPart = WHOLE, picture: FigureFile = BESIDE) -> int:
+def table(log: Path, *columns: str, split: bool = False, figure: LogFigure = OF_LOG) -> int:
     """Draw columns of a log against time; commanded and sent values dashed, times when a limit acted shaded.
 
     Parameters
@@ -44,17 +44,10 @@ def table(log: Path, *columns: str, split: bool = False, part: LogPart = WHOLE, 
     split : bool
         A panel for each joint.
     """
-    return picture.draw(log, "table", lambda plots: plots.table(part.read(log), *columns, split=split))
+    return figure.draw(log, "table", lambda plots: plots.table(figure.read(log), *columns, split=split))
 
 
-def poses(
-    log: Path,
-    *,
-    column: PoseColumn = None,
-    robot: PoseRobot = None,
-    part: LogPart = WHOLE,
-    picture: FigureFile = BESIDE,
-) -> int:
+def poses(log: Path, *, column: PoseColumn = None, robot: PoseRobot = None, figure: LogFigure = OF_LOG) -> int:
     """Draw position and rotation vector of the tool against time.
 
     Parameters
@@ -64,10 +57,10 @@ def poses(
     """
 
     def draw(plots: Any) -> Any:
-        read = part.read(log, robot)
+        read = figure.read(log, robot)
         return plots.poses(poses_in(read, log, column, robot), read.t)
 
-    return picture.draw(log, "poses", draw)
+    return figure.draw(log, "poses", draw)
 
 
 def scene(
@@ -78,8 +71,7 @@ def scene(
     plane: list[Path] | None = None,
     pose: list[Path] | None = None,
     frames: float = 0.0,
-    part: LogPart = WHOLE,
-    picture: FigureFile = BESIDE,
+    figure: LogFigure = OF_LOG,
 ) -> int:
     """Draw paths of the tool, measured points, planes and frames in space.
 
@@ -105,16 +97,16 @@ def scene(
         raise ConfigError("Expected something to draw, got none. Give logs, or --cloud, --plane or --pose with a file.")
 
     def draw(plots: Any) -> Any:
-        items: list[Any] = [poses_in(part.read(log, robot), log, column, robot) for log in logs]
+        items: list[Any] = [poses_in(figure.read(log, robot), log, column, robot) for log in logs]
         items += [nikon.read_cloud(one).p for one in cloud or ()]
         items += [Plane.of(read.normal, read.point) for read in map(nikon.read_plane, plane or ())]
         items += [{one.stem: nikon.read_matrix(one, project=True).T} for one in pose or ()]
         return plots.scene(*items, frames=frames)
 
-    return picture.draw(sources[0], "scene", draw)
+    return figure.draw(sources[0], "scene", draw)
 
 
-def latency(log: Path, *, part: LogPart = WHOLE, picture: FigureFile = BESIDE) -> int:
+def latency(log: Path, *, figure: LogFigure = OF_LOG) -> int:
     """Draw how long the loop took to answer, and how often it was late.
 
     Parameters
@@ -125,49 +117,32 @@ def latency(log: Path, *, part: LogPart = WHOLE, picture: FigureFile = BESIDE) -
     from armlab.errors import LogError, UnknownName
 
     def draw(plots: Any) -> Any:
-        read = part.read(log)
+        read = figure.read(log)
         try:
             return plots.latency(read)
         except UnknownName as error:  # the log lacks a column; the user named none
             raise LogError(str(error)) from error
 
-    return picture.draw(log, "latency", draw)
+    return figure.draw(log, "latency", draw)
 
 
-def torque_fit(
-    model: Model, log: FreeMotion, *, robot: OwnRobot = None, part: LogPart = WHOLE, picture: FigureFile = BESIDE
-) -> int:
+def torque_fit(model: Model, log: FreeMotion, *, figure: ModelFigure = OF_MODEL) -> int:
     """Draw measured and modelled torque of each joint, and the residual with its 2-sigma band."""
-    return picture.draw(log, "torque_fit", lambda plots: plots.torque_fit(*_with_log(model, robot, log, part)))
+    return figure.draw(log, "torque_fit", lambda plots: plots.torque_fit(*figure.with_log(model, log)))
 
 
-def friction(
-    model: Model,
-    log: FreeMotion | None = None,
-    *,
-    robot: OwnRobot = None,
-    part: LogPart = WHOLE,
-    picture: FigureFile = BESIDE,
-) -> int:
+def friction(model: Model, log: FreeMotion | None = None, *, figure: ModelFigure = OF_MODEL) -> int:
     """Draw the friction of each joint against its velocity, with its uncertainty; a log is drawn as points."""
     from armlab.estimation import Fit
 
     def draw(plots: Any) -> Any:
         fit = Fit.load(model, "torque_model")
-        return plots.friction(fit, None if log is None else estimate(fit.value, robot, log, part))
+        return plots.friction(fit, None if log is None else figure.estimate(fit.value, log))
 
-    return picture.draw(model, "friction", draw)
+    return figure.draw(model, "friction", draw)
 
 
-def friction_map(
-    model: Model,
-    log: FreeMotion | None = None,
-    *,
-    joint: int,
-    robot: OwnRobot = None,
-    part: LogPart = WHOLE,
-    picture: FigureFile = BESIDE,
-) -> int:
+def friction_map(model: Model, log: FreeMotion | None = None, *, joint: int, figure: ModelFigure = OF_MODEL) -> int:
     """Draw the friction of one joint over position and velocity; ranges that the log does not cover are hatched.
 
     Parameters
@@ -179,79 +154,55 @@ def friction_map(
     def draw(plots: Any) -> Any:
         known = torque_model(model)
         (number,) = joints_in(str(joint), known.n)
-        return plots.friction_map(known, number, None if log is None else log_of(known, robot, log, part))
+        return plots.friction_map(known, number, None if log is None else figure.log_of(known, log))
 
-    return picture.draw(model, f"friction_map_{joint}", draw)
+    return figure.draw(model, f"friction_map_{joint}", draw)
 
 
-def spectrum(
-    model: Model,
-    log: FreeMotion,
-    *,
-    joints: Joints = None,
-    robot: OwnRobot = None,
-    part: LogPart = WHOLE,
-    picture: FigureFile = BESIDE,
-) -> int:
+def spectrum(model: Model, log: FreeMotion, *, joints: Joints = None, figure: ModelFigure = OF_MODEL) -> int:
     """Draw the spectrum of the torque residual over cycles per turn, without and with the ripple of the model."""
 
     def draw(plots: Any) -> Any:
         known = torque_model(model)
-        drawn = None if joints is None else joints_in(joints, known.n)
-        return plots.spectrum(known, log_of(known, robot, log, part), drawn)
+        drawn = chosen(joints, known.n)
+        return plots.spectrum(known, figure.log_of(known, log), drawn)
 
-    return picture.draw(log, "spectrum", draw)
+    return figure.draw(log, "spectrum", draw)
 
 
-def velocity_covariance(model: Model, *, picture: FigureFile = BESIDE) -> int:
+def velocity_covariance(model: Model, *, figure: FigureFile = BESIDE) -> int:
     """Draw the standard deviation of the torque error of each joint against its velocity."""
-    return picture.draw(model, "velocity_covariance", lambda plots: plots.velocity_covariance(torque_model(model)))
+    return figure.draw(model, "velocity_covariance", lambda plots: plots.velocity_covariance(torque_model(model)))
 
 
-def residual_speed(
-    model: Model,
-    log: FreeMotion,
-    *,
-    joints: Joints = None,
-    robot: OwnRobot = None,
-    part: LogPart = WHOLE,
-    picture: FigureFile = BESIDE,
-) -> int:
+def residual_speed(model: Model, log: FreeMotion, *, joints: Joints = None, figure: ModelFigure = OF_MODEL) -> int:
     """Draw the torque residual against velocity, with the 2-sigma curves of the model."""
 
     def draw(plots: Any) -> Any:
         known = torque_model(model)
-        drawn = None if joints is None else joints_in(joints, known.n)
-        return plots.residual_speed(estimate(known, robot, log, part), {"model": known.covariance}, drawn)
+        drawn = chosen(joints, known.n)
+        return plots.residual_speed(figure.estimate(known, log), {"model": known.covariance}, drawn)
 
-    return picture.draw(log, "residual_speed", draw)
+    return figure.draw(log, "residual_speed", draw)
 
 
-def autocorrelation(
-    model: Model,
-    log: FreeMotion,
-    *,
-    joints: Joints = None,
-    robot: OwnRobot = None,
-    part: LogPart = WHOLE,
-    picture: FigureFile = BESIDE,
-) -> int:
+def autocorrelation(model: Model, log: FreeMotion, *, joints: Joints = None, figure: ModelFigure = OF_MODEL) -> int:
     """Draw the autocorrelation of the torque residual."""
 
     def draw(plots: Any) -> Any:
         known = torque_model(model)
-        drawn = None if joints is None else joints_in(joints, known.n)
-        return plots.autocorrelation(estimate(known, robot, log, part), drawn)
+        drawn = chosen(joints, known.n)
+        return plots.autocorrelation(figure.estimate(known, log), drawn)
 
-    return picture.draw(log, "autocorrelation", draw)
+    return figure.draw(log, "autocorrelation", draw)
 
 
-def wrench(log: Estimate, *, part: LogPart = WHOLE, picture: FigureFile = BESIDE) -> int:
+def wrench(log: Estimate, *, figure: LogFigure = OF_LOG) -> int:
     """Draw the estimated contact wrench with its 2-sigma band; contact is shaded."""
-    return picture.draw(log, "wrench", lambda plots: plots.wrench(part.estimated(log)))
+    return figure.draw(log, "wrench", lambda plots: plots.wrench(figure.estimated(log)))
 
 
-def wrenches(*logs: Path, part: LogPart = WHOLE, picture: FigureFile = BESIDE) -> int:
+def wrenches(*logs: Path, figure: LogFigure = OF_LOG) -> int:
     """Draw the estimated forces of several arms side by side, on one scale.
 
     Parameters
@@ -263,24 +214,17 @@ def wrenches(*logs: Path, part: LogPart = WHOLE, picture: FigureFile = BESIDE) -
 
     if len({log.stem for log in logs}) < max(len(logs), 1):
         raise ConfigError(f"Expected logs of different names, one per arm, got {', '.join(map(str, logs)) or 'none'}.")
-    return picture.draw(
-        logs[0], "wrenches", lambda plots: plots.wrenches({log.stem: part.estimated(log) for log in logs})
+    return figure.draw(
+        logs[0], "wrenches", lambda plots: plots.wrenches({log.stem: figure.estimated(log) for log in logs})
     )
 
 
-def observability(log: Estimate, *, part: LogPart = WHOLE, picture: FigureFile = BESIDE) -> int:
+def observability(log: Estimate, *, figure: LogFigure = OF_LOG) -> int:
     """Draw how well the torques showed each axis of the wrench; times when one is weak are shaded."""
-    return picture.draw(log, "observability", lambda plots: plots.observability(part.estimated(log, "observability")))
+    return figure.draw(log, "observability", lambda plots: plots.observability(figure.estimated(log, "observability")))
 
 
-def coverage(
-    log: Path,
-    *,
-    model: Path | None = None,
-    robot: OwnRobot = None,
-    part: LogPart = WHOLE,
-    picture: FigureFile = BESIDE,
-) -> int:
+def coverage(log: Path, *, model: Path | None = None, figure: ModelFigure = OF_MODEL) -> int:
     """Draw the share of errors inside 2 sigma, by speed: of the wrench against a sensor, of torques with --model.
 
     Parameters
@@ -295,8 +239,8 @@ def coverage(
 
     def draw(plots: Any) -> Any:
         if model is not None:
-            return plots.coverage(predict(*_with_log(model, robot, log, part)))
-        read = part.read(log, robot)
+            return plots.coverage(predict(*figure.with_log(model, log)))
+        read = figure.read(log, figure.robot)
         if not {"wrench", "wrench_true"} & set(read.names):
             raise LogError(
                 f"Expected a force sensor in {log}, column wrench, to compare the estimate with, got none. "
@@ -304,30 +248,23 @@ def coverage(
             )
         return plots.coverage(read)
 
-    return picture.draw(log, "coverage", draw)
+    return figure.draw(log, "coverage", draw)
 
 
 def hypotheses(
-    model: Model,
-    log: Annotated[Path, Parameter(help="Recording with contact.")],
-    *,
-    robot: OwnRobot = None,
-    part: LogPart = WHOLE,
-    picture: FigureFile = BESIDE,
+    model: Model, log: Annotated[Path, Parameter(help="Recording with contact.")], *, figure: ModelFigure = OF_MODEL
 ) -> int:
     """Draw the probability that there is a contact, and where."""
     from armlab import contact
-    from armlab.cli.plot.options import arm_of
 
     def draw(plots: Any) -> Any:
         known = torque_model(model)
-        arm = arm_of(known, robot)
-        return plots.hypotheses(contact.hypotheses(estimate(known, robot, log, part), arm))
+        return plots.hypotheses(contact.hypotheses(figure.estimate(known, log), figure.arm(known)))
 
-    return picture.draw(log, "hypotheses", draw)
+    return figure.draw(log, "hypotheses", draw)
 
 
-def calibration(fit: Path, *, picture: FigureFile = BESIDE) -> int:
+def calibration(fit: Path, *, figure: FigureFile = BESIDE) -> int:
     """Draw the uncertainty of a calibration and the excitation of its samples.
 
     Parameters
@@ -347,10 +284,10 @@ def calibration(fit: Path, *, picture: FigureFile = BESIDE) -> int:
             )
         return plots.calibration(found)
 
-    return picture.draw(fit, "calibration", draw)
+    return figure.draw(fit, "calibration", draw)
 
 
-def excitation(fit: Path, *, picture: FigureFile = BESIDE) -> int:
+def excitation(fit: Path, *, figure: FigureFile = BESIDE) -> int:
     """Draw the singular values of a fit: how well its samples determine the parameters.
 
     Parameters
@@ -360,20 +297,13 @@ def excitation(fit: Path, *, picture: FigureFile = BESIDE) -> int:
     """
     from armlab.estimation import Fit
 
-    return picture.draw(fit, "excitation", lambda plots: plots.excitation(Fit.load(fit).excitation))
+    return figure.draw(fit, "excitation", lambda plots: plots.excitation(Fit.load(fit).excitation))
 
 
 Posture = Annotated[Path | None, Parameter(help="Recording with q.")]
 
 
-def robot(
-    robot: RobotName,
-    log: Posture = None,
-    *,
-    tool_path: bool = False,
-    part: LogPart = WHOLE,
-    picture: FigureFile = BESIDE,
-) -> int:
+def robot(robot: RobotName, log: Posture = None, *, tool_path: bool = False, figure: LogFigure = OF_LOG) -> int:
     """Draw an arm as a stick figure: at home, or through a log, its end in full.
 
     Parameters
@@ -383,18 +313,18 @@ def robot(
     """
     from armlab import robots
 
-    return picture.draw(
+    return figure.draw(
         log or robot,
         "robot",
-        lambda plots: plots.robot(robots.load(robot), part.positions(log, robot), path=tool_path),
+        lambda plots: plots.robot(robots.load(robot), figure.positions(log, robot), path=tool_path),
     )
 
 
-def workspace(robot: RobotName, *, picture: FigureFile = BESIDE) -> int:
+def workspace(robot: RobotName, *, figure: FigureFile = BESIDE) -> int:
     """Draw where the tool of an arm can be: from the side, from above, in space."""
     from armlab import robots
 
-    return picture.draw(robot, "workspace", lambda plots: plots.workspace(robots.load(robot)))
+    return figure.draw(robot, "workspace", lambda plots: plots.workspace(robots.load(robot)))
 
 
 def manipulability(
@@ -402,8 +332,7 @@ def manipulability(
     log: Posture = None,
     *,
     of: Literal["position", "rotation"] = "position",
-    part: LogPart = WHOLE,
-    picture: FigureFile = BESIDE,
+    figure: LogFigure = OF_LOG,
 ) -> int:
     """Draw how fast the tool can move in which direction: at home, or at up to eight places of a log.
 
@@ -414,10 +343,10 @@ def manipulability(
     """
     from armlab import robots
 
-    return picture.draw(
+    return figure.draw(
         log or robot,
         "manipulability",
-        lambda plots: plots.manipulability(robots.load(robot), part.positions(log, robot), of),
+        lambda plots: plots.manipulability(robots.load(robot), figure.positions(log, robot), of),
     )
 
 
@@ -426,7 +355,7 @@ def dmp(
     *demos: Path,
     column: Annotated[str | None, Parameter(help="Column of those logs; default: q, for poses T_base_tool.")] = None,
     robot: PoseRobot = None,
-    picture: FigureFile = BESIDE,
+    figure: FigureFile = BESIDE,
 ) -> int:
     """Draw a movement primitive of any kind against time, with its demonstrations.
 
@@ -458,14 +387,14 @@ def dmp(
         figures = {PoseDmp: plots.pose_dmp, PeriodicDmp: plots.periodic_dmp, Dmp: plots.dmp}
         return figures[type(motion)](motion, shown[0] if shown else None)
 
-    return picture.draw(primitive, "dmp", draw)
+    return figure.draw(primitive, "dmp", draw)
 
 
-def dmp_phase(primitive: Primitive, *, picture: FigureFile = BESIDE) -> int:
+def dmp_phase(primitive: Primitive, *, figure: FigureFile = BESIDE) -> int:
     """Draw the phase plane of a movement primitive of joints: velocity against position."""
     from armlab.motion import Dmp
 
-    return picture.draw(primitive, "dmp_phase", lambda plots: plots.dmp_phase(Dmp.load(primitive)))
+    return figure.draw(primitive, "dmp_phase", lambda plots: plots.dmp_phase(Dmp.load(primitive)))
 
 
 def two_dof(
@@ -476,7 +405,7 @@ def two_dof(
     joints: Joints = None,
     duration: float | None = None,
     goal: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
-    picture: FigureFile = BESIDE,
+    figure: FigureFile = BESIDE,
 ) -> int:
     """Draw how a movement primitive waited for an arm that was held: arm, path, undisturbed motion, error.
 
@@ -510,12 +439,6 @@ def two_dof(
             raise ConfigError(f"Expected --disturbed as START,END, got {' '.join(disturbed or ())}.")
         held = [(float(span[0]), float(span[1])) for span in spans if span is not None]
         run = law.recorded(read, held, duration=duration, g=numbers_in(goal, "goal"))
-        return plots.two_dof(run, None if joints is None else joints_in(joints, run.yc.shape[1]))
+        return plots.two_dof(run, chosen(joints, run.yc.shape[1]))
 
-    return picture.draw(log, "two_dof", draw)
-
-
-def _with_log(model: Path, robot: str | None, log: Path, part: LogPart) -> tuple[Any, Table]:
-    """Return the torque model of a file, and that part of a log."""
-    known = torque_model(model)
-    return known, log_of(known, robot, log, part)
+    return figure.draw(log, "two_dof", draw)

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from armlab.cli.support.options import joints_in
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -28,7 +30,6 @@ PoseRobot = Annotated[str | None, Parameter(help="Name in the library or robot f
 PoseColumn = Annotated[str | None, Parameter(help="Column of poses; default: T_base_tool or T_frame_tool.")]
 Primitive = Annotated[Path, Parameter(help="File of `armlab dmp fit`.")]
 Joints = Annotated[str | None, Parameter(help="Numbers from 1 with commas between; default: all.")]
-OwnRobot = Annotated[str | None, Parameter(help="Robot file, where the robot of the model is not in the library.")]
 
 
 @Parameter(name="*")
@@ -128,8 +129,50 @@ class LogPart:
         return q[np.isfinite(q).all(axis=1)]
 
 
-WHOLE = LogPart()
+@Parameter(name="*")
+@dataclass(frozen=True)
+class LogFigure(LogPart, FigureFile):
+    """A figure of a part of a log."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ModelFigure(LogFigure):
+    """A figure of a torque model, and of a part of a log."""
+
+    robot: Annotated[str | None, Parameter(help="Robot file, where the robot of the model is not in the library.")] = (
+        None
+    )
+
+    def arm(self, model: TorqueModel) -> Robot:
+        """Return the robot of a model."""
+        from armlab import robots
+
+        arm = robots.load(model.robot_name if self.robot is None else self.robot)
+        model.check_robot(arm)
+        return arm
+
+    def log_of(self, model: TorqueModel, log: Path) -> Table:
+        """Return that part of a log, the joints of another program's in the order of the model's robot."""
+        if self.robot is not None:
+            self.arm(model)  # refuses another
+        return self.read(log, self.robot or model.robot_name)
+
+    def estimate(self, model: TorqueModel, log: Path) -> Table:
+        """Return that part of a log with the columns of the contact estimator."""
+        from armlab.contact import Estimator
+
+        return Estimator(model, self.arm(model)).run(self.log_of(model, log))
+
+    def with_log(self, model: Path, log: Path) -> tuple[TorqueModel, Table]:
+        """Return the torque model of a file, and that part of a log."""
+        known = torque_model(model)
+        return known, self.log_of(known, log)
+
+
 BESIDE = FigureFile()
+OF_LOG = LogFigure()
+OF_MODEL = ModelFigure()
 
 
 def torque_model(path: Path) -> TorqueModel:
@@ -139,27 +182,9 @@ def torque_model(path: Path) -> TorqueModel:
     return models.load(path, "torque_model")
 
 
-def arm_of(model: TorqueModel, robot: str | None) -> Robot:
-    """Return the robot of a model."""
-    from armlab import robots
-
-    arm = robots.load(model.robot_name if robot is None else robot)
-    model.check_robot(arm)
-    return arm
-
-
-def log_of(model: TorqueModel, robot: str | None, log: Path, part: LogPart) -> Table:
-    """Return that part of a log, the joints of another program's in the order of the model's robot."""
-    if robot is not None:
-        arm_of(model, robot)  # refuses another
-    return part.read(log, robot or model.robot_name)
-
-
-def estimate(model: TorqueModel, robot: str | None, log: Path, part: LogPart) -> Table:
-    """Return that part of a log with the columns of the contact estimator."""
-    from armlab.contact import Estimator
-
-    return Estimator(model, arm_of(model, robot)).run(log_of(model, robot, log, part))
+def chosen(joints: str | None, n: int) -> list[int] | None:
+    """Return the joints to draw, numbers from 0; None for all."""
+    return None if joints is None else joints_in(joints, n)
 
 
 def poses_in(table: Table, path: Path, column: str | None, robot: str | None) -> np.ndarray:
