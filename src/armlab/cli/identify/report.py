@@ -318,13 +318,13 @@ def _of_the_torque(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list
         (
             "Torque ripple",
             "Amplitude of the torque residual over cycles per turn",
-            "Peaks that stand still over position are ripple of gears and motors; the dotted ones are in the model.",
+            "Peaks fixed in position are ripple of gears and motors; the dotted ones are in the model.",
             lambda: plots.spectrum(model, log),
         ),
         (
-            "How long the residual remembers",
+            "Residual autocorrelation",
             "Autocorrelation of the residuals over the lag",
-            "Coloured residuals make formal deviations too small; those of this report come from blocks.",
+            "Correlated residuals make formal deviations too small; those of this report come from a block bootstrap.",
             lambda: plots.autocorrelation(estimate),
         ),
     ]
