@@ -51,6 +51,15 @@ def holding_peer() -> Iterator[int]:
     server.close()
 
 
+@pytest.fixture
+def silent() -> Iterator[socket.socket]:
+    """A port that takes packets and answers none."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        one.bind(("127.0.0.1", 0))
+        one.settimeout(30)
+        yield one
+
+
 def arguments(port: int, *more: str) -> list[str]:
     return ["sim", "yumi_right", "--to", f"127.0.0.1:{port}", "--lockstep", "--seconds", "0.5", "--extension", *more]
 
@@ -82,13 +91,11 @@ def test_the_option_names_of_the_bridge_work(holding_peer: int) -> None:
     assert cli.main(arguments(holding_peer, *more, "--program", "once")) == 0
 
 
-def test_two_robots_of_one_name_are_both_counted(tmp_path: Path) -> None:
+def test_two_robots_of_one_name_are_both_counted(tmp_path: Path, silent: socket.socket) -> None:
     stats = tmp_path / "stats.json"
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
-        silent.bind(("127.0.0.1", 0))
-        address = f"127.0.0.1:{silent.getsockname()[1]}"
-        words = ["sim", "yumi_left", "yumi_left", "--to", f"{address},{address}", "--seconds", "0.05"]
-        assert cli.main([*words, "--stats", str(stats)]) == 0
+    address = f"127.0.0.1:{silent.getsockname()[1]}"
+    words = ["sim", "yumi_left", "yumi_left", "--to", f"{address},{address}", "--seconds", "0.05"]
+    assert cli.main([*words, "--stats", str(stats)]) == 0
     assert list(json.loads(stats.read_text(encoding="utf-8"))) == ["yumi_left 1", "yumi_left 2"]
 
 
@@ -126,66 +133,54 @@ def test_abb_defaults_do_not_replace_what_was_given(holding_peer: int, monkeypat
         (["--axes", "6", "--program", "lead-through", "--rapid", "undefined"], "6.10", 6),
     ],
 )
-def test_flavours_from_the_command(options: list[str], robotware: str, n: int) -> None:
+def test_flavours_from_the_command(options: list[str], robotware: str, n: int, silent: socket.socket) -> None:
     """One packet in real time is enough: what the codec says of it."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
-        server.bind(("127.0.0.1", 0))
-        to = f"127.0.0.1:{server.getsockname()[1]}"
-        assert cli.main(["sim", "--to", to, "--seconds", "0.05", *options]) == 0
-        robot = scara() if n == 4 else robots.load("irb1200" if n == 6 else "yumi_right")
-        packet = EgmCodec(robot).decode(server.recv(65535))
+    to = f"127.0.0.1:{silent.getsockname()[1]}"
+    assert cli.main(["sim", "--to", to, "--seconds", "0.05", *options]) == 0
+    robot = scara() if n == 4 else robots.load("irb1200" if n == 6 else "yumi_right")
+    packet = EgmCodec(robot).decode(silent.recv(65535))
     assert isinstance(packet, Packet)
     assert (packet.robotware, len(packet.q)) == (robotware, n)
 
 
-def test_events_as_json(capsys: pytest.CaptureFixture[str]) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
-        silent.bind(("127.0.0.1", 0))
-        to = f"127.0.0.1:{silent.getsockname()[1]}"
-        words = ["sim", "ur5e", "--to", to, "--seconds", "0.3", "--comm-timeout", "0.1", "--json"]
-        assert cli.main(words) == 0
+def test_events_as_json(capsys: pytest.CaptureFixture[str], silent: socket.socket) -> None:
+    to = f"127.0.0.1:{silent.getsockname()[1]}"
+    words = ["sim", "ur5e", "--to", to, "--seconds", "0.3", "--comm-timeout", "0.1", "--json"]
+    assert cli.main(words) == 0
     event = json.loads(capsys.readouterr().err.splitlines()[0])
     assert (event["number"], event["task"]) == (41822, "ur5e")
 
 
-def test_a_simulator_ends_with_the_process_that_started_it() -> None:
+def test_a_simulator_ends_with_the_process_that_started_it(silent: socket.socket) -> None:
     """The child keeps the pipe open as long as it lives: reading to its end returns only because it ended."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
-        silent.bind(("127.0.0.1", 0))
-        words = [sys.executable, "-m", "armlab", *arguments(silent.getsockname()[1])]
-        code = f"import subprocess, sys; subprocess.Popen({words!r}); sys.stdin.readline()"
-        with subprocess.Popen(
-            [sys.executable, "-c", code], stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        ) as parent:
-            silent.settimeout(30)
-            silent.recvfrom(65535)  # the simulator runs and waits for a reply
-            _, said = parent.communicate("\n", timeout=30)
+    words = [sys.executable, "-m", "armlab", *arguments(silent.getsockname()[1])]
+    code = f"import subprocess, sys; subprocess.Popen({words!r}); sys.stdin.readline()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as parent:
+        silent.recvfrom(65535)  # the simulator runs and waits for a reply
+        _, said = parent.communicate("\n", timeout=30)
     assert "the process that started the simulator has ended" in said
 
 
-def test_a_simulator_whose_parent_is_gone_before_it_looks_ends() -> None:
+def test_a_simulator_whose_parent_is_gone_before_it_looks_ends(silent: socket.socket) -> None:
     """The bridge tells its number: whoever adopted the simulator meanwhile is not taken for it."""
     with subprocess.Popen([sys.executable, "-c", ""]) as gone:
         gone.wait()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
-        silent.bind(("127.0.0.1", 0))
-        words = arguments(silent.getsockname()[1], "--parent", str(gone.pid))
-        assert cli.main(words) == 0
-        silent.settimeout(0.05)
-        with pytest.raises(TimeoutError):
-            silent.recvfrom(65535)
+    words = arguments(silent.getsockname()[1], "--parent", str(gone.pid))
+    assert cli.main(words) == 0
+    silent.settimeout(0.05)
+    with pytest.raises(TimeoutError):
+        silent.recvfrom(65535)
 
 
-def test_sim_ends_cleanly_when_terminated(tmp_path: Path) -> None:
+def test_sim_ends_cleanly_when_terminated(tmp_path: Path, silent: socket.socket) -> None:
     stats = tmp_path / "stats.json"
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
-        silent.bind(("127.0.0.1", 0))
-        words = arguments(silent.getsockname()[1], "--stats", str(stats))
-        with subprocess.Popen([sys.executable, "-m", "armlab", *words], stderr=subprocess.PIPE, text=True) as process:
-            silent.settimeout(30)
-            silent.recvfrom(65535)
-            process.terminate()
-            _, said = process.communicate(timeout=30)
+    words = arguments(silent.getsockname()[1], "--stats", str(stats))
+    with subprocess.Popen([sys.executable, "-m", "armlab", *words], stderr=subprocess.PIPE, text=True) as process:
+        silent.recvfrom(65535)
+        process.terminate()
+        _, said = process.communicate(timeout=30)
     assert process.returncode == cli.INTERRUPTED
     assert "interrupted" in said
     assert "Traceback" not in said
