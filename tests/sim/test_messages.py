@@ -182,6 +182,21 @@ def test_first_in_first_out_of_64_with_ages() -> None:
     assert box.take(11) is None
 
 
+def test_a_queue_that_is_never_empty_is_reported_after_a_second() -> None:
+    """A client that was stalled for 44 cycles and answered all packets then lags by 44 cycles from then on."""
+    box, _ = inbox()
+    sentences = []
+    for cycle in range(600):
+        for _ in range(45 if cycle == 0 else 1):
+            box.put(SensorMessage(cycle, None, 3), None)
+        box.take(cycle)
+        sentences.append(box.standing())
+    assert [cycle for cycle, text in enumerate(sentences) if text] == [248]
+    assert "44 messages have waited" in sentences[248]
+    box.begin()
+    assert not any(box.standing() for _ in range(600)), "a new session has an empty queue"
+
+
 @pytest.mark.parametrize(("mode", "reason"), [("joint", None), ("pose", "no pose"), ("path", "no path correction")])
 def test_messages_must_hold_what_the_mode_needs(mode: str, reason: str | None) -> None:
     box, statistics = inbox(mode=mode)

@@ -259,7 +259,7 @@ def hypotheses(
 
     def draw(plots: Any) -> Any:
         known = torque_model(model)
-        return plots.hypotheses(contact.hypotheses(figure.estimate(known, log), figure.arm(known)))
+        return plots.hypotheses(contact.hypotheses(figure.estimate(known, log), figure.robot_of(known)))
 
     return figure.draw(log, "hypotheses", draw)
 

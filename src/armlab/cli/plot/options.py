@@ -144,7 +144,7 @@ class ModelFigure(LogFigure):
         None
     )
 
-    def arm(self, model: TorqueModel) -> Robot:
+    def robot_of(self, model: TorqueModel) -> Robot:
         """Return the robot of a model."""
         from armlab import robots
 
@@ -155,14 +155,14 @@ class ModelFigure(LogFigure):
     def log_of(self, model: TorqueModel, log: Path) -> Table:
         """Return that part of a log, the joints of another program's in the order of the model's robot."""
         if self.robot is not None:
-            self.arm(model)  # refuses another
+            self.robot_of(model)  # refuses another
         return self.read(log, self.robot or model.robot_name)
 
     def estimate(self, model: TorqueModel, log: Path) -> Table:
         """Return that part of a log with the columns of the contact estimator."""
         from armlab.contact import Estimator
 
-        return Estimator(model, self.arm(model)).run(self.log_of(model, log))
+        return Estimator(model, self.robot_of(model)).run(self.log_of(model, log))
 
     def with_log(self, model: Path, log: Path) -> tuple[TorqueModel, Table]:
         """Return the torque model of a file, and that part of a log."""
