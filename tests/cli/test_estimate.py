@@ -249,7 +249,7 @@ def with_limits(table: Table) -> Table:
         ("bad", "f_z (50 % of the time)", hidden),
         ("ahead", "--point", hidden),
         ("ahead", "Sway", lambda t: hidden(t).with_column("qd", 0.0 * t["qd"])),
-        ("bad", "outside the trained positions: joint 4 (100 %)", lambda t: moved(t, "q", 3)),
+        ("bad", "joint 4 (100 %)", lambda t: moved(t, "q", 3)),
         ("bad", "speeds that were not trained", lambda t: moved(t, "qd", 0)),
     ],
 )

@@ -185,6 +185,18 @@ def test_show_of_other_formats(path: Path, tmp_path: Path, capsys: pytest.Captur
     assert capsys.readouterr().out == "This log has no parameters.\n"
 
 
+def test_of_a_recording_without_rows_the_first_events_are_shown(tmp_path: Path, capsys) -> None:
+    with Recorder(tmp_path / "run.mcap", robots.load("yumi_right")) as recorder:
+        for i in range(30):
+            recorder.event(f"event {i}", 10**18)
+    assert cli.main(["log", "show", str(recorder.path)]) == 0
+    text = capsys.readouterr().out
+    assert "began -" in text
+    assert "event 18" in text
+    assert "event 19" not in text
+    assert text.rstrip().endswith("and 11 more (--json shows all)")
+
+
 def test_cut_and_merge(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table = read(path)
     first, rest, whole = (str(tmp_path / name) for name in ("first.mcap", "rest.mcap", "whole.mcap"))
