@@ -16,7 +16,7 @@ from blocks import Contender, Table, agree, loop, table
 
 from armlab.calibrate import fit_hand_eye, fit_hand_eye_points
 from armlab.lie import se3, so3
-from armlab.sim.experiments.hand_eye import MARKER
+from armlab.sim.experiments.sensors import MARKER
 
 BAR, BAR_MANY, BAR_ROBUST = 1.0e-3, 20.0e-3, 6.0e-3  # s
 BOTH = {"SHAH": cv2.CALIB_ROBOT_WORLD_HAND_EYE_SHAH, "LI": cv2.CALIB_ROBOT_WORLD_HAND_EYE_LI}

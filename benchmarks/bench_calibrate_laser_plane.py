@@ -20,7 +20,7 @@ from armlab.errors import ArmlabError
 from armlab.estimation import Contract, Experiment, Fit, check_estimator
 from armlab.lie import se3, so3
 from armlab.sim import cell
-from armlab.sim.experiments.tool_sensors import ANGLE, SIGMA, scanned, turns
+from armlab.sim.experiments.sensors import ANGLE, SIGMA, scanned, turns
 
 BAR, WRONG = 1.05, 3
 SEEDS = (4000, 4700)

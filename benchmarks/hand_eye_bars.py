@@ -25,7 +25,7 @@ from armlab.calibrate.hand_eye_points import PointModel, Points, marked_start
 from armlab.estimation import Measurement
 from armlab.lie import so3
 from armlab.sim import cell
-from armlab.sim.experiments.hand_eye import CAMERA, MARKER, Poses
+from armlab.sim.experiments.sensors import CAMERA, MARKER, Poses
 
 ROBOTS = ((0.2e-3, np.radians(0.03)), (0.5e-3, np.radians(0.05)))
 TILT = np.radians(30.0)

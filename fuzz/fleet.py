@@ -23,8 +23,8 @@ from armlab.bridge.servers.zenoh.rows import Gaps, Inbox, checksum
 from armlab.errors import ArmlabError, LinkError
 from armlab.fleet.discovery import _Seen
 from armlab.fleet.recorder import RobotRecord
-from armlab.live import Running, SeenRobot
-from armlab.live.fleet_view import _words
+from armlab.live.fleet_view import SeenRobot, _words
+from armlab.live.live_bridge import Running
 from armlab.log import Tick
 from armlab.robots import Robot, to_toml
 from armlab.state import State

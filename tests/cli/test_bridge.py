@@ -21,23 +21,19 @@ from rich.console import Console
 
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.servers.hub import OPERATOR, Hub
-from armlab.bridge.servers.local import LocalFeed, LocalServer, socket_path
+from armlab.bridge.servers.hub import OPERATOR, Exchange
+from armlab.bridge.servers.local import LocalFeed, socket_path
+from armlab.bridge.servers.local_server import LocalServer
 from armlab.bridge.servers.messages import Subscribe, parameter_message
 from armlab.bridge.servers.row import RowSchema, RowWriter, read_row
-from armlab.bridge.servers.status import Watch
+from armlab.bridge.servers.watch import Watch
 from armlab.cli import main
 from armlab.cli.bridge import (
-    bridge,
-    certificates,
-    release,
-    resume,
-    set_parameters,
-    start,
-    stop,
+    USERS,
+    monitor,
+    table,
     write_certificates,
 )
-from armlab.cli.monitor import monitor, table
 from armlab.errors import ConfigError
 from armlab.log import Tick
 from armlab.state import State
@@ -51,11 +47,11 @@ link = "sim://yumi_left"
 
 
 @pytest.fixture
-def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
+def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Exchange]:
     """An exchange whose requests another thread takes, as when no packet of a robot comes."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     declared = [Parameter("gain", 2.0, unit="N/m", minimum=0.0, text="Stiffness."), Parameter("word", "a", "text")]
-    exchange = Hub([robots.load("yumi_left")], [OPERATOR], Parameters(declared))
+    exchange = Exchange([robots.load("yumi_left")], [OPERATOR], Parameters(declared))
     far = exchange.open(OPERATOR)
     server = threading.Thread(target=LocalServer(far, socket_path("small")).run, daemon=True)
     over = threading.Event()
@@ -76,7 +72,7 @@ def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
     far.close()
 
 
-def test_set(running: Hub, capsys: Any) -> None:
+def test_set(running: Exchange, capsys: Any) -> None:
     assert main(["bridge", "set", "gain=3.5", "word=hello"]) == 0
     shown = capsys.readouterr().out
     assert re.search(r"gain +3.5 +N/m +Stiffness. +local \d", shown)
@@ -86,7 +82,7 @@ def test_set(running: Hub, capsys: Any) -> None:
 
 
 @pytest.mark.parametrize("word", ["007", "_", "2024_", "x y", "0x", "1.2.3"])
-def test_words_that_are_no_toml_are_texts(running: Hub, word: str) -> None:
+def test_words_that_are_no_toml_are_texts(running: Exchange, word: str) -> None:
     assert main(["bridge", "set", f"word={word}"]) == 0
     assert running.parameters.word == word
 
@@ -101,13 +97,13 @@ def test_words_that_are_no_toml_are_texts(running: Hub, word: str) -> None:
         (["word=99999999999999999999"], 2, "an integer of 64 bits"),
     ],
 )
-def test_refused(running: Hub, capsys: Any, words: list[str], code: int, said: str) -> None:
+def test_refused(running: Exchange, capsys: Any, words: list[str], code: int, said: str) -> None:
     assert main(["bridge", "set", *words]) == code
     assert said in capsys.readouterr().err
     assert running.parameters.gain == 2.0
 
 
-def test_stop_release_and_resume(running: Hub, capsys: Any) -> None:
+def test_stop_release_and_resume(running: Exchange, capsys: Any) -> None:
     assert main(["bridge", "stop"]) == 0
     assert running.arbiter.stopped.startswith("local ")
     assert main(["bridge", "release"]) == 0
@@ -123,7 +119,7 @@ def test_nothing_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: A
         assert "found none" in capsys.readouterr().err
 
 
-def test_others_may_set_parameters_meanwhile(running: Hub, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_others_may_set_parameters_meanwhile(running: Exchange, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     """What is shown is what this program set, not the first echo that comes."""
     taken = running._take
 
@@ -140,7 +136,7 @@ def test_others_may_set_parameters_meanwhile(running: Hub, monkeypatch: pytest.M
     assert re.search(r"gain +3.5", capsys.readouterr().out)
 
 
-def test_a_request_without_an_answer(running: Hub, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_a_request_without_an_answer(running: Exchange, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     """Events and reports go on: it must not wait for ever."""
     monkeypatch.setattr(running, "answer", lambda client, text: None)
     monkeypatch.setattr("armlab.cli.bridge._PATIENCE", 0.05)
@@ -149,20 +145,6 @@ def test_a_request_without_an_answer(running: Hub, monkeypatch: pytest.MonkeyPat
     assert main(["bridge", "resume"]) == 1
     assert "to answer within 0.05 s" in capsys.readouterr().err
     noise.join()
-
-
-def test_wrong_cells(tmp_path: Path, capsys: Any) -> None:
-    path = tmp_path / "cell.toml"
-    assert main(["bridge", "--config", str(path)]) == 2
-    assert "cannot be read" in capsys.readouterr().err
-    path.write_text("robots = 3")
-    assert main(["bridge", "--config", str(path)]) == 2
-    assert f"{path}: Expected `array`, got `int` - at `$.robots`." in capsys.readouterr().err
-
-
-def test_the_functions_are_the_commands() -> None:
-    assert bridge.name == ("bridge",)
-    assert all(callable(one) for one in (start, stop, set_parameters, release, resume, certificates))
 
 
 def test_the_report_comes_also_with_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
@@ -220,7 +202,7 @@ def test_certificates_are_of_the_lab_s_authority(tmp_path: Path, capsys: pytest.
     ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(folder / "bridge.pem", folder / "bridge.key")
     assert {path.stat().st_mode & 0o077 for path in folder.iterdir()} == {0}
     users = (folder / "users.txt").read_text().splitlines()
-    assert [line.partition(":")[0] for line in users] == ["commander", "bridge", "viewer"]
+    assert [line.partition(":")[0] for line in users] == ["commander", "bridge", "viewer"] == list(USERS)
     assert (folder / "commander.secret").read_text().strip() == users[0]
     assert len({line.partition(":")[2] for line in users}) == 3
 
@@ -280,16 +262,10 @@ def test_the_table() -> None:
         assert word in text
 
 
-@pytest.mark.parametrize("seconds", ["-1", "nan"])
-def test_a_time_that_is_none(capsys: Any, seconds: str) -> None:
-    assert main(["monitor", "--seconds", seconds]) == 2
-    assert "seconds of at least 0" in capsys.readouterr().err
-
-
 def test_plain_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     """Without a terminal: a line per arm and second, and the events."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    exchange = Hub([LEFT], [OPERATOR])
+    exchange = Exchange([LEFT], [OPERATOR])
     far = exchange.open(OPERATOR)
     server = threading.Thread(target=LocalServer(far, socket_path("small")).run, daemon=True)
     server.start()
@@ -317,8 +293,3 @@ def test_plain_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: An
     assert callable(monitor)
     assert main(["monitor"]) == 1
     assert "found none" in capsys.readouterr().err
-
-
-def test_a_bridge_elsewhere(capsys: Any) -> None:
-    assert main(["monitor", "--zenoh", "http://host"]) != 0
-    assert "zenoh://192.168.1.5:7447/lab1" in capsys.readouterr().err

@@ -12,8 +12,7 @@ from scipy.io import savemat
 from armlab import log as logs
 from armlab import models, robots, sim
 from armlab.cli import main
-from armlab.cli.calibrate.report import Wanted
-from armlab.cli.calibrate.samples import Samples, measured_rows, noise_of, read_samples, run_fit, tool_poses
+from armlab.cli.calibrate.samples import Samples, Wanted, measured_rows, noise_of, read_samples, run_fit, tool_poses
 from armlab.errors import ConfigError, LogError
 from armlab.kinematics import forward
 from armlab.lie import quaternion
@@ -124,22 +123,6 @@ def test_files_of_something_else_are_refused_by_a_sentence(content: bytes, endin
     path.write_bytes(content)
     with pytest.raises(LogError, match="Expected"):
         read_samples(path)
-
-
-def test_missing_poses_stay_missing(T: np.ndarray) -> None:
-    holes = T.copy()
-    holes[[1, 4]] = np.nan
-    found = Samples(Path("x"), {"pose": holes}, "").poses("pose")
-    np.testing.assert_array_equal(found, holes)
-
-
-def test_a_row_without_a_quaternion_and_a_position_is_no_pose(T: np.ndarray, tmp_path: Path) -> None:
-    columns = as_quaternions("pose", T)
-    for values in columns.values():
-        values[2] = np.nan
-    found = read_samples(written(tmp_path / "a.csv", columns)).poses("pose")
-    assert np.isnan(found[2]).all()
-    np.testing.assert_allclose(np.delete(found, 2, axis=0), np.delete(T, 2, axis=0), atol=1e-12)
 
 
 def test_semicolons_and_tabs_are_seen(T: np.ndarray, tmp_path: Path) -> None:

@@ -51,13 +51,3 @@ def test_json_holds_the_same(capsys: pytest.CaptureFixture[str]) -> None:
     assert found["cell.robots[0].link"] == ("sim://yumi_left", "cell.toml")
     assert main(["config", "show"]) == 0
     assert "speed                     1.0\n" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("text", ["[[robots]]\nname = 3\n", "speed = 1", "[["])
-def test_a_wrong_cell_is_wrong_use(text: str, capsys: pytest.CaptureFixture[str]) -> None:
-    Path("cell.toml").write_text(text)
-    assert main(["config", "show", "--config", "cell.toml"]) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert "cell.toml" in told.err
-    assert told.err.count("\n") == 1

@@ -102,6 +102,119 @@ NUMBERS = {
     "dmp fit good.csv -o new.toml": "start basis kind schedule",
     "estimate yumi_left good.csv --model m.toml": "prior-force method",
 }
+REFUSED = """
+sim yumi_rihgt --to 127.0.0.1:9 | yumi_right
+sim yumi_right --to 127.0.0.1 | HOST:PORT
+sim yumi_right --to 127.0.0.1:99999 | 65535
+sim yumi_right --to 127.0.0.1:9,127.0.0.1:8 | got 1 and 2
+sim --to 127.0.0.1:9 | got 0 and 1
+sim yumi_right --to 127.0.0.1:9 --period 9 | period
+sim yumi_right --to 127.0.0.1:9 --loss 2 | loss
+sim yumi_right --to 127.0.0.1:9 --delay 5 | two numbers
+sim yumi_right --to 127.0.0.1:9 --delay a,b | --delay
+sim yumi_right --to 127.0.0.1:9 --outgoing.loss 2 | loss
+sim yumi_right --to 127.0.0.1:9 --axes 6 | got both
+sim yumi_right --to 127.0.0.1:9 --robotware 5 | 6.06
+sim yumi_right --to 127.0.0.1:9 --fields tim | planned
+sim yumi_right --to 127.0.0.1:9 --motors 0:onn | onn
+sim yumi_right --to 127.0.0.1:9 --external 9 | external
+sim yumi_right --to 127.0.0.1:9 --hand missing.csv | missing.csv
+sim yumi_right --to 127.0.0.1:9 --mismatch.mass 2 | mismatch mass
+sim yumi_right --to 127.0.0.1:9 --seed 1,2 | --seed
+sim yumi_right --to 127.0.0.1:9 --seed 99999999999999999999 | --seed
+sim yumi_right --to 127.0.0.1:9 --operator missing.csv | missing.csv
+sim yumi_right yumi_left --to 127.0.0.1:9,127.0.0.1:8 --truth new.csv | one robot together with --truth
+record -o run.mcap | Expected the name of a robot, got none
+record yumi_left yumi_right --port 6511 -o run.mcap | one port per robot
+record yumi_left --port egm -o run.mcap | such as --port 6511
+record yumi_left -o run.csv | .mcap
+record yumi_left -o good.mcap | exists
+record yumi_lefft -o run.mcap | Did you mean
+run yumi_left --log a --no-log | either --log or --no-log
+run yumi_left --log nowhere/a | folder that exists
+run yumi_left --speed 2 | speed in (0, 1]
+run yumi_left --link http://x | Expected a link
+run yumi_left --link sim://yumi_right | Expected a link to yumi_left, got sim://yumi_right, another arm
+run yumi_left --link sim://yumi_left+yumi_right | one url per robot
+doctor --port egm | such as --port
+doctor yumi | Did you mean
+excite yumi_left | got neither
+excite yumi_left -o motion.txt | .csv
+excite yumi_left -o motion.csv --seconds 3 | at least 10 seconds
+excite yumi_left -o motion.csv --speed 2 | speed share
+excite yumi_left --run yumi_left | Expected a link
+excite yumi_left --run sim://yumi_right | got sim://yumi_right, another arm
+view --live yumi_left yumi_right | Expected one arm with --live, got yumi_left, yumi_right
+view --live --model none.toml | Expected a model file at none.toml
+view --live --robot yumi_left | a bridge tells its robots
+view | Expected at least one log to show, got none
+view --cell yumi run.mcap | Expected --cell yumi together with --live
+view --zenoh zenoh://host/lab1 run.mcap | Expected --zenoh zenoh://host/lab1 together with --live
+view --live --zenoh http://host | Expected a place like zenoh://
+view --live --zenoh zenoh://host --cell a | Expected --cell of this computer or --zenoh
+view --fleet run.mcap | Expected at most --zenoh and --port with --fleet
+view --fleet --zenoh host:7447 | Expected a place like zenoh://
+view --live --port 99999 | Expected a port from 0 to 65535
+demo --fast --robot irb2400 | yumi_left, yumi_right
+sim yumi_right --to 127.0.0.1:9 --rapid-data 1 | --rapid-data from 0 to 40
+sim yumi_right --to 127.0.0.1:9 --robotware 7 --rapid-data 41 | --rapid-data from 0 to 40
+sim yumi_right --to 127.0.0.1:9 --grip soon | --grip
+monitor --zenoh http://host | zenoh://192.168.1.5:7447/lab1
+completion cmd | bash
+demo --fast -o folder | new folder
+fleet list --router nowhere:port | Expected a place like zenoh://
+fleet list --lab * | Expected a place like zenoh://
+fleet list --ca none.pem | Expected the file none.pem
+fleet record -o text | Expected a folder for the recordings, got the file text
+fleet router --port 70000 | Expected a port from 0 to 65535
+fleet router --listen 0.0.0.0 | Expected certificates and users
+log export good.mcap run.xls | ends in .mcap or .csv or .mat
+log export good.mcap good.csv | good.csv, which exists
+log export good.mcap run.rosbag2 --storage zip | storage
+log cut good.mcap -o to.mcap | Expected --from S, --to S or both
+log cut good.mcap --from 1 --to 1 -o to.mcap | the first before the second, got 1.0 and 1.0
+log cut good.mcap --from 0 -o to.xls | ends in .mcap or .csv
+log cut good.mcap --from soon -o to.mcap | soon
+log merge good.mcap -o to.mcap | Expected two recordings or more to merge, got 1
+log merge good.mcap good.mcap -o to.csv | ends in .mcap, got
+log open good.mcap --rerun --foxglove | got foxglove and rerun
+plot wrenches | one per arm, got none
+plot wrenches good.csv good.csv | different names
+plot scene | --cloud
+plot table good.csv wrench | Known: q
+plot dmp motion.toml good.csv good.csv | one demonstration
+plot dmp motion.toml -o a.txt | .png
+plot robot irb9999 | irb9999
+dmp fit -o x.toml | log of a motion
+dmp fit good.csv -o x.csv | .toml
+dmp fit good.csv -o motion.toml | --force
+dmp fit good.csv -o x.toml --column speed | speed
+dmp fit good.csv -o x.toml --period 2 | --kind periodic
+dmp fit good.csv -o x.toml --kind pose | --robot
+dmp play motion.toml | --robot NAME
+dmp play motion.toml --robot ur5e | 6 joints
+dmp play motion.toml --robot yumi_left --goal 9,9,9,9,9,9,9 | within the limits
+dmp play motion.toml --robot yumi_left --goal -9,0,0,0,0,0,0 | got -9 for joint 1
+dmp play motion.toml --robot yumi_left --duration -1 | duration [s] above zero
+dmp play motion.toml -o x.csv --goal here | numbers with commas
+"""
+FAILED_WORK = """
+sim yumi_right --to 127.0.0.1:9 --stats missing/stats.json | missing/stats.json
+sim yumi_right --to 127.0.0.1:9 --truth missing/truth.csv | missing/truth.csv
+excite yumi_left --saved none.csv --run sim://yumi_left | none.csv
+view none.mcap | Expected a log at
+log show folder | Is a directory
+log cut good.mcap --from 9 -o to.mcap | got none; it has 0 s to 0.996 s
+log cut good.csv --from 9 -o to.csv | it has 0 s to 0.996 s
+log merge good.mcap good.mcap -o to.mcap | to begin after
+log open good.csv | got a file of format text
+plot wrench good.csv | armlab estimate ROBOT LOG
+plot observability good.csv | column observability
+plot poses good.csv | --robot NAME
+plot latency good.csv | receive_ns
+plot coverage good.csv | --model MODEL
+plot two_dof motion.toml good.csv | --firm
+"""
 MAY_BE_INFINITE = {"seconds", "patience"}
 READING = {"log", "identify", "estimate", "payload", "calibrate", "dmp", "plot", "bridge"}  # a file, not a name
 NOBODY = 65534
@@ -263,6 +376,18 @@ def test_a_wrong_number_gets_a_sentence(words: str, option: str, value: str, tri
     if (option in MAY_BE_INFINITE and value == "1e999") or (option == "start" and value == "-1"):
         pytest.skip("this is a time without end, or one before the first sample")
     tried([*words.split(), f"--{option}={value}"], (cli.WRONG_USE,))
+
+
+@pytest.mark.parametrize("row", rows(REFUSED))
+def test_words_that_make_no_sense_are_wrong_use(row: str, tried) -> None:
+    words, _, said = row.partition(" | ")
+    assert said in tried(words.split(), (cli.WRONG_USE,))
+
+
+@pytest.mark.parametrize("row", rows(FAILED_WORK))
+def test_work_that_cannot_be_done_fails(row: str, tried) -> None:
+    words, _, said = row.partition(" | ")
+    assert said in tried(words.split(), (cli.FAILED,))
 
 
 @pytest.mark.parametrize("words", rows(LISTENING))

@@ -1,24 +1,24 @@
-"""armlab identify: a report and a model file, or a sentence and no file."""
+"""armlab identify and armlab payload: a report and a file, or a sentence and no file."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
+from armlab import identify, models
 from armlab import identify as identification
-from armlab import models
 from armlab.cli import main
-from armlab.cli.identify import identify
-from armlab.cli.identify.report import Trial, judge, numbers, try_out, write
+from armlab.cli.identify.report import ModelTrial, judge, numbers, try_out
 from armlab.estimation import Fit
 from armlab.log import Table
 from armlab.models import TorqueModel
-from armlab.models.friction import RippleLines
+from armlab.robots import inertia
 
 
 class Outcome(NamedTuple):
@@ -57,19 +57,25 @@ def outcome(logs: dict[str, Table], fitted: Fit[TorqueModel], tmp_path_factory) 
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setattr("armlab.log.reading.read", lambda path, **_: logs[path.name])
         patch.setattr("armlab.identify.fit_dynamics", told)
-        patch.setattr("armlab.plots.png", lambda drawn: plt.close("all") or b"drawn")  # test_excite has real pictures
+        patch.setattr(
+            "armlab.plots.style.png", lambda drawn: plt.close("all") or b"drawn"
+        )  # test_excite has real pictures
         assert main(["identify", "yumi_left", "run.mcap", *words, "--test", "free.mcap"]) == 0
     return Outcome(folder, out.getvalue(), err.getvalue())
 
 
-def test_it_prints_a_table_per_joint_and_a_verdict_and_saves_the_model(outcome: Outcome) -> None:
+def test_it_prints_a_table_per_joint_and_a_verdict_and_saves_the_model(
+    outcome: Outcome, fitted: Fit[TorqueModel]
+) -> None:
     assert "held-out" in outcome.out
     assert "excitation good" in outcome.out
-    assert "good: The motion tells all parameters apart" in outcome.out
+    assert "good: The motion identifies all parameters" in outcome.out
     assert "next: " in outcome.out
     assert "identify: checking the log" in outcome.err
     assert "report: drawing friction" in outcome.err
-    assert models.load(outcome.folder / "model.toml").robot_name == "yumi_left"
+    model = models.load(outcome.folder / "model.toml")
+    assert model.robot_name == "yumi_left"
+    assert np.array_equal(model.base_values, fitted.value.base_values)
     assert (outcome.folder / "fit.png").read_bytes().startswith(b"\x89PNG")
     assert sorted(entry.name for entry in outcome.folder.iterdir()) == ["fit.png", "id.html", "model.toml"]
 
@@ -96,7 +102,9 @@ def test_the_page_has_a_row_per_joint_the_verdict_and_all_figures(outcome: Outco
 def with_lines(fit: Fit[TorqueModel]) -> Fit[TorqueModel]:
     """A fit whose model has a line of ripple at joint 2, and leaves half of what it left before."""
     speeds = np.tile(np.linspace(0, 1, 3), (7, 1))
-    lines = RippleLines(np.array([1]), np.array([200.0]), speeds, np.full((7, 3), 0.5), np.full((1, 2, 3, 2), 0.01))
+    lines = models.RippleLines(
+        np.array([1]), np.array([200.0]), speeds, np.full((7, 3), 0.5), np.full((1, 2, 3, 2), 0.01)
+    )
     quality = replace(fit.value.quality, rms_cv=0.5 * fit.value.quality.rms_cv)
     return replace(fit, value=replace(fit.value, lines=lines, quality=quality))
 
@@ -119,17 +127,13 @@ def test_json_has_the_numbers_and_the_verdict(reading, fitted, monkeypatch, tmp_
     assert said["condition"] > 1
 
 
-def test_the_model_is_that_of_the_fit(outcome: Outcome, fitted: Fit[TorqueModel]) -> None:
-    assert np.array_equal(models.load(outcome.folder / "model.toml").base_values, fitted.value.base_values)
-
-
 def test_gravity_only_is_a_model_of_slow_motion(
     slow: Table, gravity: Fit[TorqueModel], excited: Table, monkeypatch, tmp_path, capsys
 ) -> None:
     """The slow log goes to `fit_gravity`; its fit is that of the other tests."""
     tables = {"slow.mcap": slow, "fast.mcap": excited}
     monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: tables[path.name])
-    monkeypatch.setattr("armlab.plots.png", lambda drawn: plt.close("all") or b"drawn")
+    monkeypatch.setattr("armlab.plots.style.png", lambda drawn: plt.close("all") or b"drawn")
     output, report = tmp_path / "model.toml", tmp_path / "id.html"
     words = ["identify", "yumi_left", "--gravity-only", "-o", str(output), "--report", str(report)]
     assert main([*words, "fast.mcap"]) == 1
@@ -141,18 +145,6 @@ def test_gravity_only_is_a_model_of_slow_motion(
     assert not model.rotor.any()
     assert "gravity and friction only" in report.read_text(encoding="utf-8")
     assert "m c_x" in capsys.readouterr().out
-
-
-def test_nothing_is_overwritten_without_force(reading, tmp_path, capsys) -> None:
-    output, report = tmp_path / "model.toml", tmp_path / "id.html"
-    output.write_text("mine")
-    words = ["identify", "yumi_left", "run.mcap", "-o"]
-    assert main([*words, str(output)]) == 2
-    report.write_text("mine")
-    assert main([*words, str(tmp_path / "new.toml"), "--report", str(report)]) == 2
-    assert capsys.readouterr().err.count("--force") == 2
-    assert output.read_text() == report.read_text() == "mine"
-    assert len(list(tmp_path.iterdir())) == 2
 
 
 @pytest.mark.parametrize(
@@ -173,7 +165,6 @@ def test_refusals_are_one_sentence_and_leave_no_file(
     assert sentence in said
     assert "Traceback" not in said
     assert not list(tmp_path.iterdir())
-    assert identify.__doc__
 
 
 @pytest.mark.usefixtures("reading")
@@ -186,11 +177,11 @@ def test_a_log_that_comes_twice_is_refused(words: tuple[str, ...], tmp_path, cap
 
 
 @pytest.fixture(scope="module")
-def trial(fitted: Fit[TorqueModel], excited: Table, truth) -> Trial:
+def trial(fitted: Fit[TorqueModel], excited: Table, truth) -> ModelTrial:
     return try_out(fitted.value, truth.robot, excited, unseen=False)
 
 
-def test_numbers_are_those_of_the_model(fitted: Fit[TorqueModel], trial: Trial) -> None:
+def test_numbers_are_those_of_the_model(fitted: Fit[TorqueModel], trial: ModelTrial) -> None:
     found = numbers(fitted, trial)
     assert [joint["joint"] for joint in found["joints"]] == [1, 2, 3, 4, 5, 6, 7]
     third = found["joints"][2]
@@ -199,26 +190,11 @@ def test_numbers_are_those_of_the_model(fitted: Fit[TorqueModel], trial: Trial) 
     assert np.isnan(third["share_test"])
 
 
-def test_the_page_tells_how_far_it_is(
-    fitted: Fit[TorqueModel], trial: Trial, excited: Table, truth, monkeypatch, tmp_path
-) -> None:
-    drawings = [("First", "one", "caption", lambda: b"1"), ("Second", "two", "caption", lambda: b"2")]
-    monkeypatch.setattr("armlab.cli.identify.report._drawings", lambda *_: drawings)
-    heard: list[tuple[float, float, str]] = []
-    verdict = judge(fitted, truth.robot, [excited], trial)
-    write(tmp_path / "id.html", fitted, verdict, trial, excited, "a log", lambda *words: heard.append(words))
-    assert heard == [(0, 2, "drawing first"), (1, 2, "drawing second")]
-    page = (tmp_path / "id.html").read_text(encoding="utf-8")
-    assert "±" in page
-    assert f"{100 * fitted.value.quality.coverage[0]:.1f}" in page
-    assert "<h2>Second</h2>" in page
-
-
 def changed(fitted: Fit[TorqueModel], **quality: np.ndarray) -> Fit[TorqueModel]:
     return replace(fitted, value=replace(fitted.value, quality=replace(fitted.value.quality, **quality)))
 
 
-def test_a_good_model_is_called_good(fitted: Fit[TorqueModel], trial: Trial, excited: Table, truth) -> None:
+def test_a_good_model_is_called_good(fitted: Fit[TorqueModel], trial: ModelTrial, excited: Table, truth) -> None:
     verdict = judge(fitted, truth.robot, [excited], trial)
     assert any("leaves" in sentence for sentence in verdict.good)
     assert any("condition" in sentence for sentence in verdict.good)
@@ -226,7 +202,7 @@ def test_a_good_model_is_called_good(fitted: Fit[TorqueModel], trial: Trial, exc
     assert verdict.ahead
 
 
-def test_a_trial_is_the_estimate_of_no_force(trial: Trial, excited: Table) -> None:
+def test_a_trial_is_the_estimate_of_no_force(trial: ModelTrial, excited: Table) -> None:
     assert len(trial.estimate) == len(trial.log) == len(excited)
     assert not trial.estimate["wrench_true"].any()
     assert trial.share.shape == (7,)
@@ -248,7 +224,7 @@ def test_what_is_bad_is_said(fitted, trial, excited: Table, truth, change, sente
     assert any(sentence in said for said in judge(worse, truth.robot, [excited], trial).bad)
 
 
-def test_the_test_log_is_compared_with_held_out_blocks(fitted, trial: Trial, excited: Table, truth) -> None:
+def test_the_test_log_is_compared_with_held_out_blocks(fitted, trial: ModelTrial, excited: Table, truth) -> None:
     known = fitted.value.quality.rms_cv / fitted.value.quality.torque_sd
     alike = replace(trial, unseen=True, share=known)
     assert any("as in held-out blocks" in said for said in judge(fitted, truth.robot, [excited], alike).good)
@@ -258,7 +234,7 @@ def test_the_test_log_is_compared_with_held_out_blocks(fitted, trial: Trial, exc
     assert any("50 % inside 2 sigma" in said for said in judge(fitted, truth.robot, [excited], dishonest).bad)
 
 
-def test_stretched_negative_and_narrow_are_said(fitted, trial: Trial, excited: Table, truth) -> None:
+def test_stretched_negative_and_narrow_are_said(fitted, trial: ModelTrial, excited: Table, truth) -> None:
     model = fitted.value
     friction = replace(model.friction, viscous=np.where(np.arange(7) == 1, -0.1, model.friction.viscous))
     covariance = replace(model.covariance, alpha2=16.0)
@@ -272,3 +248,104 @@ def test_stretched_negative_and_narrow_are_said(fitted, trial: Trial, excited: T
     assert any("momentum methods' covariance had to be stretched 5.0 times" in said for said in verdict.bad)
     assert any("joint 2: negative friction" in said for said in verdict.bad)
     assert any("moved over less than 25 %" in said for said in verdict.ahead)
+
+
+@pytest.fixture(scope="module")
+def tables(truth) -> dict[str, Table]:
+    """A log with 0.5 kg, one without, one with 5 g."""
+    motion = identify.design_excitation(truth.robot, seconds=12, speed=0.4, acceleration=8.0, seed=3)
+
+    def log(mass: float, seed: int) -> Table:
+        links = truth.links.copy()
+        pi = inertia.from_body(mass, [0.03, 0.0, 0.052], np.zeros((3, 3)))
+        links[-1] += inertia.transform(truth.robot.links[-1], pi)
+        return replace(truth, links=links).log(motion, seed=seed)
+
+    return {"full.mcap": log(0.5, 1), "empty.mcap": log(0.0, 2), "crumb.mcap": log(0.005, 3)}
+
+
+@pytest.fixture
+def words(monkeypatch, tables: dict[str, Table], model, tmp_path: Path) -> list[str]:
+    """The logs by name, and the model file."""
+    monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: tables[path.name])
+    saved = models.save(model, tmp_path / "model.toml")
+    return ["payload", "yumi_left", "full.mcap", "--model", str(saved)]
+
+
+@pytest.mark.slow  # 5 s beside other work
+def test_a_load_is_weighed_saved_and_reported(words: list[str], tmp_path: Path, capsys) -> None:
+    files = [tmp_path / name for name in ("load.toml", "load.html", "load.png")]
+    options = [word for pair in zip(("-o", "--report", "--figure"), map(str, files)) for word in pair]
+    assert main([*words, "--without", "empty.mcap", *options]) == 0
+    said = capsys.readouterr().out
+    assert "centre z" in said
+    assert "good: The load of" in said
+    load = models.load(files[0], kind="payload")
+    assert load.mass == pytest.approx(0.5, rel=0.03)
+    np.testing.assert_allclose(load.centre, [0.03, 0.0, 0.052], atol=5e-3)
+    page = files[1].read_text(encoding="utf-8")
+    assert "m c_z" in page
+    assert "data:image/png" in page
+    assert files[2].exists()
+    assert main([*words, *options]) == 2
+    assert "--force" in capsys.readouterr().err
+
+
+def test_json_and_mode(words: list[str], capsys) -> None:
+    assert main([*words, "--json", "--mode", "dynamic", "--gain", "0.01"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["mass"] == pytest.approx(0.5, rel=0.03)
+    assert [entry["name"] for entry in found["parameters"]][4:] == ["I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz"]
+    assert found["parameters"][0]["sd"] < 0.01
+
+
+def test_without_a_load_none_is_to_be_added(words: list[str], capsys) -> None:
+    assert main([*words[:2], "empty.mcap", *words[3:]]) == 0
+    said = capsys.readouterr().out
+    assert "cannot be told from no load" in said
+    assert "as it is" in said
+    assert "added_to" not in said
+
+
+def test_the_model_of_another_arm_is_refused(words: list[str], capsys) -> None:
+    assert main([words[0], "yumi_right", *words[2:]]) == 2
+    assert "yumi_left" in capsys.readouterr().err
+
+
+def test_a_log_in_degrees_is_refused(words: list[str], tables: dict[str, Table], monkeypatch, capsys) -> None:
+    log = tables["full.mcap"]
+    degrees = log.with_column("q", np.rad2deg(log["q"])).with_column("qd", np.rad2deg(log["qd"]))
+    monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: degrees)
+    assert main(words) == 1
+    said = capsys.readouterr()
+    assert "degrees" in said.err
+    assert said.out == ""
+
+
+def test_torque_that_is_not_explained_is_not_called_good(words: list[str], tables, monkeypatch, capsys) -> None:
+    log = tables["full.mcap"]
+    monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: log.with_column("tau", -log["tau"]))
+    assert main([*words, "--json"]) == 0
+    verdict = json.loads(capsys.readouterr().out)["verdict"]
+    assert not any("explain" in said for said in verdict["good"])
+    assert any("% of the torque's deviation unexplained" in said for said in verdict["bad"])
+
+
+def test_of_an_arm_that_rests_in_part_the_joints_that_move_are_judged(
+    words: list[str], truth, monkeypatch, capsys
+) -> None:
+    motion = identify.design_excitation(truth.robot, seconds=12, speed=0.4, acceleration=8.0, seed=3)
+
+    rests = np.arange(7) < 3
+
+    def wrist(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        q, qd, qdd = motion.sample(t)
+        return np.where(rests, truth.robot.q_home, q), np.where(rests, 0.0, qd), np.where(rests, 0.0, qdd)
+
+    monkeypatch.setattr(
+        "armlab.log.reading.read", lambda path, **_: truth.log(identify.Trajectory(motion.seconds, wrist), seed=1)
+    )
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "left out, at rest: axis_1, axis_2, axis_7" in said
+    assert "Arm and load together" in said

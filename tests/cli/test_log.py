@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,24 +14,15 @@ from armlab import cli, robots
 from armlab.cli.log import (
     VIEWERS,
     Viewer,
-    check_finished,
     chosen,
-    cut,
-    data_of,
-    export,
     log,
-    merge,
     open_,
-    parameters_data,
-    parameters_text,
     recover,
     show,
     started,
-    text_of,
 )
-from armlab.errors import ConfigError, LogError, MissingExtra
+from armlab.errors import ConfigError, MissingExtra
 from armlab.log import Recorder, Table, Tick, inspect, read, write
-from armlab.robots import load
 from armlab.state import Command, State
 
 
@@ -111,20 +100,6 @@ def test_show_says_what_the_log_holds(path: Path, capsys: pytest.CaptureFixture[
     assert line.split() == ["tau", "7", "N", "m", "joint", "4", low, high]
 
 
-def test_json_for_scripts(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    show(path, json=True)
-    data = json.loads(capsys.readouterr().out)
-    table = read(path)
-    assert (data["rows"], data["finished"], data["sha256"]) == (300, True, table.sha256)
-    assert data["columns"]["tau"]["missing"] == 4
-    assert data["columns"]["tau"]["unit"] == "N m"
-    assert data["columns"]["q"]["min"] == pytest.approx(table["q"].min(axis=0))
-    assert data["metadata"]["armlab"]["robot"] == "yumi_right"
-    assert data["events"][-1]["text"] == "the operator pressed"
-    assert data["summary"]["rows"] == 300
-    assert {"name": "/yumi_right/tick", "type": "armlab_msgs/msg/Tick", "messages": 300} in data["topics"]
-
-
 def test_a_torn_log_is_shown_and_repaired(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(path.read_bytes()[: int(0.8 * path.stat().st_size)])
@@ -138,22 +113,6 @@ def test_a_torn_log_is_shown_and_repaired(path: Path, tmp_path: Path, capsys: py
     assert "bytes at the end" in captured.err
     assert len(read(tmp_path / "torn.recovered.mcap")) == 250
     assert log.name == ("log",)
-
-
-def test_wrong_files_are_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    text = tmp_path / "notes.txt"
-    text.write_text("hello")
-    for file, words in (
-        (tmp_path / "none.mcap", "No such file"),
-        (text, "a header and rows of numbers"),
-        (tmp_path, "Is a directory"),
-    ):
-        assert cli.main(["log", "show", str(file)]) == 1
-        captured = capsys.readouterr()
-        assert captured.out == ""
-        assert captured.err.count("\n") == 1
-        assert words in captured.err
-    assert cli.main(["log", "show"]) == 2
 
 
 def test_a_recording_is_of_the_robot_that_it_describes(
@@ -185,7 +144,7 @@ def test_the_original_stays(path: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert path.read_bytes() == whole
 
 
-@pytest.mark.parametrize("ending", [".csv", ".mat", ".parquet", ".h5", ".rosbag2"])
+@pytest.mark.parametrize("ending", [".csv", ".mat", ".rosbag2"])
 def test_export_and_back(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], ending: str) -> None:
     output = tmp_path / f"run{ending}"
     assert cli.main(["log", "export", str(path), str(output)]) == 0
@@ -203,28 +162,13 @@ def test_export_and_back(path: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     np.testing.assert_array_equal(read(back)["q"], table["q"])
 
 
-def test_export_refuses_in_one_sentence(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "kept.csv.toml").write_text("mine")
-    for output, words in (
-        ("run.xls", "ends in .mcap or .csv or .mat"),
-        ("none/run.csv", "Make the folder first"),
-        ("kept.csv", "kept.csv.toml, which exists"),
-    ):
-        assert cli.main(["log", "export", str(path), str(tmp_path / output)]) == 2
-        assert words in capsys.readouterr().err.splitlines()[-1]
-    assert cli.main(["log", "export", str(path), str(tmp_path / "run.rosbag2"), "--storage", "zip"]) == 2
-    assert cli.main(["log", "export", str(path)]) == 2
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["kept.csv.toml", "run.mcap"]
-    assert export.__doc__
-
-
 def test_export_names_what_matlab_calls_otherwise(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "orca.csv").write_text("t [s],robot[0].pos\n0,1\n1,2\n")
     assert cli.main(["log", "export", str(tmp_path / "orca.csv"), str(tmp_path / "orca.mat")]) == 0
     assert "robot[0].pos is robot_0__pos." in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("ending", [".csv", ".h5", ".rosbag2"])
+@pytest.mark.parametrize("ending", [".csv", ".rosbag2"])
 def test_show_of_other_formats(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], ending: str) -> None:
     output = tmp_path / f"run{ending}"
     assert cli.main(["log", "export", str(path), str(output)]) == 0
@@ -239,6 +183,18 @@ def test_show_of_other_formats(path: Path, tmp_path: Path, capsys: pytest.Captur
     assert data["format"] == {".csv": "text", ".h5": "HDF5", ".rosbag2": "rosbag2"}[ending]
     assert cli.main(["log", "show", str(output), "--parameters"]) == 0
     assert capsys.readouterr().out == "This log has no parameters.\n"
+
+
+def test_of_a_recording_without_rows_the_first_events_are_shown(tmp_path: Path, capsys) -> None:
+    with Recorder(tmp_path / "run.mcap", robots.load("yumi_right")) as recorder:
+        for i in range(30):
+            recorder.event(f"event {i}", 10**18)
+    assert cli.main(["log", "show", str(recorder.path)]) == 0
+    text = capsys.readouterr().out
+    assert "began -" in text
+    assert "event 18" in text
+    assert "event 19" not in text
+    assert text.rstrip().endswith("and 11 more (--json shows all)")
 
 
 def test_cut_and_merge(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -260,45 +216,6 @@ def test_cut_and_merge(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     assert cli.main(["log", "export", str(path), csv]) == 0
     assert cli.main(["log", "cut", csv, "--from", "0.2", "--to", "0.3", "-o", part]) == 0
     assert read(part).sha256 == table.between(0.2, 0.3).sha256
-
-
-def test_cut_and_merge_refuse_in_one_sentence(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run, to = str(path), str(tmp_path / "to.mcap")
-    assert cli.main(["log", "export", run, str(tmp_path / "run.csv")]) == 0
-    capsys.readouterr()
-    for words, code, said in (
-        (["cut", run, "-o", to], 2, "Expected --from S, --to S or both"),
-        (["cut", run, "--from", "1", "--to", "1", "-o", to], 2, "the first before the second, got 1.0 and 1.0"),
-        (["cut", run, "--from", "9", "-o", to], 1, "got none; it has 0 s to 1.196 s"),
-        (["cut", str(tmp_path / "run.csv"), "--from", "9", "-o", str(tmp_path / "to.csv")], 1, "it has 0 s to 1.196 s"),
-        (["cut", run, "--from", "0", "-o", str(tmp_path / "no" / "to.mcap")], 2, "Make the folder first"),
-        (["cut", str(tmp_path / "no.mcap"), "--from", "0", "-o", to], 1, "No such file"),
-        (["cut", run, "--from", "0", "-o", str(tmp_path / "to.xls")], 2, "ends in .mcap or .csv"),
-        (["cut", run, "--from", "soon", "-o", to], 2, "soon"),
-        (["cut", run, "--from", "0"], 2, "output"),
-        (["merge", run, "-o", to], 2, "Expected two recordings or more to merge, got 1"),
-        (["merge", run, run, "-o", to], 1, "to begin after"),
-        (["merge", run, run, "-o", str(tmp_path / "to.csv")], 2, "ends in .mcap, got"),
-        (["open", run, "--rerun", "--foxglove"], 2, "got foxglove and rerun"),
-        (["open", str(tmp_path / "run.csv")], 1, "got a file of format text"),
-    ):
-        assert cli.main(["log", *words]) == code, words
-        captured = capsys.readouterr()
-        assert captured.out == ""
-        assert said in captured.err.splitlines()[-1], words
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["run.csv", "run.csv.toml", "run.mcap"]
-    assert cut.__doc__
-    assert merge.__doc__
-
-
-def test_a_full_disk_is_a_sentence_and_leaves_nothing(path: Path, tmp_path: Path) -> None:
-    full = "import resource, sys; from armlab import cli; resource.setrlimit(resource.RLIMIT_FSIZE, (9000, 9000))"
-    words = ["log", "cut", str(path), "--from", "0", "-o", str(tmp_path / "to.mcap")]
-    code = f"{full}; sys.exit(cli.main({words}))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 1
-    assert done.stderr.splitlines()[-1].endswith("to.mcap, got: File too large.")
-    assert [entry.name for entry in tmp_path.iterdir()] == ["run.mcap"]
 
 
 def test_ctrl_c_leaves_nothing(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -463,40 +380,6 @@ def test_of_a_log_without_a_description_the_robot_is_named(
     assert names_in(bag) == {tuple(NAMES)}, "the bag from before stays"
 
 
-def test_a_log_of_another_format(tmp_path: Path) -> None:
-    table = Table(np.arange(3.0), {"q": np.array([[1.0], [np.nan], [3.0]])}, source=("run.csv sha256 0",))
-    text = text_of(tmp_path / "run.csv", "text", None, {"": table})
-    assert "run.csv: text, began -" in text
-    assert "source: run.csv sha256 0" in text
-    data = data_of(tmp_path / "run.csv", "text", None, {"": table})
-    assert (data["rows"], data["format"], data["columns"]["q"]["missing"]) == (3, "text", 1)
-
-
-def test_a_log_without_a_topic_of_numbers(tmp_path: Path) -> None:
-    with Recorder(tmp_path / "run.mcap", load("yumi_right")) as recorder:
-        recorder.event("the only word", 10**18)
-    text = text_of(recorder.path, "MCAP", inspect(recorder.path), {})
-    assert "began -" in text
-    assert "no topic with numbers" in text
-    assert "the only word" in text
-    bag = text_of(tmp_path / "run.bag", "ROS 1 bag", None, {})
-    assert "run.bag: ROS 1 bag, began -" in bag
-    assert "no topic with numbers" in bag
-
-
-def test_only_the_first_events_are_shown(tmp_path: Path) -> None:
-    with Recorder(tmp_path / "run.mcap", load("yumi_right")) as recorder:
-        for i in range(30):
-            recorder.event(f"event {i}", 10**18)
-    held = inspect(recorder.path)
-    text = text_of(recorder.path, "MCAP", held, {"yumi_right": Table(np.zeros(0), {})})
-    assert "event 18" in text
-    assert "event 19" not in text
-    assert text.endswith("and 11 more (--json shows all)")
-    assert parameters_text(held) == "This log has no parameters."
-    assert parameters_data(held) == {"parameters": [], "parameters_at_end": {}}
-
-
 def test_the_first_that_is_installed_is_taken_and_what_is_asked_for_before_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -521,8 +404,3 @@ def test_rerun_listens_on_this_computer_only(tmp_path: Path) -> None:
     assert started(VIEWERS["rerun"], str(program), tmp_path / "a b.mcap") == 3
     assert (tmp_path / "called").read_text() == f"--bind 127.0.0.1 {tmp_path}/a b.mcap\n"
     assert started(Viewer("True", "true", (), ""), "/bin/true", tmp_path) == 0
-
-
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="No such file"):
-        check_finished(tmp_path / "run.mcap")

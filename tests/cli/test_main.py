@@ -13,20 +13,11 @@ import pytest
 from armlab import cli
 from armlab._interrupts import deferred
 from armlab.cli import main
-from armlab.cli.support.help import WrappedHelp, unwrapped
 from armlab.errors import LogError
 
 
 def run(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-m", "armlab", *words], capture_output=True, text=True, timeout=60)
-
-
-def test_help_lists_every_command_on_standard_output() -> None:
-    result = run("--help")
-    assert result.returncode == 0
-    assert result.stderr == ""
-    for name in ("demo", "sim", "doctor", "run", "record", "excite", "identify", "estimate", "payload", "log", "robot"):
-        assert name in result.stdout
 
 
 def test_help_imports_no_command() -> None:
@@ -35,10 +26,9 @@ def test_help_imports_no_command() -> None:
         "print([m for m in sys.modules if m.startswith(('armlab.', 'numpy')) and m != 'armlab.cli'], file=sys.stderr)"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert (
-        result.stderr.strip()
-        == "['armlab.errors', 'armlab._interrupts', 'armlab.cli.support', 'armlab.cli.support.help']"
-    )
+    assert result.stderr == "['armlab.errors', 'armlab._interrupts']\n"
+    for name in ("demo", "sim", "doctor", "run", "record", "excite", "identify", "estimate", "payload", "log", "robot"):
+        assert name in result.stdout
 
 
 def test_wrong_use_is_2_and_an_error_1_each_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
@@ -130,20 +120,6 @@ def test_the_number_a_command_returns_is_the_exit_code(monkeypatch: pytest.Monke
     assert cli.main(["partly"]) == cli.SKIPPED
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("one\ntwo", "one two"),
-        ("one\n\ntwo\nthree", "one\n\ntwo three"),
-        ("steps:\n- a\n- b\nand c", "steps:\n- a\n- b and c"),
-        ("code:\n    x = 1\n", "code:\n    x = 1 "),
-        ("", ""),
-    ],
-)
-def test_paragraphs_are_one_line(text: str, expected: str) -> None:
-    assert unwrapped(text) == expected
-
-
 @pytest.mark.parametrize("columns", [60, 160])
 def test_help_fills_the_terminal(
     columns: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -154,10 +130,6 @@ def test_help_fills_the_terminal(
     assert max(map(len, lines)) <= columns
     first = next(line for line in lines if line.startswith("The file needs"))
     assert len(first) > columns - 15
-
-
-def test_the_look_is_that_of_cyclopts() -> None:
-    assert all(hasattr(WrappedHelp, name) for name in ("render_usage", "render_description", "__call__"))
 
 
 @pytest.fixture(scope="module")
@@ -202,8 +174,3 @@ def test_other_shells(shell: str, capsys: pytest.CaptureFixture[str], tmp_path: 
     if program:
         (tmp_path / "script").write_text(text)
         subprocess.run([program, "-n", str(tmp_path / "script")], check=True, timeout=60)
-
-
-def test_another_shell_is_wrong_use(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["completion", "cmd"]) == 2
-    assert "bash" in capsys.readouterr().err

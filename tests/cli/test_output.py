@@ -1,4 +1,4 @@
-"""What commands print."""
+"""What commands print and write, and the logs that they read."""
 
 from __future__ import annotations
 
@@ -8,36 +8,24 @@ import re
 import subprocess
 import sys
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
+from armlab import identify, log, robots
 from armlab.cli.support.html_report import HtmlReport, Verdict
+from armlab.cli.support.log_input import doubts, gaps, left_out, read_log, reading_bar
 from armlab.cli.support.output import (
     FIGURES,
-    Narrator,
     aligned,
     check_output,
-    note,
     print_json,
     progress,
-    refuse_overwrite,
-    result,
     save_figure,
 )
-from armlab.errors import ConfigError
-from armlab.log import Tick
-from armlab.state import State
-
-
-def test_results_and_notes_go_to_their_streams(capsys: pytest.CaptureFixture[str]) -> None:
-    result("done")
-    note("careful")
-    captured = capsys.readouterr()
-    assert captured.out == "done\n"
-    assert captured.err == "careful\n"
+from armlab.errors import ConfigError, LogError, ModelMismatchError
 
 
 def test_json_has_arrays_as_lists_and_null_for_what_is_not_finite(capsys: pytest.CaptureFixture[str]) -> None:
@@ -48,15 +36,6 @@ def test_json_has_arrays_as_lists_and_null_for_what_is_not_finite(capsys: pytest
 def test_columns_line_up() -> None:
     assert aligned([("name", "n"), ("yumi", "7"), ("x", "12")], right=(1,)) == "name   n\nyumi   7\nx     12"
     assert aligned([]) == ""
-
-
-def test_refuse_overwrite_protects_what_exists(tmp_path) -> None:
-    path = tmp_path / "model.toml"
-    refuse_overwrite(path, force=False)
-    path.write_text("mine")
-    refuse_overwrite(path, force=True)
-    with pytest.raises(ConfigError, match="--force"):
-        refuse_overwrite(path, force=False)
 
 
 def test_check_output_speaks_before_the_work(tmp_path) -> None:
@@ -111,23 +90,6 @@ def test_what_is_read_is_never_replaced(tmp_path: Path) -> None:
     check_output(log, True, [".csv"], [bag, tmp_path / "none.csv"])
 
 
-TICK = Tick(number=0, seq_sent=-1, stamp_ns=0, receive_ns=0, send_ns=-1, step_ns=0)
-
-
-def state(q: list[float], mci: int = 2) -> State:
-    return State(t=0.0, dt=0.004, q=np.array(q), qd=np.zeros(2), tau=np.zeros(2), mci=mci, robot="arm")
-
-
-def test_events_become_messages(capsys: Any) -> None:
-    narrator = Narrator()
-    narrator.event("Session 1 began.")
-    narrator.event("The robot is not ready.", warn=True)
-    narrator.row(state([1.0, 2.0], mci=3), None, TICK)
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err == "Session 1 began.\nwarning: The robot is not ready.\n"
-
-
 def test_a_warning_is_written_once() -> None:
     """Python's handler of last resort would write it again: seen in a process of its own, without pytest's handlers."""
     program = (
@@ -136,21 +98,6 @@ def test_a_warning_is_written_once() -> None:
     )
     said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stderr
     assert said == "warning: Twice.\n"
-
-
-def test_what_a_listener_should_know_is_said_once(capsys: Any) -> None:
-    narrator = Narrator(listens=True, q_home={"arm": [0.0, 0.0]})
-    for _ in range(3):
-        narrator.row(state([0.01, -0.3], mci=3), None, TICK)
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 2
-    assert "waits for references" in lines[0]
-    assert "joint 2 is 0.30" in lines[1]
-
-
-def test_an_arm_at_home_is_not_worth_a_word(capsys: Any) -> None:
-    Narrator(listens=True, q_home={"arm": [0.0, 0.0]}).row(state([0.01, -0.03]), None, TICK)
-    assert not capsys.readouterr().err
 
 
 PIXEL = b"\x89PNG\r\n\x1a\n not really"
@@ -191,39 +138,76 @@ def test_figures_are_inside_and_nothing_is_asked_from_outside(page: HtmlReport) 
     assert "default-src 'none'; img-src data:" in html
 
 
-def test_a_table_fits_words_to_the_left_and_figures_whole() -> None:
-    page = HtmlReport("t", "a")
-    page.table([("joint", "friction [N m]", "where"), ("1", "0.5 ± 0.1", "point 100 %"), ("2", "nan", "-")])
-    (table,) = page.pieces
-    assert table.count("<th>") == 2
-    assert "friction [N\N{NO-BREAK SPACE}m]" in table
-    assert table.count('<th class="words">where</th>') == table.count('<td class="words">-</td>') == 1
-    assert "<td>0.5 ±\N{NO-BREAK SPACE}0.1</td>" in table
-    assert "overflow" not in page.html()
-    assert "nowrap" not in page.html()
+def test_a_log_without_torques_or_of_another_robot_is_refused(truth, tmp_path: Path) -> None:
+    table = truth.log(identify.dither(truth.robot.q_home, 1.0), seed=5).select("q", "tau")
+    path = log.write(table, tmp_path / "swayed.mcap", truth.robot)
+    assert "qd" in read_log(path, truth.robot)
+    with pytest.raises(ModelMismatchError, match="recording of 'yumi_right', got one of 'yumi_left'"):
+        read_log(path, robots.load("yumi_right"))
+    mute = log.write(table.select("q"), tmp_path / "mute.mcap", truth.robot)
+    with pytest.raises(LogError, match=r"got none for tau among .*research extension"):
+        read_log(mute, truth.robot)
 
 
-def test_long_tables_and_texts_open_with_a_click() -> None:
-    page = HtmlReport("t", "a")
-    page.table([("a",), ("1",)], "50 <numbers>")
-    page.verbatim("long", "A text")
-    assert page.pieces[0].startswith("<details><summary>50 &lt;numbers&gt;</summary><table>")
-    assert page.pieces[1] == "<details><summary>A text</summary><pre>long</pre></details>"
+def test_of_a_recording_of_both_arms_the_rows_of_the_arm_are_read(truth, tmp_path: Path) -> None:
+    left, right = truth.robot, replace(robots.load("yumi_right"), name="yumi-right")
+    table = truth.log(identify.dither(left.q_home, 1.0), seed=5).select("q", "qd", "tau")
+    other = table.with_column("q", -table["q"])
+    pieces = [log.write(one, tmp_path / f"{arm.name}.mcap", arm) for one, arm in ((table, left), (other, right))]
+    both = log.merge(pieces, tmp_path / "both.mcap")
+    for arm, one in ((left, table), (right, other)):
+        np.testing.assert_array_equal(read_log(both, arm)["q"], one["q"])
+    with pytest.raises(ModelMismatchError, match="of 'irb120', got one of 'yumi_left' and 'yumi_right'"):
+        read_log(both, robots.load("irb120"))
 
 
-def test_a_verdict_has_only_the_parts_that_there_are() -> None:
-    verdict = Verdict(good=("One.", "Two."), ahead=("Log more.",))
-    assert verdict.text().splitlines() == ["good: One.", "good: Two.", "next: Log more."]
-    assert [title for title, _ in verdict.parts] == ["Good", "Next"]
-    page = HtmlReport("t", "a")
-    page.verdict(verdict)
-    assert "care" not in page.pieces[0]
-    assert Verdict().text() == ""
+def test_what_cannot_be_true_is_doubted(truth) -> None:
+    table = truth.log(identify.dither(truth.robot.q_home, 4.0), seed=5)
+    assert doubts(table, truth.robot) == ()
+    backwards, motors = table.with_column("qd", -table["qd"]), table.with_column("tau", table["tau"] / 100)
+    assert ["derivative of q" in sentence for sentence in doubts(backwards, truth.robot)] == [True]
+    assert ["motors'" in sentence for sentence in doubts(motors, truth.robot)] == [True]
 
 
-def test_writing_replaces_in_one_step(page: HtmlReport, tmp_path) -> None:
-    path = tmp_path / "report.html"
-    path.write_text("old")
-    page.write(path)
-    assert path.read_text(encoding="utf-8") == page.html()
-    assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
+def test_a_torque_that_the_model_does_not_know_is_not_doubted(truth, model) -> None:
+    table = truth.log(identify.dither(truth.robot.q_home, 4.0), seed=5)
+    dead = table.with_column("tau", np.where(np.arange(7) == 6, 0.0, table["tau"]))
+    (said,) = doubts(dead, truth.robot, model)
+    assert "got a constant for axis_6" in said
+    partly = replace(model.quality, rms_cv=np.where(np.arange(7) == 6, np.nan, model.quality.rms_cv))
+    assert doubts(dead, truth.robot, replace(model, quality=partly)) == ()
+    bare = replace(model, quality=replace(model.quality, rms_cv=np.full(7, np.nan)))
+    assert doubts(dead, truth.robot, bare) == (said,)
+
+
+def test_gaps_missing_rows_and_rest_are_no_reason_to_doubt(truth) -> None:
+    table = truth.log(identify.dither(truth.robot.q_home, 4.0), seed=5)
+    torn = table.rows(np.r_[0:300, 600 : len(table)])
+    tau = torn["tau"].copy()
+    tau[350] = np.nan
+    assert doubts(torn.with_column("tau", tau), truth.robot) == ()
+    still = truth.log(identify.dither(truth.robot.q_home, 2.0, amplitude=1e-6), seed=5)
+    assert doubts(still, truth.robot) == ()
+    assert doubts(table.rows(slice(0, 0)), truth.robot) == ()
+
+
+def test_gaps_and_rows_without_an_estimate_are_counted(truth) -> None:
+    table = truth.log(identify.dither(truth.robot.q_home, 2.0), seed=5)
+    assert gaps(table) == []
+    assert gaps(table.rows(slice(0, 1))) == []
+    torn = table.rows((table.t < 0.5) | ((table.t >= 0.6) & (np.arange(len(table)) != 300)))
+    (first, second) = gaps(torn)
+    assert first == pytest.approx((0.496, 0.104))
+    assert second == pytest.approx((1.196, 0.008))
+    flags = np.where(np.arange(len(table)) < 7, 1 + 4, 4)
+    assert left_out(table.with_column("wrench_flags", flags, unit="1", kind="count")) == 7
+
+
+def test_a_bag_of_another_program_gives_the_joints_of_the_robot(ur5e_bag: Path) -> None:
+    with reading_bar(ur5e_bag) as tell:
+        assert tell is None  # no terminal, no large file
+    table = read_log(ur5e_bag, robots.load("ur5e"))
+    np.testing.assert_array_equal(table["q"][0], np.arange(6.0))
+    assert table["qd"].shape == (5, 6)
+    with pytest.raises(LogError, match="Only in the robot: panda_joint1"):
+        read_log(ur5e_bag, robots.load("panda"))

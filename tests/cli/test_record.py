@@ -20,7 +20,6 @@ import pytest
 
 from armlab import log, robots
 from armlab.cli import main
-from armlab.cli.record import record
 from armlab.errors import LogError
 from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
 
@@ -197,33 +196,3 @@ def test_no_robot(tmp_path: Path, capsys: Any) -> None:
     assert "Expected packets from a robot within 0.1 s" in said
     assert "armlab doctor" in said
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["-o", "run.mcap"], "Expected the name of a robot, got none"),
-        (["yumi_left", "yumi_right", "--port", "6511", "-o", "run.mcap"], "one port per robot"),
-        (["yumi_left", "--port", "egm", "-o", "run.mcap"], "such as --port 6511"),
-        (["yumi_left", "-o", "run.csv"], ".mcap"),
-        (["yumi_left", "-o", "there.mcap"], "exists"),
-        (["yumi_lefft", "-o", "run.mcap"], "Did you mean"),
-        (
-            ["yumi_left", "-o", "there.mcap", "--force", "--patience", "-1"],
-            "--patience above 0 s and finite, got -1",
-        ),
-        (
-            ["yumi_left", "-o", "there.mcap", "--force", "--seconds", "nan"],
-            "--seconds above 0 s and finite, got nan",
-        ),
-    ],
-)
-def test_refusals(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any, words: list[str], sentence: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("there.mcap").write_text("kept", encoding="utf-8")
-    assert main(["record", *words]) == 2
-    assert sentence in capsys.readouterr().err
-    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("there.mcap", "kept")]
-    assert record.__doc__

@@ -90,13 +90,6 @@ def test_show_prints_the_tree_of_a_urdf(gripper: Path, capsys: pytest.CaptureFix
     assert data["joints"][1]["follows"] == {"joint": "close", "multiplier": -1.0, "offset": 0.0}
 
 
-def test_show_prints_one_arm_of_a_urdf(gripper: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    show(str(gripper), tip="thumb")
-    assert "oppose  slides     0  0.04    0.1     0  m         20     -     1" in capsys.readouterr().out
-    with pytest.raises(RobotError, match="Expected base and tip with a URDF file only"):
-        show("yumi_left", base="palm")
-
-
 def test_convert_writes_what_it_read(gripper: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target = tmp_path / "finger.toml"
     convert(str(gripper), target, tip="finger")

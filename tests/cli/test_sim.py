@@ -9,17 +9,16 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from armlab import cli, robots
-from armlab.cli.sim import Around, Content, FaultOptions, Written, pair, read_hand, read_operator, sim
+from armlab.cli.sim import FaultOptions, SurroundingOptions, TextFile, read_hand, read_operator
 from armlab.errors import ConfigError, LogError, UnknownName
 from armlab.sim.arm.arm import scara
-from armlab.sim.controller.settings import ControllerSettings, FaultRates
+from armlab.sim.controller.settings import ControllerSettings
 from armlab.wire.egm import EgmCodec, Packet, Reference
 
 HEADER = "t,fx,fy,fz,mx,my,mz\n"
@@ -50,6 +49,15 @@ def holding_peer() -> Iterator[int]:
     server.sendto(b"", ("127.0.0.1", port))
     thread.join()
     server.close()
+
+
+@pytest.fixture
+def silent() -> Iterator[socket.socket]:
+    """A port that takes packets and answers none."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        one.bind(("127.0.0.1", 0))
+        one.settimeout(30)
+        yield one
 
 
 def arguments(port: int, *more: str) -> list[str]:
@@ -83,13 +91,11 @@ def test_the_option_names_of_the_bridge_work(holding_peer: int) -> None:
     assert cli.main(arguments(holding_peer, *more, "--program", "once")) == 0
 
 
-def test_two_robots_of_one_name_are_both_counted(tmp_path: Path) -> None:
+def test_two_robots_of_one_name_are_both_counted(tmp_path: Path, silent: socket.socket) -> None:
     stats = tmp_path / "stats.json"
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
-        silent.bind(("127.0.0.1", 0))
-        address = f"127.0.0.1:{silent.getsockname()[1]}"
-        words = ["sim", "yumi_left", "yumi_left", "--to", f"{address},{address}", "--seconds", "0.05"]
-        assert cli.main([*words, "--stats", str(stats)]) == 0
+    address = f"127.0.0.1:{silent.getsockname()[1]}"
+    words = ["sim", "yumi_left", "yumi_left", "--to", f"{address},{address}", "--seconds", "0.05"]
+    assert cli.main([*words, "--stats", str(stats)]) == 0
     assert list(json.loads(stats.read_text(encoding="utf-8"))) == ["yumi_left 1", "yumi_left 2"]
 
 
@@ -119,43 +125,6 @@ def test_abb_defaults_do_not_replace_what_was_given(holding_peer: int, monkeypat
 
 
 @pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        (["sim", "yumi_rihgt", "--to", "127.0.0.1:6510"], "yumi_right"),
-        (["sim", "yumi_right", "--to", "127.0.0.1"], "HOST:PORT"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:99999"], "65535"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6511,127.0.0.1:6512"], "got 1 and 2"),
-        (["sim", "--to", "127.0.0.1:6511"], "got 0 and 1"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--period", "9"], "period"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--loss", "2"], "loss"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--delay", "5"], "two numbers"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--outgoing.loss", "2"], "loss"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--axes", "6"], "got both"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--robotware", "5"], "6.06"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--fields", "tim"], "planned"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--motors", "0:onn"], "onn"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--external", "9"], "external"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--hand", "missing.csv"], "missing.csv"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--mismatch.mass", "2"], "mismatch mass"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--seed", "-1"], "seed"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--seed", "1,2"], "--seed"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--seed", "9" * 5000], "--seed"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--seconds", "nan"], "seconds"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--patience", "-1"], "patience"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--stream", "inf"], "stream"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--stats", "missing/stats.json"], "missing/stats.json"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--truth", "missing/truth.csv"], "missing/truth.csv"),
-        (["sim", "yumi_right", "--to", "127.0.0.1:6510", "--operator", "missing.csv"], "missing.csv"),
-    ],
-)
-def test_wrong_arguments_are_one_line(words: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(words) in (cli.FAILED, cli.WRONG_USE)
-    said = capsys.readouterr().err
-    assert len(said.splitlines()) == 1
-    assert text in said
-
-
-@pytest.mark.parametrize(
     ("options", "robotware", "n"),
     [
         (["--axes", "6", "--robotware", "7", "--level", "0", "--force"], "7", 6),
@@ -164,71 +133,58 @@ def test_wrong_arguments_are_one_line(words: list[str], text: str, capsys: pytes
         (["--axes", "6", "--program", "lead-through", "--rapid", "undefined"], "6.10", 6),
     ],
 )
-def test_flavours_from_the_command(options: list[str], robotware: str, n: int) -> None:
+def test_flavours_from_the_command(options: list[str], robotware: str, n: int, silent: socket.socket) -> None:
     """One packet in real time is enough: what the codec says of it."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
-        server.bind(("127.0.0.1", 0))
-        to = f"127.0.0.1:{server.getsockname()[1]}"
-        assert cli.main(["sim", "--to", to, "--seconds", "0.05", *options]) == 0
-        robot = scara() if n == 4 else robots.load("irb1200" if n == 6 else "yumi_right")
-        packet = EgmCodec(robot).decode(server.recv(65535))
+    to = f"127.0.0.1:{silent.getsockname()[1]}"
+    assert cli.main(["sim", "--to", to, "--seconds", "0.05", *options]) == 0
+    robot = scara() if n == 4 else robots.load("irb1200" if n == 6 else "yumi_right")
+    packet = EgmCodec(robot).decode(silent.recv(65535))
     assert isinstance(packet, Packet)
     assert (packet.robotware, len(packet.q)) == (robotware, n)
 
 
-def test_events_as_json(capsys: pytest.CaptureFixture[str]) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
-        silent.bind(("127.0.0.1", 0))
-        to = f"127.0.0.1:{silent.getsockname()[1]}"
-        words = ["sim", "ur5e", "--to", to, "--seconds", "0.3", "--comm-timeout", "0.1", "--json"]
-        assert cli.main(words) == 0
+def test_events_as_json(capsys: pytest.CaptureFixture[str], silent: socket.socket) -> None:
+    to = f"127.0.0.1:{silent.getsockname()[1]}"
+    words = ["sim", "ur5e", "--to", to, "--seconds", "0.3", "--comm-timeout", "0.1", "--json"]
+    assert cli.main(words) == 0
     event = json.loads(capsys.readouterr().err.splitlines()[0])
     assert (event["number"], event["task"]) == (41822, "ur5e")
 
 
-def test_a_simulator_ends_with_the_process_that_started_it() -> None:
+def test_a_simulator_ends_with_the_process_that_started_it(silent: socket.socket) -> None:
     """The child keeps the pipe open as long as it lives: reading to its end returns only because it ended."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
-        silent.bind(("127.0.0.1", 0))
-        words = [sys.executable, "-m", "armlab", *arguments(silent.getsockname()[1])]
-        code = f"import subprocess, sys; subprocess.Popen({words!r}); sys.stdin.readline()"
-        with subprocess.Popen(
-            [sys.executable, "-c", code], stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        ) as parent:
-            silent.settimeout(30)
-            silent.recvfrom(65535)  # the simulator runs and waits for a reply
-            _, said = parent.communicate("\n", timeout=30)
+    words = [sys.executable, "-m", "armlab", *arguments(silent.getsockname()[1])]
+    code = f"import subprocess, sys; subprocess.Popen({words!r}); sys.stdin.readline()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as parent:
+        silent.recvfrom(65535)  # the simulator runs and waits for a reply
+        _, said = parent.communicate("\n", timeout=30)
     assert "the process that started the simulator has ended" in said
 
 
-def test_a_simulator_whose_parent_is_gone_before_it_looks_ends() -> None:
+def test_a_simulator_whose_parent_is_gone_before_it_looks_ends(silent: socket.socket) -> None:
     """The bridge tells its number: whoever adopted the simulator meanwhile is not taken for it."""
     with subprocess.Popen([sys.executable, "-c", ""]) as gone:
         gone.wait()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
-        silent.bind(("127.0.0.1", 0))
-        words = arguments(silent.getsockname()[1], "--parent", str(gone.pid))
-        assert cli.main(words) == 0
-        silent.settimeout(0.05)
-        with pytest.raises(TimeoutError):
-            silent.recvfrom(65535)
+    words = arguments(silent.getsockname()[1], "--parent", str(gone.pid))
+    assert cli.main(words) == 0
+    silent.settimeout(0.05)
+    with pytest.raises(TimeoutError):
+        silent.recvfrom(65535)
 
 
-def test_sim_ends_cleanly_when_terminated(tmp_path: Path) -> None:
+def test_sim_ends_cleanly_when_terminated(tmp_path: Path, silent: socket.socket) -> None:
     stats = tmp_path / "stats.json"
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
-        silent.bind(("127.0.0.1", 0))
-        words = arguments(silent.getsockname()[1], "--stats", str(stats))
-        with subprocess.Popen([sys.executable, "-m", "armlab", *words], stderr=subprocess.PIPE, text=True) as process:
-            silent.settimeout(30)
-            silent.recvfrom(65535)
-            process.terminate()
-            _, said = process.communicate(timeout=30)
+    words = arguments(silent.getsockname()[1], "--stats", str(stats))
+    with subprocess.Popen([sys.executable, "-m", "armlab", *words], stderr=subprocess.PIPE, text=True) as process:
+        silent.recvfrom(65535)
+        process.terminate()
+        _, said = process.communicate(timeout=30)
     assert process.returncode == cli.INTERRUPTED
     assert "interrupted" in said
     assert "Traceback" not in said
     assert json.loads(stats.read_text(encoding="utf-8"))["yumi_right"]["counts"]["packets"] >= 1
-    assert sim.__doc__
 
 
 ROBOT = robots.load("yumi_right")
@@ -240,59 +196,17 @@ def test_faults() -> None:
     assert not FaultOptions().rates().any
 
 
-@pytest.mark.parametrize("text", ["1", "1,2,3", "a,b", ""])
-def test_pairs_that_are_none(text: str) -> None:
-    with pytest.raises(ConfigError, match="--delay"):
-        pair("delay", text)
-    with pytest.raises(ConfigError, match="--delay"):
-        FaultOptions(delay=text).rates()
-
-
-def test_names_or_axes() -> None:
-    assert Content().names(["a", "b"], 2) == ("a", "b")
-    assert Content(axes="7").names([], 2) == ("yumi_right", "yumi_right")
-    assert Content(fields=" time,planned ").left_out == ["time", "planned"]
-    with pytest.raises(ConfigError, match="both"):
-        Content(axes="6").names(["yumi_left"], 1)
-
-
-def test_values_that_rapid_sends_back() -> None:
-    assert Content(rapid_data=40, robotware="7").rapid_data == 40
-    for content in ({"rapid_data": 1}, {"rapid_data": 41, "robotware": "7"}, {"rapid_data": -1, "robotware": "7"}):
-        with pytest.raises(ConfigError, match="--rapid-data from 0 to 40"):
-            Content(**content)
-
-
 def test_around_the_arms(tmp_path: Path) -> None:
     push = tmp_path / "push.csv"
     push.write_text("t,fx,fy,fz,mx,my,mz\n0,1,0,0,0,0,0\n9,1,0,0,0,0,0\n", encoding="utf-8")
-    around = Around(operator=push, motors="0:on,2:off", rapid="undefined")
+    around = SurroundingOptions(operator=push, motors="0:on,2:off", rapid="undefined")
     first, second = (around.scene(ROBOT, index, [0, index], 1) for index in (0, 1))
     assert first.operator.at(1.0) is not None
     assert second.operator.at(1.0) is None, "the files are for the first robot"
     assert first.hand is not None
     assert (first.motors.at(3.0), first.rapid.at(3.0), first.external) == (2, 0, 1)
     with pytest.raises(UnknownName, match="off"):
-        Around(motors="aus").scene(ROBOT, 0, [0], 0)
-
-
-def test_the_help_of_faults_is_that_of_the_rates() -> None:
-    """Written once, with the same defaults."""
-    assert FaultOptions().rates() == FaultRates()
-    assert [field.name for field in fields(FaultOptions)] == [field.name for field in fields(FaultRates)]
-    text = FaultOptions.__doc__ or ""
-    for field in fields(FaultRates):
-        assert f"    {field.name} : " in text
-    assert "Raises" not in text
-
-
-def test_a_grip_holds_the_first_robot_only() -> None:
-    robot = robots.load("yumi_right")
-    first, second = (Around(grip="1,3").scene(robot, index, [0, index], 0) for index in (0, 1))
-    assert first.grip is not None
-    assert second.grip is None
-    with pytest.raises(ConfigError, match="--grip"):
-        Around(grip="soon").scene(robot, 0, [0, 0], 0)
+        SurroundingOptions(motors="aus").scene(ROBOT, 0, [0], 0)
 
 
 @pytest.mark.parametrize(
@@ -314,14 +228,6 @@ def test_read_operator_names_file_and_line(tmp_path: Path, text: str, where: str
         read_operator(path)
 
 
-def test_read_operator_reads(tmp_path: Path) -> None:
-    path = tmp_path / "hand.csv"
-    path.write_text("\ufeff" + HEADER + "0, 0,0,0,0,0,0\n2,10,0,0,0,0,1\n", encoding="utf-8")
-    np.testing.assert_allclose(read_operator(path).at(1.0), [5, 0, 0, 0, 0, 0.5])
-    path.write_text(HEADER, encoding="utf-8")
-    assert read_operator(path).at(0.0) is None
-
-
 def test_read_hand_reads(tmp_path: Path) -> None:
     path = tmp_path / "hand.csv"
     path.write_text("t,q1,q2\n0,0,1\n1,2,1\n2,4,1\n", encoding="utf-8")
@@ -338,20 +244,12 @@ def test_read_hand_refuses(tmp_path: Path, text: str, what: str) -> None:
         read_hand(path, 2)
 
 
-def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"Expected to write .*none/x\.json, got: No such file"):
-        Written(tmp_path / "none" / "x.json")
-    with Written(tmp_path / "x.json") as file:
-        file.write("1\n")
-    assert (tmp_path / "x.json").read_text() == "1\n"
-
-
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no file that is always full")
 def test_a_full_disk_is_named_also_when_the_last_bytes_do_not_fit() -> None:
     full = Path("/dev/full")
-    with pytest.raises(LogError, match=r"Expected to write /dev/full, got: No space left"), Written(full) as file:
+    with pytest.raises(LogError, match=r"Expected to write /dev/full, got: No space left"), TextFile(full) as file:
         file.write("1\n")
-    with pytest.raises(LogError, match="/dev/full"), Written(full) as file:
+    with pytest.raises(LogError, match="/dev/full"), TextFile(full) as file:
         file.write("1" * 1_000_000)
-    with pytest.raises(KeyError), Written(full) as file:
+    with pytest.raises(KeyError), TextFile(full) as file:
         raise KeyError

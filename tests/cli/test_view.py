@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from armlab import log as logs
-from armlab import models, robots
+from armlab import robots
 from armlab.cli import main
 from armlab.cli.view import _folders, beside
 from armlab.errors import LinkError
@@ -29,45 +29,6 @@ pytest.importorskip("viser", reason="the view in the browser needs the extra `li
 def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """No bridge of this user runs."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--live", "yumi_left", "yumi_right"], "Expected one arm with --live, got yumi_left, yumi_right"),
-        (["--live", "--model", "none.toml"], "Expected a model file at none.toml"),
-        (["--live", "--robot", "yumi_left"], "a bridge tells its robots"),
-        ([], "Expected at least one log to show, got none"),
-        (["--cell", "yumi", "run.mcap"], "Expected --cell yumi together with --live"),
-        (["--zenoh", "zenoh://host/lab1", "run.mcap"], "Expected --zenoh zenoh://host/lab1 together with --live"),
-        (["--live", "--zenoh", "http://host"], "Expected a place like zenoh://"),
-        (["--live", "--zenoh", "zenoh://host", "--cell", "a"], "Expected --cell of this computer or --zenoh"),
-        (["--fleet", "run.mcap"], "Expected at most --zenoh and --port with --fleet"),
-        (["--fleet", "--zenoh", "host:7447"], "Expected a place like zenoh://"),
-        (["--live", "--port", "99999"], "Expected a port from 0 to 65535"),
-    ],
-)
-def test_wrong_use_gets_a_sentence(alone: None, capsys: Any, words: list[str], sentence: str) -> None:
-    assert main(["view", *words]) == 2
-    assert sentence in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [(None, "Expected a log at"), ("[project]\n", "Expected names that come once in the header of")],
-)
-def test_a_file_that_is_no_log(tmp_path: Path, capsys: Any, text: str | None, sentence: str) -> None:
-    path = tmp_path / "run.mcap"
-    if text is not None:
-        path.write_text(text)
-    assert main(["view", str(path)]) == 1
-    assert sentence in capsys.readouterr().err
-
-
-def test_a_file_of_another_kind_is_no_model(alone: None, tmp_path: Path, capsys: Any) -> None:
-    models.save(robots.load("yumi_left"), tmp_path / "arm.toml")
-    assert main(["view", "--live", "--model", str(tmp_path / "arm.toml")]) == 2
-    assert "Expected a file of kind 'torque_model'" in capsys.readouterr().err
 
 
 def test_a_port_that_is_taken(alone: None, capsys: Any) -> None:

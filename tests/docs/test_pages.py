@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import robots
+from armlab import plots, robots
 from armlab.lie import quaternion
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -121,3 +121,23 @@ def test_a_wrong_line_is_found(tmp_path: Path) -> None:
         exec(compile(second, str(page), "exec"), namespace)
     assert error.traceback[-1].lineno + 1 == 8
     assert namespace["np"] is np
+
+
+SHOWN = re.compile(
+    r"^### (\w+)\n.*?^```\{literalinclude\} (\S+)\n.*?^:start-at: (.+?)\n:end-at: (.+?)\n"
+    r".*?^```\{figure\} _figures/(\S+)$",
+    flags=re.M | re.S,
+)
+
+
+def test_every_figure_is_shown_with_the_line_that_draws_it() -> None:
+    shown = SHOWN.findall((DOCS / "gallery.md").read_text(encoding="utf-8"))
+    names = [name for name, *_ in shown]
+    assert sorted(names) == sorted(plots.__all__)
+    for name, source, start, end, picture in shown:
+        lines = (DOCS / source).read_text(encoding="utf-8").splitlines()
+        first = next(k for k, line in enumerate(lines) if start in line)
+        last = next(k for k, line in enumerate(lines[first:], first) if end in line)
+        assert any(f"plots.{name}(" in line for line in lines[first : last + 1]), f"{name}: another line"
+        written = (picture, re.sub(r"\d", "{number}", picture))
+        assert any(word in line for word in written for line in lines), f"{name}: {source} does not write {picture}"

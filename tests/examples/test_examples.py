@@ -13,7 +13,11 @@ from contextlib import chdir, redirect_stdout
 from io import StringIO
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from armlab.motion import TwoDofDmp
+from armlab.sim import two_link
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = {path.name: path for path in sorted((ROOT / "examples").glob("*.py"))}
@@ -124,3 +128,14 @@ def test_example_is_on_a_page(name: str) -> None:
 def test_numbers_have_no_holes() -> None:
     numbers = [int(name[:2]) for name in EXAMPLES]
     assert numbers == list(range(1, len(EXAMPLES) + 1))
+
+
+def test_the_arm_repeats_is_pushed_and_arrives(capsys: pytest.CaptureFixture[str]) -> None:
+    program = runpy.run_path(str(EXAMPLES["28_two_link.py"]))
+    assert (program["motion"].TwoDofDmp, program["two_link"]) == (TwoDofDmp, two_link)
+    program["main"]()
+    repeated, pushed, end = (float(x) for x in re.findall(r"([\d.]+) mm", capsys.readouterr().out))
+    assert repeated < 1.0
+    assert pushed > 50.0
+    assert end < 0.1
+    np.testing.assert_allclose(two_link.forward(two_link.inverse(program["POINTS"])), program["POINTS"], atol=1e-12)

@@ -11,11 +11,11 @@ import pytest
 
 from armlab import robots
 from armlab.kinematics import forward, link_transforms
-from armlab.live.bodies import Body, along, arrow, bodies, box, capsule, drums, mesh_bodies
+from armlab.live.scene import Surface, along, arrow, bodies, box, capsule, mesh_bodies
 from armlab.robots import Mesh, Robot
 
 
-def volume(body: Body) -> float:
+def volume(body: Surface) -> float:
     """Signed volume by the divergence theorem: positive when all faces look outside."""
     p = body.vertices[body.faces]
     return float(np.einsum("fi,fi->", p[:, 0], np.cross(p[:, 1], p[:, 2])) / 6.0)
@@ -35,12 +35,6 @@ def test_a_capsule_is_all_points_near_a_line(b: list[float]) -> None:
     assert 0.95 * ideal < volume(body) < ideal
 
 
-def test_a_rod_is_a_box() -> None:
-    body = box(np.array([0.0, 0.0, -0.2]), np.array([0.0, 0.0, 0.3]), 0.04)
-    assert volume(body) == pytest.approx(0.5 * 0.04**2)
-    np.testing.assert_allclose(body.moved(np.eye(4)).vertices[:, 2], [-0.2] * 4 + [0.3] * 4)
-
-
 def test_an_arrow_points_along_z_and_is_turned_anywhere() -> None:
     body = arrow()
     assert volume(body) > 0
@@ -52,13 +46,6 @@ def test_an_arrow_points_along_z_and_is_turned_anywhere() -> None:
         np.testing.assert_allclose((T @ [0.0, 0.0, np.linalg.norm(end - a), 1.0])[:3], end, atol=1e-12, rtol=0)
         np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12, rtol=0)
     np.testing.assert_array_equal(along(a, a)[:3, 2], [0.0, 0.0, 1.0])
-
-
-def test_drums_stand_about_the_joint_axes() -> None:
-    for body in drums(robots.load("irb2400")):
-        assert volume(body) > 0
-        radius = np.linalg.norm(body.vertices[:, :2], axis=1)
-        assert radius.max() < 0.5 * np.ptp(body.vertices[:, 2]) * 1.1
 
 
 @pytest.mark.parametrize("name", robots.names())

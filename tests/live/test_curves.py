@@ -13,7 +13,7 @@ import pytest
 from armlab import robots
 from armlab.errors import ShapeError
 from armlab.live import curves
-from armlab.live.curves import ArmPanel, Curves, Lines, Markup, RingBuffer, Window, envelope
+from armlab.live.curves import ArmPanel, Curves, RingBuffer, Window, envelope
 
 
 class Gui:
@@ -143,12 +143,6 @@ def test_a_window_slides_and_draws_ten_times_a_second() -> None:
     np.testing.assert_array_equal(gui.plots[0].data[1], [5.0])
 
 
-def test_a_plot_that_is_hidden_takes_its_heading_along() -> None:
-    plot = Curves(Gui(), "x", ["x"], ["#000000"])
-    plot.hide()
-    assert (plot._heading.visible, plot._plot.visible) == (False, False)
-
-
 def test_shapes_that_do_not_fit_are_refused() -> None:
     plot = curves.Curves(Gui(), "x", ["x"], ["#000000"])
     with pytest.raises(ShapeError, match=r"\(N, 1\)"):
@@ -180,15 +174,6 @@ def test_it_keeps_the_last_seconds(step: float) -> None:
         np.testing.assert_array_equal(values, values_then)
 
 
-def test_it_begins_anew() -> None:
-    recent = RingBuffer(1, 1.0)
-    recent.add(5.0, [1.0])
-    recent.clear()
-    assert len(recent) == 0
-    recent.add(1.0, [2.0])
-    assert (recent.t.tolist(), recent.values.tolist()) == ([1.0], [[2.0]])
-
-
 def test_words_are_escaped_and_sent_when_they_change(server: Any) -> None:
     panel = ArmPanel(server.gui, robots.load("irb2400"))
     panel.say({"state": "holding", "why": "<no> packet"})
@@ -197,25 +182,3 @@ def test_words_are_escaped_and_sent_when_they_change(server: Any) -> None:
     assert "&lt;no&gt; packet" in text
     panel.say({"state": "holding", "why": "<no> packet"})
     assert panel._words._html.content is text
-
-
-def test_lines_are_text_and_markup_is_not(server: Any) -> None:
-    lines, markup = Lines(server.gui), Markup(server.gui)
-    lines.show("<b>\nsecond")
-    markup.show("<b>bold</b>")
-    assert "&lt;b&gt;<br>second" in lines._html.content
-    assert markup._html.content == "<b>bold</b>"
-    lines.remove()
-    markup.remove()
-
-
-def test_plots_have_one_curve_per_joint_and_axis(server: Any) -> None:
-    robot = robots.load("irb2400")
-    panel = ArmPanel(server.gui, robot, {"force": (-20.0, 20.0)})
-    panel.torque.show([0.0], np.zeros((1, 6)))
-    panel.force.show([0.0], np.zeros((1, 3)), np.ones((1, 3)))
-    panel.moment.show([0.0], np.zeros((1, 3)))
-    plots = [panel.torque._plot, panel.force._plot, panel.moment._plot]
-    assert [len(plot.data) for plot in plots] == [7, 10, 10]
-    assert [one["stroke"] for one in plots[0].series[1:3]] == ["#0072B2", "#D55E00"]
-    assert plots[1].scales["y"]["range"] == (-20.0, 20.0)

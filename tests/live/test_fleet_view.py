@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,11 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.servers.row import RowSchema
-from armlab.bridge.servers.zenoh.keys import EVERY
-from armlab.bridge.servers.zenoh.session import LabAddress
+from armlab.bridge.servers.zenoh import EVERY, Place
 from armlab.errors import LinkError
 from armlab.kinematics import forward
 from armlab.lie import quaternion, se3
-from armlab.live import FleetRows, FleetView, SeenRobot, watch_fleet
+from armlab.live.fleet_view import FleetRows, FleetView, SeenRobot, watch_fleet
 from armlab.robots import Robot, to_toml
 
 from .fleet_bridges import Fleet, hear_fleet
@@ -63,32 +63,6 @@ def test_one_lab_alone_and_damaged_rows(fleet: Fleet) -> None:
     seen = rows.robots["lab2/ur5e"]
     hear_fleet(rows, lambda: seen.damaged > 1, lambda: fleet.put("armlab/lab2/ur5e/view", b"ALR1 and no sum"))
     hear_fleet(rows, lambda: seen.state == "there")
-
-
-def test_without_a_router() -> None:
-    with pytest.raises(LinkError, match="Expected a Zenoh router"):
-        FleetRows(LabAddress(port=1), patience=0.1)
-
-
-WRONG = [
-    b'{"kind": "status", "arms": {"arm": {"rate": 1.0, "missed": Infinity}}}',
-    b'{"kind": "status", "arms": {"arm": {"rate": 1%s, "missed": 0}}}' % (b"0" * 400),
-    b"[" * 200_000,
-    b"5",
-]
-
-
-def test_texts_that_are_none_end_nothing(fleet: Fleet) -> None:
-    rows = fleet.rows()
-    fleet.bridge(LEFT, "arm")
-    hear_fleet(rows, lambda: "lab1/arm" in rows.robots and math.isfinite(rows.robots["lab1/arm"].rate))
-    seen = rows.robots["lab1/arm"]
-    hear_fleet(
-        rows, lambda: seen.refused >= len(WRONG), lambda: [fleet.put("armlab/lab1/arm/status", x) for x in WRONG]
-    )
-    assert math.isfinite(seen.rate)
-    before = seen.rows
-    hear_fleet(rows, lambda: seen.rows > before)
 
 
 @pytest.mark.parametrize("about", [b"", b"[]", b"[1]", b'[{"schema": "{}"}]', b'[{"schema": 1}]', b"\xff"])
@@ -203,13 +177,14 @@ def test_it_tells_who_comes_and_who_goes(fleet: Fleet) -> None:
             one.close()
         return {"lab1/ur5e is gone", "lab1/strange says what cannot be understood"} <= set(told)
 
-    watch_fleet(LabAddress(port=fleet.port, lab=EVERY), port=0, opened=told.append, tell=told.append, over=over)
+    watch_fleet(Place(port=fleet.port, lab=EVERY), port=0, opened=told.append, tell=told.append, over=over)
     assert told[0].startswith("http://127.0.0.1:")
     assert told.count("lab1/strange says what cannot be understood") == 1
 
 
-def test_without_a_router_nothing_is_opened() -> None:
+def test_without_a_router_nothing_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[str] = []
+    monkeypatch.setattr("armlab.live.fleet_view.FleetRows", partial(FleetRows, patience=0.1))
     with pytest.raises(LinkError, match="Expected a Zenoh router"):
-        watch_fleet(LabAddress(port=1), opened=told.append)
+        watch_fleet(Place(port=1), opened=told.append)
     assert not told

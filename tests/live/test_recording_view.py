@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import live, log, robots
+from armlab import log, robots
 from armlab.errors import LogError, ModelMismatchError, RobotError, ShapeError
 from armlab.kinematics import forward
 from armlab.lie import quaternion, se3
@@ -80,11 +80,6 @@ def test_two_arms_of_one_file_are_both_shown(tmp_path: Path) -> None:
     assert len(first.table) == len(second.table) == 500
 
 
-def test_logs_of_different_days_begin_together(tmp_path: Path) -> None:
-    files = [recording(tmp_path / "left.mcap", LEFT), recording(tmp_path / "right.mcap", RIGHT, first=1e5)]
-    assert [arm.t[0] for arm in live.read_arms(files)] == [0.0, 0.0]
-
-
 def test_what_is_said_of_an_instant(tmp_path: Path) -> None:
     (arm,) = read_arms([recording(tmp_path / "left.mcap", LEFT)])
     early, late = arm.words(0.5), arm.words(1.5)
@@ -99,14 +94,6 @@ def test_what_is_said_of_an_instant(tmp_path: Path) -> None:
     assert late["clamps"] == "velocity of joint 2 (126 rows so far)"
     assert arm.words(3.0)["state"] == "no packet for 1.0 s"
     assert arm.words(-0.1)["state"] == "not begun"
-
-
-def test_what_a_log_does_not_have_is_not_said(table: Callable[..., Table]) -> None:
-    arm = Recorded(LEFT, table(), table().t)
-    words = arm.words(1.0)
-    assert words["state"] == "recorded"
-    assert [words[name] for name in ("latency", "clamps", "drops")] == ["-", "-", "-"]
-    assert (arm.torque, arm.wrench, arm.covariance, arm.sigma) == (None, None, None, None)
 
 
 def test_an_estimate_goes_before_a_sensor(table: Callable[..., Table]) -> None:
@@ -292,16 +279,6 @@ def test_without_a_force_the_whole_run_is_the_speed_of_the_tool(server: Any) -> 
     assert np.nanmax(player._run._plot.data[1]) == pytest.approx(speed.max())
     panel = player._panels[0]
     assert [plot._plot.visible for plot in (panel.force, panel.moment, panel.torque)] == [False, False, True]
-
-
-def test_the_path_is_that_of_the_last_ten_seconds(server: Any) -> None:
-    one = arm(LEFT)
-    player = Player(server, [one])
-    player.seek(15.0)
-    player.advance(0.0)
-    path = server.scene.get_handle_by_name("/yumi_left/path").points
-    np.testing.assert_allclose(path[0, 0], one.tool[one.row(5.0)], atol=2e-3, rtol=0)
-    np.testing.assert_allclose(path[-1, 1], one.tool[one.row(15.0)], atol=2e-2, rtol=0)
 
 
 def test_sliders_set_speed_and_length_of_a_force(server: Any, pressed: Recorded) -> None:

@@ -8,23 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import live, robots
+from armlab import robots
 from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.kinematics import forward, link_transforms
 from armlab.lie import quaternion, se3
-from armlab.live.bodies import arrow
 from armlab.live.scene import (
     ARROW,
-    LINK_COLORS,
-    TOOL_COLOR,
     ForceArrow,
-    Scene,
-    SceneNode,
+    RobotScene,
     _towards,
     ellipsoid_axes,
     is_significant,
     rgb,
-    solid,
 )
 from armlab.robots import Robot
 
@@ -54,7 +49,7 @@ def link(robot: Robot, number: int) -> str:
 
 def test_links_and_tool_stand_where_the_kinematics_put_them(server: Any) -> None:
     T_world_base = se3.from_rp(np.eye(3), [0.0, 1.0, 0.2])
-    scene = Scene(server, [LEFT, RIGHT], {"yumi_right": T_world_base})
+    scene = RobotScene(server, [LEFT, RIGHT], {"yumi_right": T_world_base})
     q = LEFT.q_home + 0.2
     for robot in (LEFT, RIGHT):
         scene.show(robot.name, q)
@@ -66,11 +61,19 @@ def test_links_and_tool_stand_where_the_kinematics_put_them(server: Any) -> None
         np.testing.assert_allclose(found, forward(robot, q), atol=1e-12, rtol=0)
     np.testing.assert_allclose(pose(node(server, "/yumi_right")), T_world_base, atol=1e-12, rtol=0)
     np.testing.assert_allclose(pose(node(server, "/yumi_left")), np.eye(4), atol=1e-12, rtol=0)
+    arm = robots.from_dh("slider", [0.3, 0.5, 0.0], [0.1, 0.2, 0.1], [0.2, 0.0, 0.1], prismatic=[False, True, False])
+    scene.add(arm)
+    for q in (np.zeros(3), np.array([0.3, 0.4, -0.2])):  # also after the first picture
+        scene.show("slider", q)
+        found = np.eye(4)
+        for i in range(3):
+            found = found @ pose(node(server, link(arm, i + 1)))
+            np.testing.assert_allclose(found, link_transforms(arm, q)[i], atol=1e-12, rtol=0)
 
 
 def test_arms_come_go_and_move(server: Any) -> None:
     """An arm of the same name takes the place of the old one; the floor is below all."""
-    scene = Scene(server, [LEFT])
+    scene = RobotScene(server, [LEFT])
     scene.add(RIGHT, se3.from_rp(np.eye(3), [0.0, 2.0, 0.0]))
     scene.show("yumi_right", RIGHT.q_home)
     far = se3.from_rp(np.eye(3), [-3.0, 4.0, 0.0])
@@ -93,29 +96,8 @@ def test_arms_come_go_and_move(server: Any) -> None:
     assert server.scene.get_handle_by_name(link(RIGHT, 7)) is None
 
 
-def test_a_link_that_slides_moves_along(server: Any) -> None:
-    """Also after the first picture, when nothing but turns is sent of other links."""
-    arm = robots.from_dh("slider", [0.3, 0.5, 0.0], [0.1, 0.2, 0.1], [0.2, 0.0, 0.1], prismatic=[False, True, False])
-    scene = Scene(server, [arm])
-    for q in (np.zeros(3), np.array([0.3, 0.4, -0.2])):
-        scene.show("slider", q)
-        found = np.eye(4)
-        for i in range(3):
-            found = found @ pose(node(server, link(arm, i + 1)))
-            np.testing.assert_allclose(found, link_transforms(arm, q)[i], atol=1e-12, rtol=0)
-
-
-def test_arms_joints_and_tools_have_their_colours(server: Any) -> None:
-    Scene(server, [LEFT, RIGHT])
-    for robot, color in zip((LEFT, RIGHT), LINK_COLORS, strict=True):
-        assert tuple(node(server, link(robot, 3)).color) == rgb(color)
-        assert tuple(node(server, f"{link(robot, robot.n)}/tool/point").color) == rgb(TOOL_COLOR)
-    assert tuple(node(server, f"{link(LEFT, 2)}/joint").color) == rgb("#D55E00")
-    assert rgb("#0072B2") == (0, 114, 178)
-
-
 def test_a_force_is_an_arrow_at_the_tool_with_its_ellipsoid_at_the_tip(server: Any) -> None:
-    scene = Scene(server, [LEFT])
+    scene = RobotScene(server, [LEFT])
     force = np.array([10.0, -5.0, 20.0])
     scene.show("yumi_left", LEFT.q_home, [*force, 0, 0, 0], C)
     tool = forward(LEFT, LEFT.q_home)[:3, 3]
@@ -134,23 +116,8 @@ def test_a_force_is_an_arrow_at_the_tool_with_its_ellipsoid_at_the_tip(server: A
     assert not ball.visible
 
 
-def test_a_force_that_may_be_zero_is_grey(server: Any) -> None:
-    scene = Scene(server, [LEFT])
-    for force, gray in (([2.7, 0, 0], True), ([2.9, 0, 0], False)):  # sqrt(7.81) = 2.795 sigma
-        scene.show("yumi_left", LEFT.q_home, [*force, 0, 0, 0], C)
-        assert (tuple(node(server, "/yumi_left/force").color) == rgb("#4D4D4D")) is gray
-
-
-def test_no_force_no_arrow(server: Any) -> None:
-    scene = Scene(server, [LEFT])
-    for force in (None, [0.0, 0.0, 0.0], [np.nan, 1.0, 2.0]):
-        scene.show("yumi_left", LEFT.q_home, [1.0, 2.0, 3.0])
-        scene.show("yumi_left", LEFT.q_home, force)
-        assert not node(server, "/yumi_left/force").visible
-
-
 def test_an_arm_whose_joints_are_not_known_is_hidden(server: Any) -> None:
-    scene = Scene(server, [LEFT])
+    scene = RobotScene(server, [LEFT])
     scene.show("yumi_left", np.full(7, np.nan), [1.0, 2.0, 3.0])
     assert not node(server, "/yumi_left/arm").visible
     assert not node(server, "/yumi_left/force").visible
@@ -159,7 +126,7 @@ def test_an_arm_whose_joints_are_not_known_is_hidden(server: Any) -> None:
 
 
 def test_the_path_is_thinned_and_gaps_are_bridged(server: Any) -> None:
-    scene = Scene(server, [LEFT])
+    scene = RobotScene(server, [LEFT])
     points = np.linspace([0.3, 0.0, 0.2], [0.5, 0.1, 0.2], 2500)
     points[100] = np.nan
     scene.trace("yumi_left", points)
@@ -173,7 +140,7 @@ def test_the_path_is_thinned_and_gaps_are_bridged(server: Any) -> None:
 
 
 def test_frames_come_move_and_go(server: Any) -> None:
-    scene = Scene(server, [LEFT])
+    scene = RobotScene(server, [LEFT])
     T = se3.exp([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
     for one in (np.eye(4), T):
         scene.frame("table", one)
@@ -186,16 +153,16 @@ def test_frames_come_move_and_go(server: Any) -> None:
 
 def test_wrong_input_gets_a_sentence(server: Any) -> None:
     with pytest.raises(RobotError, match="different names"):
-        Scene(server, [LEFT, LEFT])
+        RobotScene(server, [LEFT, LEFT])
     with pytest.raises(RobotError, match="different names to show, got none"):
-        Scene(server, [])
+        RobotScene(server, [])
     with pytest.raises(RobotError):
-        Scene(server, ["yumi_left"])  # type: ignore[list-item]
+        RobotScene(server, ["yumi_left"])  # type: ignore[list-item]
     with pytest.raises(UnknownName, match="yumi_left"):
-        Scene(server, [LEFT], {"ur5e": np.eye(4)})
+        RobotScene(server, [LEFT], {"ur5e": np.eye(4)})
     with pytest.raises(ShapeError, match="Expected a pose"):
-        Scene(server, [LEFT], {"yumi_left": np.zeros((4, 4))})
-    scene = live.Scene(server, [LEFT])
+        RobotScene(server, [LEFT], {"yumi_left": np.zeros((4, 4))})
+    scene = RobotScene(server, [LEFT])
     with pytest.raises(UnknownName, match="arm in this view"):
         scene.show("yumi_right", LEFT.q_home)
     for arguments in ([np.zeros(6)], [LEFT.q_home, np.zeros(4)], [LEFT.q_home, np.zeros(6), np.eye(4)]):
@@ -261,41 +228,3 @@ def test_small_forces_are_thin_and_tiny_ones_hidden(server: Any) -> None:
     one.hide()
     assert not arrow.visible
     assert not ball.visible
-
-
-class Handle:
-    def __init__(self) -> None:
-        self.told: list[tuple[str, object]] = []
-
-    def __setattr__(self, name: str, value: object) -> None:
-        object.__setattr__(self, name, value)
-        if name != "told":
-            self.told.append((name, value))
-
-
-def test_the_same_again_is_not_told() -> None:
-    handle = Handle()
-    node = SceneNode(handle)
-    for position in ((0.0, 0.0, 1.0), (0.0, 0.0, 1.0), (0.0, 0.0, 2.0), (0.0, 0.0, 1.0)):
-        node.set(position=position, color=(1, 2, 3))
-    node.set(color=(3, 2, 1))
-    assert handle.told == [
-        ("position", (0.0, 0.0, 1.0)),
-        ("color", (1, 2, 3)),
-        ("position", (0.0, 0.0, 2.0)),
-        ("position", (0.0, 0.0, 1.0)),
-        ("color", (3, 2, 1)),
-    ]
-
-
-def test_colours_are_read() -> None:
-    assert rgb("#0072B2") == (0, 114, 178)
-
-
-def test_a_body_stands_in_the_scene_in_its_colour(server: Any) -> None:
-    body = arrow()
-    handle = solid(server.scene, "/arrow", body, "#0072B2")
-    assert handle is server.scene.get_handle_by_name("/arrow")
-    np.testing.assert_allclose(handle.vertices, body.vertices, atol=1e-7)
-    np.testing.assert_array_equal(handle.faces, body.faces)
-    assert tuple(handle.color) == rgb("#0072B2")

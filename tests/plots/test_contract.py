@@ -23,7 +23,7 @@ from armlab.models import TorqueModel
 from armlab.plots.space import PROJECTION
 
 Draw = Callable[..., Any]
-NAMES = sorted(set(plots.__all__) - {"png", "show"})
+NAMES = sorted(plots.__all__)
 IN_SPACE = {"manipulability": (True,), "robot": (True,), "scene": (True,), "workspace": (False, False, True)}
 N = 400
 GAP = slice(150, 170)

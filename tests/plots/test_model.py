@@ -1,19 +1,22 @@
-"""`plots.torque_fit`: measured, modelled, residual and band of each joint."""
+"""Figures of torque models and of calibrations."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from armlab import identify
-from armlab.errors import ModelMismatchError, ShapeError, UnknownName
-from armlab.estimation import Excitation, Fit
-from armlab.estimation.bootstrap import correlation_time
+from armlab import calibrate, contact, identify, sim
+from armlab.errors import ShapeError, UnknownName
+from armlab.estimation import Excitation, Fit, correlation_time
 from armlab.log import Column, Table
-from armlab.models import TorqueModel, velocity_covariance
+from armlab.models import FrictionMap, RadialBasis, TorqueModel, velocity_covariance
 from armlab.plots import model as covariances
-from armlab.plots.model import autocorrelation, excitation, residual_speed, torque_fit, value_of
+from armlab.plots.calibration_quality import calibration
+from armlab.plots.drives import friction, friction_map, own_parameters, spectrum
+from armlab.plots.model import autocorrelation, excitation, residual_speed, torque_fit
 
 
 def test_each_joint_has_its_numbers(fitted: Fit[TorqueModel], excited: Table) -> None:
@@ -56,12 +59,6 @@ def test_a_piece_too_short_to_filter_is_a_gap(model: TorqueModel, excited: Table
     line = torque_fit(model, late).axes[0].lines[1]
     assert np.isnan(np.asarray(line.get_ydata())[1000:1050]).all()
     assert np.isfinite(np.asarray(line.get_ydata())[:1000]).all()
-
-
-def test_a_fit_or_its_value(fitted: Fit[TorqueModel], excited: Table) -> None:
-    assert value_of(fitted) is value_of(fitted.value) is fitted.value
-    with pytest.raises(ModelMismatchError, match=r"models\.load"):
-        torque_fit("model.toml", excited)  # type: ignore[arg-type]
 
 
 N = 3000
@@ -155,11 +152,6 @@ def test_lines_are_the_square_root_of_the_variance() -> None:
     assert len(ax.lines) == 2
 
 
-def test_a_torque_model_gives_its_covariance(model: TorqueModel) -> None:
-    lines = covariances.velocity_covariance(model).lines
-    assert len(lines) == len(model.covariance.C0)
-
-
 NAMES = ("mass", "offset", "gain")
 
 
@@ -183,3 +175,179 @@ def test_without_values_it_is_refused() -> None:
         excitation(Excitation(0, 0, np.zeros(0), "none"))
     with pytest.raises(ShapeError, match="above zero"):
         excitation(Excitation(0, 2, np.zeros(2), "none"))
+
+
+def test_curve_band_and_points(fitted: Fit[TorqueModel], excited: Table, truth) -> None:
+    model = fitted.value
+    estimate = contact.Estimator(model, truth.robot).run(excited)
+    figure = friction(fitted, estimate)
+    assert len(figure.axes) == 3
+    for i, ax in enumerate(figure.axes):
+        points, _, curve = ax.lines
+        qd = np.asarray(curve.get_xdata())
+        assert np.abs(qd).max() == pytest.approx(model.training.qd_peak[i])
+        grid = np.repeat(qd[:, None], 3, axis=1)
+        torque = model.friction.torque(grid, np.sign(grid))[:, i]
+        assert np.asarray(curve.get_ydata()) == pytest.approx(torque)
+        every = max(1, len(excited) // 3000)
+        moving = estimate["qd"][::every]
+        shown = model.friction.torque(moving, np.sign(moving))[:, i] - estimate["tau_error"][::every, i]
+        assert np.asarray(points.get_ydata()) == pytest.approx(shown)
+        dark, light = (area.get_paths()[0].vertices for area in ax.collections)
+        assert np.ptp(light[:, 1]) > np.ptp(dark[:, 1])
+        assert dark[:, 1].max() > torque.max()
+        assert (ax.get_xlabel(), ax.get_ylabel()) == ("qd [rad/s]", "friction [N m]")
+
+
+def test_the_dark_band_is_the_covariance_of_the_parameters(fitted: Fit[TorqueModel]) -> None:
+    """At the largest speed: viscous, Coulomb and offset of joint 3 move together."""
+    ax = friction(fitted).axes[2]
+    curve = np.asarray(ax.lines[0].get_ydata())
+    vertices = ax.collections[0].get_paths()[0].vertices
+    peak = fitted.value.training.qd_peak[2]
+    top = vertices[np.isclose(vertices[:, 0], peak), 1].max()
+    bump = np.exp(-((peak / fitted.value.friction.stribeck_speed[2]) ** 2))
+    slopes = {"viscous": peak, "coulomb": 1.0, "coulomb+": 1.0, "coulomb-": 0.0, "offset": 1.0, "stribeck": bump}
+    slopes["root"] = np.sqrt(peak)
+    g = np.zeros(len(fitted.names))
+    for kind, place in own_parameters(fitted)[2].items():
+        g[place] = slopes.get(kind, 0.0)
+    assert top - curve[-1] == pytest.approx(2 * np.sqrt(g @ fitted.cov @ g), rel=1e-6)
+
+
+JOINT, CYCLES, SIZE = 2, 200.0, 0.15
+
+
+@pytest.fixture
+def mapped(model: TorqueModel) -> TorqueModel:
+    """A map that is +1 N m at one end of the range of joint 3, and 0 at the other."""
+    low, high = model.training.q_min, model.training.q_max
+    positions = np.linspace(low, high, 4).T
+    speeds = np.linspace(0.2, 1.0, 3)[None] * model.training.qd_peak[:, None]
+    widths = (
+        np.repeat(np.diff(positions, axis=1)[:, :1], 4, axis=1),
+        np.repeat(np.diff(speeds, axis=1)[:, :1], 3, axis=1),
+    )
+    k = np.zeros((3, 2, 4, 3))
+    k[JOINT, 0] = np.linspace(1, 0, 4)[:, None]
+    return replace(model, friction_map=FrictionMap(RadialBasis(positions, widths[0], speeds, widths[1]), k))
+
+
+def test_the_map_is_friction_over_position_and_velocity(
+    mapped: TorqueModel, model: TorqueModel, excited: Table
+) -> None:
+    figure = friction_map(mapped, JOINT, excited)
+    left, right, bar = figure.axes
+    torque = left.collections[0].get_array().reshape(60, 61)
+    plain = friction_map(model, JOINT).axes[0].collections[0].get_array().reshape(60, 61)
+    added = np.asarray(torque - plain)
+    assert added[45:, 0] == pytest.approx(1.0, abs=0.2)
+    assert added[45:, -1] == pytest.approx(0.0, abs=0.2)
+    assert np.abs(added[:30]).max() < 1e-12  # nothing in the other direction
+    assert (left.get_xlabel(), left.get_ylabel()) == ("q [rad]", "qd [rad/s]")
+    assert bar.get_ylabel() == "friction [N m]"
+    qd = np.asarray(right.lines[0].get_xdata())
+    assert (qd[0], qd[-1]) == pytest.approx((-model.training.qd_peak[JOINT], model.training.qd_peak[JOINT]))
+    assert [line.get_label() for line in right.lines][1].startswith("q = ")
+    assert np.asarray(right.lines[1].get_ydata()) == pytest.approx(np.asarray(torque)[:, 30], abs=1e-9)
+    assert any(getattr(area, "hatches", None) == ["///"] for area in left.collections)
+    assert left.get_title(loc="left") == "joint 3"
+
+
+def test_the_spectrum_shows_ripple_without_and_with_the_model(model: TorqueModel, excited: Table) -> None:
+    cosine = np.where(np.arange(3) == JOINT, SIZE, 0.0)
+    ripple = replace(model.ripple, cycles=np.full(3, CYCLES), cosine=cosine, sine=np.zeros(3))
+    tau = excited["tau"] - model.ripple.torque(excited["q"]) + ripple.torque(excited["q"])
+    rippled = excited.with_column("tau", tau)
+    figure = spectrum(replace(model, ripple=ripple), rippled, joints=[JOINT])
+    (ax,) = figure.axes
+    without, with_model, mark = ax.lines
+    cycles = np.asarray(without.get_xdata())
+    peak = int(np.nanargmax(without.get_ydata()))
+    assert cycles[peak] == pytest.approx(CYCLES, abs=1.0)
+    assert np.asarray(without.get_ydata())[peak] == pytest.approx(SIZE, rel=0.15)
+    assert np.asarray(with_model.get_ydata())[peak] < 0.2 * SIZE
+    assert np.asarray(mark.get_xdata())[0] == CYCLES
+    assert ax.get_xlabel() == "cycles per joint turn"
+    assert ax.get_ylabel() == "amplitude [N m]"
+    assert ax.child_axes[0].get_xlabel() == "cycles per motor turn"
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["without", "with", "line of the model"]
+
+
+def test_joints_that_are_not_there_are_refused(model: TorqueModel, excited: Table) -> None:
+    with pytest.raises(ShapeError, match="from 0 to 2"):
+        friction_map(model, 7)
+    with pytest.raises(ShapeError, match="from 0 to 2"):
+        spectrum(model, excited, joints=[-1])
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return calibrate.fit_hand_eye(**sim.cell(1).hand_eye(wrong=2).given, robust=True)
+
+
+@pytest.fixture(scope="module")
+def drawn(fit):
+    return calibration(fit, truth=fit.parameters + fit.sd)
+
+
+def test_residuals_are_in_sigma_and_wrong_samples_are_crosses(fit, drawn) -> None:
+    over = drawn.axes[0]
+    good, bad, *_ = over.lines
+    size = np.sqrt(np.mean(fit.residuals[:, :3] ** 2, axis=1)) / fit.sigma[0]
+    assert np.array_equal(good.get_xdata(), np.arange(2, 30))
+    assert np.asarray(good.get_ydata()) == pytest.approx(size[2:])
+    assert np.asarray(bad.get_ydata()) == pytest.approx(size[:2])
+    assert bad.get_marker() == "x"
+    assert [text.get_text() for text in over.get_legend().get_texts()].count("left out") == 1
+
+
+def test_quantiles_of_normal_residuals_are_near_the_line(drawn) -> None:
+    normal = drawn.axes[1]
+    x, y = normal.lines[0].get_data()
+    assert len(np.asarray(x)) == 3 * 28
+    assert np.corrcoef(np.asarray(x), np.asarray(y))[0, 1] > 0.97
+
+
+def test_ellipses_are_two_sigma_and_the_truth_is_a_cross(fit, drawn) -> None:
+    ellipses = drawn.axes[2]
+    outline, cross = ellipses.lines[:2]
+    assert np.max(np.asarray(outline.get_xdata())) == pytest.approx(2 * fit.sd[0], rel=2e-3)
+    assert np.asarray(cross.get_xdata()) == pytest.approx([fit.sd[0]])
+    assert outline.get_label() == "T_tool_marker x and T_tool_marker y [m]"
+    assert ellipses.xaxis.get_major_formatter()(2e-4) == "0.0002"
+    assert (ellipses.get_xlabel(), ellipses.get_ylabel()) == ("first parameter, off by", "second parameter, off by")
+
+
+def test_every_calibration_can_be_drawn() -> None:
+    made = sim.cell(1)
+    arm, leds = made.kinematics(), made.marker_points()
+    for fit in (
+        calibrate.fit_force_sensor(**made.force().given),
+        calibrate.fit_laser_plane(**made.laser().given),
+        calibrate.fit_kinematics(arm.robot, arm.q, pose=arm.pose),
+        calibrate.fit_hand_eye_points(**leds.given, visible=leds.visible),
+    ):
+        assert fit.excitation.weakest[:20] in calibration(fit).axes[3].get_title(loc="left").replace("\n", " ")
+
+
+def test_samples_in_which_a_kind_was_not_measured_are_left_out_of_it() -> None:
+    arm = sim.cell(1).distances()
+    position = np.where(np.arange(120)[:, None] < 60, arm.pose[:, :3, 3], np.nan)
+    visible = {"position": np.arange(120) < 60, "distance": np.arange(120) >= 60}
+    fit = calibrate.fit_kinematics(arm.robot, arm.q, position=position, distance=arm.distance, anchor=arm.guess,
+                                   visible=visible)  # fmt: skip
+    points, lengths = calibration(fit).axes[0].lines
+    assert np.array_equal(points.get_xdata(), np.arange(60))
+    assert np.array_equal(lengths.get_xdata(), np.arange(60, 120))
+
+
+def test_a_fit_from_a_file_has_ellipses_and_excitation(fit) -> None:
+    ellipses, told = calibration(replace(fit, residuals=np.zeros(0))).axes
+    assert ellipses.get_title(loc="left") == "two sigma, around what was found"
+    assert told.get_ylabel() == "singular value, relative"
+
+
+def test_what_cannot_be_drawn_is_refused(fit) -> None:
+    with pytest.raises(ShapeError, match="12 true parameters"):
+        calibration(fit, truth=np.zeros(3))

@@ -27,7 +27,7 @@ from armlab.motion import (
 )
 from armlab.plots import dmp as plot_dmp
 from armlab.plots import dmp_phase, periodic_dmp, pose_dmp, promp, two_dof
-from armlab.plots.motion import TAUGHT, demonstration
+from armlab.plots.motion import TAUGHT
 
 T = np.linspace(0.0, 2.0, 101)
 
@@ -69,7 +69,6 @@ def test_dmp_shows_demonstration_and_rollout(schedule: str) -> None:
     labels = [panel.get_ylabel() for panel in figure.axes]
     assert labels == [label("y"), label("yd"), label("forcing"), "kernels, x [1]", label("weights")]
     assert all(name.endswith("m/s]" if "yd" in name else "]") for name in labels)
-    plt.close(figure)
 
 
 def test_goals_that_change_are_drawn_and_reached() -> None:
@@ -85,21 +84,6 @@ def test_goals_that_change_are_drawn_and_reached() -> None:
         drawn = np.asarray(panel.lines[0].get_ydata())
         np.testing.assert_allclose(drawn[before], values[before, 0], rtol=0, atol=1e-9)
     assert "goal" in position.get_legend_handles_labels()[1]
-    plt.close(figure)
-
-
-def test_demonstrations_begin_at_zero() -> None:
-    t, y = demonstration((T + 3.0, np.zeros((101, 2))), 2)
-    assert (t[0], y.shape) == (0.0, (101, 2))
-
-
-def test_weights_stand_where_their_kernels_are() -> None:
-    figure = plot_dmp(primitive())
-    kernels, weights = figure.axes[3:]
-    line = kernels.lines[5]
-    at = np.asarray(line.get_xdata())[np.argmax(line.get_ydata())]
-    assert np.asarray(weights.lines[0].get_xdata())[5] == pytest.approx(at, abs=0.1)
-    plt.close(figure)
 
 
 def test_phase_plane_leads_from_start_to_goal(tmp_path: Path) -> None:
@@ -109,7 +93,6 @@ def test_phase_plane_leads_from_start_to_goal(tmp_path: Path) -> None:
     np.testing.assert_array_equal(panel.lines[5].get_xydata(), [[-0.5, 0.0]])
     assert (panel.get_xlabel(), panel.get_ylabel()) == (label("y"), label("yd"))
     panel.figure.savefig(tmp_path / "phase.png")  # pyright: ignore[reportAttributeAccessIssue]
-    plt.close("all")
 
 
 T_POSE = np.linspace(0.0, 1.0, 201)
@@ -140,14 +123,12 @@ def test_motion_and_demonstration_are_shown_with_their_distance(taught_pose: Pos
     assert units == ["n [m]", "[rad]", "f [m]", "[rad]"]
     assert angle.get_xlabel() == "t [s]"
     assert position.get_legend_handles_labels()[1] == ["x", "y", "z", "demonstration"]
-    plt.close(figure)
 
 
 def test_without_a_demonstration_there_are_two_panels(taught_pose: PoseDmp) -> None:
     _, axes = plt.subplots(2, 1)
     assert pose_dmp(taught_pose, ax=axes) is axes[0].figure
     assert len(axes[0].lines) == 3
-    plt.close("all")
 
 
 T_TURNS = np.linspace(0.0, 4.0, 401)
@@ -177,7 +158,6 @@ def test_one_turn_and_several_are_shown(taught_rhythm: PeriodicDmp) -> None:
     np.testing.assert_allclose(begun[-500:, 1], y[1:, 0], rtol=0, atol=1e-4)  # soon the steady motion
     assert [panel.get_ylabel() for panel in figure.axes] == [label("y"), label("forcing"), "kernels [1]", label("y")]
     assert (kernels.get_xlabel(), several.get_xlabel()) == ("phi [rad]", "t [s]")
-    plt.close(figure)
 
 
 T_UNIT = np.linspace(0.0, 1.0, 101)
@@ -208,7 +188,6 @@ def test_mean_band_and_demonstrations_are_shown(taught_promp: ProMP) -> None:
             assert np.abs(edges[:, 1] - wanted[150, i])[np.isclose(edges[:, 0], t[150])].min() < 1e-9  # pyright: ignore
         assert panel.get_ylabel() == f"y{i + 1} [rad, m]"
     assert figure.axes[-1].get_xlabel() == "t [s]"
-    plt.close(figure)
 
 
 def test_points_samples_and_what_was_before_are_shown(taught_promp: ProMP) -> None:
@@ -223,7 +202,6 @@ def test_points_samples_and_what_was_before_are_shown(taught_promp: ProMP) -> No
     assert list(np.ravel(mark.get_xydata())) == [1.0, point[1]]
     assert np.interp(1.0, *np.asarray(mean.get_xydata()).T) == pytest.approx(point[1], abs=1e-4)
     assert panel.get_legend_handles_labels()[1] == ["before", "mean", "± 2 sd", "samples", "points"]
-    plt.close(figure)
 
 
 def run() -> TwoDofRun:
@@ -244,7 +222,6 @@ def test_two_dof_shows_arm_path_and_what_happened() -> None:
         (span,) = panel.patches
         assert (span.get_x(), span.get_x() + span.get_width()) == (0.5, pytest.approx(0.8))  # pyright: ignore
         assert list(panel.lines[-1].get_xdata()) == [1.2, 1.2]
-    plt.close(figure)
 
 
 def test_chosen_coordinates_in_given_axes() -> None:
@@ -254,7 +231,6 @@ def test_chosen_coordinates_in_given_axes() -> None:
     assert axes[0].get_legend_handles_labels()[1] == ["y2", "arm ya", "path yc", "undisturbed", "disturbed"]
     assert [line.get_linestyle() for line in axes[0].lines[:3]] == [":", "--", "-"]
     assert [panel.get_ylabel() for panel in axes] == [label("y"), label("e"), "times slower [1]"]
-    plt.close(figure)
 
 
 def test_bad_input_gets_a_sentence(taught_pose: PoseDmp, taught_rhythm: PeriodicDmp, taught_promp: ProMP) -> None:
@@ -277,4 +253,3 @@ def test_bad_input_gets_a_sentence(taught_pose: PoseDmp, taught_rhythm: Periodic
     ):
         with pytest.raises(ShapeError, match=r"^Expected .*\.$"):
             misuse()
-    plt.close("all")

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from armlab import kinematics, robots
 from armlab._palette import AXIS_COLORS
 from armlab.errors import ShapeError
 from armlab.frames import Line, Plane
@@ -22,11 +21,9 @@ from armlab.plots.space import (
     extent,
     feature,
     frame,
-    pose_stack,
     scene,
     solid,
     space,
-    word,
 )
 
 T = se3.exp([0.3, -0.2, 0.5, 0.4, -0.7, 1.1])
@@ -98,34 +95,6 @@ def test_names_of_axes_stay_clear_of_their_numbers(sides: tuple[float, float, fl
             if low <= tick.get_loc() <= high:
                 number = tick.label1.get_window_extent()
                 assert not name.contains((number.x0 + number.x1) / 2, (number.y0 + number.y1) / 2)
-
-
-def test_a_name_is_inside_the_axes() -> None:
-    """Alone in the scene, a frame has its name beside it, not beyond the edge of the paper."""
-    figure, ax = space()
-    frame(ax, np.eye(4), 0.15, "alone")
-    assert extent(ax)[0] == pytest.approx([-0.045, -0.045, 0])
-    equal_scale(ax)
-    figure.canvas.draw()
-    place = ax.texts[-1].get_window_extent()
-    assert figure.bbox.contains(place.x0, place.y0)
-    assert figure.bbox.contains(place.x1, place.y1)
-
-
-def test_words_stay_above_solids() -> None:
-    _, ax = space()
-    word(ax, np.zeros(3), "here")
-    solid(ax, np.eye(3)[None], "red")
-    ax.figure.canvas.draw()
-    assert ax.texts[0].zorder > ax.collections[0].zorder
-
-
-def test_the_box_has_all_its_edges() -> None:
-    """Without those of the panes nothing ends the box on the left, where no axis is."""
-    _, ax = space()
-    for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
-        assert axis.pane.get_edgecolor()[3] == 1.0
-        assert axis.pane.get_facecolor()[3] == 0.0
 
 
 def part(ax, gid: str) -> list:
@@ -212,15 +181,6 @@ def test_named_frames_and_points() -> None:
     assert scene({"alone": np.eye(4)}).get_xlim()[1] > 0
 
 
-def test_together_with_an_arm() -> None:
-    from armlab.plots import robot
-
-    arm = robots.load("irb2400")
-    ax = robot(arm, frames=False)
-    assert scene({"4": kinematics.link_transforms(arm, arm.q_home)[3]}, frames=0.3, ax=ax) is ax
-    assert ax.get_zlim()[1] > 1.4
-
-
 @pytest.mark.parametrize(
     ("item", "words"),
     [
@@ -238,15 +198,6 @@ def test_together_with_an_arm() -> None:
 def test_what_cannot_be_drawn_is_refused(item, words: str) -> None:
     with pytest.raises(ShapeError, match=words):
         scene(item)
-
-
-def test_missing_poses_are_poses() -> None:
-    gap = T_PATH.copy()
-    gap[2] = np.nan
-    assert pose_stack(gap) is gap
-    gap[3, 3, 0] = 1.0
-    with pytest.raises(ShapeError, match="row 3"):
-        pose_stack(gap)
 
 
 @pytest.mark.parametrize("frames", [-1, np.nan, np.inf, "long", [0.1, 0.2]])

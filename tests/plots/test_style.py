@@ -11,19 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armlab._palette import AXIS_COLORS, GREY
-from armlab.errors import ConfigError, ShapeError
-from armlab.log import Table
-from armlab.motion import ProMP
+from armlab.errors import ConfigError
 from armlab.plots.style import (
-    JOINT_STYLES,
-    MODEL,
     band,
-    cloud,
     envelope,
-    expect,
     legend,
-    line,
     look,
     panels,
     png,
@@ -47,27 +39,6 @@ def test_a_backend_that_turns_interactive_while_drawing_stays_so() -> None:
         mpl.interactive(was)
 
 
-def test_colours_and_styles_are_distinct() -> None:
-    assert len(set(JOINT_STYLES)) == len(JOINT_STYLES) >= 14
-    assert len(set(AXIS_COLORS)) == 3
-    assert MODEL != GREY
-
-
-def test_the_users_settings_are_back_afterwards() -> None:
-    before = dict(mpl.rcParams)
-    with look():
-        assert mpl.rcParams["font.size"] == 9.0
-    assert dict(mpl.rcParams) == before
-
-
-def test_few_points_are_drawn_as_they_are() -> None:
-    _, ax = plt.subplots()
-    t, y = np.arange(5.0), np.array([0.0, 1.0, np.nan, 3.0, 4.0])
-    line(ax, t, y)
-    assert np.array_equal(ax.lines[0].get_xdata(), t)
-    assert np.array_equal(ax.lines[0].get_ydata(), y, equal_nan=True)
-
-
 @given(st.integers(0, 99_999), st.integers(0, 99_999))
 def test_an_envelope_keeps_every_spike_and_every_gap(spike: int, hole: int) -> None:
     t, y = np.arange(100_000.0), np.zeros(100_000)
@@ -80,18 +51,6 @@ def test_an_envelope_keeps_every_spike_and_every_gap(spike: int, hole: int) -> N
     assert np.nanmax(drawn) == np.nanmax(y)
     if hole + 60 <= 100_000:
         assert np.isnan(drawn).any()
-
-
-def test_panels_are_new_or_the_callers() -> None:
-    figure, axes = panels(2, 3)
-    assert axes.shape == (2, 3)
-    assert figure.axes == list(axes.ravel())
-    mine = plt.figure().subplots(3, 1)
-    figure, axes = panels(3, 1, mine)
-    assert axes[2, 0] is mine[2]
-    assert figure is mine[0].figure
-    with pytest.raises(ShapeError, match=r"Expected 6 Axes in ax= \(2 x 3 panels\), got 3"):
-        panels(2, 3, mine)
 
 
 def test_bands_and_shades_are_where_they_should_be(spans) -> None:
@@ -150,23 +109,6 @@ def test_a_legend_is_as_wide_as_the_figure_at_most(name: str, rows: int) -> None
     box = figure.legends[0].get_window_extent()
     assert len({round(text.get_window_extent().y0) for text in figure.legends[0].get_texts()}) == rows
     assert rows == 7 or figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
-
-
-def test_a_cloud_is_small_points_and_one_mark_that_can_be_seen() -> None:
-    ax = plt.figure().add_subplot()
-    cloud(ax, np.arange(3.0), np.array([1.0, np.nan, 2.0]), "residual")
-    points, mark = ax.lines
-    assert np.array_equal(points.get_ydata(), [1.0, np.nan, 2.0], equal_nan=True)
-    assert points.get_markersize() < mark.get_markersize()
-    assert ax.get_legend_handles_labels()[1] == ["residual"]
-
-
-def test_the_right_kind_passes_and_another_is_named() -> None:
-    expect(Table(np.arange(2.0), {}), Table)
-    with pytest.raises(ShapeError, match=r"Expected Table to draw, got 'run\.mcap'\. log\.read gives one\."):
-        expect("run.mcap", Table)
-    with pytest.raises(ShapeError, match=r"Expected ProMP to draw, got None\. motion\.fit_promp gives one\."):
-        expect(None, ProMP)
 
 
 def test_a_figure_and_its_axes_give_a_picture_of_the_size_asked_for_and_are_closed() -> None:

@@ -1,4 +1,4 @@
-"""The simulated arms and their sensors: equation of motion, tracking, noise, recordings, and the arm without masses."""
+"""The simulated arms: equation of motion, tracking, sensors, friction, drives, recordings."""
 
 from __future__ import annotations
 
@@ -6,15 +6,20 @@ import numpy as np
 import pytest
 
 from armlab import identify, robots
-from armlab.errors import ConfigError
 from armlab.robots import Robot
-from armlab.sim.arm.arm import LaggingArm, SimulatedArm, build_model, record, scara
+from armlab.sim.arm.arm import LaggingArm, SimulatedArm, build_model, record
+from armlab.sim.arm.joints import (
+    INTEGRAL_TIME,
+    POSITION_GAIN,
+    VELOCITY_GAIN,
+    WARM_TIME,
+    JointDrives,
+    JointFriction,
+    WornFriction,
+)
 from armlab.sim.arm.mismatch import Mismatch
-from armlab.sim.arm.sensors import SensorReading, Sensors, TrueState
+from armlab.sim.arm.sensors import SensorReading, TrueState
 from armlab.sim.arm.truth import Truth, synthetic_truth
-from armlab.wire.egm import EgmCodec, Packet
-from armlab.wire.egm import armlab_egm_pb2 as pb
-from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
 
 T = 0.004032
 
@@ -60,18 +65,6 @@ def test_samples_satisfy_the_equation_of_motion(name: str) -> None:
     for sample in drive_along(arm, robot, 1.0, wrench)[10::20]:
         np.testing.assert_allclose(sample.tau, equation(robot, truth, sample), atol=1e-11 * scale)
         np.testing.assert_allclose(sample.T_base_tool, robot.chain.forward(sample.q), atol=1e-12)
-
-
-def test_a_push_appears_with_the_sign_of_the_convention(robot: Robot, truth: Truth) -> None:
-    """tau_e = model without contact - tau = J^T F: +5 N along base x comes back as +5 N."""
-    arm, F = SimulatedArm(robot, truth), np.array([5.0, 0, 0, 0, 0, 0])
-    for _ in range(50):
-        arm.step(robot.q_home, np.zeros(7), F)
-    sample = arm.sample
-    free = TrueState(**{name: getattr(sample, name) for name in TrueState.__slots__} | {"wrench": np.zeros(6)})
-    tau_e = equation(robot, truth, free) - sample.tau
-    estimate = np.linalg.lstsq(robot.chain.jacobian(sample.q).T, tau_e, rcond=None)[0]
-    np.testing.assert_allclose(estimate, F, atol=1e-9)
 
 
 def test_a_payload_appears_as_its_weight(robot: Robot, truth: Truth) -> None:
@@ -140,16 +133,6 @@ def test_holding_against_a_push(robot: Robot, truth: Truth) -> None:
     np.testing.assert_allclose(late[strong], expected[strong], rtol=0.55)
 
 
-def test_it_comes_to_rest(robot: Robot, truth: Truth) -> None:
-    arm = SimulatedArm(robot, truth)
-    drive_along(arm, robot, 1.4)
-    q, _ = sway(robot, 1.4)
-    for _ in range(1500):
-        arm.step(q, np.zeros(7), None)
-    assert np.abs(arm.sample.qd).max() < 1e-5
-    assert np.abs(arm.sample.q - q).max() < 1e-4
-
-
 def test_noise_is_white_with_the_stated_size(robot: Robot, truth: Truth) -> None:
     arm = SimulatedArm(robot, truth, seed=7)
     errors_tau, errors_qd = [], []
@@ -169,16 +152,6 @@ def test_noise_is_white_with_the_stated_size(robot: Robot, truth: Truth) -> None
         assert np.abs(rho).max() < 4 / np.sqrt(len(tau))
 
 
-def test_measurements_are_quantised(robot: Robot, truth: Truth) -> None:
-    arm = SimulatedArm(robot, truth, q=robot.q_home + 0.123456)
-    measured = arm.measure()
-    np.testing.assert_allclose(measured.tau / truth.tau_step, np.rint(measured.tau / truth.tau_step), atol=1e-9)
-    np.testing.assert_allclose(measured.q * 1e5, np.rint(measured.q * 1e5), atol=1e-6)
-    exact = SimulatedArm(robot, truth.without("noise"), q=robot.q_home + 0.123456)
-    np.testing.assert_array_equal(exact.measure().q, exact.sample.q)
-    np.testing.assert_array_equal(exact.measure().tau, exact.sample.tau)
-
-
 def test_torque_saturates(robot: Robot, truth: Truth) -> None:
     arm = SimulatedArm(robot, truth)
     for _ in range(20):
@@ -187,32 +160,11 @@ def test_torque_saturates(robot: Robot, truth: Truth) -> None:
     assert arm.drive.saturated > 0
 
 
-def test_same_seed_same_numbers(robot: Robot, truth: Truth) -> None:
-    def numbers(seed: int) -> bytes:
-        arm = SimulatedArm(robot, truth, seed=seed)
-        rows = []
-        for k in range(1, 100):
-            arm.step(*sway(robot, k * T), None)
-            measured = arm.measure()
-            rows += [measured.q, measured.qd, measured.tau]
-        return np.array(rows).tobytes()
-
-    assert numbers(3) == numbers(3)
-    assert numbers(3) != numbers(4)
-
-
-def test_steps_follow_the_period(robot: Robot, truth: Truth) -> None:
-    assert SimulatedArm(robot, truth, period=0.004032).steps == 4
-    assert SimulatedArm(robot, truth, period=0.001).steps == 1
-    with pytest.raises(ConfigError, match="period"):
-        SimulatedArm(robot, truth, period=0.0)
-
-
 def test_build_model_keeps_inertias(robot: Robot, truth: Truth) -> None:
     model = build_model(robot, truth)
     np.testing.assert_allclose(model.body_mass[1:], truth.pi[:, 0], rtol=1e-12)
     np.testing.assert_allclose(model.dof_armature, truth.rotor)
-    diagonal = SimulatedArm(robot, truth).inertia(robot.q_home) - truth.rotor
+    diagonal = SimulatedArm(robot, truth)._inertia(robot.q_home) - truth.rotor
     np.testing.assert_allclose(diagonal, [0.1636, 0.1976, 0.1013, 0.0803, 0.0016, 0.0009, 0.0002], atol=6e-5)
 
 
@@ -249,20 +201,6 @@ def test_an_elastic_gear_turns_by_what_it_carries() -> None:
     np.testing.assert_allclose(np.diff(q, axis=0)[20:] / T, 0.5 * (qd[1:] + qd[:-1])[20:], atol=2e-3)
 
 
-def test_nothing_seen_nothing_measured() -> None:
-    sensors = Sensors(NOISELESS, Mismatch(), T, 0)
-    with pytest.raises(ConfigError, match="instant"):
-        sensors.measure()
-    arm = SimulatedArm(YUMI, NOISELESS)
-    sensors.see(arm.sample)
-    measured = sensors.measure()
-    assert isinstance(measured, SensorReading)
-    np.testing.assert_array_equal(measured.tau, arm.sample.tau)
-    sensors.reset()
-    with pytest.raises(ConfigError, match="instant"):
-        sensors.measure()
-
-
 UR5E = robots.load("ur5e")
 
 
@@ -278,19 +216,6 @@ def test_a_step_comes_after_two_cycles_through_a_lag_of_8_ms() -> None:
     assert np.isnan(measured.tau).all()
     assert not arm.has_torque
     np.testing.assert_allclose(arm.sample.T_base_tool, UR5E.chain.forward(measured.q))
-
-
-def test_velocity_is_that_of_the_motion() -> None:
-    arm = LaggingArm(UR5E)
-    before = arm.measure().q
-    for k in range(200):
-        arm.step(UR5E.q_home + 0.1 * 0.004032 * k, np.full(6, 0.1), None)
-        if k == 198:
-            before = arm.measure().q
-    np.testing.assert_allclose((arm.measure().q - before) / 0.004032, arm.measure().qd, atol=1e-12)
-    np.testing.assert_allclose(arm.measure().qd, 0.1, rtol=1e-6)
-    arm.place(UR5E.q_home)
-    np.testing.assert_array_equal(arm.sample.qd, 0.0)
 
 
 TRUTH = synthetic_truth(YUMI)
@@ -330,18 +255,197 @@ def test_stamps_jitter_and_samples_are_lost() -> None:
     assert np.isin(lossy.t, plain.t).all()
 
 
-def test_the_slide_goes_down() -> None:
-    robot = scara()
-    T_base_tool = robot.chain.forward(robot.q_home)
-    lower = robot.chain.forward(robot.q_home + np.array([0.0, 0.0, 0.05, 0.0]))
-    np.testing.assert_allclose(lower[:3, 3] - T_base_tool[:3, 3], [0.0, 0.0, -0.05], atol=1e-12)
+STEP = 1e-3
 
 
-def test_its_packets() -> None:
-    robot, q = scara(), np.array([0.1, 0.2, 0.09, 0.3])
-    data = RobotSideCodec(robot).encode_robot(RobotMessage(0, 1, q))
-    joints = pb.EgmRobot.FromString(data).feedBack.joints.joints[:]
-    np.testing.assert_allclose(joints, np.degrees(q))
-    packet = EgmCodec(robot).decode(data)
-    assert isinstance(packet, Packet)
-    np.testing.assert_allclose(packet.q, q)
+@pytest.fixture
+def smooth() -> Truth:
+    return synthetic_truth(robots.load("yumi_left")).without("ripple", "offset")
+
+
+def slide(friction: JointFriction, speed: float, distance: float) -> np.ndarray:
+    """Move all joints at one speed; return the friction torque at the end."""
+    qd = np.full(7, speed)
+    for _ in range(max(1, round(distance / abs(speed) / STEP))):
+        friction.advance(qd * STEP, qd)
+    return friction.torque(np.zeros(7), qd, np.empty(7))
+
+
+@pytest.mark.parametrize("speed", [0.002, 0.02, 0.05, 0.1, 0.3, 1.0])
+def test_constant_speed_gives_the_stribeck_curve(smooth: Truth, speed: float) -> None:
+    bump = 1 + 0.3 * np.exp(-((speed / 0.05) ** 2))
+    np.testing.assert_allclose(
+        slide(JointFriction(smooth), speed, 0.01), smooth.coulomb_pos * bump + smooth.viscous * speed, rtol=1e-6
+    )
+    np.testing.assert_allclose(
+        slide(JointFriction(smooth), -speed, 0.01), -smooth.coulomb_neg * bump - smooth.viscous * speed, rtol=1e-6
+    )
+
+
+def test_break_away_is_at_static_friction(smooth: Truth) -> None:
+    """A slowly growing torque on a free mass: it creeps within the presliding distance, then it goes."""
+    friction, inertia = JointFriction(smooth), np.full(7, 0.2)
+    qd, q, broke = np.zeros(7), np.zeros(7), np.full(7, np.nan)
+    for share in np.linspace(0.0, 1.6, 20000):
+        tau = share * smooth.coulomb_pos
+        qd += STEP * (tau - friction.torque(q, qd, np.empty(7))) / inertia
+        q += STEP * qd
+        friction.advance(STEP * qd, qd)
+        moved = np.isnan(broke) & (qd > 0.02)
+        broke[moved] = share
+    np.testing.assert_allclose(broke, 1.3, atol=0.05)
+
+
+def test_it_sticks_at_rest(smooth: Truth) -> None:
+    """A mass under 90 % of the static friction comes to rest within a few presliding distances and stays."""
+    friction, qd, q = JointFriction(smooth), np.zeros(7), np.zeros(7)
+    tau, inertia = 1.17 * smooth.coulomb_pos, 0.2
+    damping = 10.0  # a drive's velocity gain; without one the bristle springs ring
+    track = []
+    for _ in range(8000):
+        qd += STEP * (tau - damping * qd - friction.torque(q, qd, np.empty(7))) / inertia
+        q += STEP * qd
+        friction.advance(STEP * qd, qd)
+        track.append(q.copy())
+    assert np.abs(qd).max() < 1e-12
+    assert (q < 10 * smooth.delta).all()
+    assert np.abs(track[-1] - track[-2000]).max() < 1e-12
+
+
+def test_presliding_is_a_spring_with_hysteresis(smooth: Truth) -> None:
+    friction = JointFriction(smooth)
+    dq = np.full(7, 1e-8)
+    friction.advance(dq, np.zeros(7))
+    np.testing.assert_allclose(friction.bristle, smooth.coulomb_pos / smooth.delta * 1e-8, rtol=1e-3)
+    friction.reset()
+    loop = []
+    for direction in (1, -1, 1):
+        for _ in range(20):
+            friction.advance(np.full(7, direction * 5e-6), np.zeros(7))
+            loop.append(friction.bristle.copy())
+    up, down, again = loop[19], loop[39], loop[59]
+    assert (down < 0).all(), "the way back starts from a loaded bristle and ends below zero"
+    assert (np.abs(up) > np.abs(down)).all()
+    enclosed = 5e-6 * (np.sum(loop[40:60], axis=0) - np.sum(loop[20:40], axis=0))
+    assert (enclosed > 0).all(), "a loop costs energy"
+    assert (again < up).all()
+
+
+def test_step_length_does_not_matter_at_constant_speed(smooth: Truth) -> None:
+    coarse, fine = JointFriction(smooth), JointFriction(smooth)
+    qd = np.full(7, 0.05)
+    coarse.advance(2e-4 * np.ones(7), qd)
+    for _ in range(200):
+        fine.advance(1e-6 * np.ones(7), qd)
+    np.testing.assert_allclose(coarse.bristle, fine.bristle, rtol=1e-12)
+
+
+def test_ripple_and_offset() -> None:
+    smooth = synthetic_truth(robots.load("yumi_left"))
+    friction, q = JointFriction(smooth), np.linspace(-1, 1, 7)
+    expected = smooth.offset + smooth.ripple * np.sin(smooth.ripple_cycles * q + np.arange(7))
+    np.testing.assert_allclose(friction.torque(q, np.zeros(7), np.empty(7)), expected, rtol=1e-12)
+    turn = friction.torque(q + 2 * np.pi / smooth.ripple_cycles, np.zeros(7), np.empty(7))
+    np.testing.assert_allclose(turn, expected, rtol=1e-9)
+
+
+WORN_TRUTH = synthetic_truth(YUMI).without("offset")
+
+
+def slide_worn(friction: JointFriction, speed: np.ndarray, step: float = 0.01, count: int = 50) -> np.ndarray:
+    """Torque after sliding `count` steps."""
+    for _ in range(count):
+        friction.advance(speed * step, speed)
+    return friction.torque(np.zeros(7), speed, np.empty(7))
+
+
+def test_a_warm_drive_has_lost_its_share_of_viscous_friction() -> None:
+    """At a quarter of full speed the warmth settles at 1, with the time constant of 12 minutes."""
+    smooth = WORN_TRUTH.without("ripple")
+    speed = 0.25 * YUMI.qd_max
+    friction = WornFriction(smooth, Mismatch(warm_up=0.4), 1.0, np.zeros(7))
+    cold = slide_worn(JointFriction(smooth), speed, 1.0)
+    slide_worn(friction, speed, 1.0, round(WARM_TIME))
+    assert np.all(friction.warmth > 0.5)
+    assert np.all(friction.warmth < 1 - np.exp(-1.0) + 0.01)
+    warm = slide_worn(friction, speed, 1.0, 7 * round(WARM_TIME))
+    assert np.all(friction.warmth > 0.9)
+    lost = 0.4 * np.minimum(friction.warmth, 1.0) * smooth.viscous * speed
+    np.testing.assert_allclose(cold - warm, lost, rtol=1e-3)
+
+
+def test_load_presses_on_the_bearings() -> None:
+    speed, smooth = np.full(7, 1.0), WORN_TRUTH.without("ripple")
+    loaded = WornFriction(smooth, Mismatch(load_friction=0.5), 0.01, -smooth.tau_max)
+    growth = slide_worn(loaded, speed) - slide_worn(JointFriction(smooth), speed)
+    np.testing.assert_allclose(growth, 0.5 * smooth.coulomb_pos, rtol=1e-3)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_ripple_jumps_at_reversal(sign: float) -> None:
+    """Forward it is where it was; backward its phase is later by the knob."""
+    speed = np.full(7, sign)
+    jumping = slide_worn(WornFriction(WORN_TRUTH, Mismatch(ripple_jump=1.0), 0.01, np.zeros(7)), speed)
+    rest = slide_worn(JointFriction(WORN_TRUTH.without("ripple")), speed)
+    phase = WORN_TRUTH.ripple_phase + (0.0 if sign > 0 else 1.0)
+    np.testing.assert_allclose(jumping - rest, WORN_TRUTH.ripple * np.sin(phase), atol=0.06 * WORN_TRUTH.ripple.max())
+
+
+INERTIA, TAU_MAX = np.array([0.2, 0.1]), np.array([40.0, 5.0])
+ZERO = np.zeros(2)
+
+
+def drive() -> JointDrives:
+    return JointDrives(INERTIA, TAU_MAX, np.array([0.9, 0.9]), 1e-3)
+
+
+def test_law_without_integral() -> None:
+    error = np.array([1e-4, -2e-4])
+    speed = np.array([0.01, 0.02])
+    e = POSITION_GAIN * error + speed
+    expected = INERTIA * (3.0 + VELOCITY_GAIN * (e + e * 1e-3 / INTEGRAL_TIME)) + 0.9 * np.array([2.0, 1.0])
+    tau = drive().torque(error, speed, np.full(2, 3.0), ZERO, ZERO, np.array([2.0, 1.0]), np.empty(2))
+    np.testing.assert_allclose(tau, expected, rtol=1e-12)
+
+
+def test_reset_holds() -> None:
+    unit, holding, bias = drive(), np.array([7.0, -1.0]), np.array([6.0, 0.5])
+    unit.reset(holding, bias)
+    np.testing.assert_allclose(unit.torque(ZERO, ZERO, ZERO, ZERO, ZERO, bias, np.empty(2)), holding, rtol=1e-12)
+    np.testing.assert_allclose(unit.gravity, 0.9 * bias)
+
+
+def test_saturation_stops_the_integral() -> None:
+    unit, far = drive(), np.array([0.0, 1.0])
+    for _ in range(1000):
+        tau = unit.torque(far, ZERO, ZERO, ZERO, ZERO, ZERO, np.empty(2))
+    assert tau[1] == TAU_MAX[1]
+    assert unit.saturated == 1000
+    back = unit.torque(ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, np.empty(2))
+    np.testing.assert_allclose(back, 0.0, atol=1e-9)
+
+
+def test_integral_removes_a_constant_load() -> None:
+    """A free mass under a constant load returns to its reference."""
+    unit, q, qd, load = drive(), np.zeros(2), np.zeros(2), np.array([-3.0, 1.0])
+    largest = np.zeros(2)
+    for _ in range(3000):
+        tau = unit.torque(ZERO, ZERO, ZERO, q, qd, ZERO, np.empty(2))
+        qd += 1e-3 * (tau + load) / INERTIA
+        q += 1e-3 * qd
+        largest = np.maximum(largest, np.abs(q))
+    assert (largest > 1e-4).all()
+    np.testing.assert_allclose(q, 0.0, atol=1e-9)
+    np.testing.assert_allclose(tau, -load, rtol=1e-6)
+
+
+def test_scaled_gains_and_added_torque_follow_the_law() -> None:
+    unit = drive()
+    unit.assist(np.array([0.5, -0.2]), np.array([0.5, 0.0]), np.array([2.0, 0.0]))
+    lag, speed, bias = np.array([1e-3, 2e-3]), np.array([0.01, 0.02]), np.array([2.0, 1.0])
+    e = np.array([2.0, 0.0]) * speed + np.array([0.5, 0.0]) * POSITION_GAIN * lag
+    integral = np.array([0.5, 0.0]) ** 2 * e * 1e-3 / INTEGRAL_TIME
+    expected = INERTIA * (np.array([2.0, 0.0]) * 3.0 + VELOCITY_GAIN * (e + integral)) + 0.9 * bias + [0.5, -0.2]
+    tau = unit.torque(lag, speed, np.full(2, 3.0), ZERO, ZERO, bias, np.empty(2))
+    np.testing.assert_allclose(tau, expected, rtol=1e-12)
+    assert tau[1] == 0.9 * 1.0 - 0.2, "both scales zero: feed-forward and the added torque alone"

@@ -1,6 +1,9 @@
-"""The controller's cycle, sessions, time-outs and events, without sockets."""
+"""The controller's cycle, sessions, time-outs, events, programs and modes, without sockets."""
 
 from __future__ import annotations
+
+from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,15 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab import robots
-from armlab.sim.arm.arm import SimulatedArm
+from armlab.sim.arm.arm import LaggingArm, SimulatedArm
 from armlab.sim.arm.truth import synthetic_truth
 from armlab.sim.controller.controller import SimulatedController
 from armlab.sim.controller.inbox import QUEUE_LENGTH
 from armlab.sim.controller.packets import EPOCH_NS
 from armlab.sim.controller.settings import ControllerSettings
-from armlab.sim.events import AppliedWrench
-from armlab.wire.egm import EgmCodec, Packet, Reference
-from armlab.wire.egm.robot_side import RobotSideCodec
+from armlab.sim.controller.statistics import ControllerEvent
+from armlab.sim.events import MOTORS, RAPID, AppliedWrench, HandPath, StateScript, Surroundings
+from armlab.wire.egm import EgmCodec, Packet, Reference, RobotSideCodec
+from armlab.wire.egm import armlab_egm_pb2 as pb
 
 ROBOT = robots.load("yumi_right")
 TRUTH = synthetic_truth(ROBOT)
@@ -82,25 +86,6 @@ def test_packet_content() -> None:
     assert first.tau_source == "measured"
     assert (np.abs(first.qd) < 6e-3).all()
     assert (np.abs(first.tau - peer.controller.arm.sample.tau) < 6 * TRUTH.tau_noise).all()
-
-
-def test_without_extension_no_torque() -> None:
-    packet = start(extension=False).cycle()
-    assert packet is not None
-    assert packet.tau is None
-    assert packet.qd is None
-
-
-def test_lag_of_the_planned_reference() -> None:
-    """10 deg/s without speed reference and k = 5: 2 degrees; with it none."""
-    for feedforward, expected in ((False, 2.0), (True, 0.0)):
-        peer, speed = start(), np.radians(10.0)
-        for k in range(750):
-            q = ROBOT.q_home + np.array([speed * k * 0.004032, 0, 0, 0, 0, 0, 0])
-            peer.cycle(q, np.array([speed, 0, 0, 0, 0, 0, 0]) if feedforward else None)
-        lag = q[0] - peer.controller.arm._q_ref[0]
-        assert np.degrees(lag) == pytest.approx(expected, abs=0.06)
-        assert np.degrees(q[0] - peer.packets[-1].q[0]) == pytest.approx(expected, abs=0.15)
 
 
 def test_the_answer_to_a_packet_acts_in_the_next_cycle() -> None:
@@ -176,23 +161,6 @@ def test_comm_timeout_ends_the_session_and_the_next_begins() -> None:
     assert packet.robot_ns > peer.packets[-2].robot_ns + 100_000_000
 
 
-def test_session_time_out_is_said_once_without_a_peer() -> None:
-    peer = start(comm_timeout=0.05)
-    for _ in range(400):
-        peer.cycle()
-    assert peer.controller.session > 3
-    assert len(peer.events) == 1
-
-
-def test_program_once_ends() -> None:
-    peer = start(comm_timeout=0.05, program="once")
-    for _ in range(200):
-        peer.cycle()
-    assert peer.controller.phase == "over"
-    assert peer.controller.reason == "the program ran once"
-    assert peer.controller.session == 1
-
-
 def test_convergence_ends_the_session() -> None:
     peer = start(window=np.radians(0.5), condition_time=0.4)
     while peer.cycle(ROBOT.q_home + 0.05) is not None:
@@ -202,18 +170,6 @@ def test_convergence_ends_the_session() -> None:
     assert converged[-1]
     assert sum(converged) * 0.004032 == pytest.approx(0.4, abs=0.01)
     assert any("convergence" in event for event in peer.events)
-
-
-def test_streaming_comes_before_guidance() -> None:
-    peer = start(stream=0.1, operator=AppliedWrench(np.array([0.0, 1.0]), np.tile([5.0, 0, 0, 0, 0, 0], (2, 1))))
-    for _ in range(60):
-        peer.cycle(ROBOT.q_home + 0.2)
-    states = [p.mci for p in peer.packets]
-    assert states == [STOPPED] * 25 + [RUNNING] * 35
-    for p in peer.packets[:26]:
-        np.testing.assert_allclose(p.q_planned, ROBOT.q_home, atol=1e-12)
-    assert peer.controller.statistics.drops["not guiding"] >= 24
-    assert peer.packets[25].robot_ns - EPOCH_NS == 25 * 4_032_000
 
 
 @pytest.mark.parametrize("stream", [0.0, 0.0975, 0.1])
@@ -301,19 +257,6 @@ def test_operator_acts_on_guidance_time() -> None:
     np.testing.assert_allclose(f, np.interp(t, times, wrench[:, 2]), atol=1e-9)
 
 
-def test_same_seed_same_bytes() -> None:
-    def stream(seed: int) -> list[bytes | None]:
-        peer = start(seed=seed)
-        packets = []
-        for k in range(100):
-            peer.cycle(ROBOT.q_home + 0.001 * k)
-            packets.append(peer.controller.packet())
-        return packets
-
-    assert stream(5) == stream(5)
-    assert stream(5) != stream(6)
-
-
 def test_losing_the_peer_ends_the_session_at_once() -> None:
     peer = start()
     peer.cycle(ROBOT.q_home)
@@ -324,13 +267,18 @@ def test_losing_the_peer_ends_the_session_at_once() -> None:
 
 
 def planned_after(garbage: list[bytes]) -> np.ndarray:
-    """Run 30 cycles with garbage before each good reply; return what was planned."""
+    """Run 20 cycles with garbage before each good reply; return what was planned."""
     peer = start()
-    for k in range(30):
+    for k in range(20):
         for data in garbage:
             assert peer.controller.accept(data) is None
         peer.cycle(ROBOT.q_home + 0.002 * k, np.full(7, 0.1))
     return np.array([p.q_planned for p in peer.packets])
+
+
+@cache
+def undisturbed() -> np.ndarray:
+    return planned_after([])
 
 
 @settings(max_examples=10)
@@ -346,7 +294,7 @@ def test_garbage_never_moves_the_robot(noise: list[bytes]) -> None:
         for data in [b"", b"\0", good[:1], good[: len(good) // 2], good[:-3], bytes(65507), *noise]
         if type(robot_side.decode_sensor(data)).__name__ == "Drop" or robot_side.decode_sensor(data).q is None  # type: ignore[union-attr]
     ]
-    np.testing.assert_array_equal(planned_after(garbage), planned_after([]))
+    np.testing.assert_array_equal(planned_after(garbage), undisturbed())
 
 
 def test_garbage_is_counted_by_kind_and_said_once() -> None:
@@ -359,3 +307,178 @@ def test_garbage_is_counted_by_kind_and_said_once() -> None:
     assert sum(drops.values()) == 9
     assert {"no header", "unparsable"} <= set(drops)
     assert len(peer.events) == len(drops)
+
+
+class Task:
+    """A controller and a peer that answers with what `reply` returns."""
+
+    def __init__(self, scene: Surroundings | None = None, masses: bool = False, **changes: Any) -> None:
+        settings = ControllerSettings(**changes)
+        self.events: list[ControllerEvent] = []
+        arm = SimulatedArm(ROBOT, TRUTH, period=settings.period) if masses else LaggingArm(ROBOT, settings.period)
+        external = scene.external if scene else 0
+        codec = RobotSideCodec(ROBOT, extension=masses, external=external)
+        self.controller = SimulatedController(arm, codec, settings, scene, self.events.append)
+        self.codec, self.packets = EgmCodec(ROBOT, extension=masses), list[Packet]()
+
+    def run(self, cycles: int, reply: Any = None) -> Packet:
+        for _ in range(cycles):
+            data = self.controller.packet()
+            self.controller.advance()
+            if data is None:
+                continue
+            packet = self.codec.decode(data)
+            assert isinstance(packet, Packet)
+            self.packets.append(packet)
+            if reply is not None:
+                assert self.controller.accept(reply(packet)) is not None
+        return self.packets[-1]
+
+    def position(self, q: np.ndarray) -> Any:
+        return lambda p: self.codec.encode(Reference(q, None, None, p.seqno, p.tm_ms or 0))
+
+
+def sensor(packet: Packet, **content: Any) -> bytes:
+    message = pb.EgmSensor(header=pb.EgmHeader(seqno=packet.seqno, tm=packet.tm_ms, mtype=3))
+    for name, value in content.items():
+        getattr(message, name).CopyFrom(value)
+    return message.SerializeToString()
+
+
+def test_stream_only_never_guides_and_never_times_out() -> None:
+    task = Task(program="stream", comm_timeout=0.05)
+    task.run(500, task.position(ROBOT.q_home + 0.3))
+    assert {p.mci for p in task.packets} == {STOPPED}
+    assert task.controller.session == 1
+    assert task.controller.statistics.drops["not guiding"] == 500
+    np.testing.assert_allclose(task.packets[-1].q, ROBOT.q_home, atol=1e-9)
+
+
+def test_messages_of_the_stream_are_kept_for_guidance_when_asked() -> None:
+    for keep, expected in (("drop", 0), ("keep", 24)):
+        task = Task(stream=0.1, stream_queue=keep)
+        task.run(26, task.position(ROBOT.q_home))
+        assert len(task.controller.inbox) == expected + 1
+    ages = Task(stream=0.1, stream_queue="keep")
+    ages.run(60, ages.position(ROBOT.q_home))
+    assert max(ages.controller.statistics.age) == 25, "each kept message adds a cycle of lag for ever"
+
+
+def test_lead_through_follows_the_hand_and_says_stopped() -> None:
+    hand = HandPath.random(ROBOT, 3, 10.0)
+    task = Task(Surroundings(hand=hand), masses=True, program="lead-through")
+    task.run(700)
+    assert {p.mci for p in task.packets} == {STOPPED}
+    led = np.array([hand.at(0.004032 * k)[0] for k in range(700)])
+    np.testing.assert_allclose([p.q_planned for p in task.packets], led, atol=1e-9)
+    np.testing.assert_allclose([p.q for p in task.packets], led, atol=0.01)
+    assert np.ptp(led, axis=0).max() > 0.05
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        Surroundings(motors=StateScript("0:on,0.5:off,1:on", MOTORS)),
+        Surroundings(rapid=StateScript("0:running,0.5:stopped,1:running", RAPID)),
+    ],
+)
+def test_motors_or_rapid_that_stop_interrupt_guidance(scene: Surroundings) -> None:
+    task = Task(scene, ramp_in=0.005)
+    begun = task.run(100, task.position(ROBOT.q_home + 0.5))
+    assert begun.mci == RUNNING
+    task.run(60, task.position(ROBOT.q_home + 0.5))
+    interrupted = [p for p in task.packets if p.mci == STOPPED]
+    assert len(interrupted) >= 30
+    assert {(p.motors, p.rapid) for p in interrupted} in ({(2, 2)}, {(1, 1)})
+    assert not np.ptp([p.q_planned for p in task.packets[-10:]], axis=0).any(), "the arm stands"
+    last = task.run(120, task.position(ROBOT.q_home + 0.5))
+    assert (last.mci, last.seqno, task.controller.session) == (RUNNING, 279, 1), "the same session goes on"
+
+
+def test_another_mode_than_activated_is_event_41826() -> None:
+    task = Task(mode="joint", activated="pose", program="once")
+    for _ in range(100):
+        assert task.controller.packet() is None
+        task.controller.advance()
+    assert [event.number for event in task.events] == [41826]
+    assert task.controller.phase == "over"
+
+
+def test_pose_mode_moves_the_tool_to_the_pose() -> None:
+    task = Task(mode="pose", ramp_in=0.005)
+    goal = ROBOT.chain.forward(ROBOT.q_home + 0.05)
+    from armlab.wire.egm.pose_force import pose_from_matrix
+
+    motion = pb.EgmMotion()
+    pose_from_matrix(motion.cartesian, goal)
+    last = task.run(500, lambda p: sensor(p, planned=motion))
+    np.testing.assert_allclose(last.T_frame_tool, goal, atol=1e-4)
+    motion.cartesian.pos.x = 9000.0
+    task.run(3, lambda p: sensor(p, planned=motion))
+    assert any("no posture" in event.text for event in task.events)
+
+
+def test_path_corrections_are_asked_for_and_taken_every_24_ms() -> None:
+    """A client that answers each packet does not lag."""
+    task = Task(mode="path", ramp_in=0.005)
+    start = ROBOT.chain.forward(ROBOT.q_home)
+
+    def correct(packet: Packet) -> bytes:
+        header = pb.EgmHeader(seqno=packet.seqno, tm=packet.tm_ms, mtype=4)
+        where = pb.EgmCartesian(x=99.0, y=10.0, z=-5.0)
+        return pb.EgmSensorPathCorr(header=header, pathCorr=pb.EgmPathCorr(pos=where, age=3)).SerializeToString()
+
+    task.run(101, correct)
+    T_tool_moved = np.linalg.inv(start) @ task.packets[-1].T_frame_tool
+    np.testing.assert_allclose(T_tool_moved[:3, 3], [0.0, 0.01, -0.005], atol=1e-4)
+    statistics = task.controller.statistics
+    np.testing.assert_allclose(np.diff([packet.robot_ns for packet in task.packets]), 24e6)
+    assert statistics.mtypes == {4: 101}
+    assert statistics.age == {1: 100}
+
+
+def test_external_axes_follow_their_references() -> None:
+    task = Task(Surroundings(external=2))
+    joints = pb.EgmJoints(joints=np.degrees(ROBOT.q_home[[0, 1, 3, 4, 5, 6]]))
+    beyond = pb.EgmJoints(joints=np.degrees([ROBOT.q_home[2], 0.2, -0.1]))
+    last = task.run(400, lambda p: sensor(p, planned=pb.EgmMotion(joints=joints, externalJoints=beyond)))
+    np.testing.assert_allclose(last.q_ext, [0.2, -0.1], atol=1e-3)
+
+
+def research(packet: Packet, tau: np.ndarray, scale: float) -> bytes:
+    arrays = {"torqueFF": tau, "posGainScale": np.full(7, scale), "velGainScale": np.full(7, scale)}
+    reference = pb.EgmRIRef(validMask=0b11001, order=1, echoSeqno=packet.seqno, echoTNs=packet.robot_mono_ns, **arrays)
+    joints = packet.q_planned[[0, 1, 3, 4, 5, 6]]
+    motion = pb.EgmMotion(
+        joints=pb.EgmJoints(joints=np.degrees(joints)),
+        externalJoints=pb.EgmJoints(joints=np.degrees(packet.q_planned[2:3])),
+    )
+    return sensor(packet, planned=motion, researchRef=reference)
+
+
+def test_torques_move_an_arm_whose_gains_are_zero() -> None:
+    """Torque mode: the exact gravity holds the arm, two newton metres more move joint 1, and giving the gains back
+    does not jerk."""
+    task = Task(masses=True)
+    task.run(5, task.position(ROBOT.q_home))
+    sample = task.controller.arm.sample
+    rest = sample.tau - sample.tau_gravity  # what feed-forward lacks, friction included
+    push = rest + np.array([6.0, 0, 0, 0, 0, 0, 0])
+    task.run(60, lambda p: research(p, push, 0.0))
+    moved = task.controller.arm.sample.q - ROBOT.q_home
+    assert moved[0] > 0.1
+    assert np.abs(moved[1:]).max() < 1e-3
+    np.testing.assert_allclose(task.packets[-1].q_planned, task.packets[-2].q, atol=0.02)
+    before = task.controller.arm.sample.q
+    task.run(50, task.position(task.packets[-1].q))
+    assert np.abs(task.controller.arm.sample.q - before).max() < 0.1, "no snap back to where position control ended"
+
+
+def test_cycles_without_packets_are_not_the_peers_silence() -> None:
+    task = Task(comm_timeout=0.1, ramp_in=0.005)
+    before = task.run(50, task.position(ROBOT.q_home + 0.3)).q_planned
+    for _ in range(100):
+        task.controller.advance(takes=False)
+    assert task.controller.phase == "guiding"
+    assert task.controller.statistics.counts["starved"] == 0
+    assert (task.run(1).q_planned > before).all(), "the last reference goes on"

@@ -66,10 +66,6 @@ def test_linear_between_rows_and_nothing_outside() -> None:
     np.testing.assert_allclose(operator.at(3.0), wrench[2])
 
 
-def test_idle_never_touches() -> None:
-    assert AppliedWrench.idle().at(0.0) is None
-
-
 def pose(p: list[float], w: list[float]) -> np.ndarray:
     return se3.from_rp(so3.exp(np.array(w)), np.array(p))
 

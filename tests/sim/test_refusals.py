@@ -12,6 +12,7 @@ from armlab import identify, robots
 from armlab.errors import ConfigError, LinkError, ShapeError, UnknownName
 from armlab.sim.arm.arm import LaggingArm, SimulatedArm, record
 from armlab.sim.arm.mismatch import Mismatch
+from armlab.sim.arm.sensors import Sensors
 from armlab.sim.arm.truth import synthetic_truth
 from armlab.sim.controller.channel import UdpClient
 from armlab.sim.controller.controller import SimulatedController
@@ -79,6 +80,8 @@ REFUSED: list[tuple[type[Exception], str, Callable[[], object]]] = [
         for name in ("program", "stream_queue", "queue", "mode", "activated")
     ),
     (ConfigError, "loss", lambda: FaultRates(loss=1.1)),
+    (ConfigError, "instant", lambda: Sensors(TRUTH, Mismatch(), 0.004, 0).measure()),
+    (ConfigError, "period", lambda: SimulatedArm(ROBOT, TRUTH, period=0.0)),
     (ConfigError, "pause", lambda: FaultRates(pause=(1.0, INF))),
     (ConfigError, "until", lambda: FaultRates(until=NAN)),
     (ConfigError, "burst", lambda: FaultRates(burst=0)),

@@ -33,10 +33,6 @@ def test_torque_of_the_specification() -> None:
     np.testing.assert_allclose(tau, [4.57175678, 1.68536273], atol=5e-9)
 
 
-def test_hanging_at_rest_needs_no_torque() -> None:
-    np.testing.assert_array_equal(inverse_dynamics([0.0, 0.0], [0.0, 0.0], [0.0, 0.0]), 0.0)
-
-
 @given(q=angles, qd=angles, qdd=angles, arm=st.sampled_from([ARM, OTHER]))
 def test_dynamics_undo_each_other(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, arm: TwoLink) -> None:
     tau = inverse_dynamics(q, qd, qdd, arm)

@@ -8,6 +8,7 @@ Results go to standard output, messages to standard error. Exit codes: 0 done, 1
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import traceback
@@ -15,14 +16,16 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from armlab._interrupts import handling
 
 if TYPE_CHECKING:
     from cyclopts import App
+    from cyclopts.help import HelpPanel
+    from rich.console import Console, ConsoleOptions
 
-__all__ = ["FAILED", "INTERRUPTED", "SKIPPED", "WRONG_USE", "build_app", "main"]
+__all__ = ["main"]
 
 FAILED, WRONG_USE, SKIPPED, INTERRUPTED = 1, 2, 3, 130
 
@@ -30,22 +33,22 @@ _COMMANDS = {
     "demo": ("demo:demo", "Simulated YuMi, from excitation to the estimated force of a hand. No robot needed."),
     "sim": ("sim:sim", "Simulated arms and a simulated controller that speaks EGM."),
     "doctor": ("doctor:doctor", "Check computer, network and robot before a run. Sends nothing to a robot."),
-    "run": ("run:run", "Run a controller of yours, from a file, against a robot; record a log."),
-    "record": ("record:record", "Record what robots send, also while led by hand. Sends nothing."),
-    "excite": ("excite:excite", "Design a motion that tells all parameters apart; run it and record a log."),
+    "run": ("run:run", "Run your controller from a file against a robot; record a log."),
+    "record": ("record:record", "Record the packets of robots, also in lead-through. Sends nothing."),
+    "excite": ("excite:excite", "Design an excitation trajectory; run it and record a log."),
     "identify": ("identify:identify", "Identify gravity, inertia and friction from logs; save the model."),
     "estimate": ("estimate:estimate", "Estimate the contact force in a log with a model."),
-    "payload": ("identify.payload:payload", "Weigh a load at the flange with the motors: mass, centre, inertia."),
+    "payload": ("identify.payload:payload", "Identify a payload from motor torques: mass, centre, inertia."),
     "calibrate": ("calibrate:calibrate", "Calibrate a camera, a force sensor, an arm or a line scanner from samples."),
     "dmp": ("dmp:dmp", "Movement primitives: fit one to logs of a motion, play it on a robot."),
     "plot": ("plot:plot", "Figures of logs, models, robots and movement primitives."),
     "bridge": ("bridge:bridge", "Run a cell: robots, LabComm and other clients, parameters, one commander."),
-    "monitor": ("monitor:monitor", "Watch a bridge that runs: rates, round trips, clamps, commander, events."),
-    "view": ("view:view", "Arms, forces and curves in the browser: of logs, or of a bridge that runs."),
+    "monitor": ("bridge:monitor", "Monitor a running bridge: rates, round trips, clamps, commander, events."),
+    "view": ("view:view", "Arms, forces and curves of logs or of a running bridge, in the browser."),
     "fleet": ("fleet:fleet", "Many robots at once: a router, recordings of all, one list of them."),
     "log": ("log:log", "Show, export, cut, merge, open and repair logs."),
     "config": ("config:config", "Show settings: of files, of the environment, of a cell. Writes nothing."),
-    "completion": ("completion:completion", "Print what lets bash, zsh or fish complete the words of armlab."),
+    "completion": ("config:completion", "Print the completion script for bash, zsh or fish."),
     "robot": ("robot:robot", "List, show and convert robot descriptions."),
 }
 
@@ -71,12 +74,11 @@ def build_app(verb: str = "") -> App:
 
     Parameters
     ----------
-    verb : command that is asked for: its help is its own, longer than its line in the list of all.
+    verb : command of the user: its help is its own, longer than its line in the list of all.
     """
     from cyclopts import App, Parameter
 
     from armlab import __version__
-    from armlab.cli.support.help import WrappedHelp
 
     app = App(
         name="armlab",
@@ -180,3 +182,46 @@ def _interruptible() -> Iterator[list[int]]:
 
     with handling(interrupt):
         yield came
+
+
+_BREAK_IN_PARAGRAPH = re.compile(r"(?<=\S)[ \t]*\n(?![\s*-])")
+
+
+def unwrapped(text: str) -> str:
+    """Return a text whose paragraphs are one line each; empty lines, lists and indented lines stay."""
+    return _BREAK_IN_PARAGRAPH.sub(" ", text)
+
+
+class WrappedHelp:
+    """The default look of cyclopts for texts that keep the line breaks of their docstring."""
+
+    def render_usage(self, console: Console, options: ConsoleOptions, usage: Any) -> None:
+        """Print the line of usage."""
+        _default().render_usage(console, options, usage)
+
+    def render_description(self, console: Console, options: ConsoleOptions, description: Any) -> None:
+        """Print what the command does."""
+        _default().render_description(console, options, _wrapped(description))
+
+    def __call__(self, console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
+        """Print a panel of commands or parameters."""
+        from attrs import evolve
+
+        entries = [evolve(entry, description=_wrapped(entry.description)) for entry in panel.entries]
+        _default()(console, options, panel.copy(entries=entries))
+
+
+def _default() -> Any:
+    from cyclopts.help import DefaultFormatter
+
+    return DefaultFormatter()
+
+
+def _wrapped(shown: Any) -> Any:
+    """Unwrap the text of something that is shown; it is made anew for each print."""
+    from rich.text import Text
+
+    text = getattr(shown, "primary_renderable", None)
+    if isinstance(text, Text):
+        shown.primary_renderable = Text(unwrapped(text.plain), end=text.end)
+    return shown

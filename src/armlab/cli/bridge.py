@@ -1,8 +1,9 @@
-"""``armlab bridge``: run a cell, control a running one, write its certificates with ``openssl``."""
+"""``armlab bridge`` and ``armlab monitor``: run a cell, control and watch a running one, write its certificates."""
 
 from __future__ import annotations
 
 import ipaddress
+import math
 import os
 import re
 import secrets
@@ -15,10 +16,14 @@ from typing import TYPE_CHECKING, Any
 from cyclopts import App
 
 from armlab._toml import TomlError, parsed
-from armlab.errors import ConfigError
+from armlab.cli.support.options import Cell
+from armlab.errors import ConfigError, LinkError
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
+
     from armlab.bridge.servers.messages import Request
+    from armlab.bridge.servers.watch import Watch
 
 
 _WHOLE = re.compile(r"[-+]?[1-9][0-9]*(_[0-9]+)*")
@@ -58,15 +63,13 @@ def start(*, config: Path | None = None, listen: list[str] | None = None, second
 
 
 @bridge.command(name="set", help_epilogue="Example: armlab bridge set gain=2.5 force=[0,0,5]")
-def set_parameters(*setting: str, cell: str = "") -> None:
-    """Set parameters of a bridge that runs, together or none of them; shows what is in force.
+def set_parameters(*setting: str, cell: Cell = "") -> None:
+    """Set parameters of a running bridge, all or none; show the values in force.
 
     Parameters
     ----------
     setting
         NAME=VALUE, for example gain=2.5, force=[0,0,5], gentle=true. None: show all parameters.
-    cell
-        Name of the cell; needed when several run.
     """
     from armlab.bridge.servers.local import LocalFeed
     from armlab.bridge.servers.messages import SetRequest, Subscribe
@@ -87,42 +90,24 @@ def set_parameters(*setting: str, cell: str = "") -> None:
 
 
 @bridge.command(help_epilogue="Example: armlab bridge stop")
-def stop(*, cell: str = "") -> None:
-    """Let all arms come to rest and hold until somebody resumes. Not an emergency stop.
-
-    Parameters
-    ----------
-    cell
-        Name of the cell; needed when several run.
-    """
+def stop(*, cell: Cell = "") -> None:
+    """Stop all arms and hold until resumed. Not an emergency stop."""
     from armlab.bridge.servers.messages import Stop
 
     _operate(Stop(), cell)
 
 
 @bridge.command(help_epilogue="Example: armlab bridge release")
-def release(*, cell: str = "") -> None:
-    """Free the arms from whoever commands them; they hold.
-
-    Parameters
-    ----------
-    cell
-        Name of the cell; needed when several run.
-    """
+def release(*, cell: Cell = "") -> None:
+    """Release control of all arms; they hold position."""
     from armlab.bridge.servers.messages import Release
 
     _operate(Release(), cell)
 
 
 @bridge.command(help_epilogue="Example: armlab bridge resume")
-def resume(*, cell: str = "") -> None:
-    """End a stop, so that an arm may be commanded again.
-
-    Parameters
-    ----------
-    cell
-        Name of the cell; needed when several run.
-    """
+def resume(*, cell: Cell = "") -> None:
+    """End a stop, so that an arm may be commanded again."""
     from armlab.bridge.servers.messages import Resume
 
     _operate(Resume(), cell)
@@ -155,7 +140,7 @@ def _operate(request: Request, cell: str) -> None:
 
 def _await(feed: Any, kind: str) -> dict[str, Any]:
     """Return the next message of a kind; another answer meanwhile is a refusal."""
-    from armlab.errors import CommandRefused, LinkError
+    from armlab.errors import CommandRefused
 
     end = time.monotonic() + _PATIENCE
     while time.monotonic() < end:
@@ -270,3 +255,89 @@ def _openssl(*words: str) -> None:
         raise ConfigError(
             f"Expected openssl to write a certificate, but it said: {' '.join(run.stderr.split())[:300]}."
         )
+
+
+_RATE = 10.0  # Hz of the display
+_LINES = 1.0  # s between two lines where there is no terminal
+
+
+def monitor(robot: str | None = None, *, cell: Cell = "", zenoh: str = "", seconds: float | None = None) -> None:
+    """Monitor a running bridge of this user, until Ctrl-C or its end.
+
+    Parameters
+    ----------
+    robot
+        Show this arm only.
+    zenoh
+        A bridge on another computer, for example zenoh://192.168.1.5:7447/lab1.
+    seconds
+        Time after which to end [s].
+    """
+    from rich.console import Console
+
+    from armlab.bridge.servers.local import LocalFeed
+    from armlab.bridge.servers.messages import Subscribe
+    from armlab.bridge.servers.watch import Watch
+    from armlab.bridge.servers.zenoh import ZenohFeed
+    from armlab.cli.support.output import note, result
+
+    if seconds is not None and not seconds >= 0.0:
+        raise ConfigError(f"Expected seconds of at least 0 s, got {seconds}.")
+    console = Console()
+    watch = Watch(robot)
+    end = math.inf if seconds is None else time.monotonic() + seconds
+    with ZenohFeed(zenoh, robot or "") if zenoh else LocalFeed(cell) as feed:
+        feed.ask(Subscribe(rate=_RATE))
+        try:
+            if console.is_terminal:
+                _live(console, feed, watch, end)
+            else:
+                for line in _lines(feed, watch, end):
+                    result(line)
+        except LinkError as error:
+            note(str(error))
+
+
+def _live(console: Any, feed: Any, watch: Watch, end: float) -> None:
+    from rich.live import Live
+
+    with Live(console=console, auto_refresh=False) as live:
+        while time.monotonic() < end:
+            _hear(feed, watch, 1.0 / _RATE)
+            live.update(table(watch, time.time_ns()), refresh=True)
+
+
+def _lines(feed: Any, watch: Watch, end: float) -> Any:
+    told = 0
+    while time.monotonic() < end:
+        _hear(feed, watch, _LINES)
+        yield from watch.lines(time.time_ns())
+        for text in list(watch.events)[len(watch.events) - min(watch.told - told, len(watch.events)) :]:
+            yield f"  {text}"
+        told = watch.told
+
+
+def _hear(feed: Any, watch: Watch, seconds: float) -> None:
+    """Take what comes for a while."""
+    due = time.monotonic() + seconds
+    while feed.wait(due - time.monotonic()):
+        watch.take(feed.receive())
+        if time.monotonic() >= due:
+            return
+
+
+def table(watch: Watch, now_ns: int) -> RenderableType:
+    """Return what is known as a table, a column per arm, with recording and events below."""
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    arms = watch.arms(now_ns)
+    if not arms:
+        return Text("No row yet: no packet of a robot has come.")
+    shown = Table(title=f"Cell {watch.cell}")
+    for k, arm in enumerate([{"arm": ""}, *arms]):
+        shown.add_column(arm["arm"], no_wrap=k == 0)
+    for key in list(arms[0])[1:]:
+        shown.add_row(Text(key), *[Text(arm[key]) for arm in arms])  # brackets would be styles
+    return Group(shown, Text("\n".join(watch.notes())))

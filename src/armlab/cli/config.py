@@ -1,13 +1,11 @@
-"""``armlab config``: the settings in force and their origins."""
+"""``armlab config``: the settings in force and their origins. ``armlab completion``: a script for the shell."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from cyclopts import App
-
-__all__ = ["config", "show"]
 
 config = App(name="config", help="Show settings: of files, of the environment, of a cell. Writes nothing.")
 
@@ -63,3 +61,21 @@ def _written(value: Any) -> str:
     if isinstance(value, dict):
         return f"{{{', '.join(f'{name} = {_written(one)}' for name, one in value.items())}}}"
     return str(value)
+
+
+def completion(shell: Literal["bash", "fish", "zsh"]) -> None:
+    """Print a script that lets a shell complete commands, options and their values; install it with one line.
+
+    - bash: armlab completion bash > ~/.local/share/bash-completion/completions/armlab
+    - zsh: armlab completion zsh > DIR/_armlab, where DIR is a folder of $fpath
+    - fish: armlab completion fish > ~/.config/fish/completions/armlab.fish
+
+    Parameters
+    ----------
+    shell : str
+        Which one.
+    """
+    from armlab.cli import build_app
+    from armlab.cli.support.output import result
+
+    result(build_app().generate_completion(shell=shell))

@@ -239,7 +239,7 @@ AXES = "xyz"
 
 
 @dataclass(frozen=True)
-class Verdict:
+class DemoVerdict:
     """How the estimate compares with the operator's forces."""
 
     # name, true force, estimated force (x, y, z) [N], 2-sigma along the press [N], error along the press [N]
@@ -285,7 +285,7 @@ class Verdict:
         )
 
 
-def judge(table: Table, plan: Plan) -> Verdict:
+def judge(table: Table, plan: Plan) -> DemoVerdict:
     """Compare the recorded live estimate with the operator's forces.
 
     Cycles without an estimate do not count; more than MAX_HOLES of them miss a target.
@@ -324,7 +324,7 @@ def judge(table: Table, plan: Plan) -> Verdict:
         presses.append(
             {"name": name, "true": true, "force": mean.tolist(), "band": band, "error": float(mean[axis] - true)}
         )
-    verdict = Verdict(
+    verdict = DemoVerdict(
         presses=tuple(presses),
         rms=rms(sway),
         free_rms=rms(window(plan.free)),
@@ -333,10 +333,10 @@ def judge(table: Table, plan: Plan) -> Verdict:
         rest_band=2 * sigma[rest].mean(axis=0),
         holes=holes,
     )
-    return Verdict(**{**vars(verdict), "missed": _missed(verdict)})
+    return DemoVerdict(**{**vars(verdict), "missed": _missed(verdict)})
 
 
-def _missed(v: Verdict) -> tuple[str, ...]:
+def _missed(v: DemoVerdict) -> tuple[str, ...]:
     missed = [
         f"{what} {AXES[i]} {values[i]:.2f} N"
         for what, values in (("force error", v.rms), ("false force", v.free_rms))
@@ -362,7 +362,7 @@ def latency_line(run: Any) -> str:
     return next((line.strip() for line in run.report().splitlines() if "p50" in line), run.report().splitlines()[0])
 
 
-def figures(folder: Path, outcome: dict[str, Any], verdict: Verdict) -> list[Path]:
+def figures(folder: Path, outcome: dict[str, Any], verdict: DemoVerdict) -> list[Path]:
     """Write torque.png, wrench.png and summary.json into the folder; return all its files."""
     from armlab import log, plots
 

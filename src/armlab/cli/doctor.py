@@ -11,6 +11,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from armlab.cli.support.options import Json
+
 if TYPE_CHECKING:
     from armlab.bridge.doctor.machine import Finding
 
@@ -28,7 +30,7 @@ def doctor(
     *robot: str,
     port: str | None = None,
     seconds: float = 5.0,
-    json: bool = False,
+    json: Json = False,
 ) -> int:
     """Check computer, network and robot, one line each: verdict, what was found, what to do.
 
@@ -42,8 +44,6 @@ def doctor(
         UDP ports, separated by commas; 6510, 6511 and 6512 when not given, or as `armlab record` for these robots.
     seconds : float
         How long to listen.
-    json : bool
-        Print JSON for scripts.
     """
     from armlab import robots
     from armlab.bridge.doctor.report import LONGEST, examine

@@ -1,4 +1,4 @@
-"""``armlab excite``: design an excite trajectory and run it."""
+"""``armlab excite``: design an excitation trajectory and run it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from armlab.cli.support.options import Force, Json
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
     from armlab.log import Table
     from armlab.robots import Robot
 
-__all__ = ["Motion", "excite"]
+__all__ = ["ExcitationOptions", "excite"]
 
 SPEED = 0.6  # of the limits
 _ROUNDING = 1e-6  # rad or m that a saved motion may be beyond the limits
@@ -26,8 +28,8 @@ ROUNDS = 300  # of the search for the motion that tells most
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Motion:
-    """What the motion shall be like.
+class ExcitationOptions:
+    """Shape of the motion.
 
     Attributes
     ----------
@@ -57,7 +59,7 @@ def excite(
     robot: str,
     *,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
-    motion: Motion = Motion(),
+    motion: ExcitationOptions = ExcitationOptions(),
     joint: str | None = None,
     saved: Path | None = None,
     noise: float = 0.1,
@@ -65,12 +67,12 @@ def excite(
     run: str | None = None,
     log: Path | None = None,
     approach: float = 4.0,
-    json: bool = False,
-    force: bool = False,
+    json: Json = False,
+    force: Force = False,
 ) -> int:
-    """Design a motion that tells all parameters of a robot apart; run it and record a log if asked.
+    """Design an excitation trajectory of a robot; run it and record a log if asked.
 
-    Prints how well the motion will tell each group of parameters. The motion stays within the limits of position,
+    Prints the predicted uncertainty of each group of parameters. The motion stays within the limits of position,
     speed and acceleration of the robot file; it knows nothing of obstacles: look at it before you run it.
 
     Parameters
@@ -79,7 +81,7 @@ def excite(
         Name in the library, or a robot file.
     output : Path
         Write the motion to this CSV file: t, q, qd, qdd at 250 Hz.
-    motion : Motion
+    motion : ExcitationOptions
         What it shall be like.
     joint : str
         Instead, move this joint alone, by name or number from 1: ten constant speeds, both ways, to see its friction.
@@ -96,10 +98,6 @@ def excite(
         given.
     approach : float
         Seconds of the walk from where the arm stands to the start.
-    json : bool
-        Print JSON for scripts.
-    force : bool
-        Replace existing files.
     """
     from armlab import log as logs
     from armlab import robots
@@ -129,7 +127,7 @@ def excite(
         else:
             tell(0, 2, f"reading {saved.name}")
             trajectory = Trajectory.from_table(logs.read(saved))
-        tell(9, 10, "what it will tell")
+        tell(9, 10, "predicting parameter precision")
         expected = predicted_uncertainty(trajectory, arm, noise) if joint is None else None
         tell(1, 1, "done")
     if json:
@@ -154,10 +152,10 @@ def excite(
 
 
 def _design(
-    robot: Robot, motion: Motion, speed: float, joint: str | None, tell: Callable[[float, float, str], None]
+    robot: Robot, motion: ExcitationOptions, speed: float, joint: str | None, tell: Callable[[float, float, str], None]
 ) -> Trajectory:
     """Design a motion of all joints, or of one."""
-    from armlab.cli.support.figure_options import joints_in
+    from armlab.cli.support.options import joints_in
     from armlab.identify import design_excitation, friction_run
 
     if joint is not None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Parameter
 
+from armlab.cli.support.options import Json
 from armlab.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
     from armlab.robots import Robot
 
 
+RouterAddress = Annotated[str, Parameter(help="HOST:PORT of the router.")]
+Certificate = Annotated[
+    Path | None, Parameter(help="File of armlab bridge certificates, where the router asks: lab.pem, viewer.secret.")
+]
 _ROUTER = "127.0.0.1:7447"
 _PORT = 7447
 _LOOK = 0.2  # s between two looks at the clock
@@ -73,9 +78,9 @@ def record(
     *,
     output: Annotated[Path, Parameter(alias="-o")],
     lab: str = "",
-    router: str = _ROUTER,
-    ca: Path | None = None,
-    secret: Path | None = None,
+    router: RouterAddress = _ROUTER,
+    ca: Certificate = None,
+    secret: Certificate = None,
     seconds: float | None = None,
 ) -> int:
     """Record every robot whose rows come, each in a file of its own, until Ctrl-C.
@@ -86,10 +91,6 @@ def record(
         Folder for the files, LAB-ROBOT.mcap; made if it is not there.
     lab
         Record this lab only.
-    router
-        HOST:PORT of the router.
-    ca, secret
-        Files of armlab bridge certificates, for a router that asks for them: lab.pem, viewer.secret.
     seconds
         Time after which to end [s].
     """
@@ -118,11 +119,11 @@ def record(
 def list_fleet(
     *,
     lab: str = "",
-    router: str = _ROUTER,
-    ca: Path | None = None,
-    secret: Path | None = None,
+    router: RouterAddress = _ROUTER,
+    ca: Certificate = None,
+    secret: Certificate = None,
     seconds: float = 2.0,
-    json: bool = False,
+    json: Json = False,
 ) -> None:
     """List the robots whose bridges are there: rate, rows that did not come, age of the newest row, commander.
 
@@ -130,14 +131,8 @@ def list_fleet(
     ----------
     lab
         List this lab only.
-    router
-        HOST:PORT of the router.
-    ca, secret
-        Files of armlab bridge certificates, for a router that asks for them: lab.pem, viewer.secret.
     seconds
         Time to listen [s].
-    json
-        Print JSON.
     """
     from armlab.cli.support.output import aligned, print_json, result
     from armlab.fleet import list_robots

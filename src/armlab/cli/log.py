@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
+from armlab.cli.support.options import Force, Json
 from armlab.errors import ConfigError, LogError, MissingExtra
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ log = App(name="log", help="Show, export, cut, merge, open and repair logs.")
 
 
 @log.command(help_epilogue="Example: armlab log show run.mcap")
-def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
+def show(file: Path, *, json: Json = False, parameters: bool = False) -> None:
     """Show what a log holds: rows, rate, columns with units and ranges; of a recording also metadata and events.
 
     Of a log of another program, an MCAP file or a bag, it shows each topic by itself.
@@ -35,8 +36,6 @@ def show(file: Path, *, json: bool = False, parameters: bool = False) -> None:
     ----------
     file
         A recording, finished or not, or a log in another format.
-    json
-        Print JSON for scripts.
     parameters
         Show only the parameters of the run: who set what when, and what was in force at the end.
     """
@@ -80,9 +79,9 @@ def export(
     robot: str | None = None,
     clock: str | None = None,
     storage: Literal["mcap", "sqlite3"] = "mcap",
-    force: bool = False,
+    force: Force = False,
 ) -> None:
-    """Write a log in another format, which the ending of the new name tells.
+    """Convert a log; the output format follows the file extension.
 
     .csv for spreadsheets, .mat for MATLAB, .parquet for pandas and databases, .h5 for HDF5, .rosbag2 for ROS 2, .mcap
     for a recording of armlab. armlab reads all of them back as they were.
@@ -100,8 +99,6 @@ def export(
         Of a log of another program, the topic whose stamps are the rows, as armlab log show lists them.
     storage
         Of a rosbag2: sqlite3 for releases of ROS 2 that are older than Iron.
-    force
-        Replace an existing file.
     """
     from armlab import log as logs
     from armlab.cli.support.output import check_output, note, progress, refuse_overwrite, result
@@ -161,7 +158,7 @@ def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
 
 @log.command(help_epilogue="Example: armlab log recover run.mcap")
 def recover(file: Path, *, output: Path | None = None) -> None:
-    """Write a whole copy of a log that was cut off or damaged. The original stays as it is.
+    """Write a repaired copy of a truncated or damaged log. The original stays as it is.
 
     Parameters
     ----------
@@ -190,9 +187,9 @@ def cut(
     to: float | None = None,
     robot: str | None = None,
     output: Annotated[Path, Parameter(alias="-o")],
-    force: bool = False,
+    force: Force = False,
 ) -> None:
-    """Write a stretch of a log: the rows with --from <= t < --to. The original stays as it is.
+    """Write a segment of a log: the rows with --from <= t < --to. The original stays as it is.
 
     A recording stays a whole recording: metadata, attachments, the parameters so far, and the events of the stretch.
     Its t is not shifted, so that 12.3 s is the same moment in both.
@@ -209,8 +206,6 @@ def cut(
         Which one, of a recording of several: all of them stay in .mcap when not given. Else as in armlab log export.
     output
         The new file: .mcap of a recording; else an ending that armlab log export knows.
-    force
-        Replace an existing file.
     """
     from armlab import log as logs
     from armlab.cli.support.output import check_output, progress, result
@@ -239,7 +234,7 @@ def cut(
 
 
 @log.command(help_epilogue="Example: armlab log merge first.mcap second.mcap -o both.mcap")
-def merge(*file: Path, output: Annotated[Path, Parameter(alias="-o")], force: bool = False) -> None:
+def merge(*file: Path, output: Annotated[Path, Parameter(alias="-o")], force: Force = False) -> None:
     """Write several recordings to one. The originals stay as they are.
 
     Recordings of one robot are put one after another by their wall clocks, and the gaps between them stay. Recordings
@@ -252,8 +247,6 @@ def merge(*file: Path, output: Annotated[Path, Parameter(alias="-o")], force: bo
         Two recordings or more, in any order.
     output
         The new file, .mcap.
-    force
-        Replace an existing file.
     """
     from armlab import log as logs
     from armlab.cli.support.output import check_output, progress, result

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from armlab.cli.support.options import Force
+
 if TYPE_CHECKING:
     from armlab.robots import Robot
 
@@ -20,7 +22,7 @@ def record(
     lead_through: bool = False,
     seconds: float | None = None,
     patience: float | None = None,
-    force: bool = False,
+    force: Force = False,
 ) -> int:
     """Record what robots send over EGM. Nothing is sent to them, so nothing here can move them.
 
@@ -43,8 +45,6 @@ def record(
         Robot time after which to end [s], counted from the first packet.
     patience : float
         Give up when no packet comes for so long [s]; waits for ever when not given.
-    force : bool
-        Replace existing logs.
     """
     from armlab import bridge, robots
     from armlab.bridge.control.recording import paths

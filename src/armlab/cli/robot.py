@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 from cyclopts import App
 
+from armlab.cli.support.options import Force, Json
+
 if TYPE_CHECKING:
     from armlab.robots import Robot
     from armlab.robots.urdf import Tree
@@ -18,14 +20,8 @@ robot = App(name="robot", help="List, show and convert robot descriptions.")
 
 
 @robot.command(name="list", help_epilogue="Example: armlab robot list")
-def list_robots(*, json: bool = False) -> None:
-    """List the robots of the library.
-
-    Parameters
-    ----------
-    json
-        Print JSON for scripts.
-    """
+def list_robots(*, json: Json = False) -> None:
+    """List the robots of the library."""
     from armlab import robots
     from armlab.cli.support.output import aligned, print_json, result
 
@@ -45,8 +41,8 @@ def show(
     base: str | None = None,
     tip: str | None = None,
     figure: Path | None = None,
-    json: bool = False,
-    force: bool = False,
+    json: Json = False,
+    force: Force = False,
 ) -> None:
     """Show one robot: joints, limits, gears, home pose; draw it if asked. Of a URDF, show the tree of links.
 
@@ -60,10 +56,6 @@ def show(
         Link of a URDF that moves last: show the arm that ends there.
     figure
         Draw the arm at home into this file; .png, .svg or .pdf.
-    json
-        Print JSON for scripts.
-    force
-        Replace an existing figure.
     """
     from armlab import robots
     from armlab.cli.support.output import FIGURES, check_output, note, save_figure
@@ -83,7 +75,9 @@ def show(
 
 
 @robot.command(help_epilogue="Example: armlab robot convert arm.urdf arm.toml --tip tool0")
-def convert(source: str, target: Path, *, base: str | None = None, tip: str | None = None, force: bool = False) -> None:
+def convert(
+    source: str, target: Path, *, base: str | None = None, tip: str | None = None, force: Force = False
+) -> None:
     """Write a robot as TOML, which holds all of it, or as URDF for other programs.
 
     Parameters
@@ -96,8 +90,6 @@ def convert(source: str, target: Path, *, base: str | None = None, tip: str | No
         Link of a URDF that stands still; its root unless said.
     tip
         Link of a URDF that moves last; need not be said where only one branch moves.
-    force
-        Replace an existing file.
     """
     from armlab import robots
     from armlab.cli.support.output import check_output, note

@@ -24,12 +24,11 @@ if TYPE_CHECKING:
     import numpy as np
 
     from armlab.robots import Robot
-    from armlab.sim import Surroundings
     from armlab.sim.arm.arm import LaggingArm, SimulatedArm
     from armlab.sim.controller.channel import UdpClient
     from armlab.sim.controller.controller import SimulatedController
     from armlab.sim.controller.statistics import ControllerEvent
-    from armlab.sim.events import AppliedWrench, HandPath
+    from armlab.sim.events import AppliedWrench, HandPath, Surroundings
 
 
 _AXES = {"6": "irb1200", "7": "yumi_right", "scara": "scara"}
@@ -59,7 +58,7 @@ FaultOptions.__doc__ = f"{FaultOptions.__doc__}\n\n    Attributes\n{_attributes.
 
 
 @dataclass(frozen=True)
-class Content:
+class PacketOptions:
     """What the packets hold.
 
     Attributes
@@ -111,7 +110,7 @@ class Content:
 
 
 @dataclass(frozen=True)
-class Around:
+class SurroundingOptions:
     """What happens around the arms.
 
     Attributes
@@ -138,7 +137,7 @@ class Around:
 
     def scene(self, robot: Robot, index: int, seed: list[int], external: int) -> Surroundings:
         """Return what happens around one robot."""
-        from armlab.sim import MOTORS, RAPID, AppliedWrench, Grip, HandPath, StateScript, Surroundings
+        from armlab.sim.events import MOTORS, RAPID, AppliedWrench, Grip, HandPath, StateScript, Surroundings
 
         operator = AppliedWrench.idle() if self.operator is None or index else read_operator(self.operator)
         hand = HandPath.random(robot, seed) if self.hand is None or index else read_hand(self.hand, robot.n)
@@ -212,7 +211,7 @@ def _numbers(words: Iterable[str]) -> list[float]:
         return []
 
 
-class Written:
+class TextFile:
     """A text file that is written from its beginning; what goes wrong names it."""
 
     def __init__(self, path: Path) -> None:
@@ -220,7 +219,7 @@ class Written:
         with self._named():
             self._file: TextIO = path.open("w", encoding="utf-8")
 
-    def __enter__(self) -> Written:
+    def __enter__(self) -> TextFile:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
@@ -243,7 +242,7 @@ class Written:
                 ) from None
 
 
-def truth_writer(file: Written, controller: SimulatedController) -> Callable[[UdpClient], None]:
+def truth_writer(file: TextFile, controller: SimulatedController) -> Callable[[UdpClient], None]:
     """Write the header of the truth file and return what writes a row per packet."""
     import numpy as np
 
@@ -279,8 +278,8 @@ def sim(
     json: bool = False,
     patience: float = 10.0,
     abb_defaults: bool = False,
-    content: Annotated[Content, _flat] = Content(),
-    around: Annotated[Around, _flat] = Around(),
+    content: Annotated[PacketOptions, _flat] = PacketOptions(),
+    around: Annotated[SurroundingOptions, _flat] = SurroundingOptions(),
     settings: Annotated[ControllerSettings, _flat] = ControllerSettings(),  # noqa: B008 - frozen
     faults: Annotated[FaultOptions, _flat] = FaultOptions(),
     outgoing: FaultOptions | None = None,
@@ -317,9 +316,9 @@ def sim(
     abb_defaults : bool
         Speed deviation 1 deg/s and convergence after 1 s within 0.5 deg, as on a robot set up without care. What is
         given as an option of its own keeps its value.
-    content : Content
+    content : PacketOptions
         Of the packets.
-    around : Around
+    around : SurroundingOptions
         The arms.
     settings : ControllerSettings
         Of the controller.
@@ -345,7 +344,9 @@ def sim(
     if abb_defaults:
         settings = _with_abb_defaults(settings)
     tell = (lambda event: note(json_format.dumps(event._asdict()))) if json else (lambda event: note(str(event)))
-    cell = _Cell(content, around, settings, (outgoing or faults, incoming or faults), mismatch, extension, phase, tell)
+    cell = _SharedOptions(
+        content, around, settings, (outgoing or faults, incoming or faults), mismatch, extension, phase, tell
+    )
     addresses = _addresses(to)
     names = content.names(robot, len(addresses))
     if not names or len(addresses) != len(names):
@@ -359,7 +360,7 @@ def sim(
             with deferred():  # MuJoCo loads here
                 channels.append(cell.channel(name, address, i, [seeds[i], i]))
             opened.callback(channels[-1].close)
-        summary, exact = (path and opened.enter_context(Written(path)) for path in (stats, truth))
+        summary, exact = (path and opened.enter_context(TextFile(path)) for path in (stats, truth))
         observe = truth_writer(exact, channels[0].controller) if exact else None
         try:
             # never outlive the program that started us
@@ -406,11 +407,11 @@ def _addresses(to: str) -> list[tuple[str, int]]:
 
 
 @dataclass(frozen=True)
-class _Cell:
+class _SharedOptions:
     """All that is the same for every robot of one command."""
 
-    content: Content
-    around: Around
+    content: PacketOptions
+    around: SurroundingOptions
     settings: ControllerSettings
     faults: tuple[FaultOptions, FaultOptions]
     mismatch: Mismatch

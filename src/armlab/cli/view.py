@@ -31,7 +31,7 @@ def view(
     cell: str = "",
     port: int | None = None,
 ) -> None:
-    """Show logs in the browser, with --live a bridge that runs, with --fleet all robots at a router; until Ctrl-C.
+    """Show logs in the browser, with --live a running bridge, with --fleet all robots at a router; until Ctrl-C.
 
     Prints the address to open. The page comes from this computer and is for this computer only: to look from another
     one, forward the port by ssh -L. A view of a bridge only reads: it can neither delay it nor command it, waits for
@@ -42,15 +42,15 @@ def view(
     what : str
         Log files, of one arm or of several; with --live the name of the arm to show, all when left out.
     live : bool
-        Show a bridge that runs, of this user unless --zenoh names one elsewhere.
+        Show a running bridge of this user, or with --zenoh one elsewhere.
     fleet : bool
         Show all robots side by side that armlab fleet list would list; with --zenoh those of another router or of one
         lab. One that comes is added, one that goes is shown as gone.
     zenoh : str
         Where bridge or router are, for example zenoh://192.168.1.5:7447/lab1; zenoh://127.0.0.1:7447 with --fleet.
     robot : str
-        Name in the library, or a robot file, for logs that do not tell their robot; one per log. Meshes that it names
-        are looked for beside it and up to two folders above.
+        Name in the library, or a robot file, for logs without an embedded robot description; one per log. Its mesh
+        files are searched beside it and up to two folders above.
     model : Path
         Model file of `armlab identify` that estimates the force where neither log nor bridge holds an estimate; one
         per arm.
@@ -86,9 +86,9 @@ def view(
 
 
 def _watch(arm: str | None, cell: str, zenoh: str, models: Sequence[TorqueModel], port: int | None) -> None:
-    """Show a bridge that runs."""
+    """Show a running bridge."""
     from armlab.cli.support.output import note
-    from armlab.live import watch
+    from armlab.live.live_bridge import watch
 
     watch(arm, cell=cell, zenoh=zenoh, models=models, port=port, opened=_open, tell=note)
 
@@ -98,7 +98,7 @@ def _watch_fleet(url: str, port: int | None) -> None:
     from armlab.bridge.servers.zenoh.keys import EVERY
     from armlab.bridge.servers.zenoh.session import LabAddress
     from armlab.cli.support.output import note
-    from armlab.live import watch_fleet
+    from armlab.live.fleet_view import watch_fleet
 
     place = LabAddress.read(url or "zenoh://127.0.0.1")
     has_lab = urlsplit(url).path.strip("/") != ""

@@ -86,19 +86,9 @@ def envelope(t: np.ndarray, values: np.ndarray, stretches: int = _STRETCHES) -> 
 class Curves:
     """One plot of k curves over time in the panel.
 
-    Parameters
-    ----------
-    gui : ``server.gui``.
-    title : with the unit, for example "torque [N m]".
-    labels, colors : of the k curves, for the line above the plot; colours such as "#0072B2".
-    band : whether bands are drawn around the curves.
-    cursor : whether a vertical line marks an instant.
-    limits : ends of the scale; it follows the data when None.
-    height : of the plot [pixels].
-
-    Attributes
-    ----------
-    k : how many curves.
+    `title`: with the unit, for example "torque [N m]". `labels`, `colors`: of the k curves, for the line above the
+    plot; colours such as "#0072B2". `band`: whether bands are drawn around the curves. `cursor`: whether a vertical
+    line marks an instant. `limits`: ends of the scale; it follows the data when None. `height`: of the plot [pixels].
     """
 
     def __init__(
@@ -151,14 +141,8 @@ class Curves:
     def show(self, t: ArrayLike, values: ArrayLike, half: ArrayLike | None = None, *, at: float | None = None) -> None:
         """Draw curves in place of the last ones. Many samples become an envelope.
 
-        Parameters
-        ----------
-        t : (N,) increasing [s]. values : (N, k); a curve is interrupted where it is NaN.
-        half : (N, k) half width of the bands; no band where it is NaN. at : of the cursor [s].
-
-        Raises
-        ------
-        ShapeError : shapes do not fit, or a band came for a plot without.
+        `t`: (N,) increasing [s]. `values`: (N, k); a curve is interrupted where it is NaN. `half`: (N, k) half width of
+        the bands; no band where it is NaN. `at`: of the cursor [s].
         """
         t, values = numbers(t, "times of curves", ShapeError), numbers(values, "curves", ShapeError)
         if t.ndim != 1 or values.shape != (len(t), self.k):
@@ -216,9 +200,7 @@ def _interrupted(columns: Sequence[np.ndarray]) -> list[Any]:
 class Window:
     """The last seconds of a stream on a plot.
 
-    Parameters
-    ----------
-    curves : the plot. seconds : shown. rate : pictures per second of the stream's clock at most.
+    `rate`: pictures per second of the stream's clock at most.
     """
 
     def __init__(self, curves: Curves, seconds: float = 10.0, rate: float = 10.0) -> None:
@@ -229,13 +211,7 @@ class Window:
     def push(self, t: float, values: ArrayLike, half: ArrayLike | None = None) -> None:
         """Add a sample, which the next `draw` shows; a time that does not advance begins anew.
 
-        Parameters
-        ----------
-        t : [s]. values : (k,). half : (k,) half width of the bands.
-
-        Raises
-        ------
-        ShapeError : a shape does not fit.
+        `t`: [s]. `values`: (k,). `half`: (k,) half width of the bands.
         """
         if len(self._recent) and t <= self._recent.t[-1]:
             self._recent.clear()
@@ -284,15 +260,8 @@ class Lines(Markup):
 class ArmPanel:
     """Words and plots of one arm, where ``with`` of a folder or tab of the panel puts them.
 
-    Parameters
-    ----------
-    gui : ``server.gui``.
-    robot : the arm.
-    limits : ends of the scales by name of the plot: "torque", "force", "moment"; they follow the data otherwise.
-
-    Attributes
-    ----------
-    torque, force, moment : plots, see `Curves`: n curves, three with bands, three with bands.
+    `limits`: ends of the scales by name of the plot: "torque", "force", "moment"; they follow the data otherwise.
+    `torque`, `force`, `moment`: plots, see `Curves`: n curves, three with bands, three with bands.
     """
 
     def __init__(self, gui: Any, robot: Robot, limits: Mapping[str, tuple[float, float]] | None = None) -> None:
@@ -307,12 +276,7 @@ class ArmPanel:
         )
 
     def say(self, words: Mapping[str, str]) -> None:
-        """Write what there is to say of the arm: state, rate, latency, clamps, drops; the same again sends nothing.
-
-        Parameters
-        ----------
-        words : what it is -> its value.
-        """
+        """Write what there is to say of the arm: state, rate, latency, clamps, drops; the same again sends nothing."""
         key, value = "padding:0 1em 0 0;opacity:0.65", "padding:0"
         rows = "".join(
             f"<tr><td style='{key}'>{html.escape(what)}</td><td style='{value}'>{html.escape(word)}</td></tr>"

@@ -18,7 +18,7 @@ from armlab.bridge.servers.zenoh.rows import Inbox, undamaged
 from armlab.bridge.servers.zenoh.session import Discovery, LabAddress, close_session, zenoh
 from armlab.errors import ArmlabError, LinkError
 from armlab.live.curves import Lines, Markup
-from armlab.live.scene import Scene
+from armlab.live.scene import RobotScene
 from armlab.live.server import address, start, stop
 from armlab.robots import Robot
 from armlab.robots.robot import arm_length
@@ -36,18 +36,10 @@ _LATE = 0.1  # s: what a look takes longer than it was to wait is no listening, 
 class SeenRobot:
     """What is known of a robot; all methods belong to one thread.
 
-    Parameters
-    ----------
-    name : "lab1/yumi_left".
-
-    Attributes
-    ----------
-    robot : its description under that name, None before its bridge said it; another object when it changed.
-    row : the newest, None without any. is_alive : its bridge is there. restarts : other runs of it that came.
-    rows, damaged : rows that came, and those of another checksum. refused : texts that were none.
-    rate, missed : of its packets at the bridge [Hz], and packets that did not come there since somebody looked; NaN and
-        0 before the bridge said them.
-    wants : its bridge must be asked.
+    `name`: "lab1/yumi_left". `robot`: its description under that name, None before its bridge said it; another object
+    when it changed. `row`: the newest, None without any. `rows`, `damaged`: rows that came, and those of another
+    checksum. `rate`, `missed`: of its packets at the bridge [Hz], and packets that did not come there since somebody
+    looked; NaN and 0 before the bridge said them.
     """
 
     def __init__(self, name: str) -> None:
@@ -63,12 +55,7 @@ class SeenRobot:
         self._data = b""
 
     def live(self, is_alive: bool) -> None:
-        """Take that the bridge has come, or has gone or the way to it: what comes again may be another run.
-
-        Parameters
-        ----------
-        is_alive : it has come.
-        """
+        """Take that the bridge has come, or has gone or the way to it: what comes again may be another run."""
         self.is_alive = is_alive
         self.wants = True
         self._data, self._quiet = b"", math.inf
@@ -76,9 +63,7 @@ class SeenRobot:
     def take(self, data: bytes | None) -> None:
         """Take a row.
 
-        Parameters
-        ----------
-        data : as it came, None when it was damaged.
+        `data`: as it came, None when it was damaged.
         """
         if data is None:
             self.damaged += 1
@@ -88,21 +73,11 @@ class SeenRobot:
             self.rows, self._data, self._quiet = self.rows + 1, data, 0.0
 
     def listened(self, seconds: float) -> None:
-        """Take that somebody listened; what came meanwhile is taken after this.
-
-        Parameters
-        ----------
-        seconds : how long.
-        """
+        """Take that somebody listened; what came meanwhile is taken after this."""
         self._quiet += seconds
 
     def describe(self, about: bytes) -> None:
-        """Take what the bridge says of itself; what cannot be understood is counted and asked again.
-
-        Parameters
-        ----------
-        about : the answer to the query "about".
-        """
+        """Take what the bridge says of itself; what cannot be understood is counted and asked again."""
         try:
             said = read_about(about)
             robot, text = said.robots[self._arm], said.said[0]["robots"][self._arm]
@@ -117,12 +92,7 @@ class SeenRobot:
         self._schema, self._run, self.wants = said.schema, said.run, False
 
     def status(self, data: bytes) -> None:
-        """Take how its packets come at the bridge.
-
-        Parameters
-        ----------
-        data : of the key "status".
-        """
+        """Take how its packets come at the bridge."""
         try:
             said = read_message(data)
         except LinkError:
@@ -144,12 +114,7 @@ class SeenRobot:
         return True
 
     def value(self, name: str) -> Any:
-        """Return a value of the newest row.
-
-        Parameters
-        ----------
-        name : of the field, for example "q".
-        """
+        """Return a value of the newest row."""
         return None if self.row is None else self.row.values.get(f"{self._arm}.{name}")
 
     @property
@@ -168,17 +133,7 @@ class SeenRobot:
 class FleetRows:
     """The newest of all robots at a router, thirty rows a second of each; what is slow to be read is dropped.
 
-    Parameters
-    ----------
-    place : of the router; its `lab` may be `EVERY`. patience : s to wait for the router.
-
-    Attributes
-    ----------
-    place : as given. robots : by "lab/robot", in the order in which they came; who goes stays.
-
-    Raises
-    ------
-    LinkError : no router. MissingExtra : no Zenoh.
+    `robots`: by "lab/robot", in the order in which they came; who goes stays.
     """
 
     def __init__(self, place: LabAddress, patience: float = 5.0) -> None:
@@ -206,12 +161,7 @@ class FleetRows:
         close_session(self._session)
 
     def hear(self, seconds: float) -> None:
-        """Wait for a message, and take all that wait; `SeenRobot.row` is the newest then.
-
-        Parameters
-        ----------
-        seconds : to wait at most.
-        """
+        """Wait for a message, and take all that wait; `SeenRobot.row` is the newest then."""
         self._inbox.wait(seconds)
         now = time.monotonic()
         listened, self._looked = min(now - self._looked, seconds + _LATE), now
@@ -256,17 +206,9 @@ def watch_fleet(
 ) -> None:
     """Show all robots at a router in the browser, until `over` or an interrupt: those that come, too, and who goes.
 
-    Parameters
-    ----------
-    place : of the router; its `lab` may be `bridge.zenoh.EVERY`.
-    port : of the view on this computer; from 8080 on the first that is free when None.
-    opened : told the address to open. tell : told who comes and goes, and once who says what cannot be understood.
-    over : whether to end; asked at each frame.
-
-    Raises
-    ------
-    MissingExtra : viser or Zenoh is not installed. ConfigError : a wrong port. LinkError : no router, or the port is
-        taken.
+    `place`: of the router; its `lab` may be `bridge.zenoh.EVERY`. `port`: of the view on this computer; from 8080 on
+    the first that is free when None. `tell`: told who comes and goes, and once who says what cannot be understood.
+    `over`: whether to end; asked at each frame.
     """
     rows = FleetRows(place)
     try:
@@ -294,18 +236,14 @@ def watch_fleet(
 
 
 class FleetView:
-    """Scene and panel of all robots, drawn frame by frame.
+    """RobotScene and panel of all robots, drawn frame by frame.
 
     A robot whose bridge has gone, or that is silent, is not drawn: its place and its name stay, and say so.
-
-    Parameters
-    ----------
-    server : of `start`. rows : the robots; somebody else lets them hear.
     """
 
     def __init__(self, server: ViserServer, rows: FleetRows) -> None:
         self._server, self._rows = server, rows
-        self._scene: Scene | None = None
+        self._scene: RobotScene | None = None
         self._labels: dict[str, _Label] = {}
         self._drawn: dict[str, Robot] = {}
         self._due = 0.0
@@ -333,7 +271,7 @@ class FleetView:
         if robot is None:
             return
         if self._scene is None:
-            self._scene = Scene(self._server, [robot])
+            self._scene = RobotScene(self._server, [robot])
         else:
             self._scene.add(robot)
         self._drawn[one.name] = robot

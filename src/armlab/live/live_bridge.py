@@ -12,14 +12,13 @@ import numpy as np
 from armlab.bridge.servers.local import LocalFeed
 from armlab.bridge.servers.messages import Subscribe
 from armlab.bridge.servers.row import Row
-from armlab.bridge.servers.status import Watch
-from armlab.bridge.servers.zenoh.feed import ZenohFeed
-from armlab.bridge.servers.zenoh.session import LabAddress
+from armlab.bridge.servers.watch import Watch
+from armlab.bridge.servers.zenoh import Place, ZenohFeed
 from armlab.contact import Estimator
 from armlab.errors import LinkError, ModelMismatchError, UnknownName
 from armlab.kinematics import forward
 from armlab.live.curves import ArmPanel, Lines, RingBuffer, Window
-from armlab.live.scene import Scene
+from armlab.live.scene import RobotScene
 from armlab.live.server import address, start, stop
 from armlab.models import TorqueModel
 from armlab.robots import Robot, from_toml
@@ -38,10 +37,8 @@ _ESTIMATE_GAP = 1.0  # s without a packet, after which an estimate begins anew
 class Force(NamedTuple):
     """The wrench on an arm.
 
-    Attributes
-    ----------
-    wrench : (6,) by the environment on the robot, base axes, at the tool point [N, N m].
-    covariance : (6, 6) of it; None where it is not known. origin : who says so.
+    `wrench`: (6,) by the environment on the robot, base axes, at the tool point [N, N m]. `covariance`: (6, 6) of it;
+    None where it is not known.
     """
 
     wrench: np.ndarray
@@ -52,17 +49,10 @@ class Force(NamedTuple):
 class Running:
     """The newest of a bridge that runs. It only reads; what it does not read in time the feed drops.
 
-    Parameters
-    ----------
-    robot : this arm only; None for all.
-    cell : name of the cell; "" when only one runs. zenoh : of a bridge elsewhere, see `bridge.zenoh.Address.read`.
-    rate : rows per second to ask for; with models every row is.
-    models : torque models, each for the arm that it was identified on, for a bridge that sends no estimate.
-
-    Attributes
-    ----------
-    robots : the arms by name, none before the first bridge was found; another object when they changed.
-    row : the newest, None without any. watch : what there is to say. state : a sentence on the connection.
+    `robot`: this arm only; None for all. `zenoh`: of a bridge elsewhere, see `bridge.zenoh.Place.read`. `rate`: rows
+    per second to ask for; with models every row is. `models`: torque models, each for the arm that it was identified
+    on, for a bridge that sends no estimate. `robots`: the arms by name, none before the first bridge was found; another
+    object when they changed. `row`: the newest, None without any.
     """
 
     def __init__(
@@ -75,7 +65,7 @@ class Running:
         models: Sequence[TorqueModel] = (),
     ) -> None:
         if zenoh:
-            LabAddress.read(zenoh)
+            Place.read(zenoh)
         self._robot, self._cell, self._zenoh, self._models = robot, cell, zenoh, tuple(models)
         self._rate = None if models else rate
         self._feed: LocalFeed | ZenohFeed | None = None
@@ -97,15 +87,6 @@ class Running:
         """Wait for a message, take all that wait behind it, and return whether a row was among them.
 
         Without a bridge, look for one twice a second.
-
-        Parameters
-        ----------
-        seconds : to wait at most.
-
-        Raises
-        ------
-        ConfigError : several bridges run and neither cell nor arm was named. UnknownName : the arm is not in this cell.
-        ModelMismatchError : a model is of no arm of this cell.
         """
         if self._feed is None:
             self._look(seconds)
@@ -161,27 +142,13 @@ class Running:
             self.robots = shown
 
     def value(self, arm: str, name: str) -> Any:
-        """Return a value of an arm in the newest row.
-
-        Parameters
-        ----------
-        arm : whose. name : of the field, for example "q".
-
-        Raises
-        ------
-        LinkError : no row has come yet.
-        """
+        """Return a value of an arm in the newest row."""
         if self.row is None:
             raise LinkError("Expected a row of the bridge, but none has come yet. Hear first.")
         return self.row.values[f"{arm}.{name}"]
 
     def force(self, arm: str) -> Force | None:
-        """Return the force on an arm: as its controller estimated it, else a model, else the sensor; None without any.
-
-        Parameters
-        ----------
-        arm : its name.
-        """
+        """Return the force on an arm: its controller's estimate, else that of a model, else the sensor."""
         recorded = self.value(arm, "wrench_hat")
         if np.isfinite(recorded).all():
             return Force(recorded, self.value(arm, "wrench_hat_cov"), "estimate of the controller")
@@ -250,20 +217,9 @@ def watch(
 
     The bridge notices nothing of it: rows come from its local feed or over Zenoh, and nothing is sent back.
 
-    Parameters
-    ----------
-    robot : this arm only; None for all.
-    cell : name of the cell; "" when only one runs.
-    zenoh : where a bridge elsewhere is, see `bridge.zenoh.Address.read`; "" for one of this user.
-    models : torque models for a bridge that sends no estimate of the force.
-    port : of the view on this computer; from 8080 on the first that is free when None.
-    opened : told the address to open. tell : told what becomes of the connection.
-    over : whether to end; asked at each frame.
-
-    Raises
-    ------
-    MissingExtra : viser is not installed. ConfigError : a wrong port, or several bridges run and no cell was named.
-    LinkError : the port is taken. UnknownName : the arm is not in the cell. ModelMismatchError : a model is of no arm.
+    `robot`: this arm only; None for all. `zenoh`: where a bridge elsewhere is, see `bridge.zenoh.Place.read`; "" for
+    one of this user. `models`: torque models for a bridge that sends no estimate of the force. `port`: of the view on
+    this computer; from 8080 on the first that is free when None. `over`: whether to end; asked at each frame.
     """
     server = start(port)
     running = Running(robot, cell, zenoh=zenoh, rate=1.0 / _FRAME, models=models)
@@ -287,12 +243,7 @@ def watch(
 
 
 class RunningView:
-    """Scene and panel of a bridge that runs, drawn frame by frame.
-
-    Parameters
-    ----------
-    server : of `start`. running : the bridge; somebody else lets it hear.
-    """
+    """RobotScene and panel of a bridge that runs, drawn frame by frame."""
 
     def __init__(self, server: ViserServer, running: Running) -> None:
         self._server, self._running = server, running
@@ -333,15 +284,15 @@ class RunningView:
             part.remove()
         server.scene.reset()
         self._robots, self._row, self._drawn = running.robots, None, None
-        self._arms: dict[str, _Arm] = {}
+        self._arms: dict[str, _ArmView] = {}
         self._state = Lines(server.gui)
         self._parts = [self._state]
         if running.robots:
-            scene = Scene(server, running.robots.values())
+            scene = RobotScene(server, running.robots.values())
             self._parts += [_arrow(server.gui, scene), tabs := server.gui.add_tab_group()]
             for name, robot in running.robots.items():
                 with tabs.add_tab(name):
-                    self._arms[name] = _Arm(scene, ArmPanel(server.gui, robot), robot)
+                    self._arms[name] = _ArmView(scene, ArmPanel(server.gui, robot), robot)
         self._notes = Lines(server.gui)
         self._parts.append(self._notes)
 
@@ -366,10 +317,10 @@ class RunningView:
         self._notes.show("\n".join(watch.notes() if self._arms else []))
 
 
-class _Arm:
+class _ArmView:
     """What is shown of one arm."""
 
-    def __init__(self, scene: Scene, panel: ArmPanel, robot: Robot) -> None:
+    def __init__(self, scene: RobotScene, panel: ArmPanel, robot: Robot) -> None:
         self._scene, self._panel, self._robot = scene, panel, robot
         self._torque, self._force, self._moment = (Window(one) for one in (panel.torque, panel.force, panel.moment))
         self._path = RingBuffer(3, _PATH)
@@ -419,7 +370,7 @@ class _Arm:
         self._panel.say({**words, "force from": self._origin})
 
 
-def _arrow(gui: Any, scene: Scene) -> Any:
+def _arrow(gui: Any, scene: RobotScene) -> Any:
     """Return the slider for the length of a force."""
     slider = gui.add_slider("force [mm/N]", 1.0, 50.0, 1.0, 1e3 * scene.arrow)
 

@@ -23,7 +23,7 @@ from armlab.bridge.control.feedback import not_ready_reason
 from armlab.errors import LogError, ModelMismatchError, RobotError, ShapeError, UnknownName
 from armlab.kinematics import forward
 from armlab.live.curves import ArmPanel, Curves, envelope
-from armlab.live.scene import Scene
+from armlab.live.scene import RobotScene
 from armlab.log.recording.metadata import described
 from armlab.robots import Robot
 
@@ -45,12 +45,8 @@ _LIMITS = {1: "position", 2: "velocity", 4: "acceleration", 8: "braking", 16: "t
 class Recorded:
     """The log of one arm.
 
-    Attributes
-    ----------
-    robot : its description.
-    table : with q (N, n); with tau, wrench_hat and wrench_hat_cov or wrench, what the bridge knew, where recorded.
-    t : (N,) time of each row since the view's beginning [s].
-    events : time and text, in order.
+    `table`: with q (N, n); with tau, wrench_hat and wrench_hat_cov or wrench, what the bridge knew, where recorded.
+    `t`: (N,) time of each row since the view's beginning [s].
     """
 
     robot: Robot
@@ -87,18 +83,14 @@ class Recorded:
     def row(self, t: float) -> int:
         """Return the last row at or before an instant; the first one before it.
 
-        Parameters
-        ----------
-        t : [s].
+        `t`: [s].
         """
         return max(int(np.searchsorted(self.t, t, side="right")) - 1, 0)
 
     def span(self, t: float, seconds: float) -> slice:
         """Return the rows of the last seconds before an instant, at least one.
 
-        Parameters
-        ----------
-        t : [s]. seconds : their length.
+        `t`: [s].
         """
         last = self.row(t)
         return slice(min(int(np.searchsorted(self.t, t - seconds)), last), last + 1)
@@ -106,9 +98,7 @@ class Recorded:
     def words(self, t: float) -> dict[str, str]:
         """Return what there is to say of the link at an instant: state, rate, round trips, limits, packets lost.
 
-        Parameters
-        ----------
-        t : [s].
+        `t`: [s].
         """
         k = self.row(t)
         times = self.t[self.span(t, _RATE_SPAN)]
@@ -311,18 +301,27 @@ class Player:
 
     Parameters
     ----------
-    server : of `start`.
-    arms : of `read_arms`.
-    T_world_base, meshes : as of `Scene`.
+    server : viser.ViserServer
+        Server of `start`.
+    arms : sequence
+        Recordings of `read_arms`.
+    T_world_base : mapping, optional
+        Pose (4, 4) of an arm's base in the world, by the name of the arm; default: the world.
+    meshes : sequence of Path, optional
+        Folders of the mesh files that the descriptions name; default: the current one.
 
     Attributes
     ----------
-    scene : its `Scene`. t : instant shown [s]. duration : end of the log [s]. playing : whether time goes on.
+    scene : the drawn arms; ``scene.frame(name, T_world_x)`` adds a named frame.
+    t : instant shown [s].
+    duration : end of the log [s].
+    playing : whether time goes on.
     speed : log seconds per second, 0.1 to 4.
 
     Raises
     ------
-    LogError : no arm. RobotError, UnknownName, ShapeError : as of `Scene`.
+    LogError : no arm.
+    RobotError, UnknownName, ShapeError : robots of one name, a base of an unknown arm, no pose.
     """
 
     def __init__(
@@ -335,7 +334,7 @@ class Player:
     ) -> None:
         if not arms:
             raise LogError("Expected at least one recorded arm to play, got none. See read_arms.")
-        self.scene = Scene(server, [arm.robot for arm in arms], T_world_base, meshes=meshes)
+        self.scene = RobotScene(server, [arm.robot for arm in arms], T_world_base, meshes=meshes)
         self.t, self.playing, self.speed = 0.0, False, 1.0
         self.duration = max(float(arm.t[-1]) for arm in arms)
         self._server, self._arms = server, list(arms)
@@ -345,7 +344,7 @@ class Player:
         self._controls = _Controls(server.gui, self)
         self._run, self._overview = self._whole_run(server.gui)
         self._panels = self._arm_panels(server.gui)
-        self.draw()
+        self._draw()
 
     def play(self) -> None:
         """Let time go on; from the beginning when it was at the end."""
@@ -394,7 +393,7 @@ class Player:
                 self.playing, self._stale = self.t < self.duration, True
             stale = self._stale
         if stale:
-            self.draw()
+            self._draw()
 
     def run(self, seconds: float | None = None) -> None:
         """Play for people: thirty pictures a second, until Ctrl-C.
@@ -411,7 +410,7 @@ class Player:
             self.advance(now - last)
             last = now
 
-    def draw(self) -> None:
+    def _draw(self) -> None:
         """Draw the arms at this instant; the panel at most ten times a second while playing."""
         with self._lock:
             t, playing, self._stale = self.t, self.playing, False

@@ -1,11 +1,16 @@
-"""The scene in the browser: arms, paths of their tools, forces with their uncertainty, named frames."""
+"""The scene in the browser: arms, paths of their tools, forces with their uncertainty, named frames.
+
+Links are capsules made from the description where it has no meshes, joints drums about their axes.
+"""
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,12 +20,172 @@ from armlab._palette import COLORS, GREY, VERMILION
 from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.kinematics import forward, link_transforms
 from armlab.lie import quaternion, se3
-from armlab.live.bodies import Body, arrow, bodies, drums, mesh_bodies
-from armlab.robots import Robot
-from armlab.robots.robot import arm_length
+from armlab.robots import Mesh, Robot
+from armlab.robots.robot import arm_length, bends
 
 if TYPE_CHECKING:
     from viser import ViserServer
+
+
+_THICK = (0.042, 0.020)  # radius of the first and the last link over the length of the arm
+_DRUM = (1.25, 2.6)  # radius and length of a joint over the radius of its link
+_STROKE = 0.3  # of a slide without limits, over the length of the arm
+_SIDES = 20
+_SHAFT, _HEAD = 0.008, (0.02, 0.72)  # of an arrow: radius [m]; radius [m] and where it begins
+
+
+class Surface(NamedTuple):
+    """A closed surface: vertices (V, 3) [m] and faces (F, 3), corners counter-clockwise from outside."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+    def moved(self, T_a_b: np.ndarray) -> Surface:
+        """Return the body in frame a.
+
+        `T_a_b`: (4, 4), where it is in b now.
+        """
+        return Surface(self.vertices @ T_a_b[:3, :3].T + T_a_b[:3, 3], self.faces)
+
+
+def capsule(a: np.ndarray, b: np.ndarray, radius: float) -> Surface:
+    """Return all points within a radius of the line from a to b: a cylinder and two half spheres.
+
+    `a`, `b`: (3,) ends of the line; the same make a sphere. `radius`: [m].
+    """
+    polar = np.linspace(0.0, np.pi, _SIDES + 1)
+    polar = np.insert(polar, _SIDES // 2, np.pi / 2)  # the equator twice: one ring for each end
+    height = np.where(np.arange(len(polar)) <= _SIDES // 2, np.linalg.norm(b - a), 0.0)
+    profile = np.stack([radius * np.sin(polar), radius * np.cos(polar) + height], axis=1)
+    return _turned(profile).moved(along(a, b))
+
+
+def _drum(radius: float, length: float) -> Surface:
+    """Return a cylinder about the z axis, centred at the origin."""
+    top = length / 2.0
+    return _turned(np.array([[0.0, top], [radius, top], [radius, top], [radius, -top], [radius, -top], [0.0, -top]]))
+
+
+def box(a: np.ndarray, b: np.ndarray, width: float) -> Surface:
+    """Return a rod of square section from a to b.
+
+    `a`, `b`: (3,) middles of its ends. `width`: [m].
+    """
+    h, length = width / 2.0, float(np.linalg.norm(b - a))
+    corners = np.array([[x, y, z] for z in (0.0, length) for y in (-h, h) for x in (-h, h)])
+    squares = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    faces = np.array([(p, *pair) for p, q, r, s in squares for pair in ((q, r), (r, s))])
+    return Surface(corners, faces).moved(along(a, b))
+
+
+def arrow() -> Surface:
+    """Return an arrow from the origin to (0, 0, 1); scaled along z it has the length of a force."""
+    return _turned(
+        np.array(
+            [[0.0, 1.0], [_HEAD[0], _HEAD[1]], [_HEAD[0], _HEAD[1]], [_SHAFT, _HEAD[1]], [_SHAFT, 0.0], [0.0, 0.0]]
+        )
+    )
+
+
+def bodies(robot: Robot) -> list[Surface]:
+    """Return n + 1 shapes: that from base to joint 1 in base axes, then each link in its link frame, the tool included.
+
+    A link runs along its joint axes and the common normal between them, as in `plots.robot`; it gets thinner towards
+    the tool. What slides is a rod along its axis, as long as its stroke.
+    """
+    length = arm_length(robot)
+    radii = length * np.linspace(*_THICK, robot.n + 1)
+    shapes = []
+    for i, E in enumerate(robot.frames):
+        start = robot.T_base_mount[:3, 3] if i == 0 else np.zeros(3)
+        axis = robot.T_base_mount[:3, 2] if i == 0 else np.array([0.0, 0.0, 1.0])
+        end, towards = E[:3, 3], E[:3, 2]
+        points = [start, *bends(start, axis, end, towards), end] if i < robot.n else [start, end]
+        points = [np.zeros(3), *points] if i == 0 else points
+        parts = [capsule(a, b, radii[i]) for a, b in pairwise(points) if np.linalg.norm(b - a) > 1e-6]
+        if i and robot.prismatic[i - 1]:
+            limits = np.array([robot.q_min[i - 1], robot.q_max[i - 1]])
+            low, high = np.where(np.isfinite(limits), limits, [0.0, _STROKE * length])
+            parts.append(box(-max(high, 0.0) * axis, -min(low, 0.0) * axis, 2.0 * radii[i]))
+        shapes.append(_together(parts or [capsule(start, start, radii[i])]))
+    return shapes
+
+
+def drums(robot: Robot) -> list[Surface]:
+    """Return the n joints, each about the z axis of its link frame."""
+    radii = arm_length(robot) * np.linspace(*_THICK, robot.n + 1)[1:]
+    return [_drum(_DRUM[0] * radius, _DRUM[1] * radius) for radius in radii]
+
+
+def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return a pose (4, 4) at a whose z axis points to b.
+
+    `a`, `b`: (3,); where they are the same, z stays.
+    """
+    z = b - a
+    z = z / np.linalg.norm(z) if z.any() else np.array([0.0, 0.0, 1.0])
+    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
+    x /= np.linalg.norm(x)
+    return se3.from_rp(np.stack([x, np.cross(z, x), z], axis=1), a)
+
+
+def mesh_bodies(robot: Robot, folders: Sequence[Path] = ()) -> list[Surface | None]:
+    """Return n + 1 shapes from the robot's visual meshes (base axes, link frames); None for a link without.
+
+    One warning names all files that are missing or cannot be read. ``package://maker/a/b.stl`` is looked for as
+    ``maker/a/b.stl`` and ``a/b.stl`` in each folder.
+    """
+    missing: list[str] = []
+    shapes: list[Surface | None] = []
+    for i, link in enumerate(robot.meshes):
+        visual = [mesh for mesh in link if mesh.kind == "visual"]
+        found = [_read(mesh, folders or [Path()]) for mesh in visual]
+        missing += [mesh.file for mesh, one in zip(visual, found) if one is None]
+        parts = [one for one in found if one is not None]
+        whole = _together(parts) if parts and len(parts) == len(visual) else None
+        shapes.append(whole.moved(robot.T_base_mount) if whole is not None and i == 0 else whole)
+    if missing:
+        warnings.warn(f"no mesh for {', '.join(missing)} of {robot.name}: links without are capsules", stacklevel=2)
+    return shapes or [None] * (robot.n + 1)
+
+
+def _read(mesh: Mesh, folders: Sequence[Path]) -> Surface | None:
+    """Return what a file of a mesh holds, in its link frame."""
+    import trimesh
+
+    name = mesh.file.removeprefix("file://")
+    if name.startswith("package://"):
+        name = name.removeprefix("package://")
+        names = (name, name.partition("/")[2])
+    else:
+        names = (name,)
+    for path in (folder / name for folder in folders for name in names):
+        if path.is_file():
+            try:
+                read = trimesh.load_mesh(path)
+                if not len(read.faces):
+                    return None
+                return Surface(np.asarray(read.vertices) * mesh.scale, np.asarray(read.faces)).moved(mesh.T_link_mesh)
+            except Exception:  # each reader of each format has errors of its own
+                return None
+    return None
+
+
+def _turned(profile: np.ndarray) -> Surface:
+    """Return the surface that a profile (K, 2) of radius and height, from the top down, makes about the z axis."""
+    angle = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
+    rings = [np.stack([r * np.cos(angle), r * np.sin(angle), np.full(_SIDES, z)], axis=1) for r, z in profile]
+    k, i = np.meshgrid(np.arange(len(profile) - 1), np.arange(_SIDES), indexing="ij")
+    upper, lower = k * _SIDES + i, (k + 1) * _SIDES + i
+    after = (i + 1) % _SIDES - i
+    faces = np.stack([upper, lower, lower + after, upper, lower + after, upper + after], axis=-1).reshape(-1, 3)
+    return Surface(np.concatenate(rings), faces)
+
+
+def _together(parts: Sequence[Surface]) -> Surface:
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    faces = [part.faces + start for part, start in zip(parts, starts)]
+    return Surface(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
 
 
 class SceneNode:
@@ -37,7 +202,7 @@ class SceneNode:
                 self._set[name] = value
 
 
-def solid(scene: Any, name: str, body: Body, color: str) -> Any:
+def solid(scene: Any, name: str, body: Surface, color: str) -> Any:
     """Add a body and return viser's handle of it."""
     return scene.add_mesh_simple(name, body.vertices.astype(np.float32), body.faces.astype(np.uint32), color=rgb(color))
 
@@ -136,29 +301,16 @@ _TOOL, _AXES = 0.03, 0.1  # radius of the ball at the tool point, length of its 
 _MOST_POINTS = 300  # of a path
 
 
-class Scene:
+class RobotScene:
     """Arms in one world, drawn by `show`; everything else of viser's ``server.scene`` is free to use beside it.
 
     Links are capsules in the colour of their arm, joints drums in the colour that they have in all curves, the tool
     point is a ball with axes x, y, z. The arrow at it is the force by the environment on the robot, the ellipsoid at
     its tip that of two sigma; both are grey while zero lies inside the 95 % ellipsoid.
 
-    Parameters
-    ----------
-    server : of `start`.
-    robots : the arms, of different names.
-    T_world_base : (4, 4) pose of an arm's base in the world by its name; the world where none is given. The mount is
-        part of the robot.
-    meshes : folders of the files that the descriptions name as meshes; the current one when none is given.
-
-    Attributes
-    ----------
-    robots : by name. arrow : length of a force [m/N]; set it and show again.
-
-    Raises
-    ------
-    RobotError : no robot, something else, or two of one name.
-    UnknownName : a base of an arm that is not there.
+    `T_world_base`: (4, 4) pose of an arm's base in the world by its name; the world where none is given. The mount is
+    part of the robot. `meshes`: folders of the files that the descriptions name as meshes; the current one when none is
+    given. `arrow`: length of a force [m/N]; set it and show again.
     """
 
     def __init__(
@@ -184,7 +336,7 @@ class Scene:
             if name not in names:
                 raise UnknownName.among("arm in this view", name, names)
         self.robots: dict[str, Robot] = {}
-        self._arms: dict[str, _Arm] = {}
+        self._arms: dict[str, _ArmNodes] = {}
         for robot in arms:
             self.add(robot, bases.get(robot.name))
         self._frames: dict[str, Any] = {}
@@ -193,27 +345,16 @@ class Scene:
     def add(self, robot: Robot, T_world_base: ArrayLike | None = None) -> None:
         """Add an arm; one of this name goes.
 
-        Parameters
-        ----------
-        robot : the arm. T_world_base : (4, 4) pose of its base; the world when None.
+        `T_world_base`: (4, 4) pose of its base; the world when None.
         """
         if robot.name in self.robots:
             self.remove(robot.name)
         T = _pose(np.eye(4) if T_world_base is None else T_world_base)
-        self._arms[robot.name] = _Arm(self._server.scene, robot, T, LINK_COLORS[len(self._arms) % 2], self._meshes)
+        self._arms[robot.name] = _ArmNodes(self._server.scene, robot, T, LINK_COLORS[len(self._arms) % 2], self._meshes)
         self.robots[robot.name] = robot
 
     def remove(self, name: str) -> None:
-        """Take an arm away.
-
-        Parameters
-        ----------
-        name : of the arm.
-
-        Raises
-        ------
-        UnknownName : no such arm.
-        """
+        """Take an arm away."""
         self._robot(name)
         del self.robots[name]
         self._arms.pop(name).root.remove()
@@ -221,13 +362,7 @@ class Scene:
     def arrange(self, T_world_base: Mapping[str, ArrayLike]) -> None:
         """Put arms elsewhere, floor and camera about them all; who looks already keeps the camera.
 
-        Parameters
-        ----------
-        T_world_base : (4, 4) poses of bases by name of the arm.
-
-        Raises
-        ------
-        UnknownName : no such arm. ShapeError : no pose.
+        `T_world_base`: (4, 4) poses of bases by name of the arm.
         """
         for name, T in T_world_base.items():
             self._robot(name)
@@ -243,15 +378,8 @@ class Scene:
 
         Wrap the arms of one instant in ``with server.atomic():``.
 
-        Parameters
-        ----------
-        name : of the arm. q : (n,) joint positions [rad or m].
-        wrench : (6,), or (3,) its force, by the environment on the robot, base axes, at the tool point [N, N m].
-        covariance : (6, 6) or (3, 3) of it.
-
-        Raises
-        ------
-        UnknownName : no such arm. ShapeError : a shape does not fit.
+        `q`: (n,) joint positions [rad or m]. `wrench`: (6,), or (3,) its force, by the environment on the robot, base
+        axes, at the tool point [N, N m]. `covariance`: (6, 6) or (3, 3) of it.
         """
         robot = self._robot(name)
         q = _array(q, "q", ((robot.n,),))
@@ -262,9 +390,7 @@ class Scene:
     def trace(self, name: str, points: ArrayLike) -> None:
         """Draw the path of an arm's tool; fewer than two finite points hide it.
 
-        Parameters
-        ----------
-        name : of the arm. points : (K, 3) base axes [m]; long ones are thinned.
+        `points`: (K, 3) base axes [m]; long ones are thinned.
         """
         self._robot(name)
         points = numbers(points, "points of a path", ShapeError)
@@ -275,9 +401,7 @@ class Scene:
     def frame(self, name: str, T_world_x: ArrayLike | None, length: float = 0.1) -> None:
         """Draw a named frame, move it, or take it away.
 
-        Parameters
-        ----------
-        name : what is written beside it. T_world_x : (4, 4); None takes it away. length : of its axes [m].
+        `T_world_x`: (4, 4); None takes it away. `length`: of its axes [m].
         """
         if T_world_x is None:
             if name in self._frames:
@@ -314,7 +438,7 @@ class Scene:
         camera.fov = np.deg2rad(45.0)
 
 
-class _Arm:
+class _ArmNodes:
     """What is drawn of one arm: nodes below ``/<name>``, whose axes are those of its base."""
 
     def __init__(self, scene: Any, robot: Robot, T_world_base: np.ndarray, color: str, meshes: Sequence[Path]) -> None:

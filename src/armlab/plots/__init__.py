@@ -10,7 +10,6 @@ from armlab.plots.model import autocorrelation, excitation, residual_speed, torq
 from armlab.plots.motion import dmp, dmp_phase, periodic_dmp, pose_dmp, promp, two_dof
 from armlab.plots.recording import latency, poses, table
 from armlab.plots.space import scene
-from armlab.plots.style import png, show
 
 __all__ = [
     "hypotheses",
@@ -26,14 +25,12 @@ __all__ = [
     "manipulability",
     "observability",
     "periodic_dmp",
-    "png",
     "pose_dmp",
     "poses",
     "promp",
     "residual_speed",
     "robot",
     "scene",
-    "show",
     "spectrum",
     "table",
     "torque_fit",

@@ -23,10 +23,7 @@ RAPID = {"undefined": 0, "stopped": 1, "running": 2}
 class StateScript:
     """A piecewise constant state over robot time.
 
-    Parameters
-    ----------
-    text : one name for ever, or ``time:name`` parts with commas between, as "0:on,2.5:off,4:on"; times in seconds.
-    states : numbers by name.
+    `text`: one name for ever, or ``time:name`` parts with commas between, as "0:on,2.5:off,4:on"; times in seconds.
     """
 
     def __init__(self, text: str, states: Mapping[str, int]) -> None:
@@ -43,12 +40,7 @@ class StateScript:
             self._states.append(states[name])
 
     def at(self, t: float) -> int:
-        """Return the state at robot time `t`; before the first time it is the first state.
-
-        Parameters
-        ----------
-        t : seconds since the start.
-        """
+        """Return the state at robot time `t`; before the first time it is the first state."""
         return self._states[max(0, bisect.bisect_right(self._times, t + 1e-9) - 1)]
 
 
@@ -65,14 +57,7 @@ class AppliedWrench:
     Sign and axes: exerted by the environment on the robot, base axes, about the tool point. A weight of 1 kg is
     ``[0, 0, -9.80665, 0, 0, 0]``.
 
-    Parameters
-    ----------
-    t : (N,) increasing seconds since guidance began.
-    wrench : (N, 6) rows ``[f; m]`` [N, N m].
-
-    Raises
-    ------
-    ShapeError : when the shapes do not fit, a number is not finite, or the time does not increase.
+    `t`: (N,) increasing seconds since guidance began. `wrench`: (N, 6) rows ``[f; m]`` [N, N m].
     """
 
     def __init__(self, t: np.ndarray, wrench: np.ndarray) -> None:
@@ -99,12 +84,7 @@ class AppliedWrench:
         return cls(np.zeros(0), np.zeros((0, 6)))
 
     def at(self, t: float) -> np.ndarray | None:
-        """Return the wrench (6,) at guidance time `t`, or None when there is no contact.
-
-        Parameters
-        ----------
-        t : seconds since guidance began.
-        """
+        """Return the wrench (6,) at guidance time `t`, or None when there is no contact."""
         times = self._t
         if not len(times) or t < times[0] or t > times[-1]:
             return None
@@ -123,13 +103,7 @@ STRENGTH = np.repeat([80.0, 8.0], 3)  # N, N m
 class Grip:
     """A hand on the tool: a spring of 800 N/m and 15 N m/rad with a damper, of at most 80 N and 8 N m along each axis.
 
-    Parameters
-    ----------
-    start, end : seconds of guidance time from and to which it holds.
-
-    Raises
-    ------
-    ConfigError : times that are not finite, or an end that is not after the start.
+    `start`, `end`: seconds of guidance time from and to which it holds.
     """
 
     def __init__(self, start: float, end: float) -> None:
@@ -142,9 +116,7 @@ class Grip:
     def at(self, t: float, T_base_tool: np.ndarray) -> np.ndarray | None:
         """Return its wrench (6,) on the robot in base axes at the tool point, None while it does not hold.
 
-        Parameters
-        ----------
-        t : seconds since guidance began. T_base_tool : (4, 4) pose of the tool now.
+        `T_base_tool`: (4, 4) pose of the tool now.
         """
         if not self._start <= t < self._end:
             self._T_base_tool = self._before = None
@@ -167,14 +139,7 @@ _SHARE_OF_RANGE, _SHARE_OF_SPEED = 0.25, 0.1
 class HandPath:
     """A joint path over time, smooth between its rows (cubic, continuous velocity), at rest outside of them.
 
-    Parameters
-    ----------
-    t : (N,) increasing seconds since the stream began, at least two.
-    q : (N, n) postures [rad or m].
-
-    Raises
-    ------
-    ShapeError : when the shapes do not fit, a number is not finite, or the time does not increase.
+    `t`: (N,) increasing seconds since the stream began, at least two. `q`: (N, n) postures [rad or m].
     """
 
     def __init__(self, t: np.ndarray, q: np.ndarray) -> None:
@@ -192,14 +157,7 @@ class HandPath:
 
     @classmethod
     def random(cls, robot: Robot, seed: int | Sequence[int] = 0, seconds: float = 600.0) -> HandPath:
-        """Return a smooth path from the home posture and back, within limits and below a tenth of the speed limits.
-
-        Parameters
-        ----------
-        robot : for limits.
-        seed : of the path.
-        seconds : its length.
-        """
+        """Return a smooth path from the home posture and back, within limits and below a tenth of the speed limits."""
         draw = np.random.default_rng(seed)
         t = np.arange(0.0, seconds + 1e-9, 0.05)
         room = _SHARE_OF_RANGE * np.minimum(robot.q_max - robot.q_home, robot.q_home - robot.q_min) / _WAVES
@@ -216,12 +174,7 @@ class HandPath:
         return self._q.shape[1]
 
     def at(self, t: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return position and velocity, (n,) each.
-
-        Parameters
-        ----------
-        t : seconds since the stream began.
-        """
+        """Return position and velocity, (n,) each."""
         times = self._t
         if not times[0] <= t < times[-1]:
             return self._q[0 if t < times[0] else -1], np.zeros(self.n)
@@ -238,16 +191,7 @@ _ON, _STOPPED = MOTORS["on"], RAPID["stopped"]
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What happens around the controller.
-
-    Attributes
-    ----------
-    operator : who pushes the arm, over guidance time.
-    hand : who leads it in the program "lead-through".
-    motors, rapid : their states over robot time.
-    external : number of external axes.
-    grip : who holds the tool.
-    """
+    """What happens around the controller."""
 
     operator: AppliedWrench = field(default_factory=AppliedWrench.idle)
     hand: HandPath | None = None
@@ -259,9 +203,7 @@ class Surroundings:
     def wrench(self, t: float, T_base_tool: np.ndarray) -> np.ndarray | None:
         """Return what hands exert on the tool, (6,) in base axes at the tool point; None while nobody touches it.
 
-        Parameters
-        ----------
-        t : guidance time [s]. T_base_tool : (4, 4) pose of the tool.
+        `t`: guidance time [s]. `T_base_tool`: (4, 4) pose of the tool.
         """
         pushed = self.operator.at(t)
         held = None if self.grip is None else self.grip.at(t, T_base_tool)
@@ -270,17 +212,7 @@ class Surroundings:
         return pushed + held
 
     def leads(self, program: str, n: int) -> HandPath | None:
-        """Return the hand that leads the arm in a program, None where nobody does.
-
-        Parameters
-        ----------
-        program : see `ControllerSettings.program`.
-        n : number of joints.
-
-        Raises
-        ------
-        ShapeError : a hand for another number of joints.
-        """
+        """Return the hand that leads the arm in a program, None where nobody does."""
         hand = self.hand if program == "lead-through" else None
         if hand is not None and hand.n != n:
             raise ShapeError(f"Expected a hand path of {n} joints, got one of {hand.n}.")
@@ -289,8 +221,6 @@ class Surroundings:
     def is_ready(self, t: float) -> bool:
         """Return whether motors and RAPID let guidance run. RAPID that is stuck at UNDEFINED does.
 
-        Parameters
-        ----------
-        t : robot time [s].
+        `t`: robot time [s].
         """
         return self.motors.at(t) == _ON and self.rapid.at(t) != _STOPPED

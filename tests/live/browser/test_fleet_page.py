@@ -12,7 +12,7 @@ import pytest
 
 from armlab import robots
 from armlab.kinematics import forward
-from armlab.live import FleetView
+from armlab.live.fleet_view import FleetView
 
 from ..fleet_bridges import Fleet, hear_fleet
 from .camera import seen

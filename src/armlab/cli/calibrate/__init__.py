@@ -8,8 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import App, Parameter
 
 from armlab.cli.calibrate.arms import dual_arm, kinematics
-from armlab.cli.calibrate.report import Wanted
-from armlab.cli.calibrate.samples import measured_rows, noise_of, run_fit, tool_poses
+from armlab.cli.calibrate.samples import (
+    NOTHING,
+    ArmOfPoses,
+    SampleFile,
+    Wanted,
+    measured_rows,
+    noise_of,
+    run_fit,
+    tool_poses,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -30,7 +38,6 @@ calibrate.command(
     help_epilogue="Example: armlab calibrate dual-arm yumi_left yumi_right samples.csv -o arms.toml",
 )
 
-_flat = Parameter(name="*")
 _several = Parameter(consume_multiple=True)
 
 
@@ -38,14 +45,14 @@ _several = Parameter(consume_multiple=True)
     name="hand-eye", help_epilogue="Example: armlab calibrate hand-eye samples.csv --robust -o camera.toml"
 )
 def hand_eye(
-    *samples: Path,
+    *samples: SampleFile,
     marker: Path | None = None,
     setup: Literal["eye_to_hand", "eye_in_hand"] = "eye_to_hand",
-    robot: str | None = None,
+    robot: ArmOfPoses = None,
     noise: Annotated[list[float] | None, _several] = None,
     noise_robot: tuple[float, float] | None = None,
     robust: bool = False,
-    wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
+    wanted: Wanted = NOTHING,
 ) -> int:
     """Find camera and marker from poses of the robot and of the marker, or from points of the marker.
 
@@ -56,23 +63,17 @@ def hand_eye(
 
     Parameters
     ----------
-    samples : Path
-        CSV, MAT or MCAP; several are joined.
     marker : Path
         File with the places of the points on the marker, a row each: marker_x, marker_y, marker_z [m or mm in the
         header]. They are found when left out.
     setup : str
         eye_to_hand: the camera stands, the marker is on the tool. eye_in_hand: the other way round.
-    robot : str
-        Name or file of the arm: its joint positions q give T_base_tool.
     noise : list
         Deviations of the camera where they are known: m and rad of poses, m of points.
     noise_robot : tuple
         Deviations of the poses of the robot, m and rad, where it is not exact: samples cannot tell them.
     robust : bool
         Find wrong samples and leave them out.
-    wanted : Wanted
-        What to write.
     """
     import numpy as np
 
@@ -99,8 +100,8 @@ def hand_eye(
 
 @calibrate.command(name="force-sensor", help_epilogue="Example: armlab calibrate force-sensor rest.csv -o sensor.toml")
 def force_sensor(
-    *samples: Path,
-    robot: str | None = None,
+    *samples: SampleFile,
+    robot: ArmOfPoses = None,
     wrench: str | None = None,
     gravity: tuple[float, float, float] | None = None,
     unknown_gravity: bool = False,
@@ -109,7 +110,7 @@ def force_sensor(
     no_bias: bool = False,
     noise: Annotated[list[float] | None, _several] = None,
     robust: bool = False,
-    wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
+    wanted: Wanted = NOTHING,
 ) -> int:
     """Find axes, load and bias of a force sensor from readings at rest in many orientations.
 
@@ -118,10 +119,6 @@ def force_sensor(
 
     Parameters
     ----------
-    samples : Path
-        CSV, MAT or MCAP; several are joined.
-    robot : str
-        Name or file of the arm: its joint positions q give T_base_tool.
     wrench : str
         Name of the readings in the file, where it is another one.
     gravity : tuple
@@ -138,8 +135,6 @@ def force_sensor(
         Deviation of forces, N, and of torques, N m, where they are known.
     robust : bool
         Find samples with contact and leave them out.
-    wanted : Wanted
-        What to write.
     """
     from armlab.calibrate import fit_force_sensor
     from armlab.errors import ConfigError
@@ -163,13 +158,13 @@ def force_sensor(
 
 @calibrate.command(help_epilogue="Example: armlab calibrate accelerometer rest.csv --scale -o accelerometer.toml")
 def accelerometer(
-    *samples: Path,
-    robot: str | None = None,
+    *samples: SampleFile,
+    robot: ArmOfPoses = None,
     gravity: tuple[float, float, float] | None = None,
     scale: bool = False,
     noise: float | None = None,
     robust: bool = False,
-    wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
+    wanted: Wanted = NOTHING,
 ) -> int:
     """Find axes and bias of an accelerometer on the tool from readings at rest in many orientations.
 
@@ -178,10 +173,6 @@ def accelerometer(
 
     Parameters
     ----------
-    samples : Path
-        CSV, MAT or MCAP; several are joined.
-    robot : str
-        Name or file of the arm: its joint positions q give T_base_tool.
     gravity : tuple
         In base axes, m/s^2; downwards when left out.
     scale : bool
@@ -190,8 +181,6 @@ def accelerometer(
         Deviation of a reading, m/s^2, where it is known.
     robust : bool
         Find samples that were not at rest and leave them out.
-    wanted : Wanted
-        What to write.
     """
     from armlab.calibrate import fit_accelerometer
 
@@ -208,11 +197,11 @@ def accelerometer(
 
 @calibrate.command(help_epilogue="Example: armlab calibrate laser scans.csv --robust -o scanner.toml")
 def laser(
-    *samples: Path,
-    robot: str | None = None,
+    *samples: SampleFile,
+    robot: ArmOfPoses = None,
     noise: tuple[float, float] | None = None,
     robust: bool = False,
-    wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
+    wanted: Wanted = NOTHING,
 ) -> int:
     """Find a line scanner on the tool from scans of flat plates.
 
@@ -221,16 +210,10 @@ def laser(
 
     Parameters
     ----------
-    samples : Path
-        CSV, MAT or MCAP; several are joined.
-    robot : str
-        Name or file of the arm: its joint positions q give T_base_tool.
     noise : tuple
         Deviations of a point, m, and of the angle of a line, rad, where they are known.
     robust : bool
         Find wrong scans and leave them out.
-    wanted : Wanted
-        What to write.
     """
     import numpy as np
 

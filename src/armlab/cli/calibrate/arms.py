@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from armlab.cli.calibrate.report import Wanted
-from armlab.cli.calibrate.samples import measured_rows, run_fit
+from armlab.cli.calibrate.samples import NOTHING, SampleFile, Wanted, measured_rows, run_fit
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,14 +16,13 @@ if TYPE_CHECKING:
     from armlab.robots import Robot
 
 
-_flat = Parameter(name="*")
 _several = Parameter(consume_multiple=True)
 _NUMBERS = {"pose": 2, "position": 1, "distance": 1, "pair_distance": 1, "absolute_a": 2}
 
 
 def kinematics(
     robot: str,
-    *samples: Path,
+    *samples: SampleFile,
     anchor: tuple[float, float, float] | None = None,
     length_offset: bool = False,
     noise: Annotated[list[float] | None, _several] = None,
@@ -33,7 +31,7 @@ def kinematics(
     weak: Literal["refuse", "prior"] = "refuse",
     robust: bool = False,
     corrected: Path | None = None,
-    wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
+    wanted: Wanted = NOTHING,
 ) -> int:
     """Calibrate an arm from joint positions and what was measured of its tool: poses, positions, distances.
 
@@ -45,8 +43,6 @@ def kinematics(
     ----------
     robot : str
         Name in the library, or a robot file: the nominal arm.
-    samples : Path
-        CSV, MAT or MCAP; several are joined.
     anchor : tuple
         Roughly where the fixed point of distances is, m.
     length_offset : bool
@@ -58,13 +54,11 @@ def kinematics(
     harmonics : list
         Orders of joint errors that repeat with the turn, such as 1 2.
     weak : str
-        What the samples do not tell: refuse, or hold it by a prior.
+        Unidentifiable directions: refuse, or fix them by a prior.
     robust : bool
         Find wrong samples and leave them out.
     corrected : Path
         Also write the corrected arm as a robot file, ends in .toml.
-    wanted : Wanted
-        What to write.
     """
     from armlab import robots
     from armlab.calibrate import fit_kinematics
@@ -101,14 +95,14 @@ def kinematics(
 def dual_arm(
     robot_a: str,
     robot_b: str,
-    *samples: Path,
+    *samples: SampleFile,
     closed: bool = False,
     noise: Annotated[list[float] | None, _several] = None,
     harmonics: Annotated[list[int] | None, _several] = None,
     weak: Literal["refuse", "prior"] = "refuse",
     robust: bool = False,
     corrected: tuple[Path, Path] | None = None,
-    wanted: Annotated[Wanted, _flat] = Wanted(),  # noqa: B008 - frozen
+    wanted: Wanted = NOTHING,
 ) -> int:
     """Calibrate two arms from what one sees of the other, and where they stand.
 
@@ -122,8 +116,6 @@ def dual_arm(
         Name in the library, or a robot file: the nominal arm that sees.
     robot_b : str
         The same of the arm that is seen.
-    samples : Path
-        CSV, MAT or MCAP; several are joined.
     closed : bool
         The tools are joined, and nothing else was measured.
     noise : list
@@ -131,13 +123,11 @@ def dual_arm(
     harmonics : list
         Orders of joint errors that repeat with the turn, such as 1 2.
     weak : str
-        What the samples do not tell: refuse, or hold it by a prior.
+        Unidentifiable directions: refuse, or fix them by a prior.
     robust : bool
         Find wrong samples and leave them out.
     corrected : tuple
         Also write the corrected arms as robot files, a and b, end in .toml.
-    wanted : Wanted
-        What to write.
     """
     from armlab import robots
     from armlab.calibrate import fit_dual_arm

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
+from armlab.cli.support.options import Force, Json
+
 if TYPE_CHECKING:
     from armlab.bridge import Limits
-    from armlab.cli.dmp.playing import Motion
+    from armlab.cli.dmp.playing import PlannedMotion
     from armlab.robots import Robot
 
 __all__ = []
@@ -34,8 +36,8 @@ def fit(
     schedule: str | None = None,
     scaling: str | None = None,
     convention: str | None = None,
-    json: bool = False,
-    force: bool = False,
+    json: Json = False,
+    force: Force = False,
 ) -> int:
     """Fit a movement primitive to the motion in a log, or to several demonstrations of it, and save it.
 
@@ -73,12 +75,8 @@ def fit(
         Of the motion with its goal: goal, none, amplitude or rotate; goal when not given.
     convention : str
         lund or ijspeert; lund when not given.
-    json : bool
-        Print JSON for scripts.
-    force : bool
-        Replace an existing file.
     """
-    from armlab.cli.dmp.teaching import Window, check_options, numbers_of, read_demonstration, taught, text_of
+    from armlab.cli.dmp.teaching import MotionWindow, check_options, numbers_of, read_demonstration, taught, text_of
     from armlab.cli.support.output import check_output, note, print_json, result
     from armlab.errors import ConfigError
 
@@ -87,7 +85,7 @@ def fit(
     if not logs:
         raise ConfigError("Expected the log of a motion, got none. Name one or several files.")
     check_output(output, force, [".toml"])
-    window = Window(start, end, whole)
+    window = MotionWindow(start, end, whole)
     demos = [read_demonstration(path, kind, column or (), robot, window) for path in logs]
     found = taught(kind, demos, options)
     if json:
@@ -114,7 +112,7 @@ def play(
     speed: float | None = None,
     firm: bool = False,
     log: Path | None = None,
-    json: bool = False,
+    json: Json = False,
     force: bool = False,
 ) -> int:
     """Play a movement primitive: on a robot, with --robot, or into a file, with --output.
@@ -153,8 +151,6 @@ def play(
     log : Path
         Recording of the motion; -2, -3 is added to a name that exists. dmp.mcap in the folder of the settings when not
         given.
-    json : bool
-        Print JSON for scripts.
     force : bool
         Replace an existing file of --output.
     """
@@ -187,7 +183,7 @@ def play(
 
 def _plan(
     primitive: Path, given: dict[str, Any], robot: str, speed: float | None, firm: bool
-) -> tuple[Robot, Motion, Limits]:
+) -> tuple[Robot, PlannedMotion, Limits]:
     """Return the robot, its motion within the limits, and these."""
     from armlab import bridge, models, robots
     from armlab.cli.dmp.playing import motion_of, resolved
@@ -198,7 +194,7 @@ def _plan(
     return arm, motion_of(*resolved(models.load(primitive), given), arm, limits, firm), limits
 
 
-def _move(robot: Robot, motion: Motion, limits: Limits, links: list[str], log: Path, json: bool) -> int:
+def _move(robot: Robot, motion: PlannedMotion, limits: Limits, links: list[str], log: Path, json: bool) -> int:
     """Walk to the start, run the motion, and say how near the goal it came."""
     from armlab import bridge
     from armlab.cli import FAILED

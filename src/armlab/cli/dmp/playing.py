@@ -34,7 +34,7 @@ TURNS = 4.0  # of a periodic motion, when not given
 
 
 @dataclass(frozen=True)
-class Motion:
+class PlannedMotion:
     """What leads an arm: from a posture q_start (n,), for so many seconds."""
 
     controller: Controller
@@ -104,7 +104,7 @@ def rolled_out(primitive: Any, run: Mapping[str, Any]) -> Table:
 
 
 @as_given()
-def motion_of(primitive: Any, run: Mapping[str, Any], robot: Robot, limits: Limits, firm: bool) -> Motion:
+def motion_of(primitive: Any, run: Mapping[str, Any], robot: Robot, limits: Limits, firm: bool) -> PlannedMotion:
     """Return what leads the arm: stretched in time until it keeps to the limits of velocity."""
     from armlab.motion import PeriodicDmp, PoseDmp
 
@@ -115,7 +115,7 @@ def motion_of(primitive: Any, run: Mapping[str, Any], robot: Robot, limits: Limi
     return _joint_motion(primitive, run, robot, limits, firm)
 
 
-def rehearsed(motion: Motion) -> Table:
+def rehearsed(motion: PlannedMotion) -> Table:
     """Return what the controller would tell an arm that does as it is told: q and qd (N, n) at 250 Hz."""
     from armlab.errors import LinkError
     from armlab.log import Table
@@ -193,7 +193,9 @@ def _mean(promp: ProMP, points: Sequence[tuple[float, np.ndarray]], run: Mapping
     return fit(mean.t, mean.y, scaling="none").value
 
 
-def _joint_motion(law: Dmp | TwoDofDmp, run: Mapping[str, Any], robot: Robot, limits: Limits, firm: bool) -> Motion:
+def _joint_motion(
+    law: Dmp | TwoDofDmp, run: Mapping[str, Any], robot: Robot, limits: Limits, firm: bool
+) -> PlannedMotion:
     from armlab.motion import Dmp, TwoDofDmp, shortest_duration
 
     dmp = law if isinstance(law, Dmp) else law.dmp
@@ -202,10 +204,10 @@ def _joint_motion(law: Dmp | TwoDofDmp, run: Mapping[str, Any], robot: Robot, li
     follows.controller(robot, limits=limits, g=goal, duration=wanted)  # refuses before anything is computed
     pace = wanted / dmp.duration
     seconds = pace * shortest_duration(dmp, limits.qd_max * pace, y0=start, g=goal)  # as asked, or stretched
-    return Motion(follows.controller(robot, limits=limits, g=goal, duration=seconds), np.array(start), seconds)
+    return PlannedMotion(follows.controller(robot, limits=limits, g=goal, duration=seconds), np.array(start), seconds)
 
 
-def _pose_motion(dmp: PoseDmp, run: Mapping[str, Any], robot: Robot, limits: Limits) -> Motion:
+def _pose_motion(dmp: PoseDmp, run: Mapping[str, Any], robot: Robot, limits: Limits) -> PlannedMotion:
     """The posture at the start is the one nearest to home; along the path each is the nearest to the one before."""
     from armlab.errors import ShapeError
     from armlab.kinematics import inverse
@@ -221,14 +223,14 @@ def _pose_motion(dmp: PoseDmp, run: Mapping[str, Any], robot: Robot, limits: Lim
         q.append(found.q)
     speed = np.abs(np.diff(q, axis=0)).max(axis=0) / DT
     seconds *= max(1.0, float(np.max(speed / limits.qd_max)))
-    return Motion(dmp.controller(robot, limits=limits, goal=run.get("goal"), duration=seconds), q[0], seconds)
+    return PlannedMotion(dmp.controller(robot, limits=limits, goal=run.get("goal"), duration=seconds), q[0], seconds)
 
 
-def _periodic_motion(dmp: PeriodicDmp, run: Mapping[str, Any], robot: Robot, limits: Limits) -> Motion:
+def _periodic_motion(dmp: PeriodicDmp, run: Mapping[str, Any], robot: Robot, limits: Limits) -> PlannedMotion:
     base, r, turns = run.get("goal", dmp.g), run.get("amplitude", 1.0), float(run.get("turns", TURNS))
     period = float(run.get("duration", dmp.period))
     dmp.controller(robot, limits=limits, g=base, r=r, turns=turns)
     speed = np.abs(dmp.rollout(1e-3 * period, period=period, r=r).yd).max(axis=0)
     period *= max(1.0, float(np.max(speed / limits.qd_max)))
     controller = dmp.controller(robot, limits=limits, period=period, g=base, r=r, turns=turns)
-    return Motion(controller, np.array(base), turns * period)
+    return PlannedMotion(controller, np.array(base), turns * period)

@@ -38,7 +38,7 @@ class Demonstration:
 
 
 @dataclass(frozen=True)
-class Window:
+class MotionWindow:
     """Which part of a log is the motion: from `start` to `end` [s], and unless `whole` without the rest around it."""
 
     start: float | None = None
@@ -75,7 +75,7 @@ def check_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_demonstration(
-    path: Path, kind: str, columns: Sequence[str], robot: str | None, window: Window
+    path: Path, kind: str, columns: Sequence[str], robot: str | None, window: MotionWindow
 ) -> Demonstration:
     """Return the motion in a log."""
     from armlab import kinematics, log, robots

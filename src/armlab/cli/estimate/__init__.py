@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from armlab.cli.support.results import PLAIN, Results
+
 if TYPE_CHECKING:
     from armlab.cli.support.html_report import Verdict
     from armlab.contact.contacts import Contact, Hypotheses
@@ -22,7 +24,7 @@ LEAST = 1.0  # s of a log in which the place of a contact is weighed
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Prior:
+class ContactPrior:
     """What was known of the contact before.
 
     Attributes
@@ -54,11 +56,8 @@ def estimate(
     force_rate: Literal["smooth", "normal", "fast"] | None = None,
     bias: bool = False,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
-    report: Path | None = None,
-    figure: Path | None = None,
-    prior: Prior = Prior(),
-    json: bool = False,
-    force: bool = False,
+    prior: ContactPrior = ContactPrior(),
+    wanted: Results = PLAIN,
 ) -> int:
     """Estimate the contact force in a log with a model.
 
@@ -84,28 +83,18 @@ def estimate(
         Of the method kf: friction that is unknown after a rest is a state of its own.
     output : Path
         Also write the estimate of every row, ends in .mcap or .csv.
-    report : Path
-        Also write a page with tables and figures, ends in .html; everything is inside, it asks nobody for anything.
-    figure : Path
-        Also draw the estimate with its 2-sigma band into this PNG, SVG or PDF.
-    prior : Prior
+    prior : ContactPrior
         Of the contact.
-    json : bool
-        Print JSON for scripts.
-    force : bool
-        Replace existing files.
     """
     from armlab import log as logs
     from armlab import models, robots
     from armlab.cli.estimate import report as report_of
     from armlab.cli.support.log_input import doubts, read_log
     from armlab.cli.support.options import as_given
-    from armlab.cli.support.output import FIGURES, check_output, note, progress, save_figure
+    from armlab.cli.support.output import note, progress
     from armlab.contact import Estimator, contacts
 
-    for path, endings in ((output, (".mcap", ".csv")), (report, (".html",)), (figure, FIGURES)):
-        if path is not None:
-            check_output(path, force, endings, [log])
+    wanted.check(output, (".mcap", ".csv"), [log])
     arm = robots.load(robot)
     known = models.load(model, "torque_model")
     options = {"force_rate": force_rate, "bias": bias}
@@ -121,24 +110,19 @@ def estimate(
         tell(1, 2, "what can be relied on")
         verdict = report_of.judge(table, known, estimator.prior, found, doubts(table, arm, known))
         tell(1, 1, "done")
-    _say(table, method, report_of.places(found, believed), verdict, json)
+    _say(table, method, report_of.places(found, believed), verdict, wanted.json)
     if output is not None:
         note(f"writing {output}")
         logs.write(report_of.columns(table, believed), output, arm)
-    if figure is not None:
-        from armlab import plots
-
-        save_figure(plots.wrench(table), figure)
-        note(f"figure: {figure}")
-    if report is not None:
-        about = f"{log.name} of {arm.name}, model {model.name}, method {method}."
-        with progress("report") as tell:
-            report_of.write(report, table, verdict, found, believed, about, tell)
-        note(f"report: {report}")
+    about = f"{log.name} of {arm.name}, model {model.name}, method {method}."
+    wanted.write(
+        lambda plots: plots.wrench(table),
+        lambda tell: report_of.page(table, verdict, found, believed, about, tell),
+    )
     return 0
 
 
-def _believed(table: Table, arm: Robot, method: str, prior: Prior) -> Hypotheses | None:
+def _believed(table: Table, arm: Robot, method: str, prior: ContactPrior) -> Hypotheses | None:
     """Return what is believed of the place of contacts; nothing of methods whose torque error is not static."""
     from armlab.contact import hypotheses
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from armlab.cli.support.html_report import HtmlReport, Verdict
 from armlab.cli.support.log_input import gaps, left_out
+from armlab.cli.support.results import Tell
 
 if TYPE_CHECKING:
     from armlab.contact.contacts import Contact, Hypotheses
@@ -109,8 +109,6 @@ SLOW = 0.01  # rad/s: an arm below it in all joints rests
 OFTEN = 0.05  # share of the rows that is worth a sentence
 HONEST = 0.90  # share inside 2 sigma
 NAMED = 3  # gaps, the longest, that are named
-
-Tell = Callable[[float, float, str], None]
 
 
 def judge(
@@ -239,19 +237,17 @@ def _truth(table: Table) -> Verdict:
     return Verdict((sentence,)) if np.mean(found.inside[:3]) >= HONEST else Verdict(bad=(sentence,))
 
 
-def write(
-    path: Path,
+def page(
     table: Table,
     verdict: Verdict,
     contacts: Sequence[Contact],
     believed: Hypotheses | None,
     about: str,
-    tell: Tell | None = None,
-) -> None:
-    """Write the page.
+    tell: Tell,
+) -> HtmlReport:
+    """Return the page; `tell` is called with (done, total, what)."""
+    from armlab.plots.style import png
 
-    `believed`: of `contact.hypotheses`, or None. `tell`: called with (done, total, what).
-    """
     page = HtmlReport("Contact wrench", about)
     page.verdict(verdict)
     words = "By the environment on the robot, base axes, at the tool point, in N and N m. Observability: 1 the torques "
@@ -265,11 +261,10 @@ def write(
         page.table(contact_rows(table, contacts, believed))
     drawings = _drawings(table, believed)
     for k, (title, caption, draw) in enumerate(drawings):
-        if tell is not None:
-            tell(k, len(drawings), f"drawing {title.lower()}")
+        tell(k, len(drawings), f"drawing {title.lower()}")
         page.section(title)
-        page.figure(draw(), title, caption)
-    page.write(path)
+        page.figure(png(draw()), title, caption)
+    return page
 
 
 def _drawings(table: Table, believed: Hypotheses | None) -> list[tuple[str, str, Any]]:
@@ -280,31 +275,31 @@ def _drawings(table: Table, believed: Hypotheses | None) -> list[tuple[str, str,
         (
             "Wrench over time",
             "Line: estimate. Band: two sigma. Shaded: contact, where zero lies outside the 95 % ellipsoid.",
-            lambda: plots.png(plots.wrench(table)),
+            lambda: plots.wrench(table),
         ),
         (
             "Observability over time",
             "What the pose and the friction of the joints let through. Shaded: some axis below 0.5.",
-            lambda: plots.png(plots.observability(table)),
+            lambda: plots.observability(table),
         ),
         (
             "Motion",
             "Positions, velocities and torques of the log.",
-            lambda: plots.png(plots.table(table, "q", "qd", "tau")),
+            lambda: plots.table(table, "q", "qd", "tau"),
         ),
     ]
     if believed is not None:
         where = (
             "Where the contact may be",
             "Probability of each place, in windows of one second. The bar on top: a link is not excluded, 400 to 1.",
-            lambda: plots.png(plots.hypotheses(believed)),
+            lambda: plots.hypotheses(believed),
         )
         shown.insert(1, where)
     if "wrench_true" in table or "wrench" in table:
         coverage = (
             "Coverage by speed",
-            "Share of the axis's errors inside two sigma; a true uncertainty holds 95.4 % at every speed.",
-            lambda: plots.png(plots.coverage(table)),
+            "Share of the axis's errors inside two sigma; a calibrated uncertainty contains 95.4 % at every speed.",
+            lambda: plots.coverage(table),
         )
         shown.insert(-1, coverage)
     return shown

@@ -8,6 +8,8 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from armlab.cli.support.results import PLAIN, Results
+
 __all__ = []
 
 
@@ -18,11 +20,8 @@ def identify(
     method: Literal["irls", "wls", "ols", "lts"] = "irls",
     gravity_only: bool = False,
     drives: bool = False,
-    report: Path | None = None,
     test: Path | None = None,
-    figure: Path | None = None,
-    json: bool = False,
-    force: bool = False,
+    wanted: Results = PLAIN,
 ) -> int:
     """Identify gravity, inertia and friction from logs; save the model.
 
@@ -46,21 +45,13 @@ def identify(
     drives : bool
         Also look for lines of torque ripple, friction over position and warm-up (logs from 20 minutes), joint by joint;
         what wins on held-out stretches of time is kept.
-    report : Path
-        Also write a page with tables and figures, ends in .html; everything is inside, it asks nobody for anything.
     test : Path
         Another recording without contact: how good the model is where it was not fitted.
-    figure : Path
-        Also draw measured and modelled torques into this PNG, SVG or PDF.
-    json : bool
-        Print JSON for scripts.
-    force : bool
-        Replace existing files.
     """
     from armlab import robots
     from armlab.cli.identify import report as report_of
     from armlab.cli.support.log_input import read_log
-    from armlab.cli.support.output import FIGURES, check_output, note, print_json, progress, result, save_figure
+    from armlab.cli.support.output import note, progress
     from armlab.errors import ConfigError
     from armlab.identify import fit_dynamics, fit_friction, fit_gravity
     from armlab.identify.record import check_once
@@ -68,9 +59,7 @@ def identify(
     arm = robots.load(robot)
     if not logs:
         raise ConfigError("Expected at least one log to identify from, got none. Give the files of recorded motions.")
-    for path, endings in ((output, [".toml"]), (report, [".html"]), (figure, FIGURES)):
-        if path is not None:
-            check_output(path, force, endings)
+    wanted.check(output, [".toml"])
     tables = [read_log(path, arm) for path in logs]
     unseen = None if test is None else read_log(test, arm)
     if test is not None and unseen is not None:
@@ -84,22 +73,13 @@ def identify(
             fit = replace(fit, value=fit_friction(tables, fit.value).value)
     trial = report_of.try_out(fit.value, arm, tables[0] if unseen is None else unseen, unseen is not None)
     verdict = report_of.judge(fit, arm, tables, trial)
-    if json:
-        print_json({"model": str(output), **report_of.numbers(fit, trial), "verdict": vars(verdict)})
-    else:
-        result(f"{fit.report()}\n\n{verdict.text()}")
+    wanted.say({"model": str(output), **report_of.numbers(fit, trial)}, fit.report(), verdict)
     fit.save(output)
     note(f"model: {output}")
-    if figure is not None:
-        from armlab import plots
-
-        save_figure(plots.torque_fit(fit, trial.log), figure)
-        note(f"figure: {figure}")
-    if report is not None:
-        seconds = fit.value.quality.seconds
-        kind = ", gravity and friction only" if gravity_only else ""
-        about = f"From {', '.join(path.name for path in logs)}, {seconds:.0f} s of motion, method {method}{kind}."
-        with progress("report") as tell:
-            report_of.write(report, fit, verdict, trial, tables[0], about, tell)
-        note(f"report: {report}")
+    seconds, kind = fit.value.quality.seconds, ", gravity and friction only" if gravity_only else ""
+    about = f"From {', '.join(path.name for path in logs)}, {seconds:.0f} s of motion, method {method}{kind}."
+    wanted.write(
+        lambda plots: plots.torque_fit(fit, trial.log),
+        lambda tell: report_of.page(fit, verdict, trial, tables[0], about, tell),
+    )
     return 0

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from armlab.cli.support.results import PLAIN, Results
+
 if TYPE_CHECKING:
     from armlab.cli.support.html_report import Verdict
     from armlab.estimation import Fit
@@ -28,12 +30,9 @@ def payload(
     mode: Literal["static", "dynamic"] = "static",
     gain: float = 0.05,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
-    report: Path | None = None,
-    figure: Path | None = None,
-    json: bool = False,
-    force: bool = False,
+    wanted: Results = PLAIN,
 ) -> int:
-    """Weigh a load at the flange with the motors: mass, centre and, if asked, inertia.
+    """Identify a payload at the flange from motor torques: mass, centre and, with --mode dynamic, inertia.
 
     Prints each with its deviation, in flange axes.
 
@@ -53,25 +52,15 @@ def payload(
         How well the torque constants are known, as a share.
     output : Path
         Also save the load, ends in .toml.
-    report : Path
-        Also write a page with table and figure, ends in .html; everything is inside, it asks nobody for anything.
-    figure : Path
-        Also draw measured and modelled torques, load included, into this PNG, SVG or PDF.
-    json : bool
-        Print JSON for scripts.
-    force : bool
-        Replace existing files.
     """
     from armlab import models, robots
     from armlab.cli.support.log_input import read_log
-    from armlab.cli.support.output import FIGURES, check_output, note, print_json, progress, result, save_figure
+    from armlab.cli.support.output import note, progress
     from armlab.estimation import Fit
     from armlab.identify import fit_payload
     from armlab.models.files import load_statistics
 
-    for path, endings in ((output, (".toml",)), (report, (".html",)), (figure, FIGURES)):
-        if path is not None:
-            check_output(path, force, endings)
+    wanted.check(output, (".toml",))
     arm, known = robots.load(robot), models.load(model, "torque_model")
     told = Fit.load(model) if load_statistics(model) else known  # the fit knows what is uncertain in friction
     table = read_log(log, arm)
@@ -81,18 +70,14 @@ def payload(
         fit = fit_payload(table, told, arm, mode, empty, gain_sd=gain)
         tell(1, 1, "done")
     verdict = _judge(fit, known, table, arm)
-    if json:
-        print_json({**_numbers(fit), "verdict": vars(verdict)})
-    else:
-        result(f"{fit.report()}\n\n{verdict.text()}")
+    wanted.say(_numbers(fit), fit.report(), verdict)
     if output is not None:
         note(f"load: {fit.save(output)}")
-    if figure is not None:
-        save_figure(_figure(fit, known, table), figure)
-        note(f"figure: {figure}")
-    if report is not None:
-        _page(fit, known, table, verdict, f"{log.name} of {arm.name}, model {model.name}, mode {mode}.").write(report)
-        note(f"report: {report}")
+    about = f"{log.name} of {arm.name}, model {model.name}, mode {mode}."
+    wanted.write(
+        lambda plots: plots.torque_fit(fit.value.added_to(known), table),
+        lambda _: _page(fit, known, table, verdict, about),
+    )
     return 0
 
 
@@ -144,15 +129,10 @@ def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> V
     return Verdict(tuple(good), tuple(bad), tuple(ahead))
 
 
-def _figure(fit: Fit[Payload], model: TorqueModel, table: Table) -> Any:
-    from armlab import plots
-
-    return plots.torque_fit(fit.value.added_to(model), table)
-
-
 def _page(fit: Fit[Payload], model: TorqueModel, table: Table, verdict: Verdict, about: str) -> Any:
+    from armlab import plots
     from armlab.cli.support.html_report import HtmlReport
-    from armlab.plots import png
+    from armlab.plots.style import png
 
     page = HtmlReport(f"Load of {1e3 * fit.value.mass:.0f} g", about)
     page.verdict(verdict)
@@ -161,7 +141,8 @@ def _page(fit: Fit[Payload], model: TorqueModel, table: Table, verdict: Verdict,
     rows += [(n, f"{x:.5g}", f"{s:.2g}", u) for n, x, s, u in zip(fit.names, fit.parameters, fit.sd, fit.units)]
     page.table(rows)
     page.section("Torques", "Measured, and modelled with the load; the band is two sigma of the model.")
-    page.figure(png(_figure(fit, model, table)), "measured and modelled torque of each joint")
+    drawn = plots.torque_fit(fit.value.added_to(model), table)
+    page.figure(png(drawn), "measured and modelled torque of each joint")
     page.section("As printed")
     page.verbatim(fit.report())
     return page

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from armlab.cli.support.html_report import HtmlReport, Verdict
+from armlab.cli.support.results import Tell
 
 if TYPE_CHECKING:
     from armlab.estimation import Fit
@@ -28,7 +28,7 @@ MOVING = 0.01  # of the peak speed
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class ModelTrial:
     """The model on a log of free motion, where the true wrench is zero."""
 
     unseen: bool  # the log was not part of the fit
@@ -39,7 +39,7 @@ class Trial:
     coverage: float  # share of the forces inside 2 sigma
 
 
-def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> Trial:
+def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> ModelTrial:
     """Run the model over a log of free motion."""
     from armlab.contact import Estimator
 
@@ -48,7 +48,7 @@ def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> Tri
     moving = (np.abs(qd) > MOVING * np.abs(qd).max(axis=0)).any(axis=1) & np.isfinite(error).all(axis=1)
     force = estimate["wrench_hat"][moving, :3]
     sigma = np.sqrt(np.einsum("kii->ki", estimate["wrench_hat_cov"]))[moving, :3]
-    return Trial(
+    return ModelTrial(
         unseen=unseen,
         estimate=estimate,
         log=table,
@@ -58,7 +58,7 @@ def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> Tri
     )
 
 
-def judge(fit: Fit[TorqueModel], robot: Robot, tables: Sequence[Table], trial: Trial) -> Verdict:
+def judge(fit: Fit[TorqueModel], robot: Robot, tables: Sequence[Table], trial: ModelTrial) -> Verdict:
     """Return what of the model can be relied on, what cannot, and what to log next."""
     found = _Sentences()
     _judge_fit(found, fit, trial)
@@ -74,7 +74,7 @@ class _Sentences:
         self.ahead: list[str] = []
 
 
-def _judge_fit(found: _Sentences, fit: Fit[TorqueModel], trial: Trial) -> None:
+def _judge_fit(found: _Sentences, fit: Fit[TorqueModel], trial: ModelTrial) -> None:
     quality = fit.value.quality
     held_out = quality.rms_cv / quality.torque_sd
     judged = np.isfinite(held_out)  # joints that did not move have no figures
@@ -125,15 +125,15 @@ def _kept(model: TorqueModel) -> list[str]:
     return kept
 
 
-def _judge_honesty(found: _Sentences, model: TorqueModel, trial: Trial) -> None:
+def _judge_honesty(found: _Sentences, model: TorqueModel, trial: ModelTrial) -> None:
     coverage, alpha = model.quality.coverage, float(np.sqrt(model.covariance.alpha2))
     honest = ~((coverage < HONEST[0]) | (coverage > HONEST[1]))
     where = "test log" if trial.unseen else "log"
     force = " ".join(f"{value:.2f}" for value in trial.force_rms)
     if honest.all():
         found.good.append(
-            f"The stated uncertainty is true: {100 * np.nanmin(coverage):.0f} to {100 * np.nanmax(coverage):.0f} % of "
-            "the held-out torques lie inside 2 sigma."
+            f"The uncertainty is well calibrated: 2 sigma contains {100 * np.nanmin(coverage):.0f} to "
+            f"{100 * np.nanmax(coverage):.0f} % of the held-out torques."
         )
     else:
         shares = ", ".join(f"{100 * value:.0f} %" for value in coverage[~honest])
@@ -157,10 +157,10 @@ def _judge_motion(found: _Sentences, fit: Fit[TorqueModel], robot: Robot, tables
     excitation, training = fit.excitation, fit.value.training
     told = excitation.text().splitlines()[0]
     if told.startswith("excitation good"):
-        found.good.append(f"The motion tells all parameters apart (condition {excitation.condition:.0f}).")
+        found.good.append(f"The motion identifies all parameters (condition {excitation.condition:.0f}).")
     else:
-        found.bad.append(f"The motion tells some parameters badly (condition {excitation.condition:.0f}).")
-        found.ahead.append(f"Log a longer or richer motion, as of armlab excite; told least: {excitation.weakest}.")
+        found.bad.append(f"The motion identifies some parameters poorly (condition {excitation.condition:.0f}).")
+        found.ahead.append(f"Log a longer or richer motion, as of armlab excite; weakest: {excitation.weakest}.")
     used = (training.q_max - training.q_min) / (robot.q_max - robot.q_min)
     narrow = used < NARROW
     if narrow.any():
@@ -182,11 +182,10 @@ def _joints(which: np.ndarray) -> str:
     return f"joint{'s' if len(numbered) > 1 else ''} {', '.join(numbered)}"
 
 
-Tell = Callable[[float, float, str], None]
-Drawing = tuple[str, str, str, Callable[[], bytes]]  # title, what it shows, how to read it, what draws it
+Drawing = tuple[str, str, str, Callable[[], Any]]  # title, what it shows, how to read it, what draws it
 
 
-def numbers(fit: Fit[TorqueModel], trial: Trial) -> dict[str, Any]:
+def numbers(fit: Fit[TorqueModel], trial: ModelTrial) -> dict[str, Any]:
     """Return the figures of the report for scripts: of the fit, and per joint."""
     model = fit.value
     quality, friction, covariance = model.quality, model.friction, model.covariance
@@ -221,20 +220,10 @@ def numbers(fit: Fit[TorqueModel], trial: Trial) -> dict[str, Any]:
     }
 
 
-def write(
-    path: Path,
-    fit: Fit[TorqueModel],
-    verdict: Verdict,
-    trial: Trial,
-    log: Table,
-    about: str,
-    tell: Tell | None = None,
-) -> None:
-    """Write the page.
-
-    `tell`: called with (done, total, what).
-    """
+def page(fit: Fit[TorqueModel], verdict: Verdict, trial: ModelTrial, log: Table, about: str, tell: Tell) -> HtmlReport:
+    """Return the page; `tell` is called with (done, total, what)."""
     from armlab.identify.validation import parameter_rows
+    from armlab.plots.style import png
 
     page = HtmlReport(f"Torque model of {fit.value.robot_name}", about)
     page.verdict(verdict)
@@ -245,23 +234,22 @@ def write(
         "error; gamma is how fast it falls with speed.",
     )
     page.table(_residual_rows(fit, trial))
-    page.section("Friction per joint", "With standard deviations from drawing blocks of time again.")
+    page.section("Friction per joint", "With standard deviations from a block bootstrap.")
     page.table(_friction_rows(fit, trial))
     drawings = _drawings(fit, trial, log)
     for k, (title, alt, caption, draw) in enumerate(drawings):
-        if tell is not None:
-            tell(k, len(drawings), f"drawing {title.lower()}")
+        tell(k, len(drawings), f"drawing {title.lower()}")
         page.section(title)
-        page.figure(draw(), alt, caption)
-    page.section("Parameters", "What the motion can tell: of the links only these combinations act on the torques.")
+        page.figure(png(draw()), alt, caption)
+    page.section("Parameters", "Identifiable parameters: of the links only these combinations act on the torques.")
     head = ("value", "standard deviation", "unit", "parameter")
     page.table([head, *parameter_rows(fit)], f"{len(fit.names)} parameters with standard deviations")
     page.section("As printed")
     page.verbatim(fit.report(), "Report of the fit")
-    page.write(path)
+    return page
 
 
-def _residual_rows(fit: Fit[TorqueModel], trial: Trial) -> list[list[str]]:
+def _residual_rows(fit: Fit[TorqueModel], trial: ModelTrial) -> list[list[str]]:
     rows = [["joint", "torque sd [N m]", "RMS [N m]", "fit [%]", "held-out [%]", "test [%]", "in 2 sigma [%]"]]
     rows[0] += ["sigma at rest [N m]", "in motion [N m]", "gamma [s/rad]"]
     for joint in numbers(fit, trial)["joints"]:
@@ -273,7 +261,7 @@ def _residual_rows(fit: Fit[TorqueModel], trial: Trial) -> list[list[str]]:
     return rows
 
 
-def _friction_rows(fit: Fit[TorqueModel], trial: Trial) -> list[list[str]]:
+def _friction_rows(fit: Fit[TorqueModel], trial: ModelTrial) -> list[list[str]]:
     from armlab.plots.drives import own_parameters
 
     columns = {
@@ -298,12 +286,12 @@ def _deviation(fit: Fit[TorqueModel], own: dict[str, int], kinds: tuple[str, ...
     return "" if place is None else f" ± {fit.sd[place]:.3f}"
 
 
-def _drawings(fit: Fit[TorqueModel], trial: Trial, log: Table) -> list[Drawing]:
+def _drawings(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list[Drawing]:
     """Return title, what it shows, how to read it, and what draws it, of each figure."""
     return [*_of_the_torque(fit, trial, log), *_of_the_force(fit, trial)]
 
 
-def _of_the_torque(fit: Fit[TorqueModel], trial: Trial, log: Table) -> list[Drawing]:
+def _of_the_torque(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list[Drawing]:
     from armlab import plots
 
     model, estimate = fit.value, trial.estimate
@@ -313,36 +301,36 @@ def _of_the_torque(fit: Fit[TorqueModel], trial: Trial, log: Table) -> list[Draw
             "Measured and modelled torque",
             "Torque of each joint over time, measured and modelled, and the residual",
             f"{shown}. What is left should look like noise inside the band.",
-            lambda: plots.png(plots.torque_fit(fit, trial.log)),
+            lambda: plots.torque_fit(fit, trial.log),
         ),
         (
             "Residual over speed",
             "Residual torque of each joint over its speed with two-sigma curves",
             "Curves follow the cloud where the covariance is right. A step at zero is Coulomb friction that is wrong.",
-            lambda: plots.png(plots.residual_speed(estimate, {"model": model.covariance})),
+            lambda: plots.residual_speed(estimate, {"model": model.covariance}),
         ),
         (
             "Friction",
             "Friction of each joint over its speed with uncertainty",
             "Dark: uncertainty of the parameters. Light: with the torque error at that speed, 95 % of the points.",
-            lambda: plots.png(plots.friction(fit, estimate)),
+            lambda: plots.friction(fit, estimate),
         ),
         (
             "Torque ripple",
             "Amplitude of the torque residual over cycles per turn",
-            "Peaks that stand still over position are ripple of gears and motors; the dotted ones are in the model.",
-            lambda: plots.png(plots.spectrum(model, log)),
+            "Peaks fixed in position are ripple of gears and motors; the dotted ones are in the model.",
+            lambda: plots.spectrum(model, log),
         ),
         (
-            "How long the residual remembers",
+            "Residual autocorrelation",
             "Autocorrelation of the residuals over the lag",
-            "Coloured residuals make formal deviations too small; those of this report come from blocks.",
-            lambda: plots.png(plots.autocorrelation(estimate)),
+            "Correlated residuals make formal deviations too small; those of this report come from a block bootstrap.",
+            lambda: plots.autocorrelation(estimate),
         ),
     ]
 
 
-def _of_the_force(fit: Fit[TorqueModel], trial: Trial) -> list[Drawing]:
+def _of_the_force(fit: Fit[TorqueModel], trial: ModelTrial) -> list[Drawing]:
     from armlab import plots
 
     shown = "The test log" if trial.unseen else "The first log"
@@ -351,24 +339,24 @@ def _of_the_force(fit: Fit[TorqueModel], trial: Trial) -> list[Drawing]:
             "Excitation",
             "Singular values of the regressor",
             "Each point is a direction of the parameters. Those below the upper line need a richer motion.",
-            lambda: plots.png(plots.excitation(fit.excitation)),
+            lambda: plots.excitation(fit.excitation),
         ),
         (
             "Force without contact",
             "Estimated wrench over time with two-sigma band; the truth is zero",
-            f"{shown} through the estimator. The truth is zero: the band should hold it 95 % of the time.",
-            lambda: plots.png(plots.wrench(trial.estimate)),
+            f"{shown} through the estimator. The truth is zero: the band should contain it 95 % of the time.",
+            lambda: plots.wrench(trial.estimate),
         ),
         (
             "Observability",
             "Observability per axis over time",
             "1: the torques determine the axis. 0: only the prior speaks.",
-            lambda: plots.png(plots.observability(trial.estimate)),
+            lambda: plots.observability(trial.estimate),
         ),
         (
             "Coverage by speed",
             "Share of forces inside two sigma per bin of speed",
-            "A true uncertainty holds 95.4 % at every speed.",
-            lambda: plots.png(plots.coverage(trial.estimate)),
+            "A calibrated uncertainty contains 95.4 % at every speed.",
+            lambda: plots.coverage(trial.estimate),
         ),
     ]

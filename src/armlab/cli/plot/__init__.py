@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cyclopts import App, Group
 
-from armlab.cli.plot import logs, models, robots
+from armlab.cli.plot import figures
 
 __all__ = []
 
@@ -17,37 +17,37 @@ plot = App(
 
 _COMMANDS = {  # by group: each command and the words of its example
     "Logs": {
-        logs.table: "press.mcap q tau",
-        logs.poses: "press.mcap --robot yumi_right",
-        logs.scene: "press.mcap --robot yumi_right --frames 0.1",
-        logs.latency: "run.mcap -o latency.svg",
+        figures.table: "press.mcap q tau",
+        figures.poses: "press.mcap --robot yumi_right",
+        figures.scene: "press.mcap --robot yumi_right --frames 0.1",
+        figures.latency: "run.mcap -o latency.svg",
     },
     "Models of torque": {
-        models.torque_fit: "model.toml excite.mcap",
-        models.friction: "model.toml",
-        models.friction_map: "model.toml excite.mcap --joint 3",
-        models.spectrum: "model.toml excite.mcap",
-        models.velocity_covariance: "model.toml",
-        models.residual_speed: "model.toml excite.mcap",
-        models.autocorrelation: "model.toml excite.mcap",
+        figures.torque_fit: "model.toml excite.mcap",
+        figures.friction: "model.toml",
+        figures.friction_map: "model.toml excite.mcap --joint 3",
+        figures.spectrum: "model.toml excite.mcap",
+        figures.velocity_covariance: "model.toml",
+        figures.residual_speed: "model.toml excite.mcap",
+        figures.autocorrelation: "model.toml excite.mcap",
     },
     "Contact force": {
-        logs.wrench: "press.mcap --start 10 --end 40",
-        logs.wrenches: "left.mcap right.mcap",
-        logs.observability: "press.mcap",
-        models.coverage: "press.mcap --model model.toml",
-        models.hypotheses: "model.toml press.mcap",
+        figures.wrench: "press.mcap --start 10 --end 40",
+        figures.wrenches: "left.mcap right.mcap",
+        figures.observability: "press.mcap",
+        figures.coverage: "press.mcap --model model.toml",
+        figures.hypotheses: "model.toml press.mcap",
     },
-    "Any fit": {models.calibration: "camera.toml", models.excitation: "camera.toml"},
+    "Any fit": {figures.calibration: "camera.toml", figures.excitation: "camera.toml"},
     "Robots": {
-        robots.robot: "irb2400",
-        robots.workspace: "irb2400",
-        robots.manipulability: "irb2400",
+        figures.robot: "irb2400",
+        figures.workspace: "irb2400",
+        figures.manipulability: "irb2400",
     },
     "Movement primitives": {
-        robots.dmp: "motion.toml",
-        robots.dmp_phase: "motion.toml",
-        robots.two_dof: "motion.toml run.mcap",
+        figures.dmp: "motion.toml",
+        figures.dmp_phase: "motion.toml",
+        figures.two_dof: "motion.toml run.mcap",
     },
 }
 

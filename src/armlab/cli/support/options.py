@@ -5,13 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 from urllib.parse import quote
+
+from cyclopts import Parameter
 
 from armlab.errors import ConfigError, ShapeError
 
 if TYPE_CHECKING:
     from armlab.robots import Robot
+
+Json = Annotated[bool, Parameter(help="Print JSON for scripts.")]
+Force = Annotated[bool, Parameter(help="Replace existing files.")]
+Cell = Annotated[str, Parameter(help="Name of the cell; needed when several run.")]
 
 
 @contextmanager
@@ -55,6 +61,14 @@ def links_to(robot: str, arms: Sequence[Robot], link: str | None) -> list[str]:
                 f"Expected a link to {robot}, got {link}, another arm. Name the arm as ROBOT, or give the link {same}."
             )
     return urls
+
+
+def joints_in(words: str, n: int) -> list[int]:
+    """Return numbers of joints from 0."""
+    numbers = [int(word) if word.strip().isdecimal() else 0 for word in words.split(",")]
+    if not all(1 <= number <= n for number in numbers):
+        raise ConfigError(f"Expected joints as numbers from 1 to {n} with commas between, got {words!r}.")
+    return [number - 1 for number in numbers]
 
 
 _ONE, _FIRST = 6510, 6511  # of one arm, of the first of several

@@ -1,4 +1,4 @@
-"""Settings: defaults of options from files and the environment."""
+"""UserSettings: defaults of options from files and the environment."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _PATHS = ("cell", "logs")  # relative to the file that says them
 _Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
 
 
-class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class UserSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What a file of settings may hold.
 
     Attributes
@@ -50,27 +50,27 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @dataclass(frozen=True)
-class Told:
-    """Settings, and who said them."""
+class LoadedSettings:
+    """UserSettings, and who said them."""
 
-    settings: Settings  # the values in force
+    settings: UserSettings  # the values in force
     origins: Mapping[str, str]  # name -> file, variable, or "default"
 
 
-def load_settings(environment: Mapping[str, str] | None = None) -> Told:
+def load_settings(environment: Mapping[str, str] | None = None) -> LoadedSettings:
     """Return the settings that hold in this folder.
 
     `environment`: variables; those of the process when None.
     """
     variables = os.environ if environment is None else environment
     values: dict[str, Any] = {}
-    origins = dict.fromkeys(Settings.__struct_fields__, "default")
+    origins = dict.fromkeys(UserSettings.__struct_fields__, "default")
     sources = [(str(path), _of_file(path)) for path in (user_file(variables), Path(_FILE)) if path.is_file()]
     sources += [(f"${name}", given) for name, given in _of_environment(variables)]
     for origin, given in sources:
         values |= given
         origins |= dict.fromkeys(given, origin)
-    return Told(Settings(**values), origins)
+    return LoadedSettings(UserSettings(**values), origins)
 
 
 def user_file(environment: Mapping[str, str]) -> Path:
@@ -115,9 +115,9 @@ def _pair(word: str) -> tuple[str, str]:
 def _checked(given: dict[str, Any], origin: str, folder: Path, strict: bool) -> dict[str, Any]:
     """Return the entries with their types, paths from this folder."""
     try:
-        settings = msgspec.convert(given, Settings, strict=strict)
+        settings = msgspec.convert(given, UserSettings, strict=strict)
     except msgspec.ValidationError as error:
-        known = ", ".join(Settings.__struct_fields__)
+        known = ", ".join(UserSettings.__struct_fields__)
         raise ConfigError(f"Expected other settings in {origin}: {error}. Known: {known}.") from None
     values = {name: getattr(settings, name) for name in given}
     for name in _PATHS:

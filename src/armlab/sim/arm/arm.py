@@ -30,9 +30,8 @@ import numpy as np
 from armlab.errors import ConfigError, RobotError, ShapeError
 from armlab.robots import Robot, inertia
 from armlab.robots.build import from_dh
-from armlab.sim.arm.drive import JointDrives
-from armlab.sim.arm.friction import JointFriction, WornFriction
-from armlab.sim.arm.mismatch import Mismatch
+from armlab.sim.arm.joints import JointDrives, JointFriction, WornFriction
+from armlab.sim.arm.mismatch import Mismatch, built_robot, built_truth
 from armlab.sim.arm.sensors import SensorReading, Sensors, TrueState
 from armlab.sim.arm.truth import Truth
 
@@ -89,8 +88,8 @@ class SimulatedArm:
         if len(truth.pi) != robot.n:
             raise ShapeError(f"Expected a truth for {robot.n} joints of robot {robot.name!r}, got {len(truth.pi)}.")
         self.mismatch = mismatch = mismatch or Mismatch()
-        self.robot, self.built, self.period = robot, mismatch.robot(robot), period
-        self.truth = truth = mismatch.truth(truth, self.built)
+        self.robot, self.built, self.period = robot, built_robot(mismatch, robot), period
+        self.truth = truth = built_truth(mismatch, truth, self.built)
         self.steps = math.ceil(period / LONGEST_STEP - 1e-9)
         self.step_time = period / self.steps
         mujoco = self._mj = _mujoco()
@@ -106,7 +105,7 @@ class SimulatedArm:
         self._sensors = Sensors(truth, mismatch, period, seed)
         worn = mismatch.warm_up or mismatch.load_friction or mismatch.ripple_jump
         self.friction = WornFriction(truth, mismatch, self.step_time, self._tau) if worn else JointFriction(truth)
-        self.drive = JointDrives(self.inertia(robot.q_home), truth.tau_max, truth.feedforward, self.step_time)
+        self.drive = JointDrives(self._inertia(robot.q_home), truth.tau_max, truth.feedforward, self.step_time)
         self.sample: TrueState
         self.place(robot.q_home if q is None else q)
 
@@ -133,13 +132,8 @@ class SimulatedArm:
         self._sensors.reset()
         self.step(q, self._qd_ref, None)
 
-    def inertia(self, q: np.ndarray) -> np.ndarray:
-        """Return the diagonal (n,) of the mass matrix at `q`, rotors included [kg m^2].
-
-        Parameters
-        ----------
-        q : (n,) posture.
-        """
+    def _inertia(self, q: np.ndarray) -> np.ndarray:
+        """Return the diagonal (n,) of the mass matrix at `q`, rotors included [kg m^2]."""
         data, column = self._mj.MjData(self._model), np.empty(self.robot.n)
         data.qpos[:] = q
         self._mj.mj_forward(self._model, data)
@@ -252,17 +246,7 @@ _LAG = 8e-3  # s
 class LaggingArm:
     """The kinematic stand-in of `SimulatedArm`: same reports, no torques (NaN), no noise; nobody can push it.
 
-    Parameters
-    ----------
-    robot : the description.
-    period : time between two packets [s].
-    q : (n,) start; the home posture by default.
-
-    Attributes
-    ----------
-    robot, period : as given.
-    sample : the state.
-    has_torque : False.
+    `period`: time between two packets [s]. `q`: (n,) start; the home posture by default.
     """
 
     has_torque = False
@@ -278,9 +262,7 @@ class LaggingArm:
     def place(self, q: np.ndarray) -> None:
         """Put the arm at rest at `q`.
 
-        Parameters
-        ----------
-        q : (n,) posture.
+        `q`: (n,) posture.
         """
         self._q = np.array(q, dtype=np.float64)
         self._under_way = deque([self._q] * _DEAD_CYCLES)
@@ -289,10 +271,7 @@ class LaggingArm:
     def step(self, q_ref: np.ndarray, qd_ref: np.ndarray, wrench: np.ndarray | None) -> None:
         """Advance by one period.
 
-        Parameters
-        ----------
-        q_ref : (n,) reference.
-        qd_ref, wrench : as for `SimulatedArm`; without effect.
+        `q_ref`: (n,) reference.
         """
         self._under_way.append(np.array(q_ref))
         moved = self._share * (self._under_way.popleft() - self._q)

@@ -119,90 +119,69 @@ class Mismatch:
             if field.name in COUNTS and value != int(value):
                 raise ConfigError(f"Expected a whole number as mismatch {field.name}, got {value}.")
 
-    def draw(self, knob: str, *shape: int) -> np.ndarray:
-        """Return errors of this shape, even between minus and plus the knob; the same at every call.
 
-        Parameters
-        ----------
-        knob : name of the attribute.
-        shape : of the result.
-        """
-        return float(getattr(self, knob)) * self._random(knob).uniform(-1.0, 1.0, shape)
+def draw(mismatch: Mismatch, knob: str, *shape: int) -> np.ndarray:
+    """Return errors of this shape, even between minus and plus the knob; the same at every call."""
+    return float(getattr(mismatch, knob)) * _random(mismatch, knob).uniform(-1.0, 1.0, shape)
 
-    def _random(self, knob: str) -> np.random.Generator:
-        import numpy as np
 
-        return np.random.default_rng([self.seed, [field.name for field in fields(self)].index(knob)])
+def _random(mismatch: Mismatch, knob: str) -> np.random.Generator:
+    import numpy as np
 
-    def robot(self, robot: Robot) -> Robot:
-        """Return the arm as it was built: base pose, link lengths and joint zeros differ from `robot`.
+    return np.random.default_rng([mismatch.seed, [field.name for field in fields(mismatch)].index(knob)])
 
-        Parameters
-        ----------
-        robot : the description that its user has; its joint positions are those that are reported.
-        """
-        import numpy as np
 
-        from armlab.lie import so3
+def built_robot(mismatch: Mismatch, robot: Robot) -> Robot:
+    """Return the arm as it was built: base pose, link lengths and joint zeros differ from the description `robot`."""
+    import numpy as np
 
-        if not (self.base_turn or self.base_shift or self.link_length or self.joint_zero):
-            return robot
-        n, links, mount = robot.n, robot.links.copy(), robot.T_base_mount.copy()
-        mount[:3, :3] = mount[:3, :3] @ so3.exp(self.draw("base_turn", 3))
-        mount[:3, 3] += self.draw("base_shift", 3)
-        links[1:n, :3, 3] += self.draw("link_length", n - 1, 3)
-        for i, zero in enumerate(self.draw("joint_zero", n)):
-            if robot.prismatic[i]:
-                links[i, :3, 3] -= zero * links[i, :3, 2]
-            else:
-                links[i, :3, :3] = links[i, :3, :3] @ so3.exp(np.array([0.0, 0.0, -zero]))
-        return replace(robot, name=f"{robot.name} as built", links=links, T_base_mount=mount)
+    from armlab.lie import so3
 
-    def truth(self, truth: Truth, robot: Robot) -> Truth:
-        """Return the truth of the arm as it was built: masses, centres, payload, friction, torque limits, steps.
+    if not (mismatch.base_turn or mismatch.base_shift or mismatch.link_length or mismatch.joint_zero):
+        return robot
+    n, links, mount = robot.n, robot.links.copy(), robot.T_base_mount.copy()
+    mount[:3, :3] = mount[:3, :3] @ so3.exp(draw(mismatch, "base_turn", 3))
+    mount[:3, 3] += draw(mismatch, "base_shift", 3)
+    links[1:n, :3, 3] += draw(mismatch, "link_length", n - 1, 3)
+    for i, zero in enumerate(draw(mismatch, "joint_zero", n)):
+        if robot.prismatic[i]:
+            links[i, :3, 3] -= zero * links[i, :3, 2]
+        else:
+            links[i, :3, :3] = links[i, :3, :3] @ so3.exp(np.array([0.0, 0.0, -zero]))
+    return replace(robot, name=f"{robot.name} as built", links=links, T_base_mount=mount)
 
-        Parameters
-        ----------
-        truth : of the arm as described.
-        robot : its description.
-        """
-        from armlab.robots import inertia
 
-        n, changed = robot.n, {}
-        if self.mass or self.centre:
-            mass, centre, about = inertia.to_body(truth.pi)
-            share = 1.0 + self.draw("mass", n)
-            shifted = centre + self.draw("centre", n, 3)
-            changed["pi"] = inertia.from_body(share * mass, shifted, share[:, None, None] * about)
-        if self.friction:
-            scale = 1.0 + self.draw("friction", n)
-            changed |= {name: scale * getattr(truth, name) for name in ("coulomb_pos", "coulomb_neg", "viscous")}
-        if self.saturation:
-            changed["tau_max"] = (1.0 - self.saturation) * truth.tau_max
-        if self.quantisation:
-            changed |= {name: (1.0 + self.quantisation) * getattr(truth, name) for name in ("q_step", "tau_step")}
-        truth = replace(truth, **changed) if changed else truth
-        if self.payload:
-            T_last_tool = robot.frames[-1]
-            truth = truth.with_payload(self.payload, T_last_tool[:3, :3] @ PAYLOAD_AT + T_last_tool[:3, 3])
-        return truth
+def built_truth(mismatch: Mismatch, truth: Truth, robot: Robot) -> Truth:
+    """Return the truth of the arm as it was built: masses, centres, payload, friction, torque limits, steps."""
+    from armlab.robots import inertia
 
-    def torque_gain(self, n: int) -> np.ndarray:
-        """Return measured over true torque (n,) of each joint: torque constant and gears.
+    n, changed = robot.n, {}
+    if mismatch.mass or mismatch.centre:
+        mass, centre, about = inertia.to_body(truth.pi)
+        share = 1.0 + draw(mismatch, "mass", n)
+        shifted = centre + draw(mismatch, "centre", n, 3)
+        changed["pi"] = inertia.from_body(share * mass, shifted, share[:, None, None] * about)
+    if mismatch.friction:
+        scale = 1.0 + draw(mismatch, "friction", n)
+        changed |= {name: scale * getattr(truth, name) for name in ("coulomb_pos", "coulomb_neg", "viscous")}
+    if mismatch.saturation:
+        changed["tau_max"] = (1.0 - mismatch.saturation) * truth.tau_max
+    if mismatch.quantisation:
+        changed |= {name: (1.0 + mismatch.quantisation) * getattr(truth, name) for name in ("q_step", "tau_step")}
+    truth = replace(truth, **changed) if changed else truth
+    if mismatch.payload:
+        T_last_tool = robot.frames[-1]
+        truth = truth.with_payload(mismatch.payload, T_last_tool[:3, :3] @ PAYLOAD_AT + T_last_tool[:3, 3])
+    return truth
 
-        Parameters
-        ----------
-        n : number of joints.
-        """
-        return (1.0 + self.draw("torque_constant", n)) / self.position_gain(n)
 
-    def position_gain(self, n: int) -> np.ndarray:
-        """Return reported over true position (n,) of each joint: ratio and sign of the gears.
+def torque_gain(mismatch: Mismatch, n: int) -> np.ndarray:
+    """Return measured over true torque (n,) of each joint: torque constant and gears."""
+    return (1.0 + draw(mismatch, "torque_constant", n)) / position_gain(mismatch, n)
 
-        Parameters
-        ----------
-        n : number of joints.
-        """
-        gain = 1.0 + self.draw("gear_ratio", n)
-        gain[self._random("gear_sign").permutation(n)[: int(self.gear_sign)]] *= -1.0
-        return gain
+
+def position_gain(mismatch: Mismatch, n: int) -> np.ndarray:
+    """Return reported over true position (n,) of each joint: ratio and sign of the gears."""
+    gain = 1.0 + draw(mismatch, "gear_ratio", n)
+    gain[_random(mismatch, "gear_sign").permutation(n)[: int(mismatch.gear_sign)]] *= -1.0
+    return gain

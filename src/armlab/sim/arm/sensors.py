@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from armlab.errors import ConfigError
-from armlab.sim.arm.mismatch import Mismatch
+from armlab.sim.arm.mismatch import Mismatch, position_gain, torque_gain
 from armlab.sim.arm.truth import Truth
 
 
@@ -23,15 +23,10 @@ from armlab.sim.arm.truth import Truth
 class TrueState:
     """The exact state at one instant. Over the wire goes only what drives know of themselves: command, `tau_gravity`.
 
-    Attributes
-    ----------
-    q, qd, qdd : (n,) position, velocity, acceleration.
-    tau : (n,) torque of the drives, joint side.
-    tau_friction : (n,) friction and ripple, counted against motion.
-    tau_gravity : (n,) what the drives feed forward.
-    q_ref : (n,) reference of the drives.
-    wrench : (6,) by the environment on the robot, base axes, at the tool point.
-    T_base_tool : (4, 4) pose of the tool.
+    `q`, `qd`, `qdd`: (n,) position, velocity, acceleration. `tau`: (n,) torque of the drives, joint side.
+    `tau_friction`: (n,) friction and ripple, counted against motion. `tau_gravity`: (n,) what the drives feed forward.
+    `q_ref`: (n,) reference of the drives. `wrench`: (6,) by the environment on the robot, base axes, at the tool point.
+    `T_base_tool`: (4, 4) pose of the tool.
     """
 
     q: np.ndarray
@@ -49,9 +44,7 @@ class TrueState:
 class SensorReading:
     """What the sensors report of one instant: noise and quantisation included.
 
-    Attributes
-    ----------
-    q, qd, tau : (n,) position, velocity, torque.
+    `q`, `qd`, `tau`: (n,) position, velocity, torque.
     """
 
     q: np.ndarray
@@ -69,7 +62,7 @@ class Sensors:
         self._torques: deque[np.ndarray] = deque(maxlen=int(mismatch.torque_delay) + 1)
         self._compliance = mismatch.elasticity / truth.tau_max if mismatch.elasticity else None
         self._stretch = self._stretching = np.zeros(n)
-        gains = mismatch.position_gain(n), mismatch.torque_gain(n)
+        gains = position_gain(mismatch, n), torque_gain(mismatch, n)
         self._gains = None if np.all(np.stack(gains) == 1.0) else gains
         self._sample: TrueState | None = None
 

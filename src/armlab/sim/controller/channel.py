@@ -28,20 +28,8 @@ _REFUSED_PAUSE = 0.05  # s before a packet is sent again to a port that nobody h
 class UdpClient:
     """One controller and its socket.
 
-    Parameters
-    ----------
-    controller : the motion task.
-    host, port : where the bridge listens.
-    outgoing, incoming : what goes wrong on the way.
-    phase : how long after the beat that all channels share it sends in real time [s], less than a period.
-
-    Attributes
-    ----------
-    heard : monotonic time of the last message [s].
-
-    Raises
-    ------
-    LinkError : when the address does not exist. ConfigError : a phase outside [0, period).
+    `phase`: how long after the beat that all channels share it sends in real time [s], less than a period. `heard`:
+    monotonic time of the last message [s].
     """
 
     def __init__(
@@ -114,10 +102,7 @@ class UdpClient:
         Packets that the faults removed are not waited for. While nobody has bound the port, the packet is sent again. A
         stream needs no replies: a peer that has never sent one is waited for once, then it hears a packet per period.
 
-        Parameters
-        ----------
-        patience : how long to wait [s].
-        alive : asked now and then whether to go on.
+        `patience`: how long to wait [s]. `alive`: asked now and then whether to go on.
         """
         if self._packet is None and not self._awaited:
             self.drain()  # what comes between two sessions must not wait in the socket for the next one
@@ -224,11 +209,7 @@ _NEVER_VALID = 0x07  # a first byte that no protobuf message has
 class Faults:
     """One direction of one path; called once per cycle.
 
-    Parameters
-    ----------
-    rates : see `FaultRates`.
-    seed : of the faults, another one for each direction.
-    period : time between two cycles [s].
+    `period`: time between two cycles [s].
     """
 
     def __init__(self, rates: FaultRates, seed: int | Sequence[int], period: float = 0.004032) -> None:
@@ -242,10 +223,8 @@ class Faults:
     def through(self, datagrams: list[tuple[int, bytes]], now: float) -> list[tuple[int, bytes]]:
         """Return what comes out in this cycle, the newest entries of `datagrams` before delayed ones.
 
-        Parameters
-        ----------
-        datagrams : (number, bytes) that go in, in this cycle. A corrupted one comes out with the number `CORRUPTED`.
-        now : robot time of this cycle [s].
+        `datagrams`: (number, bytes) that go in, in this cycle. A corrupted one comes out with the number `CORRUPTED`.
+        `now`: robot time of this cycle [s].
         """
         rates, draw = self._rates, self._random
         out: list[tuple[int, bytes]] = []

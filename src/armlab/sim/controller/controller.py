@@ -16,10 +16,9 @@ from collections.abc import Callable
 import numpy as np
 
 from armlab.sim.arm.arm import LaggingArm, SimulatedArm
-from armlab.sim.controller.guidance import ExternalAxes, Guidance
+from armlab.sim.controller.guidance import ExternalAxes, Guidance, ReferenceDecoder, has_numbers
 from armlab.sim.controller.inbox import ReplyQueue, Sent
 from armlab.sim.controller.packets import Condition, PacketBuilder
-from armlab.sim.controller.reference_decoder import ReferenceDecoder, has_numbers
 from armlab.sim.controller.settings import ControllerSettings
 from armlab.sim.controller.statistics import ControllerEvent, EventLog, Statistics
 from armlab.sim.events import AppliedWrench, Surroundings
@@ -37,30 +36,10 @@ _SKIP = "Skip as many replies once and send one per packet, or take the newest m
 class SimulatedController:
     """One motion task: one session at a time, one sequence, one queue, one arm.
 
-    Parameters
-    ----------
-    arm : the simulated arm; its period is the controller's.
-    wire : the robot's side of the wire, or packets of chosen content on it.
-    settings : see `ControllerSettings`.
-    scene : see `Surroundings`; an operator alone is a scene too.
-    on_event : called with each event.
-
-    Attributes
-    ----------
-    phase : see the module.
-    reason : why it is over, "" before.
-    dead : over by a failure that only a restart ends.
-    session : number of the session from 1.
-    seq, cycle : number of the next packet, and of the cycle since the start.
-    uptime : robot time [s].
-    guidance_time : since guidance began [s], or the stream where there is none.
-    inbox : what has arrived.
-    packets : builds messages.
-    statistics : what was counted.
-
-    Raises
-    ------
-    ShapeError : a hand for another number of joints.
+    `arm`: the simulated arm; its period is the controller's. `wire`: the robot's side of the wire, or packets of chosen
+    content on it. `scene`: see `Surroundings`; an operator alone is a scene too. `session`: number of the session from
+    1. `seq`, `cycle`: number of the next packet, and of the cycle since the start. `uptime`: robot time [s].
+    `guidance_time`: since guidance began [s], or the stream where there is none.
     """
 
     def __init__(
@@ -73,9 +52,9 @@ class SimulatedController:
     ) -> None:
         self.arm, self.statistics = arm, Statistics()
         self.packets = wire if isinstance(wire, PacketBuilder) else PacketBuilder(wire, settings.period)
-        self._settings, self._journal = settings, EventLog(arm.robot.name, self.statistics, on_event)
-        self._scene = scene if isinstance(scene, Surroundings) else Surroundings(scene or AppliedWrench.idle())
-        self._hand = self._scene.leads(settings.program, arm.robot.n)
+        self._settings, self._event_log = settings, EventLog(arm.robot.name, self.statistics, on_event)
+        self._surroundings = scene if isinstance(scene, Surroundings) else Surroundings(scene or AppliedWrench.idle())
+        self._hand = self._surroundings.leads(settings.program, arm.robot.n)
         if self._hand is not None:
             arm.place(self._hand.at(0.0)[0])
         self._guidance, self._target = (
@@ -83,7 +62,7 @@ class SimulatedController:
             ReferenceDecoder(arm.robot, settings),
         )
         self._drive = arm.drive if isinstance(arm, SimulatedArm) else None  # without masses there are no torques
-        self._external = ExternalAxes(self._scene.external, settings)
+        self._external = ExternalAxes(self._surroundings.external, settings)
         self.inbox = ReplyQueue(self.packets.codec, self.statistics, settings)
         self._cycles = {
             "streaming": self._stream,
@@ -115,7 +94,7 @@ class SimulatedController:
         """Return the bytes of this cycle's packet, or None while no session runs."""
         if self.phase not in _MCI:
             return None
-        scene, t, target = self._scene, self.uptime, self._target
+        scene, t, target = self._surroundings, self.uptime, self._target
         states = scene.motors.at(t), _MCI[self.phase], scene.rapid.at(t)
         condition = Condition(self.seq, *states, self._near, target.drive_mode, self._used_seq, self._left)
         self.inbox.note(Sent(self.seq, self.packets.tm_ms(self.cycle), self.cycle, self.phase == "guiding"))
@@ -127,14 +106,11 @@ class SimulatedController:
     def accept(self, data: bytes, arrival_ns: int = 0) -> SensorMessage | None:
         """Decode an arrived datagram and queue it. Return the message, or None for what is no message to us.
 
-        Parameters
-        ----------
-        data : one datagram, whatever it holds.
-        arrival_ns : wall clock of its arrival, for the round trip.
+        `arrival_ns`: wall clock of its arrival, for the round trip.
         """
         found = self.inbox.read(data)
         if isinstance(found, Drop):
-            self._journal.drop(self.uptime, found, data)
+            self._event_log.drop(self.uptime, found, data)
             return None
         self._answered = True
         self.statistics.counts["replies"] += 1
@@ -149,28 +125,21 @@ class SimulatedController:
     def advance(self, takes: bool = True) -> None:
         """Take at most one message, move the reference and the arm by one period.
 
-        Parameters
-        ----------
-        takes : False for a cycle without a packet that this process missed: its peer is not to blame for silence then.
+        `takes`: False for a cycle without a packet that this process missed: its peer is not to blame for silence then.
         """
         self._in_phase += 1
         self._takes = takes
         self._cycles[self.phase]()
         moves = self.phase == "guiding" or (self._settings.only_streams and self.phase == "streaming")
         self.cycle += 1
-        wrench = self._scene.wrench(self.guidance_time, self.arm.sample.T_base_tool) if moves else None
+        wrench = self._surroundings.wrench(self.guidance_time, self.arm.sample.T_base_tool) if moves else None
         self._external.follow(self._target.q_ext if self.phase == "guiding" else None)
         self.arm.step(self._guidance.q, self._guidance.qd, wrench)
         if self.phase != "over" and not (np.abs([self.arm.sample.q, self.arm.sample.qd]) < _BEYOND).all():  # NaN too
             self._die(0, "the simulated arm was driven beyond all numbers; push it with less force")
 
     def skip(self, cycles: int) -> None:
-        """Let robot time pass without packets and without motion.
-
-        Parameters
-        ----------
-        cycles : how many periods.
-        """
+        """Let robot time pass without packets and without motion."""
         self.cycle += cycles
 
     def lose_peer(self) -> None:
@@ -179,12 +148,7 @@ class SimulatedController:
             self._no_data()
 
     def stop(self, reason: str) -> None:
-        """End for good.
-
-        Parameters
-        ----------
-        reason : why, in words.
-        """
+        """End for good."""
         if self.phase != "over":
             self.reason = reason
             self._enter("over")
@@ -193,12 +157,12 @@ class SimulatedController:
         self.session += 1
         self.statistics.counts["sessions"] += 1
         self.seq = self._used_seq = self._left = 0
-        self._journal.begin()
+        self._event_log.begin()
         self.inbox.begin()
         self._target.begin(self._guidance.q)
         streamed = math.ceil(self._settings.stream / self._settings.period - 1e-9)
         self._guided_since = first_cycle + (0 if self._settings.only_streams else streamed)
-        ready = self._scene.is_ready(first_cycle * self._settings.period)
+        ready = self._surroundings.is_ready(first_cycle * self._settings.period)
         self._enter("guiding" if ready and not streamed and not self._settings.only_streams else "streaming")
 
     def _enter(self, phase: str) -> None:
@@ -222,12 +186,12 @@ class SimulatedController:
             return
         self._guidance.brake()
         begins = self.cycle + 1 >= self._guided_since and not self._settings.only_streams
-        if begins and self._scene.is_ready(self.uptime + self._settings.period):
+        if begins and self._surroundings.is_ready(self.uptime + self._settings.period):
             self._guided_since = self.cycle + 1
             self._enter("guiding")
 
     def _guide(self) -> None:
-        if not self._scene.is_ready(self.uptime):
+        if not self._surroundings.is_ready(self.uptime):
             self._guidance.brake()
             self._enter("streaming")
             return
@@ -304,4 +268,4 @@ class SimulatedController:
         self._enter("paused")
 
     def _event(self, number: int, text: str) -> None:
-        self._journal.tell(self.uptime, number, text)
+        self._event_log.tell(self.uptime, number, text)

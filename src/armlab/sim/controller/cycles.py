@@ -17,16 +17,9 @@ _CATCH_UP = 25  # cycles in which the arm moves on without packets after this pr
 class Timing:
     """How time passes.
 
-    Attributes
-    ----------
-    lockstep : each cycle waits for the reply, as fast as it comes; otherwise wall-clock time.
-    seconds : robot time after which to end, None for never.
-    patience : how long lockstep waits for one reply before the session times out [s].
-    gone : silence after which lockstep gives its peer up and ends [s].
-
-    Raises
-    ------
-    ConfigError : for a time that is negative or no number.
+    `lockstep`: each cycle waits for the reply, as fast as it comes; otherwise wall-clock time. `seconds`: robot time
+    after which to end, None for never. `patience`: how long lockstep waits for one reply before the session times out
+    [s]. `gone`: silence after which lockstep gives its peer up and ends [s].
     """
 
     lockstep: bool = False
@@ -51,12 +44,8 @@ def run(
 ) -> str:
     """Run until all controllers are over, the time is up, or `alive` says no. Return the reason in words.
 
-    Parameters
-    ----------
-    channels : one per motion task, all with the same period; each sends its `phase` after the beat.
-    pace : see `Timing`.
-    alive : asked in every cycle and while waiting.
-    observe : called with a channel whenever its packet has been built.
+    `channels`: one per motion task, all with the same period; each sends its `phase` after the beat. `observe`: called
+    with a channel whenever its packet has been built.
     """
     gc.collect()
     gc.freeze()  # what exists now is not searched again: a full collection would cost cycles

@@ -1,4 +1,4 @@
-"""The simulated controller's reference generator: `Guidance` (joint mode) and `ExternalAxes`.
+"""From a message to the reference of the drives: `ReferenceDecoder`, `Guidance` (joint mode), `ExternalAxes`.
 
 Per cycle, per joint, T = period (ABB 3HAC073318-001, section 2.3; the filter is our model, ABB gives no number)::
 
@@ -9,6 +9,9 @@ Per cycle, per joint, T = period (ABB 3HAC073318-001, section 2.3; the filter is
 
 At constant speed without qd_ref the reference p lags by v / (k g): 2 degrees at 10 deg/s with k = 5. With qd_ref it
 does not lag.
+
+Pose and path correction exist for tests of codecs: the goal is the posture that inverse kinematics finds from the
+planned one. A path correction shifts the posture at the beginning of guidance by y and z of the tool frame.
 """
 
 from __future__ import annotations
@@ -19,7 +22,9 @@ import numpy as np
 
 from armlab.errors import ConfigError
 from armlab.robots import Robot
+from armlab.sim.arm.joints import JointDrives
 from armlab.sim.controller.settings import ControllerSettings
+from armlab.wire.egm import SensorMessage
 from armlab.wire.egm.axes import Linkage
 
 _OVERSHOOT = 0.02  # rad: the filters may carry a reference that stops at a limit this far beyond it
@@ -28,16 +33,8 @@ _OVERSHOOT = 0.02  # rad: the filters may carry a reference that stops at a limi
 class Guidance:
     """The reference generator between received references and the drives.
 
-    Parameters
-    ----------
-    robot : for limits.
-    settings : see `ControllerSettings`.
-    q : (n,) where it starts.
-
-    Attributes
-    ----------
-    q, qd : (n,) the reference that the drives follow; never written in place.
-    utilization : percent of the speed limits that the last reference needed.
+    `q`: (n,) where it starts. `q`, `qd`: (n,) the reference that the drives follow; never written in place.
+    `utilization`: percent of the speed limits that the last reference needed.
     """
 
     def __init__(self, robot: Robot, settings: ControllerSettings, q: np.ndarray) -> None:
@@ -58,10 +55,7 @@ class Guidance:
     def follow(self, q_ref: np.ndarray | None, qd_ref: np.ndarray | None) -> None:
         """Advance by one period towards a reference.
 
-        Parameters
-        ----------
-        q_ref : (n,) or None for "stay" (nothing was received yet).
-        qd_ref : (n,) or None for zero.
+        `q_ref`: (n,) or None for "stay" (nothing was received yet). `qd_ref`: (n,) or None for zero.
         """
         settings = self._settings
         self._time += settings.period
@@ -84,19 +78,14 @@ class Guidance:
     def lead(self, q: np.ndarray, qd: np.ndarray) -> None:
         """Be where a hand leads the arm.
 
-        Parameters
-        ----------
-        q, qd : (n,) position and velocity of the hand.
+        `q`, `qd`: (n,) position and velocity of the hand.
         """
         self.q, self.qd, self.utilization = q, qd, 0.0
 
     def let_go(self, q: np.ndarray, free: np.ndarray) -> None:
         """Follow the arm in joints whose position nobody controls, so that control can come back without a jump.
 
-        Parameters
-        ----------
-        q : (n,) where the arm is.
-        free : (n,) which joints.
+        `q`: (n,) where the arm is. `free`: (n,) which joints.
         """
         self.q = np.where(free, q, self.q)
 
@@ -119,9 +108,7 @@ class Guidance:
     def refusal(self, q_ref: np.ndarray) -> str:
         """Return in words which joint of a received reference is out of bounds, or nothing.
 
-        Parameters
-        ----------
-        q_ref : (n,).
+        `q_ref`: (n,).
         """
         outside = self._outside(q_ref, 0.0)
         return f"reference of {self._joint(outside)} out of bounds" if outside.any() else ""
@@ -138,9 +125,7 @@ class Guidance:
     def near(self, q_ref: np.ndarray | None) -> bool:
         """Return whether the reference has arrived within the convergence window of `q_ref` (n,).
 
-        Parameters
-        ----------
-        q_ref : (n,) or None.
+        `q_ref`: (n,) or None.
         """
         window = self._settings.window
         return window > 0 and q_ref is not None and bool((np.abs(q_ref - self.q) <= window).all())
@@ -164,3 +149,105 @@ class ExternalAxes:
             return
         qd = np.clip(self._gain * (q_ref[: len(self.q)] - self.q), -_FASTEST, _FASTEST)
         self.q = self.q + self._period * qd
+
+
+_ABSURD = 1e9  # rad, rad/s, m
+_LARGEST_GAIN = 2.0
+
+
+class ReferenceDecoder:
+    """References of one motion task; q, qd and q_ext are None before the first.
+
+    `tau` is the torque to add [N m]; `gain_q` and `gain_qd` scale the drive's gains in [0, 2]. RAPID's variables
+    outlive a session.
+    """
+
+    def __init__(self, robot: Robot, settings: ControllerSettings) -> None:
+        self._robot, self._mode, self._has_position_loop = robot, settings.mode, settings.position_gain > 0
+        self.rapid_data = np.zeros(0)
+        self.rapid_digital: bool | None = None
+        self.begin(robot.q_home)
+
+    def begin(self, q: np.ndarray) -> None:
+        """Forget all references: a new session begins at posture q."""
+        n = self._robot.n
+        self.q: np.ndarray | None = None
+        self.qd: np.ndarray | None = None
+        self.q_ext: np.ndarray | None = None
+        self.tau, self.gain_q, self.gain_qd = np.zeros(n), np.ones(n), np.ones(n)
+        self._start = q
+
+    @property
+    def drive_mode(self) -> int:
+        """Mode of the drives as the research extension tells it: 1 position, 2 velocity, 3 torque."""
+        if not self.gain_q.any():
+            return 3
+        return 1 if self._has_position_loop else 2
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the drive works with its own gains and no torque is added."""
+        return bool((self.gain_q == 1).all() and (self.gain_qd == 1).all() and not self.tau.any())
+
+    def read(self, message: SensorMessage, planned: np.ndarray) -> tuple[np.ndarray, np.ndarray | None] | None:
+        """Return the references (q, qd) of a message; None when no posture reaches the pose. NaN is passed on."""
+        if self._mode == "joint":
+            q = message.q if message.q_reference is None else message.q_reference
+            qd = message.qd if message.qd_reference is None else message.qd_reference
+            return (planned if q is None else q), qd
+        chain = self._robot.chain
+        if self._mode == "pose":
+            T_base_tool, twist = message.T_frame_tool, message.twist
+        else:
+            T_base_tool, twist = chain.forward(self._start).copy(), None
+            y, z = np.zeros(2) if message.path_yz is None else message.path_yz
+            T_base_tool[:3, 3] += T_base_tool[:3, :3] @ (0.0, y, z)
+        if T_base_tool is None or not is_number(T_base_tool):
+            return np.full(self._robot.n, np.nan), None
+        from armlab.kinematics import inverse
+
+        found = inverse(self._robot, T_base_tool, planned, starts=1)
+        if not found.success:
+            return None
+        if twist is None or not is_number(twist):
+            return found.q, twist
+        return found.q, np.linalg.pinv(chain.jacobian(planned), rcond=1e-3) @ twist
+
+    def accept(self, message: SensorMessage, q: np.ndarray, qd: np.ndarray | None) -> None:
+        """Store references and the drive's part of a message; absent fields go back to their defaults."""
+        n = self._robot.n
+        self.q, self.qd = q, qd
+        if message.q_ext is not None:
+            self.q_ext = message.q_ext
+        if message.rapid_data is not None:
+            self.rapid_data = message.rapid_data
+        if message.rapid_digital is not None:
+            self.rapid_digital = message.rapid_digital
+        self.tau = np.zeros(n) if message.tau is None else message.tau
+        self.gain_q = np.ones(n) if message.gain_q is None else message.gain_q.clip(0.0, _LARGEST_GAIN)
+        self.gain_qd = np.ones(n) if message.gain_qd is None else message.gain_qd.clip(0.0, _LARGEST_GAIN)
+
+    def apply(self, drive: JointDrives | None) -> None:
+        """Pass torque and gains to the drives; None is an arm without masses, which has none."""
+        if drive is None:
+            return
+        if self.is_plain:
+            drive.alone()
+        else:
+            drive.assist(self.tau, self.gain_q, self.gain_qd)
+
+    def release(self) -> None:
+        """Give the drive back its own gains and no torque: guidance is over."""
+        n = self._robot.n
+        self.tau, self.gain_q, self.gain_qd = np.zeros(n), np.ones(n), np.ones(n)
+
+
+def is_number(values: np.ndarray) -> bool:
+    """Return whether all values are finite, and small enough that sums of them are finite too."""
+    return bool((np.abs(values) < _ABSURD).all())
+
+
+def has_numbers(message: SensorMessage, q: np.ndarray, qd: np.ndarray | None) -> bool:
+    """Return whether all references of a message are usable numbers."""
+    values = (q, qd, message.tau, message.gain_q, message.gain_qd, message.q_ext)
+    return all(value is None or is_number(value) for value in values)

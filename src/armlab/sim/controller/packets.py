@@ -10,9 +10,8 @@ import numpy as np
 
 from armlab.errors import UnknownName
 from armlab.sim.arm.arm import LaggingArm, SimulatedArm
-from armlab.sim.controller.guidance import Guidance
-from armlab.sim.controller.reference_decoder import ReferenceDecoder
-from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
+from armlab.sim.controller.guidance import Guidance, ReferenceDecoder
+from armlab.wire.egm import RobotMessage, RobotSideCodec
 
 EPOCH_NS = 1_500_000_000_000_000_000
 """Robot time starts here: the same bytes in every run."""
@@ -50,19 +49,9 @@ class Condition:
 class PacketBuilder:
     """Builds EgmRobot messages.
 
-    Parameters
-    ----------
-    codec : of the robot's side, with flavour and extension.
-    period : time between two packets [s].
-    fields : names of `OPTIONAL_FIELDS` to leave out.
-    phase : delay of this task behind the robot's clock [s].
-    force : send the wrench at the tool as measuredForce.
-    torque_reference : send the torque of the drives as torqueRef (RobotWare 7).
-    data : how many of the numbers that RAPID hears it sends back, with the digital value (RobotWare 7).
-
-    Raises
-    ------
-    UnknownName : a field that cannot be left out, or does not exist.
+    `codec`: of the robot's side, with flavour and extension. `period`: time between two packets [s]. `phase`: delay of
+    this task behind the robot's clock [s]. `torque_reference`: send the torque of the drives as torqueRef (RobotWare
+    7). `data`: how many of the numbers that RAPID hears it sends back, with the digital value (RobotWare 7).
     """
 
     def __init__(
@@ -103,13 +92,7 @@ class PacketBuilder:
     ) -> bytes:
         """Return the bytes of a cycle's packet.
 
-        Parameters
-        ----------
-        cycle : number of the cycle.
-        arm, guidance : measured and planned motion.
-        condition : see there.
-        q_ext : external axes [rad].
-        target : what was asked for; RAPID sends back what it heard.
+        `q_ext`: external axes [rad]. `target`: what was asked for; RAPID sends back what it heard.
         """
         measured, sample, c = arm.measure(), arm.sample, condition
         feels = arm.has_torque

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from armlab.errors import ConfigError
-from armlab.sim.experiments import hand_eye, kinematics, tool_sensors
-from armlab.sim.experiments.hand_eye import CAMERA, MovingSights, Poses, Sights, moving_sights
+from armlab.sim.experiments import kinematics, sensors
 from armlab.sim.experiments.kinematics import DistanceRun, DualRun, KinematicRun
-from armlab.sim.experiments.tool_sensors import Scanned, Weighed
+from armlab.sim.experiments.sensors import CAMERA, MovingSights, Poses, Scanned, Sights, Weighed, moving_sights
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class CalibrationCell:
         robot : noise of A; exact when None.
         wrong : how many of the first poses of the marker are turned by 10 degrees and moved by 50 mm.
         """
-        return hand_eye.seen_poses([self.seed, run], N, tilt, camera, robot, wrong)
+        return sensors.seen_poses([self.seed, run], N, tilt, camera, robot, wrong)
 
     def moving_hand_eye(self, run: int = 0, N: int = 60, *, jitter: float = 0.01) -> MovingSights:
         """Draw two recordings of an arm that moves: its joints at 250 Hz, and a camera whose `clock` jitters.
@@ -81,7 +80,7 @@ class CalibrationCell:
         missing : share not seen.
         robot : noise of the robot's poses (position [m], rotation [rad]); exact when None.
         """
-        return hand_eye.seen_points([self.seed, run], N, sigma, missing, robot)
+        return sensors.seen_points([self.seed, run], N, sigma, missing, robot)
 
     def force(
         self,
@@ -107,7 +106,7 @@ class CalibrationCell:
         bias : readings without weight are not zero.
         contacts : how many of the first samples have a contact of 20 N.
         """
-        return tool_sensors.weighed([self.seed, run], N, sigma, tilt, torque, unknown, bias, contacts)
+        return sensors.weighed([self.seed, run], N, sigma, tilt, torque, unknown, bias, contacts)
 
     def accelerometer(self, run: int = 0, N: int = 50, *, sigma: float = 0.02) -> Weighed:
         """Draw orientations of a tool (RA) and readings (y) of an accelerometer at rest.
@@ -117,7 +116,7 @@ class CalibrationCell:
         run : number of the experiment. N : samples.
         sigma : noise [m/s^2].
         """
-        return tool_sensors.accelerated([self.seed, run], N, sigma)
+        return sensors.accelerated([self.seed, run], N, sigma)
 
     def kinematics(
         self,
@@ -182,7 +181,7 @@ class CalibrationCell:
         """
         if not 1 <= plates <= 3:
             raise ConfigError(f"Expected one to three plates, got {plates}. The cell has three.")
-        return tool_sensors.scanned([self.seed, run], N, size, plates, wrong)
+        return sensors.scanned([self.seed, run], N, size, plates, wrong)
 
     def clock(self, run: int = 0, N: int = 30, *, period: float = 0.1, jitter: float = 1e-3) -> np.ndarray:
         """Draw the times (N,) [s] of a sensor whose clock jitters: ``t_k = k period + e_k``, increasing.

@@ -1,0 +1,444 @@
+"""The commands of ``armlab plot``, one a figure: of logs, torque models, contact forces, fits, robots, primitives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from armlab.cli.plot.options import (
+    BESIDE,
+    OF_LOG,
+    OF_MODEL,
+    Estimate,
+    FigureFile,
+    FreeMotion,
+    Joints,
+    LogFigure,
+    Model,
+    ModelFigure,
+    PoseColumn,
+    PoseRobot,
+    Primitive,
+    RobotName,
+    chosen,
+    poses_in,
+    torque_model,
+)
+from armlab.cli.support.options import joints_in
+
+if TYPE_CHECKING:
+    pass
+
+
+def table(log: Path, *columns: str, split: bool = False, figure: LogFigure = OF_LOG) -> int:
+    """Draw columns of a log against time; commanded and sent values dashed, times when a limit acted shaded.
+
+    Parameters
+    ----------
+    log : Path
+        Recording, or any file that `armlab log show` reads.
+    columns : tuple of str
+        Names of columns; default: q, qd, tau and wrench_hat, as far as the log has them.
+    split : bool
+        A panel for each joint.
+    """
+    return figure.draw(log, "table", lambda plots: plots.table(figure.read(log), *columns, split=split))
+
+
+def poses(log: Path, *, column: PoseColumn = None, robot: PoseRobot = None, figure: LogFigure = OF_LOG) -> int:
+    """Draw position and rotation vector of the tool against time.
+
+    Parameters
+    ----------
+    log : Path
+        Recording with poses, or with q and --robot.
+    """
+
+    def draw(plots: Any) -> Any:
+        read = figure.read(log, robot)
+        return plots.poses(poses_in(read, log, column, robot), read.t)
+
+    return figure.draw(log, "poses", draw)
+
+
+def scene(
+    *logs: Path,
+    column: PoseColumn = None,
+    robot: PoseRobot = None,
+    cloud: list[Path] | None = None,
+    plane: list[Path] | None = None,
+    pose: list[Path] | None = None,
+    frames: float = 0.0,
+    figure: LogFigure = OF_LOG,
+) -> int:
+    """Draw paths of the tool, measured points, planes and frames in space.
+
+    Parameters
+    ----------
+    logs : tuple of Path
+        Recordings with poses, or with q and --robot; one path each.
+    cloud : list of Path
+        Measured points of a tracker.
+    plane : list of Path
+        A plane of a tracker.
+    pose : list of Path
+        A frame, MAT, with its name.
+    frames : float
+        Length of the frames along paths [m]; 0 for none.
+    """
+    from armlab.errors import ConfigError
+    from armlab.frames import Plane
+    from armlab.log import nikon
+
+    sources = [*logs, *(cloud or ()), *(plane or ()), *(pose or ())]
+    if not sources:
+        raise ConfigError("Expected something to draw, got none. Give logs, or --cloud, --plane or --pose with a file.")
+
+    def draw(plots: Any) -> Any:
+        items: list[Any] = [poses_in(figure.read(log, robot), log, column, robot) for log in logs]
+        items += [nikon.read_cloud(one).p for one in cloud or ()]
+        items += [Plane.of(read.normal, read.point) for read in map(nikon.read_plane, plane or ())]
+        items += [{one.stem: nikon.read_matrix(one, project=True).T} for one in pose or ()]
+        return plots.scene(*items, frames=frames)
+
+    return figure.draw(sources[0], "scene", draw)
+
+
+def latency(log: Path, *, figure: LogFigure = OF_LOG) -> int:
+    """Draw how long the loop took to answer, and how often it was late.
+
+    Parameters
+    ----------
+    log : Path
+        Recording of a run.
+    """
+    from armlab.errors import LogError, UnknownName
+
+    def draw(plots: Any) -> Any:
+        read = figure.read(log)
+        try:
+            return plots.latency(read)
+        except UnknownName as error:  # the log lacks a column; the user named none
+            raise LogError(str(error)) from error
+
+    return figure.draw(log, "latency", draw)
+
+
+def torque_fit(model: Model, log: FreeMotion, *, figure: ModelFigure = OF_MODEL) -> int:
+    """Draw measured and modelled torque of each joint, and the residual with its 2-sigma band."""
+    return figure.draw(log, "torque_fit", lambda plots: plots.torque_fit(*figure.with_log(model, log)))
+
+
+def friction(model: Model, log: FreeMotion | None = None, *, figure: ModelFigure = OF_MODEL) -> int:
+    """Draw the friction of each joint against its velocity, with its uncertainty; a log is drawn as points."""
+    from armlab.estimation import Fit
+
+    def draw(plots: Any) -> Any:
+        fit = Fit.load(model, "torque_model")
+        return plots.friction(fit, None if log is None else figure.estimate(fit.value, log))
+
+    return figure.draw(model, "friction", draw)
+
+
+def friction_map(model: Model, log: FreeMotion | None = None, *, joint: int, figure: ModelFigure = OF_MODEL) -> int:
+    """Draw the friction of one joint over position and velocity; ranges that the log does not cover are hatched.
+
+    Parameters
+    ----------
+    joint : int
+        Number from 1.
+    """
+
+    def draw(plots: Any) -> Any:
+        known = torque_model(model)
+        (number,) = joints_in(str(joint), known.n)
+        return plots.friction_map(known, number, None if log is None else figure.log_of(known, log))
+
+    return figure.draw(model, f"friction_map_{joint}", draw)
+
+
+def spectrum(model: Model, log: FreeMotion, *, joints: Joints = None, figure: ModelFigure = OF_MODEL) -> int:
+    """Draw the spectrum of the torque residual over cycles per turn, without and with the ripple of the model."""
+
+    def draw(plots: Any) -> Any:
+        known = torque_model(model)
+        drawn = chosen(joints, known.n)
+        return plots.spectrum(known, figure.log_of(known, log), drawn)
+
+    return figure.draw(log, "spectrum", draw)
+
+
+def velocity_covariance(model: Model, *, figure: FigureFile = BESIDE) -> int:
+    """Draw the standard deviation of the torque error of each joint against its velocity."""
+    return figure.draw(model, "velocity_covariance", lambda plots: plots.velocity_covariance(torque_model(model)))
+
+
+def residual_speed(model: Model, log: FreeMotion, *, joints: Joints = None, figure: ModelFigure = OF_MODEL) -> int:
+    """Draw the torque residual against velocity, with the 2-sigma curves of the model."""
+
+    def draw(plots: Any) -> Any:
+        known = torque_model(model)
+        drawn = chosen(joints, known.n)
+        return plots.residual_speed(figure.estimate(known, log), {"model": known.covariance}, drawn)
+
+    return figure.draw(log, "residual_speed", draw)
+
+
+def autocorrelation(model: Model, log: FreeMotion, *, joints: Joints = None, figure: ModelFigure = OF_MODEL) -> int:
+    """Draw the autocorrelation of the torque residual."""
+
+    def draw(plots: Any) -> Any:
+        known = torque_model(model)
+        drawn = chosen(joints, known.n)
+        return plots.autocorrelation(figure.estimate(known, log), drawn)
+
+    return figure.draw(log, "autocorrelation", draw)
+
+
+def wrench(log: Estimate, *, figure: LogFigure = OF_LOG) -> int:
+    """Draw the estimated contact wrench with its 2-sigma band; contact is shaded."""
+    return figure.draw(log, "wrench", lambda plots: plots.wrench(figure.estimated(log)))
+
+
+def wrenches(*logs: Path, figure: LogFigure = OF_LOG) -> int:
+    """Draw the estimated forces of several arms side by side, on one scale.
+
+    Parameters
+    ----------
+    logs : tuple of Path
+        Output of `armlab estimate`, or recordings of runs that estimated; one per arm.
+    """
+    from armlab.errors import ConfigError
+
+    if len({log.stem for log in logs}) < max(len(logs), 1):
+        raise ConfigError(f"Expected logs of different names, one per arm, got {', '.join(map(str, logs)) or 'none'}.")
+    return figure.draw(
+        logs[0], "wrenches", lambda plots: plots.wrenches({log.stem: figure.estimated(log) for log in logs})
+    )
+
+
+def observability(log: Estimate, *, figure: LogFigure = OF_LOG) -> int:
+    """Draw how well the torques showed each axis of the wrench; times when one is weak are shaded."""
+    return figure.draw(log, "observability", lambda plots: plots.observability(figure.estimated(log, "observability")))
+
+
+def coverage(log: Path, *, model: Path | None = None, figure: ModelFigure = OF_MODEL) -> int:
+    """Draw the share of errors inside 2 sigma, by speed: of the wrench against a sensor, of torques with --model.
+
+    Parameters
+    ----------
+    log : Path
+        Recording of a run that estimated, with a force sensor; or of free motion, with --model.
+    model : Path
+        Model file of `armlab identify`, whose torques are compared with those of the log.
+    """
+    from armlab.errors import LogError
+    from armlab.identify import predict
+
+    def draw(plots: Any) -> Any:
+        if model is not None:
+            return plots.coverage(predict(*figure.with_log(model, log)))
+        read = figure.read(log, figure.robot)
+        if not {"wrench", "wrench_true"} & set(read.names):
+            raise LogError(
+                f"Expected a force sensor in {log}, column wrench, to compare the estimate with, got none. "
+                "Add --model MODEL to compare torques."
+            )
+        return plots.coverage(read)
+
+    return figure.draw(log, "coverage", draw)
+
+
+def hypotheses(
+    model: Model, log: Annotated[Path, Parameter(help="Recording with contact.")], *, figure: ModelFigure = OF_MODEL
+) -> int:
+    """Draw the probability that there is a contact, and where."""
+    from armlab import contact
+
+    def draw(plots: Any) -> Any:
+        known = torque_model(model)
+        return plots.hypotheses(contact.hypotheses(figure.estimate(known, log), figure.robot_of(known)))
+
+    return figure.draw(log, "hypotheses", draw)
+
+
+def calibration(fit: Path, *, figure: FigureFile = BESIDE) -> int:
+    """Draw the uncertainty of a calibration and the excitation of its samples.
+
+    Parameters
+    ----------
+    fit : Path
+        File of `armlab calibrate`; that command draws the residuals too, with --figure, for files keep none.
+    """
+    from armlab.errors import ModelMismatchError
+    from armlab.estimation import Fit
+    from armlab.models import TorqueModel
+
+    def draw(plots: Any) -> Any:
+        found = Fit.load(fit)
+        if isinstance(found.value, TorqueModel):
+            raise ModelMismatchError(
+                f"Expected the file of a calibration, got a torque model in {fit}. Draw its torque_fit or its friction."
+            )
+        return plots.calibration(found)
+
+    return figure.draw(fit, "calibration", draw)
+
+
+def excitation(fit: Path, *, figure: FigureFile = BESIDE) -> int:
+    """Draw the singular values of a fit: how well its samples determine the parameters.
+
+    Parameters
+    ----------
+    fit : Path
+        File of `armlab identify` or `armlab calibrate`.
+    """
+    from armlab.estimation import Fit
+
+    return figure.draw(fit, "excitation", lambda plots: plots.excitation(Fit.load(fit).excitation))
+
+
+Posture = Annotated[Path | None, Parameter(help="Recording with q.")]
+
+
+def robot(robot: RobotName, log: Posture = None, *, tool_path: bool = False, figure: LogFigure = OF_LOG) -> int:
+    """Draw an arm as a stick figure: at home, or through a log, its end in full.
+
+    Parameters
+    ----------
+    tool_path : bool
+        Draw the path of the tool through the log.
+    """
+    from armlab import robots
+
+    return figure.draw(
+        log or robot,
+        "robot",
+        lambda plots: plots.robot(robots.load(robot), figure.positions(log, robot), path=tool_path),
+    )
+
+
+def workspace(robot: RobotName, *, figure: FigureFile = BESIDE) -> int:
+    """Draw where the tool of an arm can be: from the side, from above, in space."""
+    from armlab import robots
+
+    return figure.draw(robot, "workspace", lambda plots: plots.workspace(robots.load(robot)))
+
+
+def manipulability(
+    robot: RobotName,
+    log: Posture = None,
+    *,
+    of: Literal["position", "rotation"] = "position",
+    figure: LogFigure = OF_LOG,
+) -> int:
+    """Draw how fast the tool can move in which direction: at home, or at up to eight places of a log.
+
+    Parameters
+    ----------
+    of : str
+        position: velocity of the tool point. rotation: its angular velocity.
+    """
+    from armlab import robots
+
+    return figure.draw(
+        log or robot,
+        "manipulability",
+        lambda plots: plots.manipulability(robots.load(robot), figure.positions(log, robot), of),
+    )
+
+
+def dmp(
+    primitive: Primitive,
+    *demos: Path,
+    column: Annotated[str | None, Parameter(help="Column of those logs; default: q, for poses T_base_tool.")] = None,
+    robot: PoseRobot = None,
+    figure: FigureFile = BESIDE,
+) -> int:
+    """Draw a movement primitive of any kind against time, with its demonstrations.
+
+    Parameters
+    ----------
+    demos : tuple of Path
+        Logs of the demonstrations, of the motion only; several for a distribution over motions.
+    """
+    from armlab import models
+    from armlab.cli.dmp.teaching import MotionWindow, read_demonstration
+    from armlab.errors import ConfigError
+    from armlab.motion import Dmp, PeriodicDmp, PoseDmp, ProMP, TwoDofDmp
+
+    def draw(plots: Any) -> Any:
+        motion = models.load(primitive)
+        motion = motion.dmp if isinstance(motion, TwoDofDmp) else motion
+        if not isinstance(motion, Dmp | PoseDmp | PeriodicDmp | ProMP):
+            raise ConfigError(
+                f"Expected the file of a movement primitive, got another in {primitive}. Name the right one."
+            )
+        kind = "pose" if isinstance(motion, PoseDmp) else "joints"
+        columns = () if column is None else (column,)
+        taught = [read_demonstration(log, kind, columns, robot, MotionWindow()) for log in demos]
+        shown = [(demo.t, demo.y) for demo in taught]
+        if isinstance(motion, ProMP):
+            return plots.promp(motion, shown)
+        if len(shown) > 1:
+            raise ConfigError(f"Expected one demonstration of a primitive that is no distribution, got {len(shown)}.")
+        figures = {PoseDmp: plots.pose_dmp, PeriodicDmp: plots.periodic_dmp, Dmp: plots.dmp}
+        return figures[type(motion)](motion, shown[0] if shown else None)
+
+    return figure.draw(primitive, "dmp", draw)
+
+
+def dmp_phase(primitive: Primitive, *, figure: FigureFile = BESIDE) -> int:
+    """Draw the phase plane of a movement primitive of joints: velocity against position."""
+    from armlab.motion import Dmp
+
+    return figure.draw(primitive, "dmp_phase", lambda plots: plots.dmp_phase(Dmp.load(primitive)))
+
+
+def two_dof(
+    primitive: Primitive,
+    log: Path,
+    *,
+    disturbed: list[str] | None = None,
+    joints: Joints = None,
+    duration: float | None = None,
+    goal: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
+    figure: FigureFile = BESIDE,
+) -> int:
+    """Draw how a movement primitive waited for an arm that was held: arm, path, undisturbed motion, error.
+
+    Parameters
+    ----------
+    log : Path
+        Recording of `armlab dmp play`.
+    disturbed : list of str
+        START,END of a time when something held the arm [s], which is shaded.
+    duration : float
+        Of the run [s]; default: that of the demonstration.
+    goal : str
+        Of the run, numbers with commas between; default: that of the demonstration.
+    """
+    from armlab import log as logs
+    from armlab import models
+    from armlab.cli.dmp.playing import numbers_in
+    from armlab.errors import ConfigError, LogError
+    from armlab.motion import Dmp, TwoDofDmp
+
+    def draw(plots: Any) -> Any:
+        motion = models.load(primitive)
+        law = TwoDofDmp(motion) if isinstance(motion, Dmp) else motion
+        if not isinstance(law, TwoDofDmp):
+            raise ConfigError(f"Expected a primitive of joints, got another kind in {primitive}. Name the right file.")
+        read = logs.read(log)
+        if "path_error" not in read:
+            raise LogError(f"Expected a run that waits for its arm in {log}, got none. Record it without --firm.")
+        spans = [numbers_in(word, "disturbed") for word in disturbed or ()]
+        if any(span is None or len(span) != 2 for span in spans):
+            raise ConfigError(f"Expected --disturbed as START,END, got {' '.join(disturbed or ())}.")
+        held = [(float(span[0]), float(span[1])) for span in spans if span is not None]
+        run = law.recorded(read, held, duration=duration, g=numbers_in(goal, "goal"))
+        return plots.two_dof(run, chosen(joints, run.yc.shape[1]))
+
+    return figure.draw(log, "two_dof", draw)

@@ -1,0 +1,72 @@
+"""What commands that fit or estimate write besides their result: page, figure, JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    from armlab.cli.support.html_report import HtmlReport, Verdict
+
+Tell = Callable[[float, float, str], None]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Results:
+    """Files and the form of the printed result.
+
+    Attributes
+    ----------
+    report : Path
+        Also write a self-contained HTML page with tables and figures, ends in .html; it loads nothing from the network.
+    figure : Path
+        Also draw the result into this PNG, SVG or PDF.
+    json : bool
+        Print JSON for scripts.
+    force : bool
+        Replace existing files.
+    """
+
+    report: Path | None = None
+    figure: Path | None = None
+    json: bool = False
+    force: bool = False
+
+    def check(self, output: Path | None, endings: Sequence[str], inputs: Sequence[Path] = ()) -> None:
+        """Refuse names of files that cannot be written, before the work begins."""
+        from armlab.cli.support.output import FIGURES, check_output
+
+        for path, known in ((output, endings), (self.report, (".html",)), (self.figure, FIGURES)):
+            if path is not None:
+                check_output(path, self.force, known, inputs)
+
+    def say(self, numbers: Mapping[str, Any], text: str, verdict: Verdict) -> None:
+        """Print the result with its verdict, as text or as JSON."""
+        from armlab.cli.support.output import print_json, result
+
+        if self.json:
+            print_json({**numbers, "verdict": vars(verdict)})
+        else:
+            result(f"{text}\n\n{verdict.text()}")
+
+    def write(self, draw: Callable[[Any], Any], page: Callable[[Tell], HtmlReport]) -> None:
+        """Write figure and page where they are wanted; `draw` gets the module `armlab.plots`."""
+        from armlab.cli.support.output import note, progress, save_figure
+
+        if self.figure is not None:
+            from armlab import plots
+
+            save_figure(draw(plots), self.figure)
+            note(f"figure: {self.figure}")
+        if self.report is not None:
+            with progress("report") as tell:
+                page(tell).write(self.report)
+            note(f"report: {self.report}")
+
+
+PLAIN = Results()
