@@ -96,7 +96,7 @@ LEFT_OUT = {  # kernels without a table, and what holds them instead
     "Datagrams": BYTES,
     "EgmReader": BYTES,
     "EgmWriter": BYTES,
-    "InverseSolver": "a search: tests/numerics/test_inverse.py holds the errors it tells to exact poses",
+    "InverseSolver": "a search: tests/numerics/test_tables.py holds the errors it tells to exact poses",
     "JsonText": BYTES,
     "MessageCopier": BYTES,
     "MomentumEstimator.reset": "forgets, and computes nothing",
