@@ -5,6 +5,7 @@ Solutions, reasons and objectives have their laws in tests/kinematics, the error
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -117,12 +118,10 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("way", "change", "words"), REFUSED)
 def test_refusals(way: str, change: dict[str, Any], words: str) -> None:
-    one = solver("yumi_left")
+    one, T = solver("yumi_left"), TWO if way == "path" else EYE
+    call = partial(kernels.follow_path, one) if way == "path" else getattr(one, way)
     with pytest.raises(ShapeError, match=words):
-        if way == "path":
-            kernels.follow_path(one, **({"T_base_tool": TWO} | change))
-        else:
-            getattr(one, way)(**({"T_base_tool": EYE} | change))
+        call(**{"T_base_tool": T} | change)
 
 
 def test_refused_limits() -> None:
