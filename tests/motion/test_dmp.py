@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from armlab.errors import ConfigError, ShapeError
-from armlab.motion import Dmp, Rollout, RunOptions, Stepper, fit_dmp
+from armlab.motion import Dmp, Rollout, Stepper, fit_dmp, with_via_points
 from armlab.motion.primitive.equation import SCALINGS, placed
-from armlab.motion.via_points import with_via_points
+from armlab.motion.primitive.run import RunOptions
 
 Primitive = Callable[..., Dmp]
 SCHEDULES = ("canonical", "time", "position")
@@ -436,7 +436,7 @@ def test_no_other_change_that_passes_the_point_is_smaller(arc: Dmp) -> None:
     bent = with_via_points(arc, [0.5], [[0.6, 0.2]])
     grid = np.linspace(0.0, 1.0, 401)
     least = bent.rollout(grid).y - arc.rollout(grid).y
-    Y = arc.primitive.response(grid, arc.tau_d, 1e-3)[0][:, :-3]
+    Y = arc._primitive.response(grid, arc.tau_d, 1e-3)[0][:, :-3]
     for other in np.random.default_rng(0).normal(size=(20, 20, 2)):
         free = other - np.outer(np.linalg.pinv(Y[[200]]), Y[200] @ other)  # does not move the point
         assert ((least + 1e-3 * Y @ free) ** 2).sum() > (least**2).sum() * (1 - 1e-6)

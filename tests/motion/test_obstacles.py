@@ -84,7 +84,7 @@ def test_what_is_far_away_or_not_there_is_not_felt(space: Dmp, form: str) -> Non
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("v", [[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [-0.3, 0.0, 0.0]])
 def test_at_rest_nothing_is_added_and_towards_the_centre_it_is_finite(space: Dmp, form: str, v: list[float]) -> None:
-    around = avoiding(space, [Capsule.sphere([0.25, 0.5, 0.0], 0.05)], form).around()
+    around = avoiding(space, [Capsule.sphere([0.25, 0.5, 0.0], 0.05)], form)._around()
     for x in (0.1, 0.15, 0.25):  # within reach, nearer, in the centre
         added = around.add([x, 0.5, 0.0], v, [0.5, 0.5, 0.0], np.zeros(3))
         assert np.isfinite(added).all()
@@ -93,7 +93,7 @@ def test_at_rest_nothing_is_added_and_towards_the_centre_it_is_finite(space: Dmp
 
 def test_the_steering_angle_is_that_of_the_paper(space: Dmp) -> None:
     """Hoffmann et al. (2009): ``gamma R v phi exp(-beta |phi|)`` with beta = 20 / pi."""
-    around = avoiding(space, [Capsule.sphere([0.0, 0.07, 0.0], 0.05)]).around()  # its surface at the clearance
+    around = avoiding(space, [Capsule.sphere([0.0, 0.07, 0.0], 0.05)])._around()  # its surface at the clearance
     phi = 0.3
     v = 0.02 * np.array([np.sin(phi), np.cos(phi), 0.0])
     side = np.array([np.cos(phi), -np.sin(phi), 0.0])

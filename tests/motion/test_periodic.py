@@ -10,7 +10,8 @@ import pytest
 from armlab import State, robots
 from armlab.errors import NotExcited
 from armlab.estimation import Experiment, Gauge, check_estimator
-from armlab.motion import Controller, PeriodicController, PeriodicDmp, PeriodicStepper, fit_periodic_dmp
+from armlab.motion import Controller, PeriodicDmp, fit_periodic_dmp
+from armlab.motion.periodic import PeriodicController, PeriodicStepper
 
 M = 15
 CLOCK = np.linspace(0.0, 6.0, 1501)

@@ -12,9 +12,9 @@ from armlab import Command, State, robots
 from armlab.estimation import Experiment, Fit, check_estimator
 from armlab.kinematics import forward, inverse
 from armlab.lie import quaternion, se3, so3
-from armlab.motion import PoseDmp, PoseRollout, PoseRunOptions, PoseStepper, fit_pose_dmp
+from armlab.motion import PoseDmp, PoseRollout, fit_pose_dmp
 from armlab.motion.control import Controller
-from armlab.motion.pose_dmp import PoseDmpController
+from armlab.motion.pose_dmp import PoseDmpController, PoseRunOptions, PoseStepper
 
 Taught = Fit[PoseDmp]
 

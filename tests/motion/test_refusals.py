@@ -518,8 +518,8 @@ CONTROL: list[Wrong] = [
     (ShapeError, "from t0 to a later t1", lambda: Hold(0.0, np.inf)),
     (ShapeError, "finite velocity", lambda: Push(0.0, 1.0, np.nan)),
     (ShapeError, "velocity", lambda: Push(0.0, 1.0, "fast")),  # type: ignore[arg-type]
-    *((ShapeError, "dofs", lambda x=x: Hold(0.0, 1.0, x).drive(3)) for x in ([3], [-1], [0, 0], [], [0.5])),
-    (ShapeError, "one velocity, or 3", lambda: Push(0.0, 1.0, [1.0, 2.0]).drive(3)),
+    *((ShapeError, "dofs", lambda x=x: Hold(0.0, 1.0, x)._drive(3)) for x in ([3], [-1], [0, 0], [], [0.5])),
+    (ShapeError, "one velocity, or 3", lambda: Push(0.0, 1.0, [1.0, 2.0])._drive(3)),
     (ShapeError, "finite time", lambda: Displace(np.inf, 0.1)),
     (ShapeError, "finite time", lambda: Displace(0.0, [0.1, np.nan])),
     (ShapeError, "one event at a time", lambda: TWO_DOF.simulate(0.01, [Hold(0.1, 0.5), Push(0.4, 0.6, 0.1, [1])])),

@@ -82,7 +82,7 @@ def check(dmp: Dmp, v_max: np.ndarray, a_max: np.ndarray) -> PacedDmp:
     run = paced.rollout(t)
     assert (np.abs(run.yd) <= v_max * (1 + TOLERANCE)).all()
     assert (np.abs(run.ydd) <= a_max * (1 + TOLERANCE)).all()
-    s, rate, _ = paced.clock(t)
+    s, rate, _ = paced._clock(t)
     assert ((np.diff(s) > 0.0) & (rate[1:] <= 1.0)).all()
     whole = dmp.rollout(np.union1d(s, np.linspace(0.0, s[-1], 20_001)))
     size = np.abs(whole.y).max()

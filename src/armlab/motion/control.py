@@ -147,12 +147,7 @@ class Controller(ABC):
         return found | {name: Column((), unit=unit, kind="flag") for name, unit in flags.items()}
 
     def __call__(self, state: State) -> Command:
-        """Return the reference for a packet.
-
-        Parameters
-        ----------
-        state : of the arm.
-        """
+        """Return the reference for a packet."""
         begins = state.session != self._session
         dt = 0.0 if begins else state.dt
         if not self._is_usable(state, dt):

@@ -17,8 +17,7 @@ from armlab.motion.arguments import coordinates
 from armlab.motion.dmp import Dmp
 from armlab.motion.primitive.demonstrations import Demo, ReferenceMotion, aligned, read_demos
 from armlab.motion.primitive.equation import SCALINGS, SCHEDULES, placed, time_constants
-from armlab.motion.primitive.least_squares import block_covariance
-from armlab.motion.primitive.weights import ENDS, Ends, Learned, learn
+from armlab.motion.primitive.weights import ENDS, Ends, Learned, block_covariance, learn
 
 METHODS = ("trajectory", "acceleration", "lwr")
 WIDTH, LWR_WIDTH = 0.8, 0.55  # standard deviations of kernels over their distance
