@@ -265,7 +265,7 @@ class PoseStepper:
         first = self._first
         start = matrix(first.position.y0, first.q0)
         run = self._dmp._run_of(tau_d=first.position.tau, start=start, twist0=np.zeros(6), goal=goal)
-        if run.position.primitive is not self._first.position._primitive:
+        if run.position.primitive is not self._first.position.primitive:
             raise ConfigError(
                 "Expected scaling 'goal' or 'none' for a goal that changes, got 'rotate'. Fit with another."
             )
