@@ -71,3 +71,5 @@ except ImportError as error:
         f"Expected the compiled kernels of armlab, got none of this version ({error}). Install a wheel of armlab, or "
         "install a C++ compiler and build it: `make -B setup` or `pip install .` in the sources."
     ) from error
+
+__all__ = ()
