@@ -14,7 +14,7 @@ from armlab.kinematics import forward, inverse
 from armlab.lie import quaternion, se3, so3
 from armlab.motion import PoseDmp, PoseRollout, fit_pose_dmp
 from armlab.motion.control import Controller
-from armlab.motion.pose_dmp import PoseDmpController, PoseRunOptions, PoseStepper
+from armlab.motion.pose_dmp import PoseDmpController, PoseStepper
 
 Taught = Fit[PoseDmp]
 
@@ -138,17 +138,6 @@ def test_twists_are_derivatives_and_everything_is_frozen(pose_fit: Fit[PoseDmp])
     for name in ("t", "T", "q", "twist", "twistd", "x"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(run, name)[0] = 0
-
-
-def test_options_mean_the_same_everywhere(pose_fit: Fit[PoseDmp]) -> None:
-    dmp = pose_fit.value
-    given: PoseRunOptions = {"duration": 2.0, "start": dmp.T_goal, "goal": dmp.T_start, "twist0": None}
-    run, stepper = dmp.rollout(0.01, **given), dmp.stepper(**given)
-    steps = [stepper.step(0.01)[0] for _ in run.t[1:]]
-    np.testing.assert_allclose(steps, run.T[1:], atol=1e-12)
-    assert run.t[-1] == pytest.approx(2.0)
-    with pytest.raises(TypeError, match="speed"):
-        dmp.rollout(0.01, speed=2.0)  # type: ignore[call-arg]
 
 
 @pytest.mark.parametrize("frame", ["base", "goal"])

@@ -39,7 +39,6 @@ from .limits import limit_reference
 from .momentum import MomentumEstimator, momentum_step
 from .obstacles import Obstacles
 from .primitive import Primitive, PrimitiveStepper
-from .rotation_primitive import RotationStepper, rotation_rollout
 from .signals import SignalOperator
 from .two_dof import TwoDof
 from .wrench import solve_wrench, wrench_interval
