@@ -44,6 +44,13 @@ std::string place(const std::string &name, npy_intp number, const npy_intp *shap
   return name + "[" + text + "]";
 }
 
+void require_finite(const Input &input) {
+  for (npy_intp i = 0; i < input.size(); ++i)
+    if (!std::isfinite(input.data()[i]))
+      raise_shape_error(std::string("Expected finite ") + input.name() + ", got NaN or Inf at number " +
+                        std::to_string(i) + ". Correct it.");
+}
+
 void require_positive(const char *name, const double *values, npy_intp count) {
   for (npy_intp i = 0; i < count; ++i)
     if (!(values[i] > 0.0 && std::isfinite(values[i])))
@@ -73,6 +80,14 @@ nb::object fresh_array(int ndim, const npy_intp *shape, const double *data) {
   auto *pointer = reinterpret_cast<PyArrayObject *>(array);
   if (data) std::copy(data, data + PyArray_SIZE(pointer), static_cast<double *>(PyArray_DATA(pointer)));
   return nb::steal(array);
+}
+
+nb::object fresh_mask(int n, const bool *values) {
+  npy_intp size = n;
+  nb::object array = nb::steal(PyArray_SimpleNew(1, &size, NPY_BOOL));
+  if (!array) throw nb::python_error();
+  std::copy_n(values, n, static_cast<npy_bool *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr()))));
+  return array;
 }
 
 Input::Input(nb::handle value, const char *name) : name_(name) {

@@ -29,7 +29,10 @@ namespace armlab {
 
 [[noreturn]] void raise_shape_error(const std::string &sentence);
 
+class Input;
+
 // Refuse numbers that are not finite, or not above zero, or below it.
+void require_finite(const Input &input);
 void require_positive(const char *name, const double *values, npy_intp count);
 void require_not_negative(const char *name, const double *values, npy_intp count);
 
@@ -45,10 +48,21 @@ std::string place(const std::string &name, npy_intp number, const npy_intp *shap
 // A fresh array; with the values of `data` when that is given.
 nb::object fresh_array(int ndim, const npy_intp *shape, const double *data = nullptr);
 
+// The numbers of a fresh array.
+inline double *numbers(const nb::object &array) {
+  return static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
+}
+
+// A fresh array (n,) of truth values.
+nb::object fresh_mask(int n, const bool *values);
+
 // A C-contiguous float64 array for reading: the argument itself when it already is one, otherwise a converted copy.
 class Input {
  public:
   Input(nb::handle value, const char *name);
+  Input(nb::handle value, const char *name, std::initializer_list<npy_intp> shape) : Input(value, name) {
+    require_exactly(shape);
+  }
 
   const char *name() const { return name_; }
   const nb::object &object() const { return array_; }

@@ -96,8 +96,7 @@ void construct(Drive *self, nb::handle friction_, nb::handle ripple_, nb::handle
   if (!lines.is_none()) drive.lines = read_lines(lines, n);
   if (!map.is_none()) drive.map = read_map(map, n);
   if (!warm_up_.is_none()) {
-    const Input warm_up(warm_up_, "warm_up");
-    warm_up.require_exactly({5, n});
+    const Input warm_up(warm_up_, "warm_up", {5, n});
     const double *w = warm_up.data();
     for (int i = 0; i < n; ++i) drive.warm_up[i] = {w[i], w[n + i], w[2 * n + i], w[3 * n + i], w[4 * n + i]};
   }
@@ -114,7 +113,7 @@ nb::object weights(nb::handle x_, nb::handle centres_, nb::handle widths_) {
   x.require_exactly({x.size()});
   const npy_intp shape[2] = {x.size(), m};
   const nb::object array = fresh_array(2, shape);
-  double *to = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
+  double *to = numbers(array);
   {
     nb::gil_scoped_release released;
     for (npy_intp k = 0; k < x.size(); ++k)
@@ -159,10 +158,7 @@ void add_drive_torque(const Drive &drive, npy_intp N, const double *q, const dou
 nb::object model_torque(const Chain &chain, nb::handle gravity_, nb::handle links_, nb::handle rotor_,
                         const Drive &drive, nb::handle q_, nb::handle qd_, nb::handle qdd_, nb::handle dt_, nb::handle out) {
   const int n = chain.n;
-  const Input gravity(gravity_, "gravity"), links(links_, "links"), rotor(rotor_, "rotor");
-  gravity.require_exactly({3});
-  links.require_exactly({n, 10});
-  rotor.require_exactly({n});
+  const Input gravity(gravity_, "gravity", {3}), links(links_, "links", {n, 10}), rotor(rotor_, "rotor", {n});
   if (drive.n != n)
     raise_shape_error("Expected a drive of " + std::to_string(n) + " joints like the chain, got " + std::to_string(drive.n) + ".");
   const Samples q(q_, "q", n), qd(qd_, "qd", q), qdd(qdd_, "qdd", q);
@@ -170,8 +166,7 @@ nb::object model_torque(const Chain &chain, nb::handle gravity_, nb::handle link
   q.require_exactly({N, n});
   std::vector<double> dt;
   if (!dt_.is_none()) {
-    const Input steps(dt_, "dt");
-    steps.require_exactly({N});
+    const Input steps(dt_, "dt", {N});
     dt = copied(steps);
   }
   const Output tau(out, "out", {n}, {&q, &qd, &qdd});
@@ -189,14 +184,14 @@ nb::object model_torque(const Chain &chain, nb::handle gravity_, nb::handle link
 }
 
 nb::object presliding(nb::handle q_, nb::handle delta_, nb::handle resolution_) {
-  const Input q(q_, "q"), delta(delta_, "delta"), resolution(resolution_, "resolution");
+  const Input q(q_, "q"), delta(delta_, "delta");
   const npy_intp n = delta.size(), N = n ? q.size() / n : 0;
   q.require_exactly({N, n});
   delta.require_exactly({n});
-  resolution.require_exactly({n});
+  const Input resolution(resolution_, "resolution", {n});
   const npy_intp shape[2] = {N, n};
   const nb::object array = fresh_array(2, shape);
-  double *z = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
+  double *z = numbers(array);
   {
     nb::gil_scoped_release released;
     std::vector<double> state(n, 0.0), play;

@@ -14,8 +14,7 @@ void construct(WrenchEstimator *self, const Chain &chain, nb::handle gravity, nb
   const int n = chain.n;
   auto p = read_arm<WrenchEstimator::Parameters>(chain, gravity, links, rotor, drive, gains, gain_variance, covariance, prior,
                                                  point);
-  const Input bound(bound_, "bound");
-  bound.require_exactly({3, n});
+  const Input bound(bound_, "bound", {3, n});
   require_not_negative("bound torque", bound.data(), n);
   require_positive("bound speed", bound.data() + n, n);
   require_not_negative("bound floor", bound.data() + 2 * n, n);

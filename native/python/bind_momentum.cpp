@@ -14,11 +14,8 @@ void construct(MomentumEstimator *self, const Chain &chain, nb::handle gravity, 
   const int n = chain.n;
   auto p = read_arm<MomentumEstimator::Parameters>(chain, gravity, links, rotor, drive, gains, gain_variance, covariance, prior,
                                                    point);
-  const Input memory(memory_, "memory"), qd_noise(qd_noise_, "qd_noise"), rate(rate_, "rate"), leak(leak_, "leak");
-  memory.require_exactly({n});
-  qd_noise.require_exactly({n});
-  rate.require_exactly({6});
-  leak.require_exactly({6});
+  const Input memory(memory_, "memory", {n}), qd_noise(qd_noise_, "qd_noise", {n});
+  const Input rate(rate_, "rate", {6}), leak(leak_, "leak", {6});
   require_positive("memory", memory.data(), n);
   require_not_negative("qd_noise", qd_noise.data(), n);
   require_not_negative("rate", rate.data(), 6);
@@ -36,23 +33,14 @@ void construct(MomentumEstimator *self, const Chain &chain, nb::handle gravity, 
 
 nb::object filter_step(nb::handle x_, nb::handle P_, nb::handle G_, nb::handle u_, nb::handle y_, nb::handle R_,
                        double h, nb::handle Qp_, nb::handle q_, nb::handle a_) {
-  const Input x(x_, "x"), P(P_, "P"), G(G_, "G"), u(u_, "u"), y(y_, "y"), R(R_, "R"), Qp(Qp_, "Qp"), q(q_, "q"), a(a_, "a");
+  const Input G(G_, "G");
   if (G.ndim() != 2 || G.shape()[0] < 1 || G.shape()[0] > max_joints || G.shape()[1] > max_inputs)
     raise_shape_error("Expected G of shape (n, m) with n from 1 to 32 and m up to 38, got " + G.shape_text() + ".");
   const int n = static_cast<int>(G.shape()[0]), m = static_cast<int>(G.shape()[1]), N = n + m;
-  x.require_exactly({N});
-  P.require_exactly({N, N});
-  u.require_exactly({n});
-  y.require_exactly({n});
-  R.require_exactly({n, n});
-  Qp.require_exactly({n});
-  q.require_exactly({m});
-  a.require_exactly({m});
+  const Input x(x_, "x", {N}), P(P_, "P", {N, N}), u(u_, "u", {n}), y(y_, "y", {n}), R(R_, "R", {n, n});
+  const Input Qp(Qp_, "Qp", {n}), q(q_, "q", {m}), a(a_, "a", {m});
   const npy_intp shape[2] = {N, N};
   const nb::object new_x = fresh_array(1, shape, x.data()), new_P = fresh_array(2, shape, P.data());
-  const auto numbers = [](const nb::object &array) {
-    return static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
-  };
   std::vector<double> work(4 * N * N);
   if (!momentum_step({n, m, G.data(), Qp.data(), q.data(), a.data()}, u.data(), y.data(), R.data(), h, numbers(new_x),
                      numbers(new_P), work.data()))

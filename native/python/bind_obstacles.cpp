@@ -15,10 +15,7 @@ Input finite(nb::handle value, const char *name, npy_intp width, npy_intp rows =
     input.require_exactly({rows, width});
   else
     input.require_exactly({width});
-  for (npy_intp i = 0; i < input.size(); ++i)
-    if (!std::isfinite(input.data()[i]))
-      raise_shape_error(std::string("Expected finite ") + name + ", got NaN or Inf at number " + std::to_string(i) +
-                        ". Correct it.");
+  require_finite(input);
   return input;
 }
 
@@ -72,8 +69,7 @@ void put(Obstacles &self, nb::handle capsules_) {
 nb::object distance(Obstacles &self, nb::handle y_) {
   const Samples y(y_, "y", self.n());
   const nb::object out = fresh_array(y.ndim() - 1, y.shape());
-  auto *to = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(out.ptr())));
-  for (npy_intp i = 0; i < y.size() / self.n(); ++i) to[i] = self.distance(y.data() + self.n() * i);
+  for (npy_intp i = 0; i < y.size() / self.n(); ++i) numbers(out)[i] = self.distance(y.data() + self.n() * i);
   return out;
 }
 
@@ -81,8 +77,7 @@ nb::object add(Obstacles &self, nb::handle y_, nb::handle yd_, nb::handle g_, nb
   const npy_intp n = self.n();
   const Input y = finite(y_, "y", n), yd = finite(yd_, "yd", n), g = finite(g_, "g", n), ydd = finite(ydd_, "ydd", n);
   const nb::object out = fresh_array(1, &n, ydd.data());
-  self.add(y.data(), yd.data(), g.data(),
-           static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(out.ptr()))));
+  self.add(y.data(), yd.data(), g.data(), numbers(out));
   return out;
 }
 

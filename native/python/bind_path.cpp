@@ -85,5 +85,5 @@ void bind_path(nb::module_ &m) {
         arg("change") = nb::none(), arg("task") = 6, array("axis") = nb::make_tuple(0.0, 0.0, 1.0), arg("steps") = 100,
         arg("starts") = 100, arg("position_tolerance") = 1e-9, arg("rotation_tolerance") = 1e-9, arg("damping") = 0.1,
         arg("objective") = 0, arg("reference") = nb::none(), arg("scale") = nb::none(),
-        "Return postures, errors and counts along a path; see tests/oracles/inverse.py.");
+        "Return postures, errors and counts along a path.");
 }

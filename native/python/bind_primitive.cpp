@@ -15,17 +15,6 @@ constexpr double longest_spring = 1e7;  // time constants of the spring that a p
 
 const char *const phases[] = {"canonical", "time", "position", "periodic"};
 
-void require_finite(const Input &input) {
-  for (npy_intp i = 0; i < input.size(); ++i)
-    if (!std::isfinite(input.data()[i]))
-      raise_shape_error(std::string("Expected finite ") + input.name() + ", got NaN or Inf at number " + std::to_string(i) +
-                        ". Correct it.");
-}
-
-double *numbers(const nb::object &array) {
-  return static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
-}
-
 void construct(Primitive *self, nb::handle centres_, nb::handle widths_, nb::handle weights_, double alpha, double stiffness,
                double decay, double pace, const char *phase) {
   const Input centres(centres_, "centres"), widths(widths_, "widths"), weights(weights_, "weights");
@@ -132,8 +121,7 @@ nb::object run(const Primitive &p, nb::handle t_, double tau, nb::handle y0_, nb
   nb::object own;
   const double *weights = nullptr;
   if (!weights_.is_none()) {
-    const Input given(weights_, "weights");
-    given.require_exactly({K, p.m, n});
+    const Input given(weights_, "weights", {K, p.m, n});
     require_finite(given);
     own = given.object();
     weights = given.data();
@@ -176,11 +164,9 @@ void construct_stepper(PrimitiveStepper *self, const Primitive &p, double filter
 }
 
 void start(PrimitiveStepper &self, nb::handle y0_, nb::handle v0_, nb::handle g_, nb::handle scale_, double tau) {
-  const Input y0(y0_, "y0"), v0(v0_, "v0"), g(g_, "g"), scale(scale_, "scale");
-  for (const Input *input : {&y0, &v0, &g, &scale}) {
-    input->require_exactly({self.primitive.n});
-    require_finite(*input);
-  }
+  const npy_intp n = self.primitive.n;
+  const Input y0(y0_, "y0", {n}), v0(v0_, "v0", {n}), g(g_, "g", {n}), scale(scale_, "scale", {n});
+  for (const Input *input : {&y0, &v0, &g, &scale}) require_finite(*input);
   require_positive("tau", &tau, 1);
   self.start(y0.data(), v0.data(), g.data(), scale.data(), tau);
 }
@@ -217,14 +203,10 @@ nb::object follow(PrimitiveStepper &self, nb::handle t_) {
 }
 
 void change_goal(PrimitiveStepper &self, nb::handle g_, nb::handle scale_, nb::handle limit_) {
-  const Input g(g_, "g"), scale(scale_, "scale");
-  for (const Input *input : {&g, &scale}) {
-    input->require_exactly({self.primitive.n});
-    require_finite(*input);
-  }
+  const Input g(g_, "g", {self.primitive.n}), scale(scale_, "scale", {self.primitive.n});
+  for (const Input *input : {&g, &scale}) require_finite(*input);
   if (limit_.is_none()) return self.change_goal(g.data(), scale.data(), nullptr);
-  const Input limit(limit_, "limit");
-  limit.require_exactly({self.primitive.n});
+  const Input limit(limit_, "limit", {self.primitive.n});
   require_not_negative("limit", limit.data(), limit.size());
   self.change_goal(g.data(), scale.data(), limit.data());
 }

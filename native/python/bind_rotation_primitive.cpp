@@ -13,12 +13,8 @@ constexpr double longest_spring = 1e7;  // time constants of the spring that are
 
 // A finite array of exactly that shape.
 struct Finite : Input {
-  Finite(nb::handle value, const char *name, std::initializer_list<npy_intp> shape) : Input(value, name) {
-    require_exactly(shape);
-    for (npy_intp i = 0; i < size(); ++i)
-      if (!std::isfinite(data()[i]))
-        raise_shape_error(std::string("Expected finite ") + name + ", got NaN or Inf at number " + std::to_string(i) +
-                          ". Correct it.");
+  Finite(nb::handle value, const char *name, std::initializer_list<npy_intp> shape) : Input(value, name, shape) {
+    require_finite(*this);
   }
 };
 
@@ -30,10 +26,6 @@ struct Orientation : Finite {
       raise_shape_error(std::string("Expected a quaternion wxyz of length 1 as ") + name + ", got another length.");
   }
 };
-
-double *numbers(const nb::object &array) {
-  return static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
-}
 
 void require_primitive(const Primitive &p) {
   if (p.n != 3 || p.phase == PhaseKind::position)
@@ -111,8 +103,7 @@ void bind_rotation_primitive(nb::module_ &m) {
   using namespace armlab;
   using nb::arg;
   nb::class_<RotationStepper>(m, "RotationStepper",
-                              "One run of orientations, sample by sample; see "
-                              "tests/oracles/rotation_primitive.py.")
+                              "One run of orientations, sample by sample; _native.pyi documents it.")
       .def("__init__", &python::construct, arg("primitive"))
       .def("start", &python::start, array("q0"), array("w0"), array("goal"), array("map"), arg("tau"),
            "Begin at phase time 0.")

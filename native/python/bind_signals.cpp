@@ -75,7 +75,7 @@ nb::object step(PySignalOperator &self, nb::handle x_, nb::handle t_) {
     if (t == -1.0 && PyErr_Occurred()) throw nb::python_error();
   }
   const nb::object out = fresh_array(x.ndim(), x.shape());
-  double *data = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(out.ptr())));
+  double *data = numbers(out);
   check_status(self.kernel.step(x.size(), x.data(), t_.is_none() ? nullptr : &t, data), -1);
   return x.ndim() ? out : nb::steal(PyFloat_FromDouble(*data));
 }
@@ -86,12 +86,11 @@ nb::object run(PySignalOperator &self, nb::handle x_, nb::handle t_) {
   const npy_intp N = x.shape()[0], size = N ? x.size() / N : 0;
   if (N) check_shape(self, x.ndim() - 1, x.shape() + 1, size, x.shape_text());
   const nb::object out = fresh_array(x.ndim(), x.shape());
-  double *data = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(out.ptr())));
+  double *data = numbers(out);
   nb::object stamps;
   const double *t = nullptr;
   if (!t_.is_none()) {
-    const Input given(t_, "t");
-    given.require_exactly({N});
+    const Input given(t_, "t", {N});
     stamps = given.object();
     t = given.data();
   }

@@ -10,18 +10,14 @@ namespace armlab {
 namespace {
 
 std::vector<double> row(nb::handle value, const char *name, npy_intp length) {
-  const Input input(value, name);
-  input.require_exactly({length});
+  const Input input(value, name, {length});
   return {input.data(), input.data() + length};
 }
 
 std::vector<double> finite_row(nb::handle value, const char *name, npy_intp length) {
-  const std::vector<double> numbers = row(value, name, length);
-  for (npy_intp i = 0; i < length; ++i)
-    if (!std::isfinite(numbers[i]))
-      raise_shape_error(std::string("Expected finite ") + name + ", got NaN or Inf at number " + std::to_string(i) +
-                        ". Correct it.");
-  return numbers;
+  const Input input(value, name, {length});
+  require_finite(input);
+  return {input.data(), input.data() + length};
 }
 
 void construct(TwoDof *self, const Primitive &primitive, double tau, nb::handle y0, nb::handle g, nb::handle scale,
@@ -39,19 +35,13 @@ void construct(TwoDof *self, const Primitive &primitive, double tau, nb::handle 
   new (self) TwoDof({primitive, tau, gains[0], gains[1], gains[2], gains[3], gains[4], start, goal, factor, zone, units});
 }
 
-double *numbers(const nb::object &array) {
-  return static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
-}
-
 nb::object copied(const TwoDof &self, nb::handle state_) {
-  const Input state(state_, "state");
-  state.require_exactly({self.size()});
+  const Input state(state_, "state", {self.size()});
   return fresh_array(1, state.shape(), state.data());
 }
 
 TwoDof::Speed speed_of(nb::handle value) {
-  const Input speed(value, "speed");
-  speed.require_exactly({3});
+  const Input speed(value, "speed", {3});
   return {speed.data()[0], speed.data()[1], speed.data()[2]};
 }
 
@@ -62,8 +52,7 @@ void check_step(double dt, long steps) {
 
 nb::object advance(TwoDof &self, nb::handle state_, double dt, long steps, nb::handle driven_, nb::handle speed_) {
   const nb::object state = copied(self, state_);
-  const Input driven(driven_, "driven");
-  driven.require_exactly({self.n()});
+  const Input driven(driven_, "driven", {self.n()});
   const auto speed = speed_of(speed_);
   check_step(dt, steps);
   self.advance(numbers(state), dt, steps, driven.data(), speed);
@@ -71,8 +60,7 @@ nb::object advance(TwoDof &self, nb::handle state_, double dt, long steps, nb::h
 }
 
 nb::object reference(TwoDof &self, nb::handle state_, nb::handle speed) {
-  const Input state(state_, "state");
-  state.require_exactly({self.size()});
+  const Input state(state_, "state", {self.size()});
   const npy_intp shape[2] = {3, self.n()};
   const nb::object out = fresh_array(2, shape);
   self.reference(state.data(), speed_of(speed), numbers(out));
@@ -80,8 +68,7 @@ nb::object reference(TwoDof &self, nb::handle state_, nb::handle speed) {
 }
 
 nb::object slopes(TwoDof &self, nb::handle state_, nb::handle speed) {
-  const Input state(state_, "state");
-  state.require_exactly({self.size()});
+  const Input state(state_, "state", {self.size()});
   const nb::object out = fresh_array(1, state.shape());
   self.slopes(state.data(), speed_of(speed), numbers(out));
   return out;
@@ -92,9 +79,7 @@ nb::object follow(TwoDof &self, nb::handle state_, double dt, long steps, nb::ha
   const nb::object state = copied(self, state_);
   const auto speed = speed_of(speed_);
   check_step(dt, steps);
-  const Input ya(ya_, "ya"), yad(yad_, "yad");
-  ya.require_exactly({self.n()});
-  yad.require_exactly({self.n()});
+  const Input ya(ya_, "ya", {self.n()}), yad(yad_, "yad", {self.n()});
   const npy_intp shape[2] = {3, self.n()};
   const nb::object out = fresh_array(2, shape);
   self.follow(numbers(state), dt, steps, speed, ya.data(), yad.data(), numbers(out));
@@ -102,8 +87,7 @@ nb::object follow(TwoDof &self, nb::handle state_, double dt, long steps, nb::ha
 }
 
 double time_constant(const TwoDof &self, nb::handle state_) {
-  const Input state(state_, "state");
-  state.require_exactly({self.size()});
+  const Input state(state_, "state", {self.size()});
   return self.time_constant(state.data());
 }
 

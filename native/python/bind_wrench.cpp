@@ -15,22 +15,11 @@ int unknowns(const Input &A) {
   return static_cast<int>(A.shape()[0]);
 }
 
-nb::object mask(int n, const bool *values) {
-  npy_intp size = n;
-  nb::object array = nb::steal(PyArray_SimpleNew(1, &size, NPY_BOOL));
-  if (!array) throw nb::python_error();
-  std::copy_n(values, n, static_cast<npy_bool *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr()))));
-  return array;
-}
-
 nb::object solve(nb::handle A_, nb::handle error_, nb::handle variance_, nb::handle bound_, nb::handle prior_, int method) {
-  const Input A(A_, "A"), error(error_, "error"), variance(variance_, "variance"), bound(bound_, "bound");
-  const Input prior(prior_, "prior");
+  const Input A(A_, "A");
   const int k = unknowns(A), n = static_cast<int>(A.shape()[1]);
-  error.require_exactly({n});
-  variance.require_exactly({n});
-  bound.require_exactly({n});
-  prior.require_exactly({k});
+  const Input error(error_, "error", {n}), variance(variance_, "variance", {n}), bound(bound_, "bound", {n});
+  const Input prior(prior_, "prior", {k});
   require_positive("variance", variance.data(), n);
   require_not_negative("bound", bound.data(), n);
   require_positive("prior", prior.data(), k);
@@ -39,24 +28,22 @@ nb::object solve(nb::handle A_, nb::handle error_, nb::handle variance_, nb::han
   solve_wrench({n, k, A.data(), error.data(), variance.data(), bound.data(), prior.data()},
                static_cast<WrenchMethod>(method), s);
   const npy_intp shape[2] = {k, k};
-  const nb::object x = fresh_array(1, shape, s.x), P = fresh_array(2, shape, s.P), active = mask(n, s.active);
+  const nb::object x = fresh_array(1, shape, s.x), P = fresh_array(2, shape, s.P), active = fresh_mask(n, s.active);
   return nb::make_tuple(x, P, active, s.iterations, s.kkt, s.singular);
 }
 
 nb::object interval(nb::handle A_, nb::handle error_, nb::handle spread_, nb::handle box_) {
-  const Input A(A_, "A"), error(error_, "error"), spread(spread_, "spread"), box(box_, "box");
+  const Input A(A_, "A");
   const int k = unknowns(A), n = static_cast<int>(A.shape()[1]);
-  error.require_exactly({n});
-  spread.require_exactly({n});
-  box.require_exactly({k});
+  const Input error(error_, "error", {n}), spread(spread_, "spread", {n}), box(box_, "box", {k});
   require_not_negative("spread", spread.data(), n);
   require_positive("box", box.data(), k);
   double ends[12];
   bool violated[max_joints];
   const npy_intp shape[2] = {k, 2};
   if (!wrench_interval(n, k, A.data(), error.data(), spread.data(), box.data(), ends, violated))
-    return nb::make_tuple(nb::none(), mask(n, violated));
-  return nb::make_tuple(fresh_array(2, shape, ends), mask(n, violated));
+    return nb::make_tuple(nb::none(), fresh_mask(n, violated));
+  return nb::make_tuple(fresh_array(2, shape, ends), fresh_mask(n, violated));
 }
 
 }  // namespace

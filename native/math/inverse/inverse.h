@@ -1,4 +1,4 @@
-// Inverse kinematics of a chain within joint limits. Specification: tests/oracles/inverse.py.
+// Inverse kinematics of a chain within joint limits. Theory: docs/theory/inverse_kinematics.md.
 //
 // Levenberg-Marquardt from one start after the other. Starts that stall are given up early; the next is taken from a
 // table of random postures, in each block of it the one whose tool is nearest to the goal.

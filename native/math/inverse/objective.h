@@ -1,4 +1,4 @@
-// Objectives for the joints that a task leaves free. Specification: tests/oracles/descent.py.
+// Objectives for the joints that a task leaves free.
 #pragma once
 
 #include "math/inverse/inverse_step.h"

@@ -1,5 +1,4 @@
-// Inverse kinematics along a path of poses: each from the one before, on one branch. Specification:
-// tests/oracles/inverse.py.
+// Inverse kinematics along a path of poses: each from the one before, on one branch.
 #pragma once
 
 #include "math/inverse/descent.h"

@@ -1,5 +1,4 @@
 // The self-motion of a redundant arm: with the tool at its goal, joints move to where an objective is least.
-// Specification: tests/oracles/descent.py.
 //
 // Newton steps in the null space of the task, with the curvature of the task in the Hessian. Joints at a limit that a
 // step would press against it stay there. After each step the tool is brought back to the goal.

@@ -1,5 +1,11 @@
-// A movement primitive of orientations. tests/oracles/rotation_primitive.py states the mathematics. Time is
-// counted in units of tau, and the angular velocity as z = tau w.
+// A movement primitive of orientations, with time in units of tau, ' = d/d(t/tau), and z = tau w in base axes:
+//
+//   q' = z q / 2,   z' = stiffness e - alpha z + map f,   e = rotation vector of goal q^-1 on the shorter way
+//
+// f is the forcing of a primitive of three coordinates; map (3, 3) rotates and scales it. A Runge-Kutta step is taken in
+// the chart exp(theta) q around the orientation at its start, theta' = z - theta x z / 2 + theta x (theta x z) / 12, with
+// the forcing at its start, middle and end: of fourth order, and on the group. Steps that are long for the spring are
+// divided.
 #pragma once
 
 #include <cstddef>
