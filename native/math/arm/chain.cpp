@@ -35,7 +35,7 @@ Chain::Twist twist(const Chain::Step &step) {
 
 }  // namespace
 
-Chain::Chain(int n, const double *frames_, const bool *prismatic) : n(n), frames{}, steps{} {
+Chain::Chain(int joints, const double *frames_, const bool *prismatic) : n(joints), frames{}, steps{} {
   std::copy(frames_, frames_ + 16 * (n + 1), frames.begin());
   double gamma_before = 0.0;
   for (int i = 0; i < n; ++i) {

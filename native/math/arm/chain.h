@@ -23,7 +23,7 @@ struct Chain {
   };
 
   // frames (n + 1, 4, 4) row by row, rigid.
-  Chain(int n, const double *frames, const bool *prismatic);
+  Chain(int joints, const double *frames, const bool *prismatic);
 
   int n;
   std::array<double, 16 * (max_joints + 1)> frames;

@@ -35,7 +35,7 @@ struct JointBound {
 
 // What every estimator knows of an arm.
 struct ArmModel {
-  explicit ArmModel(const Chain &chain) : chain(chain) {}
+  explicit ArmModel(const Chain &arm) : chain(arm) {}
   Chain chain;
   std::array<double, 3> gravity;
   std::array<double, 10 * max_joints> links;

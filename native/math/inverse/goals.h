@@ -84,17 +84,15 @@ inline Search search_of(int steps, int starts, double position, double rotation,
 
 // What a call asks for besides the goals: the arguments that `solve` and `follow` have in common.
 struct Request {
-  Request(nb::handle T, int n, int task, nb::handle axis_, const Search &search, nb::handle reference_, nb::handle scale_,
-          bool history, nb::handle threads)
-      : goals(T), task(task_of(task)), axis(axis_, "axis"), search(search),
+  Request(nb::handle T, int n, int task_, nb::handle axis_, const Search &search_, nb::handle reference_,
+          nb::handle scale_, bool history_, nb::handle threads_)
+      : goals(T), task(task_of(task_)), axis(axis_, "axis", {3}), search(search_),
         reference(reference_.is_none() ? zeros(n) : nb::borrow(reference_), "posture", goals, n),
-        scale(scale_.is_none() ? zeros(n) : nb::borrow(scale_), "scale"), history(history),
-        threads(thread_count(threads)) {
-    axis.require_exactly({3});
+        scale(scale_.is_none() ? zeros(n) : nb::borrow(scale_), "scale", {n}), history(history_),
+        threads(thread_count(threads_)) {
     const double *a = axis.data(), longest = std::max({std::fabs(a[0]), std::fabs(a[1]), std::fabs(a[2])});
     if (!(std::isfinite(a[0] + a[1] + a[2]) && longest > 1e-9))
       raise_shape_error("Expected axis to be a direction in tool axes, got one that is not finite or has no length.");
-    scale.require_exactly({n});
   }
 
   const Goals goals;

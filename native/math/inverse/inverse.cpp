@@ -24,8 +24,8 @@ Vec3<double> direction_across(const Vec3<double> &axis) {
 
 }  // namespace
 
-Goal::Goal(Task task, const double *T, const double *direction)
-    : task(task), T(T), axis{direction[0], direction[1], direction[2]} {
+Goal::Goal(Task rows, const double *pose, const double *direction)
+    : task(rows), T(pose), axis{direction[0], direction[1], direction[2]} {
   axis = (1.0 / norm(axis)) * axis;
   across[0] = direction_across(axis);
   across[1] = cross(axis, across[0]);

@@ -42,7 +42,8 @@ struct Pose {
   Vec3<Real> x, y, z, p;
 
   Pose() = default;
-  Pose(const Vec3<Real> &x, const Vec3<Real> &y, const Vec3<Real> &z, const Vec3<Real> &p) : x(x), y(y), z(z), p(p) {}
+  Pose(const Vec3<Real> &x_, const Vec3<Real> &y_, const Vec3<Real> &z_, const Vec3<Real> &p_)
+      : x(x_), y(y_), z(z_), p(p_) {}
   explicit Pose(const double *m)  // (4, 4), row by row
       : x{m[0], m[4], m[8]}, y{m[1], m[5], m[9]}, z{m[2], m[6], m[10]}, p{m[3], m[7], m[11]} {}
 

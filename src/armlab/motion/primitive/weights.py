@@ -45,39 +45,50 @@ class Learned:
         return dmp._primitive.rollout(demo.t, tau, y0, v0, g, np.ascontiguousarray(self.scales[k]))[0]
 
 
-def learn(
-    method: str,
-    blank: Dmp,
-    demos: list[Demo],
-    scales: np.ndarray,
-    starts: np.ndarray,
-    goals: np.ndarray,
-    ends: Ends,
-    hold: float,
-    ridge: float,
-    bandwidth: float | None,
-    raw: bool,
-) -> Learned:
-    """Learn weights that M demonstrations share, with scales, starts and goals (M, n) and the options of `fit_dmp`."""
+@dataclass(frozen=True)
+class WeightProblem:
+    """A primitive without weights, demonstrations with scales, starts and goals (M, n), ends, options of `fit_dmp`."""
+
+    method: str
+    blank: Dmp
+    demos: list[Demo]
+    scales: np.ndarray
+    starts: np.ndarray
+    goals: np.ndarray
+    ends: Ends
+    hold: float
+    ridge: float
+    bandwidth: float | None
+    raw: bool
+
+    def of_each(self) -> list[WeightProblem]:
+        """Return the problem of each demonstration alone."""
+        parts = zip(self.demos, self.scales, self.starts, self.goals)
+        return [replace(self, demos=[d], scales=s[None], starts=a[None], goals=b[None]) for d, s, a, b in parts]
+
+
+def learn(problem: WeightProblem) -> Learned:
+    """Learn weights that M demonstrations share."""
+    blank, demos, scales, ends = problem.blank, problem.demos, problem.scales, problem.ends
     m = blank.n_basis
-    if method == "trajectory" and blank.schedule != "position":
+    if problem.method == "trajectory" and blank.schedule != "position":
         taus = [blank.tau_d * demo.duration / blank.duration for demo in demos]
-        found = fit_trajectory(blank._primitive, demos, taus, scales, ends, hold, ridge)
+        found = fit_trajectory(blank._primitive, demos, taus, scales, ends, problem.hold, problem.ridge)
         unknowns = (*range(m), *(m + 3 * k + e for k in range(len(demos)) for e in found.free))
         parts = found.weights, found.ends, found.unit, found.sigma, found.residuals, found.triangle
         return Learned(*parts, unknowns, True, scales)
-    velocities = [_velocity(demo, bandwidth) for demo in demos]
+    velocities = [_velocity(demo, problem.bandwidth) for demo in demos]
     speeds = [ends.known.get("v0", v[0]) for v, _ in velocities]
-    all_ends = np.stack([starts, np.array(speeds), goals], axis=1)
+    all_ends = np.stack([problem.starts, np.array(speeds), problem.goals], axis=1)
     forced = [
         _forced(blank, demo, *velocity, scale, start, goal)
-        for demo, velocity, scale, start, goal in zip(demos, velocities, scales, starts, goals)
+        for demo, velocity, scale, start, goal in zip(demos, velocities, scales, problem.starts, problem.goals)
     ]
-    bells = (blank.centres, blank.widths if raw else np.zeros(0)) if method == "lwr" else None
-    first = fit_regression(forced, blank._primitive, m, blank.schedule != "time", ridge, bells)
+    bells = (blank.centres, blank.widths if problem.raw else np.zeros(0)) if problem.method == "lwr" else None
+    first = fit_regression(forced, blank._primitive, m, blank.schedule != "time", problem.ridge, bells)
     parts = first.unit, first.sigma, first.residuals, first.triangle
     learned = Learned(first.weights, all_ends, *parts, tuple(range(m)), False, scales)
-    return learned if method != "trajectory" else _descended(blank, demos, learned)
+    return learned if problem.method != "trajectory" else _descended(blank, demos, learned)
 
 
 def _velocity(demo: Demo, bandwidth: float | None) -> tuple[np.ndarray, np.ndarray]:
