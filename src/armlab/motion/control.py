@@ -256,6 +256,18 @@ def steps_in(dt: float) -> int:
     return max(1, ceil(dt / LONGEST_STEP - _SLACK)) if dt < np.inf else 1
 
 
+def own_steps(dt: float, pace: Pace) -> list[float]:
+    """Return the steps [s] in the motion's own time that lead to a packet after dt [s]."""
+    parts, way = steps_in(dt), 0.5 * (pace[0] + pace[1]) * dt
+    return [way / parts] * parts if way > 0.0 else []
+
+
+def at_pace(state: Sequence[np.ndarray], pace: Pace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return q, qd and qdd of the reference, and the path, of a motion with position, velocity and acceleration."""
+    (y, yd, ydd), (_, speed, change) = state, pace
+    return y, speed * yd, speed**2 * ydd + change * yd, y
+
+
 def check_joints(robot: Arms, n: int) -> None:
     """Refuse a motion whose n coordinates are not the joints of all arms together."""
     arms = robots_of(robot)

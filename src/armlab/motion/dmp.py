@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from armlab._numbers import generator, number, numbers
 from armlab.errors import ConfigError, NotExcited, ShapeError
 from armlab.motion.arguments import clock
-from armlab.motion.control import Arms, Controller, JointLimits, Pace, check_joints, steps_in
+from armlab.motion.control import Arms, Controller, JointLimits, Pace, at_pace, check_joints, own_steps
 from armlab.motion.primitive.equation import Equation
 from armlab.motion.primitive.run import Rollout, RunOptions, RunParameters, Stepper, progress, solved
 from armlab.motion.storage import Saved
@@ -244,12 +244,9 @@ class DmpController(Controller):
         self._stepper = self._dmp.stepper(**given)
 
     def _next(self, state: State, dt: float, pace: Pace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        before, speed, change = pace
-        parts, way = steps_in(dt), 0.5 * (before + speed) * dt
-        for _ in range(parts if way > 0.0 else 0):
-            self._stepper.step(way / parts)
-        y, yd, ydd = self._stepper.state
-        return y, speed * yd, speed**2 * ydd + change * yd, y
+        for h in own_steps(dt, pace):
+            self._stepper.step(h)
+        return at_pace(self._stepper.state, pace)
 
     def _change_goal(self, g: np.ndarray) -> None:
         self._stepper.change_goal(g)

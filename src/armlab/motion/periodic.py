@@ -15,9 +15,9 @@ from armlab._numbers import number, numbers, positive
 from armlab.errors import ConfigError, NotExcited, ShapeError
 from armlab.estimation import Excitation, Fit
 from armlab.motion.arguments import clock, vector
-from armlab.motion.control import Arms, Controller, JointLimits, Pace, check_joints, steps_in
+from armlab.motion.control import Arms, Controller, JointLimits, Pace, at_pace, check_joints, own_steps
 from armlab.motion.primitive.demonstrations import read_demos
-from armlab.motion.primitive.run import Rollout
+from armlab.motion.primitive.run import Rollout, advance
 from armlab.motion.primitive.weights import block_covariance, solve
 from armlab.motion.storage import Saved, freeze_arrays
 from armlab.state import State
@@ -235,11 +235,7 @@ class PeriodicStepper:
 
     def step(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Advance by one sample and return y, yd, ydd, each (n,)."""
-        try:
-            return self._kernel.step(dt)
-        except TypeError:
-            number(dt, "dt [s]")  # says it in a sentence
-            raise
+        return advance(dt, self._kernel)[0]
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -293,14 +289,11 @@ class PeriodicController(Controller):
         )
 
     def _next(self, state: State, dt: float, pace: Pace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        before, speed, change = pace
-        parts, way = steps_in(dt), 0.5 * (before + speed) * dt
-        for _ in range(parts if way > 0.0 else 0):
-            self._elapsed += way / parts
+        for h in own_steps(dt, pace):
+            self._elapsed += h
             self._stepper.change(r=self._r * self._share())
-            self._stepper.step(way / parts)
-        y, yd, ydd = self._stepper.state
-        return y, speed * yd, speed**2 * ydd + change * yd, y
+            self._stepper.step(h)
+        return at_pace(self._stepper.state, pace)
 
     def _share(self) -> float:
         """Return how much of the amplitude there is now: a smooth step up over the first turn, down over the last."""

@@ -12,18 +12,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import check_name, make_read_only, number, numbers
+from armlab._numbers import check_name, make_read_only, numbers
 from armlab.errors import ConfigError, NotConverged, ShapeError
 from armlab.estimation import Fit
 from armlab.kinematics import forward, inverse
 from armlab.lie import quaternion, so3
 from armlab.motion.arguments import vector
-from armlab.motion.control import NEAR, Controller, JointLimits, Pace, steps_in
+from armlab.motion.control import NEAR, Controller, JointLimits, Pace, own_steps
 from armlab.motion.dmp import Dmp
 from armlab.motion.primitive.demonstrations import read_demos
 from armlab.motion.primitive.equation import SCALINGS, SCHEDULES
 from armlab.motion.primitive.fit import fit_dmp
-from armlab.motion.primitive.run import RunParameters
+from armlab.motion.primitive.run import RunParameters, advance
 from armlab.motion.primitive.weights import solve
 from armlab.motion.storage import Saved
 from armlab.robots import Robot
@@ -274,11 +274,7 @@ class PoseStepper:
 
     def step(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Advance by one sample and return the pose (4, 4), the twist (6,) and its derivative (6,)."""
-        try:
-            return self._joined(self._position.step(dt), self._rotation.step(dt))
-        except TypeError:
-            number(dt, "dt [s]")  # says it in a sentence
-            raise
+        return self._joined(*advance(dt, self._position, self._rotation))
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -320,10 +316,9 @@ class PoseDmpController(Controller):
         self._q, self._qd = state.q, np.zeros_like(state.q)
 
     def _next(self, state: State, dt: float, pace: Pace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        parts, way = steps_in(dt), 0.5 * (pace[0] + pace[1]) * dt
-        for _ in range(parts if way > 0.0 else 0):
-            self._T_base_tool = self._stepper.step(way / parts)[0]
-        self._elapsed += way
+        for h in own_steps(dt, pace):
+            self._T_base_tool = self._stepper.step(h)[0]
+            self._elapsed += h
         if dt == 0.0:
             return self._q, self._qd, np.zeros_like(self._q), self._q
         found = inverse(self._robot, self._T_base_tool, self._q, starts=1)

@@ -192,6 +192,15 @@ def rotation(old: np.ndarray, new: np.ndarray) -> np.ndarray:
     return b / a * (np.eye(3) + skew + skew @ skew / (1.0 + cosine))
 
 
+def advance(dt: float, *steppers: Any) -> list[Any]:
+    """Return what each compiled stepper returns after a time dt [s]."""
+    try:
+        return [one.step(dt) for one in steppers]
+    except TypeError:
+        number(dt, "dt [s]")  # says it in a sentence
+        raise
+
+
 class Stepper:
     """One run of a `Dmp`, sample by sample; made by `Dmp.stepper`.
 
@@ -249,11 +258,7 @@ class Stepper:
         ------
         ShapeError : no finite time above zero.
         """
-        try:
-            state = self._kernel.step(dt)
-        except TypeError:
-            number(dt, "dt [s]")  # says it in a sentence
-            raise
+        state = advance(dt, self._kernel)[0]
         self._t += dt
         return state
 
