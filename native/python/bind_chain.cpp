@@ -174,17 +174,6 @@ nb::object momentum(const Chain &self, nb::handle q_, nb::handle qd_, nb::handle
   return nb::steal(PyTuple_Pack(2, p.array().ptr(), beta.array().ptr()));
 }
 
-nb::object gravity_regressor(const Chain &self, nb::handle q_, nb::handle gravity_, nb::handle out) {
-  const Samples q(q_, "q", self.n);
-  const Input gravity(gravity_, "gravity", {3});
-  const Output Y(out, "out", {self.n, 4 * self.n}, {&q});
-  Y.require_apart_from(gravity);
-  compute<1, 1>(q, {q.samples()}, {Y.samples()}, [&](const auto &in, const auto &to) {
-    armlab::gravity_regressor(self, in[0], gravity.data(), to[0]);
-  });
-  return Y.array();
-}
-
 nb::object reduce(nb::handle self) {
   const Chain &chain = nb::cast<const Chain &>(self);
   return nb::make_tuple(self.type(), nb::make_tuple(frames(chain), prismatic(chain)));
@@ -211,8 +200,7 @@ void bind(nb::module_ &m) {
       .def("rigid_regressor", &rigid_regressor, array("q"), array("qd"), array("qdd"), array("gravity"),
            arg("out") = nb::none())
       .def("mass_matrix", &mass_matrix, array("q"), array("pi"), arg("out") = nb::none())
-      .def("momentum", &momentum, array("q"), array("qd"), array("pi"), arg("out") = nb::none())
-      .def("gravity_regressor", &gravity_regressor, array("q"), array("gravity"), arg("out") = nb::none());
+      .def("momentum", &momentum, array("q"), array("qd"), array("pi"), arg("out") = nb::none());
 }
 
 }  // namespace armlab::python

@@ -92,8 +92,6 @@ void bind_obstacles(nb::module_ &m) {
            arg("by_potential") = false)
       .def("place", &put, array("capsules"), "Obstacles (K, 10) from now on.")
       .def("distance", &distance, array("y"), "Least distance (...) of any surface at (..., n).")
-      .def("acts", [](Obstacles &self, nb::handle y) { return self.acts(finite(y, "y", self.n()).data()); }, array("y"),
-           "Whether anything is within reach at y (n,).")
       .def("add", &add, array("y"), array("yd"), array("g"), array("ydd"), "Acceleration (n,) with what obstacles add.")
       .def("advance", [](Obstacles &self, double dt) {
              require_not_negative("dt", &dt, 1);

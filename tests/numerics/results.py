@@ -101,7 +101,6 @@ LEFT_OUT = {  # kernels without a table, and what holds them instead
     "MessageCopier": BYTES,
     "MomentumEstimator.reset": "forgets, and computes nothing",
     "MomentumEstimator.run": "the samples of step, one after the other",
-    "Obstacles.acts": "compares distance with the reach",
     "Obstacles.advance": "one product and one sum",
     "Obstacles.place": "takes what it is given",
     "Primitive.design": "values of basis times factors, in their places",

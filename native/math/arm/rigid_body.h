@@ -132,25 +132,4 @@ inline void rigid_regressor(const Chain &chain, const Real *q, const Real *qd, c
   }
 }
 
-// Y (n, 4 n): gravity torques dU/dq = Y [m, m cx, m cy, m cz] per link.
-template <class Real>
-inline void gravity_regressor(const Chain &chain, const Real *q, const double *gravity, Real *Y) {
-  const int n = chain.n;
-  JointAxes<Real> axes;
-  Vec3<Real> a = base_motion<Real>(gravity).a;
-  for (int k = 0; k < n; ++k) {
-    const Pose<Real> T = link_pose(chain, k, q[k]);
-    a = T.turn_back(a);
-    axes.advance(k, T, chain.steps[k].slides);
-    for (int i = 0; i < n; ++i) {
-      Real *row = Y + 4 * (n * i + k);
-      const Vec3<Real> h = i <= k ? cross(a, axes.w[i]) : Vec3<Real>{Real(0.0), Real(0.0), Real(0.0)};
-      row[0] = i <= k ? dot(axes.v[i], a) : Real(0.0);
-      row[1] = h.x;
-      row[2] = h.y;
-      row[3] = h.z;
-    }
-  }
-}
-
 }  // namespace armlab

@@ -99,12 +99,6 @@ class Chain:
         q, qd : (..., n). pi : (n, 10) as in `rnea`.
         """
 
-    def gravity_regressor(self, q: Any, gravity: Any, out: Any = None) -> np.ndarray:
-        """Return Y_g (..., n, 4 n) of the gravity torques ``G = dU/dq = Y_g [m, m cx, m cy, m cz]`` per link.
-
-        ``U = -sum g . (m_i p_i + R_i m_i c_i)``.
-        """
-
 class Datagrams:
     """Receives and sends on a bound UDP socket of IPv4, never waits and never raises for the socket.
 
@@ -485,14 +479,6 @@ class Obstacles:
         Parameters
         ----------
         y : (..., n).
-        """
-
-    def acts(self, y: Any) -> bool:
-        """Return whether anything is within reach.
-
-        Parameters
-        ----------
-        y : (n,).
         """
 
     def add(self, y: Any, yd: Any, g: Any, ydd: Any) -> np.ndarray:
