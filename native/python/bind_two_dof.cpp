@@ -20,19 +20,23 @@ std::vector<double> finite_row(nb::handle value, const char *name, npy_intp leng
   return {input.data(), input.data() + length};
 }
 
-void construct(TwoDof *self, const Primitive &primitive, double tau, nb::handle y0, nb::handle g, nb::handle scale,
-               nb::handle gains_, nb::handle dead_zone, nb::handle unit) {
+void construct(TwoDof *self, const Primitive &primitive, double tau, nb::handle y0, nb::handle g,
+    nb::handle scale, nb::handle gains_, nb::handle dead_zone, nb::handle unit) {
   const int n = primitive.n;
   if (n > max_joints)
-    raise_shape_error("Expected at most " + std::to_string(max_joints) + " coordinates, got " + std::to_string(n) + ".");
-  const auto start = finite_row(y0, "y0", n), goal = finite_row(g, "g", n), factor = finite_row(scale, "scale", n);
-  const auto gains = row(gains_, "gains", 5), zone = row(dead_zone, "dead_zone", n), units = row(unit, "unit", n);
+    raise_shape_error("Expected at most " + std::to_string(max_joints) + " coordinates, got " +
+                      std::to_string(n) + ".");
+  const auto start = finite_row(y0, "y0", n), goal = finite_row(g, "g", n),
+             factor = finite_row(scale, "scale", n);
+  const auto gains = row(gains_, "gains", 5), zone = row(dead_zone, "dead_zone", n),
+             units = row(unit, "unit", n);
   require_positive("tau", &tau, 1);
   require_positive("unit", units.data(), n);
   require_not_negative("gains", gains.data(), 4);
   require_not_negative("dead_zone", zone.data(), n);
   if (!(gains[4] > 0.0)) raise_shape_error("Expected e_max above zero, got another number.");
-  new (self) TwoDof({primitive, tau, gains[0], gains[1], gains[2], gains[3], gains[4], start, goal, factor, zone, units});
+  new (self) TwoDof({primitive, tau, gains[0], gains[1], gains[2], gains[3], gains[4], start, goal,
+      factor, zone, units});
 }
 
 nb::object copied(const TwoDof &self, nb::handle state_) {
@@ -50,7 +54,8 @@ void check_step(double dt, long steps) {
     raise_shape_error("Expected a finite dt from 0 in at least one step, got others.");
 }
 
-nb::object advance(TwoDof &self, nb::handle state_, double dt, long steps, nb::handle driven_, nb::handle speed_) {
+nb::object advance(
+    TwoDof &self, nb::handle state_, double dt, long steps, nb::handle driven_, nb::handle speed_) {
   const nb::object state = copied(self, state_);
   const Input driven(driven_, "driven", {self.n()});
   const auto speed = speed_of(speed_);
@@ -74,8 +79,8 @@ nb::object slopes(TwoDof &self, nb::handle state_, nb::handle speed) {
   return out;
 }
 
-nb::object follow(TwoDof &self, nb::handle state_, double dt, long steps, nb::handle speed_, nb::handle ya_,
-                  nb::handle yad_) {
+nb::object follow(TwoDof &self, nb::handle state_, double dt, long steps, nb::handle speed_,
+    nb::handle ya_, nb::handle yad_) {
   const nb::object state = copied(self, state_);
   const auto speed = speed_of(speed_);
   check_step(dt, steps);
@@ -98,14 +103,16 @@ void bind_two_dof(nb::module_ &m) {
   using namespace armlab;
   using nb::arg;
   nb::class_<TwoDof>(m, "TwoDof", "Two-degree-of-freedom control; see tests/oracles/two_dof.py.")
-      .def("__init__", &construct, arg("primitive"), arg("tau"), array("y0"), array("g"), array("scale"),
-           array("gains"), array("dead_zone"), array("unit"))
+      .def("__init__", &construct, arg("primitive"), arg("tau"), array("y0"), array("g"),
+          array("scale"), array("gains"), array("dead_zone"), array("unit"))
       .def_prop_ro("n", &TwoDof::n, "Number of coordinates.")
-      .def("advance", &advance, array("state"), arg("dt"), arg("steps"), array("driven"), array("speed"),
-           "Return the state after dt seconds.")
-      .def("reference", &reference, array("state"), array("speed"), "Return (3, n) yc', yc'' and ya_ref''.")
-      .def("slopes", &slopes, array("state"), array("speed"), "Return the time derivative of a state.")
-      .def("follow", &follow, array("state"), arg("dt"), arg("steps"), array("speed"), array("ya"), array("yad"),
-           "Return the state when ya and ya' are measured, and its reference.")
+      .def("advance", &advance, array("state"), arg("dt"), arg("steps"), array("driven"),
+          array("speed"), "Return the state after dt seconds.")
+      .def("reference", &reference, array("state"), array("speed"),
+          "Return (3, n) yc', yc'' and ya_ref''.")
+      .def("slopes", &slopes, array("state"), array("speed"),
+          "Return the time derivative of a state.")
+      .def("follow", &follow, array("state"), arg("dt"), arg("steps"), array("speed"), array("ya"),
+          array("yad"), "Return the state when ya and ya' are measured, and its reference.")
       .def("time_constant", &time_constant, array("state"), "Return tau_a [s] of a state.");
 }

@@ -1,5 +1,5 @@
-// What the estimators of a wrench share at the binding: their arguments, their results as NumPy arrays, one step and a
-// whole record.
+// What the estimators of a wrench share at the binding: their arguments, their results as NumPy
+// arrays, one step and a whole record.
 #pragma once
 
 #include <algorithm>
@@ -15,13 +15,17 @@ namespace armlab {
 
 // gains (n). covariance (4, n): rows C0, Cinf, shape, kind. point: (3) in tool axes, or None.
 template <class Parameters>
-Parameters read_arm(const Chain &chain, nb::handle gravity_, nb::handle links_, nb::handle rotor_, const Drive &drive,
-                    nb::handle gains_, double gain_variance, nb::handle covariance_, nb::handle prior_, nb::handle point_) {
+Parameters read_arm(const Chain &chain, nb::handle gravity_, nb::handle links_, nb::handle rotor_,
+    const Drive &drive, nb::handle gains_, double gain_variance, nb::handle covariance_,
+    nb::handle prior_, nb::handle point_) {
   const int n = chain.n;
-  const Input gravity(gravity_, "gravity", {3}), links(links_, "links", {n, 10}), rotor(rotor_, "rotor", {n});
+  const Input gravity(gravity_, "gravity", {3}), links(links_, "links", {n, 10}),
+      rotor(rotor_, "rotor", {n});
   if (drive.n != n)
-    raise_shape_error("Expected a drive of " + std::to_string(n) + " joints like the chain, got " + std::to_string(drive.n) + ".");
-  const Input gains(gains_, "gains", {n}), covariance(covariance_, "covariance", {4, n}), prior(prior_, "prior", {6});
+    raise_shape_error("Expected a drive of " + std::to_string(n) + " joints like the chain, got " +
+                      std::to_string(drive.n) + ".");
+  const Input gains(gains_, "gains", {n}), covariance(covariance_, "covariance", {4, n}),
+      prior(prior_, "prior", {6});
   require_positive("gains", gains.data(), n);
   require_not_negative("gain_variance", &gain_variance, 1);
   require_positive("covariance", covariance.data(), 2 * n);
@@ -40,14 +44,15 @@ Parameters read_arm(const Chain &chain, nb::handle gravity_, nb::handle links_, 
   p.at_point = !point_.is_none();
   if (p.at_point) {
     const Input point(point_, "point", {3});
-    if (!finite(point.data(), 3)) raise_shape_error("Expected a finite point, got another. Correct it.");
+    if (!finite(point.data(), 3))
+      raise_shape_error("Expected a finite point, got another. Correct it.");
     std::copy_n(point.data(), 3, p.point.begin());
   }
   return p;
 }
 
-// One estimate, or N of them, as fresh arrays: F, P, observability, torque error, its variance, flags, active joints,
-// interval; the last is None where the method has none.
+// One estimate, or N of them, as fresh arrays: F, P, observability, torque error, its variance,
+// flags, active joints, interval; the last is None where the method has none.
 class Estimates {
  public:
   Estimates(int n, bool has_interval, npy_intp N, bool stacked) : n_(n), interval_(nullptr) {
@@ -58,9 +63,12 @@ class Estimates {
       if (!array) throw nb::python_error();
       return array;
     };
-    const auto data = [](const nb::object &array) { return PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())); };
-    arrays_ = {shaped({6}, NPY_DOUBLE),  shaped({6, 6}, NPY_DOUBLE), shaped({6}, NPY_DOUBLE), shaped({n_}, NPY_DOUBLE),
-               shaped({n_}, NPY_DOUBLE), shaped({n_}, NPY_BOOL),     nb::none(),              nb::none()};
+    const auto data = [](const nb::object &array) {
+      return PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr()));
+    };
+    arrays_ = {shaped({6}, NPY_DOUBLE), shaped({6, 6}, NPY_DOUBLE), shaped({6}, NPY_DOUBLE),
+        shaped({n_}, NPY_DOUBLE), shaped({n_}, NPY_DOUBLE), shaped({n_}, NPY_BOOL), nb::none(),
+        nb::none()};
     for (int k = 0; k < 5; ++k) values_[k] = static_cast<double *>(data(arrays_[k]));
     active_ = static_cast<npy_bool *>(data(arrays_[5]));
     if (has_interval) {
@@ -85,8 +93,8 @@ class Estimates {
 
   nb::object tuple() {
     if (arrays_[7].is_none()) arrays_[7] = nb::int_(flag_);
-    return nb::steal(PyTuple_Pack(8, arrays_[0].ptr(), arrays_[1].ptr(), arrays_[2].ptr(), arrays_[3].ptr(), arrays_[4].ptr(),
-                                  arrays_[7].ptr(), arrays_[5].ptr(), arrays_[6].ptr()));
+    return nb::steal(PyTuple_Pack(8, arrays_[0].ptr(), arrays_[1].ptr(), arrays_[2].ptr(),
+        arrays_[3].ptr(), arrays_[4].ptr(), arrays_[7].ptr(), arrays_[5].ptr(), arrays_[6].ptr()));
   }
 
  private:
