@@ -1,6 +1,6 @@
 """Signatures and documentation of the compiled kernels; `armlab.kernels` is their public face.
 
-Checked by tests/kernels/test_facade.py against the extension. Methods take any leading batch where shapes begin with
+Checked by tests/kernels/test_extension.py against the extension. Methods take any leading batch where shapes begin with
 ``...``, leave inputs unchanged, write into `out` when that is given, and raise `ShapeError` for wrong arguments.
 """
 
