@@ -186,6 +186,9 @@ class AvoidingDmp:
     def stepper(self, **run: Unpack[RunOptions]) -> AvoidingStepper:
         """Return what runs it sample by sample, among obstacles that may move.
 
+        Besides what `Stepper` has, ``place(obstacles)`` says where all obstacles are now; until the next time they go
+        on with their velocity. `distance` is the least distance from their surfaces now [m].
+
         Parameters
         ----------
         **run : `RunOptions`.
@@ -201,6 +204,8 @@ class AvoidingDmp:
         g: ArrayLike | None = None,
     ) -> AvoidingController:  # fmt: skip
         """Return a controller of the robot, which starts where the arm is, at rest.
+
+        Besides what `Controller` has, ``place(obstacles)`` says where all obstacles are now, before the run or during it.
 
         Parameters
         ----------

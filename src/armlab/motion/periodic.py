@@ -174,6 +174,9 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
     ) -> PeriodicStepper:
         """Return what runs the primitive sample by sample, with baseline, amplitude and period that may change.
 
+        Its ``step(dt)`` and `state` return y, yd and ydd, each (n,); ``change(g=..., r=..., period=...)`` goes on with
+        other values without a jump, ``reset()`` back to the start; `phase` is phi now [rad].
+
         Parameters
         ----------
         period, g, r, y0, v0, phase : as of `rollout`.

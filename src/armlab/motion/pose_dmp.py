@@ -191,6 +191,9 @@ class PoseDmp(Saved, kind="pose_dmp"):
     def stepper(self, **run: Unpack[PoseRunOptions]) -> PoseStepper:
         """Return what runs the primitive sample by sample, with a goal that may change on the way.
 
+        Its ``step(dt)`` and `state` return the pose (4, 4), the twist (6,) and its derivative (6,);
+        ``change_goal(goal)`` goes for another pose, ``reset()`` back to the start.
+
         Parameters
         ----------
         **run : as in `rollout`.

@@ -179,6 +179,11 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
     def stepper(self, **run: Unpack[RunOptions]) -> TwoDofStepper:
         """Return what runs the law sample by sample with a measured arm.
 
+        Its ``step(dt, ya, yad)`` takes the time since the last sample [s], 0 at the first, and measured position and
+        velocity (n,), and returns `yc`, `ycd`, `ycdd` of the coupled path and the acceleration `ydd_ref` for the arm,
+        each (n,). ``change_goal(g)`` goes for another goal (n,), ``reset()`` back to the start; `x`, `tau_a` [s], `e`
+        (n,), `frozen` and `has_ended` say where the run is.
+
         Parameters
         ----------
         **run : as in `Dmp.rollout`.
