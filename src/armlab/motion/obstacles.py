@@ -205,7 +205,7 @@ class AvoidingDmp:
     ) -> AvoidingController:  # fmt: skip
         """Return a controller of the robot, which starts where the arm is, at rest.
 
-        Besides what `Controller` has, ``place(obstacles)`` says where all obstacles are now, before the run or during it.
+        Besides what `Controller` has, ``place(obstacles)`` says where all obstacles are now, before or during the run.
 
         Parameters
         ----------
