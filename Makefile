@@ -24,7 +24,8 @@ LONGEST := tests/cli/test_demo.py tests/identify/test_dynamics.py tests/style/te
 help:  ## list the commands
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-9s %s\n", $$1, $$2}'
 
-$(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(wildcard $(addprefix native/,*/*.cpp */*.h */*/*.cpp */*/*.h))
+NATIVE := $(wildcard $(addprefix native/,*/*.cpp */*.h */*/*.cpp */*/*.h))
+$(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(NATIVE)
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@echo "Installing armlab and what it needs into .venv (about two minutes the first time)."
 	CMAKE_BUILD_PARALLEL_LEVEL=$$(getconf _NPROCESSORS_ONLN) PIP_CONSTRAINT=constraints.txt \
@@ -52,6 +53,7 @@ computing: $(STAMP)
 check: $(STAMP)  ## linters and type checks
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/clang-format --dry-run --Werror $(NATIVE)
 	$(BIN)/pyright
 
 docs: $(STAMP)  ## build the documentation into docs/_build, from scratch: nothing there is older than its source

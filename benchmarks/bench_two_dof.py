@@ -27,7 +27,7 @@ def run(quick: bool) -> list[Table]:
     t = np.linspace(0.0, 2.0, 501)
     dmp = motion.fit_dmp(t, shown.at(t)[0]).value
     two_dof = motion.TwoDofDmp(dmp, e0=0.02)
-    law, plain = two_dof.law(RunParameters.of(dmp)), _plain(two_dof)
+    law, plain = two_dof._law(RunParameters.of(dmp)), _plain(two_dof)
     states = [_state(dmp, share) for share in np.linspace(0.0, 1.0, 200)]
     at = states[70], DT, 1, SPEED, dmp.y0 + 0.05, np.zeros(7)
     worst = agree("law", law.follow(*at)[0], plain.follow(*at)[0], 1e-12)

@@ -18,7 +18,8 @@ std::string shape_text(const npy_intp *shape, int ndim) {
 bool is_plain(PyObject *value, int flags) {
   if (!PyArray_CheckExact(value)) return false;
   auto *array = reinterpret_cast<PyArrayObject *>(value);
-  return PyArray_TYPE(array) == NPY_DOUBLE && PyArray_CHKFLAGS(array, flags) && PyArray_ISNOTSWAPPED(array);
+  return PyArray_TYPE(array) == NPY_DOUBLE && PyArray_CHKFLAGS(array, flags) &&
+         PyArray_ISNOTSWAPPED(array);
 }
 
 bool overlap(PyArrayObject *out, const double *data, npy_intp size) {
@@ -44,18 +45,27 @@ std::string place(const std::string &name, npy_intp number, const npy_intp *shap
   return name + "[" + text + "]";
 }
 
+void require_finite(const Input &input) {
+  for (npy_intp i = 0; i < input.size(); ++i)
+    if (!std::isfinite(input.data()[i]))
+      raise_shape_error(std::string("Expected finite ") + input.name() +
+                        ", got NaN or Inf at number " + std::to_string(i) + ". Correct it.");
+}
+
 void require_positive(const char *name, const double *values, npy_intp count) {
   for (npy_intp i = 0; i < count; ++i)
     if (!(values[i] > 0.0 && std::isfinite(values[i])))
-      raise_shape_error(std::string("Expected finite ") + name + " above zero, got another at number " + std::to_string(i) +
+      raise_shape_error(std::string("Expected finite ") + name +
+                        " above zero, got another at number " + std::to_string(i) +
                         ". Correct it.");
 }
 
 void require_not_negative(const char *name, const double *values, npy_intp count) {
   for (npy_intp i = 0; i < count; ++i)
     if (!(values[i] >= 0.0 && std::isfinite(values[i])))
-      raise_shape_error(std::string("Expected finite ") + name + " not below zero, got another at number " +
-                        std::to_string(i) + ". Correct it.");
+      raise_shape_error(std::string("Expected finite ") + name +
+                        " not below zero, got another at number " + std::to_string(i) +
+                        ". Correct it.");
 }
 
 int thread_count(nb::handle threads) {
@@ -63,16 +73,27 @@ int thread_count(nb::handle threads) {
   const Py_ssize_t count = counts ? PyNumber_AsSsize_t(threads.ptr(), nullptr) : 0;
   if (count >= 1 && count <= max_threads) return static_cast<int>(count);
   PyErr_Clear();
-  raise("ConfigError", "Expected threads to be an integer from 1 to " + std::to_string(max_threads) + ", got " +
-                           nb::repr(threads).c_str() + ".");
+  raise("ConfigError", "Expected threads to be an integer from 1 to " +
+                           std::to_string(max_threads) + ", got " + nb::repr(threads).c_str() +
+                           ".");
 }
 
 nb::object fresh_array(int ndim, const npy_intp *shape, const double *data) {
   PyObject *array = PyArray_SimpleNew(ndim, shape, NPY_DOUBLE);
   if (!array) throw nb::python_error();
   auto *pointer = reinterpret_cast<PyArrayObject *>(array);
-  if (data) std::copy(data, data + PyArray_SIZE(pointer), static_cast<double *>(PyArray_DATA(pointer)));
+  if (data)
+    std::copy(data, data + PyArray_SIZE(pointer), static_cast<double *>(PyArray_DATA(pointer)));
   return nb::steal(array);
+}
+
+nb::object fresh_mask(int n, const bool *values) {
+  npy_intp size = n;
+  nb::object array = nb::steal(PyArray_SimpleNew(1, &size, NPY_BOOL));
+  if (!array) throw nb::python_error();
+  std::copy_n(values, n,
+      static_cast<npy_bool *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr()))));
+  return array;
 }
 
 Input::Input(nb::handle value, const char *name) : name_(name) {
@@ -83,15 +104,18 @@ Input::Input(nb::handle value, const char *name) : name_(name) {
   // First as the type it has: NumPy would read None as NaN and texts of digits as numbers.
   nb::object any = nb::steal(PyArray_FromAny(value.ptr(), nullptr, 0, 0, 0, nullptr));
   PyObject *converted = nullptr;
-  if (any && PyArray_CanCastSafely(PyArray_TYPE(reinterpret_cast<PyArrayObject *>(any.ptr())), NPY_DOUBLE))
+  if (any &&
+      PyArray_CanCastSafely(PyArray_TYPE(reinterpret_cast<PyArrayObject *>(any.ptr())), NPY_DOUBLE))
     converted = PyArray_FromAny(any.ptr(), PyArray_DescrFromType(NPY_DOUBLE), 0, 0,
-                                NPY_ARRAY_CARRAY_RO | NPY_ARRAY_NOTSWAPPED, nullptr);
+        NPY_ARRAY_CARRAY_RO | NPY_ARRAY_NOTSWAPPED, nullptr);
   if (!converted) {
-    if (PyErr_Occurred() && !PyErr_ExceptionMatches(PyExc_TypeError) && !PyErr_ExceptionMatches(PyExc_ValueError))
+    if (PyErr_Occurred() && !PyErr_ExceptionMatches(PyExc_TypeError) &&
+        !PyErr_ExceptionMatches(PyExc_ValueError))
       throw nb::python_error();
     PyErr_Clear();
     raise_shape_error(std::string("Expected ") + name + " to be an array of real numbers, got " +
-                      Py_TYPE(value.ptr())->tp_name + " that does not convert to float64. Give a NumPy array or nested "
+                      Py_TYPE(value.ptr())->tp_name +
+                      " that does not convert to float64. Give a NumPy array or nested "
                       "lists of equal length.");
   }
   array_ = nb::steal(converted);
@@ -102,20 +126,22 @@ std::string Input::shape_text() const { return armlab::shape_text(shape(), ndim(
 void Input::require_exactly(std::initializer_list<npy_intp> wanted) const {
   const int n = static_cast<int>(wanted.size());
   if (ndim() == n && std::equal(wanted.begin(), wanted.end(), shape())) return;
-  raise_shape_error(std::string("Expected ") + name_ + " of shape " + armlab::shape_text(wanted.begin(), n) + ", got " +
-                    shape_text() + ".");
+  raise_shape_error(std::string("Expected ") + name_ + " of shape " +
+                    armlab::shape_text(wanted.begin(), n) + ", got " + shape_text() + ".");
 }
 
 void Input::require_last_axis(npy_intp n) const {
   if (ndim() >= 1 && shape()[ndim() - 1] == n) return;
-  raise_shape_error(std::string("Expected ") + name_ + " of shape (..., " + std::to_string(n) + "), got " +
-                    shape_text() + ". Put the joints on the last axis, batches before it.");
+  raise_shape_error(std::string("Expected ") + name_ + " of shape (..., " + std::to_string(n) +
+                    "), got " + shape_text() +
+                    ". Put the joints on the last axis, batches before it.");
 }
 
 void Input::require_shape_of(const Input &other) const {
   if (ndim() == other.ndim() && std::equal(shape(), shape() + ndim(), other.shape())) return;
-  raise_shape_error(std::string("Expected ") + name_ + " of the same shape as " + other.name_ + ", " +
-                    other.shape_text() + ", got " + shape_text() + ". Broadcast them first with numpy.broadcast_arrays.");
+  raise_shape_error(std::string("Expected ") + name_ + " of the same shape as " + other.name_ +
+                    ", " + other.shape_text() + ", got " + shape_text() +
+                    ". Broadcast them first with numpy.broadcast_arrays.");
 }
 
 void Input::require_tail(std::initializer_list<npy_intp> tail) const {
@@ -123,12 +149,14 @@ void Input::require_tail(std::initializer_list<npy_intp> tail) const {
   if (ndim() >= n && std::equal(tail.begin(), tail.end(), shape() + ndim() - n)) return;
   std::string wanted = "(...";
   for (npy_intp length : tail) wanted += ", " + std::to_string(length);
-  raise_shape_error(std::string("Expected ") + name_ + " of shape " + wanted + "), got " + shape_text() + ".");
+  raise_shape_error(
+      std::string("Expected ") + name_ + " of shape " + wanted + "), got " + shape_text() + ".");
 }
 
 Elements::Elements(nb::handle value, const char *name, std::initializer_list<npy_intp> tail)
     : Samples(value, name, static_cast<int>(tail.size()),
-              static_cast<int>(std::accumulate(tail.begin(), tail.end(), npy_intp{1}, std::multiplies<>()))) {
+          static_cast<int>(
+              std::accumulate(tail.begin(), tail.end(), npy_intp{1}, std::multiplies<>()))) {
   require_tail(tail);
 }
 
@@ -152,42 +180,49 @@ void Elements::broadcast(std::initializer_list<Elements *> elements) {
       if (length == 1 || length == wanted) continue;
       std::string sentence = "Expected leading axes that broadcast, got";
       for (const Elements *one : elements)
-        sentence += std::string(one == *elements.begin() ? " " : ", ") + one->name() + " of shape " + one->shape_text();
+        sentence += std::string(one == *elements.begin() ? " " : ", ") + one->name() +
+                    " of shape " + one->shape_text();
       raise_shape_error(sentence + ".");
     }
   const nb::object broadcast_to = nb::module_::import_("numpy").attr("broadcast_to");
   for (Elements *element : elements) {
     nb::list wanted;
     for (int i = 0; i < axes; ++i) wanted.append(shape[i]);
-    for (int i = element->batch_axes(); i < element->ndim(); ++i) wanted.append(element->shape()[i]);
-    static_cast<Input &>(*element) = Input(broadcast_to(element->array_, nb::tuple(wanted)), element->name_);
+    for (int i = element->batch_axes(); i < element->ndim(); ++i)
+      wanted.append(element->shape()[i]);
+    static_cast<Input &>(*element) =
+        Input(broadcast_to(element->array_, nb::tuple(wanted)), element->name_);
   }
 }
 
 Output::Output(nb::handle out, const char *name, std::initializer_list<npy_intp> tail,
-               std::initializer_list<const Samples *> inputs)
+    std::initializer_list<const Samples *> inputs)
     : name_(name) {
   const Samples &first = **inputs.begin();
   const int batch = first.batch_axes(), ndim = batch + static_cast<int>(tail.size());
   npy_intp shape[NPY_MAXDIMS + 2];
   std::copy(tail.begin(), tail.end(), std::copy(first.shape(), first.shape() + batch, shape));
-  width_ = static_cast<int>(std::accumulate(tail.begin(), tail.end(), npy_intp{1}, std::multiplies<>()));
+  width_ =
+      static_cast<int>(std::accumulate(tail.begin(), tail.end(), npy_intp{1}, std::multiplies<>()));
   if (out.is_none()) {
     array_ = fresh_array(ndim, shape);
     return;
   }
   const auto refuse = [&](const std::string &what_came) {
-    raise_shape_error(std::string("Expected ") + name + " to be a writable C-contiguous float64 array of shape " +
-                      shape_text(shape, ndim) + ", got " + what_came + ". Make it with numpy.empty, or leave it out.");
+    raise_shape_error(std::string("Expected ") + name +
+                      " to be a writable C-contiguous float64 array of shape " +
+                      shape_text(shape, ndim) + ", got " + what_came +
+                      ". Make it with numpy.empty, or leave it out.");
   };
   if (!is_plain(out.ptr(), NPY_ARRAY_CARRAY)) refuse("an object that is not");
   array_ = nb::borrow(out);
   if (PyArray_NDIM(pointer()) != ndim || !std::equal(shape, shape + ndim, PyArray_DIMS(pointer())))
     refuse("shape " + shape_text(PyArray_DIMS(pointer()), PyArray_NDIM(pointer())));
   for (const Samples *input : inputs)
-    if (overlap(pointer(), input->data(), input->size())) refuse(std::string("one that shares memory with ") + input->name());
-  // Memory that the caches cannot hold is written past them: half the time for a million Jacobians. Not fresh memory,
-  // of which the system leaves every page in a cache when it has cleared it.
+    if (overlap(pointer(), input->data(), input->size()))
+      refuse(std::string("one that shares memory with ") + input->name());
+  // Memory that the caches cannot hold is written past them: half the time for a million Jacobians.
+  // Not fresh memory, of which the system leaves every page in a cache when it has cleared it.
   const auto address = reinterpret_cast<std::uintptr_t>(PyArray_DATA(pointer()));
   streams_ = PyArray_NBYTES(pointer()) >= 16'000'000 && width_ % 2 == 0 && address % 16 == 0;
 }
@@ -199,9 +234,11 @@ void Output::require_apart_from(const Input &input) const {
 }
 
 void Output::require_apart_from(const Output &other) const {
-  if (overlap(pointer(), static_cast<const double *>(PyArray_DATA(other.pointer())), PyArray_SIZE(other.pointer())))
+  if (overlap(pointer(), static_cast<const double *>(PyArray_DATA(other.pointer())),
+          PyArray_SIZE(other.pointer())))
     raise_shape_error(std::string("Expected ") + name_ + " and " + other.name_ +
-                      " to be apart, got arrays that share memory. Make each with numpy.empty, or leave them out.");
+                      " to be apart, got arrays that share memory. Make each with numpy.empty, or "
+                      "leave them out.");
 }
 
 }  // namespace armlab

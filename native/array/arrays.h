@@ -1,7 +1,8 @@
 // NumPy arrays in and out of the kernels.
 //
-// Fresh arrays come from the NumPy C-API (about 0.1 us; nanobind's ndarray takes 0.4 us). Arguments are checked here,
-// once, and every refusal is an armlab.errors.ShapeError: a sentence with what was expected, what came and what to do.
+// Fresh arrays come from the NumPy C-API (about 0.1 us; nanobind's ndarray takes 0.4 us). Arguments
+// are checked here, once, and every refusal is an armlab.errors.ShapeError: a sentence with what
+// was expected, what came and what to do.
 #pragma once
 
 #define PY_ARRAY_UNIQUE_SYMBOL armlab_numpy_api
@@ -29,14 +30,18 @@ namespace armlab {
 
 [[noreturn]] void raise_shape_error(const std::string &sentence);
 
+class Input;
+
 // Refuse numbers that are not finite, or not above zero, or below it.
+void require_finite(const Input &input);
 void require_positive(const char *name, const double *values, npy_intp count);
 void require_not_negative(const char *name, const double *values, npy_intp count);
 
 // The argument `threads`: an integer from 1 to max_threads, otherwise an armlab.errors.ConfigError.
 int thread_count(nb::handle threads);
 
-// An argument that is an array. None gets in too, so that it is refused in the words of `Input`, not of nanobind.
+// An argument that is an array. None gets in too, so that it is refused in the words of `Input`,
+// not of nanobind.
 inline auto array(const char *name) { return nb::arg(name).none(); }
 
 // name[i, j]: sample `number` of a batch of `axes` axes; the name alone without a batch.
@@ -45,10 +50,23 @@ std::string place(const std::string &name, npy_intp number, const npy_intp *shap
 // A fresh array; with the values of `data` when that is given.
 nb::object fresh_array(int ndim, const npy_intp *shape, const double *data = nullptr);
 
-// A C-contiguous float64 array for reading: the argument itself when it already is one, otherwise a converted copy.
+// The numbers of a fresh array.
+inline double *numbers(const nb::object &array) {
+  return static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
+}
+
+// A fresh array (n,) of truth values.
+nb::object fresh_mask(int n, const bool *values);
+
+// A C-contiguous float64 array for reading: the argument itself when it already is one, otherwise a
+// converted copy.
 class Input {
  public:
   Input(nb::handle value, const char *name);
+  Input(nb::handle value, const char *name, std::initializer_list<npy_intp> shape)
+      : Input(value, name) {
+    require_exactly(shape);
+  }
 
   const char *name() const { return name_; }
   const nb::object &object() const { return array_; }
@@ -70,10 +88,14 @@ class Input {
   const char *name_;
 };
 
-// Samples of shape (n,), given as (..., n); the leading axes are the batch, which every output keeps.
+// Samples of shape (n,), given as (..., n); the leading axes are the batch, which every output
+// keeps.
 struct Samples : Input {
-  Samples(nb::handle value, const char *name, int n) : Samples(value, name, 1, n) { require_last_axis(n); }
-  Samples(nb::handle value, const char *name, const Samples &same) : Samples(value, name, 1, same.width_) {
+  Samples(nb::handle value, const char *name, int n) : Samples(value, name, 1, n) {
+    require_last_axis(n);
+  }
+  Samples(nb::handle value, const char *name, const Samples &same)
+      : Samples(value, name, 1, same.width_) {
     require_shape_of(same);
   }
 
@@ -96,19 +118,21 @@ struct Elements : Samples {
   static void broadcast(std::initializer_list<Elements *> elements);
 };
 
-// An array of shape batch + tail to write into: `out` when given (float64, C-contiguous, writable, apart from the
-// inputs), a fresh one when `out` is None.
+// An array of shape batch + tail to write into: `out` when given (float64, C-contiguous, writable,
+// apart from the inputs), a fresh one when `out` is None.
 class Output {
  public:
   Output(nb::handle out, const char *name, std::initializer_list<npy_intp> tail,
-         std::initializer_list<const Samples *> inputs);
+      std::initializer_list<const Samples *> inputs);
 
   // The inputs that are no samples, and the other outputs.
   void require_apart_from(const Input &input) const;
   void require_apart_from(const Output &other) const;
 
   const nb::object &array() const { return array_; }
-  Writing samples() const { return {static_cast<double *>(PyArray_DATA(pointer())), width_, streams_}; }
+  Writing samples() const {
+    return {static_cast<double *>(PyArray_DATA(pointer())), width_, streams_};
+  }
 
  private:
   PyArrayObject *pointer() const { return reinterpret_cast<PyArrayObject *>(array_.ptr()); }
@@ -119,12 +143,13 @@ class Output {
   bool streams_ = false;
 };
 
-// Runs a kernel over all samples of `first`, without the GIL when there are enough of them to pay for handing it over,
-// in `threads` threads when each gets enough to pay for its start. The parts are several per thread, for when one is
-// held up, but large, for threads that write into the same page of fresh memory both have to clear it.
+// Runs a kernel over all samples of `first`, without the GIL when there are enough of them to pay
+// for handing it over, in `threads` threads when each gets enough to pay for its start. The parts
+// are several per thread, for when one is held up, but large, for threads that write into the same
+// page of fresh memory both have to clear it.
 template <std::size_t Ins, std::size_t Outs, class Kernel>
-void compute(const Samples &first, const std::array<Reading, Ins> &ins, const std::array<Writing, Outs> &outs,
-             Kernel kernel, int threads = 1) {
+void compute(const Samples &first, const std::array<Reading, Ins> &ins,
+    const std::array<Writing, Outs> &outs, Kernel kernel, int threads = 1) {
   const std::ptrdiff_t count = first.size() / first.samples().width;
   if (count < 32) return run_batch(count, ins, outs, kernel);
   nb::gil_scoped_release released;

@@ -21,12 +21,14 @@ struct Reading {
 struct Writing {
   double *data;
   int width;
-  bool streams = false;  // past the caches, for which the width is even and the data aligned to 16 bytes
+  bool streams =
+      false;  // past the caches, for which the width is even and the data aligned to 16 bytes
 };
 
 #ifdef ARMLAB_LANES
-// Four samples between rows in memory and `values`, whose values[i] holds element i of each. Blocks of four by four are
-// transposed in registers; where the width is no multiple of four the last block overlaps the one before.
+// Four samples between rows in memory and `values`, whose values[i] holds element i of each. Blocks
+// of four by four are transposed in registers; where the width is no multiple of four the last
+// block overlaps the one before.
 typedef double Row __attribute__((vector_size(32), aligned(8)));
 
 #ifdef __clang__
@@ -78,23 +80,26 @@ ARMLAB_INLINE void write_rows(const Lanes *values, int width, double *rows) {
 __attribute__((noinline)) inline void stream_rows(const Lanes *values, int width, double *rows) {
   for (int i = 0; i < width; i += 2)
     for (int lane = 0; lane < 4; lane += 2) {
-      const __m128d a{values[i].v[lane], values[i].v[lane + 1]}, b{values[i + 1].v[lane], values[i + 1].v[lane + 1]};
+      const __m128d a{values[i].v[lane], values[i].v[lane + 1]},
+          b{values[i + 1].v[lane], values[i + 1].v[lane + 1]};
       _mm_stream_pd(rows + lane * width + i, _mm_unpacklo_pd(a, b));
       _mm_stream_pd(rows + (lane + 1) * width + i, _mm_unpackhi_pd(a, b));
     }
 }
 inline void end_stream() { _mm_sfence(); }
 #else
-ARMLAB_INLINE void stream_rows(const Lanes *values, int width, double *rows) { write_rows(values, width, rows); }
+ARMLAB_INLINE void stream_rows(const Lanes *values, int width, double *rows) {
+  write_rows(values, width, rows);
+}
 inline void end_stream() {}
 #endif
 #endif
 
-// kernel(in, out) with in[k] and out[k] pointing to the values of one sample: `const Real *` and `Real *`. It may be
-// called for a sample twice.
+// kernel(in, out) with in[k] and out[k] pointing to the values of one sample: `const Real *` and
+// `Real *`. It may be called for a sample twice.
 template <std::size_t Ins, std::size_t Outs, class Kernel>
 ARMLAB_VECTORISED void run_batch(std::ptrdiff_t count, const std::array<Reading, Ins> &ins,
-                                 const std::array<Writing, Outs> &outs, Kernel kernel) {
+    const std::array<Writing, Outs> &outs, Kernel kernel) {
 #ifdef ARMLAB_LANES
   constexpr int width = Lanes::width;
   if (count >= width) {
@@ -110,11 +115,13 @@ ARMLAB_VECTORISED void run_batch(std::ptrdiff_t count, const std::array<Reading,
 
     for (std::ptrdiff_t sample = 0; sample < count; sample += width) {
       if (sample > count - width) sample = count - width;  // the last four, some of them again
-      for (std::size_t k = 0; k < Ins; ++k) read_rows(ins[k].data + sample * ins[k].width, ins[k].width, in[k]);
+      for (std::size_t k = 0; k < Ins; ++k)
+        read_rows(ins[k].data + sample * ins[k].width, ins[k].width, in[k]);
       kernel(in, out);
       for (std::size_t k = 0; k < Outs; ++k) {
         double *rows = outs[k].data + sample * outs[k].width;
-        outs[k].streams ? stream_rows(out[k], outs[k].width, rows) : write_rows(out[k], outs[k].width, rows);
+        outs[k].streams ? stream_rows(out[k], outs[k].width, rows)
+                        : write_rows(out[k], outs[k].width, rows);
       }
     }
     return end_stream();

@@ -1,27 +1,29 @@
 // `Lanes`: the same quantity of four configurations side by side.
 //
-// Kernels are templates over Real, which is double (one configuration) or Lanes (a batch). Both do the same operations
-// in the same order and the compiler may not contract them, so a batch gives bit for bit what a loop over its samples
-// gives, on every machine. (Fused multiply-add was measured: it gains nothing here.)
+// Kernels are templates over Real, which is double (one configuration) or Lanes (a batch). Both do
+// the same operations in the same order and the compiler may not contract them, so a batch gives
+// bit for bit what a loop over its samples gives, on every machine. (Fused multiply-add was
+// measured: it gains nothing here.)
 #pragma once
 
 #include <cmath>
 #include <cstdint>
 #include <cstring>
 
-// Lanes need the vector extension of GCC and Clang. Any other compiler, or one told to by ARMLAB_PLAIN, makes only the
-// kernels over double, which give the same bits.
+// Lanes need the vector extension of GCC and Clang. Any other compiler, or one told to by
+// ARMLAB_PLAIN, makes only the kernels over double, which give the same bits.
 #if defined(__GNUC__) && !defined(ARMLAB_PLAIN)
 #define ARMLAB_LANES
 #endif
 
-// A function marked so is compiled for several instruction sets, with all that it calls; the loader chooses. Of AVX-512
-// only the 32 registers serve, which save the Jacobian a tenth of its time. (Eight lanes would save another 7 % there,
-// but cost 10 % with the 16 registers of AVX2.)
+// A function marked so is compiled for several instruction sets, with all that it calls; the loader
+// chooses. Of AVX-512 only the 32 registers serve, which save the Jacobian a tenth of its time.
+// (Eight lanes would save another 7 % there, but cost 10 % with the 16 registers of AVX2.)
 #ifdef ARMLAB_VECTORISED
 #elif defined(ARMLAB_LANES) && defined(__x86_64__) && defined(__GLIBC__) && !defined(__clang__)
 #if __GNUC__ >= 12
-#define ARMLAB_VECTORISED __attribute__((target_clones("arch=x86-64-v4", "avx2", "default"), flatten))
+#define ARMLAB_VECTORISED \
+  __attribute__((target_clones("arch=x86-64-v4", "avx2", "default"), flatten))
 #else
 #define ARMLAB_VECTORISED __attribute__((target_clones("avx2", "default"), flatten))
 #endif
@@ -29,7 +31,8 @@
 #define ARMLAB_VECTORISED
 #endif
 
-// For functions with Lanes by value: how those are passed depends on the instruction set, so they must never be called.
+// For functions with Lanes by value: how those are passed depends on the instruction set, so they
+// must never be called.
 #ifdef ARMLAB_LANES
 #define ARMLAB_INLINE inline __attribute__((always_inline))
 #else
@@ -60,7 +63,9 @@ ARMLAB_INLINE Lanes::Bits operator<(Lanes a, Lanes b) { return a.v < b.v; }
 ARMLAB_INLINE Lanes::Bits operator<=(Lanes a, Lanes b) { return a.v <= b.v; }
 ARMLAB_INLINE Lanes::Bits operator==(Lanes a, Lanes b) { return a.v == b.v; }
 
-ARMLAB_INLINE Lanes select(Lanes::Bits condition, Lanes yes, Lanes no) { return condition ? yes.v : no.v; }
+ARMLAB_INLINE Lanes select(Lanes::Bits condition, Lanes yes, Lanes no) {
+  return condition ? yes.v : no.v;
+}
 ARMLAB_INLINE bool all(Lanes::Bits condition) {
   return (condition[0] & condition[1] & condition[2] & condition[3]) != 0;
 }

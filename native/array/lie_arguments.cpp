@@ -13,7 +13,9 @@ std::string number(const char *format, double x) {
   return text;
 }
 
-npy_intp count(const Samples &samples) { return samples.size() / std::max(samples.samples().width, 1); }
+npy_intp count(const Samples &samples) {
+  return samples.size() / std::max(samples.samples().width, 1);
+}
 
 std::string indexed(const Samples &samples, const std::string &name, npy_intp k) {
   return place(name, k, samples.shape(), samples.batch_axes());
@@ -46,7 +48,8 @@ double departure(const Rotation<double> &R) {
   const Vec3<double> columns[3] = {R.x, R.y, R.z};
   double off = 0.0;
   for (int i = 0; i < 3; ++i)
-    for (int j = i; j < 3; ++j) off = std::max(off, std::fabs(dot(columns[i], columns[j]) - (i == j)));
+    for (int j = i; j < 3; ++j)
+      off = std::max(off, std::fabs(dot(columns[i], columns[j]) - (i == j)));
   return off;
 }
 
@@ -54,9 +57,10 @@ void refuse_no_rotation(const Samples &R, const std::string &name, int stride) {
   for (npy_intp k = 0; k < count(R); ++k) {
     const std::string came = fault(R.data() + k * R.samples().width, stride);
     if (!came.empty())
-      raise_shape_error("Expected " + indexed(R, name, k) + " to be a rotation within " +
-                        number("%g", rotation_tolerance) + ", got " + came +
-                        ". Project it first if that is what you want (lie.so3.project, lie.se3.project).");
+      raise_shape_error(
+          "Expected " + indexed(R, name, k) + " to be a rotation within " +
+          number("%g", rotation_tolerance) + ", got " + came +
+          ". Project it first if that is what you want (lie.so3.project, lie.se3.project).");
   }
 }
 
@@ -70,17 +74,19 @@ void refuse_no_pose(const Samples &T, const std::string &name) {
       off = error <= off || std::isnan(off) ? off : error;
     }
     if (off > 0.0 || (std::isnan(off) && !any_missing(m, 4)))  // a NaN here alone would vanish
-      raise_shape_error("Expected (0, 0, 0, 1) as the last row of " + indexed(T, name, k) + ", got one off by " +
-                        number("%.3g", off) + ".");
+      raise_shape_error("Expected (0, 0, 0, 1) as the last row of " + indexed(T, name, k) +
+                        ", got one off by " + number("%.3g", off) + ".");
   }
 }
 
 void refuse_not_unit(const Samples &q) {
   for (npy_intp k = 0; k < count(q); ++k) {
-    const double *c = q.data() + 4 * k, length = std::hypot(std::hypot(c[0], c[1]), std::hypot(c[2], c[3]));
+    const double *c = q.data() + 4 * k,
+                 length = std::hypot(std::hypot(c[0], c[1]), std::hypot(c[2], c[3]));
     if (std::fabs(length - 1.0) > unit_tolerance)
-      raise_shape_error("Expected " + indexed(q, q.name(), k) + " of length 1 within " + number("%g", unit_tolerance) +
-                        " (wxyz), got length " + number("%.6g", length) + ".");
+      raise_shape_error("Expected " + indexed(q, q.name(), k) + " of length 1 within " +
+                        number("%g", unit_tolerance) + " (wxyz), got length " +
+                        number("%.6g", length) + ".");
   }
 }
 

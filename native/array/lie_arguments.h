@@ -1,7 +1,8 @@
 // Arguments of the Lie groups: are these rotations, poses, unit quaternions?
 //
-// That is found out on the way through a batch, by a test that is quick and may suspect too much (NaN, for one). Only
-// then each sample is looked at alone, and the first that is refused is named. NaN passes: what is missing stays missing.
+// That is found out on the way through a batch, by a test that is quick and may suspect too much
+// (NaN, for one). Only then each sample is looked at alone, and the first that is refused is named.
+// NaN passes: what is missing stays missing.
 #pragma once
 
 #include <string>
@@ -67,13 +68,15 @@ inline bool looks_orthonormal(const Rotation<Real> &R) {
 template <class Real>
 inline bool looks_rigid(const Real *m) {
   const Real zero(0.0);
-  const bool last_row = all((m[12] == zero) & (m[13] == zero) & (m[14] == zero) & (m[15] == Real(1.0)));
+  const bool last_row =
+      all((m[12] == zero) & (m[13] == zero) & (m[14] == zero) & (m[15] == Real(1.0)));
   return last_row & looks_orthonormal(rotation_at(m, 4));
 }
 
 template <class Real>
 inline bool looks_unit(const Real &length) {
-  return all((Real(1.0 - 0.99 * unit_tolerance) <= length) & (length <= Real(1.0 + 0.99 * unit_tolerance)));
+  return all((Real(1.0 - 0.99 * unit_tolerance) <= length) &
+             (length <= Real(1.0 + 0.99 * unit_tolerance)));
 }
 
 }  // namespace armlab

@@ -1,4 +1,5 @@
-// Shares independent items among threads that live for one call: no pool, no global state, nothing to break at a fork.
+// Shares independent items among threads that live for one call: no pool, no global state, nothing
+// to break at a fork.
 #pragma once
 
 #include <algorithm>
@@ -12,11 +13,12 @@ namespace armlab {
 
 constexpr int max_threads = 256;  // what an argument `threads` may be at most
 
-// Calls work(begin, end) for the parts [0, grain), [grain, 2 grain), ... of [0, count), in up to `threads` threads, the
-// calling one among them; each takes the next part when it is done with one, so that parts may take different times.
-// The parts do not depend on `threads`, nor may what `work` does with one: any number of threads gives the same bits.
-// With one thread, or one part, it is a single call work(0, count). `work` must not throw, nor touch Python; release
-// the GIL before. Choose `grain` for parts of 0.1 ms or more: a thread takes 30 us to start and to join.
+// Calls work(begin, end) for the parts [0, grain), [grain, 2 grain), ... of [0, count), in up to
+// `threads` threads, the calling one among them; each takes the next part when it is done with one,
+// so that parts may take different times. The parts do not depend on `threads`, nor may what `work`
+// does with one: any number of threads gives the same bits. With one thread, or one part, it is a
+// single call work(0, count). `work` must not throw, nor touch Python; release the GIL before.
+// Choose `grain` for parts of 0.1 ms or more: a thread takes 30 us to start and to join.
 template <class Work>
 void run_parallel(std::ptrdiff_t count, std::ptrdiff_t grain, int threads, const Work &work) {
   const std::ptrdiff_t parts = (count + grain - 1) / grain;
@@ -29,7 +31,8 @@ void run_parallel(std::ptrdiff_t count, std::ptrdiff_t grain, int threads, const
   std::vector<std::thread> others(std::min<std::ptrdiff_t>(threads, parts) - 1);
   try {
     for (std::thread &other : others) other = std::thread(take_parts);
-  } catch (const std::system_error &) {  // the system gives no more: go on with those that there are
+  } catch (
+      const std::system_error &) {  // the system gives no more: go on with those that there are
   }
   take_parts();
   for (std::thread &other : others)

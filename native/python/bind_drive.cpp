@@ -1,4 +1,5 @@
-// Python class Drive and functions basis_weights, model_torque and presliding: arguments are checked here, the mathematics is in drive.h.
+// Python class Drive and functions basis_weights, model_torque and presliding: arguments are
+// checked here, the mathematics is in drive.h.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -22,24 +23,32 @@ bool finite(const double *values, int n) {
 
 // Copies the parts of a tuple of arrays.
 std::vector<Input> parts(nb::handle tuple, std::initializer_list<const char *> names) {
-  if (!PyTuple_Check(tuple.ptr()) || PyTuple_GET_SIZE(tuple.ptr()) != static_cast<npy_intp>(names.size()))
-    raise_shape_error("Expected a part of the drive as a tuple of " + std::to_string(names.size()) + " arrays, got something else.");
+  if (!PyTuple_Check(tuple.ptr()) ||
+      PyTuple_GET_SIZE(tuple.ptr()) != static_cast<npy_intp>(names.size()))
+    raise_shape_error("Expected a part of the drive as a tuple of " + std::to_string(names.size()) +
+                      " arrays, got something else.");
   std::vector<Input> inputs;
-  for (const char *name : names) inputs.emplace_back(PyTuple_GET_ITEM(tuple.ptr(), inputs.size()), name);
+  for (const char *name : names)
+    inputs.emplace_back(PyTuple_GET_ITEM(tuple.ptr(), inputs.size()), name);
   return inputs;
 }
 
-std::vector<double> copied(const Input &input) { return {input.data(), input.data() + input.size()}; }
+std::vector<double> copied(const Input &input) {
+  return {input.data(), input.data() + input.size()};
+}
 
 int centres(const Input &input, int n) {
-  if (input.ndim() != 2 || input.shape()[0] != n || input.shape()[1] < 1 || input.shape()[1] > max_centres)
-    raise_shape_error("Expected " + std::string(input.name()) + " of shape (" + std::to_string(n) + ", m) with m from 1 to " +
-                      std::to_string(max_centres) + ", got " + input.shape_text() + ".");
+  if (input.ndim() != 2 || input.shape()[0] != n || input.shape()[1] < 1 ||
+      input.shape()[1] > max_centres)
+    raise_shape_error("Expected " + std::string(input.name()) + " of shape (" + std::to_string(n) +
+                      ", m) with m from 1 to " + std::to_string(max_centres) + ", got " +
+                      input.shape_text() + ".");
   return static_cast<int>(input.shape()[1]);
 }
 
 RippleLines read_lines(nb::handle tuple, int n) {
-  const auto in = parts(tuple, {"line joints", "line cycles", "line speeds", "line widths", "line coefficients"});
+  const auto in = parts(
+      tuple, {"line joints", "line cycles", "line speeds", "line widths", "line coefficients"});
   RippleLines lines;
   const npy_intp L = in[0].size();
   lines.speeds = centres(in[2], n);
@@ -51,7 +60,8 @@ RippleLines read_lines(nb::handle tuple, int n) {
   for (npy_intp k = 0; k < L; ++k) {
     const double joint = in[0].data()[k];
     if (!(joint >= (k ? in[0].data()[k - 1] : 0.0) && joint < n))
-      raise_shape_error("Expected the lines of torque ripple joint by joint from 0, got another order.");
+      raise_shape_error(
+          "Expected the lines of torque ripple joint by joint from 0, got another order.");
     for (int i = static_cast<int>(joint) + 1; i <= n; ++i) ++lines.first[i];
   }
   lines.cycles = copied(in[1]);
@@ -62,7 +72,8 @@ RippleLines read_lines(nb::handle tuple, int n) {
 }
 
 FrictionMap read_map(nb::handle tuple, int n) {
-  const auto in = parts(tuple, {"map positions", "map position widths", "map speeds", "map speed widths", "map coefficients"});
+  const auto in = parts(tuple, {"map positions", "map position widths", "map speeds",
+                                   "map speed widths", "map coefficients"});
   FrictionMap map;
   map.positions = centres(in[0], n);
   map.speeds = centres(in[2], n);
@@ -77,11 +88,12 @@ FrictionMap read_map(nb::handle tuple, int n) {
   return map;
 }
 
-void construct(Drive *self, nb::handle friction_, nb::handle ripple_, nb::handle lines, nb::handle map, nb::handle warm_up_) {
+void construct(Drive *self, nb::handle friction_, nb::handle ripple_, nb::handle lines,
+    nb::handle map, nb::handle warm_up_) {
   const Input friction(friction_, "friction"), ripple(ripple_, "ripple");
   if (friction.ndim() != 2 || friction.shape()[1] < 1 || friction.shape()[1] > max_joints)
-    raise_shape_error("Expected friction of shape (10, n) with n from 1 to " + std::to_string(max_joints) +
-                      " joints, got " + friction.shape_text() + ".");
+    raise_shape_error("Expected friction of shape (10, n) with n from 1 to " +
+                      std::to_string(max_joints) + " joints, got " + friction.shape_text() + ".");
   const int n = static_cast<int>(friction.shape()[1]);
   friction.require_exactly({10, n});
   ripple.require_exactly({3, n});
@@ -90,16 +102,17 @@ void construct(Drive *self, nb::handle friction_, nb::handle ripple_, nb::handle
   const double *f = friction.data(), *r = ripple.data();
   for (int i = 0; i < n; ++i) {
     const auto row = [&](int k) { return f[k * n + i]; };
-    drive.friction[i] = {row(0), row(1), row(2), row(3), row(4), row(5), row(6), row(7), row(8), row(9)};
+    drive.friction[i] = {
+        row(0), row(1), row(2), row(3), row(4), row(5), row(6), row(7), row(8), row(9)};
     drive.ripple[i] = {r[i], r[n + i], r[2 * n + i]};
   }
   if (!lines.is_none()) drive.lines = read_lines(lines, n);
   if (!map.is_none()) drive.map = read_map(map, n);
   if (!warm_up_.is_none()) {
-    const Input warm_up(warm_up_, "warm_up");
-    warm_up.require_exactly({5, n});
+    const Input warm_up(warm_up_, "warm_up", {5, n});
     const double *w = warm_up.data();
-    for (int i = 0; i < n; ++i) drive.warm_up[i] = {w[i], w[n + i], w[2 * n + i], w[3 * n + i], w[4 * n + i]};
+    for (int i = 0; i < n; ++i)
+      drive.warm_up[i] = {w[i], w[n + i], w[2 * n + i], w[3 * n + i], w[4 * n + i]};
   }
   new (self) Drive(drive);
 }
@@ -108,13 +121,14 @@ nb::object weights(nb::handle x_, nb::handle centres_, nb::handle widths_) {
   const Input x(x_, "x"), middle(centres_, "centres"), widths(widths_, "widths");
   const npy_intp m = middle.size();
   if (m < 1 || m > max_centres)
-    raise_shape_error("Expected from 1 to " + std::to_string(max_centres) + " centres, got " + std::to_string(m) + ".");
+    raise_shape_error("Expected from 1 to " + std::to_string(max_centres) + " centres, got " +
+                      std::to_string(m) + ".");
   middle.require_exactly({m});
   widths.require_exactly({m});
   x.require_exactly({x.size()});
   const npy_intp shape[2] = {x.size(), m};
   const nb::object array = fresh_array(2, shape);
-  double *to = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
+  double *to = numbers(array);
   {
     nb::gil_scoped_release released;
     for (npy_intp k = 0; k < x.size(); ++k)
@@ -129,15 +143,16 @@ nb::object torque(const Drive &self, nb::handle q_, nb::handle qd_, nb::handle z
   double *to = tau.samples().data;
   for (npy_intp k = 0; k < q.size(); ++k) {
     const int i = static_cast<int>(k % self.n);
-    to[k] = self.torque(i, q.data()[k], qd.data()[k], {0.0, z.data()[k], self.warm_up[i].start}, 1.0);
+    to[k] =
+        self.torque(i, q.data()[k], qd.data()[k], {0.0, z.data()[k], self.warm_up[i].start}, 1.0);
   }
   return tau.array();
 }
 
-// Adds the torque of the drives along a record to tau (N, n); without dt (N) they do not warm up. Rows of which something
-// is not finite become NaN and leave the states alone.
-void add_drive_torque(const Drive &drive, npy_intp N, const double *q, const double *qd, const double *qdd, const double *dt,
-                      double *tau) {
+// Adds the torque of the drives along a record to tau (N, n); without dt (N) they do not warm up.
+// Rows of which something is not finite become NaN and leave the states alone.
+void add_drive_torque(const Drive &drive, npy_intp N, const double *q, const double *qd,
+    const double *qdd, const double *dt, double *tau) {
   const int n = drive.n;
   std::array<DriveState, max_joints> states;
   bool first = true;
@@ -156,47 +171,49 @@ void add_drive_torque(const Drive &drive, npy_intp N, const double *q, const dou
   }
 }
 
-nb::object model_torque(const Chain &chain, nb::handle gravity_, nb::handle links_, nb::handle rotor_,
-                        const Drive &drive, nb::handle q_, nb::handle qd_, nb::handle qdd_, nb::handle dt_, nb::handle out) {
+nb::object model_torque(const Chain &chain, nb::handle gravity_, nb::handle links_,
+    nb::handle rotor_, const Drive &drive, nb::handle q_, nb::handle qd_, nb::handle qdd_,
+    nb::handle dt_, nb::handle out) {
   const int n = chain.n;
-  const Input gravity(gravity_, "gravity"), links(links_, "links"), rotor(rotor_, "rotor");
-  gravity.require_exactly({3});
-  links.require_exactly({n, 10});
-  rotor.require_exactly({n});
+  const Input gravity(gravity_, "gravity", {3}), links(links_, "links", {n, 10}),
+      rotor(rotor_, "rotor", {n});
   if (drive.n != n)
-    raise_shape_error("Expected a drive of " + std::to_string(n) + " joints like the chain, got " + std::to_string(drive.n) + ".");
+    raise_shape_error("Expected a drive of " + std::to_string(n) + " joints like the chain, got " +
+                      std::to_string(drive.n) + ".");
   const Samples q(q_, "q", n), qd(qd_, "qd", q), qdd(qdd_, "qdd", q);
   const npy_intp N = q.size() / n;
   q.require_exactly({N, n});
   std::vector<double> dt;
   if (!dt_.is_none()) {
-    const Input steps(dt_, "dt");
-    steps.require_exactly({N});
+    const Input steps(dt_, "dt", {N});
     dt = copied(steps);
   }
   const Output tau(out, "out", {n}, {&q, &qd, &qdd});
   for (const Input *parameter : {&gravity, &links, &rotor}) tau.require_apart_from(*parameter);
   const double *inertia = rotor.data();
-  compute<3, 1>(q, {q.samples(), qd.samples(), qdd.samples()}, {tau.samples()}, [&](const auto &in, const auto &to) {
-    rnea(chain, in[0], in[1], in[2], gravity.data(), links.data(), to[0]);
-    for (int i = 0; i < n; ++i) to[0][i] = to[0][i] + inertia[i] * in[2][i];
-  });
+  compute<3, 1>(q, {q.samples(), qd.samples(), qdd.samples()}, {tau.samples()},
+      [&](const auto &in, const auto &to) {
+        rnea(chain, in[0], in[1], in[2], gravity.data(), links.data(), to[0]);
+        for (int i = 0; i < n; ++i) to[0][i] = to[0][i] + inertia[i] * in[2][i];
+      });
   {
-    nb::gil_scoped_release released;  // not at `return`, which counts one more reference to the array
-    add_drive_torque(drive, N, q.data(), qd.data(), qdd.data(), dt_.is_none() ? nullptr : dt.data(), tau.samples().data);
+    nb::gil_scoped_release
+        released;  // not at `return`, which counts one more reference to the array
+    add_drive_torque(drive, N, q.data(), qd.data(), qdd.data(), dt_.is_none() ? nullptr : dt.data(),
+        tau.samples().data);
   }
   return tau.array();
 }
 
 nb::object presliding(nb::handle q_, nb::handle delta_, nb::handle resolution_) {
-  const Input q(q_, "q"), delta(delta_, "delta"), resolution(resolution_, "resolution");
+  const Input q(q_, "q"), delta(delta_, "delta");
   const npy_intp n = delta.size(), N = n ? q.size() / n : 0;
   q.require_exactly({N, n});
   delta.require_exactly({n});
-  resolution.require_exactly({n});
+  const Input resolution(resolution_, "resolution", {n});
   const npy_intp shape[2] = {N, n};
   const nb::object array = fresh_array(2, shape);
-  double *z = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
+  double *z = numbers(array);
   {
     nb::gil_scoped_release released;
     std::vector<double> state(n, 0.0), play;
@@ -224,15 +241,15 @@ void bind_drive(nb::module_ &m) {
   using nb::arg;
   nb::class_<Drive>(m, "Drive", "Torque of the drives; tests/oracles/drive.py documents it.")
       .def("__init__", &construct, array("friction"), array("ripple"), arg("lines") = nb::none(),
-           arg("map") = nb::none(), arg("warm_up") = nb::none())
+          arg("map") = nb::none(), arg("warm_up") = nb::none())
       .def_ro("n", &Drive::n)
       .def("torque", &torque, array("q"), array("qd"), array("z"), arg("out") = nb::none(),
-           "Torque (..., n) at given presliding states.");
+          "Torque (..., n) at given presliding states.");
   m.def("basis_weights", &weights, array("x"), array("centres"), array("widths"),
-        "Normalised Gaussians (N, m) at x (N,); see tests/oracles/drive.py.");
-  m.def("model_torque", &model_torque, arg("chain"), array("gravity"), array("links"), array("rotor"), arg("drive"),
-        array("q"), array("qd"), array("qdd"), arg("dt") = nb::none(), arg("out") = nb::none(),
-        "Torque (N, n) of the arm and its drives along a record.");
+      "Normalised Gaussians (N, m) at x (N,); see tests/oracles/drive.py.");
+  m.def("model_torque", &model_torque, arg("chain"), array("gravity"), array("links"),
+      array("rotor"), arg("drive"), array("q"), array("qd"), array("qdd"), arg("dt") = nb::none(),
+      arg("out") = nb::none(), "Torque (N, n) of the arm and its drives along a record.");
   m.def("presliding", &presliding, array("q"), array("delta"), array("resolution"),
-        "Presliding friction state z (N, n) along positions q (N, n); see tests/oracles/drive.py.");
+      "Presliding friction state z (N, n) along positions q (N, n); see tests/oracles/drive.py.");
 }

@@ -11,14 +11,9 @@ namespace {
 
 Input finite(nb::handle value, const char *name, npy_intp width, npy_intp rows = -1) {
   Input input(value, name);
-  if (rows >= 0)
-    input.require_exactly({rows, width});
-  else
-    input.require_exactly({width});
-  for (npy_intp i = 0; i < input.size(); ++i)
-    if (!std::isfinite(input.data()[i]))
-      raise_shape_error(std::string("Expected finite ") + name + ", got NaN or Inf at number " + std::to_string(i) +
-                        ". Correct it.");
+  if (rows >= 0) input.require_exactly({rows, width});
+  else input.require_exactly({width});
+  require_finite(input);
   return input;
 }
 
@@ -39,12 +34,13 @@ Obstacles::Rule rule_of(double clearance, double reach, bool by_potential) {
   return {clearance, reach, by_potential ? Obstacles::Form::potential : Obstacles::Form::steering};
 }
 
-void construct(Obstacles *self, nb::handle arm, nb::handle links_, nb::handle bodies_, double clearance, double reach,
-               bool by_potential) {
+void construct(Obstacles *self, nb::handle arm, nb::handle links_, nb::handle bodies_,
+    double clearance, double reach, bool by_potential) {
   const Obstacles::Rule rule = rule_of(clearance, reach, by_potential);
   if (!nb::isinstance<Chain>(arm)) {
     const long n = nb::isinstance<nb::int_>(arm) ? nb::cast<long>(arm) : 0;
-    if (n != 2 && n != 3) raise_shape_error("Expected 2 or 3 axes of the space, or a Chain, got another.");
+    if (n != 2 && n != 3)
+      raise_shape_error("Expected 2 or 3 axes of the space, or a Chain, got another.");
     new (self) Obstacles(static_cast<int>(n), rule);
     return;
   }
@@ -72,17 +68,17 @@ void put(Obstacles &self, nb::handle capsules_) {
 nb::object distance(Obstacles &self, nb::handle y_) {
   const Samples y(y_, "y", self.n());
   const nb::object out = fresh_array(y.ndim() - 1, y.shape());
-  auto *to = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(out.ptr())));
-  for (npy_intp i = 0; i < y.size() / self.n(); ++i) to[i] = self.distance(y.data() + self.n() * i);
+  for (npy_intp i = 0; i < y.size() / self.n(); ++i)
+    numbers(out)[i] = self.distance(y.data() + self.n() * i);
   return out;
 }
 
 nb::object add(Obstacles &self, nb::handle y_, nb::handle yd_, nb::handle g_, nb::handle ydd_) {
   const npy_intp n = self.n();
-  const Input y = finite(y_, "y", n), yd = finite(yd_, "yd", n), g = finite(g_, "g", n), ydd = finite(ydd_, "ydd", n);
+  const Input y = finite(y_, "y", n), yd = finite(yd_, "yd", n), g = finite(g_, "g", n),
+              ydd = finite(ydd_, "ydd", n);
   const nb::object out = fresh_array(1, &n, ydd.data());
-  self.add(y.data(), yd.data(), g.data(),
-           static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(out.ptr()))));
+  self.add(y.data(), yd.data(), g.data(), numbers(out));
   return out;
 }
 
@@ -92,16 +88,19 @@ nb::object add(Obstacles &self, nb::handle y_, nb::handle yd_, nb::handle g_, nb
 void bind_obstacles(nb::module_ &m) {
   using namespace armlab;
   using nb::arg;
-  nb::class_<Obstacles>(m, "Obstacles", "What a motion goes around; see tests/oracles/obstacles.py.")
-      .def("__init__", &construct, arg("arm"), array("links"), array("bodies"), arg("clearance"), arg("reach"),
-           arg("by_potential") = false)
+  nb::class_<Obstacles>(
+      m, "Obstacles", "What a motion goes around; see tests/oracles/obstacles.py.")
+      .def("__init__", &construct, arg("arm"), array("links"), array("bodies"), arg("clearance"),
+          arg("reach"), arg("by_potential") = false)
       .def("place", &put, array("capsules"), "Obstacles (K, 10) from now on.")
       .def("distance", &distance, array("y"), "Least distance (...) of any surface at (..., n).")
-      .def("acts", [](Obstacles &self, nb::handle y) { return self.acts(finite(y, "y", self.n()).data()); }, array("y"),
-           "Whether anything is within reach at y (n,).")
-      .def("add", &add, array("y"), array("yd"), array("g"), array("ydd"), "Acceleration (n,) with what obstacles add.")
-      .def("advance", [](Obstacles &self, double dt) {
-             require_not_negative("dt", &dt, 1);
-             self.advance(dt);
-           }, arg("dt"), "Let the obstacles go on for dt.");
+      .def("add", &add, array("y"), array("yd"), array("g"), array("ydd"),
+          "Acceleration (n,) with what obstacles add.")
+      .def(
+          "advance",
+          [](Obstacles &self, double dt) {
+            require_not_negative("dt", &dt, 1);
+            self.advance(dt);
+          },
+          arg("dt"), "Let the obstacles go on for dt.");
 }

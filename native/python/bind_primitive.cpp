@@ -1,4 +1,5 @@
-// Python classes Primitive and PrimitiveStepper: arguments are checked here, the mathematics is in primitive.cpp.
+// Python classes Primitive and PrimitiveStepper: arguments are checked here, the mathematics is in
+// primitive.cpp.
 #include <algorithm>
 #include <cmath>
 #include <string>
@@ -11,31 +12,21 @@
 namespace armlab {
 namespace {
 
-constexpr double longest_spring = 1e7;  // time constants of the spring that a position phase integrates in one call
+constexpr double longest_spring =
+    1e7;  // time constants of the spring that a position phase integrates in one call
 
 const char *const phases[] = {"canonical", "time", "position", "periodic"};
 
-void require_finite(const Input &input) {
-  for (npy_intp i = 0; i < input.size(); ++i)
-    if (!std::isfinite(input.data()[i]))
-      raise_shape_error(std::string("Expected finite ") + input.name() + ", got NaN or Inf at number " + std::to_string(i) +
-                        ". Correct it.");
-}
-
-double *numbers(const nb::object &array) {
-  return static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
-}
-
-void construct(Primitive *self, nb::handle centres_, nb::handle widths_, nb::handle weights_, double alpha, double stiffness,
-               double decay, double pace, const char *phase) {
+void construct(Primitive *self, nb::handle centres_, nb::handle widths_, nb::handle weights_,
+    double alpha, double stiffness, double decay, double pace, const char *phase) {
   const Input centres(centres_, "centres"), widths(widths_, "widths"), weights(weights_, "weights");
   const npy_intp m = centres.size();
   if (m < 1) raise_shape_error("Expected at least one kernel, got none.");
   centres.require_exactly({m});
   widths.require_exactly({m});
   if (weights.ndim() != 2 || weights.shape()[0] != m || weights.shape()[1] < 1)
-    raise_shape_error("Expected weights of shape (" + std::to_string(m) + ", n), one row per kernel, got " +
-                      weights.shape_text() + ".");
+    raise_shape_error("Expected weights of shape (" + std::to_string(m) +
+                      ", n), one row per kernel, got " + weights.shape_text() + ".");
   require_finite(centres);
   require_finite(weights);
   require_positive("widths", widths.data(), m);
@@ -44,7 +35,8 @@ void construct(Primitive *self, nb::handle centres_, nb::handle widths_, nb::han
   Primitive p;
   const auto found = std::find(std::begin(phases), std::end(phases), std::string(phase));
   if (found == std::end(phases))
-    raise_shape_error("Expected canonical, time, position or periodic as phase, got '" + std::string(phase) + "'.");
+    raise_shape_error("Expected canonical, time, position or periodic as phase, got '" +
+                      std::string(phase) + "'.");
   p.phase = static_cast<PhaseKind>(found - std::begin(phases));
   p.n = static_cast<int>(weights.shape()[1]);
   p.m = static_cast<int>(m);
@@ -54,7 +46,8 @@ void construct(Primitive *self, nb::handle centres_, nb::handle widths_, nb::han
   p.pace = pace;
   p.centres.assign(centres.data(), centres.data() + m);
   p.weights.assign(weights.data(), weights.data() + weights.size());
-  for (npy_intp j = 0; j < m; ++j) p.curvatures.push_back(0.5 / (widths.data()[j] * widths.data()[j]));
+  for (npy_intp j = 0; j < m; ++j)
+    p.curvatures.push_back(0.5 / (widths.data()[j] * widths.data()[j]));
   new (self) Primitive(p);
 }
 
@@ -68,14 +61,16 @@ nb::object basis(const Primitive &p, nb::handle x_, nb::handle out_) {
   return out.array();
 }
 
-nb::object design(const Primitive &p, nb::handle x_, nb::handle factors_, npy_intp rows, npy_intp columns) {
+nb::object design(
+    const Primitive &p, nb::handle x_, nb::handle factors_, npy_intp rows, npy_intp columns) {
   const Input x(x_, "x"), factors(factors_, "factors");
   const npy_intp N = x.size(), shape[2] = {columns, rows};
   for (const Input *input : {&x, &factors}) {
     input->require_exactly({N});
     require_finite(*input);
   }
-  if (rows < N || columns < p.m) raise_shape_error("Expected room for every phase and kernel, got too few rows or columns.");
+  if (rows < N || columns < p.m)
+    raise_shape_error("Expected room for every phase and kernel, got too few rows or columns.");
   const nb::object matrix = fresh_array(2, shape);
   std::fill(numbers(matrix), numbers(matrix) + rows * columns, 0.0);
   p.basis(N, x.data(), factors.data(), 1, rows, numbers(matrix));
@@ -90,14 +85,16 @@ nb::object forcing(const Primitive &p, nb::handle x_, nb::handle out_) {
     require_finite(x);
     const Output out(out_, "out", {p.n}, {&x});
     double *to = out.samples().data;
-    for (npy_intp k = 0; k < x.size(); k += p.n) p.forcing_each(x.data() + k, index.data(), psi.data(), to + k);
+    for (npy_intp k = 0; k < x.size(); k += p.n)
+      p.forcing_each(x.data() + k, index.data(), psi.data(), to + k);
     return out.array();
   }
   const Elements x(x_, "x", {});
   require_finite(x);
   const Output out(out_, "out", {p.n}, {&x});
   double *to = out.samples().data;
-  for (npy_intp k = 0; k < x.size(); ++k) p.forcing(x.data()[k], index.data(), psi.data(), to + k * p.n);
+  for (npy_intp k = 0; k < x.size(); ++k)
+    p.forcing(x.data()[k], index.data(), psi.data(), to + k * p.n);
   return out.array();
 }
 
@@ -109,31 +106,33 @@ npy_intp read_times(const Input &t) {
   require_finite(t);
   for (npy_intp k = 1; k < N; ++k)
     if (!(t.data()[k] > t.data()[k - 1]))
-      raise_shape_error("Expected times that increase, got one that does not at row " + std::to_string(k) +
-                        ". Drop repeated samples.");
+      raise_shape_error("Expected times that increase, got one that does not at row " +
+                        std::to_string(k) + ". Drop repeated samples.");
   return N;
 }
 
 void require_steps(const Primitive &p, double span, double tau, bool coupled = false) {
-  if ((coupled || p.phase == PhaseKind::position) && !(span / tau * std::max(p.alpha, std::sqrt(p.stiffness)) < longest_spring))
-    raise_shape_error("Expected less than 1e7 time constants of the spring, got more. Ask for a shorter motion.");
+  if ((coupled || p.phase == PhaseKind::position) &&
+      !(span / tau * std::max(p.alpha, std::sqrt(p.stiffness)) < longest_spring))
+    raise_shape_error(
+        "Expected less than 1e7 time constants of the spring, got more. Ask for a shorter motion.");
 }
 
-nb::object run(const Primitive &p, nb::handle t_, double tau, nb::handle y0_, nb::handle v0_, nb::handle g_,
-               nb::handle scale_, nb::handle weights_) {
+nb::object run(const Primitive &p, nb::handle t_, double tau, nb::handle y0_, nb::handle v0_,
+    nb::handle g_, nb::handle scale_, nb::handle weights_) {
   const Input t(t_, "t");
   const npy_intp N = read_times(t), n = p.n;
   require_positive("tau", &tau, 1);
   require_steps(p, t.data()[N - 1] - t.data()[0], tau);
   const Samples y0(y0_, "y0", p.n), v0(v0_, "v0", y0), g(g_, "g", y0), scale(scale_, "scale", y0);
   for (const Input *input : {&y0, &v0, &g, &scale}) require_finite(*input);
-  if (y0.ndim() > 2) raise_shape_error("Expected y0 of shape (n,) or (K, n), got " + y0.shape_text() + ".");
+  if (y0.ndim() > 2)
+    raise_shape_error("Expected y0 of shape (n,) or (K, n), got " + y0.shape_text() + ".");
   const npy_intp K = y0.ndim() == 2 ? y0.shape()[0] : 1;
   nb::object own;
   const double *weights = nullptr;
   if (!weights_.is_none()) {
-    const Input given(weights_, "weights");
-    given.require_exactly({K, p.m, n});
+    const Input given(weights_, "weights", {K, p.m, n});
     require_finite(given);
     own = given.object();
     weights = given.data();
@@ -144,8 +143,8 @@ nb::object run(const Primitive &p, nb::handle t_, double tau, nb::handle y0_, nb
   const nb::object y = fresh(), yd = fresh(), ydd = fresh(), x = fresh_array(1, many), f = fresh();
   {
     nb::gil_scoped_release released;
-    rollout(p, N, t.data(), tau, K, y0.data(), v0.data(), g.data(), scale.data(), weights, numbers(y), numbers(yd),
-            numbers(ydd), numbers(x), numbers(f));
+    rollout(p, N, t.data(), tau, K, y0.data(), v0.data(), g.data(), scale.data(), weights,
+        numbers(y), numbers(yd), numbers(ydd), numbers(x), numbers(f));
   }
   return nb::make_tuple(y, yd, ydd, x, f);
 }
@@ -156,7 +155,9 @@ nb::object responses(const Primitive &p, nb::handle t_, double tau, double longe
   const double positive[] = {tau, longest};
   require_positive("tau and longest step", positive, 2);
   if (p.phase == PhaseKind::position)
-    raise_shape_error("Expected a phase that does not depend on the motion, got 'position': its response is not linear.");
+    raise_shape_error(
+        "Expected a phase that does not depend on the motion, got 'position': its response is not "
+        "linear.");
   const nb::object y = fresh_array(2, shape), yd = fresh_array(2, shape);
   {
     nb::gil_scoped_release released;
@@ -165,22 +166,22 @@ nb::object responses(const Primitive &p, nb::handle t_, double tau, double longe
   return nb::make_tuple(y, yd);
 }
 
-void construct_stepper(PrimitiveStepper *self, const Primitive &p, double filter, Obstacles *around) {
+void construct_stepper(
+    PrimitiveStepper *self, const Primitive &p, double filter, Obstacles *around) {
   require_not_negative("filter", &filter, 1);
   if (around && around->n() != p.n)
-    raise_shape_error("Expected obstacles for " + std::to_string(p.n) + " coordinates, got " + std::to_string(around->n()) +
-                      ".");
+    raise_shape_error("Expected obstacles for " + std::to_string(p.n) + " coordinates, got " +
+                      std::to_string(around->n()) + ".");
   new (self) PrimitiveStepper(p);
   self->filter = filter;
   self->coupling = around;
 }
 
-void start(PrimitiveStepper &self, nb::handle y0_, nb::handle v0_, nb::handle g_, nb::handle scale_, double tau) {
-  const Input y0(y0_, "y0"), v0(v0_, "v0"), g(g_, "g"), scale(scale_, "scale");
-  for (const Input *input : {&y0, &v0, &g, &scale}) {
-    input->require_exactly({self.primitive.n});
-    require_finite(*input);
-  }
+void start(PrimitiveStepper &self, nb::handle y0_, nb::handle v0_, nb::handle g_, nb::handle scale_,
+    double tau) {
+  const npy_intp n = self.primitive.n;
+  const Input y0(y0_, "y0", {n}), v0(v0_, "v0", {n}), g(g_, "g", {n}), scale(scale_, "scale", {n});
+  for (const Input *input : {&y0, &v0, &g, &scale}) require_finite(*input);
   require_positive("tau", &tau, 1);
   self.start(y0.data(), v0.data(), g.data(), scale.data(), tau);
 }
@@ -210,21 +211,18 @@ nb::object follow(PrimitiveStepper &self, nb::handle t_) {
     nb::gil_scoped_release released;
     for (npy_intp k = 0; k < N; ++k) {
       if (k > 0) self.step(t.data()[k] - t.data()[k - 1]);
-      self.outputs(numbers(y) + k * n, numbers(yd) + k * n, numbers(ydd) + k * n, numbers(f) + k * n);
+      self.outputs(
+          numbers(y) + k * n, numbers(yd) + k * n, numbers(ydd) + k * n, numbers(f) + k * n);
     }
   }
   return nb::make_tuple(y, yd, ydd, f);
 }
 
 void change_goal(PrimitiveStepper &self, nb::handle g_, nb::handle scale_, nb::handle limit_) {
-  const Input g(g_, "g"), scale(scale_, "scale");
-  for (const Input *input : {&g, &scale}) {
-    input->require_exactly({self.primitive.n});
-    require_finite(*input);
-  }
+  const Input g(g_, "g", {self.primitive.n}), scale(scale_, "scale", {self.primitive.n});
+  for (const Input *input : {&g, &scale}) require_finite(*input);
   if (limit_.is_none()) return self.change_goal(g.data(), scale.data(), nullptr);
-  const Input limit(limit_, "limit");
-  limit.require_exactly({self.primitive.n});
+  const Input limit(limit_, "limit", {self.primitive.n});
   require_not_negative("limit", limit.data(), limit.size());
   self.change_goal(g.data(), scale.data(), limit.data());
 }
@@ -242,31 +240,41 @@ nb::object stepper_forcing(const PrimitiveStepper &self) {
 void bind_primitive(nb::module_ &m) {
   using namespace armlab;
   using nb::arg;
-  nb::class_<Primitive>(m, "Primitive", "Spring, damper and forcing; see tests/oracles/primitive.py.")
-      .def("__init__", &construct, array("centres"), array("widths"), array("weights"), arg("alpha"), arg("stiffness"),
-           arg("decay"), arg("pace"), arg("phase"))
-      .def("basis", &basis, array("x"), arg("out").none() = nb::none(), "Normalised kernels (..., m) at phases (...).")
+  nb::class_<Primitive>(
+      m, "Primitive", "Spring, damper and forcing; see tests/oracles/primitive.py.")
+      .def("__init__", &construct, array("centres"), array("widths"), array("weights"),
+          arg("alpha"), arg("stiffness"), arg("decay"), arg("pace"), arg("phase"))
+      .def("basis", &basis, array("x"), arg("out").none() = nb::none(),
+          "Normalised kernels (..., m) at phases (...).")
       .def("design", &design, array("x"), array("factors"), arg("rows"), arg("columns"),
-           "Kernels at phases (N,) times factors (N,) in the corner [:m, :N] of zeros (columns, rows).")
-      .def("forcing", &forcing, array("x"), arg("out").none() = nb::none(), "Forcing (..., n) at phases.")
-      .def("rollout", &run, array("t"), arg("tau"), array("y0"), array("v0"), array("g"), array("scale"),
-           arg("weights").none() = nb::none(), "y, yd, ydd, x and f over times (N,).")
+          "Kernels at phases (N,) times factors (N,) in the corner [:m, :N] of zeros (columns, "
+          "rows).")
+      .def("forcing", &forcing, array("x"), arg("out").none() = nb::none(),
+          "Forcing (..., n) at phases.")
+      .def("rollout", &run, array("t"), arg("tau"), array("y0"), array("v0"), array("g"),
+          array("scale"), arg("weights").none() = nb::none(),
+          "y, yd, ydd, x and f over times (N,).")
       .def("response", &responses, array("t"), arg("tau"), arg("longest"),
-           "Position and velocity (N, m + 3) of each kernel, y0, v0 and g alone.");
-  nb::class_<PrimitiveStepper>(m, "PrimitiveStepper",
-                               "One run, sample by sample; see tests/oracles/primitive.py.")
-      .def("__init__", &construct_stepper, arg("primitive"), arg("filter") = 0.0, arg("around").none() = nb::none(),
-           nb::keep_alive<1, 4>())
-      .def("start", &start, array("y0"), array("v0"), array("g"), array("scale"), arg("tau"), "Begin at phase time 0.")
+          "Position and velocity (N, m + 3) of each kernel, y0, v0 and g alone.");
+  nb::class_<PrimitiveStepper>(
+      m, "PrimitiveStepper", "One run, sample by sample; see tests/oracles/primitive.py.")
+      .def("__init__", &construct_stepper, arg("primitive"), arg("filter") = 0.0,
+          arg("around").none() = nb::none(), nb::keep_alive<1, 4>())
+      .def("start", &start, array("y0"), array("v0"), array("g"), array("scale"), arg("tau"),
+          "Begin at phase time 0.")
       .def("step", &step, arg("dt"), "Advance by dt and return y, yd, ydd.")
-      .def("follow", &follow, array("t"), "y, yd, ydd and f over times (N,), the first of which is now.")
+      .def("follow", &follow, array("t"),
+          "y, yd, ydd and f over times (N,), the first of which is now.")
       .def("outputs", &outputs, "y, yd and ydd as they are now.")
-      .def("change_goal", &change_goal, array("g"), array("scale"), arg("limit").none() = nb::none(),
-           "Another goal from now on.")
-      .def("change_tau", [](PrimitiveStepper &self, double tau) {
-             require_positive("tau", &tau, 1);
-             self.change_tau(tau);
-           }, arg("tau"), "Another time constant from now on.")
+      .def("change_goal", &change_goal, array("g"), array("scale"),
+          arg("limit").none() = nb::none(), "Another goal from now on.")
+      .def(
+          "change_tau",
+          [](PrimitiveStepper &self, double tau) {
+            require_positive("tau", &tau, 1);
+            self.change_tau(tau);
+          },
+          arg("tau"), "Another time constant from now on.")
       .def_prop_ro("tau", &PrimitiveStepper::tau, "Time constant [s].")
       .def_prop_ro("elapsed", &PrimitiveStepper::elapsed, "Phase time in units of tau.")
       .def_prop_ro("forcing", &stepper_forcing, "Forcing (n,) now.");

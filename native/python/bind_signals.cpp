@@ -10,7 +10,8 @@
 namespace armlab {
 namespace {
 
-const char *const kinds[] = {"trapezoid", "euler", "difference", "exponential", "lowpass", "slope", "notch"};
+const char *const kinds[] = {
+    "trapezoid", "euler", "difference", "exponential", "lowpass", "slope", "notch"};
 
 struct PySignalOperator {
   SignalOperator kernel;
@@ -21,23 +22,28 @@ std::vector<double> values_of(nb::handle init) {
   if (init.is_none()) return {};
   const Input values(init, "init");
   for (npy_intp i = 0; i < values.size(); ++i)
-    if (!std::isfinite(values.data()[i])) raise_shape_error("Expected a finite init, got NaN or Inf.");
+    if (!std::isfinite(values.data()[i]))
+      raise_shape_error("Expected a finite init, got NaN or Inf.");
   return {values.data(), values.data() + values.size()};
 }
 
-void construct(PySignalOperator *self, const char *kind, double a, double b, double dt, nb::handle init) {
+void construct(
+    PySignalOperator *self, const char *kind, double a, double b, double dt, nb::handle init) {
   for (int i = 0; i < 7; ++i)
     if (kind == std::string(kinds[i])) {
-      new (self) PySignalOperator{SignalOperator(static_cast<SignalKind>(i), a, b, dt, values_of(init)), {}};
+      new (self) PySignalOperator{
+          SignalOperator(static_cast<SignalKind>(i), a, b, dt, values_of(init)), {}};
       return;
     }
   raise_shape_error("Expected a kind of signal operator, got '" + std::string(kind) + "'.");
 }
 
-void check_shape(PySignalOperator &self, int ndim, const npy_intp *shape, npy_intp size, const std::string &text) {
+void check_shape(PySignalOperator &self, int ndim, const npy_intp *shape, npy_intp size,
+    const std::string &text) {
   const std::vector<npy_intp> now(shape, shape + ndim);
   const std::size_t init = self.kernel.init().size();
-  if (self.kernel.channels() ? now == self.shape : init <= 1 || static_cast<npy_intp>(init) == size) {
+  if (self.kernel.channels() ? now == self.shape
+                             : init <= 1 || static_cast<npy_intp>(init) == size) {
     self.shape = now;
     return;
   }
@@ -48,25 +54,33 @@ void check_shape(PySignalOperator &self, int ndim, const npy_intp *shape, npy_in
 void check_status(SignalStatus status, npy_intp row) {
   const char *sentence = nullptr;
   switch (status) {
-    case SignalStatus::ok: return;
+    case SignalStatus::ok:
+      return;
     case SignalStatus::time_backward:
-      sentence = "Expected a time stamp after the last one, got one that is not. Drop repeated samples, or reset the "
-                 "operator for a new record";
+      sentence =
+          "Expected a time stamp after the last one, got one that is not. Drop repeated samples, "
+          "or reset the "
+          "operator for a new record";
       break;
     case SignalStatus::time_missing:
-      sentence = "Expected a time stamp with every sample, got none. Give t, as with the first sample, or dt when the "
-                 "operator is made";
+      sentence =
+          "Expected a time stamp with every sample, got none. Give t, as with the first sample, or "
+          "dt when the "
+          "operator is made";
       break;
     case SignalStatus::time_unexpected:
-      sentence = "Expected no time stamps after a first sample without one, got one. Give t with every sample or with "
-                 "none";
+      sentence =
+          "Expected no time stamps after a first sample without one, got one. Give t with every "
+          "sample or with "
+          "none";
   }
   raise_shape_error(sentence + (row < 0 ? std::string() : ", in row " + std::to_string(row)) + ".");
 }
 
 nb::object step(PySignalOperator &self, nb::handle x_, nb::handle t_) {
   const Input x(x_, "x");
-  if (self.kernel.channels() != static_cast<std::size_t>(x.size()) || self.shape.size() != std::size_t(x.ndim()) ||
+  if (self.kernel.channels() != static_cast<std::size_t>(x.size()) ||
+      self.shape.size() != std::size_t(x.ndim()) ||
       !std::equal(self.shape.begin(), self.shape.end(), x.shape()))
     check_shape(self, x.ndim(), x.shape(), x.size(), x.shape_text());
   double t = 0.0;
@@ -75,23 +89,24 @@ nb::object step(PySignalOperator &self, nb::handle x_, nb::handle t_) {
     if (t == -1.0 && PyErr_Occurred()) throw nb::python_error();
   }
   const nb::object out = fresh_array(x.ndim(), x.shape());
-  double *data = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(out.ptr())));
+  double *data = numbers(out);
   check_status(self.kernel.step(x.size(), x.data(), t_.is_none() ? nullptr : &t, data), -1);
   return x.ndim() ? out : nb::steal(PyFloat_FromDouble(*data));
 }
 
 nb::object run(PySignalOperator &self, nb::handle x_, nb::handle t_) {
   const Input x(x_, "x");
-  if (x.ndim() < 1) raise_shape_error("Expected samples (N, ...) along axis 0, got a number. Use step for one sample.");
+  if (x.ndim() < 1)
+    raise_shape_error(
+        "Expected samples (N, ...) along axis 0, got a number. Use step for one sample.");
   const npy_intp N = x.shape()[0], size = N ? x.size() / N : 0;
   if (N) check_shape(self, x.ndim() - 1, x.shape() + 1, size, x.shape_text());
   const nb::object out = fresh_array(x.ndim(), x.shape());
-  double *data = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(out.ptr())));
+  double *data = numbers(out);
   nb::object stamps;
   const double *t = nullptr;
   if (!t_.is_none()) {
-    const Input given(t_, "t");
-    given.require_exactly({N});
+    const Input given(t_, "t", {N});
     stamps = given.object();
     t = given.data();
   }
@@ -117,16 +132,23 @@ void reset(PySignalOperator &self, nb::handle init) {
 
 void bind_signals(nb::module_ &m) {
   using namespace armlab;
-  nb::class_<PySignalOperator>(m, "SignalOperator",
-                               "Streaming operator on a signal; see tests/oracles/signals.py.")
+  nb::class_<PySignalOperator>(
+      m, "SignalOperator", "Streaming operator on a signal; see tests/oracles/signals.py.")
       .def("__init__", &construct, nb::arg("kind"), nb::arg("a"), nb::arg("b"), nb::arg("dt"),
-           nb::arg("init").none() = nb::none())
-      .def("step", &step, array("x"), nb::arg("t").none() = nb::none(), "Advance by one sample and return the output.")
+          nb::arg("init").none() = nb::none())
+      .def("step", &step, array("x"), nb::arg("t").none() = nb::none(),
+          "Advance by one sample and return the output.")
       .def("run", &run, array("x"), nb::arg("t").none() = nb::none(),
-           "Step along samples (N, ...) and return the outputs stacked over N.")
-      .def("reset", &reset, nb::arg("init").none() = nb::none(), "Forget all samples; start again from init.")
-      .def_prop_ro("gaps", [](const PySignalOperator &self) { return self.kernel.gaps; }, "Steps longer than 1.5 dt.")
-      .def_prop_ro("longest_gap", [](const PySignalOperator &self) { return self.kernel.longest_gap; }, "Longest of them.")
-      .def_prop_ro("skipped", [](const PySignalOperator &self) { return self.kernel.skipped; },
-                   "Samples that were not finite.");
+          "Step along samples (N, ...) and return the outputs stacked over N.")
+      .def("reset", &reset, nb::arg("init").none() = nb::none(),
+          "Forget all samples; start again from init.")
+      .def_prop_ro(
+          "gaps", [](const PySignalOperator &self) { return self.kernel.gaps; },
+          "Steps longer than 1.5 dt.")
+      .def_prop_ro(
+          "longest_gap", [](const PySignalOperator &self) { return self.kernel.longest_gap; },
+          "Longest of them.")
+      .def_prop_ro(
+          "skipped", [](const PySignalOperator &self) { return self.kernel.skipped; },
+          "Samples that were not finite.");
 }

@@ -10,48 +10,42 @@ namespace armlab {
 namespace {
 
 std::vector<double> row(nb::handle value, const char *name, npy_intp length) {
-  const Input input(value, name);
-  input.require_exactly({length});
+  const Input input(value, name, {length});
   return {input.data(), input.data() + length};
 }
 
 std::vector<double> finite_row(nb::handle value, const char *name, npy_intp length) {
-  const std::vector<double> numbers = row(value, name, length);
-  for (npy_intp i = 0; i < length; ++i)
-    if (!std::isfinite(numbers[i]))
-      raise_shape_error(std::string("Expected finite ") + name + ", got NaN or Inf at number " + std::to_string(i) +
-                        ". Correct it.");
-  return numbers;
+  const Input input(value, name, {length});
+  require_finite(input);
+  return {input.data(), input.data() + length};
 }
 
-void construct(TwoDof *self, const Primitive &primitive, double tau, nb::handle y0, nb::handle g, nb::handle scale,
-               nb::handle gains_, nb::handle dead_zone, nb::handle unit) {
+void construct(TwoDof *self, const Primitive &primitive, double tau, nb::handle y0, nb::handle g,
+    nb::handle scale, nb::handle gains_, nb::handle dead_zone, nb::handle unit) {
   const int n = primitive.n;
   if (n > max_joints)
-    raise_shape_error("Expected at most " + std::to_string(max_joints) + " coordinates, got " + std::to_string(n) + ".");
-  const auto start = finite_row(y0, "y0", n), goal = finite_row(g, "g", n), factor = finite_row(scale, "scale", n);
-  const auto gains = row(gains_, "gains", 5), zone = row(dead_zone, "dead_zone", n), units = row(unit, "unit", n);
+    raise_shape_error("Expected at most " + std::to_string(max_joints) + " coordinates, got " +
+                      std::to_string(n) + ".");
+  const auto start = finite_row(y0, "y0", n), goal = finite_row(g, "g", n),
+             factor = finite_row(scale, "scale", n);
+  const auto gains = row(gains_, "gains", 5), zone = row(dead_zone, "dead_zone", n),
+             units = row(unit, "unit", n);
   require_positive("tau", &tau, 1);
   require_positive("unit", units.data(), n);
   require_not_negative("gains", gains.data(), 4);
   require_not_negative("dead_zone", zone.data(), n);
   if (!(gains[4] > 0.0)) raise_shape_error("Expected e_max above zero, got another number.");
-  new (self) TwoDof({primitive, tau, gains[0], gains[1], gains[2], gains[3], gains[4], start, goal, factor, zone, units});
-}
-
-double *numbers(const nb::object &array) {
-  return static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
+  new (self) TwoDof({primitive, tau, gains[0], gains[1], gains[2], gains[3], gains[4], start, goal,
+      factor, zone, units});
 }
 
 nb::object copied(const TwoDof &self, nb::handle state_) {
-  const Input state(state_, "state");
-  state.require_exactly({self.size()});
+  const Input state(state_, "state", {self.size()});
   return fresh_array(1, state.shape(), state.data());
 }
 
 TwoDof::Speed speed_of(nb::handle value) {
-  const Input speed(value, "speed");
-  speed.require_exactly({3});
+  const Input speed(value, "speed", {3});
   return {speed.data()[0], speed.data()[1], speed.data()[2]};
 }
 
@@ -60,10 +54,10 @@ void check_step(double dt, long steps) {
     raise_shape_error("Expected a finite dt from 0 in at least one step, got others.");
 }
 
-nb::object advance(TwoDof &self, nb::handle state_, double dt, long steps, nb::handle driven_, nb::handle speed_) {
+nb::object advance(
+    TwoDof &self, nb::handle state_, double dt, long steps, nb::handle driven_, nb::handle speed_) {
   const nb::object state = copied(self, state_);
-  const Input driven(driven_, "driven");
-  driven.require_exactly({self.n()});
+  const Input driven(driven_, "driven", {self.n()});
   const auto speed = speed_of(speed_);
   check_step(dt, steps);
   self.advance(numbers(state), dt, steps, driven.data(), speed);
@@ -71,8 +65,7 @@ nb::object advance(TwoDof &self, nb::handle state_, double dt, long steps, nb::h
 }
 
 nb::object reference(TwoDof &self, nb::handle state_, nb::handle speed) {
-  const Input state(state_, "state");
-  state.require_exactly({self.size()});
+  const Input state(state_, "state", {self.size()});
   const npy_intp shape[2] = {3, self.n()};
   const nb::object out = fresh_array(2, shape);
   self.reference(state.data(), speed_of(speed), numbers(out));
@@ -80,21 +73,18 @@ nb::object reference(TwoDof &self, nb::handle state_, nb::handle speed) {
 }
 
 nb::object slopes(TwoDof &self, nb::handle state_, nb::handle speed) {
-  const Input state(state_, "state");
-  state.require_exactly({self.size()});
+  const Input state(state_, "state", {self.size()});
   const nb::object out = fresh_array(1, state.shape());
   self.slopes(state.data(), speed_of(speed), numbers(out));
   return out;
 }
 
-nb::object follow(TwoDof &self, nb::handle state_, double dt, long steps, nb::handle speed_, nb::handle ya_,
-                  nb::handle yad_) {
+nb::object follow(TwoDof &self, nb::handle state_, double dt, long steps, nb::handle speed_,
+    nb::handle ya_, nb::handle yad_) {
   const nb::object state = copied(self, state_);
   const auto speed = speed_of(speed_);
   check_step(dt, steps);
-  const Input ya(ya_, "ya"), yad(yad_, "yad");
-  ya.require_exactly({self.n()});
-  yad.require_exactly({self.n()});
+  const Input ya(ya_, "ya", {self.n()}), yad(yad_, "yad", {self.n()});
   const npy_intp shape[2] = {3, self.n()};
   const nb::object out = fresh_array(2, shape);
   self.follow(numbers(state), dt, steps, speed, ya.data(), yad.data(), numbers(out));
@@ -102,8 +92,7 @@ nb::object follow(TwoDof &self, nb::handle state_, double dt, long steps, nb::ha
 }
 
 double time_constant(const TwoDof &self, nb::handle state_) {
-  const Input state(state_, "state");
-  state.require_exactly({self.size()});
+  const Input state(state_, "state", {self.size()});
   return self.time_constant(state.data());
 }
 
@@ -114,14 +103,16 @@ void bind_two_dof(nb::module_ &m) {
   using namespace armlab;
   using nb::arg;
   nb::class_<TwoDof>(m, "TwoDof", "Two-degree-of-freedom control; see tests/oracles/two_dof.py.")
-      .def("__init__", &construct, arg("primitive"), arg("tau"), array("y0"), array("g"), array("scale"),
-           array("gains"), array("dead_zone"), array("unit"))
+      .def("__init__", &construct, arg("primitive"), arg("tau"), array("y0"), array("g"),
+          array("scale"), array("gains"), array("dead_zone"), array("unit"))
       .def_prop_ro("n", &TwoDof::n, "Number of coordinates.")
-      .def("advance", &advance, array("state"), arg("dt"), arg("steps"), array("driven"), array("speed"),
-           "Return the state after dt seconds.")
-      .def("reference", &reference, array("state"), array("speed"), "Return (3, n) yc', yc'' and ya_ref''.")
-      .def("slopes", &slopes, array("state"), array("speed"), "Return the time derivative of a state.")
-      .def("follow", &follow, array("state"), arg("dt"), arg("steps"), array("speed"), array("ya"), array("yad"),
-           "Return the state when ya and ya' are measured, and its reference.")
+      .def("advance", &advance, array("state"), arg("dt"), arg("steps"), array("driven"),
+          array("speed"), "Return the state after dt seconds.")
+      .def("reference", &reference, array("state"), array("speed"),
+          "Return (3, n) yc', yc'' and ya_ref''.")
+      .def("slopes", &slopes, array("state"), array("speed"),
+          "Return the time derivative of a state.")
+      .def("follow", &follow, array("state"), arg("dt"), arg("steps"), array("speed"), array("ya"),
+          array("yad"), "Return the state when ya and ya' are measured, and its reference.")
       .def("time_constant", &time_constant, array("state"), "Return tau_a [s] of a state.");
 }

@@ -1,4 +1,5 @@
-// The extension module armlab.kernels._native. Each topic binds its own kernels; this file only calls them.
+// The extension module armlab.kernels._native. Each topic binds its own kernels; this file only
+// calls them.
 #define ARMLAB_IMPORTS_NUMPY
 #include "array/arrays.h"
 
@@ -32,10 +33,12 @@ NB_MODULE(_native, m) {
     try {
       std::rethrow_exception(thrown);
     } catch (const std::bad_cast &) {  // an argument within a list or tuple
-      PyErr_SetString(PyExc_TypeError, "Expected arguments of the types that the documentation names, got another.");
+      PyErr_SetString(PyExc_TypeError,
+          "Expected arguments of the types that the documentation names, got another.");
     }
   });
-  nb::set_leak_warnings(false);  // a robot that a module keeps until the interpreter ends is no leak, and nothing prints
+  nb::set_leak_warnings(false);  // a robot that a module keeps until the interpreter ends is no
+                                 // leak, and nothing prints
   m.doc() = "Compiled kernels of armlab; armlab.kernels is their public face.";
   bind_chain(m);
   bind_datagrams(m);

@@ -1,14 +1,19 @@
-"""One sample, a batch of any size and any number of threads give the same bits; what is bad stays where it is."""
+"""Arrays in and out of the kernels: any kind, any batch and any number of threads give the same bits."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
+from armlab import kernels
 from armlab.errors import ConfigError, ShapeError
 from armlab.kernels import Chain
+
+from .test_chain import METHODS, pose
+from .test_lie import FUNCTIONS, function, inputs
 
 KERNELS = ("forward", "jacobian", "forward_jacobian", "link_transforms")
 THREADED = KERNELS[:3]
@@ -32,7 +37,90 @@ def flat(result: Any) -> list[np.ndarray]:
 
 def assert_same_bits(ours: Any, wanted: Any) -> None:
     for one, other in zip(flat(ours), flat(wanted), strict=True):
-        np.testing.assert_array_equal(one.view(np.int64), other.view(np.int64))
+        np.testing.assert_array_equal(np.asarray(one).view(np.int64), np.asarray(other).view(np.int64))
+
+
+BATCH = (2, 35)  # whole groups of four samples, and a rest
+
+
+def batches() -> dict[str, tuple[Callable[..., Any], list[np.ndarray], int]]:
+    """Every kernel that takes samples, with arguments of which the first so many are samples."""
+    rng, chain = (
+        np.random.default_rng(1),
+        Chain([pose((0.3, -0.2 * k, 0.1, 0.1, 0.2, 0.3)) for k in range(5)], [0, 1, 0, 0]),
+    )
+    given = inputs(BATCH, rng.uniform(0, np.pi, BATCH) * rng.integers(0, 2, BATCH), 2)
+    given |= {"gravity": rng.normal(size=3), "pi": rng.normal(size=(4, 10))}
+    found = {
+        name: (function(kernels, name), [given[kind] for kind in kinds], len(kinds))
+        for name, kinds in FUNCTIONS.items()
+    }
+    given |= {name: rng.normal(size=(*BATCH, 4)) for name in ("q", "qd", "qdd")}
+    for name, kinds in METHODS.items():
+        own = len([kind for kind in kinds if kind[0] == "q"])
+        found[f"Chain.{name}"] = getattr(chain, name), [given[kind] for kind in kinds], own
+    return found
+
+
+CALLS = batches()
+EVERY = pytest.mark.parametrize("name", CALLS)
+
+
+@EVERY
+def test_every_kind_of_input_gives_the_same(name: str) -> None:
+    """Read-only, non-contiguous, big-endian and lists; and no input is changed."""
+    call, given, _ = CALLS[name]
+    plain, wanted = [array.copy() for array in given], call(*given)
+    for array in plain:
+        array.flags.writeable = False
+    strided = [np.repeat(array, 2, axis=-1)[..., ::2] for array in plain]
+    swapped, lists = [array.astype(">f8") for array in plain], [array.tolist() for array in plain]
+    for arguments in (plain, strided, [np.asfortranarray(array) for array in plain], swapped, lists):
+        assert_same_bits(call(*arguments), wanted)
+    assert_same_bits(tuple(plain), tuple(given))
+
+
+@EVERY
+def test_a_batch_is_a_loop(name: str) -> None:
+    call, given, own = CALLS[name]
+    whole = flat(call(*given))
+    for index in np.ndindex(*BATCH):
+        sample = [array[index] if k < own else array for k, array in enumerate(given)]
+        assert_same_bits(call(*sample), tuple(array[index] for array in whole) if len(whole) > 1 else whole[0][index])
+
+
+@EVERY
+def test_a_missing_number_stays_in_its_sample(name: str) -> None:
+    call, given, _ = CALLS[name]
+    arguments, clean = [array.copy() for array in given], flat(call(*given))
+    arguments[0][1, 2] = np.nan
+    for dirty, wanted in zip(flat(call(*arguments)), clean, strict=True):
+        assert np.isnan(dirty[1, 2]).any()
+        dirty[1, 2] = wanted[1, 2]
+        np.testing.assert_array_equal(dirty, wanted)
+
+
+@EVERY
+def test_results_go_into_arrays_of_the_caller(name: str) -> None:
+    """Writable float64 that shares no memory with a sample."""
+    call, given, own = CALLS[name]
+    wanted = call(*given)
+    out = [np.full(array.shape, np.nan) for array in flat(wanted)]
+
+    def result(arguments: list[np.ndarray], last: np.ndarray) -> Any:
+        return call(*arguments, out=(*out[:-1], last) if isinstance(wanted, tuple) else last)
+
+    found = result(given, out[-1])
+    assert all(ours is into for ours, into in zip(flat(found), out, strict=True))
+    assert_same_bits(found, wanted)
+    with pytest.raises(ShapeError, match="writable C-contiguous float64"):
+        result(given, np.empty(out[-1].shape, dtype=np.float32))
+    for k in range(own):
+        memory, size = np.concatenate([given[k].ravel(), np.zeros(out[-1].size)]), given[k].size
+        shared = [*given[:k], memory[:size].reshape(given[k].shape), *given[k + 1 :]]
+        inside = memory[size - 1 :][: out[-1].size].reshape(out[-1].shape)
+        with pytest.raises(ShapeError, match=r"Expected out(\[1\])? to be .* got one that shares memory with"):
+            result(shared, inside)
 
 
 @pytest.mark.parametrize("name", KERNELS)
@@ -72,21 +160,6 @@ def test_large_outputs_hold_the_same_bits(shift: int, threads: int) -> None:
     assert both[0] is T
     assert both[1] is J
     assert_same_bits(both, chain.forward_jacobian(q))
-
-
-@pytest.mark.parametrize("name", KERNELS)
-def test_other_layouts_and_read_only_input(name: str) -> None:
-    chain = arm(7)
-    q = np.random.default_rng(4).uniform(-4, 4, (6, 7, 7))
-    wanted = flat(getattr(chain, name)(q))
-    columns = np.asfortranarray(q)
-    strided = np.repeat(q, 2, axis=-1)[..., ::2]
-    fixed = q.copy()
-    fixed.flags.writeable = False
-    for given in (columns, strided, fixed, q[::-1][::-1]):
-        for ours, theirs in zip(flat(getattr(chain, name)(given)), wanted):
-            np.testing.assert_array_equal(ours, theirs)
-    np.testing.assert_array_equal(q, fixed)
 
 
 @pytest.mark.parametrize("name", KERNELS)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from armlab import kernels
 from armlab.errors import ShapeError
-from armlab.models import TorqueModel
 
 from .. import oracles
 
@@ -61,7 +62,7 @@ def test_torque_agrees(batch: tuple[int, ...], sides: int) -> None:
     assert np.array_equal(out, a)
 
 
-def test_model_torque_agrees(model: TorqueModel) -> None:
+def test_model_torque_agrees(model: SimpleNamespace) -> None:
     q, qd, qdd = record(7, 200)
     qd[50, 2] = np.nan
     qdd[0, 0] = np.inf
@@ -81,7 +82,7 @@ def test_model_torque_agrees(model: TorqueModel) -> None:
     assert np.array_equal(np.flatnonzero(np.isnan(found[1]).any(axis=1)), [0, 50])
 
 
-def test_warmth_runs_along_the_record_only_with_steps(model: TorqueModel) -> None:
+def test_warmth_runs_along_the_record_only_with_steps(model: SimpleNamespace) -> None:
     q, qd, qdd = record(7)
     for module in (kernels, oracles):
         chain = module.Chain(model.frames, model.prismatic)
@@ -115,7 +116,7 @@ def test_presliding_of_nothing_is_nothing() -> None:
     assert kernels.presliding(np.zeros((0, 3)), np.ones(3), np.zeros(3)).shape == (0, 3)
 
 
-def test_wrong_shapes_are_refused(model: TorqueModel) -> None:
+def test_wrong_shapes_are_refused(model: SimpleNamespace) -> None:
     friction, ripple = rows()
     with pytest.raises(ShapeError, match="friction"):
         kernels.Drive(friction[:8], ripple)

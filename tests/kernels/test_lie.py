@@ -91,7 +91,6 @@ def batch() -> dict[str, np.ndarray]:
 
 
 @given(cases())
-@settings(max_examples=80)
 def test_native_is_the_reference(case: dict[str, np.ndarray]) -> None:
     for name, kinds in FUNCTIONS.items():
         arguments = [case[kind] for kind in kinds]
@@ -123,64 +122,6 @@ def test_logarithms_of_poses_agree(case: dict[str, np.ndarray]) -> None:
     T = case["T"]
     for log in (kernels.se3_log, oracles.se3_log):
         np.testing.assert_allclose(oracles.se3_exp(log(T)), T, rtol=0.0, atol=1e-13)
-
-
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_every_kind_of_input_gives_the_same(batch: dict[str, np.ndarray], name: str) -> None:
-    """Read-only, non-contiguous, big-endian and lists; and no input is changed."""
-    call, plain = function(kernels, name), [batch[kind] for kind in FUNCTIONS[name]]
-    before = [array.copy() for array in plain]
-    wanted = call(*plain)
-    for array in plain:
-        array.flags.writeable = False
-    strided = [np.repeat(array, 2, axis=-1)[..., ::2] for array in plain]
-    transposed = [np.asfortranarray(array) for array in plain]
-    swapped = [array.astype(">f8") for array in plain]
-    lists = [array.tolist() for array in plain]
-    for arguments in (plain, strided, transposed, swapped, lists):
-        np.testing.assert_array_equal(call(*arguments), wanted)
-    for array, saved in zip(plain, before, strict=True):
-        np.testing.assert_array_equal(array, saved)
-
-
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_out_is_filled_and_returned(batch: dict[str, np.ndarray], name: str) -> None:
-    call, arguments = function(kernels, name), [batch[kind] for kind in FUNCTIONS[name]]
-    wanted = call(*arguments)
-    out = np.full(wanted.shape, np.nan)
-    assert call(*arguments, out=out) is out
-    np.testing.assert_array_equal(out, wanted)
-    with pytest.raises(ShapeError, match="writable C-contiguous float64"):
-        call(*arguments, out=np.empty(wanted.shape, dtype=np.float32))
-    for k, argument in enumerate(arguments):
-        memory = np.zeros(argument.size + wanted.size)
-        memory[: argument.size] = argument.ravel()
-        shared = [*arguments[:k], memory[: argument.size].reshape(argument.shape), *arguments[k + 1 :]]
-        into = memory[argument.size - 1 :][: wanted.size].reshape(wanted.shape)
-        if not argument.size:
-            continue
-        with pytest.raises(ShapeError, match="got one that shares memory with"):
-            call(*shared, out=into)
-
-
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_batch_is_a_loop(batch: dict[str, np.ndarray], name: str) -> None:
-    """Bit for bit, for whole groups of four samples and for the rest."""
-    call, arguments = function(kernels, name), [batch[kind] for kind in FUNCTIONS[name]]
-    whole = call(*arguments)
-    for index in np.ndindex(2, 35):
-        np.testing.assert_array_equal(call(*[array[index] for array in arguments]), whole[index])
-
-
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_nan_stays_in_its_sample(batch: dict[str, np.ndarray], name: str) -> None:
-    call, arguments = function(kernels, name), [batch[kind].copy() for kind in FUNCTIONS[name]]
-    clean = call(*arguments)
-    arguments[0][1, 2] = np.nan
-    dirty = call(*arguments)
-    assert np.isnan(dirty[1, 2]).any()
-    dirty[1, 2] = clean[1, 2]
-    np.testing.assert_array_equal(dirty, clean)
 
 
 @pytest.mark.parametrize("name", BROADCAST)
@@ -261,11 +202,13 @@ def test_a_missing_number_passes_and_hides_nothing_else() -> None:
     assert np.isfinite(kernels.se3_inv(T)[2:]).all()
 
 
-@pytest.mark.parametrize("name", ["so3_exp", "so3_left_jacobian"])
-def test_far_turns_have_values(name: str) -> None:
-    """Beyond the range of a square, lengths come from the C library."""
+def test_far_turns_have_values() -> None:
+    """Beyond the range of a square, lengths come from the C library; ``J w = w`` and ``J hat(w) = exp(w) - I``."""
     w = np.array([[1e200, 0, 0], [3e-170, 4e-170, 0], [0, 0, -1e8], [0.1, 0.2, 0.3]])
-    values = getattr(kernels, name)(w)
-    assert np.isfinite(values).all()
-    np.testing.assert_allclose(values[1:], getattr(oracles, name)(w[1:]), rtol=0, atol=1e-8)
+    R, J = kernels.so3_exp(w), kernels.so3_left_jacobian(w)
+    assert np.isfinite([R, J]).all()
+    np.testing.assert_allclose(R[1:], oracles.so3_exp(w[1:]), rtol=0, atol=1e-8)
+    np.testing.assert_allclose((J @ w[..., None])[1:, :, 0], w[1:], rtol=1e-12, atol=1e-8)
+    hats = np.cross(w[:, None], np.eye(3)).swapaxes(1, 2)
+    np.testing.assert_allclose((J @ hats)[1:], R[1:] - np.eye(3), rtol=0, atol=1e-8)
     assert np.isnan(kernels.so3_exp([np.inf, 0, 0])).any()

@@ -50,12 +50,9 @@ def test_gravity_is_the_gradient_of_the_potential(chain: Chain, solids: np.ndarr
     h, q = 1e-4, np.random.default_rng(1).uniform(-3, 3, chain.n)
     steps = h * np.eye(chain.n)
     gradient = (potential(chain, q + steps, solids) - potential(chain, q - steps, solids)) / (2 * h)
-    G = chain.gravity_regressor(q, GRAVITY) @ solids[:, :4].ravel()
-    np.testing.assert_allclose(G, gradient, rtol=0, atol=1e-7 * max(1.0, np.abs(G).max()))
     rest = np.zeros(chain.n)
-    np.testing.assert_allclose(
-        chain.rnea(q, rest, rest, GRAVITY, solids), G, rtol=0, atol=1e-12 * max(1.0, np.abs(G).max())
-    )
+    G = chain.rnea(q, rest, rest, GRAVITY, solids)
+    np.testing.assert_allclose(G, gradient, rtol=0, atol=1e-7 * max(1.0, np.abs(G).max()))
 
 
 def test_mass_matrix_is_symmetric_positive_and_the_kinetic_energy(chain: Chain, solids: np.ndarray) -> None:

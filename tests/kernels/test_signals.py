@@ -24,7 +24,7 @@ sample = st.one_of(st.floats(-10, 10), st.sampled_from([np.nan, np.inf, 0.0]))
     init=st.one_of(st.none(), st.floats(-1, 1), st.just([0.5, -0.5])),
     timed=st.booleans(),
 )
-@settings(max_examples=300)
+@settings(max_examples=100)
 def test_both_give_the_same(kind, x, steps, init, timed) -> None:
     values = np.array(x)
     t = None if steps is None else np.cumsum(steps)[: len(values)]

@@ -166,8 +166,10 @@ class Ideal:
         return command
 
     def run(self, controller: Controller, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and velocities commanded, until the controller ends the run."""
         commands = [self.packet(controller) for _ in range(round(seconds / PERIOD))]
-        return np.array([c.q for c in commands]), np.array([c.qd for c in commands])
+        found = [(c.q, c.qd) for c in commands if not c.ends]
+        return np.array([q for q, _ in found]), np.array([qd for _, qd in found])
 
 
 @pytest.fixture(scope="session")

@@ -16,9 +16,7 @@ from armlab.errors import ShapeError
 from armlab.log import Column, Table
 from armlab.log.column import resolved
 from armlab.motion import Dmp, TwoDofDmp
-from armlab.motion.control import LONGEST_STEP, Arms, Controller, JointLimits, check_joints, robots_of, steps_in
-from armlab.motion.dmp import DmpController
-from armlab.motion.two_dof import TwoDofController
+from armlab.motion.control import Arms, Controller, robots_of
 
 PERIOD = 0.004032
 ROBOT = robots.load("yumi_right")
@@ -214,11 +212,6 @@ def test_what_it_records_is_declared(arm: Callable[..., Any], reach: Dmp) -> Non
         assert np.shape(record[name]) == resolved(column, name).shape
 
 
-def test_late_packets_are_made_in_short_steps() -> None:
-    assert [steps_in(dt) for dt in (0.0, 0.004, PERIOD, 0.008, 0.05, np.inf)] == [1, 1, 1, 2, 13, 1]
-    assert LONGEST_STEP == 0.004
-
-
 def test_several_arms_are_one_motion(reach: Dmp) -> None:
     """A State of two arms has their joints one after another; each arm has its limits."""
     left = robots.load("yumi_left")
@@ -240,11 +233,6 @@ def test_several_arms_are_one_motion(reach: Dmp) -> None:
         reach.controller(arms)
 
 
-def test_a_robot_is_limits(reach: Dmp) -> None:
-    limits: JointLimits = ROBOT
-    assert isinstance(reach.controller(ROBOT, limits=limits), Controller)
-
-
 def test_a_goal_outside_names_the_joint(reach: Dmp) -> None:
     far = replace(reach, g=reach.g + 9.0 * np.eye(7)[2])
     with pytest.raises(ShapeError, match="joint 3 of yumi_right"):
@@ -264,11 +252,6 @@ def test_importing_motions_loads_no_logs() -> None:
     heavy = "('armlab.log', 'scipy', 'ruckig', 'matplotlib')"
     code = f"import sys, armlab.motion; print(*(name for name in {heavy} if name in sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"
-
-
-def test_kinds(reach: Dmp) -> None:
-    assert isinstance(reach.controller(ROBOT), DmpController)
-    assert isinstance(TwoDofDmp(reach).controller(ROBOT), TwoDofController)
 
 
 def test_a_plain_primitive_is_its_rollout(arm: Callable[..., Any], reach: Dmp) -> None:
@@ -325,9 +308,3 @@ def test_a_log_of_the_loop_is_a_run(arm: Callable[..., Any], reach: Dmp) -> None
     np.testing.assert_array_equal(run.free.y[0], values["q"][1])
     with pytest.raises(ShapeError, match="never asked"):
         two_dof.recorded(table.rows(slice(0, 1)))
-
-
-def test_joints_are_counted_over_all_arms() -> None:
-    check_joints([ROBOT, ROBOT], 14)
-    with pytest.raises(ShapeError, match="14 joints for yumi_right and yumi_right, got one of 7"):
-        check_joints([ROBOT, ROBOT], 7)

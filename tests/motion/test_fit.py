@@ -265,7 +265,7 @@ def test_samples_have_the_mean_and_covariance_of_the_demonstrations() -> None:
     dmp = fit_dmp([U[::10]] * 6, ys, n_basis=5).value
     drawn = np.array([dmp.sample(rng).weights.ravel() for _ in range(2000)])
     root = np.sqrt(np.diag(dmp.weight_covariance))
-    assert (abs(drawn.mean(axis=0) - dmp.mean_weights.ravel()) < 4 * root / np.sqrt(2000) + 1e-9).all()
+    assert (abs(drawn.mean(axis=0) - dmp._mean_weights.ravel()) < 4 * root / np.sqrt(2000) + 1e-9).all()
     np.testing.assert_allclose(np.cov(drawn.T), dmp.weight_covariance, atol=0.15 * root.max() ** 2)
     assert dmp.demo_weights is not None
     np.testing.assert_allclose(np.cov(dmp.demo_weights[..., 0].T), dmp.weight_covariance, atol=1e-9 * root.max() ** 2)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 
-from armlab import Command, State, kinematics, robots
+from armlab import kinematics, robots
 from armlab.errors import ShapeError
 from armlab.motion import Dmp, fit_dmp
-from armlab.motion.obstacles import FORMS, AvoidingController, AvoidingDmp, AvoidingStepper, Capsule, rows_of
+from armlab.motion.obstacles import FORMS, AvoidingDmp, AvoidingStepper, Capsule, rows_of
 
 U = np.linspace(0.0, 1.0, 251)
 S = U**3 * (10 - 15 * U + 6 * U**2)
@@ -30,7 +33,7 @@ def plane() -> Dmp:
 
 
 @pytest.fixture(scope="module")
-def arm() -> Dmp:
+def joints() -> Dmp:
     return fit_dmp(2 * U, ROBOT.q_home + S[:, None] * REACH, n_basis=20).value
 
 
@@ -84,7 +87,7 @@ def test_what_is_far_away_or_not_there_is_not_felt(space: Dmp, form: str) -> Non
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("v", [[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [-0.3, 0.0, 0.0]])
 def test_at_rest_nothing_is_added_and_towards_the_centre_it_is_finite(space: Dmp, form: str, v: list[float]) -> None:
-    around = avoiding(space, [Capsule.sphere([0.25, 0.5, 0.0], 0.05)], form).around()
+    around = avoiding(space, [Capsule.sphere([0.25, 0.5, 0.0], 0.05)], form)._around()
     for x in (0.1, 0.15, 0.25):  # within reach, nearer, in the centre
         added = around.add([x, 0.5, 0.0], v, [0.5, 0.5, 0.0], np.zeros(3))
         assert np.isfinite(added).all()
@@ -93,7 +96,7 @@ def test_at_rest_nothing_is_added_and_towards_the_centre_it_is_finite(space: Dmp
 
 def test_the_steering_angle_is_that_of_the_paper(space: Dmp) -> None:
     """Hoffmann et al. (2009): ``gamma R v phi exp(-beta |phi|)`` with beta = 20 / pi."""
-    around = avoiding(space, [Capsule.sphere([0.0, 0.07, 0.0], 0.05)]).around()  # its surface at the clearance
+    around = avoiding(space, [Capsule.sphere([0.0, 0.07, 0.0], 0.05)])._around()  # its surface at the clearance
     phi = 0.3
     v = 0.02 * np.array([np.sin(phi), np.cos(phi), 0.0])
     side = np.array([np.cos(phi), -np.sin(phi), 0.0])
@@ -111,17 +114,17 @@ def test_fast_approach_is_braked_before_the_clearance(plane: Dmp) -> None:
     assert near.distance(run.y).min() > CLEARANCE - 1e-4
 
 
-def test_an_arm_keeps_its_tool_and_its_elbow_clear(arm: Dmp) -> None:
+def test_an_arm_keeps_its_tool_and_its_elbow_clear(joints: Dmp) -> None:
     t = np.arange(0.0, 5.0, 0.004)
     tool = Capsule([0.0, 0.0, -0.05], [0.0, 0.0, 0.0], 0.01)
     elbow = Capsule.sphere(np.zeros(3), 0.03)
-    links = kinematics.link_transforms(ROBOT, arm.rollout(t).y)
-    tip = kinematics.forward(ROBOT, arm.rollout(t).y)[:, :3, 3]
+    links = kinematics.link_transforms(ROBOT, joints.rollout(t).y)
+    tip = kinematics.forward(ROBOT, joints.rollout(t).y)[:, :3, 3]
     way = Capsule.sphere(tip[250] + [0.0, 0.0, 0.03], 0.02)
     beside = Capsule.sphere(links[300, 4, :3, 3] + [0.05, 0.0, 0.05], 0.02)
     for scene, parts in (([way], {}), ([way], {"tool": tool}), ([beside], {"links": {5: elbow}})):
-        one = avoiding(arm, scene, robot=ROBOT, **parts)
-        assert one.distance(arm.rollout(t).y).min() < CLEARANCE
+        one = avoiding(joints, scene, robot=ROBOT, **parts)
+        assert one.distance(joints.rollout(t).y).min() < CLEARANCE
         assert succeeds(one, t)
 
 
@@ -203,31 +206,17 @@ def test_an_obstacle_that_moves_is_made_way_for(space: Dmp) -> None:
         np.testing.assert_allclose(stepper.state[0], space.g, atol=1e-3)
 
 
-class Ideal:
-    """An swing that is where it was told to be."""
-
-    def __init__(self) -> None:
-        self.q, self.t = ROBOT.q_home.copy(), 0.0
-
-    def packet(self, controller: AvoidingController) -> Command:
-        command = controller(State(self.t, PERIOD, self.q, np.zeros(7), self.q))
-        self.t += PERIOD
-        if command.q is not None:
-            self.q = command.q
-        return command
-
-
-def test_a_controller_goes_around_what_is_put_in_its_way(swing: Dmp) -> None:
+def test_a_controller_goes_around_what_is_put_in_its_way(swing: Dmp, arm: Callable[..., Any]) -> None:
     path = swing.rollout(PERIOD).y
     one = AvoidingDmp(swing, [], 0.02, 0.1, robot=ROBOT)
-    controller, yumi = one.controller(), Ideal()
+    controller, yumi = one.controller(), arm()
     assert "distance" in controller.columns()
     least = []
     for k in range(1000):
         if k == 50:
             there = kinematics.forward(ROBOT, path[250])[:3, 3] + np.array([0.0, 0.0, 0.03])
             controller.place([Capsule.sphere(there, 0.02)])
-        record = yumi.packet(controller).record
+        record = yumi.packet(controller, PERIOD).record
         least.append(float(record["distance"]))
         assert not controller.clamped.any()
     assert np.isinf(least[:50]).all()
@@ -236,16 +225,18 @@ def test_a_controller_goes_around_what_is_put_in_its_way(swing: Dmp) -> None:
     assert controller.done
 
 
-def test_a_start_within_the_clearance_ends_the_run_with_the_reason(swing: Dmp) -> None:
-    controller, yumi = AvoidingDmp(swing, [], 0.02, 0.1, robot=ROBOT).controller(), Ideal()
+def test_a_start_within_the_clearance_ends_the_run_with_the_reason(swing: Dmp, arm: Callable[..., Any]) -> None:
+    controller, yumi = AvoidingDmp(swing, [], 0.02, 0.1, robot=ROBOT).controller(), arm()
     controller.place([Capsule.sphere(kinematics.forward(ROBOT, ROBOT.q_home)[:3, 3])])
-    assert yumi.packet(controller).ends
+    assert yumi.packet(controller, PERIOD).ends
     assert controller.reason.startswith("Expected the start outside the clearance")
 
 
-def test_a_controller_keeps_its_goal_where_the_new_one_is_within_the_clearance(swing: Dmp) -> None:
-    controller, yumi = AvoidingDmp(swing, [], 0.02, 0.1, robot=ROBOT).controller(), Ideal()
-    yumi.packet(controller)
+def test_a_controller_keeps_its_goal_where_the_new_one_is_within_the_clearance(
+    swing: Dmp, arm: Callable[..., Any]
+) -> None:
+    controller, yumi = AvoidingDmp(swing, [], 0.02, 0.1, robot=ROBOT).controller(), arm()
+    yumi.packet(controller, PERIOD)
     new = swing.g + 0.1
     controller.place([Capsule.sphere(kinematics.forward(ROBOT, new)[:3, 3])])
     with pytest.raises(ShapeError, match="Expected the goal outside the clearance"):

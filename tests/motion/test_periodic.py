@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from armlab import State, robots
+from armlab import robots
 from armlab.errors import NotExcited
 from armlab.estimation import Experiment, Gauge, check_estimator
-from armlab.motion import Controller, PeriodicController, PeriodicDmp, PeriodicStepper, fit_periodic_dmp
+from armlab.motion import PeriodicDmp, fit_periodic_dmp
+from armlab.motion.periodic import PeriodicController, PeriodicStepper
 
 M = 15
 CLOCK = np.linspace(0.0, 6.0, 1501)
@@ -205,22 +208,10 @@ def rhythm() -> PeriodicDmp:
     return fit_periodic_dmp(SECONDS, y, period=2.0).value
 
 
-def run(controller: Controller, seconds: float) -> np.ndarray:
-    """Joint positions of an arm that is where it was told to be one packet ago."""
-    found, qd = [ROBOT.q_home], np.zeros(7)
-    for k in range(round(seconds / CYCLE)):
-        command = controller(State(k * CYCLE, CYCLE, found[-1], qd, found[-1]))
-        assert command.q is not None
-        assert command.qd is not None
-        found.append(command.q)
-        qd = command.qd
-    return np.array(found[1:])
-
-
-def test_it_grows_goes_round_and_fades(rhythm: PeriodicDmp) -> None:
+def test_it_grows_goes_round_and_fades(rhythm: PeriodicDmp, arm: Callable[..., Any]) -> None:
     controller = rhythm.controller(ROBOT, turns=4.0)
     assert isinstance(controller, PeriodicController)
-    q = run(controller, 9.0)
+    q, _ = arm().run(controller, 9.0)
     t = CYCLE * np.arange(len(q))
     assert np.abs(q[0] - ROBOT.q_home).max() < 1e-9
     assert np.abs(np.diff(q, axis=0)).max() / CYCLE < 1.2 * 0.2 * np.pi  # never faster than it was shown
@@ -231,16 +222,16 @@ def test_it_grows_goes_round_and_fades(rhythm: PeriodicDmp) -> None:
     assert controller.done
 
 
-def test_amplitude_period_and_baseline_are_free(rhythm: PeriodicDmp) -> None:
+def test_amplitude_period_and_baseline_are_free(rhythm: PeriodicDmp, arm: Callable[..., Any]) -> None:
     there = rhythm.g + 0.05
-    q = run(rhythm.controller(ROBOT, period=1.0, r=0.5, g=there), 3.0)
+    q, _ = arm().run(rhythm.controller(ROBOT, period=1.0, r=0.5, g=there), 3.0)
     last = q[-round(1.0 / CYCLE) :]
     np.testing.assert_allclose(np.ptp(last[:, :2], axis=0), [0.2, 0.1], rtol=0.01)
     np.testing.assert_allclose(last.mean(axis=0), there, rtol=0, atol=2e-3)
 
 
-def test_the_baseline_may_be_set_while_it_runs(rhythm: PeriodicDmp) -> None:
+def test_the_baseline_may_be_set_while_it_runs(rhythm: PeriodicDmp, arm: Callable[..., Any]) -> None:
     controller = rhythm.controller(ROBOT)
-    run(controller, 1.0)
+    arm().run(controller, 1.0)
     controller.goal = rhythm.g + 0.05
     assert np.allclose(controller.goal, rhythm.g + 0.05)

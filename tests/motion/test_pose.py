@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from armlab import Command, State, robots
+from armlab import State, robots
 from armlab.estimation import Experiment, Fit, check_estimator
 from armlab.kinematics import forward, inverse
 from armlab.lie import quaternion, se3, so3
-from armlab.motion import PoseDmp, PoseRollout, PoseRunOptions, PoseStepper, fit_pose_dmp
-from armlab.motion.control import Controller
-from armlab.motion.pose_dmp import PoseDmpController
+from armlab.motion import PoseDmp, PoseRollout, fit_pose_dmp
+from armlab.motion.pose_dmp import PoseDmpController, PoseStepper
 
 Taught = Fit[PoseDmp]
 
@@ -138,17 +138,6 @@ def test_twists_are_derivatives_and_everything_is_frozen(pose_fit: Fit[PoseDmp])
     for name in ("t", "T", "q", "twist", "twistd", "x"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(run, name)[0] = 0
-
-
-def test_options_mean_the_same_everywhere(pose_fit: Fit[PoseDmp]) -> None:
-    dmp = pose_fit.value
-    given: PoseRunOptions = {"duration": 2.0, "start": dmp.T_goal, "goal": dmp.T_start, "twist0": None}
-    run, stepper = dmp.rollout(0.01, **given), dmp.stepper(**given)
-    steps = [stepper.step(0.01)[0] for _ in run.t[1:]]
-    np.testing.assert_allclose(steps, run.T[1:], atol=1e-12)
-    assert run.t[-1] == pytest.approx(2.0)
-    with pytest.raises(TypeError, match="speed"):
-        dmp.rollout(0.01, speed=2.0)  # type: ignore[call-arg]
 
 
 @pytest.mark.parametrize("frame", ["base", "goal"])
@@ -322,24 +311,10 @@ def path() -> PoseDmp:
     return fit_pose_dmp(1.5 * u, T).value
 
 
-def run(controller: Controller, seconds: float, q: np.ndarray = ROBOT.q_home) -> np.ndarray:
-    """Joint positions of an arm that is where it was told to be one packet ago."""
-    found, qd = [q], np.zeros(7)
-    for k in range(round(seconds / PERIOD)):
-        command: Command = controller(State(k * PERIOD, PERIOD, found[-1], qd, found[-1]))
-        if command.ends:
-            break
-        assert command.q is not None
-        assert command.qd is not None
-        found.append(command.q)
-        qd = command.qd
-    return np.array(found[1:])
-
-
-def test_the_tool_goes_along_the_path(path: PoseDmp) -> None:
+def test_the_tool_goes_along_the_path(path: PoseDmp, arm: Callable[..., Any]) -> None:
     controller = path.controller(ROBOT)
     assert isinstance(controller, PoseDmpController)
-    q = run(controller, 2.2)
+    q, _ = arm().run(controller, 2.2)
     wanted = path.rollout(PERIOD * np.arange(len(q)), start=START, twist0=np.zeros(6)).T
     apart = se3.log(se3.inv(forward(ROBOT, q)) @ wanted)
     assert np.abs(apart).max() < 1e-6
@@ -367,27 +342,25 @@ def test_it_is_not_done_where_the_tool_is_turned_and_says_how_the_joints_acceler
         assert controller.done is done
 
 
-def test_from_elsewhere_and_to_another_goal(path: PoseDmp) -> None:
-    controller = path.controller(ROBOT, duration=2.0)
-    q = run(controller, 0.8, ROBOT.q_home + 0.03)
+def test_from_elsewhere_and_to_another_goal(path: PoseDmp, arm: Callable[..., Any]) -> None:
+    controller, yumi = path.controller(ROBOT, duration=2.0), arm(ROBOT.q_home + 0.03)
+    yumi.run(controller, 0.8)
     goal = path.T_goal.copy()
     goal[:3, 3] += [0.02, 0.0, -0.02]
     controller.goal = goal
-    state = State(0.8, PERIOD, q[-1], np.zeros(7), q[-1])
-    before = q[-1]
-    assert np.abs(controller(state).q - before).max() < 0.02
-    q = run(controller, 2.5, q[-1])
+    before = yumi.q
+    assert np.abs(yumi.packet(controller).q - before).max() < 0.02
+    q, _ = yumi.run(controller, 2.5)
     np.testing.assert_allclose(forward(ROBOT, q[-1]), goal, atol=5e-3)
     assert controller.done
     np.testing.assert_allclose(controller.goal, goal, atol=1e-12)
 
 
-def test_a_path_that_the_arm_leaves_ends_the_run(path: PoseDmp) -> None:
-    controller = path.controller(ROBOT)
-    run(controller, 0.2)
-
+def test_a_path_that_the_arm_leaves_ends_the_run(path: PoseDmp, arm: Callable[..., Any]) -> None:
+    controller, yumi = path.controller(ROBOT), arm()
+    yumi.run(controller, 0.2)
     controller._stepper.change_goal(_lifted(path.T_goal, 30.0))  # pyright: ignore
-    run(controller, 3.0)
+    yumi.run(controller, 3.0)
     assert controller.reason.startswith("Expected a path that yumi_right reaches")
 
 

@@ -10,7 +10,6 @@ import pytest
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.motion import ProMP, TrajectoryDistribution, blend, fit_promp
 from armlab.motion.primitive.equation import normalised
-from armlab.motion.promp import SAME
 
 M, N_JOINTS = 8, 2
 T = np.linspace(0.0, 2.0, 21)
@@ -86,15 +85,6 @@ def test_blending_goes_from_one_motion_to_the_other(promp: ProMP) -> None:
     both = blend([promp, other], [1.0, 1.0], T)
     np.testing.assert_allclose(both.y, promp.marginal(T).y + 0.5, atol=1e-6)
     np.testing.assert_allclose(both.cov, 0.5 * promp.marginal(T).cov, rtol=1e-3, atol=1e-6)
-
-
-def test_a_band_is_frozen_and_has_deviations() -> None:
-    cov = np.array([[[4.0, 0.0], [0.0, 9.0]]])
-    band = TrajectoryDistribution(np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)), cov, cov)
-    np.testing.assert_array_equal(band.sd, [[2.0, 3.0]])
-    assert SAME < 1e-6
-    with pytest.raises(ValueError, match="read-only"):
-        band.y[0] = 1
 
 
 M_BASIS, NOISE, TIMES = 4, 0.02, np.linspace(0.0, 2.0, 12)

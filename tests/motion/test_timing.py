@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from armlab import State, bridge, robots
 from armlab.motion import Dmp, fit_dmp
 from armlab.motion.dmp import DmpController
-from armlab.motion.timing import PacedDmp, PacedStepper, fastest, largest_size, peaks, retimed, shortest_duration
+from armlab.motion.timing import PacedDmp, PacedStepper, fastest, peaks, retimed, shortest_duration
 
 U = np.linspace(0.0, 1.0, 501)
 S = U**3 * (10 - 15 * U + 6 * U**2)
@@ -82,7 +82,7 @@ def check(dmp: Dmp, v_max: np.ndarray, a_max: np.ndarray) -> PacedDmp:
     run = paced.rollout(t)
     assert (np.abs(run.yd) <= v_max * (1 + TOLERANCE)).all()
     assert (np.abs(run.ydd) <= a_max * (1 + TOLERANCE)).all()
-    s, rate, _ = paced.clock(t)
+    s, rate, _ = paced._clock(t)
     assert ((np.diff(s) > 0.0) & (rate[1:] <= 1.0)).all()
     whole = dmp.rollout(np.union1d(s, np.linspace(0.0, s[-1], 20_001)))
     size = np.abs(whole.y).max()
@@ -124,12 +124,6 @@ def test_least_time_of_a_straight_line() -> None:
     bend = 2.0 + 0.0 * y_s  # y = s^2: y_s = 2 s, so y'' <= 1 from rest means s'^2 = t^2 / 2 / s^2 = 1 / 2
     z = fastest(s[1], 2 * s[:, None], bend, np.array([np.inf]), np.array([1.0]))
     np.testing.assert_allclose(z[1:], 0.5, rtol=1e-9)
-
-
-def test_top_sees_between_samples() -> None:
-    x = np.linspace(0.0, 1.0, 41)
-    pieces = np.stack([np.sin(2 * np.pi * x + 0.01), 2.0 - (x - 0.613) ** 2], axis=1)[None]
-    np.testing.assert_allclose(largest_size(pieces), [1.0, 2.0], rtol=1e-6)
 
 
 def test_wide_limits_change_nothing() -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from armlab.errors import ShapeError
 from armlab.motion import Dmp
-from armlab.motion.disturbances import FULL_SPEED, Displace, Hold, Plant, Push, TwoDofRun, simulated
+from armlab.motion.disturbances import FULL_SPEED, Displace, Hold, Plant, Push, TwoDofRun
 from armlab.motion.primitive.run import RunParameters
 from armlab.motion.two_dof import Reference, TwoDofDmp, TwoDofStepper, starting
 
@@ -89,9 +89,9 @@ def test_inside_the_dead_zone_nothing_slows(smooth: Callable[..., Dmp]) -> None:
 
 def test_a_standing_error_slows_as_the_table_says(smooth: Callable[..., Dmp]) -> None:
     """tau_a = tau_d (1 + kc e^2) for 1, 2, 5, 10 and 20 mrad; the error is made by a plant that lags behind."""
-    law = TwoDofDmp(smooth(1)).law
+    law = TwoDofDmp(smooth(1))._law
     dmp = smooth(1)
-    kernel = law(_setting(dmp))
+    kernel = law(RunParameters.of(dmp))
     for e, slower in ((1e-3, 1.01), (2e-3, 1.04), (5e-3, 1.25), (1e-2, 2.0), (2e-2, 5.0)):
         assert kernel.time_constant(np.array([0, 0, e, 0, 0, 1.0, 0])) == pytest.approx(slower * dmp.tau_d)
 
@@ -102,7 +102,7 @@ def test_every_coordinate_slows_by_its_own_zone_and_scale(smooth: Callable[..., 
     slower = 1 + 1e4 * (0.02**2 + 0.06**2)
     for schedule, x, rate in (("canonical", 0.6, -0.6), ("time", 0.4, 1 / 3)):
         dmp = smooth(schedule=schedule)
-        law = TwoDofDmp(dmp, e0=zone, e_scale=scale).law(_setting(dmp))
+        law = TwoDofDmp(dmp, e0=zone, e_scale=scale)._law(RunParameters.of(dmp))
         state = np.concatenate([[0.1, 0.2], np.zeros(2), e, np.zeros(4), [x, 0.0]])
         assert law.time_constant(state) == pytest.approx(slower * dmp.tau_d, rel=1e-12)
         assert law.slopes(state, FULL_SPEED)[-2] == pytest.approx(rate / (slower * dmp.tau_d), rel=1e-12)
@@ -124,7 +124,7 @@ def test_acceleration_of_the_path_is_its_derivative_while_tau_changes(smooth: Ca
 def test_a_freeze_begins_at_the_limit_and_ends_at_0_8_of_it(smooth: Callable[..., Dmp]) -> None:
     """In units of the scale, in any coordinate; yc, z and x stand still, and e follows."""
     dmp = smooth()
-    law = TwoDofDmp(dmp, e_max=0.1, e_scale=[1.0, 0.5]).law(_setting(dmp))
+    law = TwoDofDmp(dmp, e_max=0.1, e_scale=[1.0, 0.5])._law(RunParameters.of(dmp))
     state, flags = np.concatenate([np.zeros(2), [0.3, 0.1], np.zeros(6), [0.5, 0.0]]), []
     for error in (0.045, 0.051, 0.045, 0.041, 0.039, 0.045):
         state = state.copy()
@@ -145,12 +145,6 @@ def test_a_run_at_other_times_is_the_same_run(smooth: Callable[..., Dmp]) -> Non
     fine = two_dof.simulate(0.01 * np.arange(151), events, dt=0.001)
     coarse = two_dof.simulate(np.array([0.0, 0.5, 1.5]), events, dt=0.001)
     np.testing.assert_allclose(coarse.ya, fine.ya[[0, 50, 150]], rtol=0, atol=1e-7)
-
-
-def _setting(dmp: Any) -> Any:
-    from armlab.motion.primitive.run import RunParameters
-
-    return RunParameters.of(dmp)
 
 
 Build = Callable[..., Dmp]
@@ -224,24 +218,6 @@ def test_results_are_frozen_and_complete(primitive: Build) -> None:
     with pytest.raises(ValueError, match="read-only"):
         run.ya[0, 0] = 1.0
     assert TwoDofDmp(primitive("position")).simulate(0.01).x.shape == (N, 3)
-
-
-def test_states_are_those_of_the_kernel(primitive: Build) -> None:
-    from armlab.motion.primitive.run import RunParameters
-
-    dmp = primitive()
-    law, start = TwoDofDmp(dmp).law(RunParameters.of(dmp)), np.concatenate([np.zeros(15), [1.0, 0.0]])
-    states, disturbed = simulated(law, start, np.array([0.0, 0.01]), [], 0.005)
-    np.testing.assert_array_equal(states[1], law.advance(start, 0.01, 2, np.full(3, np.nan), FULL_SPEED))
-    assert disturbed == ()
-
-
-def test_it_starts_with_the_arm_on_the_path(smooth: Callable[..., Dmp]) -> None:
-    dmp = smooth(schedule="time")
-    run = RunParameters.of(dmp, y0=np.array([0.1, 0.2]), v0=np.array([0.3, 0.4]))
-    z = run.tau * run.v0
-    np.testing.assert_array_equal(starting(run), [0.1, 0.2, *z, 0, 0, 0.1, 0.2, 0.3, 0.4, 0, 0])
-    assert starting(RunParameters.of(smooth()))[-2] == 1.0
 
 
 def test_stepper_is_the_simulation(smooth: Callable[..., Dmp]) -> None:
@@ -325,24 +301,9 @@ def test_it_has_ended_when_the_phase_has_gone_as_far_as_in_the_demonstration(
 
 
 def test_a_late_packet_is_solved_in_steps_of_4_ms(smooth: Callable[..., Dmp]) -> None:
-    law, stepper = TwoDofDmp(smooth()).law(RunParameters.of(smooth())), TwoDofDmp(smooth()).stepper()
+    law, stepper = TwoDofDmp(smooth())._law(RunParameters.of(smooth())), TwoDofDmp(smooth()).stepper()
     found = stepper.step(0.044, np.zeros(2), np.zeros(2)).yc
     start = starting(RunParameters.of(smooth()))
     fine, coarse = (law.follow(start, 0.044, steps, FULL_SPEED, np.zeros(2), np.zeros(2))[0][:2] for steps in (200, 1))
     np.testing.assert_allclose(found, fine, rtol=0, atol=1e-6)
     assert np.abs(coarse - fine).max() > 1e-5
-
-
-def test_a_hold_is_a_push_without_speed() -> None:
-    np.testing.assert_array_equal(Hold(0.0, 1.0).drive(3), 0.0)
-    np.testing.assert_array_equal(Hold(0.0, 1.0, [1]).drive(3), [np.nan, 0.0, np.nan])
-    assert isinstance(Hold(0, 1), Push)
-
-
-def test_a_push_forces_the_coordinates_that_it_names() -> None:
-    np.testing.assert_array_equal(Push(0, 1, 0.3).drive(2), 0.3)
-    np.testing.assert_array_equal(Push(0, 1, [0.3, -1.0], (2, 0)).drive(3), [-1.0, np.nan, 0.3])
-
-
-def test_a_blow_keeps_its_numbers() -> None:
-    assert Displace(1.0, [0.1, 0.2]).dy == [0.1, 0.2]

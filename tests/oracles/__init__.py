@@ -1,15 +1,17 @@
+# ruff: noqa: F401  the oracles by the names of the kernels
 """The mathematics of the compiled kernels in plain NumPy: what `armlab.kernels` is held to.
 
 Same names, same parameters, the same results to 1e-12. They are written to be read, and are ten to a thousand times
-slower; they check no arguments and have neither `out` nor `threads`.
+slower; they check no arguments and have neither `out` nor `threads`. Searches have none: their results are checked, not
+their steps (tests/kinematics).
 """
 
 from __future__ import annotations
 
+from .calibration import hand_eye_rows, turned_weight
 from .chain import Chain
 from .drive import Drive, basis_weights, model_torque, presliding
 from .estimator import WrenchEstimator
-from .inverse import InverseSolver, follow_path
 from .lie import (
     euler_from_rpy,
     euler_to_rpy,
@@ -31,55 +33,12 @@ from .lie import (
     so3_left_jacobian,
     so3_left_jacobian_inv,
     so3_log,
+    so3_nearest,
 )
 from .limits import limit_reference
 from .momentum import MomentumEstimator, momentum_step
 from .obstacles import Obstacles
 from .primitive import Primitive, PrimitiveStepper
-from .rotation_primitive import RotationStepper, rotation_rollout
 from .signals import SignalOperator
 from .two_dof import TwoDof
 from .wrench import solve_wrench, wrench_interval
-
-__all__ = [
-    "Chain",
-    "Drive",
-    "InverseSolver",
-    "MomentumEstimator",
-    "Obstacles",
-    "Primitive",
-    "PrimitiveStepper",
-    "RotationStepper",
-    "SignalOperator",
-    "TwoDof",
-    "WrenchEstimator",
-    "basis_weights",
-    "euler_from_rpy",
-    "euler_to_rpy",
-    "follow_path",
-    "limit_reference",
-    "model_torque",
-    "momentum_step",
-    "presliding",
-    "quaternion_from_matrix",
-    "quaternion_multiply",
-    "quaternion_slerp",
-    "quaternion_to_matrix",
-    "rotation_rollout",
-    "se3_adjoint",
-    "se3_exp",
-    "se3_interpolate",
-    "se3_inv",
-    "se3_left_jacobian",
-    "se3_left_jacobian_inv",
-    "se3_log",
-    "se3_transform_wrench",
-    "so3_angle",
-    "so3_exp",
-    "so3_interpolate",
-    "so3_left_jacobian",
-    "so3_left_jacobian_inv",
-    "so3_log",
-    "solve_wrench",
-    "wrench_interval",
-]

@@ -91,10 +91,6 @@ class Chain:
         """(n,) bool, True for prismatic joints."""
         return np.array(self._prismatic)
 
-    def __reduce__(self) -> tuple[type[Chain], _Pair]:
-        """Pickle by the constructor's arguments."""
-        return type(self), (self.frames, self.prismatic)
-
     def forward(self, q: Any) -> np.ndarray:
         """Return T_base_tool (..., 4, 4) for joint positions `q` (..., n)."""
         return self._links(self._joints(q))[..., -1, :, :] @ self._frames[-1]
@@ -188,24 +184,6 @@ class Chain:
             beta[..., i] = np.einsum("...a,...a->...", total, apply(twist_cross(V[i]), self._axis(i)))
             total = apply(np.swapaxes(steps[i], -1, -2), total)
         return (p, beta)
-
-    def gravity_regressor(self, q: Any, gravity: Any) -> np.ndarray:
-        """Return Y_g (..., n, 4 n) of the gravity torques ``G = dU/dq = Y_g [m, m cx, m cy, m cz]`` per link.
-
-        ``U = -sum g . (m_i p_i + R_i m_i c_i)``.
-        """
-        g = np.asarray(gravity, dtype=float)
-        T = self._links(self._joints(q))
-        z, p = T[..., :3, 2], T[..., :3, 3]
-        Y = np.zeros((*T.shape[:-3], self.n, 4 * self.n))
-        for k in range(self.n):
-            for i in range(k + 1):
-                lever = z[..., i, :] if self._prismatic[i] else np.cross(z[..., i, :], p[..., k, :] - p[..., i, :])
-                Y[..., i, 4 * k] = -lever @ g
-                if not self._prismatic[i]:
-                    turn = np.cross(z[..., i, :], g)
-                    Y[..., i, 4 * k + 1 : 4 * k + 4] = apply(np.swapaxes(T[..., k, :3, :3], -1, -2), turn)
-        return Y
 
     def _joints(self, q: Any) -> np.ndarray:
         return np.asarray(q, dtype=float)

@@ -23,8 +23,6 @@ import numpy as np
 
 from .chain import Chain
 
-MAX_CENTRES = 64
-
 
 class DriveState:
     """What the drives remember, each (n,): position y that follows with a play, presliding state z, warmth x."""
@@ -44,12 +42,11 @@ class Drive:
         map: tuple[np.ndarray, ...] | None = None,
         warm_up: np.ndarray | None = None,
     ) -> None:
-        friction = np.asarray(friction, dtype=float)
-        self.n = friction.shape[-1]
         self.friction = np.array(friction, dtype=float)
+        self.n = self.friction.shape[-1]
         self.ripple = np.array(ripple, dtype=float)
-        self.lines = None if lines is None else _read_lines(lines, self.n)
-        self.map = None if map is None else _read_map(map, self.n)
+        self.lines = None if lines is None else [np.asarray(part, dtype=float) for part in lines]
+        self.map = None if map is None else [np.asarray(part, dtype=float) for part in map]
         heated = np.zeros((5, self.n)) if warm_up is None else warm_up
         self.warm_up = np.array(heated, dtype=float)
 
@@ -59,28 +56,9 @@ class Drive:
         return drive_torque(self, q, qd, DriveState(q, z, self.warm_up[4]))
 
 
-def _read_lines(lines: tuple[np.ndarray, ...], n: int) -> tuple[np.ndarray, ...]:
-    joints, cycles, speeds, widths, coefficients = lines
-    speeds = np.asarray(speeds, dtype=float)
-    joints, cycles = (np.asarray(a, dtype=float) for a in (joints, cycles))
-    widths = np.asarray(widths, dtype=float)
-    coefficients = np.asarray(coefficients, dtype=float)
-    return joints, cycles, speeds, widths, coefficients
-
-
-def _read_map(values: tuple[np.ndarray, ...], n: int) -> tuple[np.ndarray, ...]:
-    positions, position_widths, speeds, speed_widths, coefficients = values
-    positions, speeds = np.asarray(positions, dtype=float), np.asarray(speeds, dtype=float)
-    position_widths = np.asarray(position_widths, dtype=float)
-    speed_widths = np.asarray(speed_widths, dtype=float)
-    return positions, position_widths, speeds, speed_widths, np.asarray(coefficients, dtype=float)
-
-
 def basis_weights(x: np.ndarray, centres: np.ndarray, widths: np.ndarray) -> np.ndarray:
     """Return Gaussians ``exp(-((x - c) / w)^2)`` divided by their sum, (N, m); x is kept within the centres."""
-    centres = np.asarray(centres, dtype=float)
-    widths = np.asarray(widths, dtype=float)
-    x = np.asarray(x, dtype=float)
+    x, centres, widths = (np.asarray(a, dtype=float) for a in (x, centres, widths))
     power = -(((np.clip(x, centres[0], centres[-1])[:, None] - centres) / widths) ** 2)
     weights = np.exp(power - power.max(axis=1, keepdims=True, initial=-1e300))
     return weights / weights.sum(axis=1, keepdims=True)
@@ -144,7 +122,7 @@ def _sides(s: np.ndarray) -> np.ndarray:
     return np.stack([0.5 * (1.0 + s), 0.5 * (1.0 - s)], axis=-1)
 
 
-def _mapped(part: tuple[np.ndarray, ...], q: np.ndarray, qd: np.ndarray, s: np.ndarray) -> np.ndarray:
+def _mapped(part: list[np.ndarray], q: np.ndarray, qd: np.ndarray, s: np.ndarray) -> np.ndarray:
     positions, position_widths, speeds, speed_widths, coefficients = part
     n = len(positions)
     q, qd, s, shape = q.reshape(-1, n), qd.reshape(-1, n), s.reshape(-1, n), q.shape
@@ -156,7 +134,7 @@ def _mapped(part: tuple[np.ndarray, ...], q: np.ndarray, qd: np.ndarray, s: np.n
     return tau.reshape(shape)
 
 
-def _rippled(part: tuple[np.ndarray, ...], q: np.ndarray, qd: np.ndarray, s: np.ndarray) -> np.ndarray:
+def _rippled(part: list[np.ndarray], q: np.ndarray, qd: np.ndarray, s: np.ndarray) -> np.ndarray:
     joints, cycles, speeds, widths, coefficients = part
     n, sides = len(speeds), coefficients.shape[1]
     q, qd, s, shape = q.reshape(-1, n), qd.reshape(-1, n), s.reshape(-1, n), q.shape
@@ -184,9 +162,7 @@ def model_torque(
 
     A row with a number that is not finite gives NaN and leaves the state of the drives alone.
     """
-    rotor = np.asarray(rotor, dtype=float)
-    q = np.asarray(q, dtype=float)
-    qd, qdd = np.asarray(qd, dtype=float), np.asarray(qdd, dtype=float)
+    rotor, q, qd, qdd = (np.asarray(a, dtype=float) for a in (rotor, q, qd, qdd))
     tau = np.full(q.shape, np.nan)
     good = np.isfinite(q).all(axis=1) & np.isfinite(qd).all(axis=1) & np.isfinite(qdd).all(axis=1)
     if dt is not None:

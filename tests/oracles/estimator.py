@@ -60,7 +60,27 @@ def contact_map(chain: Chain, q: np.ndarray, point: np.ndarray | None) -> np.nda
     return np.vstack([np.eye(3), [[0, -z, y], [z, 0, -x], [-y, x, 0]]])
 
 
-class WrenchEstimator:
+class Stepwise:
+    """An estimator of `n` joints that takes samples one at a time; `interval` says whether it tells intervals."""
+
+    n: int
+    interval = False
+
+    def step(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: float) -> tuple[Any, ...]:
+        raise NotImplementedError
+
+    def run(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: np.ndarray) -> tuple[Any, ...]:
+        """Step along a record (N, n) with steps dt (N,); return the outputs of `step` stacked over N."""
+        rows = [self.step(*row) for row in zip(q, qd, tau, dt)]
+        *stacked, interval = (np.array(column) for column in zip(*rows))
+        return *stacked, interval if self.interval else None
+
+    def _invalid(self) -> tuple[Any, ...]:
+        missing = tuple(np.full(shape, np.nan) for shape in ((6,), (6, 6), (6,), (self.n,), (self.n,)))
+        return *missing, INVALID, np.zeros(self.n, dtype=bool), np.full((6, 2), np.nan) if self.interval else None
+
+
+class WrenchEstimator(Stepwise):
     """Contact wrench from joint motion and torque, one sample at a time."""
 
     def __init__(
@@ -79,7 +99,7 @@ class WrenchEstimator:
         method: int = 0,
         point: np.ndarray | None = None,
     ) -> None:
-        self._chain = chain
+        self._chain, self.n, self.interval = chain, chain.n, METHODS[method] == "interval"
         self._gravity = np.array(gravity, dtype=float)
         self._links = np.array(links, dtype=float)
         self._rotor = np.array(rotor, dtype=float)
@@ -142,27 +162,6 @@ class WrenchEstimator:
             bound = np.full(n, LARGEST) if apart else self._bound[0] * unsure + self._bound[2]
             return self._solve(q, torque, self._covariance[1], bound)
         return self._solve(q, torque, speed_variance(self._covariance, qd) + self._static**2 * unsure, np.zeros(n))
-
-    def run(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: np.ndarray) -> tuple[Any, ...]:
-        """Step along a record (N, n) with steps dt (N,); return the outputs of `step` stacked over N."""
-        n = len(self._rotor)
-        dt = np.asarray(dt, dtype=float)
-        q, qd, tau = (np.asarray(a, dtype=float) for a in (q, qd, tau))
-        rows = [self.step(*row) for row in zip(q, qd, tau, dt)]
-        shapes = ((6,), (6, 6), (6,), (n,), (n,), (), (n,), (6, 2))
-        kinds = (*[np.float64] * 5, np.int64, np.bool_, np.float64)
-        stacked = [
-            np.array([row[k] for row in rows], dtype=kind).reshape(len(rows), *shape)
-            for k, (shape, kind) in enumerate(zip(shapes, kinds))
-            if k < 7 or METHODS[self._method] == "interval"
-        ]
-        return tuple(stacked) if len(stacked) == 8 else (*stacked, None)
-
-    def _invalid(self) -> tuple[Any, ...]:
-        n = len(self._rotor)
-        missing = tuple(np.full(shape, np.nan) for shape in ((6,), (6, 6), (6,), (n,), (n,)))
-        interval = np.full((6, 2), np.nan) if METHODS[self._method] == "interval" else None
-        return *missing, INVALID, np.zeros(n, dtype=bool), interval
 
     def _lowpass(self, x: np.ndarray, dt: float, begins: np.ndarray) -> np.ndarray:
         self._low[0, begins], self._low[1, begins] = 0.0, x[begins]  # in steady state: no transient from what was

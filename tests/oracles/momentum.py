@@ -40,12 +40,12 @@ from .chain import Chain
 from .drive import Drive, DriveState, drive_torque, heat, move, restart, start
 from .estimator import (
     GAP_STEPS,
-    INVALID,
     LARGEST,
     REST_TIME,
     TARED,
     WEAK,
     WEAK_BELOW,
+    Stepwise,
     contact_map,
     speed_variance,
 )
@@ -105,7 +105,7 @@ AT_REST = 0.5  # variance of the presliding state above which a joint rests
 STILL = 1.0  # presliding distances that a joint may move before a tare is void
 
 
-class MomentumEstimator:
+class MomentumEstimator(Stepwise):
     """Contact wrench from joint motion and torque by the momentum, one sample at a time."""
 
     def __init__(
@@ -128,7 +128,7 @@ class MomentumEstimator:
         biased: bool,
         point: np.ndarray | None = None,
     ) -> None:
-        self._chain = chain
+        self._chain, self.n = chain, chain.n
         self._gravity = np.array(gravity, dtype=float)
         self._links = np.array(links, dtype=float)
         self._rotor = np.array(rotor, dtype=float)
@@ -141,8 +141,6 @@ class MomentumEstimator:
         self._rate = np.array(rate, dtype=float)
         self._leak = np.array(leak, dtype=float)
         self._gain, self._filters, self._biased = gain, filters, biased
-        # gone  # gone
-        # gone  # gone
         self._k = 6 if point is None else 3
         self._static = 0.5 * (drive.friction[1] + drive.friction[2]) + np.maximum(drive.friction[4], 0.0)
         self.reset()
@@ -194,17 +192,6 @@ class MomentumEstimator:
         self._tared = self._tared and bool(np.all(self._since_tare <= STILL))
         return self._tell(q, *found)
 
-    def run(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, dt: np.ndarray) -> tuple[Any, ...]:
-        """Step along a record (N, n) with steps dt (N,); return the outputs of `step` stacked over N."""
-        n = self._chain.n
-        dt = np.asarray(dt, dtype=float)
-        q, qd, tau = (np.asarray(a, dtype=float) for a in (q, qd, tau))
-        rows = [self.step(*row) for row in zip(q, qd, tau, dt)]
-        shapes = ((6,), (6, 6), (6,), (n,), (n,), (), (n,))
-        kinds = (*[np.float64] * 5, np.int64, np.bool_)
-        columns = zip(shapes, kinds, zip(*rows)) if rows else ((shape, kind, ()) for shape, kind in zip(shapes, kinds))
-        return *(np.array(c, dtype=kind).reshape(len(rows), *shape) for shape, kind, c in columns), None
-
     def tare(self) -> bool:
         """Call what the torques show now friction, not contact: the posterior of all else given a wrench of zero.
 
@@ -220,11 +207,6 @@ class MomentumEstimator:
         self._P = 0.5 * (P + P.T)
         self._since_tare, self._tared = np.zeros(self._chain.n), True
         return True
-
-    def _invalid(self) -> tuple[Any, ...]:
-        n = self._chain.n
-        missing = tuple(np.full(shape, np.nan) for shape in ((6,), (6, 6), (6,), (n,), (n,)))
-        return *missing, INVALID, np.zeros(n, dtype=bool), None
 
     def _tell(
         self, q: np.ndarray, x: np.ndarray, P: np.ndarray, error: np.ndarray, variance: np.ndarray

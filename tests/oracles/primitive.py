@@ -130,7 +130,6 @@ class Primitive:
         phase: str,
     ) -> None:
         self.centres, self.widths = np.asarray(centres, dtype=float), np.asarray(widths, dtype=float)
-        weights = np.asarray(weights, dtype=float)
         self.weights = np.asarray(weights, dtype=float)
         self.alpha, self.stiffness, self.decay, self.pace, self.phase = alpha, stiffness, decay, pace, phase
 
@@ -143,14 +142,6 @@ class Primitive:
         exponents -= exponents.max(axis=-1, keepdims=True)
         psi = np.where(exponents < -FADED, 0.0, np.exp(np.maximum(exponents, -FADED)))
         return psi / psi.sum(axis=-1, keepdims=True)
-
-    def design(self, x: Any, factors: Any, rows: int, columns: int) -> np.ndarray:
-        """Return zeros (columns, rows) with kernels at phases (N,) times factors (N,) in the corner [:m, :N]."""
-        x = np.asarray(x, dtype=float)
-        factors = np.asarray(factors, dtype=float)
-        matrix = np.zeros((columns, rows))
-        matrix[: len(self.centres), : len(x)] = (self.basis(x) * factors[:, None]).T
-        return matrix
 
     def forcing(self, x: Any) -> np.ndarray:
         """Return the forcing (..., n) at phases (...), or (..., n) where every coordinate has its own."""
@@ -166,16 +157,18 @@ class Primitive:
         self, t: Any, tau: float, y0: Any, v0: Any, g: Any, scale: Any, weights: Any = None
     ) -> tuple[np.ndarray, ...]:
         """Return y, yd, ydd, x and f over times (N,)."""
+        t, y0, v0, g, scale = (np.asarray(a, dtype=float) for a in (t, y0, v0, g, scale))
+        runs = []
+        for k, begin in enumerate(zip(*(np.atleast_2d(a) for a in (y0, v0, g, scale)))):
+            one = PrimitiveStepper(self if weights is None else self._with(weights[k]))
+            one.start(*begin, tau)
+            runs.append(one.follow(t))
+        y, yd, ydd, f = (np.stack(part, axis=1).reshape(len(t), *y0.shape) for part in zip(*runs))
+        return y, yd, ydd, phase_at(self, (t - t[0]) / tau), f
 
-        t = np.asarray(t, dtype=float)
-        y0 = np.asarray(y0, dtype=float)
-        v0, g, scale = (np.asarray(a, dtype=float) for a in (v0, g, scale))
-        own = weights if weights is None else np.asarray(weights, dtype=float)
-        x = phase_at(self, (t - t[0]) / tau)
-        starts, speeds, goals, scales = (np.atleast_2d(a) for a in (y0, v0, g, scale))
-        y, yd, ydd, f = many(self, t, tau, starts, speeds, goals, scales, own)
-        y, yd, ydd, f = (a.reshape(len(t), *y0.shape) for a in (y, yd, ydd, f))
-        return y, yd, ydd, x, f
+    def _with(self, weights: np.ndarray) -> Primitive:
+        shape = self.alpha, self.stiffness, self.decay, self.pace, self.phase
+        return Primitive(self.centres, self.widths, weights, *shape)
 
     def response(self, t: Any, tau: float, longest: float) -> tuple[np.ndarray, np.ndarray]:
         """Return position and velocity (N, m + 3) that each kernel alone, then y0, v0 and g, make."""
@@ -356,55 +349,3 @@ class PrimitiveStepper:
         if self._around is not None:
             ydd = self._around.add(self.y, yd, self.g, ydd)
         return self.y.copy(), yd, np.where(self.braking, np.where(yd == 0, 0.0, -self.side * self.limit), ydd)
-
-
-def many(
-    p: Primitive,
-    t: np.ndarray,
-    tau: float,
-    y0: np.ndarray,
-    v0: np.ndarray,
-    g: np.ndarray,
-    scale: np.ndarray,
-    weights: np.ndarray | None,
-) -> tuple[np.ndarray, ...]:
-    """Run K primitives over one clock: y, yd, ydd and f, each (N, K, n)."""
-    if p.phase == "position":
-        return _one_by_one(p, t, tau, y0, v0, g, scale, weights)
-    half = np.empty(2 * len(t) - 1)
-    half[::2], half[1::2] = t, 0.5 * (t[:-1] + t[1:])
-    x = phase_at(p, (half - t[0]) / tau)
-    psi = p.basis(x) * share(p, x)[:, None]
-    forces = scale * (
-        (psi @ p.weights)[:, None] if weights is None else np.einsum("tm,kmn->tkn", psi, weights, optimize=True)
-    )
-    y, z = y0, tau * v0
-    rows = [(y, z)]
-    for k in range(1, len(t)):
-        step = SpringStep(p.alpha, p.stiffness, (t[k] - t[k - 1]) / tau)
-        y, z = step.advance(y, z, g, *forces[2 * k - 2 : 2 * k + 1])
-        rows.append((y, z))
-    Y, Z = np.stack(rows, axis=1)
-    f = forces[::2]
-    return Y, Z / tau, (p.stiffness * (g - Y) - p.alpha * Z + f) / tau**2, f
-
-
-def _one_by_one(
-    p: Primitive,
-    t: np.ndarray,
-    tau: float,
-    y0: np.ndarray,
-    v0: np.ndarray,
-    g: np.ndarray,
-    scale: np.ndarray,
-    weights: np.ndarray | None,
-) -> tuple[np.ndarray, ...]:
-    runs = []
-    for k in range(len(y0)):
-        own = p.weights if weights is None else weights[k]
-        one = PrimitiveStepper(Primitive(p.centres, p.widths, own, p.alpha, p.stiffness, p.decay, p.pace, p.phase))
-        one.start(y0[k], v0[k], g[k], scale[k], tau)
-        rows = [(*one.outputs(), one.forcing)]
-        rows += [(*one.step(dt), one.forcing) for dt in np.diff(t)]
-        runs.append(np.array(rows))
-    return tuple(np.array(runs).transpose(2, 1, 0, 3))

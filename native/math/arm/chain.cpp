@@ -8,8 +8,8 @@ namespace {
 
 constexpr double pi = 3.14159265358979323846;
 
-// R = Rz(beta) Rx(alpha) Rz(gamma). Where alpha is near 0 or pi beta is arbitrary: alpha and gamma are therefore read
-// from Rz(-beta) R, which makes the product right whatever beta is.
+// R = Rz(beta) Rx(alpha) Rz(gamma). Where alpha is near 0 or pi beta is arbitrary: alpha and gamma
+// are therefore read from Rz(-beta) R, which makes the product right whatever beta is.
 struct Angles {
   double beta, alpha, gamma;
 };
@@ -24,18 +24,21 @@ Angles zxz(const double *E) {
   return {beta, alpha, gamma};
 }
 
-// Zero for what rounding leaves of it: the entries of a rotation, and lengths in metres, are not known to 1e-15.
+// Zero for what rounding leaves of it: the entries of a rotation, and lengths in metres, are not
+// known to 1e-15.
 double without_rounding(double x) { return std::fabs(x) < 1e-15 ? 0.0 : x; }
 
 Chain::Twist twist(const Chain::Step &step) {
-  if (step.cos_alpha == 0.0) return step.sin_alpha > 0.0 ? Chain::Twist::quarter : Chain::Twist::minus_quarter;
+  if (step.cos_alpha == 0.0)
+    return step.sin_alpha > 0.0 ? Chain::Twist::quarter : Chain::Twist::minus_quarter;
   if (step.sin_alpha == 0.0 && step.cos_alpha > 0.0) return Chain::Twist::none;
   return Chain::Twist::other;
 }
 
 }  // namespace
 
-Chain::Chain(int n, const double *frames_, const bool *prismatic) : n(n), frames{}, steps{} {
+Chain::Chain(int joints, const double *frames_, const bool *prismatic)
+    : n(joints), frames{}, steps{} {
   std::copy(frames_, frames_ + 16 * (n + 1), frames.begin());
   double gamma_before = 0.0;
   for (int i = 0; i < n; ++i) {

@@ -1,4 +1,5 @@
-// Forward kinematics and Jacobians of a chain, for Real = double (one configuration) or Lanes (several).
+// Forward kinematics and Jacobians of a chain, for Real = double (one configuration) or Lanes
+// (several).
 #pragma once
 
 #include "math/arm/chain.h"
@@ -43,8 +44,9 @@ inline void joint_sincos(const Chain &chain, const double *q, double *sine, doub
 }
 #endif
 
-// Walks from base to tool; visit(i, z, p) sees the axis and a point of joint i + 1 in base axes. Returns T_base_tool.
-// (The columns are variables here, for of a pose that is returned the compiler would keep them in memory.)
+// Walks from base to tool; visit(i, z, p) sees the axis and a point of joint i + 1 in base axes.
+// Returns T_base_tool. (The columns are variables here, for of a pose that is returned the compiler
+// would keep them in memory.)
 template <class Real, class Visit>
 inline Pose<Real> walk(const Chain &chain, const Real *q, Visit visit) {
   Real sine[max_joints], cosine[max_joints];
@@ -88,7 +90,8 @@ inline void forward(const Chain &chain, const Real *q, Real *T_out) {
   walk(chain, q, [](int, const Vec3<Real> &, const Vec3<Real> &) {}).write(T_out);
 }
 
-// Zero, or NaN where a joint is NaN: for what does not depend on that joint, but must show that it is missing.
+// Zero, or NaN where a joint is NaN: for what does not depend on that joint, but must show that it
+// is missing.
 template <class Real>
 inline Vec3<Real> missing_in(const Pose<Real> &T) {
   return Real(0.0) * (T.x + T.p);
@@ -98,7 +101,9 @@ inline Vec3<Real> missing_in(const Pose<Real> &T) {
 template <class Real>
 inline Pose<Real> jacobian(const Chain &chain, const Real *q, bool tool, Real *J) {
   const int n = chain.n;
-  const auto read = [&](int row, int i) { return Vec3<Real>{J[row * n + i], J[(row + 1) * n + i], J[(row + 2) * n + i]}; };
+  const auto read = [&](int row, int i) {
+    return Vec3<Real>{J[row * n + i], J[(row + 1) * n + i], J[(row + 2) * n + i]};
+  };
   const auto write = [&](int row, int i, const Vec3<Real> &a) {
     J[row * n + i] = a.x;
     J[(row + 1) * n + i] = a.y;
@@ -125,7 +130,8 @@ inline Pose<Real> jacobian(const Chain &chain, const Real *q, bool tool, Real *J
   return T;
 }
 
-// T_{i-1,i} = E_{i-1} Z_i(q_i) (counting joints from 1): link frame i in link frame i - 1, the base for i = 1.
+// T_{i-1,i} = E_{i-1} Z_i(q_i) (counting joints from 1): link frame i in link frame i - 1, the base
+// for i = 1.
 template <class Real>
 inline Pose<Real> link_pose(const Chain &chain, int i, const Real &q) {
   Pose<Real> T(chain.frame(i));

@@ -19,14 +19,15 @@ struct Body {
 
   Vec3<Real> inertia(const Vec3<Real> &u) const {
     return {I[0] * u.x + I[1] * u.y + I[3] * u.z, I[1] * u.x + I[2] * u.y + I[4] * u.z,
-            I[3] * u.x + I[4] * u.y + I[5] * u.z};
+        I[3] * u.x + I[4] * u.y + I[5] * u.z};
   }
 
   // Adds a body told in frame b; T is T_a_b. Points x become R x + p, so I becomes R I R^T plus
   // (2 p . R h + m p . p) 1 - R h p^T - p (R h)^T - m p p^T.
   void add(const Pose<Real> &T, const Body &b) {
     const Vec3<Real> Rh = T.turn(b.h), &p = T.p;
-    const Vec3<Real> rows[3] = {{T.x.x, T.y.x, T.z.x}, {T.x.y, T.y.y, T.z.y}, {T.x.z, T.y.z, T.z.z}};  // of R
+    const Vec3<Real> rows[3] = {
+        {T.x.x, T.y.x, T.z.x}, {T.x.y, T.y.y, T.z.y}, {T.x.z, T.y.z, T.z.z}};  // of R
     const Vec3<Real> turned[3] = {b.inertia(rows[0]), b.inertia(rows[1]), b.inertia(rows[2])};
     const Real trace = Real(2.0) * dot(p, Rh) + b.m * dot(p, p);
     const Vec3<Real> q = Rh + b.m * p;
@@ -41,7 +42,8 @@ struct Body {
   }
 };
 
-// M (n, n) by composite bodies (Featherstone, Rigid Body Dynamics Algorithms, 2008, 6.2). parameters (n, 10).
+// M (n, n) by composite bodies (Featherstone, Rigid Body Dynamics Algorithms, 2008, 6.2).
+// parameters (n, 10).
 template <class Real>
 inline void mass_matrix(const Chain &chain, const Real *q, const double *parameters, Real *M) {
   const int n = chain.n;
@@ -56,8 +58,8 @@ inline void mass_matrix(const Chain &chain, const Real *q, const double *paramet
     // The wrench that gives joint k a unit acceleration, carried down to every joint before it.
     const bool slides = chain.steps[k].slides;
     Vec3<Real> f = slides ? Vec3<Real>{zero, zero, rest.m} : Vec3<Real>{-rest.h.y, rest.h.x, zero};
-    Vec3<Real> moment =
-        slides ? Vec3<Real>{rest.h.y, -rest.h.x, zero} : Vec3<Real>{rest.I[3], rest.I[4], rest.I[5]};
+    Vec3<Real> moment = slides ? Vec3<Real>{rest.h.y, -rest.h.x, zero}
+                               : Vec3<Real>{rest.I[3], rest.I[4], rest.I[5]};
     for (int i = k; i >= 0; --i) {
       M[n * i + k] = M[n * k + i] = chain.steps[i].slides ? f.z : moment.z;
       if (i == 0) break;
@@ -68,11 +70,12 @@ inline void mass_matrix(const Chain &chain, const Real *q, const double *paramet
   M[0] = M[0] + (q[0] - q[0]);  // nothing depends on the first joint, but a NaN there must show
 }
 
-// Momentum p = M qd (n) and beta = C^T qd = d(kinetic energy)/dq (n), so that rnea without gravity is dp/dt - beta.
-// With l_i the momentum of links i ... n and V_i the twist of link i, in frame i:
+// Momentum p = M qd (n) and beta = C^T qd = d(kinetic energy)/dq (n), so that rnea without gravity
+// is dp/dt - beta. With l_i the momentum of links i ... n and V_i the twist of link i, in frame i:
 //   p_i = S_i . l_i,   beta_i = l_i . (V_i x S_i)
 template <class Real>
-inline void momentum(const Chain &chain, const Real *q, const Real *qd, const double *parameters, Real *p, Real *beta) {
+inline void momentum(const Chain &chain, const Real *q, const Real *qd, const double *parameters,
+    Real *p, Real *beta) {
   const int n = chain.n;
   const Real zero(0.0);
   Pose<Real> T[max_joints];

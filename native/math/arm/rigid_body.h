@@ -1,8 +1,9 @@
 // Rigid-body dynamics of a chain, for Real = double (one sample) or Lanes (several).
 //
-// Parameters per link, in the link frame, about its origin: m, m cx, m cy, m cz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
-// Everything is told in link frames; w, wd are the angular velocity and acceleration of a link, a the acceleration of
-// its origin, where the base accelerates by -gravity (recursive Newton-Euler: Siciliano et al., Robotics, 2009, 7.5).
+// Parameters per link, in the link frame, about its origin: m, m cx, m cy, m cz, Ixx, Ixy, Iyy,
+// Ixz, Iyz, Izz. Everything is told in link frames; w, wd are the angular velocity and acceleration
+// of a link, a the acceleration of its origin, where the base accelerates by -gravity (recursive
+// Newton-Euler: Siciliano et al., Robotics, 2009, 7.5).
 #pragma once
 
 #include "math/arm/kinematics.h"
@@ -21,8 +22,8 @@ inline Vec3<Real> to_vec3(const double *v) {
 
 // The motion of link i from that of link i - 1; T is the link's pose in the one before.
 template <class Real>
-inline LinkMotion<Real> next_motion(const LinkMotion<Real> &before, const Pose<Real> &T, bool slides, const Real &qd,
-                                    const Real &qdd) {
+inline LinkMotion<Real> next_motion(const LinkMotion<Real> &before, const Pose<Real> &T,
+    bool slides, const Real &qd, const Real &qdd) {
   const Vec3<Real> &w0 = before.w;
   LinkMotion<Real> link;
   link.w = T.turn_back(w0);
@@ -44,16 +45,17 @@ inline LinkMotion<Real> base_motion(const double *gravity) {
 }
 
 template <class Real>
-inline Vec3<Real> inertia_times(const double *I, const Vec3<Real> &u) {  // I = Ixx, Ixy, Iyy, Ixz, Iyz, Izz
+inline Vec3<Real> inertia_times(
+    const double *I, const Vec3<Real> &u) {  // I = Ixx, Ixy, Iyy, Ixz, Iyz, Izz
   return {Real(I[0]) * u.x + Real(I[1]) * u.y + Real(I[3]) * u.z,
-          Real(I[1]) * u.x + Real(I[2]) * u.y + Real(I[4]) * u.z,
-          Real(I[3]) * u.x + Real(I[4]) * u.y + Real(I[5]) * u.z};
+      Real(I[1]) * u.x + Real(I[2]) * u.y + Real(I[4]) * u.z,
+      Real(I[3]) * u.x + Real(I[4]) * u.y + Real(I[5]) * u.z};
 }
 
 // tau (n) of the motion q, qd, qdd: recursive Newton-Euler. parameters (n, 10).
 template <class Real>
-inline void rnea(const Chain &chain, const Real *q, const Real *qd, const Real *qdd, const double *gravity,
-                 const double *parameters, Real *tau) {
+inline void rnea(const Chain &chain, const Real *q, const Real *qd, const Real *qdd,
+    const double *gravity, const double *parameters, Real *tau) {
   Pose<Real> T[max_joints];
   Vec3<Real> force[max_joints], moment[max_joints];
   LinkMotion<Real> link = base_motion<Real>(gravity);
@@ -63,7 +65,8 @@ inline void rnea(const Chain &chain, const Real *q, const Real *qd, const Real *
     const double *pi = parameters + 10 * i;
     const Vec3<Real> h = to_vec3<Real>(pi + 1);  // m c
     force[i] = Real(pi[0]) * link.a + cross(link.wd, h) + cross(link.w, cross(link.w, h));
-    moment[i] = inertia_times(pi + 4, link.wd) + cross(link.w, inertia_times(pi + 4, link.w)) + cross(h, link.a);
+    moment[i] = inertia_times(pi + 4, link.wd) + cross(link.w, inertia_times(pi + 4, link.w)) +
+                cross(h, link.a);
   }
   for (int i = chain.n - 1; i >= 0; --i) {
     tau[i] = chain.steps[i].slides ? force[i].z : moment[i].z;
@@ -74,7 +77,8 @@ inline void rnea(const Chain &chain, const Real *q, const Real *qd, const Real *
   }
 }
 
-// Axes of the joints up to a link as twists [v; w] in its frame: tau_i = v . force + w . moment of a wrench on it.
+// Axes of the joints up to a link as twists [v; w] in its frame: tau_i = v . force + w . moment of
+// a wrench on it.
 template <class Real>
 struct JointAxes {
   Vec3<Real> v[max_joints], w[max_joints];
@@ -93,7 +97,8 @@ struct JointAxes {
 
 // One row block of the rigid regressor: (v, w) . (wrench of each unit parameter).
 template <class Real>
-inline void wrench_row(const LinkMotion<Real> &link, const Vec3<Real> &v, const Vec3<Real> &w, Real *row) {
+inline void wrench_row(
+    const LinkMotion<Real> &link, const Vec3<Real> &v, const Vec3<Real> &w, Real *row) {
   // Powers of force and moment as forms in h = m c: v . (wd x h + w0 x (w0 x h)) + w . (h x a).
   const Vec3<Real> h = cross(v, link.wd) + cross(cross(v, link.w), link.w) + cross(link.a, w);
   // And in I: w . (I wd) + (w x w0) . (I w0).
@@ -113,8 +118,8 @@ inline void wrench_row(const LinkMotion<Real> &link, const Vec3<Real> &v, const 
 
 // Y (n, 10 n): tau = Y parameters.
 template <class Real>
-inline void rigid_regressor(const Chain &chain, const Real *q, const Real *qd, const Real *qdd, const double *gravity,
-                            Real *Y) {
+inline void rigid_regressor(const Chain &chain, const Real *q, const Real *qd, const Real *qdd,
+    const double *gravity, Real *Y) {
   const int n = chain.n;
   JointAxes<Real> axes;
   LinkMotion<Real> link = base_motion<Real>(gravity);
@@ -124,31 +129,9 @@ inline void rigid_regressor(const Chain &chain, const Real *q, const Real *qd, c
     axes.advance(k, T, chain.steps[k].slides);
     for (int i = 0; i < n; ++i) {
       Real *row = Y + 10 * (n * i + k);
-      if (i <= k)
-        wrench_row(link, axes.v[i], axes.w[i], row);
+      if (i <= k) wrench_row(link, axes.v[i], axes.w[i], row);
       else
         for (int j = 0; j < 10; ++j) row[j] = Real(0.0);
-    }
-  }
-}
-
-// Y (n, 4 n): gravity torques dU/dq = Y [m, m cx, m cy, m cz] per link.
-template <class Real>
-inline void gravity_regressor(const Chain &chain, const Real *q, const double *gravity, Real *Y) {
-  const int n = chain.n;
-  JointAxes<Real> axes;
-  Vec3<Real> a = base_motion<Real>(gravity).a;
-  for (int k = 0; k < n; ++k) {
-    const Pose<Real> T = link_pose(chain, k, q[k]);
-    a = T.turn_back(a);
-    axes.advance(k, T, chain.steps[k].slides);
-    for (int i = 0; i < n; ++i) {
-      Real *row = Y + 4 * (n * i + k);
-      const Vec3<Real> h = i <= k ? cross(a, axes.w[i]) : Vec3<Real>{Real(0.0), Real(0.0), Real(0.0)};
-      row[0] = i <= k ? dot(axes.v[i], a) : Real(0.0);
-      row[1] = h.x;
-      row[2] = h.y;
-      row[3] = h.z;
     }
   }
 }

@@ -1,11 +1,13 @@
-// Cholesky factors of small symmetric positive definite matrices, row by row, whose size is known only at run time.
+// Cholesky factors of small symmetric positive definite matrices, row by row, whose size is known
+// only at run time.
 #pragma once
 
 #include <cmath>
 
 namespace armlab {
 
-// Lower factor L of S = L L^T (n, n) in place; what is above the diagonal stays. False when a pivot is not above `least`.
+// Lower factor L of S = L L^T (n, n) in place; what is above the diagonal stays. False when a pivot
+// is not above `least`.
 inline bool cholesky(double *S, int n, double least = 0.0) {
   for (int j = 0; j < n; ++j) {
     for (int k = 0; k < j; ++k)

@@ -1,4 +1,5 @@
-// What is unknown of a contact: the wrench F, or a force f at a known point of the tool, F = S f with S = [1; hat(r)].
+// What is unknown of a contact: the wrench F, or a force f at a known point of the tool, F = S f
+// with S = [1; hat(r)].
 #pragma once
 
 #include <algorithm>
@@ -15,7 +16,8 @@ struct Unknowns {
   Unknowns(const double *point, const Pose<double> &T_base_tool, int n, double *J) {
     if (!point) return;
     k = 3;
-    const Vec3<double> r = point[0] * T_base_tool.x + point[1] * T_base_tool.y + point[2] * T_base_tool.z;
+    const Vec3<double> r =
+        point[0] * T_base_tool.x + point[1] * T_base_tool.y + point[2] * T_base_tool.z;
     const double map[18] = {1, 0, 0, 0, 1, 0, 0, 0, 1, 0, -r.z, r.y, r.z, 0, -r.x, -r.y, r.x, 0};
     std::copy_n(map, 18, S);
     for (int i = 0; i < n; ++i)

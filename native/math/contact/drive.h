@@ -1,5 +1,6 @@
-// Torque of the drives at one instant: friction with its presliding state and warmth, friction that depends on position,
-// and torque ripple. The only place in the compiled core that evaluates it; tests/oracles/drive.py states the mathematics.
+// Torque of the drives at one instant: friction with its presliding state and warmth, friction that
+// depends on position, and torque ripple. The only place in the compiled core that evaluates it;
+// tests/oracles/drive.py states the mathematics.
 #pragma once
 
 #include <algorithm>
@@ -12,23 +13,25 @@
 namespace armlab {
 
 struct JointFriction {
-  double viscous, coulomb_pos, coulomb_neg, offset, stribeck, stribeck_speed, delta, resolution, root, smooth_speed;
+  double viscous, coulomb_pos, coulomb_neg, offset, stribeck, stribeck_speed, delta, resolution,
+      root, smooth_speed;
 };
 struct JointRipple {
   double cycles, cosine, sine;
 };
 
-// Friction changes by its own heat: coulomb (1 + of_coulomb x), viscous (1 + of_viscous x), x towards power / reference
-// within `time`; time 0: it does not.
+// Friction changes by its own heat: coulomb (1 + of_coulomb x), viscous (1 + of_viscous x), x
+// towards power / reference within `time`; time 0: it does not.
 struct JointWarmUp {
   double of_coulomb, of_viscous, time, reference, start;
 };
 
 constexpr int max_centres = 64;
 
-// Gaussians exp(-((x - c) / w)^2) divided by their sum, which is that of the nearest: no x is far from all of them.
-// x outside the centres counts as the nearest end.
-inline void basis_weights(double x, int count, const double *centres, const double *widths, double *weights) {
+// Gaussians exp(-((x - c) / w)^2) divided by their sum, which is that of the nearest: no x is far
+// from all of them. x outside the centres counts as the nearest end.
+inline void basis_weights(
+    double x, int count, const double *centres, const double *widths, double *weights) {
   x = std::min(std::max(x, centres[0]), centres[count - 1]);
   double largest = -1e300, sum = 0.0;
   for (int k = 0; k < count; ++k) {
@@ -60,16 +63,18 @@ struct DriveState {
   double play = 0.0, z = 0.0, warmth = 0.0;
 };
 
-// Lines of torque ripple whose amplitudes depend on speed. coefficients (lines, sides, speeds, 2): cosine and sine.
+// Lines of torque ripple whose amplitudes depend on speed. coefficients (lines, sides, speeds, 2):
+// cosine and sine.
 struct RippleLines {
-  int speeds = 0, sides = 1;          // two sides: one for each direction, over |qd|
-  std::vector<double> cycles;         // of each line, joint by joint
+  int speeds = 0, sides = 1;                // two sides: one for each direction, over |qd|
+  std::vector<double> cycles;               // of each line, joint by joint
   std::array<int, max_joints + 1> first{};  // line of each joint
   std::vector<double> centres, widths;      // (n, speeds)
   std::vector<double> coefficients;
 };
 
-// Friction over position and speed. coefficients (n, 2, positions, speeds), positive direction first.
+// Friction over position and speed. coefficients (n, 2, positions, speeds), positive direction
+// first.
 struct FrictionMap {
   int positions = 0, speeds = 0;
   std::vector<double> position_centres, position_widths, speed_centres, speed_widths, coefficients;
@@ -87,7 +92,8 @@ class Drive {
   // The state of joint i at the first position of a record.
   DriveState start(int i, double q) const { return {q, 0.0, warm_up[i].start}; }
 
-  // Its state after a gap, in which nothing is known of the way: as at the first position, but for the warmth.
+  // Its state after a gap, in which nothing is known of the way: as at the first position, but for
+  // the warmth.
   static DriveState restart(double q, const DriveState &before) { return {q, 0.0, before.warmth}; }
 
   // Moves the state of joint i to position q; returns the displacement that the encoder can tell.
@@ -101,8 +107,8 @@ class Drive {
   double torque(int i, double q, double qd, const DriveState &state, double dry_share) const {
     const JointRipple &r = ripple[i];
     const double s = sign(i, qd, state);
-    double tau = rubbing(i, qd, s, state.warmth, dry_share) + friction[i].offset + r.cosine * std::cos(r.cycles * q) +
-                 r.sine * std::sin(r.cycles * q);
+    double tau = rubbing(i, qd, s, state.warmth, dry_share) + friction[i].offset +
+                 r.cosine * std::cos(r.cycles * q) + r.sine * std::sin(r.cycles * q);
     if (map.positions) tau += dry_share * mapped(i, q, qd, s);
     if (!lines.cycles.empty()) tau += rippled(i, q, qd, s);
     return tau;
@@ -112,13 +118,15 @@ class Drive {
   void heat(int i, double qd, double dt, DriveState &state) const {
     const JointWarmUp &w = warm_up[i];
     if (!(w.time > 0.0)) return;
-    const double power = std::fabs(rubbing(i, qd, sign(i, qd, state), state.warmth, 1.0) * qd) / w.reference;
+    const double power =
+        std::fabs(rubbing(i, qd, sign(i, qd, state), state.warmth, 1.0) * qd) / w.reference;
     state.warmth = power + (state.warmth - power) * std::exp(-dt / w.time);
   }
 
   // Largest friction at rest.
   double at_rest(int i) const {
-    return 0.5 * (friction[i].coulomb_pos + friction[i].coulomb_neg) + std::max(friction[i].stribeck, 0.0);
+    return 0.5 * (friction[i].coulomb_pos + friction[i].coulomb_neg) +
+           std::max(friction[i].stribeck, 0.0);
   }
 
  private:
@@ -131,7 +139,8 @@ class Drive {
     const JointFriction &f = friction[i];
     const double slow = qd / f.stribeck_speed;
     const double coulomb = f.coulomb_pos * std::max(s, 0.0) + f.coulomb_neg * std::min(s, 0.0);
-    double dry = coulomb * (1.0 + warm_up[i].of_coulomb * warmth) + f.stribeck * s * std::exp(-(slow * slow));
+    double dry = coulomb * (1.0 + warm_up[i].of_coulomb * warmth) +
+                 f.stribeck * s * std::exp(-(slow * slow));
     if (f.root != 0.0) dry += f.root * s * std::sqrt(std::fabs(qd));
     return f.viscous * (1.0 + warm_up[i].of_viscous * warmth) * qd + dry_share * dry;
   }

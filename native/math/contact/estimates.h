@@ -1,5 +1,5 @@
-// What the estimators of a wrench share at the binding: their arguments, their results as NumPy arrays, one step and a
-// whole record.
+// What the estimators of a wrench share at the binding: their arguments, their results as NumPy
+// arrays, one step and a whole record.
 #pragma once
 
 #include <algorithm>
@@ -15,19 +15,17 @@ namespace armlab {
 
 // gains (n). covariance (4, n): rows C0, Cinf, shape, kind. point: (3) in tool axes, or None.
 template <class Parameters>
-Parameters read_arm(const Chain &chain, nb::handle gravity_, nb::handle links_, nb::handle rotor_, const Drive &drive,
-                    nb::handle gains_, double gain_variance, nb::handle covariance_, nb::handle prior_, nb::handle point_) {
+Parameters read_arm(const Chain &chain, nb::handle gravity_, nb::handle links_, nb::handle rotor_,
+    const Drive &drive, nb::handle gains_, double gain_variance, nb::handle covariance_,
+    nb::handle prior_, nb::handle point_) {
   const int n = chain.n;
-  const Input gravity(gravity_, "gravity"), links(links_, "links"), rotor(rotor_, "rotor");
-  const Input gains(gains_, "gains"), covariance(covariance_, "covariance"), prior(prior_, "prior");
-  gravity.require_exactly({3});
-  links.require_exactly({n, 10});
-  rotor.require_exactly({n});
+  const Input gravity(gravity_, "gravity", {3}), links(links_, "links", {n, 10}),
+      rotor(rotor_, "rotor", {n});
   if (drive.n != n)
-    raise_shape_error("Expected a drive of " + std::to_string(n) + " joints like the chain, got " + std::to_string(drive.n) + ".");
-  gains.require_exactly({n});
-  covariance.require_exactly({4, n});
-  prior.require_exactly({6});
+    raise_shape_error("Expected a drive of " + std::to_string(n) + " joints like the chain, got " +
+                      std::to_string(drive.n) + ".");
+  const Input gains(gains_, "gains", {n}), covariance(covariance_, "covariance", {4, n}),
+      prior(prior_, "prior", {6});
   require_positive("gains", gains.data(), n);
   require_not_negative("gain_variance", &gain_variance, 1);
   require_positive("covariance", covariance.data(), 2 * n);
@@ -45,16 +43,16 @@ Parameters read_arm(const Chain &chain, nb::handle gravity_, nb::handle links_, 
   for (int i = 0; i < n; ++i) p.covariance[i] = {c[i], c[n + i], c[2 * n + i], c[3 * n + i]};
   p.at_point = !point_.is_none();
   if (p.at_point) {
-    const Input point(point_, "point");
-    point.require_exactly({3});
-    if (!finite(point.data(), 3)) raise_shape_error("Expected a finite point, got another. Correct it.");
+    const Input point(point_, "point", {3});
+    if (!finite(point.data(), 3))
+      raise_shape_error("Expected a finite point, got another. Correct it.");
     std::copy_n(point.data(), 3, p.point.begin());
   }
   return p;
 }
 
-// One estimate, or N of them, as fresh arrays: F, P, observability, torque error, its variance, flags, active joints,
-// interval; the last is None where the method has none.
+// One estimate, or N of them, as fresh arrays: F, P, observability, torque error, its variance,
+// flags, active joints, interval; the last is None where the method has none.
 class Estimates {
  public:
   Estimates(int n, bool has_interval, npy_intp N, bool stacked) : n_(n), interval_(nullptr) {
@@ -65,9 +63,12 @@ class Estimates {
       if (!array) throw nb::python_error();
       return array;
     };
-    const auto data = [](const nb::object &array) { return PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())); };
-    arrays_ = {shaped({6}, NPY_DOUBLE),  shaped({6, 6}, NPY_DOUBLE), shaped({6}, NPY_DOUBLE), shaped({n_}, NPY_DOUBLE),
-               shaped({n_}, NPY_DOUBLE), shaped({n_}, NPY_BOOL),     nb::none(),              nb::none()};
+    const auto data = [](const nb::object &array) {
+      return PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr()));
+    };
+    arrays_ = {shaped({6}, NPY_DOUBLE), shaped({6, 6}, NPY_DOUBLE), shaped({6}, NPY_DOUBLE),
+        shaped({n_}, NPY_DOUBLE), shaped({n_}, NPY_DOUBLE), shaped({n_}, NPY_BOOL), nb::none(),
+        nb::none()};
     for (int k = 0; k < 5; ++k) values_[k] = static_cast<double *>(data(arrays_[k]));
     active_ = static_cast<npy_bool *>(data(arrays_[5]));
     if (has_interval) {
@@ -92,8 +93,8 @@ class Estimates {
 
   nb::object tuple() {
     if (arrays_[7].is_none()) arrays_[7] = nb::int_(flag_);
-    return nb::steal(PyTuple_Pack(8, arrays_[0].ptr(), arrays_[1].ptr(), arrays_[2].ptr(), arrays_[3].ptr(), arrays_[4].ptr(),
-                                  arrays_[7].ptr(), arrays_[5].ptr(), arrays_[6].ptr()));
+    return nb::steal(PyTuple_Pack(8, arrays_[0].ptr(), arrays_[1].ptr(), arrays_[2].ptr(),
+        arrays_[3].ptr(), arrays_[4].ptr(), arrays_[7].ptr(), arrays_[5].ptr(), arrays_[6].ptr()));
   }
 
  private:
@@ -108,10 +109,7 @@ class Estimates {
 template <class Estimator>
 nb::object step(Estimator &self, nb::handle q_, nb::handle qd_, nb::handle tau_, double dt) {
   const int n = self.n();
-  const Input q(q_, "q"), qd(qd_, "qd"), tau(tau_, "tau");
-  q.require_exactly({n});
-  qd.require_exactly({n});
-  tau.require_exactly({n});
+  const Input q(q_, "q", {n}), qd(qd_, "qd", {n}), tau(tau_, "tau", {n});
   WrenchEstimate estimate;
   self.step(q.data(), qd.data(), tau.data(), dt, estimate);
   Estimates out(n, self.has_interval(), 1, false);
@@ -122,12 +120,10 @@ nb::object step(Estimator &self, nb::handle q_, nb::handle qd_, nb::handle tau_,
 template <class Estimator>
 nb::object run(Estimator &self, nb::handle q_, nb::handle qd_, nb::handle tau_, nb::handle dt_) {
   const int n = self.n();
-  const Input q(q_, "q"), qd(qd_, "qd"), tau(tau_, "tau"), dt(dt_, "dt");
+  const Input dt(dt_, "dt");
   const npy_intp N = dt.size();
   dt.require_exactly({N});
-  q.require_exactly({N, n});
-  qd.require_exactly({N, n});
-  tau.require_exactly({N, n});
+  const Input q(q_, "q", {N, n}), qd(qd_, "qd", {N, n}), tau(tau_, "tau", {N, n});
   Estimates out(n, self.has_interval(), N, true);
   {
     nb::gil_scoped_release released;

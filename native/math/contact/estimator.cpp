@@ -14,7 +14,8 @@ constexpr double weak_below = 0.5;
 constexpr double spread_sigmas = 3.0, box_sigmas = 10.0;  // of the interval
 constexpr double pi = 3.14159265358979323846;
 
-// Second-order Butterworth low-pass in state-variable form; a and g follow from the corner frequency and dt.
+// Second-order Butterworth low-pass in state-variable form; a and g follow from the corner
+// frequency and dt.
 double lowpass(double *state, double x, double g, double a) {
   const double v1 = a * (state[0] + g * (x - state[1]));
   const double v2 = state[1] + g * v1;
@@ -25,10 +26,12 @@ double lowpass(double *state, double x, double g, double a) {
 
 }  // namespace
 
-void WrenchEstimate::tell(const Unknowns &unknowns, const ArmModel &arm, const double *x, const double *covariance) {
+void WrenchEstimate::tell(
+    const Unknowns &unknowns, const ArmModel &arm, const double *x, const double *covariance) {
   unknowns.wrench(x, covariance, F, P);
   for (int m = 0; m < 6; ++m) {
-    // A moment that cannot be has nothing to hide; without a prior (ls) an axis may be worse known than it would leave it.
+    // A moment that cannot be has nothing to hide; without a prior (ls) an axis may be worse known
+    // than it would leave it.
     const double C = unknowns.variance(arm.prior.data(), m);
     observability[m] = C > 0.0 ? std::max(1.0 - P[7 * m] / C, 0.0) : 1.0;
     if (observability[m] < weak_below) flags |= 2;
@@ -64,16 +67,19 @@ double WrenchEstimator::slowness(int i, double qd) const {
   return std::exp(-(ratio * ratio));
 }
 
-bool WrenchEstimator::advance(const double *q, const double *qd, const double *tau, double dt, bool apart, double *raw) {
+bool WrenchEstimator::advance(
+    const double *q, const double *qd, const double *tau, double dt, bool apart, double *raw) {
   const int n = this->n();
-  if (!finite(q, n) || !finite(qd, n) || !finite(tau, n) || !(dt > 0.0) || !std::isfinite(dt)) return false;
+  if (!finite(q, n) || !finite(qd, n) || !finite(tau, n) || !(dt > 0.0) || !std::isfinite(dt))
+    return false;
   const double relax = 1.0 - std::exp(-dt / rest_time);
   std::array<Joint, max_joints> next;
   double qdd[max_joints] = {}, rigid[max_joints];
   for (int i = 0; i < n; ++i) {
     Joint &joint = next[i] = joints_[i];
     if (apart) {
-      const DriveState state = first_ ? p_.drive.start(i, q[i]) : Drive::restart(q[i], joint.drive.state);
+      const DriveState state =
+          first_ ? p_.drive.start(i, q[i]) : Drive::restart(q[i], joint.drive.state);
       joint = Joint{JointDrive{state}, qd[i], {{0.0, 0.0}, {0.0, 0.0}}};
     }
     joint.drive.move(p_.drive, i, q[i], relax);
@@ -82,9 +88,10 @@ bool WrenchEstimator::advance(const double *q, const double *qd, const double *t
   }
   rnea(p_.chain, q, qd, qdd, p_.gravity.data(), p_.links.data(), rigid);
   for (int i = 0; i < n; ++i) {
-    const double dry_share = has_band() ? 1.0 - slowness(i, qd[i]) : 1.0;  // near rest it is anything within the bound
-    raw[i] = rigid[i] + p_.rotor[i] * qdd[i] + p_.drive.torque(i, q[i], qd[i], next[i].drive.state, dry_share) -
-             tau[i] / p_.gains[i];
+    const double dry_share =
+        has_band() ? 1.0 - slowness(i, qd[i]) : 1.0;  // near rest it is anything within the bound
+    raw[i] = rigid[i] + p_.rotor[i] * qdd[i] +
+             p_.drive.torque(i, q[i], qd[i], next[i].drive.state, dry_share) - tau[i] / p_.gains[i];
     if (!(std::fabs(raw[i]) < largest_torque)) return false;
     p_.drive.heat(i, qd[i], dt, next[i].drive.state);
   }
@@ -92,7 +99,8 @@ bool WrenchEstimator::advance(const double *q, const double *qd, const double *t
   return true;
 }
 
-void WrenchEstimator::step(const double *q, const double *qd, const double *tau, double dt, WrenchEstimate &e) {
+void WrenchEstimator::step(
+    const double *q, const double *qd, const double *tau, double dt, WrenchEstimate &e) {
   const int n = this->n();
   double raw[max_joints];
   const bool apart = first_ || dt > gap_steps * nominal_, band = has_band();
@@ -106,7 +114,8 @@ void WrenchEstimator::step(const double *q, const double *qd, const double *tau,
   for (int i = 0; i < n; ++i) {
     Joint &joint = joints_[i];
     const JointCovariance &c = p_.covariance[i];
-    const double unsure = band ? std::max(slowness(i, qd[i]), joint.drive.unsure) : joint.drive.unsure;
+    const double unsure =
+        band ? std::max(slowness(i, qd[i]), joint.drive.unsure) : joint.drive.unsure;
     if (begins) {
       joint.low[0][0] = 0.0;
       joint.low[0][1] = raw[i];
@@ -116,8 +125,10 @@ void WrenchEstimator::step(const double *q, const double *qd, const double *tau,
       joint.low[1][1] = unsure;
     }
     e.error[i] = begins ? raw[i] : lowpass(joint.low[0], raw[i], g, a);
-    const double filtered = std::min(std::max(apart ? unsure : lowpass(joint.low[1], unsure, g, a), 0.0), 1.0);
-    if (band) {  // the bound holds what velocity does to the error near rest; without an acceleration nothing does
+    const double filtered =
+        std::min(std::max(apart ? unsure : lowpass(joint.low[1], unsure, g, a), 0.0), 1.0);
+    if (band) {  // the bound holds what velocity does to the error near rest; without an
+                 // acceleration nothing does
       e.variance[i] = c.at_speed;
       e.bound[i] = apart ? largest_torque : p_.bound[i].torque * filtered + p_.bound[i].floor;
       continue;
@@ -131,17 +142,20 @@ void WrenchEstimator::step(const double *q, const double *qd, const double *tau,
 void WrenchEstimator::solve(const double *q, WrenchEstimate &e) const {
   const int n = this->n();
   double A[6 * max_joints];
-  const Unknowns unknowns(p_.at_point ? p_.point.data() : nullptr, jacobian(p_.chain, q, false, A), n, A);
+  const Unknowns unknowns(
+      p_.at_point ? p_.point.data() : nullptr, jacobian(p_.chain, q, false, A), n, A);
   WrenchSolution x;
   solve_wrench({n, unknowns.k, A, e.error, e.variance, e.bound, p_.prior.data()}, p_.method, x);
   std::copy_n(x.active, n, e.active);
   e.flags = x.singular ? 16 : 0;
-  if (has_band() && std::none_of(x.active, x.active + n, [](bool active) { return active; })) e.flags |= 4;
+  if (has_band() && std::none_of(x.active, x.active + n, [](bool active) { return active; }))
+    e.flags |= 4;
   e.tell(unknowns, p_, x.x, x.P);
   if (has_interval()) intervals(A, unknowns, e);
 }
 
-void WrenchEstimator::intervals(const double *A, const Unknowns &unknowns, WrenchEstimate &e) const {
+void WrenchEstimator::intervals(
+    const double *A, const Unknowns &unknowns, WrenchEstimate &e) const {
   const int n = this->n(), k = unknowns.k;
   double spread[max_joints], box[6], ends[12];
   bool violated[max_joints];

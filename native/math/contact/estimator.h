@@ -11,9 +11,10 @@
 
 namespace armlab {
 
-constexpr double rest_time = 0.5;         // s, in which friction at rest becomes unknown
-constexpr double gap_steps = 5.0;         // first steps; a longer step is a gap, of which nothing is known
-constexpr double largest_torque = 1e100;  // N m; beyond it an error would overflow in a filter and never leave it
+constexpr double rest_time = 0.5;  // s, in which friction at rest becomes unknown
+constexpr double gap_steps = 5.0;  // first steps; a longer step is a gap, of which nothing is known
+constexpr double largest_torque =
+    1e100;  // N m; beyond it an error would overflow in a filter and never leave it
 
 inline bool finite(const double *values, int n) {
   return std::all_of(values, values + n, [](double x) { return std::isfinite(x); });
@@ -24,7 +25,8 @@ struct JointCovariance {
 
   double at(double qd) const {
     const double speed = std::fabs(qd);
-    const double weight = kind == 0.0 ? std::exp(-shape * speed) : (kind == 1.0 && speed < shape ? 1.0 : 0.0);
+    const double weight =
+        kind == 0.0 ? std::exp(-shape * speed) : (kind == 1.0 && speed < shape ? 1.0 : 0.0);
     return (at_rest - at_speed) * weight + at_speed;
   }
 };
@@ -35,7 +37,7 @@ struct JointBound {
 
 // What every estimator knows of an arm.
 struct ArmModel {
-  explicit ArmModel(const Chain &chain) : chain(chain) {}
+  explicit ArmModel(const Chain &arm) : chain(arm) {}
   Chain chain;
   std::array<double, 3> gravity;
   std::array<double, 10 * max_joints> links;
@@ -49,8 +51,8 @@ struct ArmModel {
   std::array<double, 3> point;  // it, in tool axes
 };
 
-// One joint's drive, and how surely its presliding state is known: the variance of it, 1 being the largest that a
-// variable in [-1, 1] can have. Rest adds to it, displacement wipes it out.
+// One joint's drive, and how surely its presliding state is known: the variance of it, 1 being the
+// largest that a variable in [-1, 1] can have. Rest adds to it, displacement wipes it out.
 struct JointDrive {
   DriveState state;
   double unsure = 1.0;
@@ -66,12 +68,14 @@ struct JointDrive {
 
 // One estimate. Bits of flags: 1 invalid, 2 weak, 4 stuck, 8 infeasible, 16 singular, 32 tared.
 struct WrenchEstimate {
-  double F[6], P[36], observability[6], error[max_joints], variance[max_joints], bound[max_joints], interval[12];
+  double F[6], P[36], observability[6], error[max_joints], variance[max_joints], bound[max_joints],
+      interval[12];
   bool active[max_joints];
   int flags;
 
   // Writes the wrench of the unknowns x (k) with covariance P (k, k), and what of it can be seen.
-  void tell(const Unknowns &unknowns, const ArmModel &arm, const double *x, const double *covariance);
+  void tell(
+      const Unknowns &unknowns, const ArmModel &arm, const double *x, const double *covariance);
   void make_invalid(int n);
 };
 
@@ -88,13 +92,15 @@ class WrenchEstimator {
 
   int n() const { return p_.chain.n; }
   bool has_band() const {
-    return p_.method == WrenchMethod::bounded || p_.method == WrenchMethod::clip || p_.method == WrenchMethod::interval;
+    return p_.method == WrenchMethod::bounded || p_.method == WrenchMethod::clip ||
+           p_.method == WrenchMethod::interval;
   }
   bool has_interval() const { return p_.method == WrenchMethod::interval; }
   void reset();
 
   // One sample. All NaN and flag 1 for a sample that is not finite; then nothing has moved.
-  void step(const double *q, const double *qd, const double *tau, double dt, WrenchEstimate &estimate);
+  void step(
+      const double *q, const double *qd, const double *tau, double dt, WrenchEstimate &estimate);
 
  private:
   struct Joint {
@@ -102,9 +108,11 @@ class WrenchEstimator {
     double qd, low[2][2];  // low-pass states of torque error and of uncertainty (or of the bound)
   };
 
-  // Moves play, presliding state and velocity by one sample and gives the torque error; false, and nothing moved, when
-  // the sample or its torque error is not finite. Only the warmth is kept of what was when the sample is `apart`.
-  bool advance(const double *q, const double *qd, const double *tau, double dt, bool apart, double *raw);
+  // Moves play, presliding state and velocity by one sample and gives the torque error; false, and
+  // nothing moved, when the sample or its torque error is not finite. Only the warmth is kept of
+  // what was when the sample is `apart`.
+  bool advance(
+      const double *q, const double *qd, const double *tau, double dt, bool apart, double *raw);
   double slowness(int i, double qd) const;
   void solve(const double *q, WrenchEstimate &estimate) const;
   void intervals(const double *A, const Unknowns &unknowns, WrenchEstimate &estimate) const;

@@ -9,10 +9,10 @@
 namespace armlab {
 namespace {
 
-constexpr double creep = 1e-3;        // 1/s, of its variance, by which it wanders at rest
-constexpr double longest = 20.0;      // s, memory of friction at rest for a joint that no contact turns
-constexpr double at_rest = 0.5;       // variance of the presliding state above which a joint rests
-constexpr double still = 1.0;         // presliding distances that a joint may move before a tare is void
+constexpr double creep = 1e-3;    // 1/s, of its variance, by which it wanders at rest
+constexpr double longest = 20.0;  // s, memory of friction at rest for a joint that no contact turns
+constexpr double at_rest = 0.5;   // variance of the presliding state above which a joint rests
+constexpr double still = 1.0;  // presliding distances that a joint may move before a tare is void
 
 }  // namespace
 
@@ -38,9 +38,11 @@ void MomentumEstimator::reset() {
   fresh_ = tared_ = false;
 }
 
-bool MomentumEstimator::prepare(const double *q, const double *qd, const double *tau, double dt, Sample &s) const {
+bool MomentumEstimator::prepare(
+    const double *q, const double *qd, const double *tau, double dt, Sample &s) const {
   const int n = this->n();
-  if (!finite(q, n) || !finite(qd, n) || !finite(tau, n) || !(dt > 0.0) || !std::isfinite(dt)) return false;
+  if (!finite(q, n) || !finite(qd, n) || !finite(tau, n) || !(dt > 0.0) || !std::isfinite(dt))
+    return false;
   s.apart = first_ || dt > gap_steps * nominal_;
   const double relax = 1.0 - std::exp(-dt / rest_time);
   double p[max_joints], beta[max_joints], gravity[max_joints], zero[max_joints] = {};
@@ -48,7 +50,9 @@ bool MomentumEstimator::prepare(const double *q, const double *qd, const double 
   rnea(p_.chain, q, zero, zero, p_.gravity.data(), p_.links.data(), gravity);
   for (int i = 0; i < n; ++i) {
     Joint &joint = s.joints[i] = joints_[i];
-    if (s.apart) joint.drive.state = first_ ? p_.drive.start(i, q[i]) : Drive::restart(q[i], joint.drive.state);
+    if (s.apart)
+      joint.drive.state =
+          first_ ? p_.drive.start(i, q[i]) : Drive::restart(q[i], joint.drive.state);
     s.rise[i] = (1.0 - joint.drive.unsure) * relax;
     s.moved[i] = joint.drive.move(p_.drive, i, q[i], relax);
     if (s.apart) {
@@ -56,7 +60,8 @@ bool MomentumEstimator::prepare(const double *q, const double *qd, const double 
       joint.since_tare = still + 1.0;
     }
     p[i] += p_.rotor[i] * qd[i];
-    const double u = tau[i] / p_.gains[i] + beta[i] - gravity[i] - p_.drive.torque(i, q[i], qd[i], joint.drive.state, 1.0);
+    const double u = tau[i] / p_.gains[i] + beta[i] - gravity[i] -
+                     p_.drive.torque(i, q[i], qd[i], joint.drive.state, 1.0);
     if (!(std::fabs(u) < largest_torque) || !(std::fabs(p[i]) < largest_torque)) return false;
     s.known[i] = s.apart || fresh_ ? u : 0.5 * (u + joint.known);
     s.middle[i] = s.apart ? q[i] : 0.5 * (q[i] + joint.q);
@@ -70,7 +75,8 @@ bool MomentumEstimator::prepare(const double *q, const double *qd, const double 
   return true;
 }
 
-void MomentumEstimator::step(const double *q, const double *qd, const double *tau, double dt, WrenchEstimate &e) {
+void MomentumEstimator::step(
+    const double *q, const double *qd, const double *tau, double dt, WrenchEstimate &e) {
   const int n = this->n();
   Sample s;
   e.flags = 0;
@@ -83,13 +89,15 @@ void MomentumEstimator::step(const double *q, const double *qd, const double *ta
   first_ = false;
   fresh_ = s.apart;
   std::fill_n(e.active, n, true);
-  tared_ = tared_ && std::all_of(joints_.begin(), joints_.begin() + n, [](const Joint &j) { return j.since_tare <= still; });
+  tared_ = tared_ && std::all_of(joints_.begin(), joints_.begin() + n,
+                         [](const Joint &j) { return j.since_tare <= still; });
   if (tared_) e.flags |= 32;
 }
 
-// r <- r + (1 - e^(-K h)) ((p - p_before) / h - u - r): J^T F through a low-pass, stable for any step. It has seen only a
-// share of the wrench when it starts.
-void MomentumEstimator::observe(const double *q, const double *qd, double dt, Sample &s, WrenchEstimate &e) {
+// r <- r + (1 - e^(-K h)) ((p - p_before) / h - u - r): J^T F through a low-pass, stable for any
+// step. It has seen only a share of the wrench when it starts.
+void MomentumEstimator::observe(
+    const double *q, const double *qd, double dt, Sample &s, WrenchEstimate &e) {
   const int n = this->n();
   const double share = -std::expm1(-p_.gain * dt);
   seen_ = s.apart ? 0.0 : seen_ + share * (1.0 - seen_);
@@ -110,11 +118,13 @@ void MomentumEstimator::observe(const double *q, const double *qd, double dt, Sa
     for (int k = 0; k < unknowns.k; ++k) A[n * k + i] *= seen_;
   }
   WrenchSolution x;
-  solve_wrench({n, unknowns.k, A, e.error, e.variance, e.bound, p_.prior.data()}, WrenchMethod::map, x);
+  solve_wrench(
+      {n, unknowns.k, A, e.error, e.variance, e.bound, p_.prior.data()}, WrenchMethod::map, x);
   e.tell(unknowns, p_, x.x, x.P);
 }
 
-// What drives the momentum from outside: the wrench in units of its prior, and the friction errors; with their noise.
+// What drives the momentum from outside: the wrench in units of its prior, and the friction errors;
+// with their noise.
 void MomentumEstimator::hidden(const Sample &s, const double *A, double dt, WrenchEstimate &e) {
   const int n = this->n(), k = unknowns(), m = inputs();
   std::fill(G_.begin(), G_.end(), 0.0);
@@ -131,7 +141,8 @@ void MomentumEstimator::hidden(const Sample &s, const double *A, double dt, Wren
       G_[m * i + k + i] = -1.0;
       a_[k + i] = s.moved[i] / dt;
       q_[k + i] = friction * (s.rise[i] / dt + creep);
-    } else {  // an error that stays must not be averaged away: as noise it is so strong that the wrench keeps its doubt
+    } else {  // an error that stays must not be averaged away: as noise it is so strong that the
+              // wrench keeps its doubt
       double speed = 0.0;  // of the torque that the wrench's walk makes
       for (int j = 0; j < k; ++j) speed += G_[m * i + j] * G_[m * i + j] * q_[j];
       const double memory = speed * longest > friction ? friction / speed : longest;
@@ -141,8 +152,8 @@ void MomentumEstimator::hidden(const Sample &s, const double *A, double dt, Wren
   }
 }
 
-// The momentum is known as well as it is measured, friction as its prior says. The wrench is as before the gap and has
-// wandered since, or as its prior says.
+// The momentum is known as well as it is measured, friction as its prior says. The wrench is as
+// before the gap and has wandered since, or as its prior says.
 void MomentumEstimator::restart(const Sample &s, double dt) {
   const int n = this->n(), k = unknowns(), m = inputs(), N = n + m;
   for (int j = 0; j < m; ++j) {
@@ -167,7 +178,8 @@ void MomentumEstimator::restart(const Sample &s, double dt) {
   }
 }
 
-bool MomentumEstimator::filter(const double *q, const double *qd, double dt, const Sample &s, WrenchEstimate &e) {
+bool MomentumEstimator::filter(
+    const double *q, const double *qd, double dt, const Sample &s, WrenchEstimate &e) {
   const int n = this->n(), m = inputs();
   double A[6 * max_joints], p[max_joints];
   const Unknowns middle(point(), jacobian(p_.chain, s.middle, false, A), n, A);
@@ -181,14 +193,14 @@ bool MomentumEstimator::filter(const double *q, const double *qd, double dt, con
   for (int i = 0; i < n; ++i)
     for (int j = 0; j <= i; ++j) {
       double sum = 0.0;
-      for (int l = 0; l < n; ++l) sum += M_[n * i + l] * p_.qd_noise[l] * p_.qd_noise[l] * M_[n * j + l];
+      for (int l = 0; l < n; ++l)
+        sum += M_[n * i + l] * p_.qd_noise[l] * p_.qd_noise[l] * M_[n * j + l];
       R_[n * i + j] = R_[n * j + i] = sum;
     }
   hidden(s, A, dt, e);
-  if (s.apart)
-    restart(s, dt);
-  else if (!momentum_step({n, m, G_.data(), Qp_.data(), q_.data(), a_.data()}, s.known, p, R_.data(), dt, x_.data(),
-                          P_.data(), work_.data()))
+  if (s.apart) restart(s, dt);
+  else if (!momentum_step({n, m, G_.data(), Qp_.data(), q_.data(), a_.data()}, s.known, p,
+               R_.data(), dt, x_.data(), P_.data(), work_.data()))
     return false;
   report(q, middle, e);
   return true;
@@ -200,7 +212,8 @@ void MomentumEstimator::report(const double *q, const Unknowns &middle, WrenchEs
   for (int j = 0; j < k; ++j) {
     const double scale = std::sqrt(p_.prior[j]);
     x[j] = scale * x_[n + j];
-    for (int l = 0; l < k; ++l) P[k * j + l] = scale * std::sqrt(p_.prior[l]) * P_[N * (n + j) + n + l];
+    for (int l = 0; l < k; ++l)
+      P[k * j + l] = scale * std::sqrt(p_.prior[l]) * P_[N * (n + j) + n + l];
   }
   for (int i = 0; i < n; ++i) {
     e.error[i] = 0.0;
@@ -215,7 +228,7 @@ void MomentumEstimator::report(const double *q, const Unknowns &middle, WrenchEs
 bool MomentumEstimator::tare() {
   const int n = this->n(), k = unknowns(), N = n + inputs();
   const bool rests = std::all_of(joints_.begin(), joints_.begin() + n,
-                                 [](const Joint &joint) { return joint.drive.unsure > at_rest; });
+      [](const Joint &joint) { return joint.drive.unsure > at_rest; });
   if (first_ || !p_.biased || !p_.filters || !rests) return false;
   double L[36], z[6];
   for (int j = 0; j < k; ++j) {
@@ -240,7 +253,8 @@ bool MomentumEstimator::tare() {
     for (int c = 0; c < N; ++c) P_[N * j + c] = P_[N * c + j] = 0.0;
   }
   for (int r = 0; r < N; ++r)
-    for (int c = 0; c < r; ++c) P_[N * r + c] = P_[N * c + r] = 0.5 * (P_[N * r + c] + P_[N * c + r]);
+    for (int c = 0; c < r; ++c)
+      P_[N * r + c] = P_[N * c + r] = 0.5 * (P_[N * r + c] + P_[N * c + r]);
   for (Joint &joint : joints_) joint.since_tare = 0.0;
   return tared_ = true;
 }

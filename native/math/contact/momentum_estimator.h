@@ -16,10 +16,11 @@ class MomentumEstimator {
     using ArmModel::ArmModel;
     std::array<double, max_joints> memory;    // correlation time of the torque error [s]
     std::array<double, max_joints> qd_noise;  // deviation of the measured velocity
-    std::array<double, 6> rate, leak;         // of the wrench: intensity of its walk [N^2/s, (N m)^2/s], leak [1/s]
-    double gain;                              // of the observer [1/s]
-    bool filters;                             // Kalman filter, else the observer
-    bool biased;                              // the filter has a hidden friction error per joint
+    std::array<double, 6> rate,
+        leak;      // of the wrench: intensity of its walk [N^2/s, (N m)^2/s], leak [1/s]
+    double gain;   // of the observer [1/s]
+    bool filters;  // Kalman filter, else the observer
+    bool biased;   // the filter has a hidden friction error per joint
   };
 
   explicit MomentumEstimator(const Parameters &parameters);
@@ -28,8 +29,10 @@ class MomentumEstimator {
   bool has_interval() const { return false; }
   void reset();
   // One sample. All NaN and flag 1 for a sample that is not finite; then nothing has moved.
-  void step(const double *q, const double *qd, const double *tau, double dt, WrenchEstimate &estimate);
-  // Calls what the torques show now friction; false, and nothing done, unless every joint rests and friction is hidden.
+  void step(
+      const double *q, const double *qd, const double *tau, double dt, WrenchEstimate &estimate);
+  // Calls what the torques show now friction; false, and nothing done, unless every joint rests and
+  // friction is hidden.
   bool tare();
 
  private:
@@ -44,8 +47,9 @@ class MomentumEstimator {
     std::array<Joint, max_joints> joints;
     double known[max_joints], middle[max_joints];  // torque and position in the middle of the step
     double change[max_joints];                     // of the momentum
-    double moved[max_joints], rise[max_joints];    // displacement; variance of the presliding state that rest adds
-    bool apart;                                    // from the last sample: nothing is known of the time between
+    double moved[max_joints],
+        rise[max_joints];  // displacement; variance of the presliding state that rest adds
+    bool apart;            // from the last sample: nothing is known of the time between
   };
 
   int unknowns() const { return p_.at_point ? 3 : 6; }
@@ -61,9 +65,11 @@ class MomentumEstimator {
   Parameters p_;
   std::array<double, max_joints> static_;
   std::array<Joint, max_joints> joints_;
-  std::vector<double> x_, P_, work_;                // of the filter: [p; z; friction error]
-  std::vector<double> M_, R_, G_, Qp_, q_, a_;      // of a step, kept so that nothing is allocated in one
-  double seen_, nominal_;  // share of the wrench that has reached the observer; step of the first sample
+  std::vector<double> x_, P_, work_;  // of the filter: [p; z; friction error]
+  std::vector<double> M_, R_, G_, Qp_, q_,
+      a_;  // of a step, kept so that nothing is allocated in one
+  double seen_,
+      nominal_;  // share of the wrench that has reached the observer; step of the first sample
   bool first_, fresh_, tared_;  // fresh: at the last sample nothing was known of friction yet
 };
 

@@ -9,7 +9,8 @@ namespace armlab {
 
 namespace {
 
-// (1 - 2 phi / h + zz / h) / x^2 up to x = 1, where this form loses digits: the sum of (2^(k+2) - 2) (-x)^k / (k+3)!.
+// (1 - 2 phi / h + zz / h) / x^2 up to x = 1, where this form loses digits: the sum of (2^(k+2) -
+// 2) (-x)^k / (k+3)!.
 double series(double x) {
   double sum = 0.0, term = 1.0 / 6.0, power = 4.0;
   for (int k = 0; k < 20 && std::fabs(term) > 1e-24; ++k, power *= 2.0) {
@@ -32,7 +33,8 @@ Leak leak_integrals(double a, double h) {
 namespace {
 
 // C (rows, columns) = A (rows, inner) B (inner, columns); strides are lengths of rows.
-void multiply(int rows, int inner, int columns, const double *A, int sa, const double *B, int sb, double *C, int sc) {
+void multiply(int rows, int inner, int columns, const double *A, int sa, const double *B, int sb,
+    double *C, int sc) {
   for (int i = 0; i < rows; ++i) {
     double *c = C + sc * i;
     std::fill_n(c, columns, 0.0);
@@ -63,23 +65,26 @@ void predict(const MomentumInputs &in, double h, double *x, double *P, double *W
     for (int k = 0; k <= i; ++k) {
       double sum = P[N * i + k] + (i == k ? in.Qp[i] * h : 0.0);
       for (int j = 0; j < m; ++j)
-        sum += P[N * i + n + j] * W[m * k + j] + in.G[m * i + j] * in.q[j] * leak[j].pp * in.G[m * k + j];
+        sum += P[N * i + n + j] * W[m * k + j] +
+               in.G[m * i + j] * in.q[j] * leak[j].pp * in.G[m * k + j];
       T[N * i + k] = T[N * k + i] = sum;
     }
   for (int i = 0; i < n; ++i) {
     for (int j = 0; j < m; ++j)
-      P[N * (n + j) + i] = P[N * i + n + j] = P[N * i + n + j] * leak[j].decay + in.G[m * i + j] * in.q[j] * leak[j].pz;
+      P[N * (n + j) + i] = P[N * i + n + j] =
+          P[N * i + n + j] * leak[j].decay + in.G[m * i + j] * in.q[j] * leak[j].pz;
     std::copy_n(T + N * i, n, P + N * i);
   }
   for (int i = 0; i < m; ++i)
     for (int j = 0; j < m; ++j)
-      P[N * (n + i) + n + j] = leak[i].decay * P[N * (n + i) + n + j] * leak[j].decay + (i == j ? in.q[i] * leak[i].zz : 0.0);
+      P[N * (n + i) + n + j] = leak[i].decay * P[N * (n + i) + n + j] * leak[j].decay +
+                               (i == j ? in.q[i] * leak[i].zz : 0.0);
 }
 
 }  // namespace
 
-bool momentum_step(const MomentumInputs &in, const double *u, const double *y, const double *R, double h, double *x_,
-                   double *P_, double *work) {
+bool momentum_step(const MomentumInputs &in, const double *u, const double *y, const double *R,
+    double h, double *x_, double *P_, double *work) {
   const int n = in.n, N = in.n + in.m;
   double *P = work, *K = work + N * N, *T = work + 2 * N * N, *W = work + 3 * N * N;
   double x[max_states], S[max_joints * max_joints], innovation[max_joints];

@@ -27,7 +27,8 @@ void inverse(const double *L, int k, const double *scale, double *P) {
     for (int j = 0; j < i; ++j) P[k * i + j] = P[k * j + i] = 0.5 * (P[k * i + j] + P[k * j + i]);
 }
 
-// x = K e with P = (I - K A^T) C_F (I - K A^T)^T + K C_tau K^T, which stays positive for any gain K (k, n).
+// x = K e with P = (I - K A^T) C_F (I - K A^T)^T + K C_tau K^T, which stays positive for any gain K
+// (k, n).
 void joseph(const WrenchProblem &p, const double *K, double *x, double *P) {
   const int n = p.n, k = p.k;
   double B[36];
@@ -49,8 +50,9 @@ void joseph(const WrenchProblem &p, const double *K, double *x, double *P) {
     }
 }
 
-// K = C_F A S^-1, S = A^T C_F A + C_tau: needs no inverse of either covariance, and works at singular poses. False for
-// numbers without a digit left, as more joints than unknowns have when next to nothing disturbs them.
+// K = C_F A S^-1, S = A^T C_F A + C_tau: needs no inverse of either covariance, and works at
+// singular poses. False for numbers without a digit left, as more joints than unknowns have when
+// next to nothing disturbs them.
 bool map_gain(const WrenchProblem &p, double *K) {
   const int n = p.n, k = p.k;
   double S[max_joints * max_joints], largest = 0.0;
@@ -71,7 +73,8 @@ bool map_gain(const WrenchProblem &p, double *K) {
   return true;
 }
 
-// As TFRT-7651 prints it: (A C_tau A^T + C_F^-1)^-1 A C_tau e, which is right only for a weight in place of C_tau.
+// As TFRT-7651 prints it: (A C_tau A^T + C_F^-1)^-1 A C_tau e, which is right only for a weight in
+// place of C_tau.
 bool printed_gain(const WrenchProblem &p, double *K) {
   const int n = p.n, k = p.k;
   double H[36];
@@ -121,8 +124,8 @@ void least_squares(const WrenchProblem &p, WrenchSolution &s) {
   inverse(H, k, scale, s.P);
 }
 
-// The cost sum_i max(|r_i| - bound_i, 0)^2 / variance_i + y^T y over unknowns y in units of the prior: convex, smooth,
-// piecewise quadratic. `beyond` are the residuals less the bound.
+// The cost sum_i max(|r_i| - bound_i, 0)^2 / variance_i + y^T y over unknowns y in units of the
+// prior: convex, smooth, piecewise quadratic. `beyond` are the residuals less the bound.
 struct BandCost {
   const WrenchProblem &p;
   double scale[6];
@@ -158,7 +161,8 @@ struct BandCost {
       for (int b = 0; b <= a; ++b) {
         double sum = a == b ? 1.0 : 0.0;
         for (int i = 0; i < p.n; ++i)
-          if (beyond[i] != 0.0) sum += scale[a] * scale[b] * p.A[p.n * a + i] * p.A[p.n * b + i] / p.variance[i];
+          if (beyond[i] != 0.0)
+            sum += scale[a] * scale[b] * p.A[p.n * a + i] * p.A[p.n * b + i] / p.variance[i];
         H[p.k * a + b] = sum;
       }
     return cholesky(H, p.k);
@@ -169,13 +173,15 @@ void finish(const BandCost &cost, const double *y, WrenchSolution &s) {
   const int k = cost.p.k;
   double H[36], g[6];
   s.kkt = cost.gradient(y, g);
-  if (!cost.hessian(H) || !std::all_of(g, g + k, [](double x) { return std::isfinite(x); })) return undetermined(cost.p, s);
+  if (!cost.hessian(H) || !std::all_of(g, g + k, [](double x) { return std::isfinite(x); }))
+    return undetermined(cost.p, s);
   inverse(H, k, cost.scale, s.P);
   for (int a = 0; a < k; ++a) s.x[a] = cost.scale[a] * y[a];
   for (int i = 0; i < cost.p.n; ++i) s.active[i] = cost.beyond[i] != 0.0;
 }
 
-// Semismooth Newton with step halving. A full step that changes no joint's side of its band lands on the solution.
+// Semismooth Newton with step halving. A full step that changes no joint's side of its band lands
+// on the solution.
 void newton(const WrenchProblem &p, WrenchSolution &s) {
   const int k = p.k;
   BandCost cost(p);

@@ -1,8 +1,9 @@
-// Wrench from joint torque errors at one instant: e = A^T x + d + noise; tests/oracles/wrench.py states the
-// mathematics.
+// Wrench from joint torque errors at one instant: e = A^T x + d + noise; tests/oracles/wrench.py
+// states the mathematics.
 //
-// x are k <= 6 unknowns with prior N(0, diag(prior)): the wrench itself, or a force at a known point. d are bounded
-// errors of the joints, |d_i| <= bound_i. Nothing here allocates, and every loop ends.
+// x are k <= 6 unknowns with prior N(0, diag(prior)): the wrench itself, or a force at a known
+// point. d are bounded errors of the joints, |d_i| <= bound_i. Nothing here allocates, and every
+// loop ends.
 #pragma once
 
 #include "math/arm/chain.h"
@@ -22,18 +23,20 @@ struct WrenchProblem {
 };
 
 struct WrenchSolution {
-  double x[6], P[36];        // P (k, k) row by row
-  bool active[max_joints];   // joints that carry information
+  double x[6], P[36];       // P (k, k) row by row
+  bool active[max_joints];  // joints that carry information
   int iterations;
-  double kkt;                // largest entry of the gradient in units of the prior, bounded and clip
-  bool singular;             // the numbers do not determine x, which is NaN then: at such a pose ls, no method for NaN
+  double kkt;     // largest entry of the gradient in units of the prior, bounded and clip
+  bool singular;  // the numbers do not determine x, which is NaN then: at such a pose ls, no method
+                  // for NaN
 };
 
 void solve_wrench(const WrenchProblem &problem, WrenchMethod method, WrenchSolution &solution);
 
-// Smallest and largest values (k, 2) of each unknown in {x : |e - A^T x| <= spread, |x| <= box}. False when the set is
-// empty; then violated (n) marks the joints that contradict the others. NaN for numbers that are not finite.
-bool wrench_interval(int n, int k, const double *A, const double *error, const double *spread, const double *box,
-                     double *interval, bool *violated);
+// Smallest and largest values (k, 2) of each unknown in {x : |e - A^T x| <= spread, |x| <= box}.
+// False when the set is empty; then violated (n) marks the joints that contradict the others. NaN
+// for numbers that are not finite.
+bool wrench_interval(int n, int k, const double *A, const double *error, const double *spread,
+    const double *box, double *interval, bool *violated);
 
 }  // namespace armlab

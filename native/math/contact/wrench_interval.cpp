@@ -11,7 +11,8 @@ namespace {
 constexpr int pivot_limit = 200;  // 12 were needed at most in 1e5 random problems
 constexpr double tolerance = 1e-10;
 
-// Solves M x = b (or M^T x = b) for M (k, k) by elimination with row pivots; false when M is singular.
+// Solves M x = b (or M^T x = b) for M (k, k) by elimination with row pivots; false when M is
+// singular.
 bool solve(const double *M, int k, bool transposed, const double *b, double *x) {
   double W[6][7];
   for (int i = 0; i < k; ++i) {
@@ -37,7 +38,8 @@ bool solve(const double *M, int k, bool transposed, const double *b, double *x) 
   return true;
 }
 
-// Rows -box <= x_a <= box first, then e_i - spread_i <= A_i^T x <= e_i + spread_i; all in units of the box.
+// Rows -box <= x_a <= box first, then e_i - spread_i <= A_i^T x <= e_i + spread_i; all in units of
+// the box.
 struct Polytope {
   int k, rows;
   double normal[6 + max_joints][6], low[6 + max_joints], high[6 + max_joints];
@@ -66,8 +68,9 @@ struct Vertex {
 
 enum class Outcome { found, empty, failed };
 
-// Maximises c^T x. Starts at the corner of the box that c points to, which is dual feasible, and lets in the row that is
-// violated most until none is. `entering` is the last row that could not be let in.
+// Maximises c^T x. Starts at the corner of the box that c points to, which is dual feasible, and
+// lets in the row that is violated most until none is. `entering` is the last row that could not be
+// let in.
 Outcome maximise(const Polytope &set, const double *c, Vertex &v, int &entering) {
   const int k = set.k;
   for (int a = 0; a < k; ++a) {
@@ -80,7 +83,8 @@ Outcome maximise(const Polytope &set, const double *c, Vertex &v, int &entering)
     entering = -1;
     bool above = false;
     for (int r = 0; r < set.rows; ++r) {
-      const double value = set.value(r, v.x), over = value - set.high[r], under = set.low[r] - value;
+      const double value = set.value(r, v.x), over = value - set.high[r],
+                   under = set.low[r] - value;
       if (std::max(over, under) > worst) {
         worst = std::max(over, under);
         entering = r;
@@ -90,7 +94,8 @@ Outcome maximise(const Polytope &set, const double *c, Vertex &v, int &entering)
     if (entering < 0) return Outcome::found;
     double M[36], y[6], alpha[6];
     for (int i = 0; i < k; ++i) std::copy_n(set.normal[v.row[i]], k, M + k * i);
-    if (!solve(M, k, true, c, y) || !solve(M, k, true, set.normal[entering], alpha)) return Outcome::failed;
+    if (!solve(M, k, true, c, y) || !solve(M, k, true, set.normal[entering], alpha))
+      return Outcome::failed;
     int leaving = -1;
     double least = 0.0;
     for (int i = 0; i < k; ++i) {
@@ -111,8 +116,8 @@ Outcome maximise(const Polytope &set, const double *c, Vertex &v, int &entering)
 
 }  // namespace
 
-bool wrench_interval(int n, int k, const double *A, const double *error, const double *spread, const double *box,
-                     double *interval, bool *violated) {
+bool wrench_interval(int n, int k, const double *A, const double *error, const double *spread,
+    const double *box, double *interval, bool *violated) {
   Polytope set{k, k + n, {}, {}, {}};
   std::fill_n(violated, n, false);
   const auto unknown = [](double x) { return !std::isfinite(x); };
@@ -134,8 +139,8 @@ bool wrench_interval(int n, int k, const double *A, const double *error, const d
   }
   for (int a = 0; a < k; ++a)
     for (int end = 0; end < 2; ++end) {
-      // A little of every other axis settles ties, by which a simplex could go in circles; the end moves out by as much
-      // as that can have cost.
+      // A little of every other axis settles ties, by which a simplex could go in circles; the end
+      // moves out by as much as that can have cost.
       double c[6], margin = 0.0;
       for (int b = 0; b < k; ++b) margin += 2.0 * (c[b] = 1e-11 * (1.0 + 0.1 * b));
       c[a] = end ? 1.0 : -1.0;

@@ -9,8 +9,9 @@
 namespace armlab {
 
 constexpr double least_damping = 1e-12;
-constexpr int grace = 3;                    // steps in a row that may fail to be the best before they are taken back
-constexpr double stationary_cosine = 1e-2;  // between the residual and what free joints can do about it
+constexpr int grace = 3;  // steps in a row that may fail to be the best before they are taken back
+constexpr double stationary_cosine =
+    1e-2;  // between the residual and what free joints can do about it
 
 // A start is given up when the last `window` steps together left more than `rate` of |e|^2.
 struct Patience {
@@ -27,12 +28,15 @@ class Descent {
   Descent(const Chain &chain, const Goal &goal, const Search &search, double weight)
       : chain_(chain), goal_(goal), search_(search), weight_(weight) {}
 
-  // Descends from q inside the box; true when it gets to the goal. A step that does not reduce the error may still lead
-  // on, as along a curved valley near a singular posture: `grace` of them are tried before the damping is raised.
+  // Descends from q inside the box; true when it gets to the goal. A step that does not reduce the
+  // error may still lead on, as along a curved valley near a singular posture: `grace` of them are
+  // tried before the damping is raised.
   bool run(const double *q, const Box &box, Patience patience, double *history) {
     for (int i = 0; i < chain_.n; ++i) best_->q[i] = clamp(q[i], box.low[i], box.high[i]);
     evaluate(chain_, goal_, weight_, *best_);
-    if (history) std::fill_n(history, 2 * (std::ptrdiff_t{search_.steps} + 1), std::numeric_limits<double>::quiet_NaN());
+    if (history)
+      std::fill_n(history, 2 * (std::ptrdiff_t{search_.steps} + 1),
+          std::numeric_limits<double>::quiet_NaN());
     const Iterate<M> *from = best_;
     double squares[most_window], damping = search_.damping;
     int left = grace;
@@ -43,10 +47,13 @@ class Descent {
       }
       if (best_->within(search_)) return true;
       double &before = squares[k % patience.window];
-      if (k == search_.steps || (k >= patience.window && !(best_->square <= patience.rate * before))) return false;
+      if (k == search_.steps ||
+          (k >= patience.window && !(best_->square <= patience.rate * before)))
+        return false;
       before = best_->square;
       ++steps_;
-      const bool moved = step(chain_.n, *from, box, damping * from->square + least_damping, *trial_);
+      const bool moved =
+          step(chain_.n, *from, box, damping * from->square + least_damping, *trial_);
       if (moved) evaluate(chain_, goal_, weight_, *trial_);
       if (moved && trial_->square < best_->square) {
         std::swap(best_, trial_);
@@ -69,7 +76,8 @@ class Descent {
 
   // Whether the residual pulls joint i against its end of the box.
   bool is_blocked(const Box &box, int i) const {
-    return (best_->q[i] >= box.high[i] && slope(i) > 0.0) || (best_->q[i] <= box.low[i] && slope(i) < 0.0);
+    return (best_->q[i] >= box.high[i] && slope(i) > 0.0) ||
+           (best_->q[i] <= box.low[i] && slope(i) < 0.0);
   }
   bool is_blocked(const Box &box) const {
     for (int i = 0; i < chain_.n; ++i)
@@ -87,8 +95,9 @@ class Descent {
     return slopes <= stationary_cosine * stationary_cosine * sizes * best_->square;
   }
 
-  // Whether joints could do more elsewhere than at the best posture. Where there are joints enough for the task, a
-  // stationary residual says so; otherwise, that columns of J depend on those before them.
+  // Whether joints could do more elsewhere than at the best posture. Where there are joints enough
+  // for the task, a stationary residual says so; otherwise, that columns of J depend on those
+  // before them.
   bool is_singular() const {
     if (chain_.n >= M) return true;
     double Q[M][M];  // orthogonal to each other, by Gram and Schmidt

@@ -26,9 +26,10 @@ struct Goals {
     count = T.size() / 16;
     for (npy_intp k = 0; k < count; ++k)
       if (!is_pose(T.data() + 16 * k))
-        raise_shape_error("Expected finite poses with a rotation orthonormal to 1e-6 and last row 0 0 0 1, got " +
-                          place("T_base_tool", k, T.shape(), axes) +
-                          " that is not. Project it if it is nearly one (lie.se3.project).");
+        raise_shape_error(
+            "Expected finite poses with a rotation orthonormal to 1e-6 and last row 0 0 0 1, got " +
+            place("T_base_tool", k, T.shape(), axes) +
+            " that is not. Project it if it is nearly one (lie.se3.project).");
   }
 
   // A fresh array of shape batch + tail.
@@ -36,7 +37,8 @@ struct Goals {
   nb::object fresh(int type, std::initializer_list<npy_intp> tail, Number **data) const {
     npy_intp shape[NPY_MAXDIMS + 2];
     std::copy(tail.begin(), tail.end(), std::copy(T.shape(), T.shape() + axes, shape));
-    nb::object array = nb::steal(PyArray_SimpleNew(axes + static_cast<int>(tail.size()), shape, type));
+    nb::object array =
+        nb::steal(PyArray_SimpleNew(axes + static_cast<int>(tail.size()), shape, type));
     if (!array.is_valid()) throw nb::python_error();
     *data = static_cast<Number *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(array.ptr())));
     return array;
@@ -51,11 +53,13 @@ struct Goals {
 struct Vectors {
   Vectors(nb::handle value, const char *name, const Goals &goals, int n) : q(value, name) {
     const bool one = q.ndim() == 1 && q.shape()[0] == n;
-    const bool each = q.ndim() == goals.axes + 1 && std::equal(q.shape(), q.shape() + goals.axes, goals.T.shape()) &&
+    const bool each = q.ndim() == goals.axes + 1 &&
+                      std::equal(q.shape(), q.shape() + goals.axes, goals.T.shape()) &&
                       q.shape()[goals.axes] == n;
     if (!one && !each)
-      raise_shape_error(std::string("Expected ") + name + " of shape (" + std::to_string(n) + ",) or one posture per goal of T_base_tool " +
-                        goals.T.shape_text() + ", got " + q.shape_text() + ".");
+      raise_shape_error(std::string("Expected ") + name + " of shape (" + std::to_string(n) +
+                        ",) or one posture per goal of T_base_tool " + goals.T.shape_text() +
+                        ", got " + q.shape_text() + ".");
     for (npy_intp k = 0; k < q.size(); ++k)
       if (!std::isfinite(q.data()[k]))
         raise_shape_error("Expected finite joint positions, got others in " +
@@ -74,27 +78,35 @@ inline Task task_of(int rows) {
   return static_cast<Task>(rows);
 }
 
-inline Search search_of(int steps, int starts, double position, double rotation, double damping, int objective) {
+inline Search search_of(
+    int steps, int starts, double position, double rotation, double damping, int objective) {
   if (objective < 0 || objective > 3)
     raise_shape_error("Expected an objective from 0 to 3, got " + std::to_string(objective) + ".");
   if (steps < 0 || starts < 1 || !(position >= 0.0) || !(rotation >= 0.0) || !(damping > 0.0))
-    raise_shape_error("Expected steps >= 0, starts >= 1, tolerances >= 0 and damping > 0, got others.");
-  return {steps, starts, position, rotation, damping, {static_cast<Objective::Kind>(objective), nullptr, nullptr}};
+    raise_shape_error(
+        "Expected steps >= 0, starts >= 1, tolerances >= 0 and damping > 0, got others.");
+  return {steps, starts, position, rotation, damping,
+      {static_cast<Objective::Kind>(objective), nullptr, nullptr}};
 }
 
 // What a call asks for besides the goals: the arguments that `solve` and `follow` have in common.
 struct Request {
-  Request(nb::handle T, int n, int task, nb::handle axis_, const Search &search, nb::handle reference_, nb::handle scale_,
-          bool history, nb::handle threads)
-      : goals(T), task(task_of(task)), axis(axis_, "axis"), search(search),
+  Request(nb::handle T, int n, int task_, nb::handle axis_, const Search &search_,
+      nb::handle reference_, nb::handle scale_, bool history_, nb::handle threads_)
+      : goals(T),
+        task(task_of(task_)),
+        axis(axis_, "axis", {3}),
+        search(search_),
         reference(reference_.is_none() ? zeros(n) : nb::borrow(reference_), "posture", goals, n),
-        scale(scale_.is_none() ? zeros(n) : nb::borrow(scale_), "scale"), history(history),
-        threads(thread_count(threads)) {
-    axis.require_exactly({3});
-    const double *a = axis.data(), longest = std::max({std::fabs(a[0]), std::fabs(a[1]), std::fabs(a[2])});
+        scale(scale_.is_none() ? zeros(n) : nb::borrow(scale_), "scale", {n}),
+        history(history_),
+        threads(thread_count(threads_)) {
+    const double *a = axis.data(),
+                 longest = std::max({std::fabs(a[0]), std::fabs(a[1]), std::fabs(a[2])});
     if (!(std::isfinite(a[0] + a[1] + a[2]) && longest > 1e-9))
-      raise_shape_error("Expected axis to be a direction in tool axes, got one that is not finite or has no length.");
-    scale.require_exactly({n});
+      raise_shape_error(
+          "Expected axis to be a direction in tool axes, got one that is not finite or has no "
+          "length.");
   }
 
   const Goals goals;

@@ -12,8 +12,10 @@ namespace {
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr double pi = 3.14159265358979323846;
-constexpr double over_limits = 0.5;  // how far postures of the second half reach over them, in ranges, to be moved back
-constexpr int few_starts = 10;  // beyond reach, or to learn whether it is the limits that are in the way
+constexpr double over_limits =
+    0.5;  // how far postures of the second half reach over them, in ranges, to be moved back
+constexpr int few_starts =
+    10;  // beyond reach, or to learn whether it is the limits that are in the way
 
 Vec3<double> direction_across(const Vec3<double> &axis) {
   const double x = std::fabs(axis.x), y = std::fabs(axis.y), z = std::fabs(axis.z);
@@ -24,18 +26,20 @@ Vec3<double> direction_across(const Vec3<double> &axis) {
 
 }  // namespace
 
-Goal::Goal(Task task, const double *T, const double *direction)
-    : task(task), T(T), axis{direction[0], direction[1], direction[2]} {
+Goal::Goal(Task rows, const double *pose, const double *direction)
+    : task(rows), T(pose), axis{direction[0], direction[1], direction[2]} {
   axis = (1.0 / norm(axis)) * axis;
   across[0] = direction_across(axis);
   across[1] = cross(axis, across[0]);
 }
 
-InverseSolver::InverseSolver(const Chain &chain, const double *low, const double *high, const double *home,
-                             std::uint64_t seed)
+InverseSolver::InverseSolver(const Chain &chain, const double *low, const double *high,
+    const double *home, std::uint64_t seed)
     : chain_(chain), angles_(postures * chain.n), poses_(12 * postures) {
   const int n = chain.n;
-  double slides[max_joints + 1] = {}, lengths = 0.0;  // how far joint i moves its link from where it is at zero
+  double slides[max_joints + 1] = {},
+                             lengths =
+                                 0.0;  // how far joint i moves its link from where it is at zero
   for (int i = 0; i < n; ++i) {
     limits_.low[i] = low[i];
     limits_.high[i] = high[i];
@@ -43,7 +47,8 @@ InverseSolver::InverseSolver(const Chain &chain, const double *low, const double
     unlimited_.low[i] = prismatic ? low[i] : -infinity;
     unlimited_.high[i] = prismatic ? high[i] : infinity;
     if (prismatic) slides[i] = std::max(std::fabs(low[i]), std::fabs(high[i]));
-    lengths += norm(Pose<double>(chain.frame(i + 1)).p) + (std::isfinite(slides[i]) ? slides[i] : 0.0);
+    lengths +=
+        norm(Pose<double>(chain.frame(i + 1)).p) + (std::isfinite(slides[i]) ? slides[i] : 0.0);
   }
   if (lengths == 0.0) lengths = 1.0;
   weight_ = 3.0 / lengths;
@@ -55,7 +60,8 @@ InverseSolver::InverseSolver(const Chain &chain, const double *low, const double
     double *q = &angles_[k * n];
     const double over = k < postures / 2 ? 0.0 : over_limits;
     for (int i = 0; i < n; ++i) {
-      // Without an end on one side: a turn, or twice the length of the arm, from the other or about zero.
+      // Without an end on one side: a turn, or twice the length of the arm, from the other or about
+      // zero.
       const double range = chain.steps[i].slides ? 2.0 * lengths : 2.0 * pi;
       const bool below = std::isfinite(low[i]), above = std::isfinite(high[i]);
       const double first = below ? low[i] : above ? high[i] - range : -0.5 * range;
@@ -67,13 +73,14 @@ InverseSolver::InverseSolver(const Chain &chain, const double *low, const double
   std::copy_n(home, n, angles_.begin());
   std::vector<double> T(16 * postures);
   run_batch<1, 1>(postures, {Reading{angles_.data(), n}}, {Writing{T.data(), 16}},
-                  [&](const auto &in, const auto &out) { forward(chain, in[0], out[0]); });
+      [&](const auto &in, const auto &out) { forward(chain, in[0], out[0]); });
   for (int k = 0; k < postures; ++k)
-    for (int a = 0; a < 12; ++a) poses_[a * postures + k] = T[16 * k + (a < 9 ? 4 * (a / 3) + a % 3 : 4 * (a - 9) + 3)];
+    for (int a = 0; a < 12; ++a)
+      poses_[a * postures + k] = T[16 * k + (a < 9 ? 4 * (a / 3) + a % 3 : 4 * (a - 9) + 3)];
 }
 
-// Start `number` of the table: of block number mod blocks, the posture that is next in the order of |e|^2 (with rotations
-// by 2 (1 - cos)); then the next block.
+// Start `number` of the table: of block number mod blocks, the posture that is next in the order of
+// |e|^2 (with rotations by 2 (1 - cos)); then the next block.
 void InverseSolver::take_start(const Goal &goal, int number, double *q) const {
   const double across = goal.task == Task::axis ? 0.0 : weight_ * weight_;
   double wanted[9] = {};  // the error of rotation is a constant less sum(wanted * R)
@@ -103,7 +110,8 @@ void InverseSolver::take_start(const Goal &goal, int number, double *q) const {
   std::copy_n(&angles_[(first + (best - distance)) * chain_.n], chain_.n, q);
 }
 
-// Whether the goal is further from the first joint than the links are long, all limits of revolute joints aside.
+// Whether the goal is further from the first joint than the links are long, all limits of revolute
+// joints aside.
 bool InverseSolver::beyond_reach(const Goal &goal, double tolerance) const {
   if (goal.task == Task::axis) return false;
   const Pose<double> last(chain_.frame(chain_.n));
@@ -118,15 +126,18 @@ bool InverseSolver::beyond_reach(const Goal &goal, double tolerance) const {
 bool InverseSolver::wrap(double *q) const {
   for (int i = 0; i < chain_.n; ++i) {
     const double low = limits_.low[i], high = limits_.high[i];
-    if (!chain_.steps[i].slides && q[i] < low) q[i] += 2.0 * pi * std::ceil((low - q[i]) / (2.0 * pi));
-    if (!chain_.steps[i].slides && q[i] > high) q[i] -= 2.0 * pi * std::ceil((q[i] - high) / (2.0 * pi));
+    if (!chain_.steps[i].slides && q[i] < low)
+      q[i] += 2.0 * pi * std::ceil((low - q[i]) / (2.0 * pi));
+    if (!chain_.steps[i].slides && q[i] > high)
+      q[i] -= 2.0 * pi * std::ceil((q[i] - high) / (2.0 * pi));
     if (!(q[i] >= low && q[i] <= high)) return false;
   }
   return true;
 }
 
 template <int M>
-Outcome InverseSolver::solve_rows(const Goal &goal, const Search &search, const double *start, double *q) const {
+Outcome InverseSolver::solve_rows(
+    const Goal &goal, const Search &search, const double *start, double *q) const {
   Descent<M> descent(chain_, goal, search, weight_);
   const bool beyond = beyond_reach(goal, search.position_tolerance);
   const int starts = beyond ? std::min(search.starts, few_starts) : search.starts;
@@ -134,12 +145,14 @@ Outcome InverseSolver::solve_rows(const Goal &goal, const Search &search, const 
   for (int number = 0; number < starts; ++number) {
     const bool own = start && number == 0;
     if (!own) take_start(goal, number - (start != nullptr), from);
-    const bool found = descent.run(own ? start : from, limits_, own ? patient : hasty, search.history);
+    const bool found =
+        descent.run(own ? start : from, limits_, own ? patient : hasty, search.history);
     if (found) return finish(descent, goal, search, limits_, number + 1, q);
     if (number == 0 || descent.best().square < least) std::copy_n(descent.best().q, chain_.n, q);
     least = std::min(least, descent.best().square);
   }
-  const bool found = descent.run(q, limits_, patient, search.history);  // the best of them to its end
+  const bool found =
+      descent.run(q, limits_, patient, search.history);  // the best of them to its end
   if (found) return finish(descent, goal, search, limits_, starts, q);
   std::copy_n(descent.best().q, chain_.n, q);
   if (beyond) return descent.outcome(Status::out_of_reach, starts);
@@ -148,8 +161,8 @@ Outcome InverseSolver::solve_rows(const Goal &goal, const Search &search, const 
 
 // The solution, moved along the self-motion where there is an objective.
 template <int M>
-Outcome InverseSolver::finish(const Descent<M> &descent, const Goal &goal, const Search &search, const Box &box,
-                              int starts, double *q) const {
+Outcome InverseSolver::finish(const Descent<M> &descent, const Goal &goal, const Search &search,
+    const Box &box, int starts, double *q) const {
   Outcome outcome = descent.outcome(Status::solved, starts);
   std::copy_n(descent.best().q, chain_.n, q);
   if (search.objective.kind == Objective::Kind::none) return outcome;
@@ -165,7 +178,8 @@ Outcome InverseSolver::finish(const Descent<M> &descent, const Goal &goal, const
 
 // Why the descent ends where it does; q is replaced if a solution is found on the way.
 template <int M>
-Outcome InverseSolver::explain(Descent<M> &descent, const Goal &goal, const Search &search, double *q) const {
+Outcome InverseSolver::explain(
+    Descent<M> &descent, const Goal &goal, const Search &search, double *q) const {
   Outcome outcome = descent.outcome(Status::iterations, search.starts);
   const bool stationary = descent.is_stationary(limits_), blocked = descent.is_blocked(limits_);
   const bool singular = descent.is_singular();
@@ -173,7 +187,8 @@ Outcome InverseSolver::explain(Descent<M> &descent, const Goal &goal, const Sear
   bool without_limits = false;
   for (int number = 0; number < std::min(search.starts, few_starts) && !without_limits; ++number) {
     if (number > 0) take_start(goal, number - 1, from);
-    without_limits = descent.run(number > 0 ? from : q, unlimited_, number > 0 ? hasty : patient, nullptr);
+    without_limits =
+        descent.run(number > 0 ? from : q, unlimited_, number > 0 ? hasty : patient, nullptr);
   }
   if (without_limits) {
     std::copy_n(descent.best().q, chain_.n, from);
@@ -189,18 +204,16 @@ Outcome InverseSolver::explain(Descent<M> &descent, const Goal &goal, const Sear
 }
 
 template <int M>
-Outcome InverseSolver::follow_rows(const Goal &goal, const Search &search, const double *start, const Box &box,
-                                   double *q) const {
+Outcome InverseSolver::follow_rows(
+    const Goal &goal, const Search &search, const double *start, const Box &box, double *q) const {
   Descent<M> descent(chain_, goal, search, weight_);
-  if (descent.run(start, box, patient, search.history)) return finish(descent, goal, search, box, 1, q);
+  if (descent.run(start, box, patient, search.history))
+    return finish(descent, goal, search, box, 1, q);
   std::copy_n(descent.best().q, chain_.n, q);
   Status status = Status::iterations;
-  if (beyond_reach(goal, search.position_tolerance))
-    status = Status::out_of_reach;
-  else if (descent.is_blocked(limits_))
-    status = Status::limits;
-  else if (descent.is_blocked(box))
-    status = Status::bound;
+  if (beyond_reach(goal, search.position_tolerance)) status = Status::out_of_reach;
+  else if (descent.is_blocked(limits_)) status = Status::limits;
+  else if (descent.is_blocked(box)) status = Status::bound;
   else if (descent.is_stationary(box))
     status = descent.is_singular() ? Status::singular : Status::out_of_reach;
   return descent.outcome(status, 1);
@@ -210,20 +223,26 @@ Outcome InverseSolver::follow_rows(const Goal &goal, const Search &search, const
 template <class Function>
 Outcome with_rows(Task task, Function function) {
   switch (task) {
-    case Task::position: return function(std::integral_constant<int, 3>());
-    case Task::position_axis: return function(std::integral_constant<int, 5>());
-    case Task::axis: return function(std::integral_constant<int, 2>());
-    default: return function(std::integral_constant<int, 6>());
+    case Task::position:
+      return function(std::integral_constant<int, 3>());
+    case Task::position_axis:
+      return function(std::integral_constant<int, 5>());
+    case Task::axis:
+      return function(std::integral_constant<int, 2>());
+    default:
+      return function(std::integral_constant<int, 6>());
   }
 }
 
-Outcome InverseSolver::solve(const Goal &goal, const Search &search, const double *start, double *q) const {
+Outcome InverseSolver::solve(
+    const Goal &goal, const Search &search, const double *start, double *q) const {
   return with_rows(goal.task, [&](auto rows) { return solve_rows<rows>(goal, search, start, q); });
 }
 
-Outcome InverseSolver::follow(const Goal &goal, const Search &search, const double *start, const Box &bound,
-                              double *q) const {
-  return with_rows(goal.task, [&](auto rows) { return follow_rows<rows>(goal, search, start, bound, q); });
+Outcome InverseSolver::follow(const Goal &goal, const Search &search, const double *start,
+    const Box &bound, double *q) const {
+  return with_rows(
+      goal.task, [&](auto rows) { return follow_rows<rows>(goal, search, start, bound, q); });
 }
 
 Box InverseSolver::around(const double *q, double change) const {

@@ -1,7 +1,8 @@
-// Inverse kinematics of a chain within joint limits. Specification: tests/oracles/inverse.py.
+// Inverse kinematics of a chain within joint limits. Theory: docs/theory/inverse_kinematics.md.
 //
-// Levenberg-Marquardt from one start after the other. Starts that stall are given up early; the next is taken from a
-// table of random postures, in each block of it the one whose tool is nearest to the goal.
+// Levenberg-Marquardt from one start after the other. Starts that stall are given up early; the
+// next is taken from a table of random postures, in each block of it the one whose tool is nearest
+// to the goal.
 #pragma once
 
 #include <cstdint>
@@ -11,14 +12,14 @@
 
 namespace armlab {
 
-// What of the goal pose is asked for: all of it, the position, the position and the direction of an axis of the tool,
-// or that direction alone. The value is the number of rows of the task.
+// What of the goal pose is asked for: all of it, the position, the position and the direction of an
+// axis of the tool, or that direction alone. The value is the number of rows of the task.
 enum class Task { pose = 6, position = 3, position_axis = 5, axis = 2 };
 
 struct Goal {
   Task task;
-  Pose<double> T;                 // T_base_tool
-  Vec3<double> axis, across[2];   // in tool axes, orthonormal: the direction and two across it
+  Pose<double> T;                // T_base_tool
+  Vec3<double> axis, across[2];  // in tool axes, orthonormal: the direction and two across it
 
   Goal(Task task, const double *T, const double *axis);
 };
@@ -31,22 +32,30 @@ struct Objective {
 };
 
 struct Search {
-  int steps;   // per start, those that failed included
+  int steps;  // per start, those that failed included
   int starts;
   double position_tolerance, rotation_tolerance;
-  double damping;             // lambda = damping |e|^2, eight times that after every step that failed
+  double damping;  // lambda = damping |e|^2, eight times that after every step that failed
   Objective objective;
-  double *history = nullptr;  // (steps + 1, 2): errors along the start that gave the result, NaN after its end
+  double *history =
+      nullptr;  // (steps + 1, 2): errors along the start that gave the result, NaN after its end
 };
 
 // Why there is no solution. `bound` is for `follow` only.
-enum class Status { solved = 0, out_of_reach = 1, limits = 2, singular = 3, iterations = 4, bound = 5 };
+enum class Status {
+  solved = 0,
+  out_of_reach = 1,
+  limits = 2,
+  singular = 3,
+  iterations = 4,
+  bound = 5
+};
 
 struct Outcome {
   Status status;
   double position_error, rotation_error;  // NaN where the task does not ask for it
-  double slope;                           // of the objective, that is left along the self-motion; NaN without one
-  int steps, starts;                      // of all starts together
+  double slope;       // of the objective, that is left along the self-motion; NaN without one
+  int steps, starts;  // of all starts together
 };
 
 // Joint positions that are allowed.
@@ -61,21 +70,25 @@ class InverseSolver {
  public:
   static constexpr int block = 128, blocks = 16, postures = block * blocks;
 
-  // low, high (n): the limits, maybe infinite. home (n): the first posture of the table, the others are random.
-  InverseSolver(const Chain &chain, const double *low, const double *high, const double *home, std::uint64_t seed);
+  // low, high (n): the limits, maybe infinite. home (n): the first posture of the table, the others
+  // are random.
+  InverseSolver(const Chain &chain, const double *low, const double *high, const double *home,
+      std::uint64_t seed);
 
   const Chain &chain() const { return chain_; }
   const Box &limits() const { return limits_; }
   double weight() const { return weight_; }  // of a metre in radians
 
-  // Solves from `start` (n) unless null, then from the table. `q` (n): the posture with the least error, which is always
-  // within the limits; a start outside them is moved to them.
+  // Solves from `start` (n) unless null, then from the table. `q` (n): the posture with the least
+  // error, which is always within the limits; a start outside them is moved to them.
   Outcome solve(const Goal &goal, const Search &search, const double *start, double *q) const;
 
-  // Solves from `start` alone, and no joint leaves `bound`, a part of the limits. For paths, where the start is the
-  // previous posture: damping bounds the steps near singular postures, and the branch is kept. `q`: the posture with the
-  // least error within the bound, whether it is a solution or not.
-  Outcome follow(const Goal &goal, const Search &search, const double *start, const Box &bound, double *q) const;
+  // Solves from `start` alone, and no joint leaves `bound`, a part of the limits. For paths, where
+  // the start is the previous posture: damping bounds the steps near singular postures, and the
+  // branch is kept. `q`: the posture with the least error within the bound, whether it is a
+  // solution or not.
+  Outcome follow(const Goal &goal, const Search &search, const double *start, const Box &bound,
+      double *q) const;
   // The part of the limits that is no further than `change` from `q`, which is moved to them first.
   Box around(const double *q, double change) const;
 
@@ -83,10 +96,11 @@ class InverseSolver {
   template <int M>
   Outcome solve_rows(const Goal &goal, const Search &search, const double *start, double *q) const;
   template <int M>
-  Outcome follow_rows(const Goal &goal, const Search &search, const double *start, const Box &bound, double *q) const;
+  Outcome follow_rows(const Goal &goal, const Search &search, const double *start, const Box &bound,
+      double *q) const;
   template <int M>
-  Outcome finish(const Descent<M> &descent, const Goal &goal, const Search &search, const Box &box, int starts,
-                 double *q) const;
+  Outcome finish(const Descent<M> &descent, const Goal &goal, const Search &search, const Box &box,
+      int starts, double *q) const;
   template <int M>
   Outcome explain(Descent<M> &descent, const Goal &goal, const Search &search, double *q) const;
 
@@ -98,8 +112,8 @@ class InverseSolver {
   Box limits_, unlimited_;
   double wrist_reach_, tool_reach_;  // at most from the first joint to the last, and to the tool
   double weight_;
-  std::vector<double> angles_;       // (postures, n)
-  std::vector<double> poses_;        // (12, postures): rotation row by row, position
+  std::vector<double> angles_;  // (postures, n)
+  std::vector<double> poses_;   // (12, postures): rotation row by row, position
 };
 
 }  // namespace armlab

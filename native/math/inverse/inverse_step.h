@@ -1,5 +1,5 @@
-// One start of the inverse kinematics: residual, Jacobian and damped steps inside a box. M is the number of rows of the
-// task; see inverse.h.
+// One start of the inverse kinematics: residual, Jacobian and damped steps inside a box. M is the
+// number of rows of the task; see inverse.h.
 #pragma once
 
 #include <algorithm>
@@ -13,8 +13,8 @@ namespace armlab {
 
 inline double clamp(double x, double low, double high) { return std::min(std::max(x, low), high); }
 
-// Residual and Jacobian at a posture, about the same point: rows in radians (weight times metres), base axes. A small
-// step dq changes the residual by -J dq.
+// Residual and Jacobian at a posture, about the same point: rows in radians (weight times metres),
+// base axes. A small step dq changes the residual by -J dq.
 template <int M>
 struct Iterate {
   static constexpr bool has_position = M != 2, has_rotation = M == 6, has_axis = M == 5 || M == 2;
@@ -32,9 +32,12 @@ struct Iterate {
   }
 };
 
-// The rotation vector that turns the tool's axis into the goal's by the shortest way, along two directions across it.
-inline void axis_residual(const Goal &goal, const Pose<double> &T, Vec3<double> *across, double *e) {
-  const Vec3<double> now = T.turn(goal.axis), wanted = goal.T.turn(goal.axis), turn = cross(now, wanted);
+// The rotation vector that turns the tool's axis into the goal's by the shortest way, along two
+// directions across it.
+inline void axis_residual(
+    const Goal &goal, const Pose<double> &T, Vec3<double> *across, double *e) {
+  const Vec3<double> now = T.turn(goal.axis), wanted = goal.T.turn(goal.axis),
+                     turn = cross(now, wanted);
   across[0] = T.turn(goal.across[0]);
   across[1] = T.turn(goal.across[1]);
   const double sine = norm(turn), cosine = dot(now, wanted);
@@ -50,8 +53,9 @@ inline void axis_residual(const Goal &goal, const Pose<double> &T, Vec3<double> 
 
 // R_goal R^T: what turns the tool into the goal, in base axes.
 inline Rotation<double> rotation_between(const Pose<double> &T, const Pose<double> &goal) {
-  return {T.x.x * goal.x + T.y.x * goal.y + T.z.x * goal.z, T.x.y * goal.x + T.y.y * goal.y + T.z.y * goal.z,
-          T.x.z * goal.x + T.y.z * goal.y + T.z.z * goal.z};
+  return {T.x.x * goal.x + T.y.x * goal.y + T.z.x * goal.z,
+      T.x.y * goal.x + T.y.y * goal.y + T.z.y * goal.z,
+      T.x.z * goal.x + T.y.z * goal.y + T.z.z * goal.z};
 }
 
 template <int M>
@@ -59,10 +63,11 @@ inline void evaluate(const Chain &chain, const Goal &goal, double weight, Iterat
   using I = Iterate<M>;
   constexpr double nan = std::numeric_limits<double>::quiet_NaN();
   Vec3<double> axis[max_joints], point[max_joints], across[2];
-  const Pose<double> T = walk(chain, at.q, [&](int i, const Vec3<double> &z, const Vec3<double> &p) {
-    axis[i] = z;
-    point[i] = p;
-  });
+  const Pose<double> T =
+      walk(chain, at.q, [&](int i, const Vec3<double> &z, const Vec3<double> &p) {
+        axis[i] = z;
+        point[i] = p;
+      });
   at.position_error = at.rotation_error = nan;
   at.square = 0.0;
   if constexpr (I::has_position) {
@@ -110,7 +115,8 @@ inline void evaluate(const Chain &chain, const Goal &goal, double weight, Iterat
   }
 }
 
-// A = L D L^T of a symmetric positive definite matrix: L below the diagonal of A, and 1 / D. False when it is not.
+// A = L D L^T of a symmetric positive definite matrix: L below the diagonal of A, and 1 / D. False
+// when it is not.
 template <int M>
 inline bool factor(double (&A)[M][M], double (&inverse)[M]) {
   double D[M], scaled[M] = {};
@@ -142,7 +148,8 @@ inline void substitute(const double (&A)[M][M], const double (&inverse)[M], doub
 
 // A = J J^T + lambda I, with the columns of J that `uses` tells.
 template <int M>
-inline void normal_matrix(int n, const double (*J)[M], const bool *uses, double lambda, double (&A)[M][M]) {
+inline void normal_matrix(
+    int n, const double (*J)[M], const bool *uses, double lambda, double (&A)[M][M]) {
   for (int a = 0; a < M; ++a) {
     for (int b = 0; b < M; ++b) A[a][b] = 0.0;
     A[a][a] = lambda;
@@ -153,8 +160,9 @@ inline void normal_matrix(int n, const double (*J)[M], const bool *uses, double 
         for (int b = 0; b < M; ++b) A[a][b] += J[i][a] * J[i][b];
 }
 
-// next.q = q + dq with dq = J^T (J J^T + lambda I)^-1 e inside the box: a joint that would leave it goes to its end, the
-// others make up for what it does not do. False when the equations cannot be solved.
+// next.q = q + dq with dq = J^T (J J^T + lambda I)^-1 e inside the box: a joint that would leave it
+// goes to its end, the others make up for what it does not do. False when the equations cannot be
+// solved.
 template <int M>
 inline bool step(int n, const Iterate<M> &at, const Box &box, double lambda, Iterate<M> &next) {
   bool moves[max_joints];

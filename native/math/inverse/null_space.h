@@ -10,13 +10,13 @@ namespace armlab {
 
 constexpr double no_slope = 1e-6;  // along a direction without curvature, of the slope
 
-// The null space of J (M rows) in the joints that move, and what of a gradient lies in it: gradient = J^T mu + N reduced.
-// By Householder reflections of J^T.
+// The null space of J (M rows) in the joints that move, and what of a gradient lies in it: gradient
+// = J^T mu + N reduced. By Householder reflections of J^T.
 template <int M>
 struct NullSpace {
-  int joints, joint[max_joints];             // those that move
-  int size;                                  // dimensions
-  double basis[max_joints][max_joints];      // N^T (size, joints), orthonormal
+  int joints, joint[max_joints];         // those that move
+  int size;                              // dimensions
+  double basis[max_joints][max_joints];  // N^T (size, joints), orthonormal
   double mu[M], reduced[max_joints];
 
   void find(int n, const double (*J)[M], const double *gradient, const bool *fixed) {
@@ -46,7 +46,8 @@ struct NullSpace {
       }
       mirror(v, a, y);
     }
-    for (int a = M - 1; a >= 0; --a) {  // R mu = the first M of y; where the task is singular its multiplier is 0
+    for (int a = M - 1; a >= 0;
+        --a) {  // R mu = the first M of y; where the task is singular its multiplier is 0
       mu[a] = y[a];
       for (int b = a + 1; b < M; ++b) mu[a] -= A[a][b] * mu[b];
       mu[a] = std::fabs(A[a][a]) > 1e-12 ? mu[a] / A[a][a] : 0.0;
@@ -86,8 +87,9 @@ inline void rotate(double &x, double &y, double c, double s) {
   x = turned;
 }
 
-// z = -|H|^-1 g with the absolute values of the eigenvalues: downhill also where the curvature is negative, and nowhere
-// along directions without slope and curvature. H is symmetric and becomes diagonal, by Jacobi's rotations.
+// z = -|H|^-1 g with the absolute values of the eigenvalues: downhill also where the curvature is
+// negative, and nowhere along directions without slope and curvature. H is symmetric and becomes
+// diagonal, by Jacobi's rotations.
 inline void newton_step(int size, double (*H)[max_joints], const double *g, double *z) {
   double V[max_joints][max_joints], largest = 0.0, length = 0.0;  // rows: eigenvectors
   for (int k = 0; k < size; ++k)
@@ -103,7 +105,8 @@ inline void newton_step(int size, double (*H)[max_joints], const double *g, doub
       for (int l = 0; l < k; ++l) {
         if (H[k][l] == 0.0) continue;
         const double theta = (H[l][l] - H[k][k]) / (2.0 * H[k][l]);
-        const double t = (theta < 0.0 ? -1.0 : 1.0) / (std::fabs(theta) + std::sqrt(theta * theta + 1.0));
+        const double t =
+            (theta < 0.0 ? -1.0 : 1.0) / (std::fabs(theta) + std::sqrt(theta * theta + 1.0));
         const double c = 1.0 / std::sqrt(t * t + 1.0), s = t * c;
         for (int m = 0; m < size; ++m) rotate(H[m][k], H[m][l], c, s);
         for (int m = 0; m < size; ++m) rotate(H[k][m], H[l][m], c, s);

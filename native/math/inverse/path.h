@@ -1,5 +1,4 @@
-// Inverse kinematics along a path of poses: each from the one before, on one branch. Specification:
-// tests/oracles/inverse.py.
+// Inverse kinematics along a path of poses: each from the one before, on one branch.
 #pragma once
 
 #include "math/inverse/descent.h"
@@ -23,7 +22,8 @@ class PathFollower {
 
   const double *q() const { return q_; }
 
-  // The first row: from q0 (n), or, when that is null or leads nowhere, from the table of the solver.
+  // The first row: from q0 (n), or, when that is null or leads nowhere, from the table of the
+  // solver.
   PathRow first(const Goal &goal, const Search &search, const double *q0) {
     goal_ = &goal;
     search_ = &search;
@@ -42,13 +42,15 @@ class PathFollower {
     const Box bound = predict(start);
     Outcome outcome = reach(start, bound, q_);
     if (outcome.status != Status::solved) outcome = reach(before, bound, q_);
-    if (outcome.status != Status::solved && outcome.status != Status::out_of_reach) return recover(before, bound, outcome);
+    if (outcome.status != Status::solved && outcome.status != Status::out_of_reach)
+      return recover(before, bound, outcome);
     return finish(before, outcome, false);
   }
 
  private:
-  static constexpr double least_change = 0.05;  // rad: without `change`, how far a joint may move at least
-  static constexpr double most_change = 5.0;    // and of the length of the pose step
+  static constexpr double least_change =
+      0.05;  // rad: without `change`, how far a joint may move at least
+  static constexpr double most_change = 5.0;  // and of the length of the pose step
   static constexpr int tries = 24, enough_found = 4;
 
   // The posture with the least error inside the bound, from `start`.
@@ -56,8 +58,8 @@ class PathFollower {
     return solver_.follow(*goal_, *search_, start, bound, q);
   }
 
-  // Where to start from: as far again as the last row went, without what the tool did not feel of that. Returns what the
-  // joints may reach.
+  // Where to start from: as far again as the last row went, without what the tool did not feel of
+  // that. Returns what the joints may reach.
   Box predict(double *start) const {
     Iterate<M> here;
     std::copy_n(q_, n_, here.q);
@@ -73,17 +75,21 @@ class PathFollower {
     const double length = least_change + most_change * std::sqrt(here.square);
     for (int i = 0; i < n_; ++i) {
       start[i] = q_[i] + (moved_[i] - unfelt[i]);
-      const double change = change_ ? change_[i] : chain_.steps[i].slides ? length / solver_.weight() : length;
+      const double change = change_                  ? change_[i]
+                            : chain_.steps[i].slides ? length / solver_.weight()
+                                                     : length;
       bound.low[i] = std::max(q_[i] - change, solver_.limits().low[i]);
       bound.high[i] = std::min(q_[i] + change, solver_.limits().high[i]);
     }
     return bound;
   }
 
-  // Where the descent from the row before ends within the bound without a solution. Random starts near that row;
-  // then further away on this branch; then on other branches; else the posture with the least error stays.
+  // Where the descent from the row before ends within the bound without a solution. Random starts
+  // near that row; then further away on this branch; then on other branches; else the posture with
+  // the least error stays.
   PathRow recover(const double *before, const Box &bound, Outcome outcome) {
-    const bool thorough = (failures_ & (failures_ - 1)) == 0;  // after 0, 1, 2, 4, 8 ... failures without a gap
+    const bool thorough =
+        (failures_ & (failures_ - 1)) == 0;  // after 0, 1, 2, 4, 8 ... failures without a gap
     if (thorough && search_around(before, bound, outcome)) return finish(before, outcome, false);
     double there[max_joints];
     Outcome far = reach(before, solver_.limits(), there);
@@ -105,7 +111,8 @@ class PathFollower {
     int found = 0;
     for (int k = 0; k < tries && found < enough_found; ++k) {
       for (int i = 0; i < n_; ++i)
-        start[i] = before[i] + (2.0 * uniform(row_, std::uint64_t(k) * n_ + i) - 1.0) * least_change;
+        start[i] =
+            before[i] + (2.0 * uniform(row_, std::uint64_t(k) * n_ + i) - 1.0) * least_change;
       const Outcome other = reach(start, bound, there);
       outcome.steps += other.steps;
       if (other.status != Status::solved) continue;

@@ -1,8 +1,9 @@
-// The self-motion of a redundant arm: with the tool at its goal, joints move to where an objective is least.
-// Specification: tests/oracles/descent.py.
+// The self-motion of a redundant arm: with the tool at its goal, joints move to where an objective
+// is least.
 //
-// Newton steps in the null space of the task, with the curvature of the task in the Hessian. Joints at a limit that a
-// step would press against it stay there. After each step the tool is brought back to the goal.
+// Newton steps in the null space of the task, with the curvature of the task in the Hessian. Joints
+// at a limit that a step would press against it stay there. After each step the tool is brought
+// back to the goal.
 #pragma once
 
 #include "math/inverse/null_space.h"
@@ -14,12 +15,14 @@ constexpr int most_null_steps = 100;
 constexpr double least_slope = 1e-10;  // where the descent ends
 constexpr double longest_step = 0.3;   // of a joint
 constexpr double difference = 1e-6;    // of joints, for second derivatives
-constexpr double sharpnesses[] = {30.0, 300.0, 1000.0};  // of the objective "limits", one after the other
+constexpr double sharpnesses[] = {
+    30.0, 300.0, 1000.0};  // of the objective "limits", one after the other
 
 template <int M>
 class SelfMotion {
  public:
-  SelfMotion(const Chain &chain, const Goal &goal, const Search &search, double weight, const Box &box)
+  SelfMotion(
+      const Chain &chain, const Goal &goal, const Search &search, double weight, const Box &box)
       : chain_(chain), goal_(goal), search_(search), weight_(weight), box_(box), n_(chain.n) {}
 
   // Moves `at`, which is at the goal. Returns the slope that is left along the free self-motion.
@@ -73,8 +76,8 @@ class SelfMotion {
     return any;
   }
 
-  // step_: the Newton step, with the joints that it presses against a limit fixed as well; where that leaves nothing, the
-  // step goes straight downhill.
+  // step_: the Newton step, with the joints that it presses against a limit fixed as well; where
+  // that leaves nothing, the step goes straight downhill.
   void find_direction(const Iterate<M> &at) {
     bool fixed[max_joints];
     double z[max_joints];
@@ -96,7 +99,8 @@ class SelfMotion {
     const int size = space_.size;
     for (int k = 0; k < size; ++k) {
       std::copy_n(at.q, n_, trial_.q);
-      for (int f = 0; f < space_.joints; ++f) trial_.q[space_.joint[f]] += difference * space_.basis[k][f];
+      for (int f = 0; f < space_.joints; ++f)
+        trial_.q[space_.joint[f]] += difference * space_.basis[k][f];
       evaluate(chain_, goal_, weight_, trial_);
       value_at(trial_, other);
       for (int f = 0; f < space_.joints; ++f) {
@@ -106,7 +110,8 @@ class SelfMotion {
       }
       for (int l = 0; l < size; ++l) {
         H[l][k] = 0.0;
-        for (int f = 0; f < space_.joints; ++f) H[l][k] += space_.basis[l][f] * change[f] / difference;
+        for (int f = 0; f < space_.joints; ++f)
+          H[l][k] += space_.basis[l][f] * change[f] / difference;
       }
     }
     for (int k = 0; k < size; ++k)
@@ -122,20 +127,25 @@ class SelfMotion {
     for (int i = 0; i < n_; ++i) longest = std::max(longest, std::fabs(step_[i]));
     for (int i = 0; i < n_; ++i) step_[i] *= longest_step / longest;
     fall_ = 0.0;
-    for (int k = 0; k < space_.size; ++k) fall_ -= longest_step / longest * z[k] * space_.reduced[k];
+    for (int k = 0; k < space_.size; ++k)
+      fall_ -= longest_step / longest * z[k] * space_.reduced[k];
   }
 
-  // Goes along step_ as far as the limits and the objective allow, and back to the goal. False where nothing is gained.
+  // Goes along step_ as far as the limits and the objective allow, and back to the goal. False
+  // where nothing is gained.
   bool advance(Iterate<M> &at, double value) {
     double part = 1.0, there[max_joints], unused[max_joints];
     for (int i = 0; i < n_; ++i)
-      if (std::fabs(step_[i]) > std::fabs(end(i) - at.q[i])) part = std::min(part, (end(i) - at.q[i]) / step_[i]);
+      if (std::fabs(step_[i]) > std::fabs(end(i) - at.q[i]))
+        part = std::min(part, (end(i) - at.q[i]) / step_[i]);
     const double rounding = 1e-13 * std::max(1.0, std::fabs(value));
     for (const double shortest = 1e-6 * part; part > shortest; part *= 0.5) {
-      Box kept = box_;  // joints at a limit do not leave it on the way back to the goal, unless there is no other way
+      Box kept = box_;  // joints at a limit do not leave it on the way back to the goal, unless
+                        // there is no other way
       for (int i = 0; i < n_; ++i) {
         const double moved = part * step_[i];
-        const bool arrives = moved != 0.0 && std::fabs(moved) >= (1.0 - 1e-12) * std::fabs(end(i) - at.q[i]);
+        const bool arrives =
+            moved != 0.0 && std::fabs(moved) >= (1.0 - 1e-12) * std::fabs(end(i) - at.q[i]);
         there[i] = arrives ? end(i) : clamp(at.q[i] + moved, box_.low[i], box_.high[i]);
         if (arrives || fixed_[i]) kept.low[i] = kept.high[i] = there[i];
       }

@@ -5,12 +5,14 @@
 
 namespace armlab {
 
-// The axes by number, in the order of the product: R = R_first(r) R_middle(p) R_last(y); neighbours differ.
+// The axes by number, in the order of the product: R = R_first(r) R_middle(p) R_last(y); neighbours
+// differ.
 struct Axes {
   int first, middle, last;
 };
 
-constexpr double gimbal_lock = 1e-13;  // below, the first and the last axis are parallel to the last digit
+constexpr double gimbal_lock =
+    1e-13;  // below, the first and the last axis are parallel to the last digit
 
 // atan2(y, x), with atan2(0, 0) = 0; a half turn is +pi whatever the sign of a zero.
 template <class Real>
@@ -57,7 +59,8 @@ inline void angles_from_matrix(const Real *m, const Axes &axes, Real *rpy) {
   // Row j after the first turn is undone holds the last turn alone, so lock does not touch it.
   Real s, c, row[3];
   sincos(first, s, c);
-  for (int column = 0; column < 3; ++column) row[column] = c * m[3 * j + column] + e * s * m[3 * k + column];
+  for (int column = 0; column < 3; ++column)
+    row[column] = c * m[3 * j + column] + e * s * m[3 * k + column];
   rpy[0] = first;
   rpy[1] = proper ? angle_of(length, m[3 * i + i]) : angle_of(e * m[3 * i + k], length);
   rpy[2] = angle_of(proper ? -e * row[k] : e * row[i], row[j]);

@@ -1,7 +1,8 @@
 // Rotations and rigid motions: exponential, logarithm and quaternions over Real (double or Lanes).
 //
-// Specification: tests/oracles/lie.py. Both sides of every `select` are computed, and the one that is not
-// chosen may be NaN; so a batch gives bit for bit what single calls give. Nothing takes an arc cosine.
+// Specification: tests/oracles/lie.py. Both sides of every `select` are computed, and the one that
+// is not chosen may be NaN; so a batch gives bit for bit what single calls give. Nothing takes an
+// arc cosine.
 #pragma once
 
 #include "array/lanes.h"
@@ -17,9 +18,8 @@ struct Rotation {
 
   // Row by row, with `stride` numbers from one row to the next.
   static Rotation read(const Real *m, int stride) {
-    return {{m[0], m[stride], m[2 * stride]},
-            {m[1], m[stride + 1], m[2 * stride + 1]},
-            {m[2], m[stride + 2], m[2 * stride + 2]}};
+    return {{m[0], m[stride], m[2 * stride]}, {m[1], m[stride + 1], m[2 * stride + 1]},
+        {m[2], m[stride + 2], m[2 * stride + 2]}};
   }
   void write(Real *m, int stride) const {
     const Vec3<Real> *columns[3] = {&x, &y, &z};
@@ -29,8 +29,10 @@ struct Rotation {
       m[2 * stride + k] = columns[k]->z;
     }
   }
-  Vec3<Real> turn(const Vec3<Real> &b) const { return b.x * x + b.y * y + b.z * z; }             // R b
-  Vec3<Real> turn_back(const Vec3<Real> &a) const { return {dot(x, a), dot(y, a), dot(z, a)}; }  // R^T a
+  Vec3<Real> turn(const Vec3<Real> &b) const { return b.x * x + b.y * y + b.z * z; }  // R b
+  Vec3<Real> turn_back(const Vec3<Real> &a) const {
+    return {dot(x, a), dot(y, a), dot(z, a)};
+  }  // R^T a
   Rotation inverse() const { return {{x.x, y.x, z.x}, {x.y, y.y, z.y}, {x.z, y.z, z.z}}; }
 };
 
@@ -50,7 +52,8 @@ inline double exact_norm(const Vec3<double> &a, double) { return std::hypot(a.x,
 #ifdef ARMLAB_LANES
 inline Lanes exact_norm(const Vec3<Lanes> &a, Lanes length) {
   for (int i = 0; i < Lanes::width; ++i)
-    if (!(1e-140 <= length.v[i] && length.v[i] <= 1e140)) length.v[i] = std::hypot(a.x.v[i], a.y.v[i], a.z.v[i]);
+    if (!(1e-140 <= length.v[i] && length.v[i] <= 1e140))
+      length.v[i] = std::hypot(a.x.v[i], a.y.v[i], a.z.v[i]);
   return length;
 }
 #endif
@@ -79,9 +82,10 @@ inline Real ratio(const Real &y, const Real &x, double at_zero) {
   return select(zero, Real(at_zero), y / select(zero, Real(1.0), x));
 }
 
-// atan2(y, x) of two numbers that are not negative and not both zero; error below 4e-16 of the result.
-// One of them over the other is at most 1; beyond tan(pi/8) the turn by pi/4 is taken out. On what remains the
-// polynomial, which interpolates at Chebyshev points, is off by less than 8e-18.
+// atan2(y, x) of two numbers that are not negative and not both zero; error below 4e-16 of the
+// result. One of them over the other is at most 1; beyond tan(pi/8) the turn by pi/4 is taken out.
+// On what remains the polynomial, which interpolates at Chebyshev points, is off by less than
+// 8e-18.
 template <class Real>
 inline Real quadrant_angle(const Real &y, const Real &x) {
   constexpr Real tan_pi_8(0x1.a827999fcef32p-2);
@@ -103,9 +107,9 @@ inline Real quadrant_angle(const Real &y, const Real &x) {
   return select(steep, Real(2.0) * pi_4 + (Real(2.0) * pi_4_low - flat), flat);
 }
 
-// The unit quaternion of a rotation, w >= 0; at w = 0 the first component that is not zero is positive.
-// 4 q q^T is linear in R; its row with the largest diagonal, normalised, is q, so no small number is divided by
-// (Shepperd 1978).
+// The unit quaternion of a rotation, w >= 0; at w = 0 the first component that is not zero is
+// positive. 4 q q^T is linear in R; its row with the largest diagonal, normalised, is q, so no
+// small number is divided by (Shepperd 1978).
 template <class Real>
 inline Quaternion<Real> quaternion_from(const Rotation<Real> &R) {
   const Real one(1.0), zero(0.0);
@@ -115,17 +119,20 @@ inline Quaternion<Real> quaternion_from(const Rotation<Real> &R) {
 
   Quaternion<Real> q{one + xx + yy + zz, {wx, wy, wz}};
   Real largest = q.w;
-  const auto prefer = [&](const Real &diagonal, const Real &w, const Real &x, const Real &y, const Real &z) {
+  const auto prefer = [&](const Real &diagonal, const Real &w, const Real &x, const Real &y,
+                          const Real &z) {
     const auto larger = largest < diagonal;
     largest = select(larger, diagonal, largest);
-    q = {select(larger, w, q.w), {select(larger, x, q.v.x), select(larger, y, q.v.y), select(larger, z, q.v.z)}};
+    q = {select(larger, w, q.w),
+        {select(larger, x, q.v.x), select(larger, y, q.v.y), select(larger, z, q.v.z)}};
   };
   const Real x2 = one + xx - yy - zz, y2 = one - xx + yy - zz, z2 = one - xx - yy + zz;
   prefer(x2, wx, x2, xy, xz);
   prefer(y2, wy, xy, y2, yz);
   prefer(z2, wz, xz, yz, z2);
 
-  const Real first = select(q.w == zero, select(q.v.x == zero, select(q.v.y == zero, q.v.z, q.v.y), q.v.x), q.w);
+  const Real first =
+      select(q.w == zero, select(q.v.x == zero, select(q.v.y == zero, q.v.z, q.v.y), q.v.x), q.w);
   const Real scale = select(first < zero, -one, one) / norm(q);
   return {q.w * scale, scale * q.v};
 }
@@ -138,9 +145,8 @@ inline Rotation<Real> rotation_from(const Quaternion<Real> &q, const Real &twice
   const Real wx = q.w * v.x, wy = q.w * v.y, wz = q.w * v.z;
   const Real xx = q.v.x * v.x, xy = q.v.x * v.y, xz = q.v.x * v.z;
   const Real yy = q.v.y * v.y, yz = q.v.y * v.z, zz = q.v.z * v.z;
-  return {{one - (yy + zz), xy + wz, xz - wy},
-          {xy - wz, one - (xx + zz), yz + wx},
-          {xz + wy, yz - wx, one - (xx + yy)}};
+  return {{one - (yy + zz), xy + wz, xz - wy}, {xy - wz, one - (xx + zz), yz + wx},
+      {xz + wy, yz - wx, one - (xx + yy)}};
 }
 
 // The rotation of a quaternion that is not zero, of any length.
@@ -179,7 +185,8 @@ template <class Real>
 inline Quaternion<Real> slerp(const Quaternion<Real> &a, const Quaternion<Real> &b, const Real &s) {
   const Real one(1.0), zero(0.0);
   const Real side = select(a.w * b.w + dot(a.v, b.v) < zero, -one, one);
-  const Quaternion<Real> c{side * b.w, side * b.v}, chord{c.w - a.w, c.v - a.v}, sum{c.w + a.w, c.v + a.v};
+  const Quaternion<Real> c{side * b.w, side * b.v}, chord{c.w - a.w, c.v - a.v},
+      sum{c.w + a.w, c.v + a.v};
   const Real arc = Real(2.0) * quadrant_angle(norm(chord), norm(sum));
   Real sine, from, to, unused;
   sincos(arc, sine, unused);
@@ -197,9 +204,8 @@ inline Rotation<Real> polynomial(const Vec3<Real> &w, const Real &a, const Real 
   const Vec3<Real> aw = a * w, bw = b * w;
   const Real xx = w.x * bw.x, yy = w.y * bw.y, zz = w.z * bw.z;
   const Real xy = w.x * bw.y, xz = w.x * bw.z, yz = w.y * bw.z;
-  return {{one - (yy + zz), xy + aw.z, xz - aw.y},
-          {xy - aw.z, one - (xx + zz), yz + aw.x},
-          {xz + aw.y, yz - aw.x, one - (xx + yy)}};
+  return {{one - (yy + zz), xy + aw.z, xz - aw.y}, {xy - aw.z, one - (xx + zz), yz + aw.x},
+      {xz + aw.y, yz - aw.x, one - (xx + yy)}};
 }
 
 // What exponential and Jacobians have in common, of an angle theta = |w|.
@@ -216,8 +222,8 @@ struct Angle {
 };
 
 // The rotation about w by |w|: I + sin(t)/t hat(w) + (1 - cos(t))/t^2 hat(w)^2.
-// Through the quaternion, whose length is 1 but for rounding; with the first order of that (2 / n = 4 - 2 n near n = 1)
-// the result is as orthonormal as can be.
+// Through the quaternion, whose length is 1 but for rounding; with the first order of that (2 / n =
+// 4 - 2 n near n = 1) the result is as orthonormal as can be.
 template <class Real>
 inline Rotation<Real> rotation_about(const Vec3<Real> &w, const Angle<Real> &t) {
   const Quaternion<Real> q{t.cosine, t.k * w};

@@ -1,4 +1,5 @@
-// Rigid motions: exponential and logarithm of twists [v; w], and the left Jacobians of SO(3) and SE(3).
+// Rigid motions: exponential and logarithm of twists [v; w], and the left Jacobians of SO(3) and
+// SE(3).
 //
 // Specification: tests/oracles/lie.py.
 #pragma once
@@ -9,7 +10,8 @@
 
 namespace armlab {
 
-constexpr double series_below = 0.5;  // rad: above, closed forms keep all digits; below, eight terms reach 1e-18
+constexpr double series_below =
+    0.5;  // rad: above, closed forms keep all digits; below, eight terms reach 1e-18
 
 struct Coefficients {
   double c[8];
@@ -21,8 +23,8 @@ constexpr double factorial(int n) { return n < 2 ? 1.0 : n * factorial(n - 1); }
 constexpr double alternating(int k, int m) { return (k % 2 ? -1.0 : 1.0) / factorial(2 * k + m); }
 
 constexpr double cotangent(int k) {  // (1 - t/2 cot(t/2)) / t^2: |B_2k+2| / (2k + 2)!
-  constexpr double bernoulli[9] = {1.0 / 6,  1.0 / 30,       1.0 / 42, 1.0 / 30,       5.0 / 66,
-                                   691.0 / 2730, 7.0 / 6, 3617.0 / 510, 43867.0 / 798};
+  constexpr double bernoulli[9] = {1.0 / 6, 1.0 / 30, 1.0 / 42, 1.0 / 30, 5.0 / 66, 691.0 / 2730,
+      7.0 / 6, 3617.0 / 510, 43867.0 / 798};
   return bernoulli[k] / factorial(2 * k + 2);
 }
 
@@ -55,7 +57,7 @@ inline Real cubic(const Angle<Real> &t) {
   constexpr Coefficients near_zero = series(3, false);
   const Real x = t.theta * t.theta;
   return select(t.theta < Real(series_below), evaluate(near_zero, x),
-                (t.theta - Real(2.0) * t.sine * t.cosine) / (x * t.theta));
+      (t.theta - Real(2.0) * t.sine * t.cosine) / (x * t.theta));
 }
 
 // (1 - h cot h) / t^2 with h = t/2, of h cot h.
@@ -79,7 +81,8 @@ inline Polynomial<Real> left_jacobian_polynomial(const Angle<Real> &t) {
   const auto small = t.theta < Real(series_below);
   const Real a1 = (t.theta * sine - two * versine) / (x * x);
   const Real b1 = (Real(3.0) * (sine - t.theta) + t.theta * versine) / (x * x * t.theta);
-  return {t.versine(), cubic(t), select(small, evaluate(near_a, x), a1), select(small, evaluate(near_b, x), b1)};
+  return {t.versine(), cubic(t), select(small, evaluate(near_a, x), a1),
+      select(small, evaluate(near_b, x), b1)};
 }
 
 template <class Real>
@@ -88,22 +91,23 @@ inline Polynomial<Real> left_jacobian_inv_polynomial(const Angle<Real> &t) {
   const Real x = t.theta * t.theta, g = h_cot_h(t), r = Real(0.5) * t.theta / t.sine;
   const Real b1 = (r * r + g - Real(2.0)) / (x * x);
   return {Real(-0.5), square(t.theta, g), Real(0.0),
-          select(t.theta < Real(series_below), evaluate(near_zero, x), b1)};
+      select(t.theta < Real(series_below), evaluate(near_zero, x), b1)};
 }
 
 // The derivative of I + a hat(w) + b hat(w)^2 in the direction v:
-// a hat(v) + b (hat(w) hat(v) + hat(v) hat(w)) + (w.v)/t (a' hat(w) + b' hat(w)^2), a1 = a'/t, b1 = b'/t.
-// It is the upper right block of the same function of [[hat(w), hat(v)], [0, hat(w)]].
+// a hat(v) + b (hat(w) hat(v) + hat(v) hat(w)) + (w.v)/t (a' hat(w) + b' hat(w)^2), a1 = a'/t, b1 =
+// b'/t. It is the upper right block of the same function of [[hat(w), hat(v)], [0, hat(w)]].
 template <class Real>
-inline Rotation<Real> derivative(const Vec3<Real> &w, const Vec3<Real> &v, const Polynomial<Real> &f) {
+inline Rotation<Real> derivative(
+    const Vec3<Real> &w, const Vec3<Real> &v, const Polynomial<Real> &f) {
   const Real along = dot(w, v), two(2.0);
-  const Vec3<Real> s = f.a * v + (along * f.a1) * w;                        // the skew part
-  const Vec3<Real> u = f.b * v + (Real(0.5) * along * f.b1) * w;            // w u^T + u w^T, the symmetric part,
-  const Real less = two * along * f.b + along * f.b1 * dot(w, w);           // less this times I
+  const Vec3<Real> s = f.a * v + (along * f.a1) * w;  // the skew part
+  const Vec3<Real> u =
+      f.b * v + (Real(0.5) * along * f.b1) * w;  // w u^T + u w^T, the symmetric part,
+  const Real less = two * along * f.b + along * f.b1 * dot(w, w);  // less this times I
   const Real xy = w.x * u.y + u.x * w.y, xz = w.x * u.z + u.x * w.z, yz = w.y * u.z + u.y * w.z;
   return {{two * w.x * u.x - less, xy + s.z, xz - s.y},
-          {xy - s.z, two * w.y * u.y - less, yz + s.x},
-          {xz + s.y, yz - s.x, two * w.z * u.z - less}};
+      {xy - s.z, two * w.y * u.y - less, yz + s.x}, {xz + s.y, yz - s.x, two * w.z * u.z - less}};
 }
 
 // [[A, B], [0, A]] row by row.
@@ -144,31 +148,36 @@ inline Pose<Real> pose_inverse(const Pose<Real> &T) {
 // What a condition chooses, number by number.
 template <class Condition, class Real>
 inline Vec3<Real> select(const Condition &condition, const Vec3<Real> &yes, const Vec3<Real> &no) {
-  return {select(condition, yes.x, no.x), select(condition, yes.y, no.y), select(condition, yes.z, no.z)};
+  return {select(condition, yes.x, no.x), select(condition, yes.y, no.y),
+      select(condition, yes.z, no.z)};
 }
 
 // R_a exp(s log(R_a^T R_b)), from the nearer end, which is exact that way.
 template <class Real>
-inline Rotation<Real> so3_interpolate(const Rotation<Real> &a, const Rotation<Real> &b, const Real &s) {
+inline Rotation<Real> so3_interpolate(
+    const Rotation<Real> &a, const Rotation<Real> &b, const Real &s) {
   const Vec3<Real> w = so3_log(a.inverse() * b);
   const auto late = Real(0.5) < s;
-  const Rotation<Real> nearer{select(late, b.x, a.x), select(late, b.y, a.y), select(late, b.z, a.z)};
+  const Rotation<Real> nearer{
+      select(late, b.x, a.x), select(late, b.y, a.y), select(late, b.z, a.z)};
   return nearer * so3_exp(select(late, s - Real(1.0), s) * w);
 }
 
 // The same of poses, along a screw; otherwise the position along a line and the rotation as above.
 template <class Real>
-inline Pose<Real> se3_interpolate(const Pose<Real> &a, const Pose<Real> &b, const Real &s, bool screw) {
+inline Pose<Real> se3_interpolate(
+    const Pose<Real> &a, const Pose<Real> &b, const Real &s, bool screw) {
   const auto late = Real(0.5) < s;
   const Real rest = select(late, s - Real(1.0), s);
   if (screw) {
     const Pose<Real> nearer{select(late, b.x, a.x), select(late, b.y, a.y), select(late, b.z, a.z),
-                            select(late, b.p, a.p)};
+        select(late, b.p, a.p)};
     Vec3<Real> v, w;
     se3_log(pose_inverse(a) * b, v, w);
     return nearer * se3_exp(rest * v, rest * w);
   }
-  const Rotation<Real> R = so3_interpolate(Rotation<Real>{a.x, a.y, a.z}, Rotation<Real>{b.x, b.y, b.z}, s);
+  const Rotation<Real> R =
+      so3_interpolate(Rotation<Real>{a.x, a.y, a.z}, Rotation<Real>{b.x, b.y, b.z}, s);
   return {R.x, R.y, R.z, select(late, b.p, a.p) + rest * (b.p - a.p)};
 }
 

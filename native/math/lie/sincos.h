@@ -24,35 +24,39 @@ inline void replace_far(const Lanes &x, Lanes &sine, Lanes &cosine) {
 }
 #endif
 
-// Sine and cosine of |x| <= far_angle in three steps, error below 2.5e-16; NaN and infinity give NaN. Several angles
-// are best taken through each step together: the processor then finds independent work close by, and needs two thirds
-// of the time.
+// Sine and cosine of |x| <= far_angle in three steps, error below 2.5e-16; NaN and infinity give
+// NaN. Several angles are best taken through each step together: the processor then finds
+// independent work close by, and needs two thirds of the time.
 //
-// First x = k pi/2 + r with pi/2 in two parts, one of 33 bits, so that k times it is exact for |k| < 2^20, and one whose
-// error is 4e-27. `quadrant` holds k in its low bits.
+// First x = k pi/2 + r with pi/2 in two parts, one of 33 bits, so that k times it is exact for |k|
+// < 2^20, and one whose error is 4e-27. `quadrant` holds k in its low bits.
 template <class Real>
 inline void reduce_angle(const Real &x, Real &quadrant, Real &r) {
-  constexpr Real two_over_pi(0x1.45f306dc9c883p-1), half_pi_1(0x1.921fb54400000p0), half_pi_2(0x1.0b4611a626331p-34);
+  constexpr Real two_over_pi(0x1.45f306dc9c883p-1), half_pi_1(0x1.921fb54400000p0),
+      half_pi_2(0x1.0b4611a626331p-34);
   constexpr Real shifter(0x1.8p52);
   quadrant = x * two_over_pi + shifter;
   const Real k = quadrant - shifter;
   r = (x - k * half_pi_1) - k * half_pi_2;
 }
 
-// Then polynomials on |r| <= pi/4 whose largest error is least (Remez): 2e-18 and 5e-20; the rest is rounding.
+// Then polynomials on |r| <= pi/4 whose largest error is least (Remez): 2e-18 and 5e-20; the rest
+// is rounding.
 template <class Real>
 inline void sincos_of_remainder(const Real &r, Real &sine, Real &cosine) {
   constexpr Real s3(-0x1.555555555553dp-3), s5(0x1.111111110eb1fp-7), s7(-0x1.a01a019ab4acep-13);
   constexpr Real s9(0x1.71de347563b5fp-19), s11(-0x1.ae5db477d3136p-26), s13(0x1.5d64c90301615p-33);
-  constexpr Real c2(-0.5), c4(0x1.555555555554cp-5), c6(-0x1.6c16c16c15184p-10), c8(0x1.a01a019cb26e5p-16);
-  constexpr Real c10(-0x1.27e4f80a75e5bp-22), c12(0x1.1ee9ec47628f5p-29), c14(-0x1.8faecf0464361p-37), one(1.0);
+  constexpr Real c2(-0.5), c4(0x1.555555555554cp-5), c6(-0x1.6c16c16c15184p-10),
+      c8(0x1.a01a019cb26e5p-16);
+  constexpr Real c10(-0x1.27e4f80a75e5bp-22), c12(0x1.1ee9ec47628f5p-29),
+      c14(-0x1.8faecf0464361p-37), one(1.0);
   const Real r2 = r * r, r4 = r2 * r2;
   sine = r + r * r2 * ((s3 + s5 * r2) + r4 * ((s7 + s9 * r2) + r4 * (s11 + s13 * r2)));
   cosine = (one + c2 * r2) + r4 * ((c4 + c6 * r2) + r4 * ((c8 + c10 * r2) + r4 * (c12 + c14 * r2)));
 }
 
-// Last the quadrant: an odd one swaps the two; the second bit of k is the sign of the sine, and where it is unlike the
-// first the cosine is negative.
+// Last the quadrant: an odd one swaps the two; the second bit of k is the sign of the sine, and
+// where it is unlike the first the cosine is negative.
 template <class Real>
 inline void turn_to_quadrant(const Real &quadrant, Real &sine, Real &cosine) {
   const auto bits = to_bits(quadrant);

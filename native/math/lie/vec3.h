@@ -42,12 +42,15 @@ struct Pose {
   Vec3<Real> x, y, z, p;
 
   Pose() = default;
-  Pose(const Vec3<Real> &x, const Vec3<Real> &y, const Vec3<Real> &z, const Vec3<Real> &p) : x(x), y(y), z(z), p(p) {}
+  Pose(const Vec3<Real> &x_, const Vec3<Real> &y_, const Vec3<Real> &z_, const Vec3<Real> &p_)
+      : x(x_), y(y_), z(z_), p(p_) {}
   explicit Pose(const double *m)  // (4, 4), row by row
       : x{m[0], m[4], m[8]}, y{m[1], m[5], m[9]}, z{m[2], m[6], m[10]}, p{m[3], m[7], m[11]} {}
 
-  Vec3<Real> turn(const Vec3<Real> &b) const { return b.x * x + b.y * y + b.z * z; }             // R b
-  Vec3<Real> turn_back(const Vec3<Real> &a) const { return {dot(x, a), dot(y, a), dot(z, a)}; }  // R^T a
+  Vec3<Real> turn(const Vec3<Real> &b) const { return b.x * x + b.y * y + b.z * z; }  // R b
+  Vec3<Real> turn_back(const Vec3<Real> &a) const {
+    return {dot(x, a), dot(y, a), dot(z, a)};
+  }  // R^T a
 
   void write(Real *m) const {
     const Vec3<Real> *columns[4] = {&x, &y, &z, &p};

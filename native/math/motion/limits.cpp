@@ -14,8 +14,8 @@ constexpr double slack = 1e-9;  // relative: rounding is not a clamp
 constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr int max_axes = 64;
 
-// The fastest velocity v of a step T after which the arm, late by `lag`, can still stop within `distance`, however
-// long the steps to come are: v T + v lag + v^2 / (2 a) = distance.
+// The fastest velocity v of a step T after which the arm, late by `lag`, can still stop within
+// `distance`, however long the steps to come are: v T + v lag + v^2 / (2 a) = distance.
 double brakeable(double distance, double a, double T, double lag) {
   const double d = std::max(distance, 0.0), late = T + lag;
   if (std::isinf(d)) return infinity;
@@ -25,7 +25,8 @@ double brakeable(double distance, double a, double T, double lag) {
 }
 
 struct Joint {
-  double q, q_min, q_max, fastest, a, low, high;  // low, high: velocities from which it can stop before its limits
+  double q, q_min, q_max, fastest, a;
+  double low, high;  // velocities from which it can stop before its limits
 };
 
 // Scales the velocities by one ratio when they are too fast. Returns the ratio.
@@ -43,7 +44,8 @@ double scale(int n, const Joint *joints, double *wanted, std::uint8_t *bits) {
 }
 
 // Keeps each velocity within what acceleration and braking allow.
-void keep_within(int n, const Joint *joints, double T, const double *last, double *wanted, std::uint8_t *bits) {
+void keep_within(
+    int n, const Joint *joints, double T, const double *last, double *wanted, std::uint8_t *bits) {
   for (int i = 0; i < n; ++i) {
     const Joint &joint = joints[i];
     const double step = joint.a * T, tolerance = slack * std::min(step, joint.fastest);
@@ -59,19 +61,21 @@ void keep_within(int n, const Joint *joints, double T, const double *last, doubl
 }
 
 // 0, or i (from 1) when joint i is not finite, or -i when it jumps.
-int refusal(int n, const Joint *joints, const double *jump, double T, const double *q_ref, const double *q_last,
-            const double *qd_ref) {
+int refusal(int n, const Joint *joints, const double *jump, double T, const double *q_ref,
+    const double *q_last, const double *qd_ref) {
   for (int i = 0; i < n; ++i) {
     for (const double *values : {q_ref, q_last, qd_ref})
       if (values && !std::isfinite(values[i])) return i + 1;
-    if (q_ref && std::fabs(q_ref[i] - joints[i].q) > jump[i] + joints[i].fastest * T) return -(i + 1);
+    if (q_ref && std::fabs(q_ref[i] - joints[i].q) > jump[i] + joints[i].fastest * T)
+      return -(i + 1);
   }
   return 0;
 }
 
 // A vector of the call: its numbers, or null for None.
 struct Optional {
-  Optional(nb::handle value, const char *name, int n) : input(value.is_none() ? nb::handle(empty()) : value, name) {
+  Optional(nb::handle value, const char *name, int n)
+      : input(value.is_none() ? nb::handle(empty()) : value, name) {
     if (value.is_none()) return;
     input.require_exactly({n});
     data = input.data();
@@ -87,17 +91,20 @@ struct Optional {
   const double *data = nullptr;
 };
 
-nb::object limit_reference(nb::handle sent_, nb::handle bounds_, double T, nb::handle q_ref_, nb::handle q_last_,
-                           nb::handle qd_ref_, double lag) {
+nb::object limit_reference(nb::handle sent_, nb::handle bounds_, double T, nb::handle q_ref_,
+    nb::handle q_last_, nb::handle qd_ref_, double lag) {
   const Input sent(sent_, "sent"), bounds(bounds_, "bounds");
   const npy_intp count = sent.size() / 3;
   sent.require_exactly({3, count});
   bounds.require_exactly({5, count});
   if (count > max_axes || !(T > 0.0) || !(lag >= 0.0))
-    raise_shape_error("Expected at most " + std::to_string(max_axes) + " joints, a positive period and no negative lag, " +
-                      "got " + std::to_string(count) + ", " + std::to_string(T) + " s and " + std::to_string(lag) + " s.");
+    raise_shape_error("Expected at most " + std::to_string(max_axes) +
+                      " joints, a positive period and no negative lag, " + "got " +
+                      std::to_string(count) + ", " + std::to_string(T) + " s and " +
+                      std::to_string(lag) + " s.");
   const int n = static_cast<int>(count);
-  const Optional asked(q_ref_, "q_ref", n), before(q_last_, "q_last", n), speed(qd_ref_, "qd_ref", n);
+  const Optional asked(q_ref_, "q_ref", n), before(q_last_, "q_last", n),
+      speed(qd_ref_, "qd_ref", n);
   const double *q_ref = asked.data, *q_last = before.data, *qd_ref = speed.data;
 
   Joint joints[max_axes];
@@ -115,7 +122,8 @@ nb::object limit_reference(nb::handle sent_, nb::handle bounds_, double T, nb::h
   const nb::object bits_array = nb::steal(PyArray_ZEROS(1, &length, NPY_UINT8, 0));
   if (!bits_array.is_valid()) throw nb::python_error();
   double *next = static_cast<double *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(out.ptr())));
-  auto *bits = static_cast<std::uint8_t *>(PyArray_DATA(reinterpret_cast<PyArrayObject *>(bits_array.ptr())));
+  auto *bits = static_cast<std::uint8_t *>(
+      PyArray_DATA(reinterpret_cast<PyArrayObject *>(bits_array.ptr())));
   double *moved = next, *v = next + n, *f = next + 2 * n;
   double wanted[max_axes];
   bool reached[max_axes];
@@ -132,7 +140,8 @@ nb::object limit_reference(nb::handle sent_, nb::handle bounds_, double T, nb::h
   std::copy_n(wanted, n, v);
   const double ratio = scale(n, joints, v, bits);
   keep_within(n, joints, T, sent.data() + n, v, bits);
-  for (int i = 0; i < n; ++i) {  // a speed given beside a position agrees with it to within one step of acceleration
+  for (int i = 0; i < n;
+      ++i) {  // a speed given beside a position agrees with it to within one step of acceleration
     const double apart = joints[i].a * T;
     f[i] = q_ref && qd_ref ? std::min(std::max(qd_ref[i], v[i] - apart), v[i] + apart) : v[i];
   }
@@ -141,7 +150,8 @@ nb::object limit_reference(nb::handle sent_, nb::handle bounds_, double T, nb::h
   for (int i = 0; i < n; ++i) {
     const Joint &joint = joints[i];
     const double free = q_ref && reached[i] && v[i] == wanted[i] ? q_ref[i] : joint.q + v[i] * T;
-    moved[i] = std::min(std::max(free, std::min(joint.q_min, joint.q)), std::max(joint.q_max, joint.q));
+    moved[i] =
+        std::min(std::max(free, std::min(joint.q_min, joint.q)), std::max(joint.q_max, joint.q));
     if (moved[i] != free) v[i] = (moved[i] - joint.q) / T;
   }
   for (const nb::object &array : {out, bits_array})
@@ -153,9 +163,10 @@ nb::object limit_reference(nb::handle sent_, nb::handle bounds_, double T, nb::h
 }  // namespace armlab
 
 void bind_limits(nb::module_ &m) {
-  m.def("limit_reference", &armlab::limit_reference, armlab::array("sent"), armlab::array("bounds"), nb::arg("period"),
-        nb::arg("q_ref").none() = nb::none(), nb::arg("q_last").none() = nb::none(), nb::arg("qd_ref").none() = nb::none(),
-        nb::arg("lag") = 0.0,
-        "Return the reference to send next, clamp bits, velocity ratio and refusal; see "
-        "tests/oracles/limits.py.");
+  m.def("limit_reference", &armlab::limit_reference, armlab::array("sent"), armlab::array("bounds"),
+      nb::arg("period"), nb::arg("q_ref").none() = nb::none(),
+      nb::arg("q_last").none() = nb::none(), nb::arg("qd_ref").none() = nb::none(),
+      nb::arg("lag") = 0.0,
+      "Return the reference to send next, clamp bits, velocity ratio and refusal; see "
+      "tests/oracles/limits.py.");
 }

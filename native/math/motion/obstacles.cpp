@@ -12,15 +12,16 @@ namespace {
 
 constexpr double pi = 3.141592653589793;
 constexpr double steering = 12.0, turn = 20.0 / pi;  // 1/s per rad; 1/rad: Hoffmann et al. 2009
-constexpr double pushing = 0.15;   // m^2/s
-constexpr double slowest = 15.0, fastest = 200.0;  // 1/s: rates of the guard
-constexpr double slide = 0.3;      // of what the guard adds: along the surface
-constexpr double still = 1e-9;     // m/s
-constexpr double straight = 1e-9;  // sine of an angle
-constexpr double apart = 1e-3;     // m: a way that leads anywhere
-constexpr double parallel = 1e-24; // squared sine: what rounding makes of parallel axes is below it
-constexpr double damping = 0.02;   // m/rad: of directions in which an arm hardly moves
-constexpr int sweeps = 8;          // of the guard over all that is near
+constexpr double pushing = 0.15;                     // m^2/s
+constexpr double slowest = 15.0, fastest = 200.0;    // 1/s: rates of the guard
+constexpr double slide = 0.3;                        // of what the guard adds: along the surface
+constexpr double still = 1e-9;                       // m/s
+constexpr double straight = 1e-9;                    // sine of an angle
+constexpr double apart = 1e-3;                       // m: a way that leads anywhere
+constexpr double parallel =
+    1e-24;                        // squared sine: what rounding makes of parallel axes is below it
+constexpr double damping = 0.02;  // m/rad: of directions in which an arm hardly moves
+constexpr int sweeps = 8;         // of the guard over all that is near
 
 double length(const Point &a) { return std::sqrt(dot(a, a)); }
 double clamped(double x, double low, double high) { return std::min(std::max(x, low), high); }
@@ -42,9 +43,11 @@ std::pair<double, double> shares(const Capsule &one, const Capsule &two) {
   const double a = dot(d1, d1), e = dot(d2, d2), c = dot(d1, r), f = dot(d2, r);
   if (a == 0.0) return {0.0, e == 0.0 ? 0.0 : clamped(f / e, 0.0, 1.0)};
   if (e == 0.0) return {clamped(-c / a, 0.0, 1.0), 0.0};
-  const Point normal = cross(d1, d2);  // of which a e - b^2 is the square, but without digits next to parallel
+  const Point normal =
+      cross(d1, d2);  // of which a e - b^2 is the square, but without digits next to parallel
   const double b = dot(d1, d2), square = dot(normal, normal);
-  const double s = square > parallel * a * e ? clamped(dot(normal, cross(d2, r)) / square, 0.0, 1.0) : 0.0;
+  const double s =
+      square > parallel * a * e ? clamped(dot(normal, cross(d2, r)) / square, 0.0, 1.0) : 0.0;
   const double t = (b * s + f) / e;
   if (t < 0.0) return {clamped(-c / a, 0.0, 1.0), 0.0};
   if (t > 1.0) return {clamped((b - c) / a, 0.0, 1.0), 1.0};
@@ -56,8 +59,15 @@ std::pair<double, double> shares(const Capsule &one, const Capsule &two) {
 Obstacles::Obstacles(int n, Rule rule) : n_(n), axes_(n), rule_(rule), bodies_{{0, {}}}, j_(n) {}
 
 Obstacles::Obstacles(const Chain &arm, std::vector<Body> bodies, Rule rule)
-    : n_(arm.n), axes_(3), rule_(rule), arm_(arm), bodies_(std::move(bodies)), frames_(arm.n), at_goal_(arm.n),
-      motions_(arm.n), j_(arm.n) {}
+    : n_(arm.n),
+      axes_(3),
+      rule_(rule),
+      arm_(arm),
+      bodies_(std::move(bodies)),
+      frames_(arm.n),
+      at_goal_(arm.n),
+      motions_(arm.n),
+      j_(arm.n) {}
 
 void Obstacles::place(std::vector<Capsule> capsules) {
   obstacles_ = std::move(capsules);
@@ -84,7 +94,8 @@ void Obstacles::move(const double *yd) {
   Motion last{zero, zero, zero, zero};
   for (int i = 0; i < n_; ++i) {
     const Point r = i == 0 ? zero : frames_[i].p - frames_[i - 1].p, rate = yd[i] * frames_[i].z;
-    Motion now{last.v + cross(last.w, r), last.w, last.a + cross(last.turn, r) + cross(last.w, cross(last.w, r)), last.turn};
+    Motion now{last.v + cross(last.w, r), last.w,
+        last.a + cross(last.turn, r) + cross(last.w, cross(last.w, r)), last.turn};
     if (arm_->steps[i].slides) {
       now.v = now.v + rate;
       now.a = now.a + 2.0 * cross(last.w, rate);
@@ -104,17 +115,16 @@ Obstacles::Contact Obstacles::nearest(const Body &body, const Capsule &obstacle)
     shape.b = T.p + T.turn(shape.b);
   }
   const auto [s, t] = shares(shape, obstacle);
-  const Point p = shape.a + s * (shape.b - shape.a), way = p - (obstacle.a + t * (obstacle.b - obstacle.a));
+  const Point p = shape.a + s * (shape.b - shape.a),
+              way = p - (obstacle.a + t * (obstacle.b - obstacle.a));
   const double gap = length(way);
   const Point away = gap > 0.0 ? (1.0 / gap) * way : across(obstacle.b - obstacle.a, axes_);
   return {body.link, &obstacle, gap - obstacle.radius - shape.radius, p, away, {}, {}};
 }
 
 double Obstacles::distance(const double *y) {
-  if (arm_)
-    locate(y, frames_);
-  else
-    bodies_[0].shape.a = bodies_[0].shape.b = point_of(y, axes_);
+  if (arm_) locate(y, frames_);
+  else bodies_[0].shape.a = bodies_[0].shape.b = point_of(y, axes_);
   double least = std::numeric_limits<double>::infinity();
   for (const Body &body : bodies_)
     for (const Capsule &obstacle : obstacles_) {

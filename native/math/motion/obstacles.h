@@ -1,4 +1,5 @@
-// Obstacles that a motion goes around, in space or with an arm. Specification: tests/oracles/obstacles.py.
+// Obstacles that a motion goes around, in space or with an arm. Specification:
+// tests/oracles/obstacles.py.
 #pragma once
 
 #include <optional>
@@ -44,7 +45,8 @@ class Obstacles : public Coupling {
   int n() const { return n_; }
 
  private:
-  // The nearest points of a body and an obstacle: n away from the obstacle, velocity relative to it, p on the body.
+  // The nearest points of a body and an obstacle: n away from the obstacle, velocity relative to
+  // it, p on the body.
   struct Contact {
     int link;
     const Capsule *obstacle;

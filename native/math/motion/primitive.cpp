@@ -9,12 +9,15 @@
 namespace armlab {
 namespace {
 
-constexpr double faded = 40.0;     // exponents further than this below the largest are left out: exp(-40) = 4e-18
+constexpr double faded =
+    40.0;  // exponents further than this below the largest are left out: exp(-40) = 4e-18
 constexpr double gate_width = 0.1;  // of the duration, over which the forcing of a time phase fades
 
 }  // namespace
 
-double Primitive::phase_at(double s) const { return phase == PhaseKind::canonical ? std::exp(-decay * s) : pace * s; }
+double Primitive::phase_at(double s) const {
+  return phase == PhaseKind::canonical ? std::exp(-decay * s) : pace * s;
+}
 
 double Primitive::share(double x) const {
   if (phase == PhaseKind::periodic) return 1.0;
@@ -25,10 +28,12 @@ double Primitive::share(double x) const {
 
 int Primitive::kernels(double x, double factor, int *index, double *psi) const {
   for (int j = 0; j < m; ++j) {
-    const double off = phase == PhaseKind::periodic ? 2.0 * std::sin(0.5 * (x - centres[j])) : x - centres[j];
+    const double off =
+        phase == PhaseKind::periodic ? 2.0 * std::sin(0.5 * (x - centres[j])) : x - centres[j];
     psi[j] = -off * off * curvatures[j];
   }
-  double tops[4] = {psi[0], psi[0], psi[0], psi[0]};  // four at once: a maximum waits for the one before
+  double tops[4] = {
+      psi[0], psi[0], psi[0], psi[0]};  // four at once: a maximum waits for the one before
   int next = 0;
   for (; next + 4 <= m; next += 4)
     for (int lane = 0; lane < 4; ++lane) tops[lane] = std::max(tops[lane], psi[next + lane]);
@@ -47,8 +52,8 @@ int Primitive::kernels(double x, double factor, int *index, double *psi) const {
   return count;
 }
 
-ARMLAB_VECTORISED void Primitive::basis(std::ptrdiff_t N, const double *x, const double *factors, std::ptrdiff_t row,
-                                        std::ptrdiff_t column, double *psi) const {
+ARMLAB_VECTORISED void Primitive::basis(std::ptrdiff_t N, const double *x, const double *factors,
+    std::ptrdiff_t row, std::ptrdiff_t column, double *psi) const {
   std::vector<double> values(m);
   std::vector<int> index(m);
   for (std::ptrdiff_t k = 0; k < N; ++k) {
@@ -70,18 +75,20 @@ void Primitive::forcing_each(const double *x, int *index, double *psi, double *f
   for (int i = 0; i < n; ++i) {
     const int count = kernels(x[i], x[i], index, psi);
     f[i] = 0.0;
-    for (int k = 0; k < count; ++k) f[i] += psi[k] * weights[static_cast<std::ptrdiff_t>(n) * index[k] + i];
+    for (int k = 0; k < count; ++k)
+      f[i] += psi[k] * weights[static_cast<std::ptrdiff_t>(n) * index[k] + i];
   }
 }
 
 namespace {
 
-constexpr std::ptrdiff_t together = 32;  // runs side by side: their states and weights stay in the first caches
+constexpr std::ptrdiff_t together =
+    32;  // runs side by side: their states and weights stay in the first caches
 
 // position, velocity, acceleration and forcing of a state
-inline void write(std::ptrdiff_t count, const double *y, const double *z, const double *g, const double *f, double stiffness,
-                  double alpha, double rate, double *__restrict Y, double *__restrict V, double *__restrict A,
-                  double *__restrict F) {
+inline void write(std::ptrdiff_t count, const double *y, const double *z, const double *g,
+    const double *f, double stiffness, double alpha, double rate, double *__restrict Y,
+    double *__restrict V, double *__restrict A, double *__restrict F) {
   for (std::ptrdiff_t i = 0; i < count; ++i) {
     Y[i] = y[i];
     V[i] = z[i] * rate;
@@ -92,8 +99,8 @@ inline void write(std::ptrdiff_t count, const double *y, const double *z, const 
 
 // to (n) = scale * sum psi w over the kernels that are there; n is known where it is not 0
 template <int n_known>
-inline void weigh(int n_given, int count, const int *index, const double *psi, const double *weights, const double *scale,
-                  double *to) {
+inline void weigh(int n_given, int count, const int *index, const double *psi,
+    const double *weights, const double *scale, double *to) {
   constexpr int most = n_known ? n_known : 1;
   const int n = n_known ? n_known : n_given;
   double fixed[most] = {}, *sum = n_known ? fixed : to;
@@ -105,14 +112,21 @@ inline void weigh(int n_given, int count, const int *index, const double *psi, c
   for (int i = 0; i < n; ++i) to[i] = sum[i] * scale[i];
 }
 
-inline void weigh_any(int n, int count, const int *index, const double *psi, const double *w, const double *s, double *to) {
+inline void weigh_any(int n, int count, const int *index, const double *psi, const double *w,
+    const double *s, double *to) {
   switch (n) {
-    case 1: return weigh<1>(n, count, index, psi, w, s, to);
-    case 2: return weigh<2>(n, count, index, psi, w, s, to);
-    case 3: return weigh<3>(n, count, index, psi, w, s, to);
-    case 6: return weigh<6>(n, count, index, psi, w, s, to);
-    case 7: return weigh<7>(n, count, index, psi, w, s, to);
-    default: return weigh<0>(n, count, index, psi, w, s, to);
+    case 1:
+      return weigh<1>(n, count, index, psi, w, s, to);
+    case 2:
+      return weigh<2>(n, count, index, psi, w, s, to);
+    case 3:
+      return weigh<3>(n, count, index, psi, w, s, to);
+    case 6:
+      return weigh<6>(n, count, index, psi, w, s, to);
+    case 7:
+      return weigh<7>(n, count, index, psi, w, s, to);
+    default:
+      return weigh<0>(n, count, index, psi, w, s, to);
   }
 }
 
@@ -120,11 +134,13 @@ inline void weigh_any(int n, int count, const int *index, const double *psi, con
 struct Course {
   std::vector<SpringStep> steps;
   std::vector<double> forces;  // (2 N - 1, n) of the primitive's own weights
-  std::vector<double> psi;     // (2 N - 1, m) the kernels, where runs have weights of their own: the first `counts`
+  std::vector<double>
+      psi;  // (2 N - 1, m) the kernels, where runs have weights of their own: the first `counts`
   std::vector<int> index, counts;
 };
 
-ARMLAB_VECTORISED void plan(const Primitive &p, std::ptrdiff_t N, const double *t, double tau, bool own, Course &course) {
+ARMLAB_VECTORISED void plan(
+    const Primitive &p, std::ptrdiff_t N, const double *t, double tau, bool own, Course &course) {
   const std::ptrdiff_t points = 2 * N - 1;
   std::vector<double> values(p.m);
   std::vector<int> numbers(p.m);
@@ -134,11 +150,12 @@ ARMLAB_VECTORISED void plan(const Primitive &p, std::ptrdiff_t N, const double *
   course.index.resize(own ? points * p.m : 0);
   course.counts.resize(own ? points : 0);
   for (std::ptrdiff_t k = 0; k < points; ++k) {
-    const double at = k % 2 ? 0.5 * (t[k / 2] + t[k / 2 + 1]) : t[k / 2], x = p.phase_at((at - t[0]) / tau);
+    const double at = k % 2 ? 0.5 * (t[k / 2] + t[k / 2 + 1]) : t[k / 2],
+                 x = p.phase_at((at - t[0]) / tau);
     if (own)
-      course.counts[k] = p.kernels(x, p.share(x), course.index.data() + k * p.m, course.psi.data() + k * p.m);
-    else
-      p.forcing(x, numbers.data(), values.data(), course.forces.data() + k * p.n);
+      course.counts[k] =
+          p.kernels(x, p.share(x), course.index.data() + k * p.m, course.psi.data() + k * p.m);
+    else p.forcing(x, numbers.data(), values.data(), course.forces.data() + k * p.n);
   }
   for (std::ptrdiff_t k = 0; k + 1 < N; ++k) {
     const double r = (t[k + 1] - t[k]) / tau;
@@ -146,9 +163,10 @@ ARMLAB_VECTORISED void plan(const Primitive &p, std::ptrdiff_t N, const double *
   }
 }
 
-ARMLAB_VECTORISED void run_together(const Primitive &p, const Course &course, std::ptrdiff_t N, double tau, std::ptrdiff_t K,
-                  std::ptrdiff_t begin, std::ptrdiff_t runs, const double *y0, const double *v0, const double *g,
-                  const double *scale, const double *weights, double *Y, double *V, double *A, double *F) {
+ARMLAB_VECTORISED void run_together(const Primitive &p, const Course &course, std::ptrdiff_t N,
+    double tau, std::ptrdiff_t K, std::ptrdiff_t begin, std::ptrdiff_t runs, const double *y0,
+    const double *v0, const double *g, const double *scale, const double *weights, double *Y,
+    double *V, double *A, double *F) {
   const std::ptrdiff_t n = p.n, count = runs * n;
   std::vector<double> state(5 * count);
   double *y = state.data(), *z = y + count, *f0 = z + count, *fm = f0 + count, *f1 = fm + count;
@@ -166,7 +184,7 @@ ARMLAB_VECTORISED void run_together(const Primitive &p, const Course &course, st
     }
     for (std::ptrdiff_t run = 0; run < runs; ++run)
       weigh_any(p.n, course.counts[k], course.index.data() + k * p.m, course.psi.data() + k * p.m,
-                weights + (begin + run) * p.m * n, scale + run * n, f + run * n);
+          weights + (begin + run) * p.m * n, scale + run * n, f + run * n);
   };
   for (std::ptrdiff_t i = 0; i < count; ++i) {
     y[i] = y0[i];
@@ -185,9 +203,9 @@ ARMLAB_VECTORISED void run_together(const Primitive &p, const Course &course, st
   }
 }
 
-void run_position(const Primitive &p, std::ptrdiff_t N, const double *t, double tau, std::ptrdiff_t K,
-                  std::ptrdiff_t number, const double *y0, const double *v0, const double *g, const double *scale,
-                  const double *weights, double *Y, double *V, double *A, double *F) {
+void run_position(const Primitive &p, std::ptrdiff_t N, const double *t, double tau,
+    std::ptrdiff_t K, std::ptrdiff_t number, const double *y0, const double *v0, const double *g,
+    const double *scale, const double *weights, double *Y, double *V, double *A, double *F) {
   PrimitiveStepper run(p);
   const std::ptrdiff_t n = p.n, first = number * n;
   if (weights) std::copy_n(weights + number * p.m * n, p.m * n, run.primitive.weights.begin());
@@ -201,26 +219,29 @@ void run_position(const Primitive &p, std::ptrdiff_t N, const double *t, double 
 
 }  // namespace
 
-void rollout(const Primitive &p, std::ptrdiff_t N, const double *t, double tau, std::ptrdiff_t K, const double *y0,
-             const double *v0, const double *g, const double *scale, const double *weights, double *y, double *yd,
-             double *ydd, double *x, double *f) {
+void rollout(const Primitive &p, std::ptrdiff_t N, const double *t, double tau, std::ptrdiff_t K,
+    const double *y0, const double *v0, const double *g, const double *scale, const double *weights,
+    double *y, double *yd, double *ydd, double *x, double *f) {
   for (std::ptrdiff_t k = 0; k < N; ++k) x[k] = p.phase_at((t[k] - t[0]) / tau);
   if (p.phase == PhaseKind::position) {
-    for (std::ptrdiff_t run = 0; run < K; ++run) run_position(p, N, t, tau, K, run, y0, v0, g, scale, weights, y, yd, ydd, f);
+    for (std::ptrdiff_t run = 0; run < K; ++run)
+      run_position(p, N, t, tau, K, run, y0, v0, g, scale, weights, y, yd, ydd, f);
     return;
   }
   Course course;
   plan(p, N, t, tau, weights != nullptr, course);
   for (std::ptrdiff_t begin = 0; begin < K; begin += together)
-    run_together(p, course, N, tau, K, begin, std::min(together, K - begin), y0, v0, g, scale, weights, y, yd, ydd, f);
+    run_together(p, course, N, tau, K, begin, std::min(together, K - begin), y0, v0, g, scale,
+        weights, y, yd, ydd, f);
 }
 
-ARMLAB_VECTORISED void response(const Primitive &p, std::ptrdiff_t N, const double *t, double tau, double longest, double *Y,
-                                double *V) {
+ARMLAB_VECTORISED void response(const Primitive &p, std::ptrdiff_t N, const double *t, double tau,
+    double longest, double *Y, double *V) {
   const std::ptrdiff_t m = p.m, columns = m + 3;
   std::vector<double> state(6 * columns), psi(m);
   std::vector<int> index(m);
-  double *y = state.data(), *z = y + columns, *f0 = z + columns, *fm = f0 + columns, *f1 = fm + columns, *g = f1 + columns;
+  double *y = state.data(), *z = y + columns, *f0 = z + columns, *fm = f0 + columns,
+         *f1 = fm + columns, *g = f1 + columns;
   y[m] = 1.0;
   z[m + 1] = tau;
   g[m + 2] = 1.0;
@@ -236,7 +257,8 @@ ARMLAB_VECTORISED void response(const Primitive &p, std::ptrdiff_t N, const doub
   double last = -1.0;
   for (std::ptrdiff_t k = 0; k < N; ++k) {
     if (k > 0) {
-      const double parts = std::max(std::ceil((t[k] - t[k - 1]) / longest), 1.0), r = (t[k] - t[k - 1]) / parts / tau;
+      const double parts = std::max(std::ceil((t[k] - t[k - 1]) / longest), 1.0),
+                   r = (t[k] - t[k - 1]) / parts / tau;
       if (r != last) step = SpringStep(p.alpha, p.stiffness, last = r);
       for (double part = 0.0; part < parts; part += 1.0) {
         const double s = (t[k - 1] - t[0]) / tau + part * r;

@@ -10,12 +10,15 @@ constexpr double coupled_step = 0.35;  // time constants of the spring in a step
 
 }  // namespace
 
-PrimitiveStepper::PrimitiveStepper(const Primitive &p) : primitive(p), work_(8 * p.n), psi_(p.m), index_(p.m) {
-  for (auto *part : {&y_, &z_, &y0_, &g_, &target_, &scale_, &f0_, &fm_, &f1_, &goal_, &rise_, &limit_, &side_, &braking_})
+PrimitiveStepper::PrimitiveStepper(const Primitive &p)
+    : primitive(p), work_(8 * p.n), psi_(p.m), index_(p.m) {
+  for (auto *part : {&y_, &z_, &y0_, &g_, &target_, &scale_, &f0_, &fm_, &f1_, &goal_, &rise_,
+           &limit_, &side_, &braking_})
     part->assign(p.n, 0.0);
 }
 
-void PrimitiveStepper::start(const double *y0, const double *v0, const double *g, const double *scale, double tau) {
+void PrimitiveStepper::start(
+    const double *y0, const double *v0, const double *g, const double *scale, double tau) {
   const int n = primitive.n;
   tau_ = tau;
   s_ = 0.0;
@@ -48,12 +51,9 @@ void PrimitiveStepper::force(double s, const double *y, double *f) {
 
 void PrimitiveStepper::step(double dt) {
   const double r = dt / tau_;
-  if (coupling)
-    step_coupled(r);
-  else if (primitive.phase == PhaseKind::position)
-    step_position(r);
-  else
-    step_spring(r);
+  if (coupling) step_coupled(r);
+  else if (primitive.phase == PhaseKind::position) step_position(r);
+  else step_spring(r);
   brake();
 }
 
@@ -64,7 +64,8 @@ void PrimitiveStepper::step_spring(double r) {
   force(s_ += r, nullptr, f1_.data());
   if (!moving_) {
     spring_.advance(n, f0_.data(), fm_.data(), f1_.data(), g_.data(), y_.data(), z_.data());
-  } else {  // the spring is measured from where the goal will be; how far it still has to go pulls as a force
+  } else {  // the spring is measured from where the goal will be; how far it still has to go pulls
+            // as a force
     double *start = work_.data(), *middle = start + n, *end = middle + n;
     const double half = std::exp(-0.5 * filter * r), k = primitive.stiffness;
     for (int i = 0; i < n; ++i) {
@@ -81,11 +82,13 @@ void PrimitiveStepper::step_spring(double r) {
 
 // In steps that the spring allows: the forcing depends on where the motion is.
 void PrimitiveStepper::step_position(double r) {
-  const double parts = std::max(std::ceil(std::max(primitive.alpha, std::sqrt(primitive.stiffness)) * r), 1.0);
+  const double parts =
+      std::max(std::ceil(std::max(primitive.alpha, std::sqrt(primitive.stiffness)) * r), 1.0);
   for (double part = 0.0; part < parts; part += 1.0) step_runge(r / parts);
 }
 
-// Exactly where nothing acts from outside; finer, for what acts has no step that the spring knows of.
+// Exactly where nothing acts from outside; finer, for what acts has no step that the spring knows
+// of.
 void PrimitiveStepper::step_coupled(double r) {
   const double stiff = std::max(primitive.alpha, std::sqrt(primitive.stiffness)) * r;
   const double parts = std::max(std::ceil(stiff / coupled_step), 1.0), h = r / parts;
@@ -101,9 +104,11 @@ void PrimitiveStepper::step_coupled(double r) {
 
 void PrimitiveStepper::step_runge(double h) {
   const int n = primitive.n;
-  double *y = work_.data(), *z = y + n, *sum_y = z + n, *sum_z = sum_y + n, *f = sum_z + n, *v = f + 2 * n, *a = v + n;
+  double *y = work_.data(), *z = y + n, *sum_y = z + n, *sum_z = sum_y + n, *f = sum_z + n,
+         *v = f + 2 * n, *a = v + n;
   for (int stage = 0; stage < 4; ++stage) {
-    const double reach = stage == 3 ? h : 0.5 * h, weight = stage == 0 || stage == 3 ? h / 6.0 : h / 3.0;
+    const double reach = stage == 3 ? h : 0.5 * h,
+                 weight = stage == 0 || stage == 3 ? h / 6.0 : h / 3.0;
     if (stage == 0) {
       for (int i = 0; i < n; ++i) {
         y[i] = sum_y[i] = y_[i];
@@ -112,10 +117,12 @@ void PrimitiveStepper::step_runge(double h) {
     }
     const double now = s_ + (stage == 0 ? 0.0 : reach);
     if (moving_)
-      for (int i = 0; i < n; ++i) g_[i] = target_[i] + goal_[i] * std::exp(-filter * (now - moved_));
+      for (int i = 0; i < n; ++i)
+        g_[i] = target_[i] + goal_[i] * std::exp(-filter * (now - moved_));
     force(now, y, f);
     if (coupling && stage % 2 == 1) coupling->advance(0.5 * h * tau_);
-    for (int i = 0; i < n; ++i) a[i] = primitive.stiffness * (g_[i] - y[i]) - primitive.alpha * z[i] + f[i];
+    for (int i = 0; i < n; ++i)
+      a[i] = primitive.stiffness * (g_[i] - y[i]) - primitive.alpha * z[i] + f[i];
     if (coupling) {
       for (int i = 0; i < n; ++i) {
         v[i] = z[i] / tau_;
@@ -167,7 +174,8 @@ void PrimitiveStepper::change_goal(const double *g, const double *scale, const d
     if (filter == 0.0) g_[i] = g[i];
     goal_[i] = g_[i] - target_[i];
     const double way = g[i] - y_[i], v = z_[i] / tau_;
-    const bool brakes = limit && limit[i] > 0.0 && way * v >= 0.0 && way != 0.0 && v * v <= 2.0 * limit[i] * std::fabs(way);
+    const bool brakes = limit && limit[i] > 0.0 && way * v >= 0.0 && way != 0.0 &&
+                        v * v <= 2.0 * limit[i] * std::fabs(way);
     side_[i] = brakes ? std::copysign(1.0, way) : 0.0;
     limit_[i] = limit ? limit[i] : 0.0;
     braking_[i] = 0.0;
@@ -187,7 +195,8 @@ void PrimitiveStepper::outputs(double *y, double *yd, double *ydd, double *f) co
   for (int i = 0; i < n; ++i) {
     y[i] = y_[i];
     yd[i] = z_[i] / tau_;
-    ydd[i] = (primitive.stiffness * (g_[i] - y_[i]) - primitive.alpha * z_[i] + f0_[i]) / (tau_ * tau_);
+    ydd[i] =
+        (primitive.stiffness * (g_[i] - y_[i]) - primitive.alpha * z_[i] + f0_[i]) / (tau_ * tau_);
     if (f) f[i] = f0_[i];
   }
   if (coupling) coupling->add(y, yd, g_.data(), ydd);

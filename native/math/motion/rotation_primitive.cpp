@@ -10,7 +10,9 @@ using Vector = Vec3<double>;
 
 Quaternion<double> conjugate(const Quaternion<double> &q) { return {q.w, -q.v}; }
 
-Quaternion<double> read(const double *q) { return unit(Quaternion<double>{q[0], {q[1], q[2], q[3]}}); }
+Quaternion<double> read(const double *q) {
+  return unit(Quaternion<double>{q[0], {q[1], q[2], q[3]}});
+}
 
 // exp(theta) q
 Quaternion<double> turned(const Vector &theta, const Quaternion<double> &q) {
@@ -18,7 +20,8 @@ Quaternion<double> turned(const Vector &theta, const Quaternion<double> &q) {
   return Quaternion<double>{t.cosine, t.k * theta} * q;
 }
 
-// theta' of exp(theta) q at the angular velocity w: to fourth order in theta, which is of the size of a step.
+// theta' of exp(theta) q at the angular velocity w: to fourth order in theta, which is of the size
+// of a step.
 Vector chart(const Vector &theta, const Vector &w) {
   const Vector once = cross(theta, w);
   return w - 0.5 * once + (1.0 / 12.0) * cross(theta, once);
@@ -28,7 +31,8 @@ Vector chart(const Vector &theta, const Vector &w) {
 
 RotationStepper::RotationStepper(const Primitive &p) : primitive(p), psi_(p.m), index_(p.m) {}
 
-void RotationStepper::start(const double *q0, const double *w0, const double *goal, const double *map, double tau) {
+void RotationStepper::start(
+    const double *q0, const double *w0, const double *goal, const double *map, double tau) {
   q_ = read(q0);
   z_ = {tau * w0[0], tau * w0[1], tau * w0[2]};
   tau_ = tau;
@@ -71,14 +75,17 @@ void RotationStepper::step(double dt) {
 }
 
 // One step of Runge and Kutta in the chart exp(theta) q around the orientation at its start.
-void RotationStepper::advance(double h, const Vector &start, const Vector &middle, const Vector &end) {
+void RotationStepper::advance(
+    double h, const Vector &start, const Vector &middle, const Vector &end) {
   const double alpha = primitive.alpha, stiffness = primitive.stiffness;
   const Vector *forces[4] = {&start, &middle, &middle, &end};
   Vector theta{0.0, 0.0, 0.0}, z = z_, theta_sum = theta, z_sum = z_;
   for (int stage = 0; stage < 4; ++stage) {
     const Vector rate = stage ? chart(theta, z) : z;
-    const Vector pull = stiffness * error(stage ? turned(theta, q_) : q_) - alpha * z + *forces[stage];
-    const double weight = stage == 0 || stage == 3 ? h / 6.0 : h / 3.0, reach = stage == 2 ? h : 0.5 * h;
+    const Vector pull =
+        stiffness * error(stage ? turned(theta, q_) : q_) - alpha * z + *forces[stage];
+    const double weight = stage == 0 || stage == 3 ? h / 6.0 : h / 3.0,
+                 reach = stage == 2 ? h : 0.5 * h;
     theta_sum = theta_sum + weight * rate;
     z_sum = z_sum + weight * pull;
     theta = reach * rate;
@@ -92,8 +99,8 @@ void RotationStepper::outputs(double *q, double *w, double *wd) const {
   const Vector rate = (1.0 / tau_) * z_;
   const Vector pull = primitive.stiffness * error(q_) - primitive.alpha * z_ + f_;
   const Vector acceleration = (1.0 / (tau_ * tau_)) * pull;
-  const double values[10] = {q_.w, q_.v.x, q_.v.y, q_.v.z, rate.x, rate.y, rate.z, acceleration.x, acceleration.y,
-                             acceleration.z};
+  const double values[10] = {q_.w, q_.v.x, q_.v.y, q_.v.z, rate.x, rate.y, rate.z, acceleration.x,
+      acceleration.y, acceleration.z};
   std::copy_n(values, 4, q);
   std::copy_n(values + 4, 3, w);
   std::copy_n(values + 7, 3, wd);

@@ -15,7 +15,8 @@ bool finite(std::size_t n, const double *x) {
 
 }  // namespace
 
-SignalOperator::SignalOperator(SignalKind kind, double a, double b, double dt, std::vector<double> init)
+SignalOperator::SignalOperator(
+    SignalKind kind, double a, double b, double dt, std::vector<double> init)
     : kind_(kind), a_(a), b_(b), dt_(dt) {
   reset(std::move(init));
 }
@@ -31,7 +32,8 @@ void SignalOperator::reset(std::vector<double> init) {
 
 SignalStatus SignalOperator::step(std::size_t n, const double *x, const double *t, double *out) {
   if (!t && std::isnan(dt_)) return SignalStatus::time_missing;
-  if (started_ && (t != nullptr) != stamped_) return t ? SignalStatus::time_unexpected : SignalStatus::time_missing;
+  if (started_ && (t != nullptr) != stamped_)
+    return t ? SignalStatus::time_unexpected : SignalStatus::time_missing;
   if (!finite(n, x) || (t && !std::isfinite(*t))) {
     std::fill(out, out + n, std::numeric_limits<double>::quiet_NaN());
     ++skipped;
@@ -68,7 +70,8 @@ void SignalOperator::begin(std::size_t n, const double *x, double *out) {
   x_.assign(x, x + n);
   y_.assign(n, 0.0);
   v_.assign(n, 0.0);
-  for (std::size_t i = 0; i < n; ++i) y_[i] = given ? initial(i) : kind_ <= SignalKind::difference ? 0.0 : x[i];
+  for (std::size_t i = 0; i < n; ++i)
+    y_[i] = given ? initial(i) : kind_ <= SignalKind::difference ? 0.0 : x[i];
   if (kind_ == SignalKind::difference && given) {
     for (std::size_t i = 0; i < n; ++i) y_[i] = timed ? (x[i] - initial(i)) / dt_ : 0.0;
   } else if ((kind_ == SignalKind::euler || (kind_ == SignalKind::exponential && given)) && timed) {
@@ -97,10 +100,18 @@ void SignalOperator::advance(double h, const double *x, double *out) {
   const double lag = kind_ > SignalKind::exponential ? 2.0 * b_ / a_ : 0.0;
   for (std::size_t i = 0; i < n; ++i) {
     switch (kind_) {
-      case SignalKind::trapezoid: y_[i] += 0.5 * h * (x[i] + x_[i]); break;
-      case SignalKind::euler: y_[i] += h * x[i]; break;
-      case SignalKind::difference: y_[i] = (x[i] - x_[i]) / h; break;
-      case SignalKind::exponential: y_[i] = c_[0] * y_[i] + (1.0 - c_[0]) * x[i]; break;
+      case SignalKind::trapezoid:
+        y_[i] += 0.5 * h * (x[i] + x_[i]);
+        break;
+      case SignalKind::euler:
+        y_[i] += h * x[i];
+        break;
+      case SignalKind::difference:
+        y_[i] = (x[i] - x_[i]) / h;
+        break;
+      case SignalKind::exponential:
+        y_[i] = c_[0] * y_[i] + (1.0 - c_[0]) * x[i];
+        break;
       default: {
         const double slope = (x[i] - x_[i]) / h, late = lag * slope;
         const double e = y_[i] - x_[i] + late, u = v_[i] - slope;

@@ -12,8 +12,9 @@ enum class SignalStatus { ok, time_backward, time_missing, time_unexpected };
 
 class SignalOperator {
  public:
-  // a: time constant of `exponential`, angular corner frequency of the oscillators; b: their damping ratio.
-  // dt: nominal step, NaN when every sample has a time stamp. init: empty, one value, or one per channel.
+  // a: time constant of `exponential`, angular corner frequency of the oscillators; b: their
+  // damping ratio. dt: nominal step, NaN when every sample has a time stamp. init: empty, one
+  // value, or one per channel.
   SignalOperator(SignalKind kind, double a, double b, double dt, std::vector<double> init);
 
   void reset(std::vector<double> init);
@@ -37,8 +38,9 @@ class SignalOperator {
   double a_, b_, dt_;
   std::vector<double> init_, x_, y_, v_;  // last input, output or position, velocity
   bool started_ = false, stamped_ = false;
-  double clock_ = 0.0, waiting_ = 0.0, nominal_ = 0.0;  // last stamp, time of skipped samples, usual step
-  double h_ = -1.0, c_[4] = {};                         // the step of the coefficients, and they
+  double clock_ = 0.0, waiting_ = 0.0,
+         nominal_ = 0.0;         // last stamp, time of skipped samples, usual step
+  double h_ = -1.0, c_[4] = {};  // the step of the coefficients, and they
 };
 
 }  // namespace armlab

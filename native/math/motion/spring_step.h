@@ -1,5 +1,6 @@
-// The spring of a movement primitive, advanced exactly under a forcing term that is a quadratic over the step. It stands in
-// a header because rollouts inline it into loops that are compiled for several instruction sets.
+// The spring of a movement primitive, advanced exactly under a forcing term that is a quadratic
+// over the step. It stands in a header because rollouts inline it into loops that are compiled for
+// several instruction sets.
 #pragma once
 
 #include <algorithm>
@@ -8,26 +9,28 @@
 
 namespace armlab {
 
-// One exact step over r of y'' = stiffness (g - y) - alpha y' + f with f a quadratic through its values at the start,
-// the middle and the end: of fourth order in f, and stable for any r.
+// One exact step over r of y'' = stiffness (g - y) - alpha y' + f with f a quadratic through its
+// values at the start, the middle and the end: of fourth order in f, and stable for any r.
 struct SpringStep {
-  double yy, yz, zy, zz;              // of the state, y measured from the goal
-  double f0, fm, f1, vf0, vfm, vf1;   // of the three forces, on y and on z
+  double yy, yz, zy, zz;             // of the state, y measured from the goal
+  double f0, fm, f1, vf0, vfm, vf1;  // of the three forces, on y and on z
 
   SpringStep() = default;
   SpringStep(double alpha, double stiffness, double r);
 
-  void advance(std::ptrdiff_t count, const double *start, const double *middle, const double *end, const double *g,
-               double *y, double *z) const;
+  void advance(std::ptrdiff_t count, const double *start, const double *middle, const double *end,
+      const double *g, double *y, double *z) const;
 };
 
-// integral of G(r - s) s^k over s from 0 to r, for k = 1 and 2, G the impulse response; by its series, for short steps
+// integral of G(r - s) s^k over s from 0 to r, for k = 1 and 2, G the impulse response; by its
+// series, for short steps
 inline void short_moments(double alpha, double stiffness, double r, double &first, double &second) {
   double g = 1.0, before = 0.0, power = r * r * r / 6.0;  // G = sum g_j r^j / j!
   first = power;
   second = 0.0;
   for (int j = 1; j < 60; ++j) {
-    const double term = 2.0 * power * r / (j + 3) * g;  // of the second moment, whose powers lag by one
+    const double term =
+        2.0 * power * r / (j + 3) * g;  // of the second moment, whose powers lag by one
     second += term;
     const double next = -(alpha * g + stiffness * before);
     before = g;
@@ -62,9 +65,10 @@ inline void long_response(double alpha, double stiffness, double r, double &G, d
 
 inline SpringStep::SpringStep(double alpha, double stiffness, double r) {
   double G, slope, zeroth, first, second;  // impulse response, its derivative, its moments
-  r = std::max(r, 1e-100);                 // shorter steps change nothing, and their powers would be 0
+  r = std::max(r, 1e-100);  // shorter steps change nothing, and their powers would be 0
   const double fastest = std::max(alpha, std::sqrt(stiffness));
-  if (fastest * r < 1.0 || stiffness * r < alpha) {  // what is slow has hardly moved: its moments would cancel
+  if (fastest * r < 1.0 ||
+      stiffness * r < alpha) {  // what is slow has hardly moved: its moments would cancel
     double h = r;
     int doublings = 0;
     for (; fastest * h >= 1.0; ++doublings) h *= 0.5;
@@ -102,9 +106,10 @@ inline SpringStep::SpringStep(double alpha, double stiffness, double r) {
   vf1 = 4.0 * curve - rate;
 }
 
-inline void SpringStep::advance(std::ptrdiff_t count, const double *start, const double *middle, const double *end,
-                         const double *g, double *__restrict y, double *__restrict z) const {
-  const SpringStep s = *this;  // in registers: the compiler cannot know that y and z are no part of it
+inline void SpringStep::advance(std::ptrdiff_t count, const double *start, const double *middle,
+    const double *end, const double *g, double *__restrict y, double *__restrict z) const {
+  const SpringStep s =
+      *this;  // in registers: the compiler cannot know that y and z are no part of it
   for (std::ptrdiff_t i = 0; i < count; ++i) {
     const double d = y[i] - g[i], v = z[i];
     y[i] = g[i] + (s.yy * d + s.yz * v) + (s.f0 * start[i] + s.fm * middle[i] + s.f1 * end[i]);

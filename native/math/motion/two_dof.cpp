@@ -25,7 +25,8 @@ TwoDof::TwoDof(Parameters parameters)
 
 void TwoDof::forcing(double x, const double *yc, double *f) {
   const Primitive &primitive = p_.primitive;
-  if (primitive.phase != PhaseKind::position) return primitive.forcing(x, index_.data(), psi_.data(), f);
+  if (primitive.phase != PhaseKind::position)
+    return primitive.forcing(x, index_.data(), psi_.data(), f);
   double left[max_joints];
   for (int i = 0; i < n(); ++i) {
     const double way = p_.g[i] - p_.y0[i];
@@ -37,7 +38,8 @@ void TwoDof::forcing(double x, const double *yc, double *f) {
 double TwoDof::frozen(const double *state) const {
   const int n = this->n();
   double worst = 0.0;
-  for (int i = 0; i < n; ++i) worst = std::max(worst, std::fabs(state[3 * n + i] - state[i]) / p_.unit[i]);
+  for (int i = 0; i < n; ++i)
+    worst = std::max(worst, std::fabs(state[3 * n + i] - state[i]) / p_.unit[i]);
   return worst > (state[5 * n + 1] != 0.0 ? thaw * p_.e_max : p_.e_max) ? 1.0 : 0.0;
 }
 
@@ -66,7 +68,10 @@ void TwoDof::law(const double *state, double v, double rate, Law &law) {
   forcing(x, yc, f);
   for (int i = 0; i < n; ++i) {
     law.ycd[i] = v * z[i] / tau_a;
-    law.zd[i] = v * (primitive.stiffness * (p_.g[i] - yc[i]) - primitive.alpha * z[i] + p_.scale[i] * f[i]) / tau_a;
+    law.zd[i] =
+        v *
+        (primitive.stiffness * (p_.g[i] - yc[i]) - primitive.alpha * z[i] + p_.scale[i] * f[i]) /
+        tau_a;
     law.ycdd[i] = (v * law.zd[i] - law.ycd[i] * tau_ad + rate * z[i]) / tau_a;
     law.yadd[i] = p_.kp * (yc[i] - ya[i]) + p_.kv * (law.ycd[i] - yad[i]) + law.ycdd[i];
   }
@@ -88,7 +93,8 @@ void TwoDof::rates(const double *state, double v, double rate, const double *dri
   out[5 * n + 1] = 0.0;
 }
 
-void TwoDof::advance(double *state, double dt, long steps, const double *driven, const Speed &speed) {
+void TwoDof::advance(
+    double *state, double dt, long steps, const double *driven, const Speed &speed) {
   const int n = this->n(), N = size();
   const double h = dt / steps, rate = (speed.end - speed.start) / dt;
   double k1[most], k2[most], k3[most], k4[most], stage[most];
@@ -127,8 +133,8 @@ void TwoDof::reference(const double *state, const Speed &speed, double *out) {
   std::copy_n(now.yadd, n, out + 2 * n);
 }
 
-void TwoDof::follow(double *state, double dt, long steps, const Speed &speed, const double *ya, const double *yad,
-                    double *out) {
+void TwoDof::follow(double *state, double dt, long steps, const Speed &speed, const double *ya,
+    const double *yad, double *out) {
   const int n = this->n();
   double driven[max_joints];
   std::copy_n(state + 4 * n, n, driven);

@@ -1,6 +1,6 @@
 """Signatures and documentation of the compiled kernels; `armlab.kernels` is their public face.
 
-Checked by tests/kernels/test_facade.py against the extension. Methods take any leading batch where shapes begin with
+Checked by tests/kernels/test_extension.py against the extension. Methods take any leading batch where shapes begin with
 ``...``, leave inputs unchanged, write into `out` when that is given, and raise `ShapeError` for wrong arguments.
 """
 
@@ -97,12 +97,6 @@ class Chain:
         Parameters
         ----------
         q, qd : (..., n). pi : (n, 10) as in `rnea`.
-        """
-
-    def gravity_regressor(self, q: Any, gravity: Any, out: Any = None) -> np.ndarray:
-        """Return Y_g (..., n, 4 n) of the gravity torques ``G = dU/dq = Y_g [m, m cx, m cy, m cz]`` per link.
-
-        ``U = -sum g . (m_i p_i + R_i m_i c_i)``.
         """
 
 class Datagrams:
@@ -407,14 +401,6 @@ class Obstacles:
         Parameters
         ----------
         y : (..., n).
-        """
-
-    def acts(self, y: Any) -> bool:
-        """Return whether anything is within reach.
-
-        Parameters
-        ----------
-        y : (n,).
         """
 
     def add(self, y: Any, yd: Any, g: Any, ydd: Any) -> np.ndarray:

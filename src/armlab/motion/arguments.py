@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import number, numbers, positive
 from armlab.errors import ShapeError
-
-if TYPE_CHECKING:
-    pass
 
 MOST_SAMPLES = 10_000_000
 

@@ -147,12 +147,7 @@ class Controller(ABC):
         return found | {name: Column((), unit=unit, kind="flag") for name, unit in flags.items()}
 
     def __call__(self, state: State) -> Command:
-        """Return the reference for a packet.
-
-        Parameters
-        ----------
-        state : of the arm.
-        """
+        """Return the reference for a packet."""
         begins = state.session != self._session
         dt = 0.0 if begins else state.dt
         if not self._is_usable(state, dt):
@@ -259,6 +254,18 @@ def _largest(values: np.ndarray) -> float:
 def steps_in(dt: float) -> int:
     """Return the number of integration steps of at most 4 ms in dt [s]; ABB's cycle of 4.032 ms is one."""
     return max(1, ceil(dt / LONGEST_STEP - _SLACK)) if dt < np.inf else 1
+
+
+def own_steps(dt: float, pace: Pace) -> list[float]:
+    """Return the steps [s] in the motion's own time that lead to a packet after dt [s]."""
+    parts, way = steps_in(dt), 0.5 * (pace[0] + pace[1]) * dt
+    return [way / parts] * parts if way > 0.0 else []
+
+
+def at_pace(state: Sequence[np.ndarray], pace: Pace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return q, qd and qdd of the reference, and the path, of a motion with position, velocity and acceleration."""
+    (y, yd, ydd), (_, speed, change) = state, pace
+    return y, speed * yd, speed**2 * ydd + change * yd, y
 
 
 def check_joints(robot: Arms, n: int) -> None:

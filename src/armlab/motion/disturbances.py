@@ -52,17 +52,8 @@ class Push:
         if not np.isfinite(numbers(self.velocity, "velocity", ShapeError)).all():
             raise ShapeError(f"Expected a finite velocity, got {self.velocity}.")
 
-    def drive(self, n: int) -> np.ndarray:
-        """Return the velocity (n,) that it forces, NaN where it leaves a coordinate alone.
-
-        Parameters
-        ----------
-        n : number of coordinates.
-
-        Raises
-        ------
-        ShapeError : a coordinate that does not exist, or another number of velocities.
-        """
+    def _drive(self, n: int) -> np.ndarray:
+        """Return the velocity (n,) that it forces, NaN where it leaves a coordinate alone."""
         which = np.arange(n) if self.dofs is None else np.asarray(self.dofs)
         whole = which.ndim == 1 and which.dtype.kind in "iu" and bool(((which >= 0) & (which < n)).all())
         if not whole or not which.size or len(set(which.tolist())) < len(which):
@@ -184,7 +175,7 @@ class _Scene:
             raise ShapeError(f"Expected events in a list, got {events!r}. Write [{type(events).__name__}(...)].")
         for event in events:
             if isinstance(event, Push):
-                self._pushes.append((event.t0, event.t1, event.drive(n)))
+                self._pushes.append((event.t0, event.t1, event._drive(n)))
             elif isinstance(event, Displace):
                 self._blows.append((event.t, _blow(event, n)))
             elif callable(event):

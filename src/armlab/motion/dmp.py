@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import generator, number, numbers
-from armlab.errors import ConfigError, ShapeError
+from armlab.errors import ConfigError, NotExcited, ShapeError
 from armlab.motion.arguments import clock
-from armlab.motion.control import Arms, Controller, JointLimits, Pace, check_joints, steps_in
+from armlab.motion.control import Arms, Controller, JointLimits, Pace, at_pace, check_joints, own_steps
 from armlab.motion.primitive.equation import Equation
 from armlab.motion.primitive.run import Rollout, RunOptions, RunParameters, Stepper, progress, solved
 from armlab.motion.storage import Saved
@@ -71,10 +71,10 @@ class Dmp(Equation, Saved, kind="dmp"):
         """
         apart = self._apart()
         drawn = np.tensordot(generator(rng).standard_normal(len(apart)), apart, 1)
-        return replace(self, weights=self.mean_weights + drawn)
+        return replace(self, weights=self._mean_weights + drawn)
 
     @property
-    def mean_weights(self) -> np.ndarray:
+    def _mean_weights(self) -> np.ndarray:
         """Mean (n_basis, n) of the weights of the demonstrations; the weights where there were fewer than three."""
         return self.weights if self.demo_weights is None else self.demo_weights.mean(axis=0)
 
@@ -84,7 +84,7 @@ class Dmp(Equation, Saved, kind="dmp"):
             raise ConfigError(
                 "Expected a primitive of at least three demonstrations, got one without demo_weights. Fit it to more."
             )
-        return (self.demo_weights - self.mean_weights) / np.sqrt(len(self.demo_weights) - 1)
+        return (self.demo_weights - self._mean_weights) / np.sqrt(len(self.demo_weights) - 1)
 
     def times(self, dt: float, duration: float | None = None) -> np.ndarray:
         """Return times from 0 in steps of `dt` to the end of a motion [s].
@@ -225,16 +225,7 @@ class Steppable(Protocol):
 
 
 class DmpController(Controller):
-    """A plain `Dmp`: the arm is told the path and its velocity, whatever it does.
-
-    Parameters
-    ----------
-    robot, limits : as of `Controller`. dmp : the primitive. settings : duration, g, amplitude of its stepper.
-
-    Raises
-    ------
-    ShapeError : another number of joints, a goal outside the limits. ConfigError : as `Dmp.stepper`.
-    """
+    """A plain `Dmp`: the arm is told the path and its velocity, whatever it does."""
 
     def __init__(
         self,
@@ -253,12 +244,9 @@ class DmpController(Controller):
         self._stepper = self._dmp.stepper(**given)
 
     def _next(self, state: State, dt: float, pace: Pace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        before, speed, change = pace
-        parts, way = steps_in(dt), 0.5 * (before + speed) * dt
-        for _ in range(parts if way > 0.0 else 0):
-            self._stepper.step(way / parts)
-        y, yd, ydd = self._stepper.state
-        return y, speed * yd, speed**2 * ydd + change * yd, y
+        for h in own_steps(dt, pace):
+            self._stepper.step(h)
+        return at_pace(self._stepper.state, pace)
 
     def _change_goal(self, g: np.ndarray) -> None:
         self._stepper.change_goal(g)
@@ -266,3 +254,84 @@ class DmpController(Controller):
     @property
     def _is_over(self) -> bool:
         return self._stepper.t >= self._stepper.duration
+
+
+FINE = 4000  # steps of the response over a duration, at least
+GRID = 401  # times at which the change of the path is measured
+RIDGE = 1e-7  # of the largest singular value: what the path does not tell of the weights stays as it is
+SAME = 1e-10
+ROUNDS = 3  # the last digits
+
+
+def with_via_points(dmp: Dmp, t: ArrayLike, y: ArrayLike | None = None, yd: ArrayLike | None = None) -> Dmp:
+    """Return the primitive whose own motion passes positions or velocities at given times, changed least elsewhere.
+
+    The motion is linear in the weights, so points are linear conditions ``C dw = c``. Of all changes of the weights
+    that meet them the one with the least ``sum |dy|^2`` over the duration is taken. The motion with the start, goal and
+    duration of the demonstration passes the points; others scale with it.
+
+    With the time of the end, its goal and a velocity the motion ends moving: hand it over there, to `profiles.quintic`
+    or another primitive; if it runs on it comes back to the goal and settles.
+
+    Parameters
+    ----------
+    dmp : with a phase of time. t : (k,) times since the start, in the time of the demonstration [s], above 0.
+    y : (k, n) positions. yd : (k, n) velocities.
+
+    Raises
+    ------
+    ShapeError : neither positions nor velocities, shapes, NaN, times outside the duration or twice.
+    ConfigError : schedule "position". NotExcited : more points than the weights can meet.
+    """
+    if dmp.schedule == "position":
+        raise ConfigError(
+            "Expected a phase of time for via-points, got schedule 'position'. Use 'canonical' or 'time'."
+        )
+    times = np.atleast_1d(numbers(t, "t", ShapeError))
+    inside = (
+        times.ndim == 1 and np.isfinite(times).all() and np.all((times > 0.0) & (times <= dmp.duration * (1 + 1e-12)))
+    )
+    if not inside or len(np.unique(times)) != len(times):
+        raise ShapeError(
+            f"Expected different times (k,) above 0 and up to the duration, {dmp.duration:g} s, got {times.tolist()}."
+        )
+    wanted = [_points(values, what, len(times), dmp.n) for values, what in ((y, "y"), (yd, "yd")) if values is not None]
+    if not wanted:
+        raise ShapeError("Expected positions or velocities to pass, got neither. Give y or yd.")
+    kinds = [k for k, values in enumerate((y, yd)) if values is not None]
+    grid = np.unique(np.concatenate([np.linspace(0.0, dmp.duration, GRID), times]))
+    responses = dmp._primitive.response(grid, dmp.tau_d, dmp.duration / FINE)
+    rows = np.searchsorted(grid, times)
+    C = np.concatenate([responses[k][rows, :-3] for k in kinds])
+    change = _least_change(responses[0][:, :-3], C)
+    ends = np.stack([dmp.y0, dmp.v0, dmp.g])
+    constant = np.concatenate([responses[k][rows, -3:] for k in kinds]) @ ends
+    weights = dmp.weights
+    for _ in range(ROUNDS):
+        weights = weights + change @ (np.concatenate(wanted) - constant - C @ weights)
+    return replace(dmp, weights=weights)
+
+
+def _least_change(Y: np.ndarray, C: np.ndarray) -> np.ndarray:
+    """Return what makes changes of the weights (m, r) of what is missed: least ``|Y dw|`` with ``C dw`` as asked."""
+    s, V = np.linalg.svd(Y, full_matrices=False)[1:]
+    inverse = V.T / np.sqrt(s**2 + (RIDGE * s[0]) ** 2)  # of a root of the quadratic form
+    steps = C @ inverse
+    gram = steps @ steps.T
+    values = np.linalg.eigvalsh(gram / np.sqrt(np.outer(gram.diagonal(), gram.diagonal())))
+    if not values[0] > SAME:
+        raise NotExcited(
+            f"Expected points that {Y.shape[1]} weights can meet one by one, got some that are not independent. "
+            "Give fewer, or further apart.",
+            ["via-points"],
+            [f"{values[0]:.1e}"],
+        )
+    return inverse @ steps.T @ np.linalg.inv(gram)
+
+
+def _points(value: ArrayLike, what: str, k: int, n: int) -> np.ndarray:
+    points = numbers(value, what, ShapeError)
+    points = points.reshape(k, n) if points.size == k * n and points.ndim < 2 else points
+    if points.shape != (k, n) or not np.isfinite(points).all():
+        raise ShapeError(f"Expected finite {what} of shape ({k}, {n}), one row per time, got shape {points.shape}.")
+    return points

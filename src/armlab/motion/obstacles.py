@@ -132,9 +132,9 @@ class AvoidingDmp:
                 f"Expected 0 <= clearance < reach, got {self.clearance} and {self.reach} m. Correct them."
             )
         object.__setattr__(self, "obstacles", members(self.obstacles, "obstacles"))
-        self.around()
+        self._around()
 
-    def around(self) -> Any:
+    def _around(self) -> Any:
         """Return the `armlab.kernels.Obstacles` of it."""
         if self.robot is None:
             around = kernels.Obstacles(self.dmp.n, None, None, self.clearance, self.reach, self.form == "potential")
@@ -143,7 +143,7 @@ class AvoidingDmp:
             around = kernels.Obstacles(
                 self.robot.chain, numbers_, bodies, self.clearance, self.reach, self.form == "potential"
             )
-        around.place(rows_of(self.obstacles, self.axes))
+        around.place(rows_of(self.obstacles, self._axes))
         return around
 
     @property
@@ -152,7 +152,7 @@ class AvoidingDmp:
         return self.dmp.n
 
     @property
-    def axes(self) -> int:
+    def _axes(self) -> int:
         """Axes of the space, 2 or 3."""
         return self.dmp.n if self.robot is None else 3
 
@@ -163,7 +163,7 @@ class AvoidingDmp:
         ----------
         y : (..., n).
         """
-        return self.around().distance(vector(y, "y", self.dmp.n))
+        return self._around().distance(vector(y, "y", self.dmp.n))
 
     def rollout(self, t: ArrayLike, **run: Unpack[RunOptions]) -> Rollout:
         """Return the motion at times t.
@@ -186,6 +186,9 @@ class AvoidingDmp:
     def stepper(self, **run: Unpack[RunOptions]) -> AvoidingStepper:
         """Return what runs it sample by sample, among obstacles that may move.
 
+        Besides what `Stepper` has, ``place(obstacles)`` says where all obstacles are now; until the next time they go
+        on with their velocity. `distance` is the least distance from their surfaces now [m].
+
         Parameters
         ----------
         **run : `RunOptions`.
@@ -202,6 +205,8 @@ class AvoidingDmp:
     ) -> AvoidingController:  # fmt: skip
         """Return a controller of the robot, which starts where the arm is, at rest.
 
+        Besides what `Controller` has, ``place(obstacles)`` says where all obstacles are now, before or during the run.
+
         Parameters
         ----------
         limits : as of `Dmp.controller`. duration, g : as of `Dmp.rollout`.
@@ -213,22 +218,13 @@ class AvoidingDmp:
         return AvoidingController(self, {"duration": duration, "g": g}, limits)
 
     def _resolved(self, given: RunOptions) -> tuple[RunParameters, Any]:
-        run, around = RunParameters.of(self.dmp, **given), self.around()
-        self.check_clear("start", run.y0, around)
-        self.check_clear("goal", run.g, around)
+        run, around = RunParameters.of(self.dmp, **given), self._around()
+        self._check_clear("start", run.y0, around)
+        self._check_clear("goal", run.g, around)
         return run, around
 
-    def check_clear(self, name: str, y: np.ndarray, around: Any) -> None:
-        """Refuse a start or a goal that obstacles where they are now keep the motion from.
-
-        Parameters
-        ----------
-        name : "start" or "goal". y : (n,) where that is. around : `armlab.kernels.Obstacles` of the run.
-
-        Raises
-        ------
-        ShapeError : it is within the clearance of an obstacle.
-        """
+    def _check_clear(self, name: str, y: np.ndarray, around: Any) -> None:
+        """Refuse a start or a goal that obstacles where they are now keep the motion from."""
         if not (least := float(around.distance(y))) > self.clearance:
             raise ShapeError(
                 f"Expected the {name} outside the clearance of every obstacle, got one {least:.4g} m away. Move it, or "
@@ -262,12 +258,7 @@ def _bodies(robot: Robot, tool: Capsule | None, links: Mapping[int, Capsule]) ->
 
 
 class AvoidingStepper(Stepper):
-    """One run of an `AvoidingDmp`, sample by sample; made by `AvoidingDmp.stepper`.
-
-    Parameters
-    ----------
-    avoiding : what runs. run : start, goal and time of it. around : `armlab.kernels.Obstacles`, its own.
-    """
+    """One run of an `AvoidingDmp`, sample by sample; made by `AvoidingDmp.stepper`."""
 
     def __init__(self, avoiding: AvoidingDmp, run: RunParameters, around: Any) -> None:
         self._around, self._avoiding = around, avoiding
@@ -279,30 +270,12 @@ class AvoidingStepper(Stepper):
         super().reset()
 
     def place(self, obstacles: Iterable[Capsule]) -> None:
-        """Put obstacles where they are now; until the next time they go on with their velocity.
-
-        Parameters
-        ----------
-        obstacles : all that there are.
-
-        Raises
-        ------
-        ShapeError : of another space.
-        """
-        self._around.place(rows_of(obstacles, self._avoiding.axes))
+        """Put obstacles where they are now; until the next time they go on with their velocity."""
+        self._around.place(rows_of(obstacles, self._avoiding._axes))
 
     def change_goal(self, g: ArrayLike) -> None:
-        """Go for another goal from now on.
-
-        Parameters
-        ----------
-        g : (n,) goal, in the unit of y.
-
-        Raises
-        ------
-        ShapeError : within the clearance of an obstacle where that is now, and as of `Stepper.change_goal`.
-        """
-        self._avoiding.check_clear("goal", vector(g, "g", self._avoiding.n), self._around)
+        """Go for another goal from now on."""
+        self._avoiding._check_clear("goal", vector(g, "g", self._avoiding.n), self._around)
         super().change_goal(g)
 
     @property
@@ -315,14 +288,6 @@ class AvoidingController(DmpController):
     """An `AvoidingDmp` of joints as a controller; made by `AvoidingDmp.controller`.
 
     It ends the run where the arm starts within the clearance.
-
-    Parameters
-    ----------
-    avoiding : what runs, with its robot. settings : duration and g of its stepper. limits : as of `Controller`.
-
-    Raises
-    ------
-    ConfigError : no robot. ShapeError : as of `AvoidingDmp.stepper` and `Controller`.
     """
 
     _dmp: AvoidingDmp
@@ -336,12 +301,7 @@ class AvoidingController(DmpController):
         super().__init__(avoiding.robot, avoiding, settings, limits)
 
     def place(self, obstacles: Iterable[Capsule]) -> None:
-        """Put obstacles where they are now, while it runs or before; see `AvoidingStepper.place`.
-
-        Parameters
-        ----------
-        obstacles : all that there are.
-        """
+        """Put obstacles where they are now, while it runs or before; see `AvoidingStepper.place`."""
         self._dmp = replace(self._dmp, obstacles=tuple(obstacles))
         self._stepper.place(self._dmp.obstacles)
 

@@ -15,19 +15,19 @@ from armlab._numbers import number, numbers, positive
 from armlab.errors import ConfigError, NotExcited, ShapeError
 from armlab.estimation import Excitation, Fit
 from armlab.motion.arguments import clock, vector
-from armlab.motion.control import Arms, Controller, JointLimits, Pace, check_joints, steps_in
+from armlab.motion.control import Arms, Controller, JointLimits, Pace, at_pace, check_joints, own_steps
 from armlab.motion.primitive.demonstrations import read_demos
-from armlab.motion.primitive.least_squares import block_covariance, solve
-from armlab.motion.primitive.run import Rollout
+from armlab.motion.primitive.run import Rollout, advance
+from armlab.motion.primitive.weights import block_covariance, solve
 from armlab.motion.storage import Saved, freeze_arrays
 from armlab.state import State
 
-GRID = 1024  # phases of one period: harmonics up to 512
+GRID = 1024  # phases of one period: _harmonics up to 512
 
 MAX_CONDITION = 1e11
 SEEN = 1e4  # condition beyond which the motion where there are no samples is a guess
 NEXT = 2.0  # distances of kernels between samples that tell every kernel
-QUIET = 1e-18  # of the largest: harmonics that are left out
+QUIET = 1e-18  # of the largest: _harmonics that are left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         )
 
     @cached_property
-    def harmonics(self) -> np.ndarray:
+    def _harmonics(self) -> np.ndarray:
         """Coefficients (513, n) of ``exp(i k phi)`` in the steady motion around the baseline."""
         phi = 2 * np.pi / GRID * np.arange(GRID)
         f = np.fft.rfft(self.primitive_from().forcing(phi), axis=0) / GRID
@@ -113,9 +113,9 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         k = np.arange(GRID // 2 + 1)
         double = np.where((k == 0) | (k == GRID // 2), 1.0, 2.0)
         wave = np.exp(1j * k * numbers(phase, "phase", ShapeError)[..., None]) * double
-        return np.real(wave @ self.harmonics), np.real(wave * (1j * k) @ self.harmonics)
+        return np.real(wave @ self._harmonics), np.real(wave * (1j * k) @ self._harmonics)
 
-    def start(
+    def _start_state(
         self,
         period: float | None,
         g: ArrayLike | None,
@@ -124,12 +124,7 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         v0: ArrayLike | None,
         phase: float,
     ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return time constant, position, velocity, baseline and scale of a run: what is left out is in steady motion.
-
-        Parameters
-        ----------
-        period, g, r, y0, v0, phase : as of `rollout`.
-        """
+        """Return time constant, position, velocity, baseline and scale of a run; by default in steady motion."""
         tau = (self.period if period is None else positive(period, "period [s]")) / (2 * np.pi)
         base, amplitude = self.g if g is None else vector(g, "g", self.n), number(r, "r")
         if not np.isfinite(amplitude):
@@ -162,7 +157,7 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         ------
         ShapeError : times that do not increase, other shapes, NaN, no positive period.
         """
-        tau, *state = self.start(period, g, r, y0, v0, phase)
+        tau, *state = self._start_state(period, g, r, y0, v0, phase)
         times = clock(t, 2 * np.pi * tau)
         y, yd, ydd, x, f = self.primitive_from(phase).rollout(times, tau, *state)
         return Rollout(np.array(times), y, yd, ydd, x + phase, f)
@@ -179,6 +174,9 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
     ) -> PeriodicStepper:
         """Return what runs the primitive sample by sample, with baseline, amplitude and period that may change.
 
+        Its ``step(dt)`` and `state` return y, yd and ydd, each (n,); ``change(g=..., r=..., period=...)`` goes on with
+        other values without a jump, ``reset()`` back to the start; `phase` is phi now [rad].
+
         Parameters
         ----------
         period, g, r, y0, v0, phase : as of `rollout`.
@@ -187,7 +185,7 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         ------
         ShapeError : as of `rollout`.
         """
-        return PeriodicStepper(self, self.start(period, g, r, y0, v0, phase), float(phase))
+        return PeriodicStepper(self, self._start_state(period, g, r, y0, v0, phase), float(phase))
 
     def controller(
         self,
@@ -239,21 +237,8 @@ class PeriodicStepper:
         self._kernel.start(y0, v0, g, scale, tau)
 
     def step(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Advance by one sample and return y, yd, ydd, each (n,).
-
-        Parameters
-        ----------
-        dt : time since the last sample [s], above zero.
-
-        Raises
-        ------
-        ShapeError : no finite time above zero.
-        """
-        try:
-            return self._kernel.step(dt)
-        except TypeError:
-            number(dt, "dt [s]")  # says it in a sentence
-            raise
+        """Advance by one sample and return y, yd, ydd, each (n,)."""
+        return advance(dt, self._kernel)[0]
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -266,16 +251,7 @@ class PeriodicStepper:
         return self._phase + self._kernel.elapsed
 
     def change(self, *, g: ArrayLike | None = None, r: float | None = None, period: float | None = None) -> None:
-        """Go on with another baseline, amplitude or period; position and velocity do not jump.
-
-        Parameters
-        ----------
-        g : (n,) baseline. r : factor on the motion around it. period : [s].
-
-        Raises
-        ------
-        ShapeError : another shape, not finite, no positive period.
-        """
+        """Go on with another baseline, amplitude or period; position and velocity do not jump."""
         goal = self._g if g is None else vector(g, "g", self._n)
         amplitude = self._scale[0] if r is None else number(r, "r")
         seconds = self._kernel.tau * 2 * np.pi if period is None else number(period, "period [s]")
@@ -292,15 +268,6 @@ class PeriodicController(Controller):
     """A `PeriodicDmp`: from rest at the baseline the motion grows over a turn, and over the last one it fades.
 
     `goal` is the baseline; it may be set while it runs.
-
-    Parameters
-    ----------
-    robot, limits : as of `Controller`. dmp : the primitive.
-    settings : period, g and r of its stepper; turns, infinity for ever.
-
-    Raises
-    ------
-    ShapeError : another number of joints, a baseline outside the limits, no turns above zero, as `PeriodicDmp.stepper`.
     """
 
     def __init__(
@@ -325,14 +292,11 @@ class PeriodicController(Controller):
         )
 
     def _next(self, state: State, dt: float, pace: Pace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        before, speed, change = pace
-        parts, way = steps_in(dt), 0.5 * (before + speed) * dt
-        for _ in range(parts if way > 0.0 else 0):
-            self._elapsed += way / parts
+        for h in own_steps(dt, pace):
+            self._elapsed += h
             self._stepper.change(r=self._r * self._share())
-            self._stepper.step(way / parts)
-        y, yd, ydd = self._stepper.state
-        return y, speed * yd, speed**2 * ydd + change * yd, y
+            self._stepper.step(h)
+        return at_pace(self._stepper.state, pace)
 
     def _share(self) -> float:
         """Return how much of the amplitude there is now: a smooth step up over the first turn, down over the last."""

@@ -95,17 +95,8 @@ class ProMP(Saved, kind="promp"):
         psi, rate = normalised(u, self.centres, self.widths)
         return psi, rate / T
 
-    def times(self, t: ArrayLike, duration: float | None = None) -> np.ndarray:
-        """Return times (N,): those given, or from 0 in steps to the end of the motion.
-
-        Parameters
-        ----------
-        t : (N,) since the start [s], or one step [s]. duration : of the motion [s].
-
-        Raises
-        ------
-        ShapeError : times that are not finite, no step above zero.
-        """
+    def _times(self, t: ArrayLike, duration: float | None = None) -> np.ndarray:
+        """Return times (N,): those given, or from 0 in steps to the end of the motion."""
         times = clock(t, self.duration if duration is None else positive(duration, "duration [s]"))
         if times.ndim != 1 or not times.size or not np.isfinite(times).all():
             raise ShapeError(f"Expected finite times (N,), got shape {times.shape}. Or give one step [s].")
@@ -122,7 +113,7 @@ class ProMP(Saved, kind="promp"):
         ------
         ShapeError : no times, no positive duration.
         """
-        times = self.times(t, duration)
+        times = self._times(t, duration)
         psi, rate = self.kernels(times, duration)
         blocks = self.cov.reshape(self.n, len(self.centres), self.n, len(self.centres))
         spread, speed = (_spread(rows, blocks) for rows in (psi, rate))
@@ -146,7 +137,7 @@ class ProMP(Saved, kind="promp"):
         values, vectors = np.linalg.eigh(self.cov)
         draws = generator(seed).standard_normal((int(count), len(values)))
         w = self.mean.T.ravel() + (draws * np.sqrt(values.clip(min=0.0))) @ vectors.T
-        psi, _ = self.kernels(self.times(t, duration), duration)
+        psi, _ = self.kernels(self._times(t, duration), duration)
         return np.einsum("ta,kia->kti", psi, w.reshape(int(count), self.n, -1))
 
     def _inside(self, t: float, duration: float | None) -> float:
@@ -303,7 +294,7 @@ def blend(
     if len({p.n for p in primitives}) != 1:
         raise ShapeError("Expected primitives of as many coordinates, got others, or none. Fit them to one arm.")
     first = primitives[0]
-    times, n = first.times(t, duration), first.n
+    times, n = first._times(t, duration), first.n
     given = numbers(activation, "activation", ShapeError)
     if given.shape not in ((len(primitives),), (len(times), len(primitives))):
         raise ShapeError(

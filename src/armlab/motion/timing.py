@@ -72,10 +72,6 @@ def peaks(run: Rollout) -> tuple[np.ndarray, np.ndarray]:
 
     Velocity is the cubic between samples with the accelerations as slopes; the peak of the acceleration is that of the
     parabola through the largest sample and its neighbours.
-
-    Parameters
-    ----------
-    run : with small even steps.
     """
     h, v, a = np.diff(run.t)[:, None], run.yd, run.ydd
     turns = a[:-1] * a[1:] < 0.0
@@ -178,13 +174,8 @@ class PacedDmp:
         """Time at which the primitive's own clock shows its duration [s]."""
         return float(np.interp(self.dmp.duration, self.s, self.t))
 
-    def clock(self, t: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the primitive's own time, its rate and the change of that, each (...), at times since the start.
-
-        Parameters
-        ----------
-        t : (...) from 0 [s].
-        """
+    def _clock(self, t: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the primitive's own time, its rate and the change of that, each (...), at times since the start."""
         times = np.asarray(t, dtype=float)
         i = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, None)
         since, change = times - self.t[i], self.change[i]
@@ -204,7 +195,7 @@ class PacedDmp:
         times = clock(t, self.duration)
         if times.ndim != 1 or not len(times) or not np.isfinite(times).all() or not (np.diff(times) > 0.0).all():
             raise ShapeError("Expected finite times (N,) that increase, got others. Drop repeated samples.")
-        s, rate, change = self.clock(times - times[0])
+        s, rate, change = self._clock(times - times[0])
         path = self.dmp.rollout(np.union1d(s, self.s[self.s < s[-1]]), **self.run)
         at = np.searchsorted(path.t, s)
         r, u = rate[:, None], change[:, None]
@@ -246,12 +237,7 @@ class PacedDmp:
 
 
 class PacedStepper:
-    """One run of a `PacedDmp`, sample by sample; made by `PacedDmp.stepper`.
-
-    Parameters
-    ----------
-    paced : what runs. run : start, goal and amplitude.
-    """
+    """One run of a `PacedDmp`, sample by sample; made by `PacedDmp.stepper`."""
 
     def __init__(self, paced: PacedDmp, run: RunOptions) -> None:
         self._paced, self._inner = paced, paced.dmp.stepper(**run)
@@ -265,16 +251,7 @@ class PacedStepper:
         self._rate, self._change = float(self._paced.rate[0]), float(self._paced.change[0])
 
     def step(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Advance by one sample and return y, yd, ydd, each (n,).
-
-        Parameters
-        ----------
-        dt : time since the last sample [s], above zero.
-
-        Raises
-        ------
-        ShapeError : no finite time above zero.
-        """
+        """Advance by one sample and return y, yd, ydd, each (n,)."""
         self._t += positive(dt, "dt [s]", "At 250 Hz it is 0.004.")
         paced, i, before = self._paced, bisect_right(self._knots, self._t) - 1, self._s
         since, start = self._t - self._knots[i], float(paced.rate[i])
@@ -306,16 +283,7 @@ class PacedStepper:
         return self._inner.goal
 
     def change_goal(self, g: ArrayLike) -> None:
-        """Go for another goal from now on, at the same pace: the limits of the plan are no longer sure.
-
-        Parameters
-        ----------
-        g : (n,) goal.
-
-        Raises
-        ------
-        ShapeError : as of `Stepper.change_goal`.
-        """
+        """Go for another goal from now on, at the same pace: the limits of the plan are no longer sure."""
         self._inner.change_goal(g)
 
 

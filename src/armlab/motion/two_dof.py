@@ -90,13 +90,8 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
             frozen.flags.writeable = False
             object.__setattr__(self, name, frozen)
 
-    def law(self, run: RunParameters) -> Any:
-        """Return the `armlab.kernels.TwoDof` of a run.
-
-        Parameters
-        ----------
-        run : start, goal and duration, resolved.
-        """
+    def _law(self, run: RunParameters) -> Any:
+        """Return the `armlab.kernels.TwoDof` of a run."""
         gains = np.array([self.kp, self.kv, self.kc, self.alpha_e, self.e_max])
         zone, unit = np.asarray(self.e0), np.asarray(self.e_scale)
         return kernels.TwoDof(run.primitive, run.tau, run.y0, run.g, run.scale, gains, zone, unit)
@@ -128,7 +123,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         """
         longest = positive(dt, "dt", "At 250 Hz it is 0.004.")
         setting, free = RunParameters.of(self.dmp, **run), _free(self.dmp, t, longest, run)
-        law = self.law(setting)
+        law = self._law(setting)
         states, disturbed = simulated(law, starting(setting), free.t, events, longest)
         yc, _, e, ya, yad = states[:, :-2].reshape(len(states), 5, law.n).swapaxes(0, 1)
         ycd, ycdd, ydd_ref = np.array([law.reference(y, FULL_SPEED) for y in states]).swapaxes(0, 1)
@@ -184,6 +179,11 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
     def stepper(self, **run: Unpack[RunOptions]) -> TwoDofStepper:
         """Return what runs the law sample by sample with a measured arm.
 
+        Its ``step(dt, ya, yad)`` takes the time since the last sample [s], 0 at the first, and measured position and
+        velocity (n,), and returns `yc`, `ycd`, `ycdd` of the coupled path and the acceleration `ydd_ref` for the arm,
+        each (n,). ``change_goal(g)`` goes for another goal (n,), ``reset()`` back to the start; `x`, `tau_a` [s], `e`
+        (n,), `frozen` and `has_ended` say where the run is.
+
         Parameters
         ----------
         **run : as in `Dmp.rollout`.
@@ -238,12 +238,7 @@ def _free(dmp: Dmp, t: ArrayLike, longest: float, given: RunOptions) -> Rollout:
 
 
 class Reference(NamedTuple):
-    """What `TwoDofStepper.step` returns.
-
-    Attributes
-    ----------
-    yc, ycd, ycdd : (n,) coupled path with velocity and acceleration. ydd_ref : (n,) acceleration to give the arm.
-    """
+    """What `TwoDofStepper.step` returns."""
 
     yc: np.ndarray
     ycd: np.ndarray
@@ -256,14 +251,6 @@ class TwoDofStepper:
 
     Between two samples ya is taken to move with the velocity measured before, and the law is solved in steps of at most
     4 ms.
-
-    Parameters
-    ----------
-    two_dof : gains and primitive. run : start, goal and duration.
-
-    Attributes
-    ----------
-    goal : (n,) where it goes.
     """
 
     def __init__(self, two_dof: TwoDofDmp, run: RunParameters) -> None:
@@ -273,43 +260,22 @@ class TwoDofStepper:
     def reset(self) -> None:
         """Go back to the start, with the first goal."""
         run = self._run
-        self._law, self.goal = self._two_dof.law(run), run.g
+        self._law, self.goal = self._two_dof._law(run), run.g
         self._state = starting(run)
 
     def step(self, dt: float, ya: np.ndarray, yad: np.ndarray, speed: np.ndarray = FULL_SPEED) -> Reference:
-        """Take a sample of the arm and return the reference of this instant.
-
-        Parameters
-        ----------
-        dt : time since the last sample [s]; 0 at the first.
-        ya, yad : (n,) measured position and velocity; a sample that is not finite is passed over.
-        speed : (3,) speed of the primitive at the last sample and now, and its change per second from now.
-
-        Raises
-        ------
-        ShapeError : another shape, or a dt that is negative or not finite.
-        """
+        """Take a sample of the arm and return the reference of this instant."""
         found = self._law.follow(self._state, dt, steps_in(dt), speed, ya, yad)
         self._state, (ycd, ycdd, ydd_ref) = found
         return Reference(self._state[: self._law.n], ycd, ycdd, ydd_ref)
 
     def change_goal(self, g: ArrayLike) -> None:
-        """Go for another goal from now on; with scaling "goal" the forcing is scaled with it.
-
-        Parameters
-        ----------
-        g : (n,) goal, in the unit of y.
-
-        Raises
-        ------
-        ShapeError : another shape, not finite, outside the limits of the primitive.
-        ConfigError : scaling "rotate", which has no path to another goal.
-        """
+        """Go for another goal from now on; with scaling "goal" the forcing is scaled with it."""
         scaling = self._two_dof.dmp.scaling
         if scaling == "rotate":
             raise ConfigError("Expected a goal that stays with scaling 'rotate', got another. Make another stepper.")
         run = self._run.towards(g, scaling == "goal")
-        self._law, self.goal = self._two_dof.law(run), run.g
+        self._law, self.goal = self._two_dof._law(run), run.g
 
     @property
     def e(self) -> np.ndarray:
@@ -347,17 +313,7 @@ def starting(run: RunParameters) -> np.ndarray:
 
 
 class TwoDofController(Controller):
-    """A `TwoDofDmp`: the reference is the twice integrated acceleration of its law, with the arm as measured.
-
-    Parameters
-    ----------
-    robot, limits : as of `Controller`. two_dof : the law. settings : duration, g, amplitude of its stepper.
-    give_way : acceleration (n,) that a contact adds.
-
-    Raises
-    ------
-    ShapeError : another number of joints, a goal outside the limits. ConfigError : as `Dmp.stepper`.
-    """
+    """A `TwoDofDmp`: the reference is the twice integrated acceleration of its law, with the arm as measured."""
 
     def __init__(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,9 +14,6 @@ from armlab._numbers import check_name, number, numbers, positive
 from armlab.errors import ConfigError, ShapeError
 from armlab.motion.arguments import vector
 from armlab.motion.storage import freeze_arrays
-
-if TYPE_CHECKING:
-    pass
 
 CONVENTIONS = ("lund", "ijspeert")
 SCHEDULES = ("canonical", "time", "position")
@@ -157,17 +154,12 @@ class Equation:
         return tuple(np.flatnonzero(abs(self.g - self.y0) <= least).tolist())
 
     @cached_property
-    def primitive(self) -> Any:
+    def _primitive(self) -> Any:
         """The `armlab.kernels.Primitive` of the weights."""
-        return self.primitive_of(self.weights)
+        return self._primitive_of(self.weights)
 
-    def primitive_of(self, weights: np.ndarray) -> Any:
-        """Return an `armlab.kernels.Primitive` with other weights.
-
-        Parameters
-        ----------
-        weights : (n_basis, n).
-        """
+    def _primitive_of(self, weights: np.ndarray) -> Any:
+        """Return an `armlab.kernels.Primitive` with other weights (n_basis, n)."""
         stiffness, pace = self.alpha_z * self.beta_z, self.tau_d / self.duration
         return kernels.Primitive(
             self.centres, self.widths, weights, self.alpha_z, stiffness, self.alpha_x, pace, self.schedule
@@ -196,7 +188,7 @@ class Equation:
         ----------
         x : phases.
         """
-        return self.primitive.basis(numbers(x, "x", ShapeError))
+        return self._primitive.basis(numbers(x, "x", ShapeError))
 
     def forcing(self, x: ArrayLike) -> np.ndarray:
         """Return the forcing (..., n) of the demonstration at phases: ``(psi(x) w)`` times x, or the gate of time.
@@ -205,7 +197,7 @@ class Equation:
         ----------
         x : (...) phases; (..., n) with schedule "position".
         """
-        return self.primitive.forcing(numbers(x, "x", ShapeError))
+        return self._primitive.forcing(numbers(x, "x", ShapeError))
 
     def acceleration(self, y: ArrayLike, yd: ArrayLike, x: ArrayLike) -> np.ndarray:
         """Return ydd (..., n) of a state: ``(alpha_z (beta_z (g - y) - tau_d yd) + f(x)) / tau_d^2``.

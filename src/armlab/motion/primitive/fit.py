@@ -17,8 +17,7 @@ from armlab.motion.arguments import coordinates
 from armlab.motion.dmp import Dmp
 from armlab.motion.primitive.demonstrations import Demo, ReferenceMotion, aligned, read_demos
 from armlab.motion.primitive.equation import SCALINGS, SCHEDULES, placed, time_constants
-from armlab.motion.primitive.least_squares import block_covariance
-from armlab.motion.primitive.weights import ENDS, Ends, Learned, learn
+from armlab.motion.primitive.weights import ENDS, Ends, Learned, WeightProblem, block_covariance, learn
 
 METHODS = ("trajectory", "acceleration", "lwr")
 WIDTH, LWR_WIDTH = 0.8, 0.55  # standard deviations of kernels over their distance
@@ -93,20 +92,58 @@ def fit_dmp(
     """
     _check_options(method, schedule, scaling, bandwidth, raw_kernels)
     demos = aligned(read_demos(t, y, sample_weights), scaling)
+    if schedule == "position":
+        _check_monotone(demos)
     n, given = demos[0].y.shape[1], {"y0": y0, "v0": v0, "g": g}
     known = {name: coordinates(a, name, n) for name, a in given.items() if a is not None}
-    ends = Ends(_pins(pin, known), known)
     starts = np.array([known.get("y0", demo.y[0]) for demo in demos])
     goals = np.array([known.get("g", demo.y[-1]) for demo in demos])
     reference = ReferenceMotion.of(demos, scaling, starts, goals)
     alpha = _above("alpha_z", alpha_z)
     alpha_x, tau_d = time_constants(convention, reference.duration, alpha)
-    decay = alpha_x * reference.duration / tau_d
-    centres, widths = placed(schedule, spacing, n_basis, decay, LWR_WIDTH if method == "lwr" else WIDTH)
-    if schedule == "position":
-        _check_monotone(demos)
-    blank = Dmp(
-        weights=np.zeros((n_basis, n)),
+    decay, factor = alpha_x * reference.duration / tau_d, LWR_WIDTH if method == "lwr" else WIDTH
+    spring = {
+        "alpha_z": alpha,
+        "beta_z": alpha / 4.0 if beta_z is None else _above("beta_z", beta_z),
+        "alpha_x": alpha_x,
+    }
+    names = {"schedule": schedule, "scaling": scaling, "convention": convention}
+    problem = WeightProblem(
+        method=method,
+        blank=_blank(
+            demos,
+            reference,
+            placed(schedule, spacing, n_basis, decay, factor),
+            tau_d,
+            _limits(limits, n),
+            spring | names,
+        ),
+        demos=demos,
+        scales=reference.scales,
+        starts=starts,
+        goals=goals,
+        ends=Ends(_pins(pin, known), known),
+        hold=_hold(hold),
+        ridge=_not_below("ridge", ridge),
+        bandwidth=bandwidth,
+        raw=raw_kernels,
+    )
+    learned = learn(problem)
+    return _fit(_value(problem, learned, reference), problem, learned)
+
+
+def _blank(
+    demos: list[Demo],
+    reference: ReferenceMotion,
+    kernels: tuple[np.ndarray, np.ndarray],
+    tau_d: float,
+    limits: np.ndarray | None,
+    constants: dict[str, Any],
+) -> Dmp:
+    """Return the primitive of the reference motion with weights of zero."""
+    (centres, widths), n = kernels, len(reference.g)
+    return Dmp(
+        weights=np.zeros((len(centres), n)),
         centres=centres,
         widths=widths,
         tau_d=tau_d,
@@ -117,29 +154,9 @@ def fit_dmp(
         extent=reference.extent,
         peak_acceleration=np.max([np.abs(demo.acceleration).max(axis=0) for demo in demos], axis=0),
         monotone=~np.any([demo.behind.any(axis=0) for demo in demos], axis=0),
-        alpha_z=alpha,
-        beta_z=alpha / 4.0 if beta_z is None else _above("beta_z", beta_z),
-        alpha_x=alpha_x,
-        schedule=schedule,
-        scaling=scaling,
-        convention=convention,
-        limits=None if limits is None else _limits(limits, n),
+        limits=limits,
+        **constants,
     )
-    options = {
-        "hold": _hold(hold),
-        "ridge": _not_below("ridge", ridge),
-        "bandwidth": bandwidth,
-        "raw": raw_kernels,
-    }
-    learned = learn(method, blank, demos, reference.scales, starts, goals, ends, **options)
-    each = None
-    if len(demos) >= MANY:
-        parts = zip(demos, reference.scales, starts, goals)
-        single = [learn(method, blank, [d], s[None], a[None], b[None], ends, **options) for d, s, a, b in parts]
-        small = abs(reference.scales)[:, None] < SMALL
-        each = np.where(small, learned.weights, [one.weights for one in single])
-    dmp = _with(blank, learned, demos, reference, each)
-    return _fit(dmp, method, learned, demos)
 
 
 def _check_options(method: str, schedule: str, scaling: str, bandwidth: float | None, raw_kernels: bool) -> None:
@@ -178,7 +195,9 @@ def _hold(value: Any) -> float:
     return float(value)
 
 
-def _limits(limits: Any, n: int) -> np.ndarray:
+def _limits(limits: Any, n: int) -> np.ndarray | None:
+    if limits is None:
+        return None
     if not isinstance(limits, Sequence | np.ndarray) or len(limits) != 2:
         raise ShapeError(f"Expected limits as lowest and highest (n,) goal, got {limits!r}. Give two.")
     return np.array([coordinates(a, "limits", n) for a in limits])
@@ -203,18 +222,22 @@ def _check_monotone(demos: list[Demo]) -> None:
             )
 
 
-def _with(blank: Dmp, learned: Learned, demos: list[Demo], reference: ReferenceMotion, each: np.ndarray | None) -> Dmp:
+def _value(problem: WeightProblem, learned: Learned, reference: ReferenceMotion) -> Dmp:
     """Return the primitive with what was learned; its start velocity is the nearest to those of the demonstrations."""
-    scales = reference.scales
+    scales, demos = problem.scales, problem.demos
     z = np.array([demo.duration for demo in demos])[:, None] / reference.duration * learned.ends[:, 1]
     squares = (scales**2).sum(axis=0)
     v0 = (scales * z).sum(axis=0) / np.where(squares > 0, squares, 1.0)
     y0, _, g = learned.ends.mean(axis=0)
-    return replace(blank, weights=learned.weights, y0=y0, v0=v0, g=g, demo_weights=each)
+    each = None
+    if len(demos) >= MANY:
+        small = abs(scales)[:, None] < SMALL
+        each = np.where(small, learned.weights, [learn(one).weights for one in problem.of_each()])
+    return replace(problem.blank, weights=learned.weights, y0=y0, v0=v0, g=g, demo_weights=each)
 
 
-def _fit(dmp: Dmp, method: str, learned: Learned, demos: list[Demo]) -> Fit[Dmp]:
-    m, n = dmp.weights.shape
+def _fit(dmp: Dmp, problem: WeightProblem, learned: Learned) -> Fit[Dmp]:
+    (m, n), demos = dmp.weights.shape, problem.demos
     with_ends = learned.unit.shape[1] > m
     one, names, units = _names(m, n, len(demos), with_ends)
     parts = [learned.weights, learned.ends.reshape(-1, n)] if with_ends else [learned.weights]
@@ -224,12 +247,12 @@ def _fit(dmp: Dmp, method: str, learned: Learned, demos: list[Demo]) -> Fit[Dmp]
         names=names,
         units=units,
         parameters=np.concatenate(parts).T.ravel(),
-        cov=block_covariance(learned.unit, learned.sigma),
+        cov=lambda: block_covariance(learned.unit, learned.sigma),
         sigma=learned.sigma,
         residuals=learned.residuals,
         n=sum(len(demo.t) for demo in demos),
-        excitation=Excitation.of(learned.triangle, [one[k] for k in learned.unknowns], MAX_CONDITION),
-        summary=lambda fit: _report(fit, method, learned, demos),
+        excitation=lambda: Excitation.of(learned.triangle, [one[k] for k in learned.unknowns], MAX_CONDITION),
+        summary=lambda fit: _report(fit, problem.method, learned, demos),
         classes=tuple(f"{kind} of coordinate {i} [unit of y]" for i in range(n)),
     )
 

@@ -24,13 +24,7 @@ LONGEST = 1e4  # time constants: each takes the solver a step or two
 
 
 class RunOptions(TypedDict, total=False):
-    """What is free in a run of a `Dmp`, by name; what is left out or None is that of the demonstration.
-
-    Attributes
-    ----------
-    duration, tau_d : of the run [s], at most one of them. y0, v0, g : (n,) start, velocity at it, goal.
-    amplitude : (n,) factors on the forcing, with scaling "amplitude".
-    """
+    """What is free in a run of a `Dmp`, by name; what is left out or None is that of the demonstration."""
 
     duration: float | None
     tau_d: float | None
@@ -104,14 +98,14 @@ class RunParameters:
         whole = _one_run(parts, shape) if runs is None else _many_runs(dmp, parts, shape)
         start, goal = (np.broadcast_to(parts.get(name, own), whole) for name, own in (("y0", dmp.y0), ("g", dmp.g)))
         check_goal(dmp, goal)
-        scale, primitive, R = np.ones(whole), dmp.primitive, None
+        scale, primitive, R = np.ones(whole), dmp._primitive, None
         if dmp.scaling == "goal":
             scale = goal_scale(dmp, start, goal)
         elif amplitude is not None:
             scale = np.broadcast_to(parts["amplitude"], whole)
         elif dmp.scaling == "rotate":
             R = rotation(dmp.g - dmp.y0, goal - start)
-            primitive = dmp.primitive_of(dmp.weights @ R.T)
+            primitive = dmp._primitive_of(dmp.weights @ R.T)
         if v0 is None:
             speed = scale * dmp.v0 if R is None else R @ dmp.v0
             speed = speed * (dmp.tau_d / tau)
@@ -198,6 +192,15 @@ def rotation(old: np.ndarray, new: np.ndarray) -> np.ndarray:
     return b / a * (np.eye(3) + skew + skew @ skew / (1.0 + cosine))
 
 
+def advance(dt: float, *steppers: Any) -> list[Any]:
+    """Return what each compiled stepper returns after a time dt [s]."""
+    try:
+        return [one.step(dt) for one in steppers]
+    except TypeError:
+        number(dt, "dt [s]")  # says it in a sentence
+        raise
+
+
 class Stepper:
     """One run of a `Dmp`, sample by sample; made by `Dmp.stepper`.
 
@@ -255,11 +258,7 @@ class Stepper:
         ------
         ShapeError : no finite time above zero.
         """
-        try:
-            state = self._kernel.step(dt)
-        except TypeError:
-            number(dt, "dt [s]")  # says it in a sentence
-            raise
+        state = advance(dt, self._kernel)[0]
         self._t += dt
         return state
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
 from armlab.motion.dmp import Dmp
 from armlab.motion.primitive.demonstrations import Demo
-from armlab.motion.primitive.least_squares import rows_needed, solve, solve_joined
 from armlab.motion.primitive.run import progress
 
 ENDS = ("y0", "v0", "g")
@@ -32,7 +32,7 @@ class Learned:
     ends: np.ndarray
     unit: np.ndarray
     sigma: np.ndarray
-    residuals: np.ndarray
+    residuals: np.ndarray | Callable[[], np.ndarray]
     triangle: np.ndarray
     unknowns: tuple[int, ...]
     of_position: bool
@@ -42,42 +42,53 @@ class Learned:
         """Return the motion (N, n) of demonstration k."""
         y0, v0, g = self.ends[k]
         tau = dmp.tau_d * demo.duration / dmp.duration
-        return dmp.primitive.rollout(demo.t, tau, y0, v0, g, np.ascontiguousarray(self.scales[k]))[0]
+        return dmp._primitive.rollout(demo.t, tau, y0, v0, g, np.ascontiguousarray(self.scales[k]))[0]
 
 
-def learn(
-    method: str,
-    blank: Dmp,
-    demos: list[Demo],
-    scales: np.ndarray,
-    starts: np.ndarray,
-    goals: np.ndarray,
-    ends: Ends,
-    hold: float,
-    ridge: float,
-    bandwidth: float | None,
-    raw: bool,
-) -> Learned:
-    """Learn weights that M demonstrations share, with scales, starts and goals (M, n) and the options of `fit_dmp`."""
+@dataclass(frozen=True)
+class WeightProblem:
+    """A primitive without weights, demonstrations with scales, starts and goals (M, n), ends, options of `fit_dmp`."""
+
+    method: str
+    blank: Dmp
+    demos: list[Demo]
+    scales: np.ndarray
+    starts: np.ndarray
+    goals: np.ndarray
+    ends: Ends
+    hold: float
+    ridge: float
+    bandwidth: float | None
+    raw: bool
+
+    def of_each(self) -> list[WeightProblem]:
+        """Return the problem of each demonstration alone."""
+        parts = zip(self.demos, self.scales, self.starts, self.goals)
+        return [replace(self, demos=[d], scales=s[None], starts=a[None], goals=b[None]) for d, s, a, b in parts]
+
+
+def learn(problem: WeightProblem) -> Learned:
+    """Learn weights that M demonstrations share."""
+    blank, demos, scales, ends = problem.blank, problem.demos, problem.scales, problem.ends
     m = blank.n_basis
-    if method == "trajectory" and blank.schedule != "position":
+    if problem.method == "trajectory" and blank.schedule != "position":
         taus = [blank.tau_d * demo.duration / blank.duration for demo in demos]
-        found = fit_trajectory(blank.primitive, demos, taus, scales, ends, hold, ridge)
+        found = fit_trajectory(blank._primitive, demos, taus, scales, ends, problem.hold, problem.ridge)
         unknowns = (*range(m), *(m + 3 * k + e for k in range(len(demos)) for e in found.free))
         parts = found.weights, found.ends, found.unit, found.sigma, found.residuals, found.triangle
         return Learned(*parts, unknowns, True, scales)
-    velocities = [_velocity(demo, bandwidth) for demo in demos]
+    velocities = [_velocity(demo, problem.bandwidth) for demo in demos]
     speeds = [ends.known.get("v0", v[0]) for v, _ in velocities]
-    all_ends = np.stack([starts, np.array(speeds), goals], axis=1)
+    all_ends = np.stack([problem.starts, np.array(speeds), problem.goals], axis=1)
     forced = [
         _forced(blank, demo, *velocity, scale, start, goal)
-        for demo, velocity, scale, start, goal in zip(demos, velocities, scales, starts, goals)
+        for demo, velocity, scale, start, goal in zip(demos, velocities, scales, problem.starts, problem.goals)
     ]
-    bells = (blank.centres, blank.widths if raw else np.zeros(0)) if method == "lwr" else None
-    first = fit_regression(forced, blank.primitive, m, blank.schedule != "time", ridge, bells)
+    bells = (blank.centres, blank.widths if problem.raw else np.zeros(0)) if problem.method == "lwr" else None
+    first = fit_regression(forced, blank._primitive, m, blank.schedule != "time", problem.ridge, bells)
     parts = first.unit, first.sigma, first.residuals, first.triangle
     learned = Learned(first.weights, all_ends, *parts, tuple(range(m)), False, scales)
-    return learned if method != "trajectory" else _descended(blank, demos, learned)
+    return learned if problem.method != "trajectory" else _descended(blank, demos, learned)
 
 
 def _velocity(demo: Demo, bandwidth: float | None) -> tuple[np.ndarray, np.ndarray]:
@@ -115,7 +126,7 @@ def _descended(blank: Dmp, demos: list[Demo], learned: Learned) -> Learned:
         for k, demo in enumerate(demos):
             tau = blank.tau_d * demo.duration / blank.duration
             ends = (np.broadcast_to(a, (K, blank.n)) for a in (*learned.ends[k], learned.scales[k]))
-            paths.append(blank.primitive.rollout(demo.t, tau, *ends, weights)[0])
+            paths.append(blank._primitive.rollout(demo.t, tau, *ends, weights)[0])
         return np.concatenate(paths)
 
     w, inverses, residuals = descend(run, y, roots, learned.weights)
@@ -287,13 +298,13 @@ class Forced:
 
 @dataclass(frozen=True)
 class Regression:
-    """Weights (m, n), their covariances (n, m, m) for noise of unit variance, noise of the forcing (n,),
+    """Weights (m, n), their covariances (n, m, m) for noise of unit variance, noise of the forcing (n,), what makes the
     residuals (N, n), and triangle (m, m) of the first coordinate."""
 
     weights: np.ndarray
     unit: np.ndarray
     sigma: np.ndarray
-    residuals: np.ndarray
+    residuals: Callable[[], np.ndarray]
     triangle: np.ndarray
 
 
@@ -322,14 +333,14 @@ def fit_regression(
         weights = _joined([demo.weights for demo in demos])
         one = _least_squares(rows, weights, ridge) if bells is None else _kernel_by_kernel(rows, weights, *bells)
         found.append(one)
-        left.append(rows.residuals(one[0]))
+        left.append(partial(rows.residuals, one[0]))
     w, squares = (np.concatenate([one[k] for one in found], axis=-1) for k in (0, 3))
     N = sum(len(demo.f) for demo in demos)
     return Regression(
         w,
         np.concatenate([np.broadcast_to(one[1], (one[0].shape[1], m, m)) for one in found]),
         np.sqrt(squares / max(N - m, 1)),
-        np.concatenate(left, axis=-1),
+        lambda: np.concatenate([one() for one in left], axis=-1),
         found[0][2],
     )
 
@@ -416,3 +427,72 @@ def descend(
             break
         error = total
     return w, inverses, y - run(w[None])[:, 0]
+
+
+BLOCK = 8  # columns that are reflected together: the fastest for some fifty of them
+RCOND = 1e-11  # relative singular value below which a direction is left at zero
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Solution x (p, q) of ``A x = b``, the inverse G (p, p) of the normal matrix, the triangle (p, p) of A, and the
+    least sums of squares (q,), penalties included."""
+
+    x: np.ndarray
+    G: np.ndarray
+    triangle: np.ndarray
+    squares: np.ndarray
+
+
+def solve(A: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None) -> Solution:
+    """Minimise ``||A x - b||^2 + sum ridge x^2`` with A (N, p), b (N, q), ridge (p,)."""
+    N, p = A.shape
+    joined = np.zeros((rows_needed(N, p, ridge), p + b.shape[1]), order="F")
+    joined[:N, :p] = A
+    return solve_joined(joined, b, ridge)
+
+
+def rows_needed(N: int, p: int, ridge: np.ndarray | None) -> int:
+    """Return how many rows `solve_joined` needs for N equations of p unknowns."""
+    return max(N, p) + (0 if ridge is None else p)
+
+
+def solve_joined(joined: np.ndarray, b: np.ndarray, ridge: np.ndarray | None = None) -> Solution:
+    """Solve in place: `joined` (rows, p + q) in Fortran order has A in its corner, otherwise 0, and is overwritten."""
+    p = joined.shape[1] - b.shape[1]
+    joined[: len(b), p:] = b
+    if ridge is not None:
+        joined[-p:, :p] = np.diag(np.sqrt(ridge))
+    geqrt, trcon, trtri, trtrs = _lapack()
+    factor = np.triu(geqrt(min(BLOCK, *joined.shape), joined, overwrite_a=True)[0][: joined.shape[1]])
+    R, rotated, left = factor[:p, :p], factor[:p, p:], factor[p:, p:]
+    squares = np.einsum("ij,ij->j", left, left)
+    norms = np.sqrt(np.einsum("ij,ij->j", R, R))  # of the columns of A; a reflection scales with its column
+    scale = np.where(norms > 0, norms, 1.0)
+    scaled = R / scale
+    if trcon(scaled)[0] > RCOND:
+        inverse, x = trtri(R)[0], trtrs(R, rotated)[0]  # the same with columns scaled, but for rounding
+    else:
+        U, s, V = np.linalg.svd(scaled)
+        identified = s > RCOND * s[0]
+        inverse = V.T * np.where(identified, 1.0 / np.where(identified, s, 1.0), 0.0) / scale[:, None]
+        x = inverse @ (U.T @ rotated)
+        squares += ((R @ x - rotated) ** 2).sum(axis=0)
+    return Solution(x, inverse @ inverse.T, R, squares)
+
+
+@cache
+def _lapack() -> Any:
+    from scipy.linalg import get_lapack_funcs
+
+    return get_lapack_funcs(("geqrt", "trcon", "trtri", "trtrs"), dtype=np.float64)
+
+
+def block_covariance(unit: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Return the covariance (n d, n d) of n independent coordinates from unit covariances (n, d, d) and noise (n,)."""
+    n, d, _ = unit.shape
+    cov = np.zeros((n * d, n * d))
+    for i, own in enumerate(unit):
+        cov.reshape(n, d, n, d)[i, :, i] = own * sigma[i] ** 2
+    cov.flags.writeable = False
+    return cov
