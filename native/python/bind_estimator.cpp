@@ -6,7 +6,6 @@
 namespace armlab {
 namespace {
 
-constexpr int methods = 6;  // of WrenchMethod
 
 void construct(WrenchEstimator *self, const Chain &chain, nb::handle gravity, nb::handle links,
     nb::handle rotor, const Drive &drive, nb::handle gains, double gain_variance,
@@ -23,8 +22,8 @@ void construct(WrenchEstimator *self, const Chain &chain, nb::handle gravity, nb
   const double *b = bound.data();
   for (int i = 0; i < n; ++i) p.bound[i] = {b[i], b[n + i], b[2 * n + i]};
   p.cutoff = cutoff;
-  if (method < 0 || method >= methods)
-    raise_shape_error("Expected method from 0 to " + std::to_string(methods - 1) + ", got " +
+  if (method < 0 || method >= wrench_methods)
+    raise_shape_error("Expected method from 0 to " + std::to_string(wrench_methods - 1) + ", got " +
                       std::to_string(method) + ".");
   p.method = static_cast<WrenchMethod>(method);
   new (self) WrenchEstimator(p);

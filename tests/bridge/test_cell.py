@@ -24,8 +24,7 @@ from armlab.bridge.inputs.parameters import Parameters
 from armlab.bridge.listen import is_open, listening
 from armlab.bridge.net.sockets import is_here
 from armlab.bridge.servers.labcomm.client import LabCommSource
-from armlab.bridge.servers.local import LocalFeed, socket_path
-from armlab.bridge.servers.local import _listen
+from armlab.bridge.servers.local import LocalFeed, _listen, socket_path
 from armlab.bridge.servers.messages import CommandRequest, SetRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Row
 from armlab.cli import main

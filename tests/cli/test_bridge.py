@@ -21,19 +21,14 @@ from rich.console import Console
 
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.servers.hub import OPERATOR, Exchange
-from armlab.bridge.servers.local import LocalFeed, socket_path
-from armlab.bridge.servers.local_server import LocalServer
+from armlab.bridge.servers.hub import OPERATOR, Hub
+from armlab.bridge.servers.local import LocalFeed, LocalServer, socket_path
 from armlab.bridge.servers.messages import Subscribe, parameter_message
 from armlab.bridge.servers.row import RowSchema, RowWriter, read_row
-from armlab.bridge.servers.watch import Watch
+from armlab.bridge.servers.status import Watch
+from armlab.bridge.servers.zenoh.security import USERS
 from armlab.cli import main
-from armlab.cli.bridge import (
-    USERS,
-    monitor,
-    table,
-    write_certificates,
-)
+from armlab.cli.bridge import monitor, table, write_certificates
 from armlab.errors import ConfigError
 from armlab.log import Tick
 from armlab.state import State
@@ -47,11 +42,11 @@ link = "sim://yumi_left"
 
 
 @pytest.fixture
-def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Exchange]:
+def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
     """An exchange whose requests another thread takes, as when no packet of a robot comes."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     declared = [Parameter("gain", 2.0, unit="N/m", minimum=0.0, text="Stiffness."), Parameter("word", "a", "text")]
-    exchange = Exchange([robots.load("yumi_left")], [OPERATOR], Parameters(declared))
+    exchange = Hub([robots.load("yumi_left")], [OPERATOR], Parameters(declared))
     far = exchange.open(OPERATOR)
     server = threading.Thread(target=LocalServer(far, socket_path("small")).run, daemon=True)
     over = threading.Event()
@@ -72,7 +67,7 @@ def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Exchang
     far.close()
 
 
-def test_set(running: Exchange, capsys: Any) -> None:
+def test_set(running: Hub, capsys: Any) -> None:
     assert main(["bridge", "set", "gain=3.5", "word=hello"]) == 0
     shown = capsys.readouterr().out
     assert re.search(r"gain +3.5 +N/m +Stiffness. +local \d", shown)
@@ -82,7 +77,7 @@ def test_set(running: Exchange, capsys: Any) -> None:
 
 
 @pytest.mark.parametrize("word", ["007", "_", "2024_", "x y", "0x", "1.2.3"])
-def test_words_that_are_no_toml_are_texts(running: Exchange, word: str) -> None:
+def test_words_that_are_no_toml_are_texts(running: Hub, word: str) -> None:
     assert main(["bridge", "set", f"word={word}"]) == 0
     assert running.parameters.word == word
 
@@ -97,13 +92,13 @@ def test_words_that_are_no_toml_are_texts(running: Exchange, word: str) -> None:
         (["word=99999999999999999999"], 2, "an integer of 64 bits"),
     ],
 )
-def test_refused(running: Exchange, capsys: Any, words: list[str], code: int, said: str) -> None:
+def test_refused(running: Hub, capsys: Any, words: list[str], code: int, said: str) -> None:
     assert main(["bridge", "set", *words]) == code
     assert said in capsys.readouterr().err
     assert running.parameters.gain == 2.0
 
 
-def test_stop_release_and_resume(running: Exchange, capsys: Any) -> None:
+def test_stop_release_and_resume(running: Hub, capsys: Any) -> None:
     assert main(["bridge", "stop"]) == 0
     assert running.arbiter.stopped.startswith("local ")
     assert main(["bridge", "release"]) == 0
@@ -119,7 +114,7 @@ def test_nothing_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: A
         assert "found none" in capsys.readouterr().err
 
 
-def test_others_may_set_parameters_meanwhile(running: Exchange, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_others_may_set_parameters_meanwhile(running: Hub, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     """What is shown is what this program set, not the first echo that comes."""
     taken = running._take
 
@@ -136,7 +131,7 @@ def test_others_may_set_parameters_meanwhile(running: Exchange, monkeypatch: pyt
     assert re.search(r"gain +3.5", capsys.readouterr().out)
 
 
-def test_a_request_without_an_answer(running: Exchange, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_a_request_without_an_answer(running: Hub, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     """Events and reports go on: it must not wait for ever."""
     monkeypatch.setattr(running, "answer", lambda client, text: None)
     monkeypatch.setattr("armlab.cli.bridge._PATIENCE", 0.05)
@@ -265,7 +260,7 @@ def test_the_table() -> None:
 def test_plain_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     """Without a terminal: a line per arm and second, and the events."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    exchange = Exchange([LEFT], [OPERATOR])
+    exchange = Hub([LEFT], [OPERATOR])
     far = exchange.open(OPERATOR)
     server = threading.Thread(target=LocalServer(far, socket_path("small")).run, daemon=True)
     server.start()

@@ -13,7 +13,8 @@ from armlab import identify, models
 from armlab.cli import main
 from armlab.cli.estimate import ContactPrior
 from armlab.cli.estimate.report import AXES, axes, columns, contact_rows, judge, limits, page, places, rows
-from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, Contact, Estimator, contacts, hypotheses
+from armlab.contact import INFEASIBLE, INVALID, SINGULAR, STUCK, Estimator, contacts, hypotheses
+from armlab.contact.contacts import Contact
 from armlab.log import Table
 from armlab.log.reading import read
 from armlab.models import TorqueModel

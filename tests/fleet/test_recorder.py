@@ -45,7 +45,10 @@ def check_ticks(path: Path, holes: int = 0) -> np.ndarray:
 def test_messages_of_no_robot_are_counted_and_leave_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorder, "_UNANSWERED", 0.3)
     told: list[str] = []
-    with Router(port=(port := free_port())), FleetRecorder(LabAddress(port=port, lab=EVERY), tmp_path, told.append) as fleet:
+    with (
+        Router(port=(port := free_port())),
+        FleetRecorder(LabAddress(port=port, lab=EVERY), tmp_path, told.append) as fleet,
+    ):
         session = open_session("client", connect=[f"127.0.0.1:{port}"])
 
         def sent() -> bool:
@@ -80,7 +83,10 @@ def test_what_goes_wrong_with_one_robot_ends_its_recording_alone(
         whole(self)
 
     monkeypatch.setattr(RobotRecord, "write", wrong)
-    with Router(port=(port := free_port())), FleetRecorder(LabAddress(port=port, lab=EVERY), tmp_path, told.append) as fleet:
+    with (
+        Router(port=(port := free_port())),
+        FleetRecorder(LabAddress(port=port, lab=EVERY), tmp_path, told.append) as fleet,
+    ):
         session = open_session("client", connect=[f"127.0.0.1:{port}"])
 
         def sent(name: str) -> int:

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.bridge.servers.hub import Exchange
-from armlab.bridge.servers.zenoh import EVERY, Place, close_session, open_session
+from armlab.bridge.servers.hub import Hub
+from armlab.bridge.servers.zenoh.keys import EVERY
 from armlab.bridge.servers.zenoh.process import ZenohProcess
+from armlab.bridge.servers.zenoh.session import LabAddress, close_session, open_session
 from armlab.live.fleet_view import FleetRows
 from armlab.log import Tick
 from armlab.robots import Robot
@@ -29,7 +30,7 @@ class FleetBridge:
 
     def __init__(self, router: int, robot: Robot, lab: str) -> None:
         self.robot, self.q = robot, np.array(robot.q_home)
-        self._exchange = Exchange([robot], ["zenoh"], about={"cell": robot.name})
+        self._exchange = Hub([robot], ["zenoh"], about={"cell": robot.name})
         self._far = self._exchange.open("zenoh")
         options = {"lab": lab, "host": "127.0.0.1", "port": 0, "router": f"127.0.0.1:{router}"}
         self._process = ZenohProcess(self._far, options)
@@ -75,7 +76,7 @@ class Fleet:
         return self._bridges[-1]
 
     def rows(self, lab: str = EVERY) -> FleetRows:
-        self._heard.append(FleetRows(Place(port=self.port, lab=lab)))
+        self._heard.append(FleetRows(LabAddress(port=self.port, lab=lab)))
         return self._heard[-1]
 
     def put(self, where: str, data: bytes) -> None:

@@ -12,7 +12,8 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.servers.row import RowSchema
-from armlab.bridge.servers.zenoh import EVERY, Place
+from armlab.bridge.servers.zenoh.keys import EVERY
+from armlab.bridge.servers.zenoh.session import LabAddress
 from armlab.errors import LinkError
 from armlab.kinematics import forward
 from armlab.lie import quaternion, se3
@@ -177,7 +178,7 @@ def test_it_tells_who_comes_and_who_goes(fleet: Fleet) -> None:
             one.close()
         return {"lab1/ur5e is gone", "lab1/strange says what cannot be understood"} <= set(told)
 
-    watch_fleet(Place(port=fleet.port, lab=EVERY), port=0, opened=told.append, tell=told.append, over=over)
+    watch_fleet(LabAddress(port=fleet.port, lab=EVERY), port=0, opened=told.append, tell=told.append, over=over)
     assert told[0].startswith("http://127.0.0.1:")
     assert told.count("lab1/strange says what cannot be understood") == 1
 
@@ -186,5 +187,5 @@ def test_without_a_router_nothing_is_opened(monkeypatch: pytest.MonkeyPatch) -> 
     told: list[str] = []
     monkeypatch.setattr("armlab.live.fleet_view.FleetRows", partial(FleetRows, patience=0.1))
     with pytest.raises(LinkError, match="Expected a Zenoh router"):
-        watch_fleet(Place(port=1), opened=told.append)
+        watch_fleet(LabAddress(port=1), opened=told.append)
     assert not told

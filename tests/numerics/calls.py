@@ -15,8 +15,7 @@ def of_group(module: Any, name: str, given: dict[str, np.ndarray], _: dict[str, 
     more: dict[str, Any] = {"screw": True} if chosen == "screw" else {}
     if name.startswith("euler"):
         more = {axis: "xyz".index(letter) for axis, letter in zip(("first", "middle", "last"), chosen)}
-    result = getattr(module, name)(*given.values(), **more)
-    return result[0] if name == "so3_nearest" else result
+    return getattr(module, name)(*given.values(), **more)
 
 
 def of_chain(module: Any, name: str, given: dict[str, np.ndarray], fixed: dict[str, np.ndarray]) -> Any:

@@ -63,9 +63,6 @@ BOUNDS = {  # the largest found on any instruction set, and half as much to twic
     "Obstacles rail": (128.0, "both"),
     "Obstacles straight potential": (24.0, "the angle to the middle, a difference of two directions"),
     "wrench_interval": (4e7, "the ends move out by up to 2e-10 of the box, which settles ties, and never in"),
-    "turned_weight bias": (64.0, "mean force less the weight, of which a tenth is left"),
-    "turned_weight residuals": (1024.0, "forces less what explains them, of which a hundredth is left"),
-    "turned_weight cov": (16.0, "the condition of the tensor of the pulls, about 5"),
     "rotation_rollout time w": (200.0, "between the samples the speed is thirty times what is left at them"),
 }
 TABLED = {  # tables of kernels that are not called as these are
@@ -94,10 +91,8 @@ BYTES = "bytes and texts, no numbers are computed: tests/kernels holds what come
 LEFT_OUT = {  # kernels without a table, and what holds them instead
     "Chain.forward_jacobian": "gives what forward and jacobian give, to the bit (tests/kernels/test_chain.py)",
     "Datagrams": BYTES,
-    "EgmReader": BYTES,
-    "EgmWriter": BYTES,
+    "EgmMessages": BYTES,
     "InverseSolver": "a search: tests/numerics/test_tables.py holds the errors it tells to exact poses",
-    "JsonText": BYTES,
     "MessageCopier": BYTES,
     "MomentumEstimator.reset": "forgets, and computes nothing",
     "MomentumEstimator.run": "the samples of step, one after the other",
@@ -108,7 +103,6 @@ LEFT_OUT = {  # kernels without a table, and what holds them instead
     "PrimitiveStepper.outputs": "what step returns",
     "RecordMaker": BYTES,
     "RowEncoder": BYTES,
-    "RowMessages": BYTES,
     "RowPacker": BYTES,
     "SignalOperator.reset": "forgets, and computes nothing",
     "SignalOperator.step": "the samples of run, one after the other",

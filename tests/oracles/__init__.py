@@ -8,7 +8,6 @@ their steps (tests/kinematics).
 
 from __future__ import annotations
 
-from .calibration import hand_eye_rows, turned_weight
 from .chain import Chain
 from .drive import Drive, basis_weights, model_torque, presliding
 from .estimator import WrenchEstimator
@@ -33,7 +32,6 @@ from .lie import (
     so3_left_jacobian,
     so3_left_jacobian_inv,
     so3_log,
-    so3_nearest,
 )
 from .limits import limit_reference
 from .momentum import MomentumEstimator, momentum_step

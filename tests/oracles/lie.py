@@ -173,34 +173,6 @@ def quaternion_slerp(a: Any, b: Any, s: Any) -> np.ndarray:
     return _unit((1 - share) * np.sinc((1 - share) * omega) * one + share * np.sinc(share * omega) * other)
 
 
-def so3_nearest(M: Any) -> tuple[np.ndarray, np.ndarray]:
-    """``U diag(1, 1, d) Vᵀ`` of ``M = U S Vᵀ``, d = det UVᵀ, and (..., 3) ``σ₁, σ₂, d σ₃``.
-
-    ``σ₂ + d σ₃`` says how well the rotation is determined; where it is 0 the rotation is one of many.
-    """
-    M = np.asarray(M, dtype=float)
-    U, S, Vt = np.linalg.svd(M)
-    sign = np.sign(np.linalg.det(U @ Vt))
-    U[..., 2] *= sign[..., None]
-    S[..., 2] *= sign
-    determined = S[..., 1:].sum(axis=-1) > 1e-9 * S[..., 0]
-    return np.where(determined[..., None, None], _refine(U @ Vt, M, determined), U @ Vt), S
-
-
-def _refine(R: np.ndarray, M: np.ndarray, determined: np.ndarray) -> np.ndarray:
-    """R after Newton steps, which remove the rounding of the singular value decomposition.
-
-    With ``A = Rᵀ M`` and its symmetric part S: ``R exp(w)``, ``(tr S I - S) w = vee(A - Aᵀ)``.
-    """
-    R = R @ (1.5 * np.eye(3) - 0.5 * _transposed(R) @ R)
-    A = _transposed(R) @ M
-    S = (A + _transposed(A)) / 2
-    H = np.trace(S, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - S
-    a = np.stack([A[..., i, j] - A[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1)
-    w = np.linalg.solve(np.where(determined[..., None, None], H, np.eye(3)), a[..., None])[..., 0]
-    return R @ so3_exp(w)
-
-
 LOCK = 1e-13  # below, the first and the last axis are parallel to the last digit
 
 

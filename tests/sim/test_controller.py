@@ -19,8 +19,9 @@ from armlab.sim.controller.packets import EPOCH_NS
 from armlab.sim.controller.settings import ControllerSettings
 from armlab.sim.controller.statistics import ControllerEvent
 from armlab.sim.events import MOTORS, RAPID, AppliedWrench, HandPath, StateScript, Surroundings
-from armlab.wire.egm import EgmCodec, Packet, Reference, RobotSideCodec
+from armlab.wire.egm import EgmCodec, Packet, Reference
 from armlab.wire.egm import armlab_egm_pb2 as pb
+from armlab.wire.egm.robot_side import RobotSideCodec
 
 ROBOT = robots.load("yumi_right")
 TRUTH = synthetic_truth(ROBOT)

@@ -16,8 +16,9 @@ from armlab.sim.controller.inbox import QUEUE_LENGTH, ReplyQueue, Sent
 from armlab.sim.controller.packets import EPOCH_NS, OPTIONAL_FIELDS, Condition, PacketBuilder
 from armlab.sim.controller.settings import ControllerSettings
 from armlab.sim.controller.statistics import ControllerEvent, Statistics
-from armlab.wire.egm import Drop, EgmCodec, Packet, Reference, RobotSideCodec, SensorMessage
+from armlab.wire.egm import Drop, EgmCodec, Packet, Reference
 from armlab.wire.egm import armlab_egm_pb2 as pb
+from armlab.wire.egm.robot_side import RobotSideCodec, SensorMessage
 
 ROBOT = robots.load("yumi_left")
 ARM = SimulatedArm(ROBOT, synthetic_truth(ROBOT))

@@ -157,7 +157,7 @@ void WrenchEstimator::solve(const double *q, WrenchEstimate &e) const {
 void WrenchEstimator::intervals(
     const double *A, const Unknowns &unknowns, WrenchEstimate &e) const {
   const int n = this->n(), k = unknowns.k;
-  double spread[max_joints], box[6], ends[12];
+  double spread[max_joints], box[6], ends[12] = {};
   bool violated[max_joints];
   for (int i = 0; i < n; ++i) spread[i] = e.bound[i] + spread_sigmas * std::sqrt(e.variance[i]);
   for (int a = 0; a < k; ++a) box[a] = box_sigmas * std::sqrt(p_.prior[a]);

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from armlab.bridge.servers.messages import Request
-    from armlab.bridge.servers.watch import Watch
+    from armlab.bridge.servers.status import Watch
 
 
 _WHOLE = re.compile(r"[-+]?[1-9][0-9]*(_[0-9]+)*")
@@ -277,8 +277,8 @@ def monitor(robot: str | None = None, *, cell: Cell = "", zenoh: str = "", secon
 
     from armlab.bridge.servers.local import LocalFeed
     from armlab.bridge.servers.messages import Subscribe
-    from armlab.bridge.servers.watch import Watch
-    from armlab.bridge.servers.zenoh import ZenohFeed
+    from armlab.bridge.servers.status import Watch
+    from armlab.bridge.servers.zenoh.feed import ZenohFeed
     from armlab.cli.support.output import note, result
 
     if seconds is not None and not seconds >= 0.0:

@@ -17,11 +17,9 @@ from typing import Any
 
 from armlab.bridge.servers.row import MAGIC, RowField, RowSchema
 from armlab.bridge.servers.zenoh.keys import EVERY, key, robot_of
-from armlab.bridge.servers.zenoh.rows import undamaged
-from armlab.bridge.servers.zenoh.session import Discovery, LabAddress, close_session
 from armlab.bridge.servers.zenoh.messages import read_about
-from armlab.bridge.servers.zenoh.rows import Inbox
-from armlab.bridge.servers.zenoh.session import zenoh
+from armlab.bridge.servers.zenoh.rows import Inbox, undamaged
+from armlab.bridge.servers.zenoh.session import Discovery, LabAddress, close_session, zenoh
 from armlab.errors import ArmlabError, LinkError
 from armlab.log.recording.file import RecordingFile
 from armlab.log.recording.recorder import FLUSH_PERIOD, WRITE_PERIOD, Syncing

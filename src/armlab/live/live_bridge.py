@@ -12,8 +12,9 @@ import numpy as np
 from armlab.bridge.servers.local import LocalFeed
 from armlab.bridge.servers.messages import Subscribe
 from armlab.bridge.servers.row import Row
-from armlab.bridge.servers.watch import Watch
-from armlab.bridge.servers.zenoh import Place, ZenohFeed
+from armlab.bridge.servers.status import Watch
+from armlab.bridge.servers.zenoh.feed import ZenohFeed
+from armlab.bridge.servers.zenoh.session import LabAddress
 from armlab.contact import Estimator
 from armlab.errors import LinkError, ModelMismatchError, UnknownName
 from armlab.kinematics import forward
@@ -65,7 +66,7 @@ class Running:
         models: Sequence[TorqueModel] = (),
     ) -> None:
         if zenoh:
-            Place.read(zenoh)
+            LabAddress.read(zenoh)
         self._robot, self._cell, self._zenoh, self._models = robot, cell, zenoh, tuple(models)
         self._rate = None if models else rate
         self._feed: LocalFeed | ZenohFeed | None = None

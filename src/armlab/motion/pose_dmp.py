@@ -515,7 +515,7 @@ def _fit(value: PoseDmp, position: Fit[Dmp], linear: Fit[Dmp], found: Turning) -
         sigma=np.concatenate([position.sigma, sigma]),
         residuals=np.concatenate([position.residuals, found.residuals], axis=1),
         n=position.n,
-        excitation=lambda: position.excitation,
+        excitation=position.excitation,
         summary=_report,
         classes=tuple(
             f"{what} {axis} [{unit}]" for what, unit in (("position", "m"), ("rotation", "rad")) for axis in "xyz"

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.bridge.cell import Cell, run_cell
 from armlab.bridge.arbiter import Arbiter
+from armlab.bridge.cell import Cell, run_cell
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.servers.hub import Hub
 from armlab.log import Tick

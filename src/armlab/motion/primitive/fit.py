@@ -247,11 +247,11 @@ def _fit(dmp: Dmp, problem: WeightProblem, learned: Learned) -> Fit[Dmp]:
         names=names,
         units=units,
         parameters=np.concatenate(parts).T.ravel(),
-        cov=lambda: block_covariance(learned.unit, learned.sigma),
+        cov=block_covariance(learned.unit, learned.sigma),
         sigma=learned.sigma,
         residuals=learned.residuals,
         n=sum(len(demo.t) for demo in demos),
-        excitation=lambda: Excitation.of(learned.triangle, [one[k] for k in learned.unknowns], MAX_CONDITION),
+        excitation=Excitation.of(learned.triangle, [one[k] for k in learned.unknowns], MAX_CONDITION),
         summary=lambda fit: _report(fit, problem.method, learned, demos),
         classes=tuple(f"{kind} of coordinate {i} [unit of y]" for i in range(n)),
     )

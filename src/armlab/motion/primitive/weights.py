@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -25,14 +25,14 @@ DAMPING = 1e-8  # of the mean square of a column
 @dataclass(frozen=True)
 class Learned:
     """Weights (m, n); y0, v0, g of each demonstration (M, 3, n); covariances (n, d, d) of weights, and of the ends
-    where they were fitted too, for noise of unit variance; noise (n,); residuals (N, n), of position or of the forcing,
-    or what makes them; triangle of the unknowns and their numbers; scales (M, n)."""
+    where they were fitted too, for noise of unit variance; noise (n,); residuals (N, n), of position or of the forcing;
+    triangle of the unknowns and their numbers; scales (M, n)."""
 
     weights: np.ndarray
     ends: np.ndarray
     unit: np.ndarray
     sigma: np.ndarray
-    residuals: np.ndarray | Callable[[], np.ndarray]
+    residuals: np.ndarray
     triangle: np.ndarray
     unknowns: tuple[int, ...]
     of_position: bool
@@ -304,7 +304,7 @@ class Regression:
     weights: np.ndarray
     unit: np.ndarray
     sigma: np.ndarray
-    residuals: Callable[[], np.ndarray]
+    residuals: np.ndarray
     triangle: np.ndarray
 
 
@@ -333,14 +333,14 @@ def fit_regression(
         weights = _joined([demo.weights for demo in demos])
         one = _least_squares(rows, weights, ridge) if bells is None else _kernel_by_kernel(rows, weights, *bells)
         found.append(one)
-        left.append(partial(rows.residuals, one[0]))
+        left.append(rows.residuals(one[0]))
     w, squares = (np.concatenate([one[k] for one in found], axis=-1) for k in (0, 3))
     N = sum(len(demo.f) for demo in demos)
     return Regression(
         w,
         np.concatenate([np.broadcast_to(one[1], (one[0].shape[1], m, m)) for one in found]),
         np.sqrt(squares / max(N - m, 1)),
-        lambda: np.concatenate([one() for one in left], axis=-1),
+        np.concatenate(left, axis=-1),
         found[0][2],
     )
 

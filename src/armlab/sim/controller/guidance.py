@@ -24,8 +24,8 @@ from armlab.errors import ConfigError
 from armlab.robots import Robot
 from armlab.sim.arm.joints import JointDrives
 from armlab.sim.controller.settings import ControllerSettings
-from armlab.wire.egm import SensorMessage
 from armlab.wire.egm.axes import Linkage
+from armlab.wire.egm.robot_side import SensorMessage
 
 _OVERSHOOT = 0.02  # rad: the filters may carry a reference that stops at a limit this far beyond it
 

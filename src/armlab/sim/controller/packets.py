@@ -11,7 +11,7 @@ import numpy as np
 from armlab.errors import UnknownName
 from armlab.sim.arm.arm import LaggingArm, SimulatedArm
 from armlab.sim.controller.guidance import Guidance, ReferenceDecoder
-from armlab.wire.egm import RobotMessage, RobotSideCodec
+from armlab.wire.egm.robot_side import RobotMessage, RobotSideCodec
 
 EPOCH_NS = 1_500_000_000_000_000_000
 """Robot time starts here: the same bytes in every run."""

@@ -27,7 +27,7 @@ from armlab.bridge.servers.labcomm.connection import QUEUE, Peer
 from armlab.bridge.servers.labcomm.rows import STOP, Order, Row, RowTypes, signed
 from armlab.errors import ConfigError, LabCommError, UnknownName
 from armlab.wire.labcomm import Decoder, Encoder, Sample, idl, parse_lc
-from armlab.wire.labcomm.types import Array, Definition, PRIMS, SampleType, Unknown, VOID, Version
+from armlab.wire.labcomm.types import PRIMS, VOID, Array, Definition, SampleType, Unknown, Version
 
 COMMAND = idl.samples("armlab")["command_row"]
 VALUE = {"tm": 1, "pos": [0.5] * 7, "vel": [0.0] * 7, "trq": [0.0] * 7}

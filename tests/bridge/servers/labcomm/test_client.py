@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from armlab import bridge, robots
+from armlab.bridge.arbiter import Arbiter
 from armlab.bridge.servers.labcomm import ArmChannel, LabCommServer, Row, RowFeed, to_arbiter
 from armlab.bridge.servers.labcomm.channels import ParameterChannel
 from armlab.bridge.servers.labcomm.client import LabCommClient, LabCommSource, connected
@@ -181,7 +182,7 @@ def robot() -> Robot:
 @pytest.mark.slow
 def test_a_controller_far_away_moves_a_simulated_robot_over_egm(robot: Robot) -> None:
     """Simulated controller, EGM, bridge, LabComm, a second loop, and back. About 5 s."""
-    arbiter, far_runs = bridge.Arbiter([robot], ["labcomm"]), []
+    arbiter, far_runs = Arbiter([robot], ["labcomm"]), []
 
     def controller(state: State) -> Command:
         q = state.q_start.copy()

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import bridge, robots
+from armlab import robots
+from armlab.bridge.arbiter import Arbiter
 from armlab.bridge.servers.labcomm import ArmChannel, LabCommServer, Row
 from armlab.bridge.servers.labcomm.channels import FusedArm, FusedChannel, ParameterChannel
 from armlab.bridge.servers.labcomm.rows import STOP, RowTypes
@@ -219,7 +220,7 @@ def test_rows_of_a_run_are_published(start: Callable[..., Started]) -> None:
 
 def test_commands_pass_the_rights_of_an_arbiter() -> None:
     arm = robots.load("yumi_left")
-    arbiter, home = bridge.Arbiter([arm], ["labcomm"]), np.array(arm.q_home)
+    arbiter, home = Arbiter([arm], ["labcomm"]), np.array(arm.q_home)
     here = State(0.0, 0.004, home, 0 * home, 0 * home, robot=arm.name)
     take = to_arbiter(arbiter, arm.name)
     assert arbiter(here) is None
@@ -241,7 +242,7 @@ def test_a_refusal_names_the_number_that_the_client_sent(order: Any, called: str
     """The third joint from the base is ABB's axis 7: where its number stands depends on the order of the port."""
     arm = robots.load("yumi_left")
     said: list[str] = []
-    arbiter = bridge.Arbiter([arm], ["labcomm"], answer=lambda client, text: said.append(text))
+    arbiter = Arbiter([arm], ["labcomm"], answer=lambda client, text: said.append(text))
     home, types = np.array(arm.q_home), RowTypes(arm.abb_axes, order)
     far = home.copy()
     far[2] += 0.5
