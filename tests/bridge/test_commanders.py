@@ -27,7 +27,7 @@ from armlab.errors import LinkError
 from armlab.log import Table
 from armlab.state import Command
 
-from .servers.zenoh.conftest import free_port, until
+from ..processes import free_port, until
 
 pytest.importorskip("zenoh", reason="the extra net is not installed")
 

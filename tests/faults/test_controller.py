@@ -1,6 +1,7 @@
 """A controller that raises, sleeps, or returns what is no command; in virtual time.
 
-One that closes file descriptors runs in a process and in real time: the descriptors of the tests stay open.
+One that closes file descriptors runs in a process and in real time: the descriptors of the tests stay open. Some rows
+of the matrix are slow.
 """
 
 from __future__ import annotations

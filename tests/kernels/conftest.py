@@ -77,7 +77,7 @@ class Sines:
     def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         w = 2 * np.pi * np.array([[0.7], [1.9]]) * np.linspace(0.8, 1.2, len(self.q))
         wave = w * t[:, None, None]
-        parts = 0.2 * np.sin(wave), 0.2 * w * np.cos(wave), -0.2 * w**2 * np.sin(wave)
+        parts = 0.1 * np.sin(wave), 0.1 * w * np.cos(wave), -0.1 * w**2 * np.sin(wave)
         q, qd, qdd = (part.sum(axis=1) for part in parts)
         return self.q + q, qd, qdd
 

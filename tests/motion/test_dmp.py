@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from armlab.errors import ConfigError, ShapeError
-from armlab.motion import Dmp, Stepper, fit_dmp, with_via_points
+from armlab.motion import Dmp, Rollout, Stepper, fit_dmp, with_via_points
 from armlab.motion.primitive.equation import SCALINGS, placed
 from armlab.motion.primitive.run import RunOptions
 
@@ -39,7 +39,7 @@ def test_rollout_tends_to_the_solution_with_fourth_order(primitive: Primitive, s
 
 def test_what_is_returned_obeys_the_equation(primitive: Primitive) -> None:
     dmp = primitive()
-    run = dmp.rollout(np.linspace(0, 2, 2001), g=dmp.g + 1, duration=3.0)
+    run: Rollout = dmp.rollout(np.linspace(0, 2, 2001), g=dmp.g + 1, duration=3.0)
     tau = 3.0 * dmp.tau_d / dmp.duration
     spring = dmp.alpha_z * (dmp.beta_z * (dmp.g + 1 - run.y) - tau * run.yd)
     np.testing.assert_allclose(tau**2 * run.ydd, spring + run.forcing, atol=1e-9)

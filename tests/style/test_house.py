@@ -6,7 +6,13 @@ import pytest
 
 from .house import GOALS, Goal, measured, table
 
-MET = {"widest folder, modules", "import circles", "fit_dynamics, files deep"}
+MET = {
+    "tests, files",
+    "widest folder, modules",
+    "import circles",
+    "public names",
+    "fit_dynamics, files deep",
+}
 """Names of goals that are met, each held from then on."""
 
 

@@ -80,6 +80,7 @@ def test_a_server_that_ran_well_begins_a_new_series(well: float, outcome: str) -
             os.kill(servers.processes()["a"], signal.SIGKILL)
             until(lambda ends=ends: len(told) > ends)
         assert servers.dead == (set() if well == 0.0 else {"a"})
+    assert told[0] == "The server a ended with status -9. It starts again in 0.01 s. It said: nothing"
     assert outcome in told[-1]
 
 

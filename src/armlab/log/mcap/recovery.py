@@ -126,8 +126,8 @@ def recover(path: str | Path, to: str | Path | None = None, *, progress: Progres
     LogError : the file is not MCAP or holds no readable message; the copy cannot be written or exists.
     """
     path = Path(path)
-    target = path.with_name(f"{path.stem}.recovered.mcap") if to is None else Path(to)
     check_readable(path)
+    target = path.with_name(f"{path.stem}.recovered.mcap") if to is None else Path(to)
     if target.exists():
         raise LogError(f"Expected no file at {target}, got one; move it away or give another name.")
     with opened(path) as view:
