@@ -6,7 +6,6 @@
 namespace armlab {
 namespace {
 
-
 void construct(WrenchEstimator *self, const Chain &chain, nb::handle gravity, nb::handle links,
     nb::handle rotor, const Drive &drive, nb::handle gains, double gain_variance,
     nb::handle covariance, nb::handle bound_, nb::handle prior, double cutoff, int method,

@@ -1,7 +1,8 @@
 // Datagrams in and out of a socket that another owns. Documented in armlab/kernels/_native.pyi.
 //
-// Python's own calls make an exception for "nothing there", parse the address each time and let another thread have the
-// interpreter at each call: three times the time of the system calls, and more when the caches are cold.
+// Python's own calls make an exception for "nothing there", parse the address each time and let
+// another thread have the interpreter at each call: three times the time of the system calls, and
+// more when the caches are cold.
 #include "array/arrays.h"
 
 #include <arpa/inet.h>
@@ -17,7 +18,8 @@ namespace armlab {
 namespace {
 
 constexpr std::size_t largest = 65535;
-constexpr std::int64_t stale_ns = 10'000'000'000;  // a stamp older than this is a clock that was set, not an age
+constexpr std::int64_t stale_ns =
+    10'000'000'000;  // a stamp older than this is a clock that was set, not an age
 
 std::int64_t clock_ns(clockid_t clock) {
   timespec now;
@@ -28,9 +30,12 @@ std::int64_t clock_ns(clockid_t clock) {
 class Datagrams {
  public:
   Datagrams(nb::handle socket, nb::handle kind)
-      : socket_(nb::borrow(socket)), kind_(nb::borrow(kind)), fd_(nb::cast<int>(socket.attr("fileno")())) {
+      : socket_(nb::borrow(socket)),
+        kind_(nb::borrow(kind)),
+        fd_(nb::cast<int>(socket.attr("fileno")())) {
     if (!PyType_Check(kind.ptr()) || !PyType_IsSubtype(type(), &PyTuple_Type))
-      throw nb::type_error("Expected a named tuple of data, source and ns to make of each datagram.");
+      throw nb::type_error(
+          "Expected a named tuple of data, source and ns to make of each datagram.");
   }
 
   nb::object receive() {
@@ -52,11 +57,13 @@ class Datagrams {
       if (found->cmsg_level != SOL_SOCKET || found->cmsg_type != SCM_TIMESTAMPNS) continue;
       timespec stamp;
       std::memcpy(&stamp, CMSG_DATA(found), sizeof stamp);
-      const std::int64_t age = clock_ns(CLOCK_REALTIME) - (stamp.tv_sec * 1'000'000'000LL + stamp.tv_nsec);
+      const std::int64_t age =
+          clock_ns(CLOCK_REALTIME) - (stamp.tv_sec * 1'000'000'000LL + stamp.tv_nsec);
       if (age >= 0 && age < stale_ns) ns -= age;
     }
 #endif
-    if (from.sin_addr.s_addr != from_.sin_addr.s_addr || from.sin_port != from_.sin_port || !source_.is_valid()) {
+    if (from.sin_addr.s_addr != from_.sin_addr.s_addr || from.sin_port != from_.sin_port ||
+        !source_.is_valid()) {
       char host[INET_ADDRSTRLEN] = "";
       inet_ntop(AF_INET, &from.sin_addr, host, sizeof host);
       source_ = nb::make_tuple(static_cast<const char *>(host), ntohs(from.sin_port));
@@ -64,7 +71,8 @@ class Datagrams {
     }
     const nb::object made = nb::steal(type()->tp_alloc(type(), 3));
     if (!made.is_valid()) throw nb::python_error();
-    PyTuple_SET_ITEM(made.ptr(), 0, nb::bytes(buffer_, static_cast<std::size_t>(size)).release().ptr());
+    PyTuple_SET_ITEM(
+        made.ptr(), 0, nb::bytes(buffer_, static_cast<std::size_t>(size)).release().ptr());
     PyTuple_SET_ITEM(made.ptr(), 1, nb::object(source_).release().ptr());
     PyTuple_SET_ITEM(made.ptr(), 2, nb::int_(ns).release().ptr());
     return made;
@@ -75,9 +83,9 @@ class Datagrams {
     sockaddr_in address{};
     address.sin_family = AF_INET;
     address.sin_port = htons(nb::cast<std::uint16_t>(to[1]));
-    const bool sent =
-        inet_pton(AF_INET, nb::cast<const char *>(to[0]), &address.sin_addr) == 1 &&
-        sendto(fd_, data.c_str(), data.size(), MSG_DONTWAIT, reinterpret_cast<sockaddr *>(&address), sizeof address) >= 0;
+    const bool sent = inet_pton(AF_INET, nb::cast<const char *>(to[0]), &address.sin_addr) == 1 &&
+                      sendto(fd_, data.c_str(), data.size(), MSG_DONTWAIT,
+                          reinterpret_cast<sockaddr *>(&address), sizeof address) >= 0;
     errors_ += !sent;
     return sent;
   }

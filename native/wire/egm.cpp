@@ -244,8 +244,7 @@ struct Robot {
         newer ? static_cast<int>(EgmForceRw7::force) : static_cast<int>(EgmForceRw6::force);
     if (read_doubles(force_bytes, static_cast<std::uint32_t>(number), force))
       is_rw7 = is_rw7 || newer;
-    else
-      force.clear();
+    else force.clear();
   }
 };
 
@@ -262,11 +261,10 @@ void matrix_of(const double *pose, double *out) {
   const double b2 = s * b * b, c2 = s * c * c, d2 = s * d * d, bc = s * b * c, bd = s * b * d,
                cd = s * c * d;
   const double ab = s * a * b, ac = s * a * c, ad = s * a * d;
-  const double rows[matrix_numbers] = {
-      1.0 - c2 - d2, bc - ad,       bd + ac,       1e-3 * pose[0],  //
-      bc + ad,       1.0 - b2 - d2, cd - ab,       1e-3 * pose[1],  //
-      bd - ac,       cd + ab,       1.0 - b2 - c2, 1e-3 * pose[2],  //
-      0.0,           0.0,           0.0,           1.0};
+  const double rows[matrix_numbers] = {1.0 - c2 - d2, bc - ad, bd + ac, 1e-3 * pose[0],  //
+      bc + ad, 1.0 - b2 - d2, cd - ab, 1e-3 * pose[1],                                   //
+      bd - ac, cd + ab, 1.0 - b2 - c2, 1e-3 * pose[2],                                   //
+      0.0, 0.0, 0.0, 1.0};
   std::copy_n(rows, matrix_numbers, out);
 }
 
@@ -284,7 +282,7 @@ std::uint64_t integer_of(nb::handle value) {
 class EgmMessages {
  public:
   EgmMessages(nb::handle packet, nb::handle drop, std::vector<int> order, nb::handle scale,
-              nb::handle external_scale, bool extension)
+      nb::handle external_scale, bool extension)
       : packet_(nb::borrow(packet)),
         drop_(nb::borrow(drop)),
         order_(std::move(order)),
@@ -313,8 +311,8 @@ class EgmMessages {
     if (!robot_.has_seqno)
       return drop("no header", "a message without a header that has a sequence number");
     if (robot_.mtype != data_type)
-      return drop("wrong type", "expected message type 2 (data from the robot), got " +
-                                    std::to_string(robot_.mtype));
+      return drop("wrong type",
+          "expected message type 2 (data from the robot), got " + std::to_string(robot_.mtype));
     const Doubles &joints = robot_.feedback.joints, &external = robot_.feedback.external;
     if (joints.empty() && (head() || external.empty()))
       return drop("no joints", "the array of joints is absent or empty");
@@ -330,10 +328,10 @@ class EgmMessages {
                                        std::to_string(values->size()));
     const auto is_sound = [](double value) { return std::abs(value) <= most; };
     for (const Doubles *values :
-         {&joints, &external, static_cast<const Doubles *>(&robot_.velocities)})
+        {&joints, &external, static_cast<const Doubles *>(&robot_.velocities)})
       if (!std::all_of(values->begin(), values->end(), is_sound))
-        return drop("not finite",
-                    "a joint, a velocity or an external axis is no number, or beyond 1e9");
+        return drop(
+            "not finite", "a joint, a velocity or an external axis is no number, or beyond 1e9");
     if (PyUnicode_GET_LENGTH(robotware.ptr()) == 0) robotware = nb::str(robot_.flavour());
     return packet(robotware);
   }
@@ -412,22 +410,18 @@ class EgmMessages {
     const bool is_kinematic = robot_.order == kinematic;
     array_of(robot_.velocities, is_kinematic, qd);
     for (std::size_t k = 0; k < joints; ++k) qd[k] *= scale_[k];
-    if (are_joints(robot_.planned))
-      joints_of(robot_.planned, in_radians, planned);
-    else
-      std::fill_n(planned, joints, nan);
+    if (are_joints(robot_.planned)) joints_of(robot_.planned, in_radians, planned);
+    else std::fill_n(planned, joints, nan);
     const bool has_torque = !robot_.torques.empty();
     const bool has_reference = !has_torque && head() && robot_.torque_reference.size() == head();
-    array_of(has_torque ? robot_.torques : robot_.torque_reference, has_torque && is_kinematic,
-             tau);
+    array_of(
+        has_torque ? robot_.torques : robot_.torque_reference, has_torque && is_kinematic, tau);
     for (std::size_t k = 0; k < 6; ++k) force[k] = robot_.force.size() == 6 ? robot_.force[k] : nan;
     for (std::size_t k = 0; k < external; ++k)
       beyond_q[k] = feedback.external[tail() + k] * (in_radians ? 1.0 : beyond(k));
     std::copy_n(robot_.data.data(), count, data);
-    if (feedback.has_position && feedback.has_orientation)
-      matrix_of(feedback.pose.data(), pose);
-    else
-      std::fill_n(pose, matrix_numbers, nan);
+    if (feedback.has_position && feedback.has_orientation) matrix_of(feedback.pose.data(), pose);
+    else std::fill_n(pose, matrix_numbers, nan);
     PyArray_CLEARFLAGS(array, NPY_ARRAY_WRITEABLE);
 
     const nb::object made = nb::steal(type()->tp_alloc(type(), static_cast<Py_ssize_t>(fields)));
@@ -467,11 +461,11 @@ class EgmMessages {
   // A read-only view of some of the values.
   static nb::object part(const nb::object &values, double *data, int ndim, const npy_intp *shape) {
     PyObject *array = PyArray_New(&PyArray_Type, ndim, shape, NPY_DOUBLE, nullptr, data, 0,
-                                  NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_ALIGNED, nullptr);
+        NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_ALIGNED, nullptr);
     if (!array) throw nb::python_error();
     const nb::object owned = nb::steal(array);
-    if (PyArray_SetBaseObject(reinterpret_cast<PyArrayObject *>(array),
-                              nb::object(values).release().ptr()) < 0)
+    if (PyArray_SetBaseObject(
+            reinterpret_cast<PyArrayObject *>(array), nb::object(values).release().ptr()) < 0)
       throw nb::python_error();
     return owned;
   }
@@ -544,8 +538,8 @@ void bind_egm(nb::module_ &m) {
   using armlab::EgmMessages;
   nb::class_<EgmMessages>(m, "EgmMessages", "See _native.pyi.")
       .def(nb::init<nb::handle, nb::handle, std::vector<int>, nb::handle, nb::handle, bool>(),
-           nb::arg("packet"), nb::arg("drop"), nb::arg("order"), array("scale"),
-           array("external_scale"), nb::arg("extension"))
+          nb::arg("packet"), nb::arg("drop"), nb::arg("order"), array("scale"),
+          array("external_scale"), nb::arg("extension"))
       .def("read", &EgmMessages::read, nb::arg("data"), nb::arg("robotware"))
       .def("write", &EgmMessages::write, nb::arg("ref"));
 }

@@ -1,4 +1,5 @@
-// The numbers of messages, out of a chunk of an MCAP file. Documented in armlab/kernels/_native.pyi.
+// The numbers of messages, out of a chunk of an MCAP file. Documented in
+// armlab/kernels/_native.pyi.
 #include <cstdint>
 #include <cstring>
 #include <string>
@@ -13,7 +14,8 @@
 namespace armlab {
 namespace {
 
-constexpr std::size_t record_head = 9, message_head = 22;  // kind, length; channel, sequence, log and publish time
+constexpr std::size_t record_head = 9,
+                      message_head = 22;  // kind, length; channel, sequence, log and publish time
 constexpr std::uint8_t message_kind = 5;
 
 struct Place {
@@ -28,14 +30,18 @@ T number_at(const std::uint8_t *data) {
   return value;
 }
 
-PyArrayObject *pointer(const nb::object &array) { return reinterpret_cast<PyArrayObject *>(array.ptr()); }
+PyArrayObject *pointer(const nb::object &array) {
+  return reinterpret_cast<PyArrayObject *>(array.ptr());
+}
 
 // An array of `rows` rows of `width` bytes to write into; any number of rows when that is negative.
 std::uint8_t *writable(nb::handle array, npy_intp rows, std::size_t width) {
   auto *found = reinterpret_cast<PyArrayObject *>(array.ptr());
-  if (!PyArray_Check(array.ptr()) || !PyArray_CHKFLAGS(found, NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_WRITEABLE) ||
+  if (!PyArray_Check(array.ptr()) ||
+      !PyArray_CHKFLAGS(found, NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_WRITEABLE) ||
       PyArray_NDIM(found) < 1 || (rows >= 0 && PyArray_DIM(found, 0) != rows) ||
-      static_cast<std::size_t>(PyArray_NBYTES(found)) != static_cast<std::size_t>(PyArray_DIM(found, 0)) * width)
+      static_cast<std::size_t>(PyArray_NBYTES(found)) !=
+          static_cast<std::size_t>(PyArray_DIM(found, 0)) * width)
     raise_shape_error("Expected writable arrays with a row of " + std::to_string(width) +
                       " bytes for every message, got another.");
   return static_cast<std::uint8_t *>(PyArray_DATA(found));
@@ -47,8 +53,8 @@ std::vector<Place> places_of(nb::handle pairs, std::size_t size) {
   for (nb::handle pair : pairs) {
     const auto [start, stop] = nb::cast<std::pair<std::int64_t, std::int64_t>>(pair);
     if (start < 0 || stop < start || static_cast<std::uint64_t>(stop) > size)
-      raise_shape_error("Expected places in a message of " + std::to_string(size) + " bytes, got " + std::to_string(start) +
-                        " to " + std::to_string(stop) + ".");
+      raise_shape_error("Expected places in a message of " + std::to_string(size) + " bytes, got " +
+                        std::to_string(start) + " to " + std::to_string(stop) + ".");
     places.push_back({static_cast<std::size_t>(start), static_cast<std::size_t>(stop)});
   }
   return places;
@@ -82,19 +88,23 @@ struct Channel {
   bool matches(const std::uint8_t *message, std::size_t length) const {
     if (length != example.size()) return false;
     for (const Place &place : fixed)
-      if (std::memcmp(message + place.start, example.data() + place.start, place.stop - place.start) != 0) return false;
+      if (std::memcmp(
+              message + place.start, example.data() + place.start, place.stop - place.start) != 0)
+        return false;
     return true;
   }
 };
 
 // The rows of one column. Most numbers are doubles, and a copy of eight bytes is one instruction.
-void copy_column(const std::vector<const std::uint8_t *> &records, std::size_t at, std::size_t width, std::uint8_t *to) {
+void copy_column(const std::vector<const std::uint8_t *> &records, std::size_t at,
+    std::size_t width, std::uint8_t *to) {
   if (width % 8 != 0) {
     for (const std::uint8_t *record : records) std::memcpy(to, record + at, width), to += width;
     return;
   }
   for (const std::uint8_t *record : records)
-    for (std::size_t byte = 0; byte < width; byte += 8, to += 8) std::memcpy(to, record + at + byte, 8);
+    for (std::size_t byte = 0; byte < width; byte += 8, to += 8)
+      std::memcpy(to, record + at + byte, 8);
 }
 
 class MessageCopier {
@@ -102,7 +112,9 @@ class MessageCopier {
   explicit MessageCopier(nb::sequence channels) : slots_(1 << 16, -1) {
     for (nb::handle entry : channels) {
       const nb::tuple given = nb::cast<nb::tuple>(entry);
-      if (given.size() != 7) raise_shape_error("Expected seven entries for a channel, got " + std::to_string(given.size()) + ".");
+      if (given.size() != 7)
+        raise_shape_error(
+            "Expected seven entries for a channel, got " + std::to_string(given.size()) + ".");
       const nb::bytes example = nb::cast<nb::bytes>(given[1]);
       Channel channel;
       channel.number = nb::cast<std::uint16_t>(given[0]);
@@ -115,8 +127,8 @@ class MessageCopier {
       channel.log_ns = writable(given[5], channel.rows, 8);
       const nb::list columns(given[6]);
       if (columns.size() != channel.places.size())
-        raise_shape_error("Expected an array for each of " + std::to_string(channel.places.size()) + " places, got " +
-                          std::to_string(columns.size()) + ".");
+        raise_shape_error("Expected an array for each of " + std::to_string(channel.places.size()) +
+                          " places, got " + std::to_string(columns.size()) + ".");
       for (std::size_t k = 0; k < columns.size(); ++k)
         channel.columns.push_back(
             writable(columns[k], channel.rows, channel.places[k].stop - channel.places[k].start));
@@ -126,13 +138,17 @@ class MessageCopier {
     }
   }
 
-  nb::list copy(nb::handle data, const std::vector<std::int64_t> &first, const std::vector<std::int64_t> &count) const {
+  nb::list copy(nb::handle data, const std::vector<std::int64_t> &first,
+      const std::vector<std::int64_t> &count) const {
     if (first.size() != channels_.size() || count.size() != channels_.size())
-      raise_shape_error("Expected a first row and a count for each of " + std::to_string(channels_.size()) + " channels.");
+      raise_shape_error("Expected a first row and a count for each of " +
+                        std::to_string(channels_.size()) + " channels.");
     for (std::size_t c = 0; c < channels_.size(); ++c)
-      if (count[c] >= 0 && (first[c] < 0 || first[c] > channels_[c].rows || count[c] > channels_[c].rows - first[c]))
-        raise_shape_error("Expected rows from 0 to " + std::to_string(channels_[c].rows) + ", got " +
-                          std::to_string(count[c]) + " from " + std::to_string(first[c]) + ".");
+      if (count[c] >= 0 &&
+          (first[c] < 0 || first[c] > channels_[c].rows || count[c] > channels_[c].rows - first[c]))
+        raise_shape_error("Expected rows from 0 to " + std::to_string(channels_[c].rows) +
+                          ", got " + std::to_string(count[c]) + " from " +
+                          std::to_string(first[c]) + ".");
     const Bytes bytes(data);
     std::vector<char> copied;
     {
@@ -145,13 +161,15 @@ class MessageCopier {
   }
 
  private:
-  std::vector<char> copy_all(const std::uint8_t *data, std::size_t size, const std::vector<std::int64_t> &first,
-                             const std::vector<std::int64_t> &count) const {
+  std::vector<char> copy_all(const std::uint8_t *data, std::size_t size,
+      const std::vector<std::int64_t> &first, const std::vector<std::int64_t> &count) const {
     std::vector<std::vector<const std::uint8_t *>> records(channels_.size());
     std::vector<char> fits(channels_.size());
     for (std::size_t c = 0; c < channels_.size(); ++c) {
       fits[c] = count[c] >= 0;
-      if (fits[c]) records[c].reserve(std::min(static_cast<std::size_t>(count[c]), size / (record_head + message_head)));
+      if (fits[c])
+        records[c].reserve(
+            std::min(static_cast<std::size_t>(count[c]), size / (record_head + message_head)));
     }
     for (std::size_t at = 0; size - at >= record_head;) {
       const std::uint8_t *record = data + at;
@@ -173,15 +191,16 @@ class MessageCopier {
       copy_column(records[c], record_head + 6, 8, channel.log_ns + 8 * first[c]);
       for (std::size_t k = 0; k < channel.places.size(); ++k) {
         const std::size_t start = channel.places[k].start, width = channel.places[k].stop - start;
-        copy_column(records[c], record_head + message_head + start, width, channel.columns[k] + width * first[c]);
+        copy_column(records[c], record_head + message_head + start, width,
+            channel.columns[k] + width * first[c]);
       }
     }
     return fits;
   }
 
   std::vector<Channel> channels_;
-  std::vector<int> slots_;         // by the number of a channel; -1 of the others
-  std::vector<nb::tuple> kept_;    // the arrays that are written into
+  std::vector<int> slots_;       // by the number of a channel; -1 of the others
+  std::vector<nb::tuple> kept_;  // the arrays that are written into
 };
 
 }  // namespace

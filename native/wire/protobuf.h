@@ -136,8 +136,8 @@ inline bool read_doubles(std::string_view data, std::uint32_t number, Doubles &t
     data.remove_prefix(step);
   }
   return data.empty() || walk(data, [&](const Field &field) {
-           return field.number != number || append(field, to);
-         });
+    return field.number != number || append(field, to);
+  });
 }
 
 // A message of single doubles, numbered from 1.

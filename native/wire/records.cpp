@@ -16,15 +16,16 @@ class RecordMaker {
     for (nb::handle name : names) {
       const nb::object slot = nb::getattr(kind, name, nb::none());
       if (!PyObject_TypeCheck(slot.ptr(), &PyMemberDescr_Type))
-        raise_shape_error(std::string("Expected slots of the class, got ") + nb::str(name).c_str() + ".");
+        raise_shape_error(
+            std::string("Expected slots of the class, got ") + nb::str(name).c_str() + ".");
       offsets_.push_back(reinterpret_cast<PyMemberDescrObject *>(slot.ptr())->d_member->offset);
     }
   }
 
   nb::object make(nb::tuple values) const {
     if (values.size() != offsets_.size())
-      raise_shape_error("Expected one value for each of " + std::to_string(offsets_.size()) + " slots, got " +
-                        std::to_string(values.size()) + ".");
+      raise_shape_error("Expected one value for each of " + std::to_string(offsets_.size()) +
+                        " slots, got " + std::to_string(values.size()) + ".");
     auto *type = reinterpret_cast<PyTypeObject *>(kind_.ptr());
     nb::object made = nb::steal(type->tp_alloc(type, 0));
     if (!made.is_valid()) throw nb::python_error();

@@ -15,11 +15,13 @@
 namespace armlab {
 namespace {
 
-constexpr std::size_t kHead = 31;  // of a record: opcode, length, channel, sequence, log time, publish time
+constexpr std::size_t kHead =
+    31;  // of a record: opcode, length, channel, sequence, log time, publish time
 constexpr std::size_t kSequence = 11, kLogTime = 15, kPublishTime = 23, kStamp = kHead + 4;
 constexpr std::size_t kMatrix = 16 * sizeof(double), kPose = 7 * sizeof(double), kShortest = 16;
 constexpr std::int64_t kSecond = 1'000'000'000;
-constexpr std::ptrdiff_t kWorthReleasing = 32;  // rows: fewer take less time than handing the interpreter over
+constexpr std::ptrdiff_t kWorthReleasing =
+    32;  // rows: fewer take less time than handing the interpreter over
 
 template <class T>
 void put(char *to, T value) {
@@ -65,14 +67,16 @@ void write_pose(const char *from, char *to) {
   double r[16];
   std::memcpy(r, from, sizeof r);
   // Shepperd's method: divide by the largest of the four components
-  const double squares[] = {r[0] - r[5] - r[10], r[5] - r[0] - r[10], r[10] - r[0] - r[5], r[0] + r[5] + r[10]};
+  const double squares[] = {
+      r[0] - r[5] - r[10], r[5] - r[0] - r[10], r[10] - r[0] - r[5], r[0] + r[5] + r[10]};
   int largest = 0;
   for (int k = 1; k < 4; ++k)
     if (squares[k] > squares[largest]) largest = k;
   const double big = std::sqrt(1.0 + squares[largest]) / 2.0, s = 0.25 / big;
   const double xy = (r[4] + r[1]) * s, xz = (r[8] + r[2]) * s, yz = (r[9] + r[6]) * s;
   const double xw = (r[9] - r[6]) * s, yw = (r[2] - r[8]) * s, zw = (r[4] - r[1]) * s;
-  const double all[4][4] = {{big, xy, xz, xw}, {xy, big, yz, yw}, {xz, yz, big, zw}, {xw, yw, zw, big}};
+  const double all[4][4] = {
+      {big, xy, xz, xw}, {xy, big, yz, yw}, {xz, yz, big, zw}, {xw, yw, zw, big}};
   const double sign = all[largest][3] < 0.0 ? -1.0 : 1.0;
   double pose[7] = {r[3], r[7], r[11]};
   for (int k = 0; k < 4; ++k) pose[3 + k] = sign * all[largest][k];
@@ -85,7 +89,8 @@ std::string text(nb::handle bytes) {
 }
 
 [[noreturn]] void raise_too_short(std::size_t needs, std::size_t size) {
-  raise_shape_error("Expected a row of " + std::to_string(needs) + " bytes or more, got " + std::to_string(size) + ".");
+  raise_shape_error("Expected a row of " + std::to_string(needs) + " bytes or more, got " +
+                    std::to_string(size) + ".");
 }
 
 class RowEncoder {
@@ -113,8 +118,10 @@ class RowEncoder {
     nb::dict entries;
     for (std::size_t k = 0; k < topics_.size(); ++k)
       if (!made.entries[k].empty())
-        entries[nb::int_(topics_[k].channel)] = nb::bytes(made.entries[k].data(), made.entries[k].size());
-    return nb::make_tuple(nb::bytes(made.data.data(), made.data.size()), entries, made.earliest, made.latest);
+        entries[nb::int_(topics_[k].channel)] =
+            nb::bytes(made.entries[k].data(), made.entries[k].size());
+    return nb::make_tuple(
+        nb::bytes(made.data.data(), made.data.size()), entries, made.earliest, made.latest);
   }
 
  private:
@@ -126,10 +133,12 @@ class RowEncoder {
   };
 
   static Topic topic(const nb::tuple &given) {
-    Topic made{nb::cast<std::uint16_t>(given[0]), nb::cast<bool>(given[1]), nb::cast<bool>(given[4]), {}, {}};
+    Topic made{nb::cast<std::uint16_t>(given[0]), nb::cast<bool>(given[1]),
+        nb::cast<bool>(given[4]), {}, {}};
     std::size_t sets = 1;
     for (nb::handle column : given[2]) {
-      made.columns.push_back({nb::cast<std::size_t>(column[0]), text(column[1]), nb::cast<bool>(column[2])});
+      made.columns.push_back(
+          {nb::cast<std::size_t>(column[0]), text(column[1]), nb::cast<bool>(column[2])});
       sets <<= made.columns.back().optional;
     }
     for (nb::handle variant : given[3]) made.variants.push_back(template_of(variant, made));
@@ -148,19 +157,22 @@ class RowEncoder {
     bool fits = message.size() >= 12;
     for (nb::handle copy : given[1]) {
       const auto to = nb::cast<std::int64_t>(copy[0]), from = nb::cast<std::int64_t>(copy[1]);
-      const auto count = nb::cast<std::int64_t>(copy[2]), size = static_cast<std::int64_t>(message.size());
+      const auto count = nb::cast<std::int64_t>(copy[2]),
+                 size = static_cast<std::int64_t>(message.size());
       fits = fits && to >= 0 && from >= 0 && count >= 0 && to <= size && count <= size - to;
-      const Copy kept{kHead + static_cast<std::size_t>(to), static_cast<std::size_t>(from), static_cast<std::size_t>(count)};
+      const Copy kept{kHead + static_cast<std::size_t>(to), static_cast<std::size_t>(from),
+          static_cast<std::size_t>(count)};
       made.copies.push_back(kept);
       made.needs = std::max(made.needs, kept.from + (topic.is_pose ? kMatrix : kept.count));
     }
     if (!fits || (topic.is_pose && (made.copies.size() != 1 || made.copies[0].count != kPose)))
-      raise_shape_error("Expected copies inside of the message, of a pose the one of its 7 numbers, got others.");
+      raise_shape_error(
+          "Expected copies inside of the message, of a pose the one of its 7 numbers, got others.");
     return made;
   }
 
-  void write_all(const std::vector<std::string_view> &rows, std::optional<std::int64_t> first, std::uint64_t at,
-                 Made &made) const {
+  void write_all(const std::vector<std::string_view> &rows, std::optional<std::int64_t> first,
+      std::uint64_t at, Made &made) const {
     for (std::size_t number = 0; number < rows.size() && !made.needs; ++number) {
       const std::string_view row = rows[number];
       if (row.size() < kShortest) {
@@ -170,14 +182,16 @@ class RowEncoder {
       const auto stamp = get<std::int64_t>(row.data());
       made.earliest = number ? std::min(made.earliest, stamp) : stamp;
       made.latest = number ? std::max(made.latest, stamp) : stamp;
-      const auto sequence = first ? static_cast<std::uint32_t>(*first + static_cast<std::int64_t>(number))
-                                  : get<std::uint32_t>(row.data() + 8);
-      for (std::size_t k = 0; k < topics_.size() && !made.needs; ++k) write(k, row, stamp, sequence, at, made);
+      const auto sequence =
+          first ? static_cast<std::uint32_t>(*first + static_cast<std::int64_t>(number))
+                : get<std::uint32_t>(row.data() + 8);
+      for (std::size_t k = 0; k < topics_.size() && !made.needs; ++k)
+        write(k, row, stamp, sequence, at, made);
     }
   }
 
-  void write(std::size_t k, std::string_view row, std::int64_t stamp, std::uint32_t sequence, std::uint64_t at,
-             Made &made) const {
+  void write(std::size_t k, std::string_view row, std::int64_t stamp, std::uint32_t sequence,
+      std::uint64_t at, Made &made) const {
     const Topic &topic = topics_[k];
     bool is_there = topic.always;
     std::size_t set = 0, bit = 1;
@@ -209,10 +223,8 @@ class RowEncoder {
     put(record + kStamp, static_cast<std::int32_t>(seconds));
     put(record + kStamp + 4, static_cast<std::uint32_t>(rest));
     for (const Copy &copy : variant.copies) {
-      if (topic.is_pose)
-        write_pose(row.data() + copy.from, record + copy.to);
-      else
-        std::memcpy(record + copy.to, row.data() + copy.from, copy.count);
+      if (topic.is_pose) write_pose(row.data() + copy.from, record + copy.to);
+      else std::memcpy(record + copy.to, row.data() + copy.from, copy.count);
     }
   }
 
@@ -226,5 +238,6 @@ void bind_row_encoder(nb::module_ &m) {
   using armlab::RowEncoder;
   nb::class_<RowEncoder>(m, "RowEncoder", "See _native.pyi.")
       .def(nb::init<nb::sequence>(), nb::arg("topics"))
-      .def("encode", &RowEncoder::encode, nb::arg("rows"), nb::arg("first").none() = nb::none(), nb::arg("at") = 0);
+      .def("encode", &RowEncoder::encode, nb::arg("rows"), nb::arg("first").none() = nb::none(),
+          nb::arg("at") = 0);
 }

@@ -14,27 +14,42 @@
 namespace armlab {
 namespace {
 
-enum Form { kCount, kReal, kFlag, kCode, kDoubles, kFitting, kPadded, kBits, kSaid, kHeard, kBlank };
-constexpr const char *kForms[] = {"count", "real", "flag",  "code", "doubles", "fitting",
-                                  "padded", "bits", "said", "heard", "blank"};
+enum Form {
+  kCount,
+  kReal,
+  kFlag,
+  kCode,
+  kDoubles,
+  kFitting,
+  kPadded,
+  kBits,
+  kSaid,
+  kHeard,
+  kBlank
+};
+constexpr const char *kForms[] = {"count", "real", "flag", "code", "doubles", "fitting", "padded",
+    "bits", "said", "heard", "blank"};
 
-// Where an object of a class keeps an attribute, if that is a slot or an item of a named tuple: bytes from its
-// beginning to a pointer. -1 for others, which are asked for.
+// Where an object of a class keeps an attribute, if that is a slot or an item of a named tuple:
+// bytes from its beginning to a pointer. -1 for others, which are asked for.
 std::int32_t offset_of(nb::handle kind, nb::handle name) {
   const nb::object found = nb::getattr(kind, name, nb::none());
   if (PyObject_TypeCheck(found.ptr(), &PyMemberDescr_Type))
-    return static_cast<std::int32_t>(reinterpret_cast<PyMemberDescrObject *>(found.ptr())->d_member->offset);
-  if (!PyType_IsSubtype(reinterpret_cast<PyTypeObject *>(kind.ptr()), &PyTuple_Type) || !nb::hasattr(kind, "_fields"))
+    return static_cast<std::int32_t>(
+        reinterpret_cast<PyMemberDescrObject *>(found.ptr())->d_member->offset);
+  if (!PyType_IsSubtype(reinterpret_cast<PyTypeObject *>(kind.ptr()), &PyTuple_Type) ||
+      !nb::hasattr(kind, "_fields"))
     return -1;
   const auto item = nb::cast<std::int32_t>(kind.attr("_fields").attr("index")(name));
   return static_cast<std::int32_t>(offsetof(PyTupleObject, ob_item) + item * sizeof(PyObject *));
 }
 
-// What is needed of each place in each cycle. Small, since a loop that sleeps finds all of it out of the caches.
+// What is needed of each place in each cycle. Small, since a loop that sleeps finds all of it out
+// of the caches.
 struct Place {
   std::int32_t offset;
   std::uint32_t start, size;
-  std::int16_t heard;  // of "heard": number of the place that tells
+  std::int16_t heard;   // of "heard": number of the place that tells
   std::uint8_t source;  // 0 state, 1 command, 2 tick, 3 record
   std::uint8_t form;
 };
@@ -91,17 +106,20 @@ nb::object dict(nb::object record) {
 nb::object plain(nb::handle value, int type) {
   if (PyArray_CheckExact(value.ptr())) {
     auto *array = reinterpret_cast<PyArrayObject *>(value.ptr());
-    if (PyArray_TYPE(array) == type && PyArray_IS_C_CONTIGUOUS(array) && PyArray_ISNOTSWAPPED(array))
+    if (PyArray_TYPE(array) == type && PyArray_IS_C_CONTIGUOUS(array) &&
+        PyArray_ISNOTSWAPPED(array))
       return nb::borrow(value);
   }
-  PyObject *made = PyArray_FROMANY(value.ptr(), type, 0, 0, NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_FORCECAST);
+  PyObject *made =
+      PyArray_FROMANY(value.ptr(), type, 0, 0, NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_FORCECAST);
   if (!made) throw nb::python_error();
   return nb::steal(made);
 }
 
 class RowPacker {
  public:
-  RowPacker(nb::tuple kinds, nb::sequence places, nb::str seldom) : record_(nb::str("record")), kinds_(kinds) {
+  RowPacker(nb::tuple kinds, nb::sequence places, nb::str seldom)
+      : record_(nb::str("record")), kinds_(kinds) {
     for (nb::handle each : places) {
       add(nb::cast<nb::tuple>(each));
       if (abouts_.back().column == seldom.c_str()) short_ = places_.back().start;
@@ -131,7 +149,8 @@ class RowPacker {
         write(k, attribute(sources[place.source], place.offset, abouts_[k].field), row);
       }
     }
-    const bool ends = row.compare(short_, std::string::npos, empty_, short_, std::string::npos) == 0;
+    const bool ends =
+        row.compare(short_, std::string::npos, empty_, short_, std::string::npos) == 0;
     return nb::bytes(row.data(), ends ? short_ : row.size());
   }
 
@@ -143,7 +162,8 @@ class RowPacker {
 
   static nb::object attribute(const Source &source, std::int32_t offset, const nb::object &name) {
     if (source.is_known && offset >= 0)
-      if (auto *value = *reinterpret_cast<PyObject **>(reinterpret_cast<char *>(source.owner.ptr()) + offset))
+      if (auto *value =
+              *reinterpret_cast<PyObject **>(reinterpret_cast<char *>(source.owner.ptr()) + offset))
         return nb::borrow(value);
     PyObject *value = PyObject_GetAttr(source.owner.ptr(), name.ptr());
     if (!value) throw nb::python_error();
@@ -162,30 +182,37 @@ class RowPacker {
 
   void add(const nb::tuple &given) {
     static constexpr const char *kSources[] = {"state", "command", "tick", "record"};
-    const std::string source = nb::cast<nb::str>(given[1]).c_str(), form = nb::cast<nb::str>(given[3]).c_str();
+    const std::string source = nb::cast<nb::str>(given[1]).c_str(),
+                      form = nb::cast<nb::str>(given[3]).c_str();
     About about{nb::cast<nb::str>(given[0]).c_str(), given[2], given[5]};
     const auto found = std::find(std::begin(kForms), std::end(kForms), form);
     if (found == std::end(kForms)) {
       std::string all;
       for (const char *one : kForms) all += (all.empty() ? "" : ", ") + std::string(one);
-      raise_shape_error("Expected one of the forms " + all + " for " + about.column + ", got " + form + ".");
+      raise_shape_error(
+          "Expected one of the forms " + all + " for " + about.column + ", got " + form + ".");
     }
     const auto nothing = nb::cast<nb::bytes>(given[4]);
-    const auto origin = std::find(std::begin(kSources), std::end(kSources), source) - std::begin(kSources);
-    Place place{-1, static_cast<std::uint32_t>(empty_.size()), static_cast<std::uint32_t>(nothing.size()), -1,
-                static_cast<std::uint8_t>(origin), static_cast<std::uint8_t>(found - std::begin(kForms))};
+    const auto origin =
+        std::find(std::begin(kSources), std::end(kSources), source) - std::begin(kSources);
+    Place place{-1, static_cast<std::uint32_t>(empty_.size()),
+        static_cast<std::uint32_t>(nothing.size()), -1, static_cast<std::uint8_t>(origin),
+        static_cast<std::uint8_t>(found - std::begin(kForms))};
     const bool is_single = place.form == kCount || place.form == kReal || place.form == kCode ||
                            place.form == kSaid || place.form == kHeard;
     if (place.source == 4 || (is_single && place.size != 8) ||
         (place.form == kFlag && place.size != 1 && place.size != 8) ||
         (place.form == kCode && !PyDict_Check(about.codes.ptr())))
-      raise_shape_error("Expected a source, a size and codes that fit the form " + form + " for " + about.column + ".");
-    if (place.source < 3 && place.form != kBlank) place.offset = offset_of(kinds_[place.source], about.field);
+      raise_shape_error("Expected a source, a size and codes that fit the form " + form + " for " +
+                        about.column + ".");
+    if (place.source < 3 && place.form != kBlank)
+      place.offset = offset_of(kinds_[place.source], about.field);
     if (place.form == kHeard) {
       const std::string data = nb::cast<nb::str>(given[5]).c_str();
       for (std::size_t k = 0; k < places_.size(); ++k)
         if (abouts_[k].column == data) place.heard = static_cast<std::int16_t>(k);
-      if (place.heard < 0) raise_shape_error("Expected the column of data before " + about.column + ".");
+      if (place.heard < 0)
+        raise_shape_error("Expected the column of data before " + about.column + ".");
     }
     empty_.append(nothing.c_str(), nothing.size());
     places_.push_back(place);
@@ -196,12 +223,16 @@ class RowPacker {
     const Place &place = places_[k];
     char *to = row.data() + place.start;
     switch (place.form) {
-      case kCount: return put(to, whole(value));
-      case kReal: return put(to, real(value));
+      case kCount:
+        return put(to, whole(value));
+      case kReal:
+        return put(to, real(value));
       case kFlag:
         return place.size == 1 ? put<char>(to, truth(value)) : put<std::int64_t>(to, truth(value));
-      case kCode: return put(to, code(abouts_[k].codes, value));
-      case kSaid: return value.is_none() ? void() : put(to, real(value));
+      case kCode:
+        return put(to, code(abouts_[k].codes, value));
+      case kSaid:
+        return value.is_none() ? void() : put(to, real(value));
       case kHeard: {
         const Place &other = places_[place.heard];
         const bool heard = truth(value);
@@ -209,7 +240,8 @@ class RowPacker {
           put(to, heard ? 1.0 : 0.0);
         return;
       }
-      default: return value.is_none() ? void() : write_array(k, value, to);
+      default:
+        return value.is_none() ? void() : write_array(k, value, to);
     }
   }
 
@@ -240,17 +272,15 @@ class RowPacker {
     auto *array = reinterpret_cast<PyArrayObject *>(held.ptr());
     const auto count = static_cast<std::size_t>(PyArray_SIZE(array));
     const auto *bits = static_cast<const std::uint8_t *>(PyArray_DATA(array));
-    if (count == places_[k].size)
-      std::memcpy(to, bits, count);
+    if (count == places_[k].size) std::memcpy(to, bits, count);
     else if (8 * count == places_[k].size)
       for (std::size_t i = 0; i < count; ++i) put<std::int64_t>(to + 8 * i, bits[i]);
-    else
-      refuse(k, places_[k].size, array);
+    else refuse(k, places_[k].size, array);
   }
 
   [[noreturn]] void refuse(std::size_t k, std::size_t wanted, PyArrayObject *array) const {
-    raise_shape_error("Expected " + std::to_string(wanted) + " values in " + abouts_[k].column + ", got " +
-                      std::to_string(PyArray_SIZE(array)) + ".");
+    raise_shape_error("Expected " + std::to_string(wanted) + " values in " + abouts_[k].column +
+                      ", got " + std::to_string(PyArray_SIZE(array)) + ".");
   }
 
   nb::str record_;
@@ -268,7 +298,8 @@ class RowPacker {
 void bind_row_packer(nb::module_ &m) {
   using armlab::RowPacker;
   nb::class_<RowPacker>(m, "RowPacker", "See _native.pyi.")
-      .def(nb::init<nb::tuple, nb::sequence, nb::str>(), nb::arg("kinds"), nb::arg("places"), nb::arg("seldom"))
+      .def(nb::init<nb::tuple, nb::sequence, nb::str>(), nb::arg("kinds"), nb::arg("places"),
+          nb::arg("seldom"))
       .def("pack", &RowPacker::pack, nb::arg("state").none(), nb::arg("command").none(),
-           nb::arg("tick").none());
+          nb::arg("tick").none());
 }
