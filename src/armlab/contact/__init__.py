@@ -1,16 +1,19 @@
 """Contact: the wrench of the environment on the robot, estimated from joint torques."""
 
-from armlab.contact.contacts import compare, contacts, hypotheses
+from armlab.contact.contacts import Comparison, Contact, Hypotheses, compare, contacts, hypotheses
 from armlab.contact.estimator import INFEASIBLE, INVALID, SINGULAR, STUCK, TARED, WEAK, Estimator, Wrench
 
 __all__ = [
+    "Comparison",
+    "Contact",
+    "Estimator",
+    "Hypotheses",
     "INFEASIBLE",
     "INVALID",
     "SINGULAR",
     "STUCK",
     "TARED",
     "WEAK",
-    "Estimator",
     "Wrench",
     "compare",
     "contacts",

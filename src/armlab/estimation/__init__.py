@@ -1,6 +1,6 @@
 """Estimation for the whole package: `Fit`, streaming and robust least squares, excitation, block bootstrap."""
 
-from armlab.estimation.bootstrap import BlockSums, block_bootstrap, block_cv
+from armlab.estimation.bootstrap import BlockSums, Bootstrap, CrossValidation, block_bootstrap, block_cv
 from armlab.estimation.contract import Contract, ContractLimits, Experiment, Gauge, check_estimator
 from armlab.estimation.errors_in_variables import total_least_squares
 from armlab.estimation.excitation import Excitation, Prior
@@ -11,12 +11,14 @@ from armlab.estimation.tsqr import Rows
 
 __all__ = [
     "BlockSums",
+    "Bootstrap",
     "Contract",
+    "ContractLimits",
+    "CrossValidation",
     "Excitation",
     "Experiment",
     "Fit",
     "Gauge",
-    "ContractLimits",
     "Measurement",
     "NonlinearProblem",
     "Prior",

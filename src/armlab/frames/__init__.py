@@ -1,17 +1,25 @@
 """Geometry of measured points: planes, lines, circles and spheres with covariance, frames built from them."""
 
 from armlab.frames.circle_sphere import fit_circle, fit_sphere
-from armlab.frames.construction import build, distance, intersect, project
+from armlab.frames.construction import BuiltFrame, build, distance, intersect, project
 from armlab.frames.features import Circle, Line, Plane, Sphere
-from armlab.frames.marker import marker_pose
-from armlab.frames.plane_line import check_offset, fit_line, fit_plane
-from armlab.frames.pose_graph import FrameSet, Graph
+from armlab.frames.marker import MarkerPoses, marker_pose
+from armlab.frames.plane_line import OffsetCheck, check_offset, fit_line, fit_plane
+from armlab.frames.pose_graph import FrameSet, Graph, Loop, LoopCheck
 from armlab.models import register
 
 __all__ = [
+    "BuiltFrame",
+    "Circle",
+    "FrameSet",
     "Graph",
     "Line",
+    "Loop",
+    "LoopCheck",
+    "MarkerPoses",
+    "OffsetCheck",
     "Plane",
+    "Sphere",
     "build",
     "check_offset",
     "distance",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from armlab.kinematics.dexterity import (
+    Ellipsoid,
+    SelfMotion,
     ellipsoid,
     manipulability,
     manipulability_gradient,
@@ -17,10 +19,14 @@ from armlab.kinematics.forward import (
     link_transforms,
     parameter_jacobian,
 )
-from armlab.kinematics.inverse import inverse
-from armlab.kinematics.path import inverse_path
+from armlab.kinematics.inverse import IkSolution, inverse
+from armlab.kinematics.path import IkPath, inverse_path
 
 __all__ = [
+    "Ellipsoid",
+    "IkPath",
+    "IkSolution",
+    "SelfMotion",
     "ellipsoid",
     "forward",
     "forward_jacobian",

@@ -16,6 +16,7 @@ from armlab.errors import ShapeError
 from armlab.lie import arguments, so3
 
 __all__ = [
+    "ad",
     "adjoint",
     "adjoint_inv",
     "exp",
@@ -28,6 +29,7 @@ __all__ = [
     "left_jacobian",
     "left_jacobian_inv",
     "log",
+    "mean",
     "project",
     "to_angular_first",
     "transform_wrench",

@@ -23,6 +23,8 @@ __all__ = [
     "hat",
     "interpolate",
     "is_rotation",
+    "left_jacobian",
+    "left_jacobian_inv",
     "log",
     "mean",
     "project",

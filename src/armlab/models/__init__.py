@@ -1,13 +1,14 @@
 """What is identified, saved, and later run: friction, ripple, torque covariance, the torque model, force sensors."""
 
 from armlab.models.files import load, register, save
-from armlab.models.friction import FrictionMap, RadialBasis, RippleLines, WarmUp
+from armlab.models.friction import Friction, FrictionBound, FrictionMap, RadialBasis, RippleLines, WarmUp
 from armlab.models.kinematic_correction import DualArmCorrection, KinematicCorrection
 from armlab.models.sensors import Accelerometer, ForceSensor, HandEye, LaserSensor
 from armlab.models.torque import (
     CoupledMotors,
     MomentumNoise,
     Payload,
+    Quality,
     TorqueModel,
     VelocityCovariance,
     velocity_covariance,
@@ -16,13 +17,20 @@ from armlab.robots import Mesh, Robot
 
 __all__ = [
     "Accelerometer",
-    "ForceSensor",
     "DualArmCorrection",
+    "ForceSensor",
+    "Friction",
+    "FrictionBound",
+    "FrictionMap",
     "HandEye",
     "KinematicCorrection",
     "LaserSensor",
     "Payload",
+    "Quality",
+    "RippleLines",
     "TorqueModel",
+    "VelocityCovariance",
+    "WarmUp",
     "load",
     "register",
     "save",
