@@ -49,7 +49,6 @@ FILES = {  # each with the tests that hold it
     f"{BRIDGE}/control/loop.py": ["bridge/control/loop", "bridge/control/multi_arm"],
     f"{BRIDGE}/control/supervision.py": ["bridge/control/feedback"],
     f"{BRIDGE}/control/arm.py": ["bridge/control/arm", "bridge/control/multi_arm"],
-    f"{BRIDGE}/control/multi_arm.py": ["bridge/control/multi_arm"],
     "native/math/motion/limits.cpp": ["kernels/limits"],
 }
 MARKED, NAMED = "not slow", "not (simulated or follows[)"  # not tests of whole simulated runs, which are slow

@@ -19,9 +19,8 @@ import pytest
 
 from armlab import log, models, robots
 from armlab.bridge.arbiter import Arbiter
-from armlab.bridge.cell import Cell, cell_values, parse_cell, run_cell
+from armlab.bridge.cell import Cell, cell_values, is_open, listening, parse_cell, run_cell
 from armlab.bridge.inputs.parameters import Parameters
-from armlab.bridge.listen import is_open, listening
 from armlab.bridge.net.sockets import is_here
 from armlab.bridge.servers.labcomm.client import LabCommSource
 from armlab.bridge.servers.local import LocalFeed, _listen, socket_path

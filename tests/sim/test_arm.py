@@ -7,7 +7,7 @@ import pytest
 
 from armlab import identify, robots
 from armlab.robots import Robot
-from armlab.sim.arm.arm import LaggingArm, SimulatedArm, build_model, record
+from armlab.sim.arm.arm import LaggingArm, SensorReading, SimulatedArm, TrueState, build_model, record
 from armlab.sim.arm.joints import (
     INTEGRAL_TIME,
     POSITION_GAIN,
@@ -18,7 +18,6 @@ from armlab.sim.arm.joints import (
     WornFriction,
 )
 from armlab.sim.arm.mismatch import Mismatch
-from armlab.sim.arm.sensors import SensorReading, TrueState
 from armlab.sim.arm.truth import Truth, synthetic_truth
 
 T = 0.004032

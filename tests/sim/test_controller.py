@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from armlab import robots
 from armlab.sim.arm.arm import LaggingArm, SimulatedArm
 from armlab.sim.arm.truth import synthetic_truth
-from armlab.sim.controller.controller import SimulatedController
-from armlab.sim.controller.inbox import QUEUE_LENGTH
+from armlab.sim.controller.controller import QUEUE_LENGTH, SimulatedController
 from armlab.sim.controller.packets import EPOCH_NS
 from armlab.sim.controller.settings import ControllerSettings
 from armlab.sim.controller.statistics import ControllerEvent

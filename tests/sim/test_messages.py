@@ -11,8 +11,8 @@ import pytest
 from armlab import robots
 from armlab.sim.arm.arm import SimulatedArm
 from armlab.sim.arm.truth import synthetic_truth
+from armlab.sim.controller.controller import QUEUE_LENGTH, ReplyQueue, Sent
 from armlab.sim.controller.guidance import Guidance, ReferenceDecoder
-from armlab.sim.controller.inbox import QUEUE_LENGTH, ReplyQueue, Sent
 from armlab.sim.controller.packets import EPOCH_NS, OPTIONAL_FIELDS, Condition, PacketBuilder
 from armlab.sim.controller.settings import ControllerSettings
 from armlab.sim.controller.statistics import ControllerEvent, Statistics

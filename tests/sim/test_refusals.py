@@ -10,9 +10,8 @@ import pytest
 
 from armlab import identify, robots
 from armlab.errors import ConfigError, LinkError, ShapeError, UnknownName
-from armlab.sim.arm.arm import LaggingArm, SimulatedArm, record
+from armlab.sim.arm.arm import LaggingArm, Sensors, SimulatedArm, record
 from armlab.sim.arm.mismatch import Mismatch
-from armlab.sim.arm.sensors import Sensors
 from armlab.sim.arm.truth import synthetic_truth
 from armlab.sim.controller.channel import UdpClient
 from armlab.sim.controller.controller import SimulatedController

@@ -44,8 +44,8 @@ RUNS_THE_USERS_CODE = {  # file: what the user names on the command line is the 
 }
 
 WIDE = {  # file: why "every address" stands there
-    "bridge/listen.py": "named by --listen",
-    "bridge/doctor/network.py": "armlab doctor listens where robots send, and answers nobody",
+    "bridge/cell.py": "named by --listen",
+    "bridge/doctor/report.py": "armlab doctor listens where robots send, and answers nobody",
     "bridge/servers/ros/dds.py": "recognises Cyclone's sockets to narrow them",
     "bridge/servers/zenoh/session.py": "recognises routers that anybody reaches, to refuse them",
     "cli/record.py": "armlab record listens where robots send, and answers nobody",

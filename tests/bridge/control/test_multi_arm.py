@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from armlab import log, robots
-from armlab.bridge.control.multi_arm import merge_states, split_command
+from armlab.bridge.control.loop import merge_states, split_command
 from armlab.bridge.control.state_machine import Mode
 from armlab.errors import CommandRefused, ControllerFailed, LinkError, NoRobot, UnknownName
 from armlab.state import Command, State

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.doctor import network
+from armlab.bridge.doctor import report
 from armlab.bridge.doctor.egm_listener import EgmListener
 from armlab.bridge.doctor.machine import (
     Finding,
@@ -34,8 +34,16 @@ from armlab.bridge.doctor.machine import (
     throttle,
     wake_up,
 )
-from armlab.bridge.doctor.network import addresses, firewall, listen, local_addresses, route_to
-from armlab.bridge.doctor.report import DEFAULT_PORTS, LONGEST, examine
+from armlab.bridge.doctor.report import (
+    DEFAULT_PORTS,
+    LONGEST,
+    addresses,
+    examine,
+    firewall,
+    listen,
+    local_addresses,
+    route_to,
+)
 from armlab.bridge.net.sockets import Arrival
 from armlab.errors import ConfigError
 from armlab.robots import Robot
@@ -309,7 +317,7 @@ def test_two_robots_on_one_port(robot: Robot, make_peer: Any) -> None:
 
 
 def test_no_route_to_a_robot(robot: Robot, make_peer: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(network, "route_to", lambda host: "")
+    monkeypatch.setattr(report, "route_to", lambda host: "")
     number = free_port()
     peer = make_peer(robot, number)
     with streaming(peer):
@@ -320,7 +328,7 @@ def test_no_route_to_a_robot(robot: Robot, make_peer: Any, monkeypatch: pytest.M
 
 def test_a_rule_that_drops_packets(monkeypatch: pytest.MonkeyPatch) -> None:
     """As a firewall does: an address of this computer from which nothing arrives."""
-    monkeypatch.setattr(network, "local_addresses", lambda: {"eth9": "203.0.113.9"})
+    monkeypatch.setattr(report, "local_addresses", lambda: {"eth9": "203.0.113.9"})
     number = free_port()
     found = named(listen([number], 0.01, [None], asked=True))[f"port {number}, self-test"]
     assert found.verdict == "failure"

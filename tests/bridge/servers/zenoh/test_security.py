@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab.bridge.cell import parse_cell
-from armlab.bridge.listen import listening
+from armlab.bridge.cell import listening, parse_cell
 from armlab.bridge.servers.zenoh.feed import robots_at
 from armlab.bridge.servers.zenoh.keys import Attachment, key
 from armlab.bridge.servers.zenoh.security import BRIDGE, COMMANDER, Security
