@@ -250,7 +250,7 @@ def test_regressor_of_a_spinning_wheel() -> None:
 
 
 def product_of_exponentials(chain: Chain, q: np.ndarray) -> np.ndarray:
-    """T_base_tool by matrix products, independent of both backends."""
+    """T_base_tool by matrix products, independent of kernel and oracle."""
     T = chain.frames[0]
     for value, slides, frame in zip(q, chain.prismatic, chain.frames[1:]):
         Z = np.eye(4)

@@ -27,7 +27,7 @@ NAMES = ("F", "P", "observability", "error", "variance", "flags", "active", "int
 def twins(
     model: SimpleNamespace, method: int = 0, point: np.ndarray | None = None, extra: tuple[object, ...] = ()
 ) -> tuple[Any, Any]:
-    """The same estimator in both backends."""
+    """The same estimator compiled and as its oracle."""
     made = []
     for module in (kernels, oracles):
         c = model.covariance
@@ -103,7 +103,7 @@ WAYS = {"observer": (False, False), "kf": (True, False), "kf with bias": (True, 
 
 
 def momentum_twins(model: SimpleNamespace, way: str, point: np.ndarray | None = None) -> tuple[Any, Any]:
-    """The same estimator in both backends, with warm-up and every kind of covariance."""
+    """The same estimator compiled and as its oracle, with warm-up and every kind of covariance."""
     rate, prior = np.square(FORCE_RATES["normal"]), np.square(PRIOR)
     c = model.covariance
     warm_up = np.tile([[0.2], [-0.3], [60.0], [1.0], [0.1]], 7)

@@ -1,4 +1,4 @@
-"""Datagrams, texts of JSON, messages of MCAP, records."""
+"""Datagrams, arguments of the EGM codec, messages of MCAP, records."""
 
 from __future__ import annotations
 

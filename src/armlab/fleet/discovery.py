@@ -125,7 +125,7 @@ class Router:
     ----------
     host, port : where it listens; port 0 lets the system choose.
     connect : "HOST:PORT" of other routers, whose robots are seen through this one; they are tried for ever.
-    security : certificates and users; see `bridge.zenoh.Security`.
+    security : certificates and users; see `servers.zenoh.security.Security`.
 
     Attributes
     ----------

@@ -50,7 +50,7 @@ class Trajectory:
         return self.sample(np.array(0.0))[0]
 
     def table(self, rate: float = 250.0) -> Table:
-        """Return the motion as a log with q, qd, qdd (N, n), for `log.write_csv`.
+        """Return the motion as a log with q, qd, qdd (N, n), for `log.write`.
 
         Parameters
         ----------

@@ -1,6 +1,6 @@
 """Names for the numbers in ROS messages (by joint, by frame, wrenches, poses), and each topic as streams of columns.
 
-The messages of a topic become fields (N, k) by dotted name (`mcap.message_layouts`), and these become columns of a
+The messages of a topic become fields (N, k) by dotted name (`mcap.decode`), and these become columns of a
 `Table`. A Wrench is one column (N, 6), a Pose or Transform one of matrices (N, 4, 4), at any depth of a message; a
 JointState is position, velocity and effort by joint; everything else keeps its dotted name.
 """
