@@ -47,7 +47,7 @@ class Done(Generic[Result]):
     skipped: Mapping[str, str]
 
     def some(self) -> Done[Result]:
-        """Return it; LogError, with the first reason, when every log was skipped."""
+        """Return self; raise LogError with the first reason when every log was skipped."""
         if not self.results:
             count, reasons = len(self.skipped), list(self.skipped.values())
             raise LogError(f"Expected a log that can be used among {count}, got none. {' '.join(reasons[:1])}".rstrip())

@@ -1,4 +1,4 @@
-"""The view of recordings in the browser: arms, forces with their uncertainty, curves.
+"""Views in the browser: a recording, a running bridge, a fleet; arms, forces with their uncertainty, curves.
 
 It needs viser (extra `live`), which loads on first use. Everything stays on this computer.
 """

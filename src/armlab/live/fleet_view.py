@@ -206,9 +206,9 @@ def watch_fleet(
 ) -> None:
     """Show all robots at a router in the browser, until `over` or an interrupt: those that come, too, and who goes.
 
-    `place`: of the router; its `lab` may be `bridge.zenoh.EVERY`. `port`: of the view on this computer; from 8080 on
-    the first that is free when None. `tell`: told who comes and goes, and once who says what cannot be understood.
-    `over`: whether to end; asked at each frame.
+    `place`: of the router; its `lab` may be `servers.zenoh.keys.EVERY`. `port`: of the view on this computer; from
+    8080 on the first that is free when None. `tell`: told who comes and goes, and once who says what cannot be
+    understood. `over`: whether to end; asked at each frame.
     """
     rows = FleetRows(place)
     try:
@@ -236,7 +236,7 @@ def watch_fleet(
 
 
 class FleetView:
-    """RobotScene and panel of all robots, drawn frame by frame.
+    """Scene and panel of all robots, drawn frame by frame.
 
     A robot whose bridge has gone, or that is silent, is not drawn: its place and its name stay, and say so.
     """

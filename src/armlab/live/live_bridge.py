@@ -48,12 +48,12 @@ class Force(NamedTuple):
 
 
 class Running:
-    """The newest of a bridge that runs. It only reads; what it does not read in time the feed drops.
+    """The newest row of a running bridge. It only reads; the feed drops what is not read in time.
 
-    `robot`: this arm only; None for all. `zenoh`: of a bridge elsewhere, see `bridge.zenoh.Place.read`. `rate`: rows
-    per second to ask for; with models every row is. `models`: torque models, each for the arm that it was identified
-    on, for a bridge that sends no estimate. `robots`: the arms by name, none before the first bridge was found; another
-    object when they changed. `row`: the newest, None without any.
+    `robot`: this arm only; None for all. `zenoh`: of a bridge elsewhere, see `LabAddress.read`. `rate`: rows per second
+    to ask for; with models every row is. `models`: torque models, each for the arm that it was identified on, for a
+    bridge that sends no estimate. `robots`: the arms by name, none before the first bridge was found; another object
+    when they changed. `row`: the newest, None without any.
     """
 
     def __init__(
@@ -214,13 +214,13 @@ def watch(
     tell: Callable[[str], None] = lambda sentence: None,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Show a bridge that runs in the browser, until `over` or an interrupt: before it starts, and after its end.
+    """Show a running bridge in the browser, until `over` or an interrupt: before it starts, and after its end.
 
     The bridge notices nothing of it: rows come from its local feed or over Zenoh, and nothing is sent back.
 
-    `robot`: this arm only; None for all. `zenoh`: where a bridge elsewhere is, see `bridge.zenoh.Place.read`; "" for
-    one of this user. `models`: torque models for a bridge that sends no estimate of the force. `port`: of the view on
-    this computer; from 8080 on the first that is free when None. `over`: whether to end; asked at each frame.
+    `robot`: this arm only; None for all. `zenoh`: where a bridge elsewhere is, see `LabAddress.read`; "" for one of
+    this user. `models`: torque models for a bridge that sends no estimate of the force. `port`: of the view on this
+    computer; from 8080 on the first that is free when None. `over`: whether to end; asked at each frame.
     """
     server = start(port)
     running = Running(robot, cell, zenoh=zenoh, rate=1.0 / _FRAME, models=models)
@@ -244,7 +244,7 @@ def watch(
 
 
 class RunningView:
-    """RobotScene and panel of a bridge that runs, drawn frame by frame."""
+    """Scene and panel of a running bridge, drawn frame by frame."""
 
     def __init__(self, server: ViserServer, running: Running) -> None:
         self._server, self._running = server, running
