@@ -1,4 +1,10 @@
-"""Columns of numbers out of the messages of MCAP files: layouts that messages share, and blocks of rows."""
+"""Columns of numbers out of the messages of MCAP files: layouts that messages share, and blocks of rows.
+
+The chunk indexes give the number of messages. The first message of a channel is walked field by field. All messages of
+equal length whose bytes outside the numbers are the same hold their numbers in the same places, so those of a whole
+chunk are copied at once, into arrays of their final size (`Room`). Messages with another layout are read in blocks of
+equal length (`decode_messages`).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Metadata, attachments and events of a recording, and secrets that are taken out of them."""
+"""Metadata, attachments and events of a recording, and secrets that are taken out of them.
+
+An attached file without secrets stays the same, to the byte. Otherwise its values are written anew: secret ones as
+``***``, and without comments. A file that cannot be parsed is left out.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Decoder of LabComm streams, and signatures of types."""
+"""Decoder of LabComm streams, and signatures of types.
+
+One generator walks the stream and waits where bytes are missing, so every cut of a stream gives the same events. A
+packet with a length is decoded once it has come whole; without one (2013, 2006, data of 2014old) a walk finds its end
+first. Faults are reported at the field where they are, before anything is built for them.
+"""
 
 from __future__ import annotations
 

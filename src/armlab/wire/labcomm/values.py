@@ -1,4 +1,8 @@
-"""Values of LabComm types, to and from bytes, within limits."""
+"""Values of LabComm types, to and from bytes, within limits.
+
+A walk is a generator: it yields when it needs bytes that have not come, and goes on where it was. All positions are
+those of the stream, so they are the offsets of errors too.
+"""
 
 from __future__ import annotations
 
