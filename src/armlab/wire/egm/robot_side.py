@@ -122,7 +122,17 @@ class SensorMessage(NamedTuple):
 
 
 class RobotSideCodec:
-    """`RobotMessage` to EgmRobot and EgmSensor to `SensorMessage`, for one arm."""
+    """`RobotMessage` to EgmRobot and EgmSensor to `SensorMessage`, for one arm.
+
+    Parameters
+    ----------
+    arm : the arm.
+    robotware : one of `ROBOTWARE`; 6.06 sends angles in radians.
+    extension : names of `EXTENSION_ARRAYS` to send; True for `DEFAULT_ARRAYS`.
+    force : messages will hold `wrench_raw`.
+    external : number of external axes in `q_ext`.
+    data : number of values in `rapid_data`.
+    """
 
     def __init__(
         self,
