@@ -83,6 +83,8 @@ class Chain:
     def mass_matrix(self, q: Any, pi: Any, out: Any = None) -> np.ndarray:
         """Return M (..., n, n): column j is the torque of a unit acceleration of joint j, without gravity and velocity.
 
+        The mass matrix of `MomentumEstimator`; the tests hold its laws on it, and the oracle of the estimator calls it.
+
         Parameters
         ----------
         q : (..., n). pi : (n, 10) as in `rnea`. out : (..., n, n) array to write into, or None.
@@ -951,6 +953,8 @@ def momentum_step(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return state (n+m,) and covariance (n+m, n+m) after a step of h seconds and a measurement of the momentum.
 
+    One step of `MomentumEstimator`; the tests hold its laws on it.
+
     Parameters
     ----------
     x, P : state [p; z] and its covariance before the step.
@@ -1075,7 +1079,8 @@ def solve_wrench(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, float, bool]:
     """Return x (k,), its covariance (k, k), active joints (n,), iterations, KKT residual and whether x is undetermined.
 
-    x and its covariance are NaN where the numbers do not determine them.
+    x and its covariance are NaN where the numbers do not determine them. One solution of `WrenchEstimator`; the tests
+    hold its laws on it.
 
     Parameters
     ----------
