@@ -1,10 +1,12 @@
 // EGM datagrams to packets and references to datagrams. Documented in armlab/kernels/_native.pyi.
 //
 // Numbers of fields are those of armlab_egm.proto; a datagram is accepted exactly when protobuf
-// accepts it.
+// accepts it. One exception: protobuf counts messages in its limit of 100 nested groups, this
+// reader counts the groups of each message alone.
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
