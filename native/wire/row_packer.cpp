@@ -23,12 +23,13 @@ enum Form {
   kFitting,
   kPadded,
   kBits,
+  kWide,
   kSaid,
   kHeard,
   kBlank
 };
 constexpr const char *kForms[] = {"count", "real", "flag", "code", "doubles", "fitting", "padded",
-    "bits", "said", "heard", "blank"};
+    "bits", "wide", "said", "heard", "blank"};
 
 // Where an object of a class keeps an attribute, if that is a slot or an item of a named tuple:
 // bytes from its beginning to a pointer. -1 for others, which are asked for.
@@ -247,7 +248,7 @@ class RowPacker {
 
   void write_array(std::size_t k, nb::handle value, char *to) const {
     const Place &place = places_[k];
-    if (place.form == kBits) return write_bits(k, value, to);
+    if (place.form == kBits || place.form == kWide) return write_bits(k, value, to);
     nb::object held;
     try {
       held = plain(value, NPY_DOUBLE);
@@ -266,16 +267,16 @@ class RowPacker {
     }
   }
 
-  // A byte for each value, or eight.
   void write_bits(std::size_t k, nb::handle value, char *to) const {
     const nb::object held = plain(value, NPY_UINT8);
     auto *array = reinterpret_cast<PyArrayObject *>(held.ptr());
     const auto count = static_cast<std::size_t>(PyArray_SIZE(array));
     const auto *bits = static_cast<const std::uint8_t *>(PyArray_DATA(array));
-    if (count == places_[k].size) std::memcpy(to, bits, count);
-    else if (8 * count == places_[k].size)
+    const std::size_t size = places_[k].size, width = places_[k].form == kWide ? 8 : 1;
+    if (width * count != size) refuse(k, size / width, array);
+    if (width == 1) std::memcpy(to, bits, count);
+    else
       for (std::size_t i = 0; i < count; ++i) put<std::int64_t>(to + 8 * i, bits[i]);
-    else refuse(k, places_[k].size, array);
   }
 
   [[noreturn]] void refuse(std::size_t k, std::size_t wanted, PyArrayObject *array) const {

@@ -166,6 +166,14 @@ def test_values_are_neither_kept_nor_lost(pack: Any) -> None:
     assert [sys.getrefcount(one) for one in (q, state, tick, command, held, held["fext"])] == counts
 
 
+@pytest.mark.parametrize(("n", "size"), [(7, 5), (7, 56), (8, 1)])
+def test_limits_have_one_byte_each(n: int, size: int) -> None:
+    robot = robots.from_links("arm", [np.eye(4)] * (n + 1))
+    tick = Tick(1, 2, 3, 4, 5, 6, clamped=np.zeros(size, np.uint8))
+    with pytest.raises(ShapeError, match=f"^Expected {n} values in clamped, got {size}\\.$"):
+        RowLayout(robot).pack(State(0.5, 0.004, *np.zeros((3, n))), None, tick)
+
+
 def test_places_that_contradict_themselves_are_refused() -> None:
     kinds = (State, Command, Tick)
     eight = bytes(8)

@@ -637,9 +637,9 @@ class RowPacker:
         the command, else of the tick.
         form : "count" int64, "real" float64, "flag" one byte or int64, "code" the number that the mapping `detail`
         gives a text, 0 for others; "doubles" exactly as many as fit, none or None for missing; "fitting" the same, and
-        missing where others come; "padded" at most as many as fit; "bits" exactly as many bytes or int64 as fit, None
-        for missing; "said" one number or flag, None for missing; "heard" a flag that is missing when it is False and
-        the column `detail` is missing; "blank" what is written by somebody else.
+        missing where others come; "padded" at most as many as fit; "bits" exactly as many bytes as fit, "wide" exactly
+        as many int64, None for missing; "said" one number or flag, None for missing; "heard" a flag that is missing
+        when it is False and the column `detail` is missing; "blank" what is written by somebody else.
         nothing : the bytes of a missing value; of "count", "real", "flag", "code" only their number counts.
     seldom : name of the first column of those at the end that a row leaves out when all of them are missing.
     """

@@ -30,7 +30,7 @@ from armlab.bridge.servers.row import (
     read_head,
     read_row,
 )
-from armlab.errors import ConfigError, LinkError, UnknownName
+from armlab.errors import ConfigError, LinkError, ShapeError, UnknownName
 from armlab.log import Column, Tick
 from armlab.state import Command, State
 
@@ -96,6 +96,13 @@ def test_odd_commands_leave_holes() -> None:
     assert len(values["yumi_left.commander"].encode()) <= 48
     with pytest.raises(UnknownName, match="robot of these rows"):
         writer.row(state("ur5e"), None, tick(), 0)
+
+
+@pytest.mark.parametrize("name", ["clamped"])
+@pytest.mark.parametrize("size", [1, 5, 56])
+def test_ticks_of_another_size_are_refused(name: str, size: int) -> None:
+    with pytest.raises(ShapeError, match=f"^Expected 7 values in {name}, got {size}\\.$"):
+        RowWriter(BOTH).row(state(), None, tick(**{name: np.zeros(size)}), 0)
 
 
 ROW = RowWriter(BOTH).row(state(), None, tick(), 5)

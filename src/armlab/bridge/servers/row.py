@@ -60,7 +60,7 @@ def _arm_columns() -> Iterator[tuple[str, str, str, str, tuple[int, ...] | None]
     yield from ((name, "int64", source, "count", ()) for name, source in COUNTS.items() if name not in NOT_SENT)
     yield from ((name, "int64", source, "flag", ()) for name, source in FLAGS.items())
     yield "fresh", "int64", "", "blank", ()
-    yield "clamped", "int64", "tick.clamped", "bits", None
+    yield "clamped", "int64", "tick.clamped", "wide", None
     yield "commander", "text", "", "blank", (WORDS,)
 
 
