@@ -252,8 +252,9 @@ class RowPacker {
     nb::object held;
     try {
       held = plain(value, NPY_DOUBLE);
-    } catch (nb::python_error &) {
-      if (place.form == kFitting) return;
+    } catch (nb::python_error &error) {
+      const bool is_no_array = error.matches(PyExc_ValueError) || error.matches(PyExc_TypeError);
+      if (place.form == kFitting && is_no_array) return;
       throw;
     }
     auto *array = reinterpret_cast<PyArrayObject *>(held.ptr());

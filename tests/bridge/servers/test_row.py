@@ -98,11 +98,21 @@ def test_odd_commands_leave_holes() -> None:
         writer.row(state("ur5e"), None, tick(), 0)
 
 
-@pytest.mark.parametrize("name", ["clamped"])
+@pytest.mark.parametrize("name", ["q_sent", "qd_sent", "tau_sent", "clamped"])
 @pytest.mark.parametrize("size", [1, 5, 56])
 def test_ticks_of_another_size_are_refused(name: str, size: int) -> None:
     with pytest.raises(ShapeError, match=f"^Expected 7 values in {name}, got {size}\\.$"):
         RowWriter(BOTH).row(state(), None, tick(**{name: np.zeros(size)}), 0)
+
+
+@pytest.mark.parametrize("error", [MemoryError, KeyboardInterrupt, OverflowError])
+def test_errors_that_no_value_causes_are_raised(error: type[BaseException]) -> None:
+    class Values:
+        def __array__(self, *_: Any, **__: Any) -> np.ndarray:
+            raise error
+
+    with pytest.raises(error):
+        RowWriter(BOTH).row(state(), Command(Values()), tick(), 0)  # type: ignore[arg-type]
 
 
 ROW = RowWriter(BOTH).row(state(), None, tick(), 5)

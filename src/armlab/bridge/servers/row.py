@@ -53,7 +53,8 @@ def _arm_columns() -> Iterator[tuple[str, str, str, str, tuple[int, ...] | None]
     """Yield name, type, source, form (see `kernels.RowPacker`) and shape, None per joint, of the fields of an arm."""
     yield from ((name, "float64", source, "real", ()) for name, source in REALS.items())
     yield "age", "float64", "", "blank", ()
-    yield from ((name, "float64", source, "fitting", None) for name, source in JOINTS.items())
+    for name, source in JOINTS.items():
+        yield name, "float64", source, "doubles" if source.startswith("tick.") else "fitting", None
     for name, (source, form, shape) in FIXED.items():
         yield name, "float64", source, "padded" if form == "padded" else "fitting", shape
     yield from ((name, "float64", f"record.{name}", "fitting", column.shape) for name, column in ESTIMATE.items())
