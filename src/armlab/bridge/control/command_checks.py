@@ -94,7 +94,7 @@ def jump_refusal(q: np.ndarray, sent: np.ndarray, jump: np.ndarray, robot: Robot
     q, sent = axes(q), axes(sent)
     excess = np.abs(q - sent) - jump
     i = int(np.argmax(excess))
-    return _jumped(q, sent, i, robot, name(i)) if excess[i] > 0.0 else ""
+    return "" if excess[i] <= 0.0 else _jumped(q, sent, i, robot, name(i))  # NaN is not near
 
 
 def _jumped(q: np.ndarray, sent: np.ndarray, i: int, robot: Robot, joint: str) -> str:
@@ -111,7 +111,7 @@ def entry_refusal(
     axes = axes_of(robot)
     q, held = axes(q), axes(held)
     distance = np.abs(q - held)
-    far = distance > entry
+    far = ~(distance <= entry)  # NaN is not near
     if not far.any():
         return ""
     i = int(np.argmax(np.where(far, distance / entry, 0.0)))
