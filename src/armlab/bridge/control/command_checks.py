@@ -105,9 +105,14 @@ def _jumped(q: np.ndarray, sent: np.ndarray, i: int, robot: Robot, joint: str) -
 
 
 def entry_refusal(
-    q: np.ndarray, held: np.ndarray, entry: np.ndarray, robot: Robot, name: JointName | None = None
+    q: np.ndarray,
+    held: np.ndarray,
+    entry: np.ndarray,
+    robot: Robot,
+    name: JointName | None = None,
+    where: str = "holds",
 ) -> str:
-    """Return the sentence for a first position too far from where the arm holds, "" when it is near enough."""
+    """Return the sentence for a first position too far from where the arm holds (or is), "" when it is near enough."""
     axes = axes_of(robot)
     q, held = axes(q), axes(held)
     distance = np.abs(q - held)
@@ -117,8 +122,8 @@ def entry_refusal(
     i = int(np.argmax(np.where(far, distance / entry, 0.0)))
     joint = joint_name(robot, i) if name is None else name(i)
     return (
-        f"Expected the first position within {entry[i]:g} of where the arm holds, got {q[i]:.4f} for {joint} of "
-        f"{robot.name}, which holds at {held[i]:.4f}. Begin there. {causes(robot)}"
+        f"Expected the first position within {entry[i]:g} of where the arm {where}, got {q[i]:.4f} for {joint} of "
+        f"{robot.name}, which {where} at {held[i]:.4f}. Begin there. {causes(robot)}"
     )
 
 
