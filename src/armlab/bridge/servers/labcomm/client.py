@@ -263,7 +263,7 @@ class LabCommSource(ThreadSource):
         super().__init__(name, fields, period, **options)
         self.host, self.port, self._sample, self._dialect = host, port, sample, dialect
 
-    def _work(self) -> None:
+    def work(self) -> None:
         """Connect and read, again and again."""
         while not self._over.is_set():
             try:
