@@ -137,7 +137,7 @@ def joint_name(robot: Robot, i: int, first: int | None = None, by_axis: bool = F
 
 
 def causes(robot: Robot) -> str:
-    """Return why a position may be far from another, and of what the numbers are that a refusal of it names."""
+    """Return the usual causes of a distant position, and the quantity of the numbers in the refusal."""
     usual = "Usual causes are degrees instead of radians and another joint order."
     are_joints = Linkage.of(robot) is None
     return usual if are_joints else f"{usual} The numbers are those of ABB's axes, of which one may be several joints."
