@@ -112,6 +112,7 @@ def test_no_position_is_near_a_place_that_is_not_a_number(robot: Robot) -> None:
     assert f"joint 4 ({robot.joint_names[3]}) of {robot.name}, which holds at nan" in entry_refusal(
         np.zeros(7), held, entry, robot
     )
+    assert entry_refusal(held, np.zeros(7), entry, robot) == "", "its limits refuse it, and count that"
 
 
 def test_every_position_is_a_jump_from_one_that_is_not_a_number(robot: Robot) -> None:

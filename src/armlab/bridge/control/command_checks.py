@@ -116,7 +116,7 @@ def entry_refusal(
     axes = axes_of(robot)
     q, held = axes(q), axes(held)
     distance = np.abs(q - held)
-    far = ~(distance <= entry)  # NaN is not near
+    far = ~(distance <= entry) & ~np.isnan(q)  # from NaN all is far; NaN in the command is refused as such, and counts
     if not far.any():
         return ""
     i = int(np.argmax(np.where(far, distance / entry, 0.0)))
