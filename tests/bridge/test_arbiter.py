@@ -145,7 +145,7 @@ def test_refused_commands_keep_nothing() -> None:
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        (order(offset=0.06), "first position within 0.05 of where the arm holds"),
+        (order(offset=0.06), "first position within 0.05 of where the arm is"),
         (Order("labcomm a", "yumi_left", HOME[:6]), "7 numbers in q"),
         (Order("labcomm a", "yumi_left", qd=[[1.0], [2.0, 3.0]]), "7 numbers in qd"),
         (Order("labcomm a", "yumi_left", "up"), "7 numbers in q"),
@@ -325,7 +325,7 @@ def test_a_client_of_ros_is_told_of_its_own_joints() -> None:
     q = np.array(RIGHT.q_home)
     q[2] += 1.0
     bench(Order("rosbridge a", RIGHT.name, q, first=7))
-    assert "for yumi_robr_joint_3 (number 10 of the message) of yumi_right, which holds at" in bench.answers[0][1]
+    assert "for yumi_robr_joint_3 (number 10 of the message) of yumi_right, which is at" in bench.answers[0][1]
     bench(Order("rosbridge b", RIGHT.name, np.where(np.arange(7) == 3, np.nan, 0.0), first=0))
     assert "but that of yumi_robr_joint_4 (number 4 of the message) is not" in bench.answers[1][1]
 
@@ -367,7 +367,7 @@ def test_distances_are_those_of_the_axes_where_these_are_not_the_joints() -> Non
         return Order("labcomm a", linked.name, at(second, third))
 
     assert bench(away(0.03, 0.03)) is None
-    assert "within 0.05 of where the arm holds, got" in bench.answers[0][1]
+    assert "within 0.05 of where the arm is, got" in bench.answers[0][1]
     assert bench(away(0.049, -0.049)) is not None
     bench.now += 10**9
     bench(away(0.0, 0.0))
@@ -394,7 +394,7 @@ def test_a_sliding_joint_enters_as_near_as_its_arm_takes_it() -> None:
     )
     bench = Bench((rail,))
     assert bench(Order("labcomm a", "rail", rail.q_home + np.array([0.03, 0.0]))) is None
-    assert "within 0.02 of where the arm holds" in bench.answers[0][1]
+    assert "within 0.02 of where the arm is" in bench.answers[0][1]
     assert bench(Order("labcomm a", "rail", rail.q_home + np.array([0.019, 0.049]))) is not None
 
 

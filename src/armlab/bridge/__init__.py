@@ -4,7 +4,15 @@ from armlab.bridge.control.limits import Limits
 from armlab.bridge.control.run import Run
 from armlab.bridge.inputs.fusion import Held
 from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.inputs.sources import CallableSource, Reading, Source, UdpSource
+from armlab.bridge.inputs.sources import (
+    CallableSource,
+    Reading,
+    ReplaySource,
+    Source,
+    ThreadSource,
+    TimerSource,
+    UdpSource,
+)
 from armlab.bridge.link import Link, connect
 
 __all__ = [
@@ -15,8 +23,11 @@ __all__ = [
     "Parameter",
     "Parameters",
     "Reading",
+    "ReplaySource",
     "Run",
     "Source",
+    "ThreadSource",
+    "TimerSource",
     "UdpSource",
     "connect",
 ]

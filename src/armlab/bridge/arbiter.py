@@ -228,7 +228,7 @@ class Arbiter:
         if command.q is not None and not problem:
             limits, name = self._limits[order.arm], partial(joint_name, robot, first=order.first, by_axis=order.by_axis)
             if holder is None:
-                problem = entry_refusal(command.q, state.q, limits.entry, robot, name)
+                problem = entry_refusal(command.q, state.q, limits.entry, robot, name, where="is")
             else:
                 problem = jump_refusal(command.q, _sent(state), limits.jump, robot, name)
         if problem:

@@ -39,7 +39,7 @@ from armlab.robots import Robot
 __all__ = ["Cell", "cell_values", "is_open", "listening", "parse_cell", "run_cell"]
 
 GUARDED = "guarded"
-"""Option by which a server says that who commands through it has to know a secret, and that nobody can overhear it."""
+"""Server option: clients that command must know a secret, over an encrypted connection."""
 
 _ANYWHERE = "0.0.0.0"
 _ZENOH = ("zenoh", "rmw_zenoh")  # at one port they share a router, and what reaches one of them reaches the other

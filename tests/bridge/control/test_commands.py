@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 
 from armlab import bridge, robots
 from armlab.bridge import connect
-from armlab.bridge.control.command_checks import entry_refusal, kept, numbers, refusal, wanted
+from armlab.bridge.control.command_checks import entry_refusal, joint_name, jump_refusal, kept, numbers, refusal, wanted
 from armlab.bridge.control.external_axes import ExternalReferences, joined
 from armlab.bridge.control.limits import Limiter, Limits
 from armlab.bridge.control.state_machine import Mode, StateMachine
@@ -104,6 +105,23 @@ def test_entry(robot: Robot) -> None:
     wide = np.where(np.arange(7) == 4, 0.4, 0.05)
     far[1] = 0.1
     assert "joint 2" in entry_refusal(far, held, wide, robot), "twice what is allowed is more than 1.25 times"
+
+
+def test_no_position_is_near_a_place_that_is_not_a_number(robot: Robot) -> None:
+    held, entry = np.where(np.arange(7) == 3, np.nan, 0.0), np.full(7, 0.05)
+    assert f"joint 4 ({robot.joint_names[3]}) of {robot.name}, which holds at nan" in entry_refusal(
+        np.zeros(7), held, entry, robot
+    )
+    assert entry_refusal(held, np.zeros(7), entry, robot) == "", "its limits refuse it, and count that"
+
+
+def test_every_position_is_a_jump_from_one_that_is_not_a_number(robot: Robot) -> None:
+    sent, jump, name = np.where(np.arange(7) == 3, np.nan, 0.0), np.full(7, 0.1), partial(joint_name, robot)
+    assert jump_refusal(np.full(7, 0.1), np.zeros(7), jump, robot, name) == ""
+    assert "got 0.2000: a jump of 0.2000" in jump_refusal(np.full(7, 0.2), np.zeros(7), jump, robot, name)
+    assert f"the last one sent, nan, for joint 4 ({robot.joint_names[3]})" in jump_refusal(
+        np.zeros(7), sent, jump, robot, name
+    )
 
 
 def test_far_is_what_the_axes_are_where_they_are_not_the_joints(robot: Robot) -> None:

@@ -138,7 +138,7 @@ def test_timer() -> None:
 
 def test_a_source_with_a_thread_of_its_own_ends_it_and_starts_again() -> None:
     class Counting(ThreadSource):
-        def _work(self) -> None:
+        def work(self) -> None:
             seq = 0
             while not self._over.wait(0.001):
                 self._newest, seq = Reading(self.values({"grip": seq}), 0, time.monotonic_ns(), seq), seq + 1
@@ -157,7 +157,7 @@ def test_a_source_with_a_thread_of_its_own_ends_it_and_starts_again() -> None:
         time.sleep(0.01)
         assert source.newest() is kept
     with pytest.raises(NotImplementedError):
-        ThreadSource("none", FIELDS, 0.001)._work()
+        ThreadSource("none", FIELDS, 0.001).work()
 
 
 @pytest.mark.parametrize(

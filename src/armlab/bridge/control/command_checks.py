@@ -94,7 +94,7 @@ def jump_refusal(q: np.ndarray, sent: np.ndarray, jump: np.ndarray, robot: Robot
     q, sent = axes(q), axes(sent)
     excess = np.abs(q - sent) - jump
     i = int(np.argmax(excess))
-    return _jumped(q, sent, i, robot, name(i)) if excess[i] > 0.0 else ""
+    return "" if excess[i] <= 0.0 else _jumped(q, sent, i, robot, name(i))  # NaN is not near
 
 
 def _jumped(q: np.ndarray, sent: np.ndarray, i: int, robot: Robot, joint: str) -> str:
@@ -105,20 +105,25 @@ def _jumped(q: np.ndarray, sent: np.ndarray, i: int, robot: Robot, joint: str) -
 
 
 def entry_refusal(
-    q: np.ndarray, held: np.ndarray, entry: np.ndarray, robot: Robot, name: JointName | None = None
+    q: np.ndarray,
+    held: np.ndarray,
+    entry: np.ndarray,
+    robot: Robot,
+    name: JointName | None = None,
+    where: str = "holds",
 ) -> str:
-    """Return the sentence for a first position too far from where the arm holds, "" when it is near enough."""
+    """Return the sentence for a first position too far from where the arm holds (or is), "" when it is near enough."""
     axes = axes_of(robot)
     q, held = axes(q), axes(held)
     distance = np.abs(q - held)
-    far = distance > entry
+    far = ~(distance <= entry) & ~np.isnan(q)  # from NaN all is far; NaN in the command is refused as such, and counts
     if not far.any():
         return ""
     i = int(np.argmax(np.where(far, distance / entry, 0.0)))
     joint = joint_name(robot, i) if name is None else name(i)
     return (
-        f"Expected the first position within {entry[i]:g} of where the arm holds, got {q[i]:.4f} for {joint} of "
-        f"{robot.name}, which holds at {held[i]:.4f}. Begin there. {causes(robot)}"
+        f"Expected the first position within {entry[i]:g} of where the arm {where}, got {q[i]:.4f} for {joint} of "
+        f"{robot.name}, which {where} at {held[i]:.4f}. Begin there. {causes(robot)}"
     )
 
 
@@ -132,7 +137,7 @@ def joint_name(robot: Robot, i: int, first: int | None = None, by_axis: bool = F
 
 
 def causes(robot: Robot) -> str:
-    """Return why a position may be far from another, and of what the numbers are that a refusal of it names."""
+    """Return the usual causes of a distant position, and the quantity of the numbers in the refusal."""
     usual = "Usual causes are degrees instead of radians and another joint order."
     are_joints = Linkage.of(robot) is None
     return usual if are_joints else f"{usual} The numbers are those of ABB's axes, of which one may be several joints."

@@ -63,7 +63,7 @@ def collect_if_due() -> None:
 
 @contextmanager
 def short_switches() -> Iterator[None]:
-    """let threads take turns every half millisecond, so that the guard comes in time against a busy controller."""
+    """Let threads take turns every half millisecond, so that the guard comes in time against a busy controller."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(min(before, _SWITCH_INTERVAL))
     try:

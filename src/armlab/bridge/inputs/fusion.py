@@ -153,7 +153,7 @@ class Fusion:
         """Yield what each source has whenever the pacing one has something new: rows without a robot."""
         pacing = next((source for source in self.sources if source.role == "pacing"), None)
         if pacing is None:
-            raise ConfigError("Expected one source with the role pacing, got none. A TimerSource is one.")
+            raise ConfigError("Expected one source with the role pacing, got none. Add a bridge.TimerSource.")
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             before = self._last.get(pacing.name)

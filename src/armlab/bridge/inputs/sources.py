@@ -209,7 +209,15 @@ def _check_calibration(name: str, fields: Mapping[str, Column], calibration: obj
 
 
 class ThreadSource(Source):
-    """A source with a thread: `_work` runs until `_over` is set and leaves its readings in `_newest`."""
+    """Source with a thread: `work` runs until `_over` is set and leaves its readings in `_newest`. Subclass it.
+
+    Parameters
+    ----------
+    name : of the source.
+    fields : columns by name.
+    period : seconds between two readings.
+    options : see `Source`.
+    """
 
     def __init__(self, name: str, fields: Mapping[str, Column], period: float, **options: Any) -> None:
         super().__init__(name, fields, period, **options)
@@ -217,14 +225,14 @@ class ThreadSource(Source):
         self._over = threading.Event()
         self._thread: threading.Thread | None = None
 
-    def _work(self) -> None:
-        """Receive; in the thread."""
+    def work(self) -> None:
+        """Receive readings, in the thread. A subclass defines it."""
         raise NotImplementedError
 
     def start(self) -> None:
         """Start the thread."""
         self._over.clear()
-        self._thread = threading.Thread(target=self._work, name=f"source {self.name}", daemon=True)
+        self._thread = threading.Thread(target=self.work, name=f"source {self.name}", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
@@ -259,7 +267,7 @@ class CallableSource(ThreadSource):
         super().__init__(name, fields, period, **options)
         self._function = function
 
-    def _work(self) -> None:
+    def work(self) -> None:
         """Call the function once per period."""
         due, seq = time.monotonic(), 0
         while not self._over.wait(max(due - time.monotonic(), 0.0)):
@@ -274,7 +282,14 @@ class CallableSource(ThreadSource):
 
 
 class TimerSource(Source):
-    """Counts periods: the pace of rows where no robot gives one. Its field is ``count``."""
+    """Counter of periods: paces rows where there is no robot. Its one field is ``count``.
+
+    Parameters
+    ----------
+    name : of the source.
+    period : seconds between two counts.
+    options : see `Source`; `role` is "pacing" by default.
+    """
 
     def __init__(self, name: str, period: float, **options: Any) -> None:
         super().__init__(name, {"count": Column(unit="1")}, period, **{"role": "pacing", **options})
@@ -292,7 +307,19 @@ class TimerSource(Source):
 
 
 class ReplaySource(Source):
-    """A source as it was recorded: the same readings at the same ticks, through the same fusion."""
+    """Replay of a recorded source: the same readings at the same ticks, through the same fusion.
+
+    Parameters
+    ----------
+    name : of the source in the recording.
+    table : the recording.
+    period : seconds between two readings.
+    options : see `Source`.
+
+    Raises
+    ------
+    UnknownName : the recording has no such source.
+    """
 
     def __init__(self, name: str, table: Table, period: float, **options: Any) -> None:
         prefix, own = f"{name}.", TICK_COLUMNS

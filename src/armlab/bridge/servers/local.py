@@ -66,11 +66,13 @@ class LocalFeed:
 
     Parameters
     ----------
-    cell : name of the cell; "" when only one runs. patience : s to wait for a message.
+    cell : name of the cell; "" when only one runs.
+    patience : time to wait for a message [s].
 
     Raises
     ------
-    LinkError : no such bridge runs. ConfigError : several run, and none was named.
+    LinkError : no such bridge runs.
+    ConfigError : several bridges run, and `cell` is "".
     """
 
     def __init__(self, cell: str = "", patience: float = 5.0) -> None:

@@ -29,7 +29,7 @@ _STAMP = len('{"timestamp":1700000000.1234567}')
 class Datagrams:
     """Makes datagrams of rows: {"timestamp": s, "yumi_left": {"q": {"1": ...}}}, a number that is not finite as null.
 
-    fields : names without the robot, of what every robot has, most useful first; as attribute those that fit.
+    fields : field names without the robot, most useful first. The attribute holds those that fit.
     largest : bytes of a datagram, whatever the numbers are.
     """
 

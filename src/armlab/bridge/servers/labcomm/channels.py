@@ -1,4 +1,4 @@
-"""What each port of a LabComm server sends and accepts: `ArmChannel`, `FusedChannel`; see also `parameter_channel`."""
+"""What each port of a LabComm server sends and accepts: `ArmChannel`, `FusedChannel`, `ParameterChannel`."""
 
 from __future__ import annotations
 
@@ -70,13 +70,19 @@ def _send(sample: SampleType, value: Any, peers: Iterable[Peer]) -> None:
 class ArmChannel(Channel):
     """Rows of one arm out, commands in.
 
-    Which client may command is not decided here: see `rights.Arbiter`.
+    Which client may command is not decided here: see `bridge.arbiter.Arbiter`.
 
     Parameters
     ----------
-    name : of the arm. port : 7511 for a left arm, 7512 for a right one.
-    on_command, on_left : called in the server's thread; the second with the address of a client that is gone.
-    axes, order, types : see `RowTypes`. dialect, follows_client : see `Channel`.
+    name : name of the arm.
+    port : 7511 for a left arm, 7512 for a right one.
+    on_command : called in the server's thread with the name, the row and the client's address.
+    axes : see `RowTypes`.
+    order : see `RowTypes`.
+    types : see `RowTypes`.
+    dialect : see `Channel`.
+    follows_client : see `Channel`.
+    on_left : called in the server's thread with the address of a client that is gone.
     """
 
     def __init__(

@@ -35,17 +35,22 @@ class LabCommClient:
 
     Parameters
     ----------
-    host, port : of the server: 7511 left arm, 7512 right arm, 7513 parameters, 7514 fused rows.
-    dialect : of what is sent; what comes is told from its first bytes.
-    types : sample types and order of joints of an arm's port. patience : seconds to wait for the connection.
+    host : address of the server.
+    port : port of the server: 7511 left arm, 7512 right arm, 7513 parameters, 7514 fused rows.
+    dialect : dialect of packets sent; that of received packets follows from their first bytes.
+    types : sample types and order of joints of an arm's port.
+    patience : time to wait for the connection [s].
 
     Attributes
     ----------
-    host, port : of the server. samples : types that the server has defined, by index.
+    host : address of the server.
+    port : port of the server.
+    samples : types that the server has defined, by index.
 
     Raises
     ------
-    LinkError : nobody listens there. UnknownName : no such dialect.
+    LinkError : no server listens there.
+    UnknownName : no such dialect.
     """
 
     def __init__(
@@ -94,11 +99,13 @@ class LabCommClient:
 
         Parameters
         ----------
-        sample : name and type. value : see `wire.labcomm.Sample`.
+        sample : name and type.
+        value : see `wire.labcomm.Sample`.
 
         Raises
         ------
-        LabCommError : the value does not fit. LinkError : the connection is gone.
+        LabCommError : the value does not fit.
+        LinkError : the connection is gone.
         """
         self.define(sample)
         self._push(self._encoder.data(sample, value))
@@ -114,7 +121,8 @@ class LabCommClient:
 
         Raises
         ------
-        LabCommError : a wrong number of joints. LinkError : the connection is gone.
+        LabCommError : a wrong number of joints.
+        LinkError : the connection is gone.
         """
         self._peer.clear()
         self.send(self._types.accepted, self._types.value(row, self._types.accepted))
@@ -177,7 +185,8 @@ class LabCommClient:
 
         Parameters
         ----------
-        on_row : Row -> Row or None. seconds : to run, None until the connection is gone.
+        on_row : Row -> Row or None.
+        seconds : time to run [s]; default: until the connection is gone.
         reconnects : try again for `patience` seconds when the server goes.
 
         Raises
@@ -263,7 +272,7 @@ class LabCommSource(ThreadSource):
         super().__init__(name, fields, period, **options)
         self.host, self.port, self._sample, self._dialect = host, port, sample, dialect
 
-    def _work(self) -> None:
+    def work(self) -> None:
         """Connect and read, again and again."""
         while not self._over.is_set():
             try:

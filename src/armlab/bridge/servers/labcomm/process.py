@@ -1,6 +1,6 @@
 """`LabCommProcess`: a LabComm server in a process of its own, between the loop's feed and its clients.
 
-Rows, events and parameters come from the loop by a socket (see `bridge.feed`); commands and settings of parameters go
+Rows, events and parameters come from the loop by a socket (see `servers.hub`); commands and settings of parameters go
 back by it. Nothing here can touch the loop: what it does not read is dropped there. One thread does all: a row that is
 handed to another one costs more than the row.
 """
@@ -106,7 +106,7 @@ def labcomm_options(
     types: str | None = None,
     follows_client: bool = False,
 ) -> dict[str, Any]:
-    """Return the options of the server of some arms, for `servers.server_command`.
+    """Return the options of the server of some arms, for `supervisor.server_command`.
 
     robots : the arms. host : address to listen on, this computer only by default.
     ports : of the arms; None gives 7511 to a left or only arm, 7512 to a right one.

@@ -262,13 +262,15 @@ class LabCommServer:
 
     Parameters
     ----------
-    channels : the ports. host : address to listen on, this computer only by default. on_event : told who connects, who
-        is closed and why, from the server's thread. on_stop : called there with the address of a client that sent the
-        sample ``void stop``, on any port.
+    channels : a channel per port.
+    host : address to listen on; default: this computer only.
+    on_event : called in the server's thread with a sentence when a client connects or is closed, and why.
+    on_stop : called in the server's thread with the address of a client that sent the sample ``void stop`` on any port.
 
     Attributes
     ----------
-    ports : the ports bound, by name of the channel. lost : published items that the server's thread was too slow for.
+    ports : dict, port numbers by name of the channel.
+    lost : number of published items dropped because the server's thread was too slow.
 
     Raises
     ------
@@ -310,7 +312,8 @@ class LabCommServer:
 
         Parameters
         ----------
-        name : of its channel. row : see `Row`.
+        name : name of the arm's channel.
+        row : see `Row`.
 
         Raises
         ------
@@ -323,7 +326,9 @@ class LabCommServer:
 
         Parameters
         ----------
-        t_us : clock of the bridge [µs]. arms, sources : the newest of each.
+        t_us : int, clock of the bridge [µs].
+        arms : the newest row of each arm.
+        sources : the newest reading of each source.
 
         Raises
         ------
@@ -336,7 +341,8 @@ class LabCommServer:
 
         Parameters
         ----------
-        name : of the parameter. value : as declared.
+        name : name of the parameter.
+        value : its value, of the declared type.
 
         Raises
         ------
@@ -395,8 +401,9 @@ class RowFeed:
 
     Parameters
     ----------
-    server : where to. channels : channel by name of the robot. With a channel "fused", the newest rows of all arms are
-        published there with each row of the first.
+    server : server that publishes the rows.
+    channels : names of channels by name of the robot. With a channel "fused", the newest rows of all arms are published
+        there with each row of the first.
     """
 
     def __init__(self, server: LabCommServer, channels: Mapping[str, str]) -> None:
@@ -409,7 +416,9 @@ class RowFeed:
 
         Parameters
         ----------
-        state : of the arm. command, tick : not used.
+        state : state of the arm.
+        command : not used.
+        tick : not used.
         """
         name = self._channels.get(state.robot)
         if name is None:
@@ -428,7 +437,8 @@ class RowFeed:
 
         Parameters
         ----------
-        text, warn : see `recording.Feed`.
+        text : see `recording.Feed`.
+        warn : see `recording.Feed`.
         """
 
 
@@ -437,8 +447,9 @@ def to_arbiter(arbiter: Arbiter, arm: str, order: Literal["abb", "chain"] = "abb
 
     Parameters
     ----------
-    arbiter : the controller of the run; it must allow the server "labcomm". arm : name of the robot.
-    order : of the joints on the channel, so that a refusal names the number that its client sent.
+    arbiter : the controller of the run; it must allow the server "labcomm".
+    arm : name of the robot.
+    order : order of the joints on the channel: a refusal names the joint by its number there.
     """
 
     def submit(name: str, row: Row, client: str) -> None:

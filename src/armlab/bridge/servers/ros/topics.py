@@ -217,7 +217,7 @@ _PERIOD_NS = 1_000_000_000  # between two messages of those topics
 _MONO = Struct("<q")
 
 Messages = Iterable[tuple[RosTopic, Any]]
-"""Topics with a message of `types.store` each."""
+"""Topics with a message of `store` each."""
 
 
 class Topics:

@@ -192,7 +192,7 @@ Operation = (
 
 
 class _Head(msgspec.Struct, frozen=True):
-    """What can be told of an operation that is none."""
+    """Fields read from an invalid operation, for the error message."""
 
     op: Any = None
     id: Any = None

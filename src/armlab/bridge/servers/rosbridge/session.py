@@ -1,4 +1,4 @@
-"""`ClientSession`: what is known of one client, and what it is told."""
+"""`ClientSession`: state of one client, and messages to it."""
 
 from __future__ import annotations
 

@@ -315,14 +315,14 @@ class LabAddress(NamedTuple):
 
     @classmethod
     def of(cls, host: str, port: int, options: dict[str, str]) -> LabAddress:
-        """Return the place of a url that was taken apart."""
+        """Return the address for a host, a port and options."""
         unknown = sorted(set(options) - {"lab", *_OPTIONS})
         if unknown:
             raise ConfigError(f"Expected only ca and secret as options of a zenoh link, got {', '.join(unknown)}.")
         return cls(host, port, options.get("lab") or LAB, Security.of(options))
 
     def open(self, patience: float = _PATIENCE) -> Any:
-        """Return a session there; see `session.close_session`."""
+        """Return a session there; see `close_session`."""
         where = f"{self.host}:{self.port}"
         listen = ["127.0.0.1:0"] if self.security.ca is None and self.host.startswith("127.") else []
         session = open_session("peer", listen, [where], self.security)
