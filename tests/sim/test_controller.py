@@ -161,6 +161,23 @@ def test_comm_timeout_ends_the_session_and_the_next_begins() -> None:
     assert packet.robot_ns > peer.packets[-2].robot_ns + 100_000_000
 
 
+def test_session_time_out_is_said_once_without_a_peer() -> None:
+    peer = start(comm_timeout=0.05)
+    for _ in range(400):
+        peer.cycle()
+    assert peer.controller.session > 3
+    assert len(peer.events) == 1
+
+
+def test_program_once_ends() -> None:
+    peer = start(comm_timeout=0.05, program="once")
+    for _ in range(200):
+        peer.cycle()
+    assert peer.controller.phase == "over"
+    assert peer.controller.reason == "the program ran once"
+    assert peer.controller.session == 1
+
+
 def test_convergence_ends_the_session() -> None:
     peer = start(window=np.radians(0.5), condition_time=0.4)
     while peer.cycle(ROBOT.q_home + 0.05) is not None:
