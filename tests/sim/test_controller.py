@@ -491,6 +491,13 @@ def test_torques_move_an_arm_whose_gains_are_zero() -> None:
     assert np.abs(task.controller.arm.sample.q - before).max() < 0.1, "no snap back to where position control ended"
 
 
+@pytest.mark.parametrize(("changes", "scale", "mode"), [({}, 1.0, 1), ({"position_gain": 0.0}, 1.0, 2), ({}, 0.0, 3)])
+def test_the_mode_of_the_drives_is_sent(changes: dict[str, Any], scale: float, mode: int) -> None:
+    task = Task(masses=True, **changes)
+    task.run(3, lambda p: research(p, np.zeros(7), scale))
+    assert pb.EgmRobot.FromString(task.controller.packet() or b"").researchState.mode == mode
+
+
 def test_cycles_without_packets_are_not_the_peers_silence() -> None:
     task = Task(comm_timeout=0.1, ramp_in=0.005)
     before = task.run(50, task.position(ROBOT.q_home + 0.3)).q_planned
