@@ -232,7 +232,10 @@ def test_a_second_run_makes_no_sums(folder: Path, short_arm, tmp_path: Path, mad
 
 
 @pytest.mark.slow  # 35 logs
-def test_of_thirty_logs_and_more_five_new_ones_cost_five(short_arm, tmp_path: Path, made: list[int]) -> None:
+def test_of_thirty_logs_and_more_five_new_ones_cost_five(
+    short_arm, tmp_path: Path, made: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("armlab.identify.many.FEWEST_BLOCKS", 30)  # a block for each log, of 30 as of 35
     logs, cache = tmp_path / "logs", tmp_path / "cache"
     logs.mkdir()
     for k in range(35):

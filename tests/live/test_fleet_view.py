@@ -66,6 +66,27 @@ def test_one_lab_alone_and_damaged_rows(fleet: Fleet) -> None:
     hear_fleet(rows, lambda: seen.state == "there")
 
 
+WRONG = [
+    b'{"kind": "status", "arms": {"arm": {"rate": 1.0, "missed": Infinity}}}',
+    b'{"kind": "status", "arms": {"arm": {"rate": 1%s, "missed": 0}}}' % (b"0" * 400),
+    b"[" * 200_000,
+    b"5",
+]
+
+
+def test_texts_that_are_none_end_nothing(fleet: Fleet) -> None:
+    rows = fleet.rows()
+    fleet.bridge(LEFT, "arm")
+    hear_fleet(rows, lambda: "lab1/arm" in rows.robots and math.isfinite(rows.robots["lab1/arm"].rate))
+    seen = rows.robots["lab1/arm"]
+    hear_fleet(
+        rows, lambda: seen.refused >= len(WRONG), lambda: [fleet.put("armlab/lab1/arm/status", x) for x in WRONG]
+    )
+    assert math.isfinite(seen.rate)
+    before = seen.rows
+    hear_fleet(rows, lambda: seen.rows > before)
+
+
 @pytest.mark.parametrize("about", [b"", b"[]", b"[1]", b'[{"schema": "{}"}]', b'[{"schema": 1}]', b"\xff"])
 def test_a_description_that_is_none_is_asked_again(about: bytes) -> None:
     seen = SeenRobot("lab1/ur5e")

@@ -332,11 +332,26 @@ def test_more_lines_than_bytes_are_refused(tmp_path: Path, monkeypatch: pytest.M
         log.read_csv(path, rate=250.0)
 
 
+def test_an_arm_that_stands_still_is_no_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("armlab.log.file_formats.delimited._UNPACKED", SOME)
+    rows = [f"{0.004 * k:.3f}" + ",0.25" * 30 for k in range(2000)]
+    text = "\n".join(["t," + ",".join(f"c{k}" for k in range(30)), *rows])
+    assert len(text) > 4 * SOME
+    assert len(log.read_csv(put(tmp_path / "log", text.encode(), packed=True))) == 2000
+
+
 def test_one_long_text_among_short_ones_is_refused(tmp_path: Path) -> None:
     """180 kB, of which 7 GiB would be made."""
     path = put(tmp_path / "log", b"t,note\n" + b"0,a\n" * 20_000 + b"1," + b"a" * 100_000 + b"\n")
     with pytest.raises(LogError, match=r"values that are alike, got 20001 rows .* in log: note"):
         log.read_csv(path)
+
+
+@pytest.mark.parametrize("line", [b"a\n", b"ab\n"])
+def test_words_take_a_bounded_multiple_of_the_file(tmp_path: Path, line: bytes) -> None:
+    path = put(tmp_path / "log", b"x\n" + b"ab\n" + line * 10_000)
+    with memory(45.0 * path.stat().st_size):
+        log.read_csv(path, rate=250.0)
 
 
 @pytest.fixture

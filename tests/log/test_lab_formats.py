@@ -246,6 +246,15 @@ def test_names_of_the_old_exports_and_holes(tmp_path: Path) -> None:
     assert np.isfinite(found["q"][3:]).all()
 
 
+def test_a_labcomm_stream_ends_in_the_same_function(tmp_path: Path) -> None:
+    """`read_labcomm` numbers structs in arrays and names their leaves alike."""
+    robot, values = coupled(), signals(5)
+    csv = from_orca(log.read_csv(write_log(tmp_path / "run.csv", [values]), rate=1 / PERIOD), robot, 0)
+    names = {f"irb2ext.robot[0].joint[{k}].{s}": array[:, k] for s, array in values.items() for k in range(7)}
+    stream = Table(np.arange(20) * PERIOD, names, dict.fromkeys(names, Column(unit="1")))
+    assert from_orca(stream, robot, 0).sha256 == Table(stream.t, csv.values, csv.columns).sha256
+
+
 def test_what_is_refused(tmp_path: Path) -> None:
     robot, values = coupled(), signals(6)
     table = log.read_csv(write_log(tmp_path / "run.csv", [values]), rate=1 / PERIOD)

@@ -33,10 +33,11 @@ from armlab.log.mcap.records import (
     Contents,
     contents,
     end_of_blocks,
+    most_unpacked,
     records,
     unpacked,
 )
-from armlab.log.mcap.recovery import Recovery, new_file
+from armlab.log.mcap.recovery import Recovery, new_file, records_at
 from armlab.log.mcap.writer import McapWriter
 
 
@@ -138,6 +139,14 @@ def test_sizes_are_checked_before_memory_is_taken() -> None:
         unpacked(memoryview(bomb), chunk(bomb, "zstd", size=1 << 60))
 
 
+def test_a_file_may_unpack_to_200_times_its_size() -> None:
+    assert most_unpacked(100) == 1 << 24
+    assert most_unpacked(1 << 20) == 200 << 20
+    bomb = zstandard.ZstdCompressor().compress(bytes(1 << 25))
+    with pytest.raises(LogError, match="at most 16777216 bytes at byte 7, got 33554432"):
+        unpacked(memoryview(bomb), chunk(bomb, "zstd", size=1 << 25, crc=0))
+
+
 def test_damage_and_unknown_compression() -> None:
     with pytest.raises(LogError, match="zstd data"):
         unpacked(memoryview(b"nonsense"), chunk(b"nonsense", "zstd"))
@@ -213,7 +222,7 @@ def borders(data: bytes) -> Iterator[int]:
         yield from (start - 9, start, stop)
 
 
-@pytest.mark.parametrize(("number", "every"), [(25, 15), pytest.param(1000, 1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("number", "every"), [(60, 7), pytest.param(2000, 1, marks=pytest.mark.slow)])
 def test_cut_files(data: bytes, tmp_path: Path, number: int, every: int) -> None:
     whole = reference(tmp_path / "whole.mcap", data)
     places = sorted({place + d for place in borders(data) for d in (-1, 0, 1) if 0 <= place + d <= len(data)})[::every]
@@ -224,7 +233,7 @@ def test_cut_files(data: bytes, tmp_path: Path, number: int, every: int) -> None
     assert max(rows) >= 24
 
 
-@pytest.mark.parametrize("number", [50, pytest.param(600, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", [120, pytest.param(1000, marks=pytest.mark.slow)])
 def test_flipped_bytes(data: bytes, tmp_path: Path, number: int) -> None:
     whole = reference(tmp_path / "whole.mcap", data)
     rng = np.random.default_rng(4)
@@ -236,6 +245,13 @@ def test_flipped_bytes(data: bytes, tmp_path: Path, number: int) -> None:
     read_at_all = [count for count in rows if count]
     assert len(read_at_all) > 0.8 * number
     assert np.median(read_at_all) >= 22
+
+
+def test_noise_after_the_magic_bytes(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(40):
+        noise = MAGIC + rng.integers(0, 256, int(rng.integers(0, 400)), dtype=np.uint8).tobytes()
+        assert attempt(tmp_path / "noise.mcap", noise, {}) is None
 
 
 def begun(file: io.BufferedIOBase) -> tuple[McapWriter, int, int]:
@@ -493,6 +509,13 @@ def test_a_file_that_comes_while_it_works_is_not_overwritten(
     assert other.read_bytes() == b"another's"
     assert recover(torn).path.exists()
     assert not list(tmp_path.glob("*.part"))
+
+
+def test_a_damaged_chunk_has_no_records(recording: Callable[..., Path]) -> None:
+    data = bytearray(recording(60).read_bytes())
+    chunk = contents(memoryview(bytes(data))).chunks[0]
+    data[chunk.data[0] + 30] ^= 1
+    assert records_at(memoryview(data), contents(memoryview(data)), chunk) is None
 
 
 def test_a_new_file_is_whole_or_not_there(tmp_path: Path) -> None:

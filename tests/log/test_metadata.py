@@ -35,6 +35,7 @@ from armlab.log.recording.metadata import (
     Inspection,
     Setting,
     Topic,
+    attached,
     described,
     inspect,
     metadata,
@@ -43,7 +44,7 @@ from armlab.log.recording.metadata import (
 )
 from armlab.log.recording.recorder import Recorder
 from armlab.log.recording.ros_messages import T0_KEY
-from armlab.robots import Robot, load, to_toml
+from armlab.robots import Robot, from_toml, load, to_toml
 
 MARKER = "q7Zw"
 LETTERS = st.text("abcxyz", min_size=1, max_size=5)  # of which no name of a secret can be made
@@ -231,6 +232,17 @@ def test_metadata_has_the_hashes_of_what_is_attached(robot: Robot, monkeypatch: 
     assert about["command"] == "armlab run --token *** --api-key=*** tokens.py --seed 3"
     assert (about["robot"], about["robot_hash"], about["note"]) == (robot.name, robot.hash, "mine")
     assert json.loads(about["attachments"]) == {"model.toml": hashlib.sha256(b"1").hexdigest()}
+
+
+def test_secrets_in_settings_are_replaced(robot: Robot) -> None:
+    found = attached(robot, {"cell.toml": b"[token]\nkey = 'abc'", "data.bin": b"token = 1"})
+    assert tomllib.loads(found["cell.toml"].decode()) == {"token": "***"}
+    assert found["data.bin"] == b"token = 1"
+
+
+def test_the_description_of_the_robot_is_there(robot: Robot) -> None:
+    assert from_toml(attached(robot, {})["robot.toml"].decode(), "it").hash == robot.hash
+    assert attached(robot, {"robot.toml": b"mine"}) == {"robot.toml": b"mine"}
 
 
 def test_topics_events_and_sizes(recording: Callable[..., Path]) -> None:

@@ -606,7 +606,7 @@ def kill_one(path: Path, seconds: float) -> tuple[int, int]:
     return count, lost
 
 
-@pytest.mark.parametrize(("number", "longest"), [(1, 2.0), pytest.param(6, 3.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("number", "longest"), [(1, 2.0), pytest.param(8, 4.0, marks=pytest.mark.slow)])
 def test_kill_9_loses_a_few_rows(tmp_path: Path, number: int, longest: float) -> None:
     rng, losses = np.random.default_rng(number), []
     for trial in range(number):

@@ -330,7 +330,7 @@ def test_every_table_comes_back_the_same(ending: str, tmp_path: Path, table: Tab
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", FORMATS)
-@examples(150)
+@examples(400)
 @given(table=tables())
 def test_every_table_comes_back_the_same_often(ending: str, tmp_path: Path, table: Table) -> None:
     available(ending)
@@ -358,7 +358,7 @@ def test_every_table_comes_back_from_a_rosbag2(storage: str, tmp_path: Path, tab
 
 @pytest.mark.slow
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-@examples(80)
+@examples(200)
 @given(table=tables())
 def test_every_table_comes_back_from_a_rosbag2_often(storage: str, tmp_path: Path, table: Table) -> None:
     bag_and_back(table, tmp_path, storage)

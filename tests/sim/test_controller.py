@@ -161,6 +161,23 @@ def test_comm_timeout_ends_the_session_and_the_next_begins() -> None:
     assert packet.robot_ns > peer.packets[-2].robot_ns + 100_000_000
 
 
+def test_session_time_out_is_said_once_without_a_peer() -> None:
+    peer = start(comm_timeout=0.05)
+    for _ in range(400):
+        peer.cycle()
+    assert peer.controller.session > 3
+    assert len(peer.events) == 1
+
+
+def test_program_once_ends() -> None:
+    peer = start(comm_timeout=0.05, program="once")
+    for _ in range(200):
+        peer.cycle()
+    assert peer.controller.phase == "over"
+    assert peer.controller.reason == "the program ran once"
+    assert peer.controller.session == 1
+
+
 def test_convergence_ends_the_session() -> None:
     peer = start(window=np.radians(0.5), condition_time=0.4)
     while peer.cycle(ROBOT.q_home + 0.05) is not None:
@@ -472,6 +489,13 @@ def test_torques_move_an_arm_whose_gains_are_zero() -> None:
     before = task.controller.arm.sample.q
     task.run(50, task.position(task.packets[-1].q))
     assert np.abs(task.controller.arm.sample.q - before).max() < 0.1, "no snap back to where position control ended"
+
+
+@pytest.mark.parametrize(("changes", "scale", "mode"), [({}, 1.0, 1), ({"position_gain": 0.0}, 1.0, 2), ({}, 0.0, 3)])
+def test_the_mode_of_the_drives_is_sent(changes: dict[str, Any], scale: float, mode: int) -> None:
+    task = Task(masses=True, **changes)
+    task.run(3, lambda p: research(p, np.zeros(7), scale))
+    assert pb.EgmRobot.FromString(task.controller.packet() or b"").researchState.mode == mode
 
 
 def test_cycles_without_packets_are_not_the_peers_silence() -> None:

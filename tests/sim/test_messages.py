@@ -15,7 +15,7 @@ from armlab.sim.controller.controller import QUEUE_LENGTH, ReplyQueue, Sent
 from armlab.sim.controller.guidance import Guidance, ReferenceDecoder
 from armlab.sim.controller.packets import EPOCH_NS, OPTIONAL_FIELDS, Condition, PacketBuilder
 from armlab.sim.controller.settings import ControllerSettings
-from armlab.sim.controller.statistics import ControllerEvent, Statistics
+from armlab.sim.controller.statistics import ControllerEvent, EventLog, Statistics
 from armlab.wire.egm import Drop, EgmCodec, Packet, Reference
 from armlab.wire.egm import armlab_egm_pb2 as pb
 from armlab.wire.egm.robot_side import RobotSideCodec, SensorMessage
@@ -252,3 +252,18 @@ def test_what_was_heard_beside_the_joints() -> None:
     assert data["rapid"] == {"1": 7.0, "2": 8.5, "digital": 1.0}
     assert data["external_axes"] == {"1": 0.5}
     assert data["counts"] == {"RAPID data": 1, "RAPID digital": 1, "external axes": 1}
+
+
+def test_drops_are_told_once_per_kind_and_session() -> None:
+    statistics, heard = Statistics(), list[ControllerEvent]()
+    journal = EventLog("yumi_left", statistics, heard.append)
+    for session in range(2):
+        for _ in range(3):
+            journal.drop(1.0 + session, Drop("no header", "4 bytes"), b"\1\2\3\4")
+        journal.drop(1.0, Drop("old", "late"), b"")
+        journal.begin()
+    assert statistics.drops == {"no header": 6, "old": 2}
+    assert [str(event) for event in heard[:1]] == [
+        "1.000 s yumi_left - dropped a datagram, no header: 4 bytes; first bytes 01 02 03 04"
+    ]
+    assert len(heard) == len(statistics.events) == 4

@@ -192,6 +192,14 @@ def test_what_rapid_heard_outlives_a_session() -> None:
     assert target.rapid_digital is True
 
 
+def test_modes_of_the_drives() -> None:
+    target = ReferenceDecoder(ROBOT, ControllerSettings())
+    assert target.drive_mode == 1
+    assert ReferenceDecoder(ROBOT, ControllerSettings(position_gain=0.0)).drive_mode == 2
+    target.accept(SensorMessage(0, 1, 3, gain_q=0 * ONES), HOME, None)
+    assert target.drive_mode == 3
+
+
 @pytest.mark.parametrize("field", ["tau", "gain_q", "gain_qd", "q_ext"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
 def test_no_usable_number_anywhere(field: str, value: float) -> None:

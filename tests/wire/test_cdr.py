@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab.errors import LogError
-from armlab.wire.cdr import NO_MEMBER, Field, Layout, bounded, definitions, layout, with_bytes
+from armlab.wire.cdr import NO_MEMBER, Field, Layout, bounded, definitions, held, layout, with_bytes
 
 MIXED = """
 uint8 flag
@@ -162,6 +162,12 @@ def test_a_message_of_many_fields_or_letters_without_a_byte_is_refused() -> None
         layout(many, name, types)
 
 
+def test_a_value_in_five_messages_fits() -> None:
+    types = definitions("test_msgs/msg/M0", nested("M1[] a", *(f"M{k + 1} x" for k in range(1, 6)), "uint8 y"))
+    raw = b"\0\1\0\0" + struct.pack("<I", 500) + bytes(500)
+    assert len(layout(raw, "test_msgs/msg/M0", types).fields) == 500
+
+
 def test_messages_without_fields_have_a_byte() -> None:
     """As those of ROS 2 have."""
     text = nested("M1 e\nuint8 x\nM1[] several\nfloat64 y", "")
@@ -177,6 +183,22 @@ def test_messages_without_fields_have_a_byte() -> None:
     assert y is not None
     assert raw[x.start] == 7
     assert np.frombuffer(raw[y.start : y.stop], y.dtype)[0] == 2.5
+
+
+def test_the_most_fields_that_a_type_may_have() -> None:
+    types = definitions(
+        "test_msgs/msg/M0",
+        nested("M1[300] a\nstring[] b\nuint8[1000000] picture", "float64[300] c\nM2 d\nM2[2] e", "int8 x"),
+    )
+    assert bounded("test_msgs/msg/M0", types) is types
+    assert [held(one) for _, one in types["test_msgs/msg/M0"]] == [
+        ("test_msgs/msg/M1", 300, False),
+        ("", 1, True),
+        ("", 1000000, False),
+    ]
+    assert [held(one) for _, one in types["test_msgs/msg/M1"]][1:] == [
+        ("test_msgs/msg/M2", 1, False), ("test_msgs/msg/M2", 2, False)
+    ]  # fmt: skip
 
 
 def test_the_types_of_ros_are_bounded() -> None:

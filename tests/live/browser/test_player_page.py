@@ -27,7 +27,7 @@ pytestmark = pytest.mark.slow
 ARMS = (robots.load("yumi_left"), robots.load("yumi_right"))
 FORCE = np.array([0.0, 12.0, 16.0])
 T = 0.02 * np.arange(14 * 50)
-NO_FORCE, BARE, SHARP = 8.5, 9.5, 10.5  # s
+NO_FORCE, BARE, SHARP, WIDE, DOUBTFUL = 8.5, 9.5, 10.5, 11.5, 12.5  # s
 WIDTH, HEIGHT, FOV = 600, 400, np.deg2rad(45.0)
 PAGE_COLORS = {"force": ("#D55E00", "#009E73", "#0072B2"), "torque": ("#CC79A7", "#E69F00", "#56B4E9", "#000000")}
 
@@ -176,6 +176,33 @@ def test_both_arms_are_where_the_log_says(view: View, t: float) -> None:
         assert link.sum() > 500
 
 
+def test_no_marker_without_an_arm(view: View) -> None:
+    view.at(1.0)
+    view.hide_arms()
+    picture = view.until("hidden", lambda found: not near(found, TOOL_COLOR, saturation=0.4).any())
+    assert near(picture, TOOL_COLOR, saturation=0.4).sum() == 0
+
+
+def test_pictures_change_while_playing_and_not_while_paused(view: View) -> None:
+    view.at(2.0)
+    view.until("there", lambda found: not np.isnan(marker(found, view.project(tool_points(ARMS[0], 2.0)))).any())
+    last = [view.picture("still")]
+
+    def still(now: np.ndarray) -> bool:
+        """Whether all parts of the arms have come."""
+        before, last[0] = last[0], now
+        return equal(now, before)
+
+    first = view.until("paused_1", still)
+    view.player.advance(1.0)
+    assert all(equal(first, view.picture(f"paused_{k}")) for k in (2, 3))
+    view.player.play()
+    view.player.advance(1.0)
+    second = view.until("playing", lambda found: not equal(found, first))
+    view.player.pause()
+    assert (np.abs(second - first).max(axis=-1) > 30.0).sum() > 500
+
+
 def equal(a: np.ndarray, b: np.ndarray) -> bool:
     return bool((np.abs(a - b).max(axis=-1) > 8.0).sum() < 5)
 
@@ -206,6 +233,43 @@ def test_the_arrow_ends_where_the_force_does(view: View) -> None:
         view.hide_arms()
         picture = view.until(f"no_force_{robot.name}", lambda found, arrow=arrow: arrow(found)[1] == 0)
         assert arrow(picture)[1] == 0
+
+
+def test_the_ellipsoid_is_wide_where_the_force_is_badly_known(view: View) -> None:
+    tip = tool_points(ARMS[0], 8.0) + ARROW * FORCE
+    view.at(BARE)
+    view.until("bare", lambda found: near(found, "#D55E00", saturation=0.6).sum() > 100)
+    bare = view.picture("bare")
+    extents = {}
+    for name, t, sigma in (("sharp", SHARP, 1.0), ("wide", WIDE, 6.0)):
+        view.at(t)
+        ends = view.project(tip + 2.0 * ARROW * sigma * np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]))
+        across = float(np.linalg.norm(ends[0] - ends[1]))
+
+        def extent(found: np.ndarray) -> float:
+            """Return the width of what came to the picture of the bare force around the tip [pixels]."""
+            rows, columns = np.nonzero(np.abs(found - bare).max(axis=-1) > 12.0)
+            at = view.project(tip)
+            there = (np.abs(rows - at[1]) < 30) & (np.abs(columns - at[0]) < 70)
+            return float(np.ptp(columns[there])) if there.any() else 0.0
+
+        picture = view.until(f"ellipsoid_{name}", lambda found, w=across: abs(extent(found) - w) < 0.2 * w + 3.0)
+        extents[name] = extent(picture)
+        assert abs(extents[name] - across) < 0.2 * across + 3.0
+    assert extents["wide"] > 3.0 * extents["sharp"]
+
+
+def test_a_force_that_may_be_zero_is_grey(view: View) -> None:
+    tip = view.project(tool_points(ARMS[0], 8.0) + 0.6 * ARROW * FORCE)
+    column, row = np.round(tip).astype(int)
+    strong = {}
+    spot = (slice(row - 3, row + 4), slice(column - 3, column + 4))
+    for name, t in (("certain", BARE), ("doubtful", DOUBTFUL)):
+        view.at(t)
+        want = name == "certain"
+        picture = view.until(name, lambda found, want=want: bool(hue(found[spot])[1].mean() > 0.4) is want)
+        strong[name] = float(hue(picture[spot])[1].mean())
+    assert strong["certain"] > 0.4 > 0.2 > strong["doubtful"]
 
 
 def test_the_page_shows_curves_and_words(view: View) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from armlab.errors import LabCommError, UnknownName
-from armlab.wire.labcomm import Limits, idl, parse_lc
+from armlab.wire.labcomm import Decoder, Encoder, Limits, Sample, idl, parse_lc
 from armlab.wire.labcomm.decoder import FIRST_INDEX, SignatureWalk, parse_signature
 from armlab.wire.labcomm.idl import Typedef, to_lc
 from armlab.wire.labcomm.types import (
@@ -247,3 +247,19 @@ def test_signatures_are_those_of_the_vectors(name: str, folder: Path) -> None:
     for one in both:
         assert one.type == ours[one.name].type
     assert len(idl.samples("armlab")["fused_row"].signature()) == 91
+
+
+def test_presets() -> None:
+    server, file = Limits.server(), Limits.file()
+    assert (server.packet, server.values, server.definitions, server.nodes) == (65_536, 16_384, 1024, 65_536)
+    assert (file.packet, file.values, file.definitions, file.nodes) == (2**24, 2**21, 4096, 2**20)
+    assert (server.empty_rows, server.depth, server.name, server.dims, server.entries) == (256, 32, 255, 16, 64)
+
+
+def test_a_file_may_hold_what_a_peer_may_not_send() -> None:
+    (sample,) = parse_lc("sample float a[_];")
+    encoder = Encoder()
+    raw = encoder.version() + encoder.define(sample) + encoder.data(sample, [1.0] * 20_000)
+    *_, event = Decoder(limits=Limits.file()).feed(raw)
+    assert isinstance(event, Sample)
+    assert len(event.value) == 20_000
