@@ -446,7 +446,7 @@ def check_changes(told: list[str]) -> set[str]:
 
 
 def test_one_commands_at_any_instant_whoever_dies(two_servers: TwoServers, tmp_path: Path) -> None:
-    """By the log: who had the rights when; free within the lease; within limits; the loop misses no more. Takes a minute."""
+    """By the log: who had the rights when; free within the lease; within limits; the loop as it was. Takes a minute."""
     result, deaths = two_servers.run(tmp_path / "run.mcap")
     told = two_servers.told
     check_commands(two_servers.obeyed)
