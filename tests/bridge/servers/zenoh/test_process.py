@@ -241,6 +241,7 @@ class Client:
         self.session.put(key("lab", "yumi_left", "command/position"), q.tobytes(), attachment=attached)
 
 
+@pytest.mark.slow  # 3 s: a whole bridge in real time
 def test_a_client_moves_the_arm_and_another_may_only_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     port, moved = free_port(), []
