@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections import deque
 from typing import Any
@@ -341,7 +342,15 @@ def test_a_jump_is_refused_and_the_last_command_stays() -> None:
     assert bench(order(offset=np.nan)) is None
 
 
-def test_a_first_command_far_from_what_was_sent_is_for_the_guide_to_refuse() -> None:
+def test_a_commander_may_lead_the_arm_further_than_it_may_enter() -> None:
+    """The first position counts from the joints measured, those after it from the one sent last."""
+    bench = Bench()
+    for offset in (0.04, 0.08, 0.12):
+        assert bench(order(offset=offset)).q[0] == HOME[0] + offset
+    assert bench.events == ["labcomm a commands yumi_left."]
+
+
+def test_a_first_command_far_from_what_was_sent_is_for_the_state_machine_to_refuse() -> None:
     """Which says why; an arm that was pushed away from where it holds would else not move, and no one know why."""
     bench = Bench()
     bench.q_sent["yumi_left"] = HOME + 0.2
@@ -385,6 +394,13 @@ def test_the_ends_of_what_is_allowed_are_within() -> None:
     q = HOME + 0.05 * (np.arange(7) == 0)
     bench = Bench(entry=abs(q[0] - HOME[0]))
     assert bench(Order("labcomm a", "yumi_left", q)) is not None
+    limits = bench.arbiter._limits
+    limits["yumi_left"] = dataclasses.replace(limits["yumi_left"], jump=np.full(7, abs(q[0] - HOME[0])))
+    bench.q_sent["yumi_left"] = HOME
+    assert bench() is not None
+    bench.q_sent["yumi_left"] = HOME
+    assert bench(Order("labcomm a", "yumi_left", q)) is not None
+    assert bench.arbiter.refused == {}
 
 
 def test_a_sliding_joint_enters_as_near_as_its_arm_takes_it() -> None:
@@ -398,7 +414,6 @@ def test_a_sliding_joint_enters_as_near_as_its_arm_takes_it() -> None:
     assert bench(Order("labcomm a", "rail", rail.q_home + np.array([0.019, 0.049]))) is not None
 
 
-LEFT = robots.load("yumi_left")
 TICK = 4_000_000  # ns
 
 

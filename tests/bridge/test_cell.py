@@ -6,6 +6,7 @@ import contextlib
 import os
 import re
 import shutil
+import signal
 import socket
 import subprocess
 import threading
@@ -371,6 +372,67 @@ def test_a_controller_of_its_own_reads_parameters_and_listens_to_a_stop(
         assert np.abs(sent[-20:]).max() < 1e-9
         assert arm.statistics["parameters"]["gain"] == 7.0
     assert main(["log", "show", "--parameters", str(tmp_path / "runleft.mcap")]) == 0
+
+
+@pytest.fixture
+def over(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """End the run when this is set: no test guesses how long its clients take."""
+    made, obey = threading.Event(), Arbiter.__call__
+    monkeypatch.setattr(Arbiter, "__call__", lambda *given: Command.stop() if made.is_set() else obey(*given))
+    return made
+
+
+@pytest.mark.slow
+def test_torques_of_a_client_reach_the_arm_within_the_bound(
+    cell_text: str, bench: Bench, over: threading.Event
+) -> None:
+    """Torques are clipped at the bound. Takes 4 s."""
+
+    def push(ports: dict[str, int]) -> None:
+        with contextlib.ExitStack() as stack:
+            stack.callback(over.set)
+            feed = stack.enter_context(LocalFeed())
+            feed.ask(Subscribe(rate=None))
+            for values in rows(feed):
+                if values["yumi_left.mci"] == 3:
+                    feed.ask(CommandRequest(arm="yumi_left", tau=[9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+                if values["yumi_left.tau_sent"][0] == 1.5:
+                    return
+
+    text = cell_text.replace("?lockstep=true", "").replace("speed = 0.5", "speed = 0.5\ntorque = 1.5")
+    run = bench(parse_cell(text), push, seconds=60.0)
+    assert np.nanmax(run.table["tau_sent"]) == 1.5
+    assert run.statistics["clamps"]["torque"][0] > 0
+
+
+@pytest.mark.slow
+def test_ten_idle_clients_and_one_that_never_reads(cell_text: str, bench: Bench, over: threading.Event) -> None:
+    """Nor does the loop notice that the server of LabComm is killed; it starts again. Takes 5 s."""
+
+    def script(ports: dict[str, int]) -> None:
+        places = [("127.0.0.1", ports[name]) for name in ("yumi_left", "fused")] * 5
+        with contextlib.ExitStack() as stack:
+            stack.callback(over.set)
+            silent, feed = (stack.enter_context(LocalFeed()) for _ in range(2))
+            for place in places:
+                stack.enter_context(socket.create_connection(place))
+            for one in (silent, feed):
+                one.ask(Subscribe(rate=None))
+            numbers = []
+            for values in rows(feed):
+                numbers.append(values["yumi_left.tick"])
+                if len(numbers) == 200:
+                    os.kill(server_process("labcomm"), signal.SIGKILL)
+                if len(numbers) == 600:
+                    break
+            assert np.all(np.diff(numbers) > 0)
+
+    run = bench(parse_cell(cell_text.replace("?lockstep=true", "")), script, seconds=60.0)
+    told = [text for _, text in run.events]
+    assert any("The server labcomm ended with status -9. It starts again in 1 s." in text for text in told)
+    assert run.reason == "the controller ended the run"
+    answered = np.asarray(run.table["seq"], dtype=int)[np.asarray(run.table["send_ns"]) > 0]
+    assert np.diff(answered).max() <= 25, "0.1 s: a busy machine misses some; a loop that is held up more"
 
 
 @pytest.mark.slow

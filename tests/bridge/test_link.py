@@ -207,6 +207,13 @@ def test_two_runs_on_one_link(play: Any) -> None:
         assert np.isfinite(run.table["q_ref"]).all(axis=1).sum() >= 25
 
 
+def test_own_limits(play: Any, robot: Robot) -> None:
+    limits = Limits.of(robot, speed=0.01)
+    run = play(lambda peer: peer.rest(), sway, limits=limits, seconds=0.2)
+    assert np.abs(run.table["qd_sent"]).max() <= 0.01 * robot.qd_max.max() + 1e-9
+    assert run.statistics["worst_ratio"] < 0.5
+
+
 def test_a_session_that_begins_anew_at_once_ends_the_run_when_asked(play: Any) -> None:
     """The controller's program loops: the next session begins before the silence of the last one is seen."""
 

@@ -59,7 +59,10 @@ class Cell:
 def _read() -> Iterator[Cell]:
     text = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
     for row in tomllib.loads(text)["cell"]:
-        yield from (Cell(state=state, **row) for state in row.pop("states").split(", "))
+        states = row.pop("states").split(", ")
+        assert row["kind"] in KINDS, row
+        assert set(states) <= set(STATES), (states, row)
+        yield from (Cell(state=state, **row) for state in states)
 
 
 CELLS = tuple(_read())
@@ -73,6 +76,7 @@ def shows(test: Any) -> Any:
     """
     node = f"{Path(test.__code__.co_filename).relative_to(TESTS.parent).as_posix()}::{test.__name__}"
     own = [cell for cell in CELLS if cell.test == node]
+    assert own, f"no row of matrix.toml names {node}"
     quick = {cell.fault: cell.state for cell in reversed(own)}
     quick |= {cell.fault: cell.state for cell in own if cell.state == "running"}
     parameters = [pytest.param(cell, marks=() if quick[cell.fault] == cell.state else pytest.mark.slow) for cell in own]

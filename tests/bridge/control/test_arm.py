@@ -277,6 +277,14 @@ def test_a_flood_does_not_hold_the_loop_up_and_none_of_it_is_lost(one: Make) -> 
     assert hands.rows[-1][2].drops == 100
 
 
+def test_a_packet_that_waits_for_its_answer_gets_it_in_a_flood(one: Make) -> None:
+    hands = one()
+    hands.put()
+    hands.ports[0].waiting += [hands.garbage()] * 64
+    hands.loop.cycle()
+    assert len(hands.ports[0].sent) == 1
+
+
 @pytest.mark.parametrize(("resume", "mode"), [(True, Mode.HOLDING), (False, Mode.ENDED)])
 def test_a_robot_that_begins_anew_ends_a_run_that_does_not_resume(one: Make, resume: bool, mode: Mode) -> None:
     hands = one(lambda state: Command(), resume=resume)

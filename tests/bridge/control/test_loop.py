@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from armlab.bridge.control.state_machine import Mode
-from armlab.errors import ControllerFailed, ControllerLate, LinkError
+from armlab.errors import CommandRefused, ControllerFailed, ControllerLate, LinkError
 from armlab.state import Command, State
 from armlab.wire.egm import EgmCodec, Reference
 
@@ -552,6 +552,48 @@ def test_a_flood_of_garbage_changes_no_reference(play: Any) -> None:
     np.testing.assert_array_equal(disturbed.table["q_sent"], undisturbed.table["q_sent"])
     for run, tells in (disturbed, True), (undisturbed, False):
         assert any("Dropped a datagram from " in text for _, text in run.events) == tells
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_what_is_not_finite_never_reaches_the_wire(play: Any, bad: float) -> None:
+    def controller(state: State) -> Command:
+        return Command(np.full(7, bad)) if state.seq >= 20 else sway(state)
+
+    def script(peer: Any) -> None:
+        peer.rest()
+        for reply in peer.replies:
+            assert np.isfinite(reply.q).all()
+            assert np.isfinite(reply.qd).all()
+
+    with pytest.raises(CommandRefused, match="finite") as caught:
+        play(script, controller)
+    table = caught.value.table
+    assert len(table) > 100
+    assert np.isfinite(table["q_sent"]).all()
+    np.testing.assert_array_equal(table["qd_sent"][-1], 0.0)
+    assert table["q_sent"][22:].max() <= table["q_sent"][19].max() + 0.01
+
+
+def test_a_new_session_starts_over(play: Any) -> None:
+    seen: list[tuple[int, float]] = []
+
+    def controller(state: State) -> Command:
+        seen.append((state.session, state.t))
+        return sway(state)
+
+    def script(peer: Any) -> None:
+        peer.cycles(20)
+        peer.packets.seq = 0
+        peer.packets.q = peer.packets.q + 0.2
+        restarted = peer.cycles(20)
+        assert restarted[0].seqno == 0
+        np.testing.assert_allclose(restarted[0].q, peer.packets.q, rtol=1e-14)
+        peer.rest()
+
+    run = play(script, controller, seconds=0.004 * 38)
+    assert run.statistics["sessions"] == 2
+    assert (2, 0.0) in seen
+    assert max(t for session, t in seen if session == 2) < 0.1
 
 
 def test_listening_writes_nothing(play: Any) -> None:

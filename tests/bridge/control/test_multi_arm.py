@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import signal
+import socket
 import subprocess
 import sys
 import time
@@ -12,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import log, robots
+from armlab import bridge, log, robots
 from armlab.bridge.control.loop import merge_states, split_command
 from armlab.bridge.control.state_machine import Mode
-from armlab.errors import CommandRefused, ControllerFailed, LinkError, NoRobot, UnknownName
+from armlab.errors import CommandRefused, ControllerFailed, LinkError, NoRobot, SessionEnded, UnknownName
 from armlab.state import Command, State
 from armlab.wire.egm.robot_side import RobotSideCodec
 
@@ -524,3 +526,100 @@ def test_both_files_survive_a_kill(tmp_path: Path) -> None:
         assert table.t[-1] > 0.2
         assert np.isfinite(table["q"]).all()
         np.testing.assert_array_equal(np.diff(table["tick"]), 1)
+
+
+@pytest.mark.slow  # 3 s; examples/19_teleoperation.py runs both in the default run
+def test_two_arms_of_the_simulator_are_repeatable() -> None:
+    tables = []
+    for url in (
+        "sim://yumi_left+yumi_right?lockstep=true&seed=4",
+        ["sim://yumi_left?lockstep=true&seed=4", "sim://yumi_right?lockstep=true&seed=4"],
+    ):
+        with bridge.connect(url, [LEFT, RIGHT]) as link:
+            tables.append(link.run(sway, seconds=0.3).table)
+    one, two = tables
+    for name in ("q", "tau", "q_sent", "robot_ns"):
+        for robot in ("yumi_left", "yumi_right"):
+            np.testing.assert_array_equal(one[f"{robot}.{name}"], two[f"{robot}.{name}"])
+    assert np.ptp(one["yumi_right.q"], axis=0).min() > 0.01
+
+
+@pytest.mark.slow  # 3 s
+def test_two_arms_of_one_cell_may_have_different_seeds() -> None:
+    tables = []
+    for seed in (4, 5):
+        urls = ["sim://yumi_left?lockstep=true&seed=4", f"sim://yumi_right?lockstep=true&seed={seed}"]
+        with bridge.connect(urls, [LEFT, RIGHT]) as link:
+            tables.append(link.run(sway, seconds=0.1).table)
+    one, other = ({name: table[f"{name}.tau"][:5] for name in ("yumi_left", "yumi_right")} for table in tables)
+    np.testing.assert_array_equal(one["yumi_left"], other["yumi_left"])
+    assert (one["yumi_right"] != other["yumi_right"]).any(axis=1).all()
+
+
+def test_listening_to_two_arms_writes_nothing(pair: Any) -> None:
+    def script(left: Any, right: Any) -> None:
+        while not pair.peer.over.is_set():
+            left.send()
+            right.send()
+            time.sleep(0.001)
+
+    run = pair(script, None, pair.link(clock="wall"), seconds=0.2)
+    assert [peer.surplus() for peer in pair.peers] == [0, 0]
+    for arm in run.arms:
+        assert arm.statistics["replies"] == 0
+        assert len(arm.table) >= 40
+        assert "q_sent" not in arm.table
+
+
+def test_ctrl_c_stops_both_and_completes_both_logs(pair: Any, tmp_path: Path) -> None:
+    def controller(now: State) -> Command:
+        if now.seq == 50:
+            signal.raise_signal(signal.SIGINT)
+        return Command(qd=np.full(14, 0.1))
+
+    with pytest.raises(KeyboardInterrupt):
+        pair(pair.rest, controller, record=tmp_path / "run.mcap")
+    for name in ("runleft.mcap", "runright.mcap"):
+        table = log.read(tmp_path / name)
+        np.testing.assert_array_equal(table["seq"], np.arange(len(table)))
+        assert not table["qd_sent"][-1].any()
+        assert np.nanmax(table["qd_sent"]) > 0.05
+
+
+def test_a_flood_on_one_port_changes_no_reference_of_either_arm(pair: Any) -> None:
+    """Bit for bit what an undisturbed run sends; nothing of it is answered."""
+    rng = np.random.default_rng(7)
+    other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def references(garbage: int) -> list[np.ndarray]:
+        def script(left: Any, right: Any) -> None:
+            for _ in range(40):
+                for _ in range(garbage):
+                    other.sendto(rng.bytes(int(rng.integers(0, 400))), right.to)
+                left.cycle()
+                right.cycle()
+            pair.rest(left, right)
+
+        run = pair(script, sway, pair.link(), seconds=0.15)
+        assert [peer.surplus() for peer in pair.peers[-2:]] == [0, 0]
+        assert sum(run.arms[1].statistics["drops"].values()) == 40 * garbage
+        return [arm.table["q_sent"][:35] for arm in run.arms]
+
+    for disturbed, undisturbed in zip(references(25), references(0), strict=True):
+        np.testing.assert_array_equal(disturbed, undisturbed)
+    other.close()
+
+
+@pytest.mark.parametrize("failing", [0, 1])
+def test_one_arm_of_two_that_reports_errors_ends_the_run_of_both(pair: Any, failing: int) -> None:
+    def script(*peers: Any) -> None:
+        over = pair.peer.over
+        while not over.is_set() and peers[0].packets.cycle < 1000:
+            for mci in (3, 1):
+                for k, peer in enumerate(peers):
+                    peer.send(mci=mci if k == failing else 3)
+                    peer.answer_or_end(over)
+            peers[failing].packets.seq = 0
+
+    with pytest.raises(SessionEnded, match="10 in a row"):
+        pair(script, lambda state: None, seconds=6.0)

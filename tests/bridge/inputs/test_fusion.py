@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import socket
+import struct
+import threading
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -12,7 +15,7 @@ import pytest
 from armlab import bridge, kinematics
 from armlab.bridge import Held, Reading, Source
 from armlab.bridge.inputs.fusion import ClockMap, Fusion
-from armlab.bridge.inputs.sources import ReplaySource, TimerSource
+from armlab.bridge.inputs.sources import CallableSource, ReplaySource, TimerSource, UdpSource
 from armlab.errors import ConfigError, UnknownName
 from armlab.log import Column
 from armlab.models import ForceSensor
@@ -381,3 +384,36 @@ def test_sources_are_started_and_closed(play: Any, robot: Robot) -> None:
     with bridge.connect("egm://127.0.0.1:0", robot) as link, pytest.raises(ConfigError, match="a sensor"):
         link.run(None, sources=[good, bad])
     assert done == ["start good", "start bad", "close bad", "close good"]
+
+
+@pytest.mark.slow
+def test_ages_of_datagrams(play: Any) -> None:
+    """1 s in real time: the sender's own clock is ours, so the age that the loop tells can be compared."""
+    sensor = UdpSource("force", P, 0.001, 0, {"seq": "<u4", "stamp_ns": "<i8", "p": "<f8"})
+    hand = CallableSource("hand", P, lambda: {"p": 1e-9 * time.monotonic_ns()}, 0.004)
+    over = threading.Event()
+
+    def send() -> None:
+        seq = 0
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+            while not over.wait(0.001):
+                if sensor.port:
+                    data = struct.pack("<Iqd", seq, time.monotonic_ns(), 0.0)
+                    out.sendto(data, ("127.0.0.1", sensor.port))
+                    seq += 1
+
+    def script(peer: Any) -> None:
+        peer.begin()
+        peer.rest(pause=0.004)
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    run = play(
+        script, lambda state: Command(state.q_start), play.link(clock="wall"), sources=[sensor, hand], seconds=1.0
+    )
+    over.set()
+    thread.join()
+    table = run.table
+    assert np.median(table["force.age"]) < 0.004
+    assert np.percentile(np.abs(table["force.delay"]), 90) < 0.2e-3
+    assert np.nanmax(table["force.gaps"]) == 0.0

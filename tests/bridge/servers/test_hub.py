@@ -119,6 +119,12 @@ def test_a_command_becomes_the_controllers(cell: Cell) -> None:
     assert read_row(cell.exchange.schema, rows[-1]).values["yumi_left.commander"] == "labcomm 1"
 
 
+def test_null_is_not_a_number(cell: Cell) -> None:
+    cell.say("labcomm", "command", arm="yumi_left", q=[None, *HOME[1:]])
+    assert cell.exchange.arbiter(cell.state()) is None
+    assert "finite numbers in q" in cell.texts("labcomm", "answer")[0]
+
+
 def test_parameters_are_set_between_ticks_echoed_and_told(cell: Cell) -> None:
     cell.exchange.begin(lambda text, *_: cell.told.append(text))
     cell.say("labcomm", "set", values={"gain": 3.0})

@@ -54,6 +54,23 @@ def fakes(*names: str) -> Sequence[Any]:
     return [Fake(name) for name in names]
 
 
+def test_every_valid_command_is_passed_on() -> None:
+    """Who may command is decided in one place, which is not here."""
+    taken: list[tuple[str, int, str]] = []
+    gone: list[str] = []
+
+    def keep(name: str, row: Row, client: str) -> None:
+        taken.append((name, row.tm, client))
+
+    channel, (a, b) = ArmChannel("left", 0, keep, on_left=gone.append), fakes("a", "b")
+    for peer in (a, b, a):
+        channel.take(peer, sample(), [a, b])
+    channel.left(b)
+    assert taken == [("left", 1, "a"), ("left", 1, "b"), ("left", 1, "a")]
+    assert gone == ["b"]
+    assert channel.counts == {"commands": 3}
+
+
 def test_what_is_no_command_is_counted() -> None:
     taken: list[Any] = []
     channel, (a,) = ArmChannel("left", 0, lambda *args: taken.append(args)), fakes("a")
@@ -119,7 +136,7 @@ def obeyed(count: int) -> list[Row]:
     return taken
 
 
-@pytest.mark.parametrize("count", [500, pytest.param(10_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [500, pytest.param(50_000, marks=pytest.mark.slow)])
 def test_mutated_commands_are_whole_or_refused(count: int) -> None:
     """Each command that reaches the loop is finite and of the right length."""
     rows = obeyed(count)

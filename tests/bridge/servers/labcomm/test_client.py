@@ -252,6 +252,30 @@ def test_a_controller_moves_an_arm_over_labcomm(robot: Robot) -> None:
     assert seen[-1].tau_source == "measured"
 
 
+def test_two_arms_over_labcomm(robot: Robot) -> None:
+    """One controller, two ports; each arm follows its half of the command."""
+    pair = [robots.load("yumi_left"), robot]
+    arms = [Arm(one) for one in pair]
+
+    def controller(state: State) -> Command:
+        q = state.q_start.copy()
+        q[[0, 7]] += np.array([0.02, -0.02]) * (1.0 - np.cos(2.0 * np.pi * state.t))
+        return Command(q)
+
+    urls = [f"labcomm://127.0.0.1:{arm.port}" for arm in arms]
+    with bridge.connect(urls, pair, clock="robot") as link:
+        for arm in arms:
+            until(lambda arm=arm: arm.server.counts["right"]["clients"] == 1)
+            arm.send()
+        run = link.run(controller, seconds=0.5)
+    for arm in arms:
+        arm.server.close()
+    assert run.reason == "the time is up"
+    for arm, one, sign in zip(arms, pair, (1.0, -1.0), strict=True):
+        moved = np.array([command.q[0] - one.q_home[0] for command in arm.commands])
+        assert sign * moved[np.abs(moved).argmax()] == pytest.approx(0.04, abs=0.01)
+
+
 def test_the_port_gives_rows_as_packets_and_connects_again(robot: Robot, start: Start) -> None:
     types = RowTypes(robot.abb_axes)
     one = start(ArmChannel("right", 0, axes=robot.abb_axes))

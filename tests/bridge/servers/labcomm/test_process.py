@@ -203,6 +203,25 @@ def test_stop_from_any_client_on_any_port(running: Running, port: str) -> None:
     assert running.exchange.arbiter.stopped.startswith("labcomm 127.0.0.1:")
 
 
+def test_what_is_no_command_and_what_is_no_labcomm_are_events(running: Running, robot: Robot) -> None:
+    told: list[str] = []
+    running.exchange.begin(lambda text, *_: told.append(text))
+
+    def said(words: str) -> bool:
+        running.exchange.arbiter._answered.clear()  # each is told at once
+        running.exchange.poll()
+        return any(text.startswith("labcomm: ") and words in text for text in told)
+
+    with socket.create_connection(("127.0.0.1", running.ports[robot.name])) as one:
+        types, encoder = RowTypes(robot.abb_axes), Encoder("2014v1")
+        value = {name: 7 * [0.0] for name in ("pos", "vel", "trq")}
+        one.sendall(encoder.version() + encoder.define(types.sent) + encoder.data(types.sent, {"tm": 1, **value}))
+        until(lambda: said("got a sample 'robot_row'"))
+        one.sendall(64 * b"\xff")
+        until(lambda: said("was closed, offset"))
+    assert not running.exchange.arbiter.obeyed[robot.name]
+
+
 def test_options() -> None:
     left, right = robots.load("yumi_left"), robots.load("yumi_right")
     options = labcomm_options([left, right])

@@ -152,6 +152,18 @@ def test_a_row_of_another_shape_stops_nobody(start: Start) -> None:
     assert any("a row was not sent" in text for text in one.said)
 
 
+def test_a_callback_that_raises_stops_nobody(start: Start) -> None:
+    def broken(name: str, row: Row, client: str) -> None:
+        raise RuntimeError("broken")
+
+    one = start(ArmChannel("left", 0, broken))
+    client = one.client("left")
+    client.socket.sendall(command(1))
+    until(lambda: any("RuntimeError: broken" in text for text in one.said))
+    one.server.row("left", row(1))
+    client.read(3)
+
+
 def test_noise_closes_the_connection_that_makes_it(start: Start) -> None:
     rng = random.Random(5)
     one = start(ArmChannel("left", 0))

@@ -11,7 +11,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -50,10 +50,10 @@ VELOCITY = "/yumi_left/joint_group_velocity_controller/commands"
 class Running(Served):
     """The server's work in a thread, and a node: a participant, so one client."""
 
-    def __init__(self) -> None:
-        self.domain, gain = free_domain(), Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights="anyone")
-        options = {"domain": self.domain, "host": "127.0.0.1"}
-        super().__init__("ros2", ARM, lambda feed: DdsServer(feed, options), [gain])
+    def __init__(self, rights: Literal["anyone", "commander"] = "anyone", **options: Any) -> None:
+        self.domain, gain = free_domain(), Parameter("gain", 0.5, minimum=0.0, maximum=1.0, rights=rights)
+        own = {"domain": self.domain, "host": "127.0.0.1"}
+        super().__init__("ros2", ARM, lambda feed: DdsServer(feed, own), [gain], **options)
         self.node = Node(self.domain)
 
     def close(self) -> None:
@@ -128,6 +128,50 @@ def test_commands_take_the_arm_until_the_writer_leaves(running: Running) -> None
     )
 
 
+def test_a_second_commander_is_refused_by_a_sentence(running: Running) -> None:
+    first = running.node.writer(VELOCITY, ARRAY)
+    until(lambda: write(first, ARRAY, *numbers(*[0.01] * 7)) or running.commanded())
+    other = Node(running.domain)
+    second = other.writer("/yumi_left/joint_group_position_controller/command", ARRAY)
+    diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+
+    def told() -> str:
+        write(first, ARRAY, *numbers(*[0.01] * 7))
+        write(second, ARRAY, *numbers(*ARM.q_home))
+        return answer(running, diagnostics)
+
+    said = f"{client(second)}: yumi_left is commanded by ros2 {client(first)}. You may read."
+    assert until(told).startswith(said)
+
+
+def test_who_commands_with_one_topic_sets_parameters_and_commands_with_another() -> None:
+    running = Running(rights="commander")
+    velocity = running.node.writer(VELOCITY, ARRAY)
+    writers = [running.node.writer("/yumi_left/joint_group_position_controller/command", ARRAY)]
+    setter = running.node.writer("/yumi_left/set_parameter", TEXT)
+
+    def is_set() -> bool:
+        write(velocity, ARRAY, *numbers(*[0.01] * 7))
+        write(setter, TEXT, '{"gain": 0.75}')
+        running.commanded()
+        return running.exchange.parameters.gain == 0.75 and running.exchange.arbiter.commander(ARM.name) != ""
+
+    def moves() -> bool:
+        write(writers[0], ARRAY, *numbers(*ARM.q_home))
+        command = running.commanded()
+        return command is not None and command.q is not None
+
+    until(is_set)
+    running.exchange.arbiter._lease_ns = 10**12  # silence frees nothing
+    until(moves)
+    writers.clear()
+    assert (
+        until(lambda: running.commanded() and running.exchange.arbiter.commander(ARM.name))
+        == f"ros2 {client(velocity)}"
+    )
+    running.close()
+
+
 @pytest.mark.parametrize(
     ("type_", "fields", "sentence"),
     [
@@ -197,6 +241,20 @@ def test_any_node_may_stop_the_arms(running: Running) -> None:
     writer = running.node.writer("/yumi_left/stop", "std_msgs/msg/Empty")
     until(lambda: write(writer, "std_msgs/msg/Empty") or running.commanded() or running.exchange.arbiter.stopped)
     assert running.exchange.arbiter.stopped == f"ros2 {client(writer)}"
+
+
+def test_a_server_that_listens_beyond_this_computer_is_for_reading() -> None:
+    running = Running(read_only=["ros2"])
+    writer = running.node.writer(VELOCITY, ARRAY)
+    diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+
+    def told() -> str:
+        write(writer, ARRAY, *numbers(*[0.01] * 7))
+        return answer(running, diagnostics)
+
+    assert "it listens beyond this computer. Read." in until(told)
+    assert running.exchange.arbiter.commander("yumi_left") == ""
+    running.close()
 
 
 STRING, NUMBERS = "std_msgs/msg/String", "std_msgs/msg/Float64MultiArray"

@@ -316,7 +316,6 @@ def test_settings_that_are_none_are_refused(given: Any) -> None:
 _JSON = st.recursive(st.none() | st.booleans() | st.floats() | st.text(), lambda inner: st.lists(inner), max_leaves=5)
 
 
-@settings(max_examples=30)
 @given(topic=st.sampled_from(sorted(COMMANDS.types)), given=_JSON)
 def test_any_content_is_taken_or_refused_by_a_sentence(topic: str, given: Any) -> None:
     refused = ""

@@ -343,7 +343,7 @@ _VALUES = {
 _OPERATION = st.fixed_dictionaries({}, optional={name: value | _JSON for name, value in _VALUES.items()})
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(said=st.lists(_OPERATION | _JSON | st.text() | st.binary(), max_size=8))
 def test_whatever_a_client_says_is_done_or_answered(said: list[Any]) -> None:
     """Any JSON, any text, any bytes: no exception; what goes out is JSON, what is asked is a request."""

@@ -160,6 +160,19 @@ def test_a_commander_that_goes_frees_its_arm(running: Running) -> None:
     running.until(lambda: not running.exchange.arbiter.commander("yumi_right"))
 
 
+def test_parameters_are_set_and_refused(running: Running) -> None:
+    client = running.client()
+    say(client, "call_service", service="/rosapi/set_param", args={"name": "gain", "value": "0.75"}, id="1")
+    assert running.heard(client, "service_response")["result"]
+    assert running.exchange.parameters.gain == 0.75
+    say(client, "call_service", service="/rosapi/set_param", args={"name": "gain", "value": "7"}, id="2")
+    refused = running.heard(client, "service_response")
+    assert (refused["id"], refused["result"]) == ("2", False)
+    assert "from 0 to 1" in refused["values"]
+    say(client, "call_service", service="/rosapi/set_param", args={"name": "gain", "value": "0.5"}, id="3")
+    assert running.heard(client, "service_response")["result"]
+
+
 def test_a_client_that_does_not_read_disturbs_nobody(running: Running) -> None:
     """It subscribes to much and reads nothing, with a small buffer: rows are dropped for it, none for others."""
     client, deaf = running.client(), socket.socket()

@@ -241,6 +241,41 @@ class Client:
         self.session.put(key("lab", "yumi_left", "command/position"), q.tobytes(), attachment=attached)
 
 
+@pytest.mark.slow  # 3 s: a whole bridge in real time
+def test_a_client_moves_the_arm_and_another_may_only_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    port, moved = free_port(), []
+
+    def script() -> None:
+        clients = [Client(port, sender) for sender in (b"a" * 16, b"b" * 16)]
+        one, other = clients
+        until(lambda: one.rows and one.last()["yumi_left.mci"] == 3)
+        start = one.last()["yumi_left.q"]
+        steps = iter(range(1, 10**6))
+
+        def commanded() -> bool:
+            step = next(steps)
+            one.command(start + 0.02 * min(step / 100, 1.0) * np.eye(7)[3])
+            if one.last()["yumi_left.commander"] == "zenoh 61616161616161616161616161616161" and not other.answers:
+                other.command(start)  # not when the first has lost the arm: it was late, and this one would keep it
+            moved.append(one.last()["yumi_left.q"][3] - start[3])
+            return moved[-1] > 0.018 and bool(other.answers)
+
+        until(commanded)
+        assert (
+            "is commanded by zenoh 61616161616161616161616161616161. You may read."
+            in other.answers[0].payload.to_string()
+        )
+        assert one.last()["yumi_left.commander"] == "zenoh 61616161616161616161616161616161"
+        for client in clients:
+            close_session(client.session)
+
+    run = play(monkeypatch, parse_cell(CELL.format(port=port)), script)
+    assert max(moved) > 0.018
+    clients = run.statistics["zenoh" if "zenoh" in run.statistics else "servers"]
+    assert "yumi_left live" in str(clients)
+
+
 STOPPED = """
 import sys, time
 from armlab.bridge.servers.zenoh.session import LabAddress

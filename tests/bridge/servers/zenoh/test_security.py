@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from armlab.bridge.cell import listening, parse_cell
+from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.zenoh.feed import robots_at
 from armlab.bridge.servers.zenoh.keys import Attachment, key
+from armlab.bridge.servers.zenoh.process import ZenohProcess
 from armlab.bridge.servers.zenoh.security import BRIDGE, COMMANDER, Security
 from armlab.bridge.servers.zenoh.session import LabAddress, close_session, open_near, queried, wait_for_router
 from armlab.cli.bridge import write_certificates
@@ -136,6 +138,14 @@ def test_commands_beyond_this_computer_need_both(lab: Path) -> None:
             listening(["zenoh=0.0.0.0"], cell)
     cell = parse_cell(CELL + "".join(f'{name} = "{path}"\n' for name, path in files.items()))
     assert listening(["zenoh=0.0.0.0"], cell) == {"zenoh": "0.0.0.0"}
+
+
+def test_commands_through_a_router_elsewhere_need_both(robot: Robot) -> None:
+    hub = Hub([robot], ["zenoh"], about={"commands": ["zenoh"]})
+    options = {"lab": "lab", "host": "127.0.0.1", "port": free_port(), "router": "192.168.1.9:7447"}
+    with hub.open("zenoh") as feed, pytest.raises(ConfigError, match="7447 is not on this computer"):
+        ZenohProcess(feed, options)
+    hub.close()
 
 
 def test_a_bridge_comes_to_a_router_with_passwords(lab: Path) -> None:
