@@ -379,7 +379,7 @@ def rosbridge(port: int) -> None:
 
 
 def zenoh(port: int) -> None:
-    feed = pytest.importorskip("armlab.bridge.servers.zenoh").ZenohFeed(f"zenoh://127.0.0.1:{port}", patience=30.0)
+    feed = pytest.importorskip("armlab.bridge.servers.zenoh.feed").ZenohFeed(f"zenoh://127.0.0.1:{port}", patience=30.0)
     try:
         feed.ask(Subscribe(rate=None))
         feed.wait(5.0)

@@ -574,14 +574,19 @@ def test_a_million_mutated_datagrams(robot: Robot) -> None:
     reader = Reader(robot, told)
     first: Any = reader.hear(good_packet(robot, robot_side, 0), 0)
     pool = [mutated(rng, good_packet(robot, robot_side, rng.randrange(1, 900))) for _ in range(20_000)]
-    blocks, slowest = 0, 0.0
+    blocks, slowest, held = 0, 0.0, 0
     for block in range(DATAGRAMS // BLOCK):
         before = time.perf_counter()
         for _ in range(BLOCK):
             data = pool[rng.randrange(len(pool))]
             at = rng.randrange(len(data) + 1)
             reply = reader.hear(data[:at] + rng.randbytes(1) + data[at + 1 :], block * PERIOD_NS + 1)
-            assert reply is None or np.abs(reply.q - first.q).max() < 1e-9, "the reference moved"
+            if reply is None:
+                continue
+            if not reader.machine.ready:  # three packets of a session: it holds where its feedback is
+                first = reply
+            held += reader.machine.ready
+            assert np.abs(reply.q - first.q).max() < 1e-9, "the reference moved"
         slowest = max(slowest, time.perf_counter() - before)
         if block == WARM:
             blocks = sys.getallocatedblocks()
@@ -593,4 +598,4 @@ def test_a_million_mutated_datagrams(robot: Robot) -> None:
     assert slowest < 5.0  # s for a thousand: nothing hangs
     assert len(told) < 200  # once per kind and session
     assert any(text.startswith("Dropped a datagram from ") for text in told)
-    assert reader.replies == session.received
+    assert reader.replies == session.received > held > 20
