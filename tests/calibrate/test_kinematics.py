@@ -418,6 +418,15 @@ class TestGeometry:
         with pytest.raises(RobotError, match=r"kinematic_correction.*models.load\(path\).robot"):
             robots.load(tmp_path / "kinematics.toml")
 
+    def test_a_torque_model_is_of_one_of_them(self, yumi, model) -> None:
+        """A model that was identified with the description is refused by the corrected arm: identify again."""
+        robot, _, fit = yumi
+        with pytest.raises(ModelMismatchError, match="yumi_left"):
+            contact.Estimator(model, fit.value.robot)
+        assert contact.Estimator(model, robot) is not None
+        bases = [identify.base_parameters(one) for one in (robot, fit.value.robot)]
+        assert [len(base.B) for base in bases] == [50, 50]  # what axes 0.06 deg off perpendicular add is no parameter
+
     @pytest.mark.slow  # 6 s
     def test_identification_and_contact_force(self, yumi, truth) -> None:
         """A torque model of the corrected arm runs it, and refuses the arm before."""
@@ -500,3 +509,7 @@ class TestJointErrors:
         _, _, fit = waved
         with pytest.raises(RobotError, match=r"its attribute robot; .* its joints\(\), .* its command\(\)"):
             part(fit.value, postures(fit.value.robot))
+
+    def test_contact_force_wants_the_robot_too(self, waved, model) -> None:
+        with pytest.raises(RobotError, match="its attribute robot"):
+            contact.Estimator(model, waved[2].value)
