@@ -296,6 +296,21 @@ def test_report_and_file(hand_eye, tmp_path) -> None:
     assert again.T_base_cam.tobytes() == fit.value.T_base_cam.tobytes()
 
 
+def test_the_ancestors_refinement_does_not_return(hand_eye, capsys) -> None:
+    """calibAXYB refined position norms only: Y 1.8 times worse than the bound, results no rotations, text printed."""
+    squares = []
+    experiment = experiment_of(hand_eye)
+    for run in range(60):
+        case = experiment(run, 30)
+        fit = fit_hand_eye(**case.data)
+        e, bound = error(fit, case.truth), np.diag(case.bound)
+        squares.append([np.mean(e[k : k + 3] ** 2) / np.mean(bound[k : k + 3]) for k in (0, 3, 6, 9)])
+        for T in (fit.value.X, fit.value.Y):
+            assert np.abs(T[ROTATION].T @ T[ROTATION] - np.eye(3)).max() < 1e-14
+    assert np.sqrt(np.mean(squares, axis=0)).max() < 1.2
+    assert capsys.readouterr().out == ""
+
+
 SIGMA = 0.5e-3
 
 G = np.array([0.0, 0.0, -9.82])
