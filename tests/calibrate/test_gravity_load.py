@@ -266,7 +266,7 @@ def test_the_statistical_contract_in_short(weights, torque, unknown) -> None:
     ids=["forces", "tilt 30 degrees", "torques", "unknown gravity"],
 )
 def test_the_statistical_contract(weights, torque, tilt, unknown) -> None:
-    found = contract(weights, 100, torque, tilt, unknown)
+    found = contract(weights, 200, torque, tilt, unknown)
     assert found.passed, found.text()
 
 
@@ -485,5 +485,5 @@ def test_the_statistical_contract_in_short_accelerometer(weights) -> None:
 @pytest.mark.slow  # 4 s
 @pytest.mark.parametrize("scale", [False, True])
 def test_the_statistical_contract_acc(weights, scale) -> None:
-    found = contract_acc(weights, 100, scale)
+    found = contract_acc(weights, 200, scale)
     assert found.passed, found.text()

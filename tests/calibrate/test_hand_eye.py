@@ -520,7 +520,7 @@ def test_from_points_the_statistical_contract_in_short(leds) -> None:
 @pytest.mark.parametrize(("known", "missing"), [(True, False), (True, True), (False, False)],
                          ids=["known marker", "20 % missing", "unknown marker"])  # fmt: skip
 def test_from_points_the_statistical_contract(leds, known, missing) -> None:
-    found = contract_points(leds, 100, known, missing)
+    found = contract_points(leds, 200, known, missing)
     assert found.passed, found.text()
 
 
