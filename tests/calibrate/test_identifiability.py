@@ -261,6 +261,13 @@ class TestAncestor:
         np.testing.assert_allclose(b[:, :3, 3] / 1000.0, a[:, :3, 3], rtol=0, atol=1e-9)
         np.testing.assert_allclose(b[:, :3, :3], a[:, :3, :3], rtol=0, atol=1e-9)
 
+    def test_it_stops_when_it_has_converged_not_after_ten_steps(self, case) -> None:
+        """Links wrong by 3 deg and 30 mm: the cost falls to the noise, and a second fit from there changes nothing."""
+        rng = np.random.default_rng(0)
+        arm = replace(dh_arm(tool=True), frames=dh_arm(tool=True).frames @ se3.exp(0.03 * rng.standard_normal((7, 6))))
+        fit = fit_kinematics(case.robot, case.q, pose=arm.forward(case.q), noise=NOISE)
+        np.testing.assert_allclose(fit.value.forward(case.q_valid), arm.forward(case.q_valid), rtol=0, atol=1e-9)
+
     def test_it_does_not_print(self, case, capsys: pytest.CaptureFixture[str]) -> None:
         fit_kinematics(case.robot, case.q, pose=case.pose)
         assert capsys.readouterr() == ("", "")

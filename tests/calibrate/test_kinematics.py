@@ -264,15 +264,24 @@ def test_derivatives_are_those_of_the_residuals(robot: robots.Robot, model: str)
     problem = replace(problem, active=np.ones(problem.size, dtype=bool))
     first = State(arm.first(), rng.standard_normal((2, 3)), np.array([0.3, 2.0, 1.0]), np.array([0.1, 1.1]))
     state = problem.retract(first, 0.1 * rng.standard_normal(problem.size))
-    for local in (False, True):
-        if local and model == "poe":
-            continue
-        found = problem.evaluate(state)
-        for k in range(problem.size):
-            step = 1e-6 * np.eye(problem.size)[k]
-            ends = [problem.evaluate(problem.retract(state, sign * step)) for sign in (1.0, -1.0)]
-            for here, up, down in zip(found, *ends, strict=True):
-                np.testing.assert_allclose(here.J[:, :, k], (up.r - down.r) / 2e-6, rtol=0, atol=1e-6)
+    found = problem.evaluate(state)
+    for k in range(problem.size):
+        step = 1e-6 * np.eye(problem.size)[k]
+        ends = [problem.evaluate(problem.retract(state, sign * step)) for sign in (1.0, -1.0)]
+        for here, up, down in zip(found, *ends, strict=True):
+            np.testing.assert_allclose(here.J[:, :, k], (up.r - down.r) / 2e-6, rtol=0, atol=1e-6)
+
+
+def test_local_derivatives_are_those_of_the_frames_in_both_models() -> None:
+    robot, q = as_robot(dh_arm(tool=True)), np.random.default_rng(3).uniform(-2, 2, (4, 6))
+    kinds, _ = measured_kinds(4, {"pose": forward(robot, q)}, None, None)
+    both = []
+    for model in ("local_poe", "poe"):
+        arm = Arm.of(robot, q, (), np.zeros((4, 6, 0)), model)
+        problem = KinematicProblem(arm, tuple(kinds), np.zeros(0, dtype=bool), 0, None)
+        state = State(arm.first(), np.zeros((0, 3)), np.zeros(3), np.array([0.0, 1.0]))
+        both.append(problem.measurements(state, local=True)[0].J)
+    np.testing.assert_array_equal(*both)
 
 
 class TestBadInput:
@@ -418,6 +427,15 @@ class TestGeometry:
         with pytest.raises(RobotError, match=r"kinematic_correction.*models.load\(path\).robot"):
             robots.load(tmp_path / "kinematics.toml")
 
+    def test_a_torque_model_is_of_one_of_them(self, yumi, model) -> None:
+        """A model that was identified with the description is refused by the corrected arm: identify again."""
+        robot, _, fit = yumi
+        with pytest.raises(ModelMismatchError, match="yumi_left"):
+            contact.Estimator(model, fit.value.robot)
+        assert contact.Estimator(model, robot) is not None
+        bases = [identify.base_parameters(one) for one in (robot, fit.value.robot)]
+        assert [len(base.B) for base in bases] == [50, 50]  # what axes 0.06 deg off perpendicular add is no parameter
+
     @pytest.mark.slow  # 6 s
     def test_identification_and_contact_force(self, yumi, truth) -> None:
         """A torque model of the corrected arm runs it, and refuses the arm before."""
@@ -500,3 +518,7 @@ class TestJointErrors:
         _, _, fit = waved
         with pytest.raises(RobotError, match=r"its attribute robot; .* its joints\(\), .* its command\(\)"):
             part(fit.value, postures(fit.value.robot))
+
+    def test_contact_force_wants_the_robot_too(self, waved, model) -> None:
+        with pytest.raises(RobotError, match="its attribute robot"):
+            contact.Estimator(model, waved[2].value)

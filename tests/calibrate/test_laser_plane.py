@@ -223,7 +223,7 @@ def test_the_statistical_contract_in_short(laser) -> None:
 
 @pytest.mark.slow  # 15 s
 def test_the_statistical_contract(laser) -> None:
-    found = contract(laser, 60)
+    found = contract(laser, 100)
     assert found.passed, found.text()
 
 

@@ -238,7 +238,7 @@ def test_fit_plane_keeps_the_contract(uniform_rotation: Draw) -> None:
     contract = check_estimator(
         fit_plane,
         plane_experiment(uniform_rotation),
-        40,
+        100,
         n=20,
         error=plane_error,
         gauges=[
@@ -257,7 +257,7 @@ def test_fit_line_keeps_the_contract(uniform_rotation: Draw) -> None:
     contract = check_estimator(
         fit_line,
         line_experiment(uniform_rotation),
-        40,
+        100,
         n=20,
         error=line_error,
         gauges=[

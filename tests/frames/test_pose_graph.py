@@ -223,7 +223,7 @@ def test_the_covariance_is_honest(tmp_path) -> None:
     contract = check_estimator(
         solve_poses,
         experiment,
-        30,
+        60,
         n=1,
         error=error,
         skip={

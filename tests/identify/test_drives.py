@@ -160,6 +160,19 @@ def drives(short_arm) -> Drives:
 
 
 @pytest.mark.slow  # 2 s
+def test_a_weak_line_is_found_beside_friction_over_position(drives: Drives) -> None:
+    """A tenth of the power of the noise: under friction over position at most 4 of 20 logs told it."""
+    weak = replace(drives.lines, coefficients=0.12 * np.asarray(drives.lines.coefficients))
+    over = replace(drives.map, coefficients=np.asarray(drives.map.coefficients)[::-1])
+    truth = replace(drives.base, lines=weak, friction_map=over)
+    for seed in range(2):
+        found = fit_friction(drives.log(truth, seed, 4000), drives.base).value
+        assert found.lines is not None
+        np.testing.assert_allclose(found.lines.cycles, [100.0], atol=0.5)
+        assert found.friction_map is not None
+
+
+@pytest.mark.slow  # 2 s
 def test_no_ripple_is_made_up_for_speeds_at_which_none_is_seen(drives: Drives) -> None:
     """Lines are fitted where they are slow; the fast rows of a wrist had a residual of ten times the one before."""
     t = np.arange(0.0, 40.0, 0.004)
@@ -404,6 +417,53 @@ def test_few_blocks_leave_no_direction_without_spread() -> None:
 
 
 OWN = ("viscous", "coulomb_pos", "coulomb_neg", "offset")
+WARM_RATE = 50.0
+
+
+def warm_log(model: TorqueModel, minutes: float, seed: int) -> Table:
+    """Free motion with speeds that change over minutes, torque from the model itself."""
+    t = np.arange(0, 60 * minutes, 1 / WARM_RATE)
+    rng = np.random.default_rng(seed)
+    slow = 0.6 + 0.4 * np.sin(2 * np.pi * t / rng.uniform(300, 500))[:, None]
+    phase = np.cumsum(slow * (1.0 + 0.15 * np.arange(7)), axis=0) / WARM_RATE
+    q = 0.8 * np.sin(phase)
+    qd = np.gradient(q, t, axis=0)
+    tau = model.torque(q, qd, np.gradient(qd, t, axis=0), np.full(len(t), 1 / WARM_RATE))
+    return Table(t, {"q": q, "qd": qd, "tau": tau + 0.05 * rng.standard_normal(q.shape)})
+
+
+@pytest.fixture(scope="module")
+def cold(model: TorqueModel) -> TorqueModel:
+    """Joints 1 and 2 with viscous friction that counts."""
+    viscous = np.array(model.friction.viscous)
+    viscous[:2] = 4.0
+    return replace(model, friction=replace(model.friction, viscous=viscous))
+
+
+@pytest.mark.slow  # 20 s
+def test_a_warm_up_of_40_minutes_is_found(cold: TorqueModel) -> None:
+    """Viscous friction falls by 0.4 with 12 min: time within 25 %, held-out error less than half of that without."""
+    warm, still = np.zeros(7), np.ones(7)
+    of_viscous, time = warm.copy(), warm.copy()
+    of_viscous[:2], time[:2] = -0.4, 720.0
+    truth = replace(cold, warm_up=WarmUp(warm, of_viscous, time, 0.5 * still, warm))
+    fit = fit_warm_up(warm_log(truth, 40, seed=0), cold)
+    found = fit.value.warm_up
+    assert found is not None
+    assert np.flatnonzero(found.time).tolist() == [0, 1]
+    np.testing.assert_allclose(found.time[:2], 720.0, rtol=0.25)
+    held_out = warm_log(truth, 40, seed=1)
+    qdd = np.gradient(held_out["qd"], held_out.t, axis=0)
+    before, after, exact = (
+        model.torque(held_out["q"], held_out["qd"], qdd, held_out.dt)[:, :2] for model in (cold, fit.value, truth)
+    )
+    assert np.sqrt(np.mean((after - exact) ** 2)) < 0.5 * np.sqrt(np.mean((before - exact) ** 2))
+    quality = fit.value.quality
+    assert np.all(quality.rms_cv[:2] >= quality.rms[:2])
+    assert np.all(quality.rms_cv[:2] < 0.5 * np.std(after - before, axis=0)), "without warm-up much more is left"
+    np.testing.assert_allclose(quality.coverage, 0.954, atol=0.05)
+    assert len(fit.names) == 16
+    assert np.all(fit.sd > 0)
 
 
 SECONDS = 1206.0

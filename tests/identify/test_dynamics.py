@@ -57,6 +57,21 @@ def test_errors_halve_with_four_times_the_data_and_match_the_covariance(short_ar
         assert found.passed, found.text()
 
 
+@pytest.mark.slow  # 18 s
+def test_errors_halve_with_four_times_the_data_and_match_the_covariance_of_gravity(short_arm) -> None:
+    """The statistical contract on a short arm."""
+    for law, gain_sd in (("consistent", 0.0), ("honest", 0.05)):  # as for fit_dynamics
+        found = check_estimator(
+            lambda table, robot: short_arm.of_base(fit_gravity(table, robot)),
+            short_arm.experiment(slow=True, gain_sd=gain_sd),
+            runs=16,
+            n=3000,
+            noise_given=False,
+            skip=dict.fromkeys(set(PROPERTIES) - {law}, "as fit_dynamics, whose machinery it shares"),
+        )
+        assert found.passed, found.text()
+
+
 @pytest.mark.slow  # 15 s beside other work
 def test_the_covariance_holds_for_coloured_residuals_and_the_formal_one_does_not(short_arm) -> None:
     """AR(1) noise that remembers 0.2 s: NEES in 0.7 to 1.4; above 3 by what white residuals would give."""
@@ -94,6 +109,12 @@ def test_outliers_do_little_harm_to_the_robust_methods_only(short_arm) -> None:
     for method in ("irls", "lts"):
         assert _error(short_arm, method, bad=0.05) < 1.3 * _error(short_arm, method)
     assert _error(short_arm, "ols", bad=0.05) > 2.0 * _error(short_arm, "ols")
+
+
+@pytest.mark.slow  # 10 s beside other work
+def test_stretches_of_outliers_do_little_harm_to_trimming(short_arm) -> None:
+    """Half a second each, five per cent of the log."""
+    assert _error(short_arm, "lts", bad=0.05, stretch=50) < 1.3 * _error(short_arm, "lts")
 
 
 SKIPPED = {

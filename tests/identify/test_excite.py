@@ -38,6 +38,14 @@ def test_a_joint_with_a_short_stroke_moves_inside_it() -> None:
     assert 0.005 < q.min() < 0.02 < 0.04 < q.max() < 0.055
 
 
+def test_excitation_is_slow_often_enough_and_reverses() -> None:
+    """At least 15 % of samples below 10 % of the speed limit and ten reversals per joint in a minute."""
+    robot = robots.load("yumi_left")
+    _, qd, _ = design_excitation(robot, seconds=60, seed=0).sample(np.arange(0, 60, 0.004))
+    assert np.all(np.mean(np.abs(qd) < 0.1 * robot.qd_max, axis=0) > 0.15)
+    assert np.all(np.sum(np.diff(np.sign(qd), axis=0) != 0, axis=0) >= 10)
+
+
 @pytest.mark.parametrize("seconds", [0.7, 3.3])
 def test_a_short_sway_has_no_jump_either(seconds: float) -> None:
     t = np.linspace(0, seconds, 20001)

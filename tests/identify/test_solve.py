@@ -124,6 +124,16 @@ def test_the_covariance_is_that_of_the_errors() -> None:
     assert np.mean(nees) == pytest.approx(1.0, abs=3 * np.sqrt(2 / (3 * 60)))
 
 
+def test_the_gains_err_as_their_covariance_says() -> None:
+    nees = []
+    for seed in range(60):
+        gains = 0.05 * np.random.default_rng([1, seed]).standard_normal(4)
+        made = problem(gains, seed=seed, noise=0.3)[3]
+        x, g = made.solve()
+        nees.append((g - gains) @ np.linalg.solve(made.gain_covariance(x, g), g - gains) / 4)
+    assert np.mean(nees) == pytest.approx(1.0, abs=3 * np.sqrt(2 / (4 * 60)))
+
+
 def test_exact_measurements_are_solved() -> None:
     """Without noise a joint would seem to know its gain infinitely well."""
     _, _, _, made = problem(np.array([0.04, -0.03, 0.02, -0.05]), noise=0.0)

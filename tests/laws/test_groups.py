@@ -135,6 +135,11 @@ def test_log_inverts_exp(case: SimpleNamespace, sampler) -> None:
     assert distance(back, v) <= LAW
 
 
+def test_exp_inverts_log(case: SimpleNamespace) -> None:
+    a = case.elements[0]
+    assert distance(same_side(case, case.exp(case.log(a)), a), a) <= LAW
+
+
 def test_inverse(case: SimpleNamespace) -> None:
     a = case.elements[0]
     identity = np.broadcast_to(case.identity, a.shape)

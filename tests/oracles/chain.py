@@ -56,7 +56,6 @@ def _unit_inertias() -> np.ndarray:
 UNIT_INERTIAS = _unit_inertias()
 
 
-MAX_JOINTS = 32
 _Pair = tuple[np.ndarray, np.ndarray]
 
 

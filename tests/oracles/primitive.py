@@ -39,7 +39,6 @@ from .obstacles import Obstacles
 PHASES = ("canonical", "time", "position", "periodic")
 FADED = 40.0
 GATE_WIDTH = 0.1  # of the duration
-LONGEST_SPRING = 1e7  # time constants of the spring that a position phase integrates in one call
 
 
 class SpringStep:

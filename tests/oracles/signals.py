@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 KINDS = ("trapezoid", "euler", "difference", "exponential", "lowpass", "slope", "notch")
-OSCILLATORS = KINDS[4:]
 GAP = 1.5
 
 
