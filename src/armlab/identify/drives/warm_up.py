@@ -2,9 +2,9 @@
 
     y = viscous qd + (of_viscous viscous) x qd + coulomb+ max(s, 0) + coulomb- min(s, 0) + offset + of_coulomb x c
 
-with c the Coulomb torque of the model. For a given time constant and thermal state at the start, x follows from the power of
-friction and all else is linear; power and x are settled by three rounds. x is constant over a second, so that sums over
-seconds are all that is kept of a log.
+with c the Coulomb torque of the model. For a given time constant and thermal state at the start, x follows from the
+power of friction and all else is linear; power and x are settled by three rounds. x is constant over a second, so that
+sums over seconds are all that is kept of a log.
 """
 
 from __future__ import annotations
@@ -240,8 +240,8 @@ def _slopes(sums: _Seconds, theta: np.ndarray, reference: float) -> tuple[np.nda
 def _polished(sums: _Seconds, theta: np.ndarray, reference: float) -> np.ndarray:
     """Return the parameters that leave least, by Gauss-Newton steps: the thermal state depends on each of them.
 
-    Without this viscous and Coulomb friction would leave least for the thermal state of the round before, and no formula of
-    least squares would tell their errors.
+    Without this step viscous and Coulomb friction would be fitted to the thermal state of the previous round, and their
+    least-squares covariance would be invalid.
     """
     every = np.ones(len(sums.rows))
     least = _left(sums, theta, reference, every)
