@@ -156,7 +156,7 @@ def data(truth, excited):
     return replace(whole, segments=((0, 5000), (5000, len(whole.t))))
 
 
-def test_thinning_is_the_zero_phase_filter_at_the_rows_that_are_kept(data) -> None:
+def test_decimation_is_the_zero_phase_filter_at_the_rows_that_are_kept(data) -> None:
     decimation = Decimation.of(data, 25.0, 4)
     got = decimation.run(lambda a, b: data.tau[a:b], data.tau.shape[1])
     expected = data.filter(data.tau, 25.0)[decimation.rows]

@@ -318,7 +318,7 @@ def _lines(feed: Any, watch: Watch, end: float) -> Any:
 
 
 def _hear(feed: Any, watch: Watch, seconds: float) -> None:
-    """Take what comes for a while."""
+    """Receive messages for some seconds."""
     due = time.monotonic() + seconds
     while feed.wait(due - time.monotonic()):
         watch.take(feed.receive())
@@ -327,7 +327,7 @@ def _hear(feed: Any, watch: Watch, seconds: float) -> None:
 
 
 def table(watch: Watch, now_ns: int) -> RenderableType:
-    """Return what is known as a table, a column per arm, with recording and events below."""
+    """Return the state of the arms as a table, a column per arm, with recording and events below."""
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text

@@ -14,8 +14,7 @@ from armlab.cli.support.options import Force, Json
 if TYPE_CHECKING:
     import numpy as np
 
-    from armlab.identify import Trajectory
-    from armlab.identify.excite import PredictedUncertainty
+    from armlab.identify import PredictedUncertainty, Trajectory
     from armlab.log import Table
     from armlab.robots import Robot
 
@@ -105,8 +104,7 @@ def excite(
     from armlab.cli.support.output import FIGURES, check_output, note, print_json, progress, result, save_figure
     from armlab.cli.support.settings import load_settings, log_folder
     from armlab.errors import ConfigError
-    from armlab.identify import Trajectory
-    from armlab.identify.excite import predicted_uncertainty
+    from armlab.identify import Trajectory, predicted_uncertainty
 
     if output is None and run is None:
         raise ConfigError("Expected a file for the motion (-o motion.csv) or a link to run it on (--run), got neither.")

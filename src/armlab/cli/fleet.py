@@ -23,9 +23,8 @@ if TYPE_CHECKING:
 
 
 RouterAddress = Annotated[str, Parameter(help="HOST:PORT of the router.")]
-Certificate = Annotated[
-    Path | None, Parameter(help="File of armlab bridge certificates, where the router asks: lab.pem, viewer.secret.")
-]
+Ca = Annotated[Path | None, Parameter(help="CA certificate of the router: lab.pem of armlab bridge certificates.")]
+Secret = Annotated[Path | None, Parameter(help="Password file, where the router asks for one: viewer.secret.")]
 _ROUTER = "127.0.0.1:7447"
 _PORT = 7447
 _LOOK = 0.2  # s between two looks at the clock
@@ -56,8 +55,16 @@ def router(
         TCP port.
     connect
         HOST:PORT of another router, whose robots are seen through this one too.
-    ca, certificate, key, users, secret
-        Files of armlab bridge certificates: lab.pem, bridge.pem, bridge.key, users.txt; for --connect bridge.secret.
+    ca
+        CA certificate of the lab: lab.pem of armlab bridge certificates.
+    certificate
+        Certificate of this router: bridge.pem.
+    key
+        Private key of the certificate: bridge.key.
+    users
+        Password file of the users: users.txt.
+    secret
+        Password file for the routers of --connect: bridge.secret.
     seconds
         Time after which to end [s].
     """
@@ -79,8 +86,8 @@ def record(
     output: Annotated[Path, Parameter(alias="-o")],
     lab: str = "",
     router: RouterAddress = _ROUTER,
-    ca: Certificate = None,
-    secret: Certificate = None,
+    ca: Ca = None,
+    secret: Secret = None,
     seconds: float | None = None,
 ) -> int:
     """Record every robot whose rows come, each in a file of its own, until Ctrl-C.
@@ -120,8 +127,8 @@ def list_fleet(
     *,
     lab: str = "",
     router: RouterAddress = _ROUTER,
-    ca: Certificate = None,
-    secret: Certificate = None,
+    ca: Ca = None,
+    secret: Secret = None,
     seconds: float = 2.0,
     json: Json = False,
 ) -> None:

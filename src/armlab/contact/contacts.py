@@ -43,13 +43,27 @@ UNDECIDED = "undecided"
 
 @dataclass(frozen=True, eq=False)
 class Hypotheses:
-    """What is believed of the contact, window by window.
+    """Posterior probabilities of contact hypotheses per window.
 
-    `t`: (K,) middle of each window [s]. `log_evidence`: (K, H). `posterior`: (K, H) probabilities for equal odds
-    before; rows sum to 1. `decision`: K names; "undecided" where the best is less than 20 times as likely as the
-    second. `link`: (K,) True where there is a contact and some hypothesis "link k" is not excluded, 400 to 1: a force
-    that is reported at the tool may then be one on a link. `place`: (K,) where on the segment [m from its start], the
-    most likely; NaN without a segment. `samples`: (K,) how many independent samples the window is worth.
+    Attributes
+    ----------
+    t : array, shape (K,), s
+        Middle of each window.
+    names : tuple of str, length H
+        Names of the hypotheses.
+    log_evidence : array, shape (K, H)
+        Logarithm of the evidence of each hypothesis.
+    posterior : array, shape (K, H)
+        Posterior probabilities for equal prior odds; rows sum to 1.
+    decision : tuple of str, length K
+        Most likely hypothesis; "undecided" where it is less than 20 times as likely as the second.
+    link : bool array, shape (K,)
+        True where there is a contact and some hypothesis "link k" is not excluded, 400 to 1: a force reported at the
+        tool may then be a force on a link.
+    place : array, shape (K,), m
+        Most likely contact point on the segment, from its start; NaN without a segment.
+    samples : array, shape (K,)
+        Effective sample size of each window.
     """
 
     t: np.ndarray
@@ -267,9 +281,18 @@ HOLE = 0.1  # s; shorter returns do not end a contact
 
 @dataclass(frozen=True)
 class Contact:
-    """One interval of contact.
+    """Interval of contact.
 
-    `force`: mean force (fx, fy, fz) [N], base axes. `band`: mean 2-sigma of the least certain axis [N].
+    Attributes
+    ----------
+    start : float, s
+        First time of the contact, on the clock of the table.
+    end : float, s
+        Last time of the contact, on the same clock.
+    force : tuple of 3 floats, N
+        Mean force (fx, fy, fz) in base axes.
+    band : float, N
+        Mean 2-sigma of the least certain axis.
     """
 
     start: float
@@ -327,9 +350,18 @@ SOURCES = {"wrench_true": "the true wrench", "wrench": "the force sensor"}
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """How far an estimate is from what it should be.
+    """Error of an estimated wrench against a reference.
 
-    `rms`: (6,) error per axis [N, N m]. `inside`: (6,) share of the errors inside two sigma.
+    Attributes
+    ----------
+    against : str
+        Reference: "the true wrench" or "the force sensor".
+    rows : int
+        Number of rows with both estimate and reference.
+    rms : array, shape (6,), N and N m
+        RMS error per axis.
+    inside : array, shape (6,)
+        Share of the errors inside 2 sigma.
     """
 
     against: str

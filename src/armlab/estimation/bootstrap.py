@@ -19,7 +19,7 @@ from armlab._numbers import generator, number, numbers
 from armlab.errors import NotExcited, ShapeError, UnknownName
 from armlab.estimation.linear_problem import LinearSolution, within_bounds
 
-# How long a record remembers, and how many independent samples it is worth.
+# Autocorrelation time of a record and its effective sample size.
 
 
 SHORTEST = 0.5  # s
@@ -167,10 +167,16 @@ class BlockSums:
 
 @dataclass(frozen=True, eq=False)
 class Bootstrap:
-    """Solutions for data drawn again.
+    """Bootstrap solutions.
 
-    `draws`: (D, p) solutions. `cov`: (p, p) their covariance, which is that of the estimate, shrunk towards a multiple
-    of the formal one. `shrinkage`: how far, from 0 to 1; near 1 where there are few blocks for many parameters.
+    Attributes
+    ----------
+    draws : array, shape (D, p), units of the parameters
+        Solutions of the resampled problems.
+    cov : array, shape (p, p), units of the parameters
+        Covariance of the estimate: covariance of the draws, shrunk towards a multiple of the formal covariance.
+    shrinkage : float
+        Shrinkage from 0 to 1; near 1 for few blocks and many parameters.
     """
 
     draws: np.ndarray
@@ -257,8 +263,14 @@ def shrinkage(scores: np.ndarray) -> float:
 class CrossValidation:
     """Errors on blocks that a solution was not fitted to.
 
-    `fold`: (B,) fold of each block; -1 for blocks that the solution leaves out. `solutions`: (k, p) fitted without that
-    fold. `rms`: (k, G) held-out residual of each fold and class of measurement, in its unit.
+    Attributes
+    ----------
+    fold : int array, shape (B,)
+        Fold of each block; -1 for blocks outside the fit.
+    solutions : array, shape (k, p), units of the parameters
+        Solution fitted without each fold.
+    rms : array, shape (k, G), units of the measurements
+        Held-out RMS residual of each fold and class of measurement.
     """
 
     fold: np.ndarray

@@ -30,7 +30,15 @@ Describe = Callable[[np.ndarray], str]
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What was known before: values (p,) and their standard deviations (p,), independent of each other."""
+    """Independent prior knowledge of parameters.
+
+    Attributes
+    ----------
+    values : array, shape (p,), units of the parameters
+        Prior values.
+    sd : array, shape (p,), units of the parameters
+        Standard deviations of the prior values.
+    """
 
     values: np.ndarray
     sd: np.ndarray

@@ -201,7 +201,7 @@ class FrictionColumns:
     def sign(self, delta: np.ndarray, smooth: np.ndarray) -> np.ndarray:
         """Return s (N, J) along the record: presliding state, or smooth sign.
 
-        `delta`, `smooth`: (J,) shape of the sign, see `FrictionStructure`.
+        `delta`, `smooth`: (J,) structure of the sign, see `FrictionStructure`.
         """
         soft = smooth > 0
         z = np.empty(self.q.shape)
@@ -267,7 +267,7 @@ class RegressionColumns:
         return FrictionColumns(self.decimation, data.q[:, joints], data.qd[:, joints], data.resolution[joints])
 
     def plain(self, qdd: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return what has neither shape nor base parameters.
+        """Return what has neither friction structure nor base parameters.
 
         `qdd`: (N, n) acceleration of the record. Returns: Torque (M, J); columns (M, J, 2 or 4): viscous, offset, and
         ripple where it is seen; acceleration and velocity (M, K, 2) of the coupled motors.
@@ -318,7 +318,7 @@ class RegressionColumns:
     def shaped(self, delta: np.ndarray, smooth: np.ndarray, speeds: np.ndarray) -> np.ndarray:
         """Return the columns (M, J, 3 + S) of the structure of friction: SIGNED, then Stribeck of each speed.
 
-        `delta`, `smooth`: (J,) shape of the sign. `speeds`: (S, J) of Stribeck's term.
+        `delta`, `smooth`: (J,) structure of the sign. `speeds`: (S, J) of Stribeck's term.
         """
         friction = self.friction
         return friction.columns(friction.sign(delta, smooth), [friction.bell(speed) for speed in speeds])

@@ -40,12 +40,22 @@ WIDTH = 0.05  # radius of gyration of a default prior, as a share of the reach
 
 @dataclass(frozen=True, eq=False)
 class PhysicallyConsistent:
-    """A torque model whose links are bodies.
+    """Torque model with physically consistent links.
 
-    `links`: (n, 10) m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz in link frames, about their origins: what MuJoCo, URDF and
-    `Robot.inertias` take. Along unidentified directions they are those of the prior. `rotor`: (n,) rotor inertia [kg
-    m^2]. `distance`: of the base parameters from those of the fit, in deviations of white noise: the root of the first
-    term.
+    Attributes
+    ----------
+    model : TorqueModel
+        Torque model with the parameters of these links.
+    links : array, shape (n, 10), kg, kg m, kg m^2
+        m, m c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz in link frames, about their origins, as MuJoCo, URDF and
+        `Robot.inertias` take them. Along unidentified directions they are those of the prior.
+    rotor : array, shape (n,), kg m^2
+        Rotor inertias.
+    growth : float
+        Relative growth of the weighted RMS residual.
+    distance : float
+        Distance of the base parameters from the fit, in standard deviations of white noise: the root of the first term
+        of the cost.
     """
 
     model: TorqueModel

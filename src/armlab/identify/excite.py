@@ -590,10 +590,20 @@ GROUPS = (*GROUPS, ("offset", "N m"))
 
 @dataclass(frozen=True, eq=False)
 class PredictedUncertainty:
-    """What a motion will tell.
+    """Predicted parameter uncertainty of an excitation trajectory.
 
-    `names`, `units`: of the d parameters: base parameters, then viscous, coulomb+, coulomb-, offset of each joint.
-    `groups`: (d,) the group of each. `sd`: (d,) expected standard deviations for white torque noise.
+    Attributes
+    ----------
+    names : tuple of str, length d
+        Parameters: base parameters, then viscous, coulomb+, coulomb- and offset of each joint.
+    units : tuple of str, length d
+        Unit of each parameter.
+    groups : tuple of str, length d
+        Group of each parameter: "first moments", "inertias", "viscous", "Coulomb" or "offset".
+    sd : array, shape (d,), units of the parameters
+        Expected standard deviations for white torque noise.
+    excitation : Excitation
+        Rank, singular values and the weakest direction of the regressor.
     """
 
     names: tuple[str, ...]
@@ -621,9 +631,26 @@ def predicted_uncertainty(trajectory: Trajectory, robot: Robot, noise: float = 0
     """Predict the uncertainty of the torque model's parameters from a motion.
 
     The covariance is ``s^2 (A^T A)^-1`` with the regressor A of base parameters and friction along the motion,
-    logged at 250 Hz. Real residuals are coloured: expect deviations a few times larger, in the same order.
+    logged at 250 Hz. Real residuals are coloured: expect standard deviations a few times larger, in the same order.
 
-    `noise`: standard deviation of each torque sample [N m]; the expected deviations are in proportion to it.
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Motion of n joints, for example from `design_excitation`.
+    robot : Robot
+        Robot of n joints.
+    noise : float, N m
+        Standard deviation of each torque sample; the expected standard deviations are proportional to it.
+
+    Returns
+    -------
+    PredictedUncertainty
+        Expected standard deviations of the parameters and the excitation of the motion.
+
+    Raises
+    ------
+    RobotError : `robot` is not a robot.
+    ShapeError : `trajectory` is not a trajectory of n joints, or `noise` is not a finite number above 0 N m.
     """
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)

@@ -37,7 +37,7 @@ TERMS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 
 
 @dataclass(frozen=True, eq=False)
 class FrictionStructure:
-    """Shape of the friction of all joints; vectors are (n,).
+    """Structure of the friction of all joints; vectors are (n,).
 
     `delta`: presliding distance [rad]. `smooth`: v_t [rad/s], 0 where the sign is the presliding state. `speed`: v_s of
     Stribeck's term [rad/s]. `terms`: (n, 3) bool: asymmetry, Stribeck, root.
@@ -109,11 +109,11 @@ def mixing(terms: np.ndarray, width: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class StructureChoice:
-    """What the shape of one joint's friction is chosen by; it may travel to a worker.
+    """Data for the choice of one joint's friction structure; it may travel to a worker.
 
-    `fixed`: (M, 2 or more) columns viscous, offset, and whatever else has no shape. `target`: (M,) torque that friction
-    has to explain. `fold`: (M,) number of the fold of each row, 0 to FOLDS - 1. `trust`: (M,) weights of the rows, 0 to
-    leave one out.
+    `fixed`: (M, 2 or more) columns independent of the structure: viscous, offset and others. `target`: (M,) torque that
+    friction has to explain. `fold`: (M,) number of the fold of each row, 0 to FOLDS - 1. `trust`: (M,) weights of the
+    rows, 0 to leave one out.
     """
 
     motion: FrictionColumns
@@ -198,7 +198,7 @@ def _scaled(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @one_thread()
 def choose(choice: StructureChoice) -> FrictionStructure:
-    """Choose the shape of one joint's friction: fitted to all folds of the data but one, judged on that one, in turn.
+    """Choose the structure of one joint's friction by cross-validation over the folds of the data.
 
     Presliding distance or v_t, the speed of Stribeck's term, and which terms there are come from a grid; of all that
     come within 1 % of the smallest squared error the one with the fewest terms wins, with presliding before tanh. Its
@@ -213,13 +213,14 @@ def choose(choice: StructureChoice) -> FrictionStructure:
         scores.append(search.scores(motion.columns(s, bells), STRIBECK_SPEEDS, slice(None)))
     t, k, terms = _pick(np.array(scores))  # (trial, speed, terms)
     delta, smooth = trials[t]
-    shape = FrictionStructure(np.array([delta]), np.array([smooth]), STRIBECK_SPEEDS[[k]], TERMS[[terms]])
-    shape = _refine(search, shape, scores[t][k, terms])
-    columns = motion.columns(motion.sign(shape.delta, shape.smooth), [motion.bell(shape.speed)])
-    errors = search.scores(columns, shape.speed, slice(None))[0]
+    structure = FrictionStructure(np.array([delta]), np.array([smooth]), STRIBECK_SPEEDS[[k]], TERMS[[terms]])
+    structure = _refine(search, structure, scores[t][k, terms])
+    columns = motion.columns(motion.sign(structure.delta, structure.smooth), [motion.bell(structure.speed)])
+    errors = search.scores(columns, structure.speed, slice(None))[0]
     simplest = int(np.argmax(errors <= (1.0 + GAIN) * errors.min()))
-    shape = replace(shape, terms=TERMS[[simplest]])  # on the grid a term may stand in for a width between two points
-    return _refine(search, shape, errors[simplest])
+    # on the grid a term may stand in for a width between two points
+    structure = replace(structure, terms=TERMS[[simplest]])
+    return _refine(search, structure, errors[simplest])
 
 
 Chooser = Callable[[Iterable[StructureChoice]], Iterable[FrictionStructure]]
@@ -231,7 +232,7 @@ def choose_here(choices: Iterable[StructureChoice]) -> list[FrictionStructure]:
 
 
 def _pick(scores: np.ndarray) -> tuple[int, int, int]:
-    """Return (trial, speed, terms) of the simplest shape of one joint that is good enough, of (trial, speed, terms)."""
+    """Return (trial, speed, terms) of the simplest structure of one joint within 1 % of the smallest squared error."""
     kinds = np.arange(len(scores)) < len(DELTAS)
     choices = []
     for k, terms in enumerate(TERMS):
@@ -243,15 +244,15 @@ def _pick(scores: np.ndarray) -> tuple[int, int, int]:
     return next(choice for score, choice in choices if score <= limit)
 
 
-def _refine(search: _StructureSearch, shape: FrictionStructure, best: float) -> FrictionStructure:
+def _refine(search: _StructureSearch, structure: FrictionStructure, best: float) -> FrictionStructure:
     """Try factors on distance or speed of the sign and on Stribeck's speed; keep what lowers the held-out error."""
-    motion, kind = search.motion, int(np.flatnonzero((shape.terms == TERMS).all(axis=1))[0])
-    ways = ((1.0, 0.0), (0.0, 1.0)) if shape.terms[0, 1] else ((1.0, 0.0),)
-    s = motion.sign(shape.delta, shape.smooth)
-    columns = motion.columns(s, [motion.bell(shape.speed)])
+    motion, kind = search.motion, int(np.flatnonzero((structure.terms == TERMS).all(axis=1))[0])
+    ways = ((1.0, 0.0), (0.0, 1.0)) if structure.terms[0, 1] else ((1.0, 0.0),)
+    s = motion.sign(structure.delta, structure.smooth)
+    columns = motion.columns(s, [motion.bell(structure.speed)])
     for step in (sign * np.log(factor) for factor in REFINEMENTS for sign in (1.0, -1.0)):
         for way in ways:
-            trial = shape.moved(step * np.array([way]))
+            trial = structure.moved(step * np.array([way]))
             bells = [motion.bell(trial.speed)]
             if way[0]:
                 z = motion.sign(trial.delta, trial.smooth)
@@ -263,5 +264,5 @@ def _refine(search: _StructureSearch, shape: FrictionStructure, best: float) -> 
                 )
             score = float(search.scores(tried, trial.speed, slice(kind, kind + 1))[0, 0])
             if score < best:
-                best, shape, s, columns = score, trial, z, tried
-    return shape
+                best, structure, s, columns = score, trial, z, tried
+    return structure

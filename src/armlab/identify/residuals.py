@@ -69,11 +69,11 @@ def friction_signs(model: TorqueModel, data: Record) -> np.ndarray:
 
 # How warm the drives of a model are along a record, second by second (models.friction.WarmUp has the law).
 #
-# Warmth is taken as constant over a second, so that sums over seconds are all that is kept of a record.
+# The thermal state is taken as constant over a second, so that sums over seconds are all that is kept of a record.
 
 
 BIN = 1.0  # s
-SETTLING = 8  # rounds of power and warmth for given parameters
+SETTLING = 8  # rounds of power and thermal state for given parameters
 FEWEST_SECONDS = 20  # rows of a second that tell its power
 
 
@@ -94,7 +94,7 @@ def begun(
 
 
 def _thermal_state_at(model: TorqueModel, data: Record, rows: np.ndarray) -> np.ndarray:
-    """Return the warmth (M, n) at rows (M,) of a record; every log in it begins with that of the model."""
+    """Return the thermal state (M, n) at rows (M,) of a record; every log in it begins with that of the model."""
     warm, f, s = model.warm_up, model.friction, friction_signs(model, data)
     if warm is None:
         return np.zeros((len(rows), model.n))
@@ -120,7 +120,7 @@ def seconds(t: np.ndarray) -> np.ndarray:
 
 
 def dry_torques(model: TorqueModel, i: int | np.intp, qd: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return Coulomb torque c (N,) of a cold joint, which warmth changes, and of the rest (N,), which it does not.
+    """Return Coulomb torque c (N,) of a cold joint, which the thermal state changes, and the other torques (N,).
 
     `i`: joint, from 0. `qd`, `s`: (N,) velocity [rad/s] and the sign that friction goes by.
     """
@@ -154,7 +154,7 @@ def relaxed(heat: np.ndarray, time: float, start: float) -> np.ndarray:
 
 
 def settled(power: np.ndarray, k: np.ndarray, time: float, start: float, reference: float) -> np.ndarray:
-    """Return the warmth x (B,) of a joint, which settles with the power of its own friction.
+    """Return the thermal state x (B,) of a joint, which settles with the power of its own friction.
 
     `power`: (B, 3) of `mean_power`. `k`: (6,) viscous, coulomb+, coulomb-, offset, of_viscous viscous, of_coulomb.
     `time`: constant [s]. `reference`: power at which x settles at 1 [W].

@@ -163,7 +163,7 @@ ROBUST = ("irls", "lts")
 def alternate(
     design: Design, method: str, seed: int = 0, use: np.ndarray | None = None, chooser: Chooser = choose_here
 ) -> tuple[Design, np.ndarray]:
-    """Alternate between the linear parameters and the structure of friction until the shape stays; return both.
+    """Alternate between the linear parameters and the structure of friction until the structure stays; return both.
 
     Directions that the log does not tell are no fault here: the last fit judges.
 

@@ -40,12 +40,26 @@ REST = 0.01  # of the peak speed; all joints below it are at rest
 
 @dataclass(frozen=True, eq=False)
 class Extrapolation:
-    """How a log differs from the data that a model was fitted to.
+    """Differences between a log and the data that a model was fitted to.
 
-    `outside`: (n,) share of samples more than 2 % of the trained range outside it. `unseen_speed`: (n,) share of
-    samples at speeds that hold less than 0.5 % of the training data. `rest_share`, `longest_rest`: share of rest and
-    its longest stretch [s] in this log. `trained_rest_share`, `trained_longest_rest`: the same in training. `warnings`:
-    sentences; empty when the model may be used on this log.
+    Attributes
+    ----------
+    joint_names : tuple of str, length n
+        Names of the joints.
+    outside : array, shape (n,)
+        Share of samples outside the trained range of position by more than 2 % of it.
+    unseen_speed : array, shape (n,)
+        Share of samples at speeds that hold less than 0.5 % of the training data.
+    rest_share : float
+        Share of rest in this log.
+    longest_rest : float, s
+        Longest rest in this log.
+    trained_rest_share : float
+        Share of rest in the training data.
+    trained_longest_rest : float, s
+        Longest rest in the training data.
+    warnings : tuple of str
+        Sentences; empty when the model may be used on this log.
     """
 
     joint_names: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""What a posture can do: singular values, manipulability, ellipsoids, and the self-motion of a redundant arm."""
+"""Dexterity of a posture: singular values, manipulability, ellipsoids, self-motion."""
 
 from __future__ import annotations
 

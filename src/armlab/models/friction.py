@@ -90,14 +90,30 @@ def _freeze(instance: Friction | FrictionBound | Ripple) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Friction:
-    """Friction of all joints; every field has shape (n,).
+    """Friction of all joints.
 
-    `viscous`: [N m s/rad]. `coulomb_pos`, `coulomb_neg`: Coulomb torque for positive and negative motion, both counted
-    positive [N m]. `offset`: [N m]. `stribeck`: extra torque near zero speed [N m]. `stribeck_speed`: its width
-    [rad/s]. `delta`: presliding distance [rad]. `resolution`: displacement that the encoder can tell from noise [rad];
-    smaller changes leave the state alone. `root`: torque that grows with the root of speed [N m/sqrt(rad/s)]; zero when
-    left out. `smooth_speed`: v_t [rad/s] of tanh(qd / v_t) in place of the presliding state; 0, or left out:
-    presliding.
+    Attributes
+    ----------
+    viscous : array, shape (n,), N m s/rad
+        Viscous friction.
+    coulomb_pos : array, shape (n,), N m
+        Coulomb torque for positive motion.
+    coulomb_neg : array, shape (n,), N m
+        Coulomb torque for negative motion, counted positive.
+    offset : array, shape (n,), N m
+        Constant torque.
+    stribeck : array, shape (n,), N m
+        Additional torque near zero speed.
+    stribeck_speed : array, shape (n,), rad/s
+        Width of the Stribeck peak, above 0.
+    delta : array, shape (n,), rad
+        Presliding distance, above 0.
+    resolution : array, shape (n,), rad
+        Smallest displacement that the encoder separates from noise; smaller changes leave the presliding state alone.
+    root : array, shape (n,), N m/sqrt(rad/s)
+        Torque proportional to the square root of speed. Default: 0.
+    smooth_speed : array, shape (n,), rad/s
+        v_t of tanh(qd / v_t), which replaces the presliding state where it is above 0. Default: 0.
     """
 
     viscous: np.ndarray
@@ -143,13 +159,19 @@ class Friction:
 
 @dataclass(frozen=True, eq=False)
 class FrictionBound:
-    """How far friction may lie from the model near rest: ``|d| <= torque exp(-(qd / speed)^2) + floor``.
+    """Bounds of the friction error near rest: ``|d| <= torque exp(-(qd / speed)^2) + floor``.
 
     Near zero speed friction is not random but unknown inside bounds, constant for as long as the joint rests
-    (Linderoth, Stolt, Robertsson and Johansson, IROS 2013). Every field has shape (n,).
+    (Linderoth, Stolt, Robertsson and Johansson, IROS 2013).
 
-    `torque`: largest friction at rest [N m]. `speed`: [rad/s]. `floor`: what is left of the model's error in motion [N
-    m].
+    Attributes
+    ----------
+    torque : array, shape (n,), N m
+        Largest friction at rest.
+    speed : array, shape (n,), rad/s
+        Width of the bound in speed, above 0.
+    floor : array, shape (n,), N m
+        Bound of the model error in motion.
     """
 
     torque: np.ndarray
@@ -282,7 +304,12 @@ class RadialBasis:
 class FrictionMap:
     """Friction over position and speed, in addition to `Friction`.
 
-    `coefficients`: (n, 2, P, S) [N m], positive direction first; zero for joints without.
+    Attributes
+    ----------
+    basis : RadialBasis
+        Centres and widths of the radial basis functions.
+    coefficients : array, shape (n, 2, P, S), N m
+        Coefficients of the basis functions, positive direction first; zero for joints without a map.
     """
 
     basis: RadialBasis
@@ -342,11 +369,20 @@ def speed_basis(slowest: float, fastest: float, count: int = SPEEDS) -> tuple[np
 
 @dataclass(frozen=True, eq=False)
 class RippleLines:
-    """Lines of torque ripple of n joints, L in all.
+    """Torque ripple of n joints as L lines over position.
 
-    `joint`: (L,) number of the joint from 0, in ascending order. `cycles`: (L,) cycles per revolution. `speeds`,
-    `widths`: (n, S) centres and widths of the Gaussians [rad/s]. `coefficients`: (L, D, S, 2) amplitudes of cosine and
-    sine [N m] for D = 1 or 2 directions, positive first.
+    Attributes
+    ----------
+    joint : int array, shape (L,)
+        Joint of each line, counted from 0, in ascending order.
+    cycles : array, shape (L,), cycles per revolution
+        Frequency of each line over the joint angle, equal to rad/rad.
+    speeds : array, shape (n, S), rad/s
+        Centres of the Gaussians in speed, ascending.
+    widths : array, shape (n, S), rad/s
+        Widths of the Gaussians, above 0.
+    coefficients : array, shape (L, D, S, 2), N m
+        Amplitudes of cosine and sine for D = 1 or 2 directions, positive first.
     """
 
     joint: np.ndarray
@@ -398,11 +434,20 @@ class RippleLines:
 
 @dataclass(frozen=True, eq=False)
 class WarmUp:
-    """How thermal state changes friction; every field has shape (n,).
+    """Change of friction with the thermal state of a drive.
 
-    `of_coulomb`, `of_viscous`: relative change of Coulomb and viscous friction at thermal state 1. `time`: time
-    constant [s]; 0 for a drive that does not change. `power`: friction power at which thermal state settles at 1 [W];
-    above 0. `start`: thermal state at the beginning of a record; 0 is cold.
+    Attributes
+    ----------
+    of_coulomb : array, shape (n,)
+        Relative change of Coulomb friction at thermal state 1.
+    of_viscous : array, shape (n,)
+        Relative change of viscous friction at thermal state 1.
+    time : array, shape (n,), s
+        Time constant; 0 for a drive whose friction does not change.
+    power : array, shape (n,), W
+        Friction power at which the thermal state settles at 1, above 0.
+    start : array, shape (n,)
+        Thermal state at the beginning of a record; 0 is cold.
     """
 
     of_coulomb: np.ndarray

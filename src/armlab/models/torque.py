@@ -33,11 +33,20 @@ KINDS = ("exp", "step", "const")
 
 @dataclass(frozen=True, eq=False)
 class VelocityCovariance:
-    """Diagonal torque covariance as a function of joint velocity; arrays have shape (n,).
+    """Diagonal torque covariance as a function of joint velocity.
 
-    `C0`, `Cinf`: variance at rest and at speed [(N m)^2], C0 >= Cinf > 0. `shape`: "exp": decay rate [s/rad]; "step":
-    threshold speed [rad/s]; "const": zeros. `alpha2`: factor on both, set so that 2-sigma coverage on held-out data is
-    95.4 %.
+    Attributes
+    ----------
+    kind : {"exp", "step", "const"}
+        Dependence on speed.
+    C0 : array, shape (n,), (N m)^2
+        Variance at rest, at least `Cinf`.
+    Cinf : array, shape (n,), (N m)^2
+        Variance at speed, above 0.
+    shape : array, shape (n,), s/rad or rad/s
+        "exp": decay rate [s/rad]; "step": threshold speed [rad/s]; "const": zeros.
+    alpha2 : float
+        Factor on both variances, set so that 2-sigma intervals cover 95.4 % of held-out data.
     """
 
     kind: str
@@ -250,11 +259,20 @@ class CoupledKernel:
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """How well the model fits, per joint (n,).
+    """Quality of the fit of a torque model, per joint.
 
-    `torque_sd`: standard deviation of the measured torque [N m]. `rms`: residual in the data it was fitted to [N m];.
-    `rms_cv`: in held-out blocks [N m]; both in motion, after the causal filter of the estimator. `coverage`: share of
-    held-out causal residuals inside 2 sigma.
+    Attributes
+    ----------
+    torque_sd : array, shape (n,), N m
+        Standard deviation of the measured torque.
+    rms : array, shape (n,), N m
+        RMS residual in the training data, in motion, after the causal filter of the estimator.
+    rms_cv : array, shape (n,), N m
+        RMS residual in held-out blocks, in motion, after the same filter.
+    coverage : array, shape (n,)
+        Share of held-out causal residuals inside 2 sigma.
+    seconds : float, s
+        Length of the training data.
     """
 
     torque_sd: np.ndarray

@@ -354,7 +354,7 @@ _ROUGH = {"[m]": 0.01, "[rad]": 0.05}  # beyond it is no noise of a sensor, but 
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Wanted(Results):
-    """What is wanted of a calibration."""
+    """Output options of a calibration."""
 
     output: Annotated[
         Path | None, Parameter(alias="-o", help="Save the result with its covariance, ends in .toml.")

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 POSES = ("T_base_tool", "T_frame_tool")
 
 Model = Annotated[Path, Parameter(help="Model file of `armlab identify`.")]
-FreeMotion = Annotated[Path, Parameter(help="Recording of free motion, best one that was not fitted.")]
+FreeMotion = Annotated[Path, Parameter(help="Recording of free motion, preferably not used in the fit.")]
 Estimate = Annotated[Path, Parameter(help="Output of `armlab estimate`, or recording of a run that estimated.")]
 RobotName = Annotated[str, Parameter(help="Name in the library, or robot file.")]
 PoseRobot = Annotated[str | None, Parameter(help="Name in the library or robot file: computes the poses from q.")]

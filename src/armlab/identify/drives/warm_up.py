@@ -2,9 +2,9 @@
 
     y = viscous qd + (of_viscous viscous) x qd + coulomb+ max(s, 0) + coulomb- min(s, 0) + offset + of_coulomb x c
 
-with c the Coulomb torque of the model. For a given time constant and warmth at the start, x follows from the power of
-friction and all else is linear; power and x are settled by three rounds. x is constant over a second, so that sums over
-seconds are all that is kept of a log.
+with c the Coulomb torque of the model. For a given time constant and thermal state at the start, x follows from the
+power of friction and all else is linear; power and x are settled by three rounds. x is constant over a second, so that
+sums over seconds are all that is kept of a log.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def _linear(sums: _Seconds, x: np.ndarray, used: np.ndarray) -> tuple[np.ndarray
 
 
 def _given(sums: _Seconds, time: float, start: float, used: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """Return linear parameters, squares left and reference power for a time constant and warmth at the start."""
+    """Return linear parameters, squares left and reference power for a time constant and thermal state at the start."""
     power, x = sums.power.sum(axis=1), np.zeros(len(sums.rows))
     reference = float(np.median(power[sums.rows > 0]))
     k, left = np.zeros(6), np.inf
@@ -103,7 +103,7 @@ def _given(sums: _Seconds, time: float, start: float, used: np.ndarray) -> tuple
 def _joint(sums: _Seconds, used: np.ndarray, guess: np.ndarray | None = None) -> tuple[np.ndarray, float, float]:
     """Return the eight parameters, squares left and reference power, from the seconds that are used (B,).
 
-    The time constant and the warmth at the start begin at those of a guess, or at the best of a grid.
+    The time constant and the thermal state at the start begin at those of a guess, or at the best of a grid.
     """
     from scipy.optimize import minimize
 
@@ -205,7 +205,7 @@ def _held_out(sums: _Seconds, guess: np.ndarray, reference: float, fifth: np.nda
 
 
 def _warm(sums: _Seconds, theta: np.ndarray, reference: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return viscous ... of_coulomb (6,) and the warmth x (B,) that settles with its own friction."""
+    """Return viscous ... of_coulomb (6,) and the thermal state x (B,) that settles with its own friction."""
     k = np.array([*theta[:4], theta[4] * theta[0], theta[5]])
     return k, settled(sums.power, k, theta[6], theta[7], reference)
 
@@ -238,10 +238,10 @@ def _slopes(sums: _Seconds, theta: np.ndarray, reference: float) -> tuple[np.nda
 
 
 def _polished(sums: _Seconds, theta: np.ndarray, reference: float) -> np.ndarray:
-    """Return the parameters that leave least, by steps of Gauss and Newton: warmth answers to each of them.
+    """Return the parameters that leave least, by Gauss-Newton steps: the thermal state depends on each of them.
 
-    Without this viscous and Coulomb friction would leave least for the warmth of the round before, and no formula of
-    least squares would tell their errors.
+    Without this step viscous and Coulomb friction would be fitted to the thermal state of the previous round, and their
+    least-squares covariance would be invalid.
     """
     every = np.ones(len(sums.rows))
     least = _left(sums, theta, reference, every)

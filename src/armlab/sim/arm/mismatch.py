@@ -52,7 +52,7 @@ class Mismatch:
     centre : float
         Shift of each link's centre of mass along each axis [m].
     payload : float
-        Mass that nobody told of, 60 mm beyond the tool point along its z axis [kg].
+        Unmodelled payload, 60 mm beyond the tool point along its z axis [kg].
     friction : float
         Relative error of each joint's friction: Coulomb, static and viscous.
     saturation : float

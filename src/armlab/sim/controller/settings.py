@@ -144,7 +144,7 @@ class FaultRates:
     reorder : float
         Probability that it arrives one cycle later, behind its successor.
     corrupt : float
-        Probability that it arrives damaged, so that nobody can read it.
+        Probability that it arrives corrupted.
     delay : tuple
         MEAN,SIGMA of a normal delay [s], never below 0, to the nearest cycle.
     pause : tuple
