@@ -138,6 +138,8 @@ class Friction:
     @classmethod
     def none(cls, n: int) -> Friction:
         """Return n joints without friction; widths of terms that are zero are 1."""
+        if not (isinstance(n, int | np.integer) and 0 < n <= 32):
+            raise ShapeError(f"Expected a number of joints from 1 to 32, got {n!r}.")
         widths = ("stribeck_speed", "delta")
         return cls(**{entry.name: np.full(n, float(entry.name in widths)) for entry in fields(cls)})
 
