@@ -39,7 +39,7 @@ LAWS = dict.fromkeys(PROPERTIES, "tested elsewhere")  # but those that are taken
 
 @pytest.mark.slow  # 35 s beside other work
 def test_errors_halve_with_four_times_the_data_and_match_the_covariance(short_arm) -> None:
-    """The statistical contract on a short arm whose shape of friction is unknown; the shape is in the covariance.
+    """The statistical contract on a short arm whose structure of friction is unknown; the covariance counts it in.
 
     What gains have in common no length of a log tells: errors halve where there is none, and are judged where there is.
     """

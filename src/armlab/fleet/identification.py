@@ -207,17 +207,17 @@ def _try(log: Log, robot: Robot) -> tuple[float, float, str]:
 
 
 def _chooser(executor: Executor | None, tell: Progress) -> Chooser:
-    """Return what chooses the shapes of friction of the joints on an executor."""
+    """Return what chooses the structure of friction of the joints on an executor."""
 
     def choose_all(choices: Iterable[StructureChoice]) -> list[FrictionStructure]:
         joints = {f"joint {number + 1}": choice for number, choice in enumerate(choices)}
         done = map_logs(
             choose, joints, executor=executor, kind="joint",
-            progress=lambda done, total, what: tell(2, 5, f"choosing the shape of friction, {done} of {total} joints"),
+            progress=lambda done, total, what: tell(2, 5, f"structure of friction, {done} of {total} joints"),
         )  # fmt: skip
         if done.skipped:
             name, reason = next(iter(done.skipped.items()))
-            raise LogError(f"Expected the shape of friction of {name}, but: {reason}")
+            raise LogError(f"Expected the structure of friction of {name}, but: {reason}")
         return list(done.results.values())
 
     return choose_all

@@ -356,7 +356,7 @@ def read_torque_model(raw: dict[str, Any], path: Path) -> TorqueModel:
     found = tuple(meta.get(key) for key in ("kind", "format", "sign"))
     if found != (KIND, TORQUE_FORMAT, SIGN):
         raise ModelMismatchError(
-            f"Expected kind, format and sign {(KIND, FORMAT, SIGN)} in {path}, got {found}. "
+            f"Expected kind, format and sign {(KIND, TORQUE_FORMAT, SIGN)} in {path}, got {found}. "
             "Identify again with this version of armlab."
         )
     try:
