@@ -108,7 +108,7 @@ def test_sdist_holds_what_it_takes_to_build(unpacked: Path) -> None:
 
 def test_wheel_holds_the_package_and_its_compiled_core(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
-        names = set(archive.namelist())
+        names = {name for name in archive.namelist() if not name.endswith("/")}
     information = {name for name in names if name.split("/")[0].endswith(".dist-info")}
     compiled = {name for name in names if name.startswith("armlab/kernels/_native.") and name.endswith(".so")}
     assert len(compiled) == 1
