@@ -236,7 +236,7 @@ struct Robot {
     });
   }
 
-  // Two layouts that the first tag tells apart; what is malformed counts as absent.
+  // Two layouts, distinguished by the first tag; malformed input counts as absent.
   void read_force() {
     const int tag = force_bytes.empty() ? 0 : force_bytes[0];
     const bool newer = tag == 0x08 || tag == 0x11 || tag == 0x12,

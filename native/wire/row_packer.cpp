@@ -50,7 +50,7 @@ std::int32_t offset_of(nb::handle kind, nb::handle name) {
 struct Place {
   std::int32_t offset;
   std::uint32_t start, size;
-  std::int16_t heard;   // of "heard": number of the place that tells
+  std::int16_t heard;   // of "heard": index of the place that reports it
   std::uint8_t source;  // 0 state, 1 command, 2 tick, 3 record
   std::uint8_t form;
 };
