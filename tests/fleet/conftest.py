@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,9 @@ def folder(short_arm, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
-def early(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module")
+def early() -> Iterator[None]:
     """A draft of the first two of these, so that the others are new to it."""
-    monkeypatch.setattr("armlab.fleet.identification.DRAFT_SECONDS", 15.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("armlab.fleet.identification.DRAFT_SECONDS", 15.0)
+        yield
