@@ -17,23 +17,21 @@ from armlab.log import Table
 from armlab.robots import load
 
 
-def test_a_folder_is_the_logs_in_it_and_below_in_the_order_of_their_names(tmp_path: Path) -> None:
-    (tmp_path / "b").mkdir()
+def test_a_folder_is_the_logs_in_it_and_below_in_the_order_of_their_names(
+    tmp_path: Path, ur5e_bag: Path, short_arm
+) -> None:
+    """A bag is one log, and tables have names by their places."""
+    logs = tmp_path / "logs"
+    (logs / "b").mkdir(parents=True)
     for name in ("z.csv", "b/a.mcap", "a.parquet", "notes.txt", "z.csv.toml"):
-        (tmp_path / name).touch()
-    wanted = [str(tmp_path / name) for name in ("a.parquet", "b/a.mcap", "z.csv")]
-    assert list(named(tmp_path)) == list(named(str(tmp_path))) == wanted
-    assert list(named([tmp_path / "z.csv", tmp_path / "b"])) == [wanted[2], wanted[1]]
-
-
-def test_a_bag_is_one_log(ur5e_bag: Path) -> None:
+        (logs / name).touch()
+    wanted = [str(logs / name) for name in ("a.parquet", "b/a.mcap", "z.csv")]
+    assert list(named(logs)) == list(named(str(logs))) == wanted
+    assert list(named([logs / "z.csv", logs / "b"])) == [wanted[2], wanted[1]]
     assert list(named([ur5e_bag])) == [str(ur5e_bag)]
-
-
-def test_tables_have_names_by_their_place(short_arm) -> None:
     table = short_arm.log(0, 100)
     found: Mapping[str, Log] = named([table, table])
-    assert [name.endswith(end) for name, end in zip(found, ("#1", "#2"))] == [True, True]
+    assert [name[-2:] for name in found] == ["#1", "#2"]
     assert as_table(found[next(iter(found))], short_arm.robot) is table
 
 
@@ -62,33 +60,24 @@ def test_bad_input(tmp_path: Path) -> None:
 def test_files_stand_in_folders_as_the_logs_do(tmp_path: Path) -> None:
     jobs = {name: tmp_path / name for name in ("monday/a.mcap", "monday/b.csv", "tuesday/a.mcap")}
     found = targets(jobs, tmp_path / "new", ".csv", "_estimate")
-    assert {str(path.relative_to(tmp_path / "new")) for path in found.values()} == {
-        "monday/a_estimate.csv",
-        "monday/b_estimate.csv",
-        "tuesday/a_estimate.csv",
-    }
-    assert list(found) == list(jobs)
-
-
-def test_one_log_stands_in_the_folder_itself(tmp_path: Path) -> None:
+    wanted = ("monday/a_estimate.csv", "monday/b_estimate.csv", "tuesday/a_estimate.csv")
+    assert found == {name: tmp_path / "new" / path for name, path in zip(jobs, wanted, strict=True)}
     assert targets({"a": tmp_path / "deep/a.mcap"}, tmp_path, ".mat") == {"a": tmp_path / "a.mat"}
 
 
-def test_what_exists_is_kept_unless_forced(tmp_path: Path) -> None:
+def test_what_exists_or_cannot_be_named_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t [s]\n")
-    jobs = {"a": tmp_path / "logs/a.mcap", "b": tmp_path / "logs/b.mcap"}
-    with pytest.raises(ConfigError, match=r"got 1 that exist, first .*a\.csv.*--force"):
-        targets(jobs, tmp_path, ".csv")
-    assert targets(jobs, tmp_path, ".csv", force=True)["a"] == tmp_path / "a.csv"
-
-
-def test_what_cannot_be_named_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ShapeError, match="which would both be"):
-        targets({"a": tmp_path / "a.mcap", "b": tmp_path / "a.csv"}, tmp_path / "new", ".mat")
-    with pytest.raises(ShapeError, match="got a table"):
-        targets({"a": Table(np.arange(3.0), {"q": np.zeros((3, 1))})}, tmp_path, ".mat")
-    with pytest.raises(ConfigError, match=r"Expected a format among \.mcap"):
-        targets({"a": tmp_path / "a.mcap"}, tmp_path, ".docx")
+    logs = {"a": tmp_path / "logs/a.mcap", "b": tmp_path / "logs/b.mcap"}
+    table = Table(np.arange(3.0), {"q": np.zeros((3, 1))})
+    for jobs, folder, ending, error, sentence in (
+        (logs, tmp_path, ".csv", ConfigError, r"got 1 that exist, first .*a\.csv.*--force"),
+        ({"a": tmp_path / "a.mcap", "b": tmp_path / "a.csv"}, tmp_path / "new", ".mat", ShapeError, "both be"),
+        ({"a": table}, tmp_path, ".mat", ShapeError, "got a table"),
+        ({"a": tmp_path / "a.mcap"}, tmp_path, ".docx", ConfigError, r"Expected a format among \.mcap"),
+    ):
+        with pytest.raises(error, match=sentence):
+            targets(jobs, folder, ending)
+    assert targets(logs, tmp_path, ".csv", force=True)["a"] == tmp_path / "a.csv"
 
 
 def test_a_log_is_never_replaced_by_what_it_becomes(tmp_path: Path) -> None:
@@ -118,13 +107,6 @@ def test_a_recording_needs_its_robot(folder: Path, tmp_path: Path, short_arm) ->
     done = fleet.export(folder / "log0.parquet", tmp_path, ".mcap", robot=short_arm.robot)
     (path,) = done.results.values()
     np.testing.assert_array_equal(log.read(path)["q"], log.read(folder / "log0.parquet")["q"])
-
-
-def test_nothing_but_nonsense_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "bad.mcap").write_bytes(b"nonsense")
-    with pytest.raises(LogError, match="used among 1, got none"):
-        fleet.export(tmp_path, tmp_path / "out", ".csv")
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.fixture(scope="module")
@@ -162,9 +144,12 @@ def test_each_log_gets_what_one_estimator_says_of_it(truth, model, recordings: P
     np.testing.assert_array_equal(log.read(pushed.path)["wrench_hat"], expected)
 
 
-def test_bad_input_estimation(truth, model, recordings: Path, tmp_path: Path) -> None:
-    with pytest.raises(ModelMismatchError):
-        fleet.estimate(recordings, model, load("irb120"), tmp_path)
+def test_what_leaves_no_log_to_use(truth, model, recordings: Path, tmp_path: Path) -> None:
+    (tmp_path / "bad.mcap").write_bytes(b"nonsense")
     with pytest.raises(LogError, match="used among 1, got none"):
-        fleet.estimate(recordings / "no_torque.mcap", model, truth.robot, tmp_path)
-    assert not list(tmp_path.iterdir())
+        fleet.export(tmp_path, tmp_path / "out", ".csv")
+    with pytest.raises(ModelMismatchError):
+        fleet.estimate(recordings, model, load("irb120"), tmp_path / "out")
+    with pytest.raises(LogError, match="used among 1, got none"):
+        fleet.estimate(recordings / "no_torque.mcap", model, truth.robot, tmp_path / "out")
+    assert not (tmp_path / "out").exists()

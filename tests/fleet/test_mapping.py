@@ -70,21 +70,18 @@ class Blaming(Executor):
 
 
 def test_whom_dask_blames_is_tried_alone_and_skipped_only_then() -> None:
-    jobs = {f"log {k}": k for k in range(6)}
-    done = map_logs(abs, jobs, executor=Blaming(len(jobs), {1, 4}))
-    assert list(done.skipped) == ["log 1", "log 4"]
-    assert all("killed again" in reason for reason in done.skipped.values())
-    assert done.results == {name: k for name, k in jobs.items() if k not in (1, 4)}
-
-
-def test_sentences_name_what_a_job_is_of() -> None:
-    said: list[str] = []
+    jobs, said = {f"joint {k}": k for k in range(6)}, []
     done = map_logs(
-        abs, {"joint 1": 1, "joint 2": 2}, executor=Blaming(2, {1}), kind="joint",
+        abs,
+        jobs,
+        executor=Blaming(len(jobs), {1, 4}),
+        kind="joint",
         progress=lambda done, total, what: said.append(what),
-    )  # fmt: skip
-    assert done.skipped["joint 1"].startswith("Expected a worker to survive this joint, but")
-    assert said[-1].startswith("2 of 2 joints")
+    )
+    assert list(done.skipped) == ["joint 1", "joint 4"]
+    assert all("this joint, but it was killed again" in reason for reason in done.skipped.values())
+    assert done.results == {name: k for name, k in jobs.items() if k not in (1, 4)}
+    assert said[-1].startswith("6 of 6 joints")
 
 
 @pytest.fixture(params=["serial", "threads", "processes", "shuffled"])
@@ -100,51 +97,22 @@ def roots(count: int) -> dict[str, Callable[[], float]]:
     return {str(k): partial(math.sqrt, k) for k in range(count)}
 
 
-def once(mark: Path) -> Callable[[], Any]:
-    """A job that kills its worker with signal 9, the first time."""
-    return partial(subprocess.check_output, ["sh", "-c", f"mkdir {mark} 2>/dev/null && kill -9 $PPID; echo alive"])
-
-
-def test_results_are_in_the_order_of_the_jobs(executor: Executor | None) -> None:
+def test_results_are_in_the_order_of_the_jobs_and_what_is_foreseen_is_skipped(executor: Executor | None) -> None:
     told: list[tuple[int, int, str]] = []
-    done = map_logs(call, roots(40), executor=executor, progress=lambda *step: told.append(step))
-    assert list(done.results.items()) == [(str(k), math.sqrt(k)) for k in range(40)]
+    jobs = {**roots(39), "bad": BAD}
+    done = map_logs(call, jobs, executor=executor, progress=lambda *step: told.append(step))
+    assert list(done.results.items()) == [(str(k), math.sqrt(k)) for k in range(39)]
     assert isinstance(done, Done)
-    assert done.skipped == {}
-    assert told[-1][:2] == (40, 40)
-    assert [step[0] for step in told] == sorted(step[0] for step in told)
-
-
-def test_a_job_that_raises_what_is_foreseen_is_skipped_by_name(executor: Executor | None) -> None:
-    told: list[str] = []
-    done = map_logs(
-        call, {**roots(3), "bad": BAD}, executor=executor,
-        progress=lambda done, total, what: told.append(what),
-    )  # fmt: skip
-    assert list(done.results) == ["0", "1", "2"]
     assert list(done.skipped) == ["bad"]
     assert "/nowhere/at/all" in done.skipped["bad"]
-    assert told[-1] == "4 of 4 logs, 1 skipped"
+    assert told[-1] == (40, 40, "40 of 40 logs, 1 skipped")
+    assert [step[0] for step in told] == sorted(step[0] for step in told)
+    assert map_logs(pow, {"a": 2, "b": 3, "c": 5, "d": 7}, 3, 10).results == {"a": 8, "b": 7, "c": 5, "d": 3}
 
 
 def test_a_mistake_in_the_program_is_not_hidden(executor: Executor | None) -> None:
     with pytest.raises(ValueError, match="math domain"):
         map_logs(call, {**roots(3), "wrong": partial(math.sqrt, -1.0)}, executor=executor)
-
-
-def test_shared_arguments_reach_every_job(executor: Executor | None) -> None:
-    assert map_logs(pow, {"a": 2, "b": 3, "c": 5, "d": 7}, 3, 10, executor=executor).results == {
-        "a": 8, "b": 7, "c": 5, "d": 3,
-    }  # fmt: skip
-
-
-def test_a_worker_killed_once_loses_nothing(tmp_path: Path) -> None:
-    jobs = {**roots(9), "killed": once(tmp_path / "one"), **{f"more {k}": partial(math.sqrt, k) for k in range(9)}}
-    with ProcessPoolExecutor(2) as pool:
-        done = map_logs(call, jobs, executor=pool)
-    assert list(done.results) == list(jobs)
-    assert done.results["killed"] == b"alive\n"
-    assert done.skipped == {}
 
 
 def test_jobs_that_always_kill_their_worker_are_skipped_and_the_rest_is_done() -> None:
@@ -166,22 +134,15 @@ def test_a_worker_killed_from_outside_while_its_job_is_tried_alone_does_not_cost
     assert done.results["twice"] == b"alive\n"
 
 
-def test_a_pool_that_was_broken_before_is_made_anew() -> None:
+def test_workers_that_cannot_start_or_were_broken_before() -> None:
+    with ProcessPoolExecutor(1, initializer=DIES) as pool:
+        assert list(map_logs(call, roots(3), executor=pool).skipped) == ["0", "1", "2"]
     with ProcessPoolExecutor(1) as pool:
         assert pool.submit(DIES).exception() is not None
         assert map_logs(call, roots(3), executor=pool).results == {"0": 0.0, "1": 1.0, "2": math.sqrt(2)}
-
-
-def test_workers_that_cannot_start_end_it() -> None:
-    with ProcessPoolExecutor(1, initializer=DIES) as pool:
-        done = map_logs(call, roots(3), executor=pool)
-    assert list(done.skipped) == ["0", "1", "2"]
-
-
-def test_threads_that_cannot_start_are_told() -> None:
-    pool = ThreadPoolExecutor(1, initializer=partial(math.sqrt, -1.0))
-    with pool, pytest.raises(ConfigError, match="but it broke"):
-        map_logs(call, roots(3), executor=pool)
+    threads = ThreadPoolExecutor(1, initializer=partial(math.sqrt, -1.0))
+    with threads, pytest.raises(ConfigError, match="but it broke"):
+        map_logs(call, roots(3), executor=threads)
 
 
 def test_an_interrupt_leaves_no_job_waiting() -> None:
@@ -209,7 +170,7 @@ def test_progress_tells_logs_rows_skipped_and_time_left(monkeypatch: pytest.Monk
     assert re.fullmatch(r"3 of 3 logs, \d+ rows/s, 1 skipped", told[3][2])
 
 
-def test_one_process_is_this_one_and_none_is_refused() -> None:
+def test_one_process_is_this_one_and_what_cannot_be_a_worker_is_refused() -> None:
     with workers() as executor:
         assert executor is None
     with workers(2) as executor:
@@ -217,9 +178,6 @@ def test_one_process_is_this_one_and_none_is_refused() -> None:
         assert executor.submit(os.getpid).result() != os.getpid()
     with pytest.raises(ConfigError, match="at least one worker, got 0"), workers(0):
         pass
-
-
-def test_a_scheduler_of_which_the_address_is_none() -> None:
     pytest.importorskip("distributed", reason="extra cluster")
     with pytest.raises(LinkError, match="scheduler at nonsense://x"), workers(dask="nonsense://x"):
         pass
