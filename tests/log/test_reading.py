@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import os
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,15 +14,13 @@ import pytest
 from scipy.io import savemat
 
 from armlab import identify, log, robots
-from armlab.errors import ConfigError, LogError, MissingExtra, ModelMismatchError, UnknownName
+from armlab.errors import ConfigError, LogError, ModelMismatchError, UnknownName
 from armlab.log import Column, Recorder, Table, Tick, inspect, read, read_topics, recover, write
 from armlab.log.file_formats.opening import (
     check_readable,
     check_unpacked_size,
     format_of,
     naming,
-    needed,
-    opened,
     origin,
 )
 from armlab.log.mcap.records import MAGIC
@@ -119,7 +116,9 @@ def test_values_given_in_some_rows_only_are_nan_in_the_others(tmp_path: Path, ro
     assert "wrench_hat_cov" not in table
 
 
-def test_some_columns_only(recording: Callable[..., Path]) -> None:
+def test_some_columns_or_one_robot_only(
+    recording: Callable[..., Path], tmp_path: Path, robot: Robot, rows: Callable
+) -> None:
     path = recording(100)
     whole = read(path)
     part = read(path, ["tau", "fext"])
@@ -132,30 +131,24 @@ def test_some_columns_only(recording: Callable[..., Path]) -> None:
         read(path, ["q", "wrench"])
     with pytest.raises(UnknownName, match="yumi_right"):
         read(path, robot="yumi_left")
-    assert read(path, robot="yumi_right").sha256 == whole.sha256
-
-
-def test_a_robot_whose_name_cannot_stand_in_a_topic(tmp_path: Path, robot: Robot, rows: Callable) -> None:
-    own = replace(robot, name="arm-1 left")
-    with Recorder(tmp_path / "run.mcap", own) as recorder:
-        recorder.row(*rows(0))
-    for name in (own, "arm-1 left", "arm_1_left"):
-        assert len(read(recorder.path, robot=name)) == 1
-
-
-def test_a_clock_is_refused_where_there_is_one(recording: Callable[..., Path], tmp_path: Path) -> None:
-    path = recording(3)
-    for one in (path, write(read(path, ["q"]), tmp_path / "run.csv")):
-        with pytest.raises(ConfigError, match=r"'/joint_states' with a log of another program.*Leave it out"):
-            read(one, clock="/joint_states")
-
-
-def test_reading_tells_its_progress(recording: Callable[..., Path]) -> None:
     told: list[tuple[float, float, str]] = []
-    read(recording(300), progress=lambda *one: told.append(one))
+    assert read(path, robot="yumi_right", progress=lambda *one: told.append(one)).sha256 == whole.sha256
     assert told == sorted(told)
     assert told[-1][0] == told[-1][1] > 0
     assert {what for *_, what in told} == {"bytes"}
+    assert names_robots(path)
+    bag = write(whole, tmp_path / "run.rosbag2")  # what armlab exports names no robot
+    assert not names_robots(bag)
+    with pytest.raises(ConfigError, match="which names none"):
+        read(bag, robot="yumi_right")
+    for one in (path, write(read(path, ["q"]), tmp_path / "run.csv")):
+        with pytest.raises(ConfigError, match=r"'/joint_states' with a log of another program.*Leave it out"):
+            read(one, clock="/joint_states")
+    own = replace(robot, name="arm-1 left")  # cannot stand in a topic
+    with Recorder(tmp_path / "own.mcap", own) as recorder:
+        recorder.row(*rows(0))
+    for name in (own, "arm-1 left", "arm_1_left"):
+        assert len(read(recorder.path, robot=name)) == 1
 
 
 def test_rows_out_of_time_order_are_dropped_counted_and_reachable(tmp_path: Path, robot: Robot) -> None:
@@ -211,15 +204,6 @@ def test_every_format_drops_rows_out_of_time_order_and_names_no_robot(tmp_path: 
     assert not names_robots(path)
 
 
-def test_what_armlab_exports_names_no_robot(recording: Callable[..., Path], tmp_path: Path) -> None:
-    path = recording(3)
-    assert names_robots(path)
-    bag = write(read(path), tmp_path / "run.rosbag2")
-    assert not names_robots(bag)
-    with pytest.raises(ConfigError, match="which names none"):
-        read(bag, robot="yumi_right")
-
-
 def test_every_error_of_reading_names_the_file(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(MAGIC + bytes([7]) + bytes(40))
@@ -264,9 +248,9 @@ def test_a_damaged_chunk_costs_its_rows_only(recording: Callable[..., Path], tmp
     assert np.array_equal(table["q"], read(whole)["q"][kept])
 
 
-@pytest.mark.parametrize(
-    ("data", "message"),
-    [
+def test_foreign_damaged_and_missing_files_are_refused_in_a_sentence(tmp_path: Path) -> None:
+    path = tmp_path / "strange"
+    for data, message in (
         (b"", "empty file"),
         (b"\x89HDF\r\n\x1a\n" + b"\0" * 90, "a whole HDF5 file"),
         (b"PAR1" + b"\0" * 90, "a whole Parquet file"),
@@ -276,23 +260,18 @@ def test_a_damaged_chunk_costs_its_rows_only(recording: Callable[..., Path], tmp
         (b"\x00\x01\x02", "format unknown .*00 01 02"),
         (b"\x89MCAP0\r\n", "without columns; topics: none"),
         (b"\x89MCAP0\r\n" + b"\x01" + (2**60).to_bytes(8, "little"), "without columns"),
-    ],
-)
-def test_foreign_and_damaged_files_are_refused_in_a_sentence(tmp_path: Path, data: bytes, message: str) -> None:
-    path = tmp_path / "strange"
-    path.write_bytes(data)
-    with pytest.raises(LogError, match=message) as caught:
-        read(path)
-    assert str(caught.value).endswith(".")
-    assert "strange" in str(caught.value)
-
-
-def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
-    for path in (tmp_path / "none.mcap", tmp_path):
-        with pytest.raises(LogError, match="Expected a log at"):
+    ):
+        path.write_bytes(data)
+        with pytest.raises(LogError, match=message) as caught:
             read(path)
-    with pytest.raises(LogError, match="Expected a log at"), opened(tmp_path / "none.mcap"):
-        pass
+        assert str(caught.value).endswith(".")
+        assert "strange" in str(caught.value)
+    for missing in (tmp_path / "none.mcap", tmp_path):
+        with pytest.raises(LogError, match="Expected a log at"):
+            read(missing)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(LogError, match="got a pipe"):  # and not waited for
+        check_readable(tmp_path / "pipe")
 
 
 def test_one_value_that_does_not_fit_does_not_cost_the_recording(tmp_path: Path, robot: Robot, rows: Callable) -> None:
@@ -324,7 +303,8 @@ def test_descriptions_that_contradict_the_glossary_are_refused(
         read(recording(3, name="degrees.mcap"))
 
 
-def test_columns_are_those_of_the_arm(truth, tmp_path: Path) -> None:
+def test_columns_are_those_of_the_arm_in_its_order(truth, tmp_path: Path, ur5e_bag: Path) -> None:
+    np.testing.assert_array_equal(log.read_arm(ur5e_bag, robots.load("ur5e"))["q"][0], np.arange(6.0))
     table = truth.log(identify.dither(truth.robot.q_home, 1.0), seed=5)
     told: list[tuple[int, int, str]] = []
     for name in ("one.mcap", "one.csv"):
@@ -333,11 +313,6 @@ def test_columns_are_those_of_the_arm(truth, tmp_path: Path) -> None:
         np.testing.assert_array_equal(found["tau"], table["tau"])
         assert found["q"].shape == (len(table), 7)
     assert told
-
-
-def test_joints_of_another_program_are_put_in_order(ur5e_bag: Path) -> None:
-    table = log.read_arm(ur5e_bag, robots.load("ur5e"))
-    np.testing.assert_array_equal(table["q"][0], np.arange(6.0))
 
 
 def test_logs_that_are_not_of_the_arm_are_refused(truth, tmp_path: Path) -> None:
@@ -361,37 +336,29 @@ def test_logs_that_are_not_of_the_arm_are_refused(truth, tmp_path: Path) -> None
         log.read_arm(tmp_path / "no.mcap", truth.robot)
 
 
-@pytest.mark.parametrize(
-    ("first", "name"),
-    [
-        (b"\x89MCAP0\r\nrest", "MCAP"),
-        (b"SQLite format 3\0", "SQLite (rosbag2)"),
-        (b"#ROSBAG V2.0\n", "ROS 1 bag"),
-        (b"PAR1....", "Parquet"),
-        (b"MATLAB 5.0 MAT-file", "MAT v5"),
-        (b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n", "MAT v7.3"),
-        (b"\x89HDF\r\n\x1a\n", "HDF5"),
-        (b"Julia data file (HDF5), version 0.1.1".ljust(512, b"\0") + b"\x89HDF\r\n\x1a\n", "HDF5"),
-        (b"t [s],mode\n0,\x01\n", "text"),
-        (b"\x1f\x8b\x08", "gzip"),
-        ("t [s],q1 [grå]\n".encode(), "text"),
-        (b"\x00\x00\x00\x02\x00\x00\x00\x40", "LabComm"),
-        (b"\x0bLabComm2013\x02", "LabComm"),
-        (b"\x01\x10\x0eLabComm2014.v1", "LabComm"),
-        (b"\x01LabComm", "unknown"),
-        (b"\x00\x01", "unknown"),
-        (b"", "empty"),
-    ],
-)
-def test_formats(first: bytes, name: str) -> None:
-    assert format_of(first) == name
+FIRST = {
+    b"\x89MCAP0\r\nrest": "MCAP",
+    b"SQLite format 3\0": "SQLite (rosbag2)",
+    b"#ROSBAG V2.0\n": "ROS 1 bag",
+    b"PAR1....": "Parquet",
+    b"MATLAB 5.0 MAT-file": "MAT v5",
+    b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n": "MAT v7.3",
+    b"\x89HDF\r\n\x1a\n": "HDF5",
+    b"Julia data file (HDF5), version 0.1.1".ljust(512, b"\0") + b"\x89HDF\r\n\x1a\n": "HDF5",
+    b"t [s],mode\n0,\x01\n": "text",
+    b"\x1f\x8b\x08": "gzip",
+    "t [s],q1 [grå]\n".encode(): "text",
+    b"\x00\x00\x00\x02\x00\x00\x00\x40": "LabComm",
+    b"\x0bLabComm2013\x02": "LabComm",
+    b"\x01\x10\x0eLabComm2014.v1": "LabComm",
+    b"\x01LabComm": "unknown",
+    b"\x00\x01": "unknown",
+    b"": "empty",
+}
 
 
-def test_a_pipe_is_refused_not_waited_for(tmp_path: Path) -> None:
-    path = tmp_path / "pipe"
-    os.mkfifo(path)
-    with pytest.raises(LogError, match="got a pipe"):
-        check_readable(path)
+def test_formats() -> None:
+    assert {first: format_of(first) for first in FIRST} == FIRST
 
 
 def test_the_hash_of_a_table_never_changes_between_versions() -> None:
@@ -417,12 +384,6 @@ def test_the_hash_of_a_folder_counts_names_and_contents(tmp_path: Path) -> None:
         (tmp_path / name).unlink()
     assert len(found) == 3
     assert all(one.startswith(f"{tmp_path.name} sha256 ") for one in found)
-
-
-def test_what_is_missing_is_named_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    with pytest.raises(MissingExtra, match=r"Expected pyarrow for Parquet, got none\. Install it: pip install 'armlab"):
-        needed("pyarrow.parquet", "for Parquet")
 
 
 def test_a_thousand_times_the_file(tmp_path: Path) -> None:
