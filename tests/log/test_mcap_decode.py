@@ -31,7 +31,7 @@ from armlab.log.mcap.decode import (
     split,
     variant_of,
 )
-from armlab.log.mcap.records import Chunk, contents, unpacked
+from armlab.log.mcap.records import contents, unpacked
 from armlab.wire.cdr import definitions
 
 TYPE = "sensor_msgs/msg/JointState"
@@ -95,6 +95,7 @@ def read_back(data: bytes) -> Decoded:
         {"use_statistics": False},
         {"enable_crcs": False},
         {"use_chunking": False},
+        {"big": True},
     ],
 )
 def test_other_writers(store, options: dict) -> None:
@@ -121,7 +122,7 @@ def read_loose(data: bytes) -> Decoded:
     return decoded[2]
 
 
-@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.lists(
         st.tuples(st.sampled_from([["a", "b", "c"], ["a", "b", "d"], ["long name", "b", "c"], []]), st.integers(0, 3)),
@@ -145,34 +146,6 @@ def test_mixed_layouts_keep_their_rows(store, rows: list[tuple[list[str], int]],
         assert "effort" not in found.fields
 
 
-def test_text_that_differs_in_every_message(store) -> None:
-    rows = [([f"name {i:04d}"], 1) for i in range(300)]
-    data, positions = written(store, rows)
-    assert np.array_equal(read_back(data).fields["position"], positions)
-
-
-def test_messages_that_do_not_fit_their_type_are_named(store) -> None:
-    out = io.BytesIO()
-    writer = Writer(out)
-    writer.start()
-    schema = writer.register_schema(TYPE, "ros2msg", store.generate_msgdef(TYPE, ros_version=2)[0].encode())
-    channel = writer.register_channel("/states", "cdr", schema)
-    plain = writer.register_channel("/plain", "json", schema)
-    writer.add_message(channel, 1, b"\x00\x01\x00\x00garbage", 1)
-    writer.add_message(plain, 1, b"{}", 1)
-    writer.finish()
-    view = memoryview(out.getvalue())
-    found = contents(view)
-    decoded, damage = decode(view, found, {channel: PATHS})
-    assert len(decoded[channel].sequence) == 0
-    assert damage == [
-        "1 message on /states skipped: Expected 1 numbers of type uint32 in header.stamp.nanosec, got the end of the "
-        "message."
-    ]
-    with pytest.raises(LogError, match="Expected messages in cdr on /plain, got 'json'"):
-        decode(view, found, {plain: PATHS})
-
-
 @pytest.mark.parametrize("chunking", [True, False])
 def test_a_damaged_message_costs_itself_only(chunking: bool) -> None:
     """Whether its file has chunks or none; one sentence tells of all of a channel."""
@@ -182,6 +155,7 @@ def test_a_damaged_message_costs_itself_only(chunking: bool) -> None:
     schema = writer.register_schema("t/msg/T", "ros2msg", b"int32 a\nuint8[] x")
     for topic in ("/states", "/bad"):
         writer.register_channel(topic, "cdr", schema)
+    writer.register_channel("/plain", "json", schema)
     for row in range(40):
         count = 1_828_716_544 if row % 9 == 4 else 1
         for channel, number in ((1, count), (2, 7)):
@@ -193,6 +167,8 @@ def test_a_damaged_message_costs_itself_only(chunking: bool) -> None:
     rows = [row for row in range(40) if row % 9 != 4]
     assert decoded[1].sequence.tolist() == decoded[1].fields["a"][:, 0].tolist() == rows
     assert decoded[2].fields == {}
+    with pytest.raises(LogError, match="Expected messages in cdr on /plain, got 'json'"):
+        decode(view, contents(view), {3: ["a"]})
     assert damage == [
         "4 messages on /states skipped: Expected at most 13 elements in x, got 1828716544.",
         "40 messages on /bad skipped: Expected 7 numbers of type uint8 in x, got the end of the message.",
@@ -224,47 +200,15 @@ def test_a_channel_whose_columns_would_be_holes_is_left_out_alone() -> None:
     assert len(decode(view, contents(view), {1: ["a"]})[0][1].fields["a"]) == 3000
 
 
-def layouts(numbered) -> tuple[memoryview, list[tuple[Chunk, bytes]]]:
-    """Return a file of messages with one, two and three numbers, and its chunks, unpacked."""
+def test_an_index_that_cannot_be_true_takes_no_room_and_is_not_believed(numbered) -> None:
     view, found = numbered.written([numbered.message(row, [float(row)] * (1 + row % 3)) for row in range(30)])
-    return view, [(chunk, unpacked(view, chunk)) for chunk in found.chunks]
-
-
-def test_a_wrong_index_is_not_believed(numbered) -> None:
-    view, chunks = layouts(numbered)
-    (first, data), other = chunks[:2]
-    start, stop = first.indexes[1]
+    first, other = ((chunk, unpacked(view, chunk)) for chunk in found.chunks[:2])
+    start, stop = first[0].indexes[1]
+    whole = decode_chunks(view, [first, other], numbered.readers(), True)
     for wrong in ((start + 8, stop + 8), (7, 7 + stop - start)):
-        parts = decode_chunks(view, [(replace(first, indexes={1: wrong}), data), other], numbered.readers(), True)
-        whole = decode_chunks(view, chunks[:2], numbered.readers(), True)
+        moved = (replace(first[0], indexes={1: wrong}), first[1])
+        parts = decode_chunks(view, [moved, other], numbered.readers(), True)
         assert np.array_equal(parts[1].sequence, whole[1].sequence)
-
-
-@pytest.mark.parametrize("order", ["<", ">"])
-def test_messages_go_to_where_they_stay(numbered, order: str) -> None:
-    x = np.random.default_rng(0).normal(size=(100, 3))
-    view, found = numbered.written([numbered.message(row, values.tolist(), order) for row, values in enumerate(x)])
-    assert len(found.chunks) > 5
-    room = Room(view, found.chunks, numbered.readers())
-    rows = [room.copy(place, unpacked(view, chunk)) for place, chunk in reversed(list(enumerate(found.chunks)))]
-    assert sorted(row for one in rows for row in one[1]) == list(range(100))
-    assert all(len(one[2]) == 0 for one in rows)
-    part = room.part(1, range(10, 90))
-    assert part.sequence.tolist() == part.log_ns.tolist() == list(range(10, 90))
-    ((rows, values),) = part.pieces
-    assert rows.tolist() == list(range(len(part.sequence)))
-    numbers = {run[0][0]: array for run, array in values.items()}
-    assert np.array_equal(numbers["x"], x[10:90])
-    assert numbers["a"][:, 0].tolist() == list(range(10, 90))
-    assert numbers["b"].dtype == np.float32
-    assert numbers["b"][:, 0].tolist() == [a / 2 for a in range(10, 90)]
-    for array in numbers.values():
-        assert not array.flags.writeable
-        assert not isinstance(array.base, np.ndarray) or not array.base.flags.writeable
-    assert len(room.part(2, range(0)).sequence) == 0
-
-
-def test_an_index_that_cannot_be_true_takes_no_room(numbered) -> None:
     view, found = numbered.written([numbered.message(row, [1.0]) for row in range(100)])
     chunks = list(found.chunks)
     start, stop = chunks[2].indexes[1]
@@ -296,7 +240,7 @@ def read_all(raws: list[bytes], found: MessageReader) -> Read:
     return read_blocks(len(raws), zip(same, together, strict=True), found)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(st.lists(st.tuples(st.integers(0, 30), st.integers(0, 2), st.booleans()), max_size=40))
 def test_messages_that_do_not_fit_are_left_out_alone(made: list[tuple[int, int, bool]]) -> None:
     """Of more layouts than are remembered, of several lengths, before and behind messages of their layout."""

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 import tomli_w
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
 from ruamel.yaml import YAML
@@ -84,6 +84,7 @@ def yaml_text(tree: Any, flow: bool | None) -> str:
     return out.getvalue()
 
 
+@settings(max_examples=25)
 @given(tree=TREES, flow=st.sampled_from([None, True, False]), width=st.sampled_from([None, 2]))
 def test_no_shape_of_a_secret_is_kept_and_nothing_else_is_lost(tree: Any, flow: bool | None, width: int | None) -> None:
     for name, text, parse in (
@@ -96,6 +97,7 @@ def test_no_shape_of_a_secret_is_kept_and_nothing_else_is_lost(tree: Any, flow: 
         assert parse(told) == seen(tree), name
 
 
+@settings(max_examples=25)
 @given(
     sections=st.dictionaries(st.sampled_from(["cell", "token", "my secrets"]), st.booleans(), max_size=3),
     lines=st.lists(st.sampled_from([MARKER, f"x = {MARKER}", f"# {MARKER}"]), min_size=1, max_size=3),
@@ -197,7 +199,7 @@ def git(folder: Path, *words: str) -> str:
     return done.stdout.strip()
 
 
-def test_the_commit_of_the_folder(tmp_path: Path) -> None:
+def test_the_commit_of_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "mine"
     folder.mkdir()
     assert revision(folder) == ""
@@ -210,6 +212,8 @@ def test_the_commit_of_the_folder(tmp_path: Path) -> None:
     revision.cache_clear()
     (folder / "controller.py").write_text("gain = 2")
     assert revision(folder) == git(folder, "rev-parse", "HEAD") + "+"
+    monkeypatch.setenv("PATH", str(tmp_path))  # without git
+    assert revision(tmp_path / "other") == ""
 
 
 def test_the_robot_that_attachments_describe() -> None:
@@ -221,27 +225,16 @@ def test_the_robot_that_attachments_describe() -> None:
         described({"robot.toml": b"\xff"}, "yumi_left", "run.mcap")
 
 
-def test_without_git(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    assert revision(tmp_path / "other") == ""
-
-
-def test_metadata_has_the_hashes_of_what_is_attached(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_metadata_and_what_is_attached(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["armlab", "run", "--token", "abc", "--api-key=xyz", "tokens.py", "--seed", "3"])
     about = metadata(robot, {"model.toml": b"1"}, "mine")
     assert about["command"] == "armlab run --token *** --api-key=*** tokens.py --seed 3"
     assert (about["robot"], about["robot_hash"], about["note"]) == (robot.name, robot.hash, "mine")
     assert json.loads(about["attachments"]) == {"model.toml": hashlib.sha256(b"1").hexdigest()}
-
-
-def test_secrets_in_settings_are_replaced(robot: Robot) -> None:
     found = attached(robot, {"cell.toml": b"[token]\nkey = 'abc'", "data.bin": b"token = 1"})
+    assert from_toml(found["robot.toml"].decode(), "it").hash == robot.hash
     assert tomllib.loads(found["cell.toml"].decode()) == {"token": "***"}
     assert found["data.bin"] == b"token = 1"
-
-
-def test_the_description_of_the_robot_is_there(robot: Robot) -> None:
-    assert from_toml(attached(robot, {})["robot.toml"].decode(), "it").hash == robot.hash
     assert attached(robot, {"robot.toml": b"mine"}) == {"robot.toml": b"mine"}
 
 
@@ -256,10 +249,6 @@ def test_topics_events_and_sizes(recording: Callable[..., Path]) -> None:
     assert isinstance(held.events[0], Event)
     assert held.size == path.stat().st_size
     assert held.path == path
-
-
-def test_a_file_that_is_none_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "x.mcap"
     path.write_bytes(b"\x89MCAP0\r\n")
     assert inspect(path).topics == ()
     path.write_bytes(b"text")
@@ -303,11 +292,8 @@ def test_settings_of_parameters(tmp_path: Path) -> None:
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(recorder.path.read_bytes()[:-100])
     assert list(inspect(torn).parameters) == found
-
-
-def test_a_setting_in_the_other_byte_order(tmp_path: Path) -> None:
-    path = tmp_path / "x.mcap"
-    with path.open("wb") as file:
+    other = tmp_path / "x.mcap"  # in the other byte order
+    with other.open("wb") as file:
         writer = Writer(file)
         writer.start()
         text = b"int64 sequence\nstring name\nstring value\nstring who"
@@ -316,7 +302,7 @@ def test_a_setting_in_the_other_byte_order(tmp_path: Path) -> None:
         texts = (struct.pack(">I", 2) + letter + b"\0\0\0" for letter in (b"a", b"7", b"b"))
         writer.add_message(channel, 5, b"\0\0\0\0" + struct.pack(">q", 5) + b"".join(texts), 5, 5)
         writer.finish()
-    assert inspect(path).parameters == (Setting(5, 5, "a", 7, "b"),)
+    assert inspect(other).parameters == (Setting(5, 5, "a", 7, "b"),)
 
 
 def test_the_clock_that_is_written_beside_t(recording: Callable[..., Path], tmp_path: Path) -> None:
