@@ -32,11 +32,10 @@ from armlab.log.file_formats.rosbag2 import (
     read_rosbag2,
     topics_of,
     whole_poses,
-    write_rosbag2,
 )
 from armlab.log.writing import ENDINGS, write
 
-N = 600
+N = 100
 
 
 @pytest.fixture
@@ -52,7 +51,9 @@ def table() -> Table:
 
 def test_mcap_reads_back_equal(table: Table, tmp_path) -> None:
     robot = robots.load("yumi_left")
-    path = write(table, tmp_path / "est.mcap", robot)
+    none = write(table.between(-2.0, -1.0), tmp_path / "est.mcap", robot)
+    assert len(log.read(none)) == 0
+    path = write(table, none, robot)
     read = log.read(path)
     assert np.array_equal(read.t, table.t)
     for name in table.names:
@@ -62,13 +63,6 @@ def test_mcap_reads_back_equal(table: Table, tmp_path) -> None:
     assert read.columns["q"].labels == robot.joint_names
     assert (read.t0_ns, read.clock) == (table.t0_ns, table.clock)
     assert [entry.name for entry in tmp_path.iterdir()] == ["est.mcap"]
-
-
-@pytest.mark.parametrize("ending", ENDINGS)
-def test_a_table_without_rows_is_written_too(table: Table, tmp_path, ending: str) -> None:
-    none = table.between(-2.0, -1.0)
-    read = log.read(write(none, tmp_path / f"none{ending}", robots.load("yumi_left")))
-    assert len(none) == len(read) == 0
 
 
 def test_csv_has_units_in_its_header_and_digits_that_read_back_equal(table: Table, tmp_path) -> None:
@@ -88,39 +82,36 @@ def test_csv_has_units_in_its_header_and_digits_that_read_back_equal(table: Tabl
     assert rows[7][header.index("flags")] == "2"
 
 
-def test_an_existing_file_is_replaced_in_one_step_and_kept_when_writing_fails(table: Table, tmp_path) -> None:
-    path = tmp_path / "est.csv"
-    path.write_text("old")
-    write(table.select("q"), path)
-    assert path.read_text(encoding="utf-8").startswith("t [s],q1")
-    mine = tmp_path / "est.mcap"
-    mine.write_text("old")
-    with pytest.raises(ConfigError, match="robot"):
-        write(table, mine)
-    assert mine.read_text() == "old"
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["est.csv", "est.csv.toml", "est.mcap"]
-
-
-def test_other_endings_and_folders_that_do_not_exist_are_refused(table: Table, tmp_path) -> None:
-    with pytest.raises(ConfigError, match=r"ends in \.mcap, \.csv, \.mat, \.parquet, \.h5, \.hdf5, \.rosbag2, got"):
-        write(table, tmp_path / "est.xlsx")
-    with pytest.raises(LogError, match="create"):
-        write(table, tmp_path / "none" / "est.csv")
-
-
-def test_a_table_of_another_number_of_joints_and_what_is_no_table_or_robot(tmp_path) -> None:
-    t = np.arange(10) * 0.004
-    table = Table(t, {"q": np.zeros((10, 6)), "tau": np.zeros((10, 6))})
-    path = tmp_path / "six.mcap"
-    with pytest.raises(
-        ShapeError, match=r"Expected q of shape \(10, 7\) for robot 'yumi_left' of 7 joints, got \(10, 6\)"
+def test_what_cannot_be_written_is_refused_and_leaves_nothing(table: Table, tmp_path) -> None:
+    yumi, six = robots.load("yumi_left"), Table([0.0, 1.0], {"q": np.zeros((2, 6)), "tau": np.zeros((2, 6))})
+    about = {"id": Column(unit="1", kind="count")}
+    large = Table([0.0, 1.0], {"q": np.zeros((2, 7)), "id": np.array([1, 2**53 + 1])}, about)
+    odd = [
+        Table([0.0, 1.0], {"m": np.array(["a", w])}, {"m": Column(unit="1", kind="text")}) for w in ("a\0b", "\ud800")
+    ]
+    text = r"without NUL or lone surrogates in the column 'm', got .* in row 1"
+    late, far = Table(table.t, {"q": table["q"]}, t0_ns=2**62), Table([0.0, 1e300], {"q": np.zeros((2, 1))})
+    for what, name, robot, storage, error, words in (
+        (table, "est.xlsx", None, "mcap", ConfigError, r"ends in \.mcap, \.csv, .*\.hdf5, \.rosbag2, got"),
+        (table, "none/est.csv", None, "mcap", LogError, "create"),
+        (table, "est.mcap", None, "mcap", ConfigError, "Give robot="),
+        (six, "six.mcap", yumi, "mcap", ShapeError, r"q of shape \(2, 7\) for robot 'yumi_left' of 7 .* got \(2, 6\)"),
+        (six, "six.mcap", "irb120", "mcap", RobotError, "Load it first"),
+        ("six.csv", "six.mcap", yumi, "mcap", ShapeError, "Expected a Table"),
+        (large, "run.mcap", yumi, "mcap", LogError, r"counts up to 2\^53 in 'id' for MCAP"),
+        *((one, "run.h5", None, "mcap", LogError, text) for one in odd),
+        (late, "run.rosbag2", None, "mcap", LogError, "before the year 2038"),
+        (far, "run.rosbag2", None, "mcap", LogError, r"times of at most 2\.15e\+09 s"),
+        (table, "run.rosbag2", None, "postgres", UnknownName, "storage"),
     ):
-        write(table, path, robots.load("yumi_left"))
-    with pytest.raises(RobotError, match="Load it first"):
-        write(table, path, "irb120")  # type: ignore[arg-type]
-    with pytest.raises(ShapeError, match="Expected a Table"):
-        write("six.csv", path, robots.load("irb120"))  # type: ignore[arg-type]
+        with pytest.raises(error, match=words):
+            write(what, tmp_path / name, robot, storage=storage)  # type: ignore[arg-type]
     assert not list(tmp_path.iterdir())
+    (tmp_path / "run.rosbag2").mkdir()
+    (tmp_path / "run.rosbag2" / "thesis.tex").write_text("years of work")
+    with pytest.raises(LogError, match="a rosbag2 to replace"):
+        write(table, tmp_path / "run.rosbag2")
+    assert [entry.name for entry in tmp_path.rglob("*")] == ["run.rosbag2", "thesis.tex"]
 
 
 def test_csv_alone_keeps_whole_nanoseconds(tmp_path) -> None:
@@ -144,7 +135,13 @@ def test_csv_alone_keeps_whole_nanoseconds(tmp_path) -> None:
     assert found["id"].tolist() == [9007199254740993, 9007199254740995]
 
 
-def test_poses_of_the_user_come_back_from_a_recording(tmp_path) -> None:
+def test_poses_that_a_quaternion_can_hold_come_back(tmp_path) -> None:
+    whole = np.tile(np.eye(4), (3, 1, 1))
+    holes, scaled, partly = whole.copy(), whole * [1.0, 1.0, 1.0 + 1e-9, 1.0], whole.copy()
+    holes[1], partly[2, 0, 0] = np.nan, np.nan
+    values = {"whole": whole, "holes": holes, "scaled": scaled, "partly": partly}
+    table = Table(np.arange(3.0), values, dict.fromkeys(values, Column(unit="1, m", kind="pose")))
+    assert whole_poses(table) == ["whole", "holes"]
     T = np.tile(np.eye(4), (3, 1, 1))
     T[:, :3, 3] = np.arange(9.0).reshape(3, 3)
     T[1] = np.nan
@@ -153,14 +150,6 @@ def test_poses_of_the_user_come_back_from_a_recording(tmp_path) -> None:
     )
     found = log.read(write(table, tmp_path / "run.mcap", robots.load("irb2400")))
     np.testing.assert_array_equal(found["T_cam_marker"], T)
-
-
-def test_mcap_refuses_what_it_would_change(tmp_path) -> None:
-    about = {"id": Column(unit="1", kind="count")}
-    table = Table([0.0, 1.0], {"q": np.zeros((2, 7)), "id": np.array([1, 2**53 + 1])}, about)
-    with pytest.raises(LogError, match=r"counts up to 2\^53 in 'id' for MCAP"):
-        write(table, tmp_path / "run.mcap", robots.load("yumi_left"))
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture
@@ -184,8 +173,13 @@ def test_a_full_disk_is_one_sentence_and_leaves_nothing(table: Table, tmp_path, 
 @pytest.mark.parametrize("ending", [ending for ending in ENDINGS if ending != ".mcap"])
 def test_what_is_there_is_replaced_as_a_whole_or_kept(table: Table, tmp_path, monkeypatch, ending) -> None:
     path = tmp_path / f"run{ending}"
-    write(table.select("flags"), path)
-    write(table, path)
+    told: list[tuple[float, float, str]] = []
+    none = table.between(-2.0, -1.0)
+    assert len(none) == len(log.read(write(none, path))) == 0
+    write(table, path, progress=lambda *one: told.append(one))
+    shares = [done / total for done, total, _ in told]
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
     assert log.read(path).names == table.names
     before = sorted(entry.name for entry in tmp_path.iterdir())
 
@@ -198,31 +192,6 @@ def test_what_is_there_is_replaced_as_a_whole_or_kept(table: Table, tmp_path, mo
         write(table.select("q"), path)
     assert log.read(path).names == table.names
     assert sorted(entry.name for entry in tmp_path.iterdir()) == before
-
-
-def test_a_folder_that_is_no_rosbag2_is_not_replaced(table: Table, tmp_path) -> None:
-    (tmp_path / "run.rosbag2").mkdir()
-    (tmp_path / "run.rosbag2" / "thesis.tex").write_text("years of work")
-    with pytest.raises(LogError, match="a rosbag2 to replace"):
-        write(table, tmp_path / "run.rosbag2")
-    assert [entry.name for entry in tmp_path.rglob("*")] == ["run.rosbag2", "thesis.tex"]
-
-
-@pytest.mark.parametrize("ending", [".csv", ".mat", ".parquet", ".h5", ".rosbag2"])
-def test_progress_goes_up_to_all(table: Table, tmp_path, ending) -> None:
-    told: list[tuple[float, float, str]] = []
-    write(table, tmp_path / f"run{ending}", progress=lambda *one: told.append(one))
-    shares = [done / total for done, total, _ in told]
-    assert shares == sorted(shares)
-    assert shares[-1] == 1.0
-
-
-@pytest.mark.parametrize("word", ["a\0b", "\ud800"])
-def test_text_that_files_cannot_hold_is_refused(tmp_path, word) -> None:
-    table = Table([0.0, 1.0], {"mode": np.array(["auto", word])}, {"mode": Column(unit="1", kind="text")})
-    with pytest.raises(LogError, match=r"without NUL or lone surrogates in the column 'mode', got .* in row 1"):
-        write(table, tmp_path / "run.h5")
-    assert not list(tmp_path.iterdir())
 
 
 def test_the_chain_of_sources_goes_through_all_formats(table: Table, tmp_path) -> None:
@@ -321,7 +290,7 @@ def available(ending: str) -> None:
 
 
 @pytest.mark.parametrize("ending", FORMATS)
-@examples(15)
+@examples(8)
 @given(table=tables())
 def test_every_table_comes_back_the_same(ending: str, tmp_path: Path, table: Table) -> None:
     available(ending)
@@ -330,7 +299,7 @@ def test_every_table_comes_back_the_same(ending: str, tmp_path: Path, table: Tab
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", FORMATS)
-@examples(400)
+@examples(200)
 @given(table=tables())
 def test_every_table_comes_back_the_same_often(ending: str, tmp_path: Path, table: Table) -> None:
     available(ending)
@@ -350,7 +319,7 @@ def bag_and_back(table: Table, folder: Path, storage: str) -> None:
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-@examples(10)
+@examples(5)
 @given(table=tables())
 def test_every_table_comes_back_from_a_rosbag2(storage: str, tmp_path: Path, table: Table) -> None:
     bag_and_back(table, tmp_path, storage)
@@ -358,7 +327,7 @@ def test_every_table_comes_back_from_a_rosbag2(storage: str, tmp_path: Path, tab
 
 @pytest.mark.slow
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-@examples(200)
+@examples(100)
 @given(table=tables())
 def test_every_table_comes_back_from_a_rosbag2_often(storage: str, tmp_path: Path, table: Table) -> None:
     bag_and_back(table, tmp_path, storage)
@@ -421,36 +390,16 @@ def test_what_another_program_reads(table_bag: Table, tmp_path: Path, storage: s
     np.testing.assert_array_equal(array.data, table_bag["J"][4].ravel())
     assert [message.data for _, message in found["/mode"]] == table_bag["mode"].tolist()
     assert found["/seq"][2][1].data == 2**60 + 2
-    assert callable(write_rosbag2)
-
-
-def test_stamps_that_meet_and_times_before_zero(tmp_path: Path) -> None:
-    """The order of rows is that of stamps; the clock is exact in /t."""
-    table_bag = Table([-5.0, -5.0 + 1e-15 * 4, 0.1, 0.1 + 1e-12], {"k": [1.0, 2.0, 3.0, 4.0]}, {"k": Column(unit="1")})
-    again = log.read(log.write(table_bag, tmp_path / "run.rosbag2"))
-    assert again.sha256 == table_bag.sha256
-
-
-def test_times_that_ros_cannot_hold(table_bag: Table, tmp_path: Path) -> None:
-    late = Table(table_bag.t, {"q": table_bag["q"]}, t0_ns=2**62)
-    with pytest.raises(LogError, match="before the year 2038"):
-        log.write(late, tmp_path / "run.rosbag2")
-    with pytest.raises(LogError, match=r"times of at most 2\.15e\+09 s"):
-        log.write(Table([0.0, 1e300], {"q": np.zeros((2, 1))}), tmp_path / "run.rosbag2")
-    with pytest.raises(UnknownName, match="storage"):
-        log.write(table_bag, tmp_path / "run.rosbag2", storage="postgres")
-    assert not list(tmp_path.iterdir())
-
-
-def test_whose_a_bag_is(table_bag: Table, tmp_path: Path) -> None:
-    store = get_typestore(Stores.ROS2_HUMBLE)
+    assert is_ours(path)
     with Writer(tmp_path / "other", version=8, storage_plugin=StoragePlugin.SQLITE3) as bag:
-        bag.add_connection("/armlab/chatter", "std_msgs/msg/String", typestore=store)
+        bag.add_connection("/armlab/chatter", "std_msgs/msg/String", typestore=get_typestore(Stores.ROS2_HUMBLE))
     assert not is_ours(tmp_path / "other")
     assert not is_ours(tmp_path)
-    assert is_ours(log.write(table_bag, tmp_path / "run.rosbag2"))
     with pytest.raises(LogError, match=r"a rosbag2 that armlab has written .*/armlab/chatter \(std_msgs/msg/String\)"):
         read_rosbag2(tmp_path / "other")
+    meet = Table([-5.0, -5.0 + 1e-15 * 4, 0.1, 0.1 + 1e-12], {"k": np.arange(4.0)}, {"k": Column(unit="1")})
+    again = log.read(log.write(meet, tmp_path / "meet.rosbag2", storage=storage))
+    assert again.sha256 == meet.sha256  # rows in the order of their stamps, the clock exact in /t
 
 
 @pytest.mark.parametrize("storage", STORAGES)
@@ -468,15 +417,6 @@ def test_damaged_bags(table_bag: Table, tmp_path: Path, storage: str, read_spoil
 
 
 T = np.arange(3.0)
-
-
-def test_poses_that_a_quaternion_can_hold() -> None:
-    whole = np.tile(np.eye(4), (3, 1, 1))
-    holes, scaled, partly = whole.copy(), whole * [1.0, 1.0, 1.0 + 1e-9, 1.0], whole.copy()
-    holes[1], partly[2, 0, 0] = np.nan, np.nan
-    values = {"whole": whole, "holes": holes, "scaled": scaled, "partly": partly}
-    table_bag = Table(T, values, dict.fromkeys(values, Column(unit="1, m", kind="pose")))
-    assert whole_poses(table_bag) == ["whole", "holes"]
 
 
 def test_topics_have_names_that_ros_allows_and_none_comes_twice() -> None:
