@@ -51,9 +51,11 @@ def test_what_another_program_sees(table: Table, tmp_path: Path) -> None:
     assert callable(write_parquet)
 
 
-def test_single_columns(table: Table, tmp_path: Path) -> None:
-    path = log.write(table, tmp_path / "run.parquet")
-    assert read_parquet(path, ["q1"])["q1"].tolist() == table["q1"].tolist()
+@pytest.mark.parametrize(("ending", "reader"), [(".parquet", read_parquet), (".hdf5", read_hdf5)])
+def test_single_columns(table: Table, tmp_path: Path, ending: str, reader: Callable[..., Table]) -> None:
+    path = log.write(table, tmp_path / f"run{ending}")
+    assert reader(path, ["q1"]).names == ("q1",)
+    assert reader(path, ["q1"])["q1"].tolist() == table["q1"].tolist()
     assert log.read(path, ["mode", "q"]).names == ("mode", "q")
     with pytest.raises(UnknownName, match="'qd'"):
         log.read(path, ["qd"])
@@ -94,19 +96,26 @@ def test_a_table_of_another_program(tmp_path: Path) -> None:
 
 def test_damaged_files(table: Table, tmp_path: Path, read_spoilt: Callable[..., None]) -> None:
     path = log.write(table, tmp_path / "run.parquet")
-    read_spoilt(path, path, 60)
+    read_spoilt(path, path, 30)
     path.write_bytes(path.read_bytes()[:50])
     with pytest.raises(LogError, match="a whole Parquet file"):
         log.read(path)
 
 
-def test_without_pyarrow(table: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = log.write(table, tmp_path / "run.parquet")
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    for job in (lambda: log.read(path), lambda: log.write(table, tmp_path / "again.parquet")):
-        with pytest.raises(MissingExtra, match=r"Expected pyarrow .*pip install 'armlab\[data\]'"):
+@pytest.mark.parametrize(("module", "ending"), [("pyarrow", ".parquet"), ("h5py", ".h5")])
+def test_without_an_extra(
+    table: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, ending: str
+) -> None:
+    path = log.write(table, tmp_path / f"run{ending}")
+    (tmp_path / "a.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n")
+    monkeypatch.setitem(sys.modules, module, None)
+    for job in (lambda: log.read(path), lambda: log.write(table, tmp_path / f"again{ending}")):
+        with pytest.raises(MissingExtra, match=rf"Expected {module} .*pip install 'armlab\[data\]'"):
             job()
-    assert [entry.name for entry in tmp_path.iterdir()] == ["run.parquet"]
+    if module == "h5py":
+        with pytest.raises(MissingExtra, match=r"pip install 'armlab\[data\]', or save again"):
+            read_mat(tmp_path / "a.mat")
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["a.mat", path.name]
 
 
 ARRAYS = {"T": np.arange(12.0).reshape(3, 4), "few": np.array([[1, 2, 3]], dtype=np.int16)}
@@ -131,13 +140,6 @@ def test_read_mat_of_version_5(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found[name], array)
 
 
-def test_one_variable(tmp_path: Path) -> None:
-    savemat(tmp_path / "a.mat", ARRAYS)
-    assert list(read_mat(tmp_path / "a.mat", "few")) == ["few"]
-    with pytest.raises(UnknownName, match="few"):
-        read_mat(tmp_path / "a.mat", "fewer")
-
-
 def test_what_is_no_mat_file(tmp_path: Path) -> None:
     path = tmp_path / "a.mat"
     with pytest.raises(LogError, match="No such file"):
@@ -147,14 +149,6 @@ def test_what_is_no_mat_file(tmp_path: Path) -> None:
         read_mat(path)
     savemat(path, {"text": "hello"})
     with pytest.raises(LogError, match="got none"):
-        read_mat(path)
-
-
-def test_without_h5py(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "a.mat"
-    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n")
-    monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(MissingExtra, match=r"pip install 'armlab\[data\]', or save again"):
         read_mat(path)
 
 
@@ -168,18 +162,14 @@ def attempt(path: Path, data: bytes) -> bool:
     return True
 
 
-def test_version_5_cut_at_every_byte(tmp_path: Path) -> None:
+def test_files_cut_and_with_wrong_bytes(tmp_path: Path) -> None:
     savemat(tmp_path / "whole.mat", {"T": np.eye(4)})
     data = (tmp_path / "whole.mat").read_bytes()
-    read = [attempt(tmp_path / "cut.mat", data[:n]) for n in range(len(data))]
-    assert not any(read)
-
-
-def test_version_73_cut_and_with_wrong_bytes(tmp_path: Path) -> None:
+    assert not any(attempt(tmp_path / "cut.mat", data[:n]) for n in range(len(data)))
     data = save_73(tmp_path / "whole.mat", {"T": np.eye(4)}).read_bytes()
-    assert not any(attempt(tmp_path / "cut.mat", data[:n]) for n in range(0, len(data), 29))
+    assert not any(attempt(tmp_path / "cut.mat", data[:n]) for n in range(0, len(data), 97))
     rng = np.random.default_rng(0)
-    for _ in range(80):
+    for _ in range(30):
         spoilt = bytearray(data)
         spoilt[rng.integers(512, len(data))] = rng.integers(0, 256)
         attempt(tmp_path / "spoilt.mat", bytes(spoilt))
@@ -238,7 +228,7 @@ def test_a_bomb_is_refused_by_the_size_that_it_tells(monkeypatch: pytest.MonkeyP
         variables_in(data)
 
 
-@pytest.mark.parametrize("count", [150, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [100, pytest.param(1500, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("packed", [False, True])
 def test_wrong_bytes(packed: bool, count: int) -> None:
     """SciPy's reader ends the process on 3 % of those that are not packed."""
@@ -287,9 +277,10 @@ def test_what_matlab_sees(table_mat: Table, tmp_path: Path) -> None:
     about = json.loads(found["armlab"])
     assert about["source"] == ["here"]
     assert about["columns"]["q"]["labels"] == ["a", "b"]
-
-
-def test_long_names_are_kept(tmp_path: Path) -> None:
+    del found["q"]
+    savemat(tmp_path / "less.mat", {name: one for name, one in found.items() if name[:2] != "__"})
+    with pytest.raises(LogError, match=r"variables that are described in .*less\.mat, got none for q"):
+        log.read(tmp_path / "less.mat")
     name = "a_name_of_more_than_thirty_one_characters"
     path = log.write(Table(MAT_T, {name: MAT_T}, {name: Column(unit="m")}), tmp_path / "run.mat")
     assert loadmat(path, simplify_cells=True)["units"][name] == "m"
@@ -341,14 +332,6 @@ def test_version_73(table_mat: Table, tmp_path: Path) -> None:
             assert found.notes == ("left out: units",)
 
 
-def test_a_variable_that_was_deleted(table_mat: Table, tmp_path: Path) -> None:
-    found = loadmat(log.write(table_mat, tmp_path / "run.mat"))
-    del found["q"]
-    savemat(tmp_path / "less.mat", {name: value for name, value in found.items() if not name.startswith("__")})
-    with pytest.raises(LogError, match=r"variables that are described in .*less\.mat, got none for q"):
-        log.read(tmp_path / "less.mat")
-
-
 h5py = pytest.importorskip("h5py", reason="HDF5 needs the extra data")
 HDF5_T = np.arange(4) * 0.004
 
@@ -377,14 +360,6 @@ def test_what_another_program_sees_hdf5(table_hdf5: Table, tmp_path: Path) -> No
         assert file["mode"].asstr()[2] == "grå"
         assert (file.attrs["t0_ns"], file.attrs["clock"], list(file.attrs["notes"])) == (7, "robot", ["noted"])
     assert callable(write_hdf5)
-
-
-def test_single_columns_hdf5(table_hdf5: Table, tmp_path: Path) -> None:
-    path = log.write(table_hdf5, tmp_path / "run.hdf5")
-    assert read_hdf5(path, ["mode"]).names == ("mode",)
-    assert log.read(path, ["mode", "q"]).names == ("mode", "q")
-    with pytest.raises(UnknownName, match="'qd'"):
-        log.read(path, ["qd"])
 
 
 def test_an_old_jld_file(tmp_path: Path) -> None:
@@ -420,23 +395,14 @@ def test_a_log_of_another_program(tmp_path: Path) -> None:
 
 def test_damaged_files_hdf5(table_hdf5: Table, tmp_path: Path, read_spoilt: Callable[..., None]) -> None:
     path = log.write(table_hdf5, tmp_path / "run.h5")
-    read_spoilt(path, path, 40)
+    read_spoilt(path, path, 20)
     with h5py.File(path, "w") as file:
         file.attrs["armlab"], file["t"] = "0.1.0", HDF5_T
     with pytest.raises(LogError, match="a whole HDF5 file"):
         log.read(path)
 
 
-def test_without_h5py_hdf5(table_hdf5: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = log.write(table_hdf5, tmp_path / "run.h5")
-    monkeypatch.setitem(sys.modules, "h5py", None)
-    for job in (lambda: log.read(path), lambda: log.write(table_hdf5, tmp_path / "again.h5")):
-        with pytest.raises(MissingExtra, match=r"pip install 'armlab\[data\]'"):
-            job()
-    assert [entry.name for entry in tmp_path.iterdir()] == ["run.h5"]
-
-
-@pytest.mark.parametrize("limit", [0, 100, 3000, 40_000, 120_000])
+@pytest.mark.parametrize("limit", [0, 3000, 120_000])
 def test_a_disk_that_is_full_at_any_moment(tmp_path: Path, limit: int) -> None:
     """An error inside HDF5 would end the process: this test would not fail, it would take pytest with it."""
     rng = np.random.default_rng(1)

@@ -148,9 +148,8 @@ def test_bad_streams_name_the_byte(tmp_path: Path) -> None:
         read_labcomm(tmp_path / "none")
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_mutated_streams_end_in_a_table_or_a_sentence(tmp_path: Path, seed: int) -> None:
-    rng = np.random.default_rng(seed)
+def test_mutated_streams_end_in_a_table_or_a_sentence(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
     whole = stream("2014v1", [("robot_row", row(k)) for k in range(5)] + [("odd", {"name": b"abcd", "grid": [[], []]})])
     path = tmp_path / "mutated"
     for _ in range(50):

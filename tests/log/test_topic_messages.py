@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mcap.writer import CompressionType, Writer
+from mcap.writer import Writer
 
 from armlab import log
 from armlab.errors import LogError, UnknownName
@@ -56,12 +56,11 @@ def test_files_of_mcap_ros2_support(tmp_path: Path) -> None:
     np.testing.assert_array_equal(torn["joints.position"], table["joints.position"][: len(torn)])
 
 
-@pytest.mark.parametrize("compression", list(CompressionType))
 @pytest.mark.parametrize("chunking", [True, False])
-def test_files_of_mcap(ros: Any, tmp_path: Path, compression: CompressionType, chunking: bool) -> None:
+def test_files_of_mcap(ros: Any, tmp_path: Path, chunking: bool) -> None:
     path = tmp_path / "run.mcap"
     with path.open("wb") as file:
-        writer = Writer(file, compression=compression, use_chunking=chunking)
+        writer = Writer(file, use_chunking=chunking)
         writer.start("ros2")
         kind = "sensor_msgs/msg/JointState"
         schema = writer.register_schema(kind, "ros2msg", ros.store.generate_msgdef(kind, ros_version=2)[0].encode())
@@ -170,32 +169,26 @@ def test_messages_become_fields() -> None:
     assert decoded.fields["a"].dtype == float  # one is larger than 64 bits
     np.testing.assert_array_equal(decoded.fields["b"], [[1, 2], [3, np.nan], [np.nan, np.nan]])
     np.testing.assert_array_equal(decoded.fields["c"][:, 0], [np.nan, 1, np.nan])
+    for raw in (b'{"a": 1%b}' % (b"0" * 400), b'{"a": [2, -1%b]}' % (b"0" * 400), b"[" * 5000):
+        decoded, bad, reason = decode_one_by_one([(0, 0, raw), (1, 1, b'{"a": 3}')], numbers_in_json)
+        assert (decoded.fields["a"].tolist(), bad) == ([[3]], 1)
+        assert reason.startswith("Expected a message in JSON, got: ")
     whole, *_ = decode_one_by_one([(0, 0, b'{"k": 1, "f": true}')], numbers_in_json)
     least, *_ = decode_one_by_one([(0, 0, b"%d" % -(2**63)), (1, 1, b"%d" % (2**63 - 1))], numbers_in_json)
     assert least.fields["value"].tolist() == [[-(2**63)], [2**63 - 1]]
     assert (whole.fields["k"].dtype.kind, whole.fields["f"].dtype.kind) == ("i", "b")
 
 
-@pytest.mark.parametrize("raw", [b'{"a": 1%b}' % (b"0" * 400), b'{"a": [2, -1%b]}' % (b"0" * 400), b"[" * 5000])
-def test_numbers_that_no_real_number_holds_and_endless_lists(raw: bytes) -> None:
-    decoded, bad, reason = decode_one_by_one([(0, 0, raw), (1, 1, b'{"a": 3}')], numbers_in_json)
-    assert decoded.fields["a"].tolist() == [[3]]
-    assert bad == 1
-    assert reason.startswith("Expected a message in JSON, got: ")
-
-
 def test_one_long_message_does_not_ask_for_memory_in_all_rows() -> None:
     """Half a megabyte of messages, 19 GB of columns; and as many names as messages, just below what is refused."""
     long = b"[%b]" % b",".join([b"1"] * 200_000)
     decoded, bad, reason = decode_one_by_one(
-        ((k, k, raw) for k, raw in enumerate([long, b"no", *[b"[1]"] * 12_000])), numbers_in_json
+        ((k, k, raw) for k, raw in enumerate([long, b"no", *[b"[1]"] * 4_000])), numbers_in_json
     )
     assert decoded.fields == {}
     assert len(decoded.sequence) == 0
-    assert bad == 12_002
-    assert reason.startswith(
-        "Expected values that are alike, got 12001 rows with 212000 numbers, up to 200000 in value"
-    )
+    assert bad == 4_002
+    assert reason.startswith("Expected values that are alike, got 4001 rows with 204000 numbers, up to 200000 in value")
     decoded, bad, _ = decode_one_by_one(((k, k, b'{"%d": %d}' % (k, k)) for k in range(2000)), numbers_in_json)
     assert bad == 0
     assert [decoded.fields[str(k)][k, 0] for k in range(2000)] == list(range(2000))

@@ -55,6 +55,8 @@ def test_positions_in_degrees_or_of_the_motors(truth, excited) -> None:
     slide = replace(robot, prismatic=np.arange(7) == 0)
     with pytest.raises(ShapeError, match="millimetres, divide by 1000"):
         check_position(q * np.array([1e3, 1, 1, 1, 1, 1, 1]), slide)
+    moved = np.array([np.zeros(7), [0.006, 0.006, 0.02, 0, 0, 0, 0]])  # by a degree or by 5 mm
+    np.testing.assert_array_equal(has_moved(moved, slide), [True, False, True, False, False, False, False])
     with pytest.raises(ShapeError, match="no known unit"):
         check_position(1e6 * q, robot)
 
@@ -81,13 +83,6 @@ def test_rest_glitches_a_dead_joint_and_joints_without_end_are_no_reason_to_refu
     check_known(100.0 * q, tau, endless)
 
 
-def test_a_joint_has_moved_by_a_degree_or_by_millimetres(truth) -> None:
-    slide = replace(truth.robot, prismatic=np.arange(7) == 0)
-    q = np.zeros((2, 7))
-    q[1] = [0.006, 0.006, 0.02, 0, 0, 0, 0]
-    np.testing.assert_array_equal(has_moved(q, slide), [True, False, True, False, False, False, False])
-
-
 def test_torque_of_the_motors_without_masses_in_the_robot_file(truth, excited) -> None:
     """The arm is judged by its reach: at the motors of a gear of 100 it would hold itself up with a finger's force."""
     robot = truth.robot
@@ -97,6 +92,10 @@ def test_torque_of_the_motors_without_masses_in_the_robot_file(truth, excited) -
     silent = replace(robot, coupling=np.eye(7))
     with pytest.raises(ShapeError, match="Multiply it by the gear ratio, and give the robot its coupling"):
         prepare(changed(excited, tau=excited["tau"] / 100), silent)
+    links = np.tile(np.eye(4), (3, 1, 1))
+    links[1:, 0, 3] = 0.3  # all axes upright lift nothing: torque may be as small as it likes
+    q = np.random.default_rng(1).standard_normal((100, 2))
+    check_torque(q, 1e-6 * q, np.ones(2, dtype=bool), robots.from_links("scara", links))
 
 
 @pytest.mark.parametrize("gear", [30.0, 100.0])
@@ -110,16 +109,6 @@ def test_torque_of_the_motors_with_masses_in_the_robot_file(gear: float) -> None
     check_torque(q, 0.4 * tau, used, robot)
     with pytest.raises(ShapeError, match=rf"gear ratio {gear:g}\).*times what the weight of the links takes"):
         check_torque(q, joint_torque_to_motor(robot, tau), used, robot)
-
-
-def test_an_arm_that_lifts_nothing_is_not_judged_by_its_weight(truth, excited) -> None:
-    """All axes upright: torque may be as small as it likes."""
-    links = np.tile(np.eye(4), (3, 1, 1))
-    links[1:, 0, 3] = 0.3
-    scara = robots.from_links("scara", links)
-    rng = np.random.default_rng(1)
-    q = rng.standard_normal((100, 2))
-    check_torque(q, 1e-6 * q, np.ones(2, dtype=bool), scara)
 
 
 def test_a_torque_that_hardly_ever_changes(truth, excited) -> None:
