@@ -57,10 +57,7 @@ def _expanded(one: Table | str | Path, number: int) -> list[tuple[str, Log]]:
 
 
 def targets(jobs: Mapping[str, Log], folder: Path, ending: str, mark: str = "", force: bool = False) -> dict[str, Path]:
-    """Return the output file of each log: its path below the folder that all logs share, in `folder`, name plus `mark`.
-
-    Existing files are refused without `force`, and files that are read always.
-    """
+    """Return the new file of each log: below `folder` as the logs below what they share; existing ones need `force`."""
     if ending not in ENDINGS:
         raise ConfigError(f"Expected a format among {', '.join(ENDINGS)}, got {ending!r}.")
     paths = {name: log for name, log in jobs.items() if isinstance(log, Path)}

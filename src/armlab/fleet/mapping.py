@@ -111,10 +111,7 @@ class _JobRun:
         self.report()
 
     def on(self, executor: Executor) -> None:
-        """Run all jobs on an executor; on new ones of its kind after a worker was killed.
-
-        A round settles at least one job, a suspect, so that there are no more rounds than jobs.
-        """
+        """Run all jobs on an executor, on new ones after a worker was killed; each round settles a suspect."""
         suspects: list[str] = []
         if not getattr(executor, "_broken", False):  # what it was given before has ended its workers
             ahead = _AHEAD * getattr(executor, "_max_workers", _WORKERS)
@@ -223,10 +220,7 @@ _PATIENCE = "10s"  # for a scheduler that is there
 
 @contextmanager
 def workers(count: int = 1, dask: str | None = None) -> Iterator[Executor | None]:
-    """Yield an executor for the block; None where one process is enough.
-
-    `count` are processes of this computer; `dask` is the address of a Dask scheduler, used instead.
-    """
+    """Yield an executor: `count` processes of this computer, None for one, or the Dask scheduler at an address."""
     if count < 1:
         raise ConfigError(f"Expected at least one worker, got {count}.")
     if dask is None:

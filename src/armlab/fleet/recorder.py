@@ -403,10 +403,7 @@ class RobotRecord:
 
 
 class RowColumns:
-    """Positions of the columns of one robot's recording in the rows of its bridge.
-
-    Columns that the rows lack, such as commands to external axes, are missing in the recording.
-    """
+    """Positions of the columns of a robot's recording in the rows of its bridge, which may lack some."""
 
     def __init__(self, schema: RowSchema, robot: str, layout: RowLayout) -> None:
         if f"{robot}.tick" not in schema.fields:

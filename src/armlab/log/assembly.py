@@ -111,12 +111,7 @@ def in_time_order(t: np.ndarray) -> tuple[np.ndarray, int]:
 def rows_in_order(
     t: np.ndarray, raw: bool, row: Callable[[int], str] = "row {}".format, of: str = ""
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Return times (N,) that increase in the rows that stay, the mask (N,) of these, and a note of the others.
-
-    What is dropped is warned of, once. The same for every format.
-
-    `t`: (N,) times [s].
-    """
+    """Return times (N,) that increase, the mask (N,) of rows that stay, and a note of others, warned of once."""
     keep, lost = in_time_order(t)
     if not lost:
         return t, keep, ()

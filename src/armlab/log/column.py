@@ -82,10 +82,7 @@ def _check_row_shape(name: str, shape: tuple[int, ...], words: str) -> None:
 
 
 def stored(name: str, values: Any, column: Column | None) -> tuple[np.ndarray, Column, str]:
-    """Return values as they are kept (C-contiguous, little-endian, read-only), their description, and a note or "".
-
-    What the caller could still write to is copied. Counts and flags with missing values become real.
-    """
+    """Return values as they are kept (C-contiguous, little-endian, read-only), their description, and a note or ""."""
     raw = np.asarray(values)
     if name == "t":
         raise ShapeError("Expected columns besides t, the clock of the table, got one of that name. Rename it.")
@@ -157,12 +154,7 @@ _LARGEST, _CELLS_PER_NUMBER = 1 << 31, 512  # bytes of columns, and cells per nu
 
 
 def refuse_ragged(count: int, widths: Mapping[str, int], held: int) -> None:
-    """Refuse values that differ so much that their columns are large and hardly hold anything.
-
-    One message of a megabyte among thousands of short ones asks for gigabytes.
-
-    `widths`: name -> most numbers in one of them.
-    """
+    """Refuse values that differ so much that their columns are large and hardly hold anything: `widths` by name."""
     cells = count * sum(widths.values())
     if 8 * cells > _LARGEST and cells > _CELLS_PER_NUMBER * held:
         widest = max(widths, key=lambda path: widths[path])

@@ -148,10 +148,7 @@ def _refuse_robot(path: Path, robot: Robot | str | None) -> None:
 
 
 def _holes(view: memoryview, found: Contents, clock: int) -> tuple[str, ...]:
-    """Return what the recorder dropped of the robot with this clock channel, in a sentence.
-
-    A recorder has one robot; where recordings were put together, each hole has the name of its own behind it.
-    """
+    """Return in a sentence what the recorder dropped of the robot with this clock channel."""
     told = summary_of(view, found).get("holes")
     robot = found.channels[clock].topic.strip("/").rpartition("/")[0]
     listed = [hole for hole in told if isinstance(hole, list) and len(hole) > 2] if isinstance(told, list) else []

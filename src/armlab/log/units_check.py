@@ -20,20 +20,12 @@ FEW = 0.01  # share of rows with a position out there that may be glitches, not 
 
 
 def has_moved(q: np.ndarray, robot: Robot) -> np.ndarray:
-    """Return the joints (n,) whose position changed by at least one degree, or 5 mm.
-
-    `q`: (N, n), finite, N at least 1.
-    """
+    """Return the joints (n,) whose position (N, n) changed by at least one degree, or 5 mm."""
     return np.ptp(q, axis=0) >= np.where(robot.prismatic, *MOVED)
 
 
 def check_known(q: np.ndarray, tau: np.ndarray, robot: Robot) -> None:
-    """Refuse what a known model can make nothing of: positions of another unit, torques that are not measured.
-
-    Less than is asked of a log to identify from: the arm may rest, a few rows may be wrong, a joint may have no torque.
-
-    `q`, `tau`: (N, n) positions and torques; rows that are not finite do not count.
-    """
+    """Refuse positions of another unit, and torques that are not measured; a few rows may be wrong."""
     whole = np.isfinite(q).all(axis=1) & np.isfinite(tau).all(axis=1)
     q, tau = q[whole], tau[whole]
     if not len(q):
@@ -45,10 +37,7 @@ def check_known(q: np.ndarray, tau: np.ndarray, robot: Robot) -> None:
 
 
 def check_position(q: np.ndarray, robot: Robot, few: float = 0.0) -> None:
-    """Refuse positions in degrees, or of the motors: far outside the limits, and inside them by a known factor.
-
-    `q`: (N, n) [rad, m]; `few`: share of the rows that may be out there.
-    """
+    """Refuse q (N, n) far outside the limits, in degrees or of the motors, in more than a few of the rows."""
     limit = np.maximum(np.abs(robot.q_min), np.abs(robot.q_max))
     peak = np.abs(q).max(axis=0)
     far = np.flatnonzero(np.isfinite(limit) & (limit > 0) & (peak > BEYOND * limit))
@@ -77,11 +66,7 @@ def _side(times: float, joint: int | np.intp, robot: Robot) -> str:
 
 
 def check_velocity(slope: np.ndarray, qd: np.ndarray, moved: np.ndarray, robot: Robot) -> None:
-    """Refuse a velocity that is not the derivative of the position: wrong sign, unit, side or joint order.
-
-    `slope`: (N, n) derivative of position; `qd`: (N, n) velocity; both low-passed alike; `moved`: (n,) joints that
-    moved; at rest there is nothing to compare.
-    """
+    """Refuse qd (N, n) that is not the derivative of position, alike low-passed, of the joints that moved (n,)."""
     power = np.sum(slope**2, axis=0) + 1e-300
     gain = np.sum(slope * qd, axis=0) / power
     norm = np.sqrt(power * np.sum(qd**2, axis=0) + 1e-300)

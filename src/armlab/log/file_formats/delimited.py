@@ -190,18 +190,12 @@ def read_csv(
 
 
 def rows_of(path: Path, separator: str, count: int | None = None) -> list[list[str]]:
-    """Return the fields of the lines of a text file, packed or not.
-
-    `count`: of the first lines; of all when None.
-    """
+    """Return the fields of the first `count` lines of a text file, of all when None; packed or not."""
     return list(islice(rows_in(path, separator), count))
 
 
 def _numbers_only(path: Path, skip: int, separator: str) -> list[np.ndarray] | None:
-    """Return the columns of a file with nothing but numbers and empty fields below its header; None of others.
-
-    Columns that a float cannot hold stay whole numbers where all are.
-    """
+    """Return the columns of a file with only numbers and empty fields below its header; None of others."""
     blocks = []
     try:
         with open_text(path) as file:

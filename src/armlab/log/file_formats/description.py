@@ -82,11 +82,7 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return json.dumps({**msgspec.to_builtins(self), **more})
 
     def table(self, path: Path, t: np.ndarray, values: Mapping[str, np.ndarray]) -> Table:
-        """Return the table that was written to a file.
-
-        `t`: (N,); `values`: all columns or some, of any shape with as many values. Nobody else may hold these arrays:
-        the table takes them without a copy.
-        """
+        """Return the table that was written to a file; it takes the arrays (N, ...) without a copy."""
         described = self.described()
         try:
             whole = {
@@ -155,10 +151,7 @@ def put_together(about: Description, parts: Sequence[np.ndarray], rows: int) -> 
 
 
 def distinct(wanted: Mapping[Key, str], taken: Iterable[str] = ()) -> dict[Key, str]:
-    """Return names of which none comes twice or is taken: the later of equal ones have "_2", "_3", ... behind them.
-
-    `wanted`: key -> name; keys that are their own names come first; `taken`: names that none may have.
-    """
+    """Return names of which none comes twice or is `taken`: the later of equal ones have "_2", ... behind them."""
     used, found = set(taken), {}
     for key in sorted(wanted, key=lambda key: wanted[key] != key):
         free, number = wanted[key], 1
@@ -254,12 +247,7 @@ def labelled_table(
     row: Callable[[int], str] = "row {}".format,
     raw: bool = False,
 ) -> Table:
-    """Return the table of columns with units of their own; rows whose time does not advance are dropped and counted.
-
-    `arrays`: name -> values (N, ...) and unit, "" for none; t or time is the clock; `rate`: [Hz] where there is no
-    clock.
-    Returned: t = 0 at the first row.
-    """
+    """Return the table of arrays by name, each with its unit; the clock is t or time, else made of the `rate` [Hz]."""
     values, columns = _in_si(path, arrays)
     t = _clock(path, values, columns, rate, row)
     t, in_order, dropped = rows_in_order(t, raw, row)

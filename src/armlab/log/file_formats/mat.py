@@ -38,10 +38,7 @@ _UNPACKED, _RATIO = 1 << 26, 200  # bytes of any file; above that, for each of i
 
 
 def variables_in(data: bytes) -> dict[str, np.ndarray | None]:
-    """Return the variables of a file: real numbers as stored, texts and cells of texts, None for others.
-
-    Arrays share the memory of the file and cannot be written to.
-    """
+    """Return the variables of a file: real numbers as stored, texts and cells of texts, None for others."""
     order = {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER])
     if order is None:
         raise LogError("Expected the byte order IM or MI, got another.")

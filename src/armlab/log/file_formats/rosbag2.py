@@ -76,10 +76,7 @@ def topics_of(columns: Mapping[str, Column], poses: Iterable[str]) -> list[BagTo
 
 
 def messages_of(topic: BagTopic, table: Table, stamps: np.ndarray, joint_names: Sequence[str] = ()) -> Iterator[bytes]:
-    """Yield the message of each row.
-
-    `stamps`: (N,) wall clock of each [ns]; `joint_names`: of a JointState; those of the columns' labels by default.
-    """
+    """Yield the message of each row, with `stamps` (N,) [ns] in its header."""
     if topic.type == TEXT:
         (name,) = topic.fields
         yield from (_text(value) for value in table[name].tolist())
@@ -214,10 +211,7 @@ LAST = 2**31 * 10**9  # ns: a header's stamp holds seconds in 31 bits
 def write_rosbag2(
     table: Table, folder: Path, storage: str, progress: Progress, joint_names: Sequence[str] = ()
 ) -> None:
-    """Write a folder with metadata.yaml and one file of messages; all types are standard ones of ROS 2.
-
-    `folder`: must not exist; `joint_names`: in JointState messages; those of the columns' labels by default.
-    """
+    """Write a new folder with metadata.yaml and one file of messages, all of standard types of ROS 2."""
     import sqlite3
 
     from rosbags.rosbag2 import StoragePlugin, Writer

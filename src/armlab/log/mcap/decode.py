@@ -54,10 +54,7 @@ class Variant:
 
 @dataclass(slots=True)
 class MessageReader:
-    """What is wanted of one channel, all when None, and the layouts seen so far.
-
-    `named` gives the numbers of a layout names that its texts tell: positions by joint, transforms by frame.
-    """
+    """What is wanted of one channel, all when None, what names its numbers, and the layouts seen so far."""
 
     type: str
     types: cdr.Definitions
@@ -68,11 +65,7 @@ class MessageReader:
 
 @dataclass(slots=True)
 class Read:
-    """Messages without those that do not fit their type.
-
-    `rows`: (k,) of all messages, in order; `pieces`: numbers, by layout, of rows of these; `bad`: how many do not fit;
-    `reason`: why the first of them does not.
-    """
+    """Messages that fit: rows (k,) of all, numbers by layout; how many do not fit, and why the first of these."""
 
     rows: np.ndarray
     pieces: list[Piece]
@@ -101,12 +94,7 @@ def of_length(lengths: np.ndarray) -> list[np.ndarray]:
 
 
 def read_blocks(count: int, blocks: Iterable[tuple[np.ndarray, np.ndarray]], reader: MessageReader) -> Read:
-    """Read messages in blocks of one length each.
-
-    A message is walked only where its layout is a new one or it fits none, so the time is bounded by the bytes.
-
-    `blocks`: rows (k,) and bytes (k, length) of those of each length.
-    """
+    """Read rows (k,) and bytes (k, length) of messages of one length each; only a new layout is walked."""
     pieces: list[Piece] = []
     bad = _Bad()
     for rows, block in blocks:
@@ -272,10 +260,7 @@ class Part:
 def decode_chunks(
     view: memoryview, chunks: Sequence[tuple[Chunk, bytes]], readers: Mapping[int, MessageReader], indexed: bool
 ) -> dict[int, Part]:
-    """Return the messages in several chunks, decoded as if they were one.
-
-    Without whole indexes, or where one is wrong, the records are walked.
-    """
+    """Return the messages in several chunks as if they were one; without whole indexes, the records are walked."""
     raw = np.frombuffer(b"".join(data for _, data in chunks), dtype=np.uint8)
     begin = np.cumsum([0, *(len(data) for _, data in chunks)])
     offsets = {}
@@ -395,12 +380,7 @@ class Room:
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Arrays of one channel.
-
-    `first`, `count`: row of the first message of each chunk, and how many it has; -1 where its index cannot be true;
-    `message`, `fixed`, `places`: an example, the bytes in it that all messages have, and those of the numbers;
-    `sequence`, `log_ns`, `numbers`: (N,) of the messages; by dotted name (N, count) in the file's byte order.
-    """
+    """Arrays of one channel: an example, places in it, and by chunk the first row and the count, -1 if wrong."""
 
     first: list[int]
     count: list[int]
@@ -468,11 +448,7 @@ _BATCH = 2_000_000  # bytes of records read at once: amortises calls, stays in t
 
 @dataclass(slots=True)
 class Decoded:
-    """The messages of one channel.
-
-    `sequence`, `log_ns`: (N,) sequence numbers and log times; `fields`: dotted name -> (N, count); NaN where a message
-    does not have it.
-    """
+    """Messages of one channel: sequence and log time (N,), fields (N, count) by dotted name, NaN for none."""
 
     sequence: np.ndarray
     log_ns: np.ndarray
@@ -587,11 +563,7 @@ class _Reading:
     room: Room
 
     def batch(self, places: range) -> tuple[dict[int, list[range | Part]], list[str]]:
-        """Read some chunks; return rows of the room and other messages by channel, and the damaged chunks.
-
-        From the first chunk on that the room does not take, a channel's messages are decoded layout by layout, those
-        of several chunks at once.
-        """
+        """Read some chunks; return rows of the room and other messages by channel, and the damaged chunks."""
         found: dict[int, list[range | Part]] = {number: [] for number in self.readers}
         others: dict[int, list[tuple[Chunk, bytes]]] = {}
         damage = []

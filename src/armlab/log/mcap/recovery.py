@@ -20,10 +20,7 @@ _MESSAGE = struct.Struct("<HIQQ")
 
 @contextlib.contextmanager
 def new_file(target: Path, part: Path, *, replace: bool) -> Iterator[BinaryIO]:
-    """Open a file under another name; it gets its own when the block has ended well, else nothing is left.
-
-    `part`: name until it is whole, in the same folder; must be free.
-    """
+    """Open a file under another, free name; it gets its own when the block has ended well, else nothing is left."""
     try:
         file = part.open("xb", buffering=0)  # never over a file, which may be the one that is read
     except OSError as error:
@@ -67,10 +64,7 @@ class Registry:
 
 
 def pieces(found: Contents) -> list[Chunk | None]:
-    """Return what the messages of a file are in: the chunks, then None for those outside them, if any.
-
-    `decode` reads them in this order too: rows of a copy stay in the order in which the file itself is read.
-    """
+    """Return what the messages of a file are in, in the order of reading: the chunks, then None for others."""
     return [*found.chunks, *([None] if found.loose else [])]
 
 
@@ -142,9 +136,7 @@ def recover(path: str | Path, to: str | Path | None = None, *, progress: Progres
 
 
 def _copy(view: memoryview, found: Contents, file: BinaryIO, progress: Progress | None) -> tuple[int, int, float]:
-    """Write all that can be read; return messages, chunks lost, and seconds between first and last message,
-    events apart.
-    """
+    """Write all that can be read; return messages, chunks lost, and seconds from first to last, events apart."""
     writer = McapWriter(file, found.profile, found.library)
     for name, pairs in found.metadata.items():
         writer.metadata(name, pairs)

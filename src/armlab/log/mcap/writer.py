@@ -148,10 +148,7 @@ class McapWriter:
         self._put(record)
 
     def attach(self, log_ns: int, name: str, media_type: str, data: bytes) -> None:
-        """Write an attachment.
-
-        `log_ns`: its time [ns].
-        """
+        """Write an attachment with its time [ns]."""
         self.close_chunk()
         about = struct.pack("<QQ", log_ns, log_ns)
         body = b"".join([about, _text(name), _text(media_type), struct.pack("<Q", len(data)), data])
@@ -182,19 +179,13 @@ class McapWriter:
         return number
 
     def message(self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes | bytearray) -> None:
-        """Add a message to the chunk in progress; it is in the file after `push`.
-
-        `log_ns`, `publish_ns`: its times [ns].
-        """
+        """Add a message with its times [ns] to the chunk in progress; it is in the file after `push`."""
         length = _MESSAGE_PREFIX + len(data)
         record = _MESSAGE.pack(MESSAGE, length, channel, sequence, log_ns, publish_ns) + data
         self.records(record, {channel: _ENTRY.pack(log_ns, self.size)}, log_ns, log_ns)
 
     def records(self, data: bytes, entries: Mapping[int, bytes], first_ns: int, last_ns: int) -> None:
-        """Add messages that are records already, as `kernels.RowEncoder` makes them, to the chunk in progress.
-
-        `first_ns`, `last_ns`: earliest and latest time of the messages [ns].
-        """
+        """Add messages that are records already, as `kernels.RowEncoder` makes them, and their range of times [ns]."""
         chunk = self._chunk
         if chunk is None:
             chunk = self._chunk = _OpenChunk(self._at, self._compressor.compressobj(), first_ns)

@@ -108,10 +108,7 @@ def recording_path(path: str | Path) -> Path:
 
 
 def open_new(path: str | Path) -> tuple[PersistentFile, Path]:
-    """Open a file that does not exist yet: ``run.mcap``, else ``run-2.mcap``, ``run-3.mcap``, ...
-
-    Returned: The open file, not buffered, and its path.
-    """
+    """Open a file that does not exist yet, ``run.mcap``, else ``run-2.mcap``, ...; return its path, too."""
     path = Path(path)
     number, candidate = 1, path
     try:
@@ -184,11 +181,7 @@ class RecordingFile:
         return plans
 
     def write(self, rows: Sequence[bytes], first: int | None = None) -> None:
-        """Write the messages of some rows: they survive the end of this process.
-
-        `first`: number of the first, by which a reader puts the messages of a row together, and from which is counted
-        on; None takes the numbers of the ticks.
-        """
+        """Write the messages of rows, numbered from `first` or by ticks: they survive the end of this process."""
         if self._opening and rows:
             self._open(_stamp(rows[0]))
         at = 0

@@ -171,10 +171,7 @@ def metadata(robot: Robot, attachments: Mapping[str, bytes], note: str) -> dict[
 
 
 def attached(robot: Robot, attachments: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Return the attachments of a recording: the description of the robot, and what is given, secrets replaced.
-
-    `attachments`: name -> bytes; of settings (TOML, JSON, YAML, INI) the values of secret keys go.
-    """
+    """Return what is attached to a recording, name -> bytes: the robot's description, and settings without secrets."""
     from armlab.robots import to_toml
 
     found: dict[str, bytes] = {}
@@ -186,10 +183,7 @@ def attached(robot: Robot, attachments: Mapping[str, bytes]) -> dict[str, bytes]
 
 
 def described(attachments: Mapping[str, bytes], name: str, origin: str) -> Robot | None:
-    """Return the robot of a name as the attachments of a recording describe it, None where none of them does.
-
-    `attachments`: name -> bytes; robot.toml, robot-2.toml of the other arm.
-    """
+    """Return the robot of a name as the attachments of a recording describe it, None where none of them does."""
     from armlab.robots import from_toml
 
     found = (

@@ -39,10 +39,7 @@ _PROTOBUF_MESSAGE, _PROTOBUF_NUMBERS = 11, {1, 2, 3, 4, 5, 6, 7, 8, 13, 14, 15, 
 def decode_one_by_one(
     messages: Iterable[tuple[int, int, bytes]], numbers: Callable[[bytes], Numbers]
 ) -> tuple[Decoded, int, str]:
-    """Return the numbers of messages, how many messages are left out, and why one of them is.
-
-    `messages`: sequence number, log time [ns] and bytes of each.
-    """
+    """Return the numbers of (sequence, log time, bytes), how many messages are left out, and why the first is."""
     sequence: list[int] = []
     log_ns: list[int] = []
     columns: dict[str, tuple[list[int], list[Any]]] = {}
@@ -170,11 +167,7 @@ _TYPES = {  # texts, pictures, clouds, maps
 
 @dataclass(slots=True)
 class TopicMessages:
-    """What is read of the topics of a log, also of several files.
-
-    `fields`, `parts`: topic -> what names its numbers; its messages; `left_out`: topic and why it was not read;
-    `damage`: a sentence for each part of a file that is damaged.
-    """
+    """What is read of the topics of a log: names, messages, topics left out, and sentences on damage."""
 
     fields: dict[str, TopicFields] = field(default_factory=dict)
     parts: dict[str, list[Decoded]] = field(default_factory=dict)

@@ -40,11 +40,7 @@ class Choice:
 
 
 def table_of_streams(path: Path, streams: Sequence[Stream], choice: Choice, notes: Sequence[str]) -> Table:
-    """Return the table of the streams of a log.
-
-    The arm's JointState is q, qd and tau, the only WrenchStamped wrench_raw; other columns have the name of their
-    topic. Each value is the last at or before its row, and its age is in ``<name>_age`` where it has stamps of its own.
-    """
+    """Return the table of the streams of a log; values are held from message to message, their age beside them."""
     streams = [one for one in streams if len(one.log_ns)]
     if not streams:
         raise LogError(f"Expected topics with numbers in {path}, got none{''.join(f'; {note}' for note in notes)}.")
@@ -231,10 +227,7 @@ def _table(rows: Stream, streams: Sequence[Stream], notes: Sequence[str], raw: b
 
 
 def _on_clock(stream: Stream, rows: Stream) -> np.ndarray:
-    """Return when each message was made [ns], by the clock that stamps the rows.
-
-    Without a header, or by a header of another clock, that is when it was recorded, less the usual delay of the rows.
-    """
+    """Return when each message was made [ns] by the clock of the rows: its header, or recorded less their delay."""
     if rows.stamp_ns is None:
         return stream.log_ns
     delay = np.median(rows.log_ns - rows.stamp_ns)
@@ -294,10 +287,7 @@ def read_foreign(path: Path, choice: Choice, robot: Robot | str | None, progress
 
 
 def read_joints(path: Path, robot: Robot, progress: Progress | None = None) -> Table:
-    """Return q, and qd and tau as far as they are there, of an arm in another program's log, in its own order.
-
-    Drivers name joints in an order of theirs, and log other things at other rates: both are no matter here.
-    """
+    """Return q, and qd and tau as far as they are there, of an arm in another program's log, in its own order."""
     for columns in (["q", "qd", "tau"], ["q", "tau"], ["q", "qd"]):
         with suppress(UnknownName):
             return read_foreign(path, Choice(columns), robot, progress)
@@ -414,10 +404,7 @@ def _plain_mcap(bag: Any) -> list[Path]:
 
 
 def _chosen(topics: dict[str, str], choice: Choice, robot: Robot | str | None) -> tuple[Choice, Wanted]:
-    """Return the choice with its robot, and which topics are read.
-
-    The name of a robot is one of the library, or the first part of its topics, or both.
-    """
+    """Return the choice with its robot, of the library or the first part of its topics, and which topics are read."""
     inside = set(topics)
     if isinstance(robot, str):
         prefix = f"/{robot.strip('/')}/"

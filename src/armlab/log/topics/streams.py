@@ -109,12 +109,7 @@ class TopicFields:
 def columns_of_fields(
     topic: TopicFields, fields: Mapping[str, np.ndarray]
 ) -> tuple[dict[str, np.ndarray], dict[str, Column], list[str]]:
-    """Return the columns by dotted name, their descriptions, and what was wrong with some.
-
-    A JointState gives ``q``, ``qd`` and ``tau`` with the names of the joints as labels, behind the name of its field.
-
-    `fields`: dotted name -> (N, k).
-    """
+    """Return the columns by dotted name, their descriptions, and what was wrong with some; fields are (N, k)."""
     groups: dict[tuple[str, str], dict[str, np.ndarray]] = {}
     for path, array in fields.items():
         prefix = _whole(topic, path)
@@ -221,12 +216,7 @@ _PAIR = re.compile(r"^(?P<list>[^\[]*)\[(?P<parent>[^\]>]*)>(?P<child>[^\]]*)\]\
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """Columns whose values came together.
-
-    `topic`: where they came; `type`: of its messages; `log_ns`: (N,) when each message was recorded; `stamp_ns`: (N,)
-    when it was made, by its header; None without; `values`, `columns`: by name; those of a JointState are q, qd and
-    tau.
-    """
+    """Columns whose values came together on a topic, when each was recorded, and made, if it has a header."""
 
     topic: str
     type: str
@@ -277,10 +267,7 @@ def rate_text(streams: Sequence[Stream]) -> str:
 
 
 def streams_of(topic: str, fields: TopicFields, decoded: Decoded) -> tuple[list[Stream], list[str]]:
-    """Return the streams of a topic, and what was wrong with some values.
-
-    Most topics are one stream. Transforms of one topic are one per publisher, as are joints that never come together.
-    """
+    """Return the streams of a topic, one per publisher of transforms or joints, and what was wrong with some values."""
     values, columns, notes = columns_of_fields(fields, decoded.fields)
     notes = [f"{topic}: {note}" for note in notes]
     if not values:
