@@ -39,39 +39,16 @@ if TYPE_CHECKING:  # for type checkers and editors, what `__getattr__` does when
 
 __version__ = "0.1.0"
 
-_OF_STATE = ("Command", "State")
 __all__ = [
-    "ArmlabError",
-    "Command",
-    "State",
-    "__version__",
-    "bridge",
-    "calibrate",
-    "contact",
-    "errors",
-    "estimation",
-    "frames",
-    "glossary",
-    "identify",
-    "kernels",
-    "kinematics",
-    "lie",
-    "live",
-    "log",
-    "models",
-    "motion",
-    "plots",
-    "robots",
-    "signals",
-    "sim",
-    "state",
-    "wire",
-]
+    "ArmlabError", "Command", "State", "__version__", "bridge", "calibrate", "contact", "errors", "estimation",
+    "frames", "glossary", "identify", "kernels", "kinematics", "lie", "live", "log", "models", "motion", "plots",
+    "robots", "signals", "sim", "state", "wire",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
     """Import a subpackage, or what a controller takes and returns, when it is first used."""
-    if name in _OF_STATE:
+    if name in ("Command", "State"):
         return getattr(import_module("armlab.state"), name)
     if name in __all__:
         return import_module(f"armlab.{name}")

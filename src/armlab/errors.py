@@ -11,27 +11,10 @@ from reprlib import repr as shortened
 from typing import Any
 
 __all__ = [
-    "ArmlabError",
-    "CommandRefused",
-    "ConcurrentUse",
-    "ConfigError",
-    "ControllerFailed",
-    "ControllerLate",
-    "FrameError",
-    "LabCommError",
-    "LinkError",
-    "LogError",
-    "MissingExtra",
-    "ModelMismatchError",
-    "NoRobot",
-    "NotConverged",
-    "NotExcited",
-    "RobotError",
-    "SessionEnded",
-    "ShapeError",
-    "SingularPoseError",
-    "UnknownName",
-]
+    "ArmlabError", "CommandRefused", "ConcurrentUse", "ConfigError", "ControllerFailed", "ControllerLate", "FrameError",
+    "LabCommError", "LinkError", "LogError", "MissingExtra", "ModelMismatchError", "NoRobot", "NotConverged",
+    "NotExcited", "RobotError", "SessionEnded", "ShapeError", "SingularPoseError", "UnknownName",
+]  # fmt: skip
 
 
 class ArmlabError(Exception):

@@ -11,8 +11,7 @@ import pytest
 
 from armlab import contact, fleet, identify, log
 from armlab.errors import ConfigError, LogError, ModelMismatchError, ShapeError
-from armlab.fleet.estimation import Estimated
-from armlab.fleet.logs import Log, as_table, named, targets
+from armlab.fleet.logs import Estimated, Log, as_table, named, targets
 from armlab.log import Table
 from armlab.robots import load
 

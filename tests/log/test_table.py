@@ -20,9 +20,7 @@ from armlab.log.table import (
     QD_SOURCES,
     TAU_SOURCES,
     component_names,
-    join,
     missing_rows,
-    resample,
     statistics,
 )
 
@@ -347,7 +345,7 @@ def test_motion_at_constant_speed_is_exact_at_any_time(times: list[float]) -> No
     if len(t) > 1 and (np.diff(t) <= 0).any():
         return
     try:
-        found = resample(table, t)
+        found = table.resample(t)
     except ShapeError as error:
         assert "signals.lowpass_offline" in str(error)  # noqa: PT017
         return
@@ -425,7 +423,7 @@ def test_joining_linearly() -> None:
     assert left.join(right, fill="linear")["grip"] == pytest.approx(10 * left.t)
     assert np.isnan(left.join(right, fill="linear", max_age=0.5)["grip"][1:-1]).all()
     with pytest.raises(UnknownName, match=r"'cubic'.*hold, linear"):
-        join(left, right, fill="cubic")
+        left.join(right, fill="cubic")
     with pytest.raises(ShapeError, match="q in both"):
         left.join(left.select("q"))
 

@@ -1,9 +1,8 @@
 """The same jobs over many logs and many robots."""
 
 from armlab.fleet.discovery import Router, list_robots
-from armlab.fleet.estimation import estimate
 from armlab.fleet.identification import Identified, identify
-from armlab.fleet.logs import export
+from armlab.fleet.logs import estimate, export
 from armlab.fleet.recorder import FleetRecorder
 
 __all__ = [

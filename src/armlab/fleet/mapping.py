@@ -59,7 +59,7 @@ def map_logs(
     jobs: Mapping[str, Any],
     *shared: Any,
     executor: Executor | None = None,
-    progress: Progress = lambda done, total, what: None,
+    progress: Progress | None = None,
     rows: Callable[[Result], int] | None = None,
     kind: str = "log",
 ) -> Done[Result]:
@@ -69,7 +69,7 @@ def map_logs(
     `progress` is called with (done, total, what) as jobs end; `rows` counts the rows of a result; `kind` names a job in
     sentences.
     """
-    run = _JobRun(work, jobs, shared, progress, rows, kind)
+    run = _JobRun(work, jobs, shared, progress or (lambda done, total, what: None), rows, kind)
     run.report()
     if executor is None:
         for name in jobs:

@@ -11,34 +11,14 @@ from armlab.log.file_formats.mat import read_mat
 from armlab.log.mcap.recovery import recover
 from armlab.log.reading import read, read_arm
 from armlab.log.recording.metadata import inspect
-from armlab.log.recording.recorder import Recorder
+from armlab.log.recording.recorder import Log, Recorder, Tail
 from armlab.log.recording.rows import Tick
 from armlab.log.recording.splice import cut, merge
-from armlab.log.recording.table_builder import Log, Tail
 from armlab.log.table import Table, concat
 from armlab.log.topics.reader import read_topics
 from armlab.log.writing import write
 
 __all__ = [
-    "Column",
-    "Log",
-    "Recorder",
-    "Table",
-    "Tail",
-    "Tick",
-    "concat",
-    "cut",
-    "from_orca",
-    "inspect",
-    "merge",
-    "nikon",
-    "read",
-    "read_abb",
-    "read_arm",
-    "read_csv",
-    "read_labcomm",
-    "read_mat",
-    "read_topics",
-    "recover",
-    "write",
-]
+    "Column", "Log", "Recorder", "Table", "Tail", "Tick", "concat", "cut", "from_orca", "inspect", "merge", "nikon",
+    "read", "read_abb", "read_arm", "read_csv", "read_labcomm", "read_mat", "read_topics", "recover", "write",
+]  # fmt: skip

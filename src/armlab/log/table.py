@@ -31,32 +31,22 @@ _NUMBERS = {"seq": int, "missed": int, "session": int, "motors": int, "rapid": i
 _NUMBERS |= {"utilization": float, "robot_ns": int, "converged": bool, "rapid_digital": bool}
 
 
-def iterate(t: np.ndarray, periods: np.ndarray, values: Mapping[str, np.ndarray]) -> Iterator[State]:
-    """Yield one `State` per row.
-
-    `dt` is the recorded one, else the difference of `t`. Joint velocities or torques that the table does not have are
-    NaN. `q_start` is the position in the first row of the session; `t` the session's time where it was recorded.
-    """
-    if "q" not in values:
-        raise UnknownName.among("column", "q", values)
-    return _rows(t, periods, values)
-
-
-def _rows(times: np.ndarray, periods: np.ndarray, values: Mapping[str, np.ndarray]) -> Iterator[State]:
-    q = values["q"]
+def _states(table: Table) -> Iterator[State]:
+    """Yield one `State` per row: NaN for what is missing, the session's time and first position where recorded."""
+    values, q = table.values, table["q"]
     nothing = np.full(q.shape[1:], np.nan)
     nothing.flags.writeable = False
     arrays = {name: values[name] for name in _ARRAYS if name in values}
     numbers = {name: (kind, values[name].tolist()) for name, kind in _NUMBERS.items() if name in values}
     replies = {name: values[name] for name in _PREVIOUS if name in values}
-    clock = values.get("session_t", times)
+    clock = values.get("session_t", table.t)
     receive = values["receive_ns"].tolist() if "receive_ns" in values else None
     qd, tau = values.get("qd"), values.get("tau")
     words = {"qd_source": QD_SOURCES, "tau_source": TAU_SOURCES}
     codes = {name: (known, values[name].tolist()) for name, known in words.items() if name in values}
     constant = {} if tau is None or "tau_source" in values else {"tau_source": "measured"}
     session, q_start = None, nothing
-    for row, (t, dt) in enumerate(zip(clock.tolist(), periods.tolist(), strict=True)):
+    for row, (t, dt) in enumerate(zip(clock.tolist(), table.dt.tolist(), strict=True)):
         extra: dict[str, Any] = {name: array[row] for name, array in arrays.items()}
         extra |= {name: array[row - 1] for name, array in replies.items() if row}
         extra |= {name: kind(column[row]) for name, (kind, column) in numbers.items() if column[row] == column[row]}
@@ -74,24 +64,6 @@ def _rows(times: np.ndarray, periods: np.ndarray, values: Mapping[str, np.ndarra
             q_start=q_start,
             **extra,
         )
-
-
-def periods(t: np.ndarray, values: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return the time since the previous row (N,) [s], as a controller was told it.
-
-    That is the recorded `dt`, but the difference of `t` where the two are half a period apart: rows are missing
-    there. At the first row of a session they may differ.
-    """
-    steps = np.diff(t)
-    usual = np.median(steps) if len(steps) else np.nan
-    differences = np.concatenate(([usual][: len(t)], steps))
-    recorded = values.get("dt")
-    if recorded is None or not len(t):
-        return differences
-    begins = np.ones(len(t), dtype=bool)
-    begins[1:] = np.diff(values["session"]) != 0 if "session" in values else False
-    trusted = begins | (np.abs(recorded - differences) < 0.5 * usual)
-    return np.where(trusted & np.isfinite(recorded), recorded, differences)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -162,7 +134,21 @@ class Table:
         return f"<Table {len(self)} rows: {', '.join(self.names)}>"
 
     def __str__(self) -> str:
-        return table_text(self)
+        """One line on rows, duration, rate and jitter, and one line per column with shape, unit and missing."""
+        timed = timing(self)
+        head = f"Table of {timed['rows']} rows"
+        if timed["rows"] > 1:
+            head += (
+                f", {timed['duration']:.3f} s at {timed['rate']:.6g} Hz on the {self.clock} clock "
+                f"(jitter {timed['jitter'] * 1e3:.3g} ms, longest gap {timed['gap'] * 1e3:.4g} ms)"
+            )
+        holes = self.missing()
+        lines = [("column", "shape", "unit", "missing")]
+        for name in self.names:
+            count, first = holes.get(name, (0, ()))
+            gap = f"{count} rows from row {first[0]}" if count else "-"
+            lines.append((name, str(self[name].shape), self.units[name], gap))
+        return "\n".join([head, *_aligned(lines), *(f"note: {note}" for note in self.notes)])
 
     def __reduce__(self) -> tuple[Any, ...]:
         state = (self.t, dict(self.values), dict(self.columns), self.t0_ns, self.clock, self.notes, self.source)
@@ -185,12 +171,31 @@ class Table:
         The first row has no previous one: it takes the median (NaN when it is the only row). Where rows in between
         were taken out, the difference holds.
         """
-        return frozen(periods(self.t, self.values))
+        steps = np.diff(self.t)
+        usual = np.median(steps) if len(steps) else np.nan
+        differences = np.concatenate(([usual][: len(self)], steps))
+        recorded = self.values.get("dt")
+        if recorded is None or not len(self):
+            return frozen(differences)
+        begins = np.ones(len(self), dtype=bool)  # of sessions, where the two may differ
+        begins[1:] = np.diff(self["session"]) != 0 if "session" in self else False
+        trusted = begins | (np.abs(recorded - differences) < 0.5 * usual)  # else rows are missing there
+        return frozen(np.where(trusted & np.isfinite(recorded), recorded, differences))
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of names, units, kinds, types, shapes, values and `t`: equal data hash equal from any file."""
-        return table_hash(self)
+        """Hash of names, units, kinds, types, shapes, values and `t`: equal data hash equal from any file.
+
+        Notes, source and clock do not count. Every NaN counts as the same NaN.
+        """
+        digest = hashlib.sha256(b"armlab table 1\n")
+        digest.update(_bytes(self.t))
+        for name in sorted(self.names):
+            column, array = self.columns[name], self[name]
+            kind = "text" if array.dtype.kind == "U" else array.dtype.str
+            digest.update("\0".join([name, column.unit or "1", column.kind or "", kind, str(array.shape)]).encode())
+            digest.update(_bytes(array))
+        return digest.hexdigest()
 
     def rows(self, which: slice | np.ndarray) -> Table:
         """Return the rows of a slice (a view), a mask or an increasing index (copies)."""
@@ -228,7 +233,9 @@ class Table:
 
     def states(self) -> Iterator[State]:
         """Yield the `State` of each row, as a controller saw it; what the table does not have stays missing."""
-        return iterate(self.t, self.dt, self.values)
+        if "q" not in self:
+            raise UnknownName.among("column", "q", self.values)
+        return _states(self)
 
     def select(self, *names: str) -> Table:
         """Return the named columns only, in this order."""
@@ -316,7 +323,20 @@ class Table:
         ShapeError : the rate goes down (that needs a filter) or up beyond all sense, a time lies outside the table,
             fewer than two rows.
         """
-        return resample(self, to, max_gap=max_gap)
+        if len(self) < 2:
+            raise ShapeError(f"Expected at least two rows to resample, got {len(self)}.")
+        period = float(np.median(np.diff(self.t)))
+        t = _times(self, to)
+        if len(t) > 1 and np.median(np.diff(t)) > _SLOWER * period:
+            raise ShapeError(
+                f"Expected a rate of at least {1 / period:.6g} Hz, got {1 / np.median(np.diff(t)):.6g} Hz: going down "
+                "in rate folds noise into the signal; filter first, with signals.lowpass_offline, then take rows."
+            )
+        values = _at(self, t, "linear", 3.0 * period if max_gap is None else max_gap)
+        values.pop("dt", None)  # the period of the old clock
+        columns = {name: self.columns[name] for name in values}
+        operation = f"resample({len(t)} rows, {t[0]:g} to {t[-1]:g} s)"
+        return self._derived(operation, t=t, values=values, columns=columns)
 
     def join(self, other: Table, *, fill: str = "hold", max_age: float | None = None) -> Table:
         """Return a table with the columns of another brought to its clock, and the age of each as ``<name>_age``.
@@ -334,7 +354,26 @@ class Table:
         ShapeError : a column, or its age, exists in both.
         UnknownName : another way of filling.
         """
-        return join(self, other, fill=fill, max_age=max_age)
+        if fill not in ("hold", "linear"):
+            raise UnknownName.among("way of filling", fill, ("hold", "linear"))
+        double = [name for name in other.names if name in self or f"{name}_age" in self]
+        if double:
+            both = ", ".join(double)
+            raise ShapeError(f"Expected columns that are only in one table, got {both} in both; use rename.")
+        t = self.t + ((self.t0_ns - other.t0_ns) / 1e9 if self.t0_ns and other.t0_ns else 0.0)
+        inside = (t >= other.t[0]) & (t <= (np.inf if fill == "hold" else other.t[-1])) if len(other) else t < -np.inf
+        limit = np.inf if max_age is None else max_age
+        held_age = t[inside] - other.t[np.searchsorted(other.t, t[inside], side="right") - 1]
+        found = _at(other, t[inside], fill, limit)
+        values, columns = dict(self.values), dict(self.columns)
+        age = _spread(held_age, inside)
+        for name, column in other.columns.items():
+            held = fill == "hold" or column.kind in _HELD
+            values[name] = _spread(_holes(found[name], held_age > limit) if held else found[name], inside)
+            values[f"{name}_age"] = age
+            columns |= {name: column, f"{name}_age": Column(unit="s")}
+        source = (*self.source, f"join({', '.join(other.names)}; {fill})", *other.source)
+        return replace(self, values=values, columns=columns, source=source)
 
     def missing(self) -> dict[str, tuple[int, tuple[int, ...]]]:
         """Return, per column with missing values, the number of rows and the first ten row numbers."""
@@ -343,7 +382,13 @@ class Table:
 
     def describe(self) -> str:
         """Return minimum, maximum, mean and standard deviation of each component as text."""
-        return describe_text(self)
+        lines: list[tuple[str, ...]] = [("component", "unit", "min", "max", "mean", "sigma", "missing")]
+        for name in self.names:
+            stats = statistics(self[name])
+            for row, label in enumerate(component_names(self, name)):
+                numbers = [f"{stats[key][row]:.6g}" for key in ("min", "max", "mean", "sigma")]
+                lines.append((label, self.units[name], *numbers, str(int(stats["missing"][row]))))
+        return "\n".join(_aligned(lines))
 
     def _with(self, values: Mapping[str, Any], operation: str) -> Table:
         return self._derived(operation, values=values, columns={name: self.columns[name] for name in values})
@@ -387,21 +432,6 @@ def _check_lengths(rows: int, values: Mapping[str, np.ndarray]) -> None:
         raise ShapeError(f"Expected the same number of joints in all columns, got {joints}.")
 
 
-def table_hash(table: Table) -> str:
-    """Return the SHA-256 over `t` and, by name, unit, kind, type, shape and bytes of every column.
-
-    Notes, source and clock do not count: the same data from two formats hash equal. Every NaN counts as the same NaN.
-    """
-    digest = hashlib.sha256(b"armlab table 1\n")
-    digest.update(_bytes(table.t))
-    for name in sorted(table.names):
-        column, array = table.columns[name], table[name]
-        kind = "text" if array.dtype.kind == "U" else array.dtype.str
-        digest.update("\0".join([name, column.unit or "1", column.kind or "", kind, str(array.shape)]).encode())
-        digest.update(_bytes(array))
-    return digest.hexdigest()
-
-
 def _bytes(array: np.ndarray) -> bytes | memoryview:
     """Return the bytes that count: text without padding, one pattern for NaN."""
     if array.dtype.kind == "U":
@@ -414,51 +444,6 @@ def _bytes(array: np.ndarray) -> bytes | memoryview:
 _HELD = ("count", "flag", "text")
 _MOST_ROWS, _MOST_FOR_ONE = 10_000_000, 1000  # more than both is a slip of the rate, or of the unit of t
 _SLOWER = 1.05  # periods may differ that much before resampling counts as going down in rate
-
-
-def resample(table: Table, to: float | np.ndarray, *, max_gap: float | None = None) -> Table:
-    """Return `Table.resample`."""
-    if len(table) < 2:
-        raise ShapeError(f"Expected at least two rows to resample, got {len(table)}.")
-    period = float(np.median(np.diff(table.t)))
-    t = _times(table, to)
-    if len(t) > 1 and np.median(np.diff(t)) > _SLOWER * period:
-        raise ShapeError(
-            f"Expected a rate of at least {1 / period:.6g} Hz, got {1 / np.median(np.diff(t)):.6g} Hz: going down in "
-            "rate folds noise into the signal; filter first, with signals.lowpass_offline, then take rows."
-        )
-    values = _at(table, t, "linear", 3.0 * period if max_gap is None else max_gap)
-    values.pop("dt", None)  # the period of the old clock
-    columns = {name: table.columns[name] for name in values}
-    operation = f"resample({len(t)} rows, {t[0]:g} to {t[-1]:g} s)"
-    return replace(table, t=t, values=values, columns=columns, source=(*table.source, operation))
-
-
-def join(table: Table, other: Table, *, fill: str = "hold", max_age: float | None = None) -> Table:
-    """Return `Table.join`."""
-    if fill not in ("hold", "linear"):
-        raise UnknownName.among("way of filling", fill, ("hold", "linear"))
-    double = [name for name in other.names if name in table or f"{name}_age" in table]
-    if double:
-        raise ShapeError(f"Expected columns that are only in one table, got {', '.join(double)} in both; use rename.")
-    offset = (table.t0_ns - other.t0_ns) / 1e9 if table.t0_ns and other.t0_ns else 0.0
-    t = table.t + offset
-    inside = (t >= other.t[0]) & (t <= (np.inf if fill == "hold" else other.t[-1])) if len(other) else t < -np.inf
-    limit = np.inf if max_age is None else max_age
-    last = np.searchsorted(other.t, t[inside], side="right") - 1
-    held_age = t[inside] - other.t[last]
-    late = held_age > limit
-    found = _at(other, t[inside], fill, limit)
-    values, columns = dict(table.values), dict(table.columns)
-    age = np.full(len(table), np.nan)
-    age[inside] = held_age
-    for name, column in other.columns.items():
-        held = fill == "hold" or column.kind in _HELD
-        values[name] = _spread(_holes(found[name], late) if held else found[name], inside)
-        values[f"{name}_age"] = age
-        columns |= {name: column, f"{name}_age": Column(unit="s")}
-    source = (*table.source, f"join({', '.join(other.names)}; {fill})", *other.source)
-    return replace(table, values=values, columns=columns, source=source)
 
 
 def concat(*tables: Table) -> Table:
@@ -600,36 +585,6 @@ def timing(table: Table) -> dict[str, float | int]:
         "jitter": float(steps.std()),
         "gap": float(steps.max()),
     }
-
-
-def table_text(table: Table) -> str:
-    """Return one line on rows, duration, rate and jitter, and one line per column with shape, unit and missing."""
-    timed = timing(table)
-    head = f"Table of {timed['rows']} rows"
-    if timed["rows"] > 1:
-        head += (
-            f", {timed['duration']:.3f} s at {timed['rate']:.6g} Hz on the {table.clock} clock "
-            f"(jitter {timed['jitter'] * 1e3:.3g} ms, longest gap {timed['gap'] * 1e3:.4g} ms)"
-        )
-    holes = table.missing()
-    lines = [("column", "shape", "unit", "missing")]
-    for name in table.names:
-        count, first = holes.get(name, (0, ()))
-        gap = f"{count} rows from row {first[0]}" if count else "-"
-        lines.append((name, str(table[name].shape), table.units[name], gap))
-    notes = [f"note: {note}" for note in table.notes]
-    return "\n".join([head, *_aligned(lines), *notes])
-
-
-def describe_text(table: Table) -> str:
-    """Return one line per component with unit, minimum, maximum, mean, standard deviation and missing values."""
-    lines: list[tuple[str, ...]] = [("component", "unit", "min", "max", "mean", "sigma", "missing")]
-    for name in table.names:
-        stats = statistics(table[name])
-        for row, label in enumerate(component_names(table, name)):
-            numbers = [f"{stats[key][row]:.6g}" for key in ("min", "max", "mean", "sigma")]
-            lines.append((label, table.units[name], *numbers, str(int(stats["missing"][row]))))
-    return "\n".join(_aligned(lines))
 
 
 def statistics(array: np.ndarray) -> dict[str, np.ndarray]:
