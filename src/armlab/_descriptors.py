@@ -5,8 +5,6 @@ from __future__ import annotations
 import fcntl
 import os
 
-__all__ = ["Descriptor", "apart"]
-
 _APART = 512  # below the usual limit of 1024
 
 

@@ -11,11 +11,6 @@ from numpy.typing import ArrayLike
 
 from armlab.errors import ArmlabError, RobotError, ShapeError, UnknownName
 
-__all__ = [
-    "check_name", "flag", "frozen", "generator", "make_read_only", "members", "number", "numbers", "positive",
-    "rows_text", "still",
-]  # fmt: skip
-
 
 def numbers(value: ArrayLike, what: str, error: type[ArmlabError] = RobotError) -> np.ndarray:
     """Return real numbers as float64, without a copy where possible; raise `error` for anything else.

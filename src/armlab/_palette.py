@@ -5,8 +5,6 @@ Okabe and Ito, "Color Universal Design" (2008), without yellow, which vanishes o
 
 from __future__ import annotations
 
-__all__ = ["AXIS_COLORS", "BLACK", "BLUE", "COLORS", "GREEN", "GREY", "ORANGE", "PURPLE", "SKY", "VERMILION"]
-
 BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
 PURPLE, ORANGE, SKY, BLACK = "#CC79A7", "#E69F00", "#56B4E9", "#000000"
 GREY = "#4D4D4D"

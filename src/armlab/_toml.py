@@ -6,8 +6,6 @@ import re
 import tomllib
 from typing import Any
 
-__all__ = ["TomlError", "parsed"]
-
 _LARGEST = 2**63
 _LONGEST = 1 << 24  # characters; a robot has 5 kB, a motion with its covariance 2 MB
 _MOST = 10_000  # keys and tables, each of which takes the parser up to 0.3 ms

@@ -5,12 +5,4 @@ from armlab.fleet.identification import Identified, identify
 from armlab.fleet.logs import estimate, export
 from armlab.fleet.recorder import FleetRecorder
 
-__all__ = [
-    "FleetRecorder",
-    "Identified",
-    "Router",
-    "estimate",
-    "export",
-    "identify",
-    "list_robots",
-]
+__all__ = ["FleetRecorder", "Identified", "Router", "estimate", "export", "identify", "list_robots"]

@@ -7,7 +7,6 @@ import math
 import threading
 import time
 from collections.abc import Sequence
-from types import TracebackType
 from typing import Any, NamedTuple
 
 from armlab.bridge.net.sockets import is_here
@@ -139,11 +138,7 @@ class Router:
     """
 
     def __init__(
-        self,
-        host: str = "127.0.0.1",
-        port: int = 7447,
-        connect: Sequence[str] = (),
-        security: Security | None = None,
+        self, host: str = "127.0.0.1", port: int = 7447, connect: Sequence[str] = (), security: Security | None = None
     ) -> None:
         safe = security or Security()
         try:
@@ -163,9 +158,7 @@ class Router:
     def __enter__(self) -> Router:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:

@@ -12,7 +12,6 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from armlab.bridge.servers.row import MAGIC, RowField, RowSchema
@@ -78,9 +77,7 @@ class FleetRecorder:
     def __enter__(self) -> FleetRecorder:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property

@@ -25,11 +25,7 @@ def recording_table(
     source: Sequence[str] = (),
     raw: bool = False,
 ) -> Table:
-    """Return the table of one recording: t = 0 at the first row, columns without any value left out.
-
-    `values`: column name -> (N, ...), missing values NaN, of clocks in ns 0; `stamp_ns`: (N,) wall clock of each row.
-    Returned: on the robot's clock where it was recorded, else on the bridge's.
-    """
+    """Return the table of columns (N, ...), t = 0 at the first row, without those that have no value at all."""
     t, clock = recording_clock(values, stamp_ns)
     t, keep, dropped = rows_in_order(t, raw)
     notes = [*notes, *dropped]
@@ -45,13 +41,7 @@ def recording_table(
             notes.append(f"{name}: values that are no {described[name].kind}, kept as real")
             described[name] = replace(described[name], kind="real")
     return Table(
-        t,
-        present,
-        described,
-        t0_ns=wall_at_zero(t, stamp_ns),
-        clock=clock,
-        notes=tuple(notes),
-        source=tuple(source),
+        t, present, described, t0_ns=wall_at_zero(t, stamp_ns), clock=clock, notes=tuple(notes), source=tuple(source)
     )
 
 
@@ -139,8 +129,9 @@ def _fits(array: np.ndarray, kind: str | None) -> bool:
 
 
 def _absent(array: np.ndarray, column: Column) -> bool:
+    """Tell whether no row has a value; a clock that was never sent reads 0."""
     if array.dtype.kind == "i" and column.unit == "ns":
-        return array.size > 0 and not (array > 0).any()  # a clock that was never sent
+        return array.size > 0 and not (array > 0).any()
     return array.dtype.kind == "f" and array.size > 0 and bool(np.isnan(array).all())
 
 

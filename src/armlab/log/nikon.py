@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from armlab._numbers import still
 from armlab.errors import LogError, ShapeError
 from armlab.lie import euler, se3, so3
 from armlab.log.file_formats.mat import read_mat
@@ -101,7 +102,13 @@ def read_cloud(path: str | Path) -> Cloud:
     rows, stopped, comments = _rows(Path(path), 7)
     values = np.array(rows)
     R = euler.from_rpy(np.deg2rad(values[:, 4:7]), "xyz")
-    return Cloud(_frozen(MM * values[:, 1:4]), _frozen(values[:, 0]), _frozen(R), stopped, comments)
+    return Cloud(
+        still(MM * values[:, 1:4], "points"),
+        still(values[:, 0], "an index"),
+        still(R, "orientations"),
+        stopped,
+        comments,
+    )
 
 
 def read_plane(path: str | Path, raw: bool = False) -> PlaneFile:
@@ -129,7 +136,9 @@ def read_plane(path: str | Path, raw: bool = False) -> PlaneFile:
         raise LogError(
             f"Expected a normal of length 1 in column 3 of {path}, got {length:.6g}. Name the file of a plane."
         )
-    return PlaneFile(_frozen(M[:3, 2] / (1.0 if raw else length)), _frozen(MM * M[:3, 3]), stopped, comments)
+    return PlaneFile(
+        still(M[:3, 2] / (1.0 if raw else length), "a normal"), still(MM * M[:3, 3], "a point"), stopped, comments
+    )
 
 
 def read_matrix(path: str | Path, name: str | None = None, project: bool = False) -> PoseFile:
@@ -153,7 +162,8 @@ def read_matrix(path: str | Path, name: str | None = None, project: bool = False
         raise LogError(f"Expected one 4x4 array in {path}, got {have}. Say which by name=.")
     key, M = next(iter(fitting.items()))
     if not np.isfinite(M).all():
-        raise LogError(f"Expected a pose in {key} of {path}, got NaN or Inf in row {1 + _first_bad(M)}.")
+        row = 1 + int(np.flatnonzero(~np.isfinite(M).all(axis=1))[0])
+        raise LogError(f"Expected a pose in {key} of {path}, got NaN or Inf in row {row}.")
     if np.linalg.det(M[:3, :3]) < 0:
         raise LogError(f"Expected a rotation in {key} of {path}, got a left-handed matrix. One axis of it is mirrored.")
     M[:3, 3] *= MM
@@ -169,7 +179,7 @@ def read_matrix(path: str | Path, name: str | None = None, project: bool = False
                 f"(RᵀR off by {off:.3g}). Say project=True to take that one."
             )
         M = nearest
-    return PoseFile(_frozen(M), key, float(distance))
+    return PoseFile(still(M, "a pose"), key, float(distance))
 
 
 def _rows(path: Path, columns: int) -> tuple[list[list[float]], int, dict[str, str]]:
@@ -211,13 +221,3 @@ def _text(path: Path) -> str:
     if b"\0" in data:
         raise LogError(f"Expected text at {path}, got bytes that are none. read_matrix reads MAT files.")
     return data.decode("utf-8", errors="replace").lstrip("\ufeff")
-
-
-def _first_bad(M: np.ndarray) -> int:
-    return int(np.flatnonzero(~np.isfinite(M).all(axis=1))[0])
-
-
-def _frozen(values: np.ndarray) -> np.ndarray:
-    values = np.array(values)
-    values.flags.writeable = False
-    return values

@@ -16,20 +16,10 @@ from armlab.log.file_formats.description import Progress
 from armlab.log.file_formats.hdf5_parquet import read_hdf5, read_parquet
 from armlab.log.file_formats.labcomm import read_labcomm
 from armlab.log.file_formats.mat import read_mat_table
-from armlab.log.file_formats.opening import BAGS, check_readable, format_at, naming, opened
+from armlab.log.file_formats.opening import BAGS, check_readable, format_at, naming, opened, undamaged
 from armlab.log.file_formats.rosbag2 import read_rosbag2
 from armlab.log.mcap.records import DAMAGE, Contents, contents
-from armlab.log.recording.columns import (
-    CLOCK_COLUMNS,
-    clock_channel,
-    clocks,
-    columns_at,
-    earlier,
-    kept_clock,
-    sources_of,
-    summary_of,
-    torn_sentence,
-)
+from armlab.log.recording import columns as recorded
 from armlab.log.recording.metadata import inspect
 from armlab.log.recording.ros_messages import topic_name
 from armlab.log.table import Table
@@ -108,21 +98,17 @@ def _read_mcap(path: Path, choice: Choice, robot: Robot | str | None, progress: 
     check_readable(path)
     with opened(path) as view, ThreadPoolExecutor(1) as background:
         hashed = background.submit(lambda: hashlib.sha256(view).hexdigest())
-        try:
+        with undamaged(f"recording in {path}", DAMAGE):
             found = contents(view)
-            if found.channels and not clocks(found):
+            if found.channels and not recorded.clocks(found):
                 return read_foreign(path, choice, robot, progress)
             _refuse_clock(path, choice.clock)
-            own = clock_channel(found, path, robot.name if isinstance(robot, Robot) else robot)
+            own = recorded.clock_channel(found, path, robot.name if isinstance(robot, Robot) else robot)
             table, damage = _recording(view, found, path, own, choice, progress)
-        except ArmlabError:
-            raise
-        except DAMAGE as error:
-            raise LogError(f"Expected a whole recording in {path}, got a damaged one ({error}).") from None
-        source = (f"{path.name} sha256 {hashed.result()}", *earlier(view, found))
+        source = (f"{path.name} sha256 {hashed.result()}", *recorded.earlier(view, found))
     notes = [sentence for _, sentence in found.damaged] + damage
     if not found.finished:
-        notes.insert(0, torn_sentence(path, found, table))
+        notes.insert(0, recorded.torn_sentence(path, found, table))
     if notes:
         warnings.warn("; ".join(notes[:3]), stacklevel=3)
     return replace(table, notes=(*notes, *_holes(view, found, own), *table.notes), source=(*source, *table.source))
@@ -149,7 +135,7 @@ def _refuse_robot(path: Path, robot: Robot | str | None) -> None:
 
 def _holes(view: memoryview, found: Contents, clock: int) -> tuple[str, ...]:
     """Return in a sentence what the recorder dropped of the robot with this clock channel."""
-    told = summary_of(view, found).get("holes")
+    told = recorded.summary_of(view, found).get("holes")
     robot = found.channels[clock].topic.strip("/").rpartition("/")[0]
     listed = [hole for hole in told if isinstance(hole, list) and len(hole) > 2] if isinstance(told, list) else []
     holes = [hole for hole in listed if len(hole) < 5 or hole[4] == robot]
@@ -166,19 +152,19 @@ def _recording(
 ) -> tuple[Table, list[str]]:
     """Return the table of the robot with this clock channel, and what is damaged."""
     columns = choice.columns
-    sources = sources_of(found, clock)
+    sources = recorded.sources_of(found, clock)
     wanted = list(sources) if columns is None else list(columns)
     for name in wanted:
         if name not in sources:
             raise UnknownName.among("column", name, sources)
-    needed = dict.fromkeys([*wanted, *(name for name in CLOCK_COLUMNS if name in sources)])
-    values, rows, damage = columns_at(view, found, clock, {name: sources[name] for name in needed}, progress)
+    needed = dict.fromkeys([*wanted, *(name for name in recorded.CLOCK_COLUMNS if name in sources)])
+    values, rows, damage = recorded.columns_at(view, found, clock, {name: sources[name] for name in needed}, progress)
     described = {name: sources[name].column for name in values}
     try:
         table = recording_table(values, described, rows.log_ns, raw=choice.raw)
     except ArmlabError as error:  # the file's descriptions contradict the glossary or each other
         raise LogError(f"Expected columns that armlab knows in {path}, got others: {error}") from None
-    t0_ns, clock_name = kept_clock(found, sources, table.t0_ns, table.clock)
+    t0_ns, clock_name = recorded.kept_clock(found, sources, table.t0_ns, table.clock)
     table = replace(table, t0_ns=t0_ns, clock=clock_name)
     if columns is None:
         return table, damage
@@ -210,7 +196,12 @@ def read_arm(path: str | Path, robot: Robot, progress: Progress | None = None) -
     if missing:
         raise LogError(
             f"Expected positions and torques, columns q and tau, in {path}, got none for {' and '.join(missing)} among "
-            f"{', '.join(table.names)}. {_advice(missing)}"
+            f"{', '.join(table.names)}. "
+            + (
+                "Record with the research extension, which sends torques."
+                if missing == ["tau"]
+                else "Name a log of the joints: armlab log show tells what one holds."
+            )
         )
     if table["q"].shape[1:] != (robot.n,):
         raise ModelMismatchError(
@@ -218,13 +209,6 @@ def read_arm(path: str | Path, robot: Robot, progress: Progress | None = None) -
             "Name the robot that was logged."
         )
     return table
-
-
-def _advice(missing: list[str]) -> str:
-    """Say where columns that are missing may come from."""
-    if missing == ["tau"]:
-        return "Record with the research extension, which sends torques."
-    return "Name a log of the joints: armlab log show tells what one holds."
 
 
 def _is_of_several(path: Path, robot: Robot) -> bool:

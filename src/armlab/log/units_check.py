@@ -10,9 +10,7 @@ from armlab.robots import Robot
 TOLERANCE, CORRELATION = 0.1, 0.98  # of velocity against the slope of position
 BEYOND = 3.0  # times the limits: a position so far out has another unit
 FLAT = 0.8  # share of rows with one and the same torque
-LIGHT = (
-    0.1  # kg/m^3, torque as weight at the reach, per cubed reach: real arms have 1 to 60, motors of geared ones < 0.05
-)
+LIGHT = 0.1  # kg/m^3, torque as weight at the reach, per cubed reach: real arms 1 to 60, motors of geared ones < 0.05
 HEAVY, DYNAMIC = 12.0, 3.0  # times lighter than the links, which is no error of masses; share for what is not weight
 GEARED = 10.0
 MOVED = (0.005, np.deg2rad(1.0))  # m, rad: a joint that moved less says nothing of its velocity
@@ -110,12 +108,10 @@ def _meaning(gain: float, correlation: float, gear: float) -> str:
 
 
 def check_torque(q: np.ndarray, tau: np.ndarray, used: np.ndarray, robot: Robot) -> None:
-    """Refuse torques that no arm needs: constant, or so small that they are the motors'.
+    """Refuse torques (N, n) that no arm needs: constant, or so small that they are the motors'.
 
     With masses in the robot file, torque is compared with the weight of the links. Without, with the reach: half the
     range of torque over ``g reach^4`` is 1 to 60 kg/m^3 on arms from 0.5 to 300 kg of payload.
-
-    `q`, `tau`: (N, n) position and torque; `used`: (n,) joints whose torque is fitted.
     """
     _check_constant(tau, used, robot)
     sized = _against_links(q, tau, used, robot) if robot.inertias is not None else _against_reach(tau, used, robot)
@@ -145,9 +141,7 @@ def _check_constant(tau: np.ndarray, used: np.ndarray, robot: Robot) -> None:
         ]
         listed = ", ".join(f"{a} ({b})" for a, b in zip(names, spread))
         raise NotExcited(
-            f"Expected measured torques, got a constant for {listed}. Check that the robot sends torque.",
-            names,
-            spread,
+            f"Expected measured torques, got a constant for {listed}. Check that the robot sends torque.", names, spread
         )
 
 

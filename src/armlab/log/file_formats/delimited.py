@@ -315,24 +315,11 @@ def _typed(kind: str, texts: Sequence[str]) -> np.ndarray:
         return _words(texts, "a column of texts")
     if kind in _WHOLE:
         return np.array([int(text) for text in texts], dtype=np.int64)
-    array = _decimals(texts)
-    return np.array([text or "nan" for text in texts], dtype=np.float64) if array is None else array
-
-
-def _decimals(texts: Sequence[str]) -> np.ndarray | None:
-    """Return a column of decimal numbers and empty fields (N,), read as JSON; None of another."""
-    try:
-        found = np.array(_decoded(",".join(texts).encode(), ",")[0], dtype=float)
-    except (ValueError, OverflowError, msgspec.DecodeError):
-        return None
-    return found if found.shape == (len(texts),) else None
+    return np.array([text or "nan" for text in texts], dtype=np.float64)
 
 
 def _numbers(path: Path, name: str, texts: Sequence[str], skip: int) -> np.ndarray:
     """Return the numbers (N,) of a column, NaN where empty; words where it has one. Large whole ones stay whole."""
-    array = _decimals(texts)
-    if array is not None:
-        return _whole_numbers(texts, array) if (np.abs(array) >= _EXACT).any() else array
     filled = [text.strip() or "nan" for text in texts]  # Python knows more kinds of space than NumPy
     try:
         array = np.array(filled, dtype=float)

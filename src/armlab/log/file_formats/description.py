@@ -184,39 +184,16 @@ def _stored(array: np.ndarray, kind: str) -> np.ndarray:
 CLOCKS = ("t", "time")
 """Names of the clock of a file."""
 
+_RAD = np.pi / 180.0
 UNITS = {
-    "s": ("s", 1.0),
-    "ms": ("s", 1e-3),
-    "us": ("s", 1e-6),
-    "ns": ("s", 1e-9),
-    "rad": ("rad", 1.0),
-    "deg": ("rad", np.pi / 180.0),
-    "m": ("m", 1.0),
-    "mm": ("m", 1e-3),
-    "rad/s": ("rad/s", 1.0),
-    "deg/s": ("rad/s", np.pi / 180.0),
-    "rev/min": ("rad/s", np.pi / 30.0),
-    "rpm": ("rad/s", np.pi / 30.0),
-    "m/s": ("m/s", 1.0),
-    "mm/s": ("m/s", 1e-3),
-    "rad/s^2": ("rad/s^2", 1.0),
-    "deg/s^2": ("rad/s^2", np.pi / 180.0),
-    "m/s^2": ("m/s^2", 1.0),
-    "N": ("N", 1.0),
-    "N m": ("N m", 1.0),
-    "Nm": ("N m", 1.0),
-    "N*m": ("N m", 1.0),
-    "mN m": ("N m", 1e-3),
-    "kg": ("kg", 1.0),
-    "A": ("A", 1.0),
-    "mA": ("A", 1e-3),
-    "V": ("V", 1.0),
-    "W": ("W", 1.0),
-    "degC": ("degC", 1.0),
-    "Hz": ("Hz", 1.0),
-    "1": ("1", 1.0),
-    "": ("", 1.0),
-}
+    "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "ns": ("s", 1e-9), "rad": ("rad", 1.0), "deg": ("rad", _RAD),
+    "m": ("m", 1.0), "mm": ("m", 1e-3), "rad/s": ("rad/s", 1.0), "deg/s": ("rad/s", _RAD),
+    "rev/min": ("rad/s", np.pi / 30.0), "rpm": ("rad/s", np.pi / 30.0), "m/s": ("m/s", 1.0), "mm/s": ("m/s", 1e-3),
+    "rad/s^2": ("rad/s^2", 1.0), "deg/s^2": ("rad/s^2", _RAD), "m/s^2": ("m/s^2", 1.0), "N": ("N", 1.0),
+    "N m": ("N m", 1.0), "Nm": ("N m", 1.0), "N*m": ("N m", 1.0), "mN m": ("N m", 1e-3), "kg": ("kg", 1.0),
+    "A": ("A", 1.0), "mA": ("A", 1e-3), "V": ("V", 1.0), "W": ("W", 1.0), "degC": ("degC", 1.0), "Hz": ("Hz", 1.0),
+    "1": ("1", 1.0), "": ("", 1.0),
+}  # fmt: skip
 HEADING = re.compile(r"^(?P<label>.*?)(?:\s+\[(?P<unit>[^\[\]]*)\]|\[(?P<tight>[^\[\]\d][^\[\]]*)\])?$")
 NUMBERED = re.compile(
     r"^(?P<name>[A-Za-z]\w*?)(?:_?(?P<number>\d+(?:_\d+)*)|\[(?P<index>\d+)\])$"
@@ -294,11 +271,7 @@ def _glossary_units() -> set[str]:
 
 
 def _clock(
-    path: Path,
-    values: dict[str, np.ndarray],
-    columns: dict[str, Column],
-    rate: float | None,
-    row: Callable[[int], str],
+    path: Path, values: dict[str, np.ndarray], columns: dict[str, Column], rate: float | None, row: Callable[[int], str]
 ) -> np.ndarray:
     """Take the clock (N,) [s] out of the columns, or make it of the rate."""
     name = next((clock for clock in CLOCKS if clock in values), None)
@@ -375,12 +348,9 @@ def _shared_unit(name: str, members: list[Column]) -> str | None:
 def foreign_table(
     path: Path, arrays: Mapping[str, tuple[np.ndarray, str]], left_out: Sequence[str] = (), raw: bool = False
 ) -> Table:
-    """Return the table of arrays by name.
+    """Return the table of arrays by name, with their units; names of the ancestors' logs are read as ours.
 
-    The clock is t, time or timestamp. Other arrays have as many rows, or as many columns: they are transposed. Names of
-    the ancestors' logs are read as ours. What has another size is left out, and named in the notes.
-
-    `arrays`: name -> values and unit, "" for none.
+    The clock is t, time or timestamp. Arrays with as many columns are transposed, those of another size left out.
     """
     named = {OLD_NAMES.get(name, name): entry for name, entry in arrays.items()}
     clock = next((name for name in CLOCKS if name in named and _is_line(named[name][0])), None)

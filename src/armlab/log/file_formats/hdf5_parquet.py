@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from armlab._interrupts import deferred
-from armlab.errors import ArmlabError, LogError, UnknownName
+from armlab.errors import UnknownName
 from armlab.log.column import Column
 from armlab.log.file_formats.description import (
     Description,
@@ -24,7 +24,7 @@ from armlab.log.file_formats.description import (
     of_json,
     put_together,
 )
-from armlab.log.file_formats.opening import check_unpacked_size, needed
+from armlab.log.file_formats.opening import check_unpacked_size, needed, undamaged
 from armlab.log.table import Table
 
 CHUNK = 1 << 18  # bytes: what a reader of a few rows unpacks
@@ -79,23 +79,17 @@ def _dataset(h5py: Any, whole: Any, name: str, array: np.ndarray) -> Any:
 def read_hdf5(path: Path, columns: Sequence[str] | None = None, *, raw: bool = False) -> Table:
     """Return the table in an HDF5 file: one of `write_hdf5`, or the datasets of another program by `foreign_table`."""
     h5py = needed("h5py", f"to read {path}, a file in HDF5")
-    try:
-        with h5py.File(path, "r") as whole:
-            check_unpacked_size(path, stored_size(h5py, whole))
-            if "armlab" not in whole.attrs:
-                arrays, left_out = _datasets(h5py, whole)
-                return foreign_table(path, arrays, left_out, raw)
-            about, names = _described(whole)
-            wanted = list(names) if columns is None else list(columns)
-            for name in wanted:
-                if name not in names:
-                    raise UnknownName.among("column", name, names)
-            return about.table(path, whole["t"][()], {name: _values(whole[names[name]]) for name in wanted})
-    except ArmlabError:
-        raise
-    except Exception as error:  # h5py raises OSError, RuntimeError, KeyError and more on damaged files
-        what = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-        raise LogError(f"Expected a whole HDF5 file at {path}, got a damaged one: {what[:200]}.") from None
+    with undamaged(f"HDF5 file at {path}"), h5py.File(path, "r") as whole:
+        check_unpacked_size(path, stored_size(h5py, whole))
+        if "armlab" not in whole.attrs:
+            arrays, left_out = _datasets(h5py, whole)
+            return foreign_table(path, arrays, left_out, raw)
+        about, names = _described(whole)
+        wanted = list(names) if columns is None else list(columns)
+        for name in wanted:
+            if name not in names:
+                raise UnknownName.among("column", name, names)
+        return about.table(path, whole["t"][()], {name: _values(whole[names[name]]) for name in wanted})
 
 
 def stored_size(h5py: Any, whole: Any) -> int:
@@ -171,63 +165,45 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None, *, raw: bool 
     """Return the table in a Parquet file: one of `write_parquet`, or the columns of another program."""
     what = f"to read {path}, a file in Parquet"
     pa, parquet = needed("pyarrow", what), needed("pyarrow.parquet", what)
-    try:
-        with parquet.ParquetFile(path) as file:
-            check_unpacked_size(path, 8 * file.metadata.num_rows * file.metadata.num_columns)
-            about = (file.schema_arrow.metadata or {}).get(b"armlab")
-            if about is None:
-                return _foreign(pa, path, file, raw)
-            return _as_written(path, file, of_json(about, path), columns)
-    except ArmlabError:
-        raise
-    except Exception as error:  # Arrow raises its own errors, OSError, and those of Python for damaged names
-        what = " ".join(str(error).split()).rstrip(".")
-        raise LogError(f"Expected a whole Parquet file at {path}, got a damaged one: {what[:200]}.") from None
+    with undamaged(f"Parquet file at {path}"), parquet.ParquetFile(path) as file:
+        check_unpacked_size(path, 8 * file.metadata.num_rows * file.metadata.num_columns)
+        about = (file.schema_arrow.metadata or {}).get(b"armlab")
+        if about is None:
+            return _foreign(pa, path, file, raw)
+        return _as_written(path, file, of_json(about, path), columns)
 
 
 def _as_written(path: Path, file: Any, about: Description, columns: Sequence[str] | None) -> Table:
     for name in columns or ():
         if name not in about.columns:
             raise UnknownName.among("column", name, about.columns)
-    labels = list(file.schema_arrow.names)
-    wanted = labels if columns is None else _labels_of(about, labels, columns)
-    found = file.read(wanted)
+    clock, *labels = file.schema_arrow.names
+    owners = [name for name, one in about.columns.items() for _ in range(int(np.prod(one.shape, dtype=int)))]
+    wanted = [label for label, owner in zip(labels, owners) if columns is None or owner in columns]
+    found = file.read([clock, *wanted])
     if columns is not None:
         about = about.selected(columns)
-    t, *parts = (_array_values(found.column(label)) for label in wanted)
+    t, *parts = (_array_values(found.column(label)) for label in (clock, *wanted))
     return about.table(path, t, put_together(about, parts, len(t)))
-
-
-def _labels_of(about: Description, labels: Sequence[str], columns: Sequence[str]) -> list[str]:
-    """Return the labels of the clock and of the components of some columns."""
-    kept, at = [labels[0]], 1
-    for name, column in about.columns.items():
-        size = int(np.prod(column.shape, dtype=int))
-        kept += labels[at : at + size] if name in columns else []
-        at += size
-    return kept
 
 
 def _foreign(pa: Any, path: Path, file: Any, raw: bool) -> Table:
     """Return the columns of another program; what is neither number nor text is left out and named."""
     table, left_out, arrays = file.read(), [], {}
+    kinds = pa.types.is_floating, pa.types.is_integer, pa.types.is_string, pa.types.is_large_string
     for field, (name, unit) in zip(table.schema, names_of(path, table.schema.names), strict=True):
         column = table.column(field.name)
         if pa.types.is_timestamp(field.type):
             column, unit = column.cast(pa.timestamp("ns")).cast(pa.int64()), "ns"
         elif pa.types.is_boolean(field.type):
             column = column.cast(pa.int8())
-        elif not any(is_kind(field.type) for is_kind in _read(pa.types)):
+        elif not any(is_kind(field.type) for is_kind in kinds):
             left_out.append(f"{field.name} ({field.type})")
             continue
         said = (field.metadata or {}).get(b"unit", b"").decode(errors="replace")
         arrays[name] = (_array_values(column), unit or said)
     notes = [f"left out: {', '.join(left_out)}"] if left_out else []
     return labelled_table(path, arrays, notes=notes, raw=raw)
-
-
-def _read(types: Any) -> tuple[Any, ...]:
-    return types.is_floating, types.is_integer, types.is_string, types.is_large_string
 
 
 def _array_values(column: Any) -> np.ndarray:

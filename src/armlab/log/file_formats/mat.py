@@ -23,7 +23,7 @@ import numpy as np
 from armlab.errors import LogError, UnknownName
 from armlab.log.file_formats.description import Description, Progress, distinct, foreign_table, of_json
 from armlab.log.file_formats.hdf5_parquet import stored_size
-from armlab.log.file_formats.opening import check_unpacked_size, needed
+from armlab.log.file_formats.opening import FIRST, check_unpacked_size, format_of, needed, undamaged
 from armlab.log.table import Table
 
 _HEADER = 128  # bytes of text, version and byte order before the first element
@@ -170,10 +170,6 @@ def _next(parts: Iterator[tuple[int, memoryview]]) -> tuple[int, memoryview]:
     return found
 
 
-OFFSETS = (0, 512)  # of the signature of HDF5: MATLAB puts 512 bytes of text before it
-SIGNATURE = b"\x89HDF\r\n\x1a\n"
-
-
 def read_mat(path: str | Path, name: str | None = None) -> dict[str, np.ndarray]:
     """Read the real numerical arrays of a ``.mat`` file, by name.
 
@@ -203,10 +199,10 @@ def read_variables(path: Path) -> tuple[dict[str, np.ndarray], list[str]]:
     """Return the arrays of real numbers and of text in a MAT file by name, and the names of what else it has."""
     try:
         with path.open("rb") as file:
-            head = file.read(1024)
+            head = file.read(FIRST)
     except OSError as error:
         raise LogError(f"Expected a MAT file at {path}, got: {error.strerror}.") from None
-    if any(head[a : a + 8] == SIGNATURE for a in OFFSETS):
+    if format_of(head) in ("HDF5", "MAT v7.3"):
         found = _hdf5(path)
     elif head.startswith(b"MATLAB 5.0"):
         found = _version_5(path)
@@ -221,20 +217,16 @@ def _version_5(path: Path) -> dict[str, np.ndarray | None]:
     try:
         found = variables_in(path.read_bytes())
     except (LogError, ValueError, OverflowError) as error:  # sizes that do not fit each other, letters that are none
-        raise _damaged(path, error) from None
+        what = str(error).rstrip(".")
+        raise LogError(f"Expected a whole MAT file at {path}, got a damaged one: {what[:200]}.") from None
     return {name: value for name, value in found.items() if name and not name.startswith("__")}
 
 
 def _hdf5(path: Path) -> dict[str, np.ndarray | None]:
     h5py = needed("h5py", f"to read {path}, a MAT file of version 7.3", "or save again with save(..., '-v7')")
-    try:
-        with h5py.File(path, "r") as file:
-            check_unpacked_size(path, stored_size(h5py, file))
-            return {name: _dataset(item, h5py) for name, item in file.items() if not name.startswith("#")}
-    except LogError:
-        raise
-    except Exception as error:  # h5py raises OSError, RuntimeError, KeyError and more on damaged files
-        raise _damaged(path, error) from None
+    with undamaged(f"MAT file at {path}"), h5py.File(path, "r") as file:
+        check_unpacked_size(path, stored_size(h5py, file))
+        return {name: _dataset(item, h5py) for name, item in file.items() if not name.startswith("#")}
 
 
 def _dataset(item: Any, h5py: Any) -> np.ndarray | None:
@@ -248,11 +240,6 @@ def _dataset(item: Any, h5py: Any) -> np.ndarray | None:
         codes = array.T.astype("<u2")
         return np.array([[codes.tobytes().decode("utf-16-le")]]) if len(codes) == 1 else None
     return array.T.copy()
-
-
-def _damaged(path: Path, error: Exception) -> LogError:
-    what = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-    return LogError(f"Expected a whole MAT file at {path}, got a damaged or truncated one: {what[:200]}.")
 
 
 LARGEST = 2**31 - 2**16  # bytes of a variable, with room for what stands before its numbers

@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from armlab.errors import LogError, MissingExtra
+from armlab.errors import ArmlabError, LogError, MissingExtra
 
 FIRST = 1024
 """Bytes from which `format_of` tells the format: HDF5 may have 512 of another program before it."""
@@ -108,6 +108,18 @@ def naming(path: Path) -> Iterator[None]:
 
 
 @contextmanager
+def undamaged(what: str, raised: Any = Exception) -> Iterator[None]:
+    """Make one sentence of what readers raise on damaged files: OSError, RuntimeError, KeyError, their own."""
+    try:
+        yield
+    except ArmlabError:
+        raise
+    except raised as error:
+        words = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        raise LogError(f"Expected a whole {what}, got a damaged one: {words[:200]}.") from None
+
+
+@contextmanager
 def opened(path: Path) -> Iterator[memoryview]:
     """Map a file into memory."""
     try:
@@ -118,10 +130,7 @@ def opened(path: Path) -> Iterator[memoryview]:
     yield memoryview(mapped)  # released with the last array that looks at it
 
 
-_ANY, _RATIO = (
-    1 << 26,
-    1000,
-)  # bytes of any file; above that, for each of its own: a column that never changes reaches it
+_ANY, _RATIO = 1 << 26, 1000  # bytes of any file; above that, for each of its own: constant columns reach it
 
 
 def check_unpacked_size(path: Path, size: int) -> None:

@@ -17,12 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from armlab.errors import ArmlabError, LogError, UnknownName
+from armlab.errors import LogError, UnknownName
 from armlab.lie import quaternion, se3
 from armlab.log.column import Column
 from armlab.log.file_formats.description import Description, Progress, distinct, of_json
+from armlab.log.file_formats.opening import undamaged
 from armlab.log.mcap.decode import MessageReader, assembled, read_blocks, split
-from armlab.log.recording.ros_messages import blank, definition, store, topic_name
+from armlab.log.recording.ros_messages import POSE_FIELDS, WRENCH_FIELDS, blank, definition, store, topic_name
 from armlab.log.table import Table
 from armlab.wire import cdr
 
@@ -31,10 +32,7 @@ JOINTS = "sensor_msgs/msg/JointState"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 POSE = "geometry_msgs/msg/PoseStamped"
 TEXT = "std_msgs/msg/String"
-_FIELDS = {
-    WRENCH: tuple(f"wrench.{part}.{axis}" for part in ("force", "torque") for axis in "xyz"),
-    POSE: (*(f"pose.position.{a}" for a in "xyz"), *(f"pose.orientation.{a}" for a in "xyzw")),
-}
+_FIELDS = {WRENCH: WRENCH_FIELDS, POSE: POSE_FIELDS}
 _SCALARS = {"count": "std_msgs/msg/Int64", "flag": "std_msgs/msg/Bool"}
 _ARRAYS = {"count": "std_msgs/msg/Int64MultiArray", "flag": "std_msgs/msg/UInt8MultiArray"}
 _NUMBERS = {"std_msgs/msg/Int64MultiArray": "i8", "std_msgs/msg/UInt8MultiArray": "u1"}
@@ -216,8 +214,6 @@ def write_rosbag2(
 
     from rosbags.rosbag2 import StoragePlugin, Writer
 
-    from armlab.log.recording.ros_messages import store
-
     if storage not in STORAGES:
         raise UnknownName.among("storage", storage, STORAGES)
     stamps, poses = _stamps(table), whole_poses(table)
@@ -269,20 +265,12 @@ def read_rosbag2(path: Path) -> Table:
     """Return the table in a rosbag2 that `write_rosbag2` has written."""
     from rosbags.rosbag2 import Reader
 
-    try:
-        with Reader(path) as bag:
-            text = (getattr(bag.storage.metadata, "custom", None) or {}).get("armlab")
-            if text is None:
-                topics = ", ".join(f"{one.topic} ({one.msgtype})" for one in bag.connections) or "none"
-                raise LogError(
-                    f"Expected a rosbag2 that armlab has written in {path}, got another one; topics: {topics}."
-                )
-            return _table(path, bag, text)
-    except ArmlabError:
-        raise
-    except Exception as error:  # rosbags raises its own errors, those of SQLite, YAML, zstd, struct and assertions
-        what = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-        raise LogError(f"Expected a whole rosbag2 in {path}, got a damaged one: {what[:200]}.") from None
+    with undamaged(f"rosbag2 in {path}"), Reader(path) as bag:
+        text = (getattr(bag.storage.metadata, "custom", None) or {}).get("armlab")
+        if text is None:
+            topics = ", ".join(f"{one.topic} ({one.msgtype})" for one in bag.connections) or "none"
+            raise LogError(f"Expected a rosbag2 that armlab has written in {path}, got another one; topics: {topics}.")
+        return _table(path, bag, text)
 
 
 def _table(path: Path, bag: Any, text: str) -> Table:

@@ -23,7 +23,7 @@ from armlab.errors import LogError
 from armlab.kernels import MessageCopier
 from armlab.log.column import refuse_ragged
 from armlab.log.file_formats.description import Progress
-from armlab.log.mcap.records import DAMAGE, MESSAGE, Chunk, Contents, records, unpacked
+from armlab.log.mcap.records import DAMAGE, MESSAGE, Chunk, Contents, messages_in, pieces, records, records_at, unpacked
 from armlab.wire import cdr
 
 _MAX_VARIANTS = 8  # layouts remembered per channel and length; text that differs in every message is read one by one
@@ -429,17 +429,13 @@ def _first_messages(view: memoryview, chunks: Sequence[Chunk], channels: Collect
     found: dict[int, bytes] = {}
     for chunk in [one for one in chunks if one.indexes.keys() & set(channels)][:_TRIES]:
         missing = chunk.indexes.keys() & set(channels) - found.keys()
-        try:
-            data = unpacked(view, chunk) if missing else b""
-        except LogError:
-            continue
-        for kind, start, stop in records(memoryview(data), 0, len(data)):
-            number = data[start] | data[start + 1] << 8 if kind == MESSAGE and stop - start >= 22 else -1
-            if number in missing:
-                found[number] = data[start + 22 : stop]
-                missing.discard(number)
-            if not missing:
-                break
+        with suppress(LogError):
+            for number, *_, message in messages_in(unpacked(view, chunk) if missing else None):
+                if number in missing:
+                    found[number] = message
+                    missing.discard(number)
+                if not missing:
+                    break
     return found
 
 
@@ -507,38 +503,21 @@ def skipped(count: int, topic: str, reason: str) -> str:
 
 def messages(view: memoryview, found: Contents, channel: int) -> Iterator[tuple[int, int, bytes]]:
     """Yield (sequence, log time, message) of one channel; damaged chunks are left out."""
-    for chunk in found.chunks:
-        if found.indexed and channel not in chunk.indexes:
-            continue
-        try:
-            data = unpacked(view, chunk)
-        except LogError:
-            continue
-        for kind, start, stop in records(memoryview(data), 0, len(data)):
-            if kind == MESSAGE and stop - start >= 22:
-                number, sequence, log = struct.unpack_from("<HIq", data, start)
+    for piece in pieces(found):
+        if piece is None or not found.indexed or channel in piece.indexes:
+            for number, sequence, log_ns, _, message in messages_in(records_at(view, found, piece)):
                 if number == channel:
-                    yield sequence, log, data[start + 22 : stop]
-    for start, stop in found.loose:
-        if stop - start >= 22:
-            number, sequence, log = struct.unpack_from("<HIq", view, start)
-            if number == channel:
-                yield sequence, log, bytes(view[start + 22 : stop])
+                    yield sequence, log_ns, message
 
 
 def message_counts(view: memoryview, found: Contents) -> Counter[int]:
     """Return how many messages that can be read each channel has."""
     counts: Counter[int] = Counter()
-    for chunk in found.chunks:
-        if found.indexed:
-            counts.update({number: (stop - start) // 16 for number, (start, stop) in chunk.indexes.items()})
-            continue
-        try:
-            offsets = walked(unpacked(view, chunk), found.channels)
-        except LogError:
-            continue
-        counts.update({number: len(places) for number, places in offsets.items()})
-    counts.update(struct.unpack_from("<H", view, start)[0] for start, stop in found.loose if stop - start >= 22)
+    for piece in pieces(found):
+        if piece is not None and found.indexed:
+            counts.update({number: (stop - start) // 16 for number, (start, stop) in piece.indexes.items()})
+        else:
+            counts.update(number for number, *_ in messages_in(records_at(view, found, piece)))
     return counts
 
 

@@ -24,10 +24,9 @@ _of_thread = threading.local()
 
 @dataclass(slots=True)
 class Chunk:
-    """A chunk of messages: where its record is [start, stop), its times, size and checksum, where its data are.
+    """A chunk of messages: places [start, stop) of its record, its data and, by channel, the entries of its indexes.
 
-    `indexes` maps channels to the place [start, stop) of the entries of their MessageIndex. `is_open`: its writer died
-    before it wrote times, size and checksum.
+    `is_open`: its writer died before it wrote times, size and checksum.
     """
 
     start: int
@@ -144,6 +143,7 @@ MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
 ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
 _FOOTER_SIZE = 9 + 20
+_MESSAGE = struct.Struct("<HIQQ")
 OPEN = (1 << 64) - 1
 """Length of a chunk that its writer never finished."""
 _PRIVATE = 128  # from here on kinds of records are the writer's own affair
@@ -184,10 +184,8 @@ class Attached:
 class Contents:
     """What an MCAP file contains.
 
-    `finished`: the file ends with a footer; `torn`: bytes after the last whole record; `indexed`: the summary is whole,
-    so the indexes of the chunks name every message; `profile`, `library`: of the header; `channels`, `chunks`,
-    `attachments`, `metadata`: by channel number; in order; in order; by name; `loose`: places [start, stop) of messages
-    outside chunks; `damaged`: kind of each record left out because it is damaged, and a sentence.
+    `finished`: it ends with a footer; `torn`: bytes after the last whole record; `indexed`: the indexes of the chunks
+    name every message; `loose`: places of messages outside chunks; `damaged`: kind of a record left out, and why.
     """
 
     finished: bool = False
@@ -419,3 +417,26 @@ def _map(view: memoryview, at: int, stop: int) -> dict[str, str]:
         key, at = _text(view, at)
         pairs[key], at = _text(view, at)
     return pairs
+
+
+def pieces(found: Contents) -> list[Chunk | None]:
+    """Return what the messages of a file are in, in the order of reading: the chunks, then None for others."""
+    return [*found.chunks, *([None] if found.loose else [])]
+
+
+def records_at(view: memoryview, found: Contents, piece: Chunk | None) -> bytes | None:
+    """Return the records of a piece, None when it is damaged."""
+    if piece is None:
+        return b"".join(bytes(view[start - 9 : stop]) for start, stop in found.loose)
+    try:
+        return unpacked(view, piece)
+    except LogError:
+        return None
+
+
+def messages_in(data: bytes | None) -> Iterator[tuple[int, int, int, int, bytes]]:
+    """Yield (channel, sequence, log time, publish time, message) of the messages among records, if there are any."""
+    data = data or b""
+    for kind, start, stop in records(memoryview(data), 0, len(data)):
+        if kind == MESSAGE and stop - start >= _MESSAGE.size:
+            yield (*_MESSAGE.unpack_from(data, start), data[start + _MESSAGE.size : stop])

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import os
-import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 from armlab.errors import LogError
+from armlab.log.file_formats.description import Progress
 from armlab.log.file_formats.opening import check_readable, naming, opened
-from armlab.log.mcap.records import CHUNK, MESSAGE, Channel, Chunk, Contents, contents, records, unpacked
+from armlab.log.mcap.records import CHUNK, Channel, Contents, contents, messages_in, pieces, records_at
 from armlab.log.mcap.writer import McapWriter
-
-_MESSAGE = struct.Struct("<HIQQ")
 
 
 @contextlib.contextmanager
@@ -63,31 +61,7 @@ class Registry:
         return self._writer.channel(channel.topic, channel.encoding, self._schemas[key], channel.metadata)
 
 
-def pieces(found: Contents) -> list[Chunk | None]:
-    """Return what the messages of a file are in, in the order of reading: the chunks, then None for others."""
-    return [*found.chunks, *([None] if found.loose else [])]
-
-
-def records_at(view: memoryview, found: Contents, piece: Chunk | None) -> bytes | None:
-    """Return the records of a piece, None when it is damaged."""
-    if piece is None:
-        return b"".join(bytes(view[start - 9 : stop]) for start, stop in found.loose)
-    try:
-        return unpacked(view, piece)
-    except LogError:
-        return None
-
-
-def messages_in(data: bytes) -> Iterator[tuple[int, int, int, int, bytes]]:
-    """Yield (channel, sequence, log time, publish time, message) of the messages among records."""
-    for kind, start, stop in records(memoryview(data), 0, len(data)):
-        if kind == MESSAGE and stop - start >= _MESSAGE.size:
-            yield (*_MESSAGE.unpack_from(data, start), data[start + _MESSAGE.size : stop])
-
-
 _EVENTS = "rcl_interfaces/msg/Log"  # on the real clock also where the rows are not, as in lockstep
-
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,48 +21,25 @@ from tempfile import TemporaryFile
 from typing import Any, Protocol
 
 from armlab._descriptors import Descriptor
-from armlab.log.mcap.records import (
-    ATTACHMENT,
-    ATTACHMENT_INDEX,
-    CHANNEL,
-    CHUNK,
-    CHUNK_INDEX,
-    DATA_END,
-    FOOTER,
-    HEADER,
-    MAGIC,
-    MESSAGE,
-    MESSAGE_INDEX,
-    METADATA,
-    METADATA_INDEX,
-    OPEN,
-    SCHEMA,
-    STATISTICS,
-)
+from armlab.log.mcap import records as kinds
 
 _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_PREFIX = 22
 _CHUNK = struct.Struct("<BQQQQII4sQ")  # record, times, size, checksum, "zstd", length of the data
 _CHUNK_BODY = _CHUNK.size - 9
-_OPENED = _CHUNK.pack(CHUNK, OPEN, 0, 0, 0, 0, 4, b"zstd", OPEN)
+_OPENED = _CHUNK.pack(kinds.CHUNK, kinds.OPEN, 0, 0, 0, 0, 4, b"zstd", kinds.OPEN)
 _ENTRY = struct.Struct("<QQ")
 _KEPT = 2**16  # bytes of the index of the chunks in memory, five minutes of one arm
 
 
 class _WritableFile(Protocol):
-    """What a writer needs of a file."""
+    """What a writer needs of a file; `write` returns how many bytes the system took."""
 
-    def write(self, data: Any, /) -> int:
-        """Write, and return how many bytes the system took."""
-        ...
+    def write(self, data: Any, /) -> int: ...
 
-    def seek(self, at: int, /) -> int:
-        """Go on at another place."""
-        ...
+    def seek(self, at: int, /) -> int: ...
 
-    def truncate(self, size: int, /) -> int:
-        """Cut the file to a size."""
-        ...
+    def truncate(self, size: int, /) -> int: ...
 
 
 @dataclass(slots=True)
@@ -133,7 +110,7 @@ class McapWriter:
         self._index, self._chunks = _Index(_folder(file)), 0
         self._attachments: list[bytes] = []
         self._metadata: list[bytes] = []
-        self._put(MAGIC + _record(HEADER, _text(profile), _text(library)))
+        self._put(kinds.MAGIC + _record(kinds.HEADER, _text(profile), _text(library)))
 
     @property
     def size(self) -> int:
@@ -143,8 +120,8 @@ class McapWriter:
     def metadata(self, name: str, pairs: Mapping[str, str]) -> None:
         """Write a map of texts under a name."""
         self.close_chunk()
-        record = _record(METADATA, _text(name), _map(pairs))
-        self._metadata.append(_record(METADATA_INDEX, struct.pack("<QQ", self._at, len(record)), _text(name)))
+        record = _record(kinds.METADATA, _text(name), _map(pairs))
+        self._metadata.append(_record(kinds.METADATA_INDEX, struct.pack("<QQ", self._at, len(record)), _text(name)))
         self._put(record)
 
     def attach(self, log_ns: int, name: str, media_type: str, data: bytes) -> None:
@@ -152,9 +129,11 @@ class McapWriter:
         self.close_chunk()
         about = struct.pack("<QQ", log_ns, log_ns)
         body = b"".join([about, _text(name), _text(media_type), struct.pack("<Q", len(data)), data])
-        record = _record(ATTACHMENT, body, struct.pack("<I", zlib.crc32(body)))
+        record = _record(kinds.ATTACHMENT, body, struct.pack("<I", zlib.crc32(body)))
         place = struct.pack("<QQ", self._at, len(record))
-        index = _record(ATTACHMENT_INDEX, place, about, struct.pack("<Q", len(data)), _text(name), _text(media_type))
+        index = _record(
+            kinds.ATTACHMENT_INDEX, place, about, struct.pack("<Q", len(data)), _text(name), _text(media_type)
+        )
         self._attachments.append(index)
         self._put(record)
 
@@ -163,7 +142,7 @@ class McapWriter:
         self.close_chunk()
         number = len(self._schemas) + 1
         body = [struct.pack("<H", number), _text(name), _text(encoding), struct.pack("<I", len(text)), text]
-        self._schemas.append(_record(SCHEMA, *body))
+        self._schemas.append(_record(kinds.SCHEMA, *body))
         self._put(self._schemas[-1])
         return number
 
@@ -172,7 +151,7 @@ class McapWriter:
         self.close_chunk()
         number = len(self._channels) + 1
         self._channels.append(
-            _record(CHANNEL, struct.pack("<HH", number, schema), _text(topic), _text(encoding), _map(metadata))
+            _record(kinds.CHANNEL, struct.pack("<HH", number, schema), _text(topic), _text(encoding), _map(metadata))
         )
         self._put(self._channels[-1])
         self._counts[number] = 0
@@ -181,7 +160,7 @@ class McapWriter:
     def message(self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes | bytearray) -> None:
         """Add a message with its times [ns] to the chunk in progress; it is in the file after `push`."""
         length = _MESSAGE_PREFIX + len(data)
-        record = _MESSAGE.pack(MESSAGE, length, channel, sequence, log_ns, publish_ns) + data
+        record = _MESSAGE.pack(kinds.MESSAGE, length, channel, sequence, log_ns, publish_ns) + data
         self.records(record, {channel: _ENTRY.pack(log_ns, self.size)}, log_ns, log_ns)
 
     def records(self, data: bytes, entries: Mapping[int, bytes], first_ns: int, last_ns: int) -> None:
@@ -212,16 +191,16 @@ class McapWriter:
         times = struct.pack("<QQ", chunk.first_ns, chunk.last_ns)
         length = _CHUNK_BODY + chunk.packed
         header = (chunk.first_ns, chunk.last_ns, chunk.size, chunk.crc, 4, b"zstd", chunk.packed)
-        self._write_header(chunk.start, _CHUNK.pack(CHUNK, length, *header))
+        self._write_header(chunk.start, _CHUNK.pack(kinds.CHUNK, length, *header))
         places, indexes, at = [], [], self._at
         for channel, entries in chunk.indexes.items():
             places.append(struct.pack("<HQ", channel, at))
-            indexes.append(_record(MESSAGE_INDEX, struct.pack("<HI", channel, len(entries)), bytes(entries)))
+            indexes.append(_record(kinds.MESSAGE_INDEX, struct.pack("<HI", channel, len(entries)), bytes(entries)))
             at += len(indexes[-1])
             self._counts[channel] += len(entries) // _ENTRY.size
         where = struct.pack("<QQI", chunk.start, length + 9, sum(map(len, places)))
         sizes = struct.pack("<QI4sQQ", at - self._at, 4, b"zstd", chunk.packed, chunk.size)
-        self._index.add(_record(CHUNK_INDEX, times, where, *places, sizes))
+        self._index.add(_record(kinds.CHUNK_INDEX, times, where, *places, sizes))
         self._chunks += 1
         first, last = self._times or (chunk.first_ns, chunk.last_ns)
         self._times = min(first, chunk.first_ns), max(last, chunk.last_ns)
@@ -230,14 +209,14 @@ class McapWriter:
     def finish(self) -> None:
         """Write the chunk in progress, the summary and the footer."""
         self.close_chunk()
-        self._put(_record(DATA_END, struct.pack("<I", 0)))
+        self._put(_record(kinds.DATA_END, struct.pack("<I", 0)))
         before = [*self._schemas, *self._channels, self._statistics()]
-        footer = struct.pack("<BQQQ", FOOTER, 20, self._at, 0)
+        footer = struct.pack("<BQQQ", kinds.FOOTER, 20, self._at, 0)
         crc = 0
         for part in chain(before, self._index.taken(), self._attachments, self._metadata, [footer]):
             crc = zlib.crc32(part, crc)
             self._put(part)
-        self._put(struct.pack("<I", crc) + MAGIC)
+        self._put(struct.pack("<I", crc) + kinds.MAGIC)
 
     def _push(self, chunk: _OpenChunk, how: int) -> None:
         data = b"".join(chunk.pending)
@@ -276,7 +255,7 @@ class McapWriter:
         counts = [struct.pack("<HQ", channel, count) for channel, count in self._counts.items() if count]
         numbers = (len(self._schemas), len(self._channels), len(self._attachments), len(self._metadata))
         head = struct.pack("<QHIIIIQQ", sum(self._counts.values()), *numbers, self._chunks, first, last)
-        return _record(STATISTICS, head, struct.pack("<I", sum(map(len, counts))), *counts)
+        return _record(kinds.STATISTICS, head, struct.pack("<I", sum(map(len, counts))), *counts)
 
 
 def _write_all(write: Callable[[Any], int], data: bytes | bytearray) -> None:

@@ -40,11 +40,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """The rows of one robot in a recording, those too that its table leaves out.
-
-    `channel`: whose messages are the rows; `sequence`: (N,) their numbers; `t`: (N,) seconds as in the table; `kept`:
-    (N,) mask of those that are in it; `stamp_ns`: (N,) wall clock; `t0_ns`, `clock`: as in the table.
-    """
+    """The rows of one robot in a recording (N,), those too that its table leaves out: `kept` masks the others."""
 
     channel: int
     sequence: np.ndarray
@@ -95,13 +91,8 @@ def sources_of(found: Contents, clock: int) -> dict[str, Source]:
 def _source(channel: int, topic: str, key: str, text: str) -> Source:
     try:
         about = json.loads(text)
-        column = Column(
-            shape=tuple(int(size) for size in about["shape"]),
-            unit=about["unit"],
-            frame=about["frame"],
-            labels=tuple(about["labels"]),
-            kind=about["kind"],
-        )
+        shape, labels = tuple(int(size) for size in about["shape"]), tuple(about["labels"])
+        column = Column(shape, about["unit"], about["frame"], labels, about["kind"])
         fields = tuple(about["fields"])
         if not all(isinstance(one, str) for one in fields):
             raise TypeError("fields that are no texts")

@@ -16,17 +16,8 @@ from armlab._descriptors import Descriptor, apart
 from armlab.errors import ConfigError, LogError
 from armlab.kernels import RowEncoder
 from armlab.log.mcap.writer import McapWriter
+from armlab.log.recording import ros_messages as ros
 from armlab.log.recording.metadata import attached, metadata
-from armlab.log.recording.ros_messages import (
-    Plan,
-    clock_metadata,
-    definition,
-    event,
-    parameter,
-    plan,
-    topic_name,
-    topics,
-)
 from armlab.log.recording.rows import RowLayout
 
 if TYPE_CHECKING:
@@ -38,10 +29,7 @@ _FLAGS = os.O_WRONLY | getattr(os, "O_CLOEXEC", 0)
 class PersistentFile:
     """A new file, opened for writing, not buffered.
 
-    Each call looks first whether the descriptor still belongs to the file. If not, the file is opened again by its
-    path, and writing goes on at the same place.
-
-    `name`: absolute path; `closed`: whether `close` was called.
+    Where the descriptor no longer belongs to it, it is opened again by its path, and writing goes on at its place.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -124,12 +112,9 @@ def open_new(path: str | Path) -> tuple[PersistentFile, Path]:
 
 
 class RecordingFile:
-    """One recording: topics of one arm in an MCAP file (profile ros2, zstd).
+    """One recording: topics of one arm in an MCAP file (profile ros2, zstd), from its construction on the disk.
 
-    After construction header, metadata, attachments, schemas and channels are on the disk.
-
-    `attachments`: name -> bytes; the robot's description, robot.toml, is there without; `clock`: of a layout with a
-    column `t`: wall clock of t = 0 [ns], and whose clock `t` is.
+    `clock`: of a layout with a column `t`: wall clock of t = 0 [ns], and whose clock `t` is.
     """
 
     def __init__(
@@ -161,22 +146,24 @@ class RecordingFile:
             self.abandon()
             raise LogError(f"Expected to write the log {self.path}, got: {error.strerror}.") from None
 
-    def _register(self, robot: Robot) -> list[Plan]:
+    def _register(self, robot: Robot) -> list[ros.Plan]:
         """Register all schemas and channels; return how the messages of rows are written."""
         schemas: dict[str, int] = {}
 
         def channel(name: str, message_type: str, metadata: dict[str, str]) -> int:
             if message_type not in schemas:
-                schemas[message_type] = self._writer.schema(message_type, "ros2msg", definition(message_type).encode())
-            topic = f"/{topic_name(robot.name)}/{name}"
+                schemas[message_type] = self._writer.schema(
+                    message_type, "ros2msg", ros.definition(message_type).encode()
+                )
+            topic = f"/{ros.topic_name(robot.name)}/{name}"
             return self._writer.channel(topic, "cdr", schemas[message_type], metadata)
 
         self._events = channel("events", _EVENT_TYPE, {})
         slots, plans = self._layout.slots, []
-        for topic in topics(self._layout, robot.ros_joint_names):
-            clock = clock_metadata(*self._clock) if self._clock and "t" in topic.fields else {}
+        for topic in ros.topics(self._layout, robot.ros_joint_names):
+            clock = ros.clock_metadata(*self._clock) if self._clock and "t" in topic.fields else {}
             number = channel(topic.name, topic.type, topic.metadata(slots) | clock)
-            plans.append(plan(number, topic, slots))
+            plans.append(ros.plan(number, topic, slots))
         self._parameters = channel("parameters", _PARAMETER_TYPE, {})
         return plans
 
@@ -200,7 +187,7 @@ class RecordingFile:
         """Write one line for the events."""
         if self._opening:
             self._open(stamp_ns)
-        self._writer.message(self._events, tick & 0xFFFFFFFF, stamp_ns, stamp_ns, event(stamp_ns, text))
+        self._writer.message(self._events, tick & 0xFFFFFFFF, stamp_ns, stamp_ns, ros.event(stamp_ns, text))
         self._writer.push()
 
     def _open(self, stamp_ns: int) -> None:
@@ -209,7 +196,7 @@ class RecordingFile:
 
     def parameter(self, sequence: int, name: str, value: Any, who: str, stamp_ns: int) -> None:
         """Write the value of a parameter that came into force."""
-        data = parameter(stamp_ns, sequence, name, value, who)
+        data = ros.parameter(stamp_ns, sequence, name, value, who)
         self._writer.message(self._parameters, sequence & 0xFFFFFFFF, stamp_ns, stamp_ns, data)
         self._writer.push()
 
@@ -221,12 +208,12 @@ class RecordingFile:
     def to_disk(self) -> None:
         """Bring everything to the disk, unless the file is closed. Any thread may call it."""
         if not self._file.closed:
-            _fsync(self._file)
+            os.fsync(self._file.fileno())
 
     def sync(self) -> None:
         """Close the chunk and bring everything to the disk: what was written so far survives a power loss."""
         self.close_chunk()
-        _fsync(self._file)
+        os.fsync(self._file.fileno())
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write the summary and the footer, bring file and folder to the disk, and close."""
@@ -235,7 +222,7 @@ class RecordingFile:
         self.close_chunk()
         self.attach("summary.json", json.dumps(summary, indent=1, default=_plain).encode())
         self._writer.finish()
-        _fsync(self._file)
+        os.fsync(self._file.fileno())
         self._file.close()
         with contextlib.suppress(OSError):
             folder = os.open(self.path.parent, os.O_RDONLY)
@@ -255,10 +242,6 @@ class RecordingFile:
 
 def _stamp(row: bytes) -> int:
     return int.from_bytes(row[:8], "little", signed=True)
-
-
-def _fsync(file: PersistentFile) -> None:
-    os.fsync(file.fileno())
 
 
 def _plain(value: Any) -> Any:

@@ -6,7 +6,6 @@ An attached file without secrets stays the same, to the byte. Otherwise its valu
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import io
 import json
@@ -24,10 +23,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+import tomli_w
 
 from armlab._toml import parsed
 from armlab.errors import LogError, RobotError
-from armlab.log.file_formats.opening import check_readable, naming, opened
+from armlab.log.file_formats.opening import check_readable, naming, opened, undamaged
 from armlab.log.mcap.decode import message_counts, messages
 from armlab.log.mcap.records import DAMAGE, Contents, contents
 from armlab.log.recording.columns import clocks, summary_of
@@ -80,39 +80,21 @@ def _without(value: Any, known: dict[int, Any]) -> Any:
     return _TOLD.sub(rf"\1{_HIDDEN}", value) if isinstance(value, str) else value
 
 
-def _to_toml(held: Any) -> str:
-    import tomli_w
-
-    return tomli_w.dumps(held)
-
-
-def _to_json(held: Any) -> str:
-    return json.dumps(held, indent=1) + "\n"
-
-
 def _from_yaml(text: str) -> list[Any]:
     """Return the documents of a file."""
     from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
 
     parser = YAML(typ="safe", pure=True)
     parser.allow_duplicate_keys = True
-    try:
-        return list(parser.load_all(text))
-    except YAMLError as error:
-        raise ValueError("no YAML") from error
+    return list(parser.load_all(text))
 
 
 def _to_yaml(documents: list[Any]) -> str:
     from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
 
     writer, out = YAML(typ="safe", pure=True), io.StringIO()
     writer.default_flow_style = False
-    try:
-        writer.dump_all(documents, out)
-    except YAMLError as error:
-        raise ValueError("no YAML") from error
+    writer.dump_all(documents, out)
     return out.getvalue()
 
 
@@ -140,8 +122,8 @@ def _to_ini(held: dict[str, Any]) -> str:
 
 
 _FORMATS: dict[str, tuple[Callable[[str], Any], Callable[[Any], str]]] = {
-    ".toml": (parsed, _to_toml),
-    ".json": (json.loads, _to_json),
+    ".toml": (parsed, tomli_w.dumps),
+    ".json": (json.loads, lambda held: json.dumps(held, indent=1) + "\n"),
     ".yaml": (_from_yaml, _to_yaml),
     ".yml": (_from_yaml, _to_yaml),
     ".cfg": (_from_ini, _to_ini),
@@ -175,7 +157,7 @@ def attached(robot: Robot, attachments: Mapping[str, bytes]) -> dict[str, bytes]
     from armlab.robots import to_toml
 
     found: dict[str, bytes] = {}
-    with contextlib.suppress(RobotError):  # a name that cannot stand in a file must not cost the recording
+    with suppress(RobotError):  # a name that cannot stand in a file must not cost the recording
         found[ROBOT] = to_toml(robot).encode()
     for name, data in attachments.items():
         found[name] = redacted(name, data)
@@ -283,32 +265,22 @@ def inspect(path: str | Path) -> Inspection:
     """
     path = Path(path)
     check_readable(path)
-    with opened(path) as view, naming(path):
-        try:
-            found = contents(view)
-            attachments = {attached.name: bytes(view[slice(*attached.data)]) for attached in found.attachments}
-            return Inspection(
-                path=path,
-                size=len(view),
-                finished=found.finished,
-                torn=found.torn,
-                metadata=found.metadata,
-                topics=_topics(view, found),
-                events=_made(view, found, _EVENTS, _event),
-                parameters=_made(view, found, _PARAMETERS, _setting),
-                attachments=attachments,
-                summary=summary_of(view, found),
-                robots=tuple(topic.strip("/").rpartition("/")[0] for topic in clocks(found).values()),
-            )
-        except LogError:
-            raise
-        except DAMAGE as error:
-            raise LogError(f"Expected a whole MCAP file at {path}, got a damaged one ({error}).") from None
-
-
-def _topics(view: memoryview, found: Contents) -> tuple[Topic, ...]:
-    counts = message_counts(view, found)
-    return tuple(Topic(channel.topic, channel.type, counts[number]) for number, channel in found.channels.items())
+    with opened(path) as view, naming(path), undamaged(f"MCAP file at {path}", DAMAGE):
+        found = contents(view)
+        counts = message_counts(view, found)
+        return Inspection(
+            path=path,
+            size=len(view),
+            finished=found.finished,
+            torn=found.torn,
+            metadata=found.metadata,
+            topics=tuple(Topic(one.topic, one.type, counts[number]) for number, one in found.channels.items()),
+            events=_made(view, found, _EVENTS, _event),
+            parameters=_made(view, found, _PARAMETERS, _setting),
+            attachments={one.name: bytes(view[slice(*one.data)]) for one in found.attachments},
+            summary=summary_of(view, found),
+            robots=tuple(topic.strip("/").rpartition("/")[0] for topic in clocks(found).values()),
+        )
 
 
 def _made(

@@ -26,34 +26,28 @@ _TICK_NUMBERS = (
 _TICK_REALS = ("session_t", "dt", "utilization")
 _TICK_FLAGS = ("converged", "late")
 _OWN_TYPES = {
-    "armlab_msgs/msg/Tick": "\n".join(
-        [
-            "std_msgs/Header header",
-            *(f"int64 {name}" for name in _TICK_NUMBERS),
-            *(f"float64 {name}" for name in _TICK_REALS),
-            *(f"uint8 {name}" for name in _TICK_FLAGS),
-            "uint8[] clamped",
-        ]
-    ),
+    "armlab_msgs/msg/Tick": "std_msgs/Header header\n"
+    + "".join(f"int64 {name}\n" for name in _TICK_NUMBERS)
+    + "".join(f"float64 {name}\n" for name in _TICK_REALS)
+    + "".join(f"uint8 {name}\n" for name in _TICK_FLAGS)
+    + "uint8[] clamped",
     "armlab_msgs/msg/Column": "std_msgs/Header header\nfloat64[] values",
     "armlab_msgs/msg/Parameter": (
         "builtin_interfaces/Time stamp\nint64 sequence\nstring name\nstring value\nstring who"
     ),
     "armlab_msgs/msg/WrenchEstimate": "std_msgs/Header header\nfloat64[6] wrench\nfloat64[36] covariance",
 }
-_WRENCH = tuple(f"wrench.{part}.{axis}" for part in ("force", "torque") for axis in "xyz")
+WRENCH_FIELDS = tuple(f"wrench.{part}.{axis}" for part in ("force", "torque") for axis in "xyz")
+_ESTIMATE = {"wrench_hat": ("wrench",), "wrench_hat_cov": ("covariance",)}
 _RAW = ".wrench_raw"  # the end of the column of a force sensor in its own axes, behind the name of its source
-_POSE = tuple(f"pose.position.{axis}" for axis in "xyz") + tuple(f"pose.orientation.{axis}" for axis in "xyzw")
+POSE_FIELDS = tuple(f"pose.position.{axis}" for axis in "xyz") + tuple(f"pose.orientation.{axis}" for axis in "xyzw")
 
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One topic of a recording.
+    """One topic below a robot's name: which fields of its messages hold each column.
 
-    `name`: below the robot's, for example "joint_states"; `type`: ROS 2 message type; `fields`: column -> dotted names
-    of the message fields that hold it; `frame_id`: of the header; `labels`: names of the joints, for JointState;
-    `optional`: columns that may be missing from a message, their sequence empty; `clock`: its messages are the rows of
-    the table.
+    Sequences of `optional` columns may be empty; the messages of the `clock` are the rows of the table.
     """
 
     name: str
@@ -73,7 +67,7 @@ class Topic:
             about |= {"frame": column.frame, "kind": column.kind, "labels": list(column.labels)}
             if missing is not None:
                 about["missing"] = missing
-            if paths == _POSE:  # a pose of the user's own is kept as its 16 numbers
+            if paths == POSE_FIELDS:  # a pose of the user's own is kept as its 16 numbers
                 about["encoding"] = "position xyz, quaternion xyzw"
             data[COLUMN_KEY + name] = json.dumps(about)
         return data
@@ -95,14 +89,9 @@ def topics(layout: RowLayout, joint_names: Sequence[str]) -> list[Topic]:
         fields = dict(zip(columns, (("position",), ("velocity",), ("effort",)), strict=True))
         found.append(Topic(name, "sensor_msgs/msg/JointState", fields, "", labels, frozenset(columns)))
     found += [
-        Topic("wrench", "geometry_msgs/msg/WrenchStamped", {"wrench_raw": _WRENCH}, "sensor"),
-        Topic("tcp_pose", "geometry_msgs/msg/PoseStamped", {"T_frame_tool": _POSE}, "controller"),
-        Topic(
-            "wrench_hat",
-            "armlab_msgs/msg/WrenchEstimate",
-            {"wrench_hat": ("wrench",), "wrench_hat_cov": ("covariance",)},
-            "base",
-        ),
+        Topic("wrench", "geometry_msgs/msg/WrenchStamped", {"wrench_raw": WRENCH_FIELDS}, "sensor"),
+        Topic("tcp_pose", "geometry_msgs/msg/PoseStamped", {"T_frame_tool": POSE_FIELDS}, "controller"),
+        Topic("wrench_hat", "armlab_msgs/msg/WrenchEstimate", _ESTIMATE, "base"),
     ]
     own = [name for name in layout.extra if name not in found[-1].fields]
     found += [column_topic(name) for name in ("q_planned", "q_ext", "wrench", *SELDOM)]
@@ -127,7 +116,7 @@ def _distinct(found: Sequence[Topic]) -> list[Topic]:
 def _sensor(name: str) -> Topic:
     """Return the topic of a force sensor that is a source of its own, as measured: ``wrench/<source>``."""
     source = name.removesuffix(_RAW)
-    return Topic(f"wrench/{topic_name(source)}", "geometry_msgs/msg/WrenchStamped", {name: _WRENCH}, source)
+    return Topic(f"wrench/{topic_name(source)}", "geometry_msgs/msg/WrenchStamped", {name: WRENCH_FIELDS}, source)
 
 
 def column_topic(name: str) -> Topic:

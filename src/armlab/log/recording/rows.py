@@ -119,11 +119,9 @@ class Slot:
 
 
 class RowLayout:
-    """Layout of the rows of one arm: the standard columns and the user's.
+    """Layout of the rows of one arm: the standard columns, and those declared in `extra`.
 
-    `slots`: name -> `Slot`; `size`: bytes of a row with all its parts; `extra`: the declared columns, resolved; `pack`:
-    called with State, Command or None, and Tick, returns one row as bytes. Values are copied; what is None or empty is
-    missing. Raises ShapeError for an array with the wrong number of values, and names the column.
+    `pack` makes one row of State, Command or None, and Tick. Values are copied; what is None or empty is missing.
     """
 
     def __init__(self, robot: Robot, extra: Mapping[str, Column] | None = None) -> None:

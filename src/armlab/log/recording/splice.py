@@ -6,7 +6,7 @@ import contextlib
 import json
 import struct
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,20 +14,19 @@ from typing import Any
 
 import numpy as np
 
-from armlab.errors import ArmlabError, ConfigError, LogError
-from armlab.kernels import RowEncoder
+from armlab.errors import ConfigError, LogError
 from armlab.log.column import Column, resolved
-from armlab.log.file_formats.opening import check_readable, file_hash, naming, opened
-from armlab.log.mcap.records import DAMAGE, Channel, Contents, contents
-from armlab.log.mcap.recovery import Registry, messages_in, new_file, pieces, records_at
+from armlab.log.file_formats.description import Progress
+from armlab.log.file_formats.opening import check_readable, file_hash, naming, opened, undamaged
+from armlab.log.mcap.records import DAMAGE, Channel, Contents, contents, messages_in, pieces, records_at
+from armlab.log.mcap.recovery import Registry, new_file
 from armlab.log.mcap.writer import McapWriter
 from armlab.log.recording.columns import Rows, clock_channel, clocks, earlier, rows_of, summary_of
 from armlab.log.recording.file import recording_path
-from armlab.log.recording.ros_messages import COLUMN_KEY, clock_metadata, column_topic, definition, plan, topic_name
+from armlab.log.recording.ros_messages import COLUMN_KEY, clock_metadata, column_topic, definition, topic_name
 from armlab.log.recording.rows import Slot
 
-_ROW = struct.Struct("<qqd")  # stamp, number, t
-_SECONDS = {"t": Slot(resolved(Column(), "t"), _ROW.size - 8, _ROW.size, "<f8")}
+_SECONDS = struct.Struct("<4sIIIB3xI4xd")  # a message of the column t: stamp, empty name of its frame, one number
 _NUMBERS = 1 << 32  # of MCAP's sequence
 _NEVER = (1 << 63) - 1
 
@@ -35,16 +34,12 @@ _NEVER = (1 << 63) - 1
 def seconds_channel(prefix: str, clock: dict[str, str]) -> Channel:
     """Return the channel of the column `t`: times that are not those of the messages."""
     topic = column_topic("t")
-    metadata = topic.metadata(_SECONDS) | clock
+    metadata = topic.metadata({"t": Slot(resolved(Column(), "t"), 0, 8, "<f8")}) | clock
     return Channel(f"{prefix}{topic.name}", topic.type, definition(topic.type), "ros2msg", "cdr", metadata)
 
 
 class SplicedRows:
-    """The rows of one robot in a file: which of them are taken, at what times, under which numbers.
-
-    `t`, `t0_ns`: times of all rows in the new file and the wall clock of its t = 0; `seconds_number`: channel of `t`
-    there; `inside`: the rows and events that come now are taken.
-    """
+    """The rows of one robot in a file: which are taken, at what times `t` of the new file, under which numbers."""
 
     def __init__(self, path: Path, prefix: str, robot_hash: str, rows: Rows, seconds: int | None) -> None:
         self.path, self.prefix, self.name, self.robot_hash = path, prefix, prefix.strip("/"), robot_hash
@@ -54,7 +49,6 @@ class SplicedRows:
         self._first, self._last = 0, len(rows.t)
         self._offset = 0
         self._place = {int(number): place for place, number in enumerate(rows.sequence)}
-        self._encoder = RowEncoder([plan(0, column_topic("t"), _SECONDS)])
         twice = len(rows.t) - len(self._place)
         if twice:
             raise LogError(
@@ -120,8 +114,8 @@ class SplicedRows:
         self.inside, self.is_over = self._first <= place < self._last, place >= self._last
         if not self.inside:
             return None
-        records, *_ = self._encoder.encode([_ROW.pack(log_ns, sequence, self.t[place])])
-        return next(message for *_, message in messages_in(records))
+        seconds, rest = divmod(log_ns, 10**9)
+        return _SECONDS.pack(b"\0\1\0\0", seconds & 0xFFFFFFFF, rest, 1, 0, 1, self.t[place])
 
     def _wall(self, which: int) -> int:
         t = self.rows.t[self.rows.kept]
@@ -135,11 +129,7 @@ Message = tuple[int, int, int, int, bytes]  # channel, sequence, log and publish
 
 @dataclass(slots=True)
 class Source:
-    """One recording.
-
-    `path`, `view`, `found`: the file, its bytes and its contents; `arms`: its robots; `chain`: where its rows come
-    from; `numbers`: channel in the new file by channel here.
-    """
+    """One recording: its bytes, contents and robots, where its rows come from, and channels in the new file."""
 
     path: Path
     view: memoryview
@@ -158,11 +148,6 @@ class Source:
     def end_ns(self) -> int:
         """Wall clock of the last row."""
         return max(arm.end_ns for arm in self.arms)
-
-    @property
-    def summary(self) -> dict[str, Any]:
-        """What was counted at its end, empty without."""
-        return summary_of(self.view, self.found)
 
     def keep(self, robot: str) -> None:
         """Take the rows and events of one robot only; metadata and attachments are of the whole file, and stay."""
@@ -209,15 +194,11 @@ def opened_source(path: Path) -> Iterator[Source]:
     """Open a recording, finished or torn."""
     check_readable(path)
     with opened(path) as view:
-        try:
+        with undamaged(f"recording in {path}", DAMAGE):
             with naming(path):
                 found = contents(view)
             clock_channel(found, path, None) if not clocks(found) else None  # says that it is no recording
             arms = [_arm(path, view, found, topic) for topic in clocks(found).values()]
-        except ArmlabError:
-            raise
-        except DAMAGE as error:
-            raise LogError(f"Expected a whole recording in {path}, got a damaged one ({error}).") from None
         if not found.finished:
             warnings.warn(f"{path.name} was not finished: what can be read of it is taken", stacklevel=3)
         yield Source(path, view, found, arms, (f"{path.name} sha256 {file_hash(path)}", *earlier(view, found)))
@@ -271,7 +252,8 @@ def summary(sources: list[Source], operation: str) -> dict[str, Any]:
     holes = [hole for source in sources for hole in _holes(source)]
     originals: dict[str, Any] = {}
     for source in sources:
-        originals |= source.summary.get("originals") or {source.path.name: source.summary}
+        counted = summary_of(source.view, source.found)
+        originals |= counted.get("originals") or {source.path.name: counted}
     return {
         "rows": sum(arm.rows_left for source in sources for arm in source.arms),
         "dropped": sum(hole[2] for hole in holes),
@@ -282,13 +264,9 @@ def summary(sources: list[Source], operation: str) -> dict[str, Any]:
 
 
 def _holes(source: Source) -> list[list[Any]]:
-    """Return the holes that the recorder left between the rows that are taken.
-
-    Each is first tick, last tick, rows, the number of the first tick among the rows of the new file (of recordings that
-    are put together, rows are numbered on, and ticks come again), and whose rows they are.
-    """
+    """Return the holes between the rows that are taken: ticks, rows, number of the first in the new file, and robot."""
     found = []
-    for first, last, rows, *more in source.summary.get("holes", []):
+    for first, last, rows, *more in summary_of(source.view, source.found).get("holes", []):
         begin, robot = (more[0] if more else first), (more[1] if len(more) > 1 else None)
         for arm in source.arms:
             own = robot in (None, arm.name) and arm.rows_left
@@ -296,9 +274,6 @@ def _holes(source: Source) -> list[list[Any]]:
                 found.append([first, last, rows, arm.number(begin), arm.name])
                 break
     return found
-
-
-Progress = Callable[[int, int, str], None]
 
 
 def cut(

@@ -12,17 +12,7 @@ import numpy as np
 from armlab.errors import LogError
 from armlab.log.column import refuse_ragged
 from armlab.log.file_formats.description import Progress
-from armlab.log.mcap.decode import (
-    Decoded,
-    MessageReader,
-    assembled,
-    decode_by,
-    messages,
-    of_length,
-    read_blocks,
-    skipped,
-    split,
-)
+from armlab.log.mcap import decode
 from armlab.log.mcap.records import Channel, Contents
 from armlab.log.topics.streams import TopicFields
 from armlab.wire import cdr
@@ -38,7 +28,7 @@ _PROTOBUF_MESSAGE, _PROTOBUF_NUMBERS = 11, {1, 2, 3, 4, 5, 6, 7, 8, 13, 14, 15, 
 
 def decode_one_by_one(
     messages: Iterable[tuple[int, int, bytes]], numbers: Callable[[bytes], Numbers]
-) -> tuple[Decoded, int, str]:
+) -> tuple[decode.Decoded, int, str]:
     """Return the numbers of (sequence, log time, bytes), how many messages are left out, and why the first is."""
     sequence: list[int] = []
     log_ns: list[int] = []
@@ -63,7 +53,7 @@ def decode_one_by_one(
         bad, reason = bad + len(sequence), str(error)
         sequence, log_ns, columns = [], [], {}
     fields = {name: _array(len(sequence), *column, widths[name]) for name, column in columns.items()}
-    return Decoded(np.array(sequence, dtype=np.uint32), np.array(log_ns, dtype=np.int64), fields), bad, reason
+    return decode.Decoded(np.array(sequence, dtype=np.uint32), np.array(log_ns, dtype=np.int64), fields), bad, reason
 
 
 def _size(value: Any) -> int:
@@ -170,27 +160,27 @@ class TopicMessages:
     """What is read of the topics of a log: names, messages, topics left out, and sentences on damage."""
 
     fields: dict[str, TopicFields] = field(default_factory=dict)
-    parts: dict[str, list[Decoded]] = field(default_factory=dict)
+    parts: dict[str, list[decode.Decoded]] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
     damage: list[str] = field(default_factory=list)
 
-    def reader(self, topic: str, type_: str, types: cdr.Definitions) -> MessageReader:
+    def reader(self, topic: str, type_: str, types: cdr.Definitions) -> decode.MessageReader:
         """Return what reads the messages of a topic, with names by joint and frame."""
         fields = self.fields.setdefault(topic, TopicFields(type_, types))
-        return MessageReader(type_, types, None, fields.named)
+        return decode.MessageReader(type_, types, None, fields.named)
 
-    def add(self, topic: str, decoded: Decoded) -> None:
+    def add(self, topic: str, decoded: decode.Decoded) -> None:
         """Take the messages of a topic; those without a number are none."""
         if len(decoded.sequence):
             self.parts.setdefault(topic, []).append(decoded)
 
-    def decoded(self) -> Iterator[tuple[str, TopicFields, Decoded]]:
+    def decoded(self) -> Iterator[tuple[str, TopicFields, decode.Decoded]]:
         """Yield topic, names and all messages of each; what its parts together cannot be goes to the damage."""
         for topic, parts in self.parts.items():
             try:
                 whole = _joined(parts)
             except LogError as error:
-                self.damage.append(skipped(sum(len(part.sequence) for part in parts), topic, str(error)))
+                self.damage.append(decode.skipped(sum(len(part.sequence) for part in parts), topic, str(error)))
                 continue
             yield topic, self.fields[topic], whole
 
@@ -208,7 +198,7 @@ def read_mcap_topics(
     progress: Progress | None = None,
 ) -> None:
     """Read topics of an MCAP file in CDR, JSON and protobuf."""
-    readers: dict[int, MessageReader] = {}
+    readers: dict[int, decode.MessageReader] = {}
     others: dict[int, Callable[[bytes], dict[str, Any]]] = {}
     for number, channel in found.channels.items():
         if not wanted(channel.topic, channel.type):
@@ -224,16 +214,16 @@ def read_mcap_topics(
                 others[number] = _other_encoding(channel)
         except LogError as error:
             into.left_out[channel.topic] = str(error).rstrip(".")
-    decoded, damage = decode_by(view, found, readers, progress)
+    decoded, damage = decode.decode_by(view, found, readers, progress)
     into.damage += damage
     for number, one in decoded.items():
         into.add(found.channels[number].topic, one)
     for number, numbers in others.items():
         topic = found.channels[number].topic
         into.fields.setdefault(topic, TopicFields(found.channels[number].type, {}))
-        one, bad, reason = decode_one_by_one(messages(view, found, number), numbers)
+        one, bad, reason = decode_one_by_one(decode.messages(view, found, number), numbers)
         if bad:
-            into.damage.append(skipped(bad, topic, reason))
+            into.damage.append(decode.skipped(bad, topic, reason))
         into.add(topic, one)
 
 
@@ -249,7 +239,7 @@ def read_rosbags_topics(
     bag: Any, wanted: Callable[[str, str], bool], into: TopicMessages, progress: Progress | None = None
 ) -> None:
     """Read topics of a bag that `rosbags` has opened: rosbag2 in any storage, or ROS 1."""
-    readers: dict[int, tuple[Any, MessageReader, Callable[[bytes], bytes]]] = {}
+    readers: dict[int, tuple[Any, decode.MessageReader, Callable[[bytes], bytes]]] = {}
     for connection in bag.connections:
         if not wanted(connection.topic, connection.msgtype):
             continue
@@ -275,7 +265,7 @@ def read_rosbags_topics(
     for number, (connection, reader, to_cdr) in readers.items():
         one, bad, reason = _decoded(raws[number], np.array(stamps[number], dtype=np.int64), to_cdr, reader)
         if bad:
-            into.damage.append(skipped(bad, connection.topic, reason))
+            into.damage.append(decode.skipped(bad, connection.topic, reason))
         into.add(connection.topic, one)
 
 
@@ -313,8 +303,8 @@ def _signed(description: Any) -> Any:
 
 
 def _decoded(
-    raws: Sequence[bytes], stamps: np.ndarray, to_cdr: Callable[[bytes], bytes], reader: MessageReader
-) -> tuple[Decoded, int, str]:
+    raws: Sequence[bytes], stamps: np.ndarray, to_cdr: Callable[[bytes], bytes], reader: decode.MessageReader
+) -> tuple[decode.Decoded, int, str]:
     """Return the numbers of messages that are in memory, how many are left out, and why one of them is."""
     whole: list[bytes] = []
     kept: list[int] = []
@@ -326,15 +316,15 @@ def _decoded(
         except Exception as error:  # rosbags raises its own errors, those of struct and assertions
             why = str(error).rstrip(".") or type(error).__name__
             reason = reason or f"Expected a {reader.type}, got {len(raw)} bytes that do not fit it ({why})."
-    same = of_length(np.array([len(raw) for raw in whole], dtype=np.int64))
+    same = decode.of_length(np.array([len(raw) for raw in whole], dtype=np.int64))
     blocks = ((rows, _block([whole[row] for row in rows.tolist()])) for rows in same)
-    read = read_blocks(len(whole), blocks, reader)
+    read = decode.read_blocks(len(whole), blocks, reader)
     rows = np.array(kept, dtype=np.int64)[read.rows]
     try:
-        fields = split(assembled(len(rows), read.pieces))
+        fields = decode.split(decode.assembled(len(rows), read.pieces))
     except LogError as error:
         rows, fields, reason = rows[:0], {}, str(error)
-    return Decoded(rows.astype(np.uint32), stamps[rows], fields), len(raws) - len(rows), reason or read.reason
+    return decode.Decoded(rows.astype(np.uint32), stamps[rows], fields), len(raws) - len(rows), reason or read.reason
 
 
 def _block(raws: Sequence[bytes]) -> np.ndarray:
@@ -342,7 +332,7 @@ def _block(raws: Sequence[bytes]) -> np.ndarray:
     return np.frombuffer(b"".join(raws), dtype=np.uint8).reshape(len(raws), len(raws[0]))
 
 
-def _joined(parts: Sequence[Decoded]) -> Decoded:
+def _joined(parts: Sequence[decode.Decoded]) -> decode.Decoded:
     """Return the messages of several files or channels as one."""
     if len(parts) == 1:
         return parts[0]
@@ -351,8 +341,8 @@ def _joined(parts: Sequence[Decoded]) -> Decoded:
         (np.arange(end - len(part.sequence), end), {((path, a.shape[1]),): a for path, a in part.fields.items()})
         for end, part in zip(ends, parts, strict=True)
     ]
-    return Decoded(
+    return decode.Decoded(
         np.concatenate([part.sequence for part in parts]),
         np.concatenate([part.log_ns for part in parts]),
-        split(assembled(ends[-1], pieces)),
+        decode.split(decode.assembled(ends[-1], pieces)),
     )

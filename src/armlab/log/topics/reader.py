@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
@@ -15,7 +16,16 @@ from armlab import glossary, robots
 from armlab.errors import ArmlabError, LogError, UnknownName
 from armlab.log.assembly import rows_in_order
 from armlab.log.file_formats.description import Progress, distinct
-from armlab.log.file_formats.opening import BAGS, bag_files, check_readable, format_at, naming, opened, origin
+from armlab.log.file_formats.opening import (
+    BAGS,
+    bag_files,
+    check_readable,
+    format_at,
+    naming,
+    opened,
+    origin,
+    undamaged,
+)
 from armlab.log.file_formats.rosbag2 import is_ours
 from armlab.log.mcap.records import Contents, contents
 from armlab.log.recording.columns import clocks, torn_sentence
@@ -64,13 +74,10 @@ def table_of_streams(path: Path, streams: Sequence[Stream], choice: Choice, note
 def tables_of_streams(path: Path, streams: Sequence[Stream], choice: Choice) -> dict[str, Table]:
     """Return each stream as a table of its own, by topic; of several of one topic the first column is named too."""
     tables: dict[str, Table] = {}
+    counts = Counter(one.topic for one in streams)
     for one in streams:
         ordered = one if choice.robot is None else _in_order(one, choice.robot)
-        name = (
-            one.topic
-            if [other.topic for other in streams].count(one.topic) == 1
-            else f"{one.topic} {next(iter(one.values))}"
-        )
+        name = one.topic if counts[one.topic] == 1 else f"{one.topic} {next(iter(one.values))}"
         own, notes = _named([ordered], ordered)
         try:
             tables[name] = _table(own[0], own, notes, choice.raw)
@@ -81,10 +88,10 @@ def tables_of_streams(path: Path, streams: Sequence[Stream], choice: Choice) -> 
 
 def _topic(clock: str, streams: Sequence[Stream]) -> str:
     topics = {one.topic for one in streams}
-    for name in (clock, f"/{clock}"):
-        if name in topics:
-            return name
-    raise UnknownName.among("topic with numbers in this file", clock, topics)
+    found = [name for name in (clock, f"/{clock}") if name in topics]
+    if not found:
+        raise UnknownName.among("topic with numbers in this file", clock, topics)
+    return found[0]
 
 
 def _arm(
@@ -330,19 +337,13 @@ def _held(path: Path, choice: Choice, robot: Robot | str | None, progress: Progr
     pieces = bag_files(path) if path.is_dir() else []
     if pieces and not (path / "metadata.yaml").is_file() and all(one.suffix == ".mcap" for one in pieces):
         return _held_in_mcap(pieces, choice, robot, progress)  # its recorder was killed
-    try:
-        with _reader(path, pieces) as bag:
-            inner = _plain_mcap(bag)
-            if inner:
-                return replace(_held_in_mcap(inner, choice, robot, progress), files=[path])
-            choice, wanted = _chosen({one.topic: one.msgtype for one in bag.connections}, choice, robot)
-            into = TopicMessages()
-            read_rosbags_topics(bag, wanted, into, progress)
-    except ArmlabError:
-        raise
-    except Exception as error:  # rosbags raises its own errors, those of SQLite, YAML, zstd, struct and assertions
-        what = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-        raise LogError(f"Expected a whole bag in {path}, got a damaged one: {what[:200]}.") from None
+    with undamaged(f"bag in {path}"), _reader(path, pieces) as bag:
+        inner = _plain_mcap(bag)
+        if inner:
+            return replace(_held_in_mcap(inner, choice, robot, progress), files=[path])
+        choice, wanted = _chosen({one.topic: one.msgtype for one in bag.connections}, choice, robot)
+        into = TopicMessages()
+        read_rosbags_topics(bag, wanted, into, progress)
     return _Held([path], choice, into)
 
 

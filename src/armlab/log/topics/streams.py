@@ -44,9 +44,8 @@ _INDEX = re.compile(r"\[[^\]]*\]")
 class TopicFields:
     """Names the numbers of one type of message, and keeps what its texts tell.
 
-    `type`, `types`: the type and the definitions it uses; `parts`: dotted name without indices -> type of each message
-    inside that is read as a whole; `joints`: prefix of a JointState -> the lists of names that its messages have;
-    `frames`: dotted name of a header or pair of frames -> its frame, of the first message that has it.
+    `parts`: dotted name without indices -> type of each message inside that is read as a whole; `joints`: prefix of a
+    JointState -> lists of names; `frames`: dotted name of a header or pair of frames -> its frame.
     """
 
     type: str
@@ -312,13 +311,10 @@ def _by_joints(whole: Stream, lists: Sequence[tuple[str, ...]]) -> list[Stream]:
     for group in sorted(groups, key=len, reverse=True):
         part = whole.ordered([name for name in whole.joints if name in group])
         there = np.any([np.isfinite(array).any(axis=1) for array in part.values.values()], axis=0)
-        streams.append(_without_empty(part.rows(there)))
+        part = part.rows(there)
+        kept = {name: array for name, array in part.values.items() if np.isfinite(array).any()}
+        streams.append(replace(part, values=kept, columns={name: part.columns[name] for name in kept}))
     return streams
-
-
-def _without_empty(stream: Stream) -> Stream:
-    kept = {name: array for name, array in stream.values.items() if np.isfinite(array).any()}
-    return replace(stream, values=kept, columns={name: stream.columns[name] for name in kept})
 
 
 def _by_frames(whole: Stream, fields: Mapping[str, np.ndarray], order: np.ndarray) -> list[Stream]:
