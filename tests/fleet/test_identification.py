@@ -209,25 +209,6 @@ def test_a_second_run_makes_no_sums_and_damaged_ones_are_made_anew(
             assert {kept[name].dtype.kind for name in kept.files} <= set("fiubU")
 
 
-@pytest.mark.slow  # 25 logs
-def test_of_twenty_logs_and_more_five_new_ones_cost_five(
-    short_arm, tmp_path: Path, made: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("armlab.identify.many.FEWEST_BLOCKS", 20)  # a block for each log, of 20 as of 25
-    logs, cache = tmp_path / "logs", tmp_path / "cache"
-    logs.mkdir()
-    for k in range(20):
-        log.write(short_arm.log(k, 600), logs / f"log{k:02d}.parquet")
-    fleet.identify(logs, short_arm.robot, cache=cache)
-    assert len(made) == 20
-    for k in range(20, 25):
-        log.write(short_arm.log(k, 600), logs / f"log{k:02d}.parquet")
-    found = fleet.identify(logs, short_arm.robot, cache=cache)
-    assert len(found.used) == 25
-    assert len(made) == 25
-    assert bits(found) == bits(fleet.identify(logs, short_arm.robot))
-
-
 def test_an_interrupted_run_goes_on(
     folder: Path, short_arm, tmp_path: Path, plain: fleet.Identified, made: list[int]
 ) -> None:

@@ -20,7 +20,6 @@ import pytest
 from armlab import fleet
 from armlab.errors import ConfigError, LinkError
 from armlab.fleet.mapping import Done, Progress, map_logs, workers
-from armlab.identify.many import fit_draft, log_sums
 
 DIES = partial(signal.raise_signal, signal.SIGKILL)
 BAD = partial(Path.read_bytes, Path("/nowhere/at/all"))
@@ -204,24 +203,3 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_bits(
     assert found.skipped == {}
     assert found.fit.parameters.tobytes() == here.parameters.tobytes()
     assert found.fit.cov.tobytes() == here.cov.tobytes()
-
-
-@pytest.mark.slow  # 20 s: Dask starts a worker anew each time
-@pytest.mark.filterwarnings("ignore")  # of Dask, of the workers that it lost
-def test_a_log_that_kills_every_worker_of_a_cluster_is_skipped_and_the_rest_is_bit_equal(short_arm) -> None:
-    distributed = pytest.importorskip("distributed", reason="extra cluster")
-    tables = {f"log {k}": short_arm.log(k, 1000) for k in range(6)}
-    _, pattern = fit_draft(list(tables.values())[:2], short_arm.robot, 6)
-    jobs = {name: partial(log_sums, table, pattern) for name, table in tables.items()}
-    here = map_logs(call, jobs).results
-    deadly = {**dict(list(jobs.items())[:3]), "deadly": partial(signal.raise_signal, signal.SIGKILL), **jobs}
-    options = {"n_workers": 2, "threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": None}
-    with distributed.LocalCluster(**options) as cluster, workers(dask=cluster.scheduler_address) as executor:
-        cluster.scheduler.allowed_failures = 1
-        done = map_logs(call, deadly, executor=executor)
-    assert list(done.skipped) == ["deadly"]  # not one that waited at the same workers
-    assert "killed again" in done.skipped["deadly"]
-    assert set(done.results) == set(here)
-    for name, sums in here.items():
-        for one, other in zip(sums.factors.R, done.results[name].factors.R, strict=True):
-            assert one.tobytes() == other.tobytes()

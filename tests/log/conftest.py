@@ -54,43 +54,19 @@ class Rows:
         T[:3, :3] = R * np.sign(np.linalg.det(R))
         T[:3, 3] = rng.normal(size=3)
         state = State(
-            t=i * PERIOD_NS / 1e9,
-            dt=PERIOD_NS / 1e9,
-            q=q,
-            qd=qd,
-            tau=tau,
-            seq=i + 7,
-            missed=int(rng.integers(3)),
-            qd_source="measured",
-            tau_source="measured",
-            q_planned=q_planned,
-            wrench_raw=rng.normal(size=6),
-            T_frame_tool=T,
-            motors=1,
-            rapid=2,
-            mci=3,
-            converged=bool(i % 2),
-            utilization=float(rng.uniform(0, 100)),
-            robot_ns=START_NS + i * PERIOD_NS,
-            t_receive=START_NS + i * PERIOD_NS,
-        )
+            t=i * PERIOD_NS / 1e9, dt=PERIOD_NS / 1e9, q=q, qd=qd, tau=tau, seq=i + 7, missed=int(rng.integers(3)),
+            qd_source="measured", tau_source="measured", q_planned=q_planned, wrench_raw=rng.normal(size=6),
+            T_frame_tool=T, motors=1, rapid=2, mci=3, converged=bool(i % 2), utilization=float(rng.uniform(0, 100)),
+            robot_ns=START_NS + i * PERIOD_NS, t_receive=START_NS + i * PERIOD_NS,
+        )  # fmt: skip
         record = {"fext": rng.normal(size=6), "mode": i % 4, "wrench_hat": rng.normal(size=6)}
         record["wrench_hat_cov"] = rng.normal(size=(6, 6))
         stamp = START_NS + 12_345 + i * PERIOD_NS
         tick = Tick(
-            number=i,
-            seq_sent=i + 3,
-            stamp_ns=stamp,
-            receive_ns=stamp - 200,
-            send_ns=stamp + 90_000,
-            step_ns=int(rng.integers(1000, 90_000)),
-            wake_ns=1000 + i,
-            late=bool(rng.integers(2)),
-            drops=i // 10,
-            q_sent=q_sent,
-            qd_sent=qd_sent,
+            i, i + 3, stamp, stamp - 200, stamp + 90_000, int(rng.integers(1000, 90_000)), wake_ns=1000 + i,
+            late=bool(rng.integers(2)), drops=i // 10, q_sent=q_sent, qd_sent=qd_sent,
             clamped=rng.integers(0, 16, n).astype(np.uint8),
-        )
+        )  # fmt: skip
         return state, Command(q_ref, qd_ref, record=record), tick
 
 

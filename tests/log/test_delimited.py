@@ -15,19 +15,8 @@ import pytest
 from armlab import log
 from armlab.errors import LogError
 from armlab.log import Column, Table, read, read_csv, write
-from armlab.log.file_formats.delimited import (
-    LONGEST,
-    _numbers_only,
-    sidecar_path,
-    write_csv,
-)
-from armlab.log.file_formats.description import (
-    Description,
-    distinct,
-    foreign_table,
-    labelled_table,
-    of_json,
-)
+from armlab.log.file_formats.delimited import LONGEST, _numbers_only, sidecar_path, write_csv
+from armlab.log.file_formats.description import Description, foreign_table, labelled_table, of_json
 
 ROWS = "t [ms],q1 [deg],q2 [deg],tau_1,tau_2,grip [N]\n0,180,0,1,2,0.5\n4,90,-90,1.5,,0.5\n8,0,0,2,4,0.5\n"
 
@@ -118,21 +107,6 @@ def test_whole_numbers_beyond_every_float_are_infinite(tmp_path: Path) -> None:
     table = read_csv(path)
     assert table["x"].tolist() == [np.inf, -np.inf, np.inf]
     assert table["y"].tolist() == [1, 2, 2**62 + 1]
-
-
-@pytest.mark.parametrize(("last", "kind"), [("7", "i"), ("1e300", "f"), (f"{2**63}", "f"), ("0.5", "f")])
-def test_large_whole_numbers_stay_whole_where_all_blocks_are(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last: str, kind: str
-) -> None:
-    """A block of the file that only a float holds makes the column real, and turns none of its numbers."""
-    path = tmp_path / "log.csv"
-    monkeypatch.setattr("armlab.log.file_formats.delimited.BLOCK", 1 << 13)
-    rows = [f"{k},{2**62 + 1 if k < 2000 else last}\n" for k in range(4000)]
-    path.write_text("t,x [1]\n" + "".join(rows), encoding="utf-8")
-    column = read_csv(path)["x"]
-    assert column.dtype.kind == kind
-    assert column[-1] == float(last)
-    assert column[0] == (2**62 + 1 if kind == "i" else 2.0**62)
 
 
 def test_files_that_are_no_text(tmp_path: Path) -> None:
@@ -423,10 +397,3 @@ def test_a_description_goes_through_json(tmp_path: Path) -> None:
     for text in ("", "[]", '{"armlab": 1}', '{"armlab": "1"}', b"\xff"):
         with pytest.raises(LogError, match=r"a description of the columns in .*Export the log again\."):
             of_json(text, path_described)
-
-
-def test_distinct_names() -> None:
-    """Those that need no change keep their names, whatever comes before them."""
-    wanted = {"a.b": "a_b", "a:b": "a_b", "a_b": "a_b", "t": "t", "a_b_2": "a_b_2"}
-    assert distinct(wanted, ["t"]) == {"a.b": "a_b_3", "a:b": "a_b_4", "a_b": "a_b", "t": "t_2", "a_b_2": "a_b_2"}
-    assert list(distinct({0: "q1", 1: "q1"}).values()) == ["q1", "q1_2"]

@@ -34,9 +34,10 @@ from armlab.log.mcap.records import (
     end_of_blocks,
     most_unpacked,
     records,
+    records_at,
     unpacked,
 )
-from armlab.log.mcap.recovery import Recovery, new_file, records_at
+from armlab.log.mcap.recovery import Recovery
 from armlab.log.mcap.writer import McapWriter
 
 
@@ -455,7 +456,8 @@ def test_a_chunk_whose_header_is_damaged_is_counted(recording: Callable[..., Pat
     path.write_bytes(data)
     with pytest.warns(UserWarning, match="record of kind 6 at byte"):
         rows = len(read(path))
-    assert rows == 450
+    start, stop = chunk.indexes[2]  # of the ticks
+    assert rows == 700 - (stop - start) // 16
     assert recover(path).lost_chunks == 1
 
 
@@ -474,21 +476,3 @@ def test_a_file_that_comes_while_it_works_is_not_overwritten(
     assert other.read_bytes() == b"another's"
     assert recover(torn).path.exists()
     assert not list(tmp_path.glob("*.part"))
-
-
-def test_a_new_file_is_whole_or_not_there(tmp_path: Path) -> None:
-    target, part = tmp_path / "target", tmp_path / "part"
-    with pytest.raises(KeyboardInterrupt), new_file(target, part, replace=True):
-        raise KeyboardInterrupt
-    assert not list(tmp_path.iterdir())
-    with new_file(target, part, replace=True) as file:
-        file.write(b"1")
-    with new_file(target, part, replace=True) as file:
-        file.write(b"2")
-    with (
-        pytest.raises(LogError, match=r"Expected to write .*target, got: File exists"),
-        new_file(target, part, replace=False),
-    ):
-        pass
-    assert target.read_bytes() == b"2"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["target"]

@@ -24,11 +24,7 @@ from ruamel.yaml import YAML
 from armlab import log, robots
 from armlab.errors import LogError, RobotError
 from armlab.log.mcap.records import contents
-from armlab.log.recording.columns import (
-    clock_channel,
-    kept_clock,
-    sources_of,
-)
+from armlab.log.recording.columns import clock_channel, kept_clock, sources_of
 from armlab.log.recording.metadata import (
     SECRET,
     Event,

@@ -16,13 +16,7 @@ from scipy.io import savemat
 from armlab import identify, log, robots
 from armlab.errors import ConfigError, LogError, ModelMismatchError, UnknownName
 from armlab.log import Column, Recorder, Table, Tick, inspect, read, read_topics, recover, write
-from armlab.log.file_formats.opening import (
-    check_readable,
-    check_unpacked_size,
-    format_of,
-    naming,
-    origin,
-)
+from armlab.log.file_formats.opening import check_readable, check_unpacked_size, format_of, naming, origin
 from armlab.log.mcap.records import MAGIC
 from armlab.log.recording import ros_messages as messages
 from armlab.log.topics.reader import is_foreign, names_robots

@@ -16,16 +16,10 @@ from armlab.errors import LogError, ShapeError, UnknownName
 from armlab.kernels import RowEncoder
 from armlab.log import Column, Log, Tail, Tick, inspect, read
 from armlab.log.assembly import recording_clock
-from armlab.log.mcap.recovery import messages_in
+from armlab.log.mcap.records import messages_in
 from armlab.log.recording import ros_messages as messages
 from armlab.log.recording.file import RecordingFile
-from armlab.log.recording.ros_messages import (
-    Plan,
-    Topic,
-    definition,
-    plan,
-    topics,
-)
+from armlab.log.recording.ros_messages import Plan, Topic, definition, plan, topics
 from armlab.log.recording.rows import NO_COUNT, SELDOM, RowLayout
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -41,33 +35,6 @@ def test_what_is_not_there_is_missing(robot: Robot) -> None:
     assert found["q_ext"][0, 0] == 0.5
     assert np.isnan(found["q_ext"][0, 1:]).all()
     assert np.array_equal(found["q"], np.zeros((1, 7)))
-
-
-def test_wrong_sizes_name_the_column(robot: Robot, rows: Callable) -> None:
-    layout = RowLayout(robot)
-    state, command, tick = rows(0)
-    for bad, message in (
-        ((replace(state, q=np.zeros(6)), command, tick), "Expected 7 values in q, got 6."),
-        ((state, Command(tau=np.zeros(8)), tick), "Expected 7 values in tau_ref, got 8."),
-        ((state, command, tick._replace(clamped=np.zeros(3))), "Expected 7 values in clamped, got 3."),
-        ((state, Command(record={"wrench_hat": [1.0]}), tick), "Expected 6 values in wrench_hat, got 1."),
-    ):
-        with pytest.raises(ShapeError, match=message.replace(".", r"\.")):
-            layout.pack(*bad)
-
-
-def test_packing_by_name(robot: Robot) -> None:
-    layout = RowLayout(robot)
-    found = layout.unpack([layout.pack_values({"q": np.ones(7), "seq": 4}), layout.pack_values({})])
-    assert np.array_equal(found["q"][0], np.ones(7))
-    assert np.isnan(found["q"][1]).all()
-    assert found["seq"][0] == 4
-    assert np.isnan(found["seq"][1])
-    assert np.isnan(found["late"]).all()
-    with pytest.raises(UnknownName, match="'torque'"):
-        layout.pack_values({"torque": 1.0})
-    with pytest.raises(ShapeError, match=r"shape \(7,\) for q, got \(6,\)"):
-        layout.pack_values({"q": np.zeros(6)})
 
 
 def test_the_end_of_a_row_is_there_when_it_is_needed(robot: Robot) -> None:

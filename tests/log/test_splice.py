@@ -15,13 +15,7 @@ from rosbags.highlevel import AnyReader
 from armlab import log, robots
 from armlab.errors import ConfigError, LogError, UnknownName
 from armlab.log import Column, Recorder, cut, inspect, merge, read
-from armlab.log.recording.splice import (
-    Source,
-    attachments,
-    metadata,
-    opened_source,
-    summary,
-)
+from armlab.log.recording.splice import Source, attachments, metadata, opened_source, summary
 from armlab.robots import Robot
 
 ROWS = 300

@@ -16,13 +16,7 @@ from armlab.errors import LogError, ShapeError, UnknownName
 from armlab.lie import quaternion, se3, so3
 from armlab.log import Column, Table, concat
 from armlab.log.column import alias, refuse_ragged, resolved, stored
-from armlab.log.table import (
-    QD_SOURCES,
-    TAU_SOURCES,
-    component_names,
-    missing_rows,
-    statistics,
-)
+from armlab.log.table import QD_SOURCES, TAU_SOURCES, component_names, missing_rows, statistics
 
 
 def example(rows: int = 50, joints: int = 7, seed: int = 1) -> Table:
@@ -127,11 +121,7 @@ def test_select_without_with_column_and_rename() -> None:
     assert more.units["wrench"] == "N, N m"
     renamed = table.rename({"grip": "pinch"})
     assert renamed.units["pinch"] == "N"
-    for call in (
-        lambda: table.select("nope"),
-        lambda: table.without("nope"),
-        lambda: table.rename({"nope": "x"}),
-    ):
+    for call in (lambda: table.select("nope"), lambda: table.without("nope"), lambda: table.rename({"nope": "x"})):
         with pytest.raises(UnknownName, match="Known: grip"):
             call()
     with pytest.raises(ShapeError, match="Expected a unit"):

@@ -15,45 +15,10 @@ from mcap.writer import Writer
 from armlab import log
 from armlab.errors import LogError, UnknownName
 from armlab.log.mcap.decode import Decoded
-from armlab.log.topics.messages import (
-    TopicMessages,
-    decode_one_by_one,
-    numbers_in_json,
-    numbers_in_protobuf,
-)
+from armlab.log.topics.messages import TopicMessages, decode_one_by_one, numbers_in_json, numbers_in_protobuf
 from armlab.log.topics.streams import TopicFields
 
 NAMES = ("a", "b", "c")
-
-
-def ros2_file(path: Path, count: int, **options: Any) -> Path:
-    """Write joint states as mcap-ros2-support does."""
-    from mcap_ros2.writer import Writer as Ros2Writer
-
-    writer = Ros2Writer(str(path), **options)
-    text = "string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\nbuiltin_interfaces/Time stamp"
-    text += f"\n{'=' * 80}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec"
-    schema = writer.register_msgdef("lab_msgs/msg/Joints", text)
-    for i in range(count):
-        message = {"name": list(NAMES), "position": [i, 2 * i, 3 * i], "velocity": [], "effort": [0.5] * 3}
-        message["stamp"] = {"sec": i, "nanosec": 5}
-        writer.write_message("/joints", schema, message, i * 1_000_000, i * 1_000_000, i)
-    writer.finish()
-    return path
-
-
-def test_files_of_mcap_ros2_support(tmp_path: Path) -> None:
-    path = ros2_file(tmp_path / "run.mcap", 200, chunk_size=4000)
-    table = log.read(path)
-    assert table.names == ("joints.position", "joints.effort", "joints.stamp.sec", "joints.stamp.nanosec")
-    np.testing.assert_array_equal(table["joints.position"][:, 2], 3 * np.arange(200))
-    np.testing.assert_allclose(table.t, np.arange(200) * 1e-3, atol=1e-12)
-    data = path.read_bytes()
-    path.write_bytes(data[: len(data) // 2])
-    with pytest.warns(UserWarning, match=r"run\.mcap was not finished: recovered \d+ rows"):
-        torn = log.read(path)
-    assert 0 < len(torn) < 200
-    np.testing.assert_array_equal(torn["joints.position"], table["joints.position"][: len(torn)])
 
 
 @pytest.mark.parametrize("chunking", [True, False])

@@ -25,10 +25,7 @@ from armlab.log import Column, Table
 from armlab.log.file_formats.opening import file_hash
 from armlab.log.file_formats.rosbag2 import (
     STORAGES,
-    BagTopic,
-    columns_of,
     is_ours,
-    messages_of,
     read_rosbag2,
     topics_of,
     whole_poses,
@@ -433,15 +430,3 @@ def test_topics_have_names_that_ros_allows_and_none_comes_twice() -> None:
         ("/joint_states_2", "joint_states"),
         ("/words", "words"),
     ]
-
-
-def test_messages_hold_the_columns() -> None:
-    table_bag = Table(T, {"k": np.arange(6).reshape(3, 2)}, {"k": Column(unit="1", kind="count")})
-    topic = topics_of(table_bag.columns, [])[1]
-    raws = list(messages_of(topic, table_bag, np.arange(3) * 10**9))
-    np.testing.assert_array_equal(columns_of(topic, table_bag.columns, raws)["k"], table_bag["k"])
-    with pytest.raises(LogError, match="messages of one length on /k"):
-        columns_of(topic, table_bag.columns, [*raws, raws[0] + b"\0" * 8])
-    other = BagTopic("/k", topic.type, topic.fields)
-    with pytest.raises(LogError, match="Expected 3 numbers in each message of /k, got 2"):
-        columns_of(other, {"k": Column((3,), "1", kind="count")}, raws)

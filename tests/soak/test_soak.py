@@ -29,7 +29,7 @@ from tests.processes import free_port, until
 MIB = 2**20
 T = np.linspace(0.0, 1800.0, 300)  # s: half an hour at 250 Hz, as the soak in real time
 TICKS = 250.0 * T
-SEEDS = range(10)
+SEEDS = range(4)
 
 
 def scattered(seed: int) -> np.ndarray:
@@ -80,50 +80,22 @@ def test_too_little_is_no_proof() -> None:
     assert not verdict.memory("", np.zeros(0), np.zeros(0)).is_met
 
 
-def test_a_finding_says_what_it_is() -> None:
-    assert str(verdict.equal("rows", 4.0, 5.0)) == "FAIL rows (4 of 5), difference: 1, at most 0"
-    assert str(verdict.Finding("x", " ms", 1.0, 2.0)) == "ok   x: 1 ms, at most 2 ms"
-
-
 PROCESSES = ("loop and recorder", "simulator", "server zenoh", "commander")
 
 
 def well() -> dict[str, Any]:
     """What a run leaves in which nothing grows."""
     rng = np.random.default_rng(0)
-    one = Recorded(
-        T,
-        3e-4 * (1.0 + rng.exponential(0.3, len(T))),
-        9e-4 * (1.0 + rng.exponential(0.3, len(T))),
-        np.zeros(len(T)),
-        446429,
-        {"packets": 446429, "dropped": 0, "seconds": 1800.0},
-        True,
-        ("recording yumi_left",),
-        1800.0,
-    )
-    held = {
-        name: Held(
-            T,
-            {
-                "memory": 4e7 + 2e5 * rng.normal(size=len(T)),
-                "descriptors": np.full(len(T), 9.0),
-                "threads": np.full(len(T), 3.0),
-                "cpu": 0.01 * T,
-            },
-        )
-        for name in PROCESSES
-    }
+    fast, late = (s * (1.0 + rng.exponential(0.3, len(T))) for s in (3e-4, 9e-4))
+    counted = {"packets": 446429, "dropped": 0, "seconds": 1800.0}
+    one = Recorded(T, fast, late, np.zeros(len(T)), 446429, counted, True, ("recording yumi_left",), 1800.0)
+    still = {"descriptors": np.full(len(T), 9.0), "threads": np.full(len(T), 3.0), "cpu": 0.01 * T}
+    held = {name: Held(T, {"memory": 4e7 + 2e5 * rng.normal(size=len(T)), **still}) for name in PROCESSES}
     reader = np.column_stack([T, np.full(len(T), 1500.0), 2e-3 * np.ones(len(T)), 5e-3 * np.ones(len(T))])
     about = {
-        "part": "real time",
-        "seconds": 1800.0,
-        "servers": ["zenoh"],
-        "begin": 0,
-        "end": int(1800e9),
-        "cut_off": "",
+        "part": "real time", "seconds": 1800.0, "servers": ["zenoh"], "begin": 0, "end": int(1800e9), "cut_off": "",
         "statuses": {"bridge": 0, "commander": 130},
-    }
+    }  # fmt: skip
     return {"about": about, "held": held, "recorded": {"run-left": one}, "clients": {"reader of zenoh": reader}}
 
 
@@ -183,10 +155,7 @@ FAULTS: dict[str, tuple[Fault, str]] = {
     "unfinished": (recorded(is_whole=False, summary={}), "run-left: recordings finished"),
     "dropped": (recorded(summary={"packets": 446429, "dropped": 1, "seconds": 1800.0}), "run-left: rows dropped"),
     "too slow": (recorded(summary={"packets": 400000, "dropped": 0, "seconds": 1800.0}), "run-left: packets left out"),
-    "server ended": (
-        recorded(events=("The server zenoh ended. It starts again in 1 s.",)),
-        "run-left: servers that",
-    ),
+    "server ended": (recorded(events=("The server zenoh ended. It starts again in 1 s.",)), "run-left: servers that"),
 }
 
 
@@ -288,7 +257,7 @@ def test_all_servers_and_ten_clients_in_real_time(tmp_path: Path) -> None:
     """Takes 30 s, more where the machine is busy."""
     for extra in ("zenoh", "cyclonedds", "websockets", "xxhash"):
         pytest.importorskip(extra)
-    judged = soaked("real_time", 6.0, tmp_path)
+    judged = soaked("real_time", 4.0, tmp_path)
     assert failed(judged) == []
     servers = ("ros2", "rmw_zenoh", "rosbridge", "zenoh", "plotjuggler", "labcomm", "local")
     assert all(f"server {name}: starts anew (0 of 0), difference" in judged for name in servers)
@@ -299,9 +268,9 @@ def test_all_servers_and_ten_clients_in_real_time(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_lockstep(tmp_path: Path) -> None:
     """Takes 10 s."""
-    judged = soaked("lockstep", 20.0, tmp_path)
+    judged = soaked("lockstep", 12.0, tmp_path)
     assert failed(judged) == []
-    assert any(what.startswith("run: rows that can be read, of packets (50") for what in judged)
+    assert any(what.startswith("run: rows that can be read, of packets (30") for what in judged)
 
 
 @pytest.mark.slow
@@ -389,7 +358,7 @@ def zenoh(port: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("visit", "count"), [(local, 50), (labcomm, 50), (rosbridge, 50), (zenoh, 4)])
+@pytest.mark.parametrize(("visit", "count"), [(local, 30), (labcomm, 20), (rosbridge, 30), (zenoh, 3)])
 def test_clients_that_come_and_go_leave_nothing_behind(
     bridge: Program, ports: dict[str, int], visit: Callable[[int], None], count: int
 ) -> None:
@@ -427,8 +396,3 @@ def settled(root: int, name: str, before: list[tuple[int, int, int]]) -> tuple[i
     if before:
         until(lambda: look()[1] <= before[0][1] and look()[2] <= before[0][2])
     return look()
-
-
-@pytest.mark.slow
-def test_the_socket_is_that_of_the_test(bridge: Program) -> None:
-    assert str(bridge.out.parent) == os.environ["XDG_RUNTIME_DIR"]
