@@ -25,13 +25,11 @@ from armlab.log.mcap import records as mcap_records
 from armlab.log.mcap.decode import messages
 from armlab.log.mcap.records import (
     MAGIC,
-    OPEN,
     Attached,
     Channel,
     Chunk,
     Contents,
     contents,
-    end_of_blocks,
     most_unpacked,
     records,
     records_at,
@@ -87,21 +85,6 @@ def test_no_chunk_is_left_out_without_a_word(recording: Callable[..., Path], pla
     assert len(found.chunks) == whole - 1
 
 
-def test_a_chunk_that_was_never_finished_is_taken_as_far_as_it_goes(recording: Callable[..., Path]) -> None:
-    whole = recording(30).read_bytes()
-    chunk = contents(memoryview(whole)).chunks[-1]
-    begun = bytearray(whole[: chunk.stop])
-    begun[chunk.start + 1 : chunk.start + 45] = OPEN.to_bytes(8, "little") + bytes(28) + b"\4\0\0\0zstd"
-    begun[chunk.start + 45 : chunk.start + 53] = OPEN.to_bytes(8, "little")
-    found = contents(memoryview(bytes(begun)))
-    assert found.chunks[-1].is_open
-    assert (found.torn, found.chunks[-1].stop) == (0, chunk.stop)
-    cut = contents(memoryview(bytes(begun[:-5])))
-    assert cut.chunks[-1].stop + cut.torn == len(begun) - 5
-    begun[chunk.start + 41 : chunk.start + 45] = b"lz99"
-    assert not any(one.is_open for one in contents(memoryview(bytes(begun))).chunks)
-
-
 DATA = b"records " * 500
 
 
@@ -135,22 +118,6 @@ def test_chunks_that_are_refused_before_memory_is_taken() -> None:
     ):
         with pytest.raises(LogError, match=words):
             unpacked(memoryview(packed), chunk(packed, compression, **more))
-
-
-def test_blocks_of_an_unfinished_frame() -> None:
-    frame = zstandard.ZstdCompressor().compressobj()
-    records = bytes([5]) + (200).to_bytes(8, "little") + bytes(range(200))
-    first = frame.compress(records) + frame.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
-    both = first + frame.compress(records) + frame.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
-    view = memoryview(b"before" + both)
-    assert end_of_blocks(view, 6) == len(view)
-    assert end_of_blocks(view[:-1], 6) == 6 + len(first)
-    assert end_of_blocks(view[:12], 6) == 6
-    with pytest.raises(LogError, match="Expected zstd data at byte 0"):
-        end_of_blocks(view, 0)
-    for packed, count in ((both, 2), (first, 1), (both[:-1], 1), (first[:-1], 0)):
-        one = replace(chunk(packed, "zstd"), is_open=True)
-        assert unpacked(memoryview(packed), one) == records * count
 
 
 def test_an_unfinished_frame_takes_no_memory_without_end(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ import contextlib
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 
@@ -20,9 +20,7 @@ from armlab.log.file_formats.rosbag2 import write_rosbag2
 from armlab.log.recording.file import RecordingFile
 from armlab.log.recording.rows import RowLayout
 from armlab.log.table import Table
-
-if TYPE_CHECKING:
-    from armlab.robots import Robot
+from armlab.robots import Robot
 
 _EXACT = 2**53  # whole numbers up to here are exact as real ones
 _TOLD = 1000  # rows of a recording between two words on progress

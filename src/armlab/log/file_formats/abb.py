@@ -25,12 +25,12 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import numpy as np
 
-from armlab import glossary
+from armlab import glossary, robots
 from armlab._toml import parsed
 from armlab.errors import ConfigError, LogError, RobotError, ShapeError, UnknownName
 from armlab.log.column import Column, alias
@@ -38,9 +38,8 @@ from armlab.log.file_formats.delimited import rows_of
 from armlab.log.file_formats.description import labelled_table
 from armlab.log.file_formats.opening import is_text, origin
 from armlab.log.table import Table
-
-if TYPE_CHECKING:
-    from armlab.robots import Robot
+from armlab.robots import Robot
+from armlab.robots.couplings import abb_to_logical, motor_to_joint, motor_torque_to_joint
 
 SIGNALS = {4000: "q", 4001: "qd", 4002: "tau", 4003: "tau_ext"}
 UNITS = {"q": ("deg", "mm"), "qd": ("deg/s", "mm/s"), "tau": ("N m", "N"), "tau_ext": ("N m", "N")}  # rotary, linear
@@ -125,8 +124,6 @@ def _read_map(path: Path) -> _Map:
 
 def _of_arm(about: _Map, path: Path, arm: str | None) -> tuple[Robot, dict[str, _Signal]]:
     """Return the arm and its signals."""
-    from armlab import robots
-
     arms = {label: one.arm or about.arm for label, one in about.columns.items()}
     names = sorted(set(arms.values()))
     if not all(names) or not names:
@@ -177,8 +174,6 @@ def _numbers(path: Path, about: _Map, fields: dict[str, list[str]], label: str) 
 
 def _joined(table: Table, robot: Robot, path: Path) -> Table:
     """Put the axes of each signal together: first in the order of the arm, then as joints."""
-    from armlab.robots.couplings import abb_to_logical, motor_to_joint, motor_torque_to_joint
-
     # The arm's side of an axis is behind its gears: what is left of them is the rod that moves two joints.
     behind = replace(robot, coupling=robot.coupling / np.diag(robot.coupling))
     values: dict[str, Any] = {}
@@ -229,9 +224,6 @@ def from_orca(table: Table, robot: Robot, arm: int) -> Table:
     Reference: Robotlib.jl, src/read_log.jl and README, whose ``q GR⁻ᵀ`` for torques is ``G⁻¹``: the same for gears
     without coupling only.
     """
-    from armlab.robots import Robot
-    from armlab.robots.couplings import abb_to_logical, motor_to_joint, motor_torque_to_joint
-
     if not isinstance(table, Table):
         raise ShapeError.no_table(table)
     if not isinstance(robot, Robot):

@@ -10,8 +10,9 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from armlab import __version__
 from armlab._descriptors import Descriptor, apart
 from armlab.errors import ConfigError, LogError
 from armlab.kernels import RowEncoder
@@ -19,9 +20,7 @@ from armlab.log.mcap.writer import McapWriter
 from armlab.log.recording import ros_messages as ros
 from armlab.log.recording.metadata import attached, metadata
 from armlab.log.recording.rows import RowLayout
-
-if TYPE_CHECKING:
-    from armlab.robots import Robot
+from armlab.robots import Robot
 
 _FLAGS = os.O_WRONLY | getattr(os, "O_CLOEXEC", 0)
 
@@ -126,8 +125,6 @@ class RecordingFile:
         note: str,
         clock: tuple[int, str] | None = None,
     ) -> None:
-        from armlab import __version__
-
         self._file, self.path = open_new(path)
         self._layout, self._clock = layout, clock
         self._chunk_rows = 0

@@ -20,21 +20,20 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import tomli_w
 
+from armlab import __version__
 from armlab._toml import parsed
 from armlab.errors import LogError, RobotError
 from armlab.log.file_formats.opening import check_readable, naming, opened, undamaged
 from armlab.log.mcap.decode import message_counts, messages
 from armlab.log.mcap.records import DAMAGE, Contents, contents
 from armlab.log.recording.columns import clocks, summary_of
+from armlab.robots import Robot, from_toml, to_toml
 from armlab.wire import cdr
-
-if TYPE_CHECKING:
-    from armlab.robots import Robot
 
 SECRET = re.compile(r"token|password|passwd|secret|api[-_ ]?key", re.IGNORECASE)
 """What a name has inside whose value is secret."""
@@ -137,8 +136,6 @@ _PATIENCE = 2.0  # s for git
 
 def metadata(robot: Robot, attachments: Mapping[str, bytes], note: str) -> dict[str, str]:
     """Return the metadata record of a recording; values of secret options are replaced."""
-    from armlab import __version__
-
     return {
         "version": __version__,
         "revision": revision(Path.cwd()),
@@ -154,8 +151,6 @@ def metadata(robot: Robot, attachments: Mapping[str, bytes], note: str) -> dict[
 
 def attached(robot: Robot, attachments: Mapping[str, bytes]) -> dict[str, bytes]:
     """Return what is attached to a recording, name -> bytes: the robot's description, and settings without secrets."""
-    from armlab.robots import to_toml
-
     found: dict[str, bytes] = {}
     with suppress(RobotError):  # a name that cannot stand in a file must not cost the recording
         found[ROBOT] = to_toml(robot).encode()
@@ -166,8 +161,6 @@ def attached(robot: Robot, attachments: Mapping[str, bytes]) -> dict[str, bytes]
 
 def described(attachments: Mapping[str, bytes], name: str, origin: str) -> Robot | None:
     """Return the robot of a name as the attachments of a recording describe it, None where none of them does."""
-    from armlab.robots import from_toml
-
     found = (
         from_toml(text.decode(errors="replace"), f"{origin}, {file}")
         for file, text in attachments.items()

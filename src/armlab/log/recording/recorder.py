@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -24,10 +24,8 @@ from armlab.log.column import OLD_NAMES, Column
 from armlab.log.recording.file import RecordingFile, recording_path
 from armlab.log.recording.rows import RowLayout, Tick
 from armlab.log.table import Table
+from armlab.robots import Robot
 from armlab.state import Command, State
-
-if TYPE_CHECKING:
-    from armlab.robots import Robot
 
 _TAIL_RATE = 500.0  # rows per second a Tail has room for; EGM's fastest is 250
 _TAIL_ROWS = 1 << 40  # more than any memory

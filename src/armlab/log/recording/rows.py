@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,10 +13,8 @@ from armlab.errors import RobotError, ShapeError, UnknownName
 from armlab.kernels import RowPacker
 from armlab.log.column import Column, resolved
 from armlab.log.table import QD_SOURCES, TAU_SOURCES
+from armlab.robots import Robot
 from armlab.state import Command, State
-
-if TYPE_CHECKING:
-    from armlab.robots import Robot
 
 # Marks of values that are not there, in counts and in flags. A clock that reads zero was not sent.
 NO_COUNT, NO_CLOCK, NO_FLAG = -1, 0, 255
@@ -125,8 +123,6 @@ class RowLayout:
     """
 
     def __init__(self, robot: Robot, extra: Mapping[str, Column] | None = None) -> None:
-        from armlab.robots import Robot
-
         if not isinstance(robot, Robot):
             raise RobotError.no_robot(robot)
         self.n = robot.n
