@@ -170,7 +170,7 @@ def borders(data: bytes) -> Iterator[int]:
         yield from (start - 9, start, stop)
 
 
-@pytest.mark.parametrize(("number", "every"), [(20, 23), pytest.param(1200, 1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("number", "every"), [(20, 23), pytest.param(600, 2, marks=pytest.mark.slow)])
 def test_cut_files(data: bytes, tmp_path: Path, number: int, every: int) -> None:
     whole = reference(tmp_path / "whole.mcap", data)
     places = sorted({place + d for place in borders(data) for d in (-1, 0, 1) if 0 <= place + d <= len(data)})[::every]
