@@ -120,7 +120,7 @@ def run(tmp_path: Path) -> Path:
 def drawn(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
     """What would have been written, by the name of the file."""
     found: dict[str, Any] = {}
-    monkeypatch.setattr("armlab.cli.support.output.save_figure", lambda figure, path: found.update({path.name: figure}))
+    monkeypatch.setattr("armlab.cli.plot.options.save_figure", lambda figure, path: found.update({path.name: figure}))
     yield found
     plt.close("all")
 
@@ -333,7 +333,7 @@ def test_a_run_that_waited_is_drawn(tmp_path: Path, capsys) -> None:
 
 def test_an_arm_at_home_and_through_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     found = {}
-    monkeypatch.setattr("armlab.cli.support.output.save_figure", lambda figure, path: found.update({path.name: figure}))
+    monkeypatch.setattr("armlab.cli.plot.options.save_figure", lambda figure, path: found.update({path.name: figure}))
     monkeypatch.chdir(tmp_path)
     arm = robots.load("irb2400")
     q = np.linspace(np.zeros(6), np.ones(6), 20)

@@ -16,8 +16,10 @@ from typing import TYPE_CHECKING, Any
 from cyclopts import App
 
 from armlab._toml import TomlError, parsed
+from armlab.cli import FAILED
 from armlab.cli.support.options import Cell
-from armlab.errors import ConfigError, LinkError
+from armlab.cli.support.output import aligned, note, result
+from armlab.errors import CommandRefused, ConfigError, LinkError
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -50,8 +52,6 @@ def start(*, config: Path | None = None, listen: list[str] | None = None, second
         Robot time under guidance after which to end [s].
     """
     from armlab.bridge.cell import parse_cell, run_cell
-    from armlab.cli import FAILED
-    from armlab.cli.support.output import note, result
     from armlab.cli.support.settings import load_settings, read_text
 
     known = load_settings().settings.cell if config is None else config
@@ -73,7 +73,6 @@ def set_parameters(*setting: str, cell: Cell = "") -> None:
     """
     from armlab.bridge.servers.local import LocalFeed
     from armlab.bridge.servers.messages import SetRequest, Subscribe
-    from armlab.cli.support.output import aligned, result
 
     values = dict(_setting(word) for word in setting)
     with LocalFeed(cell) as feed:
@@ -124,14 +123,11 @@ def certificates(folder: Path, *, host: list[str] | None = None) -> None:
     host
         Names and addresses of the bridge's computer, as others call it; localhost always.
     """
-    from armlab.cli.support.output import result
-
     result("\n".join(str(path) for path in write_certificates(folder, host or ())))
 
 
 def _operate(request: Request, cell: str) -> None:
     from armlab.bridge.servers.local import LocalFeed
-    from armlab.cli.support.output import result
 
     with LocalFeed(cell) as feed:
         feed.ask(request)
@@ -140,8 +136,6 @@ def _operate(request: Request, cell: str) -> None:
 
 def _await(feed: Any, kind: str) -> dict[str, Any]:
     """Return the next message of a kind; another answer meanwhile is a refusal."""
-    from armlab.errors import CommandRefused
-
     end = time.monotonic() + _PATIENCE
     while time.monotonic() < end:
         message = feed.receive()
@@ -279,7 +273,6 @@ def monitor(robot: str | None = None, *, cell: Cell = "", zenoh: str = "", secon
     from armlab.bridge.servers.messages import Subscribe
     from armlab.bridge.servers.status import Watch
     from armlab.bridge.servers.zenoh.feed import ZenohFeed
-    from armlab.cli.support.output import note, result
 
     if seconds is not None and not seconds >= 0.0:
         raise ConfigError(f"Expected seconds of at least 0 s, got {seconds}.")

@@ -7,6 +7,9 @@ from typing import Any, Literal
 
 from cyclopts import App
 
+from armlab.cli import build_app
+from armlab.cli.support.output import aligned, print_json, result
+
 config = App(name="config", help="Show settings: of files, of the environment, of a cell. Writes nothing.")
 
 
@@ -27,7 +30,6 @@ def show(*, config: Path | None = None, origin: bool = False, json: bool = False
         Print JSON for scripts: name, value, origin.
     """
     from armlab.bridge.cell import cell_values
-    from armlab.cli.support.output import aligned, print_json, result
     from armlab.cli.support.settings import load_settings, read_text
 
     told = load_settings()
@@ -75,7 +77,4 @@ def completion(shell: Literal["bash", "fish", "zsh"]) -> None:
     shell : str
         Which one.
     """
-    from armlab.cli import build_app
-    from armlab.cli.support.output import result
-
     result(build_app().generate_completion(shell=shell))

@@ -15,6 +15,7 @@ from urllib.parse import urlencode
 
 from cyclopts import Parameter
 
+from armlab.cli.support.output import aligned, note, progress, result
 from armlab.errors import ConfigError, ControllerLate, LogError, UnknownName
 
 if TYPE_CHECKING:
@@ -127,8 +128,6 @@ def demo(
     output : Path
         New folder for logs, model, figures and summary; demo-<time> when left out.
     """
-    from armlab.cli.support.output import note, result
-
     if robot not in ROBOTS:
         raise UnknownName.among("robot of the demo", robot, ROBOTS)
     if seed < 0:
@@ -158,7 +157,6 @@ def rehearse(robot_name: str, seed: int, folder: Path, fast: bool, view: bool = 
     import numpy as np
 
     from armlab import log, robots
-    from armlab.cli.support.output import progress
     from armlab.contact import Estimator
     from armlab.identify import fit_dynamics
 
@@ -212,7 +210,6 @@ def _estimating(plan: Plan, estimator: Estimator) -> Any:
 @contextmanager
 def _shown(cell: str) -> Iterator[None]:
     """Show in the browser what links offer under this name; the view can hold none of them up."""
-    from armlab.cli.support.output import result
     from armlab.cli.view import beside
 
     with beside(cell) as line:
@@ -259,8 +256,6 @@ class DemoVerdict:
 
     def text(self) -> str:
         """Return the tables."""
-        from armlab.cli.support.output import aligned
-
         rows = [("press", "true [N]", "estimated x", "y", "z", "2-sigma", "error")]
         rows += [
             (

@@ -11,7 +11,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armlab.cli.support.options import Json
+from armlab.cli import FAILED, SKIPPED
+from armlab.cli.support.options import Json, known_ports, ports_in
+from armlab.cli.support.output import note, print_json, result
+from armlab.errors import ConfigError
 
 if TYPE_CHECKING:
     from armlab.bridge.doctor.machine import Finding
@@ -47,10 +50,6 @@ def doctor(
     """
     from armlab import robots
     from armlab.bridge.doctor.report import LONGEST, examine
-    from armlab.cli import FAILED, SKIPPED
-    from armlab.cli.support.options import known_ports, ports_in
-    from armlab.cli.support.output import note, print_json, result
-    from armlab.errors import ConfigError
 
     arms = [robots.load(name) for name in robot]
     ports = ports_in(port) if port is not None else known_ports(arms) if arms else None

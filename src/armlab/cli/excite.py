@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from armlab.cli.support.options import Force, Json
+from armlab.cli import FAILED
+from armlab.cli.support.options import Force, Json, as_given, joints_in, links_to, require_positive
+from armlab.cli.support.output import FIGURES, aligned, check_output, note, print_json, progress, result, save_figure
+from armlab.errors import ConfigError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -100,10 +103,7 @@ def excite(
     """
     from armlab import log as logs
     from armlab import robots
-    from armlab.cli.support.options import as_given, links_to, require_positive
-    from armlab.cli.support.output import FIGURES, check_output, note, print_json, progress, result, save_figure
     from armlab.cli.support.settings import load_settings, log_folder
-    from armlab.errors import ConfigError
     from armlab.identify import Trajectory, predicted_uncertainty
 
     if output is None and run is None:
@@ -153,7 +153,6 @@ def _design(
     robot: Robot, motion: ExcitationOptions, speed: float, joint: str | None, tell: Callable[[float, float, str], None]
 ) -> Trajectory:
     """Design a motion of all joints, or of one."""
-    from armlab.cli.support.options import joints_in
     from armlab.identify import design_excitation, friction_run
 
     if joint is not None:
@@ -169,8 +168,6 @@ def _design(
 
 
 def _text(expected: PredictedUncertainty) -> str:
-    from armlab.cli.support.output import aligned
-
     return f"{aligned(expected.rows(), right=(2, 3, 4))}\n{expected.excitation.text()}"
 
 
@@ -184,8 +181,6 @@ def _plain(expected: PredictedUncertainty) -> dict[str, Any]:
 def _check_positions(robot: Robot, table: Table) -> None:
     """Refuse a motion that the limits of position would bend: it comes from a file that may be of another arm."""
     import numpy as np
-
-    from armlab.errors import ConfigError
 
     q = table["q"]
     if q.shape[1:] != (robot.n,):
@@ -206,7 +201,6 @@ def _check_speed(robot: Robot, qd: np.ndarray, asked: float | None) -> None:
     import numpy as np
 
     from armlab.cli.support.settings import load_settings
-    from armlab.errors import ConfigError
 
     allowed, share = load_settings().settings.speed, float(np.max(np.abs(qd) / robot.qd_max))
     if asked is None and allowed < 1.0 and share > 1.01 * allowed:
@@ -219,8 +213,6 @@ def _check_speed(robot: Robot, qd: np.ndarray, asked: float | None) -> None:
 def _run(robot: Robot, trajectory: Trajectory, url: str, log: Path, approach: float) -> int:
     """Run the motion over a link and record it; return the exit code."""
     from armlab import bridge
-    from armlab.cli import FAILED
-    from armlab.cli.support.output import note, progress
 
     with progress("excite") as tell, bridge.connect(url, robot) as link:
         done = link.run(trajectory.controller(approach), approach + trajectory.seconds, record=log, progress=tell)

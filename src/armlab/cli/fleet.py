@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Parameter
 
+from armlab.cli import FAILED, SKIPPED
 from armlab.cli.support.options import Json
-from armlab.errors import ConfigError
+from armlab.cli.support.output import aligned, check_output, note, print_json, progress, result
+from armlab.errors import ArmlabError, ConfigError
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -69,7 +71,6 @@ def router(
         Time after which to end [s].
     """
     from armlab.bridge.servers.zenoh.security import Security
-    from armlab.cli.support.output import note
     from armlab.fleet import Router
 
     _check(seconds)
@@ -101,8 +102,6 @@ def record(
     seconds
         Time after which to end [s].
     """
-    from armlab.cli import FAILED
-    from armlab.cli.support.output import aligned, note, result
     from armlab.fleet import FleetRecorder
 
     _check(seconds)
@@ -141,7 +140,6 @@ def list_fleet(
     seconds
         Time to listen [s].
     """
-    from armlab.cli.support.output import aligned, print_json, result
     from armlab.fleet import list_robots
 
     _check(seconds)
@@ -223,7 +221,6 @@ class Job:
     def arm(self, logs: tuple[Path, ...]) -> Robot:
         """Return the arm that is named, or else the one that the first recording names."""
         from armlab import robots
-        from armlab.errors import ArmlabError, ConfigError
         from armlab.fleet.logs import named
         from armlab.log import inspect
 
@@ -241,7 +238,6 @@ class Job:
     @contextmanager
     def work(self, title: str) -> Iterator[tuple[Executor | None, Callable[[int, int, str], None]]]:
         """Yield the executor of the block, and what shows its progress."""
-        from armlab.cli.support.output import progress
         from armlab.fleet.mapping import workers
 
         with workers(self.workers, self.dask) as executor, progress(title) as tell:
@@ -271,8 +267,6 @@ def identify(
         See `Job`.
     """
     from armlab import fleet
-    from armlab.cli import SKIPPED
-    from armlab.cli.support.output import check_output, note, print_json, result
     from armlab.fleet.identification import default_folder
 
     check_output(output, job.force, [".toml"])
@@ -323,8 +317,6 @@ def estimate(
         See `Job`.
     """
     from armlab import fleet, models
-    from armlab.cli import SKIPPED
-    from armlab.cli.support.output import aligned, note, print_json, result
 
     arm, known = job.arm(logs), models.load(model, "torque_model")
     about = {"method": method, "ending": ".csv" if csv else ".mcap", "force": job.force}
@@ -367,8 +359,6 @@ def export(
         See `Job`; the robot is for recordings in mcap.
     """
     from armlab import fleet
-    from armlab.cli import SKIPPED
-    from armlab.cli.support.output import note, print_json, result
 
     arm = job.arm(logs) if format == "mcap" else None
     with job.work("export") as (executor, tell):
@@ -389,7 +379,5 @@ def _fixed(*values: float) -> list[str]:
 
 def _skipped(reasons: Mapping[str, str]) -> None:
     """Say which logs were not used."""
-    from armlab.cli.support.output import note
-
     for name, reason in reasons.items():
         note(f"skipped {name}: {reason}")

@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
+from armlab.cli import FAILED
 from armlab.cli.support.options import Force, Json
+from armlab.cli.support.output import aligned, check_output, note, print_json, progress, refuse_overwrite, result
 from armlab.errors import ConfigError, LogError, MissingExtra
 
 if TYPE_CHECKING:
@@ -43,8 +45,6 @@ def show(file: Path, *, json: Json = False, parameters: bool = False) -> None:
 
     from armlab import log as logs
     from armlab.cli.support.log_input import reading_bar
-    from armlab.cli.support.output import print_json, result
-    from armlab.errors import LogError
     from armlab.log.file_formats.opening import format_at
     from armlab.log.topics.reader import is_foreign
 
@@ -101,7 +101,6 @@ def export(
         Of a rosbag2: sqlite3 for releases of ROS 2 that are older than Iron.
     """
     from armlab import log as logs
-    from armlab.cli.support.output import check_output, note, progress, refuse_overwrite, result
     from armlab.log.file_formats.delimited import sidecar_path
     from armlab.log.file_formats.mat import matlab_names
     from armlab.log.reading import names_robots
@@ -168,7 +167,6 @@ def recover(file: Path, *, output: Path | None = None) -> None:
         The copy; <name>.recovered.mcap beside the file when not given.
     """
     from armlab import log as logs
-    from armlab.cli.support.output import note, progress, result
 
     with progress("recover") as tell:
         done = logs.recover(file, output, progress=tell)
@@ -208,8 +206,6 @@ def cut(
         The new file: .mcap of a recording; else an ending that armlab log export knows.
     """
     from armlab import log as logs
-    from armlab.cli.support.output import check_output, progress, result
-    from armlab.errors import ConfigError, LogError
     from armlab.log.file_formats.opening import format_at
     from armlab.log.reading import names_robots
     from armlab.log.topics.reader import is_foreign
@@ -249,7 +245,6 @@ def merge(*file: Path, output: Annotated[Path, Parameter(alias="-o")], force: Fo
         The new file, .mcap.
     """
     from armlab import log as logs
-    from armlab.cli.support.output import check_output, progress, result
 
     check_output(output, force, [".mcap"], file)
     with progress("merge") as tell:
@@ -271,9 +266,6 @@ def open_(file: Path, *, rerun: bool = False, foxglove: bool = False, plotjuggle
     rerun, foxglove, plotjuggler
         Open it there.
     """
-    from armlab.cli import FAILED
-    from armlab.cli.support.output import note
-
     check_finished(file)
     wanted = [name for name, is_on in (("foxglove", foxglove), ("plotjuggler", plotjuggler), ("rerun", rerun)) if is_on]
     viewer, program = chosen(wanted)
@@ -374,7 +366,6 @@ def _exchanged_text(file: Path, kind: str, tables: Mapping[str, Table]) -> str:
 
 def _table_texts(tables: Mapping[str, Table]) -> list[str]:
     """Return rows, notes and columns of each table, with its name where there are several."""
-    from armlab.cli.support.output import aligned
     from armlab.log.table import table_text
 
     blocks = [] if tables else ["no topic with numbers"]
@@ -395,8 +386,6 @@ def _began(t0_ns: int) -> str:
 
 
 def _text(held: Inspection, tables: Mapping[str, Table]) -> str:
-    from armlab.cli.support.output import aligned
-
     state = "finished" if held.finished else f"not finished, {held.torn} bytes torn"
     began = min((table.t0_ns for table in tables.values()), default=0)
     blocks = [f"{held.path}: {held.size / 1e6:.2f} MB, {state}, began {_began(began)}"]

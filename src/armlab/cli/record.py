@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from armlab.cli.support.options import Force
+from armlab.cli import FAILED
+from armlab.cli.support.options import Force, known_ports, ports_in, require_positive
+from armlab.cli.support.output import Narrator, check_output, note, result
+from armlab.errors import ConfigError, NoRobot, SessionEnded
 
 if TYPE_CHECKING:
     from armlab.robots import Robot
@@ -48,9 +51,6 @@ def record(
     """
     from armlab import bridge, robots
     from armlab.bridge.control.recording import paths
-    from armlab.cli.support.options import require_positive
-    from armlab.cli.support.output import Narrator, check_output, note
-    from armlab.errors import NoRobot, SessionEnded
 
     arms = [robots.load(name) for name in robot]
     urls = _urls(port, arms)
@@ -91,9 +91,6 @@ _STEPS = """Leading by hand, step by step:
 
 def _urls(port: str | None, arms: list[Robot]) -> list[str]:
     """Return one link per arm, on all network interfaces."""
-    from armlab.cli.support.options import known_ports, ports_in
-    from armlab.errors import ConfigError
-
     if not arms:
         raise ConfigError("Expected the name of a robot, got none. Try `armlab record yumi_left -o run.mcap`.")
     if port is None:
@@ -107,8 +104,6 @@ def _urls(port: str | None, arms: list[Robot]) -> list[str]:
 def _told(files: list[Path]) -> int:
     """Say what the logs hold; a log without a row is removed. Return the exit code."""
     from armlab import log as logs
-    from armlab.cli import FAILED
-    from armlab.cli.support.output import note, result
 
     kept = 0
     for path in files:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from cyclopts import App
 
 from armlab.cli.support.options import Force, Json
+from armlab.cli.support.output import FIGURES, aligned, check_output, note, print_json, result, save_figure
 
 if TYPE_CHECKING:
     from armlab.robots import Robot
@@ -23,7 +24,6 @@ robot = App(name="robot", help="List, show and convert robot descriptions.")
 def list_robots(*, json: Json = False) -> None:
     """List the robots of the library."""
     from armlab import robots
-    from armlab.cli.support.output import aligned, print_json, result
 
     found = [robots.load(name) for name in robots.names()]
     if json:
@@ -58,7 +58,6 @@ def show(
         Draw the arm at home into this file; .png, .svg or .pdf.
     """
     from armlab import robots
-    from armlab.cli.support.output import FIGURES, check_output, note, save_figure
 
     if figure is not None:
         check_output(figure, force, FIGURES)
@@ -92,7 +91,6 @@ def convert(
         Link of a URDF that moves last; need not be said where only one branch moves.
     """
     from armlab import robots
-    from armlab.cli.support.output import check_output, note
 
     check_output(target, force, (".toml", ".urdf"))
     arm = robots.load(source, base=base, tip=tip)
@@ -101,8 +99,6 @@ def convert(
 
 
 def _show_tree(tree: Tree, json: bool) -> None:
-    from armlab.cli.support.output import aligned, note, print_json, result
-
     if json:
         fields = ("name", "kind", "parent", "child", "q_min", "q_max", "qd_max", "tau_max", "line")
         joints = [
@@ -132,8 +128,6 @@ def _show_tree(tree: Tree, json: bool) -> None:
 
 def _show_arm(arm: Robot, json: bool) -> None:
     import numpy as np
-
-    from armlab.cli.support.output import aligned, print_json, result
 
     if json:
         words = ("name", "n", "joint_names", "abb_axes", "side", "source", "hash")

@@ -11,6 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from armlab.cli import FAILED
+from armlab.cli.support.options import links_to
+from armlab.cli.support.output import Narrator, check_output, note, result
+from armlab.errors import ConfigError, ControllerFailed
+
 if TYPE_CHECKING:
     from armlab.bridge import Link, Run
 
@@ -61,11 +66,7 @@ def run(
         Afterwards, a Python prompt with `log` (the table), `run` and `robot`.
     """
     from armlab import bridge, robots
-    from armlab.cli import FAILED
-    from armlab.cli.support.options import links_to
-    from armlab.cli.support.output import Narrator, note, result
     from armlab.cli.support.settings import load_settings
-    from armlab.errors import ControllerFailed
 
     arms = [robots.load(name) for name in robot.split("+")]
     step, extra = (_hold, None) if controller is None else load_controller(controller)
@@ -102,8 +103,6 @@ In this order: automatic mode or manual with the enabling device; motors on; RAP
 def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] | None]:
     """Return the controller in a file, and the columns that the file declares as `extra`, None without them."""
     from importlib.util import module_from_spec, spec_from_file_location
-
-    from armlab.errors import ConfigError
 
     path, name = _file_and_name(place)
     if path.suffix != ".py":
@@ -162,9 +161,7 @@ def _hold(state: object) -> None:
 
 def _base(log: str | None, no_log: bool, robot: str) -> Path | None:
     """Return the name of the log, with the time: one file per arm and start."""
-    from armlab.cli.support.output import check_output
     from armlab.cli.support.settings import log_folder
-    from armlab.errors import ConfigError
 
     if no_log:
         if log is not None:
@@ -188,8 +185,6 @@ def _files(link: Link) -> list[Path]:
 
 
 def _tell_files(link: Link) -> None:
-    from armlab.cli.support.output import note
-
     for path in _files(link):
         note(f"log: {path}; look at it: armlab log show {path}")
 
@@ -198,7 +193,6 @@ def _report_of_logs(link: Link) -> None:
     """Print the report of a run that was interrupted: its numbers are the summary of the log."""
     from armlab import log as logs
     from armlab.bridge.control.run import Run
-    from armlab.cli.support.output import result
 
     for path in _files(link):
         summary = logs.inspect(path).summary

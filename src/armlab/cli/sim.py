@@ -16,6 +16,8 @@ from cyclopts import Parameter
 
 from armlab._interrupts import deferred
 from armlab.cli import FAILED, INTERRUPTED
+from armlab.cli.support.options import simulated
+from armlab.cli.support.output import note
 from armlab.errors import ConfigError, LogError
 from armlab.sim.arm.mismatch import Mismatch
 from armlab.sim.controller.settings import ControllerSettings, FaultRates
@@ -333,7 +335,6 @@ def sim(
     parent : int
         Process with which to end; the one that started this one by default.
     """
-    from armlab.cli.support.output import note
     from armlab.sim.controller.cycles import Timing, run
 
     os.environ.setdefault("MUJOCO_GL", "disable")  # nothing is drawn: MuJoCo need not load what opens windows
@@ -421,7 +422,6 @@ class _SharedOptions:
 
     def channel(self, name: str, address: tuple[str, int], index: int, seed: list[int]) -> UdpClient:
         """Return one simulated robot with its socket."""
-        from armlab.cli.support.options import simulated
         from armlab.sim.controller.channel import Faults, UdpClient
         from armlab.sim.controller.controller import SimulatedController
         from armlab.sim.controller.packets import PacketBuilder

@@ -12,6 +12,9 @@ from tempfile import TemporaryFile
 from typing import IO, TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+from armlab.cli.support.output import note, result
+from armlab.errors import ConfigError, LinkError
+
 if TYPE_CHECKING:
     from armlab.models import TorqueModel
 
@@ -60,7 +63,6 @@ def view(
         Port of the page; from 8080 on the first that is free when left out.
     """
     from armlab import models
-    from armlab.errors import ConfigError
 
     if fleet:
         if what or live or robot or model or cell:
@@ -87,7 +89,6 @@ def view(
 
 def _watch(arm: str | None, cell: str, zenoh: str, models: Sequence[TorqueModel], port: int | None) -> None:
     """Show a running bridge."""
-    from armlab.cli.support.output import note
     from armlab.live.live_bridge import watch
 
     watch(arm, cell=cell, zenoh=zenoh, models=models, port=port, opened=_open, tell=note)
@@ -97,7 +98,6 @@ def _watch_fleet(url: str, port: int | None) -> None:
     """Show all robots at a router."""
     from armlab.bridge.servers.zenoh.keys import EVERY
     from armlab.bridge.servers.zenoh.session import LabAddress
-    from armlab.cli.support.output import note
     from armlab.live.fleet_view import watch_fleet
 
     place = LabAddress.read(url or "zenoh://127.0.0.1")
@@ -108,8 +108,6 @@ def _watch_fleet(url: str, port: int | None) -> None:
 def _play(paths: Sequence[str], names: Sequence[str], models: Sequence[TorqueModel], port: int | None) -> None:
     """Show logs."""
     from armlab import robots
-    from armlab.cli.support.output import note
-    from armlab.errors import ConfigError
     from armlab.live import Player, address, read_arms, start, stop
 
     if not paths:
@@ -133,8 +131,6 @@ def _folders(robots: Sequence[str]) -> list[Path]:
 
 def _open(url: str) -> None:
     """Print the address at once, also for a program that reads it."""
-    from armlab.cli.support.output import result
-
     result(f"View: {url}")
     sys.stdout.flush()
 
@@ -160,8 +156,6 @@ def beside(cell: str) -> Iterator[str]:
 
 def _first_line(process: subprocess.Popen[str], said: IO[str]) -> str:
     """Return what a view prints when it can be opened."""
-    from armlab.errors import LinkError
-
     out = process.stdout
     came = out is not None and select.select([out], [], [], _START)[0]
     line = out.readline().strip() if out is not None and came else ""

@@ -18,6 +18,7 @@ from armlab.cli.calibrate.samples import (
     run_fit,
     tool_poses,
 )
+from armlab.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -137,7 +138,6 @@ def force_sensor(
         Find samples with contact and leave them out.
     """
     from armlab.calibrate import fit_force_sensor
-    from armlab.errors import ConfigError
 
     if gravity is not None and unknown_gravity:
         raise ConfigError("Expected --gravity or --unknown-gravity, got both. Leave one out.")
@@ -218,7 +218,6 @@ def laser(
     import numpy as np
 
     from armlab.calibrate import fit_laser_plane
-    from armlab.errors import LogError
 
     def parts(read: Samples) -> tuple[np.ndarray, ...]:
         return measured_rows(read, (tool_poses(read, robot), read.vectors("scans", (4,)), read.numbers("plane")))[:3]

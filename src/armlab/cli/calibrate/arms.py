@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from armlab.cli.calibrate.samples import NOTHING, SampleFile, Wanted, measured_rows, run_fit
+from armlab.cli.support.output import check_output, note
+from armlab.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -158,8 +160,6 @@ def _arm_parts(read: Samples, arm: Robot) -> tuple[np.ndarray, ...]:
     """Return joints, poses, positions, distances, pair distances, and the other sample of each pair."""
     import numpy as np
 
-    from armlab.errors import LogError
-
     q = read.vectors("q", (arm.n,))
     seen = _measurements(read, len(q), ("pose", "position", "distance", "pair_distance", "pair_with"))
     *found, rows = measured_rows(read, (q,), seen, every="pair_distance" in read)
@@ -180,8 +180,6 @@ def _arm_parts(read: Samples, arm: Robot) -> tuple[np.ndarray, ...]:
 def _measurements(read: Samples, N: int, names: tuple[str, ...]) -> list[np.ndarray]:
     """Return what was measured of each name, NaN where that is not in the file."""
     import numpy as np
-
-    from armlab.errors import LogError
 
     if not any(name in read for name in names):
         raise LogError(f"Expected one of {', '.join(names)} in {read.path}, got {', '.join(read.values)}.")
@@ -214,8 +212,6 @@ def _kinds(measured: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, n
 
 def _noises(values: list[float] | None, names: list[str]) -> dict[str, Any]:
     """Return the deviations of each kind."""
-    from armlab.errors import ConfigError
-
     if values is None:
         return {}
     counts = [_NUMBERS[name] for name in names]
@@ -230,8 +226,6 @@ def _noises(values: list[float] | None, names: list[str]) -> dict[str, Any]:
 
 
 def _check_robots(files: tuple[Path, ...], wanted: Wanted) -> None:
-    from armlab.cli.support.output import check_output
-
     for path in files:
         check_output(path, wanted.force, (".toml",))
 
@@ -239,7 +233,6 @@ def _check_robots(files: tuple[Path, ...], wanted: Wanted) -> None:
 def _save(arms: list[Robot], files: tuple[Path, ...]) -> None:
     """Write the corrected robots that are wanted."""
     from armlab import robots
-    from armlab.cli.support.output import note
 
     for arm, path in zip(arms, files, strict=False):
         robots.save(arm, path)

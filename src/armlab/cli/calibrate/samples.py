@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from armlab.cli.support.html_report import HtmlReport, Verdict
+from armlab.cli.support.output import note
 from armlab.cli.support.results import Results
 from armlab.errors import ConfigError, LogError
 
@@ -141,7 +143,6 @@ class Samples:
 def read_samples(path: Path) -> Samples:
     """Return the columns of a CSV file, a MAT file, or a recording."""
     from armlab import log as logs
-    from armlab.cli.support.output import note
     from armlab.log.file_formats.mat import read_mat
     from armlab.log.file_formats.opening import file_hash, is_text
     from armlab.log.topics.reader import is_foreign
@@ -256,8 +257,6 @@ def measured_rows(
     """
     import numpy as np
 
-    from armlab.cli.support.output import note
-
     parts = [*needed, *some]
     lengths = [len(part) for part in parts]
     if len(set(lengths)) > 1:
@@ -296,8 +295,6 @@ def _first_times(
 ) -> np.ndarray:
     """Return which rows (N,) are no copy of an earlier one: the same sample twice tells nothing new of the noise."""
     import numpy as np
-
-    from armlab.cli.support.output import note
 
     flat = [np.ascontiguousarray(part.reshape(len(part), -1), dtype=float) for part in (*needed, *some)]
     numbers, name = np.flatnonzero(there), read.path.name
@@ -362,8 +359,6 @@ class Wanted(Results):
 
     def save(self, job: str, fit: Fit[Any], sources: tuple[str, ...]) -> None:
         """Print the fit and write the files that are wanted."""
-        from armlab.cli.support.output import note
-
         verdict = judge(fit)
         self.say({**numbers(fit), "sources": list(sources)}, fit.report(), verdict)
         if self.output is not None:
@@ -394,8 +389,6 @@ def judge(fit: Fit[Any]) -> Verdict:
     """Return what can be relied on, what not, and what to do next."""
     import numpy as np
 
-    from armlab.cli.support.html_report import Verdict
-
     good, bad, ahead = [], [], []
     left, total = int(fit.outliers.sum()), len(fit.outliers)
     good.append(f"{fit.n} samples identify all {fit.excitation.expected} directions asked for.")
@@ -423,7 +416,6 @@ def judge(fit: Fit[Any]) -> Verdict:
 def _page(job: str, fit: Fit[Any], verdict: Verdict, sources: tuple[str, ...]) -> Any:
     """Return the page: verdict, figure, parameters, and the text of the fit."""
     from armlab import plots
-    from armlab.cli.support.html_report import HtmlReport
     from armlab.plots.style import png
 
     page = HtmlReport(f"Calibration: {job}", f"From {'; '.join(sources)}.")

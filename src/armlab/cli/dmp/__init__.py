@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
-from armlab.cli.support.options import Force, Json
+from armlab.cli import FAILED
+from armlab.cli.support.options import Force, Json, links_to
+from armlab.cli.support.output import check_output, note, print_json, progress, result
+from armlab.errors import ConfigError
 
 if TYPE_CHECKING:
     from armlab.bridge import Limits
@@ -77,8 +80,6 @@ def fit(
         lund or ijspeert; lund when not given.
     """
     from armlab.cli.dmp.teaching import MotionWindow, check_options, numbers_of, read_demonstration, taught, text_of
-    from armlab.cli.support.output import check_output, note, print_json, result
-    from armlab.errors import ConfigError
 
     given = {"basis": basis, "schedule": schedule, "scaling": scaling, "convention": convention}
     options = check_options(kind, given | {"frame": frame, "robot": robot, "period": period})
@@ -157,10 +158,7 @@ def play(
     from armlab import log as logs
     from armlab import models
     from armlab.cli.dmp.playing import numbers_in, rehearsed, resolved, rolled_out
-    from armlab.cli.support.options import links_to
-    from armlab.cli.support.output import check_output, note, print_json
     from armlab.cli.support.settings import log_folder
-    from armlab.errors import ConfigError
 
     given = {"duration": duration, "amplitude": amplitude, "turns": turns, "via": via or None}
     given |= {"start": numbers_in(start, "start"), "goal": numbers_in(goal, "goal")}
@@ -197,9 +195,7 @@ def _plan(
 def _move(robot: Robot, motion: PlannedMotion, limits: Limits, links: list[str], log: Path, json: bool) -> int:
     """Walk to the start, run the motion, and say how near the goal it came."""
     from armlab import bridge
-    from armlab.cli import FAILED
     from armlab.cli.dmp.playing import SETTLES, Walk, distance
-    from armlab.cli.support.output import note, print_json, progress, result
 
     controller, seconds = motion.controller, motion.seconds
     with bridge.connect(links, robot) as end, progress("motion") as tell:

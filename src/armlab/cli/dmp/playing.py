@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armlab.cli.support.options import as_given
+from armlab.errors import ConfigError, LinkError, ShapeError
 
 if TYPE_CHECKING:
     from armlab.bridge import Limits
@@ -44,8 +45,6 @@ class PlannedMotion:
 
 def numbers_in(text: str | None, option: str) -> np.ndarray | None:
     """Return the numbers of a word such as ``0.1,0.2,-0.3``; None of None."""
-    from armlab.errors import ConfigError
-
     try:
         return None if text is None else np.array([float(word) for word in text.split(",")])
     except ValueError:
@@ -62,7 +61,6 @@ def resolved(primitive: Any, given: Mapping[str, Any]) -> tuple[Any, dict[str, A
 
     `given`: value by option, None where it was not given; via as words "TIME:Y,Y,...".
     """
-    from armlab.errors import ConfigError
     from armlab.motion import TwoDofDmp, fit_dmp, with_via_points
 
     kind = getattr(primitive, "KIND", type(primitive).__name__)
@@ -117,7 +115,6 @@ def motion_of(primitive: Any, run: Mapping[str, Any], robot: Robot, limits: Limi
 
 def rehearsed(motion: PlannedMotion) -> Table:
     """Return what the controller would tell an arm that does as it is told: q and qd (N, n) at 250 Hz."""
-    from armlab.errors import LinkError
     from armlab.log import Table
     from armlab.state import State
 
@@ -175,8 +172,6 @@ class Walk:
 
 
 def _point(word: str) -> tuple[float, np.ndarray]:
-    from armlab.errors import ConfigError
-
     time, _, values = word.partition(":")
     try:
         return float(time), np.array([float(value) for value in values.split(",")])
@@ -209,7 +204,6 @@ def _joint_motion(
 
 def _pose_motion(dmp: PoseDmp, run: Mapping[str, Any], robot: Robot, limits: Limits) -> PlannedMotion:
     """The posture at the start is the one nearest to home; along the path each is the nearest to the one before."""
-    from armlab.errors import ShapeError
     from armlab.kinematics import inverse
 
     dmp.controller(robot, limits=limits, goal=run.get("goal"))

@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from armlab.cli.support.output import aligned
+from armlab.errors import ConfigError, UnknownName
+
 if TYPE_CHECKING:
     from armlab.estimation import Fit
     from armlab.log import Table
@@ -47,8 +50,6 @@ class MotionWindow:
 
     def __post_init__(self) -> None:
         """Refuse times that are none: nothing is before or after NaN."""
-        from armlab.errors import ConfigError
-
         for name in ("start", "end"):
             value = getattr(self, name)
             if value is not None and not math.isfinite(value):
@@ -60,8 +61,6 @@ def check_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
 
     `given`: value by option, None where it was not given.
     """
-    from armlab.errors import ConfigError, UnknownName
-
     if kind not in KINDS:
         raise UnknownName.among("kind of primitive", kind, KINDS)
     chosen = {name: value for name, value in given.items() if value is not None}
@@ -79,7 +78,6 @@ def read_demonstration(
 ) -> Demonstration:
     """Return the motion in a log."""
     from armlab import kinematics, log, robots
-    from armlab.errors import ConfigError
     from armlab.log.topics.reader import is_foreign, read_joints
 
     arm, foreign = None if robot is None else robots.load(robot), is_foreign(path)
@@ -108,7 +106,6 @@ def read_demonstration(
 def taught(kind: str, demos: Sequence[Demonstration], options: Mapping[str, Any]) -> Fit[Any]:
     """Return the fit of a primitive."""
     from armlab import motion
-    from armlab.errors import ConfigError
 
     given = {("n_basis" if name == "basis" else name): value for name, value in options.items() if name != "robot"}
     if kind in ("pose", "periodic"):
@@ -139,8 +136,6 @@ def numbers_of(kind: str, found: Fit[Any], demos: int) -> dict[str, Any]:
 
 def text_of(kind: str, found: Fit[Any], demos: int) -> str:
     """Return what was found, for people."""
-    from armlab.cli.support.output import aligned
-
     told, value = numbers_of(kind, found, demos), found.value
     shown = "1 demonstration" if demos == 1 else f"{demos} demonstrations"
     length = f"turns of {value.period:.2f} s" if kind == "periodic" else f"{value.duration:.2f} s"
@@ -172,8 +167,6 @@ def _side_by_side(table: Table, names: Sequence[str]) -> np.ndarray:
 
 def _moving(t: np.ndarray, y: np.ndarray, what: str) -> slice:
     """Return the rows of the motion, with a little of the rest at both ends."""
-    from armlab.errors import ConfigError
-
     if len(t) < 3:
         return slice(None)
     speed = np.abs(np.gradient(y, t, axis=0)).reshape(len(t), -1).max(axis=1)

@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from armlab.cli.support.options import as_given
+from armlab.cli.support.output import aligned, note, print_json, progress, result
 from armlab.cli.support.results import PLAIN, Results
+from armlab.errors import LogError
 
 if TYPE_CHECKING:
     from armlab.cli.support.html_report import Verdict
@@ -90,8 +93,6 @@ def estimate(
     from armlab import models, robots
     from armlab.cli.estimate import report as report_of
     from armlab.cli.support.log_input import doubts, read_log
-    from armlab.cli.support.options import as_given
-    from armlab.cli.support.output import note, progress
     from armlab.contact import Estimator, contacts
 
     wanted.check(output, (".mcap", ".csv"), [log])
@@ -135,7 +136,6 @@ def _say(table: Table, method: str, found: list[tuple[Contact, str]], verdict: V
     """Print the table per axis, the contacts with their places and the verdict, or all of it as JSON."""
     from armlab.cli.estimate.report import axes, limits, rows
     from armlab.cli.support.log_input import gaps, left_out
-    from armlab.cli.support.output import aligned, print_json, result
 
     if json:
         contacts = [{**vars(contact), "where": place} for contact, place in found]
@@ -160,8 +160,6 @@ def _check(table: Table, log: Path) -> None:
     import numpy as np
 
     from armlab.cli.support.log_input import left_out
-    from armlab.cli.support.output import note
-    from armlab.errors import LogError
 
     invalid = left_out(table)
     if invalid == len(table):

@@ -10,6 +10,7 @@ import numpy as np
 from armlab.cli.support.html_report import HtmlReport, Verdict
 from armlab.cli.support.log_input import gaps, left_out
 from armlab.cli.support.results import Tell
+from armlab.errors import UnknownName
 
 if TYPE_CHECKING:
     from armlab.contact.contacts import Contact, Hypotheses
@@ -226,7 +227,6 @@ def _reach(table: Table, model: TorqueModel, prior: np.ndarray) -> Verdict:
 def _truth(table: Table) -> Verdict:
     """Compare with a force sensor or a simulated operator, where the log has one."""
     from armlab.contact import compare
-    from armlab.errors import UnknownName
 
     try:
         found = compare(table)

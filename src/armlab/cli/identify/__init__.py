@@ -8,7 +8,9 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from armlab.cli.support.output import note, progress
 from armlab.cli.support.results import PLAIN, Results
+from armlab.errors import ConfigError
 
 __all__ = []
 
@@ -51,8 +53,6 @@ def identify(
     from armlab import robots
     from armlab.cli.identify import report as report_of
     from armlab.cli.support.log_input import read_log
-    from armlab.cli.support.output import note, progress
-    from armlab.errors import ConfigError
     from armlab.identify import fit_dynamics, fit_friction, fit_gravity
     from armlab.identify.record import check_once
 

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from armlab.cli.support.html_report import HtmlReport, Verdict
+from armlab.cli.support.output import note, progress
 from armlab.cli.support.results import PLAIN, Results
 
 if TYPE_CHECKING:
@@ -55,7 +57,6 @@ def payload(
     """
     from armlab import models, robots
     from armlab.cli.support.log_input import read_log
-    from armlab.cli.support.output import note, progress
     from armlab.estimation import Fit
     from armlab.identify import fit_payload
     from armlab.models.files import load_statistics
@@ -95,7 +96,6 @@ def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> V
     import numpy as np
 
     from armlab.cli.identify.report import POOR
-    from armlab.cli.support.html_report import Verdict
     from armlab.identify import extrapolation
     from armlab.identify.payload import moving_joints
 
@@ -131,7 +131,6 @@ def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> V
 
 def _page(fit: Fit[Payload], model: TorqueModel, table: Table, verdict: Verdict, about: str) -> Any:
     from armlab import plots
-    from armlab.cli.support.html_report import HtmlReport
     from armlab.plots.style import png
 
     page = HtmlReport(f"Load of {1e3 * fit.value.mass:.0f} g", about)

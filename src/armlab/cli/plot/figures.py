@@ -27,6 +27,7 @@ from armlab.cli.plot.options import (
     torque_model,
 )
 from armlab.cli.support.options import joints_in
+from armlab.errors import ConfigError, LogError, ModelMismatchError, UnknownName
 
 if TYPE_CHECKING:
     pass
@@ -88,7 +89,6 @@ def scene(
     frames : float
         Length of the frames along paths [m]; 0 for none.
     """
-    from armlab.errors import ConfigError
     from armlab.frames import Plane
     from armlab.log import nikon
 
@@ -114,7 +114,6 @@ def latency(log: Path, *, figure: LogFigure = OF_LOG) -> int:
     log : Path
         Recording of a run.
     """
-    from armlab.errors import LogError, UnknownName
 
     def draw(plots: Any) -> Any:
         read = figure.read(log)
@@ -210,8 +209,6 @@ def wrenches(*logs: Path, figure: LogFigure = OF_LOG) -> int:
     logs : tuple of Path
         Output of `armlab estimate`, or recordings of runs that estimated; one per arm.
     """
-    from armlab.errors import ConfigError
-
     if len({log.stem for log in logs}) < max(len(logs), 1):
         raise ConfigError(f"Expected logs of different names, one per arm, got {', '.join(map(str, logs)) or 'none'}.")
     return figure.draw(
@@ -234,7 +231,6 @@ def coverage(log: Path, *, model: Path | None = None, figure: ModelFigure = OF_M
     model : Path
         Model file of `armlab identify`, whose torques are compared with those of the log.
     """
-    from armlab.errors import LogError
     from armlab.identify import predict
 
     def draw(plots: Any) -> Any:
@@ -272,7 +268,6 @@ def calibration(fit: Path, *, figure: FigureFile = BESIDE) -> int:
     fit : Path
         File of `armlab calibrate`; that command draws the residuals too, with --figure, for files keep none.
     """
-    from armlab.errors import ModelMismatchError
     from armlab.estimation import Fit
     from armlab.models import TorqueModel
 
@@ -366,7 +361,6 @@ def dmp(
     """
     from armlab import models
     from armlab.cli.dmp.teaching import MotionWindow, read_demonstration
-    from armlab.errors import ConfigError
     from armlab.motion import Dmp, PeriodicDmp, PoseDmp, ProMP, TwoDofDmp
 
     def draw(plots: Any) -> Any:
@@ -423,7 +417,6 @@ def two_dof(
     from armlab import log as logs
     from armlab import models
     from armlab.cli.dmp.playing import numbers_in
-    from armlab.errors import ConfigError, LogError
     from armlab.motion import Dmp, TwoDofDmp
 
     def draw(plots: Any) -> Any:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from armlab.cli.support.options import joints_in
+from armlab.cli.support.output import FIGURES, check_output, result, save_figure
+from armlab.errors import LogError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -57,7 +59,6 @@ class FigureFile:
         `make` draws it with the module `armlab.plots`; a file that cannot be written is refused before.
         """
         from armlab import plots
-        from armlab.cli.support.output import FIGURES, check_output, result, save_figure
         from armlab.plots.style import show
 
         beside = Path(source)
@@ -92,7 +93,6 @@ class LogPart:
     def read(self, path: Path, robot: str | None = None) -> Table:
         """Return that part of a log."""
         from armlab import log, robots
-        from armlab.errors import LogError
         from armlab.log.topics.reader import is_foreign, read_joints
 
         if robot is not None and is_foreign(path):
@@ -109,8 +109,6 @@ class LogPart:
 
     def estimated(self, path: Path, column: str = "wrench_hat") -> Table:
         """Return that part of a log in which a wrench was estimated."""
-        from armlab.errors import LogError
-
         read = self.read(path)
         if column not in read:
             raise LogError(
@@ -193,7 +191,6 @@ def poses_in(table: Table, path: Path, column: str | None, robot: str | None) ->
     `column`: of poses; the usual ones when None.
     """
     from armlab import kinematics, robots
-    from armlab.errors import LogError
 
     if robot is not None:
         return kinematics.forward(robots.load(robot), table["q"])

@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armlab.cli.support.output import progress
+from armlab.errors import NotExcited, ShapeError
+
 if TYPE_CHECKING:
     from armlab.log import Table
     from armlab.log.file_formats.description import Progress
@@ -26,8 +29,6 @@ LOST = 1.5  # median steps: a longer one lacks rows
 @contextmanager
 def reading_bar(path: Path) -> Iterator[Progress | None]:
     """Show a bar on a terminal while the block reads a large log; yields what `log.read` tells, None without a bar."""
-    from armlab.cli.support.output import progress
-
     files = [path] if path.is_file() else [one for one in path.glob("*") if one.is_file()]
     if not sys.stderr.isatty() or sum(one.stat().st_size for one in files) < LARGE:
         yield None
@@ -53,7 +54,6 @@ def doubts(table: Table, robot: Robot, model: TorqueModel | None = None) -> tupl
 
     `table`: with q, qd, tau (N, n).
     """
-    from armlab.errors import NotExcited, ShapeError
     from armlab.log.units_check import check_torque, check_velocity, has_moved
     from armlab.signals import lowpass_offline
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from armlab._whole_files import whole_file
 from armlab.errors import ConfigError
@@ -122,11 +121,11 @@ def progress(title: str) -> Iterator[Callable[[float, float, str], None]]:
 def _plain(data: Any) -> Any:
     if isinstance(data, dict):
         return {str(key): _plain(value) for key, value in data.items()}
-    if isinstance(data, np.ndarray | np.generic):
+    if hasattr(data, "tolist"):  # of NumPy, which is not loaded for its sake
         return _plain(data.tolist())
     if isinstance(data, list | tuple):
         return [_plain(value) for value in data]
-    if isinstance(data, float) and not np.isfinite(data):
+    if isinstance(data, float) and not math.isfinite(data):
         return None
     return data
 

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from cyclopts import Parameter
 
+from armlab.cli.support.output import FIGURES, check_output, note, print_json, progress, result, save_figure
+
 if TYPE_CHECKING:
     from armlab.cli.support.html_report import HtmlReport, Verdict
 
@@ -39,16 +41,12 @@ class Results:
 
     def check(self, output: Path | None, endings: Sequence[str], inputs: Sequence[Path] = ()) -> None:
         """Refuse names of files that cannot be written, before the work begins."""
-        from armlab.cli.support.output import FIGURES, check_output
-
         for path, known in ((output, endings), (self.report, (".html",)), (self.figure, FIGURES)):
             if path is not None:
                 check_output(path, self.force, known, inputs)
 
     def say(self, numbers: Mapping[str, Any], text: str, verdict: Verdict) -> None:
         """Print the result with its verdict, as text or as JSON."""
-        from armlab.cli.support.output import print_json, result
-
         if self.json:
             print_json({**numbers, "verdict": vars(verdict)})
         else:
@@ -56,8 +54,6 @@ class Results:
 
     def write(self, draw: Callable[[Any], Any], page: Callable[[Tell], HtmlReport]) -> None:
         """Write figure and page where they are wanted; `draw` gets the module `armlab.plots`."""
-        from armlab.cli.support.output import note, progress, save_figure
-
         if self.figure is not None:
             from armlab import plots
 
