@@ -42,14 +42,12 @@ bridge = App(
 def start(*, config: Path | None = None, listen: list[str] | None = None, seconds: float | None = None) -> int:
     """Run the bridge of a cell until Ctrl-C. The first line says what listens where, the last ones how it went.
 
-    Parameters
-    ----------
-    config
-        The cell: a TOML file of robots, sources, parameters and servers; the one of the settings when not given.
-    listen
-        SERVER=ADDRESS or SERVER=INTERFACE: let a server be read beyond this computer. Such a server takes no commands.
-    seconds
-        Robot time under guidance after which to end [s].
+    Parameters:
+        config: The cell: a TOML file of robots, sources, parameters and servers; the one of the settings when not
+            given.
+        listen: SERVER=ADDRESS or SERVER=INTERFACE: let a server be read beyond this computer. Such a server takes no
+            commands.
+        seconds: Robot time under guidance after which to end [s].
     """
     from armlab.bridge.cell import parse_cell, run_cell
     from armlab.cli.support.settings import load_settings, read_text
@@ -66,10 +64,8 @@ def start(*, config: Path | None = None, listen: list[str] | None = None, second
 def set_parameters(*setting: str, cell: Cell = "") -> None:
     """Set parameters of a running bridge, all or none; show the values in force.
 
-    Parameters
-    ----------
-    setting
-        NAME=VALUE, for example gain=2.5, force=[0,0,5], gentle=true. None: show all parameters.
+    Parameters:
+        setting: NAME=VALUE, for example gain=2.5, force=[0,0,5], gentle=true. None: show all parameters.
     """
     from armlab.bridge.servers.local import LocalFeed
     from armlab.bridge.servers.messages import SetRequest, Subscribe
@@ -116,12 +112,9 @@ def resume(*, cell: Cell = "") -> None:
 def certificates(folder: Path, *, host: list[str] | None = None) -> None:
     """Write what a bridge needs to take commands over Zenoh from other computers: certificates, users, passwords.
 
-    Parameters
-    ----------
-    folder
-        Where to. What is secret in it is readable by you alone.
-    host
-        Names and addresses of the bridge's computer, as others call it; localhost always.
+    Parameters:
+        folder: Where to. What is secret in it is readable by you alone.
+        host: Names and addresses of the bridge's computer, as others call it; localhost always.
     """
     result("\n".join(str(path) for path in write_certificates(folder, host or ())))
 
@@ -258,14 +251,10 @@ _LINES = 1.0  # s between two lines where there is no terminal
 def monitor(robot: str | None = None, *, cell: Cell = "", zenoh: str = "", seconds: float | None = None) -> None:
     """Monitor a running bridge of this user, until Ctrl-C or its end.
 
-    Parameters
-    ----------
-    robot
-        Show this arm only.
-    zenoh
-        A bridge on another computer, for example zenoh://192.168.1.5:7447/lab1.
-    seconds
-        Time after which to end [s].
+    Parameters:
+        robot: Show this arm only.
+        zenoh: A bridge on another computer, for example zenoh://192.168.1.5:7447/lab1.
+        seconds: Time after which to end [s].
     """
     from rich.console import Console
 

@@ -115,18 +115,12 @@ def demo(
 
     Ends with status 1 when an estimate misses its bar.
 
-    Parameters
-    ----------
-    fast : bool
-        As fast as the machine can (lockstep) instead of in real time.
-    view : bool
-        Also show arm, force and curves in the browser while the demo runs; prints the address.
-    seed : int
-        Of motions, noise and operator.
-    robot : str
-        yumi_right or yumi_left.
-    output : Path
-        New folder for logs, model, figures and summary; demo-<time> when left out.
+    Parameters:
+        fast: As fast as the machine can (lockstep) instead of in real time.
+        view: Also show arm, force and curves in the browser while the demo runs; prints the address.
+        seed: Of motions, noise and operator.
+        robot: yumi_right or yumi_left.
+        output: New folder for logs, model, figures and summary; demo-<time> when left out.
     """
     if robot not in ROBOTS:
         raise UnknownName.among("robot of the demo", robot, ROBOTS)

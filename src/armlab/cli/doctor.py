@@ -39,14 +39,11 @@ def doctor(
 
     Listens on the ports and sends nothing to a robot. Exit codes: 0 all is well, 3 warnings, 1 failures.
 
-    Parameters
-    ----------
-    robot : str
-        What is expected at each port: names in the library, or robot files, to compare axes and posture with.
-    port : str
-        UDP ports, separated by commas; 6510, 6511 and 6512 when not given, or as `armlab record` for these robots.
-    seconds : float
-        How long to listen.
+    Parameters:
+        robot: What is expected at each port: names in the library, or robot files, to compare axes and posture with.
+        port: UDP ports, separated by commas; 6510, 6511 and 6512 when not given, or as `armlab record` for these
+            robots.
+        seconds: How long to listen.
     """
     from armlab import robots
     from armlab.bridge.doctor.report import LONGEST, examine

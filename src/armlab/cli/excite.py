@@ -33,20 +33,14 @@ ROUNDS = 300  # of the search for the motion that tells most
 class ExcitationOptions:
     """Shape of the motion.
 
-    Attributes
-    ----------
-    seconds : float
-        Length of the motion, at least 10 [s].
-    f0 : float
-        Base frequency [Hz]; the motion repeats after 1 / f0.
-    harmonics : int
-        Number of them: the motion holds frequencies up to harmonics times f0.
-    speed : float
-        Peak speed as a share of the robot's limits, in (0, 1]; 0.6, or the setting where that is less, when not given.
-    acceleration : float
-        Peak acceleration [rad/s^2].
-    seed : int
-        Another motion for each.
+    Attributes:
+        seconds: Length of the motion, at least 10 [s].
+        f0: Base frequency [Hz]; the motion repeats after 1 / f0.
+        harmonics: Number of them: the motion holds frequencies up to harmonics times f0.
+        speed: Peak speed as a share of the robot's limits, in (0, 1]; 0.6, or the setting where that is less, when not
+            given.
+        acceleration: Peak acceleration [rad/s^2].
+        seed: Another motion for each.
     """
 
     seconds: float = 60.0
@@ -77,29 +71,19 @@ def excite(
     Prints the predicted uncertainty of each group of parameters. The motion stays within the limits of position,
     speed and acceleration of the robot file; it knows nothing of obstacles: look at it before you run it.
 
-    Parameters
-    ----------
-    robot : str
-        Name in the library, or a robot file.
-    output : Path
-        Write the motion to this CSV file: t, q, qd, qdd at 250 Hz.
-    motion : ExcitationOptions
-        What it shall be like.
-    joint : str
-        Instead, move this joint alone, by name or number from 1: ten constant speeds, both ways, to see its friction.
-    saved : Path
-        Take the motion of this file, as -o writes it, instead of designing one.
-    noise : float
-        Standard deviation of the robot's torque signal [N m]; the printed deviations are in proportion to it.
-    figure : Path
-        Draw the motion into this PNG, SVG or PDF.
-    run : str
-        Link to run it on: egm://HOST:PORT for a robot, sim://yumi_left, or sim://FILE, for a simulated one.
-    log : Path
-        Recording of the run; -2, -3 is added to a name that exists. excite.mcap in the folder of the settings when not
-        given.
-    approach : float
-        Seconds of the walk from where the arm stands to the start.
+    Parameters:
+        robot: Name in the library, or a robot file.
+        output: Write the motion to this CSV file: t, q, qd, qdd at 250 Hz.
+        motion: What it shall be like.
+        joint: Instead, move this joint alone, by name or number from 1: ten constant speeds, both ways, to see its
+            friction.
+        saved: Take the motion of this file, as -o writes it, instead of designing one.
+        noise: Standard deviation of the robot's torque signal [N m]; the printed deviations are in proportion to it.
+        figure: Draw the motion into this PNG, SVG or PDF.
+        run: Link to run it on: egm://HOST:PORT for a robot, sim://yumi_left, or sim://FILE, for a simulated one.
+        log: Recording of the run; -2, -3 is added to a name that exists. excite.mcap in the folder of the settings when
+            not given.
+        approach: Seconds of the walk from where the arm stands to the start.
     """
     from armlab import log as logs
     from armlab import robots

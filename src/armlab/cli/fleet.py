@@ -49,26 +49,16 @@ def router(
 ) -> None:
     """Be the Zenoh router through which bridges and their readers find each other, until Ctrl-C.
 
-    Parameters
-    ----------
-    listen
-        Address of the network card; beyond this computer only with certificates and users.
-    port
-        TCP port.
-    connect
-        HOST:PORT of another router, whose robots are seen through this one too.
-    ca
-        CA certificate of the lab: lab.pem of armlab bridge certificates.
-    certificate
-        Certificate of this router: bridge.pem.
-    key
-        Private key of the certificate: bridge.key.
-    users
-        Password file of the users: users.txt.
-    secret
-        Password file for the routers of --connect: bridge.secret.
-    seconds
-        Time after which to end [s].
+    Parameters:
+        listen: Address of the network card; beyond this computer only with certificates and users.
+        port: TCP port.
+        connect: HOST:PORT of another router, whose robots are seen through this one too.
+        ca: CA certificate of the lab: lab.pem of armlab bridge certificates.
+        certificate: Certificate of this router: bridge.pem.
+        key: Private key of the certificate: bridge.key.
+        users: Password file of the users: users.txt.
+        secret: Password file for the routers of --connect: bridge.secret.
+        seconds: Time after which to end [s].
     """
     from armlab.bridge.servers.zenoh.security import Security
     from armlab.fleet import Router
@@ -93,14 +83,10 @@ def record(
 ) -> int:
     """Record every robot whose rows come, each in a file of its own, until Ctrl-C.
 
-    Parameters
-    ----------
-    output
-        Folder for the files, LAB-ROBOT.mcap; made if it is not there.
-    lab
-        Record this lab only.
-    seconds
-        Time after which to end [s].
+    Parameters:
+        output: Folder for the files, LAB-ROBOT.mcap; made if it is not there.
+        lab: Record this lab only.
+        seconds: Time after which to end [s].
     """
     from armlab.fleet import FleetRecorder
 
@@ -133,12 +119,9 @@ def list_fleet(
 ) -> None:
     """List the robots whose bridges are there: rate, rows that did not come, age of the newest row, commander.
 
-    Parameters
-    ----------
-    lab
-        List this lab only.
-    seconds
-        Time to listen [s].
+    Parameters:
+        lab: List this lab only.
+        seconds: Time to listen [s].
     """
     from armlab.fleet import list_robots
 
@@ -198,18 +181,12 @@ def _wait(seconds: float | None) -> None:
 class Job:
     """What the commands over many logs have in common.
 
-    Attributes
-    ----------
-    robot : str
-        Name in the library, or a robot file; the one that the recordings name when not given.
-    workers : int
-        Processes on this computer.
-    dask : str
-        Address of a Dask scheduler, tcp://HOST:PORT; its workers must see the files by the same paths.
-    json : bool
-        Print JSON for scripts.
-    force : bool
-        Replace existing files.
+    Attributes:
+        robot: Name in the library, or a robot file; the one that the recordings name when not given.
+        workers: Processes on this computer.
+        dask: Address of a Dask scheduler, tcp://HOST:PORT; its workers must see the files by the same paths.
+        json: Print JSON for scripts.
+        force: Replace existing files.
     """
 
     robot: str | None = None
@@ -255,16 +232,11 @@ def identify(
     The result has the same bits with any number of workers. Logs that cannot be used are named, and the command ends
     with status 3. Sums of each log are kept, so that ten logs more cost ten logs.
 
-    Parameters
-    ----------
-    logs
-        Recordings of free motion without contact, and folders of such.
-    output
-        Model file to write, ends in .toml.
-    no_cache
-        Keep no sums, and use none.
-    job
-        See `Job`.
+    Parameters:
+        logs: Recordings of free motion without contact, and folders of such.
+        output: Model file to write, ends in .toml.
+        no_cache: Keep no sums, and use none.
+        job: See `Job`.
     """
     from armlab import fleet
     from armlab.fleet.identification import default_folder
@@ -301,20 +273,13 @@ def estimate(
     Prints a line per log: its length, how often and how long there was contact, the largest force and the mean 2-sigma
     band. Logs that cannot be used are named, and the command ends with status 3.
 
-    Parameters
-    ----------
-    logs
-        Recordings with positions, velocities and torques, and folders of such.
-    model
-        Model file of armlab identify.
-    output
-        Folder for the estimates.
-    method
-        As of armlab estimate.
-    csv
-        Write text instead of recordings.
-    job
-        See `Job`.
+    Parameters:
+        logs: Recordings with positions, velocities and torques, and folders of such.
+        model: Model file of armlab identify.
+        output: Folder for the estimates.
+        method: As of armlab estimate.
+        csv: Write text instead of recordings.
+        job: See `Job`.
     """
     from armlab import fleet, models
 
@@ -347,16 +312,11 @@ def export(
 
     Logs that cannot be read or written are named, and the command ends with status 3.
 
-    Parameters
-    ----------
-    logs
-        Files of any format that armlab reads, and folders of such.
-    format
-        To write: csv, mat, parquet, h5, mcap or rosbag2.
-    output
-        Folder for the files.
-    job
-        See `Job`; the robot is for recordings in mcap.
+    Parameters:
+        logs: Files of any format that armlab reads, and folders of such.
+        format: To write: csv, mat, parquet, h5, mcap or rosbag2.
+        output: Folder for the files.
+        job: See `Job`; the robot is for recordings in mcap.
     """
     from armlab import fleet
 

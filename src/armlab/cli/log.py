@@ -34,12 +34,9 @@ def show(file: Path, *, json: Json = False, parameters: bool = False) -> None:
 
     Of a log of another program, an MCAP file or a bag, it shows each topic by itself.
 
-    Parameters
-    ----------
-    file
-        A recording, finished or not, or a log in another format.
-    parameters
-        Show only the parameters of the run: who set what when, and what was in force at the end.
+    Parameters:
+        file: A recording, finished or not, or a log in another format.
+        parameters: Show only the parameters of the run: who set what when, and what was in force at the end.
     """
     import warnings
 
@@ -86,19 +83,14 @@ def export(
     .csv for spreadsheets, .mat for MATLAB, .parquet for pandas and databases, .h5 for HDF5, .rosbag2 for ROS 2, .mcap
     for a recording of armlab. armlab reads all of them back as they were.
 
-    Parameters
-    ----------
-    file
-        A log in any of these formats, finished or not.
-    output
-        The new file; of a rosbag2 the new folder.
-    robot
-        Which one, of a recording of several; of a log of another program the arm whose joints it has, or the first part
-        of its topics. For .mcap and .rosbag2 the arm of the log, by name or file, if the log does not describe it.
-    clock
-        Of a log of another program, the topic whose stamps are the rows, as armlab log show lists them.
-    storage
-        Of a rosbag2: sqlite3 for releases of ROS 2 that are older than Iron.
+    Parameters:
+        file: A log in any of these formats, finished or not.
+        output: The new file; of a rosbag2 the new folder.
+        robot: Which one, of a recording of several; of a log of another program the arm whose joints it has, or the
+            first part of its topics. For .mcap and .rosbag2 the arm of the log, by name or file, if the log does not
+            describe it.
+        clock: Of a log of another program, the topic whose stamps are the rows, as armlab log show lists them.
+        storage: Of a rosbag2: sqlite3 for releases of ROS 2 that are older than Iron.
     """
     from armlab import log as logs
     from armlab.log.file_formats.delimited import sidecar_path
@@ -159,12 +151,9 @@ def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
 def recover(file: Path, *, output: Path | None = None) -> None:
     """Write a repaired copy of a truncated or damaged log. The original stays as it is.
 
-    Parameters
-    ----------
-    file
-        The recording.
-    output
-        The copy; <name>.recovered.mcap beside the file when not given.
+    Parameters:
+        file: The recording.
+        output: The copy; <name>.recovered.mcap beside the file when not given.
     """
     from armlab import log as logs
 
@@ -192,18 +181,13 @@ def cut(
     A recording stays a whole recording: metadata, attachments, the parameters so far, and the events of the stretch.
     Its t is not shifted, so that 12.3 s is the same moment in both.
 
-    Parameters
-    ----------
-    file
-        A recording, finished or not, or a log in another format.
-    from_
-        Seconds of the table, as armlab log show and the figures have them; from the beginning when not given.
-    to
-        Seconds of the table; to the end when not given.
-    robot
-        Which one, of a recording of several: all of them stay in .mcap when not given. Else as in armlab log export.
-    output
-        The new file: .mcap of a recording; else an ending that armlab log export knows.
+    Parameters:
+        file: A recording, finished or not, or a log in another format.
+        from_: Seconds of the table, as armlab log show and the figures have them; from the beginning when not given.
+        to: Seconds of the table; to the end when not given.
+        robot: Which one, of a recording of several: all of them stay in .mcap when not given. Else as in armlab log
+            export.
+        output: The new file: .mcap of a recording; else an ending that armlab log export knows.
     """
     from armlab import log as logs
     from armlab.log.file_formats.opening import format_at
@@ -237,12 +221,9 @@ def merge(*file: Path, output: Annotated[Path, Parameter(alias="-o")], force: Fo
     of both arms of a bridge stand side by side: commands take the rows of the robot that they name, armlab log export
     those of --robot, armlab plot those of --arm.
 
-    Parameters
-    ----------
-    file
-        Two recordings or more, in any order.
-    output
-        The new file, .mcap.
+    Parameters:
+        file: Two recordings or more, in any order.
+        output: The new file, .mcap.
     """
     from armlab import log as logs
 
@@ -259,12 +240,11 @@ def open_(file: Path, *, rerun: bool = False, foxglove: bool = False, plotjuggle
     Without an option the first of these that is installed. armlab needs none of them: armlab plot and armlab view show
     logs, too. Returns when the program ends.
 
-    Parameters
-    ----------
-    file
-        A finished recording.
-    rerun, foxglove, plotjuggler
-        Open it there.
+    Parameters:
+        file: A finished recording.
+        rerun: Open it there.
+        foxglove: Open it there.
+        plotjuggler: Open it there.
     """
     check_finished(file)
     wanted = [name for name, is_on in (("foxglove", foxglove), ("plotjuggler", plotjuggler), ("rerun", rerun)) if is_on]

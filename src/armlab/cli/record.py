@@ -33,21 +33,14 @@ def record(
     came. A process that is killed outright loses what it had not taken up yet, a packet or two; a loss of power costs
     up to 0.8 s.
 
-    Parameters
-    ----------
-    robot : str
-        Names in the library, or robot files; one log each.
-    port : str
-        UDP ports to listen on, one per robot, separated by commas; those of the settings when not given, else 6510 for
-        one robot, 6511, 6512, ... for several.
-    output : Path
-        The log, run.mcap; with several robots each has its side or name added: runleft.mcap, runright.mcap.
-    lead_through : bool
-        The arm is led by hand: lists the steps first and says when it does not begin in its home posture.
-    seconds : float
-        Robot time after which to end [s], counted from the first packet.
-    patience : float
-        Give up when no packet comes for so long [s]; waits for ever when not given.
+    Parameters:
+        robot: Names in the library, or robot files; one log each.
+        port: UDP ports to listen on, one per robot, separated by commas; those of the settings when not given, else
+            6510 for one robot, 6511, 6512, ... for several.
+        output: The log, run.mcap; with several robots each has its side or name added: runleft.mcap, runright.mcap.
+        lead_through: The arm is led by hand: lists the steps first and says when it does not begin in its home posture.
+        seconds: Robot time after which to end [s], counted from the first packet.
+        patience: Give up when no packet comes for so long [s]; waits for ever when not given.
     """
     from armlab import bridge, robots
     from armlab.bridge.control.recording import paths

@@ -46,16 +46,11 @@ def show(
 ) -> None:
     """Show one robot: joints, limits, gears, home pose; draw it if asked. Of a URDF, show the tree of links.
 
-    Parameters
-    ----------
-    name
-        Name in the library, or the path of a description, .toml or .urdf.
-    base
-        Link of a URDF that stands still: show the arm that begins there.
-    tip
-        Link of a URDF that moves last: show the arm that ends there.
-    figure
-        Draw the arm at home into this file; .png, .svg or .pdf.
+    Parameters:
+        name: Name in the library, or the path of a description, .toml or .urdf.
+        base: Link of a URDF that stands still: show the arm that begins there.
+        tip: Link of a URDF that moves last: show the arm that ends there.
+        figure: Draw the arm at home into this file; .png, .svg or .pdf.
     """
     from armlab import robots
 
@@ -79,16 +74,11 @@ def convert(
 ) -> None:
     """Write a robot as TOML, which holds all of it, or as URDF for other programs.
 
-    Parameters
-    ----------
-    source
-        Name in the library, or the path of a description, .toml or .urdf.
-    target
-        File to write, .toml or .urdf.
-    base
-        Link of a URDF that stands still; its root unless said.
-    tip
-        Link of a URDF that moves last; need not be said where only one branch moves.
+    Parameters:
+        source: Name in the library, or the path of a description, .toml or .urdf.
+        target: File to write, .toml or .urdf.
+        base: Link of a URDF that stands still; its root unless said.
+        tip: Link of a URDF that moves last; need not be said where only one branch moves.
     """
     from armlab import robots
 

@@ -42,28 +42,20 @@ def run(
     declares the columns of Command.record. The run ends after --seconds, by Command.stop(), or on Ctrl-C; the arm is
     brought to rest first.
 
-    Parameters
-    ----------
-    robot : str
-        Name in the library, or a robot file; yumi_left+yumi_right for two arms.
-    controller : str
-        FILE.py:NAME; FILE.py alone means the function `controller` in it. Without a file the arm holds where it is.
-    link : str
-        egm://HOST:PORT for a robot, where HOST is an address of this computer, separated by commas for two arms; the
-        simulated robot when not given.
-    log : str
-        Beginning of the name of the log, to which the time is added; or a folder, where it is the robot's name. In the
-        folder of the settings when not given.
-    no_log : bool
-        Record nothing.
-    seconds : float
-        Robot time under guidance after which to end [s].
-    speed : float
-        Share of the robot's speed and acceleration limits that is allowed, in (0, 1]; that of the settings, 1 without.
-    wait : str
-        How to wait for packets; as the settings say, ahead without. spin: a core does nothing else.
-    interactive : bool
-        Afterwards, a Python prompt with `log` (the table), `run` and `robot`.
+    Parameters:
+        robot: Name in the library, or a robot file; yumi_left+yumi_right for two arms.
+        controller: FILE.py:NAME; FILE.py alone means the function `controller` in it. Without a file the arm holds
+            where it is.
+        link: egm://HOST:PORT for a robot, where HOST is an address of this computer, separated by commas for two arms;
+            the simulated robot when not given.
+        log: Beginning of the name of the log, to which the time is added; or a folder, where it is the robot's name. In
+            the folder of the settings when not given.
+        no_log: Record nothing.
+        seconds: Robot time under guidance after which to end [s].
+        speed: Share of the robot's speed and acceleration limits that is allowed, in (0, 1]; that of the settings, 1
+            without.
+        wait: How to wait for packets; as the settings say, ahead without. spin: a core does nothing else.
+        interactive: Afterwards, a Python prompt with `log` (the table), `run` and `robot`.
     """
     from armlab import bridge, robots
     from armlab.cli.support.settings import load_settings

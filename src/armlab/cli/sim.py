@@ -63,24 +63,16 @@ FaultOptions.__doc__ = f"{FaultOptions.__doc__}\n\n    Attributes\n{_attributes.
 class PacketOptions:
     """What the packets hold.
 
-    Attributes
-    ----------
-    robotware : str
-        Flavour: 6.06 sends radians and no time, 6.07 time, 6.10 the utilization, 7 what came later.
-    axes : str
-        A robot without a name: 6 for irb1200, 7 for yumi_right, scara for an invented robot of four axes.
-    external : int
-        External axes beyond those of the robot.
-    rapid_data : int
-        How many of the numbers that RAPID hears it sends back, with the digital value (RobotWare 7).
-    fields : str
-        Fields of EgmRobot to leave out, with commas between: tm, planned, cartesian, time, motorState, mciState,
-        rapidExecState, mciConvergenceMet, utilizationRate.
-    force : bool
-        Send the wrench on the tool as measuredForce, in the layout of the RobotWare.
-    lagging : bool
-        No masses: the arm follows its reference through a dead time of two cycles and a lag of 8 ms, without torques.
-        So do all robots of which no masses are assumed.
+    Attributes:
+        robotware: Flavour: 6.06 sends radians and no time, 6.07 time, 6.10 the utilization, 7 what came later.
+        axes: A robot without a name: 6 for irb1200, 7 for yumi_right, scara for an invented robot of four axes.
+        external: External axes beyond those of the robot.
+        rapid_data: How many of the numbers that RAPID hears it sends back, with the digital value (RobotWare 7).
+        fields: Fields of EgmRobot to leave out, with commas between: tm, planned, cartesian, time, motorState,
+            mciState, rapidExecState, mciConvergenceMet, utilizationRate.
+        force: Send the wrench on the tool as measuredForce, in the layout of the RobotWare.
+        lagging: No masses: the arm follows its reference through a dead time of two cycles and a lag of 8 ms, without
+            torques. So do all robots of which no masses are assumed.
     """
 
     robotware: Literal["6.06", "6.07", "6.10", "7"] = "6.10"
@@ -115,20 +107,15 @@ class PacketOptions:
 class SurroundingOptions:
     """What happens around the arms.
 
-    Attributes
-    ----------
-    operator : Path
-        CSV file of the wrench that a hand exerts on the first robot, t,fx,fy,fz,mx,my,mz: seconds since guidance began,
-        N and N m in base axes at the tool point, linear between rows.
-    hand : Path
-        CSV file of the posture to which a hand leads the first robot with --program lead-through, t,q1,q2,... in rad;
-        without it the path is random and smooth.
-    grip : str
-        START,END [s] of guidance time: a hand takes the tool of the first robot, holds it where it is, and lets go.
-    motors : str
-        State of the motors over robot time, as on, or 0:on,2.5:off,4:on. Also: undefined.
-    rapid : str
-        State of RAPID over robot time: running, stopped or undefined (stuck, as after a restart).
+    Attributes:
+        operator: CSV file of the wrench that a hand exerts on the first robot, t,fx,fy,fz,mx,my,mz: seconds since
+            guidance began, N and N m in base axes at the tool point, linear between rows.
+        hand: CSV file of the posture to which a hand leads the first robot with --program lead-through, t,q1,q2,... in
+            rad; without it the path is random and smooth.
+        grip: START,END [s] of guidance time: a hand takes the tool of the first robot, holds it where it is, and lets
+            go.
+        motors: State of the motors over robot time, as on, or 0:on,2.5:off,4:on. Also: undefined.
+        rapid: State of RAPID over robot time: running, stopped or undefined (stuck, as after a restart).
     """
 
     operator: Path | None = None
@@ -291,49 +278,28 @@ def sim(
 ) -> int:
     """Simulate arms and their EGM controller. Masses, friction and noise are invented; see the documentation.
 
-    Parameters
-    ----------
-    robot : str
-        Names in the library, or robot files, one motion task each; or none together with --axes.
-    to : str
-        HOST:PORT of the bridge; with several robots one each, separated by commas.
-    lockstep : bool
-        Wait for each reply and run as fast as the peer; the same seed gives the same bytes.
-    seed : str
-        Seed of noise, faults and the random hand; with several robots also one each, separated by commas.
-    seconds : float
-        Robot time after which to end [s]; without it until Ctrl-C.
-    extension : bool
-        Send velocities and torques too (research extension, field 101), and obey torques and gains.
-    phase : float
-        With several robots: how long after the one before each sends [s].
-    truth : Path
-        CSV file to write with the exact state, friction and wrench of every packet (one robot only).
-    stats : Path
-        JSON file to write with counters and round-trip times, per robot; a name given twice gets a number.
-    json : bool
-        Print events as JSON, one object per line.
-    patience : float
-        How long lockstep waits for one reply before the session times out [s].
-    abb_defaults : bool
-        Speed deviation 1 deg/s and convergence after 1 s within 0.5 deg, as on a robot set up without care. What is
-        given as an option of its own keeps its value.
-    content : PacketOptions
-        Of the packets.
-    around : SurroundingOptions
-        The arms.
-    settings : ControllerSettings
-        Of the controller.
-    faults : FaultOptions
-        In both directions.
-    outgoing : FaultOptions
-        Of the robot's packets instead, for example --outgoing.loss 0.1.
-    incoming : FaultOptions
-        Of the replies instead.
-    mismatch : Mismatch
-        How the arms differ from what is believed of them, for example --mismatch.torque-constant 0.05.
-    parent : int
-        Process with which to end; the one that started this one by default.
+    Parameters:
+        robot: Names in the library, or robot files, one motion task each; or none together with --axes.
+        to: HOST:PORT of the bridge; with several robots one each, separated by commas.
+        lockstep: Wait for each reply and run as fast as the peer; the same seed gives the same bytes.
+        seed: Seed of noise, faults and the random hand; with several robots also one each, separated by commas.
+        seconds: Robot time after which to end [s]; without it until Ctrl-C.
+        extension: Send velocities and torques too (research extension, field 101), and obey torques and gains.
+        phase: With several robots: how long after the one before each sends [s].
+        truth: CSV file to write with the exact state, friction and wrench of every packet (one robot only).
+        stats: JSON file to write with counters and round-trip times, per robot; a name given twice gets a number.
+        json: Print events as JSON, one object per line.
+        patience: How long lockstep waits for one reply before the session times out [s].
+        abb_defaults: Speed deviation 1 deg/s and convergence after 1 s within 0.5 deg, as on a robot set up without
+            care. What is given as an option of its own keeps its value.
+        content: Of the packets.
+        around: The arms.
+        settings: Of the controller.
+        faults: In both directions.
+        outgoing: Of the robot's packets instead, for example --outgoing.loss 0.1.
+        incoming: Of the replies instead.
+        mismatch: How the arms differ from what is believed of them, for example --mismatch.torque-constant 0.05.
+        parent: Process with which to end; the one that started this one by default.
     """
     from armlab.sim.controller.cycles import Timing, run
 

@@ -40,27 +40,19 @@ def view(
     one, forward the port by ssh -L. A view of a bridge only reads: it can neither delay it nor command it, waits for
     one that has not begun, and goes on when it starts again.
 
-    Parameters
-    ----------
-    what : str
-        Log files, of one arm or of several; with --live the name of the arm to show, all when left out.
-    live : bool
-        Show a running bridge of this user, or with --zenoh one elsewhere.
-    fleet : bool
-        Show all robots side by side that armlab fleet list would list; with --zenoh those of another router or of one
-        lab. One that comes is added, one that goes is shown as gone.
-    zenoh : str
-        Where bridge or router are, for example zenoh://192.168.1.5:7447/lab1; zenoh://127.0.0.1:7447 with --fleet.
-    robot : str
-        Name in the library, or a robot file, for logs without an embedded robot description; one per log. Its mesh
-        files are searched beside it and up to two folders above.
-    model : Path
-        Model file of `armlab identify` that estimates the force where neither log nor bridge holds an estimate; one
-        per arm.
-    cell : str
-        With --live, name of the cell; needed when several run.
-    port : int
-        Port of the page; from 8080 on the first that is free when left out.
+    Parameters:
+        what: Log files, of one arm or of several; with --live the name of the arm to show, all when left out.
+        live: Show a running bridge of this user, or with --zenoh one elsewhere.
+        fleet: Show all robots side by side that armlab fleet list would list; with --zenoh those of another router or
+            of one lab. One that comes is added, one that goes is shown as gone.
+        zenoh: Where bridge or router are, for example zenoh://192.168.1.5:7447/lab1; zenoh://127.0.0.1:7447 with
+            --fleet.
+        robot: Name in the library, or a robot file, for logs without an embedded robot description; one per log. Its
+            mesh files are searched beside it and up to two folders above.
+        model: Model file of `armlab identify` that estimates the force where neither log nor bridge holds an estimate;
+            one per arm.
+        cell: With --live, name of the cell; needed when several run.
+        port: Port of the page; from 8080 on the first that is free when left out.
     """
     from armlab import models
 

@@ -62,19 +62,13 @@ def hand_eye(
     Instead of T_cam_marker it may have points of the marker in camera axes, p_cam1_x, p_cam1_y, p_cam1_z, p_cam2_x ...;
     in a MAT file p_cam (N, K, 3). A point that was not seen is empty.
 
-    Parameters
-    ----------
-    marker : Path
-        File with the places of the points on the marker, a row each: marker_x, marker_y, marker_z [m or mm in the
-        header]. They are found when left out.
-    setup : str
-        eye_to_hand: the camera stands, the marker is on the tool. eye_in_hand: the other way round.
-    noise : list
-        Deviations of the camera where they are known: m and rad of poses, m of points.
-    noise_robot : tuple
-        Deviations of the poses of the robot, m and rad, where it is not exact: samples cannot tell them.
-    robust : bool
-        Find wrong samples and leave them out.
+    Parameters:
+        marker: File with the places of the points on the marker, a row each: marker_x, marker_y, marker_z [m or mm in
+            the header]. They are found when left out.
+        setup: eye_to_hand: the camera stands, the marker is on the tool. eye_in_hand: the other way round.
+        noise: Deviations of the camera where they are known: m and rad of poses, m of points.
+        noise_robot: Deviations of the poses of the robot, m and rad, where it is not exact: samples cannot tell them.
+        robust: Find wrong samples and leave them out.
     """
     import numpy as np
 
@@ -118,24 +112,15 @@ def force_sensor(
     A file has the poses T_base_tool, as for hand-eye, and force1 ... force3, or wrench_raw1 ... wrench_raw6 with
     torques, N and N m, sensor axes; in a MAT file force (N, 3) or wrench_raw (N, 6).
 
-    Parameters
-    ----------
-    wrench : str
-        Name of the readings in the file, where it is another one.
-    gravity : tuple
-        In base axes, m/s^2; downwards when left out.
-    unknown_gravity : bool
-        Find the direction of gravity too.
-    sign : int
-        1 when the sensor reads the weight that hangs on it, -1 when it reads the reaction.
-    mass : float
-        What hangs on the sensor, kg, where it is known.
-    no_bias : bool
-        Readings without weight are zero.
-    noise : list
-        Deviation of forces, N, and of torques, N m, where they are known.
-    robust : bool
-        Find samples with contact and leave them out.
+    Parameters:
+        wrench: Name of the readings in the file, where it is another one.
+        gravity: In base axes, m/s^2; downwards when left out.
+        unknown_gravity: Find the direction of gravity too.
+        sign: 1 when the sensor reads the weight that hangs on it, -1 when it reads the reaction.
+        mass: What hangs on the sensor, kg, where it is known.
+        no_bias: Readings without weight are zero.
+        noise: Deviation of forces, N, and of torques, N m, where they are known.
+        robust: Find samples with contact and leave them out.
     """
     from armlab.calibrate import fit_force_sensor
 
@@ -171,16 +156,11 @@ def accelerometer(
     A file has the poses T_base_tool, as for hand-eye, and acc1, acc2, acc3, m/s^2, sensor axes, upwards at rest; in a
     MAT file acc (N, 3).
 
-    Parameters
-    ----------
-    gravity : tuple
-        In base axes, m/s^2; downwards when left out.
-    scale : bool
-        Find the scale of the readings too.
-    noise : float
-        Deviation of a reading, m/s^2, where it is known.
-    robust : bool
-        Find samples that were not at rest and leave them out.
+    Parameters:
+        gravity: In base axes, m/s^2; downwards when left out.
+        scale: Find the scale of the readings too.
+        noise: Deviation of a reading, m/s^2, where it is known.
+        robust: Find samples that were not at rest and leave them out.
     """
     from armlab.calibrate import fit_accelerometer
 
@@ -208,12 +188,9 @@ def laser(
     A file has the poses T_base_tool, as for hand-eye, the lines scans1 ... scans4 (point x, y, direction x, y in the
     laser plane), and plane, the number of the plate.
 
-    Parameters
-    ----------
-    noise : tuple
-        Deviations of a point, m, and of the angle of a line, rad, where they are known.
-    robust : bool
-        Find wrong scans and leave them out.
+    Parameters:
+        noise: Deviations of a point, m, and of the angle of a line, rad, where they are known.
+        robust: Find wrong scans and leave them out.
     """
     import numpy as np
 

@@ -41,26 +41,17 @@ def kinematics(
     from a fixed point; pair_distance, from the tool in sample pair_with of the file, the first being 0. What was not
     measured in a sample is empty.
 
-    Parameters
-    ----------
-    robot : str
-        Name in the library, or a robot file: the nominal arm.
-    anchor : tuple
-        Roughly where the fixed point of distances is, m.
-    length_offset : bool
-        Distances do not begin at zero, as those of a draw wire: find where.
-    noise : list
-        Deviations where they are known, in this order: m and rad of poses, m of positions, of distances, of pairs.
-    free : str
-        What may be wrong: all; offsets: joint offsets, base and tool; base_tool.
-    harmonics : list
-        Orders of joint errors that repeat with the turn, such as 1 2.
-    weak : str
-        Unidentifiable directions: refuse, or fix them by a prior.
-    robust : bool
-        Find wrong samples and leave them out.
-    corrected : Path
-        Also write the corrected arm as a robot file, ends in .toml.
+    Parameters:
+        robot: Name in the library, or a robot file: the nominal arm.
+        anchor: Roughly where the fixed point of distances is, m.
+        length_offset: Distances do not begin at zero, as those of a draw wire: find where.
+        noise: Deviations where they are known, in this order: m and rad of poses, m of positions, of distances, of
+            pairs.
+        free: What may be wrong: all; offsets: joint offsets, base and tool; base_tool.
+        harmonics: Orders of joint errors that repeat with the turn, such as 1 2.
+        weak: Unidentifiable directions: refuse, or fix them by a prior.
+        robust: Find wrong samples and leave them out.
+        corrected: Also write the corrected arm as a robot file, ends in .toml.
     """
     from armlab import robots
     from armlab.calibrate import fit_kinematics
@@ -112,24 +103,15 @@ def dual_arm(
     from a's tool, as for hand-eye, or its position1 ... position3. Where something outside measured a's tool too, it
     has the pose absolute_a.
 
-    Parameters
-    ----------
-    robot_a : str
-        Name in the library, or a robot file: the nominal arm that sees.
-    robot_b : str
-        The same of the arm that is seen.
-    closed : bool
-        The tools are joined, and nothing else was measured.
-    noise : list
-        Deviations where they are known: m and rad of poses, m of positions; then m and rad of absolute_a.
-    harmonics : list
-        Orders of joint errors that repeat with the turn, such as 1 2.
-    weak : str
-        Unidentifiable directions: refuse, or fix them by a prior.
-    robust : bool
-        Find wrong samples and leave them out.
-    corrected : tuple
-        Also write the corrected arms as robot files, a and b, end in .toml.
+    Parameters:
+        robot_a: Name in the library, or a robot file: the nominal arm that sees.
+        robot_b: The same of the arm that is seen.
+        closed: The tools are joined, and nothing else was measured.
+        noise: Deviations where they are known: m and rad of poses, m of positions; then m and rad of absolute_a.
+        harmonics: Orders of joint errors that repeat with the turn, such as 1 2.
+        weak: Unidentifiable directions: refuse, or fix them by a prior.
+        robust: Find wrong samples and leave them out.
+        corrected: Also write the corrected arms as robot files, a and b, end in .toml.
     """
     from armlab import robots
     from armlab.calibrate import fit_dual_arm

@@ -30,14 +30,10 @@ LEAST = 1.0  # s of a log in which the place of a contact is weighed
 class ContactPrior:
     """What was known of the contact before.
 
-    Attributes
-    ----------
-    prior_force : float
-        How large a force is expected in each axis: its standard deviation [N].
-    prior_moment : float
-        The same of the moment [N m].
-    point : tuple
-        Where the contact is, in tool axes [m], when that is known: x y z, within the length of the arm.
+    Attributes:
+        prior_force: How large a force is expected in each axis: its standard deviation [N].
+        prior_moment: The same of the moment [N m].
+        point: Where the contact is, in tool axes [m], when that is known: x y z, within the length of the arm.
     """
 
     prior_force: float = 20.0
@@ -69,25 +65,17 @@ def estimate(
     what can be relied on and what cannot, with gaps and rows that were left out. The force is that of the environment
     on the robot, in base axes, at the tool point.
 
-    Parameters
-    ----------
-    robot : str
-        Name in the library, or a robot file; the one the model belongs to.
-    log : Path
-        Recording with positions, velocities and torques.
-    model : Path
-        Model file of `armlab identify`.
-    method : str
-        map: most probable force, for motion. bounded: no contact unless proven, for an arm that also rests. interval:
-        bounded, with limits that hold. kf, observer: momentum, which needs no acceleration. ls, lund, clip: to compare.
-    force_rate : str
-        Of the method kf: how fast the force may change.
-    bias : bool
-        Of the method kf: friction that is unknown after a rest is a state of its own.
-    output : Path
-        Also write the estimate of every row, ends in .mcap or .csv.
-    prior : ContactPrior
-        Of the contact.
+    Parameters:
+        robot: Name in the library, or a robot file; the one the model belongs to.
+        log: Recording with positions, velocities and torques.
+        model: Model file of `armlab identify`.
+        method: map: most probable force, for motion. bounded: no contact unless proven, for an arm that also rests.
+            interval: bounded, with limits that hold. kf, observer: momentum, which needs no acceleration. ls, lund,
+            clip: to compare.
+        force_rate: Of the method kf: how fast the force may change.
+        bias: Of the method kf: friction that is unknown after a rest is a state of its own.
+        output: Also write the estimate of every row, ends in .mcap or .csv.
+        prior: Of the contact.
     """
     from armlab import log as logs
     from armlab import models, robots

@@ -30,25 +30,19 @@ def identify(
     Prints a table per joint and a verdict: what is good, what is not, what to log next. Writes nothing, and ends with
     status 1, when the logs do not determine the model.
 
-    Parameters
-    ----------
-    robot : str
-        Name in the library, or a robot file.
-    logs : Path
-        Recordings of free motion without contact, with positions, velocities and torques; armlab excite makes one.
-    output : Path
-        Model file to write, ends in .toml.
-    method : str
-        irls: outliers count less. lts: a quarter of the stretches of time, those that fit worst, is left out. wls, ols:
-        every sample as it is, with or without a weight per joint.
-    gravity_only : bool
-        Gravity and friction alone, from a log of slow motion (accelerations below 1 rad/s^2), for an arm that may not
-        move fast: enough for contact forces in slow motion. Without: also inertia, which takes a log of fast motion.
-    drives : bool
-        Also look for lines of torque ripple, friction over position and warm-up (logs from 20 minutes), joint by joint;
-        what wins on held-out stretches of time is kept.
-    test : Path
-        Another recording without contact: how good the model is where it was not fitted.
+    Parameters:
+        robot: Name in the library, or a robot file.
+        logs: Recordings of free motion without contact, with positions, velocities and torques; armlab excite makes
+            one.
+        output: Model file to write, ends in .toml.
+        method: irls: outliers count less. lts: a quarter of the stretches of time, those that fit worst, is left out.
+            wls, ols: every sample as it is, with or without a weight per joint.
+        gravity_only: Gravity and friction alone, from a log of slow motion (accelerations below 1 rad/s^2), for an arm
+            that may not move fast: enough for contact forces in slow motion. Without: also inertia, which takes a log
+            of fast motion.
+        drives: Also look for lines of torque ripple, friction over position and warm-up (logs from 20 minutes), joint
+            by joint; what wins on held-out stretches of time is kept.
+        test: Another recording without contact: how good the model is where it was not fitted.
     """
     from armlab import robots
     from armlab.cli.identify import report as report_of

@@ -38,22 +38,14 @@ def payload(
 
     Prints each with its deviation, in flange axes.
 
-    Parameters
-    ----------
-    robot : str
-        Name in the library, or a robot file; the one the model belongs to.
-    log : Path
-        Recording with the load, without contact, with positions, velocities and torques.
-    model : Path
-        Model file of `armlab identify`, of the arm without the load.
-    without : Path
-        Recording of the same motion without the load: what the model has wrong falls out.
-    mode : str
-        static: mass and centre. dynamic: inertia too, which needs fast motion of the wrist.
-    gain : float
-        How well the torque constants are known, as a share.
-    output : Path
-        Also save the load, ends in .toml.
+    Parameters:
+        robot: Name in the library, or a robot file; the one the model belongs to.
+        log: Recording with the load, without contact, with positions, velocities and torques.
+        model: Model file of `armlab identify`, of the arm without the load.
+        without: Recording of the same motion without the load: what the model has wrong falls out.
+        mode: static: mass and centre. dynamic: inertia too, which needs fast motion of the wrist.
+        gain: How well the torque constants are known, as a share.
+        output: Also save the load, ends in .toml.
     """
     from armlab import models, robots
     from armlab.cli.support.log_input import read_log

@@ -36,14 +36,10 @@ if TYPE_CHECKING:
 def table(log: Path, *columns: str, split: bool = False, figure: LogFigure = OF_LOG) -> int:
     """Draw columns of a log against time; commanded and sent values dashed, times when a limit acted shaded.
 
-    Parameters
-    ----------
-    log : Path
-        Recording, or any file that `armlab log show` reads.
-    columns : tuple of str
-        Names of columns; default: q, qd, tau and wrench_hat, as far as the log has them.
-    split : bool
-        A panel for each joint.
+    Parameters:
+        log: Recording, or any file that `armlab log show` reads.
+        columns: Names of columns; default: q, qd, tau and wrench_hat, as far as the log has them.
+        split: A panel for each joint.
     """
     return figure.draw(log, "table", lambda plots: plots.table(figure.read(log), *columns, split=split))
 
@@ -51,10 +47,8 @@ def table(log: Path, *columns: str, split: bool = False, figure: LogFigure = OF_
 def poses(log: Path, *, column: PoseColumn = None, robot: PoseRobot = None, figure: LogFigure = OF_LOG) -> int:
     """Draw position and rotation vector of the tool against time.
 
-    Parameters
-    ----------
-    log : Path
-        Recording with poses, or with q and --robot.
+    Parameters:
+        log: Recording with poses, or with q and --robot.
     """
 
     def draw(plots: Any) -> Any:
@@ -76,18 +70,12 @@ def scene(
 ) -> int:
     """Draw paths of the tool, measured points, planes and frames in space.
 
-    Parameters
-    ----------
-    logs : tuple of Path
-        Recordings with poses, or with q and --robot; one path each.
-    cloud : list of Path
-        Measured points of a tracker.
-    plane : list of Path
-        A plane of a tracker.
-    pose : list of Path
-        A frame, MAT, with its name.
-    frames : float
-        Length of the frames along paths [m]; 0 for none.
+    Parameters:
+        logs: Recordings with poses, or with q and --robot; one path each.
+        cloud: Measured points of a tracker.
+        plane: A plane of a tracker.
+        pose: A frame, MAT, with its name.
+        frames: Length of the frames along paths [m]; 0 for none.
     """
     from armlab.frames import Plane
     from armlab.log import nikon
@@ -109,10 +97,8 @@ def scene(
 def latency(log: Path, *, figure: LogFigure = OF_LOG) -> int:
     """Draw how long the loop took to answer, and how often it was late.
 
-    Parameters
-    ----------
-    log : Path
-        Recording of a run.
+    Parameters:
+        log: Recording of a run.
     """
 
     def draw(plots: Any) -> Any:
@@ -144,10 +130,8 @@ def friction(model: Model, log: FreeMotion | None = None, *, figure: ModelFigure
 def friction_map(model: Model, log: FreeMotion | None = None, *, joint: int, figure: ModelFigure = OF_MODEL) -> int:
     """Draw the friction of one joint over position and velocity; ranges that the log does not cover are hatched.
 
-    Parameters
-    ----------
-    joint : int
-        Number from 1.
+    Parameters:
+        joint: Number from 1.
     """
 
     def draw(plots: Any) -> Any:
@@ -204,10 +188,8 @@ def wrench(log: Estimate, *, figure: LogFigure = OF_LOG) -> int:
 def wrenches(*logs: Path, figure: LogFigure = OF_LOG) -> int:
     """Draw the estimated forces of several arms side by side, on one scale.
 
-    Parameters
-    ----------
-    logs : tuple of Path
-        Output of `armlab estimate`, or recordings of runs that estimated; one per arm.
+    Parameters:
+        logs: Output of `armlab estimate`, or recordings of runs that estimated; one per arm.
     """
     if len({log.stem for log in logs}) < max(len(logs), 1):
         raise ConfigError(f"Expected logs of different names, one per arm, got {', '.join(map(str, logs)) or 'none'}.")
@@ -224,12 +206,9 @@ def observability(log: Estimate, *, figure: LogFigure = OF_LOG) -> int:
 def coverage(log: Path, *, model: Path | None = None, figure: ModelFigure = OF_MODEL) -> int:
     """Draw the share of errors inside 2 sigma, by speed: of the wrench against a sensor, of torques with --model.
 
-    Parameters
-    ----------
-    log : Path
-        Recording of a run that estimated, with a force sensor; or of free motion, with --model.
-    model : Path
-        Model file of `armlab identify`, whose torques are compared with those of the log.
+    Parameters:
+        log: Recording of a run that estimated, with a force sensor; or of free motion, with --model.
+        model: Model file of `armlab identify`, whose torques are compared with those of the log.
     """
     from armlab.identify import predict
 
@@ -263,10 +242,8 @@ def hypotheses(
 def calibration(fit: Path, *, figure: FigureFile = BESIDE) -> int:
     """Draw the uncertainty of a calibration and the excitation of its samples.
 
-    Parameters
-    ----------
-    fit : Path
-        File of `armlab calibrate`; that command draws the residuals too, with --figure, for files keep none.
+    Parameters:
+        fit: File of `armlab calibrate`; that command draws the residuals too, with --figure, for files keep none.
     """
     from armlab.estimation import Fit
     from armlab.models import TorqueModel
@@ -285,10 +262,8 @@ def calibration(fit: Path, *, figure: FigureFile = BESIDE) -> int:
 def excitation(fit: Path, *, figure: FigureFile = BESIDE) -> int:
     """Draw the singular values of a fit: how well its samples determine the parameters.
 
-    Parameters
-    ----------
-    fit : Path
-        File of `armlab identify` or `armlab calibrate`.
+    Parameters:
+        fit: File of `armlab identify` or `armlab calibrate`.
     """
     from armlab.estimation import Fit
 
@@ -301,10 +276,8 @@ Posture = Annotated[Path | None, Parameter(help="Recording with q.")]
 def robot(robot: RobotName, log: Posture = None, *, tool_path: bool = False, figure: LogFigure = OF_LOG) -> int:
     """Draw an arm as a stick figure: at home, or through a log, its end in full.
 
-    Parameters
-    ----------
-    tool_path : bool
-        Draw the path of the tool through the log.
+    Parameters:
+        tool_path: Draw the path of the tool through the log.
     """
     from armlab import robots
 
@@ -331,10 +304,8 @@ def manipulability(
 ) -> int:
     """Draw how fast the tool can move in which direction: at home, or at up to eight places of a log.
 
-    Parameters
-    ----------
-    of : str
-        position: velocity of the tool point. rotation: its angular velocity.
+    Parameters:
+        of: position: velocity of the tool point. rotation: its angular velocity.
     """
     from armlab import robots
 
@@ -354,10 +325,8 @@ def dmp(
 ) -> int:
     """Draw a movement primitive of any kind against time, with its demonstrations.
 
-    Parameters
-    ----------
-    demos : tuple of Path
-        Logs of the demonstrations, of the motion only; several for a distribution over motions.
+    Parameters:
+        demos: Logs of the demonstrations, of the motion only; several for a distribution over motions.
     """
     from armlab import models
     from armlab.cli.dmp.teaching import MotionWindow, read_demonstration
@@ -403,16 +372,11 @@ def two_dof(
 ) -> int:
     """Draw how a movement primitive waited for an arm that was held: arm, path, undisturbed motion, error.
 
-    Parameters
-    ----------
-    log : Path
-        Recording of `armlab dmp play`.
-    disturbed : list of str
-        START,END of a time when something held the arm [s], which is shaded.
-    duration : float
-        Of the run [s]; default: that of the demonstration.
-    goal : str
-        Of the run, numbers with commas between; default: that of the demonstration.
+    Parameters:
+        log: Recording of `armlab dmp play`.
+        disturbed: START,END of a time when something held the arm [s], which is shaded.
+        duration: Of the run [s]; default: that of the demonstration.
+        goal: Of the run, numbers with commas between; default: that of the demonstration.
     """
     from armlab import log as logs
     from armlab import models

@@ -39,14 +39,10 @@ Joints = Annotated[str | None, Parameter(help="Numbers from 1 with commas betwee
 class FigureFile:
     """Where the figure goes.
 
-    Attributes
-    ----------
-    output : Path
-        PNG, SVG or PDF; default: beside the input, with its name and that of the figure.
-    show : bool
-        Open a window too.
-    force : bool
-        Replace an existing file.
+    Attributes:
+        output: PNG, SVG or PDF; default: beside the input, with its name and that of the figure.
+        show: Open a window too.
+        force: Replace an existing file.
     """
 
     output: Annotated[Path | None, Parameter(alias="-o")] = None
@@ -76,14 +72,10 @@ class FigureFile:
 class LogPart:
     """Which part of a log.
 
-    Attributes
-    ----------
-    start : float
-        First time [s]; default: the beginning.
-    end : float
-        Last time [s]; default: the end.
-    arm : str
-        Arm whose rows are read, of a recording of several.
+    Attributes:
+        start: First time [s]; default: the beginning.
+        end: Last time [s]; default: the end.
+        arm: Arm whose rows are read, of a recording of several.
     """
 
     start: float | None = None

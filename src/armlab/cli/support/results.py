@@ -22,16 +22,12 @@ Tell = Callable[[float, float, str], None]
 class Results:
     """Files and the form of the printed result.
 
-    Attributes
-    ----------
-    report : Path
-        Also write a self-contained HTML page with tables and figures, ends in .html; it loads nothing from the network.
-    figure : Path
-        Also draw the result into this PNG, SVG or PDF.
-    json : bool
-        Print JSON for scripts.
-    force : bool
-        Replace existing files.
+    Attributes:
+        report: Also write a self-contained HTML page with tables and figures, ends in .html; it loads nothing from the
+            network.
+        figure: Also draw the result into this PNG, SVG or PDF.
+        json: Print JSON for scripts.
+        force: Replace existing files.
     """
 
     report: Path | None = None
