@@ -85,8 +85,7 @@ def test_spikes_of_bands_stay_and_spans_of_one_sample_are_seen(spans) -> None:
 
 
 def test_one_legend_for_all() -> None:
-    with look():
-        figure, axes = panels(2, 1)
+    with panels(2, 1) as (figure, axes):
         for ax in axes[:, 0]:
             ax.plot([0, 1], label="same")
         axes[1, 0].plot([0, 1], label="other")
@@ -100,8 +99,7 @@ def test_one_legend_for_all() -> None:
 
 @pytest.mark.parametrize(("name", "rows"), [("axis_{}", 1), ("shoulder_pan_joint_{}", 3), ("{}" + 300 * "x", 7)])
 def test_a_legend_is_as_wide_as_the_figure_at_most(name: str, rows: int) -> None:
-    with look():
-        figure, axes = panels(1, 1, width=6.4)
+    with panels(1, 1, width=6.4) as (figure, axes):
         for i in range(7):
             axes[0, 0].plot([0, 1], label=name.format(i))
         legend(figure, axes[0, 0])

@@ -15,7 +15,7 @@ from armlab.lie import quaternion
 from armlab.log import Table
 from armlab.log.column import heading
 from armlab.plots.space import pose_stack
-from armlab.plots.style import JOINT_STYLES, expect, legend, line, look, panels, shade
+from armlab.plots.style import JOINT_STYLES, expect, joint_style, legend, line, panels, shade, single
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,8 +63,7 @@ def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes
         for shown in quantities.values()
         for component in (range(_components(data, shown[0])) if split else (None,))
     ]
-    with look():
-        figure, axes = panels(len(parts), 1, ax, width=9.0, height=1.5 if split else 2.2, sharex=True)
+    with panels(len(parts), 1, ax, width=9.0, height=1.5 if split else 2.2, sharex=True) as (figure, axes):
         for panel, (shown, component) in zip(axes[:, 0], parts, strict=True):
             _draw(panel, data, shown, component)
         axes[-1, 0].set_xlabel(label("t"))
@@ -80,15 +79,8 @@ def _draw(ax: Axes, data: Table, names: list[str], component: int | None) -> Non
         flat = data[name].reshape(len(data), -1)
         dashes, word = next((_DASHES[end] for end in _DASHES if name.endswith(end)), (None, None))
         for i in range(flat.shape[1]) if component is None else (component,):
-            color, style = JOINT_STYLES[i % len(JOINT_STYLES)]
-            line(
-                ax,
-                data.t,
-                flat[:, i],
-                color=color,
-                linestyle=dashes or style,
-                label="_" if word or component is not None else _label(data, name, i),
-            )
+            style = joint_style(i) | ({"linestyle": dashes} if word else {})
+            line(ax, data.t, flat[:, i], label="_" if word or component is not None else _label(data, name, i), **style)
         if word:
             ax.plot([], [], color=GREY, linestyle=dashes, label=word)
     if component is not None:
@@ -163,8 +155,7 @@ def poses(T: ArrayLike, t: ArrayLike | None = None, *, rotation: bool = True, ax
     drawn = [("position [m]", T[:, :3, 3])]
     if rotation:
         drawn.append(("rotation vector [rad]", _rotation_vectors(T[:, :3, :3])))
-    with look():
-        figure, axes = panels(len(drawn), 1, ax, width=8.0, height=2.2, sharex=True)
+    with panels(len(drawn), 1, ax, width=8.0, height=2.2, sharex=True) as (figure, axes):
         for panel, (name, values) in zip(axes[:, 0], drawn, strict=True):
             for i, color in enumerate(AXIS_COLORS):
                 line(panel, times, values[:, i], color=color, linestyle=("-", "--", "-.")[i], label="xyz"[i])
@@ -212,9 +203,7 @@ def latency(table: Table, ax: Any = None) -> Axes:
     low, high = 10 ** np.floor(np.log10(shortest)), 10 ** np.ceil(np.log10(longest * 1.001))
     bins = np.geomspace(low, high, max(round(np.log10(high / low) * _BINS_PER_DECADE), 2))
     words = EngFormatter("s")
-    with look():
-        _, axes = panels(1, 1, ax, width=7.5, height=3.8)
-        panel: Axes = axes[0, 0]
+    with single(ax, width=7.5, height=3.8) as (_, panel):
         for (name, values), (color, _) in zip(spans.items(), JOINT_STYLES, strict=False):
             numbers = "  ".join(f"{label} {words(_rounded(np.quantile(values, p)))}" for label, p in _QUANTILES)
             panel.hist(values, bins=bins, color=color, alpha=0.35, histtype="stepfilled")
@@ -223,9 +212,7 @@ def latency(table: Table, ax: Any = None) -> Axes:
         panel.set_yscale("log")
         panel.set_ylim(0.7, 8.0 * panel.get_ylim()[1])  # room for the legend
         panel.xaxis.set_major_formatter(words)
-        panel.set_xlabel("time [s]")
-        panel.set_ylabel("ticks")
-        panel.set_title(_counts(table))
+        panel.set(xlabel="time [s]", ylabel="ticks", title=_counts(table))
         panel.legend(loc="upper right")
     return panel
 

@@ -211,10 +211,6 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
         paths have none, and the named ones a length that fits.
     ax : three-dimensional Axes to draw into, for example those of `robot`; a new figure when None.
 
-    Returns
-    -------
-    The Axes.
-
     Raises
     ------
     ShapeError : an item is none of these, a pose has no rotation, `frames` is no length from 0 on, or `ax` is not
