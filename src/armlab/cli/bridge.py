@@ -9,7 +9,7 @@ import re
 import secrets
 import subprocess
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ from cyclopts import App
 
 from armlab._toml import TomlError, parsed
 from armlab.cli import FAILED
-from armlab.cli.support.options import Cell
+from armlab.cli.support.options import Cell, Seconds, require_seconds
 from armlab.cli.support.output import aligned, note, result
 from armlab.errors import CommandRefused, ConfigError, LinkError
 
@@ -77,7 +77,8 @@ def set_parameters(*setting: str, cell: Cell = "") -> None:
         if values:
             before = max((one["sequence"] for one in found), default=0)
             feed.ask(SetRequest(values=values))
-            while not _are_set(found, values, before):  # others may set other parameters meanwhile
+            # others may set other parameters meanwhile
+            while not set(values) <= {one["name"] for one in found if one["sequence"] > before}:
                 found = _await(feed, "parameters")["parameters"]
     shown = [one for one in found if one["name"] in values or not values]
     rows = [[one["name"], str(one["value"]), one["unit"], one["text"], one["who"]] for one in shown]
@@ -138,12 +139,6 @@ def _await(feed: Any, kind: str) -> dict[str, Any]:
             if message["kind"] == "answer":
                 raise CommandRefused(message["text"])
     raise LinkError(f"Expected the bridge to answer within {_PATIENCE:g} s, but it did not. Try again.")
-
-
-def _are_set(found: list[dict[str, Any]], names: Iterable[str], before: int) -> bool:
-    """Whether all these parameters have been set since a number of settings."""
-    later = [one["name"] for one in found if one["sequence"] > before]
-    return all(name in later for name in names)
 
 
 def _setting(word: str) -> tuple[str, Any]:
@@ -248,13 +243,12 @@ _RATE = 10.0  # Hz of the display
 _LINES = 1.0  # s between two lines where there is no terminal
 
 
-def monitor(robot: str | None = None, *, cell: Cell = "", zenoh: str = "", seconds: float | None = None) -> None:
+def monitor(robot: str | None = None, *, cell: Cell = "", zenoh: str = "", seconds: Seconds = None) -> None:
     """Monitor a running bridge of this user, until Ctrl-C or its end.
 
     Parameters:
         robot: Show this arm only.
         zenoh: A bridge on another computer, for example zenoh://192.168.1.5:7447/lab1.
-        seconds: Time after which to end [s].
     """
     from rich.console import Console
 
@@ -263,8 +257,7 @@ def monitor(robot: str | None = None, *, cell: Cell = "", zenoh: str = "", secon
     from armlab.bridge.servers.status import Watch
     from armlab.bridge.servers.zenoh.feed import ZenohFeed
 
-    if seconds is not None and not seconds >= 0.0:
-        raise ConfigError(f"Expected seconds of at least 0 s, got {seconds}.")
+    require_seconds(seconds)
     console = Console()
     watch = Watch(robot)
     end = math.inf if seconds is None else time.monotonic() + seconds

@@ -19,8 +19,6 @@ from armlab.errors import ConfigError
 if TYPE_CHECKING:
     from armlab.bridge.doctor.machine import Finding
 
-__all__ = ["disk", "doctor"]
-
 _ROW_BYTES = 600  # of a recording per packet of seven joints with torques, compressed, rounded up
 _PACKETS = 250 * 3600  # per hour
 _LEAST_HOURS = 1.0

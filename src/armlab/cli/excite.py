@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from armlab.log import Table
     from armlab.robots import Robot
 
-__all__ = ["ExcitationOptions", "excite"]
-
 SPEED = 0.6  # of the limits
 _ROUNDING = 1e-6  # rad or m that a saved motion may be beyond the limits
 ROUNDS = 300  # of the search for the motion that tells most
@@ -115,8 +113,10 @@ def excite(
     if json:
         told = {} if expected is None else _plain(expected)
         print_json({"robot": arm.name, **vars(motion), "speed": speed, "seconds": trajectory.seconds, **told})
+    elif expected is None:
+        result(f"{trajectory.seconds:.1f} s of motion")
     else:
-        result(f"{trajectory.seconds:.1f} s of motion" if expected is None else _text(expected))
+        result(f"{aligned(expected.rows(), right=(2, 3, 4))}\n{expected.excitation.text()}")
     table = trajectory.table()
     if run is not None:
         _check_positions(arm, table)
@@ -149,10 +149,6 @@ def _design(
         rounds=ROUNDS,
         progress=lambda done, total, what: tell(0.9 * done, total, what) if done < total else None,
     )
-
-
-def _text(expected: PredictedUncertainty) -> str:
-    return f"{aligned(expected.rows(), right=(2, 3, 4))}\n{expected.excitation.text()}"
 
 
 def _plain(expected: PredictedUncertainty) -> dict[str, Any]:

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, Parameter
 
 from armlab.cli import FAILED, SKIPPED
-from armlab.cli.support.options import Json
+from armlab.cli.support.options import Json, Seconds, require_seconds
 from armlab.cli.support.output import aligned, check_output, note, print_json, progress, result
+from armlab.cli.support.results import parameters
 from armlab.errors import ArmlabError, ConfigError
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def router(
     key: Path | None = None,
     users: Path | None = None,
     secret: Path | None = None,
-    seconds: float | None = None,
+    seconds: Seconds = None,
 ) -> None:
     """Be the Zenoh router through which bridges and their readers find each other, until Ctrl-C.
 
@@ -58,12 +59,11 @@ def router(
         key: Private key of the certificate: bridge.key.
         users: Password file of the users: users.txt.
         secret: Password file for the routers of --connect: bridge.secret.
-        seconds: Time after which to end [s].
     """
     from armlab.bridge.servers.zenoh.security import Security
     from armlab.fleet import Router
 
-    _check(seconds)
+    require_seconds(seconds)
     if not 0 <= port < 65536:
         raise ConfigError(f"Expected a port from 0 to 65535, got {port}.")
     with Router(listen, port, connect or (), Security(ca, certificate, key, users, secret)) as running:
@@ -79,18 +79,17 @@ def record(
     router: RouterAddress = _ROUTER,
     ca: Ca = None,
     secret: Secret = None,
-    seconds: float | None = None,
+    seconds: Seconds = None,
 ) -> int:
     """Record every robot whose rows come, each in a file of its own, until Ctrl-C.
 
     Parameters:
         output: Folder for the files, LAB-ROBOT.mcap; made if it is not there.
         lab: Record this lab only.
-        seconds: Time after which to end [s].
     """
     from armlab.fleet import FleetRecorder
 
-    _check(seconds)
+    require_seconds(seconds)
     if output.exists() and not output.is_dir():
         raise ConfigError(f"Expected a folder for the recordings, got the file {output}. Choose another name.")
     with FleetRecorder(_place(lab, router, ca, secret), output, note) as recorder:
@@ -125,7 +124,7 @@ def list_fleet(
     """
     from armlab.fleet import list_robots
 
-    _check(seconds)
+    require_seconds(seconds)
     found = list_robots(_place(lab, router, ca, secret), seconds)
     if json:
         print_json([robot._asdict() for robot in found])
@@ -138,23 +137,6 @@ def list_fleet(
     result(aligned(rows, (2, 3, 4, 5)) if found else "No robot is there.")
 
 
-fleet.command(
-    "armlab.cli.fleet:identify",
-    name="identify",
-    help_epilogue="Example: armlab fleet identify logs/ -o model.toml --workers 4",
-)
-fleet.command(
-    "armlab.cli.fleet:estimate",
-    name="estimate",
-    help_epilogue="Example: armlab fleet estimate logs/ --model model.toml -o estimates/ --workers 4",
-)
-fleet.command(
-    "armlab.cli.fleet:export",
-    name="export",
-    help_epilogue="Example: armlab fleet export logs/ --format csv -o text/ --workers 4",
-)
-
-
 def _place(lab: str, router: str, ca: Path | None, secret: Path | None) -> LabAddress:
     from armlab.bridge.servers.zenoh.keys import EVERY
     from armlab.bridge.servers.zenoh.security import Security
@@ -163,11 +145,6 @@ def _place(lab: str, router: str, ca: Path | None, secret: Path | None) -> LabAd
     return LabAddress.read(f"zenoh://{router}/{lab}")._replace(
         lab=lab or EVERY, security=Security(ca=ca, secret=secret)
     )
-
-
-def _check(seconds: float | None) -> None:
-    if seconds is not None and not seconds >= 0.0:
-        raise ConfigError(f"Expected seconds of at least 0 s, got {seconds}.")
 
 
 def _wait(seconds: float | None) -> None:
@@ -221,6 +198,7 @@ class Job:
             yield executor, tell
 
 
+@fleet.command(help_epilogue="Example: armlab fleet identify logs/ -o model.toml --workers 4")
 def identify(
     *logs: Path,
     output: Annotated[Path, Parameter(alias="-o")],
@@ -247,12 +225,8 @@ def identify(
     with job.work("identify") as (executor, tell):
         found = fleet.identify(logs, arm, executor, tell, cache)
     if job.json:
-        fit = found.fit
-        parameters = [
-            {"name": name, "value": value, "sd": sd, "unit": unit}
-            for name, value, sd, unit in zip(fit.names, fit.parameters, fit.sd, fit.units)
-        ]
-        print_json({"model": str(output), "parameters": parameters, "used": found.used, "skipped": found.skipped})
+        told = {"parameters": parameters(found.fit), "used": found.used, "skipped": found.skipped}
+        print_json({"model": str(output), **told})
     else:
         result(found.report())
     found.fit.save(output)
@@ -260,6 +234,7 @@ def identify(
     return SKIPPED if found.skipped else 0
 
 
+@fleet.command(help_epilogue="Example: armlab fleet estimate logs/ --model model.toml -o estimates/ --workers 4")
 def estimate(
     *logs: Path,
     model: Path,
@@ -291,10 +266,10 @@ def estimate(
         told = {name: {**vars(one), "path": str(one.path)} for name, one in done.results.items()}
         print_json({"logs": told, "skipped": done.skipped})
     else:
-        rows = [
-            [name, f"{one.seconds:.1f}", f"{one.contacts}", *_fixed(one.contact_seconds, one.peak, one.band)]
-            for name, one in done.results.items()
-        ]
+        rows = []
+        for name, one in done.results.items():
+            forces = [f"{x:.2f}" if math.isfinite(x) else "-" for x in (one.contact_seconds, one.peak, one.band)]
+            rows.append([name, f"{one.seconds:.1f}", f"{one.contacts}", *forces])
         head = ["log", "seconds", "contacts", "in contact [s]", "largest [N]", "2-sigma [N]"]
         result(aligned([head, *rows], right=range(1, len(head))))
         _skipped(done.skipped)
@@ -302,6 +277,7 @@ def estimate(
     return SKIPPED if done.skipped else 0
 
 
+@fleet.command(help_epilogue="Example: armlab fleet export logs/ --format csv -o text/ --workers 4")
 def export(
     *logs: Path,
     format: Literal["csv", "mat", "parquet", "h5", "mcap", "rosbag2"],
@@ -330,11 +306,6 @@ def export(
         _skipped(done.skipped)
     note(f"{len(done.results)} files in {output}")
     return SKIPPED if done.skipped else 0
-
-
-def _fixed(*values: float) -> list[str]:
-    """Return numbers with two digits, a dash for what is not there."""
-    return [f"{value:.2f}" if math.isfinite(value) else "-" for value in values]
 
 
 def _skipped(reasons: Mapping[str, str]) -> None:

@@ -15,8 +15,6 @@ from armlab.errors import ConfigError, NoRobot, SessionEnded
 if TYPE_CHECKING:
     from armlab.robots import Robot
 
-__all__ = ["record"]
-
 
 def record(
     *robot: str,

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from armlab.robots import Robot
     from armlab.robots.urdf import Tree
 
-__all__ = ["convert", "list_robots", "robot", "show"]
-
 robot = App(name="robot", help="List, show and convert robot descriptions.")
 
 

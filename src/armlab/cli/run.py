@@ -19,8 +19,6 @@ from armlab.errors import ConfigError, ControllerFailed
 if TYPE_CHECKING:
     from armlab.bridge import Link, Run
 
-__all__ = ["load_controller", "run"]
-
 _NAME = "controller"
 
 

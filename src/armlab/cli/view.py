@@ -18,8 +18,6 @@ from armlab.errors import ConfigError, LinkError
 if TYPE_CHECKING:
     from armlab.models import TorqueModel
 
-__all__ = ["beside", "view"]
-
 _START = 30.0  # s for a view to begin
 _END = 5.0  # s for it to end
 

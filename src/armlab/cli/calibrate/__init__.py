@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
 from armlab.cli.calibrate.arms import dual_arm, kinematics
 from armlab.cli.calibrate.samples import (
     NOTHING,
     ArmOfPoses,
+    Deviations,
     SampleFile,
     Wanted,
     measured_rows,
@@ -39,8 +40,6 @@ calibrate.command(
     help_epilogue="Example: armlab calibrate dual-arm yumi_left yumi_right samples.csv -o arms.toml",
 )
 
-_several = Parameter(consume_multiple=True)
-
 
 @calibrate.command(
     name="hand-eye", help_epilogue="Example: armlab calibrate hand-eye samples.csv --robust -o camera.toml"
@@ -50,7 +49,7 @@ def hand_eye(
     marker: Path | None = None,
     setup: Literal["eye_to_hand", "eye_in_hand"] = "eye_to_hand",
     robot: ArmOfPoses = None,
-    noise: Annotated[list[float] | None, _several] = None,
+    noise: Deviations = None,
     noise_robot: tuple[float, float] | None = None,
     robust: bool = False,
     wanted: Wanted = NOTHING,
@@ -103,7 +102,7 @@ def force_sensor(
     sign: Literal[1, -1] = 1,
     mass: float | None = None,
     no_bias: bool = False,
-    noise: Annotated[list[float] | None, _several] = None,
+    noise: Deviations = None,
     robust: bool = False,
     wanted: Wanted = NOTHING,
 ) -> int:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from armlab.cli.calibrate.samples import NOTHING, SampleFile, Wanted, measured_rows, run_fit
+from armlab.cli.calibrate.samples import NOTHING, Deviations, SampleFile, Wanted, measured_rows, run_fit
 from armlab.cli.support.output import check_output, note
 from armlab.errors import ConfigError, LogError
 
@@ -18,7 +18,14 @@ if TYPE_CHECKING:
     from armlab.robots import Robot
 
 
-_several = Parameter(consume_multiple=True)
+Harmonics = Annotated[
+    list[int] | None,
+    Parameter(consume_multiple=True, help="Orders of joint errors that repeat with the turn, such as 1 2."),
+]
+Weak = Annotated[
+    Literal["refuse", "prior"], Parameter(help="Unidentifiable directions: refuse, or fix them by a prior.")
+]
+Robust = Annotated[bool, Parameter(help="Find wrong samples and leave them out.")]
 _NUMBERS = {"pose": 2, "position": 1, "distance": 1, "pair_distance": 1, "absolute_a": 2}
 
 
@@ -27,11 +34,11 @@ def kinematics(
     *samples: SampleFile,
     anchor: tuple[float, float, float] | None = None,
     length_offset: bool = False,
-    noise: Annotated[list[float] | None, _several] = None,
+    noise: Deviations = None,
     free: Literal["all", "offsets", "base_tool"] = "all",
-    harmonics: Annotated[list[int] | None, _several] = None,
-    weak: Literal["refuse", "prior"] = "refuse",
-    robust: bool = False,
+    harmonics: Harmonics = None,
+    weak: Weak = "refuse",
+    robust: Robust = False,
     corrected: Path | None = None,
     wanted: Wanted = NOTHING,
 ) -> int:
@@ -48,9 +55,6 @@ def kinematics(
         noise: Deviations where they are known, in this order: m and rad of poses, m of positions, of distances, of
             pairs.
         free: What may be wrong: all; offsets: joint offsets, base and tool; base_tool.
-        harmonics: Orders of joint errors that repeat with the turn, such as 1 2.
-        weak: Unidentifiable directions: refuse, or fix them by a prior.
-        robust: Find wrong samples and leave them out.
         corrected: Also write the corrected arm as a robot file, ends in .toml.
     """
     from armlab import robots
@@ -90,10 +94,10 @@ def dual_arm(
     robot_b: str,
     *samples: SampleFile,
     closed: bool = False,
-    noise: Annotated[list[float] | None, _several] = None,
-    harmonics: Annotated[list[int] | None, _several] = None,
-    weak: Literal["refuse", "prior"] = "refuse",
-    robust: bool = False,
+    noise: Deviations = None,
+    harmonics: Harmonics = None,
+    weak: Weak = "refuse",
+    robust: Robust = False,
     corrected: tuple[Path, Path] | None = None,
     wanted: Wanted = NOTHING,
 ) -> int:
@@ -108,9 +112,6 @@ def dual_arm(
         robot_b: The same of the arm that is seen.
         closed: The tools are joined, and nothing else was measured.
         noise: Deviations where they are known: m and rad of poses, m of positions; then m and rad of absolute_a.
-        harmonics: Orders of joint errors that repeat with the turn, such as 1 2.
-        weak: Unidentifiable directions: refuse, or fix them by a prior.
-        robust: Find wrong samples and leave them out.
         corrected: Also write the corrected arms as robot files, a and b, end in .toml.
     """
     from armlab import robots

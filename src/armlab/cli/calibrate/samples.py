@@ -14,7 +14,7 @@ from cyclopts import Parameter
 
 from armlab.cli.support.html_report import HtmlReport, Verdict
 from armlab.cli.support.output import note
-from armlab.cli.support.results import Results
+from armlab.cli.support.results import Results, parameters
 from armlab.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from armlab.estimation import Fit
 
 SampleFile = Annotated[Path, Parameter(help="CSV, MAT or MCAP; several are joined.")]
+Deviations = Annotated[list[float] | None, Parameter(consume_multiple=True)]
 ArmOfPoses = Annotated[str | None, Parameter(help="Name or file of the arm: its joint positions q give T_base_tool.")]
 _QUATERNION_LENGTH = 1e-3  # difference from one
 _CLOCKS = ("t", "time")
@@ -371,10 +372,9 @@ NOTHING = Wanted()
 
 def numbers(fit: Fit[Any]) -> dict[str, Any]:
     """Return the fit as numbers for scripts."""
-    parameters = zip(fit.names, fit.parameters, fit.sd, fit.units, strict=True)
     found = fit.excitation
     return {
-        "parameters": [{"name": name, "value": value, "sd": sd, "unit": unit} for name, value, sd, unit in parameters],
+        "parameters": parameters(fit),
         "noise": dict(zip(fit.classes, fit.sigma.ravel().tolist(), strict=False)),
         "samples": fit.n,
         "outliers": fit.outliers.nonzero()[0],
@@ -389,28 +389,28 @@ def judge(fit: Fit[Any]) -> Verdict:
     """Return what can be relied on, what not, and what to do next."""
     import numpy as np
 
-    good, bad, ahead = [], [], []
+    found = Verdict()
     left, total = int(fit.outliers.sum()), len(fit.outliers)
-    good.append(f"{fit.n} samples identify all {fit.excitation.expected} directions asked for.")
+    found.good.append(f"{fit.n} samples identify all {fit.excitation.expected} directions asked for.")
     if fit.excitation.held:
-        good.clear()
-        bad.append(f"A prior fixes what the samples do not identify: {'; '.join(fit.excitation.held)}.")
+        found.good.clear()
+        found.bad.append(f"A prior fixes what the samples do not identify: {'; '.join(fit.excitation.held)}.")
     if left > _MANY * total:
-        bad.append(f"{left} of {total} samples were left out: these are not a few mistakes.")
-        ahead.append("Look for the cause in pairing, clocks and units before you use the result.")
+        found.bad.append(f"{left} of {total} samples were left out: these are not a few mistakes.")
+        found.ahead.append("Look for the cause in pairing, clocks and units before you use the result.")
     elif left:
-        ahead.append(f"Look at the {left} samples that were left out.")
+        found.ahead.append(f"Look at the {left} samples that were left out.")
     doubts = [line for line in fit.report().splitlines() if line.endswith("?")]
-    bad.extend(f"{line[:1].upper()}{line[1:]}" for line in doubts)
+    found.bad.extend(f"{line[:1].upper()}{line[1:]}" for line in doubts)
     for name, sigma in zip(fit.classes, fit.sigma.ravel().tolist(), strict=False):
         if sigma > _ROUGH.get(f"[{name.rpartition('[')[2]}", np.inf):
-            bad.append(f"Noise of {name} of {sigma:.2g} is no noise of a sensor: some samples are wrong, or all.")
-            ahead.append("Look for them with --robust, and check pairing, units and frames.")
+            found.bad.append(f"Noise of {name} of {sigma:.2g} is no noise of a sensor: some samples are wrong, or all.")
+            found.ahead.append("Look for them with --robust, and check pairing, units and frames.")
     if np.isfinite(fit.residuals).sum() < _FEW * len(fit.names):
-        bad.append("There are hardly more measurements than parameters: noise and deviations are guesses.")
-        ahead.append("Take more samples.")
-    ahead.append(f"The worst direction is {fit.excitation.weakest}; samples that excite it improve most.")
-    return Verdict(tuple(good), tuple(bad), tuple(ahead))
+        found.bad.append("There are hardly more measurements than parameters: noise and deviations are guesses.")
+        found.ahead.append("Take more samples.")
+    found.ahead.append(f"The worst direction is {fit.excitation.weakest}; samples that excite it improve most.")
+    return found
 
 
 def _page(job: str, fit: Fit[Any], verdict: Verdict, sources: tuple[str, ...]) -> Any:

@@ -119,122 +119,116 @@ def judge(
 
     `prior`: (6,) prior variances.
     """
-    good: list[str] = []
-    bad: list[str] = list(doubts)
-    ahead: list[str] = ["Correct the log first: forces from what it says are not to be trusted."] if doubts else []
+    advice = ["Correct the log first: forces from what it says are not to be trusted."]
+    found = Verdict(bad=list(doubts), ahead=advice if doubts else [])
     if contacts:
         largest = max(contacts, key=lambda contact: float(np.linalg.norm(contact.force)))
         size = float(np.linalg.norm(largest.force))
-        good.append(
+        found.good.append(
             f"{len(contacts)} contact{'s' if len(contacts) > 1 else ''}; the strongest from {largest.start:.2f} to "
             f"{largest.end:.2f} s with {size:.2f} N, 2 sigma {largest.band:.2f} N."
         )
     else:
-        good.append("No contact: the force band never excludes zero for 0.2 s.")
-    for part in (_seen(table), _whole(table), _flags(table), _reach(table, model, prior), _truth(table)):
-        good += part.good
-        bad += part.bad
-        ahead += part.ahead
-    return Verdict(() if doubts else tuple(good), tuple(bad), tuple(ahead))
+        found.good.append("No contact: the force band never excludes zero for 0.2 s.")
+    for part in (_seen, _whole, _flags):
+        part(found, table)
+    _reach(found, table, model, prior)
+    _truth(found, table)
+    if doubts:
+        found.good.clear()
+    return found
 
 
-def _seen(table: Table) -> Verdict:
+def _seen(found: Verdict, table: Table) -> None:
     """Say which axes the torques show."""
     observability = table["observability"]
     known = np.isfinite(observability).all(axis=1)
     mean = observability[known].mean(axis=0)
     weak = (observability[known] < WEAK).mean(axis=0)
-    good, bad, ahead = [], [], []
     seen = [AXES[i] for i in range(6) if mean[i] >= SEEN]
     if seen:
-        good.append(f"Well seen: {', '.join(seen)} (mean observability {mean[mean >= SEEN].min():.2f} or more).")
+        found.good.append(f"Well seen: {', '.join(seen)} (mean observability {mean[mean >= SEEN].min():.2f} or more).")
     hidden = [f"{AXES[i]} ({100 * weak[i]:.0f} % of the time)" for i in range(6) if weak[i] > OFTEN]
     if hidden:
-        bad.append(f"Hardly seen, so that the prior speaks: {', '.join(hidden)}.")
+        found.bad.append(f"Hardly seen, so that the prior speaks: {', '.join(hidden)}.")
         still = np.asarray((np.abs(table["qd"][known]) < SLOW).all(axis=1))
         hard = (observability[known] < WEAK).any(axis=1)
         if np.mean(still[hard]) > 0.5:
-            ahead.append("Sway the joints a little (identify.dither): at rest static friction hides the force.")
+            found.ahead.append("Sway the joints a little (identify.dither): at rest static friction hides the force.")
         else:
-            ahead.append("Use a pose away from singular ones, or --point when it is known where the contact is.")
-    return Verdict(tuple(good), tuple(bad), tuple(ahead))
+            found.ahead.append("Use a pose away from singular ones, or --point when it is known where the contact is.")
 
 
-def _whole(table: Table) -> Verdict:
+def _whole(found: Verdict, table: Table) -> None:
     """Name rows that were left out, and gaps."""
     from armlab.contact import INVALID
 
-    bad = []
     if count := left_out(table):
         t = table.t[(table["wrench_flags"] & INVALID) > 0]
-        bad.append(
+        found.bad.append(
             f"{count} of {len(table)} rows ({100 * count / len(table):.1f} %), between {t[0]:.2f} and {t[-1]:.2f} s, "
             "are not finite and have no estimate."
         )
-    if found := gaps(table):
-        longest = sorted(sorted(found, key=lambda gap: -gap[1])[:NAMED])
+    if holes := gaps(table):
+        longest = sorted(sorted(holes, key=lambda gap: -gap[1])[:NAMED])
         named = ", ".join(f"{seconds:.3g} s after {after:.2f} s" for after, seconds in longest)
-        more = f", {len(found) - NAMED} shorter ones" if len(found) > NAMED else ""
-        total = sum(seconds for _, seconds in found)
-        bad.append(
-            f"{'Gap' if len(found) == 1 else f'{len(found)} gaps'} in the log: {named}{more}; {total:.3g} s in all. "
+        more = f", {len(holes) - NAMED} shorter ones" if len(holes) > NAMED else ""
+        total = sum(seconds for _, seconds in holes)
+        found.bad.append(
+            f"{'Gap' if len(holes) == 1 else f'{len(holes)} gaps'} in the log: {named}{more}; {total:.3g} s in all. "
             "A contact in a gap is not seen; after more than five periods the estimate begins anew."
         )
-    return Verdict(bad=tuple(bad))
 
 
-def _flags(table: Table) -> Verdict:
+def _flags(found: Verdict, table: Table) -> None:
     from armlab.contact import INFEASIBLE, SINGULAR, STUCK
 
     flags = table["wrench_flags"]
     share = {flag: float(np.mean((flags & flag) != 0)) for flag in (STUCK, INFEASIBLE, SINGULAR)}
-    bad, ahead = [], []
     if share[SINGULAR]:
-        bad.append(f"{100 * share[SINGULAR]:.1f} % of the rows are at singular poses and have no estimate.")
-        ahead.append("Choose a method with a prior (map, bounded) for such poses.")
+        found.bad.append(f"{100 * share[SINGULAR]:.1f} % of the rows are at singular poses and have no estimate.")
+        found.ahead.append("Choose a method with a prior (map, bounded) for such poses.")
     if share[STUCK] > OFTEN:
-        bad.append(
+        found.bad.append(
             f"In {100 * share[STUCK]:.0f} % of the rows every joint is inside its friction bound: a force may be "
             "hidden there."
         )
-        ahead.append(
+        found.ahead.append(
             "Read the limits there: in the tables, dotted in the figure, wrench_interval in the written estimate."
             if "wrench_interval" in table
             else "Read the limits of --method interval there."
         )
     if share[INFEASIBLE]:
-        bad.append(
+        found.bad.append(
             f"In {100 * share[INFEASIBLE]:.1f} % of the rows no wrench at the tool explains the torques: contact on "
             "another link, or a model that is wrong there."
         )
-    return Verdict((), tuple(bad), tuple(ahead))
 
 
-def _reach(table: Table, model: TorqueModel, prior: np.ndarray) -> Verdict:
+def _reach(found: Verdict, table: Table, model: TorqueModel, prior: np.ndarray) -> None:
     """Say where the log leaves what the model was fitted to, and where the prior shrinks."""
     from armlab.identify import extrapolation
 
-    bad = list(extrapolation(model, table.dropna("q", "qd")).warnings)
-    ahead = ["Identify again with motions that go there, or trust these stretches less."] if bad else []
+    if away := extrapolation(model, table.dropna("q", "qd")).warnings:
+        found.bad += away
+        found.ahead.append("Identify again with motions that go there, or trust these stretches less.")
     largest = np.nanmax(np.abs(table["wrench_hat"]) / np.sqrt(prior), axis=0)
     beyond = [AXES[i] for i in range(6) if largest[i] > 2]
     if beyond:
-        bad.append(f"Larger than twice the prior: {', '.join(beyond)}. The estimate is too small there.")
-        ahead.append("Give a larger --prior-force or --prior-moment.")
-    return Verdict((), tuple(bad), tuple(ahead))
+        found.bad.append(f"Larger than twice the prior: {', '.join(beyond)}. The estimate is too small there.")
+        found.ahead.append("Give a larger --prior-force or --prior-moment.")
 
 
-def _truth(table: Table) -> Verdict:
+def _truth(found: Verdict, table: Table) -> None:
     """Compare with a force sensor or a simulated operator, where the log has one."""
     from armlab.contact import compare
 
     try:
-        found = compare(table)
+        compared = compare(table)
     except UnknownName:
-        return Verdict()
-    text = found.text()
-    sentence = f"{text[0].upper()}{text[1:]}."
-    return Verdict((sentence,)) if np.mean(found.inside[:3]) >= HONEST else Verdict(bad=(sentence,))
+        return
+    text = compared.text()
+    (found.good if np.mean(compared.inside[:3]) >= HONEST else found.bad).append(f"{text[0].upper()}{text[1:]}.")
 
 
 def page(
@@ -246,8 +240,6 @@ def page(
     tell: Tell,
 ) -> HtmlReport:
     """Return the page; `tell` is called with (done, total, what)."""
-    from armlab.plots.style import png
-
     page = HtmlReport("Contact wrench", about)
     page.verdict(verdict)
     words = "By the environment on the robot, base axes, at the tool point, in N and N m. Observability: 1 the torques "
@@ -259,11 +251,7 @@ def page(
     page.section("Contacts", "" if contacts else "None: the force band never excludes zero for 0.2 s.")
     if contacts:
         page.table(contact_rows(table, contacts, believed))
-    drawings = _drawings(table, believed)
-    for k, (title, caption, draw) in enumerate(drawings):
-        tell(k, len(drawings), f"drawing {title.lower()}")
-        page.section(title)
-        page.figure(png(draw()), title, caption)
+    page.figures([(title, title, caption, draw) for title, caption, draw in _drawings(table, believed)], tell)
     return page
 
 

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from armlab.cli.support.html_report import HtmlReport, Verdict
 from armlab.cli.support.output import note, progress
-from armlab.cli.support.results import PLAIN, Results
+from armlab.cli.support.results import PLAIN, Results, parameters
 
 if TYPE_CHECKING:
     from armlab.cli.support.html_report import Verdict
@@ -76,11 +76,7 @@ def payload(
 
 def _numbers(fit: Fit[Payload]) -> dict[str, Any]:
     load = fit.value
-    parameters = [
-        {"name": name, "value": value, "sd": sd, "unit": unit}
-        for name, value, sd, unit in zip(fit.names, fit.parameters, fit.sd, fit.units)
-    ]
-    return {"mass": load.mass, "centre": load.centre, "pi": load.pi, "parameters": parameters, "samples": fit.n}
+    return {"mass": load.mass, "centre": load.centre, "pi": load.pi, "parameters": parameters(fit), "samples": fit.n}
 
 
 def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> Verdict:
@@ -92,33 +88,33 @@ def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> V
     from armlab.identify.payload import moving_joints
 
     mass, sd = fit.value.mass, fit.sd[0]
-    good, bad, ahead = [], [], []
+    found = Verdict()
     if mass < LEAST * sd:
-        bad.append(f"{1e3 * mass:.0f} g cannot be told from no load: one deviation is {1e3 * sd:.0f} g.")
+        found.bad.append(f"{1e3 * mass:.0f} g cannot be told from no load: one deviation is {1e3 * sd:.0f} g.")
     elif sd > LARGEST * mass:
-        bad.append(f"The mass is known to {100 * sd / mass:.0f} % only.")
-        ahead.append("Record the same motion without the load and name it by --without.")
+        found.bad.append(f"The mass is known to {100 * sd / mass:.0f} % only.")
+        found.ahead.append("Record the same motion without the load and name it by --without.")
     else:
-        good.append(f"The load of {1e3 * mass:.0f} g is known to {100 * sd / mass:.1f} %.")
+        found.good.append(f"The load of {1e3 * mass:.0f} g is known to {100 * sd / mass:.1f} %.")
     joints = moving_joints([table], arm)
     left = np.std(fit.residuals, axis=0) / np.std(table["tau"][:, joints], axis=0)
     if left.max() <= POOR:
-        good.append(
+        found.good.append(
             f"Arm and load together explain {100 * (1 - left.max() ** 2):.1f} % of the torque variance or more."
         )
     else:
         worst = arm.joint_names[joints[left.argmax()]]
-        bad.append(
+        found.bad.append(
             f"{worst}: arm and load together leave {100 * left.max():.0f} % of the torque's deviation unexplained."
         )
-        ahead.append("Check the log's torques, and that the model is of this arm with the tool that it has now.")
-    bad += extrapolation(model, table).warnings
-    ahead.append(
+        found.ahead.append("Check the log's torques, and that the model is of this arm with the tool that it has now.")
+    found.bad += extrapolation(model, table).warnings
+    found.ahead.append(
         "Use the model of the arm as it is; nothing is to be read from the centre."
         if mass < LEAST * sd
         else "Add the load to the model of the arm: models.load(…).added_to(model)."
     )
-    return Verdict(tuple(good), tuple(bad), tuple(ahead))
+    return found
 
 
 def _page(fit: Fit[Payload], model: TorqueModel, table: Table, verdict: Verdict, about: str) -> Any:

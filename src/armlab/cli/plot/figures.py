@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -23,14 +23,12 @@ from armlab.cli.plot.options import (
     Primitive,
     RobotName,
     chosen,
+    chosen_of,
     poses_in,
     torque_model,
 )
 from armlab.cli.support.options import joints_in
 from armlab.errors import ConfigError, LogError, ModelMismatchError, UnknownName
-
-if TYPE_CHECKING:
-    pass
 
 
 def table(log: Path, *columns: str, split: bool = False, figure: LogFigure = OF_LOG) -> int:
@@ -146,8 +144,7 @@ def spectrum(model: Model, log: FreeMotion, *, joints: Joints = None, figure: Mo
     """Draw the spectrum of the torque residual over cycles per turn, without and with the ripple of the model."""
 
     def draw(plots: Any) -> Any:
-        known = torque_model(model)
-        drawn = chosen(joints, known.n)
+        known, drawn = chosen_of(model, joints)
         return plots.spectrum(known, figure.log_of(known, log), drawn)
 
     return figure.draw(log, "spectrum", draw)
@@ -162,8 +159,7 @@ def residual_speed(model: Model, log: FreeMotion, *, joints: Joints = None, figu
     """Draw the torque residual against velocity, with the 2-sigma curves of the model."""
 
     def draw(plots: Any) -> Any:
-        known = torque_model(model)
-        drawn = chosen(joints, known.n)
+        known, drawn = chosen_of(model, joints)
         return plots.residual_speed(figure.estimate(known, log), {"model": known.covariance}, drawn)
 
     return figure.draw(log, "residual_speed", draw)
@@ -173,8 +169,7 @@ def autocorrelation(model: Model, log: FreeMotion, *, joints: Joints = None, fig
     """Draw the autocorrelation of the torque residual."""
 
     def draw(plots: Any) -> Any:
-        known = torque_model(model)
-        drawn = chosen(joints, known.n)
+        known, drawn = chosen_of(model, joints)
         return plots.autocorrelation(figure.estimate(known, log), drawn)
 
     return figure.draw(log, "autocorrelation", draw)

@@ -177,6 +177,12 @@ def chosen(joints: str | None, n: int) -> list[int] | None:
     return None if joints is None else joints_in(joints, n)
 
 
+def chosen_of(model: Path, joints: str | None) -> tuple[TorqueModel, list[int] | None]:
+    """Return the torque model of a file, and which of its joints to draw."""
+    known = torque_model(model)
+    return known, chosen(joints, known.n)
+
+
 def poses_in(table: Table, path: Path, column: str | None, robot: str | None) -> np.ndarray:
     """Return the poses of the tool (N, 4, 4).
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 Json = Annotated[bool, Parameter(help="Print JSON for scripts.")]
 Force = Annotated[bool, Parameter(help="Replace existing files.")]
+Seconds = Annotated[float | None, Parameter(help="Time after which to end [s].")]
 Cell = Annotated[str, Parameter(help="Name of the cell; needed when several run.")]
 
 
@@ -33,6 +34,12 @@ def require_positive(option: str, value: float | None, unit: str = "") -> None:
     """Refuse a number that is not above zero and finite; None was not given."""
     if value is not None and not (math.isfinite(value) and value > 0.0):
         raise ConfigError(f"Expected --{option} above 0{f' {unit}' if unit else ''} and finite, got {value:g}.")
+
+
+def require_seconds(value: float | None) -> None:
+    """Refuse a time to wait that is negative or none; None was not given."""
+    if value is not None and not value >= 0.0:
+        raise ConfigError(f"Expected seconds of at least 0 s, got {value}.")
 
 
 def simulated(word: str) -> Robot:

@@ -13,6 +13,7 @@ from armlab.cli.support.output import FIGURES, check_output, note, print_json, p
 
 if TYPE_CHECKING:
     from armlab.cli.support.html_report import HtmlReport, Verdict
+    from armlab.estimation import Fit
 
 Tell = Callable[[float, float, str], None]
 
@@ -62,3 +63,9 @@ class Results:
 
 
 PLAIN = Results()
+
+
+def parameters(fit: Fit[Any]) -> list[dict[str, Any]]:
+    """Return the parameters of a fit, for scripts."""
+    columns = zip(fit.names, fit.parameters, fit.sd, fit.units, strict=True)
+    return [{"name": name, "value": value, "sd": sd, "unit": unit} for name, value, sd, unit in columns]
