@@ -245,7 +245,9 @@ def test_the_verdict_names_what_is_wrong(fit) -> None:
     assert "A prior fixes what the samples do not identify: link 3." in judge(held).bad
     assert not judge(held).good
     rough = replace(fit, sigma=np.array([0.03, 0.001]))
-    assert judge(rough).bad == ["Noise of position [m] of 0.03 is no noise of a sensor: some samples are wrong, or all."]
+    assert judge(rough).bad == [
+        "Noise of position [m] of 0.03 is no noise of a sensor: some samples are wrong, or all."
+    ]
     asked = replace(fit, summary=lambda fit: "positions spread over 465 m: millimetres given as metres?")
     assert judge(asked).bad == ["Positions spread over 465 m: millimetres given as metres?"]
 

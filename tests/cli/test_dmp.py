@@ -23,18 +23,8 @@ from armlab.cli.dmp.playing import (
     resolved,
     rolled_out,
 )
-from armlab.cli.dmp.teaching import (
-    KINDS,
-    Demonstration,
-    check_options,
-    numbers_of,
-    read_demonstration,
-    taught,
-    text_of,
-)
-from armlab.cli.dmp.teaching import (
-    MotionWindow as Window,
-)
+from armlab.cli.dmp.teaching import KINDS, Demonstration, check_options, numbers_of, read_demonstration, taught, text_of
+from armlab.cli.dmp.teaching import MotionWindow as Window
 from armlab.errors import ConfigError, UnknownName
 from armlab.log import Column, Table
 from armlab.motion import (

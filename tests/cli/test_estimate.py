@@ -242,11 +242,7 @@ def with_limits(table: Table) -> Table:
         ("bad", "In 50.0 % of the rows no wrench at the tool explains", lambda t: flagged(t, INFEASIBLE)),
         ("bad", "50.0 % of the rows are at singular poses", lambda t: flagged(t, SINGULAR)),
         ("ahead", "--method interval", lambda t: flagged(t, STUCK, 1)),
-        (
-            "ahead",
-            "wrench_interval",
-            lambda t: with_limits(flagged(t, STUCK, 1)),
-        ),
+        ("ahead", "wrench_interval", lambda t: with_limits(flagged(t, STUCK, 1))),
         ("bad", "f_z (50 % of the time)", hidden),
         ("ahead", "--point", hidden),
         ("ahead", "Sway", lambda t: hidden(t).with_column("qd", 0.0 * t["qd"])),

@@ -11,16 +11,7 @@ import numpy as np
 import pytest
 
 from armlab import cli, robots
-from armlab.cli.log import (
-    VIEWERS,
-    Viewer,
-    chosen,
-    log,
-    open_,
-    recover,
-    show,
-    started,
-)
+from armlab.cli.log import VIEWERS, Viewer, chosen, log, open_, recover, show, started
 from armlab.errors import ConfigError, MissingExtra
 from armlab.log import Recorder, Table, Tick, inspect, read, write
 from armlab.state import Command, State

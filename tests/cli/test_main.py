@@ -54,11 +54,7 @@ def test_wrong_use_is_2_and_an_error_1_each_in_one_line(capsys: pytest.CaptureFi
     ],
 )
 def test_errors_become_sentences(
-    error: BaseException,
-    code: int,
-    said: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    error: BaseException, code: int, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def fail(_words: list[str]) -> int:
         raise error

@@ -17,14 +17,7 @@ import pytest
 from armlab import identify, log, robots
 from armlab.cli.support.html_report import HtmlReport, Verdict
 from armlab.cli.support.log_input import doubts, gaps, left_out, read_log, reading_bar
-from armlab.cli.support.output import (
-    FIGURES,
-    aligned,
-    check_output,
-    print_json,
-    progress,
-    save_figure,
-)
+from armlab.cli.support.output import FIGURES, aligned, check_output, print_json, progress, save_figure
 from armlab.errors import ConfigError, LogError, ModelMismatchError
 
 

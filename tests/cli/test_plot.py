@@ -13,11 +13,7 @@ import pytest
 from armlab import calibrate, identify, kinematics, log, plots, robots, sim
 from armlab.cli import main
 from armlab.cli.plot import plot
-from armlab.cli.plot.options import (
-    FigureFile,
-    LogPart,
-    poses_in,
-)
+from armlab.cli.plot.options import FigureFile, LogPart, poses_in
 from armlab.errors import ConfigError, LogError
 from armlab.estimation import Fit
 from armlab.lie import se3

@@ -12,19 +12,7 @@ from armlab.errors import ShapeError
 from armlab.frames import Line, Plane
 from armlab.frames.features import Circle, Sphere
 from armlab.lie import se3
-from armlab.plots.space import (
-    AHEAD,
-    AWAY,
-    PROJECTION,
-    arrow,
-    equal_scale,
-    extent,
-    feature,
-    frame,
-    scene,
-    solid,
-    space,
-)
+from armlab.plots.space import AHEAD, AWAY, PROJECTION, arrow, equal_scale, extent, feature, frame, scene, solid, space
 
 T = se3.exp([0.3, -0.2, 0.5, 0.4, -0.7, 1.1])
 

@@ -12,16 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armlab.errors import ConfigError
-from armlab.plots.style import (
-    band,
-    envelope,
-    legend,
-    look,
-    panels,
-    png,
-    shade,
-    show,
-)
+from armlab.plots.style import band, envelope, legend, look, panels, png, shade, show
 
 
 def test_a_backend_that_turns_interactive_while_drawing_stays_so() -> None:

@@ -27,12 +27,7 @@ _BLOCK = bytes(1 << 20)
 _LONGEST_SYNC = 0.5  # s: the recorder syncs every 0.8 s
 
 
-def doctor(
-    *robot: str,
-    port: str | None = None,
-    seconds: float = 5.0,
-    json: Json = False,
-) -> int:
+def doctor(*robot: str, port: str | None = None, seconds: float = 5.0, json: Json = False) -> int:
     """Check computer, network and robot, one line each: verdict, what was found, what to do.
 
     Listens on the ports and sends nothing to a robot. Exit codes: 0 all is well, 3 warnings, 1 failures.

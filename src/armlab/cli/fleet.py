@@ -200,10 +200,7 @@ class Job:
 
 @fleet.command(help_epilogue="Example: armlab fleet identify logs/ -o model.toml --workers 4")
 def identify(
-    *logs: Path,
-    output: Annotated[Path, Parameter(alias="-o")],
-    no_cache: bool = False,
-    job: Job = Job(),
+    *logs: Path, output: Annotated[Path, Parameter(alias="-o")], no_cache: bool = False, job: Job = Job()
 ) -> int:
     """Identify gravity, inertia and friction from many logs of one arm; save the model.
 

@@ -105,8 +105,7 @@ def estimate(
         logs.write(report_of.columns(table, believed), output, arm)
     about = f"{log.name} of {arm.name}, model {model.name}, method {method}."
     wanted.write(
-        lambda plots: plots.wrench(table),
-        lambda tell: report_of.page(table, verdict, found, believed, about, tell),
+        lambda plots: plots.wrench(table), lambda tell: report_of.page(table, verdict, found, believed, about, tell)
     )
     return 0
 

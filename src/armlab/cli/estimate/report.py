@@ -232,12 +232,7 @@ def _truth(found: Verdict, table: Table) -> None:
 
 
 def page(
-    table: Table,
-    verdict: Verdict,
-    contacts: Sequence[Contact],
-    believed: Hypotheses | None,
-    about: str,
-    tell: Tell,
+    table: Table, verdict: Verdict, contacts: Sequence[Contact], believed: Hypotheses | None, about: str, tell: Tell
 ) -> HtmlReport:
     """Return the page; `tell` is called with (done, total, what)."""
     page = HtmlReport("Contact wrench", about)
@@ -270,11 +265,7 @@ def _drawings(table: Table, believed: Hypotheses | None) -> list[tuple[str, str,
             "What the pose and the friction of the joints let through. Shaded: some axis below 0.5.",
             lambda: plots.observability(table),
         ),
-        (
-            "Motion",
-            "Positions, velocities and torques of the log.",
-            lambda: plots.table(table, "q", "qd", "tau"),
-        ),
+        ("Motion", "Positions, velocities and torques of the log.", lambda: plots.table(table, "q", "qd", "tau")),
     ]
     if believed is not None:
         where = (

@@ -67,10 +67,7 @@ def doubts(table: Table, robot: Robot, model: TorqueModel | None = None) -> tupl
     rate = 1.0 / float(np.median(np.diff(t)))
     slope, speed = (lowpass_offline(x, rate, min(BAND, 0.2 * rate)) for x in (np.gradient(q, t, axis=0), qd))
     found = []
-    for check in (
-        lambda: check_velocity(slope, speed, moved, robot),
-        lambda: check_torque(q, tau, measured, robot),
-    ):
+    for check in (lambda: check_velocity(slope, speed, moved, robot), lambda: check_torque(q, tau, measured, robot)):
         try:
             check()
         except (NotExcited, ShapeError) as error:
