@@ -15,6 +15,7 @@ from urllib.parse import urlencode
 
 from cyclopts import Parameter
 
+import armlab
 from armlab.cli.support.output import aligned, note, progress, result
 from armlab.errors import ConfigError, ControllerLate, LogError, UnknownName
 
@@ -150,11 +151,10 @@ def rehearse(robot_name: str, seed: int, folder: Path, fast: bool, view: bool = 
     """Run both motions over EGM and return plan, fit, run and the table of the estimate."""
     import numpy as np
 
-    from armlab import log, robots
     from armlab.contact import Estimator
     from armlab.identify import fit_dynamics
 
-    robot = robots.load(robot_name)
+    robot = armlab.robots.load(robot_name)
     if folder.exists():
         raise ConfigError(f"Expected a new folder, got {folder}, which exists. Choose another name.")
     plan = Plan.make(robot, seed)
@@ -171,13 +171,13 @@ def rehearse(robot_name: str, seed: int, folder: Path, fast: bool, view: bool = 
             seconds = APPROACH + plan.excitation.seconds
             _drive(robot, _url(robot_name, fast, 2 * seed), controller, seconds, folder / "excite.mcap", tell, cell)
         with progress("2/3 identify") as tell:
-            fit = fit_dynamics(log.read(folder / "excite.mcap"), robot, progress=tell)
+            fit = fit_dynamics(armlab.log.read(folder / "excite.mcap"), robot, progress=tell)
             fit.save(folder / "model.toml")
         with progress("3/3 press") as tell:
             controller = _estimating(plan, Estimator(fit.value, robot))
             url = _url(robot_name, fast, 2 * seed + 1, press_file)
             run = _drive(robot, url, controller, APPROACH + plan.test.seconds, folder / "press.mcap", tell, cell)
-    return {"plan": plan, "fit": fit, "run": run, "estimate": log.read(folder / "press.mcap"), "robot": robot}
+    return {"plan": plan, "fit": fit, "run": run, "estimate": armlab.log.read(folder / "press.mcap"), "robot": robot}
 
 
 def _url(robot: str, fast: bool, seed: int, operator: Path | None = None) -> str:
@@ -213,11 +213,10 @@ def _shown(cell: str) -> Iterator[None]:
 
 
 def _drive(robot: Robot, url: str, controller: Any, seconds: float, path: Path, tell: Any, cell: str) -> Any:
-    from armlab import bridge
     from armlab.log import Column
 
     extra = {"observability": Column(shape=(6,))}  # wrench_hat and its covariance need no declaration
-    with bridge.connect(url, robot, offer=cell) as link:
+    with armlab.bridge.connect(url, robot, offer=cell) as link:
         return link.run(controller, seconds, record=path, extra=extra, progress=tell)
 
 
@@ -353,12 +352,12 @@ def latency_line(run: Any) -> str:
 
 def figures(folder: Path, outcome: dict[str, Any], verdict: DemoVerdict) -> list[Path]:
     """Write torque.png, wrench.png and summary.json into the folder; return all its files."""
-    from armlab import log, plots
-
     plan, table = outcome["plan"], outcome["estimate"]
     truth = table.with_column("wrench_true", plan.wrench(table["session_t"]))
-    plots.torque_fit(outcome["fit"].value, log.read(folder / "excite.mcap")).savefig(folder / "torque.png", dpi=120)
-    plots.wrench(truth).savefig(folder / "wrench.png", dpi=120)
+    armlab.plots.torque_fit(outcome["fit"].value, armlab.log.read(folder / "excite.mcap")).savefig(
+        folder / "torque.png", dpi=120
+    )
+    armlab.plots.wrench(truth).savefig(folder / "wrench.png", dpi=120)
     summary = {
         "passed": verdict.passed,
         "missed": list(verdict.missed),

@@ -11,6 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import armlab
 from armlab.cli import FAILED, SKIPPED
 from armlab.cli.support.options import Json, known_ports, ports_in
 from armlab.cli.support.output import note, print_json, result
@@ -38,10 +39,9 @@ def doctor(*robot: str, port: str | None = None, seconds: float = 5.0, json: Jso
             robots.
         seconds: How long to listen.
     """
-    from armlab import robots
     from armlab.bridge.doctor.report import LONGEST, examine
 
-    arms = [robots.load(name) for name in robot]
+    arms = [armlab.robots.load(name) for name in robot]
     ports = ports_in(port) if port is not None else known_ports(arms) if arms else None
     if not 0.0 < seconds <= LONGEST:
         raise ConfigError(f"Expected --seconds above 0 and at most {LONGEST:g}, got {seconds:g}.")

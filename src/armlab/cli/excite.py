@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+import armlab
 from armlab.cli import FAILED
 from armlab.cli.support.options import Force, Json, as_given, joints_in, links_to, require_positive
 from armlab.cli.support.output import FIGURES, aligned, check_output, note, print_json, progress, result, save_figure
@@ -83,8 +84,6 @@ def excite(
             not given.
         approach: Seconds of the walk from where the arm stands to the start.
     """
-    from armlab import log as logs
-    from armlab import robots
     from armlab.cli.support.settings import load_settings, log_folder
     from armlab.identify import Trajectory, predicted_uncertainty
 
@@ -96,7 +95,7 @@ def excite(
     for path, endings in ((output, [".csv"]), (figure, FIGURES)):
         if path is not None:
             check_output(path, force, endings, [] if saved is None else [saved])
-    arm, asked = robots.load(robot), motion.speed
+    arm, asked = armlab.robots.load(robot), motion.speed
     speed = min(SPEED, load_settings().settings.speed) if asked is None else asked
     if run is not None:
         links_to(robot, [arm], run)
@@ -106,7 +105,7 @@ def excite(
                 trajectory = _design(arm, motion, speed, joint, tell)
         else:
             tell(0, 2, f"reading {saved.name}")
-            trajectory = Trajectory.from_table(logs.read(saved))
+            trajectory = Trajectory.from_table(armlab.log.read(saved))
         tell(9, 10, "predicting parameter precision")
         expected = predicted_uncertainty(trajectory, arm, noise) if joint is None else None
         tell(1, 1, "done")
@@ -122,7 +121,7 @@ def excite(
         _check_positions(arm, table)
         _check_speed(arm, table["qd"], asked)
     if output is not None:
-        note(f"motion: {logs.write(table, output)}")
+        note(f"motion: {armlab.log.write(table, output)}")
     if figure is not None:
         from armlab import plots
 
@@ -192,9 +191,7 @@ def _check_speed(robot: Robot, qd: np.ndarray, asked: float | None) -> None:
 
 def _run(robot: Robot, trajectory: Trajectory, url: str, log: Path, approach: float) -> int:
     """Run the motion over a link and record it; return the exit code."""
-    from armlab import bridge
-
-    with progress("excite") as tell, bridge.connect(url, robot) as link:
+    with progress("excite") as tell, armlab.bridge.connect(url, robot) as link:
         done = link.run(trajectory.controller(approach), approach + trajectory.seconds, record=log, progress=tell)
     note(done.report())
     if done.statistics["problems"]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Parameter
 
+import armlab
 from armlab.cli import FAILED, SKIPPED
 from armlab.cli.support.options import Json, Seconds, require_seconds
 from armlab.cli.support.output import aligned, check_output, note, print_json, progress, result
@@ -174,17 +175,16 @@ class Job:
 
     def arm(self, logs: tuple[Path, ...]) -> Robot:
         """Return the arm that is named, or else the one that the first recording names."""
-        from armlab import robots
         from armlab.fleet.logs import named
         from armlab.log import inspect
 
         if self.robot is not None:
-            return robots.load(self.robot)
+            return armlab.robots.load(self.robot)
         for log in named(logs):
             if not log.endswith(".mcap"):
                 continue
             try:
-                return robots.load(inspect(log).metadata["armlab"]["robot"])
+                return armlab.robots.load(inspect(log).metadata["armlab"]["robot"])
             except (ArmlabError, OSError, KeyError):
                 continue
         raise ConfigError("Expected recordings that name a robot of the library, got none. Name it with --robot.")
@@ -253,9 +253,9 @@ def estimate(
         csv: Write text instead of recordings.
         job: See `Job`.
     """
-    from armlab import fleet, models
+    from armlab import fleet
 
-    arm, known = job.arm(logs), models.load(model, "torque_model")
+    arm, known = job.arm(logs), armlab.models.load(model, "torque_model")
     about = {"method": method, "ending": ".csv" if csv else ".mcap", "force": job.force}
     with job.work("estimate") as (executor, tell):
         done = fleet.estimate(logs, known, arm, output, executor, tell, **about)

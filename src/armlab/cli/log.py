@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
+import armlab
 from armlab.cli import FAILED
 from armlab.cli.support.options import Force, Json
 from armlab.cli.support.output import aligned, check_output, note, print_json, progress, refuse_overwrite, result
@@ -40,13 +41,12 @@ def show(file: Path, *, json: Json = False, parameters: bool = False) -> None:
     """
     import warnings
 
-    from armlab import log as logs
     from armlab.cli.support.log_input import reading_bar
     from armlab.log.file_formats.opening import format_at
     from armlab.log.topics.reader import is_foreign
 
     kind = format_at(file)
-    held = logs.inspect(file) if kind in ("MCAP", "") else None  # of no file it says why
+    held = armlab.log.inspect(file) if kind in ("MCAP", "") else None  # of no file it says why
     if held and not held.topics:
         raise LogError(f"Expected messages in {file}, got none that can be read in {held.size} bytes.")
     if parameters:
@@ -59,9 +59,9 @@ def show(file: Path, *, json: Json = False, parameters: bool = False) -> None:
     with warnings.catch_warnings(), reading_bar(file) as tell:
         warnings.simplefilter("ignore")  # the notes of the table say the same and are shown below
         if is_foreign(file):
-            tables = logs.read_topics(file, progress=tell)
+            tables = armlab.log.read_topics(file, progress=tell)
         else:
-            tables = {name or "": logs.read(file, robot=name, progress=tell) for name in robots}
+            tables = {name or "": armlab.log.read(file, robot=name, progress=tell) for name in robots}
     if json:
         print_json(data_of(file, kind, held, tables))
     else:
@@ -92,7 +92,6 @@ def export(
         clock: Of a log of another program, the topic whose stamps are the rows, as armlab log show lists them.
         storage: Of a rosbag2: sqlite3 for releases of ROS 2 that are older than Iron.
     """
-    from armlab import log as logs
     from armlab.log.file_formats.delimited import sidecar_path
     from armlab.log.file_formats.mat import matlab_names
     from armlab.log.reading import names_robots
@@ -105,13 +104,13 @@ def export(
     arm = _arm_for(ending, file, robot)
     with progress("export") as tell:
         tell(0, 1, f"reading {file.name}")
-        table = logs.read(
+        table = armlab.log.read(
             file,
             robot=(robot if arm is None else arm) if names_robots(file) else None,
             clock=clock,
             progress=lambda done, total, _: tell(done, total, f"reading {file.name}"),
         )
-        logs.write(
+        armlab.log.write(
             table,
             output,
             arm,
@@ -130,8 +129,6 @@ def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
 
     None for formats without names of joints, and for a bag that keeps the names of another program.
     """
-    from armlab import log as logs
-    from armlab import robots
     from armlab.log.file_formats.opening import format_at
     from armlab.log.recording.metadata import described
     from armlab.log.topics.reader import is_foreign
@@ -139,12 +136,12 @@ def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
     if ending not in (".mcap", ".rosbag2") or (ending == ".rosbag2" and is_foreign(file)):
         return None
     if format_at(file) == "MCAP":
-        held = logs.inspect(file)
+        held = armlab.log.inspect(file)
         names = held.robots if robot is None and len(held.robots) == 1 else (robot or "",)
         arm = described(held.attachments, names[0], str(file))
         if arm is not None:
             return arm
-    return None if robot is None else robots.load(robot)
+    return None if robot is None else armlab.robots.load(robot)
 
 
 @log.command(help_epilogue="Example: armlab log recover run.mcap")
@@ -155,10 +152,8 @@ def recover(file: Path, *, output: Path | None = None) -> None:
         file: The recording.
         output: The copy; <name>.recovered.mcap beside the file when not given.
     """
-    from armlab import log as logs
-
     with progress("recover") as tell:
-        done = logs.recover(file, output, progress=tell)
+        done = armlab.log.recover(file, output, progress=tell)
     note(
         f"{done.messages} messages over {done.seconds:.3f} s; lost: {done.torn} bytes at the end, "
         f"{done.lost_chunks} damaged chunks"
@@ -189,7 +184,6 @@ def cut(
             export.
         output: The new file: .mcap of a recording; else an ending that armlab log export knows.
     """
-    from armlab import log as logs
     from armlab.log.file_formats.opening import format_at
     from armlab.log.reading import names_robots
     from armlab.log.topics.reader import is_foreign
@@ -201,15 +195,15 @@ def cut(
     check_output(output, force, ENDINGS, [file])
     with progress("cut") as tell:
         if output.suffix.lower() == ".mcap" and format_at(file) in ("MCAP", "") and not is_foreign(file):
-            logs.cut(file, output, start, stop, robot=robot, progress=tell)
+            armlab.log.cut(file, output, start, stop, robot=robot, progress=tell)
         else:
             arm = _arm_for(output.suffix.lower(), file, robot)
-            table = logs.read(file, robot=robot if names_robots(file) else None)
+            table = armlab.log.read(file, robot=robot if names_robots(file) else None)
             part = table.between(start, stop)
             if not len(part):
                 has = f"{table.t[0]:g} s to {table.t[-1]:g} s" if len(table) else "no rows at all"
                 raise LogError(f"Expected rows between {start:g} s and {stop:g} s in {file}, got none; it has {has}.")
-            logs.write(part, output, arm, progress=tell)
+            armlab.log.write(part, output, arm, progress=tell)
     result(str(output))
 
 
@@ -225,11 +219,9 @@ def merge(*file: Path, output: Annotated[Path, Parameter(alias="-o")], force: Fo
         file: Two recordings or more, in any order.
         output: The new file, .mcap.
     """
-    from armlab import log as logs
-
     check_output(output, force, [".mcap"], file)
     with progress("merge") as tell:
-        logs.merge(file, output, progress=tell)
+        armlab.log.merge(file, output, progress=tell)
     result(str(output))
 
 
@@ -432,9 +424,7 @@ VIEWERS = {
 
 def check_finished(file: Path) -> None:
     """Check that a file is a recording that was finished: these programs need its end."""
-    from armlab import log as logs
-
-    if not logs.inspect(file).finished:
+    if not armlab.log.inspect(file).finished:
         raise LogError(
             f"Expected a finished recording, got {file}, which was cut off, and which other programs do not open. Make "
             f"it whole: armlab log recover {file}."

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+import armlab
 from armlab.cli import FAILED
 from armlab.cli.support.options import Force, known_ports, ports_in, require_positive
 from armlab.cli.support.output import Narrator, check_output, note, result
@@ -40,10 +41,9 @@ def record(
         seconds: Robot time after which to end [s], counted from the first packet.
         patience: Give up when no packet comes for so long [s]; waits for ever when not given.
     """
-    from armlab import bridge, robots
     from armlab.bridge.control.recording import paths
 
-    arms = [robots.load(name) for name in robot]
+    arms = [armlab.robots.load(name) for name in robot]
     urls = _urls(port, arms)
     require_positive("seconds", seconds, "s")
     require_positive("patience", patience, "s")
@@ -55,7 +55,7 @@ def record(
     home = {arm.name: arm.q_home.tolist() for arm in arms} if lead_through else {}
     listener = Narrator(listens=True, q_home=home)
     limit = float("inf") if patience is None else patience
-    with bridge.connect(urls, arms, patience=limit) as link:
+    with armlab.bridge.connect(urls, arms, patience=limit) as link:
         note(f"Listening on UDP port {', '.join(map(str, link.ports))}; Ctrl-C ends the recording.")
         for path in files:
             path.unlink(missing_ok=True)
@@ -94,12 +94,10 @@ def _urls(port: str | None, arms: list[Robot]) -> list[str]:
 
 def _told(files: list[Path]) -> int:
     """Say what the logs hold; a log without a row is removed. Return the exit code."""
-    from armlab import log as logs
-
     kept = 0
     for path in files:
-        table = logs.read(path)
-        is_whole = bool(logs.inspect(path).summary)  # one that was not finished misses what came last
+        table = armlab.log.read(path)
+        is_whole = bool(armlab.log.inspect(path).summary)  # one that was not finished misses what came last
         if len(table) or not is_whole:
             kept += is_whole
             result(f"{path}: {len(table)} packets, {table.t[-1] - table.t[0] if len(table) else 0.0:.2f} s")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from cyclopts import App
 
+import armlab
 from armlab.cli.support.options import Force, Json
 from armlab.cli.support.output import FIGURES, aligned, check_output, note, print_json, result, save_figure
 
@@ -21,9 +22,7 @@ robot = App(name="robot", help="List, show and convert robot descriptions.")
 @robot.command(name="list", help_epilogue="Example: armlab robot list")
 def list_robots(*, json: Json = False) -> None:
     """List the robots of the library."""
-    from armlab import robots
-
-    found = [robots.load(name) for name in robots.names()]
+    found = [armlab.robots.load(name) for name in armlab.robots.names()]
     if json:
         print_json([{"name": arm.name, "joints": arm.n, "side": arm.side, "hash": arm.hash} for arm in found])
         return
@@ -50,14 +49,12 @@ def show(
         tip: Link of a URDF that moves last: show the arm that ends there.
         figure: Draw the arm at home into this file; .png, .svg or .pdf.
     """
-    from armlab import robots
-
     if figure is not None:
         check_output(figure, force, FIGURES)
     elif Path(name).suffix == ".urdf" and base is None and tip is None:
-        _show_tree(robots.urdf.read(name), json)
+        _show_tree(armlab.robots.urdf.read(name), json)
         return
-    arm = robots.load(name, base=base, tip=tip)
+    arm = armlab.robots.load(name, base=base, tip=tip)
     if figure is not None:
         from armlab import plots
 
@@ -78,11 +75,9 @@ def convert(
         base: Link of a URDF that stands still; its root unless said.
         tip: Link of a URDF that moves last; need not be said where only one branch moves.
     """
-    from armlab import robots
-
     check_output(target, force, (".toml", ".urdf"))
-    arm = robots.load(source, base=base, tip=tip)
-    robots.save(arm, target)
+    arm = armlab.robots.load(source, base=base, tip=tip)
+    armlab.robots.save(arm, target)
     note(f"robot: {target}, joints {', '.join(arm.joint_names)}")
 
 

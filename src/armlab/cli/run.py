@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+import armlab
 from armlab.cli import FAILED
 from armlab.cli.support.options import links_to
 from armlab.cli.support.output import Narrator, check_output, note, result
@@ -55,19 +56,18 @@ def run(
         wait: How to wait for packets; as the settings say, ahead without. spin: a core does nothing else.
         interactive: Afterwards, a Python prompt with `log` (the table), `run` and `robot`.
     """
-    from armlab import bridge, robots
     from armlab.cli.support.settings import load_settings
 
-    arms = [robots.load(name) for name in robot.split("+")]
+    arms = [armlab.robots.load(name) for name in robot.split("+")]
     step, extra = (_hold, None) if controller is None else load_controller(controller)
     urls = links_to(robot, arms, link)
     base = _base(log, no_log, robot)
     known = load_settings().settings
     share = known.speed if speed is None else speed
-    limits = [bridge.Limits.of(arm, speed=share) for arm in arms]
+    limits = [armlab.bridge.Limits.of(arm, speed=share) for arm in arms]
     if not all(url.startswith("sim:") for url in urls):
         note(_CHECKS)
-    with bridge.connect(urls, arms) as end:
+    with armlab.bridge.connect(urls, arms) as end:
         options: dict[str, Any] = {"wait": wait or known.wait, "limits": limits, "extra": extra, "feeds": [Narrator()]}
         options["attachments"] = _attached(controller)
         try:
@@ -181,11 +181,10 @@ def _tell_files(link: Link) -> None:
 
 def _report_of_logs(link: Link) -> None:
     """Print the report of a run that was interrupted: its numbers are the summary of the log."""
-    from armlab import log as logs
     from armlab.bridge.control.run import Run
 
     for path in _files(link):
-        summary = logs.inspect(path).summary
+        summary = armlab.log.inspect(path).summary
         if summary:
             result(Run(summary["reason"], {**summary, "problems": []}, (), path, None).report())
 

@@ -12,6 +12,7 @@ from tempfile import TemporaryFile
 from typing import IO, TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+import armlab
 from armlab.cli.support.output import note, result
 from armlab.errors import ConfigError, LinkError
 
@@ -52,14 +53,12 @@ def view(
         cell: With --live, name of the cell; needed when several run.
         port: Port of the page; from 8080 on the first that is free when left out.
     """
-    from armlab import models
-
     if fleet:
         if what or live or robot or model or cell:
             raise ConfigError("Expected at most --zenoh and --port with --fleet, got more. Leave it out.")
         _watch_fleet(zenoh, port)
         return
-    known = [models.load(path, "torque_model") for path in model or ()]
+    known = [armlab.models.load(path, "torque_model") for path in model or ()]
     if not live:
         for option, value in (("--cell", cell), ("--zenoh", zenoh)):
             if value:
@@ -97,13 +96,12 @@ def _watch_fleet(url: str, port: int | None) -> None:
 
 def _play(paths: Sequence[str], names: Sequence[str], models: Sequence[TorqueModel], port: int | None) -> None:
     """Show logs."""
-    from armlab import robots
     from armlab.live import Player, address, read_arms, start, stop
 
     if not paths:
         raise ConfigError("Expected at least one log to show, got none. Name a file, or give --live for a bridge.")
     note(f"reading {', '.join(paths)}")
-    arms = read_arms(paths, [robots.load(name) for name in names], models)
+    arms = read_arms(paths, [armlab.robots.load(name) for name in names], models)
     server = start(port, label=" ".join(Path(path).name for path in paths))
     try:
         player = Player(server, arms, meshes=_folders(names))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+import armlab
 from armlab.cli.calibrate.samples import NOTHING, Deviations, SampleFile, Wanted, measured_rows, run_fit
 from armlab.cli.support.output import check_output, note
 from armlab.errors import ConfigError, LogError
@@ -57,10 +58,9 @@ def kinematics(
         free: What may be wrong: all; offsets: joint offsets, base and tool; base_tool.
         corrected: Also write the corrected arm as a robot file, ends in .toml.
     """
-    from armlab import robots
     from armlab.calibrate import fit_kinematics
 
-    arm = robots.load(robot)
+    arm = armlab.robots.load(robot)
     files = () if corrected is None else (corrected,)
     _check_robots(files, wanted)
     length = 0  # of the samples before
@@ -114,11 +114,10 @@ def dual_arm(
         noise: Deviations where they are known: m and rad of poses, m of positions; then m and rad of absolute_a.
         corrected: Also write the corrected arms as robot files, a and b, end in .toml.
     """
-    from armlab import robots
     from armlab.calibrate import fit_dual_arm
 
     kinds = ("pose", "position", "absolute_a")
-    arms = robots.load(robot_a), robots.load(robot_b)
+    arms = armlab.robots.load(robot_a), armlab.robots.load(robot_b)
     _check_robots(corrected or (), wanted)
 
     def parts(read: Samples) -> tuple[np.ndarray, ...]:
@@ -215,8 +214,6 @@ def _check_robots(files: tuple[Path, ...], wanted: Wanted) -> None:
 
 def _save(arms: list[Robot], files: tuple[Path, ...]) -> None:
     """Write the corrected robots that are wanted."""
-    from armlab import robots
-
     for arm, path in zip(arms, files, strict=False):
-        robots.save(arm, path)
+        armlab.robots.save(arm, path)
         note(f"robot: {path}")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+import armlab
 from armlab.cli.support.html_report import HtmlReport, Verdict
 from armlab.cli.support.output import note
 from armlab.cli.support.results import Results, parameters
@@ -143,7 +144,6 @@ class Samples:
 
 def read_samples(path: Path) -> Samples:
     """Return the columns of a CSV file, a MAT file, or a recording."""
-    from armlab import log as logs
     from armlab.log.file_formats.mat import read_mat
     from armlab.log.file_formats.opening import file_hash, is_text
     from armlab.log.topics.reader import is_foreign
@@ -157,9 +157,9 @@ def read_samples(path: Path) -> Samples:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the notes of the table say the same and are shown below
         if labels and (separator != "," or not timed):
-            table = logs.read_csv(path, rate=None if timed else 1.0, separator=separator)
+            table = armlab.log.read_csv(path, rate=None if timed else 1.0, separator=separator)
         else:
-            table = logs.read(path)
+            table = armlab.log.read(path)
     for line in table.notes:
         note(f"{path.name}: {line}")
     if is_foreign(path) and "q" in table:
@@ -330,10 +330,9 @@ def tool_poses(read: Samples, robot: str | None) -> np.ndarray:
         return read.poses("T_base_tool")
     import numpy as np
 
-    from armlab import robots
     from armlab.kinematics import forward
 
-    arm = robots.load(robot)
+    arm = armlab.robots.load(robot)
     q = read.vectors("q", (arm.n,))
     far = np.nanmax(np.abs(q[:, ~arm.prismatic]), initial=0.0)
     if far > _DEGREES:
@@ -415,13 +414,12 @@ def judge(fit: Fit[Any]) -> Verdict:
 
 def _page(job: str, fit: Fit[Any], verdict: Verdict, sources: tuple[str, ...]) -> Any:
     """Return the page: verdict, figure, parameters, and the text of the fit."""
-    from armlab import plots
     from armlab.plots.style import png
 
     page = HtmlReport(f"Calibration: {job}", f"From {'; '.join(sources)}.")
     page.verdict(verdict)
     page.section("Residuals, ellipses, excitation", "In standard deviations of the noise; a straight line is normal.")
-    page.figure(png(plots.calibration(fit)), "residuals per sample, quantiles, ellipses, singular values")
+    page.figure(png(armlab.plots.calibration(fit)), "residuals per sample, quantiles, ellipses, singular values")
     page.section("Parameters")
     rows = zip(fit.names, fit.parameters, fit.sd, fit.units, strict=True)
     page.table([

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
+import armlab
 from armlab.cli import FAILED
 from armlab.cli.support.options import Force, Json, links_to
 from armlab.cli.support.output import check_output, note, print_json, progress, result
@@ -125,8 +126,6 @@ def play(
             not given.
         force: Replace an existing file of --output.
     """
-    from armlab import log as logs
-    from armlab import models
     from armlab.cli.dmp.playing import numbers_in, rehearsed, resolved, rolled_out
     from armlab.cli.support.settings import log_folder
 
@@ -139,11 +138,11 @@ def play(
         return _move(*plan, links_to(robot, plan[:1], link), log or log_folder() / "dmp.mcap", json)
     check_output(output, force, [".csv", ".mcap"])
     if robot is None:
-        arm, table = None, rolled_out(*resolved(models.load(primitive), given))
+        arm, table = None, rolled_out(*resolved(armlab.models.load(primitive), given))
     else:
         arm, motion, _ = _plan(primitive, given, robot, speed, firm)
         table = rehearsed(motion)
-    note(f"motion: {logs.write(table, output, arm)}")
+    note(f"motion: {armlab.log.write(table, output, arm)}")
     if json:
         print_json({"seconds": float(table.t[-1]), "samples": len(table), "columns": list(table.names)})
     return 0
@@ -153,22 +152,20 @@ def _plan(
     primitive: Path, given: dict[str, Any], robot: str, speed: float | None, firm: bool
 ) -> tuple[Robot, PlannedMotion, Limits]:
     """Return the robot, its motion within the limits, and these."""
-    from armlab import bridge, models, robots
     from armlab.cli.dmp.playing import motion_of, resolved
     from armlab.cli.support.settings import load_settings
 
-    arm = robots.load(robot)
-    limits = bridge.Limits.of(arm, speed=load_settings().settings.speed if speed is None else speed)
-    return arm, motion_of(*resolved(models.load(primitive), given), arm, limits, firm), limits
+    arm = armlab.robots.load(robot)
+    limits = armlab.bridge.Limits.of(arm, speed=load_settings().settings.speed if speed is None else speed)
+    return arm, motion_of(*resolved(armlab.models.load(primitive), given), arm, limits, firm), limits
 
 
 def _move(robot: Robot, motion: PlannedMotion, limits: Limits, links: list[str], log: Path, json: bool) -> int:
     """Walk to the start, run the motion, and say how near the goal it came."""
-    from armlab import bridge
     from armlab.cli.dmp.playing import SETTLES, Walk, distance
 
     controller, seconds = motion.controller, motion.seconds
-    with bridge.connect(links, robot) as end, progress("motion") as tell:
+    with armlab.bridge.connect(links, robot) as end, progress("motion") as tell:
         end.run(Walk(motion.q_start, limits.qd_max), limits=limits)
         whole = seconds + SETTLES
         done = end.run(controller, whole, limits=limits, record=log, extra=controller.columns(), progress=tell)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import armlab
 from armlab.cli.support.output import aligned
 from armlab.errors import ConfigError, UnknownName
 
@@ -77,18 +78,17 @@ def read_demonstration(
     path: Path, kind: str, columns: Sequence[str], robot: str | None, window: MotionWindow
 ) -> Demonstration:
     """Return the motion in a log."""
-    from armlab import kinematics, log, robots
     from armlab.log.topics.reader import is_foreign, read_joints
 
-    arm, foreign = None if robot is None else robots.load(robot), is_foreign(path)
+    arm, foreign = None if robot is None else armlab.robots.load(robot), is_foreign(path)
     if foreign and arm is None and kind != "pose" and "q" in (columns or ("q",)):
         raise ConfigError(
             f"Expected --robot NAME with {path}, got none. Another program has its joints in an order of its own; they "
             "are put into that of the robot, as it will play them."
         )
-    table = log.read(path) if arm is None or not foreign else read_joints(path, arm)
+    table = armlab.log.read(path) if arm is None or not foreign else read_joints(path, arm)
     if kind == "pose" and arm is not None:
-        table = table.with_column(POSES, kinematics.forward(arm, table["q"]))
+        table = table.with_column(POSES, armlab.kinematics.forward(arm, table["q"]))
     elif kind == "pose" and not columns and POSES not in table:
         raise ConfigError(
             f"Expected poses of the tool in {path}, column {POSES}, got {', '.join(table.names)}. "
@@ -105,18 +105,16 @@ def read_demonstration(
 
 def taught(kind: str, demos: Sequence[Demonstration], options: Mapping[str, Any]) -> Fit[Any]:
     """Return the fit of a primitive."""
-    from armlab import motion
-
     given = {("n_basis" if name == "basis" else name): value for name, value in options.items() if name != "robot"}
     if kind in ("pose", "periodic"):
         if len(demos) > 1:
             raise ConfigError(f"Expected one log with --kind {kind}, got {len(demos)}. Fit one primitive to each.")
-        fit = motion.fit_pose_dmp if kind == "pose" else motion.fit_periodic_dmp
+        fit = armlab.motion.fit_pose_dmp if kind == "pose" else armlab.motion.fit_periodic_dmp
         return fit(demos[0].t, demos[0].y, **given)
     t, y = [demo.t for demo in demos], [demo.y for demo in demos]
     if kind == "promp":
-        return motion.fit_promp(t, y, **given)
-    return motion.fit_dmp(t if len(t) > 1 else t[0], y if len(y) > 1 else y[0], **given)
+        return armlab.motion.fit_promp(t, y, **given)
+    return armlab.motion.fit_dmp(t if len(t) > 1 else t[0], y if len(y) > 1 else y[0], **given)
 
 
 def numbers_of(kind: str, found: Fit[Any], demos: int) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+import armlab
 from armlab.cli.support.options import as_given
 from armlab.cli.support.output import aligned, note, print_json, progress, result
 from armlab.cli.support.results import PLAIN, Results
@@ -77,15 +78,13 @@ def estimate(
         output: Also write the estimate of every row, ends in .mcap or .csv.
         prior: Of the contact.
     """
-    from armlab import log as logs
-    from armlab import models, robots
     from armlab.cli.estimate import report as report_of
     from armlab.cli.support.log_input import doubts, read_log
     from armlab.contact import Estimator, contacts
 
     wanted.check(output, (".mcap", ".csv"), [log])
-    arm = robots.load(robot)
-    known = models.load(model, "torque_model")
+    arm = armlab.robots.load(robot)
+    known = armlab.models.load(model, "torque_model")
     options = {"force_rate": force_rate, "bias": bias}
     with as_given():
         estimator = Estimator(known, arm, method, prior.deviations, prior.point, **options)
@@ -102,7 +101,7 @@ def estimate(
     _say(table, method, report_of.places(found, believed), verdict, wanted.json)
     if output is not None:
         note(f"writing {output}")
-        logs.write(report_of.columns(table, believed), output, arm)
+        armlab.log.write(report_of.columns(table, believed), output, arm)
     about = f"{log.name} of {arm.name}, model {model.name}, method {method}."
     wanted.write(
         lambda plots: plots.wrench(table), lambda tell: report_of.page(table, verdict, found, believed, about, tell)

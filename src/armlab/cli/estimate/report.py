@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import armlab
 from armlab.cli.support.html_report import HtmlReport, Verdict
 from armlab.cli.support.log_input import gaps, left_out
 from armlab.cli.support.results import Tell
@@ -252,33 +253,35 @@ def page(
 
 def _drawings(table: Table, believed: Hypotheses | None) -> list[tuple[str, str, Any]]:
     """Return title, how to read it, and what draws it, of each figure."""
-    from armlab import plots
-
     shown = [
         (
             "Wrench over time",
             "Line: estimate. Band: two sigma. Shaded: contact, where zero lies outside the 95 % ellipsoid.",
-            lambda: plots.wrench(table),
+            lambda: armlab.plots.wrench(table),
         ),
         (
             "Observability over time",
             "What the pose and the friction of the joints let through. Shaded: some axis below 0.5.",
-            lambda: plots.observability(table),
+            lambda: armlab.plots.observability(table),
         ),
-        ("Motion", "Positions, velocities and torques of the log.", lambda: plots.table(table, "q", "qd", "tau")),
+        (
+            "Motion",
+            "Positions, velocities and torques of the log.",
+            lambda: armlab.plots.table(table, "q", "qd", "tau"),
+        ),
     ]
     if believed is not None:
         where = (
             "Where the contact may be",
             "Probability of each place, in windows of one second. The bar on top: a link is not excluded, 400 to 1.",
-            lambda: plots.hypotheses(believed),
+            lambda: armlab.plots.hypotheses(believed),
         )
         shown.insert(1, where)
     if "wrench_true" in table or "wrench" in table:
         coverage = (
             "Coverage by speed",
             "Share of the axis's errors inside two sigma; a calibrated uncertainty contains 95.4 % at every speed.",
-            lambda: plots.coverage(table),
+            lambda: armlab.plots.coverage(table),
         )
         shown.insert(-1, coverage)
     return shown

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+import armlab
 from armlab.cli.support.output import note, progress
 from armlab.cli.support.results import PLAIN, Results
 from armlab.errors import ConfigError
@@ -44,13 +45,12 @@ def identify(
             by joint; what wins on held-out stretches of time is kept.
         test: Another recording without contact: how good the model is where it was not fitted.
     """
-    from armlab import robots
     from armlab.cli.identify import report as report_of
     from armlab.cli.support.log_input import read_log
     from armlab.identify import fit_dynamics, fit_friction, fit_gravity
     from armlab.identify.record import check_once
 
-    arm = robots.load(robot)
+    arm = armlab.robots.load(robot)
     if not logs:
         raise ConfigError("Expected at least one log to identify from, got none. Give the files of recorded motions.")
     wanted.check(output, [".toml"])

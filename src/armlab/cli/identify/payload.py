@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+import armlab
 from armlab.cli.support.html_report import HtmlReport, Verdict
 from armlab.cli.support.output import note, progress
 from armlab.cli.support.results import PLAIN, Results, parameters
@@ -47,14 +48,13 @@ def payload(
         gain: How well the torque constants are known, as a share.
         output: Also save the load, ends in .toml.
     """
-    from armlab import models, robots
     from armlab.cli.support.log_input import read_log
     from armlab.estimation import Fit
     from armlab.identify import fit_payload
     from armlab.models.files import load_statistics
 
     wanted.check(output, (".toml",))
-    arm, known = robots.load(robot), models.load(model, "torque_model")
+    arm, known = armlab.robots.load(robot), armlab.models.load(model, "torque_model")
     told = Fit.load(model) if load_statistics(model) else known  # the fit knows what is uncertain in friction
     table = read_log(log, arm)
     empty = None if without is None else read_log(without, arm)
@@ -118,7 +118,6 @@ def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> V
 
 
 def _page(fit: Fit[Payload], model: TorqueModel, table: Table, verdict: Verdict, about: str) -> Any:
-    from armlab import plots
     from armlab.plots.style import png
 
     page = HtmlReport(f"Load of {1e3 * fit.value.mass:.0f} g", about)
@@ -128,7 +127,7 @@ def _page(fit: Fit[Payload], model: TorqueModel, table: Table, verdict: Verdict,
     rows += [(n, f"{x:.5g}", f"{s:.2g}", u) for n, x, s, u in zip(fit.names, fit.parameters, fit.sd, fit.units)]
     page.table(rows)
     page.section("Torques", "Measured, and modelled with the load; the band is two sigma of the model.")
-    drawn = plots.torque_fit(fit.value.added_to(model), table)
+    drawn = armlab.plots.torque_fit(fit.value.added_to(model), table)
     page.figure(png(drawn), "measured and modelled torque of each joint")
     page.section("As printed")
     page.verbatim(fit.report())

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import armlab
 from armlab.cli.support.html_report import Drawing, HtmlReport, Verdict
 from armlab.cli.support.results import Tell
 
@@ -272,8 +273,6 @@ def _deviation(fit: Fit[TorqueModel], own: dict[str, int], kinds: tuple[str, ...
 
 
 def _of_the_torque(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list[Drawing]:
-    from armlab import plots
-
     model, estimate = fit.value, trial.estimate
     shown = "The test log" if trial.unseen else "The first log"
     return [
@@ -281,62 +280,60 @@ def _of_the_torque(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list
             "Measured and modelled torque",
             "Torque of each joint over time, measured and modelled, and the residual",
             f"{shown}. What is left should look like noise inside the band.",
-            lambda: plots.torque_fit(fit, trial.log),
+            lambda: armlab.plots.torque_fit(fit, trial.log),
         ),
         (
             "Residual over speed",
             "Residual torque of each joint over its speed with two-sigma curves",
             "Curves follow the cloud where the covariance is right. A step at zero is Coulomb friction that is wrong.",
-            lambda: plots.residual_speed(estimate, {"model": model.covariance}),
+            lambda: armlab.plots.residual_speed(estimate, {"model": model.covariance}),
         ),
         (
             "Friction",
             "Friction of each joint over its speed with uncertainty",
             "Dark: uncertainty of the parameters. Light: with the torque error at that speed, 95 % of the points.",
-            lambda: plots.friction(fit, estimate),
+            lambda: armlab.plots.friction(fit, estimate),
         ),
         (
             "Torque ripple",
             "Amplitude of the torque residual over cycles per turn",
             "Peaks fixed in position are ripple of gears and motors; the dotted ones are in the model.",
-            lambda: plots.spectrum(model, log),
+            lambda: armlab.plots.spectrum(model, log),
         ),
         (
             "Residual autocorrelation",
             "Autocorrelation of the residuals over the lag",
             "Correlated residuals make formal deviations too small; those of this report come from a block bootstrap.",
-            lambda: plots.autocorrelation(estimate),
+            lambda: armlab.plots.autocorrelation(estimate),
         ),
     ]
 
 
 def _of_the_force(fit: Fit[TorqueModel], trial: ModelTrial) -> list[Drawing]:
-    from armlab import plots
-
     shown = "The test log" if trial.unseen else "The first log"
     return [
         (
             "Excitation",
             "Singular values of the regressor",
             "Each point is a direction of the parameters. Those below the upper line need a richer motion.",
-            lambda: plots.excitation(fit.excitation),
+            lambda: armlab.plots.excitation(fit.excitation),
         ),
         (
             "Force without contact",
             "Estimated wrench over time with two-sigma band; the truth is zero",
             f"{shown} through the estimator. The truth is zero: the band should contain it 95 % of the time.",
-            lambda: plots.wrench(trial.estimate),
+            lambda: armlab.plots.wrench(trial.estimate),
         ),
         (
             "Observability",
             "Observability per axis over time",
             "1: the torques determine the axis. 0: only the prior speaks.",
-            lambda: plots.observability(trial.estimate),
+            lambda: armlab.plots.observability(trial.estimate),
         ),
         (
             "Coverage by speed",
             "Share of forces inside two sigma per bin of speed",
             "A calibrated uncertainty contains 95.4 % at every speed.",
-            lambda: plots.coverage(trial.estimate),
+            lambda: armlab.plots.coverage(trial.estimate),
         ),
     ]

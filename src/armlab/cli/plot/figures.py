@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+import armlab
 from armlab.cli.plot.options import (
     BESIDE,
     OF_LOG,
@@ -225,11 +226,10 @@ def hypotheses(
     model: Model, log: Annotated[Path, Parameter(help="Recording with contact.")], *, figure: ModelFigure = OF_MODEL
 ) -> int:
     """Draw the probability that there is a contact, and where."""
-    from armlab import contact
 
     def draw(plots: Any) -> Any:
         known = torque_model(model)
-        return plots.hypotheses(contact.hypotheses(figure.estimate(known, log), figure.robot_of(known)))
+        return plots.hypotheses(armlab.contact.hypotheses(figure.estimate(known, log), figure.robot_of(known)))
 
     return figure.draw(log, "hypotheses", draw)
 
@@ -274,20 +274,16 @@ def robot(robot: RobotName, log: Posture = None, *, tool_path: bool = False, fig
     Parameters:
         tool_path: Draw the path of the tool through the log.
     """
-    from armlab import robots
-
     return figure.draw(
         log or robot,
         "robot",
-        lambda plots: plots.robot(robots.load(robot), figure.positions(log, robot), path=tool_path),
+        lambda plots: plots.robot(armlab.robots.load(robot), figure.positions(log, robot), path=tool_path),
     )
 
 
 def workspace(robot: RobotName, *, figure: FigureFile = BESIDE) -> int:
     """Draw where the tool of an arm can be: from the side, from above, in space."""
-    from armlab import robots
-
-    return figure.draw(robot, "workspace", lambda plots: plots.workspace(robots.load(robot)))
+    return figure.draw(robot, "workspace", lambda plots: plots.workspace(armlab.robots.load(robot)))
 
 
 def manipulability(
@@ -302,12 +298,10 @@ def manipulability(
     Parameters:
         of: position: velocity of the tool point. rotation: its angular velocity.
     """
-    from armlab import robots
-
     return figure.draw(
         log or robot,
         "manipulability",
-        lambda plots: plots.manipulability(robots.load(robot), figure.positions(log, robot), of),
+        lambda plots: plots.manipulability(armlab.robots.load(robot), figure.positions(log, robot), of),
     )
 
 
@@ -323,12 +317,11 @@ def dmp(
     Parameters:
         demos: Logs of the demonstrations, of the motion only; several for a distribution over motions.
     """
-    from armlab import models
     from armlab.cli.dmp.teaching import MotionWindow, read_demonstration
     from armlab.motion import Dmp, PeriodicDmp, PoseDmp, ProMP, TwoDofDmp
 
     def draw(plots: Any) -> Any:
-        motion = models.load(primitive)
+        motion = armlab.models.load(primitive)
         motion = motion.dmp if isinstance(motion, TwoDofDmp) else motion
         if not isinstance(motion, Dmp | PoseDmp | PeriodicDmp | ProMP):
             raise ConfigError(
@@ -373,17 +366,15 @@ def two_dof(
         duration: Of the run [s]; default: that of the demonstration.
         goal: Of the run, numbers with commas between; default: that of the demonstration.
     """
-    from armlab import log as logs
-    from armlab import models
     from armlab.cli.dmp.playing import numbers_in
     from armlab.motion import Dmp, TwoDofDmp
 
     def draw(plots: Any) -> Any:
-        motion = models.load(primitive)
+        motion = armlab.models.load(primitive)
         law = TwoDofDmp(motion) if isinstance(motion, Dmp) else motion
         if not isinstance(law, TwoDofDmp):
             raise ConfigError(f"Expected a primitive of joints, got another kind in {primitive}. Name the right file.")
-        read = logs.read(log)
+        read = armlab.log.read(log)
         if "path_error" not in read:
             raise LogError(f"Expected a run that waits for its arm in {log}, got none. Record it without --firm.")
         spans = [numbers_in(word, "disturbed") for word in disturbed or ()]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+import armlab
 from armlab.cli.support.options import joints_in
 from armlab.cli.support.output import FIGURES, check_output, result, save_figure
 from armlab.errors import LogError
@@ -54,13 +55,12 @@ class FigureFile:
 
         `make` draws it with the module `armlab.plots`; a file that cannot be written is refused before.
         """
-        from armlab import plots
         from armlab.plots.style import show
 
         beside = Path(source)
         path = beside.with_name(f"{beside.stem}_{name}.png") if self.output is None else self.output
         check_output(path, self.force, FIGURES)
-        save_figure(make(plots), path)
+        save_figure(make(armlab.plots), path)
         result(str(path))
         if self.show:
             show()
@@ -84,13 +84,12 @@ class LogPart:
 
     def read(self, path: Path, robot: str | None = None) -> Table:
         """Return that part of a log."""
-        from armlab import log, robots
         from armlab.log.topics.reader import is_foreign, read_joints
 
         if robot is not None and is_foreign(path):
-            whole = read_joints(path, robots.load(robot))
+            whole = read_joints(path, armlab.robots.load(robot))
         else:
-            whole = log.read(path, robot=self.arm)
+            whole = armlab.log.read(path, robot=self.arm)
         low, high = (-math.inf if self.start is None else self.start), (math.inf if self.end is None else self.end)
         if not len(whole):
             raise LogError(f"Expected rows in {path}, got a log without any. Nothing was recorded.")
@@ -136,9 +135,7 @@ class ModelFigure(LogFigure):
 
     def robot_of(self, model: TorqueModel) -> Robot:
         """Return the robot of a model."""
-        from armlab import robots
-
-        arm = robots.load(model.robot_name if self.robot is None else self.robot)
+        arm = armlab.robots.load(model.robot_name if self.robot is None else self.robot)
         model.check_robot(arm)
         return arm
 
@@ -167,9 +164,7 @@ OF_MODEL = ModelFigure()
 
 def torque_model(path: Path) -> TorqueModel:
     """Return the torque model of a file of `armlab identify`."""
-    from armlab import models
-
-    return models.load(path, "torque_model")
+    return armlab.models.load(path, "torque_model")
 
 
 def chosen(joints: str | None, n: int) -> list[int] | None:
@@ -188,10 +183,8 @@ def poses_in(table: Table, path: Path, column: str | None, robot: str | None) ->
 
     `column`: of poses; the usual ones when None.
     """
-    from armlab import kinematics, robots
-
     if robot is not None:
-        return kinematics.forward(robots.load(robot), table["q"])
+        return armlab.kinematics.forward(armlab.robots.load(robot), table["q"])
     name = column or next((name for name in POSES if name in table), None)
     if name is None:
         raise LogError(

@@ -10,6 +10,7 @@ from urllib.parse import quote
 
 from cyclopts import Parameter
 
+import armlab
 from armlab.errors import ConfigError, ShapeError
 
 if TYPE_CHECKING:
@@ -44,13 +45,11 @@ def require_seconds(value: float | None) -> None:
 
 def simulated(word: str) -> Robot:
     """Return the robot that ``armlab sim`` simulates under a word."""
-    from armlab import robots
-
     if word == "scara":
         from armlab.sim.arm.arm import scara
 
         return scara()
-    return robots.load(word)
+    return armlab.robots.load(word)
 
 
 def links_to(robot: str, arms: Sequence[Robot], link: str | None) -> list[str]:
