@@ -293,7 +293,6 @@ def _lines(feed: Any, watch: Watch, end: float) -> Any:
 
 
 def _hear(feed: Any, watch: Watch, seconds: float) -> None:
-    """Receive messages for some seconds."""
     due = time.monotonic() + seconds
     while feed.wait(due - time.monotonic()):
         watch.take(feed.receive())

@@ -67,11 +67,15 @@ class Plan:
         """Lay out the motions of a robot; `seed` chooses the excitation and the free motion."""
         import numpy as np
 
-        from armlab.identify import design_excitation, dither, sequence
-
         sway_length = 2 * SETTLE + len(PRESSES) * (HOLD + 2 * RAMP + GAP)
-        free = design_excitation(robot, FREE, f0=0.12, harmonics=5, speed=0.45, acceleration=8.0, seed=1000 + seed)
-        motions = [free, dither(robot.q_home, sway_length), dither(robot.q_home, REST, amplitude=0.0)]
+        free = armlab.identify.design_excitation(
+            robot, FREE, f0=0.12, harmonics=5, speed=0.45, acceleration=8.0, seed=1000 + seed
+        )
+        motions = [
+            free,
+            armlab.identify.dither(robot.q_home, sway_length),
+            armlab.identify.dither(robot.q_home, REST, amplitude=0.0),
+        ]
         sway_start = APPROACH + FREE + WALK
         rest_start = sway_start + sway_length + WALK
         presses, times, wrenches = [], [], []
@@ -87,8 +91,8 @@ class Plan:
             press(name, axis, force, start, start + HOLD)
         press("at rest -z", 2, -4.905, rest_start + 1.5, rest_start + 4.0)
         return cls(
-            excitation=design_excitation(robot, EXCITATION, seed=seed),
-            test=sequence(motions, walk=WALK),
+            excitation=armlab.identify.design_excitation(robot, EXCITATION, seed=seed),
+            test=armlab.identify.sequence(motions, walk=WALK),
             presses=tuple(presses),
             free=(APPROACH + 1.0, APPROACH + FREE),
             sway=(sway_start + 1.0, sway_start + sway_length - 1.0),
@@ -151,9 +155,6 @@ def rehearse(robot_name: str, seed: int, folder: Path, fast: bool, view: bool = 
     """Run both motions over EGM and return plan, fit, run and the table of the estimate."""
     import numpy as np
 
-    from armlab.contact import Estimator
-    from armlab.identify import fit_dynamics
-
     robot = armlab.robots.load(robot_name)
     if folder.exists():
         raise ConfigError(f"Expected a new folder, got {folder}, which exists. Choose another name.")
@@ -171,10 +172,10 @@ def rehearse(robot_name: str, seed: int, folder: Path, fast: bool, view: bool = 
             seconds = APPROACH + plan.excitation.seconds
             _drive(robot, _url(robot_name, fast, 2 * seed), controller, seconds, folder / "excite.mcap", tell, cell)
         with progress("2/3 identify") as tell:
-            fit = fit_dynamics(armlab.log.read(folder / "excite.mcap"), robot, progress=tell)
+            fit = armlab.identify.fit_dynamics(armlab.log.read(folder / "excite.mcap"), robot, progress=tell)
             fit.save(folder / "model.toml")
         with progress("3/3 press") as tell:
-            controller = _estimating(plan, Estimator(fit.value, robot))
+            controller = _estimating(plan, armlab.contact.Estimator(fit.value, robot))
             url = _url(robot_name, fast, 2 * seed + 1, press_file)
             run = _drive(robot, url, controller, APPROACH + plan.test.seconds, folder / "press.mcap", tell, cell)
     return {"plan": plan, "fit": fit, "run": run, "estimate": armlab.log.read(folder / "press.mcap"), "robot": robot}
@@ -213,9 +214,7 @@ def _shown(cell: str) -> Iterator[None]:
 
 
 def _drive(robot: Robot, url: str, controller: Any, seconds: float, path: Path, tell: Any, cell: str) -> Any:
-    from armlab.log import Column
-
-    extra = {"observability": Column(shape=(6,))}  # wrench_hat and its covariance need no declaration
+    extra = {"observability": armlab.log.Column(shape=(6,))}  # wrench_hat and its covariance need no declaration
     with armlab.bridge.connect(url, robot, offer=cell) as link:
         return link.run(controller, seconds, record=path, extra=extra, progress=tell)
 
@@ -244,11 +243,9 @@ class DemoVerdict:
 
     @property
     def passed(self) -> bool:
-        """True when every bar is met."""
         return not self.missed
 
     def text(self) -> str:
-        """Return the tables."""
         rows = [("press", "true [N]", "estimated x", "y", "z", "2-sigma", "error")]
         rows += [
             (
@@ -346,7 +343,6 @@ def _missed(v: DemoVerdict) -> tuple[str, ...]:
 
 
 def latency_line(run: Any) -> str:
-    """Return the line about the loop: round trip and cycles."""
     return next((line.strip() for line in run.report().splitlines() if "p50" in line), run.report().splitlines()[0])
 
 

@@ -85,7 +85,6 @@ def excite(
         approach: Seconds of the walk from where the arm stands to the start.
     """
     from armlab.cli.support.settings import load_settings, log_folder
-    from armlab.identify import Trajectory, predicted_uncertainty
 
     if output is None and run is None:
         raise ConfigError("Expected a file for the motion (-o motion.csv) or a link to run it on (--run), got neither.")
@@ -105,9 +104,9 @@ def excite(
                 trajectory = _design(arm, motion, speed, joint, tell)
         else:
             tell(0, 2, f"reading {saved.name}")
-            trajectory = Trajectory.from_table(armlab.log.read(saved))
+            trajectory = armlab.identify.Trajectory.from_table(armlab.log.read(saved))
         tell(9, 10, "predicting parameter precision")
-        expected = predicted_uncertainty(trajectory, arm, noise) if joint is None else None
+        expected = armlab.identify.predicted_uncertainty(trajectory, arm, noise) if joint is None else None
         tell(1, 1, "done")
     if json:
         told = {} if expected is None else _plain(expected)
@@ -135,13 +134,10 @@ def excite(
 def _design(
     robot: Robot, motion: ExcitationOptions, speed: float, joint: str | None, tell: Callable[[float, float, str], None]
 ) -> Trajectory:
-    """Design a motion of all joints, or of one."""
-    from armlab.identify import design_excitation, friction_run
-
     if joint is not None:
-        return friction_run(robot, joints_in(joint, robot.n)[0] if joint.isdecimal() else joint)
+        return armlab.identify.friction_run(robot, joints_in(joint, robot.n)[0] if joint.isdecimal() else joint)
     shape = motion.seconds, motion.f0, motion.harmonics, speed, motion.acceleration
-    return design_excitation(
+    return armlab.identify.design_excitation(
         robot,
         *shape,
         seed=motion.seed,

@@ -176,7 +176,6 @@ class Job:
     def arm(self, logs: tuple[Path, ...]) -> Robot:
         """Return the arm that is named, or else the one that the first recording names."""
         from armlab.fleet.logs import named
-        from armlab.log import inspect
 
         if self.robot is not None:
             return armlab.robots.load(self.robot)
@@ -184,7 +183,7 @@ class Job:
             if not log.endswith(".mcap"):
                 continue
             try:
-                return armlab.robots.load(inspect(log).metadata["armlab"]["robot"])
+                return armlab.robots.load(armlab.log.inspect(log).metadata["armlab"]["robot"])
             except (ArmlabError, OSError, KeyError):
                 continue
         raise ConfigError("Expected recordings that name a robot of the library, got none. Name it with --robot.")
@@ -306,6 +305,5 @@ def export(
 
 
 def _skipped(reasons: Mapping[str, str]) -> None:
-    """Say which logs were not used."""
     for name, reason in reasons.items():
         note(f"skipped {name}: {reason}")

@@ -262,7 +262,6 @@ def text_of(file: Path, kind: str, held: Inspection | None, tables: Mapping[str,
 
 
 def parameters_text(held: Inspection) -> str:
-    """Return the history of the parameters."""
     from datetime import UTC, datetime
 
     told = [
@@ -280,7 +279,6 @@ def parameters_text(held: Inspection) -> str:
 
 
 def parameters_data(held: Inspection) -> dict[str, Any]:
-    """Return the history of the parameters, for scripts."""
     return {
         "parameters": [
             {"stamp_ns": one.stamp_ns, "name": one.name, "value": one.value, "who": one.who, "sequence": one.sequence}
@@ -329,7 +327,6 @@ def _recording_data(held: Inspection) -> dict[str, Any]:
 
 
 def _exchanged_text(file: Path, kind: str, tables: Mapping[str, Table]) -> str:
-    """Return what is shown of a log that is no recording."""
     first = min(tables.values(), key=lambda table: table.t0_ns, default=None)
     sources = [f"source: {entry}" for entry in first.source] if first else []
     head = [f"{file}: {kind}, began {_began(first.t0_ns if first else 0)}", *sources]

@@ -128,7 +128,6 @@ def _file_and_name(place: str) -> tuple[Path, str]:
 
 
 def _attached(controller: str | None) -> dict[str, bytes]:
-    """Return the file of the controller, to be kept in the log."""
     if controller is None:
         return {}
     path, _ = _file_and_name(controller)
@@ -190,7 +189,6 @@ def _report_of_logs(link: Link) -> None:
 
 
 def _prompt(done: Run, link: Link) -> None:
-    """Open a prompt with what the run left behind."""
     import code
 
     import numpy as np

@@ -50,7 +50,6 @@ class FaultOptions:
     until: float = FaultRates.until
 
     def rates(self) -> FaultRates:
-        """Return the rates, or raise ConfigError for what makes no sense."""
         given: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
         return FaultRates(**{**given, "delay": pair("delay", self.delay), "pause": pair("pause", self.pause)})
 
@@ -84,7 +83,6 @@ class PacketOptions:
     lagging: bool = False
 
     def __post_init__(self) -> None:
-        """Check what RAPID sends back."""
         if not 0 <= self.rapid_data <= 40 or (self.rapid_data and self.robotware != "7"):
             raise ConfigError(
                 f"Expected --rapid-data from 0 to 40, with --robotware 7 only, got {self.rapid_data} and RobotWare "
@@ -92,14 +90,12 @@ class PacketOptions:
             )
 
     def names(self, robots: Sequence[str], count: int) -> tuple[str, ...]:
-        """Return the names of the robots."""
         if self.axes and robots:
             raise ConfigError(f"Expected names of robots or --axes, got both: {', '.join(robots)} and {self.axes}.")
         return (_AXES[self.axes],) * count if self.axes else tuple(robots)
 
     @property
     def left_out(self) -> list[str]:
-        """Names of the fields to leave out."""
         return [name.strip() for name in self.fields.split(",") if name.strip()]
 
 
@@ -125,7 +121,6 @@ class SurroundingOptions:
     rapid: str = "running"
 
     def scene(self, robot: Robot, index: int, seed: list[int], external: int) -> Surroundings:
-        """Return what happens around one robot."""
         from armlab.sim.events import MOTORS, RAPID, AppliedWrench, Grip, HandPath, StateScript, Surroundings
 
         operator = AppliedWrench.idle() if self.operator is None or index else read_operator(self.operator)
@@ -137,7 +132,6 @@ class SurroundingOptions:
 
 
 def pair(name: str, text: str) -> tuple[float, float]:
-    """Return the two numbers of an option."""
     words = text.split(",")
     try:
         first, second = (float(word) for word in words)
@@ -216,7 +210,6 @@ class TextFile:
             self._file.close()
 
     def write(self, text: str) -> None:
-        """Add a text."""
         with self._named():
             self._file.write(text)
 
@@ -355,7 +348,6 @@ def _with_abb_defaults(settings: ControllerSettings) -> ControllerSettings:
 
 
 def _seeds(seed: str, count: int) -> list[int]:
-    """Return the seed of each robot."""
     words = [word.strip() for word in seed.split(",")]
     if len(words) not in (1, count) or not all(word.isascii() and word.isdigit() and len(word) < 20 for word in words):
         raise ConfigError(f"Expected --seed as one whole number of at least 0, or one per robot, got {seed!r}.")
@@ -387,7 +379,6 @@ class _SharedOptions:
     tell: Callable[[ControllerEvent], None]
 
     def channel(self, name: str, address: tuple[str, int], index: int, seed: list[int]) -> UdpClient:
-        """Return one simulated robot with its socket."""
         from armlab.sim.controller.channel import Faults, UdpClient
         from armlab.sim.controller.controller import SimulatedController
         from armlab.sim.controller.packets import PacketBuilder

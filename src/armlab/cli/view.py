@@ -77,14 +77,12 @@ def view(
 
 
 def _watch(arm: str | None, cell: str, zenoh: str, models: Sequence[TorqueModel], port: int | None) -> None:
-    """Show a running bridge."""
     from armlab.live.live_bridge import watch
 
     watch(arm, cell=cell, zenoh=zenoh, models=models, port=port, opened=_open, tell=note)
 
 
 def _watch_fleet(url: str, port: int | None) -> None:
-    """Show all robots at a router."""
     from armlab.bridge.servers.zenoh.keys import EVERY
     from armlab.bridge.servers.zenoh.session import LabAddress
     from armlab.live.fleet_view import watch_fleet
@@ -95,20 +93,17 @@ def _watch_fleet(url: str, port: int | None) -> None:
 
 
 def _play(paths: Sequence[str], names: Sequence[str], models: Sequence[TorqueModel], port: int | None) -> None:
-    """Show logs."""
-    from armlab.live import Player, address, read_arms, start, stop
-
     if not paths:
         raise ConfigError("Expected at least one log to show, got none. Name a file, or give --live for a bridge.")
     note(f"reading {', '.join(paths)}")
-    arms = read_arms(paths, [armlab.robots.load(name) for name in names], models)
-    server = start(port, label=" ".join(Path(path).name for path in paths))
+    arms = armlab.live.read_arms(paths, [armlab.robots.load(name) for name in names], models)
+    server = armlab.live.start(port, label=" ".join(Path(path).name for path in paths))
     try:
-        player = Player(server, arms, meshes=_folders(names))
-        _open(address(server))
+        player = armlab.live.Player(server, arms, meshes=_folders(names))
+        _open(armlab.live.address(server))
         player.run()
     finally:
-        stop(server)
+        armlab.live.stop(server)
 
 
 def _folders(robots: Sequence[str]) -> list[Path]:

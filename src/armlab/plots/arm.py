@@ -102,7 +102,6 @@ def stick(robot: Robot, q: np.ndarray) -> np.ndarray:
 
 
 def _arm(ax: Axes3D, robot: Robot, q: np.ndarray) -> None:
-    """Draw one configuration in full."""
     mount = robot.T_base_mount[:3, 3]
     if mount.any():
         ax.plot(*np.stack([np.zeros(3), mount], axis=1), color=GREY, linewidth=1.0, linestyle="--", gid="mount")

@@ -301,7 +301,6 @@ def promp(
 
 
 def _bands(axes: np.ndarray, t: np.ndarray, promp: ProMP, colors: list[str], names: tuple[str, str | None]) -> None:
-    """Draw mean and band of each coordinate."""
     motion = promp.marginal(t, duration=t[-1])
     for panel, color, mean, sd in zip(axes, colors, motion.y.T, motion.sd.T, strict=True):
         panel.plot(t, mean, color=color, label=names[0])

@@ -205,7 +205,7 @@ def latency(table: Table, ax: Any = None) -> Axes:
     words = EngFormatter("s")
     with single(ax, width=7.5, height=3.8) as (_, panel):
         for (name, values), (color, _) in zip(spans.items(), JOINT_STYLES, strict=False):
-            numbers = "  ".join(f"{label} {words(_rounded(np.quantile(values, p)))}" for label, p in _QUANTILES)
+            numbers = "  ".join(f"{label} {words(float(f'{np.quantile(values, p):.3g}'))}" for label, p in _QUANTILES)
             panel.hist(values, bins=bins, color=color, alpha=0.35, histtype="stepfilled")
             panel.hist(values, bins=bins, color=color, histtype="step", linewidth=1.2, label=f"{name}:  {numbers}")
         panel.set_xscale("log")
@@ -233,11 +233,6 @@ def _spans(table: Table) -> dict[str, np.ndarray]:
     if not any(map(len, kept.values())):
         raise ShapeError(f"Expected times of a loop above zero, got none in {len(table)} rows. Draw a log of a run.")
     return {name: values for name, values in kept.items() if len(values)}
-
-
-def _rounded(number: float) -> float:
-    """Return three digits of a number."""
-    return float(f"{number:.3g}")
 
 
 def _counts(table: Table) -> str:

@@ -221,13 +221,7 @@ def expect(value: object, kind: type) -> None:
 
 
 def png(drawn: Figure | Axes, dpi: int = 110) -> bytes:
-    """Return what was drawn as a PNG file, and close its figure.
-
-    Parameters
-    ----------
-    drawn : Figure or Axes of a function of this package.
-    dpi : dots per inch.
-    """
+    """Return what was drawn as a PNG file, and close its figure."""
     import matplotlib.pyplot as plt
     from matplotlib.figure import Figure
 
@@ -240,12 +234,7 @@ def png(drawn: Figure | Axes, dpi: int = 110) -> bytes:
 
 
 def show() -> None:
-    """Open a window with each figure that was drawn, and wait until all are closed.
-
-    Raises
-    ------
-    ConfigError : there is no screen, or matplotlib was told to use none.
-    """
+    """Open a window with each figure that was drawn, and wait until all are closed; refuse without a screen."""
     import matplotlib.pyplot as plt
     from matplotlib.backends.registry import BackendFilter, backend_registry
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from cyclopts import App
 
+import armlab
 from armlab.cli.calibrate.arms import dual_arm, kinematics
 from armlab.cli.calibrate.samples import (
     NOTHING,
@@ -71,7 +72,6 @@ def hand_eye(
     """
     import numpy as np
 
-    from armlab.calibrate import fit_hand_eye, fit_hand_eye_points
     from armlab.cli.calibrate.samples import read_samples
 
     kinds: set[bool] = set()
@@ -86,8 +86,10 @@ def hand_eye(
     def fit(T_base_tool: np.ndarray, seen: np.ndarray) -> Any:
         told: dict[str, Any] = {"setup": setup, "noise": noise_of(noise), "noise_robot": noise_robot, "robust": robust}
         if True in kinds:
-            return fit_hand_eye(T_base_tool, seen, **told)
-        return fit_hand_eye_points(T_base_tool, seen, marker=body, visible=np.isfinite(seen).all(axis=2), **told)
+            return armlab.calibrate.fit_hand_eye(T_base_tool, seen, **told)
+        return armlab.calibrate.fit_hand_eye_points(
+            T_base_tool, seen, marker=body, visible=np.isfinite(seen).all(axis=2), **told
+        )
 
     return run_fit("hand-eye", samples, parts, fit, wanted, () if known is None else (known.source,))
 
@@ -121,8 +123,6 @@ def force_sensor(
         noise: Deviation of forces, N, and of torques, N m, where they are known.
         robust: Find samples with contact and leave them out.
     """
-    from armlab.calibrate import fit_force_sensor
-
     if gravity is not None and unknown_gravity:
         raise ConfigError("Expected --gravity or --unknown-gravity, got both. Leave one out.")
     told = "unknown" if unknown_gravity else gravity
@@ -133,7 +133,7 @@ def force_sensor(
         return measured_rows(read, (tool_poses(read, robot), read.vectors(name, (3, 6))))[:2]
 
     def fit(T_base_tool: np.ndarray, reading: np.ndarray) -> Any:
-        return fit_force_sensor(
+        return armlab.calibrate.fit_force_sensor(
             T_base_tool, reading, sign=sign, bias=not no_bias, mass=mass, noise=noise_of(noise), robust=robust, **more
         )
 
@@ -161,15 +161,13 @@ def accelerometer(
         noise: Deviation of a reading, m/s^2, where it is known.
         robust: Find samples that were not at rest and leave them out.
     """
-    from armlab.calibrate import fit_accelerometer
-
     more: dict[str, Any] = {} if gravity is None else {"gravity": gravity}
 
     def parts(read: Samples) -> tuple[np.ndarray, ...]:
         return measured_rows(read, (tool_poses(read, robot), read.vectors("acc", (3,))))[:2]
 
     def fit(T_base_tool: np.ndarray, acc: np.ndarray) -> Any:
-        return fit_accelerometer(T_base_tool, acc, scale=scale, noise=noise, robust=robust, **more)
+        return armlab.calibrate.fit_accelerometer(T_base_tool, acc, scale=scale, noise=noise, robust=robust, **more)
 
     return run_fit("accelerometer", samples, parts, fit, wanted)
 
@@ -193,8 +191,6 @@ def laser(
     """
     import numpy as np
 
-    from armlab.calibrate import fit_laser_plane
-
     def parts(read: Samples) -> tuple[np.ndarray, ...]:
         return measured_rows(read, (tool_poses(read, robot), read.vectors("scans", (4,)), read.numbers("plane")))[:3]
 
@@ -202,6 +198,6 @@ def laser(
         labels = plane.astype(int)
         if not np.array_equal(labels, plane):
             raise LogError(f"Expected whole numbers in plane, one per plate, got {plane[labels != plane][0]:g}.")
-        return fit_laser_plane(T_base_tool, scans, labels, noise=noise, robust=robust)
+        return armlab.calibrate.fit_laser_plane(T_base_tool, scans, labels, noise=noise, robust=robust)
 
     return run_fit("laser", samples, parts, fit, wanted)

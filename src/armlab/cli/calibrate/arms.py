@@ -58,8 +58,6 @@ def kinematics(
         free: What may be wrong: all; offsets: joint offsets, base and tool; base_tool.
         corrected: Also write the corrected arm as a robot file, ends in .toml.
     """
-    from armlab.calibrate import fit_kinematics
-
     arm = armlab.robots.load(robot)
     files = () if corrected is None else (corrected,)
     _check_robots(files, wanted)
@@ -82,7 +80,7 @@ def kinematics(
         more |= {"robust": robust, "harmonics": tuple(harmonics or ()), "visible": visible}
         sizes = _noises(noise, list(told))
         known: Any = sizes if len(told) > 1 else next(iter(sizes.values()), None)
-        found = fit_kinematics(arm, q, noise=known, **told, **more)
+        found = armlab.calibrate.fit_kinematics(arm, q, noise=known, **told, **more)
         _save([found.value.robot], files)
         return found
 
@@ -114,8 +112,6 @@ def dual_arm(
         noise: Deviations where they are known: m and rad of poses, m of positions; then m and rad of absolute_a.
         corrected: Also write the corrected arms as robot files, a and b, end in .toml.
     """
-    from armlab.calibrate import fit_dual_arm
-
     kinds = ("pose", "position", "absolute_a")
     arms = armlab.robots.load(robot_a), armlab.robots.load(robot_b)
     _check_robots(corrected or (), wanted)
@@ -131,7 +127,7 @@ def dual_arm(
         more: dict[str, Any] = {"noise": sizes.get("pose", sizes.get("position")), "closed": closed}
         more |= {"noise_absolute": sizes.get("absolute_a"), "weak": weak, "robust": robust}
         more["visible"] = visible.get("pose", visible.get("position"))
-        found = fit_dual_arm(*arms, q_a, q_b, harmonics=tuple(harmonics or ()), **told, **more)
+        found = armlab.calibrate.fit_dual_arm(*arms, q_a, q_b, harmonics=tuple(harmonics or ()), **told, **more)
         _save([found.value.arm_a.robot, found.value.arm_b.robot], corrected or ())
         return found
 
@@ -193,7 +189,6 @@ def _kinds(measured: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, n
 
 
 def _noises(values: list[float] | None, names: list[str]) -> dict[str, Any]:
-    """Return the deviations of each kind."""
     if values is None:
         return {}
     counts = [_NUMBERS[name] for name in names]
@@ -213,7 +208,6 @@ def _check_robots(files: tuple[Path, ...], wanted: Wanted) -> None:
 
 
 def _save(arms: list[Robot], files: tuple[Path, ...]) -> None:
-    """Write the corrected robots that are wanted."""
     for arm, path in zip(arms, files, strict=False):
         armlab.robots.save(arm, path)
         note(f"robot: {path}")

@@ -112,8 +112,6 @@ class Samples:
     def _quaternions(self, name: str) -> np.ndarray:
         import numpy as np
 
-        from armlab.lie import quaternion, se3
-
         p, q = (
             np.stack([self._found(f"{name}_{end}") for end in ends], axis=1)
             for ends in (("x", "y", "z"), ("qw", "qx", "qy", "qz"))
@@ -125,7 +123,7 @@ class Samples:
                 f"Expected quaternions of length 1 in {name}_qw ... {name}_qz of {self.path}, got {length[bad[0]]:.6g} "
                 f"in sample {bad[0]} ({len(bad)} such samples). Mend the file."
             )
-        T = se3.from_rp(quaternion.to_matrix(q / length[:, None]), p)
+        T = armlab.lie.se3.from_rp(armlab.lie.quaternion.to_matrix(q / length[:, None]), p)
         T[np.isnan(np.hstack([p, q])).all(axis=1)] = np.nan  # not measured at all
         return T
 
@@ -322,15 +320,10 @@ def noise_of(values: Sequence[float] | None) -> Any:
 
 
 def tool_poses(read: Samples, robot: str | None) -> np.ndarray:
-    """Return T_base_tool (N, 4, 4) as it was recorded, or of the joint positions of the arm.
-
-    `robot`: name or file of the arm; None for recorded poses.
-    """
+    """Return T_base_tool (N, 4, 4) as it was recorded, or of the joint positions of a robot that is named."""
     if robot is None:
         return read.poses("T_base_tool")
     import numpy as np
-
-    from armlab.kinematics import forward
 
     arm = armlab.robots.load(robot)
     q = read.vectors("q", (arm.n,))
@@ -340,7 +333,7 @@ def tool_poses(read: Samples, robot: str | None) -> np.ndarray:
             f"Expected joint angles q in radians in {read.path}, got up to {far:.4g}. These seem to be degrees: write "
             "their unit into the header, q1 [deg]."
         )
-    return forward(arm, q)
+    return armlab.kinematics.forward(arm, q)
 
 
 _MANY = 0.3  # share of samples beyond which those left out are no outliers
@@ -413,7 +406,6 @@ def judge(fit: Fit[Any]) -> Verdict:
 
 
 def _page(job: str, fit: Fit[Any], verdict: Verdict, sources: tuple[str, ...]) -> Any:
-    """Return the page: verdict, figure, parameters, and the text of the fit."""
     from armlab.plots.style import png
 
     page = HtmlReport(f"Calibration: {job}", f"From {'; '.join(sources)}.")

@@ -58,10 +58,7 @@ class MotionWindow:
 
 
 def check_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options that were given.
-
-    `given`: value by option, None where it was not given.
-    """
+    """Return the options that were given: those whose value is not None."""
     if kind not in KINDS:
         raise UnknownName.among("kind of primitive", kind, KINDS)
     chosen = {name: value for name, value in given.items() if value is not None}
@@ -77,7 +74,6 @@ def check_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
 def read_demonstration(
     path: Path, kind: str, columns: Sequence[str], robot: str | None, window: MotionWindow
 ) -> Demonstration:
-    """Return the motion in a log."""
     from armlab.log.topics.reader import is_foreign, read_joints
 
     arm, foreign = None if robot is None else armlab.robots.load(robot), is_foreign(path)
@@ -104,7 +100,6 @@ def read_demonstration(
 
 
 def taught(kind: str, demos: Sequence[Demonstration], options: Mapping[str, Any]) -> Fit[Any]:
-    """Return the fit of a primitive."""
     given = {("n_basis" if name == "basis" else name): value for name, value in options.items() if name != "robot"}
     if kind in ("pose", "periodic"):
         if len(demos) > 1:

@@ -80,19 +80,18 @@ def estimate(
     """
     from armlab.cli.estimate import report as report_of
     from armlab.cli.support.log_input import doubts, read_log
-    from armlab.contact import Estimator, contacts
 
     wanted.check(output, (".mcap", ".csv"), [log])
     arm = armlab.robots.load(robot)
     known = armlab.models.load(model, "torque_model")
     options = {"force_rate": force_rate, "bias": bias}
     with as_given():
-        estimator = Estimator(known, arm, method, prior.deviations, prior.point, **options)
+        estimator = armlab.contact.Estimator(known, arm, method, prior.deviations, prior.point, **options)
     with progress("estimate") as tell:
         tell(0, 1, "reading the log")
         table = estimator.run(read_log(log, arm), progress=tell)
         _check(table, log)
-        found = contacts(table)
+        found = armlab.contact.contacts(table)
         tell(0, 2, "where the contact may be")
         believed = _believed(table, arm, method, prior) if found else None
         tell(1, 2, "what can be relied on")
@@ -111,11 +110,9 @@ def estimate(
 
 def _believed(table: Table, arm: Robot, method: str, prior: ContactPrior) -> Hypotheses | None:
     """Return what is believed of the place of contacts; nothing of methods whose torque error is not static."""
-    from armlab.contact import hypotheses
-
     if method in ("observer", "kf") or table.t[-1] - table.t[0] < LEAST:
         return None
-    return hypotheses(table, arm, point=prior.point, prior=prior.deviations)
+    return armlab.contact.hypotheses(table, arm, point=prior.point, prior=prior.deviations)
 
 
 def _say(table: Table, method: str, found: list[tuple[Contact, str]], verdict: Verdict, json: bool) -> None:

@@ -74,8 +74,6 @@ def columns(table: Table, believed: Hypotheses | None) -> Table:
     """Return what is written of an estimate: its columns, and the probability of each place of the contact.
 
     Those are columns p_none, p_point, p_link_1 and so on, of the window nearest to the row.
-
-    `believed`: of `contact.hypotheses`, or None.
     """
     written = table.select(*(name for name in COLUMNS if name in table))
     if believed is not None:
@@ -92,10 +90,7 @@ def places(contacts: Sequence[Contact], believed: Hypotheses | None) -> list[tup
 
 
 def contact_rows(table: Table, contacts: Sequence[Contact], believed: Hypotheses | None) -> list[tuple[str, ...]]:
-    """Return the contacts as words, the head first; forces with their limits where the method tells any.
-
-    `believed`: of `contact.hypotheses`, or None.
-    """
+    """Return the contacts as words, the head first; forces with their limits where the method tells any."""
     found: list[tuple[str, ...]] = [
         ("from [s]", "to [s]", "f_x [N]", "f_y [N]", "f_z [N]", "2-sigma [N]", "where it may be")
     ]
@@ -116,10 +111,7 @@ NAMED = 3  # gaps, the longest, that are named
 def judge(
     table: Table, model: TorqueModel, prior: np.ndarray, contacts: Sequence[Contact], doubts: Sequence[str] = ()
 ) -> Verdict:
-    """Return what of the estimate can be relied on, what cannot, and what to do next.
-
-    `prior`: (6,) prior variances.
-    """
+    """Return what of the estimate can be relied on, what cannot, and what to do next; `prior`: (6,) variances."""
     advice = ["Correct the log first: forces from what it says are not to be trusted."]
     found = Verdict(bad=list(doubts), ahead=advice if doubts else [])
     if contacts:
@@ -141,7 +133,6 @@ def judge(
 
 
 def _seen(found: Verdict, table: Table) -> None:
-    """Say which axes the torques show."""
     observability = table["observability"]
     known = np.isfinite(observability).all(axis=1)
     mean = observability[known].mean(axis=0)
@@ -161,11 +152,8 @@ def _seen(found: Verdict, table: Table) -> None:
 
 
 def _whole(found: Verdict, table: Table) -> None:
-    """Name rows that were left out, and gaps."""
-    from armlab.contact import INVALID
-
     if count := left_out(table):
-        t = table.t[(table["wrench_flags"] & INVALID) > 0]
+        t = table.t[(table["wrench_flags"] & armlab.contact.INVALID) > 0]
         found.bad.append(
             f"{count} of {len(table)} rows ({100 * count / len(table):.1f} %), between {t[0]:.2f} and {t[-1]:.2f} s, "
             "are not finite and have no estimate."
@@ -208,9 +196,7 @@ def _flags(found: Verdict, table: Table) -> None:
 
 def _reach(found: Verdict, table: Table, model: TorqueModel, prior: np.ndarray) -> None:
     """Say where the log leaves what the model was fitted to, and where the prior shrinks."""
-    from armlab.identify import extrapolation
-
-    if away := extrapolation(model, table.dropna("q", "qd")).warnings:
+    if away := armlab.identify.extrapolation(model, table.dropna("q", "qd")).warnings:
         found.bad += away
         found.ahead.append("Identify again with motions that go there, or trust these stretches less.")
     largest = np.nanmax(np.abs(table["wrench_hat"]) / np.sqrt(prior), axis=0)
@@ -222,10 +208,8 @@ def _reach(found: Verdict, table: Table, model: TorqueModel, prior: np.ndarray) 
 
 def _truth(found: Verdict, table: Table) -> None:
     """Compare with a force sensor or a simulated operator, where the log has one."""
-    from armlab.contact import compare
-
     try:
-        compared = compare(table)
+        compared = armlab.contact.compare(table)
     except UnknownName:
         return
     text = compared.text()

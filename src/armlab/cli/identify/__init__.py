@@ -47,7 +47,6 @@ def identify(
     """
     from armlab.cli.identify import report as report_of
     from armlab.cli.support.log_input import read_log
-    from armlab.identify import fit_dynamics, fit_friction, fit_gravity
     from armlab.identify.record import check_once
 
     arm = armlab.robots.load(robot)
@@ -60,11 +59,11 @@ def identify(
         names = [path.name for path in (*logs, test)]
         check_once(zip(names, (one.sha256 for one in (*tables, unseen))))
     with progress("identify") as tell:
-        fit_model = fit_gravity if gravity_only else fit_dynamics
+        fit_model = armlab.identify.fit_gravity if gravity_only else armlab.identify.fit_dynamics
         fit = fit_model(tables, arm, method=method, progress=tell)
         if drives:
             tell(4, 5, "ripple, friction over position, warm-up")
-            fit = replace(fit, value=fit_friction(tables, fit.value).value)
+            fit = replace(fit, value=armlab.identify.fit_friction(tables, fit.value).value)
     trial = report_of.try_out(fit.value, arm, tables[0] if unseen is None else unseen, unseen is not None)
     verdict = report_of.judge(fit, arm, tables, trial)
     wanted.say({"model": str(output), **report_of.numbers(fit, trial)}, fit.report(), verdict)

@@ -49,18 +49,18 @@ def payload(
         output: Also save the load, ends in .toml.
     """
     from armlab.cli.support.log_input import read_log
-    from armlab.estimation import Fit
-    from armlab.identify import fit_payload
     from armlab.models.files import load_statistics
 
     wanted.check(output, (".toml",))
     arm, known = armlab.robots.load(robot), armlab.models.load(model, "torque_model")
-    told = Fit.load(model) if load_statistics(model) else known  # the fit knows what is uncertain in friction
+    told = (
+        armlab.estimation.Fit.load(model) if load_statistics(model) else known
+    )  # the fit knows what is uncertain in friction
     table = read_log(log, arm)
     empty = None if without is None else read_log(without, arm)
     with progress("payload") as tell:
         tell(0, 1, f"{mode} fit to {len(table)} rows")
-        fit = fit_payload(table, told, arm, mode, empty, gain_sd=gain)
+        fit = armlab.identify.fit_payload(table, told, arm, mode, empty, gain_sd=gain)
         tell(1, 1, "done")
     verdict = _judge(fit, known, table, arm)
     wanted.say(_numbers(fit), fit.report(), verdict)
@@ -84,7 +84,6 @@ def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> V
     import numpy as np
 
     from armlab.cli.identify.report import POOR
-    from armlab.identify import extrapolation
     from armlab.identify.payload import moving_joints
 
     mass, sd = fit.value.mass, fit.sd[0]
@@ -108,7 +107,7 @@ def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> V
             f"{worst}: arm and load together leave {100 * left.max():.0f} % of the torque's deviation unexplained."
         )
         found.ahead.append("Check the log's torques, and that the model is of this arm with the tool that it has now.")
-    found.bad += extrapolation(model, table).warnings
+    found.bad += armlab.identify.extrapolation(model, table).warnings
     found.ahead.append(
         "Use the model of the arm as it is; nothing is to be read from the centre."
         if mass < LEAST * sd

@@ -41,10 +41,7 @@ class ModelTrial:
 
 
 def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> ModelTrial:
-    """Run the model over a log of free motion."""
-    from armlab.contact import Estimator
-
-    estimate = Estimator(model, robot).run(table).with_column("wrench_true", np.zeros((len(table), 6)))
+    estimate = armlab.contact.Estimator(model, robot).run(table).with_column("wrench_true", np.zeros((len(table), 6)))
     qd, error = table["qd"], estimate["tau_error"]
     moving = (np.abs(qd) > MOVING * np.abs(qd).max(axis=0)).any(axis=1) & np.isfinite(error).all(axis=1)
     force = estimate["wrench_hat"][moving, :3]

@@ -76,7 +76,6 @@ def scene(
         pose: A frame, MAT, with its name.
         frames: Length of the frames along paths [m]; 0 for none.
     """
-    from armlab.frames import Plane
     from armlab.log import nikon
 
     sources = [*logs, *(cloud or ()), *(plane or ()), *(pose or ())]
@@ -86,7 +85,7 @@ def scene(
     def draw(plots: Any) -> Any:
         items: list[Any] = [poses_in(figure.read(log, robot), log, column, robot) for log in logs]
         items += [nikon.read_cloud(one).p for one in cloud or ()]
-        items += [Plane.of(read.normal, read.point) for read in map(nikon.read_plane, plane or ())]
+        items += [armlab.frames.Plane.of(read.normal, read.point) for read in map(nikon.read_plane, plane or ())]
         items += [{one.stem: nikon.read_matrix(one, project=True).T} for one in pose or ()]
         return plots.scene(*items, frames=frames)
 
@@ -117,10 +116,9 @@ def torque_fit(model: Model, log: FreeMotion, *, figure: ModelFigure = OF_MODEL)
 
 def friction(model: Model, log: FreeMotion | None = None, *, figure: ModelFigure = OF_MODEL) -> int:
     """Draw the friction of each joint against its velocity, with its uncertainty; a log is drawn as points."""
-    from armlab.estimation import Fit
 
     def draw(plots: Any) -> Any:
-        fit = Fit.load(model, "torque_model")
+        fit = armlab.estimation.Fit.load(model, "torque_model")
         return plots.friction(fit, None if log is None else figure.estimate(fit.value, log))
 
     return figure.draw(model, "friction", draw)
@@ -206,11 +204,10 @@ def coverage(log: Path, *, model: Path | None = None, figure: ModelFigure = OF_M
         log: Recording of a run that estimated, with a force sensor; or of free motion, with --model.
         model: Model file of `armlab identify`, whose torques are compared with those of the log.
     """
-    from armlab.identify import predict
 
     def draw(plots: Any) -> Any:
         if model is not None:
-            return plots.coverage(predict(*figure.with_log(model, log)))
+            return plots.coverage(armlab.identify.predict(*figure.with_log(model, log)))
         read = figure.read(log, figure.robot)
         if not {"wrench", "wrench_true"} & set(read.names):
             raise LogError(
@@ -240,12 +237,10 @@ def calibration(fit: Path, *, figure: FigureFile = BESIDE) -> int:
     Parameters:
         fit: File of `armlab calibrate`; that command draws the residuals too, with --figure, for files keep none.
     """
-    from armlab.estimation import Fit
-    from armlab.models import TorqueModel
 
     def draw(plots: Any) -> Any:
-        found = Fit.load(fit)
-        if isinstance(found.value, TorqueModel):
+        found = armlab.estimation.Fit.load(fit)
+        if isinstance(found.value, armlab.models.TorqueModel):
             raise ModelMismatchError(
                 f"Expected the file of a calibration, got a torque model in {fit}. Draw its torque_fit or its friction."
             )
@@ -260,9 +255,7 @@ def excitation(fit: Path, *, figure: FigureFile = BESIDE) -> int:
     Parameters:
         fit: File of `armlab identify` or `armlab calibrate`.
     """
-    from armlab.estimation import Fit
-
-    return figure.draw(fit, "excitation", lambda plots: plots.excitation(Fit.load(fit).excitation))
+    return figure.draw(fit, "excitation", lambda plots: plots.excitation(armlab.estimation.Fit.load(fit).excitation))
 
 
 Posture = Annotated[Path | None, Parameter(help="Recording with q.")]
@@ -343,9 +336,7 @@ def dmp(
 
 def dmp_phase(primitive: Primitive, *, figure: FigureFile = BESIDE) -> int:
     """Draw the phase plane of a movement primitive of joints: velocity against position."""
-    from armlab.motion import Dmp
-
-    return figure.draw(primitive, "dmp_phase", lambda plots: plots.dmp_phase(Dmp.load(primitive)))
+    return figure.draw(primitive, "dmp_phase", lambda plots: plots.dmp_phase(armlab.motion.Dmp.load(primitive)))
 
 
 def two_dof(
@@ -367,12 +358,11 @@ def two_dof(
         goal: Of the run, numbers with commas between; default: that of the demonstration.
     """
     from armlab.cli.dmp.playing import numbers_in
-    from armlab.motion import Dmp, TwoDofDmp
 
     def draw(plots: Any) -> Any:
         motion = armlab.models.load(primitive)
-        law = TwoDofDmp(motion) if isinstance(motion, Dmp) else motion
-        if not isinstance(law, TwoDofDmp):
+        law = armlab.motion.TwoDofDmp(motion) if isinstance(motion, armlab.motion.Dmp) else motion
+        if not isinstance(law, armlab.motion.TwoDofDmp):
             raise ConfigError(f"Expected a primitive of joints, got another kind in {primitive}. Name the right file.")
         read = armlab.log.read(log)
         if "path_error" not in read:

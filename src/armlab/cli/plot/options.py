@@ -134,7 +134,6 @@ class ModelFigure(LogFigure):
     )
 
     def robot_of(self, model: TorqueModel) -> Robot:
-        """Return the robot of a model."""
         arm = armlab.robots.load(model.robot_name if self.robot is None else self.robot)
         model.check_robot(arm)
         return arm
@@ -146,10 +145,7 @@ class ModelFigure(LogFigure):
         return self.read(log, self.robot or model.robot_name)
 
     def estimate(self, model: TorqueModel, log: Path) -> Table:
-        """Return that part of a log with the columns of the contact estimator."""
-        from armlab.contact import Estimator
-
-        return Estimator(model, self.robot_of(model)).run(self.log_of(model, log))
+        return armlab.contact.Estimator(model, self.robot_of(model)).run(self.log_of(model, log))
 
     def with_log(self, model: Path, log: Path) -> tuple[TorqueModel, Table]:
         """Return the torque model of a file, and that part of a log."""
@@ -163,7 +159,6 @@ OF_MODEL = ModelFigure()
 
 
 def torque_model(path: Path) -> TorqueModel:
-    """Return the torque model of a file of `armlab identify`."""
     return armlab.models.load(path, "torque_model")
 
 
@@ -179,10 +174,7 @@ def chosen_of(model: Path, joints: str | None) -> tuple[TorqueModel, list[int] |
 
 
 def poses_in(table: Table, path: Path, column: str | None, robot: str | None) -> np.ndarray:
-    """Return the poses of the tool (N, 4, 4).
-
-    `column`: of poses; the usual ones when None.
-    """
+    """Return the poses of the tool (N, 4, 4): of a robot, of a column, or of the usual ones."""
     if robot is not None:
         return armlab.kinematics.forward(armlab.robots.load(robot), table["q"])
     name = column or next((name for name in POSES if name in table), None)

@@ -97,7 +97,6 @@ class HtmlReport:
         self._add(f"<table><thead><tr>{head_cells}</tr></thead><tbody>{lines}</tbody></table>", folded)
 
     def figure(self, png: bytes, alt: str, caption: str = "") -> None:
-        """Add a picture."""
         data = base64.b64encode(png).decode("ascii")
         below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
         self.pieces.append(f'<figure><img src="data:image/png;base64,{data}" alt="{escape(alt)}">{below}</figure>')
@@ -112,11 +111,9 @@ class HtmlReport:
             self.figure(png(draw()), alt, caption)
 
     def verbatim(self, text: str, folded: str = "") -> None:
-        """Add text as it is printed in a terminal."""
         self._add(f"<pre>{escape(text)}</pre>", folded)
 
     def html(self) -> str:
-        """Return the whole page."""
         top = f'<h1>{escape(self.title)}</h1>\n<p class="about">{escape(self.about)}</p>'
         return "\n".join([_HEAD.format(title=escape(self.title)) + top, *self.pieces, "</body>\n</html>\n"])
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import armlab
 from armlab.cli.support.output import progress
 from armlab.errors import NotExcited, ShapeError
 
@@ -39,11 +40,8 @@ def reading_bar(path: Path) -> Iterator[Progress | None]:
 
 def read_log(path: Path, robot: Robot) -> Table:
     """Return the log with q, qd and tau; where it has no velocity that is the slope of the position."""
-    from armlab.identify import with_velocity
-    from armlab.log import read_arm
-
     with reading_bar(path) as tell:
-        return with_velocity(read_arm(path, robot, tell))
+        return armlab.identify.with_velocity(armlab.log.read_arm(path, robot, tell))
 
 
 def doubts(table: Table, robot: Robot, model: TorqueModel | None = None) -> tuple[str, ...]:
@@ -84,9 +82,7 @@ def gaps(table: Table) -> list[tuple[float, float]]:
 
 def left_out(table: Table) -> int:
     """Return how many rows are not finite and have no estimate."""
-    from armlab.contact import INVALID
-
-    return int(np.count_nonzero(table["wrench_flags"] & INVALID))
+    return int(np.count_nonzero(table["wrench_flags"] & armlab.contact.INVALID))
 
 
 def _longest_stretch(table: Table) -> slice:

@@ -53,10 +53,7 @@ def simulated(word: str) -> Robot:
 
 
 def links_to(robot: str, arms: Sequence[Robot], link: str | None) -> list[str]:
-    """Return the url of each link to arms.
-
-    `link`: urls with commas between; None simulates what was typed.
-    """
+    """Return the url of each link to arms, of words with commas between; None simulates what was typed."""
     from armlab.bridge.urls import addresses
 
     same = f"sim://{'+'.join(quote(word) for word in robot.split('+'))}"

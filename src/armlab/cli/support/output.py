@@ -145,7 +145,6 @@ class Narrator:
         logging.getLogger("armlab.bridge").addHandler(_QUIET)
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:
-        """Look at one row."""
         if self._listens and state.mci == _MCI_RUNNING and state.robot not in self._guided:
             self._guided.add(state.robot)
             note(
@@ -164,5 +163,4 @@ class Narrator:
             )
 
     def event(self, text: str, warn: bool = False) -> None:
-        """Write one sentence."""
         note(f"warning: {text}" if warn else text)

@@ -15,7 +15,6 @@ from armlab.errors import ConfigError
 
 
 def read_text(path: Path, what: str) -> str:
-    """Return the text of a file."""
     try:
         return path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -58,10 +57,7 @@ class LoadedSettings:
 
 
 def load_settings(environment: Mapping[str, str] | None = None) -> LoadedSettings:
-    """Return the settings that hold in this folder.
-
-    `environment`: variables; those of the process when None.
-    """
+    """Return the settings that hold in this folder, with the variables of the process or other ones."""
     variables = os.environ if environment is None else environment
     values: dict[str, Any] = {}
     origins = dict.fromkeys(UserSettings.__struct_fields__, "default")
