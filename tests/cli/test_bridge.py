@@ -67,13 +67,11 @@ def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
     far.close()
 
 
-def test_set(running: Hub, capsys: Any) -> None:
-    assert main(["bridge", "set", "gain=3.5", "word=hello"]) == 0
-    shown = capsys.readouterr().out
+def test_set(running: Hub, command) -> None:
+    shown = command(["bridge", "set", "gain=3.5", "word=hello"]).out
     assert re.search(r"gain +3.5 +N/m +Stiffness. +local \d", shown)
     assert (running.parameters.gain, running.parameters.word) == (3.5, "hello")
-    assert main(["bridge", "set"]) == 0
-    assert "gain       3.5" in capsys.readouterr().out
+    assert "gain       3.5" in command(["bridge", "set"]).out
 
 
 @pytest.mark.parametrize("word", ["007", "_", "2024_", "x y", "0x", "1.2.3"])
@@ -92,29 +90,26 @@ def test_words_that_are_no_toml_are_texts(running: Hub, word: str) -> None:
         (["word=99999999999999999999"], 2, "an integer of 64 bits"),
     ],
 )
-def test_refused(running: Hub, capsys: Any, words: list[str], code: int, said: str) -> None:
-    assert main(["bridge", "set", *words]) == code
-    assert said in capsys.readouterr().err
+def test_refused(running: Hub, command, words: list[str], code: int, said: str) -> None:
+    assert said in command(["bridge", "set", *words], code).err
     assert running.parameters.gain == 2.0
 
 
-def test_stop_release_and_resume(running: Hub, capsys: Any) -> None:
+def test_stop_release_and_resume(running: Hub, command) -> None:
     assert main(["bridge", "stop"]) == 0
     assert running.arbiter.stopped.startswith("local ")
     assert main(["bridge", "release"]) == 0
-    assert main(["bridge", "resume"]) == 0
-    assert capsys.readouterr().out == "Done.\n" * 3
+    assert command(["bridge", "resume"]).out == "Done.\n" * 3
     assert running.arbiter.stopped == ""
 
 
-def test_nothing_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_nothing_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     for words in (["set", "a=1"], ["stop"], ["release"], ["resume"]):
-        assert main(["bridge", *words]) == 1
-        assert "found none" in capsys.readouterr().err
+        assert "found none" in command(["bridge", *words], 1).err
 
 
-def test_others_may_set_parameters_meanwhile(running: Hub, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_others_may_set_parameters_meanwhile(running: Hub, monkeypatch: pytest.MonkeyPatch, command) -> None:
     """What is shown is what this program set, not the first echo that comes."""
     taken = running._take
 
@@ -127,29 +122,26 @@ def test_others_may_set_parameters_meanwhile(running: Hub, monkeypatch: pytest.M
         taken(outlet, data)
 
     monkeypatch.setattr(running, "_take", set_another_first)
-    assert main(["bridge", "set", "gain=3.5"]) == 0
-    assert re.search(r"gain +3.5", capsys.readouterr().out)
+    assert re.search(r"gain +3.5", command(["bridge", "set", "gain=3.5"]).out)
 
 
-def test_a_request_without_an_answer(running: Hub, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_a_request_without_an_answer(running: Hub, monkeypatch: pytest.MonkeyPatch, command) -> None:
     """Events and reports go on: it must not wait for ever."""
     monkeypatch.setattr(running, "answer", lambda client, text: None)
     monkeypatch.setattr("armlab.cli.bridge._PATIENCE", 0.05)
     noise = threading.Timer(0.1, lambda: running.event("Still here."))
     noise.start()
-    assert main(["bridge", "resume"]) == 1
-    assert "to answer within 0.05 s" in capsys.readouterr().err
+    assert "to answer within 0.05 s" in command(["bridge", "resume"], 1).err
     noise.join()
 
 
-def test_the_report_comes_also_with_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_the_report_comes_also_with_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command) -> None:
     """The code of the exit is that of the error."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr("armlab.bridge.link.Loop.run", lambda loop: loop._fail(ValueError("odd")))
     path = tmp_path / "cell.toml"
     path.write_text(CELL.replace("sim://yumi_left", "egm://127.0.0.1:0"))
-    assert main(["bridge", "--config", str(path)]) == 1
-    shown = capsys.readouterr()
+    shown = command(["bridge", "--config", path], 1)
     assert "Ended: the bridge failed." in shown.out
     assert "Rows to the server local: 0. To its clients: none." in shown.out
     assert "ValueError: odd" in shown.err
@@ -257,7 +249,7 @@ def test_the_table() -> None:
         assert word in text
 
 
-def test_plain_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_plain_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command) -> None:
     """Without a terminal: a line per arm and second, and the events."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     exchange = Hub([LEFT], [OPERATOR])
@@ -276,8 +268,7 @@ def test_plain_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: An
 
     feeder = threading.Thread(target=rows, daemon=True)
     feeder.start()
-    assert main(["monitor", "--seconds", "1"]) == 0
-    shown = capsys.readouterr().out
+    shown = command(["monitor", "--seconds", "1"]).out
     over.set()
     feeder.join()
     exchange.close()
@@ -286,5 +277,4 @@ def test_plain_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: An
     assert "yumi_left, state holding" in shown
     assert "Something happened." in shown
     assert callable(monitor)
-    assert main(["monitor"]) == 1
-    assert "found none" in capsys.readouterr().err
+    assert "found none" in command(["monitor"], 1).err

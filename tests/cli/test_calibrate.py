@@ -44,12 +44,11 @@ def files(tmp_path_factory) -> Path:
 
 
 @pytest.mark.slow  # 5 s beside other work
-def test_hand_eye_ends_in_a_file_a_page_and_a_figure(files: Path, tmp_path: Path, capsys) -> None:
+def test_hand_eye_ends_in_a_file_a_page_and_a_figure(files: Path, tmp_path: Path, command) -> None:
     out = [tmp_path / name for name in ("camera.toml", "camera.html", "camera.svg")]
     options = [word for pair in zip(("-o", "--report", "--figure"), map(str, out)) for word in pair]
     words = ["calibrate", "hand-eye", str(files / "eye.mat"), "--robust", *options]
-    assert main(words) == 0
-    said = capsys.readouterr().out
+    said = command(words).out
     assert "2 outliers left out: 0, 1" in said
     assert "good: 30 samples" in said
     truth = sim.cell(1).hand_eye()
@@ -63,23 +62,28 @@ def test_hand_eye_ends_in_a_file_a_page_and_a_figure(files: Path, tmp_path: Path
     assert sha in page
     assert "data:image/png" in page
     assert out[2].exists()
-    assert main(words) == 2
-    assert "--force" in capsys.readouterr().err
+    assert "--force" in command(words, 2).err
     assert main([*words, "--force"]) == 0
 
 
-def test_noise_of_the_robot_widens_the_deviations(files: Path, tmp_path: Path, capsys) -> None:
+def test_noise_of_the_robot_widens_the_deviations(files: Path, tmp_path: Path, command) -> None:
     leds = sim.cell(3).marker_points(N=40, missing=0.0)
     savemat(tmp_path / "leds.mat", {"T_base_tool": leds.A, "p_cam": leds.p})
     for path, noise in ((files / "eye.mat", ["5e-4", "9e-4"]), (tmp_path / "leds.mat", ["5e-4"])):
         sd = []
         for more in ([], ["--noise-robot", "5e-3", "1e-2"]):
-            assert main(["calibrate", "hand-eye", str(path), "--robust", "--noise", *noise, *more, "--json"]) == 0
-            sd.append([one["sd"] for one in json.loads(capsys.readouterr().out)["parameters"]])
+            sd.append(
+                [
+                    one["sd"]
+                    for one in json.loads(
+                        command(["calibrate", "hand-eye", path, "--robust", "--noise", *noise, *more, "--json"]).out
+                    )["parameters"]
+                ]
+            )
         assert np.all(np.array(sd[1]) > 2.0 * np.array(sd[0]))
 
 
-def test_rows_between_the_samples_of_a_camera_do_not_count(tmp_path: Path, capsys) -> None:
+def test_rows_between_the_samples_of_a_camera_do_not_count(tmp_path: Path, command) -> None:
     robot, seen = robots.load("irb2400"), sim.cell(2).hand_eye()
     q = np.random.default_rng(3).uniform(-1.0, 1.0, (30, 6))
     B = np.full((60, 4, 4), np.nan)
@@ -88,29 +92,29 @@ def test_rows_between_the_samples_of_a_camera_do_not_count(tmp_path: Path, capsy
                   {"T_cam_marker": Column(unit="1", kind="pose")})  # fmt: skip
     path = logs.write(table, tmp_path / "run.mcap", robot)
     words = ["calibrate", "hand-eye", str(path), "--robot", "irb2400", "--noise", "1e-4", "1e-4", "--json"]
-    assert main(words) == 0
-    said = capsys.readouterr()
+    said = command(words)
     assert "30 of 60 rows of run.mcap have no measurement" in said.err
     found = json.loads(said.out)
     assert found["samples"] == 30
     assert found["parameters"][6]["value"] == pytest.approx(seen.Y[0, 3], abs=1e-6)
 
 
-def test_force_sensor(files: Path, tmp_path: Path, capsys) -> None:
+def test_force_sensor(files: Path, tmp_path: Path, command) -> None:
     truth, out = sim.cell(1).force(torque=0.005), tmp_path / "sensor.toml"
     path, g = str(files / "wrench.mat"), ["--gravity", "0", "0", "-9.82"]
-    assert main(["calibrate", "force-sensor", path, *g, "--noise", "0.1", "0.005", "-o", str(out)]) == 0
-    assert "centre z" in capsys.readouterr().out
+    assert "centre z" in command(["calibrate", "force-sensor", path, *g, "--noise", "0.1", "0.005", "-o", out]).out
     sensor = models.load(out, "force_sensor")
     assert so3.angle(sensor.R_tool_sensor, truth.R) < np.radians(0.3)
     assert sensor.mass == pytest.approx(1.0, abs=5e-3)
-    assert main(["calibrate", "force-sensor", str(files / "force.mat"), *g, "--noise", "0.1"]) == 0
-    assert "centre" not in capsys.readouterr().out.split("noise of")[0]
-    assert main(["calibrate", "force-sensor", path, *g, "--unknown-gravity"]) == 2
-    assert "--unknown-gravity, got both" in capsys.readouterr().err
+    assert (
+        "centre"
+        not in command(["calibrate", "force-sensor", files / "force.mat", *g, "--noise", "0.1"]).out.split("noise of")[
+            0
+        ]
+    )
+    assert "--unknown-gravity, got both" in command(["calibrate", "force-sensor", path, *g, "--unknown-gravity"], 2).err
     assert main(["calibrate", "force-sensor", path, "--unknown-gravity"]) == 0
-    assert main(["calibrate", "force-sensor", path, *g, "--sign", "-1"]) == 1
-    assert "Traceback" not in capsys.readouterr().err
+    assert "Traceback" not in command(["calibrate", "force-sensor", path, *g, "--sign", "-1"], 1).err
 
 
 def test_laser(files: Path, tmp_path: Path, capsys) -> None:
@@ -159,7 +163,7 @@ def in_formats(folder: Path, columns: dict[str, np.ndarray]) -> list[Path]:
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_hand_eye_from_points(known: bool, tmp_path: Path, capsys) -> None:
+def test_hand_eye_from_points(known: bool, tmp_path: Path, command) -> None:
     seen = sim.cell(3).marker_points(N=40)
     p = np.where(seen.visible[:, :, None], seen.p, np.nan)
     body = tmp_path / "marker.csv"
@@ -167,8 +171,7 @@ def test_hand_eye_from_points(known: bool, tmp_path: Path, capsys) -> None:
     words = ["--noise", "5e-4", "--json", *(["--marker", str(body)] if known else [])]
     found = []
     for path in in_formats(tmp_path, {"T_base_tool": seen.A, "p_cam": p}):
-        assert main(["calibrate", "hand-eye", str(path), *words]) == 0
-        found.append(json.loads(capsys.readouterr().out))
+        found.append(json.loads(command(["calibrate", "hand-eye", path, *words]).out))
     names = [one["name"] for one in found[0]["parameters"]]
     assert ("T_tool_marker x" in names) == known
     for one in found:
@@ -176,11 +179,10 @@ def test_hand_eye_from_points(known: bool, tmp_path: Path, capsys) -> None:
         np.testing.assert_allclose(there[:3], seen.Y[:3, 3], atol=1e-3)
         assert [x["value"] for x in one["parameters"]] == pytest.approx([x["value"] for x in found[0]["parameters"]])
         assert len(one["sources"]) == 1 + known
-    assert main(["calibrate", "hand-eye", str(tmp_path / "s.mat"), "--noise", "5e-4", "1e-3"]) == 1
-    assert "noise of points" in capsys.readouterr().err
+    assert "noise of points" in command(["calibrate", "hand-eye", tmp_path / "s.mat", "--noise", "5e-4", "1e-3"], 1).err
 
 
-def test_accelerometer(tmp_path: Path, capsys) -> None:
+def test_accelerometer(tmp_path: Path, command, capsys) -> None:
     data = sim.cell(1).accelerometer()
     T = se3.from_rp(data.RA, np.zeros((50, 3)))
     for path in in_formats(tmp_path, {"T_base_tool": T, "acc": data.y}):
@@ -188,15 +190,18 @@ def test_accelerometer(tmp_path: Path, capsys) -> None:
         assert main(["calibrate", "accelerometer", str(path), "--noise", "0.02", "-o", str(out)]) == 0
         assert so3.angle(models.load(out, "accelerometer").R_tool_sensor, data.R) < np.radians(0.2)
     capsys.readouterr()
-    assert main(["calibrate", "accelerometer", str(tmp_path / "s.mat"), "--scale", "--json"]) == 0
-    scale = json.loads(capsys.readouterr().out)["parameters"][3]
+    scale = json.loads(command(["calibrate", "accelerometer", tmp_path / "s.mat", "--scale", "--json"]).out)[
+        "parameters"
+    ][3]
     assert scale["name"] == "scale"
     assert scale["value"] == pytest.approx(1.0, abs=0.01)
-    assert main(["calibrate", "accelerometer", str(tmp_path / "s.mat"), "--gravity", "0", "0", "9.81"]) == 1
-    assert "mirrored or the sign is reversed" in capsys.readouterr().err
+    assert (
+        "mirrored or the sign is reversed"
+        in command(["calibrate", "accelerometer", tmp_path / "s.mat", "--gravity", "0", "0", "9.81"], 1).err
+    )
 
 
-def test_what_cannot_be_calibrated_is_a_sentence_and_writes_nothing(files: Path, tmp_path: Path, capsys) -> None:
+def test_what_cannot_be_calibrated_is_a_sentence_and_writes_nothing(files: Path, tmp_path: Path, command) -> None:
     assert calibrate.name == ("calibrate",)
     T = np.tile(np.eye(4), (20, 1, 1))
     savemat(tmp_path / "still.mat", {"T_base_tool": T, "T_cam_marker": T})
@@ -209,23 +214,20 @@ def test_what_cannot_be_calibrated_is_a_sentence_and_writes_nothing(files: Path,
         ["hand-eye", str(files / "force.mat")],
         ["laser", str(files / "eye.mat")],
     ):
-        assert main(["calibrate", *words, "-o", out]) == 1
-        said = capsys.readouterr()
+        said = command(["calibrate", *words, "-o", out], 1)
         assert said.err.splitlines()[-1].startswith("armlab: Expected"), said.err
         assert "internal" not in said.err
         assert said.out == ""
         assert not Path(out).exists()
-    assert main(["calibrate", "hand-eye"]) == 2
-    assert "files of samples, got none" in capsys.readouterr().err
+    assert "files of samples, got none" in command(["calibrate", "hand-eye"], 2).err
     assert main(["calibrate", "hand-eye", str(files / "eye.mat"), "--setup", "upside_down"]) == 2
 
 
-def test_plates_are_whole_numbers(tmp_path: Path, capsys) -> None:
+def test_plates_are_whole_numbers(tmp_path: Path, command) -> None:
     drawn = sim.cell(2).laser()
     plane = np.where(drawn.plane == 1, 1.5, drawn.plane)
     savemat(tmp_path / "a.mat", {"T_base_tool": drawn.A, "scans": drawn.scans, "plane": plane})
-    assert main(["calibrate", "laser", str(tmp_path / "a.mat")]) == 1
-    assert "Expected whole numbers in plane" in capsys.readouterr().err
+    assert "Expected whole numbers in plane" in command(["calibrate", "laser", tmp_path / "a.mat"], 1).err
 
 
 @pytest.fixture(scope="module")
@@ -298,7 +300,7 @@ def test_an_arm_from_poses_makes_a_robot(nominal: str, tmp_path: Path, capsys) -
     capsys.readouterr()
 
 
-def test_distances_from_a_point_that_is_roughly_known(nominal: str, tmp_path: Path, capsys) -> None:
+def test_distances_from_a_point_that_is_roughly_known(nominal: str, tmp_path: Path, command, capsys) -> None:
     arm = sim.cell(2).distances()
     anchor, distance = arm.anchor, arm.distance
     path = written_csv(tmp_path / "wire.csv", {"q": arm.q, "distance": distance + 0.25})
@@ -308,13 +310,14 @@ def test_distances_from_a_point_that_is_roughly_known(nominal: str, tmp_path: Pa
     values = {one["name"]: one["value"] for one in found["parameters"]}
     assert values["length offset"] == pytest.approx(0.25, abs=2e-3)
     assert found["excitation"]["rank"] == 25
-    assert main(["calibrate", *words]) == 2
-    assert "first guess of the fixed point" in capsys.readouterr().err
-    assert main(["calibrate", *words[:3], "--noise", "5e-5", "1e-4", *there]) == 2
-    assert "Expected 1 numbers for --noise (distance: m), got 2" in capsys.readouterr().err
+    assert "first guess of the fixed point" in command(["calibrate", *words], 2).err
+    assert (
+        "Expected 1 numbers for --noise (distance: m), got 2"
+        in command(["calibrate", *words[:3], "--noise", "5e-5", "1e-4", *there], 2).err
+    )
 
 
-def test_distances_between_samples_of_several_files(nominal: str, tmp_path: Path, capsys) -> None:
+def test_distances_between_samples_of_several_files(nominal: str, tmp_path: Path, command, capsys) -> None:
     """Pairs are numbered in each file; a row without joint positions moves what comes after it."""
     arm = sim.cell(2).distances()
     p, rng = arm.pose[:, :3, 3], np.random.default_rng(1)
@@ -336,11 +339,10 @@ def test_distances_between_samples_of_several_files(nominal: str, tmp_path: Path
     bad = written_csv(
         tmp_path / "bad.csv", {"q": arm.q, "pair_distance": np.ones(120), "pair_with": np.full(120, 120.0)}
     )
-    assert main(["calibrate", "kinematics", nominal, bad]) == 1
-    assert "number of another sample" in capsys.readouterr().err
+    assert "number of another sample" in command(["calibrate", "kinematics", nominal, bad], 1).err
 
 
-def test_kinds_may_be_mixed_over_files(nominal: str, tmp_path: Path, capsys) -> None:
+def test_kinds_may_be_mixed_over_files(nominal: str, tmp_path: Path, command, capsys) -> None:
     arm = sim.cell(2).distances()
     anchor, distance = arm.anchor, arm.distance
     point = arm.pose[:40, :3, 3] + 1e-4 * np.random.default_rng(2).standard_normal((40, 3))
@@ -350,13 +352,10 @@ def test_kinds_may_be_mixed_over_files(nominal: str, tmp_path: Path, capsys) -> 
     found = run([*words, "--noise", "1e-4", "5e-5"], capsys)
     assert found["samples"] == 120
     assert found["excitation"]["rank"] == 30
-    assert main(["calibrate", *words, "--noise", "1e-4"]) == 2
-    assert "(position: m, distance: m)" in capsys.readouterr().err
-    assert main(["calibrate", "kinematics", nominal, one, one]) == 2
-    assert "points.csv again" in capsys.readouterr().err
+    assert "(position: m, distance: m)" in command(["calibrate", *words, "--noise", "1e-4"], 2).err
+    assert "points.csv again" in command(["calibrate", "kinematics", nominal, one, one], 2).err
     nothing = written_csv(tmp_path / "nothing.csv", {"q": arm.q})
-    assert main(["calibrate", "kinematics", nominal, nothing]) == 1
-    assert "one of pose, position, distance" in capsys.readouterr().err
+    assert "one of pose, position, distance" in command(["calibrate", "kinematics", nominal, nothing], 1).err
 
 
 @pytest.mark.parametrize("kind", ["pose", "position"])
@@ -387,17 +386,17 @@ def joined(pair: DualRun) -> tuple[np.ndarray, np.ndarray]:
     return q_a[found.success][:25], found.q[found.success][:25]
 
 
-def test_two_arms_that_hold_each_other(tmp_path: Path, capsys) -> None:
+def test_two_arms_that_hold_each_other(tmp_path: Path, command, capsys) -> None:
     pair = sim.cell(1).two_arms(N=40)
     path = written_csv(tmp_path / "pair.csv", {"q_a": pair.q_a, "q_b": pair.q_b})
     for robot in (pair.robot_a, pair.robot_b):
         robots.save(robot, tmp_path / f"{robot.name}.toml")
     arms = [str(tmp_path / f"arm_{letter}.toml") for letter in "ab"]
-    assert main(["calibrate", "dual-arm", *arms, path]) == 1
-    assert "one of pose, position, absolute_a" in capsys.readouterr().err
+    assert "one of pose, position, absolute_a" in command(["calibrate", "dual-arm", *arms, path], 1).err
     q = joined(pair)
     held = written_csv(tmp_path / "held.csv", {"q_a": q[0], "q_b": q[1]})
-    assert main(["calibrate", "dual-arm", *arms, held, "--closed", "--noise", "1e-4", "2e-4"]) == 1
-    assert "overall scale" in capsys.readouterr().err
+    assert (
+        "overall scale" in command(["calibrate", "dual-arm", *arms, held, "--closed", "--noise", "1e-4", "2e-4"], 1).err
+    )
     found = run(["dual-arm", *arms, held, "--closed", "--noise", "1e-4", "2e-4", "--weak", "prior"], capsys)
     assert any("overall scale" in name for name in found["excitation"]["held"])

@@ -11,7 +11,6 @@ from scipy.io import savemat
 
 from armlab import log as logs
 from armlab import models, robots, sim
-from armlab.cli import main
 from armlab.cli.calibrate.samples import Samples, Wanted, measured_rows, noise_of, read_samples, run_fit, tool_poses
 from armlab.errors import ConfigError, LogError
 from armlab.kinematics import forward
@@ -173,7 +172,7 @@ def samples(**values: np.ndarray) -> Samples:
     return Samples(Path("some.mat"), values, "some.mat sha256 0")
 
 
-def test_several_files_are_fitted_together_and_named(tmp_path: Path, capsys) -> None:
+def test_several_files_are_fitted_together_and_named(tmp_path: Path, command) -> None:
     seen = sim.cell(5).hand_eye(N=40)
     parts = [(slice(0, 25), "one.mat"), (slice(25, 40), "two.mat")]
     for rows, name in [*parts, (slice(0, 40), "all.mat")]:
@@ -181,13 +180,14 @@ def test_several_files_are_fitted_together_and_named(tmp_path: Path, capsys) -> 
     out = tmp_path / "camera.toml"
     files = [str(tmp_path / name) for _, name in parts]
     page = tmp_path / "camera.html"
-    assert main(["calibrate", "hand-eye", *files, "--json", "-o", str(out), "--report", str(page)]) == 0
-    joined = json.loads(capsys.readouterr().out)
+    joined = json.loads(command(["calibrate", "hand-eye", *files, "--json", "-o", out, "--report", page]).out)
     assert [source.split()[0] for source in joined["sources"]] == ["one.mat", "two.mat"]
     assert all(source in out.read_text(encoding="utf-8") for source in joined["sources"])
     assert "two.mat sha256" in page.read_text(encoding="utf-8")
-    assert main(["calibrate", "hand-eye", str(tmp_path / "all.mat"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["parameters"] == joined["parameters"]
+    assert (
+        json.loads(command(["calibrate", "hand-eye", tmp_path / "all.mat", "--json"]).out)["parameters"]
+        == joined["parameters"]
+    )
     assert models.load(out, "hand_eye").setup == "eye_to_hand"
 
 

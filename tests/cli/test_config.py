@@ -43,11 +43,11 @@ def test_settings_and_cell_with_their_origins(
     assert {path: path.read_bytes() for path in Path().iterdir()} == before
 
 
-def test_json_holds_the_same(capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_holds_the_same(command) -> None:
     Path("armlab.toml").write_text('cell = "cell.toml"\n')
-    assert main(["config", "show", "--json"]) == 0
-    found = {one["name"]: (one["value"], one["origin"]) for one in json.loads(capsys.readouterr().out)}
+    found = {
+        one["name"]: (one["value"], one["origin"]) for one in json.loads(command(["config", "show", "--json"]).out)
+    }
     assert found["cell"] == ("cell.toml", "armlab.toml")
     assert found["cell.robots[0].link"] == ("sim://yumi_left", "cell.toml")
-    assert main(["config", "show"]) == 0
-    assert "speed                     1.0\n" in capsys.readouterr().out
+    assert "speed                     1.0\n" in command(["config", "show"]).out

@@ -37,19 +37,18 @@ def test_the_free_motion_stays_below_half_speed(plan: Plan) -> None:
     assert np.all(np.abs(qd) <= 0.5 * robots.load("yumi_right").qd_max)
 
 
-def test_a_busy_computer_is_told_of_the_fast_demo(tmp_path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_busy_computer_is_told_of_the_fast_demo(tmp_path, command, monkeypatch: pytest.MonkeyPatch) -> None:
     def late(*_: object) -> None:
         raise ControllerLate("The controller was too slow.")
 
     monkeypatch.setattr("armlab.cli.demo.rehearse", late)
-    assert main(["demo", "-o", str(tmp_path / "demo")]) == 1
-    said = capsys.readouterr().err
+    said = command(["demo", "-o", tmp_path / "demo"], 1).err
     assert "too slow" in said
     assert "armlab demo --fast" in said
 
 
 @pytest.mark.slow
-def test_the_demo_meets_its_bars_and_leaves_its_files(tmp_path, capsys) -> None:
+def test_the_demo_meets_its_bars_and_leaves_its_files(tmp_path, command, capsys) -> None:
     assert demo(fast=True, output=tmp_path / "demo") == 0
     names = {path.name for path in (tmp_path / "demo").iterdir()}
     assert names == {"excite.mcap", "model.toml", "press.csv", "press.mcap", "summary.json", "torque.png", "wrench.png"}
@@ -61,8 +60,7 @@ def test_the_demo_meets_its_bars_and_leaves_its_files(tmp_path, capsys) -> None:
     assert main(["identify", "yumi_right", str(tmp_path / "demo" / "excite.mcap"), "-o", model]) == 0
     assert main(["log", "show", log]) == 0
     capsys.readouterr()
-    assert main(["estimate", "yumi_right", log, "--model", model]) == 0
-    assert capsys.readouterr().out.count("contact") >= len(PRESSES) - 1
+    assert command(["estimate", "yumi_right", log, "--model", model]).out.count("contact") >= len(PRESSES) - 1
 
 
 @pytest.mark.slow

@@ -88,15 +88,15 @@ def test_a_motion_is_fitted_without_the_rest_around_it(
     assert "sha256" in primitive.read_text()
 
 
-def test_the_motion_is_written_to_a_file(primitive: Path, tmp_path: Path, capsys) -> None:
+def test_the_motion_is_written_to_a_file(primitive: Path, tmp_path: Path, command) -> None:
     path, words = tmp_path / "motion.csv", ["dmp", "play", str(primitive), "--json", "-o"]
     goal = Dmp.load(primitive).g + 0.01
-    assert main([*words, str(path), "--duration", "2", "--goal", ",".join(map(str, goal))]) == 0
-    assert json.loads(capsys.readouterr().out)["seconds"] == pytest.approx(2.0, abs=0.004)
+    assert json.loads(command([*words, path, "--duration", "2", "--goal", ",".join(map(str, goal))]).out)[
+        "seconds"
+    ] == pytest.approx(2.0, abs=0.004)
     table = log.read(path)
     np.testing.assert_allclose(table["y"][-1], goal, rtol=0, atol=1e-3)
-    assert main([*words, str(path)]) == 2
-    assert "--force" in capsys.readouterr().err
+    assert "--force" in command([*words, path], 2).err
     assert main([*words, str(path), "--force", "--robot", "yumi_left", "--speed", "0.1"]) == 0
     table, robot = log.read(path), robots.load("yumi_left")
     assert np.abs(table["qd"]).max() <= 0.1 * robot.qd_max.max() * (1 + 1e-9)
@@ -104,11 +104,10 @@ def test_the_motion_is_written_to_a_file(primitive: Path, tmp_path: Path, capsys
 
 
 @pytest.mark.slow  # 3 s
-def test_it_is_played_on_the_simulated_arm(primitive: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+def test_it_is_played_on_the_simulated_arm(primitive: Path, tmp_path: Path, command, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     words = ["dmp", "play", str(primitive), "--robot", "yumi_left", "--link", "sim://yumi_left?lockstep=true", "--json"]
-    assert main([*words, "--log", "first.mcap"]) == 0
-    said = json.loads(capsys.readouterr().out)
+    said = json.loads(command([*words, "--log", "first.mcap"]).out)
     assert said["goal_error"] < 0.01
     assert said["reason"] == "arrived"
     table = log.read(said["log"])
@@ -116,25 +115,26 @@ def test_it_is_played_on_the_simulated_arm(primitive: Path, tmp_path: Path, caps
 
 
 @pytest.mark.slow  # 3 s
-def test_poses_are_played_on_the_simulated_arm(taught_csv: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+def test_poses_are_played_on_the_simulated_arm(taught_csv: Path, tmp_path: Path, command, monkeypatch) -> None:
     """Over EGM, by inverse kinematics, from and to where the tool was shown."""
     monkeypatch.chdir(tmp_path)
     assert main(["dmp", "fit", str(taught_csv), "-o", "pose.toml", "--kind", "pose", "--robot", "yumi_left"]) == 0
     words = ["dmp", "play", "pose.toml", "--robot", "yumi_left", "--link", "sim://yumi_left?lockstep=true"]
-    assert main([*words, "--log", "pose.mcap"]) == 0
-    assert "of motion, ended" in capsys.readouterr().out
+    assert "of motion, ended" in command([*words, "--log", "pose.mcap"]).out
     tool = kinematics.forward(robots.load("yumi_left"), log.read("pose.mcap")["q"][[0, -1]])
     shown = PoseDmp.load("pose.toml")
     np.testing.assert_allclose(tool, [shown.T_start, shown.T_goal], rtol=0, atol=0.01)
 
 
 @pytest.mark.slow  # 1 s
-def test_a_motion_whose_last_command_was_refused_fails(primitive: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+def test_a_motion_whose_last_command_was_refused_fails(primitive: Path, tmp_path: Path, command, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("armlab.bridge.control.state_machine.entry_refusal", lambda *_: "Expected nearer.")
     words = ["dmp", "play", str(primitive), "--robot", "yumi_left", "--link", "sim://yumi_left?lockstep=true"]
-    assert main([*words, "--log", "refused.mcap"]) == 1
-    assert "The last command to yumi_left was refused. Expected nearer." in capsys.readouterr().err
+    assert (
+        "The last command to yumi_left was refused. Expected nearer."
+        in command([*words, "--log", "refused.mcap"], 1).err
+    )
 
 
 ROBOT = robots.load("yumi_left")
@@ -238,10 +238,9 @@ def shown(folder: Path, share: float = 1.0) -> Path:
     return log.write(Table(T_TAUGHT, {"q": q}), folder / f"shown{share}.csv")
 
 
-def fitted(folder: Path, capsys, *words: str) -> tuple[Path, dict]:
+def fitted(folder: Path, command, *words: str) -> tuple[Path, dict]:
     path = folder / "motion.toml"
-    assert main(["dmp", "fit", *words, "-o", str(path), "--json"]) == 0
-    return path, json.loads(capsys.readouterr().out)
+    return path, json.loads(command(["dmp", "fit", *words, "-o", path, "--json"]).out)
 
 
 def test_poses_come_from_kinematics_or_from_the_log(tmp_path: Path, capsys) -> None:

@@ -58,14 +58,13 @@ def test_the_simulated_controller(capsys: Any, monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.mark.parametrize(("verdicts", "code"), [(["ok"], 0), (["ok", "warning"], 3), (["warning", "failure", "ok"], 1)])
 def test_exit_codes_and_lines(
-    verdicts: list[Any], code: int, monkeypatch: pytest.MonkeyPatch, capsys: Any, tmp_path: Path
+    verdicts: list[Any], code: int, monkeypatch: pytest.MonkeyPatch, command, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
     findings = [Finding(f"check {i}", verdict, "seen", "do it") for i, verdict in enumerate(verdicts)]
     monkeypatch.setattr("armlab.bridge.doctor.report.examine", lambda *arguments: findings)
     monkeypatch.setattr("armlab.cli.doctor.disk", lambda folder: Finding("disk", "ok", "fast"))
-    assert main(["doctor"]) == code
-    said = capsys.readouterr()
+    said = command(["doctor"], code)
     assert said.out.count("-> do it") == len(verdicts)
     for i, verdict in enumerate(verdicts):
         assert f"{verdict:7}  check {i}" in said.out

@@ -32,10 +32,9 @@ def pushed(monkeypatch, truth, model, tmp_path) -> str:
     return str(models.save(model, tmp_path / "model.toml"))
 
 
-def test_the_press_is_found(pushed: str, tmp_path, capsys) -> None:
+def test_the_press_is_found(pushed: str, tmp_path, command) -> None:
     figure = tmp_path / "wrench.png"
-    assert main(["estimate", "yumi_left", "push.mcap", "--model", pushed, "--figure", str(figure)]) == 0
-    said = capsys.readouterr().out
+    said = command(["estimate", "yumi_left", "push.mcap", "--model", pushed, "--figure", figure]).out
     (line,) = [line for line in said.splitlines() if line.startswith("contact")]
     start, end, fx = float(line.split()[1]), float(line.split()[3]), float(line.split()[7])
     assert start == pytest.approx(3.0, abs=0.15)
@@ -44,7 +43,7 @@ def test_the_press_is_found(pushed: str, tmp_path, capsys) -> None:
     assert figure.exists()
 
 
-def test_rows_without_torque_are_counted_and_none_at_all_is_an_error(pushed: str, truth, monkeypatch, capsys) -> None:
+def test_rows_without_torque_are_counted_and_none_at_all_is_an_error(pushed: str, truth, monkeypatch, command) -> None:
     table = truth.log(identify.dither(truth.robot.q_home, 4.0), seed=5)
     rows = np.arange(len(table))[:, None]
     torn = np.where(rows < 500, np.nan, table["q"])
@@ -65,20 +64,18 @@ def test_rows_without_torque_are_counted_and_none_at_all_is_an_error(pushed: str
         (table.rows(slice(0, 0)), 1, "none among 0"),
     ):
         monkeypatch.setattr("armlab.log.reading.read", lambda path, broken=broken, **_: broken)
-        assert main(words) == code
-        assert sentence in capsys.readouterr().err
+        assert sentence in command(words, code).err
 
 
-def test_json(pushed: str, capsys) -> None:
-    assert main(["estimate", "yumi_left", "push.mcap", "--model", pushed, "--json"]) == 0
-    data = json.loads(capsys.readouterr().out)
+def test_json(pushed: str, command) -> None:
+    data = json.loads(command(["estimate", "yumi_left", "push.mcap", "--model", pushed, "--json"]).out)
     assert len(data["contacts"]) == 1
     assert data["contacts"][0]["force"][0] == pytest.approx(8.0, abs=1.0)
     assert "point" in data["contacts"][0]["where"]
     assert [axis["axis"] for axis in data["axes"]] == ["f_x", "f_y", "f_z", "m_x", "m_y", "m_z"]
 
 
-def test_the_estimate_of_every_row_goes_to_a_file(pushed: str, tmp_path, capsys) -> None:
+def test_the_estimate_of_every_row_goes_to_a_file(pushed: str, tmp_path, command) -> None:
     words = ["estimate", "yumi_left", "push.mcap", "--model", pushed]
     for name in ("est.mcap", "est.csv"):
         assert main([*words, "-o", str(tmp_path / name)]) == 0
@@ -93,8 +90,7 @@ def test_the_estimate_of_every_row_goes_to_a_file(pushed: str, tmp_path, capsys)
     assert np.all(np.linalg.eigvalsh(written["wrench_hat_cov"]) > 0)
     header = (tmp_path / "est.csv").read_text(encoding="utf-8").splitlines()[0]
     assert header.startswith("t [s],wrench_hat1 [N],")
-    assert main([*words, "-o", str(tmp_path / "est.csv")]) == 2
-    assert "--force" in capsys.readouterr().err
+    assert "--force" in command([*words, "-o", tmp_path / "est.csv"], 2).err
 
 
 def test_the_page_has_the_contact_and_its_figures(pushed: str, monkeypatch, tmp_path) -> None:
@@ -110,63 +106,55 @@ def test_the_page_has_the_contact_and_its_figures(pushed: str, monkeypatch, tmp_
 
 
 @pytest.mark.parametrize("method", ["bounded", "interval", "observer", "kf", "ls", "lund"])
-def test_every_method_answers(pushed: str, tmp_path, capsys, method: str) -> None:
+def test_every_method_answers(pushed: str, tmp_path, command, method: str) -> None:
     words = ["estimate", "yumi_left", "push.mcap", "--model", pushed, "--method", method, "--json"]
-    assert main([*words, "-o", str(tmp_path / "est.mcap")]) == 0
-    assert json.loads(capsys.readouterr().out)["method"] == method
+    assert json.loads(command([*words, "-o", tmp_path / "est.mcap"]).out)["method"] == method
     assert ("wrench_interval" in read(tmp_path / "est.mcap")) == (method == "interval")
 
 
-def test_prior_and_point_reach_the_estimator(pushed: str, capsys) -> None:
+def test_prior_and_point_reach_the_estimator(pushed: str, command) -> None:
     words = ["estimate", "yumi_left", "push.mcap", "--model", pushed, "--json"]
-    assert main([*words, "--prior-force", "0.1"]) == 0
-    assert json.loads(capsys.readouterr().out)["contacts"][0]["force"][0] < 1.0
-    assert main([*words, "--point", "0", "0", "0"]) == 0
-    known = json.loads(capsys.readouterr().out)
+    assert json.loads(command([*words, "--prior-force", "0.1"]).out)["contacts"][0]["force"][0] < 1.0
+    known = json.loads(command([*words, "--point", "0", "0", "0"]).out)
     assert known["axes"][3]["two_sigma"] == pytest.approx(0.0, abs=1e-9)
-    assert main([*words, "--point", "0", "0", "120"]) == 2
-    assert "got one 120 m away. Give metres" in capsys.readouterr().err
-    assert main([*words, "--prior-force=-1"]) == 2
-    assert "six positive" in capsys.readouterr().err
+    assert "got one 120 m away. Give metres" in command([*words, "--point", "0", "0", "120"], 2).err
+    assert "six positive" in command([*words, "--prior-force=-1"], 2).err
     assert main([*words, "--method", "kalman"]) == 2
-    assert main([*words, "--bias"]) == 2
-    assert "method='kf' only" in capsys.readouterr().err
+    assert "method='kf' only" in command([*words, "--bias"], 2).err
     assert main([*words, "--method", "kf", "--bias", "--force-rate", "smooth"]) == 0
     assert ContactPrior(prior_force=5.0).deviations == [5.0] * 3 + [2.0] * 3
 
 
-def test_limits_of_the_method_interval_are_printed(pushed: str, capsys) -> None:
+def test_limits_of_the_method_interval_are_printed(pushed: str, command) -> None:
     words = ["estimate", "yumi_left", "push.mcap", "--model", pushed, "--method", "interval"]
-    assert main(words) == 0
-    said = capsys.readouterr().out
+    said = command(words).out
     assert "limit from  limit to  share beyond zero" in said
     if "contact " in said:
         assert "limits [N]" in said
 
 
-def test_the_model_of_another_arm_and_a_file_of_another_kind_are_refused(pushed: str, truth, tmp_path, capsys) -> None:
-    assert main(["estimate", "yumi_right", "push.mcap", "--model", pushed]) == 2
-    assert "yumi_left" in capsys.readouterr().err
+def test_the_model_of_another_arm_and_a_file_of_another_kind_are_refused(pushed: str, truth, tmp_path, command) -> None:
+    assert "yumi_left" in command(["estimate", "yumi_right", "push.mcap", "--model", pushed], 2).err
     other = models.save(truth.robot, tmp_path / "load.toml")
-    assert main(["estimate", "yumi_left", "push.mcap", "--model", str(other)]) == 2
-    assert f"Expected a file of kind 'torque_model' at {other}, got 'robot'." in capsys.readouterr().err
+    assert (
+        f"Expected a file of kind 'torque_model' at {other}, got 'robot'."
+        in command(["estimate", "yumi_left", "push.mcap", "--model", other], 2).err
+    )
 
 
-def test_gaps_are_named(pushed: str, truth, monkeypatch, capsys) -> None:
+def test_gaps_are_named(pushed: str, truth, monkeypatch, command) -> None:
     table = truth.log(identify.dither(truth.robot.q_home, 4.0), seed=5)
     torn = table.rows((table.t < 2.0) | (table.t >= 2.5))
     monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: torn)
     words = ["estimate", "yumi_left", "push.mcap", "--model", pushed]
-    assert main(words) == 0
-    assert "Gap in the log: 0.504 s after 2.00 s" in capsys.readouterr().out
-    assert main([*words, "--json"]) == 0
-    data = json.loads(capsys.readouterr().out)
+    assert "Gap in the log: 0.504 s after 2.00 s" in command(words).out
+    data = json.loads(command([*words, "--json"]).out)
     assert data["gaps"] == [{"after": pytest.approx(1.996), "seconds": pytest.approx(0.504)}]
     assert data["left_out"] == 0
 
 
 def test_a_log_that_cannot_be_true_is_refused_or_nothing_of_it_is_called_good(
-    pushed: str, truth, monkeypatch, tmp_path, capsys
+    pushed: str, truth, monkeypatch, tmp_path, command
 ) -> None:
     table = truth.log(identify.dither(truth.robot.q_home, 4.0), seed=5)
     words = ["estimate", "yumi_left", "push.mcap", "--model", pushed, "-o", str(tmp_path / "est.csv")]
@@ -174,15 +162,13 @@ def test_a_log_that_cannot_be_true_is_refused_or_nothing_of_it_is_called_good(
     silent = table.with_column("tau", np.zeros_like(table["tau"]))
     for broken, sentence in ((degrees, "degrees"), (silent, "Expected measured torques, got a constant")):
         monkeypatch.setattr("armlab.log.reading.read", lambda path, broken=broken, **_: broken)
-        assert main(words) == 1
-        said = capsys.readouterr()
+        said = command(words, 1)
         assert sentence in said.err
         assert said.out == ""
     assert list(tmp_path.glob("est*")) == []
     backwards = table.with_column("qd", -table["qd"])
     monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: backwards)
-    assert main(words) == 0
-    said = capsys.readouterr().out
+    said = command(words).out
     assert "not good: Expected qd to be the derivative of q" in said
     assert "\ngood: " not in said
 

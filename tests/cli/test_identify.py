@@ -15,6 +15,7 @@ from armlab import identify, models
 from armlab import identify as identification
 from armlab.cli import main
 from armlab.cli.identify.report import ModelTrial, judge, numbers, try_out
+from armlab.cli.support.html_report import HtmlReport
 from armlab.estimation import Fit
 from armlab.log import Table
 from armlab.models import TorqueModel
@@ -127,24 +128,16 @@ def test_json_has_the_numbers_and_the_verdict(reading, fitted, monkeypatch, tmp_
     assert said["condition"] > 1
 
 
-def test_gravity_only_is_a_model_of_slow_motion(
-    slow: Table, gravity: Fit[TorqueModel], excited: Table, monkeypatch, tmp_path, capsys
-) -> None:
-    """The slow log goes to `fit_gravity`; its fit is that of the other tests."""
-    tables = {"slow.mcap": slow, "fast.mcap": excited}
-    monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: tables[path.name])
-    monkeypatch.setattr("armlab.plots.style.png", lambda drawn: plt.close("all") or b"drawn")
-    output, report = tmp_path / "model.toml", tmp_path / "id.html"
-    words = ["identify", "yumi_left", "--gravity-only", "-o", str(output), "--report", str(report)]
-    assert main([*words, "fast.mcap"]) == 1
-    assert "Expected slow motion" in capsys.readouterr().err
-    monkeypatch.setattr("armlab.identify.fit_gravity", lambda given, *_, **__: gravity if given == [slow] else None)
-    assert main([*words, "slow.mcap"]) == 0
-    model = models.load(output)
-    assert model.quasi_static
-    assert not model.rotor.any()
-    assert "gravity and friction only" in report.read_text(encoding="utf-8")
-    assert "m c_x" in capsys.readouterr().out
+def test_gravity_only_is_fitted_and_said(reading, fitted, logs, monkeypatch, tmp_path, command) -> None:
+    """The logs go to `fit_gravity`, whose own tests fit slow motion."""
+    given, said = [], []
+    monkeypatch.setattr("armlab.identify.fit_gravity", lambda tables, *_, **__: given.append(tables) or fitted)
+    page = lambda *parts: said.append(parts[4]) or HtmlReport("a", "b")  # noqa: E731
+    monkeypatch.setattr("armlab.cli.identify.report.page", page)
+    words = ["identify", "yumi_left", "run.mcap", "--gravity-only", "-o", tmp_path / "model.toml"]
+    assert "m c_x" in command([*words, "--report", tmp_path / "id.html"]).out
+    assert given == [[logs["run.mcap"]]]
+    assert "gravity and friction only" in said[0]
 
 
 @pytest.mark.parametrize(
@@ -157,11 +150,10 @@ def test_gravity_only_is_a_model_of_slow_motion(
     ],
 )
 def test_refusals_are_one_sentence_and_leave_no_file(
-    reading, tmp_path, capsys, words: list[str], code: int, sentence: str
+    reading, tmp_path, command, words: list[str], code: int, sentence: str
 ) -> None:
     output = tmp_path / "model.toml"
-    assert main(["identify", *words, "-o", str(output), "--report", str(tmp_path / "id.html")]) == code
-    said = capsys.readouterr().err
+    said = command(["identify", *words, "-o", output, "--report", tmp_path / "id.html"], code).err
     assert sentence in said
     assert "Traceback" not in said
     assert not list(tmp_path.iterdir())
@@ -169,10 +161,9 @@ def test_refusals_are_one_sentence_and_leave_no_file(
 
 @pytest.mark.usefixtures("reading")
 @pytest.mark.parametrize("words", [("run.mcap", "run.mcap"), ("run.mcap", "--test", "run.mcap")])
-def test_a_log_that_comes_twice_is_refused(words: tuple[str, ...], tmp_path, capsys) -> None:
+def test_a_log_that_comes_twice_is_refused(words: tuple[str, ...], tmp_path, command) -> None:
     """Neither is it another log, nor is it unseen."""
-    assert main(["identify", "yumi_left", *words, "-o", str(tmp_path / "model.toml")]) == 1
-    assert "Expected each log once" in capsys.readouterr().err
+    assert "Expected each log once" in command(["identify", "yumi_left", *words, "-o", tmp_path / "model.toml"], 1).err
     assert list(tmp_path.iterdir()) == []
 
 
@@ -181,28 +172,13 @@ def trial(fitted: Fit[TorqueModel], excited: Table, truth) -> ModelTrial:
     return try_out(fitted.value, truth.robot, excited, unseen=False)
 
 
-def test_numbers_are_those_of_the_model(fitted: Fit[TorqueModel], trial: ModelTrial) -> None:
+def test_numbers_are_those_of_the_model(fitted: Fit[TorqueModel], trial: ModelTrial, excited: Table) -> None:
     found = numbers(fitted, trial)
     assert [joint["joint"] for joint in found["joints"]] == [1, 2, 3, 4, 5, 6, 7]
     third = found["joints"][2]
     assert third["viscous"] == fitted.value.friction.viscous[2]
     assert third["sigma_motion"] ** 2 == pytest.approx(fitted.value.covariance.alpha2 * fitted.value.covariance.Cinf[2])
     assert np.isnan(third["share_test"])
-
-
-def changed(fitted: Fit[TorqueModel], **quality: np.ndarray) -> Fit[TorqueModel]:
-    return replace(fitted, value=replace(fitted.value, quality=replace(fitted.value.quality, **quality)))
-
-
-def test_a_good_model_is_called_good(fitted: Fit[TorqueModel], trial: ModelTrial, excited: Table, truth) -> None:
-    verdict = judge(fitted, truth.robot, [excited], trial)
-    assert any("leaves" in sentence for sentence in verdict.good)
-    assert any("condition" in sentence for sentence in verdict.good)
-    assert any("Without contact" in sentence for sentence in verdict.good)
-    assert verdict.ahead
-
-
-def test_a_trial_is_the_estimate_of_no_force(trial: ModelTrial, excited: Table) -> None:
     assert len(trial.estimate) == len(trial.log) == len(excited)
     assert not trial.estimate["wrench_true"].any()
     assert trial.share.shape == (7,)
@@ -211,43 +187,47 @@ def test_a_trial_is_the_estimate_of_no_force(trial: ModelTrial, excited: Table) 
     assert 0.9 < trial.coverage < 1.0
 
 
+def worse(fit: Fit[TorqueModel], **quality: np.ndarray) -> Fit[TorqueModel]:
+    return replace(fit, value=replace(fit.value, quality=replace(fit.value.quality, **quality)))
+
+
+def bent(fit: Fit[TorqueModel]) -> Fit[TorqueModel]:
+    """Negative friction of joint 2, stretched covariances, and a narrow range."""
+    model = fit.value
+    friction = replace(model.friction, viscous=np.where(np.arange(7) == 1, -0.1, model.friction.viscous))
+    parts = {"covariance": replace(model.covariance, alpha2=16.0), "momentum": replace(model.momentum, alpha2_kf=25.0)}
+    training = replace(model.training, q_max=model.training.q_min + 0.2)
+    return replace(fit, value=replace(model, friction=friction, training=training, **parts))
+
+
 @pytest.mark.parametrize(
-    ("change", "sentence"),
+    ("part", "sentence", "change", "share", "coverage"),
     [
-        (lambda q: {"rms_cv": 0.4 * q.torque_sd}, "up to 40 %"),
-        (lambda q: {"rms_cv": 3 * q.rms}, "much worse in motion that the model has not seen"),
-        (lambda q: {"coverage": np.where(np.arange(7) == 2, 0.7, 0.95)}, "joint 3: 70 %"),
+        ("good", "leaves", lambda fit: fit, 0, None),
+        ("good", "condition", lambda fit: fit, 0, None),
+        ("good", "Without contact", lambda fit: fit, 0, None),
+        ("bad", "up to 40 %", lambda fit: worse(fit, rms_cv=0.4 * fit.value.quality.torque_sd), 0, None),
+        ("bad", "much worse in motion that", lambda fit: worse(fit, rms_cv=3 * fit.value.quality.rms), 0, None),
+        ("bad", "joint 3: 70 %", lambda fit: worse(fit, coverage=np.where(np.arange(7) == 2, 0.7, 0.95)), 0, None),
+        ("good", "as in held-out blocks", lambda fit: fit, 1, None),
+        ("bad", "worse in the test log", lambda fit: fit, 4, None),
+        ("bad", "50 % inside 2 sigma", lambda fit: fit, 0, 0.5),
+        ("bad", "stretched 4.0 times", bent, 0, None),
+        ("bad", "momentum methods' covariance had to be stretched 5.0 times", bent, 0, None),
+        ("bad", "joint 2: negative friction", bent, 0, None),
+        ("ahead", "moved over less than 25 %", bent, 0, None),
     ],
 )
-def test_what_is_bad_is_said(fitted, trial, excited: Table, truth, change, sentence: str) -> None:
-    worse = changed(fitted, **change(fitted.value.quality))
-    assert any(sentence in said for said in judge(worse, truth.robot, [excited], trial).bad)
-
-
-def test_the_test_log_is_compared_with_held_out_blocks(fitted, trial: ModelTrial, excited: Table, truth) -> None:
+def test_what_is_good_and_what_is_bad_is_said(
+    fitted, trial: ModelTrial, excited: Table, truth, part: str, sentence: str, change, share: float, coverage
+) -> None:
+    """`share`: of a test log, over that of held-out blocks."""
     known = fitted.value.quality.rms_cv / fitted.value.quality.torque_sd
-    alike = replace(trial, unseen=True, share=known)
-    assert any("as in held-out blocks" in said for said in judge(fitted, truth.robot, [excited], alike).good)
-    worse = replace(trial, unseen=True, share=4 * known)
-    assert any("worse in the test log" in said for said in judge(fitted, truth.robot, [excited], worse).bad)
-    dishonest = replace(trial, coverage=0.5)
-    assert any("50 % inside 2 sigma" in said for said in judge(fitted, truth.robot, [excited], dishonest).bad)
-
-
-def test_stretched_negative_and_narrow_are_said(fitted, trial: ModelTrial, excited: Table, truth) -> None:
-    model = fitted.value
-    friction = replace(model.friction, viscous=np.where(np.arange(7) == 1, -0.1, model.friction.viscous))
-    covariance = replace(model.covariance, alpha2=16.0)
-    momentum = replace(model.momentum, alpha2_kf=25.0)
-    training = replace(model.training, q_max=model.training.q_min + 0.2)
-    bent = replace(
-        fitted, value=replace(model, friction=friction, covariance=covariance, momentum=momentum, training=training)
-    )
-    verdict = judge(bent, truth.robot, [excited.where(np.abs(excited["qd"]).min(axis=1) > 0.02)], trial)
-    assert any("stretched 4.0 times" in said for said in verdict.bad)
-    assert any("momentum methods' covariance had to be stretched 5.0 times" in said for said in verdict.bad)
-    assert any("joint 2: negative friction" in said for said in verdict.bad)
-    assert any("moved over less than 25 %" in said for said in verdict.ahead)
+    seen = replace(trial, unseen=True, share=share * known) if share else trial
+    seen = seen if coverage is None else replace(seen, coverage=coverage)
+    verdict = judge(change(fitted), truth.robot, [excited], seen)
+    assert any(sentence in said for said in getattr(verdict, part))
+    assert verdict.ahead
 
 
 @pytest.fixture(scope="module")
@@ -273,11 +253,10 @@ def words(monkeypatch, tables: dict[str, Table], model, tmp_path: Path) -> list[
 
 
 @pytest.mark.slow  # 5 s beside other work
-def test_a_load_is_weighed_saved_and_reported(words: list[str], tmp_path: Path, capsys) -> None:
+def test_a_load_is_weighed_saved_and_reported(words: list[str], tmp_path: Path, command) -> None:
     files = [tmp_path / name for name in ("load.toml", "load.html", "load.png")]
     options = [word for pair in zip(("-o", "--report", "--figure"), map(str, files)) for word in pair]
-    assert main([*words, "--without", "empty.mcap", *options]) == 0
-    said = capsys.readouterr().out
+    said = command([*words, "--without", "empty.mcap", *options]).out
     assert "centre z" in said
     assert "good: The load of" in said
     load = models.load(files[0], kind="payload")
@@ -287,52 +266,33 @@ def test_a_load_is_weighed_saved_and_reported(words: list[str], tmp_path: Path, 
     assert "m c_z" in page
     assert "data:image/png" in page
     assert files[2].exists()
-    assert main([*words, *options]) == 2
-    assert "--force" in capsys.readouterr().err
+    assert "--force" in command([*words, *options], 2).err
 
 
-def test_json_and_mode(words: list[str], capsys) -> None:
-    assert main([*words, "--json", "--mode", "dynamic", "--gain", "0.01"]) == 0
-    found = json.loads(capsys.readouterr().out)
+def test_json_and_mode(words: list[str], command) -> None:
+    found = json.loads(command([*words, "--json", "--mode", "dynamic", "--gain", "0.01"]).out)
     assert found["mass"] == pytest.approx(0.5, rel=0.03)
     assert [entry["name"] for entry in found["parameters"]][4:] == ["I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz"]
     assert found["parameters"][0]["sd"] < 0.01
 
 
-def test_without_a_load_none_is_to_be_added(words: list[str], capsys) -> None:
-    assert main([*words[:2], "empty.mcap", *words[3:]]) == 0
-    said = capsys.readouterr().out
+def test_without_a_load_none_is_to_be_added(words: list[str], command) -> None:
+    said = command([*words[:2], "empty.mcap", *words[3:]]).out
     assert "cannot be told from no load" in said
     assert "as it is" in said
     assert "added_to" not in said
 
 
-def test_the_model_of_another_arm_is_refused(words: list[str], capsys) -> None:
-    assert main([words[0], "yumi_right", *words[2:]]) == 2
-    assert "yumi_left" in capsys.readouterr().err
-
-
-def test_a_log_in_degrees_is_refused(words: list[str], tables: dict[str, Table], monkeypatch, capsys) -> None:
-    log = tables["full.mcap"]
-    degrees = log.with_column("q", np.rad2deg(log["q"])).with_column("qd", np.rad2deg(log["qd"]))
-    monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: degrees)
-    assert main(words) == 1
-    said = capsys.readouterr()
-    assert "degrees" in said.err
-    assert said.out == ""
-
-
-def test_torque_that_is_not_explained_is_not_called_good(words: list[str], tables, monkeypatch, capsys) -> None:
+def test_torque_that_is_not_explained_is_not_called_good(words: list[str], tables, monkeypatch, command) -> None:
     log = tables["full.mcap"]
     monkeypatch.setattr("armlab.log.reading.read", lambda path, **_: log.with_column("tau", -log["tau"]))
-    assert main([*words, "--json"]) == 0
-    verdict = json.loads(capsys.readouterr().out)["verdict"]
+    verdict = json.loads(command([*words, "--json"]).out)["verdict"]
     assert not any("explain" in said for said in verdict["good"])
     assert any("% of the torque's deviation unexplained" in said for said in verdict["bad"])
 
 
 def test_of_an_arm_that_rests_in_part_the_joints_that_move_are_judged(
-    words: list[str], truth, monkeypatch, capsys
+    words: list[str], truth, monkeypatch, command
 ) -> None:
     motion = identify.design_excitation(truth.robot, seconds=12, speed=0.4, acceleration=8.0, seed=3)
 
@@ -345,7 +305,6 @@ def test_of_an_arm_that_rests_in_part_the_joints_that_move_are_judged(
     monkeypatch.setattr(
         "armlab.log.reading.read", lambda path, **_: truth.log(identify.Trajectory(motion.seconds, wrist), seed=1)
     )
-    assert main(words) == 0
-    said = capsys.readouterr().out
+    said = command(words).out
     assert "left out, at rest: axis_1, axis_2, axis_7" in said
     assert "Arm and load together" in said

@@ -31,9 +31,8 @@ def path(tmp_path: Path) -> Path:
     return recorder.path
 
 
-def test_the_history_of_the_parameters(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["log", "show", "--parameters", str(path)]) == 0
-    assert capsys.readouterr().out == "This log has no parameters.\n"
+def test_the_history_of_the_parameters(path: Path, tmp_path: Path, command, capsys) -> None:
+    assert command(["log", "show", "--parameters", path]).out == "This log has no parameters.\n"
     with Recorder(tmp_path / "set.mcap", robots.load("yumi_right")) as recorder:
         start = 1_700_000_000_000_000_000
         recorder.parameter(0, "gain", 2.0, "in force at the start", start)
@@ -47,33 +46,29 @@ def test_the_history_of_the_parameters(path: Path, tmp_path: Path, capsys: pytes
     assert second.endswith("A setting of local 1 was refused: too large.")
     assert third.endswith("gain = 3.0, set by local 1 (1)")
     assert last == "At the end: gain = 3.0."
-    assert cli.main(["log", "show", "--parameters", "--json", str(recorder.path)]) == 0
-    told = json.loads(capsys.readouterr().out)
+    told = json.loads(command(["log", "show", "--parameters", "--json", recorder.path]).out)
     assert [(one["value"], one["who"]) for one in told["parameters"]] == [
         (2.0, "in force at the start"),
         (3.0, "local 1"),
     ]
     assert told["parameters_at_end"] == {"gain": 3.0}
-    assert cli.main(["log", "show", "--json", str(recorder.path)]) == 0
-    assert told.items() <= json.loads(capsys.readouterr().out).items()
+    assert told.items() <= json.loads(command(["log", "show", "--json", recorder.path]).out).items()
 
 
 @pytest.mark.parametrize("size", [10, 2000])
 def test_a_log_cut_off_before_its_first_message_says_what_recover_says(
-    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], size: int
+    path: Path, tmp_path: Path, command, size: int
 ) -> None:
     tiny = tmp_path / "tiny.mcap"
     tiny.write_bytes(path.read_bytes()[:size])
     for words in (["show"], ["show", "--json"], ["show", "--parameters"], ["recover"]):
-        assert cli.main(["log", *words, str(tiny)]) == 1
-        said = capsys.readouterr()
+        said = command(["log", *words, tiny], 1)
         assert said.out == ""
         assert f"Expected messages in {tiny}, got none that can be read in {size} bytes." in said.err
 
 
-def test_show_says_what_the_log_holds(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["log", "show", str(path)]) == 0
-    captured = capsys.readouterr()
+def test_show_says_what_the_log_holds(path: Path, command) -> None:
+    captured = command(["log", "show", path])
     assert captured.err == ""
     text = captured.out
     for words in (
@@ -107,7 +102,7 @@ def test_a_torn_log_is_shown_and_repaired(path: Path, tmp_path: Path, capsys: py
 
 
 def test_a_recording_is_of_the_robot_that_it_describes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     irb120 = robots.load("irb120")
@@ -118,89 +113,79 @@ def test_a_recording_is_of_the_robot_that_it_describes(
         assert cli.main(["log", "export", "run.mcap", "copy.mcap", "--force", *words]) == 0
         held = inspect("copy.mcap")
         assert robots.from_toml(held.attachments["robot.toml"].decode(), "it") == mine
-    assert cli.main(["log", "export", "run.mcap", "copy.mcap", "--force", "--robot", "irb120"]) == 2
-    assert "Known: mine." in capsys.readouterr().err
+    assert "Known: mine." in command(["log", "export", "run.mcap", "copy.mcap", "--force", "--robot", "irb120"], 2).err
     assert cli.main(["log", "export", "run.mcap", "run.csv"]) == 0
-    assert cli.main(["log", "export", "run.csv", "copy.mcap", "--force"]) == 2
-    assert "Expected the robot of the table" in capsys.readouterr().err
+    assert "Expected the robot of the table" in command(["log", "export", "run.csv", "copy.mcap", "--force"], 2).err
 
 
-def test_the_original_stays(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_original_stays(path: Path, tmp_path: Path, command) -> None:
     (tmp_path / "same.mcap").symlink_to(path)
     whole = path.read_bytes()
     for words in (["export", str(path)], ["cut", str(path), "--to", "0.1", "-o"], ["merge", str(path), "b.mcap", "-o"]):
         for output in (path, tmp_path / "same.mcap"):
-            assert cli.main(["log", *words, str(output), "--force"]) == 2
-            assert "which is or holds what is read" in capsys.readouterr().err
+            assert "which is or holds what is read" in command(["log", *words, output, "--force"], 2).err
     assert path.read_bytes() == whole
 
 
 @pytest.mark.parametrize("ending", [".csv", ".mat", ".rosbag2"])
-def test_export_and_back(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], ending: str) -> None:
+def test_export_and_back(path: Path, tmp_path: Path, command, ending: str) -> None:
     output = tmp_path / f"run{ending}"
-    assert cli.main(["log", "export", str(path), str(output)]) == 0
-    captured = capsys.readouterr()
+    captured = command(["log", "export", path, output])
     assert captured.out == f"{output}\n"
     assert captured.err == f"export: reading run.mcap\nexport: writing run{ending}\n"
     table, again = read(path), read(output)
     assert again.sha256 == table.sha256
     assert again.source[1:] == table.source
-    assert cli.main(["log", "export", str(path), str(output)]) == 2
-    assert "which exists. Choose another name or add --force." in capsys.readouterr().err
+    assert "which exists. Choose another name or add --force." in command(["log", "export", path, output], 2).err
     assert cli.main(["log", "export", str(path), str(output), "--force"]) == 0
     back = tmp_path / "back.mcap"
     assert cli.main(["log", "export", str(output), str(back), "--robot", "yumi_right"]) == 0
     np.testing.assert_array_equal(read(back)["q"], table["q"])
 
 
-def test_export_names_what_matlab_calls_otherwise(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_export_names_what_matlab_calls_otherwise(tmp_path: Path, command) -> None:
     (tmp_path / "orca.csv").write_text("t [s],robot[0].pos\n0,1\n1,2\n")
-    assert cli.main(["log", "export", str(tmp_path / "orca.csv"), str(tmp_path / "orca.mat")]) == 0
-    assert "robot[0].pos is robot_0__pos." in capsys.readouterr().err
+    assert (
+        "robot[0].pos is robot_0__pos." in command(["log", "export", tmp_path / "orca.csv", tmp_path / "orca.mat"]).err
+    )
 
 
 @pytest.mark.parametrize("ending", [".csv", ".rosbag2"])
-def test_show_of_other_formats(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], ending: str) -> None:
+def test_show_of_other_formats(path: Path, tmp_path: Path, command, capsys, ending: str) -> None:
     output = tmp_path / f"run{ending}"
     assert cli.main(["log", "export", str(path), str(output)]) == 0
     capsys.readouterr()
-    assert cli.main(["log", "show", str(output)]) == 0
-    text = capsys.readouterr().out
+    text = command(["log", "show", output]).out
     for words in ("began 2023-11-14 22:13:20 UTC", "300 rows, 1.196 s at 250 Hz", "source: run.mcap sha256", "tau  "):
         assert words in text, words
-    assert cli.main(["log", "show", str(output), "--json"]) == 0
-    data = json.loads(capsys.readouterr().out)
+    data = json.loads(command(["log", "show", output, "--json"]).out)
     assert (data["rows"], data["sha256"]) == (300, read(path).sha256)
     assert data["format"] == {".csv": "text", ".h5": "HDF5", ".rosbag2": "rosbag2"}[ending]
-    assert cli.main(["log", "show", str(output), "--parameters"]) == 0
-    assert capsys.readouterr().out == "This log has no parameters.\n"
+    assert command(["log", "show", output, "--parameters"]).out == "This log has no parameters.\n"
 
 
-def test_of_a_recording_without_rows_the_first_events_are_shown(tmp_path: Path, capsys) -> None:
+def test_of_a_recording_without_rows_the_first_events_are_shown(tmp_path: Path, command) -> None:
     with Recorder(tmp_path / "run.mcap", robots.load("yumi_right")) as recorder:
         for i in range(30):
             recorder.event(f"event {i}", 10**18)
-    assert cli.main(["log", "show", str(recorder.path)]) == 0
-    text = capsys.readouterr().out
+    text = command(["log", "show", recorder.path]).out
     assert "began -" in text
     assert "event 18" in text
     assert "event 19" not in text
     assert text.rstrip().endswith("and 11 more (--json shows all)")
 
 
-def test_cut_and_merge(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_cut_and_merge(path: Path, tmp_path: Path, command) -> None:
     table = read(path)
     first, rest, whole = (str(tmp_path / name) for name in ("first.mcap", "rest.mcap", "whole.mcap"))
     assert cli.main(["log", "cut", str(path), "--to", "0.5", "-o", first]) == 0
     assert cli.main(["log", "cut", str(path), "--from", "0.5", "-o", rest]) == 0
-    assert cli.main(["log", "merge", rest, first, "-o", whole]) == 0
-    captured = capsys.readouterr()
+    captured = command(["log", "merge", rest, first, "-o", whole])
     assert captured.out == f"{first}\n{rest}\n{whole}\n"
     assert captured.err == "cut: copied\ncut: copied\nmerge: copied\n"
     assert read(first).sha256 == table.between(-np.inf, 0.5).sha256
     assert read(whole).sha256 == table.sha256
-    assert cli.main(["log", "cut", str(path), "--to", "0.5", "-o", first]) == 2
-    assert "add --force" in capsys.readouterr().err
+    assert "add --force" in command(["log", "cut", path, "--to", "0.5", "-o", first], 2).err
     assert cli.main(["log", "cut", str(path), "--to", "0.1", "-o", first, "--force"]) == 0
     assert read(first).sha256 == table.between(-np.inf, 0.1).sha256
     csv, part = str(tmp_path / "run.csv"), str(tmp_path / "part.csv")
@@ -218,9 +203,7 @@ def test_ctrl_c_leaves_nothing(path: Path, tmp_path: Path, monkeypatch: pytest.M
     assert [entry.name for entry in tmp_path.iterdir()] == ["run.mcap"]
 
 
-def test_both_arms_in_one_file_are_shown_and_exported(
-    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_both_arms_in_one_file_are_shown_and_exported(path: Path, tmp_path: Path, command, capsys) -> None:
     with Recorder(tmp_path / "left.mcap", robots.load("yumi_left")) as recorder:
         for i in range(20):
             stamp = 1_700_000_000_000_000_000 + i * 4_000_000
@@ -229,8 +212,7 @@ def test_both_arms_in_one_file_are_shown_and_exported(
     both, left = str(tmp_path / "both.mcap"), str(tmp_path / "only.csv")
     assert cli.main(["log", "merge", str(path), str(recorder.path), "-o", both]) == 0
     capsys.readouterr()
-    assert cli.main(["log", "show", both]) == 0
-    text = capsys.readouterr().out
+    text = command(["log", "show", both]).out
     for words in (
         "yumi_right: Table of 300 rows",
         "yumi_left: Table of 20 rows",
@@ -238,8 +220,7 @@ def test_both_arms_in_one_file_are_shown_and_exported(
         "the operator pressed",
     ):
         assert words in text, words
-    assert cli.main(["log", "show", both, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["robots"]
+    told = json.loads(command(["log", "show", both, "--json"]).out)["robots"]
     assert {name: data["rows"] for name, data in told.items()} == {"yumi_right": 300, "yumi_left": 20}
     assert cli.main(["log", "export", both, left, "--robot", "yumi_left"]) == 0
     assert read(left).sha256 == read(recorder.path).sha256
@@ -252,30 +233,29 @@ def test_both_arms_in_one_file_are_shown_and_exported(
     assert cli.main(["log", "cut", left, "--to", "0.04", "--robot", "yumi_left", "-o", str(tmp_path / "new.mcap")]) == 0
     assert len(read(tmp_path / "new.mcap")) == 10
     capsys.readouterr()
-    assert cli.main(["log", "cut", both, "--to", "0.04", "-o", str(tmp_path / "which.csv")]) == 1
-    assert "--robot" in capsys.readouterr().err
+    assert "--robot" in command(["log", "cut", both, "--to", "0.04", "-o", tmp_path / "which.csv"], 1).err
 
 
-def test_open_calls_an_installed_program(
-    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_open_calls_an_installed_program(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert cli.main(["log", "open", str(path)]) == 1
-    assert "got none of these programs. How to get it: Foxglove: its desktop program" in capsys.readouterr().err
+    assert (
+        "got none of these programs. How to get it: Foxglove: its desktop program"
+        in command(["log", "open", path], 1).err
+    )
     program = tmp_path / "plotjuggler"
     program.write_text(f'#!/bin/sh\necho "$@" > {tmp_path}/called\nexit $(test -e {tmp_path}/broken; echo $((1-$?)))\n')
     program.chmod(0o755)
-    assert cli.main(["log", "open", str(path)]) == 0
-    assert "in PlotJuggler" in capsys.readouterr().err
+    assert "in PlotJuggler" in command(["log", "open", path]).err
     assert (tmp_path / "called").read_text() == f"-d {path}\n"
-    assert cli.main(["log", "open", str(path), "--rerun"]) == 1
-    assert "Expected Rerun on the PATH, got PlotJuggler. How to get it: Rerun: pip install" in capsys.readouterr().err
+    assert (
+        "Expected Rerun on the PATH, got PlotJuggler. How to get it: Rerun: pip install"
+        in command(["log", "open", path, "--rerun"], 1).err
+    )
     (tmp_path / "broken").touch()
     assert open_(path, plotjuggler=True) == 1
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(path.read_bytes()[:-30])
-    assert cli.main(["log", "open", str(torn)]) == 1
-    assert f"armlab log recover {torn}" in capsys.readouterr().err
+    assert f"armlab log recover {torn}" in command(["log", "open", torn], 1).err
 
 
 def ros_bag(path: Path) -> Path:
@@ -303,19 +283,16 @@ def ros_bag(path: Path) -> Path:
     return path
 
 
-def test_a_bag_of_another_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bag_of_another_program(tmp_path: Path, command) -> None:
     """Each topic is shown by itself; export asks for the clock and puts the joints into the robot's order."""
     bag = ros_bag(tmp_path / "bag")
-    assert cli.main(["log", "show", str(bag)]) == 0
-    captured = capsys.readouterr()
+    captured = command(["log", "show", bag])
     assert captured.err == ""
     assert "/joint_states: Table of 20 rows, 0.038 s at 500 Hz" in captured.out
     assert "/gravity: Table of 10 rows, 0.036 s at 250 Hz" in captured.out
-    assert cli.main(["log", "show", "--json", str(bag)]) == 0
-    assert json.loads(capsys.readouterr().out)["tables"]["/gravity"]["rows"] == 10
+    assert json.loads(command(["log", "show", "--json", bag]).out)["tables"]["/gravity"]["rows"] == 10
     csv = tmp_path / "run.csv"
-    assert cli.main(["log", "export", str(bag), str(csv)]) == 1
-    assert "/joint_states 500 Hz, /gravity 250 Hz" in capsys.readouterr().err
+    assert "/joint_states 500 Hz, /gravity 250 Hz" in command(["log", "export", bag, csv], 1).err
     assert cli.main(["log", "export", str(bag), str(csv), "--robot", "ur5e", "--clock", "/joint_states"]) == 0
     table = read(csv)
     assert table.columns["q"].labels == robots.load("ur5e").joint_names
@@ -356,9 +333,7 @@ def test_a_bag_of_a_recording_has_the_joint_names_of_the_urdf(run_path: Path, tm
         )
 
 
-def test_of_a_log_without_a_description_the_robot_is_named(
-    run_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_of_a_log_without_a_description_the_robot_is_named(run_path: Path, tmp_path: Path, command, capsys) -> None:
     csv, bag = tmp_path / "run.csv", tmp_path / "run.rosbag2"
     assert cli.main(["log", "export", str(run_path), str(csv)]) == 0
     assert cli.main(["log", "export", str(csv), str(bag)]) == 0
@@ -366,8 +341,10 @@ def test_of_a_log_without_a_description_the_robot_is_named(
     assert cli.main(["log", "export", str(csv), str(bag), "--robot", "yumi_right", "--force"]) == 0
     assert names_in(bag) == {tuple(NAMES)}
     capsys.readouterr()
-    assert cli.main(["log", "export", str(csv), str(bag), "--robot", "irb120", "--force"]) == 1
-    assert "(100, 6) for robot 'irb120' of 6 joints, got (100, 7). Name the robot" in capsys.readouterr().err
+    assert (
+        "(100, 6) for robot 'irb120' of 6 joints, got (100, 7). Name the robot"
+        in command(["log", "export", csv, bag, "--robot", "irb120", "--force"], 1).err
+    )
     assert names_in(bag) == {tuple(NAMES)}, "the bag from before stays"
 
 

@@ -64,14 +64,11 @@ def arguments(port: int, *more: str) -> list[str]:
     return ["sim", "yumi_right", "--to", f"127.0.0.1:{port}", "--lockstep", "--seconds", "0.5", "--extension", *more]
 
 
-def test_a_run_writes_statistics_and_truth(
-    holding_peer: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_writes_statistics_and_truth(holding_peer: int, tmp_path: Path, command) -> None:
     operator, truth, stats = tmp_path / "push.csv", tmp_path / "truth.csv", tmp_path / "stats.json"
     operator.write_text(HEADER + "0.1,0,0,0,0,0,0\n0.2,5,0,0,0,0,0\n0.4,5,0,0,0,0,0\n", encoding="utf-8")
     files = ["--operator", str(operator), "--truth", str(truth), "--stats", str(stats)]
-    assert cli.main(arguments(holding_peer, "--seed", "3", *files)) == 0
-    said = capsys.readouterr()
+    said = command(arguments(holding_peer, "--seed", "3", *files))
     assert said.out == ""
     assert "yumi_right: 0.504 s, 125 packets, 125 replies, 0 starved, 1 sessions" in said.err
     counted = json.loads(stats.read_text(encoding="utf-8"))["yumi_right"]
@@ -133,7 +130,7 @@ def test_abb_defaults_do_not_replace_what_was_given(holding_peer: int, monkeypat
         (["--axes", "6", "--program", "lead-through", "--rapid", "undefined"], "6.10", 6),
     ],
 )
-def test_flavours_from_the_command(options: list[str], robotware: str, n: int, silent: socket.socket) -> None:
+def test_flavours_from_the_command(options: list[str], robotware: str, n: int, silent: socket.socket, command) -> None:
     """One packet in real time is enough: what the codec says of it."""
     to = f"127.0.0.1:{silent.getsockname()[1]}"
     assert cli.main(["sim", "--to", to, "--seconds", "0.05", *options]) == 0
