@@ -28,7 +28,7 @@ from armlab.bridge.servers.row import RowSchema, RowWriter, read_row
 from armlab.bridge.servers.status import Watch
 from armlab.bridge.servers.zenoh.security import USERS
 from armlab.cli import main
-from armlab.cli.bridge import monitor, table, write_certificates
+from armlab.cli.bridge import table, write_certificates
 from armlab.errors import ConfigError
 from armlab.log import Tick
 from armlab.state import State
@@ -74,7 +74,7 @@ def test_set(running: Hub, command) -> None:
     assert "gain       3.5" in command(["bridge", "set"]).out
 
 
-@pytest.mark.parametrize("word", ["007", "_", "2024_", "x y", "0x", "1.2.3"])
+@pytest.mark.parametrize("word", ["007", "x y", "1.2.3"])
 def test_words_that_are_no_toml_are_texts(running: Hub, word: str) -> None:
     assert main(["bridge", "set", f"word={word}"]) == 0
     assert running.parameters.word == word
@@ -95,18 +95,15 @@ def test_refused(running: Hub, command, words: list[str], code: int, said: str) 
     assert running.parameters.gain == 2.0
 
 
-def test_stop_release_and_resume(running: Hub, command) -> None:
-    assert main(["bridge", "stop"]) == 0
+def test_stop_release_and_resume(running: Hub, command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert command(["bridge", "stop"]).out == "Done.\n"
     assert running.arbiter.stopped.startswith("local ")
-    assert main(["bridge", "release"]) == 0
-    assert command(["bridge", "resume"]).out == "Done.\n" * 3
+    for word in ("release", "resume"):
+        assert command(["bridge", word]).out == "Done.\n"
     assert running.arbiter.stopped == ""
-
-
-def test_nothing_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    for words in (["set", "a=1"], ["stop"], ["release"], ["resume"]):
-        assert "found none" in command(["bridge", *words], 1).err
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "none"))
+    for words in ("bridge set a=1", "bridge stop", "bridge release", "bridge resume", "monitor"):
+        assert "found none" in command(words.split(), 1).err
 
 
 def test_others_may_set_parameters_meanwhile(running: Hub, monkeypatch: pytest.MonkeyPatch, command) -> None:
@@ -195,22 +192,17 @@ def test_certificates_are_of_the_lab_s_authority(tmp_path: Path, capsys: pytest.
 
 
 @needs_openssl
-def test_authority_and_users_are_kept(tmp_path: Path) -> None:
+def test_authority_and_users_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_certificates(tmp_path)
     kept = {name: (tmp_path / name).read_bytes() for name in ("lab.key", "lab.pem", "users.txt", "commander.secret")}
     before = (tmp_path / "bridge.key").read_bytes()
     assert [path.name for path in write_certificates(tmp_path, ["robot-pc"])] == ["bridge.key", "bridge.pem"]
     assert {name: (tmp_path / name).read_bytes() for name in kept} == kept
     assert (tmp_path / "bridge.key").read_bytes() != before
-
-
-@needs_openssl
-def test_what_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ConfigError, match="names or addresses"):
         write_certificates(tmp_path, ["a,DNS:b"])
-    (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match="Expected a folder"):
-        write_certificates(tmp_path / "file")
+        write_certificates(tmp_path / "lab.pem")
     (tmp_path / "lab.key").write_text("no key")
     with pytest.raises(ConfigError, match="openssl to write a certificate"):
         write_certificates(tmp_path)
@@ -268,7 +260,7 @@ def test_plain_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command) -
 
     feeder = threading.Thread(target=rows, daemon=True)
     feeder.start()
-    shown = command(["monitor", "--seconds", "1"]).out
+    shown = command(["monitor", "--seconds", "0.5"]).out
     over.set()
     feeder.join()
     exchange.close()
@@ -276,5 +268,3 @@ def test_plain_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command) -
     far.close()
     assert "yumi_left, state holding" in shown
     assert "Something happened." in shown
-    assert callable(monitor)
-    assert "found none" in command(["monitor"], 1).err

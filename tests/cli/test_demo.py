@@ -128,7 +128,8 @@ def test_what_has_no_estimate_misses_the_bar_when_it_is_too_much(plan: Plan) -> 
 
 def test_figures_and_summary_are_written(monkeypatch, plan: Plan, tmp_path, model, excited) -> None:
     monkeypatch.setattr("armlab.log.read", lambda path, **_: excited.between(0.0, 4.0))
-    monkeypatch.setattr("armlab.plots.torque_fit", lambda model, table: plt.figure(figsize=(1, 1)))
+    for name in ("torque_fit", "wrench"):
+        monkeypatch.setattr(f"armlab.plots.{name}", lambda *_: plt.figure(figsize=(1, 1)))
     table = pretend(plan, noise(plan, 0.5))
     verdict = judge(table, plan)
     assert isinstance(verdict, DemoVerdict)

@@ -77,7 +77,7 @@ def test_estimates_and_exports_of_many_logs(logs: Path, model, tmp_path: Path, c
     assert f"skipped {logs / 'bad.mcap'}" in said.err
     assert (tmp_path / "new/one_estimate.mcap").is_file()
     assert "--force" in command(words, cli.WRONG_USE).err
-    told = json.loads(command([*words, "--force", "--csv", "--json"], cli.SKIPPED).out)["logs"][logs / "one.mcap"]
+    told = json.loads(command([*words, "--force", "--csv", "--json"], cli.SKIPPED).out)["logs"][str(logs / "one.mcap")]
     assert told["contacts"] == 0
     assert told["peak"] is None  # there was no contact
 

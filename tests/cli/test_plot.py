@@ -264,13 +264,11 @@ def motions() -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("kind", ["dmp", "pose", "periodic", "promp"])
-def test_every_kind_is_drawn(kind: str, tmp_path: Path, capsys) -> None:
+def test_every_kind_is_drawn(kind: str, drawn: dict[str, Any], tmp_path: Path, command) -> None:
     shown = log.write(Table(T_MOTION, {"q": Q, "T_base_tool": POSES}), tmp_path / "taught.csv")
     primitive = motions()[kind].save(tmp_path / "motion.toml")
-    assert main(["plot", "dmp", str(primitive), str(shown)]) == 0
-    assert (tmp_path / "motion_dmp.png").stat().st_size > 1000
-    assert capsys.readouterr().out == f"{tmp_path / 'motion_dmp.png'}\n"
-    plt.close("all")
+    assert command(["plot", "dmp", primitive, shown]).out == f"{tmp_path / 'motion_dmp.png'}\n"
+    assert len(drawn["motion_dmp.png"].axes) > 1
 
 
 def test_phase_plane_and_names(tmp_path: Path, command) -> None:
@@ -280,35 +278,36 @@ def test_phase_plane_and_names(tmp_path: Path, command) -> None:
     pose = motions()["pose"].save(tmp_path / "pose.toml")
     taught = log.write(Table(T_MOTION, {"q": Q}), tmp_path / "taught.csv")
     for words, sentence in {
-        ("dmp_phase", str(primitive), "-o", str(tmp_path / "b.svg")): "--force",
-        ("dmp_phase", str(pose)): "pose_dmp",
-        ("two_dof", str(pose), str(taught)): "primitive of joints",
+        ("dmp_phase", primitive, "-o", tmp_path / "b.svg"): "--force",
+        ("dmp_phase", pose): "pose_dmp",
+        ("two_dof", pose, taught): "primitive of joints",
     }.items():
         assert sentence in command(["plot", *words], 2).err
     plt.close("all")
 
 
-def test_a_run_that_waited_is_drawn(tmp_path: Path, command) -> None:
+def test_a_run_that_waited_is_drawn(tmp_path: Path, drawn: dict[str, Any], command) -> None:
     law = motions()["two_dof"]
     run = law.simulate(T_MOTION)
     columns = {"path": run.yc, "path_qd": run.ycd, "path_qdd": run.ycdd, "path_error": run.e, "qdd_ref": run.ydd_ref}
-    units = dict.fromkeys(("path", "path_error"), "rad") | {"path_qd": "rad/s"}
-    units |= dict.fromkeys(("path_qdd", "qdd_ref"), "rad/s^2")
     values = columns | {"q": run.ya, "qd": run.yad, "phase": run.x, "tau_a": run.tau_a, "frozen": run.frozen * 1.0}
-    described = {name: Column(unit=unit) for name, unit in units.items()}
-    described |= {"phase": Column(unit="1"), "tau_a": Column(unit="s"), "frozen": Column(unit="1")}
-    recording = log.write(Table(T_MOTION, values, described), tmp_path / "run.csv")
-    primitive = law.save(tmp_path / "law.toml")
-    words = ["plot", "two_dof", str(primitive), str(recording), "--joints", "1,2"]
-    assert main([*words, "--disturbed", "0.2,0.4", "--duration", "1", "--goal", "0.84,1"]) == 0
-    assert (tmp_path / "run_two_dof.png").stat().st_size > 1000
-    assert "START,END" in command([*words, "--disturbed", "0.2", "--force"], 2).err
-    plt.close("all")
+    units = {"path": "rad", "path_error": "rad", "path_qd": "rad/s", "path_qdd": "rad/s^2", "qdd_ref": "rad/s^2"}
+    units |= {"phase": "1", "tau_a": "s", "frozen": "1"}
+    table = Table(T_MOTION, values, {name: Column(unit=unit) for name, unit in units.items()})
+    words = [
+        "plot",
+        "two_dof",
+        law.save(tmp_path / "law.toml"),
+        log.write(table, tmp_path / "run.csv"),
+        "--joints",
+        "1,2",
+    ]
+    command([*words, "--disturbed", "0.2,0.4", "--duration", "1", "--goal", "0.84,1"])
+    assert len(drawn["run_two_dof.png"].axes) == 3
+    assert "START,END" in command([*words, "--disturbed", "0.2"], 2).err
 
 
-def test_an_arm_at_home_and_through_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
-    found = {}
-    monkeypatch.setattr("armlab.cli.plot.options.save_figure", lambda figure, path: found.update({path.name: figure}))
+def test_an_arm_at_home_and_through_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drawn) -> None:
     monkeypatch.chdir(tmp_path)
     arm = robots.load("irb2400")
     q = np.linspace(np.zeros(6), np.ones(6), 20)
@@ -319,9 +318,8 @@ def test_an_arm_at_home_and_through_a_log(tmp_path: Path, monkeypatch: pytest.Mo
     assert main(["plot", "workspace", "irb2400"]) == 0
     assert main(["plot", "manipulability", "irb2400", str(run), "--of", "rotation"]) == 0
     for name, at in (("irb2400_robot.png", arm.q_home), ("run_robot.png", q[-2])):
-        (line,) = [line for line in found[name].lines if line.get_gid() == "arm"]
+        (line,) = [line for line in drawn[name].lines if line.get_gid() == "arm"]
         assert np.array_equal(np.stack(line.get_data_3d(), axis=1), stick(arm, at))
-    assert any(line.get_gid() == "path" for line in found["run_robot.png"].lines)
-    assert found["irb2400_workspace.png"].axes[0].get_title(loc="left").startswith("irb2400")
-    assert "rad/s" in found["run_manipulability.png"].get_title()
-    plt.close("all")
+    assert any(line.get_gid() == "path" for line in drawn["run_robot.png"].lines)
+    assert drawn["irb2400_workspace.png"].axes[0].get_title(loc="left").startswith("irb2400")
+    assert "rad/s" in drawn["run_manipulability.png"].get_title()

@@ -127,7 +127,7 @@ def written(path: Path) -> int:
             return 0
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.slow)])
 def test_a_recording_that_is_ended_from_outside(tmp_path: Path, number: signal.Signals) -> None:
     """Only a process that is killed outright may lose packets, those that it had not taken up."""
     (port,), path = free_ports(1), tmp_path / "run.mcap"
@@ -177,7 +177,7 @@ def test_a_full_disk(tmp_path: Path, streaming: Any, capsys: Any, monkeypatch: p
     monkeypatch.setattr(f"armlab.log.recording.file.RecordingFile.{step}", full)
     (port,) = free_ports(1)
     streaming(Streaming("yumi_left", port))
-    words = ["--port", str(port), "-o", str(tmp_path / "run.mcap"), "--seconds", "0.4"]
+    words = ["--port", str(port), "-o", str(tmp_path / "run.mcap"), "--seconds", "0.2"]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the log is not finished
         assert main(["record", "yumi_left", *words]) == 1

@@ -45,7 +45,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_controller_of_a_file_moves_the_arm_and_is_recorded(folder: Path, command) -> None:
-    words = ["--link", "sim://yumi_left?lockstep=true", "--log", "sway", "--seconds", "2"]
+    words = ["--link", "sim://yumi_left?lockstep=true", "--log", "sway", "--seconds", "1.2"]
     (folder / "code" / "sine.py").rename(folder / "code" / "sine.v2.py")
     said = command(["run", "yumi_left", "code/sine.v2.py:sine", *words])
     assert "Ended: the time is up." in said.out
@@ -179,7 +179,7 @@ def busy() -> Iterator[None]:
 def test_no_run_on_a_busy_computer_is_faster_than_allowed(tmp_path: Path) -> None:
     robot, file = robots.load("yumi_right"), tmp_path / "fast.py"
     file.write_text(CONTROLLER)
-    for k in range(5):
+    for k in range(3):
         folder = tmp_path / str(k)
         folder.mkdir()
         command = f"run yumi_right {file}:fast --seconds 1.5 --speed 0.5 --log {folder}/"

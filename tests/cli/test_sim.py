@@ -165,6 +165,7 @@ def test_a_simulator_whose_parent_is_gone_before_it_looks_ends(silent: socket.so
         silent.recvfrom(65535)
 
 
+@pytest.mark.slow  # as Ctrl-C, of which test_main tells
 def test_sim_ends_cleanly_when_terminated(tmp_path: Path, silent: socket.socket) -> None:
     stats = tmp_path / "stats.json"
     words = arguments(silent.getsockname()[1], "--stats", str(stats))

@@ -39,11 +39,7 @@ def test_a_port_that_is_taken(alone: None, capsys: Any) -> None:
     assert "is taken. Choose another: --port" in capsys.readouterr().err
 
 
-def test_without_the_extra(alone: None, monkeypatch: pytest.MonkeyPatch, command) -> None:
-    monkeypatch.setitem(sys.modules, "viser", None)
-    assert "pip install 'armlab[live]'" in command(["view", "--live"], 1).err
-
-
+@pytest.mark.slow  # `beside` below starts one too
 def test_ctrl_c_ends_it_without_a_traceback(alone: None) -> None:
     words = [sys.executable, "-m", "armlab", "view", "--live", "--port", "0"]
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}

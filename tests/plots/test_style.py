@@ -8,7 +8,7 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armlab.errors import ConfigError
@@ -30,6 +30,7 @@ def test_a_backend_that_turns_interactive_while_drawing_stays_so() -> None:
         mpl.interactive(was)
 
 
+@settings(max_examples=20)
 @given(st.integers(0, 99_999), st.integers(0, 99_999))
 def test_an_envelope_keeps_every_spike_and_every_gap(spike: int, hole: int) -> None:
     t, y = np.arange(100_000.0), np.zeros(100_000)
@@ -88,7 +89,7 @@ def test_one_legend_for_all() -> None:
     assert ax.get_legend() is not None
 
 
-@pytest.mark.parametrize(("name", "rows"), [("axis_{}", 1), ("shoulder_pan_joint_{}", 3), ("{}" + 300 * "x", 7)])
+@pytest.mark.parametrize(("name", "rows"), [("shoulder_pan_joint_{}", 3), ("{}" + 300 * "x", 7)])
 def test_a_legend_is_as_wide_as_the_figure_at_most(name: str, rows: int) -> None:
     with panels(1, 1, width=6.4) as (figure, axes):
         for i in range(7):

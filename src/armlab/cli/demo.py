@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,6 +16,7 @@ from cyclopts import Parameter
 
 import armlab
 from armlab.cli.support.output import aligned, note, progress, result
+from armlab.cli.view import beside
 from armlab.errors import ConfigError, ControllerLate, LogError, UnknownName
 
 if TYPE_CHECKING:
@@ -166,7 +166,8 @@ def rehearse(robot_name: str, seed: int, folder: Path, fast: bool, view: bool = 
     with ExitStack() as stack:
         cell = f"demo-{os.getpid()}" if view else ""
         if view:
-            stack.enter_context(_shown(cell))
+            result(stack.enter_context(beside(cell)))  # the view can hold up nothing
+            sys.stdout.flush()
         with progress("1/3 excite") as tell:
             controller = plan.excitation.controller(APPROACH)
             seconds = APPROACH + plan.excitation.seconds
@@ -200,17 +201,6 @@ def _estimating(plan: Plan, estimator: Estimator) -> Any:
         return replace(move(state), record=record)
 
     return step
-
-
-@contextmanager
-def _shown(cell: str) -> Iterator[None]:
-    """Show in the browser what links offer under this name; the view can hold none of them up."""
-    from armlab.cli.view import beside
-
-    with beside(cell) as line:
-        result(line)
-        sys.stdout.flush()
-        yield
 
 
 def _drive(robot: Robot, url: str, controller: Any, seconds: float, path: Path, tell: Any, cell: str) -> Any:

@@ -63,9 +63,9 @@ def show(file: Path, *, json: Json = False, parameters: bool = False) -> None:
         else:
             tables = {name or "": armlab.log.read(file, robot=name, progress=tell) for name in robots}
     if json:
-        print_json(data_of(file, kind, held, tables))
+        print_json(_data(file, kind, held, tables))
     else:
-        result(text_of(file, kind, held, tables))
+        result(_text(held, tables) if held else _exchanged_text(file, kind, tables))
 
 
 @log.command(help_epilogue="Example: armlab log export run.mcap run.mat")
@@ -238,27 +238,26 @@ def open_(file: Path, *, rerun: bool = False, foxglove: bool = False, plotjuggle
         foxglove: Open it there.
         plotjuggler: Open it there.
     """
-    check_finished(file)
+    if not armlab.log.inspect(file).finished:
+        raise LogError(
+            f"Expected a finished recording, got {file}, which was cut off, and which other programs do not open. Make "
+            f"it whole: armlab log recover {file}."
+        )
     wanted = [name for name, is_on in (("foxglove", foxglove), ("plotjuggler", plotjuggler), ("rerun", rerun)) if is_on]
     viewer, program = chosen(wanted)
     note(f"Opening {file} in {viewer.title}: {program}.{viewer.remark}")
-    return FAILED if started(viewer, program, file) else 0
+    return FAILED if subprocess.run([program, *viewer.arguments, str(file.absolute())], check=False).returncode else 0
 
 
 _EVENTS_SHOWN = 20
 
 
-def data_of(file: Path, kind: str, held: Inspection | None, tables: Mapping[str, Table]) -> dict[str, Any]:
+def _data(file: Path, kind: str, held: Inspection | None, tables: Mapping[str, Table]) -> dict[str, Any]:
     """Return what is shown of a log, for scripts."""
     told = [_table_data(table) for table in tables.values()]
     several = "robots" if held and held.robots else "tables"
     rows = told[0] if list(tables) == [""] else {several: dict(zip(tables, told, strict=True))}
     return {"file": str(file), **rows, **(_recording_data(held) if held else {"format": kind})}
-
-
-def text_of(file: Path, kind: str, held: Inspection | None, tables: Mapping[str, Table]) -> str:
-    """Return what is shown of a log, for people; see `data_of`."""
-    return _text(held, tables) if held else _exchanged_text(file, kind, tables)
 
 
 def parameters_text(held: Inspection) -> str:
@@ -419,15 +418,6 @@ VIEWERS = {
 }
 
 
-def check_finished(file: Path) -> None:
-    """Check that a file is a recording that was finished: these programs need its end."""
-    if not armlab.log.inspect(file).finished:
-        raise LogError(
-            f"Expected a finished recording, got {file}, which was cut off, and which other programs do not open. Make "
-            f"it whole: armlab log recover {file}."
-        )
-
-
 def chosen(wanted: Sequence[str]) -> tuple[Viewer, str]:
     """Return the program to open a recording with, and where it is."""
     if len(wanted) > 1:
@@ -441,8 +431,3 @@ def chosen(wanted: Sequence[str]) -> tuple[Viewer, str]:
     missing = "; ".join(f"{VIEWERS[name].title}: {VIEWERS[name].source}" for name in wanted or VIEWERS)
     what = VIEWERS[wanted[0]].title if wanted else "Foxglove, PlotJuggler or Rerun"
     raise MissingExtra(f"Expected {what} on the PATH, got {there}. How to get it: {missing}.")
-
-
-def started(viewer: Viewer, program: str, file: Path) -> int:
-    """Run a program on a file until it ends, and return its exit code."""
-    return subprocess.run([program, *viewer.arguments, str(file.absolute())], check=False).returncode

@@ -84,9 +84,7 @@ def _urls(port: str | None, arms: list[Robot]) -> list[str]:
     """Return one link per arm, on all network interfaces."""
     if not arms:
         raise ConfigError("Expected the name of a robot, got none. Try `armlab record yumi_left -o run.mcap`.")
-    if port is None:
-        return [f"egm://0.0.0.0:{number}" for number in known_ports(arms)]
-    numbers = ports_in(port)
+    numbers = known_ports(arms) if port is None else ports_in(port)
     if len(numbers) != len(arms):
         raise ConfigError(f"Expected one port per robot, such as --port 6511,6512, got {port!r} for {len(arms)}.")
     return [f"egm://0.0.0.0:{number}" for number in numbers]

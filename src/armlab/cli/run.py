@@ -69,7 +69,8 @@ def run(
         note(_CHECKS)
     with armlab.bridge.connect(urls, arms) as end:
         options: dict[str, Any] = {"wait": wait or known.wait, "limits": limits, "extra": extra, "feeds": [Narrator()]}
-        options["attachments"] = _attached(controller)
+        file = None if controller is None else _file_and_name(controller)[0]
+        options["attachments"] = {} if file is None else {file.name: file.read_bytes()}
         try:
             done = end.run(step, seconds, record=base, **options)
         except KeyboardInterrupt:
@@ -125,13 +126,6 @@ def _file_and_name(place: str) -> tuple[Path, str]:
     """Return what ``FILE.py:NAME`` or ``FILE.py`` names."""
     file, _, name = place.partition(".py:")
     return Path(f"{file}.py" if name else place), name or _NAME
-
-
-def _attached(controller: str | None) -> dict[str, bytes]:
-    if controller is None:
-        return {}
-    path, _ = _file_and_name(controller)
-    return {path.name: path.read_bytes()}
 
 
 def _raised_at(error: Exception) -> str:

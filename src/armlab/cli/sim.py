@@ -6,7 +6,7 @@ import contextlib
 import json as json_format
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -94,10 +94,6 @@ class PacketOptions:
             raise ConfigError(f"Expected names of robots or --axes, got both: {', '.join(robots)} and {self.axes}.")
         return (_AXES[self.axes],) * count if self.axes else tuple(robots)
 
-    @property
-    def left_out(self) -> list[str]:
-        return [name.strip() for name in self.fields.split(",") if name.strip()]
-
 
 @dataclass(frozen=True)
 class SurroundingOptions:
@@ -175,7 +171,10 @@ def _read(path: Path, names: Sequence[str], what: str) -> np.ndarray:
     for number, line in enumerate(lines, start=2):
         if not line.strip():
             continue
-        row = _numbers(line.split(","))
+        try:
+            row = [float(word) for word in line.split(",")]
+        except ValueError:
+            row = []
         if len(row) != len(names) or not all(math.isfinite(value) for value in row):
             raise ConfigError(f"Expected {len(names)} numbers in line {number} of {path}, got {line[:_SHOWN]!r}.")
         if rows and row[0] <= rows[-1][0]:
@@ -184,14 +183,6 @@ def _read(path: Path, names: Sequence[str], what: str) -> np.ndarray:
             )
         rows.append(row)
     return np.array(rows).reshape(len(rows), len(names))
-
-
-def _numbers(words: Iterable[str]) -> list[float]:
-    """Return the words as numbers; nothing when one of them is none."""
-    try:
-        return [float(word) for word in words]
-    except ValueError:
-        return []
 
 
 class TextFile:
@@ -398,7 +389,7 @@ class _SharedOptions:
         packets = PacketBuilder(
             codec,
             settings.period,
-            fields=content.left_out,
+            fields=[name.strip() for name in content.fields.split(",") if name.strip()],
             phase=index * self.phase,
             force=content.force,
             torque_reference=is_rw7 and settings.level == 0 and not settings.only_streams,

@@ -73,13 +73,10 @@ def view(
         )
     if len(what) > 1:
         raise ConfigError(f"Expected one arm with --live, got {', '.join(what)}. Leave them out to see all arms.")
-    _watch(what[0] if what else None, cell, zenoh, known, port)
-
-
-def _watch(arm: str | None, cell: str, zenoh: str, models: Sequence[TorqueModel], port: int | None) -> None:
     from armlab.live.live_bridge import watch
 
-    watch(arm, cell=cell, zenoh=zenoh, models=models, port=port, opened=_open, tell=note)
+    arm = what[0] if what else None
+    watch(arm, cell=cell, zenoh=zenoh, models=known, port=port, opened=_open, tell=note)
 
 
 def _watch_fleet(url: str, port: int | None) -> None:

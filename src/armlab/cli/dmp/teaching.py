@@ -136,12 +136,8 @@ def text_of(kind: str, found: Fit[Any], demos: int) -> str:
     count = "" if kind == "promp" else f" with {found.n} samples"
     head = f"{kind}: {length} of {size} coordinates from {shown}{count}; {told['kernels']} kernels"
     names = ("x", "y", "z", "turn x", "turn y", "turn z") if kind == "pose" else [str(i + 1) for i in range(size)]
-    columns: dict[str, Sequence[float]] = {
-        "joints": {"start": value.y0, "goal": value.g} if kind == "joints" else {},
-        "periodic": {"baseline": value.g} if kind == "periodic" else {},
-        "promp": {key: told[f"{key}_sd"] for key in ("start", "goal")} if kind == "promp" else {},
-        "pose": {},
-    }[kind]
+    keys = {"joints": ("start", "goal"), "periodic": ("baseline",), "promp": ("start_sd", "goal_sd"), "pose": ()}[kind]
+    columns: dict[str, Sequence[float]] = {key.removesuffix("_sd"): told[key] for key in keys}
     titles = [f"{name} differs by (sd)" if kind == "promp" else name for name in columns]
     rows = [("coordinate", *titles, "motion off by (RMS)")]
     rows += [

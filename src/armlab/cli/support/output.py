@@ -43,11 +43,8 @@ def aligned(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))] if rows else []
     lines = []
     for row in rows:
-        words = [
-            word.rjust(width) if i in right else word.ljust(width)
-            for i, (word, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        lines.append("  ".join(words).rstrip())
+        words = enumerate(zip(row, widths, strict=True))
+        lines.append("  ".join(word.rjust(n) if i in right else word.ljust(n) for i, (word, n) in words).rstrip())
     return "\n".join(lines)
 
 
