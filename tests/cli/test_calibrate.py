@@ -156,10 +156,8 @@ def test_accelerometer(tmp_path: Path, command) -> None:
     ][3]
     assert scale["name"] == "scale"
     assert scale["value"] == pytest.approx(1.0, abs=0.01)
-    assert (
-        "mirrored or the sign is reversed"
-        in command(["calibrate", "accelerometer", tmp_path / "s.mat", "--gravity", "0", "0", "9.81"], 1).err
-    )
+    said = command(["calibrate", "accelerometer", tmp_path / "s.mat", "--gravity", "0", "0", "9.81"], 1).err
+    assert "mirrored or the sign is reversed" in said
 
 
 def test_what_cannot_be_calibrated_is_a_sentence_and_writes_nothing(files: Path, tmp_path: Path, command) -> None:
@@ -257,10 +255,8 @@ def test_distances_from_a_point_that_is_roughly_known(nominal: str, tmp_path: Pa
     assert values["length offset"] == pytest.approx(0.25, abs=2e-3)
     assert found["excitation"]["rank"] == 25
     assert "first guess of the fixed point" in command(["calibrate", *words], 2).err
-    assert (
-        "Expected 1 numbers for --noise (distance: m), got 2"
-        in command(["calibrate", *words[:3], "--noise", "5e-5", "1e-4", *there], 2).err
-    )
+    said = command(["calibrate", *words[:3], "--noise", "5e-5", "1e-4", *there], 2).err
+    assert "Expected 1 numbers for --noise (distance: m), got 2" in said
 
 
 def test_distances_between_samples_of_several_files(nominal: str, tmp_path: Path, command, run) -> None:
@@ -340,8 +336,7 @@ def test_two_arms_that_hold_each_other(tmp_path: Path, command, run) -> None:
     assert "one of pose, position, absolute_a" in command(["calibrate", "dual-arm", *arms, path], 1).err
     q = joined(pair)
     held = samples_csv(tmp_path / "held.csv", {"q_a": q[0], "q_b": q[1]})
-    assert (
-        "overall scale" in command(["calibrate", "dual-arm", *arms, held, "--closed", "--noise", "1e-4", "2e-4"], 1).err
-    )
-    found = run(["dual-arm", *arms, held, "--closed", "--noise", "1e-4", "2e-4", "--weak", "prior"])
+    words = ["dual-arm", *arms, held, "--closed", "--noise", "1e-4", "2e-4"]
+    assert "overall scale" in command(["calibrate", *words], 1).err
+    found = run([*words, "--weak", "prior"])
     assert any("overall scale" in name for name in found["excitation"]["held"])

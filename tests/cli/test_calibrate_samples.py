@@ -179,10 +179,8 @@ def test_several_files_are_fitted_together_and_named(tmp_path: Path, command) ->
     assert [source.split()[0] for source in joined["sources"]] == ["one.mat", "two.mat"]
     assert all(source in out.read_text(encoding="utf-8") for source in joined["sources"])
     assert "two.mat sha256" in page.read_text(encoding="utf-8")
-    assert (
-        json.loads(command(["calibrate", "hand-eye", tmp_path / "all.mat", "--json"]).out)["parameters"]
-        == joined["parameters"]
-    )
+    whole = json.loads(command(["calibrate", "hand-eye", tmp_path / "all.mat", "--json"]).out)
+    assert whole["parameters"] == joined["parameters"]
     assert models.load(out, "hand_eye").setup == "eye_to_hand"
 
 

@@ -112,10 +112,8 @@ def test_prior_and_point_reach_the_estimator(pushed: str, command) -> None:
 def test_the_model_of_another_arm_and_a_file_of_another_kind_are_refused(pushed: str, truth, tmp_path, command) -> None:
     assert "yumi_left" in command(["estimate", "yumi_right", "push.mcap", "--model", pushed], 2).err
     other = models.save(truth.robot, tmp_path / "load.toml")
-    assert (
-        f"Expected a file of kind 'torque_model' at {other}, got 'robot'."
-        in command(["estimate", "yumi_left", "push.mcap", "--model", other], 2).err
-    )
+    said = command(["estimate", "yumi_left", "push.mcap", "--model", other], 2).err
+    assert f"Expected a file of kind 'torque_model' at {other}, got 'robot'." in said
 
 
 def test_gaps_are_named(pushed: str, truth, monkeypatch, command) -> None:

@@ -21,9 +21,8 @@ def port() -> int:
 
 
 def test_a_router_says_where_it_listens(port: int, command) -> None:
-    assert (
-        command(["fleet", "router", "--port", port, "--seconds", "0"]).err == f"zenoh router at tcp/127.0.0.1:{port}\n"
-    )
+    said = command(["fleet", "router", "--port", port, "--seconds", "0"]).err
+    assert said == f"zenoh router at tcp/127.0.0.1:{port}\n"
 
 
 def test_an_empty_fleet(port: int, tmp_path: Path, command) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -122,12 +123,46 @@ def test_typed_ports() -> None:
             ports_in(wrong)
 
 
-def test_ports_of_the_settings_belong_to_robots(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+def test_ports_of_the_settings_belong_to_robots(home: Path) -> None:
     left, right = robots.load("yumi_left"), robots.load("yumi_right")
     assert known_ports([left]) == [6510]
     assert known_ports([left, right]) == [6511, 6512]
     Path("armlab.toml").write_text("[ports]\nyumi_right = 7000\n")
     assert known_ports([right]) == [7000]
     assert known_ports([left, right]) == [6511, 7000]
+
+
+CELL = """
+[[robots]]
+name = "yumi_left"
+link = "sim://yumi_left"
+speed = 0.3
+"""
+
+
+def test_settings_and_cell_with_their_origins(home: Path, command, monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("cell.toml").write_text(CELL)
+    Path("armlab.toml").write_text("speed = 0.2\n")
+    monkeypatch.setenv("ARMLAB_WAIT", "block")
+    before = {path: path.read_bytes() for path in Path().iterdir()}
+    said = command(["config", "show", "--origin", "--config", "cell.toml"]).out
+    rows = {line.split()[0]: line.split()[1:] for line in said.splitlines()[1:]}
+    assert rows["speed"] == ["0.2", "armlab.toml"]
+    assert rows["wait"] == ['"block"', "$ARMLAB_WAIT"]
+    assert rows["logs"] == ['"."', "default"]
+    assert rows["cell"] == ['"cell.toml"', "--config"]
+    assert rows["cell.robots[0].speed"] == ["0.3", "cell.toml"]
+    assert rows["cell.robots[0].extension"] == ["false", "default"]
+    assert rows["cell.name"] == ['"cell"', "default"]
+    assert {path: path.read_bytes() for path in Path().iterdir()} == before
+
+
+def test_settings_and_cell_as_json(home: Path, command) -> None:
+    Path("cell.toml").write_text(CELL)
+    Path("armlab.toml").write_text('cell = "cell.toml"\n')
+    found = {
+        one["name"]: (one["value"], one["origin"]) for one in json.loads(command(["config", "show", "--json"]).out)
+    }
+    assert found["cell"] == ("cell.toml", "armlab.toml")
+    assert found["cell.robots[0].link"] == ("sim://yumi_left", "cell.toml")
+    assert "speed                     1.0\n" in command(["config", "show"]).out

@@ -80,7 +80,8 @@ def run(
             note(_raised_at(error))
             raise
         finally:
-            _tell_files(end)
+            for path in _files(end):
+                note(f"log: {path}; look at it: armlab log show {path}")
     result(done.report())
     if interactive:
         _prompt(done, end)
@@ -165,11 +166,6 @@ def _files(link: Link) -> list[Path]:
     last = link.last
     runs = () if last is None else last.arms or (last,)
     return [one.path for one in runs if one.path is not None and one.path.exists()]
-
-
-def _tell_files(link: Link) -> None:
-    for path in _files(link):
-        note(f"log: {path}; look at it: armlab log show {path}")
 
 
 def _report_of_logs(link: Link) -> None:

@@ -56,7 +56,10 @@ def friction(fit: Fit[TorqueModel], table: Table | None = None, ax: Any = None) 
             half = np.geomspace(1e-4, 1.0, 200) * (peak if peak > 0 else 1.0)
             qd = np.concatenate([-half[::-1], half])
             if table is not None:
-                _points(panel, model, table, i)
+                every = max(1, len(table) // _POINTS)
+                speeds = table["qd"][::every]
+                shown = _curve(model, speeds) - table["tau_error"][::every]  # what the model has, plus what it misses
+                cloud(panel, speeds[:, i], shown[:, i], "measured")
             grid = np.repeat(qd[:, None], n, axis=1)
             torque = _curve(model, grid)[:, i]
             known = _parameter_variance(fit, i, qd)
@@ -77,13 +80,6 @@ def _curve(model: TorqueModel, qd: np.ndarray) -> np.ndarray:
 def _sign(model: TorqueModel, qd: np.ndarray) -> np.ndarray:
     smooth = model.friction.smooth_speed
     return np.where(smooth > 0, np.tanh(qd / np.where(smooth > 0, smooth, 1.0)), np.sign(qd))
-
-
-def _points(panel: Any, model: TorqueModel, table: Table, i: int) -> None:
-    """Draw the friction that each row shows: what the model has, plus what it misses."""
-    every = max(1, len(table) // _POINTS)
-    qd = table["qd"][::every]
-    cloud(panel, qd[:, i], (_curve(model, qd) - table["tau_error"][::every])[:, i], "measured")
 
 
 def _parameter_variance(fit: Fit[TorqueModel], i: int, qd: np.ndarray) -> np.ndarray:
@@ -228,7 +224,8 @@ def spectrum(
         for panel, i in zip(axes[:, 0], shown, strict=True):
             q, qd = without.data.q[::every, i], without.data.qd[::every, i]
             gear = 0.5 * model.ripple.cycles[i]
-            cycles = _cycles(q, 2.0 * gear)
+            step = 0.5 * np.pi / max(float(np.ptp(q)), 1e-3)  # as close as the range of the motion can tell apart
+            cycles = np.arange(_SLOWEST, _BEYOND * max(2.0 * gear, _UNGEARED), step)
             slow = without.data.rate / 4.0 / np.maximum(np.abs(qd) / (2 * np.pi), 1e-9)  # cycles per turn
             for found, color, label in ((without, GREY, "without"), (with_ripple, MODEL, "with")):
                 amplitude = _amplitude(q, found.y[::every, i], cycles, slow)
@@ -242,12 +239,6 @@ def spectrum(
         axes[-1, 0].set_xlabel("cycles per joint turn")
         legend(figure, axes[0, 0])
     return figure
-
-
-def _cycles(q: np.ndarray, line: float) -> np.ndarray:
-    """Return the cycles per turn to look at: as close as the range of the motion can tell apart."""
-    step = 0.25 * 2 * np.pi / max(float(np.ptp(q)), 1e-3)
-    return np.arange(_SLOWEST, _BEYOND * max(line, _UNGEARED), step)
 
 
 def _amplitude(q: np.ndarray, y: np.ndarray, cycles: np.ndarray, most: np.ndarray) -> np.ndarray:

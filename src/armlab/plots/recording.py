@@ -55,7 +55,9 @@ def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes
         raise UnknownName.among("column to draw", " or ".join(_USUAL), data.names)
     quantities: dict[str, list[str]] = {}
     for name in names:
-        _check(data, name)
+        count = 0 if data[name].dtype.kind == "U" else _components(data, name)
+        if not 0 < count <= _MOST_COMPONENTS:
+            raise ShapeError(f"Expected numbers, at most {_MOST_COMPONENTS} per row, to draw in {name}, got {count}.")
         quantities.setdefault(_quantity(name), []).append(name)
     split = flag(split, "split of a drawn table")
     parts = [
@@ -120,12 +122,6 @@ def _quantity(name: str) -> str:
 
 def _components(data: Table, name: str) -> int:
     return int(np.prod(data[name].shape[1:]))
-
-
-def _check(data: Table, name: str) -> None:
-    count = 0 if data[name].dtype.kind == "U" else _components(data, name)
-    if not 0 < count <= _MOST_COMPONENTS:
-        raise ShapeError(f"Expected numbers, at most {_MOST_COMPONENTS} per row, to draw in {name}, got {count}.")
 
 
 def poses(T: ArrayLike, t: ArrayLike | None = None, *, rotation: bool = True, ax: Any = None) -> Axes | Figure:
@@ -203,6 +199,7 @@ def latency(table: Table, ax: Any = None) -> Axes:
     low, high = 10 ** np.floor(np.log10(shortest)), 10 ** np.ceil(np.log10(longest * 1.001))
     bins = np.geomspace(low, high, max(round(np.log10(high / low) * _BINS_PER_DECADE), 2))
     words = EngFormatter("s")
+    counts = [f"{int(np.nansum(table[name]))} {name}" for name in ("missed", "late") if name in table]
     with single(ax, width=7.5, height=3.8) as (_, panel):
         for (name, values), (color, _) in zip(spans.items(), JOINT_STYLES, strict=False):
             numbers = "  ".join(f"{label} {words(float(f'{np.quantile(values, p):.3g}'))}" for label, p in _QUANTILES)
@@ -212,7 +209,7 @@ def latency(table: Table, ax: Any = None) -> Axes:
         panel.set_yscale("log")
         panel.set_ylim(0.7, 8.0 * panel.get_ylim()[1])  # room for the legend
         panel.xaxis.set_major_formatter(words)
-        panel.set(xlabel="time [s]", ylabel="ticks", title=_counts(table))
+        panel.set(xlabel="time [s]", ylabel="ticks", title=", ".join([f"{len(table)} ticks", *counts]))
         panel.legend(loc="upper right")
     return panel
 
@@ -233,11 +230,3 @@ def _spans(table: Table) -> dict[str, np.ndarray]:
     if not any(map(len, kept.values())):
         raise ShapeError(f"Expected times of a loop above zero, got none in {len(table)} rows. Draw a log of a run.")
     return {name: values for name, values in kept.items() if len(values)}
-
-
-def _counts(table: Table) -> str:
-    words = [f"{len(table)} ticks"]
-    for name in ("missed", "late"):
-        if name in table:
-            words.append(f"{int(np.nansum(table[name]))} {name}")
-    return ", ".join(words)

@@ -115,7 +115,8 @@ def taught(kind: str, demos: Sequence[Demonstration], options: Mapping[str, Any]
 def numbers_of(kind: str, found: Fit[Any], demos: int) -> dict[str, Any]:
     """Return what was found, for scripts."""
     value = found.value
-    told = {"kind": kind, "demonstrations": demos, "samples": found.n, "rms": _rms(found)}
+    told = {"kind": kind, "demonstrations": demos, "samples": found.n}
+    told["rms"] = np.sqrt((found.residuals**2).mean(axis=0))
     if kind == "periodic":
         return told | {"period": value.period, "kernels": len(value.centres), "baseline": value.g}
     told |= {"duration": value.duration}
@@ -164,7 +165,3 @@ def _moving(t: np.ndarray, y: np.ndarray, what: str) -> slice:
         raise ConfigError(f"Expected a motion in {what}, got rest. Name another log or column.")
     first, last = np.searchsorted(t, (t[moving[0]] - MARGIN, t[moving[-1]] + MARGIN))
     return slice(int(first), int(last))
-
-
-def _rms(found: Fit[Any]) -> np.ndarray:
-    return np.sqrt((found.residuals**2).mean(axis=0))

@@ -63,7 +63,8 @@ def payload(
         fit = armlab.identify.fit_payload(table, told, arm, mode, empty, gain_sd=gain)
         tell(1, 1, "done")
     verdict = _judge(fit, known, table, arm)
-    wanted.say(_numbers(fit), fit.report(), verdict)
+    load = {"mass": fit.value.mass, "centre": fit.value.centre, "pi": fit.value.pi}
+    wanted.say({**load, "parameters": parameters(fit), "samples": fit.n}, fit.report(), verdict)
     if output is not None:
         note(f"load: {fit.save(output)}")
     about = f"{log.name} of {arm.name}, model {model.name}, mode {mode}."
@@ -72,11 +73,6 @@ def payload(
         lambda _: _page(fit, known, table, verdict, about),
     )
     return 0
-
-
-def _numbers(fit: Fit[Payload]) -> dict[str, Any]:
-    load = fit.value
-    return {"mass": load.mass, "centre": load.centre, "pi": load.pi, "parameters": parameters(fit), "samples": fit.n}
 
 
 def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> Verdict:

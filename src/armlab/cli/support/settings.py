@@ -98,14 +98,9 @@ def _of_environment(variables: Mapping[str, str]) -> list[tuple[str, dict[str, A
         name = variable.removeprefix(PREFIX).lower()
         value: Any = variables[variable]
         if name == "ports":
-            value = dict(_pair(word) for word in value.split(",") if word)
+            value = dict(word.strip().partition("=")[::2] for word in value.split(",") if word)
         found.append((variable, _checked({name: value}, f"${variable}", Path(), strict=False)))
     return found
-
-
-def _pair(word: str) -> tuple[str, str]:
-    name, _, port = word.strip().partition("=")
-    return name, port
 
 
 def _checked(given: dict[str, Any], origin: str, folder: Path, strict: bool) -> dict[str, Any]:
