@@ -45,7 +45,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_controller_of_a_file_moves_the_arm_and_is_recorded(folder: Path, command) -> None:
-    words = ["--link", "sim://yumi_left?lockstep=true", "--log", "sway", "--seconds", "1.2"]
+    words = ["--link", "sim://yumi_left?lockstep=true", "--log", "sway", "--seconds", "2"]
     (folder / "code" / "sine.py").rename(folder / "code" / "sine.v2.py")
     said = command(["run", "yumi_left", "code/sine.v2.py:sine", *words])
     assert "Ended: the time is up." in said.out
