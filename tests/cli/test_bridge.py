@@ -28,7 +28,7 @@ from armlab.bridge.servers.row import RowSchema, RowWriter, read_row
 from armlab.bridge.servers.status import Watch
 from armlab.bridge.servers.zenoh.security import USERS
 from armlab.cli import main
-from armlab.cli.bridge import monitor, table, write_certificates
+from armlab.cli.bridge import table, write_certificates
 from armlab.errors import ConfigError
 from armlab.log import Tick
 from armlab.state import State
@@ -67,16 +67,14 @@ def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
     far.close()
 
 
-def test_set(running: Hub, capsys: Any) -> None:
-    assert main(["bridge", "set", "gain=3.5", "word=hello"]) == 0
-    shown = capsys.readouterr().out
+def test_set(running: Hub, command) -> None:
+    shown = command(["bridge", "set", "gain=3.5", "word=hello"]).out
     assert re.search(r"gain +3.5 +N/m +Stiffness. +local \d", shown)
     assert (running.parameters.gain, running.parameters.word) == (3.5, "hello")
-    assert main(["bridge", "set"]) == 0
-    assert "gain       3.5" in capsys.readouterr().out
+    assert "gain       3.5" in command(["bridge", "set"]).out
 
 
-@pytest.mark.parametrize("word", ["007", "_", "2024_", "x y", "0x", "1.2.3"])
+@pytest.mark.parametrize("word", ["007", "x y", "1.2.3"])
 def test_words_that_are_no_toml_are_texts(running: Hub, word: str) -> None:
     assert main(["bridge", "set", f"word={word}"]) == 0
     assert running.parameters.word == word
@@ -92,29 +90,23 @@ def test_words_that_are_no_toml_are_texts(running: Hub, word: str) -> None:
         (["word=99999999999999999999"], 2, "an integer of 64 bits"),
     ],
 )
-def test_refused(running: Hub, capsys: Any, words: list[str], code: int, said: str) -> None:
-    assert main(["bridge", "set", *words]) == code
-    assert said in capsys.readouterr().err
+def test_refused(running: Hub, command, words: list[str], code: int, said: str) -> None:
+    assert said in command(["bridge", "set", *words], code).err
     assert running.parameters.gain == 2.0
 
 
-def test_stop_release_and_resume(running: Hub, capsys: Any) -> None:
-    assert main(["bridge", "stop"]) == 0
+def test_stop_release_and_resume(running: Hub, command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert command(["bridge", "stop"]).out == "Done.\n"
     assert running.arbiter.stopped.startswith("local ")
-    assert main(["bridge", "release"]) == 0
-    assert main(["bridge", "resume"]) == 0
-    assert capsys.readouterr().out == "Done.\n" * 3
+    for word in ("release", "resume"):
+        assert command(["bridge", word]).out == "Done.\n"
     assert running.arbiter.stopped == ""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "none"))
+    for words in ("bridge set a=1", "bridge stop", "bridge release", "bridge resume", "monitor"):
+        assert "found none" in command(words.split(), 1).err
 
 
-def test_nothing_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    for words in (["set", "a=1"], ["stop"], ["release"], ["resume"]):
-        assert main(["bridge", *words]) == 1
-        assert "found none" in capsys.readouterr().err
-
-
-def test_others_may_set_parameters_meanwhile(running: Hub, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_others_may_set_parameters_meanwhile(running: Hub, monkeypatch: pytest.MonkeyPatch, command) -> None:
     """What is shown is what this program set, not the first echo that comes."""
     taken = running._take
 
@@ -127,29 +119,26 @@ def test_others_may_set_parameters_meanwhile(running: Hub, monkeypatch: pytest.M
         taken(outlet, data)
 
     monkeypatch.setattr(running, "_take", set_another_first)
-    assert main(["bridge", "set", "gain=3.5"]) == 0
-    assert re.search(r"gain +3.5", capsys.readouterr().out)
+    assert re.search(r"gain +3.5", command(["bridge", "set", "gain=3.5"]).out)
 
 
-def test_a_request_without_an_answer(running: Hub, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_a_request_without_an_answer(running: Hub, monkeypatch: pytest.MonkeyPatch, command) -> None:
     """Events and reports go on: it must not wait for ever."""
     monkeypatch.setattr(running, "answer", lambda client, text: None)
     monkeypatch.setattr("armlab.cli.bridge._PATIENCE", 0.05)
     noise = threading.Timer(0.1, lambda: running.event("Still here."))
     noise.start()
-    assert main(["bridge", "resume"]) == 1
-    assert "to answer within 0.05 s" in capsys.readouterr().err
+    assert "to answer within 0.05 s" in command(["bridge", "resume"], 1).err
     noise.join()
 
 
-def test_the_report_comes_also_with_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_the_report_comes_also_with_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command) -> None:
     """The code of the exit is that of the error."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr("armlab.bridge.link.Loop.run", lambda loop: loop._fail(ValueError("odd")))
     path = tmp_path / "cell.toml"
     path.write_text(CELL.replace("sim://yumi_left", "egm://127.0.0.1:0"))
-    assert main(["bridge", "--config", str(path)]) == 1
-    shown = capsys.readouterr()
+    shown = command(["bridge", "--config", path], 1)
     assert "Ended: the bridge failed." in shown.out
     assert "Rows to the server local: 0. To its clients: none." in shown.out
     assert "ValueError: odd" in shown.err
@@ -203,22 +192,17 @@ def test_certificates_are_of_the_lab_s_authority(tmp_path: Path, capsys: pytest.
 
 
 @needs_openssl
-def test_authority_and_users_are_kept(tmp_path: Path) -> None:
+def test_authority_and_users_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_certificates(tmp_path)
     kept = {name: (tmp_path / name).read_bytes() for name in ("lab.key", "lab.pem", "users.txt", "commander.secret")}
     before = (tmp_path / "bridge.key").read_bytes()
     assert [path.name for path in write_certificates(tmp_path, ["robot-pc"])] == ["bridge.key", "bridge.pem"]
     assert {name: (tmp_path / name).read_bytes() for name in kept} == kept
     assert (tmp_path / "bridge.key").read_bytes() != before
-
-
-@needs_openssl
-def test_what_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ConfigError, match="names or addresses"):
         write_certificates(tmp_path, ["a,DNS:b"])
-    (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match="Expected a folder"):
-        write_certificates(tmp_path / "file")
+        write_certificates(tmp_path / "lab.pem")
     (tmp_path / "lab.key").write_text("no key")
     with pytest.raises(ConfigError, match="openssl to write a certificate"):
         write_certificates(tmp_path)
@@ -257,7 +241,7 @@ def test_the_table() -> None:
         assert word in text
 
 
-def test_plain_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_plain_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command) -> None:
     """Without a terminal: a line per arm and second, and the events."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     exchange = Hub([LEFT], [OPERATOR])
@@ -276,8 +260,7 @@ def test_plain_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: An
 
     feeder = threading.Thread(target=rows, daemon=True)
     feeder.start()
-    assert main(["monitor", "--seconds", "1"]) == 0
-    shown = capsys.readouterr().out
+    shown = command(["monitor", "--seconds", "0.5"]).out
     over.set()
     feeder.join()
     exchange.close()
@@ -285,6 +268,3 @@ def test_plain_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: An
     far.close()
     assert "yumi_left, state holding" in shown
     assert "Something happened." in shown
-    assert callable(monitor)
-    assert main(["monitor"]) == 1
-    assert "found none" in capsys.readouterr().err

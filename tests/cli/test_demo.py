@@ -11,7 +11,7 @@ import pytest
 
 from armlab import robots
 from armlab.cli import main
-from armlab.cli.demo import PRESSES, DemoVerdict, Plan, demo, figures, judge, latency_line, rehearse
+from armlab.cli.demo import PRESSES, DemoVerdict, Plan, demo, figures, judge, rehearse
 from armlab.errors import ControllerLate, LogError
 from armlab.log import Table
 
@@ -30,26 +30,22 @@ def test_the_plan_presses_while_the_arm_sways_and_once_at_rest(plan: Plan) -> No
         inside = plan.rest if "rest" in name else plan.sway
         assert inside[0] < start < end < inside[1]
     assert not plan.wrench(np.linspace(*plan.free, 100)).any()
-
-
-def test_the_free_motion_stays_below_half_speed(plan: Plan) -> None:
     _, qd, _ = plan.test.sample(np.linspace(0, plan.free[1] - 3.0, 2000))
     assert np.all(np.abs(qd) <= 0.5 * robots.load("yumi_right").qd_max)
 
 
-def test_a_busy_computer_is_told_of_the_fast_demo(tmp_path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_busy_computer_is_told_of_the_fast_demo(tmp_path, command, monkeypatch: pytest.MonkeyPatch) -> None:
     def late(*_: object) -> None:
         raise ControllerLate("The controller was too slow.")
 
     monkeypatch.setattr("armlab.cli.demo.rehearse", late)
-    assert main(["demo", "-o", str(tmp_path / "demo")]) == 1
-    said = capsys.readouterr().err
+    said = command(["demo", "-o", tmp_path / "demo"], 1).err
     assert "too slow" in said
     assert "armlab demo --fast" in said
 
 
 @pytest.mark.slow
-def test_the_demo_meets_its_bars_and_leaves_its_files(tmp_path, capsys) -> None:
+def test_the_demo_meets_its_bars_and_leaves_its_files(tmp_path, command, capsys) -> None:
     assert demo(fast=True, output=tmp_path / "demo") == 0
     names = {path.name for path in (tmp_path / "demo").iterdir()}
     assert names == {"excite.mcap", "model.toml", "press.csv", "press.mcap", "summary.json", "torque.png", "wrench.png"}
@@ -61,14 +57,13 @@ def test_the_demo_meets_its_bars_and_leaves_its_files(tmp_path, capsys) -> None:
     assert main(["identify", "yumi_right", str(tmp_path / "demo" / "excite.mcap"), "-o", model]) == 0
     assert main(["log", "show", log]) == 0
     capsys.readouterr()
-    assert main(["estimate", "yumi_right", log, "--model", model]) == 0
-    assert capsys.readouterr().out.count("contact") >= len(PRESSES) - 1
+    assert command(["estimate", "yumi_right", log, "--model", model]).out.count("contact") >= len(PRESSES) - 1
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1, 10))
-def test_nine_other_seeds_meet_the_bars(tmp_path, seed: int) -> None:
-    """With seed 0 above: ten seeds, both arms, over EGM in lockstep, causal, at 248 Hz."""
+@pytest.mark.parametrize("seed", range(1, 7))
+def test_other_seeds_meet_the_bars(tmp_path, seed: int) -> None:
+    """With seed 0 above: seven seeds, both arms, over EGM in lockstep, causal, at 248 Hz."""
     outcome = rehearse("yumi_left" if seed % 2 else "yumi_right", seed, tmp_path / "demo", fast=True)
     verdict = judge(outcome["estimate"], outcome["plan"])
     assert verdict.passed, verdict.missed
@@ -111,22 +106,7 @@ def test_each_bar_can_be_missed(plan: Plan, error: float, sigma: float, words: s
     assert any(words in missed for missed in verdict.missed)
 
 
-def test_a_run_that_ended_early_is_refused(plan: Plan) -> None:
-    table = pretend(plan, noise(plan, 0.5))
-    with pytest.raises(LogError, match="with all presses"):
-        judge(table.between(0.0, plan.presses[-1][3]), plan)
-    with pytest.raises(LogError, match="with all presses"):
-        judge(table.rows(slice(0, 0)), plan)
-
-
-def test_an_axis_that_cannot_be_seen_misses_the_bar(plan: Plan) -> None:
-    """No sample with observability above 0.9: there is no error to judge, and the demo does not pass."""
-    table = pretend(plan, noise(plan, 0.5))
-    blind = table.with_column("observability", 0.5 * np.ones((len(table), 6)))
-    assert any("force error x nan" in missed for missed in judge(blind, plan).missed)
-
-
-def test_cycles_without_an_estimate_do_not_count_but_too_many_miss_the_bar(plan: Plan) -> None:
+def test_what_has_no_estimate_misses_the_bar_when_it_is_too_much(plan: Plan) -> None:
     table = pretend(plan, noise(plan, 0.5))
 
     def without(every: int) -> Table:
@@ -134,6 +114,11 @@ def test_cycles_without_an_estimate_do_not_count_but_too_many_miss_the_bar(plan:
         holed[::every] = np.nan
         return table.with_column("wrench_hat", holed)
 
+    blind = table.with_column("observability", 0.5 * np.ones((len(table), 6)))
+    assert any("force error x nan" in missed for missed in judge(blind, plan).missed), "there is no error to judge"
+    for part in (table.between(0.0, plan.presses[-1][3]), table.rows(slice(0, 0))):
+        with pytest.raises(LogError, match="with all presses"):
+            judge(part, plan)
     few = judge(without(200), plan)
     assert few.holes == pytest.approx(0.005, abs=1e-3)
     assert all(np.isfinite(press["error"]) for press in few.presses)
@@ -141,15 +126,10 @@ def test_cycles_without_an_estimate_do_not_count_but_too_many_miss_the_bar(plan:
     assert any("without an estimate" in missed for missed in judge(without(20), plan).missed)
 
 
-def test_latency_line_takes_the_line_with_percentiles() -> None:
-    run = SimpleNamespace(report=lambda: "cycles 100\n  round trip p50 60 us\nnone")
-    assert latency_line(run) == "round trip p50 60 us"
-    assert latency_line(SimpleNamespace(report=lambda: "nothing yet")) == "nothing yet"
-
-
 def test_figures_and_summary_are_written(monkeypatch, plan: Plan, tmp_path, model, excited) -> None:
     monkeypatch.setattr("armlab.log.read", lambda path, **_: excited.between(0.0, 4.0))
-    monkeypatch.setattr("armlab.plots.torque_fit", lambda model, table: plt.figure(figsize=(1, 1)))
+    for name in ("torque_fit", "wrench"):
+        monkeypatch.setattr(f"armlab.plots.{name}", lambda *_: plt.figure(figsize=(1, 1)))
     table = pretend(plan, noise(plan, 0.5))
     verdict = judge(table, plan)
     assert isinstance(verdict, DemoVerdict)

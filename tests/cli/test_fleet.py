@@ -20,20 +20,17 @@ def port() -> int:
         return probe.getsockname()[1]
 
 
-def test_a_router_says_where_it_listens(port: int, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["fleet", "router", "--port", str(port), "--seconds", "0"]) == 0
-    assert capsys.readouterr().err == f"zenoh router at tcp/127.0.0.1:{port}\n"
+def test_a_router_says_where_it_listens(port: int, command) -> None:
+    said = command(["fleet", "router", "--port", port, "--seconds", "0"]).err
+    assert said == f"zenoh router at tcp/127.0.0.1:{port}\n"
 
 
-def test_an_empty_fleet(port: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_empty_fleet(port: int, tmp_path: Path, command) -> None:
     with Router(port=port):
         where = ["--router", f"127.0.0.1:{port}"]
-        assert cli.main(["fleet", "list", *where, "--seconds", "0"]) == 0
-        assert capsys.readouterr().out == "No robot is there.\n"
-        assert cli.main(["fleet", "list", *where, "--json"]) == 0
-        assert json.loads(capsys.readouterr().out) == []
-        assert cli.main(["fleet", "record", *where, "-o", str(tmp_path / "new"), "--seconds", "0"]) == 0
-        assert capsys.readouterr().out == "No robot came.\n"
+        assert command(["fleet", "list", *where, "--seconds", "0"]).out == "No robot is there.\n"
+        assert json.loads(command(["fleet", "list", *where, "--json"]).out) == []
+        assert command(["fleet", "record", *where, "-o", tmp_path / "new", "--seconds", "0"]).out == "No robot came.\n"
     assert threading.active_count() < 20  # what listened has ended
 
 
@@ -47,21 +44,19 @@ def logs(truth, excited, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
 
 
 @pytest.mark.slow  # 5 s beside other work
-def test_the_robot_is_the_one_of_the_recordings_and_skipped_logs_are_named(logs: Path, truth, capsys) -> None:
+def test_the_robot_is_the_one_of_the_recordings_and_skipped_logs_are_named(logs: Path, truth, command) -> None:
     model = logs.parent / "model.toml"
     words = ["fleet", "identify", str(logs), "-o", str(model)]
-    assert cli.main([*words, "--json"]) == cli.SKIPPED
-    said = json.loads(capsys.readouterr().out)
+    said = json.loads(command([*words, "--json"], cli.SKIPPED).out)
     assert said["used"] == [str(logs / "one.mcap")]
     assert list(said["skipped"]) == [str(logs / "bad.mcap")]
     assert len(said["parameters"]) > 20
     assert models.load(model).robot_name == truth.robot.name
     assert len(list((logs.parent / "cache/armlab/sums").iterdir())) == 1
-    assert cli.main(words) == cli.WRONG_USE
-    assert "--force" in capsys.readouterr().err
+    assert "--force" in command(words, cli.WRONG_USE).err
 
 
-def test_bad_input(logs: Path, tmp_path: Path, capsys) -> None:
+def test_bad_input(logs: Path, tmp_path: Path, command) -> None:
     (logs / "one.mcap").unlink()
     words = ["fleet", "identify", str(logs), "-o", str(tmp_path / "model.toml")]
     for more, code, sentence in (
@@ -69,29 +64,24 @@ def test_bad_input(logs: Path, tmp_path: Path, capsys) -> None:
         (["--robot", "yumi_left"], cli.FAILED, "a log that can be used among 1, got none"),
         (["--robot", "yumi_left", "--workers", "0"], cli.WRONG_USE, "at least one worker, got 0"),
     ):
-        assert cli.main([*words, *more]) == code
-        assert sentence in capsys.readouterr().err
+        assert sentence in command([*words, *more], code).err
     assert not (tmp_path / "model.toml").exists()
 
 
-def test_estimates_and_exports_of_many_logs(logs: Path, model, tmp_path: Path, capsys) -> None:
+def test_estimates_and_exports_of_many_logs(logs: Path, model, tmp_path: Path, command) -> None:
     models.save(model, tmp_path / "model.toml")
     words = ["fleet", "estimate", str(logs), "--model", str(tmp_path / "model.toml"), "-o", str(tmp_path / "new")]
-    assert cli.main(words) == cli.SKIPPED
-    said = capsys.readouterr()
+    said = command(words, cli.SKIPPED)
     assert "2-sigma [N]" in said.out
     assert f"skipped {logs / 'bad.mcap'}" in said.err
     assert (tmp_path / "new/one_estimate.mcap").is_file()
-    assert cli.main(words) == cli.WRONG_USE
-    assert "--force" in capsys.readouterr().err
-    assert cli.main([*words, "--force", "--csv", "--json"]) == cli.SKIPPED
-    told = json.loads(capsys.readouterr().out)["logs"][str(logs / "one.mcap")]
+    assert "--force" in command(words, cli.WRONG_USE).err
+    told = json.loads(command([*words, "--force", "--csv", "--json"], cli.SKIPPED).out)["logs"][str(logs / "one.mcap")]
     assert told["contacts"] == 0
     assert told["peak"] is None  # there was no contact
 
     words = ["fleet", "export", str(logs), "--format", "csv", "-o", str(tmp_path / "text"), "--json"]
-    assert cli.main(words) == cli.SKIPPED
-    (path,) = json.loads(capsys.readouterr().out)["files"].values()
+    (path,) = json.loads(command(words, cli.SKIPPED).out)["files"].values()
     assert log.read(path).sha256 == log.read(logs / "one.mcap").sha256
 
 

@@ -12,15 +12,10 @@ import pytest
 
 from armlab import cli
 from armlab._interrupts import deferred
-from armlab.cli import main
 from armlab.errors import LogError
 
 
-def run(*words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", "armlab", *words], capture_output=True, text=True, timeout=60)
-
-
-def test_help_imports_no_command() -> None:
+def test_help_imports_no_command(command) -> None:
     code = (
         "import sys\nfrom armlab.cli import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
         "print([m for m in sys.modules if m.startswith(('armlab.', 'numpy')) and m != 'armlab.cli'], file=sys.stderr)"
@@ -31,12 +26,11 @@ def test_help_imports_no_command() -> None:
         assert name in result.stdout
 
 
-def test_wrong_use_is_2_and_an_error_1_each_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_use_is_2_and_an_error_1_each_in_one_line(command) -> None:
     """A name that does not exist is wrong use, as a word that is missing; a file that cannot be read is a failure."""
     assert cli.main(["robot", "show"]) == cli.WRONG_USE
     assert cli.main(["robot", "show", "yumi_rihgt"]) == cli.WRONG_USE
-    assert cli.main(["log", "show", "no_such_log.mcap"]) == cli.FAILED
-    lines = capsys.readouterr().err.splitlines()
+    lines = command(["log", "show", "no_such_log.mcap"], cli.FAILED).err.splitlines()
     assert len(lines) == 3
     assert "--name requires an argument" in lines[0]
     assert "Did you mean 'yumi_right'?" in lines[1]
@@ -54,35 +48,26 @@ def test_wrong_use_is_2_and_an_error_1_each_in_one_line(capsys: pytest.CaptureFi
     ],
 )
 def test_errors_become_sentences(
-    error: BaseException,
-    code: int,
-    said: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    error: BaseException, code: int, said: str, monkeypatch: pytest.MonkeyPatch, command
 ) -> None:
     def fail(_words: list[str]) -> int:
         raise error
 
     monkeypatch.setattr(cli, "_run", fail)
-    assert cli.main(["demo"]) == code
-    captured = capsys.readouterr().err
+    captured = command(["demo"], code).err
     assert said in captured
     assert "Traceback" not in captured
-    assert cli.main(["demo", "--debug"]) == code
-    assert ("Traceback" in capsys.readouterr().err) is not isinstance(error, KeyboardInterrupt)
+    assert ("Traceback" in command(["demo", "--debug"], code).err) is not isinstance(error, KeyboardInterrupt)
 
 
-def test_an_interrupt_while_a_compiled_module_loads(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_interrupt_while_a_compiled_module_loads(monkeypatch: pytest.MonkeyPatch, command) -> None:
     def fail(_words: list[str]) -> int:
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
         raise ImportError("initialization failed")
 
     monkeypatch.setattr(cli, "_run", fail)
-    assert cli.main(["sim"]) == cli.INTERRUPTED
-    assert capsys.readouterr().err == "armlab: interrupted.\n"
+    assert command(["sim"], cli.INTERRUPTED).err == "armlab: interrupted.\n"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -113,34 +98,13 @@ def test_termination_is_an_interrupt(number: signal.Signals, monkeypatch: pytest
     assert signal.getsignal(number) is before
 
 
-def test_the_number_a_command_returns_is_the_exit_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    app = cli.build_app()
-    app.command(lambda: cli.SKIPPED, name="partly")
-    monkeypatch.setattr(cli, "build_app", lambda _verb: app)
-    assert cli.main(["partly"]) == cli.SKIPPED
-
-
 @pytest.mark.parametrize("columns", [60, 160])
-def test_help_fills_the_terminal(
-    columns: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_help_fills_the_terminal(columns: int, command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", str(columns))
-    assert main(["run", "--help"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = command(["run", "--help"]).out.splitlines()
     assert max(map(len, lines)) <= columns
     first = next(line for line in lines if line.startswith("The file needs"))
     assert len(first) > columns - 15
-
-
-@pytest.fixture(scope="module")
-def script(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The script for bash, in a file."""
-    import contextlib
-
-    path = tmp_path_factory.mktemp("completion") / "armlab"
-    with path.open("w") as file, contextlib.redirect_stdout(file):
-        assert main(["completion", "bash"]) == 0
-    return path
 
 
 def completed(script: Path, *words: str) -> list[str]:
@@ -155,22 +119,22 @@ def completed(script: Path, *words: str) -> list[str]:
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash on this computer")
-def test_bash_completes_verbs_subcommands_options_and_values(script: Path) -> None:
+def test_bash_completes_verbs_subcommands_options_and_values(command, tmp_path: Path) -> None:
+    script = tmp_path / "armlab"
+    script.write_text(command(["completion", "bash"]).out)
     subprocess.run(["bash", "-n", str(script)], check=True, timeout=60)
     assert completed(script, "armlab", "i") == ["identify"]
-    assert set(completed(script, "armlab", "")) >= {"demo", "sim", "run", "record", "bridge", "robot", "config"}
     assert set(completed(script, "armlab", "robot", "")) >= {"list", "show", "convert"}
     assert completed(script, "armlab", "identify", "--grav") == ["--gravity-only"]
     assert completed(script, "armlab", "identify", "--method", "w") == ["wls"]
 
 
+@pytest.mark.slow  # 2 s
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
-def test_other_shells(shell: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert main(["completion", shell]) == 0
-    text = capsys.readouterr().out
+def test_other_shells(shell: str, command, tmp_path: Path) -> None:
+    text = command(["completion", shell]).out
     assert "armlab" in text
     assert "identify" in text
-    program = shutil.which(shell)
-    if program:
+    if program := shutil.which(shell):
         (tmp_path / "script").write_text(text)
         subprocess.run([program, "-n", str(tmp_path / "script")], check=True, timeout=60)

@@ -8,13 +8,11 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from armlab import log, robots
-from armlab.cli import main
 from armlab.cli.run import load_controller
 from armlab.errors import ConfigError
 
@@ -46,11 +44,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_controller_of_a_file_moves_the_arm_and_is_recorded(folder: Path, capsys: Any) -> None:
+def test_a_controller_of_a_file_moves_the_arm_and_is_recorded(folder: Path, command) -> None:
     words = ["--link", "sim://yumi_left?lockstep=true", "--log", "sway", "--seconds", "2"]
     (folder / "code" / "sine.py").rename(folder / "code" / "sine.v2.py")
-    assert main(["run", "yumi_left", "code/sine.v2.py:sine", *words]) == 0
-    said = capsys.readouterr()
+    said = command(["run", "yumi_left", "code/sine.v2.py:sine", *words])
     assert "Ended: the time is up." in said.out
     assert "The robot is ready and holds." in said.err
     (path,) = folder.glob("sway-*Z.mcap")
@@ -64,79 +61,62 @@ def test_a_controller_of_a_file_moves_the_arm_and_is_recorded(folder: Path, caps
 
 
 def test_a_log_of_the_same_name_is_kept_and_the_new_name_is_told(
-    folder: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+    folder: Path, command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """And the prompt afterwards has the table, the run, and the robot."""
+    seen: dict = {}
+    monkeypatch.setattr("code.interact", lambda *_, local, **__: seen.update(local))
     monkeypatch.setattr("armlab.cli.run.time.strftime", lambda *_: "now")
     (folder / "sway-now.mcap").write_bytes(b"mine")
-    words = ["--link", "sim://yumi_left?lockstep=true", "--log", "sway", "--seconds", "0.1"]
-    assert main(["run", "yumi_left", *words]) == 0
-    assert "log: sway-now-2.mcap; look at it: armlab log show sway-now-2.mcap" in capsys.readouterr().err
+    words = ["run", "yumi_left", "--link", "sim://yumi_left?lockstep=true", "--log", "sway", "--seconds", "0.1", "-i"]
+    assert "log: sway-now-2.mcap; look at it: armlab log show sway-now-2.mcap" in command(words).err
     assert (folder / "sway-now.mcap").read_bytes() == b"mine"
+    assert (seen["log"]["q"].shape[1], seen["robot"].name, seen["run"].reason) == (7, "yumi_left", "the time is up")
 
 
-def test_a_log_that_is_not_whole_is_a_failure(folder: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_that_is_not_whole_is_a_failure(folder: Path, command, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("armlab.log.recording.file.RecordingFile.write", full)
     words = ["--link", "sim://yumi_left?lockstep=true", "--seconds", "0.5"]
-    assert main(["run", "yumi_left", *words]) == 1
-    said = capsys.readouterr()
+    said = command(["run", "yumi_left", *words], 1)
     assert "Ended: the time is up." in said.out
     assert "warning: The recording stopped" in said.err
 
 
-def test_both_arms_without_a_file_hold(folder: Path, capsys: Any) -> None:
+def test_both_arms_without_a_file_hold(folder: Path, command) -> None:
     words = ["--link", "sim://yumi_left+yumi_right?lockstep=true", "--no-log", "--seconds", "0.2"]
-    assert main(["run", "yumi_left+yumi_right", *words]) == 0
-    assert capsys.readouterr().out.count("Ended: the time is up.") == 2
+    assert command(["run", "yumi_left+yumi_right", *words]).out.count("Ended: the time is up.") == 2
     assert not list(folder.glob("*.mcap"))
 
 
-def test_a_prompt_afterwards(folder: Path) -> None:
-    command = [sys.executable, "-m", "armlab", "run", "yumi_left", "-i", "--no-log", "--seconds", "0.2"]
-    done = subprocess.run(
-        [*command, "--link", "sim://yumi_left?lockstep=true"],
-        input="print('rows', log['q'].shape[1], robot.name, run.reason)\n",
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert done.returncode == 0
-    assert "rows 7 yumi_left the time is up" in done.stdout
-
-
-def test_a_controller_that_raises_is_one_sentence(folder: Path, capsys: Any) -> None:
+def test_a_controller_that_raises_is_one_sentence(folder: Path, command) -> None:
     (folder / "bad.py").write_text("def controller(state):\n    return 1 / 0\n", encoding="utf-8")
-    assert main(["run", "yumi_left", "bad.py", "--link", "sim://yumi_left?lockstep=true", "--log", "bad"]) == 1
-    said = capsys.readouterr().err
+    said = command(["run", "yumi_left", "bad.py", "--link", "sim://yumi_left?lockstep=true", "--log", "bad"], 1).err
     assert "The controller raised ZeroDivisionError" in said
     assert "bad.py, line 2: return 1 / 0\n" in said
     assert "loop.py" not in said
     assert len(list(folder.glob("bad-*.mcap"))) == 1
 
 
-def test_an_interrupted_run_is_reported_too(folder: Path, capsys: Any) -> None:
+def test_an_interrupted_run_is_reported_too(folder: Path, command) -> None:
     (folder / "long.py").write_text(
         "import signal\ndef controller(state):\n    state.t > 0.3 and signal.raise_signal(signal.SIGINT)\n",
         encoding="utf-8",
     )
-    assert main(["run", "yumi_left", "long.py", "--link", "sim://yumi_left?lockstep=true", "--log", "long"]) == 130
-    said = capsys.readouterr()
+    said = command(["run", "yumi_left", "long.py", "--link", "sim://yumi_left?lockstep=true", "--log", "long"], 130)
     assert "Ended: interrupted." in said.out
     assert "Packets " in said.out
     assert "log: long-" in said.err
 
 
-def test_a_log_in_a_folder_has_the_name_of_the_robot(folder: Path, capsys: Any) -> None:
+def test_a_log_in_a_folder_has_the_name_of_the_robot(folder: Path, command) -> None:
     (folder / "logs").mkdir()
-    for log_option in ("logs/", "logs"):
-        words = ["--link", "sim://yumi_left?lockstep=true", "--log", log_option, "--seconds", "0"]
-        assert main(["run", "yumi_left", *words]) == 0
-        assert capsys.readouterr().out.count("Ended: the time is up.") == 1
-    assert len(list((folder / "logs").glob("yumi_left-*.mcap"))) == 2
-    assert main(["run", "yumi_left", "--log", "none/"]) == 2
-    assert "folder that exists" in capsys.readouterr().err
+    words = ["run", "yumi_left", "--link", "sim://yumi_left?lockstep=true", "--seconds", "0"]
+    assert command([*words, "--log", "logs"]).out.count("Ended: the time is up.") == 1
+    assert len(list((folder / "logs").glob("yumi_left-*.mcap"))) == 1
+    assert "folder that exists" in command(["run", "yumi_left", "--log", "none/"], 2).err
 
 
 @pytest.mark.parametrize(
@@ -163,23 +143,18 @@ def test_files_that_are_no_controllers(folder: Path, place: str, words: str) -> 
         load_controller(place)
 
 
-def test_a_run_whose_last_command_was_refused_says_so_and_fails(folder: Path, capsys: Any) -> None:
-    for name, value in (
-        ("far", "45.0"),
-        ("late", "45.0 if state.t > 0.3 else None"),
-        ("once", "45.0 if state.t < 0.1 else None"),
-    ):
-        body = f"    q = {value}\n    return q and Command(state.q * 0 + q)\n"
-        text = f"from armlab import Command\ndef {name}(state):\n{body}"
-        (folder / f"{name}.py").write_text(text, encoding="utf-8")
-    link = ["--link", "sim://yumi_left?lockstep=true", "--no-log", "--seconds", "0.5"]
-    for name in ("far", "late"):
-        assert main(["run", "yumi_left", f"{name}.py:{name}", *link]) == 1
-        said = capsys.readouterr().out
-        assert "Ended: the time is up." in said
-        assert "The last command to yumi_left was refused. Expected the first position within" in said
-    assert main(["run", "yumi_left", "once.py:once", *link]) == 0
-    assert "The last command" not in capsys.readouterr().out
+@pytest.mark.parametrize(("name", "code"), [("late", 1), ("once", 0)])
+def test_a_run_whose_last_command_was_refused_says_so_and_fails(folder: Path, command, name: str, code: int) -> None:
+    when = {"late": "state.t > 0.1", "once": "state.t < 0.1"}[name]
+    text = (
+        f"from armlab import Command\ndef {name}(state):\n    return Command(state.q * 0 + 45.0) if {when} else None\n"
+    )
+    (folder / f"{name}.py").write_text(text, encoding="utf-8")
+    link = ["--link", "sim://yumi_left?lockstep=true", "--no-log", "--seconds", "0.2"]
+    said = command(["run", "yumi_left", f"{name}.py:{name}", *link], code).out
+    assert "Ended: the time is up." in said
+    refused = "The last command to yumi_left was refused. Expected the first position within"
+    assert (refused in said) == bool(code)
 
 
 CONTROLLER = """
@@ -204,7 +179,7 @@ def busy() -> Iterator[None]:
 def test_no_run_on_a_busy_computer_is_faster_than_allowed(tmp_path: Path) -> None:
     robot, file = robots.load("yumi_right"), tmp_path / "fast.py"
     file.write_text(CONTROLLER)
-    for k in range(5):
+    for k in range(3):
         folder = tmp_path / str(k)
         folder.mkdir()
         command = f"run yumi_right {file}:fast --seconds 1.5 --speed 0.5 --log {folder}/"

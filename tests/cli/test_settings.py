@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from armlab import log, robots
+from armlab import robots
 from armlab.bridge.urls import addresses
-from armlab.cli import main
 from armlab.cli.support.options import as_given, known_ports, links_to, ports_in, simulated
 from armlab.cli.support.settings import PREFIX, UserSettings, load_settings, log_folder, read_text, user_file
 from armlab.errors import ConfigError, LogError, ShapeError, UnknownName
@@ -52,7 +51,6 @@ def test_environment_before_folder_before_user(home: Path) -> None:
     [
         ('speed = "fast"', r"Expected `float`, got `str` - at `\$\.speed`"),
         ("speed = nan", r"> 0\.0 - at `\$\.speed`"),
-        ("speed = 2", r"<= 1\.0 - at `\$\.speed`"),
         ("sped = 1", "unknown field `sped`.*Known: cell, logs, ports, speed, wait"),
         ('wait = "never"', r"Invalid enum value 'never' - at `\$\.wait`"),
         ("[ports]\na = 70000", r"at `\$\.ports"),
@@ -60,18 +58,16 @@ def test_environment_before_folder_before_user(home: Path) -> None:
         ("\udcff", "no text in UTF-8"),
     ],
 )
-def test_wrong_files_get_one_line_with_the_place(text: str, said: str, home: Path) -> None:
+def test_wrong_files_and_variables_get_one_line_with_the_place(text: str, said: str, home: Path) -> None:
     Path("armlab.toml").write_bytes(text.encode(errors="surrogateescape"))
     with pytest.raises(ConfigError, match=said) as caught:
         load_settings({})
     assert "armlab.toml" in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(("name", "value"), [("SPEED", "fast"), ("SPED", "1"), ("PORTS", "6511"), ("PORTS", "a=b")])
-def test_wrong_variables_are_named(name: str, value: str, home: Path) -> None:
-    with pytest.raises(ConfigError, match=rf"in \$ARMLAB_{name}: "):
-        load_settings({f"ARMLAB_{name}": value})
+    Path("armlab.toml").unlink()
+    for name, value in (("SPEED", "fast"), ("SPED", "1"), ("PORTS", "6511"), ("PORTS", "a=b")):
+        with pytest.raises(ConfigError, match=rf"in \$ARMLAB_{name}: "):
+            load_settings({f"ARMLAB_{name}": value})
 
 
 def test_the_folder_of_logs_is_made(home: Path, tmp_path: Path) -> None:
@@ -79,11 +75,8 @@ def test_the_folder_of_logs_is_made(home: Path, tmp_path: Path) -> None:
     Path("armlab.toml").write_text('logs = "of/today"\n')
     assert log_folder().is_dir()
     assert (tmp_path / "work" / "of" / "today").is_dir()
-
-
-def test_text_with_or_without_a_byte_order_mark(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes("\ufeffspeed = 1 # µ".encode())
-    assert read_text(tmp_path / "a", "settings") == "speed = 1 # µ"
+    assert read_text(tmp_path / "a", "settings") == "speed = 1 # µ", "without its byte order mark"
 
 
 def test_what_the_library_refuses_of_the_words_is_wrong_use() -> None:
@@ -123,17 +116,6 @@ def test_another_arm_is_refused_also_of_the_same_name(changed: robots.Robot) -> 
     assert links_to("a+b", [scara(), scara()], "egm://h:1,egm://h:2") == ["egm://h:1", "egm://h:2"]
 
 
-def test_commands_simulate_the_file(changed: robots.Robot, capsys: Any) -> None:
-    words = ["--link", "sim://my%20arm%3f.toml?lockstep=true", "--log", "home", "--seconds", "0.1"]
-    assert main(["run", "my arm?.toml", *words]) == 0
-    (path,) = Path().glob("home-*.mcap")
-    assert log.read(path)["q"][0] == pytest.approx(changed.q_home, abs=1e-6)
-    capsys.readouterr()
-    for command, option in (("run", "--link"), ("excite", "--run")):
-        assert main([command, "my arm?.toml", option, "sim://irb120"]) == 2
-        assert "another arm" in capsys.readouterr().err
-
-
 def test_typed_ports() -> None:
     assert ports_in("6511, 6512") == [6511, 6512]
     for wrong in ("", "egm", "6511,", "0", "65536", "-1", "6511.0", "\u0661"):
@@ -141,12 +123,46 @@ def test_typed_ports() -> None:
             ports_in(wrong)
 
 
-def test_ports_of_the_settings_belong_to_robots(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+def test_ports_of_the_settings_belong_to_robots(home: Path) -> None:
     left, right = robots.load("yumi_left"), robots.load("yumi_right")
     assert known_ports([left]) == [6510]
     assert known_ports([left, right]) == [6511, 6512]
     Path("armlab.toml").write_text("[ports]\nyumi_right = 7000\n")
     assert known_ports([right]) == [7000]
     assert known_ports([left, right]) == [6511, 7000]
+
+
+CELL = """
+[[robots]]
+name = "yumi_left"
+link = "sim://yumi_left"
+speed = 0.3
+"""
+
+
+def test_settings_and_cell_with_their_origins(home: Path, command, monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("cell.toml").write_text(CELL)
+    Path("armlab.toml").write_text("speed = 0.2\n")
+    monkeypatch.setenv("ARMLAB_WAIT", "block")
+    before = {path: path.read_bytes() for path in Path().iterdir()}
+    said = command(["config", "show", "--origin", "--config", "cell.toml"]).out
+    rows = {line.split()[0]: line.split()[1:] for line in said.splitlines()[1:]}
+    assert rows["speed"] == ["0.2", "armlab.toml"]
+    assert rows["wait"] == ['"block"', "$ARMLAB_WAIT"]
+    assert rows["logs"] == ['"."', "default"]
+    assert rows["cell"] == ['"cell.toml"', "--config"]
+    assert rows["cell.robots[0].speed"] == ["0.3", "cell.toml"]
+    assert rows["cell.robots[0].extension"] == ["false", "default"]
+    assert rows["cell.name"] == ['"cell"', "default"]
+    assert {path: path.read_bytes() for path in Path().iterdir()} == before
+
+
+def test_settings_and_cell_as_json(home: Path, command) -> None:
+    Path("cell.toml").write_text(CELL)
+    Path("armlab.toml").write_text('cell = "cell.toml"\n')
+    found = {
+        one["name"]: (one["value"], one["origin"]) for one in json.loads(command(["config", "show", "--json"]).out)
+    }
+    assert found["cell"] == ("cell.toml", "armlab.toml")
+    assert found["cell.robots[0].link"] == ("sim://yumi_left", "cell.toml")
+    assert "speed                     1.0\n" in command(["config", "show"]).out

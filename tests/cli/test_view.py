@@ -39,12 +39,7 @@ def test_a_port_that_is_taken(alone: None, capsys: Any) -> None:
     assert "is taken. Choose another: --port" in capsys.readouterr().err
 
 
-def test_without_the_extra(alone: None, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
-    monkeypatch.setitem(sys.modules, "viser", None)
-    assert main(["view", "--live"]) == 1
-    assert "pip install 'armlab[live]'" in capsys.readouterr().err
-
-
+@pytest.mark.slow  # `beside` below starts one too
 def test_ctrl_c_ends_it_without_a_traceback(alone: None) -> None:
     words = [sys.executable, "-m", "armlab", "view", "--live", "--port", "0"]
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -71,7 +66,7 @@ def log(tmp_path: Path) -> Path:
     return tmp_path / "run.csv"
 
 
-def test_a_log_is_played(log: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_a_log_is_played(log: Path, monkeypatch: pytest.MonkeyPatch, command, capsys) -> None:
     """A log that tells no robot is given one; the page has its name."""
     shown: list[Player] = []
 
@@ -80,8 +75,7 @@ def test_a_log_is_played(log: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Player, "run", run)
-    assert main(["view", str(log), "--port", "0"]) == 1
-    assert "--robot FILE" in capsys.readouterr().err
+    assert "--robot FILE" in command(["view", log, "--port", "0"], 1).err
     assert main(["view", str(log), "--robot", "yumi_left", "--port", "0"]) == 130
     assert list(shown[0].scene.robots) == ["yumi_left"]
     said = capsys.readouterr()

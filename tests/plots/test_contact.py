@@ -59,21 +59,18 @@ def test_without_covariance_and_truth(estimate: Table) -> None:
     ax = figure.axes[0]
     assert [line.get_label() for line in ax.lines] == ["sensor", "estimate"]
     assert not ax.collections
-
-
-def test_forces_alone_in_three_given_axes(estimate: Table) -> None:
     axes = plt.figure().subplots(3, 1)
     wrench(estimate, ax=axes)
     assert [ax.get_ylabel() for ax in axes] == ["f_x [N]", "f_y [N]", "f_z [N]"]
-    with pytest.raises(UnknownName, match="wrench_hat"):
-        wrench(estimate.select("wrench_true"))
-
-
-def test_a_wide_band_does_not_hide_the_forces(estimate: Table) -> None:
     cov = estimate["wrench_hat_cov"].copy()
     cov[800:] *= 1e4
-    figure = wrench(estimate.with_column("wrench_hat_cov", cov))
-    assert figure.axes[0].get_ylim()[1] < 10.0
+    wide = wrench(estimate.with_column("wrench_hat_cov", cov))
+    assert wide.axes[0].get_ylim()[1] < 10.0, "a wide band does not hide the forces"
+    for draw, column in ((wrench, "wrench_hat"), (coverage, "qd"), (observability, "observability")):
+        with pytest.raises(UnknownName, match=column):
+            draw(estimate.select("wrench_true"))
+    with pytest.raises(UnknownName, match="wrench_true or wrench"):
+        coverage(estimate.without("wrench_true").with_column("qd", np.ones((N, 2))))
 
 
 def test_guaranteed_limits_are_drawn_where_there_are_any(estimate: Table) -> None:
@@ -154,17 +151,12 @@ def test_shares_are_those_of_each_bin_of_speed(estimate_of_one_sigma: Table) -> 
         assert shares[:, k] == pytest.approx(expected)
     assert shares[:, 3:].min() > 0.92
     assert shares[:, 2].max() < 0.8
-
-
-def test_the_figure_shows_them_in_percent_beside_the_nominal_value(estimate_of_one_sigma: Table) -> None:
-    _, shares = coverage_by_speed(estimate_of_one_sigma)
     ax = coverage(estimate_of_one_sigma)
     *drawn, nominal = ax.lines
-    assert [line.get_label() for line in drawn] == ["f_x", "f_y", "f_z", "m_x", "m_y", "m_z"]
+    assert tuple(line.get_label() for line in drawn) == names
     for line, share in zip(drawn, shares, strict=True):
         assert np.asarray(line.get_ydata()) == pytest.approx(100 * share, nan_ok=True)
     assert np.asarray(nominal.get_ydata())[0] == 95.4
-    assert ax.get_ylabel() == "inside 2 sigma [%]"
     assert ax.get_xticklabels()[1].get_text() == "1 to 3 %"
     assert ax.get_ylim()[0] < 100 * np.nanmin(shares)
 
@@ -179,15 +171,6 @@ def test_torques_are_judged_joint_by_joint_over_their_own_speed(estimate_of_one_
     names, shares = coverage_by_speed(table.with_column("tau_sigma", np.full((N_COVERED, 2), 1.0), unit="N m"))
     assert names == ("a", "b")
     assert shares[:, 4] == pytest.approx(0.954, abs=0.02)
-
-
-def test_what_is_missing_is_named(estimate_of_one_sigma: Table) -> None:
-    with pytest.raises(UnknownName, match="wrench_true or wrench"):
-        coverage(estimate_of_one_sigma.without("wrench_true"))
-    with pytest.raises(UnknownName, match="qd"):
-        coverage(estimate_of_one_sigma.without("qd"))
-    with pytest.raises(UnknownName, match="observability"):
-        observability(estimate_of_one_sigma.without("observability"))
 
 
 def test_observability_over_time_with_the_weak_stretch_shaded(estimate_of_one_sigma: Table, spans) -> None:

@@ -93,40 +93,27 @@ def panels_of(drawn: Any) -> list[Axes]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_new_figure(name: str, drawing: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_figure_is_new_or_in_the_axes_of_the_caller(
+    name: str, drawing: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(plt, "show", lambda *_, **__: pytest.fail("shown"))
-    settings = dict(mpl.rcParams)
+    settings, draw, arguments = dict(mpl.rcParams), getattr(plots, name), drawing[name]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        drawn = getattr(plots, name)(*drawing[name])
+        drawn = draw(*arguments)
         panels = panels_of(drawn)
         assert isinstance(drawn, Axes) or len(panels) > 1  # one panel is returned itself
         assert len(plt.get_fignums()) == 1
         panels[0].figure.savefig(tmp_path / "a.png", dpi=30)
-    assert dict(mpl.rcParams) == settings
-    assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
-    for ax in panels:
-        assert ax.has_data()
-        assert ax.get_ylabel()
-    assert any(ax.get_xlabel() for ax in panels)
-
-
-def axes_for(name: str, count: int) -> list[Axes]:
-    """Return new axes of a figure, flat and in space as the figure `name` needs them."""
-    figure = plt.figure(figsize=(8, 8), layout="constrained")
-    in_space = IN_SPACE.get(name, (False,) * count)
-    return [figure.add_subplot(count, 1, k + 1, **(PROJECTION if in_space[k] else {})) for k in range(count)]
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_axes_of_the_caller(name: str, drawing: dict[str, Any]) -> None:
-    draw, arguments = getattr(plots, name), drawing[name]
-    count = len(panels_of(draw(*arguments)))
-    plt.close("all")
-    mine = axes_for(name, count)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+        assert dict(mpl.rcParams) == settings
+        assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
+        for ax in panels:
+            assert ax.has_data()
+            assert ax.get_ylabel()
+        assert any(ax.get_xlabel() for ax in panels)
+        plt.close("all")
+        mine, count = axes_for(name, len(panels)), len(panels)
         drawn = draw(*arguments, ax=mine[0] if count == 1 else np.array(mine))
     assert panels_of(mine[0].figure) == mine
     assert drawn is (mine[0] if isinstance(drawn, Axes) else mine[0].figure)
@@ -134,6 +121,13 @@ def test_axes_of_the_caller(name: str, drawing: dict[str, Any]) -> None:
     assert len(plt.get_fignums()) == 1
     with pytest.raises(ShapeError, match=rf"Expected (one|{count}) .*got {count + 1}"):
         draw(*arguments, ax=axes_for("", count + 1))
+
+
+def axes_for(name: str, count: int) -> list[Axes]:
+    """Return new axes of a figure, flat and in space as the figure `name` needs them."""
+    figure = plt.figure(figsize=(8, 8), layout="constrained")
+    in_space = IN_SPACE.get(name, (False,) * count)
+    return [figure.add_subplot(count, 1, k + 1, **(PROJECTION if in_space[k] else {})) for k in range(count)]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -150,18 +144,12 @@ def test_what_cannot_be_drawn_gets_a_sentence(name: str, drawing: dict[str, Any]
 OVER_TIME = ("observability", "poses", "table", "wrench", "wrenches")
 
 
-def over_time(drawn: Any) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return x and y of the lines that have a gap."""
-    lines = [line for ax in panels_of(drawn) for line in ax.lines if len(line.get_xdata()) > 10]
-    pairs = [(np.asarray(line.get_xdata()), np.asarray(line.get_ydata())) for line in lines]
-    return [(x, y) for x, y in pairs if np.isnan(y).any()]
-
-
 @pytest.mark.parametrize("name", OVER_TIME)
 def test_missing_rows_are_gaps(name: str, drawing: dict[str, Any]) -> None:
-    found = over_time(getattr(plots, name)(*drawing[name]))
+    lines = [line for ax in panels_of(getattr(plots, name)(*drawing[name])) for line in ax.lines]
+    found = [y for y in (np.asarray(line.get_ydata()) for line in lines) if len(y) > 10 and np.isnan(y).any()]
     assert len(found) >= 2
-    for _, y in found:
+    for y in found:
         assert np.isnan(y[GAP]).all()
         assert np.isfinite(y[GAP.stop :]).all()
 

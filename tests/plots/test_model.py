@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -21,7 +20,8 @@ from armlab.plots.model import autocorrelation, excitation, residual_speed, torq
 
 
 def test_each_joint_has_its_numbers(fitted: Fit[TorqueModel], excited: Table) -> None:
-    figure = torque_fit(fitted, excited)
+    labels = {"tau": Column(labels=("a", "b", "c"))}
+    figure = torque_fit(fitted, Table(excited.t, {name: excited[name] for name in excited.names}, labels))
     predicted = identify.predict(fitted.value, excited)
     assert len(figure.axes) == 6
     for i in range(3):
@@ -33,7 +33,7 @@ def test_each_joint_has_its_numbers(fitted: Fit[TorqueModel], excited: Table) ->
         assert np.array_equal(right.lines[0].get_ydata(), tau - model, equal_nan=True)
         edges = np.concatenate([path.vertices[:, 1] for path in right.collections[0].get_paths()])
         assert (edges.min(), edges.max()) == pytest.approx((-2 * np.nanmax(sigma), 2 * np.nanmax(sigma)))
-        assert left.get_title(loc="left") == f"joint {i + 1}"
+        assert left.get_title(loc="left") == "abc"[i]
         known = np.isfinite(tau - model) & np.isfinite(sigma)
         explained = 1 - np.var((tau - model)[known]) / np.var(tau[known])
         inside = np.mean(np.abs(tau - model)[known] < 2 * sigma[known])
@@ -44,22 +44,6 @@ def test_each_joint_has_its_numbers(fitted: Fit[TorqueModel], excited: Table) ->
     assert figure.axes[-1].get_xlabel() == "t [s]"
     names = [text.get_text() for text in figure.legends[0].get_texts()]
     assert names == ["measured", "model", "± 2 sigma", "measured - model"]
-
-
-def test_joints_have_the_names_of_the_log(model: TorqueModel, excited: Table) -> None:
-    values = {name: excited[name] for name in excited.names}
-    named = Table(excited.t, values, {"tau": Column(labels=("a", "b", "c"))})
-    assert [ax.get_title(loc="left") for ax in torque_fit(model, named).axes[::2]] == ["a", "b", "c"]
-
-
-def test_a_piece_too_short_to_filter_is_a_gap(model: TorqueModel, excited: Table) -> None:
-    t = excited.t.copy()
-    t[1000:] += 1.0
-    t[1050:] += 1.0
-    late = Table(t, {name: excited[name] for name in excited.names})
-    line = torque_fit(model, late).axes[0].lines[1]
-    assert np.isnan(np.asarray(line.get_ydata())[1000:1050]).all()
-    assert np.isfinite(np.asarray(line.get_ydata())[:1000]).all()
 
 
 N = 3000
@@ -101,16 +85,6 @@ def test_points_are_measured_minus_model_and_curves_two_sigma(table: Table) -> N
     assert names == ["residual", "± 2 sigma, exponential", "± 2 sigma, step"]
 
 
-def test_one_joint_in_axes_of_the_caller(table: Table) -> None:
-    ax = plt.figure().add_subplot()
-    assert residual_speed(table, joints=[2], ax=ax) is ax.figure
-    assert ax.get_title(loc="left") == "joint 3"
-    with pytest.raises(ShapeError, match="from 0 to 2"):
-        residual_speed(table, joints=[3])
-    with pytest.raises(UnknownName, match="tau_error"):
-        residual_speed(table.without("tau_error"))
-
-
 def test_the_autocorrelation_is_that_of_the_residual(table: Table) -> None:
     ax = autocorrelation(table, joints=[0, 1])
     white, coloured = (np.asarray(line.get_ydata()) for line in ax.lines)
@@ -120,23 +94,15 @@ def test_the_autocorrelation_is_that_of_the_residual(table: Table) -> None:
     x = x - x.mean()
     assert coloured[3] == pytest.approx(np.mean(x[3:] * x[:-3]) / np.mean(x * x))
     assert np.mean(np.abs(white[1:]) < 2 / np.sqrt(N)) > 0.9
+    error = table["tau_error"].copy()
+    error[7::10] = np.nan
+    torn = autocorrelation(table.with_column("tau_error", error, unit="N m"), joints=[1])
+    y = error[5:, 1] - np.nanmean(error[5:, 1])
+    expected = np.nanmean(y[4:] * y[:-4]) / np.nanmean(y * y)
+    assert np.asarray(torn.lines[0].get_ydata())[4] == pytest.approx(expected), "missing rows leave the lag as it is"
     seconds = correlation_time(x, 0.004)
     assert ax.lines[1].get_label() == f"joint 2: {1e3 * seconds:.0f} ms"
     assert ax.get_xlabel() == "lag [s]"
-
-
-def test_missing_rows_leave_the_lag_as_it_is(table: Table) -> None:
-    error = table["tau_error"].copy()
-    error[7::10] = np.nan
-    ax = autocorrelation(table.with_column("tau_error", error, unit="N m"), joints=[1])
-    x = error[5:, 1] - np.nanmean(error[5:, 1])
-    expected = np.nanmean(x[4:] * x[:-4]) / np.nanmean(x * x)
-    assert np.asarray(ax.lines[0].get_ydata())[4] == pytest.approx(expected)
-
-
-def test_too_few_rows_cannot_be_correlated(table: Table) -> None:
-    with pytest.raises(ShapeError, match="at least 10 rows"):
-        autocorrelation(table.rows(slice(0, 12)))
 
 
 def test_lines_are_the_square_root_of_the_variance() -> None:
@@ -169,13 +135,6 @@ def test_the_points_are_the_singular_values_relative_to_the_strongest() -> None:
     assert ax.get_xlabel() == "direction"
     assert [text.get_text() for text in ax.texts] == ["weak below", "refused below"]
     assert found.weakest in ax.get_title(loc="left")
-
-
-def test_without_values_it_is_refused() -> None:
-    with pytest.raises(ShapeError, match="singular values"):
-        excitation(Excitation(0, 0, np.zeros(0), "none"))
-    with pytest.raises(ShapeError, match="above zero"):
-        excitation(Excitation(0, 2, np.zeros(2), "none"))
 
 
 def test_curve_band_and_points(fitted: Fit[TorqueModel], excited: Table, truth) -> None:
@@ -275,13 +234,6 @@ def test_the_spectrum_shows_ripple_without_and_with_the_model(model: TorqueModel
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["without", "with", "line of the model"]
 
 
-def test_joints_that_are_not_there_are_refused(model: TorqueModel, excited: Table) -> None:
-    with pytest.raises(ShapeError, match="from 0 to 2"):
-        friction_map(model, 7)
-    with pytest.raises(ShapeError, match="from 0 to 2"):
-        spectrum(model, excited, joints=[-1])
-
-
 @pytest.fixture(scope="module")
 def fit():
     return calibrate.fit_hand_eye(**sim.cell(1).hand_eye(wrong=2).given, robust=True)
@@ -303,15 +255,11 @@ def test_residuals_are_in_sigma_and_wrong_samples_are_crosses(fit, drawn) -> Non
     assert [text.get_text() for text in over.get_legend().get_texts()].count("left out") == 1
 
 
-def test_quantiles_of_normal_residuals_are_near_the_line(drawn) -> None:
-    normal = drawn.axes[1]
+def test_quantiles_are_near_the_line_and_ellipses_two_sigma_with_the_truth_a_cross(fit, drawn) -> None:
+    _, normal, ellipses, _ = drawn.axes
     x, y = normal.lines[0].get_data()
     assert len(np.asarray(x)) == 3 * 28
     assert np.corrcoef(np.asarray(x), np.asarray(y))[0, 1] > 0.97
-
-
-def test_ellipses_are_two_sigma_and_the_truth_is_a_cross(fit, drawn) -> None:
-    ellipses = drawn.axes[2]
     outline, cross = ellipses.lines[:2]
     assert np.max(np.asarray(outline.get_xdata())) == pytest.approx(2 * fit.sd[0], rel=2e-3)
     assert np.asarray(cross.get_xdata()) == pytest.approx([fit.sd[0]])
@@ -343,12 +291,16 @@ def test_samples_in_which_a_kind_was_not_measured_are_left_out_of_it() -> None:
     assert np.array_equal(lengths.get_xdata(), np.arange(60, 120))
 
 
-def test_a_fit_from_a_file_has_ellipses_and_excitation(fit) -> None:
-    ellipses, told = calibration(replace(fit, residuals=np.zeros(0))).axes
-    assert ellipses.get_title(loc="left") == "two sigma, around what was found"
-    assert told.get_ylabel() == "singular value, relative"
-
-
-def test_what_cannot_be_drawn_is_refused(fit) -> None:
-    with pytest.raises(ShapeError, match="12 true parameters"):
-        calibration(fit, truth=np.zeros(3))
+def test_what_cannot_be_drawn_is_refused(fit, table: Table, model: TorqueModel, excited: Table) -> None:
+    for misuse, error, words in (
+        (lambda: calibration(fit, truth=np.zeros(3)), ShapeError, "12 true parameters"),
+        (lambda: residual_speed(table, joints=[3]), ShapeError, "from 0 to 2"),
+        (lambda: residual_speed(table.without("tau_error")), UnknownName, "tau_error"),
+        (lambda: autocorrelation(table.rows(slice(0, 12))), ShapeError, "at least 10 rows"),
+        (lambda: excitation(Excitation(0, 0, np.zeros(0), "none")), ShapeError, "singular values"),
+        (lambda: excitation(Excitation(0, 2, np.zeros(2), "none")), ShapeError, "above zero"),
+        (lambda: friction_map(model, 7), ShapeError, "from 0 to 2"),
+        (lambda: spectrum(model, excited, joints=[-1]), ShapeError, "from 0 to 2"),
+    ):
+        with pytest.raises(error, match=words):
+            misuse()

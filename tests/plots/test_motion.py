@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -35,23 +33,13 @@ T = np.linspace(0.0, 2.0, 101)
 def primitive(schedule: str = "canonical") -> Dmp:
     x = np.linspace(0.0, 1.0, 12)
     centres = np.exp(-3 * x) if schedule == "canonical" else x
-    return Dmp(
-        weights=20 * np.random.default_rng(0).normal(size=(12, 2)),
-        centres=centres,
-        widths=np.full(12, 0.1),
-        tau_d=2 / 3,
-        duration=2.0,
-        y0=np.zeros(2),
-        v0=np.zeros(2),
-        g=np.array([1.0, -0.5]),
-        extent=np.ones(2),
-        peak_acceleration=np.ones(2),
-        monotone=np.ones(2, dtype=bool),
-        schedule=schedule,
-    )
+    weights, goal = 20 * np.random.default_rng(0).normal(size=(12, 2)), np.array([1.0, -0.5])
+    shape = {"extent": np.ones(2), "peak_acceleration": np.ones(2), "monotone": np.ones(2, dtype=bool)}
+    kernels = {"weights": weights, "centres": centres, "widths": np.full(12, 0.1), "schedule": schedule}
+    return Dmp(**kernels, tau_d=2 / 3, duration=2.0, y0=np.zeros(2), v0=np.zeros(2), g=goal, **shape)
 
 
-@pytest.mark.parametrize("schedule", ["canonical", "time", "position"])
+@pytest.mark.parametrize("schedule", ["canonical", "position"])
 def test_dmp_shows_demonstration_and_rollout(schedule: str) -> None:
     made, demo = primitive(schedule), np.outer(T, [0.5, -0.25])
     figure = plot_dmp(made, (T + 3.0, demo))
@@ -86,13 +74,12 @@ def test_goals_that_change_are_drawn_and_reached() -> None:
     assert "goal" in position.get_legend_handles_labels()[1]
 
 
-def test_phase_plane_leads_from_start_to_goal(tmp_path: Path) -> None:
+def test_phase_plane_leads_from_start_to_goal() -> None:
     panel = dmp_phase(primitive())
     path = primitive().rollout(np.linspace(0.0, 3.0, 501))
     np.testing.assert_array_equal(panel.lines[0].get_xydata(), np.column_stack([path.y[:, 0], path.yd[:, 0]]))
     np.testing.assert_array_equal(panel.lines[5].get_xydata(), [[-0.5, 0.0]])
     assert (panel.get_xlabel(), panel.get_ylabel()) == (label("y"), label("yd"))
-    panel.figure.savefig(tmp_path / "phase.png")  # pyright: ignore[reportAttributeAccessIssue]
 
 
 T_POSE = np.linspace(0.0, 1.0, 201)
@@ -123,12 +110,7 @@ def test_motion_and_demonstration_are_shown_with_their_distance(taught_pose: Pos
     assert units == ["n [m]", "[rad]", "f [m]", "[rad]"]
     assert angle.get_xlabel() == "t [s]"
     assert position.get_legend_handles_labels()[1] == ["x", "y", "z", "demonstration"]
-
-
-def test_without_a_demonstration_there_are_two_panels(taught_pose: PoseDmp) -> None:
-    _, axes = plt.subplots(2, 1)
-    assert pose_dmp(taught_pose, ax=axes) is axes[0].figure
-    assert len(axes[0].lines) == 3
+    assert len(pose_dmp(taught_pose).axes) == 2
 
 
 T_TURNS = np.linspace(0.0, 4.0, 401)
@@ -211,23 +193,17 @@ def run() -> TwoDofRun:
 
 def test_two_dof_shows_arm_path_and_what_happened() -> None:
     done = run()
-    figure = two_dof(done)
-    position, error, slower = figure.axes
+    position, error, slower = two_dof(done).axes
     curves = [line.get_ydata() for line in position.lines[:6]]
     wanted = [values[:, i] for i in range(2) for values in (done.free.y, done.yc, done.ya)]
     np.testing.assert_array_equal(curves, wanted)
     np.testing.assert_array_equal([line.get_ydata() for line in error.lines[:2]], done.e.T)
     np.testing.assert_allclose(slower.lines[0].get_ydata(), done.tau_a / (2 / 3))
-    for panel in figure.axes:
+    for panel in (position, error, slower):
         (span,) = panel.patches
         assert (span.get_x(), span.get_x() + span.get_width()) == (0.5, pytest.approx(0.8))  # pyright: ignore
         assert list(panel.lines[-1].get_xdata()) == [1.2, 1.2]
-
-
-def test_chosen_coordinates_in_given_axes() -> None:
-    _, axes = plt.subplots(3, 1)
-    figure = two_dof(run(), [1], ax=axes)
-    assert figure is axes[0].figure
+    axes = two_dof(done, [1]).axes
     assert axes[0].get_legend_handles_labels()[1] == ["y2", "arm ya", "path yc", "undisturbed", "disturbed"]
     assert [line.get_linestyle() for line in axes[0].lines[:3]] == [":", "--", "-"]
     assert [panel.get_ylabel() for panel in axes] == [label("y"), label("e"), "times slower [1]"]

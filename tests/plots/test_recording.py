@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
@@ -62,19 +61,9 @@ def test_asked_and_sent_share_the_panel_dashed(data: Table, spans) -> None:
     asked, sent = (lines[i]._unscaled_dash_pattern[1] for i in (3, 6))
     assert asked[0] > sent[0]  # long and short dashes
     assert spans(ax) == [pytest.approx((1.0, 2.0))]
-    assert [text.get_text() for text in ax.get_legend().get_texts()] == [
-        "a1",
-        "a2",
-        "a3",
-        "asked",
-        "sent",
-        "limit acted",
-    ]
-
-
-def test_a_wrench_has_its_components(data: Table) -> None:
+    shown = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert shown == ["a1", "a2", "a3", "asked", "sent", "limit acted"]
     ax = table(data.with_column("wrench_hat", np.zeros((N, 6))), "wrench_hat")
-    assert isinstance(ax, Axes)
     assert ax.get_ylabel() == "wrench_hat [N, N m]"
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["f_x", "f_y", "f_z", "m_x", "m_y", "m_z"]
 
@@ -85,13 +74,6 @@ def test_one_panel_per_joint(data: Table, spans) -> None:
     for i, ax in enumerate(figure.axes):
         assert np.array_equal(drawn(ax)[0], data["tau"][:, i])
         assert len(spans(ax)) == (1 if i == 1 else 0)
-
-
-def test_a_given_axes_is_used(data: Table) -> None:
-    figure, ax = plt.subplots()
-    assert table(data, "grip", ax=ax) is ax
-    assert ax.get_ylabel() == "grip [N]"
-    assert figure.axes == [ax]
 
 
 def test_columns_that_cannot_be_drawn(data: Table) -> None:
@@ -116,7 +98,6 @@ def values(ax: Axes) -> np.ndarray:
 
 def test_position_and_rotation_over_time() -> None:
     figure = poses(T, t)
-    assert isinstance(figure, Figure)
     above, below = figure.axes
     assert np.array_equal(values(above), T[:, :3, 3])
     assert values(below) == pytest.approx(angle[:, None] * AXIS, abs=1e-9)  # goes on past half a turn
@@ -127,15 +108,6 @@ def test_position_and_rotation_over_time() -> None:
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["x", "y", "z"]
 
 
-def test_position_alone_over_samples() -> None:
-    ax = poses(T, rotation=False)
-    assert isinstance(ax, Axes)
-    assert ax.get_xlabel() == "sample"
-    assert np.array_equal(ax.lines[0].get_xdata(), np.arange(200))
-    mine = plt.figure().add_subplot()
-    assert poses(T, t, rotation=False, ax=mine) is mine
-
-
 def test_missing_poses_leave_gaps_and_small_turns_are_exact() -> None:
     gap = se3.from_rp(so3.exp(np.array([[1e-12, 0, 0], [0, 0, 0], [0, 1e-9, 0]])))
     figure = poses(np.concatenate([np.full((1, 4, 4), np.nan), gap]))
@@ -144,17 +116,20 @@ def test_missing_poses_leave_gaps_and_small_turns_are_exact() -> None:
     assert drawn[1:] == pytest.approx(np.array([[1e-12, 0, 0], [0, 0, 0], [0, 1e-9, 0]]), rel=1e-9, abs=1e-20)
     assert np.isnan(values(figure.axes[0])[0]).all()
     assert len(poses(np.full((3, 4, 4), np.nan)).axes) == 2
+    ax = poses(T, rotation=False)
+    assert ax.get_xlabel() == "sample"
+    assert np.array_equal(ax.lines[0].get_xdata(), np.arange(200))
 
 
 def test_poses_that_cannot_be_drawn() -> None:
-    with pytest.raises(ShapeError, match="Expected poses"):
-        poses(np.eye(4))
-    with pytest.raises(ShapeError, match="200 in all"):
-        poses(T, t[:-1])
-    with pytest.raises(ShapeError, match="finite time"):
-        poses(T, np.where(t == t[3], np.nan, t))
-    with pytest.raises(ShapeError, match="t to be real numbers"):
-        poses(T, ["now"] * len(T))
+    for given, times, words in (
+        (np.eye(4), None, "Expected poses"),
+        (T, t[:-1], "200 in all"),
+        (T, np.where(t == t[3], np.nan, t), "finite time"),
+        (T, ["now"] * len(T), "t to be real numbers"),
+    ):
+        with pytest.raises(ShapeError, match=words):
+            poses(given, times)
 
 
 def test_every_tick_is_in_the_histogram() -> None:

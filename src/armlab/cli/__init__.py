@@ -127,7 +127,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(words: list[str]) -> int:
-    """Parse and run; return the exit code."""
     from cyclopts import CycloptsError
 
     try:
@@ -196,11 +195,9 @@ class WrappedHelp:
     """The default look of cyclopts for texts that keep the line breaks of their docstring."""
 
     def render_usage(self, console: Console, options: ConsoleOptions, usage: Any) -> None:
-        """Print the line of usage."""
         _default().render_usage(console, options, usage)
 
     def render_description(self, console: Console, options: ConsoleOptions, description: Any) -> None:
-        """Print what the command does."""
         _default().render_description(console, options, _wrapped(description))
 
     def __call__(self, console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:

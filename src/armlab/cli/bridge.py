@@ -9,15 +9,17 @@ import re
 import secrets
 import subprocess
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cyclopts import App
 
 from armlab._toml import TomlError, parsed
-from armlab.cli.support.options import Cell
-from armlab.errors import ConfigError, LinkError
+from armlab.cli import FAILED
+from armlab.cli.support.options import Cell, Seconds, require_seconds
+from armlab.cli.support.output import aligned, note, result
+from armlab.errors import CommandRefused, ConfigError, LinkError
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -40,18 +42,14 @@ bridge = App(
 def start(*, config: Path | None = None, listen: list[str] | None = None, seconds: float | None = None) -> int:
     """Run the bridge of a cell until Ctrl-C. The first line says what listens where, the last ones how it went.
 
-    Parameters
-    ----------
-    config
-        The cell: a TOML file of robots, sources, parameters and servers; the one of the settings when not given.
-    listen
-        SERVER=ADDRESS or SERVER=INTERFACE: let a server be read beyond this computer. Such a server takes no commands.
-    seconds
-        Robot time under guidance after which to end [s].
+    Parameters:
+        config: The cell: a TOML file of robots, sources, parameters and servers; the one of the settings when not
+            given.
+        listen: SERVER=ADDRESS or SERVER=INTERFACE: let a server be read beyond this computer. Such a server takes no
+            commands.
+        seconds: Robot time under guidance after which to end [s].
     """
     from armlab.bridge.cell import parse_cell, run_cell
-    from armlab.cli import FAILED
-    from armlab.cli.support.output import note, result
     from armlab.cli.support.settings import load_settings, read_text
 
     known = load_settings().settings.cell if config is None else config
@@ -66,14 +64,11 @@ def start(*, config: Path | None = None, listen: list[str] | None = None, second
 def set_parameters(*setting: str, cell: Cell = "") -> None:
     """Set parameters of a running bridge, all or none; show the values in force.
 
-    Parameters
-    ----------
-    setting
-        NAME=VALUE, for example gain=2.5, force=[0,0,5], gentle=true. None: show all parameters.
+    Parameters:
+        setting: NAME=VALUE, for example gain=2.5, force=[0,0,5], gentle=true. None: show all parameters.
     """
     from armlab.bridge.servers.local import LocalFeed
     from armlab.bridge.servers.messages import SetRequest, Subscribe
-    from armlab.cli.support.output import aligned, result
 
     values = dict(_setting(word) for word in setting)
     with LocalFeed(cell) as feed:
@@ -82,7 +77,8 @@ def set_parameters(*setting: str, cell: Cell = "") -> None:
         if values:
             before = max((one["sequence"] for one in found), default=0)
             feed.ask(SetRequest(values=values))
-            while not _are_set(found, values, before):  # others may set other parameters meanwhile
+            # others may set other parameters meanwhile
+            while not set(values) <= {one["name"] for one in found if one["sequence"] > before}:
                 found = _await(feed, "parameters")["parameters"]
     shown = [one for one in found if one["name"] in values or not values]
     rows = [[one["name"], str(one["value"]), one["unit"], one["text"], one["who"]] for one in shown]
@@ -117,21 +113,15 @@ def resume(*, cell: Cell = "") -> None:
 def certificates(folder: Path, *, host: list[str] | None = None) -> None:
     """Write what a bridge needs to take commands over Zenoh from other computers: certificates, users, passwords.
 
-    Parameters
-    ----------
-    folder
-        Where to. What is secret in it is readable by you alone.
-    host
-        Names and addresses of the bridge's computer, as others call it; localhost always.
+    Parameters:
+        folder: Where to. What is secret in it is readable by you alone.
+        host: Names and addresses of the bridge's computer, as others call it; localhost always.
     """
-    from armlab.cli.support.output import result
-
     result("\n".join(str(path) for path in write_certificates(folder, host or ())))
 
 
 def _operate(request: Request, cell: str) -> None:
     from armlab.bridge.servers.local import LocalFeed
-    from armlab.cli.support.output import result
 
     with LocalFeed(cell) as feed:
         feed.ask(request)
@@ -140,8 +130,6 @@ def _operate(request: Request, cell: str) -> None:
 
 def _await(feed: Any, kind: str) -> dict[str, Any]:
     """Return the next message of a kind; another answer meanwhile is a refusal."""
-    from armlab.errors import CommandRefused
-
     end = time.monotonic() + _PATIENCE
     while time.monotonic() < end:
         message = feed.receive()
@@ -151,12 +139,6 @@ def _await(feed: Any, kind: str) -> dict[str, Any]:
             if message["kind"] == "answer":
                 raise CommandRefused(message["text"])
     raise LinkError(f"Expected the bridge to answer within {_PATIENCE:g} s, but it did not. Try again.")
-
-
-def _are_set(found: list[dict[str, Any]], names: Iterable[str], before: int) -> bool:
-    """Whether all these parameters have been set since a number of settings."""
-    later = [one["name"] for one in found if one["sequence"] > before]
-    return all(name in later for name in names)
 
 
 def _setting(word: str) -> tuple[str, Any]:
@@ -261,17 +243,12 @@ _RATE = 10.0  # Hz of the display
 _LINES = 1.0  # s between two lines where there is no terminal
 
 
-def monitor(robot: str | None = None, *, cell: Cell = "", zenoh: str = "", seconds: float | None = None) -> None:
+def monitor(robot: str | None = None, *, cell: Cell = "", zenoh: str = "", seconds: Seconds = None) -> None:
     """Monitor a running bridge of this user, until Ctrl-C or its end.
 
-    Parameters
-    ----------
-    robot
-        Show this arm only.
-    zenoh
-        A bridge on another computer, for example zenoh://192.168.1.5:7447/lab1.
-    seconds
-        Time after which to end [s].
+    Parameters:
+        robot: Show this arm only.
+        zenoh: A bridge on another computer, for example zenoh://192.168.1.5:7447/lab1.
     """
     from rich.console import Console
 
@@ -279,10 +256,8 @@ def monitor(robot: str | None = None, *, cell: Cell = "", zenoh: str = "", secon
     from armlab.bridge.servers.messages import Subscribe
     from armlab.bridge.servers.status import Watch
     from armlab.bridge.servers.zenoh.feed import ZenohFeed
-    from armlab.cli.support.output import note, result
 
-    if seconds is not None and not seconds >= 0.0:
-        raise ConfigError(f"Expected seconds of at least 0 s, got {seconds}.")
+    require_seconds(seconds)
     console = Console()
     watch = Watch(robot)
     end = math.inf if seconds is None else time.monotonic() + seconds
@@ -318,7 +293,6 @@ def _lines(feed: Any, watch: Watch, end: float) -> Any:
 
 
 def _hear(feed: Any, watch: Watch, seconds: float) -> None:
-    """Receive messages for some seconds."""
     due = time.monotonic() + seconds
     while feed.wait(due - time.monotonic()):
         watch.take(feed.receive())

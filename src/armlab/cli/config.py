@@ -7,6 +7,9 @@ from typing import Any, Literal
 
 from cyclopts import App
 
+from armlab.cli import build_app
+from armlab.cli.support.output import aligned, print_json, result
+
 config = App(name="config", help="Show settings: of files, of the environment, of a cell. Writes nothing.")
 
 
@@ -17,17 +20,12 @@ def show(*, config: Path | None = None, origin: bool = False, json: bool = False
     A setting is taken from the first that has it: an option of a command, a variable of the environment such as
     ARMLAB_SPEED, armlab.toml in this folder, armlab/armlab.toml in ~/.config (or in XDG_CONFIG_HOME), the default.
 
-    Parameters
-    ----------
-    config
-        The cell, a TOML file; the one of the settings when not given.
-    origin
-        Also show where each value came from.
-    json
-        Print JSON for scripts: name, value, origin.
+    Parameters:
+        config: The cell, a TOML file; the one of the settings when not given.
+        origin: Also show where each value came from.
+        json: Print JSON for scripts: name, value, origin.
     """
     from armlab.bridge.cell import cell_values
-    from armlab.cli.support.output import aligned, print_json, result
     from armlab.cli.support.settings import load_settings, read_text
 
     told = load_settings()
@@ -70,12 +68,7 @@ def completion(shell: Literal["bash", "fish", "zsh"]) -> None:
     - zsh: armlab completion zsh > DIR/_armlab, where DIR is a folder of $fpath
     - fish: armlab completion fish > ~/.config/fish/completions/armlab.fish
 
-    Parameters
-    ----------
-    shell : str
-        Which one.
+    Parameters:
+        shell: Which one.
     """
-    from armlab.cli import build_app
-    from armlab.cli.support.output import result
-
     result(build_app().generate_completion(shell=shell))

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,6 +14,9 @@ from urllib.parse import urlencode
 
 from cyclopts import Parameter
 
+import armlab
+from armlab.cli.support.output import aligned, note, progress, result
+from armlab.cli.view import beside
 from armlab.errors import ConfigError, ControllerLate, LogError, UnknownName
 
 if TYPE_CHECKING:
@@ -65,11 +67,15 @@ class Plan:
         """Lay out the motions of a robot; `seed` chooses the excitation and the free motion."""
         import numpy as np
 
-        from armlab.identify import design_excitation, dither, sequence
-
         sway_length = 2 * SETTLE + len(PRESSES) * (HOLD + 2 * RAMP + GAP)
-        free = design_excitation(robot, FREE, f0=0.12, harmonics=5, speed=0.45, acceleration=8.0, seed=1000 + seed)
-        motions = [free, dither(robot.q_home, sway_length), dither(robot.q_home, REST, amplitude=0.0)]
+        free = armlab.identify.design_excitation(
+            robot, FREE, f0=0.12, harmonics=5, speed=0.45, acceleration=8.0, seed=1000 + seed
+        )
+        motions = [
+            free,
+            armlab.identify.dither(robot.q_home, sway_length),
+            armlab.identify.dither(robot.q_home, REST, amplitude=0.0),
+        ]
         sway_start = APPROACH + FREE + WALK
         rest_start = sway_start + sway_length + WALK
         presses, times, wrenches = [], [], []
@@ -85,8 +91,8 @@ class Plan:
             press(name, axis, force, start, start + HOLD)
         press("at rest -z", 2, -4.905, rest_start + 1.5, rest_start + 4.0)
         return cls(
-            excitation=design_excitation(robot, EXCITATION, seed=seed),
-            test=sequence(motions, walk=WALK),
+            excitation=armlab.identify.design_excitation(robot, EXCITATION, seed=seed),
+            test=armlab.identify.sequence(motions, walk=WALK),
             presses=tuple(presses),
             free=(APPROACH + 1.0, APPROACH + FREE),
             sway=(sway_start + 1.0, sway_start + sway_length - 1.0),
@@ -114,21 +120,13 @@ def demo(
 
     Ends with status 1 when an estimate misses its bar.
 
-    Parameters
-    ----------
-    fast : bool
-        As fast as the machine can (lockstep) instead of in real time.
-    view : bool
-        Also show arm, force and curves in the browser while the demo runs; prints the address.
-    seed : int
-        Of motions, noise and operator.
-    robot : str
-        yumi_right or yumi_left.
-    output : Path
-        New folder for logs, model, figures and summary; demo-<time> when left out.
+    Parameters:
+        fast: As fast as the machine can (lockstep) instead of in real time.
+        view: Also show arm, force and curves in the browser while the demo runs; prints the address.
+        seed: Of motions, noise and operator.
+        robot: yumi_right or yumi_left.
+        output: New folder for logs, model, figures and summary; demo-<time> when left out.
     """
-    from armlab.cli.support.output import note, result
-
     if robot not in ROBOTS:
         raise UnknownName.among("robot of the demo", robot, ROBOTS)
     if seed < 0:
@@ -157,12 +155,7 @@ def rehearse(robot_name: str, seed: int, folder: Path, fast: bool, view: bool = 
     """Run both motions over EGM and return plan, fit, run and the table of the estimate."""
     import numpy as np
 
-    from armlab import log, robots
-    from armlab.cli.support.output import progress
-    from armlab.contact import Estimator
-    from armlab.identify import fit_dynamics
-
-    robot = robots.load(robot_name)
+    robot = armlab.robots.load(robot_name)
     if folder.exists():
         raise ConfigError(f"Expected a new folder, got {folder}, which exists. Choose another name.")
     plan = Plan.make(robot, seed)
@@ -173,19 +166,20 @@ def rehearse(robot_name: str, seed: int, folder: Path, fast: bool, view: bool = 
     with ExitStack() as stack:
         cell = f"demo-{os.getpid()}" if view else ""
         if view:
-            stack.enter_context(_shown(cell))
+            result(stack.enter_context(beside(cell)))  # the view can hold up nothing
+            sys.stdout.flush()
         with progress("1/3 excite") as tell:
             controller = plan.excitation.controller(APPROACH)
             seconds = APPROACH + plan.excitation.seconds
             _drive(robot, _url(robot_name, fast, 2 * seed), controller, seconds, folder / "excite.mcap", tell, cell)
         with progress("2/3 identify") as tell:
-            fit = fit_dynamics(log.read(folder / "excite.mcap"), robot, progress=tell)
+            fit = armlab.identify.fit_dynamics(armlab.log.read(folder / "excite.mcap"), robot, progress=tell)
             fit.save(folder / "model.toml")
         with progress("3/3 press") as tell:
-            controller = _estimating(plan, Estimator(fit.value, robot))
+            controller = _estimating(plan, armlab.contact.Estimator(fit.value, robot))
             url = _url(robot_name, fast, 2 * seed + 1, press_file)
             run = _drive(robot, url, controller, APPROACH + plan.test.seconds, folder / "press.mcap", tell, cell)
-    return {"plan": plan, "fit": fit, "run": run, "estimate": log.read(folder / "press.mcap"), "robot": robot}
+    return {"plan": plan, "fit": fit, "run": run, "estimate": armlab.log.read(folder / "press.mcap"), "robot": robot}
 
 
 def _url(robot: str, fast: bool, seed: int, operator: Path | None = None) -> str:
@@ -209,24 +203,9 @@ def _estimating(plan: Plan, estimator: Estimator) -> Any:
     return step
 
 
-@contextmanager
-def _shown(cell: str) -> Iterator[None]:
-    """Show in the browser what links offer under this name; the view can hold none of them up."""
-    from armlab.cli.support.output import result
-    from armlab.cli.view import beside
-
-    with beside(cell) as line:
-        result(line)
-        sys.stdout.flush()
-        yield
-
-
 def _drive(robot: Robot, url: str, controller: Any, seconds: float, path: Path, tell: Any, cell: str) -> Any:
-    from armlab import bridge
-    from armlab.log import Column
-
-    extra = {"observability": Column(shape=(6,))}  # wrench_hat and its covariance need no declaration
-    with bridge.connect(url, robot, offer=cell) as link:
+    extra = {"observability": armlab.log.Column(shape=(6,))}  # wrench_hat and its covariance need no declaration
+    with armlab.bridge.connect(url, robot, offer=cell) as link:
         return link.run(controller, seconds, record=path, extra=extra, progress=tell)
 
 
@@ -254,13 +233,9 @@ class DemoVerdict:
 
     @property
     def passed(self) -> bool:
-        """True when every bar is met."""
         return not self.missed
 
     def text(self) -> str:
-        """Return the tables."""
-        from armlab.cli.support.output import aligned
-
         rows = [("press", "true [N]", "estimated x", "y", "z", "2-sigma", "error")]
         rows += [
             (
@@ -358,18 +333,17 @@ def _missed(v: DemoVerdict) -> tuple[str, ...]:
 
 
 def latency_line(run: Any) -> str:
-    """Return the line about the loop: round trip and cycles."""
     return next((line.strip() for line in run.report().splitlines() if "p50" in line), run.report().splitlines()[0])
 
 
 def figures(folder: Path, outcome: dict[str, Any], verdict: DemoVerdict) -> list[Path]:
     """Write torque.png, wrench.png and summary.json into the folder; return all its files."""
-    from armlab import log, plots
-
     plan, table = outcome["plan"], outcome["estimate"]
     truth = table.with_column("wrench_true", plan.wrench(table["session_t"]))
-    plots.torque_fit(outcome["fit"].value, log.read(folder / "excite.mcap")).savefig(folder / "torque.png", dpi=120)
-    plots.wrench(truth).savefig(folder / "wrench.png", dpi=120)
+    armlab.plots.torque_fit(outcome["fit"].value, armlab.log.read(folder / "excite.mcap")).savefig(
+        folder / "torque.png", dpi=120
+    )
+    armlab.plots.wrench(truth).savefig(folder / "wrench.png", dpi=120)
     summary = {
         "passed": verdict.passed,
         "missed": list(verdict.missed),

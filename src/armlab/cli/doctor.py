@@ -11,12 +11,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armlab.cli.support.options import Json
+import armlab
+from armlab.cli import FAILED, SKIPPED
+from armlab.cli.support.options import Json, known_ports, ports_in
+from armlab.cli.support.output import note, print_json, result
+from armlab.errors import ConfigError
 
 if TYPE_CHECKING:
     from armlab.bridge.doctor.machine import Finding
-
-__all__ = ["disk", "doctor"]
 
 _ROW_BYTES = 600  # of a recording per packet of seven joints with torques, compressed, rounded up
 _PACKETS = 250 * 3600  # per hour
@@ -26,33 +28,20 @@ _BLOCK = bytes(1 << 20)
 _LONGEST_SYNC = 0.5  # s: the recorder syncs every 0.8 s
 
 
-def doctor(
-    *robot: str,
-    port: str | None = None,
-    seconds: float = 5.0,
-    json: Json = False,
-) -> int:
+def doctor(*robot: str, port: str | None = None, seconds: float = 5.0, json: Json = False) -> int:
     """Check computer, network and robot, one line each: verdict, what was found, what to do.
 
     Listens on the ports and sends nothing to a robot. Exit codes: 0 all is well, 3 warnings, 1 failures.
 
-    Parameters
-    ----------
-    robot : str
-        What is expected at each port: names in the library, or robot files, to compare axes and posture with.
-    port : str
-        UDP ports, separated by commas; 6510, 6511 and 6512 when not given, or as `armlab record` for these robots.
-    seconds : float
-        How long to listen.
+    Parameters:
+        robot: What is expected at each port: names in the library, or robot files, to compare axes and posture with.
+        port: UDP ports, separated by commas; 6510, 6511 and 6512 when not given, or as `armlab record` for these
+            robots.
+        seconds: How long to listen.
     """
-    from armlab import robots
     from armlab.bridge.doctor.report import LONGEST, examine
-    from armlab.cli import FAILED, SKIPPED
-    from armlab.cli.support.options import known_ports, ports_in
-    from armlab.cli.support.output import note, print_json, result
-    from armlab.errors import ConfigError
 
-    arms = [robots.load(name) for name in robot]
+    arms = [armlab.robots.load(name) for name in robot]
     ports = ports_in(port) if port is not None else known_ports(arms) if arms else None
     if not 0.0 < seconds <= LONGEST:
         raise ConfigError(f"Expected --seconds above 0 and at most {LONGEST:g}, got {seconds:g}.")

@@ -9,7 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from armlab.cli.support.options import Force, Json
+import armlab
+from armlab.cli import FAILED
+from armlab.cli.support.options import Force, Json, as_given, joints_in, links_to, require_positive
+from armlab.cli.support.output import FIGURES, aligned, check_output, note, print_json, progress, result, save_figure
+from armlab.errors import ConfigError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,8 +21,6 @@ if TYPE_CHECKING:
     from armlab.identify import PredictedUncertainty, Trajectory
     from armlab.log import Table
     from armlab.robots import Robot
-
-__all__ = ["ExcitationOptions", "excite"]
 
 SPEED = 0.6  # of the limits
 _ROUNDING = 1e-6  # rad or m that a saved motion may be beyond the limits
@@ -30,20 +32,14 @@ ROUNDS = 300  # of the search for the motion that tells most
 class ExcitationOptions:
     """Shape of the motion.
 
-    Attributes
-    ----------
-    seconds : float
-        Length of the motion, at least 10 [s].
-    f0 : float
-        Base frequency [Hz]; the motion repeats after 1 / f0.
-    harmonics : int
-        Number of them: the motion holds frequencies up to harmonics times f0.
-    speed : float
-        Peak speed as a share of the robot's limits, in (0, 1]; 0.6, or the setting where that is less, when not given.
-    acceleration : float
-        Peak acceleration [rad/s^2].
-    seed : int
-        Another motion for each.
+    Attributes:
+        seconds: Length of the motion, at least 10 [s].
+        f0: Base frequency [Hz]; the motion repeats after 1 / f0.
+        harmonics: Number of them: the motion holds frequencies up to harmonics times f0.
+        speed: Peak speed as a share of the robot's limits, in (0, 1]; 0.6, or the setting where that is less, when not
+            given.
+        acceleration: Peak acceleration [rad/s^2].
+        seed: Another motion for each.
     """
 
     seconds: float = 60.0
@@ -74,37 +70,21 @@ def excite(
     Prints the predicted uncertainty of each group of parameters. The motion stays within the limits of position,
     speed and acceleration of the robot file; it knows nothing of obstacles: look at it before you run it.
 
-    Parameters
-    ----------
-    robot : str
-        Name in the library, or a robot file.
-    output : Path
-        Write the motion to this CSV file: t, q, qd, qdd at 250 Hz.
-    motion : ExcitationOptions
-        What it shall be like.
-    joint : str
-        Instead, move this joint alone, by name or number from 1: ten constant speeds, both ways, to see its friction.
-    saved : Path
-        Take the motion of this file, as -o writes it, instead of designing one.
-    noise : float
-        Standard deviation of the robot's torque signal [N m]; the printed deviations are in proportion to it.
-    figure : Path
-        Draw the motion into this PNG, SVG or PDF.
-    run : str
-        Link to run it on: egm://HOST:PORT for a robot, sim://yumi_left, or sim://FILE, for a simulated one.
-    log : Path
-        Recording of the run; -2, -3 is added to a name that exists. excite.mcap in the folder of the settings when not
-        given.
-    approach : float
-        Seconds of the walk from where the arm stands to the start.
+    Parameters:
+        robot: Name in the library, or a robot file.
+        output: Write the motion to this CSV file: t, q, qd, qdd at 250 Hz.
+        motion: What it shall be like.
+        joint: Instead, move this joint alone, by name or number from 1: ten constant speeds, both ways, to see its
+            friction.
+        saved: Take the motion of this file, as -o writes it, instead of designing one.
+        noise: Standard deviation of the robot's torque signal [N m]; the printed deviations are in proportion to it.
+        figure: Draw the motion into this PNG, SVG or PDF.
+        run: Link to run it on: egm://HOST:PORT for a robot, sim://yumi_left, or sim://FILE, for a simulated one.
+        log: Recording of the run; -2, -3 is added to a name that exists. excite.mcap in the folder of the settings when
+            not given.
+        approach: Seconds of the walk from where the arm stands to the start.
     """
-    from armlab import log as logs
-    from armlab import robots
-    from armlab.cli.support.options import as_given, links_to, require_positive
-    from armlab.cli.support.output import FIGURES, check_output, note, print_json, progress, result, save_figure
     from armlab.cli.support.settings import load_settings, log_folder
-    from armlab.errors import ConfigError
-    from armlab.identify import Trajectory, predicted_uncertainty
 
     if output is None and run is None:
         raise ConfigError("Expected a file for the motion (-o motion.csv) or a link to run it on (--run), got neither.")
@@ -114,7 +94,7 @@ def excite(
     for path, endings in ((output, [".csv"]), (figure, FIGURES)):
         if path is not None:
             check_output(path, force, endings, [] if saved is None else [saved])
-    arm, asked = robots.load(robot), motion.speed
+    arm, asked = armlab.robots.load(robot), motion.speed
     speed = min(SPEED, load_settings().settings.speed) if asked is None else asked
     if run is not None:
         links_to(robot, [arm], run)
@@ -124,21 +104,23 @@ def excite(
                 trajectory = _design(arm, motion, speed, joint, tell)
         else:
             tell(0, 2, f"reading {saved.name}")
-            trajectory = Trajectory.from_table(logs.read(saved))
+            trajectory = armlab.identify.Trajectory.from_table(armlab.log.read(saved))
         tell(9, 10, "predicting parameter precision")
-        expected = predicted_uncertainty(trajectory, arm, noise) if joint is None else None
+        expected = armlab.identify.predicted_uncertainty(trajectory, arm, noise) if joint is None else None
         tell(1, 1, "done")
     if json:
         told = {} if expected is None else _plain(expected)
         print_json({"robot": arm.name, **vars(motion), "speed": speed, "seconds": trajectory.seconds, **told})
+    elif expected is None:
+        result(f"{trajectory.seconds:.1f} s of motion")
     else:
-        result(f"{trajectory.seconds:.1f} s of motion" if expected is None else _text(expected))
+        result(f"{aligned(expected.rows(), right=(2, 3, 4))}\n{expected.excitation.text()}")
     table = trajectory.table()
     if run is not None:
         _check_positions(arm, table)
         _check_speed(arm, table["qd"], asked)
     if output is not None:
-        note(f"motion: {logs.write(table, output)}")
+        note(f"motion: {armlab.log.write(table, output)}")
     if figure is not None:
         from armlab import plots
 
@@ -152,26 +134,16 @@ def excite(
 def _design(
     robot: Robot, motion: ExcitationOptions, speed: float, joint: str | None, tell: Callable[[float, float, str], None]
 ) -> Trajectory:
-    """Design a motion of all joints, or of one."""
-    from armlab.cli.support.options import joints_in
-    from armlab.identify import design_excitation, friction_run
-
     if joint is not None:
-        return friction_run(robot, joints_in(joint, robot.n)[0] if joint.isdecimal() else joint)
+        return armlab.identify.friction_run(robot, joints_in(joint, robot.n)[0] if joint.isdecimal() else joint)
     shape = motion.seconds, motion.f0, motion.harmonics, speed, motion.acceleration
-    return design_excitation(
+    return armlab.identify.design_excitation(
         robot,
         *shape,
         seed=motion.seed,
         rounds=ROUNDS,
         progress=lambda done, total, what: tell(0.9 * done, total, what) if done < total else None,
     )
-
-
-def _text(expected: PredictedUncertainty) -> str:
-    from armlab.cli.support.output import aligned
-
-    return f"{aligned(expected.rows(), right=(2, 3, 4))}\n{expected.excitation.text()}"
 
 
 def _plain(expected: PredictedUncertainty) -> dict[str, Any]:
@@ -184,8 +156,6 @@ def _plain(expected: PredictedUncertainty) -> dict[str, Any]:
 def _check_positions(robot: Robot, table: Table) -> None:
     """Refuse a motion that the limits of position would bend: it comes from a file that may be of another arm."""
     import numpy as np
-
-    from armlab.errors import ConfigError
 
     q = table["q"]
     if q.shape[1:] != (robot.n,):
@@ -206,7 +176,6 @@ def _check_speed(robot: Robot, qd: np.ndarray, asked: float | None) -> None:
     import numpy as np
 
     from armlab.cli.support.settings import load_settings
-    from armlab.errors import ConfigError
 
     allowed, share = load_settings().settings.speed, float(np.max(np.abs(qd) / robot.qd_max))
     if asked is None and allowed < 1.0 and share > 1.01 * allowed:
@@ -218,11 +187,7 @@ def _check_speed(robot: Robot, qd: np.ndarray, asked: float | None) -> None:
 
 def _run(robot: Robot, trajectory: Trajectory, url: str, log: Path, approach: float) -> int:
     """Run the motion over a link and record it; return the exit code."""
-    from armlab import bridge
-    from armlab.cli import FAILED
-    from armlab.cli.support.output import note, progress
-
-    with progress("excite") as tell, bridge.connect(url, robot) as link:
+    with progress("excite") as tell, armlab.bridge.connect(url, robot) as link:
         done = link.run(trajectory.controller(approach), approach + trajectory.seconds, record=log, progress=tell)
     note(done.report())
     if done.statistics["problems"]:

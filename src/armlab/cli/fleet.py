@@ -12,8 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Parameter
 
-from armlab.cli.support.options import Json
-from armlab.errors import ConfigError
+import armlab
+from armlab.cli import FAILED, SKIPPED
+from armlab.cli.support.options import Json, Seconds, require_seconds
+from armlab.cli.support.output import aligned, check_output, note, print_json, progress, result
+from armlab.cli.support.results import parameters
+from armlab.errors import ArmlabError, ConfigError
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -43,36 +47,24 @@ def router(
     key: Path | None = None,
     users: Path | None = None,
     secret: Path | None = None,
-    seconds: float | None = None,
+    seconds: Seconds = None,
 ) -> None:
     """Be the Zenoh router through which bridges and their readers find each other, until Ctrl-C.
 
-    Parameters
-    ----------
-    listen
-        Address of the network card; beyond this computer only with certificates and users.
-    port
-        TCP port.
-    connect
-        HOST:PORT of another router, whose robots are seen through this one too.
-    ca
-        CA certificate of the lab: lab.pem of armlab bridge certificates.
-    certificate
-        Certificate of this router: bridge.pem.
-    key
-        Private key of the certificate: bridge.key.
-    users
-        Password file of the users: users.txt.
-    secret
-        Password file for the routers of --connect: bridge.secret.
-    seconds
-        Time after which to end [s].
+    Parameters:
+        listen: Address of the network card; beyond this computer only with certificates and users.
+        port: TCP port.
+        connect: HOST:PORT of another router, whose robots are seen through this one too.
+        ca: CA certificate of the lab: lab.pem of armlab bridge certificates.
+        certificate: Certificate of this router: bridge.pem.
+        key: Private key of the certificate: bridge.key.
+        users: Password file of the users: users.txt.
+        secret: Password file for the routers of --connect: bridge.secret.
     """
     from armlab.bridge.servers.zenoh.security import Security
-    from armlab.cli.support.output import note
     from armlab.fleet import Router
 
-    _check(seconds)
+    require_seconds(seconds)
     if not 0 <= port < 65536:
         raise ConfigError(f"Expected a port from 0 to 65535, got {port}.")
     with Router(listen, port, connect or (), Security(ca, certificate, key, users, secret)) as running:
@@ -88,24 +80,17 @@ def record(
     router: RouterAddress = _ROUTER,
     ca: Ca = None,
     secret: Secret = None,
-    seconds: float | None = None,
+    seconds: Seconds = None,
 ) -> int:
     """Record every robot whose rows come, each in a file of its own, until Ctrl-C.
 
-    Parameters
-    ----------
-    output
-        Folder for the files, LAB-ROBOT.mcap; made if it is not there.
-    lab
-        Record this lab only.
-    seconds
-        Time after which to end [s].
+    Parameters:
+        output: Folder for the files, LAB-ROBOT.mcap; made if it is not there.
+        lab: Record this lab only.
     """
-    from armlab.cli import FAILED
-    from armlab.cli.support.output import aligned, note, result
     from armlab.fleet import FleetRecorder
 
-    _check(seconds)
+    require_seconds(seconds)
     if output.exists() and not output.is_dir():
         raise ConfigError(f"Expected a folder for the recordings, got the file {output}. Choose another name.")
     with FleetRecorder(_place(lab, router, ca, secret), output, note) as recorder:
@@ -134,17 +119,13 @@ def list_fleet(
 ) -> None:
     """List the robots whose bridges are there: rate, rows that did not come, age of the newest row, commander.
 
-    Parameters
-    ----------
-    lab
-        List this lab only.
-    seconds
-        Time to listen [s].
+    Parameters:
+        lab: List this lab only.
+        seconds: Time to listen [s].
     """
-    from armlab.cli.support.output import aligned, print_json, result
     from armlab.fleet import list_robots
 
-    _check(seconds)
+    require_seconds(seconds)
     found = list_robots(_place(lab, router, ca, secret), seconds)
     if json:
         print_json([robot._asdict() for robot in found])
@@ -157,23 +138,6 @@ def list_fleet(
     result(aligned(rows, (2, 3, 4, 5)) if found else "No robot is there.")
 
 
-fleet.command(
-    "armlab.cli.fleet:identify",
-    name="identify",
-    help_epilogue="Example: armlab fleet identify logs/ -o model.toml --workers 4",
-)
-fleet.command(
-    "armlab.cli.fleet:estimate",
-    name="estimate",
-    help_epilogue="Example: armlab fleet estimate logs/ --model model.toml -o estimates/ --workers 4",
-)
-fleet.command(
-    "armlab.cli.fleet:export",
-    name="export",
-    help_epilogue="Example: armlab fleet export logs/ --format csv -o text/ --workers 4",
-)
-
-
 def _place(lab: str, router: str, ca: Path | None, secret: Path | None) -> LabAddress:
     from armlab.bridge.servers.zenoh.keys import EVERY
     from armlab.bridge.servers.zenoh.security import Security
@@ -182,11 +146,6 @@ def _place(lab: str, router: str, ca: Path | None, secret: Path | None) -> LabAd
     return LabAddress.read(f"zenoh://{router}/{lab}")._replace(
         lab=lab or EVERY, security=Security(ca=ca, secret=secret)
     )
-
-
-def _check(seconds: float | None) -> None:
-    if seconds is not None and not seconds >= 0.0:
-        raise ConfigError(f"Expected seconds of at least 0 s, got {seconds}.")
 
 
 def _wait(seconds: float | None) -> None:
@@ -200,18 +159,12 @@ def _wait(seconds: float | None) -> None:
 class Job:
     """What the commands over many logs have in common.
 
-    Attributes
-    ----------
-    robot : str
-        Name in the library, or a robot file; the one that the recordings name when not given.
-    workers : int
-        Processes on this computer.
-    dask : str
-        Address of a Dask scheduler, tcp://HOST:PORT; its workers must see the files by the same paths.
-    json : bool
-        Print JSON for scripts.
-    force : bool
-        Replace existing files.
+    Attributes:
+        robot: Name in the library, or a robot file; the one that the recordings name when not given.
+        workers: Processes on this computer.
+        dask: Address of a Dask scheduler, tcp://HOST:PORT; its workers must see the files by the same paths.
+        json: Print JSON for scripts.
+        force: Replace existing files.
     """
 
     robot: str | None = None
@@ -222,18 +175,15 @@ class Job:
 
     def arm(self, logs: tuple[Path, ...]) -> Robot:
         """Return the arm that is named, or else the one that the first recording names."""
-        from armlab import robots
-        from armlab.errors import ArmlabError, ConfigError
         from armlab.fleet.logs import named
-        from armlab.log import inspect
 
         if self.robot is not None:
-            return robots.load(self.robot)
+            return armlab.robots.load(self.robot)
         for log in named(logs):
             if not log.endswith(".mcap"):
                 continue
             try:
-                return robots.load(inspect(log).metadata["armlab"]["robot"])
+                return armlab.robots.load(armlab.log.inspect(log).metadata["armlab"]["robot"])
             except (ArmlabError, OSError, KeyError):
                 continue
         raise ConfigError("Expected recordings that name a robot of the library, got none. Name it with --robot.")
@@ -241,38 +191,28 @@ class Job:
     @contextmanager
     def work(self, title: str) -> Iterator[tuple[Executor | None, Callable[[int, int, str], None]]]:
         """Yield the executor of the block, and what shows its progress."""
-        from armlab.cli.support.output import progress
         from armlab.fleet.mapping import workers
 
         with workers(self.workers, self.dask) as executor, progress(title) as tell:
             yield executor, tell
 
 
+@fleet.command(help_epilogue="Example: armlab fleet identify logs/ -o model.toml --workers 4")
 def identify(
-    *logs: Path,
-    output: Annotated[Path, Parameter(alias="-o")],
-    no_cache: bool = False,
-    job: Job = Job(),
+    *logs: Path, output: Annotated[Path, Parameter(alias="-o")], no_cache: bool = False, job: Job = Job()
 ) -> int:
     """Identify gravity, inertia and friction from many logs of one arm; save the model.
 
     The result has the same bits with any number of workers. Logs that cannot be used are named, and the command ends
     with status 3. Sums of each log are kept, so that ten logs more cost ten logs.
 
-    Parameters
-    ----------
-    logs
-        Recordings of free motion without contact, and folders of such.
-    output
-        Model file to write, ends in .toml.
-    no_cache
-        Keep no sums, and use none.
-    job
-        See `Job`.
+    Parameters:
+        logs: Recordings of free motion without contact, and folders of such.
+        output: Model file to write, ends in .toml.
+        no_cache: Keep no sums, and use none.
+        job: See `Job`.
     """
     from armlab import fleet
-    from armlab.cli import SKIPPED
-    from armlab.cli.support.output import check_output, note, print_json, result
     from armlab.fleet.identification import default_folder
 
     check_output(output, job.force, [".toml"])
@@ -281,12 +221,8 @@ def identify(
     with job.work("identify") as (executor, tell):
         found = fleet.identify(logs, arm, executor, tell, cache)
     if job.json:
-        fit = found.fit
-        parameters = [
-            {"name": name, "value": value, "sd": sd, "unit": unit}
-            for name, value, sd, unit in zip(fit.names, fit.parameters, fit.sd, fit.units)
-        ]
-        print_json({"model": str(output), "parameters": parameters, "used": found.used, "skipped": found.skipped})
+        told = {"parameters": parameters(found.fit), "used": found.used, "skipped": found.skipped}
+        print_json({"model": str(output), **told})
     else:
         result(found.report())
     found.fit.save(output)
@@ -294,6 +230,7 @@ def identify(
     return SKIPPED if found.skipped else 0
 
 
+@fleet.command(help_epilogue="Example: armlab fleet estimate logs/ --model model.toml -o estimates/ --workers 4")
 def estimate(
     *logs: Path,
     model: Path,
@@ -307,26 +244,17 @@ def estimate(
     Prints a line per log: its length, how often and how long there was contact, the largest force and the mean 2-sigma
     band. Logs that cannot be used are named, and the command ends with status 3.
 
-    Parameters
-    ----------
-    logs
-        Recordings with positions, velocities and torques, and folders of such.
-    model
-        Model file of armlab identify.
-    output
-        Folder for the estimates.
-    method
-        As of armlab estimate.
-    csv
-        Write text instead of recordings.
-    job
-        See `Job`.
+    Parameters:
+        logs: Recordings with positions, velocities and torques, and folders of such.
+        model: Model file of armlab identify.
+        output: Folder for the estimates.
+        method: As of armlab estimate.
+        csv: Write text instead of recordings.
+        job: See `Job`.
     """
-    from armlab import fleet, models
-    from armlab.cli import SKIPPED
-    from armlab.cli.support.output import aligned, note, print_json, result
+    from armlab import fleet
 
-    arm, known = job.arm(logs), models.load(model, "torque_model")
+    arm, known = job.arm(logs), armlab.models.load(model, "torque_model")
     about = {"method": method, "ending": ".csv" if csv else ".mcap", "force": job.force}
     with job.work("estimate") as (executor, tell):
         done = fleet.estimate(logs, known, arm, output, executor, tell, **about)
@@ -334,10 +262,10 @@ def estimate(
         told = {name: {**vars(one), "path": str(one.path)} for name, one in done.results.items()}
         print_json({"logs": told, "skipped": done.skipped})
     else:
-        rows = [
-            [name, f"{one.seconds:.1f}", f"{one.contacts}", *_fixed(one.contact_seconds, one.peak, one.band)]
-            for name, one in done.results.items()
-        ]
+        rows = []
+        for name, one in done.results.items():
+            forces = [f"{x:.2f}" if math.isfinite(x) else "-" for x in (one.contact_seconds, one.peak, one.band)]
+            rows.append([name, f"{one.seconds:.1f}", f"{one.contacts}", *forces])
         head = ["log", "seconds", "contacts", "in contact [s]", "largest [N]", "2-sigma [N]"]
         result(aligned([head, *rows], right=range(1, len(head))))
         _skipped(done.skipped)
@@ -345,6 +273,7 @@ def estimate(
     return SKIPPED if done.skipped else 0
 
 
+@fleet.command(help_epilogue="Example: armlab fleet export logs/ --format csv -o text/ --workers 4")
 def export(
     *logs: Path,
     format: Literal["csv", "mat", "parquet", "h5", "mcap", "rosbag2"],
@@ -355,20 +284,13 @@ def export(
 
     Logs that cannot be read or written are named, and the command ends with status 3.
 
-    Parameters
-    ----------
-    logs
-        Files of any format that armlab reads, and folders of such.
-    format
-        To write: csv, mat, parquet, h5, mcap or rosbag2.
-    output
-        Folder for the files.
-    job
-        See `Job`; the robot is for recordings in mcap.
+    Parameters:
+        logs: Files of any format that armlab reads, and folders of such.
+        format: To write: csv, mat, parquet, h5, mcap or rosbag2.
+        output: Folder for the files.
+        job: See `Job`; the robot is for recordings in mcap.
     """
     from armlab import fleet
-    from armlab.cli import SKIPPED
-    from armlab.cli.support.output import note, print_json, result
 
     arm = job.arm(logs) if format == "mcap" else None
     with job.work("export") as (executor, tell):
@@ -382,14 +304,6 @@ def export(
     return SKIPPED if done.skipped else 0
 
 
-def _fixed(*values: float) -> list[str]:
-    """Return numbers with two digits, a dash for what is not there."""
-    return [f"{value:.2f}" if math.isfinite(value) else "-" for value in values]
-
-
 def _skipped(reasons: Mapping[str, str]) -> None:
-    """Say which logs were not used."""
-    from armlab.cli.support.output import note
-
     for name, reason in reasons.items():
         note(f"skipped {name}: {reason}")

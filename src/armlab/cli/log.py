@@ -12,7 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
+import armlab
+from armlab.cli import FAILED
 from armlab.cli.support.options import Force, Json
+from armlab.cli.support.output import aligned, check_output, note, print_json, progress, refuse_overwrite, result
 from armlab.errors import ConfigError, LogError, MissingExtra
 
 if TYPE_CHECKING:
@@ -32,24 +35,18 @@ def show(file: Path, *, json: Json = False, parameters: bool = False) -> None:
 
     Of a log of another program, an MCAP file or a bag, it shows each topic by itself.
 
-    Parameters
-    ----------
-    file
-        A recording, finished or not, or a log in another format.
-    parameters
-        Show only the parameters of the run: who set what when, and what was in force at the end.
+    Parameters:
+        file: A recording, finished or not, or a log in another format.
+        parameters: Show only the parameters of the run: who set what when, and what was in force at the end.
     """
     import warnings
 
-    from armlab import log as logs
     from armlab.cli.support.log_input import reading_bar
-    from armlab.cli.support.output import print_json, result
-    from armlab.errors import LogError
     from armlab.log.file_formats.opening import format_at
     from armlab.log.topics.reader import is_foreign
 
     kind = format_at(file)
-    held = logs.inspect(file) if kind in ("MCAP", "") else None  # of no file it says why
+    held = armlab.log.inspect(file) if kind in ("MCAP", "") else None  # of no file it says why
     if held and not held.topics:
         raise LogError(f"Expected messages in {file}, got none that can be read in {held.size} bytes.")
     if parameters:
@@ -62,13 +59,13 @@ def show(file: Path, *, json: Json = False, parameters: bool = False) -> None:
     with warnings.catch_warnings(), reading_bar(file) as tell:
         warnings.simplefilter("ignore")  # the notes of the table say the same and are shown below
         if is_foreign(file):
-            tables = logs.read_topics(file, progress=tell)
+            tables = armlab.log.read_topics(file, progress=tell)
         else:
-            tables = {name or "": logs.read(file, robot=name, progress=tell) for name in robots}
+            tables = {name or "": armlab.log.read(file, robot=name, progress=tell) for name in robots}
     if json:
-        print_json(data_of(file, kind, held, tables))
+        print_json(_data(file, kind, held, tables))
     else:
-        result(text_of(file, kind, held, tables))
+        result(_text(held, tables) if held else _exchanged_text(file, kind, tables))
 
 
 @log.command(help_epilogue="Example: armlab log export run.mcap run.mat")
@@ -86,22 +83,15 @@ def export(
     .csv for spreadsheets, .mat for MATLAB, .parquet for pandas and databases, .h5 for HDF5, .rosbag2 for ROS 2, .mcap
     for a recording of armlab. armlab reads all of them back as they were.
 
-    Parameters
-    ----------
-    file
-        A log in any of these formats, finished or not.
-    output
-        The new file; of a rosbag2 the new folder.
-    robot
-        Which one, of a recording of several; of a log of another program the arm whose joints it has, or the first part
-        of its topics. For .mcap and .rosbag2 the arm of the log, by name or file, if the log does not describe it.
-    clock
-        Of a log of another program, the topic whose stamps are the rows, as armlab log show lists them.
-    storage
-        Of a rosbag2: sqlite3 for releases of ROS 2 that are older than Iron.
+    Parameters:
+        file: A log in any of these formats, finished or not.
+        output: The new file; of a rosbag2 the new folder.
+        robot: Which one, of a recording of several; of a log of another program the arm whose joints it has, or the
+            first part of its topics. For .mcap and .rosbag2 the arm of the log, by name or file, if the log does not
+            describe it.
+        clock: Of a log of another program, the topic whose stamps are the rows, as armlab log show lists them.
+        storage: Of a rosbag2: sqlite3 for releases of ROS 2 that are older than Iron.
     """
-    from armlab import log as logs
-    from armlab.cli.support.output import check_output, note, progress, refuse_overwrite, result
     from armlab.log.file_formats.delimited import sidecar_path
     from armlab.log.file_formats.mat import matlab_names
     from armlab.log.reading import names_robots
@@ -114,13 +104,13 @@ def export(
     arm = _arm_for(ending, file, robot)
     with progress("export") as tell:
         tell(0, 1, f"reading {file.name}")
-        table = logs.read(
+        table = armlab.log.read(
             file,
             robot=(robot if arm is None else arm) if names_robots(file) else None,
             clock=clock,
             progress=lambda done, total, _: tell(done, total, f"reading {file.name}"),
         )
-        logs.write(
+        armlab.log.write(
             table,
             output,
             arm,
@@ -139,8 +129,6 @@ def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
 
     None for formats without names of joints, and for a bag that keeps the names of another program.
     """
-    from armlab import log as logs
-    from armlab import robots
     from armlab.log.file_formats.opening import format_at
     from armlab.log.recording.metadata import described
     from armlab.log.topics.reader import is_foreign
@@ -148,30 +136,24 @@ def _arm_for(ending: str, file: Path, robot: str | None) -> Robot | None:
     if ending not in (".mcap", ".rosbag2") or (ending == ".rosbag2" and is_foreign(file)):
         return None
     if format_at(file) == "MCAP":
-        held = logs.inspect(file)
+        held = armlab.log.inspect(file)
         names = held.robots if robot is None and len(held.robots) == 1 else (robot or "",)
         arm = described(held.attachments, names[0], str(file))
         if arm is not None:
             return arm
-    return None if robot is None else robots.load(robot)
+    return None if robot is None else armlab.robots.load(robot)
 
 
 @log.command(help_epilogue="Example: armlab log recover run.mcap")
 def recover(file: Path, *, output: Path | None = None) -> None:
     """Write a repaired copy of a truncated or damaged log. The original stays as it is.
 
-    Parameters
-    ----------
-    file
-        The recording.
-    output
-        The copy; <name>.recovered.mcap beside the file when not given.
+    Parameters:
+        file: The recording.
+        output: The copy; <name>.recovered.mcap beside the file when not given.
     """
-    from armlab import log as logs
-    from armlab.cli.support.output import note, progress, result
-
     with progress("recover") as tell:
-        done = logs.recover(file, output, progress=tell)
+        done = armlab.log.recover(file, output, progress=tell)
     note(
         f"{done.messages} messages over {done.seconds:.3f} s; lost: {done.torn} bytes at the end, "
         f"{done.lost_chunks} damaged chunks"
@@ -194,22 +176,14 @@ def cut(
     A recording stays a whole recording: metadata, attachments, the parameters so far, and the events of the stretch.
     Its t is not shifted, so that 12.3 s is the same moment in both.
 
-    Parameters
-    ----------
-    file
-        A recording, finished or not, or a log in another format.
-    from_
-        Seconds of the table, as armlab log show and the figures have them; from the beginning when not given.
-    to
-        Seconds of the table; to the end when not given.
-    robot
-        Which one, of a recording of several: all of them stay in .mcap when not given. Else as in armlab log export.
-    output
-        The new file: .mcap of a recording; else an ending that armlab log export knows.
+    Parameters:
+        file: A recording, finished or not, or a log in another format.
+        from_: Seconds of the table, as armlab log show and the figures have them; from the beginning when not given.
+        to: Seconds of the table; to the end when not given.
+        robot: Which one, of a recording of several: all of them stay in .mcap when not given. Else as in armlab log
+            export.
+        output: The new file: .mcap of a recording; else an ending that armlab log export knows.
     """
-    from armlab import log as logs
-    from armlab.cli.support.output import check_output, progress, result
-    from armlab.errors import ConfigError, LogError
     from armlab.log.file_formats.opening import format_at
     from armlab.log.reading import names_robots
     from armlab.log.topics.reader import is_foreign
@@ -221,15 +195,15 @@ def cut(
     check_output(output, force, ENDINGS, [file])
     with progress("cut") as tell:
         if output.suffix.lower() == ".mcap" and format_at(file) in ("MCAP", "") and not is_foreign(file):
-            logs.cut(file, output, start, stop, robot=robot, progress=tell)
+            armlab.log.cut(file, output, start, stop, robot=robot, progress=tell)
         else:
             arm = _arm_for(output.suffix.lower(), file, robot)
-            table = logs.read(file, robot=robot if names_robots(file) else None)
+            table = armlab.log.read(file, robot=robot if names_robots(file) else None)
             part = table.between(start, stop)
             if not len(part):
                 has = f"{table.t[0]:g} s to {table.t[-1]:g} s" if len(table) else "no rows at all"
                 raise LogError(f"Expected rows between {start:g} s and {stop:g} s in {file}, got none; it has {has}.")
-            logs.write(part, output, arm, progress=tell)
+            armlab.log.write(part, output, arm, progress=tell)
     result(str(output))
 
 
@@ -241,19 +215,13 @@ def merge(*file: Path, output: Annotated[Path, Parameter(alias="-o")], force: Fo
     of both arms of a bridge stand side by side: commands take the rows of the robot that they name, armlab log export
     those of --robot, armlab plot those of --arm.
 
-    Parameters
-    ----------
-    file
-        Two recordings or more, in any order.
-    output
-        The new file, .mcap.
+    Parameters:
+        file: Two recordings or more, in any order.
+        output: The new file, .mcap.
     """
-    from armlab import log as logs
-    from armlab.cli.support.output import check_output, progress, result
-
     check_output(output, force, [".mcap"], file)
     with progress("merge") as tell:
-        logs.merge(file, output, progress=tell)
+        armlab.log.merge(file, output, progress=tell)
     result(str(output))
 
 
@@ -264,27 +232,27 @@ def open_(file: Path, *, rerun: bool = False, foxglove: bool = False, plotjuggle
     Without an option the first of these that is installed. armlab needs none of them: armlab plot and armlab view show
     logs, too. Returns when the program ends.
 
-    Parameters
-    ----------
-    file
-        A finished recording.
-    rerun, foxglove, plotjuggler
-        Open it there.
+    Parameters:
+        file: A finished recording.
+        rerun: Open it there.
+        foxglove: Open it there.
+        plotjuggler: Open it there.
     """
-    from armlab.cli import FAILED
-    from armlab.cli.support.output import note
-
-    check_finished(file)
+    if not armlab.log.inspect(file).finished:
+        raise LogError(
+            f"Expected a finished recording, got {file}, which was cut off, and which other programs do not open. Make "
+            f"it whole: armlab log recover {file}."
+        )
     wanted = [name for name, is_on in (("foxglove", foxglove), ("plotjuggler", plotjuggler), ("rerun", rerun)) if is_on]
     viewer, program = chosen(wanted)
     note(f"Opening {file} in {viewer.title}: {program}.{viewer.remark}")
-    return FAILED if started(viewer, program, file) else 0
+    return FAILED if subprocess.run([program, *viewer.arguments, str(file.absolute())], check=False).returncode else 0
 
 
 _EVENTS_SHOWN = 20
 
 
-def data_of(file: Path, kind: str, held: Inspection | None, tables: Mapping[str, Table]) -> dict[str, Any]:
+def _data(file: Path, kind: str, held: Inspection | None, tables: Mapping[str, Table]) -> dict[str, Any]:
     """Return what is shown of a log, for scripts."""
     told = [_table_data(table) for table in tables.values()]
     several = "robots" if held and held.robots else "tables"
@@ -292,13 +260,7 @@ def data_of(file: Path, kind: str, held: Inspection | None, tables: Mapping[str,
     return {"file": str(file), **rows, **(_recording_data(held) if held else {"format": kind})}
 
 
-def text_of(file: Path, kind: str, held: Inspection | None, tables: Mapping[str, Table]) -> str:
-    """Return what is shown of a log, for people; see `data_of`."""
-    return _text(held, tables) if held else _exchanged_text(file, kind, tables)
-
-
 def parameters_text(held: Inspection) -> str:
-    """Return the history of the parameters."""
     from datetime import UTC, datetime
 
     told = [
@@ -316,7 +278,6 @@ def parameters_text(held: Inspection) -> str:
 
 
 def parameters_data(held: Inspection) -> dict[str, Any]:
-    """Return the history of the parameters, for scripts."""
     return {
         "parameters": [
             {"stamp_ns": one.stamp_ns, "name": one.name, "value": one.value, "who": one.who, "sequence": one.sequence}
@@ -365,7 +326,6 @@ def _recording_data(held: Inspection) -> dict[str, Any]:
 
 
 def _exchanged_text(file: Path, kind: str, tables: Mapping[str, Table]) -> str:
-    """Return what is shown of a log that is no recording."""
     first = min(tables.values(), key=lambda table: table.t0_ns, default=None)
     sources = [f"source: {entry}" for entry in first.source] if first else []
     head = [f"{file}: {kind}, began {_began(first.t0_ns if first else 0)}", *sources]
@@ -374,11 +334,11 @@ def _exchanged_text(file: Path, kind: str, tables: Mapping[str, Table]) -> str:
 
 def _table_texts(tables: Mapping[str, Table]) -> list[str]:
     """Return rows, notes and columns of each table, with its name where there are several."""
-    from armlab.cli.support.output import aligned
+    from armlab.log.table import table_text
 
     blocks = [] if tables else ["no topic with numbers"]
     for name, table in tables.items():
-        first, *rest = str(table).splitlines()
+        first, *rest = table_text(table).splitlines()
         first = f"{name}: {first}" if name else first
         blocks.append("\n".join([first, *(line for line in rest if line.startswith("note:"))]))
         blocks.append(aligned(_column_rows(table), right=(4, 5, 6)))
@@ -394,8 +354,6 @@ def _began(t0_ns: int) -> str:
 
 
 def _text(held: Inspection, tables: Mapping[str, Table]) -> str:
-    from armlab.cli.support.output import aligned
-
     state = "finished" if held.finished else f"not finished, {held.torn} bytes torn"
     began = min((table.t0_ns for table in tables.values()), default=0)
     blocks = [f"{held.path}: {held.size / 1e6:.2f} MB, {state}, began {_began(began)}"]
@@ -460,17 +418,6 @@ VIEWERS = {
 }
 
 
-def check_finished(file: Path) -> None:
-    """Check that a file is a recording that was finished: these programs need its end."""
-    from armlab import log as logs
-
-    if not logs.inspect(file).finished:
-        raise LogError(
-            f"Expected a finished recording, got {file}, which was cut off, and which other programs do not open. Make "
-            f"it whole: armlab log recover {file}."
-        )
-
-
 def chosen(wanted: Sequence[str]) -> tuple[Viewer, str]:
     """Return the program to open a recording with, and where it is."""
     if len(wanted) > 1:
@@ -484,8 +431,3 @@ def chosen(wanted: Sequence[str]) -> tuple[Viewer, str]:
     missing = "; ".join(f"{VIEWERS[name].title}: {VIEWERS[name].source}" for name in wanted or VIEWERS)
     what = VIEWERS[wanted[0]].title if wanted else "Foxglove, PlotJuggler or Rerun"
     raise MissingExtra(f"Expected {what} on the PATH, got {there}. How to get it: {missing}.")
-
-
-def started(viewer: Viewer, program: str, file: Path) -> int:
-    """Run a program on a file until it ends, and return its exit code."""
-    return subprocess.run([program, *viewer.arguments, str(file.absolute())], check=False).returncode

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from armlab.cli.support.options import Force
+import armlab
+from armlab.cli import FAILED
+from armlab.cli.support.options import Force, known_ports, ports_in, require_positive
+from armlab.cli.support.output import Narrator, check_output, note, result
+from armlab.errors import ConfigError, NoRobot, SessionEnded
 
 if TYPE_CHECKING:
     from armlab.robots import Robot
-
-__all__ = ["record"]
 
 
 def record(
@@ -30,29 +32,18 @@ def record(
     came. A process that is killed outright loses what it had not taken up yet, a packet or two; a loss of power costs
     up to 0.8 s.
 
-    Parameters
-    ----------
-    robot : str
-        Names in the library, or robot files; one log each.
-    port : str
-        UDP ports to listen on, one per robot, separated by commas; those of the settings when not given, else 6510 for
-        one robot, 6511, 6512, ... for several.
-    output : Path
-        The log, run.mcap; with several robots each has its side or name added: runleft.mcap, runright.mcap.
-    lead_through : bool
-        The arm is led by hand: lists the steps first and says when it does not begin in its home posture.
-    seconds : float
-        Robot time after which to end [s], counted from the first packet.
-    patience : float
-        Give up when no packet comes for so long [s]; waits for ever when not given.
+    Parameters:
+        robot: Names in the library, or robot files; one log each.
+        port: UDP ports to listen on, one per robot, separated by commas; those of the settings when not given, else
+            6510 for one robot, 6511, 6512, ... for several.
+        output: The log, run.mcap; with several robots each has its side or name added: runleft.mcap, runright.mcap.
+        lead_through: The arm is led by hand: lists the steps first and says when it does not begin in its home posture.
+        seconds: Robot time after which to end [s], counted from the first packet.
+        patience: Give up when no packet comes for so long [s]; waits for ever when not given.
     """
-    from armlab import bridge, robots
     from armlab.bridge.control.recording import paths
-    from armlab.cli.support.options import require_positive
-    from armlab.cli.support.output import Narrator, check_output, note
-    from armlab.errors import NoRobot, SessionEnded
 
-    arms = [robots.load(name) for name in robot]
+    arms = [armlab.robots.load(name) for name in robot]
     urls = _urls(port, arms)
     require_positive("seconds", seconds, "s")
     require_positive("patience", patience, "s")
@@ -64,7 +55,7 @@ def record(
     home = {arm.name: arm.q_home.tolist() for arm in arms} if lead_through else {}
     listener = Narrator(listens=True, q_home=home)
     limit = float("inf") if patience is None else patience
-    with bridge.connect(urls, arms, patience=limit) as link:
+    with armlab.bridge.connect(urls, arms, patience=limit) as link:
         note(f"Listening on UDP port {', '.join(map(str, link.ports))}; Ctrl-C ends the recording.")
         for path in files:
             path.unlink(missing_ok=True)
@@ -91,14 +82,9 @@ _STEPS = """Leading by hand, step by step:
 
 def _urls(port: str | None, arms: list[Robot]) -> list[str]:
     """Return one link per arm, on all network interfaces."""
-    from armlab.cli.support.options import known_ports, ports_in
-    from armlab.errors import ConfigError
-
     if not arms:
         raise ConfigError("Expected the name of a robot, got none. Try `armlab record yumi_left -o run.mcap`.")
-    if port is None:
-        return [f"egm://0.0.0.0:{number}" for number in known_ports(arms)]
-    numbers = ports_in(port)
+    numbers = known_ports(arms) if port is None else ports_in(port)
     if len(numbers) != len(arms):
         raise ConfigError(f"Expected one port per robot, such as --port 6511,6512, got {port!r} for {len(arms)}.")
     return [f"egm://0.0.0.0:{number}" for number in numbers]
@@ -106,14 +92,10 @@ def _urls(port: str | None, arms: list[Robot]) -> list[str]:
 
 def _told(files: list[Path]) -> int:
     """Say what the logs hold; a log without a row is removed. Return the exit code."""
-    from armlab import log as logs
-    from armlab.cli import FAILED
-    from armlab.cli.support.output import note, result
-
     kept = 0
     for path in files:
-        table = logs.read(path)
-        is_whole = bool(logs.inspect(path).summary)  # one that was not finished misses what came last
+        table = armlab.log.read(path)
+        is_whole = bool(armlab.log.inspect(path).summary)  # one that was not finished misses what came last
         if len(table) or not is_whole:
             kept += is_whole
             result(f"{path}: {len(table)} packets, {table.t[-1] - table.t[0] if len(table) else 0.0:.2f} s")

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 from cyclopts import App
 
+import armlab
 from armlab.cli.support.options import Force, Json
+from armlab.cli.support.output import FIGURES, aligned, check_output, note, print_json, result, save_figure
 
 if TYPE_CHECKING:
     from armlab.robots import Robot
     from armlab.robots.urdf import Tree
-
-__all__ = ["convert", "list_robots", "robot", "show"]
 
 robot = App(name="robot", help="List, show and convert robot descriptions.")
 
@@ -22,10 +22,7 @@ robot = App(name="robot", help="List, show and convert robot descriptions.")
 @robot.command(name="list", help_epilogue="Example: armlab robot list")
 def list_robots(*, json: Json = False) -> None:
     """List the robots of the library."""
-    from armlab import robots
-    from armlab.cli.support.output import aligned, print_json, result
-
-    found = [robots.load(name) for name in robots.names()]
+    found = [armlab.robots.load(name) for name in armlab.robots.names()]
     if json:
         print_json([{"name": arm.name, "joints": arm.n, "side": arm.side, "hash": arm.hash} for arm in found])
         return
@@ -46,26 +43,18 @@ def show(
 ) -> None:
     """Show one robot: joints, limits, gears, home pose; draw it if asked. Of a URDF, show the tree of links.
 
-    Parameters
-    ----------
-    name
-        Name in the library, or the path of a description, .toml or .urdf.
-    base
-        Link of a URDF that stands still: show the arm that begins there.
-    tip
-        Link of a URDF that moves last: show the arm that ends there.
-    figure
-        Draw the arm at home into this file; .png, .svg or .pdf.
+    Parameters:
+        name: Name in the library, or the path of a description, .toml or .urdf.
+        base: Link of a URDF that stands still: show the arm that begins there.
+        tip: Link of a URDF that moves last: show the arm that ends there.
+        figure: Draw the arm at home into this file; .png, .svg or .pdf.
     """
-    from armlab import robots
-    from armlab.cli.support.output import FIGURES, check_output, note, save_figure
-
     if figure is not None:
         check_output(figure, force, FIGURES)
     elif Path(name).suffix == ".urdf" and base is None and tip is None:
-        _show_tree(robots.urdf.read(name), json)
+        _show_tree(armlab.robots.urdf.read(name), json)
         return
-    arm = robots.load(name, base=base, tip=tip)
+    arm = armlab.robots.load(name, base=base, tip=tip)
     if figure is not None:
         from armlab import plots
 
@@ -80,29 +69,19 @@ def convert(
 ) -> None:
     """Write a robot as TOML, which holds all of it, or as URDF for other programs.
 
-    Parameters
-    ----------
-    source
-        Name in the library, or the path of a description, .toml or .urdf.
-    target
-        File to write, .toml or .urdf.
-    base
-        Link of a URDF that stands still; its root unless said.
-    tip
-        Link of a URDF that moves last; need not be said where only one branch moves.
+    Parameters:
+        source: Name in the library, or the path of a description, .toml or .urdf.
+        target: File to write, .toml or .urdf.
+        base: Link of a URDF that stands still; its root unless said.
+        tip: Link of a URDF that moves last; need not be said where only one branch moves.
     """
-    from armlab import robots
-    from armlab.cli.support.output import check_output, note
-
     check_output(target, force, (".toml", ".urdf"))
-    arm = robots.load(source, base=base, tip=tip)
-    robots.save(arm, target)
+    arm = armlab.robots.load(source, base=base, tip=tip)
+    armlab.robots.save(arm, target)
     note(f"robot: {target}, joints {', '.join(arm.joint_names)}")
 
 
 def _show_tree(tree: Tree, json: bool) -> None:
-    from armlab.cli.support.output import aligned, note, print_json, result
-
     if json:
         fields = ("name", "kind", "parent", "child", "q_min", "q_max", "qd_max", "tau_max", "line")
         joints = [
@@ -132,8 +111,6 @@ def _show_tree(tree: Tree, json: bool) -> None:
 
 def _show_arm(arm: Robot, json: bool) -> None:
     import numpy as np
-
-    from armlab.cli.support.output import aligned, print_json, result
 
     if json:
         words = ("name", "n", "joint_names", "abb_axes", "side", "source", "hash")

@@ -11,10 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+import armlab
+from armlab.cli import FAILED
+from armlab.cli.support.options import links_to
+from armlab.cli.support.output import Narrator, check_output, note, result
+from armlab.errors import ConfigError, ControllerFailed
+
 if TYPE_CHECKING:
     from armlab.bridge import Link, Run
-
-__all__ = ["load_controller", "run"]
 
 _NAME = "controller"
 
@@ -37,48 +41,36 @@ def run(
     declares the columns of Command.record. The run ends after --seconds, by Command.stop(), or on Ctrl-C; the arm is
     brought to rest first.
 
-    Parameters
-    ----------
-    robot : str
-        Name in the library, or a robot file; yumi_left+yumi_right for two arms.
-    controller : str
-        FILE.py:NAME; FILE.py alone means the function `controller` in it. Without a file the arm holds where it is.
-    link : str
-        egm://HOST:PORT for a robot, where HOST is an address of this computer, separated by commas for two arms; the
-        simulated robot when not given.
-    log : str
-        Beginning of the name of the log, to which the time is added; or a folder, where it is the robot's name. In the
-        folder of the settings when not given.
-    no_log : bool
-        Record nothing.
-    seconds : float
-        Robot time under guidance after which to end [s].
-    speed : float
-        Share of the robot's speed and acceleration limits that is allowed, in (0, 1]; that of the settings, 1 without.
-    wait : str
-        How to wait for packets; as the settings say, ahead without. spin: a core does nothing else.
-    interactive : bool
-        Afterwards, a Python prompt with `log` (the table), `run` and `robot`.
+    Parameters:
+        robot: Name in the library, or a robot file; yumi_left+yumi_right for two arms.
+        controller: FILE.py:NAME; FILE.py alone means the function `controller` in it. Without a file the arm holds
+            where it is.
+        link: egm://HOST:PORT for a robot, where HOST is an address of this computer, separated by commas for two arms;
+            the simulated robot when not given.
+        log: Beginning of the name of the log, to which the time is added; or a folder, where it is the robot's name. In
+            the folder of the settings when not given.
+        no_log: Record nothing.
+        seconds: Robot time under guidance after which to end [s].
+        speed: Share of the robot's speed and acceleration limits that is allowed, in (0, 1]; that of the settings, 1
+            without.
+        wait: How to wait for packets; as the settings say, ahead without. spin: a core does nothing else.
+        interactive: Afterwards, a Python prompt with `log` (the table), `run` and `robot`.
     """
-    from armlab import bridge, robots
-    from armlab.cli import FAILED
-    from armlab.cli.support.options import links_to
-    from armlab.cli.support.output import Narrator, note, result
     from armlab.cli.support.settings import load_settings
-    from armlab.errors import ControllerFailed
 
-    arms = [robots.load(name) for name in robot.split("+")]
+    arms = [armlab.robots.load(name) for name in robot.split("+")]
     step, extra = (_hold, None) if controller is None else load_controller(controller)
     urls = links_to(robot, arms, link)
     base = _base(log, no_log, robot)
     known = load_settings().settings
     share = known.speed if speed is None else speed
-    limits = [bridge.Limits.of(arm, speed=share) for arm in arms]
+    limits = [armlab.bridge.Limits.of(arm, speed=share) for arm in arms]
     if not all(url.startswith("sim:") for url in urls):
         note(_CHECKS)
-    with bridge.connect(urls, arms) as end:
+    with armlab.bridge.connect(urls, arms) as end:
         options: dict[str, Any] = {"wait": wait or known.wait, "limits": limits, "extra": extra, "feeds": [Narrator()]}
-        options["attachments"] = _attached(controller)
+        file = None if controller is None else _file_and_name(controller)[0]
+        options["attachments"] = {} if file is None else {file.name: file.read_bytes()}
         try:
             done = end.run(step, seconds, record=base, **options)
         except KeyboardInterrupt:
@@ -88,7 +80,8 @@ def run(
             note(_raised_at(error))
             raise
         finally:
-            _tell_files(end)
+            for path in _files(end):
+                note(f"log: {path}; look at it: armlab log show {path}")
     result(done.report())
     if interactive:
         _prompt(done, end)
@@ -102,8 +95,6 @@ In this order: automatic mode or manual with the enabling device; motors on; RAP
 def load_controller(place: str) -> tuple[Callable[..., Any], Mapping[str, Any] | None]:
     """Return the controller in a file, and the columns that the file declares as `extra`, None without them."""
     from importlib.util import module_from_spec, spec_from_file_location
-
-    from armlab.errors import ConfigError
 
     path, name = _file_and_name(place)
     if path.suffix != ".py":
@@ -138,14 +129,6 @@ def _file_and_name(place: str) -> tuple[Path, str]:
     return Path(f"{file}.py" if name else place), name or _NAME
 
 
-def _attached(controller: str | None) -> dict[str, bytes]:
-    """Return the file of the controller, to be kept in the log."""
-    if controller is None:
-        return {}
-    path, _ = _file_and_name(controller)
-    return {path.name: path.read_bytes()}
-
-
 def _raised_at(error: Exception) -> str:
     """Return the lines of the user's own files that led to what a controller raised, the last one last."""
     from traceback import extract_tb
@@ -162,9 +145,7 @@ def _hold(state: object) -> None:
 
 def _base(log: str | None, no_log: bool, robot: str) -> Path | None:
     """Return the name of the log, with the time: one file per arm and start."""
-    from armlab.cli.support.output import check_output
     from armlab.cli.support.settings import log_folder
-    from armlab.errors import ConfigError
 
     if no_log:
         if log is not None:
@@ -187,27 +168,17 @@ def _files(link: Link) -> list[Path]:
     return [one.path for one in runs if one.path is not None and one.path.exists()]
 
 
-def _tell_files(link: Link) -> None:
-    from armlab.cli.support.output import note
-
-    for path in _files(link):
-        note(f"log: {path}; look at it: armlab log show {path}")
-
-
 def _report_of_logs(link: Link) -> None:
     """Print the report of a run that was interrupted: its numbers are the summary of the log."""
-    from armlab import log as logs
     from armlab.bridge.control.run import Run
-    from armlab.cli.support.output import result
 
     for path in _files(link):
-        summary = logs.inspect(path).summary
+        summary = armlab.log.inspect(path).summary
         if summary:
             result(Run(summary["reason"], {**summary, "problems": []}, (), path, None).report())
 
 
 def _prompt(done: Run, link: Link) -> None:
-    """Open a prompt with what the run left behind."""
     import code
 
     import numpy as np

@@ -6,7 +6,7 @@ import contextlib
 import json as json_format
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -16,6 +16,8 @@ from cyclopts import Parameter
 
 from armlab._interrupts import deferred
 from armlab.cli import FAILED, INTERRUPTED
+from armlab.cli.support.options import simulated
+from armlab.cli.support.output import note
 from armlab.errors import ConfigError, LogError
 from armlab.sim.arm.mismatch import Mismatch
 from armlab.sim.controller.settings import ControllerSettings, FaultRates
@@ -48,7 +50,6 @@ class FaultOptions:
     until: float = FaultRates.until
 
     def rates(self) -> FaultRates:
-        """Return the rates, or raise ConfigError for what makes no sense."""
         given: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
         return FaultRates(**{**given, "delay": pair("delay", self.delay), "pause": pair("pause", self.pause)})
 
@@ -61,24 +62,16 @@ FaultOptions.__doc__ = f"{FaultOptions.__doc__}\n\n    Attributes\n{_attributes.
 class PacketOptions:
     """What the packets hold.
 
-    Attributes
-    ----------
-    robotware : str
-        Flavour: 6.06 sends radians and no time, 6.07 time, 6.10 the utilization, 7 what came later.
-    axes : str
-        A robot without a name: 6 for irb1200, 7 for yumi_right, scara for an invented robot of four axes.
-    external : int
-        External axes beyond those of the robot.
-    rapid_data : int
-        How many of the numbers that RAPID hears it sends back, with the digital value (RobotWare 7).
-    fields : str
-        Fields of EgmRobot to leave out, with commas between: tm, planned, cartesian, time, motorState, mciState,
-        rapidExecState, mciConvergenceMet, utilizationRate.
-    force : bool
-        Send the wrench on the tool as measuredForce, in the layout of the RobotWare.
-    lagging : bool
-        No masses: the arm follows its reference through a dead time of two cycles and a lag of 8 ms, without torques.
-        So do all robots of which no masses are assumed.
+    Attributes:
+        robotware: Flavour: 6.06 sends radians and no time, 6.07 time, 6.10 the utilization, 7 what came later.
+        axes: A robot without a name: 6 for irb1200, 7 for yumi_right, scara for an invented robot of four axes.
+        external: External axes beyond those of the robot.
+        rapid_data: How many of the numbers that RAPID hears it sends back, with the digital value (RobotWare 7).
+        fields: Fields of EgmRobot to leave out, with commas between: tm, planned, cartesian, time, motorState,
+            mciState, rapidExecState, mciConvergenceMet, utilizationRate.
+        force: Send the wrench on the tool as measuredForce, in the layout of the RobotWare.
+        lagging: No masses: the arm follows its reference through a dead time of two cycles and a lag of 8 ms, without
+            torques. So do all robots of which no masses are assumed.
     """
 
     robotware: Literal["6.06", "6.07", "6.10", "7"] = "6.10"
@@ -90,7 +83,6 @@ class PacketOptions:
     lagging: bool = False
 
     def __post_init__(self) -> None:
-        """Check what RAPID sends back."""
         if not 0 <= self.rapid_data <= 40 or (self.rapid_data and self.robotware != "7"):
             raise ConfigError(
                 f"Expected --rapid-data from 0 to 40, with --robotware 7 only, got {self.rapid_data} and RobotWare "
@@ -98,35 +90,24 @@ class PacketOptions:
             )
 
     def names(self, robots: Sequence[str], count: int) -> tuple[str, ...]:
-        """Return the names of the robots."""
         if self.axes and robots:
             raise ConfigError(f"Expected names of robots or --axes, got both: {', '.join(robots)} and {self.axes}.")
         return (_AXES[self.axes],) * count if self.axes else tuple(robots)
-
-    @property
-    def left_out(self) -> list[str]:
-        """Names of the fields to leave out."""
-        return [name.strip() for name in self.fields.split(",") if name.strip()]
 
 
 @dataclass(frozen=True)
 class SurroundingOptions:
     """What happens around the arms.
 
-    Attributes
-    ----------
-    operator : Path
-        CSV file of the wrench that a hand exerts on the first robot, t,fx,fy,fz,mx,my,mz: seconds since guidance began,
-        N and N m in base axes at the tool point, linear between rows.
-    hand : Path
-        CSV file of the posture to which a hand leads the first robot with --program lead-through, t,q1,q2,... in rad;
-        without it the path is random and smooth.
-    grip : str
-        START,END [s] of guidance time: a hand takes the tool of the first robot, holds it where it is, and lets go.
-    motors : str
-        State of the motors over robot time, as on, or 0:on,2.5:off,4:on. Also: undefined.
-    rapid : str
-        State of RAPID over robot time: running, stopped or undefined (stuck, as after a restart).
+    Attributes:
+        operator: CSV file of the wrench that a hand exerts on the first robot, t,fx,fy,fz,mx,my,mz: seconds since
+            guidance began, N and N m in base axes at the tool point, linear between rows.
+        hand: CSV file of the posture to which a hand leads the first robot with --program lead-through, t,q1,q2,... in
+            rad; without it the path is random and smooth.
+        grip: START,END [s] of guidance time: a hand takes the tool of the first robot, holds it where it is, and lets
+            go.
+        motors: State of the motors over robot time, as on, or 0:on,2.5:off,4:on. Also: undefined.
+        rapid: State of RAPID over robot time: running, stopped or undefined (stuck, as after a restart).
     """
 
     operator: Path | None = None
@@ -136,7 +117,6 @@ class SurroundingOptions:
     rapid: str = "running"
 
     def scene(self, robot: Robot, index: int, seed: list[int], external: int) -> Surroundings:
-        """Return what happens around one robot."""
         from armlab.sim.events import MOTORS, RAPID, AppliedWrench, Grip, HandPath, StateScript, Surroundings
 
         operator = AppliedWrench.idle() if self.operator is None or index else read_operator(self.operator)
@@ -148,7 +128,6 @@ class SurroundingOptions:
 
 
 def pair(name: str, text: str) -> tuple[float, float]:
-    """Return the two numbers of an option."""
     words = text.split(",")
     try:
         first, second = (float(word) for word in words)
@@ -192,7 +171,10 @@ def _read(path: Path, names: Sequence[str], what: str) -> np.ndarray:
     for number, line in enumerate(lines, start=2):
         if not line.strip():
             continue
-        row = _numbers(line.split(","))
+        try:
+            row = [float(word) for word in line.split(",")]
+        except ValueError:
+            row = []
         if len(row) != len(names) or not all(math.isfinite(value) for value in row):
             raise ConfigError(f"Expected {len(names)} numbers in line {number} of {path}, got {line[:_SHOWN]!r}.")
         if rows and row[0] <= rows[-1][0]:
@@ -201,14 +183,6 @@ def _read(path: Path, names: Sequence[str], what: str) -> np.ndarray:
             )
         rows.append(row)
     return np.array(rows).reshape(len(rows), len(names))
-
-
-def _numbers(words: Iterable[str]) -> list[float]:
-    """Return the words as numbers; nothing when one of them is none."""
-    try:
-        return [float(word) for word in words]
-    except ValueError:
-        return []
 
 
 class TextFile:
@@ -227,7 +201,6 @@ class TextFile:
             self._file.close()
 
     def write(self, text: str) -> None:
-        """Add a text."""
         with self._named():
             self._file.write(text)
 
@@ -289,51 +262,29 @@ def sim(
 ) -> int:
     """Simulate arms and their EGM controller. Masses, friction and noise are invented; see the documentation.
 
-    Parameters
-    ----------
-    robot : str
-        Names in the library, or robot files, one motion task each; or none together with --axes.
-    to : str
-        HOST:PORT of the bridge; with several robots one each, separated by commas.
-    lockstep : bool
-        Wait for each reply and run as fast as the peer; the same seed gives the same bytes.
-    seed : str
-        Seed of noise, faults and the random hand; with several robots also one each, separated by commas.
-    seconds : float
-        Robot time after which to end [s]; without it until Ctrl-C.
-    extension : bool
-        Send velocities and torques too (research extension, field 101), and obey torques and gains.
-    phase : float
-        With several robots: how long after the one before each sends [s].
-    truth : Path
-        CSV file to write with the exact state, friction and wrench of every packet (one robot only).
-    stats : Path
-        JSON file to write with counters and round-trip times, per robot; a name given twice gets a number.
-    json : bool
-        Print events as JSON, one object per line.
-    patience : float
-        How long lockstep waits for one reply before the session times out [s].
-    abb_defaults : bool
-        Speed deviation 1 deg/s and convergence after 1 s within 0.5 deg, as on a robot set up without care. What is
-        given as an option of its own keeps its value.
-    content : PacketOptions
-        Of the packets.
-    around : SurroundingOptions
-        The arms.
-    settings : ControllerSettings
-        Of the controller.
-    faults : FaultOptions
-        In both directions.
-    outgoing : FaultOptions
-        Of the robot's packets instead, for example --outgoing.loss 0.1.
-    incoming : FaultOptions
-        Of the replies instead.
-    mismatch : Mismatch
-        How the arms differ from what is believed of them, for example --mismatch.torque-constant 0.05.
-    parent : int
-        Process with which to end; the one that started this one by default.
+    Parameters:
+        robot: Names in the library, or robot files, one motion task each; or none together with --axes.
+        to: HOST:PORT of the bridge; with several robots one each, separated by commas.
+        lockstep: Wait for each reply and run as fast as the peer; the same seed gives the same bytes.
+        seed: Seed of noise, faults and the random hand; with several robots also one each, separated by commas.
+        seconds: Robot time after which to end [s]; without it until Ctrl-C.
+        extension: Send velocities and torques too (research extension, field 101), and obey torques and gains.
+        phase: With several robots: how long after the one before each sends [s].
+        truth: CSV file to write with the exact state, friction and wrench of every packet (one robot only).
+        stats: JSON file to write with counters and round-trip times, per robot; a name given twice gets a number.
+        json: Print events as JSON, one object per line.
+        patience: How long lockstep waits for one reply before the session times out [s].
+        abb_defaults: Speed deviation 1 deg/s and convergence after 1 s within 0.5 deg, as on a robot set up without
+            care. What is given as an option of its own keeps its value.
+        content: Of the packets.
+        around: The arms.
+        settings: Of the controller.
+        faults: In both directions.
+        outgoing: Of the robot's packets instead, for example --outgoing.loss 0.1.
+        incoming: Of the replies instead.
+        mismatch: How the arms differ from what is believed of them, for example --mismatch.torque-constant 0.05.
+        parent: Process with which to end; the one that started this one by default.
     """
-    from armlab.cli.support.output import note
     from armlab.sim.controller.cycles import Timing, run
 
     os.environ.setdefault("MUJOCO_GL", "disable")  # nothing is drawn: MuJoCo need not load what opens windows
@@ -388,7 +339,6 @@ def _with_abb_defaults(settings: ControllerSettings) -> ControllerSettings:
 
 
 def _seeds(seed: str, count: int) -> list[int]:
-    """Return the seed of each robot."""
     words = [word.strip() for word in seed.split(",")]
     if len(words) not in (1, count) or not all(word.isascii() and word.isdigit() and len(word) < 20 for word in words):
         raise ConfigError(f"Expected --seed as one whole number of at least 0, or one per robot, got {seed!r}.")
@@ -420,8 +370,6 @@ class _SharedOptions:
     tell: Callable[[ControllerEvent], None]
 
     def channel(self, name: str, address: tuple[str, int], index: int, seed: list[int]) -> UdpClient:
-        """Return one simulated robot with its socket."""
-        from armlab.cli.support.options import simulated
         from armlab.sim.controller.channel import Faults, UdpClient
         from armlab.sim.controller.controller import SimulatedController
         from armlab.sim.controller.packets import PacketBuilder
@@ -441,7 +389,7 @@ class _SharedOptions:
         packets = PacketBuilder(
             codec,
             settings.period,
-            fields=content.left_out,
+            fields=[name.strip() for name in content.fields.split(",") if name.strip()],
             phase=index * self.phase,
             force=content.force,
             torque_reference=is_rw7 and settings.level == 0 and not settings.only_streams,

@@ -12,10 +12,12 @@ from tempfile import TemporaryFile
 from typing import IO, TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+import armlab
+from armlab.cli.support.output import note, result
+from armlab.errors import ConfigError, LinkError
+
 if TYPE_CHECKING:
     from armlab.models import TorqueModel
-
-__all__ = ["beside", "view"]
 
 _START = 30.0  # s for a view to begin
 _END = 5.0  # s for it to end
@@ -37,37 +39,26 @@ def view(
     one, forward the port by ssh -L. A view of a bridge only reads: it can neither delay it nor command it, waits for
     one that has not begun, and goes on when it starts again.
 
-    Parameters
-    ----------
-    what : str
-        Log files, of one arm or of several; with --live the name of the arm to show, all when left out.
-    live : bool
-        Show a running bridge of this user, or with --zenoh one elsewhere.
-    fleet : bool
-        Show all robots side by side that armlab fleet list would list; with --zenoh those of another router or of one
-        lab. One that comes is added, one that goes is shown as gone.
-    zenoh : str
-        Where bridge or router are, for example zenoh://192.168.1.5:7447/lab1; zenoh://127.0.0.1:7447 with --fleet.
-    robot : str
-        Name in the library, or a robot file, for logs without an embedded robot description; one per log. Its mesh
-        files are searched beside it and up to two folders above.
-    model : Path
-        Model file of `armlab identify` that estimates the force where neither log nor bridge holds an estimate; one
-        per arm.
-    cell : str
-        With --live, name of the cell; needed when several run.
-    port : int
-        Port of the page; from 8080 on the first that is free when left out.
+    Parameters:
+        what: Log files, of one arm or of several; with --live the name of the arm to show, all when left out.
+        live: Show a running bridge of this user, or with --zenoh one elsewhere.
+        fleet: Show all robots side by side that armlab fleet list would list; with --zenoh those of another router or
+            of one lab. One that comes is added, one that goes is shown as gone.
+        zenoh: Where bridge or router are, for example zenoh://192.168.1.5:7447/lab1; zenoh://127.0.0.1:7447 with
+            --fleet.
+        robot: Name in the library, or a robot file, for logs without an embedded robot description; one per log. Its
+            mesh files are searched beside it and up to two folders above.
+        model: Model file of `armlab identify` that estimates the force where neither log nor bridge holds an estimate;
+            one per arm.
+        cell: With --live, name of the cell; needed when several run.
+        port: Port of the page; from 8080 on the first that is free when left out.
     """
-    from armlab import models
-    from armlab.errors import ConfigError
-
     if fleet:
         if what or live or robot or model or cell:
             raise ConfigError("Expected at most --zenoh and --port with --fleet, got more. Leave it out.")
         _watch_fleet(zenoh, port)
         return
-    known = [models.load(path, "torque_model") for path in model or ()]
+    known = [armlab.models.load(path, "torque_model") for path in model or ()]
     if not live:
         for option, value in (("--cell", cell), ("--zenoh", zenoh)):
             if value:
@@ -82,22 +73,15 @@ def view(
         )
     if len(what) > 1:
         raise ConfigError(f"Expected one arm with --live, got {', '.join(what)}. Leave them out to see all arms.")
-    _watch(what[0] if what else None, cell, zenoh, known, port)
-
-
-def _watch(arm: str | None, cell: str, zenoh: str, models: Sequence[TorqueModel], port: int | None) -> None:
-    """Show a running bridge."""
-    from armlab.cli.support.output import note
     from armlab.live.live_bridge import watch
 
-    watch(arm, cell=cell, zenoh=zenoh, models=models, port=port, opened=_open, tell=note)
+    arm = what[0] if what else None
+    watch(arm, cell=cell, zenoh=zenoh, models=known, port=port, opened=_open, tell=note)
 
 
 def _watch_fleet(url: str, port: int | None) -> None:
-    """Show all robots at a router."""
     from armlab.bridge.servers.zenoh.keys import EVERY
     from armlab.bridge.servers.zenoh.session import LabAddress
-    from armlab.cli.support.output import note
     from armlab.live.fleet_view import watch_fleet
 
     place = LabAddress.read(url or "zenoh://127.0.0.1")
@@ -106,23 +90,17 @@ def _watch_fleet(url: str, port: int | None) -> None:
 
 
 def _play(paths: Sequence[str], names: Sequence[str], models: Sequence[TorqueModel], port: int | None) -> None:
-    """Show logs."""
-    from armlab import robots
-    from armlab.cli.support.output import note
-    from armlab.errors import ConfigError
-    from armlab.live import Player, address, read_arms, start, stop
-
     if not paths:
         raise ConfigError("Expected at least one log to show, got none. Name a file, or give --live for a bridge.")
     note(f"reading {', '.join(paths)}")
-    arms = read_arms(paths, [robots.load(name) for name in names], models)
-    server = start(port, label=" ".join(Path(path).name for path in paths))
+    arms = armlab.live.read_arms(paths, [armlab.robots.load(name) for name in names], models)
+    server = armlab.live.start(port, label=" ".join(Path(path).name for path in paths))
     try:
-        player = Player(server, arms, meshes=_folders(names))
-        _open(address(server))
+        player = armlab.live.Player(server, arms, meshes=_folders(names))
+        _open(armlab.live.address(server))
         player.run()
     finally:
-        stop(server)
+        armlab.live.stop(server)
 
 
 def _folders(robots: Sequence[str]) -> list[Path]:
@@ -133,8 +111,6 @@ def _folders(robots: Sequence[str]) -> list[Path]:
 
 def _open(url: str) -> None:
     """Print the address at once, also for a program that reads it."""
-    from armlab.cli.support.output import result
-
     result(f"View: {url}")
     sys.stdout.flush()
 
@@ -160,8 +136,6 @@ def beside(cell: str) -> Iterator[str]:
 
 def _first_line(process: subprocess.Popen[str], said: IO[str]) -> str:
     """Return what a view prints when it can be opened."""
-    from armlab.errors import LinkError
-
     out = process.stdout
     came = out is not None and select.select([out], [], [], _START)[0]
     line = out.readline().strip() if out is not None and came else ""

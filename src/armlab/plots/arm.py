@@ -102,7 +102,6 @@ def stick(robot: Robot, q: np.ndarray) -> np.ndarray:
 
 
 def _arm(ax: Axes3D, robot: Robot, q: np.ndarray) -> None:
-    """Draw one configuration in full."""
     mount = robot.T_base_mount[:3, 3]
     if mount.any():
         ax.plot(*np.stack([np.zeros(3), mount], axis=1), color=GREY, linewidth=1.0, linestyle="--", gid="mount")
@@ -137,11 +136,9 @@ def _frames(ax: Axes3D, robot: Robot, q: np.ndarray) -> None:
     length = _UNIT["frame"] * arm_length(robot)
     T_base_tool = forward(robot, q)
     space.frame(ax, np.eye(4), length, "base")
-    if np.allclose(robot.T_flange_tool, np.eye(4)):
-        space.frame(ax, T_base_tool, length, "tool", place=space.AHEAD)
-    else:
+    if not np.allclose(robot.T_flange_tool, np.eye(4)):
         space.frame(ax, T_base_tool @ np.linalg.inv(robot.T_flange_tool), 0.6 * length, "flange")
-        space.frame(ax, T_base_tool, length, "tool", place=space.AHEAD)
+    space.frame(ax, T_base_tool, length, "tool", place=space.AHEAD)
 
 
 _CLOUD = JOINT_STYLES[5][0]  # light: the arm stays visible on it

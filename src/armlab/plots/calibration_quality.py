@@ -12,7 +12,7 @@ from armlab._palette import GREY
 from armlab.errors import ShapeError
 from armlab.estimation import Fit
 from armlab.plots.model import excitation
-from armlab.plots.style import JOINT_STYLES, expect, look, panels
+from armlab.plots.style import JOINT_STYLES, expect, panels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,8 +48,7 @@ def calibration(fit: Fit[Any], truth: ArrayLike | None = None, ax: Any = None) -
     true = None if truth is None else np.asarray(truth, dtype=float)
     if true is not None and true.shape != fit.parameters.shape:
         raise ShapeError(f"Expected {len(fit.parameters)} true parameters to draw, got shape {true.shape}.")
-    with look():
-        figure, axes = panels(2 if fit.residuals.size else 1, 2, ax, width=10.0, height=3.4)
+    with panels(2 if fit.residuals.size else 1, 2, ax, width=10.0, height=3.4) as (figure, axes):
         if fit.residuals.size:
             groups = _groups(fit)
             _per_sample(axes[0, 0], groups, fit.outliers)
@@ -89,8 +88,7 @@ def _per_sample(panel: Axes, groups: dict[str, np.ndarray], outliers: np.ndarray
         if bad.any():
             panel.plot(np.flatnonzero(bad), size[bad], "x", color=GREY, markersize=5.0, label="left out")
     panel.set_yscale("log" if outliers.any() else "linear")
-    panel.set_xlabel("sample")
-    panel.set_ylabel("residual / sigma")
+    panel.set(xlabel="sample", ylabel="residual / sigma")
     handles, labels = panel.get_legend_handles_labels()
     once = dict(zip(labels, handles, strict=True))
     panel.legend(
@@ -113,8 +111,7 @@ def _quantiles(panel: Axes, groups: dict[str, np.ndarray], outliers: np.ndarray)
         panel.plot(at, values, ".", color=color, markersize=3.0, label=name)
         widest = max([widest, *np.abs(at[:1])])
     panel.plot([-widest, widest], [-widest, widest], color=GREY, linestyle="--", label="normal")
-    panel.set_xlabel("normal quantile")
-    panel.set_ylabel("residual / sigma")
+    panel.set(xlabel="normal quantile", ylabel="residual / sigma")
     panel.legend(loc="upper left")
     panel.margins(x=_EDGE, y=_EDGE)
     panel.set_title("quantiles")
@@ -137,8 +134,7 @@ def _ellipses(panel: Axes, fit: Fit[Any], true: np.ndarray | None) -> None:
     panel.set_aspect("equal", adjustable="datalim")
     panel.xaxis.set_major_formatter("{x:g}")
     panel.yaxis.set_major_formatter("{x:g}")
-    panel.set_xlabel("first parameter, off by")
-    panel.set_ylabel("second parameter, off by")
+    panel.set(xlabel="first parameter, off by", ylabel="second parameter, off by")
     panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2))
     panel.set_title("two sigma, around what was found")
 

@@ -14,7 +14,7 @@ from armlab.contact.contacts import Hypotheses
 from armlab.errors import ShapeError, UnknownName, shortened
 from armlab.glossary import label, lookup
 from armlab.log import Table
-from armlab.plots.style import JOINT_STYLES, band, expect, legend, line, look, panels, shade
+from armlab.plots.style import JOINT_STYLES, band, expect, joint_names, joint_style, legend, line, panels, shade, single
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,8 +48,7 @@ def wrench(table: Table, ax: Any = None) -> Figure:
     touched = np.zeros(len(table), dtype=bool)
     for contact in contacts(table) if sigma is not None else ():
         touched |= (table.t >= contact.start) & (table.t <= contact.end)
-    with look():
-        figure, axes = panels(3, columns, ax, width=10.0, height=1.9, sharex=True)
+    with panels(3, columns, ax, width=10.0, height=1.9, sharex=True) as (figure, axes):
         for column in range(columns):
             limit = _limit(table, sigma, column)
             for row in range(3):
@@ -76,8 +75,7 @@ def wrenches(tables: Mapping[str, Table], ax: Any = None) -> Figure:
     """
     if not isinstance(tables, Mapping) or not tables:
         raise ShapeError(f"Expected {{name: table}} of at least one arm to draw, got {shortened(tables)}.")
-    with look():
-        figure, axes = panels(3, len(tables), ax, width=max(6.0, 4.5 * len(tables)), height=1.9, sharex="col")
+    with panels(3, len(tables), ax, width=max(6.0, 4.5 * len(tables)), height=1.9, sharex="col") as (figure, axes):
         for column, (name, table) in enumerate(tables.items()):
             wrench(table, ax=axes[:, column])
             axes[0, column].set_title(name, fontweight="bold")
@@ -134,9 +132,7 @@ def hypotheses(found: Hypotheses, ax: Any = None) -> Axes:
     ShapeError : something else in place of hypotheses, or several Axes.
     """
     expect(found, Hypotheses)
-    with look():
-        figure, axes = panels(1, 1, ax, width=10.0, height=2.8)
-        panel: Axes = axes[0, 0]
+    with single(ax, width=10.0, height=2.8) as (figure, panel):
         shown = found.posterior.max(axis=0) >= _LEAST
         parts = [found.posterior[:, i] for i in np.flatnonzero(shown)]
         names = [name for name, large in zip(found.names, shown) if large]
@@ -147,8 +143,7 @@ def hypotheses(found: Hypotheses, ax: Any = None) -> Axes:
         doubt = np.where(found.link, 0.985, np.nan)
         panel.plot(found.t, doubt, color="black", linewidth=3.0, marker="s", markersize=3.0, label="maybe on a link")
         panel.set_ylim(0.0, 1.0)
-        panel.set_xlabel(label("t"))
-        panel.set_ylabel("probability")
+        panel.set(xlabel=label("t"), ylabel="probability")
         legend(figure, panel)
     return panel
 
@@ -177,17 +172,13 @@ def coverage(table: Table, ax: Any = None) -> Axes:
     UnknownName : the table has neither, or nothing to compare the wrench with. ShapeError : no table.
     """
     names, shares = coverage_by_speed(table)
-    with look():
-        _, axes = panels(1, 1, ax, width=7.5, height=3.6)
-        panel: Axes = axes[0, 0]
+    with single(ax, width=7.5, height=3.6) as (_, panel):
         places = np.arange(len(EDGES) - 1)
         for i, name in enumerate(names):
-            color, style = JOINT_STYLES[i % len(JOINT_STYLES)]
-            panel.plot(places, 100 * shares[i], "o", linestyle=style, color=color, markersize=4, label=name)
+            panel.plot(places, 100 * shares[i], "o", markersize=4, label=name, **joint_style(i))
         panel.axhline(NOMINAL, color=GREY, linestyle="--", label=f"{NOMINAL} %")
         panel.set_xticks(places, [f"{100 * a:g} to {100 * b:g} %" for a, b in pairwise(EDGES)])
-        panel.set_xlabel("speed, share of its peak")
-        panel.set_ylabel("inside 2 sigma [%]")
+        panel.set(xlabel="speed, share of its peak", ylabel="inside 2 sigma [%]")
         known = shares[np.isfinite(shares)]
         panel.set_ylim(min(80.0, 100 * float(known.min(initial=1.0)) - 2.0), 101.0)
         panel.legend(loc="lower right", ncols=4)
@@ -202,7 +193,7 @@ def coverage_by_speed(table: Table) -> tuple[tuple[str, ...], np.ndarray]:
     speed = np.abs(table["qd"]) / np.maximum(np.nanmax(np.abs(table["qd"]), axis=0), 1e-12)
     if "tau_sigma" in table:
         error, sigma = table["tau"] - table["tau_model"], table["tau_sigma"]
-        names = table.columns["tau"].labels or tuple(f"joint {i + 1}" for i in range(error.shape[1]))
+        names = joint_names(table, error.shape[1])
     else:
         truth = next((name for name in ("wrench_true", "wrench") if name in table), None)
         if truth is None or "wrench_hat_cov" not in table:
@@ -247,8 +238,7 @@ def observability(table: Table, ax: Any = None) -> Figure:
     if "observability" not in table:
         raise UnknownName.among("column of an observability figure", "observability", table.names)
     values = table["observability"]
-    with look():
-        figure, axes = panels(2, 1, ax, width=10.0, height=1.8, sharex=True, sharey=True)
+    with panels(2, 1, ax, width=10.0, height=1.8, sharex=True, sharey=True) as (figure, axes):
         for row, panel in enumerate(axes[:, 0]):
             part = values[:, 3 * row : 3 * row + 3]
             shade(panel, table.t, np.any(part < _WEAK, axis=1), label="weak")

@@ -14,13 +14,13 @@ from armlab._numbers import numbers
 from armlab._palette import GREY
 from armlab.errors import ShapeError
 from armlab.estimation import Fit
-from armlab.glossary import lookup
+from armlab.glossary import label, lookup
 from armlab.identify.residuals import model_residuals
 from armlab.kernels import Drive
 from armlab.models import TorqueModel
 from armlab.models.friction import FRICTION_TERMS, Ripple
 from armlab.plots.model import value_of
-from armlab.plots.style import JOINT_STYLES, MODEL, band, cloud, expect, legend, look, panels
+from armlab.plots.style import JOINT_STYLES, MODEL, band, cloud, expect, joint_panels, joints_shown, legend, panels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from armlab.log import Table
 
 
-_COLUMNS = 4
 _POINTS = 3_000
 
 
@@ -51,15 +50,16 @@ def friction(fit: Fit[TorqueModel], table: Table | None = None, ax: Any = None) 
     expect(fit, Fit)
     model = value_of(fit)
     n = model.n
-    with look():
-        rows = -(-n // _COLUMNS) if ax is None else 1
-        figure, axes = panels(rows, min(n, _COLUMNS) if ax is None else n, ax, width=11.0, height=2.6)
-        for panel in axes.ravel()[n:]:
-            panel.remove()
-        for i, panel in enumerate(axes.ravel()[:n]):
-            qd = _speeds(model.training.qd_peak[i])
+    with joint_panels(n, ax) as (figure, axes):
+        for i, panel in enumerate(axes):
+            peak = model.training.qd_peak[i]
+            half = np.geomspace(1e-4, 1.0, 200) * (peak if peak > 0 else 1.0)
+            qd = np.concatenate([-half[::-1], half])
             if table is not None:
-                _points(panel, model, table, i)
+                every = max(1, len(table) // _POINTS)
+                speeds = table["qd"][::every]
+                shown = _curve(model, speeds) - table["tau_error"][::every]  # what the model has, plus what it misses
+                cloud(panel, speeds[:, i], shown[:, i], "measured")
             grid = np.repeat(qd[:, None], n, axis=1)
             torque = _curve(model, grid)[:, i]
             known = _parameter_variance(fit, i, qd)
@@ -67,16 +67,9 @@ def friction(fit: Fit[TorqueModel], table: Table | None = None, ax: Any = None) 
             band(panel, qd, torque, 2 * np.sqrt(known), color=MODEL, alpha=0.4, label="± 2 sigma of the parameters")
             band(panel, qd, torque, 2 * stated, color=MODEL, alpha=0.15, label="with the torque error")
             panel.plot(qd, torque, color=MODEL, linewidth=1.4, label="model")
-            panel.set_title(f"joint {i + 1}")
-            panel.set_xlabel(f"qd [{lookup('qd').unit}]")
-            panel.set_ylabel(f"friction [{lookup('tau').unit}]")
-        legend(figure, axes.ravel()[0])
+            panel.set(title=f"joint {i + 1}", xlabel=label("qd"), ylabel=f"friction [{lookup('tau').unit}]")
+        legend(figure, axes[0])
     return figure
-
-
-def _speeds(peak: float) -> np.ndarray:
-    half = np.geomspace(1e-4, 1.0, 200) * (peak if peak > 0 else 1.0)
-    return np.concatenate([-half[::-1], half])
 
 
 def _curve(model: TorqueModel, qd: np.ndarray) -> np.ndarray:
@@ -87,14 +80,6 @@ def _curve(model: TorqueModel, qd: np.ndarray) -> np.ndarray:
 def _sign(model: TorqueModel, qd: np.ndarray) -> np.ndarray:
     smooth = model.friction.smooth_speed
     return np.where(smooth > 0, np.tanh(qd / np.where(smooth > 0, smooth, 1.0)), np.sign(qd))
-
-
-def _points(panel: Any, model: TorqueModel, table: Table, i: int) -> None:
-    """Draw the friction that each row shows: what the model has, plus what it misses."""
-    every = max(1, len(table) // _POINTS)
-    qd, missed = table["qd"][::every], -table["tau_error"][::every]
-    shown = _curve(model, qd)[:, i] + missed[:, i]
-    cloud(panel, qd[:, i], shown, "measured")
 
 
 def _parameter_variance(fit: Fit[TorqueModel], i: int, qd: np.ndarray) -> np.ndarray:
@@ -159,7 +144,7 @@ def friction_map(
     ShapeError : a joint that is not there, positions that are no numbers, or another number of Axes.
     """
     model = value_of(model)
-    _known(model, [joint])
+    joints_shown([joint], model.n)
     known = model.training
     q = np.linspace(known.q_min[joint], known.q_max[joint], _CELLS)
     qd = np.linspace(-1.0, 1.0, 2 * (_CELLS // 2)) * known.qd_peak[joint]  # an even number: zero is no velocity
@@ -167,22 +152,18 @@ def friction_map(
     cuts = np.linspace(q[0], q[-1], _SLICES + 2)[1:-1] if slices is None else numbers(slices, "slices", ShapeError)
     if cuts.ndim != 1 or not len(cuts) or not np.isfinite(cuts).all():
         raise ShapeError(f"Expected slices as finite positions (k,) [rad], got {slices!r}.")
-    with look():
-        figure, axes = panels(1, 2, ax, width=11.0, height=3.8, width_ratios=(3, 2))
+    with panels(1, 2, ax, width=11.0, height=3.8, width_ratios=(3, 2)) as (figure, axes):
         left, right = axes[0]
         mesh = left.pcolormesh(q, qd, torque.T, cmap="cividis", shading="nearest", rasterized=True)
         figure.colorbar(mesh, ax=left, label=f"friction [{lookup('tau').unit}]")
         if table is not None:
             _cover(left, table["q"][:, joint], table["qd"][:, joint], q, qd)
-        left.set_xlabel(f"q [{lookup('q').unit}]")
-        left.set_ylabel(f"qd [{lookup('qd').unit}]")
-        left.set_title(f"joint {joint + 1}")
+        left.set(xlabel=label("q"), ylabel=label("qd"), title=f"joint {joint + 1}")
         left.grid(visible=False)
         for at, values, (color, _) in zip(cuts, _sliding(model, joint, cuts, qd), cycle(JOINT_STYLES)):
             right.plot(qd, values, color=color, label=f"q = {at:.2f} {lookup('q').unit}")
             left.axvline(at, color=color, linewidth=1.2, ymax=0.04)
-        right.set_xlabel(f"qd [{lookup('qd').unit}]")
-        right.set_ylabel(f"friction [{lookup('tau').unit}]")
+        right.set(xlabel=label("qd"), ylabel=f"friction [{lookup('tau').unit}]")
         right.legend(loc="upper left")
     return figure
 
@@ -196,9 +177,7 @@ def _sliding(model: TorqueModel, joint: int, q: np.ndarray, qd: np.ndarray) -> n
     )
     at = np.zeros((2, len(q), len(qd), model.n))
     at[0, :, :, joint], at[1, :, :, joint] = np.meshgrid(q, qd, indexing="ij")
-    smooth = model.friction.smooth_speed
-    s = np.where(smooth > 0, np.tanh(at[1] / np.where(smooth > 0, smooth, 1.0)), np.sign(at[1]))
-    return drive.torque(at[0], at[1], s)[:, :, joint]
+    return drive.torque(at[0], at[1], _sign(model, at[1]))[:, :, joint]
 
 
 def _cover(panel: Any, q: np.ndarray, qd: np.ndarray, q_shown: np.ndarray, qd_shown: np.ndarray) -> None:
@@ -236,18 +215,17 @@ def spectrum(
     ShapeError : a joint that is not there, or another number of Axes; a log that `identify.prepare` refuses.
     """
     model = value_of(fit)
-    shown = list(range(model.n)) if joints is None else list(joints)
-    _known(model, shown)
+    shown = joints_shown(joints, model.n)
     still = np.zeros(model.n)
     bare = replace(model, ripple=Ripple(model.ripple.cycles, still, still), lines=None)
     with_ripple, without = model_residuals(table, model), model_residuals(table, bare)
     every = max(1, len(without.y) // _ROWS)
-    with look():
-        figure, axes = panels(len(shown), 1, ax, width=9.0, height=1.9)
+    with panels(len(shown), 1, ax, width=9.0, height=1.9) as (figure, axes):
         for panel, i in zip(axes[:, 0], shown, strict=True):
             q, qd = without.data.q[::every, i], without.data.qd[::every, i]
             gear = 0.5 * model.ripple.cycles[i]
-            cycles = _cycles(q, 2.0 * gear)
+            step = 0.5 * np.pi / max(float(np.ptp(q)), 1e-3)  # as close as the range of the motion can tell apart
+            cycles = np.arange(_SLOWEST, _BEYOND * max(2.0 * gear, _UNGEARED), step)
             slow = without.data.rate / 4.0 / np.maximum(np.abs(qd) / (2 * np.pi), 1e-9)  # cycles per turn
             for found, color, label in ((without, GREY, "without"), (with_ripple, MODEL, "with")):
                 amplitude = _amplitude(q, found.y[::every, i], cycles, slow)
@@ -257,17 +235,10 @@ def spectrum(
             if 2.0 * gear >= _UNGEARED:
                 top = panel.secondary_xaxis("top", functions=(lambda x, g=gear: x / g, lambda x, g=gear: x * g))
                 top.set_xlabel("cycles per motor turn" if panel is axes[0, 0] else "")
-            panel.set_title(f"joint {i + 1}")
-            panel.set_ylabel(f"amplitude [{lookup('tau').unit}]")
+            panel.set(title=f"joint {i + 1}", ylabel=f"amplitude [{lookup('tau').unit}]")
         axes[-1, 0].set_xlabel("cycles per joint turn")
         legend(figure, axes[0, 0])
     return figure
-
-
-def _cycles(q: np.ndarray, line: float) -> np.ndarray:
-    """Return the cycles per turn to look at: as close as the range of the motion can tell apart."""
-    step = 0.25 * 2 * np.pi / max(float(np.ptp(q)), 1e-3)
-    return np.arange(_SLOWEST, _BEYOND * max(line, _UNGEARED), step)
 
 
 def _amplitude(q: np.ndarray, y: np.ndarray, cycles: np.ndarray, most: np.ndarray) -> np.ndarray:
@@ -287,8 +258,3 @@ def _lines(model: TorqueModel, joint: int) -> list[float]:
     if np.hypot(model.ripple.cosine[joint], model.ripple.sine[joint]) > 0:
         found.append(float(model.ripple.cycles[joint]))
     return sorted(found)
-
-
-def _known(model: TorqueModel, joints: Sequence[int]) -> None:
-    if not joints or not all(0 <= i < model.n for i in joints):
-        raise ShapeError(f"Expected numbers of joints from 0 to {model.n - 1} to draw, got {list(joints)}.")

@@ -16,7 +16,21 @@ from armlab.identify import predict
 from armlab.log import Table
 from armlab.models import TorqueModel
 from armlab.models.torque import VelocityCovariance
-from armlab.plots.style import JOINT_STYLES, MODEL, band, cloud, expect, legend, line, look, panels
+from armlab.plots.style import (
+    JOINT_STYLES,
+    MODEL,
+    band,
+    cloud,
+    expect,
+    joint_names,
+    joint_panels,
+    joint_style,
+    joints_shown,
+    legend,
+    line,
+    panels,
+    single,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,9 +60,8 @@ def torque_fit(fit: Fit[TorqueModel] | TorqueModel, table: Table, ax: Any = None
     found = predict(value_of(fit), table)
     t, tau, model, sigma = found.t, found["tau"], found["tau_model"], found["tau_sigma"]
     joints = tau.shape[1]
-    names = table.columns["tau"].labels or tuple(f"joint {i + 1}" for i in range(joints))
-    with look():
-        figure, axes = panels(joints, 2, ax, width=11.0, height=1.55, sharex=True, width_ratios=(3, 2))
+    names = joint_names(table, joints)
+    with panels(joints, 2, ax, width=11.0, height=1.55, sharex=True, width_ratios=(3, 2)) as (figure, axes):
         for i in range(joints):
             left, right = axes[i]
             line(left, t, tau[:, i], color=GREY, linewidth=3.2, alpha=0.45, label="measured")
@@ -96,7 +109,6 @@ def _scale(residual: np.ndarray, sigma: np.ndarray) -> tuple[float | None, float
     return (-1.3 * largest, 1.3 * largest) if largest > 0 else (None, None)
 
 
-_COLUMNS = 4  # panels side by side
 _CLOUD_POINTS = 4_000  # of a cloud; more are thinned
 _LAG = 1.0  # s
 _MODELS = (MODEL, JOINT_STYLES[0][0], JOINT_STYLES[2][0])
@@ -122,22 +134,20 @@ def residual_speed(
     UnknownName : a column is missing. ShapeError : no table, a joint that is not there, or another number of Axes.
     """
     residuals, qd = _residuals(table), table["qd"]
-    shown = _joints(residuals, joints)
+    shown = joints_shown(joints, residuals.shape[1])
     every = max(1, len(qd) // _CLOUD_POINTS)
     peak = np.nanmax(np.abs(qd), axis=0)
-    with look():
-        figure, axes = _grid(len(shown), ax)
+    with joint_panels(len(shown), ax) as (figure, axes):
         for panel, i in zip(axes, shown, strict=True):
             cloud(panel, qd[::every, i], residuals[::every, i], "residual")
-            speeds = _signed(peak[i])
+            half = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 300)]) * (peak[i] if peak[i] > 0 else 1.0)
+            speeds = np.concatenate([-half[:0:-1], half])  # close together near zero
             grid = np.repeat(speeds[:, None], residuals.shape[1], axis=1)
             for (name, covariance), color in zip((covariances or {}).items(), _MODELS, strict=False):
-                half = 2 * np.sqrt(covariance.variance(grid)[:, i])
-                panel.plot(speeds, half, color=color, linewidth=1.4, label=f"± 2 sigma, {name}")
-                panel.plot(speeds, -half, color=color, linewidth=1.4, label="_")
-            panel.set_title(f"joint {i + 1}")
-            panel.set_xlabel(f"qd [{lookup('qd').unit}]")
-            panel.set_ylabel(f"residual [{lookup('tau').unit}]")
+                sigma = np.sqrt(covariance.variance(grid)[:, i])
+                panel.plot(speeds, 2 * sigma, color=color, linewidth=1.4, label=f"± 2 sigma, {name}")
+                panel.plot(speeds, -2 * sigma, color=color, linewidth=1.4, label="_")
+            panel.set(title=f"joint {i + 1}", xlabel=label("qd"), ylabel=f"residual [{lookup('tau').unit}]")
         legend(figure, axes[0])
     return figure
 
@@ -158,7 +168,7 @@ def autocorrelation(table: Table, joints: Sequence[int] | None = None, ax: Any =
     UnknownName : a column is missing. ShapeError : no table, a joint that is not there, fewer than 10 whole rows.
     """
     residuals = _residuals(table)
-    shown = _joints(residuals, joints)
+    shown = joints_shown(joints, residuals.shape[1])
     known = np.asarray(np.isfinite(residuals).all(axis=1))
     if known.sum() < 10:
         raise ShapeError(f"Expected at least 10 rows with a residual to correlate, got {known.sum()}.")
@@ -166,23 +176,14 @@ def autocorrelation(table: Table, joints: Sequence[int] | None = None, ax: Any =
     t, residuals, known = table.t[whole], residuals[whole], known[whole]
     step = float(np.median(np.diff(t)))
     most = min(int(_LAG / step), len(residuals) // 2)
-    with look():
-        _, axes = panels(1, 1, ax, width=7.5, height=3.6)
-        panel: Axes = axes[0, 0]
+    with single(ax, width=7.5, height=3.6) as (_, panel):
         for i in shown:
-            color, style = JOINT_STYLES[i % len(JOINT_STYLES)]
             seconds = correlation_time(np.interp(t, t[known], residuals[known, i]), step)
-            panel.plot(
-                np.arange(most) * step,
-                _correlation(residuals[:, i], known, most),
-                color=color,
-                linestyle=style,
-                label=f"joint {i + 1}: {1e3 * seconds:.0f} ms",
-            )
+            found, words = _correlation(residuals[:, i], known, most), f"joint {i + 1}: {1e3 * seconds:.0f} ms"
+            panel.plot(np.arange(most) * step, found, label=words, **joint_style(i))
         white = 2 / np.sqrt(known.sum())
         panel.axhspan(-white, white, color=GREY, alpha=0.2, linewidth=0.0, label="white noise")
-        panel.set_xlabel("lag [s]")
-        panel.set_ylabel("autocorrelation of the residual")
+        panel.set(xlabel="lag [s]", ylabel="autocorrelation of the residual")
         panel.legend(loc="upper right", ncols=2)
     return panel
 
@@ -194,32 +195,6 @@ def _residuals(table: Table) -> np.ndarray:
         if name not in table:
             raise UnknownName.among("column of torque residuals", name, table.names)
     return -table["tau_error"]
-
-
-def _joints(residuals: np.ndarray, joints: Sequence[int] | None) -> list[int]:
-    n = residuals.shape[1]
-    shown = list(range(n)) if joints is None else list(joints)
-    if not shown or not all(0 <= i < n for i in shown):
-        raise ShapeError(f"Expected numbers of joints from 0 to {n - 1} to draw, got {shown}.")
-    return shown
-
-
-def _grid(count: int, ax: Any) -> tuple[Figure, np.ndarray]:
-    """Return as many panels as joints, in rows of up to four; what is too much of a new grid is taken out."""
-    if ax is not None:
-        figure, axes = panels(1, count, ax)
-        return figure, axes[0]
-    rows = -(-count // _COLUMNS)
-    figure, axes = panels(rows, min(count, _COLUMNS), width=11.0 if count > 1 else 6.5, height=2.6)
-    for panel in axes.ravel()[count:]:
-        panel.remove()
-    return figure, axes.ravel()[:count]
-
-
-def _signed(peak: float) -> np.ndarray:
-    """Return speeds from -peak to peak, close together near zero."""
-    half = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 300)]) * (peak if peak > 0 else 1.0)
-    return np.concatenate([-half[:0:-1], half])
 
 
 def _correlation(x: np.ndarray, known: np.ndarray, most: int) -> np.ndarray:
@@ -249,10 +224,6 @@ def velocity_covariance(
     qd_max : the figure goes from -qd_max to qd_max [rad/s].
     ax : Axes to draw into; a new figure when None.
 
-    Returns
-    -------
-    The Axes.
-
     Raises
     ------
     ModelMismatchError : something else in place of a model.
@@ -261,15 +232,11 @@ def velocity_covariance(
     joints = len(covariance.C0)
     qd = np.linspace(-qd_max, qd_max, _VELOCITIES)
     sigma = np.sqrt(covariance.variance(np.repeat(qd[:, None], joints, axis=1)))
-    with look():
-        figure, axes = panels(1, 1, ax, width=7.5, height=4.0)
-        panel: Axes = axes[0, 0]
+    with single(ax, width=7.5, height=4.0) as (figure, panel):
         for i in range(joints):
-            color, style = JOINT_STYLES[i % len(JOINT_STYLES)]
-            panel.plot(qd, sigma[:, i], color=color, linestyle=style, linewidth=1.4, label=f"joint {i + 1}")
+            panel.plot(qd, sigma[:, i], linewidth=1.4, label=f"joint {i + 1}", **joint_style(i))
         panel.set_yscale("log")
-        panel.set_xlabel(f"qd [{lookup('qd').unit}]")
-        panel.set_ylabel(f"sigma of the torque error [{lookup('tau').unit}]")
+        panel.set(xlabel=label("qd"), ylabel=f"sigma of the torque error [{lookup('tau').unit}]")
         panel.set_ylim(0.7 * sigma.min(), 1.4 * sigma.max())
         legend(figure, panel)
     return panel
@@ -297,14 +264,11 @@ def excitation(found: Excitation, ax: Any = None) -> Axes:
     if not len(values) or not values[0] > 0:
         raise ShapeError(f"Expected singular values above zero to draw, got {len(values)} values. Take those of a fit.")
     relative = np.where(values > 0, values / values[0], np.nan)
-    with look():
-        _, axes = panels(1, 1, ax, width=7.5, height=3.2)
-        panel: Axes = axes[0, 0]
+    with single(ax, width=7.5, height=3.2) as (_, panel):
         panel.semilogy(np.arange(1, len(values) + 1), relative, "o-", color=JOINT_STYLES[0][0], markersize=3.5)
         for condition, color, words in ((_WEAK, GREY, "weak below"), (_REFUSED, MODEL, "refused below")):
             panel.axhline(1 / condition, color=color, linestyle="--")
             panel.text(1, 1.1 / condition, words, color=color, fontsize=8.0, va="bottom")
-        panel.set_xlabel("direction")
-        panel.set_ylabel("singular value, relative")
+        panel.set(xlabel="direction", ylabel="singular value, relative")
         panel.set_title(f"condition {found.condition:.0f}; weakest: {found.weakest}", wrap=True)
     return panel

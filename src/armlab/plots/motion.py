@@ -15,7 +15,7 @@ from armlab.glossary import label
 from armlab.lie import so3
 from armlab.motion import Dmp, PeriodicDmp, PoseDmp, ProMP, Rollout, TwoDofRun
 from armlab.plots.space import pose_stack
-from armlab.plots.style import JOINT_STYLES, band, expect, legend, line, look, panels
+from armlab.plots.style import JOINT_STYLES, band, expect, joint_style, legend, line, name_rows, panels, single
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,23 +38,18 @@ def dmp(dmp: Dmp, demo: tuple[ArrayLike, ArrayLike] | None = None, goals: Goals 
     goals : (t, g) of goals (n,) for which it goes from a time on [s]; every goal is drawn dashed.
     ax : five Axes to draw into; a new figure when None.
 
-    Returns
-    -------
-    The Figure.
-
     Raises
     ------
     ShapeError : another kind of primitive, a demonstration or goal of another shape, or another number of Axes.
     """
     expect(dmp, Dmp)
     run, steps = _run(dmp, goals)
-    with look():
-        figure, axes = panels(5, 1, ax, width=8.0, height=1.6, sharex=True)
+    with panels(5, 1, ax, width=8.0, height=1.6, sharex=True) as (figure, axes):
         position, velocity, forcing, kernels, weights = axes[:, 0]
         for i in range(dmp.n):
-            color, style = JOINT_STYLES[i % len(JOINT_STYLES)]
+            color = JOINT_STYLES[i % len(JOINT_STYLES)][0]
             for panel, values in ((position, run.y), (velocity, run.yd), (forcing, run.forcing)):
-                panel.plot(run.t, values[:, i], color=color, linestyle=style, label=f"y{i + 1}")
+                panel.plot(run.t, values[:, i], label=f"y{i + 1}", **joint_style(i))
             weights.plot(_when(dmp), dmp.weights[:, i], ".", color=color, markersize=4.0, label="_")
             if len(steps[0]) > 1:
                 position.step(*(steps[0], steps[1][:, i]), where="post", color=color, linestyle="--", linewidth=0.7)
@@ -68,10 +63,7 @@ def dmp(dmp: Dmp, demo: tuple[ArrayLike, ArrayLike] | None = None, goals: Goals 
             color = "black" if run.x.ndim == 1 else JOINT_STYLES[i % len(JOINT_STYLES)][0]
             kernels.plot(run.t, x[:, i], color=color, linewidth=1.4, label="phase x" if not i else "_")
         names = (label("y"), label("yd"), label("forcing"), "kernels, x [1]", label("weights"))
-        for panel, name in zip(axes[:, 0], names, strict=True):
-            panel.set_ylabel(name)
-        weights.set_xlabel(label("t"))
-        figure.align_ylabels()
+        name_rows(figure, axes, names)
         legend(figure, position, kernels)
     return figure
 
@@ -83,26 +75,19 @@ def dmp_phase(dmp: Dmp, ax: Any = None) -> Axes:
     ----------
     dmp : the primitive. ax : Axes to draw into; a new figure when None.
 
-    Returns
-    -------
-    The Axes.
-
     Raises
     ------
     ShapeError : another kind of primitive, or another number of Axes.
     """
     expect(dmp, Dmp)
     run = dmp.rollout(np.linspace(0.0, _SETTLES * dmp.duration, _SAMPLES))
-    with look():
-        figure, axes = panels(1, 1, ax, width=6.0, height=4.5)
-        panel: Axes = axes[0, 0]
+    with single(ax, width=6.0, height=4.5) as (figure, panel):
         for i in range(dmp.n):
-            color, style = JOINT_STYLES[i % len(JOINT_STYLES)]
-            panel.plot(run.y[:, i], run.yd[:, i], color=color, linestyle=style, label=f"y{i + 1}")
+            color = JOINT_STYLES[i % len(JOINT_STYLES)][0]
+            panel.plot(run.y[:, i], run.yd[:, i], label=f"y{i + 1}", **joint_style(i))
             panel.plot(run.y[0, i], run.yd[0, i], "o", color=color, markersize=4.0, label="_")
             panel.plot(dmp.g[i], 0.0, "x", color=color, markersize=6.0, label="_")
-        panel.set_xlabel(label("y"))
-        panel.set_ylabel(label("yd"))
+        panel.set(xlabel=label("y"), ylabel=label("yd"))
         legend(figure, panel)
     return panel
 
@@ -167,10 +152,6 @@ def pose_dmp(dmp: PoseDmp, demo: tuple[ArrayLike, ArrayLike] | None = None, ax: 
         them.
     ax : two Axes to draw into, four with a demonstration; a new figure when None.
 
-    Returns
-    -------
-    The Figure.
-
     Raises
     ------
     ShapeError : another kind of primitive, a demonstration of another shape, or another number of Axes.
@@ -178,8 +159,7 @@ def pose_dmp(dmp: PoseDmp, demo: tuple[ArrayLike, ArrayLike] | None = None, ax: 
     expect(dmp, PoseDmp)
     t, taught = (np.linspace(0.0, dmp.duration, _POSE_SAMPLES), None) if demo is None else _taught(demo)
     T = dmp.rollout(t).T
-    with look():
-        figure, axes = panels(2 if taught is None else 4, 1, ax, width=8.0, height=1.9, sharex=True)
+    with panels(2 if taught is None else 4, 1, ax, width=8.0, height=1.9, sharex=True) as (figure, axes):
         _poses(axes[:2, 0], t, T, dmp.T_goal, [{"linestyle": s, "label": n} for s, n in zip(_DASHES, "xyz")])
         names = ["position [m]", "rotation vector\nfrom the goal [rad]"]
         if taught is not None:
@@ -187,10 +167,7 @@ def pose_dmp(dmp: PoseDmp, demo: tuple[ArrayLike, ArrayLike] | None = None, ax: 
             line(axes[2, 0], t, np.linalg.norm(T[:, :3, 3] - taught[:, :3, 3], axis=1), color=GREY, label="_")
             line(axes[3, 0], t, so3.angle(T[:, :3, :3], taught[:, :3, :3]), color=GREY, label="_")
             names += ["distance off [m]", "angle off [rad]"]
-        for panel, name in zip(axes[:, 0], names, strict=True):
-            panel.set_ylabel(name)
-        axes[-1, 0].set_xlabel(label("t"))
-        figure.align_ylabels()
+        name_rows(figure, axes, names)
         legend(figure, axes[0, 0])
     return figure
 
@@ -229,10 +206,6 @@ def periodic_dmp(
     dmp : the primitive. demo : times (N,) and positions (N, n) that it was taught, phase 0 at the first; drawn as dots.
     turns : periods of the last panel. ax : four Axes to draw into; a new figure when None.
 
-    Returns
-    -------
-    The Figure.
-
     Raises
     ------
     ShapeError : another kind of primitive, a demonstration of another shape, no turns above zero, another number of
@@ -245,26 +218,21 @@ def periodic_dmp(
     once = dmp.rollout(phi * dmp.period / (2 * np.pi))
     t = np.linspace(0.0, turns * dmp.period, round(_TURN_SAMPLES * turns) + 1)
     begun = dmp.rollout(t, y0=dmp.g, v0=np.zeros(dmp.n))
-    with look():
-        figure, axes = panels(4, 1, ax, width=8.0, height=1.9)
+    with panels(4, 1, ax, width=8.0, height=1.9) as (figure, axes):
         position, forcing, kernels, several = axes[:, 0]
         if demo is not None:
             _draw_dots(dmp, demo, position)
         for i in range(dmp.n):
-            color, style = JOINT_STYLES[i % len(JOINT_STYLES)]
-            position.plot(phi, once.y[:, i], color=color, linestyle=style, label=f"y{i + 1}")
-            forcing.plot(phi, once.forcing[:, i], color=color, linestyle=style, label="_")
-            several.plot(t, begun.y[:, i], color=color, linestyle=style, label="_")
-            several.axhline(dmp.g[i], color=color, linestyle="--", linewidth=0.7, label="_")
+            style = joint_style(i)
+            position.plot(phi, once.y[:, i], label=f"y{i + 1}", **style)
+            forcing.plot(phi, once.forcing[:, i], label="_", **style)
+            several.plot(t, begun.y[:, i], label="_", **style)
+            several.axhline(dmp.g[i], label="_", **{**style, "linestyle": "--", "linewidth": 0.7})
         kernels.plot(phi, dmp.primitive_from().basis(phi), color=GREY, linewidth=0.7, label="_")
-        names = (label("y"), label("forcing"), "kernels [1]", label("y"))
-        for panel, name in zip(axes[:, 0], names, strict=True):
-            panel.set_ylabel(name)
+        name_rows(figure, axes, (label("y"), label("forcing"), "kernels [1]", label("y")))
         for panel in axes[:3, 0]:
             panel.set_xticks(list(_TICKS), list(_TICKS.values()))
         kernels.set_xlabel(label("phi"))
-        several.set_xlabel(label("t"))
-        figure.align_ylabels()
         legend(figure, position)
     return figure
 
@@ -301,10 +269,6 @@ def promp(
     samples : motions that are drawn from it, dotted. seed : of them.
     ax : n Axes to draw into; a new figure when None.
 
-    Returns
-    -------
-    The Figure.
-
     Raises
     ------
     ShapeError : another kind of primitive; demonstrations, a prior or points of another shape; another number of Axes.
@@ -314,8 +278,7 @@ def promp(
     marks = [(number(when, "time of a point [s]"), _point(y, promp.n)) for when, y in points]
     if prior is not None and prior.n != promp.n:
         raise ShapeError(f"Expected a prior of {promp.n} coordinates, got one of {prior.n}. Take the one conditioned.")
-    with look():
-        figure, axes = panels(promp.n, 1, ax, width=8.0, height=1.9, sharex=True)
+    with panels(promp.n, 1, ax, width=8.0, height=1.9, sharex=True) as (figure, axes):
         for demo in demos:
             times, y = demonstration(demo, promp.n)
             for i, panel in enumerate(axes[:, 0]):
@@ -330,17 +293,14 @@ def promp(
                 panel.plot(t, one[:, i], color=colors[i], linewidth=0.7, linestyle=":", label="_" if k else "samples")
             for k, (when, y) in enumerate(marks):
                 panel.plot(when, y[i], "o", color="black", markersize=4.0, label="_" if k else "points")
-            panel.set_ylabel(label("y").replace("y ", f"y{i + 1} ", 1))
         if len(demos):
             axes[0, 0].plot([], [], color=GREY, linewidth=0.8, label="demonstrations")
-        axes[-1, 0].set_xlabel(label("t"))
-        figure.align_ylabels()
+        name_rows(figure, axes, [label("y").replace("y ", f"y{i + 1} ", 1) for i in range(promp.n)])
         legend(figure, axes[0, 0])
     return figure
 
 
 def _bands(axes: np.ndarray, t: np.ndarray, promp: ProMP, colors: list[str], names: tuple[str, str | None]) -> None:
-    """Draw mean and band of each coordinate."""
     motion = promp.marginal(t, duration=t[-1])
     for panel, color, mean, sd in zip(axes, colors, motion.y.T, motion.sd.T, strict=True):
         panel.plot(t, mean, color=color, label=names[0])
@@ -366,10 +326,6 @@ def two_dof(run: TwoDofRun, dofs: Sequence[int] | None = None, ax: Any = None) -
     dofs : numbers of the coordinates from 0; all when None.
     ax : three Axes to draw into; a new figure when None.
 
-    Returns
-    -------
-    The Figure.
-
     Raises
     ------
     ShapeError : no run, a coordinate that does not exist, or another number of Axes.
@@ -378,8 +334,7 @@ def two_dof(run: TwoDofRun, dofs: Sequence[int] | None = None, ax: Any = None) -
     which = range(run.yc.shape[1]) if dofs is None else dofs
     if not all(isinstance(i, int | np.integer) and 0 <= i < run.yc.shape[1] for i in which):
         raise ShapeError(f"Expected dofs as numbers from 0 to {run.yc.shape[1] - 1}, got {list(which)}.")
-    with look():
-        figure, axes = panels(3, 1, ax, width=8.0, height=2.0, sharex=True)
+    with panels(3, 1, ax, width=8.0, height=2.0, sharex=True) as (figure, axes):
         position, error, slower = axes[:, 0]
         for i in which:
             color, _ = JOINT_STYLES[i % len(JOINT_STYLES)]
@@ -390,16 +345,14 @@ def two_dof(run: TwoDofRun, dofs: Sequence[int] | None = None, ax: Any = None) -
         for style, name in (("-", "arm ya"), ("--", "path yc"), (":", "undisturbed")):
             position.plot([], [], color=GREY, linestyle=style, label=name)
         line(slower, run.t, run.tau_a / run.tau_a.min(), color=GREY, label="_")
-        for panel, name in zip(axes[:, 0], (label("y"), label("e"), "times slower [1]"), strict=True):
+        for panel in axes[:, 0]:
             for k, (t0, t1) in enumerate(run.disturbed):
                 _mark(panel, t0, t1, "disturbed" if not k and panel is position else "_")
-            panel.set_ylabel(name)
         slower.set_yscale("log", subs=[2, 5])
         slower.set_ylim(0.9, 1.2 * max(run.tau_a.max() / run.tau_a.min(), 2.0))
         for formatter in (slower.yaxis.set_major_formatter, slower.yaxis.set_minor_formatter):
             formatter("{x:g}")
-        slower.set_xlabel(label("t"))
-        figure.align_ylabels()
+        name_rows(figure, axes, (label("y"), label("e"), "times slower [1]"))
         legend(figure, position)
     return figure
 

@@ -15,7 +15,7 @@ from armlab.lie import quaternion
 from armlab.log import Table
 from armlab.log.column import heading
 from armlab.plots.space import pose_stack
-from armlab.plots.style import JOINT_STYLES, expect, legend, line, look, panels, shade
+from armlab.plots.style import JOINT_STYLES, expect, joint_style, legend, line, panels, shade, single
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,7 +55,9 @@ def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes
         raise UnknownName.among("column to draw", " or ".join(_USUAL), data.names)
     quantities: dict[str, list[str]] = {}
     for name in names:
-        _check(data, name)
+        count = 0 if data[name].dtype.kind == "U" else _components(data, name)
+        if not 0 < count <= _MOST_COMPONENTS:
+            raise ShapeError(f"Expected numbers, at most {_MOST_COMPONENTS} per row, to draw in {name}, got {count}.")
         quantities.setdefault(_quantity(name), []).append(name)
     split = flag(split, "split of a drawn table")
     parts = [
@@ -63,8 +65,7 @@ def table(data: Table, *names: str, split: bool = False, ax: Any = None) -> Axes
         for shown in quantities.values()
         for component in (range(_components(data, shown[0])) if split else (None,))
     ]
-    with look():
-        figure, axes = panels(len(parts), 1, ax, width=9.0, height=1.5 if split else 2.2, sharex=True)
+    with panels(len(parts), 1, ax, width=9.0, height=1.5 if split else 2.2, sharex=True) as (figure, axes):
         for panel, (shown, component) in zip(axes[:, 0], parts, strict=True):
             _draw(panel, data, shown, component)
         axes[-1, 0].set_xlabel(label("t"))
@@ -80,15 +81,8 @@ def _draw(ax: Axes, data: Table, names: list[str], component: int | None) -> Non
         flat = data[name].reshape(len(data), -1)
         dashes, word = next((_DASHES[end] for end in _DASHES if name.endswith(end)), (None, None))
         for i in range(flat.shape[1]) if component is None else (component,):
-            color, style = JOINT_STYLES[i % len(JOINT_STYLES)]
-            line(
-                ax,
-                data.t,
-                flat[:, i],
-                color=color,
-                linestyle=dashes or style,
-                label="_" if word or component is not None else _label(data, name, i),
-            )
+            style = joint_style(i) | ({"linestyle": dashes} if word else {})
+            line(ax, data.t, flat[:, i], label="_" if word or component is not None else _label(data, name, i), **style)
         if word:
             ax.plot([], [], color=GREY, linestyle=dashes, label=word)
     if component is not None:
@@ -130,12 +124,6 @@ def _components(data: Table, name: str) -> int:
     return int(np.prod(data[name].shape[1:]))
 
 
-def _check(data: Table, name: str) -> None:
-    count = 0 if data[name].dtype.kind == "U" else _components(data, name)
-    if not 0 < count <= _MOST_COMPONENTS:
-        raise ShapeError(f"Expected numbers, at most {_MOST_COMPONENTS} per row, to draw in {name}, got {count}.")
-
-
 def poses(T: ArrayLike, t: ArrayLike | None = None, *, rotation: bool = True, ax: Any = None) -> Axes | Figure:
     """Draw x, y and z of poses over time and, below, the rotation vector.
 
@@ -163,8 +151,7 @@ def poses(T: ArrayLike, t: ArrayLike | None = None, *, rotation: bool = True, ax
     drawn = [("position [m]", T[:, :3, 3])]
     if rotation:
         drawn.append(("rotation vector [rad]", _rotation_vectors(T[:, :3, :3])))
-    with look():
-        figure, axes = panels(len(drawn), 1, ax, width=8.0, height=2.2, sharex=True)
+    with panels(len(drawn), 1, ax, width=8.0, height=2.2, sharex=True) as (figure, axes):
         for panel, (name, values) in zip(axes[:, 0], drawn, strict=True):
             for i, color in enumerate(AXIS_COLORS):
                 line(panel, times, values[:, i], color=color, linestyle=("-", "--", "-.")[i], label="xyz"[i])
@@ -212,20 +199,17 @@ def latency(table: Table, ax: Any = None) -> Axes:
     low, high = 10 ** np.floor(np.log10(shortest)), 10 ** np.ceil(np.log10(longest * 1.001))
     bins = np.geomspace(low, high, max(round(np.log10(high / low) * _BINS_PER_DECADE), 2))
     words = EngFormatter("s")
-    with look():
-        _, axes = panels(1, 1, ax, width=7.5, height=3.8)
-        panel: Axes = axes[0, 0]
+    counts = [f"{int(np.nansum(table[name]))} {name}" for name in ("missed", "late") if name in table]
+    with single(ax, width=7.5, height=3.8) as (_, panel):
         for (name, values), (color, _) in zip(spans.items(), JOINT_STYLES, strict=False):
-            numbers = "  ".join(f"{label} {words(_rounded(np.quantile(values, p)))}" for label, p in _QUANTILES)
+            numbers = "  ".join(f"{label} {words(float(f'{np.quantile(values, p):.3g}'))}" for label, p in _QUANTILES)
             panel.hist(values, bins=bins, color=color, alpha=0.35, histtype="stepfilled")
             panel.hist(values, bins=bins, color=color, histtype="step", linewidth=1.2, label=f"{name}:  {numbers}")
         panel.set_xscale("log")
         panel.set_yscale("log")
         panel.set_ylim(0.7, 8.0 * panel.get_ylim()[1])  # room for the legend
         panel.xaxis.set_major_formatter(words)
-        panel.set_xlabel("time [s]")
-        panel.set_ylabel("ticks")
-        panel.set_title(_counts(table))
+        panel.set(xlabel="time [s]", ylabel="ticks", title=", ".join([f"{len(table)} ticks", *counts]))
         panel.legend(loc="upper right")
     return panel
 
@@ -246,16 +230,3 @@ def _spans(table: Table) -> dict[str, np.ndarray]:
     if not any(map(len, kept.values())):
         raise ShapeError(f"Expected times of a loop above zero, got none in {len(table)} rows. Draw a log of a run.")
     return {name: values for name, values in kept.items() if len(values)}
-
-
-def _rounded(number: float) -> float:
-    """Return three digits of a number."""
-    return float(f"{number:.3g}")
-
-
-def _counts(table: Table) -> str:
-    words = [f"{len(table)} ticks"]
-    for name in ("missed", "late"):
-        if name in table:
-            words.append(f"{int(np.nansum(table[name]))} {name}")
-    return ", ".join(words)

@@ -36,10 +36,7 @@ _ACROSS = ((0.0, 0.3, 0.7), (0.4, 0.0, 0.6), (0.6, 0.4, 0.0))  # parts of the si
 
 
 def space(ax: Any = None, *, width: float = 6.4, height: float = 5.4) -> tuple[Figure, Axes3D]:
-    """Return a figure and its three-dimensional axes in metres: new ones, or those the caller gave.
-
-    `ax`: three-dimensional Axes; None makes a new figure.
-    """
+    """Return a figure and its three-dimensional axes in metres: new ones, or those the caller gave."""
     if ax is None:
         import matplotlib.pyplot as plt
 
@@ -167,10 +164,7 @@ _NORMAL = 0.3  # length of a normal over the size of the scene
 
 
 def feature(ax: Axes3D, item: Line | Plane | Circle | Sphere, size: float, color: str) -> None:
-    """Draw a feature, as large as a scene of that size asks for.
-
-    `size`: largest side of the scene [m]; planes and lines have no size of their own.
-    """
+    """Draw a feature; planes and lines, which have no size, as large as a scene of that size [m] asks for."""
     if isinstance(item, Line):
         start = item.centroid - 0.5 * size * item.v
         arrow(ax, start, size * item.v, color=color, gid="line")
@@ -210,10 +204,6 @@ def scene(*items: Any, frames: float = 0.0, ax: Any = None) -> Axes3D:
     frames : length [m] of the frames along paths (at most 12 of each, evenly spaced) and of the named ones. With 0
         paths have none, and the named ones a length that fits.
     ax : three-dimensional Axes to draw into, for example those of `robot`; a new figure when None.
-
-    Returns
-    -------
-    The Axes.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
@@ -11,10 +11,13 @@ import numpy as np
 
 from armlab._palette import COLORS, GREY, VERMILION
 from armlab.errors import ConfigError, ShapeError, shortened
+from armlab.glossary import label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from armlab.log import Table
 
 
 JOINT_STYLES = tuple((color, style) for style in ("-", "-.") for color in COLORS)
@@ -23,6 +26,7 @@ MODEL = VERMILION
 
 _MOST_POINTS = 20_000  # of one line; more become an envelope
 _ENVELOPE_COLUMNS = 4_000
+_COLUMNS = 4  # panels of joints side by side
 _RC: dict[Any, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 9.0,
@@ -54,23 +58,71 @@ def look() -> Iterator[None]:
     mpl.interactive(interactive)
 
 
+@contextmanager
 def panels(
     rows: int, columns: int, ax: Any = None, *, width: float = 9.0, height: float = 1.8, **layout: Any
-) -> tuple[Figure, np.ndarray]:
-    """Return a figure and its axes (rows, columns): new ones, or those the caller gave.
+) -> Iterator[tuple[Figure, np.ndarray]]:
+    """Yield a figure and its axes (rows, columns) to draw with our look: new ones, or those the caller gave.
 
     `ax`: one Axes or an array of rows x columns of them; None makes a new figure.
     """
-    if ax is None:
-        import matplotlib.pyplot as plt
+    with look():
+        if ax is None:
+            import matplotlib.pyplot as plt
 
-        size = (width, max(height * rows, 2.6))
-        return plt.subplots(rows, columns, figsize=size, squeeze=False, **layout)
-    given = np.atleast_1d(np.asarray(ax, dtype=object))
-    if given.size != rows * columns:
-        raise ShapeError(f"Expected {rows * columns} Axes in ax= ({rows} x {columns} panels), got {given.size}.")
-    given = given.reshape(rows, columns)
-    return given[0, 0].figure, given
+            size = (width, max(height * rows, 2.6))
+            yield plt.subplots(rows, columns, figsize=size, squeeze=False, **layout)
+            return
+        given = np.atleast_1d(np.asarray(ax, dtype=object))
+        if given.size != rows * columns:
+            raise ShapeError(f"Expected {rows * columns} Axes in ax= ({rows} x {columns} panels), got {given.size}.")
+        given = given.reshape(rows, columns)
+        yield given[0, 0].figure, given
+
+
+@contextmanager
+def single(ax: Any, *, width: float, height: float) -> Iterator[tuple[Figure, Axes]]:
+    """Yield a figure and its only Axes, as `panels`."""
+    with panels(1, 1, ax, width=width, height=height) as (figure, axes):
+        yield figure, axes[0, 0]
+
+
+def name_rows(figure: Figure, axes: np.ndarray, names: Iterable[str]) -> None:
+    """Name the values of panels (N, 1) that stand one above the other over time."""
+    for panel, name in zip(axes[:, 0], names, strict=True):
+        panel.set_ylabel(name)
+    axes[-1, 0].set_xlabel(label("t"))
+    figure.align_ylabels()
+
+
+def joint_style(i: int) -> dict[str, Any]:
+    """Return colour and line style of a joint, numbered from 0."""
+    color, style = JOINT_STYLES[i % len(JOINT_STYLES)]
+    return {"color": color, "linestyle": style}
+
+
+def joint_names(table: Table, count: int) -> tuple[str, ...]:
+    """Return the names of the joints whose torques a table has."""
+    return table.columns["tau"].labels or tuple(f"joint {i + 1}" for i in range(count))
+
+
+def joints_shown(joints: Sequence[int] | None, n: int) -> list[int]:
+    """Return the joints to draw, from 0: all of them for None."""
+    shown = list(range(n)) if joints is None else list(joints)
+    if not shown or not all(0 <= i < n for i in shown):
+        raise ShapeError(f"Expected numbers of joints from 0 to {n - 1} to draw, got {shown}.")
+    return shown
+
+
+@contextmanager
+def joint_panels(count: int, ax: Any) -> Iterator[tuple[Figure, np.ndarray]]:
+    """Yield a figure and a panel per joint, in rows of up to four; what is too much of a new grid is taken out."""
+    rows = -(-count // _COLUMNS) if ax is None else 1
+    columns = min(count, _COLUMNS) if ax is None else count
+    with panels(rows, columns, ax, width=11.0 if count > 1 else 6.5, height=2.6) as (figure, axes):
+        for panel in axes.ravel()[count:]:
+            panel.remove()
+        yield figure, axes.ravel()[:count]
 
 
 def line(ax: Axes, t: np.ndarray, values: np.ndarray, **style: Any) -> None:
@@ -169,13 +221,7 @@ def expect(value: object, kind: type) -> None:
 
 
 def png(drawn: Figure | Axes, dpi: int = 110) -> bytes:
-    """Return what was drawn as a PNG file, and close its figure.
-
-    Parameters
-    ----------
-    drawn : Figure or Axes of a function of this package.
-    dpi : dots per inch.
-    """
+    """Return what was drawn as a PNG file, and close its figure."""
     import matplotlib.pyplot as plt
     from matplotlib.figure import Figure
 
@@ -188,12 +234,7 @@ def png(drawn: Figure | Axes, dpi: int = 110) -> bytes:
 
 
 def show() -> None:
-    """Open a window with each figure that was drawn, and wait until all are closed.
-
-    Raises
-    ------
-    ConfigError : there is no screen, or matplotlib was told to use none.
-    """
+    """Open a window with each figure that was drawn, and wait until all are closed; refuse without a screen."""
     import matplotlib.pyplot as plt
     from matplotlib.backends.registry import BackendFilter, backend_registry
 

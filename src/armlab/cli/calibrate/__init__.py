@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
+import armlab
 from armlab.cli.calibrate.arms import dual_arm, kinematics
 from armlab.cli.calibrate.samples import (
     NOTHING,
     ArmOfPoses,
+    Deviations,
     SampleFile,
     Wanted,
     measured_rows,
@@ -18,6 +20,7 @@ from armlab.cli.calibrate.samples import (
     run_fit,
     tool_poses,
 )
+from armlab.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -38,8 +41,6 @@ calibrate.command(
     help_epilogue="Example: armlab calibrate dual-arm yumi_left yumi_right samples.csv -o arms.toml",
 )
 
-_several = Parameter(consume_multiple=True)
-
 
 @calibrate.command(
     name="hand-eye", help_epilogue="Example: armlab calibrate hand-eye samples.csv --robust -o camera.toml"
@@ -49,7 +50,7 @@ def hand_eye(
     marker: Path | None = None,
     setup: Literal["eye_to_hand", "eye_in_hand"] = "eye_to_hand",
     robot: ArmOfPoses = None,
-    noise: Annotated[list[float] | None, _several] = None,
+    noise: Deviations = None,
     noise_robot: tuple[float, float] | None = None,
     robust: bool = False,
     wanted: Wanted = NOTHING,
@@ -61,23 +62,16 @@ def hand_eye(
     Instead of T_cam_marker it may have points of the marker in camera axes, p_cam1_x, p_cam1_y, p_cam1_z, p_cam2_x ...;
     in a MAT file p_cam (N, K, 3). A point that was not seen is empty.
 
-    Parameters
-    ----------
-    marker : Path
-        File with the places of the points on the marker, a row each: marker_x, marker_y, marker_z [m or mm in the
-        header]. They are found when left out.
-    setup : str
-        eye_to_hand: the camera stands, the marker is on the tool. eye_in_hand: the other way round.
-    noise : list
-        Deviations of the camera where they are known: m and rad of poses, m of points.
-    noise_robot : tuple
-        Deviations of the poses of the robot, m and rad, where it is not exact: samples cannot tell them.
-    robust : bool
-        Find wrong samples and leave them out.
+    Parameters:
+        marker: File with the places of the points on the marker, a row each: marker_x, marker_y, marker_z [m or mm in
+            the header]. They are found when left out.
+        setup: eye_to_hand: the camera stands, the marker is on the tool. eye_in_hand: the other way round.
+        noise: Deviations of the camera where they are known: m and rad of poses, m of points.
+        noise_robot: Deviations of the poses of the robot, m and rad, where it is not exact: samples cannot tell them.
+        robust: Find wrong samples and leave them out.
     """
     import numpy as np
 
-    from armlab.calibrate import fit_hand_eye, fit_hand_eye_points
     from armlab.cli.calibrate.samples import read_samples
 
     kinds: set[bool] = set()
@@ -92,8 +86,10 @@ def hand_eye(
     def fit(T_base_tool: np.ndarray, seen: np.ndarray) -> Any:
         told: dict[str, Any] = {"setup": setup, "noise": noise_of(noise), "noise_robot": noise_robot, "robust": robust}
         if True in kinds:
-            return fit_hand_eye(T_base_tool, seen, **told)
-        return fit_hand_eye_points(T_base_tool, seen, marker=body, visible=np.isfinite(seen).all(axis=2), **told)
+            return armlab.calibrate.fit_hand_eye(T_base_tool, seen, **told)
+        return armlab.calibrate.fit_hand_eye_points(
+            T_base_tool, seen, marker=body, visible=np.isfinite(seen).all(axis=2), **told
+        )
 
     return run_fit("hand-eye", samples, parts, fit, wanted, () if known is None else (known.source,))
 
@@ -108,7 +104,7 @@ def force_sensor(
     sign: Literal[1, -1] = 1,
     mass: float | None = None,
     no_bias: bool = False,
-    noise: Annotated[list[float] | None, _several] = None,
+    noise: Deviations = None,
     robust: bool = False,
     wanted: Wanted = NOTHING,
 ) -> int:
@@ -117,28 +113,16 @@ def force_sensor(
     A file has the poses T_base_tool, as for hand-eye, and force1 ... force3, or wrench_raw1 ... wrench_raw6 with
     torques, N and N m, sensor axes; in a MAT file force (N, 3) or wrench_raw (N, 6).
 
-    Parameters
-    ----------
-    wrench : str
-        Name of the readings in the file, where it is another one.
-    gravity : tuple
-        In base axes, m/s^2; downwards when left out.
-    unknown_gravity : bool
-        Find the direction of gravity too.
-    sign : int
-        1 when the sensor reads the weight that hangs on it, -1 when it reads the reaction.
-    mass : float
-        What hangs on the sensor, kg, where it is known.
-    no_bias : bool
-        Readings without weight are zero.
-    noise : list
-        Deviation of forces, N, and of torques, N m, where they are known.
-    robust : bool
-        Find samples with contact and leave them out.
+    Parameters:
+        wrench: Name of the readings in the file, where it is another one.
+        gravity: In base axes, m/s^2; downwards when left out.
+        unknown_gravity: Find the direction of gravity too.
+        sign: 1 when the sensor reads the weight that hangs on it, -1 when it reads the reaction.
+        mass: What hangs on the sensor, kg, where it is known.
+        no_bias: Readings without weight are zero.
+        noise: Deviation of forces, N, and of torques, N m, where they are known.
+        robust: Find samples with contact and leave them out.
     """
-    from armlab.calibrate import fit_force_sensor
-    from armlab.errors import ConfigError
-
     if gravity is not None and unknown_gravity:
         raise ConfigError("Expected --gravity or --unknown-gravity, got both. Leave one out.")
     told = "unknown" if unknown_gravity else gravity
@@ -149,7 +133,7 @@ def force_sensor(
         return measured_rows(read, (tool_poses(read, robot), read.vectors(name, (3, 6))))[:2]
 
     def fit(T_base_tool: np.ndarray, reading: np.ndarray) -> Any:
-        return fit_force_sensor(
+        return armlab.calibrate.fit_force_sensor(
             T_base_tool, reading, sign=sign, bias=not no_bias, mass=mass, noise=noise_of(noise), robust=robust, **more
         )
 
@@ -171,26 +155,19 @@ def accelerometer(
     A file has the poses T_base_tool, as for hand-eye, and acc1, acc2, acc3, m/s^2, sensor axes, upwards at rest; in a
     MAT file acc (N, 3).
 
-    Parameters
-    ----------
-    gravity : tuple
-        In base axes, m/s^2; downwards when left out.
-    scale : bool
-        Find the scale of the readings too.
-    noise : float
-        Deviation of a reading, m/s^2, where it is known.
-    robust : bool
-        Find samples that were not at rest and leave them out.
+    Parameters:
+        gravity: In base axes, m/s^2; downwards when left out.
+        scale: Find the scale of the readings too.
+        noise: Deviation of a reading, m/s^2, where it is known.
+        robust: Find samples that were not at rest and leave them out.
     """
-    from armlab.calibrate import fit_accelerometer
-
     more: dict[str, Any] = {} if gravity is None else {"gravity": gravity}
 
     def parts(read: Samples) -> tuple[np.ndarray, ...]:
         return measured_rows(read, (tool_poses(read, robot), read.vectors("acc", (3,))))[:2]
 
     def fit(T_base_tool: np.ndarray, acc: np.ndarray) -> Any:
-        return fit_accelerometer(T_base_tool, acc, scale=scale, noise=noise, robust=robust, **more)
+        return armlab.calibrate.fit_accelerometer(T_base_tool, acc, scale=scale, noise=noise, robust=robust, **more)
 
     return run_fit("accelerometer", samples, parts, fit, wanted)
 
@@ -208,17 +185,11 @@ def laser(
     A file has the poses T_base_tool, as for hand-eye, the lines scans1 ... scans4 (point x, y, direction x, y in the
     laser plane), and plane, the number of the plate.
 
-    Parameters
-    ----------
-    noise : tuple
-        Deviations of a point, m, and of the angle of a line, rad, where they are known.
-    robust : bool
-        Find wrong scans and leave them out.
+    Parameters:
+        noise: Deviations of a point, m, and of the angle of a line, rad, where they are known.
+        robust: Find wrong scans and leave them out.
     """
     import numpy as np
-
-    from armlab.calibrate import fit_laser_plane
-    from armlab.errors import LogError
 
     def parts(read: Samples) -> tuple[np.ndarray, ...]:
         return measured_rows(read, (tool_poses(read, robot), read.vectors("scans", (4,)), read.numbers("plane")))[:3]
@@ -227,6 +198,6 @@ def laser(
         labels = plane.astype(int)
         if not np.array_equal(labels, plane):
             raise LogError(f"Expected whole numbers in plane, one per plate, got {plane[labels != plane][0]:g}.")
-        return fit_laser_plane(T_base_tool, scans, labels, noise=noise, robust=robust)
+        return armlab.calibrate.fit_laser_plane(T_base_tool, scans, labels, noise=noise, robust=robust)
 
     return run_fit("laser", samples, parts, fit, wanted)

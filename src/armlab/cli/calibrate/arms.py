@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from armlab.cli.calibrate.samples import NOTHING, SampleFile, Wanted, measured_rows, run_fit
+import armlab
+from armlab.cli.calibrate.samples import NOTHING, Deviations, SampleFile, Wanted, measured_rows, run_fit
+from armlab.cli.support.output import check_output, note
+from armlab.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -16,7 +19,14 @@ if TYPE_CHECKING:
     from armlab.robots import Robot
 
 
-_several = Parameter(consume_multiple=True)
+Harmonics = Annotated[
+    list[int] | None,
+    Parameter(consume_multiple=True, help="Orders of joint errors that repeat with the turn, such as 1 2."),
+]
+Weak = Annotated[
+    Literal["refuse", "prior"], Parameter(help="Unidentifiable directions: refuse, or fix them by a prior.")
+]
+Robust = Annotated[bool, Parameter(help="Find wrong samples and leave them out.")]
 _NUMBERS = {"pose": 2, "position": 1, "distance": 1, "pair_distance": 1, "absolute_a": 2}
 
 
@@ -25,11 +35,11 @@ def kinematics(
     *samples: SampleFile,
     anchor: tuple[float, float, float] | None = None,
     length_offset: bool = False,
-    noise: Annotated[list[float] | None, _several] = None,
+    noise: Deviations = None,
     free: Literal["all", "offsets", "base_tool"] = "all",
-    harmonics: Annotated[list[int] | None, _several] = None,
-    weak: Literal["refuse", "prior"] = "refuse",
-    robust: bool = False,
+    harmonics: Harmonics = None,
+    weak: Weak = "refuse",
+    robust: Robust = False,
     corrected: Path | None = None,
     wanted: Wanted = NOTHING,
 ) -> int:
@@ -39,31 +49,16 @@ def kinematics(
     from a fixed point; pair_distance, from the tool in sample pair_with of the file, the first being 0. What was not
     measured in a sample is empty.
 
-    Parameters
-    ----------
-    robot : str
-        Name in the library, or a robot file: the nominal arm.
-    anchor : tuple
-        Roughly where the fixed point of distances is, m.
-    length_offset : bool
-        Distances do not begin at zero, as those of a draw wire: find where.
-    noise : list
-        Deviations where they are known, in this order: m and rad of poses, m of positions, of distances, of pairs.
-    free : str
-        What may be wrong: all; offsets: joint offsets, base and tool; base_tool.
-    harmonics : list
-        Orders of joint errors that repeat with the turn, such as 1 2.
-    weak : str
-        Unidentifiable directions: refuse, or fix them by a prior.
-    robust : bool
-        Find wrong samples and leave them out.
-    corrected : Path
-        Also write the corrected arm as a robot file, ends in .toml.
+    Parameters:
+        robot: Name in the library, or a robot file: the nominal arm.
+        anchor: Roughly where the fixed point of distances is, m.
+        length_offset: Distances do not begin at zero, as those of a draw wire: find where.
+        noise: Deviations where they are known, in this order: m and rad of poses, m of positions, of distances, of
+            pairs.
+        free: What may be wrong: all; offsets: joint offsets, base and tool; base_tool.
+        corrected: Also write the corrected arm as a robot file, ends in .toml.
     """
-    from armlab import robots
-    from armlab.calibrate import fit_kinematics
-
-    arm = robots.load(robot)
+    arm = armlab.robots.load(robot)
     files = () if corrected is None else (corrected,)
     _check_robots(files, wanted)
     length = 0  # of the samples before
@@ -85,7 +80,7 @@ def kinematics(
         more |= {"robust": robust, "harmonics": tuple(harmonics or ()), "visible": visible}
         sizes = _noises(noise, list(told))
         known: Any = sizes if len(told) > 1 else next(iter(sizes.values()), None)
-        found = fit_kinematics(arm, q, noise=known, **told, **more)
+        found = armlab.calibrate.fit_kinematics(arm, q, noise=known, **told, **more)
         _save([found.value.robot], files)
         return found
 
@@ -97,10 +92,10 @@ def dual_arm(
     robot_b: str,
     *samples: SampleFile,
     closed: bool = False,
-    noise: Annotated[list[float] | None, _several] = None,
-    harmonics: Annotated[list[int] | None, _several] = None,
-    weak: Literal["refuse", "prior"] = "refuse",
-    robust: bool = False,
+    noise: Deviations = None,
+    harmonics: Harmonics = None,
+    weak: Weak = "refuse",
+    robust: Robust = False,
     corrected: tuple[Path, Path] | None = None,
     wanted: Wanted = NOTHING,
 ) -> int:
@@ -110,30 +105,15 @@ def dual_arm(
     from a's tool, as for hand-eye, or its position1 ... position3. Where something outside measured a's tool too, it
     has the pose absolute_a.
 
-    Parameters
-    ----------
-    robot_a : str
-        Name in the library, or a robot file: the nominal arm that sees.
-    robot_b : str
-        The same of the arm that is seen.
-    closed : bool
-        The tools are joined, and nothing else was measured.
-    noise : list
-        Deviations where they are known: m and rad of poses, m of positions; then m and rad of absolute_a.
-    harmonics : list
-        Orders of joint errors that repeat with the turn, such as 1 2.
-    weak : str
-        Unidentifiable directions: refuse, or fix them by a prior.
-    robust : bool
-        Find wrong samples and leave them out.
-    corrected : tuple
-        Also write the corrected arms as robot files, a and b, end in .toml.
+    Parameters:
+        robot_a: Name in the library, or a robot file: the nominal arm that sees.
+        robot_b: The same of the arm that is seen.
+        closed: The tools are joined, and nothing else was measured.
+        noise: Deviations where they are known: m and rad of poses, m of positions; then m and rad of absolute_a.
+        corrected: Also write the corrected arms as robot files, a and b, end in .toml.
     """
-    from armlab import robots
-    from armlab.calibrate import fit_dual_arm
-
     kinds = ("pose", "position", "absolute_a")
-    arms = robots.load(robot_a), robots.load(robot_b)
+    arms = armlab.robots.load(robot_a), armlab.robots.load(robot_b)
     _check_robots(corrected or (), wanted)
 
     def parts(read: Samples) -> tuple[np.ndarray, ...]:
@@ -147,7 +127,7 @@ def dual_arm(
         more: dict[str, Any] = {"noise": sizes.get("pose", sizes.get("position")), "closed": closed}
         more |= {"noise_absolute": sizes.get("absolute_a"), "weak": weak, "robust": robust}
         more["visible"] = visible.get("pose", visible.get("position"))
-        found = fit_dual_arm(*arms, q_a, q_b, harmonics=tuple(harmonics or ()), **told, **more)
+        found = armlab.calibrate.fit_dual_arm(*arms, q_a, q_b, harmonics=tuple(harmonics or ()), **told, **more)
         _save([found.value.arm_a.robot, found.value.arm_b.robot], corrected or ())
         return found
 
@@ -157,8 +137,6 @@ def dual_arm(
 def _arm_parts(read: Samples, arm: Robot) -> tuple[np.ndarray, ...]:
     """Return joints, poses, positions, distances, pair distances, and the other sample of each pair."""
     import numpy as np
-
-    from armlab.errors import LogError
 
     q = read.vectors("q", (arm.n,))
     seen = _measurements(read, len(q), ("pose", "position", "distance", "pair_distance", "pair_with"))
@@ -180,8 +158,6 @@ def _arm_parts(read: Samples, arm: Robot) -> tuple[np.ndarray, ...]:
 def _measurements(read: Samples, N: int, names: tuple[str, ...]) -> list[np.ndarray]:
     """Return what was measured of each name, NaN where that is not in the file."""
     import numpy as np
-
-    from armlab.errors import LogError
 
     if not any(name in read for name in names):
         raise LogError(f"Expected one of {', '.join(names)} in {read.path}, got {', '.join(read.values)}.")
@@ -213,9 +189,6 @@ def _kinds(measured: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, n
 
 
 def _noises(values: list[float] | None, names: list[str]) -> dict[str, Any]:
-    """Return the deviations of each kind."""
-    from armlab.errors import ConfigError
-
     if values is None:
         return {}
     counts = [_NUMBERS[name] for name in names]
@@ -230,17 +203,11 @@ def _noises(values: list[float] | None, names: list[str]) -> dict[str, Any]:
 
 
 def _check_robots(files: tuple[Path, ...], wanted: Wanted) -> None:
-    from armlab.cli.support.output import check_output
-
     for path in files:
         check_output(path, wanted.force, (".toml",))
 
 
 def _save(arms: list[Robot], files: tuple[Path, ...]) -> None:
-    """Write the corrected robots that are wanted."""
-    from armlab import robots
-    from armlab.cli.support.output import note
-
     for arm, path in zip(arms, files, strict=False):
-        robots.save(arm, path)
+        armlab.robots.save(arm, path)
         note(f"robot: {path}")

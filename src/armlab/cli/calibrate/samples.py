@@ -12,7 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from armlab.cli.support.results import Results
+import armlab
+from armlab.cli.support.html_report import HtmlReport, Verdict
+from armlab.cli.support.output import note
+from armlab.cli.support.results import Results, parameters
 from armlab.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
@@ -22,6 +25,7 @@ if TYPE_CHECKING:
     from armlab.estimation import Fit
 
 SampleFile = Annotated[Path, Parameter(help="CSV, MAT or MCAP; several are joined.")]
+Deviations = Annotated[list[float] | None, Parameter(consume_multiple=True)]
 ArmOfPoses = Annotated[str | None, Parameter(help="Name or file of the arm: its joint positions q give T_base_tool.")]
 _QUATERNION_LENGTH = 1e-3  # difference from one
 _CLOCKS = ("t", "time")
@@ -108,8 +112,6 @@ class Samples:
     def _quaternions(self, name: str) -> np.ndarray:
         import numpy as np
 
-        from armlab.lie import quaternion, se3
-
         p, q = (
             np.stack([self._found(f"{name}_{end}") for end in ends], axis=1)
             for ends in (("x", "y", "z"), ("qw", "qx", "qy", "qz"))
@@ -121,7 +123,7 @@ class Samples:
                 f"Expected quaternions of length 1 in {name}_qw ... {name}_qz of {self.path}, got {length[bad[0]]:.6g} "
                 f"in sample {bad[0]} ({len(bad)} such samples). Mend the file."
             )
-        T = se3.from_rp(quaternion.to_matrix(q / length[:, None]), p)
+        T = armlab.lie.se3.from_rp(armlab.lie.quaternion.to_matrix(q / length[:, None]), p)
         T[np.isnan(np.hstack([p, q])).all(axis=1)] = np.nan  # not measured at all
         return T
 
@@ -140,8 +142,6 @@ class Samples:
 
 def read_samples(path: Path) -> Samples:
     """Return the columns of a CSV file, a MAT file, or a recording."""
-    from armlab import log as logs
-    from armlab.cli.support.output import note
     from armlab.log.file_formats.mat import read_mat
     from armlab.log.file_formats.opening import file_hash, is_text
     from armlab.log.topics.reader import is_foreign
@@ -155,9 +155,9 @@ def read_samples(path: Path) -> Samples:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the notes of the table say the same and are shown below
         if labels and (separator != "," or not timed):
-            table = logs.read_csv(path, rate=None if timed else 1.0, separator=separator)
+            table = armlab.log.read_csv(path, rate=None if timed else 1.0, separator=separator)
         else:
-            table = logs.read(path)
+            table = armlab.log.read(path)
     for line in table.notes:
         note(f"{path.name}: {line}")
     if is_foreign(path) and "q" in table:
@@ -256,8 +256,6 @@ def measured_rows(
     """
     import numpy as np
 
-    from armlab.cli.support.output import note
-
     parts = [*needed, *some]
     lengths = [len(part) for part in parts]
     if len(set(lengths)) > 1:
@@ -297,8 +295,6 @@ def _first_times(
     """Return which rows (N,) are no copy of an earlier one: the same sample twice tells nothing new of the noise."""
     import numpy as np
 
-    from armlab.cli.support.output import note
-
     flat = [np.ascontiguousarray(part.reshape(len(part), -1), dtype=float) for part in (*needed, *some)]
     numbers, name = np.flatnonzero(there), read.path.name
     first = np.zeros(len(there), dtype=bool)
@@ -324,18 +320,12 @@ def noise_of(values: Sequence[float] | None) -> Any:
 
 
 def tool_poses(read: Samples, robot: str | None) -> np.ndarray:
-    """Return T_base_tool (N, 4, 4) as it was recorded, or of the joint positions of the arm.
-
-    `robot`: name or file of the arm; None for recorded poses.
-    """
+    """Return T_base_tool (N, 4, 4) as it was recorded, or of the joint positions of a robot that is named."""
     if robot is None:
         return read.poses("T_base_tool")
     import numpy as np
 
-    from armlab import robots
-    from armlab.kinematics import forward
-
-    arm = robots.load(robot)
+    arm = armlab.robots.load(robot)
     q = read.vectors("q", (arm.n,))
     far = np.nanmax(np.abs(q[:, ~arm.prismatic]), initial=0.0)
     if far > _DEGREES:
@@ -343,7 +333,7 @@ def tool_poses(read: Samples, robot: str | None) -> np.ndarray:
             f"Expected joint angles q in radians in {read.path}, got up to {far:.4g}. These seem to be degrees: write "
             "their unit into the header, q1 [deg]."
         )
-    return forward(arm, q)
+    return armlab.kinematics.forward(arm, q)
 
 
 _MANY = 0.3  # share of samples beyond which those left out are no outliers
@@ -362,8 +352,6 @@ class Wanted(Results):
 
     def save(self, job: str, fit: Fit[Any], sources: tuple[str, ...]) -> None:
         """Print the fit and write the files that are wanted."""
-        from armlab.cli.support.output import note
-
         verdict = judge(fit)
         self.say({**numbers(fit), "sources": list(sources)}, fit.report(), verdict)
         if self.output is not None:
@@ -376,10 +364,9 @@ NOTHING = Wanted()
 
 def numbers(fit: Fit[Any]) -> dict[str, Any]:
     """Return the fit as numbers for scripts."""
-    parameters = zip(fit.names, fit.parameters, fit.sd, fit.units, strict=True)
     found = fit.excitation
     return {
-        "parameters": [{"name": name, "value": value, "sd": sd, "unit": unit} for name, value, sd, unit in parameters],
+        "parameters": parameters(fit),
         "noise": dict(zip(fit.classes, fit.sigma.ravel().tolist(), strict=False)),
         "samples": fit.n,
         "outliers": fit.outliers.nonzero()[0],
@@ -394,42 +381,37 @@ def judge(fit: Fit[Any]) -> Verdict:
     """Return what can be relied on, what not, and what to do next."""
     import numpy as np
 
-    from armlab.cli.support.html_report import Verdict
-
-    good, bad, ahead = [], [], []
+    found = Verdict()
     left, total = int(fit.outliers.sum()), len(fit.outliers)
-    good.append(f"{fit.n} samples identify all {fit.excitation.expected} directions asked for.")
+    found.good.append(f"{fit.n} samples identify all {fit.excitation.expected} directions asked for.")
     if fit.excitation.held:
-        good.clear()
-        bad.append(f"A prior fixes what the samples do not identify: {'; '.join(fit.excitation.held)}.")
+        found.good.clear()
+        found.bad.append(f"A prior fixes what the samples do not identify: {'; '.join(fit.excitation.held)}.")
     if left > _MANY * total:
-        bad.append(f"{left} of {total} samples were left out: these are not a few mistakes.")
-        ahead.append("Look for the cause in pairing, clocks and units before you use the result.")
+        found.bad.append(f"{left} of {total} samples were left out: these are not a few mistakes.")
+        found.ahead.append("Look for the cause in pairing, clocks and units before you use the result.")
     elif left:
-        ahead.append(f"Look at the {left} samples that were left out.")
+        found.ahead.append(f"Look at the {left} samples that were left out.")
     doubts = [line for line in fit.report().splitlines() if line.endswith("?")]
-    bad.extend(f"{line[:1].upper()}{line[1:]}" for line in doubts)
+    found.bad.extend(f"{line[:1].upper()}{line[1:]}" for line in doubts)
     for name, sigma in zip(fit.classes, fit.sigma.ravel().tolist(), strict=False):
         if sigma > _ROUGH.get(f"[{name.rpartition('[')[2]}", np.inf):
-            bad.append(f"Noise of {name} of {sigma:.2g} is no noise of a sensor: some samples are wrong, or all.")
-            ahead.append("Look for them with --robust, and check pairing, units and frames.")
+            found.bad.append(f"Noise of {name} of {sigma:.2g} is no noise of a sensor: some samples are wrong, or all.")
+            found.ahead.append("Look for them with --robust, and check pairing, units and frames.")
     if np.isfinite(fit.residuals).sum() < _FEW * len(fit.names):
-        bad.append("There are hardly more measurements than parameters: noise and deviations are guesses.")
-        ahead.append("Take more samples.")
-    ahead.append(f"The worst direction is {fit.excitation.weakest}; samples that excite it improve most.")
-    return Verdict(tuple(good), tuple(bad), tuple(ahead))
+        found.bad.append("There are hardly more measurements than parameters: noise and deviations are guesses.")
+        found.ahead.append("Take more samples.")
+    found.ahead.append(f"The worst direction is {fit.excitation.weakest}; samples that excite it improve most.")
+    return found
 
 
 def _page(job: str, fit: Fit[Any], verdict: Verdict, sources: tuple[str, ...]) -> Any:
-    """Return the page: verdict, figure, parameters, and the text of the fit."""
-    from armlab import plots
-    from armlab.cli.support.html_report import HtmlReport
     from armlab.plots.style import png
 
     page = HtmlReport(f"Calibration: {job}", f"From {'; '.join(sources)}.")
     page.verdict(verdict)
     page.section("Residuals, ellipses, excitation", "In standard deviations of the noise; a straight line is normal.")
-    page.figure(png(plots.calibration(fit)), "residuals per sample, quantiles, ellipses, singular values")
+    page.figure(png(armlab.plots.calibration(fit)), "residuals per sample, quantiles, ellipses, singular values")
     page.section("Parameters")
     rows = zip(fit.names, fit.parameters, fit.sd, fit.units, strict=True)
     page.table([

@@ -7,7 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
-from armlab.cli.support.options import Force, Json
+import armlab
+from armlab.cli import FAILED
+from armlab.cli.support.options import Force, Json, links_to
+from armlab.cli.support.output import check_output, note, print_json, progress, result
+from armlab.errors import ConfigError
 
 if TYPE_CHECKING:
     from armlab.bridge import Limits
@@ -43,42 +47,25 @@ def fit(
 
     Rest before and after the motion is left out. Prints how far the motion of the primitive is from what was shown.
 
-    Parameters
-    ----------
-    logs : tuple of Path
-        One log per demonstration: MCAP, CSV, MAT or Parquet; one for pose and periodic, two or more for promp.
-    output : Path
-        File of the primitive, .toml.
-    kind : str
-        joints; pose: of the tool; periodic: a motion that repeats itself; promp: a distribution over several
-        demonstrations.
-    column : list of str
-        What moves: q when not given, for pose T_base_tool; several are put side by side.
-    robot : str
-        Name in the library or robot file: with pose, whose kinematics make poses of q; with a bag of another program,
-        whose joints are read.
-    start : float
-        Only from this time of the log on [s].
-    end : float
-        Only up to this time [s].
-    whole : bool
-        Keep rest before and after the motion.
-    period : float
-        With periodic: duration of one turn [s].
-    frame : str
-        With pose: axes that the motion belongs to, base or goal, with which it turns; base when not given.
-    basis : int
-        Number of kernels: 50 when not given, 25 for periodic, 15 for promp.
-    schedule : str
-        Phase: canonical, time, or position for joints that never turn; canonical when not given.
-    scaling : str
-        Of the motion with its goal: goal, none, amplitude or rotate; goal when not given.
-    convention : str
-        lund or ijspeert; lund when not given.
+    Parameters:
+        logs: One log per demonstration: MCAP, CSV, MAT or Parquet; one for pose and periodic, two or more for promp.
+        output: File of the primitive, .toml.
+        kind: joints; pose: of the tool; periodic: a motion that repeats itself; promp: a distribution over several
+            demonstrations.
+        column: What moves: q when not given, for pose T_base_tool; several are put side by side.
+        robot: Name in the library or robot file: with pose, whose kinematics make poses of q; with a bag of another
+            program, whose joints are read.
+        start: Only from this time of the log on [s].
+        end: Only up to this time [s].
+        whole: Keep rest before and after the motion.
+        period: With periodic: duration of one turn [s].
+        frame: With pose: axes that the motion belongs to, base or goal, with which it turns; base when not given.
+        basis: Number of kernels: 50 when not given, 25 for periodic, 15 for promp.
+        schedule: Phase: canonical, time, or position for joints that never turn; canonical when not given.
+        scaling: Of the motion with its goal: goal, none, amplitude or rotate; goal when not given.
+        convention: lund or ijspeert; lund when not given.
     """
     from armlab.cli.dmp.teaching import MotionWindow, check_options, numbers_of, read_demonstration, taught, text_of
-    from armlab.cli.support.output import check_output, note, print_json, result
-    from armlab.errors import ConfigError
 
     given = {"basis": basis, "schedule": schedule, "scaling": scaling, "convention": convention}
     options = check_options(kind, given | {"frame": frame, "robot": robot, "period": period})
@@ -120,47 +107,27 @@ def play(
     On a robot: walks to the start, runs it, records a log, and says how near the goal it came. A motion of joints waits
     for an arm that is held up, and goes on when it is released. One too fast for the limits of the robot is stretched.
 
-    Parameters
-    ----------
-    primitive : Path
-        File of `armlab dmp fit`, or of any primitive that was saved.
-    robot : str
-        Name in the library, or a robot file.
-    link : str
-        egm://HOST:PORT for a robot; the simulated robot when not given.
-    output : Path
-        Write the motion to this file instead, .csv, or .mcap with --robot; nothing moves. With --robot it holds joints
-        within the limits of the robot.
-    duration : float
-        Of the motion, or of a turn of a periodic one [s]; that of the demonstration when not given.
-    start : str
-        Where it begins, numbers with commas between: joint positions [rad or m], or position and quaternion w,x,y,z of
-        the tool.
-    goal : str
-        Where it ends, likewise; of a periodic motion the middle.
-    via : list of str
-        TIME:Y,Y,... that a motion of joints passes, in the time of the demonstration [s].
-    amplitude : float
-        Of a periodic motion, over that of the demonstration.
-    turns : float
-        Of a periodic motion; 4 when not given.
-    speed : float
-        Share of the robot's speed limits that is allowed, in (0, 1]; that of the settings, 1 without.
-    firm : bool
-        Tell the arm the path whatever it does, instead of waiting for an arm that is held up.
-    log : Path
-        Recording of the motion; -2, -3 is added to a name that exists. dmp.mcap in the folder of the settings when not
-        given.
-    force : bool
-        Replace an existing file of --output.
+    Parameters:
+        primitive: File of `armlab dmp fit`, or of any primitive that was saved.
+        robot: Name in the library, or a robot file.
+        link: egm://HOST:PORT for a robot; the simulated robot when not given.
+        output: Write the motion to this file instead, .csv, or .mcap with --robot; nothing moves. With --robot it holds
+            joints within the limits of the robot.
+        duration: Of the motion, or of a turn of a periodic one [s]; that of the demonstration when not given.
+        start: Where it begins, numbers with commas between: joint positions [rad or m], or position and quaternion
+            w,x,y,z of the tool.
+        goal: Where it ends, likewise; of a periodic motion the middle.
+        via: TIME:Y,Y,... that a motion of joints passes, in the time of the demonstration [s].
+        amplitude: Of a periodic motion, over that of the demonstration.
+        turns: Of a periodic motion; 4 when not given.
+        speed: Share of the robot's speed limits that is allowed, in (0, 1]; that of the settings, 1 without.
+        firm: Tell the arm the path whatever it does, instead of waiting for an arm that is held up.
+        log: Recording of the motion; -2, -3 is added to a name that exists. dmp.mcap in the folder of the settings when
+            not given.
+        force: Replace an existing file of --output.
     """
-    from armlab import log as logs
-    from armlab import models
     from armlab.cli.dmp.playing import numbers_in, rehearsed, resolved, rolled_out
-    from armlab.cli.support.options import links_to
-    from armlab.cli.support.output import check_output, note, print_json
     from armlab.cli.support.settings import log_folder
-    from armlab.errors import ConfigError
 
     given = {"duration": duration, "amplitude": amplitude, "turns": turns, "via": via or None}
     given |= {"start": numbers_in(start, "start"), "goal": numbers_in(goal, "goal")}
@@ -171,11 +138,11 @@ def play(
         return _move(*plan, links_to(robot, plan[:1], link), log or log_folder() / "dmp.mcap", json)
     check_output(output, force, [".csv", ".mcap"])
     if robot is None:
-        arm, table = None, rolled_out(*resolved(models.load(primitive), given))
+        arm, table = None, rolled_out(*resolved(armlab.models.load(primitive), given))
     else:
         arm, motion, _ = _plan(primitive, given, robot, speed, firm)
         table = rehearsed(motion)
-    note(f"motion: {logs.write(table, output, arm)}")
+    note(f"motion: {armlab.log.write(table, output, arm)}")
     if json:
         print_json({"seconds": float(table.t[-1]), "samples": len(table), "columns": list(table.names)})
     return 0
@@ -185,24 +152,20 @@ def _plan(
     primitive: Path, given: dict[str, Any], robot: str, speed: float | None, firm: bool
 ) -> tuple[Robot, PlannedMotion, Limits]:
     """Return the robot, its motion within the limits, and these."""
-    from armlab import bridge, models, robots
     from armlab.cli.dmp.playing import motion_of, resolved
     from armlab.cli.support.settings import load_settings
 
-    arm = robots.load(robot)
-    limits = bridge.Limits.of(arm, speed=load_settings().settings.speed if speed is None else speed)
-    return arm, motion_of(*resolved(models.load(primitive), given), arm, limits, firm), limits
+    arm = armlab.robots.load(robot)
+    limits = armlab.bridge.Limits.of(arm, speed=load_settings().settings.speed if speed is None else speed)
+    return arm, motion_of(*resolved(armlab.models.load(primitive), given), arm, limits, firm), limits
 
 
 def _move(robot: Robot, motion: PlannedMotion, limits: Limits, links: list[str], log: Path, json: bool) -> int:
     """Walk to the start, run the motion, and say how near the goal it came."""
-    from armlab import bridge
-    from armlab.cli import FAILED
     from armlab.cli.dmp.playing import SETTLES, Walk, distance
-    from armlab.cli.support.output import note, print_json, progress, result
 
     controller, seconds = motion.controller, motion.seconds
-    with bridge.connect(links, robot) as end, progress("motion") as tell:
+    with armlab.bridge.connect(links, robot) as end, progress("motion") as tell:
         end.run(Walk(motion.q_start, limits.qd_max), limits=limits)
         whole = seconds + SETTLES
         done = end.run(controller, whole, limits=limits, record=log, extra=controller.columns(), progress=tell)

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import armlab
 from armlab.cli.support.options import as_given
+from armlab.errors import ConfigError, LinkError, ShapeError
 
 if TYPE_CHECKING:
     from armlab.bridge import Limits
@@ -44,8 +46,6 @@ class PlannedMotion:
 
 def numbers_in(text: str | None, option: str) -> np.ndarray | None:
     """Return the numbers of a word such as ``0.1,0.2,-0.3``; None of None."""
-    from armlab.errors import ConfigError
-
     try:
         return None if text is None else np.array([float(word) for word in text.split(",")])
     except ValueError:
@@ -62,9 +62,6 @@ def resolved(primitive: Any, given: Mapping[str, Any]) -> tuple[Any, dict[str, A
 
     `given`: value by option, None where it was not given; via as words "TIME:Y,Y,...".
     """
-    from armlab.errors import ConfigError
-    from armlab.motion import TwoDofDmp, fit_dmp, with_via_points
-
     kind = getattr(primitive, "KIND", type(primitive).__name__)
     if kind not in OPTIONS:
         raise ConfigError(f"Expected a movement primitive, got a file of kind {kind!r}. armlab dmp fit makes one.")
@@ -74,12 +71,12 @@ def resolved(primitive: Any, given: Mapping[str, Any]) -> tuple[Any, dict[str, A
             raise ConfigError(f"Expected --{', --'.join(OPTIONS[kind])} with a {kind}, got --{name}. Leave it out.")
     points = [_point(word) for word in run.pop("via", ())]
     if kind == "promp":
-        return _mean(primitive, points, run, fit_dmp), {}
+        return _mean(primitive, points, run, armlab.motion.fit_dmp), {}
     if points:
         t, y = [when for when, _ in points], np.array([value for _, value in points])
-        if isinstance(primitive, TwoDofDmp):
-            return replace(primitive, dmp=with_via_points(primitive.dmp, t, y)), run
-        return with_via_points(primitive, t, y), run
+        if isinstance(primitive, armlab.motion.TwoDofDmp):
+            return replace(primitive, dmp=armlab.motion.with_via_points(primitive.dmp, t, y)), run
+        return armlab.motion.with_via_points(primitive, t, y), run
     return primitive, run
 
 
@@ -87,17 +84,16 @@ def resolved(primitive: Any, given: Mapping[str, Any]) -> tuple[Any, dict[str, A
 def rolled_out(primitive: Any, run: Mapping[str, Any]) -> Table:
     """Return the motion at 250 Hz: y, yd and ydd (N, n), or poses of the tool."""
     from armlab.log import Column, Table
-    from armlab.motion import PeriodicDmp, PoseDmp, TwoDofDmp
 
-    if isinstance(primitive, PoseDmp):
+    if isinstance(primitive, armlab.motion.PoseDmp):
         poses = primitive.rollout(DT, **run)
         return Table(poses.t, {"T_base_tool": poses.T})
-    if isinstance(primitive, PeriodicDmp):
+    if isinstance(primitive, armlab.motion.PeriodicDmp):
         period = run.get("duration", primitive.period)
         t = np.arange(0.0, run.get("turns", TURNS) * period + 0.5 * DT, DT)
         found = primitive.rollout(t, period=period, g=run.get("goal"), r=run.get("amplitude", 1.0))
     else:
-        dmp = primitive.dmp if isinstance(primitive, TwoDofDmp) else primitive
+        dmp = primitive.dmp if isinstance(primitive, armlab.motion.TwoDofDmp) else primitive
         found = dmp.rollout(DT, duration=run.get("duration"), y0=run.get("start"), g=run.get("goal"))
     names = {"y": found.y, "yd": found.yd, "ydd": found.ydd}
     return Table(found.t, names, {name: Column(unit="1") for name in names})  # rad or m, which no primitive knows
@@ -106,19 +102,15 @@ def rolled_out(primitive: Any, run: Mapping[str, Any]) -> Table:
 @as_given()
 def motion_of(primitive: Any, run: Mapping[str, Any], robot: Robot, limits: Limits, firm: bool) -> PlannedMotion:
     """Return what leads the arm: stretched in time until it keeps to the limits of velocity."""
-    from armlab.motion import PeriodicDmp, PoseDmp
-
-    if isinstance(primitive, PoseDmp):
+    if isinstance(primitive, armlab.motion.PoseDmp):
         return _pose_motion(primitive, run, robot, limits)
-    if isinstance(primitive, PeriodicDmp):
+    if isinstance(primitive, armlab.motion.PeriodicDmp):
         return _periodic_motion(primitive, run, robot, limits)
     return _joint_motion(primitive, run, robot, limits, firm)
 
 
-def rehearsed(motion: PlannedMotion) -> Table:
+def rehearsed(motion: PlannedMotion) -> armlab.log.Table:
     """Return what the controller would tell an arm that does as it is told: q and qd (N, n) at 250 Hz."""
-    from armlab.errors import LinkError
-    from armlab.log import Table
     from armlab.state import State
 
     q, qd, unknown = motion.q_start, np.zeros_like(motion.q_start), np.full_like(motion.q_start, np.nan)
@@ -131,41 +123,30 @@ def rehearsed(motion: PlannedMotion) -> Table:
         q, qd = command.q, command.qd
         rows.append((q, qd))
     positions, velocities = np.array(rows).swapaxes(0, 1)
-    return Table(t, {"q": positions, "qd": velocities})
+    return armlab.log.Table(t, {"q": positions, "qd": velocities})
 
 
 def distance(robot: Robot, q: np.ndarray, goal: np.ndarray) -> dict[str, float]:
-    """Return how far an arm is from a goal, by unit: m and rad from a pose, rad from joint positions.
-
-    `q`: (n,) where it is. `goal`: (n,) or (4, 4).
-    """
-    from armlab.kinematics import forward
-    from armlab.lie import so3
-
+    """Return how far an arm at q (n,) is from a goal, by unit: m and rad from (4, 4), rad from (n,)."""
     if goal.ndim == 1:
         return {"rad": float(np.abs(q - goal).max())}
-    T_base_tool = forward(robot, q)
-    turned = so3.angle(T_base_tool[:3, :3], goal[:3, :3])
+    T_base_tool = armlab.kinematics.forward(robot, q)
+    turned = armlab.lie.so3.angle(T_base_tool[:3, :3], goal[:3, :3])
     return {"m": float(np.linalg.norm(T_base_tool[:3, 3] - goal[:3, 3])), "rad": float(turned)}
 
 
 class Walk:
-    """A controller: from where the arm stands to a posture, with minimum jerk; then the end of the run.
-
-    `q`: (n,) posture. `qd_max`: (n,) largest speed on the way.
-    """
+    """A controller: from where the arm stands to the posture q (n,), with minimum jerk; then the end of the run."""
 
     def __init__(self, q: np.ndarray, qd_max: np.ndarray) -> None:
         self._q, self._qd_max, self._begin = q, qd_max, 0.0
         self._profile: Profile | None = None
 
     def __call__(self, state: State) -> Command:
-        """Return the reference for a packet."""
-        from armlab.motion import profiles
         from armlab.state import Command
 
         if self._profile is None:
-            whole = profiles.minimum_jerk(state.q, self._q, 1e-2)
+            whole = armlab.motion.profiles.minimum_jerk(state.q, self._q, 1e-2)
             self._profile, self._begin = whole.slowed(self._qd_max, SOFT), state.t
         clock = state.t - self._begin
         if clock > self._profile.duration + 0.5 * SETTLES:
@@ -175,8 +156,6 @@ class Walk:
 
 
 def _point(word: str) -> tuple[float, np.ndarray]:
-    from armlab.errors import ConfigError
-
     time, _, values = word.partition(":")
     try:
         return float(time), np.array([float(value) for value in values.split(",")])
@@ -209,15 +188,12 @@ def _joint_motion(
 
 def _pose_motion(dmp: PoseDmp, run: Mapping[str, Any], robot: Robot, limits: Limits) -> PlannedMotion:
     """The posture at the start is the one nearest to home; along the path each is the nearest to the one before."""
-    from armlab.errors import ShapeError
-    from armlab.kinematics import inverse
-
     dmp.controller(robot, limits=limits, goal=run.get("goal"))
     seconds = float(run.get("duration", dmp.duration))
     T = dmp.rollout(DT, duration=seconds, start=run.get("start"), twist0=np.zeros(6), goal=run.get("goal")).T
-    q = [inverse(robot, T[0], robot.q_home).q]
+    q = [armlab.kinematics.inverse(robot, T[0], robot.q_home).q]
     for k, pose in enumerate(T):
-        found = inverse(robot, pose, q[-1], starts=1)
+        found = armlab.kinematics.inverse(robot, pose, q[-1], starts=1)
         if not found.success:
             raise ShapeError(f"Expected a path that {robot.name} reaches, got one that it leaves after {k * DT:.2f} s.")
         q.append(found.q)

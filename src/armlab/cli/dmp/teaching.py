@@ -10,6 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import armlab
+from armlab.cli.support.output import aligned
+from armlab.errors import ConfigError, UnknownName
+
 if TYPE_CHECKING:
     from armlab.estimation import Fit
     from armlab.log import Table
@@ -47,8 +51,6 @@ class MotionWindow:
 
     def __post_init__(self) -> None:
         """Refuse times that are none: nothing is before or after NaN."""
-        from armlab.errors import ConfigError
-
         for name in ("start", "end"):
             value = getattr(self, name)
             if value is not None and not math.isfinite(value):
@@ -56,12 +58,7 @@ class MotionWindow:
 
 
 def check_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options that were given.
-
-    `given`: value by option, None where it was not given.
-    """
-    from armlab.errors import ConfigError, UnknownName
-
+    """Return the options that were given: those whose value is not None."""
     if kind not in KINDS:
         raise UnknownName.among("kind of primitive", kind, KINDS)
     chosen = {name: value for name, value in given.items() if value is not None}
@@ -77,20 +74,17 @@ def check_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
 def read_demonstration(
     path: Path, kind: str, columns: Sequence[str], robot: str | None, window: MotionWindow
 ) -> Demonstration:
-    """Return the motion in a log."""
-    from armlab import kinematics, log, robots
-    from armlab.errors import ConfigError
     from armlab.log.topics.reader import is_foreign, read_joints
 
-    arm, foreign = None if robot is None else robots.load(robot), is_foreign(path)
+    arm, foreign = None if robot is None else armlab.robots.load(robot), is_foreign(path)
     if foreign and arm is None and kind != "pose" and "q" in (columns or ("q",)):
         raise ConfigError(
             f"Expected --robot NAME with {path}, got none. Another program has its joints in an order of its own; they "
             "are put into that of the robot, as it will play them."
         )
-    table = log.read(path) if arm is None or not foreign else read_joints(path, arm)
+    table = armlab.log.read(path) if arm is None or not foreign else read_joints(path, arm)
     if kind == "pose" and arm is not None:
-        table = table.with_column(POSES, kinematics.forward(arm, table["q"]))
+        table = table.with_column(POSES, armlab.kinematics.forward(arm, table["q"]))
     elif kind == "pose" and not columns and POSES not in table:
         raise ConfigError(
             f"Expected poses of the tool in {path}, column {POSES}, got {', '.join(table.names)}. "
@@ -106,26 +100,23 @@ def read_demonstration(
 
 
 def taught(kind: str, demos: Sequence[Demonstration], options: Mapping[str, Any]) -> Fit[Any]:
-    """Return the fit of a primitive."""
-    from armlab import motion
-    from armlab.errors import ConfigError
-
     given = {("n_basis" if name == "basis" else name): value for name, value in options.items() if name != "robot"}
     if kind in ("pose", "periodic"):
         if len(demos) > 1:
             raise ConfigError(f"Expected one log with --kind {kind}, got {len(demos)}. Fit one primitive to each.")
-        fit = motion.fit_pose_dmp if kind == "pose" else motion.fit_periodic_dmp
+        fit = armlab.motion.fit_pose_dmp if kind == "pose" else armlab.motion.fit_periodic_dmp
         return fit(demos[0].t, demos[0].y, **given)
     t, y = [demo.t for demo in demos], [demo.y for demo in demos]
     if kind == "promp":
-        return motion.fit_promp(t, y, **given)
-    return motion.fit_dmp(t if len(t) > 1 else t[0], y if len(y) > 1 else y[0], **given)
+        return armlab.motion.fit_promp(t, y, **given)
+    return armlab.motion.fit_dmp(t if len(t) > 1 else t[0], y if len(y) > 1 else y[0], **given)
 
 
 def numbers_of(kind: str, found: Fit[Any], demos: int) -> dict[str, Any]:
     """Return what was found, for scripts."""
     value = found.value
-    told = {"kind": kind, "demonstrations": demos, "samples": found.n, "rms": _rms(found)}
+    told = {"kind": kind, "demonstrations": demos, "samples": found.n}
+    told["rms"] = np.sqrt((found.residuals**2).mean(axis=0))
     if kind == "periodic":
         return told | {"period": value.period, "kernels": len(value.centres), "baseline": value.g}
     told |= {"duration": value.duration}
@@ -139,8 +130,6 @@ def numbers_of(kind: str, found: Fit[Any], demos: int) -> dict[str, Any]:
 
 def text_of(kind: str, found: Fit[Any], demos: int) -> str:
     """Return what was found, for people."""
-    from armlab.cli.support.output import aligned
-
     told, value = numbers_of(kind, found, demos), found.value
     shown = "1 demonstration" if demos == 1 else f"{demos} demonstrations"
     length = f"turns of {value.period:.2f} s" if kind == "periodic" else f"{value.duration:.2f} s"
@@ -148,12 +137,8 @@ def text_of(kind: str, found: Fit[Any], demos: int) -> str:
     count = "" if kind == "promp" else f" with {found.n} samples"
     head = f"{kind}: {length} of {size} coordinates from {shown}{count}; {told['kernels']} kernels"
     names = ("x", "y", "z", "turn x", "turn y", "turn z") if kind == "pose" else [str(i + 1) for i in range(size)]
-    columns: dict[str, Sequence[float]] = {
-        "joints": {"start": value.y0, "goal": value.g} if kind == "joints" else {},
-        "periodic": {"baseline": value.g} if kind == "periodic" else {},
-        "promp": {key: told[f"{key}_sd"] for key in ("start", "goal")} if kind == "promp" else {},
-        "pose": {},
-    }[kind]
+    keys = {"joints": ("start", "goal"), "periodic": ("baseline",), "promp": ("start_sd", "goal_sd"), "pose": ()}[kind]
+    columns: dict[str, Sequence[float]] = {key.removesuffix("_sd"): told[key] for key in keys}
     titles = [f"{name} differs by (sd)" if kind == "promp" else name for name in columns]
     rows = [("coordinate", *titles, "motion off by (RMS)")]
     rows += [
@@ -172,8 +157,6 @@ def _side_by_side(table: Table, names: Sequence[str]) -> np.ndarray:
 
 def _moving(t: np.ndarray, y: np.ndarray, what: str) -> slice:
     """Return the rows of the motion, with a little of the rest at both ends."""
-    from armlab.errors import ConfigError
-
     if len(t) < 3:
         return slice(None)
     speed = np.abs(np.gradient(y, t, axis=0)).reshape(len(t), -1).max(axis=1)
@@ -182,7 +165,3 @@ def _moving(t: np.ndarray, y: np.ndarray, what: str) -> slice:
         raise ConfigError(f"Expected a motion in {what}, got rest. Name another log or column.")
     first, last = np.searchsorted(t, (t[moving[0]] - MARGIN, t[moving[-1]] + MARGIN))
     return slice(int(first), int(last))
-
-
-def _rms(found: Fit[Any]) -> np.ndarray:
-    return np.sqrt((found.residuals**2).mean(axis=0))

@@ -8,7 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+import armlab
+from armlab.cli.support.options import as_given
+from armlab.cli.support.output import aligned, note, print_json, progress, result
 from armlab.cli.support.results import PLAIN, Results
+from armlab.errors import LogError
 
 if TYPE_CHECKING:
     from armlab.cli.support.html_report import Verdict
@@ -27,14 +31,10 @@ LEAST = 1.0  # s of a log in which the place of a contact is weighed
 class ContactPrior:
     """What was known of the contact before.
 
-    Attributes
-    ----------
-    prior_force : float
-        How large a force is expected in each axis: its standard deviation [N].
-    prior_moment : float
-        The same of the moment [N m].
-    point : tuple
-        Where the contact is, in tool axes [m], when that is known: x y z, within the length of the arm.
+    Attributes:
+        prior_force: How large a force is expected in each axis: its standard deviation [N].
+        prior_moment: The same of the moment [N m].
+        point: Where the contact is, in tool axes [m], when that is known: x y z, within the length of the arm.
     """
 
     prior_force: float = 20.0
@@ -66,45 +66,32 @@ def estimate(
     what can be relied on and what cannot, with gaps and rows that were left out. The force is that of the environment
     on the robot, in base axes, at the tool point.
 
-    Parameters
-    ----------
-    robot : str
-        Name in the library, or a robot file; the one the model belongs to.
-    log : Path
-        Recording with positions, velocities and torques.
-    model : Path
-        Model file of `armlab identify`.
-    method : str
-        map: most probable force, for motion. bounded: no contact unless proven, for an arm that also rests. interval:
-        bounded, with limits that hold. kf, observer: momentum, which needs no acceleration. ls, lund, clip: to compare.
-    force_rate : str
-        Of the method kf: how fast the force may change.
-    bias : bool
-        Of the method kf: friction that is unknown after a rest is a state of its own.
-    output : Path
-        Also write the estimate of every row, ends in .mcap or .csv.
-    prior : ContactPrior
-        Of the contact.
+    Parameters:
+        robot: Name in the library, or a robot file; the one the model belongs to.
+        log: Recording with positions, velocities and torques.
+        model: Model file of `armlab identify`.
+        method: map: most probable force, for motion. bounded: no contact unless proven, for an arm that also rests.
+            interval: bounded, with limits that hold. kf, observer: momentum, which needs no acceleration. ls, lund,
+            clip: to compare.
+        force_rate: Of the method kf: how fast the force may change.
+        bias: Of the method kf: friction that is unknown after a rest is a state of its own.
+        output: Also write the estimate of every row, ends in .mcap or .csv.
+        prior: Of the contact.
     """
-    from armlab import log as logs
-    from armlab import models, robots
     from armlab.cli.estimate import report as report_of
     from armlab.cli.support.log_input import doubts, read_log
-    from armlab.cli.support.options import as_given
-    from armlab.cli.support.output import note, progress
-    from armlab.contact import Estimator, contacts
 
     wanted.check(output, (".mcap", ".csv"), [log])
-    arm = robots.load(robot)
-    known = models.load(model, "torque_model")
+    arm = armlab.robots.load(robot)
+    known = armlab.models.load(model, "torque_model")
     options = {"force_rate": force_rate, "bias": bias}
     with as_given():
-        estimator = Estimator(known, arm, method, prior.deviations, prior.point, **options)
+        estimator = armlab.contact.Estimator(known, arm, method, prior.deviations, prior.point, **options)
     with progress("estimate") as tell:
         tell(0, 1, "reading the log")
         table = estimator.run(read_log(log, arm), progress=tell)
         _check(table, log)
-        found = contacts(table)
+        found = armlab.contact.contacts(table)
         tell(0, 2, "where the contact may be")
         believed = _believed(table, arm, method, prior) if found else None
         tell(1, 2, "what can be relied on")
@@ -113,29 +100,25 @@ def estimate(
     _say(table, method, report_of.places(found, believed), verdict, wanted.json)
     if output is not None:
         note(f"writing {output}")
-        logs.write(report_of.columns(table, believed), output, arm)
+        armlab.log.write(report_of.columns(table, believed), output, arm)
     about = f"{log.name} of {arm.name}, model {model.name}, method {method}."
     wanted.write(
-        lambda plots: plots.wrench(table),
-        lambda tell: report_of.page(table, verdict, found, believed, about, tell),
+        lambda plots: plots.wrench(table), lambda tell: report_of.page(table, verdict, found, believed, about, tell)
     )
     return 0
 
 
 def _believed(table: Table, arm: Robot, method: str, prior: ContactPrior) -> Hypotheses | None:
     """Return what is believed of the place of contacts; nothing of methods whose torque error is not static."""
-    from armlab.contact import hypotheses
-
     if method in ("observer", "kf") or table.t[-1] - table.t[0] < LEAST:
         return None
-    return hypotheses(table, arm, point=prior.point, prior=prior.deviations)
+    return armlab.contact.hypotheses(table, arm, point=prior.point, prior=prior.deviations)
 
 
 def _say(table: Table, method: str, found: list[tuple[Contact, str]], verdict: Verdict, json: bool) -> None:
     """Print the table per axis, the contacts with their places and the verdict, or all of it as JSON."""
     from armlab.cli.estimate.report import axes, limits, rows
     from armlab.cli.support.log_input import gaps, left_out
-    from armlab.cli.support.output import aligned, print_json, result
 
     if json:
         contacts = [{**vars(contact), "where": place} for contact, place in found]
@@ -160,8 +143,6 @@ def _check(table: Table, log: Path) -> None:
     import numpy as np
 
     from armlab.cli.support.log_input import left_out
-    from armlab.cli.support.output import note
-    from armlab.errors import LogError
 
     invalid = left_out(table)
     if invalid == len(table):

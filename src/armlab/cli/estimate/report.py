@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import armlab
 from armlab.cli.support.html_report import HtmlReport, Verdict
 from armlab.cli.support.log_input import gaps, left_out
 from armlab.cli.support.results import Tell
+from armlab.errors import UnknownName
 
 if TYPE_CHECKING:
     from armlab.contact.contacts import Contact, Hypotheses
@@ -72,8 +74,6 @@ def columns(table: Table, believed: Hypotheses | None) -> Table:
     """Return what is written of an estimate: its columns, and the probability of each place of the contact.
 
     Those are columns p_none, p_point, p_link_1 and so on, of the window nearest to the row.
-
-    `believed`: of `contact.hypotheses`, or None.
     """
     written = table.select(*(name for name in COLUMNS if name in table))
     if believed is not None:
@@ -90,10 +90,7 @@ def places(contacts: Sequence[Contact], believed: Hypotheses | None) -> list[tup
 
 
 def contact_rows(table: Table, contacts: Sequence[Contact], believed: Hypotheses | None) -> list[tuple[str, ...]]:
-    """Return the contacts as words, the head first; forces with their limits where the method tells any.
-
-    `believed`: of `contact.hypotheses`, or None.
-    """
+    """Return the contacts as words, the head first; forces with their limits where the method tells any."""
     found: list[tuple[str, ...]] = [
         ("from [s]", "to [s]", "f_x [N]", "f_y [N]", "f_z [N]", "2-sigma [N]", "where it may be")
     ]
@@ -114,140 +111,115 @@ NAMED = 3  # gaps, the longest, that are named
 def judge(
     table: Table, model: TorqueModel, prior: np.ndarray, contacts: Sequence[Contact], doubts: Sequence[str] = ()
 ) -> Verdict:
-    """Return what of the estimate can be relied on, what cannot, and what to do next.
-
-    `prior`: (6,) prior variances.
-    """
-    good: list[str] = []
-    bad: list[str] = list(doubts)
-    ahead: list[str] = ["Correct the log first: forces from what it says are not to be trusted."] if doubts else []
+    """Return what of the estimate can be relied on, what cannot, and what to do next; `prior`: (6,) variances."""
+    advice = ["Correct the log first: forces from what it says are not to be trusted."]
+    found = Verdict(bad=list(doubts), ahead=advice if doubts else [])
     if contacts:
         largest = max(contacts, key=lambda contact: float(np.linalg.norm(contact.force)))
         size = float(np.linalg.norm(largest.force))
-        good.append(
+        found.good.append(
             f"{len(contacts)} contact{'s' if len(contacts) > 1 else ''}; the strongest from {largest.start:.2f} to "
             f"{largest.end:.2f} s with {size:.2f} N, 2 sigma {largest.band:.2f} N."
         )
     else:
-        good.append("No contact: the force band never excludes zero for 0.2 s.")
-    for part in (_seen(table), _whole(table), _flags(table), _reach(table, model, prior), _truth(table)):
-        good += part.good
-        bad += part.bad
-        ahead += part.ahead
-    return Verdict(() if doubts else tuple(good), tuple(bad), tuple(ahead))
+        found.good.append("No contact: the force band never excludes zero for 0.2 s.")
+    for part in (_seen, _whole, _flags):
+        part(found, table)
+    _reach(found, table, model, prior)
+    _truth(found, table)
+    if doubts:
+        found.good.clear()
+    return found
 
 
-def _seen(table: Table) -> Verdict:
-    """Say which axes the torques show."""
+def _seen(found: Verdict, table: Table) -> None:
     observability = table["observability"]
     known = np.isfinite(observability).all(axis=1)
     mean = observability[known].mean(axis=0)
     weak = (observability[known] < WEAK).mean(axis=0)
-    good, bad, ahead = [], [], []
     seen = [AXES[i] for i in range(6) if mean[i] >= SEEN]
     if seen:
-        good.append(f"Well seen: {', '.join(seen)} (mean observability {mean[mean >= SEEN].min():.2f} or more).")
+        found.good.append(f"Well seen: {', '.join(seen)} (mean observability {mean[mean >= SEEN].min():.2f} or more).")
     hidden = [f"{AXES[i]} ({100 * weak[i]:.0f} % of the time)" for i in range(6) if weak[i] > OFTEN]
     if hidden:
-        bad.append(f"Hardly seen, so that the prior speaks: {', '.join(hidden)}.")
+        found.bad.append(f"Hardly seen, so that the prior speaks: {', '.join(hidden)}.")
         still = np.asarray((np.abs(table["qd"][known]) < SLOW).all(axis=1))
         hard = (observability[known] < WEAK).any(axis=1)
         if np.mean(still[hard]) > 0.5:
-            ahead.append("Sway the joints a little (identify.dither): at rest static friction hides the force.")
+            found.ahead.append("Sway the joints a little (identify.dither): at rest static friction hides the force.")
         else:
-            ahead.append("Use a pose away from singular ones, or --point when it is known where the contact is.")
-    return Verdict(tuple(good), tuple(bad), tuple(ahead))
+            found.ahead.append("Use a pose away from singular ones, or --point when it is known where the contact is.")
 
 
-def _whole(table: Table) -> Verdict:
-    """Name rows that were left out, and gaps."""
-    from armlab.contact import INVALID
-
-    bad = []
+def _whole(found: Verdict, table: Table) -> None:
     if count := left_out(table):
-        t = table.t[(table["wrench_flags"] & INVALID) > 0]
-        bad.append(
+        t = table.t[(table["wrench_flags"] & armlab.contact.INVALID) > 0]
+        found.bad.append(
             f"{count} of {len(table)} rows ({100 * count / len(table):.1f} %), between {t[0]:.2f} and {t[-1]:.2f} s, "
             "are not finite and have no estimate."
         )
-    if found := gaps(table):
-        longest = sorted(sorted(found, key=lambda gap: -gap[1])[:NAMED])
+    if holes := gaps(table):
+        longest = sorted(sorted(holes, key=lambda gap: -gap[1])[:NAMED])
         named = ", ".join(f"{seconds:.3g} s after {after:.2f} s" for after, seconds in longest)
-        more = f", {len(found) - NAMED} shorter ones" if len(found) > NAMED else ""
-        total = sum(seconds for _, seconds in found)
-        bad.append(
-            f"{'Gap' if len(found) == 1 else f'{len(found)} gaps'} in the log: {named}{more}; {total:.3g} s in all. "
+        more = f", {len(holes) - NAMED} shorter ones" if len(holes) > NAMED else ""
+        total = sum(seconds for _, seconds in holes)
+        found.bad.append(
+            f"{'Gap' if len(holes) == 1 else f'{len(holes)} gaps'} in the log: {named}{more}; {total:.3g} s in all. "
             "A contact in a gap is not seen; after more than five periods the estimate begins anew."
         )
-    return Verdict(bad=tuple(bad))
 
 
-def _flags(table: Table) -> Verdict:
+def _flags(found: Verdict, table: Table) -> None:
     from armlab.contact import INFEASIBLE, SINGULAR, STUCK
 
     flags = table["wrench_flags"]
     share = {flag: float(np.mean((flags & flag) != 0)) for flag in (STUCK, INFEASIBLE, SINGULAR)}
-    bad, ahead = [], []
     if share[SINGULAR]:
-        bad.append(f"{100 * share[SINGULAR]:.1f} % of the rows are at singular poses and have no estimate.")
-        ahead.append("Choose a method with a prior (map, bounded) for such poses.")
+        found.bad.append(f"{100 * share[SINGULAR]:.1f} % of the rows are at singular poses and have no estimate.")
+        found.ahead.append("Choose a method with a prior (map, bounded) for such poses.")
     if share[STUCK] > OFTEN:
-        bad.append(
+        found.bad.append(
             f"In {100 * share[STUCK]:.0f} % of the rows every joint is inside its friction bound: a force may be "
             "hidden there."
         )
-        ahead.append(
+        found.ahead.append(
             "Read the limits there: in the tables, dotted in the figure, wrench_interval in the written estimate."
             if "wrench_interval" in table
             else "Read the limits of --method interval there."
         )
     if share[INFEASIBLE]:
-        bad.append(
+        found.bad.append(
             f"In {100 * share[INFEASIBLE]:.1f} % of the rows no wrench at the tool explains the torques: contact on "
             "another link, or a model that is wrong there."
         )
-    return Verdict((), tuple(bad), tuple(ahead))
 
 
-def _reach(table: Table, model: TorqueModel, prior: np.ndarray) -> Verdict:
+def _reach(found: Verdict, table: Table, model: TorqueModel, prior: np.ndarray) -> None:
     """Say where the log leaves what the model was fitted to, and where the prior shrinks."""
-    from armlab.identify import extrapolation
-
-    bad = list(extrapolation(model, table.dropna("q", "qd")).warnings)
-    ahead = ["Identify again with motions that go there, or trust these stretches less."] if bad else []
+    if away := armlab.identify.extrapolation(model, table.dropna("q", "qd")).warnings:
+        found.bad += away
+        found.ahead.append("Identify again with motions that go there, or trust these stretches less.")
     largest = np.nanmax(np.abs(table["wrench_hat"]) / np.sqrt(prior), axis=0)
     beyond = [AXES[i] for i in range(6) if largest[i] > 2]
     if beyond:
-        bad.append(f"Larger than twice the prior: {', '.join(beyond)}. The estimate is too small there.")
-        ahead.append("Give a larger --prior-force or --prior-moment.")
-    return Verdict((), tuple(bad), tuple(ahead))
+        found.bad.append(f"Larger than twice the prior: {', '.join(beyond)}. The estimate is too small there.")
+        found.ahead.append("Give a larger --prior-force or --prior-moment.")
 
 
-def _truth(table: Table) -> Verdict:
+def _truth(found: Verdict, table: Table) -> None:
     """Compare with a force sensor or a simulated operator, where the log has one."""
-    from armlab.contact import compare
-    from armlab.errors import UnknownName
-
     try:
-        found = compare(table)
+        compared = armlab.contact.compare(table)
     except UnknownName:
-        return Verdict()
-    text = found.text()
-    sentence = f"{text[0].upper()}{text[1:]}."
-    return Verdict((sentence,)) if np.mean(found.inside[:3]) >= HONEST else Verdict(bad=(sentence,))
+        return
+    text = compared.text()
+    (found.good if np.mean(compared.inside[:3]) >= HONEST else found.bad).append(f"{text[0].upper()}{text[1:]}.")
 
 
 def page(
-    table: Table,
-    verdict: Verdict,
-    contacts: Sequence[Contact],
-    believed: Hypotheses | None,
-    about: str,
-    tell: Tell,
+    table: Table, verdict: Verdict, contacts: Sequence[Contact], believed: Hypotheses | None, about: str, tell: Tell
 ) -> HtmlReport:
     """Return the page; `tell` is called with (done, total, what)."""
-    from armlab.plots.style import png
-
     page = HtmlReport("Contact wrench", about)
     page.verdict(verdict)
     words = "By the environment on the robot, base axes, at the tool point, in N and N m. Observability: 1 the torques "
@@ -259,47 +231,41 @@ def page(
     page.section("Contacts", "" if contacts else "None: the force band never excludes zero for 0.2 s.")
     if contacts:
         page.table(contact_rows(table, contacts, believed))
-    drawings = _drawings(table, believed)
-    for k, (title, caption, draw) in enumerate(drawings):
-        tell(k, len(drawings), f"drawing {title.lower()}")
-        page.section(title)
-        page.figure(png(draw()), title, caption)
+    page.figures([(title, title, caption, draw) for title, caption, draw in _drawings(table, believed)], tell)
     return page
 
 
 def _drawings(table: Table, believed: Hypotheses | None) -> list[tuple[str, str, Any]]:
     """Return title, how to read it, and what draws it, of each figure."""
-    from armlab import plots
-
     shown = [
         (
             "Wrench over time",
             "Line: estimate. Band: two sigma. Shaded: contact, where zero lies outside the 95 % ellipsoid.",
-            lambda: plots.wrench(table),
+            lambda: armlab.plots.wrench(table),
         ),
         (
             "Observability over time",
             "What the pose and the friction of the joints let through. Shaded: some axis below 0.5.",
-            lambda: plots.observability(table),
+            lambda: armlab.plots.observability(table),
         ),
         (
             "Motion",
             "Positions, velocities and torques of the log.",
-            lambda: plots.table(table, "q", "qd", "tau"),
+            lambda: armlab.plots.table(table, "q", "qd", "tau"),
         ),
     ]
     if believed is not None:
         where = (
             "Where the contact may be",
             "Probability of each place, in windows of one second. The bar on top: a link is not excluded, 400 to 1.",
-            lambda: plots.hypotheses(believed),
+            lambda: armlab.plots.hypotheses(believed),
         )
         shown.insert(1, where)
     if "wrench_true" in table or "wrench" in table:
         coverage = (
             "Coverage by speed",
             "Share of the axis's errors inside two sigma; a calibrated uncertainty contains 95.4 % at every speed.",
-            lambda: plots.coverage(table),
+            lambda: armlab.plots.coverage(table),
         )
         shown.insert(-1, coverage)
     return shown

@@ -8,7 +8,10 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+import armlab
+from armlab.cli.support.output import note, progress
 from armlab.cli.support.results import PLAIN, Results
+from armlab.errors import ConfigError
 
 __all__ = []
 
@@ -28,35 +31,25 @@ def identify(
     Prints a table per joint and a verdict: what is good, what is not, what to log next. Writes nothing, and ends with
     status 1, when the logs do not determine the model.
 
-    Parameters
-    ----------
-    robot : str
-        Name in the library, or a robot file.
-    logs : Path
-        Recordings of free motion without contact, with positions, velocities and torques; armlab excite makes one.
-    output : Path
-        Model file to write, ends in .toml.
-    method : str
-        irls: outliers count less. lts: a quarter of the stretches of time, those that fit worst, is left out. wls, ols:
-        every sample as it is, with or without a weight per joint.
-    gravity_only : bool
-        Gravity and friction alone, from a log of slow motion (accelerations below 1 rad/s^2), for an arm that may not
-        move fast: enough for contact forces in slow motion. Without: also inertia, which takes a log of fast motion.
-    drives : bool
-        Also look for lines of torque ripple, friction over position and warm-up (logs from 20 minutes), joint by joint;
-        what wins on held-out stretches of time is kept.
-    test : Path
-        Another recording without contact: how good the model is where it was not fitted.
+    Parameters:
+        robot: Name in the library, or a robot file.
+        logs: Recordings of free motion without contact, with positions, velocities and torques; armlab excite makes
+            one.
+        output: Model file to write, ends in .toml.
+        method: irls: outliers count less. lts: a quarter of the stretches of time, those that fit worst, is left out.
+            wls, ols: every sample as it is, with or without a weight per joint.
+        gravity_only: Gravity and friction alone, from a log of slow motion (accelerations below 1 rad/s^2), for an arm
+            that may not move fast: enough for contact forces in slow motion. Without: also inertia, which takes a log
+            of fast motion.
+        drives: Also look for lines of torque ripple, friction over position and warm-up (logs from 20 minutes), joint
+            by joint; what wins on held-out stretches of time is kept.
+        test: Another recording without contact: how good the model is where it was not fitted.
     """
-    from armlab import robots
     from armlab.cli.identify import report as report_of
     from armlab.cli.support.log_input import read_log
-    from armlab.cli.support.output import note, progress
-    from armlab.errors import ConfigError
-    from armlab.identify import fit_dynamics, fit_friction, fit_gravity
     from armlab.identify.record import check_once
 
-    arm = robots.load(robot)
+    arm = armlab.robots.load(robot)
     if not logs:
         raise ConfigError("Expected at least one log to identify from, got none. Give the files of recorded motions.")
     wanted.check(output, [".toml"])
@@ -66,11 +59,11 @@ def identify(
         names = [path.name for path in (*logs, test)]
         check_once(zip(names, (one.sha256 for one in (*tables, unseen))))
     with progress("identify") as tell:
-        fit_model = fit_gravity if gravity_only else fit_dynamics
+        fit_model = armlab.identify.fit_gravity if gravity_only else armlab.identify.fit_dynamics
         fit = fit_model(tables, arm, method=method, progress=tell)
         if drives:
             tell(4, 5, "ripple, friction over position, warm-up")
-            fit = replace(fit, value=fit_friction(tables, fit.value).value)
+            fit = replace(fit, value=armlab.identify.fit_friction(tables, fit.value).value)
     trial = report_of.try_out(fit.value, arm, tables[0] if unseen is None else unseen, unseen is not None)
     verdict = report_of.judge(fit, arm, tables, trial)
     wanted.say({"model": str(output), **report_of.numbers(fit, trial)}, fit.report(), verdict)

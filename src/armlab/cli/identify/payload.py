@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from armlab.cli.support.results import PLAIN, Results
+import armlab
+from armlab.cli.support.html_report import HtmlReport, Verdict
+from armlab.cli.support.output import note, progress
+from armlab.cli.support.results import PLAIN, Results, parameters
 
 if TYPE_CHECKING:
     from armlab.cli.support.html_report import Verdict
@@ -36,41 +39,32 @@ def payload(
 
     Prints each with its deviation, in flange axes.
 
-    Parameters
-    ----------
-    robot : str
-        Name in the library, or a robot file; the one the model belongs to.
-    log : Path
-        Recording with the load, without contact, with positions, velocities and torques.
-    model : Path
-        Model file of `armlab identify`, of the arm without the load.
-    without : Path
-        Recording of the same motion without the load: what the model has wrong falls out.
-    mode : str
-        static: mass and centre. dynamic: inertia too, which needs fast motion of the wrist.
-    gain : float
-        How well the torque constants are known, as a share.
-    output : Path
-        Also save the load, ends in .toml.
+    Parameters:
+        robot: Name in the library, or a robot file; the one the model belongs to.
+        log: Recording with the load, without contact, with positions, velocities and torques.
+        model: Model file of `armlab identify`, of the arm without the load.
+        without: Recording of the same motion without the load: what the model has wrong falls out.
+        mode: static: mass and centre. dynamic: inertia too, which needs fast motion of the wrist.
+        gain: How well the torque constants are known, as a share.
+        output: Also save the load, ends in .toml.
     """
-    from armlab import models, robots
     from armlab.cli.support.log_input import read_log
-    from armlab.cli.support.output import note, progress
-    from armlab.estimation import Fit
-    from armlab.identify import fit_payload
     from armlab.models.files import load_statistics
 
     wanted.check(output, (".toml",))
-    arm, known = robots.load(robot), models.load(model, "torque_model")
-    told = Fit.load(model) if load_statistics(model) else known  # the fit knows what is uncertain in friction
+    arm, known = armlab.robots.load(robot), armlab.models.load(model, "torque_model")
+    told = (
+        armlab.estimation.Fit.load(model) if load_statistics(model) else known
+    )  # the fit knows what is uncertain in friction
     table = read_log(log, arm)
     empty = None if without is None else read_log(without, arm)
     with progress("payload") as tell:
         tell(0, 1, f"{mode} fit to {len(table)} rows")
-        fit = fit_payload(table, told, arm, mode, empty, gain_sd=gain)
+        fit = armlab.identify.fit_payload(table, told, arm, mode, empty, gain_sd=gain)
         tell(1, 1, "done")
     verdict = _judge(fit, known, table, arm)
-    wanted.say(_numbers(fit), fit.report(), verdict)
+    load = {"mass": fit.value.mass, "centre": fit.value.centre, "pi": fit.value.pi}
+    wanted.say({**load, "parameters": parameters(fit), "samples": fit.n}, fit.report(), verdict)
     if output is not None:
         note(f"load: {fit.save(output)}")
     about = f"{log.name} of {arm.name}, model {model.name}, mode {mode}."
@@ -81,57 +75,44 @@ def payload(
     return 0
 
 
-def _numbers(fit: Fit[Payload]) -> dict[str, Any]:
-    load = fit.value
-    parameters = [
-        {"name": name, "value": value, "sd": sd, "unit": unit}
-        for name, value, sd, unit in zip(fit.names, fit.parameters, fit.sd, fit.units)
-    ]
-    return {"mass": load.mass, "centre": load.centre, "pi": load.pi, "parameters": parameters, "samples": fit.n}
-
-
 def _judge(fit: Fit[Payload], model: TorqueModel, table: Table, arm: Robot) -> Verdict:
     """Return what can be relied on, what not, and what to do next."""
     import numpy as np
 
     from armlab.cli.identify.report import POOR
-    from armlab.cli.support.html_report import Verdict
-    from armlab.identify import extrapolation
     from armlab.identify.payload import moving_joints
 
     mass, sd = fit.value.mass, fit.sd[0]
-    good, bad, ahead = [], [], []
+    found = Verdict()
     if mass < LEAST * sd:
-        bad.append(f"{1e3 * mass:.0f} g cannot be told from no load: one deviation is {1e3 * sd:.0f} g.")
+        found.bad.append(f"{1e3 * mass:.0f} g cannot be told from no load: one deviation is {1e3 * sd:.0f} g.")
     elif sd > LARGEST * mass:
-        bad.append(f"The mass is known to {100 * sd / mass:.0f} % only.")
-        ahead.append("Record the same motion without the load and name it by --without.")
+        found.bad.append(f"The mass is known to {100 * sd / mass:.0f} % only.")
+        found.ahead.append("Record the same motion without the load and name it by --without.")
     else:
-        good.append(f"The load of {1e3 * mass:.0f} g is known to {100 * sd / mass:.1f} %.")
+        found.good.append(f"The load of {1e3 * mass:.0f} g is known to {100 * sd / mass:.1f} %.")
     joints = moving_joints([table], arm)
     left = np.std(fit.residuals, axis=0) / np.std(table["tau"][:, joints], axis=0)
     if left.max() <= POOR:
-        good.append(
+        found.good.append(
             f"Arm and load together explain {100 * (1 - left.max() ** 2):.1f} % of the torque variance or more."
         )
     else:
         worst = arm.joint_names[joints[left.argmax()]]
-        bad.append(
+        found.bad.append(
             f"{worst}: arm and load together leave {100 * left.max():.0f} % of the torque's deviation unexplained."
         )
-        ahead.append("Check the log's torques, and that the model is of this arm with the tool that it has now.")
-    bad += extrapolation(model, table).warnings
-    ahead.append(
+        found.ahead.append("Check the log's torques, and that the model is of this arm with the tool that it has now.")
+    found.bad += armlab.identify.extrapolation(model, table).warnings
+    found.ahead.append(
         "Use the model of the arm as it is; nothing is to be read from the centre."
         if mass < LEAST * sd
         else "Add the load to the model of the arm: models.load(…).added_to(model)."
     )
-    return Verdict(tuple(good), tuple(bad), tuple(ahead))
+    return found
 
 
 def _page(fit: Fit[Payload], model: TorqueModel, table: Table, verdict: Verdict, about: str) -> Any:
-    from armlab import plots
-    from armlab.cli.support.html_report import HtmlReport
     from armlab.plots.style import png
 
     page = HtmlReport(f"Load of {1e3 * fit.value.mass:.0f} g", about)
@@ -141,7 +122,7 @@ def _page(fit: Fit[Payload], model: TorqueModel, table: Table, verdict: Verdict,
     rows += [(n, f"{x:.5g}", f"{s:.2g}", u) for n, x, s, u in zip(fit.names, fit.parameters, fit.sd, fit.units)]
     page.table(rows)
     page.section("Torques", "Measured, and modelled with the load; the band is two sigma of the model.")
-    drawn = plots.torque_fit(fit.value.added_to(model), table)
+    drawn = armlab.plots.torque_fit(fit.value.added_to(model), table)
     page.figure(png(drawn), "measured and modelled torque of each joint")
     page.section("As printed")
     page.verbatim(fit.report())

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armlab.cli.support.html_report import HtmlReport, Verdict
+import armlab
+from armlab.cli.support.html_report import Drawing, HtmlReport, Verdict
 from armlab.cli.support.results import Tell
 
 if TYPE_CHECKING:
@@ -40,10 +41,7 @@ class ModelTrial:
 
 
 def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> ModelTrial:
-    """Run the model over a log of free motion."""
-    from armlab.contact import Estimator
-
-    estimate = Estimator(model, robot).run(table).with_column("wrench_true", np.zeros((len(table), 6)))
+    estimate = armlab.contact.Estimator(model, robot).run(table).with_column("wrench_true", np.zeros((len(table), 6)))
     qd, error = table["qd"], estimate["tau_error"]
     moving = (np.abs(qd) > MOVING * np.abs(qd).max(axis=0)).any(axis=1) & np.isfinite(error).all(axis=1)
     force = estimate["wrench_hat"][moving, :3]
@@ -60,21 +58,14 @@ def try_out(model: TorqueModel, robot: Robot, table: Table, unseen: bool) -> Mod
 
 def judge(fit: Fit[TorqueModel], robot: Robot, tables: Sequence[Table], trial: ModelTrial) -> Verdict:
     """Return what of the model can be relied on, what cannot, and what to log next."""
-    found = _Sentences()
+    found = Verdict()
     _judge_fit(found, fit, trial)
     _judge_honesty(found, fit.value, trial)
     _judge_motion(found, fit, robot, tables)
-    return Verdict(tuple(found.good), tuple(found.bad), tuple(found.ahead))
+    return found
 
 
-class _Sentences:
-    def __init__(self) -> None:
-        self.good: list[str] = []
-        self.bad: list[str] = []
-        self.ahead: list[str] = []
-
-
-def _judge_fit(found: _Sentences, fit: Fit[TorqueModel], trial: ModelTrial) -> None:
+def _judge_fit(found: Verdict, fit: Fit[TorqueModel], trial: ModelTrial) -> None:
     quality = fit.value.quality
     held_out = quality.rms_cv / quality.torque_sd
     judged = np.isfinite(held_out)  # joints that did not move have no figures
@@ -125,7 +116,7 @@ def _kept(model: TorqueModel) -> list[str]:
     return kept
 
 
-def _judge_honesty(found: _Sentences, model: TorqueModel, trial: ModelTrial) -> None:
+def _judge_honesty(found: Verdict, model: TorqueModel, trial: ModelTrial) -> None:
     coverage, alpha = model.quality.coverage, float(np.sqrt(model.covariance.alpha2))
     honest = ~((coverage < HONEST[0]) | (coverage > HONEST[1]))
     where = "test log" if trial.unseen else "log"
@@ -153,7 +144,7 @@ def _judge_honesty(found: _Sentences, model: TorqueModel, trial: ModelTrial) -> 
         found.bad.append(f"{_joints(wrong)}: negative friction or rotor inertia, which no drive has.")
 
 
-def _judge_motion(found: _Sentences, fit: Fit[TorqueModel], robot: Robot, tables: Sequence[Table]) -> None:
+def _judge_motion(found: Verdict, fit: Fit[TorqueModel], robot: Robot, tables: Sequence[Table]) -> None:
     excitation, training = fit.excitation, fit.value.training
     told = excitation.text().splitlines()[0]
     if told.startswith("excitation good"):
@@ -180,9 +171,6 @@ def _joints(which: np.ndarray) -> str:
     """Name joints by number: "joint 2", "joints 1, 3"."""
     numbered = [str(i + 1) for i in np.flatnonzero(which)]
     return f"joint{'s' if len(numbered) > 1 else ''} {', '.join(numbered)}"
-
-
-Drawing = tuple[str, str, str, Callable[[], Any]]  # title, what it shows, how to read it, what draws it
 
 
 def numbers(fit: Fit[TorqueModel], trial: ModelTrial) -> dict[str, Any]:
@@ -223,7 +211,6 @@ def numbers(fit: Fit[TorqueModel], trial: ModelTrial) -> dict[str, Any]:
 def page(fit: Fit[TorqueModel], verdict: Verdict, trial: ModelTrial, log: Table, about: str, tell: Tell) -> HtmlReport:
     """Return the page; `tell` is called with (done, total, what)."""
     from armlab.identify.validation import parameter_rows
-    from armlab.plots.style import png
 
     page = HtmlReport(f"Torque model of {fit.value.robot_name}", about)
     page.verdict(verdict)
@@ -236,11 +223,7 @@ def page(fit: Fit[TorqueModel], verdict: Verdict, trial: ModelTrial, log: Table,
     page.table(_residual_rows(fit, trial))
     page.section("Friction per joint", "With standard deviations from a block bootstrap.")
     page.table(_friction_rows(fit, trial))
-    drawings = _drawings(fit, trial, log)
-    for k, (title, alt, caption, draw) in enumerate(drawings):
-        tell(k, len(drawings), f"drawing {title.lower()}")
-        page.section(title)
-        page.figure(png(draw()), alt, caption)
+    page.figures([*_of_the_torque(fit, trial, log), *_of_the_force(fit, trial)], tell)
     page.section("Parameters", "Identifiable parameters: of the links only these combinations act on the torques.")
     head = ("value", "standard deviation", "unit", "parameter")
     page.table([head, *parameter_rows(fit)], f"{len(fit.names)} parameters with standard deviations")
@@ -286,14 +269,7 @@ def _deviation(fit: Fit[TorqueModel], own: dict[str, int], kinds: tuple[str, ...
     return "" if place is None else f" ± {fit.sd[place]:.3f}"
 
 
-def _drawings(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list[Drawing]:
-    """Return title, what it shows, how to read it, and what draws it, of each figure."""
-    return [*_of_the_torque(fit, trial, log), *_of_the_force(fit, trial)]
-
-
 def _of_the_torque(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list[Drawing]:
-    from armlab import plots
-
     model, estimate = fit.value, trial.estimate
     shown = "The test log" if trial.unseen else "The first log"
     return [
@@ -301,62 +277,60 @@ def _of_the_torque(fit: Fit[TorqueModel], trial: ModelTrial, log: Table) -> list
             "Measured and modelled torque",
             "Torque of each joint over time, measured and modelled, and the residual",
             f"{shown}. What is left should look like noise inside the band.",
-            lambda: plots.torque_fit(fit, trial.log),
+            lambda: armlab.plots.torque_fit(fit, trial.log),
         ),
         (
             "Residual over speed",
             "Residual torque of each joint over its speed with two-sigma curves",
             "Curves follow the cloud where the covariance is right. A step at zero is Coulomb friction that is wrong.",
-            lambda: plots.residual_speed(estimate, {"model": model.covariance}),
+            lambda: armlab.plots.residual_speed(estimate, {"model": model.covariance}),
         ),
         (
             "Friction",
             "Friction of each joint over its speed with uncertainty",
             "Dark: uncertainty of the parameters. Light: with the torque error at that speed, 95 % of the points.",
-            lambda: plots.friction(fit, estimate),
+            lambda: armlab.plots.friction(fit, estimate),
         ),
         (
             "Torque ripple",
             "Amplitude of the torque residual over cycles per turn",
             "Peaks fixed in position are ripple of gears and motors; the dotted ones are in the model.",
-            lambda: plots.spectrum(model, log),
+            lambda: armlab.plots.spectrum(model, log),
         ),
         (
             "Residual autocorrelation",
             "Autocorrelation of the residuals over the lag",
             "Correlated residuals make formal deviations too small; those of this report come from a block bootstrap.",
-            lambda: plots.autocorrelation(estimate),
+            lambda: armlab.plots.autocorrelation(estimate),
         ),
     ]
 
 
 def _of_the_force(fit: Fit[TorqueModel], trial: ModelTrial) -> list[Drawing]:
-    from armlab import plots
-
     shown = "The test log" if trial.unseen else "The first log"
     return [
         (
             "Excitation",
             "Singular values of the regressor",
             "Each point is a direction of the parameters. Those below the upper line need a richer motion.",
-            lambda: plots.excitation(fit.excitation),
+            lambda: armlab.plots.excitation(fit.excitation),
         ),
         (
             "Force without contact",
             "Estimated wrench over time with two-sigma band; the truth is zero",
             f"{shown} through the estimator. The truth is zero: the band should contain it 95 % of the time.",
-            lambda: plots.wrench(trial.estimate),
+            lambda: armlab.plots.wrench(trial.estimate),
         ),
         (
             "Observability",
             "Observability per axis over time",
             "1: the torques determine the axis. 0: only the prior speaks.",
-            lambda: plots.observability(trial.estimate),
+            lambda: armlab.plots.observability(trial.estimate),
         ),
         (
             "Coverage by speed",
             "Share of forces inside two sigma per bin of speed",
             "A calibrated uncertainty contains 95.4 % at every speed.",
-            lambda: plots.coverage(trial.estimate),
+            lambda: armlab.plots.coverage(trial.estimate),
         ),
     ]

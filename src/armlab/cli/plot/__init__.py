@@ -39,11 +39,7 @@ _COMMANDS = {  # by group: each command and the words of its example
         figures.hypotheses: "model.toml press.mcap",
     },
     "Any fit": {figures.calibration: "camera.toml", figures.excitation: "camera.toml"},
-    "Robots": {
-        figures.robot: "irb2400",
-        figures.workspace: "irb2400",
-        figures.manipulability: "irb2400",
-    },
+    "Robots": {figures.robot: "irb2400", figures.workspace: "irb2400", figures.manipulability: "irb2400"},
     "Movement primitives": {
         figures.dmp: "motion.toml",
         figures.dmp_phase: "motion.toml",

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+import armlab
 from armlab.cli.plot.options import (
     BESIDE,
     OF_LOG,
@@ -23,26 +24,21 @@ from armlab.cli.plot.options import (
     Primitive,
     RobotName,
     chosen,
+    chosen_of,
     poses_in,
     torque_model,
 )
 from armlab.cli.support.options import joints_in
-
-if TYPE_CHECKING:
-    pass
+from armlab.errors import ConfigError, LogError, ModelMismatchError, UnknownName
 
 
 def table(log: Path, *columns: str, split: bool = False, figure: LogFigure = OF_LOG) -> int:
     """Draw columns of a log against time; commanded and sent values dashed, times when a limit acted shaded.
 
-    Parameters
-    ----------
-    log : Path
-        Recording, or any file that `armlab log show` reads.
-    columns : tuple of str
-        Names of columns; default: q, qd, tau and wrench_hat, as far as the log has them.
-    split : bool
-        A panel for each joint.
+    Parameters:
+        log: Recording, or any file that `armlab log show` reads.
+        columns: Names of columns; default: q, qd, tau and wrench_hat, as far as the log has them.
+        split: A panel for each joint.
     """
     return figure.draw(log, "table", lambda plots: plots.table(figure.read(log), *columns, split=split))
 
@@ -50,10 +46,8 @@ def table(log: Path, *columns: str, split: bool = False, figure: LogFigure = OF_
 def poses(log: Path, *, column: PoseColumn = None, robot: PoseRobot = None, figure: LogFigure = OF_LOG) -> int:
     """Draw position and rotation vector of the tool against time.
 
-    Parameters
-    ----------
-    log : Path
-        Recording with poses, or with q and --robot.
+    Parameters:
+        log: Recording with poses, or with q and --robot.
     """
 
     def draw(plots: Any) -> Any:
@@ -75,21 +69,13 @@ def scene(
 ) -> int:
     """Draw paths of the tool, measured points, planes and frames in space.
 
-    Parameters
-    ----------
-    logs : tuple of Path
-        Recordings with poses, or with q and --robot; one path each.
-    cloud : list of Path
-        Measured points of a tracker.
-    plane : list of Path
-        A plane of a tracker.
-    pose : list of Path
-        A frame, MAT, with its name.
-    frames : float
-        Length of the frames along paths [m]; 0 for none.
+    Parameters:
+        logs: Recordings with poses, or with q and --robot; one path each.
+        cloud: Measured points of a tracker.
+        plane: A plane of a tracker.
+        pose: A frame, MAT, with its name.
+        frames: Length of the frames along paths [m]; 0 for none.
     """
-    from armlab.errors import ConfigError
-    from armlab.frames import Plane
     from armlab.log import nikon
 
     sources = [*logs, *(cloud or ()), *(plane or ()), *(pose or ())]
@@ -99,7 +85,7 @@ def scene(
     def draw(plots: Any) -> Any:
         items: list[Any] = [poses_in(figure.read(log, robot), log, column, robot) for log in logs]
         items += [nikon.read_cloud(one).p for one in cloud or ()]
-        items += [Plane.of(read.normal, read.point) for read in map(nikon.read_plane, plane or ())]
+        items += [armlab.frames.Plane.of(read.normal, read.point) for read in map(nikon.read_plane, plane or ())]
         items += [{one.stem: nikon.read_matrix(one, project=True).T} for one in pose or ()]
         return plots.scene(*items, frames=frames)
 
@@ -109,12 +95,9 @@ def scene(
 def latency(log: Path, *, figure: LogFigure = OF_LOG) -> int:
     """Draw how long the loop took to answer, and how often it was late.
 
-    Parameters
-    ----------
-    log : Path
-        Recording of a run.
+    Parameters:
+        log: Recording of a run.
     """
-    from armlab.errors import LogError, UnknownName
 
     def draw(plots: Any) -> Any:
         read = figure.read(log)
@@ -133,10 +116,9 @@ def torque_fit(model: Model, log: FreeMotion, *, figure: ModelFigure = OF_MODEL)
 
 def friction(model: Model, log: FreeMotion | None = None, *, figure: ModelFigure = OF_MODEL) -> int:
     """Draw the friction of each joint against its velocity, with its uncertainty; a log is drawn as points."""
-    from armlab.estimation import Fit
 
     def draw(plots: Any) -> Any:
-        fit = Fit.load(model, "torque_model")
+        fit = armlab.estimation.Fit.load(model, "torque_model")
         return plots.friction(fit, None if log is None else figure.estimate(fit.value, log))
 
     return figure.draw(model, "friction", draw)
@@ -145,10 +127,8 @@ def friction(model: Model, log: FreeMotion | None = None, *, figure: ModelFigure
 def friction_map(model: Model, log: FreeMotion | None = None, *, joint: int, figure: ModelFigure = OF_MODEL) -> int:
     """Draw the friction of one joint over position and velocity; ranges that the log does not cover are hatched.
 
-    Parameters
-    ----------
-    joint : int
-        Number from 1.
+    Parameters:
+        joint: Number from 1.
     """
 
     def draw(plots: Any) -> Any:
@@ -163,8 +143,7 @@ def spectrum(model: Model, log: FreeMotion, *, joints: Joints = None, figure: Mo
     """Draw the spectrum of the torque residual over cycles per turn, without and with the ripple of the model."""
 
     def draw(plots: Any) -> Any:
-        known = torque_model(model)
-        drawn = chosen(joints, known.n)
+        known, drawn = chosen_of(model, joints)
         return plots.spectrum(known, figure.log_of(known, log), drawn)
 
     return figure.draw(log, "spectrum", draw)
@@ -179,8 +158,7 @@ def residual_speed(model: Model, log: FreeMotion, *, joints: Joints = None, figu
     """Draw the torque residual against velocity, with the 2-sigma curves of the model."""
 
     def draw(plots: Any) -> Any:
-        known = torque_model(model)
-        drawn = chosen(joints, known.n)
+        known, drawn = chosen_of(model, joints)
         return plots.residual_speed(figure.estimate(known, log), {"model": known.covariance}, drawn)
 
     return figure.draw(log, "residual_speed", draw)
@@ -190,8 +168,7 @@ def autocorrelation(model: Model, log: FreeMotion, *, joints: Joints = None, fig
     """Draw the autocorrelation of the torque residual."""
 
     def draw(plots: Any) -> Any:
-        known = torque_model(model)
-        drawn = chosen(joints, known.n)
+        known, drawn = chosen_of(model, joints)
         return plots.autocorrelation(figure.estimate(known, log), drawn)
 
     return figure.draw(log, "autocorrelation", draw)
@@ -205,13 +182,9 @@ def wrench(log: Estimate, *, figure: LogFigure = OF_LOG) -> int:
 def wrenches(*logs: Path, figure: LogFigure = OF_LOG) -> int:
     """Draw the estimated forces of several arms side by side, on one scale.
 
-    Parameters
-    ----------
-    logs : tuple of Path
-        Output of `armlab estimate`, or recordings of runs that estimated; one per arm.
+    Parameters:
+        logs: Output of `armlab estimate`, or recordings of runs that estimated; one per arm.
     """
-    from armlab.errors import ConfigError
-
     if len({log.stem for log in logs}) < max(len(logs), 1):
         raise ConfigError(f"Expected logs of different names, one per arm, got {', '.join(map(str, logs)) or 'none'}.")
     return figure.draw(
@@ -227,19 +200,14 @@ def observability(log: Estimate, *, figure: LogFigure = OF_LOG) -> int:
 def coverage(log: Path, *, model: Path | None = None, figure: ModelFigure = OF_MODEL) -> int:
     """Draw the share of errors inside 2 sigma, by speed: of the wrench against a sensor, of torques with --model.
 
-    Parameters
-    ----------
-    log : Path
-        Recording of a run that estimated, with a force sensor; or of free motion, with --model.
-    model : Path
-        Model file of `armlab identify`, whose torques are compared with those of the log.
+    Parameters:
+        log: Recording of a run that estimated, with a force sensor; or of free motion, with --model.
+        model: Model file of `armlab identify`, whose torques are compared with those of the log.
     """
-    from armlab.errors import LogError
-    from armlab.identify import predict
 
     def draw(plots: Any) -> Any:
         if model is not None:
-            return plots.coverage(predict(*figure.with_log(model, log)))
+            return plots.coverage(armlab.identify.predict(*figure.with_log(model, log)))
         read = figure.read(log, figure.robot)
         if not {"wrench", "wrench_true"} & set(read.names):
             raise LogError(
@@ -255,11 +223,10 @@ def hypotheses(
     model: Model, log: Annotated[Path, Parameter(help="Recording with contact.")], *, figure: ModelFigure = OF_MODEL
 ) -> int:
     """Draw the probability that there is a contact, and where."""
-    from armlab import contact
 
     def draw(plots: Any) -> Any:
         known = torque_model(model)
-        return plots.hypotheses(contact.hypotheses(figure.estimate(known, log), figure.robot_of(known)))
+        return plots.hypotheses(armlab.contact.hypotheses(figure.estimate(known, log), figure.robot_of(known)))
 
     return figure.draw(log, "hypotheses", draw)
 
@@ -267,18 +234,13 @@ def hypotheses(
 def calibration(fit: Path, *, figure: FigureFile = BESIDE) -> int:
     """Draw the uncertainty of a calibration and the excitation of its samples.
 
-    Parameters
-    ----------
-    fit : Path
-        File of `armlab calibrate`; that command draws the residuals too, with --figure, for files keep none.
+    Parameters:
+        fit: File of `armlab calibrate`; that command draws the residuals too, with --figure, for files keep none.
     """
-    from armlab.errors import ModelMismatchError
-    from armlab.estimation import Fit
-    from armlab.models import TorqueModel
 
     def draw(plots: Any) -> Any:
-        found = Fit.load(fit)
-        if isinstance(found.value, TorqueModel):
+        found = armlab.estimation.Fit.load(fit)
+        if isinstance(found.value, armlab.models.TorqueModel):
             raise ModelMismatchError(
                 f"Expected the file of a calibration, got a torque model in {fit}. Draw its torque_fit or its friction."
             )
@@ -290,14 +252,10 @@ def calibration(fit: Path, *, figure: FigureFile = BESIDE) -> int:
 def excitation(fit: Path, *, figure: FigureFile = BESIDE) -> int:
     """Draw the singular values of a fit: how well its samples determine the parameters.
 
-    Parameters
-    ----------
-    fit : Path
-        File of `armlab identify` or `armlab calibrate`.
+    Parameters:
+        fit: File of `armlab identify` or `armlab calibrate`.
     """
-    from armlab.estimation import Fit
-
-    return figure.draw(fit, "excitation", lambda plots: plots.excitation(Fit.load(fit).excitation))
+    return figure.draw(fit, "excitation", lambda plots: plots.excitation(armlab.estimation.Fit.load(fit).excitation))
 
 
 Posture = Annotated[Path | None, Parameter(help="Recording with q.")]
@@ -306,25 +264,19 @@ Posture = Annotated[Path | None, Parameter(help="Recording with q.")]
 def robot(robot: RobotName, log: Posture = None, *, tool_path: bool = False, figure: LogFigure = OF_LOG) -> int:
     """Draw an arm as a stick figure: at home, or through a log, its end in full.
 
-    Parameters
-    ----------
-    tool_path : bool
-        Draw the path of the tool through the log.
+    Parameters:
+        tool_path: Draw the path of the tool through the log.
     """
-    from armlab import robots
-
     return figure.draw(
         log or robot,
         "robot",
-        lambda plots: plots.robot(robots.load(robot), figure.positions(log, robot), path=tool_path),
+        lambda plots: plots.robot(armlab.robots.load(robot), figure.positions(log, robot), path=tool_path),
     )
 
 
 def workspace(robot: RobotName, *, figure: FigureFile = BESIDE) -> int:
     """Draw where the tool of an arm can be: from the side, from above, in space."""
-    from armlab import robots
-
-    return figure.draw(robot, "workspace", lambda plots: plots.workspace(robots.load(robot)))
+    return figure.draw(robot, "workspace", lambda plots: plots.workspace(armlab.robots.load(robot)))
 
 
 def manipulability(
@@ -336,17 +288,13 @@ def manipulability(
 ) -> int:
     """Draw how fast the tool can move in which direction: at home, or at up to eight places of a log.
 
-    Parameters
-    ----------
-    of : str
-        position: velocity of the tool point. rotation: its angular velocity.
+    Parameters:
+        of: position: velocity of the tool point. rotation: its angular velocity.
     """
-    from armlab import robots
-
     return figure.draw(
         log or robot,
         "manipulability",
-        lambda plots: plots.manipulability(robots.load(robot), figure.positions(log, robot), of),
+        lambda plots: plots.manipulability(armlab.robots.load(robot), figure.positions(log, robot), of),
     )
 
 
@@ -359,18 +307,14 @@ def dmp(
 ) -> int:
     """Draw a movement primitive of any kind against time, with its demonstrations.
 
-    Parameters
-    ----------
-    demos : tuple of Path
-        Logs of the demonstrations, of the motion only; several for a distribution over motions.
+    Parameters:
+        demos: Logs of the demonstrations, of the motion only; several for a distribution over motions.
     """
-    from armlab import models
     from armlab.cli.dmp.teaching import MotionWindow, read_demonstration
-    from armlab.errors import ConfigError
     from armlab.motion import Dmp, PeriodicDmp, PoseDmp, ProMP, TwoDofDmp
 
     def draw(plots: Any) -> Any:
-        motion = models.load(primitive)
+        motion = armlab.models.load(primitive)
         motion = motion.dmp if isinstance(motion, TwoDofDmp) else motion
         if not isinstance(motion, Dmp | PoseDmp | PeriodicDmp | ProMP):
             raise ConfigError(
@@ -392,9 +336,7 @@ def dmp(
 
 def dmp_phase(primitive: Primitive, *, figure: FigureFile = BESIDE) -> int:
     """Draw the phase plane of a movement primitive of joints: velocity against position."""
-    from armlab.motion import Dmp
-
-    return figure.draw(primitive, "dmp_phase", lambda plots: plots.dmp_phase(Dmp.load(primitive)))
+    return figure.draw(primitive, "dmp_phase", lambda plots: plots.dmp_phase(armlab.motion.Dmp.load(primitive)))
 
 
 def two_dof(
@@ -409,29 +351,20 @@ def two_dof(
 ) -> int:
     """Draw how a movement primitive waited for an arm that was held: arm, path, undisturbed motion, error.
 
-    Parameters
-    ----------
-    log : Path
-        Recording of `armlab dmp play`.
-    disturbed : list of str
-        START,END of a time when something held the arm [s], which is shaded.
-    duration : float
-        Of the run [s]; default: that of the demonstration.
-    goal : str
-        Of the run, numbers with commas between; default: that of the demonstration.
+    Parameters:
+        log: Recording of `armlab dmp play`.
+        disturbed: START,END of a time when something held the arm [s], which is shaded.
+        duration: Of the run [s]; default: that of the demonstration.
+        goal: Of the run, numbers with commas between; default: that of the demonstration.
     """
-    from armlab import log as logs
-    from armlab import models
     from armlab.cli.dmp.playing import numbers_in
-    from armlab.errors import ConfigError, LogError
-    from armlab.motion import Dmp, TwoDofDmp
 
     def draw(plots: Any) -> Any:
-        motion = models.load(primitive)
-        law = TwoDofDmp(motion) if isinstance(motion, Dmp) else motion
-        if not isinstance(law, TwoDofDmp):
+        motion = armlab.models.load(primitive)
+        law = armlab.motion.TwoDofDmp(motion) if isinstance(motion, armlab.motion.Dmp) else motion
+        if not isinstance(law, armlab.motion.TwoDofDmp):
             raise ConfigError(f"Expected a primitive of joints, got another kind in {primitive}. Name the right file.")
-        read = logs.read(log)
+        read = armlab.log.read(log)
         if "path_error" not in read:
             raise LogError(f"Expected a run that waits for its arm in {log}, got none. Record it without --firm.")
         spans = [numbers_in(word, "disturbed") for word in disturbed or ()]

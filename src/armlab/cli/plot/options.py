@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+import armlab
 from armlab.cli.support.options import joints_in
+from armlab.cli.support.output import FIGURES, check_output, result, save_figure
+from armlab.errors import LogError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -37,14 +40,10 @@ Joints = Annotated[str | None, Parameter(help="Numbers from 1 with commas betwee
 class FigureFile:
     """Where the figure goes.
 
-    Attributes
-    ----------
-    output : Path
-        PNG, SVG or PDF; default: beside the input, with its name and that of the figure.
-    show : bool
-        Open a window too.
-    force : bool
-        Replace an existing file.
+    Attributes:
+        output: PNG, SVG or PDF; default: beside the input, with its name and that of the figure.
+        show: Open a window too.
+        force: Replace an existing file.
     """
 
     output: Annotated[Path | None, Parameter(alias="-o")] = None
@@ -56,14 +55,12 @@ class FigureFile:
 
         `make` draws it with the module `armlab.plots`; a file that cannot be written is refused before.
         """
-        from armlab import plots
-        from armlab.cli.support.output import FIGURES, check_output, result, save_figure
         from armlab.plots.style import show
 
         beside = Path(source)
         path = beside.with_name(f"{beside.stem}_{name}.png") if self.output is None else self.output
         check_output(path, self.force, FIGURES)
-        save_figure(make(plots), path)
+        save_figure(make(armlab.plots), path)
         result(str(path))
         if self.show:
             show()
@@ -75,14 +72,10 @@ class FigureFile:
 class LogPart:
     """Which part of a log.
 
-    Attributes
-    ----------
-    start : float
-        First time [s]; default: the beginning.
-    end : float
-        Last time [s]; default: the end.
-    arm : str
-        Arm whose rows are read, of a recording of several.
+    Attributes:
+        start: First time [s]; default: the beginning.
+        end: Last time [s]; default: the end.
+        arm: Arm whose rows are read, of a recording of several.
     """
 
     start: float | None = None
@@ -91,14 +84,12 @@ class LogPart:
 
     def read(self, path: Path, robot: str | None = None) -> Table:
         """Return that part of a log."""
-        from armlab import log, robots
-        from armlab.errors import LogError
         from armlab.log.topics.reader import is_foreign, read_joints
 
         if robot is not None and is_foreign(path):
-            whole = read_joints(path, robots.load(robot))
+            whole = read_joints(path, armlab.robots.load(robot))
         else:
-            whole = log.read(path, robot=self.arm)
+            whole = armlab.log.read(path, robot=self.arm)
         low, high = (-math.inf if self.start is None else self.start), (math.inf if self.end is None else self.end)
         if not len(whole):
             raise LogError(f"Expected rows in {path}, got a log without any. Nothing was recorded.")
@@ -109,8 +100,6 @@ class LogPart:
 
     def estimated(self, path: Path, column: str = "wrench_hat") -> Table:
         """Return that part of a log in which a wrench was estimated."""
-        from armlab.errors import LogError
-
         read = self.read(path)
         if column not in read:
             raise LogError(
@@ -145,10 +134,7 @@ class ModelFigure(LogFigure):
     )
 
     def robot_of(self, model: TorqueModel) -> Robot:
-        """Return the robot of a model."""
-        from armlab import robots
-
-        arm = robots.load(model.robot_name if self.robot is None else self.robot)
+        arm = armlab.robots.load(model.robot_name if self.robot is None else self.robot)
         model.check_robot(arm)
         return arm
 
@@ -159,10 +145,7 @@ class ModelFigure(LogFigure):
         return self.read(log, self.robot or model.robot_name)
 
     def estimate(self, model: TorqueModel, log: Path) -> Table:
-        """Return that part of a log with the columns of the contact estimator."""
-        from armlab.contact import Estimator
-
-        return Estimator(model, self.robot_of(model)).run(self.log_of(model, log))
+        return armlab.contact.Estimator(model, self.robot_of(model)).run(self.log_of(model, log))
 
     def with_log(self, model: Path, log: Path) -> tuple[TorqueModel, Table]:
         """Return the torque model of a file, and that part of a log."""
@@ -176,10 +159,7 @@ OF_MODEL = ModelFigure()
 
 
 def torque_model(path: Path) -> TorqueModel:
-    """Return the torque model of a file of `armlab identify`."""
-    from armlab import models
-
-    return models.load(path, "torque_model")
+    return armlab.models.load(path, "torque_model")
 
 
 def chosen(joints: str | None, n: int) -> list[int] | None:
@@ -187,16 +167,16 @@ def chosen(joints: str | None, n: int) -> list[int] | None:
     return None if joints is None else joints_in(joints, n)
 
 
+def chosen_of(model: Path, joints: str | None) -> tuple[TorqueModel, list[int] | None]:
+    """Return the torque model of a file, and which of its joints to draw."""
+    known = torque_model(model)
+    return known, chosen(joints, known.n)
+
+
 def poses_in(table: Table, path: Path, column: str | None, robot: str | None) -> np.ndarray:
-    """Return the poses of the tool (N, 4, 4).
-
-    `column`: of poses; the usual ones when None.
-    """
-    from armlab import kinematics, robots
-    from armlab.errors import LogError
-
+    """Return the poses of the tool (N, 4, 4): of a robot, of a column, or of the usual ones."""
     if robot is not None:
-        return kinematics.forward(robots.load(robot), table["q"])
+        return armlab.kinematics.forward(armlab.robots.load(robot), table["q"])
     name = column or next((name for name in POSES if name in table), None)
     if name is None:
         raise LogError(

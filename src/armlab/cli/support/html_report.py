@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
+from typing import Any
 
 from armlab._whole_files import whole_file
+
+Drawing = tuple[str, str, str, Callable[[], Any]]  # title, what it shows, how to read it, what draws it
 
 _HEAD = """<!doctype html>
 <html lang="en">
@@ -43,16 +46,16 @@ summary {{ cursor: pointer; color: #555; }}
 """
 
 
-@dataclass(frozen=True)
+@dataclass
 class Verdict:
     """What a report says in words."""
 
-    good: tuple[str, ...] = ()  # sentences about what can be relied on
-    bad: tuple[str, ...] = ()  # about what cannot
-    ahead: tuple[str, ...] = ()  # what to log, or do, next
+    good: list[str] = field(default_factory=list)  # sentences about what can be relied on
+    bad: list[str] = field(default_factory=list)  # about what cannot
+    ahead: list[str] = field(default_factory=list)  # what to log, or do, next
 
     @property
-    def parts(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    def parts(self) -> tuple[tuple[str, list[str]], ...]:
         """Titles and sentences; only of what there is."""
         named = (("Good", self.good), ("Not good", self.bad), ("Next", self.ahead))
         return tuple((title, sentences) for title, sentences in named if sentences)
@@ -94,17 +97,23 @@ class HtmlReport:
         self._add(f"<table><thead><tr>{head_cells}</tr></thead><tbody>{lines}</tbody></table>", folded)
 
     def figure(self, png: bytes, alt: str, caption: str = "") -> None:
-        """Add a picture."""
         data = base64.b64encode(png).decode("ascii")
         below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
         self.pieces.append(f'<figure><img src="data:image/png;base64,{data}" alt="{escape(alt)}">{below}</figure>')
 
+    def figures(self, drawings: Sequence[Drawing], tell: Callable[[float, float, str], None]) -> None:
+        """Add a section with a picture for each drawing."""
+        from armlab.plots.style import png
+
+        for k, (title, alt, caption, draw) in enumerate(drawings):
+            tell(k, len(drawings), f"drawing {title.lower()}")
+            self.section(title)
+            self.figure(png(draw()), alt, caption)
+
     def verbatim(self, text: str, folded: str = "") -> None:
-        """Add text as it is printed in a terminal."""
         self._add(f"<pre>{escape(text)}</pre>", folded)
 
     def html(self) -> str:
-        """Return the whole page."""
         top = f'<h1>{escape(self.title)}</h1>\n<p class="about">{escape(self.about)}</p>'
         return "\n".join([_HEAD.format(title=escape(self.title)) + top, *self.pieces, "</body>\n</html>\n"])
 

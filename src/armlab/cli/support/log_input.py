@@ -10,6 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import armlab
+from armlab.cli.support.output import progress
+from armlab.errors import NotExcited, ShapeError
+
 if TYPE_CHECKING:
     from armlab.log import Table
     from armlab.log.file_formats.description import Progress
@@ -26,8 +30,6 @@ LOST = 1.5  # median steps: a longer one lacks rows
 @contextmanager
 def reading_bar(path: Path) -> Iterator[Progress | None]:
     """Show a bar on a terminal while the block reads a large log; yields what `log.read` tells, None without a bar."""
-    from armlab.cli.support.output import progress
-
     files = [path] if path.is_file() else [one for one in path.glob("*") if one.is_file()]
     if not sys.stderr.isatty() or sum(one.stat().st_size for one in files) < LARGE:
         yield None
@@ -38,11 +40,8 @@ def reading_bar(path: Path) -> Iterator[Progress | None]:
 
 def read_log(path: Path, robot: Robot) -> Table:
     """Return the log with q, qd and tau; where it has no velocity that is the slope of the position."""
-    from armlab.identify import with_velocity
-    from armlab.log import read_arm
-
     with reading_bar(path) as tell:
-        return with_velocity(read_arm(path, robot, tell))
+        return armlab.identify.with_velocity(armlab.log.read_arm(path, robot, tell))
 
 
 def doubts(table: Table, robot: Robot, model: TorqueModel | None = None) -> tuple[str, ...]:
@@ -53,7 +52,6 @@ def doubts(table: Table, robot: Robot, model: TorqueModel | None = None) -> tupl
 
     `table`: with q, qd, tau (N, n).
     """
-    from armlab.errors import NotExcited, ShapeError
     from armlab.log.units_check import check_torque, check_velocity, has_moved
     from armlab.signals import lowpass_offline
 
@@ -67,10 +65,7 @@ def doubts(table: Table, robot: Robot, model: TorqueModel | None = None) -> tupl
     rate = 1.0 / float(np.median(np.diff(t)))
     slope, speed = (lowpass_offline(x, rate, min(BAND, 0.2 * rate)) for x in (np.gradient(q, t, axis=0), qd))
     found = []
-    for check in (
-        lambda: check_velocity(slope, speed, moved, robot),
-        lambda: check_torque(q, tau, measured, robot),
-    ):
+    for check in (lambda: check_velocity(slope, speed, moved, robot), lambda: check_torque(q, tau, measured, robot)):
         try:
             check()
         except (NotExcited, ShapeError) as error:
@@ -87,9 +82,7 @@ def gaps(table: Table) -> list[tuple[float, float]]:
 
 def left_out(table: Table) -> int:
     """Return how many rows are not finite and have no estimate."""
-    from armlab.contact import INVALID
-
-    return int(np.count_nonzero(table["wrench_flags"] & INVALID))
+    return int(np.count_nonzero(table["wrench_flags"] & armlab.contact.INVALID))
 
 
 def _longest_stretch(table: Table) -> slice:

@@ -10,6 +10,7 @@ from urllib.parse import quote
 
 from cyclopts import Parameter
 
+import armlab
 from armlab.errors import ConfigError, ShapeError
 
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 Json = Annotated[bool, Parameter(help="Print JSON for scripts.")]
 Force = Annotated[bool, Parameter(help="Replace existing files.")]
+Seconds = Annotated[float | None, Parameter(help="Time after which to end [s].")]
 Cell = Annotated[str, Parameter(help="Name of the cell; needed when several run.")]
 
 
@@ -35,22 +37,23 @@ def require_positive(option: str, value: float | None, unit: str = "") -> None:
         raise ConfigError(f"Expected --{option} above 0{f' {unit}' if unit else ''} and finite, got {value:g}.")
 
 
+def require_seconds(value: float | None) -> None:
+    """Refuse a time to wait that is negative or none; None was not given."""
+    if value is not None and not value >= 0.0:
+        raise ConfigError(f"Expected seconds of at least 0 s, got {value}.")
+
+
 def simulated(word: str) -> Robot:
     """Return the robot that ``armlab sim`` simulates under a word."""
-    from armlab import robots
-
     if word == "scara":
         from armlab.sim.arm.arm import scara
 
         return scara()
-    return robots.load(word)
+    return armlab.robots.load(word)
 
 
 def links_to(robot: str, arms: Sequence[Robot], link: str | None) -> list[str]:
-    """Return the url of each link to arms.
-
-    `link`: urls with commas between; None simulates what was typed.
-    """
+    """Return the url of each link to arms, of words with commas between; None simulates what was typed."""
     from armlab.bridge.urls import addresses
 
     same = f"sim://{'+'.join(quote(word) for word in robot.split('+'))}"

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from armlab._whole_files import whole_file
 from armlab.errors import ConfigError
@@ -44,11 +43,8 @@ def aligned(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))] if rows else []
     lines = []
     for row in rows:
-        words = [
-            word.rjust(width) if i in right else word.ljust(width)
-            for i, (word, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        lines.append("  ".join(words).rstrip())
+        words = enumerate(zip(row, widths, strict=True))
+        lines.append("  ".join(word.rjust(n) if i in right else word.ljust(n) for i, (word, n) in words).rstrip())
     return "\n".join(lines)
 
 
@@ -122,11 +118,11 @@ def progress(title: str) -> Iterator[Callable[[float, float, str], None]]:
 def _plain(data: Any) -> Any:
     if isinstance(data, dict):
         return {str(key): _plain(value) for key, value in data.items()}
-    if isinstance(data, np.ndarray | np.generic):
+    if hasattr(data, "tolist"):  # of NumPy, which is not loaded for its sake
         return _plain(data.tolist())
     if isinstance(data, list | tuple):
         return [_plain(value) for value in data]
-    if isinstance(data, float) and not np.isfinite(data):
+    if isinstance(data, float) and not math.isfinite(data):
         return None
     return data
 
@@ -146,7 +142,6 @@ class Narrator:
         logging.getLogger("armlab.bridge").addHandler(_QUIET)
 
     def row(self, state: State, command: Command | None, tick: Tick) -> None:
-        """Look at one row."""
         if self._listens and state.mci == _MCI_RUNNING and state.robot not in self._guided:
             self._guided.add(state.robot)
             note(
@@ -165,5 +160,4 @@ class Narrator:
             )
 
     def event(self, text: str, warn: bool = False) -> None:
-        """Write one sentence."""
         note(f"warning: {text}" if warn else text)

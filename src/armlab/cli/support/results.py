@@ -9,8 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from cyclopts import Parameter
 
+from armlab.cli.support.output import FIGURES, check_output, note, print_json, progress, result, save_figure
+
 if TYPE_CHECKING:
     from armlab.cli.support.html_report import HtmlReport, Verdict
+    from armlab.estimation import Fit
 
 Tell = Callable[[float, float, str], None]
 
@@ -20,16 +23,12 @@ Tell = Callable[[float, float, str], None]
 class Results:
     """Files and the form of the printed result.
 
-    Attributes
-    ----------
-    report : Path
-        Also write a self-contained HTML page with tables and figures, ends in .html; it loads nothing from the network.
-    figure : Path
-        Also draw the result into this PNG, SVG or PDF.
-    json : bool
-        Print JSON for scripts.
-    force : bool
-        Replace existing files.
+    Attributes:
+        report: Also write a self-contained HTML page with tables and figures, ends in .html; it loads nothing from the
+            network.
+        figure: Also draw the result into this PNG, SVG or PDF.
+        json: Print JSON for scripts.
+        force: Replace existing files.
     """
 
     report: Path | None = None
@@ -39,16 +38,12 @@ class Results:
 
     def check(self, output: Path | None, endings: Sequence[str], inputs: Sequence[Path] = ()) -> None:
         """Refuse names of files that cannot be written, before the work begins."""
-        from armlab.cli.support.output import FIGURES, check_output
-
         for path, known in ((output, endings), (self.report, (".html",)), (self.figure, FIGURES)):
             if path is not None:
                 check_output(path, self.force, known, inputs)
 
     def say(self, numbers: Mapping[str, Any], text: str, verdict: Verdict) -> None:
         """Print the result with its verdict, as text or as JSON."""
-        from armlab.cli.support.output import print_json, result
-
         if self.json:
             print_json({**numbers, "verdict": vars(verdict)})
         else:
@@ -56,8 +51,6 @@ class Results:
 
     def write(self, draw: Callable[[Any], Any], page: Callable[[Tell], HtmlReport]) -> None:
         """Write figure and page where they are wanted; `draw` gets the module `armlab.plots`."""
-        from armlab.cli.support.output import note, progress, save_figure
-
         if self.figure is not None:
             from armlab import plots
 
@@ -70,3 +63,9 @@ class Results:
 
 
 PLAIN = Results()
+
+
+def parameters(fit: Fit[Any]) -> list[dict[str, Any]]:
+    """Return the parameters of a fit, for scripts."""
+    columns = zip(fit.names, fit.parameters, fit.sd, fit.units, strict=True)
+    return [{"name": name, "value": value, "sd": sd, "unit": unit} for name, value, sd, unit in columns]

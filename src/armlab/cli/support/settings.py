@@ -15,7 +15,6 @@ from armlab.errors import ConfigError
 
 
 def read_text(path: Path, what: str) -> str:
-    """Return the text of a file."""
     try:
         return path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -58,10 +57,7 @@ class LoadedSettings:
 
 
 def load_settings(environment: Mapping[str, str] | None = None) -> LoadedSettings:
-    """Return the settings that hold in this folder.
-
-    `environment`: variables; those of the process when None.
-    """
+    """Return the settings that hold in this folder, with the variables of the process or other ones."""
     variables = os.environ if environment is None else environment
     values: dict[str, Any] = {}
     origins = dict.fromkeys(UserSettings.__struct_fields__, "default")
@@ -102,14 +98,9 @@ def _of_environment(variables: Mapping[str, str]) -> list[tuple[str, dict[str, A
         name = variable.removeprefix(PREFIX).lower()
         value: Any = variables[variable]
         if name == "ports":
-            value = dict(_pair(word) for word in value.split(",") if word)
+            value = dict(word.strip().partition("=")[::2] for word in value.split(",") if word)
         found.append((variable, _checked({name: value}, f"${variable}", Path(), strict=False)))
     return found
-
-
-def _pair(word: str) -> tuple[str, str]:
-    name, _, port = word.strip().partition("=")
-    return name, port
 
 
 def _checked(given: dict[str, Any], origin: str, folder: Path, strict: bool) -> dict[str, Any]:
