@@ -127,10 +127,7 @@ def test_the_unit_of_mass_and_of_force_does_not_matter() -> None:
     np.testing.assert_allclose(kilo.value.R_tool_sensor, one.value.R_tool_sensor, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("robust", "known", "torque"),
-    [(False, True, None), (True, False, 0.005)],
-)
+@pytest.mark.parametrize(("robust", "known", "torque"), [(False, True, None), (True, False, 0.005)])
 def test_mirrored_axes_and_reversed_signs_are_refused(robust, known, torque) -> None:
     """Data cannot tell which of the two: the same reason, and the fit of the other hand comes along."""
     data = sensors.weighed(4, torque=torque)
@@ -444,8 +441,7 @@ def contract_acc(runs: int, scale: bool):
 
 
 @pytest.mark.parametrize(
-    ("runs", "scale"),
-    [(8, True), *(pytest.param(100, scale, marks=pytest.mark.slow) for scale in (False, True))],
+    ("runs", "scale"), [(8, True), *(pytest.param(100, scale, marks=pytest.mark.slow) for scale in (False, True))]
 )
 def test_the_statistical_contract_acc(runs: int, scale: bool) -> None:
     found = contract_acc(runs, scale)

@@ -159,9 +159,3 @@ def test_missing_stays_missing() -> None:
         for result in (se3.log(T), se3.inv(T), se3.adjoint(T), se3.project(T)[0], se3.interpolate(T, T, 0.5)):
             assert np.isfinite(result[0]).all()
             assert np.isnan(result[1]).any()
-
-
-def test_ad_is_the_bracket() -> None:
-    xi, eta = random_twists(100), random_twists(100, seed=1)
-    bracket = se3.hat(xi) @ se3.hat(eta) - se3.hat(eta) @ se3.hat(xi)
-    np.testing.assert_allclose(se3.hat((se3.ad(xi) @ eta[..., None])[..., 0]), bracket, rtol=0, atol=1e-14)

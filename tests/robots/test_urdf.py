@@ -392,11 +392,7 @@ def test_right_angles_do_not_lose_digits(tmp_path: Path) -> None:
 
 def test_limits_that_are_none_written(tmp_path: Path) -> None:
     """Turning without end is `continuous`; every other missing limit becomes 1e9, and a comment says so."""
-    limits: Details = {
-        "q_min": [-np.inf, -np.inf, -np.inf],
-        "q_max": [np.inf, np.inf, 1.0],
-        "tau_max": [5, 6, 7],
-    }
+    limits: Details = {"q_min": [-np.inf, -np.inf, -np.inf], "q_max": [np.inf, np.inf, 1.0], "tau_max": [5, 6, 7]}
     text = urdf_of(robots.from_dh("r", 0.0, [1, 1, 1], 0.0, prismatic=[0, 1, 0], **limits), tmp_path)
     assert '<joint name="joint_1" type="continuous">' in text
     assert '<limit effort="5" velocity="1e9"/>' in text
