@@ -171,8 +171,6 @@ def rotation_sd(noise: np.ndarray | None) -> float:
 
 
 class Pair(NamedTuple):
-    """Two poses, X and Y."""
-
     RX: np.ndarray
     tX: np.ndarray
     RY: np.ndarray
@@ -188,7 +186,6 @@ class Pair(NamedTuple):
         return np.concatenate([self.tX, so3.log(self.RX), self.tY, so3.log(self.RY)])
 
     def poses(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return X and Y (4, 4)."""
         X, Y = np.eye(4), np.eye(4)
         X[:3, :3], X[:3, 3], Y[:3, :3], Y[:3, 3] = self.RX, self.tX, self.RY, self.tY
         return X, Y
@@ -208,12 +205,10 @@ class HandEyeEquation:
 
     @property
     def N(self) -> int:
-        """Number of pairs."""
         return len(self.tA)
 
     @cached_property
     def _sample(self) -> np.ndarray:
-        """The numbers of the pairs (N,)."""
         return np.arange(self.N)
 
     @cached_property
@@ -279,7 +274,6 @@ class HandEyeEquation:
         return G @ full(self.noise_A) @ G.transpose(0, 2, 1)
 
     def problem(self) -> NonlinearProblem[Pair]:
-        """Return what the solver needs."""
         return NonlinearProblem(self.evaluate, Pair.plus, what="hand-eye calibration")
 
 
@@ -386,12 +380,10 @@ class PoseUnknowns:
 
     @cached_property
     def units(self) -> tuple[str, ...]:
-        """Unit of each unknown."""
         return tuple("rad" if p.rotation else "m" for p in self.parts for _ in range(3))
 
     @cached_property
     def widths(self) -> np.ndarray:
-        """Largest deviation accepted of each unknown."""
         return np.repeat([self.limits[1] if p.rotation else self.limits[0] * self.spread for p in self.parts], 3)
 
     def __call__(self, step: np.ndarray) -> str:
@@ -413,7 +405,6 @@ class PoseUnknowns:
 
 
 def require_samples(N: int, least: int, what: str) -> None:
-    """Refuse fewer samples than any such fit needs."""
     if least > N:
         raise NotExcited(
             f"Expected at least {least} pairs of {what}, got {N}. Measure at poses that turn the tool about two axes.",
@@ -472,7 +463,6 @@ def _scale(equation: HandEyeEquation) -> float | None:
 
 
 def remarks(RA: np.ndarray, spread: float, given: bool, found: NonlinearSolution[Any], turns: np.ndarray) -> list[str]:
-    """Return what a report says beyond the values."""
     lines = [f"largest rotation between two poses {largest_rotation(RA):.3g} rad"]
     if given and found.freedom:
         lines.append(f"residuals {np.sqrt(2.0 * found.cost / found.freedom):.3g} times the noise that was given")

@@ -230,7 +230,6 @@ def agrees(found: NonlinearSolution[Scene]) -> bool:
 
 
 def times(found: NonlinearSolution[Scene]) -> float:
-    """Return the residuals over the noise that was given."""
     return float(np.sqrt(2.0 * found.cost / max(found.freedom, 1)))
 
 
@@ -331,7 +330,6 @@ def _doubted(scans: Scans, found: NonlinearSolution[Scene], size: float) -> Nonl
 
 
 def _oriented(scans: Scans, found: NonlinearSolution[Scene], robust: bool) -> NonlinearSolution[Scene]:
-    """Return the fit with normals away from the origin."""
     if np.all(found.value.d >= 0):
         return found
     return nonlinear_least_squares(scans.problem(), found.value.oriented(), robust=robust, schedule=SCHEDULE[-1:])

@@ -75,14 +75,12 @@ class FitRun:
 
 
 def error_of(trial: ContractTrial, fit: Fit[Any], truth: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the error of a fit and its covariance."""
     found = trial.error(fit, truth)
     e, C = found if isinstance(found, tuple) else (found, fit.cov)
     return np.atleast_1d(np.asarray(e, dtype=float)), np.asarray(C, dtype=float)
 
 
 def run(trial: ContractTrial, case: Experiment) -> FitRun:
-    """Fit one experiment."""
     fit = trial.fit(**case.data)
     e, C = error_of(trial, fit, case.truth)
     return FitRun(e, C, fit.rank, case.bound)
@@ -231,7 +229,6 @@ def order_free(trial: ContractTrial) -> Verdict:
 
 
 def _apart(trial: ContractTrial, first: Fit[Any], second: Fit[Any], truth: Any) -> float:
-    """Return the step between two fits, in deviations of the estimate."""
     (a, C), (b, _) = error_of(trial, first, truth), error_of(trial, second, truth)
     return _length(b - a, C)
 
@@ -496,7 +493,6 @@ class Contract:
         return tuple(one.name for one in self.properties if one.passed is False)
 
     def __getitem__(self, name: str) -> Property:
-        """Return the property of that name."""
         for one in self.properties:
             if one.name == name:
                 return one

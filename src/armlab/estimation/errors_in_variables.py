@@ -41,7 +41,6 @@ class TotalSolution:
     excitation: Excitation
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         for name in ("x", "cov", "corrections", "outliers"):
             values = np.array(getattr(self, name))
             values.flags.writeable = False
@@ -88,9 +87,7 @@ def total_least_squares(
         raise ShapeError(f"Expected {p} names for {p} columns, got {len(labels)}. Name every column once.")
     if len(A) <= p:
         raise NotExcited(
-            f"Expected more than {p} rows for {p} parameters, got {len(A)}. Measure more.",
-            labels,
-            [f"{len(A)} rows"],
+            f"Expected more than {p} rows for {p} parameters, got {len(A)}. Measure more.", labels, [f"{len(A)} rows"]
         )
     if cov is not None:
         if len(free) < p:
@@ -171,7 +168,6 @@ def _checked(A: ArrayLike, y: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _free(exact: Sequence[int], p: int) -> np.ndarray:
-    """Return the columns that have errors."""
     known = sorted(set(exact))
     if any(k not in range(p) for k in known):
         raise ShapeError(f"Expected exact columns from 0 to {p - 1}, got {list(exact)}. Number them from 0.")
@@ -179,7 +175,6 @@ def _free(exact: Sequence[int], p: int) -> np.ndarray:
 
 
 def _covariance(cov: ArrayLike, N: int, k: int) -> np.ndarray:
-    """Return covariances (N, k, k) of the rows."""
     C = numbers(cov, "cov", ShapeError)
     if C.shape not in ((k, k), (N, k, k)) or not np.isfinite(C).all():
         raise ShapeError(f"Expected a finite cov ({k}, {k}) or ({N}, {k}, {k}) of the rows [a y], got {C.shape}.")

@@ -74,7 +74,6 @@ class Excitation:
     spread: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         for name in ("singular_values", "scale", "vectors", "null_space", "spread"):
             values = still(getattr(self, name), f"{name} of an excitation")
             object.__setattr__(self, name, values)

@@ -79,7 +79,6 @@ class Fit(Generic[Value]):
     formal_cov: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze the arrays."""
         d = len(self.names)
         if len(self.units) != d or np.shape(self.parameters) != (d,):
             raise ShapeError(

@@ -119,7 +119,6 @@ class ActiveBound:
     free_sd: float
 
     def text(self) -> str:
-        """Return one line for a report."""
         return f"{self.name} held at its bound {self.bound:g}; without it {self.free:.4g} +- {self.free_sd:.2g}"
 
 
@@ -155,7 +154,6 @@ class LinearSolution:
     converged: bool = True
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         for name in ("x", "cov", "weights", "sigma", "R", "basis", "kept", "row_weights"):
             values = np.array(getattr(self, name))
             values.flags.writeable = False
@@ -203,7 +201,6 @@ def _inverse(sigma: np.ndarray, spread: np.ndarray) -> np.ndarray:
 def _solve_once(
     problem: LinearProblem, factors: Factors, groups: list[np.ndarray], kept: np.ndarray, weights: np.ndarray
 ) -> LinearSolution:
-    """Return the solution for given weights."""
     p = factors.size
     whole = factors.merge(groups, weights)
     R, y = whole[:p, :p], whole[:p, p]

@@ -51,7 +51,6 @@ class Measurement:
     added: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        """Check the shapes."""
         for name in ("r", "J", "sample", *(("cov",) if self.cov is not None else ())):
             if not isinstance(getattr(self, name), np.ndarray):
                 raise ShapeError(f"Expected {name} of a measurement as a NumPy array. This is a fault of the residual.")
@@ -118,7 +117,6 @@ class Whitened:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the noise classes."""
         return tuple(dict.fromkeys(name for one in self.measurements if not one.prior for name in one.classes))
 
     @cached_property
@@ -134,7 +132,6 @@ class Whitened:
 
     @cached_property
     def raw(self) -> np.ndarray:
-        """Residuals (M,) in SI."""
         return self._rows(lambda one: one.r.ravel())
 
     def _rows(self, of: Callable[[Measurement], np.ndarray]) -> np.ndarray:
@@ -418,7 +415,6 @@ class NonlinearSolution(Generic[Value]):
     history: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         for name in ("cov", "sigma", "outliers", "squares", "null"):
             values = np.array(getattr(self, name))
             values.flags.writeable = False

@@ -181,7 +181,6 @@ def _reflect(R: np.ndarray, below: np.ndarray) -> np.ndarray:
 
 
 def _check(piece: Rows, size: int, known: dict[int, np.ndarray]) -> None:
-    """Refuse rows that do not fit together; remember the columns of each class."""
     A, y, block = piece.A, piece.y, piece.block
     if A.ndim != 2 or y.shape != A.shape[:1] or block.shape != y.shape or np.any(np.diff(block) < 0):
         raise ShapeError(

@@ -127,7 +127,6 @@ def _direction(item: Any, name: str) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 def _origin(origin: Any, cov: ArrayLike | None) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the origin (3,) and its covariance."""
     if isinstance(origin, (Sphere, Circle)):
         if cov is not None:
             raise ShapeError("Expected origin_cov for a point, got it beside a feature that has its own. Leave it out.")

@@ -53,7 +53,6 @@ class Cloud:
         inputs.enough(len(self.p), self._needed, what)
 
     def choose(self, size: int, numbers: int, through: Squares, refit: Refit) -> None:
-        """Keep the points that belong to the feature, see `inliers`."""
         self.kept = inliers(self.p, size, numbers, through, refit, self.sigma, self._what)
         inputs.enough(int(self.kept.sum()), self._needed, self._what)
 

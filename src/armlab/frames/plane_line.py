@@ -157,7 +157,6 @@ def fit_line(
 
 
 def _forward(v: np.ndarray, step: np.ndarray, sigma: float, along: ArrayLike | None) -> np.ndarray:
-    """Return the direction of a line with the sign of the rule."""
     if along is not None:
         side = float(v @ inputs.direction(along, "along"))
         if abs(side) <= 1e-6:
@@ -222,7 +221,6 @@ def _line_distances(p: np.ndarray, kept: np.ndarray) -> tuple[float, np.ndarray]
 
 
 def _parameters(value: Plane | Line) -> np.ndarray:
-    """Return tilts, which are zero by definition, and offsets."""
     offsets = [value.d] if isinstance(value, Plane) else value.axes @ value.centroid
     return np.array([0.0, 0.0, *offsets])
 

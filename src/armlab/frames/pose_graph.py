@@ -166,7 +166,6 @@ class Edge:
     source: str = ""
 
     def text(self) -> str:
-        """Return the names and the source."""
         return f"{self.a} to {self.b}" + (f" ({self.source})" if self.source else "")
 
 
@@ -277,7 +276,6 @@ def path(edges: Sequence[Edge], a: str, b: str) -> Steps | None:
 
 
 def _closure(edges: Sequence[Edge], steps: Steps) -> Loop:
-    """Return the closure of a loop with its chance."""
     from scipy.special import chdtrc
 
     poses = [edges[k].T if sign > 0 else se3.inv(edges[k].T) for k, sign in steps]
@@ -321,7 +319,6 @@ class FrameSet:
     T: np.ndarray
 
     def __post_init__(self) -> None:
-        """Freeze the poses."""
         T = still(self.T, "poses T of frames")
         object.__setattr__(self, "names", tuple(self.names))
         object.__setattr__(self, "T", T)
@@ -344,7 +341,6 @@ class FrameSet:
 
 
 def solve_poses(edges: Sequence[Edge], names: Sequence[str], robust: bool = False) -> Fit[FrameSet]:
-    """Return the most likely poses; see `Graph.solve`."""
     start = _start(edges, names)
     given = [edge.cov is not None for edge in edges]
     if any(given) and not all(given):
@@ -378,7 +374,6 @@ def solve_poses(edges: Sequence[Edge], names: Sequence[str], robust: bool = Fals
 
 
 def _start(edges: Sequence[Edge], names: Sequence[str]) -> np.ndarray:
-    """Return the poses (F, 4, 4) along the fewest measured ones."""
     if not edges:
         raise FrameError("Expected poses between frames, got none. Graph.add takes them.")
     start = np.zeros((len(names), 4, 4))

@@ -48,7 +48,6 @@ class Ellipsoid:
     lengths: np.ndarray
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         make_read_only(self, "axes", "lengths")
 
 
@@ -234,7 +233,6 @@ class SelfMotion:
     end: str
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         make_read_only(self, "q", "s", "position_error", "rotation_error")
 
 
@@ -300,8 +298,6 @@ def self_motion(
 
 
 class _Curve:
-    """The self-motion through one posture."""
-
     def __init__(self, robot: Robot, start: np.ndarray, task: Task) -> None:
         self.robot, self.start, self.size = robot, start, _TASK_ROWS[task]
         self.T_base_goal = forward(robot, start)
@@ -316,7 +312,6 @@ class _Curve:
             )
 
     def begin(self, direction: int | ArrayLike | Callable[[np.ndarray], ArrayLike]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the first point and tangent."""
         q, dimension = self.start, self.robot.n - self.rank
         s, Vt = np.linalg.svd(self.error(q)[1])[1:]
         if self.rank and s[self.rank - 1] <= _SINGULAR * s[0]:
@@ -406,7 +401,6 @@ class _Curve:
         return basis.T @ (basis @ vector)
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
-        """Return the gradient of the objective."""
         return _vector(self.robot, self.climbs(q) if self.climbs else None, "the gradient that direction(q) returns")
 
     def error(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -168,11 +168,7 @@ def _unknown(frame: object) -> UnknownName:
 
 
 def jacobian_derivative(
-    robot: Robot,
-    q: ArrayLike,
-    qd: ArrayLike,
-    frame: Literal["base", "tool"] = "base",
-    out: np.ndarray | None = None,
+    robot: Robot, q: ArrayLike, qd: ArrayLike, frame: Literal["base", "tool"] = "base", out: np.ndarray | None = None
 ) -> np.ndarray:
     """Return the time derivative of the Jacobian along a motion: ``[vd; wd] = J(q) qdd + Jd(q, qd) qd``.
 

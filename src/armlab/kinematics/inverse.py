@@ -248,7 +248,6 @@ def check_search(tol: Any, maxiter: Any, starts: Any, damping: Any) -> tuple[flo
 def kernel_objective(
     robot: Robot, name: Objective | None, posture: ArrayLike | None, q0: ArrayLike | None
 ) -> tuple[int, ArrayLike | None, np.ndarray | None]:
-    """Return the kernel's objective, reference and scale."""
     if posture is not None and name != "posture":
         raise ConfigError(f'Expected objective="posture" with a posture, got objective={name!r}. Leave one out.')
     if name is None or name == "manipulability":

@@ -58,7 +58,6 @@ class IkPath:
     iterations: np.ndarray
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         make_read_only(self, *vars(self))
 
     def report(self) -> str:
@@ -169,7 +168,6 @@ def inverse_path(
 
 
 def _change(robot: Robot, max_step: float | ArrayLike | None) -> np.ndarray | None:
-    """Return the largest steps (n,)."""
     if max_step is None:
         return None
     try:

@@ -357,7 +357,6 @@ def _swap(x: ArrayLike, axis: int) -> np.ndarray:
 
 
 def assemble(R: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Return the pose of a rotation and a position."""
     T = np.zeros((*np.broadcast_shapes(R.shape[:-2], p.shape[:-1]), 4, 4))
     T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, p, 1.0
     return T

@@ -166,7 +166,6 @@ def from_dh(
 
 
 def _columns(name: str, **columns: ArrayLike) -> tuple[np.ndarray, ...]:
-    """Return the columns as vectors of one length."""
     arrays = {
         key: np.atleast_1d(numbers(column, f"{key} in the DH table of {name!r}")) for key, column in columns.items()
     }
@@ -184,7 +183,6 @@ def _columns(name: str, **columns: ArrayLike) -> tuple[np.ndarray, ...]:
 
 
 def _doubt_limits(robot: Robot) -> None:
-    """Warn of limits that look like degrees."""
     ends = np.abs(np.stack([robot.q_min, robot.q_max]))
     peak = np.where(np.isfinite(ends), ends, 0.0).max(axis=0)
     far = np.flatnonzero(~robot.prismatic & (peak > LIKE_DEGREES[0]) & (peak <= LIKE_DEGREES[1]))
@@ -337,7 +335,6 @@ def normalise_screw(screw: ArrayLike, keep_pitch: bool = False) -> np.ndarray:
 
 
 def _check_screws(name: str, screws: np.ndarray) -> None:
-    """Every screw is a unit axis without pitch."""
     v, w = screws[:, :3], screws[:, 3:]
     turns = w.any(axis=1, keepdims=True)
     length = np.linalg.norm(np.where(turns, w, v), axis=1)

@@ -137,7 +137,6 @@ def _check_batches(**axes: tuple[int, ...]) -> None:
 
 
 def _matrix(pi: np.ndarray) -> np.ndarray:
-    """Inertia about the origin, (..., 3, 3)."""
     inertia = np.empty((*pi.shape[:-1], 3, 3))
     inertia[..., _ROWS, _COLUMNS] = inertia[..., _COLUMNS, _ROWS] = pi[..., 4:]
     return inertia

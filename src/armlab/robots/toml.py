@@ -60,8 +60,6 @@ class LinkMesh(Pose, kw_only=True, forbid_unknown_fields=True):
 
 
 class File(msgspec.Struct, forbid_unknown_fields=True):
-    """A robot file."""
-
     name: str
     source: str | dict[str, str]
     joint: list[Joint]
@@ -78,7 +76,6 @@ class File(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def read_robot(text: str, path: str) -> Robot:
-    """Return the robot that a TOML text describes."""
     fields: dict[str, Any] = {}
     try:
         fields = parsed(text)

@@ -176,8 +176,6 @@ def _closed_pose(T_a: np.ndarray, T_b: np.ndarray) -> np.ndarray:
 
 
 class DualState(NamedTuple):
-    """The unknowns: both arms and T_basea_baseb (4, 4)."""
-
     a: ArmState
     b: ArmState
     T: np.ndarray
@@ -202,28 +200,23 @@ class DualProblem:
 
     @property
     def n(self) -> int:
-        """Number of samples."""
         return len(self.arm_a.q)
 
     @property
     def rows(self) -> int:
-        """Number of rows of the residuals."""
         return self.n
 
     @property
     def waves(self) -> int:
-        """Number of amplitudes."""
         return self.arm_a.waves[0].size + self.arm_b.waves[0].size
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name of every unknown."""
         arms = [f"{letter}: {name}" for letter, arm in (("a", self.arm_a), ("b", self.arm_b)) for name in arm.names]
         return (*arms, *(f"base of b {name}" for name in TWIST))
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Unit of every unknown."""
         return (*self.arm_a.units, *self.arm_b.units, *("m",) * 3, *("rad",) * 3)
 
     def sizes(self, length: float, angle: float) -> np.ndarray:
@@ -259,7 +252,6 @@ class DualProblem:
         return np.hstack(columns), tuple(names)
 
     def retract(self, state: DualState, y: np.ndarray) -> DualState:
-        """Return the state after a step of the active components."""
         x = np.zeros(self.size)
         x[self.active] = y
         a, b = self.arm_a.size, self.arm_a.size + self.arm_b.size
@@ -267,15 +259,12 @@ class DualProblem:
         return DualState(*arms, state.T @ se3.exp(x[b:]))
 
     def evaluate(self, state: DualState) -> list[Measurement]:
-        """Return residuals with their derivatives by the active components."""
         return [chosen(one, self.active) for one in [*self.measurements(state), *self.priors(state)]]
 
     def relative(self, state: DualState) -> np.ndarray:
-        """Return ``Z = T_a^-1 T_basea_baseb T_b`` (N, 4, 4)."""
         return se3.inv(self.arm_a.move(state.a).T) @ state.T @ self.arm_b.move(state.b).T
 
     def measurements(self, state: DualState, local: bool = False) -> list[Measurement]:
-        """Return residuals of the data with their derivatives by all components."""
         Pa = self.arm_a.move(state.a).P
         W = state.T @ self.arm_b.move(state.b).P
         point = W[:, -1, :3, 3]

@@ -249,7 +249,6 @@ def never_seen(problem: KinematicProblem, state: State) -> list[UnobservableDire
 
 
 def may_be_missing(problem: KinematicProblem, state: State) -> list[UnobservableDirection]:
-    """Return what the data may fail to see."""
     arm, size = problem.arm, problem.size
     a, b = arm.size, arm.size + 3 * problem.points
     found = joints_at_rest(arm, state.arm.frames, 0, size)

@@ -247,7 +247,6 @@ class KinematicEstimation(ABC, Generic[S]):
             )
 
     def _check_count(self, start: S) -> None:
-        """Refuse fewer numbers than unknowns."""
         problem, used = self.problem, self.used
         got, each = sum(kind.numbers for kind in problem.kinds), sum(len(kind.kept) for kind in problem.kinds)
         if self.hold or got > np.count_nonzero(used):
@@ -404,7 +403,6 @@ def _whitened(data: Sequence[Measurement], sigma: dict[str, float], outside: np.
 
 
 def check_weak(weak: str) -> None:
-    """Refuse a way to treat weak directions that there is not."""
     if weak not in WEAK:
         raise UnknownName.among("way to treat weak directions", weak, WEAK)
 

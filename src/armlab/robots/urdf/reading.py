@@ -72,7 +72,6 @@ def parse(text: str | bytes, file: str = "the URDF text") -> Tree:
 
 
 def read_tree(text: str | bytes, file: str) -> Tree:
-    """Return the tree that a text describes."""
     robot = parse_xml(text, file)
     if robot.tag != "robot":
         raise robot.error("<robot> as the outermost element of a URDF", f"<{robot.tag}>")
@@ -211,18 +210,15 @@ class Element:
         return RobotError(f"Expected {expected} in {self.file}, line {self.line}, got {got}.{advice and ' '}{advice}")
 
     def all(self, tag: str) -> list[Element]:
-        """Return the children of one tag."""
         return [child for child in self.children if child.tag == tag]
 
     def one(self, tag: str) -> Element | None:
-        """Return the only child of one tag, or None."""
         found = self.all(tag)
         if len(found) > 1:
             raise found[1].error(f"one <{tag}> inside <{self.tag}>", f"another in line {found[0].line}", "Remove one.")
         return found[0] if found else None
 
     def need(self, tag: str) -> Element:
-        """Return the only child of one tag."""
         found = self.one(tag)
         if found is None:
             raise self.error(f"a <{tag}> inside <{self.tag}>", "none", "Add it.")
@@ -247,7 +243,6 @@ class Element:
         return np.array([self._number(name, word) for word in words])
 
     def number(self, name: str, default: float | None = None) -> float:
-        """Return one number."""
         return float(self.numbers(name, 1, None if default is None else (default,))[0])
 
     def limit(self, name: str, default: float) -> float:

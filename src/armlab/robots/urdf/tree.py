@@ -94,7 +94,6 @@ class Joint:
 
     @property
     def moves(self) -> bool:
-        """Whether it is anything but fixed."""
         return self.kind != "fixed"
 
 
@@ -160,8 +159,6 @@ class Tree:
     joints: tuple[Joint, ...]
 
     def __post_init__(self) -> None:
-        """Check the structure."""
-
         check_tree(self)
 
     @cached_property
@@ -285,7 +282,6 @@ def _check_names(tree: Tree, parts: Sequence[Link | Joint], kind: str) -> None:
 
 
 def _check_ends(tree: Tree) -> None:
-    """Both links of every joint exist, and no link hangs on two joints."""
     names = {link.name for link in tree.links}
     above: dict[str, Joint] = {}
     for joint in tree.joints:
@@ -321,8 +317,6 @@ def _check_roots(tree: Tree) -> None:
 
 
 def follow(tree: Tree, joint_names: Iterable[str]) -> Mimic:
-    """Return how joints follow the free ones. See `Tree.mimic`."""
-
     joints = {joint.name: joint for joint in tree.joints}
     rows: list[tuple[str, float, float]] = []  # leader, multiplier, offset
     for name in members(joint_names, f"names of joints of {tree.file}"):
@@ -363,7 +357,6 @@ class Step:
 
 
 def build_chain(tree: Tree, base: str | None, tip: str | None, name: str | None) -> Robot:
-    """Return the serial arm from one link to another. See `Tree.chain`."""
     names = [link.name for link in tree.links]
     for link in (base, tip):
         if link is not None and link not in names:
@@ -418,7 +411,6 @@ def _way(tree: Tree, base: str, tip: str) -> list[tuple[Joint, bool]]:
 
 
 def _ancestry(tree: Tree, link: str) -> list[Joint]:
-    """Return the joints from a link up to the root."""
     joints = []
     while link in tree.parent_joints:
         joints.append(tree.parent_joints[link])
