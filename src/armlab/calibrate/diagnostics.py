@@ -52,11 +52,9 @@ def limits_of(limits: Any, what: str, usual: Limits) -> Limits:
 
 
 def require_two_axes(RA: np.ndarray, noise: float, carrier: str, moved: Sequence[str]) -> None:
-    """Refuse rotations about one axis, and none.
+    """Refuse rotations about one axis, and none; `noise` is the deviation of a rotation [rad].
 
     ``e_u^2 = 1 - |mean(R_A) u|^2`` is the mean square by which a tool axis u turns; noise alone makes it 2 sigma^2.
-
-    `noise` is the deviation of a rotation [rad]; a larger one than `ROUGH` is none, but records that do not fit.
     """
     M = RA.sum(axis=0) / len(RA)
     squares, u = np.linalg.eigh(np.eye(3) - M.T @ M)

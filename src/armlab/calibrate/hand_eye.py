@@ -145,10 +145,7 @@ def robot_side(
 
 
 def inverse_noise(noise: np.ndarray, R: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return the covariance (N, 6, 6) of the inverses of noisy poses: v' = hat(p') w - R^T v, w' = -R w.
-
-    R and t are those of the poses; p' = -R^T t.
-    """
+    """Return the covariance (N, 6, 6) of the inverses of noisy poses: v' = hat(-R^T t) w - R^T v, w' = -R w."""
     M = np.zeros((len(R), 6, 6))
     Rt = R.transpose(0, 2, 1)
     M[:, :3, :3] = -Rt
@@ -223,10 +220,7 @@ class HandEyeEquation:
         return max(float(np.sqrt(np.vdot(t, t) / self.N)) for t in both) or 1.0
 
     def product(self) -> np.ndarray:
-        """Return K = mean of R_A (x) R_B (9, 9), for which K vec(R_X) = vec(R_Y), row by row.
-
-        Its largest singular value is 1 - sigma_R^2 where A and B belong together.
-        """
+        """Return the mean K of R_A (x) R_B (9, 9): K vec(R_X) = vec(R_Y); its norm is 1 - sigma_R^2."""
         K = self.RA.reshape(-1, 9).T @ self.RB.reshape(-1, 9) / self.N
         return K.reshape(3, 3, 3, 3).transpose(0, 2, 1, 3).reshape(9, 9)
 
@@ -261,10 +255,7 @@ class HandEyeEquation:
         return [Measurement(r, J, self.noise if of_A is None else full(self.noise) + of_A, COMPONENTS, self._sample)]
 
     def _noise_of_A(self, pair: Pair, C: np.ndarray) -> np.ndarray | None:
-        """Return G S_A G^T (N, 6, 6), G = [[-R_Y^T, C hat(t_X)], [0, -R_X^T]]: the lever t_X couples both.
-
-        C is R_Y^T R_A (N, 3, 3).
-        """
+        """Return G S_A G^T (N, 6, 6), G = [[-R_Y^T, C hat(t_X)], [0, -R_X^T]]: t_X couples both; C = R_Y^T R_A."""
         if self.noise_A is None:
             return None
         G = np.zeros((self.N, 6, 6))

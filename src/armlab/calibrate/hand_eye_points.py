@@ -339,10 +339,7 @@ def marked_start(free: Points, marker: np.ndarray) -> Pair:
 
 
 def require_agreement(model: PointModel, rms: float | None = None, left_out: float = 0.0) -> None:
-    """Refuse records that do not belong together, with what would make them fit where that can be said.
-
-    `rms` is that of the residuals without outliers [m], None before the fit.
-    """
+    """Refuse records that do not belong together, with the likely cause; `rms` is None before the fit."""
     found = model.solution
     if rms is None:
         cause = _unit_or_hand(model, found)

@@ -171,10 +171,7 @@ class Scans:
 
 
 def starts(scans: Scans, ratio: float) -> Iterator[list[Scene]]:
-    """Yield groups of first values, the best of each group first.
-
-    `ratio` is the deviation of points over that of angles.
-    """
+    """Yield groups of first values, the best of each first; `ratio` is the deviation of points over that of angles."""
     linear = [R for found, _ in linear_rotations(scans, ratio) for R in found]
     if linear:
         yield _sorted(scans, linear, ratio)

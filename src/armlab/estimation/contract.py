@@ -13,7 +13,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,10 +21,6 @@ from armlab import models
 from armlab._numbers import flag, number
 from armlab.errors import ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.estimation.fit import Fit
-
-if TYPE_CHECKING:
-    from armlab.estimation.fit import Fit
-
 
 # The properties of the contract that need many runs: consistent, honest, efficient, robust.
 
@@ -66,12 +62,17 @@ class FitRun:
     @property
     def nees(self) -> float:
         """Squared error over the stated covariance, of as many directions as its rank."""
-        sd = np.sqrt(np.diag(self.C))
-        sd = np.where(sd > 0, sd, 1.0)
+        sd = _sd(self.C)
         values, vectors = np.linalg.eigh(self.C / np.outer(sd, sd))
         along = vectors.T @ (self.e / sd)
         identified = slice(len(values) - self.rank, None)
         return float(np.sum(along[identified] ** 2 / values[identified]))
+
+
+def _sd(C: np.ndarray) -> np.ndarray:
+    """Return the deviations of a covariance, 1 where there is none."""
+    sd = np.sqrt(np.diag(C))
+    return np.where(sd > 0, sd, 1.0)
 
 
 def error_of(trial: ContractTrial, fit: Fit[Any], truth: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -98,8 +99,7 @@ def _runs(trial: ContractTrial, times: int) -> list[FitRun]:
 def _weight(runs: list[FitRun]) -> np.ndarray:
     """Return the inverse of the mean stated covariance: it makes errors of many units one number."""
     C = np.mean([r.C for r in runs], axis=0)
-    sd = np.sqrt(np.diag(C))
-    sd = np.where(sd > 0, sd, 1.0)
+    sd = _sd(C)
     return np.linalg.pinv(C / np.outer(sd, sd), rcond=1e-9, hermitian=True) / np.outer(sd, sd)
 
 
@@ -234,8 +234,7 @@ def _apart(trial: ContractTrial, first: Fit[Any], second: Fit[Any], truth: Any) 
 
 
 def _length(e: np.ndarray, C: np.ndarray) -> float:
-    sd = np.sqrt(np.diag(C))
-    sd = np.where(sd > 0, sd, 1.0)
+    sd = _sd(C)
     inverse = np.linalg.pinv(C / np.outer(sd, sd), rcond=SAME, hermitian=True)
     return float(np.sqrt(max((e / sd) @ inverse @ (e / sd), 0.0)))
 
@@ -375,18 +374,19 @@ def _arrays(item: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:
             yield from _arrays(getattr(item, one.name), f"{name}.{one.name}" if name else one.name)
 
 
-PROPERTIES = (
-    "consistent",
-    "honest",
-    "efficient",
-    "order-free",
-    "gauge-free",
-    "refuses",
-    "robust",
-    "saves",
-    "explains",
-    "clean",
-)
+JUDGES = {
+    "consistent": consistent,
+    "honest": honest,
+    "efficient": efficient,
+    "order-free": order_free,
+    "gauge-free": gauge_free,
+    "refuses": refuses,
+    "robust": robust,
+    "saves": saves,
+    "explains": explains,
+    "clean": clean,
+}
+PROPERTIES = tuple(JUDGES)
 BENCHMARK = 1000  # runs from which the limits of the benchmark hold
 
 Error = Callable[[Fit[Any], Any], Any]
@@ -460,10 +460,7 @@ class ContractLimits:
 
 @dataclass(frozen=True)
 class Property:
-    """One property of the contract.
-
-    `passed`: None where it was not judged.
-    """
+    """One property of the contract; `passed` is None where it was not judged."""
 
     name: str
     passed: bool | None
@@ -564,19 +561,7 @@ def check_estimator(
 
 
 def _properties(trial: ContractTrial, reasons: dict[str, str]) -> Iterator[Property]:
-    judges = {
-        "consistent": consistent,
-        "honest": honest,
-        "efficient": efficient,
-        "order-free": order_free,
-        "gauge-free": gauge_free,
-        "refuses": refuses,
-        "robust": robust,
-        "saves": saves,
-        "explains": explains,
-        "clean": clean,
-    }
-    for name, judge in judges.items():
+    for name, judge in JUDGES.items():
         if name in reasons:
             yield Property(name, None, f"skipped: {reasons[name]}")
             continue

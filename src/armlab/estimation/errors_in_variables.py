@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import numbers
+from armlab._numbers import make_read_only, numbers
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation.excitation import Excitation, check_excitation
 from armlab.estimation.nonlinear import Measurement, NonlinearProblem, nonlinear_least_squares
@@ -41,10 +41,7 @@ class TotalSolution:
     excitation: Excitation
 
     def __post_init__(self) -> None:
-        for name in ("x", "cov", "corrections", "outliers"):
-            values = np.array(getattr(self, name))
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
+        make_read_only(self, "x", "cov", "corrections", "outliers")
 
 
 def total_least_squares(

@@ -161,9 +161,7 @@ def _forward(v: np.ndarray, step: np.ndarray, sigma: float, along: ArrayLike | N
         side = float(v @ inputs.direction(along, "along"))
         if abs(side) <= 1e-6:
             raise ShapeError("Expected along= roughly along the line, got a direction across it. Give another one.")
-        return v if side > 0 else -v
-    side = float(v @ step)
-    if abs(side) <= SURE * sigma:
+    elif abs(side := float(v @ step)) <= SURE * sigma:
         raise NotExcited(
             f"Expected the last point away from the first to tell the direction of the line, got them {abs(side):.2g} "
             "m apart along it. Say the direction by along=.",

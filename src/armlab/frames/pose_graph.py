@@ -351,26 +351,16 @@ def solve_poses(edges: Sequence[Edge], names: Sequence[str], robust: bool = Fals
     size = float(np.linalg.norm(found.value[:, :3, 3].std(axis=0)))
     labels = [(f"{name} {part}", unit) for name in names[1:] for part, unit in PARTS]
     limits = np.array([LIMIT * (1.0 if unit == "rad" else size or 1.0) for _, unit in labels])
-    excitation = check_spread(
-        found.rows.J, [name for name, _ in labels], [unit for _, unit in labels], limits, "frames"
-    )
+    labelled, units = tuple(name for name, _ in labels), tuple(unit for _, unit in labels)
+    excitation = check_spread(found.rows.J, labelled, units, limits, "frames")
     R = found.value[1:, :3, :3]
     parameters = np.hstack([found.value[1:, :3, 3], so3.log(R)]).ravel()
     residuals = problem.evaluate(found.value)[0].r
     return Fit(
-        value=FrameSet(tuple(names), found.value),
-        names=tuple(name for name, _ in labels),
-        units=tuple(unit for _, unit in labels),
-        parameters=parameters,
-        cov=found.cov,
-        sigma=found.sigma,
-        residuals=residuals,
-        n=len(edges) - int(found.outliers.sum()),
-        excitation=excitation,
-        summary=lambda fit: _report(fit, [edge.text() for edge in edges]),
-        outliers=found.outliers,
-        classes=("position [m]", "rotation [rad]"),
-    )
+        FrameSet(tuple(names), found.value), labelled, units, parameters, found.cov, found.sigma, residuals,
+        len(edges) - int(found.outliers.sum()), excitation, lambda fit: _report(fit, [edge.text() for edge in edges]),
+        found.outliers, ("position [m]", "rotation [rad]"),
+    )  # fmt: skip
 
 
 def _start(edges: Sequence[Edge], names: Sequence[str]) -> np.ndarray:

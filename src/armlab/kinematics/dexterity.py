@@ -70,12 +70,9 @@ def singular_values(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarr
 
     Raises
     ------
-    UnknownName
-        When there is no such part.
-    ShapeError
-        When the last axis of `q` is not n long.
-    RobotError
-        When something else comes in place of a robot, such as its name.
+    UnknownName : when there is no such part.
+    ShapeError : when the last axis of `q` is not n long.
+    RobotError : when something else comes in place of a robot, such as its name.
     """
     return _svd(_rows(robot, q, part))[1]
 
@@ -100,12 +97,9 @@ def manipulability(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarra
 
     Raises
     ------
-    UnknownName
-        When there is no such part.
-    ShapeError
-        When the last axis of `q` is not n long.
-    RobotError
-        When something else comes in place of a robot, such as its name.
+    UnknownName : when there is no such part.
+    ShapeError : when the last axis of `q` is not n long.
+    RobotError : when something else comes in place of a robot, such as its name.
 
     References
     ----------
@@ -135,12 +129,9 @@ def manipulability_gradient(robot: Robot, q: ArrayLike, part: Part = "pose") -> 
 
     Raises
     ------
-    UnknownName
-        When there is no such part.
-    ShapeError
-        When the last axis of `q` is not n long.
-    RobotError
-        When something else comes in place of a robot, such as its name.
+    UnknownName : when there is no such part.
+    ShapeError : when the last axis of `q` is not n long.
+    RobotError : when something else comes in place of a robot, such as its name.
     """
     U, s, Vt = _svd(_rows(robot, q, part))
     positions = np.asarray(q, dtype=np.float64)[..., None, :]
@@ -176,12 +167,9 @@ def ellipsoid(
 
     Raises
     ------
-    UnknownName
-        When there is no such part or kind.
-    ShapeError
-        When the last axis of `q` is not n long.
-    RobotError
-        When something else comes in place of a robot, such as its name.
+    UnknownName : when there is no such part or kind.
+    ShapeError : when the last axis of `q` is not n long.
+    RobotError : when something else comes in place of a robot, such as its name.
     """
     if not isinstance(part, str) or part not in ("position", "rotation"):
         raise UnknownName.among("part of a twist with an ellipsoid", part, ("position", "rotation"))
@@ -270,14 +258,11 @@ def self_motion(
 
     Raises
     ------
-    RobotError
-        When the robot has no joint to spare for the task, or is none.
+    RobotError : when the robot has no joint to spare for the task, or is none.
     SingularPoseError
         When `q` is singular, or `direction` is a sign where there are several directions, or leads nowhere.
-    ShapeError
-        When `q` is not (n,), finite and inside the limits, or another argument does not fit.
-    UnknownName
-        When there is no such task.
+    ShapeError : when `q` is not (n,), finite and inside the limits, or another argument does not fit.
+    UnknownName : when there is no such task.
     """
     curve = _Curve(robot, _checked(robot, q, length, points, task), task)
     here, tangent = curve.begin(direction)

@@ -88,12 +88,9 @@ def inverse(
     ------
     ShapeError
         When a goal is not a pose or not finite (its index is reported), or `q0`, `axis` or `posture` does not fit.
-    UnknownName
-        When there is no such task or objective.
-    RobotError
-        When something else comes in place of a robot, such as its name.
-    ConfigError
-        When `tol`, `maxiter`, `starts`, `damping`, `seed` or `threads` is out of its range, or a
+    UnknownName : when there is no such task or objective.
+    RobotError : when something else comes in place of a robot, such as its name.
+    ConfigError : when `tol`, `maxiter`, `starts`, `damping`, `seed` or `threads` is out of its range, or a
         posture comes without its objective.
     NotConverged
         With `strict`, when a goal is not solved; `best` is the `IkSolution`.
@@ -199,10 +196,7 @@ class IkSolution:
 
 
 def freeze(q: np.ndarray, errors: np.ndarray, counts: np.ndarray, history: np.ndarray | None) -> IkSolution:
-    """Return what a kernel gave as an `IkSolution`; single goals get scalars.
-
-    `errors` (..., 3) are [m], [rad] and slope; `counts` (..., 3) steps, starts and status.
-    """
+    """Return errors (..., 3) and counts (..., 3) of a kernel as an `IkSolution`; single goals get scalars."""
     for array in (q, errors, counts, history):
         if array is not None:
             array.flags.writeable = False

@@ -122,12 +122,9 @@ def inverse_path(
 
     Raises
     ------
-    ShapeError
-        When the poses are not (N, 4, 4), one is not a pose or not finite, or another argument does not fit.
-    UnknownName
-        When there is no such task or objective.
-    RobotError
-        When something else comes in place of a robot, such as its name.
+    ShapeError : when the poses are not (N, 4, 4), one is not a pose or not finite, or another argument does not fit.
+    UnknownName : when there is no such task or objective.
+    RobotError : when something else comes in place of a robot, such as its name.
     ConfigError
         When `tol`, `maxiter`, `starts` or `damping` is out of its range, or a posture comes without its objective.
     NotConverged

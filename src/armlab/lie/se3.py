@@ -16,25 +16,9 @@ from armlab.errors import ShapeError
 from armlab.lie import arguments, so3
 
 __all__ = [
-    "ad",
-    "adjoint",
-    "adjoint_inv",
-    "exp",
-    "from_angular_first",
-    "from_rp",
-    "hat",
-    "interpolate",
-    "inv",
-    "is_pose",
-    "left_jacobian",
-    "left_jacobian_inv",
-    "log",
-    "mean",
-    "project",
-    "to_angular_first",
-    "transform_wrench",
-    "vee",
-]
+    "ad", "adjoint", "adjoint_inv", "exp", "from_angular_first", "from_rp", "hat", "interpolate", "inv", "is_pose",
+    "left_jacobian", "left_jacobian_inv", "log", "mean", "project", "to_angular_first", "transform_wrench", "vee",
+]  # fmt: skip
 
 PATHS = ("linear", "screw")
 

@@ -355,10 +355,7 @@ def _axis_frames(screws: np.ndarray) -> np.ndarray:
 
 
 def frames_along(z: np.ndarray) -> np.ndarray:
-    """Return rotations whose third column is z; of a coordinate axis without any rounding, and 1 for z = (0, 0, 1).
-
-    z is (n, 3), of any length.
-    """
+    """Return rotations with third column z (n, 3) of any length: exact for coordinate axes, and 1 for z = (0, 0, 1)."""
     z = z / np.linalg.norm(z, axis=1, keepdims=True)
     x = np.eye(3)[np.argmin(np.abs(z), axis=1)]
     x = x - (x * z).sum(axis=1, keepdims=True) * z

@@ -19,13 +19,9 @@ from armlab.errors import RobotError, ShapeError
 from armlab.robots.robot import Robot
 
 __all__ = [
-    "abb_to_logical",
-    "joint_to_motor",
-    "joint_torque_to_motor",
-    "logical_to_abb",
-    "motor_to_joint",
+    "abb_to_logical", "joint_to_motor", "joint_torque_to_motor", "logical_to_abb", "motor_to_joint",
     "motor_torque_to_joint",
-]
+]  # fmt: skip
 
 
 def abb_to_logical(robot: Robot, values: ArrayLike) -> np.ndarray:
@@ -70,8 +66,7 @@ def motor_to_joint(robot: Robot, values: ArrayLike) -> np.ndarray:
     -------
     (..., n).
     """
-    values = _values(robot, values)
-    return _through(robot.coupling, values)
+    return _through(robot.coupling, _values(robot, values))
 
 
 def joint_to_motor(robot: Robot, values: ArrayLike) -> np.ndarray:
@@ -86,8 +81,7 @@ def joint_to_motor(robot: Robot, values: ArrayLike) -> np.ndarray:
     -------
     (..., n).
     """
-    values = _values(robot, values)
-    return _through(np.linalg.inv(robot.coupling), values)
+    return _through(np.linalg.inv(robot.coupling), _values(robot, values))
 
 
 def motor_torque_to_joint(robot: Robot, tau_motor: ArrayLike) -> np.ndarray:
@@ -102,8 +96,7 @@ def motor_torque_to_joint(robot: Robot, tau_motor: ArrayLike) -> np.ndarray:
     -------
     (..., n).
     """
-    tau_motor = _values(robot, tau_motor)
-    return _through(np.linalg.inv(robot.coupling).T, tau_motor)
+    return _through(np.linalg.inv(robot.coupling).T, _values(robot, tau_motor))
 
 
 def joint_torque_to_motor(robot: Robot, tau: ArrayLike) -> np.ndarray:
@@ -118,8 +111,7 @@ def joint_torque_to_motor(robot: Robot, tau: ArrayLike) -> np.ndarray:
     -------
     (..., n).
     """
-    tau = _values(robot, tau)
-    return _through(robot.coupling.T, tau)
+    return _through(robot.coupling.T, _values(robot, tau))
 
 
 def _through(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:

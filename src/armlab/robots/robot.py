@@ -291,10 +291,7 @@ def arm_length(robot: Robot) -> float:
 
 
 def bends(a: np.ndarray, along_a: np.ndarray, b: np.ndarray, along_b: np.ndarray) -> list[np.ndarray]:
-    """Return where a link between two joint axes bends: the ends of their common normal, or the foot of a parallel one.
-
-    a, b are points (3,) of the axes, along_a and along_b unit vectors.
-    """
+    """Return where a link bends between two axes, a point and a unit vector each: ends of the common normal."""
     across = b - a
     cosine = along_a @ along_b
     sine2 = 1 - cosine**2
@@ -411,11 +408,7 @@ def _check_bodies(robot: Robot) -> None:
 
 
 def body_fault(pi: np.ndarray) -> str:
-    """Return in words what makes inertial parameters (10,) those of no body at all, or nothing.
-
-    With a mass above zero and no negative moment about the centre every mass matrix is positive. That the largest
-    moment is at most the sum of the others is not asked: published descriptions break it, and nothing breaks by it.
-    """
+    """Return what makes inertial parameters (10,) those of no body, or "". The triangle rule is not asked."""
     if not np.isfinite(pi).all():
         return f"{pi.tolist()}, which is not finite"
     if pi[0] < 0:

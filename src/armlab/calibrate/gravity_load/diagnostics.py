@@ -100,10 +100,7 @@ def _labels(widths: tuple[tuple[str, int], ...], scale: str) -> tuple[tuple[str,
 
 
 def require_motion(equation: WeightEquation) -> float:
-    """Refuse too few samples, and orientations that are not exciting; return how far gravity moves (share of it).
-
-    That is the second singular value of gravity over the tool axes, or of the rotations where gravity is unknown.
-    """
+    """Refuse too few samples and unexciting orientations; return how far gravity moves in its second direction."""
     needed = (2 + equation.bias) if equation.pull is not None else (4 + equation.bias)
     if needed > equation.N:
         raise NotExcited(

@@ -25,9 +25,11 @@ from armlab.calibrate.kinematics.solve import (
     KinematicEstimation,
     check_scale,
     check_weak,
+    corrected_arm,
     hand_eye,
     kabsch,
     length_angle,
+    size_of,
     spread_of,
 )
 from armlab.errors import ConfigError, NotExcited, ShapeError
@@ -35,7 +37,7 @@ from armlab.estimation import Fit, Measurement
 from armlab.estimation.nonlinear import NonlinearSolution
 from armlab.kinematics.forward import twist_jacobian
 from armlab.lie import se3
-from armlab.models import DualArmCorrection, KinematicCorrection
+from armlab.models import DualArmCorrection
 from armlab.robots import Robot
 
 LIMITS = (0.05, 0.05)
@@ -157,16 +159,14 @@ def _measured(
             [f"{len(rows)} of at least 3 samples"],
         )
     if kind.name == "pose":
-        check_scale(_size(T_a[:, :3, 3]) + _size(T_b[:, :3, 3]), _size(kind.values[rows, :3, 3]), "positions of poses")
+        check_scale(
+            size_of(T_a[:, :3, 3]) + size_of(T_b[:, :3, 3]), size_of(kind.values[rows, :3, 3]), "positions of poses"
+        )
         seen = T_a[rows] @ kind.values[rows] @ se3.inv(T_b[rows])
         return kinds, se3.project(np.mean(seen, axis=0))[0]
     seen = np.einsum("iab,ib->ia", T_a[rows, :3, :3], kind.values[rows, 0]) + T_a[rows, :3, 3]
-    check_scale(_size(T_a[:, :3, 3]) + _size(T_b[:, :3, 3]), _size(kind.values[rows, 0]), "positions")
+    check_scale(size_of(T_a[:, :3, 3]) + size_of(T_b[:, :3, 3]), size_of(kind.values[rows, 0]), "positions")
     return kinds, kabsch(T_b[rows, :3, 3], seen)
-
-
-def _size(points: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=-1))))
 
 
 def _closed_pose(T_a: np.ndarray, T_b: np.ndarray) -> np.ndarray:
@@ -367,17 +367,5 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         problem, a = self.problem, self.problem.arm_a.size
         whole = np.zeros((problem.size, problem.size))
         whole[np.ix_(self.used, self.used)] = cov
-        arm_a = _correction(problem.arm_a, state.a, whole[:a, :a])
-        return DualArmCorrection(arm_a, _correction(problem.arm_b, state.b, whole[a:-6, a:-6]), state.T, whole)
-
-
-def _correction(arm: Arm, state: ArmState, cov: np.ndarray) -> KinematicCorrection:
-    return KinematicCorrection(
-        robot=arm.corrected(state.frames),
-        robot_name=arm.robot.name,
-        robot_hash=arm.robot.hash,
-        harmonics=arm.orders,
-        amplitudes=state.amplitudes,
-        coefficients=state.coefficients,
-        cov=cov,
-    )
+        arm_a = corrected_arm(problem.arm_a, state.a, whole[:a, :a])
+        return DualArmCorrection(arm_a, corrected_arm(problem.arm_b, state.b, whole[a:-6, a:-6]), state.T, whole)

@@ -23,6 +23,7 @@ from armlab.calibrate.kinematics.solve import (
     KinematicEstimation,
     check_scale,
     check_weak,
+    corrected_arm,
     length_angle,
     never_moves,
     spread_of,
@@ -250,14 +251,10 @@ class ArmEstimation(KinematicEstimation[State]):
         whole = np.zeros((problem.size, problem.size))
         whole[np.ix_(self.used, self.used)] = cov
         anchored = bool(self.used[arm.size + 3 * problem.points : -2].any())
-        return KinematicCorrection(
-            robot=arm.corrected(state.arm.frames),
-            robot_name=arm.robot.name,
-            robot_hash=arm.robot.hash,
-            harmonics=arm.orders,
-            amplitudes=state.arm.amplitudes,
-            coefficients=state.arm.coefficients,
-            cov=whole[: arm.size, : arm.size],
+        return corrected_arm(
+            arm,
+            state.arm,
+            whole[: arm.size, : arm.size],
             points=state.points,
             anchor=state.anchor if anchored else None,
             length_offset=float(state.length[0]),

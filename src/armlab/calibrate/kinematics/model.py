@@ -129,10 +129,7 @@ class Arm:
         return Motion(frame_poses(Chain(state.frames, self.robot.prismatic), state.frames, q))
 
     def jacobian(self, state: ArmState, P: np.ndarray, point: np.ndarray, local: bool = False) -> np.ndarray:
-        """Return (N, 6, d), how a point (N, 3) fixed to the tool moves and turns, in the axes of P (N, n+1, 4, 4).
-
-        `local` asks for steps of the frames, whatever the chart.
-        """
+        """Return (N, 6, d), how a point (N, 3) fixed to the tool moves in axes of P; `local`: by steps of frames."""
         J = twist_jacobian(P, point)
         turning = J[:, :, np.arange(self.n), np.where(self.robot.prismatic, 2, 5)]
         flat = J.reshape(len(P), 6, -1)
@@ -331,10 +328,7 @@ class KinematicProblem:
         return [*found, *(chosen(one, self.active) for one in self.priors(state))]
 
     def measurements(self, state: State, local: bool = False) -> list[Measurement]:
-        """Return residuals of the data with their derivatives by all components.
-
-        `local` asks for derivatives by steps of the frames, whatever the chart.
-        """
+        """Return residuals of the data with their derivatives by all components; `local`: by steps of the frames."""
         motion = self.arm.move(state.arm)
         J = self.arm.jacobian(state.arm, motion.P, motion.T[:, :3, 3], local)
         found: list[Measurement] = []

@@ -181,10 +181,7 @@ def _rotation(origin: Element) -> np.ndarray:
 
 
 def _limits(element: Element, kind: JointKind) -> tuple[float, float, float, float]:
-    """Return q_min, q_max, qd_max, tau_max. The format says that positions which are not written are 0.
-
-    A speed or effort of 0 stands for none known, as in the files of many makers and programs.
-    """
+    """Return q_min, q_max, qd_max, tau_max; missing positions are 0, a speed or effort of 0 stands for none."""
     infinite = math.inf
     limit = element.one("limit")
     if limit is None:
@@ -263,10 +260,7 @@ class Element:
 
 
 def parse_xml(data: str | bytes, file: str) -> Element:
-    """Return the root element of a text.
-
-    Document types (entities), xacro, and texts too large or nested too deep are refused.
-    """
+    """Return the root element of a text without document types, entities and xacro, of limited size and depth."""
     if len(data) > MOST_BYTES:
         raise RobotError(f"Expected XML of at most {MOST_BYTES >> 20} MiB in {file}, got {len(data)} bytes.")
     parser = expat.ParserCreate()

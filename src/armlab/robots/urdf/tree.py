@@ -49,13 +49,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Follow:
-    """A joint follows another: ``q = multiplier q_joint + offset``.
-
-    Attributes
-    ----------
-    joint : the one that it follows.
-    multiplier, offset : factor, and position where the other is at 0.
-    """
+    """A joint follows another: ``q = multiplier q_joint + offset``."""
 
     joint: str
     multiplier: float
