@@ -31,7 +31,6 @@ G = np.array([0.0, 0.0, -9.82])
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 HALF_TURN = se3.from_rp(so3.exp([0.0, 0.0, np.pi]), [0.3, 0.0, 0.2])
 
-EYE_0 = sim.cell(0).hand_eye()
 EYE, SEEN = CELL.hand_eye(), CELL.marker_points(N=40, missing=0.0)
 WEIGHED, MOVED = CELL.force(N=60, torque=0.005), CELL.accelerometer()
 TABLE, PAIR, SCANS = CELL.kinematics(), CELL.two_arms(), CELL.laser()
@@ -129,21 +128,15 @@ MIRRORED = [
     (lambda: eye(B=left_handed(EYE.B)), ShapeError, "T_cam_marker, got left-handed axes in rows 0, 1"),
     (lambda: eye(B=MIRROR @ EYE.B @ MIRROR), NotConverged, "of different hands: one axis of the camera"),
     (lambda: points(p=left_handed(SEEN.p)), NotConverged, "axes of the camera are left-handed"),
-    (lambda: points(p=left_handed(SEEN.p), marker=None), NotConverged, "axes of the camera are left-handed"),
-    (lambda: points(A=left_handed(SEEN.A)), ShapeError, "T_base_tool, got left-handed axes"),
     (lambda: force(y=WEIGHED.y * [1, -1, 1, -1, 1, -1]), NotConverged, "an axis is mirrored or the sign is reversed"),
-    (lambda: force(R=left_handed(WEIGHED.RA)), ShapeError, "T_base_tool, got left-handed axes"),
     (lambda: acc(y=left_handed(MOVED.y)), NotConverged, "an axis is mirrored or the sign is reversed"),
     (lambda: arm(pose=left_handed(TABLE.pose)), ShapeError, "rotations in pose, got left-handed axes in rows 0, 1"),
     (lambda: arm(pose=None, position=(MIRROR @ TABLE.pose)[:, :3, 3]), NotConverged, "an arm that fits"),
-    (lambda: dual(pose=left_handed(PAIR.pose)), ShapeError, "rotations in pose, got left-handed axes"),
-    (lambda: laser(A=left_handed(SCANS.A)), ShapeError, "T_base_tool, got left-handed axes"),
 ]
 UNEXCITED = [
     (lambda: eye(stay(EYE.A), stay(EYE.B)), NotExcited, "rotations nowhere"),
     (lambda: points(stay(SEEN.A), stay(SEEN.p)), NotExcited, "rotations nowhere"),
     (lambda: force(stay(WEIGHED.RA), stay(WEIGHED.y)), NotExcited, "gravity seen from the tool does not move"),
-    (lambda: acc(stay(MOVED.RA), stay(MOVED.y)), NotExcited, "gravity seen from the tool does not move"),
     (lambda: arm(Q_STILL, stay(TABLE.pose, 30)), NotExcited, "joint 1 did not move; joint 2 did not"),
     (lambda: arm(ONE_JOINT, TABLE.truth.forward(ONE_JOINT)), NotExcited, "joint 2 did not move; joint 4 did not"),
     (lambda: dual(stay(PAIR.q_a), PAIR.q_b[:20], PAIR.relative(stay(PAIR.q_a), PAIR.q_b[:20])), NotExcited,
@@ -167,7 +160,6 @@ UNEXCITED = [
 ]  # fmt: skip
 UNITS = [
     (lambda: eye(B=millimetres(EYE.B)), NotConverged, r"times 0\.001 would fit: perhaps millimetres"),
-    (lambda: eye(EYE_0.A, millimetres(EYE_0.B), noise=CAMERA), NotConverged, r"times 0\.001 would fit: perhaps milli"),
     (lambda: eye(A=millimetres(EYE.A)), NotConverged, r"times 1e\+03 would fit: perhaps millimetres"),
     (lambda: points(p=1e3 * SEEN.p), NotConverged, r"Points times 0\.001 would fit: perhaps millimetres"),
     (lambda: points(A=millimetres(SEEN.A)), NotConverged, r"Points times 1e\+03 would fit: perhaps millimetres"),
@@ -181,7 +173,6 @@ UNITS = [
     (lambda: arm(np.rad2deg(TABLE.q)), ShapeError, "seem to be degrees"),
     (lambda: arm(pose=None, position=1e3 * TABLE.pose[:, :3, 3]), ShapeError, "seem to be millimetres"),
     (lambda: arm(pose=None, position=1e-3 * TABLE.pose[:, :3, 3]), ShapeError, "description, .* in millimetres"),
-    (lambda: dual(pose=millimetres(PAIR.pose)), ShapeError, "seem to be millimetres"),
     (lambda: dual(np.rad2deg(PAIR.q_a)), ShapeError, "got up to .* in q_a. These seem to be degrees"),
     (lambda: laser(scans=SCANS.scans * [1e3, 1e3, 1, 1]), NotConverged, r"times 0\.00\d+ would fit: perhaps milli"),
     (lambda: laser(A=millimetres(SCANS.A)), NotConverged, "would fit: perhaps millimetres"),
@@ -195,13 +186,11 @@ PAIRING = [
     (lambda: eye(B=se3.inv(EYE.B), noise=CAMERA), "holds the inverse"),
     (lambda: eye(EYE.A[:5], mixed(EYE.B[:5])), "sample i of both is the same moment"),
     (lambda: eye(B=mixed(EYE.B)), "sample i of both is the same moment"),
-    (lambda: eye(B=mixed(EYE.B), noise=CAMERA), "sample i of both is the same moment"),
     (lambda: eye(B=mixed(EYE.B), noise=CAMERA, robust=True), "sample i of both is the same moment"),
     (lambda: points(SEEN.A[:-3], SEEN.p[3:], None), "shifted by 3 samples"),
     (lambda: points(p=SEEN.p[::-1], noise=5e-4), "reverse order"),
     (lambda: points(A=se3.inv(SEEN.A)), "the setup is the other one"),
     (lambda: points(p=mixed(SEEN.p), marker=None), "sample i of both is the same moment"),
-    (lambda: points(SEEN.A[1:], SEEN.p[:-1]), "shifted by 1 samples"),
     (lambda: points(SMOOTH[1:], see_points(SMOOTH)[:-1]), "shifted by 1 samples"),
     (lambda: points(marker=LEDS[[1, 2, 0]]), "Check the order of the points"),
     (lambda: force(WEIGHED.RA[1:], WEIGHED.y[:-1]), "Check that sample i of both records is the same moment"),
@@ -224,8 +213,6 @@ BROKEN = [
     (lambda: laser(A=gap(SCANS.A)), "T_base_tool, got NaN or Inf in 1 rows: 3"),
     (lambda: laser(scans=gap(SCANS.scans)), "scans, got NaN or Inf in 1 rows: 3"),
     (lambda: eye(A=bent(EYE.A)), "rotations in T_base_tool, got matrices off by up to .* in rows 5"),
-    (lambda: points(A=bent(SEEN.A)), "rotations in T_base_tool, got matrices off"),
-    (lambda: force(R=bent(WEIGHED.RA)), "rotations in T_base_tool, got matrices off"),
     (lambda: arm(pose=bent(TABLE.pose)), "rotations in pose, got matrices off by up to .* in rows 5"),
     (lambda: laser(start=np.diag([1.0, 1.0, -1.0, 1.0])), "rotations in start, got left-handed axes"),
 ]

@@ -199,18 +199,15 @@ class TestAncestor:
             np.testing.assert_allclose(Z[:, :3, 3], truth[:, :3, 3], rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("error", "words", "change"),
-    [
-        (ConfigError, "either pose or position", lambda pose: {"pose": None}),
-        (ConfigError, "no position for a closed", lambda p: {"pose": None, "position": p[:, :3, 3], "closed": True}),
-        (ConfigError, "noise and noise_absolute together", lambda pose: {"noise": NOISE, "absolute_a": pose}),
-        (ShapeError, "as many rows of q_a", lambda pose: {"q_b": np.zeros((59, 6))}),
-        (ShapeError, "finite q_b, got NaN or Inf in 60 rows: 0", lambda pose: {"q_b": np.full((60, 6), np.nan)}),
-        (NotExcited, "at least 3 samples", lambda pose: {"visible": np.arange(60) < 2}),
-        (NotExcited, r"at least 54 numbers .* got 48", lambda pose: {"visible": np.arange(60) < 8, "noise": NOISE}),
-    ],
-)
+@pytest.mark.parametrize(("error", "words", "change"), [
+    (ConfigError, "either pose or position", lambda pose: {"pose": None}),
+    (ConfigError, "no position for a closed", lambda p: {"pose": None, "position": p[:, :3, 3], "closed": True}),
+    (ConfigError, "noise and noise_absolute together", lambda pose: {"noise": NOISE, "absolute_a": pose}),
+    (ShapeError, "as many rows of q_a", lambda pose: {"q_b": np.zeros((59, 6))}),
+    (ShapeError, "finite q_b, got NaN or Inf in 60 rows: 0", lambda pose: {"q_b": np.full((60, 6), np.nan)}),
+    (NotExcited, "at least 3 samples", lambda pose: {"visible": np.arange(60) < 2}),
+    (NotExcited, r"at least 54 numbers .* got 48", lambda pose: {"visible": np.arange(60) < 8, "noise": NOISE}),
+])  # fmt: skip
 def test_sentences(case: DualRun, error: type[Exception], words: str, change: Callable) -> None:
     with pytest.raises(error, match=words):
         fit_dual_arm(**{**case.given, **change(case.pose)})

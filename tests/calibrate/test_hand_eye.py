@@ -233,15 +233,12 @@ def contract(runs: int, robot: tuple[float, float] | None = None, tilt: float | 
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("runs", "robot", "tilt"),
-    [
-        (10, None, None),
-        pytest.param(60, None, None, marks=pytest.mark.slow),  # 2 s each
-        pytest.param(60, ROBOT, None, marks=pytest.mark.slow),
-        pytest.param(60, None, np.radians(30.0), marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("runs", "robot", "tilt"), [
+    (10, None, None),
+    pytest.param(60, None, None, marks=pytest.mark.slow),  # 2 s each
+    pytest.param(60, ROBOT, None, marks=pytest.mark.slow),
+    pytest.param(60, None, np.radians(30.0), marks=pytest.mark.slow),
+])  # fmt: skip
 def test_the_statistical_contract(runs: int, robot: tuple[float, float] | None, tilt: float | None) -> None:
     found = contract(runs, robot, tilt)
     assert found.passed, found.text()
@@ -367,18 +364,6 @@ def test_a_missing_point_costs_three_residuals_and_nothing_else() -> None:
     assert np.abs((fit.parameters - whole.parameters) / whole.sd).max() < 1.5
 
 
-@pytest.mark.parametrize("known", [True, False], ids=["noise given", "noise estimated"])
-def test_from_points_outliers_are_flagged_by_index(known) -> None:
-    data = sensors.seen_points(6)
-    p = data.p.copy()
-    which = [0, 10, 20, 55]
-    p[which, 1] += 0.02
-    fit = fit_hand_eye_points(data.A, p, marker=sensors.MARKER, noise=SIGMA if known else None, robust=True)
-    assert fit.outliers[which].all()
-    assert fit.outliers.sum() <= 6
-    assert fit.sigma[0] == pytest.approx(SIGMA, rel=0.15)
-
-
 def experiment_of_points(known: bool, missing: bool):
     def experiment(seed: int, n: int) -> Experiment:
         data = sensors.seen_points([1500, seed], n)
@@ -457,15 +442,12 @@ def refusals(known: bool) -> dict[str, dict[str, Any]]:
     }
 
 
-@pytest.mark.parametrize(
-    ("runs", "known", "missing"),
-    [
-        (5, True, False),
-        pytest.param(120, True, False, marks=pytest.mark.slow),  # 3 s each
-        pytest.param(120, True, True, marks=pytest.mark.slow),
-        pytest.param(120, False, False, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("runs", "known", "missing"), [
+    (5, True, False),
+    pytest.param(120, True, False, marks=pytest.mark.slow),  # 3 s each
+    pytest.param(120, True, True, marks=pytest.mark.slow),
+    pytest.param(120, False, False, marks=pytest.mark.slow),
+])  # fmt: skip
 def test_from_points_the_statistical_contract(runs: int, known: bool, missing: bool) -> None:
     found = contract_points(runs, known, missing)
     assert found.passed, found.text()

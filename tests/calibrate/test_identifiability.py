@@ -324,20 +324,16 @@ def test_the_statistical_contract() -> None:
 
 
 @pytest.mark.slow  # 10 s
-@pytest.mark.parametrize(
-    ("make", "bound_mm", "bound_deg", "runs"),
-    [
-        (lambda i: (cell(2000).kinematics(i, tool=False), {"kind": "pose"}), 0.0648, 0.00494, 120),
-        (lambda i: (cell(2000).kinematics(i, truth="dh", tool=False), {"kind": "pose"}), 0.0648, 0.00494, 60),
-        (lambda i: (cell(2000).kinematics(i), {"kind": "position"}), 0.0810, None, 120),
-        (lambda i: (cell(2200).kinematics(i, 100, harmonics=True), {"kind": "pose", "harmonics": (1, 2)}),
-         0.0557, 0.00541, 40),
-        (lambda i: (cell(2200).kinematics(i, 100, harmonics=True), {"kind": "position", "harmonics": (1, 2)}),
-         0.0793, None, 40),
-        (lambda i: (cell(2000).kinematics(i, wrong=5), {"kind": "pose", "robust": True}), 0.0683, None, 20),
-    ],
-    ids=["K1", "K1 dh", "K2", "K4", "K4 position", "K7"],
-)  # fmt: skip
+@pytest.mark.parametrize(("make", "bound_mm", "bound_deg", "runs"), [
+    (lambda i: (cell(2000).kinematics(i, tool=False), {"kind": "pose"}), 0.0648, 0.00494, 120),
+    (lambda i: (cell(2000).kinematics(i, truth="dh", tool=False), {"kind": "pose"}), 0.0648, 0.00494, 60),
+    (lambda i: (cell(2000).kinematics(i), {"kind": "position"}), 0.0810, None, 120),
+    (lambda i: (cell(2200).kinematics(i, 100, harmonics=True), {"kind": "pose", "harmonics": (1, 2)}),
+     0.0557, 0.00541, 40),
+    (lambda i: (cell(2200).kinematics(i, 100, harmonics=True), {"kind": "position", "harmonics": (1, 2)}),
+     0.0793, None, 40),
+    (lambda i: (cell(2000).kinematics(i, wrong=5), {"kind": "pose", "robust": True}), 0.0683, None, 20),
+], ids=["K1", "K1 dh", "K2", "K4", "K4 position", "K7"])  # fmt: skip
 def test_the_bound(make: Callable, bound_mm: float, bound_deg: float | None, runs: int) -> None:
     """Errors over validation poses, beside the Cramer-Rao bound, within three standard errors of their ratio."""
     mm, degrees = [], []
@@ -381,15 +377,12 @@ TABLES = {
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="needs ../shared: laser tracker data of a UR5 and of a WAM")
-@pytest.mark.parametrize(
-    ("name", "harmonics", "bar", "rank"),
-    [
-        ("UR5", (), 0.105, 27),
-        pytest.param("UR5", (1, 2), 0.090, 51, marks=pytest.mark.slow),  # 1 s
-        ("WAM", (), 3.1, 31),
-        pytest.param("WAM", (1, 2), 3.03, 59, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("name", "harmonics", "bar", "rank"), [
+    ("UR5", (), 0.105, 27),
+    pytest.param("UR5", (1, 2), 0.090, 51, marks=pytest.mark.slow),  # 1 s
+    ("WAM", (), 3.1, 31),
+    pytest.param("WAM", (1, 2), 3.03, 59, marks=pytest.mark.slow),
+])  # fmt: skip
 def test_a_real_arm(name: str, harmonics: tuple[int, ...], bar: float, rank: int) -> None:
     """Fit the grid, look at twenty other points: mean distance [mm]."""
     alpha, a, d = (np.array(column, dtype=float) for column in TABLES[name])

@@ -126,20 +126,17 @@ def trusting(x: np.ndarray, y: np.ndarray, noise: float, robust: bool = False) -
     return fit_curve(x, y, noise)
 
 
-@pytest.mark.parametrize(
-    ("fit", "runs", "failed", "words"),
-    [
-        (changed(cov=lambda good: 2.0 * good.cov), 100, {"honest"}, "NEES"),
-        (changed(cov=lambda good: 0.5 * good.cov), 100, {"honest"}, "NEES"),
-        (changed(parameters=lambda good: good.parameters + 0.05), 100, {"consistent", "gauge-free"}, ""),
-        (changed(parameters=lambda good: good.parameters + 1e-6 * good.residuals[0, 0] * good.sd), FEW,
-         {"order-free"}, ""),
-        (changed(parameters=lambda good: good.parameters + 1e-5 * good.sd[0]), FEW, {"gauge-free"}, ""),
-        (changed(value=lambda good: tuple(good.parameters)), FEW, {"saves"}, "raised ConfigError"),
-        (changed(summary=lambda good: lambda fit: "slope bend offset: all fine"), FEW, {"explains"}, ""),
-        (trusting, 100, {"robust"}, "300 outliers missed"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("fit", "runs", "failed", "words"), [
+    (changed(cov=lambda good: 2.0 * good.cov), 100, {"honest"}, "NEES"),
+    (changed(cov=lambda good: 0.5 * good.cov), 100, {"honest"}, "NEES"),
+    (changed(parameters=lambda good: good.parameters + 0.05), 100, {"consistent", "gauge-free"}, ""),
+    (changed(parameters=lambda good: good.parameters + 1e-6 * good.residuals[0, 0] * good.sd), FEW,
+     {"order-free"}, ""),
+    (changed(parameters=lambda good: good.parameters + 1e-5 * good.sd[0]), FEW, {"gauge-free"}, ""),
+    (changed(value=lambda good: tuple(good.parameters)), FEW, {"saves"}, "raised ConfigError"),
+    (changed(summary=lambda good: lambda fit: "slope bend offset: all fine"), FEW, {"explains"}, ""),
+    (trusting, 100, {"robust"}, "300 outliers missed"),
+])  # fmt: skip
 def test_a_fault_fails_its_property(fit: Callable[..., Fit[Any]], runs: int, failed: set[str], words: str) -> None:
     found = check(fit, runs)
     assert failed <= set(found.failed), found.text()

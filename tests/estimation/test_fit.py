@@ -166,16 +166,6 @@ def test_unseen_directions_are_missing_unless_they_are_gauge() -> None:
     assert missing.null_space.shape == (3, 1)
 
 
-def test_directions_are_put_into_the_words_of_the_caller() -> None:
-    def words(step: np.ndarray) -> str:
-        return f"along tool axis {'xyz'[int(np.argmax(np.abs(step)))]}, {np.linalg.norm(step):.3g} m"
-
-    with pytest.raises(NotExcited, match=r"along tool axis z, 1 m"):
-        check_spread(np.diag([1e3, 1e3, 1.0]), NAMES, UNITS, LIMITS, "model", describe=words)
-    with pytest.raises(NotExcited, match=rf"along tool axis z, {LIMITS[2]:.3g} m"):
-        check_spread(np.diag([1e3, 1e3, 0.0]), NAMES, UNITS, LIMITS, "model", describe=words)
-
-
 def test_an_estimate_without_a_design_matrix_tells_the_same_by_its_covariance() -> None:
     A, names = np.random.default_rng(0).standard_normal((40, 3)) * [1.0, 1e3, 1e-3], ("a", "b", "c")
     found = Excitation.of_covariance(np.linalg.inv(A.T @ A), names)

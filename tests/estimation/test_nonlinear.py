@@ -43,21 +43,11 @@ KOWALIK = (
 )
 
 
-@pytest.mark.parametrize(
-    ("data", "model", "start", "certified", "sd", "noise"),
-    [
-        (MISRA, misra, [500, 1e-4], [2.3894212918e2, 5.5015643181e-4], [2.7070075241, 7.2668688436e-6], 0.1018787633),
-        (
-            KOWALIK,
-            kowalik,
-            [0.25, 0.39, 0.415, 0.39],
-            [1.9280693458e-1, 1.9128232873e-1, 1.2305650693e-1, 1.3606233068e-1],
-            [1.1435312227e-2, 1.9633220911e-1, 8.0842031232e-2, 9.0025542308e-2],
-            6.6279236551e-3,
-        ),
-    ],
-    ids=["Misra1a, far", "MGH09"],
-)
+@pytest.mark.parametrize(("data", "model", "start", "certified", "sd", "noise"), [
+    (MISRA, misra, [500, 1e-4], [2.3894212918e2, 5.5015643181e-4], [2.7070075241, 7.2668688436e-6], 0.1018787633),
+    (KOWALIK, kowalik, [0.25, 0.39, 0.415, 0.39], [1.9280693458e-1, 1.9128232873e-1, 1.2305650693e-1, 1.3606233068e-1],
+     [1.1435312227e-2, 1.9633220911e-1, 8.0842031232e-2, 9.0025542308e-2], 6.6279236551e-3),
+], ids=["Misra1a, far", "MGH09"])  # fmt: skip
 def test_certified_values_of_nist(data, model, start, certified, sd, noise) -> None:
     """NIST Statistical Reference Datasets, nonlinear regression: parameters, deviations, residual deviation."""
     x, y = (np.array(part, dtype=float) for part in data)
@@ -359,23 +349,20 @@ def test_weighted_rows_of_their_own_covariance() -> None:
     assert np.sqrt(np.mean(errors) / np.mean(plain)) < 0.7
 
 
-@pytest.mark.parametrize(
-    ("change", "error", "sentence"),
-    [
-        ({"A": np.ones((5, 3, 1))}, ShapeError, r"A \(N, p\)"),
-        ({"y": np.ones(5)}, ShapeError, r"y \(N,\)"),
-        ({"y": np.where(np.arange(100) == 7, np.nan, 1.0)}, ShapeError, "rows 7"),
-        ({"A": np.ones((3, 3)), "y": np.ones(3)}, NotExcited, "more than 3 rows"),
-        ({"A": np.ones((9, 2)), "y": np.arange(9.0)}, NotExcited, "x0 and x1|x1 and x0"),
-        ({"exact": [5]}, ShapeError, "exact columns"),
-        ({"names": ["a"]}, ShapeError, "3 names"),
-        ({"robust": True}, ShapeError, "cov="),
-        ({"cov": np.eye(3)}, ShapeError, "cov"),
-        ({"cov": -np.eye(4)}, ShapeError, "not negative"),
-        ({"cov": np.diag([1.0, 1, 1, 0])}, ShapeError, "variance of y"),
-        ({"cov": np.eye(4), "exact": [2]}, ShapeError, "got both"),
-    ],
-)
+@pytest.mark.parametrize(("change", "error", "sentence"), [
+    ({"A": np.ones((5, 3, 1))}, ShapeError, r"A \(N, p\)"),
+    ({"y": np.ones(5)}, ShapeError, r"y \(N,\)"),
+    ({"y": np.where(np.arange(100) == 7, np.nan, 1.0)}, ShapeError, "rows 7"),
+    ({"A": np.ones((3, 3)), "y": np.ones(3)}, NotExcited, "more than 3 rows"),
+    ({"A": np.ones((9, 2)), "y": np.arange(9.0)}, NotExcited, "x0 and x1|x1 and x0"),
+    ({"exact": [5]}, ShapeError, "exact columns"),
+    ({"names": ["a"]}, ShapeError, "3 names"),
+    ({"robust": True}, ShapeError, "cov="),
+    ({"cov": np.eye(3)}, ShapeError, "cov"),
+    ({"cov": -np.eye(4)}, ShapeError, "not negative"),
+    ({"cov": np.diag([1.0, 1, 1, 0])}, ShapeError, "variance of y"),
+    ({"cov": np.eye(4), "exact": [2]}, ShapeError, "got both"),
+])  # fmt: skip
 def test_bad_input_is_refused(change: dict, error: type[Exception], sentence: str) -> None:
     A, y = rows(0)
     with pytest.raises(error, match=sentence):

@@ -72,15 +72,12 @@ def test_circle_and_sphere() -> None:
     np.testing.assert_allclose(circle.plane.cov, np.eye(3) * 1e-8, atol=1e-20)
 
 
-@pytest.mark.parametrize(
-    "value",
-    [
-        Plane(np.eye(3)[2], 0.0, np.zeros(3), np.eye(3)[:2], COV),
-        Line.of([1.0, 2.0, 3.0], [0.1, 0.2, 0.3]),
-        Circle(np.ones(3), np.eye(3)[2], 0.5, np.eye(3)[:2]),
-        Sphere(np.ones(3), 0.5, np.eye(4) * 1e-8),
-    ],
-)
+@pytest.mark.parametrize("value", [
+    Plane(np.eye(3)[2], 0.0, np.zeros(3), np.eye(3)[:2], COV),
+    Line.of([1.0, 2.0, 3.0], [0.1, 0.2, 0.3]),
+    Circle(np.ones(3), np.eye(3)[2], 0.5, np.eye(3)[:2]),
+    Sphere(np.ones(3), 0.5, np.eye(4) * 1e-8),
+])  # fmt: skip
 def test_files_are_exact(value, tmp_path) -> None:
     again = models.load(models.save(value, tmp_path / "feature.toml"))
     assert type(again) is type(value)
@@ -135,42 +132,39 @@ def test_the_origin_of_a_sphere_or_circle() -> None:
     np.testing.assert_array_equal(build(z=hole, x=[1.0, 0, 1.0], origin=hole).T[:3, 3], [1, 2, 3])
 
 
-@pytest.mark.parametrize(
-    ("call", "error", "sentence"),
-    [
-        (lambda: build(z=LINE, origin=[0, 0, 0]), ShapeError, "exactly two"),
-        (lambda: build(x=LINE, y=PLANE, z=LINE, origin=[0, 0, 0]), ShapeError, "exactly two"),
-        (lambda: build(z=LINE, w=PLANE, origin=[0, 0, 0]), FrameError, "'w'"),
-        (lambda: build(z=LINE, xy=PLANE, origin=[0, 0, 0]), FrameError, "'xy'"),
-        (lambda: build(z=LINE, y=[0.1, 0.2, 1.0], origin=[0, 0, 0]), ShapeError, "not parallel"),
-        (lambda: build(z=LINE, y=-LINE, origin=[0, 0, 0]), ShapeError, "not parallel"),
-        (lambda: build(z=LINE, y=PLANE, origin=[0, 0]), ShapeError, "origin"),
-        (lambda: build(z=LINE, y=[0, 0, 0], origin=[0, 0, 0]), ShapeError, "length zero"),
-        (lambda: build(z=fit_line(np.outer(np.arange(5.0), [1, 2, 3])), y=PLANE, origin=[0, 0, 0]), ShapeError, "Fit"),
-        (lambda: build(z=LINE, y=PLANE, origin=Sphere(np.ones(3), 1.0), origin_cov=np.eye(3)), ShapeError, "beside"),
-        (lambda: project(RAY, RAY), ShapeError, "Project its points"),
-        (lambda: project(np.zeros((2, 4)), FLOOR), ShapeError, "points"),
-        (lambda: project([np.nan, 0, 0], FLOOR), ShapeError, "missing"),
-        (lambda: project([0, 0, 0], "plane"), ShapeError, "Take the value of a fit"),
-        (lambda: project(Line.of(FLOOR.n, [0, 0, 0]), FLOOR), ShapeError, "along its normal"),
-        (lambda: intersect(RAY, RAY), ShapeError, "distance"),
-        (lambda: intersect(FLOOR, Line.of(FLOOR.axes[0], [0, 0, 0])), ShapeError, "parallel to it"),
-        (lambda: intersect(FLOOR, -FLOOR), ShapeError, "parallel ones"),
-        (lambda: distance(RAY, FLOOR), ShapeError, "two lines"),
-        (lambda: Plane.of([0, 0, 0], [1, 1, 1]), ShapeError, "length zero"),
-        (lambda: Plane.of([0, 0, np.nan], [1, 1, 1]), ShapeError, "finite vector"),
-        (lambda: Plane.of("up", [1, 1, 1]), ShapeError, "real numbers"),
-        (lambda: Plane(np.eye(3)[2], 1.0, np.zeros(3), np.eye(3)[:2]), ShapeError, "centroid in the plane"),
-        (lambda: Plane(np.eye(3)[2], 0.0, np.zeros(3), np.eye(3)[1:]), ShapeError, "unit vectors"),
-        (lambda: Plane(np.eye(3)[2], 0.0, np.zeros(3), np.eye(3)[:2], -COV), ShapeError, "not negative"),
-        (lambda: Line(np.eye(3)[2], np.array([1.0, 0, 1]), np.zeros(3), np.eye(3)[:2]), ShapeError, "foot of a line"),
-        (lambda: Line.of([1, 0], [1, 1, 1]), ShapeError, r"vector \(3,\)"),
-        (lambda: Plane.of([0, 0, 1], [1, 1, 1]).moved(np.diag([1.0, 1, -1, 1])), ShapeError, "pose"),
-        (lambda: Plane.of([0, 0, 1], [1, 1, 1]).distance(np.zeros((3, 5))), ShapeError, "Transpose"),
-        (lambda: Sphere(np.zeros(3), -1.0), ShapeError, "radius of a sphere"),
-        (lambda: Circle(np.zeros(3), np.eye(3)[2], 0.0, np.eye(3)[:2]), ShapeError, "radius of a circle"),
-    ],
-)
+@pytest.mark.parametrize(("call", "error", "sentence"), [
+    (lambda: build(z=LINE, origin=[0, 0, 0]), ShapeError, "exactly two"),
+    (lambda: build(x=LINE, y=PLANE, z=LINE, origin=[0, 0, 0]), ShapeError, "exactly two"),
+    (lambda: build(z=LINE, w=PLANE, origin=[0, 0, 0]), FrameError, "'w'"),
+    (lambda: build(z=LINE, xy=PLANE, origin=[0, 0, 0]), FrameError, "'xy'"),
+    (lambda: build(z=LINE, y=[0.1, 0.2, 1.0], origin=[0, 0, 0]), ShapeError, "not parallel"),
+    (lambda: build(z=LINE, y=-LINE, origin=[0, 0, 0]), ShapeError, "not parallel"),
+    (lambda: build(z=LINE, y=PLANE, origin=[0, 0]), ShapeError, "origin"),
+    (lambda: build(z=LINE, y=[0, 0, 0], origin=[0, 0, 0]), ShapeError, "length zero"),
+    (lambda: build(z=fit_line(np.outer(np.arange(5.0), [1, 2, 3])), y=PLANE, origin=[0, 0, 0]), ShapeError, "Fit"),
+    (lambda: build(z=LINE, y=PLANE, origin=Sphere(np.ones(3), 1.0), origin_cov=np.eye(3)), ShapeError, "beside"),
+    (lambda: project(RAY, RAY), ShapeError, "Project its points"),
+    (lambda: project(np.zeros((2, 4)), FLOOR), ShapeError, "points"),
+    (lambda: project([np.nan, 0, 0], FLOOR), ShapeError, "missing"),
+    (lambda: project([0, 0, 0], "plane"), ShapeError, "Take the value of a fit"),
+    (lambda: project(Line.of(FLOOR.n, [0, 0, 0]), FLOOR), ShapeError, "along its normal"),
+    (lambda: intersect(RAY, RAY), ShapeError, "distance"),
+    (lambda: intersect(FLOOR, Line.of(FLOOR.axes[0], [0, 0, 0])), ShapeError, "parallel to it"),
+    (lambda: intersect(FLOOR, -FLOOR), ShapeError, "parallel ones"),
+    (lambda: distance(RAY, FLOOR), ShapeError, "two lines"),
+    (lambda: Plane.of([0, 0, 0], [1, 1, 1]), ShapeError, "length zero"),
+    (lambda: Plane.of([0, 0, np.nan], [1, 1, 1]), ShapeError, "finite vector"),
+    (lambda: Plane.of("up", [1, 1, 1]), ShapeError, "real numbers"),
+    (lambda: Plane(np.eye(3)[2], 1.0, np.zeros(3), np.eye(3)[:2]), ShapeError, "centroid in the plane"),
+    (lambda: Plane(np.eye(3)[2], 0.0, np.zeros(3), np.eye(3)[1:]), ShapeError, "unit vectors"),
+    (lambda: Plane(np.eye(3)[2], 0.0, np.zeros(3), np.eye(3)[:2], -COV), ShapeError, "not negative"),
+    (lambda: Line(np.eye(3)[2], np.array([1.0, 0, 1]), np.zeros(3), np.eye(3)[:2]), ShapeError, "foot of a line"),
+    (lambda: Line.of([1, 0], [1, 1, 1]), ShapeError, r"vector \(3,\)"),
+    (lambda: Plane.of([0, 0, 1], [1, 1, 1]).moved(np.diag([1.0, 1, -1, 1])), ShapeError, "pose"),
+    (lambda: Plane.of([0, 0, 1], [1, 1, 1]).distance(np.zeros((3, 5))), ShapeError, "Transpose"),
+    (lambda: Sphere(np.zeros(3), -1.0), ShapeError, "radius of a sphere"),
+    (lambda: Circle(np.zeros(3), np.eye(3)[2], 0.0, np.eye(3)[:2]), ShapeError, "radius of a circle"),
+])  # fmt: skip
 def test_bad_input_is_refused(call: Callable, error: type[ArmlabError], sentence: str) -> None:
     with pytest.raises(error, match=sentence):
         call()

@@ -79,18 +79,15 @@ def test_unknown_and_unjoined_frames_are_named() -> None:
         graph.solve()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "error", "sentence"),
-    [
-        (("base", "base", np.eye(4)), FrameError, "twice"),
-        (("base", "my_cam", np.eye(4)), FrameError, "underscore"),
-        (("base", 3, np.eye(4)), FrameError, "letters"),
-        (("base", "cam", np.eye(3)), ShapeError, "T_base_cam"),
-        (("base", "cam", np.diag([1.0, 1, -1, 1])), ShapeError, "T_base_cam"),
-        (("base", "cam", np.eye(4), np.eye(3)), ShapeError, "covariance of T_base_cam"),
-        (("base", "cam", np.eye(4), -np.eye(6)), ShapeError, "not negative"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "error", "sentence"), [
+    (("base", "base", np.eye(4)), FrameError, "twice"),
+    (("base", "my_cam", np.eye(4)), FrameError, "underscore"),
+    (("base", 3, np.eye(4)), FrameError, "letters"),
+    (("base", "cam", np.eye(3)), ShapeError, "T_base_cam"),
+    (("base", "cam", np.diag([1.0, 1, -1, 1])), ShapeError, "T_base_cam"),
+    (("base", "cam", np.eye(4), np.eye(3)), ShapeError, "covariance of T_base_cam"),
+    (("base", "cam", np.eye(4), -np.eye(6)), ShapeError, "not negative"),
+])  # fmt: skip
 def test_bad_input_is_refused(arguments: tuple, error: type[Exception], sentence: str) -> None:
     with pytest.raises(error, match=sentence):
         Graph().add(*arguments)

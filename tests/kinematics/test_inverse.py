@@ -226,25 +226,22 @@ NEAREST = np.sqrt(1.25 + np.cos(1)) - np.sqrt(1.25 + np.cos(2))
 BENT = planar(1.0, 0.5, q_min=(-np.pi, 0.5), q_max=(np.pi, 1.0))
 
 
-@pytest.mark.parametrize(
-    ("robot", "T", "q0", "options", "reason", "least"),
-    [
-        # further than the links are long, in front of the shortest reach, beside the plane: distances are known
-        (REACH, at(3.0, 0.0), (0.1, 0.2), {}, "out of reach", 1.5),
-        (REACH, at(0.2, 0.0), (0.1, 0.2), {}, "out of reach", 0.3),
-        (REACH, at(0.6, 0.6, 0.1), (0.1, 0.2), {}, "out of reach", 0.1),
-        (REACH, at(0.6, 0.6, 0.1), (0.1, 0.2), {"starts": 1}, "out of reach", 0.1),
-        (REACH, at(1.5 + 1e-6, 0.0), (0.1, 0.2), {}, "out of reach", 1e-6),
-        # the elbow would have to bend by 2 rad; at its limit the distance is that of the two circles
-        (BENT, forward(REACH, (0.3, 2.0)), (0.3, 0.7), {}, "limits", NEAREST),
-        (BENT, forward(REACH, (0.3, 2.0)), (0.3, 0.7), {"starts": 1}, "limits", 0.0),
-        # the goal lies on the stretched arm: no joint moves towards it, another start gets there
-        (REACH, at(1.2, 0.0), (0.0, 0.0), {"starts": 1}, "singular", 0.3),
-        (REACH, at(1.2, 0.0), (0.0, 0.0), {}, "solved", 0.0),
-        (REACH, forward(REACH, (0.3, 1.0)), (-2.0, 0.5), {"maxiter": 2, "starts": 1}, "iterations", 0.0),
-        (REACH, at(1.5, 0.0), (0.3, 0.5), {"starts": 1}, "solved", 0.0),  # the last point that it reaches
-    ],
-)
+@pytest.mark.parametrize(("robot", "T", "q0", "options", "reason", "least"), [
+    # further than the links are long, in front of the shortest reach, beside the plane: distances are known
+    (REACH, at(3.0, 0.0), (0.1, 0.2), {}, "out of reach", 1.5),
+    (REACH, at(0.2, 0.0), (0.1, 0.2), {}, "out of reach", 0.3),
+    (REACH, at(0.6, 0.6, 0.1), (0.1, 0.2), {}, "out of reach", 0.1),
+    (REACH, at(0.6, 0.6, 0.1), (0.1, 0.2), {"starts": 1}, "out of reach", 0.1),
+    (REACH, at(1.5 + 1e-6, 0.0), (0.1, 0.2), {}, "out of reach", 1e-6),
+    # the elbow would have to bend by 2 rad; at its limit the distance is that of the two circles
+    (BENT, forward(REACH, (0.3, 2.0)), (0.3, 0.7), {}, "limits", NEAREST),
+    (BENT, forward(REACH, (0.3, 2.0)), (0.3, 0.7), {"starts": 1}, "limits", 0.0),
+    # the goal lies on the stretched arm: no joint moves towards it, another start gets there
+    (REACH, at(1.2, 0.0), (0.0, 0.0), {"starts": 1}, "singular", 0.3),
+    (REACH, at(1.2, 0.0), (0.0, 0.0), {}, "solved", 0.0),
+    (REACH, forward(REACH, (0.3, 1.0)), (-2.0, 0.5), {"maxiter": 2, "starts": 1}, "iterations", 0.0),
+    (REACH, at(1.5, 0.0), (0.3, 0.5), {"starts": 1}, "solved", 0.0),  # the last point that it reaches
+])  # fmt: skip
 def test_why_not(robot: Robot, T: np.ndarray, q0: tuple, options: dict, reason: str, least: float) -> None:
     """Where there is no solution the nearest posture comes back, with the true reason."""
     result = inverse(robot, T, q0, task="position", **options)

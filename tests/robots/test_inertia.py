@@ -58,18 +58,15 @@ def test_principal_moments_do_not_depend_on_the_frame() -> None:
     np.testing.assert_allclose(principal_moments(transform(T_a_b, pi)), [1, 2, 3], rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda: from_body(1.0, [0, 0], np.eye(3)), r"Expected a centre of shape \(\.\.\., 3\)"),
-        (lambda: from_body("heavy", np.zeros(3), np.eye(3)), "Expected mass to be real numbers, got 'heavy'"),
-        (lambda: to_body(np.zeros(9)), r"Expected finite inertial parameters of shape \(\.\.\., 10\)"),
-        (lambda: principal_moments(np.full(10, np.nan)), "Expected finite inertial parameters"),
-        (lambda: transform(2 * np.eye(4), np.zeros(10)), "Expected poses T_a_b"),
-        (lambda: from_body([1, 2], np.zeros((3, 3)), np.eye(3)), r"that broadcast, got mass \(2,\), centre \(3,\)"),
-        (lambda: transform(np.tile(np.eye(4), (2, 1, 1)), np.ones((3, 10))), r"got T_a_b \(2,\), pi \(3,\)"),
-    ],
-)
+@pytest.mark.parametrize(("call", "words"), [
+    (lambda: from_body(1.0, [0, 0], np.eye(3)), r"Expected a centre of shape \(\.\.\., 3\)"),
+    (lambda: from_body("heavy", np.zeros(3), np.eye(3)), "Expected mass to be real numbers, got 'heavy'"),
+    (lambda: to_body(np.zeros(9)), r"Expected finite inertial parameters of shape \(\.\.\., 10\)"),
+    (lambda: principal_moments(np.full(10, np.nan)), "Expected finite inertial parameters"),
+    (lambda: transform(2 * np.eye(4), np.zeros(10)), "Expected poses T_a_b"),
+    (lambda: from_body([1, 2], np.zeros((3, 3)), np.eye(3)), r"that broadcast, got mass \(2,\), centre \(3,\)"),
+    (lambda: transform(np.tile(np.eye(4), (2, 1, 1)), np.ones((3, 10))), r"got T_a_b \(2,\), pi \(3,\)"),
+])  # fmt: skip
 def test_bad_input_is_refused(call, words: str) -> None:
     with pytest.raises(ShapeError, match=words):
         call()

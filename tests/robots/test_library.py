@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio
 import pytest
 
 from armlab import kinematics, robots
@@ -157,3 +158,103 @@ def test_centres_of_the_ur5e_in_the_frames_of_its_vendor() -> None:
     centre = inertia.to_body(robot.inertias).centre
     for i in range(6):
         np.testing.assert_allclose(se3.inv(robot.links[i + 1])[:3] @ [*centre[i], 1], centres[i], rtol=0, atol=1e-9)
+
+
+H = np.pi / 2
+X, Y, Z, DOWN_Y = (1, 0, 0), (0, 1, 0), (0, 0, 1), (0, -1, 0)
+LEVEL = (0, 0, 0)
+Row = tuple[tuple[float, ...], tuple[float, ...], tuple[int, ...]]  # xyz, rpy, axis
+
+
+def abb(*origins: tuple[float, float, float]) -> list[Row]:
+    """Axes of ROS-Industrial's ABB arms; the flange comes last and looks along x."""
+    axes = (Z, Y, Y, X, Y, X, None)
+    return [(xyz, (0, H, 0) if axis is None else LEVEL, axis or Z) for xyz, axis in zip(origins, axes, strict=True)]
+
+
+def yumi(side: int, rpy: tuple[float, float, float]) -> list[Row]:
+    return [
+        ((0.05355, 0.0725 * side, 0.41492), rpy, Z),
+        ((0.03, 0, 0.1), (H, 0, 0), Z),
+        ((-0.03, 0.17283, 0), (-H, 0, 0), Z),
+        ((-0.04188, 0, 0.07873), (H, -H, 0), Z),
+        ((0.0405, 0.16461, 0), (-H, 0, 0), Z),
+        ((-0.027, 0, 0.10039), (H, 0, 0), Z),
+        ((0.027, 0.029, 0), (-H, 0, 0), Z),
+        (LEVEL, LEVEL, Z),
+    ]
+
+
+FRANKA: list[Row] = [
+    ((0, 0, 0.333), LEVEL, Z),
+    (LEVEL, (-H, 0, 0), Z),
+    ((0, -0.316, 0), (H, 0, 0), Z),
+    ((0.0825, 0, 0), (H, 0, 0), Z),
+    ((-0.0825, 0.384, 0), (-H, 0, 0), Z),
+    (LEVEL, (H, 0, 0), Z),
+    ((0.088, 0, 0), (H, 0, 0), Z),
+    ((0, 0, 0.107), LEVEL, Z),
+]
+TABLES_URDF: dict[str, list[Row]] = {  # one row per joint and one for the flange
+    "irb120": abb(LEVEL, (0, 0, 0.29), (0, 0, 0.27), (0, 0, 0.07), (0.302, 0, 0), (0.072, 0, 0), LEVEL),
+    "irb1200": abb((0, 0, 0.3991), LEVEL, (0, 0, 0.448), (0, 0, 0.042), (0.451, 0, 0), (0.082, 0, 0), LEVEL),
+    "irb1200_7_70": abb((0, 0, 0.3991), LEVEL, (0, 0, 0.350), (0, 0, 0.042), (0.351, 0, 0), (0.082, 0, 0), LEVEL),
+    "irb2400": abb(LEVEL, (0.1, 0, 0.615), (0, 0, 0.705), (0, 0, 0.135), (0.755, 0, 0), LEVEL, (0.085, 0, 0)),
+    "irb7600": abb(LEVEL, (0.41, 0, 0.78), (0, 0, 1.075), (0, 0, 0.165), (1.056, 0, 0), (0.25, 0, 0), LEVEL),
+    "irb7600_150_350": abb(LEVEL, (0.41, 0, 0.78), (0, 0, 1.075), (0, 0, 0.165), (2.012, 0, 0), (0.25, 0, 0), LEVEL),
+    "yumi_left_urdf": yumi(1, (0.9781, -0.5716, 2.3180)),
+    "yumi_right_urdf": yumi(-1, (-0.9795, -0.5682, -2.3155)),
+    "ur5e": [  # as printed: nine digits of a right angle
+        ((0, 0, 0.1625), LEVEL, Z),
+        (LEVEL, (1.570796327, 0, 0), Z),
+        ((-0.425, 0, 0), LEVEL, Z),
+        ((-0.3922, 0, 0.1333), LEVEL, Z),
+        ((0, -0.0997, -2.044881182297852e-11), (1.570796327, 0, 0), Z),
+        ((0, 0.09959999999999999, -2.042830148012698e-11), (1.570796326589793, np.pi, np.pi), Z),
+        (LEVEL, LEVEL, Z),
+    ],
+    "panda": FRANKA,
+    "fr3": FRANKA,
+    "iiwa14": [
+        ((0, 0, 0.1475), LEVEL, Z),
+        ((0, -0.01, 0.2125), LEVEL, Y),
+        ((0, 0.01, 0.228), LEVEL, Z),
+        ((0, 0.0105, 0.192), LEVEL, DOWN_Y),
+        ((0, -0.0105, 0.2075), LEVEL, Z),
+        ((0, -0.0707, 0.1925), LEVEL, Y),
+        ((0, 0.0707, 0.091), LEVEL, Z),
+        ((0, 0, 0.035), LEVEL, Z),
+    ],
+}
+
+
+def flanges(rows: list[Row], q: np.ndarray) -> np.ndarray:
+    """Pinocchio's flange poses (N, 4, 4) of revolute joints and a fixed flange."""
+    model, frames = pinocchio.Model(), []
+    for i, (xyz, rpy, axis) in enumerate(rows[:-1]):
+        joint = pinocchio.JointModelRevoluteUnaligned(np.array(axis, dtype=float))
+        frames.append(model.addJoint(i, joint, placement(xyz, rpy), f"j{i}"))
+    last = placement(*rows[-1][:2]).homogeneous
+    data, poses = model.createData(), np.empty((len(q), 4, 4))
+    for pose, position in zip(poses, q):
+        pinocchio.forwardKinematics(model, data, position)
+        pose[:] = data.oMi[frames[-1]].homogeneous @ last
+    return poses
+
+
+def placement(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> pinocchio.SE3:
+    return pinocchio.SE3(pinocchio.rpy.rpyToMatrix(*rpy), np.array(xyz, dtype=float))
+
+
+@pytest.mark.parametrize("name", TABLES_URDF)
+def test_forward_is_that_of_another_source(name: str) -> None:
+    """100 configurations inside the limits."""
+    robot = robots.load(name)
+    q = inside(robot, 100)
+    tolerance = 1e-9 if name == "ur5e" else 1e-12  # what the sources agree to
+    np.testing.assert_allclose(kinematics.forward(robot, q), flanges(TABLES_URDF[name], q), atol=tolerance, rtol=0)
+
+
+def test_every_robot_has_another_source() -> None:
+    """The ancestor's YuMi is held to its reference numbers; DH_test is no robot."""
+    assert set(robots.names()) - set(TABLES_URDF) == {"dh_test", "yumi_left", "yumi_right"}

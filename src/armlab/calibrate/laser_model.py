@@ -191,14 +191,9 @@ def cube() -> Iterator[np.ndarray]:
 
 def _sorted(scans: Scans, rotations: list[np.ndarray], ratio: float) -> list[Scene]:
     scenes = [scene_of(scans, R) for R in rotations]
-    costs = [_cost(scans, scene, ratio) for scene in scenes]
+    off = [scans.residuals(scene) for scene in scenes]
+    costs = [float(np.sum((r * np.array([1.0, ratio])[: r.shape[1]]) ** 2)) for r in off]
     return [scenes[i] for i in np.argsort(costs, kind="stable")]
-
-
-def _cost(scans: Scans, scene: Scene, ratio: float) -> float:
-    r = scans.residuals(scene)
-    r = r * np.array([1.0, ratio])[: r.shape[1]]
-    return float(np.vdot(r, r))
 
 
 def linear_rotations(scans: Scans, ratio: float) -> tuple[tuple[list[np.ndarray], float], ...]:

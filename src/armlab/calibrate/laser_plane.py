@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -204,7 +205,8 @@ def searched(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearS
     size = max(ratio, _spread(scans.p))
     require_units(scans, ratio)
     best: NonlinearSolution[Scene] | None = None
-    for group in _groups(scans, guess, ratio):
+    first = [] if guess is None else [[scene_of(scans, guess)]]
+    for group in chain(first, starts(scans, ratio)):
         for found in _fitted(scans, group, size, robust):
             if scans.noise is not None and agrees(found):
                 return _oriented(scans, _doubted(scans, found, size) if robust else found, robust)
@@ -232,12 +234,6 @@ def agrees(found: NonlinearSolution[Scene]) -> bool:
 
 def times(found: NonlinearSolution[Scene]) -> float:
     return float(np.sqrt(2.0 * found.cost / max(found.freedom, 1)))
-
-
-def _groups(scans: Scans, guess: np.ndarray | None, ratio: float) -> Iterator[list[Scene]]:
-    if guess is not None:
-        yield [scene_of(scans, guess)]
-    yield from starts(scans, ratio)
 
 
 def _ratio(scans: Scans) -> float:

@@ -225,15 +225,11 @@ def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, le
     np.add.at(weights, (np.arange(number)[:, None], blocks[chosen]), 1.0)
     solved = found.x + found.stretch * (sums.solve(weights) - found.x)
     coordinates = (solved - solved.mean(axis=0)) @ np.linalg.pinv(found.basis).T  # of basis
-    shrinkage, S = _shrinkage(sums, blocks, length), coordinates.T @ coordinates / (number - 1)
-    S = (1.0 - shrinkage) * S + shrinkage * np.trace(S) / len(S) * np.eye(len(S))
+    whole, S = count // length * length, coordinates.T @ coordinates / (number - 1)
+    share = shrinkage(np.add.reduceat(sums.moment[blocks[:whole]], np.arange(0, whole, length), 0))
+    S = (1.0 - share) * S + share * np.trace(S) / len(S) * np.eye(len(S))
     cov = found.basis @ S @ found.basis.T + found.held_cov
-    return Bootstrap(solved, 0.5 * (cov + cov.T), shrinkage)  # symmetric to the last bit, as files keep it
-
-
-def _shrinkage(sums: BlockSums, blocks: np.ndarray, length: int) -> float:
-    count = len(blocks) // length
-    return shrinkage(np.add.reduceat(sums.moment[blocks[: count * length]], np.arange(0, count * length, length), 0))
+    return Bootstrap(solved, 0.5 * (cov + cov.T), share)  # symmetric to the last bit, as files keep it
 
 
 def shrinkage(scores: np.ndarray) -> float:

@@ -222,15 +222,11 @@ def order_free(trial: ContractTrial) -> Verdict:
         if not changed:
             return False, "no array with samples along axis 0: skip with the reason"
         first, second = trial.fit(**case.data), trial.fit(**mixed)
-        worst = max(worst, _apart(trial, first, second, case.truth))
+        (a, C), (b, _) = error_of(trial, first, case.truth), error_of(trial, second, case.truth)
+        worst = max(worst, _length(b - a, C))
         if not np.array_equal(first.outliers[order] if first.outliers.size else first.outliers, second.outliers):
             return False, "other flags in another order of the samples"
     return worst <= SAME, f"permuted samples move the answer by {worst:.1e} deviations, accepted {SAME:.0e}"
-
-
-def _apart(trial: ContractTrial, first: Fit[Any], second: Fit[Any], truth: Any) -> float:
-    (a, C), (b, _) = error_of(trial, first, truth), error_of(trial, second, truth)
-    return _length(b - a, C)
 
 
 def _length(e: np.ndarray, C: np.ndarray) -> float:
@@ -375,17 +371,10 @@ def _arrays(item: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:
 
 
 JUDGES = {
-    "consistent": consistent,
-    "honest": honest,
-    "efficient": efficient,
-    "order-free": order_free,
-    "gauge-free": gauge_free,
-    "refuses": refuses,
-    "robust": robust,
-    "saves": saves,
-    "explains": explains,
+    "consistent": consistent, "honest": honest, "efficient": efficient, "order-free": order_free,
+    "gauge-free": gauge_free, "refuses": refuses, "robust": robust, "saves": saves, "explains": explains,
     "clean": clean,
-}
+}  # fmt: skip
 PROPERTIES = tuple(JUDGES)
 BENCHMARK = 1000  # runs from which the limits of the benchmark hold
 

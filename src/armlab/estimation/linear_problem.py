@@ -205,7 +205,8 @@ def _solve_once(
     least = np.linalg.norm(whole @ np.append(loose, -1.0))
     cov = least**2 / free * basis @ basis.T + _held_covariance(excitation, problem.prior)
     x = within_bounds(loose, cov, problem.lower, problem.upper)
-    active = _active(problem, x, loose, np.sqrt(np.diag(cov)))
+    at, sd = np.flatnonzero((x <= problem.lower) | (x >= problem.upper)), np.sqrt(np.diag(cov))
+    active = tuple(ActiveBound(problem.names[i], float(x[i]), float(loose[i]), float(sd[i])) for i in at)
     reached = np.linalg.norm(whole @ np.append(x, -1.0))
     own = [np.sum((w * g[:, :-1] @ basis[c]) ** 2) for g, c, w in zip(groups, factors.columns, weights)]
     power = np.array([np.sum((g @ np.append(x[c], -1.0)) ** 2) for g, c in zip(groups, factors.columns)])
@@ -235,8 +236,3 @@ def _held_covariance(excitation: Excitation, prior: Prior | None) -> np.ndarray:
     across = held.T @ (held * ((excitation.scale * prior.sd) ** 2)[:, None])
     sides = held / excitation.scale[:, None]
     return sides @ across @ sides.T
-
-
-def _active(problem: LinearProblem, x: np.ndarray, loose: np.ndarray, sd: np.ndarray) -> tuple[ActiveBound, ...]:
-    at = np.flatnonzero((x <= problem.lower) | (x >= problem.upper))
-    return tuple(ActiveBound(problem.names[i], float(x[i]), float(loose[i]), float(sd[i])) for i in at)

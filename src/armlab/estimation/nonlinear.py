@@ -585,15 +585,9 @@ def _solution(
             [f"{len(rows.r)} numbers"],
         )
     return NonlinearSolution(
-        value=found.value,
-        cov=found.basis @ found.basis.T,
-        classes=rows.names,
+        value=found.value, cov=found.basis @ found.basis.T, classes=rows.names,
         sigma=np.array([sigma.get(n, np.nan) for n in rows.names]) if _is_mixed(found) else _class_sigma(found),
         outliers=weight == 0,
-        squares=(rows if np.all(weight == 1.0) else _rows(problem, found.value, sigma)).squares(len(weight)),
-        rows=rows,
-        null=found.null,
-        cost=found.history[-1],
-        freedom=freedom,
-        history=found.history,
-    )
+        squares=(rows if np.all(weight == 1.0) else _rows(problem, found.value, sigma)).squares(len(weight)), rows=rows,
+        null=found.null, cost=found.history[-1], freedom=freedom, history=found.history,
+    )  # fmt: skip

@@ -196,13 +196,9 @@ class Circle:
 
     def __post_init__(self) -> None:
         n = inputs.unit(self.n, "the normal of a circle")
+        centre, radius = inputs.vector(self.centre, "the centre of a circle"), _positive(self.radius, "circle")
         _freeze(
-            self,
-            centre=inputs.vector(self.centre, "the centre of a circle"),
-            n=n,
-            radius=_positive(self.radius, "circle"),
-            axes=_axes(self.axes, n),
-            cov=inputs.covariance(self.cov, 6, "cov"),
+            self, centre=centre, n=n, radius=radius, axes=_axes(self.axes, n), cov=inputs.covariance(self.cov, 6, "cov")
         )
 
     @property

@@ -107,21 +107,10 @@ def inverse(
         from armlab.kernels import InverseSolver
 
         solver = InverseSolver(robot.chain, robot.q_min, robot.q_max, robot.q_home, int(seed))
+    wanted = kernel_objective(robot, objective, posture, q0)
+    search = maxiter, starts, position_tolerance, rotation_tolerance, damping
     result = freeze(
-        *solver.solve(
-            T_base_tool,
-            q0,
-            ROWS[task],
-            axis,
-            maxiter,
-            starts,
-            position_tolerance,
-            rotation_tolerance,
-            damping,
-            *kernel_objective(robot, objective, posture, q0),
-            flag(history, "history"),
-            threads,
-        )
+        *solver.solve(T_base_tool, q0, ROWS[task], axis, *search, *wanted, flag(history, "history"), threads)
     )
     if strict and not np.all(result.success):
         raise NotConverged(result.report(), best=result)

@@ -94,26 +94,15 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
     inertias = details.get("inertias")
     home = np.clip(0.0, q_min, q_max) if q_min.shape == q_max.shape == (n,) else np.zeros(n)
     robot = Robot(
-        name=name,
-        links=links,
-        prismatic=slides,
-        q_min=q_min,
-        q_max=q_max,
-        qd_max=qd_max,
-        qdd_max=given("qdd_max", qd_max / RAMP_TIME),
-        q_home=given("q_home", home),
+        name=name, links=links, prismatic=slides, q_min=q_min, q_max=q_max, qd_max=qd_max,
+        qdd_max=given("qdd_max", qd_max / RAMP_TIME), q_home=given("q_home", home),
         joint_names=listed("joint_names", [f"joint_{i + 1}" for i in range(n)]),
-        T_base_mount=given("T_base_mount", np.eye(4)),
-        T_flange_tool=given("T_flange_tool", np.eye(4)),
-        gravity=given("gravity", GRAVITY),
-        coupling=given("coupling", np.eye(n)),
-        abb_axes=listed("abb_axes", range(1, n + 1)),
-        side=details.get("side", ""),
-        source=details.get("source", ""),
-        tau_max=given("tau_max", unlimited),
-        inertias=None if inertias is None else given("inertias", ()),
+        T_base_mount=given("T_base_mount", np.eye(4)), T_flange_tool=given("T_flange_tool", np.eye(4)),
+        gravity=given("gravity", GRAVITY), coupling=given("coupling", np.eye(n)),
+        abb_axes=listed("abb_axes", range(1, n + 1)), side=details.get("side", ""), source=details.get("source", ""),
+        tau_max=given("tau_max", unlimited), inertias=None if inertias is None else given("inertias", ()),
         meshes=listed("meshes", ()),
-    )
+    )  # fmt: skip
     _doubt_limits(robot)
     return robot
 
@@ -274,7 +263,10 @@ def from_local_poe(name: str, poses: ArrayLike, screws: ArrayLike, **details: Un
             f"got {screws.shape} and {poses.shape}."
         )
     _check_screws(name, screws)
-    frames = _axis_frames(screws)  # exp(xi q) = C Z(q) C⁻¹
+    v, w = screws[:, :3], screws[:, 3:]
+    axes = np.where(w.any(axis=1, keepdims=True), w, v)
+    # exp(xi q) = C Z(q) C⁻¹, C at the point of the axis nearest to the origin; 0 when it slides
+    frames = se3.from_rp(frames_along(axes), np.cross(w, v))
     links = poses.copy()
     links[:-1] = links[:-1] @ frames
     links[1:] = se3.inv(frames) @ links[1:]
@@ -345,13 +337,6 @@ def _check_screws(name: str, screws: np.ndarray) -> None:
                 f"Expected a unit axis without pitch (within {SCREW_TOLERANCE:g}) for joint {i + 1} of robot {name!r}, "
                 f"got length {length[i]:.9g} and pitch {pitch[i]:.3g} m/rad. Use robots.normalise_screw."
             )
-
-
-def _axis_frames(screws: np.ndarray) -> np.ndarray:
-    """Return frames (n, 4, 4) whose z axis is the axis of the screw."""
-    v, w = screws[:, :3], screws[:, 3:]
-    origin = np.cross(w, v)  # the point of the axis nearest to the origin; 0 when it slides
-    return se3.from_rp(frames_along(np.where(w.any(axis=1, keepdims=True), w, v)), origin)
 
 
 def frames_along(z: np.ndarray) -> np.ndarray:

@@ -19,9 +19,13 @@ from armlab.errors import RobotError, ShapeError
 from armlab.robots.robot import Robot
 
 __all__ = [
-    "abb_to_logical", "joint_to_motor", "joint_torque_to_motor", "logical_to_abb", "motor_to_joint",
+    "abb_to_logical",
+    "joint_to_motor",
+    "joint_torque_to_motor",
+    "logical_to_abb",
+    "motor_to_joint",
     "motor_torque_to_joint",
-]  # fmt: skip
+]
 
 
 def abb_to_logical(robot: Robot, values: ArrayLike) -> np.ndarray:
@@ -66,7 +70,8 @@ def motor_to_joint(robot: Robot, values: ArrayLike) -> np.ndarray:
     -------
     (..., n).
     """
-    return _through(robot.coupling, _values(robot, values))
+    values = _values(robot, values)
+    return _through(robot.coupling, values)
 
 
 def joint_to_motor(robot: Robot, values: ArrayLike) -> np.ndarray:
@@ -81,7 +86,8 @@ def joint_to_motor(robot: Robot, values: ArrayLike) -> np.ndarray:
     -------
     (..., n).
     """
-    return _through(np.linalg.inv(robot.coupling), _values(robot, values))
+    values = _values(robot, values)
+    return _through(np.linalg.inv(robot.coupling), values)
 
 
 def motor_torque_to_joint(robot: Robot, tau_motor: ArrayLike) -> np.ndarray:
@@ -96,7 +102,8 @@ def motor_torque_to_joint(robot: Robot, tau_motor: ArrayLike) -> np.ndarray:
     -------
     (..., n).
     """
-    return _through(np.linalg.inv(robot.coupling).T, _values(robot, tau_motor))
+    tau_motor = _values(robot, tau_motor)
+    return _through(np.linalg.inv(robot.coupling).T, tau_motor)
 
 
 def joint_torque_to_motor(robot: Robot, tau: ArrayLike) -> np.ndarray:
@@ -111,7 +118,8 @@ def joint_torque_to_motor(robot: Robot, tau: ArrayLike) -> np.ndarray:
     -------
     (..., n).
     """
-    return _through(robot.coupling.T, _values(robot, tau))
+    tau = _values(robot, tau)
+    return _through(robot.coupling.T, tau)
 
 
 def _through(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -261,7 +261,9 @@ def _document(robot: Robot, head: Fields, rows: list[Fields]) -> str:
     if table is None:
         lines.insert(1, f"source = {_text(robot.source)}")
     else:
-        lines += ["", "[source]", *(f"{_key(key)} = {_text(value)}" for key, value in table.items())]
+        bare = re.compile(r"[A-Za-z0-9_-]+")
+        named = ((key if bare.fullmatch(key) else _text(key), _text(value)) for key, value in table.items())
+        lines += ["", "[source]", *(f"{key} = {value}" for key, value in named)]
     return "\n".join(lines) + "\n"
 
 
@@ -359,10 +361,6 @@ def _list(values: np.ndarray | tuple[float, ...]) -> str:
 
 def _number(value: float) -> str:
     return repr(float(value) + 0.0).removesuffix(".0")  # + 0.0 turns -0.0 into 0.0
-
-
-def _key(value: str) -> str:
-    return value if re.fullmatch(r"[A-Za-z0-9_-]+", value) else _text(value)
 
 
 def _text(value: str) -> str:

@@ -142,7 +142,8 @@ def _measured(
     if closed:
         if position is not None:
             raise ConfigError("Expected no position for a closed chain, got one. Give the pose (4, 4), or nothing.")
-        pose = _closed_pose(T_a, T_b) if pose is None else pose
+        if pose is None:  # Z of T_b = T_basea_baseb^-1 T_a Z
+            pose = se3.from_rp(*hand_eye(T_a, T_b)[:2])
         pose = np.broadcast_to(np.asarray(pose, dtype=float), (len(T_a), 4, 4))
     kinds, _ = measured_kinds(len(T_a), {"pose": pose, "position": position}, visible, noise)
     kind = kinds[0]
@@ -167,12 +168,6 @@ def _measured(
     seen = np.einsum("iab,ib->ia", T_a[rows, :3, :3], kind.values[rows, 0]) + T_a[rows, :3, 3]
     check_scale(size_of(T_a[:, :3, 3]) + size_of(T_b[:, :3, 3]), size_of(kind.values[rows, 0]), "positions")
     return kinds, kabsch(T_b[rows, :3, 3], seen)
-
-
-def _closed_pose(T_a: np.ndarray, T_b: np.ndarray) -> np.ndarray:
-    """Return Z of ``T_b = T_basea_baseb^-1 T_a Z``."""
-    R, t, _, _ = hand_eye(T_a, T_b)
-    return se3.from_rp(R, t)
 
 
 class DualState(NamedTuple):
@@ -334,15 +329,12 @@ class DualArmEstimation(KinematicEstimation[DualState]):
     problem: DualProblem
 
     def nature(self, state: DualState) -> list[UnobservableDirection]:
-        """Return directions that these kinds of measurement may never see."""
         return self.problem.never_seen()
 
     def candidates(self, state: DualState) -> list[UnobservableDirection]:
-        """Return directions that the data may fail to see."""
         return self.problem.may_be_missing(state)
 
     def fit(self, found: NonlinearSolution[DualState]) -> Fit[DualArmCorrection]:
-        """Return value, covariance and excitation."""
         problem, state = self.problem, found.value
         tool = np.eye(6)[:, 3:] if problem.kinds[0].name == "position" else np.zeros((6, 0))
         a, _ = problem.arm_a.smallest(state.a.frames, np.zeros((6, 0)), np.zeros((6, 0)))
@@ -359,7 +351,6 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         return [spread_of(seen[:, 0] if seen.shape[1:] == (1, 3) else seen[:, :3, 3]) for seen in places]
 
     def doubts(self, state: DualState) -> list[str]:
-        """Return what a report says of links far from their description."""
         a, b = self.problem.arm_a, self.problem.arm_b
         return far_links(a, state.a.frames, " of arm a") + far_links(b, state.b.frames, " of arm b")
 

@@ -205,11 +205,9 @@ class ArmEstimation(KinematicEstimation[State]):
     problem: KinematicProblem
 
     def nature(self, state: State) -> list[UnobservableDirection]:
-        """Return directions that these kinds of measurement may never see."""
         return never_seen(self.problem, state)
 
     def candidates(self, state: State) -> list[UnobservableDirection]:
-        """Return directions that the data may fail to see."""
         return may_be_missing(self.problem, state)
 
     def fit(self, found: NonlinearSolution[State], smallest: bool, notes: Sequence[str]) -> Fit[KinematicCorrection]:
@@ -220,7 +218,6 @@ class ArmEstimation(KinematicEstimation[State]):
         return self.result(found, state, self._value, notes)
 
     def doubts(self, state: State) -> list[str]:
-        """Return what a report says of links far from their description."""
         return far_links(self.problem.arm, state.arm.frames)
 
     def _smallest(self, state: State) -> State:
@@ -236,7 +233,6 @@ class ArmEstimation(KinematicEstimation[State]):
         return state._replace(arm=state.arm._replace(frames=frames), anchor=anchor)
 
     def spaces(self) -> list[float]:
-        """Return the size [m] of the space in which each measurement was made."""
         sizes = []
         for kind in self.problem.kinds:
             seen = kind.values[kind.visible]

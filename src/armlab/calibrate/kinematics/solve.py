@@ -226,7 +226,8 @@ class KinematicEstimation(ABC, Generic[S]):
         try:
             found = nonlinear_least_squares(task, start, robust=robust, schedule=SCHEDULE)
         except NotConverged as error:
-            self.judge(problem.measurements(start, local=True), start, dict.fromkeys(_classes(problem), UNIT))
+            classes = [name for kind in problem.kinds for name in kind.classes]
+            self.judge(problem.measurements(start, local=True), start, dict.fromkeys(classes, UNIT))
             check_misfit(problem.measurements(error.best), self.spaces(), error.best)
             raise
         self._check_majority(found)
@@ -312,14 +313,10 @@ class KinematicEstimation(ABC, Generic[S]):
         G, gauge_names = problem.gauge(state, used)
         test = IdentifiabilityTest(
             names=[name for name, mine in zip(problem.names, used) if mine],
-            units=[unit for unit, mine in zip(problem.units, used) if mine],
-            limits=problem.sizes(*self.limits)[used],
-            gauge=G[used],
-            gauge_names=gauge_names,
-            nature=_cut_to(self.nature(state), used),
-            candidates=lambda: _cut_to(self.candidates(state), used),
-            what="arm",
-        )
+            units=[unit for unit, mine in zip(problem.units, used) if mine], limits=problem.sizes(*self.limits)[used],
+            gauge=G[used], gauge_names=gauge_names, nature=_cut_to(self.nature(state), used),
+            candidates=lambda: _cut_to(self.candidates(state), used), what="arm",
+        )  # fmt: skip
         return test.excitation(np.concatenate(list(_whitened(data, sigma, outside)))[:, used], self.hold)
 
     def covariance(
@@ -340,10 +337,6 @@ class KinematicEstimation(ABC, Generic[S]):
         _, singular, V = np.linalg.svd(np.linalg.qr(rows @ whole, mode="r"))
         seen = singular > 1e-9 * singular[0]
         return spread_covariance(whole @ V[seen].T, 1.0 / singular[seen], limits)
-
-
-def _classes(problem: Residuals[Any]) -> list[str]:
-    return [name for kind in problem.kinds for name in kind.classes]
 
 
 def _cut_to(candidates: Sequence[UnobservableDirection], used: np.ndarray) -> list[UnobservableDirection]:
@@ -378,15 +371,9 @@ def spread_of(points: np.ndarray) -> float:
 def corrected_arm(arm: Arm, state: ArmState, cov: np.ndarray, **more: Any) -> KinematicCorrection:
     """Return the correction that an arm's unknowns make, with their covariance and what else was found."""
     return KinematicCorrection(
-        robot=arm.corrected(state.frames),
-        robot_name=arm.robot.name,
-        robot_hash=arm.robot.hash,
-        harmonics=arm.orders,
-        amplitudes=state.amplitudes,
-        coefficients=state.coefficients,
-        cov=cov,
-        **more,
-    )
+        robot=arm.corrected(state.frames), robot_name=arm.robot.name, robot_hash=arm.robot.hash, harmonics=arm.orders,
+        amplitudes=state.amplitudes, coefficients=state.coefficients, cov=cov, **more,
+    )  # fmt: skip
 
 
 def never_moves(

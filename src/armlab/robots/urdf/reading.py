@@ -126,19 +126,11 @@ def _joint(element: Element) -> Joint:
     q_min, q_max, qd_max, tau_max = _limits(element, kind)
     axis = element.one("axis")
     return Joint(
-        name=element.text("name"),
-        kind=kind,
-        parent=element.need("parent").text("link"),
-        child=element.need("child").text("link"),
-        T_parent_child=_origin(element),
-        axis=np.array([1.0, 0.0, 0.0]) if axis is None else axis.numbers("xyz", 3),
-        q_min=q_min,
-        q_max=q_max,
-        qd_max=qd_max,
-        tau_max=tau_max,
-        follows=None if kind == "fixed" else _follow(element),
-        line=element.line,
-    )
+        name=element.text("name"), kind=kind, parent=element.need("parent").text("link"),
+        child=element.need("child").text("link"), T_parent_child=_origin(element),
+        axis=np.array([1.0, 0.0, 0.0]) if axis is None else axis.numbers("xyz", 3), q_min=q_min, q_max=q_max,
+        qd_max=qd_max, tau_max=tau_max, follows=None if kind == "fixed" else _follow(element), line=element.line,
+    )  # fmt: skip
 
 
 def _follow(element: Element) -> Follow | None:

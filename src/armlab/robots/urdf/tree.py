@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -266,12 +266,8 @@ def _check_names(tree: Tree, parts: Sequence[Link | Joint], kind: str) -> None:
     lines: dict[str, int] = {}
     for part in parts:
         if part.name in lines:
-            raise fault(
-                tree,
-                part,
-                f"every {kind} to have a name of its own",
-                f"{part.name!r} again, as in line {lines[part.name]}",
-            )
+            got = f"{part.name!r} again, as in line {lines[part.name]}"
+            raise fault(tree, part, f"every {kind} to have a name of its own", got)
         lines[part.name] = part.line
 
 
@@ -381,7 +377,14 @@ def build_chain(tree: Tree, base: str | None, tip: str | None, name: str | None)
         joint_names=[joint.name for joint in joints],
         gravity=gravity,
         inertias=inertias,
-        meshes=[[_moved(mesh, T) for body, T in group.items() for mesh in links[body].meshes] for group in groups],
+        meshes=[
+            [
+                replace(mesh, T_link_mesh=T @ mesh.T_link_mesh)
+                for body, T in group.items()
+                for mesh in links[body].meshes
+            ]
+            for group in groups
+        ],
         source=_source(tree, base, tip, steps, massless, assumed),
     )
 
@@ -498,10 +501,6 @@ def _gravity(tree: Tree, base: str) -> tuple[np.ndarray, str]:
         moving += [joint.name] if joint.moves else []
     zero = f" and {', '.join(moving)} at 0" if moving else ""
     return R.T @ GRAVITY, f"assumption: z of {tree.root!r} points up{zero}"
-
-
-def _moved(mesh: Mesh, T: np.ndarray) -> Mesh:
-    return Mesh(mesh.kind, mesh.file, T @ mesh.T_link_mesh, mesh.scale)
 
 
 def _source(tree: Tree, base: str, tip: str, steps: list[Step], massless: list[str], gravity: str) -> str:
