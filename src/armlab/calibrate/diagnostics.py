@@ -108,13 +108,10 @@ def readings(R: np.ndarray, t: np.ndarray) -> list[Reading]:
     is a rotation of four numbers, and whatever order these have it stays one. Only positions show it.
     """
     q = quaternion.from_matrix(R)
+    there, back = (quaternion.to_matrix(np.roll(q, by, -1)) for by in (1, -1))
     return [
-        Reading(
-            "The quaternions of {} are x, y, z, w taken as w, x, y, z.", quaternion.to_matrix(np.roll(q, 1, -1)), t
-        ),
-        Reading(
-            "The quaternions of {} are w, x, y, z taken as x, y, z, w.", quaternion.to_matrix(np.roll(q, -1, -1)), t
-        ),
+        Reading("The quaternions of {} are x, y, z, w taken as w, x, y, z.", there, t),
+        Reading("The quaternions of {} are w, x, y, z taken as x, y, z, w.", back, t),
         Reading("The rotations of {} are transposed: those of the inverse.", R.transpose(0, 2, 1), t),
     ]
 

@@ -100,12 +100,7 @@ def jacobian(
     RobotError : when something else comes in place of a robot, such as its name.
     ConfigError : when `threads` is not an integer from 1 to 256.
     """
-    try:
-        chain, tool = robot.chain, _TOOL_AXES[frame]
-    except AttributeError:
-        raise RobotError.no_robot(robot) from None
-    except (KeyError, TypeError):  # TypeError: arrays and lists have no hash
-        raise _unknown(frame) from None
+    chain, tool = _resolved(robot, frame)
     return chain.jacobian(q, tool, out, threads)
 
 
@@ -141,17 +136,18 @@ def forward_jacobian(
     RobotError : when something else comes in place of a robot, such as its name.
     ConfigError : when `threads` is not an integer from 1 to 256.
     """
-    try:
-        chain, tool = robot.chain, _TOOL_AXES[frame]
-    except AttributeError:
-        raise RobotError.no_robot(robot) from None
-    except (KeyError, TypeError):
-        raise _unknown(frame) from None
+    chain, tool = _resolved(robot, frame)
     return chain.forward_jacobian(q, tool, out, threads)
 
 
-def _unknown(frame: object) -> UnknownName:
-    return UnknownName.among("Jacobian frame", frame, _TOOL_AXES)
+def _resolved(robot: Robot, frame: Frame) -> tuple[Chain, bool]:
+    """Return the compiled chain, and whether axes of the tool are asked for."""
+    try:
+        return robot.chain, _TOOL_AXES[frame]
+    except AttributeError:
+        raise RobotError.no_robot(robot) from None
+    except (KeyError, TypeError):  # TypeError: arrays and lists have no hash
+        raise UnknownName.among("Jacobian frame", frame, _TOOL_AXES) from None
 
 
 def jacobian_derivative(
@@ -182,13 +178,8 @@ def jacobian_derivative(
     ShapeError : when the last axis of `q` is not n long, `qd` has another shape, or `out` does not fit.
     RobotError : when something else comes in place of a robot, such as its name.
     """
-    if not isinstance(frame, str) or frame not in ("base", "tool"):
-        raise UnknownName.among("Jacobian frame", frame, ("base", "tool"))
-    try:
-        chain = robot.chain
-    except AttributeError:
-        raise RobotError.no_robot(robot) from None
-    return chain.jacobian_derivative(q, qd, frame == "tool", out)
+    chain, tool = _resolved(robot, frame)
+    return chain.jacobian_derivative(q, qd, tool, out)
 
 
 def parameter_jacobian(robot: Robot, q: ArrayLike) -> np.ndarray:
