@@ -22,6 +22,7 @@ from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation import Fit
 from armlab.kinematics import forward, inverse
 from armlab.lie import se3, so3
+from armlab.sim.experiments import sensors
 
 CELL = sim.cell(1)
 CAMERA, ARM, LINE = (0.5e-3, 1e-3), (1e-4, 2e-4), (0.5e-3, 9e-3)
@@ -30,7 +31,6 @@ G = np.array([0.0, 0.0, -9.82])
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 HALF_TURN = se3.from_rp(so3.exp([0.0, 0.0, np.pi]), [0.3, 0.0, 0.2])
 
-EYE_0 = sim.cell(0).hand_eye()
 EYE, SEEN = CELL.hand_eye(), CELL.marker_points(N=40, missing=0.0)
 WEIGHED, MOVED = CELL.force(N=60, torque=0.005), CELL.accelerometer()
 TABLE, PAIR, SCANS = CELL.kinematics(), CELL.two_arms(), CELL.laser()
@@ -128,21 +128,15 @@ MIRRORED = [
     (lambda: eye(B=left_handed(EYE.B)), ShapeError, "T_cam_marker, got left-handed axes in rows 0, 1"),
     (lambda: eye(B=MIRROR @ EYE.B @ MIRROR), NotConverged, "of different hands: one axis of the camera"),
     (lambda: points(p=left_handed(SEEN.p)), NotConverged, "axes of the camera are left-handed"),
-    (lambda: points(p=left_handed(SEEN.p), marker=None), NotConverged, "axes of the camera are left-handed"),
-    (lambda: points(A=left_handed(SEEN.A)), ShapeError, "T_base_tool, got left-handed axes"),
     (lambda: force(y=WEIGHED.y * [1, -1, 1, -1, 1, -1]), NotConverged, "an axis is mirrored or the sign is reversed"),
-    (lambda: force(R=left_handed(WEIGHED.RA)), ShapeError, "T_base_tool, got left-handed axes"),
     (lambda: acc(y=left_handed(MOVED.y)), NotConverged, "an axis is mirrored or the sign is reversed"),
     (lambda: arm(pose=left_handed(TABLE.pose)), ShapeError, "rotations in pose, got left-handed axes in rows 0, 1"),
     (lambda: arm(pose=None, position=(MIRROR @ TABLE.pose)[:, :3, 3]), NotConverged, "an arm that fits"),
-    (lambda: dual(pose=left_handed(PAIR.pose)), ShapeError, "rotations in pose, got left-handed axes"),
-    (lambda: laser(A=left_handed(SCANS.A)), ShapeError, "T_base_tool, got left-handed axes"),
 ]
 UNEXCITED = [
     (lambda: eye(stay(EYE.A), stay(EYE.B)), NotExcited, "rotations nowhere"),
     (lambda: points(stay(SEEN.A), stay(SEEN.p)), NotExcited, "rotations nowhere"),
     (lambda: force(stay(WEIGHED.RA), stay(WEIGHED.y)), NotExcited, "gravity seen from the tool does not move"),
-    (lambda: acc(stay(MOVED.RA), stay(MOVED.y)), NotExcited, "gravity seen from the tool does not move"),
     (lambda: arm(Q_STILL, stay(TABLE.pose, 30)), NotExcited, "joint 1 did not move; joint 2 did not"),
     (lambda: arm(ONE_JOINT, TABLE.truth.forward(ONE_JOINT)), NotExcited, "joint 2 did not move; joint 4 did not"),
     (lambda: dual(stay(PAIR.q_a), PAIR.q_b[:20], PAIR.relative(stay(PAIR.q_a), PAIR.q_b[:20])), NotExcited,
@@ -166,7 +160,6 @@ UNEXCITED = [
 ]  # fmt: skip
 UNITS = [
     (lambda: eye(B=millimetres(EYE.B)), NotConverged, r"times 0\.001 would fit: perhaps millimetres"),
-    (lambda: eye(EYE_0.A, millimetres(EYE_0.B), noise=CAMERA), NotConverged, r"times 0\.001 would fit: perhaps milli"),
     (lambda: eye(A=millimetres(EYE.A)), NotConverged, r"times 1e\+03 would fit: perhaps millimetres"),
     (lambda: points(p=1e3 * SEEN.p), NotConverged, r"Points times 0\.001 would fit: perhaps millimetres"),
     (lambda: points(A=millimetres(SEEN.A)), NotConverged, r"Points times 1e\+03 would fit: perhaps millimetres"),
@@ -180,7 +173,6 @@ UNITS = [
     (lambda: arm(np.rad2deg(TABLE.q)), ShapeError, "seem to be degrees"),
     (lambda: arm(pose=None, position=1e3 * TABLE.pose[:, :3, 3]), ShapeError, "seem to be millimetres"),
     (lambda: arm(pose=None, position=1e-3 * TABLE.pose[:, :3, 3]), ShapeError, "description, .* in millimetres"),
-    (lambda: dual(pose=millimetres(PAIR.pose)), ShapeError, "seem to be millimetres"),
     (lambda: dual(np.rad2deg(PAIR.q_a)), ShapeError, "got up to .* in q_a. These seem to be degrees"),
     (lambda: laser(scans=SCANS.scans * [1e3, 1e3, 1, 1]), NotConverged, r"times 0\.00\d+ would fit: perhaps milli"),
     (lambda: laser(A=millimetres(SCANS.A)), NotConverged, "would fit: perhaps millimetres"),
@@ -194,13 +186,11 @@ PAIRING = [
     (lambda: eye(B=se3.inv(EYE.B), noise=CAMERA), "holds the inverse"),
     (lambda: eye(EYE.A[:5], mixed(EYE.B[:5])), "sample i of both is the same moment"),
     (lambda: eye(B=mixed(EYE.B)), "sample i of both is the same moment"),
-    (lambda: eye(B=mixed(EYE.B), noise=CAMERA), "sample i of both is the same moment"),
     (lambda: eye(B=mixed(EYE.B), noise=CAMERA, robust=True), "sample i of both is the same moment"),
     (lambda: points(SEEN.A[:-3], SEEN.p[3:], None), "shifted by 3 samples"),
     (lambda: points(p=SEEN.p[::-1], noise=5e-4), "reverse order"),
     (lambda: points(A=se3.inv(SEEN.A)), "the setup is the other one"),
     (lambda: points(p=mixed(SEEN.p), marker=None), "sample i of both is the same moment"),
-    (lambda: points(SEEN.A[1:], SEEN.p[:-1]), "shifted by 1 samples"),
     (lambda: points(SMOOTH[1:], see_points(SMOOTH)[:-1]), "shifted by 1 samples"),
     (lambda: points(marker=LEDS[[1, 2, 0]]), "Check the order of the points"),
     (lambda: force(WEIGHED.RA[1:], WEIGHED.y[:-1]), "Check that sample i of both records is the same moment"),
@@ -223,8 +213,6 @@ BROKEN = [
     (lambda: laser(A=gap(SCANS.A)), "T_base_tool, got NaN or Inf in 1 rows: 3"),
     (lambda: laser(scans=gap(SCANS.scans)), "scans, got NaN or Inf in 1 rows: 3"),
     (lambda: eye(A=bent(EYE.A)), "rotations in T_base_tool, got matrices off by up to .* in rows 5"),
-    (lambda: points(A=bent(SEEN.A)), "rotations in T_base_tool, got matrices off"),
-    (lambda: force(R=bent(WEIGHED.RA)), "rotations in T_base_tool, got matrices off"),
     (lambda: arm(pose=bent(TABLE.pose)), "rotations in pose, got matrices off by up to .* in rows 5"),
     (lambda: laser(start=np.diag([1.0, 1.0, -1.0, 1.0])), "rotations in start, got left-handed axes"),
 ]
@@ -272,6 +260,7 @@ UNEXCITED += [
 MIRRORED.append((lambda: acc(y=-MOVED.y), NotConverged, "an axis is mirrored or the sign is reversed"))
 REPORTED = [
     (lambda: eye(A=EYE.A.round(6)), "rotations of T_base_tool were projected, off by up to"),
+    (lambda: arm(pose=TABLE.pose.round(6)), "50 rotations of pose were projected, off by up to"),
     (lambda: eye(EYE.A[:8], EYE.B[:8], noise=(0.02, 0.3), limits=(9.0, 9.0)), "first-order"),
     (lambda: force(y=WEIGHED.y * np.repeat([1.0, 50.0], 3), limits=(0.2, 0.3, 100.0)), "N mm given as N m?"),
     (lambda: force(WEIGHED.RA[:5], WEIGHED.y[:5, :3], robust=True), "weakest: rotation about tool axis"),
@@ -327,7 +316,7 @@ class TestHalfATurn:
 
     def test_of_a_scanner(self) -> None:
         right = laser(noise=LINE)
-        for start in (SCANS.X @ HALF_TURN, HALF_TURN @ SCANS.X, SCANS.X @ se3.exp([0, 0, 0, np.pi, 0, 0])):
+        for start in (SCANS.X @ HALF_TURN, SCANS.X @ se3.exp([0, 0, 0, np.pi, 0, 0])):
             found = laser(start=start, noise=LINE)
             np.testing.assert_allclose(found.value.T_tool_sensor, right.value.T_tool_sensor, atol=1e-6)
 
@@ -336,18 +325,16 @@ class TestHalfATurn:
         seen = other.value.points(np.array([[-0.02, 0.1]]), SCANS.A[0])
         np.testing.assert_allclose(seen, right.value.points(np.array([[0.02, 0.1]]), SCANS.A[0]), atol=1e-6)
 
-    @pytest.mark.parametrize("kind", ["pose", "position"])
-    def test_of_the_base_and_the_tool_of_an_arm(self, kind: str) -> None:
-        for pose in (HALF_TURN @ TABLE.pose, TABLE.pose @ HALF_TURN):
-            measured = pose if kind == "pose" else pose[:, :3, 3]
-            found = fit_kinematics(TABLE.robot, TABLE.q, **{kind: measured})
+    def test_of_the_base_and_the_tool_of_an_arm(self) -> None:
+        measured = [{"pose": HALF_TURN @ TABLE.pose}, {"pose": TABLE.pose @ HALF_TURN}]
+        for given in (*measured, {"position": (HALF_TURN @ TABLE.pose)[:, :3, 3]}):
+            found = fit_kinematics(TABLE.robot, TABLE.q, **given)
             assert found.sigma[0] < 1.2e-4
             assert "?" not in found.report()
 
     def test_of_a_joint(self) -> None:
-        for j, words in ((2, "an arm that fits"), (4, "an arm that fits")):
-            with pytest.raises(NotConverged, match=words):
-                arm(TABLE.q + np.pi * np.eye(6)[j], noise=ARM)
+        with pytest.raises(NotConverged, match="an arm that fits"):
+            arm(TABLE.q + np.pi * np.eye(6)[2], noise=ARM)
         reversed_ = arm(TABLE.q * [1, 1, -1, 1, 1, 1], None, position=TABLE.pose[:, :3, 3])
         assert "link 2 is" in reversed_.report()
 
@@ -385,20 +372,19 @@ ON_AXIS = CELL.kinematics(N=100, tool=False)
 POINT = forward(ON_AXIS.robot, ON_AXIS.q)[:, :3, 3] + 1e-4 * np.random.default_rng(1).standard_normal((100, 3))
 
 
-@pytest.mark.parametrize("noisy", [False, True], ids=["exact poses", "noise on the poses"])
-def test_what_must_be_refused_by_name(noisy: bool) -> None:
-    shake: Callable[[np.ndarray], np.ndarray] = shaken if noisy else np.asarray
-    one_way = se3.from_rp(shake(stay(SCANS.A[:, :3, :3], 60)), SCANS.A[:, :3, 3])
+def test_what_must_be_refused_by_name_from_noisy_poses() -> None:
+    one_way = se3.from_rp(shaken(stay(SCANS.A[:, :3, :3], 60)), SCANS.A[:, :3, 3])
     line = np.linspace(0, 1, 9)[:, None] * [1.0, 2.0, 3.0]
     cases: list[tuple[Callable[[], Any], str]] = [
-        (lambda: eye(shake(VERTICAL), see(VERTICAL), noise=CAMERA), "along tool axis z"),
-        (lambda: eye(shake(stay(EYE.A)), stay(EYE.B), noise=CAMERA), "translation of T_tool_marker"),
-        (lambda: eye(shake(EYE.A[:2]), EYE.B[:2]), "at least 3 pairs of poses, got 2"),
-        (lambda: force(shake(VERTICAL), weigh(VERTICAL[:, :3, :3])), "rotation about tool axis|rotations about the ve"),
-        (lambda: force(shake(SHORT), weigh(SHORT[:, :3, :3])[:, :3]), "rotation about tool axis .*, bias along it"),
-        (lambda: force(shake(SHORT), weigh(SHORT[:, :3, :3])), "rotation about tool axis .*, bias and centre of"),
-        (lambda: force(shake(WEIGHED.RA[:2]), WEIGHED.y[:2]), "at least 3 samples"),
-        (lambda: arm(STILL_4, shake(TABLE.truth.forward(STILL_4))), "joint 4 did not move"),
+        (lambda: eye(shaken(VERTICAL), see(VERTICAL), noise=CAMERA), "along tool axis z"),
+        (lambda: eye(shaken(stay(EYE.A)), stay(EYE.B), noise=CAMERA), "translation of T_tool_marker"),
+        (
+            lambda: force(shaken(VERTICAL), weigh(VERTICAL[:, :3, :3])),
+            "rotation about tool axis|rotations about the ve",
+        ),
+        (lambda: force(shaken(SHORT), weigh(SHORT[:, :3, :3])[:, :3]), "rotation about tool axis .*, bias along it"),
+        (lambda: force(shaken(SHORT), weigh(SHORT[:, :3, :3])), "rotation about tool axis .*, bias and centre of"),
+        (lambda: arm(STILL_4, shaken(TABLE.truth.forward(STILL_4))), "joint 4 did not move"),
         (lambda: fit_kinematics(ON_AXIS.robot, ON_AXIS.q, position=POINT, noise=1e-4), "on the axis of joint 6"),
         (lambda: dual(*joined(), None, closed=True), "overall scale"),
         (lambda: laser(one_way, noise=LINE), "translation of the sensor along tool axis"),
@@ -409,11 +395,11 @@ def test_what_must_be_refused_by_name(noisy: bool) -> None:
             case()
 
 
-def test_small_tilts_cost_degrees_not_half_turns(weights) -> None:
+def test_small_tilts_cost_degrees_not_half_turns() -> None:
     """calib_force: 58 to 178 degrees off at tilts below 30 degrees; the bound is 0.544."""
     squares = []
-    for run in range(40):
-        data = weights.draw([3000, run], tilt=np.radians(30.0))
+    for run in range(25):
+        data = sensors.weighed([3000, run], tilt=np.radians(30.0))
         fit = fit_force_sensor(**data.given, noise=0.1)
         squares.append(so3.angle(fit.value.R_tool_sensor, data.R) ** 2)
     assert np.degrees(np.sqrt(np.max(squares))) < 3.0
@@ -421,17 +407,17 @@ def test_small_tilts_cost_degrees_not_half_turns(weights) -> None:
 
 
 @pytest.mark.parametrize("half", [np.diag([1.0, -1, -1]), np.diag([-1.0, 1, -1]), np.diag([-1.0, -1, 1])])
-def test_sensors_turned_by_half_a_turn_are_like_others(weights, half) -> None:
+def test_sensors_turned_by_half_a_turn_are_like_others(half) -> None:
     """calib_force2 was singular there."""
-    data = weights.draw(1, 20, 0.0)
+    data = sensors.weighed(1, 20, 0.0)
     fit = fit_force_sensor(data.RA, 0.7 * G @ data.RA @ half + [1.0, 2.0, 3.0], gravity=G)
     np.testing.assert_allclose(fit.value.R_tool_sensor, half, atol=1e-12)
     np.testing.assert_allclose(fit.value.bias[:3], [1.0, 2.0, 3.0], atol=1e-11)
 
 
-def test_a_line_is_used_where_it_was_measured(laser) -> None:
+def test_a_line_is_used_where_it_was_measured() -> None:
     """calibNAXP went 1 m along each line for a second point, where the noise of its angle is a hundred times larger."""
-    data = laser.draw(4)
+    data = sensors.scanned(4)
     turned = data.exact.copy()  # lines that turned about their points, as by noise of the angle alone
     turn = 8.66e-3 * np.random.default_rng(0).standard_normal(60)
     turned[:, 2] = np.cos(turn) * data.exact[:, 2] - np.sin(turn) * data.exact[:, 3]

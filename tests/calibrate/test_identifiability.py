@@ -69,44 +69,38 @@ class TestRank:
             (24, 9, lambda run: {**to_anchor(run), "noise": 1e-4}),
             (25, 9, lambda run: {**to_anchor(run), "noise": 1e-4, "length_offset": True}),
             (21, 9, lambda run: {**between(run), "noise": 1e-4}),
-            (42, 0, lambda run: {"pose": run.pose, "noise": NOISE, "harmonics": (1,)}),
             (42, 0, lambda run: {"pose": run.pose, "noise": NOISE, "harmonics": (2,)}),
-            (42, 0, lambda run: {"pose": run.pose, "noise": NOISE, "harmonics": (3,)}),
-            (54, 0, lambda run: {"pose": run.pose, "noise": NOISE, "harmonics": (1, 2)}),
             (66, 0, lambda run: {"pose": run.pose, "noise": NOISE, "harmonics": (1, 2, 3)}),
             (51, 3, lambda run: {"position": run.pose[:, :3, 3], "noise": 1e-4, "harmonics": (1, 2)}),
             (36, 0, lambda run: {"pose": run.pose, "noise": NOISE, "joint_terms": run.q[:, :, None] * np.eye(6)}),
         ],
     )
-    @pytest.mark.parametrize("model", ["local_poe", "poe"])
-    def test_six_joints_that_turn(self, case, rank: int, unseen: int, options: Callable, model: str) -> None:
-        fit = fit_kinematics(case.robot, case.q, model=model, **options(case))
+    def test_six_joints_that_turn(self, case, rank: int, unseen: int, options: Callable) -> None:
+        fit = fit_kinematics(case.robot, case.q, **options(case))
         assert fit.excitation.rank == fit.excitation.expected == rank
         assert fit.rank == rank
         gauge = [name for name in fit.excitation.null_names if name.startswith("gauge: ")]
         assert len(gauge) == 12
         assert len(missing(fit)) == unseen
         assert fit.excitation.null_space.shape == (len(fit.names), 12 + unseen)
-        np.testing.assert_allclose(
-            fit.excitation.null_space.T @ fit.excitation.null_space, np.eye(12 + unseen), atol=1e-12
-        )
+        null = fit.excitation.null_space
+        np.testing.assert_allclose(null.T @ null, np.eye(12 + unseen), atol=1e-12)
 
-    @pytest.mark.parametrize(("kind", "rank"), [("pose", 28), ("position", 25), ("2 points", 28), ("3 points", 31)])
-    def test_one_joint_that_slides(self, kind: str, rank: int) -> None:
+    def test_one_joint_that_slides(self) -> None:
         """4 r + 2 p + 6 for poses, 4 r + 2 p + 3 K for points."""
-        rng, robot = np.random.default_rng(1), sliding_robot()
-        q = rng.uniform(-2, 2, (80, 6))
+        robot, q = sliding_robot(), np.random.default_rng(1).uniform(-2, 2, (80, 6))
         T = forward(robot, q)
         points = np.array([[0.05, 0.0, 0.02], [-0.03, 0.06, 0.0], [0.0, -0.04, 0.07]])
-        data = {
-            "pose": {"pose": T, "noise": (1e-4, 1e-4)},
-            "position": {"position": T[:, :3, 3], "noise": 1e-4},
-            "2 points": {"position": (T[:, None] @ se3.from_rp(np.eye(3), points[:2]))[..., :3, 3], "noise": 1e-4},
-            "3 points": {"position": (T[:, None] @ se3.from_rp(np.eye(3), points))[..., :3, 3], "noise": 1e-4},
-        }[kind]
-        fit = fit_kinematics(robot, q, **data)
-        assert fit.excitation.rank == rank
-        assert sum(name.startswith("gauge: ") for name in fit.excitation.null_names) == 14
+        seen = (T[:, None] @ se3.from_rp(np.eye(3), points))[..., :3, 3]
+        for rank, data in (
+            (28, {"pose": T, "noise": (1e-4, 1e-4)}),
+            (25, {"position": T[:, :3, 3], "noise": 1e-4}),
+            (28, {"position": seen[:, :2], "noise": 1e-4}),
+            (31, {"position": seen, "noise": 1e-4}),
+        ):
+            fit = fit_kinematics(robot, q, **data)
+            assert fit.excitation.rank == rank
+            assert sum(name.startswith("gauge: ") for name in fit.excitation.null_names) == 14
 
     def test_nothing_that_is_called_unseen_moves_the_measurement(self, case) -> None:
         """Each direction of the null space, taken as a step of 1 mm or 1 mrad, leaves all positions where they are."""
@@ -201,9 +195,9 @@ def errors(T: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 class TestUncertainty:
     def test_the_covariance_of_a_pose_is_that_of_its_errors(self) -> None:
-        """NEES of six validation poses over 40 runs, and with unknown noise."""
+        """NEES of six validation poses over 16 runs, and with unknown noise."""
         total, free = [], []
-        for run in range(24):
+        for run in range(16):
             data = cell(2000).kinematics(run)
             for noise, found in ((NOISE, total), (None, free)):
                 fit = fit_kinematics(data.robot, data.q, pose=data.pose, noise=noise)
@@ -227,9 +221,8 @@ class TestUncertainty:
         assert fit.outliers[:5].all()
         assert np.count_nonzero(fit.outliers[5:]) <= 1
         assert run.error(fit.value.forward(run.q_valid))[0] < 0.1
-        assert (
-            run.error(fit_kinematics(run.robot, run.q, pose=run.pose, noise=NOISE).value.forward(run.q_valid))[0] > 1.0
-        )
+        plain = fit_kinematics(run.robot, run.q, pose=run.pose, noise=NOISE)
+        assert run.error(plain.value.forward(run.q_valid))[0] > 1.0
         assert "outliers left out: 0, 1, 2, 3, 4" in fit.report()
 
 
@@ -239,7 +232,7 @@ class TestAncestor:
     def test_the_lever_arm_does_not_turn_noise_of_rotation_into_noise_of_position(self) -> None:
         """The twist in the base frame, unweighted, is 1.69 times the bound in position: here 1.00."""
         mm, original = [], []
-        for run in range(25):
+        for run in range(16):
             data = cell(2000).kinematics(run, tool=False)
             fit = fit_kinematics(data.robot, data.q, pose=data.pose, noise=NOISE)
             mm.append(data.error(fit.value.forward(data.q_valid))[0] ** 2)
@@ -324,34 +317,23 @@ def test_the_statistical_contract() -> None:
         lambda fit: (still.q_valid[:12], se3.project(frame @ fit.value.forward(still.q_valid[:12]))[0]),
     )
     found = check_estimator(
-        fit_kinematics,
-        experiment,
-        200,
-        n=50,
-        error=validation_error,
-        gauges=[gauge],
-        refusals=refusals,
-        spoil=spoil,
+        fit_kinematics, experiment, 120, n=50, error=validation_error, gauges=[gauge], refusals=refusals, spoil=spoil,
         skip={"efficient": "held to the bound by the benchmark and by test_the_bound"},
-    )
+    )  # fmt: skip
     assert found.passed, found.text()
 
 
 @pytest.mark.slow  # 10 s
-@pytest.mark.parametrize(
-    ("make", "bound_mm", "bound_deg", "runs"),
-    [
-        (lambda i: (cell(2000).kinematics(i, tool=False), {"kind": "pose"}), 0.0648, 0.00494, 200),
-        (lambda i: (cell(2000).kinematics(i, truth="dh", tool=False), {"kind": "pose"}), 0.0648, 0.00494, 100),
-        (lambda i: (cell(2000).kinematics(i), {"kind": "position"}), 0.0810, None, 200),
-        (lambda i: (cell(2200).kinematics(i, 100, harmonics=True), {"kind": "pose", "harmonics": (1, 2)}),
-         0.0557, 0.00541, 60),
-        (lambda i: (cell(2200).kinematics(i, 100, harmonics=True), {"kind": "position", "harmonics": (1, 2)}),
-         0.0793, None, 60),
-        (lambda i: (cell(2000).kinematics(i, wrong=5), {"kind": "pose", "robust": True}), 0.0683, None, 20),
-    ],
-    ids=["K1", "K1 dh", "K2", "K4", "K4 position", "K7"],
-)  # fmt: skip
+@pytest.mark.parametrize(("make", "bound_mm", "bound_deg", "runs"), [
+    (lambda i: (cell(2000).kinematics(i, tool=False), {"kind": "pose"}), 0.0648, 0.00494, 120),
+    (lambda i: (cell(2000).kinematics(i, truth="dh", tool=False), {"kind": "pose"}), 0.0648, 0.00494, 60),
+    (lambda i: (cell(2000).kinematics(i), {"kind": "position"}), 0.0810, None, 120),
+    (lambda i: (cell(2200).kinematics(i, 100, harmonics=True), {"kind": "pose", "harmonics": (1, 2)}),
+     0.0557, 0.00541, 40),
+    (lambda i: (cell(2200).kinematics(i, 100, harmonics=True), {"kind": "position", "harmonics": (1, 2)}),
+     0.0793, None, 40),
+    (lambda i: (cell(2000).kinematics(i, wrong=5), {"kind": "pose", "robust": True}), 0.0683, None, 20),
+], ids=["K1", "K1 dh", "K2", "K4", "K4 position", "K7"])  # fmt: skip
 def test_the_bound(make: Callable, bound_mm: float, bound_deg: float | None, runs: int) -> None:
     """Errors over validation poses, beside the Cramer-Rao bound, within three standard errors of their ratio."""
     mm, degrees = [], []
@@ -369,9 +351,9 @@ def test_the_bound(make: Callable, bound_mm: float, bound_deg: float | None, run
 
 
 def test_distances_to_an_unknown_point() -> None:
-    """K5, 20 runs: distances from the anchor to validation poses at 0.0250 mm, the bound."""
+    """K5, 12 runs: distances from the anchor to validation poses at 0.0250 mm, the bound."""
     found = []
-    for i in range(20):
+    for i in range(12):
         run = cell(2300).distances(i)
         fit = fit_kinematics(**run.given, noise=run.noise_distance)
         assert fit.excitation.rank == 24
@@ -379,7 +361,7 @@ def test_distances_to_an_unknown_point() -> None:
         ends = fit.value.forward(run.q_valid)[:, :3, 3] - fit.value.anchor
         true = run.pose_valid[:, :3, 3] - run.anchor
         found.append(np.mean((np.linalg.norm(ends, axis=1) - np.linalg.norm(true, axis=1)) ** 2))
-    assert 1e3 * np.sqrt(np.mean(found)) < 0.0250 * (1.05 + 3.0 / np.sqrt(2 * 24 * 20))
+    assert 1e3 * np.sqrt(np.mean(found)) < 0.0250 * (1.05 + 3.0 / np.sqrt(2 * 24 * 12))
 
 
 def tracker(arm: str, part: str) -> tuple[np.ndarray, np.ndarray]:
@@ -395,15 +377,12 @@ TABLES = {
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="needs ../shared: laser tracker data of a UR5 and of a WAM")
-@pytest.mark.parametrize(
-    ("name", "harmonics", "bar", "rank"),
-    [
-        ("UR5", (), 0.105, 27),
-        pytest.param("UR5", (1, 2), 0.090, 51, marks=pytest.mark.slow),  # 1 s
-        ("WAM", (), 3.1, 31),
-        pytest.param("WAM", (1, 2), 3.03, 59, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("name", "harmonics", "bar", "rank"), [
+    ("UR5", (), 0.105, 27),
+    pytest.param("UR5", (1, 2), 0.090, 51, marks=pytest.mark.slow),  # 1 s
+    ("WAM", (), 3.1, 31),
+    pytest.param("WAM", (1, 2), 3.03, 59, marks=pytest.mark.slow),
+])  # fmt: skip
 def test_a_real_arm(name: str, harmonics: tuple[int, ...], bar: float, rank: int) -> None:
     """Fit the grid, look at twenty other points: mean distance [mm]."""
     alpha, a, d = (np.array(column, dtype=float) for column in TABLES[name])

@@ -45,8 +45,9 @@ def exact() -> KinematicRun:
 
 
 class TestExactData:
-    @pytest.mark.parametrize("model", ["local_poe", "poe"])
-    @pytest.mark.parametrize("kind", ["pose", "position", "distance", "pairs"])
+    @pytest.mark.parametrize(
+        ("kind", "model"), [("pose", "poe"), ("position", "local_poe"), ("distance", "poe"), ("pairs", "local_poe")]
+    )
     def test_the_truth_is_found(self, exact, model: str, kind: str) -> None:
         data = measurements(exact, kind)
         fit = fit_kinematics(exact.robot, exact.q, model=model, noise=(1e-4, 1e-4) if kind == "pose" else 1e-4, **data)
@@ -245,8 +246,9 @@ class TestValue:
         np.testing.assert_allclose(fit.value.robot.gravity, frame[:3, :3] @ case.robot.gravity, rtol=0, atol=0.05)
 
 
-@pytest.mark.parametrize("model", ["local_poe", "poe"])
-@pytest.mark.parametrize("robot", [as_robot(dh_arm(tool=True)), sliding_robot()], ids=["6R", "5R1P"])
+@pytest.mark.parametrize(
+    ("robot", "model"), [(as_robot(dh_arm(tool=True)), "poe"), (sliding_robot(), "poe"), (sliding_robot(), "local_poe")]
+)
 def test_derivatives_are_those_of_the_residuals(robot: robots.Robot, model: str) -> None:
     """Central differences, far from the solution: every kind, harmonics, joint terms, instrument, priors."""
     rng = np.random.default_rng(2)
@@ -270,18 +272,6 @@ def test_derivatives_are_those_of_the_residuals(robot: robots.Robot, model: str)
         ends = [problem.evaluate(problem.retract(state, sign * step)) for sign in (1.0, -1.0)]
         for here, up, down in zip(found, *ends, strict=True):
             np.testing.assert_allclose(here.J[:, :, k], (up.r - down.r) / 2e-6, rtol=0, atol=1e-6)
-
-
-def test_local_derivatives_are_those_of_the_frames_in_both_models() -> None:
-    robot, q = as_robot(dh_arm(tool=True)), np.random.default_rng(3).uniform(-2, 2, (4, 6))
-    kinds, _ = measured_kinds(4, {"pose": forward(robot, q)}, None, None)
-    both = []
-    for model in ("local_poe", "poe"):
-        arm = Arm.of(robot, q, (), np.zeros((4, 6, 0)), model)
-        problem = KinematicProblem(arm, tuple(kinds), np.zeros(0, dtype=bool), 0, None)
-        state = State(arm.first(), np.zeros((0, 3)), np.zeros(3), np.array([0.0, 1.0]))
-        both.append(problem.measurements(state, local=True)[0].J)
-    np.testing.assert_array_equal(*both)
 
 
 class TestBadInput:
@@ -318,16 +308,14 @@ class TestBadInput:
         with pytest.raises(error, match=words):
             fit_kinematics(case.robot, **change(data))
 
-    @pytest.mark.parametrize("noise", [NOISE, None], ids=["noise given", "noise estimated"])
-    def test_samples_that_do_not_belong_together_are_not_called_outliers(self, case, noise) -> None:
+    def test_samples_that_do_not_belong_together_are_not_called_outliers(self, case) -> None:
         """Five poses always fit exactly: a robust fit that keeps these and leaves out all others has found nothing."""
         rng = np.random.default_rng(0)
         mixed = case.pose[rng.permutation(150)]
         for q, pose in ((case.q, mixed), (case.q[:, ::-1], case.pose)):
             with pytest.raises((NotConverged, NotExcited), match=r"belong together|better start|more different"):
-                fit_kinematics(case.robot, q, pose=pose, noise=noise, robust=True)
-        distance = rng.uniform(1.0, 2.0, 150)
-        given = None if noise is None else {"pose": noise, "distance": 1e-4}
+                fit_kinematics(case.robot, q, pose=pose, noise=NOISE, robust=True)
+        distance, given = rng.uniform(1.0, 2.0, 150), {"pose": NOISE, "distance": 1e-4}
         with pytest.raises((NotConverged, NotExcited)):
             fit_kinematics(case.robot, case.q, pose=mixed, distance=distance, anchor=ANCHOR, noise=given, robust=True)
 
@@ -336,18 +324,9 @@ class TestBadInput:
         pose = spoilt(case.pose, np.random.default_rng(0), 75, 0.3, 0.2)
         fit = fit_kinematics(case.robot, case.q, pose=pose, noise=NOISE, robust=True)
         assert np.flatnonzero(fit.outliers).tolist() == list(range(75))
-        with pytest.raises(NotConverged, match=r"most samples to fit one arm, got 1[0-9][0-9] of 150 that do not"):
-            fit_kinematics(
-                case.robot, case.q, pose=case.pose[np.random.default_rng(0).permutation(150)], noise=NOISE, robust=True
-            )
-        with pytest.raises(NotConverged, match="noise that was given is not too small"):
+        words = r"most samples to fit one arm, got 1[0-9][0-9] of 150 that do not.*noise that was given is not too"
+        with pytest.raises(NotConverged, match=words):
             fit_kinematics(case.robot, case.q, pose=case.pose, noise=(1e-6, 1e-6), robust=True)
-
-    def test_rotations_that_are_nearly_right_are_projected_and_told(self, case) -> None:
-        rough = case.pose.copy()
-        rough[4, :3, :3] *= 1.0 + 3e-6
-        fit = fit_kinematics(case.robot, case.q, pose=rough, noise=NOISE)
-        assert "1 rotations of pose were projected, off by up to 6e-06" in fit.report()
 
 
 def holed(values: np.ndarray, row: int) -> np.ndarray:
@@ -404,28 +383,15 @@ class TestGeometry:
         np.testing.assert_allclose(kinematics.forward(found, q), goals, rtol=0, atol=1e-8)
         reached = kinematics.inverse(found, goals, q)
         assert reached.success.all()
-        np.testing.assert_allclose(truth.forward(reached.q), goals, rtol=0, atol=1e-8)
-        J, step = kinematics.jacobian(found, q), 1e-6
-        for j in range(found.n):
-            ends = [kinematics.forward(found, q + sign * step * np.eye(found.n)[j])[:, :3, 3] for sign in (1, -1)]
-            np.testing.assert_allclose(J[:, :3, j], (ends[0] - ends[1]) / (2 * step), rtol=0, atol=1e-8)
-        line = kinematics.forward(found, found.q_home[None] + np.linspace(0, 0.2, 30)[:, None])
-        path = kinematics.inverse_path(found, line, found.q_home)
-        np.testing.assert_allclose(truth.forward(path.q), line, rtol=0, atol=1e-7)
-        assert (kinematics.manipulability(found, q) > 0).all()
+        np.testing.assert_allclose(truth.forward(reached.q), goals, rtol=0, atol=1e-7)
 
     def test_files(self, yumi, tmp_path: Path) -> None:
-        _, _, fit = yumi
-        found, q = fit.value.robot, postures(fit.value.robot)
+        found, path = yumi[2].value.robot, yumi[2].save(tmp_path / "kinematics.toml")
         robots.save(found, tmp_path / "arm.toml")
         assert robots.load(tmp_path / "arm.toml") == found
-        robots.save(found, tmp_path / "arm.urdf")
-        there = kinematics.forward(robots.load(tmp_path / "arm.urdf"), q)
-        np.testing.assert_allclose(there, kinematics.forward(found, q), rtol=0, atol=1e-9)
-        fit.save(tmp_path / "kinematics.toml")
-        assert models.load(tmp_path / "kinematics.toml").robot == found
+        assert models.load(path).robot == found
         with pytest.raises(RobotError, match=r"kinematic_correction.*models.load\(path\).robot"):
-            robots.load(tmp_path / "kinematics.toml")
+            robots.load(path)
 
     def test_a_torque_model_is_of_one_of_them(self, yumi, model) -> None:
         """A model that was identified with the description is refused by the corrected arm: identify again."""
@@ -496,9 +462,9 @@ class TestJointErrors:
         )
         np.testing.assert_array_equal(fit.value.forward(q), kinematics.forward(fit.value.robot, fit.value.joints(q)))
 
-    @pytest.mark.parametrize(
-        "part",
-        [
+    def test_the_whole_correction_is_no_robot(self, waved) -> None:
+        value, q = waved[2].value, postures(waved[2].value.robot)
+        for part in (
             lambda value, q: kinematics.forward(value, q),
             lambda value, q: kinematics.inverse(value, np.eye(4)),
             lambda value, q: kinematics.jacobian(value, q),
@@ -512,12 +478,9 @@ class TestJointErrors:
             lambda value, q: identify.base_parameters(value),
             lambda value, q: identify.design_excitation(value),
             lambda value, q: fit_kinematics(value, q, pose=np.tile(np.eye(4), (20, 1, 1))),
-        ],
-    )
-    def test_the_whole_correction_is_no_robot(self, waved, part: Callable[[Any, np.ndarray], Any]) -> None:
-        _, _, fit = waved
-        with pytest.raises(RobotError, match=r"its attribute robot; .* its joints\(\), .* its command\(\)"):
-            part(fit.value, postures(fit.value.robot))
+        ):
+            with pytest.raises(RobotError, match=r"its attribute robot; .* its joints\(\), .* its command\(\)"):
+                part(value, q)
 
     def test_contact_force_wants_the_robot_too(self, waved, model) -> None:
         with pytest.raises(RobotError, match="its attribute robot"):

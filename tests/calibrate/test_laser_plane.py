@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armlab import models
 from armlab.calibrate import fit_laser_plane
 from armlab.calibrate.laser_model import Scans, Scene, tangents
 from armlab.errors import NotConverged, ShapeError
 from armlab.estimation import Experiment, Fit, Gauge, check_estimator
 from armlab.lie import se3, so3
 from armlab.sim import cell
+from armlab.sim.experiments import sensors
 
 SIGMA, ANGLE = 0.5e-3, 0.5e-3 * np.sqrt(12.0) / 0.2
 NOISE = (SIGMA, ANGLE)
@@ -27,36 +27,29 @@ def error(fit: Fit[Any], truth: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np
     return np.concatenate([T[:3, 3] - X[:3, 3], so3.log(X[:3, :3].T @ T[:3, :3]), planes])
 
 
-def profiles(laser, data: Any, sigma: float, points: int = 60) -> list[np.ndarray]:
+def profiles(data: Any, sigma: float, points: int = 60) -> list[np.ndarray]:
     """Raw points on the lines of exact scans, over 0.2 m."""
     rng = np.random.default_rng(5)
     along = np.linspace(-0.1, 0.1, points)[:, None]
     return [s[:2] + along * s[2:] + sigma * rng.standard_normal((points, 2)) for s in data.scans]
 
 
-@pytest.mark.parametrize("noise", [NOISE, None], ids=["noise given", "noise estimated"])
-@pytest.mark.parametrize("plates", [1, 3])
-def test_exact_data_give_the_exact_answer_without_a_guess(laser, noise, plates) -> None:
-    for seed in range(2):
-        data = laser.draw(seed, 60, 0.0, plates)
-        value = fit_laser_plane(**data.given, noise=noise).value
-        np.testing.assert_allclose(value.T_tool_sensor, data.X, atol=1e-9)
-        np.testing.assert_allclose(value.normals, data.n, atol=1e-9)
-        np.testing.assert_allclose(value.offsets, data.d, atol=1e-9)
-        found = value.points(data.scans[:, :2], data.A)
-        np.testing.assert_allclose(np.sum(found * data.n[data.plane], axis=1), 1.0, atol=1e-9)
-
-
-def test_few_scans_of_each_plate_start_from_the_rotations_of_a_cube(laser) -> None:
-    data = laser.draw(3, 30, 0.0)
-    value = fit_laser_plane(**data.given, noise=NOISE).value
+@pytest.mark.parametrize(("N", "plates", "noise"), [(60, 1, NOISE), (60, 3, None), (30, 3, NOISE)])
+def test_exact_data_give_the_exact_answer_without_a_guess(N, plates, noise) -> None:
+    """Few scans of each plate start from the rotations of a cube."""
+    data = sensors.scanned(3, N, 0.0, plates)
+    value = fit_laser_plane(**data.given, noise=noise).value
     np.testing.assert_allclose(value.T_tool_sensor, data.X, atol=1e-9)
+    np.testing.assert_allclose(value.normals, data.n, atol=1e-9)
+    np.testing.assert_allclose(value.offsets, data.d, atol=1e-9)
+    found = value.points(data.scans[:, :2], data.A)
+    np.testing.assert_allclose(np.sum(found * data.n[data.plane], axis=1), 1.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("raw", [False, True], ids=["lines", "profiles"])
-def test_jacobian_is_the_derivative_of_the_residual(laser, raw) -> None:
-    data = laser.draw(4, 6)
-    points = np.concatenate(profiles(laser, data, 0.0, 3)) if raw else None
+def test_jacobian_is_the_derivative_of_the_residual(raw) -> None:
+    data = sensors.scanned(4, 6)
+    points = np.concatenate(profiles(data, 0.0, 3)) if raw else None
     owner = np.repeat(np.arange(6), 3) if raw else np.arange(6)
     p, line = data.scans[:, :2], data.scans[:, 2:]
     scans = Scans(data.A[:, :3, :3], data.A[:, :3, 3], data.plane, p, line, points, owner, None)
@@ -67,8 +60,8 @@ def test_jacobian_is_the_derivative_of_the_residual(laser, raw) -> None:
         np.testing.assert_allclose(found.J[..., k], (up - down) / (2 * h), atol=1e-6)
 
 
-def test_the_way_of_a_line_and_the_names_of_plates_do_not_matter(laser) -> None:
-    data = laser.draw(5)
+def test_the_way_of_a_line_and_the_names_of_plates_do_not_matter() -> None:
+    data = sensors.scanned(5)
     one = fit_laser_plane(**data.given, noise=NOISE)
     back = data.scans * [1.0, 1.0, -1.0, -1.0]
     other = fit_laser_plane(data.A, back, np.array(["c", "a", "b"])[data.plane], noise=NOISE)
@@ -77,9 +70,9 @@ def test_the_way_of_a_line_and_the_names_of_plates_do_not_matter(laser) -> None:
     assert other.value.planes == ("a", "b", "c")
 
 
-def test_plates_through_the_origin_are_plates_like_others(laser) -> None:
+def test_plates_through_the_origin_are_plates_like_others() -> None:
     """Defect of the original: equations were scaled by the distance of the plate, which is zero there."""
-    data = laser.draw(6)
+    data = sensors.scanned(6)
     moved = data.A.copy()
     moved[:, :3, 3] -= 1.0
     one, other = (fit_laser_plane(A, data.scans, data.plane, noise=NOISE) for A in (data.A, moved))
@@ -87,9 +80,9 @@ def test_plates_through_the_origin_are_plates_like_others(laser) -> None:
     assert (np.abs(other.value.offsets) < 0.01).all()
 
 
-def test_raw_profiles_and_their_lines_agree(laser) -> None:
-    data = laser.draw(7, 60, 0.0)
-    raw, spread = profiles(laser, data, SIGMA), np.linspace(-0.1, 0.1, 60)
+def test_raw_profiles_and_their_lines_agree() -> None:
+    data = sensors.scanned(7, 60, 0.0)
+    raw, spread = profiles(data, SIGMA), np.linspace(-0.1, 0.1, 60)
     p = np.array([one.mean(axis=0) for one in raw])
     line = np.array([np.linalg.svd(one - one.mean(axis=0))[2][0] for one in raw])
     noise = (SIGMA / np.sqrt(60), SIGMA / np.sqrt(spread @ spread))
@@ -102,49 +95,47 @@ def test_raw_profiles_and_their_lines_agree(laser) -> None:
     assert fit_laser_plane(data.A, raw, data.plane).sigma[0] == pytest.approx(SIGMA, rel=0.05)
 
 
-@pytest.mark.parametrize("noise", [NOISE, None], ids=["noise given", "noise estimated"])
-def test_a_guess_may_be_wrong(laser, noise) -> None:
+def test_a_guess_may_be_wrong() -> None:
     """Defect of the original: without a good guess it went astray in silence."""
-    data = laser.draw(8)
-    best = fit_laser_plane(**data.given, noise=noise)
-    for turn in ([np.pi, 0, 0], [0, np.pi, 0], [0, 0, np.pi], [0.5, -0.4, 0.3]):
+    data = sensors.scanned(8)
+    best = fit_laser_plane(**data.given, noise=NOISE)
+    for turn in ([np.pi, 0, 0], [0, 0, np.pi], [0.5, -0.4, 0.3]):
         guess = se3.from_rp(so3.exp(turn), np.ones(3)) @ data.X
-        found = fit_laser_plane(**data.given, noise=noise, start=guess)
+        found = fit_laser_plane(**data.given, noise=NOISE, start=guess)
         np.testing.assert_allclose(found.value.T_tool_sensor, best.value.T_tool_sensor, atol=1e-9)
 
 
-def test_wrong_scans_are_flagged_by_index(laser) -> None:
-    for run in range(2):
-        data = laser.draw([9, run])
-        scans, bad = data.scans.copy(), [0, 20, 40]
-        scans[bad, 1] += 0.02
-        c, s = np.cos(np.radians(10.0)), np.sin(np.radians(10.0))
-        scans[bad, 2:] = scans[bad, 2:] @ np.array([[c, s], [-s, c]])
-        for noise in (NOISE, None):
-            fit = fit_laser_plane(data.A, scans, data.plane, noise=noise, robust=True)
-            assert fit.outliers[bad].all()
-            assert fit.outliers.sum() <= 4
-            e = error(fit, (data.X, data.n, data.d))
-            assert e @ np.linalg.solve(fit.cov, e) / 15 < 3.0
+def test_wrong_scans_are_flagged_by_index() -> None:
+    data = sensors.scanned([9, 0])
+    scans, bad = data.scans.copy(), [0, 20, 40]
+    scans[bad, 1] += 0.02
+    c, s = np.cos(np.radians(10.0)), np.sin(np.radians(10.0))
+    scans[bad, 2:] = scans[bad, 2:] @ np.array([[c, s], [-s, c]])
+    for noise in (NOISE, None):
+        fit = fit_laser_plane(data.A, scans, data.plane, noise=noise, robust=True)
+        assert fit.outliers[bad].all()
+        assert fit.outliers.sum() <= 4
+        e = error(fit, (data.X, data.n, data.d))
+        assert e @ np.linalg.solve(fit.cov, e) / 15 < 3.0
     with pytest.raises(NotConverged, match=r"times the noise at best.* robust=True"):
         fit_laser_plane(data.A, scans, data.plane, noise=NOISE)
 
 
-def test_a_wrong_scan_that_holds_the_fit_is_found(laser) -> None:
+def test_a_wrong_scan_that_holds_the_fit_is_found() -> None:
     """Scan 0, its plate nearly parallel to the laser plane, tells more than the rest: 52 was left out for it."""
     data = cell(4000).laser(849, wrong=3)
     fit = fit_laser_plane(**data.given, noise=NOISE, robust=True)
     assert np.flatnonzero(fit.outliers).tolist() == [0, 1, 2]
 
 
-def test_noise_of_both_kinds_is_found(laser) -> None:
-    found = [fit_laser_plane(**laser.draw([10, run]).given).sigma for run in range(5)]
+def test_noise_of_both_kinds_is_found() -> None:
+    found = [fit_laser_plane(**sensors.scanned([10, run]).given).sigma for run in range(5)]
     np.testing.assert_allclose(np.mean(found, axis=0), NOISE, rtol=0.15)
 
 
-def one_orientation(laser) -> dict[str, Any]:
+def one_orientation() -> dict[str, Any]:
     """Scans of three plates with one orientation of the tool, exact."""
-    data, rng = laser.draw(11, 3, 0.0), np.random.default_rng(0)
+    data, rng = sensors.scanned(11, 3, 0.0), np.random.default_rng(0)
     A = np.repeat(data.A, 10, axis=0)
     A[:, :3, :3] = data.A[0, :3, :3]
     A[:, :3, 3] = rng.uniform(-0.3, 0.3, (30, 3))
@@ -158,9 +149,9 @@ def one_orientation(laser) -> dict[str, Any]:
     return {"T_base_tool": A, "scans": np.hstack([p, line]), "plane": plane}
 
 
-def experiment_of(laser):
+def experiment_of():
     def experiment(seed: int, n: int) -> Experiment:
-        data, exact = laser.draw([4000, seed], n), laser.draw([4000, seed], n, 0.0)
+        data, exact = sensors.scanned([4000, seed], n), sensors.scanned([4000, seed], n, 0.0)
         bound = fit_laser_plane(**exact.given, noise=NOISE, start=exact.X).cov
         return Experiment({**data.given, "noise": NOISE}, (data.X, data.n, data.d), bound)
 
@@ -193,7 +184,7 @@ def gauges() -> list[Gauge]:
     ]  # fmt: skip
 
 
-def contract(laser, runs: int):
+def contract(runs: int):
     def spoil(data: dict[str, Any], rng: np.random.Generator) -> tuple[dict[str, Any], np.ndarray]:
         bad = np.zeros(60, dtype=bool)
         bad[rng.choice(60, 3, replace=False)] = True
@@ -202,53 +193,41 @@ def contract(laser, runs: int):
         scans[bad, 2:] = scans[bad, 2:] @ so3.exp([0.0, 0.0, np.radians(-10.0)])[:2, :2]
         return {**data, "scans": scans, "robust": True}, bad
 
-    about_z = laser.draw(12)
+    about_z = sensors.scanned(12)
     A = about_z.A.copy()
     A[:, :3, :3] = so3.exp(np.linspace(0, 2, 60)[:, None] * [0.0, 0.0, 1.0])
     refusals = {
-        "translation of the sensor along tool axis x": {**one_orientation(laser), "noise": NOISE},
+        "translation of the sensor along tool axis x": {**one_orientation(), "noise": NOISE},
         "translation of the sensor along tool axis z": {**about_z.given, "T_base_tool": A, "noise": NOISE},
         "6 scans": {name: value[:6] for name, value in about_z.given.items()},
     }
     return check_estimator(
-        fit_laser_plane, experiment_of(laser), runs, n=60, error=error, gauges=gauges(), refusals=refusals,
+        fit_laser_plane, experiment_of(), runs, n=60, error=error, gauges=gauges(), refusals=refusals,
         spoil=spoil, blocks={"X t": range(3), "X R": range(3, 6)},
     )  # fmt: skip
 
 
-def test_the_statistical_contract_in_short(laser) -> None:
-    found = contract(laser, 4)
+@pytest.mark.parametrize("runs", [3, pytest.param(60, marks=pytest.mark.slow)])  # 9 s
+def test_the_statistical_contract(runs: int) -> None:
+    found = contract(runs)
     assert found.passed, found.text()
 
 
-@pytest.mark.slow  # 15 s
-def test_the_statistical_contract(laser) -> None:
-    found = contract(laser, 100)
-    assert found.passed, found.text()
-
-
-@pytest.mark.parametrize(
-    ("noise", "robust"),
-    [
-        (NOISE, False),
-        pytest.param(NOISE, True, marks=pytest.mark.slow),  # each 1 s: everything is tried
-        pytest.param(None, False, marks=pytest.mark.slow),
-        pytest.param(None, True, marks=pytest.mark.slow),
-    ],
-)
-def test_wrong_labels_are_refused_with_the_cause(laser, noise, robust) -> None:
-    data = laser.draw(13)
+@pytest.mark.slow  # 1 s each: everything is tried
+@pytest.mark.parametrize(("noise", "robust"), [(NOISE, False), (None, True)])
+def test_wrong_labels_are_refused_with_the_cause(noise, robust) -> None:
+    data = sensors.scanned(13)
     mixed = np.random.default_rng(0).permutation(data.plane)
     with pytest.raises(NotConverged, match=r"Check the labels of the plates"):
         fit_laser_plane(data.A, data.scans, mixed, noise=noise, robust=robust)
 
 
-def test_bad_input_is_refused_by_name(laser) -> None:
-    data = laser.draw(14)
+def test_bad_input_is_refused_by_name() -> None:
+    data = sensors.scanned(14)
     gaps = data.scans.copy()
     gaps[[3, 7], 1] = np.nan
     long = data.scans * [1.0, 1.0, 2.0, 2.0]
-    raw = profiles(laser, data, 0.0, 5)
+    raw = profiles(data, 0.0, 5)
     cases: list[tuple[Any, Any, Any, dict[str, Any], str]] = [
         (data.A[:59], data.scans, data.plane[:59], {}, "Expected 59 scans"),
         (data.A, data.scans[:, :3], data.plane, {}, r"lines of shape \(60, 4\)"),
@@ -266,11 +245,3 @@ def test_bad_input_is_refused_by_name(laser) -> None:
     for A, scans, plane, options, words in cases:
         with pytest.raises(ShapeError, match=words):
             fit_laser_plane(A, scans, plane, **options)
-
-
-def test_file(laser, tmp_path) -> None:
-    fit = fit_laser_plane(**laser.draw(15).given, noise=NOISE)
-    again = models.load(fit.save(tmp_path / "laser.toml"), kind="laser_sensor")
-    np.testing.assert_array_equal(again.T_tool_sensor, fit.value.T_tool_sensor)
-    assert again.planes == ("0", "1", "2")
-    assert "plane 0: n [" in fit.report()

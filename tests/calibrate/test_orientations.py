@@ -38,18 +38,17 @@ WRONG: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 @pytest.mark.parametrize("setup", ["eye_to_hand", "eye_in_hand"])
 def test_records_of_poses_in_another_reading_are_refused_by_name(text: str, setup: str) -> None:
     wrong = WRONG[text]
-    for seed in range(3):
-        seen = sim.cell(seed).hand_eye()
-        A = seen.A if setup == "eye_to_hand" else se3.inv(seen.A)
-        for who, (a, b) in {
-            "T_base_tool": (wrong(A), seen.B),
-            "T_cam_marker": (A, wrong(seen.B)),
-            "T_base_tool and T_cam_marker": (wrong(A), wrong(seen.B)),
-        }.items():
-            with pytest.raises(NotConverged, match=f"of {who} are.*{text.removeprefix('are ')}") as caught:
-                fit_hand_eye(a, b, setup=setup)
-            assert caught.value.reason == "mismatch"
-        fit_hand_eye(A, seen.B, setup=setup)
+    seen = sim.cell(1).hand_eye()
+    A = seen.A if setup == "eye_to_hand" else se3.inv(seen.A)
+    for who, (a, b) in {
+        "T_base_tool": (wrong(A), seen.B),
+        "T_cam_marker": (A, wrong(seen.B)),
+        "T_base_tool and T_cam_marker": (wrong(A), wrong(seen.B)),
+    }.items():
+        with pytest.raises(NotConverged, match=f"of {who} are.*{text.removeprefix('are ')}") as caught:
+            fit_hand_eye(a, b, setup=setup)
+        assert caught.value.reason == "mismatch"
+    fit_hand_eye(A, seen.B, setup=setup)
 
 
 def test_quaternions_of_both_records_in_another_order_leave_rotations_that_fit() -> None:
@@ -62,8 +61,7 @@ def test_quaternions_of_both_records_in_another_order_leave_rotations_that_fit()
         fit_hand_eye(rolled(A, -1), rolled(B, -1))
 
 
-@pytest.mark.parametrize("text", WRONG)
-@pytest.mark.parametrize("setup", ["eye_to_hand", "eye_in_hand"])
+@pytest.mark.parametrize(("text", "setup"), [*zip(WRONG, ("eye_to_hand", "eye_in_hand", "eye_in_hand"))])
 def test_points_with_poses_in_another_reading_are_refused_by_name(text: str, setup: str) -> None:
     seen = sim.cell(3).marker_points(N=40, missing=0.0)
     A = seen.A if setup == "eye_to_hand" else se3.inv(seen.A)

@@ -34,7 +34,7 @@ def test_block_bootstrap_matches_the_scatter_where_the_formal_covariance_does_no
 ) -> None:
     """NEES over seeds: about 1 per parameter for the bootstrap, more than 3 for the formal one of AR(1) noise."""
     nees, formal, covered = [], [], []
-    for seed in range(60):
+    for seed in range(48):
         A, y = problems.draw(seed, 6000, coloured)
         drawn = block_bootstrap(sums(A, y, problems.names, 120), 200, seed, length=4)
         assert isinstance(drawn, Bootstrap)
@@ -56,7 +56,7 @@ def test_block_bootstrap_matches_the_scatter_where_the_formal_covariance_does_no
 def test_many_parameters_and_few_blocks_have_an_honest_covariance(problems) -> None:
     """Twenty parameters, 30 stretches of coloured data: without shrinkage NEES would be above 2."""
     nees, raw = [], []
-    for seed in range(30):
+    for seed in range(20):
         rng = np.random.default_rng(seed)
         A = problems.ar1(rng, (6000, 20))[:, None]
         truth = np.arange(20.0)
@@ -72,7 +72,7 @@ def test_many_parameters_and_few_blocks_have_an_honest_covariance(problems) -> N
 def test_block_bootstrap_of_huber_is_as_wide_as_its_scatter(problems) -> None:
     """Held weights alone would make the deviations 14 % too small."""
     drawn, solutions = [], []
-    for seed in range(60):
+    for seed in range(40):
         A, y = problems.draw(seed, 2000)
         rows = list(Rows.of(A, y, np.arange(2000) // 50))
         solution = least_squares(rows, problems.names, method="irls")
@@ -80,7 +80,7 @@ def test_block_bootstrap_of_huber_is_as_wide_as_its_scatter(problems) -> None:
         drawn.append(np.diag(block_bootstrap(BlockSums.of(solution), 200, seed).cov))
         solutions.append(solution.x)
     ratio = np.sqrt(np.mean(drawn, axis=0) / np.var(solutions, axis=0))
-    assert np.mean(ratio) == pytest.approx(1.0, abs=0.12)  # standard error 0.05
+    assert np.mean(ratio) == pytest.approx(1.0, abs=0.12)  # standard error 0.06
 
 
 def test_draws_respect_bounds_and_priors(problems) -> None:
@@ -149,7 +149,7 @@ RHO = 0.95  # of the AR(1) records of conftest
 
 
 def test_correlation_time_and_effective_samples_of_known_processes(problems) -> None:
-    x = problems.ar1(np.random.default_rng(0), (200_000, 1))[:, 0]
+    x = problems.ar1(np.random.default_rng(0), (100_000, 1))[:, 0]
     exact = 0.004 * (0.5 + RHO / (1 - RHO))
     assert correlation_time(x, 0.004) == pytest.approx(exact, rel=0.1)
     assert effective_samples(x) == pytest.approx(len(x) * 0.002 / exact, rel=0.1)
@@ -166,12 +166,10 @@ def test_block_seconds_follow_the_longest_memory(problems) -> None:
     assert block_seconds(np.hstack([white, slow]), 0.1) == 4.0 * correlation_time(slow[:, 0], 0.1)
 
 
-def test_effective_samples_make_the_band_of_a_mean_true() -> None:
+def test_effective_samples_make_the_band_of_a_mean_true(problems) -> None:
     """AR(1) residuals, rho 0.95, 4 ms: two sigma of the mean of 1 s hold 90 to 97 %, of white noise below 60 %."""
-    from scipy.signal import lfilter
-
     dt, seconds = 0.004, 1.0
-    record = lfilter([1.0], [1.0, -RHO], np.random.default_rng(1).standard_normal(1_250_000))
+    record = problems.ar1(np.random.default_rng(1), (1_250_000, 1))[:, 0]
     training, means = record[:250_000], record[250_000:].reshape(-1, int(seconds / dt)).mean(axis=1)
     variance = np.mean(training**2)
     honest = np.sqrt(2.0 * variance * correlation_time(training, dt) / seconds)

@@ -18,7 +18,7 @@ TRUTH = np.array([2.0, -1.0, 0.5])
 NAMES = ("slope", "bend", "offset")
 UNITS = ("N/m", "N/m^2", "N")
 NOISE = 0.1
-FEW = 50  # runs, where one would be enough for what is looked for
+FEW = 20  # runs, where one would be enough for what is looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,17 +104,17 @@ def changed(**changes: Callable[[Fit[Any]], Any]) -> Callable[..., Fit[Any]]:
 
 
 def test_a_correct_fit_has_all_ten_properties() -> None:
-    found = check(fit_curve)
+    found = check(fit_curve, 100)
     assert found.passed, found.text()
     assert found.failed == ()
     assert [one.name for one in found.properties] == list(PROPERTIES)
     assert isinstance(found["honest"], Property)
     assert found["efficient"].passed is None  # judged from 1000 runs on
-    assert "200 runs" in found.text()
+    assert "100 runs" in found.text()
 
 
 def test_the_benchmark_has_narrower_limits() -> None:
-    found = check(fit_curve, 1000, skip={"gauge-free": "tested above", "robust": "tested above"})
+    found = check(fit_curve, 1000, skip=dict.fromkeys(("gauge-free", "robust", "consistent"), "tested above"))
     assert found.passed, found.text()
     assert found["efficient"].passed is True
     assert ContractLimits.of(2000, True).honest == (0.95, 1.05)
@@ -126,24 +126,17 @@ def trusting(x: np.ndarray, y: np.ndarray, noise: float, robust: bool = False) -
     return fit_curve(x, y, noise)
 
 
-@pytest.mark.parametrize(
-    ("fit", "runs", "failed", "words"),
-    [
-        (changed(cov=lambda good: 2.0 * good.cov), 200, {"honest"}, "NEES"),
-        (changed(cov=lambda good: 0.5 * good.cov), 200, {"honest"}, "NEES"),
-        (changed(parameters=lambda good: good.parameters + 0.05), 200, {"consistent", "gauge-free"}, ""),
-        (
-            changed(parameters=lambda good: good.parameters + 1e-6 * good.residuals[0, 0] * good.sd),
-            FEW,
-            {"order-free"},
-            "",
-        ),
-        (changed(parameters=lambda good: good.parameters + 1e-5 * good.sd[0]), FEW, {"gauge-free"}, ""),
-        (changed(value=lambda good: tuple(good.parameters)), FEW, {"saves"}, "raised ConfigError"),
-        (changed(summary=lambda good: lambda fit: "slope bend offset: all fine"), FEW, {"explains"}, ""),
-        (trusting, 200, {"robust"}, "600 outliers missed"),
-    ],
-)
+@pytest.mark.parametrize(("fit", "runs", "failed", "words"), [
+    (changed(cov=lambda good: 2.0 * good.cov), 100, {"honest"}, "NEES"),
+    (changed(cov=lambda good: 0.5 * good.cov), 100, {"honest"}, "NEES"),
+    (changed(parameters=lambda good: good.parameters + 0.05), 100, {"consistent", "gauge-free"}, ""),
+    (changed(parameters=lambda good: good.parameters + 1e-6 * good.residuals[0, 0] * good.sd), FEW,
+     {"order-free"}, ""),
+    (changed(parameters=lambda good: good.parameters + 1e-5 * good.sd[0]), FEW, {"gauge-free"}, ""),
+    (changed(value=lambda good: tuple(good.parameters)), FEW, {"saves"}, "raised ConfigError"),
+    (changed(summary=lambda good: lambda fit: "slope bend offset: all fine"), FEW, {"explains"}, ""),
+    (trusting, 100, {"robust"}, "300 outliers missed"),
+])  # fmt: skip
 def test_a_fault_fails_its_property(fit: Callable[..., Fit[Any]], runs: int, failed: set[str], words: str) -> None:
     found = check(fit, runs)
     assert failed <= set(found.failed), found.text()
@@ -244,6 +237,6 @@ def test_errors_may_be_those_of_validation_where_the_covariance_has_not_full_ran
         return J @ fit.parameters - columns(x) @ truth, J @ fit.cov @ J.T
 
     skip = dict.fromkeys(("efficient", "gauge-free", "robust", "refuses"), "not under test")
-    found = check_estimator(doubled, experiment, 200, n=60, error=error, skip=skip)
+    found = check_estimator(doubled, experiment, 100, n=60, error=error, skip=skip)
     assert found.passed, found.text()
     assert "NEES/3" in found["honest"].text

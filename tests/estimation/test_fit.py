@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from armlab import models
-from armlab.errors import NotExcited, ShapeError
+from armlab.errors import NotExcited
 from armlab.estimation import Excitation, Fit, Prior
 from armlab.estimation.excitation import check_excitation, check_spread
 
@@ -63,7 +63,9 @@ def test_a_saved_fit_comes_back_bit_equal(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     root = rng.standard_normal((2, 2))
     before = fit(root @ root.T, np.array([True, False, False, False, False]))
-    after = Fit.load(before.save(tmp_path / "pair.toml"), kind="test_pair")
+    path = before.save(tmp_path / "pair.toml", ("run.csv sha256 00",))
+    assert tomllib.loads(path.read_text(encoding="utf-8"))["meta"]["sources"] == ["run.csv sha256 00"]
+    after = Fit.load(path, kind="test_pair")
     for name in ("parameters", "cov", "sigma", "outliers"):
         assert getattr(after, name).tobytes() == getattr(before, name).tobytes(), name
     assert after.value.values.tobytes() == before.value.values.tobytes()
@@ -83,11 +85,6 @@ def test_a_fit_goes_to_other_processes() -> None:
         assert again.excitation.text() == made.excitation.text()
 
 
-def test_a_saved_fit_names_its_sources(tmp_path) -> None:
-    path = fit(np.eye(2)).save(tmp_path / "a.toml", ("run.csv sha256 00",))
-    assert tomllib.loads(path.read_text(encoding="utf-8"))["meta"]["sources"] == ["run.csv sha256 00"]
-
-
 # Excitation.
 
 
@@ -99,22 +96,12 @@ def design(scale: np.ndarray | float = 1.0) -> np.ndarray:
 
 
 def test_check_excitation_is_free_of_units() -> None:
-    plain, scaled = (
-        check_excitation(design(), NAMES, "model"),
-        check_excitation(design([1e6, 1.0, 1e-9]), NAMES, "model"),
-    )
+    plain, scaled = (check_excitation(design(units), NAMES, "model") for units in (1.0, [1e6, 1.0, 1e-9]))
     assert isinstance(plain, Excitation)
     np.testing.assert_allclose(plain.singular_values, scaled.singular_values, rtol=1e-6)
     assert plain.rank == plain.expected == 3
     assert plain.condition < 2
     assert "good" in plain.text()
-
-
-def test_a_column_without_signal_is_named() -> None:
-    dead = design([1.0, 0.0, 1.0])
-    with pytest.raises(NotExcited, match="none at all for: offset") as caught:
-        check_excitation(dead, NAMES, "model")
-    assert caught.value.directions == ("offset",)
 
 
 def test_a_direction_that_two_parameters_share_is_named() -> None:
@@ -136,11 +123,12 @@ def test_the_triangle_of_qr_tells_the_same_and_nothing_is_squared() -> None:
 
 def test_a_prior_holds_what_would_be_refused_and_says_so() -> None:
     A = design([1.0, 0.0, 1.0])
+    with pytest.raises(NotExcited, match="none at all for: offset") as caught:
+        check_excitation(A, NAMES, "model")
+    assert caught.value.directions == ("offset",)
     found = check_excitation(A, NAMES, "model", Prior(np.zeros(3), np.ones(3)))
     assert found.held == ("offset",)
     assert found.text().endswith("held by the prior: offset")
-    with pytest.raises(ShapeError, match="a prior of 3 finite values with positive deviations"):
-        check_excitation(A, NAMES, "model", Prior(np.zeros(2), np.ones(2)))
 
 
 LIMITS = np.array([0.3, 0.2, 0.05])
@@ -176,16 +164,6 @@ def test_unseen_directions_are_missing_unless_they_are_gauge() -> None:
     missing = check_spread(J, NAMES, UNITS, LIMITS, "model", hold=True)
     assert "not seen: " in missing.text()
     assert missing.null_space.shape == (3, 1)
-
-
-def test_directions_are_put_into_the_words_of_the_caller() -> None:
-    def words(step: np.ndarray) -> str:
-        return f"along tool axis {'xyz'[int(np.argmax(np.abs(step)))]}, {np.linalg.norm(step):.3g} m"
-
-    with pytest.raises(NotExcited, match=r"along tool axis z, 1 m"):
-        check_spread(np.diag([1e3, 1e3, 1.0]), NAMES, UNITS, LIMITS, "model", describe=words)
-    with pytest.raises(NotExcited, match=rf"along tool axis z, {LIMITS[2]:.3g} m"):
-        check_spread(np.diag([1e3, 1e3, 0.0]), NAMES, UNITS, LIMITS, "model", describe=words)
 
 
 def test_an_estimate_without_a_design_matrix_tells_the_same_by_its_covariance() -> None:

@@ -33,6 +33,9 @@ def test_ols_is_that_of_lstsq(problems) -> None:
     assert found.scale == pytest.approx(np.sqrt(np.sum(residuals**2) / (residuals.size - 3)))
     np.testing.assert_allclose(found.cov, found.scale**2 * np.linalg.inv(np.einsum("nki,nkj->ij", A, A)), rtol=1e-9)
     np.testing.assert_allclose(found.R @ found.basis @ (found.R @ found.basis).T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(least_squares(rows(A, A @ problems.theta), problems.names).x, problems.theta, rtol=1e-11)
+    A[:, 1] = 0.0  # a class that is silent
+    np.testing.assert_allclose(least_squares(rows(A, A @ problems.theta), problems.names).x, problems.theta, rtol=1e-11)
 
 
 def test_ten_digits_at_a_scaled_condition_of_1e4() -> None:
@@ -51,7 +54,7 @@ def test_ten_digits_at_a_scaled_condition_of_1e4() -> None:
 def test_wls_weighs_each_class_by_its_own_noise(problems) -> None:
     """Noise of classes 1 and 100: WLS is as good as knowing it, OLS is far worse."""
     errors = {method: [] for method in ("ols", "wls")}
-    for seed in range(40):
+    for seed in range(25):
         A, y = problems.draw(seed, 300, k=2)
         y = A @ problems.theta + (y - A @ problems.theta) * [1.0, 100.0]
         for method, found in errors.items():
@@ -67,19 +70,19 @@ def test_wls_weighs_each_class_by_its_own_noise(problems) -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_formal_covariance_is_honest_for_white_noise(method: str, problems) -> None:
     nees = []
-    for seed in range(60):
+    for seed in range(30):
         A, y = problems.draw(seed, 400)
         found = least_squares(rows(A, y), problems.names, method=method)
         error = found.x - problems.theta
         nees.append(error @ np.linalg.solve(found.cov, error) / 3)
-    assert np.mean(nees) == pytest.approx(1.0, abs=0.35)  # standard error 0.11; trimming sometimes drops a good block
+    assert np.mean(nees) == pytest.approx(1.0, abs=0.35)  # standard error 0.15; trimming sometimes drops a good block
 
 
 @pytest.mark.parametrize(("method", "stays"), [("ols", False), ("irls", True), ("lts", True)])
 def test_gross_outliers(method: str, stays: bool, problems) -> None:
     """5 % of the rows off by ten deviations: within 1.3 of the clean error, except for OLS."""
     clean, spoilt = [], []
-    for seed in range(40):
+    for seed in range(20):
         A, y = problems.draw(seed, 3000)
         clean.append(least_squares(rows(A, y), problems.names, method="ols").x - problems.theta)
         bad = np.zeros(3000, dtype=bool)
@@ -97,19 +100,11 @@ def test_gross_outliers(method: str, stays: bool, problems) -> None:
             assert np.mean(found.row_weights[bad]) < 0.3 < 0.9 < np.mean(found.row_weights[~bad])
         if method == "lts":
             assert not found.kept[10]
+            assert found.kept.sum() >= 25
     ratio = np.sqrt(np.mean(np.square(spoilt), axis=0) / np.mean(np.square(clean), axis=0))
     assert (ratio[0] < 1.3) == stays
     if not stays:
         assert ratio[0] > 2.0
-
-
-def test_exact_data_and_silent_classes_do_no_harm(problems) -> None:
-    A, _ = problems.draw(5, 200, k=2)
-    found = least_squares(rows(A, A @ problems.theta), problems.names)
-    np.testing.assert_allclose(found.x, problems.theta, rtol=1e-11)
-    A[:, 1] = 0.0
-    y = A @ problems.theta
-    np.testing.assert_allclose(least_squares(rows(A, y), problems.names).x, problems.theta, rtol=1e-11)
 
 
 # Robust methods.
@@ -124,19 +119,6 @@ def test_huber_is_a_stationary_point_of_its_loss(problems) -> None:
     gradient = A[:, 0].T @ np.clip(scaled, -1.345, 1.345)
     assert np.max(np.abs(gradient) / np.linalg.norm(A[:, 0], axis=0)) < 1e-6
     assert found.rounds < 30
-
-
-def test_trimmed_drops_a_third_of_a_contact_but_no_clean_blocks(problems) -> None:
-    A, y = problems.draw(2, 3000)
-    rows = list(Rows.of(A, y, np.arange(3000) // 100))
-    clean = least_trimmed_squares(least_squares(rows, problems.names))
-    assert clean.kept.sum() >= 28
-    y[1000:1600] += 20.0  # a fifth of the record
-    rows = list(Rows.of(A, y, np.arange(3000) // 100))
-    found = least_trimmed_squares(least_squares(rows, problems.names))
-    assert not found.kept[10:16].any()
-    assert found.kept.sum() >= 22
-    np.testing.assert_allclose(found.x, clean.x, atol=4 * clean.sd.max(), rtol=0.2)
 
 
 def test_trimming_needs_blocks_that_determine_the_model_together(problems) -> None:
@@ -201,7 +183,7 @@ def test_one_pass_serves_any_weights(problems) -> None:
     assert not found.kept[4]
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", range(24))
 def test_within_bounds_agrees_with_bounded_least_squares(seed: int) -> None:
     rng = np.random.default_rng(seed)
     p = int(rng.integers(1, 25))
@@ -230,18 +212,15 @@ Y = RNG.standard_normal((90, 2))
 BLOCK = np.arange(90) // 30
 
 
-def test_factors_tell_the_residual_of_any_parameters_per_block_and_class() -> None:
+def test_factors_are_those_of_dense_qr() -> None:
     factors = factorise(Rows.of(A, Y, BLOCK), 4)
     assert isinstance(factors, Factors)
     assert factors.rows.tolist() == [[30, 30]] * 3
     x = np.array([1.0, -2.0, 3.0, 0.5])
-    residuals = (Y - A @ x).reshape(3, 30, 2)
-    direct = np.sum(residuals**2, axis=1)
-    np.testing.assert_allclose(factors.power(x), direct, rtol=1e-13)
-
-
-def test_merged_factor_is_that_of_dense_qr() -> None:
-    factors = factorise(Rows.of(A, Y, BLOCK), 4)
+    np.testing.assert_allclose(factors.power(x), np.sum((Y - A @ x).reshape(3, 30, 2) ** 2, axis=1), rtol=1e-13)
+    holed = factorise([Rows(np.ones((2, 1)), np.ones(2), np.array([0, 3]))], 1)
+    assert holed.rows.tolist() == [[1], [0], [0], [1]]
+    np.testing.assert_array_equal(holed.R[0][1:3], 0.0)
     R = factors.merge(factors.of_groups(), np.array([2.0, 0.5]))
     dense = np.concatenate([2.0 * np.c_[A[:, 0], Y[:, 0]], 0.5 * np.c_[A[:, 1], Y[:, 1]]])
     np.testing.assert_allclose(R.T @ R, dense.T @ dense, rtol=1e-12, atol=1e-12)
@@ -266,12 +245,6 @@ def _pieces(a: int, b: int) -> list[Rows]:
     return [Rows(A[a:b, g][:, columns[g]], Y[a:b, g], BLOCK[a:b], g, columns[g]) for g in range(2)]
 
 
-def test_blocks_without_rows_are_empty() -> None:
-    factors = factorise([Rows(np.ones((2, 1)), np.ones(2), np.array([0, 3]))], 1)
-    assert factors.rows.tolist() == [[1], [0], [0], [1]]
-    np.testing.assert_array_equal(factors.R[0][1:3], 0.0)
-
-
 def test_the_triangle_of_many_rows_has_their_gram_matrix() -> None:
     rng = np.random.default_rng(0)
     A, y = rng.standard_normal((2500, 4)), rng.standard_normal(2500)
@@ -286,19 +259,11 @@ def threads() -> dict[str, int]:
     return {pool["filepath"]: pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
 
-def test_one_thread_inside_and_as_many_as_before_after() -> None:
-    with threadpool_limits(2, "blas"):
-        before = threads()
-        assert 2 in before.values()
-        with one_thread():
-            assert set(threads().values()) == {1}
-        assert threads() == before
-
-
 def test_the_last_of_two_that_overlap_gives_the_threads_back() -> None:
     """As in threads of a pool: the first to begin is the first to end."""
     with threadpool_limits(2, "blas"):
         before = threads()
+        assert 2 in before.values()
         first, second = one_thread(), one_thread()
         first.__enter__()
         second.__enter__()

@@ -43,22 +43,11 @@ KOWALIK = (
 )
 
 
-@pytest.mark.parametrize(
-    ("data", "model", "start", "certified", "sd", "noise"),
-    [
-        (MISRA, misra, [500, 1e-4], [2.3894212918e2, 5.5015643181e-4], [2.7070075241, 7.2668688436e-6], 0.1018787633),
-        (MISRA, misra, [250, 5e-4], [2.3894212918e2, 5.5015643181e-4], [2.7070075241, 7.2668688436e-6], 0.1018787633),
-        (
-            KOWALIK,
-            kowalik,
-            [0.25, 0.39, 0.415, 0.39],
-            [1.9280693458e-1, 1.9128232873e-1, 1.2305650693e-1, 1.3606233068e-1],
-            [1.1435312227e-2, 1.9633220911e-1, 8.0842031232e-2, 9.0025542308e-2],
-            6.6279236551e-3,
-        ),
-    ],
-    ids=["Misra1a, far", "Misra1a, near", "MGH09"],
-)
+@pytest.mark.parametrize(("data", "model", "start", "certified", "sd", "noise"), [
+    (MISRA, misra, [500, 1e-4], [2.3894212918e2, 5.5015643181e-4], [2.7070075241, 7.2668688436e-6], 0.1018787633),
+    (KOWALIK, kowalik, [0.25, 0.39, 0.415, 0.39], [1.9280693458e-1, 1.9128232873e-1, 1.2305650693e-1, 1.3606233068e-1],
+     [1.1435312227e-2, 1.9633220911e-1, 8.0842031232e-2, 9.0025542308e-2], 6.6279236551e-3),
+], ids=["Misra1a, far", "MGH09"])  # fmt: skip
 def test_certified_values_of_nist(data, model, start, certified, sd, noise) -> None:
     """NIST Statistical Reference Datasets, nonlinear regression: parameters, deviations, residual deviation."""
     x, y = (np.array(part, dtype=float) for part in data)
@@ -89,13 +78,13 @@ def sampled(seed: int, N: int = 30) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("known", [True, False], ids=["noise given", "noise estimated"])
 def test_the_mean_of_rotations_has_an_honest_covariance(known: bool) -> None:
     nees, sigma = [], []
-    for seed in range(100):
+    for seed in range(60):
         truth, R = sampled(seed)
         found = nonlinear_least_squares(rotations(R, SIGMA**2 * np.eye(3) if known else None), R[0])
         error = so3.log(found.value.T @ truth)
         nees.append(error @ np.linalg.solve(found.cov, error) / 3)
         sigma.append(found.sigma[0])
-    assert np.mean(nees) == pytest.approx(1.0, abs=0.25)  # three standard errors
+    assert np.mean(nees) == pytest.approx(1.0, abs=0.25)  # two to three standard errors
     assert np.mean(sigma) == pytest.approx(SIGMA, rel=0.03)
 
 
@@ -117,21 +106,12 @@ def test_outliers_are_flagged_and_do_not_count(bad: int, known: bool) -> None:
         assert error @ np.linalg.solve(found.cov, error) < 20
 
 
-def test_without_outliers_few_are_flagged() -> None:
-    flagged = [nonlinear_least_squares(rotations(sampled(s)[1], SIGMA**2 * np.eye(3)), np.eye(3), robust=True).outliers
-               for s in range(20)]  # fmt: skip
-    assert np.mean(flagged) < 0.005
-
-
 def test_two_classes_of_noise_find_their_own_deviation() -> None:
     """Metres and radians: the ratio of their noise is found, not assumed."""
     rng = np.random.default_rng(0)
     A = rng.standard_normal((400, 2, 3))
     y = A @ [1.0, 2.0, 3.0] + rng.standard_normal((400, 2)) * [1e-3, 0.1]
-    linear = NonlinearProblem(
-        lambda x: [Measurement(A @ x - y, A, None, ("t", "R"))],
-        lambda x, step: x + step,
-    )
+    linear = NonlinearProblem(lambda x: [Measurement(A @ x - y, A, None, ("t", "R"))], lambda x, step: x + step)
     found = nonlinear_least_squares(linear, np.zeros(3))
     assert found.classes == ("t", "R")
     np.testing.assert_allclose(found.sigma, [1e-3, 0.1], rtol=0.1)
@@ -143,7 +123,7 @@ def test_noise_is_found_beside_a_part_that_is_known() -> None:
     """y = A x + noise, its covariance sigma^2 I + S_i with S_i known: both the answer and sigma are honest."""
     rng = np.random.default_rng(1)
     found = []
-    for _ in range(40):
+    for _ in range(25):
         A = rng.standard_normal((100, 2, 3))
         known = np.einsum("n,ij->nij", rng.uniform(0.0, 2.0, 100), np.array([[0.02, 0.01], [0.01, 0.02]]))
         noise = 0.1 * rng.standard_normal((100, 2)) + np.einsum(
@@ -270,11 +250,6 @@ def test_whitened_squares_are_mahalanobis_distances() -> None:
     np.testing.assert_allclose(cost([one], [one.roots({})], np.ones(5)), 0.5 * expected.sum(), rtol=1e-12)
 
 
-def test_several_measurements_may_belong_to_one_sample() -> None:
-    points = Measurement(np.ones((4, 1)), np.zeros((4, 1, 2)), np.eye(1), ("p",), np.array([0, 0, 1, 1]))
-    assert whiten([points], [points.roots({})]).squares(2).tolist() == [2.0, 2.0]
-
-
 def test_weights_act_on_samples_and_spare_priors() -> None:
     one = poses(COV)
     known = Measurement(np.ones((1, 1)), np.ones((1, 1, 3)), np.eye(1) * 4.0, ("p",), prior=True)
@@ -317,13 +292,17 @@ def test_exact_rows() -> None:
     assert isinstance(found, TotalSolution)
 
 
-def test_the_corrected_rows_agree() -> None:
+def test_the_corrected_rows_agree_and_outliers_are_found() -> None:
     A, y = rows(1)
     found = total_least_squares(A, y, exact=[2])
     fixed = np.column_stack([A, y]) - found.corrections
     np.testing.assert_allclose(fixed @ np.append(found.x, -1.0), 0.0, atol=1e-12)
     np.testing.assert_array_equal(found.corrections[:, 2], 0.0)
     assert found.sigma == pytest.approx(0.1, rel=0.2)
+    A, y = rows(6, sigma=0.01)
+    y[[3, 50]] += 2.0
+    found = total_least_squares(A, y, cov=np.diag([1.0, 1, 0, 1]) * 1e-4, robust=True)
+    assert np.flatnonzero(found.outliers).tolist() == [3, 50]
 
 
 def test_weighted_is_plain_where_weights_are_equal() -> None:
@@ -340,20 +319,20 @@ def test_weighted_is_plain_where_weights_are_equal() -> None:
 
 def test_no_bias_and_honest_covariance() -> None:
     """Errors of a tenth of the signal: least squares is off by many deviations, this by none. NEES/3 is 1."""
-    found = [total_least_squares(*rows(seed), exact=[2]) for seed in range(150)]
+    found = [total_least_squares(*rows(seed), exact=[2]) for seed in range(100)]
     e = np.array([one.x - TRUTH for one in found])
     mean = np.linalg.inv(found[0].cov)
     assert e.mean(axis=0) @ mean @ e.mean(axis=0) * len(e) < 16.3  # 99.9 % of chi^2 with 3
     nees = np.mean([d @ np.linalg.solve(one.cov, d) / 3 for d, one in zip(e, found, strict=True)])
     assert 0.85 < nees < 1.2
-    plain = np.array([np.linalg.lstsq(*rows(seed), rcond=None)[0] - TRUTH for seed in range(300)]).mean(axis=0)
+    plain = np.array([np.linalg.lstsq(*rows(seed), rcond=None)[0] - TRUTH for seed in range(100)]).mean(axis=0)
     assert plain @ mean @ plain * len(e) > 50
 
 
 def test_weighted_rows_of_their_own_covariance() -> None:
     """Correlated errors of different size: NEES/2 is 1, and better than without weights."""
     errors, plain, nees = [], [], []
-    for seed in range(100):
+    for seed in range(60):
         rng = np.random.default_rng([4, seed])
         n = 60
         root = rng.standard_normal((n, 3, 3)) * rng.uniform(0.01, 0.1, (n, 1, 1))
@@ -370,30 +349,20 @@ def test_weighted_rows_of_their_own_covariance() -> None:
     assert np.sqrt(np.mean(errors) / np.mean(plain)) < 0.7
 
 
-def test_outliers_are_found() -> None:
-    A, y = rows(6, sigma=0.01)
-    y[[3, 50]] += 2.0
-    found = total_least_squares(A, y, cov=np.diag([1.0, 1, 0, 1]) * 1e-4, robust=True)
-    assert np.flatnonzero(found.outliers).tolist() == [3, 50]
-
-
-@pytest.mark.parametrize(
-    ("change", "error", "sentence"),
-    [
-        ({"A": np.ones((5, 3, 1))}, ShapeError, r"A \(N, p\)"),
-        ({"y": np.ones(5)}, ShapeError, r"y \(N,\)"),
-        ({"y": np.where(np.arange(100) == 7, np.nan, 1.0)}, ShapeError, "rows 7"),
-        ({"A": np.ones((3, 3)), "y": np.ones(3)}, NotExcited, "more than 3 rows"),
-        ({"A": np.ones((9, 2)), "y": np.arange(9.0)}, NotExcited, "x0 and x1|x1 and x0"),
-        ({"exact": [5]}, ShapeError, "exact columns"),
-        ({"names": ["a"]}, ShapeError, "3 names"),
-        ({"robust": True}, ShapeError, "cov="),
-        ({"cov": np.eye(3)}, ShapeError, "cov"),
-        ({"cov": -np.eye(4)}, ShapeError, "not negative"),
-        ({"cov": np.diag([1.0, 1, 1, 0])}, ShapeError, "variance of y"),
-        ({"cov": np.eye(4), "exact": [2]}, ShapeError, "got both"),
-    ],
-)
+@pytest.mark.parametrize(("change", "error", "sentence"), [
+    ({"A": np.ones((5, 3, 1))}, ShapeError, r"A \(N, p\)"),
+    ({"y": np.ones(5)}, ShapeError, r"y \(N,\)"),
+    ({"y": np.where(np.arange(100) == 7, np.nan, 1.0)}, ShapeError, "rows 7"),
+    ({"A": np.ones((3, 3)), "y": np.ones(3)}, NotExcited, "more than 3 rows"),
+    ({"A": np.ones((9, 2)), "y": np.arange(9.0)}, NotExcited, "x0 and x1|x1 and x0"),
+    ({"exact": [5]}, ShapeError, "exact columns"),
+    ({"names": ["a"]}, ShapeError, "3 names"),
+    ({"robust": True}, ShapeError, "cov="),
+    ({"cov": np.eye(3)}, ShapeError, "cov"),
+    ({"cov": -np.eye(4)}, ShapeError, "not negative"),
+    ({"cov": np.diag([1.0, 1, 1, 0])}, ShapeError, "variance of y"),
+    ({"cov": np.eye(4), "exact": [2]}, ShapeError, "got both"),
+])  # fmt: skip
 def test_bad_input_is_refused(change: dict, error: type[Exception], sentence: str) -> None:
     A, y = rows(0)
     with pytest.raises(error, match=sentence):

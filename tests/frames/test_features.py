@@ -35,16 +35,14 @@ def rod(n: int = 20, seed: int = 0, sigma: float = SIGMA) -> np.ndarray:
     return p + sigma * rng.standard_normal((n, 3))
 
 
-def test_fit_plane_on_exact_points() -> None:
-    plane = fit_plane(sheet(sigma=0.0)).value
-    np.testing.assert_allclose(plane.n, [0, 0, 1], rtol=0, atol=1e-12)
-    assert plane.d == pytest.approx(2.0, abs=1e-12)
+def ring(rng: np.random.Generator, n: int, arc: float = 2 * np.pi, sigma: float = SIGMA) -> np.ndarray:
+    """Points of a circle of radius 0.2 about (0, 0, 1), normal z."""
+    turn = rng.uniform(0.0, arc, n)
+    p = np.column_stack([0.2 * np.cos(turn), 0.2 * np.sin(turn), np.ones(n)])
+    return p + sigma * rng.standard_normal((n, 3))
 
 
-def test_fit_line_on_exact_points() -> None:
-    line = fit_line(rod(sigma=0.0)).value
-    np.testing.assert_allclose(line.v, [1, 0, 0], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(line.r, [0, 1, 2], rtol=0, atol=1e-12)
+RING = ring(np.random.default_rng(0), 9)
 
 
 def test_residuals_and_report() -> None:
@@ -110,39 +108,29 @@ def test_upward_needs_a_side() -> None:
         fit_line(rod(sigma=0.0), along=[0, 1, 0])
 
 
-@pytest.mark.parametrize("sigma", [0.0, SIGMA])
-@pytest.mark.parametrize("n", [4, 20, 200])
-def test_points_along_a_line_are_no_plane(n: int, sigma: float) -> None:
-    refused = 0
-    for seed in range(20):
-        try:
-            fit_plane(rod(n, seed, sigma), normal=[0, 0, 1])
-        except NotExcited as error:
-            refused += "tilt about the long axis of the points, (1.0000" in error.directions[0]
-    assert refused >= (20 if n > 4 or not sigma else 8), "four points can look like a plane"
-
-
-@pytest.mark.parametrize("sigma", [0.0, SIGMA])
-def test_points_in_one_place_are_no_line(sigma: float) -> None:
-    for seed in range(20):
-        p = np.ones(3) + sigma * np.random.default_rng(seed).standard_normal((20, 3))
-        with pytest.raises(NotExcited, match="in one place"):
-            fit_line(p, along=[1, 0, 0])
-
-
-@pytest.mark.parametrize(
-    ("call", "error", "sentence"),
-    [
-        (lambda: fit_plane(sheet(3)), NotExcited, "at least 4 points"),
-        (lambda: fit_plane(sheet(4), robust=True), NotExcited, "at least 5 points"),
-        (lambda: fit_line(rod(2)), NotExcited, "at least 3 points"),
-        (lambda: fit_plane(sheet().T), ShapeError, "Transpose"),
-        (lambda: fit_plane([["a"] * 3] * 5), ShapeError, "real numbers"),
-        (lambda: fit_plane(sheet(), noise=0.0), ShapeError, "above zero"),
-        (lambda: fit_plane(sheet(), limit=-1.0), ShapeError, "limit"),
-        (lambda: fit_line(np.vstack([rod(), [np.nan, 0, 0]])), ShapeError, "rows 20"),
-    ],
-)
+@pytest.mark.parametrize(("call", "error", "sentence"), [
+    (lambda: fit_plane(sheet(3)), NotExcited, "at least 4 points"),
+    (lambda: fit_plane(sheet(4), robust=True), NotExcited, "at least 5 points"),
+    (lambda: fit_line(rod(2)), NotExcited, "at least 3 points"),
+    (lambda: fit_plane(sheet().T), ShapeError, "Transpose"),
+    (lambda: fit_plane([["a"] * 3] * 5), ShapeError, "real numbers"),
+    (lambda: fit_plane(sheet(), noise=0.0), ShapeError, "above zero"),
+    (lambda: fit_plane(sheet(), limit=-1.0), ShapeError, "limit"),
+    (lambda: fit_line(np.vstack([rod(), [np.nan, 0, 0]])), ShapeError, "rows 20"),
+    (lambda: fit_plane(rod(20, sigma=0.0), normal=[0, 0, 1]), NotExcited, r"the long axis of the points, \(1.0000"),
+    (lambda: fit_plane(rod(200), normal=[0, 0, 1]), NotExcited, r"tilt about the long axis of the points, \(1.0000"),
+    (lambda: fit_line(np.ones((20, 3)), along=[1, 0, 0]), NotExcited, "in one place"),
+    (lambda: fit_circle(RING[:3]), NotExcited, "at least 4 points"),
+    (lambda: fit_sphere(RING[:4]), NotExcited, "at least 5 points"),
+    (lambda: fit_circle(RING[:4], robust=True), NotExcited, "at least 5 points"),
+    (lambda: fit_circle(RING[:, :2]), ShapeError, r"\(N, 3\)"),
+    (lambda: fit_sphere(np.vstack([RING, [np.nan] * 3])), ShapeError, "rows 9"),
+    (lambda: fit_circle(np.outer(np.arange(9.0), [1, 2, 3])), NotExcited, "in a line"),
+    (lambda: fit_circle(np.ones((9, 3))), NotExcited, "in one place"),
+    (lambda: check_offset(PLANE, points(2, 0.0, 0.0)), NotExcited, "at least 3 points"),
+    (lambda: check_offset(PLANE, [[0, 0, 0], [0, np.inf, 0], [0, 0, 1]]), ShapeError, "rows 1"),
+    (lambda: check_offset([0, 0, 1], points(5, 0.0, 0.0)), ShapeError, "Plane"),
+])  # fmt: skip
 def test_bad_input_is_refused(call, error, sentence: str) -> None:
     with pytest.raises(error, match=sentence):
         call()
@@ -157,7 +145,7 @@ def test_minimal_sets_find_outliers() -> None:
     q = rod(4, 1)
     q[3, 1] += 0.02
     assert fit_line(q, robust=True).outliers.tolist() == [False, False, False, True]
-    for n in (50, 200):  # all sets, and seeded ones
+    for n in (40, 200):  # all sets, and seeded ones
         bad = np.arange(n) < 0.4 * n
         many = sheet(n, 7)
         many[bad, 2] += np.random.default_rng(1).uniform(0.005, 0.1, int(bad.sum()))
@@ -193,22 +181,6 @@ def line_error(fit: Fit[Line], truth: tuple[np.ndarray, np.ndarray]) -> np.ndarr
 MOVE = se3.from_rp(so3.exp([0.4, 1.0, -0.3]), [3.0, -1.0, 2.0])
 
 
-def plane_experiment(draw: Draw) -> Callable[[int, int], Experiment]:
-    def experiment(seed: int, n: int) -> Experiment:
-        R, c, p, _ = drawn(seed, n, draw)
-        return Experiment({"p": p, "noise": SIGMA, "normal": R[:, 2]}, (R[:, 2], c))
-
-    return experiment
-
-
-def line_experiment(draw: Draw) -> Callable[[int, int], Experiment]:
-    def experiment(seed: int, n: int) -> Experiment:
-        R, c, _, p = drawn(seed, n, draw)
-        return Experiment({"p": p, "noise": SIGMA, "along": R[:, 0]}, (R[:, 0], c))
-
-    return experiment
-
-
 def spoil(data: dict, rng: np.random.Generator) -> tuple[dict, np.ndarray]:
     bad = np.zeros(len(data["p"]), dtype=bool)
     bad[rng.choice(len(bad), len(bad) // 20, replace=False)] = True
@@ -218,57 +190,8 @@ def spoil(data: dict, rng: np.random.Generator) -> tuple[dict, np.ndarray]:
     return {**data, "p": data["p"] + bad[:, None] * away, "robust": True}, bad
 
 
-def moved(hint: str) -> Callable[[dict], dict]:
-    return lambda data: {**data, "p": data["p"] @ MOVE[:3, :3].T + MOVE[:3, 3], hint: MOVE[:3, :3] @ data[hint]}
-
-
 def scaled(data: dict) -> dict:
     return {**data, "p": 1000.0 * data["p"], "noise": 1000.0 * data["noise"]}
-
-
-def here(which: str, scale: float = 1.0, T: np.ndarray | None = None) -> Callable[[Fit], tuple]:
-    def expect(fit: Fit) -> tuple:
-        value = fit.value if T is None else fit.value.moved(T)
-        return getattr(value, which), scale * value.centroid
-
-    return expect
-
-
-def test_fit_plane_keeps_the_contract(uniform_rotation: Draw) -> None:
-    contract = check_estimator(
-        fit_plane,
-        plane_experiment(uniform_rotation),
-        100,
-        n=20,
-        error=plane_error,
-        gauges=[
-            Gauge("frame", moved("normal"), here("n", T=MOVE)),
-            Gauge("millimetres", scaled, here("n", 1000.0)),
-        ],
-        refusals={"tilt about the long axis": {"p": rod(), "noise": SIGMA, "normal": [0, 0, 1]}},
-        spoil=spoil,
-        skip={"efficient": "benchmarks/bench_calibrate_frames.py judges it on 1000 runs of two seeds"},
-    )
-    assert contract.passed, contract.text()
-
-
-def test_fit_line_keeps_the_contract(uniform_rotation: Draw) -> None:
-    one_place = np.ones((20, 3)) + SIGMA * np.random.default_rng(0).standard_normal((20, 3))
-    contract = check_estimator(
-        fit_line,
-        line_experiment(uniform_rotation),
-        100,
-        n=20,
-        error=line_error,
-        gauges=[
-            Gauge("frame", moved("along"), here("v", T=MOVE)),
-            Gauge("millimetres", scaled, here("v", 1000.0)),
-        ],
-        refusals={"in one place": {"p": one_place, "noise": SIGMA, "along": [1, 0, 0]}},
-        spoil=spoil,
-        skip={"efficient": "benchmarks/bench_calibrate_frames.py judges it on 1000 runs of two seeds"},
-    )
-    assert contract.passed, contract.text()
 
 
 def uneven(seed: int, n: int = 20) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -282,27 +205,41 @@ def uneven(seed: int, n: int = 20) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     )
 
 
-@pytest.mark.parametrize("what", ["plane", "line"])
-def test_points_of_their_own_covariance(what: str) -> None:
+def circle_error(fit: Fit[Circle], truth: tuple) -> np.ndarray:
+    centre, n, radius = truth
+    value = fit.value
+    return np.array([*(value.centre - centre), *(value.axes @ np.cross(n, value.n)), value.radius - radius])
+
+
+def sphere_error(fit: Fit[Sphere], truth: tuple) -> np.ndarray:
+    return np.array([*(fit.value.centre - truth[0]), fit.value.radius - truth[1]])
+
+
+ABOVE = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize(("fit", "error", "truth", "hint", "better"), [
+    (fit_plane, plane_error, (np.eye(3)[2], ABOVE), {"normal": [0, 0, 1]}, 0.8),
+    (fit_line, line_error, (np.eye(3)[0], ABOVE), {"along": [1, 0, 0]}, 0.8),
+    (fit_sphere, sphere_error, (ABOVE, 0.2), {}, 0.9),
+], ids=["plane", "line", "sphere"])  # fmt: skip
+def test_points_of_their_own_covariance(fit, error, truth, hint: dict, better: float) -> None:
     """NEES over the dimension is 1, and the error smaller than with one deviation for all."""
     nees, weighted, plain = [], [], []
-    fit, error, mask, truth, hint = (
-        (fit_plane, plane_error, [1, 1, 0], (np.eye(3)[2], np.array([0.0, 0, 1])), {"normal": [0, 0, 1]})
-        if what == "plane"
-        else (fit_line, line_error, [1, 0, 0], (np.eye(3)[0], np.array([0.0, 0, 1])), {"along": [1, 0, 0]})
-    )
-    for seed in range(50):
+    p = np.zeros((0, 3))
+    for seed in range(30):
         p, e, cov = uneven(seed)
-        p = p * mask + [0, 0, 1.0] + e
+        on = {fit_plane: p * [1, 1, 0], fit_line: p * [1, 0, 0]}.get(fit)
+        on = 0.2 * p / np.linalg.norm(p, axis=1, keepdims=True) if on is None else on
+        p = on + ABOVE + e
         found = fit(p, noise=cov, **hint)
         d = error(found, truth)
         nees.append(d @ np.linalg.solve(found.cov, d) / len(d))
-        weighted.append(d[0] ** 2 + d[1] ** 2)
+        weighted.append(np.sum(d[:2] ** 2))
         plain.append(np.sum(error(fit(p, **hint), truth)[:2] ** 2))
     assert 0.8 < np.mean(nees) < 1.25
-    assert np.sqrt(np.mean(weighted) / np.mean(plain)) < 0.8
-    same = np.eye(3) * SIGMA**2
-    one, other = fit(p, noise=same, **hint), fit(p, noise=SIGMA, **hint)
+    assert np.sqrt(np.mean(weighted) / np.mean(plain)) < better
+    one, other = fit(p, noise=np.eye(3) * SIGMA**2, **hint), fit(p, noise=SIGMA, **hint)
     assert np.abs(error(one, truth) - error(other, truth)).max() < 1e-12
     np.testing.assert_allclose(np.sort(np.diag(one.cov)), np.sort(np.diag(other.cov)), rtol=1e-6)
 
@@ -319,16 +256,6 @@ def test_outliers_among_points_of_their_own_covariance() -> None:
         fit_line(p, noise=np.where(np.arange(20)[:, None, None] == 2, -cov, cov))
 
 
-def test_many_points() -> None:
-    """No square of their number is ever stored."""
-    p = sheet(40_000)
-    p[:8_000, 2] += 0.01
-    fit = fit_plane(p, robust=True)
-    assert fit.outliers[:8_000].all()
-    assert fit.n > 31_600
-    assert fit_line(rod(40_000), robust=True).n > 39_600
-
-
 def test_the_side_of_a_plane_is_as_sure_as_its_tilt_far_away() -> None:
     """Points five metres from the origin: 2 mm above it is within what their tilt leaves open."""
     rng = np.random.default_rng(1)
@@ -342,7 +269,7 @@ def test_the_side_of_a_plane_is_as_sure_as_its_tilt_far_away() -> None:
 @pytest.mark.parametrize(("fit", "draw", "n"), [(fit_line, rod, 4), (fit_plane, sheet, 5)])
 def test_noise_of_few_points_is_not_flattered(fit: Callable[..., Fit], draw: Callable[..., np.ndarray], n: int) -> None:
     """The mean of its square is the variance: degrees of freedom that the fit took do not count."""
-    squares = [fit(draw(n, seed)).sigma[0] ** 2 for seed in range(200)]
+    squares = [fit(draw(n, seed)).sigma[0] ** 2 for seed in range(150)]
     assert np.mean(squares) == pytest.approx(SIGMA**2, rel=0.15)
 
 
@@ -370,22 +297,6 @@ def test_outliers_are_flagged_by_index() -> None:
     assert "point 4: -0.02" in found.text()
 
 
-def test_bad_input_is_refused_offset() -> None:
-    with pytest.raises(NotExcited, match="at least 3 points"):
-        check_offset(PLANE, points(2, 0.0, 0.0))
-    with pytest.raises(ShapeError, match="rows 1"):
-        check_offset(PLANE, [[0, 0, 0], [0, np.inf, 0], [0, 0, 1]])
-    with pytest.raises(ShapeError, match="Plane"):
-        check_offset([0, 0, 1], points(5, 0.0, 0.0))
-
-
-def ring(rng: np.random.Generator, n: int, arc: float = 2 * np.pi, sigma: float = SIGMA) -> np.ndarray:
-    """Points of a circle of radius 0.2 about (0, 0, 1), normal z."""
-    turn = rng.uniform(0.0, arc, n)
-    p = np.column_stack([0.2 * np.cos(turn), 0.2 * np.sin(turn), np.ones(n)])
-    return p + sigma * rng.standard_normal((n, 3))
-
-
 def ball(rng: np.random.Generator, n: int, cap: float = np.pi, sigma: float = SIGMA) -> np.ndarray:
     """Points of a sphere of radius 0.2 about (0, 0, 1), not further than `cap` from its top."""
     height, turn = rng.uniform(np.cos(cap), 1.0, n), rng.uniform(0.0, 2 * np.pi, n)
@@ -396,13 +307,13 @@ def ball(rng: np.random.Generator, n: int, cap: float = np.pi, sigma: float = SI
 
 def test_exact_points() -> None:
     rng = np.random.default_rng(0)
-    circle = fit_circle(ring(rng, 20, 1.0, 0.0)).value
-    np.testing.assert_allclose(circle.centre, [0, 0, 1], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(circle.n, [0, 0, 1], rtol=0, atol=1e-12)
-    assert circle.radius == pytest.approx(0.2, abs=1e-12)
-    sphere = fit_sphere(ball(rng, 20, 1.0, 0.0)).value
-    np.testing.assert_allclose(sphere.centre, [0, 0, 1], rtol=0, atol=1e-12)
-    assert sphere.radius == pytest.approx(0.2, abs=1e-12)
+    plane, line = fit_plane(sheet(sigma=0.0)).value, fit_line(rod(sigma=0.0)).value
+    circle, sphere = fit_circle(ring(rng, 20, 1.0, 0.0)).value, fit_sphere(ball(rng, 20, 1.0, 0.0)).value
+    for found, truth in (
+        (plane.n, [0, 0, 1]), (plane.d, 2.0), (line.v, [1, 0, 0]), (line.r, [0, 1, 2]), (circle.centre, [0, 0, 1]),
+        (circle.n, [0, 0, 1]), (circle.radius, 0.2), (sphere.centre, [0, 0, 1]), (sphere.radius, 0.2),
+    ):  # fmt: skip
+        np.testing.assert_allclose(found, truth, rtol=0, atol=1e-12)
 
 
 def test_the_normal_follows_the_rule_in_every_orientation(cube: list[np.ndarray]) -> None:
@@ -418,7 +329,7 @@ def test_the_normal_follows_the_rule_in_every_orientation(cube: list[np.ndarray]
 
 @pytest.mark.parametrize("sigma", [0.0, SIGMA])
 def test_what_does_not_tell_the_centre_is_refused(sigma: float) -> None:
-    for seed in range(4):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         with pytest.raises(NotExcited) as caught:
             fit_circle(ring(rng, 20, 0.02 if sigma else 1e-9, sigma))
@@ -440,33 +351,12 @@ def test_minimal_sets_find_outliers_of_circles_and_spheres() -> None:
     found = fit_sphere(many, robust=True, noise=SIGMA)
     assert found.outliers[:30].all()
     assert found.outliers[30:].sum() <= 1
-
-
-@pytest.mark.parametrize(
-    ("call", "error", "sentence"),
-    [
-        (lambda p: fit_circle(p[:3]), NotExcited, "at least 4 points"),
-        (lambda p: fit_sphere(p[:4]), NotExcited, "at least 5 points"),
-        (lambda p: fit_circle(p[:4], robust=True), NotExcited, "at least 5 points"),
-        (lambda p: fit_circle(p[:, :2]), ShapeError, r"\(N, 3\)"),
-        (lambda p: fit_sphere(np.vstack([p, [np.nan] * 3])), ShapeError, "rows 9"),
-        (lambda p: fit_circle(np.outer(np.arange(9.0), [1, 2, 3])), NotExcited, "in a line"),
-        (lambda p: fit_circle(np.ones((9, 3))), NotExcited, "in one place"),
-    ],
-)
-def test_bad_points_of_circles_and_spheres_are_refused(call, error: type[Exception], sentence: str) -> None:
-    with pytest.raises(error, match=sentence):
-        call(ring(np.random.default_rng(0), 9))
-
-
-def circle_error(fit: Fit[Circle], truth: tuple) -> np.ndarray:
-    centre, n, radius = truth
-    value = fit.value
-    return np.array([*(value.centre - centre), *(value.axes @ np.cross(n, value.n)), value.radius - radius])
-
-
-def sphere_error(fit: Fit[Sphere], truth: tuple) -> np.ndarray:
-    return np.array([*(fit.value.centre - truth[0]), fit.value.radius - truth[1]])
+    p = sheet(20_000)  # no square of their number is ever stored
+    p[:4_000, 2] += 0.01
+    fit = fit_plane(p, robust=True)
+    assert fit.outliers[:4_000].all()
+    assert fit.n > 15_800
+    assert fit_line(rod(20_000), robust=True).n > 19_800
 
 
 def inflated(data: dict, rng: np.random.Generator) -> tuple[dict, np.ndarray]:
@@ -477,86 +367,61 @@ def inflated(data: dict, rng: np.random.Generator) -> tuple[dict, np.ndarray]:
 
 
 def displaced(data: dict) -> dict:
-    more = {"normal": MOVE[:3, :3] @ data["normal"]} if "normal" in data else {}
-    return {**data, "p": data["p"] @ MOVE[:3, :3].T + MOVE[:3, 3], **more}
+    hints = {name: MOVE[:3, :3] @ data[name] for name in ("normal", "along") if name in data}
+    return {**data, "p": data["p"] @ MOVE[:3, :3].T + MOVE[:3, 3], **hints}
 
 
-def there(c: np.ndarray) -> np.ndarray:
-    return MOVE[:3, :3] @ c + MOVE[:3, 3]
+def truth_of(value: Plane | Line | Circle | Sphere, T: np.ndarray, scale: float = 1.0) -> tuple:
+    """What the error is counted from, of a value in another frame and unit."""
+    if isinstance(value, Plane | Line):
+        there = value.moved(T)
+        return there.n if isinstance(there, Plane) else there.v, scale * there.centroid
+    centre = scale * (T[:3, :3] @ value.centre + T[:3, 3])
+    turned = (T[:3, :3] @ value.n,) if isinstance(value, Circle) else ()
+    return (centre, *turned, scale * value.radius)
 
 
-SKIP = {"efficient": "benchmarks/bench_calibrate_frames.py judges it on 1000 runs of two seeds"}
-
-
-@pytest.mark.slow  # 4 s
-def test_fit_circle_keeps_the_contract(uniform_rotation: Draw) -> None:
+def made(what: str, draw: Draw) -> Callable[[int, int], Experiment]:
     def experiment(seed: int, n: int) -> Experiment:
+        R, c, flat, thin = drawn(seed, n, draw)
+        if what == "plane":
+            return Experiment({"p": flat, "noise": SIGMA, "normal": R[:, 2]}, (R[:, 2], c))
+        if what == "line":
+            return Experiment({"p": thin, "noise": SIGMA, "along": R[:, 0]}, (R[:, 0], c))
         rng = np.random.default_rng([6000, seed])
-        R, c = uniform_rotation(rng), rng.standard_normal(3)
-        p = (ring(rng, n, 4.0, 0.0) - [0, 0, 1]) @ R.T + c + SIGMA * rng.standard_normal((n, 3))
+        if what == "sphere":
+            return Experiment({"p": ball(rng, n, 1.5) - ABOVE + c, "noise": SIGMA}, (c, 0.2))
+        p = (ring(rng, n, 4.0, 0.0) - ABOVE) @ R.T + c + SIGMA * rng.standard_normal((n, 3))
         return Experiment({"p": p, "noise": SIGMA, "normal": R[:, 2]}, (c, R[:, 2], 0.2))
 
-    short = ring(np.random.default_rng(0), 20, 0.02)
+    return experiment
+
+
+PLACE = np.ones((20, 3)) + SIGMA * np.random.default_rng(0).standard_normal((20, 3))
+SHORT, CAP = ring(np.random.default_rng(0), 20, 0.02), ball(np.random.default_rng(0), 20, 0.03)
+CONTRACTS = {
+    "plane": (fit_plane, plane_error, spoil, "tilt about the long axis", {"p": rod(), "normal": [0, 0, 1]}),
+    "line": (fit_line, line_error, spoil, "in one place", {"p": PLACE, "along": [1, 0, 0]}),
+    "circle": (fit_circle, circle_error, inflated, "centre", {"p": SHORT, "normal": [0, 0, 1]}),
+    "sphere": (fit_sphere, sphere_error, inflated, "centre along", {"p": CAP}),
+}
+
+
+@pytest.mark.parametrize(("what", "runs"), [
+    ("plane", 60),
+    ("line", 60),
+    pytest.param("circle", 50, marks=pytest.mark.slow),  # 3 s
+    pytest.param("sphere", 50, marks=pytest.mark.slow),
+])  # fmt: skip
+def test_every_fit_keeps_the_contract(what: str, runs: int, uniform_rotation: Draw) -> None:
+    fit, error, bad, words, data = CONTRACTS[what]
+    gauges = [
+        Gauge("frame", displaced, lambda fit: truth_of(fit.value, MOVE)),
+        Gauge("millimetres", scaled, lambda fit: truth_of(fit.value, np.eye(4), 1000.0)),
+    ]
     contract = check_estimator(
-        fit_circle,
-        experiment,
-        60,
-        n=20,
-        error=circle_error,
-        gauges=[
-            Gauge(
-                "frame",
-                displaced,
-                lambda fit: (there(fit.value.centre), MOVE[:3, :3] @ fit.value.n, fit.value.radius),
-            ),
-            Gauge("millimetres", scaled, lambda fit: (1e3 * fit.value.centre, fit.value.n, 1e3 * fit.value.radius)),
-        ],
-        refusals={"centre": {"p": short, "noise": SIGMA, "normal": [0, 0, 1]}},
-        spoil=inflated,
-        skip=SKIP,
-    )
+        fit, made(what, uniform_rotation), runs, n=20, error=error, gauges=gauges, spoil=bad,
+        refusals={words: {**data, "noise": SIGMA}},
+        skip={"efficient": "benchmarks/bench_calibrate_frames.py judges it on 1000 runs of two seeds"},
+    )  # fmt: skip
     assert contract.passed, contract.text()
-
-
-@pytest.mark.slow  # 4 s
-def test_fit_sphere_keeps_the_contract() -> None:
-    def experiment(seed: int, n: int) -> Experiment:
-        rng = np.random.default_rng([6001, seed])
-        c = rng.standard_normal(3)
-        p = ball(rng, n, 1.5) - [0, 0, 1] + c
-        return Experiment({"p": p, "noise": SIGMA}, (c, 0.2))
-
-    contract = check_estimator(
-        fit_sphere,
-        experiment,
-        60,
-        n=20,
-        error=sphere_error,
-        gauges=[
-            Gauge("frame", displaced, lambda fit: (there(fit.value.centre), fit.value.radius)),
-            Gauge("millimetres", scaled, lambda fit: (1e3 * fit.value.centre, 1e3 * fit.value.radius)),
-        ],
-        refusals={"centre along": {"p": ball(np.random.default_rng(0), 20, 0.03), "noise": SIGMA}},
-        spoil=inflated,
-        skip=SKIP,
-    )
-    assert contract.passed, contract.text()
-
-
-def test_points_of_a_sphere_of_their_own_covariance() -> None:
-    """NEES/4 is 1, and the error smaller than with one deviation for all."""
-    nees, weighted, plain = [], [], []
-    for seed in range(40):
-        rng = np.random.default_rng([9, seed])
-        root = np.linalg.qr(rng.standard_normal((30, 3, 3)))[0] * np.array([2e-4, 5e-5, 2e-5])
-        p = ball(rng, 30, 2.0, 0.0) + (root @ rng.standard_normal((30, 3, 1)))[..., 0]
-        fit = fit_sphere(p, noise=root @ root.transpose(0, 2, 1))
-        d = sphere_error(fit, (np.array([0, 0, 1]), 0.2))
-        nees.append(d @ np.linalg.solve(fit.cov, d) / 4)
-        weighted.append(d @ d)
-        plain.append(np.sum(sphere_error(fit_sphere(p), (np.array([0, 0, 1]), 0.2)) ** 2))
-    assert 0.7 < np.mean(nees) < 1.35
-    assert np.sqrt(np.mean(weighted) / np.mean(plain)) < 0.9
-    same = fit_circle(ring(np.random.default_rng(0), 20), noise=np.eye(3) * SIGMA**2)
-    one = fit_circle(ring(np.random.default_rng(0), 20), noise=SIGMA)
-    np.testing.assert_allclose(same.value.centre, one.value.centre, atol=1e-13)

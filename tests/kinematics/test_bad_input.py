@@ -45,14 +45,14 @@ def named(*tables: dict[str, Any]) -> pytest.MarkDecorator:
 
 
 @named(OF_BATCHES, OF_ONE)
-@pytest.mark.parametrize("shape", [(6,), (8,), (1,), (0,), (3, 6), ()])
+@pytest.mark.parametrize("shape", [(6,), (0,), (3, 8), ()])
 def test_wrong_joint_count(function: Callable, shape: tuple[int, ...]) -> None:
     with pytest.raises(ShapeError, match=r"Expected q .*7.*, got .*\.$"):
         function(ROBOT, np.zeros(shape))
 
 
 @named(OF_BATCHES)
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_nan_stays_in_its_sample(function: Callable, bad: float) -> None:
     """Of a batch with one broken sample the others are what they are without it."""
     q = np.random.default_rng(0).uniform(ROBOT.q_min, ROBOT.q_max, (9, 7))
@@ -77,13 +77,6 @@ def test_nothing_is_known_of_a_posture_that_is_not(part: Any, prismatic: bool) -
     for value in values:
         assert np.isfinite(value[0]).all()
         assert np.isnan(value[1]).any()
-
-
-@named(OF_ONE)
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_walk_from_nowhere_is_refused(function: Callable, bad: float) -> None:
-    with pytest.raises(ShapeError, match=r"Expected q to be \(7,\) finite numbers"):
-        function(ROBOT, np.where(np.arange(7) == 2, bad, HOME))
 
 
 @pytest.mark.parametrize(
@@ -158,15 +151,6 @@ def test_arguments_of_the_inverse(arguments: dict[str, Any], error: type[Excepti
         kinematics.inverse(ROBOT, **({"T_base_tool": goal()} | arguments))
 
 
-@pytest.mark.parametrize("threads", [0, 2.5])
-def test_threads_and_pairs_of_outputs(threads: Any) -> None:
-    for function in (kinematics.forward, kinematics.jacobian):
-        with pytest.raises(ConfigError, match="threads to be an integer from 1 to 256"):
-            function(ROBOT, HOME, threads=threads)
-    with pytest.raises(ShapeError, match=r"out to be a pair of arrays \(T, J\)"):
-        kinematics.forward_jacobian(ROBOT, HOME, out=np.empty((4, 4)))  # type: ignore[arg-type]
-
-
 def test_a_posture_without_its_objective() -> None:
     """It would do nothing."""
     objectives: tuple[Any, ...] = (None, "limits", "mid_range", "manipulability")
@@ -176,22 +160,23 @@ def test_a_posture_without_its_objective() -> None:
                 function(ROBOT, T, objective=objective, posture=HOME)
 
 
-@pytest.mark.parametrize("value", [None, "home", ["a"] * 7, 1j * HOME, [[1, 2], [3]], {}])
-def test_nothing_or_words_for_numbers(value: Any) -> None:
-    for function in (kinematics.forward, kinematics.self_motion, kinematics.inverse, kinematics.inverse_path):
-        with pytest.raises(ShapeError, match=r"^Expected (q|T_base_tool) [^\n]*\.$"):
-            function(ROBOT, value)
-
-
-def test_velocities_of_another_shape() -> None:
+def test_nothing_or_words_for_numbers() -> None:
+    functions = (kinematics.forward, kinematics.self_motion, kinematics.inverse, kinematics.inverse_path)
+    for value in (None, "home", ["a"] * 7, 1j * HOME, [[1, 2], [3]], {}):
+        for function in functions:
+            with pytest.raises(ShapeError, match=r"^Expected (q|T_base_tool) [^\n]*\.$"):
+                function(ROBOT, value)
     for qd in (np.zeros(6), np.zeros((2, 7)), 0.0):
         with pytest.raises(ShapeError, match=r"Expected qd of .*7.*, got"):
             kinematics.jacobian_derivative(ROBOT, HOME, qd)
-
-
-@named(OF_BATCHES, OF_ONE, {"inverse": kinematics.inverse, "inverse_path": kinematics.inverse_path})
-def test_a_name_is_no_robot(function: Callable) -> None:
-    with pytest.raises(RobotError, match=r"^Expected a Robot, got 'yumi_left'\. Load it first: robots\.load"):
-        function("yumi_left", HOME)
-    with pytest.raises(RobotError, match=r"^Expected a Robot, got None\."):
-        function(None, HOME)
+    with pytest.raises(ShapeError, match=r"Expected q to be \(7,\) finite numbers"):
+        kinematics.self_motion(ROBOT, np.where(np.arange(7) == 2, np.nan, HOME))
+    for function in (kinematics.forward, kinematics.jacobian):
+        for threads in (0, 2.5):
+            with pytest.raises(ConfigError, match="threads to be an integer from 1 to 256"):
+                function(ROBOT, HOME, threads=threads)  # type: ignore[arg-type]
+    with pytest.raises(ShapeError, match=r"out to be a pair of arrays \(T, J\)"):
+        kinematics.forward_jacobian(ROBOT, HOME, out=np.empty((4, 4)))  # type: ignore[arg-type]
+    for function in (*OF_BATCHES.values(), *functions):
+        with pytest.raises(RobotError, match=r"^Expected a Robot, got 'yumi_left'\. Load it first: robots\.load"):
+            function("yumi_left", HOME)

@@ -20,8 +20,8 @@ from armlab.robots import Robot
 TASKS = ("pose", "position", "axis", "direction")
 FIELDS = ("q", "success", "position_error", "rotation_error", "iterations", "starts", "reason", "slope")
 ARMS_LIBRARY = [name for name in robots.names() if name != "dh_test"]
-COUNT = 2000
-COUNT_OBJECTIVES = 300
+COUNT = 800
+COUNT_OBJECTIVES = 150
 OBJECTIVES = ("posture", "mid_range", "limits", "manipulability")
 ROWS = {"pose": slice(0, 6), "position": slice(0, 3)}
 YUMI = "yumi_left"
@@ -137,14 +137,6 @@ def test_a_batch_is_a_loop() -> None:
                 np.testing.assert_array_equal(getattr(batch, name)[k // 4, k % 4], getattr(one, name))
 
 
-def test_no_goals() -> None:
-    robot = robots.load("irb2400")
-    result = inverse(robot, np.empty((0, 4, 4)), np.empty((0, 6)), history=True, strict=True)
-    assert result.q.shape == (0, 6)
-    assert result.success.shape == (0,)
-    assert result.report() == "0 of 0 goals solved."
-
-
 @st.composite
 def chains(draw: st.DrawFn) -> tuple[Robot, np.ndarray]:
     """Random robots of 2 to 9 joints, revolute and prismatic, with limits, without, or with some; and a posture."""
@@ -165,7 +157,7 @@ def chains(draw: st.DrawFn) -> tuple[Robot, np.ndarray]:
 
 
 @given(chains(), st.sampled_from(TASKS), st.booleans())
-@settings(max_examples=60)
+@settings(max_examples=40)
 def test_any_chain(case: tuple[Robot, np.ndarray], task: str, moved: bool) -> None:
     """The result is finite, inside the limits and tells the truth; the posture itself is found again."""
     robot, q = case
@@ -200,20 +192,13 @@ def solved(robot: Robot, q: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("name", ARMS_LIBRARY)
 def test_random_poses(name: str) -> None:
-    """Found: all of 10 000 on each of the fourteen arms, after 1.2 to 1.8 starts on average."""
+    """Found: all of 10 000 on each of the fourteen arms, after 1.2 to 1.8 starts on average; straight wrists too."""
     robot = robots.load(name)
     q = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (COUNT, robot.n))
     assert solved(robot, q).mean() >= 0.999
-
-
-@pytest.mark.parametrize("name", ARMS_LIBRARY)
-def test_poses_with_a_straight_wrist(name: str) -> None:
-    """Two axes of the wrist are one line, or nearly where lengths lie between."""
-    robot = robots.load(name)
-    q = np.random.default_rng(1).uniform(robot.q_min, robot.q_max, (COUNT // 4, robot.n))
     bend = robot.n - 2
-    q[:, bend] = np.clip(0.0, robot.q_min[bend], robot.q_max[bend])
-    assert solved(robot, q).mean() >= 0.999
+    q[: COUNT // 4, bend] = np.clip(0.0, robot.q_min[bend], robot.q_max[bend])
+    assert solved(robot, q[: COUNT // 4]).mean() >= 0.999
 
 
 @pytest.mark.parametrize("name", ARMS_LIBRARY)
@@ -222,10 +207,6 @@ def test_every_joint_at_a_limit(name: str) -> None:
     robot = robots.load(name)
     corners = np.array(list(itertools.product(*zip(robot.q_min, robot.q_max))))
     assert solved(robot, corners).mean() >= 0.98
-
-
-def moved_poses(robot: Robot, count: int, seed: int) -> np.ndarray:
-    return forward(robot, np.random.default_rng(seed).uniform(robot.q_min, robot.q_max, (count, robot.n)))
 
 
 def planar(*lengths: float, **limits: tuple[float, ...]) -> Robot:
@@ -241,35 +222,26 @@ def at(x: float, y: float, z: float = 0.0) -> np.ndarray:
 
 
 REACH = planar(1.0, 0.5)
+NEAREST = np.sqrt(1.25 + np.cos(1)) - np.sqrt(1.25 + np.cos(2))
 BENT = planar(1.0, 0.5, q_min=(-np.pi, 0.5), q_max=(np.pi, 1.0))
 
 
-@pytest.mark.parametrize(
-    ("robot", "T", "q0", "options", "reason", "least"),
-    [
-        # further than the links are long, in front of the shortest reach, beside the plane: distances are known
-        (REACH, at(3.0, 0.0), (0.1, 0.2), {}, "out of reach", 1.5),
-        (REACH, at(0.2, 0.0), (0.1, 0.2), {}, "out of reach", 0.3),
-        (REACH, at(0.6, 0.6, 0.1), (0.1, 0.2), {}, "out of reach", 0.1),
-        (REACH, at(0.6, 0.6, 0.1), (0.1, 0.2), {"starts": 1}, "out of reach", 0.1),
-        (REACH, at(1.5 + 1e-6, 0.0), (0.1, 0.2), {}, "out of reach", 1e-6),
-        # the elbow would have to bend by 2 rad; at its limit the distance is that of the two circles
-        (
-            BENT,
-            forward(REACH, (0.3, 2.0)),
-            (0.3, 0.7),
-            {},
-            "limits",
-            np.sqrt(1.25 + np.cos(1)) - np.sqrt(1.25 + np.cos(2)),
-        ),
-        (BENT, forward(REACH, (0.3, 2.0)), (0.3, 0.7), {"starts": 1}, "limits", 0.0),
-        # the goal lies on the stretched arm: no joint moves towards it, another start gets there
-        (REACH, at(1.2, 0.0), (0.0, 0.0), {"starts": 1}, "singular", 0.3),
-        (REACH, at(1.2, 0.0), (0.0, 0.0), {}, "solved", 0.0),
-        (REACH, forward(REACH, (0.3, 1.0)), (-2.0, 0.5), {"maxiter": 2, "starts": 1}, "iterations", 0.0),
-        (REACH, at(1.5, 0.0), (0.3, 0.5), {"starts": 1}, "solved", 0.0),  # the last point that it reaches
-    ],
-)
+@pytest.mark.parametrize(("robot", "T", "q0", "options", "reason", "least"), [
+    # further than the links are long, in front of the shortest reach, beside the plane: distances are known
+    (REACH, at(3.0, 0.0), (0.1, 0.2), {}, "out of reach", 1.5),
+    (REACH, at(0.2, 0.0), (0.1, 0.2), {}, "out of reach", 0.3),
+    (REACH, at(0.6, 0.6, 0.1), (0.1, 0.2), {}, "out of reach", 0.1),
+    (REACH, at(0.6, 0.6, 0.1), (0.1, 0.2), {"starts": 1}, "out of reach", 0.1),
+    (REACH, at(1.5 + 1e-6, 0.0), (0.1, 0.2), {}, "out of reach", 1e-6),
+    # the elbow would have to bend by 2 rad; at its limit the distance is that of the two circles
+    (BENT, forward(REACH, (0.3, 2.0)), (0.3, 0.7), {}, "limits", NEAREST),
+    (BENT, forward(REACH, (0.3, 2.0)), (0.3, 0.7), {"starts": 1}, "limits", 0.0),
+    # the goal lies on the stretched arm: no joint moves towards it, another start gets there
+    (REACH, at(1.2, 0.0), (0.0, 0.0), {"starts": 1}, "singular", 0.3),
+    (REACH, at(1.2, 0.0), (0.0, 0.0), {}, "solved", 0.0),
+    (REACH, forward(REACH, (0.3, 1.0)), (-2.0, 0.5), {"maxiter": 2, "starts": 1}, "iterations", 0.0),
+    (REACH, at(1.5, 0.0), (0.3, 0.5), {"starts": 1}, "solved", 0.0),  # the last point that it reaches
+])  # fmt: skip
 def test_why_not(robot: Robot, T: np.ndarray, q0: tuple, options: dict, reason: str, least: float) -> None:
     """Where there is no solution the nearest posture comes back, with the true reason."""
     result = inverse(robot, T, q0, task="position", **options)
@@ -285,7 +257,7 @@ def test_why_not(robot: Robot, T: np.ndarray, q0: tuple, options: dict, reason: 
 
 def test_unreachable_poses_end_soon_and_stay_finite() -> None:
     robot = robots.load("yumi_left")
-    T = moved_poses(robot, 30, seed=3)
+    T = goals(robot, 30, seed=3)
     T[::2, :3, 3] += 0.4
     T[1::2, :3, 3] *= 1e6
     result = inverse(robot, T, maxiter=50, starts=30)
@@ -305,13 +277,15 @@ def test_turns_are_taken_back_into_the_limits() -> None:
 
 def test_reports() -> None:
     robot = robots.load("irb2400")
-    T = moved_poses(robot, 4, seed=1)
+    T = goals(robot, 4, seed=1)
     one = inverse(robot, forward(robot, robot.q_home), robot.q_home)
     assert repr(one) == "IkSolution(Solved to 0 m and 0 rad in 0 iterations from 1 start.)"
     T[2, 0, 3] += 10.0
     text = inverse(robot, T.reshape(2, 2, 4, 4)).report()
     assert text.startswith("3 of 4 goals solved, to ")
     assert text.endswith("; not solved: 1 out of reach, first at index 1, 0.")
+    none = inverse(robot, np.empty((0, 4, 4)), np.empty((0, 6)), history=True, strict=True)
+    assert (none.q.shape, none.success.shape, none.report()) == ((0, 6), (0,), "0 of 0 goals solved.")
     assert inverse(robot, T[2:3]).report() == "0 of 1 goals solved; not solved: 1 out of reach, first at index 0."
 
 
@@ -402,7 +376,7 @@ def test_objectives_are_better_than_the_plain_solution() -> None:
 def test_limits_are_avoided(name: str) -> None:
     """On 99 % of the poses the smallest distance to a limit, over the range, is at least that of the plain solution."""
     robot = robots.load(name)
-    T = goals(robot, 1000, seed=3)
+    T = goals(robot, 400, seed=3)
     near = [np.abs(scaled(robot, inverse(robot, T, objective=o).q)).max(axis=1) for o in ("limits", None)]
     assert np.mean(near[0] <= near[1] + 1e-9) >= 0.99
     assert np.median(near[1] - near[0]) > 0.02

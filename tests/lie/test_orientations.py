@@ -18,7 +18,7 @@ def random_quaternions(*shape: int, seed: int = 0) -> np.ndarray:
 
 def test_from_matrix_of_half_turns() -> None:
     """The square root of a negative number, for about 30 % of them, is what a naive formula takes."""
-    u = random_quaternions(100_000)[:, 1:]
+    u = random_quaternions(20_000)[:, 1:]
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     q = quaternion.from_matrix(2 * u[:, :, None] * u[:, None, :] - np.eye(3))
     np.testing.assert_allclose(np.abs((q[:, 1:] * u).sum(axis=1)), 1, rtol=1e-14)
@@ -45,19 +45,18 @@ def test_continuous_bridges_missing_samples() -> None:
     np.testing.assert_array_equal(quaternion.continuous(q[1:])[1:, 0], [-1, -1])
 
 
-@pytest.mark.parametrize(
-    ("call", "sentence"),
-    [
-        (lambda: quaternion.to_matrix([0, 0, 0, 0]), r"Expected quaternion of length 1 within 0\.001 \(wxyz\), got"),
-        (lambda: quaternion.to_matrix([1, 0, 0]), r"Expected quaternion of shape \(\.\.\., 4\), got \(3,\)\."),
-        (lambda: quaternion.to_matrix([[1, 0, 0, 0], [2, 0, 0, 0]]), "got length 2"),
-        (lambda: quaternion.from_matrix(np.zeros((3, 3))), "Expected R to be a rotation"),
-        (lambda: quaternion.slerp([1, 0, 0, 0], [3, 0, 0, 0], 0.5), "Expected b of length 1"),
-        (lambda: quaternion.multiply([1, 0, 0, 0], [1, 0]), "Expected q of shape"),
-        (lambda: quaternion.conjugate([1]), "Expected quaternion of shape"),
-        (lambda: quaternion.continuous([1, 0, 0, 0]), "with time along axis 0"),
-    ],
-)
+@pytest.mark.parametrize(("call", "sentence"), [
+    (lambda: quaternion.to_matrix([0, 0, 0, 0]), r"Expected quaternion of length 1 within 0\.001 \(wxyz\), got"),
+    (lambda: quaternion.to_matrix([1, 0, 0]), r"Expected quaternion of shape \(\.\.\., 4\), got \(3,\)\."),
+    (lambda: quaternion.to_matrix([[1, 0, 0, 0], [2, 0, 0, 0]]), "got length 2"),
+    (lambda: quaternion.from_matrix(np.zeros((3, 3))), "Expected R to be a rotation"),
+    (lambda: quaternion.slerp([1, 0, 0, 0], [3, 0, 0, 0], 0.5), "Expected b of length 1"),
+    (lambda: quaternion.multiply([1, 0, 0, 0], [1, 0]), "Expected q of shape"),
+    (lambda: quaternion.conjugate([1]), "Expected quaternion of shape"),
+    (lambda: quaternion.continuous([1, 0, 0, 0]), "with time along axis 0"),
+    (lambda: euler.from_rpy((0, 0), "zyx"), "Expected rpy of shape"),
+    (lambda: euler.to_rpy(2 * np.eye(3), "zyx"), "Expected R to be a rotation"),
+])  # fmt: skip
 def test_bad_input_is_a_sentence(call, sentence: str) -> None:
     with pytest.raises(ShapeError, match=sentence):
         call()
@@ -74,7 +73,7 @@ def test_missing_stays_missing() -> None:
     q = random_quaternions(2)
     q[1] = np.nan
     R = quaternion.to_matrix(q)
-    for result in (R, quaternion.from_matrix(R), quaternion.slerp(q, q[:1], 0.5)):
+    for result in (R, quaternion.from_matrix(R), quaternion.slerp(q, q[:1], 0.5), euler.to_rpy(R, "zyx")):
         assert np.isfinite(result[0]).all()
         assert np.isnan(result[1]).all()
 
@@ -82,14 +81,11 @@ def test_missing_stays_missing() -> None:
 LOCKED = {"zyx": (-np.pi / 2, np.pi / 2), "xyz": (-np.pi / 2, np.pi / 2), "zyz": (0.0, np.pi)}
 
 
-@pytest.mark.parametrize(
-    ("convention", "expected"),
-    [
-        ("zyx", (0.983347443256, 0.143572175027, 0.106020511062, 0.034270798550)),
-        ("xyz", (0.981856172866, 0.064071347706, 0.091157549343, 0.153439302024)),
-        ("zyz", (0.975170327202, 0.009966711079, 0.099334665398, 0.197676811654)),
-    ],
-)
+@pytest.mark.parametrize(("convention", "expected"), [
+    ("zyx", (0.983347443256, 0.143572175027, 0.106020511062, 0.034270798550)),
+    ("xyz", (0.981856172866, 0.064071347706, 0.091157549343, 0.153439302024)),
+    ("zyz", (0.975170327202, 0.009966711079, 0.099334665398, 0.197676811654)),
+])  # fmt: skip
 def test_reference_quaternions(convention, expected: tuple[float, ...]) -> None:
     """(0.1, 0.2, 0.3) in the conventions of ABB, Nikon and zyz."""
     np.testing.assert_allclose(
@@ -145,17 +141,3 @@ def test_the_convention_has_no_default() -> None:
         euler.from_rpy((0.1, 0.2, 0.3))  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="convention"):
         euler.to_rpy(np.eye(3))  # type: ignore[call-arg]
-
-
-def test_bad_angles_are_a_sentence() -> None:
-    with pytest.raises(ShapeError, match="Expected rpy of shape"):
-        euler.from_rpy((0, 0), "zyx")
-    with pytest.raises(ShapeError, match="Expected R to be a rotation"):
-        euler.to_rpy(2 * np.eye(3), "zyx")
-
-
-def test_missing_angles_stay_missing() -> None:
-    R = euler.from_rpy([(0.1, 0.2, 0.3), (0.1, np.nan, 0.3)], "zyx")
-    angles = euler.to_rpy(R, "zyx")
-    np.testing.assert_allclose(angles[0], (0.1, 0.2, 0.3), rtol=0, atol=1e-15)
-    assert np.isnan(angles[1]).any()

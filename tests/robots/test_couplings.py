@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -58,11 +56,25 @@ def test_coupled_gears_by_hand(wrist: Robot) -> None:
     np.testing.assert_allclose(couplings.motor_torque_to_joint(wrist, [1.0, 1.0]), [1.0, 2.0])
 
 
-def test_power_is_kept(wrist: Robot) -> None:
-    rng = np.random.default_rng(1)
-    qd_motor, tau_motor = rng.standard_normal((2, 50, 2))
+def test_power_is_kept_there_and_back_in_batches(wrist: Robot) -> None:
+    qd_motor, tau_motor = np.random.default_rng(1).standard_normal((2, 3, 4, 2))
     qd, tau = couplings.motor_to_joint(wrist, qd_motor), couplings.motor_torque_to_joint(wrist, tau_motor)
-    np.testing.assert_allclose((qd * tau).sum(axis=1), (qd_motor * tau_motor).sum(axis=1), rtol=1e-12)
+    np.testing.assert_allclose((qd * tau).sum(axis=-1), (qd_motor * tau_motor).sum(axis=-1), rtol=1e-12)
+    np.testing.assert_allclose(couplings.joint_to_motor(wrist, qd), qd_motor, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(couplings.joint_torque_to_motor(wrist, tau), tau_motor, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(qd[1, 2], couplings.motor_to_joint(wrist, qd_motor[1, 2]), rtol=1e-14)
+
+
+@pytest.mark.parametrize("name", couplings.__all__)
+def test_what_does_not_fit_is_refused(yumi: Robot, name: str) -> None:
+    convert = getattr(couplings, name)
+    for values in ("home", np.zeros(7, complex), [None] * 7, [[0] * 7, [0] * 6], None):
+        with pytest.raises(ShapeError, match=r"Expected values for robot 'yumi_left' to be real numbers, got .*\."):
+            convert(yumi, values)
+    with pytest.raises(ShapeError, match=r"Expected values of shape \(\.\.\., 7\) for robot 'yumi_left', got \(6,\)\."):
+        convert(yumi, np.zeros(6))
+    with pytest.raises(RobotError, match=r"Expected a Robot, got 'irb120'\. Load it first"):
+        convert("irb120", np.zeros(6))
 
 
 def test_the_parallel_rod_of_the_irb2400() -> None:
@@ -91,32 +103,3 @@ def test_what_is_missing_of_one_motor_is_not_missing_of_all_joints(yumi: Robot, 
     np.testing.assert_array_equal(couplings.motor_to_joint(wrist, [np.nan, 1]), [np.nan, np.nan])
     np.testing.assert_array_equal(couplings.motor_to_joint(wrist, [[1, np.inf], [1, 1]]), [[0.5, np.nan], [0.5, 0.75]])
     np.testing.assert_array_equal(couplings.motor_torque_to_joint(wrist, [np.nan, 1]), [np.nan, 2])
-
-
-@pytest.mark.parametrize("values", ["home", ["1"] * 7, np.zeros(7, complex), [None] * 7, [[0] * 7, [0] * 6], None])
-@pytest.mark.parametrize("name", couplings.__all__)
-def test_what_is_no_number_is_refused(yumi: Robot, name: str, values: object) -> None:
-    with pytest.raises(ShapeError, match=r"Expected values for robot 'yumi_left' to be real numbers, got .*\."):
-        getattr(couplings, name)(yumi, values)
-
-
-def test_coupling_in_batches(wrist: Robot) -> None:
-    values = np.random.default_rng(2).standard_normal((3, 4, 2))
-    for there, back in (
-        (couplings.motor_to_joint, couplings.joint_to_motor),
-        (couplings.motor_torque_to_joint, couplings.joint_torque_to_motor),
-    ):
-        np.testing.assert_allclose(back(wrist, there(wrist, values)), values, rtol=0, atol=1e-14)
-        np.testing.assert_allclose(there(wrist, values)[1, 2], there(wrist, values[1, 2]), rtol=1e-14)
-
-
-@pytest.mark.parametrize("function", [couplings.abb_to_logical, couplings.motor_to_joint, couplings.joint_to_motor])
-def test_a_name_is_no_robot(function: Any) -> None:
-    with pytest.raises(RobotError, match=r"Expected a Robot, got 'irb120'\. Load it first"):
-        function("irb120", np.zeros(6))
-
-
-@pytest.mark.parametrize("name", couplings.__all__)
-def test_a_wrong_count_is_refused(yumi: Robot, name: str) -> None:
-    with pytest.raises(ShapeError, match=r"Expected values of shape \(\.\.\., 7\) for robot 'yumi_left', got \(6,\)\."):
-        getattr(couplings, name)(yumi, np.zeros(6))

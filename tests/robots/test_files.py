@@ -39,13 +39,9 @@ def assert_same_bits(a: Robot, b: Robot) -> None:
     assert a.q_min.tobytes() == b.q_min.tobytes()
 
 
-def test_names_and_load() -> None:
-    assert robots.names() == tuple(sorted(robots.names()))
-    assert robots.load("irb2400").name == "irb2400"
-    assert robots.load("irb2400") is robots.load("irb2400")
-
-
 def test_an_unknown_name_lists_what_exists() -> None:
+    assert robots.names() == tuple(sorted(robots.names()))
+    assert robots.load("irb2400") is robots.load("irb2400")
     with pytest.raises(UnknownName) as caught:
         robots.load("yumi_rigth")
     assert str(caught.value) == (
@@ -73,13 +69,6 @@ def test_the_text_alone_for_who_has_no_file() -> None:
         robots.from_toml(robots.to_toml(robot) + "[more]\n", "a feed")
     with pytest.raises(RobotError, match="Expected a Robot"):
         robots.to_toml("yumi_left")  # type: ignore[arg-type]
-
-
-def test_degrees_and_radians_are_one(tmp_path: Path) -> None:
-    radians = MINIMAL.replace("alpha_deg = 90", f"alpha = {np.pi / 2}").replace(
-        "offset_deg = 45", f"offset = {np.pi / 4}"
-    )
-    assert robots.load(written(tmp_path, radians)) == robots.load(written(tmp_path, MINIMAL))
 
 
 def test_everything_a_file_may_say(tmp_path: Path) -> None:
@@ -135,22 +124,18 @@ def test_a_typed_rotation_gets_its_missing_digits_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(robot.T_flange_tool[:3, :3], R, rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", robots.names())
+@pytest.mark.parametrize("name", ["dh_test", "fr3", "irb2400", "ur5e", "yumi_left", "yumi_right_urdf"])
 def test_the_library_survives_a_round_trip(tmp_path: Path, name: str) -> None:
     path = tmp_path / f"{name}.toml"
     robots.save(robots.load(name), path)
     assert_same_bits(robots.load(path), robots.load(name))
-    assert "next" not in path.read_text(encoding="utf-8"), "a DH robot is written as DH rows"
-
-
-def test_a_written_file_is_pleasant_to_read(tmp_path: Path) -> None:
-    path = tmp_path / "yumi.toml"
-    robots.save(robots.load("yumi_left"), path)
+    text = path.read_text(encoding="utf-8")
+    assert "next" not in text, "a DH robot is written as DH rows"
     row = (
         '  { name = "axis_5", alpha_deg = 90, a = -0.027, d = 0, offset_deg = 0, limits_deg = [-88, 138], '
         "speed_deg = 400, home_deg = 40, gear_ratio = -101 },"
     )
-    assert row in path.read_text(encoding="utf-8").splitlines()
+    assert row in text.splitlines() or name != "yumi_left", "pleasant to read"
 
 
 finite = st.floats(-10, 10)
@@ -179,7 +164,7 @@ def any_robot(draw: st.DrawFn) -> Robot:
         "joint_names": draw(st.lists(names, min_size=n, max_size=n, unique=True)),
         "gravity": draw(st.sampled_from([(0, 0, -9.80665), (0.1, 9.7, -1 / 3)])),
         "coupling": draw(st.sampled_from([np.eye(n), np.diag([-1 / 101] * n), np.eye(n) + np.tri(n) / 3])),
-        "abb_axes": [int(axis) for axis in rng.permutation(n) + 1],
+        "abb_axes": list(rng.permutation(n) + 1),
         "side": draw(st.sampled_from(["left", "right", ""])),
         "source": draw(words | st.just("geometry: CAD\nlimits: none") | st.just("geometry: CAD\nno key")),
     }
@@ -203,7 +188,7 @@ def any_robot(draw: st.DrawFn) -> Robot:
 
 
 @pytest.mark.filterwarnings("ignore:Expected limits of revolute joints")
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(robot=any_robot())
 def test_any_robot_survives_a_round_trip(tmp_path: Path, robot: Robot) -> None:
     path = tmp_path / "robot.toml"
@@ -211,54 +196,51 @@ def test_any_robot_survives_a_round_trip(tmp_path: Path, robot: Robot) -> None:
     assert_same_bits(robots.load(path), robot)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "sentence"),
-    [
-        ("limits_deg = [-90, 90]", "limits_deg = [90, -90]", r"q_min below q_max at joint 1 \(shoulder\) of robot"),
-        ("a = 0.1", "a = nan", "Expected finite a in the DH table of 'mine', got nan at joint 1."),
-        ("speed_deg = 100", "speed_deg = nan", r"Expected numbers in qd_max of robot 'mine', got NaN at joint 1"),
-        ("speed_deg = 100", "speed_deg = -1", "Expected a positive speed limit at joint 1"),
-        ("speed_deg = 100", "home_deg = 100", "Expected a home position inside the limits at joint 1"),
-        ("alpha_deg = 90", "alhpa_deg = 90", r"unknown field `alhpa_deg` - at `\$\.joint\[0\]`"),
-        ("alpha_deg = 90", "alpha_deg = 90, alpha = 1.5", "one of alpha and alpha_deg, got both in 'shoulder'"),
-        ("alpha_deg = 90", 'alpha_deg = "90"', r"Expected `float`, got `str` - at `\$\.joint\[0\]\.alpha_deg`"),
-        ("limits_deg = [-90, 90]", "limits_deg = [-90]", r"of length 2, got 1 - at `\$\.joint\[0\]\.limits_deg`"),
-        ("limits_deg = [-90, 90]", 'limits_deg = ["a", 90]', r"got `str` - at `\$\.joint\[0\]\.limits_deg\[0\]`"),
-        ("limits_deg = [-90, 90]", "limits = [-1.5]", r"at `\$\.joint\[0\]\.limits`"),
-        ('"mine"', '""', "Expected a name in name of robot '', got ''"),
-        ('"elbow"', '" "', "Expected a name in joint_names of robot 'mine', got ' '"),
-        ("alpha_deg = 90", 'kind = "sliding"', r"Invalid enum value 'sliding' - at `\$\.joint\[0\]\.kind`"),
-        ('{ name = "elbow", ', "{ ", r"missing required field `name` - at `\$\.joint\[1\]`"),
-        ("elbow", "shoulder", "Expected 2 different joint_names"),
-        ('source = "measured"', "", "missing required field `source`"),
-        ('name = "mine"', 'name = "mine"\nabb_axes = [1, 2, 3]', "Expected 2 different abb_axes"),
-        ('name = "mine"', 'name = "mine"\ncoupling = [[1]]', "Expected 2 numbers in every row of coupling, got"),
-        ('name = "mine"', 'name = "mine"\ncoupling = [[1, 0], [1, 0]]', "coupling of robot .* that can be inverted"),
-        ('name = "mine"', 'name = "mine"\nfirst = {}', "Expected `first` only beside joints with `next`"),
-        (
-            'name = "mine"',
-            'name = "mine"\nmount = { rotation = [[1, 0, 0], [0, 2, 0], [0, 0, 1]] }',
-            "pose in mount.*rotat",
-        ),
-        ('name = "mine"', 'name = "mine"\nmount = { quaternion = [1, 1, 0, 0] }', "pose in mount.* length 1"),
-        ('name = "mine"', 'name = "mine"\ntool = { position = [1, 2] }', r"at `\$\.tool\.position`"),
-        ('name = "mine"', 'name = "mine"\ntool = { position = [1, 2, nan] }', "Expected numbers in T_flange_tool"),
-        ("alpha_deg = 90", "effort = 0", r"Expected a positive torque limit at joint 1 \(shoulder\)"),
-        ("alpha_deg = 90", "a_deg = 90", r"unknown field `a_deg` - at `\$\.joint\[0\]`"),
-        ('name = "mine"', 'name = "mine"\ninertias = [[1, 2]]', r"at `\$\.inertias\[0\]`"),
-        ('name = "mine"', f'name = "mine"\ninertias = [{[1] + [0] * 9}]', r"inertias .* to have shape \(2, 10\),"),
-        ('name = "mine"', f'name = "mine"\ninertias = {[[-1] + [0] * 9] * 2}', "body for link 1 .* mass of -1 kg"),
-        ('name = "mine"', 'name = "mine"\nmesh = [{ link = 3, file = "a" }]', "link of mesh 'a' from 0 .* to 2, got 3"),
-        ('name = "mine"', 'name = "mine"\nmesh = [{ link = 1, file = "" }]', "file name of a mesh, got ''"),
-        ('name = "mine"', 'name = "mine"\nmesh = [{ link = 1 }]', r"missing required field `file` - at"),
-        ("alpha_deg = 90", "gear_ratio = 0", "Expected a gear_ratio other than zero, got 0 in joint 'shoulder'"),
-        ("alpha_deg = 90, ", 'kind = "prismatic", ', "Expected metres for prismatic joint 'shoulder', got limits_deg"),
-        ("offset_deg = 45", 'kind = "prismatic", acceleration_deg = 9', "'elbow', got acceleration_deg"),
-        ("offset_deg = 45", "next = {}", "alike in all joints, got a mixture at 'shoulder'"),
-        ("joint = [", "joint = [ 1,", r"Expected `object`, got `int` - at `\$\.joint\[0\]`"),
-        ("joint = [", "joint = ", "Expected a robot file in"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "sentence"), [
+    ("limits_deg = [-90, 90]", "limits_deg = [90, -90]", r"q_min below q_max at joint 1 \(shoulder\) of robot"),
+    ("a = 0.1", "a = nan", "Expected finite a in the DH table of 'mine', got nan at joint 1."),
+    ("speed_deg = 100", "speed_deg = nan", r"Expected numbers in qd_max of robot 'mine', got NaN at joint 1"),
+    ("speed_deg = 100", "speed_deg = -1", "Expected a positive speed limit at joint 1"),
+    ("speed_deg = 100", "home_deg = 100", "Expected a home position inside the limits at joint 1"),
+    ("alpha_deg = 90", "alhpa_deg = 90", r"unknown field `alhpa_deg` - at `\$\.joint\[0\]`"),
+    ("alpha_deg = 90", "alpha_deg = 90, alpha = 1.5", "one of alpha and alpha_deg, got both in 'shoulder'"),
+    ("alpha_deg = 90", 'alpha_deg = "90"', r"Expected `float`, got `str` - at `\$\.joint\[0\]\.alpha_deg`"),
+    ("limits_deg = [-90, 90]", "limits_deg = [-90]", r"of length 2, got 1 - at `\$\.joint\[0\]\.limits_deg`"),
+    ("limits_deg = [-90, 90]", 'limits_deg = ["a", 90]', r"got `str` - at `\$\.joint\[0\]\.limits_deg\[0\]`"),
+    ("limits_deg = [-90, 90]", "limits = [-1.5]", r"at `\$\.joint\[0\]\.limits`"),
+    ('"mine"', '""', "Expected a name in name of robot '', got ''"),
+    ('"elbow"', '" "', "Expected a name in joint_names of robot 'mine', got ' '"),
+    ("alpha_deg = 90", 'kind = "sliding"', r"Invalid enum value 'sliding' - at `\$\.joint\[0\]\.kind`"),
+    ('{ name = "elbow", ', "{ ", r"missing required field `name` - at `\$\.joint\[1\]`"),
+    ("elbow", "shoulder", "Expected 2 different joint_names"),
+    ('source = "measured"', "", "missing required field `source`"),
+    ('name = "mine"', 'name = "mine"\nabb_axes = [1, 2, 3]', "Expected 2 different abb_axes"),
+    ('name = "mine"', 'name = "mine"\ncoupling = [[1]]', "Expected 2 numbers in every row of coupling, got"),
+    ('name = "mine"', 'name = "mine"\ncoupling = [[1, 0], [1, 0]]', "coupling of robot .* that can be inverted"),
+    ('name = "mine"', 'name = "mine"\nfirst = {}', "Expected `first` only beside joints with `next`"),
+    ('name = "mine"', 'name = "mine"\nmount = { rotation = [[1, 0, 0], [0, 2, 0], [0, 0, 1]] }',
+     "pose in mount.*rotat"),
+    ('name = "mine"', 'name = "mine"\nmount = { quaternion = [1, 1, 0, 0] }', "pose in mount.* length 1"),
+    ('name = "mine"', 'name = "mine"\ntool = { position = [1, 2] }', r"at `\$\.tool\.position`"),
+    ('name = "mine"', 'name = "mine"\ntool = { position = [1, 2, nan] }', "Expected numbers in T_flange_tool"),
+    ("alpha_deg = 90", "effort = 0", r"Expected a positive torque limit at joint 1 \(shoulder\)"),
+    ("alpha_deg = 90", "a_deg = 90", r"unknown field `a_deg` - at `\$\.joint\[0\]`"),
+    ('name = "mine"', 'name = "mine"\ninertias = [[1, 2]]', r"at `\$\.inertias\[0\]`"),
+    ('name = "mine"', f'name = "mine"\ninertias = [{[1] + [0] * 9}]', r"inertias .* to have shape \(2, 10\),"),
+    ('name = "mine"', f'name = "mine"\ninertias = {[[-1] + [0] * 9] * 2}', "body for link 1 .* mass of -1 kg"),
+    ('name = "mine"', 'name = "mine"\nmesh = [{ link = 3, file = "a" }]', "link of mesh 'a' from 0 .* to 2, got 3"),
+    ('name = "mine"', 'name = "mine"\nmesh = [{ link = 1, file = "" }]', "file name of a mesh, got ''"),
+    ('name = "mine"', 'name = "mine"\nmesh = [{ link = 1 }]', r"missing required field `file` - at"),
+    ("alpha_deg = 90", "gear_ratio = 0", "Expected a gear_ratio other than zero, got 0 in joint 'shoulder'"),
+    ("alpha_deg = 90, ", 'kind = "prismatic", ', "Expected metres for prismatic joint 'shoulder', got limits_deg"),
+    ("offset_deg = 45", 'kind = "prismatic", acceleration_deg = 9', "'elbow', got acceleration_deg"),
+    ("offset_deg = 45", "next = {}", "alike in all joints, got a mixture at 'shoulder'"),
+    ("joint = [", "joint = [ 1,", r"Expected `object`, got `int` - at `\$\.joint\[0\]`"),
+    ("joint = [", "joint = ", "Expected a robot file in"),
+    ('name = "mine"',
+     'name = "mine"\ntool = { quaternion = [1, 0, 0, 0], rotation = [[1, 0, 0], [0, 1, 0], [0, 0, 1]] }',
+     "Expected quaternion or rotation in tool, got both"),
+])  # fmt: skip
 def test_a_bad_file_is_one_sentence_with_its_path(tmp_path: Path, old: str, new: str, sentence: str) -> None:
     assert old in MINIMAL
     path = written(tmp_path, MINIMAL.replace(old, new, 1))
@@ -270,29 +252,17 @@ def test_a_bad_file_is_one_sentence_with_its_path(tmp_path: Path, old: str, new:
     assert message.endswith(".")
 
 
-def test_gears_said_twice_are_refused(tmp_path: Path) -> None:
-    text = MINIMAL.replace("a = 0.1", "a = 0.1, gear_ratio = 2").replace("name", "coupling = [[1, 0], [0, 1]]\nname", 1)
-    with pytest.raises(RobotError, match="Expected gears as coupling or as gear_ratio, got both"):
-        robots.load(written(tmp_path, text))
-
-
-def test_a_pose_said_twice_is_refused(tmp_path: Path) -> None:
-    tool = "[tool]\nquaternion = [1, 0, 0, 0]\nrotation = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n"
-    with pytest.raises(RobotError, match="Expected quaternion or rotation in tool, got both"):
-        robots.load(written(tmp_path, MINIMAL + tool))
-
-
-def test_no_joints_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(RobotError, match="Expected at least one joint, got none"):
-        robots.load(written(tmp_path, 'name = "none"\nsource = ""\njoint = []\n'))
-
-
 def test_a_missing_or_binary_file(tmp_path: Path) -> None:
     with pytest.raises(RobotError, match=r"Expected a robot file at .*absent\.toml, got: .*No such file"):
         robots.load(tmp_path / "absent.toml")
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(RobotError, match=r"Expected a robot file at .*binary\.toml"):
         robots.load(tmp_path / "binary.toml")
+    with pytest.raises(RobotError, match="Expected at least one joint, got none"):
+        robots.load(written(tmp_path, 'name = "none"\nsource = ""\njoint = []\n'))
+    text = MINIMAL.replace("a = 0.1", "a = 0.1, gear_ratio = 2").replace("name", "coupling = [[1, 0], [0, 1]]\nname", 1)
+    with pytest.raises(RobotError, match="Expected gears as coupling or as gear_ratio, got both"):
+        robots.load(written(tmp_path, text))
 
 
 def test_save_refuses_what_load_would_not_find(tmp_path: Path) -> None:
@@ -310,12 +280,6 @@ def test_files_of_windows(tmp_path: Path) -> None:
     text = (tmp_path / "plain.toml").read_text(encoding="utf-8").replace("\n", "\r\n")
     (tmp_path / "ARM.TOML").write_bytes(text.encode("utf-8-sig"))
     assert robots.load(tmp_path / "ARM.TOML") == robot
-
-
-def test_axis_numbers_of_numpy_are_written_as_numbers(tmp_path: Path) -> None:
-    robot = replace(robots.load("yumi_left"), abb_axes=tuple(np.array([1, 2, 7, 3, 4, 5, 6])))
-    robots.save(robot, tmp_path / "arm.toml")
-    assert robots.load(tmp_path / "arm.toml") == robot
 
 
 @pytest.mark.parametrize("number", ["1" + 400 * "0", "1" + 5000 * "0", 3000 * "[" + 3000 * "]"])

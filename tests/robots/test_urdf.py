@@ -270,52 +270,38 @@ def test_there_and_back(tmp_path: Path, tree: Tree) -> None:
     np.testing.assert_allclose(again.meshes[0][0].T_link_mesh, T_base_mesh, rtol=0, atol=1e-15)
 
 
-def test_several_branches_are_listed(tmp_path: Path) -> None:
-    path = written(tmp_path, TWO_ARMS)
-    with pytest.raises(
-        RobotError,
-        match=r"one branch that moves below link 'body' of .*arm\.urdf, got several: cup, tip_a, tip_b\. Say",
-    ):
-        robots.load(path)
-    with pytest.raises(RobotError, match=r"below link 'right_1' .* got several: tip_a, tip_b"):
-        robots.load(path, base="right_1")
+def test_refusals_of_arms_and_files(tmp_path: Path, tree: Tree) -> None:
+    path, table = written(tmp_path, TWO_ARMS), tmp_path / "a.toml"
+    robots.save(robots.load("dh_test"), table)
+    none = "Expected a joint that moves between '{}' and '{}' of the URDF text, got none"
+    only = "Expected base and tip with a URDF file only, got them with"
+    cases = [
+        (RobotError, r"one branch that moves below link 'body' of .*arm\.urdf, got several: cup, tip_a, tip_b\. Say",
+         lambda: robots.load(path)),
+        (RobotError, r"below link 'right_1' .* got several: tip_a, tip_b", lambda: robots.load(path, base="right_1")),
+        (RobotError, r"one branch that moves below link 'cup' .* got none", lambda: robots.load(path, base="cup")),
+        (UnknownName, r"name of a link of the URDF text, got 'cups'\. Known: body, cup.*Did you mean 'cup'",
+         lambda: tree.chain(tip="cups")),
+        (UnknownName, "got 'bodi'", lambda: tree.chain("bodi", "cup")),
+        (RobotError, none.format("cup", "left_2"), lambda: tree.chain("cup", "left_2")),
+        (RobotError, none.format("cup", "cup"), lambda: tree.chain("cup", "cup")),
+        (RobotError, only, lambda: robots.load("yumi_left", tip="tool")),
+        (RobotError, only, lambda: robots.load(table, tip="tool")),
+        (RobotError, r"Expected a URDF file at .*absent\.urdf, got: .*No such file",
+         lambda: robots.load(tmp_path / "absent.urdf")),
+        (RobotError, r"Expected a URDF, got arm\.urdf\.xacro\. Expand it first: xacro arm",
+         lambda: robots.load("arm.urdf.xacro")),
+        # the structure is checked wherever a tree comes from
+        (RobotError, "the child of joint 'left_mount' among the links",
+         lambda: replace(tree, links=[link for link in tree.links if link.name != "left_base"])),
+        (RobotError, r"Expected text that XML can hold in robot 'a\\x00b', got 'a\\x00b'",
+         lambda: robots.save(replace(robots.load("dh_test"), name="a\0b"), tmp_path / "b.urdf")),
+    ]  # fmt: skip
+    for error, words, call in cases:
+        with pytest.raises(error, match=words):
+            call()
+    assert not (tmp_path / "b.urdf").exists()
     assert robots.load(path, base="left_base").joint_names == ("left_turn", "left_slide")
-    with pytest.raises(RobotError, match=r"Expected one branch that moves below link 'cup' .* got none"):
-        robots.load(path, base="cup")
-
-
-def test_arms_that_do_not_exist(tree: Tree) -> None:
-    with pytest.raises(
-        UnknownName, match=r"name of a link of the URDF text, got 'cups'\. Known: body, cup.*Did you mean 'cup'"
-    ):
-        tree.chain(tip="cups")
-    with pytest.raises(UnknownName, match="got 'bodi'"):
-        tree.chain("bodi", "cup")
-    for base, tip in (("cup", "left_2"), ("cup", "cup"), ("body", "left_base")):
-        with pytest.raises(
-            RobotError, match=f"Expected a joint that moves between '{base}' and '{tip}' of the URDF text, got none"
-        ):
-            tree.chain(base, tip)
-
-
-def test_base_and_tip_are_for_urdf_only(tmp_path: Path) -> None:
-    robots.save(robots.load("dh_test"), tmp_path / "a.toml")
-    for name in ("yumi_left", tmp_path / "a.toml"):
-        with pytest.raises(RobotError, match="Expected base and tip with a URDF file only, got them with"):
-            robots.load(name, tip="tool")
-
-
-def test_files_that_are_no_urdf(tmp_path: Path) -> None:
-    with pytest.raises(RobotError, match=r"Expected a URDF file at .*absent\.urdf, got: .*No such file"):
-        robots.load(tmp_path / "absent.urdf")
-    with pytest.raises(RobotError, match=r"Expected a URDF, got arm\.urdf\.xacro\. Expand it first: xacro arm"):
-        robots.load("arm.urdf.xacro")
-
-
-def test_a_tree_can_be_made_by_hand(tree: Tree) -> None:
-    """The structure is checked wherever a tree comes from."""
-    with pytest.raises(RobotError, match="the child of joint 'left_mount' among the links"):
-        replace(tree, links=[link for link in tree.links if link.name != "left_base"])
 
 
 def test_an_inertia_of_no_body_is_said(tree: Tree) -> None:
@@ -388,7 +374,7 @@ def assert_pinocchio_agrees(robot: Robot, text: str, seed: int) -> None:
             np.testing.assert_allclose(tau, pin.rnea(model, data, q, qd, qdd), rtol=0, atol=1e-10 * np.abs(tau).max())
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(8))
 def test_any_robot_is_the_same_in_pinocchio(seed: int, tmp_path: Path) -> None:
     robot = random_robot(seed, 1 + seed % 8)
     assert_pinocchio_agrees(robot, urdf_of(robot, tmp_path), seed)
@@ -406,11 +392,7 @@ def test_right_angles_do_not_lose_digits(tmp_path: Path) -> None:
 
 def test_limits_that_are_none_written(tmp_path: Path) -> None:
     """Turning without end is `continuous`; every other missing limit becomes 1e9, and a comment says so."""
-    limits: Details = {
-        "q_min": [-np.inf, -np.inf, -np.inf],
-        "q_max": [np.inf, np.inf, 1.0],
-        "tau_max": [5, 6, 7],
-    }
+    limits: Details = {"q_min": [-np.inf, -np.inf, -np.inf], "q_max": [np.inf, np.inf, 1.0], "tau_max": [5, 6, 7]}
     text = urdf_of(robots.from_dh("r", 0.0, [1, 1, 1], 0.0, prismatic=[0, 1, 0], **limits), tmp_path)
     assert '<joint name="joint_1" type="continuous">' in text
     assert '<limit effort="5" velocity="1e9"/>' in text
@@ -440,10 +422,3 @@ def test_meshes_and_awkward_names(tmp_path: Path) -> None:
     assert text.count("<collision>") == 2
     again = robots.load(tmp_path / "robot.urdf")  # a stricter reader: "--" ends a comment too early
     assert (again.name, again.joint_names, again.meshes[1][0].file) == (robot.name, robot.joint_names, mesh.file)
-
-
-def test_names_that_xml_cannot_hold_are_refused(tmp_path: Path) -> None:
-    robot = robots.load("dh_test")
-    with pytest.raises(RobotError, match=r"Expected text that XML can hold in robot 'a\\x00b', got 'a\\x00b'"):
-        robots.save(replace(robot, name="a\0b"), tmp_path / "a.urdf")
-    assert not (tmp_path / "a.urdf").exists()

@@ -8,11 +8,6 @@ from armlab.calibrate.kinematics.fit import fit_kinematics
 from armlab.calibrate.laser_plane import fit_laser_plane
 
 __all__ = [
-    "fit_accelerometer",
-    "fit_dual_arm",
-    "fit_force_sensor",
-    "fit_hand_eye",
-    "fit_hand_eye_points",
-    "fit_kinematics",
+    "fit_accelerometer", "fit_dual_arm", "fit_force_sensor", "fit_hand_eye", "fit_hand_eye_points", "fit_kinematics",
     "fit_laser_plane",
-]
+]  # fmt: skip

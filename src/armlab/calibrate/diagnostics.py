@@ -52,11 +52,9 @@ def limits_of(limits: Any, what: str, usual: Limits) -> Limits:
 
 
 def require_two_axes(RA: np.ndarray, noise: float, carrier: str, moved: Sequence[str]) -> None:
-    """Refuse rotations about one axis, and none.
+    """Refuse rotations about one axis, and none; `noise` is the deviation of a rotation [rad].
 
     ``e_u^2 = 1 - |mean(R_A) u|^2`` is the mean square by which a tool axis u turns; noise alone makes it 2 sigma^2.
-
-    `noise` is the deviation of a rotation [rad]; a larger one than `ROUGH` is none, but records that do not fit.
     """
     M = RA.sum(axis=0) / len(RA)
     squares, u = np.linalg.eigh(np.eye(3) - M.T @ M)
@@ -110,13 +108,10 @@ def readings(R: np.ndarray, t: np.ndarray) -> list[Reading]:
     is a rotation of four numbers, and whatever order these have it stays one. Only positions show it.
     """
     q = quaternion.from_matrix(R)
+    there, back = (quaternion.to_matrix(np.roll(q, by, -1)) for by in (1, -1))
     return [
-        Reading(
-            "The quaternions of {} are x, y, z, w taken as w, x, y, z.", quaternion.to_matrix(np.roll(q, 1, -1)), t
-        ),
-        Reading(
-            "The quaternions of {} are w, x, y, z taken as x, y, z, w.", quaternion.to_matrix(np.roll(q, -1, -1)), t
-        ),
+        Reading("The quaternions of {} are x, y, z, w taken as w, x, y, z.", there, t),
+        Reading("The quaternions of {} are w, x, y, z taken as x, y, z, w.", back, t),
         Reading("The rotations of {} are transposed: those of the inverse.", R.transpose(0, 2, 1), t),
     ]
 

@@ -145,10 +145,7 @@ def robot_side(
 
 
 def inverse_noise(noise: np.ndarray, R: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return the covariance (N, 6, 6) of the inverses of noisy poses: v' = hat(p') w - R^T v, w' = -R w.
-
-    R and t are those of the poses; p' = -R^T t.
-    """
+    """Return the covariance (N, 6, 6) of the inverses of noisy poses: v' = hat(-R^T t) w - R^T v, w' = -R w."""
     M = np.zeros((len(R), 6, 6))
     Rt = R.transpose(0, 2, 1)
     M[:, :3, :3] = -Rt
@@ -171,8 +168,6 @@ def rotation_sd(noise: np.ndarray | None) -> float:
 
 
 class Pair(NamedTuple):
-    """Two poses, X and Y."""
-
     RX: np.ndarray
     tX: np.ndarray
     RY: np.ndarray
@@ -188,7 +183,6 @@ class Pair(NamedTuple):
         return np.concatenate([self.tX, so3.log(self.RX), self.tY, so3.log(self.RY)])
 
     def poses(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return X and Y (4, 4)."""
         X, Y = np.eye(4), np.eye(4)
         X[:3, :3], X[:3, 3], Y[:3, :3], Y[:3, 3] = self.RX, self.tX, self.RY, self.tY
         return X, Y
@@ -208,12 +202,10 @@ class HandEyeEquation:
 
     @property
     def N(self) -> int:
-        """Number of pairs."""
         return len(self.tA)
 
     @cached_property
     def _sample(self) -> np.ndarray:
-        """The numbers of the pairs (N,)."""
         return np.arange(self.N)
 
     @cached_property
@@ -228,10 +220,7 @@ class HandEyeEquation:
         return max(float(np.sqrt(np.vdot(t, t) / self.N)) for t in both) or 1.0
 
     def product(self) -> np.ndarray:
-        """Return K = mean of R_A (x) R_B (9, 9), for which K vec(R_X) = vec(R_Y), row by row.
-
-        Its largest singular value is 1 - sigma_R^2 where A and B belong together.
-        """
+        """Return the mean K of R_A (x) R_B (9, 9): K vec(R_X) = vec(R_Y); its norm is 1 - sigma_R^2."""
         K = self.RA.reshape(-1, 9).T @ self.RB.reshape(-1, 9) / self.N
         return K.reshape(3, 3, 3, 3).transpose(0, 2, 1, 3).reshape(9, 9)
 
@@ -266,10 +255,7 @@ class HandEyeEquation:
         return [Measurement(r, J, self.noise if of_A is None else full(self.noise) + of_A, COMPONENTS, self._sample)]
 
     def _noise_of_A(self, pair: Pair, C: np.ndarray) -> np.ndarray | None:
-        """Return G S_A G^T (N, 6, 6), G = [[-R_Y^T, C hat(t_X)], [0, -R_X^T]]: the lever t_X couples both.
-
-        C is R_Y^T R_A (N, 3, 3).
-        """
+        """Return G S_A G^T (N, 6, 6), G = [[-R_Y^T, C hat(t_X)], [0, -R_X^T]]: t_X couples both; C = R_Y^T R_A."""
         if self.noise_A is None:
             return None
         G = np.zeros((self.N, 6, 6))
@@ -279,7 +265,6 @@ class HandEyeEquation:
         return G @ full(self.noise_A) @ G.transpose(0, 2, 1)
 
     def problem(self) -> NonlinearProblem[Pair]:
-        """Return what the solver needs."""
         return NonlinearProblem(self.evaluate, Pair.plus, what="hand-eye calibration")
 
 
@@ -386,12 +371,10 @@ class PoseUnknowns:
 
     @cached_property
     def units(self) -> tuple[str, ...]:
-        """Unit of each unknown."""
         return tuple("rad" if p.rotation else "m" for p in self.parts for _ in range(3))
 
     @cached_property
     def widths(self) -> np.ndarray:
-        """Largest deviation accepted of each unknown."""
         return np.repeat([self.limits[1] if p.rotation else self.limits[0] * self.spread for p in self.parts], 3)
 
     def __call__(self, step: np.ndarray) -> str:
@@ -413,7 +396,6 @@ class PoseUnknowns:
 
 
 def require_samples(N: int, least: int, what: str) -> None:
-    """Refuse fewer samples than any such fit needs."""
     if least > N:
         raise NotExcited(
             f"Expected at least {least} pairs of {what}, got {N}. Measure at poses that turn the tool about two axes.",
@@ -472,7 +454,6 @@ def _scale(equation: HandEyeEquation) -> float | None:
 
 
 def remarks(RA: np.ndarray, spread: float, given: bool, found: NonlinearSolution[Any], turns: np.ndarray) -> list[str]:
-    """Return what a report says beyond the values."""
     lines = [f"largest rotation between two poses {largest_rotation(RA):.3g} rad"]
     if given and found.freedom:
         lines.append(f"residuals {np.sqrt(2.0 * found.cost / found.freedom):.3g} times the noise that was given")

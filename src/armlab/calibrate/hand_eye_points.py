@@ -220,13 +220,11 @@ class PointModel:
         return float(np.sqrt(np.vdot(t, t) / len(t))) or 1.0
 
     def only(self, keep: np.ndarray) -> PointModel:
-        """Return it with some of its rows (m,)."""
         noise = self.noise[keep] if self.noise is not None and self.noise.ndim == 3 else self.noise
         return replace(self, p=self.p[keep], sample=self.sample[keep], point=self.point[keep], noise=noise)
 
     @cached_property
     def solution(self) -> Linear:
-        """Linear solution of all samples."""
         return self.linear(self.RA, self.tA)
 
     def linear(self, RA: np.ndarray, tA: np.ndarray) -> Linear:
@@ -267,7 +265,6 @@ class PointModel:
         return C, ph, J
 
     def residuals(self, value: HandEye) -> np.ndarray:
-        """Return measured minus predicted (m, 3) in camera axes [m]."""
         return self.p - self.seen(np.asarray(value.points), value.Y[:3, :3], value.Y[:3, 3])[1]
 
     def free(self) -> NonlinearProblem[Points]:
@@ -342,10 +339,7 @@ def marked_start(free: Points, marker: np.ndarray) -> Pair:
 
 
 def require_agreement(model: PointModel, rms: float | None = None, left_out: float = 0.0) -> None:
-    """Refuse records that do not belong together, with what would make them fit where that can be said.
-
-    `rms` is that of the residuals without outliers [m], None before the fit.
-    """
+    """Refuse records that do not belong together, with the likely cause; `rms` is None before the fit."""
     found = model.solution
     if rms is None:
         cause = _unit_or_hand(model, found)

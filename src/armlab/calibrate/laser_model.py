@@ -84,7 +84,6 @@ class Scans:
 
     @property
     def N(self) -> int:
-        """Number of scans."""
         return len(self.tA)
 
     @cached_property
@@ -94,11 +93,9 @@ class Scans:
 
     @cached_property
     def P(self) -> int:
-        """Number of plates."""
         return int(self.plane.max()) + 1
 
     def without(self, i: int) -> Scans:
-        """Return all scans but one."""
         keep, rows = np.arange(self.N) != i, self.owner != i
         owner = self.owner[rows] - (self.owner[rows] > i)
         points = None if self.points is None else self.points[rows]
@@ -108,7 +105,6 @@ class Scans:
 
     @property
     def numbers(self) -> int:
-        """How many numbers were measured."""
         return 2 * self.N if self.points is None else len(self.points)
 
     def seen(self, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -167,20 +163,15 @@ class Scans:
         return r
 
     def problem(self) -> NonlinearProblem[Scene]:
-        """Return what the solver needs."""
         return NonlinearProblem(self.evaluate, Scene.plus, what="laser scanner")
 
     def base_points(self, scene: Scene) -> np.ndarray:
-        """Return the points (N, 3) of the lines in base axes."""
         q = self.p @ scene.R[:, :2].T + scene.t
         return np.einsum("nij,nj->ni", self.RA, q) + self.tA
 
 
 def starts(scans: Scans, ratio: float) -> Iterator[list[Scene]]:
-    """Yield groups of first values, the best of each group first.
-
-    `ratio` is the deviation of points over that of angles.
-    """
+    """Yield groups of first values, the best of each first; `ratio` is the deviation of points over that of angles."""
     linear = [R for found, _ in linear_rotations(scans, ratio) for R in found]
     if linear:
         yield _sorted(scans, linear, ratio)
@@ -200,14 +191,9 @@ def cube() -> Iterator[np.ndarray]:
 
 def _sorted(scans: Scans, rotations: list[np.ndarray], ratio: float) -> list[Scene]:
     scenes = [scene_of(scans, R) for R in rotations]
-    costs = [_cost(scans, scene, ratio) for scene in scenes]
+    off = [scans.residuals(scene) for scene in scenes]
+    costs = [float(np.sum((r * np.array([1.0, ratio])[: r.shape[1]]) ** 2)) for r in off]
     return [scenes[i] for i in np.argsort(costs, kind="stable")]
-
-
-def _cost(scans: Scans, scene: Scene, ratio: float) -> float:
-    r = scans.residuals(scene)
-    r = r * np.array([1.0, ratio])[: r.shape[1]]
-    return float(np.vdot(r, r))
 
 
 def linear_rotations(scans: Scans, ratio: float) -> tuple[tuple[list[np.ndarray], float], ...]:
@@ -273,13 +259,11 @@ class SceneUnknowns:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Name of each unknown."""
         pose = [f"T_tool_sensor {'r' * turn}{axis}" for turn in (0, 1) for axis in "xyz"]
         return (*pose, *(f"plane {label} {what}" for label in self.planes for what in ("tilt 1", "tilt 2", "offset")))
 
     @cached_property
     def units(self) -> tuple[str, ...]:
-        """Unit of each unknown."""
         return (*("m",) * 3, *("rad",) * 3, *("rad", "rad", "m") * len(self.planes))
 
     @cached_property
@@ -290,7 +274,6 @@ class SceneUnknowns:
 
     @cached_property
     def widths(self) -> np.ndarray:
-        """Largest deviation accepted of each unknown."""
         return np.array([self.limits[0] * self.spread if unit == "m" else self.limits[1] for unit in self.units])
 
     def __call__(self, step: np.ndarray) -> str:
@@ -332,7 +315,6 @@ def require_motion(scans: Scans, planes: tuple[str, ...]) -> None:
 
 
 def require_slant(scans: Scans, scene: Scene) -> None:
-    """Refuse scans whose plate is parallel to the laser plane."""
     bad = np.flatnonzero(scans.slant(scene) < FLAT)
     if len(bad):
         raise ShapeError(

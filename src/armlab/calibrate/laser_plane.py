@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -59,6 +60,7 @@ LOST = 1.5  # rad, left by angles and by points made an angle, from which nothin
 CLEAR = (2e-3, 0.03)  # residual over the spread of the points, and [rad], from which no other starts are tried
 HELD = 0.6  # of a scan's two numbers: the share of what they say that they say alone, from which it is doubted
 TINY = 1e-12  # m, rad: rounding
+FAILED = (NotConverged, NotExcited, ShapeError, np.linalg.LinAlgError)  # ways in which a descent ends without a fit
 
 
 def fit_laser_plane(
@@ -203,7 +205,8 @@ def searched(scans: Scans, guess: np.ndarray | None, robust: bool) -> NonlinearS
     size = max(ratio, _spread(scans.p))
     require_units(scans, ratio)
     best: NonlinearSolution[Scene] | None = None
-    for group in _groups(scans, guess, ratio):
+    first = [] if guess is None else [[scene_of(scans, guess)]]
+    for group in chain(first, starts(scans, ratio)):
         for found in _fitted(scans, group, size, robust):
             if scans.noise is not None and agrees(found):
                 return _oriented(scans, _doubted(scans, found, size) if robust else found, robust)
@@ -230,14 +233,7 @@ def agrees(found: NonlinearSolution[Scene]) -> bool:
 
 
 def times(found: NonlinearSolution[Scene]) -> float:
-    """Return the residuals over the noise that was given."""
     return float(np.sqrt(2.0 * found.cost / max(found.freedom, 1)))
-
-
-def _groups(scans: Scans, guess: np.ndarray | None, ratio: float) -> Iterator[list[Scene]]:
-    if guess is not None:
-        yield [scene_of(scans, guess)]
-    yield from starts(scans, ratio)
 
 
 def _ratio(scans: Scans) -> float:
@@ -289,7 +285,7 @@ def _approached(scans: Scans, scene: Scene) -> Scene:
         weight = (TUNING**2 / (TUNING**2 + rho2)) ** 2
         try:
             found = descend(problem, scene, dict(zip(names, sizes)), weight, iterations=1, strict=False)
-        except (NotConverged, NotExcited, ShapeError, np.linalg.LinAlgError):
+        except FAILED:
             break
         scene = found.value
         if found.step < SETTLED:
@@ -307,15 +303,12 @@ def _left(scans: Scans, scene: Scene, size: float) -> float:
 def _tried(scans: Scans, scene: Scene, robust: bool) -> NonlinearSolution[Scene] | None:
     try:
         return nonlinear_least_squares(scans.problem(), scene, robust=robust, schedule=SCHEDULE)
-    except (NotConverged, NotExcited, ShapeError, np.linalg.LinAlgError):
+    except FAILED:
         return None
 
 
 def _doubted(scans: Scans, found: NonlinearSolution[Scene], size: float) -> NonlinearSolution[Scene]:
-    """Return the fit, or a better one without a scan that holds it: a wrong one may have others left out in its place.
-
-    Where a plate is nearly parallel to the laser plane, one scan determines the rotation more than all others.
-    """
+    """Return the fit, or a better one without a scan that holds it and has others left out in its place."""
     held = np.einsum("ij,jk,ik->i", found.rows.J, found.cov, found.rows.J)
     numbers = np.bincount(found.rows.sample, minlength=scans.N)
     strong = np.bincount(found.rows.sample, held, minlength=scans.N) > HELD * np.minimum(numbers, 2)
@@ -323,7 +316,7 @@ def _doubted(scans: Scans, found: NonlinearSolution[Scene], size: float) -> Nonl
         try:
             rest = nonlinear_least_squares(scans.without(i).problem(), found.value, robust=True, schedule=SCHEDULE)
             other = nonlinear_least_squares(scans.problem(), rest.value, robust=True, schedule=SCHEDULE[-1:])
-        except (NotConverged, NotExcited, ShapeError, np.linalg.LinAlgError):
+        except FAILED:
             continue
         if agrees(other) and _rank(scans, other, size, True) < _rank(scans, found, size, True):
             found = other
@@ -331,7 +324,6 @@ def _doubted(scans: Scans, found: NonlinearSolution[Scene], size: float) -> Nonl
 
 
 def _oriented(scans: Scans, found: NonlinearSolution[Scene], robust: bool) -> NonlinearSolution[Scene]:
-    """Return the fit with normals away from the origin."""
     if np.all(found.value.d >= 0):
         return found
     return nonlinear_least_squares(scans.problem(), found.value.oriented(), robust=robust, schedule=SCHEDULE[-1:])

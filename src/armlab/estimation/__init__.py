@@ -10,23 +10,7 @@ from armlab.estimation.robust import least_squares
 from armlab.estimation.tsqr import Rows
 
 __all__ = [
-    "BlockSums",
-    "Bootstrap",
-    "Contract",
-    "ContractLimits",
-    "CrossValidation",
-    "Excitation",
-    "Experiment",
-    "Fit",
-    "Gauge",
-    "Measurement",
-    "NonlinearProblem",
-    "Prior",
-    "Rows",
-    "block_bootstrap",
-    "block_cv",
-    "check_estimator",
-    "least_squares",
-    "nonlinear_least_squares",
-    "total_least_squares",
-]
+    "BlockSums", "Bootstrap", "Contract", "ContractLimits", "CrossValidation", "Excitation", "Experiment", "Fit",
+    "Gauge", "Measurement", "NonlinearProblem", "Prior", "Rows", "block_bootstrap", "block_cv", "check_estimator",
+    "least_squares", "nonlinear_least_squares", "total_least_squares",
+]  # fmt: skip

@@ -27,12 +27,9 @@ MEMORIES = 4.0
 
 
 def correlation_time(x: np.ndarray, dt: float) -> float:
-    """Return ``dt (1/2 + sum rho_k)`` [s] of a record (N,): the sum runs while pairs of autocorrelations are positive.
+    """Return ``dt (1/2 + sum rho_k)`` [s] of an evenly sampled record (N,), over positive pairs of rho (Geyer).
 
-    The variance of a mean over T >> correlation_time is ``2 s^2 correlation_time / T`` (Geyer's initial positive
-    sequence).
-
-    `x`: (N,) evenly sampled record. `dt`: time between samples [s].
+    The variance of a mean over T >> correlation_time is ``2 s^2 correlation_time / T``.
     """
     x = numbers(x, "a record", ShapeError)
     if x.ndim != 1 or len(x) < 2 or not np.isfinite(x).all():
@@ -58,10 +55,7 @@ def effective_samples(x: np.ndarray) -> float:
 
 
 def block_seconds(residuals: np.ndarray, dt: float) -> float:
-    """Return how long a block is to last so that blocks are independent: ``max(0.5 s, 4 t_int)`` of the worst column.
-
-    `residuals`: (N, k) evenly sampled, finite. `dt`: time between samples [s].
-    """
+    """Return how long independent blocks of residuals (N, k) last: ``max(0.5 s, 4 t_int)`` of the worst column."""
     residuals, dt = numbers(residuals, "residuals", ShapeError), number(dt, "the time between samples [s]")
     return max([SHORTEST, *(MEMORIES * correlation_time(column, dt) for column in np.transpose(residuals))])
 
@@ -231,15 +225,11 @@ def block_bootstrap(sums: BlockSums, draws: int | None = None, seed: int = 0, le
     np.add.at(weights, (np.arange(number)[:, None], blocks[chosen]), 1.0)
     solved = found.x + found.stretch * (sums.solve(weights) - found.x)
     coordinates = (solved - solved.mean(axis=0)) @ np.linalg.pinv(found.basis).T  # of basis
-    shrinkage, S = _shrinkage(sums, blocks, length), coordinates.T @ coordinates / (number - 1)
-    S = (1.0 - shrinkage) * S + shrinkage * np.trace(S) / len(S) * np.eye(len(S))
+    whole, S = count // length * length, coordinates.T @ coordinates / (number - 1)
+    share = shrinkage(np.add.reduceat(sums.moment[blocks[:whole]], np.arange(0, whole, length), 0))
+    S = (1.0 - share) * S + share * np.trace(S) / len(S) * np.eye(len(S))
     cov = found.basis @ S @ found.basis.T + found.held_cov
-    return Bootstrap(solved, 0.5 * (cov + cov.T), shrinkage)  # symmetric to the last bit, as files keep it
-
-
-def _shrinkage(sums: BlockSums, blocks: np.ndarray, length: int) -> float:
-    count = len(blocks) // length
-    return shrinkage(np.add.reduceat(sums.moment[blocks[: count * length]], np.arange(0, count * length, length), 0))
+    return Bootstrap(solved, 0.5 * (cov + cov.T), share)  # symmetric to the last bit, as files keep it
 
 
 def shrinkage(scores: np.ndarray) -> float:

@@ -13,7 +13,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,10 +21,6 @@ from armlab import models
 from armlab._numbers import flag, number
 from armlab.errors import ConfigError, ModelMismatchError, NotExcited, ShapeError, UnknownName
 from armlab.estimation.fit import Fit
-
-if TYPE_CHECKING:
-    from armlab.estimation.fit import Fit
-
 
 # The properties of the contract that need many runs: consistent, honest, efficient, robust.
 
@@ -66,23 +62,26 @@ class FitRun:
     @property
     def nees(self) -> float:
         """Squared error over the stated covariance, of as many directions as its rank."""
-        sd = np.sqrt(np.diag(self.C))
-        sd = np.where(sd > 0, sd, 1.0)
+        sd = _sd(self.C)
         values, vectors = np.linalg.eigh(self.C / np.outer(sd, sd))
         along = vectors.T @ (self.e / sd)
         identified = slice(len(values) - self.rank, None)
         return float(np.sum(along[identified] ** 2 / values[identified]))
 
 
+def _sd(C: np.ndarray) -> np.ndarray:
+    """Return the deviations of a covariance, 1 where there is none."""
+    sd = np.sqrt(np.diag(C))
+    return np.where(sd > 0, sd, 1.0)
+
+
 def error_of(trial: ContractTrial, fit: Fit[Any], truth: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the error of a fit and its covariance."""
     found = trial.error(fit, truth)
     e, C = found if isinstance(found, tuple) else (found, fit.cov)
     return np.atleast_1d(np.asarray(e, dtype=float)), np.asarray(C, dtype=float)
 
 
 def run(trial: ContractTrial, case: Experiment) -> FitRun:
-    """Fit one experiment."""
     fit = trial.fit(**case.data)
     e, C = error_of(trial, fit, case.truth)
     return FitRun(e, C, fit.rank, case.bound)
@@ -100,8 +99,7 @@ def _runs(trial: ContractTrial, times: int) -> list[FitRun]:
 def _weight(runs: list[FitRun]) -> np.ndarray:
     """Return the inverse of the mean stated covariance: it makes errors of many units one number."""
     C = np.mean([r.C for r in runs], axis=0)
-    sd = np.sqrt(np.diag(C))
-    sd = np.where(sd > 0, sd, 1.0)
+    sd = _sd(C)
     return np.linalg.pinv(C / np.outer(sd, sd), rcond=1e-9, hermitian=True) / np.outer(sd, sd)
 
 
@@ -224,21 +222,15 @@ def order_free(trial: ContractTrial) -> Verdict:
         if not changed:
             return False, "no array with samples along axis 0: skip with the reason"
         first, second = trial.fit(**case.data), trial.fit(**mixed)
-        worst = max(worst, _apart(trial, first, second, case.truth))
+        (a, C), (b, _) = error_of(trial, first, case.truth), error_of(trial, second, case.truth)
+        worst = max(worst, _length(b - a, C))
         if not np.array_equal(first.outliers[order] if first.outliers.size else first.outliers, second.outliers):
             return False, "other flags in another order of the samples"
     return worst <= SAME, f"permuted samples move the answer by {worst:.1e} deviations, accepted {SAME:.0e}"
 
 
-def _apart(trial: ContractTrial, first: Fit[Any], second: Fit[Any], truth: Any) -> float:
-    """Return the step between two fits, in deviations of the estimate."""
-    (a, C), (b, _) = error_of(trial, first, truth), error_of(trial, second, truth)
-    return _length(b - a, C)
-
-
 def _length(e: np.ndarray, C: np.ndarray) -> float:
-    sd = np.sqrt(np.diag(C))
-    sd = np.where(sd > 0, sd, 1.0)
+    sd = _sd(C)
     inverse = np.linalg.pinv(C / np.outer(sd, sd), rcond=SAME, hermitian=True)
     return float(np.sqrt(max((e / sd) @ inverse @ (e / sd), 0.0)))
 
@@ -378,18 +370,12 @@ def _arrays(item: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:
             yield from _arrays(getattr(item, one.name), f"{name}.{one.name}" if name else one.name)
 
 
-PROPERTIES = (
-    "consistent",
-    "honest",
-    "efficient",
-    "order-free",
-    "gauge-free",
-    "refuses",
-    "robust",
-    "saves",
-    "explains",
-    "clean",
-)
+JUDGES = {
+    "consistent": consistent, "honest": honest, "efficient": efficient, "order-free": order_free,
+    "gauge-free": gauge_free, "refuses": refuses, "robust": robust, "saves": saves, "explains": explains,
+    "clean": clean,
+}  # fmt: skip
+PROPERTIES = tuple(JUDGES)
 BENCHMARK = 1000  # runs from which the limits of the benchmark hold
 
 Error = Callable[[Fit[Any], Any], Any]
@@ -463,10 +449,7 @@ class ContractLimits:
 
 @dataclass(frozen=True)
 class Property:
-    """One property of the contract.
-
-    `passed`: None where it was not judged.
-    """
+    """One property of the contract; `passed` is None where it was not judged."""
 
     name: str
     passed: bool | None
@@ -496,7 +479,6 @@ class Contract:
         return tuple(one.name for one in self.properties if one.passed is False)
 
     def __getitem__(self, name: str) -> Property:
-        """Return the property of that name."""
         for one in self.properties:
             if one.name == name:
                 return one
@@ -568,19 +550,7 @@ def check_estimator(
 
 
 def _properties(trial: ContractTrial, reasons: dict[str, str]) -> Iterator[Property]:
-    judges = {
-        "consistent": consistent,
-        "honest": honest,
-        "efficient": efficient,
-        "order-free": order_free,
-        "gauge-free": gauge_free,
-        "refuses": refuses,
-        "robust": robust,
-        "saves": saves,
-        "explains": explains,
-        "clean": clean,
-    }
-    for name, judge in judges.items():
+    for name, judge in JUDGES.items():
         if name in reasons:
             yield Property(name, None, f"skipped: {reasons[name]}")
             continue

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import numbers
+from armlab._numbers import make_read_only, numbers
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation.excitation import Excitation, check_excitation
 from armlab.estimation.nonlinear import Measurement, NonlinearProblem, nonlinear_least_squares
@@ -41,11 +41,7 @@ class TotalSolution:
     excitation: Excitation
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
-        for name in ("x", "cov", "corrections", "outliers"):
-            values = np.array(getattr(self, name))
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
+        make_read_only(self, "x", "cov", "corrections", "outliers")
 
 
 def total_least_squares(
@@ -88,9 +84,7 @@ def total_least_squares(
         raise ShapeError(f"Expected {p} names for {p} columns, got {len(labels)}. Name every column once.")
     if len(A) <= p:
         raise NotExcited(
-            f"Expected more than {p} rows for {p} parameters, got {len(A)}. Measure more.",
-            labels,
-            [f"{len(A)} rows"],
+            f"Expected more than {p} rows for {p} parameters, got {len(A)}. Measure more.", labels, [f"{len(A)} rows"]
         )
     if cov is not None:
         if len(free) < p:
@@ -171,7 +165,6 @@ def _checked(A: ArrayLike, y: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _free(exact: Sequence[int], p: int) -> np.ndarray:
-    """Return the columns that have errors."""
     known = sorted(set(exact))
     if any(k not in range(p) for k in known):
         raise ShapeError(f"Expected exact columns from 0 to {p - 1}, got {list(exact)}. Number them from 0.")
@@ -179,7 +172,6 @@ def _free(exact: Sequence[int], p: int) -> np.ndarray:
 
 
 def _covariance(cov: ArrayLike, N: int, k: int) -> np.ndarray:
-    """Return covariances (N, k, k) of the rows."""
     C = numbers(cov, "cov", ShapeError)
     if C.shape not in ((k, k), (N, k, k)) or not np.isfinite(C).all():
         raise ShapeError(f"Expected a finite cov ({k}, {k}) or ({N}, {k}, {k}) of the rows [a y], got {C.shape}.")

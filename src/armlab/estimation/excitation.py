@@ -74,7 +74,6 @@ class Excitation:
     spread: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         for name in ("singular_values", "scale", "vectors", "null_space", "spread"):
             values = still(getattr(self, name), f"{name} of an excitation")
             object.__setattr__(self, name, values)
@@ -219,7 +218,8 @@ def check_spread(
         reach = limits * vectors[:, i] * (1.0 if unseen[i] else spread[i])
         if describe is not None:
             return describe(reach)
-        return f"{_in_words(vectors[:, i], names)}{'' if unseen[i] else ' ' + _largest(reach, vectors[:, i], units)}"
+        k = int(np.argmax(np.abs(vectors[:, i])))
+        return _in_words(vectors[:, i], names) + ("" if unseen[i] else f" ({abs(reach[k]):.2g} {units[k]})")
 
     missing = np.flatnonzero(unseen)
     null = np.hstack([fixed, vectors[:, missing]])
@@ -236,11 +236,6 @@ def check_spread(
     weakest = words(len(singular) - 1) if len(singular) else "none"
     known = (1.0 / limits, vectors, tuple(weak), null, tuple(null_names), spread)
     return Excitation(rank, p - fixed.shape[1], singular, weakest, *known)
-
-
-def _largest(reach: np.ndarray, vector: np.ndarray, units: Sequence[str]) -> str:
-    i = int(np.argmax(np.abs(vector)))
-    return f"({abs(reach[i]):.2g} {units[i]})"
 
 
 def _check_prior(prior: Prior, size: int) -> None:

@@ -11,6 +11,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from armlab import models
+from armlab._numbers import rows_text
 from armlab.errors import ConfigError, ShapeError
 from armlab.estimation.excitation import Excitation
 from armlab.models.files import load_statistics
@@ -79,7 +80,6 @@ class Fit(Generic[Value]):
     formal_cov: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze the arrays."""
         d = len(self.names)
         if len(self.units) != d or np.shape(self.parameters) != (d,):
             raise ShapeError(
@@ -134,7 +134,7 @@ class Fit(Generic[Value]):
         lines += [f"noise of {label}: {sigma:.3g}" for label, sigma in zip(labels, self.sigma.ravel())]
         left_out = np.flatnonzero(self.outliers)
         if len(left_out):
-            lines.append(f"{len(left_out)} outliers left out: {_listed(left_out.tolist())}")
+            lines.append(f"{len(left_out)} outliers left out: {rows_text(left_out)}")
         return "\n".join([*lines, f"{self.n} samples", self.excitation.text()])
 
     def save(self, path: str | Path, sources: Sequence[str] = ()) -> Path:
@@ -177,8 +177,3 @@ class Fit(Generic[Value]):
 
 def _said(text: str, fit: Fit[Any]) -> str:
     return text
-
-
-def _listed(numbers: Sequence[int]) -> str:
-    shown = ", ".join(str(i) for i in numbers[:20])
-    return shown if len(numbers) <= 20 else f"{shown} and {len(numbers) - 20} more"

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from armlab._numbers import numbers
+from armlab._numbers import make_read_only, numbers
 from armlab.errors import NotExcited, ShapeError
 from armlab.estimation.excitation import MAX_CONDITION, Excitation, Prior, check_excitation
 from armlab.estimation.tsqr import Factors
@@ -71,11 +71,7 @@ EXACT = 1e-12  # residuals below this share of the measurements are rounding
 
 @dataclass(frozen=True, eq=False)
 class LinearProblem:
-    """What is asked of the data.
-
-    `lower`, `upper`: (p,) bounds; -inf and inf where there is none. `max_condition`: of the column-scaled, weighted
-    regressor.
-    """
+    """What is asked of the data; bounds (p,) are infinite where there is none."""
 
     names: tuple[str, ...]
     what: str
@@ -94,10 +90,7 @@ class LinearProblem:
         prior: Prior | None = None,
         max_condition: float = MAX_CONDITION,
     ) -> LinearProblem:
-        """Check the bounds and fill in those that are left out.
-
-        `lower`, `upper`: (p,) bounds, or None.
-        """
+        """Check the bounds (p,) and fill in those that are left out."""
         p = len(names)
         low = np.full(p, -np.inf) if lower is None else numbers(lower, "lower bounds", ShapeError)
         high = np.full(p, np.inf) if upper is None else numbers(upper, "upper bounds", ShapeError)
@@ -119,7 +112,6 @@ class ActiveBound:
     free_sd: float
 
     def text(self) -> str:
-        """Return one line for a report."""
         return f"{self.name} held at its bound {self.bound:g}; without it {self.free:.4g} +- {self.free_sd:.2g}"
 
 
@@ -155,11 +147,7 @@ class LinearSolution:
     converged: bool = True
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
-        for name in ("x", "cov", "weights", "sigma", "R", "basis", "kept", "row_weights"):
-            values = np.array(getattr(self, name))
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
+        make_read_only(self, "x", "cov", "weights", "sigma", "R", "basis", "kept", "row_weights")
 
     @property
     def sd(self) -> np.ndarray:
@@ -175,11 +163,7 @@ class LinearSolution:
 def solve(
     problem: LinearProblem, factors: Factors, weights: np.ndarray | None = None, kept: np.ndarray | None = None
 ) -> LinearSolution:
-    """Solve a linear problem by its triangular factors.
-
-    `weights`: (G,) of the classes; when left out 1 / sd of their own residuals, found in rounds. `kept`: (B,) blocks of
-    time that count; all when left out.
-    """
+    """Solve by factors, with weights (G,) of the classes, found in rounds when None, on the blocks `kept` (B,)."""
     kept = np.ones(len(factors.rows), dtype=bool) if kept is None else kept
     groups = factors.of_groups(kept)
     if weights is not None:
@@ -203,7 +187,6 @@ def _inverse(sigma: np.ndarray, spread: np.ndarray) -> np.ndarray:
 def _solve_once(
     problem: LinearProblem, factors: Factors, groups: list[np.ndarray], kept: np.ndarray, weights: np.ndarray
 ) -> LinearSolution:
-    """Return the solution for given weights."""
     p = factors.size
     whole = factors.merge(groups, weights)
     R, y = whole[:p, :p], whole[:p, p]
@@ -222,25 +205,15 @@ def _solve_once(
     least = np.linalg.norm(whole @ np.append(loose, -1.0))
     cov = least**2 / free * basis @ basis.T + _held_covariance(excitation, problem.prior)
     x = within_bounds(loose, cov, problem.lower, problem.upper)
-    active = _active(problem, x, loose, np.sqrt(np.diag(cov)))
+    at, sd = np.flatnonzero((x <= problem.lower) | (x >= problem.upper)), np.sqrt(np.diag(cov))
+    active = tuple(ActiveBound(problem.names[i], float(x[i]), float(loose[i]), float(sd[i])) for i in at)
     reached = np.linalg.norm(whole @ np.append(x, -1.0))
     own = [np.sum((w * g[:, :-1] @ basis[c]) ** 2) for g, c, w in zip(groups, factors.columns, weights)]
     power = np.array([np.sum((g @ np.append(x[c], -1.0)) ** 2) for g, c in zip(groups, factors.columns)])
+    sigma, scale = np.sqrt(power / np.maximum(rows - np.array(own), 1.0)), float(reached / np.sqrt(free))
+    growth = float(reached / least - 1.0) if active and least > 0 else 0.0
     return LinearSolution(
-        problem=problem,
-        x=x,
-        cov=cov,
-        weights=weights,
-        sigma=np.sqrt(power / np.maximum(rows - np.array(own), 1.0)),
-        scale=float(reached / np.sqrt(free)),
-        R=R,
-        basis=basis,
-        excitation=excitation,
-        active=active,
-        growth=float(reached / least - 1.0) if active and least > 0 else 0.0,
-        factors=factors,
-        measured=factors,
-        kept=kept,
+        problem, x, cov, weights, sigma, scale, R, basis, excitation, active, growth, factors, factors, kept
     )
 
 
@@ -263,8 +236,3 @@ def _held_covariance(excitation: Excitation, prior: Prior | None) -> np.ndarray:
     across = held.T @ (held * ((excitation.scale * prior.sd) ** 2)[:, None])
     sides = held / excitation.scale[:, None]
     return sides @ across @ sides.T
-
-
-def _active(problem: LinearProblem, x: np.ndarray, loose: np.ndarray, sd: np.ndarray) -> tuple[ActiveBound, ...]:
-    at = np.flatnonzero((x <= problem.lower) | (x >= problem.upper))
-    return tuple(ActiveBound(problem.names[i], float(x[i]), float(loose[i]), float(sd[i])) for i in at)

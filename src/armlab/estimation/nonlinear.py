@@ -18,6 +18,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from armlab._numbers import make_read_only
 from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation.tsqr import triangle
 
@@ -51,7 +52,6 @@ class Measurement:
     added: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        """Check the shapes."""
         for name in ("r", "J", "sample", *(("cov",) if self.cov is not None else ())):
             if not isinstance(getattr(self, name), np.ndarray):
                 raise ShapeError(f"Expected {name} of a measurement as a NumPy array. This is a fault of the residual.")
@@ -105,11 +105,7 @@ class Measurement:
 
 @dataclass(frozen=True, eq=False)
 class Whitened:
-    """All rows of all measurements, whitened.
-
-    `r`: (M,) residuals. `J`: (M, d) derivatives. `kept`: (M of all measurements,) rows that were not left out; None
-    where all are here.
-    """
+    """Whitened rows of all measurements: r (M,), J (M, d); `kept` marks those that were not left out, None for all."""
 
     r: np.ndarray
     J: np.ndarray
@@ -118,7 +114,6 @@ class Whitened:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the noise classes."""
         return tuple(dict.fromkeys(name for one in self.measurements if not one.prior for name in one.classes))
 
     @cached_property
@@ -134,7 +129,6 @@ class Whitened:
 
     @cached_property
     def raw(self) -> np.ndarray:
-        """Residuals (M,) in SI."""
         return self._rows(lambda one: one.r.ravel())
 
     def _rows(self, of: Callable[[Measurement], np.ndarray]) -> np.ndarray:
@@ -151,10 +145,7 @@ class Whitened:
         return np.bincount(self.sample + 1, minlength=count + 1)[1:]
 
     def times(self, weight: np.ndarray) -> Whitened:
-        """Return it with a weight per sample (N,): rows times its root, rows of weight 0 left out; priors as they are.
-
-        `weight`: (N,) from 0 to 1.
-        """
+        """Return rows times the root of the weight (N,) of their sample, without those of weight 0; priors as is."""
         if np.all(weight == 1.0):
             return self
         root = np.sqrt(np.append(weight, 1.0))[self.sample]
@@ -166,10 +157,7 @@ class Whitened:
 
 
 def whiten(measurements: Sequence[Measurement], roots: Sequence[np.ndarray]) -> Whitened:
-    """Put all measurements below each other, whitened.
-
-    `roots`: their whitening factors, from `Measurement.roots`.
-    """
+    """Put all measurements below each other, whitened by their factors from `Measurement.roots`."""
     r, J = [], []
     for one, root in zip(measurements, roots):
         r.append(one.whitened(root).ravel())
@@ -180,10 +168,7 @@ def whiten(measurements: Sequence[Measurement], roots: Sequence[np.ndarray]) -> 
 
 
 def cost(measurements: Sequence[Measurement], roots: Sequence[np.ndarray], weight: np.ndarray) -> float:
-    """Return ``1/2 sum_i w_i r_i^T S_i^-1 r_i``.
-
-    `roots`: their whitening factors, from `Measurement.roots`. `weight`: (N,) of the samples; priors have weight 1.
-    """
+    """Return ``1/2 sum_i w_i r_i^T S_i^-1 r_i`` with weights (N,) of the samples, 1 for priors."""
     total = 0.0
     for one, root in zip(measurements, roots):
         r = one.whitened(root)
@@ -323,11 +308,7 @@ def _stuck(problem: NonlinearProblem[Any], value: Any, history: list[float]) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Slope:
-    """The linear problem at one value: what its rows tell, and the way down.
-
-    The inverse of the triangle spans what the rows tell, at a third of the cost of singular values; these are for
-    triangles that are nearly singular, and for damping.
-    """
+    """The linear problem at one value; singular values, which are slow, only where nearly singular or damped."""
 
     R: np.ndarray
     scale: np.ndarray
@@ -372,10 +353,7 @@ class _Slope:
         return self._singular[3] if self._inverse is None else self.R[:-1, -1]
 
     def step(self, damping: float) -> tuple[np.ndarray, float]:
-        """Return the step (d,), and by how much it should lower the cost.
-
-        `damping`: relative to the largest singular value squared.
-        """
+        """Return the step (d,), damped by a share of the largest singular value squared, and the promised fall."""
         if damping == 0.0:
             return -self.basis @ self.along, 0.5 * float(self.along @ self.along)
         basis, singular, _, slope = self._singular
@@ -418,11 +396,7 @@ class NonlinearSolution(Generic[Value]):
     history: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
-        for name in ("cov", "sigma", "outliers", "squares", "null"):
-            values = np.array(getattr(self, name))
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
+        make_read_only(self, "cov", "sigma", "outliers", "squares", "null")
 
 
 def nonlinear_least_squares(
@@ -611,15 +585,9 @@ def _solution(
             [f"{len(rows.r)} numbers"],
         )
     return NonlinearSolution(
-        value=found.value,
-        cov=found.basis @ found.basis.T,
-        classes=rows.names,
+        value=found.value, cov=found.basis @ found.basis.T, classes=rows.names,
         sigma=np.array([sigma.get(n, np.nan) for n in rows.names]) if _is_mixed(found) else _class_sigma(found),
         outliers=weight == 0,
-        squares=(rows if np.all(weight == 1.0) else _rows(problem, found.value, sigma)).squares(len(weight)),
-        rows=rows,
-        null=found.null,
-        cost=found.history[-1],
-        freedom=freedom,
-        history=found.history,
-    )
+        squares=(rows if np.all(weight == 1.0) else _rows(problem, found.value, sigma)).squares(len(weight)), rows=rows,
+        null=found.null, cost=found.history[-1], freedom=freedom, history=found.history,
+    )  # fmt: skip

@@ -36,12 +36,7 @@ def mad(x: np.ndarray) -> float:
 
 
 def huber(rows: Iterable[Rows], start: LinearSolution) -> LinearSolution:
-    """Reweight rows by Huber's loss until the solution stays.
-
-    `rows`: of the problem, not a generator: they are read once per round. Returns: LinearSolution whose formal
-    covariance is that of the M-estimator; `converged` is False after 30 rounds. After Huber and Ronchetti (2009),
-    Robust Statistics, equations 7.8 and 7.84.
-    """
+    """Reweight rows by Huber's loss until the solution stays (Huber and Ronchetti 2009, eq. 7.8 and 7.84)."""
     found, x, sigma, used, step = start, start.x, start.sigma, start.sigma, np.inf
     residuals: dict[int, list[np.ndarray]] = {}
     weights: list[np.ndarray] = []

@@ -86,10 +86,7 @@ class Factors:
         return [stack(R[b] for b in blocks) for R in self.R]
 
     def merge(self, groups: list[np.ndarray], weights: np.ndarray) -> np.ndarray:
-        """Return the factor (p + 1, p + 1) of all classes, each with its weight (G,).
-
-        `weights`: multiply the rows of each class, 1 / sd.
-        """
+        """Return the factor (p + 1, p + 1) of all classes, the rows of each times its weight (G,), 1 / sd."""
         p = self.size
         wide = []
         for R, columns, weight in zip(groups, self.columns, weights):
@@ -105,11 +102,7 @@ class Factors:
 
 
 def factorise(rows: Iterable[Rows], size: int) -> Factors:
-    """Reduce rows to triangular factors, one pass, whatever their number.
-
-    `rows`: of all classes, in any order of classes; blocks and classes may come in several pieces. After Demmel,
-    Grigori, Hoemmen and Langou (2012), Communication-optimal parallel and sequential QR.
-    """
+    """Reduce rows of all classes, in any order and pieces, to triangular factors in one pass (Demmel et al. 2012)."""
     columns: dict[int, np.ndarray] = {}
     found: dict[tuple[int, int], np.ndarray] = {}
     count: dict[tuple[int, int], int] = {}
@@ -181,7 +174,6 @@ def _reflect(R: np.ndarray, below: np.ndarray) -> np.ndarray:
 
 
 def _check(piece: Rows, size: int, known: dict[int, np.ndarray]) -> None:
-    """Refuse rows that do not fit together; remember the columns of each class."""
     A, y, block = piece.A, piece.y, piece.block
     if A.ndim != 2 or y.shape != A.shape[:1] or block.shape != y.shape or np.any(np.diff(block) < 0):
         raise ShapeError(
@@ -214,10 +206,7 @@ _limits = ExitStack()
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Give BLAS one thread in a `with` block or a decorated function, and as many as before after it.
-
-    The number of threads belongs to the process: of blocks that overlap, in several threads, the last gives it back.
-    """
+    """Give BLAS one thread in a `with` block; of blocks that overlap the last gives the others back."""
     global _inside
     with _lock:
         if not _inside:

@@ -9,28 +9,10 @@ from armlab.frames.pose_graph import FrameSet, Graph, Loop, LoopCheck
 from armlab.models import register
 
 __all__ = [
-    "BuiltFrame",
-    "Circle",
-    "FrameSet",
-    "Graph",
-    "Line",
-    "Loop",
-    "LoopCheck",
-    "MarkerPoses",
-    "OffsetCheck",
-    "Plane",
-    "Sphere",
-    "build",
-    "check_offset",
-    "distance",
-    "fit_circle",
-    "fit_line",
-    "fit_plane",
-    "fit_sphere",
-    "intersect",
-    "marker_pose",
-    "project",
-]
+    "BuiltFrame", "Circle", "FrameSet", "Graph", "Line", "Loop", "LoopCheck", "MarkerPoses", "OffsetCheck", "Plane",
+    "Sphere", "build", "check_offset", "distance", "fit_circle", "fit_line", "fit_plane", "fit_sphere", "intersect",
+    "marker_pose", "project",
+]  # fmt: skip
 
 register("plane", Plane)
 register("line", Line)

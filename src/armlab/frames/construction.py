@@ -127,7 +127,6 @@ def _direction(item: Any, name: str) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 def _origin(origin: Any, cov: ArrayLike | None) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the origin (3,) and its covariance."""
     if isinstance(origin, (Sphere, Circle)):
         if cov is not None:
             raise ShapeError("Expected origin_cov for a point, got it beside a feature that has its own. Leave it out.")
@@ -269,10 +268,7 @@ def _edge(first: Plane, second: Plane) -> Line:
 
 
 def _errors(item: Plane | Line) -> tuple[np.ndarray, np.ndarray]:
-    """Return how direction (3, m) and place move with each of the m errors of a feature.
-
-    The place of a line is its centroid (3, m), that of a plane its offset along the normal (m,).
-    """
+    """Return how direction (3, m) and place (a centroid (3, m), or an offset (m,)) move with the m errors."""
     if isinstance(item, Plane):
         return np.column_stack([np.cross(item.axes, item.n).T, np.zeros(3)]), np.array([0.0, 0.0, 1.0])
     tilts = np.cross(item.axes, item.v).T

@@ -53,7 +53,6 @@ class Cloud:
         inputs.enough(len(self.p), self._needed, what)
 
     def choose(self, size: int, numbers: int, through: Squares, refit: Refit) -> None:
-        """Keep the points that belong to the feature, see `inliers`."""
         self.kept = inliers(self.p, size, numbers, through, refit, self.sigma, self._what)
         inputs.enough(int(self.kept.sum()), self._needed, self._what)
 
@@ -70,28 +69,15 @@ def result(
 ) -> Fit[Feature]:
     """Return the fit of a feature, its residuals in metres, what is not kept as its outliers."""
     return Fit(
-        value=value,
-        names=value.names,
-        units=value.units,
-        parameters=parameters,
-        cov=cov,
-        sigma=sigma,
-        residuals=residuals,
-        n=int(kept.sum()),
-        excitation=excitation,
-        summary=summary,
-        outliers=~kept,
-        classes=("distance [m]",),
-    )
+        value, value.names, value.units, parameters, cov, sigma, residuals, int(kept.sum()), excitation, summary,
+        ~kept, ("distance [m]",),
+    )  # fmt: skip
 
 
 def upward(
     n: np.ndarray, c: np.ndarray, reach: float, toward: ArrayLike | None, normal: ArrayLike | None, what: str
 ) -> np.ndarray:
-    """Return a normal with the sign that the rule gives it.
-
-    `reach` is the standard deviation of the plane's distance from the origin [m]; see `fit_plane` for the hints.
-    """
+    """Return a normal with the sign of the rule or the hints; `reach` is the deviation of the plane's distance [m]."""
     if toward is not None and normal is not None:
         raise ShapeError("Expected toward= or normal=, got both. Either says on which side the normal is.")
     if normal is not None:
@@ -122,10 +108,7 @@ def text(v: np.ndarray) -> str:
 def inliers(
     p: np.ndarray, size: int, numbers: int, through: Squares, refit: Refit, sigma: float | None, what: str
 ) -> np.ndarray:
-    """Return which points (N,) belong to the feature.
-
-    `size` is that of a minimal set, `numbers` the residuals per point, `sigma` the noise of a coordinate if known.
-    """
+    """Return which points (N,) belong to the feature, from sets of `size` points with `numbers` residuals each."""
     from scipy.special import chdtri
 
     if len(p) < size + 2:
@@ -226,10 +209,7 @@ def rounding(p: np.ndarray) -> float:
 
 
 def principal(p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return centroid, principal directions (3, 3) as rows, strongest first, and sums of squares (3,) along them.
-
-    Their signs are chosen, not left to the decomposition: the largest component is positive.
-    """
+    """Return centroid, principal directions (3, 3) as rows, strongest first, and sums of squares (3,)."""
     c = p.mean(axis=0)
     R = np.linalg.qr(p - c, mode="r")  # a million points have the directions of three
     _, singular, axes = np.linalg.svd(np.vstack([R, np.zeros((3 - len(R), 3))]))

@@ -43,7 +43,6 @@ class Plane:
     units: ClassVar[tuple[str, ...]] = ("rad", "rad", "m")
 
     def __post_init__(self) -> None:
-        """Check that everything fits together, and freeze it."""
         n, c = inputs.unit(self.n, "the normal of a plane"), inputs.vector(self.centroid, "the centroid of a plane")
         d = number(self.d, "the distance of a plane [m]")
         if not abs(n @ c - d) <= inputs.UNIT * (1.0 + np.linalg.norm(c)):
@@ -118,7 +117,6 @@ class Line:
     units: ClassVar[tuple[str, ...]] = ("rad", "rad", "m", "m")
 
     def __post_init__(self) -> None:
-        """Check that everything fits together, and freeze it."""
         v, c = inputs.unit(self.v, "the direction of a line"), inputs.vector(self.centroid, "the centroid of a line")
         r = inputs.vector(self.r, "the foot of a line")
         off = np.linalg.norm(np.cross(v, c - r))
@@ -197,15 +195,10 @@ class Circle:
     units: ClassVar[tuple[str, ...]] = ("m", "m", "m", "rad", "rad", "m")
 
     def __post_init__(self) -> None:
-        """Check that everything fits together, and freeze it."""
         n = inputs.unit(self.n, "the normal of a circle")
+        centre, radius = inputs.vector(self.centre, "the centre of a circle"), _positive(self.radius, "circle")
         _freeze(
-            self,
-            centre=inputs.vector(self.centre, "the centre of a circle"),
-            n=n,
-            radius=_positive(self.radius, "circle"),
-            axes=_axes(self.axes, n),
-            cov=inputs.covariance(self.cov, 6, "cov"),
+            self, centre=centre, n=n, radius=radius, axes=_axes(self.axes, n), cov=inputs.covariance(self.cov, 6, "cov")
         )
 
     @property
@@ -239,7 +232,6 @@ class Sphere:
     units: ClassVar[tuple[str, ...]] = ("m", "m", "m", "m")
 
     def __post_init__(self) -> None:
-        """Check that everything fits together, and freeze it."""
         centre = inputs.vector(self.centre, "the centre of a sphere")
         cov = inputs.covariance(self.cov, 4, "cov")
         _freeze(self, centre=centre, radius=_positive(self.radius, "sphere"), cov=cov)

@@ -58,7 +58,6 @@ def marker_points(marker: ArrayLike, K: int, what: str) -> np.ndarray:
 
 
 def enough(count: int, needed: int, what: str) -> None:
-    """Refuse fewer points than a feature needs."""
     if count < needed:
         raise NotExcited(
             f"Expected at least {needed} points to fit a {what} and its noise, got {count}. Measure more points, or "
@@ -101,7 +100,6 @@ def noises_of(noise: Any, count: int) -> tuple[float | None, np.ndarray | None]:
 
 
 def limit_of(limit: Any) -> float:
-    """Return the largest standard deviation [rad] that is accepted."""
     value = number(limit, "limit [rad]")
     if not value > 0.0:
         raise ShapeError(f"Expected limit to be a deviation above zero [rad], got {value:g}. 0.2 is the usual one.")
@@ -109,7 +107,6 @@ def limit_of(limit: Any) -> float:
 
 
 def vector(v: ArrayLike, what: str) -> np.ndarray:
-    """Return a finite vector (3,) as a read-only copy."""
     array = np.array(numbers(v, what, ShapeError))
     if array.shape != (3,) or not np.isfinite(array).all():
         raise ShapeError(f"Expected {what} to be a finite vector (3,), got {array.tolist()}.")
@@ -118,7 +115,6 @@ def vector(v: ArrayLike, what: str) -> np.ndarray:
 
 
 def direction(v: ArrayLike, what: str) -> np.ndarray:
-    """Return the unit vector (3,) of a vector that is not zero."""
     array = vector(v, what)
     length = float(np.linalg.norm(array))
     if not length > 0.0:
@@ -127,7 +123,6 @@ def direction(v: ArrayLike, what: str) -> np.ndarray:
 
 
 def unit(v: ArrayLike, what: str) -> np.ndarray:
-    """Return a vector (3,) that has length 1 already."""
     array = vector(v, what)
     off = abs(float(np.linalg.norm(array)) - 1.0)
     if off > UNIT:
@@ -138,7 +133,6 @@ def unit(v: ArrayLike, what: str) -> np.ndarray:
 
 
 def pose(T: ArrayLike, what: str) -> np.ndarray:
-    """Return a pose (4, 4)."""
     array = numbers(T, what, ShapeError)
     if array.shape != (4, 4) or not se3.is_pose(array):
         raise ShapeError(

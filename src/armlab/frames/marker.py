@@ -43,7 +43,6 @@ class MarkerPoses:
     marker: np.ndarray
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         make_read_only(self, "T", "valid", "rms", "cov", "marker")
 
 

@@ -157,14 +157,11 @@ def fit_line(
 
 
 def _forward(v: np.ndarray, step: np.ndarray, sigma: float, along: ArrayLike | None) -> np.ndarray:
-    """Return the direction of a line with the sign of the rule."""
     if along is not None:
         side = float(v @ inputs.direction(along, "along"))
         if abs(side) <= 1e-6:
             raise ShapeError("Expected along= roughly along the line, got a direction across it. Give another one.")
-        return v if side > 0 else -v
-    side = float(v @ step)
-    if abs(side) <= SURE * sigma:
+    elif abs(side := float(v @ step)) <= SURE * sigma:
         raise NotExcited(
             f"Expected the last point away from the first to tell the direction of the line, got them {abs(side):.2g} "
             "m apart along it. Say the direction by along=.",
@@ -222,7 +219,6 @@ def _line_distances(p: np.ndarray, kept: np.ndarray) -> tuple[float, np.ndarray]
 
 
 def _parameters(value: Plane | Line) -> np.ndarray:
-    """Return tilts, which are zero by definition, and offsets."""
     offsets = [value.d] if isinstance(value, Plane) else value.axes @ value.centroid
     return np.array([0.0, 0.0, *offsets])
 

@@ -166,7 +166,6 @@ class Edge:
     source: str = ""
 
     def text(self) -> str:
-        """Return the names and the source."""
         return f"{self.a} to {self.b}" + (f" ({self.source})" if self.source else "")
 
 
@@ -277,7 +276,6 @@ def path(edges: Sequence[Edge], a: str, b: str) -> Steps | None:
 
 
 def _closure(edges: Sequence[Edge], steps: Steps) -> Loop:
-    """Return the closure of a loop with its chance."""
     from scipy.special import chdtrc
 
     poses = [edges[k].T if sign > 0 else se3.inv(edges[k].T) for k, sign in steps]
@@ -321,7 +319,6 @@ class FrameSet:
     T: np.ndarray
 
     def __post_init__(self) -> None:
-        """Freeze the poses."""
         T = still(self.T, "poses T of frames")
         object.__setattr__(self, "names", tuple(self.names))
         object.__setattr__(self, "T", T)
@@ -344,7 +341,6 @@ class FrameSet:
 
 
 def solve_poses(edges: Sequence[Edge], names: Sequence[str], robust: bool = False) -> Fit[FrameSet]:
-    """Return the most likely poses; see `Graph.solve`."""
     start = _start(edges, names)
     given = [edge.cov is not None for edge in edges]
     if any(given) and not all(given):
@@ -355,30 +351,19 @@ def solve_poses(edges: Sequence[Edge], names: Sequence[str], robust: bool = Fals
     size = float(np.linalg.norm(found.value[:, :3, 3].std(axis=0)))
     labels = [(f"{name} {part}", unit) for name in names[1:] for part, unit in PARTS]
     limits = np.array([LIMIT * (1.0 if unit == "rad" else size or 1.0) for _, unit in labels])
-    excitation = check_spread(
-        found.rows.J, [name for name, _ in labels], [unit for _, unit in labels], limits, "frames"
-    )
+    labelled, units = tuple(name for name, _ in labels), tuple(unit for _, unit in labels)
+    excitation = check_spread(found.rows.J, labelled, units, limits, "frames")
     R = found.value[1:, :3, :3]
     parameters = np.hstack([found.value[1:, :3, 3], so3.log(R)]).ravel()
     residuals = problem.evaluate(found.value)[0].r
     return Fit(
-        value=FrameSet(tuple(names), found.value),
-        names=tuple(name for name, _ in labels),
-        units=tuple(unit for _, unit in labels),
-        parameters=parameters,
-        cov=found.cov,
-        sigma=found.sigma,
-        residuals=residuals,
-        n=len(edges) - int(found.outliers.sum()),
-        excitation=excitation,
-        summary=lambda fit: _report(fit, [edge.text() for edge in edges]),
-        outliers=found.outliers,
-        classes=("position [m]", "rotation [rad]"),
-    )
+        FrameSet(tuple(names), found.value), labelled, units, parameters, found.cov, found.sigma, residuals,
+        len(edges) - int(found.outliers.sum()), excitation, lambda fit: _report(fit, [edge.text() for edge in edges]),
+        found.outliers, ("position [m]", "rotation [rad]"),
+    )  # fmt: skip
 
 
 def _start(edges: Sequence[Edge], names: Sequence[str]) -> np.ndarray:
-    """Return the poses (F, 4, 4) along the fewest measured ones."""
     if not edges:
         raise FrameError("Expected poses between frames, got none. Graph.add takes them.")
     start = np.zeros((len(names), 4, 4))

@@ -23,21 +23,7 @@ from armlab.kinematics.inverse import IkSolution, inverse
 from armlab.kinematics.path import IkPath, inverse_path
 
 __all__ = [
-    "Ellipsoid",
-    "IkPath",
-    "IkSolution",
-    "SelfMotion",
-    "ellipsoid",
-    "forward",
-    "forward_jacobian",
-    "inverse",
-    "inverse_path",
-    "jacobian",
-    "jacobian_derivative",
-    "link_transforms",
-    "manipulability",
-    "manipulability_gradient",
-    "parameter_jacobian",
-    "self_motion",
-    "singular_values",
-]
+    "Ellipsoid", "IkPath", "IkSolution", "SelfMotion", "ellipsoid", "forward", "forward_jacobian", "inverse",
+    "inverse_path", "jacobian", "jacobian_derivative", "link_transforms", "manipulability", "manipulability_gradient",
+    "parameter_jacobian", "self_motion", "singular_values",
+]  # fmt: skip

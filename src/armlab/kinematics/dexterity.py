@@ -48,7 +48,6 @@ class Ellipsoid:
     lengths: np.ndarray
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         make_read_only(self, "axes", "lengths")
 
 
@@ -71,12 +70,9 @@ def singular_values(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarr
 
     Raises
     ------
-    UnknownName
-        When there is no such part.
-    ShapeError
-        When the last axis of `q` is not n long.
-    RobotError
-        When something else comes in place of a robot, such as its name.
+    UnknownName : when there is no such part.
+    ShapeError : when the last axis of `q` is not n long.
+    RobotError : when something else comes in place of a robot, such as its name.
     """
     return _svd(_rows(robot, q, part))[1]
 
@@ -101,12 +97,9 @@ def manipulability(robot: Robot, q: ArrayLike, part: Part = "pose") -> np.ndarra
 
     Raises
     ------
-    UnknownName
-        When there is no such part.
-    ShapeError
-        When the last axis of `q` is not n long.
-    RobotError
-        When something else comes in place of a robot, such as its name.
+    UnknownName : when there is no such part.
+    ShapeError : when the last axis of `q` is not n long.
+    RobotError : when something else comes in place of a robot, such as its name.
 
     References
     ----------
@@ -136,12 +129,9 @@ def manipulability_gradient(robot: Robot, q: ArrayLike, part: Part = "pose") -> 
 
     Raises
     ------
-    UnknownName
-        When there is no such part.
-    ShapeError
-        When the last axis of `q` is not n long.
-    RobotError
-        When something else comes in place of a robot, such as its name.
+    UnknownName : when there is no such part.
+    ShapeError : when the last axis of `q` is not n long.
+    RobotError : when something else comes in place of a robot, such as its name.
     """
     U, s, Vt = _svd(_rows(robot, q, part))
     positions = np.asarray(q, dtype=np.float64)[..., None, :]
@@ -177,12 +167,9 @@ def ellipsoid(
 
     Raises
     ------
-    UnknownName
-        When there is no such part or kind.
-    ShapeError
-        When the last axis of `q` is not n long.
-    RobotError
-        When something else comes in place of a robot, such as its name.
+    UnknownName : when there is no such part or kind.
+    ShapeError : when the last axis of `q` is not n long.
+    RobotError : when something else comes in place of a robot, such as its name.
     """
     if not isinstance(part, str) or part not in ("position", "rotation"):
         raise UnknownName.among("part of a twist with an ellipsoid", part, ("position", "rotation"))
@@ -234,7 +221,6 @@ class SelfMotion:
     end: str
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         make_read_only(self, "q", "s", "position_error", "rotation_error")
 
 
@@ -272,14 +258,11 @@ def self_motion(
 
     Raises
     ------
-    RobotError
-        When the robot has no joint to spare for the task, or is none.
+    RobotError : when the robot has no joint to spare for the task, or is none.
     SingularPoseError
         When `q` is singular, or `direction` is a sign where there are several directions, or leads nowhere.
-    ShapeError
-        When `q` is not (n,), finite and inside the limits, or another argument does not fit.
-    UnknownName
-        When there is no such task.
+    ShapeError : when `q` is not (n,), finite and inside the limits, or another argument does not fit.
+    UnknownName : when there is no such task.
     """
     curve = _Curve(robot, _checked(robot, q, length, points, task), task)
     here, tangent = curve.begin(direction)
@@ -300,8 +283,6 @@ def self_motion(
 
 
 class _Curve:
-    """The self-motion through one posture."""
-
     def __init__(self, robot: Robot, start: np.ndarray, task: Task) -> None:
         self.robot, self.start, self.size = robot, start, _TASK_ROWS[task]
         self.T_base_goal = forward(robot, start)
@@ -316,7 +297,6 @@ class _Curve:
             )
 
     def begin(self, direction: int | ArrayLike | Callable[[np.ndarray], ArrayLike]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the first point and tangent."""
         q, dimension = self.start, self.robot.n - self.rank
         s, Vt = np.linalg.svd(self.error(q)[1])[1:]
         if self.rank and s[self.rank - 1] <= _SINGULAR * s[0]:
@@ -406,7 +386,6 @@ class _Curve:
         return basis.T @ (basis @ vector)
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
-        """Return the gradient of the objective."""
         return _vector(self.robot, self.climbs(q) if self.climbs else None, "the gradient that direction(q) returns")
 
     def error(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

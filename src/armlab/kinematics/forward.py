@@ -35,12 +35,9 @@ def forward(robot: Robot, q: ArrayLike, out: np.ndarray | None = None, threads: 
 
     Raises
     ------
-    ShapeError
-        When the last axis of `q` is not n long, or `out` does not fit.
-    RobotError
-        When something else comes in place of a robot, such as its name.
-    ConfigError
-        When `threads` is not an integer from 1 to 256.
+    ShapeError : when the last axis of `q` is not n long, or `out` does not fit.
+    RobotError : when something else comes in place of a robot, such as its name.
+    ConfigError : when `threads` is not an integer from 1 to 256.
     """
     try:
         chain = robot.chain
@@ -66,10 +63,8 @@ def link_transforms(robot: Robot, q: ArrayLike, out: np.ndarray | None = None) -
 
     Raises
     ------
-    ShapeError
-        When the last axis of `q` is not n long, or `out` does not fit.
-    RobotError
-        When something else comes in place of a robot, such as its name.
+    ShapeError : when the last axis of `q` is not n long, or `out` does not fit.
+    RobotError : when something else comes in place of a robot, such as its name.
     """
     try:
         chain = robot.chain
@@ -100,21 +95,12 @@ def jacobian(
 
     Raises
     ------
-    UnknownName
-        When `frame` is neither "base" nor "tool".
-    ShapeError
-        When the last axis of `q` is not n long, or `out` does not fit.
-    RobotError
-        When something else comes in place of a robot, such as its name.
-    ConfigError
-        When `threads` is not an integer from 1 to 256.
+    UnknownName : when `frame` is neither "base" nor "tool".
+    ShapeError : when the last axis of `q` is not n long, or `out` does not fit.
+    RobotError : when something else comes in place of a robot, such as its name.
+    ConfigError : when `threads` is not an integer from 1 to 256.
     """
-    try:
-        chain, tool = robot.chain, _TOOL_AXES[frame]
-    except AttributeError:
-        raise RobotError.no_robot(robot) from None
-    except (KeyError, TypeError):  # TypeError: arrays and lists have no hash
-        raise _unknown(frame) from None
+    chain, tool = _resolved(robot, frame)
     return chain.jacobian(q, tool, out, threads)
 
 
@@ -145,34 +131,27 @@ def forward_jacobian(
 
     Raises
     ------
-    UnknownName
-        When `frame` is neither "base" nor "tool".
-    ShapeError
-        When the last axis of `q` is not n long, or `out` is no pair of arrays that fit and share no memory.
-    RobotError
-        When something else comes in place of a robot, such as its name.
-    ConfigError
-        When `threads` is not an integer from 1 to 256.
+    UnknownName : when `frame` is neither "base" nor "tool".
+    ShapeError : when the last axis of `q` is not n long, or `out` is no pair of arrays that fit and share no memory.
+    RobotError : when something else comes in place of a robot, such as its name.
+    ConfigError : when `threads` is not an integer from 1 to 256.
     """
-    try:
-        chain, tool = robot.chain, _TOOL_AXES[frame]
-    except AttributeError:
-        raise RobotError.no_robot(robot) from None
-    except (KeyError, TypeError):
-        raise _unknown(frame) from None
+    chain, tool = _resolved(robot, frame)
     return chain.forward_jacobian(q, tool, out, threads)
 
 
-def _unknown(frame: object) -> UnknownName:
-    return UnknownName.among("Jacobian frame", frame, _TOOL_AXES)
+def _resolved(robot: Robot, frame: Frame) -> tuple[Chain, bool]:
+    """Return the compiled chain, and whether axes of the tool are asked for."""
+    try:
+        return robot.chain, _TOOL_AXES[frame]
+    except AttributeError:
+        raise RobotError.no_robot(robot) from None
+    except (KeyError, TypeError):  # TypeError: arrays and lists have no hash
+        raise UnknownName.among("Jacobian frame", frame, _TOOL_AXES) from None
 
 
 def jacobian_derivative(
-    robot: Robot,
-    q: ArrayLike,
-    qd: ArrayLike,
-    frame: Literal["base", "tool"] = "base",
-    out: np.ndarray | None = None,
+    robot: Robot, q: ArrayLike, qd: ArrayLike, frame: Literal["base", "tool"] = "base", out: np.ndarray | None = None
 ) -> np.ndarray:
     """Return the time derivative of the Jacobian along a motion: ``[vd; wd] = J(q) qdd + Jd(q, qd) qd``.
 
@@ -195,20 +174,12 @@ def jacobian_derivative(
 
     Raises
     ------
-    UnknownName
-        When `frame` is neither "base" nor "tool".
-    ShapeError
-        When the last axis of `q` is not n long, `qd` has another shape, or `out` does not fit.
-    RobotError
-        When something else comes in place of a robot, such as its name.
+    UnknownName : when `frame` is neither "base" nor "tool".
+    ShapeError : when the last axis of `q` is not n long, `qd` has another shape, or `out` does not fit.
+    RobotError : when something else comes in place of a robot, such as its name.
     """
-    if not isinstance(frame, str) or frame not in ("base", "tool"):
-        raise UnknownName.among("Jacobian frame", frame, ("base", "tool"))
-    try:
-        chain = robot.chain
-    except AttributeError:
-        raise RobotError.no_robot(robot) from None
-    return chain.jacobian_derivative(q, qd, frame == "tool", out)
+    chain, tool = _resolved(robot, frame)
+    return chain.jacobian_derivative(q, qd, tool, out)
 
 
 def parameter_jacobian(robot: Robot, q: ArrayLike) -> np.ndarray:
@@ -238,16 +209,7 @@ def parameter_jacobian(robot: Robot, q: ArrayLike) -> np.ndarray:
 
 
 def frame_poses(chain: Chain, frames: np.ndarray, q: ArrayLike) -> np.ndarray:
-    """Return ``P_j = E_0 Z_1(q_1) E_1 ... Z_j(q_j) E_j``, the last of which is the tool.
-
-    Parameters
-    ----------
-    chain : of the arm. frames : (n+1, 4, 4) its E_0 ... E_n. q : (..., n) joint positions [rad or m].
-
-    Returns
-    -------
-    P : (..., n+1, 4, 4).
-    """
+    """Return ``P_j = E_0 Z_1(q_1) E_1 ... Z_j(q_j) E_j`` (..., n+1, 4, 4), the last of which is the tool."""
     links = chain.link_transforms(q)
     P = np.empty((*links.shape[:-3], len(frames), 4, 4))
     P[..., 0, :, :] = frames[0]
@@ -256,16 +218,7 @@ def frame_poses(chain: Chain, frames: np.ndarray, q: ArrayLike) -> np.ndarray:
 
 
 def twist_jacobian(P: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Return how a point that is fixed to all that follows frame j moves and turns with the body twist of that frame.
-
-    Parameters
-    ----------
-    P : (..., m, 4, 4) poses of the frames. point : (..., 3) in the same axes [m].
-
-    Returns
-    -------
-    J : (..., 6, m, 6), rows [v; w].
-    """
+    """Return (..., 6, m, 6), how a point (..., 3) moves with body twists of the frames P (..., m, 4, 4) before it."""
     P, point = numbers(P, "poses of frames", ShapeError), numbers(point, "a point [m]", ShapeError)
     if P.ndim < 3 or P.shape[-2:] != (4, 4) or point.shape[-1:] != (3,):
         raise ShapeError(f"Expected poses (..., m, 4, 4) and points (..., 3), got shapes {P.shape} and {point.shape}.")

@@ -88,12 +88,9 @@ def inverse(
     ------
     ShapeError
         When a goal is not a pose or not finite (its index is reported), or `q0`, `axis` or `posture` does not fit.
-    UnknownName
-        When there is no such task or objective.
-    RobotError
-        When something else comes in place of a robot, such as its name.
-    ConfigError
-        When `tol`, `maxiter`, `starts`, `damping`, `seed` or `threads` is out of its range, or a
+    UnknownName : when there is no such task or objective.
+    RobotError : when something else comes in place of a robot, such as its name.
+    ConfigError : when `tol`, `maxiter`, `starts`, `damping`, `seed` or `threads` is out of its range, or a
         posture comes without its objective.
     NotConverged
         With `strict`, when a goal is not solved; `best` is the `IkSolution`.
@@ -110,21 +107,10 @@ def inverse(
         from armlab.kernels import InverseSolver
 
         solver = InverseSolver(robot.chain, robot.q_min, robot.q_max, robot.q_home, int(seed))
+    wanted = kernel_objective(robot, objective, posture, q0)
+    search = maxiter, starts, position_tolerance, rotation_tolerance, damping
     result = freeze(
-        *solver.solve(
-            T_base_tool,
-            q0,
-            ROWS[task],
-            axis,
-            maxiter,
-            starts,
-            position_tolerance,
-            rotation_tolerance,
-            damping,
-            *kernel_objective(robot, objective, posture, q0),
-            flag(history, "history"),
-            threads,
-        )
+        *solver.solve(T_base_tool, q0, ROWS[task], axis, *search, *wanted, flag(history, "history"), threads)
     )
     if strict and not np.all(result.success):
         raise NotConverged(result.report(), best=result)
@@ -199,10 +185,7 @@ class IkSolution:
 
 
 def freeze(q: np.ndarray, errors: np.ndarray, counts: np.ndarray, history: np.ndarray | None) -> IkSolution:
-    """Return what a kernel gave as an `IkSolution`; single goals get scalars.
-
-    `errors` (..., 3) are [m], [rad] and slope; `counts` (..., 3) steps, starts and status.
-    """
+    """Return errors (..., 3) and counts (..., 3) of a kernel as an `IkSolution`; single goals get scalars."""
     for array in (q, errors, counts, history):
         if array is not None:
             array.flags.writeable = False
@@ -248,7 +231,6 @@ def check_search(tol: Any, maxiter: Any, starts: Any, damping: Any) -> tuple[flo
 def kernel_objective(
     robot: Robot, name: Objective | None, posture: ArrayLike | None, q0: ArrayLike | None
 ) -> tuple[int, ArrayLike | None, np.ndarray | None]:
-    """Return the kernel's objective, reference and scale."""
     if posture is not None and name != "posture":
         raise ConfigError(f'Expected objective="posture" with a posture, got objective={name!r}. Leave one out.')
     if name is None or name == "manipulability":

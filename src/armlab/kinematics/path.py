@@ -58,7 +58,6 @@ class IkPath:
     iterations: np.ndarray
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         make_read_only(self, *vars(self))
 
     def report(self) -> str:
@@ -123,12 +122,9 @@ def inverse_path(
 
     Raises
     ------
-    ShapeError
-        When the poses are not (N, 4, 4), one is not a pose or not finite, or another argument does not fit.
-    UnknownName
-        When there is no such task or objective.
-    RobotError
-        When something else comes in place of a robot, such as its name.
+    ShapeError : when the poses are not (N, 4, 4), one is not a pose or not finite, or another argument does not fit.
+    UnknownName : when there is no such task or objective.
+    RobotError : when something else comes in place of a robot, such as its name.
     ConfigError
         When `tol`, `maxiter`, `starts` or `damping` is out of its range, or a posture comes without its objective.
     NotConverged
@@ -169,7 +165,6 @@ def inverse_path(
 
 
 def _change(robot: Robot, max_step: float | ArrayLike | None) -> np.ndarray | None:
-    """Return the largest steps (n,)."""
     if max_step is None:
         return None
     try:

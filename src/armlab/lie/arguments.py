@@ -36,7 +36,6 @@ def broadcasts(**arguments: tuple[np.ndarray, int]) -> None:
 
 
 def last_row(T: np.ndarray, name: str) -> None:
-    """Refuse a last row other than (0, 0, 0, 1)."""
     off = np.abs(T[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max(axis=-1)
     bad = (off > 0) | (np.isnan(off) & ~np.isnan(T[..., :3, :]).any(axis=(-1, -2)))  # a NaN here alone would vanish
     if bad.any():

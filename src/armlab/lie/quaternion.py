@@ -12,14 +12,7 @@ from armlab import kernels
 from armlab.errors import ShapeError
 from armlab.lie import arguments
 
-__all__ = [
-    "conjugate",
-    "continuous",
-    "from_matrix",
-    "multiply",
-    "slerp",
-    "to_matrix",
-]
+__all__ = ["conjugate", "continuous", "from_matrix", "multiply", "slerp", "to_matrix"]
 
 UNIT_TOLERANCE = 1e-3
 """Largest error of a quaternion's length that is normalised away; data with three decimals pass."""

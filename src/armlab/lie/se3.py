@@ -16,25 +16,9 @@ from armlab.errors import ShapeError
 from armlab.lie import arguments, so3
 
 __all__ = [
-    "ad",
-    "adjoint",
-    "adjoint_inv",
-    "exp",
-    "from_angular_first",
-    "from_rp",
-    "hat",
-    "interpolate",
-    "inv",
-    "is_pose",
-    "left_jacobian",
-    "left_jacobian_inv",
-    "log",
-    "mean",
-    "project",
-    "to_angular_first",
-    "transform_wrench",
-    "vee",
-]
+    "ad", "adjoint", "adjoint_inv", "exp", "from_angular_first", "from_rp", "hat", "interpolate", "inv", "is_pose",
+    "left_jacobian", "left_jacobian_inv", "log", "mean", "project", "to_angular_first", "transform_wrench", "vee",
+]  # fmt: skip
 
 PATHS = ("linear", "screw")
 
@@ -357,7 +341,6 @@ def _swap(x: ArrayLike, axis: int) -> np.ndarray:
 
 
 def assemble(R: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Return the pose of a rotation and a position."""
     T = np.zeros((*np.broadcast_shapes(R.shape[:-2], p.shape[:-1]), 4, 4))
     T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, p, 1.0
     return T

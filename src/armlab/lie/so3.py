@@ -16,23 +16,9 @@ from armlab.errors import NotConverged, ShapeError
 from armlab.lie import arguments
 
 __all__ = [
-    "angle",
-    "angle_about",
-    "exp",
-    "from_axis_angle",
-    "hat",
-    "interpolate",
-    "is_rotation",
-    "left_jacobian",
-    "left_jacobian_inv",
-    "log",
-    "mean",
-    "project",
-    "skew_part",
-    "to_axis_angle",
-    "vee",
-    "xy_angle",
-]
+    "angle", "angle_about", "exp", "from_axis_angle", "hat", "interpolate", "is_rotation", "left_jacobian",
+    "left_jacobian_inv", "log", "mean", "project", "skew_part", "to_axis_angle", "vee", "xy_angle",
+]  # fmt: skip
 
 ROTATION_TOLERANCE = arguments.ROTATION_TOLERANCE
 """Largest entry of |RᵀR - I| that passes for a rotation; beyond it, `project` first."""

@@ -7,14 +7,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from armlab.robots import couplings, inertia
-from armlab.robots.build import (
-    from_dh,
-    from_links,
-    from_local_poe,
-    from_poe,
-    normalise_screw,
-    to_local_poe,
-)
+from armlab.robots.build import from_dh, from_links, from_local_poe, from_poe, normalise_screw, to_local_poe
 from armlab.robots.files import from_toml, load, names, save, to_toml
 from armlab.robots.robot import Mesh, Robot
 
@@ -22,23 +15,9 @@ if TYPE_CHECKING:
     from armlab.robots import urdf
 
 __all__ = [
-    "Mesh",
-    "Robot",
-    "couplings",
-    "from_dh",
-    "from_links",
-    "from_local_poe",
-    "from_poe",
-    "from_toml",
-    "inertia",
-    "load",
-    "names",
-    "normalise_screw",
-    "save",
-    "to_local_poe",
-    "to_toml",
-    "urdf",
-]
+    "Mesh", "Robot", "couplings", "from_dh", "from_links", "from_local_poe", "from_poe", "from_toml", "inertia", "load",
+    "names", "normalise_screw", "save", "to_local_poe", "to_toml", "urdf",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> ModuleType:

@@ -94,26 +94,15 @@ def from_links(name: str, links: ArrayLike, prismatic: ArrayLike | None = None, 
     inertias = details.get("inertias")
     home = np.clip(0.0, q_min, q_max) if q_min.shape == q_max.shape == (n,) else np.zeros(n)
     robot = Robot(
-        name=name,
-        links=links,
-        prismatic=slides,
-        q_min=q_min,
-        q_max=q_max,
-        qd_max=qd_max,
-        qdd_max=given("qdd_max", qd_max / RAMP_TIME),
-        q_home=given("q_home", home),
+        name=name, links=links, prismatic=slides, q_min=q_min, q_max=q_max, qd_max=qd_max,
+        qdd_max=given("qdd_max", qd_max / RAMP_TIME), q_home=given("q_home", home),
         joint_names=listed("joint_names", [f"joint_{i + 1}" for i in range(n)]),
-        T_base_mount=given("T_base_mount", np.eye(4)),
-        T_flange_tool=given("T_flange_tool", np.eye(4)),
-        gravity=given("gravity", GRAVITY),
-        coupling=given("coupling", np.eye(n)),
-        abb_axes=listed("abb_axes", range(1, n + 1)),
-        side=details.get("side", ""),
-        source=details.get("source", ""),
-        tau_max=given("tau_max", unlimited),
-        inertias=None if inertias is None else given("inertias", ()),
+        T_base_mount=given("T_base_mount", np.eye(4)), T_flange_tool=given("T_flange_tool", np.eye(4)),
+        gravity=given("gravity", GRAVITY), coupling=given("coupling", np.eye(n)),
+        abb_axes=listed("abb_axes", range(1, n + 1)), side=details.get("side", ""), source=details.get("source", ""),
+        tau_max=given("tau_max", unlimited), inertias=None if inertias is None else given("inertias", ()),
         meshes=listed("meshes", ()),
-    )
+    )  # fmt: skip
     _doubt_limits(robot)
     return robot
 
@@ -166,7 +155,6 @@ def from_dh(
 
 
 def _columns(name: str, **columns: ArrayLike) -> tuple[np.ndarray, ...]:
-    """Return the columns as vectors of one length."""
     arrays = {
         key: np.atleast_1d(numbers(column, f"{key} in the DH table of {name!r}")) for key, column in columns.items()
     }
@@ -184,7 +172,6 @@ def _columns(name: str, **columns: ArrayLike) -> tuple[np.ndarray, ...]:
 
 
 def _doubt_limits(robot: Robot) -> None:
-    """Warn of limits that look like degrees."""
     ends = np.abs(np.stack([robot.q_min, robot.q_max]))
     peak = np.where(np.isfinite(ends), ends, 0.0).max(axis=0)
     far = np.flatnonzero(~robot.prismatic & (peak > LIKE_DEGREES[0]) & (peak <= LIKE_DEGREES[1]))
@@ -276,7 +263,10 @@ def from_local_poe(name: str, poses: ArrayLike, screws: ArrayLike, **details: Un
             f"got {screws.shape} and {poses.shape}."
         )
     _check_screws(name, screws)
-    frames = _axis_frames(screws)  # exp(xi q) = C Z(q) C⁻¹
+    v, w = screws[:, :3], screws[:, 3:]
+    axes = np.where(w.any(axis=1, keepdims=True), w, v)
+    # exp(xi q) = C Z(q) C⁻¹, C at the point of the axis nearest to the origin; 0 when it slides
+    frames = se3.from_rp(frames_along(axes), np.cross(w, v))
     links = poses.copy()
     links[:-1] = links[:-1] @ frames
     links[1:] = se3.inv(frames) @ links[1:]
@@ -337,7 +327,6 @@ def normalise_screw(screw: ArrayLike, keep_pitch: bool = False) -> np.ndarray:
 
 
 def _check_screws(name: str, screws: np.ndarray) -> None:
-    """Every screw is a unit axis without pitch."""
     v, w = screws[:, :3], screws[:, 3:]
     turns = w.any(axis=1, keepdims=True)
     length = np.linalg.norm(np.where(turns, w, v), axis=1)
@@ -350,18 +339,8 @@ def _check_screws(name: str, screws: np.ndarray) -> None:
             )
 
 
-def _axis_frames(screws: np.ndarray) -> np.ndarray:
-    """Return frames (n, 4, 4) whose z axis is the axis of the screw."""
-    v, w = screws[:, :3], screws[:, 3:]
-    origin = np.cross(w, v)  # the point of the axis nearest to the origin; 0 when it slides
-    return se3.from_rp(frames_along(np.where(w.any(axis=1, keepdims=True), w, v)), origin)
-
-
 def frames_along(z: np.ndarray) -> np.ndarray:
-    """Return rotations whose third column is z; of a coordinate axis without any rounding, and 1 for z = (0, 0, 1).
-
-    z is (n, 3), of any length.
-    """
+    """Return rotations with third column z (n, 3) of any length: exact for coordinate axes, and 1 for z = (0, 0, 1)."""
     z = z / np.linalg.norm(z, axis=1, keepdims=True)
     x = np.eye(3)[np.argmin(np.abs(z), axis=1)]
     x = x - (x * z).sum(axis=1, keepdims=True) * z

@@ -64,12 +64,7 @@ def from_body(mass: ArrayLike, centre: ArrayLike, inertia: ArrayLike) -> np.ndar
 
 
 def to_body(pi: ArrayLike) -> Body:
-    """Return mass, centre of mass and inertia about it: the inverse of `from_body`.
-
-    Parameters
-    ----------
-    pi : (..., 10).
-    """
+    """Return mass, centre of mass and inertia about it of parameters (..., 10): the inverse of `from_body`."""
     pi = _parameters(pi)
     mass, first = pi[..., 0], pi[..., 1:4]
     centre = np.divide(first, mass[..., None], out=np.zeros_like(first), where=mass[..., None] != 0)
@@ -106,18 +101,7 @@ def transform(T_a_b: ArrayLike, pi: ArrayLike) -> np.ndarray:
 
 
 def principal_moments(pi: ArrayLike) -> np.ndarray:
-    """Return the principal moments of inertia about the centre of mass, smallest first.
-
-    None is negative and the first two add up to at least the third: in a body whose density is nowhere negative.
-
-    Parameters
-    ----------
-    pi : (..., 10).
-
-    Returns
-    -------
-    (..., 3) [kg m^2].
-    """
+    """Return the principal moments (..., 3) about the centre of mass [kg m^2], smallest first."""
     return np.linalg.eigvalsh(to_body(pi).inertia)
 
 
@@ -137,7 +121,6 @@ def _check_batches(**axes: tuple[int, ...]) -> None:
 
 
 def _matrix(pi: np.ndarray) -> np.ndarray:
-    """Inertia about the origin, (..., 3, 3)."""
     inertia = np.empty((*pi.shape[:-1], 3, 3))
     inertia[..., _ROWS, _COLUMNS] = inertia[..., _COLUMNS, _ROWS] = pi[..., 4:]
     return inertia

@@ -291,10 +291,7 @@ def arm_length(robot: Robot) -> float:
 
 
 def bends(a: np.ndarray, along_a: np.ndarray, b: np.ndarray, along_b: np.ndarray) -> list[np.ndarray]:
-    """Return where a link between two joint axes bends: the ends of their common normal, or the foot of a parallel one.
-
-    a, b are points (3,) of the axes, along_a and along_b unit vectors.
-    """
+    """Return where a link bends between two axes, a point and a unit vector each: ends of the common normal."""
     across = b - a
     cosine = along_a @ along_b
     sine2 = 1 - cosine**2
@@ -306,7 +303,6 @@ def bends(a: np.ndarray, along_a: np.ndarray, b: np.ndarray, along_b: np.ndarray
 
 
 def check_robot(robot: Robot) -> None:
-    """Raise `RobotError` for the first field that contradicts the others."""
     _check_shapes(robot)
     _check_poses(robot)
     _check_limits(robot)
@@ -315,7 +311,6 @@ def check_robot(robot: Robot) -> None:
 
 
 def _check_shapes(robot: Robot) -> None:
-    """Every array has the shape that n joints need and no NaN."""
     n = robot.prismatic.size
     if robot.prismatic.ndim != 1 or n == 0:
         raise RobotError(f"Expected at least one joint for robot {robot.name!r}, got shape {robot.prismatic.shape}.")
@@ -337,13 +332,11 @@ def _check_shapes(robot: Robot) -> None:
 
 
 def check_joint_count(name: str, n: int) -> None:
-    """Raise `RobotError` for more joints than the kernels hold."""
     if n > MOST_JOINTS:
         raise RobotError(f"Expected at most {MOST_JOINTS} joints for robot {name!r}, got {n}.")
 
 
 def _check_poses(robot: Robot) -> None:
-    """Links, mount and tool are poses; G can be inverted; gravity is finite."""
     poses = {f"links[{i}]": link for i, link in enumerate(robot.links)}
     poses |= {"T_base_mount": robot.T_base_mount, "T_flange_tool": robot.T_flange_tool}
     good = se3.is_pose(np.stack(list(poses.values())), POSE_TOLERANCE)
@@ -361,7 +354,6 @@ def _check_poses(robot: Robot) -> None:
 
 
 def _check_limits(robot: Robot) -> None:
-    """Limits are in order and the home posture is inside them."""
     rules = (
         (robot.q_min < robot.q_max, "q_min below q_max", ("q_min", "q_max")),
         (robot.qd_max > 0, "a positive speed limit", ("qd_max",)),
@@ -382,7 +374,6 @@ def _check_limits(robot: Robot) -> None:
 
 
 def _check_names(robot: Robot) -> None:
-    """Names are text and not empty; one name and one ABB axis per joint, none twice."""
     for field, words in (("name", [robot.name]), ("source", [robot.source]), ("joint_names", robot.joint_names)):
         for word in words:
             if not isinstance(word, str):
@@ -417,11 +408,7 @@ def _check_bodies(robot: Robot) -> None:
 
 
 def body_fault(pi: np.ndarray) -> str:
-    """Return in words what makes inertial parameters (10,) those of no body at all, or nothing.
-
-    With a mass above zero and no negative moment about the centre every mass matrix is positive. That the largest
-    moment is at most the sum of the others is not asked: published descriptions break it, and nothing breaks by it.
-    """
+    """Return what makes inertial parameters (10,) those of no body, or "". The triangle rule is not asked."""
     if not np.isfinite(pi).all():
         return f"{pi.tolist()}, which is not finite"
     if pi[0] < 0:

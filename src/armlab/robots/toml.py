@@ -60,8 +60,6 @@ class LinkMesh(Pose, kw_only=True, forbid_unknown_fields=True):
 
 
 class File(msgspec.Struct, forbid_unknown_fields=True):
-    """A robot file."""
-
     name: str
     source: str | dict[str, str]
     joint: list[Joint]
@@ -78,7 +76,6 @@ class File(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def read_robot(text: str, path: str) -> Robot:
-    """Return the robot that a TOML text describes."""
     fields: dict[str, Any] = {}
     try:
         fields = parsed(text)
@@ -118,19 +115,19 @@ def _in_radians(value: Any) -> Any:
     for key in ("limits_deg", "speed_deg", "acceleration_deg", "home_deg"):
         if key in value and value.get("kind") == "prismatic":
             raise RobotError(f"Expected metres for prismatic joint {value.get('name')!r}, got {key}.")
+
+    def radians(item: Any) -> Any:
+        if isinstance(item, list):
+            return [radians(one) for one in item]
+        return math.radians(item) if type(item) in (int, float) else item
+
     result = {}
     for key, item in value.items():
         name = key.removesuffix("_deg") if key.removesuffix("_deg") in ANGLES else key
         if name in result:
             raise RobotError(f"Expected one of {name} and {name}_deg, got both in {value.get('name', 'the file')!r}.")
-        result[name] = _in_radians(item) if name == key else _radians(item)
+        result[name] = _in_radians(item) if name == key else radians(item)
     return result
-
-
-def _radians(value: Any) -> Any:
-    if isinstance(value, list):
-        return [_radians(item) for item in value]
-    return math.radians(value) if type(value) in (int, float) else value
 
 
 def _build(file: File) -> Robot:
@@ -153,20 +150,21 @@ def _build(file: File) -> Robot:
 
 
 def _details(file: File) -> Details:
-    joints = file.joint
+    joints, source = file.joint, file.source
+    homes = [(joint.home, joint.limits) for joint in joints]
     details: Details = {
         "q_min": [joint.limits[0] for joint in joints],
         "q_max": [joint.limits[1] for joint in joints],
         "qd_max": [joint.speed for joint in joints],
         "qdd_max": [joint.speed / RAMP_TIME if joint.acceleration is None else joint.acceleration for joint in joints],
-        "q_home": [_clip(0.0, joint.limits) if joint.home is None else joint.home for joint in joints],
+        "q_home": [min(max(0.0, low), high) if home is None else home for home, (low, high) in homes],
         "joint_names": [joint.name for joint in joints],
         "T_base_mount": _matrix(file.mount, "mount"),
         "T_flange_tool": _matrix(file.tool, "tool"),
         "gravity": file.gravity,
         "coupling": _coupling(file),
         "side": file.side,
-        "source": _source(file.source),
+        "source": source if isinstance(source, str) else "\n".join(f"{key}: {text}" for key, text in source.items()),
         "tau_max": [joint.effort for joint in joints],
         "inertias": file.inertias,
         "meshes": _meshes(file),
@@ -174,14 +172,6 @@ def _details(file: File) -> Details:
     if file.abb_axes is not None:
         details["abb_axes"] = file.abb_axes
     return details
-
-
-def _source(source: str | dict[str, str]) -> str:
-    return source if isinstance(source, str) else "\n".join(f"{key}: {text}" for key, text in source.items())
-
-
-def _clip(value: float, limits: tuple[float, float]) -> float:
-    return min(max(value, limits[0]), limits[1])
 
 
 def _meshes(file: File) -> list[list[Mesh]]:
@@ -240,7 +230,7 @@ def write_robot(robot: Robot) -> str:
     if tuple(robot.gravity) != GRAVITY:
         head["gravity"] = _list(robot.gravity)
     if dh is None and not np.array_equal(robot.links[0], np.eye(4)):
-        head["first"] = _pose(robot.links[0])
+        head["first"] = _inline(_pose_fields(robot.links[0]))
     ratios = _gear_ratios(robot)
     if ratios is None:
         head["coupling"] = _matrix_text(robot.coupling)
@@ -271,7 +261,9 @@ def _document(robot: Robot, head: Fields, rows: list[Fields]) -> str:
     if table is None:
         lines.insert(1, f"source = {_text(robot.source)}")
     else:
-        lines += ["", "[source]", *(f"{_key(key)} = {_text(value)}" for key, value in table.items())]
+        bare = re.compile(r"[A-Za-z0-9_-]+")
+        named = ((key if bare.fullmatch(key) else _text(key), _text(value)) for key, value in table.items())
+        lines += ["", "[source]", *(f"{key} = {value}" for key, value in named)]
     return "\n".join(lines) + "\n"
 
 
@@ -307,7 +299,7 @@ def _restore(sine: float, cosine: float) -> float:
 
 def _link(robot: Robot, i: int, dh: np.ndarray | None) -> Fields:
     if dh is None:
-        return {"next": _pose(robot.links[i + 1])}
+        return {"next": _inline(_pose_fields(robot.links[i + 1]))}
     alpha, a, d, offset = dh[:, i]
     return _angles("alpha", alpha) | {"a": _number(a), "d": _number(d)} | _angles("offset", offset)
 
@@ -347,10 +339,6 @@ def _pose_fields(T: np.ndarray) -> Fields:
     return fields
 
 
-def _pose(T: np.ndarray) -> str:
-    return _inline(_pose_fields(T))
-
-
 def _source_table(source: str) -> dict[str, str] | None:
     """Return ``key: text`` lines as a table if all lines are such."""
     pairs = [line.split(": ", 1) for line in source.split("\n")]
@@ -373,10 +361,6 @@ def _list(values: np.ndarray | tuple[float, ...]) -> str:
 
 def _number(value: float) -> str:
     return repr(float(value) + 0.0).removesuffix(".0")  # + 0.0 turns -0.0 into 0.0
-
-
-def _key(value: str) -> str:
-    return value if re.fullmatch(r"[A-Za-z0-9_-]+", value) else _text(value)
 
 
 def _text(value: str) -> str:

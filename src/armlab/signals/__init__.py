@@ -4,15 +4,6 @@ from armlab.signals.offline import central_diff, decimate, filtfilt, lowpass_off
 from armlab.signals.streaming import CausalDiff, Differentiator, ExpFilter, Integrator, LowPass2, Notch
 
 __all__ = [
-    "CausalDiff",
-    "Differentiator",
-    "ExpFilter",
-    "Integrator",
-    "LowPass2",
-    "Notch",
-    "central_diff",
-    "decimate",
-    "filtfilt",
-    "lowpass_offline",
-    "smooth_diff",
-]
+    "CausalDiff", "Differentiator", "ExpFilter", "Integrator", "LowPass2", "Notch", "central_diff", "decimate",
+    "filtfilt", "lowpass_offline", "smooth_diff",
+]  # fmt: skip

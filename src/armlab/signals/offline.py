@@ -217,7 +217,6 @@ def _sections(order: int, corner: float) -> np.ndarray:
 
 
 def _record(x: np.ndarray) -> np.ndarray:
-    """Return samples (N, ...) as numbers; refuse one number."""
     x = numbers(x, "samples", ShapeError)
     if x.ndim < 1:
         raise ShapeError("Expected samples (N, ...) along axis 0, got a number. Give a record.")

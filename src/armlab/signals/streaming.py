@@ -215,7 +215,6 @@ def _step(dt: float | None) -> float:
 
 
 def _corner(frequency: float, dt: float | None) -> float:
-    """Return the angular frequency [rad/s]; refuse one that samples of dt cannot show."""
     highest = np.inf if dt is None else 0.5 / _step(dt)
     if not 0 < number(frequency, "the frequency [Hz]", ConfigError) < highest:
         raise ConfigError(f"Expected a frequency between 0 and {highest:g} Hz (half the rate), got {frequency!r}.")

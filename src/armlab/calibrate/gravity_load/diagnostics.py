@@ -40,17 +40,14 @@ class LoadUnknowns:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name of each unknown."""
         return _labels(tuple(self.equation.widths.items()), self.scale)[0]
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Unit of each unknown."""
         return _labels(tuple(self.equation.widths.items()), self.scale)[1]
 
     @cached_property
     def widths(self) -> np.ndarray:
-        """Largest deviation accepted of each unknown."""
         angle, share, length = self.limits
         weight, pull = hypot(*self.load.gamma.tolist()), self.equation.pull
         mass = share * (weight if pull is None else weight / hypot(*pull.tolist()))
@@ -58,7 +55,6 @@ class LoadUnknowns:
         return np.array([one.get(kind, share * weight) for kind, n in self.equation.widths.items() for _ in range(n)])
 
     def parameters(self) -> np.ndarray:
-        """Return the values of the unknowns."""
         load, pull = self.load, self.equation.pull
         mass = load.gamma if pull is None else np.array([load.gamma @ pull / (pull @ pull)])
         all_ = {"rotation": so3.log(load.R), "mass": mass, "force bias": load.bias[:3], "centre": load.centre}
@@ -92,7 +88,6 @@ def _along(equation: WeightEquation) -> str:
 
 @cache
 def _labels(widths: tuple[tuple[str, int], ...], scale: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return names and units of the unknowns, see `LoadUnknowns`."""
     names, units = [], []
     quantity, weight, single = ("acceleration", "m/s^2", "") if scale == "scale" else ("force", "N", "kg")
     for kind, count in widths:
@@ -105,10 +100,7 @@ def _labels(widths: tuple[tuple[str, int], ...], scale: str) -> tuple[tuple[str,
 
 
 def require_motion(equation: WeightEquation) -> float:
-    """Refuse too few samples, and orientations that are not exciting; return how far gravity moves (share of it).
-
-    That is the second singular value of gravity over the tool axes, or of the rotations where gravity is unknown.
-    """
+    """Refuse too few samples and unexciting orientations; return how far gravity moves in its second direction."""
     needed = (2 + equation.bias) if equation.pull is not None else (4 + equation.bias)
     if needed > equation.N:
         raise NotExcited(
@@ -230,7 +222,6 @@ def mirrored(equation: WeightEquation, turn: Turn) -> NotConverged:
 
 
 def remarks(words: LoadUnknowns, sd: np.ndarray, squares: float | None, moved: float) -> list[str]:
-    """Return what a report says beyond the values."""
     equation, load = words.equation, words.load
     lines = [f"gravity moves over the tool by {moved:.2g} of itself in its second direction"]
     if squares is not None:

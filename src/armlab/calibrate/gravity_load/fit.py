@@ -30,13 +30,7 @@ from armlab.calibrate.gravity_load.diagnostics import (
     require_right_hand,
 )
 from armlab.calibrate.gravity_load.diagnostics import mirrored as mirrored_error
-from armlab.calibrate.gravity_load.model import (
-    Load,
-    Turn,
-    WeightEquation,
-    likely_samples,
-    mirror_solution,
-)
+from armlab.calibrate.gravity_load.model import Load, Turn, WeightEquation, likely_samples, mirror_solution
 from armlab.calibrate.inputs import finite, gravity_of, noise_of, orientations, point_noise
 from armlab.errors import NotConverged, NotExcited, ShapeError
 from armlab.estimation import Fit, nonlinear_least_squares
@@ -196,7 +190,6 @@ def fit_weight(
     notes: list[str],
     scale: str = "mass",
 ) -> Fit[Value]:
-    """Fit readings of a turned weight."""
     moved = require_motion(equation)
     found = _solved_globally(equation, robust, moved, limits, scale)
     load, kept, residuals = found.value, ~found.outliers, equation.evaluate(found.value)[0].r
@@ -288,7 +281,6 @@ def _try_other_hand(equation: WeightEquation) -> None:
 
 
 def _require_weight(equation: WeightEquation, load: Load) -> None:
-    """Refuse readings in which there is no weight."""
     along = load.gamma @ equation.pull if equation.pull is not None else load.gamma @ load.gamma
     if along <= 0.0:
         raise NotExcited(

@@ -39,8 +39,6 @@ class Load(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WeightEquation:
-    """Readings at known orientations."""
-
     RA: np.ndarray  # (N, 3, 3) R_base_tool
     y: np.ndarray  # (N, 3) forces, or (N, 6) with torques
     pull: np.ndarray | None  # (3,) s g, what one unit of mass adds to gamma; None when gamma itself is unknown
@@ -52,17 +50,14 @@ class WeightEquation:
 
     @property
     def N(self) -> int:
-        """Number of samples."""
         return len(self.y)
 
     @property
     def torque(self) -> bool:
-        """True where torques were measured."""
         return self.y.shape[1] == 6
 
     @cached_property
     def widths(self) -> dict[str, int]:
-        """How many unknowns there are of each kind, in their order."""
         mass = 3 if self.pull is None else int(self.mass is None)
         found = {"rotation": 3, "mass": mass, "force bias": 3 * self.bias, "centre": 3 * self.torque}
         found["torque bias"] = 3 * (self.bias and self.torque)
@@ -70,12 +65,10 @@ class WeightEquation:
 
     @cached_property
     def places(self) -> dict[str, slice]:
-        """Where the unknowns of each kind are."""
         ends = list(accumulate(self.widths.values(), initial=0))
         return {kind: slice(a, b) for kind, a, b in zip(self.widths, ends[:-1], ends[1:])}
 
     def plus(self, load: Load, x: np.ndarray) -> Load:
-        """Return the load after a step x."""
         at, bias = self.places, load.bias.copy()
         gamma, centre = load.gamma, load.centre
         if "mass" in at:
@@ -89,7 +82,6 @@ class WeightEquation:
         return Load(load.R @ so3.exp(x[:3]), gamma, bias, centre)
 
     def evaluate(self, load: Load) -> list[Measurement]:
-        """Return measured minus expected readings."""
         M = self.RA @ load.R
         u = load.gamma @ M
         turned = so3.hat(u)
@@ -112,13 +104,11 @@ class WeightEquation:
         return [Measurement(self.y - expected - load.bias, J, self.noise, self.classes)]
 
     def problem(self) -> NonlinearProblem[Load]:
-        """Return what the solver needs."""
         return NonlinearProblem(
             self.evaluate, self.plus, what=self.what, residue=ROUNDING * (float(np.abs(self.y).max()) or 1.0)
         )
 
     def only(self, kept: np.ndarray) -> WeightEquation:
-        """Return it with some of its samples (N,)."""
         noise = self.noise[kept] if self.noise is not None and self.noise.ndim == 3 else self.noise
         return replace(self, RA=self.RA[kept], y=self.y[kept], noise=noise)
 

@@ -25,9 +25,11 @@ from armlab.calibrate.kinematics.solve import (
     KinematicEstimation,
     check_scale,
     check_weak,
+    corrected_arm,
     hand_eye,
     kabsch,
     length_angle,
+    size_of,
     spread_of,
 )
 from armlab.errors import ConfigError, NotExcited, ShapeError
@@ -35,7 +37,7 @@ from armlab.estimation import Fit, Measurement
 from armlab.estimation.nonlinear import NonlinearSolution
 from armlab.kinematics.forward import twist_jacobian
 from armlab.lie import se3
-from armlab.models import DualArmCorrection, KinematicCorrection
+from armlab.models import DualArmCorrection
 from armlab.robots import Robot
 
 LIMITS = (0.05, 0.05)
@@ -140,7 +142,8 @@ def _measured(
     if closed:
         if position is not None:
             raise ConfigError("Expected no position for a closed chain, got one. Give the pose (4, 4), or nothing.")
-        pose = _closed_pose(T_a, T_b) if pose is None else pose
+        if pose is None:  # Z of T_b = T_basea_baseb^-1 T_a Z
+            pose = se3.from_rp(*hand_eye(T_a, T_b)[:2])
         pose = np.broadcast_to(np.asarray(pose, dtype=float), (len(T_a), 4, 4))
     kinds, _ = measured_kinds(len(T_a), {"pose": pose, "position": position}, visible, noise)
     kind = kinds[0]
@@ -157,27 +160,17 @@ def _measured(
             [f"{len(rows)} of at least 3 samples"],
         )
     if kind.name == "pose":
-        check_scale(_size(T_a[:, :3, 3]) + _size(T_b[:, :3, 3]), _size(kind.values[rows, :3, 3]), "positions of poses")
+        check_scale(
+            size_of(T_a[:, :3, 3]) + size_of(T_b[:, :3, 3]), size_of(kind.values[rows, :3, 3]), "positions of poses"
+        )
         seen = T_a[rows] @ kind.values[rows] @ se3.inv(T_b[rows])
         return kinds, se3.project(np.mean(seen, axis=0))[0]
     seen = np.einsum("iab,ib->ia", T_a[rows, :3, :3], kind.values[rows, 0]) + T_a[rows, :3, 3]
-    check_scale(_size(T_a[:, :3, 3]) + _size(T_b[:, :3, 3]), _size(kind.values[rows, 0]), "positions")
+    check_scale(size_of(T_a[:, :3, 3]) + size_of(T_b[:, :3, 3]), size_of(kind.values[rows, 0]), "positions")
     return kinds, kabsch(T_b[rows, :3, 3], seen)
 
 
-def _size(points: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=-1))))
-
-
-def _closed_pose(T_a: np.ndarray, T_b: np.ndarray) -> np.ndarray:
-    """Return Z of ``T_b = T_basea_baseb^-1 T_a Z``."""
-    R, t, _, _ = hand_eye(T_a, T_b)
-    return se3.from_rp(R, t)
-
-
 class DualState(NamedTuple):
-    """The unknowns: both arms and T_basea_baseb (4, 4)."""
-
     a: ArmState
     b: ArmState
     T: np.ndarray
@@ -202,28 +195,23 @@ class DualProblem:
 
     @property
     def n(self) -> int:
-        """Number of samples."""
         return len(self.arm_a.q)
 
     @property
     def rows(self) -> int:
-        """Number of rows of the residuals."""
         return self.n
 
     @property
     def waves(self) -> int:
-        """Number of amplitudes."""
         return self.arm_a.waves[0].size + self.arm_b.waves[0].size
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name of every unknown."""
         arms = [f"{letter}: {name}" for letter, arm in (("a", self.arm_a), ("b", self.arm_b)) for name in arm.names]
         return (*arms, *(f"base of b {name}" for name in TWIST))
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Unit of every unknown."""
         return (*self.arm_a.units, *self.arm_b.units, *("m",) * 3, *("rad",) * 3)
 
     def sizes(self, length: float, angle: float) -> np.ndarray:
@@ -259,7 +247,6 @@ class DualProblem:
         return np.hstack(columns), tuple(names)
 
     def retract(self, state: DualState, y: np.ndarray) -> DualState:
-        """Return the state after a step of the active components."""
         x = np.zeros(self.size)
         x[self.active] = y
         a, b = self.arm_a.size, self.arm_a.size + self.arm_b.size
@@ -267,15 +254,12 @@ class DualProblem:
         return DualState(*arms, state.T @ se3.exp(x[b:]))
 
     def evaluate(self, state: DualState) -> list[Measurement]:
-        """Return residuals with their derivatives by the active components."""
         return [chosen(one, self.active) for one in [*self.measurements(state), *self.priors(state)]]
 
     def relative(self, state: DualState) -> np.ndarray:
-        """Return ``Z = T_a^-1 T_basea_baseb T_b`` (N, 4, 4)."""
         return se3.inv(self.arm_a.move(state.a).T) @ state.T @ self.arm_b.move(state.b).T
 
     def measurements(self, state: DualState, local: bool = False) -> list[Measurement]:
-        """Return residuals of the data with their derivatives by all components."""
         Pa = self.arm_a.move(state.a).P
         W = state.T @ self.arm_b.move(state.b).P
         point = W[:, -1, :3, 3]
@@ -345,15 +329,12 @@ class DualArmEstimation(KinematicEstimation[DualState]):
     problem: DualProblem
 
     def nature(self, state: DualState) -> list[UnobservableDirection]:
-        """Return directions that these kinds of measurement may never see."""
         return self.problem.never_seen()
 
     def candidates(self, state: DualState) -> list[UnobservableDirection]:
-        """Return directions that the data may fail to see."""
         return self.problem.may_be_missing(state)
 
     def fit(self, found: NonlinearSolution[DualState]) -> Fit[DualArmCorrection]:
-        """Return value, covariance and excitation."""
         problem, state = self.problem, found.value
         tool = np.eye(6)[:, 3:] if problem.kinds[0].name == "position" else np.zeros((6, 0))
         a, _ = problem.arm_a.smallest(state.a.frames, np.zeros((6, 0)), np.zeros((6, 0)))
@@ -370,7 +351,6 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         return [spread_of(seen[:, 0] if seen.shape[1:] == (1, 3) else seen[:, :3, 3]) for seen in places]
 
     def doubts(self, state: DualState) -> list[str]:
-        """Return what a report says of links far from their description."""
         a, b = self.problem.arm_a, self.problem.arm_b
         return far_links(a, state.a.frames, " of arm a") + far_links(b, state.b.frames, " of arm b")
 
@@ -378,17 +358,5 @@ class DualArmEstimation(KinematicEstimation[DualState]):
         problem, a = self.problem, self.problem.arm_a.size
         whole = np.zeros((problem.size, problem.size))
         whole[np.ix_(self.used, self.used)] = cov
-        arm_a = _correction(problem.arm_a, state.a, whole[:a, :a])
-        return DualArmCorrection(arm_a, _correction(problem.arm_b, state.b, whole[a:-6, a:-6]), state.T, whole)
-
-
-def _correction(arm: Arm, state: ArmState, cov: np.ndarray) -> KinematicCorrection:
-    return KinematicCorrection(
-        robot=arm.corrected(state.frames),
-        robot_name=arm.robot.name,
-        robot_hash=arm.robot.hash,
-        harmonics=arm.orders,
-        amplitudes=state.amplitudes,
-        coefficients=state.coefficients,
-        cov=cov,
-    )
+        arm_a = corrected_arm(problem.arm_a, state.a, whole[:a, :a])
+        return DualArmCorrection(arm_a, corrected_arm(problem.arm_b, state.b, whole[a:-6, a:-6]), state.T, whole)

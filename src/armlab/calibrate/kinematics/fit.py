@@ -23,6 +23,7 @@ from armlab.calibrate.kinematics.solve import (
     KinematicEstimation,
     check_scale,
     check_weak,
+    corrected_arm,
     length_angle,
     never_moves,
     spread_of,
@@ -204,11 +205,9 @@ class ArmEstimation(KinematicEstimation[State]):
     problem: KinematicProblem
 
     def nature(self, state: State) -> list[UnobservableDirection]:
-        """Return directions that these kinds of measurement may never see."""
         return never_seen(self.problem, state)
 
     def candidates(self, state: State) -> list[UnobservableDirection]:
-        """Return directions that the data may fail to see."""
         return may_be_missing(self.problem, state)
 
     def fit(self, found: NonlinearSolution[State], smallest: bool, notes: Sequence[str]) -> Fit[KinematicCorrection]:
@@ -219,7 +218,6 @@ class ArmEstimation(KinematicEstimation[State]):
         return self.result(found, state, self._value, notes)
 
     def doubts(self, state: State) -> list[str]:
-        """Return what a report says of links far from their description."""
         return far_links(self.problem.arm, state.arm.frames)
 
     def _smallest(self, state: State) -> State:
@@ -235,7 +233,6 @@ class ArmEstimation(KinematicEstimation[State]):
         return state._replace(arm=state.arm._replace(frames=frames), anchor=anchor)
 
     def spaces(self) -> list[float]:
-        """Return the size [m] of the space in which each measurement was made."""
         sizes = []
         for kind in self.problem.kinds:
             seen = kind.values[kind.visible]
@@ -250,14 +247,10 @@ class ArmEstimation(KinematicEstimation[State]):
         whole = np.zeros((problem.size, problem.size))
         whole[np.ix_(self.used, self.used)] = cov
         anchored = bool(self.used[arm.size + 3 * problem.points : -2].any())
-        return KinematicCorrection(
-            robot=arm.corrected(state.arm.frames),
-            robot_name=arm.robot.name,
-            robot_hash=arm.robot.hash,
-            harmonics=arm.orders,
-            amplitudes=state.arm.amplitudes,
-            coefficients=state.arm.coefficients,
-            cov=whole[: arm.size, : arm.size],
+        return corrected_arm(
+            arm,
+            state.arm,
+            whole[: arm.size, : arm.size],
             points=state.points,
             anchor=state.anchor if anchored else None,
             length_offset=float(state.length[0]),

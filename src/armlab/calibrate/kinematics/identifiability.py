@@ -76,17 +76,11 @@ class IdentifiabilityTest:
             raise NotExcited(weak.sentence(self.what), weak.words, weak.spreads)
         missing = _Named.of(vectors[:, unseen], spread[unseen], self, fixed)
         return Excitation(
-            rank=int(np.count_nonzero(~unseen)),
-            expected=len(singular),
-            singular_values=singular,
-            weakest=self.words(vectors[:, -1], spread[-1]) if len(singular) else "none",
-            scale=1.0 / self.limits,
-            vectors=vectors,
-            held=tuple(weak.words),
-            null_space=np.column_stack([fixed, missing.vectors]),
-            null_names=(*names, *(f"missing: {name}" for name in missing.each)),
-            spread=spread,
-        )
+            rank=int(np.count_nonzero(~unseen)), expected=len(singular), singular_values=singular,
+            weakest=self.words(vectors[:, -1], spread[-1]) if len(singular) else "none", scale=1.0 / self.limits,
+            vectors=vectors, held=tuple(weak.words), null_space=np.column_stack([fixed, missing.vectors]),
+            null_names=(*names, *(f"missing: {name}" for name in missing.each)), spread=spread,
+        )  # fmt: skip
 
     def _may_be_dark(self, A: np.ndarray, fixed: np.ndarray, largest: float) -> bool:
         """Tell whether any direction of `nature` is unseen: all at once, as few ever are."""
@@ -249,7 +243,6 @@ def never_seen(problem: KinematicProblem, state: State) -> list[UnobservableDire
 
 
 def may_be_missing(problem: KinematicProblem, state: State) -> list[UnobservableDirection]:
-    """Return what the data may fail to see."""
     arm, size = problem.arm, problem.size
     a, b = arm.size, arm.size + 3 * problem.points
     found = joints_at_rest(arm, state.arm.frames, 0, size)

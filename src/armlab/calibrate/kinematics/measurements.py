@@ -26,8 +26,6 @@ CLASSES = {
 
 @dataclass(frozen=True, eq=False)
 class Kind:
-    """All measurements of one kind."""
-
     name: str  # one of KINDS
     values: np.ndarray  # (N, 4, 4), (N, K, 3), (N,), or (M,) for pairs
     visible: np.ndarray  # (N,), or (N, K) for positions
@@ -37,21 +35,17 @@ class Kind:
 
     @property
     def classes(self) -> tuple[str, ...]:
-        """Noise class of each component that is used."""
         return tuple(CLASSES[self.name][k] for k in self.kept)
 
     @property
     def numbers(self) -> int:
-        """How many numbers were measured."""
         return int(np.count_nonzero(self.visible)) * len(self.kept)
 
     def noise(self, rows: np.ndarray) -> np.ndarray | None:
-        """Return the covariance of some rows."""
         return self.cov if self.cov is None or self.cov.ndim < 3 else self.cov[rows]
 
 
 def check_joints(robot: Robot, q: Any, name: str = "q") -> np.ndarray:
-    """Return joint positions (N, n) of a robot."""
     if not isinstance(robot, Robot):
         raise RobotError.no_robot(robot)
     q = numbers(q, name, ShapeError)

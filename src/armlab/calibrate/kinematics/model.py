@@ -43,7 +43,6 @@ class Motion(NamedTuple):
 
     @property
     def T(self) -> np.ndarray:
-        """Poses of the tool (N, 4, 4)."""
         return self.P[:, -1]
 
 
@@ -61,12 +60,10 @@ class Arm:
 
     @classmethod
     def of(cls, robot: Robot, q: np.ndarray, orders: tuple[int, ...], terms: np.ndarray, chart: str) -> Arm:
-        """Return the arm at its nominal frames."""
         return cls(robot, np.array(robot.frames), q, harmonic_basis(q, orders), terms, orders, chart)
 
     @cached_property
     def n(self) -> int:
-        """Number of joints."""
         return self.robot.n
 
     @cached_property
@@ -76,7 +73,6 @@ class Arm:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Name of every unknown."""
         places = ["base", *(f"link {j}" for j in range(1, self.n)), "tool"]
         frames = [f"{place} {letter}" for place in places for letter in TWIST]
         waves = [f"{what} {k}q" for k in self.orders for what in ("cos", "sin")]
@@ -115,11 +111,9 @@ class Arm:
         return kept
 
     def first(self) -> ArmState:
-        """Return the start."""
         return ArmState(self.start, np.zeros(self.waves.shape[1:]), np.zeros(self.terms.shape[2]))
 
     def plus(self, state: ArmState, x: np.ndarray) -> ArmState:
-        """Return the state after a step x (d,)."""
         frames = se3.exp(x[: 6 * (self.n + 1)].reshape(-1, 6))
         waves = x[6 * (self.n + 1) : self.size - self.terms.shape[2]].reshape(self.waves.shape[1:])
         moved = state.frames @ frames if self.chart == "local_poe" else _turned(state.frames, frames)
@@ -127,7 +121,6 @@ class Arm:
         return ArmState(moved, state.amplitudes + waves, state.coefficients + terms)
 
     def move(self, state: ArmState) -> Motion:
-        """Return where everything is."""
         q = self.q
         if self.orders:
             q = q + np.sum(self.waves * state.amplitudes, axis=2)
@@ -136,10 +129,7 @@ class Arm:
         return Motion(frame_poses(Chain(state.frames, self.robot.prismatic), state.frames, q))
 
     def jacobian(self, state: ArmState, P: np.ndarray, point: np.ndarray, local: bool = False) -> np.ndarray:
-        """Return (N, 6, d), how a point (N, 3) fixed to the tool moves and turns, in the axes of P (N, n+1, 4, 4).
-
-        `local` asks for steps of the frames, whatever the chart.
-        """
+        """Return (N, 6, d), how a point (N, 3) fixed to the tool moves in axes of P; `local`: by steps of frames."""
         J = twist_jacobian(P, point)
         turning = J[:, :, np.arange(self.n), np.where(self.robot.prismatic, 2, 5)]
         flat = J.reshape(len(P), 6, -1)
@@ -172,7 +162,6 @@ class Arm:
         return np.array(joints), np.array(parts), tuple(names)
 
     def corrections(self, frames: np.ndarray) -> np.ndarray:
-        """Return the twists (n+1, 6) that lead from the start to the frames."""
         return se3.log(se3.inv(self.start) @ frames)
 
     def smallest(self, frames: np.ndarray, base: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -270,7 +259,6 @@ class KinematicProblem:
 
     @property
     def n(self) -> int:
-        """Number of samples."""
         return len(self.arm.q)
 
     @property
@@ -280,7 +268,6 @@ class KinematicProblem:
 
     @property
     def waves(self) -> int:
-        """Number of amplitudes."""
         return self.arm.waves[0].size
 
     @property
@@ -290,13 +277,11 @@ class KinematicProblem:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name of every unknown."""
         points = [f"point {k + 1} {letter}" for k in range(self.points) for letter in "xyz"]
         return (*self.arm.names, *points, "anchor x", "anchor y", "anchor z", "length offset", "length scale")
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Unit of every unknown."""
         return (*self.arm.units, *("m",) * (3 * self.points + 4), "-")
 
     def sizes(self, length: float, angle: float) -> np.ndarray:
@@ -330,7 +315,6 @@ class KinematicProblem:
         return G @ mixed.T, tuple(_mixture(row, names) for row in mixed)
 
     def retract(self, state: State, y: np.ndarray) -> State:
-        """Return the state after a step of the active components."""
         x = np.zeros(self.size)
         x[self.active] = y
         a, b = self.arm.size, self.arm.size + 3 * self.points
@@ -340,15 +324,11 @@ class KinematicProblem:
         )
 
     def evaluate(self, state: State) -> list[Measurement]:
-        """Return residuals with their derivatives by the active components."""
         found = [chosen(one, self.active) for one in self.measurements(state)]
         return [*found, *(chosen(one, self.active) for one in self.priors(state))]
 
     def measurements(self, state: State, local: bool = False) -> list[Measurement]:
-        """Return residuals of the data with their derivatives by all components.
-
-        `local` asks for derivatives by steps of the frames, whatever the chart.
-        """
+        """Return residuals of the data with their derivatives by all components; `local`: by steps of the frames."""
         motion = self.arm.move(state.arm)
         J = self.arm.jacobian(state.arm, motion.P, motion.T[:, :3, 3], local)
         found: list[Measurement] = []

@@ -12,11 +12,12 @@ import numpy as np
 from armlab._numbers import numbers
 from armlab.calibrate.kinematics.identifiability import IdentifiabilityTest, UnobservableDirection, spread_covariance
 from armlab.calibrate.kinematics.measurements import Kind
-from armlab.calibrate.kinematics.model import Arm
+from armlab.calibrate.kinematics.model import Arm, ArmState
 from armlab.errors import ConfigError, NotConverged, NotExcited, ShapeError, UnknownName
 from armlab.estimation import Excitation, Fit, Measurement, NonlinearProblem, nonlinear_least_squares
 from armlab.estimation.nonlinear import NonlinearSolution
 from armlab.lie import se3, so3
+from armlab.models import KinematicCorrection
 
 SCHEDULE = (1000.0, 300.0, 100.0, 30.0, 10.0)
 UNIT = 1e-3  # 1 mm and 1 mrad: of equal steps the smallest is taken
@@ -74,7 +75,8 @@ def check_scale(nominal: float, measured: float, what: str) -> None:
         )
 
 
-def _size(points: np.ndarray) -> float:
+def size_of(points: np.ndarray) -> float:
+    """Return the root mean square distance of points (..., 3) from their mean."""
     return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=-1)))) if len(points) else 0.0
 
 
@@ -87,7 +89,7 @@ def _moved(arm: Arm, pose: np.ndarray) -> Arm:
 def _from_positions(arm: Arm, nominal: np.ndarray, measured: np.ndarray, whole: bool) -> Arm:
     if len(nominal) < 3 or not whole:
         return arm
-    check_scale(_size(nominal), _size(measured), "positions")
+    check_scale(size_of(nominal), size_of(measured), "positions")
     if np.sqrt(np.mean(np.sum((measured - nominal) ** 2, axis=1))) < FAR:
         return arm
     return _moved(arm, kabsch(nominal, measured))
@@ -100,7 +102,7 @@ def _from_poses(arm: Arm, T: np.ndarray, kind: Kind) -> Arm:
         return arm
     positions = kind.kept.min() < 3
     if positions:
-        check_scale(_size(nominal[:, :3, 3]), _size(measured[:, :3, 3]), "positions of poses")
+        check_scale(size_of(nominal[:, :3, 3]), size_of(measured[:, :3, 3]), "positions of poses")
     turn = so3.angle(nominal[:, :3, :3], measured[:, :3, :3])
     away = np.linalg.norm(nominal[:, :3, 3] - measured[:, :3, 3], axis=1) * positions
     if np.sqrt(np.mean(turn**2)) < FAR and np.sqrt(np.mean(away**2)) < FAR:
@@ -157,7 +159,7 @@ def _from_points(arm: Arm, T: np.ndarray, kind: Kind) -> tuple[Arm, np.ndarray]:
     x = np.linalg.lstsq(np.concatenate(blocks), np.concatenate(known), rcond=None)[0]
     R = so3.project(x[3 * K : 3 * K + 9].reshape(3, 3))[0]
     points, wide = x[: 3 * K].reshape(K, 3), kind.values[kind.visible]
-    check_scale(_size(T[:, :3, 3]) + _size(points), _size(wide), "positions")
+    check_scale(size_of(T[:, :3, 3]) + size_of(points), size_of(wide), "positions")
     at = [T[:, :3, :3] @ s + T[:, :3, 3] - p @ R.T for s, p in zip(points, np.moveaxis(kind.values, 1, 0))]
     t = np.mean(np.concatenate([a[seen] for a, seen in zip(at, kind.visible.T)]), axis=0)
     return _moved(arm, se3.inv(se3.from_rp(R, t))), points
@@ -224,7 +226,8 @@ class KinematicEstimation(ABC, Generic[S]):
         try:
             found = nonlinear_least_squares(task, start, robust=robust, schedule=SCHEDULE)
         except NotConverged as error:
-            self.judge(problem.measurements(start, local=True), start, dict.fromkeys(_classes(problem), UNIT))
+            classes = [name for kind in problem.kinds for name in kind.classes]
+            self.judge(problem.measurements(start, local=True), start, dict.fromkeys(classes, UNIT))
             check_misfit(problem.measurements(error.best), self.spaces(), error.best)
             raise
         self._check_majority(found)
@@ -247,7 +250,6 @@ class KinematicEstimation(ABC, Generic[S]):
             )
 
     def _check_count(self, start: S) -> None:
-        """Refuse fewer numbers than unknowns."""
         problem, used = self.problem, self.used
         got, each = sum(kind.numbers for kind in problem.kinds), sum(len(kind.kept) for kind in problem.kinds)
         if self.hold or got > np.count_nonzero(used):
@@ -311,14 +313,10 @@ class KinematicEstimation(ABC, Generic[S]):
         G, gauge_names = problem.gauge(state, used)
         test = IdentifiabilityTest(
             names=[name for name, mine in zip(problem.names, used) if mine],
-            units=[unit for unit, mine in zip(problem.units, used) if mine],
-            limits=problem.sizes(*self.limits)[used],
-            gauge=G[used],
-            gauge_names=gauge_names,
-            nature=_cut_to(self.nature(state), used),
-            candidates=lambda: _cut_to(self.candidates(state), used),
-            what="arm",
-        )
+            units=[unit for unit, mine in zip(problem.units, used) if mine], limits=problem.sizes(*self.limits)[used],
+            gauge=G[used], gauge_names=gauge_names, nature=_cut_to(self.nature(state), used),
+            candidates=lambda: _cut_to(self.candidates(state), used), what="arm",
+        )  # fmt: skip
         return test.excitation(np.concatenate(list(_whitened(data, sigma, outside)))[:, used], self.hold)
 
     def covariance(
@@ -341,10 +339,6 @@ class KinematicEstimation(ABC, Generic[S]):
         return spread_covariance(whole @ V[seen].T, 1.0 / singular[seen], limits)
 
 
-def _classes(problem: Residuals[Any]) -> list[str]:
-    return [name for kind in problem.kinds for name in kind.classes]
-
-
 def _cut_to(candidates: Sequence[UnobservableDirection], used: np.ndarray) -> list[UnobservableDirection]:
     """Return directions that move something that is used, cut to it."""
     found = [UnobservableDirection(one.name, one.directions[used], one.advice) for one in candidates]
@@ -352,10 +346,7 @@ def _cut_to(candidates: Sequence[UnobservableDirection], used: np.ndarray) -> li
 
 
 def check_misfit(data: Sequence[Measurement], sizes: Sequence[float], best: Any, outside: np.ndarray = NOBODY) -> None:
-    """Refuse samples that do not belong together.
-
-    `sizes` are those of the space [m] in which each was measured; 0 for one that did not move.
-    """
+    """Refuse samples that do not belong together; `sizes` of the spaces [m] are 0 for one at rest."""
     for one, size in zip(data, sizes):
         kept = one.r[_kept(one, outside)]
         for unit, space in (("m", size), ("rad", np.pi)):
@@ -373,10 +364,16 @@ def check_misfit(data: Sequence[Measurement], sizes: Sequence[float], best: Any,
 
 def spread_of(points: np.ndarray) -> float:
     """Return the root mean square distance of points (N, 3) from their mean; 0 where that is rounding."""
-    if not len(points):
-        return 0.0
-    spread = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=-1))))
-    return spread if spread > ROUNDING * float(np.abs(points).max()) else 0.0
+    spread = size_of(points)
+    return spread if spread > ROUNDING * float(np.abs(points).max(initial=0.0)) else 0.0
+
+
+def corrected_arm(arm: Arm, state: ArmState, cov: np.ndarray, **more: Any) -> KinematicCorrection:
+    """Return the correction that an arm's unknowns make, with their covariance and what else was found."""
+    return KinematicCorrection(
+        robot=arm.corrected(state.frames), robot_name=arm.robot.name, robot_hash=arm.robot.hash, harmonics=arm.orders,
+        amplitudes=state.amplitudes, coefficients=state.coefficients, cov=cov, **more,
+    )  # fmt: skip
 
 
 def never_moves(
@@ -404,7 +401,6 @@ def _whitened(data: Sequence[Measurement], sigma: dict[str, float], outside: np.
 
 
 def check_weak(weak: str) -> None:
-    """Refuse a way to treat weak directions that there is not."""
     if weak not in WEAK:
         raise UnknownName.among("way to treat weak directions", weak, WEAK)
 

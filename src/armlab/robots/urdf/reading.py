@@ -72,7 +72,6 @@ def parse(text: str | bytes, file: str = "the URDF text") -> Tree:
 
 
 def read_tree(text: str | bytes, file: str) -> Tree:
-    """Return the tree that a text describes."""
     robot = parse_xml(text, file)
     if robot.tag != "robot":
         raise robot.error("<robot> as the outermost element of a URDF", f"<{robot.tag}>")
@@ -127,19 +126,11 @@ def _joint(element: Element) -> Joint:
     q_min, q_max, qd_max, tau_max = _limits(element, kind)
     axis = element.one("axis")
     return Joint(
-        name=element.text("name"),
-        kind=kind,
-        parent=element.need("parent").text("link"),
-        child=element.need("child").text("link"),
-        T_parent_child=_origin(element),
-        axis=np.array([1.0, 0.0, 0.0]) if axis is None else axis.numbers("xyz", 3),
-        q_min=q_min,
-        q_max=q_max,
-        qd_max=qd_max,
-        tau_max=tau_max,
-        follows=None if kind == "fixed" else _follow(element),
-        line=element.line,
-    )
+        name=element.text("name"), kind=kind, parent=element.need("parent").text("link"),
+        child=element.need("child").text("link"), T_parent_child=_origin(element),
+        axis=np.array([1.0, 0.0, 0.0]) if axis is None else axis.numbers("xyz", 3), q_min=q_min, q_max=q_max,
+        qd_max=qd_max, tau_max=tau_max, follows=None if kind == "fixed" else _follow(element), line=element.line,
+    )  # fmt: skip
 
 
 def _follow(element: Element) -> Follow | None:
@@ -182,10 +173,7 @@ def _rotation(origin: Element) -> np.ndarray:
 
 
 def _limits(element: Element, kind: JointKind) -> tuple[float, float, float, float]:
-    """Return q_min, q_max, qd_max, tau_max. The format says that positions which are not written are 0.
-
-    A speed or effort of 0 stands for none known, as in the files of many makers and programs.
-    """
+    """Return q_min, q_max, qd_max, tau_max; missing positions are 0, a speed or effort of 0 stands for none."""
     infinite = math.inf
     limit = element.one("limit")
     if limit is None:
@@ -211,18 +199,15 @@ class Element:
         return RobotError(f"Expected {expected} in {self.file}, line {self.line}, got {got}.{advice and ' '}{advice}")
 
     def all(self, tag: str) -> list[Element]:
-        """Return the children of one tag."""
         return [child for child in self.children if child.tag == tag]
 
     def one(self, tag: str) -> Element | None:
-        """Return the only child of one tag, or None."""
         found = self.all(tag)
         if len(found) > 1:
             raise found[1].error(f"one <{tag}> inside <{self.tag}>", f"another in line {found[0].line}", "Remove one.")
         return found[0] if found else None
 
     def need(self, tag: str) -> Element:
-        """Return the only child of one tag."""
         found = self.one(tag)
         if found is None:
             raise self.error(f"a <{tag}> inside <{self.tag}>", "none", "Add it.")
@@ -247,7 +232,6 @@ class Element:
         return np.array([self._number(name, word) for word in words])
 
     def number(self, name: str, default: float | None = None) -> float:
-        """Return one number."""
         return float(self.numbers(name, 1, None if default is None else (default,))[0])
 
     def limit(self, name: str, default: float) -> float:
@@ -268,10 +252,7 @@ class Element:
 
 
 def parse_xml(data: str | bytes, file: str) -> Element:
-    """Return the root element of a text.
-
-    Document types (entities), xacro, and texts too large or nested too deep are refused.
-    """
+    """Return the root element of a text without document types, entities and xacro, of limited size and depth."""
     if len(data) > MOST_BYTES:
         raise RobotError(f"Expected XML of at most {MOST_BYTES >> 20} MiB in {file}, got {len(data)} bytes.")
     parser = expat.ParserCreate()

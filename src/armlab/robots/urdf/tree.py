@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -49,13 +49,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Follow:
-    """A joint follows another: ``q = multiplier q_joint + offset``.
-
-    Attributes
-    ----------
-    joint : the one that it follows.
-    multiplier, offset : factor, and position where the other is at 0.
-    """
+    """A joint follows another: ``q = multiplier q_joint + offset``."""
 
     joint: str
     multiplier: float
@@ -94,7 +88,6 @@ class Joint:
 
     @property
     def moves(self) -> bool:
-        """Whether it is anything but fixed."""
         return self.kind != "fixed"
 
 
@@ -160,8 +153,6 @@ class Tree:
     joints: tuple[Joint, ...]
 
     def __post_init__(self) -> None:
-        """Check the structure."""
-
         check_tree(self)
 
     @cached_property
@@ -275,17 +266,12 @@ def _check_names(tree: Tree, parts: Sequence[Link | Joint], kind: str) -> None:
     lines: dict[str, int] = {}
     for part in parts:
         if part.name in lines:
-            raise fault(
-                tree,
-                part,
-                f"every {kind} to have a name of its own",
-                f"{part.name!r} again, as in line {lines[part.name]}",
-            )
+            got = f"{part.name!r} again, as in line {lines[part.name]}"
+            raise fault(tree, part, f"every {kind} to have a name of its own", got)
         lines[part.name] = part.line
 
 
 def _check_ends(tree: Tree) -> None:
-    """Both links of every joint exist, and no link hangs on two joints."""
     names = {link.name for link in tree.links}
     above: dict[str, Joint] = {}
     for joint in tree.joints:
@@ -321,8 +307,6 @@ def _check_roots(tree: Tree) -> None:
 
 
 def follow(tree: Tree, joint_names: Iterable[str]) -> Mimic:
-    """Return how joints follow the free ones. See `Tree.mimic`."""
-
     joints = {joint.name: joint for joint in tree.joints}
     rows: list[tuple[str, float, float]] = []  # leader, multiplier, offset
     for name in members(joint_names, f"names of joints of {tree.file}"):
@@ -363,7 +347,6 @@ class Step:
 
 
 def build_chain(tree: Tree, base: str | None, tip: str | None, name: str | None) -> Robot:
-    """Return the serial arm from one link to another. See `Tree.chain`."""
     names = [link.name for link in tree.links]
     for link in (base, tip):
         if link is not None and link not in names:
@@ -394,7 +377,14 @@ def build_chain(tree: Tree, base: str | None, tip: str | None, name: str | None)
         joint_names=[joint.name for joint in joints],
         gravity=gravity,
         inertias=inertias,
-        meshes=[[_moved(mesh, T) for body, T in group.items() for mesh in links[body].meshes] for group in groups],
+        meshes=[
+            [
+                replace(mesh, T_link_mesh=T @ mesh.T_link_mesh)
+                for body, T in group.items()
+                for mesh in links[body].meshes
+            ]
+            for group in groups
+        ],
         source=_source(tree, base, tip, steps, massless, assumed),
     )
 
@@ -418,7 +408,6 @@ def _way(tree: Tree, base: str, tip: str) -> list[tuple[Joint, bool]]:
 
 
 def _ancestry(tree: Tree, link: str) -> list[Joint]:
-    """Return the joints from a link up to the root."""
     joints = []
     while link in tree.parent_joints:
         joints.append(tree.parent_joints[link])
@@ -512,10 +501,6 @@ def _gravity(tree: Tree, base: str) -> tuple[np.ndarray, str]:
         moving += [joint.name] if joint.moves else []
     zero = f" and {', '.join(moving)} at 0" if moving else ""
     return R.T @ GRAVITY, f"assumption: z of {tree.root!r} points up{zero}"
-
-
-def _moved(mesh: Mesh, T: np.ndarray) -> Mesh:
-    return Mesh(mesh.kind, mesh.file, T @ mesh.T_link_mesh, mesh.scale)
 
 
 def _source(tree: Tree, base: str, tip: str, steps: list[Step], massless: list[str], gravity: str) -> str:

@@ -18,10 +18,7 @@ _NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]
 
 
 def write_urdf(robot: Robot) -> str:
-    """Return the URDF of a robot: links base, mount, link_1 ... link_n, flange and tool; joints about z, 0 as here.
-
-    What URDF cannot say is in a comment at the top: gravity, gears, home, accelerations, where the numbers come from.
-    """
+    """Return the URDF of a robot, with what URDF cannot say in a comment at the top."""
     _check_text(robot)
     links = ["mount", *(f"link_{i + 1}" for i in range(robot.n))]
     lines = [
