@@ -334,11 +334,10 @@ def _exchanged_text(file: Path, kind: str, tables: Mapping[str, Table]) -> str:
 
 def _table_texts(tables: Mapping[str, Table]) -> list[str]:
     """Return rows, notes and columns of each table, with its name where there are several."""
-    from armlab.log.table import table_text
 
     blocks = [] if tables else ["no topic with numbers"]
     for name, table in tables.items():
-        first, *rest = table_text(table).splitlines()
+        first, *rest = str(table).splitlines()
         first = f"{name}: {first}" if name else first
         blocks.append("\n".join([first, *(line for line in rest if line.startswith("note:"))]))
         blocks.append(aligned(_column_rows(table), right=(4, 5, 6)))
