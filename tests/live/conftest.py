@@ -70,7 +70,7 @@ class Bridge:
     def __init__(self, arms: list[Robot], cell: str = "small") -> None:
         self._exchange = Hub(arms, [OPERATOR], about={"cell": cell})
         self._far = self._exchange.open(OPERATOR)
-        self._server = threading.Thread(target=LocalServer(self._far, socket_path(cell)).run, daemon=True)
+        self._server = threading.Thread(target=LocalServer(self._far, {"path": socket_path(cell)}).run, daemon=True)
         self._server.start()
         self._ticks = 0
 

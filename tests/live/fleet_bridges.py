@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from armlab.bridge.servers.hub import Hub
-from armlab.bridge.servers.zenoh.keys import EVERY
+from armlab.bridge.servers.zenoh.messages import EVERY
 from armlab.bridge.servers.zenoh.process import ZenohProcess
 from armlab.bridge.servers.zenoh.session import LabAddress, close_session, open_session
 from armlab.live.fleet_view import FleetRows

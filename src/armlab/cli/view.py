@@ -95,7 +95,7 @@ def _watch(arm: str | None, cell: str, zenoh: str, models: Sequence[TorqueModel]
 
 def _watch_fleet(url: str, port: int | None) -> None:
     """Show all robots at a router."""
-    from armlab.bridge.servers.zenoh.keys import EVERY
+    from armlab.bridge.servers.zenoh.messages import EVERY
     from armlab.bridge.servers.zenoh.session import LabAddress
     from armlab.cli.support.output import note
     from armlab.live.fleet_view import watch_fleet

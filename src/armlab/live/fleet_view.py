@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armlab.bridge.servers.row import Row, RowSchema, read_row
-from armlab.bridge.servers.zenoh.keys import EVERY, key, robot_of
-from armlab.bridge.servers.zenoh.messages import read_about, read_message
-from armlab.bridge.servers.zenoh.rows import Inbox, undamaged
+from armlab.bridge.servers.zenoh.messages import EVERY, Inbox, key, read_about, read_message, robot_of, undamaged
 from armlab.bridge.servers.zenoh.session import Discovery, LabAddress, close_session, zenoh
 from armlab.errors import ArmlabError, LinkError
 from armlab.live.curves import Lines, Markup

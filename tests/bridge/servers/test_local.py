@@ -18,7 +18,7 @@ import pytest
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.servers.hub import OPERATOR, Hub
-from armlab.bridge.servers.local import LocalFeed, LocalServer, cells, serve, socket_path
+from armlab.bridge.servers.local import LocalFeed, LocalServer, cells, socket_path
 from armlab.bridge.servers.messages import CommandRequest, Release, Resume, SetRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Row
 from armlab.errors import ConfigError, LinkError
@@ -37,7 +37,7 @@ class Bench:
         self.exchange = Hub([LEFT], [OPERATOR], parameters, about={"cell": cell})
         self.far = self.exchange.open(OPERATOR)
         self.path = socket_path(cell)
-        self.server = LocalServer(self.far, self.path)
+        self.server = LocalServer(self.far, {"path": self.path})
         self.thread = threading.Thread(target=self.server.run, daemon=True)
         self.thread.start()
         self.k = 0
@@ -159,7 +159,7 @@ def test_eight_clients(bench: Bench) -> None:
 
 def test_two_bridges_need_two_names(bench: Bench) -> None:
     with pytest.raises(LinkError, match="one runs"):
-        serve(bench.far, {"path": str(bench.path)})
+        LocalServer(bench.far, {"path": str(bench.path)})
     other = Bench("other")
     try:
         with pytest.raises(ConfigError, match="other, test"):

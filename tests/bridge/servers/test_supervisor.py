@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from armlab.bridge.servers.labcomm.process import labcomm_options
 from armlab.bridge.servers.local import LocalFeed, cells
 from armlab.bridge.servers.messages import CommandRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Row
-from armlab.bridge.servers.serve import _SERVERS
+from armlab.bridge.servers.serve import SERVERS, serve
 from armlab.bridge.servers.supervisor import PLACE, Offering, Servers
 from armlab.errors import LinkError
 from armlab.robots import Robot
@@ -99,7 +98,7 @@ def test_a_server_that_never_listens_refuses_at_once(words: list[str], said: str
         assert time.monotonic() - began < 30.0
 
 
-@pytest.mark.parametrize("name", _SERVERS)
+@pytest.mark.parametrize("name", SERVERS)
 def test_a_loop_that_has_gone_before_it_described_its_rows_ends_a_server(name: str, tmp_path: Path) -> None:
     where = {"host": "127.0.0.1", "port": 0, "to": "127.0.0.1", "domain": 0, "distribution": "jazzy", "router": ""}
     options = {
@@ -115,7 +114,7 @@ def test_a_loop_that_has_gone_before_it_described_its_rows_ends_a_server(name: s
     feed.recv(2**17)
     hub.close()
     with feed, pytest.raises(LinkError, match="Start it again"):
-        import_module(_SERVERS[name]).serve(feed, {**labcomm_options([LEFT]), **options, "path": tmp_path / "x"})
+        serve(name, feed, {**labcomm_options([LEFT]), **options, "path": tmp_path / "x"})
     assert not (tmp_path / "x").exists()
 
 
@@ -164,11 +163,8 @@ def test_no_server_outlives_a_bridge_that_is_killed(tmp_path: Path) -> None:
     path = tmp_path / "x"
     program = f"""
 import time
-from importlib import import_module
 from armlab import robots
 from armlab.bridge.servers.hub import Hub
-from armlab.bridge.servers.labcomm.process import labcomm_options
-from armlab.bridge.servers.serve import _SERVERS
 from armlab.bridge.servers.supervisor import Servers, server_command
 
 command = server_command("local", {{"path": "{path}"}})

@@ -24,23 +24,7 @@ from armlab.log.column import resolved
 from armlab.log.recording.rows import COUNTS, ESTIMATE, FIXED, FLAGS, JOINTS, REALS
 from armlab.robots import Robot
 from armlab.state import Command, State
-
-__all__ = [
-    "LARGEST",
-    "MAGIC",
-    "MONO",
-    "Pace",
-    "Row",
-    "RowField",
-    "RowSchema",
-    "RowWriter",
-    "WALL",
-    "beginning",
-    "clock_ms",
-    "places",
-    "read_head",
-    "read_row",
-]
+from armlab.wire.egm import Drop, Packet
 
 VERSION = 1
 HEAD = struct.Struct("<4sI8sQqq")
@@ -342,6 +326,37 @@ class RowWriter:
                 name, start = field.name.removeprefix(f"{field.source}."), (field.offset - HEAD.size) // 8
                 values = held.age if name == "age" else held.kept[name]
                 self._numbers[start : start + field.size // 8] = np.ravel(values)
+
+
+class RowsAsPackets:
+    """What codecs of links that carry rows in place of packets of EGM have in common: see `wire.egm.Codec`."""
+
+    def __init__(self) -> None:
+        self.capabilities = frozenset({"position", "velocity"})
+
+    def reset(self) -> None:
+        """Forget nothing: rows say all of themselves."""
+
+    def _packet(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, **fields: Any) -> Packet | Drop:
+        if not np.isfinite(q).all():
+            return Drop("not finite", "the positions of a row")
+        has_tau = bool(np.isfinite(tau).all())
+        return Packet(
+            q=q,
+            qd=qd if np.isfinite(qd).all() else None,
+            tau=tau if has_tau else None,
+            tau_source="measured" if has_tau else "none",
+            robotware="unknown",
+            rapid_data=_NOTHING,
+            rapid_digital=False,
+            robot_mono_ns=0,
+            queue_depth=-1,
+            **fields,
+        )
+
+
+_NOTHING = np.zeros(0)
+_NOTHING.flags.writeable = False
 
 
 class Pace:

@@ -20,8 +20,6 @@ from armlab.bridge.servers.row import MAGIC, RowSchema
 from armlab.errors import CommandRefused, LinkError
 from armlab.robots import Robot, from_toml
 
-__all__ = ["LoopEnd", "encoded"]
-
 _LARGEST = 2**17
 _URGENT = 256  # requests that wait when the way to the loop is full
 _RETRY = 0.005  # s until they are tried again

@@ -19,7 +19,6 @@ from armlab.errors import UnknownName
 if TYPE_CHECKING:
     from armlab.bridge.servers.row import Row
 
-__all__ = ["Status", "Watch"]
 
 _KEPT = 2500  # round trips: 10 s at 250 Hz
 _HEAD_SEQ, _HEAD_MONO = 16, 24  # bytes from the beginning of a row

@@ -10,7 +10,6 @@ import sys
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from types import TracebackType
 from typing import Any
 
 from armlab._descriptors import Descriptor
@@ -21,8 +20,6 @@ from armlab.bridge.servers.local import socket_path
 from armlab.errors import LinkError
 from armlab.robots import Robot
 from armlab.state import State
-
-__all__ = ["Offering", "PLACE", "RESTARTS", "Servers", "WELL", "server_command", "stoppable"]
 
 PLACE = "{fd}"
 """Word of a command that stands for the number of the socket to the loop."""
@@ -92,9 +89,7 @@ class Servers:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:

@@ -31,7 +31,7 @@ from armlab.bridge.servers.ros.dds import (
     tie_to_loopback,
     topic_name,
 )
-from armlab.bridge.servers.ros.requests import Commands
+from armlab.bridge.servers.ros.server import Commands
 from armlab.bridge.servers.ros.topics import RosTopic, Topics, store, type_name
 from armlab.bridge.servers.row import RowSchema
 from armlab.errors import LinkError

@@ -17,7 +17,7 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.cell import parse_cell
-from armlab.bridge.servers.ros.requests import Commands
+from armlab.bridge.servers.ros.server import Commands
 from armlab.bridge.servers.ros.topics import Topics
 from armlab.bridge.servers.row import RowSchema
 

@@ -25,8 +25,8 @@ import pytest
 from armlab import kinematics, robots
 from armlab.bridge.cell import parse_cell
 from armlab.bridge.servers.hub import Hub
-from armlab.bridge.servers.ros.requests import Commands
 from armlab.bridge.servers.ros.rmw_zenoh import Names
+from armlab.bridge.servers.ros.server import Commands
 from armlab.bridge.servers.ros.topics import Topics, store
 from armlab.bridge.servers.row import RowSchema
 from armlab.bridge.servers.supervisor import Servers, server_command

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter
 from armlab.bridge.servers.hub import Hub
-from armlab.bridge.servers.ros.rmw_zenoh import ANY, Distribution, Names, Nodes, Origin, RmwZenohServer, Writer, serve
+from armlab.bridge.servers.ros.rmw_zenoh import ANY, Distribution, Names, Nodes, Origin, RmwZenohServer, Writer
 from armlab.bridge.servers.ros.topics import store
 from armlab.bridge.servers.zenoh.session import LabAddress, close_session
 from armlab.errors import ConfigError, MissingExtra
@@ -245,7 +245,7 @@ def test_it_refuses_commands_through_a_router_elsewhere() -> None:
     options = {"domain": 0, "host": "127.0.0.1", "port": free_port(), "router": "192.168.1.9:7447"}
     exchange = Hub([ARM], ["rmw_zenoh"], about=about)
     with exchange.open("rmw_zenoh") as feed, pytest.raises(ConfigError, match="through a router elsewhere"):
-        serve(feed, {**options, "distribution": "jazzy"})
+        RmwZenohServer(feed, {**options, "distribution": "jazzy"})
     exchange.close()
 
 

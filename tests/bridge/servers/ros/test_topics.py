@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from armlab import kinematics, robots
 from armlab.bridge.servers.messages import CommandRequest, SetRequest, Stop
-from armlab.bridge.servers.ros.requests import Commands
+from armlab.bridge.servers.ros.server import Commands
 from armlab.bridge.servers.ros.topics import RosTopic, Topics, content, diagnostics, domain_number, store, type_name
 from armlab.bridge.servers.row import RowSchema, RowWriter
 from armlab.errors import CommandRefused, ConfigError, LinkError

@@ -24,7 +24,7 @@ from armlab.bridge.cell import parse_cell, run_cell
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.net.sockets import pair
 from armlab.bridge.servers.hub import Hub
-from armlab.bridge.servers.ros1.process import Ros1Process, serve
+from armlab.bridge.servers.ros1.process import Ros1Process
 from armlab.bridge.servers.supervisor import Servers, server_command
 from armlab.errors import LinkError
 from armlab.lie import quaternion, se3
@@ -187,15 +187,15 @@ class Alone:
         ours, theirs = pair()
         self.ours, self.node = stack.enter_context(ours), stack.enter_context(theirs)
         self.node.settimeout(PATIENCE)
-        self.log = io.BytesIO()
         self.process = Ros1Process(feed, options("http://127.0.0.1:1"))
+        self.process._node, self.process._log = self.ours, io.BytesIO()
         stack.callback(self.process._subscribers.close)
 
     def say(self, kind: str, *connections: int, **fields: Any) -> None:
         socket.send_fds(self.node, [json.dumps({"kind": kind, **fields}).encode()], connections)
 
     def hear(self) -> None:
-        self.process._hear(self.ours, self.log)
+        self.process._hear()
 
     def told(self) -> dict[str, Any]:
         """Return what the node is told."""
@@ -223,7 +223,7 @@ def test_half_a_surrogate_pair_is_refused_and_the_server_goes_on(alone: Alone) -
 def test_a_command_may_come_before_the_node_is_ready(alone: Alone) -> None:
     alone.say("command", topic="/yumi_right/set_parameter", client="/node", content='{"gain": 2.0}')
     alone.say("ready", missing=["geometry_msgs/Wrench"])
-    alone.process._begin(alone.ours, alone.log)
+    alone.process._begin()
     assert "not installed: geometry_msgs/Wrench" in alone.asked()["where"][0]
     assert alone.asked()["values"] == {"gain": 2.0}
 
@@ -272,7 +272,7 @@ def test_each_of_many_nodes_is_answered_at_most_once_a_second(alone: Alone, monk
     monkeypatch.setattr("armlab.bridge.servers.ros1.process.time.monotonic", lambda: 100.0)
     for k in range(300):
         for _ in range(2):
-            alone.process._answer(alone.ours, f"/node_{k}", "no")
+            alone.process.answer(f"/node_{k}", "no")
         assert alone.told() == {"text": f"/node_{k}: no"}
         assert not select.select([alone.node], [], [], 0.0)[0]
     assert len(alone.process._spoken) == 256
@@ -302,7 +302,7 @@ def test_a_relay_that_is_killed_ends_the_server_which_starts_again(ros: Ros, run
 def test_what_is_missing_is_told_in_one_sentence(tmp_path: Path) -> None:
     exchange = Hub([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
     with exchange.open("ros1") as feed, pytest.raises(LinkError, match="Expected a Python with rospy at /none"):
-        serve(feed, options("http://127.0.0.1:1", "/none"))
+        Ros1Process(feed, options("http://127.0.0.1:1", "/none")).run()
     without = tmp_path / "python"
     without.write_text(f'#!/bin/sh\nexec {os.path.realpath(PYTHON)} -I -S "$@"\n')
     without.chmod(0o755)
@@ -317,12 +317,12 @@ def test_no_master_or_another_address_is_told_in_one_sentence() -> None:
     exchange = Hub([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
     uri = f"http://127.0.0.1:{free_port()}"
     with exchange.open("ros1") as feed, pytest.raises(LinkError, match=f"master at {uri}.*Start roscore"):
-        serve(feed, options(uri))
+        Ros1Process(feed, options(uri)).run()
     with (
         exchange.open("ros1") as feed,
         pytest.raises(LinkError, match=r"this computer for ros1, got 198\.51\.100\.1: "),
     ):
-        serve(feed, options(uri, host="198.51.100.1"))
+        Ros1Process(feed, options(uri, host="198.51.100.1")).run()
     exchange.close()
 
 

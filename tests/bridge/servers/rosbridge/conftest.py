@@ -11,8 +11,7 @@ import pytest
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.servers.messages import Report, Request, parameter_message
-from armlab.bridge.servers.rosbridge.engine import Engine
-from armlab.bridge.servers.rosbridge.session import ClientSession
+from armlab.bridge.servers.rosbridge.engine import ClientSession, Engine
 from armlab.bridge.servers.row import RowSchema, RowWriter
 from armlab.log import Tick
 from armlab.robots import Robot, to_toml

@@ -15,16 +15,18 @@ from hypothesis import strategies as st
 
 from armlab.bridge.servers.messages import CommandRequest, Leave, SetRequest, Stop, read_request
 from armlab.bridge.servers.ros.topics import header, store
-from armlab.bridge.servers.rosbridge.engine import Engine
+from armlab.bridge.servers.rosbridge.engine import Engine, Outbox, Subscription
 from armlab.bridge.servers.rosbridge.protocol import (
     HEADER,
     LARGEST,
+    SET_PARAM,
     TIME,
     Advertise,
     CallService,
     Dialect,
     Operation,
     Publish,
+    Rosapi,
     ServiceResponse,
     SetLevel,
     StatusOperation,
@@ -33,13 +35,12 @@ from armlab.bridge.servers.rosbridge.protocol import (
     Unsubscribe,
     fields,
     id_of,
+    parameter_name,
     publish,
     read_operation,
     read_type,
     type_name,
 )
-from armlab.bridge.servers.rosbridge.rosapi import SET_PARAM, Rosapi, parameter_name
-from armlab.bridge.servers.rosbridge.session import Outbox, Subscription
 from armlab.errors import CommandRefused
 
 from .conftest import Bench

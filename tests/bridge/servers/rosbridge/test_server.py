@@ -25,7 +25,7 @@ from websockets.sync.client import ClientConnection, connect
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.servers.hub import Hub
-from armlab.bridge.servers.rosbridge.server import Access, _head, read_access, serve
+from armlab.bridge.servers.rosbridge.server import Access, RosbridgeServer, _head, read_access
 from armlab.bridge.servers.supervisor import Servers, server_command
 from armlab.errors import ConfigError, LinkError
 from armlab.log import Tick
@@ -286,7 +286,7 @@ def test_it_ends_with_the_loop() -> None:
     hub = Hub([robots.load("yumi_right")], ["rosbridge"], about={"cell": "yumi"})
     with hub.open("rosbridge") as feed:
         hub.close()
-        serve(feed, OPTIONS)
+        RosbridgeServer(feed, OPTIONS).run()
 
 
 @pytest.mark.slow

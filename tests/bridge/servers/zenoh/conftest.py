@@ -67,6 +67,12 @@ class Running(Served):
         super().__init__("zenoh", robot, lambda feed: ZenohProcess(feed, self.options), declared)
 
 
+@pytest.fixture(autouse=True)
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Viewers hear of the only robots of this computer at once."""
+    monkeypatch.setattr("armlab.bridge.servers.zenoh.feed._HEARD", 0.1)
+
+
 @pytest.fixture
 def start(robot: Robot) -> Iterator[Callable[..., Running]]:
     """Return what starts servers."""

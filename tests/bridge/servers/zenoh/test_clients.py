@@ -16,9 +16,8 @@ from armlab.bridge.servers.messages import CommandRequest, SetRequest, Stop, Sub
 from armlab.bridge.servers.row import Row, RowSchema, beginning
 from armlab.bridge.servers.status import Watch
 from armlab.bridge.servers.zenoh.feed import ZenohFeed, robots_at
-from armlab.bridge.servers.zenoh.keys import key
 from armlab.bridge.servers.zenoh.link import ZenohCodec, ZenohPort, far_end
-from armlab.bridge.servers.zenoh.rows import checksum
+from armlab.bridge.servers.zenoh.messages import checksum, key
 from armlab.bridge.servers.zenoh.session import LabAddress, close_session
 from armlab.errors import ConfigError, LinkError, UnknownName
 from armlab.robots import Robot

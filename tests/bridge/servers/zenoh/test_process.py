@@ -23,7 +23,7 @@ from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.row import RowSchema, read_row
 from armlab.bridge.servers.supervisor import Servers, server_command
 from armlab.bridge.servers.zenoh.feed import robots_at
-from armlab.bridge.servers.zenoh.keys import Attachment, key
+from armlab.bridge.servers.zenoh.messages import Attachment, key
 from armlab.bridge.servers.zenoh.session import LabAddress, close_session, queried
 from armlab.errors import LinkError
 from armlab.robots import Robot
@@ -279,7 +279,7 @@ def test_a_client_moves_the_arm_and_another_may_only_read(tmp_path: Path, monkey
 STOPPED = """
 import sys, time
 from armlab.bridge.servers.zenoh.session import LabAddress
-from armlab.bridge.servers.zenoh.keys import key
+from armlab.bridge.servers.zenoh.messages import key
 session = LabAddress("127.0.0.1", int(sys.argv[1])).open()
 session.declare_subscriber(key("lab", "yumi_left", "*"), lambda sample: print("row", flush=True))
 time.sleep(600)

@@ -13,7 +13,7 @@ import pytest
 from armlab.bridge.cell import listening, parse_cell
 from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.zenoh.feed import robots_at
-from armlab.bridge.servers.zenoh.keys import Attachment, key
+from armlab.bridge.servers.zenoh.messages import Attachment, key
 from armlab.bridge.servers.zenoh.process import ZenohProcess
 from armlab.bridge.servers.zenoh.security import BRIDGE, COMMANDER, Security
 from armlab.bridge.servers.zenoh.session import LabAddress, close_session, open_near, queried, wait_for_router

@@ -22,9 +22,21 @@ from armlab import robots
 from armlab.bridge.servers.messages import text_message
 from armlab.bridge.servers.row import LARGEST, RowField, RowSchema, RowWriter
 from armlab.bridge.servers.status import Status
-from armlab.bridge.servers.zenoh.keys import COMMANDS, EVERY, Attachment, key, robot_of
-from armlab.bridge.servers.zenoh.messages import About, read_about, read_message
-from armlab.bridge.servers.zenoh.rows import Gaps, Inbox, checksum, undamaged
+from armlab.bridge.servers.zenoh.messages import (
+    COMMANDS,
+    EVERY,
+    About,
+    Attachment,
+    Gaps,
+    Inbox,
+    checksum,
+    data_of,
+    key,
+    read_about,
+    read_message,
+    robot_of,
+    undamaged,
+)
 from armlab.bridge.servers.zenoh.security import Security
 from armlab.bridge.servers.zenoh.session import (
     LAB,
@@ -34,7 +46,6 @@ from armlab.bridge.servers.zenoh.session import (
     LabAddress,
     Publisher,
     close_session,
-    data_of,
     open_near,
     open_session,
     queried,
@@ -355,7 +366,7 @@ def test_nothing_is_sent_to_nobody_and_a_waiting_output_counts_what_found_no_roo
 
 
 def test_the_oldest_are_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("armlab.bridge.servers.zenoh.rows._LARGEST", 10_000)
+    monkeypatch.setattr("armlab.bridge.servers.zenoh.messages._MOST", 10_000)
     inbox: Inbox[int] = Inbox(5)
     for number in range(8):
         inbox.put(number)

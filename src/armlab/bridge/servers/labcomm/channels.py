@@ -15,18 +15,6 @@ from armlab.errors import ConfigError, LabCommError
 from armlab.wire.labcomm import Sample, idl
 from armlab.wire.labcomm.types import PRIMS, Array, Definition, Event, SampleType, Type, dialect_named
 
-__all__ = [
-    "ArmChannel",
-    "Channel",
-    "FusedArm",
-    "FusedChannel",
-    "FusedSource",
-    "OnCommand",
-    "OnSet",
-    "ParameterChannel",
-    "Value",
-]
-
 OnCommand = Callable[[str, Row, str], None]
 """Called with the name of the channel, a valid command and the address of its client."""
 

@@ -6,7 +6,6 @@ import select
 import socket
 import time
 from collections.abc import Callable, Mapping
-from types import TracebackType
 from typing import Any
 
 from armlab.bridge.inputs.sources import Reading, ThreadSource, whole
@@ -16,8 +15,6 @@ from armlab.errors import ArmlabError, LabCommError, LinkError
 from armlab.log import Column
 from armlab.wire.labcomm import Encoder, Sample
 from armlab.wire.labcomm.types import Event, SampleType
-
-__all__ = ["LabCommClient", "LabCommSource", "connected"]
 
 
 def connected(host: str, port: int, patience: float) -> socket.socket:
@@ -69,9 +66,7 @@ class LabCommClient:
     def __enter__(self) -> LabCommClient:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:

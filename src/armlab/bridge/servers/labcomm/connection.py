@@ -11,8 +11,6 @@ from collections import deque
 from armlab.wire.labcomm import Decoder, Encoder
 from armlab.wire.labcomm.types import Event
 
-__all__ = ["QUEUE", "Peer"]
-
 QUEUE = 64
 """Packets that wait for a slow peer; then the oldest data packets go."""
 

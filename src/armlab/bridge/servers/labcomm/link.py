@@ -21,13 +21,12 @@ from armlab.bridge.net.sockets import Arrival, Port
 from armlab.bridge.servers.labcomm.client import connected
 from armlab.bridge.servers.labcomm.connection import Peer
 from armlab.bridge.servers.labcomm.rows import Row, RowTypes
+from armlab.bridge.servers.row import RowsAsPackets
 from armlab.errors import ConfigError, LabCommError
 from armlab.robots import Robot
 from armlab.wire.egm import Codec, Drop, Packet, Reference
 from armlab.wire.labcomm import Encoder
 from armlab.wire.labcomm.types import Event
-
-__all__ = ["RowCodec", "RowPort", "far_end"]
 
 _PATIENCE = 5.0  # s for the first connection
 _AGAIN = 0.5  # s between two tries to connect again
@@ -152,21 +151,17 @@ class RowPort:
         self.errors += bool(failed)
 
 
-class RowCodec:
-    """Rows as packets of the loop: see `wire.egm.Codec`."""
+class RowCodec(RowsAsPackets):
+    """Rows as packets of the loop."""
 
     def __init__(self, robot: Robot, types: RowTypes, dialect: str = "2014v1") -> None:
-        self.capabilities = frozenset({"position", "velocity"})
+        super().__init__()
         self._n, self._types, self._form = robot.n, types, struct.Struct(f">Ii{3 * robot.n}d")
         self._encoder = Encoder(dialect)
         self._encoder.define(types.accepted)
-        self._empty = np.zeros(0)
         self._nan, self._nan44 = np.full(robot.n, math.nan), np.full((4, 4), math.nan)
-        for array in (self._empty, self._nan, self._nan44):
+        for array in (self._nan, self._nan44):
             array.flags.writeable = False
-
-    def reset(self) -> None:
-        """Forget nothing: rows say all of themselves."""
 
     def decode(self, data: bytes) -> Packet | Drop:
         """Return the packet of a row, or why it is dropped."""
@@ -174,21 +169,17 @@ class RowCodec:
             return Drop("unparsable", f"{len(data)} bytes are no row")
         count, tm, *_ = self._form.unpack(data)
         q, qd, tau = np.frombuffer(data, ">f8", offset=8).astype(float).reshape(3, self._n)
-        if not np.isfinite(q).all():
-            return Drop("not finite", "the positions of a row")
         for part in (q, qd, tau):
             part.flags.writeable = False
-        has_tau = bool(np.isfinite(tau).all())
-        return Packet(
+        return self._packet(
+            q,
+            qd,
+            tau,
             seqno=count,
             tm_ms=tm % 2**32,
             robot_ns=0,
-            q=q,
             q_planned=self._nan,
-            q_ext=self._empty,
-            qd=qd if np.isfinite(qd).all() else None,
-            tau=tau if has_tau else None,
-            tau_source="measured" if has_tau else "none",
+            q_ext=self._nan[:0],
             T_frame_tool=self._nan44,
             wrench_raw=self._nan44.reshape(-1)[:6],
             motors=_MOTORS_ON,
@@ -196,11 +187,6 @@ class RowCodec:
             rapid=_RAPID_RUNNING,
             converged=False,
             utilization=math.nan,
-            robotware="unknown",
-            rapid_data=self._empty,
-            rapid_digital=False,
-            robot_mono_ns=0,
-            queue_depth=-1,
         )
 
     def encode(self, ref: Reference) -> bytes:

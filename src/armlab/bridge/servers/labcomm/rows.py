@@ -16,8 +16,6 @@ from armlab.errors import ConfigError, LabCommError
 from armlab.wire.labcomm import Sample, idl, parse_lc
 from armlab.wire.labcomm.types import Array, Event, Prim, SampleType, Struct, Type
 
-__all__ = ["STOP", "Order", "Row", "RowTypes", "signed"]
-
 Order = Literal["abb", "chain"]
 """Order of the joints on the wire."""
 

@@ -12,7 +12,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from types import TracebackType
 from typing import Any, Literal
 
 from armlab.bridge.arbiter import Arbiter, Order
@@ -26,8 +25,6 @@ from armlab.log import Tick
 from armlab.state import Command, State
 from armlab.wire.labcomm import Encoder, Sample
 from armlab.wire.labcomm.types import Definition, Event
-
-__all__ = ["LabCommServer", "Ports", "RowFeed", "to_arbiter"]
 
 _CLIENTS = 8  # per port
 _KEPT = 100  # clients that have left, of which is known what they got
@@ -302,9 +299,7 @@ class LabCommServer:
     def __enter__(self) -> LabCommServer:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def row(self, name: str, row: Row) -> None:

@@ -20,31 +20,6 @@ from armlab.bridge.servers.ros.server import RosServer
 from armlab.bridge.servers.ros.topics import RosTopic, domain_number, store, type_name
 from armlab.errors import LinkError, MissingExtra
 
-__all__ = [
-    "DDSException",
-    "DataReader",
-    "DataWriter",
-    "DdsServer",
-    "Domain",
-    "DomainParticipant",
-    "Listener",
-    "Policy",
-    "Qos",
-    "Readers",
-    "DdsTopic",
-    "Writers",
-    "carrier",
-    "configuration",
-    "joined",
-    "make_idl_struct",
-    "serve",
-    "struct",
-    "tie_to_loopback",
-    "topic_name",
-    "types",
-    "write_cdr",
-]
-
 try:
     from cyclonedds._clayer import ddspy_write
     from cyclonedds.core import DDSException, Listener, Policy, Qos
@@ -337,17 +312,14 @@ class DdsServer(RosServer):
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._domain, self._host = domain_number(options["domain"]), options["host"]
-        self._writers: Writers | None = None
-        super().__init__(feed, lambda: {} if self._writers is None else dict(self._writers.counts))
+        self._writers: Writers
+        super().__init__(feed, lambda: dict(self._writers.counts))
 
     def wanted(self) -> frozenset[str]:
-        """Return the names of the topics that somebody reads."""
-        return frozenset() if self._writers is None else self._writers.wanted
+        return self._writers.wanted
 
     def write(self, topic: RosTopic, cdr: bytes) -> None:
-        """Send one message."""
-        if self._writers is not None:
-            self._writers.write(topic, cdr)
+        self._writers.write(topic, cdr)
 
     def run(self) -> None:
         """Serve until the loop closes the feed."""
@@ -360,8 +332,3 @@ class DdsServer(RosServer):
             finally:
                 readers.close()
                 writers.close()
-
-
-def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed."""
-    DdsServer(feed, options).run()

@@ -14,10 +14,9 @@ from armlab.bridge.net.sockets import is_here
 from armlab.bridge.servers.messages import Listening
 from armlab.bridge.servers.ros.server import RosServer
 from armlab.bridge.servers.ros.topics import RosTopic, domain_number, store, type_name
-from armlab.bridge.servers.zenoh.session import Publisher, close_session, data_of, open_near, zenoh
+from armlab.bridge.servers.zenoh.messages import data_of
+from armlab.bridge.servers.zenoh.session import Publisher, close_session, open_near, zenoh
 from armlab.errors import ConfigError, MissingExtra
-
-__all__ = ["ANY", "Distribution", "Names", "Nodes", "Origin", "RmwZenohServer", "Writer", "serve"]
 
 ANY = "*"
 """In place of a hash in the key of a reader: writers of every distribution."""
@@ -244,8 +243,3 @@ class RmwZenohServer(RosServer):
             self.refuse("unknown", f"Expected 33 bytes attached on {topic}, as rmw_zenoh has them since June 2025.")
         else:
             self.take(topic, sample.payload.to_bytes(), self._nodes.client(origin))
-
-
-def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed."""
-    RmwZenohServer(feed, options).run()

@@ -21,19 +21,6 @@ from armlab.errors import CommandRefused, ConfigError
 from armlab.lie import quaternion
 from armlab.robots import Robot
 
-__all__ = [
-    "ArmRow",
-    "TOPICS",
-    "RosTopic",
-    "Topics",
-    "content",
-    "diagnostics",
-    "domain_number",
-    "header",
-    "store",
-    "type_name",
-]
-
 _OTHERS = {
     # Names and order as in ros-industrial/abb_robot_driver_interfaces; constants are no part of a message.
     "abb_egm_msgs/msg/EGMChannelState": (

@@ -17,8 +17,6 @@ import sys
 import threading
 from pathlib import Path
 
-__all__ = ["main"]
-
 _LARGEST = 2**17
 _COMMAND = 65536  # bytes of a command, as of a request to the loop
 _NAME = 256  # characters of a node's name, which it says itself

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import json
 import time
-from types import TracebackType
 from typing import Any
 
 from armlab.bridge.servers.messages import Request, SetRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Pace, Row, RowSchema, read_row
-from armlab.bridge.servers.zenoh.keys import EVERY, key, robot_of
-from armlab.bridge.servers.zenoh.messages import About, read_about, read_message
-from armlab.bridge.servers.zenoh.rows import Gaps, Inbox, undamaged
+from armlab.bridge.servers.zenoh.messages import (
+    EVERY,
+    About,
+    Gaps,
+    Inbox,
+    key,
+    read_about,
+    read_message,
+    robot_of,
+    undamaged,
+)
 from armlab.bridge.servers.zenoh.session import Discovery, LabAddress, close_session, zenoh
 from armlab.errors import ArmlabError, ConfigError, LinkError
-
-__all__ = ["ZenohFeed", "robots_at"]
 
 _VIEW = 30.0  # rows/s that a view gets
 _HEARD = 0.5  # s in which all robots of a lab are heard of
@@ -67,9 +72,7 @@ class ZenohFeed:
     def __enter__(self) -> ZenohFeed:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:

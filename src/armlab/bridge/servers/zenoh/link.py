@@ -12,18 +12,19 @@ from typing import Any, cast
 import numpy as np
 
 from armlab.bridge.net.sockets import Arrival, Port, pair
-from armlab.bridge.servers.row import RowSchema, clock_ms, read_row
-from armlab.bridge.servers.zenoh.keys import Attachment, key
-from armlab.bridge.servers.zenoh.rows import Gaps, undamaged
+from armlab.bridge.servers.row import RowsAsPackets, RowSchema, clock_ms, read_row
+from armlab.bridge.servers.zenoh.messages import Attachment, Gaps, key, undamaged
 from armlab.bridge.servers.zenoh.session import LabAddress, close_session, zenoh
 from armlab.errors import ArmlabError, LinkError, UnknownName
 from armlab.robots import Robot
 from armlab.wire.egm import Codec, Drop, Packet, Reference
 
-__all__ = ["ZenohCodec", "ZenohPort", "far_end"]
-
 _LARGEST = 2**14
 _DAMAGED = b"damaged"  # in place of a row that was
+_USED = (
+    *("q", "qd", "tau", "q_planned", "q_ext", "seq", "robot_ns", "session_t", "T_frame_tool", "wrench_raw"),
+    *("motors", "mci", "rapid", "converged", "utilization"),
+)
 
 
 def far_end(robot: Robot, host: str, port: int, options: dict[str, str]) -> tuple[Port, Codec]:
@@ -106,18 +107,13 @@ class ZenohPort:
             self.errors += 1
 
 
-class ZenohCodec:
-    """Rows as packets of the loop: see `wire.egm.Codec`."""
+class ZenohCodec(RowsAsPackets):
+    """Rows as packets of the loop."""
 
     def __init__(self, robot: Robot, schema: RowSchema) -> None:
+        super().__init__()
         _check(schema, robot)
-        self.capabilities = frozenset({"position", "velocity"})
         self._name, self._schema = robot.name, schema
-        self._empty = np.zeros(0)
-        self._empty.flags.writeable = False
-
-    def reset(self) -> None:
-        """Forget nothing: rows say all of themselves."""
 
     def decode(self, data: bytes) -> Packet | Drop:
         """Return the packet of a row, or why it is dropped."""
@@ -127,37 +123,17 @@ class ZenohCodec:
             values = read_row(self._schema, data).values
         except LinkError as error:
             return Drop("unparsable", str(error))
-        q, qd, tau = (values[f"{self._name}.{part}"] for part in ("q", "qd", "tau"))
-        if not np.isfinite(q).all():
-            return Drop("not finite", "the positions of a row")
-        has_tau = bool(np.isfinite(tau).all())
-        robot_ns = values[f"{self._name}.robot_ns"]
-        tm_ms = clock_ms(robot_ns, values[f"{self._name}.session_t"])
+        one = {name: values[f"{self._name}.{name}"] for name in _USED}
+        tm_ms = clock_ms(one["robot_ns"], one.pop("session_t"))
         if tm_ms is None:
             return Drop("not finite", "the time of a row")
-        q_ext = values[f"{self._name}.q_ext"]
-        return Packet(
-            seqno=values[f"{self._name}.seq"] % 2**32,
+        q_ext = one.pop("q_ext")
+        return self._packet(
+            seqno=one.pop("seq") % 2**32,
             tm_ms=tm_ms % 2**32,
-            robot_ns=robot_ns,
-            q=q,
-            q_planned=values[f"{self._name}.q_planned"],
             q_ext=q_ext[np.isfinite(q_ext)],
-            qd=qd if np.isfinite(qd).all() else None,
-            tau=tau if has_tau else None,
-            tau_source="measured" if has_tau else "none",
-            T_frame_tool=values[f"{self._name}.T_frame_tool"],
-            wrench_raw=values[f"{self._name}.wrench_raw"],
-            motors=values[f"{self._name}.motors"],
-            mci=values[f"{self._name}.mci"],
-            rapid=values[f"{self._name}.rapid"],
-            converged=values[f"{self._name}.converged"] == 1,
-            utilization=values[f"{self._name}.utilization"],
-            robotware="unknown",
-            rapid_data=self._empty,
-            rapid_digital=False,
-            robot_mono_ns=0,
-            queue_depth=-1,
+            converged=one.pop("converged") == 1,
+            **one,
         )
 
     def encode(self, ref: Reference) -> bytes:

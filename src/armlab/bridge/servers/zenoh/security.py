@@ -6,10 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from armlab.bridge.servers.zenoh.keys import EVERY, key
+from armlab.bridge.servers.zenoh.messages import EVERY, key
 from armlab.errors import ConfigError
-
-__all__ = ["BRIDGE", "COMMANDER", "USERS", "Security"]
 
 COMMANDER = "commander"
 """User who may command and set parameters."""
