@@ -107,7 +107,9 @@ def bridge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable
 
 
 @pytest.fixture
-def following() -> Iterator[Callable[..., Running]]:
+def following(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Running]]:
+    """Return what follows bridges; it looks for them twenty times a second."""
+    monkeypatch.setattr("armlab.live.live_bridge._AGAIN", 0.05)
     made: list[Running] = []
 
     def make(*words: Any, **options: Any) -> Running:

@@ -39,10 +39,7 @@ class RingBuffer:
         return self._table[self._first : self._end, 1:]
 
     def add(self, t: float, values: ArrayLike) -> None:
-        """Add a sample.
-
-        `t`: [s], not before the last one. `values`: (width,).
-        """
+        """Add a sample. `t`: [s], not before the last one. `values`: (width,)."""
         if self._end == len(self._table):  # what is kept goes to the front of another array: views of this one stay
             kept = self._table[self._first :]
             self._table = np.empty((max(_LEAST_ROWS, 2 * len(kept)), self._table.shape[1]))
@@ -54,7 +51,6 @@ class RingBuffer:
         self._first += int(np.searchsorted(self.t, t - self._seconds))
 
     def clear(self) -> None:
-        """Forget all."""
         self._first = self._end
 
 
@@ -135,7 +131,6 @@ class Curves:
         )
 
     def hide(self) -> None:
-        """Take the plot away, where there is nothing to draw."""
         self._heading.visible = self._plot.visible = False
 
     def show(self, t: ArrayLike, values: ArrayLike, half: ArrayLike | None = None, *, at: float | None = None) -> None:
@@ -198,10 +193,7 @@ def _interrupted(columns: Sequence[np.ndarray]) -> list[Any]:
 
 
 class Window:
-    """The last seconds of a stream on a plot.
-
-    `rate`: pictures per second of the stream's clock at most.
-    """
+    """The last seconds of a stream on a plot. `rate`: pictures per second of the stream's clock at most."""
 
     def __init__(self, curves: Curves, seconds: float = 10.0, rate: float = 10.0) -> None:
         self._curves, self._period = curves, 1.0 / rate
@@ -244,7 +236,6 @@ class Markup:
             self._html.content = self._shown = content
 
     def remove(self) -> None:
-        """Take them away."""
         self._html.remove()
 
 
@@ -252,7 +243,6 @@ class Lines(Markup):
     """Lines of text in the panel."""
 
     def show(self, content: str) -> None:
-        """Show lines."""
         text = html.escape(content).replace("\n", "<br>")
         super().show(f"<div style='font-size:0.85em;margin:0.3em 0.8em'>{text}</div>")
 

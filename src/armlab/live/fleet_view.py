@@ -59,10 +59,7 @@ class SeenRobot:
         self._data, self._quiet = b"", math.inf
 
     def take(self, data: bytes | None) -> None:
-        """Take a row.
-
-        `data`: as it came, None when it was damaged.
-        """
+        """Take a row. `data`: as it came, None when it was damaged."""
         if data is None:
             self.damaged += 1
         elif self._schema is None or data[8:16] != self._schema.id:
@@ -112,7 +109,6 @@ class SeenRobot:
         return True
 
     def value(self, name: str) -> Any:
-        """Return a value of the newest row."""
         return None if self.row is None else self.row.values.get(f"{self._arm}.{name}")
 
     @property
@@ -155,7 +151,6 @@ class FleetRows:
         ]
 
     def close(self) -> None:
-        """Leave the router."""
         close_session(self._session)
 
     def hear(self, seconds: float) -> None:

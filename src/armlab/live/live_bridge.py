@@ -79,7 +79,6 @@ class Running:
         self.state = f"Waiting for a bridge {where}, as armlab bridge --config CELL starts one."
 
     def close(self) -> None:
-        """Leave the feed."""
         if self._feed is not None:
             self._feed.close()
         self._feed = None
@@ -143,7 +142,6 @@ class Running:
             self.robots = shown
 
     def value(self, arm: str, name: str) -> Any:
-        """Return a value of an arm in the newest row."""
         if self.row is None:
             raise LinkError("Expected a row of the bridge, but none has come yet. Hear first.")
         return self.row.values[f"{arm}.{name}"]
@@ -185,7 +183,6 @@ class _Estimate:
 
 
 def _estimates(models: Sequence[TorqueModel], arms: Mapping[str, Robot]) -> dict[str, _Estimate]:
-    """Return the estimate of each arm that has a model."""
     found = {}
     for model in models:
         if model.robot_name not in arms:
@@ -348,7 +345,6 @@ class _ArmView:
     def _push(
         self, t: float, tau: np.ndarray, wrench: np.ndarray | None = None, covariance: np.ndarray | None = None
     ) -> None:
-        """Add a sample to the curves."""
         unknown = np.full(6, np.nan)
         values = unknown if wrench is None else wrench
         half = unknown if covariance is None else 2.0 * np.sqrt(np.diag(covariance))

@@ -81,17 +81,11 @@ class Recorded:
         return None if self.covariance is None else np.sqrt(np.einsum("kii->ki", self.covariance))
 
     def row(self, t: float) -> int:
-        """Return the last row at or before an instant; the first one before it.
-
-        `t`: [s].
-        """
+        """Return the last row at or before an instant; the first one before it. `t`: [s]."""
         return max(int(np.searchsorted(self.t, t, side="right")) - 1, 0)
 
     def span(self, t: float, seconds: float) -> slice:
-        """Return the rows of the last seconds before an instant, at least one.
-
-        `t`: [s].
-        """
+        """Return the rows of the last seconds before an instant, at least one. `t`: [s]."""
         last = self.row(t)
         return slice(min(int(np.searchsorted(self.t, t - seconds)), last), last + 1)
 

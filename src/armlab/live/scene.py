@@ -41,10 +41,7 @@ class Surface(NamedTuple):
     faces: np.ndarray
 
     def moved(self, T_a_b: np.ndarray) -> Surface:
-        """Return the body in frame a.
-
-        `T_a_b`: (4, 4), where it is in b now.
-        """
+        """Return the body in frame a. `T_a_b`: (4, 4), where it is in b now."""
         return Surface(self.vertices @ T_a_b[:3, :3].T + T_a_b[:3, 3], self.faces)
 
 
@@ -67,10 +64,7 @@ def _drum(radius: float, length: float) -> Surface:
 
 
 def box(a: np.ndarray, b: np.ndarray, width: float) -> Surface:
-    """Return a rod of square section from a to b.
-
-    `a`, `b`: (3,) middles of its ends. `width`: [m].
-    """
+    """Return a rod of square section from a to b. `a`, `b`: (3,) middles of its ends. `width`: [m]."""
     h, length = width / 2.0, float(np.linalg.norm(b - a))
     corners = np.array([[x, y, z] for z in (0.0, length) for y in (-h, h) for x in (-h, h)])
     squares = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
@@ -118,10 +112,7 @@ def drums(robot: Robot) -> list[Surface]:
 
 
 def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return a pose (4, 4) at a whose z axis points to b.
-
-    `a`, `b`: (3,); where they are the same, z stays.
-    """
+    """Return a pose (4, 4) at a whose z axis points to b. `a`, `b`: (3,); where they are the same, z stays."""
     z = b - a
     z = z / np.linalg.norm(z) if z.any() else np.array([0.0, 0.0, 1.0])
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
@@ -203,7 +194,6 @@ class SceneNode:
 
 
 def solid(scene: Any, name: str, body: Surface, color: str) -> Any:
-    """Add a body and return viser's handle of it."""
     return scene.add_mesh_simple(name, body.vertices.astype(np.float32), body.faces.astype(np.uint32), color=rgb(color))
 
 
@@ -231,7 +221,6 @@ class ForceArrow:
         self.hide()
 
     def hide(self) -> None:
-        """Draw nothing."""
         self._arrow.handle.visible = self._spread.handle.visible = False
 
     def show(self, tool: np.ndarray, force: np.ndarray | None, covariance: np.ndarray | None, unit: float) -> None:
@@ -276,10 +265,7 @@ def ellipsoid_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def is_significant(force: np.ndarray, axes: np.ndarray, half: np.ndarray) -> bool:
-    """Return whether zero lies outside the 95 % ellipsoid of a force: ``f^T C^-1 f >= 7.81``.
-
-    `force`: (3,).
-    """
+    """Return whether zero lies outside the 95 % ellipsoid of a force: ``f^T C^-1 f >= 7.81``. `force`: (3,)."""
     return bool(4.0 * np.sum((force @ axes / np.maximum(half, _SURE)) ** 2) >= _ZERO_OUTSIDE)
 
 
@@ -343,10 +329,7 @@ class RobotScene:
         self._surround()
 
     def add(self, robot: Robot, T_world_base: ArrayLike | None = None) -> None:
-        """Add an arm; one of this name goes.
-
-        `T_world_base`: (4, 4) pose of its base; the world when None.
-        """
+        """Add an arm; one of this name goes. `T_world_base`: (4, 4) pose of its base; the world when None."""
         if robot.name in self.robots:
             self.remove(robot.name)
         T = _pose(np.eye(4) if T_world_base is None else T_world_base)
@@ -354,7 +337,6 @@ class RobotScene:
         self.robots[robot.name] = robot
 
     def remove(self, name: str) -> None:
-        """Take an arm away."""
         self._robot(name)
         del self.robots[name]
         self._arms.pop(name).root.remove()

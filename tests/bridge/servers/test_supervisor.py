@@ -23,7 +23,7 @@ from armlab.bridge.servers.local import LocalFeed, cells
 from armlab.bridge.servers.messages import CommandRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Row
 from armlab.bridge.servers.serve import SERVERS, serve
-from armlab.bridge.servers.supervisor import PLACE, Offering, Servers
+from armlab.bridge.servers.supervisor import PLACE, Servers
 from armlab.errors import LinkError
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -57,8 +57,8 @@ def test_a_server_that_fails_is_left_dead() -> None:
     told: list[str] = []
     exchange.begin(lambda text, *_: told.append(text))
     program = QUIET + "while b'Now.' not in s.recv(100000): pass\n" + FAILS
-    with Servers(exchange, {"a": command(program)}, restarts=(0.01, 0.01)) as servers:
-        for ends in range(3):
+    with Servers(exchange, {"a": command(program)}, restarts=(0.01,)) as servers:
+        for ends in range(2):
             assert servers.ready() == ["here"]
             exchange.event("Now.")
             until(lambda ends=ends: len(told) > ends)
@@ -72,8 +72,8 @@ def test_a_server_that_ran_well_begins_a_new_series(well: float, outcome: str) -
     exchange = Hub([LEFT], ["a"])
     told: list[str] = []
     exchange.begin(lambda text, *_: told.append(text))
-    with Servers(exchange, {"a": command(WAITS)}, restarts=(0.01, 0.02), well=well) as servers:
-        for ends in range(3):
+    with Servers(exchange, {"a": command(WAITS)}, restarts=(0.01,), well=well) as servers:
+        for ends in range(2):
             assert servers.ready(60.0) == ["here"]
             until(lambda: servers._children[0].since is not None)
             os.kill(servers.processes()["a"], signal.SIGKILL)
@@ -219,20 +219,8 @@ def test_rows_of_a_link_are_offered_and_a_stop_holds_it(
     assert cells() == []
 
 
-def test_a_name_that_is_taken(robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The link that was opened for nothing leaves its port free."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    offering = Offering([robot], "small")
-    try:
-        with pytest.raises(LinkError, match="Expected the server local to listen"):
-            connect("egm://127.0.0.1:0", robot, offer="small")
-    finally:
-        offering.close()
-    assert cells() == []
-
-
 def test_who_only_listens_offers_what_it_hears(robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Again in the next run of the same link."""
+    """Again in the next run of the same link; the name is taken, and a link opened for nothing leaves its port free."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     with connect(f"sim://{robot.name}", robot, offer="small") as link, LocalFeed() as feed:
         feed.ask(Subscribe(rate=None))
@@ -244,3 +232,6 @@ def test_who_only_listens_offers_what_it_hears(robot: Robot, tmp_path: Path, mon
                     break
             else:
                 pytest.fail("no row came")
+        with pytest.raises(LinkError, match="Expected the server local to listen"):
+            connect("egm://127.0.0.1:0", robot, offer="small")
+        assert cells() == ["small"]

@@ -77,6 +77,11 @@ class Page:
         self.call("Page.close")
         self._socket.close()
 
+    def outside(self) -> list[str]:
+        """Return what it asked of another computer."""
+        here = ("http://127.0.0.1:", "ws://127.0.0.1:", "data:", "blob:")
+        return [url for url in self.requests if not url.startswith(here)]
+
     def value(self, script: str) -> Any:
         """Return the value of a JavaScript expression."""
         found = self.call("Runtime.evaluate", expression=script, returnByValue=True)

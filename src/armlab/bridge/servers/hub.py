@@ -230,5 +230,4 @@ class Hub:
 
 
 def _numbers(values: Sequence[float | None]) -> np.ndarray:
-    """Return the numbers, NaN for null."""
     return np.array([np.nan if value is None else value for value in values], dtype=float)

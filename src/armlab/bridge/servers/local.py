@@ -210,7 +210,6 @@ class LocalServer:
         self._selector = selectors.DefaultSelector()
 
     def run(self) -> None:
-        """Serve until the loop closes the feed."""
         self._listener.setblocking(False)
         for one in (self._loop, self._listener):
             self._selector.register(one, selectors.EVENT_READ)

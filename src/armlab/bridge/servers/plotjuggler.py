@@ -87,7 +87,6 @@ class _FieldGroup:
         ]
 
     def values(self, data: bytes) -> dict[str, Any]:
-        """Return the numbers of a row by name."""
         found: dict[str, Any] = {}
         for name, form, offset, keys in self._fields:
             values = form.unpack_from(data, offset)

@@ -154,7 +154,6 @@ class RowSchema:
 
     @classmethod
     def read(cls, text: bytes) -> RowSchema:
-        """Return the schema that was written as JSON."""
         import msgspec
 
         class Written(msgspec.Struct, forbid_unknown_fields=True):
@@ -221,7 +220,6 @@ class _Values(Mapping[str, Any]):
 
 
 def read_row(schema: RowSchema, data: bytes) -> Row:
-    """Return the row in `data`."""
     return Row(*read_head(schema, data), _Values(schema.fields, data))
 
 

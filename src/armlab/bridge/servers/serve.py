@@ -31,7 +31,6 @@ def serve(name: str, feed: socket.socket, options: Mapping[str, Any]) -> None:
 
 
 def main(name: str, number: str, options: str) -> int:
-    """Serve; return the status of the process."""
     with socket.socket(fileno=int(number)) as feed:
         try:
             serve(name, feed, json.loads(options))

@@ -133,11 +133,9 @@ class Watch:
 
     @property
     def lost(self) -> int:
-        """Rows that the feed lost."""
         return self._status.get("lost", 0)
 
     def take(self, message: Row | dict[str, Any]) -> None:
-        """Take one message of the local feed."""
         if not isinstance(message, dict):
             self._row = message
             if self._robot is not None and f"{self._robot}.q" not in message.values:
@@ -195,7 +193,6 @@ class Watch:
         return f"{', '.join(str(file) for file in self._files)}: {1e-6 * total:.1f} MB{hours}"
 
     def lines(self, now_ns: int) -> list[str]:
-        """Return one line per arm."""
         return [
             ", ".join(value if key == "arm" else f"{key} {value}" for key, value in arm.items())
             for arm in self.arms(now_ns)
@@ -221,7 +218,6 @@ def _size(file: Path) -> int | None:
 
 
 def _state(values: dict[str, Any], now_ns: int) -> str:
-    """Return what the arm does, or why it cannot move."""
     age = 1e-9 * (now_ns - values["receive_ns"])
     if age > _SILENT:
         return f"no packet for {age:.1f} s"

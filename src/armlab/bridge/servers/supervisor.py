@@ -37,7 +37,6 @@ _PATIENCE = 3.0  # s to end by itself before it is killed
 
 
 def server_command(name: str, options: Mapping[str, Any]) -> list[str]:
-    """Return the command that starts a server of armlab."""
     return [sys.executable, "-m", "armlab.bridge.servers.serve", name, PLACE, json.dumps(dict(options))]
 
 
@@ -93,7 +92,6 @@ class Servers:
         self.close()
 
     def close(self) -> None:
-        """End all processes."""
         self._over.set()
         self._thread.join()
         self._exchange.close()
@@ -116,7 +114,6 @@ class Servers:
         return [where for outlet in self._exchange.outlets.values() for where in outlet.where or ()]
 
     def processes(self) -> dict[str, int]:
-        """Return the process id of each server that runs."""
         running = [child for child in self._children if child.process is not None and child.process.poll() is None]
         return {child.name: child.process.pid for child in running if child.process is not None}
 

@@ -15,7 +15,6 @@ import pytest
 from armlab import robots
 from armlab.bridge.servers.labcomm.channels import (
     ArmChannel,
-    Channel,
     FusedArm,
     FusedChannel,
     FusedSource,
@@ -24,8 +23,8 @@ from armlab.bridge.servers.labcomm.channels import (
     Value,
 )
 from armlab.bridge.servers.labcomm.connection import QUEUE, Peer
-from armlab.bridge.servers.labcomm.rows import STOP, Order, Row, RowTypes, signed
-from armlab.errors import ConfigError, LabCommError, UnknownName
+from armlab.bridge.servers.labcomm.rows import Order, Row, RowTypes, signed
+from armlab.errors import ConfigError, LabCommError
 from armlab.wire.labcomm import Decoder, Encoder, Sample, idl, parse_lc
 from armlab.wire.labcomm.types import PRIMS, VOID, Array, Definition, SampleType, Unknown, Version
 
@@ -98,13 +97,6 @@ def test_fused_rows() -> None:
         FusedChannel(axes=range(1, 7))
 
 
-def test_ports_in_general() -> None:
-    with pytest.raises(UnknownName):
-        Channel("x", 0, dialect="2015")
-    with pytest.raises(NotImplementedError):
-        Channel("x", 0).put(None, [])
-
-
 def mutants(count: int) -> Iterator[bytes]:
     rng, encoder = random.Random(11), Encoder()
     raw = encoder.version() + encoder.define(COMMAND) + 3 * encoder.data(COMMAND, VALUE)
@@ -136,11 +128,10 @@ def obeyed(count: int) -> list[Row]:
     return taken
 
 
-@pytest.mark.parametrize("count", [500, pytest.param(50_000, marks=pytest.mark.slow)])
-def test_mutated_commands_are_whole_or_refused(count: int) -> None:
+def test_mutated_commands_are_whole_or_refused() -> None:
     """Each command that reaches the loop is finite and of the right length."""
-    rows = obeyed(count)
-    assert len(rows) > count // 2
+    rows = obeyed(500)
+    assert len(rows) > 250
     for row in rows:
         assert row.q is not None
         assert row.q.shape == (7,)
@@ -329,15 +320,6 @@ def test_arms_of_six_joints() -> None:
     for axes, order in (((1, 2, 2), "abb"), ((1, 2), "kinematic")):
         with pytest.raises(ConfigError, match="axis numbers"):
             RowTypes(axes, order)  # type: ignore[arg-type]
-
-
-def test_stop_has_no_value() -> None:
-    """Every dialect can say it."""
-    assert (STOP.name, STOP.type.fixed_size) == ("stop", 0)
-    for dialect in ("2014v1", "2014", "2014i", "2013", "2006"):
-        encoder, decoder = Encoder(dialect), Decoder()
-        events = decoder.feed(encoder.version() + encoder.define(STOP) + encoder.data(STOP, {}))
-        assert (events[-1].name, events[-1].type) == (STOP.name, STOP.type)  # type: ignore[union-attr]
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ import pytest
 from armlab import robots
 from armlab.bridge.arbiter import Arbiter
 from armlab.bridge.servers.labcomm import ArmChannel, LabCommServer, Row
-from armlab.bridge.servers.labcomm.channels import FusedArm, FusedChannel, ParameterChannel
+from armlab.bridge.servers.labcomm.channels import FusedArm, FusedChannel
 from armlab.bridge.servers.labcomm.rows import STOP, RowTypes
 from armlab.bridge.servers.labcomm.server import Ports, RowFeed, to_arbiter
 from armlab.errors import LinkError, UnknownName
@@ -123,24 +123,6 @@ def test_at_most_eight_clients(start: Start) -> None:
     clients[0].socket.close()
     until(lambda: one.server.counts["left"]["clients"] == 7)
     one.client("left").read(2)
-
-
-def test_parameters_are_set_and_echoed(start: Start) -> None:
-    def on_set(name: str, value: Any, who: str) -> Any:
-        return value if 0.0 <= value <= 1.0 else 0.5
-
-    one = start(ParameterChannel({"gain": 0.5}, 0, on_set))
-    (gain,) = parse_lc("sample double gain;")
-    assert isinstance(gain, SampleType)
-    a, b, encoder = one.client("parameters"), one.client("parameters"), Encoder()
-    for client in (a, b):
-        client.socket.sendall(encoder.version() + encoder.define(gain))
-        client.read(3)
-    a.socket.sendall(encoder.data(gain, 0.75) + encoder.data(gain, 7.0))
-    one.server.parameter("gain", 0.5)
-    for client in (a, b):
-        values = [event.value for event in client.read(6) if isinstance(event, Sample)]
-        assert sorted(values) == [0.5, 0.5, 0.5, 0.75]
 
 
 def test_a_row_of_another_shape_stops_nobody(start: Start) -> None:

@@ -30,11 +30,11 @@ from armlab.errors import LinkError
 from armlab.lie import quaternion, se3
 from armlab.log import Recorder, Tick
 from armlab.state import State
-from tests.processes import bound
+from tests.processes import bound, free_port
 
-from .conftest import PATIENCE, PYTHON, Ros, end, free_port
+from .conftest import PATIENCE, PYTHON, Ros, end
 
-ROWS = 1500  # 6 s
+ROWS = 750  # 3 s
 
 READER = """
 import json, sys, rospy
@@ -147,15 +147,15 @@ def test_a_node_gets_every_row_in_order(ros: Ros, running: Running) -> None:
     assert json.loads(texts[0]) == {"gain": 0.5}
     assert np.all(np.diff(numbers) > 0)
     assert values == np.sin(numbers).tolist()
-    counted = [number for number in numbers if numbers[0] + 500 <= number <= last]
-    assert len(counted) >= 0.999 * (last - numbers[0] - 500 + 1)
+    counted = [number for number in numbers if numbers[0] + 100 <= number <= last]
+    assert len(counted) >= 0.999 * (last - numbers[0] - 100 + 1)
     assert len(counted) > 500
 
 
 @pytest.mark.slow
 def test_a_refusal_is_in_the_log_of_ros(ros: Ros, running: Running) -> None:
-    """Wrong sizes, a position far from the arm, far too many numbers; the node is named."""
-    for data, words in (("0.0,0.0", "Expected 7 numbers"), (",".join(["9.0"] * 7), "first position within 0.05"), LONG):
+    """A position far from the arm, far too many numbers; the node is named."""
+    for data, words in ((",".join(["9.0"] * 7), "first position within 0.05"), LONG):
         topic = "/yumi_right/joint_group_position_controller/command"
         commander = ros.program(COMMANDER, topic, data, words)
         running.until(lambda commander=commander: commander.poll() is not None)
@@ -278,27 +278,6 @@ def test_each_of_many_nodes_is_answered_at_most_once_a_second(alone: Alone, monk
     assert len(alone.process._spoken) == 256
 
 
-@pytest.mark.slow
-def test_it_comes_back_when_the_master_does(ros: Ros, running: Running) -> None:
-    end(ros.master)
-    running.until(lambda: any("has gone or is another one" in text for text in running.told))
-    ros.start()
-    reader = ros.program(READER, str(10**9))
-    running.until(lambda: running.exchange.outlets["ros1"].where)
-    running.number = 10**9
-    running.until(lambda: reader.poll() is not None)
-    assert running.servers.dead == set()
-
-
-@pytest.mark.slow
-def test_a_relay_that_is_killed_ends_the_server_which_starts_again(ros: Ros, running: Running) -> None:
-    server = running.servers.processes()["ros1"]
-    (relay,) = Path(f"/proc/{server}/task/{server}/children").read_text().split()
-    os.kill(int(relay), signal.SIGKILL)
-    running.until(lambda: any("It starts again in 1 s" in text for text in running.told))
-    running.until(lambda: running.exchange.outlets["ros1"].where)
-
-
 def test_what_is_missing_is_told_in_one_sentence(tmp_path: Path) -> None:
     exchange = Hub([robots.load("yumi_right")], ["ros1"], about={"cell": "yumi"})
     with exchange.open("ros1") as feed, pytest.raises(LinkError, match="Expected a Python with rospy at /none"):
@@ -324,32 +303,6 @@ def test_no_master_or_another_address_is_told_in_one_sentence() -> None:
     ):
         Ros1Process(feed, options(uri, host="198.51.100.1")).run()
     exchange.close()
-
-
-@pytest.mark.slow
-def test_a_node_moves_the_arm_of_a_cell(ros: Ros, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    text = f"""
-    commands = ["ros1"]
-    [[robots]]
-    name = "yumi_left"
-    link = "sim://yumi_left"
-    speed = 0.5
-    [servers.ros1]
-    master = "{ros.uri}"
-    """
-    started: list[subprocess.Popen[bytes]] = []
-
-    def ready(line: str) -> None:
-        assert re.search(r"127\.0\.0\.1 \(ros1, master", line)
-        topic = "/yumi_left/joint_group_velocity_controller/command"
-        started.append(ros.program(COMMANDER, topic, "0,0,0,0.05,0,0,0", "never"))
-
-    run = run_cell(parse_cell(text), seconds=6.0, ready=ready, patience=20.0)
-    assert any("ros1 /commander commands yumi_left." in event for _, event in run.events)
-    moved = run.table["q"][-1] - run.table["q"][0]
-    assert moved[3] > 0.05
-    assert np.abs(np.delete(moved, 3)).max() < 0.01
 
 
 PUBLISHER = Path("/usr/lib/robot_state_publisher/robot_state_publisher")
@@ -422,3 +375,49 @@ def test_a_played_recording_drives_robot_state_publisher(ros: Ros, tmp_path: Pat
         frame, position, rotation = found[frame]
         T_base_tool = se3.from_rp(quaternion.to_matrix(np.array(rotation)), position) @ T_base_tool
     np.testing.assert_allclose(T_base_tool, kinematics.forward(ARM, Q), rtol=0, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_node_moves_the_arm_of_a_cell(ros: Ros, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    text = f"""
+    commands = ["ros1"]
+    [[robots]]
+    name = "yumi_left"
+    link = "sim://yumi_left"
+    speed = 0.5
+    [servers.ros1]
+    master = "{ros.uri}"
+    """
+    started: list[subprocess.Popen[bytes]] = []
+
+    def ready(line: str) -> None:
+        assert re.search(r"127\.0\.0\.1 \(ros1, master", line)
+        topic = "/yumi_left/joint_group_velocity_controller/command"
+        started.append(ros.program(COMMANDER, topic, "0,0,0,0.05,0,0,0", "never"))
+
+    run = run_cell(parse_cell(text), seconds=4.0, ready=ready, patience=20.0)
+    assert any("ros1 /commander commands yumi_left." in event for _, event in run.events)
+    moved = run.table["q"][-1] - run.table["q"][0]
+    assert moved[3] > 0.05
+    assert np.abs(np.delete(moved, 3)).max() < 0.01
+
+
+@pytest.mark.slow
+def test_a_server_whose_relay_is_killed_starts_again_and_comes_back_when_the_master_does(
+    ros: Ros, running: Running
+) -> None:
+    """The last of this module: its master ends."""
+    server = running.servers.processes()["ros1"]
+    (relay,) = Path(f"/proc/{server}/task/{server}/children").read_text().split()
+    os.kill(int(relay), signal.SIGKILL)
+    running.until(lambda: any("It starts again in 1 s" in text for text in running.told))
+    running.until(lambda: running.exchange.outlets["ros1"].where)
+    end(ros.master)
+    running.until(lambda: any("has gone or is another one" in text for text in running.told))
+    ros.start()
+    reader = ros.program(READER, str(10**9))
+    running.until(lambda: running.exchange.outlets["ros1"].where)
+    running.number = 10**9
+    running.until(lambda: reader.poll() is not None)
+    assert running.servers.dead == set()

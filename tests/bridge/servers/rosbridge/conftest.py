@@ -18,6 +18,10 @@ from armlab.robots import Robot, to_toml
 from armlab.state import State
 
 MS = 1_000_000  # ns
+HANDSHAKE = (
+    b"GET / HTTP/1.1\r\nHost: a\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+)
 
 
 ARMS = [robots.load("yumi_left"), robots.load("yumi_right")]

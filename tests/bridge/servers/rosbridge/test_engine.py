@@ -39,7 +39,6 @@ from armlab.bridge.servers.rosbridge.protocol import (
     publish,
     read_operation,
     read_type,
-    type_name,
 )
 from armlab.errors import CommandRefused
 
@@ -91,15 +90,6 @@ def test_what_nobody_says_comes_from_the_configuration(bench: Bench) -> None:
     assert "secs" in bench.ask(client, "/rosapi/get_time")["time"]
 
 
-def test_a_topic_is_encoded_once_for_all_of_one_dialect(bench: Bench) -> None:
-    clients = [bench.client(f"c{k}") for k in range(3)]
-    for client in clients:
-        bench.say(client, op="subscribe", topic=STATES)
-    bench.row()
-    (first, second, third) = (client.outbox.take(1) for client in clients)
-    assert first[0] is second[0] is third[0]
-
-
 def test_a_topic_that_nobody_wants_any_more_costs_nothing(bench: Bench) -> None:
     client = bench.client()
     for id_ in ("a", "b"):
@@ -114,14 +104,6 @@ def test_a_topic_that_nobody_wants_any_more_costs_nothing(bench: Bench) -> None:
     assert client.subscriptions == {}
 
 
-def test_throttle_and_queue(bench: Bench) -> None:
-    client = bench.client()
-    bench.say(client, op="subscribe", topic=STATES, throttle_rate=20)
-    for _ in range(50):
-        bench.row()
-    assert len(bench.heard(client)) == 10
-
-
 @pytest.mark.parametrize(
     ("operation", "words"),
     [
@@ -129,20 +111,15 @@ def test_throttle_and_queue(bench: Bench) -> None:
         ({"op": "subscribe", "topic": STATES, "type": "sensor_msgs/Imu"}, "Expected sensor_msgs/JointState for"),
         ({"op": "subscribe", "topic": STATES, "type": "JointState"}, "Expected a type such as"),
         ({"op": "subscribe", "topic": STATES, "compression": "png"}, "no compression"),
-        ({"op": "subscribe", "topic": STATES, "compression": "cbor"}, "no compression"),
         ({"op": "subscribe", "topic": STATES, "fragment_size": 100}, "sent whole"),
         ({"op": "subscribe", "topic": STATES, "throttle_rate": -1}, "throttle_rate"),
-        ({"op": "subscribe", "topic": STATES, "queue_length": "many"}, "queue_length"),
         ({"op": "subscribe"}, "missing required field `topic`"),
         ({"op": "fragment", "data": "", "num": 0, "total": 1}, "fragments are not taken"),
         ({"op": "png", "data": ""}, "pictures"),
         ({"op": "advertise_service", "service": "/a"}, "one of the operations advertise, call_service"),
         ({"op": "advertise", "topic": "/mine", "type": "std_msgs/String"}, "topic that this cell takes"),
-        ({"op": "advertise", "topic": POSITION, "type": "std_msgs/String"}, "Float64MultiArray for"),
         ({"op": "publish", "topic": STATES, "msg": {}}, "topic that this cell takes"),
         ({"op": "publish", "topic": POSITION, "msg": {"data": SEVEN[:6]}}, "Expected 7 numbers .* got 6"),
-        ({"op": "publish", "topic": POSITION, "msg": {"data": [*SEVEN[:6], None]}}, "finite numbers"),
-        ({"op": "publish", "topic": POSITION, "msg": {"data": [*SEVEN[:6], "a"]}}, "Expected 7 numbers"),
         ({"op": "publish", "topic": POSITION, "msg": [1]}, "msg"),
         ({"op": "publish", "topic": "/yumi_left/set_parameter", "msg": {"data": "gain"}}, "Expected JSON"),
         ({"op": "service_response", "service": "/a", "result": True}, "never called"),
@@ -344,7 +321,7 @@ _VALUES = {
 _OPERATION = st.fixed_dictionaries({}, optional={name: value | _JSON for name, value in _VALUES.items()})
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(said=st.lists(_OPERATION | _JSON | st.text() | st.binary(), max_size=8))
 def test_whatever_a_client_says_is_done_or_answered(said: list[Any]) -> None:
     """Any JSON, any text, any bytes: no exception; what goes out is JSON, what is asked is a request."""
@@ -473,13 +450,6 @@ TYPES = store().types
 
 def encoded(topic: str, message: Any, dialect: Dialect, seq: int) -> bytes:
     return publish(topic, message, message.__msgtype__, dialect, seq)
-
-
-def test_the_text_of_a_type_tells_the_dialect() -> None:
-    assert read_type("sensor_msgs/JointState") == ("sensor_msgs/msg/JointState", "ros1")
-    assert read_type("sensor_msgs/msg/JointState") == ("sensor_msgs/msg/JointState", "ros2")
-    assert type_name("sensor_msgs/msg/JointState", "ros1") == "sensor_msgs/JointState"
-    assert type_name("sensor_msgs/msg/JointState", "ros2") == "sensor_msgs/msg/JointState"
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from armlab.robots import Robot
 
 from ....processes import free_port
 from ..conftest import until
-from .conftest import Running
+from .conftest import Running, heard
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
 Start = Callable[..., Running]
@@ -45,12 +45,6 @@ def bridge_files(lab: Path) -> dict[str, str]:
 
 def user(lab: Path, name: str) -> dict[str, str]:
     return {"lab": "lab1", "ca": str(lab / "lab.pem"), "secret": str(lab / f"{name}.secret")}
-
-
-def heard(session: Any, name: str) -> list[Any]:
-    samples: list[Any] = []
-    session.declare_subscriber(name, lambda sample: samples.append(sample))
-    return samples
 
 
 def test_a_commander_commands_and_a_viewer_reads(start: Start, session: Open, lab: Path, robot: Robot) -> None:

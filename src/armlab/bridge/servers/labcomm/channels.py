@@ -22,15 +22,19 @@ OnCommand = Callable[[str, Row, str], None]
 class Channel:
     """One port."""
 
+    sent: SampleType | None = None  # the one type that goes out, where it is one
+
     def __init__(self, name: str, port: int, dialect: str = "2014v1", follows_client: bool = False) -> None:
         self.name, self.port, self.follows_client = name, port, follows_client
         self.dialect = dialect_named(dialect).name
         self.counts: Counter[str] = Counter()
 
     def greet(self, peer: Peer) -> None:
-        """Queue what a client gets on accept."""
+        """Queue what a client gets on accept: VERSION, and the definition of what follows."""
         if peer.encoder is not None:
             peer.push(peer.encoder.version(), may_drop=False)
+            if self.sent is not None:
+                peer.push(peer.encoder.define(self.sent), may_drop=False)
 
     def take(self, peer: Peer, event: Event, peers: Iterable[Peer]) -> None:
         """Take one event of a client; by default data is read and dropped."""
@@ -87,13 +91,8 @@ class ArmChannel(Channel):
     ) -> None:
         super().__init__(name, port, dialect, follows_client)
         self.types = RowTypes(axes, order, types)
+        self.sent = self.types.sent
         self._on_command, self._on_left = on_command, on_left
-
-    def greet(self, peer: Peer) -> None:
-        """Queue VERSION and the definition of the row; rows follow."""
-        super().greet(peer)
-        if peer.encoder is not None:
-            peer.push(peer.encoder.define(self.types.sent), may_drop=False)
 
     def put(self, item: Row, peers: Iterable[Peer]) -> None:
         """Queue one row for all clients."""
@@ -153,16 +152,10 @@ class FusedChannel(Channel):
         follows_client: bool = False,
     ) -> None:
         super().__init__("fused", port, dialect, follows_client)
-        self._sample = idl.samples("armlab")["fused_row"]
+        self.sent = self._sample = idl.samples("armlab")["fused_row"]
         self._types = RowTypes(axes, order)
         if self._types.n != 7:
             raise ConfigError(f"Expected arms of 7 joints for fused rows, got {self._types.n}.")
-
-    def greet(self, peer: Peer) -> None:
-        """Queue VERSION and the definition of the row; rows follow."""
-        super().greet(peer)
-        if peer.encoder is not None:
-            peer.push(peer.encoder.define(self._sample), may_drop=False)
 
     def put(self, item: tuple[int, Sequence[FusedArm], Sequence[FusedSource]], peers: Iterable[Peer]) -> None:
         """Queue one fused row for all clients: (t_us, arms, sources)."""
@@ -241,7 +234,6 @@ class ParameterChannel(Channel):
             self.put((event.name, taken), peers)
 
     def left(self, peer: Peer) -> None:
-        """Forget what a client asked for."""
         self._asked.pop(peer, None)
 
     def _types(self, name: str) -> tuple[Type, ...]:

@@ -18,7 +18,6 @@ from armlab.wire.labcomm.types import Event, SampleType
 
 
 def connected(host: str, port: int, patience: float) -> socket.socket:
-    """Return a connected socket."""
     try:
         return socket.create_connection((host, port), timeout=patience)
     except (OSError, OverflowError) as error:

@@ -42,7 +42,6 @@ class Peer:
 
     @property
     def is_waiting(self) -> bool:
-        """Whether something is to be sent."""
         return bool(self._rest or self._queue)
 
     @property
@@ -64,7 +63,6 @@ class Peer:
         queue.append((packet, may_drop))
 
     def clear(self) -> None:
-        """Drop the data that waits, for something newer: an old command is worse than none."""
         kept = [entry for entry in self._queue if not entry[1]]
         self.dropped += len(self._queue) - len(kept)
         self._queue = deque(kept)
@@ -99,10 +97,7 @@ class Peer:
         return self.decoder.feed(data)
 
     def overdue(self, now: float) -> str:
-        """Return why the connection must be closed, "" when it need not.
-
-        now : monotonic [s].
-        """
+        """Return why the connection must be closed, "" when it need not. now : monotonic [s]."""
         if self.decoder.pending:
             position, since = self._packet
             if position != self.decoder.offset:
@@ -116,6 +111,5 @@ class Peer:
         return ""
 
     def close(self) -> None:
-        """Close the connection."""
         with contextlib.suppress(OSError):
             self.socket.close()

@@ -64,11 +64,9 @@ class RowPort:
         self._peer: Peer | None = self._greeted()
 
     def fileno(self) -> int:
-        """Return the file descriptor; it stays the same when the connection is made again."""
         return self._socket.fileno()
 
     def close(self) -> None:
-        """Close the connection."""
         self._socket.close()
         if self._fresh is not None:
             self._fresh.close()
@@ -190,6 +188,5 @@ class RowCodec(RowsAsPackets):
         )
 
     def encode(self, ref: Reference) -> bytes:
-        """Return the packet of one command row."""
         types = self._types
         return self._encoder.data(types.accepted, types.value(Row(ref.tm_ms, ref.q, ref.qd, ref.tau), types.accepted))

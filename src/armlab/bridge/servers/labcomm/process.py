@@ -132,22 +132,20 @@ class LabCommProcess:
         self._ports = Ports(self._channels(), options["host"], self._event, self._stop, feed)
 
     def run(self) -> None:
-        """Serve until the loop closes the feed."""
         host, ports = self._options["host"], self._ports
         self._loop.ask(Listening(where=[f"{host}:{port} (labcomm, {name})" for name, port in ports.numbers.items()]))
         try:
-            most = 1
-            while self._take(most):
-                most = _ROWS if ports.turn() else 1  # a row that came alone is worth no second look
+            while self._take():
+                ports.turn()
                 for request in self._commands.values():
                     self._loop.ask(request)
                 self._commands.clear()
         finally:
             ports.close()
 
-    def _take(self, most: int) -> bool:
+    def _take(self) -> bool:
         """Send what has come from the loop, so many rows at most; False when the loop has gone."""
-        for _ in range(most):
+        for _ in range(_ROWS):
             messages = self._loop.receive()
             if messages is None:
                 return False

@@ -120,7 +120,6 @@ class Ports:
         return served
 
     def close(self) -> None:
-        """Close all connections and ports."""
         for peers in self._peers.values():
             for peer in peers:
                 peer.close()

@@ -132,7 +132,6 @@ _BASE: dict[str, Any] = {
 
 
 def topic_name(name: str) -> str:
-    """Return the DDS name of a ROS topic."""
     return f"rt{name}"
 
 
@@ -206,7 +205,6 @@ class Writers:
             self._writers[name] = DataWriter(participant, made, _STATE, listener)
 
     def write(self, topic: RosTopic, cdr: bytes) -> None:
-        """Send one message."""
         written, full = self.counts.get(topic.name, (0, 0))
         went = write_cdr(self._writers[topic.name], cdr + bytes(-len(cdr) % 4))
         self.counts[topic.name] = (written + 1, full) if went else (written, full + 1)
@@ -322,7 +320,6 @@ class DdsServer(RosServer):
         self._writers.write(topic, cdr)
 
     def run(self) -> None:
-        """Serve until the loop closes the feed."""
         with joined(self._domain, self._host) as participant:
             writers = self._writers = Writers(participant, self._topics.published)
             readers = Readers(participant, self._commands.types, self.take, self.left)

@@ -74,7 +74,6 @@ class Origin(NamedTuple):
     writer: bytes
 
     def pack(self) -> bytes:
-        """Return the 33 bytes."""
         return _ORIGIN.pack(self.seq, self.stamp_ns, _ID, self.writer)
 
     @classmethod
@@ -175,7 +174,6 @@ class RmwZenohServer(RosServer):
         self._declared: list[Any] = []  # tokens and readers: they go with the last that holds them
 
     def run(self) -> None:
-        """Serve until the loop closes the feed."""
         try:
             self._declare()
             self._loop.ask(Listening(where=[f"{self._where}, rmw_zenoh, domain {self._domain}"]))
@@ -188,7 +186,6 @@ class RmwZenohServer(RosServer):
         return self._wanted
 
     def write(self, topic: RosTopic, cdr: bytes) -> None:
-        """Send one message."""
         self._outputs[topic.name].put(cdr, self._writers[topic.name].next(time.time_ns()))
 
     def _look(self) -> None:

@@ -57,7 +57,6 @@ def domain_number(given: int | None, environment: Mapping[str, str] = os.environ
 
 
 def type_name(name: str) -> str:
-    """Return the name that the wire has for a ROS 2 message type."""
     package, kind, message = name.split("/")
     return f"{package}::{kind}::dds_::{message}_"
 

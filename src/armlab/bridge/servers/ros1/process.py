@@ -81,7 +81,6 @@ class Subscribers:
                 self._let_go(one)
 
     def close(self) -> None:
-        """End all connections."""
         for one in list(self._connections.values()):
             self._let_go(one)
 
@@ -131,7 +130,6 @@ class _Connection:
         return int(dropped)
 
     def write(self) -> None:
-        """Write what waits, as far as there is room. OSError when it has ended."""
         while self.waiting:
             data = self.waiting[0]
             try:
@@ -185,7 +183,6 @@ class Ros1Process(RosServer):
         self._subscribers.send(topic, _ros1(topic, cdr))
 
     def run(self) -> None:
-        """Serve until the loop closes the feed."""
         own = tempfile.TemporaryDirectory(prefix="armlab-ros-", ignore_cleanup_errors=True)
         held = contextlib.closing(self._subscribers)
         with own as home, tempfile.TemporaryFile() as self._log, self._relay(home) as self._node, held:

@@ -25,7 +25,6 @@ _PATIENCE = 3.0  # s for the master to answer
 
 
 def main() -> int:
-    """Run the node until the input ends; return the status of the program."""
     sys.path[:] = [one for one in sys.path if Path(one).resolve() != Path(__file__).parent]  # process.py is no module
     pipe = socket.socket(fileno=os.dup(0))
     os.dup2(2, 1)  # rospy prints

@@ -170,7 +170,6 @@ class ClientSession:
             self._send({"op": "status", **about, "level": level, "msg": text}, now_ns)
 
     def response(self, service: str, id_: str | int | None, values: Any, is_done: bool, now_ns: int) -> None:
-        """Answer the call of a service."""
         about = {} if id_ is None else {"id": id_}
         message = {"op": "service_response", **about, "service": service, "values": values, "result": is_done}
         self._send(message, now_ns)
@@ -210,12 +209,10 @@ class Engine:
         self.sessions: dict[str, ClientSession] = {}
 
     def join(self, name: str, may_ask: bool = True) -> ClientSession:
-        """Return the session of a new client."""
         session = self.sessions[name] = ClientSession(name, may_ask)
         return session
 
     def leave(self, session: ClientSession) -> None:
-        """Forget a client that has gone."""
         del self.sessions[session.name]
         self._loop.ask(Leave(session.name))
 
@@ -230,7 +227,6 @@ class Engine:
             self._loop.ask(Report(session.name, str(error)))
 
     def row(self, data: bytes, now_ns: int) -> None:
-        """Send a row to those who want it."""
         self._publish(lambda wanted: self._topics.of_row(data, wanted.keys()), now_ns)
 
     def text(self, message: Mapping[str, Any], now_ns: int) -> None:

@@ -37,13 +37,11 @@ def read_type(text: str) -> tuple[str, Dialect]:
 
 
 def type_name(type_: str, dialect: Dialect) -> str:
-    """Return the name of a type in a dialect."""
     return type_.replace("/msg/", "/") if dialect == "ros1" else type_
 
 
 @cache
 def fields(type_: str) -> tuple[str, ...]:
-    """Return the names of the fields of a message."""
     return tuple(name for name, _ in store().fielddefs[type_][1] if name != _FILLER)
 
 
@@ -187,7 +185,6 @@ _WRONG = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
 def read_operation(data: bytes | str) -> Operation:
-    """Return the operation in a message of a client."""
     if isinstance(data, bytes):
         raise CommandRefused(f"Expected a text message with JSON, got a binary one of {len(data)} bytes.")
     if len(data) > LARGEST:
@@ -265,7 +262,6 @@ class Rosapi:
         self.services = tuple(f"/rosapi/{name}" for name in self._made)
 
     def arguments(self, service: str, given: dict[str, Any] | list[Any] | None) -> Arguments:
-        """Return the arguments of a call by name."""
         full = full_name(service)
         if full not in self.services:
             raise UnknownName.among("service", service[:80], self.services)
@@ -273,7 +269,6 @@ class Rosapi:
         return dict(zip(names, given)) if isinstance(given, list) else given or {}
 
     def answer(self, service: str, arguments: Arguments, dialect: Dialect) -> dict[str, Any]:
-        """Return the values that a service answers with."""
         return self._made[full_name(service).removeprefix("/rosapi/")][2](arguments, dialect)
 
     def _all_topics(self, given: Arguments, dialect: Dialect) -> dict[str, Any]:

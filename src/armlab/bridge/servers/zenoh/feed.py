@@ -76,7 +76,6 @@ class ZenohFeed:
         self.close()
 
     def close(self) -> None:
-        """Leave."""
         close_session(self._session)
 
     def wait(self, seconds: float) -> bool:

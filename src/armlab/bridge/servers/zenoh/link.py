@@ -63,11 +63,9 @@ class ZenohPort:
         self._rows = self._session.declare_subscriber(key(place.lab, robot.name, "live"), self._take)
 
     def fileno(self) -> int:
-        """Return the file descriptor on which rows can be waited for."""
         return self._outer.fileno()
 
     def close(self) -> None:
-        """Leave."""
         close_session(self._session)
         self._inner.close()
         self._outer.close()

@@ -26,12 +26,10 @@ _ATTACHED = struct.Struct("<16sqq")
 
 
 def key(lab: str, robot: str, what: str) -> str:
-    """Return a key."""
     return f"armlab/{lab}/{robot}/{what}"
 
 
 def robot_of(name: str) -> tuple[str, str]:
-    """Return lab and robot of a key."""
     _, lab, robot, *_ = name.split("/")
     return lab, robot
 
@@ -44,12 +42,10 @@ class Attachment(NamedTuple):
     stamp_ns: int
 
     def pack(self) -> bytes:
-        """Return the bytes."""
         return _ATTACHED.pack(*self)
 
     @classmethod
     def read(cls, data: bytes | None) -> Attachment:
-        """Return what the bytes say."""
         if data is None or len(data) != _ATTACHED.size:
             got = "none" if data is None else f"{len(data)} bytes"
             raise CommandRefused(
@@ -183,7 +179,6 @@ class Inbox(Generic[T]):
         return len(self._waiting)
 
     def put(self, message: T, size: int = 0) -> None:
-        """Keep a message, and wake who waits."""
         size = max(size, _LEAST)
         with self._came:
             while self._waiting and (len(self._waiting) >= self._most or self._size + size > _MOST):
@@ -236,10 +231,7 @@ _SUM = struct.Struct("<I")
 
 
 def checksum(data: bytes) -> bytes:
-    """Return the CRC-32 of a row, 4 bytes, little-endian.
-
-    Reference: ISO 3309, the CRC-32 of zlib and Ethernet.
-    """
+    """Return the CRC-32 of a row, 4 bytes, little-endian. Reference: ISO 3309, the CRC-32 of zlib and Ethernet."""
     return _SUM.pack(zlib.crc32(data))
 
 

@@ -46,7 +46,6 @@ class ZenohProcess:
         )
 
     def run(self) -> None:
-        """Serve until the loop closes the feed."""
         try:
             for arm in self._arms.values():
                 self._declare(arm)

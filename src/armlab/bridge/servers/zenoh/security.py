@@ -63,7 +63,6 @@ class Security:
         return None not in (self.ca, self.certificate, self.key, self.users)
 
     def values(self, listens: bool) -> dict[str, Any]:
-        """Return the values of Zenoh's configuration by key."""
         found: dict[str, Any] = {}
         if self.ca is not None:
             found["transport/link/tls/root_ca_certificate"] = str(self.ca.absolute())

@@ -38,7 +38,6 @@ _watcher: list[threading.Thread] = []
 
 
 def zenoh() -> Any:
-    """Return the module."""
     try:
         import zenoh as module
     except ImportError:
@@ -295,7 +294,6 @@ class LabAddress(NamedTuple):
 
     @classmethod
     def of(cls, host: str, port: int, options: dict[str, str]) -> LabAddress:
-        """Return the address for a host, a port and options."""
         unknown = sorted(set(options) - {"lab", *_OPTIONS})
         if unknown:
             raise ConfigError(f"Expected only ca and secret as options of a zenoh link, got {', '.join(unknown)}.")
