@@ -16,8 +16,7 @@ import numpy as np
 
 from armlab import robots
 from armlab.bridge.servers.row import RowSchema, RowWriter, beginning
-from armlab.bridge.servers.zenoh.feed import ZenohFeed
-from armlab.bridge.servers.zenoh.link import ZenohCodec, ZenohPort
+from armlab.bridge.servers.zenoh.feed import ZenohCodec, ZenohFeed, ZenohPort
 from armlab.bridge.servers.zenoh.messages import Gaps, Inbox, checksum, read_about
 from armlab.errors import ArmlabError, LinkError
 from armlab.fleet.discovery import _Seen

@@ -204,16 +204,8 @@ def test_the_arms_are_drawn_as_the_bridge_has_them(server: Any, bridge: Any, fol
     view._due = 0.0
     view.draw()
     said = view._arms["yumi_right"]._panel._words._html.content
-    for word in (
-        "no state of the motors",
-        "rate [Hz]",
-        "p50 / p99 / max [us]",
-        "clamps per joint",
-        "commander",
-        "refused",
-    ):
+    for word in ("no state of the motors", "rate [Hz]", "clamps per joint", "estimate of the controller"):
         assert word in said
-    assert "estimate of the controller" in said
     assert view._state._html.content.count("Cell small") == 1
 
 

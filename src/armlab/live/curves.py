@@ -80,12 +80,7 @@ def envelope(t: np.ndarray, values: np.ndarray, stretches: int = _STRETCHES) -> 
 
 
 class Curves:
-    """One plot of k curves over time in the panel.
-
-    `title`: with the unit, for example "torque [N m]". `labels`, `colors`: of the k curves, for the line above the
-    plot; colours such as "#0072B2". `band`: whether bands are drawn around the curves. `cursor`: whether a vertical
-    line marks an instant. `limits`: ends of the scale; it follows the data when None. `height`: of the plot [pixels].
-    """
+    """One plot of k curves over time, with bands around them and a cursor at an instant where asked for."""
 
     def __init__(
         self,
@@ -134,11 +129,7 @@ class Curves:
         self._heading.visible = self._plot.visible = False
 
     def show(self, t: ArrayLike, values: ArrayLike, half: ArrayLike | None = None, *, at: float | None = None) -> None:
-        """Draw curves in place of the last ones. Many samples become an envelope.
-
-        `t`: (N,) increasing [s]. `values`: (N, k); a curve is interrupted where it is NaN. `half`: (N, k) half width of
-        the bands; no band where it is NaN. `at`: of the cursor [s].
-        """
+        """Draw (N, k) curves over t (N,) [s], interrupted at NaN, and bands of half width; many samples as envelope."""
         t, values = numbers(t, "times of curves", ShapeError), numbers(values, "curves", ShapeError)
         if t.ndim != 1 or values.shape != (len(t), self.k):
             raise ShapeError(f"Expected curves of shape (N, {self.k}) over t (N,), got {values.shape} over {t.shape}.")
@@ -201,10 +192,7 @@ class Window:
         self._drawn = -np.inf
 
     def push(self, t: float, values: ArrayLike, half: ArrayLike | None = None) -> None:
-        """Add a sample, which the next `draw` shows; a time that does not advance begins anew.
-
-        `t`: [s]. `values`: (k,). `half`: (k,) half width of the bands.
-        """
+        """Add a sample (k,) at t [s], which the next `draw` shows; a time that does not advance begins anew."""
         if len(self._recent) and t <= self._recent.t[-1]:
             self._recent.clear()
             self._drawn = -np.inf
@@ -248,11 +236,7 @@ class Lines(Markup):
 
 
 class ArmPanel:
-    """Words and plots of one arm, where ``with`` of a folder or tab of the panel puts them.
-
-    `limits`: ends of the scales by name of the plot: "torque", "force", "moment"; they follow the data otherwise.
-    `torque`, `force`, `moment`: plots, see `Curves`: n curves, three with bands, three with bands.
-    """
+    """Words and plots of one arm, where ``with`` of a folder or tab puts them; limits by name of the plot."""
 
     def __init__(self, gui: Any, robot: Robot, limits: Mapping[str, tuple[float, float]] | None = None) -> None:
         limits = limits or {}

@@ -32,13 +32,7 @@ _LATE = 0.1  # s: what a look takes longer than it was to wait is no listening, 
 
 
 class SeenRobot:
-    """What is known of a robot; all methods belong to one thread.
-
-    `name`: "lab1/yumi_left". `robot`: its description under that name, None before its bridge said it; another object
-    when it changed. `row`: the newest, None without any. `rows`, `damaged`: rows that came, and those of another
-    checksum. `rate`, `missed`: of its packets at the bridge [Hz], and packets that did not come there since somebody
-    looked; NaN and 0 before the bridge said them.
-    """
+    """What is known of a robot, in one thread; None, NaN and 0 before its bridge has said it."""
 
     def __init__(self, name: str) -> None:
         self.name, self._arm = name, name.rpartition("/")[2]
@@ -125,10 +119,7 @@ class SeenRobot:
 
 
 class FleetRows:
-    """The newest of all robots at a router, thirty rows a second of each; what is slow to be read is dropped.
-
-    `robots`: by "lab/robot", in the order in which they came; who goes stays.
-    """
+    """The newest of all robots at a router by lab/robot, thirty rows a second of each; who goes stays."""
 
     def __init__(self, place: LabAddress, patience: float = 5.0) -> None:
         self.place, self.robots = place, dict[str, SeenRobot]()
@@ -197,12 +188,7 @@ def watch_fleet(
     tell: Callable[[str], None] = lambda sentence: None,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Show all robots at a router in the browser, until `over` or an interrupt: those that come, too, and who goes.
-
-    `place`: of the router; its `lab` may be `servers.zenoh.keys.EVERY`. `port`: of the view on this computer; from
-    8080 on the first that is free when None. `tell`: told who comes and goes, and once who says what cannot be
-    understood. `over`: whether to end; asked at each frame.
-    """
+    """Show all robots at a router in the browser until `over` or an interrupt, and tell who comes and goes."""
     rows = FleetRows(place)
     try:
         server = start(port)
@@ -229,10 +215,7 @@ def watch_fleet(
 
 
 class FleetView:
-    """Scene and panel of all robots, drawn frame by frame.
-
-    A robot whose bridge has gone, or that is silent, is not drawn: its place and its name stay, and say so.
-    """
+    """Scene and panel of all robots, drawn frame by frame; of one that is gone or silent the name alone."""
 
     def __init__(self, server: ViserServer, rows: FleetRows) -> None:
         self._server, self._rows = server, rows

@@ -36,11 +36,7 @@ _ESTIMATE_GAP = 1.0  # s without a packet, after which an estimate begins anew
 
 
 class Force(NamedTuple):
-    """The wrench on an arm.
-
-    `wrench`: (6,) by the environment on the robot, base axes, at the tool point [N, N m]. `covariance`: (6, 6) of it;
-    None where it is not known.
-    """
+    """The wrench (6,) by the environment on the robot, base axes, at the tool [N, N m], covariance where known."""
 
     wrench: np.ndarray
     covariance: np.ndarray | None
@@ -48,13 +44,7 @@ class Force(NamedTuple):
 
 
 class Running:
-    """The newest row of a running bridge. It only reads; the feed drops what is not read in time.
-
-    `robot`: this arm only; None for all. `zenoh`: of a bridge elsewhere, see `LabAddress.read`. `rate`: rows per second
-    to ask for; with models every row is. `models`: torque models, each for the arm that it was identified on, for a
-    bridge that sends no estimate. `robots`: the arms by name, none before the first bridge was found; another object
-    when they changed. `row`: the newest, None without any.
-    """
+    """The newest row of a running bridge, here or over Zenoh; with models every row, for their estimates of forces."""
 
     def __init__(
         self,
@@ -84,10 +74,7 @@ class Running:
         self._feed = None
 
     def hear(self, seconds: float) -> bool:
-        """Wait for a message, take all that wait behind it, and return whether a row was among them.
-
-        Without a bridge, look for one twice a second.
-        """
+        """Wait for a message, take all that wait, return whether one was a row; without a bridge look for one."""
         if self._feed is None:
             self._look(seconds)
         before = self.row
@@ -211,14 +198,7 @@ def watch(
     tell: Callable[[str], None] = lambda sentence: None,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Show a running bridge in the browser, until `over` or an interrupt: before it starts, and after its end.
-
-    The bridge notices nothing of it: rows come from its local feed or over Zenoh, and nothing is sent back.
-
-    `robot`: this arm only; None for all. `zenoh`: where a bridge elsewhere is, see `LabAddress.read`; "" for one of
-    this user. `models`: torque models for a bridge that sends no estimate of the force. `port`: of the view on this
-    computer; from 8080 on the first that is free when None. `over`: whether to end; asked at each frame.
-    """
+    """Show a running bridge in the browser until `over` or an interrupt, also before it starts and after its end."""
     server = start(port)
     running = Running(robot, cell, zenoh=zenoh, rate=1.0 / _FRAME, models=models)
     try:

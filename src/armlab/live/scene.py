@@ -46,10 +46,7 @@ class Surface(NamedTuple):
 
 
 def capsule(a: np.ndarray, b: np.ndarray, radius: float) -> Surface:
-    """Return all points within a radius of the line from a to b: a cylinder and two half spheres.
-
-    `a`, `b`: (3,) ends of the line; the same make a sphere. `radius`: [m].
-    """
+    """Return all points within a radius of the line from a to b: a cylinder and two half spheres."""
     polar = np.linspace(0.0, np.pi, _SIDES + 1)
     polar = np.insert(polar, _SIDES // 2, np.pi / 2)  # the equator twice: one ring for each end
     height = np.where(np.arange(len(polar)) <= _SIDES // 2, np.linalg.norm(b - a), 0.0)
@@ -224,11 +221,7 @@ class ForceArrow:
         self._arrow.handle.visible = self._spread.handle.visible = False
 
     def show(self, tool: np.ndarray, force: np.ndarray | None, covariance: np.ndarray | None, unit: float) -> None:
-        """Draw a force; nothing where it is missing or NaN.
-
-        `tool`: (3,) where it acts [m]. `force`: (3,) [N]. `covariance`: (3, 3) of it; no ellipsoid where it is
-        missing. `unit`: length of a force [m/N].
-        """
+        """Draw a force (3,) [N] at the tool, `unit` metres long per newton, with its ellipsoid; nothing where NaN."""
         if force is None or not np.isfinite(force).all():
             self.hide()
             return
@@ -254,10 +247,7 @@ class ForceArrow:
 
 
 def ellipsoid_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the axes (3, 3), columns of a rotation, and half axes (3,) of the two-sigma ellipsoid.
-
-    ``{x : x^T C^-1 x = 4}``.
-    """
+    """Return axes, columns of a rotation, and half axes of the two-sigma ellipsoid ``{x : x^T C^-1 x = 4}``."""
     size, axes = np.linalg.eigh(covariance)
     if np.linalg.det(axes) < 0.0:
         axes[:, 0] *= -1.0
@@ -342,10 +332,7 @@ class RobotScene:
         self._arms.pop(name).root.remove()
 
     def arrange(self, T_world_base: Mapping[str, ArrayLike]) -> None:
-        """Put arms elsewhere, floor and camera about them all; who looks already keeps the camera.
-
-        `T_world_base`: (4, 4) poses of bases by name of the arm.
-        """
+        """Put bases (4, 4) elsewhere, floor and camera about them all; who looks already keeps the camera."""
         for name, T in T_world_base.items():
             self._robot(name)
             arm = self._arms[name]
@@ -370,10 +357,7 @@ class RobotScene:
         self._arms[name].show(q, force, spread, positive(self.arrow, "length of a force [m/N]"))
 
     def trace(self, name: str, points: ArrayLike) -> None:
-        """Draw the path of an arm's tool; fewer than two finite points hide it.
-
-        `points`: (K, 3) base axes [m]; long ones are thinned.
-        """
+        """Draw the path (K, 3) of an arm's tool, base axes [m], thinned; fewer than two finite points hide it."""
         self._robot(name)
         points = numbers(points, "points of a path", ShapeError)
         if points.ndim != 2 or points.shape[1] != 3:
@@ -381,10 +365,7 @@ class RobotScene:
         self._arms[name].trace(points[np.isfinite(points).all(axis=1)])
 
     def frame(self, name: str, T_world_x: ArrayLike | None, length: float = 0.1) -> None:
-        """Draw a named frame, move it, or take it away.
-
-        `T_world_x`: (4, 4); None takes it away. `length`: of its axes [m].
-        """
+        """Draw a named frame (4, 4), move it, or take it away with None; `length` of its axes [m]."""
         if T_world_x is None:
             if name in self._frames:
                 self._frames.pop(name).remove()

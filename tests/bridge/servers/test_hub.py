@@ -19,16 +19,10 @@ from armlab.bridge.net.sockets import pair
 from armlab.bridge.servers.hub import OPERATOR, Hub
 from armlab.bridge.servers.messages import (
     CommandRequest,
-    Counted,
-    Leave,
-    Listening,
-    Release,
     Report,
     Request,
-    Resume,
     SetRequest,
     Stop,
-    Subscribe,
     parameter_message,
     read_request,
     text_message,
@@ -365,25 +359,6 @@ def _received(loop: socket.socket) -> bytes:
         return loop.recv(2**17)
     except BlockingIOError:
         return b""
-
-
-@pytest.mark.parametrize(
-    ("text", "request_"),
-    [
-        (b'{"kind":"stop","client":"a"}', Stop("a")),
-        (b'{"kind":"resume"}', Resume()),
-        (b'{"kind":"release"}', Release()),
-        (b'{"kind":"leave","client":"a"}', Leave("a")),
-        (b'{"kind":"report","client":"a","text":"no"}', Report("a", "no")),
-        (b'{"kind":"listening","where":["x"]}', Listening(where=["x"])),
-        (b'{"kind":"subscribe","rate":null}', Subscribe(rate=None)),
-        (b'{"kind":"counted","clients":{"a":[7,2]}}', Counted(clients={"a": (7, 2)})),
-        (b'{"kind":"set","client":"a","values":{"gain":2.5}}', SetRequest("a", {"gain": 2.5})),
-        (b'{"kind":"command","client":"a","arm":"b","q":[1,null]}', CommandRequest("a", "b", [1.0, None])),
-    ],
-)
-def test_requests(text: bytes, request_: Request) -> None:
-    assert read_request(text) == request_
 
 
 @pytest.mark.parametrize(

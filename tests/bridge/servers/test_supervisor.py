@@ -101,14 +101,7 @@ def test_a_server_that_never_listens_refuses_at_once(words: list[str], said: str
 @pytest.mark.parametrize("name", SERVERS)
 def test_a_loop_that_has_gone_before_it_described_its_rows_ends_a_server(name: str, tmp_path: Path) -> None:
     where = {"host": "127.0.0.1", "port": 0, "to": "127.0.0.1", "domain": 0, "distribution": "jazzy", "router": ""}
-    options = {
-        **where,
-        "lab": "lab",
-        "dialect": "ros2",
-        "fields": None,
-        "master": "http://127.0.0.1:1",
-        "python": "python",
-    }
+    options = {**where, "lab": "lab", "dialect": "ros2", "fields": None, "master": "http://127.0.0.1:1", "python": "p"}
     hub = Hub([LEFT], [name], about={"cell": "yumi"})
     feed = hub.open(name)
     feed.recv(2**17)

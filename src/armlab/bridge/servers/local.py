@@ -184,10 +184,7 @@ class _Client:
 
 
 class LocalServer:
-    """Passes rows and events on to at most 8 clients of this user, and their requests to the loop.
-
-    Raises LinkError when another bridge serves there, or when the loop has gone.
-    """
+    """Passes rows and events on to at most 8 clients of this user, and their requests to the loop."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._path = Path(options["path"])

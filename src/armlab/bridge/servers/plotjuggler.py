@@ -25,11 +25,7 @@ _STAMP = len('{"timestamp":1700000000.1234567}')
 
 
 class Datagrams:
-    """Makes datagrams of rows: {"timestamp": s, "yumi_left": {"q": {"1": ...}}}, a number that is not finite as null.
-
-    fields : field names without the robot, most useful first. The attribute holds those that fit.
-    largest : bytes of a datagram, whatever the numbers are.
-    """
+    """Makes JSON datagrams of rows; its `fields` are those wanted that fit into `largest` bytes with any numbers."""
 
     def __init__(self, schema: RowSchema, fields: Sequence[str] | None = None, largest: int = _LARGEST) -> None:
         self._schema = schema

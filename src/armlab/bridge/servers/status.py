@@ -221,13 +221,14 @@ def _state(values: dict[str, Any], now_ns: int) -> str:
     age = 1e-9 * (now_ns - values["receive_ns"])
     if age > _SILENT:
         return f"no packet for {age:.1f} s"
-    why = not_ready_reason(values["motors"], values["rapid"], values["mci"])
-    if why:
-        return why
-    if values["seq_sent"] < 0:
-        return "listening"
     asked = math.isfinite(values["q_ref"][0]) or math.isfinite(values["qd_ref"][0])
-    return "running" if asked else "holding"
+    return arm_state(values["motors"], values["rapid"], values["mci"], values["seq_sent"] >= 0, asked)
+
+
+def arm_state(motors: int, rapid: int, mci: int, is_answered: bool, is_asked: bool) -> str:
+    """Return what an arm does that sends packets, or why it cannot move."""
+    doing = "listening" if not is_answered else "running" if is_asked else "holding"
+    return not_ready_reason(motors, rapid, mci) or doing
 
 
 def _number(value: float | None, form: str) -> str:

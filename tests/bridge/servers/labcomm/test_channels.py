@@ -14,15 +14,15 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.servers.labcomm.channels import (
+    QUEUE,
     ArmChannel,
     FusedArm,
     FusedChannel,
     FusedSource,
     OnSet,
     ParameterChannel,
-    Value,
+    Peer,
 )
-from armlab.bridge.servers.labcomm.connection import QUEUE, Peer
 from armlab.bridge.servers.labcomm.rows import Order, Row, RowTypes, signed
 from armlab.errors import ConfigError, LabCommError
 from armlab.wire.labcomm import Decoder, Encoder, Sample, idl, parse_lc
@@ -188,27 +188,6 @@ def test_all_parameters_on_accept() -> None:
         ParameterChannel({}, mode="none")  # type: ignore[arg-type]
 
 
-def test_each_value_has_the_type_it_was_asked_for_in() -> None:
-    """Truth values and texts have their own types; a vector may have its size or none."""
-    start: dict[str, Value] = {"gentle": True, "task": "grind", "force": [1.0, 2.0], "count": 3.0}
-    channel, (a, b) = ParameterChannel(start), fakes("a", "b")
-    for peer in (a, b):
-        channel.greet(peer)
-    three, two, any_ = (Array((n,), PRIMS["double"]) for n in (3, 2, 0))
-    for name, node in (("gentle", PRIMS["boolean"]), ("task", PRIMS["string"]), ("force", two)):
-        channel.take(a, Definition("sample", 0x50, name, node), [a, b])
-    channel.take(b, Definition("sample", 0x50, "force", any_), [a, b])
-    for name, node in (("gentle", PRIMS["double"]), ("task", any_), ("force", three)):
-        channel.take(b, Definition("sample", 0x51, name, node), [a, b])
-    assert channel.counts == {"other type": 3}
-    for value, node, name in (
-        (False, PRIMS["boolean"], "gentle"), ("deburr \u00e9", PRIMS["string"], "task"), ([3.0, 4.0], two, "force")
-    ):  # fmt: skip
-        channel.take(a, sample(value, node, name), [a, b])
-    assert values(a)[3:] == [("gentle", False), ("task", "deburr \u00e9"), ("force", [3.0, 4.0])]
-    assert values(b) == [("force", [1.0, 2.0]), ("force", [3.0, 4.0])]
-
-
 @pytest.mark.parametrize("text", ["a\0b", "a\ud800b"])
 def test_a_text_that_clients_cannot_be_told_is_refused(text: str) -> None:
     channel, (a,) = ParameterChannel({"task": "grind"}), fakes("a")
@@ -236,10 +215,8 @@ def test_the_wire_has_the_order_of_abb() -> None:
     assert get_args(Order) == ("abb", "chain")
 
 
-@pytest.mark.parametrize("tm", [0, 2**31 - 1, 2**31, 2**32 - 1, 2**40 + 3])
-def test_time_stamps_wrap(tm: int) -> None:
-    assert -(2**31) <= signed(tm) < 2**31
-    assert (signed(tm) - tm) % 2**32 == 0
+def test_time_stamps_wrap() -> None:
+    assert [signed(tm) for tm in (0, 2**31 - 1, 2**31, 2**32 - 1, 2**40 + 3)] == [0, 2**31 - 1, -(2**31), -1, 3]
 
 
 def test_zeros_and_nan_ask_for_nothing() -> None:

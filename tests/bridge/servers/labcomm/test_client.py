@@ -12,8 +12,7 @@ import pytest
 from armlab import bridge, robots
 from armlab.bridge.servers.labcomm import ArmChannel, LabCommServer, Row
 from armlab.bridge.servers.labcomm.channels import ParameterChannel
-from armlab.bridge.servers.labcomm.client import LabCommClient, LabCommSource, connected
-from armlab.bridge.servers.labcomm.link import RowCodec, RowPort, far_end
+from armlab.bridge.servers.labcomm.client import LabCommClient, LabCommSource, RowCodec, RowPort, connected, far_end
 from armlab.bridge.servers.labcomm.rows import RowTypes
 from armlab.errors import ConfigError, LinkError, UnknownName
 from armlab.log import Column

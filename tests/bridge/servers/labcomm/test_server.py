@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import select
 import socket
 from collections.abc import Callable, Iterator
@@ -144,19 +143,6 @@ def test_a_callback_that_raises_stops_nobody(start: Start) -> None:
     until(lambda: any("RuntimeError: broken" in text for text in one.said))
     one.server.row("left", row(1))
     client.read(3)
-
-
-def test_noise_closes_the_connection_that_makes_it(start: Start) -> None:
-    rng = random.Random(5)
-    one = start(ArmChannel("left", 0))
-    good = one.client("left")
-    for k in range(60):
-        noise = Plain(one.server.ports["left"])
-        noise.socket.sendall(rng.randbytes(rng.randint(1, 3000)))
-        noise.socket.close()
-        one.server.row("left", row(k))
-        good.read(3 + k)
-    until(lambda: one.server.counts["left"]["clients"] == 1)
 
 
 def test_a_port_that_is_taken_is_named(start: Start) -> None:

@@ -7,7 +7,6 @@ import os
 import socket
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -176,22 +175,6 @@ def test_who_commands_with_one_topic_sets_parameters_and_commands_with_another()
         == f"ros2 {client(velocity)}"
     )
     running.close()
-
-
-def test_wrong_numbers_are_answered_in_the_diagnostics(running: Running) -> None:
-    writer = running.node.writer(VELOCITY, ARRAY)
-    diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
-    events: list[str] = []
-    running.exchange.begin(lambda text, *_: events.append(text))
-
-    def told() -> str:
-        write(writer, ARRAY, *numbers(0.0, 1.0))
-        return answer(running, diagnostics)
-
-    found = until(told)
-    until(lambda: running.commanded() or f"ros2 {found}" in events, "an event of the log")
-    assert found == f"{client(writer)}: Expected 7 numbers on {VELOCITY}, got 2."
-    assert running.exchange.arbiter.commander("yumi_left") == ""
 
 
 def test_diagnostics_come_and_say_so_when_no_row_comes(running: Running) -> None:
@@ -366,32 +349,6 @@ BYTES = bytes.fromhex(  # JointState of 1.000000002 s, frame "f", joints a and b
 )
 
 
-def message(name: str, seed: int = 0) -> Any:
-    """A message of a type, all of it filled in: texts of every length, sequences of two."""
-    count = iter(range(seed, 1000))
-
-    def value(kind: Any, about: Any) -> Any:
-        if kind.name == "NAME":
-            return message(about, next(count))
-        if kind.name == "SEQUENCE":
-            found = [value(*about[0]) for _ in range(2)]
-            return np.array(found) if isinstance(found[0], float) else found
-        k = next(count)
-        return {"string": "x" * (k % 9), "bool": k % 2 == 1, "float64": k + 0.25}.get(about[0], k % 200)
-
-    return store().types[name](*(value(*about) for _, about in store().fielddefs[name][1]))
-
-
-def plain(value: Any) -> Any:
-    """The same message as a dataclass of cyclonedds."""
-    if isinstance(value, list | np.ndarray):
-        return [plain(one) for one in value]
-    if is_dataclass(value):
-        made = struct(value.__msgtype__)
-        return made(*(plain(getattr(value, one.name)) for one in fields(made)))
-    return value.item() if isinstance(value, np.generic) else value
-
-
 def test_names() -> None:
     assert topic_name("/yumi_left/joint_states") == "rt/yumi_left/joint_states"
     assert type_name("sensor_msgs/msg/JointState") == "sensor_msgs::msg::dds_::JointState_"
@@ -406,19 +363,8 @@ def test_golden_bytes() -> None:
         header, ["a", "b"], np.array([0.0, 1.0]), np.zeros(0), np.array([1.0, 2.0])
     )
     assert bytes(store().serialize_cdr(joints, "sensor_msgs/msg/JointState")) == BYTES
-    assert plain(joints).serialize(use_version_2=False) == BYTES
     assert carrier("sensor_msgs/msg/JointState")(BYTES).serialize() == BYTES
     assert carrier("sensor_msgs/msg/JointState").deserialize(BYTES).cdr == BYTES
-
-
-@pytest.mark.parametrize("name", sorted(PUBLISHED | TAKEN))
-def test_both_codecs_agree(name: str) -> None:
-    for seed in range(3):
-        ours = message(name, seed)
-        expected = bytes(store().serialize_cdr(ours, name))
-        assert plain(ours).serialize(use_version_2=False) == expected
-        again = struct(name).deserialize(expected)
-        assert again.serialize(use_version_2=False) == expected
 
 
 def device(one: socket.socket) -> bytes:
@@ -455,19 +401,14 @@ def test_sockets_open_to_all_are_tied_to_this_computer(monkeypatch: pytest.Monke
 
 def test_a_participant_listens_on_this_computer_only() -> None:
     """Cyclone DDS binds to all addresses; every such socket is tied to the loopback interface."""
-    domain = free_domain()
-    before = len(list(Path("/proc/self/fd").iterdir()))
-    found = {}
+    domain, found = free_domain(), {}
     with joined(domain, "127.0.0.1"):
         for entry in filter(Path.is_socket, Path("/proc/self/fd").iterdir()):
             with socket.socket(fileno=os.dup(int(entry.name))) as one:
                 if one.family == socket.AF_INET:
-                    found[one.getsockname()[1]] = one.getsockname()[0], device(one)
-    assert len(list(Path("/proc/self/fd").iterdir())) == before
-    for port in (7410 + 250 * domain, 7411 + 250 * domain):
-        assert found[port][0] == "127.0.0.1" or found[port][1] == b"lo"
-    wide = [about for about in found.values() if not about[0].startswith("127.")]
-    assert all(tied == b"lo" for _, tied in wide)
+                    found[one.getsockname()[1]] = one.getsockname()[0].startswith("127.") or device(one) == b"lo"
+    assert {7410 + 250 * domain, 7411 + 250 * domain} <= set(found)
+    assert all(found.values())
 
 
 def test_an_interface_that_is_not_there() -> None:

@@ -21,8 +21,6 @@ from armlab.bridge.servers.ros.rmw_zenoh import ANY, Distribution, Names, Nodes,
 from armlab.bridge.servers.ros.topics import store
 from armlab.bridge.servers.zenoh.session import LabAddress, close_session
 from armlab.errors import ConfigError, MissingExtra
-from armlab.log import Tick
-from armlab.state import State
 
 from ....processes import Started, free_port
 from ..conftest import WALL, Served, until
@@ -338,18 +336,15 @@ AGAIN_NS = 5e9  # of the specification; of ten restarts beside a load of 20 on t
 RESTART = 60.0  # s; only a test that fails waits so long
 
 
-class Cell:
+class Cell(Served):
     """A loop with a row every 4 ms, the server, and a node that has no way to it but the router."""
 
     def __init__(self, router: int) -> None:
-        self.exchange = Hub(
-            [ARM], ["rmw_zenoh"], None, ["rmw_zenoh"], about={"cell": "yumi", "commands": ["rmw_zenoh"]}
-        )
-        self.feed = self.exchange.open("rmw_zenoh")
         place = {"host": "127.0.0.1", "port": 0, "router": f"127.0.0.1:{router}"}
-        self.server = RmwZenohServer(self.feed, {"domain": 0, "distribution": "jazzy", **place})
+        options = {"domain": 0, "distribution": "jazzy", **place}
+        super().__init__("rmw_zenoh", ARM, lambda feed: RmwZenohServer(feed, options))
         self.over = threading.Event()
-        self.threads = [threading.Thread(target=one) for one in (self.server.run, self._loop, self._command)]
+        self.threads = [threading.Thread(target=one) for one in (self._loop, self._command)]
         self.node = LabAddress("127.0.0.1", router).open_behind()
         self.names = Names(0, str(self.node.zid()), node="theirs")
         self.came: list[tuple[int, int, int]] = []  # of each message its number, its tick, and when it was written [ns]
@@ -365,13 +360,8 @@ class Cell:
         self.came.append((origin.seq, tick, origin.stamp_ns))
 
     def _loop(self) -> None:
-        nothing, q, tick = np.full(7, np.nan), np.array(ARM.q_home), 0
         while not self.over.wait(0.004):
-            tick += 1
-            state = State(t=0.004 * tick, dt=0.004, q=q, qd=nothing, tau=nothing, robot=ARM.name, q_start=q)
-            command = self.exchange.arbiter(state)
-            assert not isinstance(command, tuple)
-            self.exchange.row(state, command, Tick(tick, 0, WALL + PERIOD_NS * tick, 1_000, 2_000, 3))
+            self.commanded()
 
     def _command(self) -> None:
         number, place = 0, self.names.data(VELOCITY, ARRAY)
@@ -390,13 +380,10 @@ class Cell:
 
     def close(self) -> None:
         self.over.set()
-        for one in self.threads[1:]:
+        for one in self.threads:
             one.join(RESTART)
         close_session(self.node)
-        self.exchange.close()
-        self.threads[0].join(RESTART)
-        self.feed.close()
-        assert not any(one.is_alive() for one in self.threads)
+        super().close()
 
 
 @pytest.fixture

@@ -17,23 +17,10 @@ from armlab.bridge.servers.messages import CommandRequest, Leave, SetRequest, St
 from armlab.bridge.servers.ros.topics import header, store
 from armlab.bridge.servers.rosbridge.engine import Engine, Outbox, Subscription
 from armlab.bridge.servers.rosbridge.protocol import (
-    HEADER,
     LARGEST,
     SET_PARAM,
-    TIME,
-    Advertise,
-    CallService,
     Dialect,
-    Operation,
-    Publish,
     Rosapi,
-    ServiceResponse,
-    SetLevel,
-    StatusOperation,
-    SubscribeOperation,
-    Unadvertise,
-    Unsubscribe,
-    fields,
     id_of,
     parameter_name,
     publish,
@@ -138,9 +125,7 @@ def test_what_cannot_be_done_comes_back_as_a_status(bench: Bench, operation: dic
     assert bench.heard(client) == []
 
 
-@pytest.mark.parametrize(
-    "text", ["", "{", "[]", "null", "NaN", '"a"', "[" * 20000, b"{}", "\ud800", "9" * LARGEST + "9"]
-)
+@pytest.mark.parametrize("text", ["[" * 20000, b"{}", "\ud800", "9" * LARGEST + "9"], ids=range(4))
 def test_what_is_no_operation_comes_back_as_a_status(bench: Bench, text: str | bytes) -> None:
     client = bench.client()
     bench.say(client, text)
@@ -340,34 +325,10 @@ def test_whatever_a_client_says_is_done_or_answered(said: list[Any]) -> None:
     assert bench.loop.asked[-1] == Leave(client.name)
 
 
-GOLDEN: dict[str, Operation] = {
-    '{"op":"subscribe","id":"s:1","type":"a/B","topic":"/a","compression":"none","throttle_rate":5,"queue_length":2}': (
-        SubscribeOperation(id="s:1", topic="/a", type="a/B", compression="none", throttle_rate=5.0, queue_length=2)
-    ),
-    '{"op":"subscribe","topic":"/a","throttle_rate":null,"queue_length":null,"type":null,"more":[{}]}': (
-        SubscribeOperation(topic="/a", throttle_rate=None, queue_length=None)
-    ),
-    '{"op":"unsubscribe","id":3,"topic":"/a"}': Unsubscribe(id=3, topic="/a"),
-    '{"op":"advertise","type":"a/B","topic":"/a","latch":false,"queue_size":100}': Advertise(topic="/a", type="a/B"),
-    '{"op":"unadvertise","topic":"/a"}': Unadvertise(topic="/a"),
-    '{"op":"publish","topic":"/a","msg":{"data":[1]},"latch":false}': Publish(topic="/a", msg={"data": [1]}),
-    '{"topic":"/a","op":"publish"}': Publish(topic="/a", msg={}),
-    '{"op":"call_service","id":"c","service":"/s","args":[1]}': CallService(id="c", service="/s", args=[1]),
-    '{"op":"service_response","service":"/s","values":{},"result":true}': ServiceResponse(service="/s"),
-    '{"op":"set_level","level":"warning"}': SetLevel(level="warning"),
-    '{"op":"status","level":"error","msg":"a"}': StatusOperation(),
-}
-
-
-@pytest.mark.parametrize(("text", "operation"), GOLDEN.items())
-def test_golden_operations(text: str, operation: Operation) -> None:
-    assert read_operation(text) == operation
-    assert id_of(text) == operation.id
-
-
 def test_too_long_and_ids_that_are_none() -> None:
     with pytest.raises(CommandRefused, match="at most 65536 characters"):
         read_operation(" " * (LARGEST + 1))
+    assert id_of('{"id": 3, "op": "unsubscribe"}') == 3
     assert id_of('{"id": [1], "op": 3}') is None
     assert id_of(json.dumps({"id": "x" * 1000})) == "x" * 256
     assert id_of(b"\xff") is None
@@ -485,19 +446,6 @@ def test_messages_in_messages() -> None:
     assert found == [
         {"level": 1, "name": "n", "message": "m", "hardware_id": "h", "values": [{"key": "rate", "value": "250"}]}
     ]
-
-
-@pytest.mark.parametrize(("dialect", "names"), [("ros1", {"secs", "nsecs"}), ("ros2", {"sec", "nanosec"})])
-def test_stamps_wherever_they_are(dialect: Dialect, names: set[str]) -> None:
-    stamp = TYPES[TIME](1, 2)
-    assert json.loads(encoded("/t", stamp, dialect, 1))["msg"].keys() == names
-    assert json.loads(encoded("/t", TYPES[HEADER](stamp, "a"), dialect, 1))["msg"]["stamp"].keys() == names
-
-
-def test_fields_are_those_of_the_definition() -> None:
-    assert fields("std_msgs/msg/Float64MultiArray") == ("layout", "data")
-    assert fields("std_msgs/msg/Empty") == ()
-    assert json.loads(encoded("/e", TYPES["std_msgs/msg/Empty"](), "ros2", 1))["msg"] == {}
 
 
 MS = 1_000_000

@@ -15,8 +15,7 @@ from armlab import bridge, robots
 from armlab.bridge.servers.messages import CommandRequest, SetRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Row, RowSchema, beginning
 from armlab.bridge.servers.status import Watch
-from armlab.bridge.servers.zenoh.feed import ZenohFeed, robots_at
-from armlab.bridge.servers.zenoh.link import ZenohCodec, ZenohPort
+from armlab.bridge.servers.zenoh.feed import ZenohCodec, ZenohFeed, ZenohPort, robots_at
 from armlab.bridge.servers.zenoh.messages import checksum, key
 from armlab.bridge.servers.zenoh.session import LabAddress, close_session
 from armlab.errors import ConfigError, LinkError, UnknownName

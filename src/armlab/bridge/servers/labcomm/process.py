@@ -89,12 +89,7 @@ def labcomm_options(
     types: str | None = None,
     follows_client: bool = False,
 ) -> dict[str, Any]:
-    """Return the options of the server of some arms, for `supervisor.server_command`.
-
-    robots : the arms. host : address to listen on, this computer only by default.
-    ports : of the arms; None gives 7511 to a left or only arm, 7512 to a right one.
-    parameters, fused : ports, None for none. Fused rows are for arms of 7 joints.
-    """
+    """Return the options of the server of some arms, by default at 7511 (left or only arm) and 7512 (right)."""
     for robot in robots:
         ArmChannel(robot.name, 0, None, robot.abb_axes, order, types, dialect)  # a mistake shows before any process
     if ports is None:

@@ -17,8 +17,7 @@ from typing import Any, Literal
 from armlab.bridge.arbiter import Arbiter, Order
 from armlab.bridge.net.events import Tell, nobody
 from armlab.bridge.net.sockets import listening_socket
-from armlab.bridge.servers.labcomm.channels import Channel, FusedArm, FusedSource, OnCommand, Value
-from armlab.bridge.servers.labcomm.connection import Peer
+from armlab.bridge.servers.labcomm.channels import Channel, FusedArm, FusedSource, OnCommand, Peer, Value
 from armlab.bridge.servers.labcomm.rows import STOP, Row
 from armlab.errors import LabCommError, LinkError, UnknownName
 from armlab.log import Tick

@@ -37,10 +37,7 @@ _write: Any = ddspy_write
 
 
 def write_cdr(writer: DataWriter[Any], data: bytes) -> bool:
-    """Send the bytes of a message; False when there is no room.
-
-    `DataWriter.write` ends in this call. What it does before, for objects, would be a third of the time of a message.
-    """
+    """Send the bytes of a message by what `DataWriter.write` ends in; False when there is no room."""
     return _write(writer._ref, data) >= 0
 
 
@@ -143,10 +140,7 @@ def struct(name: str) -> Any:
 
 @cache
 def carrier(name: str) -> Any:
-    """Return the type for a topic, whose objects hold the bytes of a message as attribute `cdr`.
-
-    Encoding by `store` takes a third of the time of cyclonedds's own codec.
-    """
+    """Return the type for a topic, whose objects hold the bytes of a message as attribute `cdr`."""
     made = _made(name, is_dataclass=False)
     made.__init__, made.serialize = _hold, _held
     made.deserialize = made.deserialize_key = classmethod(_taken)
@@ -287,10 +281,7 @@ class Readers:
             self._left(client)
 
     def _client(self, reader: DataReader[Any], handle: int) -> str:
-        """Return who writes: the participant's part of the GUID, or what DDS calls the writer here.
-
-        All writers of a participant are one client: with one it commands, with another it sets a parameter.
-        """
+        """Return who writes, the participant: with one of its writers it commands, with another it sets a parameter."""
         if handle not in self._clients:
             about = reader.get_matched_publication_data(handle)
             self._clients[handle] = f"{handle % 2**64:016x}" if about is None else about.participant_key.hex[:_PREFIX]
@@ -303,10 +294,7 @@ def _handle(number: int) -> int:
 
 
 class DdsServer(RosServer):
-    """Serves until the loop closes the feed.
-
-    options : "domain", None for that of ROS_DOMAIN_ID, and "host", IPv4 address of the interface.
-    """
+    """Speaks DDS at the IPv4 address `host`, in a domain, that of ROS_DOMAIN_ID when None."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._domain, self._host = domain_number(options["domain"]), options["host"]

@@ -149,10 +149,7 @@ _MAY_COME_AGAIN = 30.0  # s after a reader: what it misses while its router star
 
 
 class RmwZenohServer(RosServer):
-    """Serves until the loop closes the feed.
-
-    options : "domain", None for that of ROS_DOMAIN_ID, "host", "port", "router" and "distribution".
-    """
+    """Speaks as a node with rmw_zenoh, in a domain, that of ROS_DOMAIN_ID when None."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._outputs: dict[str, Publisher] = {}

@@ -281,10 +281,7 @@ _SILENT = 1.0  # s without a packet that are a fault
 def diagnostics(
     robot: str, wall_ns: int, counts: Mapping[str, Any], commander: str, answer: str = "", silent: float = 0.0
 ) -> Any:
-    """Return the message of one arm.
-
-    answer : the last to a client, "" for none. silent : s since the last packet; infinite before the first.
-    """
+    """Return the message of one arm; `silent`: s since its last packet, infinite before the first."""
     types = store().types
     faults = [f"{counts[name]} {words}" for name, words in _FAULTS.items() if counts[name]]
     is_silent = silent > _SILENT

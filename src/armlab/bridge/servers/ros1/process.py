@@ -43,10 +43,7 @@ class Subscribers:
         self._headed: dict[str, bool] = {}
 
     def add(self, topic: str, connection: socket.socket, known: Iterable[bytes] = ()) -> str:
-        """Take a connection over, on which the header of ROS has gone out.
-
-        Returns why it was ended instead, a sentence; nothing when it was taken.
-        """
+        """Take over a connection whose header of ROS has gone out; return a sentence when it was ended instead."""
         one = _Connection(topic, connection)
         if len(self._connections) >= _MOST:
             one.close()

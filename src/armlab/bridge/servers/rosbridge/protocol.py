@@ -46,37 +46,23 @@ def fields(type_: str) -> tuple[str, ...]:
 
 
 def publish(topic: str, message: Any, type_: str, dialect: Dialect, seq: int) -> bytes:
-    """Return the operation "publish" of a message as JSON; a number that is not finite is null.
-
-    The number of the message, `seq`, is in the headers of ROS 1.
-    """
+    """Return the operation "publish" of a message as JSON; `seq` is in the headers of ROS 1, null no finite number."""
     return msgspec.json.encode({"op": "publish", "topic": topic, "msg": _plain(message, type_, dialect, seq)})
 
 
 def _plain(message: Any, type_: str, dialect: Dialect, seq: int) -> dict[str, Any]:
     """Return a message as dictionaries, lists and numbers."""
+    names = {"sec": "secs", "nanosec": "nsecs"} if dialect == "ros1" and type_ == TIME else {}
     found = {}
-    for name, ros1_name, inner, is_sequence in _shape(type_):
+    for name, (part, length) in _parts(type_, "ros2").items():
         value = getattr(message, name)
-        if inner is not None:
-            many = [_plain(one, inner, dialect, seq) for one in (value if is_sequence else [value])]
-            value = many if is_sequence else many[0]
+        if "/" in part:
+            many = [_plain(one, part, dialect, seq) for one in (value if length >= 0 else [value])]
+            value = many if length >= 0 else many[0]
         elif isinstance(value, np.ndarray):
             value = value.tolist()
-        found[ros1_name if dialect == "ros1" else name] = value
+        found[names.get(name, name)] = value
     return {"seq": seq, **found} if dialect == "ros1" and type_ == HEADER else found
-
-
-@cache
-def _shape(type_: str) -> list[tuple[str, str, str | None, bool]]:
-    """Return of each field its name in ROS 2 and in ROS 1, the type of a message in it, and if it is a sequence."""
-    names, found = {"sec": "secs", "nanosec": "nsecs"} if type_ == TIME else {}, []
-    for name, (kind, inner) in store().fielddefs[type_][1]:
-        if name != _FILLER:
-            is_sequence = kind.name == "SEQUENCE"
-            kind, inner = inner[0] if is_sequence else (kind, inner)
-            found.append((name, names.get(name, name), inner if kind.name == "NAME" else None, is_sequence))
-    return found
 
 
 LARGEST = 65536
@@ -349,6 +335,7 @@ def _details(given: Arguments, dialect: Dialect) -> dict[str, Any]:
     return {"typedefs": found}
 
 
+@cache
 def _parts(type_: str, dialect: Dialect) -> dict[str, tuple[str, int]]:
     """Return type and length of the fields of a message, by name."""
     shapes = dict(store().fielddefs[type_][1])

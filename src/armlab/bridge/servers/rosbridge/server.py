@@ -37,21 +37,14 @@ _LOCAL_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1)(:\d{1,5})?")
 
 @dataclass(frozen=True, repr=False)
 class Access:
-    """What is asked of clients.
-
-    token : that clients show who want more than to read; None when nobody has to. context : of TLS, None without.
-    origins : of web pages that may connect, as `websockets` takes them; None stands for programs, which have none.
-    """
+    """What is asked of clients: a token of who wants more than to read, TLS, and the web pages that may connect."""
 
     token: bytes | None
     context: ssl.SSLContext | None
     origins: tuple[Any, ...]
 
     def judge(self, authorization: str | None) -> bool | None:
-        """Return whether a client may ask for something, None when it must not even connect.
-
-        authorization : the header of that name, None without one.
-        """
+        """Return whether a client with this header may ask for something, None when it must not even connect."""
         if self.token is None:
             return True
         if authorization is None:
