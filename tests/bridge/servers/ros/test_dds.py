@@ -107,7 +107,7 @@ def test_rows_become_messages_of_what_is_read(running: Running) -> None:
     assert len(found) <= written <= running.tick
     assert full == 0
     readers.clear()
-    until(lambda: running.commanded() is None and running.server.wanted() == frozenset(), "nobody reading")
+    until(lambda: running.commanded() is None and running.server.wanted() == frozenset(), what="nobody reading")
 
 
 def test_commands_take_the_arm_until_the_writer_leaves(running: Running) -> None:

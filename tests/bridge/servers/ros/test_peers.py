@@ -45,8 +45,13 @@ SETTLED = 2_000_000_000  # ns after the first sample, from which on none may be 
 SYSTEM = "/usr/bin:/bin:/usr/local/bin"  # the idlc of the wheel beside our Python makes code for another version
 
 
+BUILT: dict[str, list[str]] = {}
+
+
 def _built(folder: Path, target: str, tools: tuple[str, ...], packages: str) -> list[str]:
-    """Build a node where its tools are; the command that starts it."""
+    """Build a node where its tools are, once; the command that starts it."""
+    if target in BUILT:
+        return BUILT[target]
     missing = [tool for tool in tools if shutil.which(tool, path=SYSTEM) is None]
     if missing:
         pytest.skip(f"{', '.join(missing)} is missing: apt-get install {packages}")
@@ -54,7 +59,7 @@ def _built(folder: Path, target: str, tools: tuple[str, ...], packages: str) -> 
     environment = {**os.environ, "PATH": SYSTEM}
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{done.stdout}{done.stderr}"
-    return [str(folder / target)]
+    return BUILT.setdefault(target, [str(folder / target)])
 
 
 def _python(folder: Path) -> list[str]:

@@ -139,7 +139,7 @@ def test_one_client_reads_while_the_others_are_lost(tmp_path: Path, monkeypatch:
                 heard += part
             assert b"\x89\x04" in heard, "a ping"
             assert b"keepalive ping timeout" in heard
-            until(lambda: all(proxy.closed.is_set() for proxy in proxies), "the end of clients that had gone")
+            until(lambda: all(proxy.closed.is_set() for proxy in proxies), what="the end of clients that had gone")
 
         cell_run = play(monkeypatch, parse_cell(CELL.format(port=port) + 'dialect = "ros1"\n'), script)
         output, _ = programs[0].communicate(timeout=30.0)

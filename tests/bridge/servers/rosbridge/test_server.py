@@ -31,7 +31,7 @@ from armlab.errors import ConfigError
 from armlab.log import Tick
 from armlab.state import State
 
-from ..conftest import PATIENCE
+from ..conftest import PATIENCE, until
 from .conftest import HANDSHAKE
 
 STATES = "/yumi_right/joint_states"
@@ -68,12 +68,7 @@ class Running:
 
     def until(self, condition: Callable[[], Any]) -> Any:
         """Send rows until something is so."""
-        end = time.monotonic() + PATIENCE
-        while not (found := condition()):
-            assert time.monotonic() < end, "it did not happen"
-            self.row()
-            time.sleep(0.001)
-        return found
+        return until(lambda: condition() or self.row())
 
     def heard(self, client: ClientConnection, op: str = "publish") -> Any:
         """Send rows until a client hears of an operation."""
