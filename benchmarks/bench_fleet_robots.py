@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from blocks import Contender, Table, figures
 
-from armlab.bridge.servers.zenoh.keys import EVERY
+from armlab.bridge.servers.zenoh.messages import EVERY
 from armlab.bridge.servers.zenoh.session import LabAddress
 from armlab.errors import ArmlabError
 from armlab.fleet import FleetRecorder

@@ -14,8 +14,7 @@ from typing import Any
 
 from armlab import robots
 from armlab.bridge.servers.row import MAGIC, RowSchema
-from armlab.bridge.servers.zenoh.keys import key
-from armlab.bridge.servers.zenoh.rows import checksum
+from armlab.bridge.servers.zenoh.messages import checksum, key
 from armlab.bridge.servers.zenoh.session import BlockingPublisher, close_session, open_session
 from armlab.robots import to_toml
 

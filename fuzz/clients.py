@@ -14,11 +14,10 @@ from armlab import robots
 from armlab.bridge.inputs.fusion import Fusion
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.inputs.sources import UdpSource
-from armlab.bridge.servers.labcomm.channels import ArmChannel, ParameterChannel
-from armlab.bridge.servers.labcomm.connection import Peer
+from armlab.bridge.servers.labcomm.channels import ArmChannel, ParameterChannel, Peer
 from armlab.bridge.servers.messages import parameter_message, read_request
-from armlab.bridge.servers.ros.requests import Commands
 from armlab.bridge.servers.ros.rmw_zenoh import Names, Nodes, Origin
+from armlab.bridge.servers.ros.server import Commands
 from armlab.bridge.servers.ros.topics import content
 from armlab.bridge.servers.rosbridge.engine import Engine
 from armlab.bridge.servers.row import RowSchema, read_row

@@ -16,10 +16,8 @@ import numpy as np
 
 from armlab import robots
 from armlab.bridge.servers.row import RowSchema, RowWriter, beginning
-from armlab.bridge.servers.zenoh.feed import ZenohFeed
-from armlab.bridge.servers.zenoh.link import ZenohCodec, ZenohPort
-from armlab.bridge.servers.zenoh.messages import read_about
-from armlab.bridge.servers.zenoh.rows import Gaps, Inbox, checksum
+from armlab.bridge.servers.zenoh.feed import ZenohCodec, ZenohFeed, ZenohPort
+from armlab.bridge.servers.zenoh.messages import Gaps, Inbox, checksum, read_about
 from armlab.errors import ArmlabError, LinkError
 from armlab.fleet.discovery import _Seen
 from armlab.fleet.recorder import RobotRecord

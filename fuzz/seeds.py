@@ -21,7 +21,7 @@ from armlab import log, models, robots  # noqa: E402
 from armlab.bridge.servers.ros.rmw_zenoh import Names, Origin  # noqa: E402
 from armlab.bridge.servers.ros.topics import store  # noqa: E402
 from armlab.bridge.servers.row import RowSchema, RowWriter  # noqa: E402
-from armlab.bridge.servers.zenoh.keys import Attachment  # noqa: E402
+from armlab.bridge.servers.zenoh.messages import Attachment  # noqa: E402
 from armlab.log import Tick  # noqa: E402
 from armlab.models.friction import Friction, FrictionBound, Ripple  # noqa: E402
 from armlab.models.torque import Quality, Training  # noqa: E402

@@ -17,12 +17,13 @@ PATIENCE = 20.0  # s; only a test that fails waits so long
 PROGRAM = Path(__file__).with_name("publisher.py")
 
 
-def until(condition: Callable[[], Any], patience: float = PATIENCE) -> None:
-    """Wait for what another thread or process does."""
+def until(condition: Callable[[], Any], patience: float = PATIENCE, what: str = "it") -> Any:
+    """Wait for what another thread or process does, and return it."""
     end = time.monotonic() + patience
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.002)
+    while not (found := condition()):
+        assert time.monotonic() < end, f"{what} did not happen"
+        time.sleep(0.001)
+    return found
 
 
 def free_port() -> int:

@@ -16,7 +16,7 @@ import numpy as np
 
 from armlab.bridge.servers.ros.rmw_zenoh import Names, Origin
 from armlab.bridge.servers.ros.topics import store
-from armlab.bridge.servers.zenoh.keys import Attachment, key
+from armlab.bridge.servers.zenoh.messages import Attachment, key
 from armlab.bridge.servers.zenoh.session import LabAddress
 
 ARRAY, JOINTS = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState"

@@ -48,7 +48,7 @@ def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
     declared = [Parameter("gain", 2.0, unit="N/m", minimum=0.0, text="Stiffness."), Parameter("word", "a", "text")]
     exchange = Hub([robots.load("yumi_left")], [OPERATOR], Parameters(declared))
     far = exchange.open(OPERATOR)
-    server = threading.Thread(target=LocalServer(far, socket_path("small")).run, daemon=True)
+    server = threading.Thread(target=LocalServer(far, {"path": socket_path("small")}).run, daemon=True)
     over = threading.Event()
 
     def poll() -> None:
@@ -246,7 +246,7 @@ def test_plain_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command) -
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     exchange = Hub([LEFT], [OPERATOR])
     far = exchange.open(OPERATOR)
-    server = threading.Thread(target=LocalServer(far, socket_path("small")).run, daemon=True)
+    server = threading.Thread(target=LocalServer(far, {"path": socket_path("small")}).run, daemon=True)
     server.start()
     exchange.event("Something happened.")
     over = threading.Event()

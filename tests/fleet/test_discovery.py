@@ -11,7 +11,7 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.servers.row import RowSchema
-from armlab.bridge.servers.zenoh.keys import EVERY
+from armlab.bridge.servers.zenoh.messages import EVERY
 from armlab.bridge.servers.zenoh.security import Security
 from armlab.bridge.servers.zenoh.session import LabAddress, close_session
 from armlab.cli.bridge import write_certificates

@@ -11,8 +11,7 @@ import pytest
 
 from armlab import log, robots
 from armlab.bridge.servers.row import LARGEST, RowSchema, RowWriter
-from armlab.bridge.servers.zenoh.keys import EVERY
-from armlab.bridge.servers.zenoh.rows import checksum
+from armlab.bridge.servers.zenoh.messages import EVERY, checksum
 from armlab.bridge.servers.zenoh.session import LabAddress, close_session, open_session
 from armlab.errors import LinkError
 from armlab.fleet import FleetRecorder, Router, recorder

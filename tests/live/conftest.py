@@ -70,7 +70,7 @@ class Bridge:
     def __init__(self, arms: list[Robot], cell: str = "small") -> None:
         self._exchange = Hub(arms, [OPERATOR], about={"cell": cell})
         self._far = self._exchange.open(OPERATOR)
-        self._server = threading.Thread(target=LocalServer(self._far, socket_path(cell)).run, daemon=True)
+        self._server = threading.Thread(target=LocalServer(self._far, {"path": socket_path(cell)}).run, daemon=True)
         self._server.start()
         self._ticks = 0
 
@@ -107,7 +107,9 @@ def bridge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable
 
 
 @pytest.fixture
-def following() -> Iterator[Callable[..., Running]]:
+def following(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Running]]:
+    """Return what follows bridges; it looks for them twenty times a second."""
+    monkeypatch.setattr("armlab.live.live_bridge._AGAIN", 0.05)
     made: list[Running] = []
 
     def make(*words: Any, **options: Any) -> Running:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -13,13 +12,15 @@ import numpy as np
 import pytest
 
 from armlab.bridge.servers.hub import Hub
-from armlab.bridge.servers.zenoh.keys import EVERY
+from armlab.bridge.servers.zenoh.messages import EVERY
 from armlab.bridge.servers.zenoh.process import ZenohProcess
 from armlab.bridge.servers.zenoh.session import LabAddress, close_session, open_session
 from armlab.live.fleet_view import FleetRows
 from armlab.log import Tick
 from armlab.robots import Robot
 from armlab.state import State
+
+from ..processes import free_port
 
 PATIENCE = 60.0  # s; only a test that fails waits so long
 PERIOD = 0.02  # s between two rows
@@ -64,9 +65,7 @@ class Fleet:
     """A router, and what is at it."""
 
     def __init__(self) -> None:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = probe.getsockname()[1]
+        self.port = free_port()
         self._router = open_session("router", [f"127.0.0.1:{self.port}"])
         self._bridges: list[FleetBridge] = []
         self._heard: list[FleetRows] = []
@@ -99,8 +98,11 @@ def hear_fleet(rows: FleetRows, condition: Any, draw: Any = lambda: None) -> Non
 
 
 @pytest.fixture
-def fleet() -> Iterator[Fleet]:
+def fleet(monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
+    """Return a fleet whose bridges report ten times a second."""
     pytest.importorskip("zenoh", reason="many robots need the extra `net`")
+    monkeypatch.setattr("armlab.bridge.servers.zenoh.process._STATUS", 10**8)
+    monkeypatch.setattr("armlab.bridge.servers.zenoh.feed._HEARD", 0.1)
     one = Fleet()
     yield one
     one.close()

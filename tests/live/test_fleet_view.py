@@ -12,7 +12,7 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.servers.row import RowSchema
-from armlab.bridge.servers.zenoh.keys import EVERY
+from armlab.bridge.servers.zenoh.messages import EVERY
 from armlab.bridge.servers.zenoh.session import LabAddress
 from armlab.errors import LinkError
 from armlab.kinematics import forward

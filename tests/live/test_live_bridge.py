@@ -63,7 +63,7 @@ def test_it_finds_the_bridge_again_that_started_again(bridge: Any, following: An
 def test_a_bridge_over_zenoh_is_waited_for_followed_and_found_again(
     fleet: Fleet, following: Any, hear_until: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("armlab.live.live_bridge._PATIENCE", 0.5)
+    monkeypatch.setattr("armlab.live.live_bridge._PATIENCE", 0.3)
     running = following(zenoh=f"zenoh://127.0.0.1:{fleet.port}/lab1")
     assert running.state.startswith("Waiting for a bridge at zenoh://127.0.0.1:")
     assert not running.hear(0.0)
@@ -204,16 +204,8 @@ def test_the_arms_are_drawn_as_the_bridge_has_them(server: Any, bridge: Any, fol
     view._due = 0.0
     view.draw()
     said = view._arms["yumi_right"]._panel._words._html.content
-    for word in (
-        "no state of the motors",
-        "rate [Hz]",
-        "p50 / p99 / max [us]",
-        "clamps per joint",
-        "commander",
-        "refused",
-    ):
+    for word in ("no state of the motors", "rate [Hz]", "clamps per joint", "estimate of the controller"):
         assert word in said
-    assert "estimate of the controller" in said
     assert view._state._html.content.count("Cell small") == 1
 
 

@@ -116,21 +116,6 @@ def test_a_force_is_an_arrow_at_the_tool_with_its_ellipsoid_at_the_tip(server: A
     assert not ball.visible
 
 
-def test_a_force_that_may_be_zero_is_grey(server: Any) -> None:
-    scene = RobotScene(server, [LEFT])
-    for force, gray in (([2.7, 0, 0], True), ([2.9, 0, 0], False)):  # sqrt(7.81) = 2.795 sigma
-        scene.show("yumi_left", LEFT.q_home, [*force, 0, 0, 0], C)
-        assert (tuple(node(server, "/yumi_left/force").color) == rgb("#4D4D4D")) is gray
-
-
-def test_no_force_no_arrow(server: Any) -> None:
-    scene = RobotScene(server, [LEFT])
-    for force in (None, [0.0, 0.0, 0.0], [np.nan, 1.0, 2.0]):
-        scene.show("yumi_left", LEFT.q_home, [1.0, 2.0, 3.0])
-        scene.show("yumi_left", LEFT.q_home, force)
-        assert not node(server, "/yumi_left/force").visible
-
-
 def test_an_arm_whose_joints_are_not_known_is_hidden(server: Any) -> None:
     scene = RobotScene(server, [LEFT])
     scene.show("yumi_left", np.full(7, np.nan), [1.0, 2.0, 3.0])

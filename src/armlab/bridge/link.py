@@ -204,9 +204,9 @@ def connect(
         for one, address, wire in zip(robots, where, codecs, strict=True):
             if address.scheme in ("labcomm", "zenoh"):
                 if address.scheme == "labcomm":
-                    from armlab.bridge.servers.labcomm.link import far_end
+                    from armlab.bridge.servers.labcomm.client import far_end
                 else:
-                    from armlab.bridge.servers.zenoh.link import far_end
+                    from armlab.bridge.servers.zenoh.feed import far_end
 
                 ends.append(End(one, *far_end(one, address.host, address.port, address.options)))
             else:

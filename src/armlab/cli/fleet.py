@@ -139,7 +139,7 @@ def list_fleet(
 
 
 def _place(lab: str, router: str, ca: Path | None, secret: Path | None) -> LabAddress:
-    from armlab.bridge.servers.zenoh.keys import EVERY
+    from armlab.bridge.servers.zenoh.messages import EVERY
     from armlab.bridge.servers.zenoh.security import Security
     from armlab.bridge.servers.zenoh.session import LabAddress
 

@@ -12,9 +12,7 @@ from typing import Any, NamedTuple
 from armlab.bridge.net.sockets import is_here
 from armlab.bridge.servers.row import RowSchema, read_row
 from armlab.bridge.servers.zenoh.feed import robots_at
-from armlab.bridge.servers.zenoh.keys import EVERY, key, robot_of
-from armlab.bridge.servers.zenoh.messages import read_about
-from armlab.bridge.servers.zenoh.rows import undamaged
+from armlab.bridge.servers.zenoh.messages import EVERY, key, read_about, robot_of, undamaged
 from armlab.bridge.servers.zenoh.security import Security
 from armlab.bridge.servers.zenoh.session import LabAddress, close_session, open_session, queried
 from armlab.errors import ArmlabError, ConfigError

@@ -15,9 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from armlab.bridge.servers.row import MAGIC, RowField, RowSchema
-from armlab.bridge.servers.zenoh.keys import EVERY, key, robot_of
-from armlab.bridge.servers.zenoh.messages import read_about
-from armlab.bridge.servers.zenoh.rows import Inbox, undamaged
+from armlab.bridge.servers.zenoh.messages import EVERY, Inbox, key, read_about, robot_of, undamaged
 from armlab.bridge.servers.zenoh.session import Discovery, LabAddress, close_session, zenoh
 from armlab.errors import ArmlabError, LinkError
 from armlab.log.recording.file import RecordingFile

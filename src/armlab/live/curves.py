@@ -39,10 +39,7 @@ class RingBuffer:
         return self._table[self._first : self._end, 1:]
 
     def add(self, t: float, values: ArrayLike) -> None:
-        """Add a sample.
-
-        `t`: [s], not before the last one. `values`: (width,).
-        """
+        """Add a sample. `t`: [s], not before the last one. `values`: (width,)."""
         if self._end == len(self._table):  # what is kept goes to the front of another array: views of this one stay
             kept = self._table[self._first :]
             self._table = np.empty((max(_LEAST_ROWS, 2 * len(kept)), self._table.shape[1]))
@@ -54,7 +51,6 @@ class RingBuffer:
         self._first += int(np.searchsorted(self.t, t - self._seconds))
 
     def clear(self) -> None:
-        """Forget all."""
         self._first = self._end
 
 
@@ -84,12 +80,7 @@ def envelope(t: np.ndarray, values: np.ndarray, stretches: int = _STRETCHES) -> 
 
 
 class Curves:
-    """One plot of k curves over time in the panel.
-
-    `title`: with the unit, for example "torque [N m]". `labels`, `colors`: of the k curves, for the line above the
-    plot; colours such as "#0072B2". `band`: whether bands are drawn around the curves. `cursor`: whether a vertical
-    line marks an instant. `limits`: ends of the scale; it follows the data when None. `height`: of the plot [pixels].
-    """
+    """One plot of k curves over time, with bands around them and a cursor at an instant where asked for."""
 
     def __init__(
         self,
@@ -135,15 +126,10 @@ class Curves:
         )
 
     def hide(self) -> None:
-        """Take the plot away, where there is nothing to draw."""
         self._heading.visible = self._plot.visible = False
 
     def show(self, t: ArrayLike, values: ArrayLike, half: ArrayLike | None = None, *, at: float | None = None) -> None:
-        """Draw curves in place of the last ones. Many samples become an envelope.
-
-        `t`: (N,) increasing [s]. `values`: (N, k); a curve is interrupted where it is NaN. `half`: (N, k) half width of
-        the bands; no band where it is NaN. `at`: of the cursor [s].
-        """
+        """Draw (N, k) curves over t (N,) [s], interrupted at NaN, and bands of half width; many samples as envelope."""
         t, values = numbers(t, "times of curves", ShapeError), numbers(values, "curves", ShapeError)
         if t.ndim != 1 or values.shape != (len(t), self.k):
             raise ShapeError(f"Expected curves of shape (N, {self.k}) over t (N,), got {values.shape} over {t.shape}.")
@@ -198,10 +184,7 @@ def _interrupted(columns: Sequence[np.ndarray]) -> list[Any]:
 
 
 class Window:
-    """The last seconds of a stream on a plot.
-
-    `rate`: pictures per second of the stream's clock at most.
-    """
+    """The last seconds of a stream on a plot. `rate`: pictures per second of the stream's clock at most."""
 
     def __init__(self, curves: Curves, seconds: float = 10.0, rate: float = 10.0) -> None:
         self._curves, self._period = curves, 1.0 / rate
@@ -209,10 +192,7 @@ class Window:
         self._drawn = -np.inf
 
     def push(self, t: float, values: ArrayLike, half: ArrayLike | None = None) -> None:
-        """Add a sample, which the next `draw` shows; a time that does not advance begins anew.
-
-        `t`: [s]. `values`: (k,). `half`: (k,) half width of the bands.
-        """
+        """Add a sample (k,) at t [s], which the next `draw` shows; a time that does not advance begins anew."""
         if len(self._recent) and t <= self._recent.t[-1]:
             self._recent.clear()
             self._drawn = -np.inf
@@ -244,7 +224,6 @@ class Markup:
             self._html.content = self._shown = content
 
     def remove(self) -> None:
-        """Take them away."""
         self._html.remove()
 
 
@@ -252,17 +231,12 @@ class Lines(Markup):
     """Lines of text in the panel."""
 
     def show(self, content: str) -> None:
-        """Show lines."""
         text = html.escape(content).replace("\n", "<br>")
         super().show(f"<div style='font-size:0.85em;margin:0.3em 0.8em'>{text}</div>")
 
 
 class ArmPanel:
-    """Words and plots of one arm, where ``with`` of a folder or tab of the panel puts them.
-
-    `limits`: ends of the scales by name of the plot: "torque", "force", "moment"; they follow the data otherwise.
-    `torque`, `force`, `moment`: plots, see `Curves`: n curves, three with bands, three with bands.
-    """
+    """Words and plots of one arm, where ``with`` of a folder or tab puts them; limits by name of the plot."""
 
     def __init__(self, gui: Any, robot: Robot, limits: Mapping[str, tuple[float, float]] | None = None) -> None:
         limits = limits or {}

@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armlab.bridge.servers.row import Row, RowSchema, read_row
-from armlab.bridge.servers.zenoh.keys import EVERY, key, robot_of
-from armlab.bridge.servers.zenoh.messages import read_about, read_message
-from armlab.bridge.servers.zenoh.rows import Inbox, undamaged
+from armlab.bridge.servers.zenoh.messages import EVERY, Inbox, key, read_about, read_message, robot_of, undamaged
 from armlab.bridge.servers.zenoh.session import Discovery, LabAddress, close_session, zenoh
 from armlab.errors import ArmlabError, LinkError
 from armlab.live.curves import Lines, Markup
@@ -34,13 +32,7 @@ _LATE = 0.1  # s: what a look takes longer than it was to wait is no listening, 
 
 
 class SeenRobot:
-    """What is known of a robot; all methods belong to one thread.
-
-    `name`: "lab1/yumi_left". `robot`: its description under that name, None before its bridge said it; another object
-    when it changed. `row`: the newest, None without any. `rows`, `damaged`: rows that came, and those of another
-    checksum. `rate`, `missed`: of its packets at the bridge [Hz], and packets that did not come there since somebody
-    looked; NaN and 0 before the bridge said them.
-    """
+    """What is known of a robot, in one thread; None, NaN and 0 before its bridge has said it."""
 
     def __init__(self, name: str) -> None:
         self.name, self._arm = name, name.rpartition("/")[2]
@@ -61,10 +53,7 @@ class SeenRobot:
         self._data, self._quiet = b"", math.inf
 
     def take(self, data: bytes | None) -> None:
-        """Take a row.
-
-        `data`: as it came, None when it was damaged.
-        """
+        """Take a row. `data`: as it came, None when it was damaged."""
         if data is None:
             self.damaged += 1
         elif self._schema is None or data[8:16] != self._schema.id:
@@ -114,7 +103,6 @@ class SeenRobot:
         return True
 
     def value(self, name: str) -> Any:
-        """Return a value of the newest row."""
         return None if self.row is None else self.row.values.get(f"{self._arm}.{name}")
 
     @property
@@ -131,10 +119,7 @@ class SeenRobot:
 
 
 class FleetRows:
-    """The newest of all robots at a router, thirty rows a second of each; what is slow to be read is dropped.
-
-    `robots`: by "lab/robot", in the order in which they came; who goes stays.
-    """
+    """The newest of all robots at a router by lab/robot, thirty rows a second of each; who goes stays."""
 
     def __init__(self, place: LabAddress, patience: float = 5.0) -> None:
         self.place, self.robots = place, dict[str, SeenRobot]()
@@ -157,7 +142,6 @@ class FleetRows:
         ]
 
     def close(self) -> None:
-        """Leave the router."""
         close_session(self._session)
 
     def hear(self, seconds: float) -> None:
@@ -204,12 +188,7 @@ def watch_fleet(
     tell: Callable[[str], None] = lambda sentence: None,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Show all robots at a router in the browser, until `over` or an interrupt: those that come, too, and who goes.
-
-    `place`: of the router; its `lab` may be `servers.zenoh.keys.EVERY`. `port`: of the view on this computer; from
-    8080 on the first that is free when None. `tell`: told who comes and goes, and once who says what cannot be
-    understood. `over`: whether to end; asked at each frame.
-    """
+    """Show all robots at a router in the browser until `over` or an interrupt, and tell who comes and goes."""
     rows = FleetRows(place)
     try:
         server = start(port)
@@ -236,10 +215,7 @@ def watch_fleet(
 
 
 class FleetView:
-    """Scene and panel of all robots, drawn frame by frame.
-
-    A robot whose bridge has gone, or that is silent, is not drawn: its place and its name stay, and say so.
-    """
+    """Scene and panel of all robots, drawn frame by frame; of one that is gone or silent the name alone."""
 
     def __init__(self, server: ViserServer, rows: FleetRows) -> None:
         self._server, self._rows = server, rows

@@ -36,11 +36,7 @@ _ESTIMATE_GAP = 1.0  # s without a packet, after which an estimate begins anew
 
 
 class Force(NamedTuple):
-    """The wrench on an arm.
-
-    `wrench`: (6,) by the environment on the robot, base axes, at the tool point [N, N m]. `covariance`: (6, 6) of it;
-    None where it is not known.
-    """
+    """The wrench (6,) by the environment on the robot, base axes, at the tool [N, N m], covariance where known."""
 
     wrench: np.ndarray
     covariance: np.ndarray | None
@@ -48,13 +44,7 @@ class Force(NamedTuple):
 
 
 class Running:
-    """The newest row of a running bridge. It only reads; the feed drops what is not read in time.
-
-    `robot`: this arm only; None for all. `zenoh`: of a bridge elsewhere, see `LabAddress.read`. `rate`: rows per second
-    to ask for; with models every row is. `models`: torque models, each for the arm that it was identified on, for a
-    bridge that sends no estimate. `robots`: the arms by name, none before the first bridge was found; another object
-    when they changed. `row`: the newest, None without any.
-    """
+    """The newest row of a running bridge, here or over Zenoh; with models every row, for their estimates of forces."""
 
     def __init__(
         self,
@@ -79,16 +69,12 @@ class Running:
         self.state = f"Waiting for a bridge {where}, as armlab bridge --config CELL starts one."
 
     def close(self) -> None:
-        """Leave the feed."""
         if self._feed is not None:
             self._feed.close()
         self._feed = None
 
     def hear(self, seconds: float) -> bool:
-        """Wait for a message, take all that wait behind it, and return whether a row was among them.
-
-        Without a bridge, look for one twice a second.
-        """
+        """Wait for a message, take all that wait, return whether one was a row; without a bridge look for one."""
         if self._feed is None:
             self._look(seconds)
         before = self.row
@@ -143,7 +129,6 @@ class Running:
             self.robots = shown
 
     def value(self, arm: str, name: str) -> Any:
-        """Return a value of an arm in the newest row."""
         if self.row is None:
             raise LinkError("Expected a row of the bridge, but none has come yet. Hear first.")
         return self.row.values[f"{arm}.{name}"]
@@ -185,7 +170,6 @@ class _Estimate:
 
 
 def _estimates(models: Sequence[TorqueModel], arms: Mapping[str, Robot]) -> dict[str, _Estimate]:
-    """Return the estimate of each arm that has a model."""
     found = {}
     for model in models:
         if model.robot_name not in arms:
@@ -214,14 +198,7 @@ def watch(
     tell: Callable[[str], None] = lambda sentence: None,
     over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Show a running bridge in the browser, until `over` or an interrupt: before it starts, and after its end.
-
-    The bridge notices nothing of it: rows come from its local feed or over Zenoh, and nothing is sent back.
-
-    `robot`: this arm only; None for all. `zenoh`: where a bridge elsewhere is, see `LabAddress.read`; "" for one of
-    this user. `models`: torque models for a bridge that sends no estimate of the force. `port`: of the view on this
-    computer; from 8080 on the first that is free when None. `over`: whether to end; asked at each frame.
-    """
+    """Show a running bridge in the browser until `over` or an interrupt, also before it starts and after its end."""
     server = start(port)
     running = Running(robot, cell, zenoh=zenoh, rate=1.0 / _FRAME, models=models)
     try:
@@ -348,7 +325,6 @@ class _ArmView:
     def _push(
         self, t: float, tau: np.ndarray, wrench: np.ndarray | None = None, covariance: np.ndarray | None = None
     ) -> None:
-        """Add a sample to the curves."""
         unknown = np.full(6, np.nan)
         values = unknown if wrench is None else wrench
         half = unknown if covariance is None else 2.0 * np.sqrt(np.diag(covariance))

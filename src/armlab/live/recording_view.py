@@ -19,7 +19,7 @@ from armlab import log as logs
 from armlab import robots as library
 from armlab._numbers import number
 from armlab._palette import BLUE, ORANGE
-from armlab.bridge.control.feedback import not_ready_reason
+from armlab.bridge.servers.status import arm_state
 from armlab.errors import LogError, ModelMismatchError, RobotError, ShapeError, UnknownName
 from armlab.kinematics import forward
 from armlab.live.curves import ArmPanel, Curves, envelope
@@ -43,11 +43,7 @@ _LIMITS = {1: "position", 2: "velocity", 4: "acceleration", 8: "braking", 16: "t
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """The log of one arm.
-
-    `table`: with q (N, n); with tau, wrench_hat and wrench_hat_cov or wrench, what the bridge knew, where recorded.
-    `t`: (N,) time of each row since the view's beginning [s].
-    """
+    """The log of one arm: a table with q (N, n), and t (N,) of its rows since the view's beginning [s]."""
 
     robot: Robot
     table: Table
@@ -81,25 +77,16 @@ class Recorded:
         return None if self.covariance is None else np.sqrt(np.einsum("kii->ki", self.covariance))
 
     def row(self, t: float) -> int:
-        """Return the last row at or before an instant; the first one before it.
-
-        `t`: [s].
-        """
+        """Return the last row at or before an instant; the first one before it. `t`: [s]."""
         return max(int(np.searchsorted(self.t, t, side="right")) - 1, 0)
 
     def span(self, t: float, seconds: float) -> slice:
-        """Return the rows of the last seconds before an instant, at least one.
-
-        `t`: [s].
-        """
+        """Return the rows of the last seconds before an instant, at least one. `t`: [s]."""
         last = self.row(t)
         return slice(min(int(np.searchsorted(self.t, t - seconds)), last), last + 1)
 
     def words(self, t: float) -> dict[str, str]:
-        """Return what there is to say of the link at an instant: state, rate, round trips, limits, packets lost.
-
-        `t`: [s].
-        """
+        """Return what there is to say of the link at t [s]: state, rate, round trips, limits, packets lost."""
         k = self.row(t)
         times = self.t[self.span(t, _RATE_SPAN)]
         rate = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else math.nan
@@ -117,13 +104,11 @@ class Recorded:
             return "not begun" if age < 0.0 else f"no packet for {age:.1f} s"
         if not {"motors", "rapid", "mci"} <= set(self.table.names):
             return "recorded"
-        why = not_ready_reason(self.table["motors"][k], self.table["rapid"][k], self.table["mci"][k])
-        if why:
-            return why
-        if "seq_sent" in self.table and not self.table["seq_sent"][k] >= 0:
-            return "listening"
+        is_answered = "seq_sent" not in self.table or bool(self.table["seq_sent"][k] >= 0)
         asked = [name for name in ("q_ref", "qd_ref", "tau_ref") if name in self.table]
-        return "running" if any(np.isfinite(self.table[name][k]).any() for name in asked) else "holding"
+        is_asked = any(np.isfinite(self.table[name][k]).any() for name in asked)
+        motors, rapid, mci = (self.table[name][k] for name in ("motors", "rapid", "mci"))
+        return arm_state(motors, rapid, mci, is_answered, is_asked)
 
     def _latency(self, rows: slice) -> str:
         if not {"receive_ns", "send_ns"} <= set(self.table.names):

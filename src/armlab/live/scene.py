@@ -41,18 +41,12 @@ class Surface(NamedTuple):
     faces: np.ndarray
 
     def moved(self, T_a_b: np.ndarray) -> Surface:
-        """Return the body in frame a.
-
-        `T_a_b`: (4, 4), where it is in b now.
-        """
+        """Return the body in frame a. `T_a_b`: (4, 4), where it is in b now."""
         return Surface(self.vertices @ T_a_b[:3, :3].T + T_a_b[:3, 3], self.faces)
 
 
 def capsule(a: np.ndarray, b: np.ndarray, radius: float) -> Surface:
-    """Return all points within a radius of the line from a to b: a cylinder and two half spheres.
-
-    `a`, `b`: (3,) ends of the line; the same make a sphere. `radius`: [m].
-    """
+    """Return all points within a radius of the line from a to b: a cylinder and two half spheres."""
     polar = np.linspace(0.0, np.pi, _SIDES + 1)
     polar = np.insert(polar, _SIDES // 2, np.pi / 2)  # the equator twice: one ring for each end
     height = np.where(np.arange(len(polar)) <= _SIDES // 2, np.linalg.norm(b - a), 0.0)
@@ -67,10 +61,7 @@ def _drum(radius: float, length: float) -> Surface:
 
 
 def box(a: np.ndarray, b: np.ndarray, width: float) -> Surface:
-    """Return a rod of square section from a to b.
-
-    `a`, `b`: (3,) middles of its ends. `width`: [m].
-    """
+    """Return a rod of square section from a to b. `a`, `b`: (3,) middles of its ends. `width`: [m]."""
     h, length = width / 2.0, float(np.linalg.norm(b - a))
     corners = np.array([[x, y, z] for z in (0.0, length) for y in (-h, h) for x in (-h, h)])
     squares = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
@@ -118,10 +109,7 @@ def drums(robot: Robot) -> list[Surface]:
 
 
 def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return a pose (4, 4) at a whose z axis points to b.
-
-    `a`, `b`: (3,); where they are the same, z stays.
-    """
+    """Return a pose (4, 4) at a whose z axis points to b. `a`, `b`: (3,); where they are the same, z stays."""
     z = b - a
     z = z / np.linalg.norm(z) if z.any() else np.array([0.0, 0.0, 1.0])
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
@@ -203,7 +191,6 @@ class SceneNode:
 
 
 def solid(scene: Any, name: str, body: Surface, color: str) -> Any:
-    """Add a body and return viser's handle of it."""
     return scene.add_mesh_simple(name, body.vertices.astype(np.float32), body.faces.astype(np.uint32), color=rgb(color))
 
 
@@ -231,15 +218,10 @@ class ForceArrow:
         self.hide()
 
     def hide(self) -> None:
-        """Draw nothing."""
         self._arrow.handle.visible = self._spread.handle.visible = False
 
     def show(self, tool: np.ndarray, force: np.ndarray | None, covariance: np.ndarray | None, unit: float) -> None:
-        """Draw a force; nothing where it is missing or NaN.
-
-        `tool`: (3,) where it acts [m]. `force`: (3,) [N]. `covariance`: (3, 3) of it; no ellipsoid where it is
-        missing. `unit`: length of a force [m/N].
-        """
+        """Draw a force (3,) [N] at the tool, `unit` metres long per newton, with its ellipsoid; nothing where NaN."""
         if force is None or not np.isfinite(force).all():
             self.hide()
             return
@@ -265,10 +247,7 @@ class ForceArrow:
 
 
 def ellipsoid_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the axes (3, 3), columns of a rotation, and half axes (3,) of the two-sigma ellipsoid.
-
-    ``{x : x^T C^-1 x = 4}``.
-    """
+    """Return axes, columns of a rotation, and half axes of the two-sigma ellipsoid ``{x : x^T C^-1 x = 4}``."""
     size, axes = np.linalg.eigh(covariance)
     if np.linalg.det(axes) < 0.0:
         axes[:, 0] *= -1.0
@@ -276,10 +255,7 @@ def ellipsoid_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def is_significant(force: np.ndarray, axes: np.ndarray, half: np.ndarray) -> bool:
-    """Return whether zero lies outside the 95 % ellipsoid of a force: ``f^T C^-1 f >= 7.81``.
-
-    `force`: (3,).
-    """
+    """Return whether zero lies outside the 95 % ellipsoid of a force: ``f^T C^-1 f >= 7.81``. `force`: (3,)."""
     return bool(4.0 * np.sum((force @ axes / np.maximum(half, _SURE)) ** 2) >= _ZERO_OUTSIDE)
 
 
@@ -343,10 +319,7 @@ class RobotScene:
         self._surround()
 
     def add(self, robot: Robot, T_world_base: ArrayLike | None = None) -> None:
-        """Add an arm; one of this name goes.
-
-        `T_world_base`: (4, 4) pose of its base; the world when None.
-        """
+        """Add an arm; one of this name goes. `T_world_base`: (4, 4) pose of its base; the world when None."""
         if robot.name in self.robots:
             self.remove(robot.name)
         T = _pose(np.eye(4) if T_world_base is None else T_world_base)
@@ -354,16 +327,12 @@ class RobotScene:
         self.robots[robot.name] = robot
 
     def remove(self, name: str) -> None:
-        """Take an arm away."""
         self._robot(name)
         del self.robots[name]
         self._arms.pop(name).root.remove()
 
     def arrange(self, T_world_base: Mapping[str, ArrayLike]) -> None:
-        """Put arms elsewhere, floor and camera about them all; who looks already keeps the camera.
-
-        `T_world_base`: (4, 4) poses of bases by name of the arm.
-        """
+        """Put bases (4, 4) elsewhere, floor and camera about them all; who looks already keeps the camera."""
         for name, T in T_world_base.items():
             self._robot(name)
             arm = self._arms[name]
@@ -388,10 +357,7 @@ class RobotScene:
         self._arms[name].show(q, force, spread, positive(self.arrow, "length of a force [m/N]"))
 
     def trace(self, name: str, points: ArrayLike) -> None:
-        """Draw the path of an arm's tool; fewer than two finite points hide it.
-
-        `points`: (K, 3) base axes [m]; long ones are thinned.
-        """
+        """Draw the path (K, 3) of an arm's tool, base axes [m], thinned; fewer than two finite points hide it."""
         self._robot(name)
         points = numbers(points, "points of a path", ShapeError)
         if points.ndim != 2 or points.shape[1] != 3:
@@ -399,10 +365,7 @@ class RobotScene:
         self._arms[name].trace(points[np.isfinite(points).all(axis=1)])
 
     def frame(self, name: str, T_world_x: ArrayLike | None, length: float = 0.1) -> None:
-        """Draw a named frame, move it, or take it away.
-
-        `T_world_x`: (4, 4); None takes it away. `length`: of its axes [m].
-        """
+        """Draw a named frame (4, 4), move it, or take it away with None; `length` of its axes [m]."""
         if T_world_x is None:
             if name in self._frames:
                 self._frames.pop(name).remove()

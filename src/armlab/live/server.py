@@ -14,7 +14,6 @@ from armlab.errors import ConfigError, LinkError, MissingExtra
 if TYPE_CHECKING:
     from viser import ViserServer
 
-__all__ = ["HOST", "address", "is_own", "start", "stop"]
 
 HOST = "127.0.0.1"
 """The only address that is listened on."""

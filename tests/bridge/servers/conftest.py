@@ -19,17 +19,10 @@ from armlab.log import Tick
 from armlab.robots import Robot
 from armlab.state import Command, State
 
+from ...processes import PATIENCE as PATIENCE
+from ...processes import until as until
+
 WALL = 1_700_000_000_000_000_000  # ns, of the first row
-PATIENCE = 20.0  # s; only a test that fails waits so long
-
-
-def until(condition: Callable[[], Any], what: str = "it", patience: float = PATIENCE) -> Any:
-    """Wait for what another thread or process does, and return it."""
-    end = time.monotonic() + patience
-    while not (found := condition()):
-        assert time.monotonic() < end, f"{what} did not happen"
-        time.sleep(0.001)
-    return found
 
 
 class Served:
@@ -45,12 +38,15 @@ class Served:
     ) -> None:
         self.name, self.robot, self.tick = name, robot, 0
         about = {"cell": "yumi", "commands": [name]}
-        self.exchange = Hub([robot], [name], Parameters(parameters), [name], about=about, **options)
+        options = {"allowed": [name], "about": about, **options}
+        self.exchange = Hub([robot], [name], Parameters(parameters), **options)
         self.feed = self.exchange.open(name)
         self.server = make(self.feed)
         self.thread = threading.Thread(target=self.server.run)
         self.thread.start()
-        self.where = until(lambda: self.exchange.poll() or self.exchange.outlets[name].where, "the server listening")
+        self.where = until(
+            lambda: self.exchange.poll() or self.exchange.outlets[name].where, what="the server listening"
+        )
 
     def state(self, **fields: Any) -> State:
         q, nothing = np.array(self.robot.q_home), np.full(self.robot.n, np.nan)

@@ -19,16 +19,10 @@ from armlab.bridge.net.sockets import pair
 from armlab.bridge.servers.hub import OPERATOR, Hub
 from armlab.bridge.servers.messages import (
     CommandRequest,
-    Counted,
-    Leave,
-    Listening,
-    Release,
     Report,
     Request,
-    Resume,
     SetRequest,
     Stop,
-    Subscribe,
     parameter_message,
     read_request,
     text_message,
@@ -89,20 +83,11 @@ class Cell:
 
 
 @pytest.fixture
-def cell() -> Any:
+def cell(monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.setattr("armlab.bridge.servers.hub._PATIENCE", 0.01)  # no server answers but one that is waited for
     made = Cell()
     yield made
     made.close()
-
-
-def test_schema_first_then_rows(cell: Cell) -> None:
-    cell.row(Command(HOME))
-    about, parameters, data = cell.heard("labcomm")
-    assert about["cell"] == "test"
-    assert {name: robots.from_toml(text, "the feed") for name, text in about["robots"].items()} == {"yumi_left": LEFT}
-    row = read_row(RowSchema.read(about["schema"].encode()), data)
-    np.testing.assert_array_equal(row.values["yumi_left.q_ref"], HOME)
-    assert [one["name"] for one in parameters["parameters"]] == ["gain", "open"]
 
 
 def test_a_command_becomes_the_controllers(cell: Cell) -> None:
@@ -119,12 +104,6 @@ def test_a_command_becomes_the_controllers(cell: Cell) -> None:
     assert read_row(cell.exchange.schema, rows[-1]).values["yumi_left.commander"] == "labcomm 1"
 
 
-def test_null_is_not_a_number(cell: Cell) -> None:
-    cell.say("labcomm", "command", arm="yumi_left", q=[None, *HOME[1:]])
-    assert cell.exchange.arbiter(cell.state()) is None
-    assert "finite numbers in q" in cell.texts("labcomm", "answer")[0]
-
-
 def test_parameters_are_set_between_ticks_echoed_and_told(cell: Cell) -> None:
     cell.exchange.begin(lambda text, *_: cell.told.append(text))
     cell.say("labcomm", "set", values={"gain": 3.0})
@@ -135,17 +114,6 @@ def test_parameters_are_set_between_ticks_echoed_and_told(cell: Cell) -> None:
         echo = [m for m in cell.heard(server) if isinstance(m, dict) and m["kind"] == "parameters"][-1]
         assert (echo["parameters"][0]["value"], echo["parameters"][0]["who"]) == (3.0, "labcomm 1")
     assert cell.told == ["Parameters: gain = 2.0, open = 1.0.", "Parameter gain = 3.0, set by labcomm 1 (setting 1)."]
-
-
-def test_refused_settings(cell: Cell) -> None:
-    cell.exchange.begin(lambda text, *_: cell.told.append(text))
-    cell.exchange.arbiter.stop("x")  # nobody holds, so labcomm has the rights of a commander
-    for _ in range(5):
-        cell.say("labcomm", "set", values={"gain": -1.0})
-    cell.row()
-    assert cell.params.gain == 2.0
-    assert sum("was refused" in text for text in cell.told) == 5
-    assert len(cell.texts("labcomm", "answer")) == 5
 
 
 def test_rights_of_settings() -> None:
@@ -382,17 +350,8 @@ def test_who_asks_for_counts_before_the_server_is_there_gets_none() -> None:
         assert b'"clients":{}' in _received(loop)
 
 
-def test_a_loop_that_has_gone_is_said() -> None:
-    loop, feed = pair()
-    loop.close()
-    with feed, pytest.raises(LinkError, match="closed the feed"):
-        LoopEnd(feed)
-
-
 def _schema() -> bytes:
-    from armlab.bridge.servers.row import RowSchema
-
-    return RowSchema.of([robots.load("yumi_left")]).text.replace(b'"', b'\\"')
+    return RowSchema.of([LEFT]).text.replace(b'"', b'\\"')
 
 
 def _received(loop: socket.socket) -> bytes:
@@ -403,27 +362,17 @@ def _received(loop: socket.socket) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("text", "request_"),
-    [
-        (b'{"kind":"stop","client":"a"}', Stop("a")),
-        (b'{"kind":"resume"}', Resume()),
-        (b'{"kind":"release"}', Release()),
-        (b'{"kind":"leave","client":"a"}', Leave("a")),
-        (b'{"kind":"report","client":"a","text":"no"}', Report("a", "no")),
-        (b'{"kind":"listening","where":["x"]}', Listening(where=["x"])),
-        (b'{"kind":"subscribe","rate":null}', Subscribe(rate=None)),
-        (b'{"kind":"counted","clients":{"a":[7,2]}}', Counted(clients={"a": (7, 2)})),
-        (b'{"kind":"set","client":"a","values":{"gain":2.5}}', SetRequest("a", {"gain": 2.5})),
-        (b'{"kind":"command","client":"a","arm":"b","q":[1,null]}', CommandRequest("a", "b", [1.0, None])),
-    ],
-)
-def test_requests(text: bytes, request_: Request) -> None:
-    assert read_request(text) == request_
-
-
-@pytest.mark.parametrize(
     "data",
-    [b"", b"1", b'{"kind":"go"}', b'{"kind":"stop","x":1}', b'{"kind":"set","values":[]}', b"[" * 60000, b" " * 70000],
+    [
+        b"",
+        b"1",
+        b'{"kind":"go"}',
+        b'{"kind":"stop","x":1}',
+        b'{"kind":"set","values":[]}',
+        b"[" * 60000,
+        b" " * 70000,
+        json.dumps({"kind": "command", "q": [0.0] * 65}).encode(),
+    ],
 )
 def test_what_is_no_request(data: bytes) -> None:
     with pytest.raises(LinkError, match="Expected a request"):
@@ -452,9 +401,3 @@ def test_parameters() -> None:
     gain, force = json.loads(parameter_message(parameters))["parameters"]
     assert (gain["value"], gain["default"], gain["who"], gain["sequence"], gain["maximum"]) == (3.0, 2.0, "a", 1, None)
     assert (force["value"], force["who"]) == ([1.0, 2.0], "")
-
-
-def test_a_command_is_no_longer_than_any_arm() -> None:
-    assert read_request(json.dumps({"kind": "command", "q": [0.0] * 64}).encode()) == CommandRequest(q=[0.0] * 64)
-    with pytest.raises(LinkError, match=r"Expected a request in JSON, but .*length <= 64"):
-        read_request(json.dumps({"kind": "command", "q": [0.0] * 65}).encode())

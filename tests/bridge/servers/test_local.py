@@ -6,7 +6,6 @@ import contextlib
 import re
 import socket
 import stat
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,36 +15,26 @@ import numpy as np
 import pytest
 
 from armlab import robots
-from armlab.bridge.inputs.parameters import Parameter, Parameters
-from armlab.bridge.servers.hub import OPERATOR, Hub
-from armlab.bridge.servers.local import LocalFeed, LocalServer, cells, serve, socket_path
+from armlab.bridge.inputs.parameters import Parameter
+from armlab.bridge.servers.hub import OPERATOR
+from armlab.bridge.servers.local import LocalFeed, LocalServer, cells, socket_path
 from armlab.bridge.servers.messages import CommandRequest, Release, Resume, SetRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Row
 from armlab.errors import ConfigError, LinkError
-from armlab.log import Tick
-from armlab.state import State
+
+from .conftest import Served
 
 LEFT = robots.load("yumi_left")
 HOME = np.array(LEFT.q_home)
 
 
-class Bench:
-    """An exchange and its local server, in a thread in place of a process."""
+class Bench(Served):
+    """A loop and its local server, in a thread in place of a process."""
 
     def __init__(self, cell: str = "test") -> None:
-        parameters = Parameters([Parameter("gain", 2.0, minimum=0.0)])
-        self.exchange = Hub([LEFT], [OPERATOR], parameters, about={"cell": cell})
-        self.far = self.exchange.open(OPERATOR)
         self.path = socket_path(cell)
-        self.server = LocalServer(self.far, self.path)
-        self.thread = threading.Thread(target=self.server.run, daemon=True)
-        self.thread.start()
-        self.k = 0
-
-    def row(self) -> None:
-        self.k += 1
-        state = State(0.0, 0.004, HOME, 0 * HOME, 0 * HOME, robot="yumi_left", seq=self.k)
-        self.exchange.row(state, None, Tick(self.k, self.k, 10**18, 10**18, 10**18, 0))
+        declared = [Parameter("gain", 2.0, minimum=0.0)]
+        super().__init__(OPERATOR, LEFT, lambda feed: LocalServer(feed, {"path": self.path}), declared, allowed=())
 
     def until(self, feed: LocalFeed, kind: str) -> Any:
         """The next message of a kind; rows go on meanwhile, whoever of server and client is slower."""
@@ -58,12 +47,6 @@ class Bench:
             message = feed.receive()
             if (kind == "row") == isinstance(message, Row) and (kind == "row" or message["kind"] == kind):  # type: ignore[index]
                 return message
-
-    def close(self) -> None:
-        self.exchange.close()
-        self.thread.join(10.0)
-        assert not self.thread.is_alive()
-        self.far.close()
 
 
 @pytest.fixture
@@ -86,7 +69,7 @@ def test_rows_events_status(bench: Bench) -> None:
     with LocalFeed() as feed:
         assert feed.cell == "test"
         assert feed.wait(5.0)
-        assert feed.receive()["cell"] == "test"  # type: ignore[index]
+        assert feed.receive()["cell"] == "yumi"  # type: ignore[index]
         feed.ask(Subscribe(rate=None))
         first = bench.until(feed, "row")
         np.testing.assert_array_equal(first.values["yumi_left.q"], HOME)
@@ -159,20 +142,13 @@ def test_eight_clients(bench: Bench) -> None:
 
 def test_two_bridges_need_two_names(bench: Bench) -> None:
     with pytest.raises(LinkError, match="one runs"):
-        serve(bench.far, {"path": str(bench.path)})
+        LocalServer(bench.feed, {"path": str(bench.path)})
     other = Bench("other")
     try:
         with pytest.raises(ConfigError, match="other, test"):
             LocalFeed()
     finally:
         other.close()
-
-
-def test_what_a_killed_bridge_left_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as dead:
-        dead.bind(str(socket_path("test")))
-    Bench().close()
 
 
 def test_a_stop_is_not_lost_when_the_way_to_the_loop_is_full(bench: Bench) -> None:
@@ -182,7 +158,7 @@ def test_a_stop_is_not_lost_when_the_way_to_the_loop_is_full(bench: Bench) -> No
         feed.receive()  # it serves
         with contextlib.suppress(BlockingIOError):
             while True:
-                bench.far.send(b'{"kind":"set","values":{"gain":1.0}}', socket.MSG_DONTWAIT)
+                bench.feed.send(b'{"kind":"set","values":{"gain":1.0}}', socket.MSG_DONTWAIT)
         feed.ask(Stop())
         feed._socket.send(b"noise")
         while (message := feed.receive())["kind"] != "answer":  # type: ignore[index]
@@ -202,6 +178,7 @@ def test_what_a_killed_bridge_left_is_no_cell(tmp_path: Path, monkeypatch: pytes
         LocalFeed()
     with pytest.raises(LinkError, match="'test' to run"):
         LocalFeed("test")
+    Bench().close()  # it is replaced
 
 
 def test_a_folder_open_to_others_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

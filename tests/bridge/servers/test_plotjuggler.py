@@ -12,7 +12,7 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.servers.hub import Hub
-from armlab.bridge.servers.plotjuggler import Datagrams, serve
+from armlab.bridge.servers.plotjuggler import Datagrams, PlotJugglerServer
 from armlab.bridge.servers.row import RowSchema, RowWriter
 from armlab.bridge.servers.supervisor import Servers, server_command
 from armlab.errors import ConfigError, LinkError, UnknownName
@@ -90,9 +90,9 @@ def test_one_datagram_per_row_and_nobody_who_listens_is_no_error() -> None:
 
 def test_another_computer_only_where_the_cell_is_opened() -> None:
     with socket.socket() as nobody, pytest.raises(ConfigError, match="Expected --listen plotjuggler=ADDRESS"):
-        serve(nobody, {**OPTIONS, "to": "192.0.2.1"})
+        PlotJugglerServer(nobody, {**OPTIONS, "to": "192.0.2.1"})
     with socket.socket() as nobody, pytest.raises(ConfigError, match="Expected an IPv4 address"):
-        serve(nobody, {**OPTIONS, "to": "300.0.0.1"})
+        PlotJugglerServer(nobody, {**OPTIONS, "to": "300.0.0.1"})
 
 
 def test_arms_beside_each_other() -> None:

@@ -98,8 +98,7 @@ def test_odd_commands_leave_holes() -> None:
         writer.row(state("ur5e"), None, tick(), 0)
 
 
-@pytest.mark.parametrize("name", ["q_sent", "qd_sent", "tau_sent", "clamped"])
-@pytest.mark.parametrize("size", [1, 5, 56])
+@pytest.mark.parametrize(("name", "size"), [("q_sent", 1), ("qd_sent", 5), ("tau_sent", 56), ("clamped", 56)])
 def test_ticks_of_another_size_are_refused(name: str, size: int) -> None:
     with pytest.raises(ShapeError, match=f"^Expected 7 values in {name}, got {size}\\.$"):
         RowWriter(BOTH).row(state(), None, tick(**{name: np.zeros(size)}), 0)
@@ -252,8 +251,5 @@ def test_a_row_that_is_fresh_for_both_counts_for_both() -> None:
     assert not pace.takes([], 7.0)
     assert pace.takes(["right"], 6.0)
     assert pace.takes(["left", "right"], 6.1)
-
-
-def test_all_rows() -> None:
-    pace = Pace(0.0)
-    assert all(pace.takes(["left"], now) for now in (1.0, 1.0, 1.5))
+    every = Pace(0.0)
+    assert all(every.takes(["left"], now) for now in (1.0, 1.0, 1.5))

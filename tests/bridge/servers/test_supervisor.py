@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +22,8 @@ from armlab.bridge.servers.labcomm.process import labcomm_options
 from armlab.bridge.servers.local import LocalFeed, cells
 from armlab.bridge.servers.messages import CommandRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Row
-from armlab.bridge.servers.serve import _SERVERS
-from armlab.bridge.servers.supervisor import PLACE, Offering, Servers
+from armlab.bridge.servers.serve import SERVERS, serve
+from armlab.bridge.servers.supervisor import PLACE, Servers
 from armlab.errors import LinkError
 from armlab.robots import Robot
 from armlab.state import Command, State
@@ -58,8 +57,8 @@ def test_a_server_that_fails_is_left_dead() -> None:
     told: list[str] = []
     exchange.begin(lambda text, *_: told.append(text))
     program = QUIET + "while b'Now.' not in s.recv(100000): pass\n" + FAILS
-    with Servers(exchange, {"a": command(program)}, restarts=(0.01, 0.01)) as servers:
-        for ends in range(3):
+    with Servers(exchange, {"a": command(program)}, restarts=(0.01,)) as servers:
+        for ends in range(2):
             assert servers.ready() == ["here"]
             exchange.event("Now.")
             until(lambda ends=ends: len(told) > ends)
@@ -73,8 +72,8 @@ def test_a_server_that_ran_well_begins_a_new_series(well: float, outcome: str) -
     exchange = Hub([LEFT], ["a"])
     told: list[str] = []
     exchange.begin(lambda text, *_: told.append(text))
-    with Servers(exchange, {"a": command(WAITS)}, restarts=(0.01, 0.02), well=well) as servers:
-        for ends in range(3):
+    with Servers(exchange, {"a": command(WAITS)}, restarts=(0.01,), well=well) as servers:
+        for ends in range(2):
             assert servers.ready(60.0) == ["here"]
             until(lambda: servers._children[0].since is not None)
             os.kill(servers.processes()["a"], signal.SIGKILL)
@@ -99,23 +98,16 @@ def test_a_server_that_never_listens_refuses_at_once(words: list[str], said: str
         assert time.monotonic() - began < 30.0
 
 
-@pytest.mark.parametrize("name", _SERVERS)
+@pytest.mark.parametrize("name", SERVERS)
 def test_a_loop_that_has_gone_before_it_described_its_rows_ends_a_server(name: str, tmp_path: Path) -> None:
     where = {"host": "127.0.0.1", "port": 0, "to": "127.0.0.1", "domain": 0, "distribution": "jazzy", "router": ""}
-    options = {
-        **where,
-        "lab": "lab",
-        "dialect": "ros2",
-        "fields": None,
-        "master": "http://127.0.0.1:1",
-        "python": "python",
-    }
+    options = {**where, "lab": "lab", "dialect": "ros2", "fields": None, "master": "http://127.0.0.1:1", "python": "p"}
     hub = Hub([LEFT], [name], about={"cell": "yumi"})
     feed = hub.open(name)
     feed.recv(2**17)
     hub.close()
     with feed, pytest.raises(LinkError, match="Start it again"):
-        import_module(_SERVERS[name]).serve(feed, {**labcomm_options([LEFT]), **options, "path": tmp_path / "x"})
+        serve(name, feed, {**labcomm_options([LEFT]), **options, "path": tmp_path / "x"})
     assert not (tmp_path / "x").exists()
 
 
@@ -164,11 +156,8 @@ def test_no_server_outlives_a_bridge_that_is_killed(tmp_path: Path) -> None:
     path = tmp_path / "x"
     program = f"""
 import time
-from importlib import import_module
 from armlab import robots
 from armlab.bridge.servers.hub import Hub
-from armlab.bridge.servers.labcomm.process import labcomm_options
-from armlab.bridge.servers.serve import _SERVERS
 from armlab.bridge.servers.supervisor import Servers, server_command
 
 command = server_command("local", {{"path": "{path}"}})
@@ -223,20 +212,8 @@ def test_rows_of_a_link_are_offered_and_a_stop_holds_it(
     assert cells() == []
 
 
-def test_a_name_that_is_taken(robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The link that was opened for nothing leaves its port free."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    offering = Offering([robot], "small")
-    try:
-        with pytest.raises(LinkError, match="Expected the server local to listen"):
-            connect("egm://127.0.0.1:0", robot, offer="small")
-    finally:
-        offering.close()
-    assert cells() == []
-
-
 def test_who_only_listens_offers_what_it_hears(robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Again in the next run of the same link."""
+    """Again in the next run of the same link; the name is taken, and a link opened for nothing leaves its port free."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     with connect(f"sim://{robot.name}", robot, offer="small") as link, LocalFeed() as feed:
         feed.ask(Subscribe(rate=None))
@@ -248,3 +225,6 @@ def test_who_only_listens_offers_what_it_hears(robot: Robot, tmp_path: Path, mon
                     break
             else:
                 pytest.fail("no row came")
+        with pytest.raises(LinkError, match="Expected the server local to listen"):
+            connect("egm://127.0.0.1:0", robot, offer="small")
+        assert cells() == ["small"]

@@ -24,10 +24,22 @@ def axes() -> np.ndarray:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-def projected(point: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Return column and row of a point: a pinhole camera."""
-    x, y, z = (point - position) @ axes()
-    return np.array([WIDTH, HEIGHT]) / 2.0 + HEIGHT / 2.0 / np.tan(FOV / 2.0) * np.array([x, y]) / z
+def projected(points: np.ndarray, position: np.ndarray = POSITION) -> np.ndarray:
+    """Return columns and rows (..., 2) of points (..., 3): a pinhole camera."""
+    x, y, z = np.moveaxis((points - position) @ axes(), -1, 0)
+    focal = HEIGHT / 2.0 / np.tan(FOV / 2.0)
+    return np.stack([WIDTH / 2.0 + focal * x / z, HEIGHT / 2.0 + focal * y / z], axis=-1)
+
+
+def taken(server: Any, path: Path, position: np.ndarray = POSITION) -> np.ndarray:
+    """Return what the page of a server draws (HEIGHT, WIDTH, 4), and keep it."""
+    import imageio.v3 as iio
+
+    client = next(iter(server.get_clients().values()))
+    view = {"wxyz": quaternion.from_matrix(axes()), "position": position, "fov": FOV}
+    picture = client.get_render(HEIGHT, WIDTH, **view, transport_format="png", timeout=120.0)
+    iio.imwrite(path, picture)
+    return picture
 
 
 def off(picture: np.ndarray, at: np.ndarray) -> float:
@@ -48,14 +60,9 @@ def seen(server: Any, points: list[np.ndarray], path: Path, place: ArrayLike = (
 
     The camera looks at an arm whose base is at `place`.
     """
-    import imageio.v3 as iio
-
-    client = next(iter(server.get_clients().values()))
     worst, position = np.inf, POSITION + place
     for _ in range(PICTURES):
-        view = {"wxyz": quaternion.from_matrix(axes()), "position": position, "fov": FOV}
-        picture = client.get_render(HEIGHT, WIDTH, **view, transport_format="png", timeout=120.0)
-        iio.imwrite(path, picture)
+        picture = taken(server, path, position)
         worst = max(off(picture, projected(point, position)) for point in points)
         if worst < 6.0:
             break

@@ -21,28 +21,13 @@ from armlab.bridge.arbiter import Arbiter, Order
 from armlab.bridge.inputs.parameters import Change, Parameters
 from armlab.bridge.net.events import Tell
 from armlab.bridge.net.sockets import Outlet
-from armlab.bridge.servers.messages import (
-    CommandRequest,
-    Counted,
-    Leave,
-    Listening,
-    Release,
-    Report,
-    Request,
-    Resume,
-    SetRequest,
-    Stop,
-    parameter_message,
-    read_request,
-    text_message,
-)
+from armlab.bridge.servers import messages
+from armlab.bridge.servers.messages import parameter_message, text_message
 from armlab.bridge.servers.row import RowSchema, RowWriter
 from armlab.errors import ArmlabError, LinkError
 from armlab.log import Column, Tick
 from armlab.robots import Robot, to_toml
 from armlab.state import Command, State
-
-__all__ = ["OPERATOR", "Hub"]
 
 OPERATOR = "local"
 """The server whose clients are operators: its socket is the user's own."""
@@ -200,59 +185,49 @@ class Hub:
 
     def _take(self, outlet: Outlet, data: bytes) -> None:
         try:
-            request = read_request(data)
+            request = messages.read_request(data)
         except LinkError:
             self.mistakes += 1
             return
-        if isinstance(request, Listening):
-            outlet.where = request.where
-            return
-        if isinstance(request, Counted):
-            outlet.clients = request.clients
-            return
-        client = f"{outlet.name} {request.client}".rstrip()
-        if isinstance(request, Report):
-            self.arbiter.report(client, request.text[:_SENTENCE])
-            return
-        if outlet.name in self._read_only and not isinstance(request, Stop | Leave):
-            refused = request.values if isinstance(request, SetRequest) else ()
-            text = f"Expected no requests through {outlet.name}: it listens beyond this computer. Read."
-            self.answer(client, text, refused)
-            return
-        if isinstance(request, SetRequest):
-            self._set(client, request, outlet.name == OPERATOR)
-        elif isinstance(request, CommandRequest):
-            q, qd, tau = (None if one is None else _numbers(one) for one in (request.q, request.qd, request.tau))
-            order = Order(client, request.arm, q, qd, tau, request.seq, request.first, request.by_axis)
-            self.arbiter.submit(order)
-        elif isinstance(request, Resume | Release) and outlet.name == OPERATOR:
-            self._obey_operator(request, client)
-        elif isinstance(request, Release):
-            self.arbiter.release(client, client)
-        elif isinstance(request, Stop):
-            self.arbiter.stop(client)
-            self.answer(client, "Done.")
-        elif isinstance(request, Leave):
-            self.arbiter.leave(client)
-        else:
-            self.answer(client, "Expected an operator to resume: armlab bridge resume.")
+        client, is_operator = f"{outlet.name} {request.client}".rstrip(), outlet.name == OPERATOR
+        match request:
+            case messages.Listening():
+                outlet.where = request.where
+            case messages.Counted():
+                outlet.clients = request.clients
+            case messages.Report():
+                self.arbiter.report(client, request.text[:_SENTENCE])
+            case messages.Stop():
+                self.arbiter.stop(client)
+                self.answer(client, "Done.")
+            case messages.Leave():
+                self.arbiter.leave(client)
+            case _ if outlet.name in self._read_only:
+                refused = request.values if isinstance(request, messages.SetRequest) else ()
+                text = f"Expected no requests through {outlet.name}: it listens beyond this computer. Read."
+                self.answer(client, text, refused)
+            case messages.SetRequest():
+                self._set(client, request, is_operator)
+            case messages.CommandRequest():
+                q, qd, tau = (None if one is None else _numbers(one) for one in (request.q, request.qd, request.tau))
+                order = Order(client, request.arm, q, qd, tau, request.seq, request.first, request.by_axis)
+                self.arbiter.submit(order)
+            case messages.Release() if not is_operator:
+                self.arbiter.release(client, client)
+            case messages.Resume() | messages.Release() if is_operator:
+                act = self.arbiter.resume if isinstance(request, messages.Resume) else self.arbiter.release
+                act(client)
+                self.answer(client, "Done.")
+            case _:
+                self.answer(client, "Expected an operator to resume: armlab bridge resume.")
 
-    def _set(self, client: str, request: SetRequest, is_operator: bool) -> None:
-        commander = is_operator or self.arbiter.commands(client)
+    def _set(self, client: str, request: messages.SetRequest, is_operator: bool) -> None:
         try:
-            self.parameters.set_together(request.values, client, commander=commander)
+            self.parameters.set_together(request.values, client, commander=is_operator or self.arbiter.commands(client))
         except ArmlabError as error:
             self.answer(client, str(error), request.values)
             self.tell(f"A setting of {client} was refused: {error}", warn=True)
 
-    def _obey_operator(self, request: Request, client: str) -> None:
-        if isinstance(request, Resume):
-            self.arbiter.resume(client)
-        else:
-            self.arbiter.release(client)
-        self.answer(client, "Done.")
-
 
 def _numbers(values: Sequence[float | None]) -> np.ndarray:
-    """Return the numbers, NaN for null."""
     return np.array([np.nan if value is None else value for value in values], dtype=float)

@@ -14,7 +14,6 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import msgspec
@@ -34,8 +33,6 @@ from armlab.bridge.servers.row import MAGIC, Pace, Row, RowSchema, read_row
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.bridge.servers.status import Status
 from armlab.errors import CommandRefused, ConfigError, LinkError
-
-__all__ = ["LocalFeed", "LocalServer", "cells", "serve", "socket_path"]
 
 _LARGEST = 2**17
 
@@ -101,9 +98,7 @@ class LocalFeed:
     def __enter__(self) -> LocalFeed:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -189,13 +184,11 @@ class _Client:
 
 
 class LocalServer:
-    """Passes rows and events on to at most 8 clients of this user, and their requests to the loop.
+    """Passes rows and events on to at most 8 clients of this user, and their requests to the loop."""
 
-    Raises LinkError when another bridge serves there, or when the loop has gone.
-    """
-
-    def __init__(self, feed: socket.socket, path: Path) -> None:
-        self._path, self._listener = path, _listen(path)
+    def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
+        self._path = Path(options["path"])
+        self._listener = _listen(self._path)
         self._clients: dict[socket.socket, _Client] = {}
         self._events: deque[bytes] = deque(maxlen=_EVENTS)
         self._gone: dict[str, tuple[int, int]] = {}  # rows sent to clients that have left, and dropped for them
@@ -214,7 +207,6 @@ class LocalServer:
         self._selector = selectors.DefaultSelector()
 
     def run(self) -> None:
-        """Serve until the loop closes the feed."""
         self._listener.setblocking(False)
         for one in (self._loop, self._listener):
             self._selector.register(one, selectors.EVENT_READ)
@@ -329,11 +321,6 @@ class LocalServer:
         if len(self._gone) > _KEPT:
             del self._gone[next(iter(self._gone))]
         self._loop.ask(Leave(client.name))
-
-
-def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed."""
-    LocalServer(feed, Path(options["path"])).run()
 
 
 def _listen(path: Path) -> socket.socket:

@@ -11,23 +11,6 @@ import numpy as np
 from armlab.bridge.inputs.parameters import Parameters
 from armlab.errors import LinkError
 
-__all__ = [
-    "CommandRequest",
-    "Counted",
-    "Leave",
-    "Listening",
-    "Release",
-    "Report",
-    "Request",
-    "Resume",
-    "SetRequest",
-    "Stop",
-    "Subscribe",
-    "parameter_message",
-    "read_request",
-    "text_message",
-]
-
 _LARGEST = 65536  # bytes of a request
 
 

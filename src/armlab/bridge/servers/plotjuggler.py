@@ -16,8 +16,6 @@ from armlab.bridge.servers.row import RowField, RowSchema, read_head
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import ConfigError, UnknownName
 
-__all__ = ["Datagrams", "serve"]
-
 _FIELDS = ("q", "qd", "tau", "wrench", "wrench_hat", "q_sent", "qd_sent", "tau_sent", "q_ref", "qd_ref", "tau_ref")
 _LARGEST = 1400  # bytes towards other computers: one packet of a network
 _LARGEST_HERE = 65507
@@ -27,11 +25,7 @@ _STAMP = len('{"timestamp":1700000000.1234567}')
 
 
 class Datagrams:
-    """Makes datagrams of rows: {"timestamp": s, "yumi_left": {"q": {"1": ...}}}, a number that is not finite as null.
-
-    fields : field names without the robot, most useful first. The attribute holds those that fit.
-    largest : bytes of a datagram, whatever the numbers are.
-    """
+    """Makes JSON datagrams of rows; its `fields` are those wanted that fit into `largest` bytes with any numbers."""
 
     def __init__(self, schema: RowSchema, fields: Sequence[str] | None = None, largest: int = _LARGEST) -> None:
         self._schema = schema
@@ -89,7 +83,6 @@ class _FieldGroup:
         ]
 
     def values(self, data: bytes) -> dict[str, Any]:
-        """Return the numbers of a row by name."""
         found: dict[str, Any] = {}
         for name, form, offset, keys in self._fields:
             values = form.unpack_from(data, offset)
@@ -97,31 +90,35 @@ class _FieldGroup:
         return found
 
 
-def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Send until the loop closes the feed."""
-    to, port = options["to"], options["port"]
-    try:
-        is_here = ipaddress.IPv4Address(to).is_loopback
-    except ValueError:
-        raise ConfigError(f"Expected an IPv4 address as `to` of plotjuggler, got {to}.") from None
-    if not is_here and ipaddress.IPv4Address(options["host"]).is_loopback:
-        raise ConfigError(f"Expected --listen plotjuggler=ADDRESS too, since {to} is not this computer. Add it.")
-    counts = [0, 0]
-    loop = LoopEnd(feed, lambda: {f"{to}:{port}": (counts[0], counts[1])})
-    datagrams = Datagrams(loop.schema, options["fields"], _LARGEST_HERE if is_here else _LARGEST)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
-        out.bind((options["host"], 0))
-        out.setblocking(False)
-        out.connect((to, port))  # the system tells then that nobody listens there
-        loop.ask(Listening(where=[f"to {to}:{port} (plotjuggler: {', '.join(datagrams.fields)})"]))
-        while (messages := loop.receive(None)) is not None:
-            for message in messages:
-                if isinstance(message, bytes):
+class PlotJugglerServer:
+    """Sends until the loop closes the feed."""
+
+    def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
+        to, self._from = options["to"], options["host"]
+        self._to, self._sent, self._lost = (to, options["port"]), 0, 0
+        try:
+            is_here = ipaddress.IPv4Address(to).is_loopback
+        except ValueError:
+            raise ConfigError(f"Expected an IPv4 address as `to` of plotjuggler, got {to}.") from None
+        if not is_here and ipaddress.IPv4Address(self._from).is_loopback:
+            raise ConfigError(f"Expected --listen plotjuggler=ADDRESS too, since {to} is not this computer. Add it.")
+        self._loop = LoopEnd(feed, lambda: {"{}:{}".format(*self._to): (self._sent, self._lost)})
+        self._datagrams = Datagrams(self._loop.schema, options["fields"], _LARGEST_HERE if is_here else _LARGEST)
+
+    def run(self) -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+            out.bind((self._from, 0))
+            out.setblocking(False)
+            out.connect(self._to)  # the system tells then that nobody listens there
+            to, fields = "{}:{}".format(*self._to), ", ".join(self._datagrams.fields)
+            self._loop.ask(Listening(where=[f"to {to} (plotjuggler: {fields})"]))
+            while (messages := self._loop.receive(None)) is not None:
+                for row in (one for one in messages if isinstance(one, bytes)):
                     try:
-                        out.send(datagrams.datagram(message))
-                        counts[0] += 1
+                        out.send(self._datagrams.datagram(row))
+                        self._sent += 1
                     except OSError:  # nobody listens there now
-                        counts[1] += 1
+                        self._lost += 1
 
 
 def _size(field: RowField, owner: int) -> int:

@@ -5,28 +5,35 @@ from __future__ import annotations
 import json
 import socket
 import sys
+from collections.abc import Mapping
 from importlib import import_module
+from typing import Any
 
 from armlab.errors import ArmlabError
 
-_SERVERS = {
-    "local": "armlab.bridge.servers.local",
-    "labcomm": "armlab.bridge.servers.labcomm.process",
-    "ros2": "armlab.bridge.servers.ros.dds",
-    "rosbridge": "armlab.bridge.servers.rosbridge.server",
-    "zenoh": "armlab.bridge.servers.zenoh.process",
-    "rmw_zenoh": "armlab.bridge.servers.ros.rmw_zenoh",
-    "ros1": "armlab.bridge.servers.ros1.process",
-    "plotjuggler": "armlab.bridge.servers.plotjuggler",
+SERVERS = {
+    "local": "local.LocalServer",
+    "labcomm": "labcomm.process.LabCommProcess",
+    "ros2": "ros.dds.DdsServer",
+    "rosbridge": "rosbridge.server.RosbridgeServer",
+    "zenoh": "zenoh.process.ZenohProcess",
+    "rmw_zenoh": "ros.rmw_zenoh.RmwZenohServer",
+    "ros1": "ros1.process.Ros1Process",
+    "plotjuggler": "plotjuggler.PlotJugglerServer",
 }
-"""Module of each server, which has ``serve(feed, options)``."""
+"""Class of each server, made of the loop's socket and the options; its `run` serves until the loop closes the feed."""
+
+
+def serve(name: str, feed: socket.socket, options: Mapping[str, Any]) -> None:
+    """Serve until the loop closes the feed."""
+    module, _, server = f"armlab.bridge.servers.{SERVERS[name]}".rpartition(".")
+    getattr(import_module(module), server)(feed, options).run()
 
 
 def main(name: str, number: str, options: str) -> int:
-    """Serve; return the status of the process."""
     with socket.socket(fileno=int(number)) as feed:
         try:
-            import_module(_SERVERS[name]).serve(feed, json.loads(options))
+            serve(name, feed, json.loads(options))
         except (ArmlabError, OSError) as error:
             sys.stderr.write(f"{error}\n")
             return 1

@@ -6,7 +6,6 @@ import contextlib
 import math
 import select
 import socket
-import struct
 import threading
 import time
 from collections import deque
@@ -19,8 +18,6 @@ from armlab.bridge.servers.messages import CommandRequest, Counted, Report, Requ
 from armlab.bridge.servers.row import MAGIC, RowSchema
 from armlab.errors import CommandRefused, LinkError
 from armlab.robots import Robot, from_toml
-
-__all__ = ["LoopEnd", "encoded"]
 
 _LARGEST = 2**17
 _URGENT = 256  # requests that wait when the way to the loop is full
@@ -46,8 +43,6 @@ class LoopEnd:
         self.about: dict[str, Any] = {}
         self.lost = 0
         self._buffer = memoryview(bytearray(_LARGEST))  # not a new one for each row: the system would map it each time
-        self._patience: float | None = None
-        feed.setblocking(True)
         said: set[str] = set()
         while not {"about", "parameters"} <= said:
             messages = self.receive(None)
@@ -57,7 +52,6 @@ class LoopEnd:
         self._clients = clients
 
     def fileno(self) -> int:
-        """Return the number of the socket, for `select` and for event loops."""
         return self._feed.fileno()
 
     @property
@@ -66,7 +60,6 @@ class LoopEnd:
         return bool(self._urgent)
 
     def robots(self) -> dict[str, Robot]:
-        """Return the arms of the cell by name."""
         return {name: from_toml(text, f"the bridge of {name}") for name, text in self.about["robots"].items()}
 
     def receive(self, patience: float | None = 0.0) -> list[bytes | dict[str, Any]] | None:
@@ -74,11 +67,11 @@ class LoopEnd:
 
         None when the loop has gone. Rows come one by one: to look whether there is a second one costs what a row costs.
         """
-        flags = self._wait(patience)
+        self._wait(patience)
         found: list[bytes | dict[str, Any]] = []
         while len(found) < _AT_ONCE:
             try:
-                size = self._feed.recv_into(self._buffer, 0, flags)
+                size = self._feed.recv_into(self._buffer, 0, socket.MSG_DONTWAIT)
             except BlockingIOError:
                 break
             except OSError:
@@ -90,7 +83,6 @@ class LoopEnd:
                 found.append(data)
                 break
             found.append(self._text(data))
-            flags = socket.MSG_DONTWAIT
         return found
 
     def ask(self, request: Request) -> bool:
@@ -109,30 +101,22 @@ class LoopEnd:
                 self._urgent.append(data)
         return False
 
-    def _wait(self, patience: float | None) -> int:
-        """Return the flags by which to receive the first message; wait for it here while something is to be sent."""
-        if self._urgent:
-            self._retry()
-        if patience == 0.0:
-            return socket.MSG_DONTWAIT
-        if not self._urgent:  # the system waits while it receives: one call for a row
-            if patience != self._patience:
-                self._patience = patience
-                seconds, rest = divmod(patience or 0.0, 1.0)
-                wait = struct.pack("@ll", int(seconds), round(1e6 * rest))
-                self._feed.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, wait)
-            return 0
+    def _wait(self, patience: float | None) -> None:
+        """Wait for a message, and send meanwhile what found no room."""
         until = math.inf if patience is None else time.monotonic() + patience
-        while (left := until - time.monotonic()) > 0.0:
-            if select.select([self._feed], [], [], min(left, _RETRY) if self._urgent else min(left, _LONGEST))[0]:
-                break
+        while True:
             self._retry()
-        return socket.MSG_DONTWAIT
+            left = until - time.monotonic()
+            if left <= 0.0 or patience == 0.0:
+                return
+            if select.select([self._feed], [], [], min(left, _RETRY if self._urgent else _LONGEST))[0]:
+                return
 
     def _retry(self) -> None:
-        with self._lock:
-            while self._urgent and self._sent(self._urgent[0]):
-                self._urgent.popleft()
+        if self._urgent:
+            with self._lock:
+                while self._urgent and self._sent(self._urgent[0]):
+                    self._urgent.popleft()
 
     def _sent(self, data: bytes) -> bool:
         with contextlib.suppress(OSError):

@@ -19,7 +19,6 @@ from armlab.errors import UnknownName
 if TYPE_CHECKING:
     from armlab.bridge.servers.row import Row
 
-__all__ = ["Status", "Watch"]
 
 _KEPT = 2500  # round trips: 10 s at 250 Hz
 _HEAD_SEQ, _HEAD_MONO = 16, 24  # bytes from the beginning of a row
@@ -134,11 +133,9 @@ class Watch:
 
     @property
     def lost(self) -> int:
-        """Rows that the feed lost."""
         return self._status.get("lost", 0)
 
     def take(self, message: Row | dict[str, Any]) -> None:
-        """Take one message of the local feed."""
         if not isinstance(message, dict):
             self._row = message
             if self._robot is not None and f"{self._robot}.q" not in message.values:
@@ -196,7 +193,6 @@ class Watch:
         return f"{', '.join(str(file) for file in self._files)}: {1e-6 * total:.1f} MB{hours}"
 
     def lines(self, now_ns: int) -> list[str]:
-        """Return one line per arm."""
         return [
             ", ".join(value if key == "arm" else f"{key} {value}" for key, value in arm.items())
             for arm in self.arms(now_ns)
@@ -222,17 +218,17 @@ def _size(file: Path) -> int | None:
 
 
 def _state(values: dict[str, Any], now_ns: int) -> str:
-    """Return what the arm does, or why it cannot move."""
     age = 1e-9 * (now_ns - values["receive_ns"])
     if age > _SILENT:
         return f"no packet for {age:.1f} s"
-    why = not_ready_reason(values["motors"], values["rapid"], values["mci"])
-    if why:
-        return why
-    if values["seq_sent"] < 0:
-        return "listening"
     asked = math.isfinite(values["q_ref"][0]) or math.isfinite(values["qd_ref"][0])
-    return "running" if asked else "holding"
+    return arm_state(values["motors"], values["rapid"], values["mci"], values["seq_sent"] >= 0, asked)
+
+
+def arm_state(motors: int, rapid: int, mci: int, is_answered: bool, is_asked: bool) -> str:
+    """Return what an arm does that sends packets, or why it cannot move."""
+    doing = "listening" if not is_answered else "running" if is_asked else "holding"
+    return not_ready_reason(motors, rapid, mci) or doing
 
 
 def _number(value: float | None, form: str) -> str:

@@ -14,18 +14,17 @@ import pytest
 
 from armlab import robots
 from armlab.bridge.servers.labcomm.channels import (
+    QUEUE,
     ArmChannel,
-    Channel,
     FusedArm,
     FusedChannel,
     FusedSource,
     OnSet,
     ParameterChannel,
-    Value,
+    Peer,
 )
-from armlab.bridge.servers.labcomm.connection import QUEUE, Peer
-from armlab.bridge.servers.labcomm.rows import STOP, Order, Row, RowTypes, signed
-from armlab.errors import ConfigError, LabCommError, UnknownName
+from armlab.bridge.servers.labcomm.rows import Order, Row, RowTypes, signed
+from armlab.errors import ConfigError, LabCommError
 from armlab.wire.labcomm import Decoder, Encoder, Sample, idl, parse_lc
 from armlab.wire.labcomm.types import PRIMS, VOID, Array, Definition, SampleType, Unknown, Version
 
@@ -98,13 +97,6 @@ def test_fused_rows() -> None:
         FusedChannel(axes=range(1, 7))
 
 
-def test_ports_in_general() -> None:
-    with pytest.raises(UnknownName):
-        Channel("x", 0, dialect="2015")
-    with pytest.raises(NotImplementedError):
-        Channel("x", 0).put(None, [])
-
-
 def mutants(count: int) -> Iterator[bytes]:
     rng, encoder = random.Random(11), Encoder()
     raw = encoder.version() + encoder.define(COMMAND) + 3 * encoder.data(COMMAND, VALUE)
@@ -136,11 +128,10 @@ def obeyed(count: int) -> list[Row]:
     return taken
 
 
-@pytest.mark.parametrize("count", [500, pytest.param(50_000, marks=pytest.mark.slow)])
-def test_mutated_commands_are_whole_or_refused(count: int) -> None:
+def test_mutated_commands_are_whole_or_refused() -> None:
     """Each command that reaches the loop is finite and of the right length."""
-    rows = obeyed(count)
-    assert len(rows) > count // 2
+    rows = obeyed(500)
+    assert len(rows) > 250
     for row in rows:
         assert row.q is not None
         assert row.q.shape == (7,)
@@ -197,27 +188,6 @@ def test_all_parameters_on_accept() -> None:
         ParameterChannel({}, mode="none")  # type: ignore[arg-type]
 
 
-def test_each_value_has_the_type_it_was_asked_for_in() -> None:
-    """Truth values and texts have their own types; a vector may have its size or none."""
-    start: dict[str, Value] = {"gentle": True, "task": "grind", "force": [1.0, 2.0], "count": 3.0}
-    channel, (a, b) = ParameterChannel(start), fakes("a", "b")
-    for peer in (a, b):
-        channel.greet(peer)
-    three, two, any_ = (Array((n,), PRIMS["double"]) for n in (3, 2, 0))
-    for name, node in (("gentle", PRIMS["boolean"]), ("task", PRIMS["string"]), ("force", two)):
-        channel.take(a, Definition("sample", 0x50, name, node), [a, b])
-    channel.take(b, Definition("sample", 0x50, "force", any_), [a, b])
-    for name, node in (("gentle", PRIMS["double"]), ("task", any_), ("force", three)):
-        channel.take(b, Definition("sample", 0x51, name, node), [a, b])
-    assert channel.counts == {"other type": 3}
-    for value, node, name in (
-        (False, PRIMS["boolean"], "gentle"), ("deburr \u00e9", PRIMS["string"], "task"), ([3.0, 4.0], two, "force")
-    ):  # fmt: skip
-        channel.take(a, sample(value, node, name), [a, b])
-    assert values(a)[3:] == [("gentle", False), ("task", "deburr \u00e9"), ("force", [3.0, 4.0])]
-    assert values(b) == [("force", [1.0, 2.0]), ("force", [3.0, 4.0])]
-
-
 @pytest.mark.parametrize("text", ["a\0b", "a\ud800b"])
 def test_a_text_that_clients_cannot_be_told_is_refused(text: str) -> None:
     channel, (a,) = ParameterChannel({"task": "grind"}), fakes("a")
@@ -245,10 +215,8 @@ def test_the_wire_has_the_order_of_abb() -> None:
     assert get_args(Order) == ("abb", "chain")
 
 
-@pytest.mark.parametrize("tm", [0, 2**31 - 1, 2**31, 2**32 - 1, 2**40 + 3])
-def test_time_stamps_wrap(tm: int) -> None:
-    assert -(2**31) <= signed(tm) < 2**31
-    assert (signed(tm) - tm) % 2**32 == 0
+def test_time_stamps_wrap() -> None:
+    assert [signed(tm) for tm in (0, 2**31 - 1, 2**31, 2**32 - 1, 2**40 + 3)] == [0, 2**31 - 1, -(2**31), -1, 3]
 
 
 def test_zeros_and_nan_ask_for_nothing() -> None:
@@ -329,15 +297,6 @@ def test_arms_of_six_joints() -> None:
     for axes, order in (((1, 2, 2), "abb"), ((1, 2), "kinematic")):
         with pytest.raises(ConfigError, match="axis numbers"):
             RowTypes(axes, order)  # type: ignore[arg-type]
-
-
-def test_stop_has_no_value() -> None:
-    """Every dialect can say it."""
-    assert (STOP.name, STOP.type.fixed_size) == ("stop", 0)
-    for dialect in ("2014v1", "2014", "2014i", "2013", "2006"):
-        encoder, decoder = Encoder(dialect), Decoder()
-        events = decoder.feed(encoder.version() + encoder.define(STOP) + encoder.data(STOP, {}))
-        assert (events[-1].name, events[-1].type) == (STOP.name, STOP.type)  # type: ignore[union-attr]
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -11,11 +10,9 @@ import numpy as np
 import pytest
 
 from armlab import bridge, robots
-from armlab.bridge.arbiter import Arbiter
-from armlab.bridge.servers.labcomm import ArmChannel, LabCommServer, Row, RowFeed, to_arbiter
+from armlab.bridge.servers.labcomm import ArmChannel, LabCommServer, Row
 from armlab.bridge.servers.labcomm.channels import ParameterChannel
-from armlab.bridge.servers.labcomm.client import LabCommClient, LabCommSource, connected
-from armlab.bridge.servers.labcomm.link import RowCodec, RowPort, far_end
+from armlab.bridge.servers.labcomm.client import LabCommClient, LabCommSource, RowCodec, RowPort, connected, far_end
 from armlab.bridge.servers.labcomm.rows import RowTypes
 from armlab.errors import ConfigError, LinkError, UnknownName
 from armlab.log import Column
@@ -179,38 +176,6 @@ def robot() -> Robot:
     return robots.load("yumi_right")
 
 
-@pytest.mark.slow
-def test_a_controller_far_away_moves_a_simulated_robot_over_egm(robot: Robot) -> None:
-    """Simulated controller, EGM, bridge, LabComm, a second loop, and back. About 5 s."""
-    arbiter, far_runs = Arbiter([robot], ["labcomm"]), []
-
-    def controller(state: State) -> Command:
-        q = state.q_start.copy()
-        q[0] += 0.05 * (1.0 - np.cos(np.pi * state.t))
-        return Command(q)
-
-    def far_away(port: int) -> None:
-        with bridge.connect(f"labcomm://127.0.0.1:{port}", robot) as link:
-            far_runs.append(link.run(controller, seconds=2.0, wait="block"))
-
-    channel = ArmChannel("right", 0, to_arbiter(arbiter, robot.name), robot.abb_axes)
-    with LabCommServer([channel]) as server, bridge.connect("sim://yumi_right", robot) as link:
-        thread = threading.Thread(target=far_away, args=(server.ports["right"],))
-
-        def obey(state: State) -> Command | None:
-            return arbiter(state) if thread.is_alive() else Command.stop()
-
-        thread.start()
-        run = link.run(obey, seconds=60.0, feeds=[RowFeed(server, {"yumi_right": "right"})], wait="block")
-        thread.join()
-    assert far_runs[0].reason == "the time is up"
-    assert run.reason == "the controller ended the run"
-    moved, told = run.table["q"][:, 0], far_runs[0].table["q"][:, 0]
-    assert np.ptp(moved) == pytest.approx(0.1, abs=0.02)
-    assert np.ptp(told) == pytest.approx(0.1, abs=0.02)
-    assert server.counts["right"]["commands"] > 100
-
-
 class Arm:
     """An arm behind a LabComm server, in lockstep: it follows each command and sends the next row then."""
 
@@ -250,30 +215,6 @@ def test_a_controller_moves_an_arm_over_labcomm(robot: Robot) -> None:
     assert np.allclose([state.dt for state in seen], 0.004, rtol=0, atol=1e-9)
     assert run.table["q"].shape[1] == 7
     assert seen[-1].tau_source == "measured"
-
-
-def test_two_arms_over_labcomm(robot: Robot) -> None:
-    """One controller, two ports; each arm follows its half of the command."""
-    pair = [robots.load("yumi_left"), robot]
-    arms = [Arm(one) for one in pair]
-
-    def controller(state: State) -> Command:
-        q = state.q_start.copy()
-        q[[0, 7]] += np.array([0.02, -0.02]) * (1.0 - np.cos(2.0 * np.pi * state.t))
-        return Command(q)
-
-    urls = [f"labcomm://127.0.0.1:{arm.port}" for arm in arms]
-    with bridge.connect(urls, pair, clock="robot") as link:
-        for arm in arms:
-            until(lambda arm=arm: arm.server.counts["right"]["clients"] == 1)
-            arm.send()
-        run = link.run(controller, seconds=0.5)
-    for arm in arms:
-        arm.server.close()
-    assert run.reason == "the time is up"
-    for arm, one, sign in zip(arms, pair, (1.0, -1.0), strict=True):
-        moved = np.array([command.q[0] - one.q_home[0] for command in arm.commands])
-        assert sign * moved[np.abs(moved).argmax()] == pytest.approx(0.04, abs=0.01)
 
 
 def test_the_port_gives_rows_as_packets_and_connects_again(robot: Robot, start: Start) -> None:

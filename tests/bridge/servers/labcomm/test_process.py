@@ -16,7 +16,7 @@ from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.labcomm import LabCommClient, Row
 from armlab.bridge.servers.labcomm.process import ArmPlaces, HeldArm, LabCommProcess, SourcePlaces, labcomm_options
 from armlab.bridge.servers.labcomm.rows import RowTypes
-from armlab.bridge.servers.row import RowField, RowSchema, RowWriter, read_row
+from armlab.bridge.servers.row import RowSchema, RowWriter, read_row
 from armlab.bridge.servers.supervisor import Servers, server_command
 from armlab.errors import ConfigError, LabCommError, UnknownName
 from armlab.log import Column, Tick
@@ -307,15 +307,3 @@ def test_a_source_has_its_numbers_in_order_and_its_age() -> None:
     found = places.held(_written(1.0, 2.0, 3.0, 4.0, 0.002), 5_000_000_000)
     assert found == ("force", 4_998_000, [1.0, 2.0, 3.0, 4.0])
     assert places.held(_written(1.0, 2.0, 3.0, 4.0, np.inf), 5_000_000_000) is None
-
-
-def test_an_arm_of_one_joint_has_rows_of_one_number() -> None:
-    numbers = {"fresh": (), "age": (), "receive_ns": (), "robot_ns": (), "session_t": (), "q": 1, "qd": 1, "tau": 1}
-    fields, at = [], RowSchema([], []).size
-    for name, size in numbers.items():
-        kind = "int64" if name.endswith(("_ns", "fresh")) else "float64"
-        fields.append(RowField(f"arm.{name}", kind, (size,) if size else (), "1", "", (), "arm", at))
-        at += 8
-    held = ArmPlaces(RowSchema(["arm"], fields), "arm").held(bytes(at))
-    assert held is not None
-    assert held.arm.row == (0, (0.0,), (0.0,), (0.0,))

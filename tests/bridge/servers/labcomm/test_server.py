@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import select
 import socket
 from collections.abc import Callable, Iterator
@@ -15,7 +14,7 @@ import pytest
 from armlab import robots
 from armlab.bridge.arbiter import Arbiter
 from armlab.bridge.servers.labcomm import ArmChannel, LabCommServer, Row
-from armlab.bridge.servers.labcomm.channels import FusedArm, FusedChannel, ParameterChannel
+from armlab.bridge.servers.labcomm.channels import FusedArm, FusedChannel
 from armlab.bridge.servers.labcomm.rows import STOP, RowTypes
 from armlab.bridge.servers.labcomm.server import Ports, RowFeed, to_arbiter
 from armlab.errors import LinkError, UnknownName
@@ -125,24 +124,6 @@ def test_at_most_eight_clients(start: Start) -> None:
     one.client("left").read(2)
 
 
-def test_parameters_are_set_and_echoed(start: Start) -> None:
-    def on_set(name: str, value: Any, who: str) -> Any:
-        return value if 0.0 <= value <= 1.0 else 0.5
-
-    one = start(ParameterChannel({"gain": 0.5}, 0, on_set))
-    (gain,) = parse_lc("sample double gain;")
-    assert isinstance(gain, SampleType)
-    a, b, encoder = one.client("parameters"), one.client("parameters"), Encoder()
-    for client in (a, b):
-        client.socket.sendall(encoder.version() + encoder.define(gain))
-        client.read(3)
-    a.socket.sendall(encoder.data(gain, 0.75) + encoder.data(gain, 7.0))
-    one.server.parameter("gain", 0.5)
-    for client in (a, b):
-        values = [event.value for event in client.read(6) if isinstance(event, Sample)]
-        assert sorted(values) == [0.5, 0.5, 0.5, 0.75]
-
-
 def test_a_row_of_another_shape_stops_nobody(start: Start) -> None:
     one = start(ArmChannel("left", 0))
     client = one.client("left")
@@ -162,19 +143,6 @@ def test_a_callback_that_raises_stops_nobody(start: Start) -> None:
     until(lambda: any("RuntimeError: broken" in text for text in one.said))
     one.server.row("left", row(1))
     client.read(3)
-
-
-def test_noise_closes_the_connection_that_makes_it(start: Start) -> None:
-    rng = random.Random(5)
-    one = start(ArmChannel("left", 0))
-    good = one.client("left")
-    for k in range(60):
-        noise = Plain(one.server.ports["left"])
-        noise.socket.sendall(rng.randbytes(rng.randint(1, 3000)))
-        noise.socket.close()
-        one.server.row("left", row(k))
-        good.read(3 + k)
-    until(lambda: one.server.counts["left"]["clients"] == 1)
 
 
 def test_a_port_that_is_taken_is_named(start: Start) -> None:

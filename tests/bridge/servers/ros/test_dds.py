@@ -5,11 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import socket
-import subprocess
-import sys
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -31,7 +28,7 @@ from armlab.bridge.servers.ros.dds import (
     tie_to_loopback,
     topic_name,
 )
-from armlab.bridge.servers.ros.requests import Commands
+from armlab.bridge.servers.ros.server import Commands
 from armlab.bridge.servers.ros.topics import RosTopic, Topics, store, type_name
 from armlab.bridge.servers.row import RowSchema
 from armlab.errors import LinkError
@@ -59,6 +56,14 @@ class Running(Served):
     def close(self) -> None:
         del self.node
         super().close()
+
+
+@pytest.fixture(autouse=True)
+def often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parameters and diagnostics come ten times a second, an arm is silent after a fifth of one."""
+    monkeypatch.setattr("armlab.bridge.servers.ros.server._AGAIN", 0.1)
+    monkeypatch.setattr("armlab.bridge.servers.ros.topics._PERIOD_NS", 10**8)
+    monkeypatch.setattr("armlab.bridge.servers.ros.topics._SILENT", 0.2)
 
 
 @pytest.fixture
@@ -102,7 +107,7 @@ def test_rows_become_messages_of_what_is_read(running: Running) -> None:
     assert len(found) <= written <= running.tick
     assert full == 0
     readers.clear()
-    until(lambda: running.commanded() is None and running.server.wanted() == frozenset(), "nobody reading")
+    until(lambda: running.commanded() is None and running.server.wanted() == frozenset(), what="nobody reading")
 
 
 def test_commands_take_the_arm_until_the_writer_leaves(running: Running) -> None:
@@ -172,35 +177,6 @@ def test_who_commands_with_one_topic_sets_parameters_and_commands_with_another()
     running.close()
 
 
-@pytest.mark.parametrize(
-    ("type_", "fields", "sentence"),
-    [
-        (ARRAY, numbers(0.0, 1.0), "Expected 7 numbers on {}, got 2."),
-        (
-            ARRAY,
-            numbers(*[0.0] * 6, np.nan),
-            "Expected finite numbers on {}, got nan for yumi_robl_joint_7 (number 7 of the message).",
-        ),
-    ],
-)
-def test_wrong_numbers_are_answered_in_the_diagnostics(
-    running: Running, type_: str, fields: Any, sentence: str
-) -> None:
-    writer = running.node.writer(VELOCITY, type_)
-    diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
-    events: list[str] = []
-    running.exchange.begin(lambda text, *_: events.append(text))
-
-    def told() -> str:
-        write(writer, type_, *fields)
-        return answer(running, diagnostics)
-
-    found = until(told)
-    until(lambda: running.commanded() or f"ros2 {found}" in events, "an event of the log")
-    assert found == f"{client(writer)}: {sentence.format(VELOCITY)}"
-    assert running.exchange.arbiter.commander("yumi_left") == ""
-
-
 def test_diagnostics_come_and_say_so_when_no_row_comes(running: Running) -> None:
     diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
     found: list[Any] = []
@@ -215,18 +191,7 @@ def test_diagnostics_come_and_say_so_when_no_row_comes(running: Running) -> None
     assert found[-1].status[0].level == 2
 
 
-def test_half_a_surrogate_pair_is_answered(running: Running) -> None:
-    writer = running.node.writer("/yumi_left/set_parameter", TEXT)
-    diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
-
-    def told() -> str:
-        write(writer, TEXT, '{"gain": "\\ud800"}')
-        return answer(running, diagnostics)
-
-    assert "Expected what JSON in UTF-8 can say" in until(told)
-
-
-def test_parameters_are_set_and_told_again_to_who_comes_later(running: Running) -> None:
+def test_parameters_are_set_and_told_again_to_who_comes_later_and_the_arms_are_stopped(running: Running) -> None:
     writer = running.node.writer("/yumi_left/set_parameter", TEXT)
     until(
         lambda: write(writer, TEXT, '{"gain": 0.75}') or running.commanded() or running.exchange.parameters.gain == 0.75
@@ -235,34 +200,14 @@ def test_parameters_are_set_and_told_again_to_who_comes_later(running: Running) 
     found: list[Any] = []
     until(lambda: found.extend(taken(reader, TEXT)) or found)
     assert found[-1].data == '{"gain": 0.75}'
-
-
-def test_any_node_may_stop_the_arms(running: Running) -> None:
-    writer = running.node.writer("/yumi_left/stop", "std_msgs/msg/Empty")
-    until(lambda: write(writer, "std_msgs/msg/Empty") or running.commanded() or running.exchange.arbiter.stopped)
-    assert running.exchange.arbiter.stopped == f"ros2 {client(writer)}"
-
-
-def test_a_server_that_listens_beyond_this_computer_is_for_reading() -> None:
-    running = Running(read_only=["ros2"])
-    writer = running.node.writer(VELOCITY, ARRAY)
-    diagnostics = running.node.reader("/yumi_left/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
-
-    def told() -> str:
-        write(writer, ARRAY, *numbers(*[0.01] * 7))
-        return answer(running, diagnostics)
-
-    assert "it listens beyond this computer. Read." in until(told)
-    assert running.exchange.arbiter.commander("yumi_left") == ""
-    running.close()
-
-
-STRING, NUMBERS = "std_msgs/msg/String", "std_msgs/msg/Float64MultiArray"
+    stop = running.node.writer("/yumi_left/stop", "std_msgs/msg/Empty")
+    until(lambda: write(stop, "std_msgs/msg/Empty") or running.commanded() or running.exchange.arbiter.stopped)
+    assert running.exchange.arbiter.stopped == f"ros2 {client(stop)}", "any node may"
 
 
 def text(words: str) -> bytes:
     """A message of any number of bytes, also such that are no multiple of 4."""
-    return bytes(store().serialize_cdr(store().types[STRING](words), STRING))
+    return bytes(store().serialize_cdr(store().types[TEXT](words), TEXT))
 
 
 @pytest.fixture
@@ -273,52 +218,52 @@ def node() -> Iterator[Node]:
 
 
 def test_a_topic_is_wanted_while_it_has_a_reader(node: Node) -> None:
-    topics = {name: RosTopic(name, STRING) for name in ("/a", "/b")}
+    topics = {name: RosTopic(name, TEXT) for name in ("/a", "/b")}
     writers = Writers(node.participant, topics)
     assert writers.wanted == frozenset()
-    readers = [node.reader("/b", STRING), node.reader("/b", STRING)]
+    readers = [node.reader("/b", TEXT), node.reader("/b", TEXT)]
     until(lambda: writers.wanted == {"/b"})
     for k in range(3):
         writers.write(topics["/b"], text(f"text {k}"))
     assert writers.counts == {"/b": (3, 0)}
-    for texts in [[message.data for message in taken(reader, STRING)] for reader in readers]:
+    for texts in [[message.data for message in taken(reader, TEXT)] for reader in readers]:
         assert texts == ["text 0", "text 1", "text 2"]
     readers.pop()
     assert writers.wanted == {"/b"}
     readers.clear()
     until(lambda: writers.wanted == frozenset())
-    last = node.reader("/a", STRING)
+    last = node.reader("/a", TEXT)
     until(last.get_matched_publications)
     writers.close()
     until(lambda: not last.get_matched_publications())
 
 
 def test_of_what_a_reader_has_not_read_the_last_ten_are_kept(node: Node) -> None:
-    topic = RosTopic("/a", STRING)
+    topic = RosTopic("/a", TEXT)
     writers = Writers(node.participant, {"/a": topic})
-    reader = node.reader("/a", STRING)
+    reader = node.reader("/a", TEXT)
     for k in range(500):
         writers.write(topic, text(str(k)))
     assert writers.counts == {"/a": (500, 0)}, "nothing waited"
-    assert [message.data for message in taken(reader, STRING)] == [str(k) for k in range(490, 500)]
+    assert [message.data for message in taken(reader, TEXT)] == [str(k) for k in range(490, 500)]
 
 
 def test_messages_come_with_their_writer_and_its_end_is_told(node: Node) -> None:
     came: list[tuple[str, bytes, str]] = []
     left: list[str] = []
-    readers = Readers(node.participant, {"/a": STRING, "/b": NUMBERS}, lambda *one: came.append(one), left.append)
-    writers = [node.writer("/a", STRING), node.writer("/b", NUMBERS), node.writer("/b", STRING)]
+    readers = Readers(node.participant, {"/a": TEXT, "/b": ARRAY}, lambda *one: came.append(one), left.append)
+    writers = [node.writer("/a", TEXT), node.writer("/b", ARRAY), node.writer("/b", TEXT)]
     client = writers[0].guid.hex[:24]  # of the participant
     other = Node(node.domain)
-    last = other.writer("/a", STRING)
-    write(writers[0], STRING, "hello")
+    last = other.writer("/a", TEXT)
+    write(writers[0], TEXT, "hello")
     until(lambda: len(came) == 1)
-    write(writers[2], STRING, "another type on the same topic is another topic")
-    write(writers[1], NUMBERS, *numbers(1.0, 2.0))
+    write(writers[2], TEXT, "another type on the same topic is another topic")
+    write(writers[1], ARRAY, *numbers(1.0, 2.0))
     until(lambda: len(came) == 2)
     assert [(name, client) for name, _, client in came] == [("/a", client), ("/b", client)]
-    assert store().deserialize_cdr(came[0][1], STRING).data == "hello"
-    assert store().deserialize_cdr(came[1][1], NUMBERS).data.tolist() == [1.0, 2.0]
+    assert store().deserialize_cdr(came[0][1], TEXT).data == "hello"
+    assert store().deserialize_cdr(came[1][1], ARRAY).data.tolist() == [1.0, 2.0]
     until(lambda: len(readers._clients) == 3)
     del writers[0]
     until(lambda: len(readers._clients) == 2)
@@ -330,7 +275,7 @@ def test_messages_come_with_their_writer_and_its_end_is_told(node: Node) -> None
     del last
     until(lambda: len(left) == 2)
     assert left[1] == other.participant.guid.hex[:24] != client
-    writer = node.writer("/a", STRING)
+    writer = node.writer("/a", TEXT)
     until(writer.get_matched_subscriptions)
     readers.close()
     until(lambda: not writer.get_matched_subscriptions())
@@ -340,11 +285,11 @@ def test_writers_may_be_there_first(node: Node, caplog: pytest.LogCaptureFixture
     """DDS tells of them before the reader is an object in Python."""
     came: list[tuple[str, bytes, str]] = []
     left: list[str] = []
-    writer, other = node.writer("/a", STRING), node.writer("/a", STRING)
+    writer, other = node.writer("/a", TEXT), node.writer("/a", TEXT)
     with caplog.at_level(logging.ERROR, "armlab.bridge"):
-        readers = Readers(node.participant, {"/a": STRING}, lambda *one: came.append(one), left.append)
+        readers = Readers(node.participant, {"/a": TEXT}, lambda *one: came.append(one), left.append)
         until(writer.get_matched_subscriptions)
-        write(writer, STRING, "hello")
+        write(writer, TEXT, "hello")
         until(lambda: came)
         del writer
         until(lambda: len(readers._clients) == 1)
@@ -360,12 +305,12 @@ def test_what_comes_while_a_reader_is_made_is_read(node: Node, monkeypatch: pyte
     """DDS calls for it in vain then, and would not call again before the next message; nor tell that a writer ended."""
     came: list[str] = []
     left: list[str] = []
-    writers = [node.writer("/a", STRING)]
+    writers = [node.writer("/a", TEXT)]
 
     def made(*arguments: Any) -> DataReader[Any]:
         reader = DataReader(*arguments[:-1])  # as if its listener had been called already
         until(writers[0].get_matched_subscriptions)
-        write(writers[0], STRING, "hello")
+        write(writers[0], TEXT, "hello")
         until(lambda: reader.read(1))
         if ends:
             writers.clear()
@@ -373,7 +318,7 @@ def test_what_comes_while_a_reader_is_made_is_read(node: Node, monkeypatch: pyte
         return reader
 
     monkeypatch.setattr(dds, "DataReader", made)
-    readers = Readers(node.participant, {"/a": STRING}, lambda _name, _cdr, client: came.append(client), left.append)
+    readers = Readers(node.participant, {"/a": TEXT}, lambda _name, _cdr, client: came.append(client), left.append)
     assert len(came) == 1
     assert left == (came if ends else [])
     readers.close()
@@ -386,11 +331,11 @@ def test_what_fails_is_told_and_the_next_message_comes(node: Node, caplog: pytes
         came.append(client)
         raise ValueError("of the test")
 
-    readers = Readers(node.participant, {"/a": STRING}, take, came.append)
-    writer = node.writer("/a", STRING)
+    readers = Readers(node.participant, {"/a": TEXT}, take, came.append)
+    writer = node.writer("/a", TEXT)
     with caplog.at_level(logging.ERROR, "armlab.bridge"):
         for k in range(2):
-            write(writer, STRING, "hello")
+            write(writer, TEXT, "hello")
             until(lambda k=k: len(came) > k)
     until(lambda: caplog.text.count("ValueError: of the test") == 2)
     readers.close()
@@ -402,32 +347,6 @@ BYTES = bytes.fromhex(  # JointState of 1.000000002 s, frame "f", joints a and b
     "00010000 01000000 02000000 02000000 66000000 02000000 02000000 61000000 02000000 62000000 02000000"
     "0000000000000000 000000000000f03f 00000000 02000000 000000000000f03f 0000000000000040"
 )
-
-
-def message(name: str, seed: int = 0) -> Any:
-    """A message of a type, all of it filled in: texts of every length, sequences of two."""
-    count = iter(range(seed, 1000))
-
-    def value(kind: Any, about: Any) -> Any:
-        if kind.name == "NAME":
-            return message(about, next(count))
-        if kind.name == "SEQUENCE":
-            found = [value(*about[0]) for _ in range(2)]
-            return np.array(found) if isinstance(found[0], float) else found
-        k = next(count)
-        return {"string": "x" * (k % 9), "bool": k % 2 == 1, "float64": k + 0.25}.get(about[0], k % 200)
-
-    return store().types[name](*(value(*about) for _, about in store().fielddefs[name][1]))
-
-
-def plain(value: Any) -> Any:
-    """The same message as a dataclass of cyclonedds."""
-    if isinstance(value, list | np.ndarray):
-        return [plain(one) for one in value]
-    if is_dataclass(value):
-        made = struct(value.__msgtype__)
-        return made(*(plain(getattr(value, one.name)) for one in fields(made)))
-    return value.item() if isinstance(value, np.generic) else value
 
 
 def test_names() -> None:
@@ -444,19 +363,8 @@ def test_golden_bytes() -> None:
         header, ["a", "b"], np.array([0.0, 1.0]), np.zeros(0), np.array([1.0, 2.0])
     )
     assert bytes(store().serialize_cdr(joints, "sensor_msgs/msg/JointState")) == BYTES
-    assert plain(joints).serialize(use_version_2=False) == BYTES
     assert carrier("sensor_msgs/msg/JointState")(BYTES).serialize() == BYTES
     assert carrier("sensor_msgs/msg/JointState").deserialize(BYTES).cdr == BYTES
-
-
-@pytest.mark.parametrize("name", sorted(PUBLISHED | TAKEN))
-def test_both_codecs_agree(name: str) -> None:
-    for seed in range(3):
-        ours = message(name, seed)
-        expected = bytes(store().serialize_cdr(ours, name))
-        assert plain(ours).serialize(use_version_2=False) == expected
-        again = struct(name).deserialize(expected)
-        assert again.serialize(use_version_2=False) == expected
 
 
 def device(one: socket.socket) -> bytes:
@@ -493,19 +401,14 @@ def test_sockets_open_to_all_are_tied_to_this_computer(monkeypatch: pytest.Monke
 
 def test_a_participant_listens_on_this_computer_only() -> None:
     """Cyclone DDS binds to all addresses; every such socket is tied to the loopback interface."""
-    domain = free_domain()
-    before = len(list(Path("/proc/self/fd").iterdir()))
-    found = {}
+    domain, found = free_domain(), {}
     with joined(domain, "127.0.0.1"):
         for entry in filter(Path.is_socket, Path("/proc/self/fd").iterdir()):
             with socket.socket(fileno=os.dup(int(entry.name))) as one:
                 if one.family == socket.AF_INET:
-                    found[one.getsockname()[1]] = one.getsockname()[0], device(one)
-    assert len(list(Path("/proc/self/fd").iterdir())) == before
-    for port in (7410 + 250 * domain, 7411 + 250 * domain):
-        assert found[port][0] == "127.0.0.1" or found[port][1] == b"lo"
-    wide = [about for about in found.values() if not about[0].startswith("127.")]
-    assert all(tied == b"lo" for _, tied in wide)
+                    found[one.getsockname()[1]] = one.getsockname()[0].startswith("127.") or device(one) == b"lo"
+    assert {7410 + 250 * domain, 7411 + 250 * domain} <= set(found)
+    assert all(found.values())
 
 
 def test_an_interface_that_is_not_there() -> None:
@@ -514,92 +417,3 @@ def test_an_interface_that_is_not_there() -> None:
         joined(free_domain(), "192.0.2.1"),
     ):
         pass
-
-
-OUTSIDE = """
-import contextlib, os, socket, subprocess, sys
-from pathlib import Path
-from armlab.bridge.servers.ros.dds import joined
-
-def ip(*words):
-    subprocess.run(["ip", *words], check=True, timeout=20)
-
-SENDS = '''
-import socket, sys
-print("there", flush=True)
-for port in sys.stdin.readline().split():
-    one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    one.settimeout(2.0)
-    one.connect(("10.255.77.1", int(port)))
-    one.send(b"RTPS")
-    try:
-        print(port, one.recv(10).decode(), flush=True)
-    except ConnectionRefusedError:
-        print(port, "refused", flush=True)
-    except TimeoutError:
-        print(port, "taken", flush=True)
-'''
-
-ip("link", "set", "lo", "up")
-words = ["unshare", "-n", sys.executable, "-S", "-c", SENDS]
-with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
-    try:
-        other.stdout.readline()
-        ip("link", "add", "near0", "type", "veth", "peer", "name", "far0", "netns", str(other.pid))
-        ip("addr", "add", "10.255.77.1/24", "dev", "near0")
-        ip("link", "set", "near0", "up")
-        theirs = ["nsenter", "-t", str(other.pid), "-n", "ip"]
-        subprocess.run([*theirs, "addr", "add", "10.255.77.2/24", "dev", "far0"], check=True, timeout=20)
-        subprocess.run([*theirs, "link", "set", "far0", "up"], check=True, timeout=20)
-        with joined(0, "127.0.0.1"), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
-            control.bind(("0.0.0.0", 0))
-            control.settimeout(60.0)
-            ports = set()
-            for entry in filter(Path.is_socket, Path("/proc/self/fd").iterdir()):
-                with socket.socket(fileno=os.dup(int(entry.name))) as one:
-                    if one.family == socket.AF_INET and one.type == socket.SOCK_DGRAM:
-                        ports.add(one.getsockname()[1])
-            mine = control.getsockname()[1]
-            ports.discard(mine)
-            other.stdin.write(" ".join(map(str, [*sorted(ports), mine])) + chr(10))
-            other.stdin.flush()
-            _, sender = control.recvfrom(10)
-            control.sendto(b"heard", sender)
-            sys.stdout.write(other.stdout.read())
-    finally:
-        other.kill()
-"""
-
-
-@pytest.mark.slow
-def test_packets_from_another_interface_reach_no_socket_of_a_participant() -> None:
-    """Seen from a network namespace at the other end of a cable; one socket that is open to all shows that it holds."""
-    try:
-        cable = [
-            "unshare",
-            "-rn",
-            "unshare",
-            "-n",
-            "ip",
-            "link",
-            "add",
-            "near0",
-            "type",
-            "veth",
-            "peer",
-            "name",
-            "far0",
-        ]
-        able = subprocess.run(cable, capture_output=True, check=False)
-    except FileNotFoundError as error:
-        pytest.skip(f"{error.filename} is not installed")
-    if able.returncode:
-        pytest.skip(f"no network namespaces and cables here: {able.stderr.decode().strip()}")
-    words = ["unshare", "-rn", sys.executable, "-c", OUTSIDE]
-    found = subprocess.run(words, capture_output=True, text=True, timeout=120.0, check=False)
-    assert not found.returncode, found.stderr
-    outcomes = dict(line.split() for line in found.stdout.splitlines())
-    *dds, control = outcomes.values()
-    assert control == "heard"
-    assert {"7410", "7411"} <= set(outcomes)
-    assert set(dds) == {"refused"}

@@ -17,12 +17,10 @@ from hypothesis import strategies as st
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter
 from armlab.bridge.servers.hub import Hub
-from armlab.bridge.servers.ros.rmw_zenoh import ANY, Distribution, Names, Nodes, Origin, RmwZenohServer, Writer, serve
+from armlab.bridge.servers.ros.rmw_zenoh import ANY, Distribution, Names, Nodes, Origin, RmwZenohServer, Writer
 from armlab.bridge.servers.ros.topics import store
 from armlab.bridge.servers.zenoh.session import LabAddress, close_session
 from armlab.errors import ConfigError, MissingExtra
-from armlab.log import Tick
-from armlab.state import State
 
 from ....processes import Started, free_port
 from ..conftest import WALL, Served, until
@@ -59,6 +57,14 @@ class Running(Served):
     def close(self) -> None:
         close_session(self.node)
         super().close()
+
+
+@pytest.fixture(autouse=True)
+def often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parameters and diagnostics come ten times a second, an arm is silent after a fifth of one."""
+    monkeypatch.setattr("armlab.bridge.servers.ros.server._AGAIN", 0.1)
+    monkeypatch.setattr("armlab.bridge.servers.ros.topics._PERIOD_NS", 10**8)
+    monkeypatch.setattr("armlab.bridge.servers.ros.topics._SILENT", 0.2)
 
 
 @pytest.fixture
@@ -245,7 +251,7 @@ def test_it_refuses_commands_through_a_router_elsewhere() -> None:
     options = {"domain": 0, "host": "127.0.0.1", "port": free_port(), "router": "192.168.1.9:7447"}
     exchange = Hub([ARM], ["rmw_zenoh"], about=about)
     with exchange.open("rmw_zenoh") as feed, pytest.raises(ConfigError, match="through a router elsewhere"):
-        serve(feed, {**options, "distribution": "jazzy"})
+        RmwZenohServer(feed, {**options, "distribution": "jazzy"})
     exchange.close()
 
 
@@ -281,7 +287,6 @@ def test_the_attachment_is_what_zenoh_serialises() -> None:
 
 
 def test_messages_of_a_writer_are_numbered_from_one() -> None:
-    pytest.importorskip("xxhash", reason="the extra net is not installed")
     writer = Writer("")
     assert writer.id[::-1].hex() == "99aa06d3014798d86001c324468d497f", "XXH3-128 of nothing, by its own test vectors"
     found = [Origin.read(writer.next(stamp)) for stamp in (5, 6)]
@@ -325,26 +330,21 @@ def test_a_flood_of_writers_is_not_kept() -> None:
     assert len(nodes._clients) == 4096
 
 
-pytest.importorskip("zenoh", reason="the extra net is not installed")
-pytest.importorskip("xxhash", reason="the extra net is not installed")
 SENDER = b"s" * 16
 STAMP, PERIOD_NS = struct.Struct("<iI"), 4_000_000
 AGAIN_NS = 5e9  # of the specification; of ten restarts beside a load of 20 on two cores the longest took 0.4 s
 RESTART = 60.0  # s; only a test that fails waits so long
 
 
-class Cell:
+class Cell(Served):
     """A loop with a row every 4 ms, the server, and a node that has no way to it but the router."""
 
     def __init__(self, router: int) -> None:
-        self.exchange = Hub(
-            [ARM], ["rmw_zenoh"], None, ["rmw_zenoh"], about={"cell": "yumi", "commands": ["rmw_zenoh"]}
-        )
-        self.feed = self.exchange.open("rmw_zenoh")
         place = {"host": "127.0.0.1", "port": 0, "router": f"127.0.0.1:{router}"}
-        self.server = RmwZenohServer(self.feed, {"domain": 0, "distribution": "jazzy", **place})
+        options = {"domain": 0, "distribution": "jazzy", **place}
+        super().__init__("rmw_zenoh", ARM, lambda feed: RmwZenohServer(feed, options))
         self.over = threading.Event()
-        self.threads = [threading.Thread(target=one) for one in (self.server.run, self._loop, self._command)]
+        self.threads = [threading.Thread(target=one) for one in (self._loop, self._command)]
         self.node = LabAddress("127.0.0.1", router).open_behind()
         self.names = Names(0, str(self.node.zid()), node="theirs")
         self.came: list[tuple[int, int, int]] = []  # of each message its number, its tick, and when it was written [ns]
@@ -360,13 +360,8 @@ class Cell:
         self.came.append((origin.seq, tick, origin.stamp_ns))
 
     def _loop(self) -> None:
-        nothing, q, tick = np.full(7, np.nan), np.array(ARM.q_home), 0
         while not self.over.wait(0.004):
-            tick += 1
-            state = State(t=0.004 * tick, dt=0.004, q=q, qd=nothing, tau=nothing, robot=ARM.name, q_start=q)
-            command = self.exchange.arbiter(state)
-            assert not isinstance(command, tuple)
-            self.exchange.row(state, command, Tick(tick, 0, WALL + PERIOD_NS * tick, 1_000, 2_000, 3))
+            self.commanded()
 
     def _command(self) -> None:
         number, place = 0, self.names.data(VELOCITY, ARRAY)
@@ -385,13 +380,10 @@ class Cell:
 
     def close(self) -> None:
         self.over.set()
-        for one in self.threads[1:]:
+        for one in self.threads:
             one.join(RESTART)
         close_session(self.node)
-        self.exchange.close()
-        self.threads[0].join(RESTART)
-        self.feed.close()
-        assert not any(one.is_alive() for one in self.threads)
+        super().close()
 
 
 @pytest.fixture
@@ -419,7 +411,7 @@ def test_a_node_behind_a_router_that_is_killed_twice(cell: tuple[Cell, Callable[
     """
     one, restart = cell
     who = f"rmw_zenoh {SENDER.hex()}"
-    until(lambda: one.commander == who and len(one.came) > 250, patience=RESTART)
+    until(lambda: one.commander == who and len(one.came) > 100, patience=RESTART)
     everything = one.tokens()
     assert everything == len(one.server._topics.published) + len(one.server._commands.types) + 1
     for _ in range(2):
@@ -429,7 +421,7 @@ def test_a_node_behind_a_router_that_is_killed_twice(cell: tuple[Cell, Callable[
         until(lambda seen=seen: len(one.came) > seen, patience=RESTART)
         until(lambda: one.commander == who, patience=RESTART)
         until(lambda: one.tokens() == everything, patience=RESTART)
-        until(lambda seen=seen: len(one.came) > seen + 250, patience=RESTART)
+        until(lambda seen=seen: len(one.came) > seen + 100, patience=RESTART)
         numbered, ticks, stamps = np.array(one.came).T
         steps = np.diff(numbered)
         assert steps.min() == 1, "in order, none twice"

@@ -15,14 +15,10 @@ from typing import IO
 
 import pytest
 
+from ....processes import free_port
+
 PYTHON = "/usr/bin/python3"
 PATIENCE = 60.0  # s; only a test that fails waits so long
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def end(process: subprocess.Popen[bytes]) -> None:
@@ -77,13 +73,12 @@ class Ros:
                 process.stdout.close()
 
 
-@pytest.fixture
-def ros(tmp_path: Path) -> Iterator[Ros]:
+@pytest.fixture(scope="module")
+def ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ros]:
+    """One master for the tests of a module; they end what they start at it."""
     if shutil.which("roscore") is None:
         pytest.skip("roscore is not installed (Debian: ros-core)")
     if subprocess.run([PYTHON, "-c", "import rospy, sensor_msgs.msg"], capture_output=True, check=False).returncode:
         pytest.skip(f"rospy or sensor_msgs is not installed for {PYTHON} (Debian: python3-rospy python3-sensor-msgs)")
-    with contextlib.ExitStack() as stack:
-        made = Ros(tmp_path)
-        stack.callback(made.close)
+    with contextlib.closing(Ros(tmp_path_factory.mktemp("ros"))) as made:
         yield made

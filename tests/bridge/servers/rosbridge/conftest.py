@@ -11,14 +11,17 @@ import pytest
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.servers.messages import Report, Request, parameter_message
-from armlab.bridge.servers.rosbridge.engine import Engine
-from armlab.bridge.servers.rosbridge.session import ClientSession
+from armlab.bridge.servers.rosbridge.engine import ClientSession, Engine
 from armlab.bridge.servers.row import RowSchema, RowWriter
 from armlab.log import Tick
 from armlab.robots import Robot, to_toml
 from armlab.state import State
 
 MS = 1_000_000  # ns
+HANDSHAKE = (
+    b"GET / HTTP/1.1\r\nHost: a\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+)
 
 
 ARMS = [robots.load("yumi_left"), robots.load("yumi_right")]

@@ -25,19 +25,17 @@ from websockets.sync.client import ClientConnection, connect
 from armlab import robots
 from armlab.bridge.inputs.parameters import Parameter, Parameters
 from armlab.bridge.servers.hub import Hub
-from armlab.bridge.servers.rosbridge.server import Access, _head, read_access, serve
+from armlab.bridge.servers.rosbridge.server import Access, RosbridgeServer, _head, read_access
 from armlab.bridge.servers.supervisor import Servers, server_command
-from armlab.errors import ConfigError, LinkError
+from armlab.errors import ConfigError
 from armlab.log import Tick
 from armlab.state import State
 
-PATIENCE = 20.0  # s; only a test that fails waits so long
+from ..conftest import PATIENCE, until
+from .conftest import HANDSHAKE
+
 STATES = "/yumi_right/joint_states"
 POSITION = "/yumi_right/joint_group_position_controller/command"
-HANDSHAKE = (
-    b"GET / HTTP/1.1\r\nHost: a\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-    b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
-)
 OPTIONS = {"host": "127.0.0.1", "port": 0, "dialect": "ros2", "origins": ["https://lab.example"]}
 
 
@@ -70,12 +68,7 @@ class Running:
 
     def until(self, condition: Callable[[], Any]) -> Any:
         """Send rows until something is so."""
-        end = time.monotonic() + PATIENCE
-        while not (found := condition()):
-            assert time.monotonic() < end, "it did not happen"
-            self.row()
-            time.sleep(0.001)
-        return found
+        return until(lambda: condition() or self.row())
 
     def heard(self, client: ClientConnection, op: str = "publish") -> Any:
         """Send rows until a client hears of an operation."""
@@ -201,21 +194,6 @@ def test_a_client_that_does_not_read_disturbs_nobody(running: Running) -> None:
         running.exchange.outlets["rosbridge"].send(b'{"kind":"count"}')
 
 
-@pytest.mark.slow
-def test_a_client_that_answers_no_ping_is_given_up(start: Callable[..., Running]) -> None:
-    """It reads all that comes, so nothing waits for it. Takes 15 s."""
-    running = start()
-    silent = running.stack.enter_context(socket.create_connection(("127.0.0.1", running.port), 60.0))
-    silent.sendall(HANDSHAKE + frame("publish", topic=POSITION, msg={"data": running.robot.q_home.tolist()}))
-    running.until(lambda: running.exchange.arbiter(running.state()))
-    running.until(lambda: running.exchange.arbiter(running.state()) is None)  # 100 ms later
-    heard = b""
-    while part := silent.recv(4096):
-        heard += part
-    assert b"\x89\x04" in heard, "a ping"
-    assert b"keepalive ping timeout" in heard
-
-
 @pytest.mark.parametrize("size", [0, 125, 126, 65535, 65536, 100000])
 def test_a_frame_is_that_of_websockets(size: int) -> None:
     text = bytes(size)
@@ -286,18 +264,7 @@ def test_it_ends_with_the_loop() -> None:
     hub = Hub([robots.load("yumi_right")], ["rosbridge"], about={"cell": "yumi"})
     with hub.open("rosbridge") as feed:
         hub.close()
-        serve(feed, OPTIONS)
-
-
-@pytest.mark.slow
-def test_it_says_why_it_does_not_start(start: Callable[..., Running], tmp_path: Path) -> None:
-    secret = tmp_path / "token"
-    secret.write_text(TOKEN)
-    secret.chmod(0o644)
-    with pytest.raises(LinkError, match="mode 0644"):
-        start(token_file=str(secret))
-    with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(LinkError, match="for rosbridge to be free"):
-        start(port=taken.getsockname()[1])
+        RosbridgeServer(feed, OPTIONS).run()
 
 
 TOKEN = "0123456789abcdef-_"

@@ -67,6 +67,19 @@ class Running(Served):
         super().__init__("zenoh", robot, lambda feed: ZenohProcess(feed, self.options), declared)
 
 
+def heard(session: Any, name: str) -> list[Any]:
+    """Return a list that fills with the samples of a key."""
+    samples: list[Any] = []
+    session.declare_subscriber(name, lambda sample: samples.append(sample))
+    return samples
+
+
+@pytest.fixture(autouse=True)
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Viewers hear of the only robots of this computer at once."""
+    monkeypatch.setattr("armlab.bridge.servers.zenoh.feed._HEARD", 0.1)
+
+
 @pytest.fixture
 def start(robot: Robot) -> Iterator[Callable[..., Running]]:
     """Return what starts servers."""

@@ -15,10 +15,8 @@ from armlab import bridge, robots
 from armlab.bridge.servers.messages import CommandRequest, SetRequest, Stop, Subscribe
 from armlab.bridge.servers.row import Row, RowSchema, beginning
 from armlab.bridge.servers.status import Watch
-from armlab.bridge.servers.zenoh.feed import ZenohFeed, robots_at
-from armlab.bridge.servers.zenoh.keys import key
-from armlab.bridge.servers.zenoh.link import ZenohCodec, ZenohPort, far_end
-from armlab.bridge.servers.zenoh.rows import checksum
+from armlab.bridge.servers.zenoh.feed import ZenohCodec, ZenohFeed, ZenohPort, robots_at
+from armlab.bridge.servers.zenoh.messages import checksum, key
 from armlab.bridge.servers.zenoh.session import LabAddress, close_session
 from armlab.errors import ConfigError, LinkError, UnknownName
 from armlab.robots import Robot
@@ -43,15 +41,19 @@ class Arm:
         self.thread.start()
 
     def run(self) -> None:
+        looks = 20
         while not self.over.is_set():
             state = self.one.row(q=self.q, motors=1, mci=3, rapid=2, seq=self.one.tick, q_sent=self.q)
-            for _ in range(20):
+            for _ in range(looks):
                 command: Any = self.one.exchange.arbiter(state)
                 if command is not None and (not self.asked or not np.array_equal(command.q, self.q)):
                     self.q = command.q
                     self.asked.append(command)
+                    looks = 20
                     break
                 self.over.wait(0.001)
+            else:
+                looks = max(looks // 2, 1)  # it rests
 
     def close(self) -> None:
         self.over.set()
@@ -65,17 +67,17 @@ def test_a_controller_moves_an_arm_over_zenoh(start: Start, robot: Robot) -> Non
     def controller(state: State) -> Command:
         seen.append(state)
         q = state.q_start.copy()
-        q[0] += 0.05 * (1.0 - np.cos(2.0 * np.pi * state.t))
+        q[0] += 0.025 * (1.0 - np.cos(4.0 * np.pi * state.t))
         return Command(q)
 
     arm = Arm(one)
     try:
         with bridge.connect(f"zenoh://127.0.0.1:{one.options['port']}/lab1", robot, clock="robot") as link:
-            run = link.run(controller, seconds=0.5)
+            run = link.run(controller, seconds=0.25)
     finally:
         arm.close()
     assert run.reason == "the time is up"
-    assert max(np.abs(command.q - robot.q_home).max() for command in arm.asked) == pytest.approx(0.1, abs=0.02)
+    assert max(np.abs(command.q - robot.q_home).max() for command in arm.asked) == pytest.approx(0.05, abs=0.01)
     assert all(command.qd is not None for command in arm.asked[1:])
     assert seen[-1].mci == 3
 
@@ -147,12 +149,12 @@ def test_a_damaged_row_is_dropped_and_counted_as_such(start: Start, robot: Robot
     port.close()
 
 
-def test_what_is_no_row_is_dropped(robot: Robot, start: Start) -> None:
-    one = start()
-    codec = ZenohCodec(robot, one.exchange.schema)
+def test_what_is_no_row_is_dropped(robot: Robot) -> None:
+    schema = RowSchema.of([robot])
+    codec = ZenohCodec(robot, schema)
     assert isinstance(codec.decode(b"short"), Drop)
     with pytest.raises(UnknownName, match="robot of the bridge"):
-        ZenohCodec(robots.load("yumi_left"), one.exchange.schema)
+        ZenohCodec(robots.load("yumi_left"), schema)
     other = RowSchema.read(RowSchema.of([robots.load("irb2400")]).text.replace(b"irb2400", b"yumi_right"))
     with pytest.raises(
         LinkError, match=r"Expected rows with yumi_right.q, float64 of shape \(7,\), got float64 of shape \(6,\)"
@@ -168,20 +170,9 @@ def test_a_time_beyond_all_clocks_is_dropped(robot: Robot) -> None:
         assert getattr(codec.decode(bytes(data)), "reason", None) == wanted
 
 
-def test_urls(robot: Robot, start: Start) -> None:
-    one = start()
-    number = one.options["port"]
-    with pytest.raises(ConfigError, match="only ca and secret"):
-        far_end(robot, "127.0.0.1", number, {"seed": "1"})
-    with pytest.raises(ConfigError, match="zenoh://HOST:PORT"):
-        bridge.connect("zenoh://host:port", robot)
-    with pytest.raises(LinkError, match="See whether the bridge of that robot runs"):
-        bridge.connect(f"zenoh://127.0.0.1:{number}/lab2", robot)
-
-
 def test_a_viewer_elsewhere(start: Start, robot: Robot) -> None:
     one = start()
-    with ZenohFeed(f"zenoh://127.0.0.1:{one.options['port']}/lab1", patience=2.0) as feed:
+    with ZenohFeed(f"zenoh://127.0.0.1:{one.options['port']}/lab1", patience=1.0) as feed:
         assert feed.cell == "yumi"
         watch, got = Watch(), []
         feed.ask(Subscribe(rate=10.0))
@@ -330,10 +321,7 @@ def test_rows_that_did_not_come_or_were_not_read_in_time_are_counted(
 
 
 def test_nothing_to_view(start: Start, robot: Robot) -> None:
-    port = free_port()
-    with pytest.raises(LinkError, match="none let us in"):
-        ZenohFeed(f"zenoh://127.0.0.1:{port}", patience=0.3)
-    start(port)
+    port = start().options["port"]
     with pytest.raises(LinkError, match="Expected a robot in the lab 'lab2'"):
         ZenohFeed(f"zenoh://127.0.0.1:{port}/lab2")
     start(port, robot=robots.load("yumi_left"))

@@ -3,34 +3,23 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import signal
-import socket
 import struct
-import subprocess
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from armlab import robots
-from armlab.bridge.cell import parse_cell
-from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.row import RowSchema, read_row
-from armlab.bridge.servers.supervisor import Servers, server_command
 from armlab.bridge.servers.zenoh.feed import robots_at
-from armlab.bridge.servers.zenoh.keys import Attachment, key
-from armlab.bridge.servers.zenoh.session import LabAddress, close_session, queried
-from armlab.errors import LinkError
+from armlab.bridge.servers.zenoh.messages import Attachment, key
+from armlab.bridge.servers.zenoh.session import queried
 from armlab.robots import Robot
 
 from ....processes import free_port
-from ..conftest import PATIENCE, play, until
-from .conftest import Running
+from ..conftest import until
+from .conftest import Running, heard
 
 ME, OTHER = bytes(range(16)), bytes(range(100, 116))
 Start = Callable[..., Running]
@@ -39,13 +28,6 @@ Open = Callable[..., Any]
 
 def attached(seq: int, sender: bytes = ME) -> bytes:
     return Attachment(sender, seq, 5).pack()
-
-
-def heard(session: Any, name: str) -> list[Any]:
-    """Return a list that fills with the samples of a key."""
-    samples: list[Any] = []
-    session.declare_subscriber(name, lambda sample: samples.append(sample))
-    return samples
 
 
 def test_rows_go_out_under_three_keys_with_the_schema_beside(start: Start, session: Open, robot: Robot) -> None:
@@ -183,137 +165,3 @@ def test_two_servers_at_one_port_share_the_router_and_a_restart_of_it_is_survive
     until(lambda: second.row() and rows_again)
     rows.clear()
     until(lambda: second.row() and rows)
-
-
-@pytest.mark.slow
-def test_a_port_that_something_else_holds(robot: Robot) -> None:
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        exchange = Hub([robot], ["zenoh"])
-        options = {"lab": "lab", "host": "127.0.0.1", "port": taken.getsockname()[1]}
-        with (
-            pytest.raises(LinkError, match="something else holds it"),
-            Servers(exchange, {"zenoh": server_command("zenoh", options)}) as servers,
-        ):
-            servers.ready(30.0)
-
-
-def test_it_is_one_of_the_bridge_s_servers(robot: Robot) -> None:
-    """As a process, which ends with the loop."""
-    exchange = Hub([robot], ["zenoh"])
-    port = free_port()
-    options = {"lab": "lab", "host": "127.0.0.1", "port": port}
-    with Servers(exchange, {"zenoh": server_command("zenoh", options)}) as servers:
-        assert servers.ready() == [f"tcp/127.0.0.1:{port} (zenoh router), armlab/lab"]
-        (process,) = servers._children
-        running = process.process
-    assert running is not None
-    assert running.returncode == 0
-
-
-CELL = """
-commands = ["zenoh"]
-[[robots]]
-name = "yumi_left"
-link = "sim://yumi_left"
-[servers.zenoh]
-port = {port}
-"""
-
-
-class Client:
-    """Rows of the arm as they come, and commands to it."""
-
-    def __init__(self, port: int, sender: bytes) -> None:
-        self.session, self.sender, self.seq = LabAddress("127.0.0.1", port).open(), sender, 0
-        ((_, text),) = queried(self.session, key("lab", "yumi_left", "schema"), PATIENCE)
-        self.schema, self.rows, self.answers = RowSchema.read(text), [], []
-        for name, found in (("live", self.rows), ("answer/*", self.answers)):
-            self.session.declare_subscriber(key("lab", "yumi_left", name), found.append)
-
-    def last(self) -> Any:
-        return read_row(self.schema, self.rows[-1].payload.to_bytes()).values
-
-    def command(self, q: np.ndarray) -> None:
-        self.seq += 1
-        attached = Attachment(self.sender, self.seq, 0).pack()
-        self.session.put(key("lab", "yumi_left", "command/position"), q.tobytes(), attachment=attached)
-
-
-@pytest.mark.slow  # 3 s: a whole bridge in real time
-def test_a_client_moves_the_arm_and_another_may_only_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    port, moved = free_port(), []
-
-    def script() -> None:
-        clients = [Client(port, sender) for sender in (b"a" * 16, b"b" * 16)]
-        one, other = clients
-        until(lambda: one.rows and one.last()["yumi_left.mci"] == 3)
-        start = one.last()["yumi_left.q"]
-        steps = iter(range(1, 10**6))
-
-        def commanded() -> bool:
-            step = next(steps)
-            one.command(start + 0.02 * min(step / 100, 1.0) * np.eye(7)[3])
-            if one.last()["yumi_left.commander"] == "zenoh 61616161616161616161616161616161" and not other.answers:
-                other.command(start)  # not when the first has lost the arm: it was late, and this one would keep it
-            moved.append(one.last()["yumi_left.q"][3] - start[3])
-            return moved[-1] > 0.018 and bool(other.answers)
-
-        until(commanded)
-        assert (
-            "is commanded by zenoh 61616161616161616161616161616161. You may read."
-            in other.answers[0].payload.to_string()
-        )
-        assert one.last()["yumi_left.commander"] == "zenoh 61616161616161616161616161616161"
-        for client in clients:
-            close_session(client.session)
-
-    run = play(monkeypatch, parse_cell(CELL.format(port=port)), script)
-    assert max(moved) > 0.018
-    clients = run.statistics["zenoh" if "zenoh" in run.statistics else "servers"]
-    assert "yumi_left live" in str(clients)
-
-
-STOPPED = """
-import sys, time
-from armlab.bridge.servers.zenoh.session import LabAddress
-from armlab.bridge.servers.zenoh.keys import key
-session = LabAddress("127.0.0.1", int(sys.argv[1])).open()
-session.declare_subscriber(key("lab", "yumi_left", "*"), lambda sample: print("row", flush=True))
-time.sleep(600)
-"""
-
-
-@pytest.mark.slow
-def test_a_reader_that_stands_still_disturbs_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It reads every key and is stopped by a signal for 15 s, longer than its buffers last; then it is killed."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    port, gaps = free_port(), []
-
-    def script() -> None:
-        client = Client(port, b"a" * 16)
-        until(lambda: client.rows)
-        reader = subprocess.Popen([sys.executable, "-c", STOPPED, str(port)], stdout=subprocess.PIPE)
-        assert reader.stdout is not None
-        assert reader.stdout.readline() == b"row\n"
-        os.kill(reader.pid, signal.SIGSTOP)
-        ticks = [client.last()["yumi_left.tick"]]
-        end = ticks[0] + 15 * 250
-        del client.rows[:]
-
-        until(lambda: client.rows and client.last()["yumi_left.tick"] >= end, patience=120.0)
-        numbers = [read_row(client.schema, row.payload.to_bytes()).values["yumi_left.tick"] for row in client.rows]
-        gaps.extend(np.diff(numbers).tolist())
-        os.kill(reader.pid, signal.SIGCONT)
-        reader.kill()
-        reader.wait()
-        reader.stdout.close()
-        close_session(client.session)
-
-    run = play(monkeypatch, parse_cell(CELL.format(port=port)), script)
-    received, lost = len(gaps) + 1, sum(gap - 1 for gap in gaps)
-    assert min(gaps) == 1, "in order"
-    assert lost <= 0.001 * (received + lost), f"{lost} of {received + lost} lost"
-    assert run.reason == "the controller ended the run"

@@ -13,7 +13,7 @@ import pytest
 from armlab.bridge.cell import listening, parse_cell
 from armlab.bridge.servers.hub import Hub
 from armlab.bridge.servers.zenoh.feed import robots_at
-from armlab.bridge.servers.zenoh.keys import Attachment, key
+from armlab.bridge.servers.zenoh.messages import Attachment, key
 from armlab.bridge.servers.zenoh.process import ZenohProcess
 from armlab.bridge.servers.zenoh.security import BRIDGE, COMMANDER, Security
 from armlab.bridge.servers.zenoh.session import LabAddress, close_session, open_near, queried, wait_for_router
@@ -23,7 +23,7 @@ from armlab.robots import Robot
 
 from ....processes import free_port
 from ..conftest import until
-from .conftest import Running
+from .conftest import Running, heard
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
 Start = Callable[..., Running]
@@ -45,12 +45,6 @@ def bridge_files(lab: Path) -> dict[str, str]:
 
 def user(lab: Path, name: str) -> dict[str, str]:
     return {"lab": "lab1", "ca": str(lab / "lab.pem"), "secret": str(lab / f"{name}.secret")}
-
-
-def heard(session: Any, name: str) -> list[Any]:
-    samples: list[Any] = []
-    session.declare_subscriber(name, lambda sample: samples.append(sample))
-    return samples
 
 
 def test_a_commander_commands_and_a_viewer_reads(start: Start, session: Open, lab: Path, robot: Robot) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import re
+import socket
 import struct
 import subprocess
 import sys
@@ -22,9 +23,21 @@ from armlab import robots
 from armlab.bridge.servers.messages import text_message
 from armlab.bridge.servers.row import LARGEST, RowField, RowSchema, RowWriter
 from armlab.bridge.servers.status import Status
-from armlab.bridge.servers.zenoh.keys import COMMANDS, EVERY, Attachment, key, robot_of
-from armlab.bridge.servers.zenoh.messages import About, read_about, read_message
-from armlab.bridge.servers.zenoh.rows import Gaps, Inbox, checksum, undamaged
+from armlab.bridge.servers.zenoh.messages import (
+    COMMANDS,
+    EVERY,
+    About,
+    Attachment,
+    Gaps,
+    Inbox,
+    checksum,
+    data_of,
+    key,
+    read_about,
+    read_message,
+    robot_of,
+    undamaged,
+)
 from armlab.bridge.servers.zenoh.security import Security
 from armlab.bridge.servers.zenoh.session import (
     LAB,
@@ -34,7 +47,6 @@ from armlab.bridge.servers.zenoh.session import (
     LabAddress,
     Publisher,
     close_session,
-    data_of,
     open_near,
     open_session,
     queried,
@@ -53,14 +65,12 @@ FORGOTTEN = """
 from armlab.bridge.servers.zenoh.session import open_session
 session = open_session("peer", ["127.0.0.1:0"])
 session.declare_subscriber("a", print)
-{last}
+raise SystemExit(3)
 """
 
 
-@pytest.mark.parametrize(("last", "status"), [("", 0), ("raise SystemExit(3)", 3)])
-def test_a_program_that_forgets_to_close_ends(last: str, status: int) -> None:
-    program = [sys.executable, "-c", FORGOTTEN.format(last=last)]
-    assert subprocess.run(program, timeout=30.0, check=False).returncode == status
+def test_a_program_that_forgets_to_close_ends() -> None:
+    assert subprocess.run([sys.executable, "-c", FORGOTTEN], timeout=30.0, check=False).returncode == 3
 
 
 def test_two_find_each_other_through_a_router_and_ask() -> None:
@@ -227,13 +237,9 @@ def test_attachments_are_read_or_refused(data: bytes) -> None:
         assert Attachment.read(data) == Attachment(data[:16], *struct.unpack("<qq", data[16:]))
         assert Attachment.read(data).pack() == data
     else:
-        with pytest.raises(CommandRefused, match=f"got {len(data)} bytes"):
-            Attachment.read(data)
-
-
-def test_no_attachment() -> None:
-    with pytest.raises(CommandRefused, match="got none"):
-        Attachment.read(None)
+        for wrong, words in ((data, f"got {len(data)} bytes"), (None, "got none")):
+            with pytest.raises(CommandRefused, match=words):
+                Attachment.read(wrong)
 
 
 def test_urls(tmp_path: Path) -> None:
@@ -257,6 +263,20 @@ def test_nobody_there() -> None:
         LabAddress("127.0.0.1", free_port()).open(0.3)
     with pytest.raises(LinkError, match="Expected a Zenoh router"):
         LabAddress(port=free_port()).open_behind(0.2)
+    port = free_port()
+    router, place = open_session("router", [f"127.0.0.1:{port}"]), LabAddress(port=port, lab="lab2")
+    asker = place.open()
+    with pytest.raises(LinkError, match="See whether the bridge of that robot runs"):
+        place.ask(asker, key("lab2", "arm", "schema"), 0.1)
+    for session in (asker, router):
+        close_session(session)
+
+
+def test_a_port_that_something_else_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("armlab.bridge.servers.zenoh.session._FOUND", 0.1)
+    monkeypatch.setattr("armlab.bridge.servers.zenoh.session._TRIES", 1)
+    with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(LinkError, match="something else holds it"):
+        open_near("127.0.0.1", taken.getsockname()[1])
 
 
 ARM = robots.load("ur5e")
@@ -355,7 +375,7 @@ def test_nothing_is_sent_to_nobody_and_a_waiting_output_counts_what_found_no_roo
 
 
 def test_the_oldest_are_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("armlab.bridge.servers.zenoh.rows._LARGEST", 10_000)
+    monkeypatch.setattr("armlab.bridge.servers.zenoh.messages._MOST", 10_000)
     inbox: Inbox[int] = Inbox(5)
     for number in range(8):
         inbox.put(number)
@@ -442,12 +462,8 @@ def test_a_row_with_another_message_in_it_is_none(row: bytes, draw: st.DataObjec
     assert undamaged(Sample(Bytes(bytes(other)), attached)) is None
 
 
-def test_a_row_without_a_sum_is_none() -> None:
-    assert undamaged(Sample(Bytes(b"row"), None)) is None
-    assert undamaged(Sample(Bytes(b"row"), Bytes(b""))) is None
-    assert undamaged(Sample(Bytes(b"row"), Bytes(checksum(b"row") + b"\0"))) is None
-
-
-def test_a_row_that_is_larger_than_rows_are_is_none() -> None:
+def test_a_row_without_a_sum_or_larger_than_rows_are_is_none() -> None:
+    for attached in (None, Bytes(b""), Bytes(checksum(b"row") + b"\0")):
+        assert undamaged(Sample(Bytes(b"row"), attached)) is None
     for row in (bytes(LARGEST), bytes(LARGEST + 1)):
         assert (undamaged(Sample(Bytes(row), Bytes(checksum(row)))) is None) == (len(row) > LARGEST)

@@ -1,31 +1,120 @@
-"""What each port of a LabComm server sends and accepts: `ArmChannel`, `FusedChannel`, `ParameterChannel`."""
+"""What each port of a LabComm server sends and takes, and `Peer`: a connection, its queue and its patience."""
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections import Counter
+import socket
+import time
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from armlab.bridge.servers.labcomm.connection import Peer
 from armlab.bridge.servers.labcomm.rows import Order, Row, RowTypes
 from armlab.errors import ConfigError, LabCommError
-from armlab.wire.labcomm import Sample, idl
+from armlab.wire.labcomm import Decoder, Encoder, Sample, idl
 from armlab.wire.labcomm.types import PRIMS, Array, Definition, Event, SampleType, Type, dialect_named
 
-__all__ = [
-    "ArmChannel",
-    "Channel",
-    "FusedArm",
-    "FusedChannel",
-    "FusedSource",
-    "OnCommand",
-    "OnSet",
-    "ParameterChannel",
-    "Value",
-]
+QUEUE = 64
+"""Packets that wait for a slow peer; then the oldest data packets go."""
+
+_AT_ONCE = 65_536  # bytes read
+_PATIENCE = 5.0  # s for a packet to be complete, and for a peer to take something
+_KERNEL = 65_536  # bytes that the system may hold back: rows of a slow peer shall not be old
+
+
+class Peer:
+    """A connection: its stream both ways; there is no encoder until the dialect of the other side is known."""
+
+    def __init__(self, connection: socket.socket, address: str, encoder: Encoder | None) -> None:
+        self.socket, self.address, self.encoder = connection, address, encoder
+        connection.setblocking(False)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL)
+        with contextlib.suppress(OSError):
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.decoder, self.sent, self.dropped, self.refused = Decoder(), 0, 0, 0
+        self.began, self.told = time.monotonic(), -math.inf
+        self._queue: deque[tuple[bytes, bool]] = deque()  # packet, whether it may be dropped
+        self._rest = b""  # of a packet that was sent in part
+        self._stuck: float | None = None  # since when nothing could be sent
+        self._packet = (0, self.began)  # position of an incomplete packet, since when
+
+    @property
+    def is_waiting(self) -> bool:
+        return bool(self._rest or self._queue)
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether the system took nothing the last time."""
+        return self._stuck is not None
+
+    def push(self, packet: bytes, may_drop: bool = True) -> None:
+        """Queue one packet. When the queue is full the oldest packet that may be dropped goes."""
+        queue = self._queue
+        if len(queue) >= QUEUE:
+            oldest = next((index for index, (_, droppable) in enumerate(queue) if droppable), None)
+            if oldest is not None:
+                del queue[oldest]
+                self.dropped += 1
+            elif may_drop:
+                self.dropped += 1
+                return
+        queue.append((packet, may_drop))
+
+    def clear(self) -> None:
+        kept = [entry for entry in self._queue if not entry[1]]
+        self.dropped += len(self._queue) - len(kept)
+        self._queue = deque(kept)
+
+    def flush(self) -> bool:
+        """Send what the system takes, one write per packet. Return False when the connection is gone."""
+        while self._rest or self._queue:
+            data, is_row = (self._rest, False) if self._rest else self._queue.popleft()
+            self.sent += is_row
+            try:
+                sent = self.socket.send(data)
+            except (BlockingIOError, InterruptedError):
+                self._rest = data
+                self._stuck = self._stuck or time.monotonic()
+                return True
+            except OSError:
+                return False
+            self._rest, self._stuck = data[sent:], None
+        return True
+
+    def read(self, most: int = _AT_ONCE) -> list[Event] | None:
+        """Return the events of one read, None when the other side has closed."""
+        try:
+            data = self.socket.recv(most)
+        except (BlockingIOError, InterruptedError):
+            return []
+        except OSError:
+            return None
+        if not data:
+            self.decoder.close()
+            return None
+        return self.decoder.feed(data)
+
+    def overdue(self, now: float) -> str:
+        """Return why the connection must be closed, "" when it need not. now : monotonic [s]."""
+        if self.decoder.pending:
+            position, since = self._packet
+            if position != self.decoder.offset:
+                self._packet = (self.decoder.offset, now)
+            elif now - since > _PATIENCE:
+                return f"a packet was not complete after {_PATIENCE:g} s"
+        else:
+            self._packet = (self.decoder.offset, now)
+        if self._stuck is not None and now - self._stuck > _PATIENCE:
+            return f"it took nothing for {_PATIENCE:g} s"
+        return ""
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self.socket.close()
+
 
 OnCommand = Callable[[str, Row, str], None]
 """Called with the name of the channel, a valid command and the address of its client."""
@@ -34,15 +123,19 @@ OnCommand = Callable[[str, Row, str], None]
 class Channel:
     """One port."""
 
+    sent: SampleType | None = None  # the one type that goes out, where it is one
+
     def __init__(self, name: str, port: int, dialect: str = "2014v1", follows_client: bool = False) -> None:
         self.name, self.port, self.follows_client = name, port, follows_client
         self.dialect = dialect_named(dialect).name
         self.counts: Counter[str] = Counter()
 
     def greet(self, peer: Peer) -> None:
-        """Queue what a client gets on accept."""
+        """Queue what a client gets on accept: VERSION, and the definition of what follows."""
         if peer.encoder is not None:
             peer.push(peer.encoder.version(), may_drop=False)
+            if self.sent is not None:
+                peer.push(peer.encoder.define(self.sent), may_drop=False)
 
     def take(self, peer: Peer, event: Event, peers: Iterable[Peer]) -> None:
         """Take one event of a client; by default data is read and dropped."""
@@ -99,13 +192,8 @@ class ArmChannel(Channel):
     ) -> None:
         super().__init__(name, port, dialect, follows_client)
         self.types = RowTypes(axes, order, types)
+        self.sent = self.types.sent
         self._on_command, self._on_left = on_command, on_left
-
-    def greet(self, peer: Peer) -> None:
-        """Queue VERSION and the definition of the row; rows follow."""
-        super().greet(peer)
-        if peer.encoder is not None:
-            peer.push(peer.encoder.define(self.types.sent), may_drop=False)
 
     def put(self, item: Row, peers: Iterable[Peer]) -> None:
         """Queue one row for all clients."""
@@ -165,16 +253,10 @@ class FusedChannel(Channel):
         follows_client: bool = False,
     ) -> None:
         super().__init__("fused", port, dialect, follows_client)
-        self._sample = idl.samples("armlab")["fused_row"]
+        self.sent = self._sample = idl.samples("armlab")["fused_row"]
         self._types = RowTypes(axes, order)
         if self._types.n != 7:
             raise ConfigError(f"Expected arms of 7 joints for fused rows, got {self._types.n}.")
-
-    def greet(self, peer: Peer) -> None:
-        """Queue VERSION and the definition of the row; rows follow."""
-        super().greet(peer)
-        if peer.encoder is not None:
-            peer.push(peer.encoder.define(self._sample), may_drop=False)
 
     def put(self, item: tuple[int, Sequence[FusedArm], Sequence[FusedSource]], peers: Iterable[Peer]) -> None:
         """Queue one fused row for all clients: (t_us, arms, sources)."""
@@ -253,7 +335,6 @@ class ParameterChannel(Channel):
             self.put((event.name, taken), peers)
 
     def left(self, peer: Peer) -> None:
-        """Forget what a client asked for."""
         self._asked.pop(peer, None)
 
     def _types(self, name: str) -> tuple[Type, ...]:

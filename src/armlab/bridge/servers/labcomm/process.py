@@ -11,7 +11,6 @@ import logging
 import math
 import socket
 from collections.abc import Mapping, Sequence
-from struct import Struct
 from typing import Any, NamedTuple
 
 from armlab.bridge.servers.labcomm.channels import (
@@ -26,14 +25,11 @@ from armlab.bridge.servers.labcomm.channels import (
 from armlab.bridge.servers.labcomm.rows import Order, Row
 from armlab.bridge.servers.labcomm.server import Ports
 from armlab.bridge.servers.messages import CommandRequest, Leave, Listening, Report, SetRequest, Stop
-from armlab.bridge.servers.row import RowField, RowSchema, clock_ms, read_head
+from armlab.bridge.servers.row import RowSchema, clock_ms, places, read_head
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import ConfigError
 from armlab.robots import Robot
 
-__all__ = ["ArmPlaces", "HeldArm", "LabCommProcess", "SourcePlaces", "labcomm_options", "serve"]
-
-_LETTERS = {"float64": "d", "int64": "q"}  # of `struct`
 _WANTED = ("fresh", "age", "receive_ns", "robot_ns", "session_t", "q", "qd", "tau")
 
 
@@ -48,13 +44,13 @@ class ArmPlaces:
     """Where a row of the loop has what LabComm has of an arm."""
 
     def __init__(self, schema: RowSchema, robot: str) -> None:
-        self._name = robot
-        self._form, self._wanted = _together([schema.fields[f"{robot}.{name}"] for name in _WANTED])
+        found = places(schema, robot)
+        self._name, self._places = robot, [found[name] for name in _WANTED]
 
     def held(self, data: bytes) -> HeldArm | None:
         """Return what a row holds of the arm, None before its first."""
-        values: Any = self._form.unpack_from(data)
-        fresh, age, receive_ns, robot_ns, session_t, q, qd, tau = [values[place] for place in self._wanted]
+        found: Any = [form.unpack_from(data, offset) for form, offset in self._places]
+        (fresh,), (age,), (receive_ns,), (robot_ns,), (session_t,), q, qd, tau = found
         tm = clock_ms(robot_ns, session_t)
         if tm is None or not math.isfinite(age):
             return None
@@ -65,29 +61,16 @@ class SourcePlaces:
     """Where a row of the loop has the values of a source."""
 
     def __init__(self, schema: RowSchema, source: str) -> None:
-        self._name = source
-        fields = [field for field in schema.fields.values() if field.source == source]
-        self._form, found = _together(fields)
-        self._age = found[[field.name for field in fields].index(f"{source}.age")]
+        self._name, self._places = source, places(schema, source)
+        self._form, self._offset = self._places.pop("age")
 
     def held(self, data: bytes, now_ns: int) -> FusedSource | None:
         """Return what the source gave last, None when it was never heard."""
-        numbers = list(self._form.unpack_from(data))
-        age_ns = 1e9 * numbers.pop(self._age)
+        age_ns = 1e9 * self._form.unpack_from(data, self._offset)[0]
         if not math.isfinite(age_ns):
             return None
+        numbers = [number for form, offset in self._places.values() for number in form.unpack_from(data, offset)]
         return FusedSource(self._name, (now_ns - round(age_ns)) // 1000, numbers)
-
-
-def _together(fields: Sequence[RowField]) -> tuple[Struct, list[Any]]:
-    """Return what reads fields of a row in one call, and the index or slice of each in what it gives."""
-    text, end, count, found = "<", 0, 0, {}
-    for field in sorted(fields, key=lambda one: one.offset):
-        many = math.prod(field.shape)
-        text += f"{field.offset - end}x{many}{_LETTERS[field.type]}"
-        found[field.name] = slice(count, count + many) if field.shape else count
-        end, count = field.offset + field.size, count + many
-    return Struct(text), [found[field.name] for field in fields]
 
 
 _LEFT, _PARAMETERS, _FUSED = 7511, 7513, 7514
@@ -106,12 +89,7 @@ def labcomm_options(
     types: str | None = None,
     follows_client: bool = False,
 ) -> dict[str, Any]:
-    """Return the options of the server of some arms, for `supervisor.server_command`.
-
-    robots : the arms. host : address to listen on, this computer only by default.
-    ports : of the arms; None gives 7511 to a left or only arm, 7512 to a right one.
-    parameters, fused : ports, None for none. Fused rows are for arms of 7 joints.
-    """
+    """Return the options of the server of some arms, by default at 7511 (left or only arm) and 7512 (right)."""
     for robot in robots:
         ArmChannel(robot.name, 0, None, robot.abb_axes, order, types, dialect)  # a mistake shows before any process
     if ports is None:
@@ -149,22 +127,20 @@ class LabCommProcess:
         self._ports = Ports(self._channels(), options["host"], self._event, self._stop, feed)
 
     def run(self) -> None:
-        """Serve until the loop closes the feed."""
         host, ports = self._options["host"], self._ports
         self._loop.ask(Listening(where=[f"{host}:{port} (labcomm, {name})" for name, port in ports.numbers.items()]))
         try:
-            most = 1
-            while self._take(most):
-                most = _ROWS if ports.turn() else 1  # a row that came alone is worth no second look
+            while self._take():
+                ports.turn()
                 for request in self._commands.values():
                     self._loop.ask(request)
                 self._commands.clear()
         finally:
             ports.close()
 
-    def _take(self, most: int) -> bool:
+    def _take(self) -> bool:
         """Send what has come from the loop, so many rows at most; False when the loop has gone."""
-        for _ in range(most):
+        for _ in range(_ROWS):
             messages = self._loop.receive()
             if messages is None:
                 return False
@@ -251,8 +227,3 @@ class LabCommProcess:
             self._loop.ask(Report(text=text))
         else:
             _logger.info("labcomm %s", text)
-
-
-def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed."""
-    LabCommProcess(feed, options).run()

@@ -14,9 +14,7 @@ import numpy as np
 
 from armlab.errors import ConfigError, LabCommError
 from armlab.wire.labcomm import Sample, idl, parse_lc
-from armlab.wire.labcomm.types import Array, Event, Prim, SampleType, Struct, Type
-
-__all__ = ["STOP", "Order", "Row", "RowTypes", "signed"]
+from armlab.wire.labcomm.types import Array, Event, Prim, SampleType, Struct
 
 Order = Literal["abb", "chain"]
 """Order of the joints on the wire."""
@@ -69,8 +67,6 @@ class RowTypes:
             self._check(sample)
         columns = np.arange(self.n) if order == "chain" else np.asarray(axes) - 1
         self._to_chain, self._to_wire = columns, np.argsort(columns).tolist()
-        self._sent = tuple(_fields(self.sent))
-        self._met: Type | None = None  # the newest type that was seen to be that of `sent`
 
     def accepts(self, sample: SampleType) -> bool:
         """Return whether values of a client's type are commands: some fields of the accepted type, `pos` among them."""
@@ -81,7 +77,7 @@ class RowTypes:
     def value(self, row: Row, sample: SampleType | None = None) -> dict[str, Any]:
         """Return the value of a row on the wire, NaN where it has nothing."""
         parts = {"pos": row.q, "vel": row.qd, "trq": row.tau}
-        names = self._sent if sample is None else _fields(sample)
+        names = _fields(self.sent if sample is None else sample)
         return {name: signed(row.tm) if name == "tm" else self._wired(name, parts[name]) for name in names}
 
     def row(self, value: Mapping[str, Any]) -> Row:
@@ -91,7 +87,8 @@ class RowTypes:
 
     def rows(self, events: Iterable[Event]) -> list[Row]:
         """Return the rows among what came: samples of the type `sent`."""
-        return [self.row(event.value) for event in events if isinstance(event, Sample) and self._is_sent(event)]
+        wanted = self.sent.name, self.sent.type
+        return [self.row(one.value) for one in events if isinstance(one, Sample) and (one.name, one.type) == wanted]
 
     def command(self, value: Mapping[str, Any]) -> Row:
         """Return the command of a value from the wire; zeros and NaN in `vel` and `trq` ask for nothing."""
@@ -100,22 +97,13 @@ class RowTypes:
             raise LabCommError(f"Expected finite positions in a command, got {value.get('pos')}.")
         return Row(row.tm, row.q, _asked(row.qd, "vel", value), _asked(row.tau, "trq", value))
 
-    def _is_sent(self, sample: Sample) -> bool:
-        """Whether it is of the type `sent`; a tree that was seen before is not compared again."""
-        if sample.type is not self._met:
-            if (sample.name, sample.type) != (self.sent.name, self.sent.type):
-                return False
-            self._met = sample.type
-        return sample.name == self.sent.name
-
     def _wired(self, name: str, part: Any) -> list[float]:
         if part is None:
             return [math.nan] * self.n
-        if type(part) is not tuple or len(part) != self.n:  # tuples are of numbers, from a row of the loop
-            array = np.asarray(part, dtype=float)
-            if array.shape != (self.n,):
-                raise LabCommError(f"Expected {self.n} numbers in {name} of a row, got shape {array.shape}.")
-            part = array.tolist()
+        array = np.asarray(part, dtype=float)
+        if array.shape != (self.n,):
+            raise LabCommError(f"Expected {self.n} numbers in {name} of a row, got shape {array.shape}.")
+        part = array.tolist()
         return [part[k] for k in self._to_wire]
 
     def _chained(self, name: str, part: Sequence[float] | None) -> np.ndarray | None:

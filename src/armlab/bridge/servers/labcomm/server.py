@@ -12,22 +12,18 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from types import TracebackType
 from typing import Any, Literal
 
 from armlab.bridge.arbiter import Arbiter, Order
 from armlab.bridge.net.events import Tell, nobody
 from armlab.bridge.net.sockets import listening_socket
-from armlab.bridge.servers.labcomm.channels import Channel, FusedArm, FusedSource, OnCommand, Value
-from armlab.bridge.servers.labcomm.connection import Peer
+from armlab.bridge.servers.labcomm.channels import Channel, FusedArm, FusedSource, OnCommand, Peer, Value
 from armlab.bridge.servers.labcomm.rows import STOP, Row
 from armlab.errors import LabCommError, LinkError, UnknownName
 from armlab.log import Tick
 from armlab.state import Command, State
 from armlab.wire.labcomm import Encoder, Sample
 from armlab.wire.labcomm.types import Definition, Event
-
-__all__ = ["LabCommServer", "Ports", "RowFeed", "to_arbiter"]
 
 _CLIENTS = 8  # per port
 _KEPT = 100  # clients that have left, of which is known what they got
@@ -123,7 +119,6 @@ class Ports:
         return served
 
     def close(self) -> None:
-        """Close all connections and ports."""
         for peers in self._peers.values():
             for peer in peers:
                 peer.close()
@@ -302,9 +297,7 @@ class LabCommServer:
     def __enter__(self) -> LabCommServer:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def row(self, name: str, row: Row) -> None:

@@ -20,31 +20,6 @@ from armlab.bridge.servers.ros.server import RosServer
 from armlab.bridge.servers.ros.topics import RosTopic, domain_number, store, type_name
 from armlab.errors import LinkError, MissingExtra
 
-__all__ = [
-    "DDSException",
-    "DataReader",
-    "DataWriter",
-    "DdsServer",
-    "Domain",
-    "DomainParticipant",
-    "Listener",
-    "Policy",
-    "Qos",
-    "Readers",
-    "DdsTopic",
-    "Writers",
-    "carrier",
-    "configuration",
-    "joined",
-    "make_idl_struct",
-    "serve",
-    "struct",
-    "tie_to_loopback",
-    "topic_name",
-    "types",
-    "write_cdr",
-]
-
 try:
     from cyclonedds._clayer import ddspy_write
     from cyclonedds.core import DDSException, Listener, Policy, Qos
@@ -62,10 +37,7 @@ _write: Any = ddspy_write
 
 
 def write_cdr(writer: DataWriter[Any], data: bytes) -> bool:
-    """Send the bytes of a message; False when there is no room.
-
-    `DataWriter.write` ends in this call. What it does before, for objects, would be a third of the time of a message.
-    """
+    """Send the bytes of a message by what `DataWriter.write` ends in; False when there is no room."""
     return _write(writer._ref, data) >= 0
 
 
@@ -157,7 +129,6 @@ _BASE: dict[str, Any] = {
 
 
 def topic_name(name: str) -> str:
-    """Return the DDS name of a ROS topic."""
     return f"rt{name}"
 
 
@@ -169,10 +140,7 @@ def struct(name: str) -> Any:
 
 @cache
 def carrier(name: str) -> Any:
-    """Return the type for a topic, whose objects hold the bytes of a message as attribute `cdr`.
-
-    Encoding by `store` takes a third of the time of cyclonedds's own codec.
-    """
+    """Return the type for a topic, whose objects hold the bytes of a message as attribute `cdr`."""
     made = _made(name, is_dataclass=False)
     made.__init__, made.serialize = _hold, _held
     made.deserialize = made.deserialize_key = classmethod(_taken)
@@ -231,7 +199,6 @@ class Writers:
             self._writers[name] = DataWriter(participant, made, _STATE, listener)
 
     def write(self, topic: RosTopic, cdr: bytes) -> None:
-        """Send one message."""
         written, full = self.counts.get(topic.name, (0, 0))
         went = write_cdr(self._writers[topic.name], cdr + bytes(-len(cdr) % 4))
         self.counts[topic.name] = (written + 1, full) if went else (written, full + 1)
@@ -314,10 +281,7 @@ class Readers:
             self._left(client)
 
     def _client(self, reader: DataReader[Any], handle: int) -> str:
-        """Return who writes: the participant's part of the GUID, or what DDS calls the writer here.
-
-        All writers of a participant are one client: with one it commands, with another it sets a parameter.
-        """
+        """Return who writes, the participant: with one of its writers it commands, with another it sets a parameter."""
         if handle not in self._clients:
             about = reader.get_matched_publication_data(handle)
             self._clients[handle] = f"{handle % 2**64:016x}" if about is None else about.participant_key.hex[:_PREFIX]
@@ -330,27 +294,20 @@ def _handle(number: int) -> int:
 
 
 class DdsServer(RosServer):
-    """Serves until the loop closes the feed.
-
-    options : "domain", None for that of ROS_DOMAIN_ID, and "host", IPv4 address of the interface.
-    """
+    """Speaks DDS at the IPv4 address `host`, in a domain, that of ROS_DOMAIN_ID when None."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._domain, self._host = domain_number(options["domain"]), options["host"]
-        self._writers: Writers | None = None
-        super().__init__(feed, lambda: {} if self._writers is None else dict(self._writers.counts))
+        self._writers: Writers
+        super().__init__(feed, lambda: dict(self._writers.counts))
 
     def wanted(self) -> frozenset[str]:
-        """Return the names of the topics that somebody reads."""
-        return frozenset() if self._writers is None else self._writers.wanted
+        return self._writers.wanted
 
     def write(self, topic: RosTopic, cdr: bytes) -> None:
-        """Send one message."""
-        if self._writers is not None:
-            self._writers.write(topic, cdr)
+        self._writers.write(topic, cdr)
 
     def run(self) -> None:
-        """Serve until the loop closes the feed."""
         with joined(self._domain, self._host) as participant:
             writers = self._writers = Writers(participant, self._topics.published)
             readers = Readers(participant, self._commands.types, self.take, self.left)
@@ -360,8 +317,3 @@ class DdsServer(RosServer):
             finally:
                 readers.close()
                 writers.close()
-
-
-def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed."""
-    DdsServer(feed, options).run()

@@ -14,10 +14,9 @@ from armlab.bridge.net.sockets import is_here
 from armlab.bridge.servers.messages import Listening
 from armlab.bridge.servers.ros.server import RosServer
 from armlab.bridge.servers.ros.topics import RosTopic, domain_number, store, type_name
-from armlab.bridge.servers.zenoh.session import Publisher, close_session, data_of, open_near, zenoh
+from armlab.bridge.servers.zenoh.messages import data_of
+from armlab.bridge.servers.zenoh.session import Publisher, close_session, open_near, zenoh
 from armlab.errors import ConfigError, MissingExtra
-
-__all__ = ["ANY", "Distribution", "Names", "Nodes", "Origin", "RmwZenohServer", "Writer", "serve"]
 
 ANY = "*"
 """In place of a hash in the key of a reader: writers of every distribution."""
@@ -75,7 +74,6 @@ class Origin(NamedTuple):
     writer: bytes
 
     def pack(self) -> bytes:
-        """Return the 33 bytes."""
         return _ORIGIN.pack(self.seq, self.stamp_ns, _ID, self.writer)
 
     @classmethod
@@ -151,10 +149,7 @@ _MAY_COME_AGAIN = 30.0  # s after a reader: what it misses while its router star
 
 
 class RmwZenohServer(RosServer):
-    """Serves until the loop closes the feed.
-
-    options : "domain", None for that of ROS_DOMAIN_ID, "host", "port", "router" and "distribution".
-    """
+    """Speaks as a node with rmw_zenoh, in a domain, that of ROS_DOMAIN_ID when None."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._outputs: dict[str, Publisher] = {}
@@ -176,7 +171,6 @@ class RmwZenohServer(RosServer):
         self._declared: list[Any] = []  # tokens and readers: they go with the last that holds them
 
     def run(self) -> None:
-        """Serve until the loop closes the feed."""
         try:
             self._declare()
             self._loop.ask(Listening(where=[f"{self._where}, rmw_zenoh, domain {self._domain}"]))
@@ -189,7 +183,6 @@ class RmwZenohServer(RosServer):
         return self._wanted
 
     def write(self, topic: RosTopic, cdr: bytes) -> None:
-        """Send one message."""
         self._outputs[topic.name].put(cdr, self._writers[topic.name].next(time.time_ns()))
 
     def _look(self) -> None:
@@ -244,8 +237,3 @@ class RmwZenohServer(RosServer):
             self.refuse("unknown", f"Expected 33 bytes attached on {topic}, as rmw_zenoh has them since June 2025.")
         else:
             self.take(topic, sample.payload.to_bytes(), self._nodes.client(origin))
-
-
-def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed."""
-    RmwZenohServer(feed, options).run()

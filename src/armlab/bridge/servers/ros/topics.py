@@ -21,19 +21,6 @@ from armlab.errors import CommandRefused, ConfigError
 from armlab.lie import quaternion
 from armlab.robots import Robot
 
-__all__ = [
-    "ArmRow",
-    "TOPICS",
-    "RosTopic",
-    "Topics",
-    "content",
-    "diagnostics",
-    "domain_number",
-    "header",
-    "store",
-    "type_name",
-]
-
 _OTHERS = {
     # Names and order as in ros-industrial/abb_robot_driver_interfaces; constants are no part of a message.
     "abb_egm_msgs/msg/EGMChannelState": (
@@ -70,7 +57,6 @@ def domain_number(given: int | None, environment: Mapping[str, str] = os.environ
 
 
 def type_name(name: str) -> str:
-    """Return the name that the wire has for a ROS 2 message type."""
     package, kind, message = name.split("/")
     return f"{package}::{kind}::dds_::{message}_"
 
@@ -295,10 +281,7 @@ _SILENT = 1.0  # s without a packet that are a fault
 def diagnostics(
     robot: str, wall_ns: int, counts: Mapping[str, Any], commander: str, answer: str = "", silent: float = 0.0
 ) -> Any:
-    """Return the message of one arm.
-
-    answer : the last to a client, "" for none. silent : s since the last packet; infinite before the first.
-    """
+    """Return the message of one arm; `silent`: s since its last packet, infinite before the first."""
     types = store().types
     faults = [f"{counts[name]} {words}" for name, words in _FAULTS.items() if counts[name]]
     is_silent = silent > _SILENT

@@ -18,13 +18,10 @@ from typing import IO, Any
 
 from armlab.bridge.net.sockets import pair
 from armlab.bridge.servers.messages import Listening, Report
-from armlab.bridge.servers.ros.requests import Commands
-from armlab.bridge.servers.ros.topics import Messages, RosTopic, Topics, store
+from armlab.bridge.servers.ros.server import RosServer
+from armlab.bridge.servers.ros.topics import RosTopic, store
 from armlab.bridge.servers.ros1 import relay
-from armlab.bridge.servers.server_end import LoopEnd
-from armlab.errors import CommandRefused, LinkError
-
-__all__ = ["Ros1Process", "Subscribers", "serve"]
+from armlab.errors import LinkError
 
 _ROOM = 500  # messages that wait for a slow node: 2 s of one topic
 _SEND_BUFFER = 65536  # bytes; with the system's own a slow node would see data half a minute old
@@ -46,10 +43,7 @@ class Subscribers:
         self._headed: dict[str, bool] = {}
 
     def add(self, topic: str, connection: socket.socket, known: Iterable[bytes] = ()) -> str:
-        """Take a connection over, on which the header of ROS has gone out.
-
-        Returns why it was ended instead, a sentence; nothing when it was taken.
-        """
+        """Take over a connection whose header of ROS has gone out; return a sentence when it was ended instead."""
         one = _Connection(topic, connection)
         if len(self._connections) >= _MOST:
             one.close()
@@ -84,7 +78,6 @@ class Subscribers:
                 self._let_go(one)
 
     def close(self) -> None:
-        """End all connections."""
         for one in list(self._connections.values()):
             self._let_go(one)
 
@@ -134,7 +127,6 @@ class _Connection:
         return int(dropped)
 
     def write(self) -> None:
-        """Write what waits, as far as there is room. OSError when it has ended."""
         while self.waiting:
             data = self.waiting[0]
             try:
@@ -169,42 +161,47 @@ _CLIENTS = 256  # of which it is known when they were answered
 _SENTENCE = 1000  # characters of an answer
 
 
-class Ros1Process:
+class Ros1Process(RosServer):
     """Serves until the loop closes the feed."""
 
     def __init__(self, feed: socket.socket, options: Mapping[str, Any]) -> None:
         self._options = options
         self._looks = select.poll()
         self._subscribers = Subscribers(self._looks)
-        self._loop = LoopEnd(feed, lambda: self._subscribers.counts)
-        robots = self._loop.robots()
-        self._topics, self._commands = Topics(robots, self._loop.schema), Commands(self._loop.about["cell"], robots)
+        super().__init__(feed, lambda: self._subscribers.counts)
         self._spoken: dict[str, float] = {}
+        self._node: socket.socket  # our end of the pipe to the relay
+        self._log: IO[bytes]  # what it writes to standard error
+
+    def wanted(self) -> frozenset[str]:
+        return self._subscribers.wanted
+
+    def write(self, topic: RosTopic, cdr: bytes) -> None:
+        self._subscribers.send(topic, _ros1(topic, cdr))
 
     def run(self) -> None:
-        """Serve until the loop closes the feed."""
         own = tempfile.TemporaryDirectory(prefix="armlab-ros-", ignore_cleanup_errors=True)
         held = contextlib.closing(self._subscribers)
-        with own as home, tempfile.TemporaryFile() as log, self._relay(home, log) as node, held:
-            self._begin(node, log)
+        with own as home, tempfile.TemporaryFile() as self._log, self._relay(home) as self._node, held:
+            self._begin()
             self._looks.register(self._loop, select.POLLIN)
-            self._looks.register(node, select.POLLIN)
+            self._looks.register(self._node, select.POLLIN)
             while True:
                 for number, _ in self._looks.poll(_LOOK):
-                    if number == node.fileno():
-                        self._hear(node, log)
+                    if number == self._node.fileno():
+                        self._hear()
                     elif number != self._loop.fileno():
                         self._subscribers.look(number)
                 messages = self._loop.receive()
                 if messages is None:
                     return
                 for message in messages:
-                    self._pass_on(node, message)
+                    self.pass_on(message)
                 if not messages:
-                    self._send(self._topics.of_silence(time.monotonic_ns(), self._subscribers.wanted))
+                    self.send(self._topics.of_silence(time.monotonic_ns(), self.wanted()))
 
     @contextlib.contextmanager
-    def _relay(self, home: str, log: IO[bytes]) -> Iterator[socket.socket]:
+    def _relay(self, home: str) -> Iterator[socket.socket]:
         """Start the node; it ends with its input."""
         ours, theirs = pair()
         master, host = self._options["master"], self._options["host"]
@@ -216,7 +213,7 @@ class Ros1Process:
                     [self._options["python"], relay.__file__],
                     stdin=theirs.fileno(),
                     stdout=theirs.fileno(),
-                    stderr=log,
+                    stderr=self._log,
                     env={**environment, **own},
                     cwd=home,
                 )
@@ -235,38 +232,37 @@ class Ros1Process:
                 process.kill()
                 process.wait()
 
-    def _begin(self, node: socket.socket, log: IO[bytes]) -> None:
+    def _begin(self) -> None:
         """Tell the node what there is, and the loop that it is one."""
         published = {name: _old(one.type) for name, one in self._topics.published.items()}
         taken = {name: _old(type_) for name, type_ in self._commands.types.items()}
         about = {"node": f"armlab_{self._loop.about['cell'].replace('-', '_')}", "published": published, "taken": taken}
         with contextlib.suppress(OSError):  # it has ended: its words say why
-            node.send(json.dumps(about).encode())
+            self._node.send(json.dumps(about).encode())
         until = time.monotonic() + _START
         messages: list[dict[str, Any]] = []
         while not (ready := [message for message in messages if message["kind"] == "ready"]):
             left = until - time.monotonic()
-            if left < 0.0 or not select.select([node], [], [], left)[0]:
+            if left < 0.0 or not select.select([self._node], [], [], left)[0]:
                 raise LinkError(f"Expected a node of ROS 1 within {_START:g} s, but none came. Look at the master.")
-            messages += self._messages(node, log)
+            messages += self._messages()
         master, missing = self._options["master"], ready[0]["missing"]
         without = f", not installed: {', '.join(missing)}" if missing else ""
         self._loop.ask(Listening(where=[f"{self._options['host']} (ros1, master {master}{without})"]))
-        for message in messages:
-            self._take(node, message)
+        self._hear(messages)
 
-    def _messages(self, node: socket.socket, log: IO[bytes]) -> list[dict[str, Any]]:
+    def _messages(self) -> list[dict[str, Any]]:
         """Return what the node says now; raise what it said last when it has ended."""
         found: list[dict[str, Any]] = []
         with contextlib.suppress(BlockingIOError):
             for _ in range(64):
                 try:
-                    data, connections, _, _ = socket.recv_fds(node, 2**17, 1)
+                    data, connections, _, _ = socket.recv_fds(self._node, 2**17, 1)
                 except ConnectionError:
                     data, connections = b"", []
                 if not data:
-                    log.seek(0)
-                    words = log.read().decode(errors="replace").strip().splitlines()
+                    self._log.seek(0)
+                    words = self._log.read().decode(errors="replace").strip().splitlines()
                     raise LinkError(words[-1] if words else "Expected the node of ROS 1 to go on, but it ended.")
                 try:
                     found.append({**json.loads(data), "connections": connections})
@@ -274,25 +270,19 @@ class Ros1Process:
                     self._loop.ask(Report(text=f"Expected JSON from the node of ROS 1, but {error}."))
         return found
 
-    def _hear(self, node: socket.socket, log: IO[bytes]) -> None:
-        for message in self._messages(node, log):
-            self._take(node, message)
-
-    def _take(self, node: socket.socket, message: Mapping[str, Any]) -> None:
-        """Take what the node says: who reads a topic, or what another node commands."""
-        if message["kind"] == "subscriber":
-            if why := self._connect(message):
-                self._refuse(node, message["client"], why)
-                with contextlib.suppress(OSError):
-                    node.send(json.dumps({"topic": message["topic"], "id": message["id"]}).encode())
-        elif message["kind"] == "refused":
-            self._refuse(node, message["client"], message["text"])
-        elif message["kind"] == "command":
-            try:
-                for request in self._commands.requests(message["topic"], message["content"], message["client"]):
-                    self._loop.ask(request)
-            except CommandRefused as error:
-                self._refuse(node, message["client"], str(error))
+    def _hear(self, messages: Iterable[Mapping[str, Any]] = ()) -> None:
+        """Take what the node says, now or before: who reads a topic, or what another node commands."""
+        for message in messages or self._messages():
+            client = message.get("client", "")
+            if message["kind"] == "subscriber":
+                if why := self._connect(message):
+                    self.refuse(client, why)
+                    with contextlib.suppress(OSError):
+                        self._node.send(json.dumps({"topic": message["topic"], "id": message["id"]}).encode())
+            elif message["kind"] == "refused":
+                self.refuse(client, message["text"])
+            elif message["kind"] == "command":
+                self.take(message["topic"], message["content"], client)
 
     def _connect(self, message: Mapping[str, Any]) -> str:
         """Write to a node from now on; a sentence when that cannot be: it would wait for ever."""
@@ -300,23 +290,12 @@ class Ros1Process:
             return "Expected room for the connection in the server's process, got none. Raise `ulimit -n`."
         topic = message["topic"]
         known = [
-            _ros1(message, one.type) for one, message in self._topics.of_parameters(self._loop.parameters, {topic})
+            _ros1(one, store().serialize_cdr(parameters, one.type))
+            for one, parameters in self._topics.of_parameters(self._loop.parameters, {topic})
         ]
         return self._subscribers.add(topic, socket.socket(fileno=message["connections"][0]), known)
 
-    def _refuse(self, node: socket.socket, client: str, text: str) -> None:
-        self._answer(node, client, text)
-        self._loop.ask(Report(client, text))
-
-    def _pass_on(self, node: socket.socket, message: bytes | dict[str, Any]) -> None:
-        if isinstance(message, bytes):
-            self._send(self._topics.of_row(message, self._subscribers.wanted))
-        elif message["kind"] == "parameters":
-            self._send(self._topics.of_parameters(self._loop.parameters, self._subscribers.wanted))
-        elif message["kind"] == "answer":
-            self._answer(node, message["client"], message["text"])
-
-    def _answer(self, node: socket.socket, client: str, text: str) -> None:
+    def answer(self, client: str, text: str) -> None:
         """Write a sentence for a node into the log of ROS, at most once a second."""
         now = time.monotonic()
         if now - self._spoken.get(client, -_SPOKEN) >= _SPOKEN:
@@ -325,21 +304,12 @@ class Ros1Process:
                 del self._spoken[next(iter(self._spoken))]  # who was answered longest ago
             self._spoken[client] = now
             with contextlib.suppress(OSError):
-                node.send(json.dumps({"text": f"{client}: {text}"[:_SENTENCE]}).encode())
-
-    def _send(self, messages: Messages) -> None:
-        for topic, message in messages:
-            self._subscribers.send(topic, _ros1(message, topic.type))
+                self._node.send(json.dumps({"text": f"{client}: {text}"[:_SENTENCE]}).encode())
 
 
-def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed."""
-    Ros1Process(feed, options).run()
-
-
-def _ros1(message: Any, type_: str) -> bytes:
+def _ros1(topic: RosTopic, cdr: bytes) -> bytes:
     """Return a message as ROS 1 has it on the wire."""
-    return bytes(store().cdr_to_ros1(store().serialize_cdr(message, type_), type_))
+    return bytes(store().cdr_to_ros1(cdr, topic.type))
 
 
 def _old(type_: str) -> str:

@@ -17,8 +17,6 @@ import sys
 import threading
 from pathlib import Path
 
-__all__ = ["main"]
-
 _LARGEST = 2**17
 _COMMAND = 65536  # bytes of a command, as of a request to the loop
 _NAME = 256  # characters of a node's name, which it says itself
@@ -27,7 +25,6 @@ _PATIENCE = 3.0  # s for the master to answer
 
 
 def main() -> int:
-    """Run the node until the input ends; return the status of the program."""
     sys.path[:] = [one for one in sys.path if Path(one).resolve() != Path(__file__).parent]  # process.py is no module
     pipe = socket.socket(fileno=os.dup(0))
     os.dup2(2, 1)  # rospy prints

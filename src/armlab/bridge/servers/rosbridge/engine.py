@@ -2,45 +2,183 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
-from typing import Any, Protocol
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Protocol
 
 import msgspec
 
 from armlab.bridge.servers.messages import CommandRequest, Leave, Report, Request, SetRequest
-from armlab.bridge.servers.ros.requests import Commands
+from armlab.bridge.servers.ros.server import Commands
 from armlab.bridge.servers.ros.topics import Messages, RosTopic, Topics
-from armlab.bridge.servers.rosbridge.protocol import (
-    Advertise,
-    CallService,
-    Dialect,
-    Operation,
-    Publish,
-    ServiceResponse,
-    SetLevel,
-    StatusOperation,
-    SubscribeOperation,
-    Unadvertise,
-    Unsubscribe,
-    fields,
-    full_name,
-    id_of,
-    publish,
-    read_operation,
-    read_type,
-    type_name,
-)
-from armlab.bridge.servers.rosbridge.rosapi import SET_PARAM, Rosapi, parameter_name
-from armlab.bridge.servers.rosbridge.session import ClientSession, PendingSetting, Subscription
+from armlab.bridge.servers.rosbridge import protocol
+from armlab.bridge.servers.rosbridge.protocol import Dialect, Level, Rosapi, full_name, parameter_name
 from armlab.bridge.servers.row import RowSchema
 from armlab.errors import CommandRefused, UnknownName
 from armlab.robots import Robot
 
-__all__ = ["Engine"]
+_KEPT = 1_000_000_000  # ns that a message waits at most
+_PATIENCE = 10_000_000_000  # ns without progress after which a client is given up
+_LARGEST = 4 * 2**20  # bytes that wait at most
 
-_PATIENCE = 1_000_000_000  # ns for the loop to say what became of a setting
+
+class _Waiting(NamedTuple):
+    """One message, when it came, and its topic."""
+
+    ns: int
+    topic: str
+    data: bytes
+
+
+class Outbox:
+    """Messages for one client, in order."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[_Waiting] = deque()
+        self._of_topic: Counter[str] = Counter()
+        self._bytes = 0
+        self._since_ns: int | None = None
+        self.sent = self.dropped = 0
+
+    def put(self, data: bytes, now_ns: int, topic: str = "", most: int = 0) -> None:
+        """Let a message wait; what has waited for more than 1 s goes."""
+        if self._since_ns is None:
+            self._since_ns = now_ns
+        while self._waiting and (now_ns - self._waiting[0].ns > _KEPT or self._bytes + len(data) > _LARGEST):
+            self._drop(0)
+        if most and self._of_topic[topic] >= most:
+            self._drop(next(k for k, one in enumerate(self._waiting) if one.topic == topic))
+        self._waiting.append(_Waiting(now_ns, topic, data))
+        self._of_topic[topic] += 1
+        self._bytes += len(data)
+
+    def take(self, most: int) -> list[bytes]:
+        """Return the next messages, for a client that takes them now."""
+        self._since_ns = None
+        found: list[bytes] = []
+        while self._waiting and most > 0:
+            found.append(self._remove(0).data)
+            most -= len(found[-1])
+        self.sent += len(found)
+        return found
+
+    def is_stuck(self, now_ns: int) -> bool:
+        """Return whether the client has taken nothing for 10 s although something came for it."""
+        return self._since_ns is not None and now_ns - self._since_ns > _PATIENCE
+
+    def _drop(self, k: int) -> None:
+        self._remove(k)
+        self.dropped += 1
+
+    def _remove(self, k: int) -> _Waiting:
+        one = self._waiting[k]
+        del self._waiting[k]
+        self._of_topic[one.topic] -= 1
+        self._bytes -= len(one.data)
+        return one
+
+
+_IDS = 16  # of one topic; who gives more ids has lost count
+
+
+class Subscription:
+    """One topic for one client. Several ids share it: the topic comes once, as the most eager of them wants."""
+
+    def __init__(self, topic: str, outbox: Outbox, dialect: Dialect) -> None:
+        self.dialect: Dialect = dialect
+        self.topic, self.full_name, self._outbox = topic, full_name(topic), outbox
+        self._ids: dict[str, tuple[int, int]] = {}
+        self._waiting: deque[bytes] = deque()
+        self._every_ns = self._most = self._due_ns = 0
+
+    def add(self, id_: str, throttle_ms: float, queue_length: int) -> None:
+        """Take what one id wants."""
+        self._ids[id_] = (int(1e6 * throttle_ms), queue_length)
+        while len(self._ids) > _IDS:
+            del self._ids[next(iter(self._ids))]
+        self._agree()
+
+    def remove(self, id_: str | None) -> bool:
+        """Forget one id, or all of them for None; return whether nothing is wanted any more."""
+        if id_ is None:
+            self._ids.clear()
+        self._ids.pop(id_ or "", None)
+        self._agree()
+        return not self._ids
+
+    def is_due(self, now_ns: int) -> bool:
+        """Return whether a message of now would be sent or would wait; sends what waited long enough."""
+        if self._waiting and now_ns >= self._due_ns:
+            self._send(self._waiting.popleft(), now_ns)
+        return self._most > 0 or now_ns >= self._due_ns
+
+    def offer(self, data: bytes, now_ns: int) -> None:
+        """Send a message, let it wait, or throw it away."""
+        if now_ns >= self._due_ns and not self._waiting:
+            self._send(data, now_ns)
+        elif self._most:
+            self._waiting.append(data)
+            while len(self._waiting) > self._most:
+                self._waiting.popleft()
+                self._outbox.dropped += 1
+
+    def _send(self, data: bytes, now_ns: int) -> None:
+        self._due_ns = now_ns + self._every_ns
+        self._outbox.put(data, now_ns, self.topic, 0 if self._every_ns else self._most)
+
+    def _agree(self) -> None:
+        self._every_ns = min((every for every, _ in self._ids.values()), default=0)
+        self._most = min((most for _, most in self._ids.values()), default=0)
+
+
+_LEVELS = ("info", "warning", "error", "none")
+
+
+@dataclass(frozen=True)
+class PendingSetting:
+    """A parameter that a client has set by a service, until the loop has answered.
+
+    sequence : of the parameter's last change when the loop was asked; None while an earlier setting of it waits, as
+        the loop's answers name the parameter, not the call.
+    """
+
+    service: str
+    id: str | int | None
+    parameter: str
+    value: Any
+    until_ns: int
+    sequence: int | None = None
+
+
+class ClientSession:
+    """One client."""
+
+    def __init__(self, name: str, may_ask: bool) -> None:
+        self.name, self.may_ask = name, may_ask
+        self.outbox = Outbox()
+        self.subscriptions: dict[str, Subscription] = {}
+        self.advertised: set[str] = set()
+        self.warned: set[str] = set()
+        self.settings: list[PendingSetting] = []
+        self.level: Level = "error"  # of the protocol
+
+    def status(self, level: Level, text: str, now_ns: int, id_: str | int | None = None) -> None:
+        """Tell the client what happened, if it wants to hear of it."""
+        if _LEVELS.index(level) >= _LEVELS.index(self.level):
+            about = {} if id_ is None else {"id": id_}
+            self._send({"op": "status", **about, "level": level, "msg": text}, now_ns)
+
+    def response(self, service: str, id_: str | int | None, values: Any, is_done: bool, now_ns: int) -> None:
+        about = {} if id_ is None else {"id": id_}
+        message = {"op": "service_response", **about, "service": service, "values": values, "result": is_done}
+        self._send(message, now_ns)
+
+    def _send(self, message: dict[str, Any], now_ns: int) -> None:
+        self.outbox.put(msgspec.json.encode(message), now_ns)
+
+
+_ANSWER = 1_000_000_000  # ns for the loop to say what became of a setting
 _SETTINGS = 64  # of a client that wait for the loop
 _ABSENT: Mapping[str, Any] = {"std_msgs/msg/Float64MultiArray": [], "std_msgs/msg/String": ""}
 
@@ -71,12 +209,10 @@ class Engine:
         self.sessions: dict[str, ClientSession] = {}
 
     def join(self, name: str, may_ask: bool = True) -> ClientSession:
-        """Return the session of a new client."""
         session = self.sessions[name] = ClientSession(name, may_ask)
         return session
 
     def leave(self, session: ClientSession) -> None:
-        """Forget a client that has gone."""
         del self.sessions[session.name]
         self._loop.ask(Leave(session.name))
 
@@ -84,14 +220,13 @@ class Engine:
         """Do what a client asks for; what cannot be done is told it by a status."""
         operation = None
         try:
-            operation = read_operation(data)
+            operation = protocol.read_operation(data)
             self._do(session, operation, now_ns)
         except (CommandRefused, UnknownName) as error:
-            session.status("error", str(error), now_ns, id_of(data) if operation is None else operation.id)
+            session.status("error", str(error), now_ns, protocol.id_of(data) if operation is None else operation.id)
             self._loop.ask(Report(session.name, str(error)))
 
     def row(self, data: bytes, now_ns: int) -> None:
-        """Send a row to those who want it."""
         self._publish(lambda wanted: self._topics.of_row(data, wanted.keys()), now_ns)
 
     def text(self, message: Mapping[str, Any], now_ns: int) -> None:
@@ -117,32 +252,32 @@ class Engine:
                 )
                 session.response(one.service, one.id, why, False, now_ns)
 
-    def _do(self, session: ClientSession, operation: Operation, now_ns: int) -> None:
+    def _do(self, session: ClientSession, operation: protocol.Operation, now_ns: int) -> None:
         match operation:
-            case Publish():
+            case protocol.Publish():
                 self._take_message(session, operation, now_ns)
-            case SubscribeOperation():
+            case protocol.SubscribeOperation():
                 self._subscribe(session, operation, now_ns)
-            case Unsubscribe():
+            case protocol.Unsubscribe():
                 name = operation.topic
                 if name in session.subscriptions and session.subscriptions[name].remove(_id(operation)):
                     del session.subscriptions[name]
-            case Advertise():
+            case protocol.Advertise():
                 name = full_name(operation.topic)
                 self._known(name, operation.type, self._commands.types, "topic that this cell takes")
                 session.advertised.add(name)
-            case Unadvertise():
+            case protocol.Unadvertise():
                 session.advertised.discard(full_name(operation.topic))
-            case CallService():
+            case protocol.CallService():
                 self._call(session, operation, now_ns)
-            case SetLevel():
+            case protocol.SetLevel():
                 session.level = operation.level
-            case ServiceResponse():
+            case protocol.ServiceResponse():
                 raise CommandRefused("Expected no answer: services of clients are never called.")
-            case StatusOperation():
+            case protocol.StatusOperation():
                 pass
 
-    def _subscribe(self, session: ClientSession, operation: SubscribeOperation, now_ns: int) -> None:
+    def _subscribe(self, session: ClientSession, operation: protocol.SubscribeOperation, now_ns: int) -> None:
         name = operation.topic
         types = {topic: one.type for topic, one in self._published.items()}
         dialect = self._known(full_name(name), operation.type, types, "topic")
@@ -163,16 +298,16 @@ class Engine:
             raise UnknownName.among(what, topic, types)
         if not type_:
             return self._dialect
-        wanted, dialect = read_type(type_)
+        wanted, dialect = protocol.read_type(type_)
         if wanted != types[topic]:
-            raise CommandRefused(f"Expected {type_name(types[topic], dialect)} for {topic}, got {type_}.")
+            raise CommandRefused(f"Expected {protocol.type_name(types[topic], dialect)} for {topic}, got {type_}.")
         return dialect
 
-    def _take_message(self, session: ClientSession, operation: Publish, now_ns: int) -> None:
+    def _take_message(self, session: ClientSession, operation: protocol.Publish, now_ns: int) -> None:
         name, types = full_name(operation.topic), self._commands.types
         if name not in types:
             raise UnknownName.among("topic that this cell takes", name, types)
-        missing = [field for field in fields(types[name]) if field not in operation.msg]
+        missing = [field for field in protocol.fields(types[name]) if field not in operation.msg]
         if missing and name not in session.warned:
             session.warned.add(name)
             text = f"Expected {', '.join(missing)} in {types[name]} on {name}. The default is taken, now and later."
@@ -183,13 +318,13 @@ class Engine:
                 _check_rights(session)
             self._loop.ask(request)
 
-    def _call(self, session: ClientSession, call: CallService, now_ns: int) -> None:
+    def _call(self, session: ClientSession, call: protocol.CallService, now_ns: int) -> None:
         dialect: Dialect = self._dialect
         if call.type:
             dialect = "ros2" if call.type.count("/") == 2 else "ros1"
         try:
             given = self._rosapi.arguments(call.service, call.args)
-            if full_name(call.service) == SET_PARAM:
+            if full_name(call.service) == protocol.SET_PARAM:
                 self._set(session, call, given, now_ns)
                 return
             values, is_done = self._rosapi.answer(call.service, given, dialect), True
@@ -197,7 +332,7 @@ class Engine:
             values, is_done = str(error), False
         session.response(call.service, call.id, values, is_done, now_ns)
 
-    def _set(self, session: ClientSession, call: CallService, given: Mapping[str, Any], now_ns: int) -> None:
+    def _set(self, session: ClientSession, call: protocol.CallService, given: Mapping[str, Any], now_ns: int) -> None:
         """Ask the loop for a value; its answer comes later."""
         _check_rights(session)
         name = parameter_name(given, self._loop.parameters)
@@ -207,7 +342,7 @@ class Engine:
             raise CommandRefused(f"Expected the value of {name} as JSON text, but {error}.") from None
         if len(session.settings) >= _SETTINGS:
             raise CommandRefused(f"Expected at most {_SETTINGS} settings that wait for the loop. Send fewer.")
-        session.settings.append(PendingSetting(call.service, call.id, name, value, now_ns + _PATIENCE))
+        session.settings.append(PendingSetting(call.service, call.id, name, value, now_ns + _ANSWER))
         self._ask_next(session, name, now_ns)
 
     def _ask_next(self, session: ClientSession, parameter: str, now_ns: int) -> None:
@@ -260,11 +395,11 @@ class Engine:
         for one in to:
             kind = one.topic, one.dialect
             if kind not in texts:
-                texts[kind] = publish(one.topic, message, topic.type, one.dialect, self._numbers[topic.name])
+                texts[kind] = protocol.publish(one.topic, message, topic.type, one.dialect, self._numbers[topic.name])
             one.offer(texts[kind], now_ns)
 
 
-def _id(operation: SubscribeOperation | Unsubscribe) -> str | None:
+def _id(operation: protocol.SubscribeOperation | protocol.Unsubscribe) -> str | None:
     return None if operation.id is None else str(operation.id)
 
 

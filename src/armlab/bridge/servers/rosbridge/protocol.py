@@ -1,11 +1,14 @@
-"""rosbridge v2 in JSON: the operations that are understood, and messages in the dialects of ROS 1 and ROS 2.
+"""rosbridge v2 in JSON: operations, messages in the dialects of ROS 1 and ROS 2, and the services of rosapi.
 
 Source: RobotWebTools/rosbridge_suite, ROSBRIDGE_PROTOCOL.md.
 """
 
 from __future__ import annotations
 
+import json
 import re
+import time
+from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Annotated, Any, Literal
 
@@ -13,32 +16,7 @@ import msgspec
 import numpy as np
 
 from armlab.bridge.servers.ros.topics import store
-from armlab.errors import CommandRefused
-
-__all__ = [
-    "Advertise",
-    "CallService",
-    "Dialect",
-    "HEADER",
-    "LARGEST",
-    "Level",
-    "Operation",
-    "Publish",
-    "ServiceResponse",
-    "SetLevel",
-    "StatusOperation",
-    "SubscribeOperation",
-    "TIME",
-    "Unadvertise",
-    "Unsubscribe",
-    "fields",
-    "full_name",
-    "id_of",
-    "publish",
-    "read_operation",
-    "read_type",
-    "type_name",
-]
+from armlab.errors import CommandRefused, UnknownName
 
 Dialect = Literal["ros1", "ros2"]
 
@@ -59,48 +37,32 @@ def read_type(text: str) -> tuple[str, Dialect]:
 
 
 def type_name(type_: str, dialect: Dialect) -> str:
-    """Return the name of a type in a dialect."""
     return type_.replace("/msg/", "/") if dialect == "ros1" else type_
 
 
 @cache
 def fields(type_: str) -> tuple[str, ...]:
-    """Return the names of the fields of a message."""
     return tuple(name for name, _ in store().fielddefs[type_][1] if name != _FILLER)
 
 
 def publish(topic: str, message: Any, type_: str, dialect: Dialect, seq: int) -> bytes:
-    """Return the operation "publish" of a message as JSON; a number that is not finite is null.
-
-    The number of the message, `seq`, is in the headers of ROS 1.
-    """
+    """Return the operation "publish" of a message as JSON; `seq` is in the headers of ROS 1, null no finite number."""
     return msgspec.json.encode({"op": "publish", "topic": topic, "msg": _plain(message, type_, dialect, seq)})
 
 
 def _plain(message: Any, type_: str, dialect: Dialect, seq: int) -> dict[str, Any]:
     """Return a message as dictionaries, lists and numbers."""
+    names = {"sec": "secs", "nanosec": "nsecs"} if dialect == "ros1" and type_ == TIME else {}
     found = {}
-    for name, ros1_name, inner, is_sequence in _shape(type_):
+    for name, (part, length) in _parts(type_, "ros2").items():
         value = getattr(message, name)
-        if inner is not None:
-            many = [_plain(one, inner, dialect, seq) for one in (value if is_sequence else [value])]
-            value = many if is_sequence else many[0]
+        if "/" in part:
+            many = [_plain(one, part, dialect, seq) for one in (value if length >= 0 else [value])]
+            value = many if length >= 0 else many[0]
         elif isinstance(value, np.ndarray):
             value = value.tolist()
-        found[ros1_name if dialect == "ros1" else name] = value
+        found[names.get(name, name)] = value
     return {"seq": seq, **found} if dialect == "ros1" and type_ == HEADER else found
-
-
-@cache
-def _shape(type_: str) -> list[tuple[str, str, str | None, bool]]:
-    """Return of each field its name in ROS 2 and in ROS 1, the type of a message in it, and if it is a sequence."""
-    names, found = {"sec": "secs", "nanosec": "nsecs"} if type_ == TIME else {}, []
-    for name, (kind, inner) in store().fielddefs[type_][1]:
-        if name != _FILLER:
-            is_sequence = kind.name == "SEQUENCE"
-            kind, inner = inner[0] if is_sequence else (kind, inner)
-            found.append((name, names.get(name, name), inner if kind.name == "NAME" else None, is_sequence))
-    return found
 
 
 LARGEST = 65536
@@ -209,7 +171,6 @@ _WRONG = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
 def read_operation(data: bytes | str) -> Operation:
-    """Return the operation in a message of a client."""
     if isinstance(data, bytes):
         raise CommandRefused(f"Expected a text message with JSON, got a binary one of {len(data)} bytes.")
     if len(data) > LARGEST:
@@ -246,3 +207,155 @@ def _why(data: str, error: Exception) -> str:
         known = ", ".join(sorted(_KNOWN))
         return _REFUSED.get(op, f"Expected one of the operations {known}, got {op[:80]!r}.")
     return f"Expected an operation of rosbridge v2 in JSON, but {str(error).rstrip('.')}."
+
+
+SET_PARAM = "/rosapi/set_param"
+
+Arguments = Mapping[str, Any]
+
+
+def parameter_name(arguments: Arguments, known: Mapping[str, Any]) -> str:
+    """Return the parameter that a client means by "gain", "/gain" or "/node:gain"."""
+    name = arguments.get("name")
+    found = name.rpartition(":")[2].lstrip("/") if isinstance(name, str) else ""
+    if found not in known:
+        raise UnknownName.among("parameter", str(name)[:80], known)
+    return found
+
+
+class Rosapi:
+    """Answers at once whatever needs no loop."""
+
+    def __init__(
+        self, cell: str, topics: Mapping[str, str], parameters: Callable[[], Mapping[str, Mapping[str, Any]]]
+    ) -> None:
+        self._cell, self._topics, self._parameters = cell, dict(topics), parameters
+        self._made: dict[str, tuple[str, tuple[str, ...], Callable[[Arguments, Dialect], dict[str, Any]]]] = {
+            "topics": ("Topics", (), self._all_topics),
+            "topic_type": ("TopicType", ("topic",), self._topic_type),
+            "topics_for_type": ("TopicsForType", ("type",), self._topics_for_type),
+            "services": ("Services", (), lambda given, dialect: {"services": list(self.services)}),
+            "service_type": ("ServiceType", ("service",), self._service_type),
+            "nodes": ("Nodes", (), lambda given, dialect: {"nodes": [f"/{self._cell}"]}),
+            "get_time": ("GetTime", (), _time),
+            "message_details": ("MessageDetails", ("type",), _details),
+            "get_param_names": ("GetParamNames", (), lambda given, dialect: {"names": list(self._parameters())}),
+            "get_param": ("GetParam", ("name", "default"), self._get_param),
+            "has_param": ("HasParam", ("name",), self._has_param),
+            "delete_param": ("DeleteParam", ("name",), _refuse_to_delete),
+            "set_param": ("SetParam", ("name", "value"), lambda given, dialect: {}),  # by the loop: see `Engine`
+        }
+        self.services = tuple(f"/rosapi/{name}" for name in self._made)
+
+    def arguments(self, service: str, given: dict[str, Any] | list[Any] | None) -> Arguments:
+        full = full_name(service)
+        if full not in self.services:
+            raise UnknownName.among("service", service[:80], self.services)
+        names = self._made[full.removeprefix("/rosapi/")][1]
+        return dict(zip(names, given)) if isinstance(given, list) else given or {}
+
+    def answer(self, service: str, arguments: Arguments, dialect: Dialect) -> dict[str, Any]:
+        return self._made[full_name(service).removeprefix("/rosapi/")][2](arguments, dialect)
+
+    def _all_topics(self, given: Arguments, dialect: Dialect) -> dict[str, Any]:
+        types = [type_name(type_, dialect) for type_ in self._topics.values()]
+        return {"topics": list(self._topics), "types": types}
+
+    def _topic_type(self, given: Arguments, dialect: Dialect) -> dict[str, Any]:
+        type_ = self._topics.get(full_name(_text(given, "topic")))
+        return {"type": "" if type_ is None else type_name(type_, dialect)}
+
+    def _topics_for_type(self, given: Arguments, dialect: Dialect) -> dict[str, Any]:
+        wanted, _ = read_type(_text(given, "type"))
+        return {"topics": [topic for topic, type_ in self._topics.items() if type_ == wanted]}
+
+    def _service_type(self, given: Arguments, dialect: Dialect) -> dict[str, Any]:
+        package = "rosapi" if dialect == "ros1" else "rosapi_msgs/srv"
+        known = {f"/rosapi/{name}": f"{package}/{type_}" for name, (type_, _, _) in self._made.items()}
+        return {"type": known.get(full_name(_text(given, "service")), "")}
+
+    def _get_param(self, given: Arguments, dialect: Dialect) -> dict[str, Any]:
+        known, default = self._parameters(), given.get("default")
+        try:
+            return {"value": json.dumps(known[parameter_name(given, known)]["value"])}
+        except UnknownName:
+            if isinstance(default, str) and default:
+                return {"value": default}
+            raise
+
+    def _has_param(self, given: Arguments, dialect: Dialect) -> dict[str, Any]:
+        try:
+            return {"exists": bool(parameter_name(given, self._parameters()))}
+        except UnknownName:
+            return {"exists": False}
+
+
+def _text(given: Arguments, name: str) -> str:
+    found = given.get(name)
+    if not isinstance(found, str):
+        raise CommandRefused(f"Expected {name!r} as a text, got {str(found)[:80]!r}.")
+    return found
+
+
+def _time(given: Arguments, dialect: Dialect) -> dict[str, Any]:
+    seconds, ns = divmod(time.time_ns(), 1_000_000_000)
+    names = ("secs", "nsecs") if dialect == "ros1" else ("sec", "nanosec")
+    return {"time": dict(zip(names, (seconds, ns)))}
+
+
+def _refuse_to_delete(given: Arguments, dialect: Dialect) -> dict[str, Any]:
+    raise CommandRefused("Expected a parameter to be set or read: those of a cell are declared and stay.")
+
+
+def _details(given: Arguments, dialect: Dialect) -> dict[str, Any]:
+    """Return the fields of a type and of those in it, in the dialect of its text."""
+    type_, spoken = read_type(_text(given, "type"))
+    known = store().fielddefs
+    if type_ not in known:
+        raise CommandRefused(f"Expected a type that the topics here have, got {type_[:80]!r}. Ask /rosapi/topics.")
+    found: list[dict[str, Any]] = []
+    waiting, seen = [type_], {type_}
+    while waiting:
+        one = waiting.pop(0)
+        parts = _parts(one, spoken)
+        found.append(
+            {
+                "type": type_name(one, spoken),
+                "fieldnames": list(parts),
+                "fieldtypes": [type_name(part, spoken) for part, _ in parts.values()],
+                "fieldarraylen": [length for _, length in parts.values()],
+                "examples": [_example(part, length) for part, length in parts.values()],
+                "constnames": [name for name, _, _ in known[one][0]],
+                "constvalues": [str(value) for _, _, value in known[one][0]],
+            }
+        )
+        new = [part for part, _ in parts.values() if part in known and part not in seen]
+        waiting += dict.fromkeys(new)
+        seen.update(new)
+    return {"typedefs": found}
+
+
+@cache
+def _parts(type_: str, dialect: Dialect) -> dict[str, tuple[str, int]]:
+    """Return type and length of the fields of a message, by name."""
+    shapes = dict(store().fielddefs[type_][1])
+    found = {name: _kind(shapes[name]) for name in fields(type_)}
+    if dialect == "ros1":
+        found = {name: ("time" if part == TIME else part, length) for name, (part, length) in found.items()}
+    return {"seq": ("uint32", -1), **found} if dialect == "ros1" and type_ == HEADER else found
+
+
+def _kind(definition: Any) -> tuple[str, int]:
+    """Return the type of a field, and its length: -1 for one value, 0 for any number."""
+    kind, inner = definition
+    if kind.name == "ARRAY":
+        return _kind(inner[0])[0], inner[1]
+    if kind.name == "SEQUENCE":
+        return _kind(inner[0])[0], 0
+    return (inner, -1) if kind.name == "NAME" else (inner[0], -1)
+
+
+def _example(type_: str, length: int) -> str:
+    if length >= 0:
+        return "[]"
+    return "{}" if "/" in type_ else "" if type_ == "string" else "False" if type_ == "bool" else "0"

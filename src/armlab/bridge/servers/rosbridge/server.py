@@ -21,9 +21,8 @@ from typing import TYPE_CHECKING, Any
 
 from armlab.bridge.net.sockets import listening_socket
 from armlab.bridge.servers.messages import Listening
-from armlab.bridge.servers.rosbridge.engine import Engine
+from armlab.bridge.servers.rosbridge.engine import ClientSession, Engine
 from armlab.bridge.servers.rosbridge.protocol import LARGEST
-from armlab.bridge.servers.rosbridge.session import ClientSession
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.errors import ConfigError, MissingExtra
 
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
     from websockets.http11 import Request, Response
 
-__all__ = ["Access", "RosbridgeServer", "read_access", "serve"]
 
 _SHORTEST = 16  # characters of a token
 _LOCAL_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1)(:\d{1,5})?")
@@ -39,21 +37,14 @@ _LOCAL_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1)(:\d{1,5})?")
 
 @dataclass(frozen=True, repr=False)
 class Access:
-    """What is asked of clients.
-
-    token : that clients show who want more than to read; None when nobody has to. context : of TLS, None without.
-    origins : of web pages that may connect, as `websockets` takes them; None stands for programs, which have none.
-    """
+    """What is asked of clients: a token of who wants more than to read, TLS, and the web pages that may connect."""
 
     token: bytes | None
     context: ssl.SSLContext | None
     origins: tuple[Any, ...]
 
     def judge(self, authorization: str | None) -> bool | None:
-        """Return whether a client may ask for something, None when it must not even connect.
-
-        authorization : the header of that name, None without one.
-        """
+        """Return whether a client with this header may ask for something, None when it must not even connect."""
         if self.token is None:
             return True
         if authorization is None:
@@ -141,8 +132,10 @@ class RosbridgeServer:
         self._listener = listening_socket(options["host"], options["port"], "rosbridge", _CLIENTS)
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)  # what it accepts inherits it
 
-    async def run(self) -> None:
-        """Serve until the loop closes the feed."""
+    def run(self) -> None:
+        asyncio.run(self._serve())
+
+    async def _serve(self) -> None:
         server = self._websockets.serve(
             self._client,
             sock=self._listener,
@@ -240,15 +233,6 @@ def _head(size: int) -> bytes:
     if size < 126:
         return struct.pack(">BB", 0x81, size)
     return struct.pack(">BBH", 0x81, 126, size) if size < 65536 else struct.pack(">BBQ", 0x81, 127, size)
-
-
-def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed."""
-    asyncio.run(_run(feed, options))
-
-
-async def _run(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    await RosbridgeServer(feed, options).run()
 
 
 def _websockets() -> Any:

@@ -1,18 +1,68 @@
-"""What bridges say in JSON over Zenoh, checked before anybody uses it: `read_about`, `read_message`."""
+"""What goes over Zenoh: keys, what is attached, texts of bridges, rows with their checksums, and what waits of them."""
 
 from __future__ import annotations
 
+import struct
+import threading
+import zlib
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Generic, NamedTuple, TypeVar
 
 import msgspec
 
-from armlab.bridge.servers.row import RowSchema
-from armlab.errors import LinkError
+from armlab.bridge.servers.row import LARGEST, RowSchema
+from armlab.errors import CommandRefused, LinkError
 from armlab.robots import Robot, from_toml
 
-__all__ = ["About", "read_about", "read_message"]
+EVERY = "*"
+"""Stands for every lab or every robot in a key."""
+
+COMMANDS = {"position": "q", "velocity": "qd", "effort": "tau", "motion": "q qd"}
+"""Last word of a command's key, and what its numbers are: n of each, "motion" is positions and then velocities."""
+
+_ATTACHED = struct.Struct("<16sqq")
+
+
+def key(lab: str, robot: str, what: str) -> str:
+    return f"armlab/{lab}/{robot}/{what}"
+
+
+def robot_of(name: str) -> tuple[str, str]:
+    _, lab, robot, *_ = name.split("/")
+    return lab, robot
+
+
+class Attachment(NamedTuple):
+    """What is attached to a command or a setting: 32 bytes, little-endian."""
+
+    sender: bytes
+    seq: int
+    stamp_ns: int
+
+    def pack(self) -> bytes:
+        return _ATTACHED.pack(*self)
+
+    @classmethod
+    def read(cls, data: bytes | None) -> Attachment:
+        if data is None or len(data) != _ATTACHED.size:
+            got = "none" if data is None else f"{len(data)} bytes"
+            raise CommandRefused(
+                f"Expected {_ATTACHED.size} bytes attached (16 of the sender's id, int64 number, int64 ns), got {got}."
+            )
+        return cls(*_ATTACHED.unpack(data))
+
+    @property
+    def client(self) -> str:
+        """The sender as people read it: all of its id, so that no two are one."""
+        return self.sender.hex()
+
+
+def data_of(part: Any) -> bytes | None:
+    """Return the bytes of a payload or an attachment, None when there is none."""
+    return None if part is None else part.to_bytes()
+
 
 _LARGEST = 2**17  # bytes of a message of the loop, of which a bridge passes on three at most
 _Count = Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]
@@ -109,3 +159,83 @@ def _converted(value: Any, type: Any) -> Any:
         return msgspec.convert(value, type)
     except msgspec.ValidationError as error:
         raise LinkError(f"Expected a text of a bridge, but {str(error)[:200].rstrip('.')}.") from None
+
+
+_MOST = 2**26  # bytes of all that wait: ten seconds of all rows of twenty arms
+_LEAST = 256  # bytes that a message is counted for at least
+
+T = TypeVar("T")
+
+
+class Inbox(Generic[T]):
+    """Messages from Zenoh's threads; when too much waits the oldest are lost."""
+
+    def __init__(self, most: int) -> None:
+        self._most, self._size = most, 0
+        self._waiting: deque[tuple[int, T]] = deque()
+        self._came = threading.Condition(threading.Lock())
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def put(self, message: T, size: int = 0) -> None:
+        size = max(size, _LEAST)
+        with self._came:
+            while self._waiting and (len(self._waiting) >= self._most or self._size + size > _MOST):
+                self._size -= self._waiting.popleft()[0]
+            self._waiting.append((size, message))
+            self._size += size
+            self._came.notify()
+
+    def get(self, patience: float = 0.0) -> T | None:
+        """Return the oldest message and forget it, None when none comes in time."""
+        with self._came:
+            if not self._waiting and not (patience > 0.0 and self._came.wait(patience) and self._waiting):
+                return None
+            size, message = self._waiting.popleft()
+            self._size -= size
+            return message
+
+    def wait(self, patience: float) -> bool:
+        """Return whether a message waits, or comes in time."""
+        with self._came:
+            return bool(self._waiting) or self._came.wait(patience)
+
+
+_NUMBER = struct.Struct("<q")
+
+
+class Gaps:
+    """Counts what a reader of every row of an arm ("state" or "live") misses."""
+
+    def __init__(self, schema: RowSchema, robot: str) -> None:
+        self._at = schema.fields[f"{robot}.tick"].offset
+        self._last = -1
+        self.rows = self.lost = self.starts = 0
+
+    def take(self, data: bytes) -> int:
+        """Count a row; return how many are missing before it."""
+        (number,) = _NUMBER.unpack_from(data, self._at)
+        if number <= self._last or not self.rows:  # another run begins anew
+            self.starts += 1
+            missing = 0
+        else:
+            missing = number - self._last - 1
+        self._last = number
+        self.rows += 1
+        self.lost += missing
+        return missing
+
+
+_SUM = struct.Struct("<I")
+
+
+def checksum(data: bytes) -> bytes:
+    """Return the CRC-32 of a row, 4 bytes, little-endian. Reference: ISO 3309, the CRC-32 of zlib and Ethernet."""
+    return _SUM.pack(zlib.crc32(data))
+
+
+def undamaged(sample: Any) -> bytes | None:
+    """Return the row of a sample, None when its checksum is wrong or missing, or when it is too large."""
+    data = sample.payload.to_bytes()
+    return data if len(data) <= LARGEST and data_of(sample.attachment) == checksum(data) else None

@@ -16,13 +16,10 @@ import numpy as np
 from armlab.bridge.servers.messages import CommandRequest, Listening, Report, Request, SetRequest, Stop
 from armlab.bridge.servers.server_end import LoopEnd
 from armlab.bridge.servers.status import Status
-from armlab.bridge.servers.zenoh.keys import COMMANDS, Attachment, key
-from armlab.bridge.servers.zenoh.rows import checksum
+from armlab.bridge.servers.zenoh.messages import COMMANDS, Attachment, checksum, data_of, key
 from armlab.bridge.servers.zenoh.security import Security
-from armlab.bridge.servers.zenoh.session import BlockingPublisher, Publisher, close_session, data_of, open_near
+from armlab.bridge.servers.zenoh.session import BlockingPublisher, Publisher, close_session, open_near
 from armlab.errors import CommandRefused
-
-__all__ = ["ZenohProcess", "serve"]
 
 _VIEW = 33_000_000  # ns between two rows for views
 _STATUS = 500_000_000  # ns between two reports
@@ -49,7 +46,6 @@ class ZenohProcess:
         )
 
     def run(self) -> None:
-        """Serve until the loop closes the feed."""
         try:
             for arm in self._arms.values():
                 self._declare(arm)
@@ -240,8 +236,3 @@ def _setting(name: str, data: bytes) -> Any:
         return json.loads(data)
     except (ValueError, RecursionError) as error:
         raise CommandRefused(f"Expected the value of {name} as JSON, but {error}.") from None
-
-
-def serve(feed: socket.socket, options: Mapping[str, Any]) -> None:
-    """Serve until the loop closes the feed."""
-    ZenohProcess(feed, options).run()

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from armlab.bridge.servers.zenoh.keys import EVERY, key
+from armlab.bridge.servers.zenoh.messages import EVERY, key
 from armlab.errors import ConfigError
-
-__all__ = ["BRIDGE", "COMMANDER", "USERS", "Security"]
 
 COMMANDER = "commander"
 """User who may command and set parameters."""
@@ -65,7 +63,6 @@ class Security:
         return None not in (self.ca, self.certificate, self.key, self.users)
 
     def values(self, listens: bool) -> dict[str, Any]:
-        """Return the values of Zenoh's configuration by key."""
         found: dict[str, Any] = {}
         if self.ca is not None:
             found["transport/link/tls/root_ca_certificate"] = str(self.ca.absolute())

@@ -13,26 +13,10 @@ from typing import Any, Literal, NamedTuple
 from urllib.parse import parse_qsl
 
 from armlab.bridge.net.sockets import is_here
-from armlab.bridge.servers.zenoh.keys import key
+from armlab.bridge.servers.zenoh.messages import key
 from armlab.bridge.servers.zenoh.security import Security
 from armlab.bridge.urls import split_url
 from armlab.errors import ConfigError, LinkError, MissingExtra
-
-__all__ = [
-    "Discovery",
-    "LAB",
-    "Publisher",
-    "PORT",
-    "LabAddress",
-    "BlockingPublisher",
-    "close_session",
-    "data_of",
-    "open_near",
-    "open_session",
-    "queried",
-    "wait_for_router",
-    "zenoh",
-]
 
 _RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
 _OPENED = 1500  # ms for the other end to answer a connection
@@ -54,7 +38,6 @@ _watcher: list[threading.Thread] = []
 
 
 def zenoh() -> Any:
-    """Return the module."""
     try:
         import zenoh as module
     except ImportError:
@@ -84,6 +67,7 @@ def open_session(
         "connect/exit_on_failure": False,
         "connect/retry": _RETRY,
         "scouting/multicast/enabled": False,
+        **({"scouting/delay": 0} if mode == "router" else {}),  # it would wait half a second for multicast
         "transport/unicast/open_timeout": _OPENED,
         "transport/link/rx/max_message_size": _LARGEST,
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": _BEFORE_DROP,
@@ -223,11 +207,6 @@ def close_session(session: Any) -> None:
         session.close()
 
 
-def data_of(part: Any) -> bytes | None:
-    """Return the bytes of a payload or an attachment, None when there is none."""
-    return None if part is None else part.to_bytes()
-
-
 def queried(session: Any, selector: str, patience: float) -> list[tuple[str, bytes]]:
     """Return what was answered to a query: keys and bytes; what is more than 64 MiB together is left out."""
     found, room = [], _ANSWERS
@@ -315,7 +294,6 @@ class LabAddress(NamedTuple):
 
     @classmethod
     def of(cls, host: str, port: int, options: dict[str, str]) -> LabAddress:
-        """Return the address for a host, a port and options."""
         unknown = sorted(set(options) - {"lab", *_OPTIONS})
         if unknown:
             raise ConfigError(f"Expected only ca and secret as options of a zenoh link, got {', '.join(unknown)}.")
