@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import check_name, make_read_only, numbers
+from armlab._numbers import check_name, make_read_only, numbers, still
 from armlab.errors import ConfigError, NotConverged, ShapeError
 from armlab.estimation import Fit
 from armlab.kinematics import forward, inverse
@@ -123,9 +123,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
                 "Expected a rotation with goal 0 and scaling 'goal' or 'none', got another. It is measured from the "
                 "goal."
             )
-        goal = np.array(orientation(self.goal, "goal"))
-        goal.flags.writeable = False
-        object.__setattr__(self, "goal", goal)
+        object.__setattr__(self, "goal", still(orientation(self.goal, "goal"), "goal"))
 
     @property
     def duration(self) -> float:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import positive
+from armlab._numbers import make_read_only, positive
 from armlab.errors import ConfigError, ShapeError
 from armlab.motion import arguments
 from armlab.motion.arguments import clock
@@ -159,10 +159,7 @@ class PacedDmp:
         steps = 2 * np.diff(self.s) / (self.rate[1:] + self.rate[:-1])
         object.__setattr__(self, "t", np.append(0.0, np.cumsum(steps)))
         object.__setattr__(self, "change", np.append(np.diff(self.rate) / steps, 0.0))
-        for name in ("s", "rate", "t", "change"):
-            values = getattr(self, name).view()
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
+        make_read_only(self, "s", "rate", "t", "change")
 
     @property
     def n(self) -> int:
