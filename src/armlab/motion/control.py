@@ -38,24 +38,13 @@ class JointLimits(Protocol):
     """What a reference may do, per joint (n,): a `Robot` is one, and so is `bridge.Limits`."""
 
     @property
-    def q_min(self) -> np.ndarray:
-        """Least position [rad or m]."""
-        ...
-
+    def q_min(self) -> np.ndarray: ...
     @property
-    def q_max(self) -> np.ndarray:
-        """Largest position [rad or m]."""
-        ...
-
+    def q_max(self) -> np.ndarray: ...
     @property
-    def qd_max(self) -> np.ndarray:
-        """Largest velocity."""
-        ...
-
+    def qd_max(self) -> np.ndarray: ...
     @property
-    def qdd_max(self) -> np.ndarray:
-        """Largest acceleration."""
-        ...
+    def qdd_max(self) -> np.ndarray: ...
 
 
 class Controller(ABC):

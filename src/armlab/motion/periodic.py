@@ -29,6 +29,8 @@ SEEN = 1e4  # condition beyond which the motion where there are no samples is a 
 NEXT = 2.0  # distances of kernels between samples that tell every kernel
 QUIET = 1e-18  # of the largest: _harmonics that are left out
 
+Start = tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
 
 @dataclass(frozen=True, eq=False)
 class PeriodicDmp(Saved, kind="periodic_dmp"):
@@ -116,14 +118,8 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         return np.real(wave @ self._harmonics), np.real(wave * (1j * k) @ self._harmonics)
 
     def _start_state(
-        self,
-        period: float | None,
-        g: ArrayLike | None,
-        r: float,
-        y0: ArrayLike | None,
-        v0: ArrayLike | None,
-        phase: float,
-    ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        self, period: float | None, g: ArrayLike | None, r: float, y0: Any, v0: Any, phase: float
+    ) -> Start:
         """Return time constant, position, velocity, baseline and scale of a run; by default in steady motion."""
         tau = (self.period if period is None else positive(period, "period [s]")) / (2 * np.pi)
         base, size = self.g if g is None else vector(g, "g", self.n), amplitude(r)
@@ -227,9 +223,7 @@ def transfer(alpha: float, stiffness: float) -> np.ndarray:
 class PeriodicStepper:
     """One run of a `PeriodicDmp`, sample by sample; made by `PeriodicDmp.stepper`. The numbers of its rollout."""
 
-    def __init__(
-        self, dmp: PeriodicDmp, start: tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray], phase: float
-    ):
+    def __init__(self, dmp: PeriodicDmp, start: Start, phase: float) -> None:
         self._n, self._first, self._phase = dmp.n, start, phase
         self._kernel = kernels.PrimitiveStepper(dmp.primitive_from(phase))
         self.reset()

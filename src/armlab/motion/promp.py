@@ -350,19 +350,17 @@ def fit_promp(
     centres = np.linspace(0.0, 1.0, n_basis)
     widths = np.full(n_basis, WIDTH / (n_basis - 1))
     names, n, of = [f"weight {j}" for j in range(n_basis)], demos[0].y.shape[1], {}
-    for demo in demos:
-        if demo.t.tobytes() not in of:  # most share their times
-            psi, _ = normalised((demo.t / demo.duration)[:, None], centres, widths)
-            of[demo.t.tobytes()] = (_check_samples(psi, names), psi, np.linalg.pinv(psi))
-    excitations, designs, inverses = zip(*(of[demo.t.tobytes()] for demo in demos))
-    products = {id(inverse): inverse @ inverse.T for inverse in inverses}
-    G = [products[id(inverse)] for inverse in inverses]
+    clocks = [demo.t.tobytes() for demo in demos]
+    for clock_, demo in dict(zip(clocks, demos)).items():  # most share their times
+        psi, _ = normalised((demo.t / demo.duration)[:, None], centres, widths)
+        of[clock_] = (_check_samples(psi, names), psi, np.linalg.pinv(psi))
+    excitations, designs, inverses = zip(*(of[one] for one in clocks))
     w = np.array([(inverse @ demo.y).T.ravel() for inverse, demo in zip(inverses, demos)])
     residuals = [demo.y - A @ own.reshape(n, -1).T for A, demo, own in zip(designs, demos, w)]
     dof = sum(len(demo.t) - n_basis for demo in demos)
     noise = np.sqrt(sum((r**2).sum(axis=0) for r in residuals) / max(dof, 1))
-    spread = {id(g): np.kron(np.diag(noise**2), g) for g in G}
-    own = [spread[id(g)] for g in G]
+    spread = {one: np.kron(np.diag(noise**2), inverse @ inverse.T) for one, (_, _, inverse) in of.items()}
+    own = [spread[one] for one in clocks]
     S = np.cov(w.T).reshape(w.shape[1], w.shape[1])
     cov = _positive(S - np.mean(own, axis=0))
     mean, mean_cov = _mean(w, cov, own, S)

@@ -26,11 +26,7 @@ _REFUSED_PAUSE = 0.05  # s before a packet is sent again to a port that nobody h
 
 
 class UdpClient:
-    """One controller and its socket.
-
-    `phase`: how long after the beat that all channels share it sends in real time [s], less than a period. `heard`:
-    monotonic time of the last message [s].
-    """
+    """One controller and its socket; it sends `phase` seconds after the beat that all channels share."""
 
     def __init__(
         self,
@@ -101,8 +97,6 @@ class UdpClient:
 
         Packets that the faults removed are not waited for. While nobody has bound the port, the packet is sent again. A
         stream needs no replies: a peer that has never sent one is waited for once, then it hears a packet per period.
-
-        `patience`: how long to wait [s]. `alive`: asked now and then whether to go on.
         """
         if self._packet is None and not self._awaited:
             self.drain()  # what comes between two sessions must not wait in the socket for the next one
@@ -207,10 +201,7 @@ _NEVER_VALID = 0x07  # a first byte that no protobuf message has
 
 
 class Faults:
-    """One direction of one path; called once per cycle.
-
-    `period`: time between two cycles [s].
-    """
+    """One direction of one path; called once per cycle."""
 
     def __init__(self, rates: FaultRates, seed: int | Sequence[int], period: float = 0.004032) -> None:
         self._rates, self._period = rates, period
@@ -221,10 +212,9 @@ class Faults:
         self._begins = share / (length - share * (length - 1)) if share else 0.0
 
     def through(self, datagrams: list[tuple[int, bytes]], now: float) -> list[tuple[int, bytes]]:
-        """Return what comes out in this cycle, the newest entries of `datagrams` before delayed ones.
+        """Return what comes out in this cycle of the (number, bytes) that go in, before what was delayed.
 
-        `datagrams`: (number, bytes) that go in, in this cycle. A corrupted one comes out with the number `CORRUPTED`.
-        `now`: robot time of this cycle [s].
+        A corrupted one comes out with the number `CORRUPTED`.
         """
         rates, draw = self._rates, self._random
         out: list[tuple[int, bytes]] = []
@@ -233,12 +223,8 @@ class Faults:
         if now >= rates.until:
             out, datagrams = list(datagrams), []
         for number, data in datagrams:
-            begins, twice, swapped, corrupt = draw.random(4) < (
-                self._begins,
-                rates.duplicate,
-                rates.reorder,
-                rates.corrupt,
-            )
+            shares = self._begins, rates.duplicate, rates.reorder, rates.corrupt
+            begins, twice, swapped, corrupt = draw.random(4) < shares
             mean, sigma = rates.delay
             wait = max(0.0, mean + sigma * draw.standard_normal()) + self._period * swapped
             if self._is_lost(bool(begins)):
