@@ -256,7 +256,6 @@ class Bench:
             self.link.run(controller, **{"record": record, "wait": "block", **options})
         except (LinkError, KeyboardInterrupt) as error:
             failure = error
-        assert self.link.last is not None
         return Outcome(self.link.last, failure)
 
     def pass_time(self, seconds: float, guarded: bool = True) -> None:
@@ -406,8 +405,6 @@ def within_limits(bench: Bench, since: int = 0, ahead: float = 0.0) -> None:
     echoes = READY_AFTER
     stations = {source: station for station in bench.stations for source in station.sources}
     for reply, sent in zip(bench.heard()[since:], bench.sent[since:], strict=True):
-        assert reply.q is not None
-        assert reply.tm_ms is not None
         assert np.isfinite([reply.q, reply.qd]).all()
         assert ((reply.q >= LIMITS.q_min - SLACK) & (reply.q <= LIMITS.q_max + SLACK)).all()
         feedback, guides, now = stations[sent.to].packets[reply.tm_ms]
@@ -494,7 +491,6 @@ def program(*words: str, errors: IO[str] | int = subprocess.PIPE) -> Iterator[su
 
 
 def line(file: IO[str] | None) -> str:
-    assert file is not None
     return file.readline()
 
 

@@ -67,7 +67,7 @@ WRONG = {
     "returns an infinite speed": Wrong(returns(lambda state: Command(qd=np.full(7, np.inf))), np.inf, CommandRefused),
     "returns a jump again and again": Wrong(JUMP, np.inf, CommandRefused),
     "is late again and again": Wrong(sleeps(0.0035), np.inf, ControllerLate),
-    "sleeps for seconds": Wrong(sleeps(3.0), 1, ControllerLate),
+    "sleeps for seconds": Wrong(sleeps(1.5), 1, ControllerLate),
     "returns nothing": Wrong(returns(lambda state: None), 50),
     "returns NaN once": Wrong(returns(nan), 1),
     "returns a jump once": Wrong(JUMP, 1),

@@ -72,7 +72,6 @@ def motion(cell: Cell) -> Motion:
 
 def read_unfinished(outcome: Outcome) -> Table:
     path = outcome.run.path
-    assert path is not None
     with pytest.warns(UserWarning, match="not finished"):
         return read(path)
 
@@ -181,7 +180,6 @@ def test_a_disk_that_stands_still_for_long(
     assert cell.is_told(outcome.told), outcome.told
     within_limits(bench)
     path = outcome.run.path
-    assert path is not None
     holes = inspect(path).summary["holes"]  # another one where the disk is slow to empty the queue
     table = read(path)
     kept = np.ones(len(bench.sent), dtype=bool)

@@ -195,7 +195,6 @@ def test_demonstrations_share_their_weights() -> None:
     np.testing.assert_allclose(again.weights, dmp.weights, rtol=1e-9, atol=1e-9 * abs(dmp.weights).max())
     swapped = fit_dmp(ts, [y[:, ::-1] for y in ys]).value
     np.testing.assert_allclose(swapped.weights[:, ::-1], dmp.weights, rtol=0, atol=1e-11 * abs(dmp.weights).max())
-    assert dmp.demo_weights is not None
     assert dmp.demo_weights.shape == (3, 50, 2)
     assert fit.names.count("v0 of demonstration 2 of coordinate 1") == 1
     assert fit_dmp(ts[:2], ys[:2]).value.demo_weights is None
@@ -236,7 +235,6 @@ def test_samples_have_the_mean_and_covariance_of_the_demonstrations() -> None:
     root = np.sqrt(np.diag(dmp.weight_covariance))
     assert (abs(drawn.mean(axis=0) - dmp._mean_weights.ravel()) < 4 * root / np.sqrt(2000) + 1e-9).all()
     np.testing.assert_allclose(np.cov(drawn.T), dmp.weight_covariance, atol=0.15 * root.max() ** 2)
-    assert dmp.demo_weights is not None
     np.testing.assert_allclose(np.cov(dmp.demo_weights[..., 0].T), dmp.weight_covariance, atol=1e-9 * root.max() ** 2)
 
 

@@ -153,14 +153,6 @@ def test_the_perfect_plant_is_no_plant(primitive: Build) -> None:
         np.testing.assert_allclose(getattr(run, name), getattr(plain, name), rtol=0, atol=1e-11, err_msg=name)
 
 
-def test_a_weak_plant_is_waited_for(primitive: Build) -> None:
-    """An arm with half the acceleration it is asked for falls behind and the path waits; both reach the goal."""
-    dmp = primitive()
-    run = TwoDofDmp(dmp).simulate(dmp.times(0.004, 12.0), [lambda t, ya, yad, ydd: 0.5 * ydd])
-    assert run.tau_a.max() > 1.5 * dmp.tau_d
-    np.testing.assert_allclose(run.ya[-1], dmp.g, atol=1e-3)
-
-
 def test_results_are_frozen_and_complete(primitive: Build) -> None:
     run = TwoDofDmp(primitive()).simulate(0.01)
     assert isinstance(run, TwoDofRun)
@@ -202,21 +194,6 @@ def test_uneven_steps_and_lost_samples_do_not_matter_much(smooth: Callable[..., 
         found = stepper.step(1e-3 * skip, run.ya[k] * (np.nan if lost else 1), run.yad[k])
         assert np.abs(found.yc - run.yc[k]).max() < 0.02
         assert np.isfinite(found.ydd_ref).all()
-
-
-def test_goal_changes_on_the_way(smooth: Callable[..., Dmp]) -> None:
-    dmp = smooth()
-    stepper, ya, yad = TwoDofDmp(dmp).stepper(), np.zeros(2), np.zeros(2)
-    goal = np.array([1.3, -0.2])
-    for k in range(2500):
-        if k == 200:
-            before = stepper.step(0.0, ya, yad).yc
-            stepper.change_goal(goal)
-            np.testing.assert_array_equal(stepper.step(0.0, ya, yad).yc, before)
-        found = stepper.step(H if k else 0.0, ya, yad)
-        ya, yad = ya + H * yad + 0.5 * H**2 * found.ydd_ref, yad + H * found.ydd_ref
-    np.testing.assert_allclose(ya, goal, atol=1e-3)
-    np.testing.assert_array_equal(stepper.goal, goal)
 
 
 @pytest.mark.parametrize("schedule", ["canonical", "time"])

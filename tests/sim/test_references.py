@@ -105,8 +105,6 @@ def test_the_extension_takes_the_place_of_joint_references() -> None:
     target = ReferenceDecoder(ROBOT, ControllerSettings())
     plain = target.read(SensorMessage(0, 1, 3, q=HOME, qd=ONES), HOME)
     other = target.read(SensorMessage(0, 1, 3, q=HOME, q_reference=HOME + 1, qd_reference=2 * ONES), HOME)
-    assert plain is not None
-    assert other is not None
     np.testing.assert_array_equal(plain, (HOME, ONES))
     np.testing.assert_array_equal(other, (HOME + 1, 2 * ONES))
 
@@ -116,10 +114,8 @@ def test_a_pose_is_reached_from_the_planned_posture() -> None:
     goal = HOME + 0.02
     twist = ROBOT.chain.jacobian(HOME) @ (0.1 * ONES)
     found = target.read(SensorMessage(0, 1, 3, T_frame_tool=ROBOT.chain.forward(goal), twist=twist), HOME)
-    assert found is not None
     q, qd = found
     np.testing.assert_allclose(ROBOT.chain.forward(q), ROBOT.chain.forward(goal), atol=1e-8)
-    assert qd is not None
     np.testing.assert_allclose(ROBOT.chain.jacobian(HOME) @ qd, twist, atol=1e-9)
     far = np.eye(4)
     far[0, 3] = 9.0

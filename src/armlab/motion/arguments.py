@@ -33,14 +33,13 @@ def second_point(value: Any, what: str, first: np.ndarray) -> np.ndarray:
     return array
 
 
-def points(value: Any, what: str, least: int = 2) -> np.ndarray:
+def points(value: Any, what: str) -> np.ndarray:
     """Return points (m, n), one after the other; (m,) is a path of one joint."""
     array = numbers(value, what, ShapeError)
     array = array[:, None] if array.ndim == 1 else array
-    if array.ndim != 2 or len(array) < least or not array.shape[1]:
+    if array.ndim != 2 or len(array) < 2 or not array.shape[1]:
         raise ShapeError(
-            f"Expected {what} of shape (m, n) with {least} points or more, got shape {array.shape}. "
-            "Give one row per point."
+            f"Expected {what} of shape (m, n) with 2 points or more, got shape {array.shape}. Give one row per point."
         )
     missing = np.flatnonzero(~np.isfinite(array).all(axis=1))
     if len(missing):

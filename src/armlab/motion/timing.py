@@ -80,10 +80,8 @@ def peaks(run: Rollout) -> tuple[np.ndarray, np.ndarray]:
     between = left * v[:-1] + right * v[1:] + h * (s * (1 - s) ** 2 * a[:-1] - s * s * (1 - s) * a[1:])
     speed = np.maximum(np.abs(v).max(axis=0), np.abs(np.where(turns, between, 0.0)).max(axis=0))
     size = np.abs(a)
-    k = size.argmax(axis=0).clip(1, max(len(a) - 2, 1))
+    k = size.argmax(axis=0).clip(1, len(a) - 2)
     j = np.arange(a.shape[1])
-    if len(a) < 3:
-        return speed, size.max(axis=0)
     before, at, after = size[k - 1, j], size[k, j], size[k + 1, j]
     bend = before - 2 * at + after
     top = at - np.where(bend < 0.0, (after - before) ** 2 / (8 * np.where(bend < 0.0, bend, 1.0)), 0.0)

@@ -9,6 +9,7 @@ import socket
 import struct
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -48,7 +49,8 @@ class UdpClient:
             self._socket.close()
             raise LinkError(f"Expected an address to send to, got {host}:{port} ({error}). Correct it.") from error
         self._socket.setblocking(False)
-        self._stamped = self._ask_for_stamps()
+        with suppress(OSError):
+            self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         self._poll = select.poll()
         self._poll.register(self._socket, select.POLLIN)
         self._packet: bytes | None = None
@@ -164,10 +166,6 @@ class UdpClient:
     def _get(self) -> bytes | None:
         """Return the next datagram, or None. Socket errors, as from a port that nobody has bound, are counted."""
         try:
-            if not self._stamped:
-                data = self._socket.recv(_LARGEST)
-                self._arrival = time.time_ns()
-                return data
             data, extra, _, _ = self._socket.recvmsg(_LARGEST, 64)
         except BlockingIOError:
             return None
@@ -185,13 +183,6 @@ class UdpClient:
         refused = isinstance(error, ConnectionRefusedError)
         self._refused = self._refused or refused
         self.controller.statistics.counts["refused" if refused else "socket errors"] += 1
-
-    def _ask_for_stamps(self) -> bool:
-        try:
-            self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-        except OSError:
-            return False
-        return True
 
 
 CORRUPTED = -1
