@@ -253,7 +253,7 @@ FAULTS: dict[str, Any] = {
     "reorder": lambda p: FaultRates(reorder=p),
     "corrupt": lambda p: FaultRates(corrupt=p),
     "delay": lambda p: FaultRates(delay=(p * PERIOD, 0.5 * PERIOD)),
-    "pause": lambda p: FaultRates(pause=(5.0, p * SECONDS[p])),
+    "pause": lambda p: FaultRates(pause=(5.0, 60.0 * p)),
 }
 
 
@@ -364,7 +364,8 @@ def test_every_fault_for_a_minute(play: Any, fault: str) -> None:
     When half of all replies is lost ten at a time, the arm goes on with its last speed for up to a second: the
     following error that is allowed says so.
     """
-    for share, seconds in SECONDS.items():
+    for share, of_share in SECONDS.items():
+        seconds = 60.0 if fault == "pause" else of_share
         limits = Limits.of(ROBOT, following_error=0.5) if (fault, share) == ("burst", 0.5) else None
         rates = replace(FAULTS[fault](share), until=seconds - 3.0)
         check(*play(rates, rates, seconds, limits))
