@@ -46,13 +46,7 @@ NEVER_VALID = 0x07  # a first byte that no protobuf message has
 
 @dataclass(frozen=True)
 class Bad:
-    """How often datagrams are lost, late, doubled, overtaken or damaged.
-
-    Attributes
-    ----------
-    loss, duplicate, reorder, corrupt : shares of all datagrams. burst : losses come this many in a row.
-    delay, jitter : mean and standard deviation of the time that they take [s].
-    """
+    """Shares of datagrams that are lost (`burst` in a row), doubled, overtaken, damaged; mean and SD of delay [s]."""
 
     loss: float = 0.0
     burst: int = 1
@@ -64,24 +58,11 @@ class Bad:
 
 
 GOOD = Bad()
-"""Nothing goes wrong."""
-
-FIRST = 6
-"""Datagrams of which one is lost, see `unlucky`: an arm that is to stop is not at rest yet."""
+FIRST = 6  # datagrams of which one is lost, see `unlucky`: an arm that is to stop is not at rest yet
 
 
 class Way:
-    """One direction between a robot and the bridge.
-
-    Parameters
-    ----------
-    bad : what goes wrong. begin, end : virtual time in which it does [s]. seed : another one for each direction.
-    period : of the robot [s].
-
-    Attributes
-    ----------
-    lost : datagrams so far.
-    """
+    """One direction between a robot and the bridge, bad from `begin` to `end` [s] of virtual time."""
 
     def __init__(self, bad: Bad, begin: float, end: float, seed: list[int], period: float) -> None:
         self._bad, self._begin, self._end, self._period = bad, begin, end, period
@@ -91,11 +72,9 @@ class Way:
 
     @property
     def due(self) -> float:
-        """When the next datagram arrives [s]."""
         return self._under_way[0][0] if self._under_way else math.inf
 
     def put(self, now: float, data: bytes) -> None:
-        """Send one datagram."""
         if not self._begin <= now < self._end:  # nothing is drawn: a seed tells what happens from the beginning on
             self._deliver(now + WIRE, data)
             return
@@ -108,7 +87,7 @@ class Way:
             self.lost += 1
             return
         for _ in range(1 + int(twice)):
-            spoiled = self._spoil(data) if damaged else data
+            spoiled = bytes([NEVER_VALID]) + data[1 : int(self._random.integers(1, len(data)))] if damaged else data
             self._deliver(now + late + 1.5 * self._period * behind, spoiled)
 
     def _deliver(self, due: float, data: bytes) -> None:
@@ -122,10 +101,6 @@ class Way:
     def cut(self) -> None:
         """Lose what is under way."""
         self._under_way.clear()
-
-    def _spoil(self, data: bytes) -> bytes:
-        """Cut it somewhere, so that it can never be read."""
-        return bytes([NEVER_VALID]) + data[1 : int(self._random.integers(1, len(data)))]
 
 
 def unlucky(bad: Bad, period: float) -> int:
@@ -183,18 +158,10 @@ class Outcome(NamedTuple):
 
 
 class Station:
-    """One robot's controller on the network.
+    """One robot's controller on the network, from its first cycle at `begins_at` [s] on.
 
-    Parameters
-    ----------
-    source : where it sends from. bad, begin, end : of both directions, see `Way`. begins_at : its first cycle [s].
-    q : (n,) where the arm is then. seed : of what goes wrong.
-
-    Attributes
-    ----------
-    sources : all that it had. packets : (q measured, whether it guides, robot time) by the `tm` of each packet.
-    motion : q and qd of the arm, cycle by cycle.
-    alive : it takes part. change : what is done to each packet before it is sent.
+    `packets`: q measured, whether it guides, and robot time, by the `tm` of each packet. `motion`: q and qd of the arm,
+    cycle by cycle. `change`: what is done to each packet before it is sent.
     """
 
     def __init__(
@@ -239,18 +206,14 @@ class Station:
         self.motion.append((controller.arm.sample.q, controller.arm.sample.qd))
 
 
-Script = Callable[[float, State], Command | None]
-"""What a controller does: virtual time and state give a command."""
+Script = Callable[[float, State], Command | None]  # virtual time and state give a command
 
 
 class Bench:
     """Virtual time, the network, and a bridge on it.
 
-    Attributes
-    ----------
-    now : virtual time [s]. stations : on the network. sent : every reply, in order. script : what the controller does.
-    wall_step : how far the wall clock was set since the beginning [s]. at : what happens at a time, by that time [s].
-    takes : whether the system takes a reply.
+    `wall_step`: how far the wall clock was set since the beginning [s]. `at`: what happens, by virtual time [s].
+    `takes`: whether the system takes a reply.
     """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
@@ -293,7 +256,6 @@ class Bench:
             self.link.run(controller, **{"record": record, "wait": "block", **options})
         except (LinkError, KeyboardInterrupt) as error:
             failure = error
-        assert self.link.last is not None
         return Outcome(self.link.last, failure)
 
     def pass_time(self, seconds: float, guarded: bool = True) -> None:
@@ -383,13 +345,7 @@ class Bench:
 
 @dataclass
 class Motion:
-    """Sways from where the last reference left the arm; positions, so that time that was lost would be a jump.
-
-    Attributes
-    ----------
-    holds : virtual time in which it holds, as (begin, end) [s]. stops : from when on it ends the run [s].
-    amplitude, rate : of the sway [rad, rad/s].
-    """
+    """Sways from where the last reference left the arm; positions, so that time that was lost would be a jump."""
 
     holds: tuple[float, float] = (0.0, 0.0)
     stops: float = math.inf
@@ -442,17 +398,13 @@ def met_in_motion(bench: Bench, at: float) -> None:
 def within_limits(bench: Bench, since: int = 0, ahead: float = 0.0) -> None:
     """Every reply is within the limits for the robot time since the one before, and a gap allows no larger step.
 
-    Parameters
-    ----------
-    since : first reply. ahead : time by which a clock of the robot may be believed beyond arrivals [s].
+    `ahead`: time by which a clock of the robot may be believed beyond arrivals [s].
     """
     answered: set[tuple[int, int]] = set()
     before: tuple[np.ndarray, np.ndarray, float] | None = None
     echoes = READY_AFTER
     stations = {source: station for station in bench.stations for source in station.sources}
     for reply, sent in zip(bench.heard()[since:], bench.sent[since:], strict=True):
-        assert reply.q is not None
-        assert reply.tm_ms is not None
         assert np.isfinite([reply.q, reply.qd]).all()
         assert ((reply.q >= LIMITS.q_min - SLACK) & (reply.q <= LIMITS.q_max + SLACK)).all()
         feedback, guides, now = stations[sent.to].packets[reply.tm_ms]
@@ -549,12 +501,7 @@ def free_port() -> int:
 
 
 class SimulatedRobot:
-    """`armlab sim` as a process: what it says while it runs, and what it counted and knew when it has ended.
-
-    Parameters
-    ----------
-    folder : for its files. port : where it sends.
-    """
+    """`armlab sim` as a process: what it says while it runs, and what it counted and knew when it has ended."""
 
     def __init__(self, folder: Path, port: int) -> None:
         self._said, self._stats, self._truth = (folder / name for name in ("said.txt", "stats.json", "truth.csv"))

@@ -27,15 +27,7 @@ TESTS = Path(__file__).parents[1]
 
 @dataclass(frozen=True)
 class Cell:
-    """One fault in one state.
-
-    Attributes
-    ----------
-    kind, fault, state : what goes wrong, and when. happens : what must happen.
-    told : words that the user reads, with "…" for what differs and "N" for a number above zero; "–" when there is
-        nothing to tell.
-    recovers : what it takes to go on. given : what else its test needs. test : node id.
-    """
+    """One fault in one state, and the node id of its test; see the head of `matrix.toml`."""
 
     kind: str
     fault: str
@@ -45,6 +37,7 @@ class Cell:
     recovers: str
     test: str
     given: Any = None
+    slow: bool = False
 
     def __str__(self) -> str:
         return f"{self.fault}, {self.state}"
@@ -72,12 +65,13 @@ CELLS = tuple(_read())
 def shows(test: Any) -> Any:
     """Run a test with each of its cells.
 
-    In the default tests a fault meets a moving arm only, or its first state; the others are slow tests.
+    In the default tests a fault that no other stands for meets a moving arm only, or its first state.
     """
     node = f"{Path(test.__code__.co_filename).relative_to(TESTS.parent).as_posix()}::{test.__name__}"
     own = [cell for cell in CELLS if cell.test == node]
     assert own, f"no row of matrix.toml names {node}"
     quick = {cell.fault: cell.state for cell in reversed(own)}
     quick |= {cell.fault: cell.state for cell in own if cell.state == "running"}
-    parameters = [pytest.param(cell, marks=() if quick[cell.fault] == cell.state else pytest.mark.slow) for cell in own]
+    slow = [cell.slow or quick[cell.fault] != cell.state for cell in own]
+    parameters = [pytest.param(cell, marks=pytest.mark.slow if late else ()) for cell, late in zip(own, slow)]
     return pytest.mark.parametrize("cell", parameters, ids=str)(test)

@@ -67,7 +67,7 @@ WRONG = {
     "returns an infinite speed": Wrong(returns(lambda state: Command(qd=np.full(7, np.inf))), np.inf, CommandRefused),
     "returns a jump again and again": Wrong(JUMP, np.inf, CommandRefused),
     "is late again and again": Wrong(sleeps(0.0035), np.inf, ControllerLate),
-    "sleeps for seconds": Wrong(sleeps(3.0), 1, ControllerLate),
+    "sleeps for seconds": Wrong(sleeps(1.5), 1, ControllerLate),
     "returns nothing": Wrong(returns(lambda state: None), 50),
     "returns NaN once": Wrong(returns(nan), 1),
     "returns a jump once": Wrong(JUMP, 1),
@@ -99,7 +99,7 @@ def test_the_run_ends(bench: Bench, cell: Cell) -> None:
     failure: Any = outcome.failure
     assert len(failure.table) > 100, "the error has the last rows"
     count = len(bench.sent)
-    again = bench.run(Motion(), seconds=0.3)
+    again = bench.run(Motion(), seconds=0.1)
     judge(bench, again, count)
     assert again.run.reason == "the time is up"
 
@@ -198,13 +198,13 @@ def test_a_codec_raises(bench: Bench, cell: Cell, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(EgmCodec, "encode", broken)
     motion = Motion.that_stops(0.3) if cell.state == "stopping" else Motion()
     motion.holds = (0.0, 1.0 if cell.state == "holding" else 0.0)
-    outcome = bench.run(motion, seconds=1.0)
+    outcome = bench.run(motion, seconds=0.6)
     assert type(outcome.failure) is LinkError
     assert cell.is_told(str(outcome.failure))
     judge(bench, outcome)
     assert not bench.heard()[-1].qd.any(), "it came to rest"
     count = len(bench.sent)
-    again = bench.run(Motion(), seconds=0.3)
+    again = bench.run(Motion(), seconds=0.1)
     judge(bench, again, count)
     assert again.run.reason == "the time is up"
 

@@ -21,7 +21,7 @@ from armlab.log.recording import file as recording_file
 from .bench import Bench, Motion, Outcome, log_is_what_was_sent, met_in_motion, within_limits
 from .matrix import Cell, shows
 
-AT = {"holding": 0.3, "running": 0.3, "stopping": 0.3}
+AT = 0.3  # s, when the fault begins
 PATIENCE = 20.0  # s of the real clock; only a test that fails waits so long
 
 
@@ -66,13 +66,12 @@ def disks(monkeypatch: pytest.MonkeyPatch) -> list[Disk]:
 
 def motion(cell: Cell) -> Motion:
     if cell.state == "stopping":
-        return Motion.that_stops(AT["stopping"])
+        return Motion.that_stops(AT)
     return Motion(holds=(0.0, 0.6 if cell.state == "holding" else 0.0))
 
 
 def read_unfinished(outcome: Outcome) -> Table:
     path = outcome.run.path
-    assert path is not None
     with pytest.warns(UserWarning, match="not finished"):
         return read(path)
 
@@ -100,15 +99,15 @@ def test_the_log_ends_and_the_arm_goes_on(bench: Bench, cell: Cell, disks: list[
         rows = bench.written(PATIENCE)
         disks[0].error = error
 
-    bench.at[AT[cell.state]] = fail
-    outcome = bench.run(motion(cell), seconds=1.0)
+    bench.at[AT] = fail
+    outcome = bench.run(motion(cell), seconds=0.7)
     log_ends(outcome, bench, cell)
     if cell.state == "stopping":
-        met_in_motion(bench, AT["stopping"])
+        met_in_motion(bench, AT)
     assert len(read_unfinished(outcome)) == rows > 50, "the log is whole up to the fault"
     assert outcome.run.path.stat().st_size == disks[0].size, "of what failed nothing is left"
     count = len(bench.sent)
-    again = bench.run(Motion(), seconds=0.3)
+    again = bench.run(Motion(), seconds=0.1)
     within_limits(bench, count)
     log_is_what_was_sent(bench, again.table, count)
 
@@ -144,7 +143,7 @@ def test_the_log_cannot_be_created(bench: Bench, cell: Cell, tmp_path: Path) -> 
 
 @shows
 def test_a_disk_that_stands_still(bench: Bench, cell: Cell, disks: list[Disk]) -> None:
-    bench.at[AT[cell.state]] = lambda: disks[0].moves.clear()
+    bench.at[AT] = lambda: disks[0].moves.clear()
     if cell.state == "stopping":
         closing = threading.Thread(target=lambda: bench.closing(PATIENCE) and disks[0].moves.set())
         bench.at[0.4] = closing.start
@@ -181,7 +180,6 @@ def test_a_disk_that_stands_still_for_long(
     assert cell.is_told(outcome.told), outcome.told
     within_limits(bench)
     path = outcome.run.path
-    assert path is not None
     holes = inspect(path).summary["holes"]  # another one where the disk is slow to empty the queue
     table = read(path)
     kept = np.ones(len(bench.sent), dtype=bool)

@@ -96,7 +96,7 @@ def test_a_bridge_is_killed(cell: Cell, tmp_path: Path) -> None:
     assert table["session_t"][-1] > 0.2, "all rows are there that came before the writer's last ten writes"
 
 
-SHOWN = 250  # cycles, a second of the robot's
+SHOWN = 125  # cycles, half a second of the robot's
 READER = """
 from armlab.bridge.servers.local import LocalFeed
 from armlab.bridge.servers.messages import Subscribe

@@ -160,8 +160,6 @@ class Ideal:
         self.t += dt
         if command.ends:
             return command
-        assert command.q is not None
-        assert command.qd is not None
         self.q, self.qd = (self.q, np.zeros(7)) if self.held else (command.q, command.qd)
         return command
 

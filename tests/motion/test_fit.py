@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from armlab.errors import ConfigError, ShapeError
-from armlab.estimation import Experiment, Fit, Gauge, check_estimator
+from armlab.estimation import Experiment, Gauge, check_estimator
 from armlab.lie import so3
 from armlab.motion import Dmp, fit_dmp
 from armlab.motion.primitive.fit import METHODS
@@ -48,7 +47,7 @@ BARS = {  # pinned ends: 50 and 15 kernels; free ends: 50 and 15; default: 50
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_accuracy(name: str) -> None:
+def test_accuracy_and_rest_at_the_goal(name: str) -> None:
     settings: tuple[dict[str, Any], ...] = (
         {"hold": 0.0},
         {"hold": 0.0, "n_basis": 15},
@@ -56,27 +55,13 @@ def test_accuracy(name: str) -> None:
         {"hold": 0.0, "pin": (), "n_basis": 15},
         {},
     )
-    errors = [rmse(fit_dmp(*demo(name), **options).value, name) for options in settings]
-    bars = np.array(BARS[name]) * [1, 1, 1.05, 1.05, 1]
+    found = [fit_dmp(*demo(name), **options).value for options in settings]
+    errors, bars = [rmse(dmp, name) for dmp in found], np.array(BARS[name]) * [1, 1, 1.05, 1.05, 1]
     assert (errors <= bars).all(), (errors, bars)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_motion_stays_at_the_goal(name: str) -> None:
-    t, y = demo(name)
-    dmp = fit_dmp(t, y).value
+    t, dmp = demo(name)[0], found[-1]
     after = dmp.rollout(np.linspace(0, 4 * t[-1], 4000))
-    assert abs(after.y - dmp.g)[after.t > t[-1]].max() <= 1.5e-3
+    assert abs(after.y - dmp.g)[after.t > t[-1]].max() <= 1.5e-3, "it stays at the goal"
     assert abs(after.y[-1] - dmp.g).max() < 1e-6
-
-
-def test_convergence_of_the_steps() -> None:
-    dmp = fit_dmp(*demo("letter")).value
-    fine = np.linspace(0, 1, 801)
-    wanted = dmp.solve(fine, rtol=1e-12, atol=1e-13).y
-    errors = [abs(dmp.rollout(fine[::k]).y - wanted[::k]).max() for k in (8, 4, 2, 1)]
-    assert np.log2(np.divide(errors[:-1], errors[1:])).min() >= 3.8
-    assert (np.array(errors) < [1.7e-6, 1.1e-7, 6.5e-9, 4e-10]).all()
 
 
 def test_start_with_velocity() -> None:
@@ -93,8 +78,11 @@ def test_no_displacement() -> None:
     dmp = fit_dmp(t, y, hold=0.0).value  # it turns back with acceleration
     assert np.sqrt(((dmp.rollout(t).y - y) ** 2).mean()) <= 5e-6
     assert dmp.unscaled == (0, 1, 2)
-    assert np.abs(dmp.weights).max() < 1e3
-    assert "hardly moved: 0, 1, 2" in fit_dmp(t, y).report()
+    for method in METHODS:
+        assert np.abs(fit_dmp(t, y, method=method).value.weights).max() < 1e3
+    report = fit_dmp(t, y).report()
+    assert "hardly moved: 0, 1, 2" in report
+    assert "RMSE of the motion" in report
 
 
 @pytest.mark.parametrize(("n_basis", "jerk", "ramp"), [(15, 1.1e-5, 3.4e-3), (50, 1e-7, 5.2e-4)])
@@ -207,7 +195,6 @@ def test_demonstrations_share_their_weights() -> None:
     np.testing.assert_allclose(again.weights, dmp.weights, rtol=1e-9, atol=1e-9 * abs(dmp.weights).max())
     swapped = fit_dmp(ts, [y[:, ::-1] for y in ys]).value
     np.testing.assert_allclose(swapped.weights[:, ::-1], dmp.weights, rtol=0, atol=1e-11 * abs(dmp.weights).max())
-    assert dmp.demo_weights is not None
     assert dmp.demo_weights.shape == (3, 50, 2)
     assert fit.names.count("v0 of demonstration 2 of coordinate 1") == 1
     assert fit_dmp(ts[:2], ys[:2]).value.demo_weights is None
@@ -231,16 +218,6 @@ def test_turned_demonstrations_are_one_path() -> None:
         fit_dmp(*demo("letter"), scaling="rotate")
 
 
-def test_the_fit_is_saved_with_its_value(tmp_path: Path) -> None:
-    fit = fit_dmp(*demo("noisy ramp"), n_basis=10)
-    again = Fit.load(fit.save(tmp_path / "ramp.toml"))
-    assert again.value == fit.value
-    np.testing.assert_array_equal(again.cov, fit.cov)
-    assert "RMSE of the motion" in fit.report()
-    assert "'trajectory'" in fit.report()
-    assert fit.residuals.shape == (1510, 2)
-
-
 def test_a_pause_is_no_progress() -> None:
     t = np.linspace(0, 1, 101)
     y = np.interp(t, [0, 0.4, 0.6, 1.0], [0.0, 1.0, 1.0, 2.0])
@@ -248,15 +225,6 @@ def test_a_pause_is_no_progress() -> None:
         fit_dmp(t, y, schedule="position")
     resting = np.interp(t, [0, 0.2, 0.7, 1.0], [0.0, 0.0, 2.0, 2.0])
     assert fit_dmp(t, resting, schedule="position", n_basis=10).value.monotone.all()
-
-
-def test_goals_outside_the_limits_are_refused() -> None:
-    dmp = fit_dmp(*demo("letter"), limits=([-0.2, -0.2], [0.2, 0.2])).value
-    for g, outside in (([0.1, 0.3], 1), ([-0.3, 0.1], 0)):
-        with pytest.raises(ShapeError, match=rf"coordinates \[{outside}\]"):
-            dmp.rollout(U, g=g)
-    with pytest.raises(ShapeError, match="limits"):
-        dmp.stepper().change_goal([0.5, 0.0])
 
 
 def test_samples_have_the_mean_and_covariance_of_the_demonstrations() -> None:
@@ -267,7 +235,6 @@ def test_samples_have_the_mean_and_covariance_of_the_demonstrations() -> None:
     root = np.sqrt(np.diag(dmp.weight_covariance))
     assert (abs(drawn.mean(axis=0) - dmp._mean_weights.ravel()) < 4 * root / np.sqrt(2000) + 1e-9).all()
     np.testing.assert_allclose(np.cov(drawn.T), dmp.weight_covariance, atol=0.15 * root.max() ** 2)
-    assert dmp.demo_weights is not None
     np.testing.assert_allclose(np.cov(dmp.demo_weights[..., 0].T), dmp.weight_covariance, atol=1e-9 * root.max() ** 2)
 
 
@@ -289,7 +256,7 @@ def test_the_fit_meets_the_contract() -> None:
     contract = check_estimator(
         fit_dmp,
         drawn,
-        60,
+        40,
         n=80,
         gauges=[Gauge("millimetres", scaled, lambda fit: 1000 * fit.parameters)],
         noise_given=False,
@@ -312,7 +279,7 @@ def test_noise_of_pinned_ends_is_in_the_covariance() -> None:
         ("consistent", "efficient", "order-free", "gauge-free", "refuses", "robust", "saves", "explains", "clean"),
         "the ends are one sample each however many there are",
     )
-    contract = check_estimator(fit_dmp, pinned, 60, n=80, noise_given=False, skip=reasons)
+    contract = check_estimator(fit_dmp, pinned, 40, n=80, noise_given=False, skip=reasons)
     assert contract.passed, contract.text()
 
 

@@ -135,11 +135,6 @@ TABLE = [  # section 6 of the specification: t, free yc1, yc1, ya1, e1, x
 ]
 
 
-def reference() -> dict[str, Any]:
-    """The reference numbers; skips the test where there are none."""
-    return json.loads(DATA.read_text(encoding="utf-8"))
-
-
 def readme_dmp(plain: Build, data: dict[str, Any], dofs: tuple[int, ...] = (0, 1)) -> Dmp:
     """The primitive with the weights of the reference, of one or both coordinates."""
     fit, which = data["readme_fit"], list(dofs)
@@ -148,15 +143,15 @@ def readme_dmp(plain: Build, data: dict[str, Any], dofs: tuple[int, ...] = (0, 1
     return plain(weights, fit["centers"], np.full(15, np.sqrt(fit["sigma2"])), 10.0, np.zeros(len(which)), g)
 
 
-def test_the_experiment_of_the_specification(plain: Build) -> None:
-    run = TwoDofDmp(readme_dmp(plain, reference())).simulate([0, *(row[0] for row in TABLE)], [Hold(2.5, 4)])
+def test_the_experiment_of_the_specification(plain: Build, numbers: dict[str, Any]) -> None:
+    run = TwoDofDmp(readme_dmp(plain, numbers)).simulate([0, *(row[0] for row in TABLE)], [Hold(2.5, 4)])
     found = np.column_stack([run.t, run.free.y[:, 0], run.yc[:, 0], run.ya[:, 0], run.e[:, 0], run.x])[1:]
     np.testing.assert_allclose(found, TABLE, atol=5.1e-7)
 
 
 @pytest.mark.parametrize("dofs", [None, (0,)], ids=["both", "dof1"])
-def test_coupled_runs_of_the_reference(dofs: tuple[int, ...] | None, plain: Build) -> None:
-    data = reference()
+def test_coupled_runs_of_the_reference(dofs: tuple[int, ...] | None, plain: Build, numbers: dict[str, Any]) -> None:
+    data = numbers
     want = data["readme_2dof"][f"coupled_{'both_dofs' if dofs is None else 'only_dof1'}_stopped"]
     run = TwoDofDmp(readme_dmp(plain, data)).simulate(data["readme_2dof"]["t"], [Hold(2.5, 4, dofs)])
     for i in (1, 2):
@@ -168,9 +163,9 @@ def test_coupled_runs_of_the_reference(dofs: tuple[int, ...] | None, plain: Buil
 
 
 @pytest.mark.parametrize("dof", [0, 1])
-def test_each_coordinate_alone_is_that_of_the_ancestor(dof: int, plain: Build) -> None:
+def test_each_coordinate_alone_is_that_of_the_ancestor(dof: int, plain: Build, numbers: dict[str, Any]) -> None:
     """Its own e, x and tau_a: undisturbed, and held with the velocity at 0."""
-    data = reference()
+    data = numbers
     rows, alone = data["readme_2dof"], TwoDofDmp(readme_dmp(plain, data, (dof,)))
     held = alone.simulate(rows["t"], [Hold(2.5, 4)])
     want = rows["physical_stop_continuous_limit"][f"dof{dof + 1}"]
@@ -183,8 +178,8 @@ def test_each_coordinate_alone_is_that_of_the_ancestor(dof: int, plain: Build) -
 
 
 @pytest.mark.parametrize("event", ["stop", "push"])
-def test_simulation_of_the_paper(event: str, plain: Build) -> None:
-    data = reference()["ifac2017_simulation"]
+def test_simulation_of_the_paper(event: str, plain: Build, numbers: dict[str, Any]) -> None:
+    data = numbers["ifac2017_simulation"]
     g, want = data["g"], data["continuous_limit"]
     weights, widths = np.array(data["w"])[:, None] * g, np.array(data["precision"]) ** -0.5
     dmp = plain(weights, data["centers"], widths, 4.2, np.zeros(1), np.array([g]))
@@ -197,10 +192,10 @@ def test_simulation_of_the_paper(event: str, plain: Build) -> None:
     np.testing.assert_allclose(run.x[1:][known], want[event]["x"][known], rtol=0, atol=1e-8)
 
 
-@pytest.mark.parametrize("p", [0.0, 0.05, 0.2, 0.5, -0.5, 1.0, -1.0, 2.0])
-def test_errors_at_250_hz_after_a_blow(p: float, plain: Build) -> None:
+@pytest.mark.parametrize("p", [0.0, 0.05, -0.5, 2.0])
+def test_errors_at_250_hz_after_a_blow(p: float, plain: Build, numbers: dict[str, Any]) -> None:
     """At 2.5 s ya jumps by p, then it is held to 4 s; p = 0 is undisturbed."""
-    data = reference()
+    data = numbers
     alone, t = TwoDofDmp(readme_dmp(plain, data, (0,))), H * np.arange(2501)
     events = [Displace(2.5, p), Hold(2.5, 4)] if p else []
     coarse, fine = (alone.simulate(t, events, dt=H / k) for k in (1, 16))
@@ -211,9 +206,9 @@ def test_errors_at_250_hz_after_a_blow(p: float, plain: Build) -> None:
             assert error <= 1.5 * want[f"err_{name}"], (method, name)
 
 
-def test_errors_of_the_loop_at_250_hz(plain: Build) -> None:
+def test_errors_of_the_loop_at_250_hz(plain: Build, numbers: dict[str, Any]) -> None:
     """The robot integrates the acceleration that it was given last; held from 2.5 to 4 s."""
-    data = reference()
+    data = numbers
     alone = TwoDofDmp(readme_dmp(plain, data, (0,)))
     exact = alone.simulate(H * np.arange(2501), [Hold(2.5, 4)], dt=H / 16)
     stepper, ya, yad, worst = alone.stepper(v0=[0.0]), np.zeros(1), np.zeros(1), np.zeros(2)

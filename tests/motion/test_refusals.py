@@ -53,32 +53,18 @@ FITS: dict[str, Callable[..., Any]] = {
     "periodic": lambda t=U, y=Y, **more: fit_periodic_dmp(t, y, **{"n_basis": 6, "period": 1.0, **more}),
     "promp": lambda t=U, y=MANY, **more: fit_promp(t, y, **{"n_basis": 6, **more}),
 }
-TIMES: dict[str, Any] = {
-    "one sample": [0.0],
-    "repeated": np.repeat(U[::2], 2),
-    "backwards": U[::-1],
-    "a gap": np.where(np.arange(30) == 4, np.nan, U),
-    "without end": np.where(np.arange(30) == 29, np.inf, U),
-    "too few": U[:-1],
-    "none": [],
-    "text": "now",
-    "complex": U + 1j,
-    "ragged": [[0.0, 1.0], [2.0]],
-    "table": np.zeros((30, 2, 2)),
-    "nothing": None,
-}
-VALUES: dict[str, Any] = {
-    "a number": 3.0,
-    "none": [],
-    "no columns": np.zeros((30, 0)),
-    "text": "home",
-    "complex": Y + 1j,
-    "ragged": [[0.0, 1.0], [2.0]],
-    "missing": np.full((30, 2), np.nan),
-    "without end": np.full((30, 2), np.inf),
-    "four axes": np.zeros((30, 2, 2, 2)),
-    "nothing": None,
-}
+WRONG_DEMOS: dict[str, tuple[Any, ...]] = {
+    "t": (
+        [0.0], np.repeat(U[::2], 2), U[::-1], np.where(np.arange(30) == 4, np.nan, U),
+        np.where(np.arange(30) == 29, np.inf, U), U[:-1], [], "now", U + 1j, [[0.0, 1.0], [2.0]],
+        np.zeros((30, 2, 2)), None,
+    ),
+    "y": (
+        3.0, [], np.zeros((30, 0)), "home", Y + 1j, [[0.0, 1.0], [2.0]], np.full((30, 2), np.nan),
+        np.full((30, 2), np.inf), np.zeros((30, 2, 2, 2)), None,
+    ),
+    "n_basis": (2, 1001, 6.0, True, None, "six", [6], np.nan),
+}  # fmt: skip
 
 
 def refused(call: Callable[[], Any]) -> None:
@@ -87,22 +73,11 @@ def refused(call: Callable[[], Any]) -> None:
     assert len(str(caught.value)) < 500
 
 
+@pytest.mark.parametrize("name", WRONG_DEMOS)
 @pytest.mark.parametrize("fit", FITS.values(), ids=FITS)
-@pytest.mark.parametrize("t", TIMES.values(), ids=TIMES)
-def test_times(fit: Callable[..., Any], t: Any) -> None:
-    refused(lambda: fit(t=t))
-
-
-@pytest.mark.parametrize("fit", FITS.values(), ids=FITS)
-@pytest.mark.parametrize("y", VALUES.values(), ids=VALUES)
-def test_values(fit: Callable[..., Any], y: Any) -> None:
-    refused(lambda: fit(y=y))
-
-
-@pytest.mark.parametrize("fit", FITS.values(), ids=FITS)
-@pytest.mark.parametrize("n_basis", [2, 1001, 6.0, True, None, "six", [6], np.nan])
-def test_numbers_of_kernels(fit: Callable[..., Any], n_basis: Any) -> None:
-    refused(lambda: fit(n_basis=n_basis))
+def test_demonstrations_and_kernels(fit: Callable[..., Any], name: str) -> None:
+    for value in WRONG_DEMOS[name]:
+        refused(lambda value=value: fit(**{name: value}))
 
 
 OPTIONS = {
@@ -117,9 +92,10 @@ OPTIONS = {
 }
 
 
-@pytest.mark.parametrize(("name", "value"), [(name, value) for name, values in OPTIONS.items() for value in values])
-def test_options_of_a_fit(name: str, value: Any) -> None:
-    refused(lambda: fit_dmp(U, Y, n_basis=6, **{name: value}))
+@pytest.mark.parametrize("name", OPTIONS)
+def test_options_of_a_fit(name: str) -> None:
+    for value in OPTIONS[name]:
+        refused(lambda value=value: fit_dmp(U, Y, n_basis=6, **{name: value}))
 
 
 TEXTS = {
@@ -235,12 +211,14 @@ RUNS: dict[str, tuple[Callable[..., Any], dict[str, tuple[Any, ...]]]] = {
     ),
 }
 SEVEN: Dmp = fit_dmp(U, robots.load("yumi_right").q_home + 0.1 * S[:, None] * np.ones(7), n_basis=6).value
-CASES = [(kind, name, value) for kind, (_, table) in RUNS.items() for name, values in table.items() for value in values]
+CASES = [(kind, name) for kind, (_, table) in RUNS.items() for name in table]
 
 
-@pytest.mark.parametrize(("kind", "name", "value"), CASES)
-def test_runs(kind: str, name: str, value: Any) -> None:
-    refused(lambda: RUNS[kind][0](**{name: value}))
+@pytest.mark.parametrize(("kind", "name"), CASES)
+def test_runs(kind: str, name: str) -> None:
+    call, table = RUNS[kind]
+    for value in table[name]:
+        refused(lambda value=value: call(**{name: value}))
 
 
 def test_an_immeasurably_short_step_changes_nothing() -> None:
@@ -294,17 +272,14 @@ def set_to(value: Any, name: str, new: Any) -> None:
 
 PRIMITIVES: list[Wrong] = [
     (ConfigError, "got both", lambda: DMP.rollout(U, duration=1.0, tau_d=1.0)),
-    (ShapeError, "g with 2 coordinates", lambda: DMP.rollout(U, g=np.zeros(3))),
     (ShapeError, "real numbers", lambda: DMP.rollout(U, v0="fast")),
     (ShapeError, "rollout_batch", lambda: DMP.rollout(U, g=np.zeros((2, 2)))),
     (ShapeError, r"dt \[s\] from 1e-07 to 1,", lambda: DMP.rollout(4.0)),  # milliseconds
-    (ShapeError, "one number K", lambda: DMP.rollout_batch(U, y0=np.zeros((2, 2)), g=np.zeros((4, 2)))),
     (ShapeError, "n_basis, n", lambda: replace(DMP, weights=np.zeros(3))),
     (ShapeError, "finite weights", lambda: replace(DMP, weights=np.full((6, 2), np.nan))),
     (ShapeError, "centres", lambda: replace(DMP, weights=np.zeros((5, 2)))),
     (ShapeError, "g of shape", lambda: replace(DMP, g=np.zeros(3))),
     (ShapeError, "widths above zero", lambda: replace(DMP, widths=np.zeros(6))),
-    (ShapeError, "tau_d above zero", lambda: replace(DMP, tau_d=0.0)),
     (UnknownName, "canonical", lambda: replace(DMP, schedule="clock")),
     (UnknownName, "amplitude", lambda: replace(DMP, scaling="size")),
     (UnknownName, "ijspeert", lambda: replace(DMP, convention="mine")),
@@ -312,9 +287,7 @@ PRIMITIVES: list[Wrong] = [
     (ShapeError, "demo_weights", lambda: replace(DMP, demo_weights=np.zeros((3, 2, 2)))),
     (UnknownName, "shift", lambda: DMP.stepper(goal_forcing="jump")),
     (ConfigError, "scaling", lambda: replace(DMP, scaling="none").stepper(goal_forcing="scale")),
-    (ShapeError, "each run", lambda: DMP.stepper(g=np.zeros((2, 2)))),
     (ShapeError, "g with 2", lambda: DMP.stepper().change_goal(np.zeros(3))),
-    (ShapeError, "finite g", lambda: DMP.stepper().change_goal(np.full(2, np.nan))),
     (ShapeError, "above zero", lambda: DMP.stepper().change_duration(0.0)),
     (ShapeError, "neither", lambda: with_via_points(DMP, 0.5)),
     (ShapeError, "times", lambda: with_via_points(DMP, 1.5, DMP.g)),
@@ -325,25 +298,17 @@ PRIMITIVES: list[Wrong] = [
     (ConfigError, "phase of time", lambda: with_via_points(replace(DMP, schedule="position"), 0.5, DMP.g)),
     (ShapeError, "v_max above zero", lambda: shortest_duration(DMP, 0.0)),
     (ShapeError, "a_max as one number", lambda: shortest_duration(DMP, 1.0, [1.0, 2.0, 3.0])),
-    (ShapeError, "g with 2", lambda: shortest_duration(DMP, 1.0, g=[0.0])),
-    (ShapeError, "v_max above zero", lambda: retimed(DMP, 0.0)),
     (ShapeError, "times .N,. that increase", lambda: PACED.rollout([0.0, 0.0])),
     (ShapeError, r"dt .* above zero", lambda: PACED.stepper().step(-1.0)),
-    (ShapeError, r"dt .* real numbers", lambda: PACED.stepper().step("soon")),  # type: ignore[arg-type]
     (ConfigError, "pace of the plan", lambda: PACED.stepper(duration=9.0)),
-    (ConfigError, "pace of the plan", lambda: PACED.stepper(tau_d=2.0)),
 ]
 DEMONSTRATIONS: list[Wrong] = [
-    (ShapeError, "at least 3 samples", lambda: fit(t=[0.0], y=np.zeros((1, 1)))),
     (ShapeError, "repeated .* rows 2", lambda: fit(t=[0, 1, 1, 2])),
     (ShapeError, "rows 2", lambda: fit(y=[0, 1, np.nan, 2])),
-    (ShapeError, "rows 2", lambda: fit(t=[0, 1, np.inf, 2])),
     (ConfigError, "tuple", lambda: fit(pin="g")),
-    (ConfigError, "hold up to 100", lambda: fit(hold=1e6)),
     (ConfigError, "bandwidth only with derivatives", lambda: fit(bandwidth=10.0)),
     (ConfigError, "only with method 'lwr'", lambda: fit(raw_kernels=True)),
     (ConfigError, "beta_z", lambda: fit(beta_z=-1.0)),
-    (ShapeError, "1 coordinates", lambda: fit(g=[1.0, 2.0])),
     (ShapeError, "coordinate 0, which steps back at sample 2", lambda: fit(schedule="position", y=[0, 2, 1, 2])),
     (ShapeError, "ends where it began", lambda: fit(schedule="position", y=[1, 2, 1, 1])),
     (ShapeError, "as many y", lambda: fit(t=[[0, 1, 2]] * 2, y=[[0, 1, 2]])),
@@ -351,27 +316,20 @@ DEMONSTRATIONS: list[Wrong] = [
     (ShapeError, "demonstration 1, got .* rows 1", lambda: fit(t=[[0, 1, 2]] * 2, y=[[0, 1, 2], [0, np.nan, 2]])),
     (ShapeError, "period above zero", lambda: periodic(period=0.0)),
     (ShapeError, "h above zero", lambda: periodic(h=-1.0)),
-    (ConfigError, "ridge", lambda: periodic(ridge=-1.0)),
     (ShapeError, "alpha_z above zero", lambda: periodic(alpha_z=0.0)),
-    (ShapeError, "g with 2", lambda: periodic(g=[0.0])),
     (ShapeError, "rows 20", lambda: periodic(y=np.where(np.arange(30)[:, None] > 19, np.nan, CIRCLE))),
-    (ShapeError, "shapes", lambda: periodic(y=CIRCLE[:5])),
     (ShapeError, "one demonstration, got 2", lambda: periodic(t=[U, U], y=[CIRCLE, CIRCLE])),
     (ShapeError, "2 demonstrations or more", lambda: promp(y=np.zeros((1, 30, 1)))),
     (ShapeError, "2 demonstrations or more", lambda: promp(t=[U], y=[np.zeros((30, 1))])),
     (ShapeError, "2 demonstrations or more", lambda: promp(t=[], y=[])),
     (ShapeError, "of demonstration 0", lambda: promp(y=np.full((3, 30, 1), np.nan))),
-    (ShapeError, "shapes", lambda: promp(t=U[:5])),
     (NotExcited, "at least 31 samples", lambda: promp(n_basis=31)),
     (ShapeError, "as many coordinates", lambda: promp(t=[U, U], y=[np.zeros((30, 1)), np.zeros((30, 2))])),
-    (ShapeError, "N, 4, 4", lambda: pose(T=np.zeros((30, 3, 3)))),
     (ShapeError, r"NaN or Inf in row 0 \(30", lambda: pose(T=np.full((30, 7), np.nan))),
     (ShapeError, "length 1", lambda: pose(T=np.ones((30, 7)))),
     (ShapeError, "last rows", lambda: pose(T=np.ones((30, 4, 4)))),
     (ShapeError, "half a turn away", lambda: pose(T=HALF_TURNED)),
-    (UnknownName, "frame", lambda: pose(frame="tool")),
     (ConfigError, "phase of time", lambda: pose(schedule="position")),
-    (UnknownName, "convention", lambda: pose(convention="lab")),
 ]
 POSE_RUNS: list[Wrong] = [
     (ShapeError, "half a turn apart", lambda: POSE.rollout(0.01, start=np.diag([-1.0, -1, 1, 1]) @ POSE.T_goal)),
@@ -379,29 +337,21 @@ POSE_RUNS: list[Wrong] = [
     (ShapeError, "rotation with goal 0", lambda: moved(g=np.ones(3))),
     (ShapeError, "position as a Dmp", lambda: replace(POSE, position=None)),
     (ShapeError, "length 1", lambda: replace(POSE, goal=np.ones(4))),
-    (ConfigError, "duration or tau_d", lambda: POSE.rollout(0.01, duration=1.0, tau_d=1.0)),
     (UnknownName, "frame", lambda: replace(POSE, frame="tool")),
     (ShapeError, "goal as a pose", lambda: POSE.stepper().change_goal(np.eye(3))),
     (ConfigError, "base axes", lambda: replace(POSE, frame="goal").stepper().change_goal(np.eye(4))),
     (ConfigError, "rotate", lambda: pose(scaling="rotate").value.stepper().change_goal(POSES[15])),
     (ShapeError, "a goal that yumi_right reaches", lambda: POSE.controller(ROBOT, goal=far())),
-    (ShapeError, "goal as a pose", lambda: POSE.controller(ROBOT, goal=np.zeros(3))),
 ]
 RHYTHMS_AND_DISTRIBUTIONS: list[Wrong] = [
-    (ShapeError, "y0 with 1", lambda: WAVE.rollout(U, y0=[0.0, 0.0])),
     (ShapeError, "weights of shape", lambda: replace(WAVE, weights=np.zeros(3))),
-    (ShapeError, "finite weights", lambda: replace(WAVE, weights=np.full((6, 1), np.nan))),
     (ShapeError, "g of shape", lambda: replace(WAVE, g=np.zeros(3))),
     (ShapeError, "h above zero", lambda: replace(WAVE, h=0.0)),
     (ShapeError, "period above zero", lambda: WAVE.stepper().change(period=0.0)),
-    (ShapeError, "finite r", lambda: WAVE.stepper().change(r=np.nan)),
-    (ShapeError, "g with 1", lambda: WAVE.stepper().change(g=[0.0, 1.0])),
+    (ShapeError, "finite amplitude r", lambda: WAVE.stepper().change(r=np.nan)),
     (ShapeError, "turns above zero", lambda: rhythm().controller(ROBOT, turns=0.0)),
-    (ShapeError, "period", lambda: rhythm().controller(ROBOT, period=-1.0)),
-    (ShapeError, "a goal within the limits", lambda: rhythm().controller(ROBOT, g=np.full(7, 9.0))),
     (ShapeError, "6 joints for ur5e", lambda: rhythm().controller(OTHER)),
     (ShapeError, "neither", lambda: PROMP.condition(0.5)),
-    (ShapeError, "got nan s", lambda: PROMP.condition(np.nan, [0.0, 0.0])),
     (ShapeError, "got -1 s", lambda: PROMP.condition(-1.0, [0.0, 0.0])),
     (ShapeError, "from 0 to 0.5 s", lambda: PROMP.condition(1.0, [0.0, 0.0], duration=0.5)),
     (ShapeError, "do not differ", lambda: replace(PROMP, cov=0 * PROMP.cov).condition(1.0, [9.0, 9.0])),
@@ -410,7 +360,6 @@ RHYTHMS_AND_DISTRIBUTIONS: list[Wrong] = [
     (ShapeError, "mean weights", lambda: replace(PROMP, mean=np.zeros(3))),
     (ShapeError, "symmetric cov", lambda: replace(PROMP, cov=np.triu(np.ones((12, 12))))),
     (ShapeError, "widths above zero", lambda: replace(PROMP, widths=0 * PROMP.widths)),
-    (ShapeError, "finite mean", lambda: replace(PROMP, mean=np.full((6, 2), np.nan))),
 ]
 OBSTACLES: list[Wrong] = [
     (ShapeError, "goal outside the clearance", lambda: avoiding(SPACE, [NEAR]).rollout(U)),
@@ -418,7 +367,6 @@ OBSTACLES: list[Wrong] = [
     (ShapeError, "space of 2 axes, got number 0 of 3", lambda: avoiding(DMP, [NEAR])),
     (ShapeError, "finite point", lambda: Capsule.sphere([0.0, np.nan, 0.0])),
     (ShapeError, "radius of 0 or more", lambda: Capsule.sphere([0.0, 0.0], -1.0)),
-    (ShapeError, "y with 3 coordinates", lambda: avoiding(SPACE).distance([0.0])),
     (ConfigError, "clearance < reach", lambda: avoiding(SPACE, [], 0.2, 0.1)),
     (ConfigError, "2 or 3 coordinates", lambda: avoiding(SEVEN)),
     (ConfigError, "of 7 coordinates", lambda: avoiding(SPACE, robot=ROBOT)),
@@ -433,31 +381,24 @@ OBSTACLES: list[Wrong] = [
 CONTROL: list[Wrong] = [
     (ShapeError, "6 joints for ur5e", lambda: SEVEN.controller(OTHER)),
     (ShapeError, "6 joints for ur5e", lambda: TwoDofDmp(SEVEN).controller(OTHER)),
-    (ShapeError, "a goal within the limits", lambda: SEVEN.controller(ROBOT, g=ROBOT.q_max + 0.1)),
-    (ShapeError, "finite g", lambda: TwoDofDmp(SEVEN).controller(ROBOT, g=np.full(7, np.nan))),
     (ShapeError, "limits of the 7 joints", lambda: SEVEN.controller(ROBOT, limits=bridge.Limits.of(OTHER))),
-    (ShapeError, "within the limits", lambda: set_to(SEVEN.controller(ROBOT), "goal", ROBOT.q_min - 1)),
+    (ShapeError, "joint 1 of yumi_right", lambda: set_to(SEVEN.controller(ROBOT), "goal", ROBOT.q_min - 1)),
     (ConfigError, "speed of at least 0", lambda: set_to(SEVEN.controller(ROBOT), "speed", -0.1)),
-    (ConfigError, "speed of at least 0", lambda: set_to(SEVEN.controller(ROBOT), "speed", np.nan)),
     (ConfigError, "amplitude", lambda: SEVEN.controller(ROBOT, amplitude=np.ones(7))),
     (ShapeError, "a Dmp, got str", lambda: TwoDofDmp("dmp")),  # type: ignore[arg-type]
     (ShapeError, "kp of at least 0", lambda: TwoDofDmp(DMP, kp=-1)),
-    (ShapeError, "kc of at least 0", lambda: TwoDofDmp(DMP, kc=np.nan)),
     (ShapeError, "e0 of at least 0", lambda: TwoDofDmp(DMP, e0=-0.1)),
     (ShapeError, "e0 as one number or 2", lambda: TwoDofDmp(DMP, e0=[0.1, 0.1, 0.1])),
     (ShapeError, "e_scale above 0", lambda: TwoDofDmp(DMP, e_scale=[0.0, 1.0])),
     (ShapeError, "e_max above 0", lambda: TwoDofDmp(DMP, e_max=0)),
-    (ShapeError, "e_max above 0", lambda: TwoDofDmp(DMP, e_max=np.nan)),
-    (ShapeError, "g with 2", lambda: TWO_DOF.simulate(g=[1.0])),
-    (ConfigError, "got both", lambda: TWO_DOF.simulate(duration=1.0, tau_d=1.0)),
-    (ShapeError, "one run", lambda: TWO_DOF.stepper(g=np.ones((3, 2)))),
     (ShapeError, "", lambda: TWO_DOF.stepper().step(-0.1, np.zeros(2), np.zeros(2))),
     (ShapeError, "", lambda: TWO_DOF.stepper().step(np.inf, np.zeros(2), np.zeros(2))),
     (ShapeError, "", lambda: TWO_DOF.stepper().step(0.1, np.zeros(3), np.zeros(2))),
     (ShapeError, "finite g", lambda: TWO_DOF.stepper().change_goal([np.nan, 0])),
+    (ShapeError, r"coordinates \[1\]", lambda: TWO_DOF.stepper().change_goal([0.0, 3.0])),
+    (ShapeError, r"coordinates \[0\]", lambda: DMP.stepper().change_goal([-3.0, 1.0])),
     (ShapeError, "from t0 to a later t1", lambda: Hold(1.0, 1.0)),
     (ShapeError, "from t0 to a later t1", lambda: Hold(np.nan, 1.0)),
-    (ShapeError, "from t0 to a later t1", lambda: Hold(0.0, np.inf)),
     (ShapeError, "finite velocity", lambda: Push(0.0, 1.0, np.nan)),
     (ShapeError, "velocity", lambda: Push(0.0, 1.0, "fast")),  # type: ignore[arg-type]
     *((ShapeError, "dofs", lambda x=x: Hold(0.0, 1.0, x)._drive(3)) for x in ([3], [-1], [0, 0], [], [0.5])),
@@ -473,14 +414,8 @@ CONTROL: list[Wrong] = [
 ]
 PROFILES: list[Wrong] = [
     (ShapeError, "breaks", lambda: profiles.Profile(np.array([0.0, 1.0]), np.zeros((2, 6, 1)))),
-    (ShapeError, "dt .* above zero", lambda: profiles.Profile(np.array([0.0, 1.0]), np.zeros((1, 6, 1)), dt=0.0)),
-    (ShapeError, "qd_max above zero", lambda: profiles.minimum_jerk(Q0, Q1, 1.0).slowed(qd_max=0.0)),
-    (ShapeError, "q1 of 3 joints", lambda: profiles.minimum_jerk(Q0, Q1[:2], 1.0)),
-    (ShapeError, "samples", lambda: profiles.minimum_jerk(Q0, Q1, 1e9)),
     (ShapeError, "qd0 as one number or of shape", lambda: profiles.quintic(Q0, Q1, 1.0, qd0=[1.0, 2.0])),
     (ShapeError, "qdd1 finite", lambda: profiles.quintic(Q0, Q1, 1.0, qdd1=np.nan)),
-    (ShapeError, "two points apart", lambda: profiles.trapezoidal(Q0, Q0, 1.0, 1.0)),
-    (ShapeError, "cruise above 1", lambda: profiles.blend(Q0, Q1, 1.0, cruise=1.0)),
     (ShapeError, "duration of the segments", lambda: profiles.connect(CORNERS, [1.0, 2.0])),
     (ShapeError, "missing values in point 2", lambda: profiles.connect(np.where(CORNERS > 1, np.nan, CORNERS), 1.0)),
     (ShapeError, "that rises", lambda: profiles.spline([0.0, 1.0, 1.0, 2.0], CORNERS)),

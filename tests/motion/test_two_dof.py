@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armlab.errors import ShapeError
 from armlab.motion import Dmp
 from armlab.motion.disturbances import FULL_SPEED, Displace, Hold, Plant, Push, TwoDofRun
 from armlab.motion.primitive.run import RunParameters
@@ -87,27 +86,6 @@ def test_inside_the_dead_zone_nothing_slows(smooth: Callable[..., Dmp]) -> None:
     assert dmp.tau_d * 1.05 < slowed.tau_a.max() < finer.tau_a.max()
 
 
-def test_a_standing_error_slows_as_the_table_says(smooth: Callable[..., Dmp]) -> None:
-    """tau_a = tau_d (1 + kc e^2) for 1, 2, 5, 10 and 20 mrad; the error is made by a plant that lags behind."""
-    law = TwoDofDmp(smooth(1))._law
-    dmp = smooth(1)
-    kernel = law(RunParameters.of(dmp))
-    for e, slower in ((1e-3, 1.01), (2e-3, 1.04), (5e-3, 1.25), (1e-2, 2.0), (2e-2, 5.0)):
-        assert kernel.time_constant(np.array([0, 0, e, 0, 0, 1.0, 0])) == pytest.approx(slower * dmp.tau_d)
-
-
-def test_every_coordinate_slows_by_its_own_zone_and_scale(smooth: Callable[..., Dmp]) -> None:
-    """``tau_a = tau_d (1 + kc sum (d / s)^2)``; the phase of either kind slows by as much."""
-    e, zone, scale = np.array([0.03, -0.05]), np.array([0.01, 0.02]), np.array([1.0, 0.5])
-    slower = 1 + 1e4 * (0.02**2 + 0.06**2)
-    for schedule, x, rate in (("canonical", 0.6, -0.6), ("time", 0.4, 1 / 3)):
-        dmp = smooth(schedule=schedule)
-        law = TwoDofDmp(dmp, e0=zone, e_scale=scale)._law(RunParameters.of(dmp))
-        state = np.concatenate([[0.1, 0.2], np.zeros(2), e, np.zeros(4), [x, 0.0]])
-        assert law.time_constant(state) == pytest.approx(slower * dmp.tau_d, rel=1e-12)
-        assert law.slopes(state, FULL_SPEED)[-2] == pytest.approx(rate / (slower * dmp.tau_d), rel=1e-12)
-
-
 def test_acceleration_of_the_path_is_its_derivative_while_tau_changes(smooth: Callable[..., Dmp]) -> None:
     """Beyond the dead zone of one coordinate and inside that of the other, with scales that are not one."""
     two_dof = TwoDofDmp(smooth(), kc=1e3, e0=[0.01, 0.2], e_scale=[0.3, 2.0])
@@ -119,32 +97,6 @@ def test_acceleration_of_the_path_is_its_derivative_while_tau_changes(smooth: Ca
     assert active[rows, 0].sum() > 100
     by_differences = np.gradient(run.ycd, run.t, axis=0)
     np.testing.assert_allclose(run.ycdd[rows], by_differences[rows], rtol=0, atol=2e-3 * np.abs(run.ycdd).max())
-
-
-def test_a_freeze_begins_at_the_limit_and_ends_at_0_8_of_it(smooth: Callable[..., Dmp]) -> None:
-    """In units of the scale, in any coordinate; yc, z and x stand still, and e follows."""
-    dmp = smooth()
-    law = TwoDofDmp(dmp, e_max=0.1, e_scale=[1.0, 0.5])._law(RunParameters.of(dmp))
-    state, flags = np.concatenate([np.zeros(2), [0.3, 0.1], np.zeros(6), [0.5, 0.0]]), []
-    for error in (0.045, 0.051, 0.045, 0.041, 0.039, 0.045):
-        state = state.copy()
-        state[7] = -error
-        state = law.advance(state, 0.0, 1, np.full(2, np.nan), FULL_SPEED)
-        flags.append(bool(state[-1]))
-    assert flags == [False, True, True, True, False, False]
-    state[7] = 0.2
-    after = law.advance(state, 0.004, 1, np.zeros(2), FULL_SPEED)
-    np.testing.assert_array_equal(after[[0, 1, 2, 3, 10]], state[[0, 1, 2, 3, 10]])
-    assert after[5] > 0.0
-    np.testing.assert_array_equal(law.reference(after, FULL_SPEED)[:2], 0.0)
-
-
-def test_a_run_at_other_times_is_the_same_run(smooth: Callable[..., Dmp]) -> None:
-    """Events between the samples that are asked for happen all the same, at their times."""
-    two_dof, events = TwoDofDmp(smooth()), [Hold(0.3, 0.62), Displace(0.9, 0.05)]
-    fine = two_dof.simulate(0.01 * np.arange(151), events, dt=0.001)
-    coarse = two_dof.simulate(np.array([0.0, 0.5, 1.5]), events, dt=0.001)
-    np.testing.assert_allclose(coarse.ya, fine.ya[[0, 50, 150]], rtol=0, atol=1e-7)
 
 
 Build = Callable[..., Dmp]
@@ -201,14 +153,6 @@ def test_the_perfect_plant_is_no_plant(primitive: Build) -> None:
         np.testing.assert_allclose(getattr(run, name), getattr(plain, name), rtol=0, atol=1e-11, err_msg=name)
 
 
-def test_a_weak_plant_is_waited_for(primitive: Build) -> None:
-    """An arm with half the acceleration it is asked for falls behind and the path waits; both reach the goal."""
-    dmp = primitive()
-    run = TwoDofDmp(dmp).simulate(dmp.times(0.004, 12.0), [lambda t, ya, yad, ydd: 0.5 * ydd])
-    assert run.tau_a.max() > 1.5 * dmp.tau_d
-    np.testing.assert_allclose(run.ya[-1], dmp.g, atol=1e-3)
-
-
 def test_results_are_frozen_and_complete(primitive: Build) -> None:
     run = TwoDofDmp(primitive()).simulate(0.01)
     assert isinstance(run, TwoDofRun)
@@ -250,41 +194,6 @@ def test_uneven_steps_and_lost_samples_do_not_matter_much(smooth: Callable[..., 
         found = stepper.step(1e-3 * skip, run.ya[k] * (np.nan if lost else 1), run.yad[k])
         assert np.abs(found.yc - run.yc[k]).max() < 0.02
         assert np.isfinite(found.ydd_ref).all()
-
-
-def test_goal_changes_on_the_way(smooth: Callable[..., Dmp]) -> None:
-    dmp = smooth()
-    stepper, ya, yad = TwoDofDmp(dmp).stepper(), np.zeros(2), np.zeros(2)
-    goal = np.array([1.3, -0.2])
-    for k in range(2500):
-        if k == 200:
-            before = stepper.step(0.0, ya, yad).yc
-            stepper.change_goal(goal)
-            np.testing.assert_array_equal(stepper.step(0.0, ya, yad).yc, before)
-        found = stepper.step(H if k else 0.0, ya, yad)
-        ya, yad = ya + H * yad + 0.5 * H**2 * found.ydd_ref, yad + H * found.ydd_ref
-    np.testing.assert_allclose(ya, goal, atol=1e-3)
-    np.testing.assert_array_equal(stepper.goal, goal)
-
-
-def test_a_goal_outside_the_limits_is_refused(smooth: Callable[..., Dmp]) -> None:
-    stepper = TwoDofDmp(smooth(limits=np.array([[-1.0, -1.0], [2.0, 2.0]]))).stepper()
-    with pytest.raises(ShapeError, match=r"coordinates \[1\]"):
-        stepper.change_goal([0.0, 3.0])
-    assert stepper.goal.tolist() == [1.0, 0.5]
-
-
-def test_acceleration_is_the_derivative_while_the_speed_changes(smooth: Callable[..., Dmp]) -> None:
-    """Of a primitive that is slowed down to a half and back, with an arm that is on the path."""
-    stepper, rows, speeds = TwoDofDmp(smooth(force=4.0)).stepper(), [], 1.0 - np.r_[0:0.5:251j, 0.5:0.0:251j]
-    ya, yad = np.zeros(2), np.zeros(2)
-    for before, now, after in zip(np.r_[1.0, speeds], speeds, np.r_[speeds[1:], 1.0]):
-        found = stepper.step(1e-3 if rows else 0.0, ya, yad, np.array([before, now, (after - now) / 1e-3]))
-        ya, yad = found.yc, found.ycd
-        rows.append((found.ycd.copy(), found.ycdd.copy()))
-    ycd, ycdd = np.array(rows).swapaxes(0, 1)
-    inner = np.r_[2:249, 254:499]
-    np.testing.assert_allclose(ycdd[inner], np.gradient(ycd, 1e-3, axis=0)[inner], rtol=0, atol=0.02)
 
 
 @pytest.mark.parametrize("schedule", ["canonical", "time"])

@@ -54,14 +54,14 @@ def drive_along(arm: SimulatedArm, robot: Robot, seconds: float, wrench: np.ndar
     return samples
 
 
-@pytest.mark.parametrize("name", ["yumi_left", "yumi_right", "irb2400", "irb7600"])
+@pytest.mark.parametrize("name", ["yumi_left", "irb2400"])
 def test_samples_satisfy_the_equation_of_motion(name: str) -> None:
     robot = robots.load(name)
     truth = synthetic_truth(robot)
     arm = SimulatedArm(robot, truth)
     scale = truth.tau_max.max()
     wrench = scale / 10 * np.array([1.0, -0.6, 0.4, 0.02, 0.04, -0.02])
-    for sample in drive_along(arm, robot, 1.0, wrench)[10::20]:
+    for sample in drive_along(arm, robot, 0.5, wrench)[10::20]:
         np.testing.assert_allclose(sample.tau, equation(robot, truth, sample), atol=1e-11 * scale)
         np.testing.assert_allclose(sample.T_base_tool, robot.chain.forward(sample.q), atol=1e-12)
 
@@ -104,7 +104,7 @@ def test_energy_is_kept_without_drives_and_friction(robot: Robot, truth: Truth) 
 
 def test_tracking_at_sixty_percent_speed(robot: Robot, truth: Truth) -> None:
     arm = SimulatedArm(robot, truth)
-    samples = drive_along(arm, robot, 6.0)
+    samples = drive_along(arm, robot, 3.0)
     peak = np.max([np.abs(s.qd) / robot.qd_max for s in samples], axis=0)
     assert peak[:4].min() > 0.4
     errors = np.degrees([s.q - s.q_ref for s in samples])
@@ -112,30 +112,10 @@ def test_tracking_at_sixty_percent_speed(robot: Robot, truth: Truth) -> None:
     assert arm.drive.saturated == 0
 
 
-def test_holding_against_a_push(robot: Robot, truth: Truth) -> None:
-    """5 N moves the resting arm by far less than a degree. The drive takes the push over within seconds, but not
-    exactly: moving there and back within the presliding distance leaves the bristles loaded the other way."""
-    arm, F = SimulatedArm(robot, truth.without("noise")), np.array([0, 0, -5.0, 0, 0, 0])
-    zero = np.zeros(7)
-    before = arm.sample.tau
-    expected = -robot.chain.jacobian(robot.q_home).T @ F
-    for _ in range(3):
-        arm.step(robot.q_home, zero, F)
-    early = arm.sample.tau - before
-    for _ in range(1500):
-        arm.step(robot.q_home, zero, F)
-        assert np.degrees(np.abs(arm.sample.q - robot.q_home)).max() < 0.05
-    late = arm.sample.tau - before
-    strong = np.abs(expected) > 0.5
-    assert strong.any()
-    assert (np.abs(early - expected) > np.abs(late - expected))[strong].all()
-    np.testing.assert_allclose(late[strong], expected[strong], rtol=0.55)
-
-
 def test_noise_is_white_with_the_stated_size(robot: Robot, truth: Truth) -> None:
     arm = SimulatedArm(robot, truth, seed=7)
     errors_tau, errors_qd = [], []
-    for k in range(1, 3000):
+    for k in range(1, 1500):
         arm.step(*sway(robot, k * T, 0.3), None)
         measured = arm.measure()
         errors_tau.append(measured.tau - equation(robot, truth, arm.sample))
@@ -149,14 +129,6 @@ def test_noise_is_white_with_the_stated_size(robot: Robot, truth: Truth) -> None
     for lag in (1, 2, 5):
         rho = (tau[lag:] * tau[:-lag]).mean(0) / tau.var(0)
         assert np.abs(rho).max() < 4 / np.sqrt(len(tau))
-
-
-def test_torque_saturates(robot: Robot, truth: Truth) -> None:
-    arm = SimulatedArm(robot, truth)
-    for _ in range(20):
-        arm.step(robot.q_home + 1.0, np.zeros(7), None)
-        assert (np.abs(arm.sample.tau) <= truth.tau_max).all()
-    assert arm.drive.saturated > 0
 
 
 def test_build_model_keeps_inertias(robot: Robot, truth: Truth) -> None:
@@ -270,7 +242,7 @@ def slide(friction: JointFriction, speed: float, distance: float) -> np.ndarray:
     return friction.torque(np.zeros(7), qd, np.empty(7))
 
 
-@pytest.mark.parametrize("speed", [0.002, 0.02, 0.05, 0.1, 0.3, 1.0])
+@pytest.mark.parametrize("speed", [0.02, 0.1, 1.0])
 def test_constant_speed_gives_the_stribeck_curve(smooth: Truth, speed: float) -> None:
     bump = 1 + 0.3 * np.exp(-((speed / 0.05) ** 2))
     np.testing.assert_allclose(
@@ -301,7 +273,7 @@ def test_it_sticks_at_rest(smooth: Truth) -> None:
     tau, inertia = 1.17 * smooth.coulomb_pos, 0.2
     damping = 10.0  # a drive's velocity gain; without one the bristle springs ring
     track = []
-    for _ in range(8000):
+    for _ in range(5000):
         qd += STEP * (tau - damping * qd - friction.torque(q, qd, np.empty(7))) / inertia
         q += STEP * qd
         friction.advance(STEP * qd, qd)
@@ -405,13 +377,6 @@ def test_law_without_integral() -> None:
     expected = INERTIA * (3.0 + VELOCITY_GAIN * (e + e * 1e-3 / INTEGRAL_TIME)) + 0.9 * np.array([2.0, 1.0])
     tau = drive().torque(error, speed, np.full(2, 3.0), ZERO, ZERO, np.array([2.0, 1.0]), np.empty(2))
     np.testing.assert_allclose(tau, expected, rtol=1e-12)
-
-
-def test_reset_holds() -> None:
-    unit, holding, bias = drive(), np.array([7.0, -1.0]), np.array([6.0, 0.5])
-    unit.reset(holding, bias)
-    np.testing.assert_allclose(unit.torque(ZERO, ZERO, ZERO, ZERO, ZERO, bias, np.empty(2)), holding, rtol=1e-12)
-    np.testing.assert_allclose(unit.gravity, 0.9 * bias)
 
 
 def test_saturation_stops_the_integral() -> None:

@@ -17,6 +17,7 @@ from armlab.sim.arm.truth import synthetic_truth
 from armlab.sim.controller.channel import CORRUPTED, Faults, UdpClient
 from armlab.sim.controller.controller import SimulatedController
 from armlab.sim.controller.settings import ControllerSettings, FaultRates
+from armlab.wire.egm import Drop, EgmCodec
 from armlab.wire.egm.robot_side import RobotSideCodec
 
 ROBOT = robots.load("yumi_right")
@@ -45,9 +46,9 @@ def free_port() -> int:
 def test_one_reply_per_packet_of_age_one(make_peer: MakePeer) -> None:
     peer = make_peer(ROBOT)
     client = channel(peer.port)
-    cycles(client, 400)
+    cycles(client, 280)
     statistics = client.controller.statistics
-    assert statistics.counts["replies"] == statistics.counts["packets"] == 400
+    assert statistics.counts["replies"] == statistics.counts["packets"] == 280
     assert statistics.counts["starved"] == 0
     assert set(statistics.age) == {1}
     trips = statistics.as_dict()["round_trip_us"]
@@ -196,20 +197,6 @@ def test_from_until_on_nothing_goes_wrong() -> None:
 
 
 def test_corrupted_can_never_be_read() -> None:
-    from armlab import robots
-    from armlab.wire.egm import Drop, EgmCodec
-
-    codec = EgmCodec(robots.load("yumi_left"))
+    codec = EgmCodec(ROBOT)
     for cycle in outcome(FaultRates(corrupt=1.0))[:300]:
         assert isinstance(codec.decode(cycle[0][1]), Drop)
-
-
-def test_same_seed_same_faults() -> None:
-    rates = FaultRates(loss=0.1, duplicate=0.1, reorder=0.1, corrupt=0.1, delay=(0.004, 0.002), burst=3)
-    assert outcome(rates) == outcome(rates)
-    assert outcome(rates) != outcome(rates, seed=2)
-
-
-def test_the_period_follows_the_mode_where_none_is_given() -> None:
-    assert [ControllerSettings(mode=mode).period for mode in ("joint", "pose", "path")] == [0.004032, 0.004032, 0.024]
-    assert ControllerSettings(mode="path", period=0.048).period == 0.048

@@ -24,7 +24,7 @@ from armlab.sim.controller.controller import SimulatedController
 from armlab.sim.controller.cycles import Timing, run
 from armlab.sim.controller.settings import ControllerSettings, FaultRates
 from armlab.state import Command, State
-from armlab.wire.egm import EgmCodec, Packet
+from armlab.wire.egm import EgmCodec, Packet, Reference
 from armlab.wire.egm.robot_side import RobotSideCodec
 
 RIGHT, LEFT = robots.load("yumi_right"), robots.load("yumi_left")
@@ -41,19 +41,17 @@ def channel(
     return UdpClient(controller, "127.0.0.1", port, *faults, phase=phase)
 
 
-def lockstep(make_peer: MakePeer, seed: int, rates: FaultRates | None = None) -> tuple[str, bytes, UdpClient]:
-    """A second of lockstep; return the digest of the packets, the final state of the arm, the channel."""
+def lockstep(make_peer: MakePeer, seed: int, rates: FaultRates | None = None) -> tuple[str, bytes]:
+    """A third of a second in lockstep; return the digest of the packets, and the final state of the arm."""
     peer = make_peer(RIGHT)
     client = channel(peer.port, seed, rates=rates)
-    assert run([client], Timing(lockstep=True, seconds=1.0)) == "the time is up"
+    assert run([client], Timing(lockstep=True, seconds=0.33)) == "the time is up"
     steps = np.diff([p.robot_ns for p in peer.packets])
-    assert rates is not None or (len(peer.packets), *np.unique(steps)) == (249, 4_032_000), "robot time is exact"
-    assert rates is not None or client.controller.statistics.counts["missed"] == 0
-    digest = peer.digest.hexdigest()
-    return digest, client.controller.arm.sample.q.tobytes(), client
+    assert rates is not None or (len(peer.packets), *np.unique(steps)) == (82, 4_032_000), "robot time is exact"
+    return peer.digest.hexdigest(), client.controller.arm.sample.q.tobytes()
 
 
-@pytest.mark.parametrize("rates", [None, FaultRates(loss=0.05, duplicate=0.05, reorder=0.05, corrupt=0.05)])
+@pytest.mark.parametrize("rates", [None, FaultRates(loss=0.15, duplicate=0.15, reorder=0.15, corrupt=0.15)])
 def test_lockstep_same_seed_same_bytes(make_peer: MakePeer, rates: FaultRates | None) -> None:
     first, second, other = (lockstep(make_peer, seed, rates) for seed in (3, 3, 4))
     assert first[1] == second[1]
@@ -66,7 +64,7 @@ def test_lockstep_same_seed_same_bytes(make_peer: MakePeer, rates: FaultRates | 
 def test_lockstep_gives_a_gone_peer_up(make_peer: MakePeer) -> None:
     peer = make_peer(RIGHT, lambda k, packet, reply: [reply] if k < 50 else [])
     client = channel(peer.port)
-    reason = run([client], Timing(lockstep=True, patience=0.05, gone=0.3))
+    reason = run([client], Timing(lockstep=True, patience=0.02, gone=0.1))
     assert "the peer is gone" in reason
     statistics = client.controller.statistics
     assert statistics.counts["replies"] == 50
@@ -78,12 +76,12 @@ def test_a_pause_of_the_peer_does_not_move_robot_time(make_peer: MakePeer) -> No
     """Between two runs the peer is silent: robot time stands still and the session goes on."""
 
     def answer(k: int, packet: Any, reply: bytes) -> list[bytes]:
-        if k == 50:
-            time.sleep(0.2)
+        if k == 20:
+            time.sleep(0.1)
         return [reply]
 
     peer = make_peer(RIGHT, answer)
-    run([channel(peer.port)], Timing(lockstep=True, seconds=0.4))
+    run([channel(peer.port)], Timing(lockstep=True, seconds=0.2))
     assert [p.seqno for p in peer.packets] == list(range(len(peer.packets)))
 
 
@@ -99,8 +97,6 @@ def test_it_ends_with_the_process_that_started_it(make_peer: MakePeer) -> None:
 
 
 def test_a_dead_controller_ends_the_run(make_peer: MakePeer) -> None:
-    from armlab.wire.egm import EgmCodec, Reference
-
     def answer(k: int, packet: Any, reply: bytes) -> list[bytes]:
         if k < 10:
             return [reply]
@@ -126,10 +122,10 @@ def test_real_time_keeps_the_period(make_peer: MakePeer) -> None:
     peer = make_peer(RIGHT)
     client = channel(peer.port)
     begin = time.monotonic()
-    assert run([client], Timing(seconds=1.5)) == "the time is up"
-    assert time.monotonic() - begin >= 1.5, "real time does not run ahead of the clock"
+    assert run([client], Timing(seconds=0.5)) == "the time is up"
+    assert time.monotonic() - begin >= 0.5, "real time does not run ahead of the clock"
     statistics = client.controller.statistics
-    assert statistics.counts["packets"] + statistics.counts["skipped"] >= 372
+    assert statistics.counts["packets"] + statistics.counts["skipped"] >= 124
     assert max(statistics.queue) <= 1 + statistics.counts["starved"], "only late replies make the queue longer"
 
 
@@ -187,9 +183,9 @@ def test_a_listener_hears_a_stream_in_lockstep_at_the_pace_of_the_robot(make_pee
     """It never answers, so there is nothing to wait for; a peer that answers is waited for as ever."""
     silent = make_peer(RIGHT, lambda k, packet, reply: [])
     begin = time.monotonic()
-    assert run([channel(silent.port, program="stream")], Timing(lockstep=True, seconds=0.4)) == "the time is up"
-    assert 0.4 <= time.monotonic() - begin < 5.0
-    assert [p.seqno for p in silent.packets] == list(range(100))
+    assert run([channel(silent.port, program="stream")], Timing(lockstep=True, seconds=0.2)) == "the time is up"
+    assert 0.2 <= time.monotonic() - begin < 5.0
+    assert [p.seqno for p in silent.packets] == list(range(50))
 
     def slowly(k: int, packet: Any, reply: bytes) -> list[bytes]:
         time.sleep(0.1 if k == 5 else 0.0)
@@ -197,8 +193,8 @@ def test_a_listener_hears_a_stream_in_lockstep_at_the_pace_of_the_robot(make_pee
 
     slow = make_peer(RIGHT, slowly)
     client = channel(slow.port, program="stream")
-    run([client], Timing(lockstep=True, seconds=0.4))
-    assert client.controller.statistics.counts["replies"] == len(slow.packets) == 100
+    run([client], Timing(lockstep=True, seconds=0.2))
+    assert client.controller.statistics.counts["replies"] == len(slow.packets) == 50
 
 
 def test_what_the_machine_skips_is_told_from_what_the_simulator_skips(make_peer: MakePeer, clock: Clock) -> None:
@@ -206,7 +202,7 @@ def test_what_the_machine_skips_is_told_from_what_the_simulator_skips(make_peer:
     counts = []
     for stall in (clock.sleep, clock.work):
         client = channel(make_peer(RIGHT).port, comm_timeout=60.0)
-        run([client], Timing(seconds=1.5), observe=once(client, 280, stall, 0.031))
+        run([client], Timing(seconds=1.2), observe=once(client, 270, stall, 0.031))
         found = client.controller.statistics.as_dict()
         counts.append((found["counts"].get("overruns", 0), found["counts"]["skipped"], found["work_us"]["max"]))
         assert found["wake_up_late_us"]["max"] > 20_000, "also the cycles that were late count"
@@ -231,7 +227,7 @@ def test_two_arms_share_the_clock_and_keep_their_phase(make_peer: MakePeer, cloc
 
 @pytest.mark.parametrize(
     "rates",
-    [FaultRates(delay=(0.01, 0.004)), FaultRates(pause=(0.2, 0.1)), FaultRates(loss=0.3, burst=5)],
+    [FaultRates(delay=(0.01, 0.004)), FaultRates(pause=(0.1, 0.05)), FaultRates(loss=0.3, burst=5)],
 )
 def test_lockstep_waits_for_no_packet_that_faults_hold_back(make_peer: MakePeer, rates: FaultRates) -> None:
     """With patience 60 s a single wrong wait would hang the test."""
@@ -241,24 +237,23 @@ def test_lockstep_waits_for_no_packet_that_faults_hold_back(make_peer: MakePeer,
         client._outgoing = Faults(rates, 5) if outgoing else None
         client._incoming = Faults(rates, 6) if incoming else None
         begin = time.monotonic()
-        assert run([client], Timing(lockstep=True, seconds=0.7, patience=60.0)) == "the time is up"
+        assert run([client], Timing(lockstep=True, seconds=0.35, patience=60.0)) == "the time is up"
         assert time.monotonic() - begin < 50.0
-        assert client.controller.statistics.counts["replies"] > 70
+        assert client.controller.statistics.counts["replies"] > 35
 
 
-ROBOT = robots.load("yumi_right")
+ROBOT = RIGHT
 MIDDLE = (ROBOT.q_min + ROBOT.q_max) / 2
 PERIOD = 0.012096  # SampleRate 12: three times as fast to test as 4
-SECONDS, UNTIL = 60.0, 57.0  # the last seconds are clean
-SHARES = (0.01, 0.1, 0.5)
+SECONDS = {0.01: 60.0, 0.1: 30.0, 0.5: 20.0}  # by the share of datagrams; the last three are clean
 FAULTS: dict[str, Any] = {
-    "loss": lambda p: FaultRates(loss=p, until=UNTIL),
-    "burst": lambda p: FaultRates(loss=p, burst=10, until=UNTIL),
-    "duplicate": lambda p: FaultRates(duplicate=p, until=UNTIL),
-    "reorder": lambda p: FaultRates(reorder=p, until=UNTIL),
-    "corrupt": lambda p: FaultRates(corrupt=p, until=UNTIL),
-    "delay": lambda p: FaultRates(delay=(p * PERIOD, 0.5 * PERIOD), until=UNTIL),
-    "pause": lambda p: FaultRates(pause=(5.0, p * SECONDS), until=UNTIL),
+    "loss": lambda p: FaultRates(loss=p),
+    "burst": lambda p: FaultRates(loss=p, burst=10),
+    "duplicate": lambda p: FaultRates(duplicate=p),
+    "reorder": lambda p: FaultRates(reorder=p),
+    "corrupt": lambda p: FaultRates(corrupt=p),
+    "delay": lambda p: FaultRates(delay=(p * PERIOD, 0.5 * PERIOD)),
+    "pause": lambda p: FaultRates(pause=(5.0, 60.0 * p)),
 }
 
 
@@ -345,12 +340,17 @@ def check(found: Any, controller: SimulatedController) -> None:
     assert np.ptp(sent, axis=0).min() > 0.1, "it moved"
 
 
-@pytest.mark.parametrize("way", ["out", "in"])
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize(
+    ("fault", "way"),
+    [
+        *((fault, "out") for fault in ("loss", "reorder", "delay")),
+        *((fault, "in") for fault in ("burst", "duplicate", "corrupt", "pause")),
+    ],
+)
 def test_a_reference_is_one_cycle_old_again_after_faults(play: Any, fault: str, way: str) -> None:
     """Overtaken packets get no reply; for what faults of the replies leave in the queue, replies are left out."""
-    rates = replace(FAULTS[fault](0.5), until=1.5, pause=(0.5, 0.5) if fault == "pause" else (0.0, 0.0))
-    found, controller = play(*((rates, FaultRates()) if way == "out" else (FaultRates(), rates)), 4.0)
+    rates = replace(FAULTS[fault](0.5), until=0.8, pause=(0.2, 0.5) if fault == "pause" else (0.0, 0.0))
+    found, controller = play(*((rates, FaultRates()) if way == "out" else (FaultRates(), rates)), 3.0)
     assert found.reason == "the time is up"
     assert controller.statistics.last_age == 1
     assert len(controller.inbox) <= 1
@@ -359,18 +359,20 @@ def test_a_reference_is_one_cycle_old_again_after_faults(play: Any, fault: str, 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS)
 def test_every_fault_for_a_minute(play: Any, fault: str) -> None:
-    """1, 10 and 50 % of the datagrams in both directions; all seven faults together take half a minute.
+    """1, 10 and 50 % of the datagrams in both directions, the more of them the shorter.
 
     When half of all replies is lost ten at a time, the arm goes on with its last speed for up to a second: the
     following error that is allowed says so.
     """
-    for share in SHARES:
+    for share, of_share in SECONDS.items():
+        seconds = 60.0 if fault == "pause" else of_share
         limits = Limits.of(ROBOT, following_error=0.5) if (fault, share) == ("burst", 0.5) else None
-        check(*play(FAULTS[fault](share), FAULTS[fault](share), SECONDS, limits))
+        rates = replace(FAULTS[fault](share), until=seconds - 3.0)
+        check(*play(rates, rates, seconds, limits))
 
 
 def test_an_arm_that_goes_on_while_replies_are_lost_is_stopped(play: Any) -> None:
     """What the bridge sees is an arm far from its reference, whether or not the network is why."""
     faults = FAULTS["burst"](0.5)
     with pytest.raises(LinkError, match="a following error"):
-        play(faults, faults, SECONDS)
+        play(faults, faults, 60.0)

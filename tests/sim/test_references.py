@@ -7,7 +7,7 @@ import pytest
 
 from armlab import robots
 from armlab.robots import Robot
-from armlab.sim.controller.guidance import ExternalAxes, Guidance, ReferenceDecoder, has_numbers, is_number
+from armlab.sim.controller.guidance import ExternalAxes, Guidance, ReferenceDecoder, has_numbers
 from armlab.sim.controller.settings import ControllerSettings
 from armlab.wire.egm.robot_side import SensorMessage
 
@@ -72,19 +72,6 @@ def test_the_fastest_joint_bounds_the_speed(robot: Robot) -> None:
     assert guidance.utilization > 1000
 
 
-def test_brake_respects_the_acceleration(robot: Robot) -> None:
-    guidance = Guidance(robot, ControllerSettings(ramp_in=0.005), robot.q_home)
-    for _ in range(200):
-        guidance.follow(None, np.full(7, 1.0))
-    speeds = [guidance.qd]
-    for _ in range(40):
-        guidance.brake()
-        speeds.append(guidance.qd)
-    steps = -np.diff(speeds, axis=0)
-    assert (steps <= robot.qdd_max * T + 1e-12).all()
-    np.testing.assert_array_equal(speeds[-1], 0.0)
-
-
 def test_violations_are_named(robot: Robot) -> None:
     guidance = Guidance(robot, ControllerSettings(max_deviation=0.05), robot.q_home)
     assert guidance.violation() == ""
@@ -94,23 +81,6 @@ def test_violations_are_named(robot: Robot) -> None:
     assert "joint 1" in guidance.violation()
     assert "joint 4" in guidance.refusal(robot.q_max + np.array([-1, -1, -1, 1e-3, -1, -1, -1]))
     assert guidance.refusal(robot.q_home) == ""
-
-
-def test_convergence_window(robot: Robot) -> None:
-    guidance = Guidance(robot, ControllerSettings(window=0.01), robot.q_home)
-    assert guidance.near(robot.q_home + 0.009)
-    assert not guidance.near(robot.q_home + 0.011)
-    assert not guidance.near(None)
-    assert not Guidance(robot, ControllerSettings(), robot.q_home).near(robot.q_home)
-
-
-def test_a_hand_leads_and_a_free_joint_is_let_go(robot: Robot) -> None:
-    guidance = Guidance(robot, ControllerSettings(), robot.q_home)
-    guidance.lead(robot.q_home + 0.1, np.full(7, 0.2))
-    np.testing.assert_array_equal((guidance.q, guidance.qd), (robot.q_home + 0.1, np.full(7, 0.2)))
-    free = np.arange(7) == 3
-    guidance.let_go(robot.q_home - 0.2, free)
-    np.testing.assert_array_equal(guidance.q, robot.q_home + np.where(free, -0.2, 0.1))
 
 
 def test_axes_follow_no_faster_than_one_radian_a_second() -> None:
@@ -135,8 +105,6 @@ def test_the_extension_takes_the_place_of_joint_references() -> None:
     target = ReferenceDecoder(ROBOT, ControllerSettings())
     plain = target.read(SensorMessage(0, 1, 3, q=HOME, qd=ONES), HOME)
     other = target.read(SensorMessage(0, 1, 3, q=HOME, q_reference=HOME + 1, qd_reference=2 * ONES), HOME)
-    assert plain is not None
-    assert other is not None
     np.testing.assert_array_equal(plain, (HOME, ONES))
     np.testing.assert_array_equal(other, (HOME + 1, 2 * ONES))
 
@@ -146,24 +114,12 @@ def test_a_pose_is_reached_from_the_planned_posture() -> None:
     goal = HOME + 0.02
     twist = ROBOT.chain.jacobian(HOME) @ (0.1 * ONES)
     found = target.read(SensorMessage(0, 1, 3, T_frame_tool=ROBOT.chain.forward(goal), twist=twist), HOME)
-    assert found is not None
     q, qd = found
     np.testing.assert_allclose(ROBOT.chain.forward(q), ROBOT.chain.forward(goal), atol=1e-8)
-    assert qd is not None
     np.testing.assert_allclose(ROBOT.chain.jacobian(HOME) @ qd, twist, atol=1e-9)
     far = np.eye(4)
     far[0, 3] = 9.0
     assert target.read(SensorMessage(0, 1, 3, T_frame_tool=far), HOME) is None
-
-
-def test_a_path_correction_shifts_along_y_and_z_of_the_tool() -> None:
-    target = ReferenceDecoder(ROBOT, ControllerSettings(mode="path"))
-    target.begin(HOME)
-    found = target.read(SensorMessage(0, 1, 4, path_yz=np.array([0.01, -0.02])), HOME + 0.01)
-    assert found is not None
-    T_tool_shifted = np.linalg.inv(ROBOT.chain.forward(HOME)) @ ROBOT.chain.forward(found[0])
-    np.testing.assert_allclose(T_tool_shifted[:3, 3], [0.0, 0.01, -0.02], atol=1e-8)
-    np.testing.assert_allclose(T_tool_shifted[:3, :3], np.eye(3), atol=1e-8)
 
 
 def test_what_is_absent_goes_back_to_its_default() -> None:
@@ -192,18 +148,9 @@ def test_what_rapid_heard_outlives_a_session() -> None:
     assert target.rapid_digital is True
 
 
-def test_modes_of_the_drives() -> None:
-    target = ReferenceDecoder(ROBOT, ControllerSettings())
-    assert target.drive_mode == 1
-    assert ReferenceDecoder(ROBOT, ControllerSettings(position_gain=0.0)).drive_mode == 2
-    target.accept(SensorMessage(0, 1, 3, gain_q=0 * ONES), HOME, None)
-    assert target.drive_mode == 3
-
-
 @pytest.mark.parametrize("field", ["tau", "gain_q", "gain_qd", "q_ext"])
-@pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
-def test_no_usable_number_anywhere(field: str, value: float) -> None:
-    message = SensorMessage(0, 1, 3)._replace(**{field: np.array([0.0, value])})
+def test_no_usable_number_anywhere(field: str) -> None:
     assert has_numbers(SensorMessage(0, 1, 3), HOME, None)
-    assert not has_numbers(message, HOME, None)
-    assert not is_number(np.array([0.0, value]))
+    for value in (np.nan, np.inf, 1e300):
+        message = SensorMessage(0, 1, 3)._replace(**{field: np.array([0.0, value])})
+        assert not has_numbers(message, HOME, None)

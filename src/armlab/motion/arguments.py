@@ -8,16 +8,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab._numbers import number, numbers, positive
-from armlab.errors import ShapeError
+from armlab.errors import ConfigError, ShapeError
 
 MOST_SAMPLES = 10_000_000
+FEWEST, MOST = 3, 1000  # kernels
 
 
 def point(value: Any, what: str) -> np.ndarray:
     """Return a point (n,); one number is a point of one joint."""
     array = np.atleast_1d(numbers(value, what, ShapeError))
     if array.ndim != 1 or not array.size or not np.isfinite(array).all():
-        raise ShapeError(f"Expected {what} as finite positions (n,), got {_came(array)}. Give one number per joint.")
+        came = str(array.tolist()) if array.ndim == 1 and array.size else f"shape {array.shape}"
+        raise ShapeError(f"Expected {what} as finite positions (n,), got {came}. Give one number per joint.")
     return array
 
 
@@ -31,14 +33,13 @@ def second_point(value: Any, what: str, first: np.ndarray) -> np.ndarray:
     return array
 
 
-def points(value: Any, what: str, least: int = 2) -> np.ndarray:
+def points(value: Any, what: str) -> np.ndarray:
     """Return points (m, n), one after the other; (m,) is a path of one joint."""
     array = numbers(value, what, ShapeError)
     array = array[:, None] if array.ndim == 1 else array
-    if array.ndim != 2 or len(array) < least or not array.shape[1]:
+    if array.ndim != 2 or len(array) < 2 or not array.shape[1]:
         raise ShapeError(
-            f"Expected {what} of shape (m, n) with {least} points or more, got shape {array.shape}. "
-            "Give one row per point."
+            f"Expected {what} of shape (m, n) with 2 points or more, got shape {array.shape}. Give one row per point."
         )
     missing = np.flatnonzero(~np.isfinite(array).all(axis=1))
     if len(missing):
@@ -58,12 +59,22 @@ def joint_limit(value: Any, what: str, n: int) -> np.ndarray:
     return _per_joint(value, what, n, lambda x: x > 0.0, "above zero")
 
 
-def above_zero(value: Any, what: str) -> float:
-    """Return one finite number above zero."""
-    found = number(value, what)
-    if not 0.0 < found < np.inf:
-        raise ShapeError(f"Expected {what} above zero, got {found:g}. Correct it.")
+def at_least_zero(value: Any, what: str) -> float:
+    """Return one finite number, zero or above."""
+    found = number(value, what, ConfigError)
+    if not 0.0 <= found < np.inf:
+        raise ConfigError(f"Expected a finite {what} of at least 0, got {found:g}. Correct it.")
     return found
+
+
+def kernel_count(value: Any, usual: int) -> int:
+    """Return a number of kernels."""
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or not FEWEST <= value <= MOST:
+        raise ConfigError(
+            f"Expected a whole number of kernels from {FEWEST} to {MOST}, got {value!r}. {usual} is usual."
+        )
+    return int(value)
 
 
 def _per_joint(value: Any, what: str, n: int, allowed: Any, word: str) -> np.ndarray:
@@ -74,10 +85,6 @@ def _per_joint(value: Any, what: str, n: int, allowed: Any, word: str) -> np.nda
     if not np.all(allowed(array)):
         raise ShapeError(f"Expected {what} {word}, got {array.tolist()}. Correct it.")
     return array
-
-
-def _came(array: np.ndarray) -> str:
-    return str(array.tolist()) if array.ndim == 1 and array.size else f"shape {array.shape}"
 
 
 def clock(t: ArrayLike, end: float) -> np.ndarray:

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import members, number
-from armlab.errors import ArmlabError, ConfigError, RobotError, ShapeError
-from armlab.motion.arguments import vector
+from armlab._numbers import members
+from armlab.errors import ArmlabError, RobotError, ShapeError
+from armlab.motion.arguments import at_least_zero, vector
 from armlab.robots import Robot
 from armlab.state import Command, State
 
@@ -38,24 +38,13 @@ class JointLimits(Protocol):
     """What a reference may do, per joint (n,): a `Robot` is one, and so is `bridge.Limits`."""
 
     @property
-    def q_min(self) -> np.ndarray:
-        """Least position [rad or m]."""
-        ...
-
+    def q_min(self) -> np.ndarray: ...
     @property
-    def q_max(self) -> np.ndarray:
-        """Largest position [rad or m]."""
-        ...
-
+    def q_max(self) -> np.ndarray: ...
     @property
-    def qd_max(self) -> np.ndarray:
-        """Largest velocity."""
-        ...
-
+    def qd_max(self) -> np.ndarray: ...
     @property
-    def qdd_max(self) -> np.ndarray:
-        """Largest acceleration."""
-        ...
+    def qdd_max(self) -> np.ndarray: ...
 
 
 class Controller(ABC):
@@ -128,9 +117,7 @@ class Controller(ABC):
     @speed.setter
     def speed(self, share: float) -> None:
         """Go on faster or slower."""
-        if not 0.0 <= number(share, "speed", ConfigError) < np.inf:
-            raise ConfigError(f"Expected a speed of at least 0, got {share}. 1 is that of the motion.")
-        self._wanted = float(share)
+        self._wanted = at_least_zero(share, "speed")
 
     def stop(self) -> None:
         """Come to rest on the path within 0.25 s at full speed; setting `speed` goes on."""
@@ -140,11 +127,9 @@ class Controller(ABC):
         """Return what it records, for ``link.run(extra=...)``."""
         from armlab.log import Column  # half the time of importing motions, which need no logs
 
-        joints = {"qdd_ref": "rad/s^2", "path": "rad"}
-        flags = {"done": "1", "frozen": "1"}
-        found = {name: Column((self._n,), unit=unit) for name, unit in joints.items()}
-        found["limited"] = Column((self._n,), unit="1", kind="count")
-        return found | {name: Column((), unit=unit, kind="flag") for name, unit in flags.items()}
+        own = {"qdd_ref": Column((self._n,), unit="rad/s^2"), "path": Column((self._n,), unit="rad")}
+        own["limited"] = Column((self._n,), unit="1", kind="count")
+        return own | {name: Column((), unit="1", kind="flag") for name in ("done", "frozen")}
 
     def __call__(self, state: State) -> Command:
         """Return the reference for a packet."""
@@ -271,8 +256,6 @@ def at_pace(state: Sequence[np.ndarray], pace: Pace) -> tuple[np.ndarray, np.nda
 def check_joints(robot: Arms, n: int) -> None:
     """Refuse a motion whose n coordinates are not the joints of all arms together."""
     arms = robots_of(robot)
-    if n != sum(arm.n for arm in arms):
-        names = " and ".join(arm.name for arm in arms)
-        raise ShapeError(
-            f"Expected a motion of {sum(arm.n for arm in arms)} joints for {names}, got one of {n} coordinates."
-        )
+    joints, names = sum(arm.n for arm in arms), " and ".join(arm.name for arm in arms)
+    if n != joints:
+        raise ShapeError(f"Expected a motion of {joints} joints for {names}, got one of {n} coordinates.")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import number, numbers
+from armlab._numbers import make_read_only, number, numbers
 from armlab.errors import ShapeError
 from armlab.motion.primitive.run import Rollout
 
@@ -135,12 +135,7 @@ class TwoDofRun:
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
-        for field in fields(self):
-            values = getattr(self, field.name)
-            if isinstance(values, np.ndarray):
-                values = values.view()
-                values.flags.writeable = False
-                object.__setattr__(self, field.name, values)
+        make_read_only(self, *(one.name for one in fields(self)[:-2]))
 
 
 def simulated(

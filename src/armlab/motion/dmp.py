@@ -214,14 +214,9 @@ class Steppable(Protocol):
     """A motion with a stepper of `step`, `state`, `t`, `duration`, `goal` and `change_goal`: a `Dmp` and its kind."""
 
     @property
-    def n(self) -> int:
-        """Number of coordinates."""
-        ...
-
+    def n(self) -> int: ...
     @property
-    def stepper(self) -> Callable[..., Any]:
-        """The function that begins a run sample by sample."""
-        ...
+    def stepper(self) -> Callable[..., Any]: ...
 
 
 class DmpController(Controller):

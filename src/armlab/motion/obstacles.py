@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import check_name, members, number, numbers
+from armlab._numbers import check_name, make_read_only, members, number, numbers
 from armlab.errors import ConfigError, ShapeError
 from armlab.motion.arguments import vector
 from armlab.motion.control import JointLimits
@@ -50,11 +50,11 @@ class Capsule:
                 point = np.full(len(self.a), float(point))
             if point.ndim != 1 or len(point) not in (2, 3) or not np.isfinite(point).all():
                 raise ShapeError(f"Expected {name} as a finite point (2,) or (3,), got shape {point.shape}.")
-            point.flags.writeable = False
             object.__setattr__(self, name, point)
         radius = number(self.radius, "radius [m]")
         if not self.a.shape == self.b.shape == np.shape(self.velocity) or not 0.0 <= radius < np.inf:
             raise ShapeError("Expected both ends in one space and a radius of 0 or more, got others. Correct it.")
+        make_read_only(self, "a", "b", "velocity")
 
     @classmethod
     def sphere(cls, centre: ArrayLike, radius: float = 0.0, velocity: ArrayLike = 0.0) -> Capsule:
@@ -136,13 +136,10 @@ class AvoidingDmp:
 
     def _around(self) -> Any:
         """Return the `armlab.kernels.Obstacles` of it."""
-        if self.robot is None:
-            around = kernels.Obstacles(self.dmp.n, None, None, self.clearance, self.reach, self.form == "potential")
-        else:
-            numbers_, bodies = _bodies(self.robot, self.tool, self.links)
-            around = kernels.Obstacles(
-                self.robot.chain, numbers_, bodies, self.clearance, self.reach, self.form == "potential"
-            )
+        parts = (self.dmp.n, None, None)
+        if self.robot is not None:
+            parts = (self.robot.chain, *_bodies(self.robot, self.tool, self.links))
+        around = kernels.Obstacles(*parts, self.clearance, self.reach, self.form == "potential")
         around.place(rows_of(self.obstacles, self._axes))
         return around
 

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from armlab import kernels
 from armlab._numbers import number, numbers, positive
-from armlab.errors import ConfigError, NotExcited, ShapeError
+from armlab.errors import NotExcited, ShapeError
 from armlab.estimation import Excitation, Fit
-from armlab.motion.arguments import clock, vector
+from armlab.motion.arguments import at_least_zero, clock, kernel_count, vector
 from armlab.motion.control import Arms, Controller, JointLimits, Pace, at_pace, check_joints, own_steps
 from armlab.motion.primitive.demonstrations import read_demos
 from armlab.motion.primitive.run import Rollout, advance
@@ -28,6 +28,8 @@ MAX_CONDITION = 1e11
 SEEN = 1e4  # condition beyond which the motion where there are no samples is a guess
 NEXT = 2.0  # distances of kernels between samples that tell every kernel
 QUIET = 1e-18  # of the largest: _harmonics that are left out
+
+Start = tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,23 +118,15 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         return np.real(wave @ self._harmonics), np.real(wave * (1j * k) @ self._harmonics)
 
     def _start_state(
-        self,
-        period: float | None,
-        g: ArrayLike | None,
-        r: float,
-        y0: ArrayLike | None,
-        v0: ArrayLike | None,
-        phase: float,
-    ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        self, period: float | None, g: ArrayLike | None, r: float, y0: Any, v0: Any, phase: float
+    ) -> Start:
         """Return time constant, position, velocity, baseline and scale of a run; by default in steady motion."""
         tau = (self.period if period is None else positive(period, "period [s]")) / (2 * np.pi)
-        base, amplitude = self.g if g is None else vector(g, "g", self.n), number(r, "r")
-        if not np.isfinite(amplitude):
-            raise ShapeError(f"Expected a finite amplitude r, got {amplitude:g}.")
+        base, size = self.g if g is None else vector(g, "g", self.n), amplitude(r)
         y, rate = self.steady(number(phase, "phase [rad]"))
-        begin = base + amplitude * y if y0 is None else vector(y0, "y0", self.n)
-        speed = amplitude * rate / tau if v0 is None else vector(v0, "v0", self.n)
-        return tau, begin, speed, base, np.full(self.n, amplitude)
+        begin = base + size * y if y0 is None else vector(y0, "y0", self.n)
+        speed = size * rate / tau if v0 is None else vector(v0, "v0", self.n)
+        return tau, begin, speed, base, np.full(self.n, size)
 
     def rollout(
         self,
@@ -201,9 +195,7 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
 
         Parameters
         ----------
-        robot : the arm whose joints the coordinates are, or several arms whose joints are one after another.
-        limits : what has q_min, q_max, qd_max and qdd_max (n,), such as `bridge.Limits`, one per arm;
-            those of the robots when None.
+        robot, limits : as of `Dmp.controller`.
         period, g, r : as of `rollout`. turns : after which it rests; the motion grows over the first and fades over the
             last.
 
@@ -212,6 +204,14 @@ class PeriodicDmp(Saved, kind="periodic_dmp"):
         ShapeError : another number of joints, a baseline outside the limits, and as of `rollout`.
         """
         return PeriodicController(robot, self, {"period": period, "g": g, "r": r, "turns": turns}, limits)
+
+
+def amplitude(r: Any) -> float:
+    """Return a finite amplitude."""
+    found = number(r, "r")
+    if not np.isfinite(found):
+        raise ShapeError(f"Expected a finite amplitude r, got {found:g}. 1 is that of the demonstration.")
+    return found
 
 
 def transfer(alpha: float, stiffness: float) -> np.ndarray:
@@ -223,9 +223,7 @@ def transfer(alpha: float, stiffness: float) -> np.ndarray:
 class PeriodicStepper:
     """One run of a `PeriodicDmp`, sample by sample; made by `PeriodicDmp.stepper`. The numbers of its rollout."""
 
-    def __init__(
-        self, dmp: PeriodicDmp, start: tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray], phase: float
-    ):
+    def __init__(self, dmp: PeriodicDmp, start: Start, phase: float) -> None:
         self._n, self._first, self._phase = dmp.n, start, phase
         self._kernel = kernels.PrimitiveStepper(dmp.primitive_from(phase))
         self.reset()
@@ -253,15 +251,11 @@ class PeriodicStepper:
     def change(self, *, g: ArrayLike | None = None, r: float | None = None, period: float | None = None) -> None:
         """Go on with another baseline, amplitude or period; position and velocity do not jump."""
         goal = self._g if g is None else vector(g, "g", self._n)
-        amplitude = self._scale[0] if r is None else number(r, "r")
-        seconds = self._kernel.tau * 2 * np.pi if period is None else number(period, "period [s]")
-        if not np.isfinite(amplitude) or not 0.0 < seconds < np.inf:
-            raise ShapeError(
-                f"Expected a finite r and a period above zero, got {amplitude:g} and {seconds:g} s. Correct them."
-            )
-        self._g, self._scale = goal, np.full(self._n, amplitude)
-        self._kernel.change_tau(seconds / (2 * np.pi))
-        self._kernel.change_goal(self._g, self._scale)
+        scale = self._scale if r is None else np.full(self._n, amplitude(r))
+        tau = self._kernel.tau if period is None else positive(period, "period") / (2 * np.pi)
+        self._g, self._scale = goal, scale
+        self._kernel.change_tau(tau)
+        self._kernel.change_goal(goal, scale)
 
 
 class PeriodicController(Controller):
@@ -347,19 +341,14 @@ def fit_periodic_dmp(
         demonstrations. ConfigError : options out of range.
     NotExcited : samples that leave part of the period out, and no ridge; with that part.
     """
-    if not isinstance(n_basis, int | np.integer) or isinstance(n_basis, bool) or not 3 <= n_basis <= 1000:
-        raise ConfigError(f"Expected a whole number of kernels from 3 to 1000, got {n_basis!r}. 25 is usual.")
+    kernel_count(n_basis, 25)
     demos = read_demos(t, y, None)
     if len(demos) > 1:
         raise ShapeError(
             f"Expected one demonstration, got {len(demos)}: their phases would begin apart. Fit one, with many periods."
         )
     demo = demos[0]
-    seconds, penalty = number(period, "period [s]"), number(ridge, "ridge", ConfigError)
-    if not 0.0 < seconds < np.inf:
-        raise ShapeError(f"Expected a period above zero, got {seconds:g} s. Measure it from peak to peak.")
-    if not 0.0 <= penalty < np.inf:
-        raise ConfigError(f"Expected a finite ridge of at least zero, got {penalty:g}.")
+    seconds, penalty = positive(period, "period", "Measure it from peak to peak."), at_least_zero(ridge, "ridge")
     n = demo.y.shape[1]
     blank = PeriodicDmp(
         weights=np.zeros((n_basis, n)),

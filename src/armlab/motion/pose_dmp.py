@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import dist
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import check_name, make_read_only, numbers
+from armlab._numbers import check_name, make_read_only, numbers, still
 from armlab.errors import ConfigError, NotConverged, ShapeError
 from armlab.estimation import Fit
 from armlab.kinematics import forward, inverse
@@ -123,9 +122,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
                 "Expected a rotation with goal 0 and scaling 'goal' or 'none', got another. It is measured from the "
                 "goal."
             )
-        goal = np.array(orientation(self.goal, "goal"))
-        goal.flags.writeable = False
-        object.__setattr__(self, "goal", goal)
+        object.__setattr__(self, "goal", still(orientation(self.goal, "goal"), "goal"))
 
     @property
     def duration(self) -> float:
@@ -224,7 +221,7 @@ class PoseDmp(Saved, kind="pose_dmp"):
         ------
         ShapeError : a goal that the arm does not reach. ConfigError : as in `rollout`.
         """
-        return PoseDmpController(robot, self, {"duration": duration, "goal": goal}, limits)
+        return PoseDmpController(robot, self, limits, duration, goal)
 
 
 @dataclass(frozen=True)
@@ -291,18 +288,14 @@ class PoseStepper:
 
 
 class PoseDmpController(Controller):
-    """A `PoseDmp`: the tool is led along the path of poses, in base axes, whatever the arm does.
-
-    The joints are those nearest to the ones before. `goal` is a pose (4, 4). A pose on the way that the arm does not
-    reach ends the run; `reason` says so.
-    """
+    """A `PoseDmp`: the tool is led along the path of poses, by the joints nearest to the ones before."""
 
     def __init__(
-        self, robot: Robot, dmp: PoseDmp, settings: Mapping[str, Any], limits: JointLimits | None = None
+        self, robot: Robot, dmp: PoseDmp, limits: JointLimits | None, duration: float | None, goal: ArrayLike | None
     ) -> None:
-        self._robot, self._dmp, self._duration = robot, dmp, settings["duration"]
-        dmp.stepper(**settings)
-        super().__init__(robot, limits, dmp.T_goal if settings["goal"] is None else settings["goal"])
+        self._robot, self._dmp, self._duration = robot, dmp, duration
+        dmp.stepper(duration=duration, goal=goal)
+        super().__init__(robot, limits, dmp.T_goal if goal is None else np.asarray(goal))
 
     def _checked(self, g: ArrayLike) -> np.ndarray:
         goal = matrix(*pose(g, "goal"))
@@ -502,14 +495,11 @@ def _fit(value: PoseDmp, position: Fit[Dmp], linear: Fit[Dmp], found: Turning) -
     cov[:a, :a], cov[a:, a:] = position.cov, np.tensordot(sigma**2, found.spread, 1)
     dmp = found.dmp
     parameters = np.concatenate([dmp.weights, [dmp.y0], [dmp.v0], [dmp.g]]).T.ravel()
+    both = (("position", "m", position), ("rotation", "rad", linear))
     return Fit(
         value=value,
-        names=tuple(
-            f"{part}: {name}" for part, fit in (("position", position), ("rotation", linear)) for name in fit.names
-        ),
-        units=tuple(
-            unit.replace("unit of y", own) for own, fit in (("m", position), ("rad", linear)) for unit in fit.units
-        ),
+        names=tuple(f"{part}: {name}" for part, _, fit in both for name in fit.names),
+        units=tuple(name.replace("unit of y", unit) for _, unit, fit in both for name in fit.units),
         parameters=np.concatenate([position.parameters, parameters]),
         cov=cov,
         sigma=np.concatenate([position.sigma, sigma]),
@@ -517,9 +507,7 @@ def _fit(value: PoseDmp, position: Fit[Dmp], linear: Fit[Dmp], found: Turning) -
         n=position.n,
         excitation=position.excitation,
         summary=_report,
-        classes=tuple(
-            f"{what} {axis} [{unit}]" for what, unit in (("position", "m"), ("rotation", "rad")) for axis in "xyz"
-        ),
+        classes=tuple(f"{part} {axis} [{unit}]" for part, unit, _ in both for axis in "xyz"),
     )
 
 

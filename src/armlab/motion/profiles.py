@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import number, numbers
+from armlab._numbers import make_read_only, number, numbers, positive
 from armlab.errors import MissingExtra, ShapeError
 from armlab.motion import arguments
 
@@ -79,7 +79,7 @@ def quintic(
     """
     start = arguments.point(q0, "q0")
     end, n = arguments.second_point(q1, "q1", start), len(start)
-    T = arguments.above_zero(duration, "duration [s]")
+    T = positive(duration, "duration [s]")
     v0, v1 = (T * arguments.velocity(v, what, n) for v, what in ((qd0, "qd0"), (qd1, "qd1")))
     a0, a1 = (T * T * arguments.velocity(a, what, n) for a, what in ((qdd0, "qdd0"), (qdd1, "qdd1")))
     d = end - start
@@ -126,10 +126,10 @@ def trapezoidal(
         raise ShapeError("Expected a finite qdd_max of a joint that moves, got none. Give what the arm can do.")
     ramp = min(v / a, float(np.sqrt(1.0 / a)))
     shortest = 2.0 * ramp if v * v >= a else 1.0 / v + ramp
-    found = Profile(*_along(start, d, *rising(shortest, ramp)), dt)
+    found = Profile(*along(start, d, shortest, ramp), dt)
     if duration is None:
         return found
-    k = arguments.above_zero(duration, "duration [s]") / shortest
+    k = positive(duration, "duration [s]") / shortest
     if k < 1.0 - 1e-12:
         raise ShapeError(
             f"Expected a duration of {shortest:.6g} s or more within the limits, got {duration:g} s. Allow more time."
@@ -176,7 +176,7 @@ def connect(points: ArrayLike, duration: ArrayLike, cruise: float = 1.5, dt: flo
         raise ShapeError(f"Expected cruise above 1 and at most 2, got {cruise}. 1.5 blends in a third of the time.")
     breaks, pieces = [np.zeros(1)], []
     for start, d, T in zip(path, np.diff(path, axis=0), seconds):
-        own, c = _along(start, d, *rising(T, T * (1.0 - 1.0 / cruise)))
+        own, c = along(start, d, T, T * (1.0 - 1.0 / cruise))
         breaks.append(breaks[-1][-1] + own[1:])
         pieces.append(c)
     return Profile(np.concatenate(breaks), np.concatenate(pieces), dt)
@@ -201,13 +201,11 @@ def spline(t: ArrayLike, q: ArrayLike, qd0: ArrayLike = 0.0, qd1: ArrayLike = 0.
     times = arguments.point(t, "t [s]")
     if times.shape != (len(path),) or not (np.diff(times) > 0.0).all():
         raise ShapeError(
-            f"Expected t of shape ({len(path)},) that rises, one time per point, got "
-            f"{'shape ' + str(times.shape) if times.shape != (len(path),) else 'times that do not'}. Sort the points."
+            f"Expected t of shape ({len(path)},) that rises, one time per point, got {times.tolist()}. Sort the points."
         )
-    ends: Any = [(1, arguments.velocity(v, what, path.shape[1])) for v, what in ((qd0, "qd0"), (qd1, "qd1"))]
+    bc: Any = tuple((1, arguments.velocity(v, what, path.shape[1])) for v, what in ((qd0, "qd0"), (qd1, "qd1")))
     own = times - times[0]
     c = np.zeros((len(path) - 1, 6, path.shape[1]))
-    bc: Any = tuple(ends)
     c[:, :4] = CubicSpline(own, path, bc_type=bc).c[::-1].swapaxes(0, 1)
     return Profile(own, c, dt)
 
@@ -260,13 +258,6 @@ def time_optimal(
     return Profile(*ruckig_pieces(start, end, *rates, *limits), dt)
 
 
-def _along(start: np.ndarray, d: np.ndarray, breaks: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return breaks and coefficients of ``start + d s(t)``, with the pieces (M, 6, 1) of s."""
-    c = step * d
-    c[:, 0] += start
-    return breaks, c
-
-
 @dataclass(frozen=True, eq=False)
 class Profile:
     """A motion of n joints in polynomial pieces, ``q(t) = sum_k c_k (t - breaks_i)^k``, and its samples.
@@ -297,7 +288,7 @@ class Profile:
             np.array(numbers(part, what, ShapeError))
             for part, what in ((self.breaks, "breaks"), (self.coefficients, "coefficients"))
         )
-        dt = arguments.above_zero(self.dt, "dt [s]")
+        dt = positive(self.dt, "dt [s]")
         steps = np.diff(np.atleast_1d(breaks))
         if c.ndim != 3 or c.shape[1] != 6 or breaks.shape != (len(c) + 1,) or not (steps > 0.0).all() or breaks[0] != 0:
             raise ShapeError(
@@ -314,12 +305,10 @@ class Profile:
                 "Take a longer dt."
             )
         t = np.append(np.arange(0.0, breaks[-1] - 1e-9 * dt, dt), breaks[-1])
-        for name, values in zip(("breaks", "coefficients"), (breaks, c)):
+        names = ("breaks", "coefficients", "t", "q", "qd", "qdd")
+        for name, values in zip(names, (breaks, c, t, *evaluate(breaks, c, t))):
             object.__setattr__(self, name, values)
-        for name, values in zip(("t", "q", "qd", "qdd"), (t, *evaluate(breaks, c, t))):
-            object.__setattr__(self, name, values)
-        for name in ("breaks", "coefficients", "t", "q", "qd", "qdd"):
-            getattr(self, name).flags.writeable = False
+        make_read_only(self, *names)
 
     @property
     def duration(self) -> float:
@@ -422,8 +411,8 @@ def stretched(breaks: np.ndarray, c: np.ndarray, k: float) -> tuple[np.ndarray, 
     return breaks * k, c / k ** LINE[:, None]
 
 
-def rising(duration: float, ramp: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return breaks and coefficients (M, 6, 1) of the step 0 to 1 with quadratic blends of `ramp` seconds and a line.
+def along(start: np.ndarray, d: np.ndarray, duration: float, ramp: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return breaks and coefficients (M, 6, n) of a step from `start` by d with quadratic blends of `ramp` seconds.
 
     ``V = 1 / (duration - ramp)``, ``a = V / ramp``; without a line where ``ramp = duration / 2``.
     """
@@ -435,28 +424,27 @@ def rising(duration: float, ramp: float) -> tuple[np.ndarray, np.ndarray]:
     c[1, :2, 0] = at, V
     c[2, :3, 0] = 1.0 - at, V, -half
     breaks = np.array([0.0, ramp, duration - ramp, duration])
+    c = c * d
+    c[:, 0] += start
     line = breaks[2] > breaks[1]
     return (breaks, c) if line else (breaks[[0, 1, 3]], c[[0, 2]])
 
 
 def ruckig_pieces(
-    q0: np.ndarray,
-    q1: np.ndarray,
-    qd0: np.ndarray,
-    qd1: np.ndarray,
-    qd_max: np.ndarray,
-    qdd_max: np.ndarray,
-    qddd_max: np.ndarray,
+    q0: np.ndarray, q1: np.ndarray, qd0: np.ndarray, qd1: np.ndarray, *limits: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return breaks (M + 1,) and coefficients (M, 6, n)."""
-    ruckig = _library()
+    try:
+        import ruckig  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise MissingExtra(
+            "Expected ruckig for time-optimal motion, got none. Install it: pip install 'armlab[motion]'."
+        ) from None
     n = len(q0)
     wanted, found = ruckig.InputParameter(n), ruckig.Trajectory(n)
     wanted.current_position, wanted.target_position = q0.tolist(), q1.tolist()
     wanted.current_velocity, wanted.target_velocity = qd0.tolist(), qd1.tolist()
-    wanted.max_velocity, wanted.max_acceleration, wanted.max_jerk = (
-        limit.tolist() for limit in (qd_max, qdd_max, qddd_max)
-    )
+    wanted.max_velocity, wanted.max_acceleration, wanted.max_jerk = (limit.tolist() for limit in limits)
     try:
         outcome = ruckig.Ruckig(n).calculate(wanted, found)
     except (ruckig.RuckigError, ValueError) as error:  # ValueError: an answer that it has no name for
@@ -491,13 +479,3 @@ def _states(joint: Any, q: float, qd: float) -> tuple[np.ndarray, np.ndarray]:
         clock += h
         times.append(clock)
     return np.array(times), np.array([*states, (q, qd, 0.0, 0.0)])
-
-
-def _library() -> Any:
-    try:
-        import ruckig  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        raise MissingExtra(
-            "Expected ruckig for time-optimal motion, got none. Install it: pip install 'armlab[motion]'."
-        ) from None
-    return ruckig

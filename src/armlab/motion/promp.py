@@ -9,11 +9,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import generator, members, number, numbers, positive, still
+from armlab._numbers import generator, make_read_only, members, number, numbers, positive
 from armlab.errors import ConfigError, NotExcited, ShapeError
 from armlab.estimation import Excitation, Fit
 from armlab.estimation.excitation import check_excitation
-from armlab.motion.arguments import clock
+from armlab.motion.arguments import clock, kernel_count
 from armlab.motion.primitive.demonstrations import Demo, read_demos
 from armlab.motion.primitive.equation import normalised
 from armlab.motion.storage import Saved, freeze_arrays
@@ -175,7 +175,7 @@ class ProMP(Saved, kind="promp"):
         """
         index = np.arange(self.n) if coordinates is None else _coordinates(coordinates, self.n)
         psi, rate = self.kernels(self._inside(t, duration), duration)
-        rows, z, R = [], [], []
+        rows, z, spreads = [], [], []
         for row, value, spread, what in ((psi, y, cov, "y"), (rate, yd, velocity_cov, "yd")):
             if value is None:
                 continue
@@ -184,10 +184,13 @@ class ProMP(Saved, kind="promp"):
                 raise ShapeError(f"Expected finite {what} of shape ({len(index)},), got {point.tolist()}.")
             rows.append(row)
             z.append(point)
-            R.append(_covariance(spread, len(index)))
+            spreads.append(_covariance(spread, len(index)))
         if not rows:
             raise ShapeError("Expected a position or a velocity to pass, got neither. Give y or yd.")
-        return self._conditioned(np.stack(rows), index, np.concatenate(z), _block_diagonal(R))
+        k, R = len(index), np.zeros((len(rows), len(index), len(rows), len(index)))
+        for i, spread in enumerate(spreads):
+            R[i, :, i] = spread
+        return self._conditioned(np.stack(rows), index, np.concatenate(z), R.reshape(len(rows) * k, -1))
 
     def _conditioned(self, rows: np.ndarray, index: np.ndarray, z: np.ndarray, R: np.ndarray) -> ProMP:
         def at_point(w: np.ndarray) -> np.ndarray:
@@ -234,15 +237,6 @@ def _covariance(value: ArrayLike, k: int) -> np.ndarray:
     return matrix
 
 
-def _block_diagonal(parts: list[np.ndarray]) -> np.ndarray:
-    size = sum(len(part) for part in parts)
-    whole, at = np.zeros((size, size)), 0
-    for part in parts:
-        whole[at : at + len(part), at : at + len(part)] = part
-        at += len(part)
-    return whole
-
-
 @dataclass(frozen=True, eq=False)
 class TrajectoryDistribution:
     """Motion with its spread over N times.
@@ -261,9 +255,7 @@ class TrajectoryDistribution:
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
-        for name in ("t", "y", "yd", "cov", "velocity_cov"):
-            values = still(getattr(self, name), f"{name} of a band")
-            object.__setattr__(self, name, values)
+        make_read_only(self, "t", "y", "yd", "cov", "velocity_cov")
 
     @property
     def sd(self) -> np.ndarray:
@@ -353,25 +345,22 @@ def fit_promp(
     ShapeError : fewer than two demonstrations, shapes, NaN with the number of the demonstration.
     NotExcited : samples that do not tell the weights. ConfigError : no whole number of kernels.
     """
-    if not isinstance(n_basis, int | np.integer) or isinstance(n_basis, bool) or not 3 <= n_basis <= 1000:
-        raise ConfigError(f"Expected a whole number of kernels from 3 to 1000, got {n_basis!r}. 15 is usual.")
+    kernel_count(n_basis, 15)
     demos = _read(t, y)
     centres = np.linspace(0.0, 1.0, n_basis)
     widths = np.full(n_basis, WIDTH / (n_basis - 1))
     names, n, of = [f"weight {j}" for j in range(n_basis)], demos[0].y.shape[1], {}
-    for demo in demos:
-        if demo.t.tobytes() not in of:  # most share their times
-            psi, _ = normalised((demo.t / demo.duration)[:, None], centres, widths)
-            of[demo.t.tobytes()] = (_check_samples(psi, names), psi, np.linalg.pinv(psi))
-    excitations, designs, inverses = zip(*(of[demo.t.tobytes()] for demo in demos))
-    products = {id(inverse): inverse @ inverse.T for inverse in inverses}
-    G = [products[id(inverse)] for inverse in inverses]
+    clocks = [demo.t.tobytes() for demo in demos]
+    for clock_, demo in dict(zip(clocks, demos)).items():  # most share their times
+        psi, _ = normalised((demo.t / demo.duration)[:, None], centres, widths)
+        of[clock_] = (_check_samples(psi, names), psi, np.linalg.pinv(psi))
+    excitations, designs, inverses = zip(*(of[one] for one in clocks))
     w = np.array([(inverse @ demo.y).T.ravel() for inverse, demo in zip(inverses, demos)])
     residuals = [demo.y - A @ own.reshape(n, -1).T for A, demo, own in zip(designs, demos, w)]
     dof = sum(len(demo.t) - n_basis for demo in demos)
     noise = np.sqrt(sum((r**2).sum(axis=0) for r in residuals) / max(dof, 1))
-    spread = {id(g): np.kron(np.diag(noise**2), g) for g in G}
-    own = [spread[id(g)] for g in G]
+    spread = {one: np.kron(np.diag(noise**2), inverse @ inverse.T) for one, (_, _, inverse) in of.items()}
+    own = [spread[one] for one in clocks]
     S = np.cov(w.T).reshape(w.shape[1], w.shape[1])
     cov = _positive(S - np.mean(own, axis=0))
     mean, mean_cov = _mean(w, cov, own, S)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import positive
+from armlab._numbers import make_read_only, positive
 from armlab.errors import ConfigError, ShapeError
 from armlab.motion import arguments
 from armlab.motion.arguments import clock
@@ -80,10 +80,8 @@ def peaks(run: Rollout) -> tuple[np.ndarray, np.ndarray]:
     between = left * v[:-1] + right * v[1:] + h * (s * (1 - s) ** 2 * a[:-1] - s * s * (1 - s) * a[1:])
     speed = np.maximum(np.abs(v).max(axis=0), np.abs(np.where(turns, between, 0.0)).max(axis=0))
     size = np.abs(a)
-    k = size.argmax(axis=0).clip(1, max(len(a) - 2, 1))
+    k = size.argmax(axis=0).clip(1, len(a) - 2)
     j = np.arange(a.shape[1])
-    if len(a) < 3:
-        return speed, size.max(axis=0)
     before, at, after = size[k - 1, j], size[k, j], size[k + 1, j]
     bend = before - 2 * at + after
     top = at - np.where(bend < 0.0, (after - before) ** 2 / (8 * np.where(bend < 0.0, bend, 1.0)), 0.0)
@@ -159,10 +157,7 @@ class PacedDmp:
         steps = 2 * np.diff(self.s) / (self.rate[1:] + self.rate[:-1])
         object.__setattr__(self, "t", np.append(0.0, np.cumsum(steps)))
         object.__setattr__(self, "change", np.append(np.diff(self.rate) / steps, 0.0))
-        for name in ("s", "rate", "t", "change"):
-            values = getattr(self, name).view()
-            values.flags.writeable = False
-            object.__setattr__(self, name, values)
+        make_read_only(self, "s", "rate", "t", "change")
 
     @property
     def n(self) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import number, numbers, positive
+from armlab._numbers import number, numbers, positive, still
 from armlab.errors import ConfigError, ShapeError
 from armlab.motion.arguments import MOST_SAMPLES
 from armlab.motion.control import LONGEST_STEP, Arms, Controller, JointLimits, Pace, check_joints, steps_in
@@ -86,9 +86,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
             least = 0.0 if name == "e0" else np.finfo(float).tiny
             if not ((values >= least) & np.isfinite(values)).all():
                 raise ShapeError(f"Expected {name} {'of at least' if name == 'e0' else 'above'} 0, got {values}.")
-            frozen = np.array(np.broadcast_to(values, (self.dmp.n,)))
-            frozen.flags.writeable = False
-            object.__setattr__(self, name, frozen)
+            object.__setattr__(self, name, still(np.broadcast_to(values, (self.dmp.n,)), name))
 
     def _law(self, run: RunParameters) -> Any:
         """Return the `armlab.kernels.TwoDof` of a run."""
@@ -160,21 +158,10 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         run: RunOptions = {"duration": duration, "g": g, "amplitude": amplitude}
         run |= {"y0": rows["q"][0], "v0": np.zeros(self.dmp.n)}
         free = _free(self.dmp, t, LONGEST_STEP, run)
-        return TwoDofRun(
-            t=t,
-            yc=rows["path"],
-            ycd=rows["path_qd"],
-            ycdd=rows["path_qdd"],
-            ya=rows["q"],
-            yad=rows["qd"],
-            ydd_ref=rows["qdd_ref"],
-            e=rows["path_error"],
-            x=rows["phase"],
-            tau_a=rows["tau_a"],
-            frozen=rows["frozen"].astype(bool),
-            free=free,
-            disturbed=tuple(disturbed),
-        )
+        names = ("path", "path_qd", "path_qdd", "q", "qd", "qdd_ref", "path_error", "phase", "tau_a")
+        parts: list[Any] = [np.asarray(rows[name]) for name in names]
+        parts += [rows["frozen"].astype(bool), free, tuple(disturbed)]
+        return TwoDofRun(t, *parts)
 
     def stepper(self, **run: Unpack[RunOptions]) -> TwoDofStepper:
         """Return what runs the law sample by sample with a measured arm.
@@ -208,10 +195,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
 
         Parameters
         ----------
-        robot : the arm whose joints the coordinates are, or several arms whose joints are one after another.
-        limits : what has q_min, q_max, qd_max and qdd_max (n,), such as `bridge.Limits`, one per arm;
-            those of the robots when None.
-        duration, g, amplitude : as in `Dmp.rollout`.
+        robot, limits : as in `Dmp.controller`. duration, g, amplitude : as in `Dmp.rollout`.
         give_way : acceleration (n,) that a contact adds to the reference, for an arm that does not yield by itself:
             for example ``lambda state: J(state.q).T @ force(state) / inertia``.
 
@@ -219,8 +203,7 @@ class TwoDofDmp(Saved, kind="two_dof_dmp"):
         ------
         ShapeError : a primitive of another number of joints, a goal outside the limits. ConfigError : as `Dmp.rollout`.
         """
-        settings: Mapping[str, Any] = {"duration": duration, "g": g, "amplitude": amplitude}
-        return TwoDofController(robot, self, settings, limits, give_way)
+        return TwoDofController(robot, self, {"duration": duration, "g": g, "amplitude": amplitude}, limits, give_way)
 
 
 def _free(dmp: Dmp, t: ArrayLike, longest: float, given: RunOptions) -> Rollout:

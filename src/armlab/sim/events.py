@@ -21,10 +21,7 @@ RAPID = {"undefined": 0, "stopped": 1, "running": 2}
 
 
 class StateScript:
-    """A piecewise constant state over robot time.
-
-    `text`: one name for ever, or ``time:name`` parts with commas between, as "0:on,2.5:off,4:on"; times in seconds.
-    """
+    """A piecewise constant state over robot time [s]: one name for ever, or parts as in "0:on,2.5:off,4:on"."""
 
     def __init__(self, text: str, states: Mapping[str, int]) -> None:
         self._times: list[float] = []
@@ -33,7 +30,10 @@ class StateScript:
             time, _, name = part.strip().rpartition(":")
             if name not in states:
                 raise UnknownName.among("state", name, states)
-            at = _number(time or "0")
+            try:
+                at = float(time or "0")
+            except ValueError:
+                at = math.nan
             if not math.isfinite(at) or (self._times and at <= self._times[-1]):
                 raise ConfigError(f"Expected states as 0:on,2.5:off with times that increase, got {text!r}.")
             self._times.append(at)
@@ -42,13 +42,6 @@ class StateScript:
     def at(self, t: float) -> int:
         """Return the state at robot time `t`; before the first time it is the first state."""
         return self._states[max(0, bisect.bisect_right(self._times, t + 1e-9) - 1)]
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
 
 
 class AppliedWrench:
@@ -101,10 +94,7 @@ STRENGTH = np.repeat([80.0, 8.0], 3)  # N, N m
 
 
 class Grip:
-    """A hand on the tool: a spring of 800 N/m and 15 N m/rad with a damper, of at most 80 N and 8 N m along each axis.
-
-    `start`, `end`: seconds of guidance time from and to which it holds.
-    """
+    """A hand on the tool from `start` to `end` of guidance time [s]: a spring with a damper, of limited strength."""
 
     def __init__(self, start: float, end: float) -> None:
         if not -np.inf < start < end < np.inf:
@@ -114,10 +104,7 @@ class Grip:
         self._before: tuple[float, np.ndarray] | None = None
 
     def at(self, t: float, T_base_tool: np.ndarray) -> np.ndarray | None:
-        """Return its wrench (6,) on the robot in base axes at the tool point, None while it does not hold.
-
-        `T_base_tool`: (4, 4) pose of the tool now.
-        """
+        """Return its wrench (6,) on the robot in base axes at the tool point, None while it does not hold."""
         if not self._start <= t < self._end:
             self._T_base_tool = self._before = None
             return None
@@ -186,9 +173,6 @@ class HandPath:
         return start + s * (v0 + s * (c2 + s * c3)), (v0 + s * (2 * c2 + 3 * s * c3)) / h
 
 
-_ON, _STOPPED = MOTORS["on"], RAPID["stopped"]
-
-
 @dataclass(frozen=True)
 class Surroundings:
     """What happens around the controller."""
@@ -201,15 +185,10 @@ class Surroundings:
     grip: Grip | None = None
 
     def wrench(self, t: float, T_base_tool: np.ndarray) -> np.ndarray | None:
-        """Return what hands exert on the tool, (6,) in base axes at the tool point; None while nobody touches it.
-
-        `t`: guidance time [s]. `T_base_tool`: (4, 4) pose of the tool.
-        """
-        pushed = self.operator.at(t)
-        held = None if self.grip is None else self.grip.at(t, T_base_tool)
-        if pushed is None or held is None:
-            return held if pushed is None else pushed
-        return pushed + held
+        """Return the wrench of all hands (6,), base axes, at the tool point, at a guidance time [s]; None for none."""
+        both = self.operator.at(t), self.grip and self.grip.at(t, T_base_tool)
+        acting = [wrench for wrench in both if wrench is not None]
+        return np.sum(acting, axis=0) if acting else None
 
     def leads(self, program: str, n: int) -> HandPath | None:
         """Return the hand that leads the arm in a program, None where nobody does."""
@@ -219,8 +198,5 @@ class Surroundings:
         return hand
 
     def is_ready(self, t: float) -> bool:
-        """Return whether motors and RAPID let guidance run. RAPID that is stuck at UNDEFINED does.
-
-        `t`: robot time [s].
-        """
-        return self.motors.at(t) == _ON and self.rapid.at(t) != _STOPPED
+        """Return whether motors and RAPID let guidance run at a robot time [s]. RAPID stuck at UNDEFINED does."""
+        return self.motors.at(t) == MOTORS["on"] and self.rapid.at(t) != RAPID["stopped"]

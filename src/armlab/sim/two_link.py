@@ -1,7 +1,8 @@
 """Two-link arm in a vertical plane: dynamics and kinematics in closed form, to try controllers on.
 
 Point masses at the ends of two massless links, viscous and Coulomb friction in both joints. The angles count from
-hanging down, counter-clockwise, q_2 from the first link; x points right, y up. Every function takes leading axes.
+hanging down, counter-clockwise, q_2 from the first link; x points right, y up. Every function takes leading axes, and
+the parameters of the arm, by default those of the ancestor's; another shape raises ShapeError.
 
 The equation of motion is ``M(q) qdd + h(q, qd) + G(q) + viscous qd + coulomb tanh(100 qd) = tau`` with::
 
@@ -87,11 +88,6 @@ def mass_matrix(q: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
     Parameters
     ----------
     q : (..., 2) [rad].
-    arm : its parameters.
-
-    Raises
-    ------
-    ShapeError : q has another shape.
     """
     c2 = np.cos(_pair(q, "q")[..., 1])
     last, coupling = arm.m2 * arm.l2**2, arm.m2 * arm.l1 * arm.l2 * c2
@@ -108,11 +104,6 @@ def inverse_dynamics(q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, arm: TwoLink =
     Parameters
     ----------
     q, qd, qdd : (..., 2) [rad, rad/s, rad/s^2].
-    arm : its parameters.
-
-    Raises
-    ------
-    ShapeError : another shape.
     """
     return np.einsum("...ij,...j", mass_matrix(q, arm), _pair(qdd, "qdd")) + _known(q, qd, arm)
 
@@ -123,11 +114,6 @@ def forward_dynamics(q: ArrayLike, qd: ArrayLike, tau: ArrayLike, arm: TwoLink =
     Parameters
     ----------
     q, qd, tau : (..., 2) [rad, rad/s, N m].
-    arm : its parameters.
-
-    Raises
-    ------
-    ShapeError : another shape.
     """
     free = _pair(tau, "tau") - _known(q, qd, arm)
     M = mass_matrix(q, arm)
@@ -144,11 +130,6 @@ def rhs(x: ArrayLike, tau: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
     ----------
     x : (..., 4) position and velocity [rad, rad/s].
     tau : (..., 2) torque [N m].
-    arm : its parameters.
-
-    Raises
-    ------
-    ShapeError : another shape.
     """
     state = numbers(x, "x", ShapeError)
     if state.shape[-1:] != (4,):
@@ -164,11 +145,6 @@ def energy(q: ArrayLike, qd: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
     Parameters
     ----------
     q, qd : (..., 2) [rad, rad/s].
-    arm : its parameters.
-
-    Raises
-    ------
-    ShapeError : another shape.
     """
     angles, speeds = _pair(q, "q"), _pair(qd, "qd")
     kinetic = 0.5 * np.einsum("...i,...ij,...j", speeds, mass_matrix(angles, arm), speeds)
@@ -182,11 +158,6 @@ def forward(q: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
     Parameters
     ----------
     q : (..., 2) [rad].
-    arm : its parameters.
-
-    Raises
-    ------
-    ShapeError : another shape.
     """
     angles = _pair(q, "q")
     q1, q12 = angles[..., 0], angles.sum(axis=-1)
@@ -199,11 +170,6 @@ def jacobian(q: ArrayLike, arm: TwoLink = ARM) -> np.ndarray:
     Parameters
     ----------
     q : (..., 2) [rad].
-    arm : its parameters.
-
-    Raises
-    ------
-    ShapeError : another shape.
     """
     angles = _pair(q, "q")
     q1, q12 = angles[..., 0], angles.sum(axis=-1)
@@ -222,7 +188,6 @@ def inverse(p: ArrayLike, elbow: Literal["down", "up"] = "down", arm: TwoLink = 
     ----------
     p : (..., 2) points [m].
     elbow : "down" for q2 >= 0, "up" for q2 <= 0: the side of the line from shoulder to tip, seen with the tip at right.
-    arm : its parameters.
 
     Raises
     ------

@@ -10,16 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armlab import kernels
-from armlab._numbers import check_name, number, numbers, positive
+from armlab._numbers import check_name, make_read_only, number, numbers, positive
 from armlab.errors import ConfigError, ShapeError
-from armlab.motion.arguments import vector
+from armlab.motion.arguments import kernel_count, vector
 from armlab.motion.storage import freeze_arrays
 
 CONVENTIONS = ("lund", "ijspeert")
 SCHEDULES = ("canonical", "time", "position")
 SPACINGS = ("time", "phase")
-FEWEST, MOST = 3, 1000
-
 SCALINGS = ("goal", "none", "amplitude", "rotate")
 ROUNDING = 1e-12  # of the largest number of a demonstration: a coordinate moved by less stood still
 PER_COORDINATE = ("y0", "v0", "g", "extent", "peak_acceleration", "monotone")
@@ -41,10 +39,7 @@ def placed(schedule: str, spacing: str, n_basis: int, decay: float, factor: floa
     """
     check_name(schedule, "schedule", SCHEDULES)
     check_name(spacing, "spacing", SPACINGS)
-    whole = isinstance(n_basis, int | np.integer) and not isinstance(n_basis, bool)
-    if not whole or not FEWEST <= n_basis <= MOST:
-        raise ConfigError(f"Expected a whole number of kernels from {FEWEST} to {MOST}, got {n_basis!r}. 50 is usual.")
-    u = np.linspace(0.0, 1.0, n_basis)
+    u = np.linspace(0.0, 1.0, kernel_count(n_basis, 50))
     if schedule != "canonical":
         return u, np.full(n_basis, factor / (n_basis - 1))
     last = np.exp(-decay)
@@ -101,9 +96,8 @@ class Equation:
         """Check and freeze."""
         given = [name for name in ("demo_weights", "limits") if getattr(self, name) is not None]
         freeze_arrays(self, "weights", "centres", "widths", *PER_COORDINATE, *given)
-        monotone = np.array(self.monotone > 0)
-        monotone.flags.writeable = False
-        object.__setattr__(self, "monotone", monotone)
+        object.__setattr__(self, "monotone", self.monotone > 0)
+        make_read_only(self, "monotone")
         self._check_shapes()
         for name in ("tau_d", "duration", "alpha_z", "beta_z", "alpha_x"):
             object.__setattr__(self, name, positive(getattr(self, name), name))

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import check_name, flag, members, number
+from armlab._numbers import check_name, flag, members, positive
 from armlab.errors import ConfigError, ShapeError
 from armlab.estimation import Excitation, Fit
-from armlab.motion.arguments import coordinates
+from armlab.motion.arguments import at_least_zero, coordinates
 from armlab.motion.dmp import Dmp
 from armlab.motion.primitive.demonstrations import Demo, ReferenceMotion, aligned, read_demos
 from armlab.motion.primitive.equation import SCALINGS, SCHEDULES, placed, time_constants
-from armlab.motion.primitive.weights import ENDS, Ends, Learned, WeightProblem, block_covariance, learn
+from armlab.motion.primitive.weights import ENDS, Learned, WeightProblem, block_covariance, learn
 
 METHODS = ("trajectory", "acceleration", "lwr")
 WIDTH, LWR_WIDTH = 0.8, 0.55  # standard deviations of kernels over their distance
@@ -99,50 +99,11 @@ def fit_dmp(
     starts = np.array([known.get("y0", demo.y[0]) for demo in demos])
     goals = np.array([known.get("g", demo.y[-1]) for demo in demos])
     reference = ReferenceMotion.of(demos, scaling, starts, goals)
-    alpha = _above("alpha_z", alpha_z)
+    alpha = positive(alpha_z, "alpha_z", error=ConfigError)
     alpha_x, tau_d = time_constants(convention, reference.duration, alpha)
     decay, factor = alpha_x * reference.duration / tau_d, LWR_WIDTH if method == "lwr" else WIDTH
-    spring = {
-        "alpha_z": alpha,
-        "beta_z": alpha / 4.0 if beta_z is None else _above("beta_z", beta_z),
-        "alpha_x": alpha_x,
-    }
-    names = {"schedule": schedule, "scaling": scaling, "convention": convention}
-    problem = WeightProblem(
-        method=method,
-        blank=_blank(
-            demos,
-            reference,
-            placed(schedule, spacing, n_basis, decay, factor),
-            tau_d,
-            _limits(limits, n),
-            spring | names,
-        ),
-        demos=demos,
-        scales=reference.scales,
-        starts=starts,
-        goals=goals,
-        ends=Ends(_pins(pin, known), known),
-        hold=_hold(hold),
-        ridge=_not_below("ridge", ridge),
-        bandwidth=bandwidth,
-        raw=raw_kernels,
-    )
-    learned = learn(problem)
-    return _fit(_value(problem, learned, reference), problem, learned)
-
-
-def _blank(
-    demos: list[Demo],
-    reference: ReferenceMotion,
-    kernels: tuple[np.ndarray, np.ndarray],
-    tau_d: float,
-    limits: np.ndarray | None,
-    constants: dict[str, Any],
-) -> Dmp:
-    """Return the primitive of the reference motion with weights of zero."""
-    (centres, widths), n = kernels, len(reference.g)
-    return Dmp(
+    centres, widths = placed(schedule, spacing, n_basis, decay, factor)
+    blank = Dmp(
         weights=np.zeros((len(centres), n)),
         centres=centres,
         widths=widths,
@@ -154,9 +115,19 @@ def _blank(
         extent=reference.extent,
         peak_acceleration=np.max([np.abs(demo.acceleration).max(axis=0) for demo in demos], axis=0),
         monotone=~np.any([demo.behind.any(axis=0) for demo in demos], axis=0),
-        limits=limits,
-        **constants,
+        alpha_z=alpha,
+        beta_z=alpha / 4.0 if beta_z is None else positive(beta_z, "beta_z", error=ConfigError),
+        alpha_x=alpha_x,
+        schedule=schedule,
+        scaling=scaling,
+        convention=convention,
+        limits=_limits(limits, n),
     )
+    pinned, rest, penalty = _pins(pin, known), _hold(hold), at_least_zero(ridge, "ridge")
+    ends = reference.scales, starts, goals, pinned, known
+    problem = WeightProblem(method, blank, demos, *ends, rest, penalty, bandwidth, raw_kernels)
+    learned = learn(problem)
+    return _fit(_value(problem, learned, reference), problem, learned)
 
 
 def _check_options(method: str, schedule: str, scaling: str, bandwidth: float | None, raw_kernels: bool) -> None:
@@ -177,20 +148,8 @@ def _pins(pin: Sequence[str], known: dict[str, np.ndarray]) -> tuple[str, ...]:
     return tuple(name for name in pin if name not in known)
 
 
-def _above(name: str, value: Any) -> float:
-    if not 0.0 < number(value, name, ConfigError) < np.inf:
-        raise ConfigError(f"Expected a finite {name} above zero, got {value:g}.")
-    return float(value)
-
-
-def _not_below(name: str, value: Any) -> float:
-    if not 0.0 <= number(value, name, ConfigError) < np.inf:
-        raise ConfigError(f"Expected a finite {name} of at least zero, got {value:g}.")
-    return float(value)
-
-
 def _hold(value: Any) -> float:
-    if not _not_below("hold", value) <= LONGEST_HOLD:
+    if not at_least_zero(value, "hold") <= LONGEST_HOLD:
         raise ConfigError(f"Expected a hold up to {LONGEST_HOLD:g} durations, got {value:g}. 0.3 is usual.")
     return float(value)
 

@@ -12,7 +12,7 @@ from armlab import kernels
 from armlab._numbers import check_name, make_read_only, number, positive
 from armlab.errors import ConfigError, NotConverged, ShapeError
 from armlab.lie import so3
-from armlab.motion.arguments import clock, vector
+from armlab.motion.arguments import at_least_zero, clock, vector
 from armlab.motion.primitive.equation import Equation
 
 HALF_TURN = 1e-6  # sine below which opposite directions have no smallest rotation between them
@@ -95,7 +95,9 @@ class RunParameters:
                 "fit with scaling='amplitude'."
             )
         shape = (dmp.n,) if runs is None else (runs, dmp.n)
-        whole = _one_run(parts, shape) if runs is None else _many_runs(dmp, parts, shape)
+        whole = shape if runs is None else _many_runs(dmp, parts, shape)
+        if runs is None:
+            _check_one_run(parts, shape)
         start, goal = (np.broadcast_to(parts.get(name, own), whole) for name, own in (("y0", dmp.y0), ("g", dmp.g)))
         check_goal(dmp, goal)
         scale, primitive, R = np.ones(whole), dmp._primitive, None
@@ -120,7 +122,7 @@ class RunParameters:
     def towards(self, g: ArrayLike, scaled: bool) -> RunParameters:
         """Return this run with another goal (n,), its forcing scaled with the displacement or unchanged."""
         goal = np.array(vector(g, "g", self.dmp.n))
-        _one_run({"g": goal}, (self.dmp.n,))
+        _check_one_run({"g": goal}, (self.dmp.n,))
         check_goal(self.dmp, goal)
         return replace(self, g=goal, scale=goal_scale(self.dmp, self.y0, goal) if scaled else self.scale)
 
@@ -135,14 +137,13 @@ def _tau(dmp: Equation, duration: float | None, tau_d: float | None) -> float:
     return positive(duration, "duration [s]", "A second is a usual motion.") * dmp.tau_d / dmp.duration
 
 
-def _one_run(parts: dict[str, np.ndarray], shape: tuple[int, ...]) -> tuple[int, ...]:
+def _check_one_run(parts: dict[str, np.ndarray], shape: tuple[int, ...]) -> None:
     for name, part in parts.items():
         if part.shape != shape:
             raise ShapeError(
                 f"Expected {name} of shape {shape} for one run, got {part.shape}. Use rollout_batch for many, or a "
                 "stepper for each run."
             )
-    return shape
 
 
 def _many_runs(dmp: Equation, parts: dict[str, np.ndarray], shape: tuple[int, ...]) -> tuple[int, ...]:
@@ -234,11 +235,9 @@ class Stepper:
             raise ConfigError(
                 f"Expected goal_forcing 'shift' with scaling {dmp.scaling!r}, got 'scale'. Fit with scaling='goal'."
             )
-        if not 0.0 <= number(goal_rate, "goal_rate", ConfigError) < np.inf:
-            raise ConfigError(f"Expected a goal_rate of at least 0, got {goal_rate:g}. 12.5 follows the spring.")
         self._dmp, self._run, self._scales = dmp, run, goal_forcing == "scale"
         self._limit = np.where(dmp.monotone, BRAKE * dmp.peak_acceleration, 0.0) if brake else None
-        self._kernel = kernels.PrimitiveStepper(run.primitive, float(goal_rate), around)
+        self._kernel = kernels.PrimitiveStepper(run.primitive, at_least_zero(goal_rate, "goal_rate"), around)
         self.reset()
 
     def reset(self) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -47,7 +47,10 @@ class Learned:
 
 @dataclass(frozen=True)
 class WeightProblem:
-    """A primitive without weights, demonstrations with scales, starts and goals (M, n), ends, options of `fit_dmp`."""
+    """A primitive without weights, demonstrations with scales, starts and goals (M, n), and options of `fit_dmp`.
+
+    Start, velocity and goal are `pinned` to the samples by name, or `known` by name (n,); otherwise free.
+    """
 
     method: str
     blank: Dmp
@@ -55,7 +58,8 @@ class WeightProblem:
     scales: np.ndarray
     starts: np.ndarray
     goals: np.ndarray
-    ends: Ends
+    pinned: tuple[str, ...]
+    known: dict[str, np.ndarray]
     hold: float
     ridge: float
     bandwidth: float | None
@@ -66,104 +70,51 @@ class WeightProblem:
         parts = zip(self.demos, self.scales, self.starts, self.goals)
         return [replace(self, demos=[d], scales=s[None], starts=a[None], goals=b[None]) for d, s, a, b in parts]
 
+    def tau(self, demo: Demo) -> float:
+        """Return the time constant of a demonstration [s]."""
+        return self.blank.tau_d * demo.duration / self.blank.duration
+
+    def blocks(self, alike: bool) -> list[slice]:
+        """Return the coordinates that share one matrix: all where every demonstration scales them alike."""
+        n = self.blank.n
+        same = alike and bool((self.scales == self.scales[:, :1]).all())
+        return [slice(0, n)] if same else [slice(i, i + 1) for i in range(n)]
+
 
 def learn(problem: WeightProblem) -> Learned:
     """Learn weights that M demonstrations share."""
-    blank, demos, scales, ends = problem.blank, problem.demos, problem.scales, problem.ends
-    m = blank.n_basis
-    if problem.method == "trajectory" and blank.schedule != "position":
-        taus = [blank.tau_d * demo.duration / blank.duration for demo in demos]
-        found = fit_trajectory(blank._primitive, demos, taus, scales, ends, problem.hold, problem.ridge)
-        unknowns = (*range(m), *(m + 3 * k + e for k in range(len(demos)) for e in found.free))
-        parts = found.weights, found.ends, found.unit, found.sigma, found.residuals, found.triangle
-        return Learned(*parts, unknowns, True, scales)
-    velocities = [_velocity(demo, problem.bandwidth) for demo in demos]
-    speeds = [ends.known.get("v0", v[0]) for v, _ in velocities]
-    all_ends = np.stack([problem.starts, np.array(speeds), problem.goals], axis=1)
-    forced = [
-        _forced(blank, demo, *velocity, scale, start, goal)
-        for demo, velocity, scale, start, goal in zip(demos, velocities, scales, problem.starts, problem.goals)
-    ]
-    bells = (blank.centres, blank.widths if problem.raw else np.zeros(0)) if problem.method == "lwr" else None
-    first = fit_regression(forced, blank._primitive, m, blank.schedule != "time", problem.ridge, bells)
-    parts = first.unit, first.sigma, first.residuals, first.triangle
-    learned = Learned(first.weights, all_ends, *parts, tuple(range(m)), False, scales)
-    return learned if problem.method != "trajectory" else _descended(blank, demos, learned)
+    by_motion = problem.method == "trajectory"
+    if by_motion and problem.blank.schedule != "position":
+        return fit_trajectory(problem)
+    forced, speeds = zip(*(_forced(problem, k) for k in range(len(problem.demos))))
+    ends = np.stack([problem.starts, np.array(speeds), problem.goals], axis=1)
+    first = fit_regression(problem, forced, ends)
+    return _descended(problem, first) if by_motion else first
 
 
-def _velocity(demo: Demo, bandwidth: float | None) -> tuple[np.ndarray, np.ndarray]:
-    if bandwidth is None:
-        return demo.velocity, demo.acceleration
-    from armlab.signals import smooth_diff
-
-    velocity = smooth_diff(demo.y, demo.t, bandwidth)
-    return velocity, smooth_diff(velocity, demo.t, bandwidth)
-
-
-def _forced(
-    blank: Dmp,
-    demo: Demo,
-    velocity: np.ndarray,
-    acceleration: np.ndarray,
-    scale: np.ndarray,
-    start: np.ndarray,
-    goal: np.ndarray,
-) -> Forced:
-    """Return the forcing that the spring leaves: ``tau^2 ydd - alpha_z (beta_z (g - y) - tau yd)``, and its phase."""
-    tau = blank.tau_d * demo.duration / blank.duration
-    f = tau**2 * acceleration - blank.alpha_z * (blank.beta_z * (goal - demo.y) - tau * velocity)
-    x = progress(demo.y, start, goal) if blank.schedule == "position" else blank.phase(demo.t, tau)
-    return Forced(x, f, scale, demo.weights)
-
-
-def _descended(blank: Dmp, demos: list[Demo], learned: Learned) -> Learned:
+def _descended(problem: WeightProblem, learned: Learned) -> Learned:
     """Return weights of a position phase, from the regression on."""
+    blank, demos = problem.blank, problem.demos
     roots = np.sqrt(np.concatenate([demo.weights for demo in demos]))
     y = np.concatenate([demo.y for demo in demos])
 
     def run(weights: np.ndarray) -> np.ndarray:
         K, paths = len(weights), []
         for k, demo in enumerate(demos):
-            tau = blank.tau_d * demo.duration / blank.duration
             ends = (np.broadcast_to(a, (K, blank.n)) for a in (*learned.ends[k], learned.scales[k]))
-            paths.append(blank._primitive.rollout(demo.t, tau, *ends, weights)[0])
+            paths.append(blank._primitive.rollout(demo.t, problem.tau(demo), *ends, weights)[0])
         return np.concatenate(paths)
 
     w, inverses, residuals = descend(run, y, roots, learned.weights)
-    dof = max(len(y) - len(w), 1)
-    sigma = np.sqrt(roots**2 @ residuals**2 / dof)
     return replace(
         learned,
         weights=w,
         unit=inverses,
-        sigma=sigma,
+        sigma=np.sqrt(roots**2 @ residuals**2 / max(len(y) - len(w), 1)),
         residuals=residuals,
         triangle=np.linalg.cholesky(np.linalg.inv(inverses[0])).T,
         of_position=True,
     )
-
-
-@dataclass(frozen=True)
-class Ends:
-    """Start, velocity and goal: `pinned` to the samples by name, or `known` by name (n,); otherwise free."""
-
-    pinned: tuple[str, ...]
-    known: dict[str, np.ndarray]
-
-
-@dataclass(frozen=True)
-class Found:
-    """Weights (m, n); ends (M, 3, n); covariances (n, m + 3 M, m + 3 M) of weights and ends for noise of unit variance;
-    noise (n,); residuals (N, n); triangle of the unknowns of the first coordinate; numbers of the ends that are free.
-    """
-
-    weights: np.ndarray
-    ends: np.ndarray
-    unit: np.ndarray
-    sigma: np.ndarray
-    residuals: np.ndarray
-    triangle: np.ndarray
-    free: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -177,72 +128,57 @@ class _MotionRows:
     samples: int
 
 
-def _motion_rows(primitive: Any, demo: Demo, tau: float, hold: float, ends: Ends) -> _MotionRows:
+def _motion_rows(problem: WeightProblem, demo: Demo) -> _MotionRows:
     t, N = demo.t, len(demo.t)
     step = demo.duration / (N - 1)
-    rest = demo.duration + step * np.arange(1, round(hold * demo.duration / step) + 1)
-    Y, _ = primitive.response(np.concatenate([t, rest]), tau, demo.duration / FINE * (1 + 1e-9))
+    rest = demo.duration + step * np.arange(1, round(problem.hold * demo.duration / step) + 1)
+    finest = demo.duration / FINE * (1 + 1e-9)
+    Y, _ = problem.blank._primitive.response(np.concatenate([t, rest]), problem.tau(demo), finest)
     kernels, columns = Y[:, :-3], Y[:, -3:].copy()
     columns[N:, 2] -= 1.0
     pins = np.array([[1.0, 0.0, 0.0], [-1.0 / t[1], 1.0 / t[1], 0.0], [0.0, 0.0, 1.0]])
-    pins[[name not in ends.pinned for name in ENDS]] = 0.0
+    pins[[name not in problem.pinned for name in ENDS]] = 0.0
     roots = np.sqrt(np.concatenate([demo.weights, np.ones(len(rest))]))
     return _MotionRows(kernels, columns, roots, pins, N)
 
 
-def fit_trajectory(
-    primitive: Any,
-    demos: Sequence[Demo],
-    taus: Sequence[float],
-    scales: np.ndarray,
-    ends: Ends,
-    hold: float,
-    ridge: float,
-) -> Found:
+def fit_trajectory(problem: WeightProblem) -> Learned:
     """Fit weights that M demonstrations share, and the ends of each, by their own motion.
 
     Linear, without derivatives of measured positions: the motion is ``y = Y [w; y0; v0; g]`` with the response Y of
-    each alone. A pinned end is a linear function of the samples too, so its noise is in the covariance. `hold` is the
-    rest at the goal after the end, over the duration.
+    each alone. A pinned end is a linear function of the samples too, so its noise is in the covariance.
     """
-    parts = [_motion_rows(primitive, demo, tau, hold, ends) for demo, tau in zip(demos, taus)]
-    free = tuple(k for k, name in enumerate(ENDS) if name not in ends.pinned and name not in ends.known)
-    same = bool((scales == scales[:, :1]).all())
-    n = scales.shape[1]
-    blocks = [slice(0, n)] if same else [slice(i, i + 1) for i in range(n)]
-    found = [_solve_block(parts, demos, scales[:, block][:, 0], block, ends, free, ridge) for block in blocks]
-    weights, all_ends, sigma, residuals = (np.concatenate([one[k] for one in found], axis=-1) for k in (0, 1, 3, 4))
-    return Found(weights, all_ends, np.concatenate([one[2] for one in found]), sigma, residuals, found[0][5], free)
+    parts = [_motion_rows(problem, demo) for demo in problem.demos]
+    free = [k for k, name in enumerate(ENDS) if name not in problem.pinned and name not in problem.known]
+    found = [_solve_block(problem, parts, block, free) for block in problem.blocks(alike=True)]
+    weights, ends, sigma, residuals = (np.concatenate([one[k] for one in found], axis=-1) for k in (0, 1, 3, 4))
+    unit, m = np.concatenate([one[2] for one in found]), len(weights)
+    unknowns = (*range(m), *(m + 3 * k + e for k in range(len(parts)) for e in free))
+    return Learned(weights, ends, unit, sigma, residuals, found[0][5], unknowns, True, problem.scales)
 
 
 def _solve_block(
-    parts: list[_MotionRows],
-    demos: Sequence[Demo],
-    scale: np.ndarray,
-    block: slice,
-    ends: Ends,
-    free: tuple[int, ...],
-    ridge: float,
-) -> tuple[Any, ...]:
+    problem: WeightProblem, parts: list[_MotionRows], block: slice, free: list[int]
+) -> tuple[np.ndarray, ...]:
     """Solve for coordinates that share one matrix."""
-    m, M, f = parts[0].kernels.shape[1], len(parts), len(free)
+    m, M, f, scale = problem.blank.n_basis, len(parts), len(free), problem.scales[:, block.start]
     heights = np.cumsum([0, *(len(p.kernels) for p in parts)])
     A = np.zeros((heights[-1], m + M * f))
     b = np.zeros((heights[-1], block.stop - block.start))
     fixed = np.zeros((M, 3, b.shape[1]))
-    for k, (part, demo) in enumerate(zip(parts, demos)):
+    for k, (part, demo) in enumerate(zip(parts, problem.demos)):
         rows, y = slice(*heights[k : k + 2]), demo.y[:, block]
         fixed[k] = part.pins @ y[[0, 1, -1]]
-        for e, name in enumerate(ENDS):
-            if name in ends.known:
-                fixed[k, e] = ends.known[name][block]
+        for name, value in problem.known.items():
+            fixed[k, ENDS.index(name)] = value[block]
         A[rows, :m] = scale[k] * part.kernels
         A[rows, m + k * f : m + (k + 1) * f] = part.ends[:, free]
         b[rows] = -part.ends @ fixed[k]
         b[rows][: part.samples] += y
         A[rows] *= part.roots[:, None]
         b[rows] *= part.roots[:, None]
-    found = solve(A, b, np.concatenate([np.full(m, ridge), np.zeros(M * f)]) if ridge else None)
+    ridge = np.append(np.full(m, problem.ridge), np.zeros(M * f)) if problem.ridge else None
+    found = solve(A, b, ridge)
     r = b - A @ found.x
     places = np.concatenate([np.arange(m), *(m + 3 * k + np.array(free, dtype=int) for k in range(M))]).astype(int)
     unit, dof = _covariance(A, found.G, parts, heights, places)
@@ -252,7 +188,7 @@ def _solve_block(
         squares += (left**2).sum(axis=0)
         residuals.append(-left / np.where(roots > 0, roots, 1.0))
     sigma = np.sqrt(squares / max(dof, 1.0))
-    fixed[:, list(free)] = found.x[m:].reshape(M, f, b.shape[1])
+    fixed[:, free] = found.x[m:].reshape(M, f, b.shape[1])
     each = np.broadcast_to(unit, (len(sigma), *unit.shape))
     return found.x[:m], fixed, each, sigma, np.concatenate(residuals), found.triangle
 
@@ -296,78 +232,66 @@ class Forced:
     weights: np.ndarray
 
 
-@dataclass(frozen=True)
-class Regression:
-    """Weights (m, n), their covariances (n, m, m) for noise of unit variance, noise of the forcing (n,), what makes the
-    residuals (N, n), and triangle (m, m) of the first coordinate."""
+def _forced(problem: WeightProblem, k: int) -> tuple[Forced, np.ndarray]:
+    """Return ``f = tau^2 ydd - alpha_z (beta_z (g - y) - tau yd)`` of demonstration k, and its start velocity."""
+    blank, demo, goal = problem.blank, problem.demos[k], problem.goals[k]
+    velocity, acceleration, tau = demo.velocity, demo.acceleration, problem.tau(demo)
+    if problem.bandwidth is not None:
+        from armlab.signals import smooth_diff
 
-    weights: np.ndarray
-    unit: np.ndarray
-    sigma: np.ndarray
-    residuals: np.ndarray
-    triangle: np.ndarray
+        velocity = smooth_diff(demo.y, demo.t, problem.bandwidth)
+        acceleration = smooth_diff(velocity, demo.t, problem.bandwidth)
+    f = tau**2 * acceleration - blank.alpha_z * (blank.beta_z * (goal - demo.y) - tau * velocity)
+    by_position = blank.schedule == "position"
+    x = progress(demo.y, problem.starts[k], goal) if by_position else blank.phase(demo.t, tau)
+    start = problem.known["v0"] if "v0" in problem.known else np.asarray(velocity)[0]
+    return Forced(x, f, problem.scales[k], demo.weights), start
 
 
-def fit_regression(
-    demos: Sequence[Forced],
-    primitive: Any,
-    m: int,
-    fades: bool,
-    ridge: float,
-    bells: tuple[np.ndarray, np.ndarray] | None,
-) -> Regression:
-    """Fit weights that demonstrations share to their forcing, which has the factor x where it `fades`.
+def fit_regression(problem: WeightProblem, demos: tuple[Forced, ...], ends: np.ndarray) -> Learned:
+    """Fit weights that demonstrations share to their forcing.
 
-    By least squares without `bells`; with them, centres and widths, each weight is a mean weighed by its own bell,
-    ``sum bell x f / sum bell x^2`` (empty widths: normalised kernels).
+    By least squares, or with method "lwr" each weight as a mean weighed by its own kernel, ``sum bell x f / sum bell
+    x^2``. The forcing has the factor x but for schedule "time".
     """
-    n = demos[0].f.shape[1]
-    scales = np.array([demo.scale for demo in demos])
-    alike = demos[0].x.ndim == 1 and bool((scales == scales[:, :1]).all())
+    blank, m, fades = problem.blank, problem.blank.n_basis, problem.blank.schedule != "time"
+    fit = _kernel_by_kernel if problem.method == "lwr" else _least_squares
+    weights = np.concatenate([demo.weights for demo in demos])
     found, left = [], []
-    for block in [slice(0, n)] if alike else [slice(i, i + 1) for i in range(n)]:
+    for block in problem.blocks(alike=demos[0].x.ndim == 1):
         i = block.start
-        x = _joined([demo.x if demo.x.ndim == 1 else demo.x[:, i] for demo in demos])
-        lever = np.repeat(scales[:, i], [len(demo.f) for demo in demos]) * (x if fades else 1.0)
-        rows = _ForcingRows(primitive, m, x, lever, _joined([demo.f[:, block] for demo in demos]))
-        weights = _joined([demo.weights for demo in demos])
-        one = _least_squares(rows, weights, ridge) if bells is None else _kernel_by_kernel(rows, weights, *bells)
-        found.append(one)
-        left.append(rows.residuals(one[0]))
+        x = np.concatenate([demo.x if demo.x.ndim == 1 else demo.x[:, i] for demo in demos])
+        lever = np.repeat(problem.scales[:, i], [len(demo.f) for demo in demos]) * (x if fades else 1.0)
+        rows = _ForcingRows(blank, x, lever, np.concatenate([demo.f[:, block] for demo in demos]), weights)
+        found.append(fit(rows, problem))
+        left.append(rows.residuals(found[-1][0]))
     w, squares = (np.concatenate([one[k] for one in found], axis=-1) for k in (0, 3))
-    N = sum(len(demo.f) for demo in demos)
-    return Regression(
-        w,
-        np.concatenate([np.broadcast_to(one[1], (one[0].shape[1], m, m)) for one in found]),
-        np.sqrt(squares / max(N - m, 1)),
-        np.concatenate(left, axis=-1),
-        found[0][2],
-    )
-
-
-def _joined(parts: list[np.ndarray]) -> np.ndarray:
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+    unit = np.concatenate([np.broadcast_to(one[1], (one[0].shape[1], m, m)) for one in found])
+    sigma = np.sqrt(squares / max(len(weights) - m, 1))
+    residuals = np.concatenate(left, axis=-1)
+    return Learned(w, ends, unit, sigma, residuals, found[0][2], tuple(range(m)), False, problem.scales)
 
 
 @dataclass(frozen=True)
 class _ForcingRows:
-    """Equations ``lever psi(x) w = f`` of coordinates that share x (N,) and lever (N,); psi (N, m), f (N, q)."""
+    """Equations ``lever psi(x) w = f`` of coordinates that share x, lever and weights (N,) of the samples; f (N, q)."""
 
-    primitive: Any
-    m: int
+    blank: Dmp
     x: np.ndarray
     lever: np.ndarray
     f: np.ndarray
+    weights: np.ndarray
 
     def residuals(self, w: np.ndarray) -> np.ndarray:
-        return self.f - (self.primitive.basis(self.x) @ w) * self.lever[:, None]
+        return self.f - (self.blank._primitive.basis(self.x) @ w) * self.lever[:, None]
 
 
-def _least_squares(rows: _ForcingRows, weights: np.ndarray, ridge: float) -> tuple[np.ndarray, ...]:
+def _least_squares(rows: _ForcingRows, problem: WeightProblem) -> tuple[np.ndarray, ...]:
     """Return weights, unit covariance, triangle and sums of squares."""
-    roots, m, (N, q) = np.sqrt(weights), rows.m, rows.f.shape
+    roots, m, (N, q), ridge = np.sqrt(rows.weights), rows.blank.n_basis, rows.f.shape, problem.ridge
     penalty = np.full(m, ridge) if ridge else None
-    joined = rows.primitive.design(rows.x, rows.lever * roots, rows_needed(N, m, penalty), m + q).T
+    height = rows_needed(N, m, penalty)
+    joined = rows.blank._primitive.design(rows.x, rows.lever * roots, height, m + q).T
     one = solve_joined(joined, rows.f * roots[:, None], penalty)
     if not ridge:
         return one.x, one.G, one.triangle, one.squares
@@ -375,14 +299,12 @@ def _least_squares(rows: _ForcingRows, weights: np.ndarray, ridge: float) -> tup
     return one.x, one.G - ridge * one.G @ one.G, one.triangle, squares
 
 
-def _kernel_by_kernel(
-    rows: _ForcingRows, weights: np.ndarray, centres: np.ndarray, widths: np.ndarray
-) -> tuple[np.ndarray, ...]:
+def _kernel_by_kernel(rows: _ForcingRows, problem: WeightProblem) -> tuple[np.ndarray, ...]:
     """Return weights, unit covariance, triangle and sums of squares."""
-    if len(widths):
-        bell = np.exp(-0.5 * ((rows.x[:, None] - centres) / widths) ** 2)
-    else:
-        bell = rows.primitive.basis(rows.x)
+    blank, weights = rows.blank, rows.weights
+    bell = blank.kernels(rows.x)
+    if problem.raw:
+        bell = np.exp(-0.5 * ((rows.x[:, None] - blank.centres) / blank.widths) ** 2)
     top = bell * (weights * rows.lever)[:, None]
     squares = top.T @ rows.lever
     identified = squares > 0

@@ -1,27 +1,15 @@
 """`SimulatedArm`: MuJoCo's rigid bodies, our drives and friction. `LaggingArm`: no masses. `record`: a log of an arm.
 
-One period is divided into equal steps of at most 1.05 ms, integrated by the leapfrog rule (positions and velocities
-half a step apart), so that the stiff friction springs stay stable and lose no energy by the integration::
+Leapfrog steps, positions and velocities half a step apart, keep the stiff friction springs stable::
 
     v_k = v_{k-1/2} + a_{k-1} h/2,   M a_k = tau - C v_k - G - F_f + J^T F,   v_{k+1/2} = v_{k-1/2} + a_k h,
     q_{k+1} = q_k + v_{k+1/2} h
 
-What a packet reports is one instant: the beginning of the last step of the period. There position, velocity,
-acceleration and torque satisfy the equation of motion exactly; only then noise and quantisation are added. With a
-`Mismatch` the arm that moves is another one than the robot's description says; its joint positions are counted as the
-description counts them.
-
-`LaggingArm` follows its reference late, for robots of which no masses are assumed: a dead time of two cycles and a
-first-order lag of 8 ms, together within ABB's 10 to 20 ms::
-
-    q += (1 - exp(-T / 8 ms)) (q_ref[k - 2] - q)
-
-The sensors have elastic gears, delay, noise, quantisation and gains::
+A packet reports the beginning of the last step of its period: exactly a solution of the equation of motion, to which
+the sensors add elastic gears (compliance c), delay d, noise, quantisation and gains g, see `Mismatch`::
 
     q   = g_q  round(q + c tau_link),         tau_link = tau - F_f - rotor qdd, what the gear carries
     tau = g_tau round(tau_{k-d} + noise)
-
-With no `Mismatch` the compliance c and the delay d are zero and the gains g are one: nothing but noise and steps.
 """
 
 from __future__ import annotations
@@ -41,6 +29,10 @@ from armlab.robots.build import from_dh
 from armlab.sim.arm.joints import JointDrives, JointFriction, WornFriction
 from armlab.sim.arm.mismatch import Mismatch, built_robot, built_truth, position_gain, torque_gain
 from armlab.sim.arm.truth import Truth
+
+if TYPE_CHECKING:
+    from armlab.identify import Trajectory
+    from armlab.log import Table
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,10 +58,7 @@ class TrueState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorReading:
-    """What the sensors report of one instant: noise and quantisation included.
-
-    `q`, `qd`, `tau`: (n,) position, velocity, torque.
-    """
+    """What the sensors report of one instant, noise and quantisation included: position, velocity, torque (n,)."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -126,14 +115,7 @@ class Sensors:
 
 def _quantise(value: np.ndarray, step: np.ndarray) -> np.ndarray:
     """Round to multiples of `step`; a step of zero leaves the value."""
-    if not step.all():
-        return np.where(step > 0, np.rint(value / np.where(step > 0, step, 1.0)) * step, value)
-    return np.rint(value / step) * step
-
-
-if TYPE_CHECKING:
-    from armlab.identify import Trajectory
-    from armlab.log import Table
+    return np.where(step > 0, np.rint(value / np.where(step > 0, step, 1.0)) * step, value)
 
 
 LONGEST_STEP = 1.05e-3  # s
@@ -188,7 +170,8 @@ class SimulatedArm:
         self.truth = truth = built_truth(mismatch, truth, self.built)
         self.steps = math.ceil(period / LONGEST_STEP - 1e-9)
         self.step_time = period / self.steps
-        mujoco = self._mj = _mujoco()
+        mujoco: Any = import_module("mujoco")  # its bindings have no types
+        self._mj = mujoco
         self._model = build_model(self.built, truth)
         self._data = mujoco.MjData(self._model)
         data = self._data  # the next five are views: no copies between the physics and us
@@ -305,14 +288,9 @@ class SimulatedArm:
         )
 
 
-def _mujoco() -> Any:
-    """Return MuJoCo, imported when the first arm is built. Its bindings have no types."""
-    return import_module("mujoco")
-
-
 def build_model(robot: Robot, truth: Truth) -> Any:
     """Return MuJoCo's model of the arm: one body per link frame, no contacts, no limits, one site at the tool point."""
-    mujoco = _mujoco()
+    mujoco: Any = import_module("mujoco")
 
     def pose(T: np.ndarray) -> dict[str, np.ndarray]:
         quat = np.empty(4)
@@ -342,7 +320,7 @@ _LAG = 8e-3  # s
 class LaggingArm:
     """The kinematic stand-in of `SimulatedArm`: same reports, no torques (NaN), no noise; nobody can push it.
 
-    `period`: time between two packets [s]. `q`: (n,) start; the home posture by default.
+    It follows late, ``q += (1 - exp(-T / 8 ms)) (q_ref[k - 2] - q)``: within ABB's 10 to 20 ms.
     """
 
     has_torque = False
@@ -356,19 +334,13 @@ class LaggingArm:
         self.place(robot.q_home if q is None else q)
 
     def place(self, q: np.ndarray) -> None:
-        """Put the arm at rest at `q`.
-
-        `q`: (n,) posture.
-        """
+        """Put the arm at rest at `q` (n,)."""
         self._q = np.array(q, dtype=np.float64)
         self._under_way = deque([self._q] * _DEAD_CYCLES)
         self._report(np.zeros_like(self._q), self._q)
 
     def step(self, q_ref: np.ndarray, qd_ref: np.ndarray, wrench: np.ndarray | None) -> None:
-        """Advance by one period.
-
-        `q_ref`: (n,) reference.
-        """
+        """Advance by one period towards a reference (n,)."""
         self._under_way.append(np.array(q_ref))
         moved = self._share * (self._under_way.popleft() - self._q)
         self._q = self._q + moved
@@ -379,10 +351,8 @@ class LaggingArm:
         return SensorReading(self._q, self.sample.qd, self._unknown)
 
     def _report(self, qd: np.ndarray, q_ref: np.ndarray) -> None:
-        none = self._unknown
-        self.sample = TrueState(
-            self._q, qd, none, none, none, none, q_ref, self._calm, self.robot.chain.forward(self._q)
-        )
+        T_base_tool, none = self.robot.chain.forward(self._q), self._unknown
+        self.sample = TrueState(self._q, qd, none, none, none, none, q_ref, self._calm, T_base_tool)
 
 
 def record(

@@ -14,19 +14,16 @@ the position and to the velocity loop, so a joint with both scales 0 feels the f
     e   = gain_qd (v_ref - v) + gain_q POSITION_GAIN (q_ref - q),   I += gain_q h e / INTEGRAL_TIME
     tau = J (gain_qd a_ref + VELOCITY_GAIN (e + gain_q I)) + feedforward (C v + G) + tau_added
 
-The integral makes an arm at rest stiff: a push is first carried by static friction and then by the drive, which carries
-too much or too little as long as the bristles of the friction hold the rest. It stops growing while the torque is
-saturated. The feed-forward is deliberately incomplete, as in real drives. The drive sees position and velocity without
-the quantisation and noise of what is reported.
+The integral stops growing while the torque is saturated. The feed-forward is incomplete, as in real drives. The drive
+sees position and velocity without quantisation and noise.
 
 Friction, `JointFriction` (LuGre): bristle state, Stribeck curve, viscous part, offset and torque ripple. Between
 reversals the bristle force f of a joint relaxes over distance, not over time (Canudas de Wit et al. 1995)::
 
     df/dq = (c / delta) (1 - f s / g(v)),   g(v) = c (1 + (ratio - 1) exp(-(v / vs)^2)),   s = sign(v)
 
-with c = c_pos or c_neg by direction. In small motions it is a spring of stiffness c / delta; with growing distance it
-slides at g. At rest it keeps its value: a joint really sticks, and needs ``ratio`` x Coulomb to break away.
-For constant v in a step the solution is exact::
+with c = c_pos or c_neg by direction. At rest it keeps its value: a joint really sticks, and needs ``ratio`` x Coulomb
+to break away. For constant v in a step the solution is exact::
 
     f' = s g + (f - s g) exp(-(c / delta) |dq| / g)
 
@@ -52,11 +49,7 @@ INTEGRAL_TIME = 0.05  # s
 
 
 class JointDrives:
-    """Drives of all joints.
-
-    `inertia` includes the rotors [kg m^2]; `feedforward` is the known share of Coriolis and gravity torque; `step` is
-    the time between two calls [s].
-    """
+    """Drives of all joints: inertia with rotors [kg m^2], known share of the bias, time between calls [s]."""
 
     def __init__(self, inertia: np.ndarray, tau_max: np.ndarray, feedforward: np.ndarray, step: float) -> None:
         self._inertia, self._feedforward = inertia, feedforward
@@ -183,11 +176,7 @@ WARM_SPEED = 0.25  # of the speed limit, at which friction heats the drive to a 
 
 
 class WornFriction(JointFriction):
-    """Friction state of all joints, temperature included; `step` [s] is the time between calls of `advance`.
-
-    `load` (n,) is the torque of the drives [N m], read at every step. Of `mismatch` it uses `warm_up`, `load_friction`
-    and `ripple_jump`.
-    """
+    """Friction state of all joints, temperature included; `load` (n,), the drives' torque, is read at every step."""
 
     def __init__(self, truth: Truth, mismatch: Mismatch, step: float, load: np.ndarray) -> None:
         super().__init__(truth)

@@ -1,8 +1,7 @@
 """`Mismatch`: how the simulated arm differs from what its user believes of it; every knob is 0 until it is turned.
 
-An estimator that is only judged on an arm that is exactly as described is judged too kindly. Each knob is one cause of
-error with one unit. What is drawn per joint, per link or per axis is drawn evenly between minus and plus the knob, from
-a stream of its own: turning one knob leaves the draws of the others as they are.
+What is drawn per joint, per link or per axis is drawn evenly between minus and plus the knob, from a stream of its own:
+turning one knob leaves the draws of the others as they are.
 
     built    base_turn, base_shift, link_length, joint_zero: frames of the arm that moves, not of its description
     bodies   mass, centre, payload; friction, saturation: its parameters

@@ -98,12 +98,10 @@ class Truth:
             "noise": ("tau_noise", "tau_step", "q_step", "qd_noise"),
             "offset": ("offset",),
         }
-        changed: dict[str, np.ndarray] = {}
         for effect in effects:
             if effect not in columns:
                 raise UnknownName.among("effect of the simulated arm", effect, columns)
-            changed |= dict.fromkeys(columns[effect], none)
-        return replace(self, **changed)
+        return replace(self, **{name: none for effect in effects for name in columns[effect]})
 
     def with_payload(self, mass: float, centre: np.ndarray) -> Truth:
         """Return the truth with a point mass fixed to the last link.

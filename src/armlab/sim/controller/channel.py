@@ -9,6 +9,7 @@ import socket
 import struct
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -26,11 +27,7 @@ _REFUSED_PAUSE = 0.05  # s before a packet is sent again to a port that nobody h
 
 
 class UdpClient:
-    """One controller and its socket.
-
-    `phase`: how long after the beat that all channels share it sends in real time [s], less than a period. `heard`:
-    monotonic time of the last message [s].
-    """
+    """One controller and its socket; it sends `phase` seconds after the beat that all channels share."""
 
     def __init__(
         self,
@@ -52,7 +49,8 @@ class UdpClient:
             self._socket.close()
             raise LinkError(f"Expected an address to send to, got {host}:{port} ({error}). Correct it.") from error
         self._socket.setblocking(False)
-        self._stamped = self._ask_for_stamps()
+        with suppress(OSError):
+            self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         self._poll = select.poll()
         self._poll.register(self._socket, select.POLLIN)
         self._packet: bytes | None = None
@@ -101,8 +99,6 @@ class UdpClient:
 
         Packets that the faults removed are not waited for. While nobody has bound the port, the packet is sent again. A
         stream needs no replies: a peer that has never sent one is waited for once, then it hears a packet per period.
-
-        `patience`: how long to wait [s]. `alive`: asked now and then whether to go on.
         """
         if self._packet is None and not self._awaited:
             self.drain()  # what comes between two sessions must not wait in the socket for the next one
@@ -170,10 +166,6 @@ class UdpClient:
     def _get(self) -> bytes | None:
         """Return the next datagram, or None. Socket errors, as from a port that nobody has bound, are counted."""
         try:
-            if not self._stamped:
-                data = self._socket.recv(_LARGEST)
-                self._arrival = time.time_ns()
-                return data
             data, extra, _, _ = self._socket.recvmsg(_LARGEST, 64)
         except BlockingIOError:
             return None
@@ -192,13 +184,6 @@ class UdpClient:
         self._refused = self._refused or refused
         self.controller.statistics.counts["refused" if refused else "socket errors"] += 1
 
-    def _ask_for_stamps(self) -> bool:
-        try:
-            self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-        except OSError:
-            return False
-        return True
-
 
 CORRUPTED = -1
 """Number of a datagram that no peer can read."""
@@ -207,10 +192,7 @@ _NEVER_VALID = 0x07  # a first byte that no protobuf message has
 
 
 class Faults:
-    """One direction of one path; called once per cycle.
-
-    `period`: time between two cycles [s].
-    """
+    """One direction of one path; called once per cycle."""
 
     def __init__(self, rates: FaultRates, seed: int | Sequence[int], period: float = 0.004032) -> None:
         self._rates, self._period = rates, period
@@ -221,10 +203,9 @@ class Faults:
         self._begins = share / (length - share * (length - 1)) if share else 0.0
 
     def through(self, datagrams: list[tuple[int, bytes]], now: float) -> list[tuple[int, bytes]]:
-        """Return what comes out in this cycle, the newest entries of `datagrams` before delayed ones.
+        """Return what comes out in this cycle of the (number, bytes) that go in, before what was delayed.
 
-        `datagrams`: (number, bytes) that go in, in this cycle. A corrupted one comes out with the number `CORRUPTED`.
-        `now`: robot time of this cycle [s].
+        A corrupted one comes out with the number `CORRUPTED`.
         """
         rates, draw = self._rates, self._random
         out: list[tuple[int, bytes]] = []
@@ -233,12 +214,8 @@ class Faults:
         if now >= rates.until:
             out, datagrams = list(datagrams), []
         for number, data in datagrams:
-            begins, twice, swapped, corrupt = draw.random(4) < (
-                self._begins,
-                rates.duplicate,
-                rates.reorder,
-                rates.corrupt,
-            )
+            shares = self._begins, rates.duplicate, rates.reorder, rates.corrupt
+            begins, twice, swapped, corrupt = draw.random(4) < shares
             mean, sigma = rates.delay
             wait = max(0.0, mean + sigma * draw.standard_normal()) + self._period * swapped
             if self._is_lost(bool(begins)):

@@ -78,10 +78,7 @@ class ReplyQueue:
         self._sent.append(sent)
 
     def stamp(self, nanoseconds: int, uptime: float) -> None:
-        """Note when the newest packet left, by the wall clock [ns] and in robot time [s].
-
-        A reply to the packet before it that has not arrived by now is late or missing.
-        """
+        """Note when the newest packet left; a reply to the one before that has not arrived is late or missing."""
         if self._sent:
             self._sent[-1].stamp_ns = nanoseconds
         if len(self._sent) > 1 and self._sent[-2].guiding and not self._sent[-2].answered:
@@ -157,12 +154,9 @@ _SKIP = "Skip as many replies once and send one per packet, or take the newest m
 
 
 class SimulatedController:
-    """One motion task: one session at a time, one sequence, one queue, one arm.
+    """One motion task: one session at a time, one sequence, one queue, one arm, whose period is the controller's.
 
-    `arm`: the simulated arm; its period is the controller's. `wire`: the robot's side of the wire, or packets of chosen
-    content on it. `scene`: see `Surroundings`; an operator alone is a scene too. `session`: number of the session from
-    1. `seq`, `cycle`: number of the next packet, and of the cycle since the start. `uptime`: robot time [s].
-    `guidance_time`: since guidance began [s], or the stream where there is none.
+    `wire`: the robot's side of the wire, or packets of chosen content on it. `scene`: an operator alone is one too.
     """
 
     def __init__(
@@ -180,10 +174,8 @@ class SimulatedController:
         self._hand = self._surroundings.leads(settings.program, arm.robot.n)
         if self._hand is not None:
             arm.place(self._hand.at(0.0)[0])
-        self._guidance, self._target = (
-            Guidance(arm.robot, settings, arm.sample.q),
-            ReferenceDecoder(arm.robot, settings),
-        )
+        self._guidance = Guidance(arm.robot, settings, arm.sample.q)
+        self._target = ReferenceDecoder(arm.robot, settings)
         self._drive = arm.drive if isinstance(arm, SimulatedArm) else None  # without masses there are no torques
         self._external = ExternalAxes(self._surroundings.external, settings)
         self.inbox = ReplyQueue(self.packets.codec, self.statistics, settings)
@@ -227,10 +219,7 @@ class SimulatedController:
         return self.packets.encode(self.cycle, self.arm, self._guidance, condition, q_ext, target)
 
     def accept(self, data: bytes, arrival_ns: int = 0) -> SensorMessage | None:
-        """Decode an arrived datagram and queue it. Return the message, or None for what is no message to us.
-
-        `arrival_ns`: wall clock of its arrival, for the round trip.
-        """
+        """Decode an arrived datagram and queue it. Return the message, or None for what is no message to us."""
         found = self.inbox.read(data)
         if isinstance(found, Drop):
             self._event_log.drop(self.uptime, found, data)
@@ -246,10 +235,7 @@ class SimulatedController:
         return found
 
     def advance(self, takes: bool = True) -> None:
-        """Take at most one message, move the reference and the arm by one period.
-
-        `takes`: False for a cycle without a packet that this process missed: its peer is not to blame for silence then.
-        """
+        """Take at most one message, none in a cycle that this process missed; move reference and arm by one period."""
         self._in_phase += 1
         self._takes = takes
         self._cycles[self.phase]()

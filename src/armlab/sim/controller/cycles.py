@@ -15,11 +15,10 @@ _CATCH_UP = 25  # cycles in which the arm moves on without packets after this pr
 
 @dataclass(frozen=True)
 class Timing:
-    """How time passes.
+    """How time passes: in lockstep each cycle waits for its reply; otherwise by the clock. All times in s.
 
-    `lockstep`: each cycle waits for the reply, as fast as it comes; otherwise wall-clock time. `seconds`: robot time
-    after which to end, None for never. `patience`: how long lockstep waits for one reply before the session times out
-    [s]. `gone`: silence after which lockstep gives its peer up and ends [s].
+    `seconds`: robot time after which to end. `patience`: of lockstep for one reply, before the session times out.
+    `gone`: silence after which lockstep gives its peer up and ends.
     """
 
     lockstep: bool = False
@@ -42,10 +41,9 @@ def run(
     alive: Callable[[], bool] = lambda: True,
     observe: Callable[[UdpClient], None] | None = None,
 ) -> str:
-    """Run until all controllers are over, the time is up, or `alive` says no. Return the reason in words.
+    """Run until all controllers, of one period, are over, the time is up, or `alive` says no. Return why, in words.
 
-    `channels`: one per motion task, all with the same period; each sends its `phase` after the beat. `observe`: called
-    with a channel whenever its packet has been built.
+    `observe` is called with a channel whenever its packet has been built.
     """
     gc.collect()
     gc.freeze()  # what exists now is not searched again: a full collection would cost cycles

@@ -31,11 +31,7 @@ _OVERSHOOT = 0.02  # rad: the filters may carry a reference that stops at a limi
 
 
 class Guidance:
-    """The reference generator between received references and the drives.
-
-    `q`: (n,) where it starts. `q`, `qd`: (n,) the reference that the drives follow; never written in place.
-    `utilization`: percent of the speed limits that the last reference needed.
-    """
+    """The reference generator: `q` and `qd` (n,) for the drives, and the share of the speed limits needed [%]."""
 
     def __init__(self, robot: Robot, settings: ControllerSettings, q: np.ndarray) -> None:
         self._robot, self._settings, self._linkage = robot, settings, Linkage.of(robot)
@@ -53,17 +49,12 @@ class Guidance:
         self._filters = [self.qd] * self._stages
 
     def follow(self, q_ref: np.ndarray | None, qd_ref: np.ndarray | None) -> None:
-        """Advance by one period towards a reference.
-
-        `q_ref`: (n,) or None for "stay" (nothing was received yet). `qd_ref`: (n,) or None for zero.
-        """
+        """Advance by one period towards a reference; without a position it stays, without a velocity that is 0."""
         settings = self._settings
         self._time += settings.period
-        wanted = (
-            settings.gain * settings.position_gain * (q_ref - self.q) if q_ref is not None else np.zeros_like(self.q)
-        )
-        if qd_ref is not None:
-            wanted = wanted + qd_ref
+        wanted = np.zeros_like(self.q) if qd_ref is None else qd_ref
+        if q_ref is not None:
+            wanted = settings.gain * settings.position_gain * (q_ref - self.q) + wanted
         if self._time < settings.ramp_in:
             wanted = wanted * (self._time / settings.ramp_in)
         self.utilization = 100.0 * float((np.abs(wanted) / self._robot.qd_max).max())
@@ -76,17 +67,11 @@ class Guidance:
         self.q = self.q + wanted * settings.period
 
     def lead(self, q: np.ndarray, qd: np.ndarray) -> None:
-        """Be where a hand leads the arm.
-
-        `q`, `qd`: (n,) position and velocity of the hand.
-        """
+        """Be where a hand leads the arm."""
         self.q, self.qd, self.utilization = q, qd, 0.0
 
     def let_go(self, q: np.ndarray, free: np.ndarray) -> None:
-        """Follow the arm in joints whose position nobody controls, so that control can come back without a jump.
-
-        `q`: (n,) where the arm is. `free`: (n,) which joints.
-        """
+        """Follow the arm in joints whose position nobody controls, so that control can come back without a jump."""
         self.q = np.where(free, q, self.q)
 
     def brake(self) -> None:
@@ -106,10 +91,7 @@ class Guidance:
         return ""
 
     def refusal(self, q_ref: np.ndarray) -> str:
-        """Return in words which joint of a received reference is out of bounds, or nothing.
-
-        `q_ref`: (n,).
-        """
+        """Return in words which joint of a received reference is out of bounds, or nothing."""
         outside = self._outside(q_ref, 0.0)
         return f"reference of {self._joint(outside)} out of bounds" if outside.any() else ""
 
@@ -123,10 +105,7 @@ class Guidance:
         return f"joint {i + 1} ({self._robot.joint_names[i]})"
 
     def near(self, q_ref: np.ndarray | None) -> bool:
-        """Return whether the reference has arrived within the convergence window of `q_ref` (n,).
-
-        `q_ref`: (n,) or None.
-        """
+        """Return whether the reference has arrived within the convergence window of `q_ref`."""
         window = self._settings.window
         return window > 0 and q_ref is not None and bool((np.abs(q_ref - self.q) <= window).all())
 
@@ -156,11 +135,14 @@ _LARGEST_GAIN = 2.0
 
 
 class ReferenceDecoder:
-    """References of one motion task; q, qd and q_ext are None before the first.
+    """References of one motion task; q, qd and q_ext are None before the first. RAPID's variables outlive a session.
 
-    `tau` is the torque to add [N m]; `gain_q` and `gain_qd` scale the drive's gains in [0, 2]. RAPID's variables
-    outlive a session.
+    `tau` is the torque to add [N m]; `gain_q` and `gain_qd` scale the drive's gains in [0, 2].
     """
+
+    q: np.ndarray | None
+    qd: np.ndarray | None
+    q_ext: np.ndarray | None
 
     def __init__(self, robot: Robot, settings: ControllerSettings) -> None:
         self._robot, self._mode, self._has_position_loop = robot, settings.mode, settings.position_gain > 0
@@ -170,12 +152,9 @@ class ReferenceDecoder:
 
     def begin(self, q: np.ndarray) -> None:
         """Forget all references: a new session begins at posture q."""
-        n = self._robot.n
-        self.q: np.ndarray | None = None
-        self.qd: np.ndarray | None = None
-        self.q_ext: np.ndarray | None = None
-        self.tau, self.gain_q, self.gain_qd = np.zeros(n), np.ones(n), np.ones(n)
+        self.q = self.qd = self.q_ext = None
         self._start = q
+        self.release()
 
     @property
     def drive_mode(self) -> int:

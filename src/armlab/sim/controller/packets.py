@@ -47,11 +47,10 @@ class Condition:
 
 
 class PacketBuilder:
-    """Builds EgmRobot messages.
+    """Builds EgmRobot messages, `phase` seconds behind the robot's clock.
 
-    `codec`: of the robot's side, with flavour and extension. `period`: time between two packets [s]. `phase`: delay of
-    this task behind the robot's clock [s]. `torque_reference`: send the torque of the drives as torqueRef (RobotWare
-    7). `data`: how many of the numbers that RAPID hears it sends back, with the digital value (RobotWare 7).
+    Of RobotWare 7: `torque_reference` sends the torque of the drives as torqueRef; `data` is how many of the numbers
+    that RAPID hears it sends back, with the digital value.
     """
 
     def __init__(
@@ -90,10 +89,7 @@ class PacketBuilder:
         q_ext: Sequence[float] = (),
         target: ReferenceDecoder | None = None,
     ) -> bytes:
-        """Return the bytes of a cycle's packet.
-
-        `q_ext`: external axes [rad]. `target`: what was asked for; RAPID sends back what it heard.
-        """
+        """Return the bytes of a cycle's packet; RAPID sends back what it heard of `target`."""
         measured, sample, c = arm.measure(), arm.sample, condition
         feels = arm.has_torque
         heard = target if self._data else None

@@ -39,9 +39,8 @@ class LocalArm:
         """Return the tool (N, 4, 4)."""
         turned, T = np.array(q, dtype=float), np.broadcast_to(np.eye(4), (len(q), 4, 4))
         for k in range(self.amplitudes.shape[1] // 2):
-            turned += self.amplitudes[:, 2 * k] * np.cos((k + 1) * q) + self.amplitudes[:, 2 * k + 1] * np.sin(
-                (k + 1) * q
-            )
+            cosine, sine = self.amplitudes[:, 2 * k], self.amplitudes[:, 2 * k + 1]
+            turned += cosine * np.cos((k + 1) * q) + sine * np.sin((k + 1) * q)
         for frame, screw, angle in zip(self.frames, self.screws, turned.T):
             T = T @ frame @ se3.exp(screw * angle[:, None])
         return T @ self.frames[-1]
@@ -132,11 +131,7 @@ def kinematic_run(
     harmonics: bool = False,
     wrong: int = 0,
 ) -> KinematicRun:
-    """Return experiments K1 to K4 and K7: poses, of which positions may be used alone.
-
-    `truth` is "lpoe" or "dh"; `tool` puts the nominal tool away from the flange; `harmonics` adds joint errors of
-    orders 1 and 2, 0.02 deg; the first `wrong` poses are turned by 2 deg and moved by 20 mm.
-    """
+    """Return experiments K1 to K4 and K7: poses, of which positions may be used alone; see `CalibrationCell`."""
     rng = np.random.default_rng([seed, run])
     arm = perturbed(rng, truth, tool)
     q, q_valid = (rng.uniform(-np.pi, np.pi, (m, 6)) for m in (n, VALIDATION))

@@ -19,7 +19,6 @@ from armlab.robots import Robot, load
 if TYPE_CHECKING:
     from armlab.log import Table
 
-
 CAMERA = (0.5e-3, np.radians(0.05))  # m, rad
 MARKER = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]])
 
@@ -140,11 +139,7 @@ AHEAD = 0.2  # s between the first row of the arm and the first image
 
 @dataclass(frozen=True, eq=False)
 class MovingSights:
-    """Two recordings of one motion, and the truth behind them.
-
-    `arm` has the joint positions q; `camera` the poses T_cam_marker at the times at which it looked; `T_tool_marker`
-    and `T_base_cam` are true.
-    """
+    """Recordings of the joints q and of poses T_cam_marker in one motion, and the true poses behind them."""
 
     robot: Robot
     arm: Table
@@ -211,11 +206,7 @@ def weighed(
     bias: bool = True,
     contacts: int = 0,
 ) -> Weighed:
-    """Return experiment F1; F2 with `tilt` [rad]; F3 with `contacts`; F4 with `torque`; F5 with `unknown`.
-
-    `sigma` and `torque` are the noise of forces [N] and torques [N m]; `tilt` is the largest angle from one
-    orientation; `unknown` lets the weight point anywhere; `contacts` counts the first samples that have contact.
-    """
+    """Return experiment F1; F2 with `tilt` [rad]; F3 with `contacts`; F4 with `torque`; F5 with `unknown`."""
     rng = np.random.default_rng(seed)
     R = rotations(rng, 1)[0]
     weight = GRAVITY
