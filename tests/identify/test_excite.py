@@ -252,7 +252,7 @@ def test_deviations_follow_the_noise_and_the_length(
 
 def test_the_spread_of_fits_is_what_was_expected(expected: PredictedUncertainty, motion: identify.Trajectory) -> None:
     """Least squares on the expected regressor itself, with white noise: the deviations are those of 200 fits."""
-    from armlab.identify.base_parameters import base_parameters
+    from armlab.identify.regression import base_parameters
 
     robot = robots.load("yumi_left")
     q, qd, qdd = motion.sample(np.arange(0.0, 30.0, 0.02))

@@ -22,19 +22,15 @@ from armlab.identify.record import (
 from armlab.identify.residuals import (
     BIN,
     ModelResiduals,
-    begun,
     dry_torques,
     friction_signs,
     mean_power,
     model_residuals,
-    momentum_noise,
     relaxed,
     seconds,
     settled,
-    stretches,
-    velocity_noise,
 )
-from armlab.identify.validation import held_out
+from armlab.identify.validation import begun, held_out, momentum_noise, stretches, velocity_noise
 from armlab.kernels import presliding
 from armlab.log import Table
 from armlab.models import TorqueModel, velocity_covariance
@@ -344,7 +340,7 @@ def test_some_windows_of_a_long_record_tell_the_factors(truth, excited, model, m
     errors, moving = held_out([(model, rows)], data)
     errors = np.where(moving, errors, np.nan)
     whole = momentum_noise(model, [(model, rows)], errors, data)
-    monkeypatch.setattr("armlab.identify.residuals.ENOUGH", len(rows) // 2)
+    monkeypatch.setattr("armlab.identify.validation.ENOUGH", len(rows) // 2)
     part = momentum_noise(model, [(model, rows)], errors, data)
     assert part.alpha2_observer != whole.alpha2_observer
     assert part.alpha2_observer == pytest.approx(whole.alpha2_observer, rel=0.2)

@@ -9,8 +9,6 @@ import pytest
 
 from armlab import robots
 from armlab.identify import base_parameters, design_excitation, prepare
-from armlab.identify.base_parameters import BaseParameters
-from armlab.identify.columns import Decimation, FrictionColumns, RegressionColumns
 from armlab.identify.friction_structure import (
     COLUMNS,
     DELTAS,
@@ -19,6 +17,7 @@ from armlab.identify.friction_structure import (
     STRIBECK_SPEEDS,
     TERMS,
     Chooser,
+    FrictionColumns,
     FrictionStructure,
     StructureChoice,
     choose,
@@ -26,7 +25,8 @@ from armlab.identify.friction_structure import (
     mixing,
     term_names,
 )
-from armlab.identify.regression import Design, ParameterLayout
+from armlab.identify.record import Decimation
+from armlab.identify.regression import BaseParameters, Design, ParameterLayout, RegressionColumns
 from armlab.identify.solve import alternate
 from armlab.kernels import presliding
 from armlab.lie import se3
@@ -257,7 +257,7 @@ def test_a_motor_that_moves_two_joints_brings_shared_columns(truth, excited) -> 
     speed = data.qd[:, 5] + data.qd[:, 6]
     torque = 0.02 * data.differentiate(speed) + 0.3 * speed + 0.5 * np.tanh(speed / 0.02)
     expected = np.zeros_like(design.tau)
-    expected[:, 5:] = design.decimation.run(lambda a, b: torque[a:b, None], 1)
+    expected[:, 5:] = design.made.decimation.run(lambda a, b: torque[a:b, None], 1)
     np.testing.assert_allclose(design.model(theta), expected, atol=1e-9)
 
 

@@ -9,16 +9,8 @@ import pytest
 
 from armlab.errors import NotExcited, ShapeError
 from armlab.identify import design_excitation, dither, extrapolation, predict, prepare
-from armlab.identify.validation import (
-    FIFTHS,
-    Extrapolation,
-    assess,
-    assess_again,
-    held_out,
-    parameter_text,
-    report,
-    training,
-)
+from armlab.identify.prediction import Extrapolation
+from armlab.identify.validation import FIFTHS, assess, assess_again, held_out, parameter_text, report, training
 from armlab.log import Table
 
 

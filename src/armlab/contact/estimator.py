@@ -137,10 +137,7 @@ class Wrench:
 
 
 def contact_point(point: ArrayLike, robot: Robot) -> np.ndarray:
-    """Return the point (3,) as an array of its own.
-
-    `point`: (3,) tool axes [m].
-    """
+    """Return the point (3,) as an array of its own."""
     place = np.array(numbers(point, "the contact point", ShapeError))
     if place.shape != (3,) or not np.all(np.isfinite(place)):
         raise ShapeError(f"Expected the contact point as three finite numbers [m], tool axes, got {point!r}.")
@@ -149,10 +146,7 @@ def contact_point(point: ArrayLike, robot: Robot) -> np.ndarray:
 
 
 def check_distance(places: np.ndarray, robot: Robot) -> None:
-    """Refuse places further from the tool than the arm is long: millimetres, as a rule.
-
-    `places`: (M, 3) tool axes [m].
-    """
+    """Refuse places further from the tool than the arm is long: millimetres, as a rule."""
     far, length = float(np.linalg.norm(places, axis=1).max(initial=0.0)), arm_length(robot)
     if far > length:
         raise ShapeError(

@@ -18,7 +18,7 @@ import numpy as np
 from armlab._numbers import generator, number, numbers
 from armlab.errors import NotConverged, RobotError, ShapeError, UnknownName
 from armlab.estimation import Excitation
-from armlab.identify.base_parameters import BaseParameters, base_parameters
+from armlab.identify.regression import BaseParameters, base_parameters
 from armlab.log import Table
 from armlab.models.friction import FRICTION_TERMS
 from armlab.robots import Robot
@@ -127,10 +127,7 @@ class Trajectory:
 
 
 def quintic_step(x: float) -> tuple[float, float, float]:
-    """Return the smooth step ``x^3 (10 - 15 x + 6 x^2)`` of x in [0, 1] and its two derivatives.
-
-    `x`: share of the step; below 0 it has not begun, above 1 it is over.
-    """
+    """Return the smooth step ``x^3 (10 - 15 x + 6 x^2)`` of x in [0, 1] and its two derivatives."""
     x = min(max(x, 0.0), 1.0)
     return x**3 * (10 - 15 * x + 6 * x * x), 30 * x * x * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x)
 

@@ -24,11 +24,10 @@ from armlab.estimation import BlockSums, Fit, block_bootstrap
 from armlab.estimation.linear_problem import LinearProblem, LinearSolution, solve
 from armlab.estimation.robust import HUBER, NORMAL_MAD
 from armlab.estimation.tsqr import Factors, factorise, one_thread
-from armlab.identify.base_parameters import BaseParameters, base_parameters
 from armlab.identify.dynamics import FitProblem, FitSettings, Progress, fit_of, fold_models, make_problem, model_of
 from armlab.identify.friction_structure import Chooser, FrictionStructure, choose_here
 from armlab.identify.record import Record, prepare, prepare_share, torque_outliers, without_outliers
-from armlab.identify.regression import Design
+from armlab.identify.regression import BaseParameters, Design, base_parameters
 from armlab.identify.solve import gain_share
 from armlab.identify.validation import assess, training
 from armlab.log import Table
@@ -104,10 +103,7 @@ def fit_draft(
     progress: Progress = lambda done, total, what: None,
     chooser: Chooser = choose_here,
 ) -> tuple[FitProblem, Pattern]:
-    """Fit the first logs, which fix what is not linear.
-
-    `progress`: called with (done, total, what). `chooser`: of the structure of friction, see `Design.choose_structure`.
-    """
+    """Fit the first logs, which fix what is not linear."""
     job = FitSettings("torque model", "irls", 0, progress, chooser=chooser)
     base = base_parameters(robot)
     draft = make_problem(prepare(tables, robot), robot, base, job)
@@ -131,10 +127,7 @@ def fit_draft(
 
 @one_thread()
 def log_sums(table: Table, pattern: Pattern) -> LogSums:
-    """Reduce one log to sums; joints may rest in it.
-
-    `table`: log with columns q, qd, tau (N, n), without contact.
-    """
+    """Reduce one log to sums; joints may rest in it."""
     data = _without_spikes(prepare_share(table, pattern.robot), pattern)
     if not same_rate(data.rate, pattern.rate):
         raise ShapeError(
@@ -160,10 +153,7 @@ def log_sums(table: Table, pattern: Pattern) -> LogSums:
 
 @one_thread()
 def fit_sums(draft: FitProblem, pattern: Pattern, sums: Sequence[LogSums], first: Sequence[int]) -> Fit[TorqueModel]:
-    """Fit the model to the sum of all logs.
-
-    `first`: which of them the draft was made of; their held-out residuals give the torque covariance over velocity.
-    """
+    """Fit the model to the sum of all logs."""
     solution, block_sums = _solved(draft.design, sums)
     design = draft.design
     cov = block_bootstrap(block_sums, seed=0).cov

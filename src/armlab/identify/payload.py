@@ -28,8 +28,8 @@ from armlab.estimation import Fit, Rows, least_squares
 from armlab.estimation.bootstrap import block_seconds
 from armlab.estimation.excitation import check_spread
 from armlab.estimation.linear_problem import LinearSolution
-from armlab.identify.base_parameters import LINK_SYMBOLS, BaseParameters, base_parameters
 from armlab.identify.record import MIN_SECONDS, MIN_SLIDE, MIN_TURN, Record, check_once, log_name
+from armlab.identify.regression import LINK_SYMBOLS, BaseParameters, base_parameters
 from armlab.identify.residuals import model_residuals
 from armlab.identify.solve import GainProblem
 from armlab.kernels import presliding
@@ -66,10 +66,7 @@ class ModelError:
 
     @classmethod
     def of(cls, known: TorqueModel | Fit[TorqueModel], robot: Robot) -> ModelError:
-        """Return what is uncertain in a model: rigid body and friction of a fit, the rigid body alone of a model.
-
-        `known`: as `identify.fit_dynamics` or `fit_gravity` return it, or its value.
-        """
+        """Return what is uncertain in a model: rigid body and friction of a fit, the rigid body alone of a model."""
         model = known.value if isinstance(known, Fit) else known
         names, cov = (known.names, _apart(known)) if isinstance(known, Fit) else (model.base_names, model.base_cov)
         bases = base_parameters(robot), base_parameters(robot, quasi_static=True)
@@ -81,10 +78,7 @@ class ModelError:
         return cls(model, robot, base, tuple(names[k] for k in index), cov[np.ix_(index, index)], left_out)
 
     def against(self, A: np.ndarray, data: Record, rows: np.ndarray, joints: np.ndarray) -> np.ndarray:
-        """Return the sums (J, w, P) of A_i^T C_i per joint: how columns take up what is wrong with the model.
-
-        `A`: (M, J, w) filtered columns. `rows`: (M,) of it that are kept. `joints`: (J,) numbers.
-        """
+        """Return the sums (J, w, P) of A_i^T C_i per joint: how columns take up what is wrong with the model."""
         total = np.zeros((len(joints), A.shape[2], len(self.names)))
         at = {name: k for k, name in enumerate(self.names)}
         if self.base is not None:
@@ -198,10 +192,7 @@ class LoadRecord:
         robot: Robot,
         without: Table | None = None,
     ) -> LoadRecord:
-        """Build the regression from logs.
-
-        `without`: log of the same motion without the load; its residual is subtracted.
-        """
+        """Build the regression from logs."""
         error = ModelError.of(known, robot)
         model = error.model
         tables = [table] if isinstance(table, Table) else table
@@ -229,10 +220,7 @@ class LoadRecord:
 
 
 def moving_joints(tables: Sequence[Table], robot: Robot) -> np.ndarray:
-    """Return the numbers, from 0, of joints that move enough for their friction to be known; all where none does.
-
-    `tables`: logs with q (N, n).
-    """
+    """Return the numbers, from 0, of joints that move enough for their friction to be known; all where none does."""
     if not tables or any(not isinstance(one, Table) or one["q"].shape[1:] != (robot.n,) for one in tables):
         return np.arange(robot.n)  # `prepare` says what is wrong
     ends = np.array([(np.nanmin(one["q"], axis=0), np.nanmax(one["q"], axis=0)) for one in tables if len(one)])

@@ -65,10 +65,7 @@ def kind_of(value: object) -> str:
 
 
 def provenance(kind: str, value: object) -> dict[str, Any]:
-    """Return the table [meta] of a file that is written now.
-
-    `value`: sources, robot name and hash are taken from it where it has them.
-    """
+    """Return the table [meta] of a file that is written now."""
     return {
         "kind": kind,
         "format": FORMAT,
@@ -123,10 +120,7 @@ def _check_texts(value: Any, path: Path) -> None:
 
 
 def read_value(raw: Mapping[str, Any], path: Path) -> Any:
-    """Return the value of a file's tables.
-
-    `raw`: the tables, with a [meta] of some kind.
-    """
+    """Return the value of a file's tables."""
     meta = raw["meta"]
     kind, version, package = str(meta.get("kind")), meta.get("format"), str(meta.get("package", "")) or "the package"
     owner = package.removeprefix("armlab.")
@@ -348,10 +342,7 @@ def _joined(tables: dict[str, dict[str, float]], names: tuple[str, ...], path: P
 
 
 def read_torque_model(raw: dict[str, Any], path: Path) -> TorqueModel:
-    """Return the model of the tables of a file.
-
-    `raw`: tables, with [meta].
-    """
+    """Return the model of the tables of a file."""
     meta = raw["meta"]
     found = tuple(meta.get(key) for key in ("kind", "format", "sign"))
     if found != (KIND, TORQUE_FORMAT, SIGN):

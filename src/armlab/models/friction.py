@@ -128,7 +128,6 @@ class Friction:
     smooth_speed: np.ndarray = field(default_factory=_zeros)
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze."""
         _freeze(self)
         if np.any(self.stribeck_speed <= 0) or np.any(self.delta <= 0):
             raise ShapeError("Expected stribeck_speed > 0 and delta > 0, got a value that is not. Make it positive.")
@@ -181,7 +180,6 @@ class FrictionBound:
     floor: np.ndarray
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze."""
         _freeze(self)
         if np.any(self.torque < 0) or np.any(self.floor < 0) or np.any(self.speed <= 0):
             raise ShapeError(
@@ -212,7 +210,6 @@ class Ripple:
     sine: np.ndarray
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze."""
         _freeze(self)
 
     @classmethod
@@ -257,7 +254,6 @@ class RadialBasis:
     speed_widths: np.ndarray
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze."""
         for name in ("positions", "position_widths", "speeds", "speed_widths"):
             values = still(getattr(self, name), f"{name} of radial bases")
             object.__setattr__(self, name, values)
@@ -286,10 +282,7 @@ class RadialBasis:
         return 2 * self.positions.shape[1] * self.speeds.shape[1]
 
     def functions(self, i: int, q: np.ndarray, qd: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Return the functions (N, 2 P S) of joint i, positive direction first; their sum is 1.
-
-        `q`, `qd`, `s`: (N,) position [rad], velocity [rad/s] and sign in [-1, 1].
-        """
+        """Return the functions (N, 2 P S) of joint i, positive direction first; their sum is 1."""
         at = basis_weights(q, self.positions[i], self.position_widths[i])
         along = basis_weights(np.abs(qd), self.speeds[i], self.speed_widths[i])
         phi = (at[:, :, None] * along[:, None, :]).reshape(len(at), -1)
@@ -318,7 +311,6 @@ class FrictionMap:
     coefficients: np.ndarray
 
     def __post_init__(self) -> None:
-        """Check the shape and freeze."""
         values = still(self.coefficients, "coefficients of radial bases")
         shape = (self.basis.n, 2, self.basis.positions.shape[1], self.basis.speeds.shape[1])
         if values.shape != shape or not np.isfinite(values).all():
@@ -356,11 +348,7 @@ LARGEST = 1e15  # of the numbers of ripple lines, joint numbers among them
 
 
 def speed_basis(slowest: float, fastest: float, count: int = SPEEDS) -> tuple[np.ndarray, np.ndarray]:
-    """Return centres and widths (count,) [rad/s] of Gaussians spread evenly from one speed to another.
-
-    `slowest`, `fastest`: ends of the range; 0 and the peak speed for lines with two directions, minus and plus the peak
-    speed for others. `count`: of Gaussians, at least 2.
-    """
+    """Return centres and widths (count,) [rad/s] of Gaussians spread evenly from one speed to another."""
     slowest, fastest = number(slowest, "the slowest speed [rad/s]"), number(fastest, "the fastest speed [rad/s]")
     if count < 2 or not fastest > slowest:
         raise ShapeError(f"Expected at least 2 Gaussians from one speed to a faster one, got {count} from {slowest:g} "
@@ -394,7 +382,6 @@ class RippleLines:
     coefficients: np.ndarray
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze."""
         for name in ("joint", "cycles", "speeds", "widths", "coefficients"):
             values = still(getattr(self, name), f"{name} of the ripple lines")
             if not np.all(np.abs(values) < LARGEST):
@@ -459,7 +446,6 @@ class WarmUp:
     start: np.ndarray
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze."""
         for entry in fields(self):
             values = still(getattr(self, entry.name), f"{entry.name} of the warm-up")
             if values.ndim != 1 or values.shape != np.shape(self.of_coulomb) or not np.isfinite(values).all():

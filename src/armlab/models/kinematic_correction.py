@@ -17,10 +17,7 @@ COMMAND_ROUNDS = 50
 
 
 def harmonic_basis(q: np.ndarray, harmonics: tuple[int, ...]) -> np.ndarray:
-    """Return ``cos k q_j, sin k q_j`` for each k of `harmonics`: (..., n, 2 m).
-
-    `q`: (..., n) joint positions [rad].
-    """
+    """Return ``cos k q_j, sin k q_j`` for each k of `harmonics`: (..., n, 2 m)."""
     q, orders = numbers(q, "joint positions [rad]", ShapeError), numbers(harmonics, "orders of harmonics", ShapeError)
     if not q.ndim or orders.ndim != 1:
         raise ShapeError(f"Expected positions (..., n) and orders (m,), got shapes {q.shape} and {orders.shape}.")
@@ -62,7 +59,6 @@ class KinematicCorrection:
     sources: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze the arrays."""
         if not isinstance(self.robot, Robot):
             raise RobotError.no_robot(self.robot)
         n, L = self.robot.n, len(self.coefficients)
@@ -218,7 +214,6 @@ class DualArmCorrection:
     sources: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze the arrays."""
         d = len(self.arm_a.cov) + len(self.arm_b.cov) + 6
         for name, shape in (("T_basea_baseb", (4, 4)), ("cov", (d, d))):
             values = still(getattr(self, name), f"{name} of a kinematic correction")

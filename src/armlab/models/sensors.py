@@ -57,7 +57,6 @@ class ForceSensor:
     sources: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the fields and freeze the arrays."""
         for name, shape in _SHAPES.items():
             values = still(getattr(self, name), f"{name} of a force sensor")
             known = values.ravel().tolist()
@@ -179,7 +178,6 @@ class Accelerometer:
     sources: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the fields and freeze the arrays."""
         for name, shape in _ACCELEROMETER_SHAPES.items():
             values = still(getattr(self, name), f"{name} of an accelerometer")
             if values.shape != shape or not np.isfinite(values).all():
@@ -245,7 +243,6 @@ class LaserSensor:
     sources: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check and freeze."""
         P = len(self.planes)
         shapes = {"T_tool_sensor": (4, 4), "normals": (P, 3), "offsets": (P,)}
         for name, shape in shapes.items():
@@ -305,7 +302,6 @@ class HandEye:
     points: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        """Check and freeze."""
         if self.setup not in FRAMES:
             raise UnknownName.among("setup", self.setup, FRAMES)
         for name in ("X", "Y", "points"):

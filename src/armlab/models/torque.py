@@ -56,7 +56,6 @@ class VelocityCovariance:
     alpha2: float = 1.0
 
     def __post_init__(self) -> None:
-        """Check and freeze."""
         check_name(self.kind, "covariance kind", KINDS)
         for name in ("C0", "Cinf", "shape"):
             values = still(getattr(self, name), f"{name} of a covariance")
@@ -136,7 +135,6 @@ class MomentumNoise:
     alpha2_kf: float = 1.0
 
     def __post_init__(self) -> None:
-        """Check and freeze."""
         for name in ("memory", "qd_noise"):
             values = still(getattr(self, name), f"{name} of the momentum noise")
             object.__setattr__(self, name, values)
@@ -174,7 +172,6 @@ class CoupledMotors:
     smooth_speed: np.ndarray
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze."""
         K = len(np.atleast_2d(still(self.ratios, "ratios of coupled motors")))
         for name in ("ratios", "inertia", "viscous", "coulomb", "smooth_speed"):
             values = still(getattr(self, name), f"{name} of coupled motors")
@@ -316,7 +313,6 @@ class Training:
     longest_rest: float
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze."""
         n = len(self.q_min)
         shapes = {"q_min": (n,), "q_max": (n,), "qd_peak": (n,), "speed_share": (n, 2 * len(SPEED_EDGES))}
         for name, shape in shapes.items():
@@ -385,7 +381,6 @@ class TorqueModel:
     gain_cov: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze the arrays."""
         n, p = len(self.rotor), len(self.base_names)
         if not np.size(self.gains):
             object.__setattr__(self, "gains", np.ones(n))
@@ -603,7 +598,6 @@ class Payload:
     sources: tuple[str, ...] = field(default=())
 
     def __post_init__(self) -> None:
-        """Check shapes and freeze the arrays."""
         for name, shape in (("pi", (10,)), ("T_last_flange", (4, 4))):
             values = still(getattr(self, name), f"{name} of a payload")
             if values.shape != shape or not np.isfinite(values).all():

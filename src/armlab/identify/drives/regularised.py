@@ -29,10 +29,7 @@ FULL = 1e-6  # least share of a direction that other stretches tell
 
 
 def ridge_solution(A: np.ndarray, y: np.ndarray, ridge: float = RIDGE) -> tuple[np.ndarray, np.ndarray]:
-    """Return ridge coefficients (p,) and the matrix (p, p) of their equations, see `refit`.
-
-    `A`: (N, p). `y`: (N,).
-    """
+    """Return ridge coefficients (p,) and the matrix (p, p) of their equations, see `refit`."""
     H = A.T @ A
     H[np.diag_indices_from(H)] += ridge * np.trace(H) / max(len(H), 1)
     return np.linalg.solve(H, A.T @ y), H
@@ -45,11 +42,8 @@ def refit(
 
     ``H = A^T A + r 1, r = ridge mean(diag)``, ``cov = H^-1 (S + r^2 v 1) H^-1`` with S the scatter ``sum_b g_b g_b^T``
     of the moments g_b of the residuals in a block: residuals that remember make it larger than the formal one. Where
-    blocks are few for the coefficients S is shrunk towards a multiple of H (`shrinkage`): it would have no
-    spread in most directions. v is the mean square of the coefficients: the ridge pulls weak ones that far.
-
-    `A`: (N, p). `y`: (N,). `block`: (N,) numbers. `beside`: (N, m) columns of parameters known so far that they leave
-    nothing, free in the covariance, which is then (p + m, p + m).
+    blocks are few for the coefficients S is shrunk towards a multiple of H (`shrinkage`): it would have no spread in
+    most directions. v is the mean square of the coefficients: the ridge pulls weak ones that far.
     """
     x, H = ridge_solution(A, y, ridge)
     pull = ridge * np.trace(H) / max(len(H), 1) / (1.0 + ridge)
@@ -94,10 +88,7 @@ def scattered(H: np.ndarray, moments: np.ndarray) -> np.ndarray:
 
 
 def held_out_error(A: np.ndarray, y: np.ndarray, block: np.ndarray, ridge: float = RIDGE, folds: int = 5) -> float:
-    """Return the mean square of y - A x on blocks that x was not fitted to.
-
-    `A`: (N, p); without columns the mean square of y. `y`: (N,). `block`: (N,) numbers.
-    """
+    """Return the mean square of y - A x on blocks that x was not fitted to."""
     total, fold = 0.0, np.asarray(block) % folds
     for k in range(folds):
         out = fold == k
@@ -209,8 +200,6 @@ def select_groups(A: np.ndarray, y: np.ndarray, size: int, block: np.ndarray, fo
     """Return which groups (G,) a group lasso keeps.
 
     The penalty is the largest of 20 whose held-out error is within one standard deviation of the least.
-
-    `A`: (N, p) columns, group by group. `y`: (N,). `block`: (N,) block number of each row; whole blocks are held out.
     """
     A, y, block = (numbers(one, "columns, values and blocks", ShapeError) for one in (A, y, block))
     if A.ndim != 2 or not y.shape == block.shape == A.shape[:1]:
