@@ -385,27 +385,16 @@ class Estimator:
         self._take_over()
         self._running = True  # the kernel lets other threads run meanwhile
         try:
-            return self._run_kernel(q, qd, tau, dt, tell)
+            rows, parts = len(dt), []
+            if tell is None or rows < PARTS:
+                return self._kernel.run(q, qd, tau, dt)
+            for a, b in pairwise(np.linspace(0, rows, PARTS + 1).astype(int)):
+                tell(int(a), rows, f"{self._method} of {rows} rows")
+                parts.append(self._kernel.run(q[a:b], qd[a:b], tau[a:b], dt[a:b]))
+            tell(rows, rows, "done")
+            return tuple(None if values[0] is None else np.concatenate(values) for values in zip(*parts))
         finally:
             self._running = False
-
-    def _run_kernel(
-        self,
-        q: np.ndarray,
-        qd: np.ndarray,
-        tau: np.ndarray,
-        dt: np.ndarray,
-        tell: Callable[[int, int, str], None] | None,
-    ) -> tuple[Any, ...]:
-        rows = len(dt)
-        if tell is None or rows < PARTS:
-            return self._kernel.run(q, qd, tau, dt)
-        parts = []
-        for a, b in pairwise(np.linspace(0, rows, PARTS + 1).astype(int)):
-            tell(int(a), rows, f"{self._method} of {rows} rows")
-            parts.append(self._kernel.run(q[a:b], qd[a:b], tau[a:b], dt[a:b]))
-        tell(rows, rows, "done")
-        return tuple(None if values[0] is None else np.concatenate(values) for values in zip(*parts))
 
     def _forget(self) -> None:
         self._t, self._missed, self._tared_at = float("nan"), False, None

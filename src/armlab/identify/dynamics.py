@@ -36,14 +36,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armlab._numbers import check_name
-from armlab.errors import ModelMismatchError, NotExcited, ShapeError
+from armlab.errors import ModelMismatchError, ShapeError
 from armlab.estimation import BlockSums, Fit, Prior, block_bootstrap, least_squares
 from armlab.estimation.bootstrap import block_seconds
 from armlab.estimation.linear_problem import LinearSolution
 from armlab.estimation.robust import METHODS
 from armlab.estimation.tsqr import one_thread
 from armlab.identify.friction_structure import Chooser, choose_here
-from armlab.identify.record import Record, measured_joints, prepare, torque_outliers, without_outliers
+from armlab.identify.record import Record, check_blocks, measured_joints, prepare, torque_outliers, without_outliers
 from armlab.identify.regression import BaseParameters, Design, base_parameters
 from armlab.identify.solve import ROBUST, alternate, calibrated, gain_share, linearised, short_blocks
 from armlab.identify.validation import FIFTHS, assess, report, training
@@ -309,13 +309,7 @@ def _blocks(design: Design, theta: np.ndarray, method: str) -> tuple[np.ndarray,
     block = data.blocks(short_blocks(data) if method == "lts" else seconds)
     count = int(block[-1]) + 1
     length = max(1, round(seconds * count / data.seconds))
-    if count < 8 * length:
-        raise NotExcited(
-            f"Expected at least 8 blocks of {seconds:.2g} s for a covariance, got {count // length}. "
-            "Record for longer.",
-            ["covariance"],
-            [f"{data.seconds:.1f} s"],
-        )
+    check_blocks(count // length, seconds, data)
     return block, length
 
 

@@ -245,7 +245,9 @@ def design_excitation(
         )
     rng = generator(seed)
     base = base_parameters(robot)
-    middle = _with_room(robot) if centre is None else _inside(robot, centre)
+    room = np.minimum(np.deg2rad(70.0), 0.5 * (robot.q_max - robot.q_min))
+    home = np.clip(robot.q_home, robot.q_min + room, robot.q_max - room)
+    middle = home if centre is None else _inside(robot, centre)
     draws = rng.standard_normal((CANDIDATES, 2, int(harmonics), robot.n))
     weights = 1.0 / _deviation(robot, np.ones(robot.n) if sigma is None else sigma)
 
@@ -330,12 +332,6 @@ def dither(
         return centre + w * x, w * xd + wd * x, -w * omega**2 * x + 2 * wd * xd + wdd * x
 
     return Trajectory(seconds, sample)
-
-
-def _with_room(robot: Robot) -> np.ndarray:
-    """Return the home position (n,) moved away from the limits."""
-    room = np.minimum(np.deg2rad(70.0), 0.5 * (robot.q_max - robot.q_min))
-    return np.clip(robot.q_home, robot.q_min + room, robot.q_max - room)
 
 
 def _inside(robot: Robot, centre: np.ndarray) -> np.ndarray:

@@ -194,7 +194,8 @@ class _StructureSearch:
     def scores(self, columns: np.ndarray, speeds: np.ndarray, kinds: slice) -> np.ndarray:
         """Return the held-out error (S, k), relative to the torque, of columns (M, 1, 3 + S) with bells of S speeds."""
         A = np.column_stack([columns[:, 0][self._order] * self._trust, self._fixed])
-        sums = [_sums(A[a:b], self._target[a:b]) for a, b in pairwise(self._edges)]
+        folds = ((A[a:b], self._target[a:b]) for a, b in pairwise(self._edges))
+        sums = [(rows.T @ rows, rows.T @ y, float(y @ y)) for rows, y in folds]
         fixed = columns.shape[2]
         at = dict(zip((*SIGNED, *FIXED), (*range(len(SIGNED)), *range(fixed, A.shape[1]))))
         rest = range(fixed + 2, A.shape[1])  # neither viscous nor offset
@@ -206,22 +207,21 @@ class _StructureSearch:
         return out
 
 
-def _sums(A: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    return A.T @ A, A.T @ y, float(y @ y)
-
-
 def _held_out(sums: list[tuple[np.ndarray, np.ndarray, float]], picks: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """Return the squared error (S, k) of each fold by the parameters of the others, over that of the torque."""
-    grams = [(G[picks[:, :, None], picks[:, None, :]][:, None], v[picks][:, None, :, None]) for G, v, _ in sums]
-    error, identified = np.zeros((len(picks), len(T))), np.ones((len(picks), len(T)), dtype=bool)
-    G, v = sum(G for G, _ in grams), sum(v for _, v in grams)
-    for (H, u), (_, _, power) in zip(grams, sums):
-        A, scale = _scaled(T.transpose(0, 2, 1) @ (G - H) @ T)
-        x = T @ (np.linalg.solve(A, T.transpose(0, 2, 1) @ (v - u) / scale) / scale)
-        error += (power - 2.0 * np.swapaxes(u, 2, 3) @ x + np.swapaxes(x, 2, 3) @ H @ x)[..., 0, 0]
-        if H.any():
-            identified &= np.linalg.eigvalsh(_scaled(T.transpose(0, 2, 1) @ H @ T)[0])[..., 0] > IDENTIFIED
-    total = sum(power for _, _, power in sums)
+    """Return the squared error (S, k) of each fold by the parameters of the others, over that of the torque.
+
+    `sums`: A^T A, A^T y and y^T y of each of F folds. `picks`: (S, w) columns of A that each speed of Stribeck has.
+    """
+    grams, moments, power = (np.array(part) for part in zip(*sums))
+    H = np.ascontiguousarray(grams[:, picks[:, :, None], picks[:, None, :]])[:, :, None]  # (F, S, 1, w, w)
+    u = np.ascontiguousarray(moments[:, picks])[:, :, None, :, None]
+    back = T.transpose(0, 2, 1)
+    A, scale = _scaled(back @ (sum(H) - H) @ T)
+    x = T @ (np.linalg.solve(A, back @ (sum(u) - u) / scale) / scale)
+    errors = power[:, None, None, None, None] - 2.0 * np.swapaxes(u, -2, -1) @ x + np.swapaxes(x, -2, -1) @ H @ x
+    told = np.linalg.eigvalsh(_scaled(back @ H @ T)[0])[..., 0] > IDENTIFIED
+    identified = np.all(told | ~H.any(axis=(3, 4)), axis=0)
+    error, total = sum(errors[..., 0, 0]), sum(power)
     return np.where(identified, np.maximum(error / total if total > 0 else error, EXACT), np.inf)
 
 

@@ -128,7 +128,10 @@ def fit_draft(
 @one_thread()
 def log_sums(table: Table, pattern: Pattern) -> LogSums:
     """Reduce one log to sums; joints may rest in it."""
-    data = _without_spikes(prepare_share(table, pattern.robot), pattern)
+    data = prepare_share(table, pattern.robot)
+    spikes = torque_outliers(data)
+    if spikes.any():
+        data = replace(data, tau=without_outliers(data, spikes, pattern.model))
     if not same_rate(data.rate, pattern.rate):
         raise ShapeError(
             f"Expected the sampling rate of the first logs, {pattern.rate:.4g} Hz, got {data.rate:.4g} Hz. "
@@ -188,11 +191,6 @@ def _solved(design: Design, sums: Sequence[LogSums]) -> tuple[LinearSolution, Bl
     stretch = sum(one.weight for one in sums) / max(sum(one.inside for one in sums), 1)
     found = replace(found, stretch=stretch)
     return found, BlockSums.of(found)
-
-
-def _without_spikes(data: Record, pattern: Pattern) -> Record:
-    found = torque_outliers(data)
-    return replace(data, tau=without_outliers(data, found, pattern.model)) if found.any() else data
 
 
 def _block(data: Record, count: int) -> np.ndarray:

@@ -23,12 +23,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armlab._numbers import number
-from armlab.errors import ModelMismatchError, NotExcited, ShapeError, UnknownName
+from armlab.errors import ModelMismatchError, ShapeError, UnknownName
 from armlab.estimation import Fit, Rows, least_squares
 from armlab.estimation.bootstrap import block_seconds
 from armlab.estimation.excitation import check_spread
 from armlab.estimation.linear_problem import LinearSolution
-from armlab.identify.record import MIN_SECONDS, MIN_SLIDE, MIN_TURN, Record, check_once, log_name
+from armlab.identify.record import MIN_SECONDS, MIN_SLIDE, MIN_TURN, Record, check_blocks, check_once, log_name
 from armlab.identify.regression import LINK_SYMBOLS, BaseParameters, base_parameters
 from armlab.identify.residuals import model_residuals
 from armlab.identify.solve import GainProblem
@@ -266,7 +266,6 @@ def _shift(data: Record, other: Record) -> int:
 SIZES = {"static": 4, "dynamic": 10}
 UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
 FARTHEST = 0.5  # m, of the centre of mass
-MIN_BLOCKS = 8
 
 
 def fit_payload(
@@ -360,13 +359,7 @@ def fit_payload(
 def _robust(record: LoadRecord, p: int, gains: np.ndarray, rest: np.ndarray, seconds: float) -> LinearSolution:
     """Return Huber's solution for the first p parameters; the gains less 1 (n,) and the rest (10,) are held."""
     block = record.blocks(seconds)
-    if block[-1] + 1 < MIN_BLOCKS:
-        raise NotExcited(
-            f"Expected at least {MIN_BLOCKS} blocks of {seconds:.2g} s for a covariance, got {block[-1] + 1}. "
-            "Record for longer.",
-            ["covariance"],
-            [f"{record.data.seconds:.1f} s"],
-        )
+    check_blocks(block[-1] + 1, seconds, record.data)
     A = (1.0 + gains)[:, None] * record.A
     rows = list(Rows.of(A[:, :, :p], record.y - A[:, :, p:] @ rest[p:], block))
     return least_squares(rows, LINK_SYMBOLS[:p], what="payload", method="irls")

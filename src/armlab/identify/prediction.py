@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from armlab.errors import ModelMismatchError, ShapeError
-from armlab.identify.record import pieces, with_velocity
+from armlab.identify.record import check_finite, pieces, with_velocity
 from armlab.identify.validation import rests, speed_shares
 from armlab.log import Table
 from armlab.models import TorqueModel
@@ -98,12 +98,8 @@ def extrapolation(model: TorqueModel, table: Table) -> Extrapolation:
             f"Expected q and qd of {model.n} joints in at least two rows, got {q.shape} and {qd.shape}. "
             "Give a log of the robot that the model belongs to."
         )
-    bad = np.flatnonzero(~(np.isfinite(q) & np.isfinite(qd)).all(axis=1))
-    if len(bad):
-        raise ShapeError(
-            f"Expected finite q and qd, got NaN or Inf in {len(bad)} rows, first {bad[:5].tolist()}. "
-            "Drop them with table.dropna; without qd it takes 100 rows without a gap to compute it."
-        )
+    advice = "Drop them with table.dropna; without qd it takes 100 rows without a gap to compute it."
+    check_finite("q and qd", q, qd, advice=advice)
     margin = BESIDE * (known.q_max - known.q_min)
     outside = np.mean((q < known.q_min - margin) | (q > known.q_max + margin), axis=0)
     unseen = np.sum(np.where(known.speed_share < RARE, speed_shares(qd, known.qd_peak), 0.0), axis=1)

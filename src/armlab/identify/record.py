@@ -43,7 +43,7 @@ def slow_enough(qd: np.ndarray, rate: float, cycles: np.ndarray) -> np.ndarray:
     return np.abs(qd) * cycles < 2 * np.pi * SLOW_SHARE * rate
 
 
-MIN_SECONDS = 5.0
+MIN_SECONDS, MIN_BLOCKS = 5.0, 8
 MIN_TURN, MIN_SLIDE = np.deg2rad(5.0), 0.02  # rad, m: range of a joint that is said to move
 MIN_SEGMENT = 100  # samples; shorter pieces between gaps are left out
 BAND = 5.0  # Hz, in which velocity is compared with the slope of position
@@ -115,6 +115,17 @@ def measured_joints(robot: Robot, joints: Sequence[int] | None = None) -> list[i
             "Count from 0, or leave them out for all."
         )
     return found
+
+
+def check_blocks(count: int, seconds: float, data: Record) -> None:
+    """Refuse a record of fewer than eight independent blocks: their scatter is the covariance."""
+    if count < MIN_BLOCKS:
+        raise NotExcited(
+            f"Expected at least {MIN_BLOCKS} blocks of {seconds:.2g} s for a covariance, got {count}. "
+            "Record for longer.",
+            ["covariance"],
+            [f"{data.seconds:.1f} s"],
+        )
 
 
 def prepare(table: Table | Sequence[Table], robot: Robot, joints: Sequence[int] | None = None) -> Record:
@@ -217,7 +228,7 @@ def with_velocity(table: Table) -> Table:
     if "qd" in table:
         return table
     q, t = table["q"], table.t
-    _check_finite("q", q)
+    check_finite("q", q)
     qd = np.full(q.shape, np.nan)
     for a, b in _pieces(t):
         rate = 1.0 / float(np.median(np.diff(t[a:b])))
@@ -270,7 +281,7 @@ def _segments(table: Table, robot: Robot) -> tuple[np.ndarray, list[np.ndarray],
                 f"Expected {name} of shape {wanted} for robot {robot.name!r}, got {values.shape}. "
                 "Name the robot that was logged."
             )
-        _check_finite(name, values)
+        check_finite(name, values)
     t = np.asarray(table.t, dtype=float)
     if len(t) < MIN_SEGMENT or t[-1] - t[0] < MIN_SECONDS:
         length = t[-1] - t[0] if len(t) else 0.0
@@ -285,12 +296,16 @@ def _segments(table: Table, robot: Robot) -> tuple[np.ndarray, list[np.ndarray],
     return t, columns, pieces(t)
 
 
-def _check_finite(name: str, values: np.ndarray) -> None:
-    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+def check_finite(
+    what: str,
+    *columns: np.ndarray,
+    advice: str = "Drop them with table.dropna, or record with the research extension when torque is missing.",
+) -> None:
+    """Refuse columns (N, n) with missing values, by row."""
+    bad = np.flatnonzero(~np.all([np.isfinite(values).all(axis=1) for values in columns], axis=0))
     if len(bad):
         raise ShapeError(
-            f"Expected finite {name}, got NaN or Inf in {len(bad)} rows, first {bad[:5].tolist()}. "
-            "Drop them with table.dropna, or record with the research extension when torque is missing."
+            f"Expected finite {what}, got NaN or Inf in {len(bad)} rows, first {bad[:5].tolist()}. {advice}"
         )
 
 

@@ -144,20 +144,17 @@ MOST_BLOCKS = 1000.0  # of them: a triangle is kept for each
 ROBUST = ("irls", "lts")
 
 
-def alternate(
-    design: Design, method: str, seed: int = 0, use: np.ndarray | None = None, chooser: Chooser = choose_here
-) -> tuple[Design, np.ndarray]:
+def alternate(design: Design, method: str, seed: int = 0, chooser: Chooser = choose_here) -> tuple[Design, np.ndarray]:
     """Alternate between the linear parameters and the structure of friction until the structure stays; return both.
 
     Directions that the log does not tell are no fault here: the last fit judges.
     """
-    use = np.ones(len(design.rows), dtype=bool) if use is None else use
-    trust = np.repeat(use[:, None].astype(float), len(design.joints), axis=1)
+    trust = np.ones_like(design.tau)
     block = design.data.blocks(short_blocks(design.data))[design.rows]
     theta = solved(design, trust, method).x
     for _ in range(ROUNDS):
         if method in ROBUST:
-            trust = _trust(design, theta, block, method, seed) * use[:, None]
+            trust = _trust(design, theta, block, method, seed)
         shaped = design.choose_structure(theta, trust, chooser)
         settled = shaped.structure.same(design.structure)
         design, theta = shaped, solved(shaped, trust, method).x

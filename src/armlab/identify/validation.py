@@ -12,7 +12,7 @@ from armlab.errors import NotExcited, ShapeError, UnknownName
 from armlab.estimation import Excitation, Fit
 from armlab.estimation.bootstrap import correlation_time, effective_samples
 from armlab.estimation.linear_problem import LinearSolution
-from armlab.identify.record import Record, torque_outliers, without_outliers
+from armlab.identify.record import Record, check_finite, torque_outliers, without_outliers
 from armlab.identify.residuals import thermal_state_at
 from armlab.models import TorqueModel, velocity_covariance
 from armlab.models.friction import FrictionBound
@@ -283,12 +283,7 @@ def fit_velocity_covariance(residuals: np.ndarray, qd: np.ndarray, kind: str = "
 def _check_residuals(residuals: np.ndarray, qd: np.ndarray) -> None:
     if residuals.ndim != 2 or residuals.shape != qd.shape or not residuals.shape[1]:
         raise ShapeError(f"Expected residuals and qd of one shape (N, n), got {residuals.shape} and {qd.shape}.")
-    bad = np.flatnonzero(~(np.isfinite(residuals) & np.isfinite(qd)).all(axis=1))
-    if len(bad):
-        raise ShapeError(
-            f"Expected finite residuals and qd, got NaN or Inf in {len(bad)} rows, first {bad[:5].tolist()}. "
-            "Drop these rows."
-        )
+    check_finite("residuals and qd", residuals, qd, advice="Drop these rows.")
     if len(residuals) < 100:
         raise NotExcited(f"Expected at least 100 residuals, got {len(residuals)}. Record for longer.", ["everything"])
     silent = np.flatnonzero(~residuals.any(axis=0))
@@ -404,10 +399,10 @@ def momentum_noise(
     moving = np.isfinite(errors)
     measured = moving.any(axis=0)
     judged: np.ndarray = np.all(moving[:, measured], axis=1) if measured.any() else np.zeros(len(errors), dtype=bool)
-    ratios = [
-        _normalised(*(values[judged[rows]] for values in found[:3]))
-        for found, rows in _runs(held, noise, data, filters=True)
-    ]
+    ratios = []
+    for found, rows in _runs(held, noise, data, filters=True):  # in free motion the wrench is the error
+        F, P, seen = (values[judged[rows]] for values in found[:3])
+        ratios.append((F**2 / np.einsum("kii->ki", P))[seen > SEEN])
     return replace(noise, alpha2_kf=_factor(ratios))
 
 
@@ -432,11 +427,6 @@ def stretches(rows: np.ndarray, data: Record) -> Iterator[tuple[int, int]]:
         edges = np.flatnonzero(np.diff(wanted.astype(int), prepend=0, append=0))
         for a, b in edges.reshape(-1, 2):
             yield first + int(a), first + int(b)
-
-
-def _normalised(F: np.ndarray, P: np.ndarray, observability: np.ndarray) -> np.ndarray:
-    """Return F_i^2 / P_ii of the axes that can be seen: in free motion the wrench is the error."""
-    return (F**2 / np.einsum("kii->ki", P))[observability > SEEN]
 
 
 def _factor(ratios: list[np.ndarray]) -> float:

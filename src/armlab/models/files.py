@@ -111,10 +111,8 @@ def _check_units(written: Any, known: Mapping[str, str]) -> None:
 def _check_texts(value: Any, path: Path) -> None:
     """Refuse a value whose sources and robot could not be named again in [meta]."""
     known = provenance("", value)
-    for name, text in (
-        *(("sources", one) for one in known["sources"]),
-        *((k, known[k]) for k in ("robot", "robot_hash")),
-    ):
+    texts = [*(("sources", one) for one in known["sources"]), *((k, known[k]) for k in ("robot", "robot_hash"))]
+    for name, text in texts:
         if not isinstance(text, str):
             raise ConfigError(f"Expected texts for {name} at {path}, got {text!r}. Make the file again.")
 
@@ -293,11 +291,7 @@ def torque_tables(model: TorqueModel) -> dict[str, Any]:
     c, q = model.covariance, model.quality
     return {
         "meta": {**provenance(KIND, model), "format": TORQUE_FORMAT, "sign": SIGN, "units": UNITS},
-        "robot": {
-            "frames": model.frames.tolist(),
-            "prismatic": [bool(p) for p in model.prismatic],
-            "gravity": model.gravity.tolist(),
-        },
+        "robot": {name: getattr(model, name).tolist() for name in ("frames", "prismatic", "gravity")},
         "dynamics": {
             "link_parameters": model.link_parameters.tolist(),
             "rotor": model.rotor.tolist(),
@@ -312,9 +306,7 @@ def torque_tables(model: TorqueModel) -> dict[str, Any]:
         "ripple": _by_joint(model.ripple, RIPPLE),
         "ctau": {
             "kind": c.kind,
-            "C0": c.C0.tolist(),
-            "Cinf": c.Cinf.tolist(),
-            "shape": c.shape.tolist(),
+            **{name: getattr(c, name).tolist() for name in ("C0", "Cinf", "shape")},
             "alpha2": c.alpha2,
             "cutoff": model.cutoff,
         },

@@ -67,6 +67,16 @@ FRICTION_TERMS = {
 """Every term of friction once: names, units, regressors and bounds elsewhere derive from this table."""
 
 
+def freeze_arrays(instance: object, what: str, shapes: dict[str, tuple[int, ...]]) -> None:
+    """Make fields of a frozen dataclass read-only float64 arrays; refuse other shapes, and numbers not finite."""
+    for name, shape in shapes.items():
+        values = still(getattr(instance, name), f"{name} of {what}")
+        if values.shape != shape or not np.isfinite(values).all():
+            got = "NaN or Inf" if values.shape == shape else f"shape {values.shape}"
+            raise ShapeError(f"Expected finite {name} of shape {shape} of {what}, got {got}.")
+        object.__setattr__(instance, name, values)
+
+
 def _zeros() -> np.ndarray:
     """Stand for zeros of all joints."""
     return np.zeros(0)
@@ -258,13 +268,8 @@ class RadialBasis:
             values = still(getattr(self, name), f"{name} of radial bases")
             object.__setattr__(self, name, values)
         p, v = self.positions, self.speeds
-        if (
-            p.ndim != 2
-            or v.ndim != 2
-            or len(p) != len(v)
-            or p.shape != self.position_widths.shape
-            or v.shape != self.speed_widths.shape
-        ):
+        alike = p.shape == self.position_widths.shape and v.shape == self.speed_widths.shape
+        if p.ndim != 2 or v.ndim != 2 or len(p) != len(v) or not alike:
             raise ShapeError(f"Expected centres and widths of shape (n, P) and (n, S), got {p.shape} and {v.shape}.")
         steps = *np.diff(p, axis=1).ravel(), *np.diff(v, axis=1).ravel()
         positive = *steps, *v.ravel(), *self.position_widths.ravel(), *self.speed_widths.ravel()
@@ -311,11 +316,8 @@ class FrictionMap:
     coefficients: np.ndarray
 
     def __post_init__(self) -> None:
-        values = still(self.coefficients, "coefficients of radial bases")
         shape = (self.basis.n, 2, self.basis.positions.shape[1], self.basis.speeds.shape[1])
-        if values.shape != shape or not np.isfinite(values).all():
-            raise ShapeError(f"Expected finite coefficients of shape {shape}, got shape {values.shape}.")
-        object.__setattr__(self, "coefficients", values)
+        freeze_arrays(self, "radial bases", {"coefficients": shape})
 
     def kernel_rows(self) -> tuple[np.ndarray, ...]:
         """Return the arrays as `kernels.Drive` takes them."""

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armlab._numbers import numbers, still
+from armlab._numbers import numbers
 from armlab.errors import ModelMismatchError, RobotError, ShapeError
 from armlab.kinematics import forward, parameter_jacobian
 from armlab.lie import se3, so3
+from armlab.models.friction import freeze_arrays
 from armlab.robots import Robot
 
 COMMAND_ROUNDS = 50
@@ -70,15 +71,8 @@ class KinematicCorrection:
             "points": (len(self.points), 3),
             "anchor": (3,),
         }
-        for name, shape in shapes.items():
-            if getattr(self, name) is None:
-                continue
-            values = still(getattr(self, name), f"{name} of a kinematic correction")
-            if values.shape != shape or not np.isfinite(values).all():
-                raise ShapeError(
-                    f"Expected finite {name} of shape {shape} of a kinematic correction, got shape {values.shape}."
-                )
-            object.__setattr__(self, name, values)
+        given = {name: shape for name, shape in shapes.items() if getattr(self, name) is not None}
+        freeze_arrays(self, "a kinematic correction", given)
 
     @property
     def frames(self) -> np.ndarray:
@@ -215,11 +209,7 @@ class DualArmCorrection:
 
     def __post_init__(self) -> None:
         d = len(self.arm_a.cov) + len(self.arm_b.cov) + 6
-        for name, shape in (("T_basea_baseb", (4, 4)), ("cov", (d, d))):
-            values = still(getattr(self, name), f"{name} of a kinematic correction")
-            if values.shape != shape or not np.isfinite(values).all():
-                raise ShapeError(f"Expected finite {name} of shape {shape} of two arms, got shape {values.shape}.")
-            object.__setattr__(self, name, values)
+        freeze_arrays(self, "two arms", {"T_basea_baseb": (4, 4), "cov": (d, d)})
 
     def forward(
         self,
