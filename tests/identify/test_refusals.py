@@ -195,7 +195,7 @@ def given(truth, excited, model, fitted, short_arm) -> SimpleNamespace:
     other = truth.log(identify.design_excitation(YUMI, seconds=12, speed=0.4, seed=4))
     return SimpleNamespace(
         log=excited, model=model, fitted=fitted, short=short_arm, other=other,
-        draft=cache(lambda: fit_draft([short_arm.log(0, 2000)], short_arm.robot, 1)),
+        draft=cache(lambda: fit_draft([short_arm.log(0, 1200)], short_arm.robot, 1)),
     )  # fmt: skip
 
 

@@ -16,12 +16,10 @@ from armlab.identify.friction_structure import (
     SMOOTH_SPEEDS,
     STRIBECK_SPEEDS,
     TERMS,
-    Chooser,
     FrictionColumns,
     FrictionStructure,
     StructureChoice,
     choose,
-    choose_here,
     mixing,
     term_names,
 )
@@ -128,7 +126,7 @@ def test_names_bounds_and_units_say_what_moves_with_what() -> None:
 def columns(truth, excited) -> RegressionColumns:
     data = prepare(excited, truth.robot)
     motors = np.array([[0, 0, 0, 0, 0, 1.0, 1.0]])
-    return RegressionColumns(data, Decimation.of(data, np.inf, 7), truth.robot, np.array([1, 4, 6]), motors)
+    return RegressionColumns(data, Decimation.of(data, np.inf, 7), truth.robot, np.array([1, 4, 6]), motors, False)
 
 
 def test_shaped_columns_have_presliding_or_a_smooth_sign(columns) -> None:
@@ -157,15 +155,6 @@ def test_decimation_is_the_zero_phase_filter_at_the_rows_that_are_kept(data) -> 
     scale = np.std(expected, axis=0)
     assert np.max(np.abs(got - expected)[inside] / scale) < 1e-5
     assert np.max(np.abs(got - expected) / scale) < 0.1, "ends are continued in another way"
-
-
-def test_a_constant_and_a_slope_pass_unchanged(data) -> None:
-    for every in (1, 3, 7):
-        decimation = Decimation.of(data, 10.0, every)
-        x = np.column_stack([np.ones(len(data.t)), np.arange(len(data.t))])
-        np.testing.assert_allclose(
-            decimation.run(lambda a, b, x=x: x[a:b], 2), x[decimation.rows], rtol=1e-9, atol=1e-6
-        )
 
 
 @pytest.mark.parametrize("rows", [100, 5000])
@@ -215,7 +204,7 @@ def test_without_known_gears_there_is_no_ripple_line(truth, excited) -> None:
     assert len(silent.layout.names) == len(silent.layout.units) == 50 + 5 * 7
     geared = Design.build(data, robot, base)
     assert geared.geared
-    np.testing.assert_allclose(geared.made.cycles, [200, 200, 200, 200, 200, 202, 200], rtol=1e-12)
+    np.testing.assert_allclose(geared.cycles, [200, 200, 200, 200, 200, 202, 200], rtol=1e-12)
 
 
 def test_ripple_that_folds_back_is_not_fitted(truth, excited) -> None:
@@ -244,13 +233,13 @@ def test_a_motor_that_moves_two_joints_brings_shared_columns(truth, excited) -> 
     base = base_parameters(robot)
     design = Design.build(data, robot, base)
     assert design.layout.names[-3:] == tuple(f"{term} of motor axis_6" for term in ("rotor", "viscous", "coulomb"))
-    np.testing.assert_array_equal(design.made.motors, [[0, 0, 0, 0, 0, 1, 1]])
+    np.testing.assert_array_equal(design.motors, [[0, 0, 0, 0, 0, 1, 1]])
     theta = np.zeros(len(design.layout.names))
     theta[-3:] = 0.02, 0.3, 0.5
     speed = data.qd[:, 5] + data.qd[:, 6]
     torque = 0.02 * data.differentiate(speed) + 0.3 * speed + 0.5 * np.tanh(speed / 0.02)
     expected = np.zeros_like(design.tau)
-    expected[:, 5:] = design.made.decimation.run(lambda a, b: torque[a:b, None], 1)
+    expected[:, 5:] = design.decimation.run(lambda a, b: torque[a:b, None], 1)
     np.testing.assert_allclose(design.model(theta), expected, atol=1e-9)
 
 
@@ -375,18 +364,6 @@ def test_rows_without_trust_do_not_count() -> None:
     y = np.where(bad[:, None], 50.0, y)
     found = choose(choice(q, qd, y, 1.0 - bad))
     assert found.delta[0] == pytest.approx(1e-3, rel=0.1)
-
-
-def test_joints_are_chosen_one_after_the_other_and_joined() -> None:
-    q, qd = record()
-    y = presliding(q, np.array([1e-3]), np.zeros(1))
-    one = choice(q, qd, y, np.ones(len(q)))
-    chooser: Chooser = choose_here
-    both = FrictionStructure.joined(chooser([one, replace(one, target=np.tanh(qd[:, 0] / 0.05))]))
-    assert both.delta.shape == both.smooth.shape == both.speed.shape == (2,)
-    assert both.terms.shape == (2, 3)
-    assert both.smooth[0] == 0.0 < both.smooth[1]
-    assert [bool(soft) for soft in choose(one).smooth] == [False]
 
 
 @pytest.mark.parametrize("terms", TERMS)

@@ -218,8 +218,7 @@ class RegressionColumns:
     """Makes the columns of J joints of a record.
 
     `decimation`: of its rows; (M,) are kept. `joints`: (J,) those whose torque counts. `motors`: (K, n)
-    angles theta = c q of motors that move several joints. `geared`: whether there are columns of ripple; where gears
-    are known and ripple is seen in this record, when None.
+    angles theta = c q of motors that move several joints. `geared`: whether there are columns of ripple.
     """
 
     data: Record
@@ -227,7 +226,7 @@ class RegressionColumns:
     robot: Robot
     joints: np.ndarray
     motors: np.ndarray
-    geared: bool | None = None
+    geared: bool
 
     @property
     def cycles(self) -> np.ndarray:
@@ -247,26 +246,23 @@ class RegressionColumns:
         """
         data, joints, cycles = self.data, self.joints, self.cycles
         J, K = len(joints), len(self.motors)
-        geared = self.geared
-        if geared is None:
-            geared = not np.any(cycles < MIN_CYCLES) and self._lines_are_seen()
 
         def columns(a: int, b: int) -> np.ndarray:
             qd = data.qd[a:b, joints]
             parts = [data.tau[a:b, joints], qd, np.ones_like(qd)]
-            if geared:
+            if self.geared:
                 slow, angle = slow_enough(qd, data.rate, cycles), cycles * data.q[a:b, joints]
                 parts += [np.where(slow, np.cos(angle), 0.0), np.where(slow, np.sin(angle), 0.0)]
             return np.concatenate([*parts, qdd[a:b] @ self.motors.T, data.qd[a:b] @ self.motors.T], axis=1)
 
-        fixed = len(FIXED) if geared else len(FIXED) - 2
+        fixed = len(FIXED) if self.geared else len(FIXED) - 2
         thin = self.decimation.run(columns, J * (1 + fixed) + 2 * K)
         tau, own, coupled = np.split(thin, [J, J * (fixed + 1)], axis=1)
         own = np.moveaxis(own.reshape(len(thin), fixed, J), 1, 2)
         sign = self.decimation.run(lambda a, b: np.tanh(data.qd[a:b] @ self.motors.T / SMOOTH), K)
         return tau, own, np.moveaxis(np.concatenate([coupled, sign], axis=1).reshape(len(thin), 3, K), 1, 2)
 
-    def rigid(self, qdd: np.ndarray, base: BaseParameters) -> tuple[np.ndarray, ...]:
+    def rigid_columns(self, qdd: np.ndarray, base: BaseParameters) -> tuple[np.ndarray, ...]:
         """Return of each joint the columns (M, w) of the base parameters that it sees, at the acceleration (N, n)."""
         data, robot, n = self.data, self.robot, len(self.robot.joint_names)
         seen = [base.kept[base.seen[i]] for i in self.joints]
@@ -291,7 +287,7 @@ class RegressionColumns:
         friction = self.friction
         return friction.columns(friction.sign(delta, smooth), [Bell(friction.qd, speed) for speed in speeds])
 
-    def _lines_are_seen(self) -> bool:
+    def lines_are_seen(self) -> bool:
         """Tell whether ripple passes slowly enough for the sampling in most samples; warn where it does not."""
         data = self.data
         share = np.mean(slow_enough(data.qd[:, self.joints], data.rate, self.cycles), axis=0)
@@ -420,7 +416,7 @@ NOTHING = 1e-12  # of the power of the torque: a slope without effect
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
+class Design(RegressionColumns):
     """Filtered and decimated regression problem of J joints.
 
     `owners`: (K,) the joint that each coupled motor belongs to. `gains`: (J,) torque as it is read over true torque.
@@ -432,7 +428,6 @@ class Design:
     last, then of the motors that move it.
     """
 
-    made: RegressionColumns
     base: BaseParameters
     owners: np.ndarray
     gains: np.ndarray
@@ -464,16 +459,18 @@ class Design:
         ratios = np.linalg.inv(robot.coupling)
         turning = ratios / np.diag(ratios)[:, None]
         owners = np.flatnonzero(np.count_nonzero(turning, axis=1) > 1)
-        columns = RegressionColumns(data, Decimation.of(data, corner, step), robot, measured, turning[owners], geared)
+        columns = RegressionColumns(data, Decimation.of(data, corner, step), robot, measured, turning[owners], False)
+        if geared or (geared is None and not np.any(columns.cycles < MIN_CYCLES) and columns.lines_are_seen()):
+            columns = replace(columns, geared=True)
         qdd = data.differentiate(data.qd)
         tau, fixed, coupled = columns.plain(qdd)
         design = cls(
-            made=columns,
+            **vars(columns),
             base=base,
             owners=owners,
             gains=np.ones(len(measured)),
             tau=tau,
-            rigid=columns.rigid(qdd, base),
+            rigid=columns.rigid_columns(qdd, base),
             fixed=fixed,
             coupled_motors=coupled,
             structure=structure or FrictionStructure.start(len(measured)),
@@ -482,27 +479,9 @@ class Design:
         return design.with_structure(design.structure)
 
     @property
-    def data(self) -> Record:
-        return self.made.data
-
-    @property
-    def robot(self) -> Robot:
-        return self.made.robot
-
-    @property
-    def joints(self) -> np.ndarray:
-        """Those whose torque counts (J,)."""
-        return self.made.joints
-
-    @property
     def rows(self) -> np.ndarray:
         """Rows of the record that are kept (M,)."""
-        return self.made.decimation.rows
-
-    @property
-    def geared(self) -> bool:
-        """True when the ripple columns are among the columns of each joint."""
-        return self.fixed.shape[2] == len(FIXED)
+        return self.decimation.rows
 
     @cached_property
     def terms(self) -> list[tuple[str, ...]]:
@@ -513,27 +492,26 @@ class Design:
     @cached_property
     def layout(self) -> ParameterLayout:
         """Names, units, bounds and places of all parameters."""
-        return ParameterLayout(self.robot, self.base, self.joints, self.made.motors, self.owners, tuple(self.terms))
+        return ParameterLayout(self.robot, self.base, self.joints, self.motors, self.owners, tuple(self.terms))
 
     def with_structure(self, structure: FrictionStructure) -> Design:
         """Return it with the columns of another structure of friction."""
-        shaped = self.made.shaped(structure.delta, structure.smooth, structure.speed[None])
+        shaped = self.shaped(structure.delta, structure.smooth, structure.speed[None])
         made_of = (*FIXED[: self.fixed.shape[2]], *SHAPED)
         at = [made_of.index(name) for name in COLUMNS[: self._width]]
         local = []
         for i, joint in enumerate(self.joints):
             own = np.concatenate([self.fixed[:, i], shaped[:, i]], axis=1)[:, at]
             own = own @ mixing(structure.terms[i], self._width)
-            moved = np.flatnonzero(self.made.motors[:, joint])
-            theirs = (self.made.motors[m, joint] * self.coupled_motors[:, m] for m in moved)
+            moved = np.flatnonzero(self.motors[:, joint])
+            theirs = (self.motors[m, joint] * self.coupled_motors[:, m] for m in moved)
             local.append(np.hstack([own, *theirs]) if len(moved) else own)
         return replace(self, structure=structure, free=np.zeros_like(self.free), local=tuple(local))
 
     def with_torque(self, tau: np.ndarray) -> Design:
         """Return it with another torque (N, n) that was read."""
-        thin = self.made.decimation.run(lambda a, b: tau[a:b, self.joints], len(self.joints))
-        made = replace(self.made, data=replace(self.data, tau=tau))
-        return replace(self, made=made, tau=thin / self.gains)
+        thin = self.decimation.run(lambda a, b: tau[a:b, self.joints], len(self.joints))
+        return replace(self, data=replace(self.data, tau=tau), tau=thin / self.gains)
 
     def with_gains(self, gains: np.ndarray) -> Design:
         """Return it with other gains (J,) of the torque that was read."""
@@ -558,8 +536,8 @@ class Design:
             for step in STEP * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
         )
         apart, bump = (np.log(a.numbers / b.numbers).sum(axis=1) for a, b in ((up, down), (wide, narrow)))
-        more, less = (self.made.shaped(one.delta, one.smooth, one.speed[None]) for one in (up, down))
-        bumps = self.made.shaped(self.structure.delta, self.structure.smooth, np.stack([wide.speed, narrow.speed]))
+        more, less = (self.shaped(one.delta, one.smooth, one.speed[None]) for one in (up, down))
+        bumps = self.shaped(self.structure.delta, self.structure.smooth, np.stack([wide.speed, narrow.speed]))
         signs = np.einsum("mjk,jk->mj", more - less, c / apart[:, None])
         return np.stack([signs, (bumps[:, :, -2] - bumps[:, :, -1]) * (c[:, -1] / bump)], axis=2)
 
@@ -597,7 +575,7 @@ class Design:
         values[:, self.joints] = self._own(theta)
         found = self.moved(theta)
         filled = np.tile([[1e-3], [0.0], [0.1], [2.0]], values.shape[1])
-        filled[:, self.joints] = found.delta, found.smooth, found.speed, self.made.cycles
+        filled[:, self.joints] = found.delta, found.smooth, found.speed, self.cycles
         *numbers, cycles = filled
         fields = {FRICTION_TERMS[name].fields[0]: own for name, own in zip(FRICTION, values)}
         fields |= dict(zip(("delta", "smooth_speed", "stribeck_speed"), numbers))
@@ -613,11 +591,11 @@ class Design:
 
     def coupled(self, theta: np.ndarray) -> CoupledMotors | None:
         """Return the motors that move several joints, of parameters theta (p,); None where there are none."""
-        K = len(self.made.motors)
+        K = len(self.motors)
         if not K:
             return None
         inertia, viscous, coulomb = theta[-3 * K :].reshape(K, 3).T
-        return CoupledMotors(self.made.motors, inertia, viscous, coulomb, np.full(K, SMOOTH))
+        return CoupledMotors(self.motors, inertia, viscous, coulomb, np.full(K, SMOOTH))
 
     @property
     def _width(self) -> int:
@@ -633,13 +611,13 @@ class Design:
         """
         weights = np.ones_like(self.tau) if trust is None else np.asarray(trust, dtype=float)
         used = np.cumsum(weights.any(axis=1))  # blocks of what is used: all folds have as much
-        fold = used // max(1, round(BLOCK * self.data.rate / self.made.decimation.every)) % FOLDS
-        motion = self.made.friction
+        fold = used // max(1, round(BLOCK * self.data.rate / self.decimation.every)) % FOLDS
+        motion = self.friction
 
         def choice(i: int) -> StructureChoice:
             A, L, c = self.rigid[i], self.local[i], self.layout.columns[i]
             coupled = L[:, len(self.terms[i]) :]
-            free = np.zeros((len(L), 3 * len(self.made.motors)))
+            free = np.zeros((len(L), 3 * len(self.motors)))
             free[:, : coupled.shape[1]] = coupled
             target = self.tau[:, i] - A @ theta[c[: A.shape[1]]]
             fixed = np.concatenate([self.fixed[:, i], free], axis=1)
